@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim_to_real.evidence.coordinates import ADDED_DN, form_functions, free_terms, texture
+from noise_model.effects import REGISTRY, Stage
+from sim_to_real.evidence.coordinates import ADDED_DN, TOGETHER, form_functions, free_terms, texture
 from sim_to_real.evidence.error_model import Columns, ErrorModel, Linearized
 from sim_to_real.evidence.free_functions import (
     FORMS,
@@ -53,6 +54,34 @@ def beside_levels(bins, residuals, *further):
     compared = compared_of(bins)
     columns = Columns.free(np.column_stack(levels)[compared].astype(np.float32))
     return Linearized(residuals[compared], columns)
+
+
+def test_a_form_off_elsewhere_is_as_large_as_a_share_of_what_its_effect_does(bins):
+    """The mean square over all bins and draws of sizes, for each function of the effect's stage."""
+    errors, draw = errors_of(bins), np.random.default_rng(5)
+    change = 3.0 * draw.standard_normal(len(compared_of(bins)))
+    apart = errors.form_errors_apart("fume", change)
+    names = {term.name for term in errors.free_terms.terms if term.stage is Stage.MEDIUM}
+    assert len(apart) == len(names - {TOGETHER}) > 1
+    for block, size in apart:
+        columns = errors.free_terms.columns[block]
+        errors_drawn = columns @ (size * draw.standard_normal((columns.shape[1], 400)))
+        expected = REGISTRY["fume"].form_rel * np.sqrt(np.mean(change**2))
+        assert np.sqrt(np.mean(errors_drawn**2)) == pytest.approx(expected, rel=0.15)
+
+
+def test_of_several_forms_each_is_as_probable(bins):
+    """With one form for each of two effects there is one choice; with two of one effect, their mean."""
+    errors, draw = errors_of(bins), np.random.default_rng(6)
+    none = beside_levels(bins, noise(bins))
+    first, second, third = (
+        Columns.free(draw.standard_normal((len(none.residuals), 2)).astype(np.float32)) for _ in range(3)
+    )
+    both = errors.log_evidence(none, first, second)
+    assert errors.log_evidence_off(none, [[first], [second]]) == pytest.approx(both, abs=1e-6)
+    nats = [errors.log_evidence(none, form, third) for form in (first, second)]
+    mean = np.logaddexp(*nats) - np.log(2.0)
+    assert errors.log_evidence_off(none, [[first, second], [third]]) == pytest.approx(mean, abs=1e-6)
 
 
 def functions_of(bins, residuals, *named):

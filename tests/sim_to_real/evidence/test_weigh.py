@@ -106,6 +106,21 @@ def test_an_effect_is_likelier_than_all_else_and_withheld_the_cause_is_unknown(t
 
 
 @pytest.mark.slow
+def test_an_unknown_cause_is_as_likely_whether_the_effect_is_a_candidate_or_withheld(tmp_path):
+    """About a fit with glare no gap goes along derivatives without it: no level stands for glare."""
+    hidden = {"veiling_glare": {"share": 0.1}}
+    known, withheld = (
+        of_recording(tmp_path / name, hidden, without=without)
+        for name, without in (("known", ()), ("withheld", ("veiling_glare",)))
+    )
+    assert known.hypotheses[0].ids == ("veiling_glare",)
+    gain = known.hypotheses[0].evidence - known.none.evidence
+    assert gain > 100.0
+    assert known.none.evidence == pytest.approx(withheld.none.evidence, abs=0.05 * gain)
+    assert known.unknown.evidence == pytest.approx(withheld.unknown.evidence, abs=0.05 * gain)
+
+
+@pytest.mark.slow
 def test_of_two_effects_both_are_likelier_than_one(tmp_path):
     hidden = {"gamma": {"gamma": 1.15}, "veiling_glare": {"share": 0.1}}
     posterior = of_recording(tmp_path / "both", hidden)
