@@ -16,21 +16,19 @@ from typing import TypeVar
 
 import cv2
 import numpy as np
-import numpy.typing as npt
-from scipy.ndimage import distance_transform_edt
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.effects import REGISTRY, Effect, Stage, Values, apply_condition_effects, apply_setup_effects
 from noise_model.effects.light import Light
 from noise_model.forward import Layers, look, pass_on
-from noise_model.instrument.camera import NARROW_PX, Camera, Rays, neighbours
-from noise_model.instrument.sensor import Sensor, respond_moments
+from noise_model.instrument.camera import NARROW_PX, Camera, Rays
 from noise_model.interreflection.model import BouncedLight, bounced_light
 from noise_model.setup import Setup
 from noise_model.surface.brdf import Material
 from noise_model.surface.joint import BentSeam
 from noise_model.view import View
 from sim_to_real.data.binned import Observed, ObservedFrame, on_one_face
+from sim_to_real.fit.frame_light import FrameLight, Predicted, Rendered, light_factor, nearest_rendered
 from sim_to_real.fit.nuisances import N_CAMERA, N_LEVELS, SEAM_FROM, apply_levels, apply_nuisances, nuisances
 from sim_to_real.fit.trend import Trend, effects_in_frame
 from tracker.seam.curve import N_MODES, SeamCurve
@@ -54,14 +52,8 @@ GROUND_STEP_MM = 5e-4
 EDGE_SHARE, EDGE_E = 0.01, 2.0
 """An edge is what changes a bin's light over such a step by more than this share of it and so many e-."""
 
-CHARGE_STEP_E = 1.0
-"""Step of the derivative with charge."""
-
 LIT_SHARE = 1e-3
 """Where the stated arc puts less than this share of its brightest light, it says nothing of another arc's."""
-
-MAX_LIGHT_FACTOR = 4.0
-"""The largest factor by which an effect can change light, over what exposure and current do."""
 
 MIN_CHORD_DEVIATION_MM = 0.03
 """A seam that departs less from its chord is straight."""
@@ -90,92 +82,6 @@ WRONG_MATERIAL = "wrong_material"
 
 INTERREFLECTION = "interreflection"
 """The effect whose light takes longest to compute."""
-
-
-@dataclass(frozen=True, eq=False)
-class Predicted:
-    """The bins of a frame that are predicted: all of it (h, w), or those that count and about these (m,).
-
-    `places` are theirs in the flattened frame, `rendered` (r,) those of the bins that are rendered, and
-    `nearest` says which of these is nearest to each. `kept` (k,) are those that count, among all, and
-    `is_kept` (r,) says it of those rendered. `inner` is that of a `View`, None for a whole frame.
-    """
-
-    frame: ObservedFrame
-    places: Int64
-    rendered: Int64
-    nearest: npt.NDArray[np.intp]
-    kept: Int64
-    is_kept: Bool
-    inner: tuple[Int64, Int64] | None
-
-    @classmethod
-    def whole(cls, frame: ObservedFrame) -> Predicted:
-        """Return all bins: what spreads over the image comes from all of them."""
-        every, rendered = np.arange(frame.keep.size), np.flatnonzero(frame.rendered)
-        nearest = _nearest(frame.rendered)
-        return cls(frame, every, rendered, nearest, frame.bins, frame.keep[frame.rendered], None)
-
-    @classmethod
-    def near(cls, frame: ObservedFrame) -> Predicted:
-        """Return the bins that count and their neighbours, which the lens blurs into them."""
-        around = neighbours(frame.bins, (frame.keep.shape[0], frame.keep.shape[1]))
-        places = np.unique(around)
-        is_near = np.zeros_like(frame.keep)
-        is_near.reshape(-1)[places] = True
-        shown = is_near & frame.rendered
-        kept = np.searchsorted(places, frame.bins)
-        return cls(
-            frame,
-            places,
-            np.flatnonzero(shown),
-            _nearest(shown)[is_near] if len(places) else np.zeros(0, dtype=np.intp),
-            kept,
-            frame.keep[shown],
-            (kept, np.searchsorted(places, around)),
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Rendered:
-    """What a pose shows (...,), e- for the nominal exposure and output, before any effect on the image.
-
-    The laser's light is rendered in `ObservedFrame.rendered`; other bins take that of the nearest. The arc's
-    is smooth but at edges: it is rendered in the bins that count, and others change from the stated light by
-    the factor of the nearest.
-    """
-
-    view: View
-    arc_e: Float32
-    laser_e: Float32
-
-
-@dataclass(frozen=True, eq=False)
-class FrameLight:
-    """The light of a frame's bins that count (n,), e-, that has passed effects, lens and exposure.
-
-    `arc_factor` and `laser_factor` (n,) are what became of one unit of the rendered light; `black_dn` comes
-    on top of the sensor's own.
-    """
-
-    sensor: Sensor
-    arc_e: Float32
-    laser_e: Float32
-    other_e: Float32
-    arc_factor: Float32
-    laser_factor: Float32
-    black_dn: float = 0.0
-
-    def mean_dn(self, more_e: float = 0.0) -> Float64:
-        """Return the mean DN (n,), of somewhat more light if that is asked for."""
-        mean_e = self.arc_e + self.laser_e + self.other_e + np.float32(more_e)
-        # A bin is a mean of pixels: each of them rounds and is cut with a pixel's noise.
-        noise_e2 = np.maximum(mean_e, 0.0) + self.sensor.read_noise_e**2
-        return respond_moments(mean_e, noise_e2, self.sensor)[0] + self.black_dn
-
-    def dn_per_e(self) -> Float64:
-        """Return the derivatives of the mean with charge (n,), DN/e-."""
-        return (self.mean_dn(CHARGE_STEP_E) - self.mean_dn()) / CHARGE_STEP_E
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +115,7 @@ class LinearizedModel:
         self._layers: dict[tuple[object, ...], Layers] = {}
         self._whole = [Predicted.whole(frame) for frame in observed.frames]
         self._near = [Predicted.near(frame) for frame in observed.frames]
-        self._nearest_kept = [_nearest(frame.keep) for frame in observed.frames]
+        self._nearest_kept = [nearest_rendered(frame.keep) for frame in observed.frames]
         self._bounced: dict[int, BouncedLight] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
         self._curves: dict[tuple[object, ...], SeamCurve] = {}
@@ -541,8 +447,8 @@ class LinearizedModel:
             arc_e,
             laser_e,
             light.other.reshape(-1)[kept],
-            _factor(arc_e, rendered.arc_e.reshape(-1)[kept], frame.condition.arc_level * exposure),
-            _factor(laser_e, rendered.laser_e.reshape(-1)[kept], frame.condition.laser_level * exposure),
+            light_factor(arc_e, rendered.arc_e.reshape(-1)[kept], frame.condition.arc_level * exposure),
+            light_factor(laser_e, rendered.laser_e.reshape(-1)[kept], frame.condition.laser_level * exposure),
         )
 
     def _tangents_of(self, frame: ObservedFrame, anchor: Float64, effects: Effects) -> Tangents:
@@ -622,13 +528,6 @@ def _tracked_with(effects: Effects) -> tuple[object, ...]:
     )
 
 
-def _nearest(rendered: Bool) -> npt.NDArray[np.intp]:
-    """Return for each bin (h, w) which of those that are rendered is nearest; its own if it is."""
-    number = np.cumsum(rendered).reshape(rendered.shape) - 1
-    _, (rows, columns) = distance_transform_edt(~rendered, return_indices=True)
-    return np.asarray(number[rows, columns])
-
-
 def _in_bins(effect: Effect, values: Values, bin_px: int) -> dict[str, float]:
     """Return an effect's values with lengths in the image counted in bins."""
     whole = effect.complete(values)
@@ -636,17 +535,6 @@ def _in_bins(effect: Effect, values: Values, bin_px: int) -> dict[str, float]:
         if parameter.unit == "px":
             whole[parameter.name] = max(whole[parameter.name] / bin_px, parameter.lower)
     return whole
-
-
-def _factor(passed_e: Float32, rendered_e: Float32, known: float) -> Float32:
-    """Return the factor by which rendered light (n,) has changed; 0 where none was rendered.
-
-    `known` is what exposure and level alone make of it.
-    """
-    factor = np.zeros_like(passed_e)
-    with np.errstate(over="ignore"):
-        np.divide(passed_e, rendered_e, out=factor, where=rendered_e > 0.0)
-    return np.clip(factor, np.float32(0.0), np.float32(MAX_LIGHT_FACTOR * known))
 
 
 def _fourth_difference(image: Float32) -> Float32:

@@ -25,7 +25,7 @@ from noise_model.arrays import Bool, Float32, Float64
 from noise_model.instrument.sensor import linearise, respond_moments
 from sim_to_real.data.binned import ObservedFrame
 from sim_to_real.data.blocks import DETAIL_2X2, weighted_sums_in_bins
-from sim_to_real.fit.linearized_model import CHARGE_STEP_E, FrameLight
+from sim_to_real.fit.frame_light import CHARGE_STEP_E, FrameLight
 
 CLIP_SIGMAS = 5.0
 """Details are clipped at so many sigmas: a spark is not noise."""

@@ -23,7 +23,7 @@ from noise_model.instrument.sensor import Sensor, electrons_per_dn, linearise, s
 from noise_model.robust import sigma_of, spread
 from sim_to_real.data.binned import Observed
 from sim_to_real.data.blocks import dilated, in_blocks
-from sim_to_real.fit.linearized_model import FrameLight
+from sim_to_real.fit.frame_light import FrameLight
 from sim_to_real.variance.haar_details import VarianceSizes
 from sim_to_real.variance.streaks import Line, LineSearch, search_lines, transient_lines
 

@@ -22,7 +22,7 @@ from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert, transform
 from sim_to_real.data.binned import FLOOR_DN, FLOOR_REL, Observed, ObservedFrame
 from sim_to_real.data.blocks import block_means, dilated
-from sim_to_real.fit.linearized_model import FrameLight
+from sim_to_real.fit.frame_light import FrameLight
 from sim_to_real.variance.haar_details import VarianceSizes
 from sim_to_real.variance.line_filter import N_ANGLES, NOISE_GAIN, line_response
 

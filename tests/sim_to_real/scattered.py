@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter
 from noise_model.condition import Condition
 from sim_to_real.data.binned import STRATA, Observed, ObservedFrame, binned_camera
 from sim_to_real.data.blocks import block_means
-from sim_to_real.fit.linearized_model import FrameLight
+from sim_to_real.fit.frame_light import FrameLight
 from sim_to_real.variance.haar_details import VarianceSizes
 from tests.noise_model.scenes import camera, setup
 
