@@ -21,7 +21,8 @@ from noise_model.arrays import Bool, Float32, Float64, Int64
 from sim_to_real.data.binned import STRATA
 from sim_to_real.diagnosis import Curve, Where
 from sim_to_real.evidence.coordinates import ADDED_DN, hats_2d
-from sim_to_real.evidence.error_model import Columns, ErrorModel, EvidenceTable, Linearized, Sizes
+from sim_to_real.evidence.error_model import Columns, ErrorModel, Linearized
+from sim_to_real.evidence.evidence_table import EvidenceTable, Sizes
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.covariates import UNITS, Covariates
 

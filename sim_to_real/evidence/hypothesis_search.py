@@ -18,7 +18,8 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Stage
 from sim_to_real.evidence.coordinates import IN_EACH_FRAME
-from sim_to_real.evidence.error_model import ErrorModel, EvidenceTable, Linearized
+from sim_to_real.evidence.error_model import ErrorModel, Linearized
+from sim_to_real.evidence.evidence_table import EvidenceTable
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Term, Unknown
 from sim_to_real.evidence.looks import Looks, PairLook
 from sim_to_real.evidence.policy import Policy
