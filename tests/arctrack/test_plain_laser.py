@@ -71,7 +71,10 @@ def test_a_file_states_only_what_is_known(plain: Setup, tmp_path: Path) -> None:
 
 def test_its_stripe_is_that_of_any_even_metal(plain: Setup) -> None:
     dull = replace(plain, material=Material("dull", 0.3, 0.0, 5.0))
-    np.testing.assert_allclose(predict(plain, np.eye(4), BOTH).mean_e, predict(dull, np.eye(4), BOTH).mean_e)
+    # Light is counted in single precision: the last digits depend on the metal's own scale.
+    np.testing.assert_allclose(
+        predict(plain, np.eye(4), BOTH).mean_e, predict(dull, np.eye(4), BOTH).mean_e, rtol=1e-6
+    )
     laser_off = Condition(0.0, 1.0, 0.005)
     assert not predict(plain, np.eye(4), laser_off).mean_e.any()
 
