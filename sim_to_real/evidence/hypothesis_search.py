@@ -30,7 +30,7 @@ from sim_to_real.fit.trend import MIN_DRIVER_RANGE, TREND_EFFECTS, Driver, Trend
 from sim_to_real.search.probe_points import EXPENSIVE
 from sim_to_real.search.score_test import ScoreTest
 
-FreeTerms: TypeAlias = Mapping[Term, Sequence[float]]
+TermEvidence: TypeAlias = Mapping[Term, Sequence[float]]
 """The evidence of each free term, nats, at each size that its columns may have."""
 
 MAX_SINGLES, MAX_TRENDS = 10, 3
@@ -129,7 +129,7 @@ class HypothesisSearch:
             for h in every
         ]
 
-    def free_terms_beside(self, hypothesis: Hypothesis) -> FreeTerms:
+    def free_terms_beside(self, hypothesis: Hypothesis) -> TermEvidence:
         """Return the evidence of each free term about a hypothesis' nuisances."""
         return self._free_terms(self._table(hypothesis.neutral))
 
@@ -166,7 +166,7 @@ class HypothesisSearch:
     def _table(self, linear: Linearized) -> EvidenceTable:
         return self.errors.table(linear, self.errors.free_blocks)
 
-    def _free_terms(self, table: EvidenceTable) -> FreeTerms:
+    def _free_terms(self, table: EvidenceTable) -> TermEvidence:
         """Return the evidence of each free term beside a hypothesis."""
         return {
             (term.stage, term.name): [
@@ -175,7 +175,7 @@ class HypothesisSearch:
             for term in self.errors.free_terms.terms
         }
 
-    def unknown(self, beside: Sequence[FreeTerms]) -> Unknown:
+    def unknown(self, beside: Sequence[TermEvidence]) -> Unknown:
         """Return an unknown cause: each free term about whichever nuisances make it likeliest.
 
         A level of the arc in each frame is no unknown cause where a flickering arc is a candidate.
@@ -188,7 +188,7 @@ class HypothesisSearch:
             }
         )
 
-    def singles(self, none: Hypothesis, beside: Sequence[FreeTerms]) -> list[Hypothesis]:
+    def singles(self, none: Hypothesis, beside: Sequence[TermEvidence]) -> list[Hypothesis]:
         """Return the single effects whose fit could change the posterior, likeliest first.
 
         A fit gains on its first look by what is not linear, which is little where the gap is small.
@@ -359,7 +359,7 @@ class HypothesisSearch:
         ]
 
 
-def likeliest(beside: Sequence[FreeTerms]) -> dict[Term, float]:
+def likeliest(beside: Sequence[TermEvidence]) -> dict[Term, float]:
     """Return the evidence of each free term, nats, about whichever nuisances make it likeliest."""
     evidence: dict[Term, float] = {}
     for term in beside[0]:

@@ -22,7 +22,7 @@ MAX_LIGHT_FACTOR = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Predicted:
+class PredictedBins:
     """The bins of a frame that are predicted: all of it (h, w), or those that count and about these (m,).
 
     `places` are theirs in the flattened frame, `rendered` (r,) those of the bins that are rendered, and
@@ -39,14 +39,14 @@ class Predicted:
     inner: tuple[Int64, Int64] | None
 
     @classmethod
-    def whole(cls, frame: ObservedFrame) -> Predicted:
+    def whole(cls, frame: ObservedFrame) -> PredictedBins:
         """Return all bins: what spreads over the image comes from all of them."""
         every, rendered = np.arange(frame.keep.size), np.flatnonzero(frame.rendered)
         nearest = nearest_rendered(frame.rendered)
         return cls(frame, every, rendered, nearest, frame.bins, frame.keep[frame.rendered], None)
 
     @classmethod
-    def near(cls, frame: ObservedFrame) -> Predicted:
+    def near(cls, frame: ObservedFrame) -> PredictedBins:
         """Return the bins that count and their neighbours, which the lens blurs into them."""
         around = neighbours(frame.bins, (frame.keep.shape[0], frame.keep.shape[1]))
         places = np.unique(around)

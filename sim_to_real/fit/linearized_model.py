@@ -28,7 +28,7 @@ from noise_model.surface.brdf import Material
 from noise_model.surface.joint import BentSeam
 from noise_model.view import View
 from sim_to_real.data.binned import Observed, ObservedFrame, on_one_face
-from sim_to_real.fit.frame_light import FrameLight, Predicted, Rendered, light_factor, nearest_rendered
+from sim_to_real.fit.frame_light import FrameLight, PredictedBins, Rendered, light_factor, nearest_rendered
 from sim_to_real.fit.nuisances import N_CAMERA, N_LEVELS, SEAM_FROM, apply_levels, apply_nuisances, nuisances
 from sim_to_real.fit.trend import Trend, effects_in_frame
 from tracker.seam.curve import N_MODES, SeamCurve
@@ -113,8 +113,8 @@ class LinearizedModel:
         self._rendered: dict[tuple[object, ...], Rendered] = {}
         self._of_sources: dict[tuple[object, ...], Float32] = {}
         self._layers: dict[tuple[object, ...], Layers] = {}
-        self._whole = [Predicted.whole(frame) for frame in observed.frames]
-        self._near = [Predicted.near(frame) for frame in observed.frames]
+        self._whole = [PredictedBins.whole(frame) for frame in observed.frames]
+        self._near = [PredictedBins.near(frame) for frame in observed.frames]
         self._nearest_kept = [nearest_rendered(frame.keep) for frame in observed.frames]
         self._bounced: dict[int, BouncedLight] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
@@ -315,7 +315,7 @@ class LinearizedModel:
             self._rays[camera.geometry] = Rays.of(camera)
         return self._rays[camera.geometry]
 
-    def _render(self, bins: Predicted, true: Setup, anchor: Float64, effects: Effects) -> Rendered:
+    def _render(self, bins: PredictedBins, true: Setup, anchor: Float64, effects: Effects) -> Rendered:
         key = _rendering_key(bins, anchor, effects)
         if key not in self._rendered:
             frame = bins.frame
@@ -329,7 +329,7 @@ class LinearizedModel:
             )
         return self._rendered[key]
 
-    def _arc_e(self, bins: Predicted, true: Setup, anchor: Float64, effects: Effects) -> Float32:
+    def _arc_e(self, bins: PredictedBins, true: Setup, anchor: Float64, effects: Effects) -> Float32:
         """Return the arc's light in the bins that are predicted (...,), e-.
 
         It is linear in a metal's kappas: what each of them reflects serves for all metals of the same lobe.
@@ -355,7 +355,7 @@ class LinearizedModel:
 
     def _arc_of_metal(
         self,
-        bins: Predicted,
+        bins: PredictedBins,
         true: Setup,
         anchor: Float64,
         effects: Effects,
@@ -374,7 +374,7 @@ class LinearizedModel:
             self._of_sources[key] = everywhere.reshape(-1)[bins.places].reshape(bins.nearest.shape)
         return self._of_sources[key]
 
-    def _laser_e(self, bins: Predicted, true: Setup, anchor: Float64, effects: Effects) -> Float32:
+    def _laser_e(self, bins: PredictedBins, true: Setup, anchor: Float64, effects: Effects) -> Float32:
         """Return the laser's light in the bins that are predicted (...,), e-."""
         if bins.frame.condition.laser_level == 0.0:
             return np.zeros(bins.nearest.shape, dtype=np.float32)
@@ -396,7 +396,7 @@ class LinearizedModel:
         everywhere.reshape(-1)[frame.bins] = kept_e
         return everywhere
 
-    def _layers_of(self, bins: Predicted, true: Setup, anchor: Float64, effects: Effects) -> Layers:
+    def _layers_of(self, bins: PredictedBins, true: Setup, anchor: Float64, effects: Effects) -> Layers:
         """Return what bins show with some metal: another one does not change what rays meet."""
         key = _rendering_key(bins, anchor, effects, Stage.SURFACE)
         if key not in self._layers:
@@ -416,7 +416,7 @@ class LinearizedModel:
         return self.over_frames(of_frame)
 
     def _passed_light(
-        self, bins: Predicted, true: Setup, anchor: Float64, effects: Effects
+        self, bins: PredictedBins, true: Setup, anchor: Float64, effects: Effects
     ) -> tuple[Rendered, Light]:
         """Return light as it was rendered, and after effects, lens and exposure."""
         rendered = self._render(bins, true, anchor, effects)
@@ -506,7 +506,7 @@ class LinearizedModel:
 
 
 def _rendering_key(
-    bins: Predicted, anchor: Float64, effects: Effects, unmoved_by: Stage | None = None
+    bins: PredictedBins, anchor: Float64, effects: Effects, unmoved_by: Stage | None = None
 ) -> tuple[object, ...]:
     """Return what bins' rendering depends on; effects of a stage that does not move it are left out.
 
