@@ -389,7 +389,8 @@ def reasons(posterior: Posterior) -> tuple[Reason, ...]:
     """Return no gap, an unknown cause and the likeliest hypotheses with effects, the most probable first."""
     none, unknown = posterior.none.evidence, posterior.unknown.evidence
     some = list(zip(posterior.hypotheses, posterior.p, posterior.p_beside, strict=True))
-    best = max([none, unknown, *(hypothesis.evidence for hypothesis, _, _ in some)]) - none
+    beside_effects = [h.beside.evidence for h in posterior.hypotheses if h.beside is not None]
+    best = max([none, unknown, *beside_effects, *(h.evidence for h in posterior.hypotheses)]) - none
     compared = [
         Reason("no gap", (), 0.0, best, posterior.p_none),
         Reason(_unknown_in_words(posterior.unknown), (), unknown - none, best, posterior.p_alone),

@@ -9,9 +9,12 @@ import pytest
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import SimulationPlan
 from noise_model.arc_source import NO_ARC
+from noise_model.effects.effect import Stage
 from noise_model.surface.brdf import UNSTATED_METAL
-from sim_to_real.diagnose import Assessed, diagnose
+from sim_to_real.diagnose import Assessed, diagnose, reasons
 from sim_to_real.diagnosis import Gap, Verdict, excluded_effects
+from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Unknown
+from sim_to_real.evidence.policy import POLICY
 from tests.sim_to_real.small import EXACT, example_setup, recorded
 
 pytestmark = pytest.mark.slow
@@ -146,6 +149,26 @@ def test_what_scatters_is_named_beside_what_changes_the_mean(tmp_path):
     reported = diagnosis.predicted
     lit = np.isfinite(reported.variance)
     assert np.mean(reported.variance_after[lit] > 1.5 * reported.variance[lit]) > 0.3
+
+
+def test_no_reason_has_more_evidence_than_the_best_of_all():
+    """Not even an unknown cause beside effects, which has more than these alone."""
+    unknown, haze = Unknown({(Stage.SENSOR, "rows"): 3.0}), Unknown({(Stage.OPTICS, "haze"): 27.0})
+    none, gamma = (
+        Hypothesis(SimpleNamespace(ids=ids, trend=None), nats, nats, None, {}, beside)
+        for ids, nats, beside in (
+            ((), 0.0, None),
+            (("gamma",), 20.0, haze),
+        )
+    )
+    said = reasons(Posterior.of(none, [gamma], unknown, 10, POLICY))
+    assert {reason.name: reason.evidence for reason in said} == {
+        "no gap": 0.0,
+        "unknown: sensor, rows": 3.0,
+        "gamma": 20.0,
+        "gamma beside unknown: optics, haze": 27.0,
+    }
+    assert {reason.best for reason in said} == {27.0}
 
 
 @pytest.mark.parametrize(
