@@ -128,7 +128,6 @@ def covariates(model: LinearizedModel, fit: Refit) -> Covariates:
         bins = np.flatnonzero(frame.keep)
         view = View.of(true, T_base_tool, seam.middle, rays, bins, ground=seam.ground)
         values = _of_surface(view) | _of_frame(observed, frame, true, len(bins)) | _of_image(observed, view)
-        values["beside_sheet"] = _beside_sheet_mm(view)
         if frame.condition.arc_level == 0.0:
             for name in ("distance", "theta_i", "phi_r", "half_angle"):
                 values[name] = np.full(len(bins), np.nan)
@@ -172,7 +171,7 @@ def covariates(model: LinearizedModel, fit: Refit) -> Covariates:
 
 
 def _of_surface(view: View) -> dict[str, Float64]:
-    """Return distances and angles between bins' places on the part, arc and camera, (n,) each."""
+    """Return distances and angles between bins' places on the part, arc, sheet and camera, (n,) each."""
     points, normals, _ = view.surface
     to_center = view.scene.center_mm - points
     to_arc = to_center + np.array([0.0, 0.0, 0.5 * view.setup.arc.radius_mm])
@@ -181,6 +180,7 @@ def _of_surface(view: View) -> dict[str, Float64]:
     cos_i, cos_r = np.sum(omega_i * normals, axis=1), np.sum(omega_r * normals, axis=1)
     half = omega_i + omega_r
     cos_half = np.sum(half * normals, axis=1) / np.linalg.norm(half, axis=1)
+    *to_sheet, offset_mm = plane_in(view.scene.T_joint_tool, view.setup.laser.plane)
     # The azimuth between the view and the mirrored arc, both laid into the face.
     ahead, seen = cos_i[:, None] * normals - omega_i, omega_r - cos_r[:, None] * normals
     length = np.linalg.norm(ahead, axis=1) * np.linalg.norm(seen, axis=1)
@@ -192,6 +192,7 @@ def _of_surface(view: View) -> dict[str, Float64]:
         "phi_r": _degrees(cos_phi),
         "half_angle": _degrees(cos_half),
         "concavity": concavity(points, normals, view.scene.shape),
+        "beside_sheet": points @ np.array(to_sheet) + offset_mm,
     }
 
 
@@ -218,12 +219,6 @@ def concavity(points_mm: Float64, normals: Float64, shape: Section) -> Float64:
         low = np.where(hides & (aside < 0.0), np.maximum(low, aside), low)
         high = np.where(hides & (aside >= 0.0), np.minimum(high, aside), high)
     return np.asarray(1.0 - 0.5 * np.maximum(high - low, 0.0))
-
-
-def _beside_sheet_mm(view: View) -> Float64:
-    """Return how far bins' places on the part lie before the laser's sheet (n,), mm; NaN past the part."""
-    *normal, offset_mm = plane_in(view.scene.T_joint_tool, view.setup.laser.plane)
-    return np.asarray(view.surface[0] @ np.array(normal) + offset_mm)
 
 
 def _of_frame(observed: Observed, frame: ObservedFrame, true: Setup, n: int) -> dict[str, Float64]:

@@ -49,6 +49,8 @@ def test_angles_and_distances_on_the_plate_are_those_of_rays_and_a_plane(nominal
     center[2] = setup.arc.center_in_tool_mm[2]
     to_arc = center + np.array([0.0, 0.0, setup.arc.radius_mm / 2.0]) - points
     to_eye = eye - points
+    *normal, offset_mm = setup.laser.plane_in_tool
+    in_tool = (points - T_base_tool[:3, 3]) @ T_base_tool[:3, :3]
 
     def degrees(opposite, adjacent):
         return np.degrees(np.arctan2(opposite, adjacent))
@@ -61,6 +63,7 @@ def test_angles_and_distances_on_the_plate_are_those_of_rays_and_a_plane(nominal
         "theta_r": degrees(np.hypot(*to_eye[:, :2].T), to_eye[:, 2]),
         "half_angle": degrees(np.hypot(*half[:, :2].T), half[:, 2]),
         "phi_r": np.abs((azimuth + 180.0) % 360.0 - 180.0),
+        "beside_sheet": in_tool @ normal + offset_mm,
         "field_angle": degrees(np.hypot(*xy.T), 1.0),
         "radius": np.hypot(px[:, 0] - setup.camera.cx, px[:, 1] - setup.camera.cy),
     }.items():
