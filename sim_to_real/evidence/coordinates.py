@@ -64,6 +64,11 @@ class FreeTerms:
     terms: tuple[FreeTerm, ...]
     columns: tuple[Float32, ...]
 
+    def columns_of(self, stage: Stage, name: str) -> Float32:
+        """Return the columns (n, k) of a term that there is."""
+        blocks = next(term.blocks for term in self.terms if (term.stage, term.name) == (stage, name))
+        return np.hstack([self.columns[n] for n in blocks])
+
 
 @dataclass(frozen=True, eq=False)
 class _Basis:

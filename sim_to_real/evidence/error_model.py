@@ -211,11 +211,15 @@ class ErrorModel:
 
         They are functions of one coordinate each, the last of all coordinates together.
         """
-        share = np.float32(REGISTRY[effect].form_rel)
-        is_textured, stage = REGISTRY[effect].is_textured, REGISTRY[effect].stage
-        some = (self.texture,) if is_textured else self.form_functions[stage]
-        by_size = change[:, np.newaxis]
-        return [Columns.free(np.asarray(share * functions * by_size, np.float32)) for functions in some]
+        return [_form_error(effect, functions, change) for functions in self._form_functions(effect)]
+
+    def form_error(self, effect: str, change: Float64 | Float32) -> Columns:
+        """Return the last of `form_errors`, that of all coordinates together."""
+        return _form_error(effect, self._form_functions(effect)[-1], change)
+
+    def _form_functions(self, effect: str) -> tuple[Float32, ...]:
+        of_effect = REGISTRY[effect]
+        return (self.texture,) if of_effect.is_textured else self.form_functions[of_effect.stage]
 
     def form_errors_apart(self, effect: str, change: Float64 | Float32) -> list[tuple[int, float]]:
         """Return errors of an effect's form where the effect itself does nothing: free blocks, and sizes.
@@ -253,6 +257,11 @@ class ErrorModel:
         table = self.table(hypothesis, self.blocks(blocks))
         nats = [table.log_evidence(*sorted(choice)) for choice in choices]
         return float(logsumexp(sorted(nats)) - math.log(len(nats)))
+
+
+def _form_error(effect: str, functions: Float32, change: Float64 | Float32) -> Columns:
+    share = np.float32(REGISTRY[effect].form_rel)
+    return Columns.free(np.asarray(share * functions * change[:, np.newaxis], dtype=np.float32))
 
 
 def compared_bins(model: LinearizedModel, covariates: Covariates, before: Refit, policy: Policy) -> Int64:

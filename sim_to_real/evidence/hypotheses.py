@@ -12,12 +12,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
 from scipy.special import logsumexp
 
+from noise_model.arrays import Float64
 from noise_model.effects.effect import Stage
 from sim_to_real.evidence.error_model import Linearized
 from sim_to_real.evidence.policy import Policy
@@ -62,7 +63,8 @@ class Hypothesis:
 
     `exact` is the log evidence of the effects' own form, `off` that of a form that may be off, nats.
     `neutral` is no gap about the same nuisances, `fewer` the evidence there of these effects without one.
-    `beside` is an unknown cause beside the effects, where it was looked for.
+    `beside` is an unknown cause beside the effects, where it was looked for. `changes` (n,) are what each
+    effect whose form may be off does.
     """
 
     refit: Refit
@@ -71,6 +73,7 @@ class Hypothesis:
     neutral: Linearized
     fewer: Mapping[frozenset[str], float]
     beside: Unknown | None = None
+    changes: Mapping[str, Float64] = field(default_factory=dict)
 
     @property
     def ids(self) -> tuple[str, ...]:

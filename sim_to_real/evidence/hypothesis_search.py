@@ -18,7 +18,7 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Stage
 from sim_to_real.evidence.coordinates import IN_EACH_FRAME
-from sim_to_real.evidence.error_model import ErrorModel, Linearized
+from sim_to_real.evidence.error_model import Columns, ErrorModel, Linearized
 from sim_to_real.evidence.evidence_table import EvidenceTable
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Term, Unknown
 from sim_to_real.evidence.looks import Looks, PairLook
@@ -86,16 +86,17 @@ class HypothesisSearch:
         if not fitted.ids:
             return Hypothesis(fitted, exact, exact, linear, {})
         none, change = self._without(fitted, None)
-        forms, fewer = [], {}
+        changes, fewer = {}, {}
         for name in fitted.ids:
             others = frozenset(fitted.ids) - {name}
             if others:
                 without, change = self._without(fitted, name)
                 fewer[others] = self.errors.log_evidence(without)
             if name != FLICKER:
-                forms.append(self.errors.form_errors(name, change))
+                changes[name] = change
+        forms = [self.errors.form_errors(name, change) for name, change in changes.items()]
         off = self.errors.log_evidence_off(linear, forms) if forms else exact
-        return Hypothesis(fitted, exact, off, none, fewer)
+        return Hypothesis(fitted, exact, off, none, fewer, changes=changes)
 
     def _without(self, fitted: Refit, name: str | None) -> tuple[Linearized, Float64]:
         """Return a fit without one of its effects, or without any, and what that changes (n,)."""
@@ -145,16 +146,14 @@ class HypothesisSearch:
 
     def _in_full(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return a hypothesis with an unknown cause beside its effects, and more of their forms' errors."""
-        fitted = hypothesis.refit
-        changes = {name: self._without(fitted, name)[1] for name in fitted.ids if name != FLICKER}
-        linear = Linearized.of(fitted)
-        forms = [self.errors.form_errors(name, change)[-1] for name, change in changes.items()]
+        linear = Linearized.of(hypothesis.refit)
+        forms = [self.errors.form_error(name, change) for name, change in hypothesis.changes.items()]
         tables = self._table(linear), self._table(linear.beside(*forms))
         exact, off = map(self._free_terms, tables)
         mean = {term: (np.logaddexp(exact[term], off[term]) - math.log(2.0)).tolist() for term in exact}
         apart = [
             table.log_evidence(block, size=size)
-            for name, change in changes.items()
+            for name, change in hypothesis.changes.items()
             for block, size in self.errors.form_errors_apart(name, change)
             for table in tables
         ]
@@ -330,12 +329,11 @@ class HypothesisSearch:
 
     def _flicker_beside(self, best: Hypothesis, needed: float) -> list[PairLook]:
         """Return a flickering arc beside an effect, where a first look says that it gains enough, nats."""
-        wanted = (Stage.SOURCE, IN_EACH_FRAME)
-        terms = [term for term in self.errors.free_terms.terms if (term.stage, term.name) == wanted]
-        if not self._may_flicker or FLICKER in best.ids or not terms:
+        if not self._may_flicker or FLICKER in best.ids:
             return []
-        table = self.errors.table(Linearized.of(best.refit), self.errors.free_blocks)
-        if table.log_evidence(*terms[0].blocks, size=LEVEL_SIGMA) - best.exact < needed:
+        levels = self.errors.free_terms.columns_of(Stage.SOURCE, IN_EACH_FRAME)
+        look = self.errors.log_evidence(Linearized.of(best.refit), Columns.free(LEVEL_SIGMA * levels))
+        if look - best.exact < needed:
             return []
         both = {**STARTS_OF_STAND_INS[FLICKER][0], **best.refit.effects}
         return [PairLook([both], best.refit.nuisance)]

@@ -61,8 +61,8 @@ class Looks:
         """Return the evidence along an effect's probe points, the best family's, its form exact or off."""
         likeliest = self._ranked(score)[0]
         best = self._columns[likeliest]
-        forms = self.errors.form_errors(score.id, best.changes.sum(axis=1))
-        return max(self._exact[likeliest], self.errors.log_evidence(self._at_start, best, forms[-1]))
+        form = self.errors.form_error(score.id, best.changes.sum(axis=1))
+        return max(self._exact[likeliest], self.errors.log_evidence(self._at_start, best, form))
 
     def starts_of(self, score: ScoreTest) -> list[Effects]:
         """Return where fits of an effect may start, along its likeliest families."""
