@@ -71,6 +71,8 @@ class Effect:
     `is_followed` says whether it is predicted for a joint at all, `needs` names the optional sections of a
     setup that must be stated for it, `form_rel` by which share of what it does to an image its form may be
     off in a plant: as a function of its stage's coordinates, or of the place on the part if it `is_textured`.
+    `spreads` says that it brings a pixel light from elsewhere in the image; the lens' point-spread function
+    does so by itself.
     """
 
     id: str
@@ -90,6 +92,7 @@ class Effect:
     needs: tuple[str, ...] = ()
     form_rel: float = 0.1
     is_textured: bool = False
+    spreads: bool = False
 
     def __post_init__(self) -> None:
         names = {parameter.name for parameter in self.parameters}

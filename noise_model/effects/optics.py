@@ -147,6 +147,7 @@ EFFECTS = (
         ),
         typical={"dimming_1": 0.5, "scatter_1": 0.1, "dimming_2": 0.3},
         light=_dirty_window,
+        spreads=True,
     ),
     Effect(
         id="ghost_stripe",
@@ -164,6 +165,7 @@ EFFECTS = (
         typical={"strength": 0.3, "along": 0.05, "across": 0.2},
         light=_ghost_stripe,
         form_rel=UNSTATED,
+        spreads=True,
     ),
     Effect(
         id="filter_shift",
@@ -217,5 +219,6 @@ EFFECTS = (
         ),
         typical={"share": 0.15},
         light=_veiling_glare,
+        spreads=True,
     ),
 )

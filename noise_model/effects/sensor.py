@@ -118,6 +118,7 @@ EFFECTS = (
         ),
         typical={"spill": 0.8, "reach_px": 30.0},
         image=_blooming,
+        spreads=True,
     ),
     Effect(
         id="gamma",

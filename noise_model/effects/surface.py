@@ -157,5 +157,6 @@ EFFECTS = (
         light=_interreflection,
         is_followed=is_followed,
         form_rel=UNSTATED,
+        spreads=True,
     ),
 )

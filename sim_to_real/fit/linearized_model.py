@@ -72,9 +72,7 @@ RENDERED_EFFECTS = frozenset(
 ) - {"gamma", "black_level", "read_noise", "defocus"}
 """The effects that need a new rendering."""
 
-SPREADING_EFFECTS = frozenset(
-    {"interreflection", "dirty_window", "ghost_stripe", "veiling_glare", "blooming"}
-)
+SPREADING_EFFECTS = frozenset(name for name, effect in REGISTRY.items() if effect.spreads)
 """The effects by which a bin's light comes from elsewhere in the image."""
 
 WRONG_MATERIAL = "wrong_material"

@@ -135,7 +135,7 @@ def test_what_is_remembered_of_other_effects_does_not_change_light(tmp_path, eff
     assert moved
 
 
-@pytest.mark.parametrize("name", ["fume", "uneven_fan", "plate_outline", "arc_length", "exposure_drift"])
+@pytest.mark.parametrize("name", [name for name, effect in REGISTRY.items() if not effect.spreads])
 def test_bins_alone_show_what_they_show_in_a_whole_frame(expected, monkeypatch, name):
     effects = {name: REGISTRY[name].complete(REGISTRY[name].typical)}
     alone = expected.lights(expected.neutral, effects)
