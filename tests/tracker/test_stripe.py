@@ -199,7 +199,7 @@ def test_the_normal_equations_are_those_of_numerical_derivatives(
     seed: int, width: float, shot: float, speckle: float
 ) -> None:
     rng = np.random.default_rng(seed)
-    # The window that a fit reads: farther out the bell's 1e-6 would weigh beside a stripe that is all but gone.
+    # The window that a fit reads. Farther out the bell, 1e-6 off, would weigh beside a stripe that is gone.
     depth = int(rng.integers(8, 60))
     low, end = line_window(depth / 2.0, width, depth)
     n = end - low
