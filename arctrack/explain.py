@@ -17,7 +17,8 @@ from arctrack.errors import ArctrackError, in_file
 from arctrack.explain_lines import Refusals, SigmaParts, refusals, sigma_parts
 from arctrack.recording import BadFrame, Recording
 from arctrack.tracking import RecordedTracking
-from noise_model.arc.map import ArcKernel, Scene, arc_frame, arc_kernel, make_scene
+from noise_model.arc.map import ArcKernel, arc_frame, arc_kernel
+from noise_model.arc.scene import Scene, make_scene
 from noise_model.arrays import Float32, Float64
 from noise_model.instrument.sensor import variance_e2
 from tracker import flags

@@ -28,8 +28,8 @@ from noise_model.arc.map import (
     ArcMap,
     arc_at,
     arc_kernel,
-    make_scene,
 )
+from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.setup import Setup
 from tracker.geometry import SensorGeometry

@@ -29,7 +29,8 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import balance
-from noise_model.arc.map import arc_frame, arc_kernel, make_scene
+from noise_model.arc.map import arc_frame, arc_kernel
+from noise_model.arc.scene import make_scene
 from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
 from noise_model.surface.brdf import TABLE_1

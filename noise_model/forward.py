@@ -8,16 +8,15 @@ changes only the image does not render it again.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-from noise_model.arc.map import Scene, arc_at, arc_frame, arc_kernel, make_scenes
-from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
+from noise_model.arc.map import arc_at, arc_frame, arc_kernel
+from noise_model.arc.scene import Scene, make_scenes
+from noise_model.arrays import Bool, Float32, Float64, Int32, Integers
 from noise_model.condition import Condition
 from noise_model.effects import acting, apply_condition_effects, apply_setup_effects
 from noise_model.effects.effect import Draw
@@ -25,10 +24,9 @@ from noise_model.effects.light import Light
 from noise_model.instrument.camera import Rays, blur, blur_inner
 from noise_model.instrument.sensor import expose, respond_moments, saturation_dn
 from noise_model.setup import Setup
-from noise_model.stripe import SheetSeen, crossed_by_borders, sheet_seen, stripe_light, stripe_reference
-from noise_model.surface.brdf import lobe_numbers
+from noise_model.sight import Sight
+from noise_model.stripe import SheetSeen, crossed_by_borders, stripe_reference
 from noise_model.surface.joint import NOMINAL_SEAM, Seam, SeamLine
-from noise_model.surface.ray_casting import MISS
 from noise_model.view import View
 
 FILL_TOLERANCE, FILL_FLOOR, FILL_SAMPLE = 3e-4, 1e-4, 101
@@ -82,46 +80,31 @@ class Prediction:
 class Layers:
     """What a pose shows before any effect acts on the image, rendered when first asked for.
 
-    Of a bent seam `view` is that of its middle stretch, and `stretches` are views of some pixels each, with
-    their places in the flattened image.
+    `sight` are the pixels (n,), flattened. Of a bent seam each looks at its own stretch; `view` is that of
+    the middle one.
     """
 
     view: View
-    stretches: tuple[tuple[Integers, View], ...] = ()
+    sight: Sight
 
     def with_metal(self, setup: Setup) -> Layers:
         """Return the layers of a setup that differs by its metal alone.
 
-        Both share what their views keep: where rays end, what the laser reaches, the arc as the surface sees
-        it. Nothing that is rendered here keeps what depends on the metal.
+        Both share what they keep: where rays end, what the laser reaches, the arc as the surface sees it.
+        Nothing that is rendered here keeps what depends on the metal.
         """
-        if setup is self.view.setup:
-            return self
-        return Layers(
-            replace(self.view, setup=setup),
-            tuple((pixels, replace(view, setup=setup)) for pixels, view in self.stretches),
-        )
+        return Layers(replace(self.view, setup=setup), self.sight.with_metal(setup))
 
     @cached_property
     def arc_e(self) -> Float32:
         """The arc's light (...,), e- for `camera.exposure_s`, at its nominal output; 0 past the workpiece."""
         if not self.view.is_frame:
-            return self.arc_e_in(np.ones(self.view.cos4.size, dtype=np.bool_)).reshape(self.view.shape)
-        if not self.stretches:
-            return _filled(self.view, self.view.scene, np.arange(self.view.cos4.size)).reshape(
-                self.view.shape
-            )
-        return self._assembled(
-            [(pixels, _filled(self.view, view.scene, pixels)) for pixels, view in self.stretches]
-        )
-
-    def arc_e_in(self, chosen: Bool) -> Float32:
-        """Return the arc's light, as `arc_e`, of chosen ones (n,) of some pixels alone: (k,)."""
-        light = np.zeros(chosen.size, dtype=np.float32)
-        for pixels, view in self.stretches or ((np.arange(chosen.size), self.view),):
-            mine = np.flatnonzero(chosen[pixels])
-            light[pixels[mine]] = _arc_light(view, mine)
-        return light[chosen]
+            return self.sight.arc_e().reshape(self.view.shape)
+        light, which = np.empty(self.view.cos4.size, dtype=np.float32), self.sight.which
+        for n in np.unique(which).tolist():
+            pixels = np.flatnonzero(which == n)
+            light[pixels] = _filled(self.view, self.sight.scenes[n], pixels)
+        return light.reshape(self.view.shape)
 
     @cached_property
     def laser_e(self) -> Float32:
@@ -131,48 +114,24 @@ class Layers:
         shares tell where a stripe ends. The point-spread function, which holds the pixel's aperture, comes on
         top: an edge is somewhat softer than it should be, 0.74 px for 0.7.
         """
-        setup = self.view.setup
+        setup, shape = self.view.setup, self.view.shape
         unit_e = setup.laser.peak_e / stripe_reference(setup)
-        light = self._of_stretches(lambda view: stripe_light(view, unit_e))
+        light = self.sight.laser_e(unit_e)
         if not self.view.is_frame:
-            return light
-        sheet = SheetSeen(
-            self._of_stretches(lambda view: sheet_seen(view).near),
-            self._of_stretches(lambda view: sheet_seen(view).shaded),
-        )
+            return light.reshape(shape)
+        near, shaded = self.sight.sheet
+        sheet = SheetSeen(near.reshape(shape), shaded.reshape(shape))
         across = crossed_by_borders(self.faces, sheet).reshape(-1, 2)
-        for pixels, view in self.stretches or ((np.arange(light.size), self.view),):
-            mine = np.flatnonzero(across[pixels].any(axis=1))
-            offsets_px = WITHIN_PIXEL_PX * across[pixels[mine], np.newaxis]
-            light.reshape(-1)[pixels[mine]] = stripe_light(view.about(mine, offsets_px), unit_e).mean(axis=1)
-        return light
+        mine = np.flatnonzero(across.any(axis=1))
+        offsets_px = WITHIN_PIXEL_PX * across[mine, np.newaxis]
+        beside = self.sight.beside(mine, self.view.uv_px.reshape(-1, 1, 2)[mine] + offsets_px)
+        light[mine] = beside.laser_e(unit_e).reshape(offsets_px.shape[:2]).mean(axis=1)
+        return light.reshape(shape)
 
-    @cached_property
-    def faces(self) -> Integers:
+    @property
+    def faces(self) -> Int32:
         """The face that each pixel (...,) shows, `ray_casting.MISS` past the workpiece."""
-        return self._of_stretches(lambda view: view.surface[2])
-
-    def _of_stretches(self, render: Callable[[View], npt.NDArray[Number]]) -> npt.NDArray[Number]:
-        if not self.stretches:
-            return render(self.view)
-        return self._assembled([(pixels, render(view)) for pixels, view in self.stretches])
-
-    def _assembled(self, parts: Sequence[tuple[Integers, npt.NDArray[Number]]]) -> npt.NDArray[Number]:
-        # Each pixel shows one of the stretches.
-        image = np.empty(self.view.cos4.size, dtype=parts[0][1].dtype)
-        for pixels, part in parts:
-            image[pixels] = part
-        return image.reshape(self.view.shape)
-
-
-def _arc_light(view: View, pixels: Int64) -> Float32:
-    """Return the arc's light in some of a view's pixels (k,)."""
-    kept = view.keep("arc_kernel", lambda: arc_kernel(view.setup, view.scene))
-    kernel = kept._replace(material=lobe_numbers(view.setup.material))
-    xy = np.ascontiguousarray(view.xy.reshape(-1, 2))
-    arc_e, faces = arc_at(kernel, xy, view.cos4.reshape(-1), pixels)
-    arc_e[faces == MISS] = 0.0
-    return arc_e
+        return self.sight.faces.reshape(self.view.shape)
 
 
 def _filled(frame: View, scene: Scene, pixels: Integers) -> Float32:
@@ -246,13 +205,14 @@ def look(
     light is not quite steady from one to the next, and a small step's difference would show it.
     """
     if isinstance(seam, SeamLine):
-        return Layers(View.of(setup, T_base_tool, seam, rays, pixels))
+        view = View.of(setup, T_base_tool, seam, rays, pixels)
+        return Layers(view, view.sight)
     view = View.of(setup, T_base_tool, seam.middle, rays, pixels, ground=seam.ground)
     if stretch is None:
-        stretch = seam.stretch_at(view.surface[0][..., 0].reshape(-1))
+        stretch = seam.stretch_at(view.sight.surface[0][:, 0])
     scenes = make_scenes(setup, T_base_tool, seam.lines, seam.ground)
-    shown = [(np.flatnonzero(stretch == i), scene) for i, scene in enumerate(scenes)]
-    return Layers(view, tuple((where, view.part(where, scene)) for where, scene in shown if len(where)))
+    shown = replace(view.sight, scenes=scenes, which=stretch.astype(np.int64), _kept={})
+    return Layers(view, shown)
 
 
 def _remember(

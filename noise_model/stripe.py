@@ -9,20 +9,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64, Integers
+from noise_model.arrays import Bool, Float64, Int64, Integers
 from noise_model.instrument.camera import fall_off
 from noise_model.instrument.laser import (
     Sheet,
-    beyond_fan_mm,
+    depth_below,
+    is_beside_fan,
+    sheet_at,
     sheet_of,
     sheet_reflected,
 )
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
-from noise_model.surface.ray_casting import way_is_open, ways_are_open
+from noise_model.surface.ray_casting import way_is_open
 from noise_model.transforms import cross, invert, transform
-from noise_model.view import View
 
 
 def reflected_sheet(setup: Setup, points: Float64, normals: Float64, T_joint_tool: Float64) -> Float64:
@@ -51,65 +52,47 @@ def _reflect(
 
 
 class SheetSeen(NamedTuple):
-    """Which of a view's pixels (...,) lie within the sheet's reach, and which of these it does not reach."""
+    """Which pixels (...,) lie within the sheet's reach, and which of these it does not reach."""
 
     near: Bool
     shaded: Bool
 
 
-def sheet_seen(view: View) -> SheetSeen:
-    """Return where a view's pixels meet the laser sheet, at their centres."""
-    return view.keep("sheet", lambda: _sheet_seen(view))
+@kernel(allocates=True)
+def see_sheet(
+    points: Float64,
+    which: Int64,
+    sheets: Sheet,
+    reach: float,
+    vertices: Float64,
+    corrugation: Float64,
+    seen: SheetSeen,
+) -> None:
+    """Write which points (n, 3), mm, joint frame, the sheet is near up to a reach, and which it shades.
 
-
-def _sheet_seen(view: View) -> SheetSeen:
-    where, laser = view.scene, view.setup.laser
-    points = view.surface[0]
-    points_tool = transform(invert(where.T_joint_tool), points)
-    plane = laser.plane
-    with np.errstate(invalid="ignore"):
-        depth = laser.origin_in_tool_mm[2] - points_tool[..., 2]
-        reach = laser.reach_sigmas * laser.stripe_sigma_mm * np.abs(depth) / laser.origin_in_tool_mm[2]
-        near = np.abs(points_tool @ plane[:3] + plane[3]) < reach
-    shaded = np.zeros(view.shape, dtype=np.bool_)
-    if not near.any():
-        return SheetSeen(near, shaded)
-    origin_joint = transform(where.T_joint_tool, laser.origin_mm)
-    is_free = np.empty(np.count_nonzero(near), dtype=np.bool_)
-    ways_are_open(points[near], origin_joint, where.shape.vertices, where.shape.corrugation, is_free)
-    shaded[near] = ~is_free | (beyond_fan_mm(points_tool[near], laser) > 0.0)
-    return SheetSeen(near, shaded)
-
-
-def stripe_light(view: View, unit_e: float) -> Float32:
-    """Return the laser stripe (...,), e- for `camera.exposure_s`, before the point-spread function.
-
-    The sheet's irradiance times f_r towards the camera, scaled by `unit_e` so that a flat plate at tool
-    height under a level pose peaks at `peak_e` in the middle column; of each pixel that at its centre.
+    `which` (n,) says to which of the `sheets` each point belongs.
     """
-    setup, where = view.setup, view.scene
-    points, normals, _ = view.surface
-    light = np.empty(view.cos4.size)
-    _light_open(
-        points.reshape(-1, 3),
-        normals.reshape(-1, 3),
-        where.T_joint_camera[:3, 3],
-        sheet_of(setup.laser, where.T_joint_tool),
-        lobe_numbers(setup.material),
-        setup.laser.reach_sigmas,
-        where.shape.vertices,
-        where.shape.corrugation,
-        light,
-    )
-    return np.asarray(light.reshape(view.shape) * (view.cos4 * unit_e), dtype=np.float32)
+    sheet, current = sheet_at(sheets, 0), 0
+    for i in range(points.shape[0]):
+        P = points[i]
+        if which[i] != current:
+            current = which[i]
+            sheet = sheet_at(sheets, current)
+        off = sheet.plane[0] * P[0] + sheet.plane[1] * P[1] + sheet.plane[2] * P[2] + sheet.plane[3]
+        # A point past the workpiece is NaN, and near nothing.
+        seen.near[i] = abs(off) < reach * sheet.sigma * abs(depth_below(sheet, P)) / sheet.stand
+        seen.shaded[i] = seen.near[i] and (
+            is_beside_fan(sheet, P) or not way_is_open(P, sheet.origin, vertices, corrugation)
+        )
 
 
 @kernel(allocates=True)
-def _light_open(
+def light_stripe(
     points: Float64,
     normals: Float64,
-    camera: Float64,
-    sheet: Sheet,
+    which: Int64,
+    cameras: Float64,
+    sheets: Sheet,
     material: LobeNumbers,
     reach: float,
     vertices: Float64,
@@ -118,10 +101,16 @@ def _light_open(
 ) -> None:
     """Write the light (n,) of `reflected_sheet` up to a reach, 0 where the sheet's way is not free.
 
-    The plain twin is `reflected_sheet` where `sheet_seen` says that the sheet is near and not shaded.
+    `which` (n,) says to which of the `cameras` (m, 3), mm, and of the `sheets` each point belongs. The plain
+    twin is `reflected_sheet` where `see_sheet` says that the sheet is near and not shaded.
     """
+    sheet, current = sheet_at(sheets, 0), 0
     for i in range(points.shape[0]):
-        P = points[i]
+        P, camera = points[i], cameras[which[i]]
+        # Most points belong to the scene of the one before.
+        if which[i] != current:
+            current = which[i]
+            sheet = sheet_at(sheets, current)
         x, y, z = camera[0] - P[0], camera[1] - P[1], camera[2] - P[2]
         distance = math.sqrt(x * x + y * y + z * z)
         omega_r = (x / distance, y / distance, z / distance)

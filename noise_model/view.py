@@ -8,12 +8,12 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from noise_model.arc.map import Scene, make_scene
+from noise_model.arc.scene import Scene, Scenes, make_scene
 from noise_model.arrays import Float32, Float64, Int32, Int64, Integers
-from noise_model.instrument.camera import Rays, fall_off
+from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
+from noise_model.sight import Sight
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
-from noise_model.surface.ray_casting import trace
 
 Kept = TypeVar("Kept")
 
@@ -69,18 +69,6 @@ class View:
         xy, cos4 = rays.xy.reshape(-1, 2)[pixels], rays.cos4.reshape(-1)[pixels]
         return cls(setup, scene, uv, xy, cos4, False, coarse=coarse)
 
-    def part(self, pixels: Integers, scene: Scene) -> View:
-        """Look at some of its pixels (n,) from the same pose, where the seam runs otherwise: in a scene."""
-        uv_px, xy = self.uv_px.reshape(-1, 2)[pixels], self.xy.reshape(-1, 2)[pixels]
-        return View(self.setup, scene, uv_px, xy, self.cos4.reshape(-1)[pixels], False, coarse=self.coarse)
-
-    def about(self, pixels: Integers, offsets_px: Float64) -> View:
-        """Look beside the centres of some of its pixels (n,), by `offsets_px` (n, k, 2) as (u, v): (n, k)."""
-        uv = self.uv_px.reshape(-1, 1, 2)[pixels] + offsets_px
-        xy = self.setup.camera.normalised(uv).reshape(uv.shape)
-        uv_px, rays_xy, cos4 = (values.astype(np.float32) for values in (uv, xy, fall_off(xy)))
-        return View(self.setup, self.scene, uv_px, rays_xy, cos4, False, coarse=self.coarse)
-
     @property
     def shape(self) -> tuple[int, ...]:
         """The pixels' shape."""
@@ -109,23 +97,18 @@ class View:
 
         NaN, NaN and `ray_casting.MISS` for a ray that looks past the workpiece.
         """
-        return self.keep("surface", self._surface)
-
-    def _surface(self) -> tuple[Float64, Float64, Int32]:
-        n = self.cos4.size
-        points, normals, faces = np.empty((n, 3)), np.empty((n, 3)), np.empty(n, dtype=np.int32)
-        where = self.scene
-        trace(
-            np.ascontiguousarray(self.xy.reshape(-1, 2)),
-            np.arange(n),
-            where.T_joint_camera,
-            where.shape.vertices,
-            where.shape.corrugation,
-            points,
-            normals,
-            faces,
-        )
+        points, normals, faces = self.sight.surface
         return points.reshape(*self.shape, 3), normals.reshape(*self.shape, 3), faces.reshape(self.shape)
+
+    @property
+    def sight(self) -> Sight:
+        """The pixels (n,), flattened, as what follows rays takes them."""
+        return self.keep("sight", self._sight)
+
+    def _sight(self) -> Sight:
+        which = np.zeros(self.cos4.size, dtype=np.int64)
+        xy = np.ascontiguousarray(self.xy.reshape(-1, 2))
+        return Sight(self.setup, Scenes.alone(self.scene), which, xy, self.cos4.reshape(-1))
 
     @property
     def distance_mm(self) -> Float64:

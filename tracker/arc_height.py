@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from noise_model.arc.map import arc_kernel, make_scene
+from noise_model.arc.map import arc_kernel
+from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine

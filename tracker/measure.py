@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.arc.map import Scene, arc_kernel, make_scene
+from noise_model.arc.map import arc_kernel
+from noise_model.arc.scene import Scene, make_scene
 from noise_model.arc_source import level as current_level
 from noise_model.median import known_median, median
 from noise_model.setup import Setup

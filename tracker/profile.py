@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.map import Scene
+from noise_model.arc.scene import Scene
 from noise_model.arrays import Float64, Integers
 from noise_model.instrument.camera import Intrinsics, undistorted
 from noise_model.instrument.laser import plane_in

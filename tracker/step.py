@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from noise_model.arc.map import Scene, make_scene
+from noise_model.arc.scene import Scene, make_scene
 from noise_model.arrays import Float64
 from tracker import checks, flags
 from tracker.checks import Checks

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numba.core.event as numba_events
 import numpy as np
 
-from noise_model.arc.map import Scene, arc_kernel, make_scene
+from noise_model.arc.map import arc_kernel
+from noise_model.arc.scene import Scene, make_scene
 from noise_model.arrays import Float64, Integers
 from noise_model.surface.joint import NOMINAL_SEAM, seam_frame
 from tracker.geometry import SensorGeometry

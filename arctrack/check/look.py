@@ -11,7 +11,7 @@ import numpy as np
 from arctrack.check.bright_line import BrightLine, find_lines
 from arctrack.check.stripe_seen import StripeSeen, stripe_seen
 from arctrack.recording import Recording
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.setup import Setup

@@ -19,7 +19,8 @@ import numpy.typing as npt
 from arctrack.journal.records import Entry, View
 from arctrack.report.replay.seen import Seen
 from arctrack.report.replay.view import Profile, Viewer
-from noise_model.arc.map import Scene, arc_kernel, make_scene
+from noise_model.arc.map import arc_kernel
+from noise_model.arc.scene import Scene, make_scene
 from noise_model.arrays import Float32, Float64, UInt8
 from noise_model.setup import Setup
 from noise_model.transforms import invert, transform

@@ -12,7 +12,7 @@ from arctrack.check.case import Case
 from arctrack.check.run import Checked
 from arctrack.report import style
 from arctrack.report.image import visible
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from tracker.geometry import SensorGeometry

@@ -13,7 +13,7 @@ from arctrack.recording import Recording
 from arctrack.report import style
 from arctrack.report.image import visible
 from arctrack.survey import Condition, Survey, path_over_seam
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from robot_io import PoseBuffer
 from tracker.geometry import SensorGeometry

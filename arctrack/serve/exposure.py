@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from arctrack.service.frame_tracking import FrameTracking
-from noise_model.arc.map import arc_kernel, make_scene
+from noise_model.arc.map import arc_kernel
+from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from noise_model.plan.exposure import POLICY, better_exposure_s, expected_sigma_px, ladder_s
 from tracker.measure import expected_output

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.arrays import Bool, Float64, Int64
 from noise_model.condition import Condition
 from noise_model.effects import apply_condition_effects

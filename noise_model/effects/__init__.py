@@ -20,7 +20,7 @@ from noise_model.effects import (
     surface,
     timing,
 )
-from noise_model.effects.effect import Effect, Stage, Values
+from noise_model.effects.effect import Effect, Effects, Stage, Values
 from noise_model.setup import Setup
 from noise_model.spelling import cure_for
 from noise_model.surface.joint import Joint
@@ -28,6 +28,7 @@ from noise_model.surface.joint import Joint
 __all__ = [
     "REGISTRY",
     "Effect",
+    "Effects",
     "Stage",
     "Values",
     "acting",

@@ -21,6 +21,9 @@ from noise_model.view import View
 Values = Mapping[str, float]
 """An effect's parameters by name, all of them."""
 
+Effects = Mapping[str, Values]
+"""Effects that act, by name."""
+
 Draw = np.random.Generator | None
 """None for the mean and variance of a random effect; a generator for one realisation of it."""
 

@@ -140,7 +140,7 @@ class Sheet(NamedTuple):
 
     `plane` (4,) is n.p + d = 0 and `tool_up` (3,) the tool's z axis; `sigma` the sheet's half-thickness at
     tool height and `stand` the height of its `origin` (3,) over it. `axis`, `side` (3,) and `slope` are the
-    laser's `fan`, `exponent` its profile's.
+    laser's `fan`, `exponent` its profile's. Of several poses all arrays have one more axis before.
     """
 
     origin: Float64
@@ -177,6 +177,40 @@ def sheet_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
         T_joint_tool[:3, :3] @ side,
         slope,
         laser.profile_exponent,
+    )
+
+
+def sheets_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
+    """Put a laser's sheet into the joint frame of several poses (n, 4, 4)."""
+    R, place = T_joint_tool[:, :3, :3], T_joint_tool[:, :3, 3]
+    axis, side, slope = laser.fan
+    normal = R @ laser.plane[:3]
+    return Sheet(
+        R @ laser.origin_mm + place,
+        np.column_stack([normal, laser.plane[3] - (normal * place).sum(axis=1)]),
+        np.ascontiguousarray(R[:, :, 2]),
+        laser.stripe_sigma_mm,
+        laser.origin_in_tool_mm[2],
+        R @ axis,
+        R @ side,
+        slope,
+        laser.profile_exponent,
+    )
+
+
+@kernel(inline=True)
+def sheet_at(sheets: Sheet, n: int) -> Sheet:
+    """Return the sheet of one of several poses."""
+    return Sheet(
+        sheets.origin[n],
+        sheets.plane[n],
+        sheets.tool_up[n],
+        sheets.sigma,
+        sheets.stand,
+        sheets.axis[n],
+        sheets.side[n],
+        sheets.slope,
+        sheets.exponent,
     )
 
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.chords import chords, corner_p, disc, disc_lines
-from noise_model.arc.map import Scene
 from noise_model.arc.quadrature import gauss_nodes
+from noise_model.arc.scene import Scene
 from noise_model.arrays import Float64, Point
 from noise_model.instrument.laser import SHEET_REACH, Sheet, sheet_of, sheet_reflected
 from noise_model.kernel import kernel

@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.map import Scene, arc_at, arc_kernel, make_scene
+from noise_model.arc.map import arc_at, arc_kernel
+from noise_model.arc.scene import Scene, make_scene
 from noise_model.arrays import Bool, Float64
 from noise_model.condition import Condition
 from noise_model.effects.light import Light
@@ -117,14 +118,14 @@ def _fan(setup: Setup, scene: Scene) -> tuple[Float64, Float64, Float64]:
     ends = np.array([-reach, reach])
     s_ends = (ends - origin[1] - t * down[1]) / (t * side[1])
     s, step = np.linspace(s_ends[0], s_ends[1], FAN_RAYS, retstep=True)
-    T_joint_fan = np.eye(4)
-    T_joint_fan[:3, :3] = np.column_stack([side, np.cross(down, side), down])
-    T_joint_fan[:3, 3] = origin
+    fan, T_joint_fan = np.zeros(FAN_RAYS, dtype=np.int64), np.eye(4)[np.newaxis]
+    T_joint_fan[0, :3, :3] = np.column_stack([side, np.cross(down, side), down])
+    T_joint_fan[0, :3, 3] = origin
     points, normals = np.empty((FAN_RAYS, 3)), np.empty((FAN_RAYS, 3))
     faces = np.empty(FAN_RAYS, dtype=np.int32)
     rays = np.column_stack([s, np.zeros(FAN_RAYS)])
     shape = scene.shape
-    trace(rays, np.arange(FAN_RAYS), T_joint_fan, shape.vertices, shape.corrugation, points, normals, faces)
+    trace(rays, fan, T_joint_fan, shape.vertices, shape.corrugation, points, normals, faces)
     d = down + s[:, np.newaxis] * side
     # A neighbouring ray meets the same face at P + dt d + t ds side.
     with np.errstate(divide="ignore", invalid="ignore"):

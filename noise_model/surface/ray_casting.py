@@ -119,7 +119,7 @@ def first_hit(origin: Vector, d: Vector, vertices: Float64, corrugation: Float64
 @kernel
 def trace(
     xy: npt.NDArray[np.floating],
-    pixels: Integers,
+    which: Integers,
     T_joint_camera: Float64,
     vertices: Float64,
     corrugation: Float64,
@@ -127,15 +127,15 @@ def trace(
     normals: Float64,
     faces: Int32,
 ) -> None:
-    """Follow the rays of some pixels to the surface.
+    """Follow rays to the surface.
 
-    `xy` (H W, 2) are the camera's normalised rays, `pixels` (n,) indices into it. Written are, in the joint
-    frame, `points` (n, 3) mm and `normals` (n, 3), NaN for a miss, and `faces` (n,) int32.
+    `xy` (n, 2) are normalised rays of a camera, `which` (n,) says from which of its poses (m, 4, 4) each of
+    them comes. Written are, in the joint frame, `points` (n, 3) mm and `normals` (n, 3), NaN for a miss, and
+    `faces` (n,) int32.
     """
-    T = T_joint_camera
-    origin = T[0, 3], T[1, 3], T[2, 3]
-    for i in range(pixels.shape[0]):
-        x, y = xy[pixels[i], 0], xy[pixels[i], 1]
+    for i in range(which.shape[0]):
+        T, x, y = T_joint_camera[which[i]], xy[i, 0], xy[i, 1]
+        origin = T[0, 3], T[1, 3], T[2, 3]
         d = (
             T[0, 0] * x + T[0, 1] * y + T[0, 2],
             T[1, 0] * x + T[1, 1] * y + T[1, 2],

@@ -12,10 +12,10 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from noise_model.arrays import Float64
-from noise_model.effects import REGISTRY
+from noise_model.effects import REGISTRY, Effects
 from noise_model.setup import Setup
 from sim_to_real.data.binned import Observed, PoseAt, observe
-from sim_to_real.fit.linearized_model import Effects, LinearizedModel
+from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.search.probe_points import EXPENSIVE
 from tracker.state import Frame
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup

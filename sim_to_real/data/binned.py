@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 import cv2
 import numpy as np
 
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import Values, apply_setup_effects, pose_time_s

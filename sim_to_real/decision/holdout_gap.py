@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from noise_model.arrays import Bool, Float32, Float64, Integers
-from noise_model.effects import apply_setup_effects
+from noise_model.effects import Effects, apply_setup_effects
 from noise_model.forward import Prediction, Renderer, predict
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
@@ -17,7 +17,7 @@ from sim_to_real.data.binned import FLOOR_DN, FLOOR_REL, Observed, ObservedFrame
 from sim_to_real.data.blocks import dilated, in_blocks, near_face_edges
 from sim_to_real.diagnosis import Gap, Predicted
 from sim_to_real.fit.gauss_newton import FLICKER, Refit
-from sim_to_real.fit.linearized_model import Effects, LinearizedModel
+from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.nuisances import apply_levels, apply_nuisances
 from sim_to_real.fit.trend import effects_in_frame
 
@@ -105,7 +105,7 @@ def _predict(
     stated = _setup_of_fit(setup, fitted, frame)
     stated = replace(stated, effects={**stated.effects, **random})
     pose = frame.T_base_tool_in(stated)
-    seam = model.seam(frame, fitted.nuisance, fitted.effects)
+    seam = model.renderings.seam(frame, fitted.nuisance, fitted.effects)
     condition = apply_levels(frame.condition, fitted.nuisance)
     prediction = predict(stated, pose, condition, seam=seam, renderer=renderer)
     if FLICKER not in fitted.ids or condition.arc_level == 0.0:
@@ -155,7 +155,7 @@ def _valid_pixels(
     """
     true = apply_setup_effects(_setup_of_fit(setup, fitted, frame))
     pose = frame.T_base_tool_in(true)
-    layers = renderer.layers(true, pose, model.seam(frame, fitted.nuisance, fitted.effects))
+    layers = renderer.layers(true, pose, model.renderings.seam(frame, fitted.nuisance, fitted.effects))
     bad = near_face_edges(layers.faces, 2 * EDGE_PX + 1)
     if frame.condition.arc_level > 0.0:
         arc = layers.arc_e

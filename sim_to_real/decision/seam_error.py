@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from noise_model.effects import pose_time_s
+from noise_model.effects import Effects, pose_time_s
 from noise_model.setup import Setup
 from sim_to_real.data.binned import PoseAt
 from sim_to_real.fit.gauss_newton import Refit
-from sim_to_real.fit.linearized_model import INTERREFLECTION, Effects, LinearizedModel
-from sim_to_real.fit.nuisances import apply_nuisances
+from sim_to_real.fit.linearized_model import INTERREFLECTION, LinearizedModel
+from sim_to_real.fit.nuisances import SEAM_FROM, apply_nuisances
 from tracker.state import Frame
 from tracker.tracker import Tracker
 
@@ -49,8 +49,8 @@ def _seam_error_mm(
     history = tracker.state.history
     if len(history) == 0:
         return float("nan")
-    seam = model.seam_curve(best.effects)
-    y_z, _ = seam.evaluate(model.seam_coefficients(best.nuisance))
+    seam = model.renderings.seam_curve(best.effects)
+    y_z, _ = seam.evaluate(best.nuisance[SEAM_FROM:])
     true = np.column_stack(
         [np.interp(history.stations_mm, seam.stations_mm, displacement) for displacement in y_z]
     )

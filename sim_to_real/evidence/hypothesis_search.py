@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from noise_model.arrays import Float64
-from noise_model.effects import REGISTRY, Stage
+from noise_model.effects import REGISTRY, Effects, Stage
 from sim_to_real.evidence.coordinates import IN_EACH_FRAME
 from sim_to_real.evidence.error_model import Columns, ErrorModel, Linearized
 from sim_to_real.evidence.evidence_table import EvidenceTable
@@ -24,7 +24,7 @@ from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Term, Unknown
 from sim_to_real.evidence.looks import Looks, PairLook
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import FLICKER, LEVEL_SIGMA, Refit, refit, refit_there
-from sim_to_real.fit.linearized_model import INTERREFLECTION, Effects, LinearizedModel
+from sim_to_real.fit.linearized_model import INTERREFLECTION, LinearizedModel
 from sim_to_real.fit.nuisances import BIASED_MEAN_SQUARE
 from sim_to_real.fit.trend import MIN_DRIVER_RANGE, TREND_EFFECTS, Driver, Trend, trend_among
 from sim_to_real.search.probe_points import EXPENSIVE
@@ -325,7 +325,8 @@ class HypothesisSearch:
             trend = trend_among(best.refit.trend, look.starts[0])
             fitted.append(self.hypothesis(self.fit(look.starts, look.nuisance, trend)))
         settled = self._settled(fitted, max(rival, best.evidence))
-        return [*settled, *(alone for pair in settled[:1] for alone in self._alone(pair, singles))]
+        alone = [single for pair in settled[:1] for single in self._alone(pair, singles)]
+        return [*settled, *self._settled(alone, max(rival, best.evidence))]
 
     def _flicker_beside(self, best: Hypothesis, needed: float) -> list[PairLook]:
         """Return a flickering arc beside an effect, where a first look says that it gains enough, nats."""
@@ -351,7 +352,7 @@ class HypothesisSearch:
         known = {name for single in singles for name in single.ids}
         needed = self._needed((1.0 - LITTLE_SURPRISE) * (pair.exact - self.looks.none))
         return [
-            self.settled(self.hypothesis(self.fit([{name: values}], pair.refit.nuisance)))
+            self.hypothesis(self.fit([{name: values}], pair.refit.nuisance))
             for name, values in pair.refit.effects.items()
             if name not in known and pair.fewer[frozenset({name})] - self.looks.none >= needed
         ]

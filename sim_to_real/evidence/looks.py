@@ -14,11 +14,10 @@ from functools import cached_property
 import numpy as np
 
 from noise_model.arrays import Float64
-from noise_model.effects import Values
+from noise_model.effects import Effects, Values
 from sim_to_real.evidence.error_model import Columns, ErrorModel, Linearized, probe_sigmas
 from sim_to_real.evidence.evidence_table import Blocks, EvidenceTable
 from sim_to_real.fit.gauss_newton import Refit
-from sim_to_real.fit.linearized_model import Effects
 from sim_to_real.search.score_test import ScoreTest
 
 MAX_PAIRS, MAX_STARTS = 2, 3

@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve, solve_triangular
-from scipy.optimize import lsq_linear
+from scipy.linalg import solve_triangular
+from scipy.optimize import nnls
 from scipy.special import erfcx, log_ndtr
 
 from noise_model.arrays import Float32, Float64
@@ -138,6 +138,10 @@ def rescaled(products: Float64, sides: Float64, count: int) -> tuple[float, floa
 
     The cost is that of the stated errors.
     """
+    # Bounded sizes come last: what the others leave of them is a block of the factor.
+    order = np.argsort(sides != 0.0, kind="stable")
+    sides, ordered = sides[order], np.append(order, len(order))
+    products = products[np.ix_(ordered, ordered)]
     variance, nats = 1.0, -math.inf
     for _ in range(MAX_RESCALES):
         at_variance, cost = _at_variance(products, sides, variance)
@@ -151,7 +155,9 @@ def rescaled(products: Float64, sides: Float64, count: int) -> tuple[float, floa
 def _at_variance(products: Float64, sides: Float64, variance: float) -> tuple[float, float]:
     """Return ln Z, nats, with all errors' variance so many times as large, and the residuals' cost there.
 
-    The cost is that of the stated errors, at the likeliest sizes x within their bounds. Along a size at its
+    Bounded sizes come last. The cost is that of the stated errors, at the likeliest sizes x within their
+    bounds: with R R^T the information, R^T x comes nearest to -R^-1 times what residuals are along the
+    columns, and its last rows hold bounded sizes alone (Lawson and Hanson 1974, ch. 23). Along a size at its
     bound the exponent is -g x - h x^2 / 2, with h the information that the free sizes leave of it. With its
     prior it adds ln erfcx(g / sqrt(2 h)) - ln(h) / 2. A bounded size off its bound, of sigma s, adds
     ln 2 Phi(x / s).
@@ -159,13 +165,15 @@ def _at_variance(products: Float64, sides: Float64, variance: float) -> tuple[fl
     information = products[:-1, :-1] / variance + np.eye(len(products) - 1)
     along = products[:-1, -1] / variance
     root = np.linalg.cholesky(information)
-    sizes = -cho_solve((root, True), along)
+    target = -solve_triangular(root, along, lower=True)
+    sizes = solve_triangular(root, target, lower=True, trans=1)
     is_bounded = sides != 0.0
     at_bound = is_bounded & (sides * sizes < 0.0)
     if at_bound.any():
-        low, high = np.where(sides > 0.0, 0.0, -np.inf), np.where(sides < 0.0, 0.0, np.inf)
-        target = -solve_triangular(root, along, lower=True)
-        sizes = lsq_linear(root.T, target, (low, high), method="bvls").x
+        free, last = np.s_[: np.count_nonzero(~is_bounded)], np.s_[np.count_nonzero(~is_bounded) :]
+        bounded = sides[last] * nnls(root[last, last].T * sides[last], target[last])[0]
+        rest = target[free] - root[last, free].T @ bounded
+        sizes = np.append(solve_triangular(root[free, free], rest, lower=True, trans=1), bounded)
         at_bound = is_bounded & (np.abs(sizes) < AT_BOUND)
         sizes = np.where(at_bound, 0.0, sizes)
         root = np.linalg.cholesky(information[np.ix_(~at_bound, ~at_bound)])

@@ -123,7 +123,7 @@ def covariates(model: LinearizedModel, fit: Refit) -> Covariates:
     rays = Rays.of(true.camera)
     parts = []
     for frame, light in zip(observed.frames, fit.lights, strict=True):
-        seam = model.seam(frame, anchor, {})
+        seam = model.renderings.seam(frame, anchor, {})
         T_base_tool = frame.T_base_tool_in(true)
         bins = np.flatnonzero(frame.keep)
         view = View.of(true, T_base_tool, seam.middle, rays, bins, ground=seam.ground)

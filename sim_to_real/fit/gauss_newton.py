@@ -13,9 +13,10 @@ from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter, within_bounds
 from sim_to_real.fit.frame_light import FrameLight
-from sim_to_real.fit.linearized_model import RENDERED_EFFECTS, LinearizedModel
+from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.loss import HuberLoss, LossAbout, huber_bound, huber_weights
 from sim_to_real.fit.quadratic import Quadratic
+from sim_to_real.fit.renderings import RENDERED_EFFECTS
 from sim_to_real.fit.trend import Trend
 
 MAX_ITERATIONS = 8

@@ -19,7 +19,7 @@ from calibration.hand_eye import (
     estimate_hand_eye,
     seam_sigma_mm,
 )
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.condition import Condition
 from noise_model.fit import Fit
 from noise_model.forward import draw_frame

@@ -15,7 +15,7 @@ from calibration.check.stripe_place import (
     locate_stripes,
     with_changes,
 )
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine

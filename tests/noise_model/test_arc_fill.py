@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from noise_model.arc.chords import MAX_PIECES, crossings, equator_q
 from noise_model.arc.face_lookup import face_seen, sight
-from noise_model.arc.map import CELL, ArcMap, arc_at, arc_frame, arc_kernel, make_scene
+from noise_model.arc.map import CELL, ArcMap, arc_at, arc_frame, arc_kernel
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.quadrature import gauss_nodes
+from noise_model.arc.scene import make_scene
 from noise_model.instrument.camera import Rays
 from noise_model.surface.faces import across, face_point, ridge
 from noise_model.surface.joint import section

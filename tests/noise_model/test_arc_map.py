@@ -16,11 +16,11 @@ from noise_model.arc.map import (
     arc_at,
     arc_frame,
     arc_kernel,
-    make_scene,
 )
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.quadrature import Hiding, Patch, Rule, arc_light, gauss_nodes
 from noise_model.arc.ray import light_at, scratch
+from noise_model.arc.scene import make_scene
 from noise_model.instrument.camera import Rays
 from noise_model.reference.hemisphere import Hemisphere, irradiance_extended, reflected_radiance_extended
 from noise_model.surface.brdf import TABLE_1, Lobe, Material, lobe_numbers, reflected

@@ -8,12 +8,13 @@ import scenes
 from sheet_twin import reflected_sheet_plain
 
 from noise_model import forward
-from noise_model.arc.map import arc_at, arc_kernel, make_scene
+from noise_model.arc.map import arc_at, arc_kernel
+from noise_model.arc.scene import make_scene
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY, checked
 from noise_model.forward import FILL_TOLERANCE, Renderer, draw_frame, predict
 from noise_model.instrument.camera import Camera, Rays
-from noise_model.stripe import check_stripe, reflected_sheet, sheet_seen, stripe_light, stripe_reference
+from noise_model.stripe import check_stripe, reflected_sheet, stripe_reference
 from noise_model.surface.brdf import Lobe
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
 from noise_model.transforms import invert, moved
@@ -247,13 +248,13 @@ def test_a_views_stripe_is_the_sheets_light_where_it_is_near_and_not_shaded(half
     laser = dataclasses.replace(setup.laser, origin_in_tool_mm=origin, fan_half_angle_deg=half)
     setup = dataclasses.replace(setup, laser=laser)
     view = View.of(setup, scenes.pose())
-    points, normals, _ = view.surface
-    seen = sheet_seen(view)
+    points, normals, _ = view.sight.surface
+    seen = view.sight.sheet
     lit = seen.near & ~seen.shaded
-    plain = np.zeros(view.shape)
+    plain = np.zeros(len(points))
     plain[lit] = reflected_sheet_plain(setup, points[lit], normals[lit], view.scene.T_joint_tool)
-    light = stripe_light(view, 1000.0)
-    np.testing.assert_allclose(light, 1000.0 * view.cos4 * plain, rtol=1e-4, atol=1e-4 * light.max())
+    light = view.sight.laser_e(1000.0)
+    np.testing.assert_allclose(light, 1000.0 * view.sight.cos4 * plain, rtol=1e-4, atol=1e-4 * light.max())
     assert (seen.near & seen.shaded).any()
     assert np.count_nonzero(light > 0.1 * light.max()) > 20
 
@@ -314,10 +315,10 @@ def test_light_scales_and_adds():
 def test_what_only_the_image_shows_renders_nothing_anew(monkeypatch):
     """Levels, exposure, sensor, point-spread function and effects on the image reuse what was rendered."""
     rendered = []
-    for name in ("arc_frame", "stripe_light"):
-        original = getattr(forward, name)
+    for owner, name in ((forward, "arc_frame"), (forward.Sight, "laser_e")):
+        original = getattr(owner, name)
         monkeypatch.setattr(
-            forward, name, lambda *args, original=original: rendered.append(1) or original(*args)
+            owner, name, lambda *args, original=original: rendered.append(1) or original(*args)
         )
     setup, renderer = scenes.setup("lap"), Renderer()
     both = Condition(1.0, 1.0, EXPOSURE_S)

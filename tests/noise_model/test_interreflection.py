@@ -433,7 +433,7 @@ def test_a_recording_with_bounced_light_looks_more_like_it(index):
     assert (row["laser_on"], row["arc_on"]) == ("0", "1")
     view = View.of(setup, T_base_tool)
     share = float(row["exposure_s"]) / setup.camera.exposure_s * level(setup.arc, float(row["current_a"]))
-    images = Layers(view).arc_e, *bounced_light(view).arc_orders_e
+    images = Layers(view, view.sight).arc_e, *bounced_light(view).arc_orders_e
     seen = [block_means(share * blur(image, setup.camera.psf_sigma_px), 8) for image in images]
     recorded = block_means((dn - black_dn) * setup.sensor.gain_e_per_dn, 8)
     around = np.ones((3, 3), dtype=np.uint8)

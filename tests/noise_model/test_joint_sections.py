@@ -12,7 +12,7 @@ import scenes
 from test_arc_map import POSES, arc_at_pixels, arc_frame_of, check_filled, off_by, some_pixels, twin_at_pixels
 from test_visibility import open_by_half_spaces
 
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.condition import Condition
 from noise_model.effects import checked
 from noise_model.forward import predict

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from plan_setups import SETUPS, expected_e, steel_groove
 from scipy.constants import c, h, k
 
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.instrument.spectrum import ArcSpectrum, Filter, FilterCurve
 from noise_model.plan.design import (
     SensorDesign,

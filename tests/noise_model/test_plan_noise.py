@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plan_setups import SETUPS, expected_e, plan_setup, steel_groove
 from scipy.spatial.transform import Rotation
 
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.effects import checked
 from noise_model.instrument.sensor import variance_e2
 from noise_model.plan.cramer_rao import POSITION, stripe_sigmas

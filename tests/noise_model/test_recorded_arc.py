@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from arctrack.recording.setup_file import read_setup_file
-from noise_model.arc.map import arc_at, arc_kernel, make_scene
+from noise_model.arc.map import arc_at, arc_kernel
+from noise_model.arc.scene import make_scene
 from noise_model.arc_source import level
 from noise_model.instrument.camera import Rays
 

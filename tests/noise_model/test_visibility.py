@@ -137,15 +137,16 @@ def test_a_laps_edge_faces_the_lower_sheet():
 
 def test_trace_says_nan_where_a_ray_misses():
     shape = section(scenes.JOINTS["lap"])
-    T_joint_camera = np.diag([1.0, -1.0, -1.0, 1.0])
-    T_joint_camera[2, 3] = 100.0
+    T_joint_camera = np.diag([1.0, -1.0, -1.0, 1.0])[np.newaxis]
+    T_joint_camera[0, 2, 3] = 100.0
+    which = np.zeros(3, dtype=np.int64)
     xy = np.array([[0.1, -0.1], [0.1, 0.1], [1e5, 0.0]])
     points, normals, faces = np.empty((3, 3)), np.empty((3, 3)), np.empty(3, dtype=np.int32)
-    trace(xy, np.arange(3), T_joint_camera, shape.vertices, shape.corrugation, points, normals, faces)
+    trace(xy, which, T_joint_camera, shape.vertices, shape.corrugation, points, normals, faces)
     np.testing.assert_allclose(points[:2], [[10.0, 10.0, 0.0], [9.8, -9.8, 2.0]], atol=1e-12)
     np.testing.assert_array_equal(faces[:2], [2, 0])
-    T_joint_camera[:3, :3] = np.eye(3)
-    trace(xy, np.arange(3), T_joint_camera, shape.vertices, shape.corrugation, points, normals, faces)
+    T_joint_camera[0, :3, :3] = np.eye(3)
+    trace(xy, which, T_joint_camera, shape.vertices, shape.corrugation, points, normals, faces)
     assert np.isnan(points).all()
     assert np.isnan(normals).all()
     np.testing.assert_array_equal(faces, MISS)

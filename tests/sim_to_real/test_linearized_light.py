@@ -10,8 +10,9 @@ from noise_model.effects import REGISTRY, apply_setup_effects
 from noise_model.forward import look
 from noise_model.surface.joint import BentSeam, SeamLine
 from sim_to_real.data.binned import stated_condition
-from sim_to_real.fit.linearized_model import EDGE_E, EDGE_SHARE, LinearizedModel
+from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM
+from sim_to_real.fit.tangents import EDGE_E, EDGE_SHARE
 from tests.sim_to_real.small import of_stratum, small_recording
 from tracker.state import Frame
 
@@ -57,8 +58,9 @@ def test_bins_whose_neighbours_show_another_face_are_left_out(tmp_path):
     n_out = 0
     for frame in expected.observed.frames:
         setup = apply_setup_effects(expected.observed.binned)
-        seam = expected.seam(frame, aside, {})
-        faces = look(setup, frame.T_base_tool_in(setup), seam, expected._rays_of(setup.camera)).faces
+        seam = expected.renderings.seam(frame, aside, {})
+        rays = expected.renderings.rays_of(setup.camera)
+        faces = look(setup, frame.T_base_tool_in(setup), seam, rays).faces
         for (row, column), sigma in zip(np.argwhere(frame.keep), frame.sigma_dn, strict=True):
             if 1 < row < len(faces) - 2 and 1 < column < faces.shape[1] - 2:
                 shown = np.unique(faces[row - 2 : row + 3, column - 2 : column + 3])
@@ -72,7 +74,7 @@ def test_each_pixel_shows_the_face_of_its_own_stretch(expected):
     first, last, torch = frame.stations_mm
     middle = 0.5 * (first + last)
     lines = (SeamLine(0.5 * (first + middle), -1.5), SeamLine(0.5 * (middle + last), 1.5))
-    seam, rays = BentSeam(lines, SeamLine(torch)), expected._rays_of(setup.camera)
+    seam, rays = BentSeam(lines, SeamLine(torch)), expected.renderings.rays_of(setup.camera)
     pose = frame.T_base_tool_in(setup)
     layers = look(setup, pose, seam, rays)
     alone = [look(setup, pose, line, rays).faces for line in lines]

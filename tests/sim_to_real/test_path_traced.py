@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from arctrack.nominal import looking_at
-from noise_model.arc.map import arc_at, arc_frame, arc_kernel, make_scene
+from noise_model.arc.map import arc_at, arc_frame, arc_kernel
+from noise_model.arc.scene import make_scene
 from noise_model.instrument.camera import Rays
 from noise_model.reference.hemisphere import Hemisphere, irradiance_extended
 from noise_model.surface.brdf import TABLE_1, Lobe, Material

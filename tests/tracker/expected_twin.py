@@ -7,7 +7,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 from sheet_twin import reflected_sheet_plain
 
-from noise_model.arc.map import Scene
+from noise_model.arc.scene import Scene
 from noise_model.arrays import Bool, Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import corrugation_height

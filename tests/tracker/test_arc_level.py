@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rendered import SEED, frame_of, pose_at, small_setup
 
-from noise_model.arc.map import arc_kernel, make_scene
+from noise_model.arc.map import arc_kernel
+from noise_model.arc.scene import make_scene
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.instrument.sensor import expose

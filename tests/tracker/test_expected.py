@@ -10,7 +10,7 @@ from expected_twin import expect_stripe as expect_stripe_plain
 from rendered import pose_at, small_setup
 from scipy.optimize import least_squares
 
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.surface.brdf import TABLE_1

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from rendered import CURRENT_A, EXPOSURE_S, SEED, pose_at, small_setup
 from scipy.stats import norm
 
-from noise_model.arc.map import CELL, make_scene
+from noise_model.arc.map import CELL
+from noise_model.arc.scene import make_scene
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.instrument.sensor import expose

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rendered import pose_at, small_setup
 
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry, to_laser_plane

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rendered import pose_at, small_setup
 from scipy.spatial.transform import Rotation
 
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.surface.joint import SeamLine, corrugation_height
 from noise_model.transforms import invert, transform
 from tracker import flags

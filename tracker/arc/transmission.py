@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.arc.map import Scene
+from noise_model.arc.scene import Scene
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.condition import Condition
 from noise_model.effects import acting, apply_condition_effects

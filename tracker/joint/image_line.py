@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from noise_model.arc.map import Scene
+from noise_model.arc.scene import Scene
 from noise_model.arrays import Bool, Float64, Int64, Integers
 from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from noise_model.arc.map import Scene
+from noise_model.arc.scene import Scene
 from noise_model.arrays import Float64
 from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel

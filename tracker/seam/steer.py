@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from noise_model.arc.map import Scene
+from noise_model.arc.scene import Scene
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.faces import ridge

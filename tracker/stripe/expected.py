@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from noise_model.arc.map import Scene
+from noise_model.arc.scene import Scene
 from noise_model.arrays import Bool, Float64, Int64
 from noise_model.instrument.camera import Intrinsics, distorted
 from noise_model.instrument.laser import Sheet, beyond_fan_mm, depth_below, sheet_of, sheet_reflected

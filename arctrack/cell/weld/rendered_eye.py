@@ -11,7 +11,7 @@ import numpy as np
 from arctrack.cell.eye import Shown
 from arctrack.cell.robot import Robot
 from arctrack.service.frame_tracking import Capture, FrameTracking
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import apply_setup_effects, checked

@@ -14,7 +14,7 @@ from arctrack.setup_check.measure import Stage, Verdict
 from arctrack.setup_check.place_measures import cause_of, first_suspect
 from arctrack.setup_check.run import SetupCheck
 from calibration.check.arc_light import ArcLight
-from noise_model.arc.map import make_scene
+from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine

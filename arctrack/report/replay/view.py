@@ -10,7 +10,8 @@ from arctrack.explain import arc_light
 from arctrack.recording import Truth
 from arctrack.report.image import project_tool_point, visible
 from arctrack.report.replay.seen import Seen
-from noise_model.arc.map import Scene, arc_kernel
+from noise_model.arc.map import arc_kernel
+from noise_model.arc.scene import Scene
 from noise_model.arrays import Bool, Float64, UInt8
 from noise_model.instrument.sensor import respond
 from noise_model.surface.joint import corrugation_height

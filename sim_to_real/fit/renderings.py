@@ -1,0 +1,268 @@
+"""What poses show before any effect acts on the image: many frames in one call, and kept.
+
+What geometry, source and surface make of poses is rendered for all frames of an anchor together, and kept by
+what it depends on: what happens to the arc does not change the laser's light, nor the other way round, and
+another metal does not change what rays meet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.effects import REGISTRY, Effect, Effects, Stage, Values
+from noise_model.forward import Layers, look
+from noise_model.instrument.camera import Camera, Rays
+from noise_model.setup import Setup
+from noise_model.sight import Sight
+from noise_model.stripe import stripe_reference
+from noise_model.surface.joint import BentSeam
+from noise_model.view import View
+from sim_to_real.data.binned import Observed, ObservedFrame
+from sim_to_real.fit.frame_light import PredictedBins, Rendered, nearest_rendered
+from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM, apply_nuisances
+from tracker.seam.curve import SeamCurve
+from tracker.seam_observations import TRIANGULATION_EFFECTS
+
+LIT_SHARE = 1e-3
+"""Where the stated arc puts less than this share of its brightest light, it says nothing of another arc's."""
+
+N_CACHED = 8
+"""So many renderings of a recording's frames are kept."""
+
+RENDERED_EFFECTS = frozenset(
+    name for name, effect in REGISTRY.items() if effect.setup is not None or effect.stage is Stage.TIMING
+) - {"gamma", "black_level", "read_noise", "defocus"}
+"""The effects that need a new rendering."""
+
+WRONG_MATERIAL = "wrong_material"
+"""The effect that changes a metal's kappas alone."""
+
+Frames = Sequence[PredictedBins]
+"""Some bins of each of some frames, all of which are rendered in one call."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What the rendered bins (n,) of some frames see, one frame after another; None for no frame.
+
+    `arc` are those of frames that the arc lights, and it is rendered in `is_kept` (n_arc,) of them. `laser`
+    are those of frames with the laser on.
+    """
+
+    arc: Sight | None
+    laser: Sight | None
+    is_kept: Bool
+
+
+class Renderings:
+    """The renderings of a recording's frames, the last of them kept."""
+
+    def __init__(self, observed: Observed) -> None:
+        self._observed = observed
+        self._rendered: dict[tuple[object, ...], list[Rendered]] = {}
+        self._of_sources: dict[tuple[object, ...], list[Float32]] = {}
+        self._seen: dict[tuple[object, ...], Seen] = {}
+        self._rays: dict[tuple[object, ...], Rays] = {}
+        self._curves: dict[tuple[object, ...], SeamCurve] = {}
+        self._seams: dict[tuple[object, ...], BentSeam] = {}
+        self._nearest_kept = [nearest_rendered(frame.keep) for frame in observed.frames]
+
+    def forget_all_but(self, n_calls: int) -> None:
+        """Forget the oldest renderings but those that so many calls took, each of them `N_CACHED` times."""
+        for cache in (self._rendered, self._of_sources, self._seen):
+            for oldest in list(cache)[: -N_CACHED * n_calls]:
+                del cache[oldest]
+
+    def setup(self, effects: Effects, nuisance: Float64) -> Setup:
+        """Return the setup of bins with nuisances (p,), and effects beside those that it states."""
+        stated, bin_px = self._observed.binned, self._observed.bin_px
+        acting = {
+            name: _in_bins(REGISTRY[name], values, bin_px)
+            for name, values in {**stated.effects, **effects}.items()
+        }
+        return replace(apply_nuisances(stated, nuisance), effects=acting)
+
+    def seam(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> BentSeam:
+        """Return the seam that a frame sees as nuisances (p,) and effects say."""
+        coefficients = nuisance[SEAM_FROM:]
+        key = (_tracked_with(effects), coefficients.tobytes(), frame.stations_mm)
+        # Most of what is rendered anew has the seam of what was rendered before.
+        seam = self._seams.get(key)
+        if seam is None:
+            seam = self.seam_curve(effects).bent(coefficients, *frame.stations_mm)
+            if len(self._seams) >= N_CACHED * len(self._observed.frames):
+                self._seams = {}
+            self._seams[key] = seam
+        return seam
+
+    def seam_curve(self, effects: Effects) -> SeamCurve:
+        """Return the seam that a tracker with these effects in its setup finds."""
+        key = _tracked_with(effects)
+        if key not in self._curves:
+            if len(self._curves) >= N_CACHED:
+                self._curves = {}
+            self._curves[key] = self._observed.seam_with(effects)
+        return self._curves[key]
+
+    def rays_of(self, camera: Camera) -> Rays:
+        """Return the rays of a camera."""
+        if camera.geometry not in self._rays:
+            self._rays[camera.geometry] = Rays.of(camera)
+        return self._rays[camera.geometry]
+
+    def look(
+        self, frame: ObservedFrame, true: Setup, seam: BentSeam, bins: Int64, stretch: Int64 | None = None
+    ) -> Layers:
+        """Return what some bins (n,) of a frame show in a setup that is really there, see `forward.look`."""
+        return look(true, frame.T_base_tool_in(true), seam, self.rays_of(true.camera), bins, stretch)
+
+    def rendered(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> list[Rendered]:
+        """Return what frames show before any effect acts on the image."""
+        key = _key(frames, anchor, effects)
+        if key not in self._rendered:
+            arc = self._arc_e(frames, true, anchor, effects)
+            laser = self._laser_e(frames, true, anchor, effects)
+            views = [self._view(bins, true, anchor, effects) for bins in frames]
+            self._rendered[key] = [Rendered(*parts) for parts in zip(views, arc, laser, strict=True)]
+        return self._rendered[key]
+
+    def _view(self, bins: PredictedBins, true: Setup, anchor: Float64, effects: Effects) -> View:
+        seam, rays = self.seam(bins.frame, anchor, effects), self.rays_of(true.camera)
+        T_base_tool, pixels = bins.frame.T_base_tool_in(true), None if bins.inner is None else bins.places
+        view = View.of(true, T_base_tool, seam.middle, rays, pixels, ground=seam.ground, coarse=True)
+        return replace(view, inner=bins.inner)
+
+    def _arc_e(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> list[Float32]:
+        """Return the arc's light in the bins that are predicted (...,), e-.
+
+        It is linear in a metal's kappas: what each of them reflects serves for all metals of the same lobe.
+        """
+        if WRONG_MATERIAL not in effects:
+            return self._arc_of_metal(frames, true, anchor, effects, ())
+        others = {name: values for name, values in effects.items() if name != WRONG_MATERIAL}
+        metal = true.material
+        diffuse, specular = (
+            self._arc_of_metal(
+                frames,
+                replace(true, material=replace(metal, kappa_diff=kappa_diff, kappa_spec=kappa_spec)),
+                anchor,
+                others,
+                (kappa_diff,),
+            )
+            for kappa_diff, kappa_spec in ((1.0, 0.0), (0.0, 1.0))
+        )
+        return [
+            np.float32(metal.kappa_diff) * diffuse_e + np.float32(metal.kappa_spec) * specular_e
+            for diffuse_e, specular_e in zip(diffuse, specular, strict=True)
+        ]
+
+    def _arc_of_metal(
+        self, frames: Frames, true: Setup, anchor: Float64, effects: Effects, unit: tuple[float, ...]
+    ) -> list[Float32]:
+        """Return the arc's light in the bins that are predicted (...,), e-.
+
+        `unit` says which part of a metal shows alone.
+        """
+        key = (*unit, Stage.ILLUMINATION, *_key(frames, anchor, effects, Stage.ILLUMINATION))
+        if key not in self._of_sources:
+            seen = self._seen_by(frames, true, anchor, effects)
+            kept_e = np.zeros(0, dtype=np.float32)
+            if seen.arc is not None:
+                kept_e = seen.arc.with_metal(true).arc_e(seen.is_kept)[seen.is_kept]
+            lights, start = [], 0
+            for bins in frames:
+                light = np.zeros(bins.nearest.shape, dtype=np.float32)
+                if bins.frame.condition.arc_level > 0.0:
+                    end = start + len(bins.kept)
+                    everywhere = self._arc_everywhere(bins.frame, kept_e[start:end])
+                    light, start = everywhere.reshape(-1)[bins.places].reshape(light.shape), end
+                lights.append(light)
+            self._of_sources[key] = lights
+        return self._of_sources[key]
+
+    def _laser_e(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> list[Float32]:
+        """Return the laser's light in the bins that are predicted (...,), e-."""
+        key = (Stage.SOURCE, *_key(frames, anchor, effects, Stage.SOURCE))
+        if key not in self._of_sources:
+            seen = self._seen_by(frames, true, anchor, effects)
+            rendered_e = np.zeros(0, dtype=np.float32)
+            if seen.laser is not None:
+                unit_e = true.laser.peak_e / stripe_reference(true)
+                rendered_e = seen.laser.with_metal(true).laser_e(unit_e)
+            lights, start = [], 0
+            for bins in frames:
+                light = np.zeros(bins.nearest.shape, dtype=np.float32)
+                if bins.frame.condition.laser_level > 0.0:
+                    end = start + len(bins.rendered)
+                    light, start = rendered_e[start:end][bins.nearest], end
+                lights.append(light)
+            self._of_sources[key] = lights
+        return self._of_sources[key]
+
+    def _arc_everywhere(self, frame: ObservedFrame, kept_e: Float32) -> Float32:
+        """Return the arc's light in all bins (h, w) from that in those that count (n,), e-."""
+        stated_e, nearest = frame.stated_arc_e, self._nearest_kept[frame.position]
+        if not len(kept_e):
+            return stated_e
+        stated_kept_e = stated_e.reshape(-1)[frame.bins]
+        is_lit = stated_kept_e > LIT_SHARE * float(stated_kept_e.max())
+        factor = np.where(is_lit, kept_e / np.where(is_lit, stated_kept_e, 1.0), 0.0)
+        everywhere = np.where(is_lit[nearest], stated_e * factor[nearest], kept_e[nearest]).astype(np.float32)
+        everywhere.reshape(-1)[frame.bins] = kept_e
+        return everywhere
+
+    def _seen_by(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> Seen:
+        """Return what bins see with some metal: another one does not change what rays meet."""
+        key = _key(frames, anchor, effects, Stage.SURFACE)
+        if key not in self._seen:
+            sights = [
+                self.look(bins.frame, true, self.seam(bins.frame, anchor, effects), bins.rendered).sight
+                for bins in frames
+            ]
+            is_lit = [bins.frame.condition.arc_level > 0.0 for bins in frames]
+            has_laser = [bins.frame.condition.laser_level > 0.0 for bins in frames]
+            kept = [bins.is_kept for bins, lit in zip(frames, is_lit, strict=True) if lit]
+            self._seen[key] = Seen(
+                joined(sights, is_lit),
+                joined(sights, has_laser),
+                np.concatenate(kept) if kept else np.zeros(0, dtype=np.bool_),
+            )
+        return self._seen[key]
+
+
+def joined(sights: Sequence[Sight], chosen: Sequence[bool]) -> Sight | None:
+    """Return those sights that are chosen as one, None for no one."""
+    parts = [sight for sight, is_chosen in zip(sights, chosen, strict=True) if is_chosen]
+    return Sight.joined(parts) if parts else None
+
+
+def _key(
+    frames: Frames, anchor: Float64, effects: Effects, unmoved_by: Stage | None = None
+) -> tuple[object, ...]:
+    """Return what frames' rendering depends on; effects of a stage that does not move it are left out."""
+    rendering = tuple(
+        (name, *values.items())
+        for name, values in effects.items()
+        if name in RENDERED_EFFECTS and REGISTRY[name].stage is not unmoved_by
+    )
+    return tuple(frames), anchor[N_LEVELS:].tobytes(), rendering
+
+
+def _tracked_with(effects: Mapping[str, Values]) -> tuple[object, ...]:
+    """Return those effects, with their values, that change the seam which a tracker finds."""
+    return tuple(
+        (name, tuple(effects[name].items())) for name in sorted(TRIANGULATION_EFFECTS & set(effects))
+    )
+
+
+def _in_bins(effect: Effect, values: Values, bin_px: int) -> dict[str, float]:
+    """Return an effect's values with lengths in the image counted in bins."""
+    whole = effect.complete(values)
+    for parameter in effect.parameters:
+        if parameter.unit == "px":
+            whole[parameter.name] = max(whole[parameter.name] / bin_px, parameter.lower)
+    return whole
