@@ -12,11 +12,12 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from noise_model.arc.map import arc_in_scenes, arc_kernels
+from noise_model.arc.map import ArcKernels, arc_in_scenes, arc_kernels
 from noise_model.arc.scene import Scenes
 from noise_model.arrays import Bool, Float32, Float64, Int32, Int64
 from noise_model.instrument.camera import fall_off
 from noise_model.instrument.laser import sheets_of
+from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.stripe import SheetSeen, light_stripe, see_sheet
 from noise_model.surface.brdf import lobe_numbers
@@ -58,6 +59,10 @@ class Sight:
         """Return the same in a setup that differs by its metal alone: it does not change what rays meet."""
         return replace(self, setup=setup)
 
+    def subset(self, chosen: Bool) -> Sight:
+        """Return some of its pixels (n,)."""
+        return Sight(self.setup, self.scenes, self.which[chosen], self.xy[chosen], self.cos4[chosen])
+
     def beside(self, pixels: Int64, uv_px: Float64) -> Sight:
         """Return what looks beside some of its pixels (k,), at places (k, m, 2) as (u, v): k m pixels."""
         xy = self.setup.camera.normalised(uv_px.reshape(-1, 2))
@@ -84,18 +89,23 @@ class Sight:
         """The face that each pixel (n,) shows."""
         return self.surface[2]
 
-    def arc_e(self, chosen: Bool | None = None) -> Float32:
+    def arc_e(self) -> Float32:
         """Return the arc's light (n,), e- for `camera.exposure_s`, at its nominal output.
 
-        It is 0 past the workpiece, and in pixels that are not `chosen` (n,). Raises ValueError for a pose
-        whose camera stands below the surface.
+        It is 0 past the workpiece. Raises ValueError for a pose whose camera stands below the surface.
         """
-        pixels = np.arange(len(self.cos4)) if chosen is None else np.flatnonzero(chosen)
-        kernels = self._keep("arc_kernels", lambda: arc_kernels(self.setup, self.scenes))
+        kernels = self._keep("arc_kernels", self._arc_kernels)
         kernels = kernels._replace(material=lobe_numbers(self.setup.material))
-        light = np.zeros(len(self.cos4), dtype=np.float32)
-        light[pixels] = arc_in_scenes(kernels, self.which, self.xy, self.cos4, pixels)
-        return light
+        points, _, faces = self.surface
+        return arc_in_scenes(kernels, self.which, points, faces, self.cos4)
+
+    def _arc_kernels(self) -> ArcKernels:
+        x_ranges_mm = np.tile([np.inf, -np.inf], (len(self.scenes), 1))
+        _write_ranges(self.surface[0], self.which, x_ranges_mm)
+        # Of a scene that nothing shows all that counts is that it asks for little.
+        unseen = x_ranges_mm[:, 0] > x_ranges_mm[:, 1]
+        x_ranges_mm[unseen] = self.scenes.center_mm[unseen, :1]
+        return arc_kernels(self.setup, self.scenes, x_ranges_mm)
 
     def laser_e(self, unit_e: float) -> Float32:
         """Return the laser stripe (n,), e- for `camera.exposure_s`, before the point-spread function.
@@ -134,3 +144,14 @@ class Sight:
         if name not in self._kept:
             self._kept[name] = compute()
         return cast(Kept, self._kept[name])
+
+
+@kernel
+def _write_ranges(points: Float64, which: Int64, x_ranges: Float64) -> None:
+    """Write between which x (m, 2) the points (n, 3) of each scene lie; those of a miss are NaN."""
+    for i in range(points.shape[0]):
+        s, x = which[i], points[i, 0]
+        if x < x_ranges[s, 0]:
+            x_ranges[s, 0] = x
+        if x > x_ranges[s, 1]:
+            x_ranges[s, 1] = x

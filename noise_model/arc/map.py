@@ -28,7 +28,7 @@ from noise_model.setup import Setup
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
 from noise_model.surface.faces import ridge
 from noise_model.surface.ray_casting import MISS
-from noise_model.surface.visibility import horizon_tables, is_curved_lap
+from noise_model.surface.visibility import horizon_tables, horizons_of_scenes, is_curved_lap
 
 NODES_P, NODES_Q = 8, 4
 """Nodes across the arc's disc and up a chord."""
@@ -109,7 +109,6 @@ class ArcKernels(NamedTuple):
     horizon_start: Float64
     horizons: Float64
     metal_cuts: Bool
-    reach: Float64
     material: LobeNumbers
     rules: Float64
     n_p: int
@@ -118,8 +117,8 @@ class ArcKernels(NamedTuple):
 
 @kernel(inline=True)
 def _of_scene(k: ArcKernels, s: int) -> ArcKernel:
-    """Return the kernel of one scene."""
-    eye, center, bend, reach = k.eye[s], k.center[s], k.bend[s], k.reach[s]
+    """Return the kernel of one scene, which knows of no `reach`."""
+    eye, center, bend = k.eye[s], k.center[s], k.bend[s]
     return ArcKernel(
         k.rotation[s],
         (eye[0], eye[1], eye[2]),
@@ -132,7 +131,7 @@ def _of_scene(k: ArcKernels, s: int) -> ArcKernel:
         k.horizon_start[s],
         k.horizons[s],
         k.metal_cuts[s],
-        (reach[0], reach[1], reach[2], reach[3]),
+        (math.nan, math.nan, math.nan, math.nan),
         k.material,
         k.rules,
         k.n_p,
@@ -140,22 +139,16 @@ def _of_scene(k: ArcKernels, s: int) -> ArcKernel:
     )
 
 
-def arc_kernels(setup: Setup, scenes: Scenes) -> ArcKernels:
+def arc_kernels(setup: Setup, scenes: Scenes, x_ranges_mm: Float64) -> ArcKernels:
     """Gather several scenes for the kernels, the arc's output the nominal one.
 
-    Raises ValueError for a pose whose camera stands below the surface.
+    `x_ranges_mm` (n, 2) says between which stations points of each scene are asked for. Raises ValueError for
+    a pose whose camera stands below the surface.
     """
     if scenes.below_surface.any():
         raise ValueError("the camera stands below the surface at this pose")
-    reach, radius = scenes.footprints_mm.reshape(-1, 4), setup.arc.radius_mm
-    tables = [
-        horizon_tables(scenes.shape, (first, last), center_mm, radius)
-        for (first, last), center_mm in zip(reach[:, :2].tolist(), scenes.center_mm, strict=True)
-    ]
-    longest = max(table.shape[1] for _, table in tables)
-    horizons = np.full((len(scenes), 2, longest, 2), np.nan)
-    for s, (_, table) in enumerate(tables):
-        horizons[s, :, : table.shape[1]] = table
+    radius = setup.arc.radius_mm
+    starts, horizons = horizons_of_scenes(scenes.shape, x_ranges_mm, scenes.center_mm, radius)
     return ArcKernels(
         np.ascontiguousarray(scenes.T_joint_camera[:, :3, :3]),
         np.ascontiguousarray(scenes.T_joint_camera[:, :3, 3]),
@@ -165,10 +158,9 @@ def arc_kernels(setup: Setup, scenes: Scenes) -> ArcKernels:
         setup.arc.radiance_e,
         scenes.shape.vertices,
         scenes.shape.corrugation,
-        np.array([start for start, _ in tables]),
+        starts,
         horizons,
         np.array([_metal_cuts(radius, scenes[s]) for s in range(len(scenes))]),
-        reach,
         lobe_numbers(setup.material),
         gauss_nodes(),
         NODES_P,
@@ -222,28 +214,30 @@ def _arc_pixels(
 
 @kernel(allocates=True)
 def _arc_in_scenes(
-    k: ArcKernels, which: Int64, xy: Float32, cos4: Float32, pixels: Int64, mean_e: Float32
+    k: ArcKernels, which: Int64, points: Float64, faces: Int32, cos4: Float32, mean_e: Float32
 ) -> None:
-    """Fill `mean_e` (n,) of some pixels (n,), see `arc_in_scenes`."""
+    """Fill `mean_e` (n,), see `arc_in_scenes`."""
     work, scene, current = scratch(), _of_scene(k, 0), 0
-    for i in range(pixels.shape[0]):
-        pixel = pixels[i]
-        # Most pixels look where the one before did.
-        if which[pixel] != current:
-            current = which[pixel]
+    for i in range(which.shape[0]):
+        if faces[i] == MISS:
+            mean_e[i] = 0.0
+            continue
+        # Most points belong to the scene of the one before.
+        if which[i] != current:
+            current = which[i]
             scene = _of_scene(k, current)
-        P, face = follow(scene, xy[pixel, 0], xy[pixel, 1])
-        mean_e[i] = 0.0 if face == MISS else cos4[pixel] * light_at(scene, P, face, work)
+        P = points[i, 0], points[i, 1], points[i, 2]
+        mean_e[i] = cos4[i] * light_at(scene, P, np.int64(faces[i]), work)
 
 
-def arc_in_scenes(kernels: ArcKernels, which: Int64, xy: Float32, cos4: Float32, pixels: Int64) -> Float32:
-    """Return the arc's mean, e- for `camera.exposure_s`, at some pixels (k,) that look at several scenes.
+def arc_in_scenes(kernels: ArcKernels, which: Int64, points: Float64, faces: Int32, cos4: Float32) -> Float32:
+    """Return the arc's mean (n,), e- for `camera.exposure_s`, at points of several scenes.
 
-    `which` (n,) says at which each pixel looks, `xy` (n, 2) and `cos4` (n,) are their rays, `pixels` (k,) are
-    places among them. Before the point-spread function; 0 where a pixel looks past the workpiece.
+    `which` (n,) says to which scene each point (n, 3), mm, joint frame, and its face belong, `cos4` (n,) is
+    the lens' fall-off. Before the point-spread function; 0 where a ray looks past the workpiece.
     """
-    mean_e = np.empty(len(pixels), dtype=np.float32)
-    _arc_in_scenes(kernels, which, xy, cos4, pixels, mean_e)
+    mean_e = np.empty(len(which), dtype=np.float32)
+    _arc_in_scenes(kernels, which, points, faces, cos4, mean_e)
     return mean_e
 
 

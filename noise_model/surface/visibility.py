@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from noise_model.arrays import Float64, Vector
+from noise_model.arrays import Float64, Int64, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.faces import ridge, strip
 from noise_model.surface.joint import MAX_CHORDS, Section
@@ -32,6 +32,44 @@ HORIZON_STEP_MM = 0.25
 """The horizon table's step along x; the touching point is a maximum, so the error is of second order."""
 
 
+@kernel
+def _write_horizon(
+    heights: Float64,
+    x_start: float,
+    rows: tuple[int, int],
+    arc: tuple[float, float],
+    top: float,
+    lift: float,
+    foot: float,
+    table: Float64,
+) -> None:
+    """Write rows first ... last - 1 of a horizon table (n, 2), see `horizon_table`.
+
+    `heights` (n,) are the corrugation's, none above `top`, `arc` is the arc's center_x and radius.
+    """
+    (center_x, radius), n = arc, len(heights)
+    for i in range(rows[0], rows[1]):
+        x = x_start + i * HORIZON_STEP_MM
+        steepest, where = -math.inf, math.nan
+        step = -1 if x > center_x else 1
+        # Nothing at this distance or farther is steeper than the top would be, here or at the way's end.
+        most, way = top + lift - heights[i], (center_x - x) * step + radius
+        j = i + step
+        while 0 <= j < n:
+            x_j = x_start + j * HORIZON_STEP_MM
+            if (center_x - x_j) * step < -radius:
+                break
+            distance = (x_j - x) * step
+            if steepest * (distance if most > 0.0 else way) > most:
+                break
+            slope = (heights[j] + lift - heights[i]) / distance
+            counts = (center_x - x_j) * step >= radius or (slope > 0.0 and heights[j] <= foot)
+            if counts and slope > steepest:
+                steepest, where = slope, x_j
+            j += step
+        table[i, 0], table[i, 1] = steepest, where
+
+
 @kernel(allocates=True)
 def horizon_table(
     x_start: float, n: int, center_x: float, radius: float, corrugation: Float64, lift: float, foot: float
@@ -43,25 +81,10 @@ def horizon_table(
     arc's own level: no part of the arc stands in front of that and below its top. -inf where nothing lies
     between.
     """
-    table = np.empty((n, 2))
-    heights = np.empty(n)
+    table, heights = np.empty((n, 2)), np.empty(n)
     for i in range(n):
         heights[i] = ridge(x_start + i * HORIZON_STEP_MM, corrugation)[0]
-    for i in range(n):
-        x = x_start + i * HORIZON_STEP_MM
-        steepest, where = -math.inf, math.nan
-        step = -1 if x > center_x else 1
-        j = i + step
-        while 0 <= j < n:
-            x_j = x_start + j * HORIZON_STEP_MM
-            if (center_x - x_j) * step < -radius:
-                break
-            slope = (heights[j] + lift - heights[i]) / ((x_j - x) * step)
-            counts = (center_x - x_j) * step >= radius or (slope > 0.0 and heights[j] <= foot)
-            if counts and slope > steepest:
-                steepest, where = slope, x_j
-            j += step
-        table[i, 0], table[i, 1] = steepest, where
+    _write_horizon(heights, x_start, (0, n), (center_x, radius), corrugation[0], lift, foot, table)
     return table
 
 
@@ -302,16 +325,62 @@ def horizon_tables(
     shape: Section, x_range_mm: tuple[float, float], center: Float64, radius: float
 ) -> tuple[float, Float64]:
     """Return the start (mm) and the (2, n, 2) horizon tables of a corrugated lap, else empty ones."""
+    starts, tables = horizons_of_scenes(shape, np.array([x_range_mm]), center[np.newaxis], radius)
+    return float(starts[0]), np.asarray(tables[0])
+
+
+def horizons_of_scenes(
+    shape: Section, x_ranges_mm: Float64, centers: Float64, radius: float
+) -> tuple[Float64, Float64]:
+    """Return the starts (s,), mm, and the (s, 2, n, 2) horizon tables of several scenes, else empty ones.
+
+    Between `x_ranges_mm` (s, 2) the tables are asked for, and filled: the rest of them is not written.
+    """
+    n_scenes = len(centers)
     if shape.corrugation[0] == 0.0:
-        return 0.0, np.empty((2, 0, 2))
-    center_x = float(center[0])
+        return np.zeros(n_scenes), np.empty((n_scenes, 2, 0, 2))
     # At multiples of the step, so that a pose a little on has the same stations.
-    low = HORIZON_STEP_MM * (math.floor(min(x_range_mm[0], center_x - radius) / HORIZON_STEP_MM) - 1)
-    high = max(x_range_mm[1], center_x + radius) + HORIZON_STEP_MM
-    n = math.ceil((high - low) / HORIZON_STEP_MM) + 1
-    upper, lower = shape.vertices[1, 1], shape.vertices[2, 1]
-    tables = [
-        horizon_table(low, n, center_x, radius, shape.corrugation, lift, float(center[2] - terrain))
-        for lift, terrain in ((0.0, upper), (lower - upper, lower))
-    ]
-    return low, np.stack(tables)
+    lowest = np.minimum(x_ranges_mm[:, 0], centers[:, 0] - radius)
+    starts = HORIZON_STEP_MM * (np.floor(lowest / HORIZON_STEP_MM) - 1.0)
+    highest = np.maximum(x_ranges_mm[:, 1], centers[:, 0] + radius) + HORIZON_STEP_MM
+    counts = np.ceil((highest - starts) / HORIZON_STEP_MM).astype(np.int64) + 1
+    tables = np.empty((n_scenes, 2, int(counts.max()), 2))
+    terrain = shape.vertices[1, 1], shape.vertices[2, 1]
+    _write_horizons(starts, counts, x_ranges_mm, centers, radius, shape.corrugation, terrain, tables)
+    return starts, tables
+
+
+@kernel(allocates=True)
+def _write_horizons(
+    starts: Float64,
+    counts: Int64,
+    x_ranges: Float64,
+    centers: Float64,
+    radius: float,
+    corrugation: Float64,
+    terrain: tuple[float, float],
+    tables: Float64,
+) -> None:
+    """Write the tables of `horizons_of_scenes`; the sheets of the lap lie at `terrain`, mm."""
+    upper, lower = terrain
+    heights = np.empty(tables.shape[2])
+    for s in range(len(starts)):
+        start, n, center_x = starts[s], counts[s], centers[s, 0]
+        for i in range(n):
+            heights[i] = ridge(start + i * HORIZON_STEP_MM, corrugation)[0]
+        # A station is looked up between two rows.
+        first = max(0, int((x_ranges[s, 0] - start) / HORIZON_STEP_MM) - 1)
+        last = min(n, int((x_ranges[s, 1] - start) / HORIZON_STEP_MM) + 3)
+        for sheet in range(2):
+            lift, level = (0.0, upper) if sheet == 0 else (lower - upper, lower)
+            foot = centers[s, 2] - level
+            _write_horizon(
+                heights[:n],
+                start,
+                (first, last),
+                (center_x, radius),
+                corrugation[0],
+                lift,
+                foot,
+                tables[s, sheet],
+            )

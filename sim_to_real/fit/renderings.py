@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.effects import REGISTRY, Effect, Effects, Stage, Values
 from noise_model.forward import Layers, look
 from noise_model.instrument.camera import Camera, Rays
@@ -47,15 +47,14 @@ Frames = Sequence[PredictedBins]
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What the rendered bins (n,) of some frames see, one frame after another; None for no frame.
+    """What bins (n,) of some frames see, one frame after another; None for no frame.
 
-    `arc` are those of frames that the arc lights, and it is rendered in `is_kept` (n_arc,) of them. `laser`
-    are those of frames with the laser on.
+    `arc` are the bins that count of frames that the arc lights, `laser` the rendered ones of those with the
+    laser on.
     """
 
     arc: Sight | None
     laser: Sight | None
-    is_kept: Bool
 
 
 class Renderings:
@@ -172,7 +171,7 @@ class Renderings:
             seen = self._seen_by(frames, true, anchor, effects)
             kept_e = np.zeros(0, dtype=np.float32)
             if seen.arc is not None:
-                kept_e = seen.arc.with_metal(true).arc_e(seen.is_kept)[seen.is_kept]
+                kept_e = seen.arc.with_metal(true).arc_e()
             lights, start = [], 0
             for bins in frames:
                 light = np.zeros(bins.nearest.shape, dtype=np.float32)
@@ -225,12 +224,8 @@ class Renderings:
             ]
             is_lit = [bins.frame.condition.arc_level > 0.0 for bins in frames]
             has_laser = [bins.frame.condition.laser_level > 0.0 for bins in frames]
-            kept = [bins.is_kept for bins, lit in zip(frames, is_lit, strict=True) if lit]
-            self._seen[key] = Seen(
-                joined(sights, is_lit),
-                joined(sights, has_laser),
-                np.concatenate(kept) if kept else np.zeros(0, dtype=np.bool_),
-            )
+            kept = [sight.subset(bins.is_kept) for sight, bins in zip(sights, frames, strict=True)]
+            self._seen[key] = Seen(joined(kept, is_lit), joined(sights, has_laser))
         return self._seen[key]
 
 
