@@ -15,8 +15,8 @@ from typing import TypeVar
 import numpy as np
 
 from noise_model.arc.map import arc_at, arc_frame, arc_kernel
-from noise_model.arc.scene import Scene, make_scenes
-from noise_model.arrays import Bool, Float32, Float64, Int32, Integers
+from noise_model.arc.scene import Scene
+from noise_model.arrays import Bool, Float32, Float64, Int32, Int64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import acting, apply_condition_effects, apply_setup_effects
 from noise_model.effects.effect import Draw
@@ -24,7 +24,7 @@ from noise_model.effects.light import Light
 from noise_model.instrument.camera import Rays, blur, blur_inner
 from noise_model.instrument.sensor import expose, respond_moments, saturation_dn
 from noise_model.setup import Setup
-from noise_model.sight import Sight
+from noise_model.sight import PixelRays, Sight
 from noise_model.stripe import SheetSeen, crossed_by_borders, stripe_reference
 from noise_model.surface.joint import NOMINAL_SEAM, Seam, SeamLine
 from noise_model.view import View
@@ -197,22 +197,18 @@ def look(
     seam: Seam,
     rays: Rays,
     pixels: Integers | None = None,
-    stretch: Integers | None = None,
+    stretch: Int64 | None = None,
 ) -> Layers:
     """Return the layers of a pose; `setup` is what is really there, `rays` are its camera's.
 
-    `stretch` (n,) says which stretch of a bent seam each pixel shows, where that is not to be found anew:
-    light is not quite steady from one to the next, and a small step's difference would show it.
+    `stretch` (n,) says which stretch of a bent seam each pixel shows, see `Sight.along`.
     """
     if isinstance(seam, SeamLine):
         view = View.of(setup, T_base_tool, seam, rays, pixels)
         return Layers(view, view.sight)
     view = View.of(setup, T_base_tool, seam.middle, rays, pixels, ground=seam.ground)
-    if stretch is None:
-        stretch = seam.stretch_at(view.sight.surface[0][:, 0])
-    scenes = make_scenes(setup, T_base_tool, seam.lines, seam.ground)
-    shown = replace(view.sight, scenes=scenes, which=stretch.astype(np.int64), _kept={})
-    return Layers(view, shown)
+    every = np.arange(rays.cos4.size) if pixels is None else pixels
+    return Layers(view, Sight.along(setup, [T_base_tool], [seam], PixelRays.of(rays, [every]), stretch))
 
 
 def _remember(

@@ -8,22 +8,43 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar, cast
+from typing import NamedTuple, TypeVar, cast
 
 import numpy as np
 
 from noise_model.arc.map import ArcKernels, arc_in_scenes, arc_kernels
-from noise_model.arc.scene import Scenes
-from noise_model.arrays import Bool, Float32, Float64, Int32, Int64
-from noise_model.instrument.camera import fall_off
+from noise_model.arc.scene import Scenes, make_scenes
+from noise_model.arrays import Bool, Float32, Float64, Int32, Int64, Integers
+from noise_model.instrument.camera import Rays, fall_off
 from noise_model.instrument.laser import sheets_of
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.stripe import SheetSeen, light_stripe, see_sheet
 from noise_model.surface.brdf import lobe_numbers
+from noise_model.surface.joint import BentSeam
 from noise_model.surface.ray_casting import trace
 
 Kept = TypeVar("Kept")
+
+
+class PixelRays(NamedTuple):
+    """The rays of some pixels of each of some frames, one frame after another.
+
+    `pose` (n,) says from which frame's pose a ray starts, `ends` (f,) where each frame's pixels end.
+    `xy` (n, 2) and `cos4` (n,) are those of `camera.Rays`.
+    """
+
+    pose: Int64
+    ends: Int64
+    xy: Float32
+    cos4: Float32
+
+    @classmethod
+    def of(cls, rays: Rays, pixels: Sequence[Integers]) -> PixelRays:
+        """Return the rays of pixels of each frame, (n,) by their places in the flattened image."""
+        counts, every = [len(some) for some in pixels], np.concatenate(pixels)
+        xy, cos4 = rays.xy.reshape(-1, 2)[every], rays.cos4.reshape(-1)[every]
+        return cls(np.repeat(np.arange(len(pixels)), counts), np.cumsum(counts), xy, cos4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,18 +63,28 @@ class Sight:
     _kept: dict[str, object] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def joined(cls, parts: Sequence[Sight]) -> Sight:
-        """Return the pixels of several sights of one setup, one after another."""
-        if len(parts) == 1:
-            return parts[0]
-        before = np.cumsum([0, *(len(part.scenes) for part in parts[:-1])])
-        return cls(
-            parts[0].setup,
-            Scenes.joined([part.scenes for part in parts]),
-            np.concatenate([part.which + n for part, n in zip(parts, before, strict=True)]),
-            np.concatenate([part.xy for part in parts]),
-            np.concatenate([part.cos4 for part in parts]),
-        )
+    def along(
+        cls,
+        setup: Setup,
+        T_base_tool: Sequence[Float64],
+        seams: Sequence[BentSeam],
+        rays: PixelRays,
+        stretch: Int64 | None = None,
+    ) -> Sight:
+        """Look from some poses at the seam of each.
+
+        `stretch` (n,) says which stretch each pixel shows, where that is not to be found anew: light is not
+        quite steady from one to the next, and a small step's difference would show it.
+        """
+        if stretch is None:
+            middles = [BentSeam((seam.middle,), seam.ground) for seam in seams]
+            scenes = make_scenes(setup, T_base_tool, middles)
+            points, _, _ = cls(setup, scenes, rays.pose, rays.xy, rays.cos4).surface
+            x_mm = np.split(points[:, 0], rays.ends[:-1])
+            stretch = np.concatenate([seam.stretch_at(x) for seam, x in zip(seams, x_mm, strict=True)])
+        firsts = np.cumsum([0, *(len(seam.lines) for seam in seams[:-1])])
+        which = firsts[rays.pose] + stretch
+        return cls(setup, make_scenes(setup, T_base_tool, seams), which, rays.xy, rays.cos4)
 
     def with_metal(self, setup: Setup) -> Sight:
         """Return the same in a setup that differs by its metal alone: it does not change what rays meet."""

@@ -226,8 +226,9 @@ def _arc_in_scenes(
         if which[i] != current:
             current = which[i]
             scene = _of_scene(k, current)
-        P = points[i, 0], points[i, 1], points[i, 2]
-        mean_e[i] = cos4[i] * light_at(scene, P, np.int64(faces[i]), work)
+        # A sum with a literal is what kernels take faces as: 64 bits.
+        P, face = (points[i, 0], points[i, 1], points[i, 2]), 0 + int(faces[i])
+        mean_e[i] = cos4[i] * light_at(scene, P, face, work)
 
 
 def arc_in_scenes(kernels: ArcKernels, which: Int64, points: Float64, faces: Int32, cos4: Float32) -> Float32:

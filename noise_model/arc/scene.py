@@ -13,7 +13,15 @@ from noise_model.arrays import Bool, Float64
 from noise_model.instrument.camera import Camera
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
-from noise_model.surface.joint import NOMINAL_SEAM, SeamLine, Section, corrugation_height, seam_frame, section
+from noise_model.surface.joint import (
+    NOMINAL_SEAM,
+    BentSeam,
+    SeamLine,
+    Section,
+    corrugation_height,
+    seam_frame,
+    section,
+)
 from noise_model.transforms import invert, transform
 
 FOOT_STEPS = 3
@@ -77,18 +85,6 @@ class Scenes:
         poses = scene.T_joint_tool[np.newaxis], scene.T_joint_camera[np.newaxis]
         return cls(*poses, scene.camera, scene.center_mm[np.newaxis], scene.shape, np.array([scene.bend]))
 
-    @classmethod
-    def joined(cls, parts: Sequence[Scenes]) -> Scenes:
-        """Return the scenes of several, one after another."""
-        return cls(
-            np.concatenate([part.T_joint_tool for part in parts]),
-            np.concatenate([part.T_joint_camera for part in parts]),
-            parts[0].camera,
-            np.concatenate([part.center_mm for part in parts]),
-            parts[0].shape,
-            np.concatenate([part.bend for part in parts]),
-        )
-
     def __len__(self) -> int:
         """Return how many scenes there are."""
         return len(self.center_mm)
@@ -124,16 +120,29 @@ def make_scene(
     it go with it; but ridges stay across the nominal line when the seam between them turns. `ground` is
     another stretch of a bent seam, on whose surface the arc stands.
     """
-    return make_scenes(setup, T_base_tool, (seam,), ground)[0]
+    T_nominal_tool = _nominal_pose(setup, T_base_tool)[np.newaxis]
+    return _along(setup, T_nominal_tool, (seam,), None if ground is None else (ground,))[0]
 
 
-def make_scenes(
-    setup: Setup, T_base_tool: Float64, seams: Sequence[SeamLine], ground: SeamLine | None = None
+def make_scenes(setup: Setup, T_base_tool: Sequence[Float64], seams: Sequence[BentSeam]) -> Scenes:
+    """Return the scenes of some poses along each stretch of the seam at each of them, see `make_scene`."""
+    counts = [len(seam.lines) for seam in seams]
+    T_nominal_tool = np.repeat([_nominal_pose(setup, T) for T in T_base_tool], counts, axis=0)
+    grounds = [seam.ground for seam in seams for _ in seam.lines]
+    return _along(setup, T_nominal_tool, [line for seam in seams for line in seam.lines], grounds)
+
+
+def _nominal_pose(setup: Setup, T_base_tool: Float64) -> Float64:
+    """Return T_nominal_tool, the tool's pose in the frame of the nominal joint."""
+    return invert(seam_frame(setup.joint, _ahead(setup, T_base_tool))) @ T_base_tool
+
+
+def _along(
+    setup: Setup, T_nominal_tool: Float64, seams: Sequence[SeamLine], grounds: Sequence[SeamLine] | None
 ) -> Scenes:
-    """Return the scenes of a pose along each of some stretches of the seam, see `make_scene`."""
+    """Return the scenes of poses (n, 4, 4), each along its stretch and on its ground, see `make_scene`."""
     has_ridges = setup.joint.has_ridges
     laid = [replace(seam, slope_y=0.0) if has_ridges and seam.slope_y != 0.0 else seam for seam in seams]
-    T_nominal_tool = invert(seam_frame(setup.joint, _ahead(setup, T_base_tool))) @ T_base_tool
     T_laid_nominal = _inverted(np.array([line.frame() for line in laid]))
     T_joint_tool = T_laid_nominal @ T_nominal_tool
     T_joint_camera = T_joint_tool @ setup.camera.T_tool_camera
@@ -141,7 +150,7 @@ def make_scenes(
     offset = np.asarray(setup.arc.center_in_tool_mm)
     center = T_joint_tool[:, :3, :3] @ offset + T_joint_tool[:, :3, 3]
     # Where another stretch's plate and seam run, or the seam's own that no ridge follows.
-    T_laid_ground = T_laid_nominal @ np.array([(ground or seam).frame() for seam in seams])
+    T_laid_ground = T_laid_nominal @ np.array([ground.frame() for ground in grounds or seams])
     along, up, origin = (T_laid_ground[:, :3, column] for column in (0, 2, 3))
     if setup.arc.on_surface:
         # Over the surface the arc keeps its height, and a tilted tool carries its foot sideways.
@@ -152,11 +161,11 @@ def make_scenes(
             height = corrugation_height(foot, shape.corrugation)
             foot = center[:, 0] - slope_z * (center[:, 2] - height)
         center[:, 0], center[:, 2] = foot + slope_z * offset[2], offset[2] + height
-        if ground is not None:
+        if grounds is not None:
             beside = up[:, :2] * (center[:, :2] - origin[:, :2])
             center[:, 2] += origin[:, 2] - beside.sum(axis=1) / up[:, 2]
     beside_mm = origin[:, 1] + along[:, 1] / along[:, 0] * (center[:, 0] - origin[:, 0])
-    beside_mm[[(ground or seam) is line for seam, line in zip(seams, laid, strict=True)]] = 0.0
+    beside_mm[[ground is line for ground, line in zip(grounds or seams, laid, strict=True)]] = 0.0
     turns = [seam.slope_y - line.slope_y for seam, line in zip(seams, laid, strict=True)]
     return Scenes(
         T_joint_tool, T_joint_camera, setup.camera, center, shape, np.column_stack([turns, beside_mm])

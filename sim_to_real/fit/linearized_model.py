@@ -122,8 +122,8 @@ class LinearizedModel:
 
     def _off_edges(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> Float64:
         true = apply_setup_effects(self.renderings.setup(effects, nuisance))
-        seam, every = self.renderings.seam(frame, nuisance, effects), np.arange(frame.keep.size)
-        faces = self.renderings.look(frame, true, seam, every).faces.reshape(frame.keep.shape)
+        seam, every = self.renderings.seam(frame, nuisance, effects), self._whole[frame.position].places
+        faces = self.renderings.sight([frame], [every], true, [seam]).faces.reshape(frame.keep.shape)
         return np.where(on_one_face(faces)[frame.keep], frame.sigma_dn, np.inf)
 
     def _with_bend(
@@ -138,12 +138,12 @@ class LinearizedModel:
         true = apply_setup_effects(self.renderings.setup(effects, nuisance))
         seam = self.renderings.seam(frame, nuisance, effects)
         arc_e = [
-            self.renderings.look(
-                frame,
+            self.renderings.sight(
+                [frame],
+                [frame.bins],
                 true,
-                BentSeam(seam.lines, replace(seam.ground, y_mm=seam.ground.y_mm + beside)),
-                frame.bins,
-            ).arc_e
+                [BentSeam(seam.lines, replace(seam.ground, y_mm=seam.ground.y_mm + beside))],
+            ).arc_e()
             for beside in (0.0, 2.0 * deviation_mm, -2.0 * deviation_mm)
         ]
         spread_e = 0.5 * np.maximum(np.abs(arc_e[1] - arc_e[0]), np.abs(arc_e[2] - arc_e[0]))

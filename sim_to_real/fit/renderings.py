@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import REGISTRY, Effect, Effects, Stage, Values
-from noise_model.forward import Layers, look
 from noise_model.instrument.camera import Camera, Rays
 from noise_model.setup import Setup
-from noise_model.sight import Sight
+from noise_model.sight import PixelRays, Sight
 from noise_model.stripe import stripe_reference
 from noise_model.surface.joint import BentSeam
 from noise_model.view import View
@@ -66,6 +65,7 @@ class Renderings:
         self._of_sources: dict[tuple[object, ...], list[Float32]] = {}
         self._seen: dict[tuple[object, ...], Seen] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
+        self._pixel_rays: dict[tuple[object, ...], tuple[tuple[Int64, ...], PixelRays]] = {}
         self._curves: dict[tuple[object, ...], SeamCurve] = {}
         self._seams: dict[tuple[object, ...], BentSeam] = {}
         self._nearest_kept = [nearest_rendered(frame.keep) for frame in observed.frames]
@@ -113,11 +113,23 @@ class Renderings:
             self._rays[camera.geometry] = Rays.of(camera)
         return self._rays[camera.geometry]
 
-    def look(
-        self, frame: ObservedFrame, true: Setup, seam: BentSeam, bins: Int64, stretch: Int64 | None = None
-    ) -> Layers:
-        """Return what some bins (n,) of a frame show in a setup that is really there, see `forward.look`."""
-        return look(true, frame.T_base_tool_in(true), seam, self.rays_of(true.camera), bins, stretch)
+    def sight(
+        self,
+        frames: Sequence[ObservedFrame],
+        pixels: Sequence[Int64],
+        true: Setup,
+        seams: Sequence[BentSeam],
+        stretch: Int64 | None = None,
+    ) -> Sight:
+        """Return what some bins (n,) of each frame see in a setup that is really there, see `Sight.along`."""
+        key = (*(id(some) for some in pixels), true.camera.geometry)
+        if key not in self._pixel_rays:
+            if len(self._pixel_rays) >= N_CACHED * len(self._observed.frames):
+                self._pixel_rays = {}
+            # The pixels are kept with their rays: another array may not take their place.
+            self._pixel_rays[key] = tuple(pixels), PixelRays.of(self.rays_of(true.camera), pixels)
+        poses = [frame.T_base_tool_in(true) for frame in frames]
+        return Sight.along(true, poses, seams, self._pixel_rays[key][1], stretch)
 
     def rendered(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> list[Rendered]:
         """Return what frames show before any effect acts on the image."""
@@ -218,21 +230,31 @@ class Renderings:
         """Return what bins see with some metal: another one does not change what rays meet."""
         key = _key(frames, anchor, effects, Stage.SURFACE)
         if key not in self._seen:
-            sights = [
-                self.look(bins.frame, true, self.seam(bins.frame, anchor, effects), bins.rendered).sight
-                for bins in frames
-            ]
-            is_lit = [bins.frame.condition.arc_level > 0.0 for bins in frames]
-            has_laser = [bins.frame.condition.laser_level > 0.0 for bins in frames]
-            kept = [sight.subset(bins.is_kept) for sight, bins in zip(sights, frames, strict=True)]
-            self._seen[key] = Seen(joined(kept, is_lit), joined(sights, has_laser))
+            observed = [bins.frame for bins in frames]
+            seams = [self.seam(frame, anchor, effects) for frame in observed]
+            sight = self.sight(observed, [bins.rendered for bins in frames], true, seams)
+            counts, kept = [len(bins.rendered) for bins in frames], [bins.is_kept for bins in frames]
+            is_lit, has_laser = lit_by_arc(observed), lit_by_laser(observed)
+            self._seen[key] = Seen(
+                some_of(sight, np.repeat(is_lit, counts) & np.concatenate(kept)),
+                some_of(sight, np.repeat(has_laser, counts)),
+            )
         return self._seen[key]
 
 
-def joined(sights: Sequence[Sight], chosen: Sequence[bool]) -> Sight | None:
-    """Return those sights that are chosen as one, None for no one."""
-    parts = [sight for sight, is_chosen in zip(sights, chosen, strict=True) if is_chosen]
-    return Sight.joined(parts) if parts else None
+def lit_by_arc(frames: Sequence[ObservedFrame]) -> Bool:
+    """Say which frames (f,) the arc lights."""
+    return np.array([frame.condition.arc_level > 0.0 for frame in frames], dtype=np.bool_)
+
+
+def lit_by_laser(frames: Sequence[ObservedFrame]) -> Bool:
+    """Say which frames (f,) the laser lights."""
+    return np.array([frame.condition.laser_level > 0.0 for frame in frames], dtype=np.bool_)
+
+
+def some_of(sight: Sight, chosen: Bool) -> Sight | None:
+    """Return some of a sight's pixels (n,), None for none."""
+    return sight.subset(chosen) if chosen.any() else None
 
 
 def _key(

@@ -12,7 +12,7 @@ from noise_model.arc.scene import make_scene
 from noise_model.forward import look
 from noise_model.instrument.camera import Rays
 from noise_model.instrument.laser import sheet_of, sheets_of
-from noise_model.sight import Sight
+from noise_model.sight import PixelRays, Sight
 from noise_model.surface.joint import BentSeam, SeamLine
 from noise_model.surface.ray_casting import MISS
 
@@ -21,16 +21,21 @@ LINES = (SeamLine(25.0, -0.8, 0.1, 0.03), SeamLine(45.0, 0.6, -0.1, -0.02, 0.01)
 BENT = BentSeam(LINES, SeamLine(0.0, 0.3, 0.1))
 
 
-def sights_of(setup, poses=POSES):
+def alone(setup, poses=POSES):
     rays = Rays.of(setup.camera)
     return [look(setup, T_base_tool, BENT, rays).sight for T_base_tool in poses]
+
+
+def together(setup):
+    rays = Rays.of(setup.camera)
+    every = np.arange(rays.cos4.size)
+    return Sight.along(setup, POSES, [BENT] * len(POSES), PixelRays.of(rays, [every] * len(POSES)))
 
 
 @pytest.mark.parametrize("joint", ["v_groove", "lap", "corrugation"])
 def test_many_scenes_show_what_each_of_them_shows(joint):
     setup = nominal_setup(joint, "mild_steel", width=48, height=36)
-    parts = sights_of(setup)
-    every = Sight.joined(parts)
+    parts, every = alone(setup), together(setup)
     assert len(every.scenes) == len(POSES) * len(LINES)
     unit_e, start = 1000.0, 0
     arc_e, laser_e, (points, _, faces) = every.arc_e(), every.laser_e(unit_e), every.surface
@@ -40,35 +45,30 @@ def test_many_scenes_show_what_each_of_them_shows(joint):
         np.testing.assert_array_equal(points[of_frame], sight.surface[0])
         for n in range(len(LINES)):
             kernel = arc_kernel(setup, sight.scenes[n])
-            alone, shown = arc_at(kernel, sight.xy, sight.cos4, np.flatnonzero(sight.which == n))
+            mean_e, shown = arc_at(kernel, sight.xy, sight.cos4, np.flatnonzero(sight.which == n))
             here = np.flatnonzero(sight.which == n) + start
             np.testing.assert_array_equal(faces[here], shown)
-            np.testing.assert_allclose(arc_e[here], np.where(shown == MISS, 0.0, alone), rtol=1e-6)
+            np.testing.assert_allclose(arc_e[here], np.where(shown == MISS, 0.0, mean_e), rtol=1e-6)
         start = of_frame.stop
     assert arc_e.max() > 0.0
     assert laser_e.max() > 0.0
 
 
 def test_some_pixels_show_what_all_show():
-    (sight,) = sights_of(nominal_setup("lap", "mild_steel", width=48, height=36), POSES[:1])
+    (sight,) = alone(nominal_setup("lap", "mild_steel", width=48, height=36), POSES[:1])
     chosen = np.arange(len(sight.cos4)) % 3 == 0
     np.testing.assert_array_equal(sight.subset(chosen).arc_e(), sight.arc_e()[chosen])
     assert sight.arc_e().any()
 
 
-def test_a_joined_sight_of_one_part_is_that_part():
-    (sight,) = sights_of(nominal_setup("lap", "mild_steel", width=16, height=12), POSES[:1])
-    assert Sight.joined([sight]) is sight
-
-
 def test_sheets_and_footprints_of_many_scenes_are_those_of_each():
     setup = nominal_setup("lap", "mild_steel", width=16, height=12)
-    stacked = Sight.joined(sights_of(setup)).scenes
+    stacked = together(setup).scenes
     sheets = sheets_of(setup.laser, stacked.T_joint_tool)
     for n in range(len(stacked)):
-        alone = sheet_of(setup.laser, stacked[n].T_joint_tool)
+        sheet = sheet_of(setup.laser, stacked[n].T_joint_tool)
         for name in ("origin", "plane", "tool_up", "axis", "side"):
-            np.testing.assert_allclose(getattr(sheets, name)[n], getattr(alone, name), rtol=1e-12, atol=1e-12)
+            np.testing.assert_allclose(getattr(sheets, name)[n], getattr(sheet, name), rtol=1e-12, atol=1e-12)
         np.testing.assert_array_equal(stacked.footprints_mm[n], stacked[n].footprint_mm)
         assert stacked.below_surface[n] == stacked[n].below_surface
 
@@ -76,8 +76,8 @@ def test_sheets_and_footprints_of_many_scenes_are_those_of_each():
 def test_a_camera_under_the_sheet_is_refused_among_others():
     setup = nominal_setup("lap", "mild_steel", width=16, height=12)
     low = make_scene(setup, scenes.pose((0.0, 0.0, -500.0)))
-    parts = sights_of(setup)
-    scenes_of = parts[0].scenes
-    sunk = dataclasses.replace(scenes_of, T_joint_camera=np.stack([low.T_joint_camera] * len(scenes_of)))
+    sight = alone(setup)[0]
+    stretches = sight.scenes
+    sunk = dataclasses.replace(stretches, T_joint_camera=np.stack([low.T_joint_camera] * len(stretches)))
     with pytest.raises(ValueError, match="below the surface"):
-        dataclasses.replace(parts[0], scenes=sunk, _kept={}).arc_e()
+        dataclasses.replace(sight, scenes=sunk, _kept={}).arc_e()
