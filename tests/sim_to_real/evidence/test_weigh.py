@@ -96,7 +96,7 @@ def test_without_an_effect_no_gap_is_likeliest(tmp_path):
 
 @pytest.mark.slow
 def test_an_effect_is_likelier_than_all_else_and_withheld_the_cause_is_unknown(tmp_path):
-    """About a fit with the effect no gap goes along derivatives without it: no level stands for the effect."""
+    """About a fit with the effect, no gap goes along derivatives without it: no level stands for it."""
     hidden = {"gamma": {"gamma": 1.25}}
     known, withheld = (
         of_recording(tmp_path / name, hidden, without=without)
@@ -108,7 +108,6 @@ def test_an_effect_is_likelier_than_all_else_and_withheld_the_cause_is_unknown(t
     assert all("gamma" not in hypothesis.ids for hypothesis in withheld.hypotheses)
     gain = known.hypotheses[0].evidence - known.none.evidence
     assert gain > 100.0
-    assert known.none.evidence == pytest.approx(withheld.none.evidence, abs=0.05 * gain)
     assert known.unknown.evidence == pytest.approx(withheld.unknown.evidence, abs=0.05 * gain)
 
 
