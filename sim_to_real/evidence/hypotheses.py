@@ -126,12 +126,13 @@ class Posterior:
             ln_odds = policy.ln_odds_effect + (n - 1) * policy.ln_odds_further - n * math.log(n_effects)
             return nats / policy.temperature + ln_odds - math.log(forms[frozenset(hypothesis.ids)])
 
+        beside = policy.ln_odds_further + policy.ln_odds_unknown
         some = sorted(hypotheses, key=lambda h: weight(h, h.evidence), reverse=True)
         ln = [
             none.evidence / policy.temperature,
             *(weight(h, h.evidence) for h in some),
             *(
-                -math.inf if h.beside is None else weight(h, h.beside.evidence) + policy.ln_odds_unknown
+                -math.inf if h.beside is None else weight(h, h.beside.evidence) + beside
                 for h in some
             ),
             unknown.evidence / policy.temperature + policy.ln_odds_unknown,

@@ -36,7 +36,7 @@ class Policy:
         The log evidence counts divided by this: what the error model leaves out. Source: chosen;
         at 2 to 4.5 as many verdicts on an opened check are right.
     ln_odds_effect, ln_odds_further, ln_odds_unknown : float
-        Prior odds against no gap: of one effect of the catalogue, of a further one, of an unknown cause.
+        Prior odds against no gap: of one effect of the catalogue, of a further cause, of an unknown one.
         Unit: nats. Source: a gap is as probable as none, a second cause beside it a twentieth of that, and
         one that the catalogue lacks a fiftieth.
     free_sizes : tuple of float

@@ -40,9 +40,9 @@ def test_a_further_effect_has_odds_of_its_own():
     assert weighed.of_effects["fume"] == pytest.approx(weighed.p[1])
 
 
-def test_an_unknown_cause_beside_effects_has_the_odds_of_both():
+def test_an_unknown_cause_beside_effects_has_the_odds_of_a_further_one():
     weighed = posterior(hypothesis(5.0, "gamma", beside=9.0), hypothesis(4.0, "fume"))
-    assert weighed.p_beside == (pytest.approx(weighed.p[0] * np.exp(9.0 - 5.0 - 1.0)), 0.0)
+    assert weighed.p_beside == (pytest.approx(weighed.p[0] * np.exp(9.0 - 5.0 - 2.0 - 1.0)), 0.0)
     assert weighed.p_unknown == pytest.approx(weighed.p_alone + weighed.p_beside[0])
     assert weighed.p_none + sum(weighed.p) + weighed.p_unknown == pytest.approx(1.0)
     # What an unknown cause has to help does not count as the effect's.
