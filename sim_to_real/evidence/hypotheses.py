@@ -131,10 +131,7 @@ class Posterior:
         ln = [
             none.evidence / policy.temperature,
             *(weight(h, h.evidence) for h in some),
-            *(
-                -math.inf if h.beside is None else weight(h, h.beside.evidence) + beside
-                for h in some
-            ),
+            *(-math.inf if h.beside is None else weight(h, h.beside.evidence) + beside for h in some),
             unknown.evidence / policy.temperature + policy.ln_odds_unknown,
         ]
         p_none, *p, p_alone = np.exp(np.array(ln) - logsumexp(ln)).tolist()
