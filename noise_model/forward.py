@@ -87,14 +87,6 @@ class Layers:
     view: View
     sight: Sight
 
-    def with_metal(self, setup: Setup) -> Layers:
-        """Return the layers of a setup that differs by its metal alone.
-
-        Both share what they keep: where rays end, what the laser reaches, the arc as the surface sees it.
-        Nothing that is rendered here keeps what depends on the metal.
-        """
-        return Layers(replace(self.view, setup=setup), self.sight.with_metal(setup))
-
     @cached_property
     def arc_e(self) -> Float32:
         """The arc's light (...,), e- for `camera.exposure_s`, at its nominal output; 0 past the workpiece."""

@@ -87,7 +87,10 @@ class Sight:
         return cls(setup, make_scenes(setup, T_base_tool, seams), which, rays.xy, rays.cos4)
 
     def with_metal(self, setup: Setup) -> Sight:
-        """Return the same in a setup that differs by its metal alone: it does not change what rays meet."""
+        """Return the same in a setup that differs by its metal alone.
+
+        Both share what they keep, where rays end and the arc as the surface sees it: it depends on no metal.
+        """
         return replace(self, setup=setup)
 
     def subset(self, chosen: Bool) -> Sight:

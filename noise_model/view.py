@@ -127,7 +127,7 @@ class View:
 
         It goes with the pose: `dataclasses.replace` of a setup that renders alike hands it on. What is kept
         may depend on that setup's geometry, source, surface and filter, not on effects on the image; for
-        `Layers.with_metal`, what rendering keeps depends on no metal.
+        `Sight.with_metal`, what rendering keeps depends on no metal.
         """
         if name not in self._kept:
             self._kept[name] = compute()

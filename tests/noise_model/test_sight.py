@@ -11,10 +11,11 @@ from noise_model.arc.map import arc_at, arc_kernel
 from noise_model.arc.scene import make_scene
 from noise_model.forward import look
 from noise_model.instrument.camera import Rays
-from noise_model.instrument.laser import sheet_of, sheets_of
+from noise_model.instrument.laser import beyond_fan_mm, sheet_of, sheets_of
 from noise_model.sight import PixelRays, Sight
 from noise_model.surface.joint import BentSeam, SeamLine
-from noise_model.surface.ray_casting import MISS
+from noise_model.surface.ray_casting import MISS, ways_are_open
+from noise_model.transforms import invert, transform
 
 POSES = (scenes.pose(), scenes.pose((7.0, -1.0, 1.0), (1.0, -2.0, 3.0)), scenes.pose((40.0, 0.5, -0.5)))
 LINES = (SeamLine(25.0, -0.8, 0.1, 0.03), SeamLine(45.0, 0.6, -0.1, -0.02, 0.01))
@@ -71,6 +72,29 @@ def test_sheets_and_footprints_of_many_scenes_are_those_of_each():
             np.testing.assert_allclose(getattr(sheets, name)[n], getattr(sheet, name), rtol=1e-12, atol=1e-12)
         np.testing.assert_array_equal(stacked.footprints_mm[n], stacked[n].footprint_mm)
         assert stacked.below_surface[n] == stacked[n].below_surface
+
+
+@pytest.mark.parametrize("half_angle_deg", [None, 24.0])
+def test_the_sheet_is_seen_where_the_tools_frame_has_it(half_angle_deg):
+    setup = nominal_setup("lap", "mild_steel", width=160, height=120)
+    laser = dataclasses.replace(
+        setup.laser, origin_in_tool_mm=(35.0, -60.0, 140.0), fan_half_angle_deg=half_angle_deg
+    )
+    sight = together(dataclasses.replace(setup, laser=laser))
+    points = sight.surface[0]
+    near, shaded = np.zeros((2, len(points)), dtype=bool)
+    for n in range(len(sight.scenes)):
+        scene, here = sight.scenes[n], np.flatnonzero(sight.which == n)
+        in_tool = transform(invert(scene.T_joint_tool), points[here])
+        sigmas = laser.reach_sigmas * laser.stripe_sigma_mm * np.abs(140.0 - in_tool[:, 2]) / 140.0
+        near[here] = np.abs(in_tool @ laser.plane[:3] + laser.plane[3]) < sigmas
+        origin, is_free = transform(scene.T_joint_tool, laser.origin_mm), np.zeros(len(here), dtype=bool)
+        ways_are_open(points[here], origin, scene.shape.vertices, scene.shape.corrugation, is_free)
+        shaded[here] = near[here] & (~is_free | (beyond_fan_mm(in_tool, laser) > 0.0))
+    np.testing.assert_array_equal(sight.sheet.near, near)
+    np.testing.assert_array_equal(sight.sheet.shaded, shaded)
+    assert near.any()
+    assert shaded.any()
 
 
 def test_a_camera_under_the_sheet_is_refused_among_others():
