@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import idct
 from scipy.special import expit
 from scipy.stats import norm
 
@@ -25,7 +26,7 @@ from sim_to_real.data.blocks import block_means
 from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.nuisances import WITHIN_SIGMAS
-from sim_to_real.variance.compression import find_compression
+from sim_to_real.variance.compression import Compression, find_compression
 from sim_to_real.variance.haar_details import (
     HaarDetails,
     VarianceSizes,
@@ -91,7 +92,10 @@ def random_effects(model: LinearizedModel, fitted: Refit, without: Sequence[str]
     observed = model.observed
     frames, bin_px = observed.frames, observed.bin_px
     pixels = [haar_details(frame, light, bin_px) for frame, light in zip(frames, fitted.lights, strict=True)]
-    streaks = spatter(observed, fitted.lights, fit_sizes(pixels))
+    compression = find_compression([frame.image_dn for frame in frames], observed.setup.sensor)
+    is_compressed = compression is not None and compression.evidence > MIN_EVIDENCE_NATS
+    coded_dn2 = _coded_dn2(compression.quality, bin_px) if compression and is_compressed else 0.0
+    streaks = spatter(observed, fitted.lights, fit_sizes(pixels), coded_dn2)
     keeps = [frame.keep & ~hit for frame, hit in zip(frames, streaks.hit, strict=True)]
     masks = [keep[frame.keep] for frame, keep in zip(frames, keeps, strict=True)]
     masked = [details.subset(use) for details, use in zip(pixels, masks, strict=True)]
@@ -102,7 +106,7 @@ def random_effects(model: LinearizedModel, fitted: Refit, without: Sequence[str]
         *_fixed_pattern(fit, masked, keeps, observed),
         *_laser_speckle(fit, masked, observed),
         *_spatter(streaks, observed),
-        *_image_compression(observed),
+        *_image_compression(compression, observed),
     ]
     stated = set(observed.setup.effects) - {"read_noise"}
     candidates = [effect for effect in effects if effect.id not in stated and effect.id not in without]
@@ -275,20 +279,16 @@ def _spatter(streaks: Spatter, observed: Observed) -> list[_RandomEffect]:
     ]
 
 
-def _image_compression(observed: Observed) -> list[_RandomEffect]:
+def _image_compression(seen: Compression | None, observed: Observed) -> list[_RandomEffect]:
     """Return the compression that the frames' codes show, if they show enough."""
-    frames, setup = observed.frames, observed.setup
-    seen = find_compression([frame.image_dn for frame in frames], setup.sensor)
     if seen is None:
         return []
     # Where codes show none, none scatters.
     is_seen = seen.evidence > MIN_EVIDENCE_NATS
-    excess = (
-        _mean([_compressed_excess(frame, observed, seen.quality) for frame in frames]) if is_seen else 0.0
-    )
-    # A bin's mean is made of the slowest waves of a block.
-    slow = quantisation_steps(seen.quality)[:2, :2]
-    of_bin_dn2 = float(np.sum(slow**2)) / 12.0 / BLOCK_PX**2
+    excess = 0.0
+    if is_seen:
+        excess = _mean([_compressed_excess(frame, observed, seen.quality) for frame in observed.frames])
+    coded_dn2 = _coded_dn2(seen.quality, observed.bin_px)
     return [
         _RandomEffect(
             "image_compression",
@@ -296,9 +296,22 @@ def _image_compression(observed: Observed) -> list[_RandomEffect]:
             {"quality": seen.quality},
             {"quality": seen.sigma},
             excess,
-            lambda details: np.full(len(details.stated), of_bin_dn2),
+            lambda details: np.full(len(details.stated), coded_dn2),
         )
     ]
+
+
+def _coded_dn2(quality: float, bin_px: int) -> float:
+    """Return the variance, DN^2, that compression adds to the mean of a bin.
+
+    Rounding leaves step^2 / 12 of each wave of a block, of which a bin's mean keeps a share.
+    """
+    pixels = np.arange(math.lcm(BLOCK_PX, bin_px))
+    waves = idct(np.eye(BLOCK_PX), norm="ortho", axis=1)[:, pixels % BLOCK_PX]
+    means = np.zeros((len(pixels) // bin_px, len(pixels) // BLOCK_PX, BLOCK_PX))
+    np.add.at(means, (pixels // bin_px, pixels // BLOCK_PX), waves.T / bin_px)
+    kept = np.sum(means**2, axis=1).mean(axis=0)
+    return float(kept @ quantisation_steps(quality) ** 2 @ kept) / 12.0
 
 
 def _compressed_excess(frame: ObservedFrame, observed: Observed, quality: float) -> Float64:

@@ -98,9 +98,11 @@ class Streak:
     is_full: bool
 
 
-def spatter(observed: Observed, lights: Sequence[FrameLight], sizes: VarianceSizes) -> Spatter:
-    """Return the spatter that frames show; `sizes` are those of the other random effects."""
-    searched, sensor = search_lines(observed, lights, sizes), lights[0].sensor
+def spatter(
+    observed: Observed, lights: Sequence[FrameLight], sizes: VarianceSizes, more_dn2: float = 0.0
+) -> Spatter:
+    """Return the spatter that frames show, beside other random effects, see `search_lines`."""
+    searched, sensor = search_lines(observed, lights, sizes, more_dn2), lights[0].sensor
     bright, dark = transient_lines(observed, searched)
     lit = observed.lit
     bright_when_lit = [line for line in bright if lit[line.position]]

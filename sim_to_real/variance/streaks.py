@@ -7,6 +7,7 @@ the part.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -95,23 +96,33 @@ class LineSearch:
     dark: Float32
 
 
-def search_lines(observed: Observed, lights: Sequence[FrameLight], sizes: VarianceSizes) -> list[LineSearch]:
-    """Return the search for lines in each frame; `sizes` are those of the other random effects."""
+def search_lines(
+    observed: Observed, lights: Sequence[FrameLight], sizes: VarianceSizes, more_dn2: float = 0.0
+) -> list[LineSearch]:
+    """Return the search for lines in each frame; `sizes` are those of the other random effects.
+
+    `more_dn2` is the variance that compression adds to every bin.
+    """
     n_trials = len(observed.frames) * observed.frames[0].keep.size * N_ANGLES
     min_sigmas = float(norm.isf(FALSE_ALARMS / n_trials))
     return [
-        _searched(frame, light, sizes, min_sigmas, observed.bin_px)
+        _searched(frame, light, sizes, more_dn2, min_sigmas, observed.bin_px)
         for frame, light in zip(observed.frames, lights, strict=True)
     ]
 
 
 def _searched(
-    frame: ObservedFrame, light: FrameLight, sizes: VarianceSizes, min_sigmas: float, bin_px: int
+    frame: ObservedFrame,
+    light: FrameLight,
+    sizes: VarianceSizes,
+    more_dn2: float,
+    min_sigmas: float,
+    bin_px: int,
 ) -> LineSearch:
     sensor, around = light.sensor, np.ones((2 * MISPLACED_BINS + 1,) * 2, dtype=np.uint8)
     seen_dn = np.asarray(cv2.medianBlur(frame.binned_dn, WIDE_BINS), dtype=np.float32)
     light_dn = seen_dn - np.float32(sensor.black_level_dn)
-    noise_dn = _noise_dn(frame, light, seen_dn, sizes, bin_px)
+    noise_dn = np.hypot(_noise_dn(frame, light, seen_dn, sizes, bin_px), np.float32(math.sqrt(more_dn2)))
     floor_dn = np.hypot(FLOOR_REL * light_dn, FLOOR_DN)
     own = line_response(respond(frame.stated_e, sensor).astype(np.float32))
     own_lines = np.maximum(np.maximum(own.bright, own.dark).max(axis=0), 0.0)

@@ -3,15 +3,19 @@
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
+from scipy.fft import idctn
 from scipy.integrate import quad
 from scipy.stats import norm
 
 from noise_model.arrays import Float64
+from noise_model.effects.compression import quantisation_steps
+from sim_to_real.data.blocks import block_means
 from sim_to_real.variance import random_effects as of_scatter
 from sim_to_real.variance.random_effects import MIN_EVIDENCE_NATS, random_effects
-from tests.sim_to_real.scattered import HEIGHT, WIDTH, Scattering, recorded, streak
+from tests.sim_to_real.scattered import BIN_PX, HEIGHT, WIDTH, Scattering, recorded, streak
 
 RANDOM = {"read_noise", "fixed_pattern", "laser_speckle", "spatter"}
 SOUGHT = RANDOM | {"image_compression"}
@@ -195,6 +199,32 @@ def test_effects_of_sources_that_are_hardly_on_are_not_looked_for():
         "read_noise",
         "image_compression",
     }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("quality", [12, 35])
+def test_the_lines_that_compression_leaves_are_no_streaks(quality):
+    """The frames went through OpenCV's JPEG, whose blocks have lines of their own."""
+    expected, fitted = recorded(np.random.default_rng(5), Scattering(), N_FRAMES)
+    frames = []
+    for frame in expected.observed.frames:
+        codes = cv2.imencode(".jpg", frame.image_dn, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        image_dn = cv2.imdecode(codes, cv2.IMREAD_UNCHANGED)
+        binned_dn = block_means(image_dn, BIN_PX).astype(np.float32)
+        frames.append(replace(frame, image_dn=image_dn, binned_dn=binned_dn))
+    expected.observed = replace(expected.observed, frames=tuple(frames))
+    assert set(random_effects(expected, fitted, ()).effects) == {"image_compression"}
+
+
+@pytest.mark.parametrize("bin_px", [1, 2, 3, 4, 8])
+def test_what_rounding_leaves_in_bins_is_that_of_each_wave(bin_px):
+    """Every wave of a block off by an even draw of its step."""
+    rng, quality = np.random.default_rng(3), 40.0
+    off = quantisation_steps(quality) * rng.uniform(-0.5, 0.5, (90, 90, 8, 8))
+    image = idctn(off, axes=(2, 3), norm="ortho").swapaxes(1, 2).reshape(720, 720)
+    assert of_scatter._coded_dn2(quality, bin_px) == pytest.approx(
+        np.var(block_means(image, bin_px)), rel=0.05
+    )
 
 
 @pytest.mark.parametrize(("size", "error", "prior"), [(0.2, 0.06, 1.0), (0.0, 0.05, 1.0), (-0.1, 0.05, 0.5)])
