@@ -36,6 +36,9 @@ TermEvidence: TypeAlias = Mapping[Term, Sequence[float]]
 MAX_SINGLES, MAX_TRENDS = 10, 3
 """So many effects are fitted at most; so many of the likeliest ones are fitted as changing in time, too."""
 
+MAX_APPROACHED, APPROACH_SHARE = 3, 0.7
+"""So many fits that are far off come nearer, as long as each step leaves no more than this share."""
+
 MAX_ROUNDS, SETTLED_NATS = 4, 1.0
 """Light is rendered anew at a fit so often at most, as long as the evidence gains so many nats."""
 
@@ -212,9 +215,26 @@ class HypothesisSearch:
                 continue
             self.on_stage(f"fitting {name}", 0.2 + 0.6 * n / MAX_SINGLES)
             fitted.append(self.hypothesis(self.fit(starts[name], self.start.nuisance)))
-        settled = self._settled(fitted, unknown)
+        settled = self._settled(self._approached(fitted), unknown)
         trends = [trend for single in settled[:MAX_TRENDS] for trend in self._with_trends(single)]
         return sorted([*self._settled(trends, unknown), *settled], key=_evidence, reverse=True)
+
+    def _approached(self, fitted: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return fits, of which the likeliest have come nearer if all of them are far off.
+
+        Where no effect leaves less than what biases nuisances, light was not linear between start and fit. A
+        narrower stripe that lies elsewhere comes near in some steps, and what is missing does not.
+        """
+        every = sorted(fitted, key=_evidence, reverse=True)
+        if any(hypothesis.refit.mean_square < BIASED_MEAN_SQUARE for hypothesis in every):
+            return every
+        for n, far in enumerate(every[:MAX_APPROACHED]):
+            for _ in range(MAX_ROUNDS):
+                near = refit_there(self.model, far.refit, self.errors.loss.about)
+                if near.mean_square > APPROACH_SHARE * far.refit.mean_square:
+                    break
+                every[n] = far = self.hypothesis(near)
+        return every
 
     def _needed(self, near_best: float) -> float:
         """Return the gain over no gap from which on a fit could still change the posterior, nats.
