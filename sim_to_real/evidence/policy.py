@@ -37,8 +37,9 @@ class Policy:
         at 2 to 4.5 as many verdicts on an opened check are right.
     ln_odds_effect, ln_odds_further, ln_odds_unknown : float
         Prior odds against no gap: of one effect of the catalogue, of a further cause, of an unknown one.
-        Unit: nats. Source: a gap is as probable as none, a second cause beside it a twentieth of that, and
-        one that the catalogue lacks a fiftieth.
+        Unit: nats. Source: an effect of the catalogue is a third as probable as no gap, a second cause beside
+        it a twentieth of that, and one that the catalogue lacks a fiftieth as probable as no gap; on opened
+        checks the first names nothing in 148 quiet recordings, and 0 names a blooming of 0.52 in one.
     free_sizes : tuple of float
         1 sigma of an unknown cause's term; all equally probable. Unit: share of the light that it changes.
         Source: chosen, from what the model may be off to half of the light.
@@ -55,7 +56,7 @@ class Policy:
     n_bins: int = 9000
     max_ripple: float = 1.0
     temperature: float = 3.0
-    ln_odds_effect: float = 0.0
+    ln_odds_effect: float = -1.0
     ln_odds_further: float = -3.0
     ln_odds_unknown: float = -4.0
     free_sizes: tuple[float, ...] = (0.02, 0.1, 0.5)
