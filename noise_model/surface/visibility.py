@@ -325,16 +325,19 @@ def horizon_tables(
     shape: Section, x_range_mm: tuple[float, float], center: Float64, radius: float
 ) -> tuple[float, Float64]:
     """Return the start (mm) and the (2, n, 2) horizon tables of a corrugated lap, else empty ones."""
-    starts, tables = horizons_of_scenes(shape, np.array([x_range_mm]), center[np.newaxis], radius)
+    # Points beyond what the camera sees are asked for, too, where faces are continued.
+    starts, tables = horizons_of_scenes(
+        shape, np.array([x_range_mm]), center[np.newaxis], radius, everywhere=True
+    )
     return float(starts[0]), np.asarray(tables[0])
 
 
 def horizons_of_scenes(
-    shape: Section, x_ranges_mm: Float64, centers: Float64, radius: float
+    shape: Section, x_ranges_mm: Float64, centers: Float64, radius: float, everywhere: bool = False
 ) -> tuple[Float64, Float64]:
     """Return the starts (s,), mm, and the (s, 2, n, 2) horizon tables of several scenes, else empty ones.
 
-    Between `x_ranges_mm` (s, 2) the tables are asked for, and filled: the rest of them is not written.
+    They reach from `x_ranges_mm` (s, 2) to the arc, and are filled within these or `everywhere`; else NaN.
     """
     n_scenes = len(centers)
     if shape.corrugation[0] == 0.0:
@@ -344,9 +347,10 @@ def horizons_of_scenes(
     starts = HORIZON_STEP_MM * (np.floor(lowest / HORIZON_STEP_MM) - 1.0)
     highest = np.maximum(x_ranges_mm[:, 1], centers[:, 0] + radius) + HORIZON_STEP_MM
     counts = np.ceil((highest - starts) / HORIZON_STEP_MM).astype(np.int64) + 1
-    tables = np.empty((n_scenes, 2, int(counts.max()), 2))
+    tables = np.full((n_scenes, 2, int(counts.max()), 2), np.nan)
     terrain = shape.vertices[1, 1], shape.vertices[2, 1]
-    _write_horizons(starts, counts, x_ranges_mm, centers, radius, shape.corrugation, terrain, tables)
+    asked_mm = np.tile([lowest.min(), highest.max()], (n_scenes, 1)) if everywhere else x_ranges_mm
+    _write_horizons(starts, counts, asked_mm, centers, radius, shape.corrugation, terrain, tables)
     return starts, tables
 
 
