@@ -44,8 +44,6 @@ REMEMBERED = 4
 
 Kept = TypeVar("Kept")
 
-Number = TypeVar("Number", np.float32, np.int32, np.bool_)
-
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -199,6 +197,9 @@ def look(
         view = View.of(setup, T_base_tool, seam, rays, pixels)
         return Layers(view, view.sight)
     view = View.of(setup, T_base_tool, seam.middle, rays, pixels, ground=seam.ground)
+    if stretch is None:
+        # What effects ask of the middle stretch is traced once.
+        stretch = seam.stretch_at(view.sight.surface[0][:, 0])
     every = np.arange(rays.cos4.size) if pixels is None else pixels
     return Layers(view, Sight.along(setup, [T_base_tool], [seam], PixelRays.of(rays, [every]), stretch))
 

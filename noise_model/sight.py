@@ -175,9 +175,14 @@ class Sight:
         return seen
 
     def _keep(self, name: str, compute: Callable[[], Kept]) -> Kept:
-        if name not in self._kept:
-            self._kept[name] = compute()
-        return cast(Kept, self._kept[name])
+        return kept_in(self._kept, name, compute)
+
+
+def kept_in(store: dict[str, object], name: str, compute: Callable[[], Kept]) -> Kept:
+    """Return what a store holds under a name, or compute and keep it."""
+    if name not in store:
+        store[name] = compute()
+    return cast(Kept, store[name])
 
 
 @kernel

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeVar, cast
 
 import numpy as np
 
@@ -12,10 +11,8 @@ from noise_model.arc.scene import Scene, Scenes, make_scene
 from noise_model.arrays import Float32, Float64, Int32, Int64, Integers
 from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
-from noise_model.sight import Sight
+from noise_model.sight import Kept, Sight, kept_in
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
-
-Kept = TypeVar("Kept")
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +126,4 @@ class View:
         may depend on that setup's geometry, source, surface and filter, not on effects on the image; for
         `Sight.with_metal`, what rendering keeps depends on no metal.
         """
-        if name not in self._kept:
-            self._kept[name] = compute()
-        return cast(Kept, self._kept[name])
+        return kept_in(self._kept, name, compute)

@@ -51,7 +51,10 @@ class Scene:
         Its rim's rays are followed to the highest and the lowest level between the plates, and to the plates
         where these rise or fall.
         """
-        return np.asarray(Scenes.alone(self).footprints_mm[0])
+        footprint = np.empty((2, 2))
+        rays, shape = _rim_rays(*self.camera.geometry), self.shape
+        _write_footprint(rays, self.T_joint_camera, shape.vertices, shape.corrugation, footprint)
+        return footprint
 
     @property
     def stations_mm(self) -> tuple[float, float, float]:
@@ -62,7 +65,7 @@ class Scene:
     @cached_property
     def below_surface(self) -> bool:
         """Whether the camera stands in or under the workpiece, where no prediction makes sense."""
-        return bool(Scenes.alone(self).below_surface[0])
+        return bool(_are_below(self.T_joint_camera[:3, 3], self.shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,19 +99,16 @@ class Scenes:
         return Scene(*poses, self.camera, self.center_mm[i], self.shape, (slope, aside_mm))
 
     @cached_property
-    def footprints_mm(self) -> Float64:
-        """The `Scene.footprint_mm` of each (n, 2, 2), mm."""
-        footprints = np.empty((len(self), 2, 2))
-        rays, shape = _rim_rays(*self.camera.geometry), self.shape
-        _write_footprints(rays, self.T_joint_camera, shape.vertices, shape.corrugation, footprints)
-        return footprints
-
-    @cached_property
     def below_surface(self) -> Bool:
         """The `Scene.below_surface` of each (n,)."""
-        x, y, z = self.T_joint_camera[:, :3, 3].T
-        plain = np.interp(y, self.shape.vertices[:, 0], self.shape.vertices[:, 1])
-        return np.asarray(z <= plain + corrugation_height(x, self.shape.corrugation))
+        return _are_below(self.T_joint_camera[:, :3, 3], self.shape)
+
+
+def _are_below(places_mm: Float64, shape: Section) -> Bool:
+    """Say which places (..., 3), joint frame, lie in or under a section."""
+    x, y, z = places_mm.T
+    plain = np.interp(y, shape.vertices[:, 0], shape.vertices[:, 1])
+    return np.asarray(z <= plain + corrugation_height(x, shape.corrugation))
 
 
 def make_scene(
@@ -220,15 +220,6 @@ def _write_footprint(
                     min(footprint[c, 0], coordinate),
                     max(footprint[c, 1], coordinate),
                 )
-
-
-@kernel
-def _write_footprints(
-    rays: Float64, T_joint_camera: Float64, vertices: Float64, corrugation: Float64, footprints: Float64
-) -> None:
-    """Write the footprint (n, 2, 2) of each pose (n, 4, 4), see `_write_footprint`."""
-    for i in range(footprints.shape[0]):
-        _write_footprint(rays, T_joint_camera[i], vertices, corrugation, footprints[i])
 
 
 @lru_cache

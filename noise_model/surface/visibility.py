@@ -33,7 +33,7 @@ HORIZON_STEP_MM = 0.25
 
 
 @kernel
-def _write_horizon(
+def write_horizon(
     heights: Float64,
     x_start: float,
     rows: tuple[int, int],
@@ -43,9 +43,13 @@ def _write_horizon(
     foot: float,
     table: Float64,
 ) -> None:
-    """Write rows first ... last - 1 of a horizon table (n, 2), see `horizon_table`.
+    """Write rows first ... last - 1 of a table (n, 2): the steepest slope towards the arc, and where it is.
 
-    `heights` (n,) are the corrugation's, none above `top`, `arc` is the arc's center_x and radius.
+    Each row is a station, HORIZON_STEP_MM after the one before. `heights` (n,) are the corrugation's c(x)
+    there, none above `top`, `arc` is the arc's center_x and radius. Seen from height c(x) for terrain that
+    lies `lift` mm higher than the surface the point is on: all of it up to the arc's near side, and up to its
+    far side what rises towards it to no more than c = `foot`, the arc's own level: no part of the arc stands
+    in front of that and below its top. -inf where nothing lies between.
     """
     (center_x, radius), n = arc, len(heights)
     for i in range(rows[0], rows[1]):
@@ -70,24 +74,6 @@ def _write_horizon(
         table[i, 0], table[i, 1] = steepest, where
 
 
-@kernel(allocates=True)
-def horizon_table(
-    x_start: float, n: int, center_x: float, radius: float, corrugation: Float64, lift: float, foot: float
-) -> Float64:
-    """Return (n, 2): per station the steepest slope of the corrugation towards the arc, and where it is.
-
-    Seen from height c(x) for terrain that lies `lift` mm higher than the surface the point is on: all of it
-    up to the arc's near side, and up to its far side what rises towards it to no more than c = `foot`, the
-    arc's own level: no part of the arc stands in front of that and below its top. -inf where nothing lies
-    between.
-    """
-    table, heights = np.empty((n, 2)), np.empty(n)
-    for i in range(n):
-        heights[i] = ridge(x_start + i * HORIZON_STEP_MM, corrugation)[0]
-    _write_horizon(heights, x_start, (0, n), (center_x, radius), corrugation[0], lift, foot, table)
-    return table
-
-
 @kernel(inline=True)
 def touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
     """Look a station up in a horizon table: slope (interpolated) and place of the touching point."""
@@ -104,7 +90,7 @@ def touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
 
 @kernel
 def _steepest(P: Vector, sheet_z: float, center: Vector, radius: float, corrugation: Float64) -> float:
-    """Return the steepest slope from P over one sheet on the way to the arc, as in `horizon_table`."""
+    """Return the steepest slope from P over one sheet on the way to the arc, as in `write_horizon`."""
     towards = 1.0 if center[0] > P[0] else -1.0
     steepest = -math.inf
     for j in range(1, int((abs(center[0] - P[0]) + radius) / HORIZON_STEP_MM) + 1):
@@ -245,7 +231,7 @@ def sky_planes(
 ) -> tuple[int, int]:
     """Write the half-spaces m.omega > 0 of directions in which P sees the arc; return how many, and ledges.
 
-    `planes` (MAX_PLANES, 3). The first is P's own horizon. `horizons` (2, n, 2) are `horizon_table`s for
+    `planes` (MAX_PLANES, 3). The first is P's own horizon. `horizons` (2, n, 2) are `horizon_tables` for
     terrain as high as P's sheet and lower by the step of the sheets. `ledges` (2 MAX_LEDGES, 3) are pairs of
     a half-space and a face (n_y, n_z, c) that cuts into the arc: what lies behind it, n_y y + n_z z < c, is
     seen in the half-space alone. Edges that `bend` are taken along their `tangent`; a ledge is written as if
@@ -378,7 +364,7 @@ def _write_horizons(
         for sheet in range(2):
             lift, level = (0.0, upper) if sheet == 0 else (lower - upper, lower)
             foot = centers[s, 2] - level
-            _write_horizon(
+            write_horizon(
                 heights[:n],
                 start,
                 (first, last),

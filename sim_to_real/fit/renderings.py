@@ -7,7 +7,7 @@ another metal does not change what rays meet.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -269,7 +269,7 @@ def _key(
     return tuple(frames), anchor[N_LEVELS:].tobytes(), rendering
 
 
-def _tracked_with(effects: Mapping[str, Values]) -> tuple[object, ...]:
+def _tracked_with(effects: Effects) -> tuple[object, ...]:
     """Return those effects, with their values, that change the seam which a tracker finds."""
     return tuple(
         (name, tuple(effects[name].items())) for name in sorted(TRIANGULATION_EFFECTS & set(effects))

@@ -7,15 +7,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from noise_model.surface.faces import face_normal
-from noise_model.surface.joint import section
+from noise_model.surface.joint import corrugation_height, section
 from noise_model.surface.ray_casting import MISS, first_hit, is_open, trace, way_is_open, ways_are_open
 from noise_model.surface.visibility import (
     HORIZON_STEP_MM,
     MAX_LEDGES,
     MAX_PLANES,
-    horizon_table,
     horizon_tables,
     sky_planes,
+    write_horizon,
 )
 
 GRAZED_MM = 0.01
@@ -255,6 +255,13 @@ def test_half_spaces_open_the_arc_as_a_walk_does(name, center):
         np.testing.assert_array_equal(walked[seen], open_by_walk[seen])
         n_hidden += np.count_nonzero(~open_by_walk)
     assert n_hidden > 0
+
+
+def horizon_table(x_start, n, center_x, radius, corrugation, lift, foot):
+    stations = x_start + HORIZON_STEP_MM * np.arange(n)
+    heights, table = corrugation_height(stations, corrugation), np.empty((n, 2))
+    write_horizon(heights, x_start, (0, n), (center_x, radius), corrugation[0], lift, foot, table)
+    return table
 
 
 @pytest.mark.parametrize(("center_x", "lift"), [(0.0, 0.0), (12.0, 0.0), (30.0, -1.5)])
