@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from arctrack.errors import ArctrackError, as_line, in_file
+from arctrack import workers
+from arctrack.errors import ArctrackError, in_file
 from arctrack.output import make_folder, real, write_whole
 from arctrack.printable import printable
 from arctrack.recording import pose_at, read_recording
 from arctrack.recording.diagnosis_files import FILES, REPORT_PAGE, write_numbers
 from arctrack.recording.setup_file import FILE_NAME, with_effects
+from arctrack.workers import Failed
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from noise_model.spelling import cure_for
@@ -26,9 +27,6 @@ DIAGNOSIS_FOLDER = "diagnosis"
 
 THREADS = 2
 """Threads of a recording that is diagnosed alone: beside other processes one is best."""
-
-CONNECT_S = 10.0
-"""How long a cluster's scheduler may take to answer."""
 
 OnStage = Callable[[str, float], None]
 """Hears what a diagnosis does now, and which share of it is done."""
@@ -64,29 +62,7 @@ class Diagnosed:
     complaint: str | None
 
 
-@dataclass(frozen=True)
-class Failed:
-    """A recording that could not be diagnosed, and why."""
-
-    job: Job
-    error: Exception
-
-    @property
-    def problem(self) -> str:
-        """One line for people."""
-        if isinstance(self.error, ArctrackError | OSError):
-            return as_line(self.error, self.job.recording)
-        if isinstance(self.error, BrokenExecutor):
-            return f"{self.job.recording}: its process ended, for want of memory perhaps; try fewer --workers"
-        return f"{self.job.recording}: {type(self.error).__name__}: {self.error}"
-
-    @property
-    def foreseen(self) -> bool:
-        """Whether the user can mend it; else it is a fault of arctrack's."""
-        return isinstance(self.error, ArctrackError | BrokenExecutor | OSError)
-
-
-Outcome = Diagnosed | Failed
+Outcome = Diagnosed | Failed[Job]
 
 
 def jobs_for(
@@ -160,41 +136,7 @@ def in_turn(jobs: Iterable[Job], on_stage: Callable[[Job], OnStage]) -> Iterator
 
 def at_once(jobs: Iterable[Job], executor: Executor) -> Iterator[Outcome]:
     """Diagnose recordings wherever an executor runs them, and yield each as it comes."""
-    futures = {executor.submit(diagnose_recording, job, threads=1): job for job in jobs}
-    for future in as_completed(futures):
-        try:
-            yield future.result()
-        except Exception as error:
-            yield Failed(futures[future], error)
-
-
-@contextmanager
-def processes(count: int) -> Iterator[Executor]:
-    """Give an executor of so many processes on this machine."""
-    # A forked process would inherit the locks of threads that it does not have.
-    executor = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
-    try:
-        yield executor
-    finally:
-        executor.shutdown(cancel_futures=True)
-
-
-@contextmanager
-def cluster(address: str) -> Iterator[Executor]:
-    """Give an executor on a Dask cluster, whose workers must see the recordings under the same paths.
-
-    ArctrackError if Dask is not installed or no scheduler answers.
-    """
-    try:
-        from distributed import Client
-    except ImportError:
-        raise ArctrackError("--scheduler needs Dask: pip install 'arctrack[cluster]'") from None
-    try:
-        client = Client(address, timeout=CONNECT_S)
-    except (OSError, ValueError) as error:
-        raise ArctrackError(f"--scheduler {address}: no scheduler answers there: {error}") from None
-    with client, client.get_executor(pure=False) as executor:
-        yield executor
+    return workers.at_once(partial(diagnose_recording, threads=1), jobs, executor)
 
 
 def apply(diagnosed: Diagnosed) -> str:

@@ -51,9 +51,9 @@ from threadpoolctl import threadpool_limits
 
 from arctrack.blind_check.files import SealedFile, read_check_file
 from arctrack.blind_check.run import RECORDINGS, RESULTS, SEALED, cases
-from arctrack.diagnose import processes
 from arctrack.output import write_whole
 from arctrack.recording import BadFrame, pose_at, read_recording
+from arctrack.workers import processes
 from noise_model.arrays import Float32, Float64
 from sim_to_real.check.case import Case
 from sim_to_real.check.score import Rate

@@ -24,12 +24,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from arctrack.blind_check.files import LabelsFile, ResultFile, SealedFile, read_check_file
-from arctrack.diagnose import processes
 from arctrack.errors import ArctrackError, in_file
 from arctrack.output import real, write_whole
 from arctrack.recording import BadFrame, Recording, RecordingWriter, pose_at, read_recording
 from arctrack.recording.diagnosis_files import plain, report
 from arctrack.recording.reader import UNFINISHED_SUFFIX
+from arctrack.workers import processes
 from sim_to_real.check.case import FAILED, Answer, Case
 from sim_to_real.check.plan import TIERS, Planned, plan
 from sim_to_real.check.score import Scores, score

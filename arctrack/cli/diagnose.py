@@ -49,12 +49,12 @@ def diagnose(
     """
     from arctrack.cli import console
     from arctrack.cli.diagnose_text import print_many, print_one
-    from arctrack.diagnose import Diagnosed, Failed, jobs_for
+    from arctrack.diagnose import Diagnosed, jobs_for
+    from arctrack.workers import Failed, check_choice
 
     if apply and setup is not None:
         raise ArctrackError("--apply writes into the recording's own recording.toml: leave --setup out")
-    if scheduler is not None and workers > 1:
-        raise ArctrackError("--workers and --scheduler: take one of them")
+    check_choice(workers, scheduler)
     jobs = jobs_for(recordings, out, setup, without or ())
     outcomes = sorted(_outcomes(jobs, workers, scheduler), key=lambda outcome: jobs.index(outcome.job))
     done = [outcome for outcome in outcomes if isinstance(outcome, Diagnosed)]
@@ -77,17 +77,15 @@ def diagnose(
 def _outcomes(jobs: list[Job], workers: int, scheduler: str | None) -> Iterator[Outcome]:
     """Yield what becomes of each recording, and show how far it is."""
     from arctrack import diagnose as engine
+    from arctrack.workers import executor_of
 
     with _progress() as bar:
         if scheduler is None and min(workers, len(jobs)) == 1:
             yield from engine.in_turn(jobs, lambda job: _stages(bar, job))
             return
-        executor = (
-            engine.processes(min(workers, len(jobs))) if scheduler is None else engine.cluster(scheduler)
-        )
         task = bar.add_task("recordings", total=len(jobs))
-        with executor as ready:
-            for outcome in engine.at_once(jobs, ready):
+        with executor_of(min(workers, len(jobs)), scheduler) as executor:
+            for outcome in engine.at_once(jobs, executor):
                 bar.advance(task)
                 yield outcome
 

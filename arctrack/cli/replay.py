@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from arctrack.cli.interrupt import interruptible
-from arctrack.errors import ArctrackError, as_line
+from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
     from arctrack.check.verdict import Verdict
     from arctrack.recording import Recording
     from arctrack.recording.results import Summary
-    from arctrack.replay import Replay, ReplayOptions
+    from arctrack.replays import Listeners, Outcome, ReplayJob
 
 
 def replay(
@@ -65,6 +67,14 @@ def replay(
     rrd: Annotated[
         bool, typer.Option("--rrd", help="Write replay.rrd too, for Rerun. Needs arctrack\\[rerun].")
     ] = False,
+    workers: Annotated[int, typer.Option(min=1, help="Recordings replayed at once, a process each.")] = 1,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="A Dask cluster's scheduler, to replay recordings there; needs the extra cluster.",
+        ),
+    ] = None,
 ) -> None:
     """Track recordings; write results.csv, summary.json, bus.blf, overlay.mp4, overview.png, replay.html.
 
@@ -75,16 +85,15 @@ def replay(
     The last lines say how many frames are valid and, where few are, what most likely is wrong. The exit code
     is 3 where no frame is valid.
     """
-    from arctrack import replay as engine
     from arctrack.cell_file import read_cell_file
-    from arctrack.check.verdict import verdict_on
-    from arctrack.cli import console
-    from arctrack.recording import read_recording
     from arctrack.recording.results import REPLAY_MCAP, REPLAY_RRD
+    from arctrack.replay import ReplayOptions
+    from arctrack.replays import check_bus, jobs_for
+    from arctrack.workers import check_choice
 
-    folders = results_folders(recordings, out)
+    check_choice(workers, scheduler)
     exports = tuple(name for name, wanted in ((REPLAY_MCAP, mcap), (REPLAY_RRD, rrd)) if wanted)
-    options = engine.ReplayOptions(
+    options = ReplayOptions(
         bus=bus,
         use_arc_map=arc_map,
         pictures=pictures,
@@ -93,51 +102,96 @@ def replay(
         job_number=job,
         onto_a_robot=onto_a_robot,
     )
-    complaints: list[str] = []
-    summaries: list[Summary] = []
-    verdicts: list[Verdict] = []
-    written: list[str] = []
-    with console.progress() as bar:
-        for path, folder in zip(recordings, folders, strict=True):
-            # What is wrong with one recording does not stop the others.
-            try:
-                done = _replayed(bar, read_recording(path, setup), folder, options)
-                recording = done.recording
-                summaries.append(done.summary)
-                verdicts.append(verdict_on(recording, done.tracks))
-                written.append(f"{recording.name}: {verdicts[-1].line}")
-                written.append(f"{recording.name}: results in {folder}")
-                if done.complaint is not None:
-                    complaints.append(done.complaint)
-                if not arc_map and recording.has_truth:
-                    on_frame = console.track(bar, f"{recording.name}, arc map", len(recording.rows))
-                    summaries.append(engine.track_alone(recording, True, on_frame))
-            except (ArctrackError, OSError) as error:
-                complaints.append(as_line(error, path))
-    _show(summaries, len(recordings) > 1)
-    console.say(*written)
-    console.complain(complaints)
-    _end(complaints, verdicts)
+    jobs = jobs_for(recordings, out, setup, options)
+    if scheduler is not None or min(workers, len(jobs)) > 1:
+        check_bus(options)
+        jobs = jobs if scheduler is None else [job.absolute() for job in jobs]
+        outcomes = sorted(_at_once(jobs, workers, scheduler), key=lambda outcome: jobs.index(outcome.job))
+    else:
+        outcomes = list(_in_turn(jobs))
+    _report(outcomes)
 
 
-def _replayed(bar: Progress, recording: Recording, folder: Path, options: ReplayOptions) -> Replay:
-    """Replay a recording with all that is said meanwhile."""
-    from arctrack import replay as engine
+def _at_once(jobs: list[ReplayJob], workers: int, scheduler: str | None) -> Iterator[Outcome]:
+    """Yield what becomes of each recording as it comes, and say what it warns of."""
+    from arctrack.cli import console
+    from arctrack.replays import Replayed, at_once
+    from arctrack.workers import executor_of
+
+    kept = "rows so far are in the recordings' results.csv"
+    with (
+        console.progress() as bar,
+        interruptible("replay", kept),
+        executor_of(min(workers, len(jobs)), scheduler) as executor,
+    ):
+        on_recording = console.track(bar, "recordings", len(jobs), "recordings")
+        for n, outcome in enumerate(at_once(jobs, executor)):
+            on_recording(n + 1)
+            if isinstance(outcome, Replayed):
+                console.warn([*outcome.warnings, *outcome.replay_warnings])
+                console.say_compiled(outcome.job.name, outcome.warm_up)
+            yield outcome
+
+
+def _in_turn(jobs: list[ReplayJob]) -> Iterator[Outcome]:
+    """Replay recordings one after another in this process; one that fails does not stop the others."""
     from arctrack.cli import console
     from arctrack.recording.results import BUS_LOG, RESULTS_CSV
+    from arctrack.replays import replay_job
+    from arctrack.workers import Failed
+
+    with console.progress() as bar:
+        for job in jobs:
+            kept = f"rows so far are in {job.folder / RESULTS_CSV}, what was sent in {job.folder / BUS_LOG}"
+            try:
+                with interruptible(f"{job.name}: replay", kept):
+                    done = replay_job(job, partial(_begin, bar, job))
+            except (ArctrackError, OSError) as error:
+                yield Failed(job, error)
+                continue
+            console.say_compiled(job.name, done.warm_up)
+            console.warn(done.replay_warnings)
+            yield done
+
+
+def _begin(bar: Progress, job: ReplayJob, recording: Recording) -> Listeners:
+    """Say what is doubtful about a recording, and show from now on how far its replay is."""
+    from arctrack.cli import console
+    from arctrack.replays import Listeners
 
     console.warn(recording.warnings)
-    on_frame = console.track(bar, recording.name, len(recording.rows))
-    on_drawn = None
-    if options.pictures or options.exports:
-        on_drawn = console.track(bar, f"{recording.name}, pictures", len(recording.rows))
-    on_compiled = console.compiling(bar, recording.name)
-    kept = f"rows so far are in {folder / RESULTS_CSV}, what was sent in {folder / BUS_LOG}"
-    with interruptible(f"{recording.name}: replay", kept):
-        done = engine.replay_recording(recording, folder, options, on_frame, on_drawn, on_compiled)
-    console.say_compiled(recording.name, done.warm_up)
-    console.warn(f"{recording.path}: {warning}" for warning in done.warnings)
-    return done
+    name, rows, options = job.name, len(recording.rows), job.options
+    on_frame = console.track(bar, name, rows)
+    draws = options.pictures or bool(options.exports)
+    compares = not options.use_arc_map and recording.has_truth
+    return Listeners(
+        on_frame,
+        console.track(bar, f"{name}, pictures", rows) if draws else None,
+        console.compiling(bar, name),
+        console.track(bar, f"{name}, arc map", rows) if compares else None,
+    )
+
+
+def _report(outcomes: list[Outcome]) -> None:
+    """Say what became of the recordings, and leave with the exit code of it, if that is not 0."""
+    from arctrack.cli import console
+    from arctrack.replays import Replayed
+    from arctrack.workers import Failed
+
+    done = [outcome for outcome in outcomes if isinstance(outcome, Replayed)]
+    failed = [outcome for outcome in outcomes if isinstance(outcome, Failed)]
+    _show([summary for replayed in done for summary in replayed.summaries], len(outcomes) > 1)
+    for replayed in done:
+        console.say(
+            f"{replayed.job.name}: {replayed.verdict.line}",
+            f"{replayed.job.name}: results in {replayed.job.folder}",
+        )
+    complaints = [*(failure.problem for failure in failed), *(r.complaint for r in done if r.complaint)]
+    console.complain(complaints)
+    for failure in failed:
+        if not failure.foreseen:
+            raise failure.error
+    _end(complaints, [replayed.verdict for replayed in done])
 
 
 def _end(complaints: list[str], verdicts: list[Verdict]) -> None:
@@ -162,20 +216,3 @@ def _show(summaries: list[Summary], of_several: bool) -> None:
             screen.print(one_table(summaries))
         for summary in summaries:
             screen.print(in_words(summary), markup=False, soft_wrap=True)
-
-
-def results_folders(recordings: list[Path], out: Path | None) -> list[Path]:
-    """Return where each recording's results go; ArctrackError if two would share a folder."""
-    from arctrack.output import real
-    from arctrack.replay import RESULTS_FOLDER
-
-    if out is None:
-        folders = [path / RESULTS_FOLDER for path in recordings]
-    elif len(recordings) == 1:
-        folders = [out]
-    else:
-        folders = [out / real(path).name for path in recordings]
-    for n, folder in enumerate(folders):
-        if real(folder) in [real(other) for other in folders[:n]]:
-            raise ArctrackError(f"{recordings[n]}: its results would replace others in {folder}")
-    return folders

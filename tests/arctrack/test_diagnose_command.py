@@ -15,10 +15,11 @@ from test_diagnosis_examples import GAMMA, GLARE, Effects, example
 from typer.testing import CliRunner, Result
 
 from arctrack import cli
-from arctrack.diagnose import Diagnosed, Failed, Job, at_once, cluster, jobs_for, processes, without_images
+from arctrack.diagnose import Diagnosed, Job, at_once, jobs_for, without_images
 from arctrack.errors import ArctrackError
 from arctrack.recording import read_recording
 from arctrack.recording.diagnosis_files import FILES
+from arctrack.workers import Failed, cluster, processes
 from noise_model.setup import Setup
 from sim_to_real.diagnosis import Diagnosis, Verdict
 from tracker.state import Frame
@@ -282,6 +283,6 @@ def test_a_dask_cluster(found: Found, recording: Path) -> None:
 @pytest.mark.filterwarnings("default")
 def test_no_scheduler_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    monkeypatch.setattr("arctrack.diagnose.CONNECT_S", 0.3)
+    monkeypatch.setattr("arctrack.workers.CONNECT_S", 0.3)
     with pytest.raises(ArctrackError, match="no scheduler answers"), cluster("tcp://127.0.0.1:9"):
         pass

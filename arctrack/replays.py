@@ -1,0 +1,131 @@
+"""Recordings replayed: read, tracked, judged; one at a time or many at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from arctrack import workers
+from arctrack.check.verdict import Verdict, verdict_on
+from arctrack.errors import ArctrackError
+from arctrack.output import real
+from arctrack.printable import printable
+from arctrack.recording import Recording, read_recording
+from arctrack.recording.results import Summary
+from arctrack.replay import RESULTS_FOLDER, ReplayOptions, parse_bus, replay_recording, track_alone
+from arctrack.workers import Failed
+from tracker.warm_up import OnCompiled, WarmUp
+
+OnFrame = Callable[[int], None]
+"""Hears the number of frames done."""
+
+
+@dataclass(frozen=True)
+class ReplayJob:
+    """One recording to replay: where its files go, another setup than its own, and how to replay."""
+
+    recording: Path
+    folder: Path
+    setup_path: Path | None = None
+    options: ReplayOptions = field(default_factory=ReplayOptions)
+
+    @property
+    def name(self) -> str:
+        """The recording's name, fit to print."""
+        return printable(real(self.recording).name)
+
+    def absolute(self) -> ReplayJob:
+        """Return the job for a process elsewhere, which has its own working directory."""
+        setup_path = None if self.setup_path is None else self.setup_path.absolute()
+        return ReplayJob(self.recording.absolute(), self.folder.absolute(), setup_path, self.options)
+
+
+@dataclass(frozen=True)
+class Listeners:
+    """What hears how far a replay is: frames, pictures, what is compiled, frames of the second replay."""
+
+    on_frame: OnFrame | None = None
+    on_drawn: OnFrame | None = None
+    on_compiled: OnCompiled | None = None
+    on_compared: OnFrame | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Replayed:
+    """A recording after its replay, small enough to hand from process to process.
+
+    `summaries` has a second one where the replay went without the arc map and the truth is known: that with
+    it. `warnings` are of the recording's tables, `replay_warnings` of the replay, one line each. `complaint`
+    is one line on frames that could not be read, None if all could.
+    """
+
+    job: ReplayJob
+    summaries: tuple[Summary, ...]
+    verdict: Verdict
+    warnings: tuple[str, ...]
+    replay_warnings: tuple[str, ...]
+    complaint: str | None
+    warm_up: WarmUp
+
+
+Outcome = Replayed | Failed[ReplayJob]
+
+
+def jobs_for(
+    recordings: Sequence[Path],
+    out: Path | None = None,
+    setup_path: Path | None = None,
+    options: ReplayOptions | None = None,
+) -> list[ReplayJob]:
+    """Return what there is to do; ArctrackError if two recordings would share a folder of results."""
+    jobs: list[ReplayJob] = []
+    for path in recordings:
+        if out is None:
+            folder = path / RESULTS_FOLDER
+        else:
+            folder = out if len(recordings) == 1 else out / real(path).name
+        if real(folder) in [real(job.folder) for job in jobs]:
+            raise ArctrackError(f"{path}: its results would replace others in {folder}")
+        jobs.append(ReplayJob(path, folder, setup_path, options or ReplayOptions()))
+    return jobs
+
+
+def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = None) -> Replayed:
+    """Replay a recording and write its results; `begin` gives what hears how far it is, once it is read.
+
+    Raises ArctrackError for what the user can mend.
+    """
+    recording = read_recording(job.recording, job.setup_path)
+    hears = Listeners() if begin is None else begin(recording)
+    done = replay_recording(
+        recording, job.folder, job.options, hears.on_frame, hears.on_drawn, hears.on_compiled
+    )
+    summaries = [done.summary]
+    if not job.options.use_arc_map and done.recording.has_truth:
+        summaries.append(track_alone(done.recording, True, hears.on_compared))
+    return Replayed(
+        job,
+        tuple(summaries),
+        verdict_on(done.recording, done.tracks),
+        recording.warnings,
+        tuple(f"{recording.path}: {warning}" for warning in done.warnings),
+        done.complaint,
+        done.warm_up,
+    )
+
+
+def at_once(jobs: Iterable[ReplayJob], executor: Executor) -> Iterator[Outcome]:
+    """Replay recordings wherever an executor runs them, and yield each as it comes."""
+    return workers.at_once(replay_job, jobs, executor)
+
+
+def check_bus(options: ReplayOptions) -> None:
+    """Raise ArctrackError where several replays at once would speak on one bus."""
+    interface, _ = parse_bus(options.chosen_bus)
+    if interface != "virtual":
+        raise ArctrackError(
+            f"--bus {options.chosen_bus}: a robot follows one replay at a time; leave --workers and "
+            "--scheduler out"
+        )

@@ -1,0 +1,103 @@
+"""Work on many recordings at once: processes of this machine, or a cluster's."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, Protocol, TypeVar
+
+from arctrack.errors import ArctrackError, as_line
+
+CONNECT_S = 10.0
+"""How long a cluster's scheduler may take to answer."""
+
+
+class RecordingJob(Protocol):
+    """Work on one recording."""
+
+    @property
+    def recording(self) -> Path:
+        """The recording's folder."""
+        ...
+
+
+Job = TypeVar("Job", bound=RecordingJob)
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Failed(Generic[Job]):
+    """Work on a recording that failed, and why."""
+
+    job: Job
+    error: Exception
+
+    @property
+    def problem(self) -> str:
+        """One line for people."""
+        if isinstance(self.error, ArctrackError | OSError):
+            return as_line(self.error, self.job.recording)
+        if isinstance(self.error, BrokenExecutor):
+            return f"{self.job.recording}: its process ended, for want of memory perhaps; try fewer --workers"
+        return f"{self.job.recording}: {type(self.error).__name__}: {self.error}"
+
+    @property
+    def foreseen(self) -> bool:
+        """Whether the user can mend it; else it is a fault of arctrack's."""
+        return isinstance(self.error, ArctrackError | BrokenExecutor | OSError)
+
+
+def at_once(
+    work: Callable[[Job], Result], jobs: Iterable[Job], executor: Executor
+) -> Iterator[Result | Failed[Job]]:
+    """Do the work on each recording wherever an executor runs it, and yield each result as it comes."""
+    futures = {executor.submit(work, job): job for job in jobs}
+    for future in as_completed(futures):
+        try:
+            yield future.result()
+        except Exception as error:
+            yield Failed(futures[future], error)
+
+
+def executor_of(workers: int, scheduler: str | None) -> AbstractContextManager[Executor]:
+    """Give an executor of so many processes here, or on a Dask cluster where its `scheduler` is named."""
+    return processes(workers) if scheduler is None else cluster(scheduler)
+
+
+def check_choice(workers: int, scheduler: str | None) -> None:
+    """Raise ArctrackError where both processes and a cluster are asked for."""
+    if scheduler is not None and workers > 1:
+        raise ArctrackError("--workers and --scheduler: take one of them")
+
+
+@contextmanager
+def processes(count: int) -> Iterator[Executor]:
+    """Give an executor of so many processes on this machine."""
+    # A forked process would inherit the locks of threads that it does not have.
+    executor = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        yield executor
+    finally:
+        executor.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Executor]:
+    """Give an executor on a Dask cluster, whose workers must see the recordings under the same paths.
+
+    ArctrackError if Dask is not installed or no scheduler answers.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ArctrackError("--scheduler needs Dask: pip install 'arctrack[cluster]'") from None
+    try:
+        client = Client(address, timeout=CONNECT_S)
+    except (OSError, ValueError) as error:
+        raise ArctrackError(f"--scheduler {address}: no scheduler answers there: {error}") from None
+    with client, client.get_executor(pure=False) as executor:
+        yield executor
