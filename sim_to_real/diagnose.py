@@ -18,6 +18,7 @@ from sim_to_real.decision.holdout_gap import excess_map, measure_gap, predict_ho
 from sim_to_real.decision.next_experiment import next_measurement
 from sim_to_real.decision.seam_error import seam_errors_mm
 from sim_to_real.diagnosis import (
+    NO_GAP,
     Diagnosis,
     Estimate,
     Gap,
@@ -124,6 +125,7 @@ def _diagnosed(
     verdict = _with_random_effects(
         judgement.verdict, random, random_effects(model, before, ()) if without else random, without
     )
+    verdict = _on_held_out(verdict, gap)
     tell("locating the gap", 0.9)
     effects: tuple[Named, ...] = ()
     if verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS):
@@ -271,6 +273,14 @@ def _with_random_effects(
     return Verdict.UNKNOWN if set(all_random.effects) & set(without) else verdict
 
 
+def _on_held_out(verdict: Verdict, gap: Gap) -> Verdict:
+    """Return the verdict, but unknown in place of no gap where frames held out show a clear one.
+
+    The evidence has no bounds for nuisances: beyond them one may explain bins, and no fit takes it there.
+    """
+    return Verdict.UNKNOWN if verdict is Verdict.NO_GAP and gap.is_clear_after else verdict
+
+
 def _named(
     judgement: Judgement, after: Refit, weighed: Weighed, random: RandomEffects, random_before: RandomEffects
 ) -> tuple[Named, ...]:
@@ -392,7 +402,7 @@ def reasons(posterior: Posterior) -> tuple[Reason, ...]:
     beside_effects = [h.beside.evidence for h in posterior.hypotheses if h.beside is not None]
     best = max([none, unknown, *beside_effects, *(h.evidence for h in posterior.hypotheses)]) - none
     compared = [
-        Reason("no gap", (), 0.0, best, posterior.p_none),
+        Reason(NO_GAP, (), 0.0, best, posterior.p_none),
         Reason(_unknown_in_words(posterior.unknown), (), unknown - none, best, posterior.p_alone),
     ]
     for hypothesis, p, p_beside in some[:MAX_REASONS]:

@@ -75,6 +75,9 @@ class Ranked:
 CLEAR_FLOORS = 2.0
 """A gap of more floors than this is clearly one."""
 
+NO_GAP = "no gap"
+"""The name of that hypothesis among those that were compared."""
+
 
 @dataclass(frozen=True)
 class Gap:

@@ -21,7 +21,7 @@ from arctrack.report.diagnosis.page import RECOMPUTE, advice, page
 from arctrack.report.diagnosis.pictures import nice_limit, telling_frame
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
-from sim_to_real.diagnosis import Estimate, Gap, Next, Ranked, ReportedTrend, Verdict
+from sim_to_real.diagnosis import NO_GAP, Estimate, Gap, Next, Ranked, Reason, ReportedTrend, Verdict
 
 VOID = {"meta", "img", "br", "rect"}
 
@@ -118,6 +118,13 @@ def test_what_effects_leave_is_said(seen_setup: Setup) -> None:
     most = replace(found, gap=replace(found.gap, after=0.61, floor=0.3))
     assert words.headline(most).startswith("gamma explains most of the gap: ")
     assert words.how_far(most).endswith("due to the effect's form, which the catalogue simplifies.")
+
+
+def test_a_gap_that_only_frames_held_out_show_is_said(seen_setup: Setup) -> None:
+    found = example(Verdict.UNKNOWN, seen_setup)
+    assert words.headline(found).endswith("that no effect of the catalogue explains.")
+    no_gap = replace(found, reasons=(Reason(NO_GAP, (), 0.0, 0.0, 0.99),))
+    assert "in frames held out, though no gap is likeliest" in words.headline(no_gap)
 
 
 def test_an_effect_below_the_floor_is_told_by_its_pattern(seen_setup: Setup) -> None:

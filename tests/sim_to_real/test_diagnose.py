@@ -11,7 +11,7 @@ from arctrack.simulate import SimulationPlan
 from noise_model.arc_source import NO_ARC
 from noise_model.effects.effect import Stage
 from noise_model.surface.brdf import UNSTATED_METAL
-from sim_to_real.diagnose import Assessed, diagnose, reasons
+from sim_to_real.diagnose import Assessed, _on_held_out, diagnose, reasons
 from sim_to_real.diagnosis import Gap, Verdict, excluded_effects
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Unknown
 from sim_to_real.evidence.policy import POLICY
@@ -185,6 +185,18 @@ def test_no_reason_has_more_evidence_than_the_best_of_all():
 def test_effects_that_enlarge_the_gap_of_frames_held_out_are_refuted(ids, before, after, is_refuted):
     gap = Gap(before, after, 0.2, 0.5, (0.4, 0.6), (1.0, 1.0), (0.1, 0.1))
     assert Assessed(None, SimpleNamespace(ids=ids), None, None, gap).is_refuted is is_refuted
+
+
+@pytest.mark.parametrize(
+    ("verdict", "after", "expected"),
+    [
+        (Verdict.NO_GAP, 0.3, Verdict.NO_GAP),
+        (Verdict.NO_GAP, 0.5, Verdict.UNKNOWN),
+        (Verdict.EFFECTS, 0.5, Verdict.EFFECTS),
+    ],
+)
+def test_frames_held_out_refute_that_there_is_no_gap(verdict, after, expected):
+    assert _on_held_out(verdict, Gap(after, after, 0.2, 0.0, (0.0, 0.0), (1.0, 1.0), (0.1, 0.1))) is expected
 
 
 def test_reasons_say_what_was_compared(with_gamma):

@@ -6,7 +6,17 @@ import math
 from collections.abc import Sequence
 
 from noise_model.effects import REGISTRY
-from sim_to_real.diagnosis import Diagnosis, Estimate, Gap, Ranked, Reason, ReportedTrend, Verdict, Where
+from sim_to_real.diagnosis import (
+    NO_GAP,
+    Diagnosis,
+    Estimate,
+    Gap,
+    Ranked,
+    Reason,
+    ReportedTrend,
+    Verdict,
+    Where,
+)
 
 NO_VALUE = "–"
 
@@ -99,6 +109,12 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict is Verdict.AMBIGUOUS:
         alike = "; and ".join(_alternatives(ids) for ids in diagnosis.ambiguous_with)
         return f"There is a gap of {sigmas(gap.before)}. This recording cannot tell what causes it: {alike}."
+    if diagnosis.reasons and diagnosis.reasons[0].name == NO_GAP:
+        return (
+            f"There is a gap of {sigmas(gap.before)} in frames held out, though no gap is likeliest of what "
+            "was compared: noise is more than stated, or a nuisance such as the arc's level is off by more "
+            "than its tolerance."
+        )
     return f"There is a gap of {sigmas(gap.before)} that no effect of the catalogue explains."
 
 
