@@ -12,7 +12,7 @@ import numpy as np
 
 from arctrack import workers
 from arctrack.errors import ArctrackError, in_file
-from arctrack.output import make_folder, real, write_whole
+from arctrack.output import folders_for, make_folder, real, write_whole
 from arctrack.printable import printable
 from arctrack.recording import pose_at, read_recording
 from arctrack.recording.diagnosis_files import FILES, REPORT_PAGE, write_numbers
@@ -77,16 +77,10 @@ def jobs_for(
     """
     _check_effects(without)
     setup = None if setup_path is None else setup_path.absolute()
-    jobs: list[Job] = []
-    for path in (recording.absolute() for recording in recordings):
-        if out is None:
-            folder = path / DIAGNOSIS_FOLDER
-        else:
-            folder = out.absolute() if len(recordings) == 1 else out.absolute() / real(path).name
-        if real(folder) in [real(job.folder) for job in jobs]:
-            raise ArctrackError(f"{path}: its diagnosis would replace another in {folder}")
-        jobs.append(Job(path, folder, setup, tuple(without)))
-    return jobs
+    paths = [recording.absolute() for recording in recordings]
+    where = None if out is None else out.absolute()
+    folders = folders_for(paths, where, DIAGNOSIS_FOLDER, "its diagnosis would replace another")
+    return [Job(path, folder, setup, tuple(without)) for path, folder in zip(paths, folders, strict=True)]
 
 
 def diagnose_recording(job: Job, on_stage: OnStage | None = None, threads: int = THREADS) -> Diagnosed:

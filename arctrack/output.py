@@ -5,11 +5,11 @@ from __future__ import annotations
 import glob
 import os
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from arctrack.errors import in_file
+from arctrack.errors import ArctrackError, in_file
 
 
 def make_folder(folder: Path, files: Iterable[str]) -> None:
@@ -25,6 +25,23 @@ def make_folder(folder: Path, files: Iterable[str]) -> None:
 def real(path: Path) -> Path:
     """Return where a path leads through all links, as far as they lead: one may point at itself."""
     return Path(os.path.realpath(path))
+
+
+def folders_for(recordings: Sequence[Path], out: Path | None, name: str, clash: str) -> list[Path]:
+    """Return where each recording's files go: into `name` in it, or `out`, where several get a folder each.
+
+    ArctrackError, which says the `clash`, if two recordings would share a folder.
+    """
+    if out is None:
+        folders = [path / name for path in recordings]
+    elif len(recordings) == 1:
+        folders = [out]
+    else:
+        folders = [out / real(path).name for path in recordings]
+    for n, (path, folder) in enumerate(zip(recordings, folders, strict=True)):
+        if real(folder) in map(real, folders[:n]):
+            raise ArctrackError(f"{path}: {clash} in {folder}")
+    return folders
 
 
 @contextmanager

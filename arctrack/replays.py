@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from arctrack import workers
 from arctrack.check.verdict import Verdict, verdict_on
 from arctrack.errors import ArctrackError
-from arctrack.output import real
+from arctrack.output import folders_for, real
 from arctrack.printable import printable
 from arctrack.recording import Recording, read_recording
 from arctrack.recording.results import Summary
@@ -80,16 +78,11 @@ def jobs_for(
     options: ReplayOptions | None = None,
 ) -> list[ReplayJob]:
     """Return what there is to do; ArctrackError if two recordings would share a folder of results."""
-    jobs: list[ReplayJob] = []
-    for path in recordings:
-        if out is None:
-            folder = path / RESULTS_FOLDER
-        else:
-            folder = out if len(recordings) == 1 else out / real(path).name
-        if real(folder) in [real(job.folder) for job in jobs]:
-            raise ArctrackError(f"{path}: its results would replace others in {folder}")
-        jobs.append(ReplayJob(path, folder, setup_path, options or ReplayOptions()))
-    return jobs
+    folders = folders_for(recordings, out, RESULTS_FOLDER, "its results would replace others")
+    return [
+        ReplayJob(path, folder, setup_path, options or ReplayOptions())
+        for path, folder in zip(recordings, folders, strict=True)
+    ]
 
 
 def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = None) -> Replayed:
@@ -114,11 +107,6 @@ def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = 
         done.complaint,
         done.warm_up,
     )
-
-
-def at_once(jobs: Iterable[ReplayJob], executor: Executor) -> Iterator[Outcome]:
-    """Replay recordings wherever an executor runs them, and yield each as it comes."""
-    return workers.at_once(replay_job, jobs, executor)
 
 
 def check_bus(options: ReplayOptions) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from arctrack.cli.worker_options import Scheduler, Workers
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
@@ -32,14 +33,8 @@ def diagnose(
     apply: Annotated[
         bool, typer.Option("--apply", help="Write the effects that were found into recording.toml.")
     ] = False,
-    workers: Annotated[int, typer.Option(min=1, help="Recordings diagnosed at once, a process each.")] = 1,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="A Dask cluster's scheduler, to diagnose recordings there; needs the extra cluster.",
-        ),
-    ] = None,
+    workers: Workers = 1,
+    scheduler: Scheduler = None,
 ) -> None:
     """Compare recordings with the model: is there a gap, where, which effect causes it, how far it closes.
 

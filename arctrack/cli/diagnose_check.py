@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from arctrack.cli.interrupt import InterruptedCommandError
+from arctrack.cli.worker_options import Workers
 from arctrack.errors import in_file
 
 NAME = "diagnose check"
@@ -20,7 +21,6 @@ check = typer.Typer(
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The check's folder.")]
 Folders = Annotated[list[Path], typer.Argument(metavar="DIR", help="Folders of checks.")]
-Workers = Annotated[int, typer.Option(min=1, help="Recordings worked on at once, a process each.")]
 
 
 class TwoWordGroup(TyperGroup):

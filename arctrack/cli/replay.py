@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from arctrack.cli.interrupt import interruptible
+from arctrack.cli.worker_options import Scheduler, Workers
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
@@ -67,14 +68,8 @@ def replay(
     rrd: Annotated[
         bool, typer.Option("--rrd", help="Write replay.rrd too, for Rerun. Needs arctrack\\[rerun].")
     ] = False,
-    workers: Annotated[int, typer.Option(min=1, help="Recordings replayed at once, a process each.")] = 1,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="A Dask cluster's scheduler, to replay recordings there; needs the extra cluster.",
-        ),
-    ] = None,
+    workers: Workers = 1,
+    scheduler: Scheduler = None,
 ) -> None:
     """Track recordings; write results.csv, summary.json, bus.blf, overlay.mp4, overview.png, replay.html.
 
@@ -115,8 +110,8 @@ def replay(
 def _at_once(jobs: list[ReplayJob], workers: int, scheduler: str | None) -> Iterator[Outcome]:
     """Yield what becomes of each recording as it comes, and say what it warns of."""
     from arctrack.cli import console
-    from arctrack.replays import Replayed, at_once
-    from arctrack.workers import executor_of
+    from arctrack.replays import Replayed, replay_job
+    from arctrack.workers import at_once, executor_of
 
     kept = "rows so far are in the recordings' results.csv"
     with (
@@ -125,7 +120,7 @@ def _at_once(jobs: list[ReplayJob], workers: int, scheduler: str | None) -> Iter
         executor_of(min(workers, len(jobs)), scheduler) as executor,
     ):
         on_recording = console.track(bar, "recordings", len(jobs), "recordings")
-        for n, outcome in enumerate(at_once(jobs, executor)):
+        for n, outcome in enumerate(at_once(replay_job, jobs, executor)):
             on_recording(n + 1)
             if isinstance(outcome, Replayed):
                 console.warn([*outcome.warnings, *outcome.replay_warnings])

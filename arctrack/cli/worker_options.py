@@ -1,0 +1,16 @@
+"""The options that say where many recordings are worked on at once, alike for all commands."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+Workers = Annotated[int, typer.Option(min=1, help="Recordings worked on at once, a process each.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="A Dask cluster's scheduler, to work on recordings there; needs the extra cluster.",
+    ),
+]
