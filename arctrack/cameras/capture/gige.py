@@ -201,7 +201,7 @@ class GigeSource:
         """Return a buffer's frame, None for one that is not whole; its number counts."""
         step = _step(self._id, buffer.get_frame_id())
         if step <= 0:
-            # It was waited for until a later one had come, and counts as lost already.
+            # It was waited for until a later one had come, and counts as lost already; or it has no id.
             return None
         self._index, self._id = self._index + step, buffer.get_frame_id()
         if buffer.get_status() != self._Aravis.BufferStatus.SUCCESS:
@@ -246,7 +246,13 @@ def gige_source(choice: CameraChoice, setup: Setup, ask: Ask) -> GigeSource:
 
 
 def _step(before: int, frame_id: int) -> int:
-    """Return how many frames one comes after another, by their ids; 0 is of none before."""
+    """Return how many frames one comes after another, by their ids; 0 is none before, and no frame's id.
+
+    GigE Vision gives no frame the id 0. A buffer that has it is of a frame whose id did not arrive: the next
+    id tells that it is lost.
+    """
+    if frame_id == 0:
+        return 0
     if before == 0:
         return 1
     step = frame_id - before

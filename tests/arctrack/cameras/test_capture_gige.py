@@ -50,7 +50,7 @@ def test_the_least_delayed_stamp_gives_the_clocks_offset():
 @pytest.mark.parametrize(
     ("before", "after", "step"),
     [(0, 7, 1), (7, 8, 1), (7, 10, 3), (65_534, 65_535, 1), (65_535, 1, 1), (65_533, 2, 4), (9, 8, -1),
-     (1, 65_535, -1), (70_000, 140_000, 70_000)],
+     (1, 65_535, -1), (70_000, 140_000, 70_000), (65_405, 0, 0), (0, 0, 0)],
 )  # fmt: skip
 def test_ids_of_16_bits_go_round_without_0(before, after, step):
     from arctrack.cameras.capture.gige import _step
