@@ -24,9 +24,9 @@ from noise_model.instrument.sensor import variance_e2
 from tracker import flags
 from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Transmission
-from tracker.geometry import SensorGeometry
+from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 from tracker.joint import MeasuredJoint, fit_joint
-from tracker.measure import SEARCH_REACH_MM, Reading, expected_output, profile_of, shows_arc
+from tracker.measure import Reading, expected_output, profile_of, shows_arc
 from tracker.profile import Profile
 from tracker.seam.locate import locate, sources
 from tracker.state import Frame, Pose, Track

@@ -11,19 +11,8 @@ import numpy.typing as npt
 from noise_model.arc.map import CELL
 from noise_model.arrays import Float64
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.fit import (
-    CORRELATION_PX,
-    MAX_PIXELS,
-    MIN_SIGMA_E,
-    N_FITTED,
-    WIDTH_SIGMA_LN,
-    WINDOW_SIGMAS,
-    LineScratch,
-    fit_line,
-    line_window,
-    map_edge,
-)
-from tracker.stripe.normal_equations import N_PARAMETERS
+from tracker.stripe.fit import line_window, map_edge
+from tracker.stripe.fit_block import CORRELATION_PX, MIN_SIGMA_E, WIDTH_SIGMA_LN, WINDOW_SIGMAS
 from tracker.stripe.read import StripeReading
 
 READ, UNLIT, NO_PATH, NO_FIT = "", "unlit", "no path", "no fit"
@@ -78,42 +67,16 @@ class SigmaParts:
 
 
 def refusals(reading: StripeReading, expected: ExpectedStripe) -> Refusals:
-    """Return why scan lines hold no stripe.
-
-    A line that the path runs through is fitted once more, by the same kernel, for what it found.
-    """
+    """Return why scan lines hold no stripe, and what the fit found that was refused."""
     n_scan = len(reading.start_px)
     why, height, width_ratio = np.full(n_scan, READ, dtype="<U12"), *np.full((2, n_scan), np.nan)
-    scratch = LineScratch(
-        np.arange(MAX_PIXELS).astype(np.float32),
-        np.empty((N_PARAMETERS, N_PARAMETERS)),
-        *(np.empty(N_PARAMETERS) for _ in range(3)),
-    )
-    band = reading.band
     for s in map(int, np.flatnonzero(np.isnan(reading.stripe.position_px))):
-        start, low = float(reading.start_px[s]), int(reading.lows[s // CELL])
-        if math.isnan(start):
+        if math.isnan(reading.start_px[s]):
             why[s] = NO_PATH if expected.is_sought[s] else UNLIT
             continue
-        width = float(expected.sigma_px[s]) * reading.learned.width_factor
-        parameters = np.full(N_FITTED, np.nan)
-        fit_line(
-            band.charge[s],
-            band.background[s],
-            band.censored[s],
-            start - low,
-            width,
-            reading.shot,
-            reading.dark_variance_e2,
-            reading.learned.weighing_contrast,
-            reading.map_sigma,
-            reading.base_sigma_e,
-            map_edge(band.background, reading.lows, CELL, s, start),
-            scratch,
-            parameters,
-        )
-        height[s], width_ratio[s] = parameters[2], parameters[3] / width
-        if math.isnan(parameters[3]):
+        height[s] = reading.tried[s, 2]
+        width_ratio[s] = reading.tried[s, 3] / (expected.sigma_px[s] * reading.learned.width_factor)
+        if math.isnan(width_ratio[s]):
             why[s] = NO_FIT
         else:
             is_odd = abs(math.log(width_ratio[s])) > reading.learned.width_limit_ln

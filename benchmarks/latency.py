@@ -33,8 +33,8 @@ from noise_model.condition import Condition
 from noise_model.forward import draw_frame
 from noise_model.surface.joint import NOMINAL_SEAM
 from tracker import flags
-from tracker.geometry import SensorGeometry
-from tracker.measure import SEARCH_REACH_MM, Reading
+from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
+from tracker.measure import Reading
 from tracker.state import Frame, Pose
 from tracker.step import TrackerState, step, step_and_reading
 from tracker.stripe.read import Work

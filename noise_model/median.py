@@ -1,6 +1,7 @@
-"""The median of some hundred numbers, without the hundred calls of Python that NumPy's own takes.
+"""The median of some hundred numbers, for Python without NumPy's overhead, and for kernels.
 
-NumPy's takes some 20 µs a call, most of it Python's; a tracker's step asks for it a dozen times.
+NumPy's takes some 20 µs a call, most of it Python's. A kernel's own sorts in part, 5 µs for 640 numbers;
+where float32 will do, counting sixteen at once takes 1 µs. A tracker's step asks for some thirty medians.
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arrays import Float64
+from noise_model.arrays import Float32, Float64
 from noise_model.kernel import kernel
+from noise_model.lanes import N_LANES, bits_of, float_of, least, load, spread, total, where
 
 
 def median(values: npt.ArrayLike) -> float:
@@ -34,3 +36,80 @@ def _median(values: Float64) -> float:
         if math.isnan(value):
             return math.nan
     return np.median(values)
+
+
+BLOCK = 4 * N_LANES
+"""So many numbers are counted at a time: four sums that do not wait for each other."""
+
+
+def room_for(n: int) -> int:
+    """Return how long an array of n numbers must be for `median_of`."""
+    return -(-n // BLOCK) * BLOCK
+
+
+@kernel
+def _in_order(key: int) -> float:
+    """Return the float32 that stands at a place in the order of all."""
+    bits = np.int32(key)
+    value: float = float_of(bits if bits >= np.int32(0) else bits ^ np.int32(0x7FFFFFFF))
+    return value
+
+
+@kernel
+def _place(value: float) -> int:
+    """Return the place of a float32 in the order of all."""
+    bits = bits_of(np.float32(value))
+    return int(bits if bits >= np.int32(0) else bits ^ np.int32(0x7FFFFFFF))
+
+
+@kernel
+def _count_up_to(values: Float32, most: float) -> float:
+    """Return how many values (n,), n a multiple of BLOCK, are not above a limit."""
+    limit, zero, unity = spread(most), spread(0.0), spread(1.0)
+    a, b, c, d = zero, zero, zero, zero
+    for i in range(0, values.shape[0], BLOCK):
+        a += where(load(values, i) <= limit, unity, zero)
+        b += where(load(values, i + N_LANES) <= limit, unity, zero)
+        c += where(load(values, i + 2 * N_LANES) <= limit, unity, zero)
+        d += where(load(values, i + 3 * N_LANES) <= limit, unity, zero)
+    count: float = total((a + b) + (c + d))
+    return count
+
+
+@kernel
+def _least_above(values: Float32, limit: float) -> float:
+    """Return the least of values (n,), n a multiple of BLOCK, above a limit; inf for none."""
+    bound, nothing = spread(limit), spread(math.inf)
+    lowest = nothing
+    for i in range(0, values.shape[0], N_LANES):
+        value = load(values, i)
+        value = where(value > bound, value, nothing)
+        lowest = where(value < lowest, value, lowest)
+    lowest_value: float = least(lowest)
+    return lowest_value
+
+
+@kernel
+def median_of(values: Float32, n: int) -> float:
+    """Return the median of the first n values, none of them NaN; NaN for n = 0.
+
+    `values` (`room_for(n)`,) or longer are written over behind them. All float32 stand in the order of their
+    bits, so the value that has half of all up to itself is found by halving, exactly, without sorting.
+    """
+    if n == 0:
+        return math.nan
+    end = (n + BLOCK - 1) // BLOCK * BLOCK
+    for i in range(n, end):
+        values[i] = np.float32(math.inf)
+    held, half = values[:end], (n + 1) // 2
+    low, high = _place(-math.inf), _place(math.inf)
+    while low < high:
+        middle = (low + high) // 2
+        if _count_up_to(held, _in_order(middle)) >= half:
+            high = middle
+        else:
+            low = middle + 1
+    lower = _in_order(low)
+    if n % 2 == 1 or _count_up_to(held, lower) > half:
+        return np.float64(lower)
+    return 0.5 * (np.float64(lower) + np.float64(_least_above(held, lower)))

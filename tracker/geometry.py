@@ -27,6 +27,9 @@ MIN_PIXELS_PER_MM = 3.2
 """A stripe is sought as if it moved by so much at least: a camera's pose, a plate's tilt and the stripe's
 scatter do not get less, in pixels, where height moves the stripe little."""
 
+SEARCH_REACH_MM = 5.0
+"""How far off its nominal place the seam is first looked for."""
+
 MIN_ACROSS = 0.2
 """The least cosine between the sheet's normal and the tool's x axis for a place in the sheet to follow x."""
 

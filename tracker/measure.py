@@ -23,7 +23,7 @@ from tracker.arc.level import (
 )
 from tracker.arc.transmission import Transmission
 from tracker.checks import Checks
-from tracker.geometry import SensorGeometry
+from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 from tracker.joint import MeasuredJoint, fit_closed_joint, fit_joint
 from tracker.joint.evidence import MIN_EVIDENCE_NATS
 from tracker.joint.image_line import read_image_line
@@ -32,6 +32,7 @@ from tracker.profile import Profile, edge_lines, triangulate
 from tracker.seam.locate import locate, sources
 from tracker.state import Frame, Pose, Stripe
 from tracker.stripe.askew import askew_sigma_px
+from tracker.stripe.band import FIT_SIGMAS
 from tracker.stripe.detection import (
     MIN_RATIO,
     MIN_SEEN,
@@ -42,11 +43,8 @@ from tracker.stripe.detection import (
 )
 from tracker.stripe.edge import clear_of_an_edge
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
-from tracker.stripe.read import FIT_SIGMAS, StripeReading, Work, arc_map_of, read_stripe
+from tracker.stripe.read import StripeReading, Work, arc_map_of, read_stripe
 from tracker.stripe.scatter import NO_SCATTER, Scatter
-
-SEARCH_REACH_MM = 5.0
-"""How far off its nominal place the seam is first looked for."""
 
 TRACK_REACH_MM = 1.0
 """How far from its expected place it is looked for once it is known, beyond three sigmas of that place."""

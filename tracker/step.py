@@ -13,9 +13,9 @@ from noise_model.arc.scene import Scene, make_scene
 from noise_model.arrays import Float64
 from tracker import checks, flags
 from tracker.checks import Checks
-from tracker.geometry import SensorGeometry
+from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 from tracker.joint import MeasuredJoint
-from tracker.measure import SEARCH_REACH_MM, TRACK_REACH_MM, Reading, measure, measure_again
+from tracker.measure import TRACK_REACH_MM, Reading, measure, measure_again
 from tracker.seam.correction import UNSTATED, Correction
 from tracker.seam.gaussian_process import WIDE_SIGMA_MM, SeamHistory
 from tracker.seam.locate import (

@@ -17,8 +17,7 @@ from arctrack.check.timing import Timing
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
 from tracker import flags
-from tracker.geometry import SensorGeometry
-from tracker.measure import SEARCH_REACH_MM
+from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 
 FAR_MM = 3.0
 """A seam farther from its nominal line, in the median, comes near to where it is not looked for."""

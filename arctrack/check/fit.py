@@ -17,9 +17,8 @@ from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import corrugation_height, seam_frame, section
 from noise_model.transforms import invert, transform
-from tracker.geometry import to_laser_plane
+from tracker.geometry import SEARCH_REACH_MM, to_laser_plane
 from tracker.joint.type_check import Family, shown_family
-from tracker.measure import SEARCH_REACH_MM
 from tracker.profile import Profile
 from tracker.seam.locate import pose_checks
 

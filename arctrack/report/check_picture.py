@@ -15,8 +15,7 @@ from arctrack.report.image import visible
 from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
-from tracker.geometry import SensorGeometry
-from tracker.measure import SEARCH_REACH_MM
+from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 from tracker.stripe.expected import expect_stripe
 
 TITLE_LETTERS = 120

@@ -32,8 +32,9 @@ from tracker.checks import Check
 from tracker.geometry import SensorGeometry
 from tracker.state import Stripe
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.fit import N_FITTED, fit_lines
-from tracker.stripe.read import StripeReading, Work
+from tracker.stripe.fit import LineFits, fit_lines, fit_room
+from tracker.stripe.read import StripeReading
+from tracker.stripe.read_band import Band
 from tracker.stripe.scatter import NO_SCATTER
 
 EXAMPLE = Path(arctrack.__file__).parents[1] / "examples" / "v_groove"
@@ -126,7 +127,11 @@ def test_the_sigma_is_the_sum_of_its_parts(explained: list[Explanation]) -> None
 
 
 def made(
-    amplitude_e: float, background_e: float, dark_variance_e2: float, width: float = WIDTH
+    amplitude_e: float,
+    background_e: float,
+    dark_variance_e2: float,
+    width: float = WIDTH,
+    start_px: float = 59.0,
 ) -> tuple[StripeReading, ExpectedStripe]:
     """Return the reading of a noiseless Gaussian over an even background that is known for sure."""
     expected = ExpectedStripe(*np.tile([[60.0], [WIDTH], [0.0]], N_SCAN), *np.ones((2, N_SCAN), bool))
@@ -134,12 +139,11 @@ def made(
     bell = np.exp(-0.5 * ((at - 60.0) / width) ** 2)
     background = np.full((N_SCAN, DEPTH), background_e, np.float32)
     charge = (background + amplitude_e * bell).astype(np.float32)
-    band = Work(
-        charge, background, np.zeros_like(charge), np.zeros_like(charge), np.zeros(charge.shape, np.bool_)
-    )
-    lows, start = np.zeros(-(-N_SCAN // CELL), np.int64), np.full(N_SCAN, 59.0)
+    lows, start = np.zeros(-(-N_SCAN // CELL), np.int64), np.full(N_SCAN, start_px)
+    nothing = (np.zeros_like(charge) for _ in range(3))
+    band = Band(charge, background, *nothing, np.zeros(charge.shape, np.bool_), lows)
     start[0] = np.nan
-    fits, saturated = np.empty((N_SCAN, N_FITTED)), np.empty(N_SCAN, np.bool_)
+    lines = LineFits.empty(N_SCAN)
     fit_lines(
         charge,
         background,
@@ -153,11 +157,14 @@ def made(
         0.0,
         0.0,
         0.0,
-        fits,
-        saturated,
+        fit_room(),
+        lines,
     )
+    fits = lines.fits
     fits[np.abs(np.log(fits[:, 3] / expected.sigma_px)) > NO_SCATTER.width_limit_ln] = np.nan
-    stripe = Stripe(fits[:, 0], fits[:, 1], fits[:, 0], fits[:, 1], fits[:, 2], saturated, True, fits[:, 1])
+    stripe = Stripe(
+        fits[:, 0], fits[:, 1], fits[:, 0], fits[:, 1], fits[:, 2], lines.saturated, True, fits[:, 1]
+    )
     offsets, score = np.arange(-8, 9, 2), np.zeros((N_SCAN, 9), np.float32)
     reading = StripeReading(
         stripe,
@@ -166,6 +173,7 @@ def made(
         offsets,
         score,
         start,
+        lines.tried,
         fits,
         1.0,
         dark_variance_e2,
@@ -219,9 +227,12 @@ def test_why_a_line_holds_no_stripe(amplitude_e: float, width: float, why: str) 
     assert set(found.why[1:]) == {why}
     if why == ODD_WIDTH:
         assert (found.width_ratio[1:] > 1.42).all()
-    reading.start_px[1] = 0.0
-    reading.stripe.position_px[1] = np.nan
-    assert refusals(reading, expected).why[1] == NO_FIT
+
+
+def test_a_line_whose_path_runs_along_the_bands_rim_has_no_fit() -> None:
+    found = refusals(*made(5_000.0, 1_000.0, 400.0, start_px=0.0))
+    assert set(found.why[1:]) == {NO_FIT}
+    assert np.isnan(found.height_e).all()
 
 
 def assert_predicted(found: Explanation) -> None:

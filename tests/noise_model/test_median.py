@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from noise_model.median import known_median, median
+from noise_model.median import known_median, median, median_of, room_for
 
 numbers = st.floats(-1e9, 1e9)
 
@@ -29,3 +29,13 @@ def test_the_known_median_is_numpys(values):
 @pytest.mark.parametrize("middle", [median, known_median])
 def test_of_nothing_the_median_is_not_known(middle):
     assert np.isnan(middle([]))
+
+
+@given(st.lists(st.floats(-(2.0**100), 2.0**100, width=32), max_size=200), st.booleans())
+def test_the_median_by_counting_is_that_by_sorting(values, are_rounded):
+    drawn = np.array(values, np.float32)
+    drawn = np.rint(drawn) if are_rounded else drawn
+    room = np.full(room_for(len(drawn)), np.nan, np.float32)
+    room[: len(drawn)] = drawn
+    expected = np.median(drawn.astype(np.float64)) if len(drawn) else np.nan
+    np.testing.assert_array_equal(median_of(room, len(drawn)), expected)

@@ -8,6 +8,7 @@ import twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from noise_model.arrays import Float64, Int64
 from tracker.stripe.band import gather, median_background, place, weigh
 
 CELL = 8
@@ -65,13 +66,19 @@ def test_weigh_is_its_twin(seed: int, shot: float, dark: float) -> None:
     np.testing.assert_allclose(variance, shot * np.maximum(background, 0.0) + dark, rtol=1e-6)
 
 
+def placed(center: Float64, n_pos: int, half: int) -> tuple[Int64, int]:
+    """Where a band begins, and its depth."""
+    lows = np.empty(-(-len(center) // CELL), np.int64)
+    return lows, place(center, n_pos, half, lows)
+
+
 @settings(deadline=None)
 @given(seeds, st.integers(1, 60))
 def test_a_band_is_placed_as_its_twin(seed: int, half: int) -> None:
     rng = np.random.default_rng(seed)
     n_pos = int(rng.integers(16, 300))
     center = rng.uniform(-20.0, n_pos + 20.0) + rng.normal(0.0, 4.0, rng.integers(1, 80)).cumsum()
-    lows, depth = place(center, n_pos, half)
+    lows, depth = placed(center, n_pos, half)
     parts = [center[i : i + CELL] for i in range(0, len(center), CELL)]
     spread = max(float(np.ptp(part)) for part in parts)
     assert depth == min(n_pos, 2 * half + int(np.ceil(min(spread, half))) + 1)
@@ -86,7 +93,7 @@ def test_a_band_lies_in_the_image_and_holds_what_it_should(seed: int, half: int)
     n_scan, n_pos = int(rng.integers(1, 80)), int(rng.integers(16, 300))
     slope = rng.uniform(-1.0, 1.0)
     center = rng.uniform(-50.0, n_pos + 50.0) + slope * np.arange(n_scan)
-    lows, depth = place(center, n_pos, half)
+    lows, depth = placed(center, n_pos, half)
     assert lows.shape == (-(-n_scan // CELL),)
     assert depth <= n_pos
     assert (lows >= 0).all()
@@ -100,6 +107,6 @@ def test_a_band_lies_in_the_image_and_holds_what_it_should(seed: int, half: int)
 
 @pytest.mark.parametrize("at", [-1e6, 1e6])
 def test_a_band_far_off_the_image_is_held_at_its_rim(at: float) -> None:
-    lows, depth = place(np.full(10, at), 100, 20)
+    lows, depth = placed(np.full(10, at), 100, 20)
     assert depth == 41
     assert (lows == (0 if at < 0.0 else 59)).all()

@@ -20,13 +20,10 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine, seam_height_mm
 from tracker.seam.locate import seam_point_tool
 from tracker.state import Frame, Pose, Track
+from tracker.stripe.fit import N_FITTED
+from tracker.stripe.frame_scatter import ScatterRoom
 from tracker.stripe.ghost import MIN_GHOST_LINES, MIN_GHOST_SHARE, second_light, second_place
-from tracker.stripe.read import (
-    REACH_SIGMAS,
-    REFLECTED_SHARE,
-    REFLECTED_SIGMA_LN,
-    _told_of_two,
-)
+from tracker.stripe.read_band import REACH_SIGMAS, REFLECTED_SHARE, REFLECTED_SIGMA_LN, Told, told_of_two
 from tracker.tracker import Tracker
 
 N_SCAN, DEPTH, WIDTH, AMPLITUDE_E, DARK_E2 = 160, 120, 3.5, 4000.0, 2500.0
@@ -175,13 +172,21 @@ def test_the_odds_of_two_stripes_are_those_of_their_densities(share: float, off:
         return float(place + norm.logpdf(math.log(strength), math.log(REFLECTED_SHARE), REFLECTED_SIGMA_LN))
 
     offsets_px = np.arange(-60, 61)
-    told, near = _told_of_two(np.full(9, off), apart, share, offsets_px, REACH_SIGMAS * sigma_px)
+    found = told(off, apart, share, offsets_px, REACH_SIGMAS * sigma_px)
     odds = density(off, share) - density(off + apart, 1.0 / share)
-    assert told == pytest.approx(abs(odds), abs=1e-9)
-    if near is not None:
+    assert found.nats == pytest.approx(abs(odds), rel=1e-5, abs=1e-5)
+    if found.is_reflection:
         assert odds < 0.0
+        near = offsets_px[found.first : found.first + found.n_offsets]
         assert np.abs(near - off - apart).max() < 0.5 * abs(apart)
 
 
+def told(off_px: float, apart_px: float, share: float, offsets_px: np.ndarray, reach_px: float) -> Told:
+    """What lines that are all off alike tell."""
+    fits, expected_px = np.full((N_SCAN, N_FITTED), 30.0 + off_px), np.full(N_SCAN, 30.0)
+    room = ScatterRoom.empty(N_SCAN)
+    return told_of_two(fits, expected_px, apart_px, share, offsets_px, reach_px, room)
+
+
 def test_no_line_of_the_brighter_one_tells_no_other_place() -> None:
-    assert _told_of_two(np.full(N_SCAN, np.nan), 18.0, 0.5, np.arange(9), 40.0) == (math.inf, None)
+    assert told(math.nan, 18.0, 0.5, np.arange(9), 40.0) == (0.5, math.inf, False, 0, 9)

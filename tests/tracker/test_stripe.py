@@ -10,18 +10,25 @@ import twins
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from noise_model.arrays import Bool, Float64
-from tracker.stripe.fit import (
-    BLOCK,
-    CORRELATION_PX,
-    N_FITTED,
-    WIDTH_SIGMA_LN,
-    WINDOW_SIGMAS,
-    fit_lines,
-    line_window,
-    map_edge,
+from noise_model.arrays import Bool, Float32, Float64
+from noise_model.kernel import kernel
+from noise_model.lanes import N_LANES, load, spread, store, where
+from tracker.stripe.fit import BLOCK, LineFits, fit_lines, fit_room, line_window, map_edge
+from tracker.stripe.fit_block import CORRELATION_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
+from tracker.stripe.normal_equations import (
+    BEYOND,
+    COUNTS,
+    HIDDEN,
+    Block,
+    Equations,
+    PixelNoise,
+    Prior,
+    Unknowns,
+    moments_of,
+    normal_equations,
+    solve,
 )
-from tracker.stripe.normal_equations import moments_of, normal_equations, solve, variance_of
+from tracker.stripe.residuals import CORE_SIGMAS, SATURATED_SIGMAS
 from tracker.stripe.viterbi import MANY_OFFSETS, OFFSET_STEP, best_path, matched_filter, peaks
 from tracker.stripe.viterbi import bell as bell_of
 
@@ -33,7 +40,7 @@ WIDTHS, AMPLITUDES, ARC_SHARES = (2.0, 4.0, 7.0), (500.0, 2000.0, 8000.0), (0.0,
 seeds = st.integers(0, 2**32 - 1)
 
 
-def fit(
+def line_fits(
     charge: Float64,
     background: Float64,
     start: Float64,
@@ -44,9 +51,10 @@ def fit(
     map_sigma: float = MAP_SIGMA,
     base_sigma: float = BASE_SIGMA,
     speckle: float = 0.0,
-) -> tuple[Float64, Bool]:
+) -> LineFits:
+    """All that `fit_lines` writes."""
     n = len(charge)
-    fits, saturated = np.full((n, N_FITTED), -1.0), np.ones(n, dtype=bool)
+    fits = LineFits.empty(n)
     fit_lines(
         charge.astype(np.float32),
         background.astype(np.float32),
@@ -60,10 +68,25 @@ def fit(
         speckle,
         map_sigma,
         base_sigma,
+        fit_room(),
         fits,
-        saturated,
     )
-    return fits, saturated
+    return fits
+
+
+def fit(
+    charge: Float64,
+    background: Float64,
+    start: Float64,
+    width: float,
+    *,
+    censored: Bool | None = None,
+    lows: Float64 | None = None,
+    base_sigma: float = BASE_SIGMA,
+) -> tuple[Float64, Bool]:
+    """The fits of lines that hold a stripe, and which are saturated."""
+    fits = line_fits(charge, background, start, width, censored=censored, lows=lows, base_sigma=base_sigma)
+    return fits.fits, fits.saturated
 
 
 class Lines:
@@ -170,27 +193,67 @@ def test_the_bell_is_a_gaussian() -> None:
     np.testing.assert_allclose(bell, np.exp(-0.5 * t.astype(np.float64) ** 2), rtol=0.0, atol=1e-6)
 
 
+@kernel
+def solved(h: Float32, g: Float32, out: Float32) -> None:
+    """Solve sixteen equations of lower triangles h (15, N_LANES) and gradients g (5, N_LANES)."""
+    equations = Equations(
+        load(h[0], 0), load(h[1], 0), load(h[2], 0), load(h[3], 0), load(h[4], 0), load(h[5], 0),
+        load(h[6], 0), load(h[7], 0), load(h[8], 0), load(h[9], 0), load(h[10], 0), load(h[11], 0),
+        load(h[12], 0), load(h[13], 0), load(h[14], 0),
+        load(g[0], 0), load(g[1], 0), load(g[2], 0), load(g[3], 0), load(g[4], 0),
+    )  # fmt: skip
+    s = solve(equations)
+    numbers = (s.step_0, s.step_1, s.step_2, s.step_3, s.step_4, s.gained, s.variance_0, s.variance_1)
+    for k in range(len(numbers)):
+        store(out[k], 0, numbers[k])
+    store(out[8], 0, where(s.is_positive, spread(1.0), spread(0.0)))
+
+
+LOWER = np.tril_indices(5)
+"""The elements of `Equations`, in its order."""
+
+
 @settings(deadline=None, max_examples=40)
 @given(seeds, st.floats(-6.0, 6.0))
-def test_solve_is_the_linear_solver(seed: int, decades: float) -> None:
+def test_solve_is_the_linear_solver_in_every_lane(seed: int, decades: float) -> None:
     rng = np.random.default_rng(seed)
-    root = rng.normal(0.0, 1.0, (5, 5)) + 2.0 * np.eye(5)
+    root = rng.normal(0.0, 1.0, (N_LANES, 5, 5)) + 2.0 * np.eye(5)
     scale = 10.0 ** np.linspace(0.0, decades, 5)
-    H = (root @ root.T + 0.1 * np.eye(5)) * np.outer(scale, scale)
-    g, step = scale * rng.normal(0.0, 1.0, 5), np.empty(5)
-    factors = H.copy()
-    gained = solve(factors, g.copy(), step)
-    exact = np.linalg.solve(H, g)
-    np.testing.assert_allclose(step * scale, exact * scale, rtol=1e-6, atol=1e-6)
-    assert gained == pytest.approx(g @ exact, rel=1e-6)
-    for which in range(5):
-        variance = variance_of(factors, which, np.empty(5))
-        assert variance == pytest.approx(np.linalg.inv(H)[which, which], rel=1e-6)
+    plain = root @ root.swapaxes(1, 2) + 0.3 * np.eye(5)
+    H, g = plain * np.outer(scale, scale), scale * rng.normal(0.0, 1.0, (N_LANES, 5))
+    out = np.empty((9, N_LANES), np.float32)
+    solved(H[:, *LOWER].T.astype(np.float32).copy(), g.T.astype(np.float32).copy(), out)
+    for lane in range(N_LANES):
+        exact, inverse = np.linalg.solve(H[lane], g[lane]), np.linalg.inv(H[lane])
+        digits = 3e-6 * np.linalg.cond(plain[lane])
+        size = np.abs(exact * scale).max()
+        np.testing.assert_allclose(out[:5, lane] * scale, exact * scale, rtol=0.0, atol=digits * size)
+        assert out[5, lane] == pytest.approx(g[lane] @ exact, rel=digits)
+        assert out[6:8, lane] == pytest.approx(np.diag(inverse)[:2], rel=digits)
+        assert out[8, lane] == 1.0
 
 
-def test_solve_refuses_what_is_not_positive() -> None:
-    assert math.isnan(solve(np.diag([1.0, 1.0, -1.0, 1.0, 1.0]), np.ones(5), np.empty(5)))
-    assert math.isnan(solve(np.zeros((5, 5)), np.ones(5), np.empty(5)))
+def test_solve_refuses_what_is_not_positive_in_its_own_lane_alone() -> None:
+    H = np.repeat(np.eye(5)[None], N_LANES, axis=0)
+    H[3, 2, 2], H[7] = -1.0, 0.0
+    out = np.empty((9, N_LANES), np.float32)
+    solved(H[:, *LOWER].T.astype(np.float32).copy(), np.ones((5, N_LANES), np.float32), out)
+    np.testing.assert_array_equal(out[8] > 0.0, ~np.isin(np.arange(N_LANES), [3, 7]))
+
+
+@kernel
+def equations_of(block: Block, n: int, x: Float32, noise: Float32, out: Float32) -> None:
+    """Write the equations (20, N_LANES) of lines at x (5, N_LANES), with their chi2 and used pixels."""
+    place, width = load(x[1], 0), load(x[2], 0)
+    unknowns = Unknowns(load(x[0], 0), place, load(x[3], 0), load(x[4], 0))
+    law = PixelNoise(spread(noise[0]), spread(noise[1]), spread(noise[2]))
+    m = moments_of(block, n, unknowns, spread(1.0) / width, law)
+    nothing = Prior(spread(0.0), spread(0.0), spread(0.0), spread(0.0))
+    equations = normal_equations(m, unknowns, nothing)
+    for k in range(len(equations)):
+        store(out[k], 0, equations[k])
+    store(out[20], 0, m.chi2)
+    store(out[21], 0, m.used)
 
 
 @settings(deadline=None, max_examples=40)
@@ -212,24 +275,78 @@ def test_the_normal_equations_are_those_of_numerical_derivatives(
         slope = x[4] / width
         return x[0] * np.exp(-0.5 * (away / np.exp(x[2])) ** 2) + background + x[3] + slope * away
 
-    charge, censored = mean(x) + rng.normal(0.0, 100.0, n), rng.random(n) < 0.2
+    charge, kind = (
+        mean(x) + rng.normal(0.0, 100.0, n),
+        rng.choice([COUNTS, HIDDEN, BEYOND], n, p=[0.7, 0.2, 0.1]),
+    )
     steps = 1e-5 * np.diag(np.maximum(np.abs(x), 1.0))
     J = np.stack([(mean(x + step) - mean(x - step)) / (2.0 * step.sum()) for step in steps], axis=1)
     residual = charge - mean(x)
-    counts = ~censored | (residual > 0.0)
+    counts = (kind == COUNTS) | ((kind == HIDDEN) & (residual > 0.0))
     stripe = x[0] * np.exp(-0.5 * ((r - x[1] * width) / np.exp(x[2])) ** 2)
     weight = counts / (shot * np.maximum(mean(x), 0.0) + DARK + (speckle * stripe) ** 2)
-    H, g = np.zeros((5, 5)), np.empty(5)
-    single = (charge.astype(np.float32), background.astype(np.float32), censored, r.astype(np.float32))
-    moments = moments_of(*single, x, width, shot, DARK, speckle)
-    normal_equations(moments, x, H, g)
+    # The line is in one lane, and others are elsewhere.
+    lane = int(rng.integers(N_LANES))
+    pixels = [rng.uniform(0.0, 9000.0, (n, N_LANES)) for _ in range(2)] + [np.ones((n, N_LANES))]
+    for lines, line in zip(pixels, (charge, background, kind), strict=True):
+        lines[:, lane] = line
+    block = Block(*(lines.astype(np.float32).ravel() for lines in pixels))
+    at = np.tile(x[:, None], N_LANES)
+    at[2] = width
+    out = np.empty((22, N_LANES), np.float32)
+    equations_of(block, n, at.astype(np.float32), np.array([shot, DARK, speckle], np.float32), out)
+    H, g = np.zeros((5, 5)), out[15:20, lane]
+    H[LOWER] = out[:15, lane]
     exact = J.T @ (weight[:, None] * J)
     scale = np.sqrt(np.diag(exact))
     np.testing.assert_allclose(H / np.outer(scale, scale), np.tril(exact / np.outer(scale, scale)), atol=5e-5)
     off = math.sqrt(np.sum(weight * residual**2))
     np.testing.assert_allclose(g / scale / off, J.T @ (weight * residual) / scale / off, atol=1e-4)
-    assert moments.chi2 == pytest.approx(off**2, rel=1e-3)
-    assert moments.used == counts.sum()
+    assert out[20, lane] == pytest.approx(off**2, rel=1e-3)
+    assert out[21, lane] == counts.sum()
+
+
+@settings(deadline=None, max_examples=20)
+@given(seeds, st.integers(1, 40))
+def test_a_line_is_fitted_the_same_whatever_lines_stand_beside_it(seed: int, n: int) -> None:
+    """Bit for bit: lines of other brightness, and lines that hold nothing, share its vector."""
+    rng = np.random.default_rng(seed)
+    drawn = [Lines(seed + k, 1, rng.uniform(300.0, 9000.0), 4.0, rng.uniform(0.0, 9000.0)) for k in range(n)]
+    charge, background, start = (
+        np.concatenate([getattr(line, name) for line in drawn]) for name in ("charge", "background", "start")
+    )
+    start[rng.random(n) < 0.2] = np.nan
+    # An even map has no edges, which would be those of the lines beside.
+    background[:] = 500.0
+    together, order = fit(charge, background, start, 4.0)[0], rng.permutation(n)
+    np.testing.assert_array_equal(fit(charge[order], background, start[order], 4.0)[0], together[order])
+
+
+@settings(deadline=None, max_examples=20)
+@given(seeds, st.floats(0.0, 0.3))
+def test_what_scatters_about_the_bells_is_its_twin(seed: int, contrast: float) -> None:
+    rng = np.random.default_rng(seed)
+    n, depth, width = 40, 64, float(rng.uniform(2.0, 5.0))
+    true_px, amplitude = rng.uniform(22.0, 42.0, n), rng.uniform(1e3, 9e3, n)
+    bell = amplitude[:, None] * np.exp(-0.5 * ((np.arange(depth) - true_px[:, None]) / width) ** 2)
+    background = rng.uniform(0.0, 1e3, (n, 1)) * np.ones(depth)
+    charge = bell * (1.0 + contrast * rng.normal(size=bell.shape)) + background
+    charge += rng.normal(0.0, np.sqrt(bell + background + DARK))
+    censored = rng.random(bell.shape) < 0.05
+    found = line_fits(charge, background, np.rint(true_px), width, censored=censored)
+    position, _, height, sigma = found.fits.T[:4, :, None]
+    t = (np.arange(depth) - position) / sigma
+    fitted = height * np.exp(-0.5 * t**2)
+    over = (charge - background - fitted) ** 2 - np.maximum(fitted + background, 0.0) - DARK
+    counts = (np.abs(t) <= CORE_SIGMAS) & ~censored
+    with np.errstate(invalid="ignore"):
+        twin = np.where(counts, over, 0.0).sum(1) / np.where(counts, fitted**2, 0.0).sum(1)
+    held = np.isfinite(found.fits[:, 0])
+    assert held.sum() > 30
+    np.testing.assert_allclose(found.core[:n][held], twin[held], rtol=1e-2, atol=1e-5)
+    assert np.isnan(found.core[:n][~held]).all()
+    near = np.abs(np.arange(depth) - position) <= SATURATED_SIGMAS * width
+    np.testing.assert_array_equal(found.saturated[held], (near & censored).any(axis=1)[held])
 
 
 @given(st.floats(-20.0, 120.0), st.floats(0.5, 12.0), st.integers(2, 150))

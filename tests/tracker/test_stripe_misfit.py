@@ -10,43 +10,46 @@ import pytest
 from profiles import PX_MM, groove, measure
 from rendered import SEED
 from test_alike import CAMERA_MM, JOINTS, LASER_MM
-from test_stripe import CELL, fit
+from test_stripe import line_fits
 
-from noise_model.arrays import Bool, Float64, Int64
+from noise_model.arrays import Bool, Float64
 from tracker.joint import fit_joint
-from tracker.stripe.fit import CORRELATION_PX, WINDOW_SIGMAS
-from tracker.stripe.misfit import (
-    CHANCE,
-    MIN_LINES,
-    MOVED,
-    N_BINS,
-    mean_square_near,
-    misfit_sigma_px,
-    odd_residuals,
-)
+from tracker.stripe.fit import line_window
+from tracker.stripe.fit_block import CORRELATION_PX, WINDOW_SIGMAS
+from tracker.stripe.misfit import CHANCE, MIN_LINES, MOVED, MisfitRoom, mean_square_near, misfit_sigma_px
+from tracker.stripe.residuals import LAST_BIN, N_BINS
 
 DEPTH, N_LINES, WIDTH_PX, AMPLITUDE_E, ARC_E = 64, 30, 5.0, 3000.0, 4000.0
 
 
-def plain_odd_residuals(
-    charge: Float64, background: Float64, censored: Bool, fits: Float64, lows: Int64
+def plain_odd_parts(
+    charge: Float64, background: Float64, censored: Bool, fits: Float64, windows: list[tuple[int, int]]
 ) -> Float64:
     """The odd residuals, bin by bin from masks."""
     odd = np.full((len(charge), N_BINS), math.nan)
-    place = np.arange(charge.shape[1])
     edges = np.linspace(0.0, WINDOW_SIGMAS, N_BINS + 1)
+    reach = edges[-2] + LAST_BIN * (edges[1] - edges[0])
     for s, (position, _, amplitude, width, _, b0, b1) in enumerate(fits):
-        away = place - (position - lows[s // CELL])
-        t = away / width
-        if not (t[0] <= -WINDOW_SIGMAS + 1e-9 and t[-1] >= WINDOW_SIGMAS - 1e-9):
+        window = slice(*windows[s])
+        away = np.arange(window.start, window.stop) - position
+        t = away / WIDTH_PX
+        if not (t[0] <= -reach and t[-1] >= reach):
             continue
-        residual = charge[s] - background[s] - amplitude * np.exp(-0.5 * t**2) - b0 - b1 * away
+        mean = background[s, window] + amplitude * np.exp(-0.5 * (away / width) ** 2) + b0 + b1 * away
+        residual = charge[s, window] - mean
         for k in range(N_BINS):
-            near = (np.abs(t) >= edges[k]) & (np.abs(t) < edges[k + 1]) & ~censored[s]
+            near = (np.abs(t) >= edges[k]) & (np.abs(t) < edges[k + 1]) & ~censored[s, window]
             ahead, behind = residual[near & (t > 0.0)], residual[near & (t < 0.0)]
             if len(ahead) and len(behind):
                 odd[s, k] = 0.5 * (ahead.mean() - behind.mean())
     return odd
+
+
+def near(odd: Float64, half: int, alike: float) -> Float64:
+    """The kernel's mean square."""
+    mean_square = np.empty(len(odd))
+    mean_square_near(odd, half, alike, MisfitRoom.empty(), mean_square)
+    return mean_square
 
 
 def plain_mean_square_near(odd: Float64, half: int, alike: float) -> Float64:
@@ -63,28 +66,20 @@ def plain_mean_square_near(odd: Float64, half: int, alike: float) -> Float64:
 
 def test_odd_residuals_are_their_twins() -> None:
     rng = np.random.default_rng(SEED)
-    charge, background = rng.normal(3000.0, 300.0, (2, 40, DEPTH)).astype(np.float32)
-    censored = rng.random(charge.shape) < 0.1
-    lows = rng.integers(0, 9, 5)
-    fits = np.column_stack(
-        [
-            np.repeat(lows, CELL) + rng.uniform(14.0, 50.0, 40),
-            np.ones(40),
-            rng.uniform(100.0, 4000.0, 40),
-            rng.uniform(1.0, 7.0, 40),
-            np.ones(40),
-            rng.normal(0.0, 200.0, 40),
-            rng.normal(0.0, 20.0, 40),
-        ]
-    )
-    fits[rng.random(40) < 0.1] = math.nan
-    odd = odd_residuals(charge, background, censored, fits, lows, CELL)
-    expected = plain_odd_residuals(charge.astype(float), background.astype(float), censored, fits, lows)
-    np.testing.assert_allclose(odd, expected, rtol=1e-3, atol=0.05)
-    assert np.isfinite(odd).mean() > 0.5
+    n = 90
+    true_px, amplitude = rng.uniform(14.0, 50.0, n), rng.uniform(1000.0, 9000.0, n)
+    bell = amplitude[:, None] * np.exp(-0.5 * ((np.arange(DEPTH) - true_px[:, None]) / WIDTH_PX) ** 2)
+    background = np.full((n, DEPTH), ARC_E)
+    charge = (bell + background + rng.normal(0.0, 100.0, bell.shape)).astype(np.float32)
+    censored, start = rng.random(charge.shape) < 0.05, np.rint(true_px)
+    found = line_fits(charge, background, start, WIDTH_PX, censored=censored)
+    windows = [line_window(float(place), WIDTH_PX, DEPTH) for place in start]
+    expected = plain_odd_parts(charge.astype(float), background, censored, found.fits, windows)
+    np.testing.assert_allclose(found.odd, expected, rtol=1e-3, atol=0.05)
+    assert 0.5 < np.isfinite(found.odd).mean() < 0.95
     for half, alike in ((3, 1.0), (15, 2.5)):
         np.testing.assert_allclose(
-            mean_square_near(odd, half, alike), plain_mean_square_near(odd, half, alike), rtol=1e-6, atol=1e-3
+            near(found.odd, half, alike), plain_mean_square_near(found.odd, half, alike), rtol=1e-6, atol=1e-3
         )
 
 
@@ -104,11 +99,9 @@ def stretch(error_e: Float64, rng: np.random.Generator) -> tuple[float, float]:
     bell = AMPLITUDE_E * np.exp(-0.5 * ((np.arange(DEPTH) - at) / WIDTH_PX) ** 2)
     background = np.full((N_LINES, DEPTH), ARC_E)
     charge = rng.poisson(bell + ARC_E + error_e, background.shape) + rng.normal(0.0, 45.0, background.shape)
-    fits, _ = fit(charge, background, np.full(N_LINES, at), WIDTH_PX)
-    lows = np.zeros(-(-N_LINES // CELL), np.int64)
-    censored = np.zeros(charge.shape, bool)
-    odd = odd_residuals(charge.astype(np.float32), background.astype(np.float32), censored, fits, lows, CELL)
-    return float(np.mean(fits[:, 0]) - at), float(np.median(misfit_sigma_px(odd, fits, 1.0)))
+    found, sigma_px = line_fits(charge, background, np.full(N_LINES, at), WIDTH_PX), np.empty(N_LINES)
+    misfit_sigma_px(found.odd, found.fits, 1.0, MisfitRoom.empty(), sigma_px)
+    return float(np.mean(found.fits[:, 0]) - at), float(np.median(sigma_px))
 
 
 @pytest.mark.slow

@@ -20,7 +20,10 @@ seeds = st.integers(0, 2**32 - 1)
 
 def smooth_stripe(y: Float64, sigma: Float64) -> tuple[Float64, Float64]:
     """Independent columns."""
-    return stripe_smooth.smooth_stripe(y, sigma, sigma)
+    smooth, stated = np.empty((2, len(y)))
+    room = stripe_smooth.SmoothRoom.empty(len(y))
+    stripe_smooth.smooth_stripe(y, sigma, sigma, room, smooth, stated)
+    return smooth, stated
 
 
 def groove(slope: float) -> Float64:

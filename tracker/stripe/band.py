@@ -10,6 +10,33 @@ from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.kernel import kernel
 
+FIT_SIGMAS = 5.0
+"""How many stripe sigmas of background the band holds beyond the reach of the search: the fit reads four, and
+a second stripe beside them has to be seen."""
+
+
+@kernel
+def place(center_px: Float64, n_pos: int, half_px: int, lows: Int64) -> int:
+    """Write where the band that holds +-half_px begins for each CELL scan lines; return its depth."""
+    n_scan, n, spread = center_px.shape[0], lows.shape[0], 0.0
+    for i in range(n):
+        lowest, highest = _ends(center_px, i * CELL, min((i + 1) * CELL, n_scan))
+        spread = max(spread, highest - lowest)
+    depth = min(n_pos, 2 * half_px + math.ceil(min(spread, float(half_px))) + 1)
+    for i in range(n):
+        lowest, highest = _ends(center_px, i * CELL, min((i + 1) * CELL, n_scan))
+        lows[i] = min(max(round(0.5 * (lowest + highest) - 0.5 * depth), 0), n_pos - depth)
+    return depth
+
+
+@kernel(inline=True)
+def _ends(values: Float64, first: int, end: int) -> tuple[float, float]:
+    """Return the least and the largest of some values."""
+    lowest, highest = values[first], values[first]
+    for s in range(first, end):
+        lowest, highest = min(lowest, values[s]), max(highest, values[s])
+    return lowest, highest
+
 
 @kernel
 def gather(
@@ -33,24 +60,6 @@ def gather(
             dn = image_dn[low + j, s] if along_rows else image_dn[s, low + j]
             band[s, j] = charge_e[min(dn, max_dn)]
             censored[s, j] = dn >= saturation_dn
-
-
-@kernel(allocates=True)
-def place(center_px: Float64, n_pos: int, half_px: int) -> tuple[Int64, int]:
-    """Return where the band begins for each CELL scan lines, and its depth, so that it holds +-half_px."""
-    n_scan = center_px.shape[0]
-    n = -(-n_scan // CELL)
-    middles, lows, spread = np.empty(n), np.empty(n, dtype=np.int64), 0.0
-    for i in range(n):
-        lowest, highest = center_px[i * CELL], center_px[i * CELL]
-        for s in range(i * CELL, min((i + 1) * CELL, n_scan)):
-            lowest, highest = min(lowest, center_px[s]), max(highest, center_px[s])
-        middles[i] = 0.5 * (lowest + highest)
-        spread = max(spread, highest - lowest)
-    depth = min(n_pos, 2 * half_px + math.ceil(min(spread, float(half_px))) + 1)
-    for i in range(n):
-        lows[i] = min(max(round(middles[i] - 0.5 * depth), 0), n_pos - depth)
-    return lows, depth
 
 
 @kernel
@@ -82,3 +91,41 @@ def median_background(band: Float32, half: int, background: Float32) -> None:
         for j in range(depth):
             low, high = max(0, j - half), min(depth, j + half + 1)
             background[s, j] = np.median(band[s, low:high])
+
+
+@kernel
+def gather_band(
+    image_dn: Integers,
+    along_rows: bool,
+    center_px: Float64,
+    sigma_px: Float64,
+    reach_px: float,
+    n_pos: int,
+    charge_e: Float32,
+    saturation_dn: int,
+    lows: Int64,
+    band: Float32,
+    censored: Bool,
+) -> int:
+    """Copy the band about a stripe's expected centres (n_scan,) out of an image; return its depth.
+
+    It holds what a fit within `reach_px` reads of a stripe of `sigma_px` (n_scan,). `band` and `censored` are
+    flat, with room for any depth.
+    """
+    widest = 0.0
+    for s in range(sigma_px.shape[0]):
+        widest = max(widest, sigma_px[s])
+    depth = place(center_px, n_pos, math.ceil(reach_px + FIT_SIGMAS * widest), lows)
+    n_scan = center_px.shape[0]
+    shape = n_scan, depth
+    flat = n_scan * depth
+    gather(
+        image_dn,
+        along_rows,
+        lows,
+        charge_e,
+        saturation_dn,
+        band[:flat].reshape(shape),
+        censored[:flat].reshape(shape),
+    )
+    return depth

@@ -16,54 +16,74 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
-from tracker.stripe.normal_equations import N_PARAMETERS, moments_of, normal_equations, solve, variance_of
+from noise_model.lanes import N_LANES, load, spread, store, where
+from noise_model.median import room_for
+from tracker.stripe.fit_block import CORRELATION_PX, MIN_SIGMA_E, WINDOW_SIGMAS, Known, fit_block
+from tracker.stripe.normal_equations import BEYOND, COUNTS, HIDDEN, Block, PixelNoise
+from tracker.stripe.residuals import N_BINS, core_square, odd_parts
 from tracker.stripe.viterbi import Pair
 
-WINDOW_SIGMAS = 4.0
-"""The fit reads this many stripe sigmas to either side of the centre: beyond them little tells of it."""
-
 BLOCK = 8
-"""The pixels that the CPU takes at once: a window is a multiple, for a rest takes as long as several."""
+"""A window is so many pixels, or a multiple."""
 
 MAX_PIXELS = 512
 """No stripe's window is longer."""
 
 N_FITTED = 7
-"""A line's fit writes so many numbers."""
+"""A line's fit has so many numbers."""
 
-MIN_PIXELS = 8
-"""Fewer pixels that count tell nothing of five parameters."""
-
-MAX_STEPS, LINE_SETTLED = 12, 2e-3
-"""Gauss-Newton steps at most; one that gains less of chi2 is the last: it ends within 0.01 of a sigma."""
+N_KNOWN, N_WRITTEN = len(Known._fields), N_FITTED + 4 + N_BINS
+"""So many numbers of a lane go into its fit, and come out: two answers, and what the fit leaves."""
 
 CORE_SIGMAS, CORE_MEAN = 0.5, 0.95
 """The first guess of an amplitude is from the pixels so near: a bell's mean there, over its top."""
 
-WIDTH_SIGMA_LN = 0.1
-"""1 sigma of ln(width / predicted width): focus, plate angle."""
-
-CORRELATION_PX = 30.0
-"""Over how many pixels the map's error changes: its slope's 1 sigma is the level's over this."""
-
-MIN_SIGMA_E = 1e-3
-"""The least 1 sigma of the background: a black level may be stated as exact."""
-
 EDGE_PX = 3
 """How far off, in scan lines, the map's edges may lie: hand-eye and the seam's direction."""
 
-MIN_SIGNIFICANCE = 5.0
-"""A stripe counts from this amplitude over its 1 sigma."""
+
+class FitRoom(NamedTuple):
+    """Room for the fit of sixteen lines.
+
+    `block` holds their pixels, `known` (N_KNOWN, N_LANES) and `fitted` (N_WRITTEN, N_LANES) their numbers,
+    `lines` and `lows` (N_LANES,) which lines they are and where their windows begin.
+    """
+
+    block: Block
+    known: Float32
+    fitted: Float32
+    lines: Int64
+    lows: Int64
 
 
-class LineScratch(NamedTuple):
-    """Room for one line's fit: pixel numbers (`MAX_PIXELS`,), information (5, 5), three vectors (5,)."""
+def fit_room() -> FitRoom:
+    """Make room for the fit of sixteen lines."""
+    pixels = Block(*np.empty((3, MAX_PIXELS * N_LANES), np.float32))
+    known, fitted = np.empty((N_KNOWN, N_LANES), np.float32), np.empty((N_WRITTEN, N_LANES), np.float32)
+    return FitRoom(pixels, known, fitted, *np.zeros((2, N_LANES), np.int64))
 
-    ramp: Float32
-    H: Float64
-    g: Float64
-    step: Float64
-    x: Float64
+
+class LineFits(NamedTuple):
+    """The fits of all scan lines, written over in each frame.
+
+    `tried` (n_scan, N_FITTED) are all fits that came to their end: position, sigma, amplitude, width, chi2,
+    and the background's offset b_0 and slope b_1. `fits` (n_scan, N_FITTED) are those that hold a stripe; NaN
+    in the others. Of these `core` (n_scan,) is `residuals.core_square` and `odd` (n_scan, N_BINS) are
+    `residuals.odd_parts`.
+    """
+
+    tried: Float64
+    fits: Float64
+    core: Float32
+    odd: Float64
+    saturated: Bool
+
+    @classmethod
+    def empty(cls, n_scan: int) -> LineFits:
+        """Make room for the lines of a frame."""
+        tried, fits = np.empty((2, n_scan, N_FITTED))
+        odd, core = np.empty((n_scan, N_BINS)), np.empty(room_for(n_scan), np.float32)
+        return cls(tried, fits, core, odd, np.empty(n_scan, np.bool_))
 
 
 @kernel
@@ -93,102 +113,6 @@ def _start(charge: Float32, background: Float32, first: int, last: int) -> Pair:
 
 
 @kernel
-def fit_line(
-    charge: Float32,
-    background: Float32,
-    censored: Bool,
-    start: float,
-    width: float,
-    shot: float,
-    dark_variance: float,
-    speckle: float,
-    map_sigma: float,
-    base_sigma: float,
-    edge_e: float,
-    scratch: LineScratch,
-    out: Float64,
-) -> bool:
-    """Fit one scan line by Gauss-Newton on the likelihood.
-
-    Written are position, sigma, amplitude, width, chi2, and the offset b_0 and slope b_1 of the background.
-
-    `charge`, `background` (depth,) are the linearised pixels and the arc map at its level, e-; `start` and
-    `width` px. The variance of a pixel is `shot` (1, or 0 for one variance for all) times its mean plus
-    `dark_variance`, e-^2, and the square of `speckle` times the stripe's light. `map_sigma` is the map's
-    relative 1 sigma, `base_sigma` the black level's, e-, `edge_e` by how much the map changes to the
-    neighbouring lines: an edge that may cut across this one.
-    False if there is no stripe there; what is written then is the fit that was refused, if it ran to its
-    end. The position is relative to the band's start.
-    """
-    middle = round(start)
-    low, end = line_window(start, width, charge.shape[0])
-    n = end - low
-    if n <= 2.0 * width or n > MAX_PIXELS or not low < middle < end - 1:
-        return False
-    charge, background, censored = charge[low:end], background[low:end], censored[low:end]
-    ramp, H, g, step, x = scratch.ramp[:n], scratch.H, scratch.g, scratch.step, scratch.x
-    core = int(CORE_SIGMAS * width) + 1
-    level, over = _start(charge, background, max(middle - core - low, 0), min(middle + core + 1 - low, n))
-    if not math.isfinite(over):
-        return False
-    smooth = max(math.sqrt((map_sigma * level) ** 2 + base_sigma**2), MIN_SIGMA_E)
-    sigma_b0 = math.sqrt(smooth**2 + edge_e**2)
-    sigma_b1 = math.sqrt((smooth / CORRELATION_PX) ** 2 + (edge_e / (WINDOW_SIGMAS * width)) ** 2)
-
-    ln_w0 = math.log(width)
-    position, ln_w, w, unit, b1 = start - low, ln_w0, width, width, 0.0
-    x[0], x[3] = max(over / CORE_MEAN, 1.0), 0.0
-    chi2, used, is_settled = 0.0, 0.0, False
-    for _ in range(MAX_STEPS):
-        x[1], x[2], x[4] = position / w, ln_w, b1 * w
-        moments = moments_of(charge, background, censored, ramp, x, w, shot, dark_variance, speckle)
-        normal_equations(moments, x, H, g)
-        off = (ln_w - ln_w0) / WIDTH_SIGMA_LN
-        known_b0, known_b1 = 1.0 / sigma_b0**2, 1.0 / (sigma_b1 * w) ** 2
-        H[2, 2] += 1.0 / WIDTH_SIGMA_LN**2
-        g[2] -= off / WIDTH_SIGMA_LN
-        H[3, 3] += known_b0
-        g[3] -= x[3] * known_b0
-        H[4, 4] += known_b1
-        g[4] -= x[4] * known_b1
-        used = float(moments.used)
-        chi2 = float(moments.chi2) + off * off + x[3] * x[3] * known_b0 + x[4] * x[4] * known_b1
-        gained = solve(H, g, step)
-        if used < MIN_PIXELS or math.isnan(gained):
-            return False
-        x[0] = max(x[0] + step[0], 0.1 * x[0])
-        position += min(max(step[1], -1.0), 1.0) * w
-        ln_w += min(max(step[2], -0.3), 0.3)
-        x[3] += step[3]
-        b1 += step[4] / w
-        unit, w = w, math.exp(ln_w)
-        if not 0.0 < position < n - 1 or abs(ln_w - ln_w0) > 1.0:
-            return False
-        # The last step may let a saturated pixel count, or no more: what they tell is asked once again.
-        if gained < LINE_SETTLED and (is_settled or used == n):
-            break
-        is_settled = gained < LINE_SETTLED
-    variance_a, variance_x = variance_of(H, 0, g), variance_of(H, 1, g) * unit * unit
-    # Three of the five parameters brought a prior, whose term is counted too.
-    freedom = used - 2.0
-    chi2 /= freedom
-    # Only what chi2 shows beyond its own scatter widens the sigmas: else chance alone would, on average.
-    excess = max(chi2 - math.sqrt(2.0 / freedom), 1.0)
-    # Where there is no stripe there is no speckle: a stripe is told from the noise without it.
-    without = max(shot * (level + x[0]) + dark_variance, MIN_SIGMA_E**2)
-    unspeckled = without / (without + (speckle * x[0]) ** 2)
-    significance = x[0] / math.sqrt(variance_a * excess * unspeckled)
-    out[0] = low + position
-    out[1] = math.sqrt(variance_x * excess)
-    out[2] = x[0]
-    out[3] = w
-    out[4] = chi2
-    out[5] = x[3]
-    out[6] = b1
-    return bool(significance >= MIN_SIGNIFICANCE)
-
-
-@kernel
 def map_edge(background: Float32, lows: Int64, cell: int, s: int, position: float) -> float:
     """Return how much the map changes, e-, over EDGE_PX scan lines to either side at a position."""
     n_scan, depth = background.shape
@@ -202,7 +126,79 @@ def map_edge(background: Float32, lows: Int64, cell: int, s: int, position: floa
     return change
 
 
-@kernel(allocates=True)
+@kernel
+def _write_pixels(charge: Float32, background: Float32, censored: Bool, lane: int, block: Block) -> None:
+    """Write a line's pixels (n,) into its lane."""
+    for j in range(charge.shape[0]):
+        here = j * N_LANES + lane
+        block.charge[here], block.background[here] = charge[j], background[j]
+        block.kind[here] = HIDDEN if censored[j] else COUNTS
+
+
+@kernel
+def _fill_up(n_lanes: int, n_pixels: int, room: FitRoom) -> None:
+    """Make what lies beyond a line's end count for nothing, and lanes without a line follow the first."""
+    block, known = room.block, room.known
+    for lane in range(N_LANES):
+        n = 0
+        if lane < n_lanes:
+            n = int(known[1, lane])
+        else:
+            for k in range(known.shape[0]):
+                known[k, lane] = known[k, 0]
+        for j in range(n, n_pixels):
+            here = j * N_LANES + lane
+            block.charge[here], block.background[here], block.kind[here] = 0.0, 0.0, BEYOND
+
+
+@kernel
+def _fit_lanes(n_lanes: int, n_pixels: int, noise: PixelNoise, room: FitRoom, lines: LineFits) -> None:
+    """Fit the lines in the first lanes and write what their fits say."""
+    _fill_up(n_lanes, n_pixels, room)
+    known, fitted = room.known, room.fitted
+    fit = fit_block(
+        room.block,
+        n_pixels,
+        Known(
+            load(known[0], 0),
+            load(known[1], 0),
+            load(known[2], 0),
+            load(known[3], 0),
+            load(known[4], 0),
+            load(known[5], 0),
+            load(known[6], 0),
+        ),
+        noise,
+    )
+    store(fitted[0], 0, fit.position)
+    store(fitted[1], 0, fit.sigma)
+    store(fitted[2], 0, fit.amplitude)
+    store(fitted[3], 0, fit.width)
+    store(fitted[4], 0, fit.chi2)
+    store(fitted[5], 0, fit.offset)
+    store(fitted[6], 0, fit.slope)
+    store(fitted[N_FITTED], 0, where(fit.is_done, spread(1.0), spread(0.0)))
+    store(fitted[N_FITTED + 1], 0, where(fit.is_stripe, spread(1.0), spread(0.0)))
+    core, hidden = core_square(room.block, n_pixels, fit, load(known[2], 0), noise)
+    store(fitted[N_FITTED + 2], 0, core)
+    store(fitted[N_FITTED + 3], 0, hidden)
+    odd_parts(room.block, n_pixels, fit, load(known[1], 0), load(known[2], 0), fitted[N_FITTED + 4 :])
+    for lane in range(n_lanes):
+        line = room.lines[lane]
+        if fitted[N_FITTED, lane] > 0.0:
+            for k in range(N_FITTED):
+                lines.tried[line, k] = fitted[k, lane]
+            lines.tried[line, 0] += room.lows[lane]
+        if fitted[N_FITTED + 1, lane] > 0.0:
+            for k in range(N_FITTED):
+                lines.fits[line, k] = lines.tried[line, k]
+            lines.core[line] = fitted[N_FITTED + 2, lane]
+            for k in range(N_BINS):
+                lines.odd[line, k] = fitted[N_FITTED + 4 + k, lane]
+            lines.saturated[line] = fitted[N_FITTED + 3, lane] > 0.0
+
+
+@kernel
 def fit_lines(
     charge: Float32,
     background: Float32,
@@ -216,44 +212,51 @@ def fit_lines(
     speckle: float,
     map_sigma: float,
     base_sigma: float,
-    fits: Float64,
-    saturated: Bool,
+    room: FitRoom,
+    lines: LineFits,
 ) -> None:
-    """Fit every scan line from `start` (n_scan,), NaN for none; write `fits` (n_scan, 7) and `saturated`."""
-    n_scan = charge.shape[0]
-    scratch = LineScratch(
-        np.arange(MAX_PIXELS).astype(np.float32),
-        np.empty((N_PARAMETERS, N_PARAMETERS)),
-        np.empty(N_PARAMETERS),
-        np.empty(N_PARAMETERS),
-        np.empty(N_PARAMETERS),
-    )
+    """Fit every scan line from `start` (n_scan,), NaN for none, and write what the fits say.
+
+    `charge`, `background` (n_scan, depth) are the linearised pixels
+    and the arc map at its level, e-; `start` and `width` px. The variance of a pixel is `shot` (1, or 0 for
+    one variance for all) times its mean plus `dark_variance`, e-^2, and the square of `speckle` times the
+    stripe's light. `map_sigma` is the map's relative 1 sigma, `base_sigma` the black level's, e-. How much
+    the map changes to the neighbouring lines counts as well: an edge may cut across a line.
+    """
+    n_scan, depth = charge.shape
+    noise = PixelNoise(spread(shot), spread(dark_variance), spread(speckle))
+    known, tried, fits, saturated = room.known, lines.tried, lines.fits, lines.saturated
+    lane, longest = 0, 0
     for s in range(n_scan):
-        saturated[s] = False
-        is_fitted = False
-        if not math.isnan(start[s]):
-            low = lows[s // cell]
-            is_fitted = fit_line(
-                charge[s],
-                background[s],
-                censored[s],
-                start[s] - low,
-                width[s],
-                shot,
-                dark_variance,
-                speckle,
-                map_sigma,
-                base_sigma,
-                map_edge(background, lows, cell, s, start[s]),
-                scratch,
-                fits[s],
-            )
-            if is_fitted:
-                near = int(fits[s, 0])
-                reach = int(2.0 * width[s])
-                for r in range(max(0, near - reach), min(censored.shape[1], near + reach + 1)):
-                    if censored[s, r]:
-                        saturated[s] = True
-                fits[s, 0] += low
-        if not is_fitted:
-            fits[s, :] = np.nan
+        saturated[s], lines.core[s] = False, np.float32(math.nan)
+        for k in range(N_FITTED):
+            tried[s, k] = fits[s, k] = math.nan
+        for k in range(N_BINS):
+            lines.odd[s, k] = math.nan
+        if math.isnan(start[s]):
+            continue
+        begin = lows[s // cell]
+        place, middle = start[s] - begin, round(start[s] - begin)
+        low, end = line_window(place, width[s], depth)
+        n = end - low
+        if n <= 2.0 * width[s] or n > MAX_PIXELS or not low < middle < end - 1:
+            continue
+        core = int(CORE_SIGMAS * width[s]) + 1
+        first, last = max(middle - core - low, 0), min(middle + core + 1 - low, n)
+        level, over = _start(charge[s, low:end], background[s, low:end], first, last)
+        if not math.isfinite(over):
+            continue
+        edge_e = map_edge(background, lows, cell, s, start[s])
+        smooth = max(math.sqrt((map_sigma * level) ** 2 + base_sigma**2), MIN_SIGMA_E)
+        known[0, lane], known[1, lane], known[2, lane] = place - low, n, width[s]
+        known[3, lane], known[4, lane] = max(over / CORE_MEAN, 1.0), level
+        known[5, lane] = 1.0 / (smooth**2 + edge_e**2)
+        known[6, lane] = 1.0 / ((smooth / CORRELATION_PX) ** 2 + (edge_e / (WINDOW_SIGMAS * width[s])) ** 2)
+        _write_pixels(charge[s, low:end], background[s, low:end], censored[s, low:end], lane, room.block)
+        room.lines[lane], room.lows[lane] = s, begin + low
+        lane, longest = lane + 1, max(longest, n)
+        if lane == N_LANES:
+            _fit_lanes(lane, longest, noise, room, lines)
+            lane, longest = 0, 0
+    if lane > 0:
+        _fit_lanes(lane, longest, noise, room, lines)

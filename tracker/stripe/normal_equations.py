@@ -1,90 +1,176 @@
-"""A scan line's weighted sums, the normal equations of a stripe's fit that follow from them, their solution.
+"""Sixteen scan lines' weighted sums, the normal equations of their stripes' fits, and their solution.
 
 The mean of a pixel is A g(t) + its background + offset + slope t, g(t) = exp(-t^2 / 2), t its place over the
 stripe's width. Its derivatives with the five unknowns are g, t^k or products of both, so the information
-matrix is made of a dozen sums, whatever amplitude and slope are.
+matrix is made of a dozen sums, whatever amplitude and slope are. A lane is a line: all of them take the same
+steps at once, and no sum is taken across lanes.
 """
 
 from __future__ import annotations
 
-import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-
-from noise_model.arrays import Bool, Float32, Float64
+from noise_model.arrays import Float32
 from noise_model.kernel import REDUCTION, kernel
-from tracker.stripe.viterbi import bell
+from noise_model.lanes import N_LANES, Lanes, Mask, load, spread, where
 
 N_PARAMETERS = 5
 
-Single = np.floating[Any]
+COUNTS, HIDDEN, BEYOND = 1.0, 0.0, -1.0
+"""What a pixel is: it counts; it is censored and says 'at least this'; it lies beyond its line's window."""
+
+
+class Block(NamedTuple):
+    """Pixels of sixteen lines, (n N_LANES,) each: a pixel of all lines, then the next of all lines.
+
+    `charge` and `background` are e-, `kind` is COUNTS, HIDDEN or BEYOND.
+    """
+
+    charge: Float32
+    background: Float32
+    kind: Float32
+
+
+class Unknowns(NamedTuple):
+    """What is fitted, by lane: amplitude, place over width, offset, slope times width.
+
+    With ln(width) these are five numbers of alike derivatives.
+    """
+
+    amplitude: Lanes
+    place: Lanes
+    offset: Lanes
+    slope: Lanes
+
+
+class PixelNoise(NamedTuple):
+    """A pixel's variance: `shot` times its mean, `dark`, e-^2, and the square of `speckle` times the bell."""
+
+    shot: Lanes
+    dark: Lanes
+    speckle: Lanes
+
+
+class Prior(NamedTuple):
+    """What is known of ln(width), offset and slope times width beside the pixels: 1 over their variances.
+
+    `off_width` is how far ln(width) lies off its predicted value; offset and slope are 0 +- their sigma.
+    """
+
+    width: Lanes
+    offset: Lanes
+    slope: Lanes
+    off_width: Lanes
 
 
 class Moments(NamedTuple):
-    """Sums over a line's pixels, w a pixel's weight, g the bell and t the place over the width at it.
+    """Sums over the lines' pixels, w a pixel's weight, g the bell and t the place over the width at it.
 
     `bell2_k` sums w g^2 t^k, `bell_k` w g t^k, `flat_k` w t^k; `off_k` and `off_bell_k` the same with the
     residual for one w; `chi2` w times the residual's square; `used` is how many pixels counted.
     """
 
-    bell2_0: Single
-    bell2_1: Single
-    bell2_2: Single
-    bell2_3: Single
-    bell2_4: Single
-    bell_0: Single
-    bell_1: Single
-    bell_2: Single
-    bell_3: Single
-    flat_0: Single
-    flat_1: Single
-    flat_2: Single
-    off_bell_0: Single
-    off_bell_1: Single
-    off_bell_2: Single
-    off_0: Single
-    off_1: Single
-    chi2: Single
-    used: Single
+    bell2_0: Lanes
+    bell2_1: Lanes
+    bell2_2: Lanes
+    bell2_3: Lanes
+    bell2_4: Lanes
+    bell_0: Lanes
+    bell_1: Lanes
+    bell_2: Lanes
+    bell_3: Lanes
+    flat_0: Lanes
+    flat_1: Lanes
+    flat_2: Lanes
+    off_bell_0: Lanes
+    off_bell_1: Lanes
+    off_bell_2: Lanes
+    off_0: Lanes
+    off_1: Lanes
+    chi2: Lanes
+    used: Lanes
+
+
+class Equations(NamedTuple):
+    """The information's lower triangle, h_ij, and the gradient, g_i.
+
+    The unknowns are amplitude, place, ln width, offset and slope, in this order.
+    """
+
+    h_00: Lanes
+    h_10: Lanes
+    h_11: Lanes
+    h_20: Lanes
+    h_21: Lanes
+    h_22: Lanes
+    h_30: Lanes
+    h_31: Lanes
+    h_32: Lanes
+    h_33: Lanes
+    h_40: Lanes
+    h_41: Lanes
+    h_42: Lanes
+    h_43: Lanes
+    h_44: Lanes
+    g_0: Lanes
+    g_1: Lanes
+    g_2: Lanes
+    g_3: Lanes
+    g_4: Lanes
+
+
+class Solution(NamedTuple):
+    """The step H^-1 g, what it gains, g H^-1 g, variances of amplitude and place, and where H is positive.
+
+    Where it is not, the numbers mean nothing.
+    """
+
+    step_0: Lanes
+    step_1: Lanes
+    step_2: Lanes
+    step_3: Lanes
+    step_4: Lanes
+    gained: Lanes
+    variance_0: Lanes
+    variance_1: Lanes
+    is_positive: Mask
 
 
 @kernel(fastmath=REDUCTION)
-def moments_of(
-    charge: Float32,
-    background: Float32,
-    censored: Bool,
-    ramp: Float32,
-    x: Float64,
-    width: float,
-    shot: float,
-    dark_variance: float,
-    speckle: float,
-) -> Moments:
-    """Return the moments of a line's pixels at x.
+def bells(t: Lanes) -> Lanes:
+    """Return exp(-t^2 / 2) as `viterbi.bell` does."""
+    v = spread(-0.03125) * t * t
+    v = where(v > spread(-1.0), v, spread(-1.0))
+    b = spread(1.0 / 24.0) + v * (spread(1.0 / 120.0) + v * spread(1.0 / 720.0))
+    unity = spread(1.0)
+    b = unity + v * (unity + v * (spread(0.5) + v * (spread(1.0 / 6.0) + v * b)))
+    b *= b
+    b *= b
+    b *= b
+    return b * b
 
-    `x` holds amplitude, position over width, ln width, offset and slope times width: five numbers of alike
-    derivatives. `charge` (n,) and its like are the window's, `ramp` (n,) counts its pixels. A pixel has the
-    variance `shot` times its mean plus `dark_variance`, e-^2, and the square of `speckle` times the stripe's
-    light. Sums may be taken in any order, so they run 8 or 16 pixels at once.
-    """
-    zero, unity = np.float32(0.0), np.float32(1.0)
-    amplitude, offset, slope = np.float32(x[0]), np.float32(x[3]), np.float32(x[4])
-    inverse, t0 = np.float32(1.0 / width), np.float32(x[1])
-    shot32, dark32, speckled = np.float32(shot), np.float32(dark_variance), np.float32(speckle * x[0])
+
+@kernel(fastmath=REDUCTION)
+def moments_of(block: Block, n: int, x: Unknowns, inverse_width: Lanes, noise: PixelNoise) -> Moments:
+    """Return the moments of the lines' first n pixels at x."""
+    zero, unity = spread(0.0), spread(1.0)
+    speckled = noise.speckle * x.amplitude
     bell2_0, bell2_1, bell2_2, bell2_3, bell2_4 = zero, zero, zero, zero, zero
     bell_0, bell_1, bell_2, bell_3 = zero, zero, zero, zero
     flat_0, flat_1, flat_2 = zero, zero, zero
     off_bell_0, off_bell_1, off_bell_2, off_0, off_1 = zero, zero, zero, zero, zero
     chi2, used = zero, zero
-    for j in range(charge.shape[0]):
-        t = ramp[j] * inverse - t0
-        g = bell(t)
-        mean = amplitude * g + background[j] + offset + slope * t
-        residual = charge[j] - mean
-        counts = unity if (not censored[j]) or residual > zero else zero
+    for j in range(n):
+        t = spread(j) * inverse_width - x.place
+        kind = load(block.kind, j * N_LANES)
+        g = bells(t)
+        mean = x.amplitude * g + load(block.background, j * N_LANES) + x.offset + x.slope * t
+        residual = load(block.charge, j * N_LANES) - mean
+        hidden = where(residual > zero, unity, zero)
+        counts = where(kind > spread(HIDDEN), unity, where(kind < spread(HIDDEN), zero, hidden))
         grains = speckled * g
-        weight = counts / (shot32 * max(mean, zero) + dark32 + grains * grains)
+        lit = where(mean > zero, mean, zero)
+        weight = counts / (noise.shot * lit + noise.dark + grains * grains)
         t2, off = t * t, weight * residual
         w_bell, off_bell = weight * g, off * g
         w_bell2, w_bell2_2 = w_bell * g, w_bell * g * t2
@@ -130,76 +216,81 @@ def moments_of(
     )
 
 
-@kernel
-def normal_equations(m: Moments, x: Float64, H: Float64, g: Float64) -> None:
-    """Write the information's lower triangle H (5, 5) and the gradient g (5,) that a line's moments give.
+@kernel(fastmath=REDUCTION)
+def normal_equations(m: Moments, x: Unknowns, prior: Prior) -> Equations:
+    """Return the normal equations that the lines' moments give, with what is known beside them.
 
-    The mean's derivatives with x are g, A g t - slope, A g t^2, 1 and t.
+    The mean's derivatives are g, A g t - slope, A g t^2, 1 and t.
     """
-    A, slope = x[0], x[4]
-    H[0, 0] = m.bell2_0
-    H[1, 0] = A * m.bell2_1 - slope * m.bell_0
-    H[1, 1] = A * A * m.bell2_2 - 2.0 * slope * A * m.bell_1 + slope * slope * m.flat_0
-    H[2, 0] = A * m.bell2_2
-    H[2, 1] = A * A * m.bell2_3 - slope * A * m.bell_2
-    H[2, 2] = A * A * m.bell2_4
-    H[3, 0] = m.bell_0
-    H[3, 1] = A * m.bell_1 - slope * m.flat_0
-    H[3, 2] = A * m.bell_2
-    H[3, 3] = m.flat_0
-    H[4, 0] = m.bell_1
-    H[4, 1] = A * m.bell_2 - slope * m.flat_1
-    H[4, 2] = A * m.bell_3
-    H[4, 3] = m.flat_1
-    H[4, 4] = m.flat_2
-    g[0] = m.off_bell_0
-    g[1] = A * m.off_bell_1 - slope * m.off_0
-    g[2] = A * m.off_bell_2
-    g[3] = m.off_0
-    g[4] = m.off_1
+    A, slope = x.amplitude, x.slope
+    double = spread(2.0) * slope
+    return Equations(
+        m.bell2_0,
+        A * m.bell2_1 - slope * m.bell_0,
+        A * (A * m.bell2_2 - double * m.bell_1) + slope * slope * m.flat_0,
+        A * m.bell2_2,
+        A * (A * m.bell2_3 - slope * m.bell_2),
+        A * A * m.bell2_4 + prior.width,
+        m.bell_0,
+        A * m.bell_1 - slope * m.flat_0,
+        A * m.bell_2,
+        m.flat_0 + prior.offset,
+        m.bell_1,
+        A * m.bell_2 - slope * m.flat_1,
+        A * m.bell_3,
+        m.flat_1,
+        m.flat_2 + prior.slope,
+        m.off_bell_0,
+        A * m.off_bell_1 - slope * m.off_0,
+        A * m.off_bell_2 - prior.off_width * prior.width,
+        m.off_0 - x.offset * prior.offset,
+        m.off_1 - slope * prior.slope,
+    )
 
 
-@kernel
-def solve(H: Float64, g: Float64, step: Float64) -> float:
-    """Solve H step = g for a symmetric H (5, 5) given by its lower triangle; NaN if it is not positive.
+@kernel(fastmath=REDUCTION)
+def solve(e: Equations) -> Solution:
+    """Solve the lines' normal equations by H = L D L^T; written out, so that no number leaves its register.
 
-    Returns what the step gains, g H^-1 g. H becomes the factors of L D L^T: L below the diagonal, 1 / D on
-    it; `g` becomes L^-1 g.
+    `c_ij` are the elements of L D, `i_j` those of 1 / D, and the variances the squares of L^-1's columns over
+    D.
     """
-    gained = 0.0
-    for i in range(N_PARAMETERS):
-        for j in range(i):
-            total = H[i, j]
-            for m in range(j):
-                total -= H[j, m] * H[m, i]
-            # L D waits in the upper triangle.
-            H[j, i] = total
-            H[i, j] = total * H[j, j]
-        pivot, total = H[i, i], g[i]
-        for m in range(i):
-            pivot -= H[i, m] * H[m, i]
-            total -= H[i, m] * g[m]
-        if not pivot > 0.0:
-            return math.nan
-        H[i, i] = 1.0 / pivot
-        g[i] = total
-        gained += total * total * H[i, i]
-    for i in range(N_PARAMETERS - 1, -1, -1):
-        total = g[i] * H[i, i]
-        for m in range(i + 1, N_PARAMETERS):
-            total -= H[m, i] * step[m]
-        step[i] = total
-    return gained
+    zero, unity = spread(0.0), spread(1.0)
+    i_0 = unity / e.h_00
+    l_10, l_20, l_30, l_40 = e.h_10 * i_0, e.h_20 * i_0, e.h_30 * i_0, e.h_40 * i_0
+    d_1 = e.h_11 - l_10 * e.h_10
+    i_1 = unity / d_1
+    c_21, c_31, c_41 = e.h_21 - l_20 * e.h_10, e.h_31 - l_30 * e.h_10, e.h_41 - l_40 * e.h_10
+    l_21, l_31, l_41 = c_21 * i_1, c_31 * i_1, c_41 * i_1
+    d_2 = e.h_22 - l_20 * e.h_20 - l_21 * c_21
+    i_2 = unity / d_2
+    c_32 = e.h_32 - l_30 * e.h_20 - l_31 * c_21
+    c_42 = e.h_42 - l_40 * e.h_20 - l_41 * c_21
+    l_32, l_42 = c_32 * i_2, c_42 * i_2
+    d_3 = e.h_33 - l_30 * e.h_30 - l_31 * c_31 - l_32 * c_32
+    i_3 = unity / d_3
+    c_43 = e.h_43 - l_40 * e.h_30 - l_41 * c_31 - l_42 * c_32
+    l_43 = c_43 * i_3
+    d_4 = e.h_44 - l_40 * e.h_40 - l_41 * c_41 - l_42 * c_42 - l_43 * c_43
+    i_4 = unity / d_4
+    is_positive = (e.h_00 > zero) & (d_1 > zero) & (d_2 > zero) & (d_3 > zero) & (d_4 > zero)
 
+    y_1 = e.g_1 - l_10 * e.g_0
+    y_2 = e.g_2 - l_20 * e.g_0 - l_21 * y_1
+    y_3 = e.g_3 - l_30 * e.g_0 - l_31 * y_1 - l_32 * y_2
+    y_4 = e.g_4 - l_40 * e.g_0 - l_41 * y_1 - l_42 * y_2 - l_43 * y_3
+    z_0, z_1, z_2, z_3, step_4 = e.g_0 * i_0, y_1 * i_1, y_2 * i_2, y_3 * i_3, y_4 * i_4
+    gained = e.g_0 * z_0 + y_1 * z_1 + y_2 * z_2 + y_3 * z_3 + y_4 * step_4
+    step_3 = z_3 - l_43 * step_4
+    step_2 = z_2 - l_32 * step_3 - l_42 * step_4
+    step_1 = z_1 - l_21 * step_2 - l_31 * step_3 - l_41 * step_4
+    step_0 = z_0 - l_10 * step_1 - l_20 * step_2 - l_30 * step_3 - l_40 * step_4
 
-@kernel
-def variance_of(H: Float64, which: int, column: Float64) -> float:
-    """Return one parameter's variance, an element of the inverse, from the factors H (5, 5) of `solve`."""
-    variance = 0.0
-    for i in range(which, N_PARAMETERS):
-        total = 1.0 if i == which else 0.0
-        for m in range(which, i):
-            total -= H[i, m] * column[m]
-        column[i] = total
-        variance += total * total * H[i, i]
-    return variance
+    b_2 = l_10 * l_21 - l_20
+    b_3 = l_10 * l_31 - l_30 - l_32 * b_2
+    b_4 = l_10 * l_41 - l_40 - l_42 * b_2 - l_43 * b_3
+    variance_0 = i_0 + l_10 * l_10 * i_1 + b_2 * b_2 * i_2 + b_3 * b_3 * i_3 + b_4 * b_4 * i_4
+    b_3 = l_21 * l_32 - l_31
+    b_4 = l_21 * l_42 - l_41 - l_43 * b_3
+    variance_1 = i_1 + l_21 * l_21 * i_2 + b_3 * b_3 * i_3 + b_4 * b_4 * i_4
+    return Solution(step_0, step_1, step_2, step_3, step_4, gained, variance_0, variance_1, is_positive)

@@ -187,16 +187,37 @@ def _best(sums: Float64, is_straight: Bool, i: int, own: _Line) -> _Line:
     return best
 
 
-@kernel(allocates=True)
-def smooth_stripe(position_px: Float64, sigma_px: Float64, together_px: Float64) -> tuple[Float64, Float64]:
-    """Return the centres (n,) that the neighbours along the stripe agree on, px, and their 1 sigma (n,).
+class SmoothRoom(NamedTuple):
+    """Room for the running sums (n + 1, 7), and by window chi2 (lengths, n) and whether it is straight."""
+
+    sums: Float64
+    chi2: Float64
+    is_straight: Bool
+
+    @classmethod
+    def empty(cls, n: int) -> SmoothRoom:
+        """Make room for n columns."""
+        windows = len(LENGTHS), n
+        return cls(np.empty((n + 1, PRESENT + 1)), np.empty(windows), np.empty(windows, np.bool_))
+
+
+@kernel
+def smooth_stripe(
+    position_px: Float64,
+    sigma_px: Float64,
+    together_px: Float64,
+    room: SmoothRoom,
+    smooth: Float64,
+    sigma: Float64,
+) -> None:
+    """Write the centres (n,) that the neighbours along the stripe agree on, px, and their 1 sigma (n,).
 
     `position_px`, `sigma_px` (n,) are the columns' own, NaN where there is no stripe. There, at an outlier,
-    and where the centre stays less sure than MIN_SURE_PX, what is returned is NaN too. `together_px` (n,)
+    and where the centre stays less sure than MIN_SURE_PX, what is written is NaN too. `together_px` (n,)
     is what a column counts with beside others: `sigma_px` for independent ones, more where they err alike.
     """
     n = position_px.shape[0]
-    smooth, sigma = np.empty(n), np.empty(n)
+    sums, chi2, is_straight = room
     reference = 0.0
     for i in range(n):
         smooth[i], sigma[i] = position_px[i], sigma_px[i]
@@ -204,13 +225,11 @@ def smooth_stripe(position_px: Float64, sigma_px: Float64, together_px: Float64)
             reference = smooth[i]
         else:
             sigma[i] = np.nan
-    sums = np.empty((n + 1, PRESENT + 1))
     _running_sums(position_px, together_px, reference, sums)
     for i in range(n):
         if math.isfinite(smooth[i]) and _is_outlier(sums, i, smooth[i] - reference, sigma[i] ** 2):
             smooth[i], sigma[i] = np.nan, np.nan
     _running_sums(smooth, together_px, reference, sums)
-    chi2, is_straight = np.empty((len(LENGTHS), n)), np.empty((len(LENGTHS), n), dtype=np.bool_)
     _find_straight(sums, chi2, is_straight)
     for i in range(n):
         if math.isfinite(smooth[i]):
@@ -218,4 +237,3 @@ def smooth_stripe(position_px: Float64, sigma_px: Float64, together_px: Float64)
             smooth[i], sigma[i] = best.value + reference, math.sqrt(best.variance)
             if sigma[i] > MIN_SURE_PX:
                 smooth[i], sigma[i] = np.nan, np.nan
-    return smooth, sigma

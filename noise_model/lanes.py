@@ -1,0 +1,256 @@
+"""Sixteen numbers at once: vectors of float32 that a kernel computes with as it does with single numbers.
+
+LLVM turns a loop over pixels into vectors by itself, but not a loop over lines each of which runs its own
+iteration. With `Lanes` a kernel says so: a lane is a line. The operators + - * / and comparisons work lane by
+lane; comparisons give a `Mask`, by which `where` chooses. On a processor with AVX-512 a vector is one
+register, elsewhere two or four.
+
+Sums may be taken in any order and multiplications joined with additions (`REDUCTION`); NaN stays NaN.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils
+from numba.core.datamodel import models
+from numba.core.extending import intrinsic, lower_builtin, register_model, type_callable
+from numba.core.types import Array, Type, boolean, float32, int32, intp, void
+
+from noise_model.kernel import REDUCTION
+
+N_LANES = 16
+"""So many float32 fill the widest registers."""
+
+_FLOATS = ir.VectorType(ir.FloatType(), N_LANES)
+_BITS = ir.VectorType(ir.IntType(1), N_LANES)
+_FLAGS = tuple(sorted(REDUCTION))
+
+
+class _LanesType(Type):
+    """Sixteen float32."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"Lanes({N_LANES})")
+
+
+class _MaskType(Type):
+    """Sixteen yes or no."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"Mask({N_LANES})")
+
+
+LANES, MASK = _LanesType(), _MaskType()
+
+Lanes = Any
+"""Sixteen float32 within a kernel."""
+
+Mask = Any
+"""Sixteen answers within a kernel."""
+
+
+@register_model(_LanesType)
+class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, type_: Type) -> None:
+        super().__init__(manager, type_, _FLOATS)
+
+
+@register_model(_MaskType)
+class _MaskModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, type_: Type) -> None:
+        super().__init__(manager, type_, _BITS)
+
+
+def _register(
+    operation: Callable[..., Any], takes: Type, gives: Type, emit: Callable[[Any, Any, Any], Any]
+) -> None:
+    """Teach numba an operation of two vectors."""
+
+    def typed(context: Any) -> Callable[[Type, Type], Type | None]:
+        return lambda a, b: gives if (a, b) == (takes, takes) else None
+
+    def written(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return emit(builder, *arguments)
+
+    type_callable(operation)(typed)
+    lower_builtin(operation, takes, takes)(written)
+
+
+def _arithmetic(name: str) -> Callable[[Any, Any, Any], Any]:
+    """Return what writes an instruction for floating-point numbers."""
+    return lambda builder, a, b: getattr(builder, name)(a, b, flags=_FLAGS)
+
+
+def _comparison(sign: str) -> Callable[[Any, Any, Any], Any]:
+    """Return what writes a comparison that NaN never passes."""
+    return lambda builder, a, b: builder.fcmp_ordered(sign, a, b)
+
+
+for _operations, _name in (
+    ((operator.add, operator.iadd), "fadd"),
+    ((operator.sub, operator.isub), "fsub"),
+    ((operator.mul, operator.imul), "fmul"),
+    ((operator.truediv, operator.itruediv), "fdiv"),
+):
+    for _operation in _operations:
+        _register(_operation, LANES, LANES, _arithmetic(_name))
+for _compare, _sign in (
+    (operator.lt, "<"),
+    (operator.le, "<="),
+    (operator.gt, ">"),
+    (operator.ge, ">="),
+    (operator.eq, "=="),
+):
+    _register(_compare, LANES, MASK, _comparison(_sign))
+_register(operator.and_, MASK, MASK, lambda builder, a, b: builder.and_(a, b))
+_register(operator.or_, MASK, MASK, lambda builder, a, b: builder.or_(a, b))
+
+
+def _instruction(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return what kernels call where `function` gives the types and writes LLVM's instructions."""
+    instruction: Callable[..., Any] = intrinsic(function)
+    return instruction
+
+
+def _address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Return where a vector begins in an array (n,) of float32."""
+    array = context.make_array(signature.args[0])(context, builder, arguments[0])
+    return builder.bitcast(builder.gep(array.data, [arguments[1]]), _FLOATS.as_pointer())
+
+
+def _is_line(array: Type) -> bool:
+    """Say whether a type is a contiguous array (n,) of float32."""
+    return isinstance(array, Array) and array.ndim == 1 and array.layout == "C" and array.dtype == float32
+
+
+@_instruction
+def load(_typing: Any, values: Any, _first: Any) -> Any:
+    """Return the sixteen of contiguous values (n,), float32, from a place on."""
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        loaded = builder.load(_address(context, builder, signature, arguments))
+        loaded.align = 4
+        return loaded
+
+    return (LANES(values, intp), write) if _is_line(values) else None
+
+
+@_instruction
+def store(_typing: Any, values: Any, _first: Any, lanes: Any) -> Any:
+    """Write a vector into contiguous values (n,), float32, from a place on."""
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.store(arguments[2], _address(context, builder, signature, arguments)).align = 4
+        return context.get_dummy_value()
+
+    return (void(values, intp, lanes), write) if _is_line(values) else None
+
+
+@_instruction
+def spread(_typing: Any, _value: Any) -> Any:
+    """Return a vector whose lanes all hold one number, rounded to float32."""
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        first = builder.insert_element(
+            ir.Constant(_FLOATS, ir.Undefined), arguments[0], ir.Constant(ir.IntType(32), 0)
+        )
+        everywhere = ir.Constant(ir.VectorType(ir.IntType(32), N_LANES), [0] * N_LANES)
+        return builder.shuffle_vector(first, first, everywhere)
+
+    return LANES(float32), write
+
+
+@_instruction
+def where(_typing: Any, mask: Any, yes: Any, no: Any) -> Any:
+    """Return `yes` in the lanes of a mask, `no` in the others."""
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.select(*arguments)
+
+    return LANES(mask, yes, no), write
+
+
+@_instruction
+def where_both(_typing: Any, mask: Any, yes: Any, no: Any) -> Any:
+    """Return the answers of `yes` in the lanes of a mask, those of `no` in the others."""
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.select(*arguments)
+
+    return MASK(mask, yes, no), write
+
+
+@_instruction
+def root(_typing: Any, lanes: Any) -> Any:
+    """Return each lane's square root."""
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        function = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(_FLOATS, [_FLOATS]), f"llvm.sqrt.v{N_LANES}f32"
+        )
+        return builder.call(function, arguments)
+
+    return LANES(lanes), write
+
+
+@_instruction
+def any_lane(_typing: Any, mask: Any) -> Any:
+    """Say whether a mask has one lane that answers yes."""
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        bits = builder.bitcast(arguments[0], ir.IntType(N_LANES))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
+
+    return boolean(mask), write
+
+
+def _across(name: str, takes: int) -> Callable[..., Any]:
+    """Return what writes a reduction of a vector to one number, from a start if LLVM wants one."""
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        single = ir.FloatType()
+        start = [ir.Constant(single, 0.0)] if takes == 2 else []
+        function = cgutils.get_or_insert_function(
+            builder.module,
+            ir.FunctionType(single, [*(value.type for value in start), _FLOATS]),
+            f"llvm.vector.reduce.{name}.v{N_LANES}f32",
+        )
+        return builder.call(function, [*start, *arguments], fastmath=_FLAGS)
+
+    return write
+
+
+@_instruction
+def total(_typing: Any, lanes: Any) -> Any:
+    """Return the sum of all lanes."""
+    return float32(lanes), _across("fadd", 2)
+
+
+@_instruction
+def least(_typing: Any, lanes: Any) -> Any:
+    """Return the least of all lanes, none of which is NaN."""
+    return float32(lanes), _across("fmin", 1)
+
+
+@_instruction
+def float_of(_typing: Any, _bits: Any) -> Any:
+    """Return the float32 that is written with 32 bits."""
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.bitcast(arguments[0], ir.FloatType())
+
+    return float32(int32), write
+
+
+@_instruction
+def bits_of(_typing: Any, _value: Any) -> Any:
+    """Return the 32 bits with which a float32 is written."""
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.bitcast(arguments[0], ir.IntType(32))
+
+    return int32(float32), write

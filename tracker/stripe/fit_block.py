@@ -1,0 +1,194 @@
+"""Gauss-Newton on the likelihood of sixteen scan lines at once, a lane a line.
+
+All lanes take the same steps until the last has ended; what a lane's fit says is kept when it ends.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from noise_model.kernel import REDUCTION, kernel
+from noise_model.lanes import Lanes, Mask, any_lane, root, spread, where, where_both
+from tracker.stripe.normal_equations import (
+    Block,
+    PixelNoise,
+    Prior,
+    Unknowns,
+    moments_of,
+    normal_equations,
+    solve,
+)
+
+WINDOW_SIGMAS = 4.0
+"""The fit reads this many stripe sigmas to either side of the centre: beyond them little tells of it."""
+
+CORRELATION_PX = 30.0
+"""Over how many pixels the map's error changes: its slope's 1 sigma is the level's over this."""
+
+MIN_PIXELS = 8
+"""Fewer pixels that count tell nothing of five parameters."""
+
+MAX_STEPS, LINE_SETTLED = 12, 2e-3
+"""Gauss-Newton steps at most; one that gains less of chi2 is the last: it ends within 0.01 of a sigma."""
+
+WIDTH_SIGMA_LN = 0.1
+"""1 sigma of ln(width / predicted width): focus, plate angle."""
+
+MIN_SIGMA_E = 1e-3
+"""The least 1 sigma of the background: a black level may be stated as exact."""
+
+MIN_SIGNIFICANCE = 5.0
+"""A stripe counts from this amplitude over its 1 sigma."""
+
+MOST_PLACE, MOST_LN_WIDTH, LEAST_AMPLITUDE = 1.0, 0.3, 0.1
+"""A step moves the place by a width at most, ln(width) by so much, and leaves this share of the amplitude."""
+
+MAX_LN_WIDTH = 1.0
+"""A fit whose width leaves the predicted one by a larger ln has lost its stripe."""
+
+
+class Known(NamedTuple):
+    """What is known of sixteen lines before their fit, by lane.
+
+    `start` is where the stripe is expected, px from the window's first pixel, `n` the window's length, px,
+    `width` the predicted 1 sigma, px. `amplitude` is the first guess, `level` the map's mean, e-. `offset`
+    and `slope` are what is known of the background's, 1 over their variances, e-^-2 and (e-/px)^-2.
+    """
+
+    start: Lanes
+    n: Lanes
+    width: Lanes
+    amplitude: Lanes
+    level: Lanes
+    offset: Lanes
+    slope: Lanes
+
+
+class Fitted(NamedTuple):
+    """What fits say of sixteen lines, by lane, as `fit.LineFits` has it, the place from the window's start.
+
+    `is_done` says where the fit came to its end, `is_stripe` where its amplitude is significant too.
+    """
+
+    position: Lanes
+    sigma: Lanes
+    amplitude: Lanes
+    width: Lanes
+    chi2: Lanes
+    offset: Lanes
+    slope: Lanes
+    is_done: Mask
+    is_stripe: Mask
+
+
+@kernel
+def _clipped(x: Lanes, most: float) -> Lanes:
+    """Return x between -most and most."""
+    x = where(x < spread(most), x, spread(most))
+    return where(x > spread(-most), x, spread(-most))
+
+
+@kernel
+def _larger(a: Lanes, b: Lanes) -> Lanes:
+    """Return the larger of two, b where a is NaN."""
+    return where(a > b, a, b)
+
+
+@kernel(fastmath=REDUCTION)
+def _exponential(x: Lanes) -> Lanes:
+    """Return exp(x) for |x| up to MOST_LN_WIDTH, 1e-7 off at most."""
+    unity = spread(1.0)
+    high = spread(1.0 / 24.0) + x * (spread(1.0 / 120.0) + x * spread(1.0 / 720.0))
+    return unity + x * (unity + x * (spread(0.5) + x * (spread(1.0 / 6.0) + x * high)))
+
+
+@kernel
+def _kept(mask: Mask, new: Fitted, old: Fitted) -> Fitted:
+    """Return the new fits in the lanes of a mask, the old ones in the others."""
+    return Fitted(
+        where(mask, new.position, old.position),
+        where(mask, new.sigma, old.sigma),
+        where(mask, new.amplitude, old.amplitude),
+        where(mask, new.width, old.width),
+        where(mask, new.chi2, old.chi2),
+        where(mask, new.offset, old.offset),
+        where(mask, new.slope, old.slope),
+        where_both(mask, new.is_done, old.is_done),
+        where_both(mask, new.is_stripe, old.is_stripe),
+    )
+
+
+@kernel(fastmath=REDUCTION)
+def _judged(
+    ended: Fitted, used: Lanes, variances: tuple[Lanes, Lanes], level: Lanes, noise: PixelNoise
+) -> Fitted:
+    """Return fits that ended with their sigmas, widened by chi2, and whether a stripe is there.
+
+    `ended.chi2` is the whole sum, `ended.sigma` the width, px, that the unknown place is over. `variances`
+    are those of amplitude and place.
+    """
+    # Three of the five parameters brought a prior, whose term is counted too.
+    freedom = used - spread(2.0)
+    chi2 = ended.chi2 / freedom
+    # Only what chi2 shows beyond its own scatter widens the sigmas: else chance alone would, on average.
+    excess = _larger(chi2 - root(spread(2.0) / freedom), spread(1.0))
+    # Where there is no stripe there is no speckle: a stripe is told from the noise without it.
+    without = _larger(noise.shot * (level + ended.amplitude) + noise.dark, spread(MIN_SIGMA_E**2))
+    grains = noise.speckle * ended.amplitude
+    unspeckled = without / (without + grains * grains)
+    is_significant = ended.amplitude >= spread(MIN_SIGNIFICANCE) * root(variances[0] * excess * unspeckled)
+    return Fitted(
+        ended.position,
+        root(variances[1] * excess) * ended.sigma,
+        ended.amplitude,
+        ended.width,
+        chi2,
+        ended.offset,
+        ended.slope,
+        ended.is_done,
+        ended.is_done & is_significant,
+    )
+
+
+@kernel(fastmath=REDUCTION)
+def fit_block(block: Block, n: int, known: Known, noise: PixelNoise) -> Fitted:
+    """Fit the first n pixels of sixteen lines by Gauss-Newton on the likelihood, see `fit.fit_lines`."""
+    zero, unity = spread(0.0), spread(1.0)
+    no = zero > unity
+    narrow = spread(WIDTH_SIGMA_LN**-2)
+    amplitude, position, offset, slope = known.amplitude, known.start, zero, zero
+    width, off = known.width, zero
+    runs, is_settled = zero < unity, no
+    fitted = Fitted(zero, zero, zero, zero, zero, zero, zero, no, no)
+    for turn in range(MAX_STEPS):
+        inverse = unity / width
+        x = Unknowns(amplitude, position * inverse, offset, slope * width)
+        prior = Prior(narrow, known.offset, known.slope * inverse * inverse, off)
+        moments = moments_of(block, n, x, inverse, noise)
+        solved = solve(normal_equations(moments, x, prior))
+        chi2 = moments.chi2 + off * off * narrow
+        chi2 += x.offset * x.offset * prior.offset + x.slope * x.slope * prior.slope
+        amplitude = _larger(amplitude + solved.step_0, spread(LEAST_AMPLITUDE) * amplitude)
+        position += _clipped(solved.step_1, MOST_PLACE) * width
+        by_ln = _clipped(solved.step_2, MOST_LN_WIDTH)
+        off += by_ln
+        offset += solved.step_3
+        slope += solved.step_4 * inverse
+        unit, width = width, width * _exponential(by_ln)
+        is_sound = solved.is_positive & (moments.used >= spread(MIN_PIXELS))
+        is_sound = is_sound & (position > zero) & (position < known.n - unity)
+        runs = runs & is_sound & (off * off <= spread(MAX_LN_WIDTH**2))
+        is_small = solved.gained < spread(LINE_SETTLED)
+        # The last step may let a saturated pixel count, or no more: what they tell is asked once again.
+        ends = runs & is_small & (is_settled | (moments.used == known.n))
+        if turn == MAX_STEPS - 1:
+            ends = runs
+        if any_lane(ends):
+            there = Fitted(position, unit, amplitude, width, chi2, offset, slope, runs, runs)
+            variances = solved.variance_0, solved.variance_1
+            fitted = _kept(ends, _judged(there, moments.used, variances, known.level, noise), fitted)
+        runs = where_both(ends, no, runs)
+        if not any_lane(runs):
+            break
+        is_settled = is_small
+    return fitted

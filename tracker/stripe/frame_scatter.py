@@ -1,0 +1,225 @@
+"""What a stripe's lines scatter by beyond their photons, as they lie beside each other in one frame.
+
+Speckle and the metal's texture move a stripe's centres by more than photons do, neighbours alike, and stand
+still with the surface. Let u_i be a centre off its expected place. Where the surface runs straight, the
+second difference of lines L apart
+
+    d_i = (u_{i-L} - 2 u_i + u_{i+L}) / sqrt(6)
+
+has a line's own variance, sigma_i^2 + tau^2, once L is beyond the lines that scatter alike; offset and slope
+drop out. Of means over m lines it has that of the mean: m times that says with which variance a line counts
+among its neighbours. The median of d^2 over that of chi^2 with one degree of freedom, 0.455, is the variance
+whatever corners and spatter do (Allan 1966, Proc. IEEE 54, 221, for means of growing length; Rousseeuw and
+Croux 1993, JASA 88, 1273, for the median).
+
+Grains of a texture reach farther than centres can be compared, for a joint's corners are near. They show in
+the stripe's brightness. A bell of 1 sigma w on metal whose ln(reflectance) rises by b across it is the same
+bell b w^2 farther. On an isotropic texture of covariance C(r) the slopes b of lines r apart have the
+covariance -C'(r) / r. Beyond L lines that adds to a line's variance among neighbours
+
+    2 w^4 integral of -C'(r) / r dr = w^4 (C(L) - C(2 L)) / (L ln 2)
+
+with C linear in ln r from L to 2 L, and constant beyond. The brightness' second differences have the variance
+V(L) = C(0) - 4/3 C(L) + 1/3 C(2 L), so that C(L) - C(2 L) = 3/4 (V(2 L) - V(L)). The image's scale along the
+stripe is taken to be that across it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from noise_model.arrays import Float32, Float64
+from noise_model.kernel import kernel
+from noise_model.median import median_of, room_for
+from tracker.stripe.fit_block import WINDOW_SIGMAS
+from tracker.stripe.scatter import BRIGHTNESS_LAGS, LAGS, LENGTHS, FrameScatter
+
+USUAL_PX = 5.0
+"""1 sigma of a stripe, px, up to which lines as far apart as the longest lag scatter by themselves."""
+
+MEDIAN_CHI2 = 0.454936
+"""The median of chi^2 with one degree of freedom."""
+
+MIN_SEEN_SHARE = 0.75
+"""A mean of fewer of its lines is none."""
+
+MIN_DIFFERENCES = 8
+"""Fewer lines tell nothing."""
+
+MIN_PER_LAG, MIN_MEANS, MIN_MEANS_SEARCHING = 32, 36, 72
+"""So many differences tell something, for each line of a lag and of means.
+
+A joint off its expected place has four corners, each of which spoils two of the first and three of the
+second. A third of spoilt differences triples the variance that their median says. While the joint
+is still searched that would hide it: a sixth costs a half.
+"""
+
+MIN_PER_FAR_LAG = 24
+"""So many differences of brightness tell something, for each line of the farthest lag.
+
+A joint's four corners spoil two for each, a third of them at most.
+"""
+
+
+class ScatterRoom(NamedTuple):
+    """Room for what a frame shows: numbers (`room_for(n_scan)`,) and, of lines and means, (n_scan,) each."""
+
+    values: Float32
+    off: Float64
+    variance: Float64
+    means: Float64
+    mean_variance: Float64
+
+    @classmethod
+    def empty(cls, n_scan: int) -> ScatterRoom:
+        """Make room for a frame of so many lines."""
+        return cls(np.empty(room_for(n_scan), np.float32), *np.empty((4, n_scan)))
+
+
+@kernel
+def known_median(values: Float64, room: Float32) -> float:
+    """Return the median of the values (n,) that are finite, as float32, or NaN; `room` is written over."""
+    count = 0
+    for i in range(values.shape[0]):
+        if math.isfinite(values[i]):
+            room[count] = values[i]
+            count += 1
+    return median_of(room, count)
+
+
+@kernel
+def own_sigma(fits: Float64, expected_px: Float64, room: Float32, own_px: Float64) -> None:
+    """Write the lines' 1 sigma (n,), px, by their photons, more where a line fits worse than most do.
+
+    `fits` (n, 7) are `fit.fit_lines`', `expected_px` (n,) the widths whose windows they read. What all lines'
+    chi2 shows beyond 1 is the same for all, a profile that is no bell or speckle: the scatter tells what it
+    does to the centres.
+    """
+    for s in range(own_px.shape[0]):
+        own_px[s] = math.nan
+        if math.isfinite(fits[s, 4]):
+            own_px[s] = max(fits[s, 4] - math.sqrt(1.0 / (WINDOW_SIGMAS * expected_px[s])), 1.0)
+    usual = known_median(own_px, room)
+    for s in range(own_px.shape[0]):
+        own_px[s] = fits[s, 1] * math.sqrt(max(1.0 / usual, 1.0 / own_px[s]))
+
+
+@kernel
+def frame_scatter(
+    fits: Float64,
+    expected_px: Float64,
+    width_px: Float64,
+    sigma_px: Float64,
+    core: Float32,
+    is_searching: bool,
+    room: ScatterRoom,
+    seen: FrameScatter,
+) -> None:
+    """Write what one frame shows of its scatter.
+
+    `fits` (n, 7) are `fit.fit_lines`', NaN where there is no stripe, `expected_px` the places and `width_px`
+    the widths that the setup gives, `sigma_px` (n,) the lines' own 1 sigma; `core` (n,) is
+    `residuals.core_square`; `is_searching` says whether the joint may be far off its expected place.
+    """
+    n = fits.shape[0]
+    for s in range(n):
+        room.off[s] = fits[s, 3]
+    known_px = known_median(room.off, room.values)
+    times = 1 if math.isnan(known_px) else max(round(known_px / USUAL_PX), 1)
+    min_means = MIN_MEANS_SEARCHING if is_searching else MIN_MEANS
+    differences(fits, expected_px, sigma_px, times, min_means, room, seen)
+    count = 0
+    for s in range(n):
+        room.off[s] = math.log(fits[s, 3] / width_px[s])
+        count += math.isfinite(room.off[s])
+    middle, variance = math.nan, math.nan
+    if count >= MIN_DIFFERENCES:
+        middle = known_median(room.off, room.values)
+        for s in range(n):
+            room.off[s] = (room.off[s] - middle) ** 2
+        variance = known_median(room.off, room.values) / MEDIAN_CHI2
+    seen.ln_width[()], seen.width_variance[()] = middle, variance
+    count = 0
+    for s in range(n):
+        if math.isfinite(core[s]):
+            room.values[count] = core[s]
+            count += 1
+    seen.speckle[()] = median_of(room.values, count) if count >= MIN_DIFFERENCES else math.nan
+
+
+@kernel
+def _variance_of(values: Float64, n: int, lag: int, least: int, room: Float32) -> float:
+    """Return the variance of the first n values by second differences: the median of d^2 / 6 over 0.455.
+
+    NaN where fewer than so many differences are known.
+    """
+    count = 0
+    for i in range(lag, n - lag):
+        d = values[i - lag] - 2.0 * values[i] + values[i + lag]
+        if math.isfinite(d):
+            room[count] = d * d / 6.0
+            count += 1
+    return median_of(room, count) / MEDIAN_CHI2 if count >= least else math.nan
+
+
+@kernel
+def _own_variance_of(variances: Float64, n: int, lag: int, room: Float32) -> float:
+    """Return the median variance that second differences have of n variances alone, NaN for none known."""
+    count = 0
+    for i in range(lag, n - lag):
+        of_three = (variances[i - lag] + 4.0 * variances[i] + variances[i + lag]) / 6.0
+        if math.isfinite(of_three):
+            room[count] = of_three
+            count += 1
+    return median_of(room, count)
+
+
+@kernel
+def differences(
+    fits: Float64,
+    expected_px: Float64,
+    sigma_px: Float64,
+    times: int,
+    min_means: int,
+    room: ScatterRoom,
+    seen: FrameScatter,
+) -> None:
+    """Write the variances by second differences, by lag and of means, less the lines' own, px^2.
+
+    LAGS and LENGTHS count so many `times`. Fewer than `min_means` differences of means tell nothing. Into
+    `seen.brightness` goes the square of the amplitudes' contrast, by its own lags, of which the last asks for
+    more differences.
+    """
+    n, values = fits.shape[0], room.values
+    for i in range(n):
+        room.off[i] = fits[i, 2]
+    typical_e = known_median(room.off, values)
+    for k in range(len(BRIGHTNESS_LAGS)):
+        lag = BRIGHTNESS_LAGS[k]
+        least = MIN_PER_FAR_LAG * lag if k == len(BRIGHTNESS_LAGS) - 1 else MIN_DIFFERENCES
+        seen.brightness[k] = _variance_of(room.off, n, lag, least, values) / typical_e**2
+    for i in range(n):
+        room.off[i] = fits[i, 0] - expected_px[i]
+        room.variance[i] = sigma_px[i] ** 2
+    for k in range(len(LAGS)):
+        lag = times * LAGS[k]
+        variance = _variance_of(room.off, n, lag, MIN_PER_LAG * lag, values)
+        seen.by_lag[k] = variance - _own_variance_of(room.variance, n, lag, values)
+    for k in range(len(LENGTHS)):
+        length = times * LENGTHS[k]
+        for b in range(n // length):
+            added, variance, known = 0.0, 0.0, 0
+            for i in range(b * length, (b + 1) * length):
+                if math.isfinite(room.off[i]):
+                    added += room.off[i]
+                    variance += room.variance[i]
+                    known += 1
+            is_mean = known >= MIN_SEEN_SHARE * length
+            room.means[b] = added / known if is_mean else math.nan
+            room.mean_variance[b] = variance / known if is_mean else math.nan
+        variance = _variance_of(room.means, n // length, 1, min_means, values)
+        own = _own_variance_of(room.mean_variance, n // length, 1, values)
+        seen.by_length[k] = length * variance - own

@@ -1,0 +1,355 @@
+"""Reading a band: path, fits, a second stripe's light, scatter and neighbours, in one compiled call."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from noise_model.arc.map import CELL
+from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.kernel import kernel
+from tracker.stripe.band import weigh
+from tracker.stripe.fit import FitRoom, LineFits, fit_lines, fit_room
+from tracker.stripe.frame_scatter import ScatterRoom, frame_scatter, known_median, own_sigma
+from tracker.stripe.ghost import second_light, second_place
+from tracker.stripe.misfit import MisfitRoom, misfit_sigma_px
+from tracker.stripe.scatter import (
+    FrameScatter,
+    add_frame,
+    weighing_contrast,
+    widen,
+    width_factor,
+    width_limit_ln,
+)
+from tracker.stripe.smooth import SmoothRoom, smooth_stripe
+from tracker.stripe.viterbi import best_path, matched_filter, peaks
+
+REACH_SIGMAS = 3.0
+"""A search reaches so many sigmas of the seam's place."""
+
+REFLECTED_SHARE, REFLECTED_SIGMA_LN = 0.4, 0.7
+"""A reflection has about so much of its stripe's light, within a factor of two; it is seldom the brighter."""
+
+MAX_ROUNDS = 3
+"""So many times at most the stripe is read again without a second one's light."""
+
+
+class Band(NamedTuple):
+    """A band's pixels (n_scan, depth), e-, that begin at `lows` (n_cells,) for each CELL scan lines.
+
+    `background` is the arc's light and the black level, later with a second stripe's light; `plain` is room
+    for it without that.
+    """
+
+    charge: Float32
+    background: Float32
+    residual: Float32
+    variance: Float32
+    plain: Float32
+    censored: Bool
+    lows: Int64
+
+
+class Sought(NamedTuple):
+    """Where the stripe is sought on each scan line (n_scan,), px; `is_sought` says on which.
+
+    `position_px` and `sigma_px` are its expected centre and 1 sigma.
+    """
+
+    position_px: Float64
+    sigma_px: Float64
+    is_sought: Bool
+
+
+class Noise(NamedTuple):
+    """A pixel's variance is `shot` times its mean plus `dark_e2`; the background's own 1 sigma.
+
+    `map_rel` is that of the arc map, relative, `base_e` that of the black level and of the hall's light.
+    """
+
+    shot: float
+    dark_e2: float
+    map_rel: float
+    base_e: float
+
+
+class ReadRoom(NamedTuple):
+    """Scratch for a frame's lines; `score` is flat, for as many offsets as a search has."""
+
+    score: Float32
+    choice: Int64
+    lines: LineFits
+    fit: FitRoom
+    scatter: ScatterRoom
+    smooth: SmoothRoom
+    misfit: MisfitRoom
+    seen: FrameScatter
+    start_px: Float64
+    width_px: Float64
+    own_px: Float64
+    misfit_px: Float64
+
+    @classmethod
+    def empty(cls, n_scan: int, n_offsets: int) -> ReadRoom:
+        """Make room for so many lines and offsets at most."""
+        return cls(
+            np.empty(n_scan * n_offsets, np.float32),
+            np.empty(n_scan, np.int64),
+            LineFits.empty(n_scan),
+            fit_room(),
+            ScatterRoom.empty(n_scan),
+            SmoothRoom.empty(n_scan),
+            MisfitRoom.empty(),
+            FrameScatter.empty(),
+            *np.empty((4, n_scan)),
+        )
+
+
+class Lines(NamedTuple):
+    """What is read of each scan line (n_scan,), px and e-; see `state.Stripe`."""
+
+    saturated: Bool
+    position_px: Float64
+    sigma_px: Float64
+    smooth_px: Float64
+    smooth_sigma_px: Float64
+    amplitude_e: Float64
+    beside_px: Float64
+
+    @classmethod
+    def empty(cls, n_scan: int) -> Lines:
+        """Make room for the lines of a frame."""
+        return cls(np.empty(n_scan, np.bool_), *np.empty((6, n_scan)))
+
+
+class Learned(NamedTuple):
+    """The scatter `before` of so many earlier frames, what a frame is `read_with`, and all with this frame.
+
+    A frame is read with what is known before; the first one with what it shows itself, which is written.
+    """
+
+    before: FrameScatter
+    frames: int
+    read_with: FrameScatter
+    after: FrameScatter
+
+
+class Told(NamedTuple):
+    """A second stripe: its `share` of the brighter one's light, 0 for none, and by how many nats it is told.
+
+    The brighter one is read at all offsets; where it `is_reflection`, the other at `n_offsets` of them, from
+    number `first` on.
+    """
+
+    share: float
+    nats: float
+    is_reflection: bool
+    first: int
+    n_offsets: int
+
+
+@kernel(allocates=True)
+def fit_band(
+    band: Band,
+    sought: Sought,
+    offsets_px: Int64,
+    noise: Noise,
+    learned: FrameScatter,
+    is_searching: bool,
+    room: ReadRoom,
+) -> None:
+    """Find the likeliest path through a band at some offsets (n,), fit its lines and see how they scatter."""
+    n_scan, lines = band.charge.shape[0], room.lines
+    factor = width_factor(learned)
+    for s in range(n_scan):
+        room.width_px[s] = factor * sought.sigma_px[s]
+    weigh(band.charge, band.background, noise.shot, noise.dark_e2, band.residual, band.variance)
+    score = room.score[: n_scan * len(offsets_px)].reshape((n_scan, len(offsets_px)))
+    matched_filter(
+        band.residual, band.variance, sought.position_px, room.width_px, band.lows, CELL, offsets_px, score
+    )
+    # Where no light can be none is looked for.
+    for s in range(n_scan):
+        if not sought.is_sought[s]:
+            score[s] = 0.0
+    best_path(score, room.choice)
+    peaks(score, room.choice, sought.position_px, offsets_px, room.start_px)
+    for s in range(n_scan):
+        if not sought.is_sought[s]:
+            room.start_px[s] = math.nan
+    fit_lines(
+        band.charge,
+        band.background,
+        band.censored,
+        room.start_px,
+        room.width_px,
+        band.lows,
+        CELL,
+        noise.shot,
+        noise.dark_e2,
+        weighing_contrast(learned),
+        noise.map_rel,
+        noise.base_e,
+        room.fit,
+        lines,
+    )
+    own_sigma(lines.fits, room.width_px, room.scatter.values, room.own_px)
+    frame_scatter(
+        lines.fits,
+        sought.position_px,
+        sought.sigma_px,
+        room.own_px,
+        lines.core,
+        is_searching,
+        room.scatter,
+        room.seen,
+    )
+    # The limit is that of what is known: a frame without a stripe would widen it for itself.
+    limit_ln = width_limit_ln(learned)
+    for s in range(n_scan):
+        if abs(math.log(lines.fits[s, 3] / room.width_px[s])) > limit_ln:
+            lines.fits[s] = math.nan
+            lines.odd[s] = math.nan
+            lines.saturated[s] = False
+
+
+@kernel
+def told_of_two(
+    fits: Float64,
+    expected_px: Float64,
+    apart_px: float,
+    share: float,
+    offsets_px: Int64,
+    reach_px: float,
+    room: ScatterRoom,
+) -> Told:
+    """Return by how many nats the laser's of two stripes is told, and the offsets about it if it is dimmer.
+
+    The brighter one's fits (n_scan, 7) lie off their expected places (n_scan,), the weaker one, of a `share`
+    of its light, `apart_px` from it. Either reflection's ln(strength) is normal about ln(REFLECTED_SHARE),
+    and the stripe's place is normal about the expected one. With r = ln(share), m and s the reflection's mean
+    and sigma, the log odds that the brighter one is the laser's are
+
+        L = 2 m r / s^2 + (weaker^2 - brighter^2) / (2 sigma^2).
+    """
+    everything = Told(share, math.inf, False, 0, len(offsets_px))
+    for s in range(fits.shape[0]):
+        room.off[s] = fits[s, 0] - expected_px[s]
+    brighter_px, sigma_px = known_median(room.off, room.values), reach_px / REACH_SIGMAS
+    if math.isnan(brighter_px):
+        return everything
+    weaker_px = brighter_px + apart_px
+    by_light = 2.0 * math.log(REFLECTED_SHARE) * math.log(share) / REFLECTED_SIGMA_LN**2
+    odds = by_light + (weaker_px**2 - brighter_px**2) / (2.0 * sigma_px**2)
+    first, n = 0, 0
+    for i in range(len(offsets_px)):
+        if abs(offsets_px[i] - weaker_px) < 0.5 * abs(apart_px):
+            first = first if n > 0 else i
+            n += 1
+    if odds >= 0.0 or n == 0:
+        return Told(share, abs(odds), False, 0, len(offsets_px))
+    return Told(share, abs(odds), True, first, n)
+
+
+@kernel(allocates=True)
+def _read_without_a_second(
+    band: Band,
+    sought: Sought,
+    offsets_px: Int64,
+    noise: Noise,
+    learned: FrameScatter,
+    is_searching: bool,
+    reach_px: float,
+    room: ReadRoom,
+) -> Told:
+    """Take a second stripe's light for background, and read the band anew until that changes nothing."""
+    share, apart_px, is_plain = 0.0, 0.0, True
+    for _ in range(MAX_ROUNDS):
+        plain = band.background if is_plain else band.plain
+        now, apart_px = second_place(band.charge, plain, band.censored, room.lines.fits, band.lows)
+        if now == 0.0 and share == 0.0:
+            break
+        if is_plain:
+            band.plain[:] = band.background
+            is_plain = False
+        # The residuals are made anew by each fit: until then there is room for light.
+        light = band.residual
+        light[:] = 0.0
+        if now > 0.0:
+            second_light(
+                band.charge, band.plain, band.censored, room.lines.fits, band.lows, now, apart_px, light
+            )
+        for s in range(light.shape[0]):
+            for j in range(light.shape[1]):
+                band.background[s, j] = band.plain[s, j] + light[s, j]
+        share = now
+        fit_band(band, sought, offsets_px, noise, learned, is_searching, room)
+    told = Told(share, math.inf, False, 0, len(offsets_px))
+    if not is_searching or share == 0.0:
+        return told
+    told = told_of_two(
+        room.lines.fits, sought.position_px, apart_px, share, offsets_px, reach_px, room.scatter
+    )
+    if told.is_reflection:
+        band.background[:] = band.plain
+        near = offsets_px[told.first : told.first + told.n_offsets]
+        fit_band(band, sought, near, noise, learned, is_searching, room)
+    return told
+
+
+@kernel
+def _sheet_px(fits: Float64, psf_sigma_px: float, room: ScatterRoom) -> float:
+    """Return the sheet's 1 sigma in the image, px, of the fits (n_scan, 7) of lines; 0 of none."""
+    for s in range(fits.shape[0]):
+        room.off[s] = fits[s, 3]
+    width_px = known_median(room.off, room.values)
+    return math.sqrt(max(width_px**2 - psf_sigma_px**2, 0.0)) if width_px > 0.0 else 0.0
+
+
+@kernel
+def _finish(sought: Sought, learned: FrameScatter, psf_sigma_px: float, room: ReadRoom, out: Lines) -> None:
+    """Write what the fits say of each line, with the scatter that is known and with its neighbours."""
+    n_scan, fits = room.start_px.shape[0], room.lines.fits
+    own_sigma(fits, sought.sigma_px, room.scatter.values, room.own_px)
+    widen(learned, room.own_px, _sheet_px(fits, psf_sigma_px, room.scatter), out.sigma_px, out.beside_px)
+    for s in range(n_scan):
+        out.position_px[s], out.amplitude_e[s] = fits[s, 0], fits[s, 2]
+        out.saturated[s] = room.lines.saturated[s]
+        room.scatter.off[s] = (out.beside_px[s] / out.sigma_px[s]) ** 2
+    smooth_stripe(
+        out.position_px, out.sigma_px, out.beside_px, room.smooth, out.smooth_px, out.smooth_sigma_px
+    )
+    alike = known_median(room.scatter.off, room.scatter.values)
+    misfit_sigma_px(room.lines.odd, fits, 1.0 if math.isnan(alike) else alike, room.misfit, room.misfit_px)
+
+
+@kernel(allocates=True)
+def read_band(
+    band: Band,
+    sought: Sought,
+    offsets_px: Int64,
+    noise: Noise,
+    learned: Learned,
+    is_searching: bool,
+    reach_px: float,
+    psf_sigma_px: float,
+    room: ReadRoom,
+    out: Lines,
+) -> Told:
+    """Read the stripe in a band at some offsets (n,) from its expected place, and write its lines.
+
+    `is_searching` says whether the joint may lie far off its expected place, up to `reach_px`. What is read
+    beside the lines stays in `room`.
+    """
+    fit_band(band, sought, offsets_px, noise, learned.before, is_searching, room)
+    if learned.frames == 0:
+        add_frame(learned.before, 0, room.seen, learned.read_with)
+        fit_band(band, sought, offsets_px, noise, learned.read_with, is_searching, room)
+    told = _read_without_a_second(
+        band, sought, offsets_px, noise, learned.read_with, is_searching, reach_px, room
+    )
+    add_frame(learned.before, learned.frames, room.seen, learned.after)
+    _finish(sought, learned.after, psf_sigma_px, room, out)
+    return told
