@@ -10,7 +10,7 @@ import numpy as np
 from noise_model.arc.map import arc_kernel
 from noise_model.arc.scene import Scene, make_scene
 from noise_model.arc_source import level as current_level
-from noise_model.median import known_median, median
+from noise_model.median import known_median
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine, seam_height_mm
 from tracker import checks
@@ -36,9 +36,7 @@ from tracker.stripe.band import FIT_SIGMAS
 from tracker.stripe.detection import (
     MIN_RATIO,
     MIN_SEEN,
-    evidence_ratio,
-    leaves_image,
-    path_of,
+    evidence_of,
     seen_share,
 )
 from tracker.stripe.edge import clear_of_an_edge
@@ -142,7 +140,7 @@ def measure(
     reading = replace(reading, stripe=look.stripe)
     # An arc lights rims that end as a fan does.
     seeks_ends = geometry.setup.laser.fan_half_angle_deg is None and not arc.is_on
-    if not _is_stripe(asked, geometry, expected, look, seeks_ends):
+    if not _is_stripe(asked, geometry, expected, look, work, seeks_ends):
         return reading
     reading = replace(reading, scatter=look.scatter)
     profile = profile_of(geometry, scene, frame, expected, look, reach_mm, seam.slope_sigma)
@@ -184,19 +182,33 @@ def _closed_joint(
 
 
 def _is_stripe(
-    asked: Checks, geometry: SensorGeometry, expected: ExpectedStripe, look: StripeReading, seeks_ends: bool
+    asked: Checks,
+    geometry: SensorGeometry,
+    expected: ExpectedStripe,
+    look: StripeReading,
+    work: Work,
+    seeks_ends: bool,
 ) -> bool:
     """Ask whether what was read is a stripe, and whether all of it was seen, up to ends that it may show."""
     stripe = look.stripe
-    asked.ask(checks.LINES_SATURATED, int(stripe.saturated.sum()), 0.0)
-    asked.ask(checks.STRIPE_INSIDE, not leaves_image(expected, stripe.position_px, geometry.n_pos))
-    share = float(np.isfinite(stripe.position_px).sum()) / max(int(expected.shown.sum()), 1)
+    told = evidence_of(
+        stripe.position_px,
+        stripe.saturated,
+        expected.position_px,
+        expected.sigma_px,
+        expected.shown,
+        geometry.n_pos,
+        look.score,
+        look.offsets_px,
+        look.learned.average,
+        work.room.scatter.values,
+    )
+    share = told.share
+    asked.ask(checks.LINES_SATURATED, told.n_saturated, 0.0)
+    asked.ask(checks.STRIPE_INSIDE, not told.leaves)
     if not asked.ask(checks.LINES_HELD, share, MIN_HELD_SHARE):
         return False
-    path = path_of(look.offsets_px, expected.position_px, stripe.position_px)
-    width_px = median(expected.sigma_px) * look.learned.width_factor
-    ratio = evidence_ratio(look.score, path, expected.shown, width_px)
-    if not asked.ask(checks.STRIPE_EVIDENCE, ratio, MIN_RATIO):
+    if not asked.ask(checks.STRIPE_EVIDENCE, told.ratio, MIN_RATIO):
         return False
     if share < WHOLE_SHARE:
         band = look.band

@@ -17,7 +17,7 @@ from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
-from tracker.stripe.expected import FAN_SLACK_MM, expect_stripe
+from tracker.stripe.expected import EVERY, FAN_SLACK_MM, expect_stripe
 
 SEAM = SeamLine(0.0, 0.8, -0.4, 0.01, 0.002)
 
@@ -82,10 +82,14 @@ def test_it_is_its_twin(joint: str, upright: bool, distortion: tuple[float, ...]
         expected, twin = expect_stripe(geometry, scene), expect_stripe_plain(geometry, scene)
         assert expected is not None
         assert twin is not None
-        # On a corrugation centre and width are fitted, and the last step of that may be short.
-        atol = 1e-4 if joint == "corrugation" else 1e-8
-        for name in ("position_px", "sigma_px", "bias_px"):
-            np.testing.assert_allclose(getattr(expected, name), getattr(twin, name), rtol=0.0, atol=atol)
+        np.testing.assert_allclose(expected.position_px, twin.position_px, rtol=0.0, atol=1e-8)
+        # On a corrugation centre and width are fitted on some lines, and run straight between them.
+        atol = 0.01 if joint == "corrugation" else 1e-8
+        for name in ("sigma_px", "bias_px"):
+            off = np.abs(getattr(expected, name) - getattr(twin, name))
+            assert off.max() < atol
+            # Beside a corner the nearest line's is taken, which may be one between.
+            assert np.quantile(off[::EVERY], 0.9) < 1e-4
 
 
 def test_the_lean_matters() -> None:

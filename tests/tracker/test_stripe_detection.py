@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rendered import CURRENT_A, EXPOSURE_S, SEED, frame_of, pose_at, small_setup
 
+from noise_model.arrays import Bool, Float64
 from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import SeamLine
 from tracker.state import Frame
@@ -125,7 +126,7 @@ def test_path_and_rim_are_their_plain_twins() -> None:
         np.testing.assert_array_equal(path_of(offsets, expected.position_px, position), want)
         at = np.where(held, position, expected.position_px)
         leaves = (at < expected.sigma_px) | (at > 99 - expected.sigma_px)
-        assert leaves_image(expected, position, 100) == bool(leaves[expected.shown].any())
+        assert leaves_image(position, *of_lines(expected), 100) == bool(leaves[expected.shown].any())
 
 
 def test_lines_that_would_show_it_and_do_not_are_counted() -> None:
@@ -243,18 +244,23 @@ def test_an_arc_in_bare_corrugated_steel_is_no_stripe(
         assert not track.valid, track.flag_names
 
 
+def of_lines(expected: ExpectedStripe) -> tuple[Float64, Float64, Bool]:
+    """What is expected, as kernels take it."""
+    return expected.position_px, expected.sigma_px, expected.shown
+
+
 def test_a_stripe_off_the_image_is_told() -> None:
     expected = ExpectedStripe(
         np.linspace(20.0, 90.0, 71), np.full(71, 3.0), np.zeros(71), *np.ones((2, 71), dtype=np.bool_)
     )
     nowhere = np.full(71, np.nan)
-    assert not leaves_image(expected, nowhere, 100)
-    assert leaves_image(expected, nowhere, 90)
+    assert not leaves_image(nowhere, *of_lines(expected), 100)
+    assert leaves_image(nowhere, *of_lines(expected), 90)
     # What was found counts for more than what was expected.
-    assert not leaves_image(expected, np.linspace(10.0, 80.0, 71), 90)
-    assert leaves_image(expected, np.linspace(-1.0, 80.0, 71), 90)
+    assert not leaves_image(np.linspace(10.0, 80.0, 71), *of_lines(expected), 90)
+    assert leaves_image(np.linspace(-1.0, 80.0, 71), *of_lines(expected), 90)
     deep = replace(expected, shown=expected.position_px < 80.0)
-    assert not leaves_image(deep, nowhere, 90)
+    assert not leaves_image(nowhere, *of_lines(deep), 90)
 
 
 @pytest.mark.parametrize("joint", JOINTS)

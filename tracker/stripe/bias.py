@@ -32,7 +32,8 @@ MAX_LN = 0.5
 def fit_bell(place: Float64, light: Float64, width: float, out: Float64) -> bool:
     """Write centre and 1 sigma (2,), px, of the Gaussian that fits light (n,) seen at places (n,), px.
 
-    `width` is the sheet's own 1 sigma, px. False if there is no light; a plane with none is not looked at.
+    `width` is the sheet's own 1 sigma, px. False if there is no light, or the Gaussian runs off the places; a
+    plane with no light is not looked at.
     """
     n = place.shape[0]
     peak, total, centre = 0.0, 0.0, 0.0
@@ -80,4 +81,4 @@ def fit_bell(place: Float64, light: Float64, width: float, out: Float64) -> bool
         if abs(step_r) < BELL_SETTLED and abs(step_w) < BELL_SETTLED:
             break
     out[0], out[1] = r_0, width * math.exp(ln_w)
-    return True
+    return bool(min(place[0], place[n - 1]) <= r_0 <= max(place[0], place[n - 1]))

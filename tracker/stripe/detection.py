@@ -7,6 +7,7 @@ as bright, and a scan line's darkest place is the control that says how much suc
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.median import median
 from tracker.stripe.expected import ExpectedStripe
+from tracker.stripe.frame_scatter import known_median
+from tracker.stripe.scatter import FrameScatter, width_factor
 from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP, TEMPLATE_SIGMAS, write_template
 
 LOBE, LOBE_MARGIN = 0.7, 1.5
@@ -165,16 +168,57 @@ def fan_ends(holds: Bool, absent: Bool) -> slice:
     return slice(int(np.argmin(total[: end + 1])), end)
 
 
-def leaves_image(expected: ExpectedStripe, position_px: Float64, n_pos: int) -> bool:
-    """Say whether the stripe runs off the image: where it was found, or is expected where it was not."""
-    return _leaves(position_px, expected.position_px, expected.sigma_px, expected.shown, n_pos)
-
-
 @kernel
-def _leaves(position_px: Float64, expected_px: Float64, sigma_px: Float64, shown: Bool, n_pos: int) -> bool:
-    """Say whether one of the shown places (n_scan,) lies within its sigma of the image's ends."""
+def leaves_image(
+    position_px: Float64, expected_px: Float64, sigma_px: Float64, shown: Bool, n_pos: int
+) -> bool:
+    """Say whether the stripe runs off the image: where it was found, or is expected where it was not.
+
+    That is, whether one of the `shown` places (n_scan,) lies within its sigma of the image's ends.
+    """
     for s in range(position_px.shape[0]):
         place = position_px[s] if math.isfinite(position_px[s]) else expected_px[s]
         if shown[s] and (place < sigma_px[s] or place > n_pos - 1 - sigma_px[s]):
             return True
     return False
+
+
+class Evidence(NamedTuple):
+    """What tells whether a stripe was read, and all of it.
+
+    `n_saturated` scan lines are saturated, `leaves` says whether it runs off the image, `share` is that of
+    the lines which should show it and hold it, `ratio` the evidence over that for a dark one.
+    """
+
+    n_saturated: int
+    leaves: bool
+    share: float
+    ratio: float
+
+
+@kernel(allocates=True)
+def evidence_of(
+    position_px: Float64,
+    saturated: Bool,
+    expected_px: Float64,
+    sigma_px: Float64,
+    shown: Bool,
+    n_pos: int,
+    score: Float32,
+    offsets_px: Int64,
+    learned: FrameScatter,
+    room: Float32,
+) -> Evidence:
+    """Return what tells of stripe centres (n_scan,), read at offsets of the `score` (n_scan, n_offsets).
+
+    What is expected is `ExpectedStripe`'s; `room` (`room_for(n_scan)`,) is written over.
+    """
+    n_saturated, n_held, n_shown = 0, 0, 0
+    for s in range(position_px.shape[0]):
+        n_saturated += saturated[s]
+        n_held += math.isfinite(position_px[s])
+        n_shown += shown[s]
+    leaves = leaves_image(position_px, expected_px, sigma_px, shown, n_pos)
+    width_px = known_median(sigma_px, room) * width_factor(learned)
+    ratio = evidence_ratio(score, path_of(offsets_px, expected_px, position_px), shown, width_px)
+    return Evidence(n_saturated, leaves, n_held / max(n_shown, 1), ratio)

@@ -24,6 +24,9 @@ STEP_MM, MAX_STEPS_SEEN = 0.75, 160
 FLANKS = np.array([-1.0, 0.0, 1.0])
 """Planes across the sheet, in its sigmas, that tell width and bias of a stripe on flat faces."""
 
+EVERY = 8
+"""Every so many scan lines a bell is fitted to the light of all planes: both change slowly along a face."""
+
 BESIDE_MM = 1e-6
 """The stripe is looked at so near to either side of each corner."""
 
@@ -237,13 +240,14 @@ def _per_line(
     light: Float64,
     face: Int64,
     seen: Int64,
+    every: int,
     position: Float64,
     strength: Float64,
     shown: Int64,
 ) -> bool:
-    """Read a trace (n, 2) off at every scan line: place, light and face, -1 between two; ends are held.
+    """Read a trace (n, 2) off at every so many-th scan line: place, light and face, -1 between two.
 
-    Only the points `seen` (m,) count. False if no scan line meets it.
+    Ends are held. Only the points `seen` (m,) count. False if no scan line meets it.
     """
     # Indexed, the column is contiguous: a strided one would compile the sort anew.
     order = seen[np.argsort(points_px[:, 0][seen], kind="mergesort")]
@@ -251,7 +255,7 @@ def _per_line(
     if n == 0 or points_px[order[n - 1], 0] < 0.0 or points_px[order[0], 0] > n_scan - 1:
         return False
     after = 0
-    for s in range(n_scan):
+    for s in range(0, n_scan, every):
         while after < n and points_px[order[after], 0] < s:
             after += 1
         left, right = order[max(min(after, n - 1) - 1, 0)], order[max(min(after, n - 1), min(1, n - 1))]
@@ -295,6 +299,8 @@ def _expect(
     n_planes = planes.shape[0]
     places, strengths = np.empty((n_planes, n_scan)), np.empty((n_planes, n_scan))
     faces = np.empty((n_planes, n_scan), dtype=np.int64)
+    middle, flank = n_planes // 2, round(1.0 / (planes[1] - planes[0]))
+    before, behind = middle - flank, middle + flank
     for k in range(n_planes):
         shift = planes[k] * sheet.sigma
         # Of three the bias is made of the flanks' light.
@@ -316,33 +322,66 @@ def _expect(
             light,
         )
         in_sight = np.flatnonzero(is_seen & np.isfinite(points_px[:, 0]))
-        if not _per_line(points_px, light, face, in_sight, places[k], strengths[k], faces[k]):
+        every = 1 if k in (before, middle, behind) else EVERY
+        if not _per_line(points_px, light, face, in_sight, every, places[k], strengths[k], faces[k]):
             return False
-    middle = n_planes // 2
-    flank = round(1.0 / (planes[1] - planes[0]))
-    before, behind = middle - flank, middle + flank
     good = np.empty(n_scan, dtype=np.bool_)
-    seen, bell = np.empty(n_planes), np.empty(2)
     for s in range(n_scan):
         half_width = 0.5 * (places[behind, s] - places[before, s])
         position[s] = places[middle, s]
         on = faces[middle, s]
         good[s] = on >= 0 and faces[before, s] == on and faces[behind, s] == on
-        if n_planes > FLANKS.shape[0]:
-            for k in range(n_planes):
-                is_same = faces[k, s] == on
-                seen[k] = strengths[k, s] * math.exp(-0.5 * planes[k] ** 2) if is_same else 0.0
-            if good[s] and fit_bell(places[:, s], seen, abs(half_width), bell):
-                sigma[s], bias[s] = math.hypot(bell[1], psf_sigma_px), bell[0] - position[s]
-                continue
         sigma[s] = math.hypot(half_width, psf_sigma_px)
         shading = 0.0
         if strengths[before, s] > 0.0 and strengths[behind, s] > 0.0:
             shading = 0.5 * half_width * math.log(strengths[behind, s] / strengths[before, s])
         bias[s] = shading + 1.5 * (0.5 * (places[behind, s] + places[before, s]) - places[middle, s])
+    if n_planes > FLANKS.shape[0]:
+        _bells(planes, places, strengths, faces, good, psf_sigma_px, sigma, bias)
     _take_from_same_face(sigma, bias, faces[middle], good)
     face_shown[:] = faces[middle]
     return True
+
+
+@kernel(allocates=True)
+def _bells(
+    planes: Float64,
+    places: Float64,
+    strengths: Float64,
+    faces: Int64,
+    good: Bool,
+    psf_sigma_px: float,
+    sigma: Float64,
+    bias: Float64,
+) -> None:
+    """Replace sigma and bias (n_scan,) by those of bells, and between two on one face by a straight line.
+
+    `places`, `strengths` and `faces` (n_planes, n_scan) are what planes show; only `good` lines are asked.
+    """
+    n_planes, n_scan = places.shape
+    middle, flank = n_planes // 2, round(1.0 / (planes[1] - planes[0]))
+    seen, bell = np.empty(n_planes), np.empty(2)
+    is_fitted = np.zeros(n_scan, dtype=np.bool_)
+    for s in range(0, n_scan, EVERY):
+        on = faces[middle, s]
+        width_px = 0.5 * abs(places[middle + flank, s] - places[middle - flank, s])
+        for k in range(n_planes):
+            is_same = faces[k, s] == on
+            seen[k] = strengths[k, s] * math.exp(-0.5 * planes[k] ** 2) if is_same else 0.0
+        if good[s] and fit_bell(places[:, s], seen, width_px, bell):
+            sigma[s], bias[s] = math.hypot(bell[1], psf_sigma_px), bell[0] - places[middle, s]
+            is_fitted[s] = True
+    for s in range(n_scan):
+        before, on = s // EVERY * EVERY, faces[middle, s]
+        behind = min(before + EVERY, n_scan - 1)
+        has_before = is_fitted[before] and faces[middle, before] == on
+        has_behind = is_fitted[behind] and faces[middle, behind] == on
+        if s == before or not good[s] or not (has_before or has_behind):
+            continue
+        share = (s - before) / EVERY if has_before and has_behind else 0.0 if has_before else 1.0
+        near, far = before if has_before else behind, behind if has_behind else before
+        sigma[s] = (1.0 - share) * sigma[near] + share * sigma[far]
+        bias[s] = (1.0 - share) * bias[near] + share * bias[far]
 
 
 @kernel
