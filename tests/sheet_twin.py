@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from noise_model.arrays import Float64
-from noise_model.instrument.laser import Laser, beyond_fan_mm
+from noise_model.instrument.laser import Laser
 from noise_model.setup import Setup
 from noise_model.surface.brdf import reflectance
 from noise_model.transforms import invert, transform
@@ -46,3 +48,15 @@ def irradiance(points_tool: Float64, normals_tool: Float64, laser: Laser) -> Flo
         sheet = np.exp(-0.5 * np.abs(x_prime / (laser.stripe_sigma_mm * z / h)) ** laser.profile_exponent)
         value = sheet * (h / z) ** 2 * cos_theta_i / cos_psi
     return np.where((z > 0) & (cos_theta_i > 0) & ~(beyond_fan_mm(points_tool, laser) > 0), value, 0.0)
+
+
+def beyond_fan_mm(points_tool: Float64, laser: Laser) -> Float64:
+    """Return how far across its axis points (N, 3), mm, tool frame, lie beyond the fan's end, (N,) mm.
+
+    It is negative within the fan, and minus infinity if the fan has no end.
+    """
+    axis, side, slope = laser.fan
+    from_origin = points_tool - laser.origin_mm
+    if math.isinf(slope):
+        return np.full(from_origin.shape[:-1], -math.inf)
+    return np.asarray(np.abs(from_origin @ side) - slope * (from_origin @ axis))

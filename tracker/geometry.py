@@ -9,15 +9,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.effects import apply_setup_effects
-from noise_model.instrument.camera import Rays
+from noise_model.instrument.camera import Intrinsics, Rays
+from noise_model.instrument.laser import Sheet, sheet_in_tool
 from noise_model.instrument.sensor import linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup, require_setup
 from noise_model.stripe import stripe_runs_along_rows
+from noise_model.surface.brdf import LobeNumbers, lobe_numbers
 from noise_model.transforms import invert, transform
 
 MIN_LIGHT = 0.05
@@ -35,6 +38,20 @@ MIN_ACROSS = 0.2
 
 SAMPLE = 600
 """About so many pixels are an even sample of an image, however many it has."""
+
+
+class StripeSource(NamedTuple):
+    """What a setup fixes of its stripe, as the kernels take it: laser, metal and camera.
+
+    `sheet` is the laser's in the tool frame, `T_tool_camera` (4, 4) mm; scan lines run as `SensorGeometry`'s.
+    """
+
+    sheet: Sheet
+    material: LobeNumbers
+    T_tool_camera: Float64
+    lens: Intrinsics
+    psf_sigma_px: float
+    along_rows: bool
 
 
 @dataclass(frozen=True)
@@ -89,6 +106,19 @@ class SensorGeometry:
             return self.dark_variance_e2
         typical_e = max(float(np.median(charge_e)), MIN_LIGHT * sensor.full_well_e)
         return float(variance_e2(typical_e, sensor)) - typical_e
+
+    @cached_property
+    def stripe_source(self) -> StripeSource:
+        """The setup's laser, metal and camera."""
+        camera = self.setup.camera
+        return StripeSource(
+            sheet_in_tool(self.setup.laser),
+            lobe_numbers(self.setup.material),
+            np.require(camera.T_tool_camera, np.float64, ("C", "W")),
+            camera.intrinsics,
+            camera.psf_sigma_px,
+            self.along_rows,
+        )
 
     @cached_property
     def pixels_per_mm(self) -> float:

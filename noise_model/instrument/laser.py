@@ -12,7 +12,6 @@ import numpy as np
 from noise_model.arrays import Float64, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers, reflected
-from noise_model.transforms import transform
 
 SHEET_REACH = 6.0
 """How many sigmas of the sheet are rendered: its irradiance has fallen to 1.5e-8 there."""
@@ -164,20 +163,32 @@ def plane_in(T_a_b: Float64, plane_b: Float64) -> tuple[float, float, float, flo
     return nx, ny, nz, n[3] - nx * T[0, 3] - ny * T[1, 3] - nz * T[2, 3]
 
 
+@kernel(allocates=True)
+def sheet_in(T_a_b: Float64, sheet_b: Sheet) -> Sheet:
+    """Return a sheet of frame b in frame a."""
+    origin, plane, up, axis, side = np.empty(3), np.empty(4), np.empty(3), np.empty(3), np.empty(3)
+    T, there = T_a_b, sheet_b
+    for i in range(3):
+        x, y, z = T[i, 0], T[i, 1], T[i, 2]
+        origin[i] = x * there.origin[0] + y * there.origin[1] + z * there.origin[2] + T[i, 3]
+        up[i] = x * there.tool_up[0] + y * there.tool_up[1] + z * there.tool_up[2]
+        axis[i] = x * there.axis[0] + y * there.axis[1] + z * there.axis[2]
+        side[i] = x * there.side[0] + y * there.side[1] + z * there.side[2]
+    plane[0], plane[1], plane[2], plane[3] = plane_in(T, there.plane)
+    return Sheet(origin, plane, up, there.sigma, there.stand, axis, side, there.slope, there.exponent)
+
+
+def sheet_in_tool(laser: Laser) -> Sheet:
+    """Gather a laser for the kernels, in the tool frame."""
+    axis, side, slope = laser.fan
+    up, stand = np.array([0.0, 0.0, 1.0]), laser.origin_in_tool_mm[2]
+    sigma, exponent = laser.stripe_sigma_mm, laser.profile_exponent
+    return Sheet(laser.origin_mm, laser.plane, up, sigma, stand, axis, side, slope, exponent)
+
+
 def sheet_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
     """Put a laser's sheet into the joint frame."""
-    axis, side, slope = laser.fan
-    return Sheet(
-        transform(T_joint_tool, laser.origin_mm),
-        np.array(plane_in(T_joint_tool, laser.plane)),
-        np.ascontiguousarray(T_joint_tool[:3, 2]),
-        laser.stripe_sigma_mm,
-        laser.origin_in_tool_mm[2],
-        T_joint_tool[:3, :3] @ axis,
-        T_joint_tool[:3, :3] @ side,
-        slope,
-        laser.profile_exponent,
-    )
+    return sheet_in(np.ascontiguousarray(T_joint_tool), sheet_in_tool(laser))
 
 
 def sheets_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
@@ -258,15 +269,3 @@ def sheet_reflected(
     power = off * off if sheet.exponent == 2.0 else abs(off) ** sheet.exponent
     light: float = math.exp(-0.5 * power) * (sheet.stand / depth) ** 2 * cos_i * distance / depth
     return light * reflected(material, (wx, wy, wz), omega_r, normal)
-
-
-def beyond_fan_mm(points_tool: Float64, laser: Laser) -> Float64:
-    """Return how far across its axis points (N, 3), mm, tool frame, lie beyond the fan's end, (N,) mm.
-
-    It is negative within the fan, and minus infinity if the fan has no end.
-    """
-    axis, side, slope = laser.fan
-    from_origin = points_tool - laser.origin_mm
-    if math.isinf(slope):
-        return np.full(from_origin.shape[:-1], -math.inf)
-    return np.asarray(np.abs(from_origin @ side) - slope * (from_origin @ axis))

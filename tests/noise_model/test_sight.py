@@ -5,13 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 import scenes
+from sheet_twin import beyond_fan_mm
 
 from arctrack.nominal import nominal_setup
 from noise_model.arc.map import arc_at, arc_kernel
 from noise_model.arc.scene import make_scene
 from noise_model.forward import look
 from noise_model.instrument.camera import Rays
-from noise_model.instrument.laser import beyond_fan_mm, sheet_of, sheets_of
+from noise_model.instrument.laser import sheet_of, sheets_of
 from noise_model.sight import PixelRays, Sight
 from noise_model.surface.joint import BentSeam, SeamLine
 from noise_model.surface.ray_casting import MISS, ways_are_open
