@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from noise_model.arrays import Float32
 from noise_model.kernel import REDUCTION, kernel
-from noise_model.lanes import N_LANES, Lanes, load, spread, store, where
+from noise_model.lanes import N_LANES, Lanes, least, load, spread, store, where
 from tracker.stripe.fit_block import WINDOW_SIGMAS, Fitted
 from tracker.stripe.normal_equations import COUNTS, HIDDEN, Block, PixelNoise, bells
 
@@ -63,6 +63,25 @@ def _leave(block: Block, n: int, fit: Fitted) -> None:
 
 
 @kernel(fastmath=REDUCTION)
+def _mean_between(
+    block: Block, rows: tuple[int, int], start: Lanes, step: Lanes, ends: tuple[float, float]
+) -> Lanes:
+    """Return each line's mean of what is left, e-, where `start + step j` lies between two ends.
+
+    `rows` are the first of the pixels j that may lie there, and the last.
+    """
+    near, far, zero, unity = spread(ends[0]), spread(ends[1]), spread(0.0), spread(1.0)
+    added, n_pixels = zero, zero
+    for j in range(rows[0], rows[1] + 1):
+        t = start + step * spread(j)
+        counts = load(block.kind, j * N_LANES) == spread(COUNTS)
+        counts = counts & (t >= near) & (t < far)
+        added += where(counts, load(block.background, j * N_LANES), zero)
+        n_pixels += where(counts, unity, zero)
+    return added / n_pixels
+
+
+@kernel(fastmath=REDUCTION)
 def odd_parts(block: Block, n: int, fit: Fitted, n_held: Lanes, width: Lanes, odd_e: Float32) -> None:
     """Write the odd residual (N_BINS, N_LANES), e-, of each line's fit, NaN where its window is too short.
 
@@ -71,22 +90,17 @@ def odd_parts(block: Block, n: int, fit: Fitted, n_held: Lanes, width: Lanes, od
     background is lost.
     """
     _leave(block, n, fit)
-    zero, unity, part = spread(0.0), spread(1.0), WINDOW_SIGMAS / N_BINS
-    inverse = unity / width
+    zero, part = spread(0.0), WINDOW_SIGMAS / N_BINS
+    inverse = spread(1.0) / width
+    start = zero - fit.position * inverse
     reach = spread((N_BINS - 1 + LAST_BIN) * part) * width
-    is_seen = (fit.position >= reach) & (fit.position + reach <= n_held - unity)
+    is_seen = (fit.position >= reach) & (fit.position + reach <= n_held - spread(1.0))
+    first, last = least(fit.position), -least(zero - fit.position)
+    narrow, wide = least(width), -least(zero - width)
     for k in range(N_BINS):
-        near, far = spread(k * part), spread((k + 1) * part)
-        after, behind, n_after, n_behind = zero, zero, zero, zero
-        for j in range(n):
-            t = (spread(j) - fit.position) * inverse
-            counts = load(block.kind, j * N_LANES) == spread(COUNTS)
-            is_after = counts & (t >= near) & (t < far)
-            is_behind = counts & (zero - t >= near) & (zero - t < far)
-            left_e = load(block.background, j * N_LANES)
-            after += where(is_after, left_e, zero)
-            n_after += where(is_after, unity, zero)
-            behind += where(is_behind, left_e, zero)
-            n_behind += where(is_behind, unity, zero)
-        odd = spread(0.5) * (after / n_after - behind / n_behind)
-        store(odd_e[k], 0, where(is_seen, odd, zero / zero))
+        ends = k * part, (k + 1) * part
+        ahead = max(int(first + ends[0] * narrow), 0), min(int(last + ends[1] * wide) + 1, n - 1)
+        behind = max(int(first - ends[1] * wide), 0), min(int(last - ends[0] * narrow) + 1, n - 1)
+        odd = _mean_between(block, ahead, start, inverse, ends)
+        odd -= _mean_between(block, behind, zero - start, zero - inverse, ends)
+        store(odd_e[k], 0, where(is_seen, spread(0.5) * odd, zero / zero))
