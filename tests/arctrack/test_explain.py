@@ -32,7 +32,7 @@ from tracker.checks import Check
 from tracker.geometry import SensorGeometry
 from tracker.state import Stripe
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.fit import LineFits, fit_lines, fit_room
+from tracker.stripe.line_fit.lines import LineFits, fit_lines, fit_room
 from tracker.stripe.read import StripeReading
 from tracker.stripe.read_band import Band
 from tracker.stripe.scatter import NO_SCATTER

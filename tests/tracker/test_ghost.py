@@ -20,9 +20,9 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine, seam_height_mm
 from tracker.seam.locate import seam_point_tool
 from tracker.state import Frame, Pose, Track
-from tracker.stripe.fit import N_FITTED
 from tracker.stripe.frame_scatter import ScatterRoom
 from tracker.stripe.ghost import MIN_GHOST_LINES, MIN_GHOST_SHARE, second_light, second_place
+from tracker.stripe.line_fit.lines import N_FITTED
 from tracker.stripe.read_band import REACH_SIGMAS, REFLECTED_SHARE, REFLECTED_SIGMA_LN, Told, told_of_two
 from tracker.tracker import Tracker
 

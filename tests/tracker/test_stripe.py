@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from noise_model.arrays import Bool, Float32, Float64
 from noise_model.kernel import kernel
 from noise_model.lanes import N_LANES, load, spread, store, where
-from tracker.stripe.fit import BLOCK, LineFits, fit_lines, fit_room, line_window, map_edge
-from tracker.stripe.fit_block import CORRELATION_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
-from tracker.stripe.normal_equations import (
+from tracker.stripe.line_fit.block import CORRELATION_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
+from tracker.stripe.line_fit.lines import BLOCK, LineFits, fit_lines, fit_room, line_window, map_edge
+from tracker.stripe.line_fit.normal_equations import (
     BEYOND,
     COUNTS,
     HIDDEN,
@@ -28,7 +28,7 @@ from tracker.stripe.normal_equations import (
     normal_equations,
     solve,
 )
-from tracker.stripe.residuals import CORE_SIGMAS, SATURATED_SIGMAS
+from tracker.stripe.line_fit.residuals import CORE_SIGMAS, SATURATED_SIGMAS
 from tracker.stripe.viterbi import MANY_OFFSETS, OFFSET_STEP, best_path, matched_filter, peaks
 from tracker.stripe.viterbi import bell as bell_of
 

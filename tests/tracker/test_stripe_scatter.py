@@ -20,7 +20,6 @@ from noise_model.median import room_for
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame
 from tracker.stripe.expected import expect_stripe
-from tracker.stripe.fit import N_FITTED
 from tracker.stripe.frame_scatter import (
     MEDIAN_CHI2,
     MIN_DIFFERENCES,
@@ -33,6 +32,7 @@ from tracker.stripe.frame_scatter import (
     frame_scatter,
     own_sigma,
 )
+from tracker.stripe.line_fit.lines import N_FITTED
 from tracker.stripe.scatter import (
     BRIGHTNESS_LAGS,
     LAGS,

@@ -10,8 +10,8 @@ from scipy.optimize import minimize
 
 from noise_model.arrays import Bool, Float64, Int64, Integers
 from tracker.arc.level import HUBER, MAP_SIGMA
-from tracker.stripe.fit import EDGE_PX
-from tracker.stripe.fit_block import CORRELATION_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
+from tracker.stripe.line_fit.block import CORRELATION_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
+from tracker.stripe.line_fit.lines import EDGE_PX
 from tracker.stripe.viterbi import GAIN_CAP, JUMP_COST, JUMP_COST_CAP, MISSING_COST
 
 

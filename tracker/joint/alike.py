@@ -20,7 +20,7 @@ from noise_model.kernel import kernel
 from noise_model.surface.faces import face_under, slope_across
 from tracker.joint.section_fit import MIN_ALONG_MM, corners_and_slopes
 from tracker.joint.section_shapes import N_CORNERS
-from tracker.stripe.fit_block import CORRELATION_PX
+from tracker.stripe.line_fit.block import CORRELATION_PX
 
 
 @kernel(allocates=True)

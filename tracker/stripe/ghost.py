@@ -81,7 +81,7 @@ def _lay(remainder: Float32, share: float, laid: Float32, laid_on: Float32) -> N
 def second_place(charge: Float32, background: Float32, censored: Bool, fits: Float64, lows: Int64) -> Pair:
     """Return the weaker stripe's share of the brighter one's light and its distance, px; 0, 0 for none.
 
-    What it is asked of is as `fit.fit_lines` has it. The fits (n_scan, 7) may be those of either, and
+    What it is asked of is as `lines.fit_lines` has it. The fits (n_scan, 7) may be those of either, and
     of one here and the other there.
     """
     n_scan, depth = charge.shape

@@ -22,8 +22,8 @@ import numpy as np
 
 from noise_model.arrays import Float64
 from noise_model.kernel import kernel
-from tracker.stripe.fit_block import CORRELATION_PX
-from tracker.stripe.residuals import N_BINS
+from tracker.stripe.line_fit.block import CORRELATION_PX
+from tracker.stripe.line_fit.residuals import N_BINS
 
 MOVED = 5.0
 """By how much more than the odd residual over the amplitude a centre moves, in widths."""

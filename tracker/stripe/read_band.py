@@ -11,9 +11,9 @@ from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from tracker.stripe.band import weigh
-from tracker.stripe.fit import FitRoom, LineFits, fit_lines, fit_room
 from tracker.stripe.frame_scatter import ScatterRoom, frame_scatter, known_median, own_sigma
 from tracker.stripe.ghost import second_light, second_place
+from tracker.stripe.line_fit.lines import FitRoom, LineFits, fit_lines, fit_room
 from tracker.stripe.misfit import MisfitRoom, misfit_sigma_px
 from tracker.stripe.scatter import (
     FrameScatter,

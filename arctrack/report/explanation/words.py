@@ -13,7 +13,7 @@ from tracker import flags
 from tracker.checks import Check, Question
 from tracker.flags import Flag
 from tracker.seam.correction import UNSTATED
-from tracker.stripe.fit_block import MIN_SIGNIFICANCE
+from tracker.stripe.line_fit.block import MIN_SIGNIFICANCE
 
 REFUSALS = {
     UNLIT: "the laser's fan does not reach it",

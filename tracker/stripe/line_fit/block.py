@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import Lanes, Mask, any_lane, root, spread, where, where_both
-from tracker.stripe.normal_equations import (
+from tracker.stripe.line_fit.normal_equations import (
     Block,
     PixelNoise,
     Prior,
@@ -65,7 +65,7 @@ class Known(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """What fits say of sixteen lines, by lane, as `fit.LineFits` has it, the place from the window's start.
+    """What fits say of sixteen lines, by lane, as `lines.LineFits` has it, the place from the window's start.
 
     `is_done` says where the fit came to its end, `is_stripe` where its amplitude is significant too.
     """
@@ -152,7 +152,7 @@ def _judged(
 
 @kernel(fastmath=REDUCTION)
 def fit_block(block: Block, n: int, known: Known, noise: PixelNoise) -> Fitted:
-    """Fit the first n pixels of sixteen lines by Gauss-Newton on the likelihood, see `fit.fit_lines`."""
+    """Fit the first n pixels of sixteen lines by Gauss-Newton on the likelihood, see `lines.fit_lines`."""
     zero, unity = spread(0.0), spread(1.0)
     no = zero > unity
     narrow = spread(WIDTH_SIGMA_LN**-2)

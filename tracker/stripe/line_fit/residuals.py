@@ -5,8 +5,8 @@ from __future__ import annotations
 from noise_model.arrays import Float32
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, Lanes, least, load, spread, store, where
-from tracker.stripe.fit_block import WINDOW_SIGMAS, Fitted
-from tracker.stripe.normal_equations import COUNTS, HIDDEN, Block, PixelNoise, bells
+from tracker.stripe.line_fit.block import WINDOW_SIGMAS, Fitted
+from tracker.stripe.line_fit.normal_equations import COUNTS, HIDDEN, Block, PixelNoise, bells
 
 CORE_SIGMAS = 1.5
 """So near to a bell's middle its light is compared with a line's pixels."""

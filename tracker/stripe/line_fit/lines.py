@@ -18,9 +18,9 @@ from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, load, spread, store, where
 from noise_model.median import room_for
-from tracker.stripe.fit_block import CORRELATION_PX, MIN_SIGMA_E, WINDOW_SIGMAS, Known, fit_block
-from tracker.stripe.normal_equations import BEYOND, COUNTS, HIDDEN, Block, PixelNoise
-from tracker.stripe.residuals import N_BINS, core_square, odd_parts
+from tracker.stripe.line_fit.block import CORRELATION_PX, MIN_SIGMA_E, WINDOW_SIGMAS, Known, fit_block
+from tracker.stripe.line_fit.normal_equations import BEYOND, COUNTS, HIDDEN, Block, PixelNoise
+from tracker.stripe.line_fit.residuals import N_BINS, core_square, odd_parts
 from tracker.stripe.viterbi import Pair
 
 BLOCK = 8
