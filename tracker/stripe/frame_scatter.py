@@ -94,7 +94,7 @@ def known_median(values: Float64, room: Float32) -> float:
 def own_sigma(fits: Float64, expected_px: Float64, room: Float32, own_px: Float64) -> None:
     """Write the lines' 1 sigma (n,), px, by their photons, more where a line fits worse than most do.
 
-    `fits` (n, 7) are `line_fit.lines.fit_lines`', `expected_px` (n,) the widths whose windows they read. What all lines'
+    `fits` (n, 7) are `LineFits`', `expected_px` (n,) the widths whose windows they read. What all lines'
     chi2 shows beyond 1 is the same for all, a profile that is no bell or speckle: the scatter tells what it
     does to the centres.
     """
@@ -120,7 +120,7 @@ def frame_scatter(
 ) -> None:
     """Write what one frame shows of its scatter.
 
-    `fits` (n, 7) are `line_fit.lines.fit_lines`', NaN where there is no stripe, `expected_px` the places and `width_px`
+    `fits` (n, 7) are `LineFits`', NaN where there is no stripe, `expected_px` the places and `width_px`
     the widths that the setup gives, `sigma_px` (n,) the lines' own 1 sigma; `core` (n,) is
     `residuals.core_square`; `is_searching` says whether the joint may be far off its expected place.
     """

@@ -80,7 +80,7 @@ class StripeReading:
     All but the stripe and the scatter are views of the scratch, good until the next frame; `lows` says where
     the band begins for each CELL scan lines. `score` (n_scan, n_offsets) is the matched filter's, in sigmas,
     at `offsets_px` from the rounded expected place; `start_px` (n_scan,) is where the likeliest path runs,
-    NaN for no stripe; `tried` and `fits` (n_scan, 7) are those of `lines.LineFits`. The variance of a pixel is
+    NaN for no stripe; `tried` and `fits` (n_scan, 7) are those of `LineFits`. The variance of a pixel is
     `shot` times its mean plus `dark_variance_e2`; `map_sigma` is the background's relative 1 sigma,
     `base_sigma_e` that of the black level and of the hall's light.
     `second_share` is how bright a second stripe is over the first, 0 for none; the background has its light.
