@@ -127,12 +127,25 @@ def _root(path: Path) -> Path:
     return folder
 
 
+class _ReadableIndex(IndexDataCacheFile):  # type: ignore[misc]
+    """numba's index of what is kept, empty where it names a class that an update has moved or removed.
+
+    The index holds the types of arguments, and unpickling it would raise for a named tuple's old module.
+    """
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except (ImportError, AttributeError):
+            return {}
+
+
 class _SourceKeyedCache(FunctionCache):  # type: ignore[misc]
     """numba's cache of one function, whose index is out of date when `source_key` is another."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self._cache_file = IndexDataCacheFile(
+        self._cache_file = _ReadableIndex(
             cache_path=self._cache_path,
             filename_base=self._impl.filename_base,
             source_stamp=source_key(Path(function.__code__.co_filename)),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -69,8 +70,7 @@ MAX_CURRENT_A, MAX_EXPOSURE_S = 1e4, 1e2
 """No welding current and no exposure reaches these: such a number is not known."""
 
 
-@dataclass(frozen=True)
-class Reading:
+class Reading(NamedTuple):
     """What one look at a frame, within a reach about an expected seam, has found."""
 
     checks: Checks
@@ -120,7 +120,7 @@ def measure(
     unlit = unlit_by_the_laser(geometry, arc_map.at, transmission, frame.image_dn, stripe_px, keep_off)
     arc = (estimate_arc_level if is_arc_on else estimate_ambient_light)(geometry, unlit)
     _ask_arc(asked, arc)
-    reading = replace(reading, arc=arc)
+    reading = reading._replace(arc=arc)
     if not asked.ask(checks.LASER_ON, frame.laser_on):
         return reading
 
@@ -137,12 +137,12 @@ def measure(
         scatter,
         reach_mm >= SEARCH_REACH_MM,
     )
-    reading = replace(reading, stripe=look.stripe)
+    reading = reading._replace(stripe=look.stripe)
     # An arc lights rims that end as a fan does.
     seeks_ends = geometry.setup.laser.fan_half_angle_deg is None and not arc.is_on
     if not _is_stripe(asked, geometry, expected, look, work, seeks_ends):
         return reading
-    reading = replace(reading, scatter=look.scatter)
+    reading = reading._replace(scatter=look.scatter)
     profile = profile_of(geometry, scene, frame, expected, look, reach_mm, seam.slope_sigma)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, scene, seam.station_mm))
     if geometry.setup.joint.type == "butt" and not _is_told(joint):
@@ -159,12 +159,12 @@ def measure(
     if not asked.ask(checks.JOINT_EVIDENCE, joint.evidence_nats, MIN_EVIDENCE_NATS):
         return reading
     margin_mm = min(joint.y_mm - float(profile.y_mm[0]), float(profile.y_mm[-1]) - joint.y_mm)
-    reading = replace(reading, fov_margin_mm=margin_mm)
+    reading = reading._replace(fov_margin_mm=margin_mm)
     if not asked.ask(checks.VIEW_MARGIN, margin_mm, MIN_MARGIN_MM):
         return reading
     asked.ask(checks.JOINT_CHI2, joint.chi2, JOINT_CHI2_LIMIT)
     asked.ask(checks.JOINT_UNEXPLAINED, joint.unexplained, UNEXPLAINED_LIMIT)
-    return replace(reading, joint=joint)
+    return reading._replace(joint=joint)
 
 
 def _is_told(joint: MeasuredJoint | None) -> bool:
@@ -298,7 +298,7 @@ def measure_again(
             answers[check.question.id] = check
     asked = Checks()
     asked.extend(tuple(answers.values()))
-    return replace(again, checks=asked)
+    return again._replace(checks=asked)
 
 
 def _lines_held(reading: Reading) -> int:

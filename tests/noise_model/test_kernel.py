@@ -66,3 +66,21 @@ def test_what_a_kernel_does_not_import_leaves_it_alone(tmp_path: Path) -> None:
     run(tmp_path)
     (package / "beside.py").write_text("# another thing\n")
     assert run(tmp_path) == (7.0, 1, 0)
+
+
+@pytest.mark.slow
+def test_a_record_that_an_update_has_moved_is_compiled_for_anew(tmp_path: Path) -> None:
+    """What is kept names the old module, which is gone."""
+    package = tmp_path / "optics_of_a_test"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    record = "from typing import NamedTuple\n\n\nclass Lens(NamedTuple):\n    f_mm: float\n"
+    for module in ("old", "new"):
+        (package / f"{module}.py").write_text(record)
+        (package / "outer.py").write_text(
+            f"from noise_model.kernel import kernel\nfrom optics_of_a_test.{module} import Lens\n\n\n"
+            "@kernel\ndef of_lens(lens):\n    return 2.0 * lens.f_mm\n\n\n"
+            "def outer(x):\n    return of_lens(Lens(x))\n\n\nouter.stats = of_lens.stats\n"
+        )
+        assert run(tmp_path) == (4.0, 0, 1)
+        (package / "old.py").unlink(missing_ok=True)
