@@ -29,8 +29,9 @@ from tracker.joint import MeasuredJoint, fit_joint
 from tracker.measure import Reading, expected_output, profile_of, shows_arc
 from tracker.profile import Profile
 from tracker.seam.locate import locate, sources
+from tracker.seam.stretches import jump_limit_mm
 from tracker.state import Frame, Pose, Track
-from tracker.step import TrackerState, jump_limit_mm, step_and_reading
+from tracker.step import TrackerState, step_and_reading
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import StripeReading, Work, arc_map_of, read_stripe
 
@@ -193,7 +194,9 @@ def _look(
     if reading.flags & flags.STRIPE_LOST.mask:
         return look
     if reading.joint is None:
-        shown = fit_joint(profile, setup.joint, *sources(setup, scene, reading.seam.station_mm))
+        shown = fit_joint(
+            profile, setup.joint, *sources(geometry.seam_source, scene, reading.seam.station_mm)
+        )
         return replace(look, joint=shown)
     return replace(
         look,
@@ -241,9 +244,10 @@ def _seam_look(
     geometry: SensorGeometry, before: TrackerState, nominal_scene: Scene, scene: Scene, joint: MeasuredJoint
 ) -> SeamLook:
     """Put a measured joint beside what the earlier frames said of its place."""
-    _, station, displacement = locate(
-        geometry.setup, nominal_scene.T_joint_tool, scene, joint.y_mm, joint.z_mm
-    )
+    source, T_nominal_tool = geometry.seam_source, nominal_scene.T_joint_tool
+    found = locate(source, T_nominal_tool, scene, joint.y_mm, joint.z_mm)
+    station, displacement = found.station_mm, np.array(found.displacement_mm)
     variance = np.diag(joint.covariance_mm2)
     expected, sigma = before.history.at(station)
-    return SeamLook(station, displacement, variance, expected, sigma, jump_limit_mm(sigma, variance))
+    limit = np.array(list(map(jump_limit_mm, sigma.tolist(), variance.tolist())))
+    return SeamLook(station, displacement, variance, expected, sigma, limit)

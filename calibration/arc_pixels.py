@@ -8,7 +8,7 @@ for.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -115,7 +115,7 @@ class ArcPixels:
         """
         true = apply_setup_effects(setup)
         tangent_at = curve.tangents(coefficients)
-        ground = replace(tangent_at(self.torch_mm), slope_y=0.0, slope_z=0.0)
+        ground = tangent_at(self.torch_mm)._replace(slope_y=0.0, slope_z=0.0)
         seam = BentSeam(tuple(tangent_at(station) for station in self.stretches_mm), ground)
         seen = look(true, self.T_base_tool, seam, rays, self.pixels, self.stretch)
         light = Light.of(seen.arc_e.copy(), np.zeros_like(seen.arc_e))

@@ -7,6 +7,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from noise_model.arrays import Float64, Vector
+from noise_model.kernel import kernel
 
 
 def pose_matrix(translation_mm: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike) -> Float64:
@@ -54,3 +55,37 @@ def cross(a: Vector, b: Vector) -> Float64:
 def transform(T_a_b: Float64, points_b: Float64) -> Float64:
     """Return points (..., 3) of frame b in frame a."""
     return np.asarray(points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3])
+
+
+@kernel(allocates=True)
+def inverted(T_a_b: Float64) -> Float64:
+    """Return T_b_a of a rigid T_a_b, for kernels."""
+    T_b_a = np.zeros((4, 4))
+    for i in range(3):
+        for j in range(3):
+            T_b_a[i, j] = T_a_b[j, i]
+            T_b_a[i, 3] -= T_a_b[j, i] * T_a_b[j, 3]
+    T_b_a[3, 3] = 1.0
+    return T_b_a
+
+
+@kernel(allocates=True)
+def multiplied(T_a_b: Float64, T_b_c: Float64) -> Float64:
+    """Return T_a_c, for kernels: of so small matrices a library's call takes longer."""
+    T_a_c = np.zeros((4, 4))
+    for i in range(4):
+        for j in range(4):
+            for k in range(4):
+                T_a_c[i, j] += T_a_b[i, k] * T_b_c[k, j]
+    return T_a_c
+
+
+@kernel(allocates=True)
+def moved_point(T_a_b: Float64, point_b: Float64) -> Float64:
+    """Return a point (3,) of frame b in frame a, for kernels."""
+    point_a = np.empty(3)
+    for i in range(3):
+        point_a[i] = (
+            T_a_b[i, 0] * point_b[0] + T_a_b[i, 1] * point_b[1] + T_a_b[i, 2] * point_b[2] + T_a_b[i, 3]
+        )
+    return point_a

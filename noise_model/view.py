@@ -105,7 +105,7 @@ class View:
     def _sight(self) -> Sight:
         which = np.zeros(self.cos4.size, dtype=np.int64)
         xy = np.ascontiguousarray(self.xy.reshape(-1, 2))
-        return Sight(self.setup, Scenes.alone(self.scene), which, xy, self.cos4.reshape(-1))
+        return Sight(self.setup, Scenes.of([self.scene]), which, xy, self.cos4.reshape(-1))
 
     @property
     def distance_mm(self) -> Float64:

@@ -6,6 +6,7 @@ again.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
@@ -16,6 +17,15 @@ Outcome = Literal["passed", "noted", "refused"]
 
 Demand = Literal["yes", "at_least", "at_most", "more_than", "less_than"]
 """How a value stands to its limit where a check passes; a value that is NaN passes each but `yes`."""
+
+
+_PASSES: dict[Demand, Callable[[float, float], bool]] = {
+    "yes": lambda value, limit: value == limit,
+    "at_least": lambda value, limit: not value < limit,
+    "at_most": lambda value, limit: not value > limit,
+    "more_than": lambda value, limit: not value <= limit,
+    "less_than": lambda value, limit: not value >= limit,
+}
 
 
 @dataclass(frozen=True)
@@ -66,17 +76,7 @@ class Check(NamedTuple):
     @property
     def passed(self) -> bool:
         """Whether the value meets the demand."""
-        match self.question.demand:
-            case "at_least":
-                return not self.value < self.limit
-            case "at_most":
-                return not self.value > self.limit
-            case "more_than":
-                return not self.value <= self.limit
-            case "less_than":
-                return not self.value >= self.limit
-            case _:
-                return self.value == self.limit
+        return _PASSES[self.question.demand](self.value, self.limit)
 
     @property
     def outcome(self) -> Outcome:
@@ -103,11 +103,11 @@ class Checks:
 
     def ask(self, question: Question, value: float, limit: float = 1.0, flag: Flag | None = None) -> bool:
         """Keep an answer and say whether it passed; `flag` stands for the question's own."""
-        check = Check(question, float(value), float(limit), flag or question.flag)
-        self.answers.append(check)
-        if check.passed:
+        value, raised = float(value), flag or question.flag
+        self.answers.append(Check(question, value, limit, raised))
+        if _PASSES[question.demand](value, limit):
             return True
-        self.flags |= check.flag.mask
+        self.flags |= raised.mask
         return False
 
     def extend(self, answers: tuple[Check, ...]) -> None:

@@ -22,6 +22,7 @@ from noise_model.setup import Setup, require_setup
 from noise_model.stripe import stripe_runs_along_rows
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
 from noise_model.transforms import invert, transform
+from tracker.seam.locate import SeamSource
 
 MIN_LIGHT = 0.05
 """The light, over full well, from which a bent response's noise counts."""
@@ -106,6 +107,11 @@ class SensorGeometry:
             return self.dark_variance_e2
         typical_e = max(float(np.median(charge_e)), MIN_LIGHT * sensor.full_well_e)
         return float(variance_e2(typical_e, sensor)) - typical_e
+
+    @cached_property
+    def seam_source(self) -> SeamSource:
+        """What the setup fixes of its seam."""
+        return SeamSource.of(self.setup)
 
     @cached_property
     def stripe_source(self) -> StripeSource:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.map import arc_kernel
-from noise_model.arc.scene import Scene, make_scene
+from noise_model.arc.scene import Scene, scene_along
 from noise_model.arc_source import level as current_level
 from noise_model.median import known_median
 from noise_model.setup import Setup
@@ -100,7 +100,7 @@ def measure(
     scatter: Scatter,
 ) -> Reading:
     """Look for arc, stripe and joint about a seam; `scatter` is what earlier frames show of the stripe's."""
-    scene = make_scene(geometry.setup, pose.T_base_tool, seam)
+    scene = scene_along(geometry.seam_source.scene, pose.T_base_tool, seam)
     asked = Checks()
     reading = Reading(asked, scene, seam, reach_mm, scatter=scatter)
     if not asked.ask(checks.CAMERA_ABOVE, not scene.below_surface):
@@ -144,7 +144,7 @@ def measure(
         return reading
     reading = reading._replace(scatter=look.scatter)
     profile = profile_of(geometry, scene, frame, expected, look, reach_mm, seam.slope_sigma)
-    joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.setup, scene, seam.station_mm))
+    joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.seam_source, scene, seam.station_mm))
     if geometry.setup.joint.type == "butt" and not _is_told(joint):
         closed = _closed_joint(geometry, scene, look, profile)
         if _is_told(closed):
@@ -280,11 +280,10 @@ def measure_again(
         placed = measure(geometry, frame, pose, seam, SEARCH_REACH_MM, work, False, scatter)
     if placed.joint is None:
         return first
-    setup = geometry.setup
-    _, station, displacement = locate(
-        setup, nominal_scene.T_joint_tool, placed.scene, placed.joint.y_mm, placed.joint.z_mm
-    )
-    there = replace(seam, station_mm=station, y_mm=float(displacement[0]), z_mm=float(displacement[1]))
+    joint = placed.joint
+    found = locate(geometry.seam_source, nominal_scene.T_joint_tool, placed.scene, joint.y_mm, joint.z_mm)
+    y_mm, z_mm = found.displacement_mm
+    there = seam._replace(station_mm=found.station_mm, y_mm=y_mm, z_mm=z_mm)
     again = measure(geometry, frame, pose, there, TRACK_REACH_MM, work, use_arc_map, scatter)
     # What only a wrong map shows is no stripe: most of its lines are gone with the right one.
     if again.joint is None and _lines_held(again) >= MIN_HELD_SHARE * _lines_held(placed):

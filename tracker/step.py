@@ -5,12 +5,15 @@ Live service, replay, tests and diagnosis call the same `step` and get the same 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from noise_model.arc.scene import Scene, make_scene
-from noise_model.arrays import Float64
+from noise_model.arc.scene import Scene, scene_along
+from noise_model.setup import Setup
+from noise_model.surface.joint import NOMINAL_SEAM
 from tracker import checks, flags
 from tracker.checks import Checks
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
@@ -18,27 +21,12 @@ from tracker.joint import MeasuredJoint
 from tracker.measure import TRACK_REACH_MM, Reading, measure, measure_again
 from tracker.seam.correction import UNSTATED, Correction
 from tracker.seam.gaussian_process import WIDE_SIGMA_MM, SeamHistory
-from tracker.seam.locate import (
-    confidence,
-    expected_seam,
-    hand_eye_variance,
-    locate,
-    pose_checks,
-)
+from tracker.seam.locate import Located, confidence, expected_seam, locate, pose_checks
 from tracker.seam.steer import AT_ONCE, Lead, Steering, steer
-from tracker.state import Frame, Pose, Track, frame_misfit
+from tracker.seam.stretches import Stretches, followed
+from tracker.state import NAN, Frame, Pose, Track, frame_misfit
 from tracker.stripe.read import Work
 from tracker.stripe.scatter import NO_SCATTER, Scatter
-
-JUMP_SIGMAS, JUMP_FLOOR_MM = 5.0, 0.3
-JUMPS_TO_RELEARN, RELEARN_MM, RELEARN_SHARE = 3, 1.5, 0.5
-"""So many jumps to one place are the seam's new place, if most frames show it there over such a way.
-
-The rim of a tack shows a joint for some frames, or now and then: a seam shows it on and on.
-"""
-
-MAX_STRETCHES = 8
-"""So many stretches between jumps are remembered for the torch that comes after."""
 
 LOST_TO_FORGET = 10
 """So many frames in a row without a joint, and what was measured before no longer says where to look.
@@ -88,21 +76,6 @@ class TrackerState:
     jumped_at: int = 0
     lost: int = 0
     frames: int = 0
-
-    def history_at(self, station_mm: float) -> SeamHistory:
-        """Return the stretch of the seam that a station lies on: the latest that has measured it.
-
-        Between two stretches it is that of the nearer one.
-        """
-        for measured in (self.history, *reversed(self.behind)):
-            if measured.is_measured(station_mm):
-                return measured
-        stretch = self.history
-        for before in reversed(self.behind):
-            if len(stretch) and station_mm >= 0.5 * (before.stations_mm.max() + stretch.stations_mm.min()):
-                return stretch
-            stretch = before
-        return stretch
 
     @property
     def lasting_flags(self) -> int:
@@ -186,19 +159,19 @@ def step_and_reading(
     lead: Lead = AT_ONCE,
 ) -> tuple[TrackerState, Track, Reading | None]:
     """Return what `step` does and the look at the frame that it rests on, None where it took none."""
-    state = replace(state, frames=state.frames + 1)
-    track = Track(frame=frame.index, timestamp_s=frame.timestamp_s, flags=0)
-    asked = Checks()
+    asked, n = Checks(), state.frames + 1
     if not _can_look(asked, geometry, frame, pose) or pose is None:
         if state.steering.is_stopped:
             asked.ask(checks.FOLLOWING, False)
-        return state, replace(track, flags=asked.flags, checks=tuple(asked.answers)), None
+        refused = Track(frame.index, frame.timestamp_s, asked.flags, checks=tuple(asked.answers))
+        return replace(state, frames=n), refused, None
 
     frame, pose = _as_compiled_for(frame, pose)
-    nominal_scene = make_scene(geometry.setup, pose.T_base_tool)
+    source = geometry.seam_source
+    nominal_scene = scene_along(source.scene, pose.T_base_tool, NOMINAL_SEAM)
     confirmed = state.history if state.lost < LOST_TO_FORGET else SeamHistory()
-    seam, seam_sigma = expected_seam(geometry.setup, nominal_scene, confirmed)
-    reach_mm = min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * float(seam_sigma.max()))
+    seam, seam_sigma = expected_seam(source, nominal_scene, confirmed)
+    reach_mm = min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * max(seam_sigma))
     if state.lost >= LOST_TO_SEARCH:
         reach_mm = SEARCH_REACH_MM
     reading = measure(geometry, frame, pose, seam, reach_mm, work, use_arc_map, state.scatter)
@@ -206,32 +179,65 @@ def step_and_reading(
         reading = measure_again(
             geometry, frame, pose, nominal_scene, seam, reading, work, use_arc_map, state.scatter
         )
-    state = replace(state, scatter=reading.scatter)
     asked.extend(tuple(reading.checks.answers))
-    track = replace(
-        track,
-        arc_level=reading.arc.level if reading.arc.is_on else np.nan,
+    stretches, located = _judged(geometry, state, asked, nominal_scene, reading)
+    steering, joint = state.steering, reading.joint
+    if located is not None:
+        steering = replace(steering, hand_eye_variance_mm2=located.hand_eye_mm2)
+    steering, offset = steer(
+        correction,
+        geometry,
+        pose.T_base_tool,
+        nominal_scene,
+        stretches,
+        steering,
+        asked,
+        located is not None,
+        seam.station_mm,
+        frame.timestamp_s,
+        lead,
+    )
+    track = Track(
+        frame.index,
+        frame.timestamp_s,
+        asked.flags,
+        arc_level=reading.arc.level if reading.arc.is_on else NAN,
         map_misfit=reading.arc.misfit,
         fov_margin_mm=reading.fov_margin_mm,
         stripe=reading.stripe,
+        checks=tuple(asked.answers),
+        **offset._asdict(),
+        **({} if located is None or joint is None else _seam_values(geometry.setup, located, joint)),
     )
-    if reading.joint is None:
-        state = replace(state, lost=state.lost + (reading.stripe is not None))
-    else:
-        state, track = _follow(geometry, state, track, asked, nominal_scene, reading.scene, reading.joint)
-    steering, track = steer(
-        correction,
-        geometry.setup,
-        pose.T_base_tool,
-        nominal_scene,
-        state.history,
-        state.history_at,
-        state.steering,
-        replace(track, flags=asked.flags, checks=tuple(asked.answers)),
-        seam,
-        lead,
+    state = TrackerState(
+        stretches.history,
+        stretches.beyond,
+        stretches.behind,
+        steering,
+        reading.scatter,
+        stretches.jumps,
+        stretches.jumped_at,
+        stretches.lost,
+        n,
     )
-    return replace(state, steering=steering), track, reading
+    return state, track, reading
+
+
+def _judged(
+    geometry: SensorGeometry, state: TrackerState, asked: Checks, nominal_scene: Scene, reading: Reading
+) -> tuple[Stretches, Located | None]:
+    """Judge a look's joint against the earlier ones; return what is remembered, and the seam if it is one."""
+    remembered = Stretches(
+        state.history, state.beyond, state.behind, state.jumps, state.jumped_at, state.lost
+    )
+    joint = reading.joint
+    if joint is not None:
+        T_nominal_tool = nominal_scene.T_joint_tool
+        located = locate(geometry.seam_source, T_nominal_tool, reading.scene, joint.y_mm, joint.z_mm)
+        if asked.ask(checks.NEAR_NOMINAL, max(map(abs, located.displacement_mm)), MAX_OFF_MM):
+            variance_mm2 = float(joint.covariance_mm2[0, 0]), float(joint.covariance_mm2[1, 1])
+            return followed(remembered, asked, state.frames + 1, located, variance_mm2), located
+    return remembered._replace(lost=state.lost + (reading.stripe is not None)), None
 
 
 def _as_compiled_for(frame: Frame, pose: Pose) -> tuple[Frame, Pose]:
@@ -252,80 +258,22 @@ def _can_look(asked: Checks, geometry: SensorGeometry, frame: Frame, pose: Pose 
         return False
     assert pose is not None
     asked.ask(checks.POSE_BRACKETED, not pose.extrapolated)
-    asked_of_pose = pose_checks(geometry.setup, pose.T_base_tool)
+    asked_of_pose = pose_checks(geometry.seam_source, pose.T_base_tool)
     asked.extend(tuple(asked_of_pose.answers))
     return asked_of_pose.flags == 0
 
 
-def _follow(
-    geometry: SensorGeometry,
-    state: TrackerState,
-    track: Track,
-    asked: Checks,
-    nominal_scene: Scene,
-    scene: Scene,
-    joint: MeasuredJoint,
-) -> tuple[TrackerState, Track]:
-    """Judge a measured joint against the earlier ones, and turn it into seam point and confidence."""
-    setup = geometry.setup
-    seam_tool, station, displacement = locate(
-        setup, nominal_scene.T_joint_tool, scene, joint.y_mm, joint.z_mm
-    )
-    if not asked.ask(checks.NEAR_NOMINAL, float(np.abs(displacement).max()), MAX_OFF_MM):
-        return replace(state, lost=state.lost + 1), track
-    variance = np.diag(joint.covariance_mm2)
-    expected, expected_sigma = state.history.at(station)
-    limit = jump_limit_mm(expected_sigma, variance)
-    history, beyond, behind, jumps, lost = state.history, SeamHistory(), state.behind, 0, 0
-    jumped_at = state.jumped_at
-    if len(history) and not _is_near(asked, np.abs(displacement - expected), limit):
-        jumps, lost, beyond = state.jumps + 1, state.lost, state.beyond
-        elsewhere, elsewhere_sigma = beyond.at(station)
-        if (np.abs(displacement - elsewhere) > jump_limit_mm(elsewhere_sigma, variance)).any():
-            # Nor where the last jump was: what is here and there is no seam.
-            jumps, beyond = 1, SeamHistory()
-        jumped_at = state.frames if jumps == 1 else jumped_at
-        beyond = beyond.with_measurement(station, displacement, variance)
-        way_mm = abs(station - float(beyond.stations_mm[0]))
-        share = jumps / (1 + state.frames - jumped_at)
-        if jumps >= JUMPS_TO_RELEARN and way_mm >= RELEARN_MM and share >= RELEARN_SHARE:
-            # The torch comes to the new stretch later: until then it is on the one before, if that was one.
-            if len(history) >= JUMPS_TO_RELEARN:
-                behind = (*behind, history)[-MAX_STRETCHES:]
-            history, beyond, jumps, lost = beyond, SeamHistory(), 0, 0
-    else:
-        history = history.with_measurement(station, displacement, variance)
-    hand_eye = hand_eye_variance(setup, nominal_scene, seam_tool)
-    steering = replace(state.steering, hand_eye_variance_mm2=(float(hand_eye[0]), float(hand_eye[1])))
-    state = replace(
-        state,
-        history=history,
-        beyond=beyond,
-        behind=behind,
-        steering=steering,
-        jumps=jumps,
-        jumped_at=jumped_at,
-        lost=lost,
-    )
-    sigma = np.sqrt(variance + hand_eye)
-    return state, replace(
-        track,
-        seam_tool_mm=(float(seam_tool[0]), float(seam_tool[1]), float(seam_tool[2])),
-        sigma_y_mm=float(sigma[0]),
-        sigma_z_mm=float(sigma[1]),
-        gap_mm=joint.gap_mm,
-        mismatch_mm=joint.mismatch_mm,
-        confidence=confidence(setup, sigma),
-        shape=joint.shape,
-    )
-
-
-def _is_near(asked: Checks, distance_mm: Float64, limit_mm: Float64) -> bool:
-    """Ask whether a seam lies where the earlier frames put it, both (2,) as (y, z)."""
-    near_y = asked.ask(checks.JUMP_Y, distance_mm[0], limit_mm[0])
-    return asked.ask(checks.JUMP_Z, distance_mm[1], limit_mm[1]) and near_y
-
-
-def jump_limit_mm(expected_sigma_mm: Float64, variance_mm2: Float64) -> Float64:
-    """Return how far (2,) a seam may lie from where the earlier frames put it, mm, without being a jump."""
-    return np.asarray(np.maximum(JUMP_SIGMAS * np.sqrt(expected_sigma_mm**2 + variance_mm2), JUMP_FLOOR_MM))
+def _seam_values(setup: Setup, located: Located, joint: MeasuredJoint) -> dict[str, Any]:
+    """Return what a track says of its seam."""
+    y_mm2, z_mm2 = located.hand_eye_mm2
+    sigma_y_mm = math.sqrt(float(joint.covariance_mm2[0, 0]) + y_mm2)
+    sigma_z_mm = math.sqrt(float(joint.covariance_mm2[1, 1]) + z_mm2)
+    return {
+        "seam_tool_mm": located.seam_tool_mm,
+        "sigma_y_mm": sigma_y_mm,
+        "sigma_z_mm": sigma_z_mm,
+        "gap_mm": joint.gap_mm,
+        "mismatch_mm": joint.mismatch_mm,
+        "confidence": confidence(setup.tolerance.seam_mm, (sigma_y_mm, sigma_z_mm)),
+        "shape": joint.shape,
+    }

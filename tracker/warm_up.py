@@ -20,8 +20,9 @@ from noise_model.arrays import Float64, Integers
 from noise_model.surface.joint import NOMINAL_SEAM, seam_frame
 from tracker.geometry import SensorGeometry
 from tracker.seam.correction import Correction
+from tracker.seam.stretches import JUMPS_TO_RELEARN
 from tracker.state import Frame, Pose
-from tracker.step import JUMPS_TO_RELEARN, LOST_TO_SEARCH, TrackerState, step
+from tracker.step import LOST_TO_SEARCH, TrackerState, step
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import Work, arc_map_of
 

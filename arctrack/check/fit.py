@@ -20,7 +20,7 @@ from noise_model.transforms import invert, transform
 from tracker.geometry import SEARCH_REACH_MM, to_laser_plane
 from tracker.joint.type_check import Family, shown_family
 from tracker.profile import Profile
-from tracker.seam.locate import pose_checks
+from tracker.seam.locate import SeamSource, pose_checks
 
 BESIDE_MM = 4.0
 """So far beyond the section's outer corners points count: farther out all joints are plates."""
@@ -118,7 +118,7 @@ def line_points(setup: Setup, sight: Sight) -> LinePoints:
     nothing = np.empty(0)
     if not np.isfinite(sight.T_base_tool).all():
         return LinePoints(nothing, nothing, math.nan, math.nan, 0)
-    raised = pose_checks(setup, sight.T_base_tool).flags
+    raised = pose_checks(SeamSource.of(setup), sight.T_base_tool).flags
     points_px = sight.points_px[:: max(1, len(sight.points_px) // MAX_POINTS)]
     points_tool, beside_tool = (to_laser_plane(setup, points_px + step)[0] for step in (0.0, 1.0))
     met = np.isfinite(points_tool).all(axis=1) & np.isfinite(beside_tool).all(axis=1)

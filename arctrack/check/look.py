@@ -105,12 +105,11 @@ def _with_expected(
     if reading is None or reading.joint is None:
         return look
     joint = reading.joint
-    _, station_mm, displacement_mm = locate(
-        geometry.setup, nominal_scene.T_joint_tool, reading.scene, joint.y_mm, joint.z_mm
-    )
-    seam, _ = state.history.line_at(station_mm)
+    source, T_nominal_tool = geometry.seam_source, nominal_scene.T_joint_tool
+    found = locate(source, T_nominal_tool, reading.scene, joint.y_mm, joint.z_mm)
+    seam, _ = state.history.line_at(found.station_mm)
     placed = expect_stripe(geometry, make_scene(geometry.setup, pose.T_base_tool, seam))
-    look = replace(look, placed=placed, seam_mm=(float(displacement_mm[0]), float(displacement_mm[1])))
+    look = replace(look, placed=placed, seam_mm=found.displacement_mm)
     if placed is None:
         return look
     return replace(look, peak_e=_peak_e(setup, geometry, look.frame, pose, seam, placed))

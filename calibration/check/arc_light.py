@@ -108,8 +108,8 @@ def compare_arc(setup: Setup, frames: Sequence[tuple[Frame, Float64]], seam: Sea
     torch_mm = float(np.median([_torch_mm(geometry.setup, T_base_tool) for _, T_base_tool in frames]))
     away_mm = torch_mm - seam.station_mm
     others = [
-        _compared(geometry, rays, frames, replace(seam, slope_y=seam.slope_y + WANDER_MM[0] / away_mm)),
-        _compared(geometry, rays, frames, replace(seam, slope_z=seam.slope_z + WANDER_MM[1] / away_mm)),
+        _compared(geometry, rays, frames, seam._replace(slope_y=seam.slope_y + WANDER_MM[0] / away_mm)),
+        _compared(geometry, rays, frames, seam._replace(slope_z=seam.slope_z + WANDER_MM[1] / away_mm)),
     ]
 
     def with_wander(name: str) -> Known:

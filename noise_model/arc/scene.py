@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,80 +14,76 @@ from noise_model.arrays import Bool, Float64
 from noise_model.instrument.camera import Camera
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
+from noise_model.surface.faces import ridge
 from noise_model.surface.joint import (
     NOMINAL_SEAM,
     BentSeam,
     SeamLine,
+    SeamSegments,
     Section,
-    corrugation_height,
-    seam_frame,
+    line_frame,
+    nearest_segment,
     section,
 )
-from noise_model.transforms import invert, transform
+from noise_model.transforms import inverted, moved_point, multiplied
 
 FOOT_STEPS = 3
 """Each leaves a hundredth of what a sheet's tilt moves the foot of the arc by."""
 
 
-@dataclass(frozen=True)
-class Scene:
-    """Camera, arc and surface of one pose in the joint frame.
+class Scene(NamedTuple):
+    """Camera, arc and surface of one pose in the joint frame, as the kernels take and give them.
 
-    `T_joint_camera` (4, 4) mm, `T_joint_tool` (4, 4) mm, `camera` itself, `center_mm` (3,) the arc's centre,
-    `shape` the section. `bend` says how the section's edges leave the direction of x on their way to the arc:
-    their slope dy/dx at the section, how far to the left they run under the arc, mm.
+    `T_joint_camera` (4, 4) mm, `T_joint_tool` (4, 4) mm, `center_mm` (3,) the arc's centre, `shape` the
+    section. `bend` says how the section's edges leave the direction of x on their way to the arc: their slope
+    dy/dx at the section, how far to the left they run under the arc, mm. `footprint_mm` (2, 2) is between
+    which x and y the camera sees the joint: its rim's rays are followed to the highest and the lowest level
+    between the plates, and to the plates where these rise or fall. `below_surface` says whether the camera
+    stands in or under the workpiece, where no prediction makes sense.
     """
 
     T_joint_tool: Float64
     T_joint_camera: Float64
-    camera: Camera
     center_mm: Float64
     shape: Section
-    bend: tuple[float, float] = (0.0, 0.0)
-
-    @cached_property
-    def footprint_mm(self) -> Float64:
-        """Between which x and y (2, 2), mm, joint frame, the camera sees the joint.
-
-        Its rim's rays are followed to the highest and the lowest level between the plates, and to the plates
-        where these rise or fall.
-        """
-        footprint = np.empty((2, 2))
-        rays, shape = _rim_rays(*self.camera.geometry), self.shape
-        _write_footprint(rays, self.T_joint_camera, shape.vertices, shape.corrugation, footprint)
-        return footprint
+    bend: tuple[float, float]
+    footprint_mm: Float64
+    below_surface: bool
 
     @property
     def stations_mm(self) -> tuple[float, float, float]:
         """From which station to which the camera sees the plate, and the torch's."""
-        first, last = self.footprint_mm[0]
-        return float(first), float(last), float(self.T_joint_tool[0, 3])
-
-    @cached_property
-    def below_surface(self) -> bool:
-        """Whether the camera stands in or under the workpiece, where no prediction makes sense."""
-        return bool(_are_below(self.T_joint_camera[:3, 3], self.shape))
+        first, last = self.footprint_mm[0].tolist()
+        return first, last, float(self.T_joint_tool[0, 3])
 
 
 @dataclass(frozen=True, eq=False)
 class Scenes:
     """The scenes of several stretches of a seam, or of several poses, of one camera and one joint.
 
-    Its arrays are those of a `Scene`, one below the other: (n, 4, 4), (n, 3), `bend` (n, 2).
+    Its arrays are those of a `Scene`, one below the other: (n, 4, 4), (n, 3), `bend` (n, 2), (n, 2, 2), (n,).
     """
 
     T_joint_tool: Float64
     T_joint_camera: Float64
-    camera: Camera
     center_mm: Float64
     shape: Section
     bend: Float64
+    footprint_mm: Float64
+    below_surface: Bool
 
     @classmethod
-    def alone(cls, scene: Scene) -> Scenes:
-        """Return one scene as scenes."""
-        poses = scene.T_joint_tool[np.newaxis], scene.T_joint_camera[np.newaxis]
-        return cls(*poses, scene.camera, scene.center_mm[np.newaxis], scene.shape, np.array([scene.bend]))
+    def of(cls, scenes: Sequence[Scene]) -> Scenes:
+        """Return some scenes as one."""
+        return cls(
+            np.array([scene.T_joint_tool for scene in scenes]),
+            np.array([scene.T_joint_camera for scene in scenes]),
+            np.array([scene.center_mm for scene in scenes]),
+            scenes[0].shape,
+            np.array([scene.bend for scene in scenes]),
+            np.array([scene.footprint_mm for scene in scenes]),
+            np.array([scene.below_surface for scene in scenes]),
+        )
 
     def __len__(self) -> int:
         """Return how many scenes there are."""
@@ -95,20 +92,43 @@ class Scenes:
     def __getitem__(self, i: int) -> Scene:
         """Return one of the scenes."""
         slope, aside_mm = self.bend[i].tolist()
-        poses = self.T_joint_tool[i], self.T_joint_camera[i]
-        return Scene(*poses, self.camera, self.center_mm[i], self.shape, (slope, aside_mm))
-
-    @cached_property
-    def below_surface(self) -> Bool:
-        """The `Scene.below_surface` of each (n,)."""
-        return _are_below(self.T_joint_camera[:, :3, 3], self.shape)
+        places = self.T_joint_tool[i], self.T_joint_camera[i], self.center_mm[i]
+        return Scene(
+            *places, self.shape, (slope, aside_mm), self.footprint_mm[i], bool(self.below_surface[i])
+        )
 
 
-def _are_below(places_mm: Float64, shape: Section) -> Bool:
-    """Say which places (..., 3), joint frame, lie in or under a section."""
-    x, y, z = places_mm.T
-    plain = np.interp(y, shape.vertices[:, 0], shape.vertices[:, 1])
-    return np.asarray(z <= plain + corrugation_height(x, shape.corrugation))
+class SceneSource(NamedTuple):
+    """What a setup fixes of its scenes, as the kernels take it.
+
+    `segments` are its joint's nominal seam, `shape` its section; `ahead_mm` (3,) is where the sheet is at
+    tool height, tool frame: by it the seam's segment is chosen. `T_tool_camera` (4, 4) mm, `rim_rays` (9, 3)
+    the camera's, `arc_mm` (3,) the arc's centre, tool frame, which keeps its height `on_surface`. Where it
+    `has_ridges` they stay across the nominal line.
+    """
+
+    segments: SeamSegments
+    shape: Section
+    ahead_mm: Float64
+    T_tool_camera: Float64
+    rim_rays: Float64
+    arc_mm: Float64
+    on_surface: bool
+    has_ridges: bool
+
+    @classmethod
+    def of(cls, setup: Setup) -> SceneSource:
+        """Gather a setup."""
+        return cls(
+            SeamSegments.of(setup.joint),
+            section(setup.joint),
+            setup.laser.point_mm,
+            np.require(setup.camera.T_tool_camera, np.float64, ("C", "W")),
+            _rim_rays(*setup.camera.geometry),
+            np.array(setup.arc.center_in_tool_mm, dtype=np.float64),
+            setup.arc.on_surface,
+            setup.joint.has_ridges,
+        )
 
 
 def make_scene(
@@ -120,70 +140,101 @@ def make_scene(
     it go with it; but ridges stay across the nominal line when the seam between them turns. `ground` is
     another stretch of a bent seam, on whose surface the arc stands.
     """
-    T_nominal_tool = _nominal_pose(setup, T_base_tool)[np.newaxis]
-    return _along(setup, T_nominal_tool, (seam,), None if ground is None else (ground,))[0]
+    return scene_along(SceneSource.of(setup), T_base_tool, seam, ground)
 
 
 def make_scenes(setup: Setup, T_base_tool: Sequence[Float64], seams: Sequence[BentSeam]) -> Scenes:
     """Return the scenes of some poses along each stretch of the seam at each of them, see `make_scene`."""
-    counts = [len(seam.lines) for seam in seams]
-    T_nominal_tool = np.repeat([_nominal_pose(setup, T) for T in T_base_tool], counts, axis=0)
-    grounds = [seam.ground for seam in seams for _ in seam.lines]
-    return _along(setup, T_nominal_tool, [line for seam in seams for line in seam.lines], grounds)
-
-
-def _nominal_pose(setup: Setup, T_base_tool: Float64) -> Float64:
-    """Return T_nominal_tool, the tool's pose in the frame of the nominal joint."""
-    return invert(seam_frame(setup.joint, _ahead(setup, T_base_tool))) @ T_base_tool
-
-
-def _along(
-    setup: Setup, T_nominal_tool: Float64, seams: Sequence[SeamLine], grounds: Sequence[SeamLine] | None
-) -> Scenes:
-    """Return the scenes of poses (n, 4, 4), each along its stretch and on its ground, see `make_scene`."""
-    has_ridges = setup.joint.has_ridges
-    laid = [replace(seam, slope_y=0.0) if has_ridges and seam.slope_y != 0.0 else seam for seam in seams]
-    T_laid_nominal = _inverted(np.array([line.frame() for line in laid]))
-    T_joint_tool = T_laid_nominal @ T_nominal_tool
-    T_joint_camera = T_joint_tool @ setup.camera.T_tool_camera
-    shape = section(setup.joint)
-    offset = np.asarray(setup.arc.center_in_tool_mm)
-    center = T_joint_tool[:, :3, :3] @ offset + T_joint_tool[:, :3, 3]
-    # Where another stretch's plate and seam run, or the seam's own that no ridge follows.
-    T_laid_ground = T_laid_nominal @ np.array([ground.frame() for ground in grounds or seams])
-    along, up, origin = (T_laid_ground[:, :3, column] for column in (0, 2, 3))
-    if setup.arc.on_surface:
-        # Over the surface the arc keeps its height, and a tilted tool carries its foot sideways.
-        # The way down is upright, and an inclined sheet's ridges are not.
-        slope_z = np.array([line.slope_z for line in laid])
-        foot, height = center[:, 0] - slope_z * center[:, 2], np.zeros(len(seams))
-        for _ in range(FOOT_STEPS if shape.corrugation[0] > 0.0 else 0):
-            height = corrugation_height(foot, shape.corrugation)
-            foot = center[:, 0] - slope_z * (center[:, 2] - height)
-        center[:, 0], center[:, 2] = foot + slope_z * offset[2], offset[2] + height
-        if grounds is not None:
-            beside = up[:, :2] * (center[:, :2] - origin[:, :2])
-            center[:, 2] += origin[:, 2] - beside.sum(axis=1) / up[:, 2]
-    beside_mm = origin[:, 1] + along[:, 1] / along[:, 0] * (center[:, 0] - origin[:, 0])
-    beside_mm[[ground is line for ground, line in zip(grounds or seams, laid, strict=True)]] = 0.0
-    turns = [seam.slope_y - line.slope_y for seam, line in zip(seams, laid, strict=True)]
-    return Scenes(
-        T_joint_tool, T_joint_camera, setup.camera, center, shape, np.column_stack([turns, beside_mm])
+    source = SceneSource.of(setup)
+    return Scenes.of(
+        [
+            scene_along(source, T, line, seam.ground)
+            for T, seam in zip(T_base_tool, seams, strict=True)
+            for line in seam.lines
+        ]
     )
 
 
-def _inverted(T_a_b: Float64) -> Float64:
-    """Return T_b_a (n, 4, 4) of rigid T_a_b (n, 4, 4)."""
-    T_b_a = np.zeros_like(T_a_b)
-    T_b_a[:, :3, :3] = T_a_b[:, :3, :3].swapaxes(1, 2)
-    T_b_a[:, :3, 3:] = -T_b_a[:, :3, :3] @ T_a_b[:, :3, 3:]
-    T_b_a[:, 3, 3] = 1.0
-    return T_b_a
+def scene_along(
+    source: SceneSource, T_base_tool: Float64, seam: SeamLine, ground: SeamLine | None = None
+) -> Scene:
+    """Return the scene of a pose along a stretch of the seam, see `make_scene`."""
+    T = np.require(T_base_tool, np.float64, ("C", "W"))
+    line = _as_floats(seam)
+    scene: Scene = _scene(source, T, line, line if ground is None else _as_floats(ground), ground is None)
+    return scene
 
 
-def _ahead(setup: Setup, T_base_tool: Float64) -> Float64:
-    """Return the point of base where the sheet is at tool height: by it the seam's segment is chosen."""
-    return transform(T_base_tool, setup.laser.point_mm)
+def _as_floats(line: SeamLine) -> SeamLine:
+    """Return a stretch whose numbers are of one type: for others the kernels would be compiled anew."""
+    return SeamLine(*map(float, line))
+
+
+@kernel(allocates=True)
+def _scene(
+    source: SceneSource, T_base_tool: Float64, seam: SeamLine, ground: SeamLine, is_own_ground: bool
+) -> Scene:
+    """Return `scene_along`'s scene; `is_own_ground` says that the arc stands on the stretch itself."""
+    along_x = seam
+    if source.has_ridges:
+        along_x = SeamLine(seam.station_mm, seam.y_mm, seam.z_mm, 0.0, seam.slope_z, seam.slope_sigma)
+    nearest = nearest_segment(source.segments, moved_point(T_base_tool, source.ahead_mm))
+    T_nominal_tool = multiplied(inverted(source.segments.frames[nearest]), T_base_tool)
+    T_laid_nominal = inverted(line_frame(along_x))
+    T_joint_tool = multiplied(T_laid_nominal, T_nominal_tool)
+    T_joint_camera = multiplied(T_joint_tool, source.T_tool_camera)
+    # Where another stretch's plate and seam run, or the seam's own that no ridge follows.
+    T_laid_ground = multiplied(T_laid_nominal, line_frame(ground))
+    center_mm = _arc_center(source, T_joint_tool, along_x.slope_z, T_laid_ground, is_own_ground)
+    turn = seam.slope_y - along_x.slope_y
+    beside_mm = 0.0
+    if not is_own_ground or turn != 0.0:
+        slope = T_laid_ground[1, 0] / T_laid_ground[0, 0]
+        beside_mm = T_laid_ground[1, 3] + slope * (center_mm[0] - T_laid_ground[0, 3])
+    footprint_mm = np.empty((2, 2))
+    vertices, corrugation = source.shape
+    _write_footprint(source.rim_rays, T_joint_camera, vertices, corrugation, footprint_mm)
+    below = is_below(T_joint_camera[0, 3], T_joint_camera[1, 3], T_joint_camera[2, 3], vertices, corrugation)
+    return Scene(
+        T_joint_tool, T_joint_camera, center_mm, source.shape, (turn, beside_mm), footprint_mm, below
+    )
+
+
+@kernel(allocates=True)
+def _arc_center(
+    source: SceneSource, T_joint_tool: Float64, slope_z: float, T_laid_ground: Float64, is_own_ground: bool
+) -> Float64:
+    """Return the arc's centre (3,), joint frame, mm.
+
+    Over the surface the arc keeps its height, and a tilted tool carries its foot sideways. The way down is
+    upright, and an inclined sheet's ridges are not.
+    """
+    center = moved_point(T_joint_tool, source.arc_mm)
+    if not source.on_surface:
+        return center
+    offset_z, corrugation = source.arc_mm[2], source.shape.corrugation
+    foot, height = center[0] - slope_z * center[2], 0.0
+    for _ in range(FOOT_STEPS if corrugation[0] > 0.0 else 0):
+        height = ridge(foot, corrugation)[0]
+        foot = center[0] - slope_z * (center[2] - height)
+    center[0], center[2] = foot + slope_z * offset_z, offset_z + height
+    if not is_own_ground:
+        T = T_laid_ground
+        beside = T[0, 2] * (center[0] - T[0, 3]) + T[1, 2] * (center[1] - T[1, 3])
+        center[2] += T[2, 3] - beside / T[2, 2]
+    return center
+
+
+@kernel
+def is_below(x: float, y: float, z: float, vertices: Float64, corrugation: Float64) -> bool:
+    """Say whether a place of the joint frame, mm, lies in or under a section."""
+    last = vertices.shape[0] - 1
+    k = 0
+    while k < last - 1 and vertices[k + 1, 0] <= y:
+        k += 1
+    share = (y - vertices[k, 0]) / (vertices[k + 1, 0] - vertices[k, 0])
+    plain = vertices[k, 1] + min(max(share, 0.0), 1.0) * (vertices[k + 1, 1] - vertices[k, 1])
+    return bool(z <= plain + ridge(x, corrugation)[0])
 
 
 @kernel

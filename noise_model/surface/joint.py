@@ -11,10 +11,12 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from noise_model.arrays import Float64, Int64, Point
+from noise_model.kernel import kernel
 from noise_model.spelling import cure_for
 from noise_model.transforms import cross
 
@@ -123,8 +125,7 @@ class Joint:
         return self.type == "corrugation"
 
 
-@dataclass(frozen=True)
-class Section:
+class Section(NamedTuple):
     """The surface's shape for the kernels.
 
     `vertices` is (n, 2) float64, the polyline's (y, z) in mm from y = -REACH to +REACH;
@@ -239,8 +240,7 @@ def _plate_slope(joint_type: str, size: Size) -> float:
     return 1.0 / math.tan(math.radians(size["included_angle_deg"] / 2.0))
 
 
-@dataclass(frozen=True)
-class SeamLine:
+class SeamLine(NamedTuple):
     """Where the true seam runs beside its nominal line: a straight stretch about one station.
 
     At `station_mm` of the joint frame it lies `y_mm` to the left and `z_mm` higher, and it leaves the nominal
@@ -255,29 +255,22 @@ class SeamLine:
     slope_sigma: float = 0.0
 
     def frame(self) -> Float64:
-        """Return T_nominal_true (4, 4), mm: the joint frame turned about the station, moved to the seam.
-
-        One array for all who ask: it is not to be written to.
-        """
-        return _seam_line_frame(self)
+        """Return T_nominal_true (4, 4), mm: the joint frame turned about the station, moved to the seam."""
+        return line_frame(SeamLine(*map(float, self)))
 
 
-@lru_cache(maxsize=1024)
-def _seam_line_frame(line: SeamLine) -> Float64:
+@kernel(allocates=True)
+def line_frame(line: SeamLine) -> Float64:
+    """Return `SeamLine.frame`: its x axis is (1, a, b) / length, its y axis lies level."""
     a, b, x = line.slope_y, line.slope_z, line.station_mm
-    # The x axis is (1, a, b) / length, the y axis lies level.
     level = math.sqrt(1.0 + a * a)
     length = math.sqrt(1.0 + a * a + b * b)
-    T_nominal_true = np.array(
-        [
-            [1.0 / length, -a / level, -b / (length * level), x - x / length],
-            [a / length, 1.0 / level, -a * b / (length * level), line.y_mm - x * a / length],
-            [b / length, 0.0, level / length, line.z_mm - x * b / length],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
-    T_nominal_true.flags.writeable = False
-    return T_nominal_true
+    T = np.zeros((4, 4))
+    T[0, 0], T[0, 1], T[0, 2], T[0, 3] = 1.0 / length, -a / level, -b / (length * level), x - x / length
+    T[1, 0], T[1, 1], T[1, 2] = a / length, 1.0 / level, -a * b / (length * level)
+    T[2, 0], T[2, 2] = b / length, level / length
+    T[1, 3], T[2, 3], T[3, 3] = line.y_mm - x * a / length, line.z_mm - x * b / length, 1.0
+    return T
 
 
 NOMINAL_SEAM = SeamLine()
@@ -368,27 +361,54 @@ def corrugation_height(x_mm: Float64, corrugation: Float64) -> Float64:
     return np.where(np.abs(u) < width / 2.0, height / 2.0 * (1.0 + np.cos(2.0 * np.pi * u / width)), 0.0)
 
 
+class SeamSegments(NamedTuple):
+    """A nominal seam's segments: T_base_joint (n, 4, 4), where each starts and its way (n, 3), base, mm."""
+
+    frames: Float64
+    starts: Float64
+    steps: Float64
+
+    @classmethod
+    def of(cls, joint: Joint) -> SeamSegments:
+        """Return a joint's segments: one record for all who ask, it is not to be written to."""
+        return _segments(joint.seam_in_base_mm, joint.surface_normal_in_base, joint.station_origin_mm)
+
+
+@kernel
+def nearest_segment(segments: SeamSegments, point_base_mm: Float64) -> int:
+    """Return the number of the segment nearest to a point (3,) of base."""
+    _, starts, steps = segments
+    nearest, least = 0, math.inf
+    for k in range(starts.shape[0]):
+        along, square = 0.0, 0.0
+        for i in range(3):
+            along += (point_base_mm[i] - starts[k, i]) * steps[k, i]
+            square += steps[k, i] * steps[k, i]
+        share = min(max(along / square, 0.0), 1.0)
+        away = 0.0
+        for i in range(3):
+            away += (point_base_mm[i] - starts[k, i] - share * steps[k, i]) ** 2
+        if away < least:
+            nearest, least = k, away
+    return nearest
+
+
 def seam_frame(joint: Joint, point_base_mm: Float64) -> Float64:
     """Return T_base_joint of the line segment nearest to a point of base.
 
     Its x is the station, counted along the segments: along the first as base's does, from the foot of base's
     origin, so that a corrugation keeps its place, and on from there through every bend.
     """
-    frames = _segment_frames(joint.seam_in_base_mm, joint.surface_normal_in_base, joint.station_origin_mm)
-    if len(frames) == 1:
-        return frames[0].copy()
-    points = np.asarray(joint.seam_in_base_mm, dtype=np.float64)
-    starts, steps = points[:-1], np.diff(points, axis=0)
-    along = np.einsum("ij,ij->i", point_base_mm - starts, steps) / np.einsum("ij,ij->i", steps, steps)
-    feet = starts + np.clip(along, 0.0, 1.0)[:, None] * steps
-    return frames[int(np.argmin(np.linalg.norm(point_base_mm - feet, axis=1)))].copy()
+    point = np.require(point_base_mm, np.float64, ("C", "W"))
+    segments = SeamSegments.of(joint)
+    return np.array(segments.frames[nearest_segment(segments, point)])
 
 
 @lru_cache
-def _segment_frames(
+def _segments(
     seam_in_base_mm: tuple[Point, ...], normal_in_base: Point, station_origin_mm: Point
-) -> list[Float64]:
-    """Return T_base_joint of each segment of a seam line: every look at a pose asks for one."""
+) -> SeamSegments:
+    """Return the segments of a seam line: every look at a pose asks for them."""
     points = np.asarray(seam_in_base_mm, dtype=np.float64)
     frames: list[Float64] = []
     station = 0.0
@@ -404,4 +424,4 @@ def _segment_frames(
         T_base_joint[:3, 3] = start - station * x_axis
         frames.append(T_base_joint)
         station += length
-    return frames
+    return SeamSegments(np.array(frames), points[:-1].copy(), np.diff(points, axis=0))

@@ -142,7 +142,7 @@ class LinearizedModel:
                 [frame],
                 [frame.bins],
                 true,
-                [BentSeam(seam.lines, replace(seam.ground, y_mm=seam.ground.y_mm + beside))],
+                [BentSeam(seam.lines, seam.ground._replace(y_mm=seam.ground.y_mm + beside))],
             ).arc_e()
             for beside in (0.0, 2.0 * deviation_mm, -2.0 * deviation_mm)
         ]

@@ -162,7 +162,7 @@ def _slopes(
 
 
 def _moved(line: SeamLine, name: str, by: float) -> SeamLine:
-    return replace(line, **{name: getattr(line, name) + by})
+    return line._replace(**{name: getattr(line, name) + by})
 
 
 def _slope(here_e: Float32, there_e: Float32, step: float) -> Float32:

@@ -317,7 +317,7 @@ def test_an_arc_behind_walls_is_the_sum_of_what_a_walk_finds_open(joint, center_
 def test_a_laps_edge_does_not_see_the_arc_through_the_lower_sheet(center_mm, material):
     setup = scenes.setup("lap", material)
     # Beside the seam, so that the camera sees the edge.
-    view = dataclasses.replace(make_scene(setup, scenes.pose((0.0, 5.0, 0.0))), center_mm=np.array(center_mm))
+    view = make_scene(setup, scenes.pose((0.0, 5.0, 0.0)))._replace(center_mm=np.array(center_mm))
     kernel = arc_kernel(setup, view)
     P, normal, radius = np.array([40.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), setup.arc.radius_mm
     omega_r = (kernel.eye - P) / np.linalg.norm(kernel.eye - P)
@@ -339,7 +339,7 @@ def test_a_fillets_far_sheet_cuts_into_the_arc_in_a_circle(at_mm, center_mm):
     setup = scenes.setup("fillet", "zn_coated")
     x, y = at_mm
     P = np.array([x, y, scenes.height(setup.joint, x, y)])
-    view = dataclasses.replace(make_scene(setup, scenes.pose()), center_mm=np.array(center_mm))
+    view = make_scene(setup, scenes.pose())._replace(center_mm=np.array(center_mm))
     radius = 7.0 if y > 0.0 else 3.0
     kernel = arc_kernel(setup, view)._replace(radius=radius)
     face = 0 if y < 0.0 else 1

@@ -1,7 +1,5 @@
 """A seam that bends, as straight stretches."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 import scenes
@@ -112,7 +110,7 @@ def light_past_bent_edges(joint, P, normal, omega_r, center, material, slope, cu
 @pytest.mark.parametrize(("name", "y_mm"), [("lap", 0.5), ("lap", 2.0), ("lap", -2.0), ("corrugation", 1.0)])
 def test_a_bent_edge_hides_the_arc_way_by_way(name, y_mm, bend_mm):
     setup = scenes.setup(name, "zn_coated", arc_center_mm=(0.0, 0.0, 2.0))
-    view = dataclasses.replace(make_scene(setup, scenes.pose((0.0, -0.6, 0.0))), bend=bend_mm)
+    view = make_scene(setup, scenes.pose((0.0, -0.6, 0.0)))._replace(bend=bend_mm)
     kernel = arc_kernel(setup, view, nodes=(24, 8))
     face = 0 if y_mm < 0.0 else 2
     x = 38.0

@@ -185,9 +185,9 @@ def test_a_frame_filled_by_cells_is_the_frame_pixel_by_pixel(name):
     check_filled(arc_frame_of(setup, POSES["level"]), mean_e.reshape(119, 157))
 
 
-def plain_footprint(view):
+def plain_footprint(view, camera):
     """The camera's rim followed to the highest and the lowest level between the plates and to these."""
-    camera, T, vertices = view.camera, view.T_joint_camera, view.shape.vertices
+    T, vertices = view.T_joint_camera, view.shape.vertices
     u, v = np.meshgrid([0.0, 0.5, 1.0], [0.0, 0.5, 1.0])
     rim = camera.normalised(
         np.column_stack([u.ravel() * (camera.width - 1), v.ravel() * (camera.height - 1)])
@@ -209,8 +209,9 @@ def plain_footprint(view):
 @pytest.mark.parametrize("name", [*scenes.JOINTS, *scenes.MORE_JOINTS])
 @pytest.mark.parametrize("turn_deg", [(0.0, 0.0, 0.0), (5.0, -8.0, 30.0), (70.0, 10.0, 0.0)])
 def test_the_footprint_is_its_plain_twins(name, turn_deg):
-    scene = make_scene(scenes.setup(name), scenes.pose((7.0, -1.0, 2.0), turn_deg))
-    np.testing.assert_allclose(scene.footprint_mm, plain_footprint(scene), rtol=1e-9)
+    setup = scenes.setup(name)
+    scene = make_scene(setup, scenes.pose((7.0, -1.0, 2.0), turn_deg))
+    np.testing.assert_allclose(scene.footprint_mm, plain_footprint(scene, setup.camera), rtol=1e-9)
 
 
 @pytest.mark.slow

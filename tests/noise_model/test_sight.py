@@ -9,7 +9,7 @@ from sheet_twin import beyond_fan_mm
 
 from arctrack.nominal import nominal_setup
 from noise_model.arc.map import arc_at, arc_kernel
-from noise_model.arc.scene import make_scene
+from noise_model.arc.scene import Scenes, make_scene
 from noise_model.forward import look
 from noise_model.instrument.camera import Rays
 from noise_model.instrument.laser import sheet_of, sheets_of
@@ -102,6 +102,7 @@ def test_a_camera_under_the_sheet_is_refused_among_others():
     low = make_scene(setup, scenes.pose((0.0, 0.0, -500.0)))
     sight = alone(setup)[0]
     stretches = sight.scenes
-    sunk = dataclasses.replace(stretches, T_joint_camera=np.stack([low.T_joint_camera] * len(stretches)))
+    assert low.below_surface
+    sunk = Scenes.of([stretches[n] for n in range(len(stretches) - 1)] + [low])
     with pytest.raises(ValueError, match="below the surface"):
         dataclasses.replace(sight, scenes=sunk, _kept={}).arc_e()

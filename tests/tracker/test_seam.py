@@ -18,9 +18,10 @@ from noise_model.transforms import invert, transform
 from tracker import flags
 from tracker.geometry import meet_laser_plane
 from tracker.seam.locate import (
+    SeamSource,
     confidence,
-    hand_eye_variance,
-    is_rigid,
+    is_rotation,
+    moved_variance,
     pose_checks,
     seam_point,
     seam_point_tool,
@@ -71,9 +72,11 @@ def test_the_hand_eye_variance_is_its_twin(joint: str) -> None:
             R, place = setup.camera.T_tool_camera[:3, :3], setup.camera.T_tool_camera[:3, 3]
             met = meet_laser_plane(setup, place + R @ origin, (R @ ray)[None])[0]
             moves.append(scene.T_joint_tool[1:3, :3] @ (met - point))
-    np.testing.assert_allclose(
-        hand_eye_variance(setup, scene, point), np.sum(np.square(moves), axis=0), rtol=5e-3
+    source = SeamSource.of(setup)
+    variance = moved_variance(
+        setup.camera.T_tool_camera, source.plane, scene.T_joint_tool, point, source.turn_rad, source.move_mm
     )
+    np.testing.assert_allclose(variance, np.sum(np.square(moves), axis=0), rtol=5e-3)
 
 
 @given(st.lists(st.floats(0.01, 3.0), min_size=1, max_size=2))
@@ -82,7 +85,7 @@ def test_confidence_is_that_of_independent_normal_errors(sigmas: list[float]) ->
     rng = np.random.default_rng(0)
     errors = rng.normal(0.0, 1.0, (20000, len(sigmas))) * sigmas
     within = (np.abs(errors) < setup.tolerance.seam_mm).all(axis=1).mean()
-    assert confidence(setup, np.array(sigmas)) == pytest.approx(within, abs=0.02)
+    assert confidence(setup.tolerance.seam_mm, sigmas) == pytest.approx(within, abs=0.02)
 
 
 @pytest.mark.parametrize("joint", ["v_groove", "lap"])
@@ -92,22 +95,23 @@ def test_a_line_that_runs_against_the_travel_is_told(joint: str) -> None:
     reversed_ = replace(setup, joint=replace(setup.joint, seam_in_base_mm=points[::-1]))
     for turn_deg in ((0.0, 0.0, 0.0), (20.0, -20.0, 30.0)):
         T_base_tool = pose_at(10.0, 0.5, 1.0, turn_deg).T_base_tool
-        assert pose_checks(setup, T_base_tool).flags == 0
-        assert pose_checks(reversed_, T_base_tool).flags == flags.SEAM_REVERSED.mask
+        assert pose_checks(SeamSource.of(setup), T_base_tool).flags == 0
+        assert pose_checks(SeamSource.of(reversed_), T_base_tool).flags == flags.SEAM_REVERSED.mask
 
 
 def test_what_is_no_pose_is_told() -> None:
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("xyz", [10.0, -20.0, 30.0], degrees=True).as_matrix()
-    assert is_rigid(T)
-    assert not is_rigid(T[:3])
+    assert is_rotation(T)
+    source = SeamSource.of(small_setup("v_groove"))
+    assert pose_checks(source, T[:3]).flags == flags.POSE_REFUSED.mask
     mirrored, scaled, sheared = T.copy(), T.copy(), T.copy()
     mirrored[:3, 0] *= -1.0
     scaled[:3, :3] *= 1.01
     sheared[:3, 0] += 0.01 * T[:3, 1]
     for wrong in (mirrored, scaled, sheared):
-        assert not is_rigid(wrong)
+        assert not is_rotation(wrong)
     for row, column, value in ((0, 3, np.nan), (1, 1, np.inf), (3, 0, 1e-9), (3, 3, 2.0)):
         wrong = T.copy()
         wrong[row, column] = value
-        assert not is_rigid(wrong)
+        assert not is_rotation(wrong)

@@ -16,6 +16,7 @@ a time that grows with the number of measurements and no faster.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -62,36 +63,26 @@ class SeamHistory:
         return len(self.stations_mm)
 
     def with_measurement(
-        self, station_mm: float, displacement_mm: Float64, variance_mm2: Float64
+        self, station_mm: float, displacement_mm: Iterable[float], variance_mm2: Iterable[float]
     ) -> SeamHistory:
         """Return the history with one more measurement, the oldest dropped beyond CAPACITY.
 
         It takes the place of older ones that are nearer than SPACING_MM: a sensor that goes to and fro
         forgets nothing of what it does not see again.
         """
-        n = len(self)
-        began_mm, kept = station_mm, np.arange(n)
-        noise = np.maximum(variance_mm2, MIN_VARIANCE_MM2)
-        if abs(station_mm - self.began_mm) < SPACING_MM:
-            # From where it began, not from the average: that would run along with a sensor that creeps.
-            kept, began_mm = kept[:-1], self.began_mm
-            latest = self.displacements_mm[-1]
-            before = np.maximum(self.variances_mm2[-1] - MODEL_SIGMA_MM**2, MIN_VARIANCE_MM2)
-            share = before / (before + noise)
-            station_mm = float(self.stations_mm[-1] + share.mean() * (station_mm - self.stations_mm[-1]))
-            displacement_mm = latest + share * (displacement_mm - latest)
-            noise = share * noise
-        else:
-            # The latest stays, however near: what it is the average of began farther away.
-            is_apart = np.abs(self.stations_mm - station_mm) >= SPACING_MM
-            kept = kept[is_apart | (kept == n - 1)][1 - CAPACITY :]
-        m = len(kept)
-        stations = np.empty(m + 1)
-        displacements, variances = np.empty((2, m + 1, 2))
-        stations[:m], stations[m] = self.stations_mm[kept], station_mm
-        displacements[:m], displacements[m] = self.displacements_mm[kept], displacement_mm
-        variances[:m], variances[m] = self.variances_mm2[kept], noise + MODEL_SIGMA_MM**2
-        return SeamHistory(stations, displacements, variances, began_mm)
+        y_mm, z_mm = displacement_mm
+        variance_y_mm2, variance_z_mm2 = variance_mm2
+        return SeamHistory(
+            *_with_measurement(
+                self.stations_mm,
+                self.displacements_mm,
+                self.variances_mm2,
+                self.began_mm,
+                station_mm,
+                (y_mm, z_mm),
+                (variance_y_mm2, variance_z_mm2),
+            )
+        )
 
     def is_measured(self, station_mm: float) -> bool:
         """Say whether a station lies within the measured stretch."""
@@ -112,7 +103,7 @@ class SeamHistory:
     def _state_at(self, station_mm: float) -> tuple[Float64, Float64, Float64, Float64]:
         """Return displacement, its 1 sigma, the seam's slope and its 1 sigma, (2,) each, at a station."""
         value, sigma, slope, slope_sigma = np.empty((4, 2))
-        _condition(
+        condition(
             self.stations_mm,
             self.displacements_mm,
             self.variances_mm2,
@@ -125,12 +116,61 @@ class SeamHistory:
         return value, sigma, slope, slope_sigma
 
 
+@kernel(allocates=True)
+def _with_measurement(
+    stations_mm: Float64,
+    displacements_mm: Float64,
+    variances_mm2: Float64,
+    began_mm: float,
+    station_mm: float,
+    displacement_mm: tuple[float, float],
+    variance_mm2: tuple[float, float],
+) -> tuple[Float64, Float64, Float64, float]:
+    """Return a history's arrays, and where its latest measurement began, with one more measurement."""
+    n = stations_mm.shape[0]
+    first, end, m = 0, 0, 0
+    joins = abs(station_mm - began_mm) < SPACING_MM
+    # The latest stays, however near: what it is the average of began farther away.
+    is_kept = np.zeros(n, dtype=np.bool_)
+    for i in range(n):
+        is_kept[i] = i < n - 1 if joins else i == n - 1 or abs(stations_mm[i] - station_mm) >= SPACING_MM
+        m += is_kept[i]
+    while not joins and m > CAPACITY - 1:
+        m -= is_kept[first]
+        is_kept[first] = False
+        first += 1
+    stations, displacements, variances = np.empty(m + 1), np.empty((m + 1, 2)), np.empty((m + 1, 2))
+    for i in range(n):
+        if is_kept[i]:
+            stations[end] = stations_mm[i]
+            for axis in range(2):
+                displacements[end, axis] = displacements_mm[i, axis]
+                variances[end, axis] = variances_mm2[i, axis]
+            end += 1
+    mean_share = 0.0
+    for axis in range(2):
+        here, noise = displacement_mm[axis], max(variance_mm2[axis], MIN_VARIANCE_MM2)
+        if joins:
+            latest = displacements_mm[n - 1, axis]
+            before = max(variances_mm2[n - 1, axis] - MODEL_SIGMA_MM**2, MIN_VARIANCE_MM2)
+            share = before / (before + noise)
+            mean_share += 0.5 * share
+            here, noise = latest + share * (here - latest), share * noise
+        displacements[m, axis], variances[m, axis] = here, noise + MODEL_SIGMA_MM**2
+    if not joins:
+        stations[m] = station_mm
+        return stations, displacements, variances, station_mm
+    # From where it began, not from the average: that would run along with a sensor that creeps.
+    stations[m] = stations_mm[n - 1] + mean_share * (station_mm - stations_mm[n - 1])
+    return stations, displacements, variances, began_mm
+
+
 N_STATES = 5
 """The bend and its slope, the whole seam's displacement, and bend and slope where the answer is asked for."""
 
 
 @kernel(allocates=True)
-def _condition(
+def condition(
     stations_mm: Float64,
     displacements_mm: Float64,
     variances_mm2: Float64,

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.scene import Scene
+from noise_model.arc.scene import Scene, SceneSource
 from noise_model.arrays import Float64
 from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
-from noise_model.surface.joint import SeamLine, seam_frame, seam_height_mm, section
-from noise_model.transforms import transform
+from noise_model.surface.joint import SeamLine, nearest_segment, seam_height_mm, section
+from noise_model.transforms import moved_point, transform
 from tracker import checks
 from tracker.checks import Checks
-from tracker.seam.gaussian_process import SeamHistory
+from tracker.seam.gaussian_process import SeamHistory, condition
 
 MIN_CROSSING = 0.3
 """The least cosine between the sheet's normal and the seam: below, it shows no section of the joint."""
@@ -51,57 +53,138 @@ def is_rotation(T: Float64) -> bool:
     return handed > 0.0
 
 
-def is_rigid(T_base_tool: Float64) -> bool:
-    """Say whether an array is a pose, whatever its shape is."""
-    return T_base_tool.shape == (4, 4) and is_rotation(np.require(T_base_tool, np.float64, ("C", "W")))
+class SeamSource(NamedTuple):
+    """What a setup fixes of its seam, as the kernels take it.
+
+    `scene` is of its scenes; `origin_mm` (3,) and `plane` (4,) are the laser's, tool frame; `height_mm` is
+    the seam point's over the reference surface; `turn_rad` and `move_mm` the hand-eye tolerance's 1 sigmas.
+    """
+
+    scene: SceneSource
+    origin_mm: Float64
+    plane: Float64
+    height_mm: float
+    turn_rad: float
+    move_mm: float
+
+    @classmethod
+    def of(cls, setup: Setup) -> SeamSource:
+        """Gather a setup."""
+        laser, tolerance = setup.laser, setup.tolerance
+        return cls(
+            SceneSource.of(setup),
+            laser.origin_mm,
+            laser.plane,
+            seam_height_mm(setup.joint),
+            math.radians(tolerance.hand_eye_deg),
+            tolerance.hand_eye_mm,
+        )
 
 
-def pose_checks(setup: Setup, T_base_tool: Float64) -> Checks:
+class PoseNumbers(NamedTuple):
+    """What is asked of a pose: whether it is one, and how the sensor stands over the nominal seam, mm.
+
+    `height_mm` is the laser's over the workpiece, `crossing` the cosine between the sheet's normal and the
+    seam, `ahead_mm` the laser's lead over the torch along the seam.
+    """
+
+    is_rotation: bool
+    height_mm: float
+    crossing: float
+    ahead_mm: float
+
+
+@kernel(allocates=True)
+def pose_numbers(source: SeamSource, T_base_tool: Float64) -> PoseNumbers:
+    """Return what is asked of a pose (4, 4)."""
+    if not is_rotation(T_base_tool):
+        return PoseNumbers(False, math.nan, math.nan, math.nan)
+    T, laser_base = T_base_tool, moved_point(T_base_tool, source.origin_mm)
+    joint = source.scene.segments.frames[nearest_segment(source.scene.segments, laser_base)]
+    height, crossing, ahead_mm = 0.0, 0.0, 0.0
+    for i in range(3):
+        height += (laser_base[i] - joint[i, 3]) * joint[i, 2]
+        normal, way = 0.0, 0.0
+        for j in range(3):
+            normal += T[i, j] * source.plane[j]
+            way += T[i, j] * source.scene.ahead_mm[j]
+        crossing += normal * joint[i, 0]
+        ahead_mm += way * joint[i, 0]
+    return PoseNumbers(True, height, abs(crossing), ahead_mm)
+
+
+def pose_checks(source: SeamSource, T_base_tool: Float64) -> Checks:
     """Return what is asked of a pose, up to the first answer by which the joint cannot be seen from it."""
     asked = Checks()
-    if not asked.ask(checks.POSE_RIGID, is_rigid(T_base_tool)):
+    if T_base_tool.shape != (4, 4):
+        asked.ask(checks.POSE_RIGID, False)
         return asked
-    laser = setup.laser
-    laser_base = transform(T_base_tool, laser.origin_mm)
-    T_base_joint = seam_frame(setup.joint, laser_base)
-    height = float((laser_base - T_base_joint[:3, 3]) @ T_base_joint[:3, 2])
-    if not asked.ask(checks.LASER_ABOVE, height, 0.0):
+    told = pose_numbers(source, np.require(T_base_tool, np.float64, ("C", "W")))
+    if not asked.ask(checks.POSE_RIGID, told.is_rotation):
         return asked
-    crossing = abs(float(T_base_tool[:3, :3] @ laser.plane[:3] @ T_base_joint[:3, 0]))
-    if not asked.ask(checks.LASER_NEAR, height, MAX_HEIGHT * laser.origin_in_tool_mm[2]):
+    if not asked.ask(checks.LASER_ABOVE, told.height_mm, 0.0):
         return asked
-    if not asked.ask(checks.SHEET_ACROSS, crossing, MIN_CROSSING):
+    if not asked.ask(checks.LASER_NEAR, told.height_mm, MAX_HEIGHT * float(source.origin_mm[2])):
+        return asked
+    if not asked.ask(checks.SHEET_ACROSS, told.crossing, MIN_CROSSING):
         return asked
     # The sensor looks ahead. Of a line that runs against the travel, left would be taken for right.
-    ahead_mm = float(T_base_tool[:3, :3] @ laser.point_mm @ T_base_joint[:3, 0])
-    asked.ask(checks.LASER_AHEAD, ahead_mm, 0.0)
+    asked.ask(checks.LASER_AHEAD, told.ahead_mm, 0.0)
     return asked
 
 
-def expected_seam(setup: Setup, nominal_scene: Scene, history: SeamHistory) -> tuple[SeamLine, Float64]:
-    """Return the seam where it should meet the laser plane, and the 1 sigma (2,) of its y and z, mm."""
-    station = float(transform(nominal_scene.T_joint_tool, setup.laser.point_mm)[0])
-    seam, _ = history.at(station)
-    # The plane may lean: the root of a groove is met elsewhere than the plate is.
-    point = seam_point_tool(
-        setup, nominal_scene, float(seam[0]), float(seam[1]) + seam_height_mm(setup.joint)
+def expected_seam(
+    source: SeamSource, nominal_scene: Scene, history: SeamHistory
+) -> tuple[SeamLine, tuple[float, float]]:
+    """Return the seam where it should meet the laser plane, and the 1 sigma of its y and z, mm."""
+    found: tuple[SeamLine, tuple[float, float]] = _expected(
+        source,
+        nominal_scene.T_joint_tool,
+        history.stations_mm,
+        history.displacements_mm,
+        history.variances_mm2,
     )
-    return history.line_at(float(transform(nominal_scene.T_joint_tool, point)[0]))
+    return found
 
 
-def sources(setup: Setup, scene: Scene, station: float) -> tuple[Float64, Float64]:
+@kernel(allocates=True)
+def _expected(
+    source: SeamSource,
+    T_joint_tool: Float64,
+    stations_mm: Float64,
+    displacements_mm: Float64,
+    variances_mm2: Float64,
+) -> tuple[SeamLine, tuple[float, float]]:
+    """Return `expected_seam`'s from the history's arrays."""
+    ahead_mm, corrugation = source.scene.ahead_mm, source.scene.shape.corrugation
+    value, sigma, slope, slope_sigma = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
+    station = moved_point(T_joint_tool, ahead_mm)[0]
+    condition(stations_mm, displacements_mm, variances_mm2, station, value, sigma, slope, slope_sigma)
+    # The plane may lean: the root of a groove is met elsewhere than the plate is.
+    height_mm = value[1] + source.height_mm
+    point = seam_point(T_joint_tool, source.plane, ahead_mm, corrugation, value[0], height_mm)
+    station = moved_point(T_joint_tool, point)[0]
+    condition(stations_mm, displacements_mm, variances_mm2, station, value, sigma, slope, slope_sigma)
+    line = SeamLine(station, value[0], value[1], slope[0], slope[1], max(slope_sigma[0], slope_sigma[1]))
+    return line, (sigma[0], sigma[1])
+
+
+@kernel(allocates=True)
+def sources(source: SeamSource, scene: Scene, station_mm: float) -> tuple[Float64, Float64]:
     """Return where camera and laser stand, (3,) mm, x from a station where the tangent plane is levelled.
 
     That is a corrugation's.
     """
     corrugation = scene.shape.corrugation
-    ahead, here, behind = (ridge(station + step, corrugation)[0] for step in (0.5, 0.0, -0.5))
-    laser_mm = transform(scene.T_joint_tool, setup.laser.origin_mm)
-    sources = scene.T_joint_camera[:3, 3].copy(), laser_mm
-    for source in sources:
-        source[0] -= station
-        source[2] -= here + (ahead - behind) * source[0]
-    return sources
+    here = ridge(station_mm, corrugation)[0]
+    tangent = ridge(station_mm + 0.5, corrugation)[0] - ridge(station_mm - 0.5, corrugation)[0]
+    camera_mm, laser_mm = np.empty(3), moved_point(scene.T_joint_tool, source.origin_mm)
+    for i in range(3):
+        camera_mm[i] = scene.T_joint_camera[i, 3]
+    for place_mm in (camera_mm, laser_mm):
+        place_mm[0] -= station_mm
+        place_mm[2] -= here + tangent * place_mm[0]
+    return camera_mm, laser_mm
 
 
 def seam_point_tool(setup: Setup, scene: Scene, y_mm: float, z_mm: float) -> Float64:
@@ -153,36 +236,40 @@ def seam_displacement(setup: Setup, T_joint_tool: Float64, seam_tool: Float64) -
     return float(station), np.array([y, z - height])
 
 
-def confidence(setup: Setup, sigma_mm: Float64) -> float:
-    """Return the probability that errors of these 1 sigmas (n,), mm, all stay within the weld's tolerance."""
-    within = setup.tolerance.seam_mm / math.sqrt(2.0)
-    return math.prod(1.0 if sigma == 0.0 else math.erf(within / sigma) for sigma in sigma_mm.tolist())
+def confidence(within_mm: float, sigmas_mm: Sequence[float]) -> float:
+    """Return the probability that errors of these 1 sigmas, mm, all stay within the weld's tolerance, mm."""
+    within = within_mm / math.sqrt(2.0)
+    return math.prod(1.0 if sigma == 0.0 else math.erf(within / sigma) for sigma in sigmas_mm)
 
 
-def locate(
-    setup: Setup, T_joint_tool: Float64, scene: Scene, y_mm: float, z_mm: float
-) -> tuple[Float64, float, Float64]:
-    """Return a seam point (3,), tool frame, its station and its displacement (2,) from the path, mm.
+class Located(NamedTuple):
+    """A seam point: in the tool frame, mm, its station, and its displacement from the path as (y, z), mm.
 
-    The point is at (y, z) of a look's frame, `T_joint_tool` the tool in the nominal joint frame.
+    `hand_eye_mm2` is the variance of its (y, z) that the stated hand-eye tolerance leaves.
     """
-    seam_tool = seam_point_tool(setup, scene, y_mm, z_mm)
-    return seam_tool, *seam_displacement(setup, T_joint_tool, seam_tool)
+
+    seam_tool_mm: tuple[float, float, float]
+    station_mm: float
+    displacement_mm: tuple[float, float]
+    hand_eye_mm2: tuple[float, float]
 
 
-def hand_eye_variance(setup: Setup, nominal_scene: Scene, seam_tool: Float64) -> Float64:
-    """Return the variance (2,) of the seam's (y, z), mm^2, that the stated hand-eye tolerance leaves.
+@kernel(allocates=True)
+def locate(source: SeamSource, T_nominal_tool: Float64, scene: Scene, y_mm: float, z_mm: float) -> Located:
+    """Return the seam point at (y, z) of a look's frame; `T_nominal_tool` is of the nominal joint frame.
 
-    Each of the camera's three rotations and translations is off by its 1 sigma in turn; what is seen is kept.
+    Of the hand-eye each of the camera's three rotations and translations is off by its 1 sigma in turn; what
+    is seen is kept.
     """
-    tolerance = setup.tolerance
-    return moved_variance(
-        setup.camera.T_tool_camera,
-        setup.laser.plane,
-        nominal_scene.T_joint_tool,
-        seam_tool,
-        math.radians(tolerance.hand_eye_deg),
-        tolerance.hand_eye_mm,
+    corrugation = scene.shape.corrugation
+    point = seam_point(scene.T_joint_tool, source.plane, source.scene.ahead_mm, corrugation, y_mm, z_mm)
+    place = moved_point(T_nominal_tool, point)
+    height = source.height_mm + ridge(place[0], corrugation)[0]
+    moves = moved_variance(
+        source.scene.T_tool_camera, source.plane, T_nominal_tool, point, source.turn_rad, source.move_mm
+    )
+    return Located(
+        (point[0], point[1], point[2]), place[0], (place[1], place[2] - height), (moves[0], moves[1])
     )
 
 

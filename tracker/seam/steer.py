@@ -10,24 +10,27 @@ of range, the gate holds what was sent last, by its age, and then refuses.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from noise_model.arc.scene import Scene
 from noise_model.arrays import Float64
+from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
-from noise_model.surface.joint import SeamLine, seam_frame
-from noise_model.transforms import invert
+from noise_model.surface.joint import SeamSegments, nearest_segment
+from noise_model.transforms import inverted, multiplied
 from tracker import checks, flags
 from tracker.checks import Checks
+from tracker.geometry import SensorGeometry
 from tracker.seam.correction import STOPPED, Correction, correct
 from tracker.seam.gaussian_process import SPACING_MM, SeamHistory
 from tracker.seam.joint_ends import Change, JointEnds, nominal_ends
 from tracker.seam.locate import confidence
-from tracker.state import NAN, Track
+from tracker.seam.stretches import Stretches
+from tracker.state import NAN
 
 NO_LOOK = flags.LASER_OFF.mask | flags.BELOW_SURFACE.mask | flags.SEAM_OUT_OF_VIEW.mask
 """A frame with these says nothing of whether there is a joint."""
@@ -126,71 +129,102 @@ def seam_at_torch(
     return SeamAtTorch(displacement, sigma, asked)
 
 
+class TorchOffset(NamedTuple):
+    """What a track says of its offset and of the joint's ends; see `state.Track`."""
+
+    offset_y_mm: float
+    offset_z_mm: float
+    offset_sigma_y_mm: float
+    offset_sigma_z_mm: float
+    offset_confidence: float
+    valid_at_s: float
+    joint_start_mm: tuple[float, float]
+    joint_end_mm: tuple[float, float]
+
+
+@kernel(allocates=True)
+def torch_stations_mm(
+    segments: SeamSegments, T_base_tool: Float64, T_joint_tool: Float64
+) -> tuple[float, float, float]:
+    """Return the torch's station, and those of the nominal line's ends as `nominal_ends` has them.
+
+    Past a bend the torch may be on another segment than the sensor, `T_joint_tool`: each goes by its own.
+    """
+    tip = np.empty(3)
+    for i in range(3):
+        tip[i] = T_base_tool[i, 3]
+    on = segments.frames[nearest_segment(segments, tip)]
+    torch_mm = 0.0
+    for i in range(3):
+        torch_mm += on[i, 0] * (tip[i] - on[i, 3])
+    start_mm, end_mm = nominal_ends(segments, multiplied(T_joint_tool, inverted(T_base_tool)))
+    return torch_mm, start_mm, end_mm
+
+
 def steer(
     correction: Correction,
-    setup: Setup,
+    geometry: SensorGeometry,
     T_base_tool: Float64,
     nominal_scene: Scene,
-    latest: SeamHistory,
-    history_at: Callable[[float], SeamHistory],
+    stretches: Stretches,
     steering: Steering,
-    track: Track,
-    seam: SeamLine,
+    asked: Checks,
+    is_seam_shown: bool,
+    looked_mm: float,
+    timestamp_s: float,
     lead: Lead = AT_ONCE,
-) -> tuple[Steering, Track]:
-    """Return the track with the offset that is proposed to the gate, and what is handed on.
+) -> tuple[Steering, TorchOffset]:
+    """Return the offset that is proposed to the gate, and what is handed on.
 
-    `nominal_scene` is the pose seen from the nominal joint, `seam` the stretch that the sensor looked for,
-    `latest` the seam's latest stretch with the track's own measurement, `history_at` the one that a station
-    lies on. The torch is taken for where it will be after the `lead`.
+    `nominal_scene` is the pose seen from the nominal joint, `looked_mm` the station that the sensor looked
+    at, `stretches` what is remembered of the seam, with the frame's own measurement. What is asked of the
+    torch's place is added to what was `asked` of the frame, which says whether a seam that `is_seam_shown` is
+    valid. The torch is taken for where it will be after the `lead`.
     """
-    line_mm = nominal_ends(setup.joint, nominal_scene.T_joint_tool @ invert(T_base_tool))
-    ends = steering.ends
-    if correction.ends_mm > 0.0 and not track.flags & NO_LOOK:
-        ends = ends.with_look(seam.station_mm, track.valid, line_mm, correction.ends_mm)
-    # Past a bend the torch may be on another segment than the sensor: each goes by its own.
-    torch_mm = float((invert(seam_frame(setup.joint, T_base_tool[:3, 3])) @ T_base_tool)[0, 3]) + lead.way_mm
-    joint_mm = ends.stretch_mm(line_mm, correction.ends_mm)
-    history = history_at(max(torch_mm, joint_mm[0]))
-    there = seam_at_torch(correction, history, torch_mm, joint_mm, history is not latest)
+    setup = geometry.setup
+    at_mm, *line_mm = torch_stations_mm(
+        geometry.seam_source.scene.segments, T_base_tool, nominal_scene.T_joint_tool
+    )
+    ends, torch_mm = steering.ends, at_mm + lead.way_mm
+    if correction.ends_mm > 0.0 and not asked.flags & NO_LOOK:
+        is_valid = is_seam_shown and not asked.flags & flags.INVALIDATING
+        ends = ends.with_look(looked_mm, is_valid, (line_mm[0], line_mm[1]), correction.ends_mm)
+    joint_mm = ends.stretch_mm((line_mm[0], line_mm[1]), correction.ends_mm)
+    history = stretches.history_at(max(torch_mm, joint_mm[0]))
+    there = seam_at_torch(correction, history, torch_mm, joint_mm, history is not stretches.history)
     height_mm = 0.0
     if correction.corrugation == "followed":
         height_mm = ridge(torch_mm, nominal_scene.shape.corrugation)[0]
     corrected = correct(correction, there.displacement_mm, height_mm)
     if steering.is_stopped or there.flags & flags.FOLLOW_STOPPED.mask:
         corrected = STOPPED
-    asked = there.asked
+    asked.extend(tuple(there.asked.answers))
     asked.ask(checks.OFFSET_WITHIN, not corrected.is_limited)
     asked.ask(checks.FOLLOWING, not corrected.is_stopped)
-    offset = corrected.offset_mm.tolist()
-    is_known = [not math.isnan(sigma_mm) for sigma_mm in offset]
-    sigma = [
-        sigma_mm if known else NAN for sigma_mm, known in zip(there.sigma_mm.tolist(), is_known, strict=True)
-    ]
-    steering = Steering(ends, corrected.is_stopped, steering.hand_eye_variance_mm2)
-    return steering, replace(
-        track,
-        flags=track.flags | asked.flags,
-        checks=(*track.checks, *asked.answers),
-        offset_y_mm=offset[0],
-        offset_z_mm=offset[1],
-        offset_sigma_y_mm=sigma[0],
-        offset_sigma_z_mm=sigma[1],
-        offset_confidence=_confidence(setup, steering, sigma),
-        valid_at_s=track.timestamp_s + lead.time_s if any(is_known) else NAN,
-        joint_start_mm=_where(ends.start),
-        joint_end_mm=_where(ends.end),
+    y_mm, z_mm = corrected.offset_mm.tolist()
+    sigma_y_mm, sigma_z_mm = there.sigma_mm.tolist()
+    sigma_y_mm, sigma_z_mm = NAN if math.isnan(y_mm) else sigma_y_mm, NAN if math.isnan(z_mm) else sigma_z_mm
+    offset = TorchOffset(
+        y_mm,
+        z_mm,
+        sigma_y_mm,
+        sigma_z_mm,
+        _confidence(setup, steering, (sigma_y_mm, sigma_z_mm)),
+        NAN if math.isnan(y_mm) and math.isnan(z_mm) else timestamp_s + lead.time_s,
+        _where(ends.start),
+        _where(ends.end),
     )
+    return Steering(ends, corrected.is_stopped, steering.hand_eye_variance_mm2), offset
 
 
-def _confidence(setup: Setup, steering: Steering, sigma_mm: list[float]) -> float:
+def _confidence(setup: Setup, steering: Steering, sigma_mm: tuple[float, float]) -> float:
     """Return the probability that the offsets that are known are right within the tolerance, NaN for none."""
     known = [
         math.sqrt(sigma**2 + hand_eye)
         for sigma, hand_eye in zip(sigma_mm, steering.hand_eye_variance_mm2, strict=True)
         if math.isfinite(sigma)
     ]
-    return confidence(setup, np.array(known)) if known else NAN
+    return confidence(setup.tolerance.seam_mm, known) if known else NAN
 
 
 def _where(change: Change) -> tuple[float, float]:
