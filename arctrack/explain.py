@@ -245,8 +245,8 @@ def _seam_look(
 ) -> SeamLook:
     """Put a measured joint beside what the earlier frames said of its place."""
     source, T_nominal_tool = geometry.seam_source, nominal_scene.T_joint_tool
-    found = locate(source, T_nominal_tool, scene, joint.y_mm, joint.z_mm)
-    station, displacement = found.station_mm, np.array(found.displacement_mm)
+    located = locate(source, T_nominal_tool, scene, joint.y_mm, joint.z_mm)
+    station, displacement = located.station_mm, np.array(located.displacement_mm)
     variance = np.diag(joint.covariance_mm2)
     expected, sigma = before.history.at(station)
     limit = np.array(list(map(jump_limit_mm, sigma.tolist(), variance.tolist())))

@@ -281,9 +281,9 @@ def measure_again(
     if placed.joint is None:
         return first
     joint = placed.joint
-    found = locate(geometry.seam_source, nominal_scene.T_joint_tool, placed.scene, joint.y_mm, joint.z_mm)
-    y_mm, z_mm = found.displacement_mm
-    there = seam._replace(station_mm=found.station_mm, y_mm=y_mm, z_mm=z_mm)
+    located = locate(geometry.seam_source, nominal_scene.T_joint_tool, placed.scene, joint.y_mm, joint.z_mm)
+    y_mm, z_mm = located.displacement_mm
+    there = seam._replace(station_mm=located.station_mm, y_mm=y_mm, z_mm=z_mm)
     again = measure(geometry, frame, pose, there, TRACK_REACH_MM, work, use_arc_map, scatter)
     # What only a wrong map shows is no stripe: most of its lines are gone with the right one.
     if again.joint is None and _lines_held(again) >= MIN_HELD_SHARE * _lines_held(placed):

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from noise_model.arc.scene import Scene, scene_along
-from noise_model.setup import Setup
 from noise_model.surface.joint import NOMINAL_SEAM
 from tracker import checks, flags
 from tracker.checks import Checks
@@ -186,7 +185,7 @@ def step_and_reading(
         steering = replace(steering, hand_eye_variance_mm2=located.hand_eye_mm2)
     steering, offset = steer(
         correction,
-        geometry,
+        source,
         pose.T_base_tool,
         nominal_scene,
         stretches,
@@ -207,7 +206,7 @@ def step_and_reading(
         stripe=reading.stripe,
         checks=tuple(asked.answers),
         **offset._asdict(),
-        **({} if located is None or joint is None else _seam_values(geometry.setup, located, joint)),
+        **({} if located is None or joint is None else _seam_values(source.weld_mm, located, joint)),
     )
     state = TrackerState(
         stretches.history,
@@ -263,7 +262,7 @@ def _can_look(asked: Checks, geometry: SensorGeometry, frame: Frame, pose: Pose 
     return asked_of_pose.flags == 0
 
 
-def _seam_values(setup: Setup, located: Located, joint: MeasuredJoint) -> dict[str, Any]:
+def _seam_values(weld_mm: float, located: Located, joint: MeasuredJoint) -> dict[str, Any]:
     """Return what a track says of its seam."""
     y_mm2, z_mm2 = located.hand_eye_mm2
     sigma_y_mm = math.sqrt(float(joint.covariance_mm2[0, 0]) + y_mm2)
@@ -274,6 +273,6 @@ def _seam_values(setup: Setup, located: Located, joint: MeasuredJoint) -> dict[s
         "sigma_z_mm": sigma_z_mm,
         "gap_mm": joint.gap_mm,
         "mismatch_mm": joint.mismatch_mm,
-        "confidence": confidence(setup.tolerance.seam_mm, (sigma_y_mm, sigma_z_mm)),
+        "confidence": confidence(weld_mm, (sigma_y_mm, sigma_z_mm)),
         "shape": joint.shape,
     }

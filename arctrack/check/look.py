@@ -106,10 +106,10 @@ def _with_expected(
         return look
     joint = reading.joint
     source, T_nominal_tool = geometry.seam_source, nominal_scene.T_joint_tool
-    found = locate(source, T_nominal_tool, reading.scene, joint.y_mm, joint.z_mm)
-    seam, _ = state.history.line_at(found.station_mm)
+    located = locate(source, T_nominal_tool, reading.scene, joint.y_mm, joint.z_mm)
+    seam, _ = state.history.line_at(located.station_mm)
     placed = expect_stripe(geometry, make_scene(geometry.setup, pose.T_base_tool, seam))
-    look = replace(look, placed=placed, seam_mm=found.displacement_mm)
+    look = replace(look, placed=placed, seam_mm=located.displacement_mm)
     if placed is None:
         return look
     return replace(look, peak_e=_peak_e(setup, geometry, look.frame, pose, seam, placed))

@@ -57,7 +57,8 @@ class SeamSource(NamedTuple):
     """What a setup fixes of its seam, as the kernels take it.
 
     `scene` is of its scenes; `origin_mm` (3,) and `plane` (4,) are the laser's, tool frame; `height_mm` is
-    the seam point's over the reference surface; `turn_rad` and `move_mm` the hand-eye tolerance's 1 sigmas.
+    the seam point's over the reference surface; `turn_rad` and `move_mm` are the hand-eye tolerance's 1
+    sigmas, `weld_mm` is the weld's tolerance.
     """
 
     scene: SceneSource
@@ -66,6 +67,7 @@ class SeamSource(NamedTuple):
     height_mm: float
     turn_rad: float
     move_mm: float
+    weld_mm: float
 
     @classmethod
     def of(cls, setup: Setup) -> SeamSource:
@@ -78,6 +80,7 @@ class SeamSource(NamedTuple):
             seam_height_mm(setup.joint),
             math.radians(tolerance.hand_eye_deg),
             tolerance.hand_eye_mm,
+            tolerance.seam_mm,
         )
 
 
@@ -137,14 +140,14 @@ def expected_seam(
     source: SeamSource, nominal_scene: Scene, history: SeamHistory
 ) -> tuple[SeamLine, tuple[float, float]]:
     """Return the seam where it should meet the laser plane, and the 1 sigma of its y and z, mm."""
-    found: tuple[SeamLine, tuple[float, float]] = _expected(
+    expected: tuple[SeamLine, tuple[float, float]] = _expected(
         source,
         nominal_scene.T_joint_tool,
         history.stations_mm,
         history.displacements_mm,
         history.variances_mm2,
     )
-    return found
+    return expected
 
 
 @kernel(allocates=True)
@@ -236,9 +239,9 @@ def seam_displacement(setup: Setup, T_joint_tool: Float64, seam_tool: Float64) -
     return float(station), np.array([y, z - height])
 
 
-def confidence(within_mm: float, sigmas_mm: Sequence[float]) -> float:
+def confidence(weld_mm: float, sigmas_mm: Sequence[float]) -> float:
     """Return the probability that errors of these 1 sigmas, mm, all stay within the weld's tolerance, mm."""
-    within = within_mm / math.sqrt(2.0)
+    within = weld_mm / math.sqrt(2.0)
     return math.prod(1.0 if sigma == 0.0 else math.erf(within / sigma) for sigma in sigmas_mm)
 
 

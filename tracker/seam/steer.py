@@ -18,17 +18,15 @@ import numpy as np
 from noise_model.arc.scene import Scene
 from noise_model.arrays import Float64
 from noise_model.kernel import kernel
-from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
 from noise_model.surface.joint import SeamSegments, nearest_segment
 from noise_model.transforms import inverted, multiplied
 from tracker import checks, flags
 from tracker.checks import Checks
-from tracker.geometry import SensorGeometry
 from tracker.seam.correction import STOPPED, Correction, correct
 from tracker.seam.gaussian_process import SPACING_MM, SeamHistory
 from tracker.seam.joint_ends import Change, JointEnds, nominal_ends
-from tracker.seam.locate import confidence
+from tracker.seam.locate import SeamSource, confidence
 from tracker.seam.stretches import Stretches
 from tracker.state import NAN
 
@@ -163,7 +161,7 @@ def torch_stations_mm(
 
 def steer(
     correction: Correction,
-    geometry: SensorGeometry,
+    source: SeamSource,
     T_base_tool: Float64,
     nominal_scene: Scene,
     stretches: Stretches,
@@ -181,10 +179,7 @@ def steer(
     torch's place is added to what was `asked` of the frame, which says whether a seam that `is_seam_shown` is
     valid. The torch is taken for where it will be after the `lead`.
     """
-    setup = geometry.setup
-    at_mm, *line_mm = torch_stations_mm(
-        geometry.seam_source.scene.segments, T_base_tool, nominal_scene.T_joint_tool
-    )
+    at_mm, *line_mm = torch_stations_mm(source.scene.segments, T_base_tool, nominal_scene.T_joint_tool)
     ends, torch_mm = steering.ends, at_mm + lead.way_mm
     if correction.ends_mm > 0.0 and not asked.flags & NO_LOOK:
         is_valid = is_seam_shown and not asked.flags & flags.INVALIDATING
@@ -209,7 +204,7 @@ def steer(
         z_mm,
         sigma_y_mm,
         sigma_z_mm,
-        _confidence(setup, steering, (sigma_y_mm, sigma_z_mm)),
+        _confidence(source.weld_mm, steering, (sigma_y_mm, sigma_z_mm)),
         NAN if math.isnan(y_mm) and math.isnan(z_mm) else timestamp_s + lead.time_s,
         _where(ends.start),
         _where(ends.end),
@@ -217,14 +212,14 @@ def steer(
     return Steering(ends, corrected.is_stopped, steering.hand_eye_variance_mm2), offset
 
 
-def _confidence(setup: Setup, steering: Steering, sigma_mm: tuple[float, float]) -> float:
+def _confidence(weld_mm: float, steering: Steering, sigma_mm: tuple[float, float]) -> float:
     """Return the probability that the offsets that are known are right within the tolerance, NaN for none."""
     known = [
         math.sqrt(sigma**2 + hand_eye)
         for sigma, hand_eye in zip(sigma_mm, steering.hand_eye_variance_mm2, strict=True)
         if math.isfinite(sigma)
     ]
-    return confidence(setup.tolerance.seam_mm, known) if known else NAN
+    return confidence(weld_mm, known) if known else NAN
 
 
 def _where(change: Change) -> tuple[float, float]:
