@@ -33,9 +33,8 @@ from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.setup import Setup
 from tracker.geometry import SensorGeometry
-from tracker.stripe.band import place
+from tracker.stripe.band import FIT_SIGMAS, place
 from tracker.stripe.expected import expect_stripe
-from tracker.stripe.read import FIT_SIGMAS
 
 JOINTS = {"v_groove": "mild_steel", "lap": "zn_coated", "corrugation": "zn_coated"}
 SETTINGS = [
