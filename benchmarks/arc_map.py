@@ -80,7 +80,8 @@ def measure(joint: str, repeats: int) -> Setup:
     expected = expect_stripe(geometry, scene)
     assert expected is not None
     half = math.ceil(BAND_MM * geometry.pixels_per_mm + FIT_SIGMAS * float(expected.sigma_px.max()))
-    lows, depth = place(expected.position_px, geometry.n_pos, half)
+    lows = np.empty_like(no_lows)
+    depth = place(expected.position_px, geometry.n_pos, half, lows)
     band = np.empty((geometry.n_scan, depth), dtype=np.float32)
     source = np.ones_like(frame)
     copy = least_ms(lambda: np.copyto(frame, source), 5 * repeats)

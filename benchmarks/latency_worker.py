@@ -105,8 +105,8 @@ class Worker:
             rows.append(self.timed(first + n))
         if situation == SEARCH:
             self.tracker.state = known
-        wall_ms, cpu_ms, valid = zip(*rows[UNCOUNTED:], strict=True)
-        return {"wall_ms": wall_ms, "cpu_ms": cpu_ms, "valid": valid}
+        columns = map(list, zip(*rows[UNCOUNTED:], strict=True))
+        return dict(zip(("wall_ms", "cpu_ms", "valid"), columns, strict=True))
 
     def _forget(self) -> None:
         self.tracker.state = copy.deepcopy(self.fresh)
