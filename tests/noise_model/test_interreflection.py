@@ -124,7 +124,7 @@ def test_a_narrow_lobe_in_a_groove_of_many_faces_leaves_nothing_out(bevel_deg):
 @pytest.mark.parametrize("joint", ["v_groove", "lap", "corrugation"])
 def test_there_is_room_for_every_node(joint):
     view = view_of(joint)
-    k, vertices, corrugation = place(view.setup, view.scene), *dataclasses.astuple(view.scene.shape)
+    k, vertices, corrugation = place(view.setup, view.scene), *view.scene.shape
     rng = np.random.default_rng(3)
     for fine, of_stripe in itertools.product(
         (rules(24, 8, 3, 5, 6, True), rules(3, 4, 2, 2, 4, False)), (False, True)
