@@ -37,8 +37,11 @@ SEARCH_REACH_MM = 5.0
 MIN_ACROSS = 0.2
 """The least cosine between the sheet's normal and the tool's x axis for a place in the sheet to follow x."""
 
-SAMPLE = 600
-"""About so many pixels are an even sample of an image, however many it has."""
+SAMPLE, LEVEL_SAMPLE = 600, 150
+"""About so many pixels are an even sample of an image, however many it has; so many tell the arc's level.
+
+The level is known to the map's own 5 % over the root of their number, 0.5 %: less than its map is off.
+"""
 
 
 class StripeSource(NamedTuple):
@@ -149,6 +152,11 @@ class SensorGeometry:
     def even_sample(self) -> tuple[Int64, Int64]:
         """Scan lines and positions (n,) of an even sample of the image's pixels."""
         return self.lattice(max(1, round(math.sqrt(self.n_scan * self.n_pos / SAMPLE))))
+
+    @cached_property
+    def level_sample(self) -> tuple[Int64, Int64]:
+        """Scan lines and positions (n,) of the image's pixels that tell the arc's level."""
+        return self.lattice(max(1, round(math.sqrt(self.n_scan * self.n_pos / LEVEL_SAMPLE))))
 
     def lattice(self, spacing_px: int) -> tuple[Int64, Int64]:
         """Return scan lines and positions (n,) of every so many-th pixel of each row and column."""

@@ -36,6 +36,9 @@ DECAY = 0.1
 CELL_WORTH = 20.0
 """So many integrals a cell takes, with what it was halved from."""
 
+FILLED, HALVED_ACROSS, HALVED_ALONG = 0, 1, 2
+"""What becomes of a cell: edges and what ridges do to light run along scan lines or across them."""
+
 MAX_FACES = 40
 """Room for the faces of a section: those of a U are most."""
 
@@ -66,8 +69,11 @@ def node_rules() -> tuple[Int64, Float64]:
 @kernel
 def _to_powers(
     values: Float64, rules: Float64, size: tuple[int, int], powers: Float64
-) -> tuple[float, float]:
-    """Turn a cell's values (16,) into coefficients (4, 4); return its highest term and its least value."""
+) -> tuple[float, float, float]:
+    """Turn a cell's values (16,) into coefficients (4, 4); return its highest terms and its least value.
+
+    The terms are those across the scan lines and along them.
+    """
     rows, columns = rules[size[0]], rules[size[1]]
     least = math.inf
     for j in range(N):
@@ -79,14 +85,14 @@ def _to_powers(
                 + rows[a, 3] * values[12 + j]
             )
             least = min(least, values[4 * a + j])
-    highest = 0.0
+    across, along = 0.0, 0.0
     for i in range(N):
         v_0, v_1, v_2, v_3 = values[4 * i], values[4 * i + 1], values[4 * i + 2], values[4 * i + 3]
         cubic = columns[3, 0] * v_0 + columns[3, 1] * v_1 + columns[3, 2] * v_2 + columns[3, 3] * v_3
         square = columns[2, 0] * v_0 + columns[2, 1] * v_1 + columns[2, 2] * v_2 + columns[2, 3] * v_3
         # T_3 = 4 t^3 - 3 t, T_2 = 2 t^2 - 1: a kink may show in one of them alone.
-        highest = max(highest, 0.25 * abs(cubic), 0.25 * abs(powers[3, i]))
-        highest = max(highest, 0.5 * DECAY * abs(square), 0.5 * DECAY * abs(powers[2, i]))
+        across = max(across, 0.25 * abs(powers[3, i]), 0.5 * DECAY * abs(powers[2, i]))
+        along = max(along, 0.25 * abs(cubic), 0.5 * DECAY * abs(square))
     for a in range(N):
         v_0, v_1, v_2, v_3 = powers[a, 0], powers[a, 1], powers[a, 2], powers[a, 3]
         for b in range(N):
@@ -95,8 +101,8 @@ def _to_powers(
             )
     # What is not known at a node is in every coefficient.
     if math.isnan(powers[0, 0]):
-        return math.inf, 0.0
-    return highest, least
+        return math.inf, math.inf, 0.0
+    return across, along, least
 
 
 @kernel(inline=True)
@@ -192,8 +198,8 @@ def _fill_mixed(
     band_e: Float32,
     room: Room,
     work: Scratch,
-) -> bool:
-    """Fill a cell of a plain section that shows several faces; False if one of them needs smaller cells.
+) -> int:
+    """Fill a cell of a plain section that shows several faces, or say how it has to be halved.
 
     In `room` the nodes' pixels and which faces they meet are known; the latter are left with those that have
     coefficients.
@@ -206,10 +212,11 @@ def _fill_mixed(
             continue
         places_on_plane(k, face, xy, pixels, N * N, faces, places)
         light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
-        highest, least = _to_powers(light_e, rules, (n_s, n_p), powers[face])
-        if not highest <= SHARE * max(table.rel * least, table.floor_e):
-            if n_s > SMALLEST or n_p > SMALLEST:
-                return False
+        across, along, least = _to_powers(light_e, rules, (n_s, n_p), powers[face])
+        if not max(across, along) <= SHARE * max(table.rel * least, table.floor_e):
+            halved = _halved(n_s, n_p, across >= along)
+            if halved != FILLED:
+                return halved
             seen[face] = False
     depth = band_e.shape[1]
     t_step, u_step = 2.0 / (n_s - 1), 2.0 / (n_p - 1)
@@ -257,7 +264,28 @@ def _fill_mixed(
             first = last
             if first < end:
                 face = face_seen(k, table.seen, xy[row + first, 0], xy[row + first, 1])
-    return True
+    return FILLED
+
+
+@kernel
+def _halved(n_s: int, n_p: int, is_across: bool) -> int:
+    """Return how a cell is halved, across the scan lines where asked and not too small; FILLED if not."""
+    if n_s <= SMALLEST and n_p <= SMALLEST:
+        return FILLED
+    if n_p <= SMALLEST or (is_across and n_s > SMALLEST):
+        return HALVED_ACROSS
+    return HALVED_ALONG
+
+
+@kernel
+def _changes_across(faces: Int64) -> bool:
+    """Say whether a cell's nodes (16,) change their face more often from line to line than along lines."""
+    across, along = 0, 0
+    for i in range(N):
+        for j in range(N - 1):
+            across += faces[N * j + i] != faces[N * j + N + i]
+            along += faces[N * i + j] != faces[N * i + j + 1]
+    return across >= along
 
 
 @kernel
@@ -273,11 +301,12 @@ def _fill_cell(
     band_e: Float32,
     room: Room,
     work: Scratch,
-) -> bool:
-    """Try to fill one cell; False if it has to be halved."""
+) -> int:
+    """Fill a cell, or say how it has to be halved."""
     xy, cos4, n_pos = rays
     pixels, light_e, faces, places, seen, _, powers, ramp = room
     scan, _, n_s, n_p = box
+    halved = _halved(n_s, n_p, True)
     if n_s >= N and n_p >= N:
         _node_pixels(n_pos, box, node_at, pixels)
         places_on_rays(k, table, xy, pixels, N * N, faces, places)
@@ -290,22 +319,21 @@ def _fill_cell(
                 seen[faces[i]] = True
         if is_one:
             light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
-            highest, least = _to_powers(light_e, rules, (n_s, n_p), powers[0])
-            if highest <= SHARE * max(table.rel * least, table.floor_e):
+            across, along, least = _to_powers(light_e, rules, (n_s, n_p), powers[0])
+            if max(across, along) <= SHARE * max(table.rel * least, table.floor_e):
                 _fill_smooth(powers[0], box, lows, group, ramp, band_e)
-                return True
-        elif (
-            k.corrugation[0] == 0.0
-            and max(n_s, n_p) <= MIXED
-            and _fill_mixed(k, table, rays, box, rules, lows, group, band_e, room, work)
-        ):
-            return True
-    if n_s > SMALLEST or n_p > SMALLEST:
-        return False
+                return FILLED
+            halved = _halved(n_s, n_p, across >= along)
+        elif k.corrugation[0] == 0.0 and min(n_s, n_p) <= MIXED:
+            return _fill_mixed(k, table, rays, box, rules, lows, group, band_e, room, work)
+        else:
+            halved = _halved(n_s, n_p, _changes_across(faces))
+    if halved != FILLED:
+        return halved
     for i in range(n_s):
         low, first, last = _line_in_band(box, i, lows, group, band_e.shape[1])
         _fill_run(k, table, rays, scan + i, low, first, last, band_e[scan + i], room, work)
-    return True
+    return FILLED
 
 
 @kernel(allocates=True)
@@ -348,10 +376,11 @@ def _fill_band(
             while waiting > 0:
                 waiting -= 1
                 box = (stack[waiting, 0], stack[waiting, 1], stack[waiting, 2], stack[waiting, 3])
-                if _fill_cell(k, table, rays, box, node_at, rules, lows, group, band_e, room, work):
+                halved = _fill_cell(k, table, rays, box, node_at, rules, lows, group, band_e, room, work)
+                if halved == FILLED:
                     continue
-                s_half = box[2] if box[2] <= SMALLEST else (box[2] + 1) // 2
-                p_half = box[3] if box[3] <= SMALLEST else (box[3] + 1) // 2
+                s_half = (box[2] + 1) // 2 if halved == HALVED_ACROSS else box[2]
+                p_half = (box[3] + 1) // 2 if halved == HALVED_ALONG else box[3]
                 for s in range(0, box[2], s_half):
                     for p in range(0, box[3], p_half):
                         stack[waiting, 0], stack[waiting, 1] = box[0] + s, box[1] + p

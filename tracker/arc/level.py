@@ -87,7 +87,7 @@ def unlit_by_the_laser(
     `light` is the arc's at its expected output, `transmission` what effects make of it. Off the stripe is
     farther than `keep_off_px` from `stripe_px` (n_scan,); without a stripe every pixel is.
     """
-    scan, position = geometry.even_sample
+    scan, position = geometry.level_sample
     pixels, charge_e = np.empty(len(scan), dtype=np.int64), np.empty(len(scan))
     n = _off_stripe(
         image_dn,
