@@ -42,7 +42,8 @@ BLOCK = 4 * N_LANES
 """So many numbers are counted at a time: four sums that do not wait for each other."""
 
 
-def room_for(n: int) -> int:
+@kernel
+def numbers_for(n: int) -> int:
     """Return how long an array of n numbers must be for `median_of`."""
     return -(-n // BLOCK) * BLOCK
 
@@ -93,8 +94,8 @@ def _least_above(values: Float32, limit: float) -> float:
 def median_of(values: Float32, n: int) -> float:
     """Return the median of the first n values, none of them NaN; NaN for n = 0.
 
-    `values` (`room_for(n)`,) or longer are written over behind them. All float32 stand in the order of their
-    bits, so the value that has half of all up to itself is found by halving, exactly, without sorting.
+    `values` (`numbers_for(n)`,) or longer are written over behind them. All float32 stand in the order of
+    their bits, so the value that has half of all up to itself is found by halving, exactly, without sorting.
     """
     if n == 0:
         return math.nan

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from noise_model.arc.scene import Scene, scene_along
 from noise_model.arc_source import level as current_level
 from noise_model.median import known_median
 from noise_model.setup import Setup
-from noise_model.surface.joint import SeamLine, seam_height_mm
+from noise_model.surface.joint import SeamLine
 from tracker import checks
 from tracker.arc.level import (
     UNKNOWN,
@@ -29,10 +28,9 @@ from tracker.joint import MeasuredJoint, fit_closed_joint, fit_joint
 from tracker.joint.evidence import MIN_EVIDENCE_NATS
 from tracker.joint.image_line import read_image_line
 from tracker.joint.type_check import is_another_type
-from tracker.profile import Profile, edge_lines, triangulate
+from tracker.profile import Profile, StripeLines, edge_lines, measured_points
 from tracker.seam.locate import locate, sources
 from tracker.state import Frame, Pose, Stripe
-from tracker.stripe.askew import askew_sigma_px
 from tracker.stripe.band import FIT_SIGMAS
 from tracker.stripe.detection import (
     MIN_RATIO,
@@ -238,23 +236,40 @@ def profile_of(
     slope_sigma: float,
 ) -> Profile:
     """Return a stripe's profile, whose seam is looked for within the look's reach and a little beyond."""
-    setup, stripe = geometry.setup, look.stripe
-    lines_over = edge_lines(geometry, scene, seam_height_mm(setup.joint), slope_sigma)
-    light = look.light(setup.camera.psf_sigma_px, lines_over.stated)
-    askew_px = askew_sigma_px(stripe.amplitude_e, light.width_px, light.contrast, lines_over.possible)
-    sigma_px, beside_px = (np.hypot(sigma, askew_px) for sigma in (stripe.sigma_px, stripe.beside_px))
-    profile = triangulate(geometry, scene, stripe.position_px - expected.bias_px, sigma_px, beside_px)
-    mixed_mm = profile.column_mm * (clear_of_an_edge(light) - 1)
-    lines = profile.scan.astype(np.int64)
-    by_line = frame.image_dn.T if geometry.along_rows else frame.image_dn
-    return replace(
-        profile,
+    stripe, source = look.stripe, geometry.stripe_source
+    lines_over = edge_lines(source, scene, geometry.seam_source.height_mm, slope_sigma)
+    light = look.light(source.psf_sigma_px, lines_over.stated)
+    points = measured_points(
+        source,
+        scene,
+        StripeLines(
+            stripe.position_px,
+            stripe.sigma_px,
+            stripe.beside_px,
+            stripe.amplitude_e,
+            light.width_px,
+            expected.bias_px,
+            look.misfit_px,
+        ),
+        light.contrast,
+        lines_over.possible,
+    )
+    y, z, dy, dz, sigma, beside, bias, misfit = points.rows[:, : points.n]
+    return Profile(
+        y,
+        z,
+        dy,
+        dz,
+        sigma,
+        points.scan[: points.n],
+        points.column_mm,
+        beside,
         reach_mm=reach_mm + BEYOND_REACH_MM,
         light=light,
-        image_dn=by_line,
-        mixed_mm=mixed_mm,
-        bias_px=expected.bias_px[lines],
-        misfit_px=look.misfit_px[lines],
+        image_dn=frame.image_dn.T if geometry.along_rows else frame.image_dn,
+        mixed_mm=points.column_mm * (clear_of_an_edge(light) - 1),
+        bias_px=bias,
+        misfit_px=misfit,
         slope_sigma=slope_sigma,
     )
 

@@ -10,13 +10,14 @@ import numpy as np
 
 from noise_model.arc.scene import Scene
 from noise_model.arrays import Float64, Integers
-from noise_model.instrument.camera import Intrinsics, undistorted
+from noise_model.instrument.camera import Intrinsics, distorted, undistorted
 from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel
 from noise_model.median import median
 from noise_model.surface.faces import ridge
-from noise_model.transforms import invert, transform
-from tracker.geometry import SensorGeometry
+from noise_model.transforms import inverted
+from tracker.geometry import SensorGeometry, StripeSource
+from tracker.stripe.askew import askew_sigma_px
 from tracker.stripe.edge import StripeLight
 
 MIN_POINTS = 20
@@ -129,20 +130,99 @@ class EdgeLines(NamedTuple):
     possible: float
 
 
-def edge_lines(geometry: SensorGeometry, scene: Scene, z_mm: float, slope_sigma: float) -> EdgeLines:
+@kernel(allocates=True)
+def edge_lines(source: StripeSource, scene: Scene, z_mm: float, slope_sigma: float) -> EdgeLines:
     """Return over how many scan lines the sheet's 1 sigma spreads an edge along the seam, at a height.
 
     Seen from beside its plane, a sheet as thick as it is meets the edge in one line before its middle and in
     another behind. So it does where the seam runs askew: its slope is known to `slope_sigma`.
     """
-    camera, laser = geometry.setup.camera, geometry.setup.laser
-    nx, _, nz, d = plane_in(scene.T_joint_tool, laser.plane)
-    x, along = -(nz * z_mm + d) / nx, laser.stripe_sigma_mm / nx
+    nx, _, nz, d = plane_in(scene.T_joint_tool, source.sheet.plane)
+    x, along = -(nz * z_mm + d) / nx, source.sheet.sigma / nx
     aside = slope_sigma * along
-    edges = np.array([[x - along, 0.0, z_mm], [x + along, 0.0, z_mm], [x, -aside, z_mm], [x, aside, z_mm]])
-    lines = geometry.scan_points(camera.project(transform(invert(scene.T_joint_camera), edges)))[:, 0]
-    stated, turned = 0.5 * abs(float(lines[1] - lines[0])), 0.5 * abs(float(lines[3] - lines[2]))
+    T_camera_joint = inverted(scene.T_joint_camera)
+    stated = _line_of(source, T_camera_joint, x + along, 0.0, z_mm)
+    stated = 0.5 * abs(stated - _line_of(source, T_camera_joint, x - along, 0.0, z_mm))
+    turned = _line_of(source, T_camera_joint, x, aside, z_mm)
+    turned = 0.5 * abs(turned - _line_of(source, T_camera_joint, x, -aside, z_mm))
     return EdgeLines(stated, math.hypot(stated, turned))
+
+
+@kernel
+def _line_of(source: StripeSource, T_camera_joint: Float64, x: float, y: float, z: float) -> float:
+    """Return the scan line that a point of the joint frame, mm, is seen in."""
+    T, lens = T_camera_joint, source.lens
+    depth = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+    a = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / depth
+    b = (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / depth
+    X, Y, _, _, _, _ = distorted(a, b, lens)
+    return lens.fx * X + lens.cx if source.along_rows else lens.fy * Y + lens.cy
+
+
+class StripeLines(NamedTuple):
+    """What a profile is made of, by scan line (n_scan,); see `state.Stripe`, for bias and misfit `Profile`.
+
+    `width_px` is the fitted 1 sigma across the stripe.
+    """
+
+    position_px: Float64
+    sigma_px: Float64
+    beside_px: Float64
+    amplitude_e: Float64
+    width_px: Float64
+    bias_px: Float64
+    misfit_px: Float64
+
+
+class Points(NamedTuple):
+    """A profile's points, `column_mm` their spacing; the first n of `rows` and `scan` are in order of y.
+
+    `rows` (8, n_scan) are y, z, dy, dz, sigma, beside, bias and misfit.
+    """
+
+    n: int
+    column_mm: float
+    rows: Float64
+    scan: Float64
+
+
+@kernel(allocates=True)
+def measured_points(
+    source: StripeSource, scene: Scene, lines: StripeLines, contrast: float, askew_lines: float
+) -> Points:
+    """Triangulate a stripe: its centres are corrected for their bias, and unsure by steps that cross it."""
+    n_scan = lines.position_px.shape[0]
+    rows, scan = np.empty((8, n_scan)), np.empty(n_scan)
+    askew_px = askew_sigma_px(lines.amplitude_e, lines.width_px, contrast, askew_lines)
+    centre_px, sigma_px = np.empty(n_scan), np.empty(n_scan)
+    for s in range(n_scan):
+        centre_px[s] = lines.position_px[s] - lines.bias_px[s]
+        sigma_px[s] = math.hypot(lines.sigma_px[s], askew_px[s])
+    n, column_mm, is_in_order = _triangulate(
+        centre_px,
+        sigma_px,
+        source.lens,
+        source.along_rows,
+        scene.T_joint_camera,
+        scene.T_joint_tool,
+        source.sheet.plane,
+        scene.shape.corrugation,
+        rows,
+        scan,
+    )
+    if not is_in_order:
+        order = np.argsort(rows[0, :n], kind="mergesort")
+        kept, kept_scan = rows[:5, :n].copy(), scan[:n].copy()
+        for i in range(n):
+            scan[i] = kept_scan[order[i]]
+            for row in range(5):
+                rows[row, i] = kept[row, order[i]]
+        column_mm = np.median(rows[0, 1:n] - rows[0, : n - 1])
+    for i in range(n):
+        s = int(scan[i])
+        rows[5, i] = math.hypot(lines.beside_px[s], askew_px[s])
+        rows[6, i], rows[7, i] = lines.bias_px[s], lines.misfit_px[s]
+    return Points(n, column_mm, rows, scan)
 
 
 @kernel(allocates=True)

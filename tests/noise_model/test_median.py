@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from noise_model.median import known_median, median, median_of, room_for
+from noise_model.median import known_median, median, median_of, numbers_for
 
 numbers = st.floats(-1e9, 1e9)
 
@@ -35,7 +35,7 @@ def test_of_nothing_the_median_is_not_known(middle):
 def test_the_median_by_counting_is_that_by_sorting(values, are_rounded):
     drawn = np.array(values, np.float32)
     drawn = np.rint(drawn) if are_rounded else drawn
-    room = np.full(room_for(len(drawn)), np.nan, np.float32)
+    room = np.full(numbers_for(len(drawn)), np.nan, np.float32)
     room[: len(drawn)] = drawn
     expected = np.median(drawn.astype(np.float64)) if len(drawn) else np.nan
     np.testing.assert_array_equal(median_of(room, len(drawn)), expected)

@@ -216,7 +216,8 @@ def test_a_plates_fit_is_its_twin(seed: int, spoiled: float, corners: Float64) -
     profile = spoil(measure(corners, (1.0, 0.5), rng), spoiled, rng)
     off = np.empty(len(profile.y_mm))
     fit_plate(profile.y_mm, profile.z_mm, profile.dy_mm, profile.dz_mm, profile.sigma_px, off)
-    np.testing.assert_allclose(off, plate_twin(profile), rtol=1e-6, atol=1e-6)
+    # Its weights' scale is the median of float32.
+    np.testing.assert_allclose(off, plate_twin(profile), rtol=1e-5, atol=1e-5)
 
 
 def test_points_at_a_single_place_have_a_plate_too() -> None:

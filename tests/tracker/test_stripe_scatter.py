@@ -16,7 +16,7 @@ from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
-from noise_model.median import room_for
+from noise_model.median import numbers_for
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame
 from tracker.stripe.expected import expect_stripe
@@ -157,7 +157,7 @@ def test_means_of_a_joint_that_is_searched_tell_nothing_by_themselves() -> None:
     rng = np.random.default_rng(5)
     fits = np.column_stack([rng.normal(size=640), np.ones((640, 6))])
     ones = np.ones(640)
-    core, room = np.zeros(room_for(640), np.float32), ScatterRoom.empty(640)
+    core, room = np.zeros(numbers_for(640), np.float32), ScatterRoom.empty(640)
     settled, searched = FrameScatter.empty(), FrameScatter.empty()
     frame_scatter(fits, np.zeros(640), ones, ones, core, False, room, settled)
     frame_scatter(fits, np.zeros(640), ones, ones, core, True, room, searched)
@@ -186,7 +186,7 @@ def test_a_joint_that_is_off_its_expected_place_is_no_scatter(n: int) -> None:
 def test_speckle_and_width_are_the_lines_medians(seed: int, n: int) -> None:
     rng, seen = np.random.default_rng(seed), FrameScatter.empty()
     fits = np.column_stack([rng.normal(size=(n, 3)), rng.uniform(2.0, 5.0, n), np.ones((n, 3))])
-    core = np.full(room_for(n), np.nan, np.float32)
+    core = np.full(numbers_for(n), np.nan, np.float32)
     core[:n] = rng.normal(0.02, 0.01, n)
     gone = rng.random(n) < 0.3
     fits[gone], core[:n][gone] = np.nan, np.nan

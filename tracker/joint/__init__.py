@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from noise_model.arrays import Float64
-from noise_model.median import median
+from noise_model.kernel import kernel
+from noise_model.median import median_of, numbers_for
 from noise_model.surface.joint import Joint
 from tracker.joint.evidence import evidence_nats
 from tracker.joint.fillet import fit_fillet
@@ -22,6 +23,7 @@ from tracker.joint.lap import fit_lap
 from tracker.joint.measured import MeasuredJoint
 from tracker.joint.slot import fit_closed_slot, fit_slot
 from tracker.profile import MIN_POINTS, Profile
+from tracker.stripe.frame_scatter import known_median
 
 ALIKE_OFF_PX = 0.01
 """By how much all centres of a stripe may be off alike, px: its bell is none, and pixels are not all alike.
@@ -61,12 +63,30 @@ def _off_alike(profile: Profile, measured: MeasuredJoint | None) -> MeasuredJoin
     """Return a joint with the variance of what all centres of its stripe may be off alike."""
     if measured is None:
         return None
+    bias_px = np.empty(0) if profile.bias_px is None else profile.bias_px
+    y_mm, z_mm = off_alike_mm(profile.y_mm, profile.dy_mm, profile.dz_mm, bias_px, measured.y_mm)
+    alike = np.array([[y_mm * y_mm, y_mm * z_mm], [y_mm * z_mm, z_mm * z_mm]])
+    return replace(measured, covariance_mm2=measured.covariance_mm2 + alike)
+
+
+@kernel(allocates=True)
+def off_alike_mm(
+    y_mm: Float64, dy_mm: Float64, dz_mm: Float64, bias_px: Float64, seam_mm: float
+) -> tuple[float, float]:
+    """Return the (y, z), mm, that all points of a profile (n,) may be off alike.
+
+    `bias_px` (n,), or none, is by how much their centres were corrected.
+    """
+    n = y_mm.shape[0]
+    room, count = np.empty(numbers_for(n), np.float32), 0
     off_px = ALIKE_OFF_PX
-    near = np.abs(profile.y_mm - measured.y_mm) < NEAR_MM
-    if profile.bias_px is not None and near.any():
-        off_px = math.hypot(off_px, BIAS_SHARE * median(np.abs(profile.bias_px[near])))
-    off_mm = off_px * np.array([median(profile.dy_mm), median(profile.dz_mm)])
-    return replace(measured, covariance_mm2=measured.covariance_mm2 + np.outer(off_mm, off_mm))
+    for i in range(bias_px.shape[0]):
+        if abs(y_mm[i] - seam_mm) < NEAR_MM:
+            room[count] = abs(bias_px[i])
+            count += 1
+    if count > 0:
+        off_px = math.hypot(off_px, BIAS_SHARE * median_of(room, count))
+    return off_px * known_median(dy_mm, room), off_px * known_median(dz_mm, room)
 
 
 def _fit(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:

@@ -32,10 +32,10 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arrays import Bool, Float64
-from noise_model.kernel import kernel
-from noise_model.median import median
+from noise_model.kernel import REDUCTION, kernel
+from noise_model.median import median_of, numbers_for
 from tracker.joint.measured import section_at
-from tracker.joint.section_fit import BISQUARE_WIDTH, MAD_SIGMA, MIN_ALONG_MM, tukey_loss
+from tracker.joint.section_fit import BISQUARE_WIDTH, MAD_SIGMA, MIN_ALONG_MM
 from tracker.profile import Profile
 
 MIN_EVIDENCE_NATS = math.log(1e3)
@@ -68,17 +68,46 @@ RUN_PRIOR = 1.0, 9.0
 
 def evidence_nats(profile: Profile, corners_mm: Float64) -> float:
     """Return the evidence, nats, that a profile shows the section of corners (n, 2) and not a plate."""
-    height_mm, slope = section_at(corners_mm, profile.y_mm)
-    off = (profile.z_mm - height_mm) / _unit_mm(profile, slope)
-    off_plate = off_the_plate(profile)
-    wander = wander_of(off)
-    new, new_of_plate = (innovations(residuals, profile.scan, *wander) for residuals in (off, off_plate))
-    alike = points_alike(new)
+    evidence: float = _evidence_nats(
+        profile.y_mm,
+        profile.z_mm,
+        profile.dy_mm,
+        profile.dz_mm,
+        profile.sigma_px,
+        profile.scan,
+        np.ascontiguousarray(corners_mm),
+        places_of(profile, PLACE_MM),
+    )
+    return evidence
+
+
+@kernel(allocates=True)
+def _evidence_nats(
+    y_mm: Float64,
+    z_mm: Float64,
+    dy_mm: Float64,
+    dz_mm: Float64,
+    sigma_px: Float64,
+    scan: Float64,
+    corners_mm: Float64,
+    n_places: float,
+) -> float:
+    """Return `evidence_nats` of a profile's points (n,) that were sought at so many places."""
+    n = y_mm.shape[0]
+    off, off_plate = np.empty(n), np.empty(n)
+    height_mm, slope = section_at(corners_mm, y_mm)
+    for i in range(n):
+        unit_mm = max(abs(dz_mm[i] - slope[i] * dy_mm[i]), MIN_ALONG_MM) * sigma_px[i]
+        off[i] = (z_mm[i] - height_mm[i]) / unit_mm
+    fit_plate(y_mm, z_mm, dy_mm, dz_mm, sigma_px, off_plate)
+    seen = wander_of(off)
+    new = innovations(off, scan, seen.own, seen.wander, seen.kept)
+    new_of_plate = innovations(off_plate, scan, seen.own, seen.wander, seen.kept)
     # A section that explains no more than the plate gains nothing. erfc is less than its exponential.
-    gain = max(_loss(new_of_plate) - _loss(new), 0.0)
-    x = 2.0 * gain / alike
+    gain = max(loss(new_of_plate) - loss(new), 0.0)
+    x = 2.0 * gain / points_alike(new)
     chance = math.log(1.0 + math.sqrt(2.0 * x / math.pi) * (1.0 + x / 3.0)) - 0.5 * x
-    return -chance - math.log(places_of(profile, PLACE_MM))
+    return -chance - math.log(n_places)
 
 
 class Wander(NamedTuple):
@@ -89,22 +118,41 @@ class Wander(NamedTuple):
     kept: float
 
 
+@kernel(allocates=True)
 def wander_of(off: Float64) -> Wander:
     """Return what residuals (n,), in sigmas and in order, consist of, by their autocovariances c_k.
 
     The wander's share that is kept is sum(c_k c_(k+1)) / sum(c_k^2) over LAGS, its variance c_1 over that.
     Outliers are left out. Residuals smaller than their sigmas are taken for as large.
     """
-    width = BISQUARE_WIDTH * max(1.0, MAD_SIGMA * median(np.abs(off)))
-    core = np.where(np.abs(off) < width, off, 0.0)
-    n = len(core)
-    c = np.array([core[lag:] @ core[: n - lag] for lag in range(LAGS + 2)]) / n
+    n = off.shape[0]
+    sizes, core, c = np.empty(numbers_for(n), np.float32), np.empty(n), np.zeros(LAGS + 2)
+    for i in range(n):
+        sizes[i] = abs(off[i])
+    width = BISQUARE_WIDTH * max(1.0, MAD_SIGMA * median_of(sizes, n))
+    for i in range(n):
+        core[i] = off[i] if abs(off[i]) < width else 0.0
+    for lag in range(LAGS + 2):
+        c[lag] = _product(core, lag) / n
     if not c[1] > CHANCE_SIGMAS / math.sqrt(n) * c[0]:
-        return Wander(max(float(c[0]), 1.0), 0.0, 0.0)
-    kept = float(np.clip(c[1:-1] @ c[2:] / (c[1:-1] @ c[1:-1]), MIN_KEPT, MAX_KEPT))
-    wander = min(float(c[1]) / kept, float(c[0]))
-    scale = max(1.0, 1.0 / float(c[0]))
-    return Wander(max(float(c[0]) - wander, OWN_SHARE * float(c[0])) * scale, wander * scale, kept)
+        return Wander(max(c[0], 1.0), 0.0, 0.0)
+    both, squares = 0.0, 0.0
+    for lag in range(1, LAGS + 1):
+        both += c[lag] * c[lag + 1]
+        squares += c[lag] * c[lag]
+    kept = min(max(both / squares, MIN_KEPT), MAX_KEPT)
+    wander = min(c[1] / kept, c[0])
+    scale = max(1.0, 1.0 / c[0])
+    return Wander(max(c[0] - wander, OWN_SHARE * c[0]) * scale, wander * scale, kept)
+
+
+@kernel(fastmath=REDUCTION)
+def _product(values: Float64, lag: int) -> float:
+    """Return the sum of the products of values (n,) a lag apart."""
+    total = 0.0
+    for i in range(values.shape[0] - lag):
+        total += values[i] * values[i + lag]
+    return total
 
 
 @kernel(allocates=True)
@@ -124,19 +172,22 @@ def innovations(off: Float64, scan: Float64, own: float, wander: float, kept: fl
     return new
 
 
+@kernel(allocates=True)
 def points_alike(off: Float64) -> float:
     """Return how many neighbouring residuals (n,), in sigmas and in order, count as one; 1 at least.
 
     It is 1 + 2 sum of their autocorrelations, up to where those of two lags together are no longer above 0
     (Geyer 1992, Statistical Science 7, 473).
     """
-    core = np.where(np.abs(off) < BISQUARE_WIDTH, off, 0.0)
-    power = float(core @ core)
+    core = np.empty(off.shape[0])
+    for i in range(off.shape[0]):
+        core[i] = off[i] if abs(off[i]) < BISQUARE_WIDTH else 0.0
+    power = _product(core, 0)
     if power == 0.0:
         return 1.0
     total = 0.0
-    for lag in range(1, len(core) // MAX_LAG_SHARE, 2):
-        pair = float(core[lag:] @ core[:-lag] + core[lag + 1 :] @ core[: -lag - 1]) / power
+    for lag in range(1, core.shape[0] // MAX_LAG_SHARE, 2):
+        pair = (_product(core, lag) + _product(core, lag + 1)) / power
         if pair <= 0.0:
             break
         total += pair
@@ -171,7 +222,7 @@ def fit_plate(
         np.empty(PLATE_PARAMETERS),
     )
     sums = np.empty(2 * PLATE_PARAMETERS - 1)
-    weights, sizes, slope = np.ones(n), np.empty(n), np.zeros(n)
+    weights, sizes, slope = np.ones(n), np.empty(numbers_for(n), np.float32), np.zeros(n)
     for _ in range(PLATE_STEPS):
         sums[:], g[:] = 0.0, 0.0
         for i in range(n):
@@ -197,22 +248,19 @@ def fit_plate(
             off[i] = (z_mm[i] - height) / unit
             sizes[i], slope[i] = abs(off[i]), steepness / half
         # A wide scale first: a plate with a few points of its own is not the few.
-        narrow = 1.0 / (BISQUARE_WIDTH * max(1.0, MAD_SIGMA * np.median(sizes)))
+        narrow = 1.0 / (BISQUARE_WIDTH * max(1.0, MAD_SIGMA * median_of(sizes, n)))
         for i in range(n):
             kept = max(1.0 - (off[i] * narrow) ** 2, 0.0)
             weights[i] = kept * kept
 
 
-def _unit_mm(profile: Profile, slope: Float64) -> Float64:
-    """Return how far points (n,) lie off a face of a slope, mm, if their centre is off by its 1 sigma."""
-    return np.asarray(
-        np.maximum(np.abs(profile.dz_mm - slope * profile.dy_mm), MIN_ALONG_MM) * profile.sigma_px
-    )
-
-
-def _loss(off: Float64) -> float:
-    """Return Tukey's loss of residuals (n,), sigmas, in nats."""
-    return tukey_loss(np.maximum(1.0 - (off / BISQUARE_WIDTH) ** 2, 0.0) ** 2)
+@kernel
+def loss(off: Float64) -> float:
+    """Return Tukey's loss of residuals (n,), sigmas, in nats; see `section_fit.tukey_loss`."""
+    total = 0.0
+    for i in range(off.shape[0]):
+        total += 1.0 - max(1.0 - (off[i] / BISQUARE_WIDTH) ** 2, 0.0) ** 3
+    return BISQUARE_WIDTH**2 / 6.0 * total
 
 
 @kernel

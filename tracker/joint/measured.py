@@ -84,43 +84,73 @@ def fit_shape(
     A point may lie `start_sigma_mm` off the start. None where fewer points are `used` than the parameters
     need, and where the fit runs away. What `start` has beyond `prior_sigma` (p,) stays as it is.
     """
-    n, sigma, weights = len(prior_sigma), np.empty(len(profile.y_mm)), np.empty(len(profile.y_mm))
-    mask = np.ones(len(profile.y_mm), dtype=bool) if used is None else used
-    if count_with_floor(profile.sigma_px, mask, sigma) < n + 3:
-        return None
-    parameters, covariance = start.copy(), np.empty((n, n))
-    wide = start_sigma_mm / max(typical_mm(profile.dz_mm, sigma, mask), MIN_UNIT_MM)
-    chi2 = fit_section(
+    n, n_points = len(prior_sigma), len(profile.y_mm)
+    parameters, covariance, weights = start.copy(), np.empty((n, n)), np.empty(n_points)
+    chi2 = _fit(
         shape,
         profile.y_mm,
         profile.z_mm,
         profile.dy_mm,
         profile.dz_mm,
-        sigma,
-        mask,
-        wide,
+        profile.scan,
+        profile.sigma_px,
+        profile.beside_px,
+        np.zeros(n_points) if profile.misfit_px is None else profile.misfit_px,
+        np.ones(n_points, dtype=np.bool_) if used is None else used,
+        start_sigma_mm,
         prior_sigma,
         parameters,
         covariance,
         weights,
     )
-    if not math.isfinite(chi2):
-        return None
-    add_shared_errors(
-        shape,
-        profile.y_mm,
-        profile.dy_mm,
-        profile.dz_mm,
-        profile.scan,
-        sigma,
-        np.hypot(profile.beside_px, SIGMA_FLOOR_PX),
-        np.zeros(len(sigma)) if profile.misfit_px is None else profile.misfit_px,
-        weights,
-        parameters,
-        chi2,
-        covariance,
+    return ShapeFit(parameters[:n], covariance, chi2, weights) if math.isfinite(chi2) else None
+
+
+@kernel(allocates=True)
+def _fit(
+    shape: int,
+    y_mm: Float64,
+    z_mm: Float64,
+    dy_mm: Float64,
+    dz_mm: Float64,
+    scan: Float64,
+    sigma_px: Float64,
+    beside_px: Float64,
+    misfit_px: Float64,
+    used: Bool,
+    start_sigma_mm: float,
+    prior_sigma: Float64,
+    parameters: Float64,
+    covariance: Float64,
+    weights: Float64,
+) -> float:
+    """Fit a shape from its start in `parameters`, see `fit_shape`; return chi2, NaN where it cannot be."""
+    n = y_mm.shape[0]
+    sigma, beside = np.empty(n), np.empty(n)
+    if count_with_floor(sigma_px, used, sigma) < prior_sigma.shape[0] + 3:
+        return math.nan
+    for i in range(n):
+        beside[i] = math.sqrt(beside_px[i] ** 2 + SIGMA_FLOOR_PX**2)
+    wide = start_sigma_mm / max(typical_mm(dz_mm, sigma, used), MIN_UNIT_MM)
+    chi2 = fit_section(
+        shape, y_mm, z_mm, dy_mm, dz_mm, sigma, used, wide, prior_sigma, parameters, covariance, weights
     )
-    return ShapeFit(parameters[:n], covariance, chi2, weights)
+    if math.isfinite(chi2):
+        add_shared_errors(
+            shape,
+            y_mm,
+            dy_mm,
+            dz_mm,
+            scan,
+            sigma,
+            beside,
+            misfit_px,
+            weights,
+            parameters,
+            chi2,
+            covariance,
+        )
+    return chi2
 
 
 @kernel
@@ -149,11 +179,24 @@ def place(profile: Profile, corners: Float64, step_mm: float, limit_mm: float) -
 
     Lateral shifts are tried by steps of `step_mm` within the profile's reach, see `best_shift`.
     """
-    first, last = max(profile.y_mm[0], -profile.reach_mm), min(profile.y_mm[-1], profile.reach_mm)
-    shifts = np.arange(first, last + step_mm, step_mm)
-    every = max(1, len(profile.y_mm) // PLACED_BY)
-    y, z = (np.ascontiguousarray(along[::every]) for along in (profile.y_mm, profile.z_mm))
-    return best_shift(y, z, corners, shifts, limit_mm)
+    shift: tuple[float, float] = _place(
+        profile.y_mm, profile.z_mm, profile.reach_mm, np.ascontiguousarray(corners), step_mm, limit_mm
+    )
+    return shift
+
+
+@kernel(allocates=True)
+def _place(
+    y_mm: Float64, z_mm: Float64, reach_mm: float, corners: Float64, step_mm: float, limit_mm: float
+) -> tuple[float, float]:
+    """Return `place`'s shift."""
+    every = max(1, y_mm.shape[0] // PLACED_BY)
+    n = (y_mm.shape[0] + every - 1) // every
+    y, z = np.empty(n), np.empty(n)
+    for i in range(n):
+        y[i], z[i] = y_mm[i * every], z_mm[i * every]
+    first, last = max(y_mm[0], -reach_mm), min(y_mm[-1], reach_mm)
+    return best_shift(y, z, corners, np.arange(first, last + step_mm, step_mm), limit_mm)
 
 
 def off_line(profile: Profile, line_mm: Float64) -> Float64:
@@ -181,14 +224,22 @@ def meet_face(profile: Profile, height_mm: Float64, slope: Float64 | float) -> O
     return OnFace(profile.y_mm - y_per_z * (profile.z_mm - height_mm), y_per_z)
 
 
+@kernel(allocates=True)
 def section_at(corners_mm: Float64, y_mm: Float64) -> tuple[Float64, Float64]:
     """Return height (n,), mm, and slope (n,) of a section of corners (k, 2) at places y (n,)."""
-    y, z = corners_mm.T
-    # An upright edge is a step that no point lies on.
-    face = np.clip(np.searchsorted(y, y_mm, side="right") - 1, 0, len(y) - 2)
-    width, rise = (np.diff(along)[face] for along in (y, z))
-    slope = np.divide(rise, width, out=np.zeros(len(face)), where=width > 0.0)
-    return z[face] + slope * (y_mm - y[face]), slope
+    n, last = y_mm.shape[0], corners_mm.shape[0] - 2
+    height, slope = np.empty(n), np.empty(n)
+    k = 0
+    for i in range(n):
+        # An upright edge is a step that no point lies on.
+        while k > 0 and y_mm[i] < corners_mm[k, 0]:
+            k -= 1
+        while k < last and y_mm[i] >= corners_mm[k + 1, 0]:
+            k += 1
+        width = corners_mm[k + 1, 0] - corners_mm[k, 0]
+        slope[i] = (corners_mm[k + 1, 1] - corners_mm[k, 1]) / width if width > 0.0 else 0.0
+        height[i] = corners_mm[k, 1] + slope[i] * (y_mm[i] - corners_mm[k, 0])
+    return height, slope
 
 
 def off_section(profile: Profile, joint: MeasuredJoint) -> Bool:

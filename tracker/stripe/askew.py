@@ -45,20 +45,7 @@ def _beside(ln_amplitude: Float64, s: int, away: int) -> tuple[float, float, int
     return (total / count if count > 0 else math.nan), nearest, count
 
 
-@kernel
-def _steps(ln_amplitude: Float64, contrast: float, slopes: Float64) -> None:
-    """Write how fast brightness (n,) changes from line to line at steps, and 0 elsewhere."""
-    for s in range(ln_amplitude.shape[0]):
-        slopes[s] = 0.0
-        before, last, n_before = _beside(ln_amplitude, s, -1)
-        behind, first, n_behind = _beside(ln_amplitude, s, 1)
-        if min(n_before, n_behind) < MIN_HELD:
-            continue
-        variance = contrast * contrast * (1.0 / n_before + 1.0 / n_behind)
-        if (behind - before) ** 2 > STEP_SIGMAS**2 * variance:
-            slopes[s] = 0.5 * abs(first - last)
-
-
+@kernel(allocates=True)
 def askew_sigma_px(amplitude_e: Float64, width_px: Float64, contrast: float, lines: float) -> Float64:
     """Return by how much a step that crosses the stripe may move each line's centre (n,), px.
 
@@ -71,7 +58,16 @@ def askew_sigma_px(amplitude_e: Float64, width_px: Float64, contrast: float, lin
     lines : float
         By how many lines an edge along the seam may move over the stripe's sigma.
     """
-    ln_amplitude = np.log(np.where(amplitude_e > 0.0, amplitude_e, math.nan))
-    slopes = np.empty(len(ln_amplitude))
-    _steps(ln_amplitude, max(contrast, MIN_CONTRAST), slopes)
-    return np.nan_to_num(width_px * lines * slopes)
+    n, least = amplitude_e.shape[0], max(contrast, MIN_CONTRAST)
+    ln_amplitude, sigma_px = np.empty(n), np.zeros(n)
+    for s in range(n):
+        ln_amplitude[s] = math.log(amplitude_e[s]) if amplitude_e[s] > 0.0 else math.nan
+    for s in range(n):
+        before, last, n_before = _beside(ln_amplitude, s, -1)
+        behind, first, n_behind = _beside(ln_amplitude, s, 1)
+        if min(n_before, n_behind) < MIN_HELD or math.isnan(width_px[s]):
+            continue
+        variance = least * least * (1.0 / n_before + 1.0 / n_behind)
+        if (behind - before) ** 2 > STEP_SIGMAS**2 * variance:
+            sigma_px[s] = width_px[s] * lines * 0.5 * abs(first - last)
+    return sigma_px

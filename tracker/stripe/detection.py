@@ -211,7 +211,7 @@ def evidence_of(
 ) -> Evidence:
     """Return what tells of stripe centres (n_scan,), read at offsets of the `score` (n_scan, n_offsets).
 
-    What is expected is `ExpectedStripe`'s; `room` (`room_for(n_scan)`,) is written over.
+    What is expected is `ExpectedStripe`'s; `room` (`numbers_for(n_scan)`,) is written over.
     """
     n_saturated, n_held, n_shown = 0, 0, 0
     for s in range(position_px.shape[0]):

@@ -33,7 +33,7 @@ import numpy as np
 
 from noise_model.arrays import Float32, Float64
 from noise_model.kernel import kernel
-from noise_model.median import median_of, room_for
+from noise_model.median import median_of, numbers_for
 from tracker.stripe.line_fit.block import WINDOW_SIGMAS
 from tracker.stripe.scatter import BRIGHTNESS_LAGS, LAGS, LENGTHS, FrameScatter
 
@@ -65,7 +65,7 @@ A joint's four corners spoil two for each, a third of them at most.
 
 
 class ScatterRoom(NamedTuple):
-    """Room for what a frame shows: numbers (`room_for(n_scan)`,) and, of lines and means, (n_scan,) each."""
+    """Room for what a frame shows: numbers (`numbers_for(n_scan)`,); of lines and means (n_scan,) each."""
 
     values: Float32
     off: Float64
@@ -76,7 +76,7 @@ class ScatterRoom(NamedTuple):
     @classmethod
     def empty(cls, n_scan: int) -> ScatterRoom:
         """Make room for a frame of so many lines."""
-        return cls(np.empty(room_for(n_scan), np.float32), *np.empty((4, n_scan)))
+        return cls(np.empty(numbers_for(n_scan), np.float32), *np.empty((4, n_scan)))
 
 
 @kernel

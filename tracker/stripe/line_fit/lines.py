@@ -17,7 +17,7 @@ import numpy as np
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, load, spread, store, where
-from noise_model.median import room_for
+from noise_model.median import numbers_for
 from tracker.stripe.line_fit.block import CORRELATION_PX, MIN_SIGMA_E, WINDOW_SIGMAS, Known, fit_block
 from tracker.stripe.line_fit.normal_equations import BEYOND, COUNTS, HIDDEN, Block, PixelNoise
 from tracker.stripe.line_fit.residuals import N_BINS, core_square, odd_parts
@@ -82,7 +82,7 @@ class LineFits(NamedTuple):
     def empty(cls, n_scan: int) -> LineFits:
         """Make room for the lines of a frame."""
         tried, fits = np.empty((2, n_scan, N_FITTED))
-        odd, core = np.empty((n_scan, N_BINS)), np.empty(room_for(n_scan), np.float32)
+        odd, core = np.empty((n_scan, N_BINS)), np.empty(numbers_for(n_scan), np.float32)
         return cls(tried, fits, core, odd, np.empty(n_scan, np.bool_))
 
 
