@@ -61,10 +61,10 @@ class Profile:
 
         Beside an edge, where a line holds light of two faces, it may lie at any y.
         """
+        if is_in_order(self.scan):
+            return self
         rises = len(self.scan) < 2 or self.scan[-1] > self.scan[0]
         order = np.argsort(self.scan if rises else -self.scan, kind="stable")
-        if (order[1:] > order[:-1]).all():
-            return self
         points = (self.y_mm, self.z_mm, self.dy_mm, self.dz_mm, self.sigma_px, self.scan, self.beside_px)
         y, z, dy, dz, sigma, scan, beside = (values[order] for values in points)
         bias = None if self.bias_px is None else self.bias_px[order]
@@ -81,6 +81,16 @@ class Profile:
             bias_px=bias,
             misfit_px=misfit,
         )
+
+
+@kernel
+def is_in_order(values: Float64) -> bool:
+    """Say whether values (n,) only rise or only fall."""
+    rising, falling = 0, 0
+    for i in range(1, values.shape[0]):
+        rising += values[i] > values[i - 1]
+        falling += values[i] < values[i - 1]
+    return rising == 0 or falling == 0
 
 
 def triangulate(

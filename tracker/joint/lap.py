@@ -10,7 +10,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
-from noise_model.median import median
+from noise_model.median import median, median_of, numbers_for
 from noise_model.surface.joint import Joint, section
 from tracker.joint.measured import (
     OFF_SIGMAS,
@@ -19,10 +19,10 @@ from tracker.joint.measured import (
     OnFace,
     angles_of,
     fit_shape,
-    meet_face,
-    place,
     section_of,
+    shift_of,
 )
+from tracker.joint.section_fit import MIN_ALONG_MM
 from tracker.joint.section_shapes import SHEETS
 from tracker.joint.upright_edge import edge_between, hidden_strip, neighbours_of_edge
 from tracker.profile import Profile
@@ -54,10 +54,9 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     hides of that one (`edge_between`). `camera_mm` and `laser_mm` (3,) say from where, joint frame.
     """
     thickness = joint.dimensions["thickness_mm"]
-    # Over a whole profile a rolled workpiece rises by more than the step.
-    roll = roll_of(profile.y_mm, profile.z_mm)
-    level = replace(profile, z_mm=profile.z_mm - roll * profile.y_mm)
-    y_0, z_level = place(level, section(joint).vertices, SEARCH_STEP_MM, 0.25 * thickness)
+    roll, y_0, z_level = placed(
+        profile.y_mm, profile.z_mm, profile.reach_mm, section(joint).vertices, 0.25 * thickness
+    )
     clear, on_upper, on_lower = np.empty((3, len(profile.y_mm)), dtype=np.bool_)
     if min(clear_of_edge(profile.y_mm, y_0, clear)) < MIN_POINTS:
         return None
@@ -104,10 +103,24 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     )
 
 
-def roll_of(y_mm: Float64, z_mm: Float64) -> float:
-    """Return the slope that both sheets have, the median of that of pairs of points (n,)."""
-    apart = len(y_mm) // ROLL_BY
-    return median((z_mm[apart:] - z_mm[:-apart]) / (y_mm[apart:] - y_mm[:-apart]))
+@kernel(allocates=True)
+def placed(
+    y_mm: Float64, z_mm: Float64, reach_mm: float, corners: Float64, limit_mm: float
+) -> tuple[float, float, float]:
+    """Return how a profile's points (n,) are rolled, a slope, and the nominal corners' shift (y, z), mm.
+
+    Over a whole profile a rolled workpiece rises by more than the step. The slope that both sheets have is
+    the median of that of pairs of points.
+    """
+    n, apart = y_mm.shape[0], y_mm.shape[0] // ROLL_BY
+    slopes, level_mm = np.empty(numbers_for(n), np.float32), np.empty(n)
+    for i in range(n - apart):
+        slopes[i] = (z_mm[i + apart] - z_mm[i]) / (y_mm[i + apart] - y_mm[i])
+    roll = median_of(slopes, n - apart)
+    for i in range(n):
+        level_mm[i] = z_mm[i] - roll * y_mm[i]
+    y_0, z_0 = shift_of(y_mm, level_mm, reach_mm, corners, SEARCH_STEP_MM, limit_mm)
+    return roll, y_0, z_0
 
 
 class Sheets(NamedTuple):
@@ -121,10 +134,23 @@ class Sheets(NamedTuple):
 
     def met_by(self, profile: Profile, before: int) -> OnFace:
         """Return where points' rays meet the upper sheet, up to the point `before` the edge, or the lower."""
-        is_upper = np.arange(len(profile.y_mm)) <= before
-        slope = np.where(is_upper, self.slope_upper, self.slope_lower)
-        height_mm = self.z + np.where(is_upper, self.step, 0.0) + slope * (profile.y_mm - self.y)
-        return meet_face(profile, height_mm, slope)
+        return OnFace(*meet_sheets(profile.y_mm, profile.z_mm, profile.dy_mm, profile.dz_mm, self, before))
+
+
+@kernel(allocates=True)
+def meet_sheets(
+    y_mm: Float64, z_mm: Float64, dy_mm: Float64, dz_mm: Float64, sheets: Sheets, before: int
+) -> tuple[Float64, Float64]:
+    """Return `OnFace`'s numbers of points (n,), on the upper sheet up to `before`, else on the lower one."""
+    n = y_mm.shape[0]
+    met_mm, y_per_z = np.empty(n), np.empty(n)
+    for i in range(n):
+        slope = sheets.slope_upper if i <= before else sheets.slope_lower
+        height_mm = sheets.z + (sheets.step if i <= before else 0.0) + slope * (y_mm[i] - sheets.y)
+        across = dz_mm[i] - slope * dy_mm[i]
+        y_per_z[i] = dy_mm[i] / across if abs(across) > MIN_ALONG_MM else 0.0
+        met_mm[i] = y_mm[i] - y_per_z[i] * (z_mm[i] - height_mm)
+    return met_mm, y_per_z
 
 
 @kernel

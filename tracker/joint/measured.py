@@ -179,17 +179,17 @@ def place(profile: Profile, corners: Float64, step_mm: float, limit_mm: float) -
 
     Lateral shifts are tried by steps of `step_mm` within the profile's reach, see `best_shift`.
     """
-    shift: tuple[float, float] = _place(
+    shift: tuple[float, float] = shift_of(
         profile.y_mm, profile.z_mm, profile.reach_mm, np.ascontiguousarray(corners), step_mm, limit_mm
     )
     return shift
 
 
 @kernel(allocates=True)
-def _place(
+def shift_of(
     y_mm: Float64, z_mm: Float64, reach_mm: float, corners: Float64, step_mm: float, limit_mm: float
 ) -> tuple[float, float]:
-    """Return `place`'s shift."""
+    """Return the shift (y, z) of corners that explains most of points (n,); see `place`."""
     every = max(1, y_mm.shape[0] // PLACED_BY)
     n = (y_mm.shape[0] + every - 1) // every
     y, z = np.empty(n), np.empty(n)

@@ -16,6 +16,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
+from noise_model.median import median_of, numbers_for
 from noise_model.surface.faces import face_under, slope_across
 from tracker.joint.section_shapes import N_CORNERS, corners_of
 
@@ -252,7 +253,8 @@ def best_shift(
     Every lateral shift gets its height as the median of what is left over, and is judged by the sum of
     absolute residuals, each cut at `limit_mm`, so that spatter and false stripes count little.
     """
-    left_over = np.empty(y.shape[0])
+    n = y.shape[0]
+    left_over, room = np.empty(n), np.empty(numbers_for(n), np.float32)
     best, best_shift_mm, best_rise = math.inf, 0.0, 0.0
     for shift in shifts:
         k = 0
@@ -260,7 +262,9 @@ def best_shift(
             y_nominal = y[i] - shift
             k = face_under(y_nominal, k, corners)
             left_over[i] = z[i] - corners[k, 1] - slope_across(k, corners) * (y_nominal - corners[k, 0])
-        rise = float(np.median(left_over))
+        for i in range(n):
+            room[i] = left_over[i]
+        rise = median_of(room, n)
         cost = 0.0
         for i in range(y.shape[0]):
             cost += min(abs(left_over[i] - rise), limit_mm)
