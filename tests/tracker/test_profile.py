@@ -12,7 +12,8 @@ from noise_model.arc.scene import make_scene
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry, to_laser_plane
-from tracker.profile import triangulate
+from tracker.profile import StripeLines, edge_lines, measured_points, triangulate
+from tracker.stripe.askew import askew_sigma_px
 
 DISTORTION = (-0.12, 0.03, 0.001, -0.002, 0.0)
 
@@ -84,3 +85,44 @@ def test_rays_that_run_away_from_the_sheet_are_nan() -> None:
     points, _ = to_laser_plane(geometry.setup, np.array([[160.0, -1e5], [160.0, 120.0], [160.0, 1e5]]))
     assert np.isfinite(points[1]).all()
     assert np.isnan(points).any()
+
+
+@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize("scattered_px", [0.0, 40.0])
+def test_a_stripes_points_are_its_triangulation_with_bias_and_steps_taken_in(
+    upright: bool, scattered_px: float
+) -> None:
+    """Points that lie out of order are sorted as well."""
+    geometry, rng = distorted(upright), np.random.default_rng(3)
+    scene = make_scene(geometry.setup, pose_at(11.0, 2.0, -1.0, (2.0, -1.0, 5.0)).T_base_tool)
+    n = geometry.n_scan
+    position = 0.5 * geometry.n_pos + rng.normal(0.0, 0.3 + scattered_px, n)
+    position[rng.random(n) < 0.2] = np.nan
+    sigma, beside, width, bias, misfit = rng.uniform(0.1, 3.0, (5, n))
+    amplitude = np.where(np.arange(n) < n // 2, 900.0, 300.0) * rng.uniform(0.95, 1.05, n)
+    lines = StripeLines(position, sigma, beside, amplitude, width, bias, misfit)
+    points = measured_points(geometry.stripe_source, scene, lines, 0.05, 0.4)
+    askew = askew_sigma_px(amplitude, width, 0.05, 0.4)
+    assert askew.any()
+    twin = triangulate(geometry, scene, position - bias, np.hypot(sigma, askew), np.hypot(beside, askew))
+    own = twin.scan.astype(int)
+    rows = twin.y_mm, twin.z_mm, twin.dy_mm, twin.dz_mm, twin.sigma_px, twin.beside_px, bias[own], misfit[own]
+    np.testing.assert_array_equal(points.scan[: points.n], twin.scan)
+    np.testing.assert_allclose(points.rows[:, : points.n], np.array(rows), rtol=1e-12)
+    assert points.column_mm == pytest.approx(twin.column_mm)
+
+
+@pytest.mark.parametrize("upright", [False, True])
+def test_an_edge_is_spread_over_the_lines_that_its_ends_are_seen_in(upright: bool) -> None:
+    geometry, z_mm, slope_sigma = distorted(upright), -2.0, 0.03
+    scene = make_scene(geometry.setup, pose_at(11.0, 2.0, -1.0, (2.0, -1.0, 5.0)).T_base_tool)
+    laser, camera = geometry.setup.laser, geometry.setup.camera
+    normal = scene.T_joint_tool[:3, :3] @ laser.plane[:3]
+    d = laser.plane[3] - normal @ scene.T_joint_tool[:3, 3]
+    x, along = -(normal[2] * z_mm + d) / normal[0], laser.stripe_sigma_mm / normal[0]
+    ends = np.array([[x - along, 0, z_mm], [x + along, 0, z_mm], [x, -slope_sigma * along, z_mm]])
+    ends = np.vstack([ends, [x, slope_sigma * along, z_mm]])
+    scan = geometry.scan_points(camera.project(transform(invert(scene.T_joint_camera), ends)))[:, 0]
+    stated, turned = abs(scan[1] - scan[0]) / 2.0, abs(scan[3] - scan[2]) / 2.0
+    found = edge_lines(geometry.stripe_source, scene, z_mm, slope_sigma)
+    assert found == pytest.approx((stated, np.hypot(stated, turned)), rel=1e-6)

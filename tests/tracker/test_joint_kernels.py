@@ -1,0 +1,77 @@
+"""What the joints' fits share: kernels against NumPy twins."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tracker.joint import ALIKE_OFF_PX, BIAS_SHARE, NEAR_MM, off_alike_mm
+from tracker.joint.evidence import loss
+from tracker.joint.lap import ROLL_BY, SEARCH_STEP_MM, placed
+from tracker.joint.measured import section_at, shift_of
+from tracker.joint.section_fit import BISQUARE_WIDTH, tukey_loss
+from tracker.profile import is_in_order
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seeds, st.integers(0, 200), st.booleans())
+def test_a_sections_height_and_slope_are_their_twins(seed: int, n: int, is_upright: bool) -> None:
+    rng = np.random.default_rng(seed)
+    y, z = np.sort(rng.uniform(-10.0, 10.0, 6)), rng.normal(size=6)
+    if is_upright:
+        y[3] = y[2]
+    places = rng.uniform(-12.0, 12.0, n)
+    height_mm, slope = section_at(np.column_stack([y, z]), places)
+    face = np.clip(np.searchsorted(y, places, side="right") - 1, 0, 4)
+    width = np.diff(y)[face]
+    steepness = np.divide(np.diff(z)[face], width, out=np.zeros(n), where=width > 0.0)
+    np.testing.assert_allclose(slope, steepness, rtol=1e-12)
+    np.testing.assert_allclose(height_mm, z[face] + steepness * (places - y[face]), rtol=1e-12, atol=1e-12)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seeds, st.integers(1, 300), st.booleans())
+def test_what_all_centres_are_off_alike_is_its_twin(seed: int, n: int, has_bias: bool) -> None:
+    rng = np.random.default_rng(seed)
+    y, bias = np.sort(rng.uniform(-12.0, 12.0, n)), rng.normal(size=n)
+    dy, dz = rng.normal(size=(2, n))
+    near = np.abs(y - 0.7) < NEAR_MM
+    off_px = ALIKE_OFF_PX
+    if has_bias and near.any():
+        off_px = float(np.hypot(off_px, BIAS_SHARE * np.median(np.abs(bias[near]))))
+    found = off_alike_mm(y, dy, dz, bias if has_bias else np.empty(0), 0.7)
+    assert found == pytest.approx((off_px * np.median(dy), off_px * np.median(dz)), rel=1e-5)
+
+
+@settings(deadline=None, max_examples=40)
+@given(seeds, st.integers(0, 300))
+def test_the_loss_is_tukeys(seed: int, n: int) -> None:
+    off = np.random.default_rng(seed).normal(0.0, 4.0, n)
+    weights = np.maximum(1.0 - (off / BISQUARE_WIDTH) ** 2, 0.0) ** 2
+    assert loss(off) == pytest.approx(tukey_loss(weights))
+
+
+@settings(deadline=None, max_examples=20)
+@given(seeds, st.floats(-0.3, 0.3), st.floats(-2.0, 2.0))
+def test_a_rolled_lap_is_placed_as_a_level_one(seed: int, roll: float, edge_mm: float) -> None:
+    rng = np.random.default_rng(seed)
+    corners = np.array([[-20.0, 2.0], [0.0, 2.0], [0.0, 0.0], [20.0, 0.0]])
+    y = np.linspace(-9.0, 9.0, 400)
+    level = np.where(y < edge_mm, 2.0, 0.0) + 0.01 * rng.normal(size=400)
+    found, *shift = placed(y, level + roll * y, 5.0, corners, 0.5)
+    apart = len(y) // ROLL_BY
+    slopes = (level[apart:] - level[:-apart]) / (y[apart:] - y[:-apart]) + roll
+    assert found == pytest.approx(np.median(slopes), abs=1e-6)
+    twin = shift_of(y, level + (roll - found) * y, 5.0, corners, SEARCH_STEP_MM, 0.5)
+    assert shift == pytest.approx(twin, abs=1e-6)
+    assert shift[0] == pytest.approx(edge_mm, abs=SEARCH_STEP_MM)
+
+
+@given(st.lists(st.integers(-5, 5), max_size=8))
+def test_values_are_in_order_where_they_only_rise_or_only_fall(values: list[int]) -> None:
+    is_sorted = values in (sorted(values), sorted(values, reverse=True))
+    assert is_in_order(np.array(values, dtype=np.float64)) == is_sorted
