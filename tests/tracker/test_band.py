@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from noise_model.arrays import Float64, Int64
-from tracker.stripe.band import gather, median_background, place, weigh
+from tracker.stripe.band import at_level, gather, median_background, place, weigh
 
 CELL = 8
 seeds = st.integers(0, 2**32 - 1)
@@ -52,6 +52,16 @@ def test_the_running_median_is_its_twin(seed: int, half: int) -> None:
     background = np.full_like(band, np.nan)
     median_background(band, half, background)
     np.testing.assert_allclose(background, twins.running_median(band, half), rtol=1e-6)
+
+
+@settings(deadline=None, max_examples=20)
+@given(seeds, st.floats(0.0, 5.0), st.floats(-200.0, 200.0))
+def test_light_at_its_level_is_its_twin(seed: int, level: float, black_e: float) -> None:
+    light_e = np.random.default_rng(seed).uniform(0.0, 1e4, (7, 33)).astype(np.float32)
+    light_e[2, 5] = np.nan
+    background_e = light_e.copy()
+    at_level(background_e, level, black_e)
+    np.testing.assert_allclose(background_e, light_e * level + black_e, rtol=1e-6, atol=1e-3)
 
 
 @settings(deadline=None, max_examples=20)

@@ -63,6 +63,15 @@ def gather(
 
 
 @kernel
+def at_level(background_e: Float32, level: float, black_e: float) -> None:
+    """Bring the arc's light (n_scan, depth), e-, to its level, and add the black level's."""
+    per_e, black = np.float32(level), np.float32(black_e)
+    for s in range(background_e.shape[0]):
+        for j in range(background_e.shape[1]):
+            background_e[s, j] = background_e[s, j] * per_e + black
+
+
+@kernel
 def weigh(
     charge_e: Float32,
     background_e: Float32,

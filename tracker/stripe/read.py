@@ -15,7 +15,7 @@ from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Transmission
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 from tracker.state import Frame, Stripe
-from tracker.stripe.band import gather_band, median_background
+from tracker.stripe.band import at_level, gather_band, median_background
 from tracker.stripe.edge import StripeLight
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.read_band import Band, Learned, Lines, Noise, ReadRoom, Sought, read_band
@@ -240,11 +240,11 @@ def _predict_background(
         return
     arc_map.fill(band.lows, band.background)
     if transmission is None:
-        np.multiply(band.background, np.float32(level), out=band.background)
-    else:
-        n_scan, depth = band.background.shape
-        first = np.arange(n_scan) * geometry.n_pos + band.lows[np.arange(n_scan) // CELL]
-        pixels = (first[:, None] + np.arange(depth)).ravel()
-        arc_e, other_e = transmission.through(pixels, band.background.ravel())
-        band.background[:] = (np.float32(level) * arc_e + other_e).reshape(n_scan, depth)
-    np.add(band.background, np.float32(black_e), out=band.background)
+        at_level(band.background, level, black_e)
+        return
+    n_scan, depth = band.background.shape
+    first = np.arange(n_scan) * geometry.n_pos + band.lows[np.arange(n_scan) // CELL]
+    pixels = (first[:, None] + np.arange(depth)).ravel()
+    arc_e, other_e = transmission.through(pixels, band.background.ravel())
+    band.background[:] = (np.float32(level) * arc_e + other_e).reshape(n_scan, depth)
+    at_level(band.background, 1.0, black_e)
