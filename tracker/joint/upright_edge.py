@@ -104,26 +104,32 @@ def edge_between(profile: Profile, before: int, behind: int, hidden: HiddenStrip
     return Edge(edge_mm, both / information + 0.25 * max(apart_mm2, 0.0), y_per_z)
 
 
+@kernel
 def _is_hidden(light: StripeLight, last: int, first: int) -> bool:
     """Say whether a line between two hides its stripe under saturated pixels, a glint's."""
-    between = slice(min(last, first) + 1, max(last, first))
-    is_unread = np.isnan(light.position_px[between])
-    return bool(light.censored[between][is_unread].any())
+    for s in range(min(last, first) + 1, max(last, first)):
+        if math.isnan(light.position_px[s]) and light.censored[s].any():
+            return True
+    return False
 
 
+@kernel
 def _likeness(light: StripeLight, last: int, first: int) -> float:
     """Return by how much the ends of two lines' stripes err alike, 0 to 1: by the overlap of their bells.
 
     Of stripes that lie in each other's light what one gains the other loses, which moves both ends alike.
     """
-    return math.exp(-0.25 * (apart_px(light, last, first) / float(light.width_px[first])) ** 2)
+    return math.exp(-0.25 * (apart_px(light, last, first) / light.width_px[first]) ** 2)
 
 
+@kernel
 def _at_line(y_mm: Float64, scan: Float64, line: float) -> float:
     """Return the y, mm, at which a scan line crosses the face that some points (n,) lie on."""
-    middle = scan.mean()
-    off = scan - middle
-    return float(y_mm.mean() + (off @ y_mm) / (off @ off) * (line - middle))
+    middle, mean_mm, product, square = scan.mean(), y_mm.mean(), 0.0, 0.0
+    for i in range(scan.shape[0]):
+        product += (scan[i] - middle) * y_mm[i]
+        square += (scan[i] - middle) ** 2
+    return float(mean_mm + product / square * (line - middle))
 
 
 NOTHING_HIDDEN = HiddenStrip(0.0, 0.0)

@@ -100,28 +100,33 @@ class StripeEnd(NamedTuple):
 NOT_TOLD = StripeEnd(math.nan, math.nan)
 
 
+@kernel(allocates=True)
 def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, StripeEnd]:
     """Return where the stripe that is whole in line `last` ends, and where that of line `first` begins."""
+    not_told = StripeEnd(math.nan, math.nan), StripeEnd(math.nan, math.nan)
     clear = clear_of_an_edge(light)
     away = 1 if first > last else -1
     n = abs(first - last) + 2 * clear - 1
-    shares, variances = np.empty((2, 2, n))
-    if n > MAX_LINES or not line_shares(
-        light, last - away * clear, first + away * clear, away, BEYOND, shares, variances
-    ):
-        return NOT_TOLD, NOT_TOLD
-    if np.isnan(shares[1]).all():
-        return NOT_TOLD, NOT_TOLD
+    if n > MAX_LINES:
+        return not_told
+    shares, variances = np.empty((2, n)), np.empty((2, n))
+    if not line_shares(light, last - away * clear, first + away * clear, away, BEYOND, shares, variances):
+        return not_told
     # Of a stripe that is off by its scatter the other one seems to have a share.
-    variances += (
-        light.centre_sigma_px / max(apart_px(light, last, first), light.centre_sigma_px, TINY_PX)
-    ) ** 2
+    apart = max(apart_px(light, last, first), light.centre_sigma_px, TINY_PX)
+    more, n_seen = (light.centre_sigma_px / apart) ** 2, 0
+    # The other stripe is seen from its own side.
+    of_other, other_variances = np.empty(n), np.empty(n)
+    for i in range(n):
+        variances[0, i] += more
+        of_other[n - 1 - i], other_variances[n - 1 - i] = shares[1, i], variances[1, i] + more
+        n_seen += not math.isnan(shares[1, i])
+    if n_seen == 0:
+        return not_told
     # A line's centre says which stripe is the brighter there, so the end is a line off it at most.
     earliest, latest = clear - 2.0, n - clear + 1.0
     ends = _fitted(light, shares[0], variances[0], earliest, latest)
-    # The other stripe seen from its own side.
-    shares, variances = (np.ascontiguousarray(lines[1, ::-1]) for lines in (shares, variances))
-    begins = _fitted(light, shares, variances, earliest, latest)
+    begins = _fitted(light, of_other, other_variances, earliest, latest)
     next_one = last - away * (clear - 1)
     return (
         StripeEnd(next_one + away * ends.line, ends.sigma),
@@ -148,16 +153,19 @@ def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int, unread:
     return StripeEnd(last - away * (clear - 1) + away * ends.line, ends.sigma)
 
 
+@kernel
 def apart_px(light: StripeLight, last: int, first: int) -> float:
     """Return how far apart the stripes of two lines are, px."""
-    return abs(float(light.position_px[first] - light.position_px[last]))
+    return float(abs(light.position_px[first] - light.position_px[last]))
 
 
+@kernel
 def clear_of_an_edge(light: StripeLight) -> int:
     """Return how many lines beyond a line beside an edge one is clear of it."""
     return math.ceil(CLEAR_SIGMAS * math.hypot(light.psf_sigma_px, light.sheet_lines)) + 1
 
 
+@kernel
 def _fitted(
     light: StripeLight, shares: Float64, variances: Float64, earliest: float, latest: float
 ) -> StripeEnd:
@@ -167,8 +175,9 @@ def _fitted(
     """
     contrast = max(light.contrast, MIN_CONTRAST)
     sigma = max(math.hypot(light.psf_sigma_px, light.sheet_lines / math.sqrt(2.0)), LINE_SIGMA)
-    bounds = max(earliest - sigma, 0.0), latest + sigma
-    return StripeEnd(*fit_end(shares, variances, contrast, light.alike, sigma, *bounds))
+    first, last = max(earliest - sigma, 0.0), latest + sigma
+    line, line_sigma = fit_end(shares, variances, contrast, light.alike, sigma, first, last)
+    return StripeEnd(line, line_sigma)
 
 
 @kernel
