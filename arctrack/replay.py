@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +23,7 @@ from arctrack.pose_agreement import PoseAgreement
 from arctrack.printable import printable
 from arctrack.recorded_poses import Doubt, RecordedPoses
 from arctrack.recording import BadFrame, FrameRow, Recording, Truth, read_truth
+from arctrack.recording.ahead import read_ahead
 from arctrack.recording.results import (
     BUS_LOG,
     FILES,
@@ -213,6 +214,8 @@ def _replay(
     bad_frames: list[BadFrame] = []
     started_s = time.monotonic()
     with ExitStack() as opened:
+        # Closed last: what reads may still wait for a disk, and no robot is to wait for it.
+        frames = opened.enter_context(read_ahead(recording.frames()))
         opened.enter_context(_bus_errors())
         # The robot on the bus is a live one; what it hears is not, and is no other than it says.
         link = opened.enter_context(
@@ -241,7 +244,7 @@ def _replay(
             moments = RealTime(recording.rows, link, controller, agreement, poses.verdict)
         # However it ends, the robot hears that nothing holds any longer.
         opened.callback(moments.close)
-        for step in _steps(recording, options.use_arc_map):
+        for step in _steps(recording, frames, options.use_arc_map):
             T_base_tool = None if step.pose is None else step.pose.T_base_tool
             poses.see(step.seam)
             offset = moments.publish(step.row, step.track, T_base_tool, step.took_ms)
@@ -288,11 +291,12 @@ def track_alone(
     compute_ms: list[float] = []
     tracker_of(recording, use_arc_map).warm_up()
     started_s = time.monotonic()
-    for step in _steps(recording, use_arc_map):
-        tracks.append(replace(step.track, stripe=None))
-        compute_ms.append(step.took_ms)
-        if on_frame is not None:
-            on_frame(len(tracks))
+    with read_ahead(recording.frames()) as frames:
+        for step in _steps(recording, frames, use_arc_map):
+            tracks.append(replace(step.track, stripe=None))
+            compute_ms.append(step.took_ms)
+            if on_frame is not None:
+                on_frame(len(tracks))
     return _summary(recording, truth, use_arc_map, tracks, compute_ms, time.monotonic() - started_s)
 
 
@@ -315,10 +319,10 @@ def _check_bus(options: ReplayOptions) -> None:
         )
 
 
-def _steps(recording: Recording, use_arc_map: bool) -> Iterator[Step]:
+def _steps(recording: Recording, frames: Iterable[Frame | BadFrame], use_arc_map: bool) -> Iterator[Step]:
     tracking = RecordedTracking(recording, use_arc_map)
     tracker = tracking.tracker
-    for row, frame in zip(recording.rows, recording.frames(), strict=True):
+    for row, frame in zip(recording.rows, frames, strict=True):
         if isinstance(frame, BadFrame):
             raised = flags.FRAME_UNREADABLE.mask | tracker.state.lasting_flags
             yield Step(row, frame, None, Track(row.index, row.timestamp_s, raised), None, NAN, None)

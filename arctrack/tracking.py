@@ -36,7 +36,9 @@ class RecordedTracking:
     def __init__(self, recording: Recording, use_arc_map: bool) -> None:
         self.tracker = tracker_of(recording, use_arc_map)
         self._recording = recording
-        self._poses = recording.pose_buffer()
+        rows = recording.rows
+        poses = recording.poses_at(row.timestamp_s for row in rows)
+        self._poses = {row.index: pose for row, pose in zip(rows, poses, strict=True)}
         if recording.steps is not None:
             self.tracker.state = recording.steps.state
 
@@ -45,8 +47,7 @@ class RecordedTracking:
         steps = self._recording.steps
         recorded = None if steps is None else steps.steps.get(frame.index)
         if recorded is None:
-            pose = self._recording.pose_at(self._poses, frame.timestamp_s)
-            return StepInputs(self.tracker.state, pose)
+            return StepInputs(self.tracker.state, self._poses[frame.index])
         state = TrackerState() if recorded.begins else self.tracker.state
         return StepInputs(state, recorded.pose, recorded.lead, recorded.keeps_state)
 

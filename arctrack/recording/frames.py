@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,7 +72,7 @@ def check_source(recording: Path, rows: Sequence[FrameRow], setup: Setup) -> tup
 
 def read_frames(
     source: Path, rows: Sequence[FrameRow], setup: Setup, positions: Sequence[int] | None = None
-) -> Iterator[Frame | BadFrame]:
+) -> Generator[Frame | BadFrame, None, None]:
     """Yield the frames of all rows, or of those at rising positions, one at a time.
 
     The n-th row of frames.csv is the PNG with its number, or the n-th frame of the video.

@@ -15,7 +15,7 @@ from arctrack.recording.tables import PoseTable, read_poses_csv
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint, seam_frame
 from noise_model.transforms import invert, pose_matrix
-from robot_io import BusLogError, BusLogReader, PoseAssembler, PoseBuffer, PoseKind, PoseStatus
+from robot_io import BusLogError, BusLogReader, PoseAssembler, PoseAt, PoseBuffer, PoseKind, PoseStatus
 from tracker.state import Pose
 
 CSV_NAME = "poses.csv"
@@ -110,7 +110,15 @@ def pose_buffer(poses: PoseTable) -> PoseBuffer:
 
 def pose_at(buffer: PoseBuffer, timestamp_s: float) -> Pose | None:
     """Return the pose at a time, None where the buffer refuses one."""
-    buffered = buffer.at(timestamp_s)
+    return _pose(buffer.at(timestamp_s))
+
+
+def poses_at(buffer: PoseBuffer, timestamps_s: Sequence[float]) -> list[Pose | None]:
+    """Return the pose at each time, asked for in one call; None where the buffer refuses one."""
+    return [_pose(buffered) for buffered in buffer.at_all(timestamps_s)]
+
+
+def _pose(buffered: PoseAt) -> Pose | None:
     if buffered.status is PoseStatus.REFUSED:
         return None
     return Pose(buffered.T_base_tool, extrapolated=buffered.status is PoseStatus.EXTRAPOLATED)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from arctrack.recording.poses import (
     check_coverage,
     pose_at,
     pose_buffer,
+    poses_at,
     read_poses,
     runs_against_travel,
 )
@@ -122,7 +123,7 @@ class Recording:
         sources = [self.setup_path, self.frame_source, *(self.path / name for name in names)]
         return any(real(path).is_relative_to(real(source)) for source in sources)
 
-    def frames(self, positions: Sequence[int] | None = None) -> Iterator[Frame | BadFrame]:
+    def frames(self, positions: Sequence[int] | None = None) -> Generator[Frame | BadFrame, None, None]:
         """Return frames, read one at a time.
 
         Parameters
@@ -132,7 +133,7 @@ class Recording:
 
         Returns
         -------
-        iterator of Frame or BadFrame
+        generator of Frame or BadFrame
             A frame that cannot be read, or does not fit the setup, comes as a BadFrame.
         """
         return read_frames(self.frame_source, self.rows, self.setup, positions)
@@ -212,9 +213,9 @@ class Recording:
         list of (Frame, Pose)
             Those that have a pose; the others are left out.
         """
-        poses = self.pose_buffer()
-        pairs = [(frame, self.pose_at(poses, frame.timestamp_s)) for frame in frames]
-        return [(frame, pose) for frame, pose in pairs if pose is not None]
+        asked = list(frames)
+        poses = self.poses_at([frame.timestamp_s for frame in asked])
+        return [(frame, pose) for frame, pose in zip(asked, poses, strict=True) if pose is not None]
 
     def pose_at(self, poses: PoseBuffer, timestamp_s: float) -> Pose | None:
         """Return the tool's pose at a frame's time.
@@ -232,6 +233,22 @@ class Recording:
             T_base_tool, mm; None where the buffer refuses a pose.
         """
         return pose_at(poses, pose_time_s(self.setup, timestamp_s))
+
+    def poses_at(self, timestamps_s: Iterable[float]) -> list[Pose | None]:
+        """Return the tool's pose at many frames' times: those of `pose_at`, in a fraction of its time.
+
+        Parameters
+        ----------
+        timestamps_s : iterable of float
+            The middle of each frame's exposure, s.
+
+        Returns
+        -------
+        list of Pose or None
+            T_base_tool, mm; None where the buffer refuses a pose.
+        """
+        times_s = [pose_time_s(self.setup, timestamp_s) for timestamp_s in timestamps_s]
+        return poses_at(self.pose_buffer(), times_s)
 
     def pose_buffer(self) -> PoseBuffer:
         """Return the poses in the buffer that answers as the live run would have.

@@ -6,9 +6,13 @@ within one period of the frame's: a replay, which has every pose, then sees what
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from itertools import pairwise
+from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -75,6 +79,16 @@ class PoseAt:
     T_base_tool: Float64
     velocity_base_mm_s: Float64
     angular_velocity_base_rad_s: Float64
+    period_s: float
+
+
+class _Twist(NamedTuple):
+    """Two poses, by their places in the buffer, whose steady motion gives the pose at a time, s."""
+
+    first: int
+    last: int
+    t_s: float
+    status: PoseStatus
     period_s: float
 
 
@@ -229,54 +243,88 @@ class PoseBuffer:
         ValueError
             If `t_s` is not finite.
         """
-        if not np.isfinite(t_s):
+        return self.at_all((t_s,))[0]
+
+    def at_all(self, times_s: Sequence[float]) -> list[PoseAt]:
+        """Return the poses at times: what `at` returns for each of them, in a fraction of its time.
+
+        Parameters
+        ----------
+        times_s : sequence of float
+            The times, s, in any order.
+
+        Returns
+        -------
+        list of PoseAt
+            A pose for each time, or why there is none.
+
+        Raises
+        ------
+        ValueError
+            If a time is not finite.
+        """
+        answers = [self._answer(t_s) for t_s in times_s]
+        twists = [answer for answer in answers if isinstance(answer, _Twist)]
+        moved = iter(self._along(twists))
+        return [next(moved) if isinstance(answer, _Twist) else answer for answer in answers]
+
+    def _answer(self, t_s: float) -> PoseAt | _Twist:
+        """Return which two poses give that at a time, or why none do."""
+        if not math.isfinite(t_s):
             raise ValueError(f"pose asked for at {t_s}: the time must be finite")
         times_s = self._times_s[self._start : self._stop]
-        known = int(np.searchsorted(times_s, t_s, side="right"))
+        known = int(times_s.searchsorted(t_s, side="right"))
         if known < 2:
             refusal = PoseRefusal.BEFORE_BUFFER if self._forgot else PoseRefusal.TOO_FEW_POSES
             return _refused(t_s, refusal, np.nan)
         # From poses at or before t alone: what comes later must not change the answer for t.
-        period_s = float(np.median(np.diff(times_s[max(0, known - 1 - PERIOD_INTERVALS) : known])))
+        until_t_s = times_s[max(0, known - 1 - PERIOD_INTERVALS) : known].tolist()
+        period_s = median(after - before for before, after in pairwise(until_t_s))
         last = known - 1
         if known < times_s.size and times_s[known] <= t_s + period_s:
             last = known
-        beyond_s = t_s - times_s[last]
+        last_s, before_s = float(times_s[last]), float(times_s[last - 1])
+        beyond_s = t_s - last_s
         if beyond_s > self._max_extrapolation_periods * period_s:
             return _refused(t_s, PoseRefusal.POSES_STOPPED, period_s)
-        if times_s[last] - times_s[last - 1] > GAP_PERIODS * period_s and beyond_s != 0.0:
+        if last_s - before_s > GAP_PERIODS * period_s and beyond_s != 0.0:
             return _refused(t_s, PoseRefusal.GAP, period_s)
         if beyond_s > 0.0:
             first = self._twist_start(times_s, last, period_s)
-            return self._along(first, last, t_s, PoseStatus.EXTRAPOLATED, period_s)
-        return self._along(last - 1, last, t_s, PoseStatus.INTERPOLATED, period_s)
+            return _Twist(first, last, t_s, PoseStatus.EXTRAPOLATED, period_s)
+        return _Twist(last - 1, last, t_s, PoseStatus.INTERPOLATED, period_s)
 
     def _twist_start(self, times_s: Float64, last: int, period_s: float) -> int:
         # Two poses almost at once say nothing about speed: over a tiny interval rounding looks like speed.
-        apart = int(np.searchsorted(times_s, times_s[last] - 0.5 * period_s, side="right")) - 1
+        apart = int(times_s.searchsorted(times_s[last] - 0.5 * period_s, side="right")) - 1
         return min(apart, last - 1)
 
-    def _along(self, first: int, last: int, t_s: float, status: PoseStatus, period_s: float) -> PoseAt:
-        i, k = self._start + first, self._start + last
-        dt_s = self._times_s[k] - self._times_s[i]
-        R_first, R_last = Rotation.from_quat(self._quaternions_xyzw[[i, k]])
-        velocity_base_mm_s = (self._positions_base_mm[k] - self._positions_base_mm[i]) / dt_s
-        angular_velocity_base_rad_s = (R_last * R_first.inv()).as_rotvec() / dt_s
-        beyond_s = t_s - self._times_s[k]
-        T_base_tool = np.eye(4)
-        T_base_tool[:3, :3] = (
-            Rotation.from_rotvec(angular_velocity_base_rad_s * beyond_s) * R_last
+    def _along(self, twists: Sequence[_Twist]) -> Iterator[PoseAt]:
+        """Yield the poses to which twists lead."""
+        if not twists:
+            return
+        first, last = self._start + np.array([(twist.first, twist.last) for twist in twists]).T
+        dt_s = (self._times_s[last] - self._times_s[first])[:, np.newaxis]
+        beyond_s = np.array([twist.t_s for twist in twists])[:, np.newaxis] - self._times_s[last, np.newaxis]
+        R_last = Rotation.from_quat(self._quaternions_xyzw[last])
+        R_first = Rotation.from_quat(self._quaternions_xyzw[first])
+        velocities_base_mm_s = (self._positions_base_mm[last] - self._positions_base_mm[first]) / dt_s
+        angular_velocities_base_rad_s = (R_last * R_first.inv()).as_rotvec() / dt_s
+        T_base_tool = np.tile(np.eye(4), (len(twists), 1, 1))
+        T_base_tool[:, :3, :3] = (
+            Rotation.from_rotvec(angular_velocities_base_rad_s * beyond_s) * R_last
         ).as_matrix()
-        T_base_tool[:3, 3] = self._positions_base_mm[k] + velocity_base_mm_s * beyond_s
-        return PoseAt(
-            timestamp_s=t_s,
-            status=status,
-            refusal=None,
-            T_base_tool=T_base_tool,
-            velocity_base_mm_s=velocity_base_mm_s,
-            angular_velocity_base_rad_s=angular_velocity_base_rad_s,
-            period_s=period_s,
-        )
+        T_base_tool[:, :3, 3] = self._positions_base_mm[last] + velocities_base_mm_s * beyond_s
+        for n, twist in enumerate(twists):
+            yield PoseAt(
+                timestamp_s=twist.t_s,
+                status=twist.status,
+                refusal=None,
+                T_base_tool=T_base_tool[n],
+                velocity_base_mm_s=velocities_base_mm_s[n],
+                angular_velocity_base_rad_s=angular_velocities_base_rad_s[n],
+                period_s=twist.period_s,
+            )
 
     def _make_room(self) -> None:
         if self._stop == 2 * self._capacity:

@@ -76,6 +76,19 @@ def test_poses_at_once_are_those_one_by_one():
         assert same(at_once.at(t_s), single.at(t_s))
 
 
+def test_many_times_at_once_are_answered_as_each_alone():
+    buffer = filled([*STEADY_S, 0.6, 0.61, 0.62, 0.63])
+    times_s = np.random.default_rng(5).uniform(-0.05, 0.8, 300).tolist()
+    answers = buffer.at_all(times_s)
+    assert {answer.status for answer in answers} == set(PoseStatus)
+    for t_s, answer in zip(times_s, answers, strict=True):
+        assert answer.timestamp_s == t_s
+        assert same(answer, buffer.at(t_s))
+    assert buffer.at_all([]) == []
+    with pytest.raises(ValueError, match="must be finite"):
+        buffer.at_all([0.1, np.nan])
+
+
 def lower_left(value):
     T_base_tool = np.eye(4)
     T_base_tool[3, 0] = value

@@ -1,0 +1,73 @@
+"""Frames read and decoded ahead of who takes them, in a thread of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from contextlib import closing, contextmanager
+from queue import SimpleQueue
+from threading import Event, Semaphore, Thread
+from typing import TypeVar
+
+Item = TypeVar("Item")
+
+ITEMS_AHEAD = 4
+"""So many frames wait at most: enough to even out a slow file, and few beside a recording."""
+
+
+@contextmanager
+def read_ahead(items: Generator[Item, None, None]) -> Iterator[Iterator[Item]]:
+    """Let a thread take what a generator yields, ahead of whoever takes it within.
+
+    Decoders run without Python's lock, so the thread works while the tracker does. Order and values are the
+    generator's. What it raises is raised behind the last item that it gave. It is closed by its own thread,
+    which ends with the block, however that ends.
+
+    Parameters
+    ----------
+    items : generator
+        What is to be taken; nobody else may use it.
+
+    Yields
+    ------
+    iterator
+        The same items.
+    """
+    ready: SimpleQueue[Item | _End] = SimpleQueue()
+    room, is_over = Semaphore(ITEMS_AHEAD), Event()
+
+    def take() -> None:
+        with closing(items):
+            try:
+                while room.acquire() and not is_over.is_set():
+                    ready.put(next(items))
+            except StopIteration:
+                ready.put(_End(None))
+            except Exception as error:
+                ready.put(_End(error))
+
+    thread = Thread(target=take, name="frames ahead", daemon=True)
+    thread.start()
+    try:
+        yield _taken(ready, room)
+    finally:
+        is_over.set()
+        room.release()
+        thread.join()
+
+
+class _End:
+    """Stands behind the last item, and says what ended them: None where they are all."""
+
+    def __init__(self, error: Exception | None) -> None:
+        self.error = error
+
+
+def _taken(ready: SimpleQueue[Item | _End], room: Semaphore) -> Iterator[Item]:
+    while True:
+        item = ready.get()
+        if isinstance(item, _End):
+            if item.error is not None:
+                raise item.error
+            return
+        room.release()
+        yield item
