@@ -37,7 +37,7 @@ from arctrack.report.replay.seen import Seen, SeenFile
 from arctrack.service.controller import Controller
 from arctrack.service.heard import TRUSTED
 from arctrack.service.seam_measured import seam_measured
-from arctrack.tracking import RecordedTracking, tracker_of
+from arctrack.tracking import RecordedTracking
 from robot_io import (
     BusLogError,
     Link,
@@ -186,18 +186,19 @@ def replay_recording(
     truth = read_truth(recording.path)
     make_folder(folder, ())
     # Compiling takes long, and so does loading what draws: before there is a bus that nobody reads meanwhile.
-    warm_up = tracker_of(recording, options.use_arc_map).warm_up(on_compiled)
+    tracking = RecordedTracking(recording, options.use_arc_map)
+    warm_up = tracking.tracker.warm_up(on_compiled)
     if not (options.pictures or options.exports):
-        return _replay(recording, truth, folder, options, warm_up, None, on_frame)
+        return _replay(tracking, truth, folder, options, warm_up, None, on_frame)
     drawing = _load_drawing()(
         recording, truth, folder, options.use_arc_map, options.pictures, options.exports, on_drawn
     )
     with drawing.after() as seen:
-        return _replay(recording, truth, folder, options, warm_up, seen, on_frame)
+        return _replay(tracking, truth, folder, options, warm_up, seen, on_frame)
 
 
 def _replay(
-    recording: Recording,
+    tracking: RecordedTracking,
     truth: Truth | None,
     folder: Path,
     options: ReplayOptions,
@@ -206,6 +207,7 @@ def _replay(
     on_frame: Callable[[int], None] | None,
 ) -> Replay:
     """Replay onto the bus and keep what was seen, where someone draws it."""
+    recording = tracking.recording
     interface, channel = parse_bus(options.chosen_bus)
     bit_rate_bit_s = None if options.cell is None else options.cell.bus.bit_rate_bit_s
     tracks: list[Track] = []
@@ -244,7 +246,7 @@ def _replay(
             moments = RealTime(recording.rows, link, controller, agreement, poses.verdict)
         # However it ends, the robot hears that nothing holds any longer.
         opened.callback(moments.close)
-        for step in _steps(recording, frames, options.use_arc_map):
+        for step in _steps(tracking, frames):
             T_base_tool = None if step.pose is None else step.pose.T_base_tool
             poses.see(step.seam)
             offset = moments.publish(step.row, step.track, T_base_tool, step.took_ms)
@@ -289,10 +291,11 @@ def track_alone(
     truth = read_truth(recording.path)
     tracks: list[Track] = []
     compute_ms: list[float] = []
-    tracker_of(recording, use_arc_map).warm_up()
+    tracking = RecordedTracking(recording, use_arc_map)
+    tracking.tracker.warm_up()
     started_s = time.monotonic()
     with read_ahead(recording.frames()) as frames:
-        for step in _steps(recording, frames, use_arc_map):
+        for step in _steps(tracking, frames):
             tracks.append(replace(step.track, stripe=None))
             compute_ms.append(step.took_ms)
             if on_frame is not None:
@@ -319,9 +322,8 @@ def _check_bus(options: ReplayOptions) -> None:
         )
 
 
-def _steps(recording: Recording, frames: Iterable[Frame | BadFrame], use_arc_map: bool) -> Iterator[Step]:
-    tracking = RecordedTracking(recording, use_arc_map)
-    tracker = tracking.tracker
+def _steps(tracking: RecordedTracking, frames: Iterable[Frame | BadFrame]) -> Iterator[Step]:
+    recording, tracker = tracking.recording, tracking.tracker
     for row, frame in zip(recording.rows, frames, strict=True):
         if isinstance(frame, BadFrame):
             raised = flags.FRAME_UNREADABLE.mask | tracker.state.lasting_flags

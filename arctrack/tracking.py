@@ -29,13 +29,15 @@ class RecordedTracking:
 
     Attributes
     ----------
+    recording : Recording
+        The recording.
     tracker : Tracker
         The tracker.
     """
 
     def __init__(self, recording: Recording, use_arc_map: bool) -> None:
         self.tracker = tracker_of(recording, use_arc_map)
-        self._recording = recording
+        self.recording = recording
         rows = recording.rows
         poses = recording.poses_at(row.timestamp_s for row in rows)
         self._poses = {row.index: pose for row, pose in zip(rows, poses, strict=True)}
@@ -44,7 +46,7 @@ class RecordedTracking:
 
     def inputs_for(self, frame: Frame) -> StepInputs:
         """Return what the step of the next frame takes beside it."""
-        steps = self._recording.steps
+        steps = self.recording.steps
         recorded = None if steps is None else steps.steps.get(frame.index)
         if recorded is None:
             return StepInputs(self.tracker.state, self._poses[frame.index])

@@ -58,6 +58,7 @@ class BusLogWriter:
         self.path = path
         self._start_s: float | None = None
         self._kept_at_s = time.monotonic()
+        self._flushed_bytes = 0
         self._writer: can.BLFWriter | can.ASCWriter | can.CanutilsLogWriter
         try:
             if path.suffix == ".blf":
@@ -98,7 +99,7 @@ class BusLogWriter:
         entry.channel = 0
         try:
             self._writer.on_message_received(entry)
-            self._writer.file.flush()
+            self._flush()
         except OSError as error:
             raise self._cannot_be_written(error) from error
         self.keep()
@@ -127,6 +128,14 @@ class BusLogWriter:
             with suppress(OSError):
                 self._writer.file.close()
             raise self._cannot_be_written(error) from error
+
+    def _flush(self) -> None:
+        """Hand what was written to the system; of a BLF file that is nothing before a container is full."""
+        if isinstance(self._writer, can.BLFWriter):
+            if self._writer.uncompressed_size == self._flushed_bytes:
+                return
+            self._flushed_bytes = self._writer.uncompressed_size
+        self._writer.file.flush()
 
     def _cannot_be_written(self, error: OSError) -> BusLogWriteError:
         return BusLogWriteError(f"log {self.path}: cannot be written: {error.strerror}; choose another place")

@@ -1,0 +1,110 @@
+"""How many frames a second a replay without pictures tracks, and where its time goes.
+
+    python benchmarks/replay_rate.py [RECORDING ...] [--frames 400] [--repeats 3] [--workers 2]
+
+Without a recording a V-groove of 640x480 px is simulated first, as PNGs. What a frame takes of the CPU is the
+least of the repeats, after a warm-up: `decode` is reading and decoding all frames, `step` is the tracker over
+frames that are in memory, both alone; `rest` is what a whole replay takes beyond them: poses, bus, logs,
+results, threads. `Frames/s a core` are by the CPU time. Then one worker process and several replay two
+recordings each, by the clock, once all is imported and compiled.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor
+from pathlib import Path
+
+from arctrack.nominal import nominal_setup
+from arctrack.recording import BadFrame, Recording, read_recording
+from arctrack.replay import ReplayOptions, replay_recording
+from arctrack.replays import Replayed, ReplayJob, replay_job
+from arctrack.simulate import SimulationPlan, balance, simulate_recording
+from arctrack.tracking import RecordedTracking
+from arctrack.workers import at_once, processes
+
+OPTIONS = ReplayOptions(pictures=False)
+RATE_HZ = 50.0
+
+
+def cpu_and_wall_s(work: Callable[[], object]) -> tuple[float, float]:
+    wall_s, cpu_s = time.perf_counter(), time.process_time()
+    work()
+    return time.process_time() - cpu_s, time.perf_counter() - wall_s
+
+
+def in_one_process(recording: Recording, out: Path, repeats: int) -> None:
+    n = len(recording.rows)
+    tracked = [frame for frame in recording.frames() if not isinstance(frame, BadFrame)]
+
+    def decode() -> None:
+        for _ in recording.frames():
+            pass
+
+    def steps() -> None:
+        tracking = RecordedTracking(recording, True)
+        for frame in tracked:
+            tracking.step(frame)
+
+    def replay() -> None:
+        replay_recording(recording, out, OPTIONS)
+
+    replay()
+    runs = [[cpu_and_wall_s(part) for part in (decode, steps, replay)] for _ in range(repeats)]
+    decode_ms, step_ms, whole_ms = (
+        1e3 / n * min(cpu_s for cpu_s, _ in part) for part in zip(*runs, strict=True)
+    )
+    wall_ms = 1e3 / n * min(wall_s for *_, (_, wall_s) in runs)
+    print(
+        f"{recording.name}: CPU ms a frame: decode {decode_ms:.2f}, step {step_ms:.2f}, "
+        f"rest {whole_ms - decode_ms - step_ms:.2f}, in all {whole_ms:.2f}, or "
+        f"{1e3 / whole_ms:.0f} frames/s a core; by the clock {wall_ms:.2f} ms, {1e3 / wall_ms:.0f} frames/s"
+    )
+
+
+def frames_per_s(executor: Executor, jobs: list[ReplayJob]) -> float:
+    began_s = time.perf_counter()
+    done = list(at_once(replay_job, jobs, executor))
+    took_s = time.perf_counter() - began_s
+    assert all(isinstance(replayed, Replayed) for replayed in done)
+    return sum(replayed.summaries[0].frames for replayed in done if isinstance(replayed, Replayed)) / took_s
+
+
+def in_workers(recording: Recording, out: Path, repeats: int, workers: int) -> None:
+    rates = {}
+    for count in (1, workers):
+        jobs = [ReplayJob(recording.path, out / f"{n}", None, OPTIONS) for n in range(2 * count)]
+        with processes(count) as executor:
+            frames_per_s(executor, jobs[:count])
+            rates[count] = max(frames_per_s(executor, jobs) for _ in range(repeats))
+    ratio = rates[workers] / rates[1]
+    print(
+        f"{recording.name}: one worker {rates[1]:.0f} frames/s, {workers} workers {rates[workers]:.0f}: "
+        f"{ratio:.2f} times as many"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("recordings", nargs="*", type=Path)
+    parser.add_argument("--frames", type=int, default=400)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--workers", type=int, default=2)
+    chosen = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        paths: list[Path] = chosen.recordings
+        if not paths:
+            setup = balance(nominal_setup("v_groove", "mild_steel", width=640, height=480))
+            plan = SimulationPlan(frames=chosen.frames, rate_hz=RATE_HZ, production=True)
+            paths = [simulate_recording(Path(scratch, "v_groove"), setup, plan)]
+        for path in paths:
+            recording = read_recording(path)
+            in_one_process(recording, Path(scratch, "out"), chosen.repeats)
+            in_workers(recording, Path(scratch, "workers"), chosen.repeats, chosen.workers)
+
+
+if __name__ == "__main__":
+    main()
