@@ -6,7 +6,8 @@ again.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import operator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
@@ -19,12 +20,12 @@ Demand = Literal["yes", "at_least", "at_most", "more_than", "less_than"]
 """How a value stands to its limit where a check passes; a value that is NaN passes each but `yes`."""
 
 
-_PASSES: dict[Demand, Callable[[float, float], bool]] = {
-    "yes": lambda value, limit: value == limit,
-    "at_least": lambda value, limit: not value < limit,
-    "at_most": lambda value, limit: not value > limit,
-    "more_than": lambda value, limit: not value <= limit,
-    "less_than": lambda value, limit: not value >= limit,
+_FAILS: dict[Demand, Callable[[float, float], bool]] = {
+    "yes": operator.ne,
+    "at_least": operator.lt,
+    "at_most": operator.gt,
+    "more_than": operator.le,
+    "less_than": operator.ge,
 }
 
 
@@ -76,7 +77,7 @@ class Check(NamedTuple):
     @property
     def passed(self) -> bool:
         """Whether the value meets the demand."""
-        return _PASSES[self.question.demand](self.value, self.limit)
+        return not _FAILS[self.question.demand](self.value, self.limit)
 
     @property
     def outcome(self) -> Outcome:
@@ -101,20 +102,27 @@ class Checks:
     answers: list[Check] = field(default_factory=list)
     flags: int = 0
 
+    @classmethod
+    def of(cls, answers: Iterable[Check]) -> Checks:
+        """Return answers that were given elsewhere, with the flags that they raise."""
+        kept = cls(list(answers))
+        for check in kept.answers:
+            kept.flags |= 0 if check.passed else check.flag.mask
+        return kept
+
     def ask(self, question: Question, value: float, limit: float = 1.0, flag: Flag | None = None) -> bool:
         """Keep an answer and say whether it passed; `flag` stands for the question's own."""
         value, raised = float(value), flag or question.flag
         self.answers.append(Check(question, value, limit, raised))
-        if _PASSES[question.demand](value, limit):
-            return True
-        self.flags |= raised.mask
-        return False
+        if _FAILS[question.demand](value, limit):
+            self.flags |= raised.mask
+            return False
+        return True
 
-    def extend(self, answers: tuple[Check, ...]) -> None:
-        """Keep answers that were given elsewhere."""
-        for check in answers:
-            self.answers.append(check)
-            self.flags |= 0 if check.passed else check.flag.mask
+    def extend(self, others: Checks) -> None:
+        """Keep the answers of other checks, and their flags."""
+        self.answers += others.answers
+        self.flags |= others.flags
 
 
 FRAME_FORMAT = Question(

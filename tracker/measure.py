@@ -310,9 +310,7 @@ def measure_again(
             check.question is checks.SECOND_STRIPE and not check.passed
         ):
             answers[check.question.id] = check
-    asked = Checks()
-    asked.extend(tuple(answers.values()))
-    return again._replace(checks=asked)
+    return again._replace(checks=Checks.of(answers.values()))
 
 
 def _lines_held(reading: Reading) -> int:

@@ -7,23 +7,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
-from noise_model.arc.scene import Scene, scene_along
-from noise_model.surface.joint import NOMINAL_SEAM
 from tracker import checks, flags
 from tracker.checks import Checks
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
-from tracker.joint import MeasuredJoint
 from tracker.measure import TRACK_REACH_MM, Reading, measure, measure_again
 from tracker.seam.correction import UNSTATED, Correction
+from tracker.seam.expected import ExpectedSeam, expect_seam, pose_checks
 from tracker.seam.gaussian_process import WIDE_SIGMA_MM, SeamHistory
-from tracker.seam.locate import Located, confidence, expected_seam, locate, pose_checks
-from tracker.seam.steer import AT_ONCE, Lead, Steering, steer
-from tracker.seam.stretches import Stretches, followed
-from tracker.state import NAN, Frame, Pose, Track, frame_misfit
+from tracker.seam.locate import confidence
+from tracker.seam.steer import AT_ONCE, Lead, Steering, TorchOffset, steer
+from tracker.seam.stretches import SeenSeam, Stretches, followed, see
+from tracker.state import NAN, NO_SHAPE, Frame, Pose, Track, frame_misfit
 from tracker.stripe.read import Work
 from tracker.stripe.scatter import NO_SCATTER, Scatter
 
@@ -158,56 +155,33 @@ def step_and_reading(
     lead: Lead = AT_ONCE,
 ) -> tuple[TrackerState, Track, Reading | None]:
     """Return what `step` does and the look at the frame that it rests on, None where it took none."""
-    asked, n = Checks(), state.frames + 1
-    if not _can_look(asked, geometry, frame, pose) or pose is None:
-        if state.steering.is_stopped:
-            asked.ask(checks.FOLLOWING, False)
-        refused = Track(frame.index, frame.timestamp_s, asked.flags, checks=tuple(asked.answers))
-        return replace(state, frames=n), refused, None
-
+    asked = Checks()
+    if not _is_readable(asked, geometry, frame, pose) or pose is None:
+        return _refused(state, asked, frame)
     frame, pose = _as_compiled_for(frame, pose)
     source = geometry.seam_source
-    nominal_scene = scene_along(source.scene, pose.T_base_tool, NOMINAL_SEAM)
     confirmed = state.history if state.lost < LOST_TO_FORGET else SeamHistory()
-    seam, seam_sigma = expected_seam(source, nominal_scene, confirmed)
-    reach_mm = min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * max(seam_sigma))
+    expected = expect_seam(
+        source, pose.T_base_tool, confirmed.stations_mm, confirmed.displacements_mm, confirmed.variances_mm2
+    )
+    if not pose_checks(asked, source, expected.pose):
+        return _refused(state, asked, frame)
+    seam, scene = expected.line, expected.scene
+    reach_mm = min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * max(expected.sigma_mm))
     if state.lost >= LOST_TO_SEARCH:
         reach_mm = SEARCH_REACH_MM
     reading = measure(geometry, frame, pose, seam, reach_mm, work, use_arc_map, state.scatter)
     if not asked.ask(checks.REACH, reach_mm, SEARCH_REACH_MM):
-        reading = measure_again(
-            geometry, frame, pose, nominal_scene, seam, reading, work, use_arc_map, state.scatter
-        )
-    asked.extend(tuple(reading.checks.answers))
-    stretches, located = _judged(geometry, state, asked, nominal_scene, reading)
-    steering, joint = state.steering, reading.joint
-    if located is not None:
-        steering = replace(steering, hand_eye_variance_mm2=located.hand_eye_mm2)
+        reading = measure_again(geometry, frame, pose, scene, seam, reading, work, use_arc_map, state.scatter)
+    asked.extend(reading.checks)
+    stretches, seen = _judged(geometry, state, asked, expected, reading)
+    steering, is_shown = state.steering, seen is not None
+    if seen is not None:
+        steering = Steering(steering.ends, steering.is_stopped, seen.located.hand_eye_mm2)
     steering, offset = steer(
-        correction,
-        source,
-        pose.T_base_tool,
-        nominal_scene,
-        stretches,
-        steering,
-        asked,
-        located is not None,
-        seam.station_mm,
-        frame.timestamp_s,
-        lead,
+        correction, source.weld_mm, expected, stretches, steering, asked, is_shown, frame.timestamp_s, lead
     )
-    track = Track(
-        frame.index,
-        frame.timestamp_s,
-        asked.flags,
-        arc_level=reading.arc.level if reading.arc.is_on else NAN,
-        map_misfit=reading.arc.misfit,
-        fov_margin_mm=reading.fov_margin_mm,
-        stripe=reading.stripe,
-        checks=tuple(asked.answers),
-        **offset._asdict(),
-        **({} if located is None or joint is None else _seam_values(source.weld_mm, located, joint)),
-    )
+    track = _track(frame, asked, reading, offset, seen, source.weld_mm)
     state = TrackerState(
         stretches.history,
         stretches.beyond,
@@ -217,25 +191,41 @@ def step_and_reading(
         stretches.jumps,
         stretches.jumped_at,
         stretches.lost,
-        n,
+        state.frames + 1,
     )
     return state, track, reading
 
 
+def _refused(state: TrackerState, asked: Checks, frame: Frame) -> tuple[TrackerState, Track, None]:
+    """Return what a step does that took no look."""
+    if state.steering.is_stopped:
+        asked.ask(checks.FOLLOWING, False)
+    track = Track(frame.index, frame.timestamp_s, asked.flags, checks=tuple(asked.answers))
+    return replace(state, frames=state.frames + 1), track, None
+
+
 def _judged(
-    geometry: SensorGeometry, state: TrackerState, asked: Checks, nominal_scene: Scene, reading: Reading
-) -> tuple[Stretches, Located | None]:
+    geometry: SensorGeometry, state: TrackerState, asked: Checks, expected: ExpectedSeam, reading: Reading
+) -> tuple[Stretches, SeenSeam | None]:
     """Judge a look's joint against the earlier ones; return what is remembered, and the seam if it is one."""
-    remembered = Stretches(
-        state.history, state.beyond, state.behind, state.jumps, state.jumped_at, state.lost
-    )
-    joint = reading.joint
+    history, joint = state.history, reading.joint
+    remembered = Stretches(history, state.beyond, state.behind, state.jumps, state.jumped_at, state.lost)
     if joint is not None:
-        T_nominal_tool = nominal_scene.T_joint_tool
-        located = locate(geometry.seam_source, T_nominal_tool, reading.scene, joint.y_mm, joint.z_mm)
-        if asked.ask(checks.NEAR_NOMINAL, max(map(abs, located.displacement_mm)), MAX_OFF_MM):
-            variance_mm2 = float(joint.covariance_mm2[0, 0]), float(joint.covariance_mm2[1, 1])
-            return followed(remembered, asked, state.frames + 1, located, variance_mm2), located
+        seen = see(
+            geometry.seam_source,
+            expected.scene.T_joint_tool,
+            reading.scene,
+            joint.y_mm,
+            joint.z_mm,
+            (float(joint.covariance_mm2[0, 0]), float(joint.covariance_mm2[1, 1])),
+            history.stations_mm,
+            history.displacements_mm,
+            history.variances_mm2,
+            history.began_mm,
+        )
+        y_mm, z_mm = seen.located.displacement_mm
+        if asked.ask(checks.NEAR_NOMINAL, max(abs(y_mm), abs(z_mm)), MAX_OFF_MM):
+            return followed(remembered, asked, state.frames + 1, seen), seen
     return remembered._replace(lost=state.lost + (reading.stripe is not None)), None
 
 
@@ -250,29 +240,49 @@ def _as_compiled_for(frame: Frame, pose: Pose) -> tuple[Frame, Pose]:
     return frame, pose
 
 
-def _can_look(asked: Checks, geometry: SensorGeometry, frame: Frame, pose: Pose | None) -> bool:
-    """Ask whether frame and pose allow a look at the joint."""
+def _is_readable(asked: Checks, geometry: SensorGeometry, frame: Frame, pose: Pose | None) -> bool:
+    """Ask whether a frame has its form and a pose, and whether the pose has its own."""
     fits = frame_misfit(frame.image_dn.shape, frame.image_dn.dtype, geometry.setup) is None
     if not asked.ask(checks.FRAME_FORMAT, fits) or not asked.ask(checks.POSE_KNOWN, pose is not None):
         return False
     assert pose is not None
     asked.ask(checks.POSE_BRACKETED, not pose.extrapolated)
-    asked_of_pose = pose_checks(geometry.seam_source, pose.T_base_tool)
-    asked.extend(tuple(asked_of_pose.answers))
-    return asked_of_pose.flags == 0
+    return pose.T_base_tool.shape == (4, 4) or asked.ask(checks.POSE_RIGID, False)
 
 
-def _seam_values(weld_mm: float, located: Located, joint: MeasuredJoint) -> dict[str, Any]:
-    """Return what a track says of its seam."""
-    y_mm2, z_mm2 = located.hand_eye_mm2
-    sigma_y_mm = math.sqrt(float(joint.covariance_mm2[0, 0]) + y_mm2)
-    sigma_z_mm = math.sqrt(float(joint.covariance_mm2[1, 1]) + z_mm2)
-    return {
-        "seam_tool_mm": located.seam_tool_mm,
-        "sigma_y_mm": sigma_y_mm,
-        "sigma_z_mm": sigma_z_mm,
-        "gap_mm": joint.gap_mm,
-        "mismatch_mm": joint.mismatch_mm,
-        "confidence": confidence(weld_mm, (sigma_y_mm, sigma_z_mm)),
-        "shape": joint.shape,
-    }
+def _track(
+    frame: Frame, asked: Checks, reading: Reading, offset: TorchOffset, seen: SeenSeam | None, weld_mm: float
+) -> Track:
+    """Return what a step says of a frame that it looked at."""
+    seam_mm, sigma_y_mm, sigma_z_mm, seam_confidence = (NAN, NAN, NAN), NAN, NAN, NAN
+    joint = None if seen is None else reading.joint
+    if seen is not None:
+        (hand_eye_y, hand_eye_z), (variance_y, variance_z) = seen.located.hand_eye_mm2, seen.variance_mm2
+        seam_mm = seen.located.seam_tool_mm
+        sigma_y_mm, sigma_z_mm = math.sqrt(variance_y + hand_eye_y), math.sqrt(variance_z + hand_eye_z)
+        seam_confidence = confidence(weld_mm, (sigma_y_mm, sigma_z_mm))
+    return Track(
+        frame.index,
+        frame.timestamp_s,
+        asked.flags,
+        seam_tool_mm=seam_mm,
+        sigma_y_mm=sigma_y_mm,
+        sigma_z_mm=sigma_z_mm,
+        offset_y_mm=offset.offset_y_mm,
+        offset_z_mm=offset.offset_z_mm,
+        offset_sigma_y_mm=offset.offset_sigma_y_mm,
+        offset_sigma_z_mm=offset.offset_sigma_z_mm,
+        offset_confidence=offset.offset_confidence,
+        valid_at_s=offset.valid_at_s,
+        gap_mm=NAN if joint is None else joint.gap_mm,
+        mismatch_mm=NAN if joint is None else joint.mismatch_mm,
+        confidence=seam_confidence,
+        joint_start_mm=offset.joint_start_mm,
+        joint_end_mm=offset.joint_end_mm,
+        arc_level=reading.arc.level if reading.arc.is_on else NAN,
+        map_misfit=reading.arc.misfit,
+        fov_margin_mm=reading.fov_margin_mm,
+        shape=NO_SHAPE if joint is None else joint.shape,
+        stripe=reading.stripe,
+        checks=tuple(asked.answers),
+    )

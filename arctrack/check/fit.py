@@ -17,10 +17,12 @@ from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import corrugation_height, seam_frame, section
 from noise_model.transforms import invert, transform
+from tracker.checks import Checks
 from tracker.geometry import SEARCH_REACH_MM, to_laser_plane
 from tracker.joint.type_check import Family, shown_family
 from tracker.profile import Profile
-from tracker.seam.locate import SeamSource, pose_checks
+from tracker.seam.expected import pose_checks, pose_numbers
+from tracker.seam.locate import SeamSource
 
 BESIDE_MM = 4.0
 """So far beyond the section's outer corners points count: farther out all joints are plates."""
@@ -118,12 +120,13 @@ def line_points(setup: Setup, sight: Sight) -> LinePoints:
     nothing = np.empty(0)
     if not np.isfinite(sight.T_base_tool).all():
         return LinePoints(nothing, nothing, math.nan, math.nan, 0)
-    raised = pose_checks(SeamSource.of(setup), sight.T_base_tool).flags
+    asked, source = Checks(), SeamSource.of(setup)
+    pose_checks(asked, source, pose_numbers(source, np.require(sight.T_base_tool, np.float64, ("C", "W"))))
     points_px = sight.points_px[:: max(1, len(sight.points_px) // MAX_POINTS)]
     points_tool, beside_tool = (to_laser_plane(setup, points_px + step)[0] for step in (0.0, 1.0))
     met = np.isfinite(points_tool).all(axis=1) & np.isfinite(beside_tool).all(axis=1)
-    if raised or not met.any():
-        return LinePoints(nothing, nothing, math.nan, math.nan, raised)
+    if asked.flags or not met.any():
+        return LinePoints(nothing, nothing, math.nan, math.nan, asked.flags)
     ahead_base = transform(sight.T_base_tool, setup.laser.point_mm)
     T_joint_tool = invert(seam_frame(setup.joint, ahead_base)) @ sight.T_base_tool
     x, y, z = transform(T_joint_tool, points_tool[met]).T

@@ -161,7 +161,8 @@ def scene_along(
     """Return the scene of a pose along a stretch of the seam, see `make_scene`."""
     T = np.require(T_base_tool, np.float64, ("C", "W"))
     line = _as_floats(seam)
-    scene: Scene = _scene(source, T, line, line if ground is None else _as_floats(ground), ground is None)
+    on = line if ground is None else _as_floats(ground)
+    scene: Scene = laid_scene(source, T, line, on, ground is None)
     return scene
 
 
@@ -171,7 +172,7 @@ def _as_floats(line: SeamLine) -> SeamLine:
 
 
 @kernel(allocates=True)
-def _scene(
+def laid_scene(
     source: SceneSource, T_base_tool: Float64, seam: SeamLine, ground: SeamLine, is_own_ground: bool
 ) -> Scene:
     """Return `scene_along`'s scene; `is_own_ground` says that the arc stands on the stretch itself."""

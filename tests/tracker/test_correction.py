@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tracker.seam.correction import AxisCorrection, Correction, correct
 
 lengths_mm = st.floats(-40.0, 40.0)
-displacements_mm = st.tuples(lengths_mm, lengths_mm).map(np.array)
+displacements_mm = st.tuples(lengths_mm, lengths_mm)
 
 
 @st.composite
@@ -29,7 +29,9 @@ corrections = st.builds(Correction, y=axes(), z=axes())
 
 
 @given(displacements_mm)
-def test_unless_something_is_stated_the_displacement_is_sent_as_it_is(displacement: np.ndarray) -> None:
+def test_unless_something_is_stated_the_displacement_is_sent_as_it_is(
+    displacement: tuple[float, float],
+) -> None:
     corrected = correct(Correction(), displacement)
     np.testing.assert_array_equal(corrected.offset_mm, displacement)
     assert not corrected.is_limited
@@ -37,7 +39,7 @@ def test_unless_something_is_stated_the_displacement_is_sent_as_it_is(displaceme
 
 
 @given(corrections, displacements_mm)
-def test_no_correction_passes_its_limit(correction: Correction, displacement: np.ndarray) -> None:
+def test_no_correction_passes_its_limit(correction: Correction, displacement: tuple[float, float]) -> None:
     corrected = correct(correction, displacement)
     stated = correction.y, correction.z
     for axis, there_mm, offset_mm in zip(stated, displacement, corrected.offset_mm, strict=True):
@@ -49,22 +51,22 @@ def test_no_correction_passes_its_limit(correction: Correction, displacement: np
 
 @given(corrections, displacements_mm, displacements_mm)
 def test_a_correction_never_moves_further_than_the_seam(
-    correction: Correction, one: np.ndarray, other: np.ndarray
+    correction: Correction, one: tuple[float, float], other: tuple[float, float]
 ) -> None:
     """Continuous everywhere, at the limit too."""
-    a, b = correct(correction, one).offset_mm, correct(correction, other).offset_mm
+    a, b = (np.array(correct(correction, each).offset_mm) for each in (one, other))
     known = np.array(correction.enabled)
-    assert (np.abs(a - b)[known] <= np.abs(one - other)[known] + 1e-12).all()
+    assert (np.abs(a - b)[known] <= np.abs(np.subtract(one, other))[known] + 1e-12).all()
 
 
 @given(corrections, displacements_mm, lengths_mm)
 def test_the_axes_know_nothing_of_each_other(
-    correction: Correction, displacement: np.ndarray, z_mm: float
+    correction: Correction, displacement: tuple[float, float], z_mm: float
 ) -> None:
     """The arc-voltage control owns the height: whatever z does, it stays unknown and y stays what it is."""
     free = replace(correction, z=replace(correction.z, enable=False))
     offset_mm = correct(free, displacement).offset_mm
-    elsewhere = correct(free, np.array([displacement[0], z_mm])).offset_mm
+    elsewhere = correct(free, (displacement[0], z_mm)).offset_mm
     np.testing.assert_array_equal(offset_mm, elsewhere)
     assert math.isnan(offset_mm[1])
 
@@ -72,7 +74,7 @@ def test_the_axes_know_nothing_of_each_other(
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_correction_at_its_limit_passes_and_one_beyond_stops_both_axes(sign: float) -> None:
     correction = Correction(y=AxisCorrection(limit_mm=2.0, at_limit="stop"))
-    at, beyond = np.array([2.0 * sign, 0.5]), np.array([np.nextafter(2.0, 3.0) * sign, 0.5])
+    at, beyond = (2.0 * sign, 0.5), (math.nextafter(2.0, 3.0) * sign, 0.5)
     np.testing.assert_array_equal(correct(correction, at).offset_mm, at)
     stopped = correct(correction, beyond)
     assert stopped.is_stopped
@@ -84,17 +86,17 @@ def test_a_correction_at_its_limit_passes_and_one_beyond_stops_both_axes(sign: f
 
 def test_half_a_millimetre_off_the_root() -> None:
     correction = Correction(y=AxisCorrection(gain=0.8, bias_mm=0.5), z=AxisCorrection(bias_mm=-0.1))
-    np.testing.assert_allclose(correct(correction, np.array([1.0, 0.3])).offset_mm, [1.3, 0.2])
+    np.testing.assert_allclose(correct(correction, (1.0, 0.3)).offset_mm, [1.3, 0.2])
 
 
 def test_a_height_that_is_drawn_is_followed_whole_and_counts_towards_the_limit() -> None:
     correction = Correction(z=AxisCorrection(gain=0.5, limit_mm=6.0))
-    np.testing.assert_allclose(correct(correction, np.array([0.0, 1.0]), 4.0).offset_mm, [0.0, 4.5])
-    np.testing.assert_allclose(correct(correction, np.array([0.0, 1.0]), 8.0).offset_mm, [0.0, 6.0])
+    np.testing.assert_allclose(correct(correction, (0.0, 1.0), 4.0).offset_mm, [0.0, 4.5])
+    np.testing.assert_allclose(correct(correction, (0.0, 1.0), 8.0).offset_mm, [0.0, 6.0])
 
 
 def test_a_seam_that_is_not_known_has_no_correction() -> None:
-    corrected = correct(Correction(y=AxisCorrection(limit_mm=1.0, at_limit="stop")), np.full(2, np.nan))
+    corrected = correct(Correction(y=AxisCorrection(limit_mm=1.0, at_limit="stop")), (math.nan, math.nan))
     assert np.isnan(corrected.offset_mm).all()
     assert not corrected.is_stopped
 

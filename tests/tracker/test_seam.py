@@ -13,19 +13,23 @@ from rendered import pose_at, small_setup
 from scipy.spatial.transform import Rotation
 
 from noise_model.arc.scene import make_scene
+from noise_model.arrays import Float64
 from noise_model.surface.joint import SeamLine, corrugation_height
 from noise_model.transforms import invert, transform
 from tracker import flags
-from tracker.geometry import meet_laser_plane
+from tracker.checks import Checks
+from tracker.geometry import SensorGeometry, meet_laser_plane
+from tracker.seam.expected import is_rotation, pose_checks, pose_numbers
 from tracker.seam.locate import (
     SeamSource,
     confidence,
-    is_rotation,
     moved_variance,
-    pose_checks,
     seam_point,
     seam_point_tool,
 )
+from tracker.state import Frame, Pose
+from tracker.step import TrackerState, step
+from tracker.stripe.read import Work
 
 SEAM = SeamLine(20.0, 1.2, -0.6, 0.03, -0.02)
 
@@ -88,6 +92,14 @@ def test_confidence_is_that_of_independent_normal_errors(sigmas: list[float]) ->
     assert confidence(setup.tolerance.seam_mm, sigmas) == pytest.approx(within, abs=0.02)
 
 
+def flags_of(source: SeamSource, T_base_tool: Float64) -> int:
+    """Return the flags that a pose raises."""
+    asked = Checks()
+    can_look = pose_checks(asked, source, pose_numbers(source, T_base_tool))
+    assert can_look == (asked.flags == 0)
+    return asked.flags
+
+
 @pytest.mark.parametrize("joint", ["v_groove", "lap"])
 def test_a_line_that_runs_against_the_travel_is_told(joint: str) -> None:
     setup = small_setup(joint)
@@ -95,16 +107,14 @@ def test_a_line_that_runs_against_the_travel_is_told(joint: str) -> None:
     reversed_ = replace(setup, joint=replace(setup.joint, seam_in_base_mm=points[::-1]))
     for turn_deg in ((0.0, 0.0, 0.0), (20.0, -20.0, 30.0)):
         T_base_tool = pose_at(10.0, 0.5, 1.0, turn_deg).T_base_tool
-        assert pose_checks(SeamSource.of(setup), T_base_tool).flags == 0
-        assert pose_checks(SeamSource.of(reversed_), T_base_tool).flags == flags.SEAM_REVERSED.mask
+        assert flags_of(SeamSource.of(setup), T_base_tool) == 0
+        assert flags_of(SeamSource.of(reversed_), T_base_tool) == flags.SEAM_REVERSED.mask
 
 
 def test_what_is_no_pose_is_told() -> None:
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("xyz", [10.0, -20.0, 30.0], degrees=True).as_matrix()
     assert is_rotation(T)
-    source = SeamSource.of(small_setup("v_groove"))
-    assert pose_checks(source, T[:3]).flags == flags.POSE_REFUSED.mask
     mirrored, scaled, sheared = T.copy(), T.copy(), T.copy()
     mirrored[:3, 0] *= -1.0
     scaled[:3, :3] *= 1.01
@@ -115,3 +125,13 @@ def test_what_is_no_pose_is_told() -> None:
         wrong = T.copy()
         wrong[row, column] = value
         assert not is_rotation(wrong)
+
+
+@pytest.mark.parametrize("no_pose", [np.eye(4)[:3], np.full((4, 4), np.nan), 2.0 * np.eye(4)])
+def test_a_step_refuses_what_is_no_pose(no_pose: Float64) -> None:
+    geometry = SensorGeometry.of(small_setup("v_groove"))
+    camera, sensor = geometry.setup.camera, geometry.setup.sensor
+    frame = Frame(3, 0.1, np.zeros((camera.height, camera.width), sensor.dtype), camera.exposure_s)
+    state, track = step(geometry, TrackerState(), frame, Pose(no_pose), Work.of(geometry))
+    assert track.flags == flags.POSE_REFUSED.mask
+    assert state.frames == 1

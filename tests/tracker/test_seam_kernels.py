@@ -14,6 +14,7 @@ from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from noise_model.surface.joint import SeamLine, corrugation_height, seam_frame, seam_height_mm
 from noise_model.transforms import invert, inverted, moved_point, multiplied, transform
+from tracker.seam.expected import expect_seam, pose_numbers, torch_stations_mm
 from tracker.seam.gaussian_process import (
     CAPACITY,
     MIN_VARIANCE_MM2,
@@ -21,8 +22,8 @@ from tracker.seam.gaussian_process import (
     SPACING_MM,
     SeamHistory,
 )
-from tracker.seam.locate import SeamSource, expected_seam, locate, pose_numbers, sources
-from tracker.seam.steer import torch_stations_mm
+from tracker.seam.locate import SeamSource, locate, sources
+from tracker.seam.stretches import see
 
 JOINTS = "v_groove", "lap", "corrugation"
 TURNS_DEG = st.tuples(*[st.floats(-20.0, 20.0)] * 3)
@@ -78,16 +79,70 @@ def test_a_located_seam_lies_in_the_sheet_and_where_it_was_put(
 def test_the_expected_seam_is_where_the_history_meets_the_sheet(name: str) -> None:
     """Expected twice: where it is met goes with how high it is expected there."""
     setup, history = small_setup(name), SeamHistory()
-    source, scene = SeamSource.of(setup), make_scene(setup, pose_at(10.0, 0.7).T_base_tool)
+    source, T = SeamSource.of(setup), pose_at(10.0, 0.7).T_base_tool
     for station in np.arange(20.0, 50.0, 2.0):
         history = history.with_measurement(float(station), (0.01 * station, -0.2), (1e-4, 1e-4))
-    line, sigma_mm = expected_seam(source, scene, history)
+    expected = expect_seam(source, T, history.stations_mm, history.displacements_mm, history.variances_mm2)
+    scene = expected.scene
     ahead_mm = float(transform(scene.T_joint_tool, setup.laser.point_mm)[0])
     (y, z), _ = history.at(ahead_mm)
     met = locate(source, scene.T_joint_tool, scene, float(y), float(z) + seam_height_mm(setup.joint))
     twin, twin_sigma_mm = history.line_at(met.station_mm)
-    assert tuple(line) == pytest.approx(tuple(twin))
-    assert sigma_mm == pytest.approx(tuple(twin_sigma_mm))
+    assert tuple(expected.line) == pytest.approx(tuple(twin))
+    assert expected.sigma_mm == pytest.approx(tuple(twin_sigma_mm))
+
+
+@pytest.mark.parametrize("name", JOINTS)
+def test_what_a_pose_lets_expect_is_each_of_its_pieces(name: str) -> None:
+    setup = small_setup(name)
+    source, T = SeamSource.of(setup), pose_at(10.0, 0.7, 1.0, (2.0, -3.0, 4.0)).T_base_tool
+    nothing = SeamHistory()
+    expected = expect_seam(source, T, nothing.stations_mm, nothing.displacements_mm, nothing.variances_mm2)
+    assert expected.pose == pose_numbers(source, T)
+    scene = make_scene(setup, T)
+    for told, twin in zip(expected.scene, scene, strict=True):
+        if isinstance(twin, np.ndarray):
+            np.testing.assert_array_equal(told, twin)
+    assert (expected.scene.bend, expected.scene.below_surface) == (scene.bend, scene.below_surface)
+    stations = torch_stations_mm(source.scene.segments, T, scene.T_joint_tool)
+    assert (expected.torch_mm, expected.ends_mm) == stations
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+def test_what_is_no_pose_raises_nothing(wrong: float) -> None:
+    """The expectation is made before the pose is judged, so any sixteen numbers must pass through it."""
+    T, nothing = np.full((4, 4), wrong), SeamHistory()
+    source = SeamSource.of(small_setup("corrugation"))
+    expected = expect_seam(source, T, nothing.stations_mm, nothing.displacements_mm, nothing.variances_mm2)
+    assert not expected.pose.is_rotation
+
+
+@pytest.mark.parametrize("name", JOINTS)
+def test_a_seen_seam_is_located_and_put_beside_the_history(name: str) -> None:
+    setup, history = small_setup(name), SeamHistory()
+    source, scene = SeamSource.of(setup), make_scene(setup, pose_at(10.0, 0.7).T_base_tool)
+    for station in np.arange(20.0, 50.0, 2.0):
+        history = history.with_measurement(float(station), (0.01 * station, -0.2), (1e-4, 1e-4))
+    seen = see(
+        source,
+        scene.T_joint_tool,
+        scene,
+        0.3,
+        -0.1,
+        (1e-3, 2e-3),
+        history.stations_mm,
+        history.displacements_mm,
+        history.variances_mm2,
+        history.began_mm,
+    )
+    assert seen.located == locate(source, scene.T_joint_tool, scene, 0.3, -0.1)
+    station, displacement = seen.located.station_mm, seen.located.displacement_mm
+    assert seen.expected == history.point_at(station)
+    after = history.with_measurement(station, displacement, (1e-3, 2e-3))
+    np.testing.assert_array_equal(seen.stations_mm, after.stations_mm)
+    np.testing.assert_array_equal(seen.displacements_mm, after.displacements_mm)
+    np.testing.assert_array_equal(seen.variances_mm2, after.variances_mm2)
+    assert seen.began_mm == after.began_mm
 
 
 @pytest.mark.parametrize("name", JOINTS)
@@ -107,12 +162,12 @@ def test_the_torchs_station_is_that_of_its_own_segment(turn_deg: tuple[float, fl
     setup = small_setup("v_groove")
     T = pose_at(10.0, 0.7, 1.0, turn_deg).T_base_tool
     scene, segments = make_scene(setup, T), SeamSource.of(setup).scene.segments
-    torch_mm, start_mm, end_mm = torch_stations_mm(segments, T, scene.T_joint_tool)
+    torch_mm, ends_mm = torch_stations_mm(segments, T, scene.T_joint_tool)
     own = invert(seam_frame(setup.joint, T[:3, 3])) @ T
     assert torch_mm == pytest.approx(own[0, 3])
     points = np.asarray(setup.joint.seam_in_base_mm)[[0, -1]]
     stations = transform(scene.T_joint_tool @ invert(T), points)[:, 0]
-    assert (start_mm, end_mm) == pytest.approx(tuple(stations))
+    assert ends_mm == pytest.approx(tuple(stations))
 
 
 def plain_history(seen: list[tuple[float, Float64, Float64]]) -> tuple[Float64, Float64, Float64]:

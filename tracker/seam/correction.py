@@ -8,11 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
-
-import numpy as np
-
-from noise_model.arrays import Float64
+from typing import Literal, NamedTuple
 
 AtLimit = Literal["saturate", "stop"]
 WhenLost = Literal["hold", "extrapolate", "stop"]
@@ -112,20 +108,21 @@ UNSTATED = Correction()
 """The correction where none is stated."""
 
 
-@dataclass(frozen=True)
-class Corrected:
-    """A correction (2,) as (y, z), mm, NaN for an axis that is not enabled; both NaN once stopped."""
+class Corrected(NamedTuple):
+    """A correction as (y, z), mm, NaN for an axis that is not enabled; both NaN once stopped."""
 
-    offset_mm: Float64
+    offset_mm: tuple[float, float]
     is_limited: bool = False
     is_stopped: bool = False
 
 
-STOPPED = Corrected(np.full(2, math.nan), is_stopped=True)
+STOPPED = Corrected((math.nan, math.nan), is_stopped=True)
 
 
-def correct(correction: Correction, displacement_mm: Float64, height_mm: float = 0.0) -> Corrected:
-    """Return what is sent for a seam's displacement (2,) as (y, z), mm.
+def correct(
+    correction: Correction, displacement_mm: tuple[float, float], height_mm: float = 0.0
+) -> Corrected:
+    """Return what is sent for a seam's displacement as (y, z), mm.
 
     Each axis gets gain * displacement + bias, cut to its limit or stopped by it; a correction at its limit
     passes. `height_mm` is what the programmed path leaves out of the drawing, a corrugation's height: it is
@@ -137,11 +134,11 @@ def correct(correction: Correction, displacement_mm: Float64, height_mm: float =
     for n, axis in enumerate((correction.y, correction.z)):
         if not axis.enable:
             continue
-        sent_mm = axis.gain * float(displacement_mm[n]) + drawn_mm[n] + axis.bias_mm
+        sent_mm = axis.gain * displacement_mm[n] + drawn_mm[n] + axis.bias_mm
         if abs(sent_mm) > axis.limit_mm:
             if axis.at_limit == "stop":
                 return STOPPED
             is_limited = True
             sent_mm = math.copysign(axis.limit_mm, sent_mm)
         offset_mm[n] = sent_mm
-    return Corrected(np.array(offset_mm), is_limited)
+    return Corrected((offset_mm[0], offset_mm[1]), is_limited)

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,6 +48,21 @@ MIN_VARIANCE_MM2 = 1e-12
 """No measurement's own variance is taken for less, so that exact ones can be averaged."""
 
 
+class SeamPoint(NamedTuple):
+    """What a history says of the seam at a station: pairs are (y, z).
+
+    `displacement_mm` and `sigma_mm` are its displacement and 1 sigma, `slope` and `slope_sigma` its slope's.
+    The history goes from `first_mm` to `last_mm`; both are NaN where it is empty.
+    """
+
+    displacement_mm: tuple[float, float]
+    sigma_mm: tuple[float, float]
+    slope: tuple[float, float]
+    slope_sigma: tuple[float, float]
+    first_mm: float
+    last_mm: float
+
+
 @dataclass(frozen=True)
 class SeamHistory:
     """Latest measurements, joint frame, mm: stations x (n,), displacements (n, 2) as (y, z), variances.
@@ -73,7 +89,7 @@ class SeamHistory:
         y_mm, z_mm = displacement_mm
         variance_y_mm2, variance_z_mm2 = variance_mm2
         return SeamHistory(
-            *_with_measurement(
+            *with_measurement(
                 self.stations_mm,
                 self.displacements_mm,
                 self.variances_mm2,
@@ -90,34 +106,23 @@ class SeamHistory:
 
     def line_at(self, station_mm: float) -> tuple[SeamLine, Float64]:
         """Return the seam as a straight stretch about a station, and the 1 sigma (2,) of its y and z, mm."""
-        here, sigma, slope, slope_sigma = self._state_at(station_mm)
-        y_mm, z_mm = here.tolist()
-        slope_y, slope_z = slope.tolist()
-        return SeamLine(station_mm, y_mm, z_mm, slope_y, slope_z, float(slope_sigma.max())), sigma
+        here = self.point_at(station_mm)
+        line = SeamLine(station_mm, *here.displacement_mm, *here.slope, max(here.slope_sigma))
+        return line, np.array(here.sigma_mm)
 
     def at(self, station_mm: float) -> tuple[Float64, Float64]:
         """Return the displacement (2,) as (y, z), mm, and its 1 sigma (2,) at a station."""
-        value, sigma, _, _ = self._state_at(station_mm)
-        return value, sigma
+        here = self.point_at(station_mm)
+        return np.array(here.displacement_mm), np.array(here.sigma_mm)
 
-    def _state_at(self, station_mm: float) -> tuple[Float64, Float64, Float64, Float64]:
-        """Return displacement, its 1 sigma, the seam's slope and its 1 sigma, (2,) each, at a station."""
-        value, sigma, slope, slope_sigma = np.empty((4, 2))
-        condition(
-            self.stations_mm,
-            self.displacements_mm,
-            self.variances_mm2,
-            station_mm,
-            value,
-            sigma,
-            slope,
-            slope_sigma,
-        )
-        return value, sigma, slope, slope_sigma
+    def point_at(self, station_mm: float) -> SeamPoint:
+        """Return what the measurements say of the seam at a station."""
+        point: SeamPoint = condition(self.stations_mm, self.displacements_mm, self.variances_mm2, station_mm)
+        return point
 
 
 @kernel(allocates=True)
-def _with_measurement(
+def with_measurement(
     stations_mm: Float64,
     displacements_mm: Float64,
     variances_mm2: Float64,
@@ -175,12 +180,8 @@ def condition(
     displacements_mm: Float64,
     variances_mm2: Float64,
     station_mm: float,
-    value: Float64,
-    sigma: Float64,
-    slope: Float64,
-    slope_sigma: Float64,
-) -> None:
-    """Write displacement and slope (2,), and their 1 sigma, as measurements at stations (n,) leave them.
+) -> SeamPoint:
+    """Return the seam at a station as measurements at stations (n,) leave it.
 
     Displacements and variances are (n, 2). The last two of the states stay once the station that is asked for
     is passed. What the measurements tell of the bend's slope, they tell of the seam's, which may be more.
@@ -189,6 +190,7 @@ def condition(
     order = np.argsort(stations_mm, kind="mergesort")
     decay = math.sqrt(3.0) / BEND_LENGTH_MM
     m, gain, P, A = np.empty(N_STATES), np.empty(N_STATES), np.empty((N_STATES, N_STATES)), np.empty((2, 2))
+    value, sigma, slope, slope_sigma = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
     for axis in range(2):
         m[:] = 0.0
         P[:] = 0.0
@@ -228,6 +230,17 @@ def condition(
         slope[axis] = m[4]
         told = max(1.0 / max(P[4, 4], MIN_VARIANCE_MM2) - 1.0 / (decay * BEND_SIGMA_MM) ** 2, 0.0)
         slope_sigma[axis] = 1.0 / math.sqrt(1.0 / SLOPE_SIGMA**2 + told)
+    first_mm, last_mm = math.nan, math.nan
+    if n:
+        first_mm, last_mm = stations_mm[order[0]], stations_mm[order[n - 1]]
+    return SeamPoint(
+        (value[0], value[1]),
+        (sigma[0], sigma[1]),
+        (slope[0], slope[1]),
+        (slope_sigma[0], slope_sigma[1]),
+        first_mm,
+        last_mm,
+    )
 
 
 @kernel

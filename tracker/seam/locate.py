@@ -1,4 +1,4 @@
-"""Where the seam is beside the sensor: expected, found, and how far the hand-eye tolerance lets it be off."""
+"""Where a seam that was seen lies, and how far the hand-eye tolerance lets it be off."""
 
 from __future__ import annotations
 
@@ -14,43 +14,11 @@ from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
-from noise_model.surface.joint import SeamLine, nearest_segment, seam_height_mm, section
+from noise_model.surface.joint import seam_height_mm, section
 from noise_model.transforms import moved_point, transform
-from tracker import checks
-from tracker.checks import Checks
-from tracker.seam.gaussian_process import SeamHistory, condition
-
-MIN_CROSSING = 0.3
-"""The least cosine between the sheet's normal and the seam: below, it shows no section of the joint."""
 
 MAX_STEPS, MET_MM = 40, 1e-9
 """Steps by which the sheet is met along a corrugated seam at most, and how near to it is on it."""
-
-ROTATION_WITHIN = 1e-3
-"""How far a rotation's R R^T may be off the identity."""
-
-MAX_HEIGHT = 2.0
-"""How high the laser may stand over the surface, over its height above the tool's origin."""
-
-
-@kernel
-def is_rotation(T: Float64) -> bool:
-    """Say whether (4, 4) numbers are a pose: finite, a rotation and a displacement, nothing else."""
-    for i in range(3):
-        for j in range(4):
-            if not math.isfinite(T[i, j]) or (j < 3 and abs(T[i, j]) > 1.0 + ROTATION_WITHIN):
-                return False
-        for j in range(3):
-            product = T[i, 0] * T[j, 0] + T[i, 1] * T[j, 1] + T[i, 2] * T[j, 2]
-            if abs(product - (1.0 if i == j else 0.0)) > ROTATION_WITHIN:
-                return False
-    if not (T[3, 0] == 0.0 and T[3, 1] == 0.0 and T[3, 2] == 0.0 and T[3, 3] == 1.0):
-        return False
-    across = T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1]
-    along = T[1, 0] * T[2, 2] - T[1, 2] * T[2, 0]
-    level = T[1, 0] * T[2, 1] - T[1, 1] * T[2, 0]
-    handed: float = T[0, 0] * across - T[0, 1] * along + T[0, 2] * level
-    return handed > 0.0
 
 
 class SeamSource(NamedTuple):
@@ -82,94 +50,6 @@ class SeamSource(NamedTuple):
             tolerance.hand_eye_mm,
             tolerance.seam_mm,
         )
-
-
-class PoseNumbers(NamedTuple):
-    """What is asked of a pose: whether it is one, and how the sensor stands over the nominal seam, mm.
-
-    `height_mm` is the laser's over the workpiece, `crossing` the cosine between the sheet's normal and the
-    seam, `ahead_mm` the laser's lead over the torch along the seam.
-    """
-
-    is_rotation: bool
-    height_mm: float
-    crossing: float
-    ahead_mm: float
-
-
-@kernel(allocates=True)
-def pose_numbers(source: SeamSource, T_base_tool: Float64) -> PoseNumbers:
-    """Return what is asked of a pose (4, 4)."""
-    if not is_rotation(T_base_tool):
-        return PoseNumbers(False, math.nan, math.nan, math.nan)
-    T, laser_base = T_base_tool, moved_point(T_base_tool, source.origin_mm)
-    joint = source.scene.segments.frames[nearest_segment(source.scene.segments, laser_base)]
-    height, crossing, ahead_mm = 0.0, 0.0, 0.0
-    for i in range(3):
-        height += (laser_base[i] - joint[i, 3]) * joint[i, 2]
-        normal, way = 0.0, 0.0
-        for j in range(3):
-            normal += T[i, j] * source.plane[j]
-            way += T[i, j] * source.scene.ahead_mm[j]
-        crossing += normal * joint[i, 0]
-        ahead_mm += way * joint[i, 0]
-    return PoseNumbers(True, height, abs(crossing), ahead_mm)
-
-
-def pose_checks(source: SeamSource, T_base_tool: Float64) -> Checks:
-    """Return what is asked of a pose, up to the first answer by which the joint cannot be seen from it."""
-    asked = Checks()
-    if T_base_tool.shape != (4, 4):
-        asked.ask(checks.POSE_RIGID, False)
-        return asked
-    told = pose_numbers(source, np.require(T_base_tool, np.float64, ("C", "W")))
-    if not asked.ask(checks.POSE_RIGID, told.is_rotation):
-        return asked
-    if not asked.ask(checks.LASER_ABOVE, told.height_mm, 0.0):
-        return asked
-    if not asked.ask(checks.LASER_NEAR, told.height_mm, MAX_HEIGHT * float(source.origin_mm[2])):
-        return asked
-    if not asked.ask(checks.SHEET_ACROSS, told.crossing, MIN_CROSSING):
-        return asked
-    # The sensor looks ahead. Of a line that runs against the travel, left would be taken for right.
-    asked.ask(checks.LASER_AHEAD, told.ahead_mm, 0.0)
-    return asked
-
-
-def expected_seam(
-    source: SeamSource, nominal_scene: Scene, history: SeamHistory
-) -> tuple[SeamLine, tuple[float, float]]:
-    """Return the seam where it should meet the laser plane, and the 1 sigma of its y and z, mm."""
-    expected: tuple[SeamLine, tuple[float, float]] = _expected(
-        source,
-        nominal_scene.T_joint_tool,
-        history.stations_mm,
-        history.displacements_mm,
-        history.variances_mm2,
-    )
-    return expected
-
-
-@kernel(allocates=True)
-def _expected(
-    source: SeamSource,
-    T_joint_tool: Float64,
-    stations_mm: Float64,
-    displacements_mm: Float64,
-    variances_mm2: Float64,
-) -> tuple[SeamLine, tuple[float, float]]:
-    """Return `expected_seam`'s from the history's arrays."""
-    ahead_mm, corrugation = source.scene.ahead_mm, source.scene.shape.corrugation
-    value, sigma, slope, slope_sigma = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
-    station = moved_point(T_joint_tool, ahead_mm)[0]
-    condition(stations_mm, displacements_mm, variances_mm2, station, value, sigma, slope, slope_sigma)
-    # The plane may lean: the root of a groove is met elsewhere than the plate is.
-    height_mm = value[1] + source.height_mm
-    point = seam_point(T_joint_tool, source.plane, ahead_mm, corrugation, value[0], height_mm)
-    station = moved_point(T_joint_tool, point)[0]
-    condition(stations_mm, displacements_mm, variances_mm2, station, value, sigma, slope, slope_sigma)
-    line = SeamLine(station, value[0], value[1], slope[0], slope[1], max(slope_sigma[0], slope_sigma[1]))
-    return line, (sigma[0], sigma[1])
 
 
 @kernel(allocates=True)

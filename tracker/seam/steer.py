@@ -13,22 +13,16 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numpy as np
-
-from noise_model.arc.scene import Scene
-from noise_model.arrays import Float64
-from noise_model.kernel import kernel
 from noise_model.surface.faces import ridge
-from noise_model.surface.joint import SeamSegments, nearest_segment
-from noise_model.transforms import inverted, multiplied
 from tracker import checks, flags
 from tracker.checks import Checks
 from tracker.seam.correction import STOPPED, Correction, correct
+from tracker.seam.expected import ExpectedSeam
 from tracker.seam.gaussian_process import SPACING_MM, SeamHistory
-from tracker.seam.joint_ends import Change, JointEnds, nominal_ends
-from tracker.seam.locate import SeamSource, confidence
+from tracker.seam.joint_ends import Change, JointEnds
+from tracker.seam.locate import confidence
 from tracker.seam.stretches import Stretches
-from tracker.state import NAN
+from tracker.state import NAN, UNKNOWN, Pair
 
 NO_LOOK = flags.LASER_OFF.mask | flags.BELOW_SURFACE.mask | flags.SEAM_OUT_OF_VIEW.mask
 """A frame with these says nothing of whether there is a joint."""
@@ -67,18 +61,12 @@ AT_ONCE = Lead()
 """The offset of where the torch is at the capture."""
 
 
-@dataclass(frozen=True)
-class SeamAtTorch:
-    """The seam's displacement and 1 sigma (2,) as (y, z) at the torch, mm, NaN where it is not known."""
+class SeamAtTorch(NamedTuple):
+    """The seam's displacement and 1 sigma as (y, z) at the torch, mm, NaN where it is not known."""
 
-    displacement_mm: Float64
-    sigma_mm: Float64
     asked: Checks
-
-    @classmethod
-    def unknown(cls, asked: Checks) -> SeamAtTorch:
-        """Return the seam at a torch where nothing is known of it."""
-        return cls(np.full(2, np.nan), np.full(2, np.nan), asked)
+    displacement_mm: Pair = UNKNOWN
+    sigma_mm: Pair = UNKNOWN
 
     @property
     def flags(self) -> int:
@@ -104,27 +92,30 @@ def seam_at_torch(
     start_mm, end_mm = stretch_mm
     asked = Checks()
     if not asked.ask(checks.TORCH_BEFORE_END, torch_mm - end_mm, 0.0):
-        return SeamAtTorch.unknown(asked)
+        return SeamAtTorch(asked)
     asked.ask(checks.TORCH_AFTER_START, start_mm - torch_mm, 0.0)
     if not asked.ask(checks.SEAM_MEASURED, len(history) > 0):
-        return SeamAtTorch.unknown(asked)
-    station_mm, last_mm = max(torch_mm, start_mm), float(history.stations_mm.max())
-    displacement, sigma = history.at(station_mm)
-    lost_mm = torch_mm - last_mm if torch_mm >= start_mm and not goes_on else 0.0
+        return SeamAtTorch(asked)
+    station_mm = max(torch_mm, start_mm)
+    there = history.point_at(station_mm)
+    displacement, sigma = there.displacement_mm, there.sigma_mm
+    lost_mm = torch_mm - there.last_mm if torch_mm >= start_mm and not goes_on else 0.0
     stops = correction.when_lost == "stop"
     if stops and not asked.ask(checks.SEAM_NOT_LOST, lost_mm, SPACING_MM, flags.FOLLOW_STOPPED):
-        return SeamAtTorch.unknown(asked)
+        return SeamAtTorch(asked)
     holds = correction.when_lost == "hold"
     if holds and not asked.ask(checks.SEAM_NOT_LOST, lost_mm, 0.0):
-        held, _ = history.at(last_mm)
-        displacement, sigma = held, np.hypot(sigma, displacement - held)
+        held = history.point_at(there.last_mm).displacement_mm
+        (y_mm, z_mm), (sigma_y_mm, sigma_z_mm) = displacement, sigma
+        sigma = math.hypot(sigma_y_mm, y_mm - held[0]), math.hypot(sigma_z_mm, z_mm - held[1])
+        displacement = held
     else:
-        asked.ask(checks.TORCH_MEASURED, history.is_measured(station_mm))
+        asked.ask(checks.TORCH_MEASURED, there.first_mm <= station_mm <= there.last_mm)
     if not asked.ask(checks.REACHED, lost_mm, correction.extrapolate_mm):
-        return SeamAtTorch.unknown(asked)
-    if not asked.ask(checks.TORCH_SIGMA, float(sigma.max()), correction.extrapolate_sigma_mm):
-        return SeamAtTorch.unknown(asked)
-    return SeamAtTorch(displacement, sigma, asked)
+        return SeamAtTorch(asked)
+    if not asked.ask(checks.TORCH_SIGMA, max(sigma), correction.extrapolate_sigma_mm):
+        return SeamAtTorch(asked)
+    return SeamAtTorch(asked, displacement, sigma)
 
 
 class TorchOffset(NamedTuple):
@@ -140,71 +131,48 @@ class TorchOffset(NamedTuple):
     joint_end_mm: tuple[float, float]
 
 
-@kernel(allocates=True)
-def torch_stations_mm(
-    segments: SeamSegments, T_base_tool: Float64, T_joint_tool: Float64
-) -> tuple[float, float, float]:
-    """Return the torch's station, and those of the nominal line's ends as `nominal_ends` has them.
-
-    Past a bend the torch may be on another segment than the sensor, `T_joint_tool`: each goes by its own.
-    """
-    tip = np.empty(3)
-    for i in range(3):
-        tip[i] = T_base_tool[i, 3]
-    on = segments.frames[nearest_segment(segments, tip)]
-    torch_mm = 0.0
-    for i in range(3):
-        torch_mm += on[i, 0] * (tip[i] - on[i, 3])
-    start_mm, end_mm = nominal_ends(segments, multiplied(T_joint_tool, inverted(T_base_tool)))
-    return torch_mm, start_mm, end_mm
-
-
 def steer(
     correction: Correction,
-    source: SeamSource,
-    T_base_tool: Float64,
-    nominal_scene: Scene,
+    weld_mm: float,
+    expected: ExpectedSeam,
     stretches: Stretches,
     steering: Steering,
     asked: Checks,
     is_seam_shown: bool,
-    looked_mm: float,
     timestamp_s: float,
     lead: Lead = AT_ONCE,
 ) -> tuple[Steering, TorchOffset]:
     """Return the offset that is proposed to the gate, and what is handed on.
 
-    `nominal_scene` is the pose seen from the nominal joint, `looked_mm` the station that the sensor looked
-    at, `stretches` what is remembered of the seam, with the frame's own measurement. What is asked of the
-    torch's place is added to what was `asked` of the frame, which says whether a seam that `is_seam_shown` is
-    valid. The torch is taken for where it will be after the `lead`.
+    `weld_mm` is the weld's tolerance, `stretches` what is remembered of the seam, with the frame's own
+    measurement. What is asked of the torch's place is added to what was `asked` of the frame, which says
+    whether a seam that `is_seam_shown` is valid. The torch is taken for where it will be after the `lead`.
     """
-    at_mm, *line_mm = torch_stations_mm(source.scene.segments, T_base_tool, nominal_scene.T_joint_tool)
-    ends, torch_mm = steering.ends, at_mm + lead.way_mm
+    ends, torch_mm = steering.ends, expected.torch_mm + lead.way_mm
     if correction.ends_mm > 0.0 and not asked.flags & NO_LOOK:
         is_valid = is_seam_shown and not asked.flags & flags.INVALIDATING
-        ends = ends.with_look(looked_mm, is_valid, (line_mm[0], line_mm[1]), correction.ends_mm)
-    joint_mm = ends.stretch_mm((line_mm[0], line_mm[1]), correction.ends_mm)
+        ends = ends.with_look(expected.line.station_mm, is_valid, expected.ends_mm, correction.ends_mm)
+    joint_mm = ends.stretch_mm(expected.ends_mm, correction.ends_mm)
     history = stretches.history_at(max(torch_mm, joint_mm[0]))
     there = seam_at_torch(correction, history, torch_mm, joint_mm, history is not stretches.history)
     height_mm = 0.0
     if correction.corrugation == "followed":
-        height_mm = ridge(torch_mm, nominal_scene.shape.corrugation)[0]
+        height_mm = ridge(torch_mm, expected.scene.shape.corrugation)[0]
     corrected = correct(correction, there.displacement_mm, height_mm)
     if steering.is_stopped or there.flags & flags.FOLLOW_STOPPED.mask:
         corrected = STOPPED
-    asked.extend(tuple(there.asked.answers))
+    asked.extend(there.asked)
     asked.ask(checks.OFFSET_WITHIN, not corrected.is_limited)
     asked.ask(checks.FOLLOWING, not corrected.is_stopped)
-    y_mm, z_mm = corrected.offset_mm.tolist()
-    sigma_y_mm, sigma_z_mm = there.sigma_mm.tolist()
+    y_mm, z_mm = corrected.offset_mm
+    sigma_y_mm, sigma_z_mm = there.sigma_mm
     sigma_y_mm, sigma_z_mm = NAN if math.isnan(y_mm) else sigma_y_mm, NAN if math.isnan(z_mm) else sigma_z_mm
     offset = TorchOffset(
         y_mm,
         z_mm,
         sigma_y_mm,
         sigma_z_mm,
-        _confidence(source.weld_mm, steering, (sigma_y_mm, sigma_z_mm)),
+        _confidence(weld_mm, steering, (sigma_y_mm, sigma_z_mm)),
         NAN if math.isnan(y_mm) and math.isnan(z_mm) else timestamp_s + lead.time_s,
         _where(ends.start),
         _where(ends.end),

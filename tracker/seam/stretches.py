@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-import operator
 from typing import NamedTuple
 
-import numpy as np
-
+from noise_model.arc.scene import Scene
+from noise_model.arrays import Float64
+from noise_model.kernel import kernel
 from tracker import checks
 from tracker.checks import Checks
-from tracker.seam.gaussian_process import SeamHistory
-from tracker.seam.locate import Located
+from tracker.seam.gaussian_process import SeamHistory, SeamPoint, condition, with_measurement
+from tracker.seam.locate import Located, SeamSource, locate
 from tracker.state import Pair
 
 JUMP_SIGMAS, JUMP_FLOOR_MM = 5.0, 0.3
@@ -40,6 +40,8 @@ class Stretches(NamedTuple):
 
         Between two stretches it is that of the nearer one.
         """
+        if not self.behind:
+            return self.history
         for measured in (self.history, *reversed(self.behind)):
             if measured.is_measured(station_mm):
                 return measured
@@ -51,20 +53,63 @@ class Stretches(NamedTuple):
         return stretch
 
 
-def followed(before: Stretches, asked: Checks, n: int, located: Located, variance_mm2: Pair) -> Stretches:
-    """Judge the seam that the n-th frame shows against the earlier ones, and remember it.
+class SeenSeam(NamedTuple):
+    """A seam that a frame shows, beside what a history says of its place.
 
-    `variance_mm2` is that of its (y, z).
+    `located` is where it lies, `variance_mm2` that of its (y, z), `expected` the history's seam at its
+    station; the rest is the history with it as one more measurement, as `SeamHistory` takes it.
     """
-    station, displacement = located.station_mm, located.displacement_mm
+
+    located: Located
+    variance_mm2: Pair
+    expected: SeamPoint
+    stations_mm: Float64
+    displacements_mm: Float64
+    variances_mm2: Float64
+    began_mm: float
+
+
+@kernel(allocates=True)
+def see(
+    source: SeamSource,
+    T_nominal_tool: Float64,
+    scene: Scene,
+    y_mm: float,
+    z_mm: float,
+    variance_mm2: Pair,
+    stations_mm: Float64,
+    displacements_mm: Float64,
+    variances_mm2: Float64,
+    began_mm: float,
+) -> SeenSeam:
+    """Return the seam at (y, z) of a look's frame, of such variances, beside a `SeamHistory`'s numbers.
+
+    `T_nominal_tool` is of the nominal joint frame, see `locate`.
+    """
+    located = locate(source, T_nominal_tool, scene, y_mm, z_mm)
+    expected = condition(stations_mm, displacements_mm, variances_mm2, located.station_mm)
+    stations, displacements, variances, began = with_measurement(
+        stations_mm,
+        displacements_mm,
+        variances_mm2,
+        began_mm,
+        located.station_mm,
+        located.displacement_mm,
+        variance_mm2,
+    )
+    return SeenSeam(located, variance_mm2, expected, stations, displacements, variances, began)
+
+
+def followed(before: Stretches, asked: Checks, n: int, seen: SeenSeam) -> Stretches:
+    """Judge the seam that the n-th frame shows against the earlier ones, and remember it."""
+    station, displacement = seen.located.station_mm, seen.located.displacement_mm
     history, behind, jumped_at = before.history, before.behind, before.jumped_at
-    if not len(history) or _is_near(asked, history, station, displacement, variance_mm2):
-        history = history.with_measurement(station, displacement, variance_mm2)
+    if not len(history) or _is_near(asked, seen):
+        history = SeamHistory(seen.stations_mm, seen.displacements_mm, seen.variances_mm2, seen.began_mm)
         return Stretches(history, SeamHistory(), behind, 0, jumped_at, 0)
-    jumps, beyond = before.jumps + 1, before.beyond
-    elsewhere, sigma = beyond.at(station)
-    away = np.abs(np.array(displacement) - elsewhere).tolist()
-    if any(map(operator.gt, away, map(jump_limit_mm, sigma.tolist(), variance_mm2))):
+    jumps, beyond, variance_mm2 = before.jumps + 1, before.beyond, seen.variance_mm2
+    elsewhere = beyond.point_at(station)
+    if any(away_mm > limit_mm for away_mm, limit_mm in _aways(elsewhere, displacement, variance_mm2)):
         # Nor where the last jump was: what is here and there is no seam.
         jumps, beyond = 1, SeamHistory()
     jumped_at = n if jumps == 1 else jumped_at
@@ -79,17 +124,21 @@ def followed(before: Stretches, asked: Checks, n: int, located: Located, varianc
     return Stretches(beyond, SeamHistory(), behind, 0, jumped_at, 0)
 
 
-def _is_near(
-    asked: Checks, history: SeamHistory, station_mm: float, seam_mm: Pair, variance_mm2: Pair
-) -> bool:
-    """Ask whether a seam, (y, z), lies where the earlier frames put it."""
-    expected, sigma = history.at(station_mm)
-    is_near = True
-    for axis, question in enumerate((checks.JUMP_Y, checks.JUMP_Z)):
-        away_mm = abs(seam_mm[axis] - float(expected[axis]))
-        limit_mm = jump_limit_mm(float(sigma[axis]), variance_mm2[axis])
-        is_near = asked.ask(question, away_mm, limit_mm) and is_near
-    return is_near
+def _is_near(asked: Checks, seen: SeenSeam) -> bool:
+    """Ask whether a seam lies where the earlier frames put it."""
+    in_y, in_z = _aways(seen.expected, seen.located.displacement_mm, seen.variance_mm2)
+    is_near_in_y = asked.ask(checks.JUMP_Y, *in_y)
+    return asked.ask(checks.JUMP_Z, *in_z) and is_near_in_y
+
+
+def _aways(expected: SeamPoint, displacement_mm: Pair, variance_mm2: Pair) -> tuple[Pair, Pair]:
+    """Return how far a seam lies from where it is expected, and how far it may, mm, in y and in z."""
+    (expected_y, expected_z), (sigma_y, sigma_z) = expected.displacement_mm, expected.sigma_mm
+    (y_mm, z_mm), (variance_y, variance_z) = displacement_mm, variance_mm2
+    return (
+        (abs(y_mm - expected_y), jump_limit_mm(sigma_y, variance_y)),
+        (abs(z_mm - expected_z), jump_limit_mm(sigma_z, variance_z)),
+    )
 
 
 def jump_limit_mm(expected_sigma_mm: float, variance_mm2: float) -> float:
