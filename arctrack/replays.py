@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from arctrack.check.verdict import Verdict, verdict_on
 from arctrack.errors import ArctrackError
+from arctrack.finished import Finished, FinishedVerdict, made_of, read_finished, sizes
 from arctrack.output import folders_for, real
 from arctrack.printable import printable
 from arctrack.recording import Recording, read_recording
@@ -22,12 +23,16 @@ OnFrame = Callable[[int], None]
 
 @dataclass(frozen=True)
 class ReplayJob:
-    """One recording to replay: where its files go, another setup than its own, and how to replay."""
+    """One recording to replay: where its files go, another setup than its own, and how to replay.
+
+    `resume` takes over what an earlier run of the same finished there.
+    """
 
     recording: Path
     folder: Path
     setup_path: Path | None = None
     options: ReplayOptions = field(default_factory=ReplayOptions)
+    resume: bool = False
 
     @property
     def name(self) -> str:
@@ -37,7 +42,8 @@ class ReplayJob:
     def absolute(self) -> ReplayJob:
         """Return the job for a process elsewhere, which has its own working directory."""
         setup_path = None if self.setup_path is None else self.setup_path.absolute()
-        return ReplayJob(self.recording.absolute(), self.folder.absolute(), setup_path, self.options)
+        recording, folder = self.recording.absolute(), self.folder.absolute()
+        return replace(self, recording=recording, folder=folder, setup_path=setup_path)
 
 
 @dataclass(frozen=True)
@@ -56,7 +62,8 @@ class Replayed:
 
     `summaries` has a second one where the replay went without the arc map and the truth is known: that with
     it. `warnings` are of the recording's tables, `replay_warnings` of the replay, one line each. `complaint`
-    is one line on frames that could not be read, None if all could.
+    is one line on frames that could not be read, None if all could. `is_taken_over` says that an earlier run
+    did it.
     """
 
     job: ReplayJob
@@ -66,6 +73,7 @@ class Replayed:
     replay_warnings: tuple[str, ...]
     complaint: str | None
     warm_up: WarmUp
+    is_taken_over: bool = False
 
 
 Outcome = Replayed | Failed[ReplayJob]
@@ -76,11 +84,12 @@ def jobs_for(
     out: Path | None = None,
     setup_path: Path | None = None,
     options: ReplayOptions | None = None,
+    resume: bool = False,
 ) -> list[ReplayJob]:
     """Return what there is to do; ArctrackError if two recordings would share a folder of results."""
     folders = folders_for(recordings, out, RESULTS_FOLDER, "its results would replace others")
     return [
-        ReplayJob(path, folder, setup_path, options or ReplayOptions())
+        ReplayJob(path, folder, setup_path, options or ReplayOptions(), resume)
         for path, folder in zip(recordings, folders, strict=True)
     ]
 
@@ -91,6 +100,10 @@ def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = 
     Raises ArctrackError for what the user can mend.
     """
     recording = read_recording(job.recording, job.setup_path)
+    digest = made_of(recording, job.options)
+    earlier = read_finished(job.folder, digest) if job.resume else None
+    if earlier is not None:
+        return _taken_over(job, recording, earlier)
     hears = Listeners() if begin is None else begin(recording)
     done = replay_recording(
         recording, job.folder, job.options, hears.on_frame, hears.on_drawn, hears.on_compiled
@@ -98,7 +111,7 @@ def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = 
     summaries = [done.summary]
     if not job.options.use_arc_map and done.recording.has_truth:
         summaries.append(track_alone(done.recording, True, hears.on_compared))
-    return Replayed(
+    replayed = Replayed(
         job,
         tuple(summaries),
         verdict_on(done.recording, done.tracks),
@@ -106,6 +119,29 @@ def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = 
         tuple(f"{recording.path}: {warning}" for warning in done.warnings),
         done.complaint,
         done.warm_up,
+    )
+    # Last of all, when pictures and logs are closed: what is not there by then was not finished.
+    Finished(
+        made_of=digest,
+        files=dict(sizes(job.folder)),
+        summaries=replayed.summaries,
+        verdict=FinishedVerdict.of(replayed.verdict),
+        replay_warnings=replayed.replay_warnings,
+        complaint=replayed.complaint,
+    ).write(job.folder)
+    return replayed
+
+
+def _taken_over(job: ReplayJob, recording: Recording, earlier: Finished) -> Replayed:
+    return Replayed(
+        job,
+        earlier.summaries,
+        earlier.verdict.verdict(),
+        recording.warnings,
+        earlier.replay_warnings,
+        earlier.complaint,
+        WarmUp(0, 0.0),
+        is_taken_over=True,
     )
 
 

@@ -40,7 +40,10 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
-app.command(epilog="Example: arctrack replay examples/v_groove --out /tmp/results")(replay)
+app.command(
+    epilog="Example: arctrack replay examples/v_groove --out /tmp/results. After an interruption: "
+    "arctrack replay monday tuesday --workers 2 --resume"
+)(replay)
 app.command(epilog="Example: arctrack check examples/v_groove --out /tmp/check.png")(check)
 app.command(epilog="Example: arctrack inspect examples/v_groove --out /tmp/v_groove.png")(inspect)
 app.command(epilog="Example: arctrack explain examples/v_groove 12 --out /tmp/frame_12.html")(explain)

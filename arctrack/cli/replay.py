@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
     from arctrack.check.verdict import Verdict
     from arctrack.recording import Recording
-    from arctrack.recording.results import Summary
-    from arctrack.replays import Listeners, Outcome, ReplayJob
+    from arctrack.replays import Listeners, Outcome, Replayed, ReplayJob
 
 
 def replay(
@@ -68,6 +67,13 @@ def replay(
     rrd: Annotated[
         bool, typer.Option("--rrd", help="Write replay.rrd too, for Rerun. Needs arctrack\\[rerun].")
     ] = False,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="Take over recordings that an earlier run finished, of the same files, options and version.",
+        ),
+    ] = False,
     workers: Workers = 1,
     scheduler: Scheduler = None,
 ) -> None:
@@ -97,7 +103,7 @@ def replay(
         job_number=job,
         onto_a_robot=onto_a_robot,
     )
-    jobs = jobs_for(recordings, out, setup, options)
+    jobs = jobs_for(recordings, out, setup, options, resume)
     if scheduler is not None or min(workers, len(jobs)) > 1:
         check_bus(options)
         jobs = jobs if scheduler is None else [job.absolute() for job in jobs]
@@ -145,7 +151,7 @@ def _in_turn(jobs: list[ReplayJob]) -> Iterator[Outcome]:
                 yield Failed(job, error)
                 continue
             console.say_compiled(job.name, done.warm_up)
-            console.warn(done.replay_warnings)
+            console.warn([*(done.warnings if done.is_taken_over else ()), *done.replay_warnings])
             yield done
 
 
@@ -175,11 +181,12 @@ def _report(outcomes: list[Outcome]) -> None:
 
     done = [outcome for outcome in outcomes if isinstance(outcome, Replayed)]
     failed = [outcome for outcome in outcomes if isinstance(outcome, Failed)]
-    _show([summary for replayed in done for summary in replayed.summaries], len(outcomes) > 1)
+    _show(done, len(outcomes) > 1)
     for replayed in done:
         console.say(
             f"{replayed.job.name}: {replayed.verdict.line}",
-            f"{replayed.job.name}: results in {replayed.job.folder}",
+            f"{replayed.job.name}: {'taken over: ' if replayed.is_taken_over else ''}results in "
+            f"{replayed.job.folder}",
         )
     complaints = [*(failure.problem for failure in failed), *(r.complaint for r in done if r.complaint)]
     console.complain(complaints)
@@ -199,13 +206,15 @@ def _end(complaints: list[str], verdicts: list[Verdict]) -> None:
         raise typer.Exit(NOTHING_TRACKED)
 
 
-def _show(summaries: list[Summary], of_several: bool) -> None:
+def _show(done: list[Replayed], of_several: bool) -> None:
     from arctrack.cli import console
     from arctrack.cli.replay_table import in_words, many_table, one_table
 
     screen = console.tables()
+    summaries = [summary for replayed in done for summary in replayed.summaries]
     if of_several and summaries:
-        screen.print(many_table(summaries))
+        taken_over = [replayed.is_taken_over for replayed in done for _ in replayed.summaries]
+        screen.print(many_table(summaries, taken_over))
     elif summaries:
         if summaries[0].score is not None:
             screen.print(one_table(summaries))

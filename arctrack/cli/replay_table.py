@@ -12,7 +12,7 @@ from rich.table import Table
 from arctrack.recording.results import Summary
 from arctrack.recording.score import AxisScore, Score
 
-NO_VALUE = "–"
+NO_VALUE, TAKEN_OVER = "–", "†"
 CONSTANT_REMOVED = "RMS*: with the constant part removed"
 
 
@@ -31,8 +31,8 @@ def one_table(summaries: Sequence[Summary]) -> Table:
     return table
 
 
-def many_table(summaries: Sequence[Summary]) -> Table:
-    """Return several recordings' errors in short, a row a replay."""
+def many_table(summaries: Sequence[Summary], taken_over: Sequence[bool]) -> Table:
+    """Return several recordings' errors in short, a row a replay; `taken_over`: an earlier run did it."""
     scored = any(summary.score is not None for summary in summaries)
     table = _table("Seam error against truth.csv over valid frames, mm" if scored else "Replays")
     table.add_column("recording", overflow="fold")
@@ -43,10 +43,16 @@ def many_table(summaries: Sequence[Summary]) -> Table:
             for name in ("RMS", "max", "RMS*"):
                 table.add_column(f"{axis}\n{name}", justify="right", no_wrap=True)
         table.add_column("over\nlimit", justify="right")
-        table.caption = f"y: lateral, z: vertical; {CONSTANT_REMOVED}"
+    captions = [f"y: lateral, z: vertical; {CONSTANT_REMOVED}"] if scored else []
+    if any(taken_over):
+        captions.append(
+            f"{TAKEN_OVER}: taken over from an earlier run, {sum(taken_over)} of {len(taken_over)}"
+        )
+    table.caption = "\n".join(captions) or None
     table.add_column("ms a\nframe", justify="right", no_wrap=True)
-    for summary in summaries:
-        cells = [escape(summary.recording), _map(summary), f"{summary.valid}/{summary.frames}"]
+    for summary, is_taken_over in zip(summaries, taken_over, strict=True):
+        mark = f" {TAKEN_OVER}" if is_taken_over else ""
+        cells = [escape(summary.recording) + mark, _map(summary), f"{summary.valid}/{summary.frames}"]
         if scored:
             cells += _short(summary.score)
         table.add_row(*cells, _number(summary.latency_ms.p50, 1))

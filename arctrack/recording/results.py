@@ -25,7 +25,9 @@ from tracker.state import NAN, Track
 RESULTS_CSV, SUMMARY_JSON, BUS_LOG = "results.csv", "summary.json", "bus.blf"
 OVERLAY_VIDEO, OVERVIEW_PICTURE, REPLAY_PAGE = "overlay.mp4", "overview.png", "replay.html"
 REPLAY_MCAP, REPLAY_RRD = "replay.mcap", "replay.rrd"
+FINISHED_JSON = "finished.json"
 FILES = (
+    FINISHED_JSON,
     RESULTS_CSV,
     SUMMARY_JSON,
     BUS_LOG,

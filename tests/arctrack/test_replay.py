@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.recording import Truth, read_recording
-from arctrack.recording.results import COLUMNS, FILES, REPLAY_MCAP, REPLAY_RRD, Latency
+from arctrack.recording.results import COLUMNS, FILES, FINISHED_JSON, REPLAY_MCAP, REPLAY_RRD, Latency
 from arctrack.recording.score import score
 from arctrack.replay import ReplayOptions, parse_bus, replay_recording, track_alone
 from arctrack.report.replay.pictures import exporter
@@ -262,7 +262,7 @@ def test_pictures_are_drawn_when_the_last_offset_is_out(simulated: Path, tmp_pat
     assert done == [(what, n) for what in ("replayed", "drawn") for n in range(1, 15)]
     with av.open(str(tmp_path / "overlay.mp4")) as video:
         assert sum(1 for _ in video.decode(video=0)) == 14
-    assert {path.name for path in tmp_path.iterdir()} == set(FILES) - {REPLAY_MCAP, REPLAY_RRD}
+    assert {path.name for path in tmp_path.iterdir()} == set(FILES) - {REPLAY_MCAP, REPLAY_RRD, FINISHED_JSON}
 
 
 @pytest.mark.parametrize(

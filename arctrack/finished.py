@@ -1,0 +1,147 @@
+"""What says that a recording's replay came to its end, and of what: another run need not do it again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+import arctrack
+from arctrack.check.hint import Hint
+from arctrack.check.verdict import Verdict
+from arctrack.limits import LIMITS
+from arctrack.output import real, write_whole
+from arctrack.recording import Recording
+from arctrack.recording.files import UnfitFileError, read_text
+from arctrack.recording.frames import png_path
+from arctrack.recording.poses import CSV_NAME, LOG_NAMES
+from arctrack.recording.reader import FRAMES_CSV, TRUTH_CSV
+from arctrack.recording.results import FILES, FINISHED_JSON, RESULTS_CSV, SUMMARY_JSON, Summary
+from arctrack.recording.steps import STATE_JSON, STEPS_CSV
+from arctrack.replay import ReplayOptions
+from arctrack.version import __version__
+
+TABLES = (FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES, STEPS_CSV, STATE_JSON)
+"""The files of a recording that are compared by content."""
+
+PACKAGES = ("arctrack", "noise_model", "robot_io", "tracker")
+"""What a replay's numbers come from."""
+
+
+class FinishedVerdict(BaseModel):
+    """A `Verdict`, its hint as what is wrong, the cure and the share."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    frames: int
+    laser_on: int
+    valid: int
+    flags: dict[str, int]
+    hint: tuple[str, str, float] | None
+
+    @classmethod
+    def of(cls, verdict: Verdict) -> FinishedVerdict:
+        """Return what is kept of a verdict."""
+        hint = verdict.hint
+        return cls(
+            frames=verdict.frames,
+            laser_on=verdict.laser_on,
+            valid=verdict.valid,
+            flags=dict(verdict.flags),
+            hint=None if hint is None else (hint.what, hint.cure, hint.share),
+        )
+
+    def verdict(self) -> Verdict:
+        """Return the verdict."""
+        hint = None if self.hint is None else Hint(*self.hint)
+        return Verdict(self.frames, self.laser_on, self.valid, self.flags, hint)
+
+
+class Finished(BaseModel):
+    """What finished.json holds: the digest of what went in, the sizes in bytes of the files that came out.
+
+    The rest is what `Replayed` says of the replay.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    format: Literal["arctrack-finished/1"] = "arctrack-finished/1"
+    made_of: str
+    files: dict[str, int]
+    summaries: tuple[Summary, ...]
+    verdict: FinishedVerdict
+    replay_warnings: tuple[str, ...]
+    complaint: str | None
+
+    def write(self, folder: Path) -> None:
+        """Write finished.json, whole or not at all; ArctrackError if it cannot be written."""
+        write_whole(folder / FINISHED_JSON, json.dumps(self.model_dump(), indent=2) + "\n")
+
+
+def read_finished(folder: Path, made_of: str) -> Finished | None:
+    """Return what a folder's finished replay came to; None unless it is whole, and was made of the same."""
+    try:
+        finished = Finished.model_validate(json.loads(read_text(folder / FINISHED_JSON, LIMITS.toml_bytes)))
+    except (OSError, UnfitFileError, ValueError, ValidationError):
+        return None
+    whole = {RESULTS_CSV, SUMMARY_JSON} <= finished.files.keys() and finished.files == sizes(folder)
+    return finished if whole and finished.made_of == made_of else None
+
+
+def sizes(folder: Path) -> Mapping[str, int]:
+    """Return the size of each file in a folder that a replay wrote, in bytes."""
+    paths = ((name, folder / name) for name in FILES if name != FINISHED_JSON)
+    return {name: path.stat().st_size for name, path in paths if path.is_file()}
+
+
+def made_of(recording: Recording, options: ReplayOptions) -> str:
+    """Return the digest of what a replay is made of: recording, setup, options, cell file, arctrack itself.
+
+    Tables and setups count by content, frames by name, size and time of change: a fleet's are too many to
+    read twice.
+    """
+    digest = hashlib.sha256()
+    cell = options.cell
+    for part in (
+        __version__,
+        source_digest(),
+        recording.name,
+        repr(replace(options, cell=None)),
+        *_contents(recording, () if cell is None else (cell.path,)),
+        *_frames(recording),
+    ):
+        digest.update(hashlib.sha256(part.encode(errors="surrogateescape")).digest())
+    return digest.hexdigest()
+
+
+def _contents(recording: Recording, others: tuple[Path, ...]) -> Iterator[str]:
+    for path in (recording.setup_path, *others, *(recording.path / name for name in TABLES)):
+        is_there = path.is_file()
+        yield hashlib.sha256(path.read_bytes()).hexdigest() if is_there else "none"
+
+
+def _frames(recording: Recording) -> Iterator[str]:
+    source = recording.frame_source
+    paths = [png_path(source, row.index) for row in recording.rows] if source.is_dir() else [source]
+    for path in paths:
+        status = path.stat() if path.exists() else None
+        yield f"{path.name} none" if status is None else f"{path.name} {status.st_size} {status.st_mtime_ns}"
+
+
+@cache
+def source_digest() -> str:
+    """Return the digest of arctrack's own sources: a version of its own for each change of them."""
+    digest = hashlib.sha256()
+    root = real(Path(arctrack.__file__)).parent.parent
+    for package in PACKAGES:
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(
+                f"{path.relative_to(root)} {hashlib.sha256(path.read_bytes()).hexdigest()}".encode()
+            )
+    return digest.hexdigest()
