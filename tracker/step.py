@@ -16,7 +16,7 @@ from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 from tracker.measure import TRACK_REACH_MM, Reading, measure, measure_again
 from tracker.seam.correction import UNSTATED, Correction
 from tracker.seam.expected import ExpectedSeam, expect_seam, pose_checks
-from tracker.seam.gaussian_process import WIDE_SIGMA_MM, SeamHistory
+from tracker.seam.gaussian_process import NO_HISTORY, WIDE_SIGMA_MM, SeamHistory
 from tracker.seam.locate import confidence
 from tracker.seam.steer import AT_ONCE, Lead, Steering, TorchOffset, steer
 from tracker.seam.stretches import SeenSeam, Stretches, followed, see
@@ -160,7 +160,7 @@ def step_and_reading(
         return _refused(state, asked, frame)
     frame, pose = _as_compiled_for(frame, pose)
     source = geometry.seam_source
-    confirmed = state.history if state.lost < LOST_TO_FORGET else SeamHistory()
+    confirmed = state.history if state.lost < LOST_TO_FORGET else NO_HISTORY
     expected = expect_seam(
         source, pose.T_base_tool, confirmed.stations_mm, confirmed.displacements_mm, confirmed.variances_mm2
     )

@@ -121,6 +121,10 @@ class SeamHistory:
         return point
 
 
+NO_HISTORY = SeamHistory()
+"""The history before anything is measured."""
+
+
 @kernel(allocates=True)
 def with_measurement(
     stations_mm: Float64,

@@ -122,7 +122,11 @@ def seam_displacement(setup: Setup, T_joint_tool: Float64, seam_tool: Float64) -
 def confidence(weld_mm: float, sigmas_mm: Sequence[float]) -> float:
     """Return the probability that errors of these 1 sigmas, mm, all stay within the weld's tolerance, mm."""
     within = weld_mm / math.sqrt(2.0)
-    return math.prod(1.0 if sigma == 0.0 else math.erf(within / sigma) for sigma in sigmas_mm)
+    probability = 1.0
+    for sigma in sigmas_mm:
+        if sigma != 0.0:
+            probability *= math.erf(within / sigma)
+    return probability
 
 
 class Located(NamedTuple):

@@ -10,7 +10,7 @@ from noise_model.arrays import Float64
 from noise_model.kernel import kernel
 from tracker import checks
 from tracker.checks import Checks
-from tracker.seam.gaussian_process import SeamHistory, SeamPoint, condition, with_measurement
+from tracker.seam.gaussian_process import NO_HISTORY, SeamHistory, SeamPoint, condition, with_measurement
 from tracker.seam.locate import Located, SeamSource, locate
 from tracker.state import Pair
 
@@ -106,12 +106,12 @@ def followed(before: Stretches, asked: Checks, n: int, seen: SeenSeam) -> Stretc
     history, behind, jumped_at = before.history, before.behind, before.jumped_at
     if not len(history) or _is_near(asked, seen):
         history = SeamHistory(seen.stations_mm, seen.displacements_mm, seen.variances_mm2, seen.began_mm)
-        return Stretches(history, SeamHistory(), behind, 0, jumped_at, 0)
+        return Stretches(history, NO_HISTORY, behind, 0, jumped_at, 0)
     jumps, beyond, variance_mm2 = before.jumps + 1, before.beyond, seen.variance_mm2
     elsewhere = beyond.point_at(station)
     if any(away_mm > limit_mm for away_mm, limit_mm in _aways(elsewhere, displacement, variance_mm2)):
         # Nor where the last jump was: what is here and there is no seam.
-        jumps, beyond = 1, SeamHistory()
+        jumps, beyond = 1, NO_HISTORY
     jumped_at = n if jumps == 1 else jumped_at
     beyond = beyond.with_measurement(station, displacement, variance_mm2)
     way_mm = abs(station - float(beyond.stations_mm[0]))
@@ -121,7 +121,7 @@ def followed(before: Stretches, asked: Checks, n: int, seen: SeenSeam) -> Stretc
     # The torch comes to the new stretch later: until then it is on the one before, if that was one.
     if len(history) >= JUMPS_TO_RELEARN:
         behind = (*behind, history)[-MAX_STRETCHES:]
-    return Stretches(beyond, SeamHistory(), behind, 0, jumped_at, 0)
+    return Stretches(beyond, NO_HISTORY, behind, 0, jumped_at, 0)
 
 
 def _is_near(asked: Checks, seen: SeenSeam) -> bool:
