@@ -49,7 +49,7 @@ PIECE_FLOOR = 0.5
 """A narrow piece of the disc still gets this share of the whole disc's nodes across."""
 
 CURVED_FACTOR = 2.0
-"""So many times the nodes across where walls or a corrugated lap's metal cut into the arc."""
+"""So many times the nodes across where borders turn at places that are not looked for."""
 
 NEAR_ARC = 0.35
 """From this sine of the arc's half-angle on there are more nodes, the more the nearer the point."""
@@ -377,8 +377,10 @@ def _integrate(
     near = 1.0 + 2.0 * max(0.0, sin_b - NEAR_ARC)
     more = max(near, disc_in_lobes(tan_b, (wx, wy, wz), omega_r, material) / LOBE_RADII)
     n_q = math.ceil(min(float(MAX_NODES_Q), n_q * more))
-    # Borders that are no lines have crossings that are not looked for.
-    n_p = math.ceil(CURVED_FACTOR * n_p) if has_metal or n_ledges > 0 else n_p
+    # Walls' borders have crossings that are not looked for, and where a crest hides more than the edge does
+    # the border of the upper sheet's metal has a knee.
+    has_knee = has_metal and metal[7] and not math.isnan(metal[4])
+    n_p = math.ceil(CURVED_FACTOR * n_p) if n_ledges > 0 or has_knee else n_p
     is_followed = has_metal and n_ledges == 0
     total = 0.0
     n = 0

@@ -25,6 +25,9 @@ CHORD_STEPS = 2
 MAX_WAYS = (CHORD_STEPS + 1) * MAX_NODES_P
 """Room for the rays that are looked at together: a piece's chords are most."""
 
+LOWER_END = 1e-3
+"""So far up a chord its lower end is looked at: beside the border that it lies on."""
+
 ROOT_STEPS, ROOT_MM = 16, 1e-4
 """At the most so many steps to a border, and how near to it in clearance is near enough."""
 
@@ -123,8 +126,10 @@ def border(
     low, high = 0.0, 1.0
     below, above = at_ends
     share = 0.5
+    # Beside an edge rays skim the metal, however they turn, until one meets it: what is near 0 tells nothing.
+    is_flat = min(abs(below), abs(above)) < ROOT_MM
     for i in range(ROOT_STEPS):
-        if max(abs(below), abs(above)) > TURNED_AWAY_MM or i % 4 == 3:
+        if is_flat or max(abs(below), abs(above)) > TURNED_AWAY_MM or i % 4 == 3:
             share = 0.5 * (low + high)
         else:
             # Regula falsi with halved weights (Illinois): the clearance is nearly straight.
@@ -132,7 +137,7 @@ def border(
         p_i = p[0] + share * (p[1] - p[0])
         q_i = math.sqrt(max(0.0, 1.0 - p_i * p_i)) if on_rim else q[0] + share * (q[1] - q[0])
         free = clearance(p_i, q_i, rays, metal)
-        if abs(free) < ROOT_MM:
+        if abs(free) < ROOT_MM and not is_flat:
             break
         if (free < 0.0) == (below < 0.0):
             low, below = share, free
@@ -202,7 +207,7 @@ def is_clear(
 
 
 @kernel
-def _open_below(
+def _add_lower_ends(
     p_low: float,
     p_high: float,
     open_tops: tuple[float, float],
@@ -214,10 +219,14 @@ def _open_below(
     metal: Metal,
     spans: Float64,
     ways: Float64,
-) -> tuple[float, float]:
-    """Return a range of p that holds `open_tops` and all chords whose lower ends are open.
+    breaks: Float64,
+    n_breaks: int,
+) -> tuple[float, float, int]:
+    """Add to the sorted `breaks` the p at which the metal's border meets the chords' lower ends.
 
-    An upright edge that stands higher than the arc's top cuts it aslant: chords end at the metal, not begin.
+    Returns a range of p that holds `open_tops` and all chords whose lower ends are open, and how many breaks
+    there are. An upright edge that stands higher than the arc's top cuts it aslant: chords end at the metal,
+    not begin.
     """
     middle, half = 0.5 * (p_low + p_high), 0.5 * (p_high - p_low)
     n = RIM_STEPS + 1
@@ -225,39 +234,51 @@ def _open_below(
         spans[0, i] = middle - half * _RIM[i]
     chords(spans, n, arc, below, cuts, n_cuts)
     for i in range(n):
-        ways[0, i], ways[1, i] = spans[0, i], spans[1, i] + 1e-3 * (spans[2, i] - spans[1, i])
+        ways[0, i], ways[1, i] = spans[0, i], spans[1, i] + LOWER_END * (spans[2, i] - spans[1, i])
     clearances(ways, n, rays, metal)
     first, last = open_tops
     for i in range(n):
         if spans[2, i] > spans[1, i] and ways[2, i] >= 0.0:
-            first = min(first, spans[0, max(i - 1, 0)])
-            last = max(last, spans[0, min(i + 1, n - 1)])
-    return first, last
+            first, last = min(first, ways[0, i]), max(last, ways[0, i])
+        if i == 0 or (ways[2, i] < 0.0) == (ways[2, i - 1] < 0.0):
+            continue
+        # From one looked at to the next the lower ends lie nearly on a straight line.
+        p, q = (ways[0, i - 1], ways[0, i]), (ways[1, i - 1], ways[1, i])
+        share = border(p, q, False, (ways[2, i - 1], ways[2, i]), rays, metal)
+        place = p[0] + share * (p[1] - p[0])
+        n_breaks = insert(breaks, n_breaks, place)
+        if spans[2, i - 1] > spans[1, i - 1] or spans[2, i] > spans[1, i]:
+            first, last = min(first, place), max(last, place)
+    return first, last, n_breaks
 
 
 @kernel
-def _open_range(p_low: float, p_high: float, rays: Rays, metal: Metal, ways: Float64) -> tuple[float, float]:
-    """Return between which p the tops of the chords are open; an empty range where none is."""
+def _add_tops(
+    p_low: float, p_high: float, rays: Rays, metal: Metal, ways: Float64, breaks: Float64, n_breaks: int
+) -> tuple[float, float, int]:
+    """Add to the sorted `breaks` the p at which the metal's border meets the tops of the chords.
+
+    Returns between which p the tops are open, an empty range where none is, and how many breaks there are.
+    """
     middle, half = 0.5 * (p_low + p_high), 0.5 * (p_high - p_low)
     for i in range(RIM_STEPS + 1):
         # Even in the angle: a sliver of the arc that is left to see lies at one end, where chords are short.
         p = middle - half * _RIM[i]
         ways[0, i], ways[1, i] = p, math.sqrt(max(0.0, 1.0 - p * p))
     clearances(ways, RIM_STEPS + 1, rays, metal)
-    first, last = RIM_STEPS + 1, -1
+    first, last = p_high, p_low
     for i in range(RIM_STEPS + 1):
-        if ways[2, i] >= 0.0:
-            first, last = min(first, i), i
-    if last < 0:
-        return p_high, p_low
-    for i_open, i_hidden in ((first, first - 1), (last, last + 1)):
-        if not 0 <= i_hidden <= RIM_STEPS:
+        is_open = ways[2, i] >= 0.0
+        if is_open:
+            first, last = min(first, ways[0, i]), max(last, ways[0, i])
+        if i == 0 or is_open == (ways[2, i - 1] >= 0.0):
             continue
-        p_hidden, p_open = ways[0, i_hidden], ways[0, i_open]
-        ends = (ways[2, i_hidden], ways[2, i_open])
-        p = p_hidden + border((p_hidden, p_open), (0.0, 0.0), True, ends, rays, metal) * (p_open - p_hidden)
-        p_low, p_high = (p, p_high) if i_hidden < i_open else (p_low, p)
-    return p_low, p_high
+        p_before, p = ways[0, i - 1], ways[0, i]
+        share = border((p_before, p), (0.0, 0.0), True, (ways[2, i - 1], ways[2, i]), rays, metal)
+        place = p_before + share * (p - p_before)
+        n_breaks = insert(breaks, n_breaks, place)
+        first, last = min(first, place), max(last, place)
+    return first, last, n_breaks
 
 
 @kernel
@@ -291,14 +312,10 @@ def clip(
             p_low, p_high = min(p_low, breaks[piece]), max(p_high, breaks[piece + 1])
     if p_high <= p_low:
         return p_low, p_high, n_breaks
-    p_first, p_last = _open_range(p_low, p_high, rays, metal, ways)
-    n_breaks = insert(breaks, n_breaks, p_first)
-    n_breaks = insert(breaks, n_breaks, p_last)
-    if metal[6] and metal[5] and not metal[7]:
-        tops = (p_first, p_last)
-        p_first, p_last = _open_below(p_low, p_high, tops, arc, below, cuts, n_cuts, rays, metal, spans, ways)
-        n_breaks = insert(breaks, n_breaks, p_first)
-        n_breaks = insert(breaks, n_breaks, p_last)
+    p_first, p_last, n_breaks = _add_tops(p_low, p_high, rays, metal, ways, breaks, n_breaks)
+    p_first, p_last, n_breaks = _add_lower_ends(
+        p_low, p_high, (p_first, p_last), arc, below, cuts, n_cuts, rays, metal, spans, ways, breaks, n_breaks
+    )
     edge_y, slope, curve, _ = metal[3]
     square = 2.0 * curve * (edge_y - rays[1])
     if square > 0.0:

@@ -1,5 +1,6 @@
 import dataclasses
 import functools
+import itertools
 import math
 
 import numpy as np
@@ -391,6 +392,23 @@ def test_a_corrugated_laps_edge_lies_in_the_ridges_shadow():
     assert np.count_nonzero(want == 0.0) > 5
     assert np.count_nonzero(want > 100.0) > 5
     assert off_by(got[chosen], want).max() < 0.02
+
+
+@pytest.mark.parametrize("along_mm", [-4.4, 13.3, 17.7, 23.4])
+def test_the_light_beside_a_corrugated_edge_takes_no_more_nodes(along_mm):
+    """Where the metal's border begins and ends the disc is cut: else this is off by up to 2 %, and jumps."""
+    setup, scene = with_scene("corrugation", along_mm)
+    few, many = (arc_kernel(setup, scene, nodes=nodes) for nodes in ((NODES_P, NODES_Q), (32, 16)))
+    x_arc, ahead = scene.center_mm[0], np.linspace(31.0, 39.0, 9)
+    lit = 0
+    for face, inward in ((0, -1.0), (2, 1.0)):
+        on = seen_strip(face, few.vertices)
+        for x, s in itertools.product(x_arc + ahead, inward * np.geomspace(0.02, 12.0, 40)):
+            P = face_point(x, s, on, few.corrugation)
+            got, want = (light_at(kernel, P, face, scratch()) for kernel in (few, many))
+            lit += want > QUARTER_DN_E
+            assert abs(got - want) <= max(0.005 * want, QUARTER_DN_E), (face, x, s)
+    assert lit > 100
 
 
 @pytest.mark.parametrize("along_mm", [-22.0, -14.0, -8.0, -2.0, 4.0, 10.0])
