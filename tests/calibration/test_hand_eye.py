@@ -215,12 +215,12 @@ def test_pixels_that_see_another_face_are_told() -> None:
     setup = small_setup()
     problem = problem_of(setup, frames(setup, SeamLine()))
     x = np.zeros(len(problem.parameters))
-    view = problem.choose(x)[2]
+    views = problem.choose(x)
     curve, seam = problem.curve, np.zeros(problem.curve.n_modes)
-    assert np.isfinite(view.light(setup, problem.rays, curve, seam)[0]).all()
-    for aside_mm, least, most in ((0.2, 0.0, 0.01), (2.0, 0.02, 1.0)):
+    for aside_mm, least, most in ((0.0, 0.0, 0.0), (0.2, 0.0, 0.01), (2.0, 0.02, 1.0)):
         aside = replace(curve, mean_mm=curve.mean_mm + np.array([[aside_mm], [0.0]]))
-        lost = np.isnan(view.light(setup, problem.rays, aside, seam)[0]).mean()
+        # Of all views: which pixels one of them compares follows the frames' noise.
+        lost = np.mean([np.isnan(view.light(setup, problem.rays, aside, seam)[0]).mean() for view in views])
         assert least <= lost <= most
 
 

@@ -12,7 +12,7 @@ from sim_to_real.evidence.weigh import weigh
 from sim_to_real.fit.covariates import covariates
 from sim_to_real.fit.gauss_newton import converged, refit
 from sim_to_real.fit.trend import Driver, Trend
-from tests.sim_to_real.small import held_against, recorded, small_recording
+from tests.sim_to_real.small import EXACT, held_against, recorded, small_recording
 
 FINE = 3
 """So fine a camera sees an arc that moves by a millimetre and little else."""
@@ -77,11 +77,13 @@ def test_an_arc_that_is_blown_ever_farther_grows_with_time(tmp_path):
     for u in (-1.0, 1.0):
         timestamp_s = trend.middle + u * trend.half_range
         assert changes.trend.values_at(middle, u)["y_mm"] == pytest.approx(GROWS_MM_S * timestamp_s, abs=0.1)
-    # It leaves what a recording without any effect leaves.
-    quiet = small_recording(tmp_path / "quiet", {}, FINE)
-    nothing = refit(quiet, {}, quiet.neutral)
-    assert changes.mean_square < 1.1 * nothing.mean_square
-    assert stays.mean_square > 1.6 * nothing.mean_square
+    # It leaves what recordings without any effect leave: 0.83 to 0.94, as their noise is drawn.
+    left = []
+    for seed in range(4):
+        quiet = held_against(*recorded(tmp_path / f"quiet{seed}", {}, replace(EXACT, seed=seed), FINE))
+        left.append(refit(quiet, {}, quiet.neutral).mean_square)
+    assert changes.mean_square < 1.1 * np.mean(left)
+    assert stays.mean_square > 1.6 * np.mean(left)
 
 
 @pytest.mark.slow

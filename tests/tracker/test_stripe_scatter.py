@@ -302,22 +302,25 @@ def test_centres_scatter_by_their_sigma_though_no_speckle_is_stated(contrast: fl
     """Laser speckle is drawn that the tracker's setup does not state."""
     plain = rendered.small_setup("v_groove")
     setup = replace(plain, effects={"laser_speckle": {"contrast": contrast, "grain_px": grain_px}})
-    pose, renderer, rng = rendered.pose_at(0.0), Renderer(), np.random.default_rng(5)
+    pose, renderer = rendered.pose_at(0.0), Renderer()
     expected = expect_stripe(SensorGeometry.of(plain), make_scene(plain, pose.T_base_tool))
     assert expected is not None
     true = expected.position_px + expected.bias_px
     bend = np.abs(np.gradient(np.gradient(expected.position_px))) > 0.02
     face = np.convolve(bend, np.ones(41), "same") == 0.0
-    tracker, own, together = Tracker(plain), [], []
-    for n in range(14):
-        condition = Condition(1.0, 1.0, rendered.EXPOSURE_S)
-        image = draw_frame(setup, pose.T_base_tool, condition, rng, renderer=renderer)
-        drawn = Frame(n, 0.1 * n, image, rendered.EXPOSURE_S, rendered.CURRENT_A)
-        stripe = tracker.step(drawn, pose).stripe
-        assert stripe is not None
-        if n >= 2:
-            own.append(((stripe.position_px - true) / stripe.sigma_px)[face])
-            together.append(((stripe.smooth_px - true) / stripe.smooth_sigma_px)[face])
+    own, together = [], []
+    # Grains reach over many lines, so that few of them are independent: six runs tell more than one.
+    for seed in range(5, 11):
+        rng, tracker = np.random.default_rng(seed), Tracker(plain)
+        for n in range(14):
+            condition = Condition(1.0, 1.0, rendered.EXPOSURE_S)
+            image = draw_frame(setup, pose.T_base_tool, condition, rng, renderer=renderer)
+            drawn = Frame(n, 0.1 * n, image, rendered.EXPOSURE_S, rendered.CURRENT_A)
+            stripe = tracker.step(drawn, pose).stripe
+            assert stripe is not None
+            if n >= 2:
+                own.append(((stripe.position_px - true) / stripe.sigma_px)[face])
+                together.append(((stripe.smooth_px - true) / stripe.smooth_sigma_px)[face])
     pulls = [math.sqrt(np.nanmean(np.square(pull))) for pull in (own, together)]
     print(f"contrast {contrast}, grain {grain_px} px: pulls {pulls[0]:.2f}, with neighbours {pulls[1]:.2f}")
     assert 0.8 <= pulls[0] <= 1.25

@@ -17,12 +17,16 @@ TURNED, ASIDE, LIFTED = N_LEVELS + 1, N_LEVELS + 4, N_LEVELS + 5
 
 @pytest.mark.slow
 def test_a_narrow_stripe_that_lies_elsewhere_is_come_near_to(tmp_path):
-    """From a camera 3 tolerances off light is not linear as far as the true stripe."""
+    """From a camera 3.5 tolerances off light is not linear as far as the true stripe.
+
+    Whether a fit stays far depends on the frames' noise and on the start.
+    Here it does; from most starts it comes near.
+    """
     hidden = {"stripe_profile": {"width_ratio": 0.5, "exponent": 2.8}}
     model = small_recording(tmp_path / "narrow", hidden, coarser=3)
     nuisance = model.neutral.copy()
     for n in (TURNED, ASIDE, LIFTED):
-        nuisance[n] = 3.0 * model.nuisances[n].prior_sigma
+        nuisance[n] = 3.5 * model.nuisances[n].prior_sigma
     model = model.anchored_at(nuisance, {})
     start = refit(model, {}, nuisance, steps=0)
     scores = score_effects(model, start, ["stripe_profile", "defocus", "gamma"])
