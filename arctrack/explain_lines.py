@@ -109,7 +109,7 @@ def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[flo
     grains = (reading.learned.weighing_contrast * stripe) ** 2
 
     smooth = max(math.hypot(reading.map_sigma * background.mean(), reading.base_sigma_e), MIN_SIGMA_E)
-    edge = map_edge(band.background, reading.lows, CELL, s, float(reading.start_px[s]))
+    edge = map_edge(band.background, reading.lows, s, float(reading.start_px[s]))
     known = _information(math.hypot(smooth, edge), math.hypot(smooth / CORRELATION_PX, edge / half))
     beside = np.column_stack([np.ones_like(u), u])
     b = np.zeros(2)

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 import arctrack
 from arctrack.check.hint import Hint
@@ -18,7 +18,7 @@ from arctrack.check.verdict import Verdict
 from arctrack.limits import LIMITS
 from arctrack.output import real, write_whole
 from arctrack.recording import Recording
-from arctrack.recording.files import UnfitFileError, read_text
+from arctrack.recording.files import read_text
 from arctrack.recording.frames import png_path
 from arctrack.recording.poses import CSV_NAME, LOG_NAMES
 from arctrack.recording.reader import FRAMES_CSV, TRUTH_CSV
@@ -88,7 +88,7 @@ def read_finished(folder: Path, made_of: str) -> Finished | None:
     """Return what a folder's finished replay came to; None unless it is whole, and was made of the same."""
     try:
         finished = Finished.model_validate(json.loads(read_text(folder / FINISHED_JSON, LIMITS.toml_bytes)))
-    except (OSError, UnfitFileError, ValueError, ValidationError):
+    except (OSError, ValueError):
         return None
     whole = {RESULTS_CSV, SUMMARY_JSON} <= finished.files.keys() and finished.files == sizes(folder)
     return finished if whole and finished.made_of == made_of else None

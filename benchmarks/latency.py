@@ -165,9 +165,9 @@ def run_steps(workers: Mapping[str, Worker], situation: str, steps: int) -> dict
     for stretch in itertools.cycle(range(STRETCHES)):
         for name, worker in workers.items():
             blocks[name].append(worker.block(SITUATIONS[situation], stretch))
-        if all(sum(len(b.wall_ms) for b in of) >= steps for of in blocks.values()):
+        if all(sum(len(b.wall_ms) for b in done) >= steps for done in blocks.values()):
             break
-    return {name: Steps.joined(of) for name, of in blocks.items()}
+    return {name: Steps.joined(done) for name, done in blocks.items()}
 
 
 def print_steps(cases: list[Case], trees: Mapping[str, Path], steps: int) -> dict[str, dict[str, float]]:
@@ -187,9 +187,9 @@ def print_steps(cases: list[Case], trees: Mapping[str, Path], steps: int) -> dic
                 with memory_hog() if situation == HOG else nullcontext():
                     done = run_steps(workers, situation, round(share * steps))
                 medians[situation][case.name] = float(np.median(done[THIS].cpu_ms))
-                for name, of in done.items():
+                for name, timed in done.items():
                     other = next((done[n] for n in done if n != THIS), None) if name == THIS else None
-                    print(_row(case, situation, name, of, floor_ms) + _ratios(of, other), flush=True)
+                    print(_row(case, situation, name, timed, floor_ms) + _ratios(timed, other), flush=True)
     return medians
 
 

@@ -158,7 +158,7 @@ def print_peers(cases: list[Case], track_ms: dict[str, float], search_ms: dict[s
         read = reads[case.name] = Read.of(case)
         image = read.frames[0].image_dn
         for name, peer in PEERS.items():
-            frame_ms, band_ms = (cpu_ms(peer, of, read.width_px) for of in (image, read.band(image)))
+            frame_ms, band_ms = (cpu_ms(peer, pixels, read.width_px) for pixels in (image, read.band(image)))
             print(
                 f"{case.name:16} {name:10} {frame_ms:8.1f} {frame_ms / search_ms[case.name]:11.1f}"
                 f" {band_ms:8.1f} {band_ms / track_ms[case.name]:10.1f}",
@@ -172,12 +172,14 @@ def print_peers(cases: list[Case], track_ms: dict[str, float], search_ms: dict[s
     for case in cases:
         read = reads[case.name]
         first, end = read.rows()
-        found = np.array([first + steger(frame.image_dn[first:end], read.width_px) for frame in read.frames])
+        steger_px = np.array(
+            [first + steger(frame.image_dn[first:end], read.width_px) for frame in read.frames]
+        )
         band_ms = cpu_ms(steger, read.band(read.frames[0].image_dn), read.width_px)
         alone, smooth = ours(case, read)
         for kind, position_px, theirs_px in (
-            ("a line alone", alone, found),
-            ("neighbours", smooth, along_the_stripe(found)),
+            ("a line alone", alone, steger_px),
+            ("neighbours", smooth, along_the_stripe(steger_px)),
         ):
             own_px, errors = spread_px(read.errors_px(position_px), 1), read.errors_px(theirs_px)
             n = frames_for(errors, own_px)

@@ -166,22 +166,12 @@ def spread(_typing: Any, _value: Any) -> Any:
 
 @_instruction
 def where(_typing: Any, mask: Any, yes: Any, no: Any) -> Any:
-    """Return `yes` in the lanes of a mask, `no` in the others."""
+    """Return `yes` in the lanes of a mask, `no` in the others: two vectors, or two masks."""
 
     def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.select(*arguments)
 
-    return LANES(mask, yes, no), write
-
-
-@_instruction
-def where_both(_typing: Any, mask: Any, yes: Any, no: Any) -> Any:
-    """Return the answers of `yes` in the lanes of a mask, those of `no` in the others."""
-
-    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.select(*arguments)
-
-    return MASK(mask, yes, no), write
+    return (yes(mask, yes, no), write) if yes == no and yes in (LANES, MASK) else None
 
 
 @_instruction

@@ -99,7 +99,7 @@ def median_of(values: Float32, n: int) -> float:
     """
     if n == 0:
         return math.nan
-    end = (n + BLOCK - 1) // BLOCK * BLOCK
+    end = numbers_for(n)
     for i in range(n, end):
         values[i] = np.float32(math.inf)
     held, half = values[:end], (n + 1) // 2
@@ -114,3 +114,23 @@ def median_of(values: Float32, n: int) -> float:
     if n % 2 == 1 or _count_up_to(held, lower) > half:
         return np.float64(lower)
     return 0.5 * (np.float64(lower) + np.float64(_least_above(held, lower)))
+
+
+@kernel
+def keep_finite(values: Float64 | Float32, room: Float32) -> int:
+    """Write those of values (n,) that are finite, as float32, into `room`; return how many they are."""
+    count = 0
+    for i in range(values.shape[0]):
+        if math.isfinite(values[i]):
+            room[count] = values[i]
+            count += 1
+    return count
+
+
+@kernel
+def finite_median(values: Float64, room: Float32) -> float:
+    """Return the median of the values (n,) that are finite, as float32; NaN without any.
+
+    `room` (`numbers_for(n)`,) or longer is written over.
+    """
+    return median_of(room, keep_finite(values, room))

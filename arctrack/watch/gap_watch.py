@@ -18,10 +18,8 @@ import statistics
 from collections import deque
 from dataclasses import dataclass, field
 
+from noise_model.robust import MAD_SIGMA
 from tracker.state import Track
-
-MAD_SIGMA = 1.4826
-"""A normal law's sigma over its median deviation."""
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,10 @@
 """The arc map of a band or a frame, filled from the faces' table (`table`).
 
 The image is taken in square cells. Where the 4 by 4 rays of a cell meet one face, a bicubic polynomial
-through their light times cos^4 fills it, if its highest Chebyshev coefficients are small; else the cell is
-halved both ways. Where a plain section shows several faces, each has a polynomial of its own, of the light on
-its plane continued beyond its edges, and each scan line is cut where the rays meet another face.
+through their light times cos^4 fills it, if its highest Chebyshev coefficients are small. Else the cell is
+halved, across or along the scan lines, where it changes more. Where a plain section shows several faces, each
+has a polynomial of its own, of the light on its plane continued beyond its edges, and each scan line is cut
+where the rays meet another face.
 What is left is read off the table pixel by pixel.
 """
 

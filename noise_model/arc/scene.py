@@ -14,7 +14,7 @@ from noise_model.arrays import Bool, Float64
 from noise_model.instrument.camera import Camera
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
-from noise_model.surface.faces import ridge
+from noise_model.surface.faces import face_under, ridge
 from noise_model.surface.joint import (
     NOMINAL_SEAM,
     BentSeam,
@@ -160,15 +160,10 @@ def scene_along(
 ) -> Scene:
     """Return the scene of a pose along a stretch of the seam, see `make_scene`."""
     T = np.require(T_base_tool, np.float64, ("C", "W"))
-    line = _as_floats(seam)
-    on = line if ground is None else _as_floats(ground)
+    line = seam.as_floats()
+    on = line if ground is None else ground.as_floats()
     scene: Scene = laid_scene(source, T, line, on, ground is None)
     return scene
-
-
-def _as_floats(line: SeamLine) -> SeamLine:
-    """Return a stretch whose numbers are of one type: for others the kernels would be compiled anew."""
-    return SeamLine(*map(float, line))
 
 
 @kernel(allocates=True)
@@ -229,10 +224,7 @@ def _arc_center(
 @kernel
 def is_below(x: float, y: float, z: float, vertices: Float64, corrugation: Float64) -> bool:
     """Say whether a place of the joint frame, mm, lies in or under a section."""
-    last = vertices.shape[0] - 1
-    k = 0
-    while k < last - 1 and vertices[k + 1, 0] <= y:
-        k += 1
+    k = face_under(y, 0, vertices)
     share = (y - vertices[k, 0]) / (vertices[k + 1, 0] - vertices[k, 0])
     plain = vertices[k, 1] + min(max(share, 0.0), 1.0) * (vertices[k + 1, 1] - vertices[k, 1])
     return bool(z <= plain + ridge(x, corrugation)[0])

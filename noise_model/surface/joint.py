@@ -256,7 +256,11 @@ class SeamLine(NamedTuple):
 
     def frame(self) -> Float64:
         """Return T_nominal_true (4, 4), mm: the joint frame turned about the station, moved to the seam."""
-        return line_frame(SeamLine(*map(float, self)))
+        return line_frame(self.as_floats())
+
+    def as_floats(self) -> SeamLine:
+        """Return the stretch with numbers of one type: for others the kernels would be compiled anew."""
+        return SeamLine(*map(float, self))
 
 
 @kernel(allocates=True)

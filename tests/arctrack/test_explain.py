@@ -151,7 +151,6 @@ def made(
         start,
         expected.sigma_px,
         lows,
-        CELL,
         1.0,
         dark_variance_e2,
         0.0,

@@ -122,7 +122,7 @@ def test_a_narrow_lobe_in_a_groove_of_many_faces_leaves_nothing_out(bevel_deg):
 
 
 @pytest.mark.parametrize("joint", ["v_groove", "lap", "corrugation"])
-def test_there_is_numbers_for_every_node(joint):
+def test_there_is_room_for_every_node(joint):
     view = view_of(joint)
     k, vertices, corrugation = place(view.setup, view.scene), *view.scene.shape
     rng = np.random.default_rng(3)

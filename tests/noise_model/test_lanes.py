@@ -21,7 +21,6 @@ from noise_model.lanes import (
     store,
     total,
     where,
-    where_both,
 )
 
 seeds = st.integers(0, 2**32 - 1)
@@ -52,7 +51,7 @@ def comparisons(a: Float32, b: Float32, out: Float32, answers: Bool) -> None:
     for k in range(len(masks)):
         store(out[k], 0, where(masks[k], yes, no))
         answers[k] = any_lane(masks[k])
-    store(out[7], 0, where(where_both(x < no, x < y, x > y), yes, no))
+    store(out[7], 0, where(where(x < no, x < y, x > y), yes, no))
 
 
 @kernel

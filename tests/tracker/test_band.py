@@ -8,10 +8,10 @@ import twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from noise_model.arc.map import CELL
 from noise_model.arrays import Float64, Int64
 from tracker.stripe.band import at_level, gather, median_background, place, weigh
 
-CELL = 8
 seeds = st.integers(0, 2**32 - 1)
 
 

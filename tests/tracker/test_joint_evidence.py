@@ -24,7 +24,6 @@ from tracker.joint.evidence import (
     fit_plate,
     gap_evidence_nats,
     innovations,
-    off_the_plate,
     places_of,
     points_alike,
     runs_of,
@@ -171,7 +170,9 @@ def test_points_off_a_section_are_worse_witnesses_of_it() -> None:
 
 def loss_of(profile: Profile) -> float:
     """Tukey's loss of the plate that fits a profile best: 4.685^2 / 6 (1 - (1 - (r / 4.685)^2)^3) a point."""
-    inside = np.minimum((off_the_plate(profile) / 4.685) ** 2, 1.0)
+    off = np.empty(len(profile.y_mm))
+    fit_plate(profile.y_mm, profile.z_mm, profile.dy_mm, profile.dz_mm, profile.sigma_px, off)
+    inside = np.minimum((off / 4.685) ** 2, 1.0)
     return float(np.sum(4.685**2 / 6.0 * (1.0 - (1.0 - inside) ** 3)))
 
 

@@ -81,7 +81,7 @@ def test_a_stripe_alone_is_no_dark_one(width: float, phase: float) -> None:
         residual = 50.0 * np.exp(-0.5 * ((np.arange(200.0) - place) / width) ** 2).astype(np.float32)[None]
         offsets = np.arange(-60, 61, OFFSET_STEP)
         score = np.empty((1, len(offsets)), np.float32)
-        lines = np.array([100.0]), np.array([width]), np.zeros(1, np.int64), 16
+        lines = np.array([100.0]), np.array([width]), np.zeros(1, np.int64)
         matched_filter(residual, np.ones_like(residual), *lines, offsets, score)
         worst, reach_px = own_lobes(width)
         path = score.argmax(axis=1)
@@ -148,7 +148,7 @@ def test_lines_that_would_show_it_and_do_not_are_counted() -> None:
     r = np.arange(N)
     bell = np.exp(-0.5 * ((r - 30.0) / width) ** 2)
     score = np.empty((1, 1), np.float32)
-    where = np.array([30.0]), np.array([width]), np.zeros(1, np.int64), 16, np.zeros(1, np.int64)
+    where = np.array([30.0]), np.array([width]), np.zeros(1, np.int64), np.zeros(1, np.int64)
     residual = (0.25 * amplitude_e * bell).astype(np.float32)[None]
     matched_filter(residual, np.full_like(residual, dark_e2), *where, score)
     just = dark_e2 * (float(score[0, 0]) / CLEAR_SIGMAS) ** 2

@@ -73,7 +73,6 @@ def light_of(
         np.full(charge.shape, 500.0 + DARK_E2, dtype=np.float32),
         np.zeros(charge.shape, dtype=bool),
         np.zeros(-(-N_SCAN // CELL), dtype=np.int64),
-        CELL,
         np.ascontiguousarray(position),
         np.full(N_SCAN, WIDTH_PX),
         1.0,

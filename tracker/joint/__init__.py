@@ -12,7 +12,7 @@ import numpy as np
 
 from noise_model.arrays import Float64
 from noise_model.kernel import kernel
-from noise_model.median import median_of, numbers_for
+from noise_model.median import finite_median, median_of, numbers_for
 from noise_model.surface.joint import Joint
 from tracker.joint.evidence import evidence_nats
 from tracker.joint.fillet import fit_fillet
@@ -23,7 +23,6 @@ from tracker.joint.lap import fit_lap
 from tracker.joint.measured import MeasuredJoint
 from tracker.joint.slot import fit_closed_slot, fit_slot
 from tracker.profile import MIN_POINTS, Profile
-from tracker.stripe.frame_scatter import known_median
 
 ALIKE_OFF_PX = 0.01
 """By how much all centres of a stripe may be off alike, px: its bell is none, and pixels are not all alike.
@@ -86,7 +85,7 @@ def off_alike_mm(
             count += 1
     if count > 0:
         off_px = math.hypot(off_px, BIAS_SHARE * median_of(room, count))
-    return off_px * known_median(dy_mm, room), off_px * known_median(dz_mm, room)
+    return off_px * finite_median(dy_mm, room), off_px * finite_median(dz_mm, room)
 
 
 def _fit(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:

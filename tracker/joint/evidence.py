@@ -34,8 +34,9 @@ import numpy as np
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.median import median_of, numbers_for
+from noise_model.robust import MAD_SIGMA
 from tracker.joint.measured import section_at
-from tracker.joint.section_fit import BISQUARE_WIDTH, MAD_SIGMA, MIN_ALONG_MM
+from tracker.joint.section_fit import BISQUARE_WIDTH, MIN_ALONG_MM
 from tracker.profile import Profile
 
 MIN_EVIDENCE_NATS = math.log(1e3)
@@ -198,13 +199,6 @@ def places_of(profile: Profile, apart_mm: float) -> float:
     """Return at how many places, so far apart, a profile is searched for its seam; one at least."""
     reach_mm = min(2.0 * profile.reach_mm, float(profile.y_mm[-1] - profile.y_mm[0]))
     return max(reach_mm / apart_mm, 1.0)
-
-
-def off_the_plate(profile: Profile) -> Float64:
-    """Return how far points (n,) lie off the plate, a cubic z(y), that fits them best, in their sigmas."""
-    off = np.empty(len(profile.y_mm))
-    fit_plate(profile.y_mm, profile.z_mm, profile.dy_mm, profile.dz_mm, profile.sigma_px, off)
-    return off
 
 
 @kernel(allocates=True)

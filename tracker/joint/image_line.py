@@ -31,10 +31,11 @@ from noise_model.arc.scene import Scene
 from noise_model.arrays import Bool, Float64, Int64, Integers
 from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel
+from noise_model.robust import MAD_SIGMA
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
 from tracker.joint.evidence import fit_plate
-from tracker.joint.section_fit import BISQUARE_WIDTH, MAD_SIGMA
+from tracker.joint.section_fit import BISQUARE_WIDTH
 from tracker.profile import MIN_POINTS, Profile
 
 BESIDE_MM = 12.0

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float64, Int64
 from noise_model.median import known_median, median
 from tracker.joint.evidence import gap_evidence_nats
@@ -111,7 +112,7 @@ class PlateLines:
             scan = self.away * (self.first_scan + int(line))
             if not 0 <= scan < len(self.light.censored):
                 continue
-            low = self.light.lows[scan // self.light.cell]
+            low = self.light.lows[scan // CELL]
             path_px = np.interp(line, plates, self.light.position_px[scans]) - low
             half_px = WINDOW_SIGMAS * np.interp(line, plates, width_px)
             near = slice(max(math.floor(path_px - half_px), 0), max(math.ceil(path_px + half_px) + 1, 0))

@@ -17,6 +17,7 @@ import numpy as np
 from noise_model.arrays import Bool, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.median import median_of, numbers_for
+from noise_model.robust import MAD_SIGMA
 from noise_model.surface.faces import face_under, slope_across
 from tracker.joint.section_shapes import N_CORNERS, corners_of
 
@@ -28,9 +29,6 @@ BISQUARE_WIDTH = 4.685
 
 MAX_STEPS, CONVERGED = 20, 1e-5
 """Gauss-Newton steps at most; one smaller than this in every parameter's unit is the last."""
-
-MAD_SIGMA = 1.4826
-"""A normal distribution's sigma over its median absolute deviation."""
 
 MIN_ALONG_MM = 1e-6
 """No point moves less than this off a face with 1 px of its stripe centre."""

@@ -13,9 +13,8 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
-from noise_model.median import median
+from noise_model.median import finite_median, median
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.frame_scatter import known_median
 from tracker.stripe.scatter import FrameScatter, width_factor
 from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP, TEMPLATE_SIGMAS, write_template
 
@@ -219,6 +218,6 @@ def evidence_of(
         n_held += math.isfinite(position_px[s])
         n_shown += shown[s]
     leaves = leaves_image(position_px, expected_px, sigma_px, shown, n_pos)
-    width_px = known_median(sigma_px, room) * width_factor(learned)
+    width_px = finite_median(sigma_px, room) * width_factor(learned)
     ratio = evidence_ratio(score, path_of(offsets_px, expected_px, position_px), shown, width_px)
     return Evidence(n_saturated, leaves, n_held / max(n_shown, 1), ratio)

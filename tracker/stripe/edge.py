@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 
@@ -79,7 +80,6 @@ class StripeLight(NamedTuple):
     variance_e2: Float32
     censored: Bool
     lows: Int64
-    cell: int
     position_px: Float64
     width_px: Float64
     shot: float
@@ -103,15 +103,14 @@ NOT_TOLD = StripeEnd(math.nan, math.nan)
 @kernel(allocates=True)
 def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, StripeEnd]:
     """Return where the stripe that is whole in line `last` ends, and where that of line `first` begins."""
-    not_told = StripeEnd(math.nan, math.nan), StripeEnd(math.nan, math.nan)
     clear = clear_of_an_edge(light)
     away = 1 if first > last else -1
     n = abs(first - last) + 2 * clear - 1
     if n > MAX_LINES:
-        return not_told
+        return NOT_TOLD, NOT_TOLD
     shares, variances = np.empty((2, n)), np.empty((2, n))
     if not line_shares(light, last - away * clear, first + away * clear, away, BEYOND, shares, variances):
-        return not_told
+        return NOT_TOLD, NOT_TOLD
     # Of a stripe that is off by its scatter the other one seems to have a share.
     apart = max(apart_px(light, last, first), light.centre_sigma_px, TINY_PX)
     more, n_seen = (light.centre_sigma_px / apart) ** 2, 0
@@ -122,7 +121,7 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
         of_other[n - 1 - i], other_variances[n - 1 - i] = shares[1, i], variances[1, i] + more
         n_seen += not math.isnan(shares[1, i])
     if n_seen == 0:
-        return not_told
+        return NOT_TOLD, NOT_TOLD
     # A line's centre says which stripe is the brighter there, so the end is a line off it at most.
     earliest, latest = clear - 2.0, n - clear + 1.0
     ends = _fitted(light, shares[0], variances[0], earliest, latest)
@@ -212,7 +211,7 @@ def mean_stripe(light: StripeLight, begins: int, away: int, most: int, off_px: f
         s = begins + away * k
         if not 0 <= s < light.position_px.shape[0] or math.isnan(light.position_px[s]):
             continue
-        r = light.position_px[s] - light.lows[s // light.cell] + off_px
+        r = light.position_px[s] - light.lows[s // CELL] + off_px
         j = math.floor(r)
         if j < 0 or j + 1 >= light.charge_e.shape[1] or light.censored[s, j] or light.censored[s, j + 1]:
             continue
@@ -248,7 +247,7 @@ def line_shares(
         shares[:, i], variances[:, i] = math.nan, math.nan
         if not 0 <= s < light.charge_e.shape[0]:
             continue
-        low = light.lows[s // light.cell]
+        low = light.lows[s // CELL]
         upper = at_last + slope_last * (s - last)
         lower = upper if alone else at_first + slope_first * (s - first)
         begin = max(math.floor(min(upper, lower) - WINDOW_SIGMAS * width) - low, 0)

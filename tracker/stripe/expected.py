@@ -114,7 +114,7 @@ def _beyond_fan_mm(source: StripeSource, scan: float, position_px: float) -> flo
     x, y, _, _, _, _ = undistorted(u, v, source.lens)
     T, sheet = source.T_tool_camera, source.sheet
     plane, origin = sheet.plane, sheet.origin
-    on, across, away = plane[3], 0.0, 0.0
+    on, across = plane[3], 0.0
     for i in range(3):
         on += plane[i] * T[i, 3]
         across += plane[i] * (T[i, 0] * x + T[i, 1] * y + T[i, 2])
@@ -208,6 +208,7 @@ def _expect(
         with_light = shift != 0.0 or n_planes > FLANKS.shape[0]
         cut_and_project(
             y,
+            z,
             face,
             vertices,
             corrugation,

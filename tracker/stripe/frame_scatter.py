@@ -33,7 +33,7 @@ import numpy as np
 
 from noise_model.arrays import Float32, Float64
 from noise_model.kernel import kernel
-from noise_model.median import median_of, numbers_for
+from noise_model.median import finite_median, keep_finite, median_of, numbers_for
 from tracker.stripe.line_fit.block import WINDOW_SIGMAS
 from tracker.stripe.scatter import BRIGHTNESS_LAGS, LAGS, LENGTHS, FrameScatter
 
@@ -80,17 +80,6 @@ class ScatterRoom(NamedTuple):
 
 
 @kernel
-def known_median(values: Float64, room: Float32) -> float:
-    """Return the median of the values (n,) that are finite, as float32, or NaN; `room` is written over."""
-    count = 0
-    for i in range(values.shape[0]):
-        if math.isfinite(values[i]):
-            room[count] = values[i]
-            count += 1
-    return median_of(room, count)
-
-
-@kernel
 def own_sigma(fits: Float64, expected_px: Float64, room: Float32, own_px: Float64) -> None:
     """Write the lines' 1 sigma (n,), px, by their photons, more where a line fits worse than most do.
 
@@ -102,7 +91,7 @@ def own_sigma(fits: Float64, expected_px: Float64, room: Float32, own_px: Float6
         own_px[s] = math.nan
         if math.isfinite(fits[s, 4]):
             own_px[s] = max(fits[s, 4] - math.sqrt(1.0 / (WINDOW_SIGMAS * expected_px[s])), 1.0)
-    usual = known_median(own_px, room)
+    usual = finite_median(own_px, room)
     for s in range(own_px.shape[0]):
         own_px[s] = fits[s, 1] * math.sqrt(max(1.0 / usual, 1.0 / own_px[s]))
 
@@ -127,7 +116,7 @@ def frame_scatter(
     n = fits.shape[0]
     for s in range(n):
         room.off[s] = fits[s, 3]
-    known_px = known_median(room.off, room.values)
+    known_px = finite_median(room.off, room.values)
     times = 1 if math.isnan(known_px) else max(round(known_px / USUAL_PX), 1)
     min_means = MIN_MEANS_SEARCHING if is_searching else MIN_MEANS
     differences(fits, expected_px, sigma_px, times, min_means, room, seen)
@@ -137,16 +126,12 @@ def frame_scatter(
         count += math.isfinite(room.off[s])
     middle, variance = math.nan, math.nan
     if count >= MIN_DIFFERENCES:
-        middle = known_median(room.off, room.values)
+        middle = finite_median(room.off, room.values)
         for s in range(n):
             room.off[s] = (room.off[s] - middle) ** 2
-        variance = known_median(room.off, room.values) / MEDIAN_CHI2
+        variance = finite_median(room.off, room.values) / MEDIAN_CHI2
     seen.ln_width[()], seen.width_variance[()] = middle, variance
-    count = 0
-    for s in range(n):
-        if math.isfinite(core[s]):
-            room.values[count] = core[s]
-            count += 1
+    count = keep_finite(core, room.values)
     seen.speckle[()] = median_of(room.values, count) if count >= MIN_DIFFERENCES else math.nan
 
 
@@ -196,7 +181,7 @@ def differences(
     n, values = fits.shape[0], room.values
     for i in range(n):
         room.off[i] = fits[i, 2]
-    typical_e = known_median(room.off, values)
+    typical_e = finite_median(room.off, values)
     for k in range(len(BRIGHTNESS_LAGS)):
         lag = BRIGHTNESS_LAGS[k]
         least = MIN_PER_FAR_LAG * lag if k == len(BRIGHTNESS_LAGS) - 1 else MIN_DIFFERENCES

@@ -11,6 +11,7 @@ import numpy as np
 from noise_model.arc.map import CELL, ArcKernel, ArcMap
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.median import median
+from noise_model.robust import sigma_of
 from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Transmission
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
@@ -118,7 +119,6 @@ class StripeReading:
             band.variance,
             band.censored,
             self.lows,
-            CELL,
             self.stripe.position_px,
             width_px,
             self.shot,
@@ -177,8 +177,8 @@ def read_stripe(
         _predict_background(geometry, arc_map, transmission, level, arc.black_e, band)
     else:
         median_background(band.charge, MEDIAN_HALF_PX, band.background)
-        spread = 1.4826 * float(np.median(np.abs(band.charge - band.background)))
-        shot, map_sigma, dark_variance = 0.0, MEDIAN_SIGMA, max(spread**2, dark_variance)
+        variance = sigma_of(band.charge - band.background) ** 2
+        shot, map_sigma, dark_variance = 0.0, MEDIAN_SIGMA, max(variance, dark_variance)
     black_sigma = geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn
     base_sigma = math.hypot(black_sigma, arc.ambient_e)
     offsets_px, out, after = _offsets_px(reach_px), Lines.empty(n_scan), FrameScatter.empty()

@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
+from noise_model.median import finite_median
 from tracker.stripe.band import weigh
-from tracker.stripe.frame_scatter import ScatterRoom, frame_scatter, known_median, own_sigma
+from tracker.stripe.frame_scatter import ScatterRoom, frame_scatter, own_sigma
 from tracker.stripe.ghost import second_light, second_place
 from tracker.stripe.line_fit.lines import FitRoom, LineFits, fit_lines, fit_room
 from tracker.stripe.misfit import MisfitRoom, misfit_sigma_px
@@ -168,7 +168,7 @@ def fit_band(
     weigh(band.charge, band.background, noise.shot, noise.dark_e2, band.residual, band.variance)
     score = room.score[: n_scan * len(offsets_px)].reshape((n_scan, len(offsets_px)))
     matched_filter(
-        band.residual, band.variance, sought.position_px, room.width_px, band.lows, CELL, offsets_px, score
+        band.residual, band.variance, sought.position_px, room.width_px, band.lows, offsets_px, score
     )
     # Where no light can be none is looked for.
     for s in range(n_scan):
@@ -186,7 +186,6 @@ def fit_band(
         room.start_px,
         room.width_px,
         band.lows,
-        CELL,
         noise.shot,
         noise.dark_e2,
         weighing_contrast(learned),
@@ -237,7 +236,7 @@ def told_of_two(
     everything = Told(share, math.inf, False, 0, len(offsets_px))
     for s in range(fits.shape[0]):
         room.off[s] = fits[s, 0] - expected_px[s]
-    brighter_px, sigma_px = known_median(room.off, room.values), reach_px / REACH_SIGMAS
+    brighter_px, sigma_px = finite_median(room.off, room.values), reach_px / REACH_SIGMAS
     if math.isnan(brighter_px):
         return everything
     weaker_px = brighter_px + apart_px
@@ -304,7 +303,7 @@ def _sheet_px(fits: Float64, psf_sigma_px: float, room: ScatterRoom) -> float:
     """Return the sheet's 1 sigma in the image, px, of the fits (n_scan, 7) of lines; 0 of none."""
     for s in range(fits.shape[0]):
         room.off[s] = fits[s, 3]
-    width_px = known_median(room.off, room.values)
+    width_px = finite_median(room.off, room.values)
     return math.sqrt(max(width_px**2 - psf_sigma_px**2, 0.0)) if width_px > 0.0 else 0.0
 
 
@@ -321,7 +320,7 @@ def _finish(sought: Sought, learned: FrameScatter, psf_sigma_px: float, room: Re
     smooth_stripe(
         out.position_px, out.sigma_px, out.beside_px, room.smooth, out.smooth_px, out.smooth_sigma_px
     )
-    alike = known_median(room.scatter.off, room.scatter.values)
+    alike = finite_median(room.scatter.off, room.scatter.values)
     misfit_sigma_px(room.lines.odd, fits, 1.0 if math.isnan(alike) else alike, room.misfit, room.misfit_px)
 
 

@@ -250,11 +250,5 @@ class Scatter:
         """How far a line's ln(width) may lie off the stripe's: farther off it is two faces, or no stripe."""
         return width_limit_ln(self.average)
 
-    def with_frame(self, seen: FrameScatter) -> Scatter:
-        """Return the scatter with one more frame."""
-        after = FrameScatter.empty()
-        add_frame(self.average, self.frames, seen, after)
-        return Scatter(after, self.frames + 1)
-
 
 NO_SCATTER = Scatter()

@@ -11,7 +11,7 @@ from noise_model.instrument.camera import Intrinsics, distorted
 from noise_model.instrument.laser import Sheet, depth_below, sheet_reflected
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
-from noise_model.surface.faces import face_normal, face_under, ridge, slope_across
+from noise_model.surface.faces import face_normal, face_under, ridge
 
 STEP_MM, MAX_STEPS_SEEN = 0.75, 160
 """In which steps the stripe is followed where the camera sees it: longer ones where these would be more."""
@@ -32,6 +32,7 @@ NEAREST_MM = 1.0
 @kernel
 def cut_and_project(
     y: Float64,
+    z: Float64,
     face: Int64,
     vertices: Float64,
     corrugation: Float64,
@@ -46,7 +47,7 @@ def cut_and_project(
     points_px: Float64,
     light: Float64,
 ) -> None:
-    """Cut a plane `shift_mm` beside the sheet with the section at y (n,) and look at it.
+    """Cut a plane `shift_mm` beside the sheet with the section at y, z (n,) and look at it.
 
     `face` (n,) are the faces that the points lie on. Writes the image points `points_px` (n, 2) as (scan,
     position), NaN behind the camera, and, `with_light`, the stripe's `light` there, the sheet's own Gaussian
@@ -56,7 +57,7 @@ def cut_and_project(
     T, x = T_joint_camera, start_x
     for i in range(y.shape[0]):
         k = face[i]
-        plain = vertices[k, 1] + slope_across(k, vertices) * (y[i] - vertices[k, 0])
+        plain = z[i]
         for _ in range(MAX_STEPS):
             met = -(ny * y[i] + nz * (plain + ridge(x, corrugation)[0]) + d) / nx
             moved = abs(met - x)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from noise_model.arc.map import CELL
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
 
@@ -181,7 +182,6 @@ def matched_filter(
     center: Float64,
     width: Float64,
     lows: Int64,
-    cell: int,
     offsets: Int64,
     score: Float32,
 ) -> None:
@@ -206,7 +206,7 @@ def matched_filter(
         half = math.ceil(TEMPLATE_SIGMAS * width[s])
         template = values[: 2 * half + 1]
         write_template(width[s], half, template)
-        begin = round(center[s]) - lows[s // cell] + offsets[0] - half
+        begin = round(center[s]) - lows[s // CELL] + offsets[0] - half
         if n_offsets < MANY_OFFSETS:
             _score_each(template, residual_e[s], variance_e2[s], begin, score[s])
         else:

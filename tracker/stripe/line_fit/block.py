@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from noise_model.kernel import REDUCTION, kernel
-from noise_model.lanes import Lanes, Mask, any_lane, root, spread, where, where_both
+from noise_model.lanes import Lanes, Mask, any_lane, root, spread, where
 from tracker.stripe.line_fit.normal_equations import (
     Block,
     PixelNoise,
@@ -113,8 +113,8 @@ def _kept(mask: Mask, new: Fitted, old: Fitted) -> Fitted:
         where(mask, new.chi2, old.chi2),
         where(mask, new.offset, old.offset),
         where(mask, new.slope, old.slope),
-        where_both(mask, new.is_done, old.is_done),
-        where_both(mask, new.is_stripe, old.is_stripe),
+        where(mask, new.is_done, old.is_done),
+        where(mask, new.is_stripe, old.is_stripe),
     )
 
 
@@ -146,7 +146,7 @@ def _judged(
         ended.offset,
         ended.slope,
         ended.is_done,
-        ended.is_done & is_significant,
+        is_significant,
     )
 
 
@@ -187,7 +187,7 @@ def fit_block(block: Block, n: int, known: Known, noise: PixelNoise) -> Fitted:
             there = Fitted(position, unit, amplitude, width, chi2, offset, slope, runs, runs)
             variances = solved.variance_0, solved.variance_1
             fitted = _kept(ends, _judged(there, moments.used, variances, known.level, noise), fitted)
-        runs = where_both(ends, no, runs)
+        runs = where(ends, no, runs)
         if not any_lane(runs):
             break
         is_settled = is_small

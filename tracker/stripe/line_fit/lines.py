@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, load, spread, store, where
-from noise_model.median import numbers_for
 from tracker.stripe.line_fit.block import CORRELATION_PX, MIN_SIGMA_E, WINDOW_SIGMAS, Known, fit_block
 from tracker.stripe.line_fit.normal_equations import BEYOND, COUNTS, HIDDEN, Block, PixelNoise
 from tracker.stripe.line_fit.residuals import N_BINS, core_square, odd_parts
@@ -82,7 +82,7 @@ class LineFits(NamedTuple):
     def empty(cls, n_scan: int) -> LineFits:
         """Make room for the lines of a frame."""
         tried, fits = np.empty((2, n_scan, N_FITTED))
-        odd, core = np.empty((n_scan, N_BINS)), np.empty(numbers_for(n_scan), np.float32)
+        odd, core = np.empty((n_scan, N_BINS)), np.empty(n_scan, np.float32)
         return cls(tried, fits, core, odd, np.empty(n_scan, np.bool_))
 
 
@@ -113,14 +113,14 @@ def _start(charge: Float32, background: Float32, first: int, last: int) -> Pair:
 
 
 @kernel
-def map_edge(background: Float32, lows: Int64, cell: int, s: int, position: float) -> float:
+def map_edge(background: Float32, lows: Int64, s: int, position: float) -> float:
     """Return how much the map changes, e-, over EDGE_PX scan lines to either side at a position."""
     n_scan, depth = background.shape
-    middle = background[s, min(max(int(position) - lows[s // cell], 0), depth - 1)]
+    middle = background[s, min(max(int(position) - lows[s // CELL], 0), depth - 1)]
     change = 0.0
     for other in (s - EDGE_PX, s + EDGE_PX):
         if 0 <= other < n_scan:
-            r = min(max(int(position) - lows[other // cell], 0), depth - 1)
+            r = min(max(int(position) - lows[other // CELL], 0), depth - 1)
             if not math.isnan(background[other, r]):
                 change = max(change, abs(background[other, r] - middle))
     return change
@@ -206,7 +206,6 @@ def fit_lines(
     start: Float64,
     width: Float64,
     lows: Int64,
-    cell: int,
     shot: float,
     dark_variance: float,
     speckle: float,
@@ -217,11 +216,11 @@ def fit_lines(
 ) -> None:
     """Fit every scan line from `start` (n_scan,), NaN for none, and write what the fits say.
 
-    `charge`, `background` (n_scan, depth) are the linearised pixels
-    and the arc map at its level, e-; `start` and `width` px. The variance of a pixel is `shot` (1, or 0 for
-    one variance for all) times its mean plus `dark_variance`, e-^2, and the square of `speckle` times the
-    stripe's light. `map_sigma` is the map's relative 1 sigma, `base_sigma` the black level's, e-. How much
-    the map changes to the neighbouring lines counts as well: an edge may cut across a line.
+    `charge`, `background` (n_scan, depth) are the linearised pixels and the arc map at its level, e-; `start`
+    and `width` px. The variance of a pixel is `shot` (1, or 0 for one variance for all) times its mean plus
+    `dark_variance`, e-^2, and the square of `speckle` times the stripe's light. `map_sigma` is the map's
+    relative 1 sigma, `base_sigma` the black level's, e-. How much the map changes to the neighbouring lines
+    counts as well: an edge may cut across a line.
     """
     n_scan, depth = charge.shape
     noise = PixelNoise(spread(shot), spread(dark_variance), spread(speckle))
@@ -235,7 +234,7 @@ def fit_lines(
             lines.odd[s, k] = math.nan
         if math.isnan(start[s]):
             continue
-        begin = lows[s // cell]
+        begin = lows[s // CELL]
         place, middle = start[s] - begin, round(start[s] - begin)
         low, end = line_window(place, width[s], depth)
         n = end - low
@@ -246,7 +245,7 @@ def fit_lines(
         level, over = _start(charge[s, low:end], background[s, low:end], first, last)
         if not math.isfinite(over):
             continue
-        edge_e = map_edge(background, lows, cell, s, start[s])
+        edge_e = map_edge(background, lows, s, start[s])
         smooth = max(math.sqrt((map_sigma * level) ** 2 + base_sigma**2), MIN_SIGMA_E)
         known[0, lane], known[1, lane], known[2, lane] = place - low, n, width[s]
         known[3, lane], known[4, lane] = max(over / CORE_MEAN, 1.0), level

@@ -14,8 +14,6 @@ from noise_model.arrays import Float32
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, Lanes, Mask, load, spread, where
 
-N_PARAMETERS = 5
-
 COUNTS, HIDDEN, BEYOND = 1.0, 0.0, -1.0
 """What a pixel is: it counts; it is censored and says 'at least this'; it lies beyond its line's window."""
 
