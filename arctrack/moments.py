@@ -96,6 +96,7 @@ class RealTime:
 
     The robot is the one that is heard. It must stand where the recording's robot stood, and the recording's
     own poses must be trusted. The clock is the recording's, from the first frame on.
+    `check_interrupt` is called while it waits, and may raise.
     """
 
     def __init__(
@@ -105,10 +106,12 @@ class RealTime:
         controller: Controller,
         agreement: PoseAgreement,
         poses_verdict: PosesVerdict,
+        check_interrupt: Callable[[], None],
     ) -> None:
         self._first_s = exposed_s(rows[0])
         self._link, self._controller = link, controller
         self._agreement, self._poses_verdict = agreement, poses_verdict
+        self._check_interrupt = check_interrupt
         self._began_s = math.nan
         self._heard = False
 
@@ -147,6 +150,7 @@ class RealTime:
         time of a message than that of its reading.
         """
         while True:
+            self._check_interrupt()
             # One message at a time: a robot that talks all the time must not hold the frame up.
             remaining_s = max(0.0, due_s - self._now_s())
             received = next(self._link.receive(min(remaining_s, POLL_S)), None)

@@ -34,6 +34,7 @@ from arctrack.recording.results import (
 )
 from arctrack.recording.score import score
 from arctrack.report.replay.seen import Seen, SeenFile
+from arctrack.safe_points import ends_at_safe_points
 from arctrack.service.controller import Controller
 from arctrack.service.heard import TRUSTED
 from arctrack.service.seam_measured import seam_measured
@@ -216,6 +217,7 @@ def _replay(
     bad_frames: list[BadFrame] = []
     started_s = time.monotonic()
     with ExitStack() as opened:
+        check_interrupt = opened.enter_context(ends_at_safe_points())
         # Closed last: what reads may still wait for a disk, and no robot is to wait for it.
         frames = opened.enter_context(read_ahead(recording.frames()))
         opened.enter_context(_bus_errors())
@@ -243,10 +245,11 @@ def _replay(
         )
         if interface != "virtual":
             agreement = PoseAgreement(recording.pose_buffer())
-            moments = RealTime(recording.rows, link, controller, agreement, poses.verdict)
+            moments = RealTime(recording.rows, link, controller, agreement, poses.verdict, check_interrupt)
         # However it ends, the robot hears that nothing holds any longer.
         opened.callback(moments.close)
         for step in _steps(tracking, frames):
+            check_interrupt()
             T_base_tool = None if step.pose is None else step.pose.T_base_tool
             poses.see(step.seam)
             offset = moments.publish(step.row, step.track, T_base_tool, step.took_ms)

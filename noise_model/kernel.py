@@ -12,6 +12,8 @@ from typing import Any, TypeVar, overload
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+from noise_model.boxing import make_results_in_c
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 # Short kernels run faster if no references to arrays are counted. numba's one option for it is private; what
@@ -20,6 +22,8 @@ NO_REFERENCE_COUNTS = {"_nrt": False}
 
 REDUCTION = frozenset({"reassoc", "contract", "arcp", "nsz"})
 """Liberties by which LLVM sums many terms at once; NaN stays NaN."""
+
+make_results_in_c()
 
 _IMPORTED = re.compile(
     r"^\s*(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([\w.]+))", re.MULTILINE

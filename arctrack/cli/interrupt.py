@@ -7,8 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-ENDING = (signal.SIGINT, signal.SIGTERM)
-"""What ends a run."""
+from arctrack.safe_points import ENDING
 
 
 class InterruptedCommandError(Exception):

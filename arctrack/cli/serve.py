@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from arctrack.cli.cell import LIVE_MM
-from arctrack.cli.interrupt import ENDING, interruptible, stoppable
+from arctrack.cli.interrupt import interruptible, stoppable
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def serve_cell_file(
                 signals = came()
                 if signal.SIGUSR1 in signals and black_box is not None:
                     black_box.save("asked by SIGUSR1")
-                return signals.isdisjoint(ENDING) and time.monotonic() < ends_s
+                return signals <= {signal.SIGUSR1} and time.monotonic() < ends_s
 
             result = run(live.loop, goes_on, cell.policy.watchdog_s, notifier)
             notifier.stopping()

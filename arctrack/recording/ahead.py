@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager
 from queue import SimpleQueue
-from threading import Event, Semaphore, Thread
+from threading import Thread
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -32,27 +32,35 @@ def read_ahead(items: Generator[Item, None, None]) -> Iterator[Iterator[Item]]:
     iterator
         The same items.
     """
+    # A Ctrl-C may come inside what is written in Python, such as a Semaphore, and leave its lock taken. A
+    # SimpleQueue is written in C.
     ready: SimpleQueue[Item | _End] = SimpleQueue()
-    room, is_over = Semaphore(ITEMS_AHEAD), Event()
+    room: SimpleQueue[None] = SimpleQueue()
+    over: SimpleQueue[None] = SimpleQueue()
+    for _ in range(ITEMS_AHEAD):
+        room.put(None)
 
     def take() -> None:
         with closing(items):
             try:
-                while room.acquire() and not is_over.is_set():
+                room.get()
+                while over.empty():
                     ready.put(next(items))
+                    room.get()
             except StopIteration:
                 ready.put(_End(None))
             except Exception as error:
                 ready.put(_End(error))
 
     thread = Thread(target=take, name="frames ahead", daemon=True)
-    thread.start()
     try:
+        thread.start()
         yield _taken(ready, room)
     finally:
-        is_over.set()
-        room.release()
-        thread.join()
+        over.put(None)
+        room.put(None)
+        if thread.ident is not None:
+            thread.join()
 
 
 class _End:
@@ -62,12 +70,12 @@ class _End:
         self.error = error
 
 
-def _taken(ready: SimpleQueue[Item | _End], room: Semaphore) -> Iterator[Item]:
+def _taken(ready: SimpleQueue[Item | _End], room: SimpleQueue[None]) -> Iterator[Item]:
     while True:
         item = ready.get()
         if isinstance(item, _End):
             if item.error is not None:
                 raise item.error
             return
-        room.release()
+        room.put(None)
         yield item

@@ -63,6 +63,10 @@ CHANNELS = (f"test_moments_{n}" for n in itertools.count())
 ROWS = [FrameRow(n, 1.0 + 0.125 * n, True, True, 100.0, 0.0625) for n in range(40)]
 
 
+def no_interrupt() -> None:
+    """Nothing interrupts."""
+
+
 class Clock:
     """Time that passes only while somebody sleeps or waits for a bus; its wall clock is a bus' one."""
 
@@ -146,7 +150,11 @@ def replaying(
 ) -> tuple[Link, Controller, RealTime]:
     link = Link("virtual", channel, source=Source.REPLAY, trusted=TRUSTED)
     controller = Controller(JOB, Source.REPLAY)
-    return link, controller, RealTime(rows, link, controller, PoseAgreement(STILL), poses_verdict)
+    return (
+        link,
+        controller,
+        RealTime(rows, link, controller, PoseAgreement(STILL), poses_verdict, no_interrupt),
+    )
 
 
 def offsets_of(received: Iterable[Received]) -> list[SeamOffset]:
@@ -311,7 +319,7 @@ def test_a_robot_that_talks_between_two_frames_is_heard_to_the_end(
                 robot.send(assumed_robot(rows[next(sent) % 2]))
                 time.sleep(0.001)
 
-        real_time = RealTime(rows, tracker, Controller(JOB), PoseAgreement(STILL), trusted)
+        real_time = RealTime(rows, tracker, Controller(JOB), PoseAgreement(STILL), trusted, no_interrupt)
         real_time.publish(rows[0], track(rows[0]), None, 1.0)
         talking = threading.Thread(target=talk)
         talking.start()

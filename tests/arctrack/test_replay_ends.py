@@ -147,3 +147,40 @@ def test_however_a_replay_ends_no_offset_counts_any_more(
         return
     assert robot.offsets[-1].validity is Validity.REFUSED
     assert code == (0 if how is None else 130), errors
+
+
+INTERRUPTED = """
+import random
+import signal
+import sys
+import time
+
+from arctrack.recording import read_recording
+from arctrack.replay import ReplayOptions, replay_recording
+
+recording, options = read_recording(sys.argv[1]), ReplayOptions(pictures=False)
+replay_recording(recording, sys.argv[2], options)
+began_s = time.monotonic()
+replay_recording(recording, sys.argv[2], options)
+takes_s = time.monotonic() - began_s
+signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+rng, interrupts = random.Random(1), 0
+for _ in range(60):
+    try:
+        signal.setitimer(signal.ITIMER_REAL, rng.uniform(0.1, 1.0) * takes_s)
+        replay_recording(recording, sys.argv[2], options)
+        time.sleep(takes_s)
+    except KeyboardInterrupt:
+        interrupts += 1
+print(interrupts)
+"""
+
+
+def test_an_interrupt_at_any_moment_ends_a_replay_and_nothing_else(
+    compiled: None, simulated: Path, tmp_path: Path
+) -> None:
+    """In a kernel, in the bus' log, in what hands over frames: no crash, no hang, no other error."""
+    command = [sys.executable, "-c", INTERRUPTED, str(simulated), str(tmp_path / "out")]
+    finished = subprocess.run(command, capture_output=True, text=True, check=False, timeout=240)
+    assert finished.returncode == 0, finished.stderr
+    assert int(finished.stdout) > 30

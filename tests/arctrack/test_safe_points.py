@@ -1,0 +1,111 @@
+"""Ctrl-C and SIGTERM wait for a safe point, and come behind the block as they would have."""
+
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from arctrack.safe_points import ENDING, ends_at_safe_points
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(params=ENDING)
+def number(request: pytest.FixtureRequest) -> Iterator[signal.Signals]:
+    """Give a signal whose handler is Python's for Ctrl-C meanwhile."""
+    before = signal.signal(request.param, signal.default_int_handler)
+    yield request.param
+    assert signal.signal(request.param, before) is signal.default_int_handler
+
+
+def test_a_signal_waits_for_the_next_safe_point(number: signal.Signals) -> None:
+    reached = []
+
+    def run() -> None:
+        with ends_at_safe_points() as check:
+            check()
+            signal.raise_signal(number)
+            reached.append("behind the signal")
+            check()
+            reached.append("behind the safe point")
+
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    assert reached == ["behind the signal"]
+
+
+def test_a_signal_behind_the_last_safe_point_is_not_lost(number: signal.Signals) -> None:
+    reached = []
+
+    def run() -> None:
+        with ends_at_safe_points():
+            signal.raise_signal(number)
+            reached.append("behind the signal")
+
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    assert reached
+
+
+def test_a_second_signal_does_not_wait(number: signal.Signals) -> None:
+    reached = []
+
+    def run() -> None:
+        with ends_at_safe_points():
+            signal.raise_signal(number)
+            reached.append("behind the first")
+            signal.raise_signal(number)
+            reached.append("behind the second")
+
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    assert reached == ["behind the first"]
+
+
+def test_without_a_signal_nothing_happens(number: signal.Signals) -> None:
+    with ends_at_safe_points() as check:
+        check()
+    with pytest.raises(OSError, match="the disk is gone"), ends_at_safe_points():
+        raise OSError("the disk is gone")
+
+
+def test_what_is_ignored_stays_ignored() -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with ends_at_safe_points() as check:
+            signal.raise_signal(signal.SIGINT)
+            check()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_in_another_thread_signals_stay_with_the_main_one() -> None:
+    handlers = []
+
+    def hold() -> None:
+        with ends_at_safe_points() as check:
+            check()
+            handlers.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=hold)
+    thread.start()
+    thread.join()
+    assert handlers == [signal.getsignal(signal.SIGINT)]
+
+
+def test_sigterm_ends_a_process_that_has_no_handler_of_its_own() -> None:
+    code = (
+        "import signal\n"
+        "from arctrack.safe_points import ends_at_safe_points\n"
+        "with ends_at_safe_points():\n"
+        "    signal.raise_signal(signal.SIGTERM)\n"
+        "    print('closed', flush=True)\n"
+        "print('went on')\n"
+    )
+    finished = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=False)
+    assert finished.returncode == -signal.SIGTERM
+    assert finished.stdout == b"closed\n"
