@@ -163,6 +163,8 @@ replay_recording(recording, sys.argv[2], options)
 began_s = time.monotonic()
 replay_recording(recording, sys.argv[2], options)
 takes_s = time.monotonic() - began_s
+# What a shell starts in the background ignores SIGINT.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
 rng, interrupts = random.Random(1), 0
 for _ in range(60):
