@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +20,7 @@ Pair = tuple[float, float]
 UNKNOWN: Pair = (math.nan, math.nan)
 
 
-@dataclass(frozen=True)
-class JointShape:
+class JointShape(NamedTuple):
     """What a section of the joint shows beside seam point, gap and mismatch; NaN where it has none.
 
     Pairs are (left, right).

@@ -231,12 +231,11 @@ def _judged(
 
 def _as_compiled_for(frame: Frame, pose: Pose) -> tuple[Frame, Pose]:
     """Return frame and pose in the layout that the kernels are compiled for: contiguous and writable."""
-    image_dn = np.require(frame.image_dn, requirements=("C", "W"))
-    T_base_tool = np.require(pose.T_base_tool, np.float64, ("C", "W"))
-    if image_dn is not frame.image_dn:
-        frame = replace(frame, image_dn=image_dn)
-    if T_base_tool is not pose.T_base_tool:
-        pose = replace(pose, T_base_tool=T_base_tool)
+    image_dn, T_base_tool = frame.image_dn, pose.T_base_tool
+    if not image_dn.flags.carray:
+        frame = replace(frame, image_dn=np.require(image_dn, requirements=("C", "W", "A")))
+    if not (T_base_tool.flags.carray and T_base_tool.dtype == np.float64):
+        pose = replace(pose, T_base_tool=np.require(T_base_tool, np.float64, ("C", "W", "A")))
     return frame, pose
 
 

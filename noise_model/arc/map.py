@@ -28,7 +28,7 @@ from noise_model.setup import Setup
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
 from noise_model.surface.faces import ridge
 from noise_model.surface.ray_casting import MISS
-from noise_model.surface.visibility import horizon_tables, horizons_of_scenes, is_curved_lap
+from noise_model.surface.visibility import Bend, horizons_of_scenes, is_curved_lap
 
 NODES_P, NODES_Q = 8, 4
 """Nodes across the arc's disc and up a chord."""
@@ -41,15 +41,6 @@ MAX_MARGIN_MM = 4.0
 
 CELL = 8
 """So many scan lines of a band share its place."""
-
-
-def _metal_cuts(radius: float, scene: Scene) -> bool:
-    """Say whether the sheets of a lap whose edge is not straight may cut into the luminous half-sphere."""
-    vertices, corrugation = scene.shape.vertices, scene.shape.corrugation
-    if not is_curved_lap(vertices, corrugation, scene.bend):
-        return False
-    x, y, z = scene.center_mm.tolist()
-    return bool(any_below((x, y - scene.bend[1], z), radius, ON_HALF_SPHERE, vertices, corrugation))
 
 
 def _on_half_sphere() -> Float64:
@@ -90,6 +81,17 @@ def any_below(
         if center[2] + radius * outward[i, 2] < height - CUT_MM:
             return True
     return False
+
+
+@kernel
+def metal_cuts(
+    center: tuple[float, float, float], bend: Bend, radius: float, vertices: Float64, corrugation: Float64
+) -> bool:
+    """Say whether the sheets of a lap whose edge is not straight may cut into the luminous half-sphere."""
+    if not is_curved_lap(vertices, corrugation, bend):
+        return False
+    under = (center[0], center[1] - bend[1], center[2])
+    return any_below(under, radius, ON_HALF_SPHERE, vertices, corrugation)
 
 
 class ArcKernels(NamedTuple):
@@ -148,7 +150,11 @@ def arc_kernels(setup: Setup, scenes: Scenes, x_ranges_mm: Float64) -> ArcKernel
     if scenes.below_surface.any():
         raise ValueError("the camera stands below the surface at this pose")
     radius = setup.arc.radius_mm
-    starts, horizons = horizons_of_scenes(scenes.shape, x_ranges_mm, scenes.center_mm, radius)
+    starts, horizons = horizons_of_scenes(scenes.shape, x_ranges_mm, scenes.center_mm, radius, False)
+    cuts = [
+        metal_cuts(tuple(center), tuple(bend), radius, *scenes.shape)
+        for center, bend in zip(scenes.center_mm.tolist(), scenes.bend.tolist(), strict=True)
+    ]
     return ArcKernels(
         np.ascontiguousarray(scenes.T_joint_camera[:, :3, :3]),
         np.ascontiguousarray(scenes.T_joint_camera[:, :3, 3]),
@@ -160,7 +166,7 @@ def arc_kernels(setup: Setup, scenes: Scenes, x_ranges_mm: Float64) -> ArcKernel
         scenes.shape.corrugation,
         starts,
         horizons,
-        np.array([_metal_cuts(radius, scenes[s]) for s in range(len(scenes))]),
+        np.array(cuts),
         lobe_numbers(setup.material),
         gauss_nodes(),
         NODES_P,
@@ -177,26 +183,52 @@ def arc_kernel(
     """
     if scene.below_surface:
         raise ValueError("the camera stands below the surface at this pose")
-    x, y, z = scene.T_joint_camera[:3, 3]
-    x_range, y_range = scene.footprint_mm.tolist()
-    radius = setup.arc.radius_mm
-    start, horizons = horizon_tables(scene.shape, (x_range[0], x_range[1]), scene.center_mm, radius)
-    return ArcKernel(
-        np.ascontiguousarray(scene.T_joint_camera[:3, :3]),
-        (float(x), float(y), float(z)),
-        (float(scene.center_mm[0]), float(scene.center_mm[1]), float(scene.center_mm[2])),
-        scene.bend,
-        radius,
+    made: ArcKernel = kernel_of(
+        scene,
+        setup.arc.radius_mm,
         setup.arc.radiance_e * level,
-        scene.shape.vertices,
-        scene.shape.corrugation,
-        start,
-        horizons,
-        _metal_cuts(radius, scene),
-        (*x_range, *y_range),
         lobe_numbers(setup.material),
         gauss_nodes(),
         *nodes,
+    )
+    return made
+
+
+@kernel(allocates=True)
+def kernel_of(
+    scene: Scene,
+    radius: float,
+    radiance_e: float,
+    material: LobeNumbers,
+    rules: Float64,
+    n_p: int,
+    n_q: int,
+) -> ArcKernel:
+    """Return `arc_kernel`'s numbers of a scene whose camera stands above the surface."""
+    T, foot, center = scene.T_joint_camera, scene.footprint_mm, scene.center_mm
+    vertices, corrugation = scene.shape
+    centers = np.empty((1, 3))
+    centers[0] = center
+    # Points beyond what the camera sees are asked for, too, where faces are continued.
+    starts, horizons = horizons_of_scenes(scene.shape, foot[:1].copy(), centers, radius, True)
+    middle = (center[0], center[1], center[2])
+    return ArcKernel(
+        T[:3, :3].copy(),
+        (T[0, 3], T[1, 3], T[2, 3]),
+        middle,
+        scene.bend,
+        radius,
+        radiance_e,
+        vertices,
+        corrugation,
+        starts[0],
+        horizons[0],
+        metal_cuts(middle, scene.bend, radius, vertices, corrugation),
+        (foot[0, 0], foot[0, 1], foot[1, 0], foot[1, 1]),
+        material,
+        rules,
+        n_p,
+        n_q,
     )
 
 
@@ -254,6 +286,23 @@ def arc_at(kernel: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64) -> tupl
     return mean_e, faces
 
 
+@kernel(allocates=True)
+def table_of(
+    k: ArcKernel, xy: Float32, n_scan: int, rel: float, floor_e: float, to_powers: Float64
+) -> FaceTable:
+    """Return an empty table whose faces go on as far as a cell of `MIXED` pixels reaches beyond an edge.
+
+    That is on a level face, by the camera's rays `xy` (n_scan n_pos, 2); see `table.new_table`.
+    """
+    # An image of one pixel has no step.
+    first = max(0, min(xy.shape[0] // n_scan // 2, xy.shape[0] - 2))
+    last = min(first + 1, xy.shape[0] - 1)
+    pixel = math.hypot(xy[last, 0] - xy[first, 0], xy[last, 1] - xy[first, 1])
+    distance_mm = k.eye[2] / max(0.1, abs(k.rotation[2, 2]))
+    margin_mm = min(MIXED * pixel * distance_mm, MAX_MARGIN_MM)
+    return new_table(k, margin_mm, rel, floor_e, to_powers)
+
+
 @dataclass(frozen=True, eq=False)
 class ArcMap:
     """The arc's light on a camera's rays, read off tables of the faces that are made where they are asked.
@@ -283,8 +332,7 @@ class ArcMap:
         read off them may each be off, halves of it where all is smooth; docs/explanation/arc_map.md says what
         is reached.
         """
-        margin_mm = _margin_mm(kernel, xy, n_scan)
-        return cls(kernel, xy, cos4, new_table(kernel, margin_mm, tolerance, floor_e, TO_POWERS))
+        return cls(kernel, xy, cos4, table_of(kernel, xy, n_scan, tolerance, floor_e, TO_POWERS))
 
     def at(self, pixels: Int64) -> Float32:
         """Return the light (n,) at some pixels (n,)."""
@@ -295,16 +343,6 @@ class ArcMap:
     def fill(self, lows: Int64, band_e: Float32) -> None:
         """Fill a band (n_scan, depth); CELL lines each begin at a place of `lows` (ceil(n_scan / CELL),)."""
         fill_band(self.kernel, self.table, self.xy, self.cos4, lows, CELL, band_e)
-
-
-def _margin_mm(kernel: ArcKernel, xy: Float32, n_scan: int) -> float:
-    """Return how far a cell of `MIXED` pixels reaches on a level face, beyond its edge, mm."""
-    # An image of one pixel has no step.
-    first = max(0, min(len(xy) // n_scan // 2, len(xy) - 2))
-    pixel = float(np.hypot(*np.diff(xy[first : first + 2], axis=0).sum(axis=0)))
-    distance = kernel.eye[2] / max(0.1, abs(kernel.rotation[2, 2]))
-    margin: float = min(MIXED * pixel * distance, MAX_MARGIN_MM)
-    return margin
 
 
 def arc_frame(

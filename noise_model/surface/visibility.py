@@ -231,11 +231,12 @@ def sky_planes(
 ) -> tuple[int, int]:
     """Write the half-spaces m.omega > 0 of directions in which P sees the arc; return how many, and ledges.
 
-    `planes` (MAX_PLANES, 3). The first is P's own horizon. `horizons` (2, n, 2) are `horizon_tables` for
-    terrain as high as P's sheet and lower by the step of the sheets. `ledges` (2 MAX_LEDGES, 3) are pairs of
-    a half-space and a face (n_y, n_z, c) that cuts into the arc: what lies behind it, n_y y + n_z z < c, is
-    seen in the half-space alone. Edges that `bend` are taken along their `tangent`; a ledge is written as if
-    that ran along x, in coordinates y - askew (x - P_x), with askew in place of the half-space's m_x.
+    `planes` (MAX_PLANES, 3). The first is P's own horizon. `horizons` (2, n, 2), of `horizons_of_scenes`, are
+    for terrain as high as P's sheet and lower by the step of the sheets. `ledges` (2 MAX_LEDGES, 3) are pairs
+    of a half-space and a face (n_y, n_z, c) that cuts into the arc: what lies behind it,
+    n_y y + n_z z < c, is seen in the half-space alone. Edges that `bend` are taken along their `tangent`; a
+    ledge is written as if that ran along x, in coordinates y - askew (x - P_x), with askew in place of the
+    half-space's m_x.
     """
     count, n_ledges = 1, 0
     planes[0, 0], planes[0, 1], planes[0, 2] = normal[0], normal[1], normal[2]
@@ -307,39 +308,6 @@ def sky_planes(
     return count, n_ledges
 
 
-def horizon_tables(
-    shape: Section, x_range_mm: tuple[float, float], center: Float64, radius: float
-) -> tuple[float, Float64]:
-    """Return the start (mm) and the (2, n, 2) horizon tables of a corrugated lap, else empty ones."""
-    # Points beyond what the camera sees are asked for, too, where faces are continued.
-    starts, tables = horizons_of_scenes(
-        shape, np.array([x_range_mm]), center[np.newaxis], radius, everywhere=True
-    )
-    return float(starts[0]), np.asarray(tables[0])
-
-
-def horizons_of_scenes(
-    shape: Section, x_ranges_mm: Float64, centers: Float64, radius: float, everywhere: bool = False
-) -> tuple[Float64, Float64]:
-    """Return the starts (s,), mm, and the (s, 2, n, 2) horizon tables of several scenes, else empty ones.
-
-    They reach from `x_ranges_mm` (s, 2) to the arc, and are filled within these or `everywhere`; else NaN.
-    """
-    n_scenes = len(centers)
-    if shape.corrugation[0] == 0.0:
-        return np.zeros(n_scenes), np.empty((n_scenes, 2, 0, 2))
-    # At multiples of the step, so that a pose a little on has the same stations.
-    lowest = np.minimum(x_ranges_mm[:, 0], centers[:, 0] - radius)
-    starts = HORIZON_STEP_MM * (np.floor(lowest / HORIZON_STEP_MM) - 1.0)
-    highest = np.maximum(x_ranges_mm[:, 1], centers[:, 0] + radius) + HORIZON_STEP_MM
-    counts = np.ceil((highest - starts) / HORIZON_STEP_MM).astype(np.int64) + 1
-    tables = np.full((n_scenes, 2, int(counts.max()), 2), np.nan)
-    terrain = shape.vertices[1, 1], shape.vertices[2, 1]
-    asked_mm = np.tile([lowest.min(), highest.max()], (n_scenes, 1)) if everywhere else x_ranges_mm
-    _write_horizons(starts, counts, asked_mm, centers, radius, shape.corrugation, terrain, tables)
-    return starts, tables
-
-
 @kernel(allocates=True)
 def _write_horizons(
     starts: Float64,
@@ -374,3 +342,32 @@ def _write_horizons(
                 foot,
                 tables[s, sheet],
             )
+
+
+@kernel(allocates=True)
+def horizons_of_scenes(
+    shape: Section, x_ranges_mm: Float64, centers: Float64, radius: float, everywhere: bool
+) -> tuple[Float64, Float64]:
+    """Return the starts (s,), mm, and the (s, 2, n, 2) horizon tables of several scenes, else empty ones.
+
+    They reach from `x_ranges_mm` (s, 2) to the arc, and are filled within these or `everywhere`; else NaN.
+    """
+    n_scenes = len(centers)
+    starts, counts = np.zeros(n_scenes), np.zeros(n_scenes, dtype=np.int64)
+    if shape.corrugation[0] == 0.0:
+        return starts, np.empty((n_scenes, 2, 0, 2))
+    asked_mm = x_ranges_mm.copy()
+    lowest_mm, highest_mm = math.inf, -math.inf
+    for s in range(n_scenes):
+        # At multiples of the step, so that a pose a little on has the same stations.
+        lowest = min(x_ranges_mm[s, 0], centers[s, 0] - radius)
+        highest = max(x_ranges_mm[s, 1], centers[s, 0] + radius) + HORIZON_STEP_MM
+        starts[s] = HORIZON_STEP_MM * (math.floor(lowest / HORIZON_STEP_MM) - 1.0)
+        counts[s] = math.ceil((highest - starts[s]) / HORIZON_STEP_MM) + 1
+        lowest_mm, highest_mm = min(lowest_mm, lowest), max(highest_mm, highest)
+    if everywhere:
+        asked_mm[:, 0], asked_mm[:, 1] = lowest_mm, highest_mm
+    tables = np.full((n_scenes, 2, counts.max(), 2), np.nan)
+    terrain = shape.vertices[1, 1], shape.vertices[2, 1]
+    _write_horizons(starts, counts, asked_mm, centers, radius, shape.corrugation, terrain, tables)
+    return starts, tables

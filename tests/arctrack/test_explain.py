@@ -57,7 +57,10 @@ def assert_same(one: object, other: object, without: tuple[str, ...] = ()) -> No
     """Every number bit for bit."""
     for f in fields(one):  # type: ignore[arg-type]
         if f.name not in without:
-            np.testing.assert_array_equal(getattr(one, f.name), getattr(other, f.name), err_msg=f.name)
+            values = [getattr(explained, f.name) for explained in (one, other)]
+            # Pairs among the numbers of a shape.
+            flat = [np.hstack(value) if isinstance(value, tuple) else value for value in values]
+            np.testing.assert_array_equal(*flat, err_msg=f.name)
 
 
 def moved(recording: Recording, from_s: float, offset_mm: tuple[float, float, float]) -> Recording:

@@ -13,7 +13,7 @@ from noise_model.surface.visibility import (
     HORIZON_STEP_MM,
     MAX_LEDGES,
     MAX_PLANES,
-    horizon_tables,
+    horizons_of_scenes,
     sky_planes,
     write_horizon,
 )
@@ -193,10 +193,18 @@ def test_ways_are_open_is_way_is_open_for_many():
     np.testing.assert_array_equal(is_free, [False, True, True])
 
 
+def horizon_tables(shape, center):
+    """The start and the horizon tables of one scene that is seen from -70 to 90 mm."""
+    starts, tables = horizons_of_scenes(
+        shape, np.array([[-70.0, 90.0]]), center[np.newaxis].copy(), RADIUS_MM, True
+    )
+    return starts[0], tables[0]
+
+
 def open_by_half_spaces(shape, P, normal, face, center, rng):
     """Points (n, 3) of the arc that face a surface point, and which of them its half-spaces open."""
     planes, ledges = np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3))
-    tables = horizon_tables(shape, (-70.0, 90.0), center, RADIUS_MM)
+    tables = horizon_tables(shape, center)
     count, n_ledges = sky_planes(
         tuple(P),
         tuple(normal),
@@ -296,7 +304,7 @@ def test_a_ridge_hides_the_arc_as_a_walk_finds_it(station_mm, arc_height_mm):
     center = np.array(
         [station_mm, 12.0, arc_height_mm + float(scenes.corrugation(joint, np.array(station_mm)))]
     )
-    start, horizons = horizon_tables(shape, (-70.0, 90.0), center, RADIUS_MM)
+    start, horizons = horizon_tables(shape, center)
     planes, ledges = np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3))
     n_wrong = n_hidden = n_looked = 0
     for _ in range(120):

@@ -164,7 +164,8 @@ def assert_told(track: Track) -> None:
     for f in fields(Track):
         value = getattr(track, f.name)
         if isinstance(value, float | tuple) and f.name not in ("timestamp_s", "valid_at_s", "checks"):
-            assert not np.isinf(value).any(), (f.name, value)
+            numbers = np.hstack(value) if isinstance(value, tuple) else value
+            assert not np.isinf(numbers).any(), (f.name, value)
     if not track.valid:
         assert track.flags & flags.INVALIDATING, track.flag_names
     else:

@@ -66,7 +66,7 @@ def test_a_rolled_lap_is_placed_as_a_level_one(seed: int, roll: float, edge_mm: 
     apart = len(y) // ROLL_BY
     slopes = (level[apart:] - level[:-apart]) / (y[apart:] - y[:-apart]) + roll
     assert found == pytest.approx(np.median(slopes), abs=1e-6)
-    twin = shift_of(y, level + (roll - found) * y, 5.0, corners, SEARCH_STEP_MM, 0.5)
+    twin = shift_of(y, level + (roll - found) * y, 5.0, corners, 0.0, SEARCH_STEP_MM, 0.5)
     assert shift == pytest.approx(twin, abs=1e-6)
     assert shift[0] == pytest.approx(edge_mm, abs=SEARCH_STEP_MM)
 

@@ -114,21 +114,10 @@ def estimate_arc_level(geometry: SensorGeometry, unlit: Unlit) -> ArcLevel:
     level map)^2, the black level's prior is its tolerance. Where the pixels ask for one far beyond that,
     light of the hall is in it, and nothing is known of it before.
     """
-    m, e = unlit.arc_e, unlit.charge_e
-    if len(m) < MIN_PIXELS or not (m > 0.0).any():
-        return UNKNOWN
-    sensor, tolerance = geometry.setup.sensor, geometry.setup.tolerance
-    black_sigma = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
-    dark_e2, size = geometry.dark_variance_at(e), np.empty(len(m))
-    start = max(0.0, _quantile(e, 0.5) / (_quantile(m, 0.5) + 1e-9))
-    level, sigma, black = _fit_level(m, e, dark_e2, black_sigma, start, size)
-    if black > AMBIENT_SIGMAS * black_sigma:
-        level, sigma, black = _fit_level(m, e, dark_e2, sensor.full_well_e, level, size)
-    # Where the sheet hides the arc, its level may be anything.
-    if not sigma < MAX_SIGMA * max(level, 1.0):
-        return UNKNOWN
-    misfit = _quantile(size, MISFIT_QUANTILE) / NORMAL_QUANTILE
-    return ArcLevel(level, sigma, black, misfit)
+    sensor, tolerance, e = geometry.setup.sensor, geometry.setup.tolerance, unlit.charge_e
+    black_sigma_e = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
+    fitted = fit_level(unlit.arc_e, e, geometry.dark_variance_at(e), black_sigma_e, sensor.full_well_e)
+    return UNKNOWN if math.isnan(fitted[0]) else ArcLevel(*fitted)
 
 
 def estimate_ambient_light(geometry: SensorGeometry, unlit: Unlit) -> ArcLevel:
@@ -141,9 +130,9 @@ def estimate_ambient_light(geometry: SensorGeometry, unlit: Unlit) -> ArcLevel:
     e = unlit.charge_e
     if len(e) < MIN_PIXELS:
         return ArcLevel(0.0, 0.0, 0.0, np.nan, is_on=False)
-    black = _quantile(e, 0.5)
+    black = quantile(e, 0.5)
     noise_e = math.sqrt(max(black, 0.0) + geometry.dark_variance_at(e)) * (1.0 + CHANCE / math.sqrt(len(e)))
-    spread_e = _quantile(np.abs(e - black), MISFIT_QUANTILE) / NORMAL_QUANTILE
+    spread_e = quantile(np.abs(e - black), MISFIT_QUANTILE) / NORMAL_QUANTILE
     return ArcLevel(0.0, 0.0, black, np.nan, False, math.sqrt(max(spread_e**2 - noise_e**2, 0.0)))
 
 
@@ -187,10 +176,30 @@ def _only_seen(map_e: Float64, charge_e: Float64, other_e: Float64, pixels: Int6
     return n
 
 
-def _quantile(values: Float64, share: float) -> float:
+@kernel(allocates=True)
+def quantile(values: Float64, share: float) -> float:
     """Return the value (n,) that so large a share of all is not above."""
     rank = math.ceil(share * (len(values) - 1))
     return float(np.partition(values, rank)[rank])
+
+
+@kernel(allocates=True)
+def fit_level(
+    map_e: Float64, charge_e: Float64, dark_e2: float, black_sigma_e: float, full_well_e: float
+) -> tuple[float, float, float, float]:
+    """Return `ArcLevel`'s first four numbers from pixels (n,), NaN where they do not tell the level."""
+    unknown = (math.nan, math.nan, 0.0, math.nan)
+    if len(map_e) < MIN_PIXELS or not (map_e > 0.0).any():
+        return unknown
+    size = np.empty(len(map_e))
+    start = max(0.0, quantile(charge_e, 0.5) / (quantile(map_e, 0.5) + 1e-9))
+    level, sigma, black = _fit_level(map_e, charge_e, dark_e2, black_sigma_e, start, size)
+    if black > AMBIENT_SIGMAS * black_sigma_e:
+        level, sigma, black = _fit_level(map_e, charge_e, dark_e2, full_well_e, level, size)
+    # Where the sheet hides the arc, its level may be anything.
+    if not sigma < MAX_SIGMA * max(level, 1.0):
+        return unknown
+    return level, sigma, black, quantile(size, MISFIT_QUANTILE) / NORMAL_QUANTILE
 
 
 @kernel(fastmath=REDUCTION)

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -50,7 +49,7 @@ def fit_joint(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Floa
     measured = _off_alike(profile, _fit(profile, joint, camera_mm, laser_mm))
     if measured is None or not math.isnan(measured.evidence_nats):
         return measured
-    return replace(measured, evidence_nats=evidence_nats(profile, measured.corners_mm))
+    return measured._replace(evidence_nats=evidence_nats(profile, measured.corners_mm))
 
 
 def fit_closed_joint(profile: Profile, joint: Joint, line: ImageLine) -> MeasuredJoint | None:
@@ -63,9 +62,23 @@ def _off_alike(profile: Profile, measured: MeasuredJoint | None) -> MeasuredJoin
     if measured is None:
         return None
     bias_px = np.empty(0) if profile.bias_px is None else profile.bias_px
-    y_mm, z_mm = off_alike_mm(profile.y_mm, profile.dy_mm, profile.dz_mm, bias_px, measured.y_mm)
-    alike = np.array([[y_mm * y_mm, y_mm * z_mm], [y_mm * z_mm, z_mm * z_mm]])
-    return replace(measured, covariance_mm2=measured.covariance_mm2 + alike)
+    covariance_mm2 = with_alike(
+        profile.y_mm, profile.dy_mm, profile.dz_mm, bias_px, measured.y_mm, measured.covariance_mm2
+    )
+    return measured._replace(covariance_mm2=covariance_mm2)
+
+
+@kernel(allocates=True)
+def with_alike(
+    y_mm: Float64, dy_mm: Float64, dz_mm: Float64, bias_px: Float64, seam_mm: float, covariance_mm2: Float64
+) -> Float64:
+    """Return a joint's covariance (2, 2) with what all points of its profile (n,) may be off alike."""
+    off = off_alike_mm(y_mm, dy_mm, dz_mm, bias_px, seam_mm)
+    together = covariance_mm2.copy()
+    for i in range(2):
+        for j in range(2):
+            together[i, j] += off[i] * off[j]
+    return together
 
 
 @kernel(allocates=True)

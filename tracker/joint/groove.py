@@ -16,14 +16,13 @@ from tracker.joint.measured import (
     SURE_SIGMAS,
     MeasuredJoint,
     ShapeFit,
-    angles_of,
     fit_shape,
-    opening_of,
+    opening_area,
     place,
-    section_of,
+    two_angles,
 )
 from tracker.joint.root import weigh_root
-from tracker.joint.section_shapes import GROOVE, ROUND_GROOVE
+from tracker.joint.section_shapes import GROOVE, N_CORNERS, ROUND_GROOVE, corners_of
 from tracker.profile import Profile
 from tracker.state import JointShape
 
@@ -68,8 +67,8 @@ def _fit(
     profile: Profile, joint: Joint, shape: int, tan: float, more: tuple[float, ...], prior_sigma: Float64
 ) -> MeasuredJoint | None:
     depth, gap = joint.dimensions["depth_mm"], joint.dimensions["root_gap_mm"]
-    corners = section(joint).vertices + np.array([0.0, depth])
-    y_0, z_0 = place(profile, corners, SEARCH_STEP_MM, 0.25 * depth)
+    corners = section(joint).vertices
+    y_0, z_0 = place(profile, corners, SEARCH_STEP_MM, 0.25 * depth, depth)
     start = np.array([y_0, z_0, gap, tan, tan, depth, depth, 0.0, 0.0, *more])
     fit = fit_shape(profile, shape, start, prior_sigma)
     if fit is None:
@@ -96,7 +95,8 @@ def _fit(
         fit = bridged
     elif min(seen.right, seen.left) < MIN_POINTS:
         return None
-    y_s, z_s, gap_mm, _, _, depth_left, depth_right = (float(p) for p in fit.parameters[:7])
+    y_s, z_s, gap_mm, _, _, depth_left, depth_right = fit.parameters[:7].tolist()
+    joint_shape, corners_mm = groove_section(shape, fit.parameters, fit.covariance)
     return MeasuredJoint(
         y_s,
         z_s,
@@ -104,9 +104,9 @@ def _fit(
         max(gap_mm, 0.0),
         depth_left - depth_right,
         fit.chi2,
-        _shape(shape, fit),
+        joint_shape,
         seen.left_out,
-        section_of(shape, fit),
+        corners_mm,
     )
 
 
@@ -183,12 +183,15 @@ def _bridged(
     return fit_shape(profile, shape, start, prior_sigma, (from_seen < sure) | on_plate)
 
 
-def _shape(shape: int, fit: ShapeFit) -> JointShape:
-    covariance = fit.covariance
-    bevels, bevel_sigmas = angles_of(fit, 3, 4)
-    plates, plate_sigmas = angles_of(fit, 7, 8)
-    area, area_sigma = opening_of(shape, fit)
-    return JointShape(
+@kernel(allocates=True)
+def groove_section(shape: int, p: Float64, covariance: Float64) -> tuple[JointShape, Float64]:
+    """Return what a fitted groove's section shows, and its corners (n, 2), mm."""
+    corners_mm = np.empty((N_CORNERS[shape], 2))
+    corners_of(shape, p, corners_mm)
+    bevels, bevel_sigmas = two_angles(p, covariance, 3, 4)
+    plates, plate_sigmas = two_angles(p, covariance, 7, 8)
+    area, area_sigma = opening_area(shape, p, covariance)
+    joint_shape = JointShape(
         math.sqrt(covariance[2, 2]),
         math.sqrt(covariance[5, 5] + covariance[6, 6] - 2.0 * covariance[5, 6]),
         bevels,
@@ -198,3 +201,4 @@ def _shape(shape: int, fit: ShapeFit) -> JointShape:
         area,
         area_sigma,
     )
+    return joint_shape, corners_mm

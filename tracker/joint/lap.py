@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -99,7 +98,7 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
         shape.chi2,
         JointShape(step_sigma, step_sigma, plate_angles_deg=plates, plate_sigmas_deg=plate_sigmas),
         left_out,
-        section_of(SHEETS, replace(shape, parameters=at_foot), (edge,)),
+        section_of(SHEETS, shape._replace(parameters=at_foot), (edge,)),
     )
 
 
@@ -119,7 +118,7 @@ def placed(
     roll = median_of(slopes, n - apart)
     for i in range(n):
         level_mm[i] = z_mm[i] - roll * y_mm[i]
-    y_0, z_0 = shift_of(y_mm, level_mm, reach_mm, corners, SEARCH_STEP_MM, limit_mm)
+    y_0, z_0 = shift_of(y_mm, level_mm, reach_mm, corners, 0.0, SEARCH_STEP_MM, limit_mm)
     return roll, y_0, z_0
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -40,8 +39,10 @@ SURE_SIGMAS, SURE_MM = 2.0, 1.0
 so far out, the plate's."""
 
 
-@dataclass(frozen=True)
-class MeasuredJoint:
+_NO_CORNERS = np.empty((0, 2))
+
+
+class MeasuredJoint(NamedTuple):
     """The joint in its own frame, mm: the seam point, its covariance (2, 2) of (y, z), and its dimensions.
 
     `chi2` is the fit's per degree of freedom; `gap_mm` and `mismatch_mm` are NaN where the shape has none.
@@ -57,12 +58,11 @@ class MeasuredJoint:
     chi2: float
     shape: JointShape = NO_SHAPE
     unexplained: float = 0.0
-    corners_mm: Float64 = field(default_factory=lambda: np.empty((0, 2)), repr=False)
+    corners_mm: Float64 = _NO_CORNERS
     evidence_nats: float = math.nan
 
 
-@dataclass(frozen=True)
-class ShapeFit:
+class ShapeFit(NamedTuple):
     """Parameters (p,), their covariance (p, p), chi2 per degree of freedom and the points' weights (n,)."""
 
     parameters: Float64
@@ -84,9 +84,7 @@ def fit_shape(
     A point may lie `start_sigma_mm` off the start. None where fewer points are `used` than the parameters
     need, and where the fit runs away. What `start` has beyond `prior_sigma` (p,) stays as it is.
     """
-    n, n_points = len(prior_sigma), len(profile.y_mm)
-    parameters, covariance, weights = start.copy(), np.empty((n, n)), np.empty(n_points)
-    chi2 = _fit(
+    fit: ShapeFit = _fit(
         shape,
         profile.y_mm,
         profile.z_mm,
@@ -95,15 +93,17 @@ def fit_shape(
         profile.scan,
         profile.sigma_px,
         profile.beside_px,
-        np.zeros(n_points) if profile.misfit_px is None else profile.misfit_px,
-        np.ones(n_points, dtype=np.bool_) if used is None else used,
+        _NONE_PX if profile.misfit_px is None else profile.misfit_px,
+        _ALL if used is None else used,
         start_sigma_mm,
         prior_sigma,
-        parameters,
-        covariance,
-        weights,
+        start,
     )
-    return ShapeFit(parameters[:n], covariance, chi2, weights) if math.isfinite(chi2) else None
+    return fit if math.isfinite(fit.chi2) else None
+
+
+_NONE_PX, _ALL = np.empty(0), np.empty(0, dtype=np.bool_)
+"""No misfits of points, and no choice among them, as the kernel takes them."""
 
 
 @kernel(allocates=True)
@@ -117,18 +117,22 @@ def _fit(
     sigma_px: Float64,
     beside_px: Float64,
     misfit_px: Float64,
-    used: Bool,
+    chosen: Bool,
     start_sigma_mm: float,
     prior_sigma: Float64,
-    parameters: Float64,
-    covariance: Float64,
-    weights: Float64,
-) -> float:
-    """Fit a shape from its start in `parameters`, see `fit_shape`; return chi2, NaN where it cannot be."""
-    n = y_mm.shape[0]
+    start: Float64,
+) -> ShapeFit:
+    """Return `fit_shape`'s fit, whose chi2 is NaN where it cannot be.
+
+    All points (n,) are used where none are `chosen`, and without a `misfit_px` it is 0.
+    """
+    n, m = y_mm.shape[0], prior_sigma.shape[0]
+    parameters, covariance, weights = start.copy(), np.empty((m, m)), np.empty(n)
+    used = chosen if len(chosen) > 0 else np.ones(n, np.bool_)
+    misfit = misfit_px if len(misfit_px) > 0 else np.zeros(n)
     sigma, beside = np.empty(n), np.empty(n)
-    if count_with_floor(sigma_px, used, sigma) < prior_sigma.shape[0] + 3:
-        return math.nan
+    if count_with_floor(sigma_px, used, sigma) < m + 3:
+        return ShapeFit(parameters[:m], covariance, math.nan, weights)
     for i in range(n):
         beside[i] = math.sqrt(beside_px[i] ** 2 + SIGMA_FLOOR_PX**2)
     wide = start_sigma_mm / max(typical_mm(dz_mm, sigma, used), MIN_UNIT_MM)
@@ -137,20 +141,9 @@ def _fit(
     )
     if math.isfinite(chi2):
         add_shared_errors(
-            shape,
-            y_mm,
-            dy_mm,
-            dz_mm,
-            scan,
-            sigma,
-            beside,
-            misfit_px,
-            weights,
-            parameters,
-            chi2,
-            covariance,
+            shape, y_mm, dy_mm, dz_mm, scan, sigma, beside, misfit, weights, parameters, chi2, covariance
         )
-    return chi2
+    return ShapeFit(parameters[:m], covariance, chi2, weights)
 
 
 @kernel
@@ -174,29 +167,39 @@ def typical_mm(dz_mm: Float64, sigma_px: Float64, used: Bool) -> float:
     return float(np.median(moves[:count]))
 
 
-def place(profile: Profile, corners: Float64, step_mm: float, limit_mm: float) -> tuple[float, float]:
-    """Return the shift (y, z) in mm of nominal corners (k, 2) that explains most of a profile.
+def place(
+    profile: Profile, corners: Float64, step_mm: float, limit_mm: float, lift_mm: float = 0.0
+) -> tuple[float, float]:
+    """Return the shift (y, z) in mm of nominal corners (k, 2), lifted, that explains most of a profile.
 
     Lateral shifts are tried by steps of `step_mm` within the profile's reach, see `best_shift`.
     """
     shift: tuple[float, float] = shift_of(
-        profile.y_mm, profile.z_mm, profile.reach_mm, np.ascontiguousarray(corners), step_mm, limit_mm
+        profile.y_mm, profile.z_mm, profile.reach_mm, corners, lift_mm, step_mm, limit_mm
     )
     return shift
 
 
 @kernel(allocates=True)
 def shift_of(
-    y_mm: Float64, z_mm: Float64, reach_mm: float, corners: Float64, step_mm: float, limit_mm: float
+    y_mm: Float64,
+    z_mm: Float64,
+    reach_mm: float,
+    corners: Float64,
+    lift_mm: float,
+    step_mm: float,
+    limit_mm: float,
 ) -> tuple[float, float]:
-    """Return the shift (y, z) of corners that explains most of points (n,); see `place`."""
+    """Return the shift (y, z) of lifted corners that explains most of points (n,); see `place`."""
+    lifted = corners.copy()
+    lifted[:, 1] += lift_mm
     every = max(1, y_mm.shape[0] // PLACED_BY)
     n = (y_mm.shape[0] + every - 1) // every
     y, z = np.empty(n), np.empty(n)
     for i in range(n):
         y[i], z[i] = y_mm[i * every], z_mm[i * every]
     first, last = max(y_mm[0], -reach_mm), min(y_mm[-1], reach_mm)
-    return best_shift(y, z, corners, np.arange(first, last + step_mm, step_mm), limit_mm)
+    return best_shift(y, z, lifted, np.arange(first, last + step_mm, step_mm), limit_mm)
 
 
 def off_line(profile: Profile, line_mm: Float64) -> Float64:
@@ -257,15 +260,18 @@ def unexplained(profile: Profile, fit: ShapeFit, y_mm: float, reach_mm: float, u
 
 def angles_of(fit: ShapeFit, left: int, right: int) -> tuple[Pair, Pair]:
     """Return the angles, deg, whose tangents are two of a fit's parameters, and their 1 sigma."""
-    first, first_sigma = _angle_of(fit, left)
-    second, second_sigma = _angle_of(fit, right)
-    return (first, second), (first_sigma, second_sigma)
+    angles: tuple[Pair, Pair] = two_angles(fit.parameters, fit.covariance, left, right)
+    return angles
 
 
-def _angle_of(fit: ShapeFit, which: int) -> Pair:
-    """Return the angle, deg, whose tangent is one of a fit's parameters, and its 1 sigma."""
-    tangent, variance = float(fit.parameters[which]), float(fit.covariance[which, which])
-    return math.degrees(math.atan(tangent)), math.degrees(math.sqrt(variance) / (1.0 + tangent * tangent))
+@kernel
+def two_angles(parameters: Float64, covariance: Float64, left: int, right: int) -> tuple[Pair, Pair]:
+    """Return the two `angles_of` a fit."""
+    first, second = parameters[left], parameters[right]
+    first_sigma = math.sqrt(covariance[left, left]) / (1.0 + first * first)
+    second_sigma = math.sqrt(covariance[right, right]) / (1.0 + second * second)
+    angles = math.degrees(math.atan(first)), math.degrees(math.atan(second))
+    return angles, (math.degrees(first_sigma), math.degrees(second_sigma))
 
 
 def opening_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = ()) -> Pair:
@@ -273,11 +279,19 @@ def opening_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = ()) -> Pair
 
     `fixed` are the parameters that were not fitted.
     """
-    p = np.concatenate([fit.parameters, fixed])
-    gradient = np.empty(len(p))
-    area = opening(shape, p, gradient)
-    fitted = gradient[: len(fit.parameters)]
-    return area, math.sqrt(float(fitted @ fit.covariance @ fitted))
+    area: Pair = opening_area(shape, np.concatenate([fit.parameters, fixed]), fit.covariance)
+    return area
+
+
+@kernel(allocates=True)
+def opening_area(shape: int, p: Float64, covariance: Float64) -> Pair:
+    """Return the opening's area at parameters p, mm^2, and its 1 sigma by the covariance of the first m."""
+    parameters, gradient, variance = p.copy(), np.empty(p.shape[0]), 0.0
+    area = opening(shape, parameters, gradient)
+    for i in range(covariance.shape[0]):
+        for j in range(covariance.shape[0]):
+            variance += gradient[i] * covariance[i, j] * gradient[j]
+    return area, math.sqrt(variance)
 
 
 def section_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = ()) -> Float64:

@@ -10,7 +10,7 @@ import numpy as np
 
 from noise_model.arc.map import CELL, ArcKernel, ArcMap
 from noise_model.arrays import Bool, Float32, Float64, Int64
-from noise_model.median import median
+from noise_model.kernel import kernel
 from noise_model.robust import sigma_of
 from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Transmission
@@ -20,7 +20,7 @@ from tracker.stripe.band import at_level, gather_band, median_background
 from tracker.stripe.edge import StripeLight
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.read_band import Band, Learned, Lines, Noise, ReadRoom, Sought, read_band
-from tracker.stripe.scatter import FrameScatter, Scatter
+from tracker.stripe.scatter import FrameScatter, Scatter, brightness_alike, brightness_plateau
 from tracker.stripe.viterbi import OFFSET_STEP
 
 MAP_TOLERANCE, MAP_FLOOR_E = 0.01, 20.0
@@ -111,8 +111,8 @@ class StripeReading:
 
     def light(self, psf_sigma_px: float, sheet_lines: float) -> StripeLight:
         """Return what shows where the stripe ends, as good as the band."""
-        band, width_px = self.band, self.fits[:, 3]
-        sigma_px = self.stripe.sigma_px[np.isfinite(self.stripe.sigma_px)]
+        band = self.band
+        contrast, alike, centre_sigma_px = usual_line(self.scatter.average, self.stripe.sigma_px)
         return StripeLight(
             band.charge,
             band.background,
@@ -120,14 +120,22 @@ class StripeReading:
             band.censored,
             self.lows,
             self.stripe.position_px,
-            width_px,
+            self.fits[:, 3],
             self.shot,
-            self.scatter.brightness_contrast,
-            self.scatter.brightness_alike,
+            contrast,
+            alike,
             psf_sigma_px,
             sheet_lines,
-            median(sigma_px) if len(sigma_px) else math.nan,
+            centre_sigma_px,
         )
+
+
+@kernel(allocates=True)
+def usual_line(average: FrameScatter, sigma_px: Float64) -> tuple[float, float, float]:
+    """Return contrast and likeness of the lines' brightness, and the median 1 sigma of their centres (n,)."""
+    known_px = sigma_px[np.isfinite(sigma_px)]
+    centre_sigma_px = np.median(known_px) if len(known_px) > 0 else math.nan
+    return math.sqrt(brightness_plateau(average)), brightness_alike(average), centre_sigma_px
 
 
 def arc_map_of(geometry: SensorGeometry, kernel: ArcKernel) -> ArcMap:
