@@ -1,7 +1,8 @@
 """Before the first frame: every path of a step taken once, so that nothing is compiled or loaded after it.
 
 The frames are made up: the stripe where the setup expects it, the arc's light where the map predicts it, and
-what may happen to both. Their tracks are thrown away.
+what may happen to both. Their pixels are larger than the camera's, since a path is the same in a small image.
+Their tracks are thrown away.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from dataclasses import dataclass, replace
 import numba.core.event as numba_events
 import numpy as np
 
-from noise_model.arc.map import arc_kernel
-from noise_model.arc.scene import Scene, make_scene
+from noise_model.arc.map import arc_frame, arc_kernel
+from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64, Integers
 from noise_model.surface.joint import NOMINAL_SEAM, seam_frame
 from tracker.geometry import SensorGeometry
@@ -24,10 +25,13 @@ from tracker.seam.stretches import JUMPS_TO_RELEARN
 from tracker.state import Frame, Pose
 from tracker.step import LOST_TO_SEARCH, TrackerState, step
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
-from tracker.stripe.read import Work, arc_map_of
+from tracker.stripe.read import Work
 
 STRIPE_OVER_FULL_WELL = 0.3
 """How bright the made-up stripe is."""
+
+SHORTER_SIDE_PX = 240
+"""The shorter side of a made-up image has so many pixels, or some more."""
 
 TRACKED_FRAMES = 8
 """So many frames in a row show the stripe in its place, 1 mm apart."""
@@ -87,9 +91,10 @@ def warm_up(
     with heard_compilations(on_compiled) as compiled:
         kind = _kind(geometry, use_arc_map)
         if kind not in _warm:
-            work, state = Work.of(geometry), TrackerState()
-            for frame, pose in _frames(geometry):
-                state, _ = step(geometry, state, frame, pose, work, use_arc_map, correction)
+            small = _with_larger_pixels(geometry)
+            work, state = Work.of(small), TrackerState()
+            for frame, pose in _frames(small):
+                state, _ = step(small, state, frame, pose, work, use_arc_map, correction)
             _warm.add(kind)
     return WarmUp(len(compiled), time.perf_counter() - began_s)
 
@@ -111,6 +116,13 @@ def _kind(geometry: SensorGeometry, use_arc_map: bool) -> tuple[object, ...]:
         any(setup.camera.distortion),
         frozenset(setup.effects),
     )
+
+
+def _with_larger_pixels(geometry: SensorGeometry) -> SensorGeometry:
+    """Return a setup of the same kind and the same view, whose image has SHORTER_SIDE_PX."""
+    camera = geometry.setup.camera
+    by = max(1, min(camera.width, camera.height) // SHORTER_SIDE_PX)
+    return SensorGeometry.of(replace(geometry.setup, camera=camera.coarser(by)))
 
 
 def _frames(geometry: SensorGeometry) -> Iterator[tuple[Frame, Pose | None]]:
@@ -207,11 +219,10 @@ class _Picture:
     @classmethod
     def of(cls, geometry: SensorGeometry, pose: Pose) -> _Picture:
         """Predict stripe and arc of a pose."""
-        scene: Scene = make_scene(geometry.setup, pose.T_base_tool, NOMINAL_SEAM)
-        arc_map = arc_map_of(geometry, arc_kernel(geometry.setup, scene, 1.0))
-        arc_e = arc_map.at(np.arange(geometry.n_scan * geometry.n_pos))
-        light_e = np.nan_to_num(arc_e).astype(np.float64).reshape(geometry.n_scan, geometry.n_pos)
-        return cls(geometry, expect_stripe(geometry, scene), light_e)
+        scene = make_scene(geometry.setup, pose.T_base_tool, NOMINAL_SEAM)
+        arc = arc_kernel(geometry.setup, scene, 1.0)
+        arc_e = arc_frame(arc, geometry.xy, geometry.cos4, (geometry.n_scan, geometry.n_pos))
+        return cls(geometry, expect_stripe(geometry, scene), np.nan_to_num(arc_e).astype(np.float64))
 
     def image(
         self,

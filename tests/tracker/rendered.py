@@ -23,9 +23,9 @@ USUAL_RADIANCE_E = 8.0e6
 SEED = 20240607
 
 
-def small_setup(joint: str, *, upright: bool = False) -> Setup:
+def small_setup(joint: str, *, upright: bool = False, width: int = 320) -> Setup:
     """A zinc-coated joint before a camera of 320 x 240 px; `upright` rolls it by 90 deg: 240 x 320 px."""
-    setup = nominal_setup(joint, "zn_coated", width=320, height=240)
+    setup = nominal_setup(joint, "zn_coated", width=width, height=3 * width // 4)
     setup = replace(setup, arc=replace(setup.arc, radiance_e=RADIANCE_E.get(joint, USUAL_RADIANCE_E)))
     return rolled(setup) if upright else setup
 

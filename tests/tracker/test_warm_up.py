@@ -77,9 +77,9 @@ def imported() -> Iterator[subprocess.Popen[bytes]]:
     assert process.returncode == 0
 
 
-def recorded(joint: str) -> tuple[object, list[tuple[Frame, Pose | None]]]:
+def recorded(joint: str, width: int) -> tuple[object, list[tuple[Frame, Pose | None]]]:
     """Return a setup and frames of many kinds, by the forward model: none as the warm-up makes them up."""
-    setup, frames = small_setup(joint), []
+    setup, frames = small_setup(joint, width=width), []
     rng = np.random.default_rng(7)
     for index, x_mm in enumerate(np.arange(0.0, 12.0, 1.0)):
         seam = SeamLine(y_mm=0.4 + 0.02 * x_mm, z_mm=-0.2)
@@ -88,13 +88,13 @@ def recorded(joint: str) -> tuple[object, list[tuple[Frame, Pose | None]]]:
         frames.append((frame_of(setup, pose, seam, laser=laser, arc=arc, index=index), pose))
     frame, pose = frames[0]
     image = frame.image_dn
-    ghost = np.maximum(image, np.roll(image, 14, axis=0) // 2)
+    ghost = np.maximum(image, np.roll(image, 14 * width // 320, axis=0) // 2)
     noise = rng.integers(0, 60, image.shape, dtype=image.dtype)
     halved = image.copy()
     halved[:, : image.shape[1] // 2] = noise[:, : image.shape[1] // 2]
     read_only = image.copy()
     read_only.flags.writeable = False
-    aside = np.roll(image, 25, axis=0)
+    aside = np.roll(image, 25 * width // 320, axis=0)
     streaked = image.copy()
     streaked[::9] = 255
     pictures = [ghost, noise, halved, read_only, np.asfortranarray(image), image[:, ::-1], streaked]
@@ -108,13 +108,16 @@ def recorded(joint: str) -> tuple[object, list[tuple[Frame, Pose | None]]]:
     return setup, frames
 
 
-@pytest.mark.parametrize("joint", DIMENSIONS)
+# The warm-up makes up its images with 240 rows: of the larger ones with larger pixels.
+@pytest.mark.parametrize(
+    ("joint", "width"), [*((joint, 320) for joint in DIMENSIONS), ("v_groove", 640), ("corrugation", 640)]
+)
 def test_no_frame_waits_after_the_warm_up(
-    joint: str, imported: subprocess.Popen[bytes], compiled: None
+    joint: str, width: int, imported: subprocess.Popen[bytes], compiled: None
 ) -> None:
     assert imported.stdin is not None
     assert imported.stdout is not None
-    pickle.dump(recorded(joint), imported.stdin)
+    pickle.dump(recorded(joint, width), imported.stdin)
     imported.stdin.flush()
     frames_before, valid, ready, waited, for_constants = pickle.load(imported.stdout)
     assert frames_before == 0
