@@ -53,22 +53,30 @@ def writing(path: Path) -> Iterator[None]:
         raise in_file(path, f"cannot be written: {error.strerror or error}") from None
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a file in one go; of one that is there the permissions stay, and a link still points at it.
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give the path of a draft that becomes the file at the context's end, or never.
 
-    Raises ArctrackError if it cannot be written; what was there is then as it was.
+    Of a file that is there the permissions stay, and a link still points at it. Raises ArctrackError if it
+    cannot be written; what was there is then as it was.
     """
     target = real(path)
     draft = target.with_name(f".{target.name}.{os.getpid()}.part")
     with writing(path):
         try:
-            # A folder's name need not be UTF-8.
-            draft.write_text(text, encoding="utf-8", errors="backslashreplace")
+            yield draft
             if target.exists():
                 shutil.copymode(target, draft)
             draft.replace(target)
         finally:
             draft.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file of text in one go, as `whole_file` does."""
+    with whole_file(path) as draft:
+        # A folder's name need not be UTF-8.
+        draft.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def write_keeping(path: Path, text: str) -> Path | None:

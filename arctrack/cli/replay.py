@@ -74,6 +74,12 @@ def replay(
             help="Take over recordings that an earlier run finished, of the same files, options and version.",
         ),
     ] = False,
+    parquet: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the frames of all recordings into one Parquet file too. Needs arctrack\\[parquet]."
+        ),
+    ] = None,
     workers: Workers = 1,
     scheduler: Scheduler = None,
 ) -> None:
@@ -87,12 +93,15 @@ def replay(
     is 3 where no frame is valid.
     """
     from arctrack.cell_file import read_cell_file
+    from arctrack.recording.parquet_file import check_parquet
     from arctrack.recording.results import REPLAY_MCAP, REPLAY_RRD
     from arctrack.replay import ReplayOptions
     from arctrack.replays import check_bus, jobs_for
     from arctrack.workers import check_choice
 
     check_choice(workers, scheduler)
+    if parquet is not None:
+        check_parquet(parquet)
     exports = tuple(name for name, wanted in ((REPLAY_MCAP, mcap), (REPLAY_RRD, rrd)) if wanted)
     options = ReplayOptions(
         bus=bus,
@@ -110,7 +119,7 @@ def replay(
         outcomes = sorted(_at_once(jobs, workers, scheduler), key=lambda outcome: jobs.index(outcome.job))
     else:
         outcomes = list(_in_turn(jobs))
-    _report(outcomes)
+    _report(outcomes, parquet)
 
 
 def _at_once(jobs: list[ReplayJob], workers: int, scheduler: str | None) -> Iterator[Outcome]:
@@ -173,8 +182,11 @@ def _begin(bar: Progress, job: ReplayJob, recording: Recording) -> Listeners:
     )
 
 
-def _report(outcomes: list[Outcome]) -> None:
-    """Say what became of the recordings, and leave with the exit code of it, if that is not 0."""
+def _report(outcomes: list[Outcome], parquet: Path | None) -> None:
+    """Say what became of the recordings, and leave with the exit code of it, if that is not 0.
+
+    The frames of those that did not fail go into the Parquet file, where one is wanted.
+    """
     from arctrack.cli import console
     from arctrack.replays import Replayed
     from arctrack.workers import Failed
@@ -190,10 +202,20 @@ def _report(outcomes: list[Outcome]) -> None:
         )
     complaints = [*(failure.problem for failure in failed), *(r.complaint for r in done if r.complaint)]
     console.complain(complaints)
+    if parquet is not None:
+        _write_parquet(parquet, done)
     for failure in failed:
         if not failure.foreseen:
             raise failure.error
     _end(complaints, [replayed.verdict for replayed in done])
+
+
+def _write_parquet(path: Path, done: list[Replayed]) -> None:
+    from arctrack.cli import console
+    from arctrack.recording.parquet_file import ReplayedRecording, write_parquet
+
+    rows = write_parquet(path, [ReplayedRecording(each.job.recording, each.job.folder) for each in done])
+    console.say(f"{rows} frames of {len(done)} recordings in {path}")
 
 
 def _end(complaints: list[str], verdicts: list[Verdict]) -> None:
