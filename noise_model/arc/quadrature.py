@@ -31,7 +31,7 @@ from noise_model.arc.chords import (
     ledge_crossings,
     wall_parts,
 )
-from noise_model.arc.sheet_occlusion import Metal, Rays, chord_parts, clip, is_clear, look_along
+from noise_model.arc.sheet_occlusion import Crossings, Metal, Rays, chord_parts, clip, is_clear, look_along
 from noise_model.arrays import Float64, Point, Vector
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.surface.brdf import LobeNumbers, reflected
@@ -260,8 +260,8 @@ class Room(NamedTuple):
     """Scratch of one point's integral.
 
     `nodes` (3, MAX_POINTS) with their weights, `cuts` (MAX_PLANES, 3) the lines, `breaks` (MAX_PIECES,) the
-    sorted crossings, `parts` (MAX_PARTS, 3) of a chord, `spans` (3, MAX_PIECES) the chords, and `ways`
-    (3, MAX_WAYS) the rays past the metal.
+    sorted crossings, `parts` (MAX_PARTS, 3) of a chord, `spans` (3, MAX_PIECES) the chords, `ways`
+    (4, MAX_WAYS) the rays past the metal, `on` where these come to it.
     """
 
     nodes: Float64
@@ -270,6 +270,7 @@ class Room(NamedTuple):
     parts: Float64
     spans: Float64
     ways: Float64
+    on: Crossings
 
 
 @kernel
@@ -285,7 +286,7 @@ def arc_light(
     """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees."""
     P, normal, omega_r = patch
     planes, n_planes, ledges, n_ledges, metal = hiding
-    _, cuts, breaks, _, spans, ways = room
+    _, cuts, breaks, _, spans, ways, on = room
     nx, ny, nz = normal
     rx, ry, rz = omega_r
     distance, axes, arc = disc(P, center, radius)
@@ -326,7 +327,9 @@ def arc_light(
     has_metal = (metal[5] or metal[6]) and not is_clear(p_max, arc, cuts, rays, metal, spans, ways)
     p_first, p_last = -p_max, p_max
     if has_metal:
-        p_first, p_last, n_breaks = clip(axes, arc, cuts, n_cuts, rays, metal, breaks, n_breaks, spans, ways)
+        p_first, p_last, n_breaks = clip(
+            axes, arc, cuts, n_cuts, rays, metal, breaks, n_breaks, spans, ways, on
+        )
         if p_last <= p_first:
             return 0.0
     total = _integrate(
@@ -368,7 +371,7 @@ def _integrate(
     P, normal, omega_r = patch
     _, _, ledges, n_ledges, metal = hiding
     rules, n_p, n_q = rule
-    nodes, cuts, breaks, parts, spans, ways = room
+    nodes, cuts, breaks, parts, spans, ways, on = room
     wx, wy, wz, _, _, _, _, _ = axes
     sin_b, _, tan_b, _, _ = arc
     below = wz > 0.0
@@ -377,10 +380,8 @@ def _integrate(
     near = 1.0 + 2.0 * max(0.0, sin_b - NEAR_ARC)
     more = max(near, disc_in_lobes(tan_b, (wx, wy, wz), omega_r, material) / LOBE_RADII)
     n_q = math.ceil(min(float(MAX_NODES_Q), n_q * more))
-    # Walls' borders have crossings that are not looked for, and where a crest hides more than the edge does
-    # the border of the upper sheet's metal has a knee.
-    has_knee = has_metal and metal[7] and not math.isnan(metal[4])
-    n_p = math.ceil(CURVED_FACTOR * n_p) if n_ledges > 0 or has_knee else n_p
+    # Walls' borders have crossings that are not looked for.
+    n_p = math.ceil(CURVED_FACTOR * n_p) if n_ledges > 0 else n_p
     is_followed = has_metal and n_ledges == 0
     total = 0.0
     n = 0
@@ -402,7 +403,7 @@ def _integrate(
         if spans[2, m] <= spans[1, m]:
             continue
         if is_followed:
-            look_along(spans, m, rays, metal, ways)
+            look_along(spans, m, rays, metal, ways, on)
         for i in range(m):
             p, low, high = spans[0, i], spans[1, i], spans[2, i]
             if high <= low:
@@ -413,7 +414,7 @@ def _integrate(
             if n_ledges > 0:
                 n_parts = wall_parts(p, low, high, P, axes, tan_b, distance, radius, ledges, n_ledges, parts)
             elif is_followed:
-                n_parts = chord_parts(i, ways, rays, metal, parts)
+                n_parts = chord_parts(i, ways, parts)
             for k in range(n_parts):
                 begin, length = parts[k, 0], parts[k, 1] - parts[k, 0]
                 for j in range(n_q):

@@ -7,9 +7,12 @@ line; and where the torch stands on a ridge's flank, the sheets themselves cut i
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from noise_model.arc.chords import MAX_NODES_P, Axes, Shape, chords, insert
-from noise_model.arrays import Float64
+from noise_model.arrays import Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.surface.faces import raised
 
@@ -109,73 +112,137 @@ def clearances(ways: Float64, n: int, rays: Rays, metal: Metal) -> None:
         ways[2, i] = clearance(ways[0, i], ways[1, i], rays, metal)
 
 
-@kernel
-def border(
-    p: tuple[float, float],
-    q: tuple[float, float],
-    on_rim: bool,
-    at_ends: tuple[float, float],
-    rays: Rays,
-    metal: Metal,
-) -> float:
-    """Return at which share of the way from (p[0], q[0]) to (p[1], q[1]) the clearance changes its sign.
+class Crossings(NamedTuple):
+    """Ways on which the clearance changes its sign, (n,), and where.
 
-    `at_ends` are the clearances there, of unlike signs. `on_rim` goes from p[0] to p[1] along the upper rim
-    of the disc instead.
+    A way goes from `p` and `q` by `p_way` and `q_way`. The sign changes between the shares `low` and `high`
+    of it, whose clearances are `below` and `above`; `share` is the last that was looked at, by `looked`
+    (3, n). `is_flat` and `is_known` are 0 or 1. `place` says which pair of rays looked at began the way.
     """
-    low, high = 0.0, 1.0
-    below, above = at_ends
-    share = 0.5
-    # Beside an edge rays skim the metal, however they turn, until one meets it: what is near 0 tells nothing.
-    is_flat = min(abs(below), abs(above)) < ROOT_MM
-    for i in range(ROOT_STEPS):
-        if is_flat or max(abs(below), abs(above)) > TURNED_AWAY_MM or i % 4 == 3:
-            share = 0.5 * (low + high)
-        else:
-            # Regula falsi with halved weights (Illinois): the clearance is nearly straight.
-            share = (low * above - high * below) / (above - below)
-        p_i = p[0] + share * (p[1] - p[0])
-        q_i = math.sqrt(max(0.0, 1.0 - p_i * p_i)) if on_rim else q[0] + share * (q[1] - q[0])
-        free = clearance(p_i, q_i, rays, metal)
-        if abs(free) < ROOT_MM and not is_flat:
-            break
-        if (free < 0.0) == (below < 0.0):
-            low, below = share, free
-            above *= 0.5
-        else:
-            high, above = share, free
-            below *= 0.5
-    return share
+
+    p: Float64
+    p_way: Float64
+    q: Float64
+    q_way: Float64
+    low: Float64
+    high: Float64
+    below: Float64
+    above: Float64
+    share: Float64
+    is_flat: Float64
+    is_known: Float64
+    looked: Float64
+    place: Int64
+
+
+@kernel(allocates=True)
+def crossings_room() -> Crossings:
+    """Return room for the crossings of the rays that are looked at together."""
+    n = MAX_WAYS
+    return Crossings(
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty((3, n)),
+        np.empty(n, dtype=np.int64),
+    )
 
 
 @kernel
-def look_along(spans: Float64, n: int, rays: Rays, metal: Metal, ways: Float64) -> None:
-    """Write p, q and clearance of CHORD_STEPS + 1 places on each of n `chords` into `ways`."""
+def add_way(on: Crossings, n: int, before: int, ways: Float64) -> int:
+    """Add to n ways that from one ray looked at to the next if the sign changes on it; return how many."""
+    behind = before + 1
+    if (ways[2, behind] < 0.0) == (ways[2, before] < 0.0):
+        return n
+    on.p[n], on.p_way[n] = ways[0, before], ways[0, behind] - ways[0, before]
+    on.q[n], on.q_way[n] = ways[1, before], ways[1, behind] - ways[1, before]
+    on.below[n], on.above[n], on.place[n] = ways[2, before], ways[2, behind], before
+    return n + 1
+
+
+@kernel(fastmath={"contract"})
+def find_crossings(on: Crossings, n: int, on_rim: bool, rays: Rays, metal: Metal) -> None:
+    """Find at which share of each of n ways the clearance changes its sign.
+
+    Regula falsi with halved weights (Illinois), for the clearance is nearly straight; all ways at once, so
+    that several rays run at a time. `on_rim` goes along the upper rim of the disc instead.
+    """
+    for i in range(n):
+        on.low[i], on.high[i], on.share[i], on.is_known[i] = 0.0, 1.0, 0.5, 0.0
+        # Beside an edge rays skim the metal, however they turn, until one meets it: what is near 0 tells
+        # nothing.
+        on.is_flat[i] = 1.0 if min(abs(on.below[i]), abs(on.above[i])) < ROOT_MM else 0.0
+    looked = on.looked
+    for step in range(ROOT_STEPS):
+        for i in range(n):
+            low, high, below, above = on.low[i], on.high[i], on.below[i], on.above[i]
+            by_halves = step % 4 == 3 or on.is_flat[i] > 0.0 or max(abs(below), abs(above)) > TURNED_AWAY_MM
+            share = 0.5 * (low + high) if by_halves else (low * above - high * below) / (above - below)
+            share = on.share[i] if on.is_known[i] > 0.0 else share
+            p = on.p[i] + share * on.p_way[i]
+            on.share[i], looked[0, i] = share, p
+            looked[1, i] = math.sqrt(max(0.0, 1.0 - p * p)) if on_rim else on.q[i] + share * on.q_way[i]
+        clearances(looked, n, rays, metal)
+        n_known = 0
+        for i in range(n):
+            free, below = looked[2, i], on.below[i]
+            if on.is_known[i] > 0.0 or (abs(free) < ROOT_MM and on.is_flat[i] == 0.0):
+                on.is_known[i] = 1.0
+                n_known += 1
+            elif (free < 0.0) == (below < 0.0):
+                on.low[i], on.below[i] = on.share[i], free
+                on.above[i] *= 0.5
+            else:
+                on.high[i], on.above[i] = on.share[i], free
+                on.below[i] = 0.5 * below
+        if n_known == n:
+            return
+
+
+@kernel
+def look_along(spans: Float64, n: int, rays: Rays, metal: Metal, ways: Float64, on: Crossings) -> None:
+    """Write p, q and clearance of CHORD_STEPS + 1 places on each of n `chords` into `ways`.
+
+    Written too is, behind the clearance of a place before a border, where that is.
+    """
     for i in range(n):
         low, length = spans[1, i], max(spans[2, i] - spans[1, i], 0.0)
         for j in range(CHORD_STEPS + 1):
             ways[0, (CHORD_STEPS + 1) * i + j] = spans[0, i]
             ways[1, (CHORD_STEPS + 1) * i + j] = low + length * j / CHORD_STEPS
     clearances(ways, (CHORD_STEPS + 1) * n, rays, metal)
+    count = 0
+    for i in range(n):
+        for j in range(CHORD_STEPS):
+            count = add_way(on, count, (CHORD_STEPS + 1) * i + j, ways)
+    find_crossings(on, count, False, rays, metal)
+    for i in range(count):
+        ways[3, on.place[i]] = on.q[i] + on.share[i] * on.q_way[i]
 
 
 @kernel
-def chord_parts(i: int, ways: Float64, rays: Rays, metal: Metal, parts: Float64) -> int:
+def chord_parts(i: int, ways: Float64, parts: Float64) -> int:
     """Write the parts (n, 2) of the i-th chord on which the arc passes over the metal; return how many.
 
     The chord has been looked at, see `look_along`.
     """
     count, first = 0, (CHORD_STEPS + 1) * i
-    p, begin = ways[0, first], ways[1, first]
+    begin = ways[1, first]
     for j in range(first, first + CHORD_STEPS):
-        q_before, before, q, free = ways[1, j], ways[2, j], ways[1, j + 1], ways[2, j + 1]
+        before, free = ways[2, j], ways[2, j + 1]
         if (free < 0.0) != (before < 0.0):
-            share = border((p, p), (q_before, q), False, (before, free), rays, metal)
-            q_border = q_before + share * (q - q_before)
             if free < 0.0:
-                parts[count, 0], parts[count, 1] = begin, q_border
+                parts[count, 0], parts[count, 1] = begin, ways[3, j]
                 count += 1
-            begin = q_border
+            begin = ways[3, j]
     last = first + CHORD_STEPS
     if ways[2, last] >= 0.0 and ways[1, last] > begin:
         parts[count, 0], parts[count, 1] = begin, ways[1, last]
@@ -219,6 +286,7 @@ def _add_lower_ends(
     metal: Metal,
     spans: Float64,
     ways: Float64,
+    on: Crossings,
     breaks: Float64,
     n_breaks: int,
 ) -> tuple[float, float, int]:
@@ -237,24 +305,32 @@ def _add_lower_ends(
         ways[0, i], ways[1, i] = spans[0, i], spans[1, i] + LOWER_END * (spans[2, i] - spans[1, i])
     clearances(ways, n, rays, metal)
     first, last = open_tops
+    count = 0
     for i in range(n):
         if spans[2, i] > spans[1, i] and ways[2, i] >= 0.0:
             first, last = min(first, ways[0, i]), max(last, ways[0, i])
-        if i == 0 or (ways[2, i] < 0.0) == (ways[2, i - 1] < 0.0):
-            continue
-        # From one looked at to the next the lower ends lie nearly on a straight line.
-        p, q = (ways[0, i - 1], ways[0, i]), (ways[1, i - 1], ways[1, i])
-        share = border(p, q, False, (ways[2, i - 1], ways[2, i]), rays, metal)
-        place = p[0] + share * (p[1] - p[0])
+        if i > 0:
+            # From one looked at to the next the lower ends lie nearly on a straight line.
+            count = add_way(on, count, i - 1, ways)
+    find_crossings(on, count, False, rays, metal)
+    for k in range(count):
+        i, place = on.place[k], on.p[k] + on.share[k] * on.p_way[k]
         n_breaks = insert(breaks, n_breaks, place)
-        if spans[2, i - 1] > spans[1, i - 1] or spans[2, i] > spans[1, i]:
+        if spans[2, i] > spans[1, i] or spans[2, i + 1] > spans[1, i + 1]:
             first, last = min(first, place), max(last, place)
     return first, last, n_breaks
 
 
 @kernel
 def _add_tops(
-    p_low: float, p_high: float, rays: Rays, metal: Metal, ways: Float64, breaks: Float64, n_breaks: int
+    p_low: float,
+    p_high: float,
+    rays: Rays,
+    metal: Metal,
+    ways: Float64,
+    on: Crossings,
+    breaks: Float64,
+    n_breaks: int,
 ) -> tuple[float, float, int]:
     """Add to the sorted `breaks` the p at which the metal's border meets the tops of the chords.
 
@@ -266,19 +342,52 @@ def _add_tops(
         p = middle - half * _RIM[i]
         ways[0, i], ways[1, i] = p, math.sqrt(max(0.0, 1.0 - p * p))
     clearances(ways, RIM_STEPS + 1, rays, metal)
-    first, last = p_high, p_low
+    first, last, count = p_high, p_low, 0
     for i in range(RIM_STEPS + 1):
-        is_open = ways[2, i] >= 0.0
-        if is_open:
+        if ways[2, i] >= 0.0:
             first, last = min(first, ways[0, i]), max(last, ways[0, i])
-        if i == 0 or is_open == (ways[2, i - 1] >= 0.0):
-            continue
-        p_before, p = ways[0, i - 1], ways[0, i]
-        share = border((p_before, p), (0.0, 0.0), True, (ways[2, i - 1], ways[2, i]), rays, metal)
-        place = p_before + share * (p - p_before)
+        if i > 0:
+            count = add_way(on, count, i - 1, ways)
+    find_crossings(on, count, True, rays, metal)
+    for k in range(count):
+        place = on.p[k] + on.share[k] * on.p_way[k]
         n_breaks = insert(breaks, n_breaks, place)
         first, last = min(first, place), max(last, place)
     return first, last, n_breaks
+
+
+@kernel
+def _add_knee(rays: Rays, metal: Metal, ways: Float64, on: Crossings, breaks: Float64, n_breaks: int) -> int:
+    """Add to the sorted `breaks` the p of the metal's knee; return how many breaks there are.
+
+    Rays to one side of it leave the upper sheet before they come to the crest, and meet its edge; those to
+    the other side meet the crest. At the knee a ray leaves the sheet at the crest: in plan it goes there.
+    """
+    Px, Py, _, wx, wy, _, ux, uy, _, vx, vy, _, _, _ = rays
+    edge_y, slope, curve, _ = metal[3]
+    dx = metal[4] - Px
+    dy = edge_y - Py + dx * (slope + 0.5 * curve * dx)
+    turned = ux * dy - uy * dx
+    if turned == 0.0:
+        return n_breaks
+    # Those rays lie on a line p = p_0 + m q of the disc.
+    p_0, m = (wy * dx - wx * dy) / turned, (vy * dx - vx * dy) / turned
+    square, half = 1.0 + m * m, m * p_0
+    rest = half * half - square * (p_0 * p_0 - 1.0)
+    if rest <= 0.0:
+        return n_breaks
+    root = math.sqrt(rest)
+    for j in range(CHORD_STEPS + 1):
+        q = (-half + root * (2.0 * j / CHORD_STEPS - 1.0)) / square
+        ways[0, j], ways[1, j] = p_0 + m * q, q
+    clearances(ways, CHORD_STEPS + 1, rays, metal)
+    count = 0
+    for j in range(CHORD_STEPS):
+        count = add_way(on, count, j, ways)
+    find_crossings(on, count, False, rays, metal)
+    for k in range(count):
+        n_breaks = insert(breaks, n_breaks, on.p[k] + on.share[k] * on.p_way[k])
+    return n_breaks
 
 
 @kernel
@@ -293,11 +402,12 @@ def clip(
     n_breaks: int,
     spans: Float64,
     ways: Float64,
+    on: Crossings,
 ) -> tuple[float, float, int]:
     """Add to the sorted `breaks` the p at which the metal's border turns.
 
     Returns between which p the disc is open, an empty range where nowhere, and how many breaks there are.
-    `spans` and `ways` are scratch.
+    `spans`, `ways` and `on` are scratch.
     """
     wx, wy, wz, ux, uy, _, _, _ = axes
     below = wz > 0.0
@@ -312,10 +422,25 @@ def clip(
             p_low, p_high = min(p_low, breaks[piece]), max(p_high, breaks[piece + 1])
     if p_high <= p_low:
         return p_low, p_high, n_breaks
-    p_first, p_last, n_breaks = _add_tops(p_low, p_high, rays, metal, ways, breaks, n_breaks)
+    p_first, p_last, n_breaks = _add_tops(p_low, p_high, rays, metal, ways, on, breaks, n_breaks)
     p_first, p_last, n_breaks = _add_lower_ends(
-        p_low, p_high, (p_first, p_last), arc, below, cuts, n_cuts, rays, metal, spans, ways, breaks, n_breaks
+        p_low,
+        p_high,
+        (p_first, p_last),
+        arc,
+        below,
+        cuts,
+        n_cuts,
+        rays,
+        metal,
+        spans,
+        ways,
+        on,
+        breaks,
+        n_breaks,
     )
+    if metal[7] and not math.isnan(metal[4]):
+        n_breaks = _add_knee(rays, metal, ways, on, breaks, n_breaks)
     edge_y, slope, curve, _ = metal[3]
     square = 2.0 * curve * (edge_y - rays[1])
     if square > 0.0:
