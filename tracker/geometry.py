@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arrays import Float32, Float64, Int64
-from noise_model.effects import apply_setup_effects
+from noise_model.effects import acting, apply_setup_effects
 from noise_model.instrument.camera import Intrinsics, Rays
 from noise_model.instrument.laser import Sheet, sheet_in_tool
 from noise_model.instrument.sensor import linearise, saturation_dn, variance_e2
@@ -110,6 +110,11 @@ class SensorGeometry:
             return self.dark_variance_e2
         typical_e = max(float(np.median(charge_e)), MIN_LIGHT * sensor.full_well_e)
         return float(variance_e2(typical_e, sensor)) - typical_e
+
+    @cached_property
+    def has_light_effects(self) -> bool:
+        """Whether effects of the setup act on the arc's light on its way to the pixels."""
+        return any(effect.light or effect.image for effect, _ in acting(self.setup))
 
     @cached_property
     def seam_source(self) -> SeamSource:

@@ -10,7 +10,7 @@ import numpy as np
 from noise_model.arc.scene import Scene
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.condition import Condition
-from noise_model.effects import acting, apply_condition_effects
+from noise_model.effects import apply_condition_effects
 from noise_model.effects.light import Light
 from noise_model.forward import pass_on
 from noise_model.view import View
@@ -45,7 +45,7 @@ class Transmission:
         exposure: neither matters here.
         """
         setup = geometry.setup
-        if not any(effect.light or effect.image for effect, _ in acting(setup)):
+        if not geometry.has_light_effects:
             return None
         stated = Condition(0.0, output, setup.camera.exposure_s)
         # The exposure is in the output already, and the arc's own level is measured in each frame.
