@@ -28,12 +28,21 @@ def pytest_configure() -> None:
     collect_rarely()
 
 
+COMPILE_NOTHING = ("tests/robot_io/", "tests/test_", "tests/docs/test_site.py")
+"""How the names of tests begin that need no kernel, though they take a minute."""
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark as quick whatever is not marked slow, before `-m` chooses."""
+    """Mark as quick whatever is not marked slow, before `-m` chooses; begin with what compiles nothing.
+
+    The first of several workers gets it, the next ones begin to compile. Two that both compile wait for each
+    other.
+    """
     for item in items:
         if item.get_closest_marker("slow") is None:
             item.add_marker("quick")
+    items.sort(key=lambda item: not item.nodeid.startswith(COMPILE_NOTHING))
 
 
 @pytest.fixture(scope="session")
