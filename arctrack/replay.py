@@ -189,6 +189,8 @@ def replay_recording(
     # Compiling takes long, and so does loading what draws: before there is a bus that nobody reads meanwhile.
     tracking = RecordedTracking(recording, options.use_arc_map)
     warm_up = tracking.tracker.warm_up(on_compiled)
+    # The first PNG compiles what decodes all.
+    next(recording.frames(range(1)), None)
     if not (options.pictures or options.exports):
         return _replay(tracking, truth, folder, options, warm_up, None, on_frame)
     drawing = _load_drawing()(

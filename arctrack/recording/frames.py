@@ -78,9 +78,22 @@ def read_frames(
     The n-th row of frames.csv is the PNG with its number, or the n-th frame of the video.
     """
     chosen = range(len(rows)) if positions is None else positions
+    is_folder = source.is_dir()
     for position, image in zip(chosen, read_images(source, rows, setup, chosen), strict=True):
         row = rows[position]
-        yield _judge(image, row, png_path(source, row.index) if source.is_dir() else source, setup)
+        problem = image if isinstance(image, str) else _misfit(image, setup)
+        if isinstance(image, str) or problem is not None:
+            yield BadFrame(row, png_path(source, row.index) if is_folder else source, str(problem))
+            continue
+        yield Frame(
+            index=row.index,
+            timestamp_s=row.timestamp_s,
+            image_dn=image,
+            exposure_s=row.exposure_s,
+            current_a=row.current_a,
+            laser_on=row.laser_on,
+            arc_on=row.arc_on,
+        )
 
 
 def read_images(
@@ -102,28 +115,13 @@ def _read_png(path: Path, setup: Setup) -> Image:
         # A few bytes may stand for gigabytes of pixels: only what is no larger than a frame is decoded.
         if math.prod(header.shape) > setup.camera.width * setup.camera.height:
             return str(frame_misfit(header.shape, header.dtype, setup))
-        return png.decode(encoded)
+        return png.decode(encoded, header)
     except FileNotFoundError:
         return f"there is no such file, though frames.csv names the frame{frame_hint(path)}"
     except (UnfitFileError, ValueError) as error:
         return str(error)
     except OSError as error:
         return f"cannot be read: {error.strerror}"
-
-
-def _judge(image: Image, row: FrameRow, path: Path, setup: Setup) -> Frame | BadFrame:
-    problem = image if isinstance(image, str) else _misfit(image, setup)
-    if isinstance(image, str) or problem is not None:
-        return BadFrame(row, path, str(problem))
-    return Frame(
-        index=row.index,
-        timestamp_s=row.timestamp_s,
-        image_dn=image,
-        exposure_s=row.exposure_s,
-        current_a=row.current_a,
-        laser_on=row.laser_on,
-        arc_on=row.arc_on,
-    )
 
 
 def _misfit(image: Integers, setup: Setup) -> str | None:

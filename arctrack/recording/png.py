@@ -1,25 +1,30 @@
 """Grey PNGs of 8 or 16 bits, read so that a truncated or damaged one is always noticed.
 
-OpenCV hands out what it could decode of a cut PNG and says nothing that a program could hear; so the
-chunks and their checksums are walked before it may decode.
+Chunks and their checksums are walked before anything is decoded: OpenCV hands out what it could decode of a
+cut PNG and says nothing that a program could hear. Most of decoding is DEFLATE. ISA-L inflates three times as
+fast as the zlib in OpenCV, which decodes only what a sensor's frames are not: colours and interlaced pixels.
 """
 
 from __future__ import annotations
 
 import struct
-import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from isal import isal_zlib
 
+from arctrack.recording.png_rows import unfilter
 from noise_model.arrays import Integers
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 """Channels of a PNG's colour types; 3 looks its colours up in a palette (W3C PNG, 11.2.1)."""
+
+WRONG_HEADER = "is no PNG: its header is wrong"
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,7 @@ class Header:
     height: int
     bits: int
     channels: int
+    is_interlaced: bool
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -49,19 +55,25 @@ def problem_of(encoded: bytes) -> str | None:
         return "is empty"
     if not encoded.startswith(SIGNATURE):
         return "is truncated" if SIGNATURE.startswith(encoded) else "is no PNG"
-    position = len(SIGNATURE)
-    while position + 8 <= len(encoded):
-        length, name = struct.unpack_from(">I4s", encoded, position)
-        end = position + 12 + length
-        if end > len(encoded):
-            break
-        (checksum,) = struct.unpack_from(">I", encoded, end - 4)
-        if zlib.crc32(encoded[position + 4 : end - 4]) != checksum:
+    for name, content in _chunks(encoded):
+        checked = memoryview(encoded)[content.start - 4 : content.stop]
+        if isal_zlib.crc32(checked) != int.from_bytes(encoded[content.stop : content.stop + 4]):
             return f"is damaged: the checksum of its {name.decode('latin-1')!r} chunk is wrong"
         if name == b"IEND":
             return None
-        position = end
     return f"is truncated after {len(encoded)} bytes"
+
+
+def _chunks(encoded: bytes) -> Iterator[tuple[bytes, slice]]:
+    """Yield each whole chunk's name and where its content lies: W3C PNG, 5.3."""
+    position = len(SIGNATURE)
+    while position + 8 <= len(encoded):
+        length, name = struct.unpack_from(">I4s", encoded, position)
+        content = slice(position + 8, position + 8 + length)
+        position = content.stop + 4
+        if position > len(encoded):
+            return
+        yield name, content
 
 
 def header_of(encoded: bytes) -> Header:
@@ -69,16 +81,21 @@ def header_of(encoded: bytes) -> Header:
     problem = problem_of(encoded)
     if problem is not None:
         raise ValueError(problem)
-    length, name, width, height, bits, colour = struct.unpack_from(">I4sIIBB", encoded, len(SIGNATURE))
-    if (length, name) != (13, b"IHDR") or colour not in CHANNELS:
-        raise ValueError("is no PNG: its header is wrong")
-    if bits < 8 and colour == 0:
+    name, content = next(_chunks(encoded))
+    if (name, content.stop - content.start) != (b"IHDR", 13):
+        raise ValueError(WRONG_HEADER)
+    width, height, bits, colour, interlace = struct.unpack(">IIBBxxB", encoded[content])
+    if not (width and height) or colour not in CHANNELS:
+        raise ValueError(WRONG_HEADER)
+    if bits not in (8, 16) and colour == 0:
         raise ValueError(f"has {bits} bits a pixel: grey levels of 8 or 16 are needed")
-    return Header(width, height, bits, CHANNELS[colour])
+    return Header(width, height, bits, CHANNELS[colour], interlace != 0)
 
 
-def decode(encoded: bytes) -> Integers:
-    """Decode a PNG that `header_of` found whole to its raw pixels; ValueError says what is wrong with it."""
+def decode(encoded: bytes, header: Header) -> Integers:
+    """Decode a PNG to its raw pixels, with its `header_of`; ValueError says what is wrong with it."""
+    if header.channels == 1 and not header.is_interlaced:
+        return _decode_grey(encoded, header)
     try:
         image = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
@@ -86,6 +103,29 @@ def decode(encoded: bytes) -> Integers:
     if image is None:
         raise ValueError("cannot be decoded")
     return np.asarray(image, dtype=np.uint16 if image.dtype == np.uint16 else np.uint8)
+
+
+def _decode_grey(encoded: bytes, header: Header) -> Integers:
+    """Decode a grey PNG of 8 or 16 bits, row after row: W3C PNG, 9 and 10."""
+    pixel_bytes = header.bits // 8
+    row_bytes = header.width * pixel_bytes
+    size = header.height * (1 + row_bytes)
+    deflated = b"".join(encoded[content] for name, content in _chunks(encoded) if name == b"IDAT")
+    try:
+        inflated = isal_zlib.decompressobj().decompress(deflated, size)
+    except isal_zlib.error as error:
+        raise ValueError(f"cannot be decoded: {error}") from None
+    if len(inflated) < size:
+        raise ValueError(f"cannot be decoded: {len(inflated)} bytes of pixels where {size} are needed")
+    filtered = np.frombuffer(inflated, np.uint8).reshape(header.height, 1 + row_bytes)
+    rows = np.empty((1 + header.height, row_bytes), np.uint8)
+    rows[0] = 0
+    if not unfilter(filtered, pixel_bytes, rows):
+        raise ValueError("cannot be decoded: a row's filter is of no known type")
+    if pixel_bytes == 1:
+        return rows[1:]
+    # The first byte is the higher one.
+    return rows[1:].view(">u2").astype(np.uint16)
 
 
 def encode(image_dn: Integers) -> bytes:
