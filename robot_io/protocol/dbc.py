@@ -61,6 +61,7 @@ def payload_signals(layout: Message) -> list[Signal]:
     return sorted((s for s in layout.signals if s.name not in HEADER_SIGNALS), key=lambda s: s.start)
 
 
+@cache
 def layout_checksum() -> int:
     """Return the low 24 bits of a CRC-32 over what a receiver must agree with; comments do not count."""
     lines = []
