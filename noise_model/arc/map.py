@@ -208,7 +208,8 @@ def kernel_of(
     T, foot, center = scene.T_joint_camera, scene.footprint_mm, scene.center_mm
     vertices, corrugation = scene.shape
     centers = np.empty((1, 3))
-    centers[0] = center
+    for i in range(3):
+        centers[0, i] = center[i]
     # Points beyond what the camera sees are asked for, too, where faces are continued.
     starts, horizons = horizons_of_scenes(scene.shape, foot[:1].copy(), centers, radius, True)
     middle = (center[0], center[1], center[2])

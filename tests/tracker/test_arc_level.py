@@ -26,6 +26,7 @@ from tracker.arc.level import (
     _only_seen,
     estimate_ambient_light,
     estimate_arc_level,
+    quantile,
     unlit_by_the_laser,
 )
 from tracker.geometry import SensorGeometry
@@ -241,3 +242,12 @@ def test_an_arc_of_another_height_does_not_fit() -> None:
 def test_the_stripe_is_left_out(geometry: SensorGeometry) -> None:
     bright = frame_of(geometry.setup, POSE, laser=3.0, arc=0.5)
     assert estimate(geometry, bright).level == pytest.approx(0.5, abs=0.01)
+
+
+@given(
+    st.lists(st.floats(-1e6, 1e6) | st.integers(-3, 3).map(float), min_size=1, max_size=40),
+    st.floats(0.0, 1.0),
+)
+def test_a_quantile_is_the_value_of_its_rank(values: list[float], share: float) -> None:
+    rank = int(np.ceil(share * (len(values) - 1)))
+    assert quantile(np.array(values), share) == sorted(values)[rank]

@@ -179,8 +179,23 @@ def _only_seen(map_e: Float64, charge_e: Float64, other_e: Float64, pixels: Int6
 @kernel(allocates=True)
 def quantile(values: Float64, share: float) -> float:
     """Return the value (n,) that so large a share of all is not above."""
-    rank = math.ceil(share * (len(values) - 1))
-    return float(np.partition(values, rank)[rank])
+    rank, held = math.ceil(share * (len(values) - 1)), values.copy()
+    low, high = 0, len(values) - 1
+    # Hoare's selection, in place: what lies before i is not above the pivot, what lies behind j not below.
+    while low < high:
+        pivot, i, j = held[(low + high) // 2], low, high
+        while i <= j:
+            while held[i] < pivot:
+                i += 1
+            while held[j] > pivot:
+                j -= 1
+            if i <= j:
+                held[i], held[j] = held[j], held[i]
+                i, j = i + 1, j - 1
+        if j < rank < i:
+            break
+        low, high = (low, j) if rank <= j else (i, high)
+    return float(held[rank])
 
 
 @kernel(allocates=True)

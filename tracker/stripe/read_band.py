@@ -252,6 +252,14 @@ def told_of_two(
     return Told(share, abs(odds), True, first, n)
 
 
+@kernel
+def _copy(pixels: Float32, into: Float32) -> None:
+    """Copy a band's pixels (n_scan, depth): a slice that is assigned to takes 2 s to compile."""
+    for s in range(pixels.shape[0]):
+        for j in range(pixels.shape[1]):
+            into[s, j] = pixels[s, j]
+
+
 @kernel(allocates=True)
 def _read_without_a_second(
     band: Band,
@@ -271,7 +279,7 @@ def _read_without_a_second(
         if now == 0.0 and share == 0.0:
             break
         if is_plain:
-            band.plain[:] = band.background
+            _copy(band.background, band.plain)
             is_plain = False
         # The residuals are made anew by each fit: until then there is room for light.
         light = band.residual
@@ -292,7 +300,7 @@ def _read_without_a_second(
         room.lines.fits, sought.position_px, apart_px, share, offsets_px, reach_px, room.scatter
     )
     if told.is_reflection:
-        band.background[:] = band.plain
+        _copy(band.plain, band.background)
         near = offsets_px[told.first : told.first + told.n_offsets]
         fit_band(band, sought, near, noise, learned, is_searching, room)
     return told
