@@ -213,7 +213,7 @@ def test_a_grooves_depth_follows_from_its_opening(
     shape = JointShape(area_mm2=area_mm2, bevel_angles_deg=bevels_deg)
     looked = replace(track(0.0), gap_mm=dimensions["root_gap_mm"], shape=shape)
     assert depth_mm(looked) == pytest.approx(dimensions["depth_mm"])
-    assert math.isnan(depth_mm(replace(looked, shape=replace(shape, bevel_angles_deg=(NAN, NAN)))))
+    assert math.isnan(depth_mm(replace(looked, shape=shape._replace(bevel_angles_deg=(NAN, NAN)))))
     assert math.isnan(depth_mm(replace(looked, gap_mm=NAN)))
     assert opening_deg(shape) == pytest.approx(sum(angle for angle in bevels_deg if angle > 0.0))
 
