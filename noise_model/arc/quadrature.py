@@ -31,7 +31,8 @@ from noise_model.arc.chords import (
     ledge_crossings,
     wall_parts,
 )
-from noise_model.arc.sheet_occlusion import Crossings, Metal, Rays, chord_parts, clip, is_clear, look_along
+from noise_model.arc.clearance import Crossings, Metal, Rays
+from noise_model.arc.sheet_occlusion import chord_parts, clip, is_clear, look_along
 from noise_model.arrays import Float64, Point, Vector
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.surface.brdf import LobeNumbers, reflected
@@ -261,7 +262,7 @@ class Room(NamedTuple):
 
     `nodes` (3, MAX_POINTS) with their weights, `cuts` (MAX_PLANES, 3) the lines, `breaks` (MAX_PIECES,) the
     sorted crossings, `parts` (MAX_PARTS, 3) of a chord, `spans` (3, MAX_PIECES) the chords, `ways`
-    (4, MAX_WAYS) the rays past the metal, `on` where these come to it.
+    (4, MAX_WAYS) the rays past the metal, `crossings` where these come to it.
     """
 
     nodes: Float64
@@ -270,7 +271,7 @@ class Room(NamedTuple):
     parts: Float64
     spans: Float64
     ways: Float64
-    on: Crossings
+    crossings: Crossings
 
 
 @kernel
@@ -286,7 +287,7 @@ def arc_light(
     """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees."""
     P, normal, omega_r = patch
     planes, n_planes, ledges, n_ledges, metal = hiding
-    _, cuts, breaks, _, spans, ways, on = room
+    _, cuts, breaks, _, spans, ways, to_metal = room
     nx, ny, nz = normal
     rx, ry, rz = omega_r
     distance, axes, arc = disc(P, center, radius)
@@ -328,7 +329,7 @@ def arc_light(
     p_first, p_last = -p_max, p_max
     if has_metal:
         p_first, p_last, n_breaks = clip(
-            axes, arc, cuts, n_cuts, rays, metal, breaks, n_breaks, spans, ways, on
+            axes, arc, cuts, n_cuts, rays, metal, breaks, n_breaks, spans, ways, to_metal
         )
         if p_last <= p_first:
             return 0.0
@@ -371,7 +372,7 @@ def _integrate(
     P, normal, omega_r = patch
     _, _, ledges, n_ledges, metal = hiding
     rules, n_p, n_q = rule
-    nodes, cuts, breaks, parts, spans, ways, on = room
+    nodes, cuts, breaks, parts, spans, ways, to_metal = room
     wx, wy, wz, _, _, _, _, _ = axes
     sin_b, _, tan_b, _, _ = arc
     below = wz > 0.0
@@ -403,7 +404,7 @@ def _integrate(
         if spans[2, m] <= spans[1, m]:
             continue
         if is_followed:
-            look_along(spans, m, rays, metal, ways, on)
+            look_along(spans, m, rays, metal, ways, to_metal)
         for i in range(m):
             p, low, high = spans[0, i], spans[1, i], spans[2, i]
             if high <= low:

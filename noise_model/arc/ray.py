@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.chords import MAX_PARTS, MAX_PIECES
+from noise_model.arc.clearance import crossings_room
 from noise_model.arc.quadrature import MAX_POINTS, Hiding, Patch, Room, Rule, arc_light
-from noise_model.arc.sheet_occlusion import MAX_WAYS, crossings_room
+from noise_model.arc.sheet_occlusion import MAX_WAYS
 from noise_model.arrays import Float64, Point, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
@@ -44,7 +45,7 @@ def scratch() -> Scratch:
         np.empty((MAX_PARTS, 3)),
         np.empty((3, MAX_PIECES)),
         np.empty((4, MAX_WAYS)),
-        crossings_room(),
+        crossings_room(MAX_WAYS),
     )
     return Scratch(room, np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3)))
 

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from noise_model.arc.chords import MAX_PIECES, Shape, chords, disc
-from noise_model.arc.sheet_occlusion import MAX_WAYS, Metal, Rays, clearances
+from noise_model.arc.clearance import Metal, Rays, clearances
+from noise_model.arc.sheet_occlusion import MAX_WAYS
 from noise_model.surface.faces import raised
 from noise_model.surface.visibility import first_crossing
 
