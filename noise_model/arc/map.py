@@ -26,7 +26,7 @@ from noise_model.arrays import Bool, Float32, Float64, Int32, Int64
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
-from noise_model.surface.faces import ridge
+from noise_model.surface.faces import height_under
 from noise_model.surface.ray_casting import MISS
 from noise_model.surface.visibility import Bend, horizons_of_scenes, is_curved_lap
 
@@ -70,15 +70,8 @@ def any_below(
     `center` is the sphere's, mm, joint frame. The plain twin compares with `ray_casting.surface_height`.
     """
     for i in range(outward.shape[0]):
-        y = center[1] + radius * outward[i, 1]
-        # The face's right end: the last vertex that is not beyond y.
-        j = 0
-        while j < vertices.shape[0] - 2 and vertices[j + 1, 0] <= y:
-            j += 1
-        share = min(max((y - vertices[j, 0]) / (vertices[j + 1, 0] - vertices[j, 0]), 0.0), 1.0)
-        plain = vertices[j, 1] + share * (vertices[j + 1, 1] - vertices[j, 1])
-        height = plain + ridge(center[0] + radius * outward[i, 0], corrugation)[0]
-        if center[2] + radius * outward[i, 2] < height - CUT_MM:
+        x, y = center[0] + radius * outward[i, 0], center[1] + radius * outward[i, 1]
+        if center[2] + radius * outward[i, 2] < height_under(x, y, vertices, corrugation) - CUT_MM:
             return True
     return False
 

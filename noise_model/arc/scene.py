@@ -14,7 +14,7 @@ from noise_model.arrays import Bool, Float64
 from noise_model.instrument.camera import Camera
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
-from noise_model.surface.faces import face_under, ridge
+from noise_model.surface.faces import height_under, ridge
 from noise_model.surface.joint import (
     NOMINAL_SEAM,
     BentSeam,
@@ -224,10 +224,7 @@ def _arc_center(
 @kernel
 def is_below(x: float, y: float, z: float, vertices: Float64, corrugation: Float64) -> bool:
     """Say whether a place of the joint frame, mm, lies in or under a section."""
-    k = face_under(y, 0, vertices)
-    share = (y - vertices[k, 0]) / (vertices[k + 1, 0] - vertices[k, 0])
-    plain = vertices[k, 1] + min(max(share, 0.0), 1.0) * (vertices[k + 1, 1] - vertices[k, 1])
-    return bool(z <= plain + ridge(x, corrugation)[0])
+    return bool(z <= height_under(x, y, vertices, corrugation))
 
 
 @kernel

@@ -80,6 +80,18 @@ def slope_across(face: int, vertices: Float64) -> float:
 
 
 @kernel
+def height_under(x: float, y: float, vertices: Float64, corrugation: Float64) -> float:
+    """Return a section's height, mm, at a place in plan; beyond its ends that of these.
+
+    `ray_casting.surface_height` is the plain twin.
+    """
+    k = face_under(y, 0, vertices)
+    share = (y - vertices[k, 0]) / (vertices[k + 1, 0] - vertices[k, 0])
+    plain = vertices[k, 1] + min(max(share, 0.0), 1.0) * (vertices[k + 1, 1] - vertices[k, 1])
+    return float(plain + ridge(x, corrugation)[0])
+
+
+@kernel
 def across(P: Vector, on: Strip, corrugation: Float64) -> float:
     """Return a point's way s across a strip."""
     y_0, z_0, ty, tz, _ = on
