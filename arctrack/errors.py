@@ -26,6 +26,13 @@ def in_file(path: Path, problem: str, *, line: int | None = None) -> ArctrackErr
     return ArctrackError(f"{place}: {problem}")
 
 
+def without_extra(name: str, error: ModuleNotFoundError, extra: str) -> ArctrackError:
+    """Return the error that a file or an option makes whose package, of an extra, is not installed."""
+    return ArctrackError(
+        f"{name}: needs the package {error.name}, which is not installed; pip install 'arctrack[{extra}]'"
+    )
+
+
 def as_line(error: ArctrackError | OSError, source: Path) -> str:
     """Return one line on what failed while something was made of a file or folder.
 

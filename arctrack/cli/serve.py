@@ -16,6 +16,7 @@ import typer
 from arctrack.cli.cell import LIVE_MM
 from arctrack.cli.interrupt import interruptible, stoppable
 from arctrack.errors import ArctrackError
+from arctrack.safe_points import ENDING
 
 if TYPE_CHECKING:
     from arctrack.cell_file import CellFile
@@ -93,7 +94,7 @@ def serve_cell_file(
                 signals = came()
                 if signal.SIGUSR1 in signals and black_box is not None:
                     black_box.save("asked by SIGUSR1")
-                return signals <= {signal.SIGUSR1} and time.monotonic() < ends_s
+                return signals.isdisjoint(ENDING) and time.monotonic() < ends_s
 
             result = run(live.loop, goes_on, cell.policy.watchdog_s, notifier)
             notifier.stopping()

@@ -81,19 +81,7 @@ def read_frames(
     is_folder = source.is_dir()
     for position, image in zip(chosen, read_images(source, rows, setup, chosen), strict=True):
         row = rows[position]
-        problem = image if isinstance(image, str) else _misfit(image, setup)
-        if isinstance(image, str) or problem is not None:
-            yield BadFrame(row, png_path(source, row.index) if is_folder else source, str(problem))
-            continue
-        yield Frame(
-            index=row.index,
-            timestamp_s=row.timestamp_s,
-            image_dn=image,
-            exposure_s=row.exposure_s,
-            current_a=row.current_a,
-            laser_on=row.laser_on,
-            arc_on=row.arc_on,
-        )
+        yield _judge(image, row, png_path(source, row.index) if is_folder else source, setup)
 
 
 def read_images(
@@ -122,6 +110,21 @@ def _read_png(path: Path, setup: Setup) -> Image:
         return str(error)
     except OSError as error:
         return f"cannot be read: {error.strerror}"
+
+
+def _judge(image: Image, row: FrameRow, path: Path, setup: Setup) -> Frame | BadFrame:
+    problem = image if isinstance(image, str) else _misfit(image, setup)
+    if isinstance(image, str) or problem is not None:
+        return BadFrame(row, path, str(problem))
+    return Frame(
+        index=row.index,
+        timestamp_s=row.timestamp_s,
+        image_dn=image,
+        exposure_s=row.exposure_s,
+        current_a=row.current_a,
+        laser_on=row.laser_on,
+        arc_on=row.arc_on,
+    )
 
 
 def _misfit(image: Integers, setup: Setup) -> str | None:

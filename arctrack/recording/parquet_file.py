@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from arctrack.errors import ArctrackError, in_file
+from arctrack.errors import in_file, without_extra
 from arctrack.output import real, whole_file
 from arctrack.printable import printable
 from arctrack.recording.files import blamed_on
@@ -32,11 +32,9 @@ class ReplayedRecording(NamedTuple):
 def check_parquet(path: Path) -> None:
     """Raise ArctrackError, with the cure, where no Parquet file can be written: before the work for it."""
     try:
-        import pyarrow.parquet  # noqa: F401
-    except ModuleNotFoundError:
-        raise ArctrackError(
-            "--parquet: needs the package pyarrow, which is not installed; pip install 'arctrack[parquet]'"
-        ) from None
+        from pyarrow import parquet  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise without_extra("--parquet", error, "parquet") from None
     if path.is_dir():
         raise in_file(path, "is a folder; --parquet takes a file")
     if not path.parent.is_dir():

@@ -43,6 +43,8 @@ from tracker.stripe.scatter import (
     FrameScatter,
     Scatter,
     add_frame,
+    brightness_alike,
+    brightness_plateau,
     line_variance_px2,
     mean_variance_px2,
     widen,
@@ -222,8 +224,8 @@ def test_neighbours_brightness_is_as_alike_as_it_was_drawn(alike: float) -> None
     amplitude = 1000.0 * (1.0 + contrast * np.array(scatter))
     seen = shown(np.zeros(n), np.ones(n), amplitude)
     learned = with_frame(NO_SCATTER, FrameScatter(*seen, *NOTHING))
-    assert learned.brightness_contrast == pytest.approx(contrast, rel=0.15)
-    assert learned.brightness_alike == pytest.approx(alike, abs=0.1)
+    assert math.sqrt(brightness_plateau(learned.average)) == pytest.approx(contrast, rel=0.15)
+    assert brightness_alike(learned.average) == pytest.approx(alike, abs=0.1)
 
 
 def test_grains_that_reach_far_add_what_they_move_centres_together() -> None:
@@ -272,7 +274,7 @@ def test_a_frame_that_shows_nothing_changes_nothing() -> None:
     sigma = np.array([0.1, 0.2, np.nan])
     for scatter in (NO_SCATTER, blank):
         assert (line_variance_px2(scatter.average), mean_variance_px2(scatter.average)) == (0.0, 0.0)
-        assert (scatter.weighing_contrast, scatter.brightness_contrast) == (0.0, 0.0)
+        assert (scatter.weighing_contrast, brightness_plateau(scatter.average)) == (0.0, 0.0)
         assert (scatter.width_factor, scatter.width_limit_ln) == (1.0, MIN_WIDTH_LIMIT_LN)
         for wider in widened(scatter, sigma, 3.0):
             np.testing.assert_allclose(wider, sigma)

@@ -286,8 +286,8 @@ def opening_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = ()) -> Pair
 @kernel(allocates=True)
 def opening_area(shape: int, p: Float64, covariance: Float64) -> Pair:
     """Return the opening's area at parameters p, mm^2, and its 1 sigma by the covariance of the first m."""
-    parameters, gradient, variance = p.copy(), np.empty(p.shape[0]), 0.0
-    area = opening(shape, parameters, gradient)
+    gradient, variance = np.empty(p.shape[0]), 0.0
+    area = opening(shape, p, gradient)
     for i in range(covariance.shape[0]):
         for j in range(covariance.shape[0]):
             variance += gradient[i] * covariance[i, j] * gradient[j]

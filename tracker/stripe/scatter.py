@@ -226,16 +226,6 @@ class Scatter:
     frames: int = 0
 
     @property
-    def brightness_contrast(self) -> float:
-        """By how much the stripe's brightness scatters from line to line, relative."""
-        return math.sqrt(brightness_plateau(self.average))
-
-    @property
-    def brightness_alike(self) -> float:
-        """The correlation of two neighbouring lines' brightness, where two k apart have its k-th power."""
-        return brightness_alike(self.average)
-
-    @property
     def weighing_contrast(self) -> float:
         """The contrast with which a fit weighs a line's pixels."""
         return weighing_contrast(self.average)

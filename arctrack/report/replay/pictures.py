@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from arctrack.errors import ArctrackError
+from arctrack.errors import without_extra
 from arctrack.output import writing
 from arctrack.recording import BadFrame, Recording, Truth
 from arctrack.recording.results import OVERLAY_VIDEO, OVERVIEW_PICTURE, REPLAY_MCAP, REPLAY_PAGE, REPLAY_RRD
@@ -125,7 +125,4 @@ def exporter(name: str) -> Exporter:
 
         return RrdFile
     except ModuleNotFoundError as error:
-        extra = EXTRAS[name]
-        raise ArctrackError(
-            f"{name}: needs the package {error.name}, which is not installed; pip install 'arctrack[{extra}]'"
-        ) from None
+        raise without_extra(name, error, EXTRAS[name]) from None
