@@ -12,7 +12,8 @@ from noise_model.arc.map import CELL
 from noise_model.arrays import Float64
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.line_fit.block import CORRELATION_PX, MIN_SIGMA_E, WIDTH_SIGMA_LN, WINDOW_SIGMAS
-from tracker.stripe.line_fit.lines import line_window, map_edge
+from tracker.stripe.line_fit.first_guess import line_window
+from tracker.stripe.line_fit.lines import map_edge
 from tracker.stripe.read import StripeReading
 
 READ, UNLIT, NO_PATH, NO_FIT = "", "unlit", "no path", "no fit"

@@ -122,9 +122,11 @@ def _address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     return builder.bitcast(builder.gep(array.data, [arguments[1]]), _FLOATS.as_pointer())
 
 
-def _is_line(array: Type) -> bool:
-    """Say whether a type is a contiguous array (n,) of float32."""
-    return isinstance(array, Array) and array.ndim == 1 and array.layout == "C" and array.dtype == float32
+def _is_line(array: Type, n_axes: int = 1) -> bool:
+    """Say whether a type is a contiguous array (n,) of float32, or of more axes."""
+    return (
+        isinstance(array, Array) and array.ndim == n_axes and array.layout == "C" and array.dtype == float32
+    )
 
 
 @_instruction
@@ -148,6 +150,47 @@ def store(_typing: Any, values: Any, _first: Any, lanes: Any) -> Any:
         return context.get_dummy_value()
 
     return (void(values, intp, lanes), write) if _is_line(values) else None
+
+
+@_instruction
+def transpose(_typing: Any, rows: Any, _first: Any, into: Any) -> Any:
+    """Write the sixteen from a place on of each row (N_LANES, n), float32, lane by lane from there on.
+
+    The row's k-th number becomes its lane's of the k-th vector in `into` (N_LANES n,). Four times the upper
+    eight vectors are shuffled with the lower eight, number by number.
+    """
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        target = context.make_array(signature.args[2])(context, builder, arguments[2])
+        length, half = cgutils.unpack_tuple(builder, array.shape, 2)[1], N_LANES // 2
+
+        def vector(data: Any, place: Any) -> Any:
+            return builder.bitcast(builder.gep(data, [place]), _FLOATS.as_pointer())
+
+        vectors = []
+        for lane in range(N_LANES):
+            begin = builder.mul(length, ir.Constant(length.type, lane))
+            vectors.append(builder.load(vector(array.data, builder.add(begin, arguments[1])), align=4))
+        shuffles = [
+            ir.Constant(
+                ir.VectorType(ir.IntType(32), N_LANES),
+                [first + k // 2 + N_LANES * (k % 2) for k in range(N_LANES)],
+            )
+            for first in (0, half)
+        ]
+        for _ in range(N_LANES.bit_length() - 1):
+            vectors = [
+                builder.shuffle_vector(vectors[k // 2], vectors[k // 2 + half], shuffles[k % 2])
+                for k in range(N_LANES)
+            ]
+        begin = builder.mul(arguments[1], ir.Constant(length.type, N_LANES))
+        for k in range(N_LANES):
+            place = builder.add(begin, ir.Constant(length.type, N_LANES * k))
+            builder.store(vectors[k], vector(target.data, place), align=4)
+        return context.get_dummy_value()
+
+    return (void(rows, intp, into), write) if _is_line(rows, 2) and _is_line(into) else None
 
 
 @_instruction

@@ -20,6 +20,7 @@ from noise_model.lanes import (
     spread,
     store,
     total,
+    transpose,
     where,
 )
 
@@ -57,6 +58,11 @@ def comparisons(a: Float32, b: Float32, out: Float32, answers: Bool) -> None:
 @kernel
 def across(a: Float32) -> tuple[float, float]:
     return total(load(a, 0)), least(load(a, 0))
+
+
+@kernel
+def turned(rows: Float32, first: int, into: Float32) -> None:
+    transpose(rows, first, into)
 
 
 @kernel
@@ -100,6 +106,18 @@ def test_sums_and_the_least_go_across_all_lanes(seed: int) -> None:
     added, lowest = across(a)
     assert added == pytest.approx(a.sum(dtype=np.float64), abs=1e-5)
     assert lowest == a.min()
+
+
+@pytest.mark.parametrize("first", [0, N_LANES, 5])
+def test_each_row_becomes_a_lane(first: int) -> None:
+    rows = np.arange(N_LANES * 40, dtype=np.float32).reshape(N_LANES, 40)
+    into = np.full(40 * N_LANES, -1.0, np.float32)
+    turned(rows, first, into)
+    vectors, taken = into.reshape(40, N_LANES), slice(first, first + N_LANES)
+    np.testing.assert_array_equal(vectors[taken], rows[:, taken].T)
+    # Nothing is written beside.
+    vectors[taken] = -1.0
+    assert (into == -1.0).all()
 
 
 @settings(deadline=None)

@@ -15,7 +15,8 @@ from noise_model.arrays import Bool, Float32, Float64
 from noise_model.kernel import kernel
 from noise_model.lanes import N_LANES, load, spread, store, where
 from tracker.stripe.line_fit.block import CORRELATION_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
-from tracker.stripe.line_fit.lines import BLOCK, LineFits, fit_lines, fit_room, line_window, map_edge
+from tracker.stripe.line_fit.first_guess import BLOCK, line_window
+from tracker.stripe.line_fit.lines import LineFits, fit_lines, fit_room, map_edge
 from tracker.stripe.line_fit.normal_equations import (
     BEYOND,
     COUNTS,

@@ -15,7 +15,7 @@ from test_stripe import line_fits
 from noise_model.arrays import Bool, Float64
 from tracker.joint import fit_joint
 from tracker.stripe.line_fit.block import CORRELATION_PX, WINDOW_SIGMAS
-from tracker.stripe.line_fit.lines import line_window
+from tracker.stripe.line_fit.first_guess import line_window
 from tracker.stripe.line_fit.residuals import LAST_BIN, N_BINS
 from tracker.stripe.misfit import CHANCE, MIN_LINES, MOVED, MisfitRoom, mean_square_near, misfit_sigma_px
 

@@ -89,8 +89,8 @@ def _clipped(x: Lanes, most: float) -> Lanes:
 
 
 @kernel
-def _larger(a: Lanes, b: Lanes) -> Lanes:
-    """Return the larger of two, b where a is NaN."""
+def larger(a: Lanes, b: Lanes) -> Lanes:
+    """Return the larger of two, lane by lane, b where a is NaN."""
     return where(a > b, a, b)
 
 
@@ -131,9 +131,9 @@ def _judged(
     freedom = used - spread(2.0)
     chi2 = ended.chi2 / freedom
     # Only what chi2 shows beyond its own scatter widens the sigmas: else chance alone would, on average.
-    excess = _larger(chi2 - root(spread(2.0) / freedom), spread(1.0))
+    excess = larger(chi2 - root(spread(2.0) / freedom), spread(1.0))
     # Where there is no stripe there is no speckle: a stripe is told from the noise without it.
-    without = _larger(noise.shot * (level + ended.amplitude) + noise.dark, spread(MIN_SIGMA_E**2))
+    without = larger(noise.shot * (level + ended.amplitude) + noise.dark, spread(MIN_SIGMA_E**2))
     grains = noise.speckle * ended.amplitude
     unspeckled = without / (without + grains * grains)
     is_significant = ended.amplitude >= spread(MIN_SIGNIFICANCE) * root(variances[0] * excess * unspeckled)
@@ -168,7 +168,7 @@ def fit_block(block: Block, n: int, known: Known, noise: PixelNoise) -> Fitted:
         solved = solve(normal_equations(moments, x, prior))
         chi2 = moments.chi2 + off * off * narrow
         chi2 += x.offset * x.offset * prior.offset + x.slope * x.slope * prior.slope
-        amplitude = _larger(amplitude + solved.step_0, spread(LEAST_AMPLITUDE) * amplitude)
+        amplitude = larger(amplitude + solved.step_0, spread(LEAST_AMPLITUDE) * amplitude)
         position += _clipped(solved.step_1, MOST_PLACE) * width
         by_ln = _clipped(solved.step_2, MOST_LN_WIDTH)
         off += by_ln

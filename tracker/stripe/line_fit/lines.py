@@ -16,27 +16,30 @@ import numpy as np
 
 from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float32, Float64, Int64
-from noise_model.kernel import REDUCTION, kernel
+from noise_model.kernel import kernel
 from noise_model.lanes import N_LANES, load, spread, store, where
-from tracker.stripe.line_fit.block import CORRELATION_PX, MIN_SIGMA_E, WINDOW_SIGMAS, Known, fit_block
-from tracker.stripe.line_fit.normal_equations import BEYOND, COUNTS, HIDDEN, Block, PixelNoise
+from tracker.stripe.line_fit.block import fit_block
+from tracker.stripe.line_fit.first_guess import (
+    MAX_PIXELS,
+    PAD,
+    Asked,
+    MapNoise,
+    Rows,
+    core_of,
+    first_guess,
+    leave_out,
+    line_window,
+    take_line,
+    write_block,
+)
+from tracker.stripe.line_fit.normal_equations import Block, PixelNoise
 from tracker.stripe.line_fit.residuals import N_BINS, core_square, odd_parts
-from tracker.stripe.viterbi import Pair
-
-BLOCK = 8
-"""A window is so many pixels, or a multiple."""
-
-MAX_PIXELS = 512
-"""No stripe's window is longer."""
 
 N_FITTED = 7
 """A line's fit has so many numbers."""
 
-N_KNOWN, N_WRITTEN = len(Known._fields), N_FITTED + 4 + N_BINS
+N_ASKED, N_WRITTEN = len(Asked._fields), N_FITTED + 4 + N_BINS
 """So many numbers of a lane go into its fit, and come out: two answers, and what the fit leaves."""
-
-CORE_SIGMAS, CORE_MEAN = 0.5, 0.95
-"""The first guess of an amplitude is from the pixels so near: a bell's mean there, over its top."""
 
 EDGE_PX = 3
 """How far off, in scan lines, the map's edges may lie: hand-eye and the seam's direction."""
@@ -45,12 +48,13 @@ EDGE_PX = 3
 class FitRoom(NamedTuple):
     """Room for the fit of sixteen lines.
 
-    `block` holds their pixels, `known` (N_KNOWN, N_LANES) and `fitted` (N_WRITTEN, N_LANES) their numbers,
-    `lines` and `lows` (N_LANES,) which lines they are and where their windows begin.
+    `rows` and `block` hold their pixels, `asked` (N_ASKED, N_LANES) and `fitted` (N_WRITTEN, N_LANES) their
+    numbers, `lines` and `lows` (N_LANES,) which lines they are and where their windows begin.
     """
 
+    rows: Rows
     block: Block
-    known: Float32
+    asked: Float32
     fitted: Float32
     lines: Int64
     lows: Int64
@@ -58,9 +62,9 @@ class FitRoom(NamedTuple):
 
 def fit_room() -> FitRoom:
     """Make room for the fit of sixteen lines."""
-    pixels = Block(*np.empty((3, MAX_PIXELS * N_LANES), np.float32))
-    known, fitted = np.empty((N_KNOWN, N_LANES), np.float32), np.empty((N_WRITTEN, N_LANES), np.float32)
-    return FitRoom(pixels, known, fitted, *np.zeros((2, N_LANES), np.int64))
+    block = Block(*np.empty((3, (MAX_PIXELS + PAD) * N_LANES), np.float32))
+    asked, fitted = np.empty((N_ASKED, N_LANES), np.float32), np.empty((N_WRITTEN, N_LANES), np.float32)
+    return FitRoom(Rows.empty(), block, asked, fitted, *np.zeros((2, N_LANES), np.int64))
 
 
 class LineFits(NamedTuple):
@@ -87,32 +91,6 @@ class LineFits(NamedTuple):
 
 
 @kernel
-def line_window(start: float, width: float, depth: int) -> tuple[int, int]:
-    """Return from which pixel on and before which a line of so many pixels is read for a stripe at `start`.
-
-    It is as many BLOCKs as hold WINDOW_SIGMAS on either side, two at least, moved where the line ends.
-    """
-    n = max(2, math.ceil(2.0 * WINDOW_SIGMAS * width / BLOCK)) * BLOCK
-    low = max(0, min(math.ceil(start) - n // 2, depth - n))
-    return low, min(low + n, depth)
-
-
-@kernel(fastmath=REDUCTION)
-def _start(charge: Float32, background: Float32, first: int, last: int) -> Pair:
-    """Return the background's mean and that of what stands over it from pixel `first` to before `last`.
-
-    Both are NaN where the map is.
-    """
-    level, over = np.float32(0.0), np.float32(0.0)
-    for j in range(charge.shape[0]):
-        level += background[j]
-    for j in range(first, last):
-        over += charge[j] - background[j]
-    level /= np.float32(charge.shape[0])
-    return float(level), float(over / np.float32(last - first) + np.float32(0.0) * level)
-
-
-@kernel
 def map_edge(background: Float32, lows: Int64, s: int, position: float) -> float:
     """Return how much the map changes, e-, over EDGE_PX scan lines to either side at a position."""
     n_scan, depth = background.shape
@@ -127,49 +105,35 @@ def map_edge(background: Float32, lows: Int64, s: int, position: float) -> float
 
 
 @kernel
-def _write_pixels(charge: Float32, background: Float32, censored: Bool, lane: int, block: Block) -> None:
-    """Write a line's pixels (n,) into its lane."""
-    for j in range(charge.shape[0]):
-        here = j * N_LANES + lane
-        block.charge[here], block.background[here] = charge[j], background[j]
-        block.kind[here] = HIDDEN if censored[j] else COUNTS
-
-
-@kernel
 def _fill_up(n_lanes: int, n_pixels: int, room: FitRoom) -> None:
     """Make what lies beyond a line's end count for nothing, and lanes without a line follow the first."""
-    block, known = room.block, room.known
+    end = -(-n_pixels // N_LANES) * N_LANES
     for lane in range(N_LANES):
-        n = 0
         if lane < n_lanes:
-            n = int(known[1, lane])
+            leave_out(lane, int(room.asked[1, lane]), end, room.rows)
         else:
-            for k in range(known.shape[0]):
-                known[k, lane] = known[k, 0]
-        for j in range(n, n_pixels):
-            here = j * N_LANES + lane
-            block.charge[here], block.background[here], block.kind[here] = 0.0, 0.0, BEYOND
+            leave_out(lane, 0, end, room.rows)
+            for k in range(room.asked.shape[0]):
+                room.asked[k, lane] = room.asked[k, 0]
 
 
 @kernel
-def _fit_lanes(n_lanes: int, n_pixels: int, noise: PixelNoise, room: FitRoom, lines: LineFits) -> None:
+def _fit_lanes(
+    n_lanes: int, n_pixels: int, noise: PixelNoise, map_noise: MapNoise, room: FitRoom, lines: LineFits
+) -> None:
     """Fit the lines in the first lanes and write what their fits say."""
     _fill_up(n_lanes, n_pixels, room)
-    known, fitted = room.known, room.fitted
-    fit = fit_block(
-        room.block,
-        n_pixels,
-        Known(
-            load(known[0], 0),
-            load(known[1], 0),
-            load(known[2], 0),
-            load(known[3], 0),
-            load(known[4], 0),
-            load(known[5], 0),
-            load(known[6], 0),
-        ),
-        noise,
+    write_block(room.rows, n_pixels, room.block)
+    fitted = room.fitted
+    asked = Asked(
+        load(room.asked[0], 0),
+        load(room.asked[1], 0),
+        load(room.asked[2], 0),
+        load(room.asked[3], 0),
+        load(room.asked[4], 0),
+        load(room.asked[5], 0),
     )
+    fit = fit_block(room.block, n_pixels, first_guess(room.block, n_pixels, asked, map_noise), noise)
     store(fitted[0], 0, fit.position)
     store(fitted[1], 0, fit.sigma)
     store(fitted[2], 0, fit.amplitude)
@@ -179,10 +143,10 @@ def _fit_lanes(n_lanes: int, n_pixels: int, noise: PixelNoise, room: FitRoom, li
     store(fitted[6], 0, fit.slope)
     store(fitted[N_FITTED], 0, where(fit.is_done, spread(1.0), spread(0.0)))
     store(fitted[N_FITTED + 1], 0, where(fit.is_stripe, spread(1.0), spread(0.0)))
-    core, hidden = core_square(room.block, n_pixels, fit, load(known[2], 0), noise)
+    core, hidden = core_square(room.block, n_pixels, fit, asked.width, noise)
     store(fitted[N_FITTED + 2], 0, core)
     store(fitted[N_FITTED + 3], 0, hidden)
-    odd_parts(room.block, n_pixels, fit, load(known[1], 0), load(known[2], 0), fitted[N_FITTED + 4 :])
+    odd_parts(room.block, n_pixels, fit, asked.n, asked.width, fitted[N_FITTED + 4 :])
     for lane in range(n_lanes):
         line = room.lines[lane]
         if fitted[N_FITTED, lane] > 0.0:
@@ -224,38 +188,30 @@ def fit_lines(
     """
     n_scan, depth = charge.shape
     noise = PixelNoise(spread(shot), spread(dark_variance), spread(speckle))
-    known, tried, fits, saturated = room.known, lines.tried, lines.fits, lines.saturated
+    map_noise, asked = MapNoise(map_sigma, base_sigma), room.asked
     lane, longest = 0, 0
     for s in range(n_scan):
-        saturated[s], lines.core[s] = False, np.float32(math.nan)
+        lines.saturated[s], lines.core[s] = False, np.float32(math.nan)
         for k in range(N_FITTED):
-            tried[s, k] = fits[s, k] = math.nan
+            lines.tried[s, k] = lines.fits[s, k] = math.nan
         for k in range(N_BINS):
             lines.odd[s, k] = math.nan
         if math.isnan(start[s]):
             continue
         begin = lows[s // CELL]
-        place, middle = start[s] - begin, round(start[s] - begin)
+        place = start[s] - begin
         low, end = line_window(place, width[s], depth)
         n = end - low
-        if n <= 2.0 * width[s] or n > MAX_PIXELS or not low < middle < end - 1:
+        if n <= 2.0 * width[s] or n > MAX_PIXELS or not low < round(place) < end - 1:
             continue
-        core = int(CORE_SIGMAS * width[s]) + 1
-        first, last = max(middle - core - low, 0), min(middle + core + 1 - low, n)
-        level, over = _start(charge[s, low:end], background[s, low:end], first, last)
-        if not math.isfinite(over):
-            continue
-        edge_e = map_edge(background, lows, s, start[s])
-        smooth = max(math.sqrt((map_sigma * level) ** 2 + base_sigma**2), MIN_SIGMA_E)
-        known[0, lane], known[1, lane], known[2, lane] = place - low, n, width[s]
-        known[3, lane], known[4, lane] = max(over / CORE_MEAN, 1.0), level
-        known[5, lane] = 1.0 / (smooth**2 + edge_e**2)
-        known[6, lane] = 1.0 / ((smooth / CORRELATION_PX) ** 2 + (edge_e / (WINDOW_SIGMAS * width[s])) ** 2)
-        _write_pixels(charge[s, low:end], background[s, low:end], censored[s, low:end], lane, room.block)
+        take_line(charge[s, low:end], background[s, low:end], censored[s, low:end], lane, room.rows)
+        asked[0, lane], asked[1, lane], asked[2, lane] = place - low, n, width[s]
+        asked[3, lane], asked[4, lane] = core_of(place - low, width[s], n)
+        asked[5, lane] = map_edge(background, lows, s, start[s])
         room.lines[lane], room.lows[lane] = s, begin + low
         lane, longest = lane + 1, max(longest, n)
         if lane == N_LANES:
-            _fit_lanes(lane, longest, noise, room, lines)
+            _fit_lanes(lane, longest, noise, map_noise, room, lines)
             lane, longest = 0, 0
     if lane > 0:
-        _fit_lanes(lane, longest, noise, room, lines)
+        _fit_lanes(lane, longest, noise, map_noise, room, lines)

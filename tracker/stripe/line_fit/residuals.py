@@ -5,7 +5,7 @@ from __future__ import annotations
 from noise_model.arrays import Float32
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, Lanes, least, load, spread, store, where
-from tracker.stripe.line_fit.block import WINDOW_SIGMAS, Fitted
+from tracker.stripe.line_fit.block import WINDOW_SIGMAS, Fitted, larger
 from tracker.stripe.line_fit.normal_equations import COUNTS, HIDDEN, Block, PixelNoise, bells
 
 CORE_SIGMAS = 1.5
@@ -33,7 +33,9 @@ def core_square(block: Block, n: int, fit: Fitted, width: Lanes, noise: PixelNoi
     over, light, hidden = zero, zero, zero
     reach = spread(SATURATED_SIGMAS) * width
     inverse = spread(1.0) / fit.width
-    for j in range(n):
+    far = larger(reach, spread(CORE_SIGMAS) * fit.width)
+    first, last = max(int(least(fit.position - far)), 0), min(int(-least(zero - fit.position - far)), n - 1)
+    for j in range(first, last + 1):
         away, kind = spread(j) - fit.position, load(block.kind, j * N_LANES)
         t = away * inverse
         bell = fit.amplitude * bells(t)

@@ -1,0 +1,143 @@
+"""What is known of sixteen scan lines before their fit: their pixels, a lane a line, and a first guess."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from noise_model.arrays import Bool, Float32
+from noise_model.kernel import REDUCTION, kernel
+from noise_model.lanes import N_LANES, Lanes, load, root, spread, transpose, where
+from tracker.stripe.line_fit.block import CORRELATION_PX, MIN_SIGMA_E, WINDOW_SIGMAS, Known, larger
+from tracker.stripe.line_fit.normal_equations import BEYOND, COUNTS, HIDDEN, Block
+
+BLOCK = 8
+"""A window is so many pixels, or a multiple."""
+
+MAX_PIXELS = 512
+"""No stripe's window is longer."""
+
+PAD = N_LANES
+"""Rows of 2^n bytes would share their place in the cache: each is longer by so many pixels."""
+
+CORE_SIGMAS, CORE_MEAN = 0.5, 0.95
+"""The first guess of an amplitude is from the pixels so near: a bell's mean there, over its top."""
+
+
+class Rows(NamedTuple):
+    """The pixels of sixteen windows, (N_LANES, MAX_PIXELS + PAD) each, line by line; see `Block`."""
+
+    charge: Float32
+    background: Float32
+    kind: Float32
+
+    @classmethod
+    def empty(cls) -> Rows:
+        """Make room for sixteen windows."""
+        return cls(*np.empty((3, N_LANES, MAX_PIXELS + PAD), np.float32))
+
+
+class Asked(NamedTuple):
+    """What is asked of sixteen windows, by lane.
+
+    `start`, `n` and `width` are `Known`'s; `first` and `last` are the pixels that tell the amplitude, from
+    the first to before the last; `edge` is by how much the map may be off for an edge nearby, e-.
+    """
+
+    start: Lanes
+    n: Lanes
+    width: Lanes
+    first: Lanes
+    last: Lanes
+    edge: Lanes
+
+
+class MapNoise(NamedTuple):
+    """1 sigma of the background: relative, that of the arc map, and in e-, that of the rest."""
+
+    map_rel: float
+    base_e: float
+
+
+@kernel
+def line_window(start: float, width: float, depth: int) -> tuple[int, int]:
+    """Return from which pixel on and before which a line of so many pixels is read for a stripe at `start`.
+
+    It is as many BLOCKs as hold WINDOW_SIGMAS on either side, two at least, moved where the line ends.
+    """
+    n = max(2, math.ceil(2.0 * WINDOW_SIGMAS * width / BLOCK)) * BLOCK
+    low = max(0, min(math.ceil(start) - n // 2, depth - n))
+    return low, min(low + n, depth)
+
+
+@kernel
+def core_of(place: float, width: float, n: int) -> tuple[int, int]:
+    """Return from which pixel on and before which a window of n tells its stripe's amplitude at first."""
+    middle, core = round(place), int(CORE_SIGMAS * width) + 1
+    return max(middle - core, 0), min(middle + core + 1, n)
+
+
+@kernel
+def _copy(pixels: Float32, row: Float32) -> None:
+    """Copy a window's pixels (n,) into a row: a slice that is assigned to takes 2 s to compile."""
+    for j in range(pixels.shape[0]):
+        row[j] = pixels[j]
+
+
+@kernel
+def _kinds(censored: Bool, row: Float32) -> None:
+    """Write what a window's pixels (n,) are into a row."""
+    for j in range(censored.shape[0]):
+        row[j] = np.float32(HIDDEN) if censored[j] else np.float32(COUNTS)
+
+
+@kernel
+def take_line(charge: Float32, background: Float32, censored: Bool, lane: int, rows: Rows) -> None:
+    """Copy a window's pixels (n,) into its row."""
+    _copy(charge, rows.charge[lane])
+    _copy(background, rows.background[lane])
+    _kinds(censored, rows.kind[lane])
+
+
+@kernel
+def leave_out(lane: int, first: int, last: int, rows: Rows) -> None:
+    """Make a row's pixels from the first to before the last count for nothing."""
+    for j in range(first, last):
+        rows.charge[lane, j], rows.background[lane, j], rows.kind[lane, j] = 0.0, 0.0, BEYOND
+
+
+@kernel
+def write_block(rows: Rows, n: int, block: Block) -> None:
+    """Write the first n pixels of all rows, and up to N_LANES - 1 more, into a block."""
+    for j in range(0, n, N_LANES):
+        transpose(rows.charge, j, block.charge)
+        transpose(rows.background, j, block.background)
+        transpose(rows.kind, j, block.kind)
+
+
+@kernel(fastmath=REDUCTION)
+def first_guess(block: Block, n: int, asked: Asked, noise: MapNoise) -> Known:
+    """Return what is known of the lines whose first n pixels a block holds; NaN where a line's map is."""
+    zero, unity = spread(0.0), spread(1.0)
+    level, over = zero, zero
+    for j in range(n):
+        background, here = load(block.background, j * N_LANES), spread(j)
+        level += background
+        is_core = (here >= asked.first) & (here < asked.last)
+        over += where(is_core, load(block.charge, j * N_LANES) - background, zero)
+    level /= asked.n
+    over /= (asked.last - asked.first) * spread(CORE_MEAN)
+    off = spread(noise.map_rel) * level
+    smooth = larger(root(off * off + spread(noise.base_e**2)), spread(MIN_SIGMA_E))
+    slope, bent = smooth / spread(CORRELATION_PX), asked.edge / (spread(WINDOW_SIGMAS) * asked.width)
+    return Known(
+        asked.start,
+        asked.n,
+        asked.width,
+        larger(over, unity),
+        level,
+        unity / (smooth * smooth + asked.edge * asked.edge),
+        unity / (slope * slope + bent * bent),
+    )
