@@ -100,17 +100,16 @@ def measure(
     """Look for arc, stripe and joint about a seam; `scatter` is what earlier frames show of the stripe's."""
     scene = scene_along(geometry.seam_source.scene, pose.T_base_tool, seam)
     asked = Checks()
-    reading = Reading(asked, scene, seam, reach_mm, scatter=scatter)
     if not asked.ask(checks.CAMERA_ABOVE, not scene.below_surface):
-        return reading
+        return Reading(asked, scene, seam, reach_mm, scatter=scatter)
     expected = expect_stripe(geometry, scene)
     asked.ask(checks.STRIPE_EXPECTED, expected is not None)
     if expected is None:
-        return reading
+        return Reading(asked, scene, seam, reach_mm, scatter=scatter)
     reach_px = geometry.reach_px(reach_mm)
     output = expected_output(geometry.setup, frame)
     kernel = arc_kernel(geometry.setup, scene, output)
-    keep_off = reach_px + FIT_SIGMAS * float(expected.sigma_px.max())
+    keep_off = reach_px + FIT_SIGMAS * expected.widest_px
     stripe_px = expected.position_px if frame.laser_on else None
     arc_map = arc_map_of(geometry, kernel)
     is_arc_on = shows_arc(geometry.setup, frame)
@@ -118,9 +117,8 @@ def measure(
     unlit = unlit_by_the_laser(geometry, arc_map.at, transmission, frame.image_dn, stripe_px, keep_off)
     arc = (estimate_arc_level if is_arc_on else estimate_ambient_light)(geometry, unlit)
     _ask_arc(asked, arc)
-    reading = reading._replace(arc=arc)
     if not asked.ask(checks.LASER_ON, frame.laser_on):
-        return reading
+        return Reading(asked, scene, seam, reach_mm, arc, scatter=scatter)
 
     look = read_stripe(
         geometry,
@@ -135,12 +133,25 @@ def measure(
         scatter,
         reach_mm >= SEARCH_REACH_MM,
     )
-    reading = reading._replace(stripe=look.stripe)
     # An arc lights rims that end as a fan does.
     seeks_ends = geometry.setup.laser.fan_half_angle_deg is None and not arc.is_on
     if not _is_stripe(asked, geometry, expected, look, work, seeks_ends):
-        return reading
-    reading = reading._replace(scatter=look.scatter)
+        return Reading(asked, scene, seam, reach_mm, arc, look.stripe, scatter=scatter)
+    joint, margin_mm = _joint(asked, geometry, scene, seam, frame, expected, look, reach_mm)
+    return Reading(asked, scene, seam, reach_mm, arc, look.stripe, joint, margin_mm, look.scatter)
+
+
+def _joint(
+    asked: Checks,
+    geometry: SensorGeometry,
+    scene: Scene,
+    seam: SeamLine,
+    frame: Frame,
+    expected: ExpectedStripe,
+    look: StripeReading,
+    reach_mm: float,
+) -> tuple[MeasuredJoint | None, float]:
+    """Return the joint that a stripe shows, and its margin in the view, mm, NaN where none is told."""
     profile = profile_of(geometry, scene, frame, expected, look, reach_mm, seam.slope_sigma)
     joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.seam_source, scene, seam.station_mm))
     if geometry.setup.joint.type == "butt" and not _is_told(joint):
@@ -152,17 +163,14 @@ def measure(
     if reach_mm == SEARCH_REACH_MM:
         asked.ask(checks.JOINT_TYPE, not is_another_type(profile, geometry.setup.joint, joint))
     asked.ask(checks.JOINT_SEEN, joint is not None)
-    if joint is None:
-        return reading
-    if not asked.ask(checks.JOINT_EVIDENCE, joint.evidence_nats, MIN_EVIDENCE_NATS):
-        return reading
+    if joint is None or not asked.ask(checks.JOINT_EVIDENCE, joint.evidence_nats, MIN_EVIDENCE_NATS):
+        return None, math.nan
     margin_mm = min(joint.y_mm - float(profile.y_mm[0]), float(profile.y_mm[-1]) - joint.y_mm)
-    reading = reading._replace(fov_margin_mm=margin_mm)
     if not asked.ask(checks.VIEW_MARGIN, margin_mm, MIN_MARGIN_MM):
-        return reading
+        return None, margin_mm
     asked.ask(checks.JOINT_CHI2, joint.chi2, JOINT_CHI2_LIMIT)
     asked.ask(checks.JOINT_UNEXPLAINED, joint.unexplained, UNEXPLAINED_LIMIT)
-    return reading._replace(joint=joint)
+    return joint, margin_mm
 
 
 def _is_told(joint: MeasuredJoint | None) -> bool:
@@ -254,22 +262,21 @@ def profile_of(
         light.contrast,
         lines_over.possible,
     )
-    y, z, dy, dz, sigma, beside, bias, misfit = points.rows[:, : points.n]
     return Profile(
-        y,
-        z,
-        dy,
-        dz,
-        sigma,
-        points.scan[: points.n],
+        points.y_mm,
+        points.z_mm,
+        points.dy_mm,
+        points.dz_mm,
+        points.sigma_px,
+        points.scan,
         points.column_mm,
-        beside,
+        points.beside_px,
         reach_mm=reach_mm + BEYOND_REACH_MM,
         light=light,
         image_dn=frame.image_dn.T if geometry.along_rows else frame.image_dn,
         mixed_mm=points.column_mm * (clear_of_an_edge(light) - 1),
-        bias_px=bias,
-        misfit_px=misfit,
+        bias_px=points.bias_px,
+        misfit_px=points.misfit_px,
         slope_sigma=slope_sigma,
     )
 

@@ -185,15 +185,18 @@ class StripeLines(NamedTuple):
 
 
 class Points(NamedTuple):
-    """A profile's points, `column_mm` their spacing; the first n of `rows` and `scan` are in order of y.
+    """A profile's points (n,) in order of y; see `Profile`."""
 
-    `rows` (8, n_scan) are y, z, dy, dz, sigma, beside, bias and misfit.
-    """
-
-    n: int
-    column_mm: float
-    rows: Float64
+    y_mm: Float64
+    z_mm: Float64
+    dy_mm: Float64
+    dz_mm: Float64
+    sigma_px: Float64
     scan: Float64
+    column_mm: float
+    beside_px: Float64
+    bias_px: Float64
+    misfit_px: Float64
 
 
 @kernel(allocates=True)
@@ -232,7 +235,18 @@ def measured_points(
         s = int(scan[i])
         rows[5, i] = math.hypot(lines.beside_px[s], askew_px[s])
         rows[6, i], rows[7, i] = lines.bias_px[s], lines.misfit_px[s]
-    return Points(n, column_mm, rows, scan)
+    return Points(
+        rows[0, :n],
+        rows[1, :n],
+        rows[2, :n],
+        rows[3, :n],
+        rows[4, :n],
+        scan[:n],
+        column_mm,
+        rows[5, :n],
+        rows[6, :n],
+        rows[7, :n],
+    )
 
 
 @kernel(allocates=True)

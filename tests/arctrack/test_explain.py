@@ -31,10 +31,11 @@ from tracker import flags
 from tracker.checks import Check
 from tracker.geometry import SensorGeometry
 from tracker.state import Stripe
+from tracker.stripe.band import Band
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.line_fit.lines import LineFits, fit_lines, fit_room
 from tracker.stripe.read import StripeReading
-from tracker.stripe.read_band import Band
+from tracker.stripe.read_band import UsualLine
 from tracker.stripe.scatter import NO_SCATTER
 
 EXAMPLE = Path(arctrack.__file__).parents[1] / "examples" / "v_groove"
@@ -137,7 +138,8 @@ def made(
     start_px: float = 59.0,
 ) -> tuple[StripeReading, ExpectedStripe]:
     """Return the reading of a noiseless Gaussian over an even background that is known for sure."""
-    expected = ExpectedStripe(*np.tile([[60.0], [WIDTH], [0.0]], N_SCAN), *np.ones((2, N_SCAN), bool))
+    lines = np.tile([[60.0], [WIDTH], [0.0]], N_SCAN)
+    expected = ExpectedStripe(*lines, *np.ones((2, N_SCAN), bool), widest_px=WIDTH)
     at = np.arange(DEPTH)
     bell = np.exp(-0.5 * ((at - 60.0) / width) ** 2)
     background = np.full((N_SCAN, DEPTH), background_e, np.float32)
@@ -186,6 +188,7 @@ def made(
         NO_SCATTER,
         NO_SCATTER,
         np.zeros(N_SCAN),
+        UsualLine(0.0, 0.0, math.nan),
     )
     return reading, expected
 

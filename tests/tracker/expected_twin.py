@@ -66,12 +66,14 @@ def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | No
         for s in np.flatnonzero(on_one_face & (seen.max(axis=0) > 0.0)):
             center, width[s] = _bell(every[:, s], seen[:, s], width[s])
             bias[s] = center - middle[s]
+    sigma = _from_same_face(np.hypot(width, setup.camera.psf_sigma_px), strips[1], on_one_face)
     return ExpectedStripe(
         middle,
-        _from_same_face(np.hypot(width, setup.camera.psf_sigma_px), strips[1], on_one_face),
+        sigma,
         _from_same_face(bias, strips[1], on_one_face),
         np.ones(len(middle), dtype=np.bool_),
         np.ones(len(middle), dtype=np.bool_),
+        float(sigma.max()),
     )
 
 

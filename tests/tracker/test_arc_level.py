@@ -29,6 +29,7 @@ from tracker.arc.level import (
     quantile,
     unlit_by_the_laser,
 )
+from tracker.arc.transmission import NO_LIGHT
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose
 from tracker.stripe.expected import expect_stripe
@@ -101,25 +102,26 @@ def test_the_sample_is_its_twin(along_rows: bool, has_stripe: bool) -> None:
     stripe = rng.uniform(10.0, 40.0, n_scan) if has_stripe else np.empty(0)
     stripe[::7] = np.nan
     code_e = rng.uniform(0.0, 1e4, 256).astype(np.float32)
-    pixels, charge = np.empty(len(scan), dtype=np.int64), np.empty(len(scan))
-    n = _off_stripe(image, along_rows, n_pos, scan, position, code_e, 200, stripe, 8.0, pixels, charge)
+    pixels, charge = _off_stripe(image, along_rows, n_pos, scan, position, code_e, 200, stripe, 8.0)
     dn = (image.T if along_rows else image)[scan, position]
     want = dn < 200
     if has_stripe:
         want &= np.abs(position - stripe[scan]) > 8.0
-    np.testing.assert_array_equal(pixels[:n], (scan * n_pos + position)[want])
-    np.testing.assert_array_equal(charge[:n], code_e[dn[want]])
+    np.testing.assert_array_equal(pixels, (scan * n_pos + position)[want])
+    np.testing.assert_array_equal(charge, code_e[dn[want]])
 
 
-def test_only_what_is_seen_is_kept() -> None:
+@pytest.mark.parametrize("has_other", [False, True])
+def test_only_what_is_seen_is_kept(has_other: bool) -> None:
     rng = np.random.default_rng(SEED)
-    map_e, charge, other = rng.uniform(0.0, 9.0, (3, 200))
+    map_e, other = rng.uniform(0.0, 9.0, (2, 200)).astype(np.float32)
+    charge = rng.uniform(0.0, 9.0, 200)
     map_e[rng.random(200) < 0.3] = np.nan
     seen = np.isfinite(map_e)
     pixels = rng.permutation(200)
-    want = map_e[seen], (charge - other)[seen], pixels[seen]
-    n = _only_seen(map_e, charge, other, pixels)
-    np.testing.assert_array_equal((map_e[:n], charge[:n], pixels[:n]), want)
+    want = map_e[seen], (charge - other if has_other else charge)[seen], pixels[seen]
+    found = _only_seen(map_e, charge, other if has_other else NO_LIGHT, pixels)
+    np.testing.assert_array_equal((found.arc_e, found.charge_e, found.pixels), want)
 
 
 def test_spatter_does_not_move_it(geometry: SensorGeometry) -> None:

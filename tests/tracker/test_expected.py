@@ -83,6 +83,7 @@ def test_it_is_its_twin(joint: str, upright: bool, distortion: tuple[float, ...]
         assert expected is not None
         assert twin is not None
         np.testing.assert_allclose(expected.position_px, twin.position_px, rtol=0.0, atol=1e-8)
+        assert expected.widest_px == expected.sigma_px.max()
         # On a corrugation centre and width are fitted on some lines, and run straight between them.
         atol = 0.01 if joint == "corrugation" else 1e-8
         for name in ("sigma_px", "bias_px"):

@@ -107,8 +107,10 @@ def test_a_stripes_points_are_its_triangulation_with_bias_and_steps_taken_in(
     twin = triangulate(geometry, scene, position - bias, np.hypot(sigma, askew), np.hypot(beside, askew))
     own = twin.scan.astype(int)
     rows = twin.y_mm, twin.z_mm, twin.dy_mm, twin.dz_mm, twin.sigma_px, twin.beside_px, bias[own], misfit[own]
-    np.testing.assert_array_equal(points.scan[: points.n], twin.scan)
-    np.testing.assert_allclose(points.rows[:, : points.n], np.array(rows), rtol=1e-12)
+    found = points.y_mm, points.z_mm, points.dy_mm, points.dz_mm, points.sigma_px
+    found = *found, points.beside_px, points.bias_px, points.misfit_px
+    np.testing.assert_array_equal(points.scan, twin.scan)
+    np.testing.assert_allclose(np.array(found), np.array(rows), rtol=1e-12)
     assert points.column_mm == pytest.approx(twin.column_mm)
 
 

@@ -116,6 +116,7 @@ def test_path_and_rim_are_their_plain_twins() -> None:
         expected = ExpectedStripe(
             *rng.uniform([[10.0], [1.0], [0.0]], [[90.0], [9.0], [1e-9]], (3, 30)),
             *(rng.random((2, 30)) < 0.7),
+            9.0,
         )
         position = expected.position_px + rng.normal(0.0, 9.0, 30)
         position[rng.random(30) < 0.3] = np.nan
@@ -132,7 +133,7 @@ def test_path_and_rim_are_their_plain_twins() -> None:
 def test_lines_that_would_show_it_and_do_not_are_counted() -> None:
     """100 lines hold a stripe of 4000 e-; of the others some are as dark, some too bright, some saturated."""
     width, amplitude_e, dark_e2 = 3.0, 4000.0, 2500.0
-    expected = ExpectedStripe(*np.tile([[30.0], [width], [0.0]], N_SCAN), EVERYWHERE, EVERYWHERE)
+    expected = ExpectedStripe(*np.tile([[30.0], [width], [0.0]], N_SCAN), EVERYWHERE, EVERYWHERE, width)
     position, amplitude = np.full((2, N_SCAN), np.nan)
     position[:100], amplitude[:100] = 30.0, amplitude_e
     variance, censored = np.full((N_SCAN, N), dark_e2, np.float32), np.zeros((N_SCAN, N), np.bool_)
@@ -141,7 +142,7 @@ def test_lines_that_would_show_it_and_do_not_are_counted() -> None:
     censored[100:120, 7] = True
     variance[120:140, 50] = 1e9
     assert seen_share(*args) == pytest.approx(100.0 / 160.0)
-    assert seen_share(replace(expected, shown=np.arange(N_SCAN) < 150), *args[1:]) == pytest.approx(
+    assert seen_share(expected._replace(shown=np.arange(N_SCAN) < 150), *args[1:]) == pytest.approx(
         100.0 / 110.0
     )
     # A quarter of what was found, by the filter itself, whose template of whole pixels sees a little more.
@@ -163,7 +164,7 @@ def test_lines_that_would_show_it_and_do_not_are_counted() -> None:
 
 def test_beyond_the_ends_of_an_unstated_fan_nothing_is_missed() -> None:
     """A fan lights 80 of 200 lines and misses three amid them; what lies astray is no stripe of it."""
-    expected = ExpectedStripe(*np.tile([[30.0], [3.0], [0.0]], N_SCAN), EVERYWHERE, EVERYWHERE)
+    expected = ExpectedStripe(*np.tile([[30.0], [3.0], [0.0]], N_SCAN), EVERYWHERE, EVERYWHERE, 3.0)
     variance, censored = np.full((N_SCAN, N), 2500.0, np.float32), np.zeros((N_SCAN, N), np.bool_)
 
     def share(holds: np.ndarray, seeks_ends: bool) -> float:
@@ -251,7 +252,7 @@ def of_lines(expected: ExpectedStripe) -> tuple[Float64, Float64, Bool]:
 
 def test_a_stripe_off_the_image_is_told() -> None:
     expected = ExpectedStripe(
-        np.linspace(20.0, 90.0, 71), np.full(71, 3.0), np.zeros(71), *np.ones((2, 71), dtype=np.bool_)
+        np.linspace(20.0, 90.0, 71), np.full(71, 3.0), np.zeros(71), *np.ones((2, 71), dtype=np.bool_), 3.0
     )
     nowhere = np.full(71, np.nan)
     assert not leaves_image(nowhere, *of_lines(expected), 100)
@@ -259,7 +260,7 @@ def test_a_stripe_off_the_image_is_told() -> None:
     # What was found counts for more than what was expected.
     assert not leaves_image(np.linspace(10.0, 80.0, 71), *of_lines(expected), 90)
     assert leaves_image(np.linspace(-1.0, 80.0, 71), *of_lines(expected), 90)
-    deep = replace(expected, shown=expected.position_px < 80.0)
+    deep = expected._replace(shown=expected.position_px < 80.0)
     assert not leaves_image(nowhere, *of_lines(deep), 90)
 
 

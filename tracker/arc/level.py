@@ -88,8 +88,7 @@ def unlit_by_the_laser(
     farther than `keep_off_px` from `stripe_px` (n_scan,); without a stripe every pixel is.
     """
     scan, position = geometry.level_sample
-    pixels, charge_e = np.empty(len(scan), dtype=np.int64), np.empty(len(scan))
-    n = _off_stripe(
+    pixels, charge_e = _off_stripe(
         image_dn,
         geometry.along_rows,
         geometry.n_pos,
@@ -97,14 +96,12 @@ def unlit_by_the_laser(
         position,
         geometry.charge_e,
         geometry.saturation_dn,
-        stripe_px if stripe_px is not None else np.empty(0),
+        NOWHERE if stripe_px is None else stripe_px,
         keep_off_px,
-        pixels,
-        charge_e,
     )
-    m, other = seen_arc(light, transmission, pixels[:n])
-    n = _only_seen(m, charge_e, other, pixels)
-    return Unlit(m[:n], charge_e[:n], pixels[:n])
+    arc_e, other_e = seen_arc(light, transmission, pixels)
+    unlit: Unlit = _only_seen(arc_e, charge_e, other_e, pixels)
+    return unlit
 
 
 def estimate_arc_level(geometry: SensorGeometry, unlit: Unlit) -> ArcLevel:
@@ -136,7 +133,11 @@ def estimate_ambient_light(geometry: SensorGeometry, unlit: Unlit) -> ArcLevel:
     return ArcLevel(0.0, 0.0, black, np.nan, False, math.sqrt(max(spread_e**2 - noise_e**2, 0.0)))
 
 
-@kernel
+NOWHERE = np.empty(0)
+"""No stripe's place, as the kernel takes it."""
+
+
+@kernel(allocates=True)
 def _off_stripe(
     image_dn: Integers,
     along_rows: bool,
@@ -147,33 +148,33 @@ def _off_stripe(
     saturation_dn: int,
     stripe_px: Float64,
     keep_off_px: float,
-    pixels: Int64,
-    charge_e: Float64,
-) -> int:
-    """Write which pixels of a sample are neither saturated nor near the stripe; return how many.
+) -> tuple[Int64, Float64]:
+    """Return those pixels of a sample that are neither saturated nor near the stripe, and their charge, e-.
 
     `scan` and `position` (n,) are the sample's, `code_e` the charge of each code, `stripe_px` (n_scan,) the
-    stripe's place, empty for none. Written are `pixels`, counted by scan line, and `charge_e` (n,).
+    stripe's place, empty for none. The pixels are counted by scan line.
     """
-    n = 0
+    n, pixels, charge_e = 0, np.empty(scan.shape[0], np.int64), np.empty(scan.shape[0])
     for i in range(scan.shape[0]):
         s, r = scan[i], position[i]
         dn = image_dn[r, s] if along_rows else image_dn[s, r]
         if dn < saturation_dn and (stripe_px.shape[0] == 0 or abs(r - stripe_px[s]) > keep_off_px):
             pixels[n], charge_e[n] = s * n_pos + r, code_e[dn]
             n += 1
-    return n
+    return pixels[:n], charge_e[:n]
 
 
-@kernel
-def _only_seen(map_e: Float64, charge_e: Float64, other_e: Float64, pixels: Int64) -> int:
-    """Move the pixels whose `map_e` (n,) is known to the front, other light taken off; return how many."""
-    n = 0
-    for i in range(map_e.shape[0]):
-        if math.isfinite(map_e[i]):
-            map_e[n], charge_e[n], pixels[n] = map_e[i], charge_e[i] - other_e[i], pixels[i]
+@kernel(allocates=True)
+def _only_seen(arc_e: Float32, charge_e: Float64, other_e: Float32, pixels: Int64) -> Unlit:
+    """Return the pixels (n,) whose `arc_e` is known, other light (n,) taken off, or none if that is empty."""
+    n, count = 0, arc_e.shape[0]
+    seen_e, unlit_e, seen = np.empty(count), np.empty(count), np.empty(count, np.int64)
+    for i in range(count):
+        if math.isfinite(arc_e[i]):
+            seen_e[n], seen[n] = arc_e[i], pixels[i]
+            unlit_e[n] = charge_e[i] - (other_e[i] if other_e.shape[0] > 0 else np.float32(0.0))
             n += 1
-    return n
+    return Unlit(seen_e[:n], unlit_e[:n], seen[:n])
 
 
 @kernel(allocates=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from noise_model.arc.scene import Scene
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.arrays import Float32, Int64
 from noise_model.condition import Condition
 from noise_model.effects import apply_condition_effects
 from noise_model.effects.light import Light
@@ -79,13 +79,14 @@ class Transmission:
         return np.where(np.isfinite(arc_e), arrived, np.float32(np.nan)), other
 
 
-def seen_arc(light: ArcLight, transmission: Transmission | None, pixels: Int64) -> tuple[Float64, Float64]:
-    """Return the arc's light and the other light (n,), e-, at some pixels (n,), by scan line.
+NO_LIGHT = np.empty(0, np.float32)
 
-    NaN where a pixel looks past the workpiece; `transmission` None leaves the light as it is.
+
+def seen_arc(light: ArcLight, transmission: Transmission | None, pixels: Int64) -> tuple[Float32, Float32]:
+    """Return the arc's light (n,) and the other light (n,), e-, at some pixels (n,), by scan line.
+
+    NaN where a pixel looks past the workpiece. Without a `transmission` light stays as it is, and of other
+    light, an empty array, there is none.
     """
     arc_e = light(pixels)
-    if transmission is None:
-        return arc_e.astype(np.float64), np.zeros(len(pixels))
-    arrived, other = transmission.through(pixels, arc_e)
-    return arrived.astype(np.float64), other.astype(np.float64)
+    return (arc_e, NO_LIGHT) if transmission is None else transmission.through(pixels, arc_e)

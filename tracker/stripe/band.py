@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,22 @@ from noise_model.kernel import kernel
 FIT_SIGMAS = 5.0
 """How many stripe sigmas of background the band holds beyond the reach of the search: the fit reads four, and
 a second stripe beside them has to be seen."""
+
+
+class Band(NamedTuple):
+    """A band's pixels (n_scan, depth), e-, that begin at `lows` (n_cells,) for each CELL scan lines.
+
+    `background` is the arc's light and the black level, later with a second stripe's light; `plain` is room
+    for it without that.
+    """
+
+    charge: Float32
+    background: Float32
+    residual: Float32
+    variance: Float32
+    plain: Float32
+    censored: Bool
+    lows: Int64
 
 
 @kernel
@@ -102,39 +119,34 @@ def median_background(band: Float32, half: int, background: Float32) -> None:
             background[s, j] = np.median(band[s, low:high])
 
 
-@kernel
+@kernel(allocates=True)
 def gather_band(
     image_dn: Integers,
     along_rows: bool,
     center_px: Float64,
-    sigma_px: Float64,
+    widest_px: float,
     reach_px: float,
     n_pos: int,
     charge_e: Float32,
     saturation_dn: int,
-    lows: Int64,
-    band: Float32,
-    censored: Bool,
-) -> int:
-    """Copy the band about a stripe's expected centres (n_scan,) out of an image; return its depth.
+    room: Band,
+) -> Band:
+    """Return the band about a stripe's expected centres (n_scan,), its charge copied out of an image.
 
-    It holds what a fit within `reach_px` reads of a stripe of `sigma_px` (n_scan,). `band` and `censored` are
-    flat, with room for any depth.
+    It holds what a fit within `reach_px` reads of a stripe of 1 sigma `widest_px` at most. The `room` is
+    flat, for any depth.
     """
-    widest = 0.0
-    for s in range(sigma_px.shape[0]):
-        widest = max(widest, sigma_px[s])
-    depth = place(center_px, n_pos, math.ceil(reach_px + FIT_SIGMAS * widest), lows)
-    n_scan = center_px.shape[0]
-    shape = n_scan, depth
-    flat = n_scan * depth
-    gather(
-        image_dn,
-        along_rows,
-        lows,
-        charge_e,
-        saturation_dn,
-        band[:flat].reshape(shape),
-        censored[:flat].reshape(shape),
+    depth = place(center_px, n_pos, math.ceil(reach_px + FIT_SIGMAS * widest_px), room.lows)
+    shape = center_px.shape[0], depth
+    n = shape[0] * depth
+    band = Band(
+        room.charge[:n].reshape(shape),
+        room.background[:n].reshape(shape),
+        room.residual[:n].reshape(shape),
+        room.variance[:n].reshape(shape),
+        room.plain[:n].reshape(shape),
+        room.censored[:n].reshape(shape),
+        room.lows,
     )
-    return depth
+    gather(image_dn, along_rows, room.lows, charge_e, saturation_dn, band.charge, band.censored)
+    return band

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,14 +28,13 @@ FAN_SLACK_MM = 2.0
 """So far beyond the fan's end a stripe is still looked for: a surface farther off is lit farther out."""
 
 
-@dataclass(frozen=True)
-class ExpectedStripe:
+class ExpectedStripe(NamedTuple):
     """The stripe that the joint would show, per scan line (n_scan,), px.
 
     `position_px` its centre, `sigma_px` its 1 sigma (sheet and point-spread function), `bias_px` how far its
     light's centre lies off the laser plane's trace because reflectance and fall-off vary across it. `shown`
     says where the joint would show it at all, and not what an edge joint stands on, deep out of sight, nor
-    what lies beyond the fan's end; `is_sought` where it is looked for.
+    what lies beyond the fan's end; `is_sought` where it is looked for. `widest_px` is the largest sigma.
     """
 
     position_px: Float64
@@ -43,6 +42,7 @@ class ExpectedStripe:
     bias_px: Float64
     shown: Bool
     is_sought: Bool
+    widest_px: float
 
     @property
     def shown_px(self) -> Float64:
@@ -62,23 +62,8 @@ def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | No
     corrugation, which may mirror the laser for a part of the stripe, `tracker.stripe.bias` fits centre and
     width.
     """
-    n_scan = geometry.n_scan
-    position, sigma, bias = np.empty((3, n_scan))
-    shown, is_sought = np.empty((2, n_scan), np.bool_)
-    in_view = expect(
-        geometry.stripe_source,
-        scene.shape.vertices,
-        scene.shape.corrugation,
-        scene.T_joint_tool,
-        scene.T_joint_camera,
-        scene.footprint_mm,
-        position,
-        sigma,
-        bias,
-        shown,
-        is_sought,
-    )
-    return ExpectedStripe(position, sigma, bias, shown, is_sought) if in_view else None
+    in_view, expected = expect(geometry.stripe_source, scene, geometry.n_scan)
+    return expected if in_view else None
 
 
 @kernel(allocates=True)
@@ -130,45 +115,34 @@ def _beyond_fan_mm(source: StripeSource, scan: float, position_px: float) -> flo
 
 
 @kernel(allocates=True)
-def expect(
-    source: StripeSource,
-    vertices: Float64,
-    corrugation: Float64,
-    T_joint_tool: Float64,
-    T_joint_camera: Float64,
-    footprint_mm: Float64,
-    position: Float64,
-    sigma: Float64,
-    bias: Float64,
-    shown: Bool,
-    is_sought: Bool,
-) -> bool:
-    """Write an expected stripe (n_scan,), see `expect_stripe`; False where it is out of view."""
-    n_scan = position.shape[0]
-    section, is_deep = _lifted(vertices)
+def expect(source: StripeSource, scene: Scene, n_scan: int) -> tuple[bool, ExpectedStripe]:
+    """Return whether a scene's stripe is in view, and what is expected of it; see `expect_stripe`."""
+    position, sigma, bias = np.empty(n_scan), np.empty(n_scan), np.empty(n_scan)
+    shown, is_sought = np.empty(n_scan, np.bool_), np.empty(n_scan, np.bool_)
+    section, is_deep = _lifted(scene.shape.vertices)
     face = np.empty(n_scan, dtype=np.int64)
     in_view = _expect(
         source,
-        _endless(sheet_in(T_joint_tool, source.sheet)),
+        _endless(sheet_in(scene.T_joint_tool, source.sheet)),
         section,
-        corrugation,
-        T_joint_tool,
-        T_joint_camera,
-        footprint_mm[1],
+        scene.shape.corrugation,
+        scene.T_joint_tool,
+        scene.T_joint_camera,
+        scene.footprint_mm[1],
         position,
         sigma,
         bias,
         face,
     )
-    if not in_view:
-        return False
-    for s in range(n_scan):
+    widest = 0.0
+    for s in range(n_scan if in_view else 0):
+        widest = max(widest, sigma[s])
         shown[s], is_sought[s] = face[s] < 0 or not is_deep[face[s]], True
         if math.isfinite(source.sheet.slope):
             beyond_mm = _beyond_fan_mm(source, float(s), position[s])
             shown[s] = shown[s] and not beyond_mm > 0.0
             is_sought[s] = not beyond_mm > FAN_SLACK_MM
-    return True
+    return in_view, ExpectedStripe(position, sigma, bias, shown, is_sought, widest)
 
 
 @kernel(allocates=True)

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from noise_model.arc.map import CELL, ArcKernel, ArcMap
-from noise_model.arrays import Bool, Float32, Float64, Int64
-from noise_model.kernel import kernel
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.robust import sigma_of
 from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Transmission
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 from tracker.state import Frame, Stripe
-from tracker.stripe.band import at_level, gather_band, median_background
+from tracker.stripe.band import Band, at_level, gather_band, median_background
 from tracker.stripe.edge import StripeLight
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.read_band import Band, Learned, Lines, Noise, ReadRoom, Sought, read_band
-from tracker.stripe.scatter import FrameScatter, Scatter, brightness_alike, brightness_plateau
+from tracker.stripe.read_band import Noise, ReadRoom, Sought, UsualLine, read_band
+from tracker.stripe.scatter import Scatter
 from tracker.stripe.viterbi import OFFSET_STEP
 
 MAP_TOLERANCE, MAP_FLOOR_E = 0.01, 20.0
@@ -35,47 +34,26 @@ class Work(NamedTuple):
     """Preallocated scratch whose contents never matter: flat pixels for the widest band, rooms for lines."""
 
     room: ReadRoom
-    lows: Int64
-    censored: Bool
-    charge: Float32
-    background: Float32
-    residual: Float32
-    variance: Float32
-    plain: Float32
+    pixels: Band
 
     @classmethod
     def of(cls, geometry: SensorGeometry) -> Work:
         """Make room for the widest band of a sensor, and for the offsets of a search."""
         n = geometry.n_scan * geometry.n_pos
-        n_offsets = len(_offsets_px(geometry.reach_px(SEARCH_REACH_MM)))
-        return cls(
-            ReadRoom.empty(geometry.n_scan, n_offsets),
-            np.empty(-(-geometry.n_scan // CELL), np.int64),
-            np.empty(n, np.bool_),
-            *np.empty((5, n), np.float32),
-        )
-
-    def band(self, n_scan: int, depth: int) -> Band:
-        """Return the scratch as bands (n_scan, depth)."""
-        n, shape = n_scan * depth, (n_scan, depth)
-        return Band(
-            self.charge[:n].reshape(shape),
-            self.background[:n].reshape(shape),
-            self.residual[:n].reshape(shape),
-            self.variance[:n].reshape(shape),
-            self.plain[:n].reshape(shape),
-            self.censored[:n].reshape(shape),
-            self.lows,
-        )
+        n_offsets = len(_offsets_px(math.floor(geometry.reach_px(SEARCH_REACH_MM))))
+        charge, background, residual, variance, plain = np.empty((5, n), np.float32)
+        censored, lows = np.empty(n, np.bool_), np.empty(-(-geometry.n_scan // CELL), np.int64)
+        pixels = Band(charge, background, residual, variance, plain, censored, lows)
+        return cls(ReadRoom.empty(geometry.n_scan, n_offsets), pixels)
 
 
-def _offsets_px(reach_px: float) -> Int64:
-    """Return the offsets (n,) from the expected place at which a stripe is sought."""
-    return np.arange(-math.floor(reach_px), math.floor(reach_px) + 1, OFFSET_STEP)
+@lru_cache
+def _offsets_px(reach_px: int) -> Int64:
+    """Return the offsets (n,) from the expected place at which a stripe is sought; not to be written to."""
+    return np.arange(-reach_px, reach_px + 1, OFFSET_STEP)
 
 
-@dataclass(frozen=True, eq=False)
-class StripeReading:
+class StripeReading(NamedTuple):
     """A stripe, and what it was read from: explaining a frame asks for that.
 
     All but the stripe and the scatter are views of the scratch, good until the next frame; `lows` says where
@@ -88,7 +66,7 @@ class StripeReading:
     `told_nats` is the evidence that the other one is the reflection, infinite where none is searched.
     `scatter` is what the frames up to this one show of it, `learned` what this one was read with.
     `misfit_px` (n_scan,) is by how much each centre may be off, alike with its neighbours', for light beneath
-    it that is not as expected.
+    it that is not as expected; `usual` is what is usual for a line.
     """
 
     stripe: Stripe
@@ -108,11 +86,11 @@ class StripeReading:
     scatter: Scatter
     learned: Scatter
     misfit_px: Float64
+    usual: UsualLine
 
     def light(self, psf_sigma_px: float, sheet_lines: float) -> StripeLight:
         """Return what shows where the stripe ends, as good as the band."""
-        band = self.band
-        contrast, alike, centre_sigma_px = usual_line(self.scatter.average, self.stripe.sigma_px)
+        band, usual = self.band, self.usual
         return StripeLight(
             band.charge,
             band.background,
@@ -122,20 +100,12 @@ class StripeReading:
             self.stripe.position_px,
             self.fits[:, 3],
             self.shot,
-            contrast,
-            alike,
+            usual.contrast,
+            usual.alike,
             psf_sigma_px,
             sheet_lines,
-            centre_sigma_px,
+            usual.centre_sigma_px,
         )
-
-
-@kernel(allocates=True)
-def usual_line(average: FrameScatter, sigma_px: Float64) -> tuple[float, float, float]:
-    """Return contrast and likeness of the lines' brightness, and the median 1 sigma of their centres (n,)."""
-    known_px = sigma_px[np.isfinite(sigma_px)]
-    centre_sigma_px = np.median(known_px) if len(known_px) > 0 else math.nan
-    return math.sqrt(brightness_plateau(average)), brightness_alike(average), centre_sigma_px
 
 
 def arc_map_of(geometry: SensorGeometry, kernel: ArcKernel) -> ArcMap:
@@ -161,21 +131,17 @@ def read_stripe(
     `scatter` is what earlier frames show of it; this frame's is added before it is used. `is_searching` says
     whether the joint may lie far off its expected place.
     """
-    n_scan = geometry.n_scan
-    depth = gather_band(
+    band = gather_band(
         frame.image_dn,
         geometry.along_rows,
         expected.position_px,
-        expected.sigma_px,
+        expected.widest_px,
         reach_px,
         geometry.n_pos,
         geometry.charge_e,
         geometry.saturation_dn,
-        work.lows,
-        work.charge,
-        work.censored,
+        work.pixels,
     )
-    band = work.band(n_scan, depth)
     shot, dark_variance = 1.0, geometry.dark_variance_at(band.charge)
     level_known = math.isfinite(arc.level)
     level = arc.level if level_known else 1.0
@@ -189,39 +155,38 @@ def read_stripe(
         shot, map_sigma, dark_variance = 0.0, MEDIAN_SIGMA, max(variance, dark_variance)
     black_sigma = geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn
     base_sigma = math.hypot(black_sigma, arc.ambient_e)
-    offsets_px, out, after = _offsets_px(reach_px), Lines.empty(n_scan), FrameScatter.empty()
-    read_with = scatter.average if scatter.frames else FrameScatter.empty()
-    told = read_band(
+    room, offsets_px = work.room, _offsets_px(math.floor(reach_px))
+    lines, told, read_with, after, usual = read_band(
         band,
         Sought(expected.position_px, expected.sigma_px, expected.is_sought),
         offsets_px,
         Noise(shot, dark_variance, map_sigma, base_sigma),
-        Learned(scatter.average, scatter.frames, read_with, after),
+        scatter.average,
+        scatter.frames,
         is_searching,
         reach_px,
         geometry.setup.camera.psf_sigma_px,
-        work.room,
-        out,
+        room,
     )
-    room, lines = work.room, work.room.lines
+    n_scan, n = geometry.n_scan, told.n_offsets
     return StripeReading(
         Stripe(
-            out.position_px,
-            out.sigma_px,
-            out.smooth_px,
-            out.smooth_sigma_px,
-            out.amplitude_e,
-            out.saturated,
+            lines.position_px,
+            lines.sigma_px,
+            lines.smooth_px,
+            lines.smooth_sigma_px,
+            lines.amplitude_e,
+            lines.saturated,
             geometry.along_rows,
-            out.beside_px,
+            lines.beside_px,
         ),
         band,
         band.lows,
-        offsets_px[told.first : told.first + told.n_offsets],
-        room.score[: n_scan * told.n_offsets].reshape(n_scan, told.n_offsets),
+        offsets_px[told.first : told.first + n],
+        room.score[: n_scan * n].reshape(n_scan, n),
         room.start_px,
-        lines.tried,
-        lines.fits,
+        room.lines.tried,
+        room.lines.fits,
         shot,
         dark_variance,
         map_sigma,
@@ -231,6 +196,7 @@ def read_stripe(
         Scatter(after, scatter.frames + 1),
         Scatter(read_with, max(scatter.frames, 1)),
         room.misfit_px,
+        usual,
     )
 
 

@@ -10,14 +10,19 @@ import numpy as np
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.median import finite_median
-from tracker.stripe.band import weigh
+from tracker.stripe.band import Band, weigh
 from tracker.stripe.frame_scatter import ScatterRoom, frame_scatter, own_sigma
 from tracker.stripe.ghost import second_light, second_place
 from tracker.stripe.line_fit.lines import FitRoom, LineFits, fit_lines, fit_room
 from tracker.stripe.misfit import MisfitRoom, misfit_sigma_px
 from tracker.stripe.scatter import (
+    BRIGHTNESS_LAGS,
+    LAGS,
+    LENGTHS,
     FrameScatter,
     add_frame,
+    brightness_alike,
+    brightness_plateau,
     weighing_contrast,
     widen,
     width_factor,
@@ -34,22 +39,6 @@ REFLECTED_SHARE, REFLECTED_SIGMA_LN = 0.4, 0.7
 
 MAX_ROUNDS = 3
 """So many times at most the stripe is read again without a second one's light."""
-
-
-class Band(NamedTuple):
-    """A band's pixels (n_scan, depth), e-, that begin at `lows` (n_cells,) for each CELL scan lines.
-
-    `background` is the arc's light and the black level, later with a second stripe's light; `plain` is room
-    for it without that.
-    """
-
-    charge: Float32
-    background: Float32
-    residual: Float32
-    variance: Float32
-    plain: Float32
-    censored: Bool
-    lows: Int64
 
 
 class Sought(NamedTuple):
@@ -118,22 +107,13 @@ class Lines(NamedTuple):
     amplitude_e: Float64
     beside_px: Float64
 
-    @classmethod
-    def empty(cls, n_scan: int) -> Lines:
-        """Make room for the lines of a frame."""
-        return cls(np.empty(n_scan, np.bool_), *np.empty((6, n_scan)))
 
+class UsualLine(NamedTuple):
+    """The `contrast` and likeness of the lines' brightness, and the median 1 sigma of their centres, px."""
 
-class Learned(NamedTuple):
-    """The scatter `before` of so many earlier frames, what a frame is `read_with`, and all with this frame.
-
-    A frame is read with what is known before; the first one with what it shows itself, which is written.
-    """
-
-    before: FrameScatter
-    frames: int
-    read_with: FrameScatter
-    after: FrameScatter
+    contrast: float
+    alike: float
+    centre_sigma_px: float
 
 
 class Told(NamedTuple):
@@ -315,6 +295,33 @@ def _sheet_px(fits: Float64, psf_sigma_px: float, room: ScatterRoom) -> float:
     return math.sqrt(max(width_px**2 - psf_sigma_px**2, 0.0)) if width_px > 0.0 else 0.0
 
 
+class BandReading(NamedTuple):
+    """What is read of a band: its lines, a second stripe, and what is `usual` for a line.
+
+    `read_with` is the scatter that it was read with, `after` that of all frames with this one.
+    """
+
+    lines: Lines
+    told: Told
+    read_with: FrameScatter
+    after: FrameScatter
+    usual: UsualLine
+
+
+@kernel(allocates=True)
+def _empty_lines(n_scan: int) -> Lines:
+    """Make room for the lines of a frame."""
+    return Lines(
+        np.empty(n_scan, np.bool_),
+        np.empty(n_scan),
+        np.empty(n_scan),
+        np.empty(n_scan),
+        np.empty(n_scan),
+        np.empty(n_scan),
+        np.empty(n_scan),
+    )
+
+
 @kernel
 def _finish(sought: Sought, learned: FrameScatter, psf_sigma_px: float, room: ReadRoom, out: Lines) -> None:
     """Write what the fits say of each line, with the scatter that is known and with its neighbours."""
@@ -333,30 +340,53 @@ def _finish(sought: Sought, learned: FrameScatter, psf_sigma_px: float, room: Re
 
 
 @kernel(allocates=True)
+def _empty_scatter() -> FrameScatter:
+    """Make room for what frames show of their scatter."""
+    return FrameScatter(
+        np.empty(len(LAGS)),
+        np.empty(len(LENGTHS)),
+        np.empty(len(BRIGHTNESS_LAGS)),
+        np.empty(()),
+        np.empty(()),
+        np.empty(()),
+    )
+
+
+@kernel(allocates=True)
+def usual_line(average: FrameScatter, sigma_px: Float64) -> UsualLine:
+    """Return what scatter and 1 sigma of the lines' centres (n,) say of a usual line."""
+    known_px = sigma_px[np.isfinite(sigma_px)]
+    centre_sigma_px = np.median(known_px) if len(known_px) > 0 else math.nan
+    return UsualLine(math.sqrt(brightness_plateau(average)), brightness_alike(average), centre_sigma_px)
+
+
+@kernel(allocates=True)
 def read_band(
     band: Band,
     sought: Sought,
     offsets_px: Int64,
     noise: Noise,
-    learned: Learned,
+    before: FrameScatter,
+    frames: int,
     is_searching: bool,
     reach_px: float,
     psf_sigma_px: float,
     room: ReadRoom,
-    out: Lines,
-) -> Told:
-    """Read the stripe in a band at some offsets (n,) from its expected place, and write its lines.
+) -> BandReading:
+    """Read the stripe in a band at some offsets (n,) from its expected place.
 
-    `is_searching` says whether the joint may lie far off its expected place, up to `reach_px`. What is read
-    beside the lines stays in `room`.
+    `before` is the scatter of so many earlier `frames`. With it a frame is read; the first one with what it
+    shows itself. `is_searching` says whether the joint may lie far off its expected place, up to `reach_px`.
+    What is read beside the lines stays in `room`.
     """
-    fit_band(band, sought, offsets_px, noise, learned.before, is_searching, room)
-    if learned.frames == 0:
-        add_frame(learned.before, 0, room.seen, learned.read_with)
-        fit_band(band, sought, offsets_px, noise, learned.read_with, is_searching, room)
-    told = _read_without_a_second(
-        band, sought, offsets_px, noise, learned.read_with, is_searching, reach_px, room
-    )
-    add_frame(learned.before, learned.frames, room.seen, learned.after)
-    _finish(sought, learned.after, psf_sigma_px, room, out)
-    return told
+    read_with, after = before, _empty_scatter()
+    fit_band(band, sought, offsets_px, noise, before, is_searching, room)
+    if frames == 0:
+        read_with = _empty_scatter()
+        add_frame(before, 0, room.seen, read_with)
+        fit_band(band, sought, offsets_px, noise, read_with, is_searching, room)
+    told = _read_without_a_second(band, sought, offsets_px, noise, read_with, is_searching, reach_px, room)
+    add_frame(before, frames, room.seen, after)
+    lines = _empty_lines(band.charge.shape[0])
+    _finish(sought, after, psf_sigma_px, room, lines)
+    return BandReading(lines, told, read_with, after, usual_line(after, lines.sigma_px))
