@@ -99,17 +99,27 @@ def _penumbrae(k: ArcKernel, face: int, borders: Float64, n: int) -> int:
 
 @kernel(allocates=True)
 def borders_along(k: ArcKernel) -> Float64:
-    """Return the borders (n,) along the stations that the camera sees: the ends of ridges and the arc's."""
+    """Return the borders (n,) along the stations that the camera sees: of ridges, and the arc's ends.
+
+    A ridge begins and ends at half its width from its middle. Where the lower sheet of a lap rises over the
+    level part of the upper one, its points begin to see the arc's foot past that sheet's edge.
+    """
     x_low, x_high, _, _ = k.reach
     borders = np.empty(MAX_BORDERS)
     # An image one pixel high may see no length of a plate.
     borders[0], borders[1] = x_low, max(x_high, x_low + MIN_SEEN_MM)
     n = 2
     if k.corrugation[0] > 0.0:
-        _, width, pitch = k.corrugation
+        height, width, pitch = k.corrugation
+        step = k.vertices[1, 1] - k.vertices[2, 1]
+        sides = (0.5 * width, 0.5 * width)
+        if 0.0 < step < height:
+            # Of the height (1 + cos(2 pi x / width)) / 2 of it.
+            sides = (0.5 * width, width / (2.0 * math.pi) * math.acos(2.0 * step / height - 1.0))
         for i in range(math.floor(x_low / pitch) - 1, math.ceil(x_high / pitch) + 2):
-            for side in (-0.5, 0.5):
-                n = _add_border(borders, n, i * pitch + side * width)
+            for side in sides:
+                n = _add_border(borders, n, i * pitch - side)
+                n = _add_border(borders, n, i * pitch + side)
         for side in (-1.0, 1.0):
             n = _add_border(borders, n, k.center[0] + side * k.radius)
     n = _fill_in(k, borders, n)

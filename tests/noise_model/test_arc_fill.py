@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from noise_model.arc.chords import MAX_PIECES, crossings, equator_q
 from noise_model.arc.face_lookup import face_seen, sight
 from noise_model.arc.map import CELL, ArcMap, arc_at, arc_frame, arc_kernel
-from noise_model.arc.patch_borders import seen_strip
+from noise_model.arc.patch_borders import borders_along, seen_strip
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.scene import make_scene
 from noise_model.instrument.camera import Rays
@@ -20,6 +20,13 @@ from noise_model.surface.joint import section
 from noise_model.surface.ray_casting import first_hit
 
 QUARTER_DN_E = 20.0
+
+
+def ridge_heights(x_mm, corrugation):
+    """Heights (n,), mm, of a raised cosine along the seam, as its drawing gives them."""
+    height, width, pitch = corrugation
+    beside = np.abs(x_mm - pitch * np.round(x_mm / pitch))
+    return np.where(beside < 0.5 * width, 0.5 * height * (1.0 + np.cos(2.0 * np.pi * beside / width)), 0.0)
 
 
 def over_limit(setup, T_base_tool):
@@ -201,3 +208,18 @@ def test_between_two_crossings_a_chord_keeps_its_borders(distance, elevation, li
             elif gap < -1e-9:
                 found.add(None)
         assert len(found) <= 1
+
+
+@pytest.mark.parametrize("along_mm", [-14.0, 4.0])
+def test_patches_are_cut_where_the_lower_sheet_rises_over_the_upper_ones_level(along_mm):
+    """There the light of its points beside the edge has a knee: they begin to see the arc's foot."""
+    setup = scenes.setup("corrugation")
+    kernel = arc_kernel(setup, make_scene(setup, scenes.pose((along_mm, 0.0, 0.0), (0.0, 0.0, 0.0))))
+    step_mm = kernel.vertices[1, 1] - kernel.vertices[2, 1]
+    x_low, x_high, _, _ = kernel.reach
+    along = np.linspace(x_low, x_high, 100_001)
+    over = ridge_heights(along, kernel.corrugation) > step_mm
+    knees = along[1:][over[1:] != over[:-1]]
+    borders = borders_along(kernel)
+    assert len(knees) > 0
+    assert all(np.abs(borders - knee).min() < 0.2 for knee in knees)
