@@ -18,6 +18,9 @@ MAX_NODES_P = 32
 MAX_PIECES = 256
 """Room for the borders' crossings."""
 
+MAX_CHORDS = 96
+"""Room for the chords of several pieces, that of one more than a piece has at most."""
+
 MAX_PARTS = 2 * MAX_LEDGES + 2
 """Room for the open parts of one chord."""
 
@@ -323,12 +326,14 @@ def disc_lines(planes: Float64, n_planes: int, axes: Axes, tan_b: float, cuts: F
 
 
 @kernel(fastmath={"contract"})
-def chords(spans: Float64, n: int, arc: Shape, below: bool, cuts: Float64, n_cuts: int) -> None:
-    """Write between which q, spans[1] and spans[2], the chords spans[0] (n,) of the disc are open.
+def chords(
+    spans: Float64, first: int, last: int, arc: Shape, below: bool, cuts: Float64, n_cuts: int
+) -> None:
+    """Write between which q, spans[1] and spans[2], the chords spans[0, first : last] of the disc are open.
 
     But for ledges and metal; the first is no less than the second where nothing is open.
     """
-    for i in range(n):
+    for i in range(first, last):
         p = spans[0, i]
         high = math.sqrt(max(0.0, 1.0 - p * p))
         spans[1, i] = max(-high, equator_q(p, arc, high if below else -high))
@@ -336,11 +341,11 @@ def chords(spans: Float64, n: int, arc: Shape, below: bool, cuts: Float64, n_cut
     for j in range(n_cuts):
         a, b, c = cuts[j, 0], cuts[j, 1], cuts[j, 2]
         if c > 1e-12:
-            for i in range(n):
+            for i in range(first, last):
                 spans[1, i] = max(spans[1, i], -(a + b * spans[0, i]) / c)
         elif c < -1e-12:
-            for i in range(n):
+            for i in range(first, last):
                 spans[2, i] = min(spans[2, i], -(a + b * spans[0, i]) / c)
         else:
-            for i in range(n):
+            for i in range(first, last):
                 spans[2, i] = spans[2, i] if a + b * spans[0, i] > 0.0 else spans[1, i]

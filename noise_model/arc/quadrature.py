@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.chords import (
+    MAX_CHORDS,
     MAX_NODES_P,
     MAX_PARTS,
     Axes,
@@ -31,7 +32,7 @@ from noise_model.arc.chords import (
     ledge_crossings,
     wall_parts,
 )
-from noise_model.arc.clearance import Crossings, Metal, Rays
+from noise_model.arc.clearance import Crossings, Metal, Passing, Rays, Ways, passing
 from noise_model.arc.sheet_occlusion import chord_parts, clip, is_clear, look_along
 from noise_model.arrays import Float64, Point, Vector
 from noise_model.kernel import REDUCTION, kernel
@@ -261,8 +262,8 @@ class Room(NamedTuple):
     """Scratch of one point's integral.
 
     `nodes` (3, MAX_POINTS) with their weights, `cuts` (MAX_PLANES, 3) the lines, `breaks` (MAX_PIECES,) the
-    sorted crossings, `parts` (MAX_PARTS, 3) of a chord, `spans` (3, MAX_PIECES) the chords, `ways`
-    (4, MAX_WAYS) the rays past the metal, `crossings` where these come to it.
+    sorted crossings, `parts` (MAX_PARTS, 3) of a chord, `spans` (4, MAX_PIECES) the chords and their weights,
+    `ways` (MAX_WAYS,) the rays past the metal, `crossings` where these come to it.
     """
 
     nodes: Float64
@@ -270,7 +271,7 @@ class Room(NamedTuple):
     breaks: Float64
     parts: Float64
     spans: Float64
-    ways: Float64
+    ways: Ways
     crossings: Crossings
 
 
@@ -325,11 +326,12 @@ def arc_light(
         distance,
         radius,
     )
-    has_metal = (metal[5] or metal[6]) and not is_clear(p_max, arc, cuts, rays, metal, spans, ways)
+    past = passing(rays, metal)
+    has_metal = (metal[5] or metal[6]) and not is_clear(p_max, arc, cuts, past, spans, ways)
     p_first, p_last = -p_max, p_max
     if has_metal:
         p_first, p_last, n_breaks = clip(
-            axes, arc, cuts, n_cuts, rays, metal, breaks, n_breaks, spans, ways, to_metal
+            axes, arc, cuts, n_cuts, rays, metal, past, breaks, n_breaks, spans, ways, to_metal
         )
         if p_last <= p_first:
             return 0.0
@@ -338,6 +340,7 @@ def arc_light(
         axes,
         arc,
         rays,
+        past,
         (p_max, p_first, p_last),
         n_cuts,
         n_breaks,
@@ -356,6 +359,7 @@ def _integrate(
     axes: Axes,
     arc: Shape,
     rays: Rays,
+    past: Passing,
     p_range: tuple[float, float, float],
     n_cuts: int,
     n_breaks: int,
@@ -369,23 +373,21 @@ def _integrate(
 
     `p_range` says how far the disc reaches, and between which p it is open.
     """
-    P, normal, omega_r = patch
-    _, _, ledges, n_ledges, metal = hiding
+    _, _, omega_r = patch
+    n_ledges = hiding.n_ledges
     rules, n_p, n_q = rule
-    nodes, cuts, breaks, parts, spans, ways, to_metal = room
+    _, cuts, breaks, _, spans, _, _ = room
     wx, wy, wz, _, _, _, _, _ = axes
     sin_b, _, tan_b, _, _ = arc
     below = wz > 0.0
     p_max, p_first, p_last = p_range
-    distance, radius = rays[12], rays[13]
     near = 1.0 + 2.0 * max(0.0, sin_b - NEAR_ARC)
     more = max(near, disc_in_lobes(tan_b, (wx, wy, wz), omega_r, material) / LOBE_RADII)
     n_q = math.ceil(min(float(MAX_NODES_Q), n_q * more))
     # Walls' borders have crossings that are not looked for.
     n_p = math.ceil(CURVED_FACTOR * n_p) if n_ledges > 0 else n_p
-    is_followed = has_metal and n_ledges == 0
     total = 0.0
-    n = 0
+    n_chords = 0
     for piece in range(n_breaks - 1):
         low_p, high_p = breaks[piece], breaks[piece + 1]
         middle, half = 0.5 * (low_p + high_p), 0.5 * (high_p - low_p)
@@ -396,33 +398,70 @@ def _integrate(
         row = 0
         if n_breaks == 2 and n_ledges == 0 and not has_metal:
             row, m = 4, 2 * math.ceil(0.5 * UNCUT_SHARE * m)
+        if n_chords + m + 1 > MAX_CHORDS:
+            total += _sum_chords(
+                patch, axes, tan_b, rays, past, n_chords, n_q, has_metal, hiding, material, rules, room
+            )
+            n_chords = 0
+        last = n_chords + m
         for i in range(m):
-            spans[0, i] = middle + half * rules[row, m, i]
-        spans[0, m] = middle
-        chords(spans, m + 1, arc, below, cuts, n_cuts)
+            spans[0, n_chords + i] = middle + half * rules[row, m, i]
+            spans[3, n_chords + i] = half * rules[row + 1, m, i]
+        spans[0, last] = middle
+        chords(spans, n_chords, last + 1, arc, below, cuts, n_cuts)
         # Nothing crosses within a piece, so it is open or dark as a whole.
-        if spans[2, m] <= spans[1, m]:
+        if spans[2, last] > spans[1, last]:
+            n_chords = last
+    return total + _sum_chords(
+        patch, axes, tan_b, rays, past, n_chords, n_q, has_metal, hiding, material, rules, room
+    )
+
+
+@kernel
+def _sum_chords(
+    patch: Patch,
+    axes: Axes,
+    tan_b: float,
+    rays: Rays,
+    past: Passing,
+    n_chords: int,
+    n_q: int,
+    has_metal: bool,
+    hiding: Hiding,
+    material: LobeNumbers,
+    rules: Float64,
+    room: Room,
+) -> float:
+    """Return the integral along some chords (n_chords,), with their weights, of `n_q` nodes an open part.
+
+    `spans` hold their p, begins, ends and weights; all their rays past the metal are looked at together.
+    """
+    P, normal, omega_r = patch
+    ledges, n_ledges = hiding.ledges, hiding.n_ledges
+    nodes, _, _, parts, spans, ways, to_metal = room
+    distance, radius = rays[12], rays[13]
+    is_followed = has_metal and n_ledges == 0
+    if is_followed:
+        look_along(spans, n_chords, past, ways, to_metal)
+    total = 0.0
+    n = 0
+    for i in range(n_chords):
+        p, low, high = spans[0, i], spans[1, i], spans[2, i]
+        if high <= low:
             continue
-        if is_followed:
-            look_along(spans, m, rays, metal, ways, to_metal)
-        for i in range(m):
-            p, low, high = spans[0, i], spans[1, i], spans[2, i]
-            if high <= low:
-                continue
-            weight = half * rules[row + 1, m, i]
-            parts[0, 0], parts[0, 1] = low, high
-            n_parts = 1
-            if n_ledges > 0:
-                n_parts = wall_parts(p, low, high, P, axes, tan_b, distance, radius, ledges, n_ledges, parts)
-            elif is_followed:
-                n_parts = chord_parts(i, ways, parts)
-            for k in range(n_parts):
-                begin, length = parts[k, 0], parts[k, 1] - parts[k, 0]
-                for j in range(n_q):
-                    nodes[0, n], nodes[1, n] = p, begin + length * rules[2, n_q, j]
-                    nodes[2, n] = weight * length * rules[3, n_q, j]
-                    n += 1
-            if n > MAX_POINTS - MAX_PARTS * MAX_NODES_Q:
-                total += _sum(nodes, n, tan_b, axes, normal, omega_r, material)
-                n = 0
+        parts[0, 0], parts[0, 1] = low, high
+        n_parts = 1
+        if n_ledges > 0:
+            n_parts = wall_parts(p, low, high, P, axes, tan_b, distance, radius, ledges, n_ledges, parts)
+        elif is_followed:
+            n_parts = chord_parts(i, low, high, ways, parts)
+        for k in range(n_parts):
+            begin, length = parts[k, 0], parts[k, 1] - parts[k, 0]
+            for j in range(n_q):
+                nodes[0, n], nodes[1, n] = p, begin + length * rules[2, n_q, j]
+                nodes[2, n] = spans[3, i] * length * rules[3, n_q, j]
+                n += 1
+        if n > MAX_POINTS - MAX_PARTS * MAX_NODES_Q:
+            total += _sum(nodes, n, tan_b, axes, normal, omega_r, material)
+            n = 0
     return total + _sum(nodes, n, tan_b, axes, normal, omega_r, material)

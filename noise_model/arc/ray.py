@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.chords import MAX_PARTS, MAX_PIECES
-from noise_model.arc.clearance import crossings_room
+from noise_model.arc.clearance import ways_room
 from noise_model.arc.quadrature import MAX_POINTS, Hiding, Patch, Room, Rule, arc_light
 from noise_model.arc.sheet_occlusion import MAX_WAYS
 from noise_model.arrays import Float64, Point, Vector
@@ -38,14 +38,15 @@ class Scratch(NamedTuple):
 @kernel(allocates=True)
 def scratch() -> Scratch:
     """Return room for one point's integral."""
+    ways, crossings = ways_room(MAX_WAYS)
     room = Room(
         np.empty((3, MAX_POINTS)),
         np.empty((MAX_PLANES, 3)),
         np.empty(MAX_PIECES),
         np.empty((MAX_PARTS, 3)),
-        np.empty((3, MAX_PIECES)),
-        np.empty((4, MAX_WAYS)),
-        crossings_room(MAX_WAYS),
+        np.empty((4, MAX_PIECES)),
+        ways,
+        crossings,
     )
     return Scratch(room, np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3)))
 

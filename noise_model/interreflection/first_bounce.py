@@ -189,7 +189,7 @@ def arc_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
     spans = np.empty((3, n_chords))
     for i in range(n_chords):
         spans[0, i] = 0.5 * (p_low + p_high + (p_high - p_low) * p_nodes[i])
-    chords(spans, n_chords, arc, below, borders, n_borders)
+    chords(spans, 0, n_chords, arc, below, borders, n_borders)
     for i in range(n_chords):
         p, low, high = spans[0, i], spans[1, i], spans[2, i]
         if high <= low:
