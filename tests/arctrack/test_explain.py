@@ -161,7 +161,7 @@ def made(
         0.0,
         0.0,
         0.0,
-        fit_room(),
+        fit_room(N_SCAN),
         lines,
     )
     fits = lines.fits

@@ -68,7 +68,7 @@ def line_fits(
         speckle,
         map_sigma,
         base_sigma,
-        fit_room(),
+        fit_room(n),
         fits,
     )
     return fits

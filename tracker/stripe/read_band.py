@@ -87,7 +87,7 @@ class ReadRoom(NamedTuple):
             np.empty(n_scan * n_offsets, np.float32),
             np.empty(n_scan, np.int64),
             LineFits.empty(n_scan),
-            fit_room(),
+            fit_room(n_scan),
             ScatterRoom.empty(n_scan),
             SmoothRoom.empty(n_scan),
             MisfitRoom.empty(),

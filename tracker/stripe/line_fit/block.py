@@ -1,6 +1,7 @@
 """Gauss-Newton on the likelihood of sixteen scan lines at once, a lane a line.
 
-All lanes take the same steps until the last has ended; what a lane's fit says is kept when it ends.
+All lanes take the same steps, a few at most; what a lane's fit says is kept when it ends. Those that have not
+ended go on together later.
 """
 
 from __future__ import annotations
@@ -28,8 +29,12 @@ CORRELATION_PX = 30.0
 MIN_PIXELS = 8
 """Fewer pixels that count tell nothing of five parameters."""
 
-MAX_STEPS, LINE_SETTLED = 12, 2e-3
-"""Gauss-Newton steps at most; one that gains less of chi2 is the last: it ends within 0.01 of a sigma."""
+ROUNDS, ROUND_STEPS, LINE_SETTLED = 3, 4, 2e-3
+"""Rounds of Gauss-Newton steps at most; a step that gains less of chi2 is the last.
+
+A fit ends within 0.01 of a sigma. Of a speckled stripe's lines one in twelve takes more than a round, of a
+wide one's one in five: the others of their vector would wait for them.
+"""
 
 WIDTH_SIGMA_LN = 0.1
 """1 sigma of ln(width / predicted width): focus, plate angle."""
@@ -64,6 +69,22 @@ class Known(NamedTuple):
     slope: Lanes
 
 
+class Stand(NamedTuple):
+    """Where sixteen lines' fits stand between two steps, by lane.
+
+    `width` is px, `off` how far its logarithm lies off the predicted one's; position, offset and slope are as
+    `Fitted` has them. `is_settled` is 1 where the last step was small.
+    """
+
+    amplitude: Lanes
+    position: Lanes
+    width: Lanes
+    off: Lanes
+    offset: Lanes
+    slope: Lanes
+    is_settled: Lanes
+
+
 class Fitted(NamedTuple):
     """What fits say of sixteen lines, by lane, as `lines.LineFits` has it, the place from the window's start.
 
@@ -79,6 +100,14 @@ class Fitted(NamedTuple):
     slope: Lanes
     is_done: Mask
     is_stripe: Mask
+
+
+class Round(NamedTuple):
+    """What a round of steps gives: fits that came to their end, where the others stand, and which go on."""
+
+    fitted: Fitted
+    stand: Stand
+    goes_on: Mask
 
 
 @kernel
@@ -150,17 +179,26 @@ def _judged(
     )
 
 
+@kernel
+def begun(known: Known) -> Stand:
+    """Return where fits stand before their first step."""
+    zero = spread(0.0)
+    return Stand(known.amplitude, known.start, known.width, zero, zero, zero, zero)
+
+
 @kernel(fastmath=REDUCTION)
-def fit_block(block: Block, n: int, known: Known, noise: PixelNoise) -> Fitted:
-    """Fit the first n pixels of sixteen lines by Gauss-Newton on the likelihood, see `lines.fit_lines`."""
+def fit_block(block: Block, n: int, known: Known, noise: PixelNoise, stand: Stand, is_last: bool) -> Round:
+    """Fit the first n pixels of sixteen lines by Gauss-Newton on the likelihood, see `lines.fit_lines`.
+
+    One round of steps is taken; in the last one what is sound ends.
+    """
     zero, unity = spread(0.0), spread(1.0)
     no = zero > unity
     narrow = spread(WIDTH_SIGMA_LN**-2)
-    amplitude, position, offset, slope = known.amplitude, known.start, zero, zero
-    width, off = known.width, zero
-    runs, is_settled = zero < unity, no
-    fitted = Fitted(zero, zero, zero, zero, zero, zero, zero, no, no)
-    for turn in range(MAX_STEPS):
+    amplitude, position, width, off, offset, slope, settled = stand
+    runs, is_settled = zero < unity, settled > zero
+    fitted = Fitted(known.start, zero, zero, known.width, zero, zero, zero, no, no)
+    for turn in range(ROUND_STEPS):
         inverse = unity / width
         x = Unknowns(amplitude, position * inverse, offset, slope * width)
         prior = Prior(narrow, known.offset, known.slope * inverse * inverse, off)
@@ -181,7 +219,7 @@ def fit_block(block: Block, n: int, known: Known, noise: PixelNoise) -> Fitted:
         is_small = solved.gained < spread(LINE_SETTLED)
         # The last step may let a saturated pixel count, or no more: what they tell is asked once again.
         ends = runs & is_small & (is_settled | (moments.used == known.n))
-        if turn == MAX_STEPS - 1:
+        if is_last and turn == ROUND_STEPS - 1:
             ends = runs
         if any_lane(ends):
             there = Fitted(position, unit, amplitude, width, chi2, offset, slope, runs, runs)
@@ -191,4 +229,5 @@ def fit_block(block: Block, n: int, known: Known, noise: PixelNoise) -> Fitted:
         if not any_lane(runs):
             break
         is_settled = is_small
-    return fitted
+    settled = where(is_settled, unity, zero)
+    return Round(fitted, Stand(amplitude, position, width, off, offset, slope, settled), runs)

@@ -18,7 +18,7 @@ from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.lanes import N_LANES, load, spread, store, where
-from tracker.stripe.line_fit.block import fit_block
+from tracker.stripe.line_fit.block import ROUNDS, Fitted, Stand, begun, fit_block
 from tracker.stripe.line_fit.first_guess import (
     MAX_PIXELS,
     PAD,
@@ -38,33 +38,67 @@ from tracker.stripe.line_fit.residuals import N_BINS, core_square, odd_parts
 N_FITTED = 7
 """A line's fit has so many numbers."""
 
-N_ASKED, N_WRITTEN = len(Asked._fields), N_FITTED + 4 + N_BINS
-"""So many numbers of a lane go into its fit, and come out: two answers, and what the fit leaves."""
+N_ASKED, N_STANDING, N_WRITTEN = len(Asked._fields), len(Stand._fields), N_FITTED + 5 + N_BINS
+"""So many numbers of a lane go into its fit, tell where it stands, and come out: with three answers, and with
+what the fit leaves."""
 
 EDGE_PX = 3
 """How far off, in scan lines, the map's edges may lie: hand-eye and the seam's direction."""
 
 
 class FitRoom(NamedTuple):
-    """Room for the fit of sixteen lines.
+    """Room for the fit of sixteen lines, and for what a frame's lines are fitted by.
 
-    `rows` and `block` hold their pixels, `asked` (N_ASKED, N_LANES) and `fitted` (N_WRITTEN, N_LANES) their
-    numbers, `lines` and `lows` (N_LANES,) which lines they are and where their windows begin.
+    `rows` and `block` hold their pixels, `asked` (N_ASKED, N_LANES), `standing` (N_STANDING, N_LANES) and
+    `fitted` (N_WRITTEN, N_LANES) their numbers, `lines` and `lows` (N_LANES,) which lines they are and where
+    their windows begin. The first of `todo` (n_scan,) are the lines that are still to be fitted, and `stands`
+    (n_scan, N_STANDING) is where their fits stand.
     """
 
     rows: Rows
     block: Block
     asked: Float32
+    standing: Float32
     fitted: Float32
     lines: Int64
     lows: Int64
+    todo: Int64
+    stands: Float32
 
 
-def fit_room() -> FitRoom:
-    """Make room for the fit of sixteen lines."""
+def fit_room(n_scan: int) -> FitRoom:
+    """Make room for the fits of a frame's lines."""
     block = Block(*np.empty((3, (MAX_PIXELS + PAD) * N_LANES), np.float32))
-    asked, fitted = np.empty((N_ASKED, N_LANES), np.float32), np.empty((N_WRITTEN, N_LANES), np.float32)
-    return FitRoom(Rows.empty(), block, asked, fitted, *np.zeros((2, N_LANES), np.int64))
+    lines, lows = np.zeros((2, N_LANES), np.int64)
+    return FitRoom(
+        Rows.empty(),
+        block,
+        np.empty((N_ASKED, N_LANES), np.float32),
+        np.empty((N_STANDING, N_LANES), np.float32),
+        np.empty((N_WRITTEN, N_LANES), np.float32),
+        lines,
+        lows,
+        np.empty(n_scan, np.int64),
+        np.empty((n_scan, N_STANDING), np.float32),
+    )
+
+
+class Scans(NamedTuple):
+    """What lines are fitted to, see `fit_lines`: pixels (n_scan, depth), and by line where they are read."""
+
+    charge: Float32
+    background: Float32
+    censored: Bool
+    start: Float64
+    width: Float64
+    lows: Int64
+
+
+class Law(NamedTuple):
+    """A pixel's noise, and the background's."""
+
+    pixels: PixelNoise
+    map: MapNoise
 
 
 class LineFits(NamedTuple):
@@ -118,10 +152,59 @@ def _fill_up(n_lanes: int, n_pixels: int, room: FitRoom) -> None:
 
 
 @kernel
+def _go_on(room: FitRoom, n_lanes: int) -> None:
+    """Take up where lines' fits stand."""
+    for lane in range(n_lanes):
+        for k in range(N_STANDING):
+            room.standing[k, lane] = room.stands[room.lines[lane], k]
+
+
+@kernel
+def _standing(room: FitRoom) -> Stand:
+    """Return where the lanes' fits stand."""
+    standing = room.standing
+    return Stand(
+        load(standing[0], 0),
+        load(standing[1], 0),
+        load(standing[2], 0),
+        load(standing[3], 0),
+        load(standing[4], 0),
+        load(standing[5], 0),
+        load(standing[6], 0),
+    )
+
+
+@kernel
+def _leave_standing(stand: Stand, room: FitRoom) -> None:
+    """Write where the lanes' fits stand."""
+    store(room.standing[0], 0, stand.amplitude)
+    store(room.standing[1], 0, stand.position)
+    store(room.standing[2], 0, stand.width)
+    store(room.standing[3], 0, stand.off)
+    store(room.standing[4], 0, stand.offset)
+    store(room.standing[5], 0, stand.slope)
+    store(room.standing[6], 0, stand.is_settled)
+
+
+@kernel
+def _write_fit(fit: Fitted, fitted: Float32) -> None:
+    """Write what fits say, and which are done and hold a stripe."""
+    store(fitted[0], 0, fit.position)
+    store(fitted[1], 0, fit.sigma)
+    store(fitted[2], 0, fit.amplitude)
+    store(fitted[3], 0, fit.width)
+    store(fitted[4], 0, fit.chi2)
+    store(fitted[5], 0, fit.offset)
+    store(fitted[6], 0, fit.slope)
+    store(fitted[N_FITTED], 0, where(fit.is_done, spread(1.0), spread(0.0)))
+    store(fitted[N_FITTED + 1], 0, where(fit.is_stripe, spread(1.0), spread(0.0)))
+
+
+@kernel
 def _fit_lanes(
-    n_lanes: int, n_pixels: int, noise: PixelNoise, map_noise: MapNoise, room: FitRoom, lines: LineFits
-) -> None:
-    """Fit the lines in the first lanes and write what their fits say."""
+    n_lanes: int, n_pixels: int, law: Law, turn: int, n_left: int, room: FitRoom, lines: LineFits
+) -> int:
+    """Fit the lines in the first lanes and write what their fits say; return how many lines are left now."""
     _fill_up(n_lanes, n_pixels, room)
     write_block(room.rows, n_pixels, room.block)
     fitted = room.fitted
@@ -133,20 +216,19 @@ def _fit_lanes(
         load(room.asked[4], 0),
         load(room.asked[5], 0),
     )
-    fit = fit_block(room.block, n_pixels, first_guess(room.block, n_pixels, asked, map_noise), noise)
-    store(fitted[0], 0, fit.position)
-    store(fitted[1], 0, fit.sigma)
-    store(fitted[2], 0, fit.amplitude)
-    store(fitted[3], 0, fit.width)
-    store(fitted[4], 0, fit.chi2)
-    store(fitted[5], 0, fit.offset)
-    store(fitted[6], 0, fit.slope)
-    store(fitted[N_FITTED], 0, where(fit.is_done, spread(1.0), spread(0.0)))
-    store(fitted[N_FITTED + 1], 0, where(fit.is_stripe, spread(1.0), spread(0.0)))
-    core, hidden = core_square(room.block, n_pixels, fit, asked.width, noise)
+    known = first_guess(room.block, n_pixels, asked, law.map)
+    stand = begun(known)
+    if turn > 0:
+        _go_on(room, n_lanes)
+        stand = _standing(room)
+    fit, stand, goes_on = fit_block(room.block, n_pixels, known, law.pixels, stand, turn == ROUNDS - 1)
+    _write_fit(fit, fitted)
+    _leave_standing(stand, room)
+    core, hidden = core_square(room.block, n_pixels, fit, asked.width, law.pixels)
     store(fitted[N_FITTED + 2], 0, core)
     store(fitted[N_FITTED + 3], 0, hidden)
-    odd_parts(room.block, n_pixels, fit, asked.n, asked.width, fitted[N_FITTED + 4 :])
+    store(fitted[N_FITTED + 4], 0, where(goes_on, spread(1.0), spread(0.0)))
+    odd_parts(room.block, n_pixels, fit, asked.n, asked.width, fitted[N_FITTED + 5 :])
     for lane in range(n_lanes):
         line = room.lines[lane]
         if fitted[N_FITTED, lane] > 0.0:
@@ -158,8 +240,47 @@ def _fit_lanes(
                 lines.fits[line, k] = lines.tried[line, k]
             lines.core[line] = fitted[N_FITTED + 2, lane]
             for k in range(N_BINS):
-                lines.odd[line, k] = fitted[N_FITTED + 4 + k, lane]
+                lines.odd[line, k] = fitted[N_FITTED + 5 + k, lane]
             lines.saturated[line] = fitted[N_FITTED + 3, lane] > 0.0
+        if fitted[N_FITTED + 4, lane] > 0.0:
+            room.todo[n_left] = line
+            n_left += 1
+            for k in range(N_STANDING):
+                room.stands[line, k] = room.standing[k, lane]
+    return n_left
+
+
+@kernel
+def _fit_round(scans: Scans, law: Law, turn: int, n_todo: int, room: FitRoom, lines: LineFits) -> int:
+    """Take a round of steps on the lines to be fitted; return how many are left."""
+    depth, asked = scans.charge.shape[1], room.asked
+    lane, longest, n_left = 0, 0, 0
+    for i in range(n_todo):
+        s = room.todo[i]
+        start, width, begin = scans.start[s], scans.width[s], scans.lows[s // CELL]
+        place = start - begin
+        low, end = line_window(place, width, depth)
+        n = end - low
+        if n <= 2.0 * width or n > MAX_PIXELS or not low < round(place) < end - 1:
+            continue
+        take_line(
+            scans.charge[s, low:end],
+            scans.background[s, low:end],
+            scans.censored[s, low:end],
+            lane,
+            room.rows,
+        )
+        asked[0, lane], asked[1, lane], asked[2, lane] = place - low, n, width
+        asked[3, lane], asked[4, lane] = core_of(place - low, width, n)
+        asked[5, lane] = map_edge(scans.background, scans.lows, s, start)
+        room.lines[lane], room.lows[lane] = s, begin + low
+        lane, longest = lane + 1, max(longest, n)
+        if lane == N_LANES:
+            n_left = _fit_lanes(lane, longest, law, turn, n_left, room, lines)
+            lane, longest = 0, 0
+    if lane > 0:
+        n_left = _fit_lanes(lane, longest, law, turn, n_left, room, lines)
+    return n_left
 
 
 @kernel
@@ -186,32 +307,18 @@ def fit_lines(
     relative 1 sigma, `base_sigma` the black level's, e-. How much the map changes to the neighbouring lines
     counts as well: an edge may cut across a line.
     """
-    n_scan, depth = charge.shape
-    noise = PixelNoise(spread(shot), spread(dark_variance), spread(speckle))
-    map_noise, asked = MapNoise(map_sigma, base_sigma), room.asked
-    lane, longest = 0, 0
+    n_todo, n_scan = 0, charge.shape[0]
     for s in range(n_scan):
         lines.saturated[s], lines.core[s] = False, np.float32(math.nan)
         for k in range(N_FITTED):
             lines.tried[s, k] = lines.fits[s, k] = math.nan
         for k in range(N_BINS):
             lines.odd[s, k] = math.nan
-        if math.isnan(start[s]):
-            continue
-        begin = lows[s // CELL]
-        place = start[s] - begin
-        low, end = line_window(place, width[s], depth)
-        n = end - low
-        if n <= 2.0 * width[s] or n > MAX_PIXELS or not low < round(place) < end - 1:
-            continue
-        take_line(charge[s, low:end], background[s, low:end], censored[s, low:end], lane, room.rows)
-        asked[0, lane], asked[1, lane], asked[2, lane] = place - low, n, width[s]
-        asked[3, lane], asked[4, lane] = core_of(place - low, width[s], n)
-        asked[5, lane] = map_edge(background, lows, s, start[s])
-        room.lines[lane], room.lows[lane] = s, begin + low
-        lane, longest = lane + 1, max(longest, n)
-        if lane == N_LANES:
-            _fit_lanes(lane, longest, noise, map_noise, room, lines)
-            lane, longest = 0, 0
-    if lane > 0:
-        _fit_lanes(lane, longest, noise, map_noise, room, lines)
+        if not math.isnan(start[s]):
+            room.todo[n_todo] = s
+            n_todo += 1
+    scans = Scans(charge, background, censored, start, width, lows)
+    pixels = PixelNoise(spread(shot), spread(dark_variance), spread(speckle))
+    law = Law(pixels, MapNoise(map_sigma, base_sigma))
+    for turn in range(ROUNDS):
+        n_todo = _fit_round(scans, law, turn, n_todo, room, lines)
