@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.arrays import Float32, Float64
-from noise_model.kernel import kernel
+from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, bits_of, float_of, least, load, spread, total, where
 
 
@@ -91,11 +91,25 @@ def _least_above(values: Float32, limit: float) -> float:
 
 
 @kernel
+def _greatest_up_to(values: Float32, limit: float) -> float:
+    """Return the greatest of values (n,), n a multiple of BLOCK, that is not above a limit; -inf for none."""
+    bound, nothing = spread(limit), spread(-math.inf)
+    highest = nothing
+    for i in range(0, values.shape[0], N_LANES):
+        value = load(values, i)
+        value = where(value <= bound, value, nothing)
+        highest = where(value > highest, value, highest)
+    lowest_below_0: float = least(spread(0.0) - highest)
+    return -lowest_below_0
+
+
+@kernel
 def median_of(values: Float32, n: int) -> float:
     """Return the median of the first n values, none of them NaN; NaN for n = 0.
 
     `values` (`numbers_for(n)`,) or longer are written over behind them. All float32 stand in the order of
     their bits, so the value that has half of all up to itself is found by halving, exactly, without sorting.
+    Mostly a limit soon has half of all below, and the value is the greatest of these.
     """
     if n == 0:
         return math.nan
@@ -106,7 +120,10 @@ def median_of(values: Float32, n: int) -> float:
     low, high = _place(-math.inf), _place(math.inf)
     while low < high:
         middle = (low + high) // 2
-        if _count_up_to(held, _in_order(middle)) >= half:
+        count = _count_up_to(held, _in_order(middle))
+        if count == half:
+            low = high = _place(_greatest_up_to(held, _in_order(middle)))
+        elif count > half:
             high = middle
         else:
             low = middle + 1
@@ -116,15 +133,37 @@ def median_of(values: Float32, n: int) -> float:
     return 0.5 * (np.float64(lower) + np.float64(_least_above(held, lower)))
 
 
-@kernel
-def keep_finite(values: Float64 | Float32, room: Float32) -> int:
-    """Write those of values (n,) that are finite, as float32, into `room`; return how many they are."""
-    count = 0
+@kernel(fastmath=REDUCTION)
+def _are_finite(values: Float32) -> bool:
+    """Say whether all values (n,) are finite: 0 times one that is not is NaN."""
+    nothing = np.float32(0.0)
     for i in range(values.shape[0]):
-        if math.isfinite(values[i]):
-            room[count] = values[i]
+        nothing += np.float32(0.0) * values[i]
+    return not math.isnan(nothing)
+
+
+@kernel
+def close_up(room: Float32, n: int) -> int:
+    """Move those of the first n numbers that are finite to the front; return how many they are."""
+    if _are_finite(room[:n]):
+        return n
+    count = 0
+    for i in range(n):
+        if math.isfinite(room[i]):
+            room[count] = room[i]
             count += 1
     return count
+
+
+@kernel
+def keep_finite(values: Float64 | Float32, room: Float32) -> int:
+    """Write those of values (n,) that are finite, as float32, into `room`; return how many they are.
+
+    Mostly all are: they are written together.
+    """
+    for i in range(values.shape[0]):
+        room[i] = values[i]
+    return close_up(room, values.shape[0])
 
 
 @kernel

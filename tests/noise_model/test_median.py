@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from noise_model.median import known_median, median, median_of, numbers_for
+from noise_model.median import close_up, known_median, median, median_of, numbers_for
 
 numbers = st.floats(-1e9, 1e9)
 
@@ -39,3 +39,13 @@ def test_the_median_by_counting_is_that_by_sorting(values, are_rounded):
     room[: len(drawn)] = drawn
     expected = np.median(drawn.astype(np.float64)) if len(drawn) else np.nan
     np.testing.assert_array_equal(median_of(room, len(drawn)), expected)
+
+
+@given(st.lists(st.floats(width=32), max_size=200))
+def test_what_is_finite_moves_to_the_front(values):
+    drawn = np.array(values, np.float32)
+    room = np.append(drawn, np.float32(7.0))
+    finite = drawn[np.isfinite(drawn)]
+    assert close_up(room, len(drawn)) == len(finite)
+    np.testing.assert_array_equal(room[: len(finite)], finite)
+    assert room[-1] == 7.0

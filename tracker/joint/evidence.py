@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64
+from noise_model.arrays import Bool, Float32, Float64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.median import median_of, numbers_for
 from noise_model.robust import MAD_SIGMA
@@ -201,6 +201,54 @@ def places_of(profile: Profile, apart_mm: float) -> float:
     return max(reach_mm / apart_mm, 1.0)
 
 
+@kernel(fastmath=REDUCTION)
+def _plate_sums(
+    t: Float64, z_mm: Float64, unit_mm: Float64, weights: Float64, H: Float64, g: Float64
+) -> None:
+    """Write the normal equations of a cubic in t (n,) through heights of weights and units (n,)."""
+    s_0, s_1, s_2, s_3, s_4, s_5, s_6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    g_0, g_1, g_2, g_3 = 0.0, 0.0, 0.0, 0.0
+    for i in range(t.shape[0]):
+        p_0 = weights[i] / (unit_mm[i] * unit_mm[i])
+        p_1 = p_0 * t[i]
+        p_2, p_3 = p_1 * t[i], p_1 * t[i] * t[i]
+        s_0 += p_0
+        s_1 += p_1
+        s_2 += p_2
+        s_3 += p_3
+        s_4 += p_2 * t[i] * t[i]
+        s_5 += p_3 * t[i] * t[i]
+        s_6 += p_3 * t[i] * t[i] * t[i]
+        g_0 += p_0 * z_mm[i]
+        g_1 += p_1 * z_mm[i]
+        g_2 += p_2 * z_mm[i]
+        g_3 += p_3 * z_mm[i]
+    sums = s_0, s_1, s_2, s_3, s_4, s_5, s_6
+    for k in range(PLATE_PARAMETERS):
+        for m in range(PLATE_PARAMETERS):
+            H[k, m] = sums[k + m]
+    g[0], g[1], g[2], g[3] = g_0, g_1, g_2, g_3
+
+
+@kernel
+def _off_plate(t: Float64, z_mm: Float64, unit_mm: Float64, p: Float64, off: Float64, sizes: Float32) -> None:
+    """Write how far points (n,) lie off a cubic of t (n,), in their units."""
+    for i in range(t.shape[0]):
+        height = p[0] + t[i] * (p[1] + t[i] * (p[2] + t[i] * p[3]))
+        off[i] = (z_mm[i] - height) / unit_mm[i]
+        sizes[i] = abs(off[i])
+
+
+@kernel
+def _units(
+    t: Float64, dy_mm: Float64, dz_mm: Float64, sigma_px: Float64, slopes: Float64, unit_mm: Float64
+) -> None:
+    """Write points' 1 sigma (n,), mm, beside a cubic whose slope is a quadratic in t (n,)."""
+    for i in range(t.shape[0]):
+        slope = slopes[0] + t[i] * (slopes[1] + t[i] * slopes[2])
+        unit_mm[i] = max(abs(dz_mm[i] - slope * dy_mm[i]), MIN_ALONG_MM) * sigma_px[i]
+
+
 @kernel(allocates=True)
 def fit_plate(
     y_mm: Float64, z_mm: Float64, dy_mm: Float64, dz_mm: Float64, sigma_px: Float64, off: Float64
@@ -210,37 +258,22 @@ def fit_plate(
     A point's sigma is by how much its height changes beside the cubic with 1 sigma of its stripe's centre.
     """
     n, middle, half = y_mm.shape[0], y_mm.mean(), 0.5 * max(y_mm.max() - y_mm.min(), MIN_ALONG_MM)
-    p, H, g = (
-        np.zeros(PLATE_PARAMETERS),
-        np.empty((PLATE_PARAMETERS, PLATE_PARAMETERS)),
-        np.empty(PLATE_PARAMETERS),
-    )
-    sums = np.empty(2 * PLATE_PARAMETERS - 1)
-    weights, sizes, slope = np.ones(n), np.empty(numbers_for(n), np.float32), np.zeros(n)
+    H, g = np.empty((PLATE_PARAMETERS, PLATE_PARAMETERS)), np.empty(PLATE_PARAMETERS)
+    p = np.empty(PLATE_PARAMETERS)
+    weights, sizes = np.ones(n), np.empty(numbers_for(n), np.float32)
+    t, unit_mm, slopes = np.empty(n), np.empty(n), np.zeros(PLATE_PARAMETERS - 1)
+    for i in range(n):
+        t[i] = (y_mm[i] - middle) / half
     for _ in range(PLATE_STEPS):
-        sums[:], g[:] = 0.0, 0.0
-        for i in range(n):
-            unit = max(abs(dz_mm[i] - slope[i] * dy_mm[i]), MIN_ALONG_MM) * sigma_px[i]
-            t, power = (y_mm[i] - middle) / half, weights[i] / (unit * unit)
-            for k in range(len(sums)):
-                sums[k] += power
-                if k < PLATE_PARAMETERS:
-                    g[k] += power * z_mm[i]
-                power *= t
-        for k in range(PLATE_PARAMETERS):
-            H[k] = sums[k : k + PLATE_PARAMETERS]
+        _units(t, dy_mm, dz_mm, sigma_px, slopes, unit_mm)
+        _plate_sums(t, z_mm, unit_mm, weights, H, g)
         for k in range(PLATE_PARAMETERS):
             # Points at one place leave a cubic open: the solver would raise.
             H[k, k] += FIRM * H[0, 0]
         p[:] = np.linalg.solve(H, g)
-        for i in range(n):
-            t, height, steepness = (y_mm[i] - middle) / half, 0.0, 0.0
-            for k in range(PLATE_PARAMETERS - 1, -1, -1):
-                steepness = steepness * t + height
-                height = height * t + p[k]
-            unit = max(abs(dz_mm[i] - slope[i] * dy_mm[i]), MIN_ALONG_MM) * sigma_px[i]
-            off[i] = (z_mm[i] - height) / unit
-            sizes[i], slope[i] = abs(off[i]), steepness / half
+        _off_plate(t, z_mm, unit_mm, p, off, sizes)
+        for k in range(PLATE_PARAMETERS - 1):
+            slopes[k] = (k + 1) * p[k + 1] / half
         # A wide scale first: a plate with a few points of its own is not the few.
         narrow = 1.0 / (BISQUARE_WIDTH * max(1.0, MAD_SIGMA * median_of(sizes, n)))
         for i in range(n):

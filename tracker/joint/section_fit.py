@@ -253,13 +253,16 @@ def best_shift(
     """
     n = y.shape[0]
     left_over, room = np.empty(n), np.empty(numbers_for(n), np.float32)
+    slopes = np.empty(corners.shape[0] - 1)
+    for k in range(len(slopes)):
+        slopes[k] = slope_across(k, corners)
     best, best_shift_mm, best_rise = math.inf, 0.0, 0.0
     for shift in shifts:
         k = 0
-        for i in range(y.shape[0]):
+        for i in range(n):
             y_nominal = y[i] - shift
             k = face_under(y_nominal, k, corners)
-            left_over[i] = z[i] - corners[k, 1] - slope_across(k, corners) * (y_nominal - corners[k, 0])
+            left_over[i] = z[i] - corners[k, 1] - slopes[k] * (y_nominal - corners[k, 0])
         for i in range(n):
             room[i] = left_over[i]
         rise = median_of(room, n)

@@ -33,7 +33,7 @@ import numpy as np
 
 from noise_model.arrays import Float32, Float64
 from noise_model.kernel import kernel
-from noise_model.median import finite_median, keep_finite, median_of, numbers_for
+from noise_model.median import close_up, finite_median, keep_finite, median_of, numbers_for
 from tracker.stripe.line_fit.block import WINDOW_SIGMAS
 from tracker.stripe.scatter import BRIGHTNESS_LAGS, LAGS, LENGTHS, FrameScatter
 
@@ -141,25 +141,19 @@ def _variance_of(values: Float64, n: int, lag: int, least: int, room: Float32) -
 
     NaN where fewer than so many differences are known.
     """
-    count = 0
     for i in range(lag, n - lag):
         d = values[i - lag] - 2.0 * values[i] + values[i + lag]
-        if math.isfinite(d):
-            room[count] = d * d / 6.0
-            count += 1
+        room[i - lag] = d * d / 6.0
+    count = close_up(room, max(n - 2 * lag, 0))
     return median_of(room, count) / MEDIAN_CHI2 if count >= least else math.nan
 
 
 @kernel
 def _own_variance_of(variances: Float64, n: int, lag: int, room: Float32) -> float:
     """Return the median variance that second differences have of n variances alone, NaN for none known."""
-    count = 0
     for i in range(lag, n - lag):
-        of_three = (variances[i - lag] + 4.0 * variances[i] + variances[i + lag]) / 6.0
-        if math.isfinite(of_three):
-            room[count] = of_three
-            count += 1
-    return median_of(room, count)
+        room[i - lag] = (variances[i - lag] + 4.0 * variances[i] + variances[i + lag]) / 6.0
+    return median_of(room, close_up(room, max(n - 2 * lag, 0)))
 
 
 @kernel
