@@ -53,6 +53,9 @@ PIECE_FLOOR = 0.5
 CURVED_FACTOR = 2.0
 """So many times the nodes across where borders turn at places that are not looked for."""
 
+PIECE_BEGINS = 0.0
+"""The weight of a chord that is looked at alone."""
+
 NEAR_ARC = 0.35
 """From this sine of the arc's half-angle on there are more nodes, the more the nearer the point."""
 
@@ -387,7 +390,7 @@ def _integrate(
     # Walls' borders have crossings that are not looked for.
     n_p = math.ceil(CURVED_FACTOR * n_p) if n_ledges > 0 else n_p
     total = 0.0
-    n_chords = 0
+    n = 0
     for piece in range(n_breaks - 1):
         low_p, high_p = breaks[piece], breaks[piece + 1]
         middle, half = 0.5 * (low_p + high_p), 0.5 * (high_p - low_p)
@@ -398,23 +401,40 @@ def _integrate(
         row = 0
         if n_breaks == 2 and n_ledges == 0 and not has_metal:
             row, m = 4, 2 * math.ceil(0.5 * UNCUT_SHARE * m)
-        if n_chords + m + 1 > MAX_CHORDS:
+        if n + m + 1 > MAX_CHORDS:
+            n = _open_chords(n, arc, below, cuts, n_cuts, spans)
             total += _sum_chords(
-                patch, axes, tan_b, rays, past, n_chords, n_q, has_metal, hiding, material, rules, room
+                patch, axes, tan_b, rays, past, n, n_q, has_metal, hiding, material, rules, room
             )
-            n_chords = 0
-        last = n_chords + m
+            n = 0
+        spans[0, n], spans[3, n] = middle, PIECE_BEGINS
         for i in range(m):
-            spans[0, n_chords + i] = middle + half * rules[row, m, i]
-            spans[3, n_chords + i] = half * rules[row + 1, m, i]
-        spans[0, last] = middle
-        chords(spans, n_chords, last + 1, arc, below, cuts, n_cuts)
-        # Nothing crosses within a piece, so it is open or dark as a whole.
-        if spans[2, last] > spans[1, last]:
-            n_chords = last
+            spans[0, n + 1 + i] = middle + half * rules[row, m, i]
+            spans[3, n + 1 + i] = half * rules[row + 1, m, i]
+        n += m + 1
+    n = _open_chords(n, arc, below, cuts, n_cuts, spans)
     return total + _sum_chords(
-        patch, axes, tan_b, rays, past, n_chords, n_q, has_metal, hiding, material, rules, room
+        patch, axes, tan_b, rays, past, n, n_q, has_metal, hiding, material, rules, room
     )
+
+
+@kernel(inline=True)
+def _open_chords(n: int, arc: Shape, below: bool, cuts: Float64, n_cuts: int, spans: Float64) -> int:
+    """Write the ends of n chords, and leave out pieces that are dark; return how many are left.
+
+    Nothing crosses within a piece: it is open or dark as a whole, as the chord is at its middle, which comes
+    before its others and has the weight `PIECE_BEGINS`.
+    """
+    chords(spans, 0, n, arc, below, cuts, n_cuts)
+    n_open, is_open = 0, False
+    for i in range(n):
+        if spans[3, i] == PIECE_BEGINS:
+            is_open = spans[2, i] > spans[1, i]
+        elif is_open:
+            for row in range(4):
+                spans[row, n_open] = spans[row, i]
+            n_open += 1
+    return n_open
 
 
 @kernel
