@@ -13,6 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from noise_model.arc.baked import NOTHING_BAKED, BakedLight
+from noise_model.arc.map import arc_kernel, baked_light
+from noise_model.arc.scene import scene_along
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.effects import acting, apply_setup_effects
 from noise_model.instrument.camera import Intrinsics, Rays
@@ -21,6 +24,7 @@ from noise_model.instrument.sensor import linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup, require_setup
 from noise_model.stripe import stripe_runs_along_rows
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
+from noise_model.surface.joint import NOMINAL_SEAM
 from noise_model.transforms import invert, transform
 from tracker.seam.locate import SeamSource
 
@@ -36,6 +40,9 @@ SEARCH_REACH_MM = 5.0
 
 MIN_ACROSS = 0.2
 """The least cosine between the sheet's normal and the tool's x axis for a place in the sheet to follow x."""
+
+MAP_TOLERANCE, MAP_FLOOR_E = 0.01, 20.0
+"""How far the map may be off where it is read off its tables: relative, and in electrons."""
 
 SAMPLE, LEVEL_SAMPLE = 600, 150
 """About so many pixels are an even sample of an image, however many it has; so many tell the arc's level.
@@ -120,6 +127,15 @@ class SensorGeometry:
     def seam_source(self) -> SeamSource:
         """What the setup fixes of its seam."""
         return SeamSource.of(self.setup)
+
+    @cached_property
+    def baked_light(self) -> BakedLight:
+        """The arc's light about the pose whose tool stands on the nominal seam, see `arc.baked`."""
+        source = self.seam_source.scene
+        scene = scene_along(source, source.segments.frames[0], NOMINAL_SEAM)
+        if scene.below_surface:
+            return NOTHING_BAKED
+        return baked_light(arc_kernel(self.setup, scene), self.xy, self.n_scan, MAP_TOLERANCE, MAP_FLOOR_E)
 
     @cached_property
     def stripe_source(self) -> StripeSource:

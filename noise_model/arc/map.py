@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from noise_model.arc.baked import NOTHING_BAKED, BakedLight, bake, lay, place_baked
 from noise_model.arc.fill import MIXED, fill_band, fill_pixels
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.ray import ArcKernel as ArcKernel
@@ -280,21 +281,35 @@ def arc_at(kernel: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64) -> tupl
     return mean_e, faces
 
 
-@kernel(allocates=True)
-def table_of(
-    k: ArcKernel, xy: Float32, n_scan: int, rel: float, floor_e: float, to_powers: Float64
-) -> FaceTable:
-    """Return an empty table whose faces go on as far as a cell of `MIXED` pixels reaches beyond an edge.
+@kernel
+def _margin_mm(k: ArcKernel, xy: Float32, n_scan: int) -> float:
+    """Return how far a cell of `MIXED` pixels reaches on a level face, at most MAX_MARGIN_MM.
 
-    That is on a level face, by the camera's rays `xy` (n_scan n_pos, 2); see `table.new_table`.
+    By the camera's rays `xy` (n_scan n_pos, 2): so far faces go on beyond their edges.
     """
     # An image of one pixel has no step.
     first = max(0, min(xy.shape[0] // n_scan // 2, xy.shape[0] - 2))
     last = min(first + 1, xy.shape[0] - 1)
     pixel = math.hypot(xy[last, 0] - xy[first, 0], xy[last, 1] - xy[first, 1])
     distance_mm = k.eye[2] / max(0.1, abs(k.rotation[2, 2]))
-    margin_mm = min(MIXED * pixel * distance_mm, MAX_MARGIN_MM)
-    return new_table(k, margin_mm, rel, floor_e, to_powers)
+    return float(min(MIXED * pixel * distance_mm, MAX_MARGIN_MM))
+
+
+@kernel(allocates=True)
+def table_of(
+    k: ArcKernel, xy: Float32, n_scan: int, rel: float, floor_e: float, to_powers: Float64, baked: BakedLight
+) -> FaceTable:
+    """Return a scene's table, from what is `baked` where that holds, else an empty one.
+
+    See `table.new_table`; the camera's rays are `xy` (n_scan n_pos, 2).
+    """
+    table, place = new_table(k, _margin_mm(k, xy, n_scan), rel, floor_e, to_powers), place_baked(k, baked)
+    return lay(k, baked, place, table) if place >= 0 else table
+
+
+def baked_light(k: ArcKernel, xy: Float32, n_scan: int, tolerance: float, floor_e: float) -> BakedLight:
+    """Return what may be baked of an `ArcMap` about a nominal pose, for the map's own tolerance."""
+    return bake(k, _margin_mm(k, xy, n_scan), tolerance, floor_e)
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,14 +334,16 @@ class ArcMap:
         n_scan: int,
         tolerance: float = TOLERANCE,
         floor_e: float = FLOOR_E,
+        baked: BakedLight = NOTHING_BAKED,
     ) -> ArcMap:
         """Begin the map of a scene.
 
         `tolerance`, relative, and `floor_e`, whichever is more, bound what the faces' tables and the cells
         read off them may each be off, halves of it where all is smooth; docs/explanation/arc_map.md says what
-        is reached.
+        is reached. `baked` is light for the same tolerance, of the same setup.
         """
-        return cls(kernel, xy, cos4, table_of(kernel, xy, n_scan, tolerance, floor_e, TO_POWERS))
+        table = table_of(kernel, xy, n_scan, tolerance, floor_e, TO_POWERS, baked)
+        return cls(kernel, xy, cos4, table)
 
     def at(self, pixels: Int64) -> Float32:
         """Return the light (n,) at some pixels (n,)."""

@@ -21,7 +21,7 @@ import numpy as np
 from noise_model.arc.face_lookup import Sight, face_seen, meet_plane, sight
 from noise_model.arc.patch_borders import MAX_BORDERS, borders_across, borders_along, seen_strip
 from noise_model.arc.ray import ArcKernel, Scratch, follow, light_at
-from noise_model.arrays import Float32, Float64, Int32, Int64
+from noise_model.arrays import Bool, Float32, Float64, Int32, Int64
 from noise_model.kernel import kernel
 from noise_model.surface.faces import Strip, across, face_point
 from noise_model.surface.ray_casting import MISS
@@ -60,7 +60,8 @@ class FaceTable(NamedTuple):
     `roots` (n_faces, n_x - 1, MAX_BORDERS) their first cells, -1 where none is made yet. A cell has an
     `axis` (along which it is halved, `SMOOTH` ...), its `middle` (n, 2) and `inverse` half widths (n, 2), a
     `child` (the other one is the next) and `powers` (n, 5, 5), the values at its nodes while it has no
-    polynomial. `n_cells` (1,) there are. `check` (5, 5) is scratch, `seen` says which face a ray meets.
+    polynomial. `n_cells` (1,) there are; those that are baked (`baked`) are `is_ready` (n,). `check` (5, 5)
+    is scratch, `seen` says which face a ray meets.
     """
 
     x_borders: Float64
@@ -73,6 +74,7 @@ class FaceTable(NamedTuple):
     inverse: Float64
     powers: Float64
     n_cells: Int32
+    is_ready: Bool
     check: Float64
     to_powers: Float64
     rel: float
@@ -107,7 +109,7 @@ def _highest(values: Float64) -> tuple[float, float]:
 
 
 @kernel
-def _fit(values: Float64, to_powers: Float64, powers: Float64) -> None:
+def fit(values: Float64, to_powers: Float64, powers: Float64) -> None:
     """Write the coefficients (5, 5) of the polynomial through a cell's values (5, 5), which may be there."""
     for j in range(NODES):
         v_0, v_1, v_2, v_3, v_4 = values[0, j], values[1, j], values[2, j], values[3, j], values[4, j]
@@ -133,7 +135,7 @@ def _value(powers: Float64, t: float, u: float) -> float:
 
 
 @kernel(inline=True)
-def _fall_off(k: ArcKernel, on: Strip, x: float, s: float) -> float:
+def fall_off(k: ArcKernel, on: Strip, x: float, s: float) -> float:
     """Return by what a cell's light is multiplied, mm^4, so that it hardly varies along a face.
 
     Light falls off with the distance from the arc's centre, on a plate that it grazes with its fourth power.
@@ -145,7 +147,7 @@ def _fall_off(k: ArcKernel, on: Strip, x: float, s: float) -> float:
 
 
 @kernel(inline=True)
-def _make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: Scratch) -> None:
+def make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: Scratch) -> None:
     """Integrate the light at a new cell's missing nodes; make it a polynomial's, or halve it."""
     axis, child, middle, inverse, powers = table.axis, table.child, table.middle, table.inverse, table.powers
     on, corrugation, n_cells = seen_strip(face, k.vertices), k.corrugation, table.n_cells
@@ -155,24 +157,24 @@ def _make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: Scrat
     for i in range(NODES):
         for j in range(NODES):
             x, s = middle[cell, 0] + 0.5 * (i - 2) * half_x, middle[cell, 1] + 0.5 * (j - 2) * half_s
-            fall_off = _fall_off(k, on, x, s)
+            times = fall_off(k, on, x, s)
             if missing == 2 or (missing == 0 and i % 2 == 1) or (missing == 1 and j % 2 == 1):
-                values[i, j] = fall_off * light_at(k, face_point(x, s, on, corrugation), face, work)
-            allowed = min(allowed, SHARE * max(table.rel * values[i, j], table.floor_e * fall_off))
+                values[i, j] = times * light_at(k, face_point(x, s, on, corrugation), face, work)
+            allowed = min(allowed, SHARE * max(table.rel * values[i, j], table.floor_e * times))
     worst_x, worst_s = _highest(values)
     is_smooth = max(worst_x, worst_s) <= allowed
     if is_smooth:
         # The differences may be small by chance: two points between the nodes are looked at.
         check = table.check
-        _fit(values, table.to_powers, check)
+        fit(values, table.to_powers, check)
         for offset in (-CHECK, CHECK):
             x, s = middle[cell, 0] + offset * half_x, middle[cell, 1] + offset * half_s
-            light = _fall_off(k, on, x, s) * light_at(k, face_point(x, s, on, corrugation), face, work)
+            light = fall_off(k, on, x, s) * light_at(k, face_point(x, s, on, corrugation), face, work)
             is_smooth = is_smooth and abs(_value(check, offset, offset) - light) <= allowed
     along = 0 if worst_x > worst_s else 1
     is_small = (half_x if along == 0 else half_s) < 0.5 * SMALLEST_MM
     if is_smooth or (is_small and max(worst_x, worst_s) <= ROUGH * allowed):
-        _fit(values, table.to_powers, values)
+        fit(values, table.to_powers, values)
         axis[cell] = SMOOTH
         return
     if is_small or n_cells[0] + 2 > MAX_CELLS:
@@ -196,32 +198,42 @@ def _make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: Scrat
 
 
 @kernel(inline=True)
+def root_cell(table: FaceTable, face: int, i: int, j: int) -> int:
+    """Return the first cell of a patch, begun if need be; -1 where there is no room."""
+    cell = int(table.roots[face, i, j])
+    if cell < 0 and table.n_cells[0] < MAX_CELLS:
+        cell = int(table.n_cells[0])
+        table.n_cells[0] += 1
+        table.roots[face, i, j] = cell
+        table.axis[cell] = NEW + 2
+        x_low, x_high = table.x_borders[i], table.x_borders[i + 1]
+        s_low, s_high = table.s_borders[face, j], table.s_borders[face, j + 1]
+        table.middle[cell, 0], table.middle[cell, 1] = 0.5 * (x_low + x_high), 0.5 * (s_low + s_high)
+        table.inverse[cell, 0], table.inverse[cell, 1] = 2.0 / (x_high - x_low), 2.0 / (s_high - s_low)
+    return cell
+
+
+@kernel(inline=True)
 def _cell_at(
     k: ArcKernel, table: FaceTable, face: int, x: float, s: float, least_mm2: float, work: Scratch
 ) -> int:
-    """Return the cell at a face's coordinates, made if need be; -1 if there is none or it is smaller."""
+    """Return the cell at a face's coordinates, made if need be.
+
+    -1 if there is none, or where it has not been ready from the first and is smaller.
+    """
     i = _place(table.x_borders, table.x_borders.shape[0], x)
     j = _place(table.s_borders[face], table.n_s[face], s)
     if i < 0 or j < 0:
         return -1
     axis, middle, inverse = table.axis, table.middle, table.inverse
-    cell = int(table.roots[face, i, j])
+    cell = root_cell(table, face, i, j)
     if cell < 0:
-        if table.n_cells[0] >= MAX_CELLS:
-            return -1
-        cell = int(table.n_cells[0])
-        table.n_cells[0] += 1
-        table.roots[face, i, j] = cell
-        axis[cell] = NEW + 2
-        x_low, x_high = table.x_borders[i], table.x_borders[i + 1]
-        s_low, s_high = table.s_borders[face, j], table.s_borders[face, j + 1]
-        middle[cell, 0], middle[cell, 1] = 0.5 * (x_low + x_high), 0.5 * (s_low + s_high)
-        inverse[cell, 0], inverse[cell, 1] = 2.0 / (x_high - x_low), 2.0 / (s_high - s_low)
+        return -1
     while True:
-        if least_mm2 * inverse[cell, 0] * inverse[cell, 1] > 4.0:
+        if not table.is_ready[cell] and least_mm2 * inverse[cell, 0] * inverse[cell, 1] > 4.0:
             return -1
         if axis[cell] >= NEW:
-            _make_cell(k, table, face, cell, work)
+            make_cell(k, table, face, cell, work)
         along = axis[cell]
         if along >= SMOOTH:
             return cell if along == SMOOTH else -1
@@ -299,7 +311,7 @@ def light_at_places(
             cell = _cell_at(k, table, face, x, s, least_mm2, work)
         if cell >= 0:
             t, u = (x - middle[cell, 0]) * inverse[cell, 0], (s - middle[cell, 1]) * inverse[cell, 1]
-            light = _value(powers[cell], t, u) / _fall_off(k, on, x, s)
+            light = _value(powers[cell], t, u) / fall_off(k, on, x, s)
         else:
             light = light_at(k, face_point(x, s, on, k.corrugation), face, work)
         light_e[i] = cos4[pixels[i]] * light
@@ -327,6 +339,7 @@ def new_table(k: ArcKernel, margin_mm: float, rel: float, floor_e: float, to_pow
         np.empty((MAX_CELLS, 2)),
         np.empty((MAX_CELLS, NODES, NODES)),
         np.zeros(1, dtype=np.int32),
+        np.zeros(MAX_CELLS, dtype=np.bool_),
         np.empty((NODES, NODES)),
         to_powers,
         rel,

@@ -13,7 +13,7 @@ from noise_model.arrays import Float32, Float64, Int64
 from noise_model.robust import sigma_of
 from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Transmission
-from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
+from tracker.geometry import MAP_FLOOR_E, MAP_TOLERANCE, SEARCH_REACH_MM, SensorGeometry
 from tracker.state import Frame, Stripe
 from tracker.stripe.band import Band, at_level, gather_band, median_background
 from tracker.stripe.edge import StripeLight
@@ -21,9 +21,6 @@ from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.read_band import Noise, ReadRoom, Sought, UsualLine, read_band
 from tracker.stripe.scatter import Scatter
 from tracker.stripe.viterbi import OFFSET_STEP
-
-MAP_TOLERANCE, MAP_FLOOR_E = 0.01, 20.0
-"""How far the map may be off where it is read off its tables: relative, and in electrons."""
 
 MEDIAN_HALF_PX = 30
 MEDIAN_SIGMA = 1.0
@@ -110,7 +107,15 @@ class StripeReading(NamedTuple):
 
 def arc_map_of(geometry: SensorGeometry, kernel: ArcKernel) -> ArcMap:
     """Return the arc map that a frame is read with."""
-    return ArcMap.of(kernel, geometry.xy, geometry.cos4, geometry.n_scan, MAP_TOLERANCE, MAP_FLOOR_E)
+    return ArcMap.of(
+        kernel,
+        geometry.xy,
+        geometry.cos4,
+        geometry.n_scan,
+        MAP_TOLERANCE,
+        MAP_FLOOR_E,
+        geometry.baked_light,
+    )
 
 
 def read_stripe(
