@@ -25,10 +25,10 @@ from tracker import flags
 from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Transmission
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
-from tracker.joint import MeasuredJoint, fit_joint
-from tracker.measure import Reading, expected_output, profile_of, shows_arc
+from tracker.joint import MeasuredJoint
+from tracker.measure import Reading, expected_output, joint_of, profile_of, shows_arc
 from tracker.profile import Profile
-from tracker.seam.locate import locate, sources
+from tracker.seam.locate import locate
 from tracker.seam.stretches import jump_limit_mm
 from tracker.state import Frame, Pose, Track
 from tracker.step import TrackerState, step_and_reading
@@ -194,10 +194,7 @@ def _look(
     if reading.flags & flags.STRIPE_LOST.mask:
         return look
     if reading.joint is None:
-        shown = fit_joint(
-            profile, setup.joint, *sources(geometry.seam_source, scene, reading.seam.station_mm)
-        )
-        return replace(look, joint=shown)
+        return replace(look, joint=joint_of(geometry, scene, reading.seam.station_mm, profile))
     return replace(
         look,
         joint=reading.joint,

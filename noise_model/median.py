@@ -19,17 +19,18 @@ from noise_model.lanes import N_LANES, bits_of, float_of, least, load, spread, t
 def median(values: npt.ArrayLike) -> float:
     """Return the median of values (n,), as `numpy.median` does; NaN where one is NaN, or without any."""
     # A copy of its own has one type, whatever the values' strides: nothing is compiled a second time.
-    return float(_median(np.array(values, np.float64)))
+    return float(exact_median(np.array(values, np.float64)))
 
 
 def known_median(values: npt.ArrayLike) -> float:
     """Return the median of the values (n,) that are no NaN, as `numpy.nanmedian` does; NaN without any."""
     held = np.array(values, np.float64)
-    return float(_median(held[~np.isnan(held)]))
+    return float(exact_median(held[~np.isnan(held)]))
 
 
 @kernel(allocates=True)
-def _median(values: Float64) -> float:
+def exact_median(values: Float64) -> float:
+    """Return the `median` of values (n,)."""
     if len(values) == 0:
         return math.nan
     for value in values:

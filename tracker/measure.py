@@ -24,21 +24,19 @@ from tracker.arc.level import (
 from tracker.arc.transmission import Transmission
 from tracker.checks import Checks
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
-from tracker.joint import MeasuredJoint, fit_closed_joint, fit_joint
+from tracker.joint import HIDING_TYPES, MeasuredJoint, fit_closed_joint, fit_joint
 from tracker.joint.evidence import MIN_EVIDENCE_NATS
 from tracker.joint.image_line import read_image_line
 from tracker.joint.type_check import is_another_type
-from tracker.profile import Profile, StripeLines, edge_lines, measured_points
+from tracker.profile import Profile, StripeLines, measured_points
 from tracker.seam.locate import locate, sources
 from tracker.state import Frame, Pose, Stripe
 from tracker.stripe.band import FIT_SIGMAS
 from tracker.stripe.detection import (
     MIN_RATIO,
     MIN_SEEN,
-    evidence_of,
     seen_share,
 )
-from tracker.stripe.edge import clear_of_an_edge
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import StripeReading, Work, arc_map_of, read_stripe
 from tracker.stripe.scatter import NO_SCATTER, Scatter
@@ -135,7 +133,7 @@ def measure(
     )
     # An arc lights rims that end as a fan does.
     seeks_ends = geometry.setup.laser.fan_half_angle_deg is None and not arc.is_on
-    if not _is_stripe(asked, geometry, expected, look, work, seeks_ends):
+    if not _is_stripe(asked, expected, look, seeks_ends):
         return Reading(asked, scene, seam, reach_mm, arc, look.stripe, scatter=scatter)
     joint, margin_mm = _joint(asked, geometry, scene, seam, frame, expected, look, reach_mm)
     return Reading(asked, scene, seam, reach_mm, arc, look.stripe, joint, margin_mm, look.scatter)
@@ -153,7 +151,7 @@ def _joint(
 ) -> tuple[MeasuredJoint | None, float]:
     """Return the joint that a stripe shows, and its margin in the view, mm, NaN where none is told."""
     profile = profile_of(geometry, scene, frame, expected, look, reach_mm, seam.slope_sigma)
-    joint = fit_joint(profile, geometry.setup.joint, *sources(geometry.seam_source, scene, seam.station_mm))
+    joint = joint_of(geometry, scene, seam.station_mm, profile)
     if geometry.setup.joint.type == "butt" and not _is_told(joint):
         closed = _closed_joint(geometry, scene, look, profile)
         if _is_told(closed):
@@ -173,6 +171,15 @@ def _joint(
     return joint, margin_mm
 
 
+def joint_of(
+    geometry: SensorGeometry, scene: Scene, station_mm: float, profile: Profile
+) -> MeasuredJoint | None:
+    """Return the joint that a profile at a station shows, None where it does not determine one."""
+    joint = geometry.setup.joint
+    hides = joint.type in HIDING_TYPES
+    return fit_joint(profile, joint, *(sources(geometry.seam_source, scene, station_mm) if hides else ()))
+
+
 def _is_told(joint: MeasuredJoint | None) -> bool:
     """Say whether a joint is told from a plate."""
     return joint is not None and joint.evidence_nats >= MIN_EVIDENCE_NATS
@@ -182,33 +189,19 @@ def _closed_joint(
     geometry: SensorGeometry, scene: Scene, look: StripeReading, profile: Profile
 ) -> MeasuredJoint | None:
     """Return the closed joint whose line the image shows beside the stripe, None where it shows none."""
-    stripe_sigma_px = known_median(look.fits[:, 3])
+    stripe_sigma_px = known_median(look.width_px)
     line = read_image_line(geometry, scene, look.stripe.smooth_px, stripe_sigma_px, profile)
     return None if line is None else fit_closed_joint(profile, geometry.setup.joint, line)
 
 
 def _is_stripe(
     asked: Checks,
-    geometry: SensorGeometry,
     expected: ExpectedStripe,
     look: StripeReading,
-    work: Work,
     seeks_ends: bool,
 ) -> bool:
     """Ask whether what was read is a stripe, and whether all of it was seen, up to ends that it may show."""
-    stripe = look.stripe
-    told = evidence_of(
-        stripe.position_px,
-        stripe.saturated,
-        expected.position_px,
-        expected.sigma_px,
-        expected.shown,
-        geometry.n_pos,
-        look.score,
-        look.offsets_px,
-        look.learned.average,
-        work.room.scatter.values,
-    )
+    stripe, told = look.stripe, look.evidence
     share = told.share
     asked.ask(checks.LINES_SATURATED, told.n_saturated, 0.0)
     asked.ask(checks.STRIPE_INSIDE, not told.leaves)
@@ -245,8 +238,6 @@ def profile_of(
 ) -> Profile:
     """Return a stripe's profile, whose seam is looked for within the look's reach and a little beyond."""
     stripe, source = look.stripe, geometry.stripe_source
-    lines_over = edge_lines(source, scene, geometry.seam_source.height_mm, slope_sigma)
-    light = look.light(source.psf_sigma_px, lines_over.stated)
     points = measured_points(
         source,
         scene,
@@ -255,12 +246,13 @@ def profile_of(
             stripe.sigma_px,
             stripe.beside_px,
             stripe.amplitude_e,
-            light.width_px,
+            look.width_px,
             expected.bias_px,
             look.misfit_px,
         ),
-        light.contrast,
-        lines_over.possible,
+        look.usual.contrast,
+        geometry.seam_source.height_mm,
+        slope_sigma,
     )
     return Profile(
         points.y_mm,
@@ -272,9 +264,9 @@ def profile_of(
         points.column_mm,
         points.beside_px,
         reach_mm=reach_mm + BEYOND_REACH_MM,
-        light=light,
+        light=look.light(source.psf_sigma_px, points.sheet_lines),
         image_dn=frame.image_dn.T if geometry.along_rows else frame.image_dn,
-        mixed_mm=points.column_mm * (clear_of_an_edge(light) - 1),
+        mixed_mm=points.mixed_mm,
         bias_px=points.bias_px,
         misfit_px=points.misfit_px,
         slope_sigma=slope_sigma,

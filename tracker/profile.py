@@ -18,7 +18,7 @@ from noise_model.surface.faces import ridge
 from noise_model.transforms import inverted
 from tracker.geometry import SensorGeometry, StripeSource
 from tracker.stripe.askew import askew_sigma_px
-from tracker.stripe.edge import StripeLight
+from tracker.stripe.edge import StripeLight, clear_lines
 
 MIN_POINTS = 20
 """A profile of fewer points shows no joint."""
@@ -185,7 +185,7 @@ class StripeLines(NamedTuple):
 
 
 class Points(NamedTuple):
-    """A profile's points (n,) in order of y; see `Profile`."""
+    """A profile's points (n,) in order of y; see `Profile`, for `sheet_lines` `edge.StripeLight`."""
 
     y_mm: Float64
     z_mm: Float64
@@ -197,16 +197,28 @@ class Points(NamedTuple):
     beside_px: Float64
     bias_px: Float64
     misfit_px: Float64
+    sheet_lines: float
+    mixed_mm: float
 
 
 @kernel(allocates=True)
 def measured_points(
-    source: StripeSource, scene: Scene, lines: StripeLines, contrast: float, askew_lines: float
+    source: StripeSource,
+    scene: Scene,
+    lines: StripeLines,
+    contrast: float,
+    edge_mm: float,
+    slope_sigma: float,
 ) -> Points:
-    """Triangulate a stripe: its centres are corrected for their bias, and unsure by steps that cross it."""
+    """Triangulate a stripe: its centres are corrected for their bias, and unsure by steps that cross it.
+
+    `contrast` is that of the lines' brightness. Edges along the seam are `edge_mm` over the surface, and its
+    slope is known to `slope_sigma`.
+    """
     n_scan = lines.position_px.shape[0]
     rows, scan = np.empty((8, n_scan)), np.empty(n_scan)
-    askew_px = askew_sigma_px(lines.amplitude_e, lines.width_px, contrast, askew_lines)
+    lines_over = edge_lines(source, scene, edge_mm, slope_sigma)
+    askew_px = askew_sigma_px(lines.amplitude_e, lines.width_px, contrast, lines_over.possible)
     centre_px, sigma_px = np.empty(n_scan), np.empty(n_scan)
     for s in range(n_scan):
         centre_px[s] = lines.position_px[s] - lines.bias_px[s]
@@ -246,6 +258,8 @@ def measured_points(
         rows[5, :n],
         rows[6, :n],
         rows[7, :n],
+        lines_over.stated,
+        column_mm * (clear_lines(source.psf_sigma_px, lines_over.stated) - 1),
     )
 
 

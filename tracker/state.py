@@ -139,8 +139,7 @@ class Pose:
         return f"Pose(tool at {place}, {tilt_deg:.1f} deg off its z{how})"
 
 
-@dataclass(frozen=True)
-class Stripe:
+class Stripe(NamedTuple):
     """The stripe of one frame, scan line by scan line; the joint is fitted to `position_px`.
 
     The scan lines are the image's columns if the stripe runs along its rows, else its rows.

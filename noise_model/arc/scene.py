@@ -159,7 +159,9 @@ def scene_along(
     source: SceneSource, T_base_tool: Float64, seam: SeamLine, ground: SeamLine | None = None
 ) -> Scene:
     """Return the scene of a pose along a stretch of the seam, see `make_scene`."""
-    T = np.require(T_base_tool, np.float64, ("C", "W"))
+    T = T_base_tool
+    if not (T.flags.carray and T.dtype == np.float64):
+        T = np.require(T, np.float64, ("C", "W", "A"))
     line = seam.as_floats()
     on = line if ground is None else ground.as_floats()
     scene: Scene = laid_scene(source, T, line, on, ground is None)

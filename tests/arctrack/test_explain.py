@@ -32,6 +32,7 @@ from tracker.checks import Check
 from tracker.geometry import SensorGeometry
 from tracker.state import Stripe
 from tracker.stripe.band import Band
+from tracker.stripe.detection import Evidence
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.line_fit.lines import LineFits, fit_lines, fit_room
 from tracker.stripe.read import StripeReading
@@ -56,12 +57,13 @@ def explained(recording: Recording) -> list[Explanation]:
 
 def assert_same(one: object, other: object, without: tuple[str, ...] = ()) -> None:
     """Every number bit for bit."""
-    for f in fields(one):  # type: ignore[arg-type]
-        if f.name not in without:
-            values = [getattr(explained, f.name) for explained in (one, other)]
+    names = one._fields if isinstance(one, Stripe) else [f.name for f in fields(one)]  # type: ignore[arg-type]
+    for name in names:
+        if name not in without:
+            values = [getattr(explained, name) for explained in (one, other)]
             # Pairs among the numbers of a shape.
             flat = [np.hstack(value) if isinstance(value, tuple) else value for value in values]
-            np.testing.assert_array_equal(*flat, err_msg=f.name)
+            np.testing.assert_array_equal(*flat, err_msg=name)
 
 
 def moved(recording: Recording, from_s: float, offset_mm: tuple[float, float, float]) -> Recording:
@@ -189,6 +191,8 @@ def made(
         NO_SCATTER,
         np.zeros(N_SCAN),
         UsualLine(0.0, 0.0, math.nan),
+        Evidence(0, False, 1.0, math.inf),
+        fits[:, 3],
     )
     return reading, expected
 

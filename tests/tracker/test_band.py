@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from noise_model.arc.map import CELL
 from noise_model.arrays import Float64, Int64
-from tracker.stripe.band import at_level, gather, median_background, place, weigh
+from tracker.stripe.band import LightLevel, at_level, gather, median_background, place, weigh
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -60,7 +60,7 @@ def test_light_at_its_level_is_its_twin(seed: int, level: float, black_e: float)
     light_e = np.random.default_rng(seed).uniform(0.0, 1e4, (7, 33)).astype(np.float32)
     light_e[2, 5] = np.nan
     background_e = light_e.copy()
-    at_level(background_e, level, black_e)
+    at_level(background_e, LightLevel(level, black_e))
     np.testing.assert_allclose(background_e, light_e * level + black_e, rtol=1e-6, atol=1e-3)
 
 

@@ -292,6 +292,6 @@ def test_chance_seldom_gives_a_gap(rate: float, goes_on: float, most: float) -> 
 def test_a_profile_is_searched_at_one_place_at_least() -> None:
     profile = measure(PLATE, (0.0, 0.0), np.random.default_rng(9))
     span_mm = float(np.ptp(profile.y_mm))
-    assert places_of(profile, 0.5) == pytest.approx(span_mm / 0.5)
-    assert places_of(replace(profile, reach_mm=2.0), 0.5) == pytest.approx(8.0)
-    assert places_of(replace(profile, reach_mm=0.1), 0.5) == 1.0
+    assert places_of(profile.y_mm, profile.reach_mm, 0.5) == pytest.approx(span_mm / 0.5)
+    assert places_of(profile.y_mm, 2.0, 0.5) == pytest.approx(8.0)
+    assert places_of(profile.y_mm, 0.1, 0.5) == 1.0

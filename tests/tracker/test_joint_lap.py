@@ -14,7 +14,7 @@ from noise_model.surface.joint import Joint
 from tracker.joint import ALIKE_OFF_PX, BIAS_SHARE, MeasuredJoint, fit_joint
 from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, clear_of_edge, near_sheets, share_off
 from tracker.joint.measured import OFF_SIGMAS, SIGMA_FLOOR_PX, count_with_floor, typical_mm
-from tracker.joint.upright_edge import hidden_strip, neighbours_of_edge
+from tracker.joint.upright_edge import Edge, edge_covariance, hidden_strip, neighbours_of_edge
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
 STATED = Joint("lap", {"thickness_mm": 2.0}, LINE)
@@ -210,6 +210,15 @@ def test_what_points_may_be_off_is_its_twin(seed: int, n: int) -> None:
     assert count_with_floor(sigma_px, used, sigma) == used.sum()
     np.testing.assert_allclose(sigma, np.hypot(sigma_px, SIGMA_FLOOR_PX))
     assert typical_mm(dz, sigma, used) == pytest.approx(np.median((np.abs(dz) * sigma)[used]))
+
+
+def test_an_edges_covariance_is_its_twin() -> None:
+    rng = np.random.default_rng(8)
+    between, there, root = rng.normal(size=4), rng.normal(size=4), rng.normal(size=(4, 4))
+    edge, of_faces = Edge(0.3, 0.02, -0.7), root @ root.T
+    moved = np.array([edge.y_per_z * between, there])
+    want = moved @ of_faces @ moved.T + np.diag([edge.variance_mm2, 0.0])
+    np.testing.assert_allclose(edge_covariance(edge, between, there, of_faces), want, rtol=1e-12)
 
 
 def test_an_edge_hides_what_its_shadow_covers() -> None:

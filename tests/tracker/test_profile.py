@@ -14,6 +14,7 @@ from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry, to_laser_plane
 from tracker.profile import StripeLines, edge_lines, measured_points, triangulate
 from tracker.stripe.askew import askew_sigma_px
+from tracker.stripe.edge import clear_lines
 
 DISTORTION = (-0.12, 0.03, 0.001, -0.002, 0.0)
 
@@ -101,8 +102,9 @@ def test_a_stripes_points_are_its_triangulation_with_bias_and_steps_taken_in(
     sigma, beside, width, bias, misfit = rng.uniform(0.1, 3.0, (5, n))
     amplitude = np.where(np.arange(n) < n // 2, 900.0, 300.0) * rng.uniform(0.95, 1.05, n)
     lines = StripeLines(position, sigma, beside, amplitude, width, bias, misfit)
-    points = measured_points(geometry.stripe_source, scene, lines, 0.05, 0.4)
-    askew = askew_sigma_px(amplitude, width, 0.05, 0.4)
+    points = measured_points(geometry.stripe_source, scene, lines, 0.05, -2.0, 0.03)
+    over = edge_lines(geometry.stripe_source, scene, -2.0, 0.03)
+    askew = askew_sigma_px(amplitude, width, 0.05, over.possible)
     assert askew.any()
     twin = triangulate(geometry, scene, position - bias, np.hypot(sigma, askew), np.hypot(beside, askew))
     own = twin.scan.astype(int)
@@ -112,6 +114,9 @@ def test_a_stripes_points_are_its_triangulation_with_bias_and_steps_taken_in(
     np.testing.assert_array_equal(points.scan, twin.scan)
     np.testing.assert_allclose(np.array(found), np.array(rows), rtol=1e-12)
     assert points.column_mm == pytest.approx(twin.column_mm)
+    assert points.sheet_lines == over.stated
+    clear = clear_lines(geometry.setup.camera.psf_sigma_px, over.stated)
+    assert points.mixed_mm == pytest.approx(twin.column_mm * (clear - 1))
 
 
 @pytest.mark.parametrize("upright", [False, True])

@@ -23,7 +23,7 @@ from tracker.seam.gaussian_process import (
     SeamHistory,
 )
 from tracker.seam.locate import SeamSource, locate, sources
-from tracker.seam.stretches import see
+from tracker.seam.stretches import JUMP_FLOOR_MM, JUMP_SIGMAS, see
 
 JOINTS = "v_groove", "lap", "corrugation"
 TURNS_DEG = st.tuples(*[st.floats(-20.0, 20.0)] * 3)
@@ -137,7 +137,12 @@ def test_a_seen_seam_is_located_and_put_beside_the_history(name: str) -> None:
     )
     assert seen.located == locate(source, scene.T_joint_tool, scene, 0.3, -0.1)
     station, displacement = seen.located.station_mm, seen.located.displacement_mm
-    assert seen.expected == history.point_at(station)
+    expected = history.point_at(station)
+    np.testing.assert_allclose(seen.away_mm, np.abs(np.subtract(displacement, expected.displacement_mm)))
+    limit_mm = np.maximum(
+        JUMP_SIGMAS * np.hypot(expected.sigma_mm, np.sqrt(seen.variance_mm2)), JUMP_FLOOR_MM
+    )
+    np.testing.assert_allclose(seen.limit_mm, limit_mm)
     after = history.with_measurement(station, displacement, (1e-3, 2e-3))
     np.testing.assert_array_equal(seen.stations_mm, after.stations_mm)
     np.testing.assert_array_equal(seen.displacements_mm, after.displacements_mm)

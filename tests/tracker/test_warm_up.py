@@ -124,7 +124,7 @@ def test_no_frame_waits_after_the_warm_up(
     frames_before, valid, ready, waited, for_constants = pickle.load(imported.stdout)
     assert frames_before == 0
     assert valid > 0
-    assert ready > 30
+    assert ready > 15
     assert sorted(waited) == []
     assert for_constants == []
 

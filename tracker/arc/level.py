@@ -6,7 +6,6 @@ Where the arc is on, its output and the map's fit: an arc breathes. Where it is 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -41,8 +40,7 @@ CHANCE = 3.5
 """What the quantile of n pixels' noise exceeds by chance alone, over 1 / sqrt(n): 4 sigma of it."""
 
 
-@dataclass(frozen=True)
-class ArcLevel:
+class ArcLevel(NamedTuple):
     """The arc's output over the expected one, its 1 sigma, the black level's offset (e-) and the misfit.
 
     `is_on` says whether the frame is said to have an arc; without one the level is 0. `ambient_e` is the
@@ -113,8 +111,9 @@ def estimate_arc_level(geometry: SensorGeometry, unlit: Unlit) -> ArcLevel:
     """
     sensor, tolerance, e = geometry.setup.sensor, geometry.setup.tolerance, unlit.charge_e
     black_sigma_e = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
-    fitted = fit_level(unlit.arc_e, e, geometry.dark_variance_at(e), black_sigma_e, sensor.full_well_e)
-    return UNKNOWN if math.isnan(fitted[0]) else ArcLevel(*fitted)
+    dark_e2 = geometry.dark_variance_at(e)
+    fitted: ArcLevel = fit_level(unlit.arc_e, e, dark_e2, black_sigma_e, sensor.full_well_e)
+    return UNKNOWN if math.isnan(fitted.level) else fitted
 
 
 def estimate_ambient_light(geometry: SensorGeometry, unlit: Unlit) -> ArcLevel:
@@ -202,9 +201,9 @@ def quantile(values: Float64, share: float) -> float:
 @kernel(allocates=True)
 def fit_level(
     map_e: Float64, charge_e: Float64, dark_e2: float, black_sigma_e: float, full_well_e: float
-) -> tuple[float, float, float, float]:
-    """Return `ArcLevel`'s first four numbers from pixels (n,), NaN where they do not tell the level."""
-    unknown = (math.nan, math.nan, 0.0, math.nan)
+) -> ArcLevel:
+    """Return what pixels (n,) tell of the arc; its level is NaN where they do not tell it."""
+    unknown = ArcLevel(math.nan, math.nan, 0.0, math.nan, True, 0.0)
     if len(map_e) < MIN_PIXELS or not (map_e > 0.0).any():
         return unknown
     size = np.empty(len(map_e))
@@ -215,7 +214,7 @@ def fit_level(
     # Where the sheet hides the arc, its level may be anything.
     if not sigma < MAX_SIGMA * max(level, 1.0):
         return unknown
-    return level, sigma, black, quantile(size, MISFIT_QUANTILE) / NORMAL_QUANTILE
+    return ArcLevel(level, sigma, black, quantile(size, MISFIT_QUANTILE) / NORMAL_QUANTILE, True, 0.0)
 
 
 @kernel(fastmath=REDUCTION)

@@ -36,36 +36,46 @@ It goes with the metal's reflectance as the setup states it. On steep flanks of 
 and a ray caster's frames there show it to be off by a tenth to a fifth.
 """
 
-__all__ = ["MeasuredJoint", "fit_closed_joint", "fit_joint"]
+HIDING_TYPES = frozenset({"half_v", "lap", "corrugation"})
+"""Their upright side may hide a strip of what lies behind it."""
+
+_NOWHERE = np.full(3, math.nan)
+
+__all__ = ["HIDING_TYPES", "MeasuredJoint", "fit_closed_joint", "fit_joint"]
 
 
-def fit_joint(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:
+def fit_joint(
+    profile: Profile, joint: Joint, camera_mm: Float64 = _NOWHERE, laser_mm: Float64 = _NOWHERE
+) -> MeasuredJoint | None:
     """Return the joint that a profile shows, or None where it does not determine one.
 
-    `camera_mm` and `laser_mm` (3,), joint frame: what stands between them and a point hides it.
+    `camera_mm` and `laser_mm` (3,), joint frame: what stands between them and a point hides it. Only
+    HIDING_TYPES ask for them.
     """
     if len(profile.y_mm) < MIN_POINTS:
         return None
-    measured = _off_alike(profile, _fit(profile, joint, camera_mm, laser_mm))
-    if measured is None or not math.isnan(measured.evidence_nats):
-        return measured
-    return measured._replace(evidence_nats=evidence_nats(profile, measured.corners_mm))
+    measured = _fit(profile, joint, camera_mm, laser_mm)
+    if measured is None:
+        return None
+    nats = measured.evidence_nats
+    if math.isnan(nats):
+        nats = evidence_nats(profile, measured.corners_mm)
+    return measured._replace(covariance_mm2=_with_alike(profile, measured), evidence_nats=nats)
 
 
 def fit_closed_joint(profile: Profile, joint: Joint, line: ImageLine) -> MeasuredJoint | None:
     """Return the closed joint that a line in the image shows amid a profile, or None without two plates."""
-    return _off_alike(profile, fit_closed_slot(profile, joint, line))
+    measured = fit_closed_slot(profile, joint, line)
+    return None if measured is None else measured._replace(covariance_mm2=_with_alike(profile, measured))
 
 
-def _off_alike(profile: Profile, measured: MeasuredJoint | None) -> MeasuredJoint | None:
-    """Return a joint with the variance of what all centres of its stripe may be off alike."""
-    if measured is None:
-        return None
+def _with_alike(profile: Profile, measured: MeasuredJoint) -> Float64:
+    """Return a joint's covariance (2, 2) with what all centres of its stripe may be off alike."""
     bias_px = np.empty(0) if profile.bias_px is None else profile.bias_px
-    covariance_mm2 = with_alike(
+    covariance_mm2: Float64 = with_alike(
         profile.y_mm, profile.dy_mm, profile.dz_mm, bias_px, measured.y_mm, measured.covariance_mm2
     )
-    return measured._replace(covariance_mm2=covariance_mm2)
+    return covariance_mm2
 
 
 @kernel(allocates=True)

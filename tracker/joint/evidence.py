@@ -77,7 +77,7 @@ def evidence_nats(profile: Profile, corners_mm: Float64) -> float:
         profile.sigma_px,
         profile.scan,
         np.ascontiguousarray(corners_mm),
-        places_of(profile, PLACE_MM),
+        profile.reach_mm,
     )
     return evidence
 
@@ -91,9 +91,9 @@ def _evidence_nats(
     sigma_px: Float64,
     scan: Float64,
     corners_mm: Float64,
-    n_places: float,
+    reach_mm: float,
 ) -> float:
-    """Return `evidence_nats` of a profile's points (n,) that were sought at so many places."""
+    """Return `evidence_nats` of a profile's points (n,) whose seam was sought within a reach."""
     n = y_mm.shape[0]
     off, off_plate = np.empty(n), np.empty(n)
     height_mm, slope = section_at(corners_mm, y_mm)
@@ -108,7 +108,7 @@ def _evidence_nats(
     gain = max(loss(new_of_plate) - loss(new), 0.0)
     x = 2.0 * gain / points_alike(new)
     chance = math.log(1.0 + math.sqrt(2.0 * x / math.pi) * (1.0 + x / 3.0)) - 0.5 * x
-    return -chance - math.log(n_places)
+    return -chance - math.log(places_of(y_mm, reach_mm, PLACE_MM))
 
 
 class Wander(NamedTuple):
@@ -195,10 +195,14 @@ def points_alike(off: Float64) -> float:
     return 1.0 + 2.0 * total
 
 
-def places_of(profile: Profile, apart_mm: float) -> float:
-    """Return at how many places, so far apart, a profile is searched for its seam; one at least."""
-    reach_mm = min(2.0 * profile.reach_mm, float(profile.y_mm[-1] - profile.y_mm[0]))
-    return max(reach_mm / apart_mm, 1.0)
+@kernel
+def places_of(y_mm: Float64, reach_mm: float, apart_mm: float) -> float:
+    """Return at how many places, so far apart, a profile's points (n,) are searched within a reach.
+
+    That is one at least.
+    """
+    searched_mm: float = min(2.0 * reach_mm, y_mm[-1] - y_mm[0])
+    return max(searched_mm / apart_mm, 1.0)
 
 
 @kernel(fastmath=REDUCTION)

@@ -18,7 +18,7 @@ from tracker.joint.measured import (
     ShapeFit,
     fit_shape,
     opening_area,
-    place,
+    shift_of,
     two_angles,
 )
 from tracker.joint.root import weigh_root
@@ -33,8 +33,8 @@ PRIOR_SIGMA = np.array([5.0, 5.0, 0.3, 0.04, 0.04, 0.3, 0.3, 0.03, 0.03])
 ROUND_PRIOR_SIGMA = np.append(PRIOR_SIGMA, 0.2)
 """The same, and that of a rounding's radius, mm."""
 
-GAP = 2
-"""Which parameter the root's gap is."""
+GAP, RADIUS = 2, 9
+"""Which parameter the root's gap is, and which a `ROUND_GROOVE`'s radius."""
 
 MUCH_LEFT_OUT, WIDER_MM = 0.2, 1.0
 """A fit that leaves out more of a groove's points may have lost a side: points so far off are let in anew."""
@@ -53,36 +53,39 @@ def fit_v_groove(profile: Profile, joint: Joint) -> MeasuredJoint | None:
     """Return the V that a profile shows, or None where too little of it lies within the bevels."""
     size = joint.dimensions
     tan = math.tan(math.radians(size["included_angle_deg"] / 2.0))
-    return _fit(profile, joint, GROOVE, tan, (), PRIOR_SIGMA)
+    return _fit(profile, joint, GROOVE, tan, 0.0, PRIOR_SIGMA)
 
 
 def fit_u_groove(profile: Profile, joint: Joint) -> MeasuredJoint | None:
     """Return the U that a profile shows, or None where too little of it lies within the bevels."""
     size = joint.dimensions
     tan = math.tan(math.radians(size["bevel_angle_deg"]))
-    return _fit(profile, joint, ROUND_GROOVE, tan, (size["root_radius_mm"],), ROUND_PRIOR_SIGMA)
+    return _fit(profile, joint, ROUND_GROOVE, tan, size["root_radius_mm"], ROUND_PRIOR_SIGMA)
 
 
 def _fit(
-    profile: Profile, joint: Joint, shape: int, tan: float, more: tuple[float, ...], prior_sigma: Float64
+    profile: Profile, joint: Joint, shape: int, tan: float, radius_mm: float, prior_sigma: Float64
 ) -> MeasuredJoint | None:
     depth, gap = joint.dimensions["depth_mm"], joint.dimensions["root_gap_mm"]
     corners = section(joint).vertices
-    y_0, z_0 = place(profile, corners, SEARCH_STEP_MM, 0.25 * depth, depth)
-    start = np.array([y_0, z_0, gap, tan, tan, depth, depth, 0.0, 0.0, *more])
+    stated = Stated(corners, gap, tan, depth, radius_mm)
+    start = start_of(profile.y_mm, profile.z_mm, profile.reach_mm, stated, prior_sigma)
     fit = fit_shape(profile, shape, start, prior_sigma)
     if fit is None:
         return None
-    half_mouth = float(corners[-2, 0])
-    seen = _seen_of(profile, fit, half_mouth)
+    y_mm, half_mouth = profile.y_mm, float(corners[-2, 0])
+    seen, measured = measured_groove(shape, y_mm, fit, half_mouth)
     if seen.left_out > MUCH_LEFT_OUT:
-        again = fit_shape(profile, shape, start, prior_sigma, start_sigma_mm=WIDER_MM)
-        if again is not None and _seen_of(profile, again, half_mouth).left_out < seen.left_out:
-            fit = again
-            seen = _seen_of(profile, fit, half_mouth)
+        wider = fit_shape(profile, shape, start, prior_sigma, start_sigma_mm=WIDER_MM)
+        if wider is not None:
+            seen_wider, measured_wider = measured_groove(shape, y_mm, wider, half_mouth)
+            if seen_wider.left_out < seen.left_out:
+                fit, seen, measured = wider, seen_wider, measured_wider
     if shape == GROOVE and min(seen.right_bevel, seen.left_bevel) > 0.0:
-        fit = weigh_root(profile, shape, start, prior_sigma, GAP, float(fit.parameters[0]), fit)
-        seen = _seen_of(profile, fit, half_mouth)
+        weighed = weigh_root(profile, shape, start, prior_sigma, GAP, measured.y_mm, fit)
+        if weighed is not fit:
+            fit = weighed
+            seen, measured = measured_groove(shape, y_mm, fit, half_mouth)
     amid_mm = (1.0 - 2.0 * END_SHARE) * (half_mouth - 0.5 * gap)
     enough = min(MIN_POINTS, MIN_GROOVE_SHARE * amid_mm / profile.column_mm)
     if min(seen.right_bevel, seen.left_bevel) < enough:
@@ -92,22 +95,11 @@ def _fit(
         bridged = _bridged(profile, fit, shape, start, prior_sigma, unseen, half_mouth)
         if bridged is None:
             return None
-        fit = bridged
+        # On the side that is not seen its points are left out on purpose.
+        measured = measured_groove(shape, y_mm, bridged, half_mouth)[1]._replace(unexplained=seen.left_out)
     elif min(seen.right, seen.left) < MIN_POINTS:
         return None
-    y_s, z_s, gap_mm, _, _, depth_left, depth_right = fit.parameters[:7].tolist()
-    joint_shape, corners_mm = groove_section(shape, fit.parameters, fit.covariance)
-    return MeasuredJoint(
-        y_s,
-        z_s,
-        fit.covariance[:2, :2],
-        max(gap_mm, 0.0),
-        depth_left - depth_right,
-        fit.chi2,
-        joint_shape,
-        seen.left_out,
-        corners_mm,
-    )
+    return measured
 
 
 class Seen(NamedTuple):
@@ -122,10 +114,33 @@ class Seen(NamedTuple):
     left_out: float
 
 
-def _seen_of(profile: Profile, fit: ShapeFit, half_mouth_mm: float) -> Seen:
-    """Return what a fit sees of a groove."""
-    y_s, half_gap = float(fit.parameters[0]), 0.5 * max(float(fit.parameters[2]), 0.0)
-    return Seen(*seen_in_groove(profile.y_mm, fit.weights, y_s, half_gap, half_mouth_mm, END_SHARE, LEFT_OUT))
+class Stated(NamedTuple):
+    """A groove as it is stated: its corners (n, 2), mm, and its dimensions.
+
+    `tan` is that of both bevels' angles, `radius_mm` that of a `ROUND_GROOVE`'s roundings.
+    """
+
+    corners: Float64
+    gap_mm: float
+    tan: float
+    depth_mm: float
+    radius_mm: float
+
+
+@kernel(allocates=True)
+def start_of(y_mm: Float64, z_mm: Float64, reach_mm: float, stated: Stated, prior_sigma: Float64) -> Float64:
+    """Return the parameters (p,) of a stated groove where most of points (n,) lie on it; see `place`.
+
+    Those are as many as have a `prior_sigma` (p,).
+    """
+    depth = stated.depth_mm
+    y_0, z_0 = shift_of(y_mm, z_mm, reach_mm, stated.corners, depth, SEARCH_STEP_MM, 0.25 * depth)
+    start = np.zeros(prior_sigma.shape[0])
+    start[0], start[1], start[GAP] = y_0, z_0, stated.gap_mm
+    start[3], start[4], start[5], start[6] = stated.tan, stated.tan, depth, depth
+    if start.shape[0] > RADIUS:
+        start[RADIUS] = stated.radius_mm
+    return start
 
 
 @kernel
@@ -184,8 +199,14 @@ def _bridged(
 
 
 @kernel(allocates=True)
-def groove_section(shape: int, p: Float64, covariance: Float64) -> tuple[JointShape, Float64]:
-    """Return what a fitted groove's section shows, and its corners (n, 2), mm."""
+def measured_groove(
+    shape: int, y_mm: Float64, fit: ShapeFit, half_mouth_mm: float
+) -> tuple[Seen, MeasuredJoint]:
+    """Return what a fit sees of a groove of a mouth amid points (n,), and the joint that it is."""
+    p, covariance = fit.parameters, fit.covariance
+    right, left, right_bevel, left_bevel, left_out = seen_in_groove(
+        y_mm, fit.weights, p[0], 0.5 * max(p[GAP], 0.0), half_mouth_mm, END_SHARE, LEFT_OUT
+    )
     corners_mm = np.empty((N_CORNERS[shape], 2))
     corners_of(shape, p, corners_mm)
     bevels, bevel_sigmas = two_angles(p, covariance, 3, 4)
@@ -201,4 +222,16 @@ def groove_section(shape: int, p: Float64, covariance: Float64) -> tuple[JointSh
         area,
         area_sigma,
     )
-    return joint_shape, corners_mm
+    measured = MeasuredJoint(
+        p[0],
+        p[1],
+        covariance[:2, :2],
+        max(p[GAP], 0.0),
+        p[5] - p[6],
+        fit.chi2,
+        joint_shape,
+        left_out,
+        corners_mm,
+        math.nan,
+    )
+    return Seen(right, left, right_bevel, left_bevel, left_out), measured

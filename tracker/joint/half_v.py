@@ -24,7 +24,7 @@ from tracker.joint.measured import (
 )
 from tracker.joint.root import weigh_root
 from tracker.joint.section_shapes import HALF_GROOVE
-from tracker.joint.upright_edge import edge_between, hidden_strip, neighbours_of_edge
+from tracker.joint.upright_edge import edge_between, edge_covariance, hidden_strip, neighbours_of_edge
 from tracker.profile import Profile
 from tracker.state import JointShape
 
@@ -80,7 +80,7 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
     hidden = hidden_strip((camera_mm, laser_mm), float(start[-1]), z_0 + depth, depth, profile.slope_sigma)
     upright = edge_between(lines, before, behind, hidden, _met(lines, fit, float(start[-1]), before))
     start[-1] = upright.y_mm
-    wall_variance = float(upright.covariance(MEAN_HEIGHT, MEAN_HEIGHT, fit.covariance)[0, 0])
+    wall_variance = float(edge_covariance(upright, MEAN_HEIGHT, MEAN_HEIGHT, fit.covariance)[0, 0])
     # What lies between may be either side's, and the first lines in the groove hold light of the plate too.
     clear = (profile.y_mm <= lines.y_mm[before]) | (profile.y_mm >= lines.y_mm[behind] + profile.mixed_mm)
     fit = fit_shape(profile, HALF_GROOVE, start, PRIOR_SIGMA, clear)

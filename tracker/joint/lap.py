@@ -9,23 +9,34 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
-from noise_model.median import median, median_of, numbers_for
+from noise_model.median import exact_median, median_of, numbers_for
 from noise_model.surface.joint import Joint, section
 from tracker.joint.measured import (
     OFF_SIGMAS,
     SIGMA_FLOOR_PX,
+    START_SIGMA_MM,
     MeasuredJoint,
     OnFace,
-    angles_of,
-    fit_shape,
-    section_of,
+    SectionPoints,
+    ShapeFit,
+    fit_points,
+    points_of,
     shift_of,
+    two_angles,
 )
 from tracker.joint.section_fit import MIN_ALONG_MM
-from tracker.joint.section_shapes import SHEETS
-from tracker.joint.upright_edge import edge_between, hidden_strip, neighbours_of_edge
+from tracker.joint.section_shapes import N_CORNERS, SHEETS, corners_of
+from tracker.joint.upright_edge import (
+    Edge,
+    edge_covariance,
+    hidden_strip,
+    light_of,
+    neighbours_of_edge,
+    upright_edge,
+)
 from tracker.profile import Profile
 from tracker.state import JointShape
+from tracker.stripe.edge import StripeLight
 
 SEARCH_STEP_MM = 0.1
 CLEAR_OF_EDGE_MM = 0.4
@@ -53,53 +64,120 @@ def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float6
     hides of that one (`edge_between`). `camera_mm` and `laser_mm` (3,) say from where, joint frame.
     """
     thickness = joint.dimensions["thickness_mm"]
-    roll, y_0, z_level = placed(
-        profile.y_mm, profile.z_mm, profile.reach_mm, section(joint).vertices, 0.25 * thickness
-    )
-    clear, on_upper, on_lower = np.empty((3, len(profile.y_mm)), dtype=np.bool_)
-    if min(clear_of_edge(profile.y_mm, y_0, clear)) < MIN_POINTS:
+    corners = section(joint).vertices
+    y_0, fit = fit_sheets(points_of(profile), profile.reach_mm, corners, thickness, PRIOR_SIGMA)
+    if not math.isfinite(fit.chi2):
         return None
-    start = np.array([z_level + roll * y_0, thickness, roll, roll, y_0])
-    shape = fit_shape(profile, SHEETS, start, PRIOR_SIGMA, clear)
-    if shape is None:
-        return None
-    z_s, step, slope_lower, slope_upper = shape.parameters.tolist()
-    sheets = Sheets(y_0, z_s, step, slope_lower, slope_upper)
     lines = profile.by_scan()
-    off_mm = OFF_SIGMAS * median(np.abs(profile.dz_mm) * profile.sigma_px)
-    limit_mm = max(MIN_OFF_SHEET * thickness, min(off_mm, ON_SHEET * thickness))
+    is_seen, measured = measured_lap(
+        points_of(lines),
+        lines.column_mm,
+        light_of(lines),
+        fit,
+        y_0,
+        thickness,
+        (camera_mm, laser_mm),
+        profile.slope_sigma,
+    )
+    return measured if is_seen else None
+
+
+@kernel(allocates=True)
+def fit_sheets(
+    points: SectionPoints, reach_mm: float, corners: Float64, thickness_mm: float, prior_sigma: Float64
+) -> tuple[float, ShapeFit]:
+    """Place a lap amid a profile's points and fit its sheets' lines clear of the edge.
+
+    Returned are where it was placed and the fit, whose chi2 is NaN where it cannot be.
+    """
+    roll, y_0, z_level = placed(points.y_mm, points.z_mm, reach_mm, corners, 0.25 * thickness_mm)
+    clear, start = np.empty(points.y_mm.shape[0], np.bool_), np.empty(prior_sigma.shape[0] + 1)
+    start[0], start[1], start[2], start[3], start[4] = z_level + roll * y_0, thickness_mm, roll, roll, y_0
+    before, behind = clear_of_edge(points.y_mm, y_0, clear)
+    if min(before, behind) < MIN_POINTS:
+        return y_0, ShapeFit(start[:-1], np.empty((0, 0)), math.nan, np.empty(0))
+    return y_0, fit_points(SHEETS, points, clear, START_SIGMA_MM, prior_sigma, start)
+
+
+@kernel(allocates=True)
+def measured_lap(
+    lines: SectionPoints,
+    column_mm: float,
+    light: StripeLight,
+    fit: ShapeFit,
+    y_0: float,
+    thickness_mm: float,
+    sources_mm: tuple[Float64, Float64],
+    slope_sigma: float,
+) -> tuple[bool, MeasuredJoint]:
+    """Return whether sheets that were fitted are seen beside their edge, and the lap if they are.
+
+    `lines` (n,) are in order of their scan lines, `y_0` is where the edge was while they were fitted.
+    """
+    p, covariance = fit.parameters, fit.covariance
+    z_s, step, slope_lower, slope_upper = p[0], p[1], p[2], p[3]
+    sheets = Sheets(y_0, z_s, step, slope_lower, slope_upper)
+    is_seen, upright = edge_of_sheets(lines, column_mm, light, sheets, thickness_mm, sources_mm, slope_sigma)
+    edge, beside = upright.y_mm, upright.y_mm - y_0
+    z_edge = z_s + slope_lower * beside
+    between, at_edge, of_step = np.empty(4), np.empty(4), np.empty(4)
+    between[0], between[1], between[2], between[3] = 1.0, 0.5, 0.5 * beside, 0.5 * beside
+    at_edge[0], at_edge[1], at_edge[2], at_edge[3] = 1.0, 0.0, beside, 0.0
+    of_step[0], of_step[1], of_step[2], of_step[3] = 0.0, 1.0, -beside, beside
+    variance = 0.0
+    for j in range(4):
+        with_step = 0.0
+        for i in range(4):
+            with_step += of_step[i] * covariance[i, j]
+        variance += with_step * of_step[j]
+    step += (slope_upper - slope_lower) * beside
+    foot, corners_mm = np.empty(5), np.empty((N_CORNERS[SHEETS], 2))
+    foot[0], foot[1], foot[2], foot[3], foot[4] = z_edge, step, slope_lower, slope_upper, edge
+    corners_of(SHEETS, foot, corners_mm)
+    step_sigma, unknown = math.sqrt(variance), (math.nan, math.nan)
+    plates, plate_sigmas = two_angles(p, covariance, 2, 3)
+    return is_seen, MeasuredJoint(
+        edge,
+        z_edge,
+        edge_covariance(upright, between, at_edge, covariance),
+        max(step - thickness_mm, 0.0),
+        -step,
+        fit.chi2,
+        JointShape(step_sigma, step_sigma, unknown, unknown, plates, plate_sigmas, math.nan, math.nan),
+        share_off(lines.y_mm, lines.z_mm, lines.dz_mm, lines.sigma_px, sheets, edge),
+        corners_mm,
+        math.nan,
+    )
+
+
+@kernel(allocates=True)
+def edge_of_sheets(
+    lines: SectionPoints,
+    column_mm: float,
+    light: StripeLight,
+    sheets: Sheets,
+    thickness_mm: float,
+    sources_mm: tuple[Float64, Float64],
+    slope_sigma: float,
+) -> tuple[bool, Edge]:
+    """Return whether points (n,) lie on both sheets beside their edge, and where that is if they do."""
+    n, nowhere = lines.y_mm.shape[0], Edge(math.nan, math.nan, math.nan)
+    moves_mm, on_upper, on_lower = np.empty(n), np.empty(n, np.bool_), np.empty(n, np.bool_)
+    for i in range(n):
+        moves_mm[i] = abs(lines.dz_mm[i]) * lines.sigma_px[i]
+    off_mm = OFF_SIGMAS * exact_median(moves_mm)
+    limit_mm = max(MIN_OFF_SHEET * thickness_mm, min(off_mm, ON_SHEET * thickness_mm))
     near_sheets(lines.y_mm, lines.z_mm, sheets, limit_mm, on_upper, on_lower)
     before, behind = neighbours_of_edge(on_upper, on_lower)
     if before < 0:
-        return None
+        return False, nowhere
     # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.
-    hidden = hidden_strip((camera_mm, laser_mm), y_0, z_s + step, step, profile.slope_sigma)
+    hidden = hidden_strip(sources_mm, sheets.y, sheets.z + sheets.step, sheets.step, slope_sigma)
     # Glare or spatter over all of the points near it: between those beyond, an edge may be anywhere.
     if lines.y_mm[behind] - hidden.width_mm - lines.y_mm[before] > 2.0 * CLEAR_OF_EDGE_MM:
-        return None
-    upright = edge_between(lines, before, behind, hidden, sheets.met_by(lines, before))
-    edge = upright.y_mm
-    z_edge = z_s + slope_lower * (edge - y_0)
-    between = np.array([1.0, 0.5, 0.5 * (edge - y_0), 0.5 * (edge - y_0)])
-    at_edge = np.array([1.0, 0.0, edge - y_0, 0.0])
-    covariance = upright.covariance(between, at_edge, shape.covariance)
-    left_out = share_off(profile.y_mm, profile.z_mm, profile.dz_mm, profile.sigma_px, sheets, edge)
-    plates, plate_sigmas = angles_of(shape, 2, 3)
-    step += (slope_upper - slope_lower) * (edge - y_0)
-    of_step = np.array([0.0, 1.0, y_0 - edge, edge - y_0])
-    step_sigma = math.sqrt(of_step @ shape.covariance @ of_step)
-    at_foot = np.array([z_edge, step, slope_lower, slope_upper])
-    return MeasuredJoint(
-        edge,
-        z_edge,
-        covariance,
-        max(step - thickness, 0.0),
-        -step,
-        shape.chi2,
-        JointShape(step_sigma, step_sigma, plate_angles_deg=plates, plate_sigmas_deg=plate_sigmas),
-        left_out,
-        section_of(SHEETS, shape._replace(parameters=at_foot), (edge,)),
-    )
+        return False, nowhere
+    met = meet_sheets(lines.y_mm, lines.z_mm, lines.dy_mm, lines.dz_mm, sheets, before)
+    return True, upright_edge(lines.scan, column_mm, light, before, behind, hidden, met)
 
 
 @kernel(allocates=True)
@@ -131,16 +209,12 @@ class Sheets(NamedTuple):
     slope_lower: float
     slope_upper: float
 
-    def met_by(self, profile: Profile, before: int) -> OnFace:
-        """Return where points' rays meet the upper sheet, up to the point `before` the edge, or the lower."""
-        return OnFace(*meet_sheets(profile.y_mm, profile.z_mm, profile.dy_mm, profile.dz_mm, self, before))
-
 
 @kernel(allocates=True)
 def meet_sheets(
     y_mm: Float64, z_mm: Float64, dy_mm: Float64, dz_mm: Float64, sheets: Sheets, before: int
-) -> tuple[Float64, Float64]:
-    """Return `OnFace`'s numbers of points (n,), on the upper sheet up to `before`, else on the lower one."""
+) -> OnFace:
+    """Return where points' (n,) rays meet the upper sheet, up to the point `before`, or the lower one."""
     n = y_mm.shape[0]
     met_mm, y_per_z = np.empty(n), np.empty(n)
     for i in range(n):
@@ -149,7 +223,7 @@ def meet_sheets(
         across = dz_mm[i] - slope * dy_mm[i]
         y_per_z[i] = dy_mm[i] / across if abs(across) > MIN_ALONG_MM else 0.0
         met_mm[i] = y_mm[i] - y_per_z[i] * (z_mm[i] - height_mm)
-    return met_mm, y_per_z
+    return OnFace(met_mm, y_per_z)
 
 
 @kernel

@@ -71,6 +71,33 @@ class ShapeFit(NamedTuple):
     weights: Float64
 
 
+class SectionPoints(NamedTuple):
+    """A profile's points (n,) as a fit takes them; see `Profile`. An empty `misfit_px` is none."""
+
+    y_mm: Float64
+    z_mm: Float64
+    dy_mm: Float64
+    dz_mm: Float64
+    scan: Float64
+    sigma_px: Float64
+    beside_px: Float64
+    misfit_px: Float64
+
+
+def points_of(profile: Profile) -> SectionPoints:
+    """Return a profile's points as a fit takes them."""
+    return SectionPoints(
+        profile.y_mm,
+        profile.z_mm,
+        profile.dy_mm,
+        profile.dz_mm,
+        profile.scan,
+        profile.sigma_px,
+        profile.beside_px,
+        _NONE_PX if profile.misfit_px is None else profile.misfit_px,
+    )
+
+
 def fit_shape(
     profile: Profile,
     shape: int,
@@ -84,21 +111,8 @@ def fit_shape(
     A point may lie `start_sigma_mm` off the start. None where fewer points are `used` than the parameters
     need, and where the fit runs away. What `start` has beyond `prior_sigma` (p,) stays as it is.
     """
-    fit: ShapeFit = _fit(
-        shape,
-        profile.y_mm,
-        profile.z_mm,
-        profile.dy_mm,
-        profile.dz_mm,
-        profile.scan,
-        profile.sigma_px,
-        profile.beside_px,
-        _NONE_PX if profile.misfit_px is None else profile.misfit_px,
-        _ALL if used is None else used,
-        start_sigma_mm,
-        prior_sigma,
-        start,
-    )
+    chosen = _ALL if used is None else used
+    fit: ShapeFit = fit_points(shape, points_of(profile), chosen, start_sigma_mm, prior_sigma, start)
     return fit if math.isfinite(fit.chi2) else None
 
 
@@ -107,16 +121,9 @@ _NONE_PX, _ALL = np.empty(0), np.empty(0, dtype=np.bool_)
 
 
 @kernel(allocates=True)
-def _fit(
+def fit_points(
     shape: int,
-    y_mm: Float64,
-    z_mm: Float64,
-    dy_mm: Float64,
-    dz_mm: Float64,
-    scan: Float64,
-    sigma_px: Float64,
-    beside_px: Float64,
-    misfit_px: Float64,
+    points: SectionPoints,
     chosen: Bool,
     start_sigma_mm: float,
     prior_sigma: Float64,
@@ -126,6 +133,7 @@ def _fit(
 
     All points (n,) are used where none are `chosen`, and without a `misfit_px` it is 0.
     """
+    y_mm, z_mm, dy_mm, dz_mm, scan, sigma_px, beside_px, misfit_px = points
     n, m = y_mm.shape[0], prior_sigma.shape[0]
     parameters, covariance, weights = start.copy(), np.empty((m, m)), np.empty(n)
     used = chosen if len(chosen) > 0 else np.ones(n, np.bool_)

@@ -89,7 +89,8 @@ def fit_slot(profile: Profile, joint: Joint) -> MeasuredJoint | None:
         return None
     evidence = math.inf
     if not is_edge:
-        evidence = seen.gap_evidence_nats(*opening.lines, places_of(profile, profile.column_mm))
+        places = places_of(profile.y_mm, profile.reach_mm, profile.column_mm)
+        evidence = seen.gap_evidence_nats(*opening.lines, places)
     return _measured(profile, joint, fit, placed, opening, evidence)
 
 

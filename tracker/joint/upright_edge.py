@@ -6,7 +6,6 @@ Where between them the image's scan lines say.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -50,14 +49,27 @@ class Edge(NamedTuple):
     variance_mm2: float
     y_per_z: float
 
-    def covariance(self, height_between: Float64, height_there: Float64, of_faces: Float64) -> Float64:
-        """Return the covariance (2, 2) of (y, z) where its y goes with the mean height of both its faces.
 
-        `height_between` (p,) are that height's slopes by the parameters of the faces, whose covariance (p, p)
-        is `of_faces`; `height_there` (p,) are those of its own z.
-        """
-        moved = np.array([self.y_per_z * height_between, height_there])
-        return np.asarray(moved @ of_faces @ moved.T + np.diag([self.variance_mm2, 0.0]))
+@kernel(allocates=True)
+def edge_covariance(edge: Edge, height_between: Float64, height_there: Float64, of_faces: Float64) -> Float64:
+    """Return the covariance (2, 2) of (y, z) where an edge's y goes with the mean height of both its faces.
+
+    `height_between` (p,) are that height's slopes by the parameters of the faces, whose covariance (p, p) is
+    `of_faces`; `height_there` (p,) are those of its own z.
+    """
+    p = of_faces.shape[0]
+    moved, by_faces, covariance = np.empty((2, p)), np.zeros((2, p)), np.zeros((2, 2))
+    for j in range(p):
+        moved[0, j], moved[1, j] = edge.y_per_z * height_between[j], height_there[j]
+    for a in range(2):
+        for j in range(p):
+            for i in range(p):
+                by_faces[a, j] += moved[a, i] * of_faces[i, j]
+        for b in range(2):
+            for j in range(p):
+                covariance[a, b] += by_faces[a, j] * moved[b, j]
+    covariance[0, 0] += edge.variance_mm2
+    return covariance
 
 
 class HiddenStrip(NamedTuple):
@@ -74,34 +86,80 @@ def edge_between(profile: Profile, before: int, behind: int, hidden: HiddenStrip
     points is as likely; where the image is at hand, its scan lines there say how much of them is either
     side's (`stripe_end`).
     """
-    last_mm, first_mm = float(face.y_mm[before]), float(face.y_mm[behind]) - hidden.width_mm
-    y_per_z = 0.5 * float(face.y_per_z[before] + face.y_per_z[behind])
-    spread_mm = max(abs(first_mm - last_mm), profile.column_mm)
+    edge: Edge = upright_edge(
+        profile.scan, profile.column_mm, light_of(profile), before, behind, hidden, face
+    )
+    return edge
+
+
+def light_of(profile: Profile) -> StripeLight:
+    """Return what a profile's stripe was read from, without any lines where that is not at hand."""
+    return NO_LIGHT if profile.light is None else profile.light
+
+
+_PIXELS, _LINES = np.empty((0, 0), np.float32), np.empty(0)
+
+NO_LIGHT = StripeLight(
+    _PIXELS,
+    _PIXELS,
+    _PIXELS,
+    np.empty((0, 0), np.bool_),
+    np.empty(0, np.int64),
+    _LINES,
+    _LINES,
+    0.0,
+    0.0,
+    0.0,
+    0.0,
+    0.0,
+    0.0,
+)
+"""No light at hand, as the kernel takes it."""
+
+
+@kernel(allocates=True)
+def upright_edge(
+    scan: Float64,
+    column_mm: float,
+    light: StripeLight,
+    before: int,
+    behind: int,
+    hidden: HiddenStrip,
+    face: OnFace,
+) -> Edge:
+    """Return `edge_between`'s edge amid points (n,) of some scan lines, a column apart."""
+    last_mm, first_mm = face.y_mm[before], face.y_mm[behind] - hidden.width_mm
+    y_per_z = 0.5 * (face.y_per_z[before] + face.y_per_z[behind])
+    spread_mm = max(abs(first_mm - last_mm), column_mm)
     middle_mm, variance_mm2 = 0.5 * (last_mm + first_mm), spread_mm**2 / 12.0 + 0.25 * hidden.sigma_mm**2
     anywhere = Edge(middle_mm, variance_mm2, y_per_z)
-    if profile.light is None or _is_hidden(
-        profile.light, int(profile.scan[before]), int(profile.scan[behind])
-    ):
+    last, first = int(scan[before]), int(scan[behind])
+    if light.position_px.shape[0] == 0 or _is_hidden(light, last, first):
         return anywhere
-    ends = stripe_ends(profile.light, int(profile.scan[before]), int(profile.scan[behind]))
-    places, variances = [], []
-    sides = slice(max(before - BESIDE, 0), before), slice(behind + 1, behind + 1 + BESIDE)
-    for end, side, strip in zip(ends, sides, (NOTHING_HIDDEN, hidden), strict=True):
-        y_mm = _at_line(face.y_mm[side], profile.scan[side], end.line) - strip.width_mm
-        sigma_mm = math.hypot(end.sigma * profile.column_mm, strip.sigma_mm)
-        # What tells less than the two points do is no end.
-        if sigma_mm**2 < variance_mm2:
-            places.append(y_mm)
-            variances.append(sigma_mm**2)
-    if not places:
+    ends, begins = stripe_ends(light, last, first)
+    low, high = max(before - BESIDE, 0), min(behind + 1 + BESIDE, scan.shape[0])
+    places, variances, n = np.empty(2), np.empty(2), 0
+    # What tells less than the two points do is no end.
+    if (ends.sigma * column_mm) ** 2 < variance_mm2:
+        places[n] = _at_line(face.y_mm[low:before], scan[low:before], ends.line)
+        variances[n] = (ends.sigma * column_mm) ** 2
+        n += 1
+    sigma_mm = math.hypot(begins.sigma * column_mm, hidden.sigma_mm)
+    if sigma_mm**2 < variance_mm2:
+        there_mm = _at_line(face.y_mm[behind + 1 : high], scan[behind + 1 : high], begins.line)
+        places[n], variances[n] = there_mm - hidden.width_mm, sigma_mm**2
+        n += 1
+    if n == 0:
         return anywhere
-    information = sum(1.0 / variance for variance in variances)
-    edge_mm = sum(place / variance for place, variance in zip(places, variances, strict=True)) / information
+    information, edge_mm, of_both = 0.0, 0.0, 0.0
+    for k in range(n):
+        information += 1.0 / variances[k]
+        edge_mm += places[k] / variances[k]
+        of_both += variances[k]
     # What shines from the upright side itself, if it is seen, counts as either's: then they do not agree.
-    apart_mm2 = (places[0] - places[-1]) ** 2 - sum(variances)
-    alike = _likeness(profile.light, int(profile.scan[before]), int(profile.scan[behind]))
-    both = 1.0 + alike if len(places) == 2 else 1.0
-    return Edge(edge_mm, both / information + 0.25 * max(apart_mm2, 0.0), y_per_z)
+    apart_mm2 = (places[0] - places[n - 1]) ** 2 - of_both
+    both = 1.0 + _likeness(light, last, first) if n == 2 else 1.0
+    return Edge(edge_mm / information, both / information + 0.25 * max(apart_mm2, 0.0), y_per_z)
 
 
 @kernel
@@ -135,8 +193,9 @@ def _at_line(y_mm: Float64, scan: Float64, line: float) -> float:
 NOTHING_HIDDEN = HiddenStrip(0.0, 0.0)
 
 
+@kernel
 def hidden_strip(
-    sources_mm: Iterable[Float64], edge_y_mm: float, edge_z_mm: float, step_mm: float, slope_sigma: float
+    sources_mm: tuple[Float64, ...], edge_y_mm: float, edge_z_mm: float, step_mm: float, slope_sigma: float
 ) -> HiddenStrip:
     """Return how much of the lower side beside the foot an edge hides from points (3,), mm.
 
@@ -146,16 +205,20 @@ def hidden_strip(
     slope is unknown. A strip cannot be narrower than nothing: width and sigma are the mean and deviation of
     max(0, t). From a point that is not above the edge all of it is hidden: infinity.
     """
-    strips = []
+    widest = HiddenStrip(-math.inf, 0.0)
     for source in sources_mm:
-        over_mm = float(source[2]) - edge_z_mm
+        over_mm = source[2] - edge_z_mm
         if not over_mm > 0.0:
             return HiddenStrip(math.inf, 0.0)
-        width_mm = (edge_y_mm - float(source[1])) / over_mm * step_mm
-        strips.append(_not_below_nothing(width_mm, slope_sigma * abs(float(source[0])) / over_mm * step_mm))
-    return max(strips)
+        width_mm = (edge_y_mm - source[1]) / over_mm * step_mm
+        strip = _not_below_nothing(width_mm, slope_sigma * abs(source[0]) / over_mm * step_mm)
+        is_wider = strip.width_mm > widest.width_mm
+        if is_wider or (strip.width_mm == widest.width_mm and strip.sigma_mm > widest.sigma_mm):
+            widest = strip
+    return widest
 
 
+@kernel
 def _not_below_nothing(mean: float, sigma: float) -> HiddenStrip:
     """Return the mean and deviation of max(0, t) where t is normal, of a mean and 1 sigma."""
     if not sigma > 0.0:

@@ -66,7 +66,7 @@ class Change:
     @property
     def is_seen(self) -> bool:
         """Whether the change is behind and was passed while looking."""
-        return self.is_decided and self.odds > self.before
+        return self.odds > self.before and self.is_decided
 
     def with_look(self, station_mm: float, ratio: float) -> Change:
         """Return the odds after a look at a station that is `ratio` times as likely after the change."""

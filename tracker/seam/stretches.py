@@ -56,13 +56,15 @@ class Stretches(NamedTuple):
 class SeenSeam(NamedTuple):
     """A seam that a frame shows, beside what a history says of its place.
 
-    `located` is where it lies, `variance_mm2` that of its (y, z), `expected` the history's seam at its
-    station; the rest is the history with it as one more measurement, as `SeamHistory` takes it.
+    `located` is where it lies, `variance_mm2` that of its (y, z); in y and in z it lies `away_mm` from where
+    the history puts it, and may lie `limit_mm`. The rest is the history with it as one more measurement, as
+    `SeamHistory` takes it.
     """
 
     located: Located
     variance_mm2: Pair
-    expected: SeamPoint
+    away_mm: Pair
+    limit_mm: Pair
     stations_mm: Float64
     displacements_mm: Float64
     variances_mm2: Float64
@@ -97,7 +99,8 @@ def see(
         located.displacement_mm,
         variance_mm2,
     )
-    return SeenSeam(located, variance_mm2, expected, stations, displacements, variances, began)
+    away_mm, limit_mm = aways(expected, located.displacement_mm, variance_mm2)
+    return SeenSeam(located, variance_mm2, away_mm, limit_mm, stations, displacements, variances, began)
 
 
 def followed(before: Stretches, asked: Checks, n: int, seen: SeenSeam) -> Stretches:
@@ -109,7 +112,8 @@ def followed(before: Stretches, asked: Checks, n: int, seen: SeenSeam) -> Stretc
         return Stretches(history, NO_HISTORY, behind, 0, jumped_at, 0)
     jumps, beyond, variance_mm2 = before.jumps + 1, before.beyond, seen.variance_mm2
     elsewhere = beyond.point_at(station)
-    if any(away_mm > limit_mm for away_mm, limit_mm in _aways(elsewhere, displacement, variance_mm2)):
+    away_mm, limit_mm = aways(elsewhere, displacement, variance_mm2)
+    if away_mm[0] > limit_mm[0] or away_mm[1] > limit_mm[1]:
         # Nor where the last jump was: what is here and there is no seam.
         jumps, beyond = 1, NO_HISTORY
     jumped_at = n if jumps == 1 else jumped_at
@@ -126,21 +130,22 @@ def followed(before: Stretches, asked: Checks, n: int, seen: SeenSeam) -> Stretc
 
 def _is_near(asked: Checks, seen: SeenSeam) -> bool:
     """Ask whether a seam lies where the earlier frames put it."""
-    in_y, in_z = _aways(seen.expected, seen.located.displacement_mm, seen.variance_mm2)
-    is_near_in_y = asked.ask(checks.JUMP_Y, *in_y)
-    return asked.ask(checks.JUMP_Z, *in_z) and is_near_in_y
+    is_near_in_y = asked.ask(checks.JUMP_Y, seen.away_mm[0], seen.limit_mm[0])
+    return asked.ask(checks.JUMP_Z, seen.away_mm[1], seen.limit_mm[1]) and is_near_in_y
 
 
-def _aways(expected: SeamPoint, displacement_mm: Pair, variance_mm2: Pair) -> tuple[Pair, Pair]:
-    """Return how far a seam lies from where it is expected, and how far it may, mm, in y and in z."""
+@kernel
+def aways(expected: SeamPoint, displacement_mm: Pair, variance_mm2: Pair) -> tuple[Pair, Pair]:
+    """Return how far a seam lies from where it is expected, and how far it may, mm, in y and in z each."""
     (expected_y, expected_z), (sigma_y, sigma_z) = expected.displacement_mm, expected.sigma_mm
     (y_mm, z_mm), (variance_y, variance_z) = displacement_mm, variance_mm2
     return (
-        (abs(y_mm - expected_y), jump_limit_mm(sigma_y, variance_y)),
-        (abs(z_mm - expected_z), jump_limit_mm(sigma_z, variance_z)),
+        (abs(y_mm - expected_y), abs(z_mm - expected_z)),
+        (jump_limit_mm(sigma_y, variance_y), jump_limit_mm(sigma_z, variance_z)),
     )
 
 
+@kernel
 def jump_limit_mm(expected_sigma_mm: float, variance_mm2: float) -> float:
     """Return how far a seam may lie from where the earlier frames put it, mm, without being a jump."""
     return max(JUMP_SIGMAS * math.sqrt(expected_sigma_mm**2 + variance_mm2), JUMP_FLOOR_MM)

@@ -79,10 +79,20 @@ def gather(
             censored[s, j] = dn >= saturation_dn
 
 
+class LightLevel(NamedTuple):
+    """By what light is to be multiplied, and the charge, e-, that is to be added."""
+
+    level: float
+    black_e: float
+
+
+AS_IT_IS = LightLevel(1.0, 0.0)
+
+
 @kernel
-def at_level(background_e: Float32, level: float, black_e: float) -> None:
-    """Bring the arc's light (n_scan, depth), e-, to its level, and add the black level's."""
-    per_e, black = np.float32(level), np.float32(black_e)
+def at_level(background_e: Float32, to: LightLevel) -> None:
+    """Bring light (n_scan, depth), e-, to a level."""
+    per_e, black = np.float32(to.level), np.float32(to.black_e)
     for s in range(background_e.shape[0]):
         for j in range(background_e.shape[1]):
             background_e[s, j] = background_e[s, j] * per_e + black

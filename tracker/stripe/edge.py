@@ -161,7 +161,13 @@ def apart_px(light: StripeLight, last: int, first: int) -> float:
 @kernel
 def clear_of_an_edge(light: StripeLight) -> int:
     """Return how many lines beyond a line beside an edge one is clear of it."""
-    return math.ceil(CLEAR_SIGMAS * math.hypot(light.psf_sigma_px, light.sheet_lines)) + 1
+    return clear_lines(light.psf_sigma_px, light.sheet_lines)
+
+
+@kernel
+def clear_lines(psf_sigma_px: float, sheet_lines: float) -> int:
+    """Return `clear_of_an_edge` for an edge that crosses the sheet's sigma over so many lines."""
+    return math.ceil(CLEAR_SIGMAS * math.hypot(psf_sigma_px, sheet_lines)) + 1
 
 
 @kernel

@@ -15,10 +15,11 @@ from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Transmission
 from tracker.geometry import MAP_FLOOR_E, MAP_TOLERANCE, SEARCH_REACH_MM, SensorGeometry
 from tracker.state import Frame, Stripe
-from tracker.stripe.band import Band, at_level, gather_band, median_background
+from tracker.stripe.band import AS_IT_IS, Band, LightLevel, gather_band, median_background
+from tracker.stripe.detection import Evidence
 from tracker.stripe.edge import StripeLight
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.read_band import Noise, ReadRoom, Sought, UsualLine, read_band
+from tracker.stripe.read_band import Noise, ReadRoom, UsualLine, read_band
 from tracker.stripe.scatter import Scatter
 from tracker.stripe.viterbi import OFFSET_STEP
 
@@ -63,7 +64,8 @@ class StripeReading(NamedTuple):
     `told_nats` is the evidence that the other one is the reflection, infinite where none is searched.
     `scatter` is what the frames up to this one show of it, `learned` what this one was read with.
     `misfit_px` (n_scan,) is by how much each centre may be off, alike with its neighbours', for light beneath
-    it that is not as expected; `usual` is what is usual for a line.
+    it that is not as expected; `usual` is what is usual for a line, `evidence` what tells
+    whether there is a stripe, `width_px` (n_scan,) the lines' fitted 1 sigma across it.
     """
 
     stripe: Stripe
@@ -84,6 +86,8 @@ class StripeReading(NamedTuple):
     learned: Scatter
     misfit_px: Float64
     usual: UsualLine
+    evidence: Evidence
+    width_px: Float64
 
     def light(self, psf_sigma_px: float, sheet_lines: float) -> StripeLight:
         """Return what shows where the stripe ends, as good as the band."""
@@ -95,7 +99,7 @@ class StripeReading(NamedTuple):
             band.censored,
             self.lows,
             self.stripe.position_px,
-            self.fits[:, 3],
+            self.width_px,
             self.shot,
             usual.contrast,
             usual.alike,
@@ -152,8 +156,9 @@ def read_stripe(
     level = arc.level if level_known else 1.0
     level_sigma = 0.0 if level_known else geometry.setup.tolerance.arc_level_rel
     map_sigma = math.hypot(MAP_SIGMA * max(1.0, arc.misfit if level_known else 1.0), level_sigma)
+    light = AS_IT_IS
     if use_arc_map:
-        _predict_background(geometry, arc_map, transmission, level, arc.black_e, band)
+        light = _predict_background(geometry, arc_map, transmission, level, arc.black_e, band)
     else:
         median_background(band.charge, MEDIAN_HALF_PX, band.background)
         variance = sigma_of(band.charge - band.background) ** 2
@@ -161,9 +166,10 @@ def read_stripe(
     black_sigma = geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn
     base_sigma = math.hypot(black_sigma, arc.ambient_e)
     room, offsets_px = work.room, _offsets_px(math.floor(reach_px))
-    lines, told, read_with, after, usual = read_band(
+    seen = read_band(
         band,
-        Sought(expected.position_px, expected.sigma_px, expected.is_sought),
+        light,
+        expected,
         offsets_px,
         Noise(shot, dark_variance, map_sigma, base_sigma),
         scatter.average,
@@ -171,24 +177,16 @@ def read_stripe(
         is_searching,
         reach_px,
         geometry.setup.camera.psf_sigma_px,
+        geometry.n_pos,
+        geometry.along_rows,
         room,
     )
-    n_scan, n = geometry.n_scan, told.n_offsets
     return StripeReading(
-        Stripe(
-            lines.position_px,
-            lines.sigma_px,
-            lines.smooth_px,
-            lines.smooth_sigma_px,
-            lines.amplitude_e,
-            lines.saturated,
-            geometry.along_rows,
-            lines.beside_px,
-        ),
+        seen.stripe,
         band,
         band.lows,
-        offsets_px[told.first : told.first + n],
-        room.score[: n_scan * n].reshape(n_scan, n),
+        seen.offsets_px,
+        seen.score,
         room.start_px,
         room.lines.tried,
         room.lines.fits,
@@ -196,12 +194,14 @@ def read_stripe(
         dark_variance,
         map_sigma,
         base_sigma,
-        told.share,
-        told.nats,
-        Scatter(after, scatter.frames + 1),
-        Scatter(read_with, max(scatter.frames, 1)),
+        seen.told.share,
+        seen.told.nats,
+        Scatter(seen.after, scatter.frames + 1),
+        Scatter(seen.read_with, max(scatter.frames, 1)),
         room.misfit_px,
-        usual,
+        seen.usual,
+        seen.evidence,
+        seen.width_px,
     )
 
 
@@ -212,18 +212,20 @@ def _predict_background(
     level: float,
     black_e: float,
     band: Band,
-) -> None:
-    """Write the arc's light at the frame's own level, other light and the black level into the band."""
+) -> LightLevel:
+    """Write the arc's light and other light into the band; return to which level it is to be brought.
+
+    `level` is the frame's own, `black_e` the black level's.
+    """
     if level == 0.0 and transmission is None:
-        band.background[:] = black_e
-        return
+        band.background[:] = 0.0
+        return LightLevel(1.0, black_e)
     arc_map.fill(band.lows, band.background)
     if transmission is None:
-        at_level(band.background, level, black_e)
-        return
+        return LightLevel(level, black_e)
     n_scan, depth = band.background.shape
     first = np.arange(n_scan) * geometry.n_pos + band.lows[np.arange(n_scan) // CELL]
     pixels = (first[:, None] + np.arange(depth)).ravel()
     arc_e, other_e = transmission.through(pixels, band.background.ravel())
     band.background[:] = (np.float32(level) * arc_e + other_e).reshape(n_scan, depth)
-    at_level(band.background, 1.0, black_e)
+    return LightLevel(1.0, black_e)

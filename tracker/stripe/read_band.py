@@ -7,10 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.median import finite_median
-from tracker.stripe.band import Band, weigh
+from tracker.state import Stripe
+from tracker.stripe.band import Band, LightLevel, at_level, weigh
+from tracker.stripe.detection import Evidence, evidence_of
+from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.frame_scatter import ScatterRoom, frame_scatter, own_sigma
 from tracker.stripe.ghost import second_light, second_place
 from tracker.stripe.line_fit.lines import FitRoom, LineFits, fit_lines, fit_room
@@ -39,17 +42,6 @@ REFLECTED_SHARE, REFLECTED_SIGMA_LN = 0.4, 0.7
 
 MAX_ROUNDS = 3
 """So many times at most the stripe is read again without a second one's light."""
-
-
-class Sought(NamedTuple):
-    """Where the stripe is sought on each scan line (n_scan,), px; `is_sought` says on which.
-
-    `position_px` and `sigma_px` are its expected centre and 1 sigma.
-    """
-
-    position_px: Float64
-    sigma_px: Float64
-    is_sought: Bool
 
 
 class Noise(NamedTuple):
@@ -96,18 +88,6 @@ class ReadRoom(NamedTuple):
         )
 
 
-class Lines(NamedTuple):
-    """What is read of each scan line (n_scan,), px and e-; see `state.Stripe`."""
-
-    saturated: Bool
-    position_px: Float64
-    sigma_px: Float64
-    smooth_px: Float64
-    smooth_sigma_px: Float64
-    amplitude_e: Float64
-    beside_px: Float64
-
-
 class UsualLine(NamedTuple):
     """The `contrast` and likeness of the lines' brightness, and the median 1 sigma of their centres, px."""
 
@@ -133,7 +113,7 @@ class Told(NamedTuple):
 @kernel(allocates=True)
 def fit_band(
     band: Band,
-    sought: Sought,
+    expected: ExpectedStripe,
     offsets_px: Int64,
     noise: Noise,
     learned: FrameScatter,
@@ -144,20 +124,20 @@ def fit_band(
     n_scan, lines = band.charge.shape[0], room.lines
     factor = width_factor(learned)
     for s in range(n_scan):
-        room.width_px[s] = factor * sought.sigma_px[s]
+        room.width_px[s] = factor * expected.sigma_px[s]
     weigh(band.charge, band.background, noise.shot, noise.dark_e2, band.residual, band.variance)
     score = room.score[: n_scan * len(offsets_px)].reshape((n_scan, len(offsets_px)))
     matched_filter(
-        band.residual, band.variance, sought.position_px, room.width_px, band.lows, offsets_px, score
+        band.residual, band.variance, expected.position_px, room.width_px, band.lows, offsets_px, score
     )
     # Where no light can be none is looked for.
     for s in range(n_scan):
-        if not sought.is_sought[s]:
+        if not expected.is_sought[s]:
             score[s] = 0.0
     best_path(score, room.choice)
-    peaks(score, room.choice, sought.position_px, offsets_px, room.start_px)
+    peaks(score, room.choice, expected.position_px, offsets_px, room.start_px)
     for s in range(n_scan):
-        if not sought.is_sought[s]:
+        if not expected.is_sought[s]:
             room.start_px[s] = math.nan
     fit_lines(
         band.charge,
@@ -177,8 +157,8 @@ def fit_band(
     own_sigma(lines.fits, room.width_px, room.scatter.values, room.own_px)
     frame_scatter(
         lines.fits,
-        sought.position_px,
-        sought.sigma_px,
+        expected.position_px,
+        expected.sigma_px,
         room.own_px,
         lines.core,
         is_searching,
@@ -243,7 +223,7 @@ def _copy(pixels: Float32, into: Float32) -> None:
 @kernel(allocates=True)
 def _read_without_a_second(
     band: Band,
-    sought: Sought,
+    expected: ExpectedStripe,
     offsets_px: Int64,
     noise: Noise,
     learned: FrameScatter,
@@ -272,17 +252,17 @@ def _read_without_a_second(
             for j in range(light.shape[1]):
                 band.background[s, j] = band.plain[s, j] + light[s, j]
         share = now
-        fit_band(band, sought, offsets_px, noise, learned, is_searching, room)
+        fit_band(band, expected, offsets_px, noise, learned, is_searching, room)
     told = Told(share, math.inf, False, 0, len(offsets_px))
     if not is_searching or share == 0.0:
         return told
     told = told_of_two(
-        room.lines.fits, sought.position_px, apart_px, share, offsets_px, reach_px, room.scatter
+        room.lines.fits, expected.position_px, apart_px, share, offsets_px, reach_px, room.scatter
     )
     if told.is_reflection:
         _copy(band.plain, band.background)
         near = offsets_px[told.first : told.first + told.n_offsets]
-        fit_band(band, sought, near, noise, learned, is_searching, room)
+        fit_band(band, expected, near, noise, learned, is_searching, room)
     return told
 
 
@@ -296,37 +276,46 @@ def _sheet_px(fits: Float64, psf_sigma_px: float, room: ScatterRoom) -> float:
 
 
 class BandReading(NamedTuple):
-    """What is read of a band: its lines, a second stripe, and what is `usual` for a line.
+    """What is read of a band: its stripe, a second stripe, what tells of a stripe, and what is `usual`.
 
-    `read_with` is the scatter that it was read with, `after` that of all frames with this one.
+    `read_with` is the scatter that it was read with, `after` that of all frames with this one. `width_px`
+    (n_scan,) is the lines' fitted 1 sigma across the stripe. `score` (n_scan, n) is the matched filter's at
+    those offsets (n,) from the expected place at which the stripe was sought last.
     """
 
-    lines: Lines
+    stripe: Stripe
     told: Told
+    evidence: Evidence
     read_with: FrameScatter
     after: FrameScatter
     usual: UsualLine
+    width_px: Float64
+    offsets_px: Int64
+    score: Float32
 
 
 @kernel(allocates=True)
-def _empty_lines(n_scan: int) -> Lines:
-    """Make room for the lines of a frame."""
-    return Lines(
+def _empty_stripe(n_scan: int, along_rows: bool) -> Stripe:
+    """Make room for the stripe of a frame."""
+    return Stripe(
+        np.empty(n_scan),
+        np.empty(n_scan),
+        np.empty(n_scan),
+        np.empty(n_scan),
+        np.empty(n_scan),
         np.empty(n_scan, np.bool_),
-        np.empty(n_scan),
-        np.empty(n_scan),
-        np.empty(n_scan),
-        np.empty(n_scan),
-        np.empty(n_scan),
+        along_rows,
         np.empty(n_scan),
     )
 
 
 @kernel
-def _finish(sought: Sought, learned: FrameScatter, psf_sigma_px: float, room: ReadRoom, out: Lines) -> None:
+def _finish(
+    expected: ExpectedStripe, learned: FrameScatter, psf_sigma_px: float, room: ReadRoom, out: Stripe
+) -> None:
     """Write what the fits say of each line, with the scatter that is known and with its neighbours."""
     n_scan, fits = room.start_px.shape[0], room.lines.fits
-    own_sigma(fits, sought.sigma_px, room.scatter.values, room.own_px)
+    own_sigma(fits, expected.sigma_px, room.scatter.values, room.own_px)
     widen(learned, room.own_px, _sheet_px(fits, psf_sigma_px, room.scatter), out.sigma_px, out.beside_px)
     for s in range(n_scan):
         out.position_px[s], out.amplitude_e[s] = fits[s, 0], fits[s, 2]
@@ -363,7 +352,8 @@ def usual_line(average: FrameScatter, sigma_px: Float64) -> UsualLine:
 @kernel(allocates=True)
 def read_band(
     band: Band,
-    sought: Sought,
+    light: LightLevel,
+    expected: ExpectedStripe,
     offsets_px: Int64,
     noise: Noise,
     before: FrameScatter,
@@ -371,22 +361,43 @@ def read_band(
     is_searching: bool,
     reach_px: float,
     psf_sigma_px: float,
+    n_pos: int,
+    along_rows: bool,
     room: ReadRoom,
 ) -> BandReading:
     """Read the stripe in a band at some offsets (n,) from its expected place.
 
+    The band's background is brought to the level of its `light` first.
     `before` is the scatter of so many earlier `frames`. With it a frame is read; the first one with what it
     shows itself. `is_searching` says whether the joint may lie far off its expected place, up to `reach_px`.
-    What is read beside the lines stays in `room`.
+    Scan lines are `n_pos` long, and the
+    image's columns where the stripe runs `along_rows`. What is read beside the lines stays in `room`.
     """
+    at_level(band.background, light)
     read_with, after = before, _empty_scatter()
-    fit_band(band, sought, offsets_px, noise, before, is_searching, room)
+    fit_band(band, expected, offsets_px, noise, before, is_searching, room)
     if frames == 0:
         read_with = _empty_scatter()
         add_frame(before, 0, room.seen, read_with)
-        fit_band(band, sought, offsets_px, noise, read_with, is_searching, room)
-    told = _read_without_a_second(band, sought, offsets_px, noise, read_with, is_searching, reach_px, room)
+        fit_band(band, expected, offsets_px, noise, read_with, is_searching, room)
+    told = _read_without_a_second(band, expected, offsets_px, noise, read_with, is_searching, reach_px, room)
     add_frame(before, frames, room.seen, after)
-    lines = _empty_lines(band.charge.shape[0])
-    _finish(sought, after, psf_sigma_px, room, lines)
-    return BandReading(lines, told, read_with, after, usual_line(after, lines.sigma_px))
+    stripe = _empty_stripe(band.charge.shape[0], along_rows)
+    _finish(expected, after, psf_sigma_px, room, stripe)
+    n_scan, n = room.start_px.shape[0], told.n_offsets
+    sought_px = offsets_px[told.first : told.first + n]
+    score = room.score[: n_scan * n].reshape((n_scan, n))
+    evidence = evidence_of(
+        stripe.position_px,
+        stripe.saturated,
+        expected.position_px,
+        expected.sigma_px,
+        expected.shown,
+        n_pos,
+        score,
+        sought_px,
+        read_with,
+        room.scatter.values,
+    )
+    usual, width_px = usual_line(after, stripe.sigma_px), room.lines.fits[:, 3].copy()
+    return BandReading(stripe, told, evidence, read_with, after, usual, width_px, sought_px, score)
