@@ -7,10 +7,10 @@ again.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, overload
 
 from tracker import flags
 from tracker.flags import Flag
@@ -93,42 +93,89 @@ class Check(NamedTuple):
         return "refused" if self.flag.invalidates else "noted"
 
 
-@dataclass
+Noted = tuple[Question, float, float, Flag]
+"""What a `Check` is made of."""
+
+
+class Answers(Sequence[Check]):
+    """Answers in the order of their questions; each is made when it is read, and most never are.
+
+    Parameters
+    ----------
+    noted : sequence of tuples
+        What a `Check` is made of.
+    """
+
+    __slots__ = ("_noted",)
+
+    def __init__(self, noted: Sequence[Noted]) -> None:
+        self._noted = tuple(noted)
+
+    def __len__(self) -> int:
+        return len(self._noted)
+
+    def __iter__(self) -> Iterator[Check]:
+        return map(_check, self._noted)
+
+    @overload
+    def __getitem__(self, index: int) -> Check: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Check, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> Check | tuple[Check, ...]:
+        return tuple(self)[index]
+
+    def __repr__(self) -> str:
+        return repr(tuple(self))
+
+
+def _check(noted: Noted) -> Check:
+    """Return the answer that was noted: a value may be of a type of NumPy's."""
+    question, value, limit, flag = noted
+    return Check(question, float(value), limit, flag)
+
+
 class Checks:
     """The answers so far, and the flags that they raise.
 
     Attributes
     ----------
-    answers : list of Check
-        In the order in which the questions were asked.
     flags : int
         The flags that are set, as bits.
     """
 
-    answers: list[Check] = field(default_factory=list)
-    flags: int = 0
+    __slots__ = ("_noted", "flags")
+
+    def __init__(self) -> None:
+        self._noted: list[Noted] = []
+        self.flags = 0
 
     @classmethod
     def of(cls, answers: Iterable[Check]) -> Checks:
         """Return answers that were given elsewhere, with the flags that they raise."""
-        kept = cls(list(answers))
-        for check in kept.answers:
-            kept.flags |= 0 if check.passed else check.flag.mask
+        kept = cls()
+        for check in answers:
+            kept.ask(*check)
         return kept
 
+    @property
+    def answers(self) -> Answers:
+        """The answers in the order in which the questions were asked."""
+        return Answers(self._noted)
+
     def ask(self, question: Question, value: float, limit: float = 1.0, flag: Flag | None = None) -> bool:
-        """Keep an answer and say whether it passed; `flag` stands for the question's own."""
-        value, raised = float(value), question.flag if flag is None else flag
-        # Twenty answers a frame: what a named tuple's own call does is twice the work.
-        self.answers.append(tuple.__new__(Check, (question, value, limit, raised)))
+        """Note an answer and say whether it passed; `flag` stands for the question's own."""
+        raised = question.flag if flag is None else flag
+        self._noted.append((question, value, limit, raised))
         if question.fails(value, limit):
             self.flags |= raised.mask
             return False
         return True
 
     def extend(self, others: Checks) -> None:
-        """Keep the answers of other checks, and their flags."""
-        self.answers += others.answers
+        """Note the answers of other checks, and their flags."""
+        self._noted += others._noted
         self.flags |= others.flags
 
 

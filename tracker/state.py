@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -221,7 +222,7 @@ class Track:
         What else the section shows.
     stripe : Stripe or None
         The stripe that was read, px.
-    checks : tuple of Check
+    checks : sequence of Check
         Every check of the frame, in the order in which the step made them.
     """
 
@@ -247,7 +248,7 @@ class Track:
     fov_margin_mm: float = NAN
     shape: JointShape = NO_SHAPE
     stripe: Stripe | None = field(default=None, repr=False)
-    checks: tuple[Check, ...] = field(default=(), repr=False)
+    checks: Sequence[Check] = field(default=(), repr=False)
 
     @property
     def valid(self) -> bool:

@@ -200,7 +200,7 @@ def _refused(state: TrackerState, asked: Checks, frame: Frame) -> tuple[TrackerS
     """Return what a step does that took no look."""
     if state.steering.is_stopped:
         asked.ask(checks.FOLLOWING, False)
-    track = Track(frame.index, frame.timestamp_s, asked.flags, checks=tuple(asked.answers))
+    track = Track(frame.index, frame.timestamp_s, asked.flags, checks=asked.answers)
     return replace(state, frames=state.frames + 1), track, None
 
 
@@ -283,5 +283,5 @@ def _track(
         fov_margin_mm=reading.fov_margin_mm,
         shape=NO_SHAPE if joint is None else joint.shape,
         stripe=reading.stripe,
-        checks=tuple(asked.answers),
+        checks=asked.answers,
     )
