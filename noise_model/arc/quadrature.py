@@ -32,7 +32,7 @@ from noise_model.arc.chords import (
     ledge_crossings,
     wall_parts,
 )
-from noise_model.arc.clearance import Crossings, Metal, Passing, Rays, Ways, passing
+from noise_model.arc.clearance import Crossings, Metal, Rays, Ways
 from noise_model.arc.sheet_occlusion import chord_parts, clip, is_clear, look_along
 from noise_model.arrays import Float64, Point, Vector
 from noise_model.kernel import REDUCTION, kernel
@@ -329,12 +329,11 @@ def arc_light(
         distance,
         radius,
     )
-    past = passing(rays, metal)
-    has_metal = (metal[5] or metal[6]) and not is_clear(p_max, arc, cuts, past, spans, ways)
+    has_metal = (metal[5] or metal[6]) and not is_clear(p_max, arc, cuts, rays, metal, spans, ways)
     p_first, p_last = -p_max, p_max
     if has_metal:
         p_first, p_last, n_breaks = clip(
-            axes, arc, cuts, n_cuts, rays, metal, past, breaks, n_breaks, spans, ways, to_metal
+            axes, arc, cuts, n_cuts, rays, metal, breaks, n_breaks, spans, ways, to_metal
         )
         if p_last <= p_first:
             return 0.0
@@ -343,7 +342,6 @@ def arc_light(
         axes,
         arc,
         rays,
-        past,
         (p_max, p_first, p_last),
         n_cuts,
         n_breaks,
@@ -362,7 +360,6 @@ def _integrate(
     axes: Axes,
     arc: Shape,
     rays: Rays,
-    past: Passing,
     p_range: tuple[float, float, float],
     n_cuts: int,
     n_breaks: int,
@@ -403,9 +400,7 @@ def _integrate(
             row, m = 4, 2 * math.ceil(0.5 * UNCUT_SHARE * m)
         if n + m + 1 > MAX_CHORDS:
             n = _open_chords(n, arc, below, cuts, n_cuts, spans)
-            total += _sum_chords(
-                patch, axes, tan_b, rays, past, n, n_q, has_metal, hiding, material, rules, room
-            )
+            total += _sum_chords(patch, axes, tan_b, rays, n, n_q, has_metal, hiding, material, rules, room)
             n = 0
         spans[0, n], spans[3, n] = middle, PIECE_BEGINS
         for i in range(m):
@@ -413,9 +408,7 @@ def _integrate(
             spans[3, n + 1 + i] = half * rules[row + 1, m, i]
         n += m + 1
     n = _open_chords(n, arc, below, cuts, n_cuts, spans)
-    return total + _sum_chords(
-        patch, axes, tan_b, rays, past, n, n_q, has_metal, hiding, material, rules, room
-    )
+    return total + _sum_chords(patch, axes, tan_b, rays, n, n_q, has_metal, hiding, material, rules, room)
 
 
 @kernel(inline=True)
@@ -443,7 +436,6 @@ def _sum_chords(
     axes: Axes,
     tan_b: float,
     rays: Rays,
-    past: Passing,
     n_chords: int,
     n_q: int,
     has_metal: bool,
@@ -462,7 +454,7 @@ def _sum_chords(
     distance, radius = rays[12], rays[13]
     is_followed = has_metal and n_ledges == 0
     if is_followed:
-        look_along(spans, n_chords, past, ways, to_metal)
+        look_along(spans, n_chords, rays, hiding.metal, ways, to_metal)
     total = 0.0
     n = 0
     for i in range(n_chords):

@@ -13,10 +13,8 @@ from noise_model.arc.clearance import (
     LAST,
     ON_RIM,
     STRAIGHT,
-    ZERO,
     Crossings,
     Metal,
-    Passing,
     Rays,
     Ways,
     clearances,
@@ -44,7 +42,7 @@ _RIM = tuple(math.cos(math.pi * i / RIM_STEPS) for i in range(RIM_STEPS + 1))
 
 
 @kernel
-def look_along(spans: Float64, n: int, past: Passing, ways: Ways, crossings: Crossings) -> None:
+def look_along(spans: Float64, n: int, rays: Rays, metal: Metal, ways: Ways, crossings: Crossings) -> None:
     """Look at CHORD_STEPS + 1 places on each of n `chords`, and for the borders between them."""
     for i in range(n):
         low, length = spans[1, i], max(spans[2, i] - spans[1, i], 0.0)
@@ -53,7 +51,7 @@ def look_along(spans: Float64, n: int, past: Passing, ways: Ways, crossings: Cro
             share = j / CHORD_STEPS if j > 0 else LOWER_END
             ways.p[way], ways.q[way] = spans[0, i], low + share * length
             ways.goes_on[way] = STRAIGHT if j < CHORD_STEPS else LAST
-    look(ways, (CHORD_STEPS + 1) * n, past, crossings)
+    look(ways, (CHORD_STEPS + 1) * n, rays, metal, crossings)
 
 
 @kernel
@@ -70,7 +68,7 @@ def chord_parts(i: int, low: float, high: float, ways: Ways, parts: Float64) -> 
             if free < 0.0:
                 parts[count, 0], parts[count, 1] = begin, ways.border_q[j]
                 count += 1
-            begin = float(ways.border_q[j])
+            begin = ways.border_q[j]
     last = first + CHORD_STEPS
     if ways.free[last] >= 0.0 and high > begin:
         parts[count, 0], parts[count, 1] = begin, high
@@ -79,7 +77,9 @@ def chord_parts(i: int, low: float, high: float, ways: Ways, parts: Float64) -> 
 
 
 @kernel
-def is_clear(p_max: float, arc: Shape, cuts: Float64, past: Passing, spans: Float64, ways: Ways) -> bool:
+def is_clear(
+    p_max: float, arc: Shape, cuts: Float64, rays: Rays, metal: Metal, spans: Float64, ways: Ways
+) -> bool:
     """Say whether the whole arc passes over the metal: looked at are its lower rim and its top.
 
     No `cuts` are looked at; `spans` and `ways` are scratch.
@@ -92,11 +92,11 @@ def is_clear(p_max: float, arc: Shape, cuts: Float64, past: Passing, spans: Floa
         low, high = spans[1, i], spans[2, i]
         ways.p[i], ways.q[i] = spans[0, i], low
         ways.p[n + i], ways.q[n + i] = spans[0, i], 0.5 * (low + high)
-    clearances(ways.p, ways.q, ways.free, 2 * n, past)
-    least = ZERO
+    clearances(ways.p, ways.q, ways.free, 2 * n, rays, metal)
+    least = 0.0
     for i in range(2 * n):
         least = min(least, ways.free[i])
-    return bool(least >= ZERO)
+    return least >= 0.0
 
 
 @kernel
@@ -166,7 +166,6 @@ def clip(
     n_cuts: int,
     rays: Rays,
     metal: Metal,
-    past: Passing,
     breaks: Float64,
     n_breaks: int,
     spans: Float64,
@@ -190,13 +189,13 @@ def clip(
         spans[0, i] = middle - half * _RIM[i]
     chords(spans, 0, n, arc, below, cuts, n_cuts)
     _write_rims(spans, ways)
-    count = look(ways, _write_knee(rays, metal, ways, 2 * n), past, crossings)
+    count = look(ways, _write_knee(rays, metal, ways, 2 * n), rays, metal, crossings)
     first, last = p_high, p_low
     for i in range(n):
         if ways.free[i] >= 0.0 or (spans[2, i] > spans[1, i] and ways.free[n + i] >= 0.0):
             first, last = min(first, spans[0, i]), max(last, spans[0, i])
     for k in range(count):
-        p, i = float(crossings.p[k]), crossings.place[k] - n
+        p, i = crossings.p[k], crossings.place[k] - n
         n_breaks = insert(breaks, n_breaks, p)
         # A lower end counts where there is a chord; a knee ends nothing.
         if i < 0 or (i < n and (spans[2, i] > spans[1, i] or spans[2, i + 1] > spans[1, i + 1])):

@@ -21,8 +21,7 @@ _V = 0.5 - 0.5 * np.cos(np.pi * (np.arange(40) + 0.5) / 40.0)
 _SERIES = np.polynomial.Chebyshev.fit(
     _V, (0.5 + 0.5 * np.cos(np.pi * np.sqrt(_V))) / (1.0 - _V) ** 2, 7, domain=[0.0, 1.0]
 )
-_G = RAISED_COSINE = tuple(float(c) for c in _SERIES.convert(kind=np.polynomial.Polynomial).coef)
-"""What (1 - v)^2 is multiplied by in `raised_cosine`."""
+_G = tuple(float(c) for c in _SERIES.convert(kind=np.polynomial.Polynomial).coef)
 
 
 @kernel(inline=True)

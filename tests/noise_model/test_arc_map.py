@@ -418,11 +418,13 @@ def test_a_point_of_a_corrugated_edge_sees_what_its_neighbours_on_the_face_see(a
     for face, inward in ((0, -1.0), (2, 1.0)):
         on = seen_strip(face, kernel.vertices)
         for x in np.linspace(x_low, x_high, 40):
-            at, beside = (
-                light_at(kernel, face_point(x, s, on, kernel.corrugation), face, scratch())
-                for s in (0.0, 1e-6 * inward)
+            # A table's outermost nodes are a nanometre from the edge.
+            on_edge, at_node, beside = (
+                light_at(kernel, face_point(x, s * inward, on, kernel.corrugation), face, scratch())
+                for s in (0.0, 1e-9, 1e-6)
             )
-            assert at == pytest.approx(beside, rel=1e-3, abs=0.1)
+            assert on_edge == pytest.approx(beside, rel=1e-3, abs=0.1)
+            assert at_node == pytest.approx(beside, rel=1e-3, abs=0.1)
 
 
 @pytest.mark.parametrize("along_mm", [-14.0, -2.0])
