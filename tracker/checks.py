@@ -126,6 +126,12 @@ class Answers(Sequence[Check]):
     def __getitem__(self, index: int | slice) -> Check | tuple[Check, ...]:
         return tuple(self)[index]
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Answers | tuple) and tuple(self) == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self))
+
     def __repr__(self) -> str:
         return repr(tuple(self))
 

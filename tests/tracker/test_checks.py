@@ -28,7 +28,10 @@ def test_answers_say_what_was_asked() -> None:
     assert (len(answers), answers[1], answers[1:]) == (3, want[1], want[1:])
     assert repr(answers) == repr(want)
     assert [type(check.value) for check in answers] == [float, float, float]
-    assert tuple(pickle.loads(pickle.dumps(answers))) == want
+    assert pickle.loads(pickle.dumps(answers)) == answers == want
+    assert hash(answers) == hash(want)
+    assert answers != want[:2]
+    assert asked().answers == answers
 
 
 def test_answers_do_not_change_with_what_is_asked_later() -> None:

@@ -64,8 +64,8 @@ class StripeReading(NamedTuple):
     `told_nats` is the evidence that the other one is the reflection, infinite where none is searched.
     `scatter` is what the frames up to this one show of it, `learned` what this one was read with.
     `misfit_px` (n_scan,) is by how much each centre may be off, alike with its neighbours', for light beneath
-    it that is not as expected; `usual` is what is usual for a line, `evidence` what tells
-    whether there is a stripe, `width_px` (n_scan,) the lines' fitted 1 sigma across it.
+    it that is not as expected. `usual` is what is usual for a line, `evidence` what tells whether there is a
+    stripe, `width_px` (n_scan,) the lines' fitted 1 sigma across it.
     """
 
     stripe: Stripe

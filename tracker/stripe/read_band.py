@@ -367,11 +367,10 @@ def read_band(
 ) -> BandReading:
     """Read the stripe in a band at some offsets (n,) from its expected place.
 
-    The band's background is brought to the level of its `light` first.
-    `before` is the scatter of so many earlier `frames`. With it a frame is read; the first one with what it
-    shows itself. `is_searching` says whether the joint may lie far off its expected place, up to `reach_px`.
-    Scan lines are `n_pos` long, and the
-    image's columns where the stripe runs `along_rows`. What is read beside the lines stays in `room`.
+    The band's background is brought to the level of its `light` first. `before` is the scatter of so many
+    earlier `frames`. With it a frame is read; the first one with what it shows itself. `is_searching` says
+    whether the joint may lie far off its expected place, up to `reach_px`. Scan lines are `n_pos` long, and
+    the image's columns where the stripe runs `along_rows`. What is read beside the lines stays in `room`.
     """
     at_level(band.background, light)
     read_with, after = before, _empty_scatter()
