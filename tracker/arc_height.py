@@ -19,17 +19,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from noise_model.arc.map import arc_kernel
+from noise_model.arc.map import ArcMap, arc_kernel
 from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker.arc.level import HUBER, MAP_SIGMA, MAX_SIGMA, MIN_PIXELS, unlit_by_the_laser
 from tracker.arc.transmission import ArcLight, Transmission, seen_arc
-from tracker.geometry import SensorGeometry
+from tracker.geometry import MAP_FLOOR_E, MAP_TOLERANCE, SensorGeometry
 from tracker.measure import expected_output
 from tracker.state import NAN, Frame, Pose
-from tracker.stripe.read import arc_map_of
 
 STEP_MM = 0.5
 """The derivative is taken over so much to either side."""
@@ -148,7 +147,12 @@ class ArcHeightEstimator:
         def light(departure: Departure) -> tuple[ArcLight, Transmission | None]:
             setup = departure.applied_to(geometry.setup)
             scene = make_scene(setup, pose.T_base_tool, seam)
-            arc_e = arc_map_of(geometry, arc_kernel(setup, scene, output)).at
+            kernel = arc_kernel(setup, scene, output)
+            # Nothing is baked of an arc that departs from the setup's, and differences want like maps.
+            arc_map = ArcMap.of(
+                kernel, geometry.xy, geometry.cos4, geometry.n_scan, MAP_TOLERANCE, MAP_FLOOR_E
+            )
+            arc_e = arc_map.at
             return arc_e, Transmission.of(geometry, scene, arc_e, output)
 
         unlit = unlit_by_the_laser(geometry, *light(Departure()), frame.image_dn, stripe_px, keep_off_px)

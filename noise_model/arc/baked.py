@@ -68,15 +68,19 @@ SAME_MM = 1e-9
 class BakedLight(NamedTuple):
     """Tables of all faces at some places beside the seam (n,), the middle one on it; n is 0 where none hold.
 
-    `center_z_mm` is the arc's height, `eye_mm` the camera's nominal place from its centre. The rest are a
-    `FaceTable`'s arrays, one table after another, with stations from the arc's. `powers`
-    (n, cells, TERMS, NODES, NODES) are the polynomials for `radiance_e`, and their derivatives by mm;
-    `reach_mm` (n, cells) is how far the camera may be off along each axis for them to hold.
+    `center_z_mm` is the arc's height, `eye_mm` the camera's nominal place from its centre; radius, radiance,
+    `material` and `vertices` are the scene's, see `ArcKernel`. The rest are a `FaceTable`'s arrays, one table
+    after another, with stations from the arc's. `powers` (n, cells, TERMS, NODES, NODES) are the polynomials
+    for `radiance_e`, and their derivatives by mm; `reach_mm` (n, cells) is how far the camera may be off
+    along each axis for them to hold.
     """
 
     center_z_mm: float
     eye_mm: Point
+    radius_mm: float
     radiance_e: float
+    material: LobeNumbers
+    vertices: Float64
     x_borders: Float64
     s_borders: Float64
     n_s: Int32
@@ -285,7 +289,12 @@ def _baked(nominal: Nominal) -> BakedLight:
     n_faces, n_x = tables[0][0].roots.shape[:2]
     (c_x, c_y, c_z), eye = nominal.center, nominal.eye
     baked = _room(len(tables), n_faces, n_x, max(len(powers) for _, powers, _ in tables))._replace(
-        center_z_mm=c_z, eye_mm=(eye[0] - c_x, eye[1] - c_y, eye[2] - c_z), radiance_e=nominal.radiance_e
+        center_z_mm=c_z,
+        eye_mm=(eye[0] - c_x, eye[1] - c_y, eye[2] - c_z),
+        radius_mm=nominal.radius,
+        radiance_e=nominal.radiance_e,
+        material=nominal.material,
+        vertices=np.array(nominal.vertices),
     )
     for i, (table, powers, reach_mm) in enumerate(tables):
         m = len(powers)
@@ -304,6 +313,9 @@ def _room(n: int, n_faces: int, n_x: int, n_cells: int) -> BakedLight:
         0.0,
         (0.0, 0.0, 0.0),
         0.0,
+        0.0,
+        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        np.empty((n_faces + 1, 2)),
         np.empty(n_x),
         np.empty((n, n_faces, MAX_BORDERS)),
         np.empty((n, n_faces), dtype=np.int32),
@@ -328,10 +340,23 @@ def place_baked(k: ArcKernel, baked: BakedLight) -> int:
     place = round(k.center[1] / STEP_MM) + N_BESIDE
     if not 0 <= place < baked.n_cells.shape[0] or k.bend[0] != 0.0 or k.bend[1] != 0.0:
         return -1
+    if k.radius != baked.radius_mm or k.material != baked.material or not _is_section(k, baked):
+        return -1
     e_x, e_y, e_z = _eye_off(k, baked)
     is_near = max(abs(e_x), abs(e_y), abs(e_z)) <= REACH_MM
     is_as_high = abs(k.center[2] - baked.center_z_mm) <= SAME_MM
     return place if is_near and is_as_high and k.radiance_e <= BRIGHTEST * baked.radiance_e else -1
+
+
+@kernel
+def _is_section(k: ArcKernel, baked: BakedLight) -> bool:
+    """Say whether a scene's section is the one whose light is baked."""
+    if k.vertices.shape[0] != baked.vertices.shape[0]:
+        return False
+    for i in range(k.vertices.shape[0]):
+        if k.vertices[i, 0] != baked.vertices[i, 0] or k.vertices[i, 1] != baked.vertices[i, 1]:
+            return False
+    return True
 
 
 @kernel(inline=True)

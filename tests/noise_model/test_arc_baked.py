@@ -63,6 +63,22 @@ def test_baked_light_is_each_pixels_own(joint, glossier, shift, turn_deg, level)
 
 
 @pytest.mark.parametrize("joint", ["v_groove", "lap"])
+def test_light_of_another_scene_is_integrated(joint):
+    """An estimator of the arc's height asks for light of an arc that the setup does not state."""
+    setup, xy, cos4, baked = sensor(joint)
+    near = kernel_at(setup)
+    c_x, c_y, c_z = near.center
+    for kernel in (
+        near._replace(radius=1.01 * near.radius),
+        near._replace(center=(c_x, c_y, c_z + 0.01)),
+        near._replace(material=(1.01 * near.material[0], *near.material[1:])),
+        near._replace(vertices=near.vertices + np.array([0.0, 0.01])),
+        near._replace(vertices=near.vertices[1:]),
+    ):
+        assert not map_of(kernel, xy, cos4, baked).table.is_ready.any()
+
+
+@pytest.mark.parametrize("joint", ["v_groove", "lap"])
 def test_light_far_from_the_nominal_pose_is_integrated(joint):
     setup, xy, cos4, baked = sensor(joint)
     near = kernel_at(setup)
