@@ -105,6 +105,12 @@ class SensorGeometry:
             dark_variance_e2=float(variance_e2(0.0, setup.sensor)),
         )
 
+    def make_ready(self) -> None:
+        """Derive all tables that are else derived when a step first asks for them."""
+        for name, table in vars(type(self)).items():
+            if isinstance(table, cached_property):
+                getattr(self, name)
+
     def dark_variance_at(self, charge_e: Float32 | Float64) -> float:
         """Return the part of a pixel's variance, e-^2, that is not its light's, in light like these charges.
 

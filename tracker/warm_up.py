@@ -66,9 +66,9 @@ def warm_up(
     use_arc_map: bool = True,
     on_compiled: OnCompiled | None = None,
 ) -> WarmUp:
-    """Take every path of `step` for a setup's joint and types of numbers.
+    """Take every path of `step` for a setup's joint and types of numbers, and derive the setup's tables.
 
-    What this process has taken before for a setup of the same kind is not taken again.
+    A path that this process has taken before for a setup of the same kind is not taken again.
 
     Parameters
     ----------
@@ -96,6 +96,7 @@ def warm_up(
             for frame, pose in _frames(small):
                 state, _ = step(small, state, frame, pose, work, use_arc_map, correction)
             _warm.add(kind)
+        geometry.make_ready()
     return WarmUp(len(compiled), time.perf_counter() - began_s)
 
 

@@ -143,3 +143,17 @@ def test_what_is_warm_takes_no_path_again(monkeypatch: pytest.MonkeyPatch) -> No
     for other in (small_setup("lap"), small_setup("v_groove", upright=True)):
         with pytest.raises(AssertionError, match="a step was taken"):
             Tracker(other).warm_up()
+
+
+@pytest.mark.parametrize("joint", ["v_groove", "corrugation"])
+def test_no_frame_waits_for_a_setups_tables(joint: str) -> None:
+    """Of a second setup of the same kind no path is taken, but its tables are its own."""
+    setup = small_setup(joint)
+    Tracker(setup).warm_up()
+    nearer = Tracker(replace(setup, camera=replace(setup.camera, fx=0.9 * setup.camera.fx)))
+    nearer.warm_up()
+    before = set(vars(nearer.geometry))
+    assert "baked_light" in before
+    frame, pose = recorded(joint, 320)[1][0]
+    nearer.step(frame, pose)
+    assert set(vars(nearer.geometry)) == before
