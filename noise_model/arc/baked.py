@@ -34,6 +34,7 @@ from noise_model.arc.table import (
     make_cell,
     new_table,
     root_cell,
+    table_within,
 )
 from noise_model.arrays import Float64, Int32, Point
 from noise_model.kernel import kernel
@@ -138,8 +139,7 @@ def _complete(k: ArcKernel, table: FaceTable) -> Int32:
                 root_cell(table, face, i, j)
                 while done < table.n_cells[0]:
                     cells_face[done] = face
-                    if table.axis[done] >= NEW:
-                        make_cell(k, table, face, done, work)
+                    make_cell(k, table, face, done, work)
                     done += 1
     return cells_face[:done].copy()
 
@@ -370,12 +370,13 @@ def _eye_off(k: ArcKernel, baked: BakedLight) -> Point:
 
 
 @kernel(allocates=True)
-def lay(k: ArcKernel, baked: BakedLight, place: int, table: FaceTable) -> FaceTable:
-    """Return a pose's table, with the cells that are baked at a place; `table` is empty."""
+def table_from(
+    k: ArcKernel, baked: BakedLight, place: int, rel: float, floor_e: float, to_powers: Float64
+) -> FaceTable:
+    """Return a pose's table with the cells that are baked at a place; see `table.new_table`."""
     x_arc = k.center[0]
-    x_borders = np.empty(baked.x_borders.shape[0])
-    for i in range(x_borders.shape[0]):
-        x_borders[i] = baked.x_borders[i] + x_arc
+    patches = (baked.x_borders + x_arc, baked.s_borders[place], baked.n_s[place], baked.roots[place].copy())
+    table = table_within(k, patches, rel, floor_e, to_powers)
     table.n_cells[0] = baked.n_cells[place]
     y_off = k.center[1] - (place - N_BESIDE) * STEP_MM
     e_x, e_y, e_z = _eye_off(k, baked)
@@ -395,21 +396,4 @@ def lay(k: ArcKernel, baked: BakedLight, place: int, table: FaceTable) -> FaceTa
                 for b in range(NODES):
                     by_eye = e_x * terms[2, a, b] + e_y * terms[3, a, b] + e_z * terms[4, a, b]
                     powers[a, b] = level * (terms[0, a, b] + y_off * terms[1, a, b] + by_eye)
-    return FaceTable(
-        x_borders,
-        baked.s_borders[place],
-        baked.n_s[place],
-        baked.roots[place].copy(),
-        table.axis,
-        table.child,
-        table.middle,
-        table.inverse,
-        table.powers,
-        table.n_cells,
-        table.is_ready,
-        table.check,
-        table.to_powers,
-        table.rel,
-        table.floor_e,
-        table.seen,
-    )
+    return table

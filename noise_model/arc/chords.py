@@ -19,7 +19,7 @@ MAX_PIECES = 256
 """Room for the borders' crossings."""
 
 MAX_CHORDS = 96
-"""Room for the chords of several pieces, that of one more than a piece has at most."""
+"""Room for the chords of several pieces: of one at least, and the chord at its middle."""
 
 MAX_PARTS = 2 * MAX_LEDGES + 2
 """Room for the open parts of one chord."""

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.baked import NOTHING_BAKED, BakedLight, bake, lay, place_baked
+from noise_model.arc.baked import NOTHING_BAKED, BakedLight, bake, place_baked, table_from
 from noise_model.arc.fill import MIXED, fill_band, fill_pixels
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.ray import ArcKernel as ArcKernel
@@ -303,8 +303,10 @@ def table_of(
 
     See `table.new_table`; the camera's rays are `xy` (n_scan n_pos, 2).
     """
-    table, place = new_table(k, _margin_mm(k, xy, n_scan), rel, floor_e, to_powers), place_baked(k, baked)
-    return lay(k, baked, place, table) if place >= 0 else table
+    place = place_baked(k, baked)
+    if place >= 0:
+        return table_from(k, baked, place, rel, floor_e, to_powers)
+    return new_table(k, _margin_mm(k, xy, n_scan), rel, floor_e, to_powers)
 
 
 def baked_light(k: ArcKernel, xy: Float32, n_scan: int, tolerance: float, floor_e: float) -> BakedLight:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64
+from noise_model.arrays import Bool, Float64, as_compiled_for
 from noise_model.instrument.camera import Camera
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
@@ -159,9 +159,7 @@ def scene_along(
     source: SceneSource, T_base_tool: Float64, seam: SeamLine, ground: SeamLine | None = None
 ) -> Scene:
     """Return the scene of a pose along a stretch of the seam, see `make_scene`."""
-    T = T_base_tool
-    if not (T.flags.carray and T.dtype == np.float64):
-        T = np.require(T, np.float64, ("C", "W", "A"))
+    T = as_compiled_for(T_base_tool)
     line = seam.as_floats()
     on = line if ground is None else ground.as_floats()
     scene: Scene = laid_scene(source, T, line, on, ground is None)

@@ -82,6 +82,10 @@ class FaceTable(NamedTuple):
     seen: Sight
 
 
+Patches = tuple[Float64, Float64, Int32, Int32]
+"""A table's borders along the seam, those across its faces and how many, and the first cells between them."""
+
+
 @kernel(inline=True)
 def _place(borders: Float64, n: int, value: float) -> int:
     """Return in which of the n - 1 intervals between sorted borders `value` lies, -1 for none."""
@@ -146,7 +150,7 @@ def fall_off(k: ArcKernel, on: Strip, x: float, s: float) -> float:
     return square * square
 
 
-@kernel(inline=True)
+@kernel
 def make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: Scratch) -> None:
     """Integrate the light at a new cell's missing nodes; make it a polynomial's, or halve it."""
     axis, child, middle, inverse, powers = table.axis, table.child, table.middle, table.inverse, table.powers
@@ -328,11 +332,19 @@ def new_table(k: ArcKernel, margin_mm: float, rel: float, floor_e: float, to_pow
     s_borders, n_s = np.empty((n_faces, MAX_BORDERS)), np.empty(n_faces, dtype=np.int32)
     for face in range(n_faces):
         n_s[face] = borders_across(k, face, margin_mm, s_borders[face])
+    roots = np.full((n_faces, len(x_borders), MAX_BORDERS), -1, dtype=np.int32)
+    return table_within(k, (x_borders, s_borders, n_s, roots), rel, floor_e, to_powers)
+
+
+@kernel(allocates=True)
+def table_within(k: ArcKernel, patches: Patches, rel: float, floor_e: float, to_powers: Float64) -> FaceTable:
+    """Return a table without cells for patches; see `new_table` for the tolerance."""
+    x_borders, s_borders, n_s, roots = patches
     return FaceTable(
         x_borders,
         s_borders,
         n_s,
-        np.full((n_faces, len(x_borders), MAX_BORDERS), -1, dtype=np.int32),
+        roots,
         np.empty(MAX_CELLS, dtype=np.int32),
         np.empty(MAX_CELLS, dtype=np.int32),
         np.empty((MAX_CELLS, 2)),
