@@ -1,4 +1,7 @@
-"""Types of arrays and points, named once for all rooms. They tell the numbers' type, not the shape."""
+"""Types of arrays and points, named once for all rooms, and the layout that kernels take.
+
+Types tell the numbers' type, not the shape.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,14 @@ Bool = npt.NDArray[np.bool_]
 
 Integers = npt.NDArray[np.integer]
 """Integers of any width: an image of 8 to 16 bit, or indices."""
+
+
+def as_compiled_for(numbers: Float64) -> Float64:
+    """Return numbers in the layout that kernels are compiled for: float64, contiguous and writable."""
+    if numbers.flags.carray and numbers.dtype == np.float64:
+        return numbers
+    return np.require(numbers, np.float64, ("C", "W", "A"))
+
 
 Point = tuple[float, float, float]
 

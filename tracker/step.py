@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from noise_model.arrays import as_compiled_for
 from tracker import checks, flags
 from tracker.checks import Checks
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
@@ -231,12 +232,10 @@ def _judged(
 
 def _as_compiled_for(frame: Frame, pose: Pose) -> tuple[Frame, Pose]:
     """Return frame and pose in the layout that the kernels are compiled for: contiguous and writable."""
-    image_dn, T_base_tool = frame.image_dn, pose.T_base_tool
+    image_dn, T_base_tool = frame.image_dn, as_compiled_for(pose.T_base_tool)
     if not image_dn.flags.carray:
         frame = replace(frame, image_dn=np.require(image_dn, requirements=("C", "W", "A")))
-    if not (T_base_tool.flags.carray and T_base_tool.dtype == np.float64):
-        pose = replace(pose, T_base_tool=np.require(T_base_tool, np.float64, ("C", "W", "A")))
-    return frame, pose
+    return frame, pose if T_base_tool is pose.T_base_tool else replace(pose, T_base_tool=T_base_tool)
 
 
 def _is_readable(asked: Checks, geometry: SensorGeometry, frame: Frame, pose: Pose | None) -> bool:

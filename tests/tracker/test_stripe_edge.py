@@ -15,7 +15,7 @@ from noise_model.arc.map import CELL
 from noise_model.arrays import Float64
 from tracker.joint.measured import meet_face
 from tracker.joint.plate_lines import HIDDEN, UNREAD, OnPlates, PlateLines
-from tracker.joint.upright_edge import NOTHING_HIDDEN, Edge, HiddenStrip, edge_between, edge_covariance
+from tracker.joint.upright_edge import Edge, HiddenStrip, edge_between, edge_covariance
 from tracker.profile import Profile
 from tracker.stripe.edge import (
     BEYOND,
@@ -332,7 +332,7 @@ def test_an_edge_seen_from_beside_does_not_scatter_with_its_neighbours_centres()
     assert seen.y_per_z == pytest.approx(1.5)
     # A face that is believed 0.1 mm higher than it is moves the edge by that much of 0.1 mm.
     face = meet_face(beside, np.full(N_SCAN, 0.1), 0.0)
-    higher = edge_between(beside, EDGE, EDGE + 2, NOTHING_HIDDEN, face)
+    higher = edge_between(beside, EDGE, EDGE + 2, HiddenStrip(0.0, 0.0), face)
     assert higher.y_mm - seen.y_mm == pytest.approx(0.15)
     covariance = edge_covariance(seen, np.array([1.0]), np.array([1.0]), np.array([[0.04]]))
     assert covariance - np.diag([seen.variance_mm2, 0.0]) == pytest.approx(

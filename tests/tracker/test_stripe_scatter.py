@@ -45,6 +45,7 @@ from tracker.stripe.scatter import (
     add_frame,
     brightness_alike,
     brightness_plateau,
+    empty_scatter,
     line_variance_px2,
     mean_variance_px2,
     widen,
@@ -59,7 +60,7 @@ NOTHING = tuple(np.array(math.nan) for _ in range(3))
 
 def shown(off: Float64, sigma: Float64, amplitude: Float64) -> tuple[Float64, Float64, Float64]:
     """What `differences` shows of centres off their expected places."""
-    n, seen = len(off), FrameScatter.empty()
+    n, seen = len(off), empty_scatter()
     fits = np.zeros((n, N_FITTED))
     fits[:, 0], fits[:, 2] = off, amplitude
     differences(fits, np.zeros(n), sigma, 1, MIN_MEANS, ScatterRoom.empty(n), seen)
@@ -160,7 +161,7 @@ def test_means_of_a_joint_that_is_searched_tell_nothing_by_themselves() -> None:
     fits = np.column_stack([rng.normal(size=640), np.ones((640, 6))])
     ones = np.ones(640)
     core, room = np.zeros(640, np.float32), ScatterRoom.empty(640)
-    settled, searched = FrameScatter.empty(), FrameScatter.empty()
+    settled, searched = empty_scatter(), empty_scatter()
     frame_scatter(fits, np.zeros(640), ones, ones, core, False, room, settled)
     frame_scatter(fits, np.zeros(640), ones, ones, core, True, room, searched)
     assert np.isfinite(settled.by_length).all()
@@ -186,7 +187,7 @@ def test_a_joint_that_is_off_its_expected_place_is_no_scatter(n: int) -> None:
 @settings(deadline=None, max_examples=20)
 @given(seeds, st.integers(0, 60))
 def test_speckle_and_width_are_the_lines_medians(seed: int, n: int) -> None:
-    rng, seen = np.random.default_rng(seed), FrameScatter.empty()
+    rng, seen = np.random.default_rng(seed), empty_scatter()
     fits = np.column_stack([rng.normal(size=(n, 3)), rng.uniform(2.0, 5.0, n), np.ones((n, 3))])
     core = rng.normal(0.02, 0.01, n).astype(np.float32)
     gone = rng.random(n) < 0.3
@@ -205,7 +206,7 @@ def test_speckle_and_width_are_the_lines_medians(seed: int, n: int) -> None:
 
 def with_frame(scatter: Scatter, seen: FrameScatter) -> Scatter:
     """The scatter with one more frame."""
-    after = FrameScatter.empty()
+    after = empty_scatter()
     add_frame(scatter.average, scatter.frames, seen, after)
     return Scatter(after, scatter.frames + 1)
 

@@ -190,9 +190,6 @@ def _at_line(y_mm: Float64, scan: Float64, line: float) -> float:
     return float(mean_mm + product / square * (line - middle))
 
 
-NOTHING_HIDDEN = HiddenStrip(0.0, 0.0)
-
-
 @kernel
 def hidden_strip(
     sources_mm: tuple[Float64, ...], edge_y_mm: float, edge_z_mm: float, step_mm: float, slope_sigma: float

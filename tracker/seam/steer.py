@@ -182,10 +182,11 @@ def steer(
 
 def _confidence(weld_mm: float, steering: Steering, sigma_mm: tuple[float, float]) -> float:
     """Return the probability that the offsets that are known are right within the tolerance, NaN for none."""
-    (y, z), (hand_eye_y, hand_eye_z) = sigma_mm, steering.hand_eye_variance_mm2
-    known = (math.sqrt(y**2 + hand_eye_y),) if math.isfinite(y) else ()
-    if math.isfinite(z):
-        known = (*known, math.sqrt(z**2 + hand_eye_z))
+    known = [
+        math.sqrt(sigma**2 + hand_eye)
+        for sigma, hand_eye in zip(sigma_mm, steering.hand_eye_variance_mm2, strict=True)
+        if math.isfinite(sigma)
+    ]
     return confidence(weld_mm, known) if known else NAN
 
 

@@ -19,13 +19,11 @@ from tracker.stripe.ghost import second_light, second_place
 from tracker.stripe.line_fit.lines import FitRoom, LineFits, fit_lines, fit_room
 from tracker.stripe.misfit import MisfitRoom, misfit_sigma_px
 from tracker.stripe.scatter import (
-    BRIGHTNESS_LAGS,
-    LAGS,
-    LENGTHS,
     FrameScatter,
     add_frame,
     brightness_alike,
     brightness_plateau,
+    empty_scatter,
     weighing_contrast,
     widen,
     width_factor,
@@ -83,7 +81,7 @@ class ReadRoom(NamedTuple):
             ScatterRoom.empty(n_scan),
             SmoothRoom.empty(n_scan),
             MisfitRoom.empty(),
-            FrameScatter.empty(),
+            empty_scatter(),
             *np.empty((4, n_scan)),
         )
 
@@ -329,19 +327,6 @@ def _finish(
 
 
 @kernel(allocates=True)
-def _empty_scatter() -> FrameScatter:
-    """Make room for what frames show of their scatter."""
-    return FrameScatter(
-        np.empty(len(LAGS)),
-        np.empty(len(LENGTHS)),
-        np.empty(len(BRIGHTNESS_LAGS)),
-        np.empty(()),
-        np.empty(()),
-        np.empty(()),
-    )
-
-
-@kernel(allocates=True)
 def usual_line(average: FrameScatter, sigma_px: Float64) -> UsualLine:
     """Return what scatter and 1 sigma of the lines' centres (n,) say of a usual line."""
     known_px = sigma_px[np.isfinite(sigma_px)]
@@ -373,10 +358,10 @@ def read_band(
     the image's columns where the stripe runs `along_rows`. What is read beside the lines stays in `room`.
     """
     at_level(band.background, light)
-    read_with, after = before, _empty_scatter()
+    read_with, after = before, empty_scatter()
     fit_band(band, expected, offsets_px, noise, before, is_searching, room)
     if frames == 0:
-        read_with = _empty_scatter()
+        read_with = empty_scatter()
         add_frame(before, 0, room.seen, read_with)
         fit_band(band, expected, offsets_px, noise, read_with, is_searching, room)
     told = _read_without_a_second(band, expected, offsets_px, noise, read_with, is_searching, reach_px, room)

@@ -68,11 +68,18 @@ class FrameScatter(NamedTuple):
     ln_width: Float64
     width_variance: Float64
 
-    @classmethod
-    def empty(cls) -> FrameScatter:
-        """Make room for what a frame shows."""
-        variances = (np.empty(n) for n in (len(LAGS), len(LENGTHS), len(BRIGHTNESS_LAGS)))
-        return cls(*variances, *(np.empty(()) for _ in range(3)))
+
+@kernel(allocates=True)
+def empty_scatter() -> FrameScatter:
+    """Make room for what frames show of their scatter."""
+    return FrameScatter(
+        np.empty(len(LAGS)),
+        np.empty(len(LENGTHS)),
+        np.empty(len(BRIGHTNESS_LAGS)),
+        np.empty(()),
+        np.empty(()),
+        np.empty(()),
+    )
 
 
 _NOTHING = FrameScatter(
