@@ -13,6 +13,7 @@ import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from noise_model.boxing import make_results_in_c
+from noise_model.linking import LinkedCacheImpl, keep_linked
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -149,10 +150,18 @@ class _ReadableIndex(IndexDataCacheFile):  # type: ignore[misc]
 class _SourceKeyedCache(FunctionCache):  # type: ignore[misc]
     """numba's cache of one function, whose index is out of date when `source_key` is another."""
 
+    _impl_class = LinkedCacheImpl
+
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         self._cache_file = _ReadableIndex(
             cache_path=self._cache_path,
             filename_base=self._impl.filename_base,
             source_stamp=source_key(Path(function.__code__.co_filename)),
+        )
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Keep a compiled kernel."""
+        keep_linked(
+            self._py_func, result, lambda: super(_SourceKeyedCache, self).save_overload(signature, result)
         )

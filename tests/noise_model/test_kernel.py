@@ -7,11 +7,15 @@ from pathlib import Path
 
 import pytest
 
+from noise_model.linking import MIN_INSTRUCTIONS
+
 ROOT = Path(__file__).resolve().parents[2]
 
 INNER = (
-    "from noise_model.kernel import kernel\n\n\n@kernel({options})\ndef inner(x):\n    return {value} * x\n"
+    "import math\n\nfrom noise_model.kernel import kernel\n\n\n"
+    "@kernel({options})\ndef inner(x):\n    y = x\n{more}    return {value} * x + 0.0 * y\n"
 )
+LONG = "".join(f"    y = math.sqrt(y * y + {n}.5)\n" for n in range(MIN_INSTRUCTIONS))
 OUTER = (
     "from noise_model.kernel import kernel\nfrom optics_of_a_test.{module} import inner\n\n\n"
     "@kernel\ndef outer(x):\n    return inner(x) + 1.0\n"
@@ -23,12 +27,15 @@ RUN = (
 )
 
 
-def write(package: Path, options: str, value: float) -> None:
-    """Write two kernels, one that calls the other, with times and sizes that tell nothing."""
+def write(package: Path, options: str, value: float, more: str = "") -> None:
+    """Write two kernels, one that calls the other, with times and sizes that tell nothing.
+
+    `more` makes the inner one longer and changes nothing.
+    """
     package.mkdir(exist_ok=True)
     sources = {
         "__init__.py": "",
-        "inner.py": INNER.format(options=options, value=value),
+        "inner.py": INNER.format(options=options, value=value, more=more),
         "outer.py": OUTER.format(module="inner"),
         "beside.py": f"# {value}\n",
     }
@@ -37,26 +44,65 @@ def write(package: Path, options: str, value: float) -> None:
         os.utime(package / name, (1e9, 1e9))
 
 
-def run(folder: Path) -> tuple[float, int, int]:
-    """Return the outer kernel's result and how often it was found on disk, and compiled, in a new process."""
+def run(folder: Path, first: str = "") -> tuple[float, int, int]:
+    """Return the outer kernel's result and how often it was found on disk, and compiled, in a new process.
+
+    The process runs the lines `first` before.
+    """
     environment = {**os.environ, "PYTHONPATH": f"{folder}:{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
-        [sys.executable, "-c", RUN], capture_output=True, text=True, check=True, env=environment
+        [sys.executable, "-c", first + RUN], capture_output=True, text=True, check=True, env=environment
     )
     result, hits, misses = done.stdout.split()
     return float(result), int(hits), int(misses)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", ["inline=True", ""], ids=["written out", "linked"])
-def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed(options: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("options", "more"), [("inline=True", ""), ("", ""), ("", LONG)], ids=["written out", "short", "long"]
+)
+def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed(
+    options: str, more: str, tmp_path: Path
+) -> None:
     package = tmp_path / "optics_of_a_test"
-    write(package, options, 3.0)
+    write(package, options, 3.0, more)
     assert run(tmp_path) == (7.0, 0, 1)
     assert run(tmp_path) == (7.0, 1, 0)
-    write(package, options, 5.0)
+    write(package, options, 5.0, more)
     assert run(tmp_path) == (11.0, 0, 1)
     assert run(tmp_path) == (11.0, 1, 0)
+
+
+@pytest.mark.slow
+def test_a_kernel_is_compiled_anew_when_a_long_one_that_it_calls_has_another_symbol(tmp_path: Path) -> None:
+    """numba counts what it compiles, and the number is in the symbol."""
+    package = tmp_path / "optics_of_a_test"
+    write(package, "", 3.0, LONG)
+    assert run(tmp_path) == (7.0, 0, 1)
+    for kept in package.glob("__pycache__/inner.inner*"):
+        kept.unlink()
+    compile_another = "from optics_of_a_test.inner import inner\ninner(1), inner(True)\n"
+    assert run(tmp_path, compile_another) == (7.0, 0, 1)
+    assert run(tmp_path) == (7.0, 1, 0)
+
+
+@pytest.mark.slow
+def test_the_machine_code_of_a_long_kernel_is_not_in_that_of_its_caller(tmp_path: Path) -> None:
+    package = tmp_path / "optics_of_a_test"
+    sizes = []
+    for more in ("", LONG):
+        write(package, "", 3.0, more)
+        run(tmp_path)
+        sizes.append({name: _kept_bytes(package, name) for name in ("inner", "outer")})
+    short, long = sizes
+    assert long["inner"] > 2 * short["inner"]
+    # A link takes two kilobytes.
+    assert long["outer"] - short["outer"] < 0.2 * (long["inner"] - short["inner"])
+
+
+def _kept_bytes(package: Path, name: str) -> int:
+    """Return how large a kernel is on disk."""
+    return max(kept.stat().st_size for kept in package.glob(f"__pycache__/{name}.{name}*.nbc"))
 
 
 @pytest.mark.slow
