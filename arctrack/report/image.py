@@ -29,6 +29,13 @@ def visible(image_dn: npt.NDArray[np.integer | np.floating], sensor: Sensor) -> 
     return grey
 
 
+def shrunk(grey: UInt8, bin_px: int) -> UInt8:
+    """Return the means over bins of a picture (H, W), what is left of a bin at its ends cut off."""
+    h, w = grey.shape[0] // bin_px, grey.shape[1] // bin_px
+    whole = grey[: h * bin_px, : w * bin_px].astype(np.float32)
+    return np.rint(cv2.resize(whole, (w, h), interpolation=cv2.INTER_AREA)).astype(np.uint8)
+
+
 def jpeg(grey: UInt8) -> bytes:
     """Return a grey picture (H, W) as a JPEG file."""
     file = io.BytesIO()
@@ -61,9 +68,9 @@ def annotate(grey: UInt8, track: Track, camera: Camera) -> UInt8:
     """Return a grey picture (H, W) in colour (H, W, 3) BGR with the fitted stripe and a cross on the seam."""
     picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     if track.stripe is not None:
-        for x, y in np.rint(stripe_points_px(track.stripe)).astype(int):
-            if 0 <= y < picture.shape[0] and 0 <= x < picture.shape[1]:
-                picture[y, x] = STRIPE_BGR
+        x, y = np.rint(stripe_points_px(track.stripe)).astype(int).T
+        inside = (x >= 0) & (x < picture.shape[1]) & (y >= 0) & (y < picture.shape[0])
+        picture[y[inside], x[inside]] = STRIPE_BGR
     point = seam_point_px(track, camera)
     if point is not None:
         size = max(8, camera.width // 20)

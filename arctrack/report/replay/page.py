@@ -17,9 +17,9 @@ from arctrack.recording import Recording, Truth
 from arctrack.recording.results import count_flags
 from arctrack.recording.score import score
 from arctrack.recording.setup_file import FILE_NAME
-from arctrack.report.embedded import binned, uri
+from arctrack.report.embedded import uri
 from arctrack.report.explanation import words
-from arctrack.report.image import jpeg
+from arctrack.report.image import jpeg, shrunk
 from arctrack.report.replay.numbers import numbers, on_bus
 from arctrack.report.replay.seen import Seen
 from arctrack.report.replay.view import Profile, View, Viewer
@@ -199,11 +199,13 @@ def _profile_json(profile: Profile) -> dict[str, Any]:
 
 def _points(points: Float64, scale: float) -> list[list[int] | None]:
     """Return points (n, 2) as whole numbers of a smaller unit, None where one is not known."""
-    whole = np.rint(points * scale)
-    return [[int(x), int(y)] if math.isfinite(x + y) else None for x, y in whole]
+    known = np.isfinite(points.sum(axis=1))
+    whole = np.rint(np.where(known[:, None], points, 0.0) * scale).astype(int)
+    listed: list[list[int] | None] = whole.tolist()
+    for n in np.flatnonzero(~known):
+        listed[n] = None
+    return listed
 
 
 def _picture(grey: UInt8, width_px: int) -> str:
-    bin_px = max(1, math.ceil(grey.shape[1] / width_px))
-    shown = binned(grey.astype(np.float32), bin_px).round().astype(np.uint8) if bin_px > 1 else grey
-    return uri("image/jpeg", jpeg(shown))
+    return uri("image/jpeg", jpeg(shrunk(grey, max(1, math.ceil(grey.shape[1] / width_px)))))
