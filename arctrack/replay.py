@@ -33,6 +33,7 @@ from arctrack.recording.results import (
     count_flags,
 )
 from arctrack.recording.score import score
+from arctrack.report.replay.drawing import drawing_on
 from arctrack.report.replay.seen import Seen, SeenFile
 from arctrack.safe_points import ends_at_safe_points
 from arctrack.service.controller import Controller
@@ -145,6 +146,7 @@ def replay_recording(
     on_frame: Callable[[int], None] | None = None,
     on_drawn: Callable[[int], None] | None = None,
     on_compiled: OnCompiled | None = None,
+    cores: int = 1,
 ) -> Replay:
     """Replay a recording, and write what came of it into a folder.
 
@@ -162,6 +164,9 @@ def replay_recording(
         Hears the number of frames drawn after the last offset.
     on_compiled : callable, optional
         Hears what is compiled before the first frame.
+    cores : int, optional
+        How many cores there are for the pictures, once the last offset has gone out. Those of a long
+        recording are drawn by processes on them, if there are several.
 
     Returns
     -------
@@ -186,18 +191,39 @@ def replay_recording(
     # Nothing tracks by it, but nothing is sent before all that is needed in the end has been read.
     truth = read_truth(recording.path)
     make_folder(folder, ())
-    # Compiling takes long, and so does loading what draws: before there is a bus that nobody reads meanwhile.
+    if not (options.pictures or options.exports):
+        tracking, warm_up = _warm(recording, options, on_compiled)
+        return _replay(tracking, truth, folder, options, warm_up, None, on_frame)
+    with drawing_on(recording, truth, folder, cores) as drawing:
+        tracking, warm_up = _warm(recording, options, on_compiled)
+        pictures = _load_pictures()(
+            recording,
+            truth,
+            folder,
+            options.use_arc_map,
+            drawing,
+            options.pictures,
+            options.exports,
+            on_drawn,
+        )
+        # From here to the last offset nobody draws: nothing slows the tracking.
+        drawing.wait_ready()
+        with pictures.after() as seen:
+            return _replay(tracking, truth, folder, options, warm_up, seen, on_frame)
+
+
+def _warm(
+    recording: Recording, options: ReplayOptions, on_compiled: OnCompiled | None
+) -> tuple[RecordedTracking, WarmUp]:
+    """Return a tracker that waits for no compiler, nor the recording for what decodes it.
+
+    Compiling takes long: it comes before there is a bus that nobody reads meanwhile.
+    """
     tracking = RecordedTracking(recording, options.use_arc_map)
     warm_up = tracking.tracker.warm_up(on_compiled)
     # The first PNG compiles what decodes all.
     next(recording.frames(range(1)), None)
-    if not (options.pictures or options.exports):
-        return _replay(tracking, truth, folder, options, warm_up, None, on_frame)
-    drawing = _load_drawing()(
-        recording, truth, folder, options.use_arc_map, options.pictures, options.exports, on_drawn
-    )
-    with drawing.after() as seen:
-        return _replay(tracking, truth, folder, options, warm_up, seen, on_frame)
+    return tracking, warm_up
 
 
 def _replay(
@@ -377,7 +403,7 @@ def _joint_ends_mm(tracks: Sequence[Track]) -> dict[str, tuple[float, float]]:
     return dict(ends_mm)
 
 
-def _load_drawing() -> type[ReplayPictures]:
+def _load_pictures() -> type[ReplayPictures]:
     # Matplotlib takes a while to load: only those who want pictures wait for it.
     from arctrack.report.replay.pictures import ReplayPictures
 

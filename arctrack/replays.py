@@ -25,7 +25,7 @@ OnFrame = Callable[[int], None]
 class ReplayJob:
     """One recording to replay: where its files go, another setup than its own, and how to replay.
 
-    `resume` takes over what an earlier run of the same finished there.
+    `resume` takes over what an earlier run of the same finished there. `cores` are there for its pictures.
     """
 
     recording: Path
@@ -33,6 +33,7 @@ class ReplayJob:
     setup_path: Path | None = None
     options: ReplayOptions = field(default_factory=ReplayOptions)
     resume: bool = False
+    cores: int = 1
 
     @property
     def name(self) -> str:
@@ -85,11 +86,12 @@ def jobs_for(
     setup_path: Path | None = None,
     options: ReplayOptions | None = None,
     resume: bool = False,
+    cores: int = 1,
 ) -> list[ReplayJob]:
     """Return what there is to do; ArctrackError if two recordings would share a folder of results."""
     folders = folders_for(recordings, out, RESULTS_FOLDER, "its results would replace others")
     return [
-        ReplayJob(path, folder, setup_path, options or ReplayOptions(), resume)
+        ReplayJob(path, folder, setup_path, options or ReplayOptions(), resume, cores)
         for path, folder in zip(recordings, folders, strict=True)
     ]
 
@@ -106,7 +108,7 @@ def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = 
         return _taken_over(job, recording, earlier)
     hears = Listeners() if begin is None else begin(recording)
     done = replay_recording(
-        recording, job.folder, job.options, hears.on_frame, hears.on_drawn, hears.on_compiled
+        recording, job.folder, job.options, hears.on_frame, hears.on_drawn, hears.on_compiled, job.cores
     )
     summaries = [done.summary]
     if not job.options.use_arc_map and done.recording.has_truth:

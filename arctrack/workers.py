@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from contextlib import AbstractContextManager, contextmanager
@@ -72,6 +73,19 @@ def check_choice(workers: int, scheduler: str | None) -> None:
     """Raise ArctrackError where both processes and a cluster are asked for."""
     if scheduler is not None and workers > 1:
         raise ArctrackError("--workers and --scheduler: take one of them")
+
+
+def cores_each(workers: int, scheduler: str | None) -> int:
+    """Return how many of the cores that this process may use each of so many recordings at once has.
+
+    One on a cluster, whose machines this one does not know.
+    """
+    if scheduler is not None:
+        return 1
+    # Not every system says which cores a process is held to.
+    held = getattr(os, "sched_getaffinity", None)
+    cores = os.cpu_count() if held is None else len(held(0))
+    return max(1, (cores or 1) // workers)
 
 
 @contextmanager

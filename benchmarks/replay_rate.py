@@ -1,17 +1,21 @@
-"""How many frames a second a replay without pictures tracks, and where its time goes.
+"""How many frames a second a replay tracks, where its time goes, and what its pictures take.
 
     python benchmarks/replay_rate.py [RECORDING ...] [--frames 400] [--repeats 3] [--workers 2]
+                                       [--cores 1 2 3]
 
 Without a recording a V-groove of 640x480 px is simulated first, as PNGs. What a frame takes of the CPU is the
 least of the repeats, after a warm-up: `decode` is reading and decoding all frames, `step` is the tracker over
 frames that are in memory, both alone; `rest` is what a whole replay takes beyond them: poses, bus, logs,
-results, threads. `Frames/s a core` are by the CPU time. Then one worker process and several replay two
-recordings each, by the clock, once all is imported and compiled.
+results, threads. `Frames/s a core` are by the CPU time. Then it replays with pictures, on as many cores as
+are named: what tracking and drawing take in this process, and what processes take that draw beside it, their
+start included. In the end one worker process and several replay two recordings each, by the clock, once all
+is imported and compiled.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import tempfile
 import time
 from collections.abc import Callable
@@ -65,6 +69,32 @@ def in_one_process(recording: Recording, out: Path, repeats: int) -> None:
     )
 
 
+def with_pictures(recording: Recording, out: Path, repeats: int, cores: int) -> None:
+    n, runs = len(recording.rows), []
+    for _ in range(repeats):
+        moments = [(time.perf_counter(), os.times())]
+
+        def on_frame(done: int, moments: list[tuple[float, os.times_result]] = moments) -> None:
+            if done in (1, n):
+                moments.append((time.perf_counter(), os.times()))
+
+        replay_recording(recording, out, on_frame=on_frame, cores=cores)
+        moments.append((time.perf_counter(), os.times()))
+        _, first, tracked, drawn = moments
+        beside_s = drawn[1].children_user + drawn[1].children_system
+        beside_s -= moments[0][1].children_user + moments[0][1].children_system
+        runs.append((cpu_s(first, tracked), cpu_s(tracked, drawn), beside_s, drawn[0] - tracked[0]))
+    track_ms, draw_ms, beside_ms, wall_ms = (1e3 / n * min(part) for part in zip(*runs, strict=True))
+    print(
+        f"{recording.name}: with pictures on {cores} cores: CPU ms a frame: tracking {track_ms:.2f}, "
+        f"drawing {draw_ms:.2f}, processes beside it {beside_ms:.2f}; drawing by the clock {wall_ms:.2f} ms"
+    )
+
+
+def cpu_s(begin: tuple[float, os.times_result], end: tuple[float, os.times_result]) -> float:
+    return end[1].user + end[1].system - begin[1].user - begin[1].system
+
+
 def frames_per_s(executor: Executor, jobs: list[ReplayJob]) -> float:
     began_s = time.perf_counter()
     done = list(at_once(replay_job, jobs, executor))
@@ -93,6 +123,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=400)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--cores", type=int, nargs="+", default=[1, 2, 3])
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         paths: list[Path] = chosen.recordings
@@ -103,6 +134,8 @@ def main() -> None:
         for path in paths:
             recording = read_recording(path)
             in_one_process(recording, Path(scratch, "out"), chosen.repeats)
+            for cores in chosen.cores:
+                with_pictures(recording, Path(scratch, "pictures"), chosen.repeats, cores)
             in_workers(recording, Path(scratch, "workers"), chosen.repeats, chosen.workers)
 
 

@@ -97,7 +97,7 @@ def replay(
     from arctrack.recording.results import REPLAY_MCAP, REPLAY_RRD
     from arctrack.replay import ReplayOptions
     from arctrack.replays import check_bus, jobs_for
-    from arctrack.workers import check_choice
+    from arctrack.workers import check_choice, cores_each
 
     check_choice(workers, scheduler)
     if parquet is not None:
@@ -112,11 +112,12 @@ def replay(
         job_number=job,
         onto_a_robot=onto_a_robot,
     )
-    jobs = jobs_for(recordings, out, setup, options, resume)
-    if scheduler is not None or min(workers, len(jobs)) > 1:
+    at_once = min(workers, len(recordings))
+    jobs = jobs_for(recordings, out, setup, options, resume, cores_each(at_once, scheduler))
+    if scheduler is not None or at_once > 1:
         check_bus(options)
         jobs = jobs if scheduler is None else [job.absolute() for job in jobs]
-        outcomes = sorted(_at_once(jobs, workers, scheduler), key=lambda outcome: jobs.index(outcome.job))
+        outcomes = sorted(_at_once(jobs, at_once, scheduler), key=lambda outcome: jobs.index(outcome.job))
     else:
         outcomes = list(_in_turn(jobs))
     _report(outcomes, parquet)
@@ -132,7 +133,7 @@ def _at_once(jobs: list[ReplayJob], workers: int, scheduler: str | None) -> Iter
     with (
         console.progress() as bar,
         interruptible("replay", kept),
-        executor_of(min(workers, len(jobs)), scheduler) as executor,
+        executor_of(workers, scheduler) as executor,
     ):
         on_recording = console.track(bar, "recordings", len(jobs), "recordings")
         for n, outcome in enumerate(at_once(replay_job, jobs, executor)):

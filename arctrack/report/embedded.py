@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 from dataclasses import dataclass
 
@@ -12,6 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from PIL import Image
 
+from arctrack.report.data_uri import uri
 from noise_model.arrays import Float32, UInt8
 
 CHANGE, EXCESS, SCALE_PX = "RdBu_r", "viridis", 256
@@ -69,8 +69,3 @@ def svg(figure: Figure) -> str:
     with mpl.rc_context({"svg.hashsalt": "arctrack", "svg.fonttype": "none"}):
         figure.savefig(drawn, format="svg", dpi=POINTS_PER_INCH, metadata={"Date": None})
     return uri("image/svg+xml", drawn.getvalue())
-
-
-def uri(kind: str, content: bytes) -> str:
-    """Return a file's content as a data URI."""
-    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"

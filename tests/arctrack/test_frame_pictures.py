@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from arctrack.report.image import shrunk
-from arctrack.report.replay.page import _points
+from arctrack.report.replay.view_json import points_json
 
 
 @pytest.mark.parametrize("bin_px", [1, 2, 3])
@@ -20,5 +20,5 @@ def test_a_picture_shrinks_to_the_means_of_its_bins(bin_px: int) -> None:
 
 def test_points_are_whole_numbers_or_none() -> None:
     points = np.array([[1.24, -3.26], [math.nan, 2.0], [5.0, math.nan], [0.06, 0.0]])
-    assert _points(points, 10.0) == [[12, -33], None, None, [1, 0]]
-    assert _points(points[:0], 10.0) == []
+    assert points_json(points, 10.0) == [[12, -33], None, None, [1, 0]]
+    assert points_json(points[:0], 10.0) == []

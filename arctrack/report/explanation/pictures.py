@@ -14,7 +14,8 @@ from PIL.ImageColor import getrgb
 
 from arctrack.explain import Explanation, StripeLook
 from arctrack.report import style
-from arctrack.report.embedded import CHANGE, Scale, binned, coloured, scale, uri
+from arctrack.report.data_uri import uri
+from arctrack.report.embedded import CHANGE, Scale, binned, coloured, scale
 from arctrack.report.image import seam_point_px, visible
 from noise_model.arrays import Bool, Float64
 from noise_model.instrument.sensor import Sensor, respond

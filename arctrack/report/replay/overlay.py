@@ -19,37 +19,42 @@ from tracker.state import Frame, Track
 
 MIN_WIDTH = 640
 LINE_PX, LINES = 20, 3
+PIXELS = "yuv420p"
+"""What every player knows; it halves both sides of its colour."""
+
 INK, FAINT = (255, 255, 255), (160, 160, 160)
 
 
 class OverlayVideo(VideoFile):
-    """Writes the video frame by frame."""
+    """Writes the video picture by picture."""
 
     def __init__(self, path: Path, setup: Setup, rate_hz: float) -> None:
-        self._setup = setup
-        self._zoom = max(1, math.ceil(MIN_WIDTH / setup.camera.width))
-        height = setup.camera.height * self._zoom + LINES * LINE_PX + 8
         rate = rate_hz if math.isfinite(rate_hz) else 10.0
         super().__init__(path, "libx264", Fraction(min(max(rate, 1.0), 60.0)).limit_denominator(1000))
-        # yuv420p, which every player knows, halves both sides of its colour.
-        self._stream.width = _even(setup.camera.width * self._zoom)
-        self._stream.height = _even(height)
-        self._stream.pix_fmt = "yuv420p"
+        self._stream.width, self._stream.height = _size_px(setup)
+        self._stream.pix_fmt = PIXELS
         self._stream.options = {"crf": "23", "preset": "veryfast"}
 
-    def write(self, frame: Frame | None, track: Track, offset: SeamOffset) -> None:
-        """Append a frame, None if it could not be read."""
-        camera = self._setup.camera
-        if frame is None:
-            picture = np.zeros((camera.height, camera.width, 3), dtype=np.uint8)
-        else:
-            picture = annotate(visible(frame.image_dn, self._setup.sensor), track, camera)
-        if self._zoom > 1:
-            picture = np.repeat(np.repeat(picture, self._zoom, axis=0), self._zoom, axis=1)
-        canvas = np.zeros((self._stream.height, self._stream.width, 3), dtype=np.uint8)
-        canvas[: picture.shape[0], : picture.shape[1]] = picture
-        _write_lines(canvas, picture.shape[0], caption(frame, track, offset))
-        self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(canvas, format="bgr24")))
+    def write(self, picture: UInt8) -> None:
+        """Append what `picture_of` drew."""
+        self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(picture, format=PIXELS)))
+
+
+def picture_of(setup: Setup, frame: Frame | None, track: Track, offset: SeamOffset) -> UInt8:
+    """Return the planes of a frame's picture in the video, those of a black one if it could not be read."""
+    camera, zoom = setup.camera, _zoom(setup)
+    if frame is None:
+        picture = np.zeros((camera.height, camera.width, 3), dtype=np.uint8)
+    else:
+        picture = annotate(visible(frame.image_dn, setup.sensor), track, camera)
+    if zoom > 1:
+        picture = np.repeat(np.repeat(picture, zoom, axis=0), zoom, axis=1)
+    width, height = _size_px(setup)
+    canvas = np.zeros((height, width, 3), dtype=np.uint8)
+    canvas[: picture.shape[0], : picture.shape[1]] = picture
+    _write_lines(canvas, picture.shape[0], caption(frame, track, offset))
+    drawn = av.VideoFrame.from_ndarray(canvas, format="bgr24").reformat(format=PIXELS)
+    return np.asarray(drawn.to_ndarray(), dtype=np.uint8)
 
 
 def caption(frame: Frame | None, track: Track, offset: SeamOffset) -> tuple[str, str, str]:
@@ -75,6 +80,16 @@ def _write_lines(canvas: UInt8, top_px: int, lines: tuple[str, str, str]) -> Non
     for n, (line, colour) in enumerate(zip(lines, (INK, INK, FAINT), strict=True)):
         corner = (8, top_px + (n + 1) * LINE_PX - 2)
         cv2.putText(canvas, line, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
+
+
+def _zoom(setup: Setup) -> int:
+    return max(1, math.ceil(MIN_WIDTH / setup.camera.width))
+
+
+def _size_px(setup: Setup) -> tuple[int, int]:
+    """Return the video's width and height."""
+    camera, zoom = setup.camera, _zoom(setup)
+    return _even(camera.width * zoom), _even(camera.height * zoom + LINES * LINE_PX + 8)
 
 
 def _even(size: int) -> int:

@@ -17,14 +17,12 @@ from arctrack.recording import Recording, Truth
 from arctrack.recording.results import count_flags
 from arctrack.recording.score import score
 from arctrack.recording.setup_file import FILE_NAME
-from arctrack.report.embedded import uri
 from arctrack.report.explanation import words
-from arctrack.report.image import jpeg, shrunk
 from arctrack.report.replay.numbers import numbers, on_bus
 from arctrack.report.replay.seen import Seen
-from arctrack.report.replay.view import Profile, View, Viewer
+from arctrack.report.replay.view import truth_by_frame
 from arctrack.report.template import environment
-from noise_model.arrays import Float64, UInt8
+from noise_model.arrays import Float64
 from tracker import flags
 from tracker.checks import Check
 from tracker.state import Frame, Track
@@ -33,12 +31,6 @@ TEMPLATE = "replay.html.j2"
 
 MAX_SHOWN = 240
 """Of a longer recording only so many frames keep picture, profile and all checks on the page."""
-
-FRAME_PX, MAP_PX = 640, 320
-"""Pictures are shrunk to about these widths."""
-
-MAX_LINES, MAX_POINTS = 400, 400
-"""So many scan lines of the stripe, and so many points of a profile, are on the page at most."""
 
 
 def frames_to_show(frame_flags: Sequence[int], most: int = MAX_SHOWN) -> list[int]:
@@ -62,24 +54,24 @@ def frames_to_show(frame_flags: Sequence[int], most: int = MAX_SHOWN) -> list[in
 class ReplayPage:
     """Collects what the page shows, frame by frame."""
 
-    def __init__(self, recording: Recording, truth: Truth | None, use_arc_map: bool, viewer: Viewer) -> None:
+    def __init__(self, recording: Recording, truth: Truth | None, use_arc_map: bool) -> None:
         self._recording, self._truth, self._use_arc_map = recording, truth, use_arc_map
-        self._viewer = viewer
+        self._truth_mm = truth_by_frame(truth)
         self._tracks: list[Track] = []
         self._columns: dict[str, list[Any]] = {}
         self._texts: dict[str, int] = {}
         self._checks: list[list[list[int]]] = []
         self._shown: dict[int, dict[str, Any]] = {}
 
-    def add(self, frame: Frame | None, seen: Seen, view: View | None) -> None:
-        """Take the next frame, None if it could not be read, and its view, None if it is not to be shown."""
+    def add(self, frame: Frame | None, seen: Seen, shown: dict[str, Any] | None) -> None:
+        """Take the next frame, None if it could not be read, and its `view_json`, None if it is not shown."""
         track = seen.track
-        if view is not None:
-            self._shown[len(self._tracks)] = _view_json(view)
+        if shown is not None:
+            self._shown[len(self._tracks)] = shown
         # Of a frame that is not shown the checks that passed would be much for little.
-        checks = [check for check in track.checks if view is not None or not check.passed]
+        checks = [check for check in track.checks if shown is not None or not check.passed]
         self._checks.append([[self._text(text) for text in _check_texts(check)] for check in checks])
-        true_mm = self._viewer.truth_mm.get(track.frame)
+        true_mm = self._truth_mm.get(track.frame)
         for name, value in _columns(frame, seen, true_mm).items():
             self._columns.setdefault(name, []).append(value)
         self._tracks.append(replace(track, stripe=None, checks=()))
@@ -91,7 +83,7 @@ class ReplayPage:
     def html(self) -> str:
         """Return the page, which needs no other file and no network."""
         tracks, setup = self._tracks, self._recording.setup
-        camera = self._viewer.geometry.setup.camera
+        camera = setup.camera
         scored = None if self._truth is None else score(tracks, self._truth, setup.tolerance.seam_mm)
         content = {
             "name": self._recording.name,
@@ -126,7 +118,7 @@ class ReplayPage:
                 score=scored,
                 width=camera.width,
                 height=camera.height,
-                has_truth=bool(self._viewer.truth_mm),
+                has_truth=bool(self._truth_mm),
                 shown=len(self._shown),
                 # A "<" in a name would end the script element.
                 content=json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
@@ -170,42 +162,3 @@ def _columns(frame: Frame | None, seen: Seen, true_mm: Float64 | None) -> dict[s
         "arc": None if frame is None else int(frame.arc_on),
         **{name: round(value, 5) if math.isfinite(value) else None for name, value in values.items()},
     }
-
-
-def _view_json(view: View) -> dict[str, Any]:
-    """Return a view for the page: image points in tenths of a px, points in the laser plane in um."""
-    step = max(1, math.ceil(len(view.stripe_px) / MAX_LINES))
-    return {
-        "frame": None if view.grey is None else _picture(view.grey, FRAME_PX),
-        "arc": None if view.arc_grey is None else _picture(view.arc_grey, MAP_PX),
-        "stripe": _points(view.stripe_px[::step], 10.0),
-        "saturated": np.flatnonzero(view.saturated[::step]).tolist(),
-        "expected": _points(view.expected_px[:: 2 * step], 10.0),
-        "seam": None if view.seam_px is None else _points(view.seam_px[None], 10.0)[0],
-        "truth": None if view.truth_px is None else _points(view.truth_px[None], 10.0)[0],
-        "profile": None if view.profile is None else _profile_json(view.profile),
-    }
-
-
-def _profile_json(profile: Profile) -> dict[str, Any]:
-    step = max(1, math.ceil(len(profile.points_mm) / MAX_POINTS))
-    return {
-        "points": _points(profile.points_mm[::step, 1:], 1000.0),
-        "off": np.flatnonzero(profile.off_section[::step]).tolist(),
-        "section": _points(profile.section_mm[:, 1:], 1000.0),
-        "expected": _points(profile.expected_mm[:, 1:], 1000.0),
-    }
-
-
-def _points(points: Float64, scale: float) -> list[list[int] | None]:
-    """Return points (n, 2) as whole numbers of a smaller unit, None where one is not known."""
-    known = np.isfinite(points.sum(axis=1))
-    whole = np.rint(np.where(known[:, None], points, 0.0) * scale).astype(int)
-    listed: list[list[int] | None] = whole.tolist()
-    for n in np.flatnonzero(~known):
-        listed[n] = None
-    return listed
-
-
-def _picture(grey: UInt8, width_px: int) -> str:
-    return uri("image/jpeg", jpeg(shrunk(grey, max(1, math.ceil(grey.shape[1] / width_px)))))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +13,14 @@ from arctrack.errors import without_extra
 from arctrack.output import writing
 from arctrack.recording import BadFrame, Recording, Truth
 from arctrack.recording.results import OVERLAY_VIDEO, OVERVIEW_PICTURE, REPLAY_MCAP, REPLAY_PAGE, REPLAY_RRD
+from arctrack.report.replay.drawing import Drawing
+from arctrack.report.replay.frame_drawer import ToDraw
 from arctrack.report.replay.overlay import OverlayVideo
 from arctrack.report.replay.overview import Overview
 from arctrack.report.replay.page import ReplayPage, frames_to_show
 from arctrack.report.replay.seen import Seen, SeenFile
-from arctrack.report.replay.view import View, Viewer
+from arctrack.report.replay.view import View, truth_by_frame
 from noise_model.arrays import Float64
-from tracker.geometry import SensorGeometry
 from tracker.state import Frame
 
 EXTRAS = {REPLAY_MCAP: "mcap", REPLAY_RRD: "rerun"}
@@ -44,6 +45,7 @@ class ReplayPictures:
     truth: Truth | None
     folder: Path
     use_arc_map: bool
+    drawing: Drawing
     pictures: bool = True
     exports: tuple[str, ...] = ()
     on_drawn: Callable[[int], None] | None = None
@@ -53,7 +55,7 @@ class ReplayPictures:
         """Take what a replay sees, and draw it at the context's end.
 
         A replay that is broken off leaves the video of what it saw, no more. Raises ArctrackError where a
-        package that an export needs is missing.
+        package that an export needs is missing, or a process that draws has ended.
         """
         exporters = {name: exporter(name) for name in self.exports}
         with ExitStack() as opened:
@@ -69,32 +71,35 @@ class ReplayPictures:
             self._draw(seen, exporters)
 
     def _draw_video(self, seen: SeenFile) -> None:
+        """Draw the video alone, and by no process: another error would hide what broke the replay off."""
         if self.pictures and len(seen):
             with self._video() as overlay:
-                for frame, each in self._frames(seen):
-                    overlay.write(frame, each.track, each.offset)
+                for asked in self._to_draw(seen, set()):
+                    picture = self.drawing.drawer(asked).picture
+                    assert picture is not None
+                    overlay.write(picture)
 
     def _draw(self, seen: SeenFile, exporters: Mapping[str, Exporter]) -> None:
-        recording = self.recording
-        viewer = Viewer(SensorGeometry.of(recording.setup), self.truth)
+        recording, truth_mm = self.recording, truth_by_frame(self.truth)
         overview = Overview(recording)
-        page = ReplayPage(recording, self.truth, self.use_arc_map, viewer)
-        shown = set(frames_to_show(seen.flags)) if self.pictures else set()
+        page = ReplayPage(recording, self.truth, self.use_arc_map)
+        on_page = set(frames_to_show(seen.flags)) if self.pictures else set()
         with ExitStack() as opened:
             overlay = opened.enter_context(self._video()) if self.pictures else None
             exports = [
                 opened.enter_context(export(self.folder / name, recording))
                 for name, export in exporters.items()
             ]
-            for n, (frame, each) in enumerate(self._frames(seen)):
-                view = viewer.view(frame, each) if exports or n in shown else None
-                if overlay is not None:
-                    overlay.write(frame, each.track, each.offset)
+            to_draw = self._to_draw(seen, on_page, exported=bool(exports))
+            for n, (asked, drawn) in enumerate(self.drawing.draw(to_draw)):
+                frame, each = asked.frame, asked.seen
+                if overlay is not None and drawn.picture is not None:
+                    overlay.write(drawn.picture)
                     overview.add(frame, each.track, each.offset)
-                    page.add(frame, each, view if n in shown else None)
+                    page.add(frame, each, drawn.shown)
                 for export in exports:
-                    assert view is not None
-                    export.add(frame, each, view, viewer.truth_mm.get(each.track.frame))
+                    assert drawn.view is not None
+                    export.add(frame, each, drawn.view, truth_mm.get(each.track.frame))
                 if self.on_drawn is not None:
                     self.on_drawn(n + 1)
         if self.pictures:
@@ -104,11 +109,12 @@ class ReplayPictures:
     def _video(self) -> OverlayVideo:
         return OverlayVideo(self.folder / OVERLAY_VIDEO, self.recording.setup, self.recording.frame_rate_hz)
 
-    def _frames(self, seen: SeenFile) -> Iterator[tuple[Frame | None, Seen]]:
-        """Read the frames that were seen once more; None where one could not be read."""
+    def _to_draw(self, seen: SeenFile, on_page: Container[int], exported: bool = False) -> Iterator[ToDraw]:
+        """Read the frames that were seen once more."""
         frames = self.recording.frames(range(len(seen)))
-        for frame, each in zip(frames, seen, strict=True):
-            yield None if isinstance(frame, BadFrame) else frame, each
+        for n, (frame, each) in enumerate(zip(frames, seen, strict=True)):
+            readable = None if isinstance(frame, BadFrame) else frame
+            yield ToDraw(readable, each, self.pictures, n in on_page, exported)
 
 
 Exporter = Callable[[Path, Recording], AbstractContextManager[Export]]

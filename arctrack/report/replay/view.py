@@ -69,10 +69,7 @@ class Viewer:
     """Makes the views of a recording's frames, for the setup that its tracker had."""
 
     def __init__(self, geometry: SensorGeometry, truth: Truth | None) -> None:
-        self.geometry = geometry
-        self.truth_mm: dict[int, Float64] = {}
-        if truth is not None:
-            self.truth_mm = dict(zip(truth.frames.tolist(), truth.seam_tool_mm, strict=True))
+        self.geometry, self.truth_mm = geometry, truth_by_frame(truth)
 
     def view(self, frame: Frame | None, seen: Seen, shows_arc_light: bool = True) -> View:
         """Return the view of a frame, None if it could not be read.
@@ -170,6 +167,13 @@ class Viewer:
             points_tool = meet_laser_plane(self.geometry.setup, transform(T_tool_joint, behind), along_tool)
             x = transform(scene.T_joint_tool, points_tool)[:, 0]
         return points_tool
+
+
+def truth_by_frame(truth: Truth | None) -> dict[int, Float64]:
+    """Return the true seam point (3,), mm, tool frame, of each frame of which it is known."""
+    if truth is None:
+        return {}
+    return dict(zip(truth.frames.tolist(), truth.seam_tool_mm, strict=True))
 
 
 def stretches(points: Float64) -> list[Float64]:

@@ -1,0 +1,168 @@
+"""A process of its own that answers questions, some at a time."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+import traceback
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from itertools import islice
+from typing import Any, BinaryIO, Generic, TypeVar, cast
+
+from arctrack.closing import Closing
+from arctrack.errors import ArctrackError
+
+Question = TypeVar("Question")
+Answer = TypeVar("Answer")
+
+AT_A_TIME = 4
+"""So many questions go to a process at once: the fewer, the more often one waits to be woken by the other."""
+
+CODE = "import sys; sys.path[:] = {path!r}; from arctrack.own_process import serve; serve()"
+
+GROUP_OF_ITS_OWN: dict[str, Any] = {"start_new_session": True}
+"""How a process is started that a terminal's Ctrl-C does not reach."""
+
+if sys.platform == "win32":
+    GROUP_OF_ITS_OWN = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+
+
+class OwnProcess(Closing, Generic[Question, Answer]):
+    """A process that answers questions by a function; the end of its context ends it.
+
+    It knows nothing of this program's main module, as a process of multiprocessing would: a script need not
+    guard it, and a prompt has none. It hears no Ctrl-C of a terminal. It ends if this process does, however.
+
+    Parameters
+    ----------
+    answer : callable
+        What answers; it is pickled.
+    ended : str
+        What is said if the process ends by itself.
+    """
+
+    def __init__(self, answer: Callable[[Question], Answer], ended: str) -> None:
+        self._ended, self._is_ready = ended, False
+        self._process: subprocess.Popen[bytes] = subprocess.Popen(
+            [sys.executable, "-c", CODE.format(path=sys.path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            **GROUP_OF_ITS_OWN,
+        )
+        self._to = cast(BinaryIO, self._process.stdin)
+        self._from = cast(BinaryIO, self._process.stdout)
+        self._send(answer)
+
+    def wait_ready(self) -> None:
+        """Wait until it has loaded what it needs, or has ended: that is said of its answers."""
+        if not self._is_ready:
+            self._is_ready = True
+            with suppress(ArctrackError):
+                self._receive()
+
+    def ask(self, questions: Sequence[Question]) -> None:
+        """Ask what is answered next."""
+        self._send(questions)
+
+    def answers(self) -> list[Answer]:
+        """Wait for the answers; raises what answering raised, or ArctrackError if the process ended."""
+        self.wait_ready()
+        answers = self._receive()
+        if isinstance(answers, _Raised):
+            raise answers.error
+        return cast(list[Answer], answers)
+
+    def close(self) -> None:
+        """End it, whatever it does: it holds nothing that would be lost."""
+        self._process.kill()
+        with suppress(OSError):
+            self._to.close()
+        self._from.close()
+        self._process.wait()
+
+    def _send(self, item: object) -> None:
+        # If the process has ended, there is no answer: that is when it is said.
+        with suppress(OSError):
+            pickle.dump(item, self._to, pickle.HIGHEST_PROTOCOL)
+            self._to.flush()
+
+    def _receive(self) -> object:
+        try:
+            return pickle.load(self._from)
+        except (EOFError, pickle.UnpicklingError):
+            raise ArctrackError(self._ended) from None
+
+
+def answered(
+    answer: Callable[[Question], Answer],
+    processes: Sequence[OwnProcess[Question, Answer]],
+    questions: Iterable[Question],
+) -> Iterator[tuple[Question, Answer]]:
+    """Yield questions and their answers in the order of the questions; without processes answer them here.
+
+    Each process has some questions at a time, and the next ones before its answers are used.
+    """
+    if not processes:
+        for question in questions:
+            yield question, answer(question)
+        return
+    free = deque(processes)
+    asked: deque[tuple[list[Question], OwnProcess[Question, Answer]]] = deque()
+    unasked = iter(questions)
+    while batch := list(islice(unasked, AT_A_TIME)):
+        done = [] if free else _first(asked, free)
+        process = free.popleft()
+        process.ask(batch)
+        asked.append((batch, process))
+        yield from done
+    while asked:
+        yield from _first(asked, free)
+
+
+def _first(
+    asked: deque[tuple[list[Question], OwnProcess[Question, Answer]]],
+    free: deque[OwnProcess[Question, Answer]],
+) -> list[tuple[Question, Answer]]:
+    """Return the first questions of those asked with their answers; their process is free then."""
+    questions, process = asked.popleft()
+    answers = process.answers()
+    free.append(process)
+    return list(zip(questions, answers, strict=True))
+
+
+class _Raised:
+    """What answering one of some questions raised."""
+
+    def __init__(self, error: Exception) -> None:
+        self.error = error
+
+
+def serve() -> None:
+    """Answer the questions that come to this process, by the function that comes first."""
+    asked = sys.stdin.buffer
+    back = os.fdopen(os.dup(1), "wb")
+    # What prints would speak in between.
+    os.dup2(2, 1)
+    # Who asks may end at any moment, in the middle of a question as well.
+    with suppress(EOFError, pickle.UnpicklingError, BrokenPipeError):
+        answer = pickle.load(asked)
+        _send_back(back, None)
+        while True:
+            _send_back(back, _answers(answer, pickle.load(asked)))
+
+
+def _answers(answer: Callable[[Any], object], questions: Sequence[object]) -> object:
+    try:
+        return [answer(question) for question in questions]
+    except Exception as error:
+        error.add_note(traceback.format_exc())
+        return _Raised(error)
+
+
+def _send_back(back: BinaryIO, item: object) -> None:
+    pickle.dump(item, back, pickle.HIGHEST_PROTOCOL)
+    back.flush()
