@@ -17,9 +17,11 @@ import numpy as np
 import pytest
 from rendered import EXPOSURE_S, frame_of, pose_at, small_setup
 
-from arctrack.nominal import DIMENSIONS
+from arctrack.nominal import DIMENSIONS, nominal_setup
 from noise_model.surface.joint import SeamLine
+from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose
+from tracker.stripe.read import Work
 from tracker.tracker import Tracker
 
 pytestmark = pytest.mark.slow
@@ -157,3 +159,16 @@ def test_no_frame_waits_for_a_setups_tables(joint: str) -> None:
     frame, pose = recorded(joint, 320)[1][0]
     nearer.step(frame, pose)
     assert set(vars(nearer.geometry)) == before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems count faults otherwise")
+def test_no_frame_waits_for_memory_that_was_never_written_to() -> None:
+    """A page is given when it is first written to: 7000 of them for a megapixel, or 14 large ones."""
+    import resource
+
+    geometry = SensorGeometry.of(nominal_setup("v_groove", "mild_steel", width=1280, height=1024))
+    pixels = Work.of(geometry).pixels
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for array in pixels:
+        array.fill(1)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before < 7
