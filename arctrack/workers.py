@@ -9,6 +9,7 @@ from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Thread
 from typing import Generic, Protocol, TypeVar
 
 from arctrack.errors import ArctrackError, as_line
@@ -90,13 +91,26 @@ def cores_each(workers: int, scheduler: str | None) -> int:
 
 @contextmanager
 def processes(count: int) -> Iterator[Executor]:
-    """Give an executor of so many processes on this machine."""
+    """Give an executor of so many processes on this machine; they end if this one is killed."""
     # A forked process would inherit the locks of threads that it does not have.
-    executor = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
+    spawn = multiprocessing.get_context("spawn")
+    executor = ProcessPoolExecutor(count, mp_context=spawn, initializer=_end_with_parent)
     try:
         yield executor
     finally:
         executor.shutdown(cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    """Let this process end once the one that started it has: nobody takes its results then."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def end() -> None:
+        parent.join()
+        os._exit(1)
+
+    Thread(target=end, name="ends with parent", daemon=True).start()
 
 
 @contextmanager

@@ -128,21 +128,29 @@ def test_it_is_gone_behind_its_context_whatever_it_does() -> None:
     assert not is_there(pid)
 
 
-OUTLIVED = """
+OF_THEIR_OWN = """
 import os, time
 from arctrack.own_process import OwnProcess
 processes = [OwnProcess(os.getpgid, "") for _ in range(2)]
 for process in processes:
-    process.wait_ready()
     process.ask([0])
 print(*(process.answers()[0] for process in processes), flush=True)
 time.sleep(3600)
 """
 
+WORKERS = """
+import multiprocessing, time
+from arctrack.workers import processes
+with processes(2) as executor:
+    busy = [executor.submit(time.sleep, 3600) for _ in range(2)]
+    print(*(child.pid for child in multiprocessing.active_children()), flush=True)
+"""
+
 
 @needs_posix
-def test_it_ends_with_the_process_that_started_it() -> None:
-    with subprocess.Popen([sys.executable, "-c", OUTLIVED], stdout=subprocess.PIPE, text=True) as command:
+@pytest.mark.parametrize("code", [OF_THEIR_OWN, WORKERS])
+def test_they_end_with_the_process_that_started_them(code: str) -> None:
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as command:
         assert command.stdout is not None
         pids = [int(pid) for pid in command.stdout.readline().split()]
         assert len(pids) == 2
