@@ -14,8 +14,8 @@ from noise_model.surface.faces import raised
 ROOT_STEPS, ROOT_MM, ROOT_SHARE = 16, 1e-4, 1.0 / 1024.0
 """At the most so many steps to a border; what is near enough to it, in clearance and in shares of a way."""
 
-TOGETHER = 4
-"""So many rays run at a time: what is left of n would run one by one."""
+TOGETHER = 8
+"""So many rays run at a time, where registers hold four in two halves. What is left would run one by one."""
 
 TURNED_AWAY_MM = 1e6
 """A larger clearance is of a ray that never comes to the edge."""
