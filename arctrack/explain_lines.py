@@ -98,40 +98,43 @@ def sigma_parts(reading: StripeReading, expected: ExpectedStripe) -> SigmaParts:
 
 def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[float, ...]:
     """Return one line's numbers in the order of `SigmaParts`' fields."""
-    band, low = reading.band, int(reading.lows[s // CELL])
-    position, _, amplitude, width, chi2 = reading.fits[s, :5]
+    band, low, both = reading.band, int(reading.lows[s // CELL]), read_with(reading, s)
+    position, _, amplitude, width, chi2 = reading.fits[both, :5].mean(axis=0)
     window, half = window_of(reading, expected, s)
     charge, background, censored = (
-        image[s, window].astype(float) for image in (band.charge, band.background, band.censored)
+        image[both, window].mean(axis=0) for image in (band.charge, band.background, band.censored)
     )
+    share = 1.0 / reading.n_lines[s]
+    shot, dark_e2 = share * reading.shot, share * reading.dark_variance_e2
     u = np.arange(window.start, window.stop) + low - position
     t = u / width
     stripe = amplitude * np.exp(-0.5 * t**2)
-    grains = (reading.learned.weighing_contrast * stripe) ** 2
+    learned = reading.learned
+    grains = ((learned.weighing_contrast if share == 1.0 else learned.pair_contrast) * stripe) ** 2
 
     smooth = max(math.hypot(reading.map_sigma * background.mean(), reading.base_sigma_e), MIN_SIGMA_E)
-    edge = map_edge(band.background, reading.lows, s, float(reading.start_px[s]))
+    edge = map_edge(band.background, reading.lows, both.start, float(reading.start_px[both].mean()))
     known = _information(math.hypot(smooth, edge), math.hypot(smooth / CORRELATION_PX, edge / half))
     beside = np.column_stack([np.ones_like(u), u])
     b = np.zeros(2)
     for _ in range(BACKGROUND_STEPS):
         mean = stripe + background + beside @ b
         counts = (censored == 0.0) | (charge > mean)
-        weight = counts / (reading.shot * np.maximum(mean, 0.0) + reading.dark_variance_e2 + grains)
+        weight = counts / (shot * np.maximum(mean, 0.0) + dark_e2 + grains)
         H = beside.T @ (weight[:, None] * beside) + np.diag(known[3:])
         b += np.linalg.solve(H, beside.T @ (weight * (charge - mean)) - known[3:] * b)
 
     J = np.column_stack([stripe / amplitude, stripe * t / width - b[1], stripe * t**2, beside])
-    shot_stripe = reading.shot * stripe
-    shot_arc = reading.shot * np.maximum(background + beside @ b, 0.0)
-    dark = np.full_like(u, reading.dark_variance_e2)
+    shot_stripe = shot * stripe
+    shot_arc = shot * np.maximum(background + beside @ b, 0.0)
+    dark = np.full_like(u, dark_e2)
     weight = counts / (shot_stripe + shot_arc + dark + grains)
     C = _covariance(J, weight, known)
     pull = (J @ C[1]) ** 2 * weight**2
     of_priors = C[1] ** 2 * known
     told = float(pull @ (shot_stripe + shot_arc + dark)) + float(of_priors[2:].sum())
     excess = max(chi2 - math.sqrt(2.0 / (counts.sum() - 2.0)), 1.0)
-    beyond = reading.stripe.sigma_px[s] ** 2 - reading.fits[s, 1] ** 2 + C[1, 1] * excess - told
+    beyond = reading.stripe.sigma_px[s] ** 2 - share * reading.fits[s, 1] ** 2 + C[1, 1] * excess - told
 
     without = _information(*(2 * [max(reading.base_sigma_e, MIN_SIGMA_E)]))
     without[4] *= CORRELATION_PX**2
@@ -149,10 +152,17 @@ def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[flo
     )
 
 
+def read_with(reading: StripeReading, s: int) -> slice:
+    """Return the scan lines that one was read with, itself and, where they are a pair, its neighbour."""
+    first = s - s % int(reading.n_lines[s])
+    return slice(first, first + int(reading.n_lines[s]))
+
+
 def window_of(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[slice, float]:
     """Return which of a band's pixels a line's fit read, and how far it reached from the path, px."""
-    start = float(reading.start_px[s]) - int(reading.lows[s // CELL])
-    width = float(expected.sigma_px[s]) * reading.learned.width_factor
+    both = read_with(reading, s)
+    start = float(reading.start_px[both].mean()) - int(reading.lows[s // CELL])
+    width = float(expected.sigma_px[both.start]) * reading.learned.width_factor
     return slice(*line_window(start, width, reading.band.charge.shape[1])), WINDOW_SIGMAS * width
 
 

@@ -249,6 +249,7 @@ def profile_of(
             look.width_px,
             expected.bias_px,
             look.misfit_px,
+            look.n_lines,
         ),
         look.usual.contrast,
         geometry.seam_source.height_mm,
@@ -270,6 +271,7 @@ def profile_of(
         bias_px=points.bias_px,
         misfit_px=points.misfit_px,
         slope_sigma=slope_sigma,
+        n_lines=points.n_lines,
     )
 
 

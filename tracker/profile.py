@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.scene import Scene
-from noise_model.arrays import Float64, Integers
+from noise_model.arrays import Float64, Int64, Integers
 from noise_model.instrument.camera import Intrinsics, distorted, undistorted
 from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel
@@ -37,7 +37,8 @@ class Profile:
     light of both faces. `bias_px` (n,) is by how much the centres were corrected for light that is no bell,
     None if they were not. `misfit_px` (n,) is by how much centres may be off, alike with their neighbours',
     for light beneath the stripe that is not as expected, None for not at all. `slope_sigma` is how well the
-    seam's direction is known.
+    seam's direction is known. `n_lines` (n,) is how many scan lines each point stands for, None for 1: two
+    that were read as one are a point between them.
     """
 
     y_mm: Float64
@@ -55,6 +56,12 @@ class Profile:
     bias_px: Float64 | None = None
     misfit_px: Float64 | None = None
     slope_sigma: float = 0.0
+    n_lines: Float64 | None = None
+
+    @property
+    def lines_each(self) -> Float64:
+        """How many scan lines each point (n,) stands for."""
+        return np.ones(len(self.y_mm)) if self.n_lines is None else self.n_lines
 
     def by_scan(self) -> Profile:
         """Return the profile in order of its scan lines, the way in which y rises on the whole.
@@ -69,6 +76,7 @@ class Profile:
         y, z, dy, dz, sigma, scan, beside = (values[order] for values in points)
         bias = None if self.bias_px is None else self.bias_px[order]
         misfit = None if self.misfit_px is None else self.misfit_px[order]
+        n_lines = None if self.n_lines is None else self.n_lines[order]
         return replace(
             self,
             y_mm=y,
@@ -80,6 +88,7 @@ class Profile:
             beside_px=beside,
             bias_px=bias,
             misfit_px=misfit,
+            n_lines=n_lines,
         )
 
 
@@ -111,6 +120,7 @@ def triangulate(
     n, column, is_in_order = _triangulate(
         position_px,
         sigma_px,
+        np.ones(n_scan, np.int64),
         geometry.setup.camera.intrinsics,
         geometry.along_rows,
         scene.T_joint_camera,
@@ -172,7 +182,8 @@ def _line_of(source: StripeSource, T_camera_joint: Float64, x: float, y: float, 
 class StripeLines(NamedTuple):
     """What a profile is made of, by scan line (n_scan,); see `state.Stripe`, for bias and misfit `Profile`.
 
-    `width_px` is the fitted 1 sigma across the stripe.
+    `width_px` is the fitted 1 sigma across the stripe. Where `n_lines` is 2, an even line and the next were
+    read as one.
     """
 
     position_px: Float64
@@ -182,6 +193,7 @@ class StripeLines(NamedTuple):
     width_px: Float64
     bias_px: Float64
     misfit_px: Float64
+    n_lines: Int64
 
 
 class Points(NamedTuple):
@@ -197,6 +209,7 @@ class Points(NamedTuple):
     beside_px: Float64
     bias_px: Float64
     misfit_px: Float64
+    n_lines: Float64
     sheet_lines: float
     mixed_mm: float
 
@@ -216,7 +229,7 @@ def measured_points(
     slope is known to `slope_sigma`.
     """
     n_scan = lines.position_px.shape[0]
-    rows, scan = np.empty((8, n_scan)), np.empty(n_scan)
+    rows, scan = np.empty((9, n_scan)), np.empty(n_scan)
     lines_over = edge_lines(source, scene, edge_mm, slope_sigma)
     askew_px = askew_sigma_px(lines.amplitude_e, lines.width_px, contrast, lines_over.possible)
     centre_px, sigma_px = np.empty(n_scan), np.empty(n_scan)
@@ -226,6 +239,7 @@ def measured_points(
     n, column_mm, is_in_order = _triangulate(
         centre_px,
         sigma_px,
+        lines.n_lines,
         source.lens,
         source.along_rows,
         scene.T_joint_camera,
@@ -242,11 +256,16 @@ def measured_points(
             scan[i] = kept_scan[order[i]]
             for row in range(5):
                 rows[row, i] = kept[row, order[i]]
-        column_mm = np.median(rows[0, 1:n] - rows[0, : n - 1])
+        column_mm = _spacing(rows[0, :n], scan[:n])
     for i in range(n):
         s = int(scan[i])
-        rows[5, i] = math.hypot(lines.beside_px[s], askew_px[s])
-        rows[6, i], rows[7, i] = lines.bias_px[s], lines.misfit_px[s]
+        n_lines = lines.n_lines[s]
+        beside_px = lines.beside_px[s]
+        if n_lines > 1:
+            # Of two lines' mean that is a half, but no less than it has alone.
+            beside_px = max(math.sqrt(0.5) * beside_px, lines.sigma_px[s])
+        rows[5, i] = math.hypot(beside_px, askew_px[s])
+        rows[6, i], rows[7, i], rows[8, i] = lines.bias_px[s], lines.misfit_px[s], n_lines
     return Points(
         rows[0, :n],
         rows[1, :n],
@@ -258,15 +277,29 @@ def measured_points(
         rows[5, :n],
         rows[6, :n],
         rows[7, :n],
+        rows[8, :n],
         lines_over.stated,
         column_mm * (clear_lines(source.psf_sigma_px, lines_over.stated) - 1),
     )
 
 
 @kernel(allocates=True)
+def _spacing(y: Float64, scan: Float64) -> float:
+    """Return the median spacing of neighbouring lines' places (n,), NaN of fewer than two.
+
+    A place between two lines stands for both.
+    """
+    apart = np.empty(max(len(y) - 1, 0))
+    for i in range(len(apart)):
+        apart[i] = (y[i + 1] - y[i]) / (1.0 + scan[i] % 1.0 + scan[i + 1] % 1.0)
+    return np.median(apart) if len(apart) > 0 else math.nan
+
+
+@kernel(allocates=True)
 def _triangulate(
     position_px: Float64,
     sigma_px: Float64,
+    n_lines: Int64,
     lens: Intrinsics,
     along_rows: bool,
     T_joint_camera: Float64,
@@ -278,7 +311,8 @@ def _triangulate(
 ) -> tuple[int, float, bool]:
     """Write y, z, dy, dz and sigma (5, n) of the scan lines that hold a point, and those.
 
-    Returns how many they are, the median of their spacing and whether their y rises.
+    Returns how many they are, the median spacing of lines and whether their y rises. Two lines that were read
+    as one make one point between them.
 
     A ray d from o meets the plane n.p + e = 0 in o + t d, t = -(n.o + e) / n.d. With a change of the ray by
     d' that point moves by t (d' - d (n.d') / (n.d)).
@@ -288,9 +322,12 @@ def _triangulate(
     off = nx * R[0, 3] + ny * R[1, 3] + nz * R[2, 3] + e
     n = 0
     for s in range(len(position_px)):
-        if math.isnan(position_px[s]):
+        if math.isnan(position_px[s]) or (n_lines[s] > 1 and s % 2 == 1):
             continue
-        u, v = (float(s), position_px[s]) if along_rows else (position_px[s], float(s))
+        line, position = float(s), position_px[s]
+        if n_lines[s] > 1:
+            line, position = line + 0.5, 0.5 * (position + position_px[s + 1])
+        u, v = (line, position) if along_rows else (position, line)
         x, y, x_u, x_v, y_u, y_v = undistorted(u, v, lens)
         x_r, y_r = (x_v, y_v) if along_rows else (x_u, y_u)
         d_x, d_y = R[0, 0] * x + R[0, 1] * y + R[0, 2], R[1, 0] * x + R[1, 1] * y + R[1, 2]
@@ -307,7 +344,7 @@ def _triangulate(
         points[0, n], points[1, n] = R[1, 3] + t * d_y, R[2, 3] + t * d_z - height
         points[2, n] = t * (c_y - d_y * turned)
         points[3, n] = t * (c_z - d_z * turned) - slope * t * (c_x - d_x * turned)
-        points[4, n], scan[n] = sigma_px[s], s
+        points[4, n], scan[n] = sigma_px[s], line
         n += 1
     # In order of y if the image shows it from the other side.
     flips = n > 1 and points[0, 0] > points[0, n - 1]
@@ -316,8 +353,7 @@ def _triangulate(
         scan[i], scan[j] = scan[j], scan[i]
         for row in range(5):
             points[row, i], points[row, j] = points[row, j], points[row, i]
-    spacing = points[0, 1:n] - points[0, : max(n - 1, 0)]
     is_in_order = True
-    for apart in spacing:
-        is_in_order &= apart >= 0.0
-    return n, np.median(spacing) if n > 1 else math.nan, is_in_order
+    for i in range(1, n):
+        is_in_order &= points[0, i] >= points[0, i - 1]
+    return n, _spacing(points[0, :n], scan[:n]), is_in_order

@@ -143,7 +143,9 @@ class Pose:
 class Stripe(NamedTuple):
     """The stripe of one frame, scan line by scan line; the joint is fitted to `position_px`.
 
-    The scan lines are the image's columns if the stripe runs along its rows, else its rows.
+    The scan lines are the image's columns if the stripe runs along its rows, else its rows. Where the surface
+    is smooth two are read as one (`tracker.stripe.pairs`). Both have its centre, moved along the stripe, and
+    its 1 sigma; for the joint's fit they are one point.
 
     Attributes
     ----------
@@ -164,7 +166,7 @@ class Stripe(NamedTuple):
         Whether the stripe runs along the image's rows.
     beside_px : array (n,)
         The 1 sigma with which each centre counts among its neighbours, px. Speckle's grains reach over a few
-        lines, and make neighbours err alike.
+        lines, and make neighbours err alike. Either of two lines that were read as one counts so.
     """
 
     position_px: Float64

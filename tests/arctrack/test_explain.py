@@ -140,8 +140,8 @@ def made(
     start_px: float = 59.0,
 ) -> tuple[StripeReading, ExpectedStripe]:
     """Return the reading of a noiseless Gaussian over an even background that is known for sure."""
-    lines = np.tile([[60.0], [WIDTH], [0.0]], N_SCAN)
-    expected = ExpectedStripe(*lines, *np.ones((2, N_SCAN), bool), widest_px=WIDTH)
+    lines, alone = np.tile([[60.0], [WIDTH], [0.0]], N_SCAN), np.ones(N_SCAN, np.int64)
+    expected = ExpectedStripe(*lines, *np.ones((2, N_SCAN), bool), alone, widest_px=WIDTH)
     at = np.arange(DEPTH)
     bell = np.exp(-0.5 * ((at - 60.0) / width) ** 2)
     background = np.full((N_SCAN, DEPTH), background_e, np.float32)
@@ -157,9 +157,11 @@ def made(
         band.censored,
         start,
         expected.sigma_px,
+        alone,
         lows,
         1.0,
         dark_variance_e2,
+        0.0,
         0.0,
         0.0,
         0.0,
@@ -193,6 +195,7 @@ def made(
         UsualLine(0.0, 0.0, math.nan),
         Evidence(0, False, 1.0, math.inf),
         fits[:, 3],
+        alone,
     )
     return reading, expected
 

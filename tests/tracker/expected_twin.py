@@ -73,6 +73,7 @@ def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | No
         _from_same_face(bias, strips[1], on_one_face),
         np.ones(len(middle), dtype=np.bool_),
         np.ones(len(middle), dtype=np.bool_),
+        strips[1],
         float(sigma.max()),
     )
 

@@ -18,12 +18,16 @@ from noise_model.surface.joint import Joint
 from tracker.joint import fit_joint
 from tracker.joint.evidence import (
     MIN_EVIDENCE_NATS,
+    MIN_KEPT,
     PLATE_STEPS,
     RUN_PRIOR,
+    Wander,
     evidence_nats,
     fit_plate,
     gap_evidence_nats,
     innovations,
+    lines_alike,
+    loss,
     places_of,
     points_alike,
     runs_of,
@@ -99,10 +103,10 @@ def test_what_is_new_in_residuals_is_white(seed: int, left: float, wander: float
     rng, n = np.random.default_rng(seed), 6000
     waves = lfilter([math.sqrt(wander * (1.0 - left * left))], [1.0, -left], rng.standard_normal(n))
     off = waves + rng.standard_normal(n)
-    seen = wander_of(off)
+    seen = wander_of(off, np.ones(n))
     assert seen.own + seen.wander == pytest.approx(1.0 + wander, rel=0.25)
     scan = np.flatnonzero(np.arange(n) % 3 > 0).astype(float)
-    new = innovations(off[scan.astype(int)], scan, 1.0, wander, left)
+    new = innovations(off[scan.astype(int)], scan, np.ones(len(scan)), Wander(1.0, wander, left))
     assert new.std() == pytest.approx(1.0, abs=0.05)
     assert abs(new[1:] @ new[:-1]) / (new @ new) < 0.05
 
@@ -112,12 +116,53 @@ def test_what_is_new_in_residuals_is_white(seed: int, left: float, wander: float
 def test_innovations_have_the_likelihood_of_the_whole_covariance(
     seed: int, left: float, wander: float
 ) -> None:
-    rng = np.random.default_rng(seed)
-    scan = np.cumsum(rng.integers(1, 4, 40)).astype(float)
-    off = 2.0 * rng.standard_normal(40)
-    covariance = 0.7 * np.eye(40) + wander * left ** np.abs(scan[:, None] - scan)
-    new = innovations(off, scan, 0.7, wander, left)
+    """The mean of two lines has the mean of their rows and columns."""
+    rng, n = np.random.default_rng(seed), 40
+    n_lines = rng.choice([1.0, 2.0], n)
+    first = np.cumsum(rng.integers(2, 5, n)).astype(float)
+    last, scan = first + n_lines - 1.0, first + 0.5 * (n_lines - 1.0)
+    off = 2.0 * rng.standard_normal(n)
+    covariance = np.diag(0.7 / n_lines)
+    for one in (first, last):
+        for other in (first, last):
+            covariance += 0.25 * wander * left ** np.abs(one[:, None] - other)
+    new = innovations(off, scan, n_lines, Wander(0.7, wander, left))
     assert new @ new == pytest.approx(off @ np.linalg.solve(covariance, off), rel=1e-9)
+
+
+@settings(deadline=None, max_examples=15)
+@given(seeds, st.floats(0.5, 0.95), st.floats(0.3, 3.0))
+def test_means_of_two_lines_tell_what_the_lines_do(seed: int, left: float, wander: float) -> None:
+    rng, n = np.random.default_rng(seed), 20000
+    waves = lfilter([math.sqrt(wander * (1.0 - left * left))], [1.0, -left], rng.standard_normal(n))
+    off = waves + rng.standard_normal(n)
+    means = off.reshape(-1, 2).mean(axis=1)
+    alone, paired = wander_of(off, np.ones(n)), wander_of(means, np.full(n // 2, 2.0))
+    assert paired.kept == pytest.approx(alone.kept, abs=0.2)
+    assert paired.own + paired.wander == pytest.approx(alone.own + alone.wander, rel=0.2)
+    new = innovations(means, np.arange(n // 2) * 2.0 + 0.5, np.full(n // 2, 2.0), paired)
+    assert new.std() == pytest.approx(1.0, abs=0.1)
+    assert abs(new[1:] @ new[:-1]) / (new @ new) < 0.15
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.floats(0.0, 12.0), st.floats(0.0, 0.6))
+def test_a_mean_of_two_lines_loses_what_both_would(off: float, alike: float) -> None:
+    """Two lines lie about their mean with a variance of (1 - alike) / 2."""
+    apart = np.random.default_rng(21).standard_normal(40000) * math.sqrt(0.5 * (1.0 - alike))
+    middle = off * math.sqrt(0.5 * (1.0 + alike))
+    both = loss(middle + np.concatenate([apart, -apart]), np.ones(80000), 0.0) / 40000
+    assert loss(np.array([off]), np.array([2.0]), alike) == pytest.approx(both, rel=0.05, abs=0.01)
+
+
+@pytest.mark.parametrize("alike", [0.0, 0.4])
+def test_lines_that_were_read_as_one_are_as_alike_as_their_sigmas_say(alike: float) -> None:
+    n_lines = np.where(np.arange(90) < 60, 2.0, 1.0)
+    sigma = 0.3 * np.where(n_lines > 1.0, math.sqrt(0.5 * (1.0 + alike)), 1.0)
+    found = lines_alike(sigma, n_lines)
+    assert found.alike == pytest.approx(max(alike - MIN_KEPT, 0.0))
+    assert found.share == pytest.approx(0.8)
+    assert lines_alike(sigma[60:], n_lines[60:]) == (0.0, 0.0)
 
 
 def test_a_groove_in_coarse_texture_is_told_from_a_plate() -> None:
@@ -171,7 +216,9 @@ def test_points_off_a_section_are_worse_witnesses_of_it() -> None:
 def loss_of(profile: Profile) -> float:
     """Tukey's loss of the plate that fits a profile best: 4.685^2 / 6 (1 - (1 - (r / 4.685)^2)^3) a point."""
     off = np.empty(len(profile.y_mm))
-    fit_plate(profile.y_mm, profile.z_mm, profile.dy_mm, profile.dz_mm, profile.sigma_px, off)
+    fit_plate(
+        profile.y_mm, profile.z_mm, profile.dy_mm, profile.dz_mm, profile.sigma_px, profile.lines_each, off
+    )
     inside = np.minimum((off / 4.685) ** 2, 1.0)
     return float(np.sum(4.685**2 / 6.0 * (1.0 - (1.0 - inside) ** 3)))
 
@@ -216,14 +263,16 @@ def test_a_plates_fit_is_its_twin(seed: int, spoiled: float, corners: Float64) -
     rng = np.random.default_rng(seed)
     profile = spoil(measure(corners, (1.0, 0.5), rng), spoiled, rng)
     off = np.empty(len(profile.y_mm))
-    fit_plate(profile.y_mm, profile.z_mm, profile.dy_mm, profile.dz_mm, profile.sigma_px, off)
+    fit_plate(
+        profile.y_mm, profile.z_mm, profile.dy_mm, profile.dz_mm, profile.sigma_px, profile.lines_each, off
+    )
     # Its weights' scale is the median of float32.
     np.testing.assert_allclose(off, plate_twin(profile), rtol=1e-5, atol=1e-5)
 
 
 def test_points_at_a_single_place_have_a_plate_too() -> None:
     place, off = np.full(30, 2.0), np.empty(30)
-    fit_plate(place, place, np.zeros(30), np.ones(30), np.ones(30), off)
+    fit_plate(place, place, np.zeros(30), np.ones(30), np.ones(30), np.ones(30), off)
     assert np.isfinite(off).all()
 
 

@@ -205,10 +205,11 @@ def test_what_lies_on_which_sheet_is_its_twin(seed: int) -> None:
 def test_what_points_may_be_off_is_its_twin(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     sigma_px, dz, used = rng.uniform(0.0, 0.3, n), rng.normal(0.0, 0.1, n), rng.random(n) < 0.7
+    n_lines = rng.integers(1, 3, n).astype(float)
     used[rng.integers(n)] = True
     sigma = np.empty(n)
-    assert count_with_floor(sigma_px, used, sigma) == used.sum()
-    np.testing.assert_allclose(sigma, np.hypot(sigma_px, SIGMA_FLOOR_PX))
+    assert count_with_floor(sigma_px, n_lines, used, sigma) == used.sum()
+    np.testing.assert_allclose(sigma, np.hypot(sigma_px, SIGMA_FLOOR_PX / np.sqrt(n_lines)))
     assert typical_mm(dz, sigma, used) == pytest.approx(np.median((np.abs(dz) * sigma)[used]))
 
 

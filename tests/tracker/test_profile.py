@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -101,7 +102,7 @@ def test_a_stripes_points_are_its_triangulation_with_bias_and_steps_taken_in(
     position[rng.random(n) < 0.2] = np.nan
     sigma, beside, width, bias, misfit = rng.uniform(0.1, 3.0, (5, n))
     amplitude = np.where(np.arange(n) < n // 2, 900.0, 300.0) * rng.uniform(0.95, 1.05, n)
-    lines = StripeLines(position, sigma, beside, amplitude, width, bias, misfit)
+    lines = StripeLines(position, sigma, beside, amplitude, width, bias, misfit, np.ones(n, np.int64))
     points = measured_points(geometry.stripe_source, scene, lines, 0.05, -2.0, 0.03)
     over = edge_lines(geometry.stripe_source, scene, -2.0, 0.03)
     askew = askew_sigma_px(amplitude, width, 0.05, over.possible)
@@ -117,6 +118,35 @@ def test_a_stripes_points_are_its_triangulation_with_bias_and_steps_taken_in(
     assert points.sheet_lines == over.stated
     clear = clear_lines(geometry.setup.camera.psf_sigma_px, over.stated)
     assert points.mixed_mm == pytest.approx(twin.column_mm * (clear - 1))
+
+
+def test_two_lines_read_as_one_are_one_point_between_them() -> None:
+    geometry = distorted(False)
+    scene = make_scene(geometry.setup, pose_at(11.0, 2.0, -1.0, (2.0, -1.0, 5.0)).T_base_tool)
+    n = geometry.n_scan
+    position, ones = 0.5 * geometry.n_pos + 0.3 * np.arange(n), np.ones(n)
+    sigma, beside, nothing = 0.1 * ones, 0.3 * ones, np.zeros(n)
+    n_lines = np.where((np.arange(n) >= 60) & (np.arange(n) < 100), 2, 1)
+    points = measured_points(
+        geometry.stripe_source,
+        scene,
+        StripeLines(position, sigma, beside, 900.0 * ones, 3.0 * ones, nothing, nothing, n_lines),
+        0.05,
+        -2.0,
+        0.03,
+    )
+    assert len(points.scan) == n - 20
+    pairs = points.n_lines == 2.0
+    np.testing.assert_array_equal(np.sort(points.scan[pairs]), np.arange(60.5, 100.0, 2.0))
+    each = triangulate(geometry, scene, position, sigma, beside)
+    for name in ("y_mm", "z_mm", "dy_mm", "dz_mm"):
+        order = np.argsort(each.scan)
+        twin = np.interp(points.scan, each.scan[order], getattr(each, name)[order])
+        np.testing.assert_allclose(getattr(points, name), twin, rtol=1e-4, atol=1e-4)
+    # A stripe's spacing is that of its lines.
+    assert points.column_mm == pytest.approx(each.column_mm, rel=0.02)
+    np.testing.assert_allclose(points.sigma_px, 0.1)
+    np.testing.assert_allclose(points.beside_px, np.where(pairs, 0.3 / math.sqrt(2.0), 0.3))
 
 
 @pytest.mark.parametrize("upright", [False, True])

@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from noise_model.arc.map import CELL
-from noise_model.arrays import Bool, Float32, Float64
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.lanes import N_LANES, load, spread, store, where
 from tracker.stripe.line_fit.block import CORRELATION_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
@@ -52,6 +52,7 @@ def line_fits(
     map_sigma: float = MAP_SIGMA,
     base_sigma: float = BASE_SIGMA,
     speckle: float = 0.0,
+    n_lines: Int64 | None = None,
 ) -> LineFits:
     """All that `fit_lines` writes."""
     n = len(charge)
@@ -62,9 +63,11 @@ def line_fits(
         np.zeros(charge.shape, bool) if censored is None else censored,
         start.astype(np.float64),
         np.full(n, width),
+        np.ones(n, np.int64) if n_lines is None else n_lines,
         np.zeros(-(-n // CELL), np.int64) if lows is None else lows,
         1.0,
         DARK,
+        speckle,
         speckle,
         map_sigma,
         base_sigma,

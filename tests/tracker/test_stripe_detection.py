@@ -35,6 +35,7 @@ from tracker.tracker import Tracker
 
 N_SCAN, N, MIDDLE = 200, 60, 30
 EVERYWHERE = np.ones(N_SCAN, dtype=np.bool_)
+ONE_FACE = np.zeros(N_SCAN, np.int64)
 JOINTS = ("v_groove", "lap", "corrugation", "butt", "fillet", "half_v", "u_groove", "edge")
 
 
@@ -116,6 +117,7 @@ def test_path_and_rim_are_their_plain_twins() -> None:
         expected = ExpectedStripe(
             *rng.uniform([[10.0], [1.0], [0.0]], [[90.0], [9.0], [1e-9]], (3, 30)),
             *(rng.random((2, 30)) < 0.7),
+            np.zeros(30, np.int64),
             9.0,
         )
         position = expected.position_px + rng.normal(0.0, 9.0, 30)
@@ -133,7 +135,9 @@ def test_path_and_rim_are_their_plain_twins() -> None:
 def test_lines_that_would_show_it_and_do_not_are_counted() -> None:
     """100 lines hold a stripe of 4000 e-; of the others some are as dark, some too bright, some saturated."""
     width, amplitude_e, dark_e2 = 3.0, 4000.0, 2500.0
-    expected = ExpectedStripe(*np.tile([[30.0], [width], [0.0]], N_SCAN), EVERYWHERE, EVERYWHERE, width)
+    expected = ExpectedStripe(
+        *np.tile([[30.0], [width], [0.0]], N_SCAN), EVERYWHERE, EVERYWHERE, ONE_FACE, width
+    )
     position, amplitude = np.full((2, N_SCAN), np.nan)
     position[:100], amplitude[:100] = 30.0, amplitude_e
     variance, censored = np.full((N_SCAN, N), dark_e2, np.float32), np.zeros((N_SCAN, N), np.bool_)
@@ -164,7 +168,7 @@ def test_lines_that_would_show_it_and_do_not_are_counted() -> None:
 
 def test_beyond_the_ends_of_an_unstated_fan_nothing_is_missed() -> None:
     """A fan lights 80 of 200 lines and misses three amid them; what lies astray is no stripe of it."""
-    expected = ExpectedStripe(*np.tile([[30.0], [3.0], [0.0]], N_SCAN), EVERYWHERE, EVERYWHERE, 3.0)
+    expected = ExpectedStripe(*np.tile([[30.0], [3.0], [0.0]], N_SCAN), EVERYWHERE, EVERYWHERE, ONE_FACE, 3.0)
     variance, censored = np.full((N_SCAN, N), 2500.0, np.float32), np.zeros((N_SCAN, N), np.bool_)
 
     def share(holds: np.ndarray, seeks_ends: bool) -> float:
@@ -252,7 +256,12 @@ def of_lines(expected: ExpectedStripe) -> tuple[Float64, Float64, Bool]:
 
 def test_a_stripe_off_the_image_is_told() -> None:
     expected = ExpectedStripe(
-        np.linspace(20.0, 90.0, 71), np.full(71, 3.0), np.zeros(71), *np.ones((2, 71), dtype=np.bool_), 3.0
+        np.linspace(20.0, 90.0, 71),
+        np.full(71, 3.0),
+        np.zeros(71),
+        *np.ones((2, 71), dtype=np.bool_),
+        np.zeros(71, np.int64),
+        3.0,
     )
     nowhere = np.full(71, np.nan)
     assert not leaves_image(nowhere, *of_lines(expected), 100)

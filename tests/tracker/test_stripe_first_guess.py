@@ -50,6 +50,8 @@ def guess_of(block: Block, n: int, asked: Float32, map_rel: float, base_e: float
         load(asked[3], 0),
         load(asked[4], 0),
         load(asked[5], 0),
+        load(asked[5], 0),
+        load(asked[5], 0),
     )
     known = first_guess(block, n, windows, MapNoise(map_rel, base_e))
     for k in range(len(known)):

@@ -13,11 +13,20 @@ from test_alike import CAMERA_MM, JOINTS, LASER_MM
 from test_stripe import line_fits
 
 from noise_model.arrays import Bool, Float64
+from noise_model.median import numbers_for
 from tracker.joint import fit_joint
 from tracker.stripe.line_fit.block import CORRELATION_PX, WINDOW_SIGMAS
 from tracker.stripe.line_fit.first_guess import line_window
 from tracker.stripe.line_fit.residuals import LAST_BIN, N_BINS
-from tracker.stripe.misfit import CHANCE, MIN_LINES, MOVED, MisfitRoom, mean_square_near, misfit_sigma_px
+from tracker.stripe.misfit import (
+    CHANCE,
+    MIN_LINES,
+    MOVED,
+    MisfitRoom,
+    count_alike,
+    mean_square_near,
+    misfit_sigma_px,
+)
 
 DEPTH, N_LINES, WIDTH_PX, AMPLITUDE_E, ARC_E = 64, 30, 5.0, 3000.0, 4000.0
 
@@ -48,7 +57,7 @@ def plain_odd_parts(
 def near(odd: Float64, half: int, alike: float) -> Float64:
     """The kernel's mean square."""
     mean_square = np.empty(len(odd))
-    mean_square_near(odd, half, alike, MisfitRoom.empty(), mean_square)
+    mean_square_near(odd, half, np.full(len(odd), alike), MisfitRoom.empty(), mean_square)
     return mean_square
 
 
@@ -83,6 +92,18 @@ def test_odd_residuals_are_their_twins() -> None:
         )
 
 
+def test_how_many_lines_scatter_as_one_is_the_usual_number_of_their_kind() -> None:
+    rng, n = np.random.default_rng(SEED), 61
+    n_lines, sigma, beside = rng.integers(1, 3, n), rng.uniform(0.1, 0.3, n), rng.uniform(0.3, 0.6, n)
+    sigma[rng.random(n) < 0.2] = np.nan
+    alike = np.empty(n)
+    count_alike(sigma, beside, n_lines, np.empty(numbers_for(n), np.float32), alike)
+    for together in (1, 2):
+        kind = n_lines == together
+        usual = np.nanmedian((beside[kind] / sigma[kind]) ** 2 / together)
+        np.testing.assert_allclose(alike[kind], usual, rtol=1e-6)
+
+
 def field(covariance: str, length_px: float, rng: np.random.Generator) -> Float64:
     """Draw a background's error over a scan line, of 1 sigma 1."""
     place = np.arange(DEPTH)
@@ -100,7 +121,7 @@ def stretch(error_e: Float64, rng: np.random.Generator) -> tuple[float, float]:
     background = np.full((N_LINES, DEPTH), ARC_E)
     charge = rng.poisson(bell + ARC_E + error_e, background.shape) + rng.normal(0.0, 45.0, background.shape)
     found, sigma_px = line_fits(charge, background, np.full(N_LINES, at), WIDTH_PX), np.empty(N_LINES)
-    misfit_sigma_px(found.odd, found.fits, 1.0, MisfitRoom.empty(), sigma_px)
+    misfit_sigma_px(found.odd, found.fits, np.ones(N_LINES), MisfitRoom.empty(), sigma_px)
     return float(np.mean(found.fits[:, 0]) - at), float(np.median(sigma_px))
 
 

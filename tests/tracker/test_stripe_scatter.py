@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.arrays import Float64, Int64
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
 from tracker.geometry import SensorGeometry
@@ -34,6 +34,7 @@ from tracker.stripe.frame_scatter import (
 from tracker.stripe.line_fit.lines import N_FITTED
 from tracker.stripe.scatter import (
     BRIGHTNESS_LAGS,
+    FAR_LAG,
     LAGS,
     LENGTHS,
     MAX_WIDTH_LIMIT_LN,
@@ -45,6 +46,8 @@ from tracker.stripe.scatter import (
     add_frame,
     brightness_alike,
     brightness_plateau,
+    brightness_share,
+    centre_share,
     empty_scatter,
     line_variance_px2,
     mean_variance_px2,
@@ -58,26 +61,33 @@ seeds = st.integers(0, 2**32 - 1)
 NOTHING = tuple(np.array(math.nan) for _ in range(3))
 
 
-def shown(off: Float64, sigma: Float64, amplitude: Float64) -> tuple[Float64, Float64, Float64]:
+def shown(
+    off: Float64,
+    sigma: Float64,
+    amplitude: Float64,
+    n_lines: Int64 | None = None,
+    learned: Scatter = NO_SCATTER,
+) -> tuple[Float64, Float64, Float64]:
     """What `differences` shows of centres off their expected places."""
     n, seen = len(off), empty_scatter()
-    fits = np.zeros((n, N_FITTED))
+    fits, read = np.zeros((n, N_FITTED)), np.ones(n, np.int64) if n_lines is None else n_lines
     fits[:, 0], fits[:, 2] = off, amplitude
-    differences(fits, np.zeros(n), sigma, 1, MIN_MEANS, ScatterRoom.empty(n), seen)
+    smooth, room = np.ones(n, np.bool_), ScatterRoom.empty(n)
+    differences(fits, np.zeros(n), sigma, read, smooth, learned.average, 1, MIN_MEANS, room, seen)
     return seen.by_lag, seen.by_length, seen.brightness
 
 
 def own_of(fits: Float64, expected: Float64) -> Float64:
     """The lines' own 1 sigma."""
     own = np.empty(len(fits))
-    own_sigma(fits, expected, ScatterRoom.empty(len(fits)).values, own)
+    own_sigma(fits, expected, np.ones(len(fits), np.int64), ScatterRoom.empty(len(fits)).values, own)
     return own
 
 
 def widened(scatter: Scatter, own: Float64, sheet_px: float) -> tuple[Float64, Float64]:
     """The lines' 1 sigma with the scatter, alone and among neighbours."""
     sigma, beside = np.empty((2, len(own)))
-    widen(scatter.average, own, sheet_px, sigma, beside)
+    widen(scatter.average, own, np.ones(len(own), np.int64), sheet_px, sigma, beside)
     return sigma, beside
 
 
@@ -107,7 +117,8 @@ def test_differences_are_their_twin(seed: int, n: int, lost: float) -> None:
     off[gone], sigma[gone], amplitude[gone] = np.nan, np.nan, np.nan
     by_lag, by_length, brightness = shown(off, sigma, amplitude)
     for found, lag in zip(by_lag, LAGS.tolist(), strict=True):
-        twin = beyond(of_three(off, lag), own_of_three(sigma**2, lag), 1.0, MIN_PER_LAG * lag)
+        least = MIN_PER_LAG * lag if lag >= FAR_LAG else MIN_DIFFERENCES
+        twin = beyond(of_three(off, lag), own_of_three(sigma**2, lag), 1.0, least)
         assert found == pytest.approx(twin, rel=1e-6, abs=1e-7, nan_ok=True)
     for found, length in zip(by_length, LENGTHS.tolist(), strict=True):
         runs = [values[: n // length * length].reshape(-1, length) for values in (off, sigma**2)]
@@ -118,12 +129,69 @@ def test_differences_are_their_twin(seed: int, n: int, lost: float) -> None:
         )
         twin = beyond(of_three(mean, 1), own_of_three(own, 1), float(length), MIN_MEANS)
         assert found == pytest.approx(twin, rel=1e-6, abs=1e-7, nan_ok=True)
-    least = [MIN_DIFFERENCES] * len(LAGS) + [MIN_PER_FAR_LAG * int(BRIGHTNESS_LAGS[-1])]
+    enough_each = [MIN_DIFFERENCES] * len(LAGS) + [MIN_PER_FAR_LAG * int(BRIGHTNESS_LAGS[-1])]
     bright = [
         beyond(of_three(amplitude, lag), np.zeros(max(n - 2 * lag, 0)), 1.0, enough)
-        for lag, enough in zip(BRIGHTNESS_LAGS.tolist(), least, strict=True)
+        for lag, enough in zip(BRIGHTNESS_LAGS.tolist(), enough_each, strict=True)
     ]
     assert brightness == pytest.approx(np.array(bright) / np.nanmedian(amplitude) ** 2, nan_ok=True)
+
+
+def plain_share(variances: Float64, plateau: float) -> float:
+    """The share of a line's variance that two neighbours' mean has, from the covariances of lines apart."""
+    C_4 = np.clip(0.75 * (plateau - variances[2]), 0.0, plateau)
+    C_2 = np.clip(0.75 * (plateau - variances[1] + C_4 / 3.0), 0.0, plateau)
+    C_1 = np.clip(0.75 * (plateau - variances[0] + C_2 / 3.0), 0.0, plateau)
+    return float((plateau + C_1) / (2.0 * plateau)) if plateau > 0.0 else 0.5
+
+
+@settings(deadline=None, max_examples=40)
+@given(seeds, st.integers(200, 900))
+def test_pairs_among_lines_are_compared_as_their_twin(seed: int, n: int) -> None:
+    """Near ones where they were read alone, far ones by the share that a pair has of a line's variance."""
+    rng = np.random.default_rng(seed)
+    known = frame(0.0)._replace(
+        by_lag=rng.uniform(0.0, 0.1, len(LAGS)), brightness=rng.uniform(0.0, 0.1, len(BRIGHTNESS_LAGS))
+    )
+    learned = with_frame(NO_SCATTER, known)
+    line = max(known.by_lag[-2:].max(), 0.0)
+    of_centres = plain_share(known.by_lag, line)
+    of_light = plain_share(known.brightness, known.brightness[: len(LAGS)].max())
+    assert centre_share(learned.average) == pytest.approx(of_centres)
+    assert brightness_share(learned.average) == pytest.approx(of_light)
+    off, own, amplitude = rng.normal(0.0, 0.3, n), np.full(n, 0.2), rng.uniform(500.0, 900.0, n)
+    n_lines = np.repeat(rng.choice([1, 2], n // 2 + 1), 2)[:n]
+    by_lag, _, brightness = shown(off, own, amplitude, n_lines, learned)
+    pair = n_lines == 2
+    share = np.where(pair, (0.5 * own**2 + of_centres * line) / (own**2 + line), 1.0)
+    light = np.where(pair, of_light, 1.0)
+    for k, lag in enumerate(LAGS.tolist()):
+        is_far = lag >= FAR_LAG
+        least, read = MIN_PER_LAG * lag if is_far else MIN_DIFFERENCES, [off, amplitude]
+        read = [values if is_far else np.where(pair, np.nan, values) for values in read]
+        second = of_three(read[0], lag) / np.sqrt(own_of_three(share, lag))
+        twin = beyond(second, own_of_three(own**2, lag), 1.0, least)
+        assert by_lag[k] == pytest.approx(twin, rel=1e-5, abs=1e-6, nan_ok=True)
+        second = of_three(read[1], lag) / np.sqrt(own_of_three(light, lag))
+        twin = beyond(second, np.zeros(n - 2 * lag), 1.0, MIN_DIFFERENCES) / np.median(amplitude) ** 2
+        assert brightness[k] == pytest.approx(twin, rel=1e-5, nan_ok=True)
+
+
+def test_what_is_not_known_of_neighbours_makes_a_pair_no_surer_than_a_line() -> None:
+    known = frame(0.0)._replace(by_lag=np.array([math.nan, 0.03, 0.04, 0.04]))
+    assert centre_share(with_frame(NO_SCATTER, known).average) == 1.0
+    assert centre_share(NO_SCATTER.average) == 0.5
+
+
+def test_a_pairs_sigma_is_its_own_and_what_it_scatters_by() -> None:
+    known = frame(0.0)._replace(
+        by_lag=np.array([0.02, 0.03, 0.04, 0.04]), by_length=np.full(len(LENGTHS), 0.1)
+    )
+    learned, n_lines = with_frame(NO_SCATTER, known), np.array([1, 2])
+    sigma, beside = np.empty((2, 2))
+    widen(learned.average, np.full(2, 0.2), n_lines, 0.0, sigma, beside)
+    np.testing.assert_allclose(sigma**2, [0.04 + 0.04, 0.02 + centre_share(learned.average) * 0.04])
+    np.testing.assert_allclose(beside**2, 0.04 + 0.1)
 
 
 @settings(deadline=None, max_examples=20)
@@ -161,9 +229,10 @@ def test_means_of_a_joint_that_is_searched_tell_nothing_by_themselves() -> None:
     fits = np.column_stack([rng.normal(size=640), np.ones((640, 6))])
     ones = np.ones(640)
     core, room = np.zeros(640, np.float32), ScatterRoom.empty(640)
+    alone = np.ones(640, np.int64), ones > 0.0, NO_SCATTER.average
     settled, searched = empty_scatter(), empty_scatter()
-    frame_scatter(fits, np.zeros(640), ones, ones, core, False, room, settled)
-    frame_scatter(fits, np.zeros(640), ones, ones, core, True, room, searched)
+    frame_scatter(fits, np.zeros(640), ones, ones, core, *alone, False, room, settled)
+    frame_scatter(fits, np.zeros(640), ones, ones, core, *alone, True, room, searched)
     assert np.isfinite(settled.by_length).all()
     np.testing.assert_array_equal(searched.by_length[:-1], settled.by_length[:-1])
     assert math.isnan(searched.by_length[-1])
@@ -193,7 +262,8 @@ def test_speckle_and_width_are_the_lines_medians(seed: int, n: int) -> None:
     gone = rng.random(n) < 0.3
     fits[gone], core[gone] = np.nan, np.nan
     width, ones = rng.uniform(3.0, 4.0, n), np.ones(n)
-    frame_scatter(fits, ones, width, ones, core, False, ScatterRoom.empty(n), seen)
+    alone = np.ones(n, np.int64), ones > 0.0, NO_SCATTER.average
+    frame_scatter(fits, ones, width, ones, core, *alone, False, ScatterRoom.empty(n), seen)
     if n - gone.sum() < MIN_DIFFERENCES:
         assert np.isnan([seen.speckle[()], seen.ln_width[()], seen.width_variance[()]]).all()
         return

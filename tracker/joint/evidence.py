@@ -17,6 +17,9 @@ x with the probability
 
 and anywhere among N places with N P at most. The evidence is -ln of that.
 
+Two lines that were read as one (`stripe.pairs`) speak as often as two that were not: their mean's innovation
+stands for both, that spread about it as independent lines are, or as alike as their sigma says.
+
 A gap shows by lines that hold no plate. Lines are lost by chance too, and in runs. With the rate r at which
 runs begin and the probability q that one goes on, a run of n lines or more is somewhere among N by chance
 with the probability N r q^(n - 1), at most. Few lines beside the gap tell q: where a of them went on with a
@@ -76,6 +79,7 @@ def evidence_nats(profile: Profile, corners_mm: Float64) -> float:
         profile.dz_mm,
         profile.sigma_px,
         profile.scan,
+        profile.lines_each,
         np.ascontiguousarray(corners_mm),
         profile.reach_mm,
     )
@@ -90,6 +94,7 @@ def _evidence_nats(
     dz_mm: Float64,
     sigma_px: Float64,
     scan: Float64,
+    n_lines: Float64,
     corners_mm: Float64,
     reach_mm: float,
 ) -> float:
@@ -99,14 +104,15 @@ def _evidence_nats(
     height_mm, slope = section_at(corners_mm, y_mm)
     for i in range(n):
         unit_mm = max(abs(dz_mm[i] - slope[i] * dy_mm[i]), MIN_ALONG_MM) * sigma_px[i]
-        off[i] = (z_mm[i] - height_mm[i]) / unit_mm
-    fit_plate(y_mm, z_mm, dy_mm, dz_mm, sigma_px, off_plate)
-    seen = wander_of(off)
-    new = innovations(off, scan, seen.own, seen.wander, seen.kept)
-    new_of_plate = innovations(off_plate, scan, seen.own, seen.wander, seen.kept)
+        off[i] = (z_mm[i] - height_mm[i]) / (unit_mm * math.sqrt(n_lines[i]))
+    fit_plate(y_mm, z_mm, dy_mm, dz_mm, sigma_px, n_lines, off_plate)
+    seen = wander_of(off, n_lines)
+    new = innovations(off, scan, n_lines, seen)
+    new_of_plate = innovations(off_plate, scan, n_lines, seen)
     # A section that explains no more than the plate gains nothing. erfc is less than its exponential.
-    gain = max(loss(new_of_plate) - loss(new), 0.0)
-    x = 2.0 * gain / points_alike(new)
+    pairs = lines_alike(sigma_px, n_lines)
+    gain = max(loss(new_of_plate, n_lines, pairs.alike) - loss(new, n_lines, pairs.alike), 0.0)
+    x = 2.0 * gain / (points_alike(new) * (1.0 + pairs.share * pairs.alike))
     chance = math.log(1.0 + math.sqrt(2.0 * x / math.pi) * (1.0 + x / 3.0)) - 0.5 * x
     return -chance - math.log(places_of(y_mm, reach_mm, PLACE_MM))
 
@@ -120,19 +126,28 @@ class Wander(NamedTuple):
 
 
 @kernel(allocates=True)
-def wander_of(off: Float64) -> Wander:
-    """Return what residuals (n,), in sigmas and in order, consist of, by their autocovariances c_k.
+def wander_of(off: Float64, n_lines: Float64) -> Wander:
+    """Return what residuals (n,), in sigmas of a line and in order, consist of, by their autocovariances c_k.
 
-    The wander's share that is kept is sum(c_k c_(k+1)) / sum(c_k^2) over LAGS, its variance c_1 over that.
-    Outliers are left out. Residuals smaller than their sigmas are taken for as large.
+    The wander's share that is kept from one to the next is sum(c_k c_(k+1)) / sum(c_k^2) over LAGS, its
+    variance c_1 over that. Outliers are left out. Residuals smaller than their sigmas are taken for as large.
+
+    Where `n_lines` (n,) is 2 they are means of two lines'. Times the root of 2 these have, of a line's own
+    variance v and a wander of variance q of which rho is kept from line to line,
+
+        c_0 = v + q (1 + rho),    c_k = q (1 + rho)^2 / (2 rho) rho^(2 k).
+
+    Among single lines both factors of q are in between.
     """
     n = off.shape[0]
-    sizes, core, c = np.empty(numbers_for(n), np.float32), np.empty(n), np.zeros(LAGS + 2)
+    sizes, core, c, lines = np.empty(numbers_for(n), np.float32), np.empty(n), np.zeros(LAGS + 2), 0.0
     for i in range(n):
-        sizes[i] = abs(off[i])
+        core[i] = off[i] * math.sqrt(n_lines[i])
+        sizes[i] = abs(core[i])
+        lines += n_lines[i] / n
     width = BISQUARE_WIDTH * max(1.0, MAD_SIGMA * median_of(sizes, n))
     for i in range(n):
-        core[i] = off[i] if abs(off[i]) < width else 0.0
+        core[i] = core[i] if abs(core[i]) < width else 0.0
     for lag in range(LAGS + 2):
         c[lag] = _product(core, lag) / n
     if not c[1] > CHANCE_SIGMAS / math.sqrt(n) * c[0]:
@@ -141,10 +156,12 @@ def wander_of(off: Float64) -> Wander:
     for lag in range(1, LAGS + 1):
         both += c[lag] * c[lag + 1]
         squares += c[lag] * c[lag]
-    kept = min(max(both / squares, MIN_KEPT), MAX_KEPT)
-    wander = min(c[1] / kept, c[0])
-    scale = max(1.0, 1.0 / c[0])
-    return Wander(max(c[0] - wander, OWN_SHARE * c[0]) * scale, wander * scale, kept)
+    shared = min(max(max(both, 0.0) / squares, MIN_KEPT**lines), MAX_KEPT)
+    kept = shared ** (1.0 / lines)
+    of_all = 1.0 + (lines - 1.0) * kept
+    wander = c[1] / shared / (1.0 + (lines - 1.0) * ((1.0 + kept) ** 2 / (2.0 * kept) - 1.0))
+    wander, scale = min(wander, c[0] / of_all), max(1.0, 1.0 / c[0])
+    return Wander(max(c[0] - wander * of_all, OWN_SHARE * c[0]) * scale, wander * scale, kept)
 
 
 @kernel(fastmath=REDUCTION)
@@ -157,19 +174,33 @@ def _product(values: Float64, lag: int) -> float:
 
 
 @kernel(allocates=True)
-def innovations(off: Float64, scan: Float64, own: float, wander: float, kept: float) -> Float64:
-    """Return what is new in residuals (n,) on scan lines (n,), in order, over its sigma: see `Wander`."""
+def innovations(off: Float64, scan: Float64, n_lines: Float64, seen: Wander) -> Float64:
+    """Return what is new in residuals (n,), in order, over its sigma: see `Wander`.
+
+    They are those of scan lines `scan` (n,), or means of two about there, as `n_lines` (n,) says. A wander w
+    goes on to rho w + eta. So the mean of two is (1 + rho) / 2 w + eta / 2, and half of the own variance.
+    """
+    own, wander, kept = seen
     new, foreseen, variance = np.empty(off.shape[0]), 0.0, wander
+    of_mean, fresh = 0.5 * (1.0 + kept), (1.0 - kept * kept) * wander
     for i in range(off.shape[0]):
         if i > 0:
-            shared = kept ** abs(scan[i] - scan[i - 1])
+            apart = abs(scan[i] - scan[i - 1]) - 0.5 * (n_lines[i] + n_lines[i - 1] - 2.0)
+            shared = kept ** max(apart, 0.0)
             foreseen *= shared
             variance = shared * shared * variance + (1.0 - shared * shared) * wander
-        total = variance + own
-        surprise = off[i] - foreseen
+        if n_lines[i] > 1.0:
+            total = of_mean * of_mean * variance + 0.25 * fresh + 0.5 * own
+            surprise = off[i] - of_mean * foreseen
+            told = kept * of_mean * variance + 0.5 * fresh
+            foreseen = kept * foreseen + told / total * surprise
+            variance = kept * kept * variance + fresh - told * told / total
+        else:
+            total = variance + own
+            surprise = off[i] - foreseen
+            foreseen += variance / total * surprise
+            variance *= own / total
         new[i] = surprise / math.sqrt(total)
-        foreseen += variance / total * surprise
-        variance *= own / total
     return new
 
 
@@ -255,21 +286,28 @@ def _units(
 
 @kernel(allocates=True)
 def fit_plate(
-    y_mm: Float64, z_mm: Float64, dy_mm: Float64, dz_mm: Float64, sigma_px: Float64, off: Float64
+    y_mm: Float64,
+    z_mm: Float64,
+    dy_mm: Float64,
+    dz_mm: Float64,
+    sigma_px: Float64,
+    n_lines: Float64,
+    off: Float64,
 ) -> None:
-    """Fit a cubic z(y) to points (n,) by Tukey's weights; write how far they lie off it, in their sigmas.
+    """Fit a cubic z(y) to points (n,) by Tukey's weights; write how far they lie off it, in a line's sigmas.
 
     A point's sigma is by how much its height changes beside the cubic with 1 sigma of its stripe's centre.
     """
     n, middle, half = y_mm.shape[0], y_mm.mean(), 0.5 * max(y_mm.max() - y_mm.min(), MIN_ALONG_MM)
     H, g = np.empty((PLATE_PARAMETERS, PLATE_PARAMETERS)), np.empty(PLATE_PARAMETERS)
     p = np.empty(PLATE_PARAMETERS)
-    weights, sizes = np.ones(n), np.empty(numbers_for(n), np.float32)
+    weights, line_px, sizes = np.empty(n), np.empty(n), np.empty(numbers_for(n), np.float32)
     t, unit_mm, slopes = np.empty(n), np.empty(n), np.zeros(PLATE_PARAMETERS - 1)
     for i in range(n):
         t[i] = (y_mm[i] - middle) / half
+        weights[i], line_px[i] = n_lines[i], sigma_px[i] * math.sqrt(n_lines[i])
     for _ in range(PLATE_STEPS):
-        _units(t, dy_mm, dz_mm, sigma_px, slopes, unit_mm)
+        _units(t, dy_mm, dz_mm, line_px, slopes, unit_mm)
         _plate_sums(t, z_mm, unit_mm, weights, H, g)
         for k in range(PLATE_PARAMETERS):
             # Points at one place leave a cubic open: the solver would raise.
@@ -282,15 +320,61 @@ def fit_plate(
         narrow = 1.0 / (BISQUARE_WIDTH * max(1.0, MAD_SIGMA * median_of(sizes, n)))
         for i in range(n):
             kept = max(1.0 - (off[i] * narrow) ** 2, 0.0)
-            weights[i] = kept * kept
+            weights[i] = n_lines[i] * kept * kept
+
+
+class Pairs(NamedTuple):
+    """How alike what is new in two lines is that were read as one, a correlation, and their share of all."""
+
+    alike: float
+    share: float
 
 
 @kernel
-def loss(off: Float64) -> float:
-    """Return Tukey's loss of residuals (n,), sigmas, in nats; see `section_fit.tukey_loss`."""
+def _usual_sigma(sigma_px: Float64, n_lines: Float64, together: float, room: Float32) -> tuple[int, float]:
+    """Return how many points (n,) stand for so many lines each, and the median of their 1 sigma."""
+    count = 0
+    for i in range(sigma_px.shape[0]):
+        if n_lines[i] == together:
+            room[count] = sigma_px[i]
+            count += 1
+    return count, median_of(room, count)
+
+
+@kernel(allocates=True)
+def lines_alike(sigma_px: Float64, n_lines: Float64) -> Pairs:
+    """Return `Pairs` of points (n,) that stand for 1 or 2 lines each, as their sigmas have it.
+
+    The mean of two that are off alike by r has (1 + r) / 2 of either's variance. Of r the first line tells
+    MIN_KEPT beforehand; what is new in both is alike by the rest.
+    """
+    room = np.empty(numbers_for(len(sigma_px)), np.float32)
+    n_pairs, pair_px = _usual_sigma(sigma_px, n_lines, 2.0, room)
+    n_alone, alone_px = _usual_sigma(sigma_px, n_lines, 1.0, room)
+    if n_pairs == 0 or n_alone == 0:
+        return Pairs(0.0, 0.0)
+    alike = 2.0 * (pair_px / alone_px) ** 2 - 1.0 - MIN_KEPT
+    return Pairs(min(max(alike, 0.0), 1.0), 2.0 * n_pairs / (2.0 * n_pairs + n_alone))
+
+
+@kernel
+def loss(new: Float64, n_lines: Float64, alike: float) -> float:
+    """Return Tukey's loss of what is new in residuals (n,), sigmas, in nats; see `section_fit.tukey_loss`.
+
+    Where two lines were read as one, `n_lines` is 2, it is what both would lose on average. `alike` by r,
+    theirs lie about the root of (1 + r) / 2 of it with a variance of (1 - r) / 2, whose moments make the
+    loss' terms.
+    """
     total = 0.0
-    for i in range(off.shape[0]):
-        total += 1.0 - max(1.0 - (off[i] / BISQUARE_WIDTH) ** 2, 0.0) ** 3
+    for i in range(new.shape[0]):
+        square = (new[i] / BISQUARE_WIDTH) ** 2
+        if n_lines[i] > 1.0:
+            m, h = 0.5 * (1.0 + alike) * square, 0.5 * (1.0 - alike) / BISQUARE_WIDTH**2
+            second, fourth = m + h, m * m + 6.0 * m * h + 3.0 * h * h
+            sixth = m**3 + 15.0 * m * m * h + 45.0 * m * h * h + 15.0 * h**3
+            total += 2.0 * min(3.0 * second - 3.0 * fourth + sixth, 1.0) if m < 1.0 else 2.0
+        else:
+            total += 1.0 - max(1.0 - square, 0.0) ** 3
     return BISQUARE_WIDTH**2 / 6.0 * total
 
 

@@ -178,7 +178,7 @@ def _plates_path(path_px: Float64) -> Float64:
     is_read = np.flatnonzero(np.isfinite(path_px))
     read_px, off_px = path_px[is_read], np.empty(len(is_read))
     still, a_pixel = np.zeros(len(is_read)), np.ones(len(is_read))
-    fit_plate(is_read.astype(np.float64), read_px, still, a_pixel, a_pixel, off_px)
+    fit_plate(is_read.astype(np.float64), read_px, still, a_pixel, a_pixel, a_pixel, off_px)
     return np.interp(np.arange(len(path_px)), is_read, read_px - off_px)
 
 

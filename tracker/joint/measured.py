@@ -82,6 +82,7 @@ class SectionPoints(NamedTuple):
     sigma_px: Float64
     beside_px: Float64
     misfit_px: Float64
+    n_lines: Float64
 
 
 def points_of(profile: Profile) -> SectionPoints:
@@ -95,6 +96,7 @@ def points_of(profile: Profile) -> SectionPoints:
         profile.sigma_px,
         profile.beside_px,
         _NONE_PX if profile.misfit_px is None else profile.misfit_px,
+        profile.lines_each,
     )
 
 
@@ -133,16 +135,16 @@ def fit_points(
 
     All points (n,) are used where none are `chosen`, and without a `misfit_px` it is 0.
     """
-    y_mm, z_mm, dy_mm, dz_mm, scan, sigma_px, beside_px, misfit_px = points
+    y_mm, z_mm, dy_mm, dz_mm, scan, sigma_px, beside_px, misfit_px, n_lines = points
     n, m = y_mm.shape[0], prior_sigma.shape[0]
     parameters, covariance, weights = start.copy(), np.empty((m, m)), np.empty(n)
     used = chosen if len(chosen) > 0 else np.ones(n, np.bool_)
     misfit = misfit_px if len(misfit_px) > 0 else np.zeros(n)
     sigma, beside = np.empty(n), np.empty(n)
-    if count_with_floor(sigma_px, used, sigma) < m + 3:
+    if count_with_floor(sigma_px, n_lines, used, sigma) < m + 3:
         return ShapeFit(parameters[:m], covariance, math.nan, weights)
     for i in range(n):
-        beside[i] = math.sqrt(beside_px[i] ** 2 + SIGMA_FLOOR_PX**2)
+        beside[i] = math.sqrt(beside_px[i] ** 2 + SIGMA_FLOOR_PX**2 / n_lines[i])
     wide = start_sigma_mm / max(typical_mm(dz_mm, sigma, used), MIN_UNIT_MM)
     chi2 = fit_section(
         shape, y_mm, z_mm, dy_mm, dz_mm, sigma, used, wide, prior_sigma, parameters, covariance, weights
@@ -155,11 +157,14 @@ def fit_points(
 
 
 @kernel
-def count_with_floor(sigma_px: Float64, used: Bool, sigma: Float64) -> int:
-    """Write stripe centres' 1 sigma (n,) with what they may be off beyond it; return how many are used."""
+def count_with_floor(sigma_px: Float64, n_lines: Float64, used: Bool, sigma: Float64) -> int:
+    """Write stripe centres' 1 sigma (n,) with what each of their lines may be off beyond it.
+
+    Returns how many are used.
+    """
     count = 0
     for i in range(sigma_px.shape[0]):
-        sigma[i] = math.sqrt(sigma_px[i] ** 2 + SIGMA_FLOOR_PX**2)
+        sigma[i] = math.sqrt(sigma_px[i] ** 2 + SIGMA_FLOOR_PX**2 / n_lines[i])
         count += used[i]
     return count
 

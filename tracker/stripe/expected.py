@@ -34,7 +34,8 @@ class ExpectedStripe(NamedTuple):
     `position_px` its centre, `sigma_px` its 1 sigma (sheet and point-spread function), `bias_px` how far its
     light's centre lies off the laser plane's trace because reflectance and fall-off vary across it. `shown`
     says where the joint would show it at all, and not what an edge joint stands on, deep out of sight, nor
-    what lies beyond the fan's end; `is_sought` where it is looked for. `widest_px` is the largest sigma.
+    what lies beyond the fan's end; `is_sought` where it is looked for. `face` is which of the section's faces
+    it lies on, -1 between two. `widest_px` is the largest sigma.
     """
 
     position_px: Float64
@@ -42,6 +43,7 @@ class ExpectedStripe(NamedTuple):
     bias_px: Float64
     shown: Bool
     is_sought: Bool
+    face: Int64
     widest_px: float
 
     @property
@@ -142,7 +144,7 @@ def expect(source: StripeSource, scene: Scene, n_scan: int) -> tuple[bool, Expec
             beyond_mm = _beyond_fan_mm(source, float(s), position[s])
             shown[s] = shown[s] and not beyond_mm > 0.0
             is_sought[s] = not beyond_mm > FAN_SLACK_MM
-    return in_view, ExpectedStripe(position, sigma, bias, shown, is_sought, widest)
+    return in_view, ExpectedStripe(position, sigma, bias, shown, is_sought, face, widest)
 
 
 @kernel(allocates=True)

@@ -31,11 +31,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float32, Float64
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.median import close_up, finite_median, keep_finite, median_of, numbers_for
 from tracker.stripe.line_fit.block import WINDOW_SIGMAS
-from tracker.stripe.scatter import BRIGHTNESS_LAGS, LAGS, LENGTHS, FrameScatter
+from tracker.stripe.scatter import (
+    BRIGHTNESS_LAGS,
+    FAR_LAG,
+    LAGS,
+    LENGTHS,
+    FrameScatter,
+    brightness_share,
+    centre_share,
+    line_variance_px2,
+)
 
 USUAL_PX = 5.0
 """1 sigma of a stripe, px, up to which lines as far apart as the longest lag scatter by themselves."""
@@ -70,30 +79,39 @@ class ScatterRoom(NamedTuple):
     values: Float32
     off: Float64
     variance: Float64
+    alone: Float64
+    share: Float64
     means: Float64
     mean_variance: Float64
 
     @classmethod
     def empty(cls, n_scan: int) -> ScatterRoom:
         """Make room for a frame of so many lines."""
-        return cls(np.empty(numbers_for(n_scan), np.float32), *np.empty((4, n_scan)))
+        return cls(np.empty(numbers_for(n_scan), np.float32), *np.empty((6, n_scan)))
 
 
 @kernel
-def own_sigma(fits: Float64, expected_px: Float64, room: Float32, own_px: Float64) -> None:
+def own_sigma(fits: Float64, expected_px: Float64, n_lines: Int64, room: Float32, own_px: Float64) -> None:
     """Write the lines' 1 sigma (n,), px, by their photons, more where a line fits worse than most do.
 
-    `fits` (n, 7) are `LineFits`', `expected_px` (n,) the widths whose windows they read. What all lines'
-    chi2 shows beyond 1 is the same for all, a profile that is no bell or speckle: the scatter tells what it
-    does to the centres.
+    `fits` (n, 7) are `LineFits`', `expected_px` (n,) the widths whose windows they read, `n_lines` (n,) with
+    how many each was read. What all lines' chi2 shows beyond 1 is the same for all, a profile that is no bell
+    or speckle: the scatter tells what it does to the centres. A pair's chi2 shows more of it than a line's.
     """
     for s in range(own_px.shape[0]):
         own_px[s] = math.nan
         if math.isfinite(fits[s, 4]):
             own_px[s] = max(fits[s, 4] - math.sqrt(1.0 / (WINDOW_SIGMAS * expected_px[s])), 1.0)
-    usual = finite_median(own_px, room)
-    for s in range(own_px.shape[0]):
-        own_px[s] = fits[s, 1] * math.sqrt(max(1.0 / usual, 1.0 / own_px[s]))
+    for together in range(1, 3):
+        count = 0
+        for s in range(own_px.shape[0]):
+            if n_lines[s] == together and math.isfinite(own_px[s]):
+                room[count] = own_px[s]
+                count += 1
+        usual = median_of(room, count)
+        for s in range(own_px.shape[0]):
+            if n_lines[s] == together:
+                own_px[s] = fits[s, 1] * math.sqrt(max(1.0 / usual, 1.0 / own_px[s]))
 
 
 @kernel
@@ -103,6 +121,9 @@ def frame_scatter(
     width_px: Float64,
     sigma_px: Float64,
     core: Float32,
+    n_lines: Int64,
+    is_smooth: Bool,
+    learned: FrameScatter,
     is_searching: bool,
     room: ScatterRoom,
     seen: FrameScatter,
@@ -111,7 +132,8 @@ def frame_scatter(
 
     `fits` (n, 7) are `LineFits`', NaN where there is no stripe, `expected_px` the places and `width_px`
     the widths that the setup gives, `sigma_px` (n,) the lines' own 1 sigma; `core` (n,) is
-    `residuals.core_square`; `is_searching` says whether the joint may be far off its expected place.
+    `residuals.core_square`; `n_lines` (n,) are with how many each was read, and what is `learned` says how
+    much less pairs scatter. `is_searching` says whether the joint may be far off its expected place.
     """
     n = fits.shape[0]
     for s in range(n):
@@ -119,7 +141,7 @@ def frame_scatter(
     known_px = finite_median(room.off, room.values)
     times = 1 if math.isnan(known_px) else max(round(known_px / USUAL_PX), 1)
     min_means = MIN_MEANS_SEARCHING if is_searching else MIN_MEANS
-    differences(fits, expected_px, sigma_px, times, min_means, room, seen)
+    differences(fits, expected_px, sigma_px, n_lines, is_smooth, learned, times, min_means, room, seen)
     count = 0
     for s in range(n):
         room.off[s] = math.log(fits[s, 3] / width_px[s])
@@ -128,7 +150,7 @@ def frame_scatter(
     if count >= MIN_DIFFERENCES:
         middle = finite_median(room.off, room.values)
         for s in range(n):
-            room.off[s] = (room.off[s] - middle) ** 2
+            room.off[s] = (room.off[s] - middle) ** 2 / room.share[s]
         variance = finite_median(room.off, room.values) / MEDIAN_CHI2
     seen.ln_width[()], seen.width_variance[()] = middle, variance
     count = keep_finite(core, room.values)
@@ -136,14 +158,14 @@ def frame_scatter(
 
 
 @kernel
-def _variance_of(values: Float64, n: int, lag: int, least: int, room: Float32) -> float:
+def _variance_of(values: Float64, share: Float64, n: int, lag: int, least: int, room: Float32) -> float:
     """Return the variance of the first n values by second differences: the median of d^2 / 6 over 0.455.
 
-    NaN where fewer than so many differences are known.
+    Each value has a `share` (n,) of that variance. NaN where fewer than so many differences are known.
     """
     for i in range(lag, n - lag):
         d = values[i - lag] - 2.0 * values[i] + values[i + lag]
-        room[i - lag] = d * d / 6.0
+        room[i - lag] = d * d / (share[i - lag] + 4.0 * share[i] + share[i + lag])
     count = close_up(room, max(n - 2 * lag, 0))
     return median_of(room, count) / MEDIAN_CHI2 if count >= least else math.nan
 
@@ -161,6 +183,9 @@ def differences(
     fits: Float64,
     expected_px: Float64,
     sigma_px: Float64,
+    n_lines: Int64,
+    is_smooth: Bool,
+    learned: FrameScatter,
     times: int,
     min_means: int,
     room: ScatterRoom,
@@ -170,22 +195,34 @@ def differences(
 
     LAGS and LENGTHS count so many `times`. Fewer than `min_means` differences of means tell nothing. Into
     `seen.brightness` goes the square of the amplitudes' contrast, by its own lags, of which the last asks for
-    more differences.
+    more differences. Pairs have the share of a line's variance that is `learned`: with it they tell that of
+    lines FAR_LAG apart and more. Means over an even number of lines are the same of pairs.
     """
-    n, values = fits.shape[0], room.values
+    n, values, share = fits.shape[0], room.values, room.share
+    of_two = brightness_share(learned)
     for i in range(n):
         room.off[i] = fits[i, 2]
+        room.alone[i] = fits[i, 2] if n_lines[i] == 1 and is_smooth[i] else math.nan
+        share[i] = 1.0 if n_lines[i] == 1 else of_two
     typical_e = finite_median(room.off, values)
     for k in range(len(BRIGHTNESS_LAGS)):
         lag = BRIGHTNESS_LAGS[k]
         least = MIN_PER_FAR_LAG * lag if k == len(BRIGHTNESS_LAGS) - 1 else MIN_DIFFERENCES
-        seen.brightness[k] = _variance_of(room.off, n, lag, least, values) / typical_e**2
+        read = room.off if lag >= FAR_LAG else room.alone
+        seen.brightness[k] = _variance_of(read, share, n, lag, least, values) / typical_e**2
+    line, of_two = line_variance_px2(learned), centre_share(learned) * line_variance_px2(learned)
     for i in range(n):
         room.off[i] = fits[i, 0] - expected_px[i]
         room.variance[i] = sigma_px[i] ** 2
+        room.alone[i] = room.off[i] if n_lines[i] == 1 and is_smooth[i] else math.nan
+        if n_lines[i] > 1:
+            share[i] = (0.5 * room.variance[i] + of_two) / (room.variance[i] + line)
     for k in range(len(LAGS)):
-        lag = times * LAGS[k]
-        variance = _variance_of(room.off, n, lag, MIN_PER_LAG * lag, values)
+        is_far = LAGS[k] >= FAR_LAG
+        lag = times * LAGS[k] if is_far else LAGS[k]
+        read = room.off if is_far else room.alone
+        least = MIN_PER_LAG * lag if is_far else MIN_DIFFERENCES
+        variance = _variance_of(read, share, n, lag, least, values)
         seen.by_lag[k] = variance - _own_variance_of(room.variance, n, lag, values)
     for k in range(len(LENGTHS)):
         length = times * LENGTHS[k]
@@ -199,6 +236,7 @@ def differences(
             is_mean = known >= MIN_SEEN_SHARE * length
             room.means[b] = added / known if is_mean else math.nan
             room.mean_variance[b] = variance / known if is_mean else math.nan
-        variance = _variance_of(room.means, n // length, 1, min_means, values)
+            room.alone[b] = 1.0
+        variance = _variance_of(room.means, room.alone, n // length, 1, min_means, values)
         own = _own_variance_of(room.mean_variance, n // length, 1, values)
         seen.by_length[k] = length * variance - own

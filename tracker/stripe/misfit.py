@@ -20,8 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.kernel import kernel
+from noise_model.median import median_of
 from tracker.stripe.line_fit.block import CORRELATION_PX
 from tracker.stripe.line_fit.residuals import N_BINS
 
@@ -49,11 +50,11 @@ class MisfitRoom(NamedTuple):
 
 
 @kernel
-def mean_square_near(odd_e: Float64, half: int, alike: float, room: MisfitRoom, near_e2: Float64) -> None:
+def mean_square_near(odd_e: Float64, half: int, alike: Float64, room: MisfitRoom, near_e2: Float64) -> None:
     """Write the mean square (n,), e-^2, of the odd residuals' means over lines up to `half` away.
 
     Less what the lines' own scatter gives it by chance, 0 where that explains it or too few lines are known.
-    So many lines, `alike`, scatter as one.
+    About each line so many, `alike` (n,), scatter as one.
     """
     n, n_bins = odd_e.shape
     total, squares, n_lines = room
@@ -76,19 +77,37 @@ def mean_square_near(odd_e: Float64, half: int, alike: float, room: MisfitRoom, 
         for k in range(n_bins):
             if n_lines[k] >= MIN_LINES:
                 mean = total[k] / n_lines[k]
-                noise = max(squares[k] / n_lines[k] - mean * mean, 0.0) / (n_lines[k] - 1.0) * alike
+                noise = max(squares[k] / n_lines[k] - mean * mean, 0.0) / (n_lines[k] - 1.0) * alike[i]
                 near += (mean * mean - CHANCE * noise) / n_bins
         near_e2[i] = max(near, 0.0)
 
 
 @kernel
+def count_alike(sigma_px: Float64, beside_px: Float64, n_lines: Int64, room: Float32, alike: Float64) -> None:
+    """Write how many neighbouring centres (n,) scatter as one, the usual number of lines alone or of pairs.
+
+    `sigma_px` is the centres' 1 sigma, `beside_px` that with which a line counts among neighbours.
+    """
+    for together in range(1, 3):
+        count = 0
+        for s in range(n_lines.shape[0]):
+            if n_lines[s] == together and math.isfinite(sigma_px[s]):
+                room[count] = (beside_px[s] / sigma_px[s]) ** 2 / together
+                count += 1
+        usual = median_of(room, count) if count > 0 else 1.0
+        for s in range(n_lines.shape[0]):
+            if n_lines[s] == together:
+                alike[s] = usual
+
+
+@kernel
 def misfit_sigma_px(
-    odd_e: Float64, fits: Float64, alike: float, room: MisfitRoom, misfit_px: Float64
+    odd_e: Float64, fits: Float64, alike: Float64, room: MisfitRoom, misfit_px: Float64
 ) -> None:
     """Write by how much each line's centre may be off alike with its neighbours' (n,), px.
 
-    `odd_e` (n, N_BINS) are the lines' odd residuals, `fits` (n, 7) their fits; so many lines, `alike`,
-    scatter as one.
+    `odd_e` (n, N_BINS) are the lines' odd residuals, `fits` (n, 7) their fits; about each so many,
+    `alike` (n,), scatter as one. Of two lines that were read as one the second has no residuals.
     """
     mean_square_near(odd_e, round(0.5 * CORRELATION_PX), alike, room, misfit_px)
     for s in range(misfit_px.shape[0]):

@@ -80,7 +80,8 @@ class StripeReading(NamedTuple):
     `scatter` is what the frames up to this one show of it, `learned` what this one was read with.
     `misfit_px` (n_scan,) is by how much each centre may be off, alike with its neighbours', for light beneath
     it that is not as expected. `usual` is what is usual for a line, `evidence` what tells whether there is a
-    stripe, `width_px` (n_scan,) the lines' fitted 1 sigma across it.
+    stripe, `width_px` (n_scan,) the lines' fitted 1 sigma across it. Where `n_lines` (n_scan,) is 2, an even
+    line and the next were read as one: the fits of both are what either would say alone.
     """
 
     stripe: Stripe
@@ -103,6 +104,7 @@ class StripeReading(NamedTuple):
     usual: UsualLine
     evidence: Evidence
     width_px: Float64
+    n_lines: Int64
 
     def light(self, psf_sigma_px: float, sheet_lines: float) -> StripeLight:
         """Return what shows where the stripe ends, as good as the band."""
@@ -217,6 +219,7 @@ def read_stripe(
         seen.usual,
         seen.evidence,
         seen.width_px,
+        room.n_lines,
     )
 
 

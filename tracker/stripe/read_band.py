@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.median import finite_median
 from tracker.state import Stripe
@@ -17,13 +17,17 @@ from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.frame_scatter import ScatterRoom, frame_scatter, own_sigma
 from tracker.stripe.ghost import second_light, second_place
 from tracker.stripe.line_fit.lines import FitRoom, LineFits, fit_lines, fit_room
-from tracker.stripe.misfit import MisfitRoom, misfit_sigma_px
+from tracker.stripe.misfit import MisfitRoom, count_alike, misfit_sigma_px
+from tracker.stripe.pairs import mark_pairs, tell_both
 from tracker.stripe.scatter import (
     FrameScatter,
     add_frame,
     brightness_alike,
     brightness_plateau,
+    centre_share,
     empty_scatter,
+    line_variance_px2,
+    pair_contrast,
     weighing_contrast,
     widen,
     width_factor,
@@ -61,6 +65,8 @@ class ReadRoom(NamedTuple):
     choice: Int64
     lines: LineFits
     fit: FitRoom
+    n_lines: Int64
+    is_smooth: Bool
     scatter: ScatterRoom
     smooth: SmoothRoom
     misfit: MisfitRoom
@@ -78,6 +84,8 @@ class ReadRoom(NamedTuple):
             np.empty(n_scan, np.int64),
             LineFits.empty(n_scan),
             fit_room(n_scan),
+            np.ones(n_scan, np.int64),
+            np.ones(n_scan, np.bool_),
             ScatterRoom.empty(n_scan),
             SmoothRoom.empty(n_scan),
             MisfitRoom.empty(),
@@ -116,9 +124,14 @@ def fit_band(
     noise: Noise,
     learned: FrameScatter,
     is_searching: bool,
+    reads_pairs: bool,
+    reach_px: float,
     room: ReadRoom,
 ) -> None:
-    """Find the likeliest path through a band at some offsets (n,), fit its lines and see how they scatter."""
+    """Find the likeliest path through a band at some offsets (n,), fit its lines and see how they scatter.
+
+    Where it `reads_pairs`, two lines are fitted as one where no corner lies within `reach_px`.
+    """
     n_scan, lines = band.charge.shape[0], room.lines
     factor = width_factor(learned)
     for s in range(n_scan):
@@ -136,29 +149,47 @@ def fit_band(
     peaks(score, room.choice, expected.position_px, offsets_px, room.start_px)
     for s in range(n_scan):
         if not expected.is_sought[s]:
-            room.start_px[s] = math.nan
+            room.start_px[s], room.choice[s] = math.nan, -1
+        room.n_lines[s], room.is_smooth[s] = 1, True
+    if reads_pairs:
+        mark_pairs(
+            room.choice,
+            expected.face,
+            expected.position_px,
+            room.width_px,
+            reach_px,
+            room.n_lines,
+            room.is_smooth,
+        )
     fit_lines(
         band.charge,
         band.background,
         band.censored,
         room.start_px,
         room.width_px,
+        room.n_lines,
         band.lows,
         noise.shot,
         noise.dark_e2,
         weighing_contrast(learned),
+        pair_contrast(learned),
         noise.map_rel,
         noise.base_e,
         room.fit,
         lines,
     )
-    own_sigma(lines.fits, room.width_px, room.scatter.values, room.own_px)
+    if reads_pairs:
+        tell_both(expected.position_px, room.n_lines, centre_share(learned), lines)
+    own_sigma(lines.fits, room.width_px, room.n_lines, room.scatter.values, room.own_px)
     frame_scatter(
         lines.fits,
         expected.position_px,
         expected.sigma_px,
         room.own_px,
         lines.core,
+        room.n_lines,
+        room.is_smooth,
+        learned,
         is_searching,
         room.scatter,
         room.seen,
@@ -226,6 +257,7 @@ def _read_without_a_second(
     noise: Noise,
     learned: FrameScatter,
     is_searching: bool,
+    reads_pairs: bool,
     reach_px: float,
     room: ReadRoom,
 ) -> Told:
@@ -250,7 +282,7 @@ def _read_without_a_second(
             for j in range(light.shape[1]):
                 band.background[s, j] = band.plain[s, j] + light[s, j]
         share = now
-        fit_band(band, expected, offsets_px, noise, learned, is_searching, room)
+        fit_band(band, expected, offsets_px, noise, learned, is_searching, reads_pairs, reach_px, room)
     told = Told(share, math.inf, False, 0, len(offsets_px))
     if not is_searching or share == 0.0:
         return told
@@ -260,7 +292,7 @@ def _read_without_a_second(
     if told.is_reflection:
         _copy(band.plain, band.background)
         near = offsets_px[told.first : told.first + told.n_offsets]
-        fit_band(band, expected, near, noise, learned, is_searching, room)
+        fit_band(band, expected, near, noise, learned, is_searching, reads_pairs, reach_px, room)
     return told
 
 
@@ -313,24 +345,28 @@ def _finish(
 ) -> None:
     """Write what the fits say of each line, with the scatter that is known and with its neighbours."""
     n_scan, fits = room.start_px.shape[0], room.lines.fits
-    own_sigma(fits, expected.sigma_px, room.scatter.values, room.own_px)
-    widen(learned, room.own_px, _sheet_px(fits, psf_sigma_px, room.scatter), out.sigma_px, out.beside_px)
+    own_sigma(fits, expected.sigma_px, room.n_lines, room.scatter.values, room.own_px)
+    sheet_px = _sheet_px(fits, psf_sigma_px, room.scatter)
+    widen(learned, room.own_px, room.n_lines, sheet_px, out.sigma_px, out.beside_px)
     for s in range(n_scan):
         out.position_px[s], out.amplitude_e[s] = fits[s, 0], fits[s, 2]
         out.saturated[s] = room.lines.saturated[s]
-        room.scatter.off[s] = (out.beside_px[s] / out.sigma_px[s]) ** 2
+        # Two lines that were read as one tell their misfit once.
+        if room.n_lines[s] > 1 and s % 2 == 1:
+            room.lines.odd[s] = math.nan
     smooth_stripe(
         out.position_px, out.sigma_px, out.beside_px, room.smooth, out.smooth_px, out.smooth_sigma_px
     )
-    alike = finite_median(room.scatter.off, room.scatter.values)
-    misfit_sigma_px(room.lines.odd, fits, 1.0 if math.isnan(alike) else alike, room.misfit, room.misfit_px)
+    count_alike(out.sigma_px, out.beside_px, room.n_lines, room.scatter.values, room.scatter.off)
+    misfit_sigma_px(room.lines.odd, fits, room.scatter.off, room.misfit, room.misfit_px)
 
 
 @kernel(allocates=True)
-def usual_line(average: FrameScatter, sigma_px: Float64) -> UsualLine:
-    """Return what scatter and 1 sigma of the lines' centres (n,) say of a usual line."""
-    known_px = sigma_px[np.isfinite(sigma_px)]
-    centre_sigma_px = np.median(known_px) if len(known_px) > 0 else math.nan
+def usual_line(average: FrameScatter, own_px: Float64) -> UsualLine:
+    """Return what scatter and lines' own 1 sigma (n,) say of a usual line read alone."""
+    known_px = own_px[np.isfinite(own_px)]
+    own_sigma_px = np.median(known_px) if len(known_px) > 0 else math.nan
+    centre_sigma_px = math.hypot(own_sigma_px, math.sqrt(line_variance_px2(average)))
     return UsualLine(math.sqrt(brightness_plateau(average)), brightness_alike(average), centre_sigma_px)
 
 
@@ -359,12 +395,15 @@ def read_band(
     """
     at_level(band.background, light)
     read_with, after = before, empty_scatter()
-    fit_band(band, expected, offsets_px, noise, before, is_searching, room)
+    reads_pairs = frames > 0 and not is_searching
+    fit_band(band, expected, offsets_px, noise, before, is_searching, reads_pairs, reach_px, room)
     if frames == 0:
         read_with = empty_scatter()
         add_frame(before, 0, room.seen, read_with)
-        fit_band(band, expected, offsets_px, noise, read_with, is_searching, room)
-    told = _read_without_a_second(band, expected, offsets_px, noise, read_with, is_searching, reach_px, room)
+        fit_band(band, expected, offsets_px, noise, read_with, is_searching, reads_pairs, reach_px, room)
+    told = _read_without_a_second(
+        band, expected, offsets_px, noise, read_with, is_searching, reads_pairs, reach_px, room
+    )
     add_frame(before, frames, room.seen, after)
     stripe = _empty_stripe(band.charge.shape[0], along_rows)
     _finish(expected, after, psf_sigma_px, room, stripe)
@@ -383,5 +422,5 @@ def read_band(
         read_with,
         room.scatter.values,
     )
-    usual, width_px = usual_line(after, stripe.sigma_px), room.lines.fits[:, 3].copy()
+    usual, width_px = usual_line(after, room.own_px), room.lines.fits[:, 3].copy()
     return BandReading(stripe, told, evidence, read_with, after, usual, width_px, sought_px, score)

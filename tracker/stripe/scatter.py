@@ -12,14 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.arrays import Float64, Int64
 from noise_model.kernel import kernel
 
 LAGS = np.array([1, 2, 4, 8])
 """How many lines apart centres are compared: speckle's grains reach over a few.
 
-These and LENGTHS are those of a stripe of USUAL_PX at most: a wider one's lines are alike over more.
+From FAR_LAG on these, and LENGTHS, are those of a stripe of USUAL_PX at most: a wider one's lines are alike
+over more.
 """
+
+FAR_LAG = 4
+"""Lines as far apart as this are compared where two were read as one too, nearer ones where none were."""
 
 BRIGHTNESS_LAGS = np.append(LAGS, 2 * LAGS[-1])
 """How many lines apart their brightness is compared."""
@@ -122,6 +126,37 @@ def mean_variance_px2(average: FrameScatter) -> float:
 
 
 @kernel
+def _share_of_two(variances: Float64, plateau: float) -> float:
+    """Return the share of lines' variance that the mean of two neighbours has; all of it if it is not known.
+
+    That is (1 + C(1) / C(0)) / 2, C(L) the covariance of lines L apart. `variances` are those of second
+    differences of lines 1, 2 and 4 apart, V(L) = C(0) - 4/3 C(L) + 1/3 C(2 L). So C(L) is
+    3/4 (C(0) - V(L) + 1/3 C(2 L)), from the farthest of them on: lines 8 apart know nothing of each other.
+    `plateau` is C(0), and lines that do not scatter know nothing of each other either.
+    """
+    alike = 0.0
+    if not plateau > 0.0:
+        return 0.5
+    for k in range(2, -1, -1):
+        if math.isnan(variances[k]):
+            return 1.0
+        alike = min(max(0.75 * (1.0 - variances[k] / plateau + alike / 3.0), 0.0), 1.0)
+    return 0.5 * (1.0 + alike)
+
+
+@kernel
+def centre_share(average: FrameScatter) -> float:
+    """Return the share of `line_variance_px2` that the mean of two neighbours' centres has."""
+    return _share_of_two(average.by_lag, _plateau(average.by_lag))
+
+
+@kernel
+def brightness_share(average: FrameScatter) -> float:
+    """Return the share of `brightness_plateau` that the mean brightness of two neighbours has."""
+    return _share_of_two(average.brightness, brightness_plateau(average))
+
+
+@kernel
 def brightness_plateau(average: FrameScatter) -> float:
     """Return the square of the contrast by which brightness scatters between lines far apart; 0 for none."""
     largest = 0.0
@@ -158,6 +193,12 @@ def texture(average: FrameScatter) -> float:
 def weighing_contrast(average: FrameScatter) -> float:
     """Return the contrast with which a fit weighs a line's pixels."""
     return WEIGHED_SHARE * _root(float(average.speckle[()]))
+
+
+@kernel
+def pair_contrast(average: FrameScatter) -> float:
+    """Return the contrast with which a fit weighs the mean pixels of two lines."""
+    return weighing_contrast(average) * math.sqrt(centre_share(average))
 
 
 @kernel
@@ -208,18 +249,27 @@ def add_frame(before: FrameScatter, frames: int, seen: FrameScatter, after: Fram
 
 @kernel
 def widen(
-    average: FrameScatter, own_px: Float64, sheet_px: float, sigma_px: Float64, beside_px: Float64
+    average: FrameScatter,
+    own_px: Float64,
+    n_lines: Int64,
+    sheet_px: float,
+    sigma_px: Float64,
+    beside_px: Float64,
 ) -> None:
-    """Write the lines' 1 sigma (n,) with the scatter, and that which counts among neighbours.
+    """Write the centres' 1 sigma (n,) with the scatter, and that with which a line counts among neighbours.
 
-    `own_px` (n,) is their own. `sheet_px` is the sheet's 1 sigma in the image, without what the lens spreads.
+    `own_px` (n,) is that of a line alone, and `n_lines` (n,) with how many each was read. The centre that two
+    lines share is surer than either's would be; among neighbours both of them count. `sheet_px` is the
+    sheet's 1 sigma in the image, without what the lens spreads.
     """
     # Of a texture finer than itself a sheet sees the mean.
     texture_px2 = texture(average) * sheet_px**4 if sheet_px <= FARTHEST_LAG else 0.0
     line, together = line_variance_px2(average), mean_variance_px2(average) + texture_px2
+    of_two = centre_share(average) * line
     for s in range(own_px.shape[0]):
         own = own_px[s] * own_px[s]
-        sigma_px[s], beside_px[s] = math.sqrt(own + line), math.sqrt(own + together)
+        sigma_px[s] = math.sqrt(own + line if n_lines[s] == 1 else 0.5 * own + of_two)
+        beside_px[s] = math.sqrt(own + together)
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,6 +286,11 @@ class Scatter:
     def weighing_contrast(self) -> float:
         """The contrast with which a fit weighs a line's pixels."""
         return weighing_contrast(self.average)
+
+    @property
+    def pair_contrast(self) -> float:
+        """The contrast with which a fit weighs the mean pixels of two lines."""
+        return pair_contrast(self.average)
 
     @property
     def width_factor(self) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from arctrack.explain import Explanation, StripeLook
-from arctrack.explain_lines import READ, UNLIT
+from arctrack.explain_lines import READ, UNLIT, read_with
 from arctrack.printable import quoted
 from arctrack.recording.setup_file import FILE_NAME
 from arctrack.report.diagnosis.words import number, percent
@@ -171,9 +171,11 @@ def _summary(explanation: Explanation, stripe: StripeLook, s: int) -> str:
         if explanation.use_arc_map
         else ""
     )
+    pair = read_with(stripe.reading, s)
+    together = f" Read as one with line {2 * pair.start + 1 - s}." if pair.stop - pair.start > 1 else ""
     return (
         f"Position {position:.2f} ± {number(sigma)} px; {number(amplitude)} e- high; "
-        f"χ² {number(chi2)} per pixel{share}."
+        f"χ² {number(chi2)} per pixel{share}.{together}"
     )
 
 

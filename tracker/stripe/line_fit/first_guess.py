@@ -43,7 +43,8 @@ class Asked(NamedTuple):
     """What is asked of sixteen windows, by lane.
 
     `start`, `n` and `width` are `Known`'s; `first` and `last` are the pixels that tell the amplitude, from
-    the first to before the last; `edge` is by how much the map may be off for an edge nearby, e-.
+    the first to before the last; `edge` is by how much the map may be off for an edge nearby, e-. The pixels
+    are means over a `share` of 1 line or 1/2 of two, and the square of `speckle` times their light varies.
     """
 
     start: Lanes
@@ -52,6 +53,8 @@ class Asked(NamedTuple):
     first: Lanes
     last: Lanes
     edge: Lanes
+    share: Lanes
+    speckle: Lanes
 
 
 class MapNoise(NamedTuple):
@@ -99,6 +102,23 @@ def take_line(charge: Float32, background: Float32, censored: Bool, lane: int, r
     _copy(charge, rows.charge[lane])
     _copy(background, rows.background[lane])
     _kinds(censored, rows.kind[lane])
+
+
+@kernel
+def _means(one: Float32, other: Float32, row: Float32) -> None:
+    """Write the means of two windows' pixels (n,) into a row."""
+    for j in range(one.shape[0]):
+        row[j] = np.float32(0.5) * (one[j] + other[j])
+
+
+@kernel
+def take_pair(charge: Float32, background: Float32, censored: Bool, lane: int, rows: Rows) -> None:
+    """Write the means of two lines' pixels (2, n) into their row: what either hides is hidden."""
+    _means(charge[0], charge[1], rows.charge[lane])
+    _means(background[0], background[1], rows.background[lane])
+    for j in range(censored.shape[1]):
+        is_hidden = censored[0, j] or censored[1, j]
+        rows.kind[lane, j] = np.float32(HIDDEN) if is_hidden else np.float32(COUNTS)
 
 
 @kernel

@@ -30,6 +30,7 @@ from tracker.stripe.line_fit.first_guess import (
     leave_out,
     line_window,
     take_line,
+    take_pair,
     write_block,
 )
 from tracker.stripe.line_fit.normal_equations import Block, PixelNoise
@@ -91,13 +92,17 @@ class Scans(NamedTuple):
     censored: Bool
     start: Float64
     width: Float64
+    n_lines: Int64
     lows: Int64
 
 
 class Law(NamedTuple):
-    """A pixel's noise, and the background's."""
+    """A pixel's noise, the speckle of a line's and of a pair's, and the background's noise."""
 
-    pixels: PixelNoise
+    shot: float
+    dark: float
+    speckle: float
+    pair_speckle: float
     map: MapNoise
 
 
@@ -215,16 +220,19 @@ def _fit_lanes(
         load(room.asked[3], 0),
         load(room.asked[4], 0),
         load(room.asked[5], 0),
+        load(room.asked[6], 0),
+        load(room.asked[7], 0),
     )
+    noise = PixelNoise(spread(law.shot) * asked.share, spread(law.dark) * asked.share, asked.speckle)
     known = first_guess(room.block, n_pixels, asked, law.map)
     stand = begun(known)
     if turn > 0:
         _go_on(room, n_lanes)
         stand = _standing(room)
-    fit, stand, goes_on = fit_block(room.block, n_pixels, known, law.pixels, stand, turn == ROUNDS - 1)
+    fit, stand, goes_on = fit_block(room.block, n_pixels, known, noise, stand, turn == ROUNDS - 1)
     _write_fit(fit, fitted)
     _leave_standing(stand, room)
-    core, hidden = core_square(room.block, n_pixels, fit, asked.width, law.pixels)
+    core, hidden = core_square(room.block, n_pixels, fit, asked.width, noise)
     store(fitted[N_FITTED + 2], 0, core)
     store(fitted[N_FITTED + 3], 0, hidden)
     store(fitted[N_FITTED + 4], 0, where(goes_on, spread(1.0), spread(0.0)))
@@ -258,21 +266,30 @@ def _fit_round(scans: Scans, law: Law, turn: int, n_todo: int, room: FitRoom, li
     for i in range(n_todo):
         s = room.todo[i]
         start, width, begin = scans.start[s], scans.width[s], scans.lows[s // CELL]
+        is_pair = scans.n_lines[s] > 1
+        if is_pair:
+            start = 0.5 * (start + scans.start[s + 1])
         place = start - begin
         low, end = line_window(place, width, depth)
         n = end - low
         if n <= 2.0 * width or n > MAX_PIXELS or not low < round(place) < end - 1:
             continue
-        take_line(
-            scans.charge[s, low:end],
-            scans.background[s, low:end],
-            scans.censored[s, low:end],
-            lane,
-            room.rows,
-        )
+        if is_pair:
+            both = slice(s, s + 2), slice(low, end)
+            take_pair(scans.charge[both], scans.background[both], scans.censored[both], lane, room.rows)
+        else:
+            take_line(
+                scans.charge[s, low:end],
+                scans.background[s, low:end],
+                scans.censored[s, low:end],
+                lane,
+                room.rows,
+            )
         asked[0, lane], asked[1, lane], asked[2, lane] = place - low, n, width
         asked[3, lane], asked[4, lane] = core_of(place - low, width, n)
         asked[5, lane] = map_edge(scans.background, scans.lows, s, start)
+        asked[6, lane] = 0.5 if is_pair else 1.0
+        asked[7, lane] = law.pair_speckle if is_pair else law.speckle
         room.lines[lane], room.lows[lane] = s, begin + low
         lane, longest = lane + 1, max(longest, n)
         if lane == N_LANES:
@@ -290,10 +307,12 @@ def fit_lines(
     censored: Bool,
     start: Float64,
     width: Float64,
+    n_lines: Int64,
     lows: Int64,
     shot: float,
     dark_variance: float,
     speckle: float,
+    pair_speckle: float,
     map_sigma: float,
     base_sigma: float,
     room: FitRoom,
@@ -306,6 +325,9 @@ def fit_lines(
     `dark_variance`, e-^2, and the square of `speckle` times the stripe's light. `map_sigma` is the map's
     relative 1 sigma, `base_sigma` the black level's, e-. How much the map changes to the neighbouring lines
     counts as well: an edge may cut across a line.
+
+    Where `n_lines` (n_scan,) is 2, a line and the next are fitted as one, to the mean of their pixels, whose
+    speckle is `pair_speckle`. What its fit says stands in the first of both.
     """
     n_todo, n_scan = 0, charge.shape[0]
     for s in range(n_scan):
@@ -314,11 +336,11 @@ def fit_lines(
             lines.tried[s, k] = lines.fits[s, k] = math.nan
         for k in range(N_BINS):
             lines.odd[s, k] = math.nan
-        if not math.isnan(start[s]):
+        is_second = n_lines[s] > 1 and s % 2 == 1
+        if not (math.isnan(start[s]) or is_second):
             room.todo[n_todo] = s
             n_todo += 1
-    scans = Scans(charge, background, censored, start, width, lows)
-    pixels = PixelNoise(spread(shot), spread(dark_variance), spread(speckle))
-    law = Law(pixels, MapNoise(map_sigma, base_sigma))
+    scans = Scans(charge, background, censored, start, width, n_lines, lows)
+    law = Law(shot, dark_variance, speckle, pair_speckle, MapNoise(map_sigma, base_sigma))
     for turn in range(ROUNDS):
         n_todo = _fit_round(scans, law, turn, n_todo, room, lines)

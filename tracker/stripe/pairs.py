@@ -1,0 +1,115 @@
+"""Two scan lines read as one where the surface is smooth: which, and what their one centre says of either.
+
+Far from corners and steps a stripe's centre runs straight, and two neighbouring lines tell no more than their
+mean does. The mean of their pixels is fitted as one line. Its photons' noise is a half of either line's, its
+centre the mean of both centres.
+
+What lines scatter by beyond their photons, neighbours share. With C(k) the covariance of two lines k apart,
+the mean of two has of a line's variance C(0) the share
+
+    (C(0) + C(1)) / (2 C(0)),
+
+a half where lines know nothing of each other, all of it where they are alike. Two lines' own noise is that of
+their mean twice: so a pair's fit says what either line would say alone, and what is learned of lines is
+learned of pairs too.
+"""
+
+from __future__ import annotations
+
+import math
+
+from noise_model.arrays import Bool, Float64, Int64
+from noise_model.kernel import kernel
+from tracker.stripe.line_fit.lines import N_FITTED, LineFits
+from tracker.stripe.line_fit.residuals import N_BINS
+
+CLEAR_SIGMAS = 3.0
+"""So many of the stripe's sigmas beside where a corner may lie no line holds light of two faces."""
+
+AGREES_LINES = 3
+"""Over so many lines to either side the likeliest path follows the expected section, but for one offset."""
+
+MAX_STEP_WIDTHS = 0.25
+"""Two lines whose stripes lie farther apart than this share of their width make a wider bell."""
+
+ALONE, EVERY = 6, 48
+"""So many of every so many lines that pairs might hold are read alone: they tell how alike neighbours are."""
+
+NOWHERE = 1 << 30
+"""The line of a corner that there is not."""
+
+
+@kernel
+def _agrees(choice: Int64, first: int, last: int) -> bool:
+    """Say whether the likeliest path follows the expected stripe over some lines, and leaves out none."""
+    lowest, highest = choice[first], choice[first]
+    for s in range(first, last + 1):
+        lowest, highest = min(lowest, choice[s]), max(highest, choice[s])
+    agrees: bool = lowest >= 0 and highest - lowest <= 1
+    return agrees
+
+
+@kernel
+def _next_corner(face: Int64, first: int) -> int:
+    """Return the first line from `first` on that is the last one on its face, NOWHERE for none."""
+    for s in range(first, face.shape[0] - 1):
+        if face[s] != face[s + 1]:
+            return s
+    return NOWHERE
+
+
+@kernel
+def mark_pairs(
+    choice: Int64,
+    face: Int64,
+    expected_px: Float64,
+    width_px: Float64,
+    reach_px: float,
+    n_lines: Int64,
+    is_smooth: Bool,
+) -> None:
+    """Write with how many lines each (n,) is read: 2 for an even line and the next as one, else 1.
+
+    That is where the surface `is_smooth` (n,), but for a few. `choice` (n,) is the offset of the likeliest
+    path from the expected stripe, -1 for no stripe; `face`, `expected_px` and `width_px` (n,) are the face
+    that this lies on, its place and 1 sigma. Its corners may lie `reach_px` beside their places.
+    """
+    n, widest = choice.shape[0], 0.0
+    for s in range(n):
+        widest = max(widest, width_px[s])
+        n_lines[s], is_smooth[s] = 1, False
+    clear = math.ceil(reach_px + CLEAR_SIGMAS * widest)
+    before, behind = -NOWHERE, _next_corner(face, 0)
+    for s in range(0, n - 1, 2):
+        while behind < s:
+            before, behind = behind, _next_corner(face, behind + 1)
+        first, last = s - AGREES_LINES, s + 1 + AGREES_LINES
+        is_inside = first >= 0 and last < n and s - before > clear and behind - s > clear
+        is_steep = abs(expected_px[s + 1] - expected_px[s]) > MAX_STEP_WIDTHS * width_px[s]
+        if is_inside and not is_steep and _agrees(choice, first, last):
+            is_smooth[s] = is_smooth[s + 1] = True
+            if s % EVERY >= ALONE:
+                n_lines[s] = n_lines[s + 1] = 2
+
+
+@kernel
+def tell_both(expected_px: Float64, n_lines: Int64, speckle_share: float, lines: LineFits) -> None:
+    """Write what the fits of pairs, which stand in their first lines, say of either line.
+
+    Both lie where the expected stripe's slope has them about the one centre. A line alone would have its
+    1 sigma times the root of 2, and the speckle of a pixel's light over the `speckle_share`.
+    """
+    for s in range(0, expected_px.shape[0] - 1, 2):
+        if n_lines[s] < 2:
+            continue
+        half_px = 0.5 * (expected_px[s + 1] - expected_px[s])
+        for fits in (lines.tried, lines.fits):
+            fits[s, 1] *= math.sqrt(2.0)
+            for k in range(N_FITTED):
+                fits[s + 1, k] = fits[s, k]
+            fits[s, 0] -= half_px
+            fits[s + 1, 0] += half_px
+        lines.core[s] /= speckle_share
+        lines.core[s + 1], lines.saturated[s + 1] = lines.core[s], lines.saturated[s]
+        for k in range(N_BINS):
+            lines.odd[s + 1, k] = lines.odd[s, k]
