@@ -148,7 +148,10 @@ class _ReadableIndex(IndexDataCacheFile):  # type: ignore[misc]
 
 
 class _SourceKeyedCache(FunctionCache):  # type: ignore[misc]
-    """numba's cache of one function, whose index is out of date when `source_key` is another."""
+    """numba's cache of one function, whose index is out of date when `source_key` is another.
+
+    Or that of this file: what is kept has another form then.
+    """
 
     _impl_class = LinkedCacheImpl
 
@@ -157,7 +160,7 @@ class _SourceKeyedCache(FunctionCache):  # type: ignore[misc]
         self._cache_file = _ReadableIndex(
             cache_path=self._cache_path,
             filename_base=self._impl.filename_base,
-            source_stamp=source_key(Path(function.__code__.co_filename)),
+            source_stamp=f"{source_key(Path(function.__code__.co_filename))} {source_key(Path(__file__))}",
         )
 
     def save_overload(self, signature: Any, result: Any) -> None:

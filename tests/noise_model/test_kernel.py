@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from noise_model import kernel as kernels
 from noise_model.linking import MIN_INSTRUCTIONS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -130,3 +131,14 @@ def test_a_record_that_an_update_has_moved_is_compiled_for_anew(tmp_path: Path) 
         )
         assert run(tmp_path) == (4.0, 0, 1)
         (package / "old.py").unlink(missing_ok=True)
+
+
+def test_a_kernel_outside_the_project_is_compiled_anew_when_what_keeps_it_has_changed() -> None:
+    """What is on disk has the form that an earlier version gave it."""
+    keeps = Path(kernels.__file__)
+    cache = vars(kernels.kernel(run_nothing))["_cache"]
+    assert kernels.source_key(keeps) in cache._cache_file._source_stamp
+
+
+def run_nothing() -> None:
+    """Do nothing."""

@@ -18,21 +18,17 @@ from noise_model.surface.joint import Joint
 from tracker.joint import fit_joint
 from tracker.joint.evidence import (
     MIN_EVIDENCE_NATS,
-    MIN_KEPT,
     PLATE_STEPS,
     RUN_PRIOR,
-    Wander,
     evidence_nats,
     fit_plate,
     gap_evidence_nats,
-    innovations,
     lines_alike,
     loss,
     places_of,
-    points_alike,
     runs_of,
-    wander_of,
 )
+from tracker.joint.wander import MIN_KEPT, Wander, innovations, points_alike, wander_of
 from tracker.profile import Profile
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))

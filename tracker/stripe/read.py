@@ -19,7 +19,8 @@ from tracker.stripe.band import AS_IT_IS, Band, LightLevel, gather_band, median_
 from tracker.stripe.detection import Evidence
 from tracker.stripe.edge import StripeLight
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.read_band import Noise, ReadRoom, UsualLine, read_band
+from tracker.stripe.fit_band import Noise, ReadRoom
+from tracker.stripe.read_band import UsualLine, read_band
 from tracker.stripe.scatter import Scatter
 from tracker.stripe.viterbi import OFFSET_STEP
 

@@ -7,34 +7,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.median import finite_median
 from tracker.state import Stripe
-from tracker.stripe.band import Band, LightLevel, at_level, weigh
+from tracker.stripe.band import Band, LightLevel, at_level
 from tracker.stripe.detection import Evidence, evidence_of
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.frame_scatter import ScatterRoom, frame_scatter, own_sigma
+from tracker.stripe.fit_band import Noise, ReadRoom, fit_band
+from tracker.stripe.frame_scatter import ScatterRoom, own_sigma
 from tracker.stripe.ghost import second_light, second_place
-from tracker.stripe.line_fit.lines import FitRoom, LineFits, fit_lines, fit_room
-from tracker.stripe.misfit import MisfitRoom, count_alike, misfit_sigma_px
-from tracker.stripe.pairs import mark_pairs, tell_both
+from tracker.stripe.misfit import count_alike, misfit_sigma_px
 from tracker.stripe.scatter import (
     FrameScatter,
     add_frame,
     brightness_alike,
     brightness_plateau,
-    centre_share,
     empty_scatter,
     line_variance_px2,
-    pair_contrast,
-    weighing_contrast,
     widen,
-    width_factor,
-    width_limit_ln,
 )
-from tracker.stripe.smooth import SmoothRoom, smooth_stripe
-from tracker.stripe.viterbi import best_path, matched_filter, peaks
+from tracker.stripe.smooth import smooth_stripe
 
 REACH_SIGMAS = 3.0
 """A search reaches so many sigmas of the seam's place."""
@@ -44,54 +37,6 @@ REFLECTED_SHARE, REFLECTED_SIGMA_LN = 0.4, 0.7
 
 MAX_ROUNDS = 3
 """So many times at most the stripe is read again without a second one's light."""
-
-
-class Noise(NamedTuple):
-    """A pixel's variance is `shot` times its mean plus `dark_e2`; the background's own 1 sigma.
-
-    `map_rel` is that of the arc map, relative, `base_e` that of the black level and of the hall's light.
-    """
-
-    shot: float
-    dark_e2: float
-    map_rel: float
-    base_e: float
-
-
-class ReadRoom(NamedTuple):
-    """Scratch for a frame's lines; `score` is flat, for as many offsets as a search has."""
-
-    score: Float32
-    choice: Int64
-    lines: LineFits
-    fit: FitRoom
-    n_lines: Int64
-    is_smooth: Bool
-    scatter: ScatterRoom
-    smooth: SmoothRoom
-    misfit: MisfitRoom
-    seen: FrameScatter
-    start_px: Float64
-    width_px: Float64
-    own_px: Float64
-    misfit_px: Float64
-
-    @classmethod
-    def empty(cls, n_scan: int, n_offsets: int) -> ReadRoom:
-        """Make room for so many lines and offsets at most."""
-        return cls(
-            np.empty(n_scan * n_offsets, np.float32),
-            np.empty(n_scan, np.int64),
-            LineFits.empty(n_scan),
-            fit_room(n_scan),
-            np.ones(n_scan, np.int64),
-            np.ones(n_scan, np.bool_),
-            ScatterRoom.empty(n_scan),
-            SmoothRoom.empty(n_scan),
-            MisfitRoom.empty(),
-            empty_scatter(),
-            *np.empty((4, n_scan)),
-        )
 
 
 class UsualLine(NamedTuple):
@@ -114,93 +59,6 @@ class Told(NamedTuple):
     is_reflection: bool
     first: int
     n_offsets: int
-
-
-@kernel(allocates=True)
-def fit_band(
-    band: Band,
-    expected: ExpectedStripe,
-    offsets_px: Int64,
-    noise: Noise,
-    learned: FrameScatter,
-    is_searching: bool,
-    reads_pairs: bool,
-    reach_px: float,
-    room: ReadRoom,
-) -> None:
-    """Find the likeliest path through a band at some offsets (n,), fit its lines and see how they scatter.
-
-    Where it `reads_pairs`, two lines are fitted as one where no corner lies within `reach_px`.
-    """
-    n_scan, lines = band.charge.shape[0], room.lines
-    factor = width_factor(learned)
-    for s in range(n_scan):
-        room.width_px[s] = factor * expected.sigma_px[s]
-    weigh(band.charge, band.background, noise.shot, noise.dark_e2, band.residual, band.variance)
-    score = room.score[: n_scan * len(offsets_px)].reshape((n_scan, len(offsets_px)))
-    matched_filter(
-        band.residual, band.variance, expected.position_px, room.width_px, band.lows, offsets_px, score
-    )
-    # Where no light can be none is looked for.
-    for s in range(n_scan):
-        if not expected.is_sought[s]:
-            score[s] = 0.0
-    best_path(score, room.choice)
-    peaks(score, room.choice, expected.position_px, offsets_px, room.start_px)
-    for s in range(n_scan):
-        if not expected.is_sought[s]:
-            room.start_px[s], room.choice[s] = math.nan, -1
-        room.n_lines[s], room.is_smooth[s] = 1, True
-    if reads_pairs:
-        mark_pairs(
-            room.choice,
-            expected.face,
-            expected.position_px,
-            room.width_px,
-            reach_px,
-            room.n_lines,
-            room.is_smooth,
-        )
-    fit_lines(
-        band.charge,
-        band.background,
-        band.censored,
-        room.start_px,
-        room.width_px,
-        room.n_lines,
-        band.lows,
-        noise.shot,
-        noise.dark_e2,
-        weighing_contrast(learned),
-        pair_contrast(learned),
-        noise.map_rel,
-        noise.base_e,
-        room.fit,
-        lines,
-    )
-    if reads_pairs:
-        tell_both(expected.position_px, room.n_lines, centre_share(learned), lines)
-    own_sigma(lines.fits, room.width_px, room.n_lines, room.scatter.values, room.own_px)
-    frame_scatter(
-        lines.fits,
-        expected.position_px,
-        expected.sigma_px,
-        room.own_px,
-        lines.core,
-        room.n_lines,
-        room.is_smooth,
-        learned,
-        is_searching,
-        room.scatter,
-        room.seen,
-    )
-    # The limit is that of what is known: a frame without a stripe would widen it for itself.
-    limit_ln = width_limit_ln(learned)
-    for s in range(n_scan):
-        if abs(math.log(lines.fits[s, 3] / room.width_px[s])) > limit_ln:
-            lines.fits[s] = math.nan
-            lines.odd[s] = math.nan
-            lines.saturated[s] = False
 
 
 @kernel
