@@ -43,9 +43,12 @@ def tables() -> Console:
 
 
 def say(*lines: str) -> None:
-    """Print lines of the result on stdout; what came from a file or a folder's name is made fit to print."""
+    """Print lines of the result on stdout; what came from a file or a folder's name is made fit to print.
+
+    At once: whoever waits for a live run to be ready may read a pipe, which is written to once much is said.
+    """
     for line in lines:
-        print(printable(line))
+        print(printable(line), flush=True)
 
 
 def warn(messages: Iterable[str]) -> None:

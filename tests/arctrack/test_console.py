@@ -1,5 +1,6 @@
 import io
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -127,3 +128,18 @@ def test_what_is_compiled_after_the_first_frame_has_a_bar_of_its_own() -> None:
         assert "tracker.late" in bar.tasks[-1].description
         on_frame(2)
         assert [task.completed for task in bar.tasks] == [2]
+
+
+def test_what_is_said_comes_through_a_pipe_at_once() -> None:
+    """A process that goes on has told a reader of its output by then."""
+    command = [
+        sys.executable,
+        "-c",
+        "import sys; from arctrack.cli.console import say; say('ready'); sys.stdin.read()",
+    ]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as process:
+        assert process.stdout is not None
+        heard, _, _ = select.select([process.stdout], [], [], 20.0)
+        process.communicate()
+    assert heard
