@@ -105,10 +105,10 @@ def take_line(charge: Float32, background: Float32, censored: Bool, lane: int, r
 
 
 @kernel
-def _means(one: Float32, other: Float32, row: Float32) -> None:
+def _means(line: Float32, next_line: Float32, row: Float32) -> None:
     """Write the means of two windows' pixels (n,) into a row."""
-    for j in range(one.shape[0]):
-        row[j] = np.float32(0.5) * (one[j] + other[j])
+    for j in range(line.shape[0]):
+        row[j] = np.float32(0.5) * (line[j] + next_line[j])
 
 
 @kernel
