@@ -42,6 +42,7 @@ from tracker.joint.measured import section_at
 from tracker.joint.section_fit import BISQUARE_WIDTH, MIN_ALONG_MM
 from tracker.joint.wander import MIN_KEPT, innovations, points_alike, wander_of
 from tracker.profile import Profile
+from tracker.stripe.pairs import usual_of
 
 MIN_EVIDENCE_NATS = math.log(1e3)
 """A joint must be told from a plate by so much: chance does so in one frame of a thousand at most."""
@@ -213,17 +214,6 @@ class Pairs(NamedTuple):
     share: float
 
 
-@kernel
-def _usual_sigma(sigma_px: Float64, n_lines: Float64, together: float, room: Float32) -> tuple[int, float]:
-    """Return how many points (n,) stand for so many lines each, and the median of their 1 sigma."""
-    count = 0
-    for i in range(sigma_px.shape[0]):
-        if n_lines[i] == together:
-            room[count] = sigma_px[i]
-            count += 1
-    return count, median_of(room, count)
-
-
 @kernel(allocates=True)
 def lines_alike(sigma_px: Float64, n_lines: Float64) -> Pairs:
     """Return `Pairs` of points (n,) that stand for 1 or 2 lines each, as their sigmas have it.
@@ -232,8 +222,8 @@ def lines_alike(sigma_px: Float64, n_lines: Float64) -> Pairs:
     MIN_KEPT beforehand; what is new in both is alike by the rest.
     """
     room = np.empty(numbers_for(len(sigma_px)), np.float32)
-    n_pairs, pair_px = _usual_sigma(sigma_px, n_lines, 2.0, room)
-    n_alone, alone_px = _usual_sigma(sigma_px, n_lines, 1.0, room)
+    n_pairs, pair_px = usual_of(sigma_px, n_lines, 2, room)
+    n_alone, alone_px = usual_of(sigma_px, n_lines, 1, room)
     if n_pairs == 0 or n_alone == 0:
         return Pairs(0.0, 0.0)
     alike = 2.0 * (pair_px / alone_px) ** 2 - 1.0 - MIN_KEPT

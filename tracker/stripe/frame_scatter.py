@@ -35,6 +35,7 @@ from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.median import close_up, finite_median, keep_finite, median_of, numbers_for
 from tracker.stripe.line_fit.block import WINDOW_SIGMAS
+from tracker.stripe.pairs import usual_of
 from tracker.stripe.scatter import (
     BRIGHTNESS_LAGS,
     FAR_LAG,
@@ -103,12 +104,7 @@ def own_sigma(fits: Float64, expected_px: Float64, n_lines: Int64, room: Float32
         if math.isfinite(fits[s, 4]):
             own_px[s] = max(fits[s, 4] - math.sqrt(1.0 / (WINDOW_SIGMAS * expected_px[s])), 1.0)
     for together in range(1, 3):
-        count = 0
-        for s in range(own_px.shape[0]):
-            if n_lines[s] == together and math.isfinite(own_px[s]):
-                room[count] = own_px[s]
-                count += 1
-        usual = median_of(room, count)
+        _, usual = usual_of(own_px, n_lines, together, room)
         for s in range(own_px.shape[0]):
             if n_lines[s] == together:
                 own_px[s] = fits[s, 1] * math.sqrt(max(1.0 / usual, 1.0 / own_px[s]))

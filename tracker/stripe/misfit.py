@@ -22,9 +22,9 @@ import numpy as np
 
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.kernel import kernel
-from noise_model.median import median_of
 from tracker.stripe.line_fit.block import CORRELATION_PX
 from tracker.stripe.line_fit.residuals import N_BINS
+from tracker.stripe.pairs import usual_of
 
 MOVED = 5.0
 """By how much more than the odd residual over the amplitude a centre moves, in widths."""
@@ -88,16 +88,13 @@ def count_alike(sigma_px: Float64, beside_px: Float64, n_lines: Int64, room: Flo
 
     `sigma_px` is the centres' 1 sigma, `beside_px` that with which a line counts among neighbours.
     """
+    for s in range(n_lines.shape[0]):
+        alike[s] = (beside_px[s] / sigma_px[s]) ** 2 / n_lines[s]
     for together in range(1, 3):
-        count = 0
-        for s in range(n_lines.shape[0]):
-            if n_lines[s] == together and math.isfinite(sigma_px[s]):
-                room[count] = (beside_px[s] / sigma_px[s]) ** 2 / together
-                count += 1
-        usual = median_of(room, count) if count > 0 else 1.0
+        count, usual = usual_of(alike, n_lines, together, room)
         for s in range(n_lines.shape[0]):
             if n_lines[s] == together:
-                alike[s] = usual
+                alike[s] = usual if count > 0 else 1.0
 
 
 @kernel

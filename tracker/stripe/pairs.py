@@ -18,8 +18,9 @@ from __future__ import annotations
 
 import math
 
-from noise_model.arrays import Bool, Float64, Int64
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
+from noise_model.median import median_of
 from tracker.stripe.line_fit.lines import N_FITTED, LineFits
 from tracker.stripe.line_fit.residuals import N_BINS
 
@@ -113,3 +114,17 @@ def tell_both(expected_px: Float64, n_lines: Int64, speckle_share: float, lines:
         lines.core[s + 1], lines.saturated[s + 1] = lines.core[s], lines.saturated[s]
         for k in range(N_BINS):
             lines.odd[s + 1, k] = lines.odd[s, k]
+
+
+@kernel
+def usual_of(values: Float64, n_lines: Int64 | Float64, together: int, room: Float32) -> tuple[int, float]:
+    """Return how many values (n,) are known where so many lines were read `together`, and their median.
+
+    That is NaN where none is. `room` is scratch of `median.median_of`.
+    """
+    count = 0
+    for s in range(values.shape[0]):
+        if n_lines[s] == together and math.isfinite(values[s]):
+            room[count] = values[s]
+            count += 1
+    return count, median_of(room, count)
