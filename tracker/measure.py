@@ -13,7 +13,7 @@ from noise_model.arc_source import level as current_level
 from noise_model.median import known_median
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
-from tracker import checks
+from tracker import checks, flags
 from tracker.arc.level import (
     UNKNOWN,
     ArcLevel,
@@ -22,7 +22,7 @@ from tracker.arc.level import (
     unlit_by_the_laser,
 )
 from tracker.arc.transmission import Transmission
-from tracker.checks import Checks
+from tracker.checks import Asked, ask, ask_whether, take_answer
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 from tracker.joint import HIDING_TYPES, MeasuredJoint, fit_closed_joint, fit_joint
 from tracker.joint.evidence import MIN_EVIDENCE_NATS
@@ -69,7 +69,7 @@ MAX_CURRENT_A, MAX_EXPOSURE_S = 1e4, 1e2
 class Reading(NamedTuple):
     """What one look at a frame, within a reach about an expected seam, has found."""
 
-    checks: Checks
+    asked: Asked
     scene: Scene
     seam: SeamLine
     reach_mm: float
@@ -82,7 +82,7 @@ class Reading(NamedTuple):
     @property
     def flags(self) -> int:
         """The flags that the look raises."""
-        return self.checks.flags
+        return self.asked.flags
 
 
 def measure(
@@ -97,11 +97,11 @@ def measure(
 ) -> Reading:
     """Look for arc, stripe and joint about a seam; `scatter` is what earlier frames show of the stripe's."""
     scene = scene_along(geometry.seam_source.scene, pose.T_base_tool, seam)
-    asked = Checks()
-    if not asked.ask(checks.CAMERA_ABOVE, not scene.below_surface):
+    asked = Asked.nothing()
+    if not ask_whether(asked, checks.CAMERA_ABOVE, not scene.below_surface):
         return Reading(asked, scene, seam, reach_mm, scatter=scatter)
     expected = expect_stripe(geometry, scene)
-    asked.ask(checks.STRIPE_EXPECTED, expected is not None)
+    ask_whether(asked, checks.STRIPE_EXPECTED, expected is not None)
     if expected is None:
         return Reading(asked, scene, seam, reach_mm, scatter=scatter)
     reach_px = geometry.reach_px(reach_mm)
@@ -115,7 +115,7 @@ def measure(
     unlit = unlit_by_the_laser(geometry, arc_map.at, transmission, frame.image_dn, stripe_px, keep_off)
     arc = (estimate_arc_level if is_arc_on else estimate_ambient_light)(geometry, unlit)
     _ask_arc(asked, arc)
-    if not asked.ask(checks.LASER_ON, frame.laser_on):
+    if not ask_whether(asked, checks.LASER_ON, frame.laser_on):
         return Reading(asked, scene, seam, reach_mm, arc, scatter=scatter)
 
     look = read_stripe(
@@ -140,7 +140,7 @@ def measure(
 
 
 def _joint(
-    asked: Checks,
+    asked: Asked,
     geometry: SensorGeometry,
     scene: Scene,
     seam: SeamLine,
@@ -155,19 +155,19 @@ def _joint(
     if geometry.setup.joint.type == "butt" and not _is_told(joint):
         closed = _closed_joint(geometry, scene, look, profile)
         if _is_told(closed):
-            asked.ask(checks.GAP_SHOWN, False)
+            ask_whether(asked, checks.GAP_SHOWN, False)
             joint = closed
     # A narrower look shows only what lies where the stated joint should.
     if reach_mm == SEARCH_REACH_MM:
-        asked.ask(checks.JOINT_TYPE, not is_another_type(profile, geometry.setup.joint, joint))
-    asked.ask(checks.JOINT_SEEN, joint is not None)
-    if joint is None or not asked.ask(checks.JOINT_EVIDENCE, joint.evidence_nats, MIN_EVIDENCE_NATS):
+        ask_whether(asked, checks.JOINT_TYPE, not is_another_type(profile, geometry.setup.joint, joint))
+    ask_whether(asked, checks.JOINT_SEEN, joint is not None)
+    if joint is None or not ask(asked, checks.JOINT_EVIDENCE, joint.evidence_nats, MIN_EVIDENCE_NATS):
         return None, math.nan
     margin_mm = min(joint.y_mm - float(profile.y_mm[0]), float(profile.y_mm[-1]) - joint.y_mm)
-    if not asked.ask(checks.VIEW_MARGIN, margin_mm, MIN_MARGIN_MM):
+    if not ask(asked, checks.VIEW_MARGIN, margin_mm, MIN_MARGIN_MM):
         return None, margin_mm
-    asked.ask(checks.JOINT_CHI2, joint.chi2, JOINT_CHI2_LIMIT)
-    asked.ask(checks.JOINT_UNEXPLAINED, joint.unexplained, UNEXPLAINED_LIMIT)
+    ask(asked, checks.JOINT_CHI2, joint.chi2, JOINT_CHI2_LIMIT)
+    ask(asked, checks.JOINT_UNEXPLAINED, joint.unexplained, UNEXPLAINED_LIMIT)
     return joint, margin_mm
 
 
@@ -195,7 +195,7 @@ def _closed_joint(
 
 
 def _is_stripe(
-    asked: Checks,
+    asked: Asked,
     expected: ExpectedStripe,
     look: StripeReading,
     seeks_ends: bool,
@@ -203,11 +203,11 @@ def _is_stripe(
     """Ask whether what was read is a stripe, and whether all of it was seen, up to ends that it may show."""
     stripe, told = look.stripe, look.evidence
     share = told.share
-    asked.ask(checks.LINES_SATURATED, told.n_saturated, 0.0)
-    asked.ask(checks.STRIPE_INSIDE, not told.leaves)
-    if not asked.ask(checks.LINES_HELD, share, MIN_HELD_SHARE):
+    ask(asked, checks.LINES_SATURATED, float(told.n_saturated), 0.0)
+    ask_whether(asked, checks.STRIPE_INSIDE, not told.leaves)
+    if not ask(asked, checks.LINES_HELD, share, MIN_HELD_SHARE):
         return False
-    if not asked.ask(checks.STRIPE_EVIDENCE, told.ratio, MIN_RATIO):
+    if not ask(asked, checks.STRIPE_EVIDENCE, told.ratio, MIN_RATIO):
         return False
     if share < WHOLE_SHARE:
         band = look.band
@@ -219,12 +219,12 @@ def _is_stripe(
             band.censored,
             seeks_ends,
         )
-        if not asked.ask(checks.CLEAR_LINES_HELD, seen, MIN_SEEN):
+        if not ask(asked, checks.CLEAR_LINES_HELD, seen, MIN_SEEN):
             return False
-    asked.ask(checks.STRIPE_WHOLE, share, WHOLE_SHARE)
+    ask(asked, checks.STRIPE_WHOLE, share, WHOLE_SHARE)
     # Of what is no stripe nothing is the second.
-    asked.ask(checks.SECOND_STRIPE, look.second_share, 0.0)
-    return not math.isfinite(look.told_nats) or asked.ask(checks.STRIPE_TOLD, look.told_nats, MIN_TOLD_NATS)
+    ask(asked, checks.SECOND_STRIPE, look.second_share, 0.0)
+    return not math.isfinite(look.told_nats) or ask(asked, checks.STRIPE_TOLD, look.told_nats, MIN_TOLD_NATS)
 
 
 def profile_of(
@@ -305,13 +305,10 @@ def measure_again(
     if again.joint is None and _lines_held(again) >= MIN_HELD_SHARE * _lines_held(placed):
         return first
     # The narrow look does not see as far beside the stripe.
-    answers = {check.question.id: check for check in again.checks.answers}
-    for check in placed.checks.answers:
-        if check.question is checks.JOINT_TYPE or (
-            check.question is checks.SECOND_STRIPE and not check.passed
-        ):
-            answers[check.question.id] = check
-    return again._replace(checks=Checks.of(answers.values()))
+    take_answer(again.asked, placed.asked, checks.JOINT_TYPE)
+    if placed.flags & flags.TWO_STRIPES.mask:
+        take_answer(again.asked, placed.asked, checks.SECOND_STRIPE)
+    return again
 
 
 def _lines_held(reading: Reading) -> int:
@@ -335,11 +332,11 @@ def expected_output(setup: Setup, frame: Frame) -> float:
     return current * exposure
 
 
-def _ask_arc(asked: Checks, arc: ArcLevel) -> None:
+def _ask_arc(asked: Asked, arc: ArcLevel) -> None:
     """Ask whether there is arc light, and whether the map explains it."""
-    if not asked.ask(checks.ARC_ON, arc.is_on):
+    if not ask_whether(asked, checks.ARC_ON, arc.is_on):
         return
-    if not asked.ask(checks.ARC_LEVEL_KNOWN, arc is not UNKNOWN):
+    if not ask_whether(asked, checks.ARC_LEVEL_KNOWN, arc is not UNKNOWN):
         return
-    if asked.ask(checks.ARC_LEVEL, arc.level, ARC_OFF_SIGMAS * arc.sigma):
-        asked.ask(checks.MAP_MISFIT, arc.misfit, MISFIT_LIMIT)
+    if ask(asked, checks.ARC_LEVEL, arc.level, ARC_OFF_SIGMAS * arc.sigma):
+        ask(asked, checks.MAP_MISFIT, arc.misfit, MISFIT_LIMIT)

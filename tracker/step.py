@@ -12,7 +12,7 @@ import numpy as np
 
 from noise_model.arrays import as_compiled_for
 from tracker import checks, flags
-from tracker.checks import Checks
+from tracker.checks import Asked, ask, ask_as, ask_whether
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 from tracker.measure import TRACK_REACH_MM, Reading, measure, measure_again
 from tracker.seam.correction import UNSTATED, Correction
@@ -156,7 +156,7 @@ def step_and_reading(
     lead: Lead = AT_ONCE,
 ) -> tuple[TrackerState, Track, Reading | None]:
     """Return what `step` does and the look at the frame that it rests on, None where it took none."""
-    asked = Checks()
+    asked = Asked.nothing()
     if not _is_readable(asked, geometry, frame, pose) or pose is None:
         return _refused(state, asked, frame)
     frame, pose = _as_compiled_for(frame, pose)
@@ -172,9 +172,9 @@ def step_and_reading(
     if state.lost >= LOST_TO_SEARCH:
         reach_mm = SEARCH_REACH_MM
     reading = measure(geometry, frame, pose, seam, reach_mm, work, use_arc_map, state.scatter)
-    if not asked.ask(checks.REACH, reach_mm, SEARCH_REACH_MM):
+    if not ask(asked, checks.REACH, reach_mm, SEARCH_REACH_MM):
         reading = measure_again(geometry, frame, pose, scene, seam, reading, work, use_arc_map, state.scatter)
-    asked.extend(reading.checks)
+    ask_as(asked, reading.asked)
     stretches, seen = _judged(geometry, state, asked, expected, reading)
     steering, is_shown = state.steering, seen is not None
     if seen is not None:
@@ -197,16 +197,16 @@ def step_and_reading(
     return state, track, reading
 
 
-def _refused(state: TrackerState, asked: Checks, frame: Frame) -> tuple[TrackerState, Track, None]:
+def _refused(state: TrackerState, asked: Asked, frame: Frame) -> tuple[TrackerState, Track, None]:
     """Return what a step does that took no look."""
     if state.steering.is_stopped:
-        asked.ask(checks.FOLLOWING, False)
+        ask_whether(asked, checks.FOLLOWING, False)
     track = Track(frame.index, frame.timestamp_s, asked.flags, checks=asked.answers)
     return replace(state, frames=state.frames + 1), track, None
 
 
 def _judged(
-    geometry: SensorGeometry, state: TrackerState, asked: Checks, expected: ExpectedSeam, reading: Reading
+    geometry: SensorGeometry, state: TrackerState, asked: Asked, expected: ExpectedSeam, reading: Reading
 ) -> tuple[Stretches, SeenSeam | None]:
     """Judge a look's joint against the earlier ones; return what is remembered, and the seam if it is one."""
     history, joint = state.history, reading.joint
@@ -225,7 +225,7 @@ def _judged(
             history.began_mm,
         )
         y_mm, z_mm = seen.located.displacement_mm
-        if asked.ask(checks.NEAR_NOMINAL, max(abs(y_mm), abs(z_mm)), MAX_OFF_MM):
+        if ask(asked, checks.NEAR_NOMINAL, max(abs(y_mm), abs(z_mm)), MAX_OFF_MM):
             return followed(remembered, asked, state.frames + 1, seen), seen
     return remembered._replace(lost=state.lost + (reading.stripe is not None)), None
 
@@ -238,18 +238,20 @@ def _as_compiled_for(frame: Frame, pose: Pose) -> tuple[Frame, Pose]:
     return frame, pose if T_base_tool is pose.T_base_tool else replace(pose, T_base_tool=T_base_tool)
 
 
-def _is_readable(asked: Checks, geometry: SensorGeometry, frame: Frame, pose: Pose | None) -> bool:
+def _is_readable(asked: Asked, geometry: SensorGeometry, frame: Frame, pose: Pose | None) -> bool:
     """Ask whether a frame has its form and a pose, and whether the pose has its own."""
     fits = frame_misfit(frame.image_dn.shape, frame.image_dn.dtype, geometry.setup) is None
-    if not asked.ask(checks.FRAME_FORMAT, fits) or not asked.ask(checks.POSE_KNOWN, pose is not None):
+    if not ask_whether(asked, checks.FRAME_FORMAT, fits) or not ask_whether(
+        asked, checks.POSE_KNOWN, pose is not None
+    ):
         return False
     assert pose is not None
-    asked.ask(checks.POSE_BRACKETED, not pose.extrapolated)
-    return pose.T_base_tool.shape == (4, 4) or asked.ask(checks.POSE_RIGID, False)
+    ask_whether(asked, checks.POSE_BRACKETED, not pose.extrapolated)
+    return pose.T_base_tool.shape == (4, 4) or ask_whether(asked, checks.POSE_RIGID, False)
 
 
 def _track(
-    frame: Frame, asked: Checks, reading: Reading, offset: TorchOffset, seen: SeenSeam | None, weld_mm: float
+    frame: Frame, asked: Asked, reading: Reading, offset: TorchOffset, seen: SeenSeam | None, weld_mm: float
 ) -> Track:
     """Return what a step says of a frame that it looked at."""
     seam_mm, sigma_y_mm, sigma_z_mm, seam_confidence = (NAN, NAN, NAN), NAN, NAN, NAN

@@ -26,7 +26,7 @@ from noise_model.setup import Setup
 from noise_model.transforms import invert, transform
 from robot_io import SeamOffset, Validity
 from tracker import flags
-from tracker.checks import Checks
+from tracker.checks import Asked
 from tracker.geometry import SensorGeometry
 from tracker.measure import Reading, expected_output, shows_arc
 from tracker.state import NAN
@@ -136,7 +136,7 @@ def _reading(setup: Setup, entry: Entry, view: View) -> Reading | None:
         return None
     scene: Scene = make_scene(setup, pose.T_base_tool, view.seam)
     return Reading(
-        Checks(), scene, view.seam, view.reach_mm, view.arc, stripe=view.track.stripe, joint=view.joint
+        Asked.nothing(), scene, view.seam, view.reach_mm, view.arc, stripe=view.track.stripe, joint=view.joint
     )
 
 

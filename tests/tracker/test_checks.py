@@ -1,51 +1,110 @@
 """What a step asked: noted as it was, and read as checks."""
 
+import math
+import operator
 import pickle
 
-import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tracker import checks, flags
-from tracker.checks import Check, Checks
+from tracker.checks import (
+    QUESTIONS,
+    Asked,
+    Check,
+    ask,
+    ask_as,
+    ask_raising,
+    ask_whether,
+    take_answer,
+)
+
+FAILS = {
+    "yes": operator.ne,
+    "at_least": operator.lt,
+    "at_most": operator.gt,
+    "more_than": operator.le,
+    "less_than": operator.ge,
+}
 
 
-def asked() -> Checks:
+def three() -> Asked:
     """Three questions: one passes, one fails, one fails with a flag that is not its own."""
-    told = Checks()
-    assert told.ask(checks.LASER_ON, np.True_)
-    assert not told.ask(checks.LINES_HELD, np.float64(0.1), 0.2)
-    assert not told.ask(checks.SEAM_NOT_LOST, 3.0, 1.0, flags.FOLLOW_STOPPED)
-    return told
+    asked = Asked.nothing()
+    assert ask_whether(asked, checks.LASER_ON, True)
+    assert not ask(asked, checks.LINES_HELD, 0.1, 0.2)
+    assert not ask_raising(asked, checks.SEAM_NOT_LOST, 3.0, 1.0, flags.FOLLOW_STOPPED.mask)
+    return asked
 
 
 def test_answers_say_what_was_asked() -> None:
+    laser, held, lost = (QUESTIONS[n] for n in (checks.LASER_ON, checks.LINES_HELD, checks.SEAM_NOT_LOST))
     want = (
-        Check(checks.LASER_ON, 1.0, 1.0, flags.LASER_OFF),
-        Check(checks.LINES_HELD, 0.1, 0.2, flags.STRIPE_LOST),
-        Check(checks.SEAM_NOT_LOST, 3.0, 1.0, flags.FOLLOW_STOPPED),
+        Check(laser, 1.0, 1.0, flags.LASER_OFF),
+        Check(held, 0.1, 0.2, flags.STRIPE_LOST),
+        Check(lost, 3.0, 1.0, flags.FOLLOW_STOPPED),
     )
-    answers = asked().answers
+    answers = three().answers
     assert tuple(answers) == want
     assert (len(answers), answers[1], answers[1:]) == (3, want[1], want[1:])
     assert repr(answers) == repr(want)
-    assert [type(check.value) for check in answers] == [float, float, float]
+    assert [check.passed for check in answers] == [True, False, False]
     assert pickle.loads(pickle.dumps(answers)) == answers == want
     assert hash(answers) == hash(want)
     assert answers != want[:2]
-    assert asked().answers == answers
+    assert three().answers == answers
+
+
+def test_questions_are_told_apart_by_their_names() -> None:
+    assert QUESTIONS[checks.FRAME_FORMAT].id == "frame_format"
+    assert QUESTIONS[checks.OFFSET_WITHIN].id == "offset_within"
+    assert len({question.id for question in QUESTIONS}) == len(QUESTIONS)
+
+
+@given(st.sampled_from(QUESTIONS), st.floats() | st.sampled_from([0.0, 1.0]), st.floats(allow_nan=False))
+def test_a_value_fails_as_its_question_demands(question: checks.Question, value: float, limit: float) -> None:
+    asked = Asked.nothing()
+    want = not FAILS[question.demand](value, limit)
+    assert ask(asked, QUESTIONS.index(question), value, limit) == want
+    assert asked.flags == (0 if want else question.flag.mask)
+    assert asked.answers[0].passed == want
+    assert asked.answers[0].flag is question.flag
 
 
 def test_answers_do_not_change_with_what_is_asked_later() -> None:
-    told = asked()
-    answers = told.answers
-    told.ask(checks.ARC_ON, False)
-    assert (len(answers), len(told.answers)) == (3, 4)
+    asked = three()
+    answers = asked.answers
+    ask_whether(asked, checks.ARC_ON, False)
+    assert (len(answers), len(asked.answers)) == (3, 4)
+
+
+def test_answers_that_are_not_known_are_the_same() -> None:
+    asked, others = Asked.nothing(), Asked.nothing()
+    for record in (asked, others):
+        assert ask(record, checks.MAP_MISFIT, math.nan, 2.0)
+    assert asked.answers == others.answers
 
 
 def test_flags_are_those_of_the_answers_that_failed() -> None:
-    told, others = asked(), Checks()
-    assert told.flags == flags.STRIPE_LOST.mask | flags.FOLLOW_STOPPED.mask
-    assert Checks.of(told.answers).flags == told.flags
-    others.ask(checks.ARC_ON, False)
-    told.extend(others)
-    assert told.flags & flags.ARC_OFF.mask
-    assert told.answers[-1].question is checks.ARC_ON
+    asked, others = three(), Asked.nothing()
+    assert asked.flags == flags.STRIPE_LOST.mask | flags.FOLLOW_STOPPED.mask
+    ask_whether(others, checks.ARC_ON, False)
+    ask_as(asked, others)
+    assert asked.flags & flags.ARC_OFF.mask
+    assert asked.answers[-1].question is QUESTIONS[checks.ARC_ON]
+
+
+def test_an_answer_takes_the_place_of_another() -> None:
+    asked, others = three(), Asked.nothing()
+    ask(others, checks.LINES_HELD, 0.9, 0.2)
+    ask_whether(others, checks.JOINT_TYPE, False)
+    for question in (checks.LINES_HELD, checks.JOINT_TYPE, checks.ARC_ON):
+        take_answer(asked, others, question)
+    assert [check.question.id for check in asked.answers] == [
+        "laser_on",
+        "lines_held",
+        "seam_not_lost",
+        "joint_type",
+    ]
+    assert asked.answers[1].value == 0.9
+    assert asked.flags == flags.FOLLOW_STOPPED.mask | flags.JOINT_TYPE_MISMATCH.mask

@@ -13,7 +13,7 @@ from noise_model.kernel import kernel
 from noise_model.surface.joint import SeamLine, SeamSegments, nearest_segment
 from noise_model.transforms import inverted, moved_point, multiplied
 from tracker import checks
-from tracker.checks import Checks
+from tracker.checks import Asked, ask, ask_whether
 from tracker.seam.gaussian_process import condition
 from tracker.seam.joint_ends import nominal_ends
 from tracker.seam.locate import SeamSource, seam_point
@@ -80,15 +80,16 @@ def pose_numbers(source: SeamSource, T_base_tool: Float64) -> PoseNumbers:
     return PoseNumbers(True, height, abs(crossing), ahead_mm)
 
 
-def pose_checks(asked: Checks, source: SeamSource, told: PoseNumbers) -> bool:
+@kernel
+def pose_checks(asked: Asked, source: SeamSource, told: PoseNumbers) -> bool:
     """Ask of a pose, up to the first answer by which the joint cannot be seen from it, whether it can."""
     return (
-        asked.ask(checks.POSE_RIGID, told.is_rotation)
-        and asked.ask(checks.LASER_ABOVE, told.height_mm, 0.0)
-        and asked.ask(checks.LASER_NEAR, told.height_mm, MAX_HEIGHT * float(source.origin_mm[2]))
-        and asked.ask(checks.SHEET_ACROSS, told.crossing, MIN_CROSSING)
+        ask_whether(asked, checks.POSE_RIGID, told.is_rotation)
+        and ask(asked, checks.LASER_ABOVE, told.height_mm, 0.0)
+        and ask(asked, checks.LASER_NEAR, told.height_mm, MAX_HEIGHT * source.origin_mm[2])
+        and ask(asked, checks.SHEET_ACROSS, told.crossing, MIN_CROSSING)
         # The sensor looks ahead. Of a line that runs against the travel, left would be taken for right.
-        and asked.ask(checks.LASER_AHEAD, told.ahead_mm, 0.0)
+        and ask(asked, checks.LASER_AHEAD, told.ahead_mm, 0.0)
     )
 
 

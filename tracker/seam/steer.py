@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from noise_model.surface.faces import ridge
 from tracker import checks, flags
-from tracker.checks import Checks
+from tracker.checks import Asked, ask, ask_as, ask_raising, ask_whether
 from tracker.seam.correction import STOPPED, Correction, correct
 from tracker.seam.expected import ExpectedSeam
 from tracker.seam.gaussian_process import SPACING_MM, SeamHistory
@@ -64,7 +64,7 @@ AT_ONCE = Lead()
 class SeamAtTorch(NamedTuple):
     """The seam's displacement and 1 sigma as (y, z) at the torch, mm, NaN where it is not known."""
 
-    asked: Checks
+    asked: Asked
     displacement_mm: Pair = UNKNOWN
     sigma_mm: Pair = UNKNOWN
 
@@ -90,30 +90,30 @@ def seam_at_torch(
     another stretch beyond is not lost.
     """
     start_mm, end_mm = stretch_mm
-    asked = Checks()
-    if not asked.ask(checks.TORCH_BEFORE_END, torch_mm - end_mm, 0.0):
+    asked = Asked.nothing()
+    if not ask(asked, checks.TORCH_BEFORE_END, torch_mm - end_mm, 0.0):
         return SeamAtTorch(asked)
-    asked.ask(checks.TORCH_AFTER_START, start_mm - torch_mm, 0.0)
-    if not asked.ask(checks.SEAM_MEASURED, len(history) > 0):
+    ask(asked, checks.TORCH_AFTER_START, start_mm - torch_mm, 0.0)
+    if not ask_whether(asked, checks.SEAM_MEASURED, len(history) > 0):
         return SeamAtTorch(asked)
     station_mm = max(torch_mm, start_mm)
     there = history.point_at(station_mm)
     displacement, sigma = there.displacement_mm, there.sigma_mm
     lost_mm = torch_mm - there.last_mm if torch_mm >= start_mm and not goes_on else 0.0
     stops = correction.when_lost == "stop"
-    if stops and not asked.ask(checks.SEAM_NOT_LOST, lost_mm, SPACING_MM, flags.FOLLOW_STOPPED):
+    if stops and not ask_raising(asked, checks.SEAM_NOT_LOST, lost_mm, SPACING_MM, flags.FOLLOW_STOPPED.mask):
         return SeamAtTorch(asked)
     holds = correction.when_lost == "hold"
-    if holds and not asked.ask(checks.SEAM_NOT_LOST, lost_mm, 0.0):
+    if holds and not ask(asked, checks.SEAM_NOT_LOST, lost_mm, 0.0):
         held = history.point_at(there.last_mm).displacement_mm
         (y_mm, z_mm), (sigma_y_mm, sigma_z_mm) = displacement, sigma
         sigma = math.hypot(sigma_y_mm, y_mm - held[0]), math.hypot(sigma_z_mm, z_mm - held[1])
         displacement = held
     else:
-        asked.ask(checks.TORCH_MEASURED, there.first_mm <= station_mm <= there.last_mm)
-    if not asked.ask(checks.REACHED, lost_mm, correction.extrapolate_mm):
+        ask_whether(asked, checks.TORCH_MEASURED, there.first_mm <= station_mm <= there.last_mm)
+    if not ask(asked, checks.REACHED, lost_mm, correction.extrapolate_mm):
         return SeamAtTorch(asked)
-    if not asked.ask(checks.TORCH_SIGMA, max(sigma), correction.extrapolate_sigma_mm):
+    if not ask(asked, checks.TORCH_SIGMA, max(sigma), correction.extrapolate_sigma_mm):
         return SeamAtTorch(asked)
     return SeamAtTorch(asked, displacement, sigma)
 
@@ -137,7 +137,7 @@ def steer(
     expected: ExpectedSeam,
     stretches: Stretches,
     steering: Steering,
-    asked: Checks,
+    asked: Asked,
     is_seam_shown: bool,
     timestamp_s: float,
     lead: Lead = AT_ONCE,
@@ -161,9 +161,9 @@ def steer(
     corrected = correct(correction, there.displacement_mm, height_mm)
     if steering.is_stopped or there.flags & flags.FOLLOW_STOPPED.mask:
         corrected = STOPPED
-    asked.extend(there.asked)
-    asked.ask(checks.OFFSET_WITHIN, not corrected.is_limited)
-    asked.ask(checks.FOLLOWING, not corrected.is_stopped)
+    ask_as(asked, there.asked)
+    ask_whether(asked, checks.OFFSET_WITHIN, not corrected.is_limited)
+    ask_whether(asked, checks.FOLLOWING, not corrected.is_stopped)
     y_mm, z_mm = corrected.offset_mm
     sigma_y_mm, sigma_z_mm = there.sigma_mm
     sigma_y_mm, sigma_z_mm = NAN if math.isnan(y_mm) else sigma_y_mm, NAN if math.isnan(z_mm) else sigma_z_mm

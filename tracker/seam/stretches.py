@@ -9,7 +9,7 @@ from noise_model.arc.scene import Scene
 from noise_model.arrays import Float64
 from noise_model.kernel import kernel
 from tracker import checks
-from tracker.checks import Checks
+from tracker.checks import Asked, ask
 from tracker.seam.gaussian_process import NO_HISTORY, SeamHistory, SeamPoint, condition, with_measurement
 from tracker.seam.locate import Located, SeamSource, locate
 from tracker.state import Pair
@@ -103,7 +103,7 @@ def see(
     return SeenSeam(located, variance_mm2, away_mm, limit_mm, stations, displacements, variances, began)
 
 
-def followed(before: Stretches, asked: Checks, n: int, seen: SeenSeam) -> Stretches:
+def followed(before: Stretches, asked: Asked, n: int, seen: SeenSeam) -> Stretches:
     """Judge the seam that the n-th frame shows against the earlier ones, and remember it."""
     station, displacement = seen.located.station_mm, seen.located.displacement_mm
     history, behind, jumped_at = before.history, before.behind, before.jumped_at
@@ -128,10 +128,10 @@ def followed(before: Stretches, asked: Checks, n: int, seen: SeenSeam) -> Stretc
     return Stretches(beyond, NO_HISTORY, behind, 0, jumped_at, 0)
 
 
-def _is_near(asked: Checks, seen: SeenSeam) -> bool:
+def _is_near(asked: Asked, seen: SeenSeam) -> bool:
     """Ask whether a seam lies where the earlier frames put it."""
-    is_near_in_y = asked.ask(checks.JUMP_Y, seen.away_mm[0], seen.limit_mm[0])
-    return asked.ask(checks.JUMP_Z, seen.away_mm[1], seen.limit_mm[1]) and is_near_in_y
+    is_near_in_y = ask(asked, checks.JUMP_Y, seen.away_mm[0], seen.limit_mm[0])
+    return ask(asked, checks.JUMP_Z, seen.away_mm[1], seen.limit_mm[1]) and is_near_in_y
 
 
 @kernel
