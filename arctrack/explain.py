@@ -17,7 +17,7 @@ from arctrack.errors import ArctrackError, in_file
 from arctrack.explain_lines import Refusals, SigmaParts, refusals, sigma_parts
 from arctrack.recording import BadFrame, Recording
 from arctrack.tracking import RecordedTracking
-from noise_model.arc.map import ArcKernel, arc_frame, arc_kernel
+from noise_model.arc.map import ArcKernel, arc_frame
 from noise_model.arc.scene import Scene, make_scene
 from noise_model.arrays import Float32, Float64
 from noise_model.instrument.sensor import variance_e2
@@ -26,14 +26,22 @@ from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Transmission
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 from tracker.joint import MeasuredJoint
-from tracker.measure import Reading, expected_output, joint_of, profile_of, shows_arc
+from tracker.look import section_shown, see_arc
+from tracker.measure import (
+    Reading,
+    frame_light,
+    joint_of,
+    light_through,
+    profile_of,
+    transmission_of,
+)
 from tracker.profile import Profile
 from tracker.seam.locate import locate
 from tracker.seam.stretches import jump_limit_mm
 from tracker.state import Frame, Pose, Track
 from tracker.step import TrackerState, step_and_reading
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
-from tracker.stripe.read import StripeReading, Work, arc_map_of, read_stripe
+from tracker.stripe.read import StripeReading, Work, read_stripe
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,30 +171,34 @@ def _look(
     expected = None if scene.below_surface else expect_stripe(geometry, scene)
     if expected is None:
         return look
-    output = expected_output(setup, frame)
-    kernel = arc_kernel(setup, scene, output)
-    arc_map = arc_map_of(geometry, kernel)
-    transmission = Transmission.of(geometry, scene, arc_map.at, output if shows_arc(setup, frame) else 0.0)
-    arc = _arc_image(geometry, kernel, transmission, reading.arc, frame)
+    light = frame_light(setup, frame)
+    seen = see_arc(geometry.look_source, scene, expected, frame.image_dn, light, reach_px)
+    transmission = transmission_of(geometry, scene, seen, light)
+    arc = _arc_image(geometry, seen.kernel, transmission, reading.arc, frame)
     look = replace(look, expected=expected, arc=arc)
     if reading.stripe is None:
         return look
 
     work = Work.of(geometry)
-    stripe = read_stripe(
+    lit = light_through(
         geometry,
-        arc_map,
+        seen,
         transmission,
         reading.arc,
-        frame,
+        frame.image_dn,
         expected,
         reach_px,
         work,
         use_arc_map,
-        before.scatter,
-        reading.reach_mm >= SEARCH_REACH_MM,
     )
-    profile = profile_of(geometry, scene, frame, expected, stripe, reading.reach_mm, reading.seam.slope_sigma)
+    is_searching = reading.reach_mm >= SEARCH_REACH_MM
+    stripe = read_stripe(
+        geometry.look_source, lit, expected, reach_px, work.room, before.scatter, is_searching
+    )
+    section = section_shown(
+        geometry.look_source, scene, reading.seam.as_floats(), expected, stripe, reading.reach_mm
+    )
+    profile = profile_of(section, frame, geometry.along_rows)
     look = replace(look, stripe=StripeLook(stripe, refusals(stripe, expected), sigma_parts(stripe, expected)))
     if len(profile.y_mm) < 2:
         return look

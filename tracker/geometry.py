@@ -14,13 +14,23 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.baked import NOTHING_BAKED, BakedLight
+from noise_model.arc.fill import node_rules
 from noise_model.arc.map import arc_kernel, baked_light
+from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.scene import scene_along
+from noise_model.arc.table import TO_POWERS
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.effects import acting, apply_setup_effects
 from noise_model.instrument.camera import Intrinsics, Rays
 from noise_model.instrument.laser import Sheet, sheet_in_tool
-from noise_model.instrument.sensor import linearise, saturation_dn, variance_e2
+from noise_model.instrument.sensor import (
+    Response,
+    dark_part_e2,
+    linearise,
+    saturation_dn,
+    variance_e2,
+)
+from noise_model.kernel import kernel
 from noise_model.setup import Setup, require_setup
 from noise_model.stripe import stripe_runs_along_rows
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
@@ -63,6 +73,64 @@ class StripeSource(NamedTuple):
     lens: Intrinsics
     psf_sigma_px: float
     along_rows: bool
+
+
+class ArcSource(NamedTuple):
+    """What a setup fixes of its arc's map, as the kernels take it.
+
+    `radiance_e` is the arc's at `current_a` and for `exposure_s`; the output goes with the current by
+    `exponent`. `rules`, `to_powers`, `node_at` and `node_rules` are those of `arc.quadrature`, `arc.table`
+    and `arc.fill`; `baked` is the light about the nominal pose.
+    """
+
+    radius_mm: float
+    radiance_e: float
+    current_a: float
+    exponent: float
+    exposure_s: float
+    rules: Float64
+    to_powers: Float64
+    node_at: Int64
+    node_rules: Float64
+    baked: BakedLight
+
+
+class ImageSource(NamedTuple):
+    """What a setup fixes of its frames, as the kernels take it; see `SensorGeometry`.
+
+    `level_scan` and `level_position` (n,) are `level_sample`. `black_sigma_e` is the black level's
+    1 sigma.
+    """
+
+    n_scan: int
+    n_pos: int
+    along_rows: bool
+    xy: Float32
+    cos4: Float32
+    charge_e: Float32
+    saturation_dn: int
+    dark_variance_e2: float
+    is_linear: bool
+    response: Response
+    black_sigma_e: float
+    level_scan: Int64
+    level_position: Int64
+
+
+class LookSource(NamedTuple):
+    """What a setup fixes of a look at a frame, as the kernels take it.
+
+    `reach_px_per_mm` is `SensorGeometry.reach_px` of 1 mm, `arc_level_rel` the tolerance of the arc's output;
+    `states_fan` says whether the laser's fan is stated.
+    """
+
+    seam: SeamSource
+    stripe: StripeSource
+    arc: ArcSource
+    image: ImageSource
+    reach_px_per_mm: float
+    arc_level_rel: float
+    states_fan: bool
 
 
 @dataclass(frozen=True)
@@ -118,11 +186,7 @@ class SensorGeometry:
         and may be large in the dark: taken is that at the median of the charges, but not below what a stripe
         that can be seen has, MIN_LIGHT of full well.
         """
-        sensor = self.setup.sensor
-        if sensor.is_linear or not charge_e.size:
-            return self.dark_variance_e2
-        typical_e = max(float(np.median(charge_e)), MIN_LIGHT * sensor.full_well_e)
-        return float(variance_e2(typical_e, sensor)) - typical_e
+        return float(dark_variance_at(self.image_source, charge_e.reshape(-1)))
 
     @cached_property
     def has_light_effects(self) -> bool:
@@ -133,6 +197,55 @@ class SensorGeometry:
     def seam_source(self) -> SeamSource:
         """What the setup fixes of its seam."""
         return SeamSource.of(self.setup)
+
+    @cached_property
+    def arc_source(self) -> ArcSource:
+        """The setup's arc and what its map is made with."""
+        arc = self.setup.arc
+        return ArcSource(
+            arc.radius_mm,
+            float(arc.radiance_e),
+            arc.current_a,
+            arc.current_exponent,
+            self.setup.camera.exposure_s,
+            gauss_nodes(),
+            TO_POWERS,
+            *node_rules(),
+            self.baked_light,
+        )
+
+    @cached_property
+    def image_source(self) -> ImageSource:
+        """The setup's frames."""
+        sensor = self.setup.sensor
+        return ImageSource(
+            self.n_scan,
+            self.n_pos,
+            self.along_rows,
+            self.xy,
+            self.cos4,
+            self.charge_e,
+            self.saturation_dn,
+            self.dark_variance_e2,
+            sensor.is_linear,
+            Response.of(sensor),
+            self.setup.tolerance.black_level_dn * sensor.gain_e_per_dn,
+            *self.level_sample,
+        )
+
+    @cached_property
+    def look_source(self) -> LookSource:
+        """All that a look at a frame takes of the setup."""
+        setup = self.setup
+        return LookSource(
+            self.seam_source,
+            self.stripe_source,
+            self.arc_source,
+            self.image_source,
+            self.reach_px(1.0),
+            setup.tolerance.arc_level_rel,
+            setup.laser.fan_half_angle_deg is not None,
+        )
 
     @cached_property
     def baked_light(self) -> BakedLight:
@@ -199,6 +312,15 @@ class SensorGeometry:
     def scan_points(self, points_px: Float64) -> Float64:
         """Return (n, 2) as (scan, position) of image points (n, 2) as (u, v)."""
         return points_px if self.along_rows else points_px[:, ::-1]
+
+
+@kernel(allocates=True)
+def dark_variance_at(image: ImageSource, charge_e: Float32 | Float64) -> float:
+    """Return `SensorGeometry.dark_variance_at` of charges (n,), e-."""
+    if image.is_linear or charge_e.shape[0] == 0:
+        return image.dark_variance_e2
+    typical_e = np.float64(np.median(charge_e))
+    return dark_part_e2(max(typical_e, MIN_LIGHT * image.response.full_well_e), image.response)
 
 
 def meet_laser_plane(setup: Setup, origins_tool: Float64, rays_tool: Float64) -> Float64:

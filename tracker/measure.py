@@ -7,63 +7,53 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.map import arc_kernel
+from noise_model.arc.map import CELL, ArcMap
 from noise_model.arc.scene import Scene, scene_along
-from noise_model.arc_source import level as current_level
+from noise_model.arrays import Integers
 from noise_model.median import known_median
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker import checks, flags
-from tracker.arc.level import (
-    UNKNOWN,
-    ArcLevel,
-    estimate_ambient_light,
-    estimate_arc_level,
-    unlit_by_the_laser,
-)
-from tracker.arc.transmission import Transmission
+from tracker.arc.level import UNKNOWN, ArcLevel
+from tracker.arc.transmission import NO_LIGHT, Transmission
 from tracker.checks import Asked, ask, ask_whether, take_answer
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 from tracker.joint import HIDING_TYPES, MeasuredJoint, fit_closed_joint, fit_joint
 from tracker.joint.evidence import MIN_EVIDENCE_NATS
 from tracker.joint.image_line import read_image_line
+from tracker.joint.section import Section
 from tracker.joint.type_check import is_another_type
-from tracker.profile import Profile, StripeLines, measured_points
+from tracker.look import (
+    MIN_HELD_SHARE,
+    ArcSeen,
+    FrameLight,
+    Look,
+    ask_light,
+    level_of,
+    look_at,
+    no_stripe,
+    nothing_read,
+    output_for,
+    read_look,
+    see_arc,
+)
+from tracker.profile import Profile
 from tracker.seam.locate import locate, sources
 from tracker.state import Frame, Pose, Stripe
-from tracker.stripe.band import FIT_SIGMAS
-from tracker.stripe.detection import (
-    MIN_RATIO,
-    MIN_SEEN,
-    seen_share,
-)
+from tracker.stripe.band import LightLevel
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
-from tracker.stripe.read import StripeReading, Work, arc_map_of, read_stripe
+from tracker.stripe.read import LitBand, Work, light_band
 from tracker.stripe.scatter import NO_SCATTER, Scatter
 
 TRACK_REACH_MM = 1.0
 """How far from its expected place it is looked for once it is known, beyond three sigmas of that place."""
 
-MIN_HELD_SHARE, WHOLE_SHARE = 0.2, 0.75
-"""The share of the scan lines that the joint crosses which must hold a stripe, and below it is partial."""
-
-MIN_TOLD_NATS = math.log(1e2)
-"""Of two stripes the laser's must be told by so much: its reflection is read once in a hundred at most."""
-
-ARC_OFF_SIGMAS = 5.0
-MISFIT_LIMIT = 2.0
 JOINT_CHI2_LIMIT = 9.0
 UNEXPLAINED_LIMIT = 0.1
 """So large a share of the points near the seam may lie off the joint's shape: spatter, a tack weld's end."""
 
 MIN_MARGIN_MM = 1.0
 """A seam nearer to the profile's end than this is out of view."""
-
-BEYOND_REACH_MM = 1.0
-"""So much farther than a stripe is followed its joint is looked for."""
-
-MAX_CURRENT_A, MAX_EXPOSURE_S = 1e4, 1e2
-"""No welding current and no exposure reaches these: such a number is not known."""
 
 
 class Reading(NamedTuple):
@@ -97,46 +87,110 @@ def measure(
 ) -> Reading:
     """Look for arc, stripe and joint about a seam; `scatter` is what earlier frames show of the stripe's."""
     scene = scene_along(geometry.seam_source.scene, pose.T_base_tool, seam)
-    asked = Asked.nothing()
+    asked, light = Asked.nothing(), frame_light(geometry.setup, frame)
+    line, image_dn = seam.as_floats(), frame.image_dn
+    if geometry.has_light_effects:
+        look = _look_through_effects(
+            asked, geometry, scene, line, reach_mm, image_dn, light, work, use_arc_map, scatter
+        )
+    else:
+        look = look_at(
+            asked,
+            geometry.look_source,
+            scene,
+            line,
+            reach_mm,
+            image_dn,
+            light,
+            work,
+            use_arc_map,
+            scatter,
+        )
+    stripe = look.stripe if look.stripe.position_px.size else None
+    if not look.is_stripe:
+        return Reading(asked, scene, seam, reach_mm, look.arc, stripe, scatter=scatter)
+    profile = profile_of(look.section, frame, geometry.along_rows)
+    joint, margin_mm = _joint(asked, geometry, scene, seam, look, profile, reach_mm)
+    return Reading(asked, scene, seam, reach_mm, look.arc, stripe, joint, margin_mm, look.scatter)
+
+
+def _look_through_effects(
+    asked: Asked,
+    geometry: SensorGeometry,
+    scene: Scene,
+    seam: SeamLine,
+    reach_mm: float,
+    image_dn: Integers,
+    light: FrameLight,
+    work: Work,
+    use_arc_map: bool,
+    scatter: Scatter,
+) -> Look:
+    """Take `look_at`'s look where effects act on the arc's light on its way to the pixels."""
+    source, none = geometry.look_source, no_stripe(geometry.along_rows)
     if not ask_whether(asked, checks.CAMERA_ABOVE, not scene.below_surface):
-        return Reading(asked, scene, seam, reach_mm, scatter=scatter)
+        return nothing_read(UNKNOWN, none, scatter)
     expected = expect_stripe(geometry, scene)
     ask_whether(asked, checks.STRIPE_EXPECTED, expected is not None)
     if expected is None:
-        return Reading(asked, scene, seam, reach_mm, scatter=scatter)
+        return nothing_read(UNKNOWN, none, scatter)
     reach_px = geometry.reach_px(reach_mm)
-    output = expected_output(geometry.setup, frame)
-    kernel = arc_kernel(geometry.setup, scene, output)
-    keep_off = reach_px + FIT_SIGMAS * expected.widest_px
-    stripe_px = expected.position_px if frame.laser_on else None
-    arc_map = arc_map_of(geometry, kernel)
-    is_arc_on = shows_arc(geometry.setup, frame)
-    transmission = Transmission.of(geometry, scene, arc_map.at, output if is_arc_on else 0.0)
-    unlit = unlit_by_the_laser(geometry, arc_map.at, transmission, frame.image_dn, stripe_px, keep_off)
-    arc = (estimate_arc_level if is_arc_on else estimate_ambient_light)(geometry, unlit)
-    _ask_arc(asked, arc)
-    if not ask_whether(asked, checks.LASER_ON, frame.laser_on):
-        return Reading(asked, scene, seam, reach_mm, arc, scatter=scatter)
+    seen = see_arc(source, scene, expected, image_dn, light, reach_px)
+    transmission = transmission_of(geometry, scene, seen, light)
+    arc_e, other_e = (seen.arc_e, NO_LIGHT)
+    if transmission is not None:
+        arc_e, other_e = transmission.through(seen.pixels, seen.arc_e)
+    arc = level_of(source, seen, arc_e, other_e, light)
+    if not ask_light(asked, arc, light):
+        return nothing_read(arc, none, scatter)
+    lit = light_through(geometry, seen, transmission, arc, image_dn, expected, reach_px, work, use_arc_map)
+    return read_look(asked, source, scene, seam, reach_mm, expected, arc, lit, work, scatter)
 
-    look = read_stripe(
-        geometry,
-        arc_map,
-        transmission,
+
+def transmission_of(
+    geometry: SensorGeometry, scene: Scene, seen: ArcSeen, light: FrameLight
+) -> Transmission | None:
+    """Return what a frame's effects make of the arc's light, None if no effect acts on it."""
+    arc_map = ArcMap(seen.kernel, geometry.xy, geometry.cos4, seen.table)
+    arc = geometry.arc_source
+    output = output_for(light.current_a, light.exposure_s, arc.current_a, arc.exposure_s, arc.exponent)
+    return Transmission.of(geometry, scene, arc_map.at, output if light.has_arc else 0.0)
+
+
+def light_through(
+    geometry: SensorGeometry,
+    seen: ArcSeen,
+    transmission: Transmission | None,
+    arc: ArcLevel,
+    image_dn: Integers,
+    expected: ExpectedStripe,
+    reach_px: float,
+    work: Work,
+    use_arc_map: bool,
+) -> LitBand:
+    """Return `light_band`'s band with its light as it comes through effects."""
+    has_effects = transmission is not None
+    lit: LitBand = light_band(
+        geometry.look_source,
+        seen.kernel,
+        seen.table,
         arc,
-        frame,
+        image_dn,
         expected,
         reach_px,
         work,
         use_arc_map,
-        scatter,
-        reach_mm >= SEARCH_REACH_MM,
+        has_effects,
     )
-    # An arc lights rims that end as a fan does.
-    seeks_ends = geometry.setup.laser.fan_half_angle_deg is None and not arc.is_on
-    if not _is_stripe(asked, expected, look, seeks_ends):
-        return Reading(asked, scene, seam, reach_mm, arc, look.stripe, scatter=scatter)
-    joint, margin_mm = _joint(asked, geometry, scene, seam, frame, expected, look, reach_mm)
-    return Reading(asked, scene, seam, reach_mm, arc, look.stripe, joint, margin_mm, look.scatter)
+    if transmission is None or not use_arc_map:
+        return lit
+    band = lit.band
+    n_scan, depth = band.background.shape
+    first = np.arange(n_scan) * geometry.n_pos + band.lows[np.arange(n_scan) // CELL]
+    pixels = (first[:, None] + np.arange(depth)).ravel()
+    arc_e, other_e = transmission.through(pixels, band.background.ravel())
+    band.background[:] = (np.float32(lit.light.level) * arc_e + other_e).reshape(n_scan, depth)
+    return lit._replace(light=LightLevel(1.0, lit.light.black_e))
 
 
 def _joint(
@@ -144,13 +198,11 @@ def _joint(
     geometry: SensorGeometry,
     scene: Scene,
     seam: SeamLine,
-    frame: Frame,
-    expected: ExpectedStripe,
-    look: StripeReading,
+    look: Look,
+    profile: Profile,
     reach_mm: float,
 ) -> tuple[MeasuredJoint | None, float]:
     """Return the joint that a stripe shows, and its margin in the view, mm, NaN where none is told."""
-    profile = profile_of(geometry, scene, frame, expected, look, reach_mm, seam.slope_sigma)
     joint = joint_of(geometry, scene, seam.station_mm, profile)
     if geometry.setup.joint.type == "butt" and not _is_told(joint):
         closed = _closed_joint(geometry, scene, look, profile)
@@ -186,75 +238,17 @@ def _is_told(joint: MeasuredJoint | None) -> bool:
 
 
 def _closed_joint(
-    geometry: SensorGeometry, scene: Scene, look: StripeReading, profile: Profile
+    geometry: SensorGeometry, scene: Scene, look: Look, profile: Profile
 ) -> MeasuredJoint | None:
     """Return the closed joint whose line the image shows beside the stripe, None where it shows none."""
-    stripe_sigma_px = known_median(look.width_px)
+    stripe_sigma_px = known_median(look.section.light.width_px)
     line = read_image_line(geometry, scene, look.stripe.smooth_px, stripe_sigma_px, profile)
     return None if line is None else fit_closed_joint(profile, geometry.setup.joint, line)
 
 
-def _is_stripe(
-    asked: Asked,
-    expected: ExpectedStripe,
-    look: StripeReading,
-    seeks_ends: bool,
-) -> bool:
-    """Ask whether what was read is a stripe, and whether all of it was seen, up to ends that it may show."""
-    stripe, told = look.stripe, look.evidence
-    share = told.share
-    ask(asked, checks.LINES_SATURATED, float(told.n_saturated), 0.0)
-    ask_whether(asked, checks.STRIPE_INSIDE, not told.leaves)
-    if not ask(asked, checks.LINES_HELD, share, MIN_HELD_SHARE):
-        return False
-    if not ask(asked, checks.STRIPE_EVIDENCE, told.ratio, MIN_RATIO):
-        return False
-    if share < WHOLE_SHARE:
-        band = look.band
-        seen = seen_share(
-            expected,
-            stripe.position_px,
-            stripe.amplitude_e,
-            band.variance,
-            band.censored,
-            seeks_ends,
-        )
-        if not ask(asked, checks.CLEAR_LINES_HELD, seen, MIN_SEEN):
-            return False
-    ask(asked, checks.STRIPE_WHOLE, share, WHOLE_SHARE)
-    # Of what is no stripe nothing is the second.
-    ask(asked, checks.SECOND_STRIPE, look.second_share, 0.0)
-    return not math.isfinite(look.told_nats) or ask(asked, checks.STRIPE_TOLD, look.told_nats, MIN_TOLD_NATS)
-
-
-def profile_of(
-    geometry: SensorGeometry,
-    scene: Scene,
-    frame: Frame,
-    expected: ExpectedStripe,
-    look: StripeReading,
-    reach_mm: float,
-    slope_sigma: float,
-) -> Profile:
-    """Return a stripe's profile, whose seam is looked for within the look's reach and a little beyond."""
-    stripe, source = look.stripe, geometry.stripe_source
-    points = measured_points(
-        source,
-        scene,
-        StripeLines(
-            stripe.position_px,
-            stripe.sigma_px,
-            stripe.beside_px,
-            stripe.amplitude_e,
-            look.width_px,
-            expected.bias_px,
-            look.misfit_px,
-            look.n_lines,
-        ),
-        look.usual.contrast,
-        geometry.seam_source.height_mm,
-        slope_sigma,
-    )
+def profile_of(section: Section, frame: Frame, along_rows: bool) -> Profile:
+    """Return a section as a profile, with the whole frame by scan line."""
+    points = section.points
     return Profile(
         points.y_mm,
         points.z_mm,
@@ -262,15 +256,15 @@ def profile_of(
         points.dz_mm,
         points.sigma_px,
         points.scan,
-        points.column_mm,
+        section.column_mm,
         points.beside_px,
-        reach_mm=reach_mm + BEYOND_REACH_MM,
-        light=look.light(source.psf_sigma_px, points.sheet_lines),
-        image_dn=frame.image_dn.T if geometry.along_rows else frame.image_dn,
-        mixed_mm=points.mixed_mm,
-        bias_px=points.bias_px,
+        reach_mm=section.reach_mm,
+        light=section.light,
+        image_dn=frame.image_dn.T if along_rows else frame.image_dn,
+        mixed_mm=section.mixed_mm,
+        bias_px=section.bias_px,
         misfit_px=points.misfit_px,
-        slope_sigma=slope_sigma,
+        slope_sigma=section.slope_sigma,
         n_lines=points.n_lines,
     )
 
@@ -326,17 +320,14 @@ def expected_output(setup: Setup, frame: Frame) -> float:
 
     Without a known current, or with the arc said to be off, that is the nominal one, and so is an exposure.
     """
-    nominal_s = setup.camera.exposure_s
-    current = current_level(setup.arc, frame.current_a) if 0.0 < frame.current_a < MAX_CURRENT_A else 1.0
-    exposure = frame.exposure_s / nominal_s if 0.0 < frame.exposure_s < MAX_EXPOSURE_S else 1.0
-    return current * exposure
+    arc, exposure_s = setup.arc, setup.camera.exposure_s
+    output: float = output_for(
+        float(frame.current_a), float(frame.exposure_s), arc.current_a, exposure_s, arc.current_exponent
+    )
+    return output
 
 
-def _ask_arc(asked: Asked, arc: ArcLevel) -> None:
-    """Ask whether there is arc light, and whether the map explains it."""
-    if not ask_whether(asked, checks.ARC_ON, arc.is_on):
-        return
-    if not ask_whether(asked, checks.ARC_LEVEL_KNOWN, arc is not UNKNOWN):
-        return
-    if ask(asked, checks.ARC_LEVEL, arc.level, ARC_OFF_SIGMAS * arc.sigma):
-        ask(asked, checks.MAP_MISFIT, arc.misfit, MISFIT_LIMIT)
+def frame_light(setup: Setup, frame: Frame) -> FrameLight:
+    """Return what is said to light a frame."""
+    has_arc = shows_arc(setup, frame)
+    return FrameLight(float(frame.exposure_s), float(frame.current_a), bool(frame.laser_on), has_arc)

@@ -338,7 +338,7 @@ def _fill_cell(
 
 
 @kernel(allocates=True)
-def _fill_band(
+def fill_band(
     k: ArcKernel,
     table: FaceTable,
     xy: Float32,
@@ -349,7 +349,10 @@ def _fill_band(
     group: int,
     band_e: Float32,
 ) -> None:
-    """Fill a band (n_scan, depth), see `fill_band`."""
+    """Fill a band (n_scan, depth), e-; `group` scan lines share a place of `lows`. See `map.ArcMap`.
+
+    `node_at` and `rules` are `node_rules`.
+    """
     n_scan, depth = band_e.shape
     n_pos = cos4.shape[0] // n_scan
     work = scratch()
@@ -390,13 +393,6 @@ def _fill_band(
                             min(p_half, box[3] - p),
                         )
                         waiting += 1
-
-
-def fill_band(
-    k: ArcKernel, table: FaceTable, xy: Float32, cos4: Float32, lows: Int64, group: int, band_e: Float32
-) -> None:
-    """Fill a band (n_scan, depth), e-; `group` scan lines share a place of `lows`. See `map.ArcMap`."""
-    _fill_band(k, table, xy, cos4, *node_rules(), lows, group, band_e)
 
 
 @kernel(allocates=True)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.baked import NOTHING_BAKED, BakedLight, bake, place_baked, table_from
-from noise_model.arc.fill import MIXED, fill_band, fill_pixels
+from noise_model.arc.fill import MIXED, fill_band, fill_pixels, node_rules
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.ray import ArcKernel as ArcKernel
 from noise_model.arc.ray import follow, light_at, scratch
@@ -355,7 +355,7 @@ class ArcMap:
 
     def fill(self, lows: Int64, band_e: Float32) -> None:
         """Fill a band (n_scan, depth); CELL lines each begin at a place of `lows` (ceil(n_scan / CELL),)."""
-        fill_band(self.kernel, self.table, self.xy, self.cos4, lows, CELL, band_e)
+        fill_band(self.kernel, self.table, self.xy, self.cos4, *node_rules(), lows, CELL, band_e)
 
 
 def arc_frame(

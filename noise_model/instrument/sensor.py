@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,7 @@ from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 
 from noise_model.arrays import Float64, Integers
+from noise_model.kernel import kernel
 
 BEND_LIMIT = 0.5
 """From here on the response would no longer rise up to full well."""
@@ -135,6 +137,38 @@ def electrons_per_dn(electrons: npt.ArrayLike, sensor: Sensor) -> Float64:
     share = e / sensor.full_well_e
     slope = 1.0 - 2.0 * sensor.bend * np.minimum(share, 1.0) ** sensor.gamma
     return np.asarray(sensor.gain_e_per_dn / (sensor.gamma * slope) * share ** (1.0 - sensor.gamma))
+
+
+class Response(NamedTuple):
+    """A sensor's noise and response as the kernels take them; see `Sensor`."""
+
+    gain_e_per_dn: float
+    read_noise_e: float
+    full_well_e: float
+    gamma: float
+    bend: float
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> Response:
+        """Gather a sensor."""
+        numbers = (
+            sensor.gain_e_per_dn,
+            sensor.read_noise_e,
+            sensor.full_well_e,
+            sensor.gamma,
+            sensor.bend,
+        )
+        return cls(*map(float, numbers))
+
+
+@kernel
+def dark_part_e2(mean_e: float, response: Response) -> float:
+    """Return what of `variance_e2` is not the light's, at one charge."""
+    r = response
+    share = max(abs(mean_e), max(r.read_noise_e, 1.0)) / r.full_well_e
+    slope = 1.0 - 2.0 * r.bend * min(share, 1.0) ** r.gamma
+    step = r.gain_e_per_dn / (r.gamma * slope) * share ** (1.0 - r.gamma)
+    return float(r.read_noise_e**2 + step**2 / 12.0)
 
 
 def variance_e2(mean_e: npt.ArrayLike, sensor: Sensor) -> Float64:

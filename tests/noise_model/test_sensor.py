@@ -8,8 +8,10 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from noise_model.instrument.sensor import (
+    Response,
     Sensor,
     cut_moments,
+    dark_part_e2,
     electrons_per_dn,
     expose,
     linearise,
@@ -94,6 +96,14 @@ def test_the_variance_is_that_of_drawn_frames(response, mean_e):
     assert residual.var() == pytest.approx(predicted, rel=bound)
     # The curve shifts the mean by about half the variance times f'' / f', (gamma - 1) / (2 e) of it.
     assert abs(residual.mean()) < 5.0 * np.sqrt(predicted / count) + 0.1 * predicted / mean_e
+
+
+@pytest.mark.parametrize(("gamma", "bend"), [(1.0, 0.0), (0.6, 0.1), (2.0, -0.2)])
+def test_what_is_not_the_lights_is_the_rest_of_the_variance(gamma, bend):
+    sensor = dataclasses.replace(LINEAR, gamma=gamma, bend=bend)
+    for mean_e in (0.0, 5.0, 700.0, 0.5 * sensor.full_well_e, 1.1 * sensor.full_well_e):
+        want = float(variance_e2(mean_e, sensor)) - mean_e
+        assert dark_part_e2(mean_e, Response.of(sensor)) == pytest.approx(want, abs=1e-9 * mean_e)
 
 
 def test_coarse_steps_add_their_twelfth():

@@ -19,9 +19,11 @@ from tracker.stripe.detection import (
     ABSENT_COST,
     CHANCE_SIGMAS,
     CLEAR_SIGMAS,
+    LEAST_FAN,
     LOBE,
     LOBE_MARGIN,
     MIN_RATIO,
+    WEAK,
     evidence_ratio,
     fan_ends,
     leaves_image,
@@ -189,13 +191,59 @@ def test_beyond_the_ends_of_an_unstated_fan_nothing_is_missed() -> None:
     assert share(lines % 4 < 2, True) == pytest.approx(0.5)
 
 
+def plain_seen_share(
+    expected: ExpectedStripe,
+    position: np.ndarray,
+    amplitude: np.ndarray,
+    variance: np.ndarray,
+    censored: np.ndarray,
+    seeks_ends: bool,
+) -> float:
+    """Return `seen_share` by whole arrays."""
+    holds = np.isfinite(position)
+    weak = WEAK * np.median(amplitude[holds])
+    worst = np.where(censored.any(axis=1), np.inf, variance.max(axis=1))
+    absent = expected.shown & (weak * np.sqrt(0.52 * expected.sigma_px / worst) > CLEAR_SIGMAS) & ~holds
+    total = np.concatenate([[0.0], np.cumsum(holds - ABSENT_COST * absent)])
+    end = int(np.argmax(total - np.minimum.accumulate(total)))
+    lit = slice(int(np.argmin(total[: end + 1])), end)
+    n_found, n_absent = holds.sum(), absent.sum()
+    if seeks_ends and holds[lit].sum() >= LEAST_FAN * expected.shown.sum():
+        n_found, n_absent = holds[lit].sum(), absent[lit].sum() + n_found - holds[lit].sum()
+    return n_found / (n_found + n_absent)
+
+
+@pytest.mark.parametrize("seeks_ends", [False, True])
+def test_the_share_that_is_seen_is_its_twins(seeks_ends: bool) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        n = int(rng.integers(30, 90))
+        expected = ExpectedStripe(
+            rng.uniform(20.0, 60.0, n),
+            rng.uniform(1.0, 4.0, n),
+            np.zeros(n),
+            rng.random(n) < 0.9,
+            np.ones(n, np.bool_),
+            np.zeros(n, np.int64),
+            4.0,
+        )
+        holds = np.abs(np.arange(n) - rng.uniform(0.3, 0.7) * n) < rng.uniform(0.1, 0.5) * n
+        holds &= rng.random(n) < 0.95
+        holds[n // 2] = True
+        position = np.where(holds, expected.position_px, np.nan)
+        amplitude = np.where(holds, rng.uniform(500.0, 3000.0, n), np.nan)
+        variance = rng.uniform(100.0, 4000.0, (n, 40)).astype(np.float32)
+        args = expected, position, amplitude, variance, rng.random((n, 40)) < 0.002, seeks_ends
+        assert seen_share(*args) == pytest.approx(plain_seen_share(*args))
+
+
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.sampled_from((-1, 0, 1)), min_size=1, max_size=30))
 def test_a_fans_ends_are_those_of_the_best_of_all_intervals(lines: list[int]) -> None:
     holds, absent = np.array(lines) > 0, np.array(lines) < 0
     worth = holds - ABSENT_COST * absent
     best = max(worth[i:j].sum() for i in range(len(lines) + 1) for j in range(i, len(lines) + 1))
-    assert worth[fan_ends(holds, absent)].sum() == pytest.approx(best)
+    assert worth[slice(*fan_ends(holds, absent))].sum() == pytest.approx(best)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ import numpy as np
 from noise_model.arrays import Float32, Float64, Int64, Integers
 from noise_model.kernel import REDUCTION, kernel
 from tracker.arc.transmission import ArcLight, Transmission, seen_arc
-from tracker.geometry import SensorGeometry
+from tracker.geometry import ImageSource, SensorGeometry, dark_variance_at
 
 MAP_SIGMA = 0.05
 """The map's stated relative 1 sigma: hand-eye, material and arc shape within their tolerance."""
@@ -29,6 +29,9 @@ MIN_PIXELS = 40
 
 MAX_SIGMA = 0.2
 """A level less certain than this, over the larger of itself and the expected one, is not known."""
+
+MIN_BLACK_SIGMA_E = 1e-3
+"""No black level is known better."""
 
 MAX_STEPS, LEVEL_SETTLED = 20, 1e-6
 """Steps of the level's fit at most, and the relative one that is the last."""
@@ -85,51 +88,42 @@ def unlit_by_the_laser(
     `light` is the arc's at its expected output, `transmission` what effects make of it. Off the stripe is
     farther than `keep_off_px` from `stripe_px` (n_scan,); without a stripe every pixel is.
     """
-    scan, position = geometry.level_sample
-    pixels, charge_e = _off_stripe(
-        image_dn,
-        geometry.along_rows,
-        geometry.n_pos,
-        scan,
-        position,
-        geometry.charge_e,
-        geometry.saturation_dn,
-        NOWHERE if stripe_px is None else stripe_px,
-        keep_off_px,
+    pixels, charge_e = off_stripe(
+        geometry.image_source, image_dn, NOWHERE if stripe_px is None else stripe_px, keep_off_px
     )
     arc_e, other_e = seen_arc(light, transmission, pixels)
-    unlit: Unlit = _only_seen(arc_e, charge_e, other_e, pixels)
+    unlit: Unlit = only_seen(arc_e, charge_e, other_e, pixels)
     return unlit
 
 
-def estimate_arc_level(geometry: SensorGeometry, unlit: Unlit) -> ArcLevel:
+@kernel(allocates=True)
+def estimate_arc_level(image: ImageSource, unlit: Unlit) -> ArcLevel:
     """Fit charge = level * map + black to pixels off the stripe.
 
     Weighted least squares with Huber weights; the variance is the pixel's at the fitted mean plus (MAP_SIGMA
     level map)^2, the black level's prior is its tolerance. Where the pixels ask for one far beyond that,
     light of the hall is in it, and nothing is known of it before.
     """
-    sensor, tolerance, e = geometry.setup.sensor, geometry.setup.tolerance, unlit.charge_e
-    black_sigma_e = max(tolerance.black_level_dn * sensor.gain_e_per_dn, 1e-3)
-    dark_e2 = geometry.dark_variance_at(e)
-    fitted: ArcLevel = fit_level(unlit.arc_e, e, dark_e2, black_sigma_e, sensor.full_well_e)
-    return UNKNOWN if math.isnan(fitted.level) else fitted
+    dark_e2 = dark_variance_at(image, unlit.charge_e)
+    black_sigma_e = max(image.black_sigma_e, MIN_BLACK_SIGMA_E)
+    return fit_level(unlit.arc_e, unlit.charge_e, dark_e2, black_sigma_e, image.response.full_well_e)
 
 
-def estimate_ambient_light(geometry: SensorGeometry, unlit: Unlit) -> ArcLevel:
+@kernel(allocates=True)
+def estimate_ambient_light(image: ImageSource, unlit: Unlit) -> ArcLevel:
     """Read the light of a frame whose arc is off.
 
     The offset is the median of what effects leave unexplained: the black level's, and even light of the hall.
     That light has the scene's texture. Its 1 sigma is by how much the residuals scatter, by the quantile that
     tells the misfit, beyond what the pixels' noise makes.
     """
-    e = unlit.charge_e
-    if len(e) < MIN_PIXELS:
-        return ArcLevel(0.0, 0.0, 0.0, np.nan, is_on=False)
+    e, n = unlit.charge_e, unlit.charge_e.shape[0]
+    if n < MIN_PIXELS:
+        return ArcLevel(0.0, 0.0, 0.0, math.nan, False, 0.0)
     black = quantile(e, 0.5)
-    noise_e = math.sqrt(max(black, 0.0) + geometry.dark_variance_at(e)) * (1.0 + CHANCE / math.sqrt(len(e)))
+    noise_e = math.sqrt(max(black, 0.0) + dark_variance_at(image, e)) * (1.0 + CHANCE / math.sqrt(n))
     spread_e = quantile(np.abs(e - black), MISFIT_QUANTILE) / NORMAL_QUANTILE
-    return ArcLevel(0.0, 0.0, black, np.nan, False, math.sqrt(max(spread_e**2 - noise_e**2, 0.0)))
+    return ArcLevel(0.0, 0.0, black, math.nan, False, math.sqrt(max(spread_e**2 - noise_e**2, 0.0)))
 
 
 NOWHERE = np.empty(0)
@@ -137,34 +131,27 @@ NOWHERE = np.empty(0)
 
 
 @kernel(allocates=True)
-def _off_stripe(
-    image_dn: Integers,
-    along_rows: bool,
-    n_pos: int,
-    scan: Int64,
-    position: Int64,
-    code_e: Float32,
-    saturation_dn: int,
-    stripe_px: Float64,
-    keep_off_px: float,
+def off_stripe(
+    image: ImageSource, image_dn: Integers, stripe_px: Float64, keep_off_px: float
 ) -> tuple[Int64, Float64]:
-    """Return those pixels of a sample that are neither saturated nor near the stripe, and their charge, e-.
+    """Return those pixels of the level's sample that are neither saturated nor near the stripe.
 
-    `scan` and `position` (n,) are the sample's, `code_e` the charge of each code, `stripe_px` (n_scan,) the
-    stripe's place, empty for none. The pixels are counted by scan line.
+    With them comes their charge (n,), e-. `stripe_px` (n_scan,) is the stripe's place, empty for none. The
+    pixels are counted by scan line.
     """
-    n, pixels, charge_e = 0, np.empty(scan.shape[0], np.int64), np.empty(scan.shape[0])
-    for i in range(scan.shape[0]):
-        s, r = scan[i], position[i]
-        dn = image_dn[r, s] if along_rows else image_dn[s, r]
-        if dn < saturation_dn and (stripe_px.shape[0] == 0 or abs(r - stripe_px[s]) > keep_off_px):
-            pixels[n], charge_e[n] = s * n_pos + r, code_e[dn]
+    n, count = 0, image.level_scan.shape[0]
+    pixels, charge_e = np.empty(count, np.int64), np.empty(count)
+    for i in range(count):
+        s, r = image.level_scan[i], image.level_position[i]
+        dn = image_dn[r, s] if image.along_rows else image_dn[s, r]
+        if dn < image.saturation_dn and (stripe_px.shape[0] == 0 or abs(r - stripe_px[s]) > keep_off_px):
+            pixels[n], charge_e[n] = s * image.n_pos + r, image.charge_e[dn]
             n += 1
     return pixels[:n], charge_e[:n]
 
 
 @kernel(allocates=True)
-def _only_seen(arc_e: Float32, charge_e: Float64, other_e: Float32, pixels: Int64) -> Unlit:
+def only_seen(arc_e: Float32, charge_e: Float64, other_e: Float32, pixels: Int64) -> Unlit:
     """Return the pixels (n,) whose `arc_e` is known, other light (n,) taken off, or none if that is empty."""
     n, count = 0, arc_e.shape[0]
     seen_e, unlit_e, seen = np.empty(count), np.empty(count), np.empty(count, np.int64)

@@ -13,7 +13,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
-from noise_model.median import finite_median, median
+from noise_model.median import finite_median
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.scatter import FrameScatter, width_factor
 from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP, TEMPLATE_SIGMAS, write_template
@@ -123,6 +123,7 @@ def evidence_ratio(score: Float32, path: Int64, shown: Bool, width_px: float) ->
     return bright / dark if dark > 0.0 else math.inf
 
 
+@kernel(allocates=True)
 def seen_share(
     expected: ExpectedStripe,
     position_px: Float64,
@@ -139,32 +140,50 @@ def seen_share(
     A sqrt(0.52 w / V) sigmas. What saturates may hide anything. If it is not known where the laser's fan ends
     (`seeks_ends`), nothing is missed beyond the ends that it shows, and what was found there is astray.
     """
-    holds = np.isfinite(position_px)
-    if not holds.any():
+    n = position_px.shape[0]
+    holds, absent, held_e = np.empty(n, np.bool_), np.empty(n, np.bool_), np.empty(n)
+    n_found, n_absent, n_shown = 0, 0, 0
+    for s in range(n):
+        holds[s] = math.isfinite(position_px[s])
+        if holds[s]:
+            held_e[n_found] = amplitude_e[s]
+            n_found += 1
+    if n_found == 0:
         return math.nan
-    weak_e = WEAK * median(amplitude_e[holds])
-    worst_e2 = np.where(censored.any(axis=1), np.inf, variance_e2.max(axis=1))
-    with np.errstate(invalid="ignore"):
-        clear = weak_e * np.sqrt(0.52 * expected.sigma_px / worst_e2) > CLEAR_SIGMAS
-    absent = expected.shown & clear & ~holds
-    n_found, n_absent = np.count_nonzero(holds), np.count_nonzero(absent)
-    lit = fan_ends(holds, absent)
-    n_lit = np.count_nonzero(holds[lit])
-    if seeks_ends and n_lit >= LEAST_FAN * np.count_nonzero(expected.shown):
-        n_found, n_absent = n_lit, np.count_nonzero(absent[lit]) + n_found - n_lit
+    weak_e = WEAK * np.median(held_e[:n_found])
+    for s in range(n):
+        worst_e2 = 0.0
+        for j in range(variance_e2.shape[1]):
+            worst_e2 = max(worst_e2, math.inf if censored[s, j] else np.float64(variance_e2[s, j]))
+        is_clear = weak_e * math.sqrt(0.52 * expected.sigma_px[s] / worst_e2) > CLEAR_SIGMAS
+        absent[s] = expected.shown[s] and is_clear and not holds[s]
+        n_absent += absent[s]
+        n_shown += expected.shown[s]
+    first, end = fan_ends(holds, absent)
+    n_lit, n_dark = 0, 0
+    for s in range(first, end):
+        n_lit += holds[s]
+        n_dark += absent[s]
+    if seeks_ends and n_lit >= LEAST_FAN * n_shown:
+        n_found, n_absent = n_lit, n_dark + n_found - n_lit
     return n_found / (n_found + n_absent)
 
 
-def fan_ends(holds: Bool, absent: Bool) -> slice:
-    """Return the scan lines (n_scan,) that a fan lights, from its one end to the other.
+@kernel
+def fan_ends(holds: Bool, absent: Bool) -> tuple[int, int]:
+    """Return the scan lines (n_scan,) that a fan lights, the first and the one behind the last.
 
     They are the interval with the largest sum over the lines that hold a stripe, less ABSENT_COST for each
     line that would show it and does not (Kadane; Bentley 1984, Communications of the ACM 27, 865).
     """
-    total = np.concatenate([[0.0], np.cumsum(holds - ABSENT_COST * absent)])
-    lowest = np.minimum.accumulate(total)
-    end = int(np.argmax(total - lowest))
-    return slice(int(np.argmin(total[: end + 1])), end)
+    total, lowest, lowest_at, most, first, end = 0.0, 0.0, 0, 0.0, 0, 0
+    for s in range(holds.shape[0]):
+        total += holds[s] - ABSENT_COST * absent[s]
+        if total < lowest:
+            lowest, lowest_at = total, s + 1
+        if total - lowest > most:
+            most, first, end = total - lowest, lowest_at, s + 1
+    return first, end
 
 
 @kernel

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
+from noise_model.arc.fill import fill_band
 from noise_model.arc.map import CELL, ArcKernel, ArcMap
-from noise_model.arrays import Float32, Float64, Int64
-from noise_model.robust import sigma_of
+from noise_model.arc.table import FaceTable
+from noise_model.arrays import Float32, Float64, Int64, Integers
+from noise_model.kernel import kernel
+from noise_model.robust import MAD_SIGMA
 from tracker.arc.level import MAP_SIGMA, ArcLevel
-from tracker.arc.transmission import Transmission
-from tracker.geometry import MAP_FLOOR_E, MAP_TOLERANCE, SEARCH_REACH_MM, SensorGeometry
-from tracker.state import Frame, Stripe
-from tracker.stripe.band import AS_IT_IS, Band, LightLevel, gather_band, median_background
+from tracker.geometry import (
+    MAP_FLOOR_E,
+    MAP_TOLERANCE,
+    SEARCH_REACH_MM,
+    LookSource,
+    SensorGeometry,
+    dark_variance_at,
+)
+from tracker.state import Stripe
+from tracker.stripe.band import Band, LightLevel, gather_band, median_background
 from tracker.stripe.detection import Evidence
 from tracker.stripe.edge import StripeLight
 from tracker.stripe.expected import ExpectedStripe
@@ -39,7 +47,7 @@ class Work(NamedTuple):
     def of(cls, geometry: SensorGeometry) -> Work:
         """Make room for the widest band of a sensor, and for the offsets of a search."""
         n = geometry.n_scan * geometry.n_pos
-        n_offsets = len(_offsets_px(math.floor(geometry.reach_px(SEARCH_REACH_MM))))
+        n_offsets = 2 * math.floor(geometry.reach_px(SEARCH_REACH_MM)) // OFFSET_STEP + 1
         charge, background, residual, variance, plain = np.empty((5, n), np.float32)
         censored, lows = np.empty(n, np.bool_), np.empty(-(-geometry.n_scan // CELL), np.int64)
         pixels = Band(charge, background, residual, variance, plain, censored, lows)
@@ -59,12 +67,6 @@ def _write_once(room: object) -> None:
     elif isinstance(room, tuple):
         for part in room:
             _write_once(part)
-
-
-@lru_cache
-def _offsets_px(reach_px: int) -> Int64:
-    """Return the offsets (n,) from the expected place at which a stripe is sought; not to be written to."""
-    return np.arange(-reach_px, reach_px + 1, OFFSET_STEP)
 
 
 class StripeReading(NamedTuple):
@@ -107,24 +109,26 @@ class StripeReading(NamedTuple):
     width_px: Float64
     n_lines: Int64
 
-    def light(self, psf_sigma_px: float, sheet_lines: float) -> StripeLight:
-        """Return what shows where the stripe ends, as good as the band."""
-        band, usual = self.band, self.usual
-        return StripeLight(
-            band.charge,
-            band.background,
-            band.variance,
-            band.censored,
-            self.lows,
-            self.stripe.position_px,
-            self.width_px,
-            self.shot,
-            usual.contrast,
-            usual.alike,
-            psf_sigma_px,
-            sheet_lines,
-            usual.centre_sigma_px,
-        )
+
+@kernel(allocates=True)
+def light_of(reading: StripeReading, psf_sigma_px: float, sheet_lines: float) -> StripeLight:
+    """Return what shows where the stripe ends, as good as the band."""
+    band, usual = reading.band, reading.usual
+    return StripeLight(
+        band.charge,
+        band.background,
+        band.variance,
+        band.censored,
+        reading.lows,
+        reading.stripe.position_px,
+        reading.width_px,
+        reading.shot,
+        usual.contrast,
+        usual.alike,
+        psf_sigma_px,
+        sheet_lines,
+        usual.centre_sigma_px,
+    )
 
 
 def arc_map_of(geometry: SensorGeometry, kernel: ArcKernel) -> ArcMap:
@@ -140,16 +144,86 @@ def arc_map_of(geometry: SensorGeometry, kernel: ArcKernel) -> ArcMap:
     )
 
 
-def read_stripe(
-    geometry: SensorGeometry,
-    arc_map: ArcMap,
-    transmission: Transmission | None,
+class LitBand(NamedTuple):
+    """A band with what lights it beside the laser; `light` is the level to which that is to be brought."""
+
+    band: Band
+    light: LightLevel
+    noise: Noise
+
+
+@kernel
+def level_or_expected(arc: ArcLevel) -> float:
+    """Return the arc's level, the expected one where it is not known."""
+    return arc.level if math.isfinite(arc.level) else 1.0
+
+
+@kernel(allocates=True)
+def light_band(
+    source: LookSource,
+    arc_kernel: ArcKernel,
+    table: FaceTable,
     arc: ArcLevel,
-    frame: Frame,
+    image_dn: Integers,
     expected: ExpectedStripe,
     reach_px: float,
     work: Work,
     use_arc_map: bool,
+    has_effects: bool,
+) -> LitBand:
+    """Gather the band about the expected stripe, and predict what lights it beside the laser.
+
+    That is the arc's map at its expected output, which `has_effects` says is still to pass effects.
+    """
+    image = source.image
+    band = gather_band(
+        image_dn,
+        image.along_rows,
+        expected.position_px,
+        expected.widest_px,
+        reach_px,
+        image.n_pos,
+        image.charge_e,
+        image.saturation_dn,
+        work.pixels,
+    )
+    dark_e2 = dark_variance_at(image, band.charge.reshape(-1))
+    base_sigma_e = math.hypot(image.black_sigma_e, arc.ambient_e)
+    if not use_arc_map:
+        median_background(band.charge, MEDIAN_HALF_PX, band.background)
+        scatter_e = MAD_SIGMA * np.float64(np.median(np.abs(band.charge - band.background)))
+        noise = Noise(0.0, max(scatter_e**2, dark_e2), MEDIAN_SIGMA, base_sigma_e)
+        return LitBand(band, LightLevel(1.0, 0.0), noise)
+    level, level_sigma, misfit = level_or_expected(arc), source.arc_level_rel, 1.0
+    if math.isfinite(arc.level):
+        level_sigma, misfit = 0.0, max(1.0, arc.misfit)
+    noise = Noise(1.0, dark_e2, math.hypot(MAP_SIGMA * misfit, level_sigma), base_sigma_e)
+    if level == 0.0 and not has_effects:
+        for s in range(band.background.shape[0]):
+            for j in range(band.background.shape[1]):
+                band.background[s, j] = np.float32(0.0)
+        return LitBand(band, LightLevel(1.0, arc.black_e), noise)
+    fill_band(
+        arc_kernel,
+        table,
+        image.xy,
+        image.cos4,
+        source.arc.node_at,
+        source.arc.node_rules,
+        band.lows,
+        CELL,
+        band.background,
+    )
+    return LitBand(band, LightLevel(level, arc.black_e), noise)
+
+
+@kernel(allocates=True)
+def read_stripe(
+    source: LookSource,
+    lit: LitBand,
+    expected: ExpectedStripe,
+    reach_px: float,
+    room: ReadRoom,
     scatter: Scatter,
     is_searching: bool,
 ) -> StripeReading:
@@ -158,45 +232,20 @@ def read_stripe(
     `scatter` is what earlier frames show of it; this frame's is added before it is used. `is_searching` says
     whether the joint may lie far off its expected place.
     """
-    band = gather_band(
-        frame.image_dn,
-        geometry.along_rows,
-        expected.position_px,
-        expected.widest_px,
-        reach_px,
-        geometry.n_pos,
-        geometry.charge_e,
-        geometry.saturation_dn,
-        work.pixels,
-    )
-    shot, dark_variance = 1.0, geometry.dark_variance_at(band.charge)
-    level_known = math.isfinite(arc.level)
-    level = arc.level if level_known else 1.0
-    level_sigma = 0.0 if level_known else geometry.setup.tolerance.arc_level_rel
-    map_sigma = math.hypot(MAP_SIGMA * max(1.0, arc.misfit if level_known else 1.0), level_sigma)
-    light = AS_IT_IS
-    if use_arc_map:
-        light = _predict_background(geometry, arc_map, transmission, level, arc.black_e, band)
-    else:
-        median_background(band.charge, MEDIAN_HALF_PX, band.background)
-        variance = sigma_of(band.charge - band.background) ** 2
-        shot, map_sigma, dark_variance = 0.0, MEDIAN_SIGMA, max(variance, dark_variance)
-    black_sigma = geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn
-    base_sigma = math.hypot(black_sigma, arc.ambient_e)
-    room, offsets_px = work.room, _offsets_px(math.floor(reach_px))
+    band, noise, farthest = lit.band, lit.noise, math.floor(reach_px)
     seen = read_band(
         band,
-        light,
+        lit.light,
         expected,
-        offsets_px,
-        Noise(shot, dark_variance, map_sigma, base_sigma),
+        np.arange(-farthest, farthest + 1, OFFSET_STEP),
+        noise,
         scatter.average,
         scatter.frames,
         is_searching,
         reach_px,
-        geometry.setup.camera.psf_sigma_px,
-        geometry.n_pos,
-        geometry.along_rows,
+        source.stripe.psf_sigma_px,
+        source.image.n_pos,
+        source.image.along_rows,
         room,
     )
     return StripeReading(
@@ -208,10 +257,10 @@ def read_stripe(
         room.start_px,
         room.lines.tried,
         room.lines.fits,
-        shot,
-        dark_variance,
-        map_sigma,
-        base_sigma,
+        noise.shot,
+        noise.dark_e2,
+        noise.map_rel,
+        noise.base_e,
         seen.told.share,
         seen.told.nats,
         Scatter(seen.after, scatter.frames + 1),
@@ -222,29 +271,3 @@ def read_stripe(
         seen.width_px,
         room.n_lines,
     )
-
-
-def _predict_background(
-    geometry: SensorGeometry,
-    arc_map: ArcMap,
-    transmission: Transmission | None,
-    level: float,
-    black_e: float,
-    band: Band,
-) -> LightLevel:
-    """Write the arc's light and other light into the band; return to which level it is to be brought.
-
-    `level` is the frame's own, `black_e` the black level's.
-    """
-    if level == 0.0 and transmission is None:
-        band.background[:] = 0.0
-        return LightLevel(1.0, black_e)
-    arc_map.fill(band.lows, band.background)
-    if transmission is None:
-        return LightLevel(level, black_e)
-    n_scan, depth = band.background.shape
-    first = np.arange(n_scan) * geometry.n_pos + band.lows[np.arange(n_scan) // CELL]
-    pixels = (first[:, None] + np.arange(depth)).ravel()
-    arc_e, other_e = transmission.through(pixels, band.background.ravel())
-    band.background[:] = (np.float32(level) * arc_e + other_e).reshape(n_scan, depth)
-    return LightLevel(1.0, black_e)

@@ -7,7 +7,6 @@ states it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -272,8 +271,7 @@ def widen(
         beside_px[s] = math.sqrt(own + together)
 
 
-@dataclass(frozen=True, eq=False)
-class Scatter:
+class Scatter(NamedTuple):
     """What the frames so far show of the scatter: the average of what `frames` of them show.
 
     Negative variances are chance.
