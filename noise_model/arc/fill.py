@@ -16,10 +16,12 @@ import math
 import numpy as np
 
 from noise_model.arc.face_lookup import face_seen
+from noise_model.arc.node_light import NodeRays, light_of_face, node_rays, take_rays, write_faces
 from noise_model.arc.ray import ArcKernel, Scratch, scratch
-from noise_model.arc.table import FaceTable, light_at_places, places_on_plane, places_on_rays
+from noise_model.arc.table import FaceTable, light_at_places, places_on_rays
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
+from noise_model.lanes import N_LANES, load, spread, store
 from noise_model.surface.ray_casting import MISS
 
 LARGEST, MIXED, SMALLEST = 64, 32, 8
@@ -49,7 +51,7 @@ Box = tuple[int, int, int, int]
 Rays = tuple[Float32, Float32, int]
 """The camera's `xy` (n_scan n_pos, 2) and `cos4`, and n_pos."""
 
-Room = tuple[Int64, Float64, Int64, Float64, Bool, Int64, Float64, Float32]
+Room = tuple[Int64, Float64, Int64, Float64, Bool, Int64, Float64, Float32, NodeRays]
 """Scratch: pixels, light, faces and places; by face whether it is seen, the last run's end, coefficients
 (MAX_FACES, 4, 4); and 0, 1, 2 ..."""
 
@@ -108,25 +110,25 @@ def _to_powers(
 
 @kernel(inline=True)
 def _fill_row(
-    powers: Float64,
-    t: float,
-    step: float,
-    start: int,
-    ramp: Float32,
-    out: Float32,
-    row: int,
-    first: int,
-    last: int,
+    powers: Float64, t: float, step: float, start: int, ramp: Float32, line: Float32, first: int, last: int
 ) -> None:
-    """Write out[row, first : last] from a cell's coefficients at t; along the row it begins at `start`."""
+    """Write line[first : last] from a cell's coefficients at t; along the line it begins at `start`."""
     c_0 = np.float32(powers[0, 0] + t * (powers[1, 0] + t * (powers[2, 0] + t * powers[3, 0])))
     c_1 = np.float32(powers[0, 1] + t * (powers[1, 1] + t * (powers[2, 1] + t * powers[3, 1])))
     c_2 = np.float32(powers[0, 2] + t * (powers[1, 2] + t * (powers[2, 2] + t * powers[3, 2])))
     c_3 = np.float32(powers[0, 3] + t * (powers[1, 3] + t * (powers[2, 3] + t * powers[3, 3])))
-    along, origin = np.float32(step), np.float32(-1.0 + step * (first - start))
-    for j in range(last - first):
-        u = origin + along * ramp[j]
-        out[row, first + j] = c_0 + u * (c_1 + u * (c_2 + u * c_3))
+    along, origin, n = np.float32(step), np.float32(-1.0 + step * (first - start)), last - first
+    if n < N_LANES:
+        for j in range(n):
+            u = origin + along * ramp[j]
+            line[first + j] = c_0 + u * (c_1 + u * (c_2 + u * c_3))
+        return
+    # A loop over numbers leaves what does not fill its vectors to single ones: a row is seldom longer.
+    d_0, d_1, d_2, d_3 = spread(c_0), spread(c_1), spread(c_2), spread(c_3)
+    for k in range(0, n, N_LANES):
+        j = min(k, n - N_LANES)
+        v = spread(origin) + spread(along) * load(ramp, j)
+        store(line, first + j, d_0 + v * (d_1 + v * (d_2 + v * d_3)))
 
 
 @kernel(inline=True)
@@ -141,17 +143,10 @@ def _line_in_band(box: Box, i: int, lows: Int64, group: int, depth: int) -> tupl
 def _fill_smooth(powers: Float64, box: Box, lows: Int64, group: int, ramp: Float32, band_e: Float32) -> None:
     """Fill the part of a cell that lies in the band from its coefficients."""
     scan, pos, n_s, n_p = box
-    depth = band_e.shape[1]
-    t_step, u_step = 2.0 / (n_s - 1), 2.0 / (n_p - 1)
     for i in range(n_s):
-        low, first, last = _line_in_band(box, i, lows, group, depth)
-        t = -1.0 + t_step * i
-        if first == pos and last - first == LARGEST:
-            # The usual case, of a length that the compiler knows.
-            start = first - low
-            _fill_row(powers, t, u_step, start, ramp, band_e, scan + i, start, start + LARGEST)
-        else:
-            _fill_row(powers, t, u_step, pos - low, ramp, band_e, scan + i, first - low, last - low)
+        low, first, last = _line_in_band(box, i, lows, group, band_e.shape[1])
+        t, line = -1.0 + 2.0 / (n_s - 1) * i, band_e[scan + i]
+        _fill_row(powers, t, 2.0 / (n_p - 1), pos - low, ramp, line, first - low, last - low)
 
 
 @kernel
@@ -205,14 +200,13 @@ def _fill_mixed(
     In `room` the nodes' pixels and which faces they meet are known; the latter are left with those that have
     coefficients.
     """
-    xy, cos4, n_pos = rays
-    pixels, light_e, faces, places, seen, guess, powers, ramp = room
+    xy, _, n_pos = rays
+    light_e, seen, guess, powers, ramp = room[1], room[4], room[5], room[6], room[7]
     scan, pos, n_s, n_p = box
     for face in range(k.vertices.shape[0] - 1):
         if not seen[face]:
             continue
-        places_on_plane(k, face, xy, pixels, N * N, faces, places)
-        light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
+        light_of_face(k, table, face, rays[:2], room[8], room[:4], work)
         across, along, least = _to_powers(light_e, rules, (n_s, n_p), powers[face])
         if not max(across, along) <= SHARE * max(table.rel * least, table.floor_e):
             halved = _halved(n_s, n_p, across >= along)
@@ -255,8 +249,7 @@ def _fill_mixed(
                     u_step,
                     pos - low,
                     ramp,
-                    band_e,
-                    scan + i,
+                    band_e[scan + i],
                     first - low,
                     last - low,
                 )
@@ -305,12 +298,15 @@ def _fill_cell(
 ) -> int:
     """Fill a cell, or say how it has to be halved."""
     xy, cos4, n_pos = rays
-    pixels, light_e, faces, places, seen, _, powers, ramp = room
+    pixels, light_e, faces, places, seen, _, powers, ramp, nodes = room
     scan, _, n_s, n_p = box
     halved = _halved(n_s, n_p, True)
     if n_s >= N and n_p >= N:
         _node_pixels(n_pos, box, node_at, pixels)
-        places_on_rays(k, table, xy, pixels, N * N, faces, places)
+        take_rays(xy, cos4, pixels, nodes)
+        is_told = k.corrugation[0] == 0.0 and write_faces(k, table.seen, nodes, faces)
+        if not is_told:
+            places_on_rays(k, table, xy, pixels, N * N, faces, places)
         is_one = faces[0] != MISS
         for face in range(k.vertices.shape[0] - 1):
             seen[face] = False
@@ -319,7 +315,10 @@ def _fill_cell(
             if faces[i] != MISS:
                 seen[faces[i]] = True
         if is_one:
-            light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
+            if is_told:
+                light_of_face(k, table, faces[0], rays[:2], nodes, room[:4], work)
+            else:
+                light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
             across, along, least = _to_powers(light_e, rules, (n_s, n_p), powers[0])
             if max(across, along) <= SHARE * max(table.rel * least, table.floor_e):
                 _fill_smooth(powers[0], box, lows, group, ramp, band_e)
@@ -365,6 +364,7 @@ def fill_band(
         np.empty(MAX_FACES, dtype=np.int64),
         np.empty((MAX_FACES, N, N)),
         np.arange(LARGEST).astype(np.float32),
+        node_rays(),
     )
     rays = (xy, cos4, n_pos)
     # Cells still to be filled, the one on top next: scan line, position, their numbers.

@@ -218,7 +218,7 @@ def root_cell(table: FaceTable, face: int, i: int, j: int) -> int:
 
 
 @kernel(inline=True)
-def _cell_at(
+def cell_at(
     k: ArcKernel, table: FaceTable, face: int, x: float, s: float, least_mm2: float, work: Scratch
 ) -> int:
     """Return the cell at a face's coordinates, made if need be.
@@ -312,7 +312,7 @@ def light_at_places(
         elif cell >= 0:
             t, u = (x - middle[cell, 0]) * inverse[cell, 0], (s - middle[cell, 1]) * inverse[cell, 1]
         if not (abs(t) < 1.0 and abs(u) < 1.0):
-            cell = _cell_at(k, table, face, x, s, least_mm2, work)
+            cell = cell_at(k, table, face, x, s, least_mm2, work)
         if cell >= 0:
             t, u = (x - middle[cell, 0]) * inverse[cell, 0], (s - middle[cell, 1]) * inverse[cell, 1]
             light = _value(powers[cell], t, u) / fall_off(k, on, x, s)
