@@ -27,6 +27,7 @@ from tracker.measure import TRACK_REACH_MM
 from tracker.state import Frame, Pose
 from tracker.stripe.band import FIT_SIGMAS
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
+from tracker.stripe.smooth import smoothed
 from tracker.tracker import Tracker
 
 FRAMES = 64
@@ -134,7 +135,7 @@ def ours(case: Case, read: Read) -> tuple[Float64, Float64]:
     for frame in read.frames[:8]:
         tracker.step(frame, pose)
     stripes = [stripe for frame in read.frames if (stripe := tracker.step(frame, pose).stripe) is not None]
-    return np.array([s.position_px for s in stripes]), np.array([s.smooth_px for s in stripes])
+    return np.array([s.position_px for s in stripes]), np.array([smoothed(s).position_px for s in stripes])
 
 
 def cpu_ms(run: Callable[..., Any], *arguments: Any) -> float:

@@ -29,6 +29,7 @@ from noise_model.setup import Setup
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose, Stripe
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
+from tracker.stripe.smooth import smoothed
 from tracker.tracker import Tracker
 
 STRIPES_E, ARCS, WIDTHS_PX = (500.0, 1500.0, 4500.0), (0.0, 1.0, 3.0), (3.5, 7.0)
@@ -179,10 +180,10 @@ def main() -> None:
 def print_case(case: Case, frames: list[Frame], of: tuple[float, float, float]) -> None:
     """Print one row for each method."""
     stripes, took_ms = ours(case, frames)
-    own, sigma, smooth, smooth_sigma = (
-        np.array([getattr(stripe, name) for stripe in stripes])
-        for name in ("position_px", "sigma_px", "smooth_px", "smooth_sigma_px")
+    own, sigma = (
+        np.array([getattr(stripe, name) for stripe in stripes]) for name in ("position_px", "sigma_px")
     )
+    smooth, smooth_sigma = np.array([smoothed(stripe) for stripe in stripes]).swapaxes(0, 1)
     rows = {
         "arctrack": (own, chi2(case, own, sigma), took_ms),
         "neighbours": (smooth, chi2(case, smooth, smooth_sigma), took_ms),

@@ -23,6 +23,7 @@ from noise_model.forward import Renderer, draw_frame
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose
 from tracker.stripe.expected import expect_stripe
+from tracker.stripe.smooth import smoothed
 from tracker.tracker import Tracker
 
 WIDTHS_PX, STRIPE_E, ARC = (2.0, 3.5, 7.0), 4500.0, 1.0
@@ -66,9 +67,10 @@ def biases(case: Case, draws: int) -> tuple[Bias, Bias]:
             image = draw_frame(case.setup, pose, Condition(1.0, 1.0, 0.005), rng, renderer=renderer)
             stripe = tracker.step(Frame(draw, 0.1 * draw, image, 0.005, 100.0), Pose(pose)).stripe
             assert stripe is not None, n
-            read = case.on_face & np.isfinite(stripe.smooth_px)
+            smooth_px = smoothed(stripe).position_px
+            read = case.on_face & np.isfinite(smooth_px)
             places.append(place[read])
-            errors.append(np.stack([stripe.position_px, stripe.smooth_px])[:, read] - true[read])
+            errors.append(np.stack([stripe.position_px, smooth_px])[:, read] - true[read])
     place, error = np.concatenate(places), np.concatenate(errors, axis=1)
     count = np.bincount(place, minlength=BINS)
     own, neighbours = (np.bincount(place, one, BINS) / count for one in error)

@@ -270,7 +270,7 @@ def nothing_read(arc: ArcLevel, stripe: Stripe, scatter: Scatter) -> Look:
 def no_stripe(along_rows: bool) -> Stripe:
     """Return the stripe of a frame in which none was looked for."""
     none = np.empty(0)
-    return Stripe(none, none, none, none, none, np.empty(0, np.bool_), along_rows, none)
+    return Stripe(none, none, none, np.empty(0, np.bool_), along_rows, none)
 
 
 @kernel(allocates=True)

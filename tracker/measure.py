@@ -44,6 +44,7 @@ from tracker.stripe.band import LightLevel
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import LitBand, Work, light_band
 from tracker.stripe.scatter import NO_SCATTER, Scatter
+from tracker.stripe.smooth import smoothed
 
 TRACK_REACH_MM = 1.0
 """How far from its expected place it is looked for once it is known, beyond three sigmas of that place."""
@@ -242,7 +243,7 @@ def _closed_joint(
 ) -> MeasuredJoint | None:
     """Return the closed joint whose line the image shows beside the stripe, None where it shows none."""
     stripe_sigma_px = known_median(look.section.light.width_px)
-    line = read_image_line(geometry, scene, look.stripe.smooth_px, stripe_sigma_px, profile)
+    line = read_image_line(geometry, scene, smoothed(look.stripe).position_px, stripe_sigma_px, profile)
     return None if line is None else fit_closed_joint(profile, geometry.setup.joint, line)
 
 

@@ -145,7 +145,8 @@ class Stripe(NamedTuple):
 
     The scan lines are the image's columns if the stripe runs along its rows, else its rows. Where the surface
     is smooth two are read as one (`tracker.stripe.pairs`). Both have its centre, moved along the stripe, and
-    its 1 sigma; for the joint's fit they are one point.
+    its 1 sigma; for the joint's fit they are one point. `tracker.stripe.smooth.smoothed` smooths centres with
+    their neighbours.
 
     Attributes
     ----------
@@ -153,11 +154,6 @@ class Stripe(NamedTuple):
         The stripe's centre on each scan line, px; NaN where there is no stripe.
     sigma_px : array (n,)
         1 sigma of `position_px`, px.
-    smooth_px : array (n,)
-        The centre as the neighbours along the stripe smooth it (`tracker.stripe.smooth`), px. NaN also at
-        outliers, and where the centre stays unsure.
-    smooth_sigma_px : array (n,)
-        1 sigma of `smooth_px`, px.
     amplitude_e : array (n,)
         The stripe's peak over the background, e-.
     saturated : array (n,)
@@ -171,8 +167,6 @@ class Stripe(NamedTuple):
 
     position_px: Float64
     sigma_px: Float64
-    smooth_px: Float64
-    smooth_sigma_px: Float64
     amplitude_e: Float64
     saturated: Bool
     along_rows: bool

@@ -170,9 +170,7 @@ def made(
     )
     fits = lines.fits
     fits[np.abs(np.log(fits[:, 3] / expected.sigma_px)) > NO_SCATTER.width_limit_ln] = np.nan
-    stripe = Stripe(
-        fits[:, 0], fits[:, 1], fits[:, 0], fits[:, 1], fits[:, 2], lines.saturated, True, fits[:, 1]
-    )
+    stripe = Stripe(fits[:, 0], fits[:, 1], fits[:, 2], lines.saturated, True, fits[:, 1])
     offsets, score = np.arange(-8, 9, 2), np.zeros((N_SCAN, 9), np.float32)
     reading = StripeReading(
         stripe,

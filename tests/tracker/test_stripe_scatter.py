@@ -53,6 +53,7 @@ from tracker.stripe.scatter import (
     mean_variance_px2,
     widen,
 )
+from tracker.stripe.smooth import smoothed
 from tracker.tracker import Tracker
 
 seeds = st.integers(0, 2**32 - 1)
@@ -398,8 +399,9 @@ def test_centres_scatter_by_their_sigma_though_no_speckle_is_stated(contrast: fl
             stripe = tracker.step(drawn, pose).stripe
             assert stripe is not None
             if n >= 2:
+                smooth = smoothed(stripe)
                 own.append(((stripe.position_px - true) / stripe.sigma_px)[face])
-                together.append(((stripe.smooth_px - true) / stripe.smooth_sigma_px)[face])
+                together.append(((smooth.position_px - true) / smooth.sigma_px)[face])
     pulls = [math.sqrt(np.nanmean(np.square(pull))) for pull in (own, together)]
     print(f"contrast {contrast}, grain {grain_px} px: pulls {pulls[0]:.2f}, with neighbours {pulls[1]:.2f}")
     assert 0.8 <= pulls[0] <= 1.25

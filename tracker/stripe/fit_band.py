@@ -24,7 +24,6 @@ from tracker.stripe.scatter import (
     width_factor,
     width_limit_ln,
 )
-from tracker.stripe.smooth import SmoothRoom
 from tracker.stripe.viterbi import best_path, matched_filter, peaks
 
 
@@ -50,7 +49,6 @@ class ReadRoom(NamedTuple):
     n_lines: Int64
     is_smooth: Bool
     scatter: ScatterRoom
-    smooth: SmoothRoom
     misfit: MisfitRoom
     seen: FrameScatter
     start_px: Float64
@@ -69,7 +67,6 @@ class ReadRoom(NamedTuple):
             np.ones(n_scan, np.int64),
             np.ones(n_scan, np.bool_),
             ScatterRoom.empty(n_scan),
-            SmoothRoom.empty(n_scan),
             MisfitRoom.empty(),
             empty_scatter(),
             *np.empty((4, n_scan)),

@@ -27,7 +27,6 @@ from tracker.stripe.scatter import (
     line_variance_px2,
     widen,
 )
-from tracker.stripe.smooth import smooth_stripe
 
 REACH_SIGMAS = 3.0
 """A search reaches so many sigmas of the seam's place."""
@@ -189,8 +188,6 @@ def _empty_stripe(n_scan: int, along_rows: bool) -> Stripe:
         np.empty(n_scan),
         np.empty(n_scan),
         np.empty(n_scan),
-        np.empty(n_scan),
-        np.empty(n_scan),
         np.empty(n_scan, np.bool_),
         along_rows,
         np.empty(n_scan),
@@ -212,9 +209,6 @@ def _finish(
         # Two lines that were read as one tell their misfit once.
         if room.n_lines[s] > 1 and s % 2 == 1:
             room.lines.odd[s] = math.nan
-    smooth_stripe(
-        out.position_px, out.sigma_px, out.beside_px, room.smooth, out.smooth_px, out.smooth_sigma_px
-    )
     count_alike(out.sigma_px, out.beside_px, room.n_lines, room.scatter.values, room.scatter.off)
     misfit_sigma_px(room.lines.odd, fits, room.scatter.off, room.misfit, room.misfit_px)
 

@@ -20,6 +20,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
+from tracker.state import Stripe
 
 LENGTHS = (4, 8, 16, 32, 64)
 """Columns of the windows that are asked whether they are straight."""
@@ -199,6 +200,24 @@ class SmoothRoom(NamedTuple):
         """Make room for n columns."""
         windows = len(LENGTHS), n
         return cls(np.empty((n + 1, PRESENT + 1)), np.empty(windows), np.empty(windows, np.bool_))
+
+
+class Smoothed(NamedTuple):
+    """A stripe's centres (n,) as the neighbours along it smooth them, px, and their 1 sigma (n,), px.
+
+    NaN where there is no stripe, at outliers, and where a centre stays unsure.
+    """
+
+    position_px: Float64
+    sigma_px: Float64
+
+
+def smoothed(stripe: Stripe) -> Smoothed:
+    """Return a stripe's centres, smoothed with their neighbours."""
+    n = len(stripe.position_px)
+    smooth = Smoothed(np.empty(n), np.empty(n))
+    smooth_stripe(stripe.position_px, stripe.sigma_px, stripe.beside_px, SmoothRoom.empty(n), *smooth)
+    return smooth
 
 
 @kernel
