@@ -178,7 +178,14 @@ def ask_stripe(asked: Asked, expected: ExpectedStripe, reading: StripeReading, s
     if told.share < WHOLE_SHARE:
         band = reading.band
         seen = seen_share(
-            expected, stripe.position_px, stripe.amplitude_e, band.variance, band.censored, seeks_ends
+            expected,
+            stripe.position_px,
+            stripe.amplitude_e,
+            band.background,
+            reading.shot,
+            reading.dark_variance_e2,
+            band.censored,
+            seeks_ends,
         )
         if not ask(asked, checks.CLEAR_LINES_HELD, seen, MIN_SEEN):
             return False
@@ -249,11 +256,11 @@ def nothing_read(arc: ArcLevel, stripe: Stripe, scatter: Scatter) -> Look:
     dark = StripeLight(
         pixels,
         pixels,
-        pixels,
         np.empty((0, 0), np.bool_),
         np.empty(0, np.int64),
         none,
         none,
+        0.0,
         0.0,
         0.0,
         0.0,

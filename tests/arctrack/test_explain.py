@@ -147,7 +147,7 @@ def made(
     background = np.full((N_SCAN, DEPTH), background_e, np.float32)
     charge = (background + amplitude_e * bell).astype(np.float32)
     lows, start = np.zeros(-(-N_SCAN // CELL), np.int64), np.full(N_SCAN, start_px)
-    nothing = (np.zeros_like(charge) for _ in range(3))
+    nothing = (np.zeros_like(charge) for _ in range(2))
     band = Band(charge, background, *nothing, np.zeros(charge.shape, np.bool_), lows)
     start[0] = np.nan
     lines = LineFits.empty(N_SCAN)

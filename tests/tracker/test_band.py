@@ -71,7 +71,8 @@ def test_weigh_is_its_twin(seed: int, shot: float, dark: float) -> None:
     charge, background = rng.normal(200.0, 300.0, (2, *rng.integers(1, 30, 2))).astype(np.float32)
     background[rng.random(background.shape) < 0.1] = np.nan
     residual, variance = np.full((2, *charge.shape), np.inf, np.float32)
-    weigh(charge, background, shot, dark, residual, variance)
+    for line in zip(charge, background, residual, variance, strict=True):
+        weigh(*line[:2], shot, dark, *line[2:])
     np.testing.assert_array_equal(residual, charge - background)
     np.testing.assert_allclose(variance, shot * np.maximum(background, 0.0) + dark, rtol=1e-6)
 

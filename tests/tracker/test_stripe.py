@@ -128,16 +128,16 @@ def test_the_matched_filter_is_its_twin(seed: int) -> None:
     rng = np.random.default_rng(seed)
     n_scan, depth = rng.integers(1, 20), rng.integers(12, 120)
     n_offsets = rng.integers(1, 2 * MANY_OFFSETS)
-    residual = rng.normal(0.0, 100.0, (n_scan, depth)).astype(np.float32)
-    residual[rng.random(residual.shape) < 0.05] = np.nan
-    variance = rng.uniform(10.0, 1e4, residual.shape).astype(np.float32)
-    variance[np.isnan(residual)] = np.nan
+    background = rng.uniform(-50.0, 1e4, (n_scan, depth)).astype(np.float32)
+    background[rng.random(background.shape) < 0.05] = np.nan
+    charge = background + rng.normal(0.0, 100.0, background.shape).astype(np.float32)
+    residual, variance = charge - background, np.maximum(background, 0.0) + np.float32(60.0)
     lows = rng.integers(0, 5, -(-n_scan // CELL))
     center = rng.uniform(-10.0, depth + 10.0, n_scan)
     width = rng.uniform(0.6, 6.0, n_scan)
     offsets = rng.integers(-40, 40) + OFFSET_STEP * np.arange(n_offsets)
     score = np.full((n_scan, n_offsets), np.nan, dtype=np.float32)
-    matched_filter(residual, variance, center, width, lows, offsets, score)
+    matched_filter(charge, background, 1.0, 60.0, center, width, lows, offsets, score)
     twin = twins.matched_filter(residual, variance, center, width, np.repeat(lows, CELL), offsets)
     np.testing.assert_allclose(score, twin, rtol=2e-5, atol=2e-5)
 

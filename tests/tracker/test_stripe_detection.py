@@ -85,7 +85,7 @@ def test_a_stripe_alone_is_no_dark_one(width: float, phase: float) -> None:
         offsets = np.arange(-60, 61, OFFSET_STEP)
         score = np.empty((1, len(offsets)), np.float32)
         lines = np.array([100.0]), np.array([width]), np.zeros(1, np.int64)
-        matched_filter(residual, np.ones_like(residual), *lines, offsets, score)
+        matched_filter(residual, np.zeros_like(residual), 0.0, 1.0, *lines, offsets, score)
         worst, reach_px = own_lobes(width)
         path = score.argmax(axis=1)
         assert -score.min() / score.max() <= worst * 1.01
@@ -143,7 +143,7 @@ def test_lines_that_would_show_it_and_do_not_are_counted() -> None:
     position, amplitude = np.full((2, N_SCAN), np.nan)
     position[:100], amplitude[:100] = 30.0, amplitude_e
     variance, censored = np.full((N_SCAN, N), dark_e2, np.float32), np.zeros((N_SCAN, N), np.bool_)
-    args = expected, position, amplitude, variance, censored, False
+    args = expected, position, amplitude, variance, 1.0, 0.0, censored, False
     assert seen_share(*args) == pytest.approx(0.5)
     censored[100:120, 7] = True
     variance[120:140, 50] = 1e9
@@ -157,15 +157,15 @@ def test_lines_that_would_show_it_and_do_not_are_counted() -> None:
     score = np.empty((1, 1), np.float32)
     where = np.array([30.0]), np.array([width]), np.zeros(1, np.int64), np.zeros(1, np.int64)
     residual = (0.25 * amplitude_e * bell).astype(np.float32)[None]
-    matched_filter(residual, np.full_like(residual, dark_e2), *where, score)
+    matched_filter(residual, np.zeros_like(residual), 0.0, dark_e2, *where, score)
     just = dark_e2 * (float(score[0, 0]) / CLEAR_SIGMAS) ** 2
     for factor, share in ((0.65, 0.5), (1.05, 1.0)):
         even = np.full((N_SCAN, N), factor * just, np.float32)
         assert seen_share(
-            expected, position, amplitude, even, np.zeros_like(censored), False
+            expected, position, amplitude, even, 1.0, 0.0, np.zeros_like(censored), False
         ) == pytest.approx(share)
     nothing = np.full(N_SCAN, np.nan)
-    assert np.isnan(seen_share(expected, nothing, nothing, variance, censored, False))
+    assert np.isnan(seen_share(expected, nothing, nothing, variance, 1.0, 0.0, censored, False))
 
 
 def test_beyond_the_ends_of_an_unstated_fan_nothing_is_missed() -> None:
@@ -175,7 +175,7 @@ def test_beyond_the_ends_of_an_unstated_fan_nothing_is_missed() -> None:
 
     def share(holds: np.ndarray, seeks_ends: bool) -> float:
         position, amplitude = np.where(holds, 30.0, np.nan), np.where(holds, 4000.0, np.nan)
-        return seen_share(expected, position, amplitude, variance, censored, seeks_ends)
+        return seen_share(expected, position, amplitude, variance, 1.0, 0.0, censored, seeks_ends)
 
     lines = np.arange(N_SCAN)
     fan = (lines >= 60) & (lines < 140) & ~np.isin(lines, (80, 81, 100))
@@ -195,14 +195,16 @@ def plain_seen_share(
     expected: ExpectedStripe,
     position: np.ndarray,
     amplitude: np.ndarray,
-    variance: np.ndarray,
+    background: np.ndarray,
+    shot: float,
+    dark: float,
     censored: np.ndarray,
     seeks_ends: bool,
 ) -> float:
     """Return `seen_share` by whole arrays."""
     holds = np.isfinite(position)
     weak = WEAK * np.median(amplitude[holds])
-    worst = np.where(censored.any(axis=1), np.inf, variance.max(axis=1))
+    worst = np.where(censored.any(axis=1), np.inf, shot * background.max(axis=1) + dark)
     absent = expected.shown & (weak * np.sqrt(0.52 * expected.sigma_px / worst) > CLEAR_SIGMAS) & ~holds
     total = np.concatenate([[0.0], np.cumsum(holds - ABSENT_COST * absent)])
     end = int(np.argmax(total - np.minimum.accumulate(total)))
@@ -232,8 +234,9 @@ def test_the_share_that_is_seen_is_its_twins(seeks_ends: bool) -> None:
         holds[n // 2] = True
         position = np.where(holds, expected.position_px, np.nan)
         amplitude = np.where(holds, rng.uniform(500.0, 3000.0, n), np.nan)
-        variance = rng.uniform(100.0, 4000.0, (n, 40)).astype(np.float32)
-        args = expected, position, amplitude, variance, rng.random((n, 40)) < 0.002, seeks_ends
+        background = rng.uniform(100.0, 4000.0, (n, 40)).astype(np.float32)
+        censored = rng.random((n, 40)) < 0.002
+        args = expected, position, amplitude, background, 0.9, 50.0, censored, seeks_ends
         assert seen_share(*args) == pytest.approx(plain_seen_share(*args))
 
 

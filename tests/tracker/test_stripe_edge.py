@@ -70,12 +70,12 @@ def light_of(
     return StripeLight(
         np.ascontiguousarray(charge, dtype=np.float32),
         np.full(charge.shape, 500.0, dtype=np.float32),
-        np.full(charge.shape, 500.0 + DARK_E2, dtype=np.float32),
         np.zeros(charge.shape, dtype=bool),
         np.zeros(-(-N_SCAN // CELL), dtype=np.int64),
         np.ascontiguousarray(position),
         np.full(N_SCAN, WIDTH_PX),
         1.0,
+        DARK_E2,
         contrast,
         alike,
         PSF_PX,
@@ -188,7 +188,7 @@ def test_shares_are_their_twin(seed: int, n: int, back: bool) -> None:
             r <= math.ceil(max(upper, lower) + 3.0 * WIDTH_PX)
         )
         used = near & np.isfinite(u + v + residual[s])
-        weight = 1.0 / np.sqrt(light.variance_e2[s] + np.maximum(np.maximum(u, v), 0.0))[used]
+        weight = 1.0 / np.sqrt(light.background_e[s] + DARK_E2 + np.maximum(np.maximum(u, v), 0.0))[used]
         A = np.stack([u[used], v[used], np.ones(used.sum())], axis=1) * weight[:, None]
         covariance = np.linalg.inv(A.T @ A)
         expected = covariance @ A.T @ (residual[s][used] * weight)

@@ -102,11 +102,11 @@ _PIXELS, _LINES = np.empty((0, 0), np.float32), np.empty(0)
 NO_LIGHT = StripeLight(
     _PIXELS,
     _PIXELS,
-    _PIXELS,
     np.empty((0, 0), np.bool_),
     np.empty(0, np.int64),
     _LINES,
     _LINES,
+    0.0,
     0.0,
     0.0,
     0.0,

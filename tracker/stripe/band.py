@@ -19,14 +19,13 @@ a second stripe beside them has to be seen."""
 class Band(NamedTuple):
     """A band's pixels (n_scan, depth), e-, that begin at `lows` (n_cells,) for each CELL scan lines.
 
-    `background` is the arc's light and the black level, later with a second stripe's light; `plain` is room
+    `background` is the arc's light and the black level, later with a second stripe's `light`; `plain` is room
     for it without that.
     """
 
     charge: Float32
     background: Float32
-    residual: Float32
-    variance: Float32
+    light: Float32
     plain: Float32
     censored: Bool
     lows: Int64
@@ -107,16 +106,15 @@ def weigh(
     residual_e: Float32,
     variance_e2: Float32,
 ) -> None:
-    """Write a band's (n_scan, depth) charge less its background, and its variance without a stripe.
+    """Write a line's charge (n,) less its background, and its variance without a stripe.
 
     That is `shot` times the background, which counts as 0 where it is less, plus `dark_variance_e2`.
     """
     per_e, dark = np.float32(shot), np.float32(dark_variance_e2)
-    for s in range(charge_e.shape[0]):
-        for j in range(charge_e.shape[1]):
-            mean = background_e[s, j]
-            residual_e[s, j] = charge_e[s, j] - mean
-            variance_e2[s, j] = per_e * (np.float32(0.0) if mean < 0.0 else mean) + dark
+    for j in range(charge_e.shape[0]):
+        mean = background_e[j]
+        residual_e[j] = charge_e[j] - mean
+        variance_e2[j] = per_e * (np.float32(0.0) if mean < 0.0 else mean) + dark
 
 
 @kernel(allocates=True)
@@ -152,8 +150,7 @@ def gather_band(
     band = Band(
         room.charge[:n].reshape(shape),
         room.background[:n].reshape(shape),
-        room.residual[:n].reshape(shape),
-        room.variance[:n].reshape(shape),
+        room.light[:n].reshape(shape),
         room.plain[:n].reshape(shape),
         room.censored[:n].reshape(shape),
         room.lows,

@@ -128,17 +128,20 @@ def seen_share(
     expected: ExpectedStripe,
     position_px: Float64,
     amplitude_e: Float64,
-    variance_e2: Float32,
+    background_e: Float32,
+    shot: float,
+    dark_variance_e2: float,
     censored: Bool,
     seeks_ends: bool,
 ) -> float:
     """Return in which share of the scan lines that would show it clearly a stripe was found; NaN for none.
 
     `position_px`, `amplitude_e` (n_scan,) are those of the lines that hold it, NaN in the others;
-    `variance_e2`, without the stripe's light, and `censored` (n_scan, depth) those of the pixels among which
-    it was sought. Of a bell of sigma w the matched filter, whose template's mean is taken out, sees
-    A sqrt(0.52 w / V) sigmas. What saturates may hide anything. If it is not known where the laser's fan ends
-    (`seeks_ends`), nothing is missed beyond the ends that it shows, and what was found there is astray.
+    `background_e` and `censored` (n_scan, depth) are the light and the saturation of the pixels among which
+    it was sought, see `band.weigh` for their variance. Of a bell of sigma w the matched filter, whose
+    template's mean is taken out, sees A sqrt(0.52 w / V) sigmas. What saturates may hide anything. If it is
+    not known where the laser's fan ends (`seeks_ends`), nothing is missed beyond the ends that it shows, and
+    what was found there is astray.
     """
     n = position_px.shape[0]
     holds, absent, held_e = np.empty(n, np.bool_), np.empty(n, np.bool_), np.empty(n)
@@ -152,9 +155,10 @@ def seen_share(
         return math.nan
     weak_e = WEAK * np.median(held_e[:n_found])
     for s in range(n):
-        worst_e2 = 0.0
-        for j in range(variance_e2.shape[1]):
-            worst_e2 = max(worst_e2, math.inf if censored[s, j] else np.float64(variance_e2[s, j]))
+        most_e = 0.0
+        for j in range(background_e.shape[1]):
+            most_e = max(most_e, math.inf if censored[s, j] else np.float64(background_e[s, j]))
+        worst_e2 = math.inf if most_e == math.inf else shot * most_e + dark_variance_e2
         is_clear = weak_e * math.sqrt(0.52 * expected.sigma_px[s] / worst_e2) > CLEAR_SIGMAS
         absent[s] = expected.shown[s] and is_clear and not holds[s]
         n_absent += absent[s]

@@ -68,8 +68,8 @@ MAX_LINES = 128
 class StripeLight(NamedTuple):
     """What a stripe was read from, (n_scan, n_pos) of a band that begins at `lows` for each CELL lines.
 
-    `charge_e`, `background_e` and `variance_e2`, of a pixel without the stripe; `shot` times the stripe's
-    light comes on top. `position_px`, `width_px` (n_scan,) are the stripe's. `contrast` is by how much its
+    A pixel's variance is `shot` times its light, `background_e` and the stripe's, plus `dark_variance_e2`.
+    `position_px`, `width_px` (n_scan,) are the stripe's. `contrast` is by how much its
     brightness scatters from line to line, relative, `alike` the correlation of two neighbouring lines in
     that, `psf_sigma_px` the optics' sigma, `sheet_lines` over how many lines an edge along the seam crosses
     the sheet's sigma, `centre_sigma_px` the 1 sigma of centres.
@@ -77,12 +77,12 @@ class StripeLight(NamedTuple):
 
     charge_e: Float32
     background_e: Float32
-    variance_e2: Float32
     censored: Bool
     lows: Int64
     position_px: Float64
     width_px: Float64
     shot: float
+    dark_variance_e2: float
     contrast: float
     alike: float
     psf_sigma_px: float
@@ -268,7 +268,8 @@ def line_shares(
             if math.isnan(u) or math.isnan(v):
                 continue
             c = light.charge_e[s, j] - light.background_e[s, j]
-            weight = 1.0 / (light.variance_e2[s, j] + light.shot * max(u, v, 0.0))
+            lit = max(light.background_e[s, j], 0.0) + max(u, v, 0.0)
+            weight = 1.0 / (light.shot * lit + light.dark_variance_e2)
             n += 1
             w_ += weight
             w_u += weight * u

@@ -9,7 +9,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
-from tracker.stripe.band import Band, weigh
+from tracker.stripe.band import Band
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.frame_scatter import ScatterRoom, frame_scatter, own_sigma
 from tracker.stripe.line_fit.lines import FitRoom, LineFits, fit_lines, fit_room
@@ -93,10 +93,17 @@ def fit_band(
     factor = width_factor(learned)
     for s in range(n_scan):
         room.width_px[s] = factor * expected.sigma_px[s]
-    weigh(band.charge, band.background, noise.shot, noise.dark_e2, band.residual, band.variance)
     score = room.score[: n_scan * len(offsets_px)].reshape((n_scan, len(offsets_px)))
     matched_filter(
-        band.residual, band.variance, expected.position_px, room.width_px, band.lows, offsets_px, score
+        band.charge,
+        band.background,
+        noise.shot,
+        noise.dark_e2,
+        expected.position_px,
+        room.width_px,
+        band.lows,
+        offsets_px,
+        score,
     )
     # Where no light can be none is looked for.
     for s in range(n_scan):

@@ -48,9 +48,9 @@ class Work(NamedTuple):
         """Make room for the widest band of a sensor, and for the offsets of a search."""
         n = geometry.n_scan * geometry.n_pos
         n_offsets = 2 * math.floor(geometry.reach_px(SEARCH_REACH_MM)) // OFFSET_STEP + 1
-        charge, background, residual, variance, plain = np.empty((5, n), np.float32)
+        charge, background, light, plain = np.empty((4, n), np.float32)
         censored, lows = np.empty(n, np.bool_), np.empty(-(-geometry.n_scan // CELL), np.int64)
-        pixels = Band(charge, background, residual, variance, plain, censored, lows)
+        pixels = Band(charge, background, light, plain, censored, lows)
         work = cls(ReadRoom.empty(geometry.n_scan, n_offsets), pixels)
         _write_once(work)
         return work
@@ -117,12 +117,12 @@ def light_of(reading: StripeReading, psf_sigma_px: float, sheet_lines: float) ->
     return StripeLight(
         band.charge,
         band.background,
-        band.variance,
         band.censored,
         reading.lows,
         reading.stripe.position_px,
         reading.width_px,
         reading.shot,
+        reading.dark_variance_e2,
         usual.contrast,
         usual.alike,
         psf_sigma_px,

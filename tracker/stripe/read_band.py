@@ -128,8 +128,7 @@ def _read_without_a_second(
         if is_plain:
             _copy(band.background, band.plain)
             is_plain = False
-        # The residuals are made anew by each fit: until then there is room for light.
-        light = band.residual
+        light = band.light
         light[:] = 0.0
         if now > 0.0:
             second_light(

@@ -10,6 +10,7 @@ import numpy as np
 from noise_model.arc.map import CELL
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
+from tracker.stripe.band import weigh
 
 Pair = tuple[float, float]
 Room = tuple[Float32, Float32, Float32, Float32, Float32]
@@ -177,8 +178,10 @@ def _score_together(
 
 @kernel(allocates=True)
 def matched_filter(
-    residual_e: Float32,
-    variance_e2: Float32,
+    charge_e: Float32,
+    background_e: Float32,
+    shot: float,
+    dark_variance_e2: float,
     center: Float64,
     width: Float64,
     lows: Int64,
@@ -187,9 +190,10 @@ def matched_filter(
 ) -> None:
     """Score a stripe of the expected width at offsets from its expected place, in sigmas of its amplitude.
 
-    `residual_e`, `variance_e2` (n_scan, depth) hold the charge less the arc's and the variance without a
-    stripe; `center`, `width` (n_scan,) are expected positions and sigmas; `score` (n_scan, n_offsets). The
-    template's mean is taken out, so a wrong level of the map scores nothing. `offsets` are OFFSET_STEP apart.
+    `charge_e`, `background_e` (n_scan, depth) hold the pixels and what lights them beside the laser; see
+    `band.weigh` for their variance. `center`, `width` (n_scan,) are expected positions and sigmas; `score`
+    (n_scan, n_offsets). The template's mean is taken out, so a wrong level of the map scores nothing.
+    `offsets` are OFFSET_STEP apart.
     """
     n_scan, n_offsets = score.shape
     most = math.ceil(TEMPLATE_SIGMAS * width.max())
@@ -202,15 +206,20 @@ def matched_filter(
         np.zeros((2, n_sums + n_taps), dtype=np.float32),
         np.empty((2, n_sums), dtype=np.float32),
     )
+    residual_e, variance_e2 = (
+        np.empty(charge_e.shape[1], np.float32),
+        np.empty(charge_e.shape[1], np.float32),
+    )
     for s in range(n_scan):
+        weigh(charge_e[s], background_e[s], shot, dark_variance_e2, residual_e, variance_e2)
         half = math.ceil(TEMPLATE_SIGMAS * width[s])
         template = values[: 2 * half + 1]
         write_template(width[s], half, template)
         begin = round(center[s]) - lows[s // CELL] + offsets[0] - half
         if n_offsets < MANY_OFFSETS:
-            _score_each(template, residual_e[s], variance_e2[s], begin, score[s])
+            _score_each(template, residual_e, variance_e2, begin, score[s])
         else:
-            _score_together(template, residual_e[s], variance_e2[s], begin, room, score[s])
+            _score_together(template, residual_e, variance_e2, begin, room, score[s])
 
 
 @kernel(allocates=True)
