@@ -53,9 +53,8 @@ class SeamObservations:
             for frame, T_base_tool in zip(frames, poses, strict=True):
                 if not frame.laser_on:
                     continue
-                before = tracker.state.history
                 track = tracker.step(frame, Pose(T_base_tool(pose_time_s(setup, frame.timestamp_s))))
-                if is_last and track.valid and tracker.state.history is not before:
+                if is_last and track.valid:
                     point = transform(T_camera_tool, np.array([track.seam_tool_mm]))
                     variance = tracker.state.history.variances_mm2[-1]
                     seen.append((true.camera.project(point)[0], frame.timestamp_s, variance, T_base_tool))

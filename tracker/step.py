@@ -5,8 +5,8 @@ Live service, replay, tests and diagnosis call the same `step` and get the same 
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,11 +16,11 @@ from tracker.checks import Asked, ask, ask_as, ask_whether
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 from tracker.measure import TRACK_REACH_MM, Reading, measure, measure_again
 from tracker.seam.correction import UNSTATED, Correction
-from tracker.seam.expected import ExpectedSeam, expect_seam, pose_checks
-from tracker.seam.gaussian_process import NO_HISTORY, WIDE_SIGMA_MM, SeamHistory
-from tracker.seam.locate import confidence
-from tracker.seam.steer import AT_ONCE, Lead, Steering, TorchOffset, steer
-from tracker.seam.stretches import SeenSeam, Stretches, followed, see
+from tracker.seam.expected import expect_seam, pose_checks
+from tracker.seam.gaussian_process import NO_HISTORY, SeamHistory
+from tracker.seam.judge import Judged, judge
+from tracker.seam.steer import AT_ONCE, Lead, Steering
+from tracker.seam.stretches import PastStretches, Stretches
 from tracker.state import NAN, NO_SHAPE, Frame, Pose, Track, frame_misfit
 from tracker.stripe.read import Work
 from tracker.stripe.scatter import NO_SCATTER, Scatter
@@ -31,15 +31,11 @@ LOST_TO_FORGET = 10
 The torch, which comes later, is steered by it all the same.
 """
 
-MAX_OFF_MM = 3.0 * WIDE_SIGMA_MM
-"""A seam so far off its nominal line is none: the line would be another joint's."""
-
 LOST_TO_SEARCH = 3
 """So many frames without a joint widen the search to what it was at first."""
 
 
-@dataclass(frozen=True)
-class TrackerState:
+class TrackerState(NamedTuple):
     """What one step hands to the next; it can be saved with a recording.
 
     Attributes
@@ -48,7 +44,7 @@ class TrackerState:
         The seam from its last jump on.
     beyond : SeamHistory
         What has been measured elsewhere since. It becomes the history if it goes on so.
-    behind : tuple of SeamHistory
+    behind : PastStretches
         The latest stretches before, in which the torch may still stand.
     steering : Steering
         What the steering remembers.
@@ -64,10 +60,10 @@ class TrackerState:
         How many frames were tracked.
     """
 
-    history: SeamHistory = field(default_factory=SeamHistory)
-    beyond: SeamHistory = field(default_factory=SeamHistory)
-    behind: tuple[SeamHistory, ...] = ()
-    steering: Steering = field(default_factory=Steering)
+    history: SeamHistory = NO_HISTORY
+    beyond: SeamHistory = NO_HISTORY
+    behind: PastStretches = PastStretches()
+    steering: Steering = Steering()
     scatter: Scatter = NO_SCATTER
     jumps: int = 0
     jumped_at: int = 0
@@ -162,9 +158,7 @@ def step_and_reading(
     frame, pose = _as_compiled_for(frame, pose)
     source = geometry.seam_source
     confirmed = state.history if state.lost < LOST_TO_FORGET else NO_HISTORY
-    expected = expect_seam(
-        source, pose.T_base_tool, confirmed.stations_mm, confirmed.displacements_mm, confirmed.variances_mm2
-    )
+    expected = expect_seam(source, pose.T_base_tool, confirmed)
     if not pose_checks(asked, source, expected.pose):
         return _refused(state, asked, frame)
     seam, scene = expected.line, expected.scene
@@ -175,19 +169,29 @@ def step_and_reading(
     if not ask(asked, checks.REACH, reach_mm, SEARCH_REACH_MM):
         reading = measure_again(geometry, frame, pose, scene, seam, reading, work, use_arc_map, state.scatter)
     ask_as(asked, reading.asked)
-    stretches, seen = _judged(geometry, state, asked, expected, reading)
-    steering, is_shown = state.steering, seen is not None
-    if seen is not None:
-        steering = Steering(steering.ends, steering.is_stopped, seen.located.hand_eye_mm2)
-    steering, offset = steer(
-        correction, source.weld_mm, expected, stretches, steering, asked, is_shown, frame.timestamp_s, lead
+    joint, unknown = reading.joint, (NAN, NAN)
+    judged = judge(
+        asked,
+        source,
+        correction.numbers,
+        Stretches(state.history, state.beyond, state.behind, state.jumps, state.jumped_at, state.lost),
+        state.steering,
+        state.frames + 1,
+        expected,
+        reading.scene,
+        unknown if joint is None else (joint.y_mm, joint.z_mm),
+        unknown if joint is None else (joint.covariance_mm2[0, 0], joint.covariance_mm2[1, 1]),
+        reading.stripe is not None,
+        float(frame.timestamp_s),
+        lead,
     )
-    track = _track(frame, asked, reading, offset, seen, source.weld_mm)
+    stretches = judged.stretches
+    track = _track(frame, asked, reading, judged)
     state = TrackerState(
         stretches.history,
         stretches.beyond,
         stretches.behind,
-        steering,
+        judged.steering,
         reading.scatter,
         stretches.jumps,
         stretches.jumped_at,
@@ -202,32 +206,7 @@ def _refused(state: TrackerState, asked: Asked, frame: Frame) -> tuple[TrackerSt
     if state.steering.is_stopped:
         ask_whether(asked, checks.FOLLOWING, False)
     track = Track(frame.index, frame.timestamp_s, asked.flags, checks=asked.answers)
-    return replace(state, frames=state.frames + 1), track, None
-
-
-def _judged(
-    geometry: SensorGeometry, state: TrackerState, asked: Asked, expected: ExpectedSeam, reading: Reading
-) -> tuple[Stretches, SeenSeam | None]:
-    """Judge a look's joint against the earlier ones; return what is remembered, and the seam if it is one."""
-    history, joint = state.history, reading.joint
-    remembered = Stretches(history, state.beyond, state.behind, state.jumps, state.jumped_at, state.lost)
-    if joint is not None:
-        seen = see(
-            geometry.seam_source,
-            expected.scene.T_joint_tool,
-            reading.scene,
-            joint.y_mm,
-            joint.z_mm,
-            (float(joint.covariance_mm2[0, 0]), float(joint.covariance_mm2[1, 1])),
-            history.stations_mm,
-            history.displacements_mm,
-            history.variances_mm2,
-            history.began_mm,
-        )
-        y_mm, z_mm = seen.located.displacement_mm
-        if ask(asked, checks.NEAR_NOMINAL, max(abs(y_mm), abs(z_mm)), MAX_OFF_MM):
-            return followed(remembered, asked, state.frames + 1, seen), seen
-    return remembered._replace(lost=state.lost + (reading.stripe is not None)), None
+    return state._replace(frames=state.frames + 1), track, None
 
 
 def _as_compiled_for(frame: Frame, pose: Pose) -> tuple[Frame, Pose]:
@@ -250,24 +229,17 @@ def _is_readable(asked: Asked, geometry: SensorGeometry, frame: Frame, pose: Pos
     return pose.T_base_tool.shape == (4, 4) or ask_whether(asked, checks.POSE_RIGID, False)
 
 
-def _track(
-    frame: Frame, asked: Asked, reading: Reading, offset: TorchOffset, seen: SeenSeam | None, weld_mm: float
-) -> Track:
+def _track(frame: Frame, asked: Asked, reading: Reading, judged: Judged) -> Track:
     """Return what a step says of a frame that it looked at."""
-    seam_mm, sigma_y_mm, sigma_z_mm, seam_confidence = (NAN, NAN, NAN), NAN, NAN, NAN
-    joint = None if seen is None else reading.joint
-    if seen is not None:
-        (hand_eye_y, hand_eye_z), (variance_y, variance_z) = seen.located.hand_eye_mm2, seen.variance_mm2
-        seam_mm = seen.located.seam_tool_mm
-        sigma_y_mm, sigma_z_mm = math.sqrt(variance_y + hand_eye_y), math.sqrt(variance_z + hand_eye_z)
-        seam_confidence = confidence(weld_mm, (sigma_y_mm, sigma_z_mm))
+    shown, offset = judged.shown, judged.offset
+    joint = reading.joint if shown.is_shown else None
     return Track(
         frame.index,
         frame.timestamp_s,
         asked.flags,
-        seam_tool_mm=seam_mm,
-        sigma_y_mm=sigma_y_mm,
-        sigma_z_mm=sigma_z_mm,
+        seam_tool_mm=shown.seam_tool_mm,
+        sigma_y_mm=shown.sigma_y_mm,
+        sigma_z_mm=shown.sigma_z_mm,
         offset_y_mm=offset.offset_y_mm,
         offset_z_mm=offset.offset_z_mm,
         offset_sigma_y_mm=offset.offset_sigma_y_mm,
@@ -276,7 +248,7 @@ def _track(
         valid_at_s=offset.valid_at_s,
         gap_mm=NAN if joint is None else joint.gap_mm,
         mismatch_mm=NAN if joint is None else joint.mismatch_mm,
-        confidence=seam_confidence,
+        confidence=shown.confidence,
         joint_start_mm=offset.joint_start_mm,
         joint_end_mm=offset.joint_end_mm,
         arc_level=reading.arc.level if reading.arc.is_on else NAN,

@@ -11,7 +11,7 @@ import csv
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from arctrack.recording.files import blamed_on, read_text
 from tracker.seam.gaussian_process import SeamHistory
 from tracker.seam.joint_ends import Change, JointEnds
 from tracker.seam.steer import Lead, Steering
+from tracker.seam.stretches import PastStretches
 from tracker.state import NAN, Pose
 from tracker.step import StepInputs, TrackerState
 from tracker.stripe.scatter import FrameScatter, Scatter
@@ -146,11 +147,12 @@ def _encoded(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         values = value.ravel().tolist()
         return {"array": values, "shape": list(value.shape), "dtype": value.dtype.str}
-    if is_dataclass(value) or hasattr(value, "_fields"):
-        names = value._fields if hasattr(value, "_fields") else [f.name for f in fields(value)]
+    if isinstance(value, PastStretches):
+        return _encoded(value.histories)
+    if hasattr(value, "_fields"):
         return {
             "record": type(value).__name__,
-            **{name: _encoded(getattr(value, name)) for name in names},
+            **{name: _encoded(getattr(value, name)) for name in value._fields},
         }
     if isinstance(value, tuple):
         return [_encoded(item) for item in value]
@@ -165,4 +167,7 @@ def _decoded(value: Any) -> Any:
     if "array" in value:
         return np.array(value["array"], np.dtype(value["dtype"])).reshape(value["shape"])
     record = RECORDS[value["record"]]
-    return record(**{name: _decoded(item) for name, item in value.items() if name != "record"})
+    items = {name: _decoded(item) for name, item in value.items() if name != "record"}
+    if record is TrackerState:
+        items["behind"] = PastStretches.of(items["behind"])
+    return record(**items)

@@ -47,7 +47,7 @@ def _seam_error_mm(
             pose = pose_at(pose_time_s(assumed, frame.timestamp_s)) or pose_at(frame.timestamp_s)
             tracker.step(frame, pose)
     history = tracker.state.history
-    if len(history) == 0:
+    if history.n == 0:
         return float("nan")
     seam = model.renderings.seam_curve(best.effects)
     y_z, _ = seam.evaluate(best.nuisance[SEAM_FROM:])

@@ -128,7 +128,7 @@ def test_the_look_ahead_is_remembered_at_any_frame_rate(frame_spacing_mm: float,
     stations = np.arange(0.0, 200.0, frame_spacing_mm)
     drifting = np.column_stack([0.02 * stations, 2.0 - 0.01 * stations])
     history = history_of(stations, drifting, np.full((len(stations), 2), variance_mm2))
-    assert len(history) <= CAPACITY
+    assert history.n <= CAPACITY
     torch = float(stations[-1]) - 60.0
     assert history.is_measured(torch)
     offset, sigma = history.at(torch)
@@ -146,11 +146,11 @@ def test_a_sensor_that_goes_to_and_fro_forgets_nothing_behind_it(step_mm: float,
         (np.arange(100.0 * turn_mm / step_mm) * step_mm / turn_mm) % 2 - 1
     )
     history = history_of(there, np.zeros((len(there), 2)), np.full((len(there), 2), 1e-4))
-    n = len(history)
+    n = history.n
     for station in back_and_forth:
         history = history.with_measurement(float(station), np.full(2, 0.2), np.full(2, 1e-4))
     assert history.is_measured(1.0)
-    assert len(history) <= n + turn_mm
+    assert history.n <= n + turn_mm
     # What is seen again is as it was seen last.
     assert history.at(50.0 - turn_mm / 2)[0] == pytest.approx(0.2, abs=0.05)
 
@@ -159,7 +159,7 @@ def test_what_lies_close_together_is_its_mean() -> None:
     rng = np.random.default_rng(3)
     values = rng.normal(1.0, 0.1, (50, 2))
     history = history_of(np.linspace(10.0, 10.9, 50), values, np.full((50, 2), 0.01))
-    assert len(history) == 1
+    assert history.n == 1
     np.testing.assert_allclose(history.displacements_mm[0], values.mean(axis=0), atol=1e-9)
     np.testing.assert_allclose(history.variances_mm2[0], 0.01 / 50 + MODEL_SIGMA_MM**2)
     assert history.stations_mm[0] == pytest.approx(10.45, abs=1e-6)

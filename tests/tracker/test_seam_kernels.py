@@ -82,7 +82,7 @@ def test_the_expected_seam_is_where_the_history_meets_the_sheet(name: str) -> No
     source, T = SeamSource.of(setup), pose_at(10.0, 0.7).T_base_tool
     for station in np.arange(20.0, 50.0, 2.0):
         history = history.with_measurement(float(station), (0.01 * station, -0.2), (1e-4, 1e-4))
-    expected = expect_seam(source, T, history.stations_mm, history.displacements_mm, history.variances_mm2)
+    expected = expect_seam(source, T, history)
     scene = expected.scene
     ahead_mm = float(transform(scene.T_joint_tool, setup.laser.point_mm)[0])
     (y, z), _ = history.at(ahead_mm)
@@ -96,8 +96,7 @@ def test_the_expected_seam_is_where_the_history_meets_the_sheet(name: str) -> No
 def test_what_a_pose_lets_expect_is_each_of_its_pieces(name: str) -> None:
     setup = small_setup(name)
     source, T = SeamSource.of(setup), pose_at(10.0, 0.7, 1.0, (2.0, -3.0, 4.0)).T_base_tool
-    nothing = SeamHistory()
-    expected = expect_seam(source, T, nothing.stations_mm, nothing.displacements_mm, nothing.variances_mm2)
+    expected = expect_seam(source, T, SeamHistory())
     assert expected.pose == pose_numbers(source, T)
     scene = make_scene(setup, T)
     for told, twin in zip(expected.scene, scene, strict=True):
@@ -111,9 +110,9 @@ def test_what_a_pose_lets_expect_is_each_of_its_pieces(name: str) -> None:
 @pytest.mark.parametrize("wrong", [math.nan, math.inf])
 def test_what_is_no_pose_raises_nothing(wrong: float) -> None:
     """The expectation is made before the pose is judged, so any sixteen numbers must pass through it."""
-    T, nothing = np.full((4, 4), wrong), SeamHistory()
+    T = np.full((4, 4), wrong)
     source = SeamSource.of(small_setup("corrugation"))
-    expected = expect_seam(source, T, nothing.stations_mm, nothing.displacements_mm, nothing.variances_mm2)
+    expected = expect_seam(source, T, SeamHistory())
     assert not expected.pose.is_rotation
 
 
@@ -130,10 +129,7 @@ def test_a_seen_seam_is_located_and_put_beside_the_history(name: str) -> None:
         0.3,
         -0.1,
         (1e-3, 2e-3),
-        history.stations_mm,
-        history.displacements_mm,
-        history.variances_mm2,
-        history.began_mm,
+        history,
     )
     assert seen.located == locate(source, scene.T_joint_tool, scene, 0.3, -0.1)
     station, displacement = seen.located.station_mm, seen.located.displacement_mm
@@ -144,10 +140,10 @@ def test_a_seen_seam_is_located_and_put_beside_the_history(name: str) -> None:
     )
     np.testing.assert_allclose(seen.limit_mm, limit_mm)
     after = history.with_measurement(station, displacement, (1e-3, 2e-3))
-    np.testing.assert_array_equal(seen.stations_mm, after.stations_mm)
-    np.testing.assert_array_equal(seen.displacements_mm, after.displacements_mm)
-    np.testing.assert_array_equal(seen.variances_mm2, after.variances_mm2)
-    assert seen.began_mm == after.began_mm
+    np.testing.assert_array_equal(seen.history.stations_mm, after.stations_mm)
+    np.testing.assert_array_equal(seen.history.displacements_mm, after.displacements_mm)
+    np.testing.assert_array_equal(seen.history.variances_mm2, after.variances_mm2)
+    assert seen.history.began_mm == after.began_mm
 
 
 @pytest.mark.parametrize("name", JOINTS)

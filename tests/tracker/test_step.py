@@ -215,7 +215,7 @@ def test_odd_frames_hold_no_seam_and_never_raise(
             track = tracker.step(Frame(0, 0.0, image, 0.005, 100.0, laser_on), pose)
             assert unknown(track), (name, track.flag_names)
             assert track.flags & flags.INVALIDATING, name
-            assert len(tracker.state.history) == 0
+            assert tracker.state.history.n == 0
 
 
 def test_an_exact_black_level_and_no_light_do_not_raise(v: Setup) -> None:

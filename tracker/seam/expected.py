@@ -14,7 +14,7 @@ from noise_model.surface.joint import SeamLine, SeamSegments, nearest_segment
 from noise_model.transforms import inverted, moved_point, multiplied
 from tracker import checks
 from tracker.checks import Asked, ask, ask_whether
-from tracker.seam.gaussian_process import condition
+from tracker.seam.gaussian_process import SeamHistory, condition
 from tracker.seam.joint_ends import nominal_ends
 from tracker.seam.locate import SeamSource, seam_point
 
@@ -97,21 +97,19 @@ def pose_checks(asked: Asked, source: SeamSource, told: PoseNumbers) -> bool:
 def expected_line(
     source: SeamSource,
     T_joint_tool: Float64,
-    stations_mm: Float64,
-    displacements_mm: Float64,
-    variances_mm2: Float64,
+    history: SeamHistory,
 ) -> tuple[SeamLine, tuple[float, float]]:
     """Return the seam where it should meet the laser plane, and the 1 sigma of its y and z, mm.
 
-    `T_joint_tool` (4, 4) is of the nominal joint frame; the arrays are a `SeamHistory`'s.
+    `T_joint_tool` (4, 4) is of the nominal joint frame.
     """
     ahead_mm, corrugation = source.scene.ahead_mm, source.scene.shape.corrugation
     station = moved_point(T_joint_tool, ahead_mm)[0]
-    y_mm, z_mm = condition(stations_mm, displacements_mm, variances_mm2, station).displacement_mm
+    y_mm, z_mm = condition(history, station).displacement_mm
     # The plane may lean: the root of a groove is met elsewhere than the plate is.
     point = seam_point(T_joint_tool, source.plane, ahead_mm, corrugation, y_mm, z_mm + source.height_mm)
     station = moved_point(T_joint_tool, point)[0]
-    there = condition(stations_mm, displacements_mm, variances_mm2, station)
+    there = condition(history, station)
     (y_mm, z_mm), (slope_y, slope_z), slope_sigma = there.displacement_mm, there.slope, there.slope_sigma
     line = SeamLine(station, y_mm, z_mm, slope_y, slope_z, max(slope_sigma[0], slope_sigma[1]))
     return line, there.sigma_mm
@@ -155,14 +153,12 @@ class ExpectedSeam(NamedTuple):
 def expect_seam(
     source: SeamSource,
     T_base_tool: Float64,
-    stations_mm: Float64,
-    displacements_mm: Float64,
-    variances_mm2: Float64,
+    history: SeamHistory,
 ) -> ExpectedSeam:
-    """Return what a pose (4, 4) and a `SeamHistory`'s arrays let a step expect."""
+    """Return what a pose (4, 4) and the earlier frames let a step expect."""
     nominal = SeamLine(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     scene = laid_scene(source.scene, T_base_tool, nominal, nominal, True)
     T_joint_tool = scene.T_joint_tool
-    line, sigma_mm = expected_line(source, T_joint_tool, stations_mm, displacements_mm, variances_mm2)
+    line, sigma_mm = expected_line(source, T_joint_tool, history)
     torch_mm, ends_mm = torch_stations_mm(source.scene.segments, T_base_tool, T_joint_tool)
     return ExpectedSeam(pose_numbers(source, T_base_tool), scene, line, sigma_mm, torch_mm, ends_mm)

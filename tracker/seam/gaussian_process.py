@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -63,19 +62,24 @@ class SeamPoint(NamedTuple):
     last_mm: float
 
 
-@dataclass(frozen=True)
-class SeamHistory:
+_NO_STATIONS, _NO_PLACES = np.empty(0), np.empty((0, 2))
+"""Nothing measured: arrays without room, which nobody can write to."""
+
+
+class SeamHistory(NamedTuple):
     """Latest measurements, joint frame, mm: stations x (n,), displacements (n, 2) as (y, z), variances.
 
     `began_mm` is the station of the first of those that the latest one is the average of.
     """
 
-    stations_mm: Float64 = field(default_factory=lambda: np.empty(0))
-    displacements_mm: Float64 = field(default_factory=lambda: np.empty((0, 2)))
-    variances_mm2: Float64 = field(default_factory=lambda: np.empty((0, 2)))
+    stations_mm: Float64 = _NO_STATIONS
+    displacements_mm: Float64 = _NO_PLACES
+    variances_mm2: Float64 = _NO_PLACES
     began_mm: float = math.nan
 
-    def __len__(self) -> int:
+    @property
+    def n(self) -> int:
+        """How many measurements there are."""
         return len(self.stations_mm)
 
     def with_measurement(
@@ -88,21 +92,17 @@ class SeamHistory:
         """
         y_mm, z_mm = displacement_mm
         variance_y_mm2, variance_z_mm2 = variance_mm2
-        return SeamHistory(
-            *with_measurement(
-                self.stations_mm,
-                self.displacements_mm,
-                self.variances_mm2,
-                self.began_mm,
-                station_mm,
-                (y_mm, z_mm),
-                (variance_y_mm2, variance_z_mm2),
-            )
+        history: SeamHistory = with_measurement(
+            self,
+            float(station_mm),
+            (float(y_mm), float(z_mm)),
+            (float(variance_y_mm2), float(variance_z_mm2)),
         )
+        return history
 
     def is_measured(self, station_mm: float) -> bool:
         """Say whether a station lies within the measured stretch."""
-        return len(self) > 0 and self.stations_mm.min() <= station_mm <= self.stations_mm.max()
+        return bool(is_measured(self, station_mm))
 
     def line_at(self, station_mm: float) -> tuple[SeamLine, Float64]:
         """Return the seam as a straight stretch about a station, and the 1 sigma (2,) of its y and z, mm."""
@@ -117,7 +117,7 @@ class SeamHistory:
 
     def point_at(self, station_mm: float) -> SeamPoint:
         """Return what the measurements say of the seam at a station."""
-        point: SeamPoint = condition(self.stations_mm, self.displacements_mm, self.variances_mm2, station_mm)
+        point: SeamPoint = condition(self, float(station_mm))
         return point
 
 
@@ -126,16 +126,28 @@ NO_HISTORY = SeamHistory()
 
 
 @kernel(allocates=True)
+def is_measured(history: SeamHistory, station_mm: float) -> bool:
+    """Say whether a station lies within the measured stretch."""
+    if history.stations_mm.shape[0] == 0:
+        return False
+    return bool(history.stations_mm.min() <= station_mm <= history.stations_mm.max())
+
+
+@kernel(allocates=True)
+def no_history() -> SeamHistory:
+    """Return the history before anything is measured."""
+    return SeamHistory(np.empty(0), np.empty((0, 2)), np.empty((0, 2)), math.nan)
+
+
+@kernel(allocates=True)
 def with_measurement(
-    stations_mm: Float64,
-    displacements_mm: Float64,
-    variances_mm2: Float64,
-    began_mm: float,
+    history: SeamHistory,
     station_mm: float,
     displacement_mm: tuple[float, float],
     variance_mm2: tuple[float, float],
-) -> tuple[Float64, Float64, Float64, float]:
-    """Return a history's arrays, and where its latest measurement began, with one more measurement."""
+) -> SeamHistory:
+    """Return `SeamHistory.with_measurement`'s history."""
+    stations_mm, displacements_mm, variances_mm2, began_mm = history
     n = stations_mm.shape[0]
     first, end, m = 0, 0, 0
     joins = abs(station_mm - began_mm) < SPACING_MM
@@ -168,10 +180,10 @@ def with_measurement(
         displacements[m, axis], variances[m, axis] = here, noise + MODEL_SIGMA_MM**2
     if not joins:
         stations[m] = station_mm
-        return stations, displacements, variances, station_mm
+        return SeamHistory(stations, displacements, variances, station_mm)
     # From where it began, not from the average: that would run along with a sensor that creeps.
     stations[m] = stations_mm[n - 1] + mean_share * (station_mm - stations_mm[n - 1])
-    return stations, displacements, variances, began_mm
+    return SeamHistory(stations, displacements, variances, began_mm)
 
 
 N_STATES = 5
@@ -179,17 +191,13 @@ N_STATES = 5
 
 
 @kernel(allocates=True)
-def condition(
-    stations_mm: Float64,
-    displacements_mm: Float64,
-    variances_mm2: Float64,
-    station_mm: float,
-) -> SeamPoint:
-    """Return the seam at a station as measurements at stations (n,) leave it.
+def condition(history: SeamHistory, station_mm: float) -> SeamPoint:
+    """Return the seam at a station as a history's measurements leave it.
 
-    Displacements and variances are (n, 2). The last two of the states stay once the station that is asked for
+    The last two of the states stay once the station that is asked for
     is passed. What the measurements tell of the bend's slope, they tell of the seam's, which may be more.
     """
+    stations_mm, displacements_mm, variances_mm2, _ = history
     n = len(stations_mm)
     order = np.argsort(stations_mm, kind="mergesort")
     decay = math.sqrt(3.0) / BEND_LENGTH_MM

@@ -10,39 +10,39 @@ of range, the gate holds what was sent last, by its age, and then refuses.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from noise_model.kernel import kernel
 from noise_model.surface.faces import ridge
 from tracker import checks, flags
-from tracker.checks import Asked, ask, ask_as, ask_raising, ask_whether
-from tracker.seam.correction import STOPPED, Correction, correct
+from tracker.checks import Asked, ask, ask_raising, ask_whether
+from tracker.seam.correction import Corrected, Correction, CorrectionNumbers, corrected
 from tracker.seam.expected import ExpectedSeam
-from tracker.seam.gaussian_process import SPACING_MM, SeamHistory
-from tracker.seam.joint_ends import Change, JointEnds
+from tracker.seam.gaussian_process import SPACING_MM, SeamHistory, condition
+from tracker.seam.joint_ends import Change, JointEnds, ends_with_look, is_seen, stretch_between
 from tracker.seam.locate import confidence
-from tracker.seam.stretches import Stretches
-from tracker.state import NAN, UNKNOWN, Pair
+from tracker.seam.stretches import Stretches, history_at
+from tracker.state import UNKNOWN, Pair
 
 NO_LOOK = flags.LASER_OFF.mask | flags.BELOW_SURFACE.mask | flags.SEAM_OUT_OF_VIEW.mask
 """A frame with these says nothing of whether there is a joint."""
 
+_STOPPED = flags.FOLLOW_STOPPED.mask
 
-@dataclass(frozen=True)
-class Steering:
+
+class Steering(NamedTuple):
     """What is handed on from frame to frame.
 
     Once stopped it stays so: a new Steering, as a new Tracker has, is the only way to start again.
     `hand_eye_variance_mm2` (y, z) is what the hand-eye tolerance leaves of the latest measurement.
     """
 
-    ends: JointEnds = field(default_factory=JointEnds)
+    ends: JointEnds = JointEnds()
     is_stopped: bool = False
-    hand_eye_variance_mm2: tuple[float, float] = (0.0, 0.0)
+    hand_eye_variance_mm2: Pair = (0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Lead:
+class Lead(NamedTuple):
     """How far ahead of the torch the offset is asked for: where it will be once the correction acts.
 
     Parameters
@@ -89,33 +89,48 @@ def seam_at_torch(
     following stops, but not within SPACING_MM, where the joint's very end may lie. A seam that `goes_on` in
     another stretch beyond is not lost.
     """
-    start_mm, end_mm = stretch_mm
     asked = Asked.nothing()
+    place = float(torch_mm), (float(stretch_mm[0]), float(stretch_mm[1])), goes_on
+    displacement_mm, sigma_mm, _ = at_torch(asked, correction.numbers, history, *place)
+    return SeamAtTorch(asked, displacement_mm, sigma_mm)
+
+
+@kernel(allocates=True)
+def at_torch(
+    asked: Asked,
+    correction: CorrectionNumbers,
+    history: SeamHistory,
+    torch_mm: float,
+    stretch_mm: Pair,
+    goes_on: bool,
+) -> tuple[Pair, Pair, bool]:
+    """Return `seam_at_torch`'s displacement and sigma, and whether following stops."""
+    unknown, (start_mm, end_mm) = (math.nan, math.nan), stretch_mm
     if not ask(asked, checks.TORCH_BEFORE_END, torch_mm - end_mm, 0.0):
-        return SeamAtTorch(asked)
+        return unknown, unknown, False
     ask(asked, checks.TORCH_AFTER_START, start_mm - torch_mm, 0.0)
-    if not ask_whether(asked, checks.SEAM_MEASURED, len(history) > 0):
-        return SeamAtTorch(asked)
+    if not ask_whether(asked, checks.SEAM_MEASURED, history.stations_mm.shape[0] > 0):
+        return unknown, unknown, False
     station_mm = max(torch_mm, start_mm)
-    there = history.point_at(station_mm)
+    there = condition(history, station_mm)
     displacement, sigma = there.displacement_mm, there.sigma_mm
     lost_mm = torch_mm - there.last_mm if torch_mm >= start_mm and not goes_on else 0.0
-    stops = correction.when_lost == "stop"
-    if stops and not ask_raising(asked, checks.SEAM_NOT_LOST, lost_mm, SPACING_MM, flags.FOLLOW_STOPPED.mask):
-        return SeamAtTorch(asked)
-    holds = correction.when_lost == "hold"
-    if holds and not ask(asked, checks.SEAM_NOT_LOST, lost_mm, 0.0):
-        held = history.point_at(there.last_mm).displacement_mm
-        (y_mm, z_mm), (sigma_y_mm, sigma_z_mm) = displacement, sigma
-        sigma = math.hypot(sigma_y_mm, y_mm - held[0]), math.hypot(sigma_z_mm, z_mm - held[1])
+    if correction.stops_when_lost and not ask_raising(
+        asked, checks.SEAM_NOT_LOST, lost_mm, SPACING_MM, _STOPPED
+    ):
+        return unknown, unknown, True
+    if correction.holds_when_lost and not ask(asked, checks.SEAM_NOT_LOST, lost_mm, 0.0):
+        held = condition(history, there.last_mm).displacement_mm
+        gone_y_mm, gone_z_mm = displacement[0] - held[0], displacement[1] - held[1]
+        sigma = math.hypot(sigma[0], gone_y_mm), math.hypot(sigma[1], gone_z_mm)
         displacement = held
     else:
         ask_whether(asked, checks.TORCH_MEASURED, there.first_mm <= station_mm <= there.last_mm)
     if not ask(asked, checks.REACHED, lost_mm, correction.extrapolate_mm):
-        return SeamAtTorch(asked)
-    if not ask(asked, checks.TORCH_SIGMA, max(sigma), correction.extrapolate_sigma_mm):
-        return SeamAtTorch(asked)
-    return SeamAtTorch(asked, displacement, sigma)
+        return unknown, unknown, False
+    if not ask(asked, checks.TORCH_SIGMA, max(sigma[0], sigma[1]), correction.extrapolate_sigma_mm):
+        return unknown, unknown, False
+    return displacement, sigma, False
 
 
 class TorchOffset(NamedTuple):
@@ -127,20 +142,21 @@ class TorchOffset(NamedTuple):
     offset_sigma_z_mm: float
     offset_confidence: float
     valid_at_s: float
-    joint_start_mm: tuple[float, float]
-    joint_end_mm: tuple[float, float]
+    joint_start_mm: Pair
+    joint_end_mm: Pair
 
 
+@kernel(allocates=True)
 def steer(
-    correction: Correction,
+    asked: Asked,
+    correction: CorrectionNumbers,
     weld_mm: float,
     expected: ExpectedSeam,
     stretches: Stretches,
     steering: Steering,
-    asked: Asked,
     is_seam_shown: bool,
     timestamp_s: float,
-    lead: Lead = AT_ONCE,
+    lead: Lead,
 ) -> tuple[Steering, TorchOffset]:
     """Return the offset that is proposed to the gate, and what is handed on.
 
@@ -148,47 +164,43 @@ def steer(
     measurement. What is asked of the torch's place is added to what was `asked` of the frame, which says
     whether a seam that `is_seam_shown` is valid. The torch is taken for where it will be after the `lead`.
     """
-    ends, torch_mm = steering.ends, expected.torch_mm + lead.way_mm
-    if correction.ends_mm > 0.0 and not asked.flags & NO_LOOK:
-        is_valid = is_seam_shown and not asked.flags & flags.INVALIDATING
-        ends = ends.with_look(expected.line.station_mm, is_valid, expected.ends_mm, correction.ends_mm)
-    joint_mm = ends.stretch_mm(expected.ends_mm, correction.ends_mm)
-    history = stretches.history_at(max(torch_mm, joint_mm[0]))
-    there = seam_at_torch(correction, history, torch_mm, joint_mm, history is not stretches.history)
+    ends, torch_mm, raised = steering.ends, expected.torch_mm + lead.way_mm, asked.told[1]
+    if correction.ends_mm > 0.0 and not raised & NO_LOOK:
+        is_valid = is_seam_shown and not raised & flags.INVALIDATING
+        ends = ends_with_look(ends, expected.line.station_mm, is_valid, expected.ends_mm, correction.ends_mm)
+    joint_mm = stretch_between(ends, expected.ends_mm, correction.ends_mm)
+    history, is_present = history_at(stretches.history, stretches.behind, max(torch_mm, joint_mm[0]))
+    displacement_mm, sigma_mm, stops = at_torch(
+        asked, correction, history, torch_mm, joint_mm, not is_present
+    )
     height_mm = 0.0
-    if correction.corrugation == "followed":
+    if correction.follows_corrugation:
         height_mm = ridge(torch_mm, expected.scene.shape.corrugation)[0]
-    corrected = correct(correction, there.displacement_mm, height_mm)
-    if steering.is_stopped or there.flags & flags.FOLLOW_STOPPED.mask:
-        corrected = STOPPED
-    ask_as(asked, there.asked)
-    ask_whether(asked, checks.OFFSET_WITHIN, not corrected.is_limited)
-    ask_whether(asked, checks.FOLLOWING, not corrected.is_stopped)
-    y_mm, z_mm = corrected.offset_mm
-    sigma_y_mm, sigma_z_mm = there.sigma_mm
-    sigma_y_mm, sigma_z_mm = NAN if math.isnan(y_mm) else sigma_y_mm, NAN if math.isnan(z_mm) else sigma_z_mm
+    sent = corrected(correction, displacement_mm, height_mm)
+    if steering.is_stopped or stops:
+        sent = Corrected((math.nan, math.nan), False, True)
+    ask_whether(asked, checks.OFFSET_WITHIN, not sent.is_limited)
+    ask_whether(asked, checks.FOLLOWING, not sent.is_stopped)
+    y_mm, z_mm = sent.offset_mm
+    sigma_y_mm = math.nan if math.isnan(y_mm) else sigma_mm[0]
+    sigma_z_mm = math.nan if math.isnan(z_mm) else sigma_mm[1]
+    hand_eye_y, hand_eye_z = steering.hand_eye_variance_mm2
     offset = TorchOffset(
         y_mm,
         z_mm,
         sigma_y_mm,
         sigma_z_mm,
-        _confidence(weld_mm, steering, (sigma_y_mm, sigma_z_mm)),
-        NAN if math.isnan(y_mm) and math.isnan(z_mm) else timestamp_s + lead.time_s,
+        confidence(weld_mm, math.sqrt(sigma_y_mm**2 + hand_eye_y), math.sqrt(sigma_z_mm**2 + hand_eye_z)),
+        math.nan if math.isnan(y_mm) and math.isnan(z_mm) else timestamp_s + lead.time_s,
         _where(ends.start),
         _where(ends.end),
     )
-    return Steering(ends, corrected.is_stopped, steering.hand_eye_variance_mm2), offset
+    return Steering(ends, sent.is_stopped, steering.hand_eye_variance_mm2), offset
 
 
-def _confidence(weld_mm: float, steering: Steering, sigma_mm: tuple[float, float]) -> float:
-    """Return the probability that the offsets that are known are right within the tolerance, NaN for none."""
-    known = [
-        math.sqrt(sigma**2 + hand_eye)
-        for sigma, hand_eye in zip(sigma_mm, steering.hand_eye_variance_mm2, strict=True)
-        if math.isfinite(sigma)
-    ]
-    return confidence(weld_mm, known) if known else NAN
-
-
-def _where(change: Change) -> tuple[float, float]:
-    return (change.station_mm, change.sigma_mm) if change.is_seen else (NAN, NAN)
+@kernel
+def _where(change: Change) -> Pair:
+    """Return where a change was seen, its station and 1 sigma, mm; NaN where it was not."""
+    if not is_seen(change):
+        return math.nan, math.nan
+    return change.station_mm, math.sqrt(change.variance_mm2)

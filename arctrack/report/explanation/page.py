@@ -105,7 +105,7 @@ def _content(explanation: Explanation) -> dict[str, Any]:
     has_parts = (
         stripe is not None and explanation.use_arc_map and bool(np.isfinite(stripe.parts.stripe).any())
     )
-    has_path = look is not None and (look.seam is not None or len(explanation.before.history) > 0)
+    has_path = look is not None and (look.seam is not None or explanation.before.history.n > 0)
     camera = explanation.geometry.setup.camera
     return {
         "explanation": explanation,

@@ -257,7 +257,7 @@ def history_picture(explanation: Explanation, look: Look) -> str:
     for axis, (axes, name) in enumerate(zip(rows, ("y, to the left", "z, up"), strict=True)):
         style.plain(axes, "", f"{name} [mm]")
         shown = []
-        if len(history):
+        if history.n:
             known = (stations >= history.stations_mm.min()) & (stations <= look.reading.seam.station_mm)
             shown += [*(mean - sigma)[known, axis], *(mean + sigma)[known, axis]]
             axes.fill_between(
@@ -278,7 +278,7 @@ def history_picture(explanation: Explanation, look: Look) -> str:
         if seam is not None:
             own = float(np.sqrt(seam.variance_mm2[axis]))
             displacement_mm = float(seam.displacement_mm[axis])
-            if len(history):
+            if history.n:
                 place, limit = float(seam.expected_mm[axis]), float(seam.limit_mm[axis])
                 axes.errorbar(
                     seam.station_mm,

@@ -104,7 +104,7 @@ def condition(explanation: Explanation) -> str:
         f"at {frame.timestamp_s:.3f} s, {' and '.join(lit) or 'laser and arc off'}{current}, "
         f"{1000 * frame.exposure_s:g} ms; before it the tracker had seen "
         f"{counted(explanation.before.frames, 'frame')} and knew the seam at "
-        f"{counted(len(explanation.before.history), 'place')}"
+        f"{counted(explanation.before.history.n, 'place')}"
     )
 
 

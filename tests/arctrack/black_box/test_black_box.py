@@ -39,7 +39,9 @@ from robot_io import (
     Validity,
 )
 from tracker.seam.steer import AT_ONCE, Lead
+from tracker.seam.stretches import PastStretches
 from tracker.state import Track
+from tracker.step import TrackerState as SteppedState
 
 RUN = "black-box"
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "v_groove"
@@ -127,6 +129,18 @@ def test_a_state_comes_back_the_same(memory, tmp_path) -> None:
     assert (tmp_path / "again.json").read_bytes() == path.read_bytes()
     np.testing.assert_array_equal(again.history.stations_mm, live.tracking.tracker.state.history.stations_mm)
     assert again.history.displacements_mm.shape == live.tracking.tracker.state.history.displacements_mm.shape
+
+
+def test_the_stretches_before_are_a_list_in_a_states_file(tmp_path) -> None:
+    """As they were when a state held them so: a file of then is read, and one of now has its form."""
+    state = SteppedState()
+    histories = [state.history.with_measurement(x_mm, (0.1, -0.2), (1e-4, 1e-4)) for x_mm in (3.0, 9.0)]
+    path = tmp_path / "state.json"
+    write_state(path, state._replace(behind=PastStretches.of(histories)))
+    behind = json.loads(path.read_text())["state"]["behind"]
+    assert [record["record"] for record in behind] == ["SeamHistory", "SeamHistory"]
+    for again, history in zip(read_state(path).behind.histories, histories, strict=True):
+        np.testing.assert_equal(tuple(again), tuple(history))
 
 
 def test_nothing_to_save_is_said(memory, tmp_path) -> None:
