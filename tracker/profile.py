@@ -70,8 +70,7 @@ class Profile:
         """
         if is_in_order(self.scan):
             return self
-        rises = len(self.scan) < 2 or self.scan[-1] > self.scan[0]
-        order = np.argsort(self.scan if rises else -self.scan, kind="stable")
+        order = scan_order(self.scan)
         points = (self.y_mm, self.z_mm, self.dy_mm, self.dz_mm, self.sigma_px, self.scan, self.beside_px)
         y, z, dy, dz, sigma, scan, beside = (values[order] for values in points)
         bias = None if self.bias_px is None else self.bias_px[order]
@@ -90,6 +89,13 @@ class Profile:
             misfit_px=misfit,
             n_lines=n_lines,
         )
+
+
+@kernel(allocates=True)
+def scan_order(scan: Float64) -> Int64:
+    """Return the points' order by their scan lines (n,), the way in which these run on the whole."""
+    rises = scan.shape[0] < 2 or scan[-1] > scan[0]
+    return np.argsort(scan if rises else -scan, kind="mergesort")
 
 
 @kernel

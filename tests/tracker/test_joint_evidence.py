@@ -20,14 +20,15 @@ from tracker.joint.evidence import (
     MIN_EVIDENCE_NATS,
     PLATE_STEPS,
     RUN_PRIOR,
-    evidence_nats,
     fit_plate,
     gap_evidence_nats,
     lines_alike,
     loss,
     places_of,
     runs_of,
+    section_evidence_nats,
 )
+from tracker.joint.measured import points_of
 from tracker.joint.wander import MIN_KEPT, Wander, innovations, points_alike, wander_of
 from tracker.profile import Profile
 
@@ -221,7 +222,7 @@ def loss_of(profile: Profile) -> float:
 
 def test_what_lies_on_a_section_as_on_a_plate_speaks_for_none() -> None:
     profile = measure(PLATE, (0.0, 0.0), np.random.default_rng(6))
-    assert evidence_nats(profile, PLATE) < 0.0
+    assert section_evidence_nats(points_of(profile), PLATE, profile.reach_mm) < 0.0
     assert loss_of(profile) < 0.7 * len(profile.y_mm)
 
 

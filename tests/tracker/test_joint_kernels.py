@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tracker.joint import ALIKE_OFF_PX, BIAS_SHARE, NEAR_MM, off_alike_mm
+from tracker.joint.complete import ALIKE_OFF_PX, BIAS_SHARE, NEAR_MM, off_alike_mm
 from tracker.joint.evidence import loss
 from tracker.joint.lap import ROLL_BY, SEARCH_STEP_MM, placed
 from tracker.joint.measured import section_at, shift_of

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from profiles import COLUMN_MM, PX_MM, lap, measure, only, spoil
 
 from noise_model.surface.joint import Joint
-from tracker.joint import ALIKE_OFF_PX, BIAS_SHARE, MeasuredJoint, fit_joint
+from tracker.joint import MeasuredJoint, fit_joint
+from tracker.joint.complete import ALIKE_OFF_PX, BIAS_SHARE
 from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, clear_of_edge, near_sheets, share_off
 from tracker.joint.measured import OFF_SIGMAS, SIGMA_FLOOR_PX, count_with_floor, typical_mm
 from tracker.joint.upright_edge import Edge, edge_covariance, hidden_strip, neighbours_of_edge

@@ -38,10 +38,9 @@ from noise_model.arrays import Bool, Float32, Float64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.median import median_of, numbers_for
 from noise_model.robust import MAD_SIGMA
-from tracker.joint.measured import section_at
+from tracker.joint.measured import SectionPoints, section_at
 from tracker.joint.section_fit import BISQUARE_WIDTH, MIN_ALONG_MM
 from tracker.joint.wander import MIN_KEPT, innovations, points_alike, wander_of
-from tracker.profile import Profile
 from tracker.stripe.pairs import usual_of
 
 MIN_EVIDENCE_NATS = math.log(1e3)
@@ -63,35 +62,13 @@ RUN_PRIOR = 1.0, 9.0
 """Lines that are lost where a run has begun, and that are not, before any is seen: a run is short."""
 
 
-def evidence_nats(profile: Profile, corners_mm: Float64) -> float:
-    """Return the evidence, nats, that a profile shows the section of corners (n, 2) and not a plate."""
-    evidence: float = _evidence_nats(
-        profile.y_mm,
-        profile.z_mm,
-        profile.dy_mm,
-        profile.dz_mm,
-        profile.sigma_px,
-        profile.scan,
-        profile.lines_each,
-        np.ascontiguousarray(corners_mm),
-        profile.reach_mm,
-    )
-    return evidence
-
-
 @kernel(allocates=True)
-def _evidence_nats(
-    y_mm: Float64,
-    z_mm: Float64,
-    dy_mm: Float64,
-    dz_mm: Float64,
-    sigma_px: Float64,
-    scan: Float64,
-    n_lines: Float64,
-    corners_mm: Float64,
-    reach_mm: float,
-) -> float:
-    """Return `evidence_nats` of a profile's points (n,) whose seam was sought within a reach."""
+def section_evidence_nats(points: SectionPoints, corners_mm: Float64, reach_mm: float) -> float:
+    """Return the evidence, nats, that points (n,) show the section of corners (k, 2) and not a plate.
+
+    The seam was sought within a reach.
+    """
+    y_mm, z_mm, dy_mm, dz_mm, scan, sigma_px, _, _, n_lines = points
     n = y_mm.shape[0]
     off, off_plate = np.empty(n), np.empty(n)
     height_mm, slope = section_at(corners_mm, y_mm)

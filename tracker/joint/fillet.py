@@ -50,7 +50,7 @@ def fit_fillet(profile: Profile, joint: Joint) -> MeasuredJoint | None:
     return MeasuredJoint(
         y_s,
         z_s,
-        fit.covariance[:2, :2],
+        fit.covariance[:2, :2].copy(),
         math.nan,
         math.nan,
         fit.chi2,

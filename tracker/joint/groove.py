@@ -7,23 +7,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
-from noise_model.surface.joint import Joint, section
+from tracker.joint.complete import completed
 from tracker.joint.measured import (
     LEFT_OUT,
+    START_SIGMA_MM,
     SURE_MM,
     SURE_SIGMAS,
     MeasuredJoint,
     ShapeFit,
-    fit_shape,
+    fit_points,
     opening_area,
     shift_of,
     two_angles,
+    undetermined,
 )
 from tracker.joint.root import weigh_root
+from tracker.joint.section import Section, StatedJoint, is_long_enough
 from tracker.joint.section_shapes import GROOVE, N_CORNERS, ROUND_GROOVE, corners_of
-from tracker.profile import Profile
 from tracker.state import JointShape
 
 SEARCH_STEP_MM = 0.2
@@ -49,57 +51,50 @@ END_SHARE = 0.25
 """The share of a bevel's width at either end whose points may be the root's or the plate's as well."""
 
 
-def fit_v_groove(profile: Profile, joint: Joint) -> MeasuredJoint | None:
-    """Return the V that a profile shows, or None where too little of it lies within the bevels."""
-    size = joint.dimensions
-    tan = math.tan(math.radians(size["included_angle_deg"] / 2.0))
-    return _fit(profile, joint, GROOVE, tan, 0.0, PRIOR_SIGMA)
+@kernel(allocates=True)
+def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint:
+    """Return the V or U that a section shows, not determined where too little of it lies within the bevels.
 
-
-def fit_u_groove(profile: Profile, joint: Joint) -> MeasuredJoint | None:
-    """Return the U that a profile shows, or None where too little of it lies within the bevels."""
-    size = joint.dimensions
-    tan = math.tan(math.radians(size["bevel_angle_deg"]))
-    return _fit(profile, joint, ROUND_GROOVE, tan, size["root_radius_mm"], ROUND_PRIOR_SIGMA)
-
-
-def _fit(
-    profile: Profile, joint: Joint, shape: int, tan: float, radius_mm: float, prior_sigma: Float64
-) -> MeasuredJoint | None:
-    depth, gap = joint.dimensions["depth_mm"], joint.dimensions["root_gap_mm"]
-    corners = section(joint).vertices
-    stated = Stated(corners, gap, tan, depth, radius_mm)
-    start = start_of(profile.y_mm, profile.z_mm, profile.reach_mm, stated, prior_sigma)
-    fit = fit_shape(profile, shape, start, prior_sigma)
-    if fit is None:
-        return None
-    y_mm, half_mouth = profile.y_mm, float(corners[-2, 0])
-    seen, measured = measured_groove(shape, y_mm, fit, half_mouth)
+    It is a U where its roundings' radius is stated.
+    """
+    if not is_long_enough(section):
+        return undetermined()
+    points, half_mouth_mm = section.points, stated.corners_mm[-2, 0]
+    # A copy of its own has one type: for a constant the kernels would be compiled anew.
+    shape, prior_sigma = GROOVE, PRIOR_SIGMA.copy()
+    if not math.isnan(stated.radius_mm):
+        shape, prior_sigma = ROUND_GROOVE, ROUND_PRIOR_SIGMA.copy()
+    start = start_of(points.y_mm, points.z_mm, section.reach_mm, stated, prior_sigma)
+    chosen = np.ones(points.y_mm.shape[0], np.bool_)
+    fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start)
+    if not math.isfinite(fit.chi2):
+        return undetermined()
+    seen = seen_by(fit, points.y_mm, half_mouth_mm)
     if seen.left_out > MUCH_LEFT_OUT:
-        wider = fit_shape(profile, shape, start, prior_sigma, start_sigma_mm=WIDER_MM)
-        if wider is not None:
-            seen_wider, measured_wider = measured_groove(shape, y_mm, wider, half_mouth)
+        wider = fit_points(shape, points, chosen, WIDER_MM, prior_sigma, start)
+        if math.isfinite(wider.chi2):
+            seen_wider = seen_by(wider, points.y_mm, half_mouth_mm)
             if seen_wider.left_out < seen.left_out:
-                fit, seen, measured = wider, seen_wider, measured_wider
+                fit, seen = wider, seen_wider
     if shape == GROOVE and min(seen.right_bevel, seen.left_bevel) > 0.0:
-        weighed = weigh_root(profile, shape, start, prior_sigma, GAP, measured.y_mm, fit)
-        if weighed is not fit:
-            fit = weighed
-            seen, measured = measured_groove(shape, y_mm, fit, half_mouth)
-    amid_mm = (1.0 - 2.0 * END_SHARE) * (half_mouth - 0.5 * gap)
-    enough = min(MIN_POINTS, MIN_GROOVE_SHARE * amid_mm / profile.column_mm)
+        for i in range(chosen.shape[0]):
+            chosen[i] = abs(points.y_mm[i] - fit.parameters[0]) >= section.mixed_mm
+        fit = weigh_root(shape, points, chosen, start, prior_sigma, GAP, fit)
+        seen = seen_by(fit, points.y_mm, half_mouth_mm)
+    amid_mm = (1.0 - 2.0 * END_SHARE) * (half_mouth_mm - 0.5 * stated.gap_mm)
+    enough = min(MIN_POINTS, MIN_GROOVE_SHARE * amid_mm / section.column_mm)
     if min(seen.right_bevel, seen.left_bevel) < enough:
         unseen, alone = (1.0, seen.right) if seen.left_bevel < seen.right_bevel else (-1.0, seen.left)
         if max(seen.right_bevel, seen.left_bevel) < enough or alone < MIN_ALONE:
-            return None
-        bridged = _bridged(profile, fit, shape, start, prior_sigma, unseen, half_mouth)
-        if bridged is None:
-            return None
-        # On the side that is not seen its points are left out on purpose.
-        measured = measured_groove(shape, y_mm, bridged, half_mouth)[1]._replace(unexplained=seen.left_out)
+            return undetermined()
+        beside_unseen(points.y_mm, fit.parameters, start, prior_sigma, unseen, half_mouth_mm, chosen)
+        fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start)
+        if not math.isfinite(fit.chi2):
+            return undetermined()
     elif min(seen.right, seen.left) < MIN_POINTS:
-        return None
-    return measured
+        return undetermined()
+    # On a side that is not seen its points are left out on purpose.
+    return completed(section, measured_groove(shape, fit, seen.left_out))
 
 
 class Seen(NamedTuple):
@@ -114,27 +109,16 @@ class Seen(NamedTuple):
     left_out: float
 
 
-class Stated(NamedTuple):
-    """A groove as it is stated: its corners (n, 2), mm, and its dimensions.
-
-    `tan` is that of both bevels' angles, `radius_mm` that of a `ROUND_GROOVE`'s roundings.
-    """
-
-    corners: Float64
-    gap_mm: float
-    tan: float
-    depth_mm: float
-    radius_mm: float
-
-
 @kernel(allocates=True)
-def start_of(y_mm: Float64, z_mm: Float64, reach_mm: float, stated: Stated, prior_sigma: Float64) -> Float64:
+def start_of(
+    y_mm: Float64, z_mm: Float64, reach_mm: float, stated: StatedJoint, prior_sigma: Float64
+) -> Float64:
     """Return the parameters (p,) of a stated groove where most of points (n,) lie on it; see `place`.
 
     Those are as many as have a `prior_sigma` (p,).
     """
     depth = stated.depth_mm
-    y_0, z_0 = shift_of(y_mm, z_mm, reach_mm, stated.corners, depth, SEARCH_STEP_MM, 0.25 * depth)
+    y_0, z_0 = shift_of(y_mm, z_mm, reach_mm, stated.corners_mm, depth, SEARCH_STEP_MM, 0.25 * depth)
     start = np.zeros(prior_sigma.shape[0])
     start[0], start[1], start[GAP] = y_0, z_0, stated.gap_mm
     start[3], start[4], start[5], start[6] = stated.tan, stated.tan, depth, depth
@@ -152,8 +136,8 @@ def seen_in_groove(
     half_mouth_mm: float,
     end_share: float,
     least_weight: float,
-) -> tuple[float, float, float, float, float]:
-    """Return the numbers of `Seen` from points (n,) and their weights.
+) -> Seen:
+    """Return what is seen of a groove by points (n,) and their weights.
 
     Amid is without `end_share` of the bevel's width at either end; left out is what weighs less than
     `least_weight`, 1 of no points.
@@ -175,38 +159,44 @@ def seen_in_groove(
         else:
             left += weights[i]
             left_bevel += amid
-    return right, left, right_bevel, left_bevel, out / inside if inside else 1.0
+    return Seen(right, left, right_bevel, left_bevel, out / inside if inside else 1.0)
 
 
-def _bridged(
-    profile: Profile,
-    fit: ShapeFit,
-    shape: int,
+@kernel
+def seen_by(fit: ShapeFit, y_mm: Float64, half_mouth_mm: float) -> Seen:
+    """Return what a fit sees of a groove of a mouth amid points (n,)."""
+    p = fit.parameters
+    seen: Seen = seen_in_groove(
+        y_mm, fit.weights, p[0], 0.5 * max(p[GAP], 0.0), half_mouth_mm, END_SHARE, LEFT_OUT
+    )
+    return seen
+
+
+@kernel
+def beside_unseen(
+    y_mm: Float64,
+    parameters: Float64,
     start: Float64,
     prior_sigma: Float64,
     side: float,
     half_mouth_mm: float,
-) -> ShapeFit | None:
-    """Fit a groove whose one bevel is not seen; the priors stand in for it, in the covariance too.
+    counts: Bool,
+) -> None:
+    """Say which points (n,) count for a groove whose one bevel, on a side, is not seen.
 
-    Where the root ends on that side is not known: of the root only what lies well this side of it counts.
+    Priors stand in for that, in the covariance too. Where the root ends there is not known: of the root only
+    what lies well this side of it counts.
     """
-    y_s, gap = float(fit.parameters[0]), float(fit.parameters[2])
-    from_seen = side * (profile.y_mm - y_s) + 0.5 * gap
-    sure = max(float(start[2]) - SURE_SIGMAS * float(prior_sigma[2]), 0.0)
-    on_plate = side * (profile.y_mm - y_s) > half_mouth_mm + SURE_MM
-    return fit_shape(profile, shape, start, prior_sigma, (from_seen < sure) | on_plate)
+    half_gap_mm, sure_mm = 0.5 * parameters[GAP], max(start[GAP] - SURE_SIGMAS * prior_sigma[GAP], 0.0)
+    for i in range(y_mm.shape[0]):
+        out_mm = side * (y_mm[i] - parameters[0])
+        counts[i] = out_mm + half_gap_mm < sure_mm or out_mm > half_mouth_mm + SURE_MM
 
 
 @kernel(allocates=True)
-def measured_groove(
-    shape: int, y_mm: Float64, fit: ShapeFit, half_mouth_mm: float
-) -> tuple[Seen, MeasuredJoint]:
-    """Return what a fit sees of a groove of a mouth amid points (n,), and the joint that it is."""
+def measured_groove(shape: int, fit: ShapeFit, left_out: float) -> MeasuredJoint:
+    """Return the joint that a fitted groove is, of whose points some share is left out."""
     p, covariance = fit.parameters, fit.covariance
-    right, left, right_bevel, left_bevel, left_out = seen_in_groove(
-        y_mm, fit.weights, p[0], 0.5 * max(p[GAP], 0.0), half_mouth_mm, END_SHARE, LEFT_OUT
-    )
     corners_mm = np.empty((N_CORNERS[shape], 2))
     corners_of(shape, p, corners_mm)
     bevels, bevel_sigmas = two_angles(p, covariance, 3, 4)
@@ -222,10 +212,10 @@ def measured_groove(
         area,
         area_sigma,
     )
-    measured = MeasuredJoint(
+    return MeasuredJoint(
         p[0],
         p[1],
-        covariance[:2, :2],
+        covariance[:2, :2].copy(),
         max(p[GAP], 0.0),
         p[5] - p[6],
         fit.chi2,
@@ -234,4 +224,3 @@ def measured_groove(
         corners_mm,
         math.nan,
     )
-    return Seen(right, left, right_bevel, left_bevel, left_out), measured

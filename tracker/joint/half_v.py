@@ -19,6 +19,7 @@ from tracker.joint.measured import (
     meet_face,
     opening_of,
     place,
+    points_of,
     section_of,
     unexplained,
 )
@@ -101,7 +102,8 @@ def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Flo
     inside = (profile.y_mm > wall) & (profile.y_mm < mouth)
     if is_seen:
         middle_mm = wall + 0.5 * max(float(fit.parameters[GAP]), 0.0)
-        fit = weigh_root(profile, HALF_GROOVE, start, PRIOR_SIGMA, GAP, middle_mm, fit, clear)
+        away = clear & (np.abs(profile.y_mm - middle_mm) >= profile.mixed_mm)
+        fit = weigh_root(HALF_GROOVE, points_of(profile), away, start, PRIOR_SIGMA, GAP, fit)
     if fit.weights[inside].sum() < MIN_POINTS:
         return None
     left_out = unexplained(profile, fit, 0.5 * (wall + mouth), 0.5 * (mouth - wall), clear)

@@ -10,7 +10,7 @@ import numpy as np
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from noise_model.median import exact_median, median_of, numbers_for
-from noise_model.surface.joint import Joint, section
+from tracker.joint.complete import completed
 from tracker.joint.measured import (
     OFF_SIGMAS,
     SIGMA_FLOOR_PX,
@@ -20,23 +20,22 @@ from tracker.joint.measured import (
     SectionPoints,
     ShapeFit,
     fit_points,
-    points_of,
+    in_scan_order,
     shift_of,
     two_angles,
+    undetermined,
 )
+from tracker.joint.section import Section, StatedJoint, is_long_enough
 from tracker.joint.section_fit import MIN_ALONG_MM
 from tracker.joint.section_shapes import N_CORNERS, SHEETS, corners_of
 from tracker.joint.upright_edge import (
     Edge,
     edge_covariance,
     hidden_strip,
-    light_of,
     neighbours_of_edge,
     upright_edge,
 )
-from tracker.profile import Profile
 from tracker.state import JointShape
-from tracker.stripe.edge import StripeLight
 
 SEARCH_STEP_MM = 0.1
 CLEAR_OF_EDGE_MM = 0.4
@@ -56,30 +55,25 @@ PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
 """1 sigma of the lower sheet's height, the step (mm), both sheets' slopes beside the profile's own."""
 
 
-def fit_lap(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:
-    """Return the lap that a profile shows, or None where a sheet is not seen beside the edge, or near to it.
+@kernel(allocates=True)
+def fit_lap(section: Section, stated: StatedJoint) -> MeasuredJoint:
+    """Return the lap that a section shows, not determined where a sheet is not seen beside the edge.
 
     The sheets' lines are fitted clear of the edge; then each point near it belongs to the line it lies on,
     and the edge lies between the last point of the upper and the first of the lower sheet, less what it
-    hides of that one (`edge_between`). `camera_mm` and `laser_mm` (3,) say from where, joint frame.
+    hides of that one (`upright_edge`).
     """
-    thickness = joint.dimensions["thickness_mm"]
-    corners = section(joint).vertices
-    y_0, fit = fit_sheets(points_of(profile), profile.reach_mm, corners, thickness, PRIOR_SIGMA)
-    if not math.isfinite(fit.chi2):
-        return None
-    lines = profile.by_scan()
-    is_seen, measured = measured_lap(
-        points_of(lines),
-        lines.column_mm,
-        light_of(lines),
-        fit,
-        y_0,
-        thickness,
-        (camera_mm, laser_mm),
-        profile.slope_sigma,
+    if not is_long_enough(section):
+        return undetermined()
+    # A copy of its own has one type: for a constant the kernels would be compiled anew.
+    prior_sigma = PRIOR_SIGMA.copy()
+    y_0, fit = fit_sheets(
+        section.points, section.reach_mm, stated.corners_mm, stated.thickness_mm, prior_sigma
     )
-    return measured if is_seen else None
+    if not math.isfinite(fit.chi2):
+        return undetermined()
+    measured = measured_lap(section, in_scan_order(section.points), fit, y_0, stated.thickness_mm)
+    return undetermined() if math.isnan(measured.y_mm) else completed(section, measured)
 
 
 @kernel(allocates=True)
@@ -101,23 +95,16 @@ def fit_sheets(
 
 @kernel(allocates=True)
 def measured_lap(
-    lines: SectionPoints,
-    column_mm: float,
-    light: StripeLight,
-    fit: ShapeFit,
-    y_0: float,
-    thickness_mm: float,
-    sources_mm: tuple[Float64, Float64],
-    slope_sigma: float,
-) -> tuple[bool, MeasuredJoint]:
-    """Return whether sheets that were fitted are seen beside their edge, and the lap if they are.
+    section: Section, lines: SectionPoints, fit: ShapeFit, y_0: float, thickness_mm: float
+) -> MeasuredJoint:
+    """Return the lap of sheets that were fitted, its y NaN where they are not seen beside their edge.
 
     `lines` (n,) are in order of their scan lines, `y_0` is where the edge was while they were fitted.
     """
     p, covariance = fit.parameters, fit.covariance
     z_s, step, slope_lower, slope_upper = p[0], p[1], p[2], p[3]
     sheets = Sheets(y_0, z_s, step, slope_lower, slope_upper)
-    is_seen, upright = edge_of_sheets(lines, column_mm, light, sheets, thickness_mm, sources_mm, slope_sigma)
+    upright = edge_of_sheets(section, lines, sheets, thickness_mm)
     edge, beside = upright.y_mm, upright.y_mm - y_0
     z_edge = z_s + slope_lower * beside
     between, at_edge, of_step = np.empty(4), np.empty(4), np.empty(4)
@@ -136,7 +123,7 @@ def measured_lap(
     corners_of(SHEETS, foot, corners_mm)
     step_sigma, unknown = math.sqrt(variance), (math.nan, math.nan)
     plates, plate_sigmas = two_angles(p, covariance, 2, 3)
-    return is_seen, MeasuredJoint(
+    return MeasuredJoint(
         edge,
         z_edge,
         edge_covariance(upright, between, at_edge, covariance),
@@ -151,16 +138,8 @@ def measured_lap(
 
 
 @kernel(allocates=True)
-def edge_of_sheets(
-    lines: SectionPoints,
-    column_mm: float,
-    light: StripeLight,
-    sheets: Sheets,
-    thickness_mm: float,
-    sources_mm: tuple[Float64, Float64],
-    slope_sigma: float,
-) -> tuple[bool, Edge]:
-    """Return whether points (n,) lie on both sheets beside their edge, and where that is if they do."""
+def edge_of_sheets(section: Section, lines: SectionPoints, sheets: Sheets, thickness_mm: float) -> Edge:
+    """Return where the sheets' edge is, NaN where points (n,) do not lie on both beside it."""
     n, nowhere = lines.y_mm.shape[0], Edge(math.nan, math.nan, math.nan)
     moves_mm, on_upper, on_lower = np.empty(n), np.empty(n, np.bool_), np.empty(n, np.bool_)
     for i in range(n):
@@ -170,14 +149,15 @@ def edge_of_sheets(
     near_sheets(lines.y_mm, lines.z_mm, sheets, limit_mm, on_upper, on_lower)
     before, behind = neighbours_of_edge(on_upper, on_lower)
     if before < 0:
-        return False, nowhere
+        return nowhere
     # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.
-    hidden = hidden_strip(sources_mm, sheets.y, sheets.z + sheets.step, sheets.step, slope_sigma)
+    sources_mm = section.camera_mm, section.laser_mm
+    hidden = hidden_strip(sources_mm, sheets.y, sheets.z + sheets.step, sheets.step, section.slope_sigma)
     # Glare or spatter over all of the points near it: between those beyond, an edge may be anywhere.
     if lines.y_mm[behind] - hidden.width_mm - lines.y_mm[before] > 2.0 * CLEAR_OF_EDGE_MM:
-        return False, nowhere
+        return nowhere
     met = meet_sheets(lines.y_mm, lines.z_mm, lines.dy_mm, lines.dz_mm, sheets, before)
-    return True, upright_edge(lines.scan, column_mm, light, before, behind, hidden, met)
+    return upright_edge(lines.scan, section.column_mm, section.light, before, behind, hidden, met)
 
 
 @kernel(allocates=True)

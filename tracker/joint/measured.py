@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64
+from noise_model.arrays import Bool, Float64, Int64
 from noise_model.kernel import kernel
 from tracker.joint.alike import add_shared_errors
 from tracker.joint.section_fit import MIN_ALONG_MM, best_shift, fit_section
 from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
-from tracker.profile import Profile
+from tracker.profile import Profile, is_in_order, scan_order
 from tracker.state import NO_SHAPE, JointShape, Pair
 
 SIGMA_FLOOR_PX = 0.01
@@ -61,6 +61,30 @@ class MeasuredJoint(NamedTuple):
     corners_mm: Float64 = _NO_CORNERS
     evidence_nats: float = math.nan
 
+    @property
+    def is_determined(self) -> bool:
+        """Whether a profile determines the joint: of one that it does not, the place is NaN."""
+        return not math.isnan(self.y_mm)
+
+
+@kernel(allocates=True)
+def undetermined() -> MeasuredJoint:
+    """Return the joint of a profile that does not determine one."""
+    unknown = math.nan, math.nan
+    shape = JointShape(math.nan, math.nan, unknown, unknown, unknown, unknown, math.nan, math.nan)
+    return MeasuredJoint(
+        math.nan,
+        math.nan,
+        np.full((2, 2), math.nan),
+        math.nan,
+        math.nan,
+        math.nan,
+        shape,
+        1.0,
+        np.empty((0, 2)),
+        math.nan,
+    )
+
 
 class ShapeFit(NamedTuple):
     """Parameters (p,), their covariance (p, p), chi2 per degree of freedom and the points' weights (n,)."""
@@ -100,21 +124,48 @@ def points_of(profile: Profile) -> SectionPoints:
     )
 
 
+@kernel(allocates=True)
+def in_scan_order(points: SectionPoints) -> SectionPoints:
+    """Return a profile's points in order of their scan lines; see `Profile.by_scan`."""
+    if is_in_order(points.scan):
+        return points
+    order = scan_order(points.scan)
+    return SectionPoints(
+        _taken(points.y_mm, order),
+        _taken(points.z_mm, order),
+        _taken(points.dy_mm, order),
+        _taken(points.dz_mm, order),
+        _taken(points.scan, order),
+        _taken(points.sigma_px, order),
+        _taken(points.beside_px, order),
+        _taken(points.misfit_px, order),
+        _taken(points.n_lines, order),
+    )
+
+
+@kernel(allocates=True)
+def _taken(values: Float64, order: Int64) -> Float64:
+    """Return values (n,), or none, in an order."""
+    taken = np.empty(values.shape[0])
+    for i in range(values.shape[0]):
+        taken[i] = values[order[i]]
+    return taken
+
+
 def fit_shape(
     profile: Profile,
     shape: int,
     start: Float64,
     prior_sigma: Float64,
     used: Bool | None = None,
-    start_sigma_mm: float = START_SIGMA_MM,
 ) -> ShapeFit | None:
     """Fit a shape of `section_fit` to a profile, in pixels of stripe centre, with priors about `start`.
 
-    A point may lie `start_sigma_mm` off the start. None where fewer points are `used` than the parameters
+    A point may lie `START_SIGMA_MM` off the start. None where fewer points are `used` than the parameters
     need, and where the fit runs away. What `start` has beyond `prior_sigma` (p,) stays as it is.
     """
     chosen = _ALL if used is None else used
-    fit: ShapeFit = fit_points(shape, points_of(profile), chosen, start_sigma_mm, prior_sigma, start)
+    fit: ShapeFit = fit_points(shape, points_of(profile), chosen, START_SIGMA_MM, prior_sigma, start)
     return fit if math.isfinite(fit.chi2) else None
 
 

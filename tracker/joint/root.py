@@ -14,10 +14,10 @@ import math
 import numpy as np
 
 from noise_model.arrays import Bool, Float64
-from noise_model.median import median
-from tracker.joint.measured import ShapeFit, fit_shape
-from tracker.joint.section_fit import tukey_loss
-from tracker.profile import Profile
+from noise_model.kernel import kernel
+from noise_model.median import exact_median
+from tracker.joint.measured import START_SIGMA_MM, SectionPoints, ShapeFit, fit_points
+from tracker.joint.section_fit import BISQUARE_WIDTH
 
 NARROW_MM = 0.8
 """A root that comes out narrower than this is weighed."""
@@ -35,62 +35,110 @@ CLOSED_AS_STATED = 0.95
 """How probable it is, before it is seen, that a root that is stated closed is closed: tacked plates touch."""
 
 
+@kernel(allocates=True)
 def prior_of(stated_mm: float, sigma_mm: float) -> Float64:
     """Return the prior probability of each of GAPS for a stated gap and its 1 sigma, mm."""
-    borders = np.concatenate([[-math.inf], 0.5 * (GAPS[1:] + GAPS[:-1]), [math.inf]])
-    below = np.array([0.5 * (1.0 + math.erf((b - stated_mm) / (math.sqrt(2.0) * sigma_mm))) for b in borders])
-    prior = np.diff(below)
+    n = GAPS.shape[0]
+    prior, below, open_roots = np.empty(n), 0.0, 0.0
+    for k in range(n):
+        border = 0.5 * (GAPS[k] + GAPS[k + 1]) if k + 1 < n else math.inf
+        up_to = 0.5 * (1.0 + math.erf((border - stated_mm) / (math.sqrt(2.0) * sigma_mm)))
+        prior[k] = up_to - below
+        below = up_to
+        open_roots += prior[k] if k > 0 else 0.0
     if stated_mm == 0.0:
-        prior[0] = 0.0
-        prior *= (1.0 - CLOSED_AS_STATED) / prior.sum()
         prior[0] = CLOSED_AS_STATED
-    return np.asarray(prior)
+        for k in range(1, n):
+            prior[k] *= (1.0 - CLOSED_AS_STATED) / open_roots
+    return prior
 
 
+@kernel(allocates=True)
 def weigh_root(
-    profile: Profile,
     shape: int,
+    points: SectionPoints,
+    clear: Bool,
     start: Float64,
     prior_sigma: Float64,
     gap: int,
-    middle_mm: float,
     fit: ShapeFit,
-    used: Bool | None = None,
 ) -> ShapeFit:
     """Return a groove's fit with its root weighed, or the fit as it is where the root is wide.
 
-    `gap` is which parameter the root's gap is, `start` holds the stated one; `middle_mm` is where the root
-    lies. Where no gap of the grid can be fitted the fit stays too.
+    `gap` is which parameter the root's gap is, `start` holds the stated one; `clear` (n,) are the points that
+    hold light of one face. Where no gap of the grid can be fitted the fit stays too.
     """
     if not fit.parameters[gap] < NARROW_MM:
         return fit
-    clear = np.abs(profile.y_mm - middle_mm) >= profile.mixed_mm
-    if used is not None:
-        clear &= used
-    # Errors of neighbours are alike: so many lines say as much as one.
-    alike = median((profile.beside_px[clear] / profile.sigma_px[clear]) ** 2) if clear.any() else 1.0
-    fits, evidence = [], []
-    prior_of_gaps = prior_of(float(start[gap]), float(prior_sigma[gap]))
-    for gap_mm, cell_mm, prior in zip(GAPS, CELLS_MM, prior_of_gaps, strict=True):
+    n_gaps, m = GAPS.shape[0], prior_sigma.shape[0]
+    likeliest, most, alike = fit, -math.inf, likeness_of(points, clear)
+    nats, parameters, covariances = np.empty(n_gaps), np.empty((n_gaps, m)), np.empty((n_gaps, m, m))
+    prior = prior_of(start[gap], prior_sigma[gap])
+    for k in range(n_gaps):
         from_gap, sigma = start.copy(), prior_sigma.copy()
-        from_gap[gap], sigma[gap] = gap_mm, cell_mm
-        held = fit_shape(profile, shape, from_gap, sigma, clear)
-        if held is None or not prior > 0.0:
+        from_gap[gap], sigma[gap], nats[k] = GAPS[k], CELLS_MM[k], -math.inf
+        held = fit_points(shape, points, clear, START_SIGMA_MM, sigma, from_gap)
+        if not (math.isfinite(held.chi2) and prior[k] > 0.0):
             continue
-        loss = tukey_loss(held.weights[clear])
-        moved = (float(held.parameters[gap]) - gap_mm) / cell_mm
-        left_open = min(float(held.covariance[gap, gap]) / cell_mm**2, 1.0)
-        fits.append(held)
-        evidence.append(math.log(prior) - loss / alike - 0.5 * moved**2 + 0.5 * math.log(left_open))
-    if not fits:
+        moved = (held.parameters[gap] - GAPS[k]) / CELLS_MM[k]
+        left_open = min(held.covariance[gap, gap] / CELLS_MM[k] ** 2, 1.0)
+        loss = loss_of(held.weights, clear) / alike
+        nats[k] = math.log(prior[k]) - loss - 0.5 * moved**2 + 0.5 * math.log(left_open)
+        for i in range(m):
+            parameters[k, i] = held.parameters[i]
+            for j in range(m):
+                covariances[k, i, j] = held.covariance[i, j]
+        if nats[k] > most:
+            likeliest, most = held, nats[k]
+    if most == -math.inf:
         return fit
-    probability = np.exp(np.array(evidence) - max(evidence))
-    probability /= probability.sum()
-    mean = np.sum([p * held.parameters for p, held in zip(probability, fits, strict=True)], axis=0)
-    covariance = np.zeros_like(fit.covariance)
-    for p, held in zip(probability, fits, strict=True):
-        off = held.parameters - mean
-        covariance += p * (held.covariance + np.outer(off, off))
-    likeliest = fits[int(np.argmax(probability))]
-    # What is left out beside the root was left out for the light that it mixes.
-    return ShapeFit(mean, covariance, likeliest.chi2, np.where(clear, likeliest.weights, fit.weights))
+    mean, covariance = mixture_of(nats, parameters, covariances)
+    weights = fit.weights.copy()
+    for i in range(weights.shape[0]):
+        # What is left out beside the root was left out for the light that it mixes.
+        if clear[i]:
+            weights[i] = likeliest.weights[i]
+    return ShapeFit(mean, covariance, likeliest.chi2, weights)
+
+
+@kernel(allocates=True)
+def likeness_of(points: SectionPoints, clear: Bool) -> float:
+    """Return how many of a profile's clear points (n,) say as much as one: errors of neighbours are alike."""
+    ratios, count = np.empty(clear.shape[0]), 0
+    for i in range(clear.shape[0]):
+        if clear[i]:
+            ratios[count] = (points.beside_px[i] / points.sigma_px[i]) ** 2
+            count += 1
+    return exact_median(ratios[:count]) if count > 0 else 1.0
+
+
+@kernel
+def loss_of(weights: Float64, clear: Bool) -> float:
+    """Return `section_fit.tukey_loss` of the weights of clear points (n,)."""
+    total = 0.0
+    for i in range(weights.shape[0]):
+        if clear[i]:
+            total += 1.0 - weights[i] * math.sqrt(weights[i])
+    return BISQUARE_WIDTH**2 / 6.0 * total
+
+
+@kernel(allocates=True)
+def mixture_of(nats: Float64, parameters: Float64, covariances: Float64) -> tuple[Float64, Float64]:
+    """Return mean (m,) and covariance (m, m) of normals (k, m), (k, m, m) by their evidence (k,), nats."""
+    n, m = parameters.shape
+    most, total = nats.max(), 0.0
+    shares, mean, covariance = np.empty(n), np.zeros(m), np.zeros((m, m))
+    for k in range(n):
+        shares[k] = math.exp(nats[k] - most)
+        total += shares[k]
+    for k in range(n):
+        shares[k] /= total
+        # What has no share may not have been fitted at all.
+        for i in range(m if shares[k] > 0.0 else 0):
+            mean[i] += shares[k] * parameters[k, i]
+    for k in range(n):
+        for i in range(m if shares[k] > 0.0 else 0):
+            for j in range(m):
+                off = (parameters[k, i] - mean[i]) * (parameters[k, j] - mean[j])
+                covariance[i, j] += shares[k] * (covariances[k, i, j] + off)
+    return mean, covariance

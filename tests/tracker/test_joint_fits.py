@@ -1,0 +1,135 @@
+"""The kernels that put a joint's fit together, against NumPy twins on profiles of all kinds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from joint_twins import fitted_groove, root_prior
+from profiles import measure
+
+from noise_model.arrays import Float64
+from noise_model.surface.joint import Joint, section
+from tracker.joint import FITS, fit_joint
+from tracker.joint.groove import PRIOR_SIGMA, beside_unseen
+from tracker.joint.measured import in_scan_order, points_of
+from tracker.joint.root import mixture_of, prior_of
+from tracker.joint.section import StatedJoint, section_from
+from tracker.profile import MIN_POINTS, Profile
+
+LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
+CAMERA_MM, LASER_MM = np.array([60.0, 0.0, 130.0]), np.array([0.0, 0.0, 140.0])
+
+
+def corners_of(joint: Joint) -> Float64:
+    """A joint's section (n, 2), its seam point at 0, 0."""
+    corners = section(joint).vertices.copy()
+    corners[:, 1] += joint.dimensions.get("depth_mm", 0.0)
+    return corners
+
+
+def some_profile(joint: Joint, seed: int) -> Profile:
+    """What a sensor may see of a joint: all of it, one side or no root, with spatter, lines out of order."""
+    rng = np.random.default_rng(seed)
+    hidden_mm = (None, (0.2, rng.uniform(1.0, 6.0)), (-rng.uniform(1.0, 6.0), -0.2), (-0.6, 0.6))[seed % 4]
+    seam, sigma_px = (rng.uniform(-2.0, 2.0), -4.0), rng.uniform(0.05, 0.4)
+    profile = measure(corners_of(joint), seam, rng, sigma_px=sigma_px, hidden_mm=hidden_mm)
+    n = len(profile.y_mm)
+    z_mm, scan = profile.z_mm.copy(), profile.scan.copy()
+    z_mm[rng.random(n) < 0.03 + 0.3 * (seed % 5 == 4)] += 2.0
+    if seed % 3 == 1:
+        k = int(rng.integers(n - 1))
+        scan[k], scan[k + 1] = scan[k + 1], scan[k]
+    return replace(
+        profile,
+        z_mm=z_mm,
+        scan=scan,
+        mixed_mm=0.2 * (seed % 2),
+        n_lines=rng.integers(1, 3, n).astype(float) if seed % 3 == 2 else None,
+        misfit_px=np.abs(rng.normal(0.0, 0.1, n)) if seed % 3 == 2 else None,
+    )
+
+
+def a_v(gap_mm: float) -> Joint:
+    return Joint("v_groove", {"included_angle_deg": 60.0, "depth_mm": 4.0, "root_gap_mm": gap_mm}, LINE)
+
+
+A_U = Joint(
+    "u_groove", {"depth_mm": 7.0, "root_radius_mm": 2.0, "bevel_angle_deg": 12.0, "root_gap_mm": 1.0}, LINE
+)
+
+
+@pytest.mark.parametrize("joint", [a_v(0.0), a_v(0.3), a_v(1.2), A_U], ids=str)
+def test_a_groove_is_its_twin(joint: Joint) -> None:
+    determined = 0
+    for seed in range(40):
+        profile = some_profile(joint, seed)
+        found, twin = fit_joint(profile, joint, CAMERA_MM, LASER_MM), fitted_groove(profile, joint)
+        assert (found is None) == (twin is None), seed
+        if found is None or twin is None:
+            continue
+        determined += 1
+        np.testing.assert_allclose(
+            (found.y_mm, found.z_mm), twin.parameters[:2], atol=1e-9, err_msg=str(seed)
+        )
+        assert found.gap_mm == pytest.approx(max(twin.parameters[2], 0.0), abs=1e-9)
+        assert found.chi2 == pytest.approx(twin.chi2, rel=1e-9)
+        off_mm2 = found.covariance_mm2 - twin.covariance[:2, :2]
+        # What all centres are off alike is added: of rank 1.
+        assert off_mm2[0, 0] * off_mm2[1, 1] == pytest.approx(off_mm2[0, 1] ** 2, rel=1e-4)
+    assert determined > 20
+
+
+@pytest.mark.parametrize("stated_mm", [0.0, 0.1, 0.6])
+def test_the_prior_of_a_root_is_its_twin(stated_mm: float) -> None:
+    np.testing.assert_allclose(prior_of(stated_mm, 0.3), root_prior(stated_mm, 0.3), rtol=1e-12, atol=1e-15)
+
+
+def test_a_mixture_has_the_mean_and_covariance_of_its_normals() -> None:
+    rng = np.random.default_rng(3)
+    means, nats = rng.normal(size=(4, 3)), np.array([-3.0, -2.0, -np.inf, -2.5])
+    roots = rng.normal(size=(4, 3, 3))
+    covariances = roots @ roots.transpose(0, 2, 1)
+    means[2] = np.nan
+    mean, covariance = mixture_of(nats, means, covariances)
+    shares = np.exp(nats[[0, 1, 3]]) / np.exp(nats).sum()
+    kept, within = means[[0, 1, 3]], covariances[[0, 1, 3]]
+    np.testing.assert_allclose(mean, shares @ kept, rtol=1e-12)
+    second = np.einsum("k,kij->ij", shares, within + kept[:, :, None] * kept[:, None, :])
+    np.testing.assert_allclose(covariance, second - np.outer(mean, mean), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_what_counts_beside_an_unseen_bevel_is_its_twin(side: float) -> None:
+    y, start = np.linspace(-9.0, 9.0, 181), np.zeros(9)
+    start[2] = 1.4
+    parameters, counts = np.array([0.31, -4.0, 1.2]), np.empty(181, dtype=bool)
+    beside_unseen(y, parameters, start, PRIOR_SIGMA, side, 3.0, counts)
+    out = side * (y - 0.31)
+    np.testing.assert_array_equal(counts, (out + 0.6 < 1.4 - 2.0 * PRIOR_SIGMA[2]) | (out > 4.0))
+    assert 0 < counts.sum() < 181
+
+
+@pytest.mark.parametrize("rises", [True, False])
+def test_points_are_put_in_order_as_a_profile_is(rises: bool) -> None:
+    profile = some_profile(a_v(1.0), 2)
+    rng = np.random.default_rng(1)
+    scan = profile.scan if rises else profile.scan[::-1].copy()
+    middle = slice(5, -5)
+    scan[middle] = rng.permutation(scan[middle])
+    shuffled = replace(profile, scan=scan)
+    ordered, twin = in_scan_order(points_of(shuffled)), points_of(shuffled.by_scan())
+    assert (np.diff(ordered.scan) > 0.0).all() if rises else (np.diff(ordered.scan) < 0.0).all()
+    for name, values in ordered._asdict().items():
+        np.testing.assert_array_equal(values, getattr(twin, name), err_msg=name)
+
+
+@pytest.mark.parametrize("joint", [a_v(1.0), A_U, Joint("lap", {"thickness_mm": 2.0}, LINE)], ids=str)
+def test_too_few_points_determine_no_joint(joint: Joint) -> None:
+    profile, n = some_profile(joint, 0), MIN_POINTS - 1
+    names = ("y_mm", "z_mm", "dy_mm", "dz_mm", "sigma_px", "scan", "beside_px")
+    short = replace(profile, **{name: getattr(profile, name)[:n].copy() for name in names})
+    fitted = FITS[joint.type](section_from(short, CAMERA_MM, LASER_MM), StatedJoint.of(joint))
+    assert not fitted.is_determined
+    assert fit_joint(short, joint, CAMERA_MM, LASER_MM) is None
