@@ -39,9 +39,10 @@ from tracker.profile import Profile
 from tracker.seam.locate import locate
 from tracker.seam.stretches import jump_limit_mm
 from tracker.state import Frame, Pose, Track
-from tracker.step import TrackerState, step_and_reading
+from tracker.step import step_and_reading
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import StripeReading, Work, read_stripe
+from tracker.tracker_state import TrackerState
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from arctrack.errors import in_file
 from arctrack.recording import Recording
 from tracker.state import Frame, Pose, Track
-from tracker.step import StepInputs, TrackerState
+from tracker.step import StepInputs
 from tracker.tracker import Tracker
+from tracker.tracker_state import TrackerState
 
 
 def tracker_of(recording: Recording, use_arc_map: bool) -> Tracker:

@@ -28,8 +28,9 @@ from noise_model.surface.joint import SeamLine
 from tracker.geometry import SensorGeometry
 from tracker.seam.gaussian_process import SeamHistory
 from tracker.state import Frame, Pose
-from tracker.step import TrackerState, step
+from tracker.step import step
 from tracker.stripe.read import Work
+from tracker.tracker_state import TrackerState
 
 FRAMES_A_SCENE = 20
 EXPOSURE_S = 0.005

@@ -22,8 +22,7 @@ from stripe_peers import PEERS, steger
 from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64, Integers
 from noise_model.forward import Renderer, draw_frame
-from tracker.geometry import SensorGeometry
-from tracker.measure import TRACK_REACH_MM
+from tracker.geometry import TRACK_REACH_MM, SensorGeometry
 from tracker.state import Frame, Pose
 from tracker.stripe.band import FIT_SIGMAS
 from tracker.stripe.expected import ExpectedStripe, expect_stripe

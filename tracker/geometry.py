@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from noise_model.setup import Setup, require_setup
 from noise_model.stripe import stripe_runs_along_rows
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
 from noise_model.surface.joint import NOMINAL_SEAM
+from noise_model.surface.stated_joint import StatedJoint
 from noise_model.transforms import invert, transform
 from tracker.seam.locate import SeamSource
 
@@ -47,6 +48,9 @@ scatter do not get less, in pixels, where height moves the stripe little."""
 
 SEARCH_REACH_MM = 5.0
 """How far off its nominal place the seam is first looked for."""
+
+TRACK_REACH_MM = 1.0
+"""How far from its expected place it is looked for once it is known, beyond three sigmas of that place."""
 
 MIN_ACROSS = 0.2
 """The least cosine between the sheet's normal and the tool's x axis for a place in the sheet to follow x."""
@@ -246,6 +250,17 @@ class SensorGeometry:
             setup.tolerance.arc_level_rel,
             setup.laser.fan_half_angle_deg is not None,
         )
+
+    @cached_property
+    def stated_joint(self) -> StatedJoint:
+        """The joint as the setup states it."""
+        return StatedJoint.of(self.setup.joint)
+
+    @cached_property
+    def frame_form(self) -> tuple[tuple[int, int], np.dtype[Any]]:
+        """A frame's shape and type."""
+        camera, sensor = self.setup.camera, self.setup.sensor
+        return (camera.height, camera.width), np.dtype(sensor.dtype)
 
     @cached_property
     def baked_light(self) -> BakedLight:

@@ -273,6 +273,12 @@ def nothing_read(arc: ArcLevel, stripe: Stripe, scatter: Scatter) -> Look:
     return Look(arc, False, stripe, scatter, section)
 
 
+@kernel
+def unknown_arc() -> ArcLevel:
+    """Return what is known of the arc before a look."""
+    return ArcLevel(math.nan, math.nan, 0.0, math.nan, True, 0.0)
+
+
 @kernel(allocates=True)
 def no_stripe(along_rows: bool) -> Stripe:
     """Return the stripe of a frame in which none was looked for."""
@@ -329,7 +335,7 @@ def look_at(
     No effects act on the arc's light.
     """
     along_rows = source.image.along_rows
-    unknown = ArcLevel(math.nan, math.nan, 0.0, math.nan, True, 0.0)
+    unknown = unknown_arc()
     if not ask_whether(asked, checks.CAMERA_ABOVE, not scene.below_surface):
         return nothing_read(unknown, no_stripe(along_rows), scatter)
     in_view, expected = expect(source.stripe, scene, source.image.n_scan)

@@ -16,11 +16,13 @@ from noise_model.surface.joint import SeamLine
 from tracker import checks, flags
 from tracker.arc.level import UNKNOWN, ArcLevel
 from tracker.arc.transmission import NO_LIGHT, Transmission
-from tracker.checks import Asked, ask, ask_whether, take_answer
-from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
+from tracker.checks import Asked, ask_whether, take_answer
+from tracker.geometry import SEARCH_REACH_MM, TRACK_REACH_MM, SensorGeometry
 from tracker.joint import HIDING_TYPES, MeasuredJoint, fit_closed_joint, fit_joint
+from tracker.joint.ask import ask_joint
 from tracker.joint.evidence import MIN_EVIDENCE_NATS
 from tracker.joint.image_line import read_image_line
+from tracker.joint.measured import undetermined
 from tracker.joint.section import Section
 from tracker.joint.type_check import is_another_type
 from tracker.look import (
@@ -46,16 +48,6 @@ from tracker.stripe.read import LitBand, Work, light_band
 from tracker.stripe.scatter import NO_SCATTER, Scatter
 from tracker.stripe.smooth import smoothed
 
-TRACK_REACH_MM = 1.0
-"""How far from its expected place it is looked for once it is known, beyond three sigmas of that place."""
-
-JOINT_CHI2_LIMIT = 9.0
-UNEXPLAINED_LIMIT = 0.1
-"""So large a share of the points near the seam may lie off the joint's shape: spatter, a tack weld's end."""
-
-MIN_MARGIN_MM = 1.0
-"""A seam nearer to the profile's end than this is out of view."""
-
 
 class Reading(NamedTuple):
     """What one look at a frame, within a reach about an expected seam, has found."""
@@ -72,7 +64,7 @@ class Reading(NamedTuple):
 
     @property
     def flags(self) -> int:
-        """The flags that the look raises."""
+        """The flags that the look raises; of a frame that was tracked in one call, those of the frame."""
         return self.asked.flags
 
 
@@ -213,15 +205,9 @@ def _joint(
     # A narrower look shows only what lies where the stated joint should.
     if reach_mm == SEARCH_REACH_MM:
         ask_whether(asked, checks.JOINT_TYPE, not is_another_type(profile, geometry.setup.joint, joint))
-    ask_whether(asked, checks.JOINT_SEEN, joint is not None)
-    if joint is None or not ask(asked, checks.JOINT_EVIDENCE, joint.evidence_nats, MIN_EVIDENCE_NATS):
-        return None, math.nan
-    margin_mm = min(joint.y_mm - float(profile.y_mm[0]), float(profile.y_mm[-1]) - joint.y_mm)
-    if not ask(asked, checks.VIEW_MARGIN, margin_mm, MIN_MARGIN_MM):
-        return None, margin_mm
-    ask(asked, checks.JOINT_CHI2, joint.chi2, JOINT_CHI2_LIMIT)
-    ask(asked, checks.JOINT_UNEXPLAINED, joint.unexplained, UNEXPLAINED_LIMIT)
-    return joint, margin_mm
+    nothing = undetermined()
+    counted, margin_mm = ask_joint(asked, nothing if joint is None else joint, profile.y_mm)
+    return (counted if counted.is_determined else None), margin_mm
 
 
 def joint_of(

@@ -6,74 +6,22 @@ Live service, replay, tests and diagnosis call the same `step` and get the same 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from noise_model.arrays import as_compiled_for
-from tracker import checks, flags
+from tracker import checks
 from tracker.checks import Asked, ask, ask_as, ask_whether
+from tracker.frame import REFUSED, TRACKED, TRACKS, FrameGiven, FrameTracked, expect, reach_of
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
-from tracker.measure import TRACK_REACH_MM, Reading, measure, measure_again
+from tracker.measure import Reading, frame_light, measure, measure_again
 from tracker.seam.correction import UNSTATED, Correction
-from tracker.seam.expected import expect_seam, pose_checks
-from tracker.seam.gaussian_process import NO_HISTORY, SeamHistory
-from tracker.seam.judge import Judged, judge
-from tracker.seam.steer import AT_ONCE, Lead, Steering
-from tracker.seam.stretches import PastStretches, Stretches
+from tracker.seam.expected import ExpectedSeam, pose_checks
+from tracker.seam.judge import Judged, SeamShown, judge
+from tracker.seam.steer import AT_ONCE, Lead, TorchOffset
 from tracker.state import NAN, NO_SHAPE, Frame, Pose, Track, frame_misfit
 from tracker.stripe.read import Work
-from tracker.stripe.scatter import NO_SCATTER, Scatter
-
-LOST_TO_FORGET = 10
-"""So many frames in a row without a joint, and what was measured before no longer says where to look.
-
-The torch, which comes later, is steered by it all the same.
-"""
-
-LOST_TO_SEARCH = 3
-"""So many frames without a joint widen the search to what it was at first."""
-
-
-class TrackerState(NamedTuple):
-    """What one step hands to the next; it can be saved with a recording.
-
-    Attributes
-    ----------
-    history : SeamHistory
-        The seam from its last jump on.
-    beyond : SeamHistory
-        What has been measured elsewhere since. It becomes the history if it goes on so.
-    behind : PastStretches
-        The latest stretches before, in which the torch may still stand.
-    steering : Steering
-        What the steering remembers.
-    scatter : Scatter
-        What the stripes so far show beyond their photons' noise.
-    jumps : int
-        How many frames had their joint elsewhere, since it was last where it should be.
-    jumped_at : int
-        The number of the frame that began them.
-    lost : int
-        How many frames in a row had no joint.
-    frames : int
-        How many frames were tracked.
-    """
-
-    history: SeamHistory = NO_HISTORY
-    beyond: SeamHistory = NO_HISTORY
-    behind: PastStretches = PastStretches()
-    steering: Steering = Steering()
-    scatter: Scatter = NO_SCATTER
-    jumps: int = 0
-    jumped_at: int = 0
-    lost: int = 0
-    frames: int = 0
-
-    @property
-    def lasting_flags(self) -> int:
-        """The flags of every frame from now on, one that cannot be read as well."""
-        return flags.FOLLOW_STOPPED.mask if self.steering.is_stopped else 0
+from tracker.tracker_state import TrackerState, state_after, stretches_of
 
 
 @dataclass(frozen=True)
@@ -153,28 +101,102 @@ def step_and_reading(
 ) -> tuple[TrackerState, Track, Reading | None]:
     """Return what `step` does and the look at the frame that it rests on, None where it took none."""
     asked = Asked.nothing()
-    if not _is_readable(asked, geometry, frame, pose) or pose is None:
+    if pose is None or not _is_readable(geometry, frame, pose):
+        _ask_frame(asked, geometry, frame, pose)
         return _refused(state, asked, frame)
     frame, pose = _as_compiled_for(frame, pose)
-    source = geometry.seam_source
-    confirmed = state.history if state.lost < LOST_TO_FORGET else NO_HISTORY
-    expected = expect_seam(source, pose.T_base_tool, confirmed)
-    if not pose_checks(asked, source, expected.pose):
+    in_one_call = None if geometry.has_light_effects else TRACKS.get(geometry.setup.joint.type)
+    if in_one_call is not None:
+        tracked: FrameTracked = in_one_call(
+            asked, _given(geometry, state, frame, pose, work, use_arc_map, correction, lead)
+        )
+        if tracked.ends == REFUSED:
+            return _refused(state, asked, frame)
+        if tracked.ends == TRACKED:
+            reading = _reading(asked, tracked)
+            return tracked.state, _track(frame, asked, reading, tracked.shown, tracked.offset), reading
+    return step_by_step(geometry, state, frame, pose, work, use_arc_map, correction, lead)
+
+
+def _given(
+    geometry: SensorGeometry,
+    state: TrackerState,
+    frame: Frame,
+    pose: Pose,
+    work: Work,
+    use_arc_map: bool,
+    correction: Correction,
+    lead: Lead,
+) -> FrameGiven:
+    """Return what a frame is tracked with in one call."""
+    return FrameGiven(
+        geometry.look_source,
+        geometry.stated_joint,
+        correction.numbers,
+        state,
+        frame.image_dn,
+        frame_light(geometry.setup, frame),
+        pose.T_base_tool,
+        bool(pose.extrapolated),
+        float(frame.timestamp_s),
+        lead,
+        work,
+        use_arc_map,
+    )
+
+
+def _reading(asked: Asked, tracked: FrameTracked) -> Reading:
+    """Return the look that a frame which was tracked in one call rests on."""
+    return Reading(
+        asked,
+        tracked.scene,
+        tracked.seam,
+        tracked.reach_mm,
+        tracked.arc,
+        tracked.stripe if tracked.stripe.position_px.size else None,
+        tracked.joint if tracked.joint.is_determined else None,
+        tracked.fov_margin_mm,
+        tracked.state.scatter,
+    )
+
+
+def step_by_step(
+    geometry: SensorGeometry,
+    state: TrackerState,
+    frame: Frame,
+    pose: Pose,
+    work: Work,
+    use_arc_map: bool,
+    correction: Correction,
+    lead: Lead,
+) -> tuple[TrackerState, Track, Reading | None]:
+    """Take a step by its pieces: a search, and what no one call serves."""
+    asked, source = Asked.nothing(), geometry.look_source
+    _ask_frame(asked, geometry, frame, pose)
+    expected: ExpectedSeam = expect(source, state, pose.T_base_tool)
+    if not pose_checks(asked, source.seam, expected.pose):
         return _refused(state, asked, frame)
-    seam, scene = expected.line, expected.scene
-    reach_mm = min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * max(expected.sigma_mm))
-    if state.lost >= LOST_TO_SEARCH:
-        reach_mm = SEARCH_REACH_MM
-    reading = measure(geometry, frame, pose, seam, reach_mm, work, use_arc_map, state.scatter)
+    reach_mm: float = reach_of(state, expected)
+    reading = measure(geometry, frame, pose, expected.line, reach_mm, work, use_arc_map, state.scatter)
     if not ask(asked, checks.REACH, reach_mm, SEARCH_REACH_MM):
-        reading = measure_again(geometry, frame, pose, scene, seam, reading, work, use_arc_map, state.scatter)
+        reading = measure_again(
+            geometry,
+            frame,
+            pose,
+            expected.scene,
+            expected.line,
+            reading,
+            work,
+            use_arc_map,
+            state.scatter,
+        )
     ask_as(asked, reading.asked)
     joint, unknown = reading.joint, (NAN, NAN)
-    judged = judge(
+    judged: Judged = judge(
         asked,
-        source,
+        source.seam,
         correction.numbers,
-        Stretches(state.history, state.beyond, state.behind, state.jumps, state.jumped_at, state.lost),
+        stretches_of(state),
         state.steering,
         state.frames + 1,
         expected,
@@ -185,20 +207,8 @@ def step_and_reading(
         float(frame.timestamp_s),
         lead,
     )
-    stretches = judged.stretches
-    track = _track(frame, asked, reading, judged)
-    state = TrackerState(
-        stretches.history,
-        stretches.beyond,
-        stretches.behind,
-        judged.steering,
-        reading.scatter,
-        stretches.jumps,
-        stretches.jumped_at,
-        stretches.lost,
-        state.frames + 1,
-    )
-    return state, track, reading
+    track = _track(frame, asked, reading, judged.shown, judged.offset)
+    return state_after(state, judged.stretches, judged.steering, reading.scatter), track, reading
 
 
 def _refused(state: TrackerState, asked: Asked, frame: Frame) -> tuple[TrackerState, Track, None]:
@@ -217,21 +227,26 @@ def _as_compiled_for(frame: Frame, pose: Pose) -> tuple[Frame, Pose]:
     return frame, pose if T_base_tool is pose.T_base_tool else replace(pose, T_base_tool=T_base_tool)
 
 
-def _is_readable(asked: Asked, geometry: SensorGeometry, frame: Frame, pose: Pose | None) -> bool:
+def _is_readable(geometry: SensorGeometry, frame: Frame, pose: Pose) -> bool:
+    """Say whether a frame and a pose have their form."""
+    image_dn = frame.image_dn
+    return pose.T_base_tool.shape == (4, 4) and (image_dn.shape, image_dn.dtype) == geometry.frame_form
+
+
+def _ask_frame(asked: Asked, geometry: SensorGeometry, frame: Frame, pose: Pose | None) -> None:
     """Ask whether a frame has its form and a pose, and whether the pose has its own."""
     fits = frame_misfit(frame.image_dn.shape, frame.image_dn.dtype, geometry.setup) is None
-    if not ask_whether(asked, checks.FRAME_FORMAT, fits) or not ask_whether(
+    is_known = ask_whether(asked, checks.FRAME_FORMAT, fits) and ask_whether(
         asked, checks.POSE_KNOWN, pose is not None
-    ):
-        return False
-    assert pose is not None
-    ask_whether(asked, checks.POSE_BRACKETED, not pose.extrapolated)
-    return pose.T_base_tool.shape == (4, 4) or ask_whether(asked, checks.POSE_RIGID, False)
+    )
+    if is_known and pose is not None:
+        ask_whether(asked, checks.POSE_BRACKETED, not pose.extrapolated)
+        if pose.T_base_tool.shape != (4, 4):
+            ask_whether(asked, checks.POSE_RIGID, False)
 
 
-def _track(frame: Frame, asked: Asked, reading: Reading, judged: Judged) -> Track:
+def _track(frame: Frame, asked: Asked, reading: Reading, shown: SeamShown, offset: TorchOffset) -> Track:
     """Return what a step says of a frame that it looked at."""
-    shown, offset = judged.shown, judged.offset
     joint = reading.joint if shown.is_shown else None
     return Track(
         frame.index,

@@ -11,8 +11,9 @@ from tracker.measure import Reading
 from tracker.seam.correction import UNSTATED, Correction
 from tracker.seam.steer import AT_ONCE, Lead
 from tracker.state import Frame, Pose, Track, frame_misfit
-from tracker.step import TrackerState, step_and_reading
+from tracker.step import step_and_reading
 from tracker.stripe.read import Work
+from tracker.tracker_state import TrackerState
 from tracker.warm_up import OnCompiled, WarmUp, warm_up
 
 

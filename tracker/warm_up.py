@@ -23,9 +23,10 @@ from tracker.geometry import SensorGeometry
 from tracker.seam.correction import Correction
 from tracker.seam.stretches import JUMPS_TO_RELEARN
 from tracker.state import Frame, Pose
-from tracker.step import LOST_TO_SEARCH, TrackerState, step
+from tracker.step import step
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import Work
+from tracker.tracker_state import LOST_TO_SEARCH, TrackerState
 
 STRIPE_OVER_FULL_WELL = 0.3
 """How bright the made-up stripe is."""

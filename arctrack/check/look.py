@@ -20,9 +20,10 @@ from tracker.geometry import SensorGeometry
 from tracker.measure import Reading
 from tracker.seam.locate import locate
 from tracker.state import Frame, Pose, Track
-from tracker.step import TrackerState, step_and_reading
+from tracker.step import step_and_reading
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import Work
+from tracker.tracker_state import TrackerState
 
 MIN_LINE_SHARE = 0.5
 """A frame whose line is in fewer of the scan lines shows none."""

@@ -13,8 +13,8 @@ from noise_model.condition import Condition
 from noise_model.forward import draw_frame
 from noise_model.surface.joint import seam_frame
 from tracker.state import Frame, Pose
-from tracker.step import TrackerState
 from tracker.tracker import Tracker
+from tracker.tracker_state import TrackerState
 
 FRAMES = 8
 SPACING_MM = 1.0

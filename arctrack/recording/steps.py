@@ -26,8 +26,9 @@ from tracker.seam.joint_ends import Change, JointEnds
 from tracker.seam.steer import Lead, Steering
 from tracker.seam.stretches import PastStretches
 from tracker.state import NAN, Pose
-from tracker.step import StepInputs, TrackerState
+from tracker.step import StepInputs
 from tracker.stripe.scatter import FrameScatter, Scatter
+from tracker.tracker_state import TrackerState
 
 STEPS_CSV, STATE_JSON = "steps.csv", "state.json"
 FORMAT = "arctrack-tracker-state/1"

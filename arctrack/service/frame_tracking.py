@@ -14,8 +14,9 @@ from tracker.seam.correction import UNSTATED, Correction
 from tracker.seam.innovation import SeamMeasured
 from tracker.seam.steer import Lead
 from tracker.state import Frame, Pose, Track
-from tracker.step import StepInputs, TrackerState
+from tracker.step import StepInputs
 from tracker.tracker import Tracker
+from tracker.tracker_state import TrackerState
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,12 @@ from profiles import measure
 
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint, section
+from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint import FITS, fit_joint
 from tracker.joint.groove import PRIOR_SIGMA, beside_unseen
 from tracker.joint.measured import in_scan_order, points_of
 from tracker.joint.root import mixture_of, prior_of
-from tracker.joint.section import StatedJoint, section_from
+from tracker.joint.section import section_from
 from tracker.profile import MIN_POINTS, Profile
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))

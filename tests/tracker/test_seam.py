@@ -28,8 +28,9 @@ from tracker.seam.locate import (
     seam_point_tool,
 )
 from tracker.state import Frame, Pose
-from tracker.step import TrackerState, step
+from tracker.step import step
 from tracker.stripe.read import Work
+from tracker.tracker_state import TrackerState
 
 SEAM = SeamLine(20.0, 1.2, -0.6, 0.03, -0.02)
 

@@ -22,9 +22,10 @@ from noise_model.surface.joint import NOMINAL_SEAM, SeamLine, section
 from tracker import flags
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose, Track
-from tracker.step import TrackerState, step, step_and_reading
+from tracker.step import step, step_and_reading
 from tracker.stripe.read import Work
 from tracker.tracker import Tracker
+from tracker.tracker_state import TrackerState
 
 JOINTS = ("v_groove", "lap", "corrugation")
 SHARED = Path(__file__).parents[3] / "shared" / "recordings"

@@ -17,7 +17,7 @@ from noise_model.arc.scene import make_scene
 from noise_model.arrays import Bool, Float64, Int64
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
-from tracker.measure import TRACK_REACH_MM
+from tracker.geometry import TRACK_REACH_MM
 from tracker.state import Frame
 from tracker.stripe.expected import expect_stripe
 from tracker.stripe.line_fit.lines import LineFits

@@ -12,6 +12,7 @@ import numpy as np
 
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
+from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.complete import completed
 from tracker.joint.fillet import fit_fillet
 from tracker.joint.groove import fit_groove
@@ -19,7 +20,7 @@ from tracker.joint.half_v import fit_half_v
 from tracker.joint.image_line import ImageLine
 from tracker.joint.lap import fit_lap
 from tracker.joint.measured import MeasuredJoint
-from tracker.joint.section import Section, StatedJoint, is_long_enough, section_from
+from tracker.joint.section import Section, is_long_enough, section_from
 from tracker.joint.slot import fit_closed_slot, fit_slot
 from tracker.profile import Profile
 

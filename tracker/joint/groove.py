@@ -9,6 +9,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
+from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.complete import completed
 from tracker.joint.measured import (
     LEFT_OUT,
@@ -24,7 +25,7 @@ from tracker.joint.measured import (
     undetermined,
 )
 from tracker.joint.root import weigh_root
-from tracker.joint.section import Section, StatedJoint, is_long_enough
+from tracker.joint.section import Section, is_long_enough
 from tracker.joint.section_shapes import GROOVE, N_CORNERS, ROUND_GROOVE, corners_of
 from tracker.state import JointShape
 

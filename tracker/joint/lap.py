@@ -10,6 +10,7 @@ import numpy as np
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from noise_model.median import exact_median, median_of, numbers_for
+from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.complete import completed
 from tracker.joint.measured import (
     OFF_SIGMAS,
@@ -25,7 +26,7 @@ from tracker.joint.measured import (
     two_angles,
     undetermined,
 )
-from tracker.joint.section import Section, StatedJoint, is_long_enough
+from tracker.joint.section import Section, is_long_enough
 from tracker.joint.section_fit import MIN_ALONG_MM
 from tracker.joint.section_shapes import N_CORNERS, SHEETS, corners_of
 from tracker.joint.upright_edge import (

@@ -1,16 +1,13 @@
-"""What the joints' kernels take: a profile as a record of arrays, and the stated joint as one of numbers."""
+"""A profile as the joints' kernels take it: its points, and what they were read from."""
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from noise_model.arrays import Float64
 from noise_model.kernel import kernel
-from noise_model.surface.joint import Joint
-from noise_model.surface.joint import section as drawn
 from tracker.joint.measured import SectionPoints, points_of
 from tracker.joint.upright_edge import light_of
 from tracker.profile import MIN_POINTS, Profile
@@ -55,33 +52,3 @@ def is_long_enough(section: Section) -> bool:
     """Say whether a section has as many points as a joint needs."""
     is_long: bool = section.points.y_mm.shape[0] >= MIN_POINTS
     return is_long
-
-
-class StatedJoint(NamedTuple):
-    """What a setup states of its joint, NaN where its type has none of it.
-
-    `corners_mm` (n, 2) are those of its section, its seam point at y = 0. `tan` is that of a bevel's angle
-    from upright, or of half the angle between a fillet's plates; `gap_mm` is a groove's at its root;
-    `radius_mm` that of a U's roundings.
-    """
-
-    corners_mm: Float64
-    gap_mm: float
-    depth_mm: float
-    thickness_mm: float
-    tan: float
-    radius_mm: float
-
-    @classmethod
-    def of(cls, joint: Joint) -> StatedJoint:
-        """Return a joint as it is stated."""
-        size = joint.dimensions
-        angle_deg = size.get("bevel_angle_deg", 0.5 * size.get("included_angle_deg", math.nan))
-        return cls(
-            drawn(joint).vertices,
-            float(size.get("root_gap_mm", size.get("gap_mm", math.nan))),
-            float(size.get("depth_mm", math.nan)),
-            float(size.get("thickness_mm", math.nan)),
-            math.tan(math.radians(angle_deg)),
-            float(size.get("root_radius_mm", math.nan)),
-        )

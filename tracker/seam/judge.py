@@ -34,6 +34,12 @@ class SeamShown(NamedTuple):
     confidence: float
 
 
+@kernel
+def no_seam() -> SeamShown:
+    """Return what a frame without a seam shows."""
+    return SeamShown(False, (math.nan, math.nan, math.nan), math.nan, math.nan, math.nan)
+
+
 class Judged(NamedTuple):
     """What is remembered and handed on, the seam that is shown, and the offset at the torch."""
 
@@ -63,7 +69,7 @@ def judge(
 
     `variance_mm2` are those of the joint's y and z; `has_stripe` says whether the frame shows a stripe.
     """
-    shown = SeamShown(False, (math.nan, math.nan, math.nan), math.nan, math.nan, math.nan)
+    shown = no_seam()
     stretches = Stretches(
         before.history,
         before.beyond,

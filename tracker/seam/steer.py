@@ -146,6 +146,13 @@ class TorchOffset(NamedTuple):
     joint_end_mm: Pair
 
 
+@kernel
+def no_offset() -> TorchOffset:
+    """Return the offset of a frame that says nothing of the torch."""
+    unknown = math.nan, math.nan
+    return TorchOffset(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, unknown, unknown)
+
+
 @kernel(allocates=True)
 def steer(
     asked: Asked,

@@ -41,7 +41,7 @@ from robot_io import (
 from tracker.seam.steer import AT_ONCE, Lead
 from tracker.seam.stretches import PastStretches
 from tracker.state import Track
-from tracker.step import TrackerState as SteppedState
+from tracker.tracker_state import TrackerState as SteppedState
 
 RUN = "black-box"
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "v_groove"

@@ -11,7 +11,8 @@ from arctrack.journal.records import Entry, GapReport, HeardPose, View, pack
 from arctrack.journal.ring import RingError, RingWriter
 from robot_io import PoseKind, PoseSample
 from tracker.state import Frame, Pose, Track
-from tracker.step import StepInputs, TrackerState
+from tracker.step import StepInputs
+from tracker.tracker_state import TrackerState
 
 SHAPE = (6, 8)
 

@@ -1,0 +1,39 @@
+"""What a setup states of its joint, as the kernels take it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from noise_model.arrays import Float64
+from noise_model.surface.joint import Joint, section
+
+
+class StatedJoint(NamedTuple):
+    """What a setup states of its joint, NaN where its type has none of it.
+
+    `corners_mm` (n, 2) are those of its section, its seam point at y = 0. `tan` is that of a bevel's angle
+    from upright, or of half the angle between a fillet's plates; `gap_mm` is a groove's at its root;
+    `radius_mm` that of a U's roundings.
+    """
+
+    corners_mm: Float64
+    gap_mm: float
+    depth_mm: float
+    thickness_mm: float
+    tan: float
+    radius_mm: float
+
+    @classmethod
+    def of(cls, joint: Joint) -> StatedJoint:
+        """Return a joint as it is stated."""
+        size = joint.dimensions
+        angle_deg = size.get("bevel_angle_deg", 0.5 * size.get("included_angle_deg", math.nan))
+        return cls(
+            section(joint).vertices,
+            float(size.get("root_gap_mm", size.get("gap_mm", math.nan))),
+            float(size.get("depth_mm", math.nan)),
+            float(size.get("thickness_mm", math.nan)),
+            math.tan(math.radians(angle_deg)),
+            float(size.get("root_radius_mm", math.nan)),
+        )

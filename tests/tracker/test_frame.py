@@ -1,0 +1,119 @@
+"""A frame that is tracked in one call against the same step by its pieces: the same numbers, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from rendered import frame_of, pose_at, small_setup
+
+from noise_model.setup import Setup
+from noise_model.surface.joint import SeamLine
+from tracker import flags
+from tracker.frame import TRACKED, TRACKS, FrameTracked
+from tracker.geometry import SensorGeometry
+from tracker.seam.correction import AxisCorrection, Correction
+from tracker.seam.steer import AT_ONCE, Lead
+from tracker.state import Frame, Pose, Track
+from tracker.step import step_and_reading, step_by_step
+from tracker.stripe.read import Work
+from tracker.tracker_state import TrackerState
+
+SEAM = SeamLine(0.0, 0.6, -0.3, 0.01, 0.002)
+CORRECTIONS = {
+    "unstated": Correction(),
+    "held": Correction(when_lost="hold", ends_mm=10.0, y=AxisCorrection(gain=0.8, limit_mm=0.5)),
+    "stops": Correction(when_lost="stop", corrugation="followed", z=AxisCorrection(enable=False)),
+}
+
+
+def frames(setup: Setup) -> Iterator[tuple[Frame, Pose]]:
+    """A walk along a seam during which much goes wrong, never so long that it is searched anew."""
+    rng = np.random.default_rng(0)
+    for n in range(26):
+        pose, light = pose_at(2.0 * n, 0.2 * np.sin(n)), {}
+        seam = SEAM if n < 18 else SEAM._replace(y_mm=1.4)
+        if n == 6:
+            light = {"laser": 0.0}
+        if n == 8:
+            light = {"arc": 0.0}
+        if n == 10:
+            light = {"laser": 30.0}
+        frame = frame_of(setup, pose, seam, index=n, **light)
+        if n == 12:
+            frame = replace(frame, image_dn=rng.integers(0, 60, frame.image_dn.shape).astype(np.uint8))
+        if n == 14:
+            bright = np.where(rng.random(frame.image_dn.shape) < 0.02, 255, frame.image_dn)
+            frame = replace(frame, image_dn=bright.astype(np.uint8))
+        if n == 15:
+            pose = replace(pose, extrapolated=True)
+        if n == 16:
+            frame = replace(frame, laser_on=False)
+        yield frame, pose
+
+
+def numbers(value: object) -> Iterator[object]:
+    """All numbers and arrays of a track or a state, in their order."""
+    if isinstance(value, Track):
+        for field in fields(value):
+            if field.name != "checks":
+                yield from numbers(getattr(value, field.name))
+        for check in value.checks:
+            yield from (check.question.id, check.value, check.limit, check.flag.bit)
+    elif isinstance(value, tuple):
+        yield from (number for part in value for number in numbers(part))
+    else:
+        yield value
+
+
+@pytest.mark.parametrize("correction", list(CORRECTIONS))
+@pytest.mark.parametrize("name", ["v_groove", "u_groove", "lap", "corrugation"])
+def test_a_frame_in_one_call_is_the_step_by_its_pieces(name: str, correction: str) -> None:
+    setup = small_setup(name)
+    geometry, follow = SensorGeometry.of(setup), CORRECTIONS[correction]
+    state, works, in_one_call = TrackerState(), (Work.of(geometry), Work.of(geometry)), 0
+    raised = 0
+    for n, (frame, pose) in enumerate(frames(setup)):
+        lead = AT_ONCE if n % 2 else Lead(0.02, 0.4)
+        given = geometry, state, frame, pose
+        after, track, reading = step_and_reading(*given, works[0], True, follow, lead)
+        twin, twins_track, twins_reading = step_by_step(*given, works[1], True, follow, lead)
+        for told, want in zip(numbers((track, after)), numbers((twins_track, twin)), strict=True):
+            np.testing.assert_array_equal(told, want)
+        assert (reading is None) == (twins_reading is None)
+        if reading is not None and twins_reading is not None:
+            assert (reading.joint is None) == (twins_reading.joint is None)
+        in_one_call += reading is not None and reading.reach_mm < 5.0
+        raised |= track.flags
+        state = after
+    assert in_one_call > 12
+    for flag in (flags.LASER_OFF, flags.ARC_OFF, flags.STRIPE_LOST, flags.POSE_EXTRAPOLATED, flags.SATURATED):
+        assert raised & flag.mask, flag.name
+
+
+def test_what_one_call_cannot_track_is_handed_back() -> None:
+    """A search, and a pose from which no seam is seen."""
+    setup = small_setup("v_groove")
+    geometry, seen = SensorGeometry.of(setup), []
+    called = TRACKS["v_groove"]
+
+    def heard(*args: object) -> FrameTracked:
+        tracked: FrameTracked = called(*args)  # type: ignore[arg-type]
+        seen.append(tracked.ends)
+        return tracked
+
+    frame, pose = frame_of(setup, pose_at(0.0), SEAM), pose_at(0.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(TRACKS, "v_groove", heard)  # type: ignore[arg-type]
+        state, track, _ = step_and_reading(geometry, TrackerState(), frame, pose, Work.of(geometry))
+        assert track.valid
+        for _ in range(2):
+            state, track, _ = step_and_reading(geometry, state, frame, pose, Work.of(geometry))
+        far = replace(pose, T_base_tool=pose.T_base_tool @ np.diag([1.0, -1.0, -1.0, 1.0]))
+        _, refused, reading = step_and_reading(geometry, state, frame, far, Work.of(geometry))
+    assert seen[-2] == TRACKED
+    assert seen[0] != TRACKED != seen[-1]
+    assert refused.flags & flags.INVALIDATING
+    assert reading is None
