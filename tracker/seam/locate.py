@@ -122,13 +122,11 @@ def seam_displacement(setup: Setup, T_joint_tool: Float64, seam_tool: Float64) -
 def confidence(weld_mm: float, sigma_y_mm: float, sigma_z_mm: float) -> float:
     """Return the probability that errors of these 1 sigmas, mm, both stay within the weld's tolerance, mm.
 
-    A sigma that is NaN is asked nothing; NaN if both are.
+    NaN where either is NaN.
     """
-    if math.isnan(sigma_y_mm) and math.isnan(sigma_z_mm):
-        return math.nan
     within, probability = weld_mm / math.sqrt(2.0), 1.0
     for sigma in (sigma_y_mm, sigma_z_mm):
-        if sigma > 0.0:
+        if sigma != 0.0:
             probability *= math.erf(within / sigma)
     return probability
 
