@@ -197,12 +197,23 @@ def steer(
         z_mm,
         sigma_y_mm,
         sigma_z_mm,
-        confidence(weld_mm, math.sqrt(sigma_y_mm**2 + hand_eye_y), math.sqrt(sigma_z_mm**2 + hand_eye_z)),
+        _confidence(weld_mm, sigma_y_mm**2 + hand_eye_y, sigma_z_mm**2 + hand_eye_z),
         math.nan if math.isnan(y_mm) and math.isnan(z_mm) else timestamp_s + lead.time_s,
         _where(ends.start),
         _where(ends.end),
     )
     return Steering(ends, sent.is_stopped, steering.hand_eye_variance_mm2), offset
+
+
+@kernel
+def _confidence(weld_mm: float, variance_y_mm2: float, variance_z_mm2: float) -> float:
+    """Return the probability that the offsets that are known are right within the tolerance, NaN for none."""
+    knows_y, knows_z = math.isfinite(variance_y_mm2), math.isfinite(variance_z_mm2)
+    if not (knows_y or knows_z):
+        return math.nan
+    sigma_y_mm = math.sqrt(variance_y_mm2) if knows_y else 0.0
+    sigma_z_mm = math.sqrt(variance_z_mm2) if knows_z else 0.0
+    return confidence(weld_mm, sigma_y_mm, sigma_z_mm)
 
 
 @kernel
