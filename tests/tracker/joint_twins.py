@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.surface.joint import Joint, section
+from tracker.joint import half_v
+from tracker.joint.fillet import (
+    BESIDE_MM,
+    MAX_TURNED_SIGMAS,
+    PLATE_SIGMA_DEG,
+    SEARCH_LIMIT_MM,
+)
+from tracker.joint.fillet import MIN_POINTS as MIN_ON_PLATE
+from tracker.joint.fillet import SEARCH_STEP_MM as CORNER_STEP_MM
 from tracker.joint.groove import (
     END_SHARE,
     GAP,
@@ -25,6 +35,7 @@ from tracker.joint.measured import (
     START_SIGMA_MM,
     SURE_MM,
     SURE_SIGMAS,
+    OnFace,
     ShapeFit,
     fit_points,
     points_of,
@@ -32,7 +43,13 @@ from tracker.joint.measured import (
 )
 from tracker.joint.root import CELLS_MM, CLOSED_AS_STATED, GAPS, NARROW_MM
 from tracker.joint.section_fit import tukey_loss
-from tracker.joint.section_shapes import GROOVE, ROUND_GROOVE
+from tracker.joint.section_shapes import CORNER, GROOVE, HALF_GROOVE, ROUND_GROOVE
+from tracker.joint.upright_edge import (
+    hidden_strip,
+    light_of,
+    neighbours_of_edge,
+    upright_edge,
+)
 from tracker.profile import Profile
 
 
@@ -152,3 +169,100 @@ def seen_of(y_mm: Float64, fit: ShapeFit, half_mouth_mm: float) -> tuple[float, 
     masks = right, left, right & amid, left & amid
     a, b, c, d = (float(weights[mask].sum()) for mask in masks)
     return a, b, c, d, float(left_out)
+
+
+class HalfV(NamedTuple):
+    """A half V as it was fitted: its faces, where its upright side is, and the share of points left out."""
+
+    fit: ShapeFit
+    wall_mm: float
+    left_out: float
+
+
+def fitted_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> HalfV | None:
+    """The half V that a profile shows, None where too little of it lies beside its upright side."""
+    size, sigma, y_mm = joint.dimensions, half_v.PRIOR_SIGMA, profile.y_mm
+    depth, gap = size["depth_mm"], size["root_gap_mm"]
+    corners = section(joint).vertices + np.array([0.0, depth])
+    y_0, z_0 = shift_of(
+        y_mm, profile.z_mm, profile.reach_mm, corners, 0.0, half_v.SEARCH_STEP_MM, 0.25 * depth
+    )
+    tan = math.tan(math.radians(size["bevel_angle_deg"]))
+    start = np.array([gap, z_0, tan, depth, depth, 0.0, 0.0, y_0 - 0.5 * gap])
+    fit = fit_of(profile, HALF_GROOVE, start, sigma, np.abs(y_mm - start[-1]) > half_v.CLEAR_OF_EDGE_MM)
+    if fit is None:
+        return None
+    lines, wall_mm = profile.by_scan(), float(start[-1])
+    before, behind = beside_the_upright(lines, fit, wall_mm)
+    if before < 0:
+        return None
+    hidden = hidden_strip((camera_mm, laser_mm), wall_mm, z_0 + depth, depth, profile.slope_sigma)
+    met = met_by_rays(lines, fit, wall_mm, before)
+    edge = upright_edge(lines.scan, lines.column_mm, light_of(lines), before, behind, hidden, met)
+    start[-1] = wall_mm = edge.y_mm
+    clear = (y_mm <= lines.y_mm[before]) | (y_mm >= lines.y_mm[behind] + profile.mixed_mm)
+    fit = fit_of(profile, HALF_GROOVE, start, sigma, clear)
+    if fit is None:
+        return None
+    p = fit.parameters
+    foot_mm, mouth_mm = wall_mm + max(p[half_v.GAP], 0.0), wall_mm + p[half_v.GAP] + p[3] * p[half_v.TAN]
+    inside = (y_mm > wall_mm) & (y_mm < mouth_mm)
+    if fit.weights[(y_mm > foot_mm) & (y_mm < mouth_mm)].sum() >= half_v.MIN_POINTS:
+        away = clear & (np.abs(y_mm - 0.5 * (wall_mm + foot_mm)) >= profile.mixed_mm)
+        fit = weighed_root(profile, HALF_GROOVE, away, start, sigma, half_v.GAP, fit)
+    else:
+        sure_mm = wall_mm + max(gap - SURE_SIGMAS * sigma[half_v.GAP], 0.0)
+        clear &= (y_mm < sure_mm) | (y_mm > mouth_mm + SURE_MM)
+        fit = fit_of(profile, HALF_GROOVE, start, sigma, clear)
+    if fit is None or fit.weights[inside].sum() < half_v.MIN_POINTS:
+        return None
+    return HalfV(fit, wall_mm, left_out_of(fit, clear & inside))
+
+
+def beside_the_upright(profile: Profile, fit: ShapeFit, wall_mm: float) -> tuple[int, int]:
+    """The last point of the right plate and the first in the groove beside an upright side, or -1."""
+    gap, root, tan, _, depth, _, slope = fit.parameters
+    y = profile.y_mm - wall_mm
+    over_plate = profile.z_mm - (root + depth + slope * y)
+    over_groove = profile.z_mm - (root + np.maximum(y - gap, 0.0) / tan)
+    sigma_mm = half_v.ON_FACE_SIGMAS * np.abs(profile.dz_mm) * profile.sigma_px
+    limit_mm = np.minimum(0.25 * depth, np.hypot(half_v.BENT_MM, sigma_mm))
+    near = np.abs(y) < 5.0 * half_v.CLEAR_OF_EDGE_MM
+    beside: tuple[int, int] = neighbours_of_edge(
+        near & (np.abs(over_plate) < limit_mm), near & (np.abs(over_groove) < limit_mm)
+    )
+    return beside
+
+
+def met_by_rays(profile: Profile, fit: ShapeFit, wall_mm: float, before: int) -> OnFace:
+    """Where points' rays meet the right plate, up to the point `before` the upright, or the groove."""
+    gap, root, tan, _, depth, _, slope_right = fit.parameters
+    y = profile.y_mm - wall_mm
+    is_plate = np.arange(len(y)) <= before
+    height_mm = root + np.where(is_plate, depth + slope_right * y, np.maximum(y - gap, 0.0) / tan)
+    slope = np.where(is_plate, slope_right, np.where(y > gap, 1.0 / tan, 0.0))
+    y_per_z = profile.dy_mm / (profile.dz_mm - slope * profile.dy_mm)
+    return OnFace(profile.y_mm - y_per_z * (profile.z_mm - height_mm), y_per_z)
+
+
+def left_out_of(fit: ShapeFit, near: Bool) -> float:
+    """The share of the points near a joint that weigh next to nothing; 1 without any."""
+    return float(np.mean(fit.weights[near] < LEFT_OUT)) if near.any() else 1.0
+
+
+def fitted_fillet(profile: Profile, joint: Joint) -> tuple[ShapeFit, float] | None:
+    """The corner that a profile shows and the share of points left out; None without both plates."""
+    corners, y_mm = section(joint).vertices, profile.y_mm
+    y_0, z_0 = shift_of(y_mm, profile.z_mm, profile.reach_mm, corners, 0.0, CORNER_STEP_MM, SEARCH_LIMIT_MM)
+    slope = 1.0 / math.tan(math.radians(joint.dimensions["included_angle_deg"] / 2.0))
+    plate_sigma = math.radians(PLATE_SIGMA_DEG) * (1.0 + slope**2)
+    start = np.array([y_0, z_0, slope, -slope])
+    fit = fit_of(profile, CORNER, start, np.array([5.0, 5.0, plate_sigma, plate_sigma]))
+    if fit is None:
+        return None
+    on_left = y_mm > fit.parameters[0]
+    turned = np.abs(fit.parameters[2:] - start[2:]).max() / plate_sigma
+    least = min(fit.weights[on_left].sum(), fit.weights[~on_left].sum())
+    if turned > MAX_TURNED_SIGMAS or least < MIN_ON_PLATE:
+        return None
+    return fit, left_out_of(fit, np.abs(y_mm - fit.parameters[0]) < BESIDE_MM)

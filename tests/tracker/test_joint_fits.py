@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_twins import fitted_groove, root_prior
+from joint_twins import fitted_fillet, fitted_groove, fitted_half_v, root_prior
 from profiles import measure
 
 from noise_model.arrays import Float64
@@ -82,6 +82,46 @@ def test_a_groove_is_its_twin(joint: Joint) -> None:
     assert determined > 20
 
 
+def a_half_v(gap_mm: float) -> Joint:
+    return Joint("half_v", {"bevel_angle_deg": 45.0, "depth_mm": 4.0, "root_gap_mm": gap_mm}, LINE)
+
+
+@pytest.mark.parametrize("joint", [a_half_v(0.0), a_half_v(0.3), a_half_v(1.5)], ids=str)
+def test_a_half_v_is_its_twin(joint: Joint) -> None:
+    determined = 0
+    for seed in range(40):
+        profile = some_profile(joint, seed)
+        found = fit_joint(profile, joint, CAMERA_MM, LASER_MM)
+        twin = fitted_half_v(profile, joint, CAMERA_MM, LASER_MM)
+        assert (found is None) == (twin is None), seed
+        if found is None or twin is None:
+            continue
+        determined += 1
+        gap, root = twin.fit.parameters[:2]
+        np.testing.assert_allclose([found.y_mm, found.z_mm], [twin.wall_mm + 0.5 * gap, root], atol=1e-9)
+        assert found.gap_mm == pytest.approx(max(gap, 0.0), abs=1e-9)
+        assert found.chi2 == pytest.approx(twin.fit.chi2, rel=1e-9)
+        assert found.unexplained == pytest.approx(twin.left_out)
+    assert determined > 20
+
+
+@pytest.mark.parametrize("angle_deg", [70.0, 120.0, 270.0])
+def test_a_fillet_is_its_twin(angle_deg: float) -> None:
+    joint, determined = Joint("fillet", {"included_angle_deg": angle_deg}, LINE), 0
+    for seed in range(40):
+        profile = some_profile(joint, seed)
+        found, twin = fit_joint(profile, joint), fitted_fillet(profile, joint)
+        assert (found is None) == (twin is None), seed
+        if found is None or twin is None:
+            continue
+        determined += 1
+        fit, left_out = twin
+        np.testing.assert_allclose([found.y_mm, found.z_mm], fit.parameters[:2], atol=1e-9)
+        assert found.chi2 == pytest.approx(fit.chi2, rel=1e-9)
+        assert found.unexplained == pytest.approx(left_out)
+    assert determined > 20
+
+
 @pytest.mark.parametrize("stated_mm", [0.0, 0.1, 0.6])
 def test_the_prior_of_a_root_is_its_twin(stated_mm: float) -> None:
     np.testing.assert_allclose(prior_of(stated_mm, 0.3), root_prior(stated_mm, 0.3), rtol=1e-12, atol=1e-15)
@@ -126,7 +166,9 @@ def test_points_are_put_in_order_as_a_profile_is(rises: bool) -> None:
         np.testing.assert_array_equal(values, getattr(twin, name), err_msg=name)
 
 
-@pytest.mark.parametrize("joint", [a_v(1.0), A_U, Joint("lap", {"thickness_mm": 2.0}, LINE)], ids=str)
+@pytest.mark.parametrize(
+    "joint", [a_v(1.0), A_U, a_half_v(1.0), Joint("lap", {"thickness_mm": 2.0}, LINE)], ids=str
+)
 def test_too_few_points_determine_no_joint(joint: Joint) -> None:
     profile, n = some_profile(joint, 0), MIN_POINTS - 1
     names = ("y_mm", "z_mm", "dy_mm", "dz_mm", "sigma_px", "scan", "beside_px")

@@ -13,9 +13,10 @@ from scipy.special import ndtr
 
 from noise_model.arc.map import CELL
 from noise_model.arrays import Float64
-from tracker.joint.measured import meet_face
+from tracker.joint.measured import OnFace, meet_face, points_of
 from tracker.joint.plate_lines import HIDDEN, UNREAD, OnPlates, PlateLines
-from tracker.joint.upright_edge import Edge, HiddenStrip, edge_between, edge_covariance
+from tracker.joint.upright_edge import Edge, HiddenStrip, edge_covariance, upright_edge
+from tracker.joint.upright_edge import light_of as light_at_hand
 from tracker.profile import Profile
 from tracker.stripe.edge import (
     BEYOND,
@@ -311,7 +312,15 @@ def edge_of(profile: Profile, before: int, behind: int, hidden_mm: float) -> Edg
     """The edge between two points of a profile whose faces lie at z = 0."""
     n = len(profile.y_mm)
     strip = HiddenStrip(hidden_mm, 0.0)
-    return edge_between(profile, before, behind, strip, meet_face(profile, np.zeros(n), 0.0))
+    face = meet_face(points_of(profile), np.zeros(n), np.zeros(n))
+    return edge_amid(profile, before, behind, strip, face)
+
+
+def edge_amid(profile: Profile, before: int, behind: int, hidden: HiddenStrip, face: OnFace) -> Edge:
+    edge: Edge = upright_edge(
+        profile.scan, profile.column_mm, light_at_hand(profile), before, behind, hidden, face
+    )
+    return edge
 
 
 def test_an_edge_seen_from_beside_does_not_scatter_with_its_neighbours_centres() -> None:
@@ -331,8 +340,8 @@ def test_an_edge_seen_from_beside_does_not_scatter_with_its_neighbours_centres()
     assert seen.variance_mm2 == pytest.approx(expected.variance_mm2)
     assert seen.y_per_z == pytest.approx(1.5)
     # A face that is believed 0.1 mm higher than it is moves the edge by that much of 0.1 mm.
-    face = meet_face(beside, np.full(N_SCAN, 0.1), 0.0)
-    higher = edge_between(beside, EDGE, EDGE + 2, HiddenStrip(0.0, 0.0), face)
+    face = meet_face(points_of(beside), np.full(N_SCAN, 0.1), np.zeros(N_SCAN))
+    higher = edge_amid(beside, EDGE, EDGE + 2, HiddenStrip(0.0, 0.0), face)
     assert higher.y_mm - seen.y_mm == pytest.approx(0.15)
     covariance = edge_covariance(seen, np.array([1.0]), np.array([1.0]), np.array([[0.04]]))
     assert covariance - np.diag([seen.variance_mm2, 0.0]) == pytest.approx(
@@ -343,7 +352,7 @@ def test_an_edge_seen_from_beside_does_not_scatter_with_its_neighbours_centres()
 def test_a_ray_along_a_face_meets_it_nowhere_else() -> None:
     light = light_of(np.random.default_rng(5), EDGE + 0.3, EDGE + 1.6)
     profile = replace(profile_of(light), dy_mm=np.full(N_SCAN, 0.2), dz_mm=np.full(N_SCAN, 0.1))
-    met = meet_face(profile, np.ones(N_SCAN), 0.5)
+    met = meet_face(points_of(profile), np.ones(N_SCAN), np.full(N_SCAN, 0.5))
     assert (met.y_mm == profile.y_mm).all()
     assert (met.y_per_z == 0.0).all()
 
@@ -390,7 +399,10 @@ def test_lines_under_a_glint_say_nothing_of_a_plate() -> None:
     seen = np.isfinite(light.position_px)
     along = ("y_mm", "z_mm", "dy_mm", "dz_mm", "sigma_px", "scan", "beside_px")
     shown = replace(profile, **{name: getattr(profile, name)[seen] for name in along})
-    on_plates = OnPlates(np.ones(int(seen.sum()), dtype=bool), meet_face(shown, shown.z_mm, 0.0))
+    on_plates = OnPlates(
+        np.ones(int(seen.sum()), dtype=bool),
+        meet_face(points_of(shown), shown.z_mm, np.zeros(len(shown.z_mm))),
+    )
     sees = PlateLines(shown, on_plates, False).sees
     assert (sees[EDGE : EDGE + 5] == HIDDEN).all()
     plain = PlateLines(replace(shown, light=None), on_plates, False).sees
@@ -406,7 +418,9 @@ def test_lines_with_hardly_any_of_a_plate_s_light_hold_none() -> None:
     image_dn[gap] *= 0.05
     image_dn[half_lit] *= 0.5
     profile = replace(profile_of(light), image_dn=np.rint(image_dn).astype(np.int64))
-    on_plates = OnPlates(np.ones(N_SCAN, dtype=bool), meet_face(profile, profile.z_mm, 0.0))
+    on_plates = OnPlates(
+        np.ones(N_SCAN, dtype=bool), meet_face(points_of(profile), profile.z_mm, np.zeros(N_SCAN))
+    )
     sees = PlateLines(profile, on_plates, False).sees
     assert (sees[gap] == UNREAD).all()
     assert (np.delete(sees, np.arange(EDGE, EDGE + 5)) == 1.0).all()

@@ -32,6 +32,8 @@ FITS: Mapping[str, Callable[[Section, StatedJoint], MeasuredJoint]] = {
     "u_groove": fit_groove,
     "lap": fit_lap,
     "corrugation": fit_lap,
+    "half_v": fit_half_v,
+    "fillet": fit_fillet,
 }
 """The kernels that measure a joint of a type, whose y is NaN where the section does not determine it."""
 
@@ -52,7 +54,8 @@ def fit_joint(
     if joint.type in FITS:
         fitted = FITS[joint.type](section, StatedJoint.of(joint))
         return fitted if fitted.is_determined else None
-    measured = _fit(profile, joint, camera_mm, laser_mm) if is_long_enough(section) else None
+    is_slot = joint.type in ("butt", "edge")
+    measured = fit_slot(profile, joint) if is_slot and is_long_enough(section) else None
     return None if measured is None else completed(section, measured)
 
 
@@ -60,15 +63,3 @@ def fit_closed_joint(profile: Profile, joint: Joint, line: ImageLine) -> Measure
     """Return the closed joint that a line in the image shows amid a profile, or None without two plates."""
     measured = fit_closed_slot(profile, joint, line)
     return None if measured is None else completed(section_from(profile, _NOWHERE, _NOWHERE), measured)
-
-
-def _fit(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:
-    match joint.type:
-        case "half_v":
-            return fit_half_v(profile, joint, camera_mm, laser_mm)
-        case "fillet":
-            return fit_fillet(profile, joint)
-        case "butt" | "edge":
-            return fit_slot(profile, joint)
-        case _:
-            return None

@@ -6,10 +6,20 @@ import math
 
 import numpy as np
 
-from noise_model.surface.joint import Joint, section
-from tracker.joint.measured import MeasuredJoint, angles_of, fit_shape, place, section_of, unexplained
-from tracker.joint.section_shapes import CORNER
-from tracker.profile import Profile
+from noise_model.kernel import kernel
+from noise_model.surface.stated_joint import StatedJoint
+from tracker.joint.complete import completed
+from tracker.joint.measured import (
+    START_SIGMA_MM,
+    MeasuredJoint,
+    fit_points,
+    share_left_out,
+    shift_of,
+    two_angles,
+    undetermined,
+)
+from tracker.joint.section import Section, is_long_enough
+from tracker.joint.section_shapes import CORNER, N_CORNERS, corners_of
 from tracker.state import JointShape
 
 SEARCH_STEP_MM = 0.2
@@ -27,34 +37,47 @@ MIN_POINTS = 10.0
 """The weight of the points that must be seen of either plate."""
 
 
-def fit_fillet(profile: Profile, joint: Joint) -> MeasuredJoint | None:
-    """Return the corner that a profile shows, or None where it does not show both plates."""
-    y_0, z_0 = place(profile, section(joint).vertices, SEARCH_STEP_MM, SEARCH_LIMIT_MM)
-    slope = 1.0 / math.tan(math.radians(joint.dimensions["included_angle_deg"] / 2.0))
+@kernel(allocates=True)
+def fit_fillet(section: Section, stated: StatedJoint) -> MeasuredJoint:
+    """Return the corner that a section shows, not determined where it does not show both plates."""
+    if not is_long_enough(section):
+        return undetermined()
+    points, y_mm = section.points, section.points.y_mm
+    y_0, z_0 = shift_of(
+        y_mm, points.z_mm, section.reach_mm, stated.corners_mm, 0.0, SEARCH_STEP_MM, SEARCH_LIMIT_MM
+    )
+    slope = 1.0 / stated.tan
     plate_sigma = math.radians(PLATE_SIGMA_DEG) * (1.0 + slope**2)
-    start = np.array([y_0, z_0, slope, -slope])
-    fit = fit_shape(profile, CORNER, start, np.array([5.0, 5.0, plate_sigma, plate_sigma]))
-    if fit is None:
-        return None
-    y_s, z_s = float(fit.parameters[0]), float(fit.parameters[1])
-    left_out = unexplained(profile, fit, y_s, BESIDE_MM, np.ones(len(profile.y_mm), dtype=bool))
-    on_left = profile.y_mm > y_s
-    turned = np.abs(fit.parameters[2:] - start[2:]).max() / plate_sigma
-    if (
-        turned > MAX_TURNED_SIGMAS
-        or min(fit.weights[on_left].sum(), fit.weights[~on_left].sum()) < MIN_POINTS
-    ):
-        return None
-    plates, plate_sigmas = angles_of(fit, 2, 3)
-    shape = JointShape(plate_angles_deg=plates, plate_sigmas_deg=plate_sigmas)
-    return MeasuredJoint(
-        y_s,
-        z_s,
-        fit.covariance[:2, :2].copy(),
+    start, prior_sigma = np.empty(4), np.empty(4)
+    start[0], start[1], start[2], start[3] = y_0, z_0, slope, -slope
+    prior_sigma[0], prior_sigma[1], prior_sigma[2], prior_sigma[3] = 5.0, 5.0, plate_sigma, plate_sigma
+    chosen = np.ones(y_mm.shape[0], np.bool_)
+    fit = fit_points(CORNER, points, chosen, START_SIGMA_MM, prior_sigma, start)
+    if not math.isfinite(fit.chi2):
+        return undetermined()
+    p, covariance = fit.parameters, fit.covariance
+    right, left = 0.0, 0.0
+    for i in range(y_mm.shape[0]):
+        if y_mm[i] > p[0]:
+            left += fit.weights[i]
+        else:
+            right += fit.weights[i]
+    turned = max(abs(p[2] - start[2]), abs(p[3] - start[3])) / plate_sigma
+    if turned > MAX_TURNED_SIGMAS or min(left, right) < MIN_POINTS:
+        return undetermined()
+    corners_mm, unknown = np.empty((N_CORNERS[CORNER], 2)), (math.nan, math.nan)
+    corners_of(CORNER, p, corners_mm)
+    plates, plate_sigmas = two_angles(p, covariance, 2, 3)
+    measured = MeasuredJoint(
+        p[0],
+        p[1],
+        covariance[:2, :2].copy(),
         math.nan,
         math.nan,
         fit.chi2,
-        shape,
-        left_out,
-        section_of(CORNER, fit),
+        JointShape(math.nan, math.nan, unknown, unknown, plates, plate_sigmas, math.nan, math.nan),
+        share_left_out(y_mm, fit.weights, chosen, p[0], BESIDE_MM),
+        corners_mm,
+        math.nan,
     )
+    return completed(section, measured)

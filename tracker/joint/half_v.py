@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64
-from noise_model.surface.joint import Joint, section
+from noise_model.arrays import Bool, Float64
+from noise_model.kernel import kernel
+from noise_model.surface.stated_joint import StatedJoint
+from tracker.joint.complete import completed
 from tracker.joint.measured import (
+    START_SIGMA_MM,
     SURE_MM,
     SURE_SIGMAS,
     MeasuredJoint,
     OnFace,
+    SectionPoints,
     ShapeFit,
-    angles_of,
-    fit_shape,
+    fit_points,
+    in_scan_order,
     meet_face,
-    opening_of,
-    place,
-    points_of,
-    section_of,
-    unexplained,
+    opening_area,
+    share_left_out,
+    shift_of,
+    two_angles,
+    undetermined,
 )
 from tracker.joint.root import weigh_root
-from tracker.joint.section_shapes import HALF_GROOVE
-from tracker.joint.upright_edge import edge_between, edge_covariance, hidden_strip, neighbours_of_edge
-from tracker.profile import Profile
+from tracker.joint.section import Section, is_long_enough
+from tracker.joint.section_shapes import HALF_GROOVE, N_CORNERS, corners_of
+from tracker.joint.upright_edge import edge_covariance, hidden_strip, neighbours_of_edge, upright_edge
 from tracker.state import JointShape
 
 SEARCH_STEP_MM = 0.1
@@ -42,7 +47,10 @@ One in twenty of a face's own points does, and is outvoted by its neighbours.
 BENT_MM = 0.2
 """So far a face may bend off its straight line beside the upright side."""
 
-GAP, ROOT, TAN, DEPTH_LEFT, DEPTH_RIGHT, SLOPE_LEFT, SLOPE_RIGHT = range(7)
+GAP, ROOT, TAN, DEPTH_LEFT, DEPTH_RIGHT, SLOPE_LEFT, SLOPE_RIGHT, WALL = range(8)
+N_PARAMETERS = 8
+"""The parameters of a half groove; where its wall is, the last, is not fitted."""
+
 PRIOR_SIGMA = np.array([0.3, 5.0, 0.04, 0.3, 0.3, 0.03, 0.03])
 """1 sigma of the gap, the root's height, tan(bevel), both depths (mm), both plate slopes."""
 
@@ -56,84 +64,146 @@ MIN_POINTS = 5.0
 """The weight of the points that must be seen in the groove, and on the bevel if it is not to be bridged."""
 
 
-def fit_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: Float64) -> MeasuredJoint | None:
-    """Return the half V that a profile shows, or None where too little of it lies beside its upright side.
+@kernel(allocates=True)
+def fit_half_v(section: Section, stated: StatedJoint) -> MeasuredJoint:
+    """Return the half V that a section shows, not determined where too little lies beside its upright side.
 
     The faces are fitted clear of the upright side; that lies between the last point of the right plate and
-    the first one in the groove, less what it hides there from `camera_mm` or `laser_mm` (3,), joint frame;
-    then they are fitted once more.
+    the first one in the groove, less what it hides there from camera or laser; then they are fitted once
+    more.
     """
-    size = joint.dimensions
-    depth, gap = size["depth_mm"], size["root_gap_mm"]
-    tan = math.tan(math.radians(size["bevel_angle_deg"]))
-    corners = section(joint).vertices + np.array([0.0, depth])
-    y_0, z_0 = place(profile, corners, SEARCH_STEP_MM, 0.25 * depth)
-    start = np.array([gap, z_0, tan, depth, depth, 0.0, 0.0, y_0 - 0.5 * gap])
-    fit = fit_shape(
-        profile, HALF_GROOVE, start, PRIOR_SIGMA, np.abs(profile.y_mm - start[-1]) > CLEAR_OF_EDGE_MM
-    )
-    if fit is None:
-        return None
-    lines = profile.by_scan()
-    before, behind = _beside_the_upright(lines, fit, float(start[-1]))
-    if before < 0:
-        return None
-    hidden = hidden_strip((camera_mm, laser_mm), float(start[-1]), z_0 + depth, depth, profile.slope_sigma)
-    upright = edge_between(lines, before, behind, hidden, _met(lines, fit, float(start[-1]), before))
-    start[-1] = upright.y_mm
-    wall_variance = float(edge_covariance(upright, MEAN_HEIGHT, MEAN_HEIGHT, fit.covariance)[0, 0])
-    # What lies between may be either side's, and the first lines in the groove hold light of the plate too.
-    clear = (profile.y_mm <= lines.y_mm[before]) | (profile.y_mm >= lines.y_mm[behind] + profile.mixed_mm)
-    fit = fit_shape(profile, HALF_GROOVE, start, PRIOR_SIGMA, clear)
-    if fit is None:
-        return None
-    wall, p = float(start[-1]), fit.parameters
-    mouth = wall + p[GAP] + p[DEPTH_LEFT] * p[TAN]
-    on_bevel = (profile.y_mm > wall + max(p[GAP], 0.0)) & (profile.y_mm < mouth)
-    is_seen = fit.weights[on_bevel].sum() >= MIN_POINTS
-    if not is_seen:
+    if not is_long_enough(section):
+        return undetermined()
+    points, y_mm, gap_mm = section.points, section.points.y_mm, stated.gap_mm
+    # A copy of its own has one type: for a constant the kernels would be compiled anew.
+    prior_sigma, clear = PRIOR_SIGMA.copy(), np.empty(y_mm.shape[0], np.bool_)
+    start = start_of(section, stated)
+    for i in range(y_mm.shape[0]):
+        clear[i] = abs(y_mm[i] - start[WALL]) > CLEAR_OF_EDGE_MM
+    fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, prior_sigma, start)
+    if not math.isfinite(fit.chi2):
+        return undetermined()
+    side = upright_side(section, stated.depth_mm, fit, start, clear)
+    if math.isnan(side.y_mm):
+        return undetermined()
+    start[WALL] = side.y_mm
+    fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, prior_sigma, start)
+    if not math.isfinite(fit.chi2):
+        return undetermined()
+    p, wall_mm = fit.parameters, side.y_mm
+    mouth_mm = wall_mm + p[GAP] + p[DEPTH_LEFT] * p[TAN]
+    is_seen = weight_between(y_mm, fit.weights, wall_mm + max(p[GAP], 0.0), mouth_mm) >= MIN_POINTS
+    if is_seen:
+        middle_mm, away = wall_mm + 0.5 * max(p[GAP], 0.0), clear.copy()
+        for i in range(y_mm.shape[0]):
+            away[i] = clear[i] and abs(y_mm[i] - middle_mm) >= section.mixed_mm
+        fit = weigh_root(HALF_GROOVE, points, away, start, prior_sigma, GAP, fit)
+    else:
         # A bevel that is not seen is bridged by its priors, in the covariance too; where the root ends is not
         # known, and what lies there counts for nothing.
-        sure = wall + max(gap - SURE_SIGMAS * PRIOR_SIGMA[GAP], 0.0)
-        clear &= (profile.y_mm < sure) | (profile.y_mm > mouth + SURE_MM)
-        fit = fit_shape(profile, HALF_GROOVE, start, PRIOR_SIGMA, clear)
-        if fit is None:
-            return None
-    inside = (profile.y_mm > wall) & (profile.y_mm < mouth)
-    if is_seen:
-        middle_mm = wall + 0.5 * max(float(fit.parameters[GAP]), 0.0)
-        away = clear & (np.abs(profile.y_mm - middle_mm) >= profile.mixed_mm)
-        fit = weigh_root(HALF_GROOVE, points_of(profile), away, start, PRIOR_SIGMA, GAP, fit)
-    if fit.weights[inside].sum() < MIN_POINTS:
-        return None
-    left_out = unexplained(profile, fit, 0.5 * (wall + mouth), 0.5 * (mouth - wall), clear)
-    return _measured(fit, wall, wall_variance, left_out)
+        sure_mm = wall_mm + max(gap_mm - SURE_SIGMAS * prior_sigma[GAP], 0.0)
+        for i in range(y_mm.shape[0]):
+            clear[i] = clear[i] and (y_mm[i] < sure_mm or y_mm[i] > mouth_mm + SURE_MM)
+        fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, prior_sigma, start)
+        if not math.isfinite(fit.chi2):
+            return undetermined()
+    if weight_between(y_mm, fit.weights, wall_mm, mouth_mm) < MIN_POINTS:
+        return undetermined()
+    middle_mm, half_mm = 0.5 * (wall_mm + mouth_mm), 0.5 * (mouth_mm - wall_mm)
+    left_out = share_left_out(y_mm, fit.weights, clear, middle_mm, half_mm)
+    return completed(section, measured_half_v(fit, wall_mm, side.variance_mm2, left_out))
 
 
-def _beside_the_upright(profile: Profile, fit: ShapeFit, wall: float) -> tuple[int, int]:
-    """Return the last point of the right plate and the first in the groove beside an upright side, or -1."""
-    p = fit.parameters
-    y = profile.y_mm - wall
-    over_plate = profile.z_mm - (p[ROOT] + p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y)
-    over_groove = profile.z_mm - (p[ROOT] + np.maximum(y - p[GAP], 0.0) / p[TAN])
-    near = np.abs(y) < 5.0 * CLEAR_OF_EDGE_MM
-    sure_mm = np.hypot(BENT_MM, ON_FACE_SIGMAS * np.abs(profile.dz_mm) * profile.sigma_px)
-    limit = np.minimum(0.25 * p[DEPTH_RIGHT], sure_mm)
-    return neighbours_of_edge(near & (np.abs(over_plate) < limit), near & (np.abs(over_groove) < limit))
+@kernel(allocates=True)
+def start_of(section: Section, stated: StatedJoint) -> Float64:
+    """Return the parameters of a stated half groove where most of a section's points lie on it."""
+    y_mm, z_mm, depth = section.points.y_mm, section.points.z_mm, stated.depth_mm
+    y_0, z_0 = shift_of(y_mm, z_mm, section.reach_mm, stated.corners_mm, depth, SEARCH_STEP_MM, 0.25 * depth)
+    start = np.zeros(N_PARAMETERS)
+    start[GAP], start[ROOT], start[TAN], start[WALL] = (
+        stated.gap_mm,
+        z_0,
+        stated.tan,
+        y_0 - 0.5 * stated.gap_mm,
+    )
+    start[DEPTH_LEFT], start[DEPTH_RIGHT] = depth, depth
+    return start
 
 
-def _met(profile: Profile, fit: ShapeFit, wall: float, before: int) -> OnFace:
+class UprightSide(NamedTuple):
+    """Where an upright side is, mm, and its variance with that of the faces beside it, mm^2."""
+
+    y_mm: float
+    variance_mm2: float
+
+
+@kernel(allocates=True)
+def upright_side(
+    section: Section, depth_mm: float, fit: ShapeFit, start: Float64, clear: Bool
+) -> UprightSide:
+    """Return the upright side of faces that were fitted from a start, NaN where it is not seen.
+
+    `clear` (n,) gets which of the section's points are surely of one face beside it.
+    """
+    lines, y_mm = in_scan_order(section.points), section.points.y_mm
+    wall_mm, n = start[WALL], y_mm.shape[0]
+    on_plate, in_groove = np.empty(n, np.bool_), np.empty(n, np.bool_)
+    near_faces(lines, fit.parameters, wall_mm, on_plate, in_groove)
+    before, behind = neighbours_of_edge(on_plate, in_groove)
+    if before < 0:
+        return UprightSide(math.nan, math.nan)
+    sources_mm = section.camera_mm, section.laser_mm
+    hidden = hidden_strip(sources_mm, wall_mm, start[ROOT] + depth_mm, depth_mm, section.slope_sigma)
+    met = meet_faces(lines, fit.parameters, wall_mm, before)
+    edge = upright_edge(lines.scan, section.column_mm, section.light, before, behind, hidden, met)
+    # What lies between may be either side's, and the first lines in the groove hold light of the plate too.
+    for i in range(n):
+        clear[i] = y_mm[i] <= lines.y_mm[before] or y_mm[i] >= lines.y_mm[behind] + section.mixed_mm
+    mean_height = MEAN_HEIGHT.copy()
+    return UprightSide(edge.y_mm, edge_covariance(edge, mean_height, mean_height, fit.covariance)[0, 0])
+
+
+@kernel
+def near_faces(lines: SectionPoints, p: Float64, wall_mm: float, on_plate: Bool, in_groove: Bool) -> None:
+    """Say which points (n,) beside an upright side lie on the right plate, and which in the groove."""
+    for i in range(lines.y_mm.shape[0]):
+        y, z = lines.y_mm[i] - wall_mm, lines.z_mm[i] - p[ROOT]
+        sure_mm = math.hypot(BENT_MM, ON_FACE_SIGMAS * abs(lines.dz_mm[i]) * lines.sigma_px[i])
+        limit_mm = min(0.25 * p[DEPTH_RIGHT], sure_mm)
+        is_near = abs(y) < 5.0 * CLEAR_OF_EDGE_MM
+        on_plate[i] = is_near and abs(z - (p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y)) < limit_mm
+        in_groove[i] = is_near and abs(z - max(y - p[GAP], 0.0) / p[TAN]) < limit_mm
+
+
+@kernel(allocates=True)
+def meet_faces(lines: SectionPoints, p: Float64, wall_mm: float, before: int) -> OnFace:
     """Return where points' rays meet the right plate, up to the point `before` the upright, or the groove."""
-    p, y = fit.parameters, profile.y_mm - wall
-    is_plate, is_bevel = np.arange(len(y)) <= before, y > p[GAP]
-    plate_mm = p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y
-    groove_mm = np.maximum(y - p[GAP], 0.0) / p[TAN]
-    slope = np.where(is_plate, p[SLOPE_RIGHT], np.where(is_bevel, 1.0 / p[TAN], 0.0))
-    return meet_face(profile, p[ROOT] + np.where(is_plate, plate_mm, groove_mm), slope)
+    n = lines.y_mm.shape[0]
+    height_mm, slope = np.empty(n), np.empty(n)
+    for i in range(n):
+        y = lines.y_mm[i] - wall_mm
+        if i <= before:
+            height_mm[i], slope[i] = p[ROOT] + (p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y), p[SLOPE_RIGHT]
+        else:
+            height_mm[i] = p[ROOT] + max(y - p[GAP], 0.0) / p[TAN]
+            slope[i] = 1.0 / p[TAN] if y > p[GAP] else 0.0
+    met: OnFace = meet_face(lines, height_mm, slope)
+    return met
 
 
-def _measured(fit: ShapeFit, wall: float, wall_variance: float, left_out: float) -> MeasuredJoint:
-    """Turn a fit beside a given upright side into the joint, the side's own variance put in.
+@kernel
+def weight_between(y_mm: Float64, weights: Float64, first_mm: float, last_mm: float) -> float:
+    """Return the weight of the points (n,) between two places."""
+    weight = 0.0
+    for i in range(y_mm.shape[0]):
+        if first_mm < y_mm[i] < last_mm:
+            weight += weights[i]
+    return weight
+
+
+@kernel(allocates=True)
+def measured_half_v(fit: ShapeFit, wall: float, wall_variance: float, left_out: float) -> MeasuredJoint:
+    """Return the joint of a fit beside a given upright side, the side's own variance put in.
 
     As far as the profile and not the prior tells where the bevel's foot is, the gap gives way to the side.
     """
@@ -147,8 +217,15 @@ def _measured(fit: ShapeFit, wall: float, wall_variance: float, left_out: float)
         gives_way, variance_y = 0.0, wall_variance + 0.25 * covariance[GAP, GAP]
         variance_z, across = variance_z + wall_variance / p[TAN] ** 2, across + wall_variance / p[TAN]
     bevel, bevel_sigma = math.atan(p[TAN]), math.sqrt(covariance[TAN, TAN]) / (1.0 + p[TAN] ** 2)
-    plates, plate_sigmas = angles_of(fit, SLOPE_LEFT, SLOPE_RIGHT)
-    area, area_sigma = opening_of(HALF_GROOVE, fit, (wall,))
+    plates, plate_sigmas = two_angles(p, covariance, SLOPE_LEFT, SLOPE_RIGHT)
+    whole = np.empty(N_PARAMETERS)
+    for i in range(p.shape[0]):
+        whole[i] = p[i]
+    whole[WALL] = wall
+    area, area_sigma = opening_area(HALF_GROOVE, whole, covariance)
+    corners_mm, together = np.empty((N_CORNERS[HALF_GROOVE], 2)), np.empty((2, 2))
+    corners_of(HALF_GROOVE, whole, corners_mm)
+    together[0, 0], together[0, 1], together[1, 0], together[1, 1] = variance_y, across, across, variance_z
     # The upright side takes the root's gap with it, or of a closed root its foot on the bevel.
     with_side = gives_way if p[GAP] >= CLOSED_MM else 1.0
     area_sigma = math.hypot(area_sigma, with_side * p[DEPTH_RIGHT] * math.sqrt(wall_variance))
@@ -167,13 +244,14 @@ def _measured(fit: ShapeFit, wall: float, wall_variance: float, left_out: float)
         area_sigma,
     )
     return MeasuredJoint(
-        float(y_s),
-        float(p[ROOT]),
-        np.array([[variance_y, across], [across, variance_z]]),
-        float(max(p[GAP], 0.0)),
-        float(p[DEPTH_LEFT] - p[DEPTH_RIGHT]),
+        y_s,
+        p[ROOT],
+        together,
+        max(p[GAP], 0.0),
+        p[DEPTH_LEFT] - p[DEPTH_RIGHT],
         fit.chi2,
         shape,
         left_out,
-        section_of(HALF_GROOVE, fit, (wall,)),
+        corners_mm,
+        math.nan,
     )

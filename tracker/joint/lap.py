@@ -22,12 +22,12 @@ from tracker.joint.measured import (
     ShapeFit,
     fit_points,
     in_scan_order,
+    meet_face,
     shift_of,
     two_angles,
     undetermined,
 )
 from tracker.joint.section import Section, is_long_enough
-from tracker.joint.section_fit import MIN_ALONG_MM
 from tracker.joint.section_shapes import N_CORNERS, SHEETS, corners_of
 from tracker.joint.upright_edge import (
     Edge,
@@ -157,7 +157,7 @@ def edge_of_sheets(section: Section, lines: SectionPoints, sheets: Sheets, thick
     # Glare or spatter over all of the points near it: between those beyond, an edge may be anywhere.
     if lines.y_mm[behind] - hidden.width_mm - lines.y_mm[before] > 2.0 * CLEAR_OF_EDGE_MM:
         return nowhere
-    met = meet_sheets(lines.y_mm, lines.z_mm, lines.dy_mm, lines.dz_mm, sheets, before)
+    met = meet_sheets(lines, sheets, before)
     return upright_edge(lines.scan, section.column_mm, section.light, before, behind, hidden, met)
 
 
@@ -192,19 +192,16 @@ class Sheets(NamedTuple):
 
 
 @kernel(allocates=True)
-def meet_sheets(
-    y_mm: Float64, z_mm: Float64, dy_mm: Float64, dz_mm: Float64, sheets: Sheets, before: int
-) -> OnFace:
+def meet_sheets(lines: SectionPoints, sheets: Sheets, before: int) -> OnFace:
     """Return where points' (n,) rays meet the upper sheet, up to the point `before`, or the lower one."""
-    n = y_mm.shape[0]
-    met_mm, y_per_z = np.empty(n), np.empty(n)
+    n = lines.y_mm.shape[0]
+    height_mm, slope = np.empty(n), np.empty(n)
     for i in range(n):
-        slope = sheets.slope_upper if i <= before else sheets.slope_lower
-        height_mm = sheets.z + (sheets.step if i <= before else 0.0) + slope * (y_mm[i] - sheets.y)
-        across = dz_mm[i] - slope * dy_mm[i]
-        y_per_z[i] = dy_mm[i] / across if abs(across) > MIN_ALONG_MM else 0.0
-        met_mm[i] = y_mm[i] - y_per_z[i] * (z_mm[i] - height_mm)
-    return OnFace(met_mm, y_per_z)
+        slope[i] = sheets.slope_upper if i <= before else sheets.slope_lower
+        step_mm = sheets.step if i <= before else 0.0
+        height_mm[i] = sheets.z + step_mm + slope[i] * (lines.y_mm[i] - sheets.y)
+    met: OnFace = meet_face(lines, height_mm, slope)
+    return met
 
 
 @kernel

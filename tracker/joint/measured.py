@@ -231,19 +231,6 @@ def typical_mm(dz_mm: Float64, sigma_px: Float64, used: Bool) -> float:
     return float(np.median(moves[:count]))
 
 
-def place(
-    profile: Profile, corners: Float64, step_mm: float, limit_mm: float, lift_mm: float = 0.0
-) -> tuple[float, float]:
-    """Return the shift (y, z) in mm of nominal corners (k, 2), lifted, that explains most of a profile.
-
-    Lateral shifts are tried by steps of `step_mm` within the profile's reach, see `best_shift`.
-    """
-    shift: tuple[float, float] = shift_of(
-        profile.y_mm, profile.z_mm, profile.reach_mm, corners, lift_mm, step_mm, limit_mm
-    )
-    return shift
-
-
 @kernel(allocates=True)
 def shift_of(
     y_mm: Float64,
@@ -254,7 +241,10 @@ def shift_of(
     step_mm: float,
     limit_mm: float,
 ) -> tuple[float, float]:
-    """Return the shift (y, z) of lifted corners that explains most of points (n,); see `place`."""
+    """Return the shift (y, z) in mm of nominal corners (k, 2), lifted, that explains most of points (n,).
+
+    Lateral shifts are tried by steps of `step_mm` within the points' reach, see `best_shift`.
+    """
     lifted = corners.copy()
     lifted[:, 1] += lift_mm
     every = max(1, y_mm.shape[0] // PLACED_BY)
@@ -279,16 +269,21 @@ class OnFace(NamedTuple):
     y_per_z: Float64
 
 
-def meet_face(profile: Profile, height_mm: Float64, slope: Float64 | float) -> OnFace:
-    """Return where points' rays meet a face of heights (n,), mm, and slopes at the points' own y.
+@kernel(allocates=True)
+def meet_face(points: SectionPoints, height_mm: Float64, slope: Float64) -> OnFace:
+    """Return where points' rays meet a face of heights (n,), mm, and slopes (n,) at the points' own y.
 
     A centre that is off by c px moves its point by c (dy, dz). On the face it would be at
     y - dy (z - height) / (dz - slope dy): which scan line lies where goes with the whole face's height, and
     not with the scatter of its own centre. From beside the seam the two differ by much.
     """
-    across = profile.dz_mm - slope * profile.dy_mm
-    y_per_z = np.divide(profile.dy_mm, across, out=np.zeros(len(across)), where=np.abs(across) > MIN_ALONG_MM)
-    return OnFace(profile.y_mm - y_per_z * (profile.z_mm - height_mm), y_per_z)
+    n = height_mm.shape[0]
+    met_mm, y_per_z = np.empty(n), np.empty(n)
+    for i in range(n):
+        across = points.dz_mm[i] - slope[i] * points.dy_mm[i]
+        y_per_z[i] = points.dy_mm[i] / across if abs(across) > MIN_ALONG_MM else 0.0
+        met_mm[i] = points.y_mm[i] - y_per_z[i] * (points.z_mm[i] - height_mm[i])
+    return OnFace(met_mm, y_per_z)
 
 
 @kernel(allocates=True)
@@ -316,10 +311,15 @@ def off_section(profile: Profile, joint: MeasuredJoint) -> Bool:
     return np.asarray(np.abs(profile.z_mm - height_mm) > OFF_SIGMAS * moved)
 
 
-def unexplained(profile: Profile, fit: ShapeFit, y_mm: float, reach_mm: float, used: Bool) -> float:
-    """Return the share of the points used within a reach of a place that a fit leaves out; 1 without any."""
-    near = used & (np.abs(profile.y_mm - y_mm) < reach_mm)
-    return float(np.mean(fit.weights[near] < LEFT_OUT)) if near.any() else 1.0
+@kernel
+def share_left_out(y_mm: Float64, weights: Float64, used: Bool, middle_mm: float, reach_mm: float) -> float:
+    """Return the share of the used points (n,) within a reach of a place that a fit leaves out; 1 of none."""
+    near, out = 0, 0
+    for i in range(y_mm.shape[0]):
+        if used[i] and abs(y_mm[i] - middle_mm) < reach_mm:
+            near += 1
+            out += weights[i] < LEFT_OUT
+    return out / near if near > 0 else 1.0
 
 
 def angles_of(fit: ShapeFit, left: int, right: int) -> tuple[Pair, Pair]:
@@ -336,15 +336,6 @@ def two_angles(parameters: Float64, covariance: Float64, left: int, right: int) 
     second_sigma = math.sqrt(covariance[right, right]) / (1.0 + second * second)
     angles = math.degrees(math.atan(first)), math.degrees(math.atan(second))
     return angles, (math.degrees(first_sigma), math.degrees(second_sigma))
-
-
-def opening_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = ()) -> Pair:
-    """Return the opening's area of a fitted shape, mm^2, and its 1 sigma.
-
-    `fixed` are the parameters that were not fitted.
-    """
-    area: Pair = opening_area(shape, np.concatenate([fit.parameters, fixed]), fit.covariance)
-    return area
 
 
 @kernel(allocates=True)

@@ -24,6 +24,7 @@ from tracker.joint.measured import (
     fit_shape,
     meet_face,
     off_line,
+    points_of,
     section_of,
 )
 from tracker.joint.plate_lines import BLURRED_LINES, MIN_LINES, SLACK_MM, OnPlates, PlateLines
@@ -257,4 +258,6 @@ def _on_plates(profile: Profile, plates: ShapeFit, y_0: float, limit_mm: float) 
     off_left, off_right = np.abs(profile.z_mm - left_mm), np.abs(profile.z_mm - right_mm)
     is_left = off_left < off_right
     height_mm, slope = np.where(is_left, left_mm, right_mm), np.where(is_left, slope_left, slope_right)
-    return OnPlates(np.minimum(off_left, off_right) < limit_mm, meet_face(profile, height_mm, slope))
+    return OnPlates(
+        np.minimum(off_left, off_right) < limit_mm, meet_face(points_of(profile), height_mm, slope)
+    )

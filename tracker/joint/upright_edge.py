@@ -79,19 +79,6 @@ class HiddenStrip(NamedTuple):
     sigma_mm: float
 
 
-def edge_between(profile: Profile, before: int, behind: int, hidden: HiddenStrip, face: OnFace) -> Edge:
-    """Return the edge between two neighbouring points of a profile that lie on either side's face.
-
-    Where they meet it is `face`. Of the lower side, behind, the edge hides a strip. Anywhere between the two
-    points is as likely; where the image is at hand, its scan lines there say how much of them is either
-    side's (`stripe_end`).
-    """
-    edge: Edge = upright_edge(
-        profile.scan, profile.column_mm, light_of(profile), before, behind, hidden, face
-    )
-    return edge
-
-
 def light_of(profile: Profile) -> StripeLight:
     """Return what a profile's stripe was read from, without any lines where that is not at hand."""
     return NO_LIGHT if profile.light is None else profile.light
@@ -127,7 +114,12 @@ def upright_edge(
     hidden: HiddenStrip,
     face: OnFace,
 ) -> Edge:
-    """Return `edge_between`'s edge amid points (n,) of some scan lines, a column apart."""
+    """Return the edge between two neighbouring points that lie on either side's face, a column apart.
+
+    `scan` (n,) are the points' lines; where they meet it is `face`. Of the lower side, behind, the edge hides
+    a strip. Anywhere between the two points is as likely; where the image is at hand, its scan lines there
+    say how much of them is either side's (`stripe_end`).
+    """
     last_mm, first_mm = face.y_mm[before], face.y_mm[behind] - hidden.width_mm
     y_per_z = 0.5 * (face.y_per_z[before] + face.y_per_z[behind])
     spread_mm = max(abs(first_mm - last_mm), column_mm)
