@@ -20,7 +20,9 @@ from tracker.arc.level import ArcLevel
 from tracker.checks import Asked, ask, ask_whether
 from tracker.geometry import SEARCH_REACH_MM, TRACK_REACH_MM, LookSource
 from tracker.joint.ask import ask_joint
+from tracker.joint.fillet import fit_fillet
 from tracker.joint.groove import fit_groove
+from tracker.joint.half_v import fit_half_v
 from tracker.joint.lap import fit_lap
 from tracker.joint.measured import MeasuredJoint, undetermined
 from tracker.look import FrameLight, Look, look_at, no_stripe, nothing_read, unknown_arc
@@ -211,9 +213,29 @@ def track_lap(asked: Asked, given: FrameGiven) -> FrameTracked:
     return end(asked, given, begun, joint)
 
 
+@kernel(allocates=True)
+def track_half_v(asked: Asked, given: FrameGiven) -> FrameTracked:
+    """Track a frame of a half V."""
+    begun, joint = begin(asked, given), undetermined()
+    if begun.look.is_stripe:
+        joint = fit_half_v(begun.look.section, given.stated)
+    return end(asked, given, begun, joint)
+
+
+@kernel(allocates=True)
+def track_fillet(asked: Asked, given: FrameGiven) -> FrameTracked:
+    """Track a frame of a fillet."""
+    begun, joint = begin(asked, given), undetermined()
+    if begun.look.is_stripe:
+        joint = fit_fillet(begun.look.section, given.stated)
+    return end(asked, given, begun, joint)
+
+
 TRACKS: Mapping[str, Callable[[Asked, FrameGiven], FrameTracked]] = {
     "v_groove": track_groove,
     "u_groove": track_groove,
+    "half_v": track_half_v,
+    "fillet": track_fillet,
     "lap": track_lap,
     "corrugation": track_lap,
 }

@@ -316,5 +316,6 @@ def expected_output(setup: Setup, frame: Frame) -> float:
 
 def frame_light(setup: Setup, frame: Frame) -> FrameLight:
     """Return what is said to light a frame."""
-    has_arc = shows_arc(setup, frame)
-    return FrameLight(float(frame.exposure_s), float(frame.current_a), bool(frame.laser_on), has_arc)
+    return FrameLight(
+        float(frame.exposure_s), float(frame.current_a), bool(frame.laser_on), bool(shows_arc(setup, frame))
+    )

@@ -139,7 +139,7 @@ def _given(
         pose.T_base_tool,
         bool(pose.extrapolated),
         float(frame.timestamp_s),
-        lead,
+        Lead(float(lead.time_s), float(lead.way_mm)),
         work,
         use_arc_map,
     )
