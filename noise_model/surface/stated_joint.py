@@ -14,7 +14,7 @@ class StatedJoint(NamedTuple):
 
     `corners_mm` (n, 2) are those of its section, its seam point at y = 0. `tan` is that of a bevel's angle
     from upright, or of half the angle between a fillet's plates; `gap_mm` is a groove's at its root;
-    `radius_mm` that of a U's roundings.
+    `radius_mm` that of a U's roundings. Of two sheets side by side `is_edge` tells upright ones from plates.
     """
 
     corners_mm: Float64
@@ -23,6 +23,7 @@ class StatedJoint(NamedTuple):
     thickness_mm: float
     tan: float
     radius_mm: float
+    is_edge: bool
 
     @classmethod
     def of(cls, joint: Joint) -> StatedJoint:
@@ -36,4 +37,5 @@ class StatedJoint(NamedTuple):
             float(size.get("thickness_mm", math.nan)),
             math.tan(math.radians(angle_deg)),
             float(size.get("root_radius_mm", math.nan)),
+            joint.type == "edge",
         )

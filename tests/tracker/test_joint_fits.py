@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from joint_twins import fitted_fillet, fitted_groove, fitted_half_v, root_prior
 from profiles import measure
+from slot_twins import fitted_slot, share_raised
 
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint, section
@@ -119,6 +120,32 @@ def test_a_fillet_is_its_twin(angle_deg: float) -> None:
         np.testing.assert_allclose([found.y_mm, found.z_mm], fit.parameters[:2], atol=1e-9)
         assert found.chi2 == pytest.approx(fit.chi2, rel=1e-9)
         assert found.unexplained == pytest.approx(left_out)
+    assert determined > 20
+
+
+def a_slot(joint_type: str, gap_mm: float) -> Joint:
+    return Joint(joint_type, {"gap_mm": gap_mm, "thickness_mm": 3.0}, LINE)
+
+
+@pytest.mark.parametrize("joint", [a_slot("butt", 1.0), a_slot("edge", 0.0), a_slot("edge", 0.6)], ids=str)
+def test_a_slot_is_its_twin(joint: Joint) -> None:
+    determined = 0
+    for seed in range(40):
+        profile = some_profile(joint, seed)
+        found, twin = fit_joint(profile, joint), fitted_slot(profile, joint)
+        assert (found is None) == (twin is None), seed
+        if found is None or twin is None:
+            continue
+        determined += 1
+        (z, step, slope_left, slope_right), gap = twin.fit.parameters, twin.gap
+        right_mm, left_mm = gap.y_mm + 0.5 * gap.width_mm * np.array([-1.0, 1.0]) - twin.placed_mm
+        tops = z + step + slope_right * right_mm, z + slope_left * left_mm
+        assert found.y_mm == pytest.approx(gap.y_mm, abs=1e-9)
+        assert found.gap_mm == pytest.approx(gap.width_mm, abs=1e-9)
+        assert found.z_mm == pytest.approx(0.5 * sum(tops), abs=1e-9)
+        assert found.mismatch_mm == pytest.approx(tops[1] - tops[0], abs=1e-9)
+        assert found.chi2 == pytest.approx(twin.fit.chi2, rel=1e-9)
+        assert found.unexplained == pytest.approx(share_raised(profile, twin))
     assert determined > 20
 
 

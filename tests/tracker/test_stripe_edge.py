@@ -10,11 +10,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import ndtr
+from stripe_ends import (
+    DARK_E2,
+    DEPTH,
+    EDGE,
+    N_SCAN,
+    PSF_PX,
+    WIDTH_PX,
+    light_of,
+    profile_of,
+)
 
-from noise_model.arc.map import CELL
 from noise_model.arrays import Float64
 from tracker.joint.measured import OnFace, meet_face, points_of
-from tracker.joint.plate_lines import HIDDEN, UNREAD, OnPlates, PlateLines
+from tracker.joint.plate_lines import HIDDEN, UNREAD, OnPlates, plate_lines
+from tracker.joint.section import frame_given, section_from
 from tracker.joint.upright_edge import Edge, HiddenStrip, edge_covariance, upright_edge
 from tracker.joint.upright_edge import light_of as light_at_hand
 from tracker.profile import Profile
@@ -31,58 +41,6 @@ from tracker.stripe.edge import (
     stripe_end,
     stripe_ends,
 )
-
-N_SCAN, DEPTH, EDGE = 64, 96, 31
-WIDTH_PX, PSF_PX, DARK_E2 = 5.0, 0.8, 100.0
-
-
-def alike_from_line_to_line(rng: np.random.Generator, alike: float) -> Float64:
-    """N_SCAN numbers of variance 1, two neighbours' correlation being `alike`."""
-    numbers = rng.standard_normal(N_SCAN)
-    for s in range(1, N_SCAN):
-        numbers[s] = alike * numbers[s - 1] + math.sqrt(1.0 - alike**2) * numbers[s]
-    return numbers
-
-
-def light_of(
-    rng: np.random.Generator,
-    ends: float,
-    begins: float,
-    *,
-    apart_px: float = 12.0,
-    peak_e: float = 3000.0,
-    contrast: float = 0.0,
-    alike: float = 0.0,
-    scatter_px: float = 0.0,
-    noise: bool = True,
-    flipped: bool = False,
-) -> StripeLight:
-    """A stripe that ends at a line and one, `apart_px` off and sloped, that begins at another."""
-    s, r = np.arange(N_SCAN, dtype=float), np.arange(DEPTH, dtype=float)
-    upper, lower = 40.3 + 0.1031 * (s - EDGE), 40.3 + apart_px - 0.1517 * (s - EDGE)
-    moved_px = scatter_px * rng.standard_normal(N_SCAN)
-    bells = (np.exp(-0.5 * ((r - (run + moved_px)[:, None]) / WIDTH_PX) ** 2) for run in (upper, lower))
-    u, v = (peak_e * np.exp(contrast * alike_from_line_to_line(rng, alike))[:, None] * bell for bell in bells)
-    mean = ndtr((ends - s) / PSF_PX)[:, None] * u + ndtr((s - begins) / PSF_PX)[:, None] * v + 500.0
-    charge = rng.normal(mean, np.sqrt(mean + DARK_E2)) if noise else mean
-    position = np.where(s < 0.5 * (ends + begins), upper, lower) + moved_px
-    if flipped:
-        charge, position = charge[::-1], position[::-1]
-    return StripeLight(
-        np.ascontiguousarray(charge, dtype=np.float32),
-        np.full(charge.shape, 500.0, dtype=np.float32),
-        np.zeros(charge.shape, dtype=bool),
-        np.zeros(-(-N_SCAN // CELL), dtype=np.int64),
-        np.ascontiguousarray(position),
-        np.full(N_SCAN, WIDTH_PX),
-        1.0,
-        DARK_E2,
-        contrast,
-        alike,
-        PSF_PX,
-        0.0,
-        scatter_px,
-    )
 
 
 @pytest.mark.parametrize("flipped", [False, True])
@@ -299,15 +257,6 @@ def test_an_end_is_its_twin(true: float, sigma: float, contrast: float, alike: f
     assert end_sigma == pytest.approx(math.hypot(math.sqrt(excess) * deviation, MIN_SIGMA), rel=0.2)
 
 
-def profile_of(light: StripeLight) -> Profile:
-    """Points a column of 0.1 mm apart, y = 0 at line EDGE."""
-    scan = np.arange(N_SCAN, dtype=float)
-    one = np.ones(N_SCAN)
-    return Profile(
-        0.1 * (scan - EDGE), 0.0 * one, 0.0 * one, 0.1 * one, 0.05 * one, scan, 0.1, 0.05 * one, light=light
-    )
-
-
 def edge_of(profile: Profile, before: int, behind: int, hidden_mm: float) -> Edge:
     """The edge between two points of a profile whose faces lie at z = 0."""
     n = len(profile.y_mm)
@@ -393,6 +342,12 @@ def test_no_share_is_read_under_a_glint() -> None:
     assert edge_of(profile_of(light), EDGE, EDGE + 2, 0.0) != blind
 
 
+def sees_of(profile: Profile, on_plates: OnPlates) -> Float64:
+    """What a profile's scan lines say of two plates that go on beyond it."""
+    section = section_from(profile, np.zeros(3), np.zeros(3))
+    return np.asarray(plate_lines(section, on_plates, False, *frame_given(profile)).sees)
+
+
 def test_lines_under_a_glint_say_nothing_of_a_plate() -> None:
     light = under_a_glint(light_of(np.random.default_rng(5), 100.0, 200.0), EDGE, EDGE + 4)
     profile = profile_of(light)
@@ -403,9 +358,9 @@ def test_lines_under_a_glint_say_nothing_of_a_plate() -> None:
         np.ones(int(seen.sum()), dtype=bool),
         meet_face(points_of(shown), shown.z_mm, np.zeros(len(shown.z_mm))),
     )
-    sees = PlateLines(shown, on_plates, False).sees
+    sees = sees_of(shown, on_plates)
     assert (sees[EDGE : EDGE + 5] == HIDDEN).all()
-    plain = PlateLines(replace(shown, light=None), on_plates, False).sees
+    plain = sees_of(replace(shown, light=None), on_plates)
     assert (plain[EDGE : EDGE + 5] == UNREAD).all()
     assert (np.delete(sees, np.arange(EDGE, EDGE + 5)) == 1.0).all()
 
@@ -421,6 +376,6 @@ def test_lines_with_hardly_any_of_a_plate_s_light_hold_none() -> None:
     on_plates = OnPlates(
         np.ones(N_SCAN, dtype=bool), meet_face(points_of(profile), profile.z_mm, np.zeros(N_SCAN))
     )
-    sees = PlateLines(profile, on_plates, False).sees
+    sees = sees_of(profile, on_plates)
     assert (sees[gap] == UNREAD).all()
     assert (np.delete(sees, np.arange(EDGE, EDGE + 5)) == 1.0).all()

@@ -13,14 +13,13 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
 from noise_model.surface.stated_joint import StatedJoint
-from tracker.joint.complete import completed
 from tracker.joint.fillet import fit_fillet
 from tracker.joint.groove import fit_groove
 from tracker.joint.half_v import fit_half_v
 from tracker.joint.image_line import ImageLine
 from tracker.joint.lap import fit_lap
 from tracker.joint.measured import MeasuredJoint
-from tracker.joint.section import Section, is_long_enough, section_from
+from tracker.joint.section import Section, frame_given, section_from
 from tracker.joint.slot import fit_closed_slot, fit_slot
 from tracker.profile import Profile
 
@@ -37,6 +36,9 @@ FITS: Mapping[str, Callable[[Section, StatedJoint], MeasuredJoint]] = {
 }
 """The kernels that measure a joint of a type, whose y is NaN where the section does not determine it."""
 
+SLOTS = frozenset({"butt", "edge"})
+"""The types whose kernel, `fit_slot`, takes the frame as well."""
+
 _NOWHERE = np.full(3, math.nan)
 
 __all__ = ["FITS", "HIDING_TYPES", "MeasuredJoint", "fit_closed_joint", "fit_joint"]
@@ -50,16 +52,18 @@ def fit_joint(
     `camera_mm` and `laser_mm` (3,), joint frame: what stands between them and a point hides it. Only
     HIDING_TYPES ask for them.
     """
-    section = section_from(profile, camera_mm, laser_mm)
+    section, stated = section_from(profile, camera_mm, laser_mm), StatedJoint.of(joint)
     if joint.type in FITS:
-        fitted = FITS[joint.type](section, StatedJoint.of(joint))
-        return fitted if fitted.is_determined else None
-    is_slot = joint.type in ("butt", "edge")
-    measured = fit_slot(profile, joint) if is_slot and is_long_enough(section) else None
-    return None if measured is None else completed(section, measured)
+        fitted = FITS[joint.type](section, stated)
+    elif joint.type in SLOTS:
+        fitted = fit_slot(section, stated, *frame_given(profile))
+    else:
+        return None
+    return fitted if fitted.is_determined else None
 
 
 def fit_closed_joint(profile: Profile, joint: Joint, line: ImageLine) -> MeasuredJoint | None:
     """Return the closed joint that a line in the image shows amid a profile, or None without two plates."""
-    measured = fit_closed_slot(profile, joint, line)
-    return None if measured is None else completed(section_from(profile, _NOWHERE, _NOWHERE), measured)
+    section, stated = section_from(profile, _NOWHERE, _NOWHERE), StatedJoint.of(joint)
+    fitted: MeasuredJoint = fit_closed_slot(section, stated, line.y_mm, line.sigma_mm, line.evidence_nats)
+    return fitted if fitted.is_determined else None

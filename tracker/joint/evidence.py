@@ -245,6 +245,7 @@ def runs_of(is_lost: Bool, first: int, last: int) -> tuple[int, int, int]:
     return lines, begun, gone_on
 
 
+@kernel
 def gap_evidence_nats(is_lost: Bool, first: int, last: int, places: float) -> float:
     """Return the evidence, nats, that the lost lines from `first` to `last` are a gap's and not chance's.
 
@@ -259,6 +260,8 @@ def gap_evidence_nats(is_lost: Bool, first: int, last: int, places: float) -> fl
     if longest == 0:
         return -math.inf
     anywhere = (begun + 0.5) / (lines + 1.0) * places
-    went_on, lost = gone_on + RUN_PRIOR[0], gone_on + begun + sum(RUN_PRIOR)
-    goes_on = sum(math.log((went_on + j) / (lost + j)) for j in range(longest - 1))
+    went_on, lost = gone_on + RUN_PRIOR[0], gone_on + begun + RUN_PRIOR[0] + RUN_PRIOR[1]
+    goes_on = 0.0
+    for j in range(longest - 1):
+        goes_on += math.log((went_on + j) / (lost + j))
     return -math.log(anywhere) - goes_on

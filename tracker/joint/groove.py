@@ -114,7 +114,7 @@ class Seen(NamedTuple):
 def start_of(
     y_mm: Float64, z_mm: Float64, reach_mm: float, stated: StatedJoint, prior_sigma: Float64
 ) -> Float64:
-    """Return the parameters (p,) of a stated groove where most of points (n,) lie on it; see `place`.
+    """Return the parameters (p,) of a stated groove where most of points (n,) lie on it; see `shift_of`.
 
     Those are as many as have a `prior_sigma` (p,).
     """

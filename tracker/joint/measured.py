@@ -11,7 +11,7 @@ from noise_model.arrays import Bool, Float64, Int64
 from noise_model.kernel import kernel
 from tracker.joint.alike import add_shared_errors
 from tracker.joint.section_fit import MIN_ALONG_MM, best_shift, fit_section
-from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
+from tracker.joint.section_shapes import opening
 from tracker.profile import Profile, is_in_order, scan_order
 from tracker.state import NO_SHAPE, JointShape, Pair
 
@@ -119,7 +119,7 @@ def points_of(profile: Profile) -> SectionPoints:
         profile.scan,
         profile.sigma_px,
         profile.beside_px,
-        _NONE_PX if profile.misfit_px is None else profile.misfit_px,
+        np.empty(0) if profile.misfit_px is None else profile.misfit_px,
         profile.lines_each,
     )
 
@@ -152,44 +152,24 @@ def _taken(values: Float64, order: Int64) -> Float64:
     return taken
 
 
-def fit_shape(
-    profile: Profile,
-    shape: int,
-    start: Float64,
-    prior_sigma: Float64,
-    used: Bool | None = None,
-) -> ShapeFit | None:
-    """Fit a shape of `section_fit` to a profile, in pixels of stripe centre, with priors about `start`.
-
-    A point may lie `START_SIGMA_MM` off the start. None where fewer points are `used` than the parameters
-    need, and where the fit runs away. What `start` has beyond `prior_sigma` (p,) stays as it is.
-    """
-    chosen = _ALL if used is None else used
-    fit: ShapeFit = fit_points(shape, points_of(profile), chosen, START_SIGMA_MM, prior_sigma, start)
-    return fit if math.isfinite(fit.chi2) else None
-
-
-_NONE_PX, _ALL = np.empty(0), np.empty(0, dtype=np.bool_)
-"""No misfits of points, and no choice among them, as the kernel takes them."""
-
-
 @kernel(allocates=True)
 def fit_points(
     shape: int,
     points: SectionPoints,
-    chosen: Bool,
+    used: Bool,
     start_sigma_mm: float,
     prior_sigma: Float64,
     start: Float64,
 ) -> ShapeFit:
-    """Return `fit_shape`'s fit, whose chi2 is NaN where it cannot be.
+    """Fit a shape of `section_fit` to points (n,), in pixels of stripe centre, with priors about `start`.
 
-    All points (n,) are used where none are `chosen`, and without a `misfit_px` it is 0.
+    Those that are `used` (n,) count. A point may lie `start_sigma_mm` off the start, and without a
+    `misfit_px` it is 0. The fit's chi2 is NaN where fewer points are used than the parameters need, and where
+    it runs away. What `start` has beyond `prior_sigma` (p,) stays as it is.
     """
     y_mm, z_mm, dy_mm, dz_mm, scan, sigma_px, beside_px, misfit_px, n_lines = points
     n, m = y_mm.shape[0], prior_sigma.shape[0]
     parameters, covariance, weights = start.copy(), np.empty((m, m)), np.empty(n)
-    used = chosen if len(chosen) > 0 else np.ones(n, np.bool_)
     misfit = misfit_px if len(misfit_px) > 0 else np.zeros(n)
     sigma, beside = np.empty(n), np.empty(n)
     if count_with_floor(sigma_px, n_lines, used, sigma) < m + 3:
@@ -256,12 +236,6 @@ def shift_of(
     return best_shift(y, z, lifted, np.arange(first, last + step_mm, step_mm), limit_mm)
 
 
-def off_line(profile: Profile, line_mm: Float64) -> Float64:
-    """Return how far points lie over a level line (n,), in the sigmas of their own height."""
-    sigma = np.abs(profile.dz_mm) * np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
-    return np.asarray((profile.z_mm - line_mm) / sigma)
-
-
 class OnFace(NamedTuple):
     """Where points' rays meet a face: y (n,), mm, and by how much each y goes with the face's height (n,)."""
 
@@ -322,15 +296,9 @@ def share_left_out(y_mm: Float64, weights: Float64, used: Bool, middle_mm: float
     return out / near if near > 0 else 1.0
 
 
-def angles_of(fit: ShapeFit, left: int, right: int) -> tuple[Pair, Pair]:
-    """Return the angles, deg, whose tangents are two of a fit's parameters, and their 1 sigma."""
-    angles: tuple[Pair, Pair] = two_angles(fit.parameters, fit.covariance, left, right)
-    return angles
-
-
 @kernel
 def two_angles(parameters: Float64, covariance: Float64, left: int, right: int) -> tuple[Pair, Pair]:
-    """Return the two `angles_of` a fit."""
+    """Return the angles, deg, whose tangents are two of a fit's parameters, and their 1 sigma."""
     first, second = parameters[left], parameters[right]
     first_sigma = math.sqrt(covariance[left, left]) / (1.0 + first * first)
     second_sigma = math.sqrt(covariance[right, right]) / (1.0 + second * second)
@@ -347,10 +315,3 @@ def opening_area(shape: int, p: Float64, covariance: Float64) -> Pair:
         for j in range(covariance.shape[0]):
             variance += gradient[i] * covariance[i, j] * gradient[j]
     return area, math.sqrt(variance)
-
-
-def section_of(shape: int, fit: ShapeFit, fixed: tuple[float, ...] = ()) -> Float64:
-    """Return the corners (n, 2) of a fitted shape, `fixed` its parameters that were not fitted."""
-    corners = np.empty((N_CORNERS[shape], 2))
-    corners_of(shape, np.concatenate([fit.parameters, fixed]), corners)
-    return corners

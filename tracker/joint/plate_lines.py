@@ -8,12 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.map import CELL
-from noise_model.arrays import Bool, Float64, Int64
-from noise_model.median import known_median, median
+from noise_model.arrays import Bool, Float64, Integers
+from noise_model.kernel import kernel
+from noise_model.median import exact_median
 from tracker.joint.evidence import gap_evidence_nats
 from tracker.joint.measured import OnFace
-from tracker.profile import Profile
-from tracker.stripe.edge import WINDOW_SIGMAS, clear_of_an_edge, stripe_end
+from tracker.joint.section import Section
+from tracker.stripe.edge import WINDOW_SIGMAS, StripeLight, clear_of_an_edge, stripe_end
 
 OUTSIDE_MM = 1.0
 """How much of what is beyond an edge joint is looked at to place it."""
@@ -61,176 +62,337 @@ class PlateEnd(NamedTuple):
     line: int
 
 
-class PlateLines:
-    """The scan lines in order of y: 1 where a plate is seen, -1 where it is not; y of each (n,), mm.
+class PlateLines(NamedTuple):
+    """The scan lines (n,) in order of y: what each `sees`, and the y, mm, where the plates are met in it.
 
-    Where nothing is seen it is UNREAD, and HIDDEN where saturated pixels lie over the plates' stripe, a
-    glint's. `beyond` the profile's ends no plate is seen either if the plates end there, as an edge joint's
-    do. A line's y is where the plate is met in it.
+    That is 1 where a plate is seen and -1 where it is not; UNREAD where nothing is seen, and HIDDEN where
+    saturated pixels lie over the plates' stripe, a glint's. `y_per_z` is by how much a line's y goes with the
+    plates' height. The line i is scan line `away` (`first_scan` + i).
     """
 
-    def __init__(self, profile: Profile, on_plates: OnPlates, beyond: bool) -> None:
-        on_plate, face = on_plates
-        self.away = 1 if profile.scan[-1] > profile.scan[0] else -1
-        scan = self.away * profile.scan
-        pad = math.ceil((OUTSIDE_MM + SLACK_MM) / profile.column_mm) if beyond else 0
-        place = (scan - scan.min()).astype(np.int64) + pad
-        n = int(place.max()) + 1 + pad
-        self.first_scan = int(scan.min()) - pad
-        self.light, self.image_dn, self.column_mm = profile.light, profile.image_dn, profile.column_mm
-        self.sees = np.full(n, UNREAD)
-        self.sees[place] = np.where(on_plate, 1.0, -1.0)
-        order = np.argsort(place, kind="stable")
-        if on_plate.any():
-            # Where the plates would be seen: what lies deep in the gap looks shifted beside them.
-            order = order[on_plate[order]]
-        lines, seen = np.arange(n), place[order]
-        outside = np.minimum(lines - seen[0], 0) + np.maximum(lines - seen[-1], 0)
-        self.y_mm = np.interp(lines, seen, face.y_mm[order]) + self.column_mm * outside
-        self._y_per_z = np.interp(lines, seen, face.y_per_z[order])
-        self._leave_out_dim()
-        self._leave_out_hidden()
+    sees: Float64
+    y_mm: Float64
+    y_per_z: Float64
+    away: int
+    first_scan: int
+    column_mm: float
 
-    def _leave_out_dim(self) -> None:
-        """Take lines as unread that hold a stripe where the plates' is, but hardly any of its light."""
-        plates = np.flatnonzero(self.sees > 0.0)
-        if self.light is None or self.image_dn is None or not len(plates):
-            return
-        scans = self.away * (self.first_scan + plates)
-        width_px = known_median(self.light.width_px[scans])
-        brightness = self._brightness(scans, self.light.position_px[scans], width_px)
-        self.sees[plates[brightness < DIM_SHARE * median(brightness)]] = UNREAD
 
-    def _leave_out_hidden(self) -> None:
-        """Let lines say nothing that hold saturated pixels where the plates' stripe would be read."""
-        plates = np.flatnonzero(self.sees > 0.0)
-        if self.light is None or not len(plates):
-            return
-        scans = self.away * (self.first_scan + plates)
-        width_px = self.light.width_px[scans]
-        for line in np.flatnonzero(self.sees <= 0.0):
-            scan = self.away * (self.first_scan + int(line))
-            if not 0 <= scan < len(self.light.censored):
-                continue
-            low = self.light.lows[scan // CELL]
-            path_px = np.interp(line, plates, self.light.position_px[scans]) - low
-            half_px = WINDOW_SIGMAS * np.interp(line, plates, width_px)
-            near = slice(max(math.floor(path_px - half_px), 0), max(math.ceil(path_px + half_px) + 1, 0))
-            if self.light.censored[scan, near].any():
-                self.sees[line] = HIDDEN
+class PlateStripe(NamedTuple):
+    """The lines (n,) that show a plate, and where its stripe runs there and how wide it is, px."""
 
-    def place(self, plate_mm: float, gap_mm: float, ends: bool) -> float | None:
-        """Return where two plates of a width with a gap between them agree best, None if nowhere enough."""
-        plate, gap = (max(round(width / self.column_mm), 0) for width in (plate_mm, gap_mm))
-        outside = round(OUTSIDE_MM / self.column_mm) if ends else 0
-        signs = np.concatenate(
-            [-np.ones(outside), np.ones(plate), -np.ones(gap), np.ones(plate), -np.ones(outside)]
-        )
-        if len(signs) > len(self.sees):
-            return None
-        votes = np.correlate(np.abs(self.sees), np.ones(len(signs)), "valid")
-        agreement = np.correlate(self.sees, signs, "valid") / np.maximum(votes, 1.0)
-        best = int(np.argmax(agreement))
-        middle = best + len(signs) // 2
-        in_gap = self.sees[middle - gap // 2 : middle - gap // 2 + gap]
-        if agreement[best] < MIN_AGREEMENT or (gap and (in_gap < 0.0).sum() < MIN_LINES):
-            return None
-        return float(self.y_mm[best] + 0.5 * (len(signs) - 1) * self.column_mm)
+    lines: Float64
+    position_px: Float64
+    width_px: Float64
 
-    def end(self, low_mm: float, high_mm: float, plate_first: bool) -> PlateEnd:
-        """Return the end of a plate between two places: where most lines agree.
 
-        Lines that a blurred end leaves unread before what is seen beyond may be the plate's as well.
-        """
-        first, last = np.searchsorted(self.y_mm, [low_mm, high_mm])
-        sees = self.sees[first:last] * (1.0 if plate_first else -1.0)
-        votes = np.concatenate([[0.0], np.cumsum(sees)])
-        best = np.flatnonzero(votes == votes.max())[[0, -1]] + first
-        before, behind = max(int(best[0]) - 1, 0), min(int(best[1]), len(self.y_mm) - 1)
-        plate = before if plate_first else behind
-        if plate_first:
-            behind += self._unread_by_blur(self.sees[behind:])
+@kernel(allocates=True)
+def plate_lines(
+    section: Section, on_plates: OnPlates, beyond: bool, image_dn: Integers, along_rows: bool
+) -> PlateLines:
+    """Return the scan lines of a section whose points (n,) are said to lie on plates or not.
+
+    `beyond` the section's ends no plate is seen either if the plates end there, as an edge joint's do.
+    """
+    lines = lines_read(section, on_plates, beyond)
+    if section.light.position_px.shape[0] > 0:
+        leave_out_dim(lines, section.light, image_dn, along_rows)
+        leave_out_hidden(lines, section.light)
+    return lines
+
+
+@kernel(allocates=True)
+def lines_read(section: Section, on_plates: OnPlates, beyond: bool) -> PlateLines:
+    """Return `plate_lines` as the points alone say."""
+    scan, column_mm, are_on = section.points.scan, section.column_mm, on_plates.are_on
+    n_points, away = scan.shape[0], 1 if scan[-1] > scan[0] else -1
+    pad = math.ceil((OUTSIDE_MM + SLACK_MM) / column_mm) if beyond else 0
+    first, last, n_on = math.inf, -math.inf, 0
+    for i in range(n_points):
+        first, last = min(first, away * scan[i]), max(last, away * scan[i])
+        n_on += are_on[i]
+    n = int(last - first) + 1 + 2 * pad
+    places, sees = np.empty(n_points, np.int64), np.full(n, UNREAD)
+    for i in range(n_points):
+        places[i] = int(away * scan[i] - first) + pad
+        sees[places[i]] = 1.0 if are_on[i] else -1.0
+    # Where the plates would be seen: what lies deep in the gap looks shifted beside them.
+    count = n_on if n_on > 0 else n_points
+    shown, face_mm, face_per_z, k = np.empty(count), np.empty(count), np.empty(count), 0
+    for i in np.argsort(places, kind="mergesort"):
+        if are_on[i] or n_on == 0:
+            shown[k], face_mm[k], face_per_z[k] = places[i], on_plates.face.y_mm[i], on_plates.face.y_per_z[i]
+            k += 1
+    y_mm, y_per_z = np.empty(n), np.empty(n)
+    for line in range(n):
+        outside = min(line - shown[0], 0.0) + max(line - shown[-1], 0.0)
+        y_mm[line] = interpolated(float(line), shown, face_mm) + column_mm * outside
+        y_per_z[line] = interpolated(float(line), shown, face_per_z)
+    return PlateLines(sees, y_mm, y_per_z, away, int(first) - pad, column_mm)
+
+
+@kernel
+def interpolated(x: float, places: Float64, values: Float64) -> float:
+    """Return the value at a place amid places (n,), rising, that have values (n,); beyond them the last."""
+    low, high = 0, places.shape[0] - 1
+    if x < places[0]:
+        return float(values[0])
+    if x >= places[high]:
+        return float(values[high])
+    while high - low > 1:
+        middle = (low + high) // 2
+        if places[middle] <= x:
+            low = middle
         else:
-            before -= self._unread_by_blur(self.sees[before::-1])
-        low, high = float(self.y_mm[before]), float(self.y_mm[behind])
-        spread = max(high - low, self.column_mm)
-        return PlateEnd(0.5 * (low + high), spread**2 / 12.0, plate)
+            high = middle
+    slope = (values[high] - values[low]) / (places[high] - places[low])
+    return float(slope * (x - places[low]) + values[low])
 
-    def _unread_by_blur(self, sees: Float64) -> int:
-        """Return how many lines (n,) from an end on are unread, 0 if more than a blurred end leaves."""
-        is_read = sees != UNREAD
-        unread = int(np.argmax(is_read)) if is_read.any() else len(sees)
-        most = 0 if self.light is None else clear_of_an_edge(self.light)
-        return unread if unread < most else 0
 
-    def by_shares(self, end: PlateEnd, plate_first: bool, gap_lines: int) -> PlateEnd | None:
-        """Return an end at a gap of some lines as the shares say that lines hold of the plate's stripe.
+@kernel(allocates=True)
+def stripe_on_plates(lines: PlateLines, light: StripeLight) -> PlateStripe:
+    """Return the stripe in the lines that show a plate."""
+    n, k = 0, 0
+    for line in range(lines.sees.shape[0]):
+        n += lines.sees[line] > 0.0
+    stripe = PlateStripe(np.empty(n), np.empty(n), np.empty(n))
+    for line in range(lines.sees.shape[0]):
+        if lines.sees[line] > 0.0:
+            scan = lines.away * (lines.first_scan + line)
+            stripe.lines[k] = line
+            stripe.position_px[k], stripe.width_px[k] = light.position_px[scan], light.width_px[scan]
+            k += 1
+    return stripe
 
-        None where they do not tell it as well, or tell what lines that were read deny.
-        """
-        if self.light is None:
-            return None
-        towards = 1 if plate_first else -1
-        scan = self.away * (self.first_scan + end.line)
-        if (self.sees[end.line + towards :: towards][:1] == HIDDEN).any():
-            return None
-        is_read = self.sees[end.line + towards :: towards] != UNREAD
-        unread = int(np.argmax(is_read)) if is_read.any() else 0
-        seen_end = stripe_end(self.light, scan, self.away * towards, gap_lines, unread)
-        off = self.away * towards * (seen_end.line - scan)
-        variance, blurred = (seen_end.sigma * self.column_mm) ** 2, clear_of_an_edge(self.light)
-        if not (variance < end.variance_mm2 and -blurred < off < unread + blurred):
-            return None
-        y_mm = np.interp(end.line + towards * off, np.arange(len(self.y_mm)), self.y_mm)
-        return PlateEnd(float(y_mm), variance, end.line)
 
-    def hold_plates(self, first: int, last: int) -> bool:
-        """Say whether the lines from `first` to `last` hold the plates' stripe all the same.
+@kernel(allocates=True)
+def usual_width(width_px: Float64) -> float:
+    """Return the median of the widths (n,) that are known."""
+    known, count = np.empty(width_px.shape[0]), 0
+    for i in range(width_px.shape[0]):
+        if not math.isnan(width_px[i]):
+            known[count] = width_px[i]
+            count += 1
+    return exact_median(known[:count])
 
-        Where a gap is expected the stripe is sought on what is below it, and not where the plates have it.
-        """
-        if self.light is None or self.image_dn is None:
-            return False
-        between = np.arange(first, last + 1)
-        plates = np.flatnonzero(self.sees > 0.0)
-        plates = plates[np.argsort(np.minimum(abs(plates - first), abs(plates - last)))[: 2 * BRIGHT_LINES]]
-        scans = self.away * (self.first_scan + np.sort(plates))
-        path_px = np.interp(between, np.sort(plates), self.light.position_px[scans])
-        width_px = known_median(self.light.width_px[scans])
-        held = self._brightness(self.away * (self.first_scan + between), path_px, width_px)
-        whole = self._brightness(scans, self.light.position_px[scans], width_px)
-        return median(held) > HELD_SHARE * median(whole)
 
-    def _brightness(self, scans: Int64, path_px: Float64, width_px: float) -> Float64:
-        """Return how much brighter scan lines (n,) are about a path (n,), px, than beside it, DN."""
-        assert self.image_dn is not None
-        near = np.arange(-math.ceil(width_px), math.ceil(width_px) + 1)
-        far = math.ceil(BESIDE_SIGMAS * width_px)
-        offsets = np.concatenate([near, near - far, near + far])
-        places = np.clip(np.rint(path_px).astype(np.int64)[:, None] + offsets, 0, self.image_dn.shape[1] - 1)
-        within, *beside = np.split(self.image_dn[scans[:, None], places].astype(np.float64), 3, axis=1)
-        return np.asarray(within.mean(axis=1) - np.minimum(*(side.mean(axis=1) for side in beside)))
+@kernel(allocates=True)
+def leave_out_dim(lines: PlateLines, light: StripeLight, image_dn: Integers, along_rows: bool) -> None:
+    """Take lines as unread that hold a stripe where the plates' is, but hardly any of its light."""
+    plates = stripe_on_plates(lines, light)
+    n = plates.lines.shape[0]
+    if image_dn.shape[0] == 0 or n == 0:
+        return
+    width_px, bright = usual_width(plates.width_px), np.empty(n)
+    for i in range(n):
+        scan = lines.away * (lines.first_scan + int(plates.lines[i]))
+        bright[i] = brightness(image_dn, along_rows, scan, plates.position_px[i], width_px)
+    usual = exact_median(bright)
+    for i in range(n):
+        if bright[i] < DIM_SHARE * usual:
+            lines.sees[int(plates.lines[i])] = UNREAD
 
-    @property
-    def blurred(self) -> int:
-        """The scan lines of a gap whose ends blur into one."""
-        if self.light is None:
-            return BLURRED_LINES
-        return max(BLURRED_LINES, 2 * (clear_of_an_edge(self.light) - 1))
 
-    def gap_evidence_nats(self, first: int, last: int, places: float) -> float:
-        """Return the evidence, nats, that lines from `first` to `last` are a gap's and not lost by chance.
+@kernel(allocates=True)
+def leave_out_hidden(lines: PlateLines, light: StripeLight) -> None:
+    """Let lines say nothing that hold saturated pixels where the plates' stripe would be read."""
+    plates = stripe_on_plates(lines, light)
+    if plates.lines.shape[0] == 0:
+        return
+    for line in range(lines.sees.shape[0]):
+        scan = lines.away * (lines.first_scan + line)
+        if lines.sees[line] > 0.0 or not 0 <= scan < light.censored.shape[0]:
+            continue
+        path_px = interpolated(float(line), plates.lines, plates.position_px) - light.lows[scan // CELL]
+        half_px = WINDOW_SIGMAS * interpolated(float(line), plates.lines, plates.width_px)
+        first, last = math.floor(path_px - half_px), math.ceil(path_px + half_px)
+        for v in range(max(first, 0), min(last + 1, light.censored.shape[1])):
+            if light.censored[scan, v]:
+                lines.sees[line] = HIDDEN
 
-        Beyond the last line that shows a plate nothing is lost: the stripe has ended, or leaves its reach.
-        """
-        plate = np.flatnonzero(self.sees > 0.0)
-        start, end = int(plate[0]), int(plate[-1]) + 1
-        return gap_evidence_nats(self.sees[start:end] < 0.0, first - start, last - start, places)
 
-    def y_per_z_at(self, y_mm: float) -> float:
-        """Return by how much a line's y at a place goes with the plates' height."""
-        return float(np.interp(y_mm, self.y_mm, self._y_per_z))
+@kernel
+def brightness(image_dn: Integers, along_rows: bool, scan: int, path_px: float, width_px: float) -> float:
+    """Return how much brighter a scan line is about a path than beside it, DN.
 
-    def others_between(self, first: int, last: int) -> int:
-        """Return how many scan lines between two lines show no plate."""
-        return int((self.sees[first + 1 : last] < 0.0).sum())
+    `along_rows` says that scan lines are the frame's columns.
+    """
+    n_pos = image_dn.shape[0] if along_rows else image_dn.shape[1]
+    middle = 0 if math.isnan(path_px) else int(np.rint(path_px))
+    half, far = math.ceil(width_px), math.ceil(BESIDE_SIGMAS * width_px)
+    within, below, above = 0.0, 0.0, 0.0
+    for v in range(middle - half, middle + half + 1):
+        within += pixel(image_dn, along_rows, scan, min(max(v, 0), n_pos - 1))
+        below += pixel(image_dn, along_rows, scan, min(max(v - far, 0), n_pos - 1))
+        above += pixel(image_dn, along_rows, scan, min(max(v + far, 0), n_pos - 1))
+    n = 2 * half + 1
+    return within / n - min(below / n, above / n)
+
+
+@kernel
+def pixel(image_dn: Integers, along_rows: bool, scan: int, position: int) -> float:
+    """Return what a frame's pixel of a scan line holds, DN."""
+    return float(image_dn[position, scan] if along_rows else image_dn[scan, position])
+
+
+@kernel
+def best_place(lines: PlateLines, plate_mm: float, gap_mm: float, ends: bool) -> float:
+    """Return where two plates of a width with a gap between them agree best, NaN if nowhere enough."""
+    plate = max(round(plate_mm / lines.column_mm), 0)
+    gap = max(round(gap_mm / lines.column_mm), 0)
+    outside = round(OUTSIDE_MM / lines.column_mm) if ends else 0
+    n = 2 * (outside + plate) + gap
+    best, most = -1, -math.inf
+    for k in range(lines.sees.shape[0] - n + 1):
+        votes, agreed = 0.0, 0.0
+        for i in range(n):
+            from_end = min(i, n - 1 - i)
+            is_plate = outside <= from_end < outside + plate
+            votes += abs(lines.sees[k + i])
+            agreed += lines.sees[k + i] if is_plate else -lines.sees[k + i]
+        agreement = agreed / max(votes, 1.0)
+        if agreement > most:
+            best, most = k, agreement
+    if most < MIN_AGREEMENT:
+        return math.nan
+    first = best + n // 2 - gap // 2
+    if gap > 0 and others_between(lines, first - 1, first + gap) < MIN_LINES:
+        return math.nan
+    return float(lines.y_mm[best] + 0.5 * (n - 1) * lines.column_mm)
+
+
+@kernel
+def others_between(lines: PlateLines, first: int, last: int) -> int:
+    """Return how many scan lines between two lines show no plate."""
+    others = 0
+    for line in range(first + 1, last):
+        others += lines.sees[line] < 0.0
+    return others
+
+
+@kernel
+def end_between(
+    lines: PlateLines, light: StripeLight, low_mm: float, high_mm: float, plate_first: bool
+) -> PlateEnd:
+    """Return the end of a plate between two places: where most lines agree.
+
+    Lines that a blurred end leaves unread before what is seen beyond may be the plate's as well.
+    """
+    n, first = lines.y_mm.shape[0], 0
+    while first < n and lines.y_mm[first] < low_mm:
+        first += 1
+    last, votes, most, earliest, latest = first, 0.0, 0.0, first, first
+    while last < n and lines.y_mm[last] < high_mm:
+        votes += lines.sees[last] if plate_first else -lines.sees[last]
+        last += 1
+        if votes > most:
+            most, earliest = votes, last
+        if votes == most:
+            latest = last
+    before, behind = max(earliest - 1, 0), min(latest, n - 1)
+    plate = before if plate_first else behind
+    most_unread = 0 if light.position_px.shape[0] == 0 else clear_of_an_edge(light)
+    unread = unread_from(lines, behind, 1) if plate_first else unread_from(lines, before, -1)
+    if unread < most_unread:
+        behind += unread if plate_first else 0
+        before -= 0 if plate_first else unread
+    low, high = lines.y_mm[max(before, 0)], lines.y_mm[min(behind, n - 1)]
+    spread = max(high - low, lines.column_mm)
+    return PlateEnd(0.5 * (low + high), spread**2 / 12.0, plate)
+
+
+@kernel
+def unread_from(lines: PlateLines, first: int, towards: int) -> int:
+    """Return how many lines from one on, in a direction, are unread."""
+    line = first
+    while 0 <= line < lines.sees.shape[0] and lines.sees[line] == UNREAD:
+        line += towards
+    return abs(line - first)
+
+
+@kernel(allocates=True)
+def end_by_shares(
+    lines: PlateLines, light: StripeLight, end: PlateEnd, plate_first: bool, gap_lines: int
+) -> PlateEnd:
+    """Return an end at a gap of some lines as the shares say that lines hold of the plate's stripe.
+
+    Its y is NaN where they do not tell it as well, or tell what lines that were read deny.
+    """
+    not_told, n = PlateEnd(math.nan, math.nan, end.line), lines.y_mm.shape[0]
+    if light.position_px.shape[0] == 0:
+        return not_told
+    towards = 1 if plate_first else -1
+    scan, next_one = lines.away * (lines.first_scan + end.line), end.line + towards
+    if 0 <= next_one < n and lines.sees[next_one] == HIDDEN:
+        return not_told
+    unread = unread_from(lines, next_one, towards)
+    if not 0 <= next_one + towards * unread < n:
+        unread = 0
+    seen_end = stripe_end(light, scan, lines.away * towards, gap_lines, unread)
+    off = lines.away * towards * (seen_end.line - scan)
+    variance, blurred = (seen_end.sigma * lines.column_mm) ** 2, clear_of_an_edge(light)
+    if not (variance < end.variance_mm2 and -blurred < off < unread + blurred):
+        return not_told
+    line = min(max(end.line + towards * off, 0.0), n - 1.0)
+    k = min(int(line), n - 2)
+    y_mm = lines.y_mm[k] + (line - k) * (lines.y_mm[k + 1] - lines.y_mm[k])
+    return PlateEnd(y_mm, variance, end.line)
+
+
+@kernel(allocates=True)
+def hold_plates(
+    lines: PlateLines, light: StripeLight, image_dn: Integers, along_rows: bool, first: int, last: int
+) -> bool:
+    """Say whether the lines from `first` to `last` hold the plates' stripe all the same.
+
+    Where a gap is expected the stripe is sought on what is below it, and not where the plates have it.
+    """
+    if light.position_px.shape[0] == 0 or image_dn.shape[0] == 0:
+        return False
+    plates = stripe_on_plates(lines, light)
+    away = np.empty(plates.lines.shape[0])
+    for i in range(away.shape[0]):
+        away[i] = min(abs(plates.lines[i] - first), abs(plates.lines[i] - last))
+    nearest = np.sort(np.argsort(away, kind="mergesort")[: 2 * BRIGHT_LINES])
+    n = nearest.shape[0]
+    near = PlateStripe(np.empty(n), np.empty(n), np.empty(n))
+    for i in range(n):
+        k = nearest[i]
+        near.lines[i], near.position_px[i] = plates.lines[k], plates.position_px[k]
+        near.width_px[i] = plates.width_px[k]
+    width_px = usual_width(near.width_px)
+    whole, held = np.empty(n), np.empty(max(last - first + 1, 0))
+    for i in range(n):
+        scan = lines.away * (lines.first_scan + int(near.lines[i]))
+        whole[i] = brightness(image_dn, along_rows, scan, near.position_px[i], width_px)
+    for i in range(held.shape[0]):
+        path_px = interpolated(float(first + i), near.lines, near.position_px)
+        scan = lines.away * (lines.first_scan + first + i)
+        held[i] = brightness(image_dn, along_rows, scan, path_px, width_px)
+    return exact_median(held) > HELD_SHARE * exact_median(whole)
+
+
+@kernel
+def blurred_lines(light: StripeLight) -> int:
+    """Return the scan lines of a gap whose ends blur into one."""
+    if light.position_px.shape[0] == 0:
+        return BLURRED_LINES
+    return max(BLURRED_LINES, 2 * (clear_of_an_edge(light) - 1))
+
+
+@kernel(allocates=True)
+def evidence_of_gap(lines: PlateLines, first: int, last: int, places: float) -> float:
+    """Return the evidence, nats, that lines from `first` to `last` are a gap's and not lost by chance.
+
+    Beyond the last line that shows a plate nothing is lost: the stripe has ended, or leaves its reach.
+    """
+    start, end = 0, lines.sees.shape[0]
+    while not lines.sees[start] > 0.0:
+        start += 1
+    while not lines.sees[end - 1] > 0.0:
+        end -= 1
+    is_lost = np.empty(end - start, np.bool_)
+    for i in range(end - start):
+        is_lost[i] = lines.sees[start + i] < 0.0
+    nats: float = gap_evidence_nats(is_lost, first - start, last - start, places)
+    return nats

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.arrays import Float64, Integers
 from noise_model.kernel import kernel
 from tracker.joint.measured import SectionPoints, points_of
 from tracker.joint.upright_edge import light_of
@@ -45,6 +45,26 @@ def section_from(profile: Profile, camera_mm: Float64, laser_mm: Float64) -> Sec
         camera_mm,
         laser_mm,
     )
+
+
+_NO_IMAGE = np.empty((0, 0), np.uint8)
+
+
+class GivenFrame(NamedTuple):
+    """A frame as the sensor gave it (H, W), no pixels where it is not at hand, and how its stripe runs."""
+
+    image_dn: Integers
+    along_rows: bool
+
+
+def frame_given(profile: Profile) -> GivenFrame:
+    """Return the frame that a profile was read from."""
+    image_dn = profile.image_dn
+    if image_dn is None:
+        return GivenFrame(_NO_IMAGE, False)
+    if image_dn.flags.c_contiguous:
+        return GivenFrame(image_dn, False)
+    return GivenFrame(np.ascontiguousarray(image_dn.T), True)
 
 
 @kernel

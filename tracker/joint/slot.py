@@ -7,35 +7,53 @@ the shares that they hold of the plate's stripe where between.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool
-from noise_model.median import median
-from noise_model.surface.joint import Joint
+from noise_model.arrays import Bool, Float64, Integers
+from noise_model.kernel import kernel
+from noise_model.median import exact_median
+from noise_model.surface.stated_joint import StatedJoint
+from tracker.joint.complete import completed
 from tracker.joint.evidence import places_of
-from tracker.joint.image_line import ImageLine
 from tracker.joint.measured import (
     OFF_SIGMAS,
+    SIGMA_FLOOR_PX,
+    START_SIGMA_MM,
     MeasuredJoint,
+    SectionPoints,
     ShapeFit,
-    angles_of,
-    fit_shape,
+    fit_points,
     meet_face,
-    off_line,
-    points_of,
-    section_of,
+    two_angles,
+    undetermined,
 )
-from tracker.joint.plate_lines import BLURRED_LINES, MIN_LINES, SLACK_MM, OnPlates, PlateLines
-from tracker.joint.section_shapes import SHEETS
-from tracker.profile import Profile
-from tracker.state import JointShape, Pair
+from tracker.joint.plate_lines import (
+    BLURRED_LINES,
+    MIN_LINES,
+    SLACK_MM,
+    OnPlates,
+    PlateLines,
+    best_place,
+    blurred_lines,
+    end_between,
+    end_by_shares,
+    evidence_of_gap,
+    hold_plates,
+    interpolated,
+    others_between,
+    plate_lines,
+)
+from tracker.joint.section import Section, is_long_enough
+from tracker.joint.section_shapes import N_CORNERS, SHEETS, corners_of
+from tracker.state import JointShape
+from tracker.stripe.edge import StripeLight
 
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
 """1 sigma of the left plate's height, the step to the right one (mm), both plates' slopes."""
 
-ON_PLATE_MM = {"butt": 1.5, "edge": 0.5}
+ON_BUTT_MM, ON_EDGE_MM = 1.5, 0.5
 """What lies farther than this from either plate, or a quarter of the thickness, is not of it.
 
 A plate is often bent down at its end, where it was sheared.
@@ -60,62 +78,71 @@ THICKNESS_SIGMA_MM = 0.1
 """How far a sheet may be off its stated thickness: it moves an edge joint's seam where no gap is seen."""
 
 
-def fit_slot(profile: Profile, joint: Joint) -> MeasuredJoint | None:
-    """Return the butt or edge joint that a profile shows, or None where it shows no gap between two plates.
+@kernel(allocates=True)
+def fit_slot(section: Section, stated: StatedJoint, image_dn: Integers, along_rows: bool) -> MeasuredJoint:
+    """Return the butt or edge joint that a section shows, not determined without a gap between two plates.
 
-    An edge joint whose gap is too narrow to be seen is the middle of its two sheets.
+    An edge joint whose gap is too narrow to be seen is the middle of its two sheets. `image_dn` (H, W) is the
+    frame, without any pixels where it is not at hand; the stripe runs `along_rows` or along its columns.
     """
-    thickness, gap = joint.dimensions["thickness_mm"], joint.dimensions["gap_mm"]
-    is_edge = joint.type == "edge"
-    limit_mm = _on_plate_mm(joint)
-    y_0 = median(profile.y_mm)
-    everywhere = np.ones(len(profile.y_mm), dtype=bool)
-    plates = _plates(profile, y_0, everywhere)
-    if plates is None:
-        return None
-    lines = PlateLines(profile, _on_plates(profile, plates, y_0, limit_mm), is_edge)
-    seen_gap = max(gap, (MIN_LINES + 1) * profile.column_mm)
-    placed = lines.place(thickness if is_edge else BESIDE_MM, seen_gap, is_edge)
-    if placed is None and is_edge:
-        placed = lines.place(thickness + 0.5 * gap, 0.0, is_edge)
-    if placed is None:
-        return None
-    on_plates = _on_plates(profile, plates, y_0, 2.0 * limit_mm)
-    fit = _plates_beside(profile, joint, on_plates.are_on, placed)
-    if fit is None:
-        return None
-    seen = PlateLines(profile, _on_plates(profile, fit, placed, limit_mm), is_edge)
-    opening = _gap_of(seen, joint, placed)
-    if opening is None or (not is_edge and seen.hold_plates(*opening.lines)):
-        return None
-    evidence = math.inf
+    if not is_long_enough(section):
+        return undetermined()
+    points, is_edge, gap_mm = section.points, stated.is_edge, stated.gap_mm
+    y_0, limit_mm = exact_median(points.y_mm), on_plate_mm(stated)
+    plates = fit_plates(points, y_0, np.ones(points.y_mm.shape[0], np.bool_))
+    if not math.isfinite(plates.chi2):
+        return undetermined()
+    lines = plate_lines(section, on_plates(points, plates, y_0, limit_mm), is_edge, image_dn, along_rows)
+    seen_gap_mm = max(gap_mm, (MIN_LINES + 1) * section.column_mm)
+    placed_mm = best_place(lines, stated.thickness_mm if is_edge else BESIDE_MM, seen_gap_mm, is_edge)
+    if math.isnan(placed_mm) and is_edge:
+        placed_mm = best_place(lines, stated.thickness_mm + 0.5 * gap_mm, 0.0, is_edge)
+    if math.isnan(placed_mm):
+        return undetermined()
+    are_on = on_plates(points, plates, y_0, 2.0 * limit_mm).are_on
+    fit = fit_plates(points, placed_mm, beside_gap(points, stated, are_on, placed_mm))
+    if not math.isfinite(fit.chi2):
+        return undetermined()
+    seen = plate_lines(section, on_plates(points, fit, placed_mm, limit_mm), is_edge, image_dn, along_rows)
+    gap = gap_about(seen, section.light, stated, placed_mm)
+    if math.isnan(gap.y_mm):
+        return undetermined()
+    nats = math.inf
     if not is_edge:
-        places = places_of(profile.y_mm, profile.reach_mm, profile.column_mm)
-        evidence = seen.gap_evidence_nats(*opening.lines, places)
-    return _measured(profile, joint, fit, placed, opening, evidence)
+        if hold_plates(seen, section.light, image_dn, along_rows, gap.first, gap.last):
+            return undetermined()
+        places = places_of(points.y_mm, section.reach_mm, section.column_mm)
+        nats = evidence_of_gap(seen, gap.first, gap.last, places)
+    return completed(section, measured_slot(points, stated, fit, placed_mm, gap, nats))
 
 
-def fit_closed_slot(profile: Profile, joint: Joint, line: ImageLine) -> MeasuredJoint | None:
-    """Return the butt joint whose gap no scan line shows, but a line in the image; None without two plates.
+@kernel(allocates=True)
+def fit_closed_slot(
+    section: Section, stated: StatedJoint, line_mm: float, sigma_mm: float, nats: float
+) -> MeasuredJoint:
+    """Return the butt joint whose gap no scan line shows, but a line in the image, with its evidence.
 
-    How wide its gap is remains unknown. None also where the stated gap is too wide to be closed.
+    How wide its gap is remains unknown. It is not determined without two plates, nor where the stated gap is
+    too wide to be closed.
     """
-    if joint.dimensions["gap_mm"] >= MAX_CLOSED_MM:
-        return None
-    near = np.abs(profile.y_mm - line.y_mm) < NEAR_MM
-    plates = _plates(profile, line.y_mm, near)
-    if plates is None:
-        return None
-    on_plates = _on_plates(profile, plates, line.y_mm, 2.0 * _on_plate_mm(joint))
-    fit = _plates_beside(profile, joint, on_plates.are_on, line.y_mm)
-    if fit is None:
-        return None
-    closed = _Gap(line.y_mm, line.sigma_mm**2, math.nan, math.nan, (0, 0), 0.0)
-    return _measured(profile, joint, fit, line.y_mm, closed, line.evidence_nats)
+    points = section.points
+    if stated.gap_mm >= MAX_CLOSED_MM:
+        return undetermined()
+    near = np.empty(points.y_mm.shape[0], np.bool_)
+    for i in range(near.shape[0]):
+        near[i] = abs(points.y_mm[i] - line_mm) < NEAR_MM
+    plates = fit_plates(points, line_mm, near)
+    if not math.isfinite(plates.chi2):
+        return undetermined()
+    are_on = on_plates(points, plates, line_mm, 2.0 * on_plate_mm(stated)).are_on
+    fit = fit_plates(points, line_mm, beside_gap(points, stated, are_on, line_mm))
+    if not math.isfinite(fit.chi2):
+        return undetermined()
+    closed = Gap(line_mm, sigma_mm**2, math.nan, math.nan, 0, 0, 0.0)
+    return completed(section, measured_slot(points, stated, fit, line_mm, closed, nats))
 
 
-@dataclass(frozen=True)
-class _Gap:
+class Gap(NamedTuple):
     """Where a gap's middle is and how wide it is, mm, and their variances, mm^2; its first and last line.
 
     `y_per_z` is by how much its scan lines' y goes with the plates' height. Of a closed one no scan line
@@ -126,138 +153,180 @@ class _Gap:
     variance_mm2: float
     width_mm: float
     width_variance_mm2: float
-    lines: tuple[int, int]
+    first: int
+    last: int
     y_per_z: float
 
 
-def _gap_of(lines: PlateLines, joint: Joint, y_0: float) -> _Gap | None:
-    """Find the gap about a placed joint by the plates' ends on its either side; None where none is seen.
+@kernel(allocates=True)
+def gap_about(lines: PlateLines, light: StripeLight, stated: StatedJoint, y_0: float) -> Gap:
+    """Return the gap about a placed joint by the plates' ends on its either side; its y is NaN of none.
 
     An edge joint's lies amid its sheets' outer ends, if they are alike.
     """
-    thickness, gap = joint.dimensions["thickness_mm"], joint.dimensions["gap_mm"]
+    thickness, gap_mm = stated.thickness_mm, stated.gap_mm
     # Beyond a thin sheet there is no plate either: more of that than of the sheet would outvote it.
-    slack = min(SLACK_MM, 0.5 * thickness) if joint.type == "edge" else SLACK_MM
-    reach = 0.5 * gap + slack
-    right, left = lines.end(y_0 - reach, y_0, True), lines.end(y_0, y_0 + reach, False)
-    between = right.line + 1, left.line - 1
-    if lines.others_between(right.line, left.line) >= MIN_LINES:
+    slack = min(SLACK_MM, 0.5 * thickness) if stated.is_edge else SLACK_MM
+    reach = 0.5 * gap_mm + slack
+    right = end_between(lines, light, y_0 - reach, y_0, True)
+    left = end_between(lines, light, y_0, y_0 + reach, False)
+    first, last = right.line + 1, left.line - 1
+    if others_between(lines, right.line, left.line) >= MIN_LINES:
         gap_lines = left.line - right.line - 1
         # A blurred end seems off to its own side: where one is not told, in the middle of both that cancels.
-        right_told = lines.by_shares(right, True, gap_lines)
-        left_told = lines.by_shares(left, False, gap_lines)
-        if right_told is not None and left_told is not None:
+        right_told = end_by_shares(lines, light, right, True, gap_lines)
+        left_told = end_by_shares(lines, light, left, False, gap_lines)
+        if not (math.isnan(right_told.y_mm) or math.isnan(left_told.y_mm)):
             right, left = right_told, left_told
         width = left.y_mm - right.y_mm
-        variance = width_variance = left.variance_mm2 + right.variance_mm2
-        if width < lines.blurred * lines.column_mm:
+        variance = left.variance_mm2 + right.variance_mm2
+        width_variance = variance
+        if width < blurred_lines(light) * lines.column_mm:
             width_variance = max(width_variance, lines.column_mm**2)
         middle = 0.5 * (left.y_mm + right.y_mm)
-        return _Gap(middle, 0.25 * variance, width, width_variance, between, lines.y_per_z_at(middle))
-    if joint.type != "edge":
-        return None
-    outer = 0.5 * gap + thickness
-    right = lines.end(y_0 - outer - slack, y_0 - outer + slack, False)
-    left = lines.end(y_0 + outer - slack, y_0 + outer + slack, True)
+        y_per_z = interpolated(middle, lines.y_mm, lines.y_per_z)
+        return Gap(middle, 0.25 * variance, width, width_variance, first, last, y_per_z)
+    if not stated.is_edge:
+        return Gap(math.nan, math.nan, math.nan, math.nan, first, last, math.nan)
+    outer = 0.5 * gap_mm + thickness
+    right = end_between(lines, light, y_0 - outer - slack, y_0 - outer + slack, False)
+    left = end_between(lines, light, y_0 + outer - slack, y_0 + outer + slack, True)
     variance = 0.25 * (left.variance_mm2 + right.variance_mm2) + 0.5 * THICKNESS_SIGMA_MM**2
     middle, blurred_mm = 0.5 * (left.y_mm + right.y_mm), BLURRED_LINES * lines.column_mm
-    return _Gap(middle, variance, 0.0, blurred_mm**2, between, lines.y_per_z_at(middle))
+    y_per_z = interpolated(middle, lines.y_mm, lines.y_per_z)
+    return Gap(middle, variance, 0.0, blurred_mm**2, first, last, y_per_z)
 
 
-def _plates_beside(profile: Profile, joint: Joint, on_plates: Bool, y_0: float) -> ShapeFit | None:
-    """Fit lines to the points on the plates beside a placed joint once more; None if either is too short."""
-    gap = joint.dimensions["gap_mm"]
-    off_mm = np.abs(profile.y_mm - y_0) - 0.5 * gap
-    clear = on_plates & (off_mm > CLEAR_OF_GAP_MM) & (off_mm < NEAR_MM)
-    if joint.type == "edge":
-        clear &= np.abs(profile.y_mm - y_0) < 0.5 * gap + joint.dimensions["thickness_mm"]
-    on_left = profile.y_mm > y_0
-    if min((clear & on_left).sum(), (clear & ~on_left).sum()) < MIN_POINTS:
-        return None
-    return _plates(profile, y_0, clear)
+@kernel(allocates=True)
+def beside_gap(points: SectionPoints, stated: StatedJoint, are_on: Bool, y_0: float) -> Bool:
+    """Say which points (n,) place the plates beside a placed joint once more; none if either is too short."""
+    n, right, left = are_on.shape[0], 0, 0
+    clear = np.empty(n, np.bool_)
+    for i in range(n):
+        away_mm = abs(points.y_mm[i] - y_0)
+        off_mm = away_mm - 0.5 * stated.gap_mm
+        clear[i] = are_on[i] and CLEAR_OF_GAP_MM < off_mm < NEAR_MM
+        if stated.is_edge:
+            clear[i] = clear[i] and away_mm < 0.5 * stated.gap_mm + stated.thickness_mm
+        left += clear[i] and points.y_mm[i] > y_0
+        right += clear[i] and not points.y_mm[i] > y_0
+    return clear if min(left, right) >= MIN_POINTS else np.zeros(n, np.bool_)
 
 
-def _measured(
-    profile: Profile, joint: Joint, fit: ShapeFit, y_0: float, opening: _Gap, evidence_nats: float
+@kernel(allocates=True)
+def measured_slot(
+    points: SectionPoints, stated: StatedJoint, fit: ShapeFit, y_0: float, gap: Gap, nats: float
 ) -> MeasuredJoint:
     """Return the joint of two plates, whose lines are fitted about a place, with a gap between them."""
-    thickness, is_edge = joint.dimensions["thickness_mm"], joint.type == "edge"
-    half_mm = 0.0 if math.isnan(opening.width_mm) else 0.5 * opening.width_mm
-    right_mm, left_mm = opening.y_mm - half_mm, opening.y_mm + half_mm
+    p, covariance, thickness = fit.parameters, fit.covariance, stated.thickness_mm
+    half_mm = 0.0 if math.isnan(gap.width_mm) else 0.5 * gap.width_mm
+    right_mm, left_mm = gap.y_mm - half_mm, gap.y_mm + half_mm
     # The plates' surfaces where they end.
-    left_surface = np.array([1.0, 0.0, left_mm - y_0, 0.0])
-    right_surface = np.array([1.0, 1.0, 0.0, right_mm - y_0])
-    at_seam, step = 0.5 * (left_surface + right_surface), left_surface - right_surface
-    z_s = float(at_seam @ fit.parameters)
-    plate_angles, plate_sigmas = angles_of(fit, 2, 3)
+    left_top, right_top = p[0] + (left_mm - y_0) * p[2], p[0] + p[1] + (right_mm - y_0) * p[3]
+    z_s = 0.5 * (left_top + right_top)
+    at_seam, step = np.empty(4), np.empty(4)
+    at_seam[0], at_seam[1] = 1.0, 0.5
+    at_seam[2], at_seam[3] = 0.5 * (left_mm - y_0), 0.5 * (right_mm - y_0)
+    step[0], step[1], step[2], step[3] = 0.0, -1.0, left_mm - y_0, y_0 - right_mm
+    height_variance, step_variance = 0.0, 0.0
+    for i in range(4):
+        for j in range(4):
+            height_variance += at_seam[i] * covariance[i, j] * at_seam[j]
+            step_variance += step[i] * covariance[i, j] * step[j]
     # Which scan line lies where goes with the plates' heights.
-    y_per_z, height_variance = opening.y_per_z, float(at_seam @ fit.covariance @ at_seam)
-    variance = opening.variance_mm2 + y_per_z**2 * height_variance
-    across = y_per_z * height_variance
-    step_variance = float(step @ fit.covariance @ step)
-    width_sigma = math.sqrt(opening.width_variance_mm2 + y_per_z**2 * step_variance)
+    variance = gap.variance_mm2 + gap.y_per_z**2 * height_variance
+    across = gap.y_per_z * height_variance
+    width_sigma = math.sqrt(gap.width_variance_mm2 + gap.y_per_z**2 * step_variance)
+    together = np.empty((2, 2))
+    together[0, 0], together[0, 1], together[1, 0], together[1, 1] = variance, across, across, height_variance
+    plates, plate_sigmas = two_angles(p, covariance, 2, 3)
+    area, area_sigma, unknown = math.nan, math.nan, (math.nan, math.nan)
+    if not stated.is_edge:
+        area, area_sigma = gap.width_mm * thickness, width_sigma * thickness
     shape = JointShape(
-        width_sigma,
-        math.sqrt(step_variance),
-        plate_angles_deg=plate_angles,
-        plate_sigmas_deg=plate_sigmas,
-        area_mm2=math.nan if is_edge else opening.width_mm * thickness,
-        area_sigma_mm2=math.nan if is_edge else width_sigma * thickness,
+        width_sigma, math.sqrt(step_variance), unknown, unknown, plates, plate_sigmas, area, area_sigma
     )
-    far_right, *_, far_left = section_of(SHEETS, fit, (y_0,))
-    right_top, left_top = float(right_surface @ fit.parameters), float(left_surface @ fit.parameters)
-    # What lies deep in the gap is the gap's, whatever it is.
-    floor = z_s - thickness
-    corners = [far_right, (right_mm, right_top), (right_mm, floor), (left_mm, floor), (left_mm, left_top)]
     return MeasuredJoint(
-        opening.y_mm,
+        gap.y_mm,
         z_s,
-        np.array([[variance, across], [across, height_variance]]),
-        opening.width_mm,
-        float(step @ fit.parameters),
+        together,
+        gap.width_mm,
+        left_top - right_top,
         fit.chi2,
         shape,
-        _raised(profile, fit, y_0, (right_mm, left_mm)),
-        np.array([*corners, far_left]),
-        evidence_nats,
+        share_raised(points, p, y_0, right_mm, left_mm),
+        slot_corners(p, y_0, (right_mm, right_top), (left_mm, left_top), z_s - thickness),
+        nats,
     )
 
 
-def _raised(profile: Profile, fit: ShapeFit, y_0: float, ends_mm: Pair) -> float:
+@kernel(allocates=True)
+def slot_corners(
+    p: Float64, y_0: float, right: tuple[float, float], left: tuple[float, float], floor_mm: float
+) -> Float64:
+    """Return the corners (6, 2) of two plates that end at a right and a left place (y, z), mm.
+
+    What lies deep in the gap is the gap's, whatever it is: it has a floor.
+    """
+    sheets, whole, corners = np.empty((N_CORNERS[SHEETS], 2)), np.empty(5), np.empty((6, 2))
+    for i in range(4):
+        whole[i] = p[i]
+    whole[4] = y_0
+    corners_of(SHEETS, whole, sheets)
+    for k in range(2):
+        corners[0, k], corners[5, k] = sheets[0, k], sheets[-1, k]
+        corners[1, k], corners[4, k] = right[k], left[k]
+    corners[2, 0], corners[2, 1] = right[0], floor_mm
+    corners[3, 0], corners[3, 1] = left[0], floor_mm
+    return corners
+
+
+@kernel
+def share_raised(points: SectionPoints, p: Float64, y_0: float, right_mm: float, left_mm: float) -> float:
     """Return the share of the points near the gap that no plate and no gap has, as a tack weld's.
 
-    Beside the gap they lie off their plate, in the gap over it.
+    Beside the gap they lie off their plate, in the gap over it; 1 without any.
     """
-    z, step, slope_left, slope_right = fit.parameters
-    y, (right_mm, left_mm) = profile.y_mm, ends_mm
-    on_left = y > 0.5 * (right_mm + left_mm)
-    line = np.where(on_left, z + slope_left * (y - y_0), z + step + slope_right * (y - y_0))
-    off = off_line(profile, line)
-    near = (y > right_mm - SLACK_MM) & (y < left_mm + SLACK_MM)
-    in_gap = (y > right_mm) & (y < left_mm)
-    wrong = np.where(in_gap, off > OFF_SIGMAS, np.abs(off) > OFF_SIGMAS)
-    return float(np.mean(wrong[near])) if near.any() else 1.0
+    near, wrong = 0, 0
+    for i in range(points.y_mm.shape[0]):
+        y = points.y_mm[i]
+        if not right_mm - SLACK_MM < y < left_mm + SLACK_MM:
+            continue
+        is_left = y > 0.5 * (right_mm + left_mm)
+        line_mm = p[0] + p[2] * (y - y_0) if is_left else p[0] + p[1] + p[3] * (y - y_0)
+        sigma_mm = abs(points.dz_mm[i]) * math.hypot(points.sigma_px[i], SIGMA_FLOOR_PX)
+        off = (points.z_mm[i] - line_mm) / sigma_mm
+        near += 1
+        wrong += off > OFF_SIGMAS or (off < -OFF_SIGMAS and not right_mm < y < left_mm)
+    return wrong / near if near > 0 else 1.0
 
 
-def _plates(profile: Profile, y_0: float, used: Bool) -> ShapeFit | None:
-    """Fit a line to the plates on either side of a place."""
-    start = np.array([median(profile.z_mm), 0.0, 0.0, 0.0, y_0])
-    return fit_shape(profile, SHEETS, start, PRIOR_SIGMA, used)
+@kernel(allocates=True)
+def fit_plates(points: SectionPoints, y_0: float, used: Bool) -> ShapeFit:
+    """Fit a line to the plates on either side of a place; the fit's chi2 is NaN where it cannot be."""
+    start = np.zeros(5)
+    start[0], start[4] = exact_median(points.z_mm), y_0
+    # A copy of its own has one type: for a constant the kernels would be compiled anew.
+    fit: ShapeFit = fit_points(SHEETS, points, used, START_SIGMA_MM, PRIOR_SIGMA.copy(), start)
+    return fit
 
 
-def _on_plate_mm(joint: Joint) -> float:
+@kernel
+def on_plate_mm(stated: StatedJoint) -> float:
     """Return how far off a plate's line its points may lie, mm."""
-    return min(ON_PLATE_MM[joint.type], 0.25 * joint.dimensions["thickness_mm"])
+    return min(ON_EDGE_MM if stated.is_edge else ON_BUTT_MM, 0.25 * stated.thickness_mm)
 
 
-def _on_plates(profile: Profile, plates: ShapeFit, y_0: float, limit_mm: float) -> OnPlates:
+@kernel(allocates=True)
+def on_plates(points: SectionPoints, plates: ShapeFit, y_0: float, limit_mm: float) -> OnPlates:
     """Say of each point whether it lies on one of the plates' lines, and where."""
-    z, step, slope_left, slope_right = plates.parameters
-    y = profile.y_mm - y_0
-    left_mm, right_mm = z + slope_left * y, z + step + slope_right * y
-    off_left, off_right = np.abs(profile.z_mm - left_mm), np.abs(profile.z_mm - right_mm)
-    is_left = off_left < off_right
-    height_mm, slope = np.where(is_left, left_mm, right_mm), np.where(is_left, slope_left, slope_right)
-    return OnPlates(
-        np.minimum(off_left, off_right) < limit_mm, meet_face(points_of(profile), height_mm, slope)
-    )
+    p, n = plates.parameters, points.y_mm.shape[0]
+    are_on, height_mm, slope = np.empty(n, np.bool_), np.empty(n), np.empty(n)
+    for i in range(n):
+        y = points.y_mm[i] - y_0
+        left_mm, right_mm = p[0] + p[2] * y, p[0] + p[1] + p[3] * y
+        off_left, off_right = abs(points.z_mm[i] - left_mm), abs(points.z_mm[i] - right_mm)
+        is_left = off_left < off_right
+        height_mm[i], slope[i] = (left_mm, p[2]) if is_left else (right_mm, p[3])
+        are_on[i] = min(off_left, off_right) < limit_mm
+    return OnPlates(are_on, meet_face(points, height_mm, slope))

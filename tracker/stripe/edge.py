@@ -133,6 +133,7 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
     )
 
 
+@kernel(allocates=True)
 def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int, unread: int = 0) -> StripeEnd:
     """Return where the stripe that is whole in line `last` ends, before a gap of some lines.
 
@@ -142,7 +143,7 @@ def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int, unread:
     clear = clear_of_an_edge(light)
     # No more than half of the gap: behind it the stripe begins again.
     n = clear + min(clear + min(unread, clear), (gap_lines + 1) // 2)
-    shares, variances = np.empty((2, 2, n))
+    shares, variances = np.empty((2, n)), np.empty((2, n))
     deep = max(gap_lines - 2 * clear, min(MIN_BEYOND, gap_lines))
     first = last + away * (1 + (gap_lines - deep) // 2)
     if not line_shares(light, last - away * clear, first, away, deep, shares, variances):
