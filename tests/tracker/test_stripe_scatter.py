@@ -419,4 +419,4 @@ def test_a_tracker_learns_and_keeps_its_scatter() -> None:
     # A frame without laser shows nothing.
     dark = replace(drawn, index=3, timestamp_s=9.0, laser_on=False)
     tracker.step(dark, pose)
-    assert tracker.state.scatter is scatter[-1]
+    np.testing.assert_equal(tracker.state.scatter, scatter[-1])
