@@ -20,11 +20,13 @@ from tracker.arc.level import ArcLevel
 from tracker.checks import Asked, ask, ask_whether
 from tracker.geometry import SEARCH_REACH_MM, TRACK_REACH_MM, LookSource
 from tracker.joint.ask import ask_joint
+from tracker.joint.evidence import MIN_EVIDENCE_NATS
 from tracker.joint.fillet import fit_fillet
 from tracker.joint.groove import fit_groove
 from tracker.joint.half_v import fit_half_v
 from tracker.joint.lap import fit_lap
 from tracker.joint.measured import MeasuredJoint, undetermined
+from tracker.joint.slot import fit_slot
 from tracker.look import FrameLight, Look, look_at, no_stripe, nothing_read, unknown_arc
 from tracker.seam.correction import CorrectionNumbers
 from tracker.seam.expected import ExpectedSeam, expect_seam, pose_checks
@@ -41,8 +43,8 @@ from tracker.tracker_state import (
     stretches_of,
 )
 
-REFUSED, SEARCHES, TRACKED = 0, 1, 2
-"""How a frame ends here: its pose shows no seam, it has to be searched, or it is tracked."""
+REFUSED, BY_PIECES, TRACKED = 0, 1, 2
+"""How a frame ends here: its pose shows no seam, it is left to `tracker.step`'s pieces, or it is tracked."""
 
 
 class FrameGiven(NamedTuple):
@@ -125,7 +127,7 @@ def begin(asked: Asked, given: FrameGiven) -> Begun:
     can_look = pose_checks(asked, source.seam, expected.pose)
     if not can_look or reach_mm >= SEARCH_REACH_MM:
         nothing = nothing_read(unknown_arc(), no_stripe(source.image.along_rows), scatter)
-        return Begun(SEARCHES if can_look else REFUSED, expected, reach_mm, expected.scene, nothing)
+        return Begun(BY_PIECES if can_look else REFUSED, expected, reach_mm, expected.scene, nothing)
     ask(asked, checks.REACH, reach_mm, SEARCH_REACH_MM)
     line = expected.line
     scene = laid_scene(source.seam.scene, given.T_base_tool, line, line, True)
@@ -231,11 +233,28 @@ def track_fillet(asked: Asked, given: FrameGiven) -> FrameTracked:
     return end(asked, given, begun, joint)
 
 
+@kernel(allocates=True)
+def track_slot(asked: Asked, given: FrameGiven) -> FrameTracked:
+    """Track a frame of a butt or an edge joint.
+
+    Of a butt joint whose gap is not told the image may show a line: that is read by pieces.
+    """
+    begun, joint = begin(asked, given), undetermined()
+    if begun.look.is_stripe:
+        along_rows = given.source.image.along_rows
+        joint = fit_slot(begun.look.section, given.stated, given.image_dn, along_rows)
+        if not given.stated.is_edge and not joint.evidence_nats >= MIN_EVIDENCE_NATS:
+            begun = Begun(BY_PIECES, begun.expected, begun.reach_mm, begun.scene, begun.look)
+    return end(asked, given, begun, joint)
+
+
 TRACKS: Mapping[str, Callable[[Asked, FrameGiven], FrameTracked]] = {
     "v_groove": track_groove,
     "u_groove": track_groove,
     "half_v": track_half_v,
     "fillet": track_fillet,
+    "butt": track_slot,
+    "edge": track_slot,
     "lap": track_lap,
     "corrugation": track_lap,
 }

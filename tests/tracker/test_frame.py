@@ -69,7 +69,9 @@ def numbers(value: object) -> Iterator[object]:
 
 
 @pytest.mark.parametrize("correction", list(CORRECTIONS))
-@pytest.mark.parametrize("name", ["v_groove", "u_groove", "half_v", "fillet", "lap", "corrugation"])
+@pytest.mark.parametrize(
+    "name", ["v_groove", "u_groove", "half_v", "fillet", "butt", "edge", "lap", "corrugation"]
+)
 def test_a_frame_in_one_call_is_the_step_by_its_pieces(name: str, correction: str) -> None:
     setup = small_setup(name)
     geometry, follow = SensorGeometry.of(setup), CORRECTIONS[correction]
