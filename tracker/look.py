@@ -57,7 +57,7 @@ MAX_CURRENT_A, MAX_EXPOSURE_S = 1e4, 1e2
 
 
 class FrameLight(NamedTuple):
-    """What is said to light a frame: see `state.Frame`; an arc that the setup knows not `has_arc` none."""
+    """What is said to light a frame, see `state.Frame`; `has_arc` says that an arc is on and is stated."""
 
     exposure_s: float
     current_a: float
