@@ -108,7 +108,7 @@ def _to_powers(
     return across, along, least
 
 
-@kernel(inline=True)
+@kernel(fastmath={"contract"})
 def _fill_row(
     powers: Float64, t: float, step: float, start: int, ramp: Float32, line: Float32, first: int, last: int
 ) -> None:
