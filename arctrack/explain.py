@@ -25,12 +25,11 @@ from tracker import flags
 from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Transmission
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
-from tracker.joint import MeasuredJoint
+from tracker.joint import MeasuredJoint, fit_section
 from tracker.look import section_shown, see_arc
 from tracker.measure import (
     Reading,
     frame_light,
-    joint_of,
     light_through,
     profile_of,
     transmission_of,
@@ -174,7 +173,7 @@ def _look(
         return look
     light = frame_light(setup, frame)
     seen = see_arc(geometry.look_source, scene, expected, frame.image_dn, light, reach_px)
-    transmission = transmission_of(geometry, scene, seen, light)
+    transmission = transmission_of(geometry, scene, seen, frame)
     arc = _arc_image(geometry, seen.kernel, transmission, reading.arc, frame)
     look = replace(look, expected=expected, arc=arc)
     if reading.stripe is None:
@@ -207,7 +206,8 @@ def _look(
     if reading.flags & flags.STRIPE_LOST.mask:
         return look
     if reading.joint is None:
-        return replace(look, joint=joint_of(geometry, scene, reading.seam.station_mm, profile))
+        fitted = fit_section(section, setup.joint, frame.image_dn, geometry.along_rows)
+        return replace(look, joint=fitted)
     return replace(
         look,
         joint=reading.joint,

@@ -16,7 +16,7 @@ from noise_model.kernel import kernel
 from noise_model.surface.joint import SeamLine
 from noise_model.surface.stated_joint import StatedJoint
 from tracker import checks
-from tracker.arc.level import ArcLevel
+from tracker.arc.level import UNKNOWN, ArcLevel
 from tracker.checks import Asked, ask, ask_whether
 from tracker.geometry import SEARCH_REACH_MM, TRACK_REACH_MM, LookSource
 from tracker.joint.ask import ask_joint
@@ -27,12 +27,12 @@ from tracker.joint.half_v import fit_half_v
 from tracker.joint.lap import fit_lap
 from tracker.joint.measured import MeasuredJoint, undetermined
 from tracker.joint.slot import fit_slot
-from tracker.look import FrameLight, Look, look_at, no_stripe, nothing_read, unknown_arc
+from tracker.look import FrameLight, Look, look_at, no_stripe, nothing_read
 from tracker.seam.correction import CorrectionNumbers
 from tracker.seam.expected import ExpectedSeam, expect_seam, pose_checks
 from tracker.seam.gaussian_process import no_history
-from tracker.seam.judge import SeamShown, judge, no_seam
-from tracker.seam.steer import Lead, TorchOffset, no_offset
+from tracker.seam.judge import NO_SEAM, SeamShown, judge
+from tracker.seam.steer import NO_OFFSET, Lead, TorchOffset
 from tracker.state import Stripe
 from tracker.stripe.read import Work
 from tracker.tracker_state import (
@@ -126,7 +126,7 @@ def begin(asked: Asked, given: FrameGiven) -> Begun:
     reach_mm = reach_of(state, expected)
     can_look = pose_checks(asked, source.seam, expected.pose)
     if not can_look or reach_mm >= SEARCH_REACH_MM:
-        nothing = nothing_read(unknown_arc(), no_stripe(source.image.along_rows), scatter)
+        nothing = nothing_read(UNKNOWN, no_stripe(source.image.along_rows), scatter)
         return Begun(BY_PIECES if can_look else REFUSED, expected, reach_mm, expected.scene, nothing)
     ask(asked, checks.REACH, reach_mm, SEARCH_REACH_MM)
     line = expected.line
@@ -149,44 +149,33 @@ def begin(asked: Asked, given: FrameGiven) -> Begun:
 @kernel(allocates=True)
 def end(asked: Asked, given: FrameGiven, begun: Begun, fitted: MeasuredJoint) -> FrameTracked:
     """Judge the joint that was fitted to a frame's section, and steer by it."""
-    look, state = begun.look, given.state
-    joint, margin_mm = fitted, math.nan
-    if begun.ends != TRACKED:
-        return FrameTracked(
-            begun.ends,
-            state,
-            no_seam(),
-            no_offset(),
+    look, state, joint, margin_mm = begun.look, given.state, fitted, math.nan
+    after, shown, offset = state, NO_SEAM, NO_OFFSET
+    if begun.ends == TRACKED:
+        if look.is_stripe:
+            joint, margin_mm = ask_joint(asked, fitted, look.section.points.y_mm)
+        judged = judge(
+            asked,
+            given.source.seam,
+            given.correction,
+            stretches_of(state),
+            state.steering,
+            state.frames + 1,
+            begun.expected,
             begun.scene,
-            begun.expected.line,
-            begun.reach_mm,
-            look.arc,
-            look.stripe,
-            joint,
-            margin_mm,
+            (joint.y_mm, joint.z_mm),
+            (joint.covariance_mm2[0, 0], joint.covariance_mm2[1, 1]),
+            look.stripe.position_px.shape[0] > 0,
+            given.timestamp_s,
+            given.lead,
         )
-    if look.is_stripe:
-        joint, margin_mm = ask_joint(asked, fitted, look.section.points.y_mm)
-    judged = judge(
-        asked,
-        given.source.seam,
-        given.correction,
-        stretches_of(state),
-        state.steering,
-        state.frames + 1,
-        begun.expected,
-        begun.scene,
-        (joint.y_mm, joint.z_mm),
-        (joint.covariance_mm2[0, 0], joint.covariance_mm2[1, 1]),
-        look.stripe.position_px.shape[0] > 0,
-        given.timestamp_s,
-        given.lead,
-    )
+        after = state_after(state, judged.stretches, judged.steering, look.scatter)
+        shown, offset = judged.shown, judged.offset
     return FrameTracked(
         begun.ends,
-        state_after(state, judged.stretches, judged.steering, look.scatter),
-        judged.shown,
-        judged.offset,
+        after,
+        shown,
+        offset,
         begun.scene,
         begun.expected.line,
         begun.reach_mm,

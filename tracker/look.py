@@ -20,6 +20,7 @@ from noise_model.kernel import kernel
 from noise_model.surface.joint import SeamLine
 from tracker import checks
 from tracker.arc.level import (
+    UNKNOWN,
     ArcLevel,
     estimate_ambient_light,
     estimate_arc_level,
@@ -35,7 +36,7 @@ from tracker.seam.locate import sources
 from tracker.state import Stripe
 from tracker.stripe.band import FIT_SIGMAS
 from tracker.stripe.detection import MIN_RATIO, MIN_SEEN, seen_share
-from tracker.stripe.edge import StripeLight
+from tracker.stripe.edge import no_light
 from tracker.stripe.expected import ExpectedStripe, expect
 from tracker.stripe.read import LitBand, StripeReading, Work, light_band, light_of, read_stripe
 from tracker.stripe.scatter import Scatter
@@ -252,31 +253,10 @@ def section_shown(
 @kernel(allocates=True)
 def nothing_read(arc: ArcLevel, stripe: Stripe, scatter: Scatter) -> Look:
     """Return a look whose stripe, if there is any, is none."""
-    none, pixels, nowhere = np.empty(0), np.empty((0, 0), np.float32), np.full(3, math.nan)
-    dark = StripeLight(
-        pixels,
-        pixels,
-        np.empty((0, 0), np.bool_),
-        np.empty(0, np.int64),
-        none,
-        none,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-    )
+    none, nowhere = np.empty(0), np.full(3, math.nan)
     points = SectionPoints(none, none, none, none, none, none, none, none, none)
-    section = Section(points, math.nan, 0.0, 0.0, 0.0, none, dark, nowhere, nowhere)
+    section = Section(points, math.nan, 0.0, 0.0, 0.0, none, no_light(), nowhere, nowhere)
     return Look(arc, False, stripe, scatter, section)
-
-
-@kernel
-def unknown_arc() -> ArcLevel:
-    """Return what is known of the arc before a look."""
-    return ArcLevel(math.nan, math.nan, 0.0, math.nan, True, 0.0)
 
 
 @kernel(allocates=True)
@@ -335,12 +315,11 @@ def look_at(
     No effects act on the arc's light.
     """
     along_rows = source.image.along_rows
-    unknown = unknown_arc()
     if not ask_whether(asked, checks.CAMERA_ABOVE, not scene.below_surface):
-        return nothing_read(unknown, no_stripe(along_rows), scatter)
+        return nothing_read(UNKNOWN, no_stripe(along_rows), scatter)
     in_view, expected = expect(source.stripe, scene, source.image.n_scan)
     if not ask_whether(asked, checks.STRIPE_EXPECTED, in_view):
-        return nothing_read(unknown, no_stripe(along_rows), scatter)
+        return nothing_read(UNKNOWN, no_stripe(along_rows), scatter)
     reach_px = reach_mm * source.reach_px_per_mm
     seen = see_arc(source, scene, expected, image_dn, light, reach_px)
     arc = level_of(source, seen, seen.arc_e, np.empty(0, np.float32), light)

@@ -18,7 +18,7 @@ from tracker.arc.level import UNKNOWN, ArcLevel
 from tracker.arc.transmission import NO_LIGHT, Transmission
 from tracker.checks import Asked, ask_whether, take_answer
 from tracker.geometry import SEARCH_REACH_MM, TRACK_REACH_MM, SensorGeometry
-from tracker.joint import HIDING_TYPES, MeasuredJoint, fit_closed_joint, fit_joint
+from tracker.joint import MeasuredJoint, fit_closed_joint, fit_section
 from tracker.joint.ask import ask_joint
 from tracker.joint.evidence import MIN_EVIDENCE_NATS
 from tracker.joint.image_line import read_image_line
@@ -32,7 +32,6 @@ from tracker.look import (
     Look,
     ask_light,
     level_of,
-    look_at,
     no_stripe,
     nothing_read,
     output_for,
@@ -40,7 +39,7 @@ from tracker.look import (
     see_arc,
 )
 from tracker.profile import Profile
-from tracker.seam.locate import locate, sources
+from tracker.seam.locate import locate
 from tracker.state import Frame, Pose, Stripe
 from tracker.stripe.band import LightLevel
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
@@ -80,46 +79,28 @@ def measure(
 ) -> Reading:
     """Look for arc, stripe and joint about a seam; `scatter` is what earlier frames show of the stripe's."""
     scene = scene_along(geometry.seam_source.scene, pose.T_base_tool, seam)
-    asked, light = Asked.nothing(), frame_light(geometry.setup, frame)
-    line, image_dn = seam.as_floats(), frame.image_dn
-    if geometry.has_light_effects:
-        look = _look_through_effects(
-            asked, geometry, scene, line, reach_mm, image_dn, light, work, use_arc_map, scatter
-        )
-    else:
-        look = look_at(
-            asked,
-            geometry.look_source,
-            scene,
-            line,
-            reach_mm,
-            image_dn,
-            light,
-            work,
-            use_arc_map,
-            scatter,
-        )
+    asked = Asked.nothing()
+    look = _look(asked, geometry, frame, scene, seam.as_floats(), reach_mm, work, use_arc_map, scatter)
     stripe = look.stripe if look.stripe.position_px.size else None
     if not look.is_stripe:
         return Reading(asked, scene, seam, reach_mm, look.arc, stripe, scatter=scatter)
-    profile = profile_of(look.section, frame, geometry.along_rows)
-    joint, margin_mm = _joint(asked, geometry, scene, seam, look, profile, reach_mm)
+    joint, margin_mm = _joint(asked, geometry, scene, frame, look, reach_mm)
     return Reading(asked, scene, seam, reach_mm, look.arc, stripe, joint, margin_mm, look.scatter)
 
 
-def _look_through_effects(
+def _look(
     asked: Asked,
     geometry: SensorGeometry,
+    frame: Frame,
     scene: Scene,
     seam: SeamLine,
     reach_mm: float,
-    image_dn: Integers,
-    light: FrameLight,
     work: Work,
     use_arc_map: bool,
     scatter: Scatter,
 ) -> Look:
-    """Take `look_at`'s look where effects act on the arc's light on its way to the pixels."""
+    """Take `look.look_at`'s look by its pieces: effects act on the arc's light on its way to the pixels."""
+    image_dn, light = frame.image_dn, frame_light(geometry.setup, frame)
     source, none = geometry.look_source, no_stripe(geometry.along_rows)
     if not ask_whether(asked, checks.CAMERA_ABOVE, not scene.below_surface):
         return nothing_read(UNKNOWN, none, scatter)
@@ -129,7 +110,7 @@ def _look_through_effects(
         return nothing_read(UNKNOWN, none, scatter)
     reach_px = geometry.reach_px(reach_mm)
     seen = see_arc(source, scene, expected, image_dn, light, reach_px)
-    transmission = transmission_of(geometry, scene, seen, light)
+    transmission = transmission_of(geometry, scene, seen, frame)
     arc_e, other_e = (seen.arc_e, NO_LIGHT)
     if transmission is not None:
         arc_e, other_e = transmission.through(seen.pixels, seen.arc_e)
@@ -141,13 +122,12 @@ def _look_through_effects(
 
 
 def transmission_of(
-    geometry: SensorGeometry, scene: Scene, seen: ArcSeen, light: FrameLight
+    geometry: SensorGeometry, scene: Scene, seen: ArcSeen, frame: Frame
 ) -> Transmission | None:
     """Return what a frame's effects make of the arc's light, None if no effect acts on it."""
     arc_map = ArcMap(seen.kernel, geometry.xy, geometry.cos4, seen.table)
-    arc = geometry.arc_source
-    output = output_for(light.current_a, light.exposure_s, arc.current_a, arc.exposure_s, arc.exponent)
-    return Transmission.of(geometry, scene, arc_map.at, output if light.has_arc else 0.0)
+    output = expected_output(geometry.setup, frame) if shows_arc(geometry.setup, frame) else 0.0
+    return Transmission.of(geometry, scene, arc_map.at, output)
 
 
 def light_through(
@@ -190,13 +170,13 @@ def _joint(
     asked: Asked,
     geometry: SensorGeometry,
     scene: Scene,
-    seam: SeamLine,
+    frame: Frame,
     look: Look,
-    profile: Profile,
     reach_mm: float,
 ) -> tuple[MeasuredJoint | None, float]:
     """Return the joint that a stripe shows, and its margin in the view, mm, NaN where none is told."""
-    joint = joint_of(geometry, scene, seam.station_mm, profile)
+    profile = profile_of(look.section, frame, geometry.along_rows)
+    joint = fit_section(look.section, geometry.setup.joint, frame.image_dn, geometry.along_rows)
     if geometry.setup.joint.type == "butt" and not _is_told(joint):
         closed = _closed_joint(geometry, scene, look, profile)
         if _is_told(closed):
@@ -208,15 +188,6 @@ def _joint(
     nothing = undetermined()
     counted, margin_mm = ask_joint(asked, nothing if joint is None else joint, profile.y_mm)
     return (counted if counted.is_determined else None), margin_mm
-
-
-def joint_of(
-    geometry: SensorGeometry, scene: Scene, station_mm: float, profile: Profile
-) -> MeasuredJoint | None:
-    """Return the joint that a profile at a station shows, None where it does not determine one."""
-    joint = geometry.setup.joint
-    hides = joint.type in HIDING_TYPES
-    return fit_joint(profile, joint, *(sources(geometry.seam_source, scene, station_mm) if hides else ()))
 
 
 def _is_told(joint: MeasuredJoint | None) -> bool:

@@ -61,7 +61,8 @@ class ArcLevel(NamedTuple):
     ambient_e: float = 0.0
 
 
-UNKNOWN = ArcLevel(np.nan, np.nan, 0.0, np.nan)
+UNKNOWN = ArcLevel(math.nan, math.nan, 0.0, math.nan)
+"""What is known of the arc before a look, and where the pixels do not tell it."""
 
 
 class Unlit(NamedTuple):
@@ -190,9 +191,8 @@ def fit_level(
     map_e: Float64, charge_e: Float64, dark_e2: float, black_sigma_e: float, full_well_e: float
 ) -> ArcLevel:
     """Return what pixels (n,) tell of the arc; its level is NaN where they do not tell it."""
-    unknown = ArcLevel(math.nan, math.nan, 0.0, math.nan, True, 0.0)
     if len(map_e) < MIN_PIXELS or not (map_e > 0.0).any():
-        return unknown
+        return UNKNOWN
     size = np.empty(len(map_e))
     start = max(0.0, quantile(charge_e, 0.5) / (quantile(map_e, 0.5) + 1e-9))
     level, sigma, black = _fit_level(map_e, charge_e, dark_e2, black_sigma_e, start, size)
@@ -200,7 +200,7 @@ def fit_level(
         level, sigma, black = _fit_level(map_e, charge_e, dark_e2, full_well_e, level, size)
     # Where the sheet hides the arc, its level may be anything.
     if not sigma < MAX_SIGMA * max(level, 1.0):
-        return unknown
+        return UNKNOWN
     return ArcLevel(level, sigma, black, quantile(size, MISFIT_QUANTILE) / NORMAL_QUANTILE, True, 0.0)
 
 

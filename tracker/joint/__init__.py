@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.arrays import Float64, Integers
 from noise_model.surface.joint import Joint
 from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.fillet import fit_fillet
@@ -22,9 +22,6 @@ from tracker.joint.measured import MeasuredJoint
 from tracker.joint.section import Section, frame_given, section_from
 from tracker.joint.slot import fit_closed_slot, fit_slot
 from tracker.profile import Profile
-
-HIDING_TYPES = frozenset({"half_v", "lap", "corrugation"})
-"""Their upright side may hide a strip of what lies behind it."""
 
 FITS: Mapping[str, Callable[[Section, StatedJoint], MeasuredJoint]] = {
     "v_groove": fit_groove,
@@ -41,7 +38,7 @@ SLOTS = frozenset({"butt", "edge"})
 
 _NOWHERE = np.full(3, math.nan)
 
-__all__ = ["FITS", "HIDING_TYPES", "MeasuredJoint", "fit_closed_joint", "fit_joint"]
+__all__ = ["FITS", "MeasuredJoint", "fit_closed_joint", "fit_joint", "fit_section"]
 
 
 def fit_joint(
@@ -49,14 +46,22 @@ def fit_joint(
 ) -> MeasuredJoint | None:
     """Return the joint that a profile shows, or None where it does not determine one.
 
-    `camera_mm` and `laser_mm` (3,), joint frame: what stands between them and a point hides it. Only
-    HIDING_TYPES ask for them.
+    `camera_mm` and `laser_mm` (3,), joint frame: what stands between them and a point hides it. Only an
+    upright side does.
     """
-    section, stated = section_from(profile, camera_mm, laser_mm), StatedJoint.of(joint)
+    return fit_section(section_from(profile, camera_mm, laser_mm), joint, *frame_given(profile))
+
+
+def fit_section(section: Section, joint: Joint, image_dn: Integers, along_rows: bool) -> MeasuredJoint | None:
+    """Return the joint that a section shows, or None where it does not determine one.
+
+    `image_dn` (H, W) is the frame, whose stripe runs `along_rows`; no pixels where it is not at hand.
+    """
+    stated = StatedJoint.of(joint)
     if joint.type in FITS:
         fitted = FITS[joint.type](section, stated)
     elif joint.type in SLOTS:
-        fitted = fit_slot(section, stated, *frame_given(profile))
+        fitted = fit_slot(section, stated, image_dn, along_rows)
     else:
         return None
     return fitted if fitted.is_determined else None

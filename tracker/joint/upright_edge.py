@@ -14,7 +14,7 @@ from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from tracker.joint.measured import OnFace
 from tracker.profile import Profile
-from tracker.stripe.edge import StripeLight, apart_px, stripe_ends
+from tracker.stripe.edge import StripeLight, apart_px, no_light, stripe_ends
 
 BESIDE = 20
 """So many points beside an edge say which y its scan lines have there."""
@@ -81,27 +81,7 @@ class HiddenStrip(NamedTuple):
 
 def light_of(profile: Profile) -> StripeLight:
     """Return what a profile's stripe was read from, without any lines where that is not at hand."""
-    return NO_LIGHT if profile.light is None else profile.light
-
-
-_PIXELS, _LINES = np.empty((0, 0), np.float32), np.empty(0)
-
-NO_LIGHT = StripeLight(
-    _PIXELS,
-    _PIXELS,
-    np.empty((0, 0), np.bool_),
-    np.empty(0, np.int64),
-    _LINES,
-    _LINES,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-    0.0,
-)
-"""No light at hand, as the kernel takes it."""
+    return no_light() if profile.light is None else profile.light
 
 
 @kernel(allocates=True)

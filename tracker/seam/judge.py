@@ -34,10 +34,8 @@ class SeamShown(NamedTuple):
     confidence: float
 
 
-@kernel
-def no_seam() -> SeamShown:
-    """Return what a frame without a seam shows."""
-    return SeamShown(False, (math.nan, math.nan, math.nan), math.nan, math.nan, math.nan)
+NO_SEAM = SeamShown(False, (math.nan, math.nan, math.nan), math.nan, math.nan, math.nan)
+"""What a frame without a seam shows."""
 
 
 class Judged(NamedTuple):
@@ -69,7 +67,7 @@ def judge(
 
     `variance_mm2` are those of the joint's y and z; `has_stripe` says whether the frame shows a stripe.
     """
-    shown = no_seam()
+    shown = NO_SEAM
     stretches = Stretches(
         before.history,
         before.beyond,

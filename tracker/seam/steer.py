@@ -146,11 +146,8 @@ class TorchOffset(NamedTuple):
     joint_end_mm: Pair
 
 
-@kernel
-def no_offset() -> TorchOffset:
-    """Return the offset of a frame that says nothing of the torch."""
-    unknown = math.nan, math.nan
-    return TorchOffset(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, unknown, unknown)
+NO_OFFSET = TorchOffset(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, UNKNOWN, UNKNOWN)
+"""The offset of a frame that says nothing of the torch."""
 
 
 @kernel(allocates=True)

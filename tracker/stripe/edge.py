@@ -90,6 +90,14 @@ class StripeLight(NamedTuple):
     centre_sigma_px: float
 
 
+@kernel(allocates=True)
+def no_light() -> StripeLight:
+    """Return what a stripe was read from where that is not at hand."""
+    pixels, lines = np.empty((0, 0), np.float32), np.empty(0)
+    censored, lows = np.empty((0, 0), np.bool_), np.empty(0, np.int64)
+    return StripeLight(pixels, pixels, censored, lows, lines, lines, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
 class StripeEnd(NamedTuple):
     """An end of a stripe, in scan lines, and its 1 sigma; NaN where it cannot be told."""
 
