@@ -24,9 +24,9 @@ from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
-from tracker.arc.level import HUBER, MAP_SIGMA, MAX_SIGMA, MIN_PIXELS, unlit_by_the_laser
+from tracker.arc.level import HUBER, MAP_SIGMA, MAX_SIGMA, MIN_BLACK_SIGMA_E, MIN_PIXELS, unlit_by_the_laser
 from tracker.arc.transmission import ArcLight, Transmission, seen_arc
-from tracker.geometry import MAP_FLOOR_E, MAP_TOLERANCE, SensorGeometry
+from tracker.geometry import MAP_FLOOR_E, MAP_TOLERANCE, SensorGeometry, dark_variance_at
 from tracker.measure import expected_output
 from tracker.state import NAN, Frame, Pose
 
@@ -196,10 +196,10 @@ def _fitted(geometry: SensorGeometry, columns: Float64, charge_e: Float64, place
     place (x, y) and its radius, and the black level's.
     """
     map_e = columns[:, 0]
-    black_sigma_e = max(geometry.setup.tolerance.black_level_dn * geometry.setup.sensor.gain_e_per_dn, 1e-3)
+    black_sigma_e = max(geometry.image_source.black_sigma_e, MIN_BLACK_SIGMA_E)
     apart2 = ((places[:, None] - places[None]) ** 2).sum(axis=2)
     alike = MAP_SIGMA**2 * np.exp(-0.5 * apart2 / FORM_SHARE**2)
-    dark_e2 = geometry.dark_variance_at(charge_e)
+    dark_e2 = dark_variance_at(geometry.image_source, charge_e)
     level = max(float(np.median(charge_e) / max(float(np.median(map_e)), 1e-9)), 1e-3)
     spread, fitted, covariance, chi2 = np.ones(len(map_e)), np.zeros(6), np.eye(6), math.nan
     for _ in range(ROBUST_STEPS):

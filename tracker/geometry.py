@@ -183,15 +183,6 @@ class SensorGeometry:
             if isinstance(table, cached_property):
                 getattr(self, name)
 
-    def dark_variance_at(self, charge_e: Float32 | Float64) -> float:
-        """Return the part of a pixel's variance, e-^2, that is not its light's, in light like these charges.
-
-        A linear sensor's is the same everywhere. Of a bent response the step of a code goes with the light,
-        and may be large in the dark: taken is that at the median of the charges, but not below what a stripe
-        that can be seen has, MIN_LIGHT of full well.
-        """
-        return float(dark_variance_at(self.image_source, charge_e.reshape(-1)))
-
     @cached_property
     def has_light_effects(self) -> bool:
         """Whether effects of the setup act on the arc's light on its way to the pixels."""
@@ -331,7 +322,12 @@ class SensorGeometry:
 
 @kernel(allocates=True)
 def dark_variance_at(image: ImageSource, charge_e: Float32 | Float64) -> float:
-    """Return `SensorGeometry.dark_variance_at` of charges (n,), e-."""
+    """Return the part of a pixel's variance, e-^2, that is not its light's, in light like charges (n,), e-.
+
+    A linear sensor's is the same everywhere. Of a bent response the step of a code goes with the light, and
+    may be large in the dark: taken is that at the median of the charges, but not below what a stripe that can
+    be seen has, MIN_LIGHT of full well.
+    """
     if image.is_linear or charge_e.shape[0] == 0:
         return image.dark_variance_e2
     typical_e = np.float64(np.median(charge_e))

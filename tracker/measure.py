@@ -32,6 +32,7 @@ from tracker.look import (
     Look,
     ask_light,
     level_of,
+    look_at,
     no_stripe,
     nothing_read,
     output_for,
@@ -99,9 +100,14 @@ def _look(
     use_arc_map: bool,
     scatter: Scatter,
 ) -> Look:
-    """Take `look.look_at`'s look by its pieces: effects act on the arc's light on its way to the pixels."""
-    image_dn, light = frame.image_dn, frame_light(geometry.setup, frame)
-    source, none = geometry.look_source, no_stripe(geometry.along_rows)
+    """Take a look, by its pieces where effects act on the arc's light on its way to the pixels."""
+    image_dn, light, source = frame.image_dn, frame_light(geometry.setup, frame), geometry.look_source
+    if not geometry.has_light_effects:
+        whole: Look = look_at(
+            asked, source, scene, seam, reach_mm, image_dn, light, work, use_arc_map, scatter
+        )
+        return whole
+    none = no_stripe(geometry.along_rows)
     if not ask_whether(asked, checks.CAMERA_ABOVE, not scene.below_surface):
         return nothing_read(UNKNOWN, none, scatter)
     expected = expect_stripe(geometry, scene)
