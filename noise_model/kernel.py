@@ -68,7 +68,7 @@ def kernel(
 
     def keep(plain: Callable[..., Any]) -> Callable[..., Any]:
         dispatcher = compiled(plain)
-        dispatcher._cache = _SourceKeyedCache(plain)
+        dispatcher._cache = KernelCache(plain)
         dispatcher.get_call_template = _by_types_alone(dispatcher.get_call_template)
         enter_when_called(dispatcher)
         result: Callable[..., Any] = dispatcher
@@ -150,8 +150,8 @@ class _ReadableIndex(IndexDataCacheFile):  # type: ignore[misc]
             return {}
 
 
-class _SourceKeyedCache(FunctionCache):  # type: ignore[misc]
-    """numba's cache of one function, whose index is out of date when `source_key` is another.
+class KernelCache(FunctionCache):  # type: ignore[misc]
+    """numba's cache of one kernel, whose index is out of date when `source_key` is another.
 
     Or that of this file: what is kept has another form then.
     """
@@ -168,6 +168,4 @@ class _SourceKeyedCache(FunctionCache):  # type: ignore[misc]
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Keep a compiled kernel."""
-        keep_linked(
-            self._py_func, result, lambda: super(_SourceKeyedCache, self).save_overload(signature, result)
-        )
+        keep_linked(self._py_func, result, lambda: super(KernelCache, self).save_overload(signature, result))

@@ -31,18 +31,30 @@ def pytest_configure() -> None:
 COMPILE_NOTHING = ("tests/robot_io/", "tests/test_", "tests/docs/test_site.py")
 """How the names of tests begin that need no kernel, though they take a minute."""
 
+LAST = "tests/calibration/"
+"""How the names of many short tests begin: with them all workers come to their end together."""
+
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark as quick whatever is not marked slow, before `-m` chooses; begin with what compiles nothing.
 
-    The first of several workers gets it, the next ones begin to compile. Two that both compile wait for each
-    other.
+    The first of several workers gets it, the next ones begin to compile. Two that need the same kernel wait
+    for each other. So what needs all of them comes when others have compiled them.
     """
     for item in items:
         if item.get_closest_marker("slow") is None:
             item.add_marker("quick")
-    items.sort(key=lambda item: not item.nodeid.startswith(COMPILE_NOTHING))
+    items.sort(key=_turn)
+
+
+def _turn(item: pytest.Item) -> int:
+    """Return when a test has its turn."""
+    if item.nodeid.startswith(COMPILE_NOTHING):
+        return 0
+    if "compiled" in getattr(item, "fixturenames", ()):
+        return 2
+    return 3 if item.nodeid.startswith(LAST) else 1
 
 
 @pytest.fixture(scope="session")
@@ -55,7 +67,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session", autouse=True)
 def _compiled_once(shared: Path) -> Iterator[None]:
     """Compile each kernel in one of the workers."""
-    with compiling_in_turn(shared / "compiling.lock"):
+    with compiling_in_turn(shared / "compiling"):
         yield
 
 

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, TextIO
 
 import numba.core.event as numba_events
+import pytest
+
+from noise_model.kernel import KernelCache
 
 
 def once(shared: Path, name: str, make: Callable[[Path], None]) -> Path:
@@ -28,29 +33,54 @@ def once(shared: Path, name: str, make: Callable[[Path], None]) -> Path:
 
 
 @contextmanager
-def compiling_in_turn(lock: Path) -> Iterator[None]:
-    """Let one process at a time compile: what another needs next, it finds on disk.
+def compiling_in_turn(folder: Path) -> Iterator[None]:
+    """Let one process at a time compile a kernel: another that needs it waits, and finds it on disk.
 
-    numba says that it compiles before it looks for a function on disk, and that it has done so after it has
-    kept the function there.
+    Meanwhile others compile other kernels. Kernels call each other in one direction only: so no two processes
+    wait for each other. A kernel's lock is held from where it is not on disk until it is kept there.
     """
-    with lock.open("w") as file, numba_events.install_listener("numba:compiler_lock", _Turn(file.fileno())):
-        yield
+    folder.mkdir(exist_ok=True)
+    load, save = KernelCache.load_overload, KernelCache.save_overload
+    held: dict[KernelCache, TextIO] = {}
+
+    def load_in_turn(cache: KernelCache, signature: Any, context: Any) -> Any:
+        found = load(cache, signature, context)
+        if found is None and cache not in held:
+            held[cache] = (folder / _name(cache)).open("w")
+            fcntl.flock(held[cache], fcntl.LOCK_EX)
+            found = load(cache, signature, context)
+            if found is not None:
+                held.pop(cache).close()
+        return found
+
+    def save_in_turn(cache: KernelCache, signature: Any, compiled: Any) -> None:
+        save(cache, signature, compiled)
+        if cache in held:
+            held.pop(cache).close()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(KernelCache, "load_overload", load_in_turn)
+        patch.setattr(KernelCache, "save_overload", save_in_turn)
+        with numba_events.install_listener("numba:compiler_lock", _Release(held)):
+            yield
 
 
-class _Turn(numba_events.Listener):
-    """Holds the lock of a file from the outermost start of an event to its end."""
+def _name(cache: KernelCache) -> str:
+    """Return what a kernel's lock is called: two kernels of one name may lie in two folders."""
+    return hashlib.sha256(cache._cache_file._index_path.encode()).hexdigest()
 
-    def __init__(self, file: int) -> None:
-        self._file = file
+
+class _Release(numba_events.Listener):
+    """Releases what is held of kernels that could not be compiled, once a process compiles nothing more."""
+
+    def __init__(self, held: dict[KernelCache, TextIO]) -> None:
+        self._held = held
         self._depth = 0
 
     def on_start(self, event: numba_events.Event) -> None:
         self._depth += 1
-        if self._depth == 1:
-            fcntl.flock(self._file, fcntl.LOCK_EX)
 
     def on_end(self, event: numba_events.Event) -> None:
         self._depth -= 1
-        if self._depth == 0:
-            fcntl.flock(self._file, fcntl.LOCK_UN)
+        while self._depth == 0 and self._held:
+            self._held.popitem()[1].close()
