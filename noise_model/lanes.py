@@ -20,7 +20,7 @@ from numba.core.datamodel import models
 from numba.core.extending import intrinsic, lower_builtin, register_model, type_callable
 from numba.core.types import Array, Type, boolean, float32, int32, intp, void
 
-from noise_model.kernel import REDUCTION
+from noise_model.kernel import REDUCTION, kernel
 
 N_LANES = 16
 """So many float32 fill the widest registers."""
@@ -217,17 +217,40 @@ def where(_typing: Any, mask: Any, yes: Any, no: Any) -> Any:
     return (yes(mask, yes, no), write) if yes == no and yes in (LANES, MASK) else None
 
 
-@_instruction
-def root(_typing: Any, lanes: Any) -> Any:
-    """Return each lane's square root."""
+def _lane_by_lane(name: str) -> Callable[..., Any]:
+    """Return what writes one of LLVM's functions of a number, lane by lane."""
 
     def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         function = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(_FLOATS, [_FLOATS]), f"llvm.sqrt.v{N_LANES}f32"
+            builder.module, ir.FunctionType(_FLOATS, [_FLOATS]), f"llvm.{name}.v{N_LANES}f32"
         )
         return builder.call(function, arguments)
 
-    return LANES(lanes), write
+    return write
+
+
+@_instruction
+def root(_typing: Any, lanes: Any) -> Any:
+    """Return each lane's square root."""
+    return LANES(lanes), _lane_by_lane("sqrt")
+
+
+@_instruction
+def floor(_typing: Any, lanes: Any) -> Any:
+    """Return the greatest whole number that is no more than each lane."""
+    return LANES(lanes), _lane_by_lane("floor")
+
+
+@kernel(inline=True)
+def lesser(a: Lanes, b: Lanes) -> Lanes:
+    """Return the lesser of two vectors, lane by lane; `b` where one of them is NaN."""
+    return where(a < b, a, b)
+
+
+@kernel(inline=True)
+def greater(a: Lanes, b: Lanes) -> Lanes:
+    """Return the greater of two vectors, lane by lane; `b` where one of them is NaN."""
+    return where(a > b, a, b)
 
 
 @_instruction

@@ -16,7 +16,15 @@ import math
 import numpy as np
 
 from noise_model.arc.face_lookup import face_seen
-from noise_model.arc.node_light import NodeRays, light_of_face, node_rays, take_rays, write_faces
+from noise_model.arc.node_light import light_of_face, light_of_nodes, write_faces
+from noise_model.arc.node_rays import (
+    NodeRays,
+    follow_to_lap,
+    node_rays,
+    take_rays,
+    tell_faces,
+    tell_places,
+)
 from noise_model.arc.ray import ArcKernel, Scratch, scratch
 from noise_model.arc.table import FaceTable, light_at_places, places_on_rays
 from noise_model.arrays import Bool, Float32, Float64, Int64
@@ -167,7 +175,7 @@ def _fill_run(
     pixels, light_e, faces, places = room[0], room[1], room[2], room[3]
     for j in range(last - first):
         pixels[j] = scan * n_pos + first + j
-    places_on_rays(k, table, xy, pixels, last - first, faces, places)
+    places_on_rays(k, table, xy, pixels, last - first, faces, places, room[8])
     light_at_places(k, table, cos4, pixels, last - first, faces, places, 0.0, light_e, work)
     for j in range(last - first):
         out[first - low + j] = light_e[j]
@@ -303,10 +311,13 @@ def _fill_cell(
     halved = _halved(n_s, n_p, True)
     if n_s >= N and n_p >= N:
         _node_pixels(n_pos, box, node_at, pixels)
-        take_rays(xy, cos4, pixels, nodes)
-        is_told = k.corrugation[0] == 0.0 and write_faces(k, table.seen, nodes, faces)
-        if not is_told:
-            places_on_rays(k, table, xy, pixels, N * N, faces, places)
+        take_rays(xy, pixels, 0, N * N, nodes)
+        is_plain = k.corrugation[0] == 0.0
+        is_told = write_faces(k, table.seen, nodes) if is_plain else follow_to_lap(k, nodes)
+        if is_told:
+            tell_faces(nodes, 0, N * N, faces)
+        else:
+            places_on_rays(k, table, xy, pixels, N * N, faces, places, nodes)
         is_one = faces[0] != MISS
         for face in range(k.vertices.shape[0] - 1):
             seen[face] = False
@@ -315,8 +326,11 @@ def _fill_cell(
             if faces[i] != MISS:
                 seen[faces[i]] = True
         if is_one:
-            if is_told:
+            if is_told and is_plain:
                 light_of_face(k, table, faces[0], rays[:2], nodes, room[:4], work)
+            elif is_told:
+                tell_places(k, nodes, 0, N * N, places)
+                light_of_nodes(k, table, faces[0], cos4, nodes, room[:4], work)
             else:
                 light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
             across, along, least = _to_powers(light_e, rules, (n_s, n_p), powers[0])
@@ -324,7 +338,7 @@ def _fill_cell(
                 _fill_smooth(powers[0], box, lows, group, ramp, band_e)
                 return FILLED
             halved = _halved(n_s, n_p, across >= along)
-        elif k.corrugation[0] == 0.0 and min(n_s, n_p) <= MIXED:
+        elif is_plain and min(n_s, n_p) <= MIXED:
             return _fill_mixed(k, table, rays, box, rules, lows, group, band_e, room, work)
         else:
             halved = _halved(n_s, n_p, _changes_across(faces))
@@ -407,6 +421,6 @@ def fill_pixels(
     faces, places, light_e = np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n)
     x_low, x_high, y_low, y_high = k.reach
     least_mm2 = CELL_WORTH * (x_high - x_low) * (y_high - y_low) / max(n, 1)
-    places_on_rays(k, table, xy, pixels, n, faces, places)
+    places_on_rays(k, table, xy, pixels, n, faces, places, node_rays())
     light_at_places(k, table, cos4, pixels, n, faces, places, least_mm2, light_e, scratch())
     out[:] = light_e

@@ -5,11 +5,10 @@ What the table's cells do not hold the caller asks node by node.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from noise_model.arc.face_lookup import Sight
+from noise_model.arc.node_rays import NodeRays, along, tell_places
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.ray import ArcKernel, Scratch
 from noise_model.arc.table import DEGREE, FaceTable, cell_at, light_at_places, places_on_plane
@@ -21,86 +20,59 @@ LEVEL = 1e-6
 """A ray that goes down by less is level."""
 
 
-class NodeRays(NamedTuple):
-    """Sixteen rays (x, y, 1) of the camera, the lens' fall-off there, and room for numbers of theirs."""
-
-    x: Float32
-    y: Float32
-    cos4: Float32
-    places: Float32
-    light_e: Float32
-
-
-@kernel(allocates=True)
-def node_rays() -> NodeRays:
-    """Make room for sixteen rays."""
-    n = N_LANES
-    x, y, cos4 = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
-    return NodeRays(x, y, cos4, np.empty(2 * n, np.float32), np.empty(n, np.float32))
-
-
-@kernel
-def take_rays(xy: Float32, cos4: Float32, pixels: Int64, rays: NodeRays) -> None:
-    """Take the rays of sixteen pixels (16,)."""
-    for i in range(N_LANES):
-        rays.x[i], rays.y[i], rays.cos4[i] = xy[pixels[i], 0], xy[pixels[i], 1], cos4[pixels[i]]
-
-
 @kernel(fastmath=REDUCTION)
-def _along(k: ArcKernel, row: int, rays: NodeRays) -> Lanes:
-    """Return a coordinate of the rays' directions, joint frame; see `ray.direction`."""
-    R = k.rotation
-    return spread(R[row, 0]) * load(rays.x, 0) + spread(R[row, 1]) * load(rays.y, 0) + spread(R[row, 2])
-
-
-@kernel(fastmath=REDUCTION)
-def write_faces(k: ArcKernel, seen: Sight, rays: NodeRays, faces: Int64) -> bool:
-    """Write which faces (16,) of a plain section rays meet, `ray_casting.MISS` for none.
+def write_faces(k: ArcKernel, seen: Sight, rays: NodeRays) -> bool:
+    """Write which faces of a plain section rays meet, `ray_casting.MISS` for none.
 
     False if one of them is level. See `face_lookup.face_seen`: a ray through an edge may meet either face.
     """
-    down, zero, unity = _along(k, 2, rays), spread(0.0), spread(1.0)
+    down, zero, unity = along(k, 2, rays), spread(0.0), spread(1.0)
     if any_lane(down > spread(-LEVEL)):
         return False
-    slope, place = zero - _along(k, 1, rays) / down, zero
+    slope, place = zero - along(k, 1, rays) / down, zero
     for i in range(seen.slopes.shape[0]):
         place += where(slope > spread(seen.slopes[i]), unity, zero)
     store(rays.places, 0, place)
     for i in range(N_LANES):
-        faces[i] = seen.faces[int(rays.places[i])]
+        rays.faces[i] = seen.faces[int(rays.places[i])]
     return True
 
 
 @kernel(fastmath=REDUCTION)
-def write_light(
-    k: ArcKernel, table: FaceTable, face: int, rays: NodeRays, light_e: Float64, work: Scratch
-) -> bool:
-    """Write the light (16,), e-, that rays receive from a plain face, seen or not.
-
-    False where one runs away from it, or is in none of the table's cells. See `table.light_at_places`, whose
-    numbers these are in single precision.
-    """
+def write_places(k: ArcKernel, face: int, rays: NodeRays) -> bool:
+    """Write the rays' places on a plain face, seen or not; False where one runs away from it."""
     y_0, z_0, ty, tz, _ = seen_strip(face, k.vertices)
-    d_x, d_y, d_z = _along(k, 0, rays), _along(k, 1, rays), _along(k, 2, rays)
+    d_x, d_y, d_z = along(k, 0, rays), along(k, 1, rays), along(k, 2, rays)
     over = ty * (z_0 - k.eye[2]) - tz * (y_0 - k.eye[1])
     way = spread(over) / (spread(ty) * d_z - spread(tz) * d_y)
-    zero, unity = spread(0.0), spread(1.0)
-    if any_lane(way <= zero):
+    if any_lane(way <= spread(0.0)):
         return False
-    x = way * d_x + spread(k.eye[0])
     s = (spread(k.eye[1] - y_0) + way * d_y) * spread(ty) + (spread(k.eye[2] - z_0) + way * d_z) * spread(tz)
-    value, done = zero, zero
-    store(rays.places, 0, x)
+    store(rays.places, 0, way * d_x)
     store(rays.places, N_LANES, s)
+    return True
+
+
+@kernel(fastmath=REDUCTION)
+def write_light(k: ArcKernel, table: FaceTable, face: int, rays: NodeRays, work: Scratch) -> bool:
+    """Write the light, e- without the lens' fall-off, that rays receive from their places on a face.
+
+    False where one is in none of the table's cells. See `table.light_at_places`, whose numbers these are in
+    single precision.
+    """
+    y_0, z_0, ty, tz, _ = seen_strip(face, k.vertices)
+    x, s = load(rays.places, 0), load(rays.places, N_LANES)
+    zero, unity = spread(0.0), spread(1.0)
+    value, done = zero, zero
     store(rays.light_e, 0, done)
     for i in range(N_LANES):
         if rays.light_e[i] > 0.0:
             continue
-        first_x, first_s = np.float64(rays.places[i]), np.float64(rays.places[N_LANES + i])
+        first_x, first_s = k.eye[0] + rays.places[i], np.float64(rays.places[N_LANES + i])
         cell = cell_at(k, table, face, first_x, first_s, 0.0, work)
         if cell < 0:
             return False
-        t = (x - spread(table.middle[cell, 0])) * spread(table.inverse[cell, 0])
+        t = (x - spread(table.middle[cell, 0] - k.eye[0])) * spread(table.inverse[cell, 0])
         u = (s - spread(table.middle[cell, 1])) * spread(table.inverse[cell, 1])
         is_within = (t * t <= unity) & (u * u <= unity) & (done == zero)
         value = where(is_within, _polynomial(table.powers[cell], t, u), value)
@@ -109,12 +81,10 @@ def write_light(
     if any_lane(done == zero):
         return False
     # From the arc's centre; see `table.fall_off`.
-    x -= spread(k.center[0])
+    x -= spread(k.center[0] - k.eye[0])
     y, z = spread(y_0 - k.center[1]) + s * spread(ty), spread(z_0 - k.center[2]) + s * spread(tz)
     square = x * x + y * y + z * z + spread(k.radius * k.radius)
-    store(rays.light_e, 0, load(rays.cos4, 0) * value / (square * square))
-    for i in range(N_LANES):
-        light_e[i] = rays.light_e[i]
+    store(rays.light_e, 0, value / (square * square))
     return True
 
 
@@ -143,7 +113,31 @@ def light_of_face(
 
     `camera` are its `xy` and `cos4`, the `room` holds the nodes' pixels, and takes light, faces and places.
     """
+    pixels, _, faces, places = room
+    if write_places(k, face, rays):
+        tell_places(k, rays, 0, N_LANES, places)
+        light_of_nodes(k, table, face, camera[1], rays, room, work)
+        return
+    places_on_plane(k, face, camera[0], pixels, N_LANES, faces, places)
+    light_at_places(k, table, camera[1], pixels, N_LANES, faces, places, 0.0, room[1], work)
+
+
+@kernel
+def light_of_nodes(
+    k: ArcKernel,
+    table: FaceTable,
+    face: int,
+    cos4: Float32,
+    rays: NodeRays,
+    room: tuple[Int64, Float64, Int64, Float64],
+    work: Scratch,
+) -> None:
+    """Write the light (16,), e-, that nodes receive from their places on one face, in the `room` too."""
     pixels, light_e, faces, places = room
-    if not write_light(k, table, face, rays, light_e, work):
-        places_on_plane(k, face, camera[0], pixels, N_LANES, faces, places)
-        light_at_places(k, table, camera[1], pixels, N_LANES, faces, places, 0.0, light_e, work)
+    if not write_light(k, table, face, rays, work):
+        for i in range(N_LANES):
+            faces[i] = face
+        light_at_places(k, table, cos4, pixels, N_LANES, faces, places, 0.0, light_e, work)
+        return
+    for i in range(N_LANES):
+        light_e[i] = cos4[pixels[i]] * rays.light_e[i]

@@ -32,8 +32,6 @@ from noise_model.arc.chords import (
     ledge_crossings,
     wall_parts,
 )
-from noise_model.arc.clearance import Crossings, Metal, Rays, Ways
-from noise_model.arc.sheet_occlusion import chord_parts, clip, is_clear, look_along
 from noise_model.arrays import Float64, Point, Vector
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.surface.brdf import LobeNumbers, reflected
@@ -118,6 +116,13 @@ def disc_in_lobes(tan_b: float, towards: Vector, omega_r: Vector, material: Lobe
     cos_beta = 0.5 * math.sqrt(hx * hx + hy * hy + hz * hz)
     c2 = material[2] * math.exp(abs(material[4]))
     return 0.5 * tan_b * math.sqrt(c2) / max(cos_beta, 1e-9)
+
+
+@kernel(inline=True)
+def more_nodes(sin_b: float, tan_b: float, towards: Vector, omega_r: Vector, material: LobeNumbers) -> float:
+    """Return how many times the nodes an arc needs that is near, or wide against the lobe; at least 1."""
+    near = 1.0 + 2.0 * max(0.0, sin_b - NEAR_ARC)
+    return max(near, disc_in_lobes(tan_b, towards, omega_r, material) / LOBE_RADII)
 
 
 @kernel(fastmath=REDUCTION)
@@ -242,15 +247,13 @@ class Hiding(NamedTuple):
     """What hides the arc from a point.
 
     The first `n_planes` of `planes` are the half-spaces m.omega > 0 that are open, the first `n_ledges` pairs
-    of `ledges` cut into the arc (`visibility.sky_planes`), and `metal` are a lap's sheets where planes do not
-    say what they hide.
+    of `ledges` cut into the arc (`visibility.sky_planes`).
     """
 
     planes: Float64
     n_planes: int
     ledges: Float64
     n_ledges: int
-    metal: Metal
 
 
 class Rule(NamedTuple):
@@ -265,8 +268,7 @@ class Room(NamedTuple):
     """Scratch of one point's integral.
 
     `nodes` (3, MAX_POINTS) with their weights, `cuts` (MAX_PLANES, 3) the lines, `breaks` (MAX_PIECES,) the
-    sorted crossings, `parts` (MAX_PARTS, 3) of a chord, `spans` (4, MAX_PIECES) the chords and their weights,
-    `ways` (MAX_WAYS,) the rays past the metal, `crossings` where these come to it.
+    sorted crossings, `parts` (MAX_PARTS, 3) of a chord, `spans` (4, MAX_PIECES) the chords and their weights.
     """
 
     nodes: Float64
@@ -274,8 +276,6 @@ class Room(NamedTuple):
     breaks: Float64
     parts: Float64
     spans: Float64
-    ways: Ways
-    crossings: Crossings
 
 
 @kernel
@@ -290,8 +290,8 @@ def arc_light(
 ) -> float:
     """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees."""
     P, normal, omega_r = patch
-    planes, n_planes, ledges, n_ledges, metal = hiding
-    _, cuts, breaks, _, spans, ways, to_metal = room
+    planes, n_planes, ledges, n_ledges = hiding
+    _, cuts, breaks, _, _ = room
     nx, ny, nz = normal
     rx, ry, rz = omega_r
     distance, axes, arc = disc(P, center, radius)
@@ -300,8 +300,7 @@ def arc_light(
     corner = corner_p(arc)
     if corner < 0.0:
         return 0.0
-    wx, wy, wz, ux, uy, vx, vy, vz = axes
-    _, _, tan_b, _, _ = arc
+    _, _, tan_b, _, wz = arc
     below = wz > 0.0
     p_max = corner if below else 1.0
 
@@ -313,39 +312,15 @@ def arc_light(
         n_breaks = ledge_crossings(
             ledges[2 * j], ledges[2 * j + 1], P, axes, center, radius, arc, breaks, n_breaks
         )
-    rays = (
-        P[0],
-        P[1],
-        P[2],
-        wx,
-        wy,
-        wz,
-        tan_b * ux,
-        tan_b * uy,
-        0.0,
-        tan_b * vx,
-        tan_b * vy,
-        tan_b * vz,
-        distance,
-        radius,
-    )
-    has_metal = (metal[5] or metal[6]) and not is_clear(p_max, arc, cuts, rays, metal, spans, ways)
-    p_first, p_last = -p_max, p_max
-    if has_metal:
-        p_first, p_last, n_breaks = clip(
-            axes, arc, cuts, n_cuts, rays, metal, breaks, n_breaks, spans, ways, to_metal
-        )
-        if p_last <= p_first:
-            return 0.0
     total = _integrate(
         patch,
         axes,
         arc,
-        rays,
-        (p_max, p_first, p_last),
+        distance,
+        radius,
+        p_max,
         n_cuts,
         n_breaks,
-        has_metal,
         hiding,
         material,
         rule,
@@ -359,11 +334,11 @@ def _integrate(
     patch: Patch,
     axes: Axes,
     arc: Shape,
-    rays: Rays,
-    p_range: tuple[float, float, float],
+    distance: float,
+    radius: float,
+    p_max: float,
     n_cuts: int,
     n_breaks: int,
-    has_metal: bool,
     hiding: Hiding,
     material: LobeNumbers,
     rule: Rule,
@@ -371,18 +346,16 @@ def _integrate(
 ) -> float:
     """Return the integral over p and q, without d(omega)'s tan(beta)^2, piece by piece between `breaks`.
 
-    `p_range` says how far the disc reaches, and between which p it is open.
+    The disc reaches from -`p_max` to `p_max`.
     """
     _, _, omega_r = patch
     n_ledges = hiding.n_ledges
     rules, n_p, n_q = rule
-    _, cuts, breaks, _, spans, _, _ = room
+    _, cuts, breaks, _, spans = room
     wx, wy, wz, _, _, _, _, _ = axes
     sin_b, _, tan_b, _, _ = arc
     below = wz > 0.0
-    p_max, p_first, p_last = p_range
-    near = 1.0 + 2.0 * max(0.0, sin_b - NEAR_ARC)
-    more = max(near, disc_in_lobes(tan_b, (wx, wy, wz), omega_r, material) / LOBE_RADII)
+    more = more_nodes(sin_b, tan_b, (wx, wy, wz), omega_r, material)
     n_q = math.ceil(min(float(MAX_NODES_Q), n_q * more))
     # Walls' borders have crossings that are not looked for.
     n_p = math.ceil(CURVED_FACTOR * n_p) if n_ledges > 0 else n_p
@@ -391,16 +364,16 @@ def _integrate(
     for piece in range(n_breaks - 1):
         low_p, high_p = breaks[piece], breaks[piece + 1]
         middle, half = 0.5 * (low_p + high_p), 0.5 * (high_p - low_p)
-        if half < 1e-9 or not p_first < middle < p_last:
+        if half < 1e-9:
             continue
         share = half / p_max
         m = math.ceil(min(float(MAX_NODES_P), n_p * more * (share + PIECE_FLOOR * (1.0 - share))))
         row = 0
-        if n_breaks == 2 and n_ledges == 0 and not has_metal:
+        if n_breaks == 2 and n_ledges == 0:
             row, m = 4, 2 * math.ceil(0.5 * UNCUT_SHARE * m)
         if n + m + 1 > MAX_CHORDS:
             n = _open_chords(n, arc, below, cuts, n_cuts, spans)
-            total += _sum_chords(patch, axes, tan_b, rays, n, n_q, has_metal, hiding, material, rules, room)
+            total += _sum_chords(patch, axes, tan_b, distance, radius, n, n_q, hiding, material, rules, room)
             n = 0
         spans[0, n], spans[3, n] = middle, PIECE_BEGINS
         for i in range(m):
@@ -408,7 +381,7 @@ def _integrate(
             spans[3, n + 1 + i] = half * rules[row + 1, m, i]
         n += m + 1
     n = _open_chords(n, arc, below, cuts, n_cuts, spans)
-    return total + _sum_chords(patch, axes, tan_b, rays, n, n_q, has_metal, hiding, material, rules, room)
+    return total + _sum_chords(patch, axes, tan_b, distance, radius, n, n_q, hiding, material, rules, room)
 
 
 @kernel(inline=True)
@@ -435,10 +408,10 @@ def _sum_chords(
     patch: Patch,
     axes: Axes,
     tan_b: float,
-    rays: Rays,
+    distance: float,
+    radius: float,
     n_chords: int,
     n_q: int,
-    has_metal: bool,
     hiding: Hiding,
     material: LobeNumbers,
     rules: Float64,
@@ -446,15 +419,11 @@ def _sum_chords(
 ) -> float:
     """Return the integral along some chords (n_chords,), with their weights, of `n_q` nodes an open part.
 
-    `spans` hold their p, begins, ends and weights; all their rays past the metal are looked at together.
+    `spans` hold their p, begins, ends and weights.
     """
     P, normal, omega_r = patch
     ledges, n_ledges = hiding.ledges, hiding.n_ledges
-    nodes, _, _, parts, spans, ways, to_metal = room
-    distance, radius = rays[12], rays[13]
-    is_followed = has_metal and n_ledges == 0
-    if is_followed:
-        look_along(spans, n_chords, rays, hiding.metal, ways, to_metal)
+    nodes, _, _, parts, spans = room
     total = 0.0
     n = 0
     for i in range(n_chords):
@@ -465,8 +434,6 @@ def _sum_chords(
         n_parts = 1
         if n_ledges > 0:
             n_parts = wall_parts(p, low, high, P, axes, tan_b, distance, radius, ledges, n_ledges, parts)
-        elif is_followed:
-            n_parts = chord_parts(i, low, high, ways, parts)
         for k in range(n_parts):
             begin, length = parts[k, 0], parts[k, 1] - parts[k, 0]
             for j in range(n_q):

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.chords import MAX_PARTS, MAX_PIECES
-from noise_model.arc.clearance import ways_room
+from noise_model.arc.lap_light import lap_light
 from noise_model.arc.quadrature import MAX_POINTS, Hiding, Patch, Room, Rule, arc_light
-from noise_model.arc.sheet_occlusion import MAX_WAYS
-from noise_model.arrays import Float64, Point, Vector
+from noise_model.arc.slices import Sheets, slice_room
+from noise_model.arrays import Float32, Float64, Point, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
 from noise_model.surface.faces import face_normal
@@ -22,8 +22,8 @@ from noise_model.surface.visibility import (
     Bend,
     bent,
     is_curved_lap,
+    lap_planes,
     sky_planes,
-    touch,
 )
 
 
@@ -31,6 +31,7 @@ class Scratch(NamedTuple):
     """What a point's integral needs room for; see `sky_planes` for `planes` and `ledges`."""
 
     room: Room
+    slices: Float32
     planes: Float64
     ledges: Float64
 
@@ -38,17 +39,14 @@ class Scratch(NamedTuple):
 @kernel(allocates=True)
 def scratch() -> Scratch:
     """Return room for one point's integral."""
-    ways, crossings = ways_room(MAX_WAYS)
     room = Room(
         np.empty((3, MAX_POINTS)),
         np.empty((MAX_PLANES, 3)),
         np.empty(MAX_PIECES),
         np.empty((MAX_PARTS, 3)),
         np.empty((4, MAX_PIECES)),
-        ways,
-        crossings,
     )
-    return Scratch(room, np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3)))
+    return Scratch(room, slice_room(), np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3)))
 
 
 class ArcKernel(NamedTuple):
@@ -78,19 +76,20 @@ class ArcKernel(NamedTuple):
     n_q: int
 
 
-@kernel
-def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
-    """Return the arc's light, e- without the lens' fall-off, that a point of a face sends to the camera.
+@kernel(inline=True)
+def is_beside(P: Point, center: Point, radius: float) -> bool:
+    """Say whether a point stands farther than the radius from the arc's axis."""
+    x, y = center[0] - P[0], center[1] - P[1]
+    return x * x + y * y > radius * radius
 
-    `P` may lie on the face's plane beyond its edges.
-    """
-    room, planes, ledges = scratch
-    vertices, corrugation, center, radius = k.vertices, k.corrugation, k.center, k.radius
-    normal = face_normal(face, P[0], vertices, corrugation)
-    rx, ry, rz = k.eye[0] - P[0], k.eye[1] - P[1], k.eye[2] - P[2]
-    length = math.sqrt(rx * rx + ry * ry + rz * rz)
-    omega_r = (rx / length, ry / length, rz / length)
-    n_planes, n_ledges = sky_planes(
+
+@kernel(inline=True)
+def _light_on_lap(
+    k: ArcKernel, P: Point, face: int, normal: Point, omega_r: Point, scratch: Scratch
+) -> float:
+    """Return `light_at` for a lap whose edge is no straight line; P stands beside the arc."""
+    vertices, center, radius = k.vertices, k.center, k.radius
+    n_planes, crest_x = lap_planes(
         P,
         normal,
         face,
@@ -98,37 +97,59 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
         radius,
         k.bend,
         vertices,
-        corrugation,
+        k.corrugation,
         k.horizon_start,
         k.horizons,
-        planes,
-        ledges,
+        scratch.planes,
     )
-    edge, crest_x, edge_hides = (0.0, 0.0, 0.0, 0.0), math.nan, False
-    if is_curved_lap(vertices, corrugation, k.bend):
-        edge_y, edge_step = vertices[1, 0], vertices[1, 1] - vertices[2, 1]
-        slope, curve = bent(P, center, radius, k.bend)
-        edge = (edge_y, slope, curve, edge_step)
-        edge_hides = (face == 2 and (curve != 0.0 or center[1] - radius < edge_y + k.bend[1])) or (
-            face == 0 and (curve != 0.0 or center[1] + radius > edge_y + k.bend[1])
-        )
-        if edge_hides and corrugation[0] > 0.0:
-            _, crest_x = touch(k.horizons[0], k.horizon_start, P[0])
-    metal = (
-        corrugation[0],
-        corrugation[1],
-        corrugation[2],
-        edge,
+    edge_y = vertices[1, 0]
+    slope, curve = bent(P, center, radius, k.bend)
+    edge_hides = (face == 2 and (curve != 0.0 or center[1] - radius < edge_y + k.bend[1])) or (
+        face == 0 and (curve != 0.0 or center[1] + radius > edge_y + k.bend[1])
+    )
+    sheets = Sheets(
+        (k.corrugation[0], k.corrugation[1], k.corrugation[2]),
+        (edge_y, slope, curve, vertices[1, 1] - vertices[2, 1]),
         crest_x,
         edge_hides,
         k.metal_cuts,
         face == 0,
     )
-    light = arc_light(
-        Patch(P, normal, omega_r),
+    light = lap_light(
+        P,
+        normal,
+        omega_r,
         center,
         radius,
-        Hiding(planes, n_planes, ledges, n_ledges, metal),
+        scratch.planes,
+        n_planes,
+        sheets,
+        k.material,
+        (k.rules, k.n_p, k.n_q),
+        scratch.slices,
+    )
+    return k.radiance_e * light
+
+
+@kernel
+def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
+    """Return the arc's light, e- without the lens' fall-off, that a point of a face sends to the camera.
+
+    `P` may lie on the face's plane beyond its edges.
+    """
+    normal = face_normal(face, P[0], k.vertices, k.corrugation)
+    rx, ry, rz = k.eye[0] - P[0], k.eye[1] - P[1], k.eye[2] - P[2]
+    inverse = 1.0 / math.sqrt(rx * rx + ry * ry + rz * rz)
+    omega_r = (rx * inverse, ry * inverse, rz * inverse)
+    if is_curved_lap(k.vertices, k.corrugation, k.bend) and is_beside(P, k.center, k.radius):
+        return _light_on_lap(k, P, face, normal, omega_r, scratch)
+    room, _, planes, ledges = scratch
+    n_planes, n_ledges = sky_planes(P, normal, face, k.center, k.radius, k.bend, k.vertices, planes, ledges)
+    light = arc_light(
+        Patch(P, normal, omega_r),
+        k.center,
+        k.radius,
+        Hiding(planes, n_planes, ledges, n_ledges),
         k.material,
         Rule(k.rules, k.n_p, k.n_q),
         room,

@@ -21,7 +21,7 @@ _V = 0.5 - 0.5 * np.cos(np.pi * (np.arange(40) + 0.5) / 40.0)
 _SERIES = np.polynomial.Chebyshev.fit(
     _V, (0.5 + 0.5 * np.cos(np.pi * np.sqrt(_V))) / (1.0 - _V) ** 2, 7, domain=[0.0, 1.0]
 )
-_G = tuple(float(c) for c in _SERIES.convert(kind=np.polynomial.Polynomial).coef)
+RAISED_COSINE = tuple(float(c) for c in _SERIES.convert(kind=np.polynomial.Polynomial).coef)
 
 
 @kernel(inline=True)
@@ -31,10 +31,14 @@ def raised_cosine(v: float) -> tuple[float, float]:
     (1 - v)^2 times a polynomial of degree 7, 2e-11 off at most: a fifth of what cosine and sine take.
     """
     rest = max(1.0 - v, 0.0)
-    g = _G[5] + v * (_G[6] + v * _G[7])
-    g = _G[0] + v * (_G[1] + v * (_G[2] + v * (_G[3] + v * (_G[4] + v * g))))
-    dg = 5.0 * _G[5] + v * (6.0 * _G[6] + v * 7.0 * _G[7])
-    dg = _G[1] + v * (2.0 * _G[2] + v * (3.0 * _G[3] + v * (4.0 * _G[4] + v * dg)))
+    g = RAISED_COSINE[5] + v * (RAISED_COSINE[6] + v * RAISED_COSINE[7])
+    g = RAISED_COSINE[0] + v * (
+        RAISED_COSINE[1] + v * (RAISED_COSINE[2] + v * (RAISED_COSINE[3] + v * (RAISED_COSINE[4] + v * g)))
+    )
+    dg = 5.0 * RAISED_COSINE[5] + v * (6.0 * RAISED_COSINE[6] + v * 7.0 * RAISED_COSINE[7])
+    dg = RAISED_COSINE[1] + v * (
+        2.0 * RAISED_COSINE[2] + v * (3.0 * RAISED_COSINE[3] + v * (4.0 * RAISED_COSINE[4] + v * dg))
+    )
     return rest * rest * g, rest * (rest * dg - 2.0 * g)
 
 

@@ -105,7 +105,7 @@ def _steepest(P: Vector, sheet_z: float, center: Vector, radius: float, corrugat
 
 @kernel
 def is_curved_lap(vertices: Float64, corrugation: Float64, bend: Bend) -> bool:
-    """Say whether a section is a lap with no straight edge: `sheet_occlusion` follows it ray by ray."""
+    """Say whether a section is a lap with no straight edge: `arc.slices` says what of the arc it hides."""
     is_lap = vertices.shape[0] == 4 and vertices[1, 0] == vertices[2, 0] and vertices[1, 1] > vertices[2, 1]
     return is_lap and (corrugation[0] > 0.0 or bend[0] != 0.0 or bend[1] != 0.0)
 
@@ -175,47 +175,19 @@ def _is_low_end(k: int, face: int, z: float, vertices: Float64) -> bool:
 
 
 @kernel
-def _ridge_planes(
-    P: Vector,
-    normal: Vector,
-    face: int,
-    center: Vector,
-    radius: float,
-    beside: float,
-    vertices: Float64,
-    corrugation: Float64,
-    horizon_start: float,
-    horizons: Float64,
-    planes: Float64,
-    count: int,
-) -> int:
-    """Add to `count` half-spaces those that the ridges of a corrugated lap leave open; return how many."""
-    towards = 1.0 if center[0] > P[0] else -1.0
-    # Only a lap is corrugated: vertex 1 is the upper sheet's edge, vertex 2 its foot.
-    edge_y = vertices[1, 0]
-    on_upper = face == 0
-    crosses = center[1] - beside > edge_y
-    for which in range(2):
-        # From the upper sheet: it hides up to its edge, beyond the edge the lower one does.
-        if which == 1 and not (on_upper and crosses):
-            continue
-        if face == 1:
-            # A point of the edge stands over the sheet that the table is for.
-            slope = _steepest(P, vertices[2, 1], center, radius, corrugation)
-        else:
-            slope, _ = touch(horizons[which], horizon_start, P[0])
-        if slope == -math.inf or (face != 1 and towards * normal[0] + slope * normal[2] <= 1e-9):
-            continue
-        # Past the edge the upper sheet hides nothing: `sheet_occlusion` follows such rays one by one.
-        if which == 0 and on_upper and center[1] - beside + radius > edge_y:
-            continue
-        planes[count, 0], planes[count, 1], planes[count, 2] = -towards * slope, 0.0, 1.0
-        count += 1
-    return count
+def _own_planes(P: Vector, normal: Vector, center: Vector, radius: float, bend: Bend, planes: Float64) -> int:
+    """Write the half-spaces that P's own face leaves open; return how many. The first is P's own horizon."""
+    planes[0, 0], planes[0, 1], planes[0, 2] = normal[0], normal[1], normal[2]
+    beside, way = bend[1], center[0] - P[0]
+    if beside == 0.0 or abs(way) <= radius or abs(normal[1]) <= 1e-9:
+        return 1
+    # A face that bends stands in its own way.
+    planes[1, 0], planes[1, 1], planes[1, 2] = normal[0] - beside / way * normal[1], normal[1], normal[2]
+    return 2
 
 
 @kernel
-def sky_planes(
+def lap_planes(
     P: Vector,
     normal: Vector,
     face: int,
@@ -227,29 +199,63 @@ def sky_planes(
     horizon_start: float,
     horizons: Float64,
     planes: Float64,
+) -> tuple[int, float]:
+    """Write the half-spaces m.omega > 0 that a lap's own face and ridges leave open; return how many.
+
+    Returned too is the station at which P's own sheet hides most, NaN for none. The edge is left to
+    `arc.slices`, and so is what of the upper sheet stands before an arc that reaches past it. `horizons`
+    (2, n, 2), of `horizons_of_scenes`, are for terrain as high as P's sheet, and lower by the sheets' step.
+    """
+    count, crest_x = _own_planes(P, normal, center, radius, bend, planes), math.nan
+    if corrugation[0] == 0.0 or abs(center[0] - P[0]) <= radius:
+        return count, crest_x
+    # Vertex 1 is the upper sheet's edge, vertex 2 its foot.
+    towards, beside, edge_y = 1.0 if center[0] > P[0] else -1.0, bend[1], vertices[1, 0]
+    on_upper = face == 0
+    if face == 1:
+        # A point of the edge stands over the sheet that the tables are for.
+        slope = _steepest(P, vertices[2, 1], center, radius, corrugation)
+    else:
+        slope, crest_x = touch(horizons[0], horizon_start, P[0])
+    rises = slope != -math.inf and (face == 1 or towards * normal[0] + slope * normal[2] > 1e-9)
+    if rises and not (on_upper and center[1] - beside + radius > edge_y):
+        planes[count, 0], planes[count, 1], planes[count, 2] = -towards * slope, 0.0, 1.0
+        count += 1
+    if on_upper and center[1] - beside > edge_y:
+        # The upper sheet hides up to its edge, beyond the edge the lower one does.
+        slope, _ = touch(horizons[1], horizon_start, P[0])
+        if slope != -math.inf and towards * normal[0] + slope * normal[2] > 1e-9:
+            planes[count, 0], planes[count, 1], planes[count, 2] = -towards * slope, 0.0, 1.0
+            count += 1
+    return count, crest_x
+
+
+@kernel
+def sky_planes(
+    P: Vector,
+    normal: Vector,
+    face: int,
+    center: Vector,
+    radius: float,
+    bend: Bend,
+    vertices: Float64,
+    planes: Float64,
     ledges: Float64,
 ) -> tuple[int, int]:
     """Write the half-spaces m.omega > 0 of directions in which P sees the arc; return how many, and ledges.
 
-    `planes` (MAX_PLANES, 3). The first is P's own horizon. `horizons` (2, n, 2), of `horizons_of_scenes`, are
-    for terrain as high as P's sheet and lower by the step of the sheets. `ledges` (2 MAX_LEDGES, 3) are pairs
+    `planes` (MAX_PLANES, 3). The first is P's own horizon. `ledges` (2 MAX_LEDGES, 3) are pairs
     of a half-space and a face (n_y, n_z, c) that cuts into the arc: what lies behind it,
     n_y y + n_z z < c, is seen in the half-space alone. Edges that `bend` are taken along their `tangent`; a
     ledge is written as if that ran along x, in coordinates y - askew (x - P_x), with askew in place of the
     half-space's m_x.
     """
-    count, n_ledges = 1, 0
-    planes[0, 0], planes[0, 1], planes[0, 2] = normal[0], normal[1], normal[2]
+    count, n_ledges = _own_planes(P, normal, center, radius, bend, planes), 0
     beside, way = bend[1], center[0] - P[0]
-    if beside != 0.0 and abs(way) > radius and abs(normal[1]) > 1e-9:
-        # A face that bends stands in its own way.
-        planes[1, 0], planes[1, 1], planes[1, 2] = normal[0] - beside / way * normal[1], normal[1], normal[2]
-        count = 2
-    is_followed = is_curved_lap(vertices, corrugation, bend)
     # Of all that stands on one side the steepest hides what the others do; (dy, dz) and askew of those.
     right_dy, right_dz, right_askew, left_dy, left_dz, left_askew = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(vertices.shape[0]):
-        if is_followed or k in (face, face + 1) or _is_low_end(k, face, P[2], vertices):
+        if k in (face, face + 1) or _is_low_end(k, face, P[2], vertices):
             continue
         y_k, z_k = vertices[k, 0], vertices[k, 1]
         # A vertex no higher than the arc's foot hides nothing that stands before it, and nothing at all from
@@ -290,21 +296,6 @@ def sky_planes(
     if right_dy != 0.0 or right_dz != 0.0:
         planes[count, 0], planes[count, 1], planes[count, 2] = -right_askew * right_dz, right_dz, -right_dy
         count += 1
-    if corrugation[0] > 0.0 and abs(way) > radius:
-        count = _ridge_planes(
-            P,
-            normal,
-            face,
-            center,
-            radius,
-            beside,
-            vertices,
-            corrugation,
-            horizon_start,
-            horizons,
-            planes,
-            count,
-        )
     return count, n_ledges
 
 

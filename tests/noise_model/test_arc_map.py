@@ -166,10 +166,9 @@ def disc_light(P, normal, omega_r, center, material, nodes, planes=()):
     """`arc_light` of a patch that nothing but its own horizon and `planes` shades."""
     cuts = np.vstack([normal, *planes])
     vectors = [tuple(float(c) for c in vector) for vector in (P, normal, omega_r)]
-    no_metal = (0.0, 0.0, 0.0, (0.0, 0.0, 0.0, 0.0), math.nan, False, False, False)
     return arc_light(
         Patch(*vectors), tuple(float(c) for c in center), 3.0,
-        Hiding(cuts, len(cuts), np.empty((0, 3)), 0, no_metal),
+        Hiding(cuts, len(cuts), np.empty((0, 3)), 0),
         lobe_numbers(material), Rule(gauss_nodes(), *nodes), scratch().room,
     )  # fmt: skip
 

@@ -14,7 +14,10 @@ from noise_model.lanes import (
     any_lane,
     bits_of,
     float_of,
+    floor,
+    greater,
     least,
+    lesser,
     load,
     root,
     spread,
@@ -29,7 +32,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 @kernel
 def arithmetic(a: Float32, b: Float32, number: float, out: Float32) -> None:
-    """Write, from the second number on: sum, difference, product, quotient, root and a number everywhere."""
+    """Write, from the second number on: sum, difference ... least and greatest."""
     x, y = load(a, 1), load(b, 1)
     store(out[0], 1, x + y)
     store(out[1], 1, x - y)
@@ -42,6 +45,9 @@ def arithmetic(a: Float32, b: Float32, number: float, out: Float32) -> None:
     x -= y
     x /= y
     store(out[6], 1, x)
+    store(out[7], 1, floor(load(a, 1)))
+    store(out[8], 1, lesser(load(a, 1), y))
+    store(out[9], 1, greater(load(a, 1), y))
 
 
 @kernel
@@ -76,9 +82,10 @@ def test_each_lane_computes_as_a_single_number_does(seed: int, number: float) ->
     rng = np.random.default_rng(seed)
     a, b = rng.normal(0.0, 10.0, (2, N_LANES + 2)).astype(np.float32)
     b = np.abs(b) + np.float32(0.1)
-    out = np.full((7, N_LANES + 2), np.nan, np.float32)
+    out = np.full((10, N_LANES + 2), np.nan, np.float32)
     arithmetic(a, b, number, out)
     twins = [a + b, a - b, a * b, a / b, np.sqrt(b), np.full_like(a, number), ((a + b) * b - b) / b]
+    twins += [np.floor(a), np.minimum(a, b), np.maximum(a, b)]
     # A product may be joined with a sum.
     np.testing.assert_allclose(out[:, 1:-1], np.array(twins)[:, 1:-1], rtol=1e-5, atol=1e-5)
     # Nothing is written beyond.

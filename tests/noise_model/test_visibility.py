@@ -14,6 +14,7 @@ from noise_model.surface.visibility import (
     MAX_LEDGES,
     MAX_PLANES,
     horizons_of_scenes,
+    lap_planes,
     sky_planes,
     write_horizon,
 )
@@ -204,7 +205,6 @@ def horizon_tables(shape, center):
 def open_by_half_spaces(shape, P, normal, face, center, rng):
     """Points (n, 3) of the arc that face a surface point, and which of them its half-spaces open."""
     planes, ledges = np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3))
-    tables = horizon_tables(shape, center)
     count, n_ledges = sky_planes(
         tuple(P),
         tuple(normal),
@@ -213,8 +213,6 @@ def open_by_half_spaces(shape, P, normal, face, center, rng):
         RADIUS_MM,
         (0.0, 0.0),
         shape.vertices,
-        shape.corrugation,
-        *tables,
         planes,
         ledges,
     )
@@ -305,7 +303,7 @@ def test_a_ridge_hides_the_arc_as_a_walk_finds_it(station_mm, arc_height_mm):
         [station_mm, 12.0, arc_height_mm + float(scenes.corrugation(joint, np.array(station_mm)))]
     )
     start, horizons = horizon_tables(shape, center)
-    planes, ledges = np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3))
+    planes = np.empty((MAX_PLANES, 3))
     n_wrong = n_hidden = n_looked = 0
     for _ in range(120):
         x, y = rng.uniform(-65.0, 85.0), rng.uniform(4.0, 20.0)
@@ -313,7 +311,7 @@ def test_a_ridge_hides_the_arc_as_a_walk_finds_it(station_mm, arc_height_mm):
         if abs(x - station_mm) < 2.0 * RADIUS_MM:
             continue
         normal = scenes.normal_at(joint, P)
-        count, _ = sky_planes(
+        count, _ = lap_planes(
             tuple(P),
             tuple(normal),
             2,
@@ -325,7 +323,6 @@ def test_a_ridge_hides_the_arc_as_a_walk_finds_it(station_mm, arc_height_mm):
             start,
             horizons,
             planes,
-            ledges,
         )
         outward = rng.normal(size=(60, 3))
         outward /= np.linalg.norm(outward, axis=1, keepdims=True)

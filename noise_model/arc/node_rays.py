@@ -1,0 +1,139 @@
+"""Sixteen rays of the camera at once, and where they meet a corrugated lap."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from noise_model.arc.ray import ArcKernel
+from noise_model.arc.wave import Corrugation, wave, wave_and_slope
+from noise_model.arrays import Float32, Float64, Int64
+from noise_model.kernel import REDUCTION, kernel
+from noise_model.lanes import N_LANES, Lanes, any_lane, greater, lesser, load, spread, store, where
+
+NEWTON_STEPS = 8
+"""The most steps in which rays are followed to a sheet: three are usual."""
+
+MEETS_MM = 2e-5
+"""So near over or under a sheet a ray has met it."""
+
+MARGIN = 1.05
+"""So much steeper than the corrugation rays are that meet each sheet once."""
+
+
+class NodeRays(NamedTuple):
+    """Sixteen rays (x, y, 1) of the camera, and room for numbers of theirs.
+
+    `places` (32,) are the stations where they meet a face, counted from the camera's, and the ways across it,
+    mm; `faces` the faces that they meet.
+    """
+
+    x: Float32
+    y: Float32
+    faces: Float32
+    places: Float32
+    light_e: Float32
+
+
+@kernel(allocates=True)
+def node_rays() -> NodeRays:
+    """Make room for sixteen rays."""
+    n = N_LANES
+    x, y, faces = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    return NodeRays(x, y, faces, np.empty(2 * n, np.float32), np.empty(n, np.float32))
+
+
+@kernel
+def take_rays(xy: Float32, pixels: Int64, first: int, n: int, rays: NodeRays) -> None:
+    """Take the rays of n pixels, at most sixteen, from `first` on; the last one's fill the rest."""
+    for i in range(N_LANES):
+        pixel = pixels[first + min(i, n - 1)]
+        rays.x[i], rays.y[i] = xy[pixel, 0], xy[pixel, 1]
+
+
+@kernel(inline=True)
+def along(k: ArcKernel, row: int, rays: NodeRays) -> Lanes:
+    """Return a coordinate of the rays' directions, joint frame; see `ray.direction`."""
+    R = k.rotation
+    return spread(R[row, 0]) * load(rays.x, 0) + spread(R[row, 1]) * load(rays.y, 0) + spread(R[row, 2])
+
+
+@kernel(inline=True)
+def _size(a: Lanes) -> Lanes:
+    """Return each lane without its sign."""
+    return greater(a, spread(0.0) - a)
+
+
+@kernel(inline=True)
+def _meet(x_0: float, down: float, d_x: Lanes, d_z: Lanes, corrugation: Corrugation) -> tuple[Lanes, Lanes]:
+    """Return how far rays go to a corrugated sheet that goes on for ever, and by how much they miss it, mm.
+
+    They come from `down` mm over the sheet's level, and meet it once. `x_0` is the eye's station, mm, from a
+    crest.
+    """
+    # Between the crests' height and the sheet's level a ray meets the sheet.
+    first, last = spread(corrugation[0] - down) / d_z, spread(-down) / d_z
+    way, gap = spread(0.5) * (first + last), spread(0.0)
+    for _ in range(NEWTON_STEPS):
+        height, slope = wave_and_slope(spread(x_0) + way * d_x, corrugation)
+        gap = spread(down) + way * d_z - height
+        if not any_lane(_size(gap) > spread(MEETS_MM)):
+            break
+        way = lesser(greater(way - gap / (d_z - slope * d_x), first), last)
+    return way, gap
+
+
+@kernel(fastmath=REDUCTION)
+def follow_to_lap(k: ArcKernel, rays: NodeRays) -> bool:
+    """Write which faces of a corrugated lap rays meet, and their places; see `ray.follow`.
+
+    False where one ray is not told: it may meet a ridge twice, or looks past the workpiece. Else a ray meets
+    the upper sheet, as if that went on beyond its edge, before the lower one, and each once. It ends on the
+    upper sheet if it meets that on this side of the edge, on the lower one if it meets that beyond the edge,
+    and else on the edge itself.
+    """
+    d_x, d_y, d_z = along(k, 0, rays), along(k, 1, rays), along(k, 2, rays)
+    corrugation = (k.corrugation[0], k.corrugation[1], k.corrugation[2])
+    height, width, pitch = corrugation
+    edge_y, upper, lower = k.vertices[1, 0], k.vertices[1, 1], k.vertices[2, 1]
+    zero = spread(0.0)
+    steepest = spread(MARGIN * math.pi * height / width)
+    if k.eye[2] <= upper + height or any_lane(_size(d_x) * steepest + d_z >= zero):
+        return False
+    x_0 = k.eye[0] - pitch * np.floor(k.eye[0] / pitch + 0.5)
+    way_u, miss_u = _meet(x_0, k.eye[2] - upper, d_x, d_z, corrugation)
+    way_l, miss_l = _meet(x_0, k.eye[2] - lower, d_x, d_z, corrugation)
+    if any_lane((_size(miss_u) > spread(MEETS_MM)) | (_size(miss_l) > spread(MEETS_MM))):
+        return False
+    beside = k.eye[1] - edge_y
+    s_u, s_l = spread(beside) + way_u * d_y, spread(beside) + way_l * d_y
+    if any_lane((s_u < spread(k.vertices[0, 0] - edge_y)) | (s_l > spread(k.vertices[3, 0] - edge_y))):
+        return False
+    on_upper = s_u <= zero
+    way = where(on_upper, way_u, way_l)
+    s, face = where(on_upper, s_u, s_l), where(on_upper, zero, spread(2.0))
+    on_edge = (s_u > zero) & (s_l < zero)
+    if any_lane(on_edge):
+        way_e = spread(-beside) / d_y
+        down = spread(upper - k.eye[2]) + wave(spread(x_0) + way_e * d_x, corrugation) - way_e * d_z
+        way, s, face = where(on_edge, way_e, way), where(on_edge, down, s), where(on_edge, spread(1.0), face)
+    store(rays.places, 0, way * d_x)
+    store(rays.places, N_LANES, s)
+    store(rays.faces, 0, face)
+    return True
+
+
+@kernel
+def tell_faces(rays: NodeRays, first: int, n: int, faces: Int64) -> None:
+    """Write which faces the first n rays meet, from `first` on."""
+    for i in range(n):
+        faces[first + i] = int(rays.faces[i])
+
+
+@kernel
+def tell_places(k: ArcKernel, rays: NodeRays, first: int, n: int, places: Float64) -> None:
+    """Write the places x and s (n, 2) where the first n rays meet their faces, from `first` on."""
+    for i in range(n):
+        places[first + i, 0], places[first + i, 1] = k.eye[0] + rays.places[i], rays.places[N_LANES + i]
