@@ -1,16 +1,16 @@
 """Machine code on disk is used again while its sources are what they were, and only then."""
 
 import os
-import subprocess
 import sys
+from importlib import import_module
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
+from documented import FORKS
 
 from noise_model import kernel as kernels
 from noise_model.linking import MIN_INSTRUCTIONS
-
-ROOT = Path(__file__).resolve().parents[2]
 
 INNER = (
     "import math\n\nfrom noise_model.kernel import kernel\n\n\n"
@@ -20,11 +20,6 @@ LONG = "".join(f"    y = math.sqrt(y * y + {n}.5)\n" for n in range(MIN_INSTRUCT
 OUTER = (
     "from noise_model.kernel import kernel\nfrom optics_of_a_test.{module} import inner\n\n\n"
     "@kernel\ndef outer(x):\n    return inner(x) + 1.0\n"
-)
-RUN = (
-    "from optics_of_a_test.outer import outer\n"
-    "result = outer(2.0)\n"
-    "print(result, sum(outer.stats.cache_hits.values()), sum(outer.stats.cache_misses.values()))\n"
 )
 
 
@@ -48,14 +43,25 @@ def write(package: Path, options: str, value: float, more: str = "") -> None:
 def run(folder: Path, first: str = "") -> tuple[float, int, int]:
     """Return the outer kernel's result, and what of it a new process found on disk, and compiled.
 
-    That is the kernel, and what lets Python call it. The process runs the lines `first` before.
+    That is the kernel, and what lets Python call it. The process runs the lines `first` before. It is forked
+    from one that has imported numba, and no kernel of these.
     """
-    environment = {**os.environ, "PYTHONPATH": f"{folder}:{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run(
-        [sys.executable, "-c", first + RUN], capture_output=True, text=True, check=True, env=environment
-    )
-    result, hits, misses = done.stdout.split()
-    return float(result), int(hits), int(misses)
+    receiver, sender = FORKS.Pipe(duplex=False)
+    process = FORKS.Process(target=_run, args=(folder, first, sender))
+    process.start()
+    sender.close()
+    result: tuple[float, int, int] = receiver.recv()
+    process.join()
+    return result
+
+
+def _run(folder: Path, first: str, sender: Connection) -> None:
+    sys.path.insert(0, str(folder))
+    sys.dont_write_bytecode = True
+    exec(first)
+    outer = import_module("optics_of_a_test.outer").outer
+    result = outer(2.0)
+    sender.send((result, sum(outer.stats.cache_hits.values()), sum(outer.stats.cache_misses.values())))
 
 
 @pytest.mark.slow
