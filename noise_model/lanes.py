@@ -14,6 +14,7 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba.core import cgutils
 from numba.core.datamodel import models
@@ -48,6 +49,9 @@ LANES, MASK = _LanesType(), _MaskType()
 
 Lanes = Any
 """Sixteen float32 within a kernel."""
+
+COUNT = np.arange(N_LANES, dtype=np.float32)
+"""0, 1 ... 15, to be loaded."""
 
 Mask = Any
 """Sixteen answers within a kernel."""
@@ -253,15 +257,26 @@ def greater(a: Lanes, b: Lanes) -> Lanes:
     return where(a > b, a, b)
 
 
+def _told(comparison: str, bits: int) -> Callable[..., Any]:
+    """Return what compares a mask's answers, a bit each, with a number."""
+
+    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        answers = builder.bitcast(arguments[0], ir.IntType(N_LANES))
+        return builder.icmp_unsigned(comparison, answers, ir.Constant(answers.type, bits))
+
+    return write
+
+
 @_instruction
 def any_lane(_typing: Any, mask: Any) -> Any:
     """Say whether a mask has one lane that answers yes."""
+    return boolean(mask), _told("!=", 0)
 
-    def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        bits = builder.bitcast(arguments[0], ir.IntType(N_LANES))
-        return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
 
-    return boolean(mask), write
+@_instruction
+def all_lanes(_typing: Any, mask: Any) -> Any:
+    """Say whether all lanes of a mask answer yes."""
+    return boolean(mask), _told("==", 2**N_LANES - 1)
 
 
 def _across(name: str, takes: int) -> Callable[..., Any]:

@@ -182,6 +182,37 @@ def _fill_run(
 
 
 @kernel
+def _fill_apart(
+    k: ArcKernel,
+    table: FaceTable,
+    rays: Rays,
+    box: Box,
+    lows: Int64,
+    group: int,
+    band_e: Float32,
+    room: Room,
+    work: Scratch,
+) -> None:
+    """Fill the part of a cell that is not halved any more that lies in the band, pixel by pixel."""
+    xy, cos4, n_pos = rays
+    pixels, light_e, faces, places = room[0], room[1], room[2], room[3]
+    n = 0
+    for i in range(box[2]):
+        _, first, last = _line_in_band(box, i, lows, group, band_e.shape[1])
+        for position in range(first, last):
+            pixels[n] = (box[0] + i) * n_pos + position
+            n += 1
+    places_on_rays(k, table, xy, pixels, n, faces, places, room[8])
+    light_at_places(k, table, cos4, pixels, n, faces, places, 0.0, light_e, work)
+    n = 0
+    for i in range(box[2]):
+        low, first, last = _line_in_band(box, i, lows, group, band_e.shape[1])
+        for position in range(first, last):
+            band_e[box[0] + i, position - low] = light_e[n]
+            n += 1
+
+
+@kernel
 def _node_pixels(n_pos: int, box: Box, node_at: Int64, pixels: Int64) -> None:
     """Write the pixels (16,) of a cell's nodes."""
     scan, pos, n_s, n_p = box
@@ -290,7 +321,7 @@ def _changes_across(faces: Int64) -> bool:
     return across >= along
 
 
-@kernel
+@kernel(inline=True)
 def _fill_cell(
     k: ArcKernel,
     table: FaceTable,
@@ -307,7 +338,7 @@ def _fill_cell(
     """Fill a cell, or say how it has to be halved."""
     xy, cos4, n_pos = rays
     pixels, light_e, faces, places, seen, _, powers, ramp, nodes = room
-    scan, _, n_s, n_p = box
+    _, _, n_s, n_p = box
     halved = _halved(n_s, n_p, True)
     if n_s >= N and n_p >= N:
         _node_pixels(n_pos, box, node_at, pixels)
@@ -342,12 +373,9 @@ def _fill_cell(
             return _fill_mixed(k, table, rays, box, rules, lows, group, band_e, room, work)
         else:
             halved = _halved(n_s, n_p, _changes_across(faces))
-    if halved != FILLED:
-        return halved
-    for i in range(n_s):
-        low, first, last = _line_in_band(box, i, lows, group, band_e.shape[1])
-        _fill_run(k, table, rays, scan + i, low, first, last, band_e[scan + i], room, work)
-    return FILLED
+    if halved == FILLED:
+        _fill_apart(k, table, rays, box, lows, group, band_e, room, work)
+    return halved
 
 
 @kernel(allocates=True)

@@ -28,15 +28,18 @@ from noise_model.arc.slices import (
     upright_range,
 )
 from noise_model.arrays import Float32, Float64, Point
-from noise_model.kernel import REDUCTION, kernel
+from noise_model.kernel import kernel
 from noise_model.lanes import N_LANES, greater, lesser, load, root, spread, total
 from noise_model.surface.brdf import LobeNumbers, reflected
 
 SLICES_PER_NODE = 4
 """So many slices there are for each of the disc's nodes across."""
 
-UP_SHARE = 0.75
+UP_SHARE = 0.5
 """So many of the disc's nodes do up a slice."""
+
+STEEP_SHARE = 0.5
+"""Farther beside the edge than this share of its height, slices to both sides share their number."""
 
 MAX_LOOKS = 3
 """So often slices are laid into the part of the arc that is open."""
@@ -132,7 +135,7 @@ def _sum_any(
     return light
 
 
-@kernel(fastmath=REDUCTION)
+@kernel(inline=True)
 def _light_between(
     between: tuple[float, float],
     P: Point,
@@ -154,7 +157,9 @@ def _light_between(
     for look in range(MAX_LOOKS):
         if between[1] <= between[0]:
             return 0.0
-        all_open, has_near = lay(P, center, radius, between, n, planes, n_planes, sheets, room)
+        all_open, any_open, has_near = lay(P, center, radius, between, n, planes, n_planes, sheets, room)
+        if not any_open:
+            return 0.0
         if all_open or look == MAX_LOOKS - 1:
             break
         first, last = open_ends(n, room)
@@ -171,7 +176,7 @@ def _light_between(
     return light
 
 
-@kernel
+@kernel(inline=True)
 def lap_light(
     P: Point,
     normal: Point,
@@ -201,6 +206,8 @@ def lap_light(
     plan = math.sqrt(to_x * to_x + to_y * to_y)
     low, high = upright_range(radius, plan, to_x / plan, to_y / plan, planes, n_planes)
     parting = parting_offset(P, center, radius, plan, sheets) if sheets.edge_hides else math.nan
+    if low < parting < high and abs(P[1] - sheets.edge[0]) > STEEP_SHARE * sheets.edge[3]:
+        n = N_LANES * math.ceil(0.5 * n / N_LANES)
     light = 0.0
     for side in range(2 if low < parting < high else 1):
         begin, end = low, high

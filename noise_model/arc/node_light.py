@@ -53,7 +53,7 @@ def write_places(k: ArcKernel, face: int, rays: NodeRays) -> bool:
     return True
 
 
-@kernel(fastmath=REDUCTION)
+@kernel(inline=True)
 def write_light(k: ArcKernel, table: FaceTable, face: int, rays: NodeRays, work: Scratch) -> bool:
     """Write the light, e- without the lens' fall-off, that rays receive from their places on a face.
 
@@ -99,7 +99,7 @@ def _polynomial(powers: Float64, t: Lanes, u: Lanes) -> Lanes:
     return value
 
 
-@kernel
+@kernel(inline=True)
 def light_of_face(
     k: ArcKernel,
     table: FaceTable,
@@ -122,7 +122,7 @@ def light_of_face(
     light_at_places(k, table, camera[1], pixels, N_LANES, faces, places, 0.0, room[1], work)
 
 
-@kernel
+@kernel(fastmath=REDUCTION)
 def light_of_nodes(
     k: ArcKernel,
     table: FaceTable,

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.ray import ArcKernel
-from noise_model.arc.wave import Corrugation, wave, wave_and_slope
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, Lanes, any_lane, greater, lesser, load, spread, store, where
+from noise_model.surface.wave import Corrugation, wave, wave_and_slope
 
 NEWTON_STEPS = 8
 """The most steps in which rays are followed to a sheet: three are usual."""

@@ -11,7 +11,7 @@ from noise_model.arc.chords import MAX_PARTS, MAX_PIECES
 from noise_model.arc.lap_light import lap_light
 from noise_model.arc.quadrature import MAX_POINTS, Hiding, Patch, Room, Rule, arc_light
 from noise_model.arc.slices import Sheets, slice_room
-from noise_model.arrays import Float32, Float64, Point, Vector
+from noise_model.arrays import Float32, Float64, Int64, Point, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
 from noise_model.surface.faces import face_normal
@@ -26,14 +26,23 @@ from noise_model.surface.visibility import (
     sky_planes,
 )
 
+MAX_TOGETHER = 25
+"""So many points a cell's polynomial has."""
+
 
 class Scratch(NamedTuple):
-    """What a point's integral needs room for; see `sky_planes` for `planes` and `ledges`."""
+    """What a point's integral needs room for, see `sky_planes` for `planes` and `ledges`.
+
+    `faces`, `places` and `light_e` (MAX_TOGETHER,) are for points that are integrated one after another.
+    """
 
     room: Room
     slices: Float32
     planes: Float64
     ledges: Float64
+    faces: Int64
+    places: Float64
+    light_e: Float64
 
 
 @kernel(allocates=True)
@@ -46,7 +55,15 @@ def scratch() -> Scratch:
         np.empty((MAX_PARTS, 3)),
         np.empty((4, MAX_PIECES)),
     )
-    return Scratch(room, slice_room(), np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3)))
+    return Scratch(
+        room,
+        slice_room(),
+        np.empty((MAX_PLANES, 3)),
+        np.empty((2 * MAX_LEDGES, 3)),
+        np.empty(MAX_TOGETHER, dtype=np.int64),
+        np.empty((MAX_TOGETHER, 2)),
+        np.empty(MAX_TOGETHER),
+    )
 
 
 class ArcKernel(NamedTuple):
@@ -131,7 +148,7 @@ def _light_on_lap(
     return k.radiance_e * light
 
 
-@kernel
+@kernel(inline=True)
 def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
     """Return the arc's light, e- without the lens' fall-off, that a point of a face sends to the camera.
 
@@ -143,7 +160,7 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
     omega_r = (rx * inverse, ry * inverse, rz * inverse)
     if is_curved_lap(k.vertices, k.corrugation, k.bend) and is_beside(P, k.center, k.radius):
         return _light_on_lap(k, P, face, normal, omega_r, scratch)
-    room, _, planes, ledges = scratch
+    room, planes, ledges = scratch.room, scratch.planes, scratch.ledges
     n_planes, n_ledges = sky_planes(P, normal, face, k.center, k.radius, k.bend, k.vertices, planes, ledges)
     light = arc_light(
         Patch(P, normal, omega_r),

@@ -14,13 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.wave import Corrugation, wave
 from noise_model.arrays import Float32, Float64, Point
 from noise_model.kernel import kernel
 from noise_model.lanes import (
     N_LANES,
     Lanes,
     Mask,
+    all_lanes,
     any_lane,
     greater,
     lesser,
@@ -30,6 +30,7 @@ from noise_model.lanes import (
     store,
     where,
 )
+from noise_model.surface.wave import Corrugation, wave
 
 MAX_SLICES = 128
 """Room for the slices of one point's integral."""
@@ -159,12 +160,13 @@ def _cut(
     rho: Lanes,
     up: float,
     lift: float,
+    asked: Mask,
     sheets: Sheets,
 ) -> Lanes:
     """Return the slope at which the arc's near side rises out of a sheet, -FAR where it does all the way.
 
     From P, at station `x_0`, the sheet lies `lift` higher than the corrugation. Sought is between the ways
-    `near` and `end`; FAR where the arc is below the sheet up to there.
+    `near` and `end`; FAR where the arc is below the sheet up to there. Slices that are not `asked` get any.
     """
     zero, unity, half = spread(0.0), spread(1.0), spread(0.5)
     length = end - near
@@ -172,7 +174,7 @@ def _cut(
     below = _circle(near, ahead, rho, up) - wave(spread(x_0) + near * x, sheets.corrugation) - spread(lift)
     above = _circle(end, ahead, rho, up) - wave(spread(x_0) + end * x, sheets.corrugation) - spread(lift)
     is_open, is_shut = below >= zero, above < zero
-    if not any_lane(below < zero):
+    if not any_lane(asked & (below < zero)):
         return spread(-FAR)
     f_low, f_high = below, above
     share = zero
@@ -223,7 +225,7 @@ def _past_edge(
         behind = greater(hidden, at_edge)
         if sheets.cut:
             begin, other = lesser(greater(r, near), end), -P[2] if sheets.from_upper else lift
-            behind = greater(behind, _cut(x_0, x, begin, end, ahead, rho, up, other, sheets))
+            behind = greater(behind, _cut(x_0, x, begin, end, ahead, rho, up, other, meets, sheets))
     if not math.isnan(crest):
         way = spread(crest) / x
         if sheets.from_upper:
@@ -254,10 +256,10 @@ def lay(
     n_planes: int,
     sheets: Sheets,
     room: Float32,
-) -> tuple[bool, bool]:
+) -> tuple[bool, bool, bool]:
     """Lay n slices between two offsets, and write what of the arc is open there.
 
-    Returned is whether all are open, and whether one of them is open in two parts.
+    Returned is whether all are open, whether one is, and whether one of them is open in two parts.
     """
     to_x, to_y, up = center[0] - P[0], center[1] - P[1], center[2] - P[2]
     plan_2 = to_x * to_x + to_y * to_y
@@ -272,7 +274,7 @@ def lay(
     own = step - P[2] if sheets.from_upper else -P[2]
     middle, half = 0.5 * (between[0] + between[1]), 0.5 * (between[1] - between[0])
     zero, far = spread(0.0), spread(FAR)
-    all_open, has_near, rule = True, False, _rule_at(n)
+    all_open, any_open, has_near, rule = True, False, False, _rule_at(n)
     for first in range(0, n, N_LANES):
         d = spread(middle) + spread(half) * load(_NODES, rule + first)
         rho = root(greater(spread(radius * radius) - d * d, zero))
@@ -291,7 +293,7 @@ def lay(
                 hidden = greater(hidden, slope / spread(planes[j, 2]))
         low, near_low, near_high = hidden, zero, zero
         if sheets.cut:
-            low = greater(hidden, _cut(x_0, x, near, end, ahead, rho, up, own, sheets))
+            low = greater(hidden, _cut(x_0, x, near, end, ahead, rho, up, own, high > zero - far, sheets))
         if sheets.edge_hides:
             r = _crossing(over, x, y, sheets)
             before, rim, low, apart = _past_edge(P, x_0, x, r, hidden, low, near, end, ahead, rho, up, sheets)
@@ -307,23 +309,21 @@ def lay(
         store(room, HIGH + first, high)
         store(room, NEAR_LOW + first, near_low)
         store(room, NEAR_HIGH + first, near_high)
-        all_open = all_open and not any_lane(high + (near_high - near_low) * far <= low)
-    return all_open, has_near
+        is_open = (high > low) | (near_high > near_low)
+        all_open = all_open and all_lanes(is_open)
+        any_open = any_open or any_lane(is_open)
+    return all_open, any_open, has_near
 
 
 @kernel(inline=True)
 def open_ends(n: int, room: Float32) -> tuple[int, int]:
-    """Return the first and the last of n slices that are open; n and -1 if none is."""
+    """Return the first and the last of n slices that are open; one is."""
     first, last = 0, n - 1
-    while first < n and not (
-        room[HIGH + first] > room[LOW + first] or room[NEAR_HIGH + first] > room[NEAR_LOW + first]
-    ):
+    while not (room[HIGH + first] > room[LOW + first] or room[NEAR_HIGH + first] > room[NEAR_LOW + first]):
         first += 1
-    while last > first and not (
-        room[HIGH + last] > room[LOW + last] or room[NEAR_HIGH + last] > room[NEAR_LOW + last]
-    ):
+    while not (room[HIGH + last] > room[LOW + last] or room[NEAR_HIGH + last] > room[NEAR_LOW + last]):
         last -= 1
-    return first, last if first < n else -1
+    return first, last
 
 
 @kernel
@@ -331,8 +331,6 @@ def open_range(
     first: int, last: int, n: int, between: tuple[float, float], room: Float32
 ) -> tuple[float, float]:
     """Return between which offsets slices are open, at each end by a straight line to the shut neighbour."""
-    if last < 0:
-        return 0.0, 0.0
     return (
         between[0] if first == 0 else _border(first, first - 1, n, between, room),
         between[1] if last == n - 1 else _border(last, last + 1, n, between, room),

@@ -15,9 +15,11 @@ import math
 import numpy as np
 
 from noise_model.arrays import Float64, Int64, Vector
-from noise_model.kernel import kernel
+from noise_model.kernel import REDUCTION, kernel
+from noise_model.lanes import COUNT, N_LANES, greater, least, load, spread, where
 from noise_model.surface.faces import ridge, strip
 from noise_model.surface.joint import MAX_CHORDS, Section
+from noise_model.surface.wave import wave
 
 Bend = tuple[float, float]
 """How edges leave the direction of x towards the arc: dy/dx at P, and how far to the left at the arc, mm."""
@@ -88,29 +90,37 @@ def touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
     return slope, (1.0 - share) * horizon[i, 1] + share * horizon[i + 1, 1]
 
 
-@kernel
-def _steepest(P: Vector, sheet_z: float, center: Vector, radius: float, corrugation: Float64) -> float:
-    """Return the steepest slope from P over one sheet on the way to the arc, as in `write_horizon`."""
+@kernel(fastmath=REDUCTION)
+def steepest(P: Vector, sheet_z: float, center: Vector, radius: float, corrugation: Float64) -> float:
+    """Return the steepest slope from P over one sheet on the way to the arc, as in `write_horizon`.
+
+    Sixteen stations at once. The plain twin is `write_horizon`'s, in the tests.
+    """
     towards = 1.0 if center[0] > P[0] else -1.0
-    steepest = -math.inf
-    for j in range(1, int((abs(center[0] - P[0]) + radius) / HORIZON_STEP_MM) + 1):
-        x = P[0] + towards * j * HORIZON_STEP_MM
-        c, _ = ridge(x, corrugation)
-        slope = (sheet_z + c - P[2]) / (j * HORIZON_STEP_MM)
-        counts = (center[0] - x) * towards >= radius or (slope > 0.0 and sheet_z + c <= center[2])
-        if counts and slope > steepest:
-            steepest = slope
-    return steepest
+    n = int((abs(center[0] - P[0]) + radius) / HORIZON_STEP_MM)
+    ridge_of = (corrugation[0], corrugation[1], corrugation[2])
+    # Stations are counted from the crest that is nearest to P.
+    x_0 = P[0] - corrugation[2] * np.floor(P[0] / corrugation[2] + 0.5)
+    zero, none, highest = spread(0.0), spread(-math.inf), spread(-math.inf)
+    for first in range(1, n + 1, N_LANES):
+        count = load(COUNT, 0) + spread(float(first))
+        way = count * spread(HORIZON_STEP_MM)
+        height = spread(sheet_z) + wave(spread(x_0) + spread(towards) * way, ridge_of)
+        slope = (height - spread(P[2])) / way
+        is_before = way <= spread((center[0] - P[0]) * towards - radius)
+        counts = is_before | ((slope > zero) & (height <= spread(center[2])))
+        highest = greater(where(counts & (count <= spread(float(n))), slope, none), highest)
+    return float(-least(zero - highest))
 
 
-@kernel
+@kernel(inline=True)
 def is_curved_lap(vertices: Float64, corrugation: Float64, bend: Bend) -> bool:
     """Say whether a section is a lap with no straight edge: `arc.slices` says what of the arc it hides."""
     is_lap = vertices.shape[0] == 4 and vertices[1, 0] == vertices[2, 0] and vertices[1, 1] > vertices[2, 1]
     return is_lap and (corrugation[0] > 0.0 or bend[0] != 0.0 or bend[1] != 0.0)
 
 
-@kernel
+@kernel(inline=True)
 def bent(P: Vector, center: Vector, radius: float, bend: Bend) -> tuple[float, float]:
     """Return slope and curve, 1/mm, of edges at P's station: the parabola that is `bend`'s under the arc."""
     slope, beside = bend
@@ -174,7 +184,7 @@ def _is_low_end(k: int, face: int, z: float, vertices: Float64) -> bool:
     return k == last and vertices[k, 1] <= vertices[k - 1, 1] and (face != k - 2 or z <= vertices[k, 1])
 
 
-@kernel
+@kernel(inline=True)
 def _own_planes(P: Vector, normal: Vector, center: Vector, radius: float, bend: Bend, planes: Float64) -> int:
     """Write the half-spaces that P's own face leaves open; return how many. The first is P's own horizon."""
     planes[0, 0], planes[0, 1], planes[0, 2] = normal[0], normal[1], normal[2]
@@ -186,7 +196,7 @@ def _own_planes(P: Vector, normal: Vector, center: Vector, radius: float, bend: 
     return 2
 
 
-@kernel
+@kernel(inline=True)
 def lap_planes(
     P: Vector,
     normal: Vector,
@@ -214,7 +224,7 @@ def lap_planes(
     on_upper = face == 0
     if face == 1:
         # A point of the edge stands over the sheet that the tables are for.
-        slope = _steepest(P, vertices[2, 1], center, radius, corrugation)
+        slope = steepest(P, vertices[2, 1], center, radius, corrugation)
     else:
         slope, crest_x = touch(horizons[0], horizon_start, P[0])
     rises = slope != -math.inf and (face == 1 or towards * normal[0] + slope * normal[2] > 1e-9)

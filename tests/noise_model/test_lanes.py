@@ -11,6 +11,7 @@ from noise_model.arrays import Bool, Float32
 from noise_model.kernel import kernel
 from noise_model.lanes import (
     N_LANES,
+    all_lanes,
     any_lane,
     bits_of,
     float_of,
@@ -51,13 +52,13 @@ def arithmetic(a: Float32, b: Float32, number: float, out: Float32) -> None:
 
 
 @kernel
-def comparisons(a: Float32, b: Float32, out: Float32, answers: Bool) -> None:
-    """Write 1 where a < b, <=, >, >=, ==, both or either; whether one lane is so; and chosen masks."""
+def comparisons(a: Float32, b: Float32, out: Float32, answers: Bool, alike: Bool) -> None:
+    """Write 1 where a < b, <=, >, >=, ==, both or either; whether one is so, or all; and chosen masks."""
     x, y, no, yes = load(a, 0), load(b, 0), spread(0.0), spread(1.0)
     masks = (x < y, x <= y, x > y, x >= y, x == y, (x < y) & (x < no), (x < y) | (x < no))
     for k in range(len(masks)):
         store(out[k], 0, where(masks[k], yes, no))
-        answers[k] = any_lane(masks[k])
+        answers[k], alike[k] = any_lane(masks[k]), all_lanes(masks[k])
     store(out[7], 0, where(where(x < no, x < y, x > y), yes, no))
 
 
@@ -98,11 +99,14 @@ def test_each_lane_is_compared_by_itself(seed: int) -> None:
     rng = np.random.default_rng(seed)
     a, b = rng.integers(-2, 3, (2, N_LANES)).astype(np.float32)
     a[rng.random(N_LANES) < 0.2], b[rng.random(N_LANES) < 0.2] = np.nan, np.nan
-    out, answers = np.empty((8, N_LANES), np.float32), np.empty(7, np.bool_)
-    comparisons(a, b, out, answers)
+    if seed % 4 == 0:
+        a, b = np.full_like(a, -2.0), np.full_like(b, 3.0)
+    out, answers, alike = np.empty((8, N_LANES), np.float32), np.empty(7, np.bool_), np.empty(7, np.bool_)
+    comparisons(a, b, out, answers, alike)
     twins = [a < b, a <= b, a > b, a >= b, a == b, (a < b) & (a < 0.0), (a < b) | (a < 0.0)]
     np.testing.assert_array_equal(out[:7] == 1.0, twins)
     np.testing.assert_array_equal(answers, np.any(twins, axis=1))
+    np.testing.assert_array_equal(alike, np.all(twins, axis=1))
     np.testing.assert_array_equal(out[7] == 1.0, np.where(a < 0.0, a < b, a > b))
 
 

@@ -16,6 +16,7 @@ from noise_model.surface.visibility import (
     horizons_of_scenes,
     lap_planes,
     sky_planes,
+    steepest,
     write_horizon,
 )
 
@@ -290,6 +291,23 @@ def test_the_horizon_is_the_steepest_slope_on_the_way(center_x, lift):
             assert table[i, 0] == pytest.approx(
                 float(np.interp(table[i, 1] * towards, way * towards, slopes)), abs=0.003
             )
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_steepest_slope_from_a_point_is_its_rows_of_the_horizon(seed):
+    rng = np.random.default_rng(seed)
+    corrugation = section(scenes.JOINTS["corrugation"]).corrugation
+    x = HORIZON_STEP_MM * rng.integers(-240, 240)
+    center_x, lift, foot = rng.uniform(-60.0, 60.0), rng.uniform(-2.0, 1.0), rng.uniform(0.0, 8.0)
+    # The table ends where no terrain is looked at any more.
+    start = min(x, center_x - RADIUS_MM) - 1.0
+    n = int((max(x, center_x + RADIUS_MM) - start) / HORIZON_STEP_MM) + 8
+    start = x - HORIZON_STEP_MM * round((x - start) / HORIZON_STEP_MM)
+    row = round((x - start) / HORIZON_STEP_MM)
+    want = horizon_table(start, n, center_x, RADIUS_MM, corrugation, lift, foot)[row, 0]
+    P = (x, 0.0, float(corrugation_height(np.array(x), corrugation)) - lift)
+    got = steepest(P, 0.0, (center_x, 0.0, foot), RADIUS_MM, corrugation)
+    assert got == want or got == pytest.approx(want, abs=1e-5)
 
 
 @pytest.mark.slow
