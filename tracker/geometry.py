@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from noise_model.arc.baked import NOTHING_BAKED, BakedLight
-from noise_model.arc.fill import node_rules
+from noise_model.arc.bicubic import node_rules
 from noise_model.arc.map import arc_kernel, baked_light
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.scene import scene_along

@@ -10,39 +10,31 @@ What is left is read off the table pixel by pixel.
 
 from __future__ import annotations
 
-import functools
-import math
-
 import numpy as np
 
+from noise_model.arc.bicubic import LARGEST, N, fill_row, to_powers
 from noise_model.arc.face_lookup import face_seen
 from noise_model.arc.node_light import light_of_face, light_of_nodes, write_faces
 from noise_model.arc.node_rays import (
     NodeRays,
     follow_to_lap,
     node_rays,
+    places_on_rays,
     take_rays,
     tell_faces,
     tell_places,
 )
 from noise_model.arc.ray import ArcKernel, Scratch, scratch
-from noise_model.arc.table import FaceTable, light_at_places, places_on_rays
+from noise_model.arc.table import FaceTable, light_at_places
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
-from noise_model.lanes import N_LANES, load, spread, store
 from noise_model.surface.ray_casting import MISS
 
-LARGEST, MIXED, SMALLEST = 64, 32, 8
-"""The cells' size, px: at first, where faces may be mixed, and where they are not halved any more."""
-
-N = 4
-"""Nodes of a cell along each direction."""
+MIXED, SMALLEST = 32, 8
+"""The cells' size, px, where faces may be mixed, and where they are not halved any more; LARGEST at first."""
 
 SHARE = 0.5
 """The share of the tolerance that a cell's polynomial may use up."""
-
-DECAY = 0.1
-"""By how much the highest coefficient of what is smooth lies below the one before."""
 
 CELL_WORTH = 20.0
 """So many integrals a cell takes, with what it was halved from."""
@@ -64,81 +56,6 @@ Room = tuple[Int64, Float64, Int64, Float64, Bool, Int64, Float64, Float32, Node
 (MAX_FACES, 4, 4); and 0, 1, 2 ..."""
 
 
-@functools.lru_cache(maxsize=1)
-def node_rules() -> tuple[Int64, Float64]:
-    """Return by a cell's size (n + 1, 4) the nodes' pixels, and (n + 1, 4, 4) from values to coefficients.
-
-    The coefficients are those of 1, t, t^2, t^3 for t from -1 at the cell's first pixel to 1 at its last.
-    """
-    places, rules = np.zeros((LARGEST + 1, N), dtype=np.int64), np.zeros((LARGEST + 1, N, N))
-    for size in range(N, LARGEST + 1):
-        places[size] = np.rint(np.linspace(0.0, size - 1.0, N))
-        rules[size] = np.linalg.inv(np.vander(2.0 * places[size] / (size - 1.0) - 1.0, increasing=True))
-    return places, rules
-
-
-@kernel
-def _to_powers(
-    values: Float64, rules: Float64, size: tuple[int, int], powers: Float64
-) -> tuple[float, float, float]:
-    """Turn a cell's values (16,) into coefficients (4, 4); return its highest terms and its least value.
-
-    The terms are those across the scan lines and along them.
-    """
-    rows, columns = rules[size[0]], rules[size[1]]
-    least = math.inf
-    for j in range(N):
-        for a in range(N):
-            powers[a, j] = (
-                rows[a, 0] * values[0 + j]
-                + rows[a, 1] * values[4 + j]
-                + rows[a, 2] * values[8 + j]
-                + rows[a, 3] * values[12 + j]
-            )
-            least = min(least, values[4 * a + j])
-    across, along = 0.0, 0.0
-    for i in range(N):
-        v_0, v_1, v_2, v_3 = values[4 * i], values[4 * i + 1], values[4 * i + 2], values[4 * i + 3]
-        cubic = columns[3, 0] * v_0 + columns[3, 1] * v_1 + columns[3, 2] * v_2 + columns[3, 3] * v_3
-        square = columns[2, 0] * v_0 + columns[2, 1] * v_1 + columns[2, 2] * v_2 + columns[2, 3] * v_3
-        # T_3 = 4 t^3 - 3 t, T_2 = 2 t^2 - 1: a kink may show in one of them alone.
-        across = max(across, 0.25 * abs(powers[3, i]), 0.5 * DECAY * abs(powers[2, i]))
-        along = max(along, 0.25 * abs(cubic), 0.5 * DECAY * abs(square))
-    for a in range(N):
-        v_0, v_1, v_2, v_3 = powers[a, 0], powers[a, 1], powers[a, 2], powers[a, 3]
-        for b in range(N):
-            powers[a, b] = (
-                columns[b, 0] * v_0 + columns[b, 1] * v_1 + columns[b, 2] * v_2 + columns[b, 3] * v_3
-            )
-    # What is not known at a node is in every coefficient.
-    if math.isnan(powers[0, 0]):
-        return math.inf, math.inf, 0.0
-    return across, along, least
-
-
-@kernel(fastmath={"contract"})
-def _fill_row(
-    powers: Float64, t: float, step: float, start: int, ramp: Float32, line: Float32, first: int, last: int
-) -> None:
-    """Write line[first : last] from a cell's coefficients at t; along the line it begins at `start`."""
-    c_0 = np.float32(powers[0, 0] + t * (powers[1, 0] + t * (powers[2, 0] + t * powers[3, 0])))
-    c_1 = np.float32(powers[0, 1] + t * (powers[1, 1] + t * (powers[2, 1] + t * powers[3, 1])))
-    c_2 = np.float32(powers[0, 2] + t * (powers[1, 2] + t * (powers[2, 2] + t * powers[3, 2])))
-    c_3 = np.float32(powers[0, 3] + t * (powers[1, 3] + t * (powers[2, 3] + t * powers[3, 3])))
-    along, origin, n = np.float32(step), np.float32(-1.0 + step * (first - start)), last - first
-    if n < N_LANES:
-        for j in range(n):
-            u = origin + along * ramp[j]
-            line[first + j] = c_0 + u * (c_1 + u * (c_2 + u * c_3))
-        return
-    # A loop over numbers leaves what does not fill its vectors to single ones: a row is seldom longer.
-    d_0, d_1, d_2, d_3 = spread(c_0), spread(c_1), spread(c_2), spread(c_3)
-    for k in range(0, n, N_LANES):
-        j = min(k, n - N_LANES)
-        v = spread(origin) + spread(along) * load(ramp, j)
-        store(line, first + j, d_0 + v * (d_1 + v * (d_2 + v * d_3)))
-
-
 @kernel(inline=True)
 def _line_in_band(box: Box, i: int, lows: Int64, group: int, depth: int) -> tuple[int, int, int]:
     """Return where the band begins on a cell's i-th line, and which positions of the cell lie in it."""
@@ -154,7 +71,7 @@ def _fill_smooth(powers: Float64, box: Box, lows: Int64, group: int, ramp: Float
     for i in range(n_s):
         low, first, last = _line_in_band(box, i, lows, group, band_e.shape[1])
         t, line = -1.0 + 2.0 / (n_s - 1) * i, band_e[scan + i]
-        _fill_row(powers, t, 2.0 / (n_p - 1), pos - low, ramp, line, first - low, last - low)
+        fill_row(powers, t, 2.0 / (n_p - 1), pos - low, ramp, line, first - low, last - low)
 
 
 @kernel
@@ -175,7 +92,7 @@ def _fill_run(
     pixels, light_e, faces, places = room[0], room[1], room[2], room[3]
     for j in range(last - first):
         pixels[j] = scan * n_pos + first + j
-    places_on_rays(k, table, xy, pixels, last - first, faces, places, room[8])
+    places_on_rays(k, table.seen, xy, pixels, last - first, faces, places, room[8])
     light_at_places(k, table, cos4, pixels, last - first, faces, places, 0.0, light_e, work)
     for j in range(last - first):
         out[first - low + j] = light_e[j]
@@ -202,7 +119,7 @@ def _fill_apart(
         for position in range(first, last):
             pixels[n] = (box[0] + i) * n_pos + position
             n += 1
-    places_on_rays(k, table, xy, pixels, n, faces, places, room[8])
+    places_on_rays(k, table.seen, xy, pixels, n, faces, places, room[8])
     light_at_places(k, table, cos4, pixels, n, faces, places, 0.0, light_e, work)
     n = 0
     for i in range(box[2]):
@@ -246,7 +163,7 @@ def _fill_mixed(
         if not seen[face]:
             continue
         light_of_face(k, table, face, rays[:2], room[8], room[:4], work)
-        across, along, least = _to_powers(light_e, rules, (n_s, n_p), powers[face])
+        across, along, least = to_powers(light_e, rules, (n_s, n_p), powers[face])
         if not max(across, along) <= SHARE * max(table.rel * least, table.floor_e):
             halved = _halved(n_s, n_p, across >= along)
             if halved != FILLED:
@@ -282,7 +199,7 @@ def _fill_mixed(
                 guess[run] = last
                 run = min(run + 1, guess.shape[0] - 1)
             if face != MISS and seen[face]:
-                _fill_row(
+                fill_row(
                     powers[face],
                     -1.0 + t_step * i,
                     u_step,
@@ -348,7 +265,7 @@ def _fill_cell(
         if is_told:
             tell_faces(nodes, 0, N * N, faces)
         else:
-            places_on_rays(k, table, xy, pixels, N * N, faces, places, nodes)
+            places_on_rays(k, table.seen, xy, pixels, N * N, faces, places, nodes)
         is_one = faces[0] != MISS
         for face in range(k.vertices.shape[0] - 1):
             seen[face] = False
@@ -364,7 +281,7 @@ def _fill_cell(
                 light_of_nodes(k, table, faces[0], cos4, nodes, room[:4], work)
             else:
                 light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
-            across, along, least = _to_powers(light_e, rules, (n_s, n_p), powers[0])
+            across, along, least = to_powers(light_e, rules, (n_s, n_p), powers[0])
             if max(across, along) <= SHARE * max(table.rel * least, table.floor_e):
                 _fill_smooth(powers[0], box, lows, group, ramp, band_e)
                 return FILLED
@@ -394,8 +311,7 @@ def fill_band(
 
     `node_at` and `rules` are `node_rules`.
     """
-    n_scan, depth = band_e.shape
-    n_pos = cos4.shape[0] // n_scan
+    n_pos = cos4.shape[0] // band_e.shape[0]
     work = scratch()
     room = (
         np.empty(LARGEST, dtype=np.int64),
@@ -408,9 +324,30 @@ def fill_band(
         np.arange(LARGEST).astype(np.float32),
         node_rays(),
     )
-    rays = (xy, cos4, n_pos)
-    # Cells still to be filled, the one on top next: scan line, position, their numbers.
     stack = np.empty((64, 4), dtype=np.int64)
+    _fill_cells(k, table, (xy, cos4, n_pos), node_at, rules, lows, group, band_e, stack, room, work)
+
+
+@kernel
+def _fill_cells(
+    k: ArcKernel,
+    table: FaceTable,
+    rays: Rays,
+    node_at: Int64,
+    rules: Float64,
+    lows: Int64,
+    group: int,
+    band_e: Float32,
+    stack: Int64,
+    room: Room,
+    work: Scratch,
+) -> None:
+    """Fill the cells of a band; no array is made here, so that none is counted cell by cell.
+
+    The `stack` (n, 4) holds cells still to be filled, the top one next: scan line, position, their numbers.
+    """
+    n_scan, depth = band_e.shape
+    n_pos = rays[2]
     for scan in range(0, n_scan, LARGEST):
         lines = min(LARGEST, n_scan - scan)
         low, high = n_pos, 0
@@ -449,6 +386,6 @@ def fill_pixels(
     faces, places, light_e = np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n)
     x_low, x_high, y_low, y_high = k.reach
     least_mm2 = CELL_WORTH * (x_high - x_low) * (y_high - y_low) / max(n, 1)
-    places_on_rays(k, table, xy, pixels, n, faces, places, node_rays())
+    places_on_rays(k, table.seen, xy, pixels, n, faces, places, node_rays())
     light_at_places(k, table, cos4, pixels, n, faces, places, least_mm2, light_e, scratch())
     out[:] = light_e

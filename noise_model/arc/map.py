@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.baked import NOTHING_BAKED, BakedLight, bake, place_baked, table_from
-from noise_model.arc.fill import MIXED, fill_band, fill_pixels, node_rules
+from noise_model.arc.bicubic import node_rules
+from noise_model.arc.fill import MIXED, fill_band, fill_pixels
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.ray import ArcKernel as ArcKernel
 from noise_model.arc.ray import follow, light_at, scratch

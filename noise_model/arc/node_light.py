@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from noise_model.arc.face_lookup import Sight
-from noise_model.arc.node_rays import NodeRays, along, tell_places
+from noise_model.arc.node_rays import NodeRays, along, places_on_plane, tell_places
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.ray import ArcKernel, Scratch
-from noise_model.arc.table import DEGREE, FaceTable, cell_at, light_at_places, places_on_plane
+from noise_model.arc.table import DEGREE, FaceTable, cell_at, light_at_places
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, Lanes, any_lane, load, spread, store, where

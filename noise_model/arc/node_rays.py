@@ -1,4 +1,4 @@
-"""Sixteen rays of the camera at once, and where they meet a corrugated lap."""
+"""Where rays of the camera meet the workpiece: sixteen at once on a corrugated lap."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.ray import ArcKernel
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.arc.face_lookup import Sight, face_seen, meet_plane
+from noise_model.arc.patch_borders import seen_strip
+from noise_model.arc.ray import ArcKernel, follow
+from noise_model.arrays import Float32, Float64, Int64, Point
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, Lanes, any_lane, greater, lesser, load, spread, store, where
+from noise_model.surface.faces import across
+from noise_model.surface.ray_casting import MISS
 from noise_model.surface.wave import Corrugation, wave, wave_and_slope
 
 NEWTON_STEPS = 8
@@ -137,3 +141,69 @@ def tell_places(k: ArcKernel, rays: NodeRays, first: int, n: int, places: Float6
     """Write the places x and s (n, 2) where the first n rays meet their faces, from `first` on."""
     for i in range(n):
         places[first + i, 0], places[first + i, 1] = k.eye[0] + rays.places[i], rays.places[N_LANES + i]
+
+
+@kernel
+def places_on_rays(
+    k: ArcKernel,
+    seen: Sight,
+    xy: Float32,
+    pixels: Int64,
+    n: int,
+    faces: Int64,
+    places: Float64,
+    nodes: NodeRays,
+) -> None:
+    """Write which faces (n,) the rays of some pixels meet and where, x and s (n, 2).
+
+    `ray_casting.MISS` and NaN for a ray that looks past the workpiece. `nodes` are room for sixteen rays.
+    """
+    if k.corrugation[0] > 0.0:
+        _places_on_lap(k, xy, pixels, n, faces, places, nodes)
+        return
+    for i in range(n):
+        x, y = xy[pixels[i], 0], xy[pixels[i], 1]
+        face = face_seen(k, seen, x, y)
+        P, _ = meet_plane(k, x, y, seen_strip(max(face, 0), k.vertices))
+        _write_place(k, P, face, i, faces, places)
+
+
+@kernel
+def _places_on_lap(
+    k: ArcKernel, xy: Float32, pixels: Int64, n: int, faces: Int64, places: Float64, nodes: NodeRays
+) -> None:
+    """Write `places_on_rays` of a corrugated lap, sixteen at a time where each ray meets a sheet once."""
+    for first in range(0, n, N_LANES):
+        count = min(N_LANES, n - first)
+        take_rays(xy, pixels, first, count, nodes)
+        if follow_to_lap(k, nodes):
+            tell_faces(nodes, first, count, faces)
+            tell_places(k, nodes, first, count, places)
+            continue
+        for i in range(first, first + count):
+            P, face = follow(k, xy[pixels[i], 0], xy[pixels[i], 1])
+            _write_place(k, P, face, i, faces, places)
+
+
+@kernel(inline=True)
+def _write_place(k: ArcKernel, P: Point, face: int, i: int, faces: Int64, places: Float64) -> None:
+    """Write the i-th face, and a point's place on it."""
+    faces[i], places[i, 0], places[i, 1] = face, math.nan, math.nan
+    if face != MISS:
+        places[i, 0], places[i, 1] = P[0], across(P, seen_strip(face, k.vertices), k.corrugation)
+
+
+@kernel
+def places_on_plane(
+    k: ArcKernel, face: int, xy: Float32, pixels: Int64, n: int, faces: Int64, places: Float64
+) -> None:
+    """Write where the rays of some pixels meet a plain face's plane, x and s (n, 2), seen or not.
+
+    NaN where a ray runs away from it. `faces` (n,) are all this face.
+    """
+    on = seen_strip(face, k.vertices)
+    for i in range(n):
+        P, is_ahead = meet_plane(k, xy[pixels[i], 0], xy[pixels[i], 1], on)
+        faces[i], places[i, 0], places[i, 1] = face, math.nan, math.nan
+        if is_ahead:
+            places[i, 0], places[i, 1] = P[0], across(P, on, k.corrugation)

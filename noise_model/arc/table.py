@@ -18,14 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.face_lookup import Sight, face_seen, meet_plane, sight
-from noise_model.arc.node_rays import NodeRays, follow_to_lap, take_rays, tell_faces, tell_places
+from noise_model.arc.face_lookup import Sight, sight
 from noise_model.arc.patch_borders import MAX_BORDERS, borders_across, borders_along, seen_strip
-from noise_model.arc.ray import ArcKernel, Scratch, follow, light_at
-from noise_model.arrays import Bool, Float32, Float64, Int32, Int64, Point
+from noise_model.arc.ray import ArcKernel, Scratch, light_at
+from noise_model.arrays import Bool, Float32, Float64, Int32, Int64
 from noise_model.kernel import REDUCTION, kernel
-from noise_model.lanes import N_LANES
-from noise_model.surface.faces import Strip, across, face_point
+from noise_model.surface.faces import Strip, face_point
 from noise_model.surface.ray_casting import MISS
 
 DEGREE = 4
@@ -278,72 +276,6 @@ def cell_at(
         if along >= SMOOTH:
             return cell if along == SMOOTH else -1
         cell = int(table.child[cell]) + (1 if (x if along == 0 else s) > middle[cell, along] else 0)
-
-
-@kernel
-def places_on_rays(
-    k: ArcKernel,
-    table: FaceTable,
-    xy: Float32,
-    pixels: Int64,
-    n: int,
-    faces: Int64,
-    places: Float64,
-    nodes: NodeRays,
-) -> None:
-    """Write which faces (n,) the rays of some pixels meet and where, x and s (n, 2).
-
-    `ray_casting.MISS` and NaN for a ray that looks past the workpiece. `nodes` are room for sixteen rays.
-    """
-    if k.corrugation[0] > 0.0:
-        _places_on_lap(k, xy, pixels, n, faces, places, nodes)
-        return
-    for i in range(n):
-        x, y = xy[pixels[i], 0], xy[pixels[i], 1]
-        face = face_seen(k, table.seen, x, y)
-        P, _ = meet_plane(k, x, y, seen_strip(max(face, 0), k.vertices))
-        _write_place(k, P, face, i, faces, places)
-
-
-@kernel
-def _places_on_lap(
-    k: ArcKernel, xy: Float32, pixels: Int64, n: int, faces: Int64, places: Float64, nodes: NodeRays
-) -> None:
-    """Write `places_on_rays` of a corrugated lap, sixteen at a time where each ray meets a sheet once."""
-    for first in range(0, n, N_LANES):
-        count = min(N_LANES, n - first)
-        take_rays(xy, pixels, first, count, nodes)
-        if follow_to_lap(k, nodes):
-            tell_faces(nodes, first, count, faces)
-            tell_places(k, nodes, first, count, places)
-            continue
-        for i in range(first, first + count):
-            P, face = follow(k, xy[pixels[i], 0], xy[pixels[i], 1])
-            _write_place(k, P, face, i, faces, places)
-
-
-@kernel(inline=True)
-def _write_place(k: ArcKernel, P: Point, face: int, i: int, faces: Int64, places: Float64) -> None:
-    """Write the i-th face, and a point's place on it."""
-    faces[i], places[i, 0], places[i, 1] = face, math.nan, math.nan
-    if face != MISS:
-        places[i, 0], places[i, 1] = P[0], across(P, seen_strip(face, k.vertices), k.corrugation)
-
-
-@kernel
-def places_on_plane(
-    k: ArcKernel, face: int, xy: Float32, pixels: Int64, n: int, faces: Int64, places: Float64
-) -> None:
-    """Write where the rays of some pixels meet a plain face's plane, x and s (n, 2), seen or not.
-
-    NaN where a ray runs away from it. `faces` (n,) are all this face.
-    """
-    on = seen_strip(face, k.vertices)
-    for i in range(n):
-        P, is_ahead = meet_plane(k, xy[pixels[i], 0], xy[pixels[i], 1], on)
-        faces[i], places[i, 0], places[i, 1] = face, math.nan, math.nan
-        if is_ahead:
-            places[i, 0], places[i, 1] = P[0], across(P, on, k.corrugation)
 
 
 @kernel

@@ -7,11 +7,19 @@ import scenes
 from noise_model.arc.face_lookup import face_seen
 from noise_model.arc.map import ArcMap, arc_kernel
 from noise_model.arc.node_light import write_faces, write_light, write_places
-from noise_model.arc.node_rays import follow_to_lap, node_rays, take_rays, tell_faces, tell_places
+from noise_model.arc.node_rays import (
+    follow_to_lap,
+    node_rays,
+    places_on_plane,
+    places_on_rays,
+    take_rays,
+    tell_faces,
+    tell_places,
+)
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.ray import follow, scratch
 from noise_model.arc.scene import make_scene
-from noise_model.arc.table import light_at_places, places_on_plane, places_on_rays
+from noise_model.arc.table import light_at_places
 from noise_model.instrument.camera import Rays
 from noise_model.surface.faces import across
 
@@ -106,7 +114,7 @@ def test_any_number_of_rays_meets_a_corrugated_lap(n):
         arc_map, _ = drawn("corrugation", rng)
         kernel, pixels = arc_map.kernel, rng.integers(0, arc_map.cos4.size, n)
         faces, places = np.full(n + 1, -7), np.full((n + 1, 2), -7.0)
-        places_on_rays(kernel, arc_map.table, arc_map.xy, pixels, n, faces, places, node_rays())
+        places_on_rays(kernel, arc_map.table.seen, arc_map.xy, pixels, n, faces, places, node_rays())
         want = [follow(kernel, *arc_map.xy[pixel].tolist()) for pixel in pixels]
         np.testing.assert_array_equal(faces[:n], [face for _, face in want])
         np.testing.assert_allclose(places[:n, 0], [P[0] for P, _ in want], atol=2e-4)

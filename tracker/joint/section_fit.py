@@ -159,6 +159,48 @@ def _face_sums(
     return aa, ab, bb, at_a, at_b
 
 
+@kernel
+def _add_faces(
+    y: Float64,
+    used: Bool,
+    corners: Float64,
+    J: Float64,
+    first: Int64,
+    r: Float64,
+    unit: Float64,
+    scale: float,
+    weights: Float64,
+    room: tuple[Float64, Float64],
+    information: Float64,
+    gradient: Float64,
+) -> None:
+    """Add what the points of all faces say to the normal equations, see `fit_section`.
+
+    No array is made here, so that none is counted face by face. The `room` takes two rows (m,).
+    """
+    (at_a, at_b), n_corners, m = room, corners.shape[0], gradient.shape[0]
+    for k in range(n_corners - 1):
+        if first[k] == first[k + 1]:
+            continue
+        on = slice(first[k], first[k + 1])
+        y_a, y_b = corners[k, 0], corners[k + 1, 0]
+        aa, ab, bb, pull_a, pull_b = _face_sums(
+            y[on], r[on], unit[on], used[on], y_a, y_b, scale, weights[on]
+        )
+        slope = slope_across(k, corners)
+        for i in range(m):
+            at_a[i] = J[k, i, 1] - slope * J[k, i, 0]
+            at_b[i] = J[k + 1, i, 1] - slope * J[k + 1, i, 0]
+        for i in range(m):
+            gradient[i] += pull_a * at_a[i] + pull_b * at_b[i]
+            on_a, on_b = aa * at_a[i] + ab * at_b[i], ab * at_a[i] + bb * at_b[i]
+            for j in range(i + 1):
+                information[i, j] += on_a * at_a[j] + on_b * at_b[j]
+    for i in range(m):
+        for j in range(i):
+            information[j, i] = information[i, j]
+
+
 @kernel(allocates=True)
 def fit_section(
     shape: int,
@@ -200,26 +242,7 @@ def fit_section(
             known = (scale / prior_sigma[i]) ** 2
             information[i, i] = known
             gradient[i] = known * (start[i] - p[i])
-        for k in range(n_corners - 1):
-            if first[k] == first[k + 1]:
-                continue
-            on = slice(first[k], first[k + 1])
-            y_a, y_b = corners[k, 0], corners[k + 1, 0]
-            aa, ab, bb, pull_a, pull_b = _face_sums(
-                y[on], r[on], unit[on], used[on], y_a, y_b, scale, weights[on]
-            )
-            slope = slope_across(k, corners)
-            for i in range(m):
-                at_a[i] = J[k, i, 1] - slope * J[k, i, 0]
-                at_b[i] = J[k + 1, i, 1] - slope * J[k + 1, i, 0]
-            for i in range(m):
-                gradient[i] += pull_a * at_a[i] + pull_b * at_b[i]
-                on_a, on_b = aa * at_a[i] + ab * at_b[i], ab * at_a[i] + bb * at_b[i]
-                for j in range(i + 1):
-                    information[i, j] += on_a * at_a[j] + on_b * at_b[j]
-        for i in range(m):
-            for j in range(i):
-                information[j, i] = information[i, j]
+        _add_faces(y, used, corners, J, first, r, unit, scale, weights, (at_a, at_b), information, gradient)
         # The priors make it positive; the solver would raise at a NaN.
         if not math.isfinite(information.sum() + gradient.sum()):
             return math.nan

@@ -77,6 +77,66 @@ def _lay(remainder: Float32, share: float, laid: Float32, laid_on: Float32) -> N
         laid_on[r] += unity if is_seen else zero
 
 
+@kernel
+def _lay_lines(
+    charge: Float32,
+    background: Float32,
+    censored: Bool,
+    fits: Float64,
+    lows: Int64,
+    remainder: Float32,
+    widths: Float64,
+    laid: Float32,
+    laid_on: Float32,
+) -> int:
+    """Lay what fits leave over, about their centres, one on the other; return how many lines have fits.
+
+    `widths` (n_scan,) gets these' widths, `laid` and `laid_on` (2 depth + 1,) the sum and how many lines are
+    in it; the `remainder` (depth,) is scratch.
+    """
+    depth, n = charge.shape[1], 0
+    for s in range(0, charge.shape[0], EVERY):
+        if math.isnan(fits[s, 0]):
+            continue
+        widths[n] = fits[s, 3]
+        n += 1
+        center = fits[s, 0] - lows[s // CELL]
+        _left_over(charge[s], background[s], censored[s], center, fits[s], remainder)
+        shift = depth - round(center)
+        _lay(remainder, 1.0 / fits[s, 2], laid[shift : shift + depth], laid_on[shift : shift + depth])
+    return n
+
+
+@kernel
+def _ask_lines(
+    charge: Float32,
+    background: Float32,
+    censored: Bool,
+    fits: Float64,
+    lows: Int64,
+    remainder: Float32,
+    apart: float,
+    least: float,
+) -> tuple[int, int, int, float, float]:
+    """Return how many lines tell of a second stripe `apart` px away, how many see it behind and before.
+
+    Summed up, too, is of how bright it is there, over the one that is fitted. Less than `least` is none.
+    """
+    asked, behind, ahead, by_behind, by_ahead = 0, 0, 0, 0.0, 0.0
+    for s in range(0, charge.shape[0], EVERY):
+        if not math.isnan(fits[s, 0]):
+            center = fits[s, 0] - lows[s // CELL]
+            _left_over(charge[s], background[s], censored[s], center, fits[s], remainder)
+            after, before = _either_side(remainder, center, abs(apart), fits[s])
+            if max(after, before) > least:
+                if after > before:
+                    behind, by_behind = behind + 1, by_behind + after
+                else:
+                    ahead, by_ahead = ahead + 1, by_ahead + before
+            asked += max(after, before) > least or (after if apart > 0.0 else before) > -math.inf
+    return asked, behind, ahead, by_behind, by_ahead
+
+
 @kernel(allocates=True)
 def second_place(charge: Float32, background: Float32, censored: Bool, fits: Float64, lows: Int64) -> Pair:
     """Return the weaker stripe's share of the brighter one's light and its distance, px; 0, 0 for none.
@@ -86,16 +146,8 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
     """
     n_scan, depth = charge.shape
     laid, laid_on = np.zeros((2, 2 * depth + 1), dtype=np.float32)
-    remainder, widths, n = np.empty(depth, dtype=np.float32), np.empty(n_scan), 0
-    for s in range(0, n_scan, EVERY):
-        if math.isnan(fits[s, 0]):
-            continue
-        widths[n] = fits[s, 3]
-        n += 1
-        center = fits[s, 0] - lows[s // CELL]
-        _left_over(charge[s], background[s], censored[s], center, fits[s], remainder)
-        shift = depth - round(center)
-        _lay(remainder, 1.0 / fits[s, 2], laid[shift : shift + depth], laid_on[shift : shift + depth])
+    remainder, widths = np.empty(depth, dtype=np.float32), np.empty(n_scan)
+    n = _lay_lines(charge, background, censored, fits, lows, remainder, widths, laid, laid_on)
     if n == 0:
         return 0.0, 0.0
     width = float(np.median(widths[:n]))
@@ -114,20 +166,9 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
     curve = 2.0 * share - before - after
     if curve > 0.0:
         apart += 0.5 * (after - before) / curve
-    # Lines that see the other one behind, those that see it before, and how bright it is there.
-    least = 0.5 * min(share, 1.0 / share)
-    asked, behind, ahead, by_behind, by_ahead = 0, 0, 0, 0.0, 0.0
-    for s in range(0, n_scan, EVERY):
-        if not math.isnan(fits[s, 0]):
-            center = fits[s, 0] - lows[s // CELL]
-            _left_over(charge[s], background[s], censored[s], center, fits[s], remainder)
-            after, before = _either_side(remainder, center, abs(apart), fits[s])
-            if max(after, before) > least:
-                if after > before:
-                    behind, by_behind = behind + 1, by_behind + after
-                else:
-                    ahead, by_ahead = ahead + 1, by_ahead + before
-            asked += max(after, before) > least or (after if apart > 0.0 else before) > -math.inf
+    asked, behind, ahead, by_behind, by_ahead = _ask_lines(
+        charge, background, censored, fits, lows, remainder, apart, 0.5 * min(share, 1.0 / share)
+    )
     if behind + ahead <= MIN_GHOST_LINES * asked:
         return 0.0, 0.0
     more = by_behind / behind if behind >= ahead else by_ahead / ahead

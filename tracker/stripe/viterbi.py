@@ -195,7 +195,7 @@ def matched_filter(
     (n_scan, n_offsets). The template's mean is taken out, so a wrong level of the map scores nothing.
     `offsets` are OFFSET_STEP apart.
     """
-    n_scan, n_offsets = score.shape
+    n_offsets = score.shape[1]
     most = math.ceil(TEMPLATE_SIGMAS * width.max())
     values = np.empty(2 * most + 1, dtype=np.float32)
     n_taps, n_sums = TAPS * (most // TAPS + 1), WHOLE * (n_offsets // WHOLE + 1)
@@ -206,12 +206,34 @@ def matched_filter(
         np.zeros((2, n_sums + n_taps), dtype=np.float32),
         np.empty((2, n_sums), dtype=np.float32),
     )
-    residual_e, variance_e2 = (
-        np.empty(charge_e.shape[1], np.float32),
-        np.empty(charge_e.shape[1], np.float32),
-    )
+    line = np.empty(charge_e.shape[1], np.float32), np.empty(charge_e.shape[1], np.float32)
+    noise = shot, dark_variance_e2
+    _score_lines(charge_e, background_e, noise, center, width, lows, offsets, values, line, room, score)
+
+
+@kernel
+def _score_lines(
+    charge_e: Float32,
+    background_e: Float32,
+    noise: tuple[float, float],
+    center: Float64,
+    width: Float64,
+    lows: Int64,
+    offsets: Int64,
+    values: Float32,
+    line: tuple[Float32, Float32],
+    room: Room,
+    score: Float32,
+) -> None:
+    """Score all lines, see `matched_filter`: no array is made here, so that none is counted line by line.
+
+    `noise` are the shot noise's share and the dark's variance; `values` take a template, the `line` a line's
+    residual and its variance.
+    """
+    residual_e, variance_e2 = line
+    n_scan, n_offsets = score.shape
     for s in range(n_scan):
-        weigh(charge_e[s], background_e[s], shot, dark_variance_e2, residual_e, variance_e2)
+        weigh(charge_e[s], background_e[s], *noise, residual_e, variance_e2)
         half = math.ceil(TEMPLATE_SIGMAS * width[s])
         template = values[: 2 * half + 1]
         write_template(width[s], half, template)
