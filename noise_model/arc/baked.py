@@ -21,8 +21,9 @@ import numpy as np
 
 from noise_model.arc.patch_borders import MAX_BORDERS, seen_strip
 from noise_model.arc.quadrature import gauss_nodes
-from noise_model.arc.ray import ArcKernel, Scratch, light_at, scratch
+from noise_model.arc.ray import ArcKernel, Scratch, scratch
 from noise_model.arc.table import (
+    ASKED,
     NEW,
     NODES,
     SHARE,
@@ -31,6 +32,7 @@ from noise_model.arc.table import (
     FaceTable,
     fall_off,
     fit,
+    integrate,
     make_cell,
     new_table,
     root_cell,
@@ -39,7 +41,6 @@ from noise_model.arc.table import (
 from noise_model.arrays import Float64, Int32, Point
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
-from noise_model.surface.faces import face_point
 
 STEP_MM, N_BESIDE = 0.2, 10
 """How far apart the y are at which tables are made, and how many of them on either side of the seam."""
@@ -130,7 +131,9 @@ def _value_at(
 ) -> float:
     """Return what a cell's polynomial stands for, light times fall-off, of a scene that is `moved`."""
     there, on = moved(k, y_mm, eye_mm), seen_strip(face, k.vertices)
-    return fall_off(there, on, x, s) * light_at(there, face_point(x, s, on, k.corrugation), face, work)
+    work.faces[0], work.places[0, 0], work.places[0, 1], work.light_e[0] = face, x, s, ASKED
+    integrate(there, work.faces, work.places, 1, work.light_e, work)
+    return float(fall_off(there, on, x, s) * work.light_e[0])
 
 
 @kernel(allocates=True)

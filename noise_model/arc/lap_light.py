@@ -28,7 +28,7 @@ from noise_model.arc.slices import (
     upright_range,
 )
 from noise_model.arrays import Float32, Float64, Point
-from noise_model.kernel import kernel
+from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, greater, lesser, load, root, spread, total
 from noise_model.surface.brdf import LobeNumbers, reflected
 
@@ -176,7 +176,7 @@ def _light_between(
     return light
 
 
-@kernel(inline=True)
+@kernel(fastmath=REDUCTION)
 def lap_light(
     P: Point,
     normal: Point,
