@@ -63,7 +63,7 @@ BEYOND_MM = 4.0
 TERMS = 5
 """The light itself, and its derivatives by y and by the camera's x, y and z."""
 
-MAX_CELLS = 400
+MAX_BAKED_CELLS = 400
 """Tables that need more cells are not baked: some 50 are usual. Where the camera sees the spot below the arc,
 or its pixels are large on an edge, one takes thousands. No frame asks for most of them, and baking takes 5 to
 20 s."""
@@ -138,14 +138,14 @@ def _value_at(
 
 @kernel(allocates=True)
 def _complete(k: ArcKernel, table: FaceTable) -> Int32:
-    """Make all cells of an empty table, or some more than MAX_CELLS; return the face (n,) of each."""
+    """Make all cells of an empty table, or some more than MAX_BAKED_CELLS; return the face (n,) of each."""
     work, cells_face = scratch(), np.empty(table.axis.shape[0], dtype=np.int32)
     done = 0
     for face in range(table.n_s.shape[0]):
         for i in range(table.x_borders.shape[0] - 1):
             for j in range(table.n_s[face] - 1):
                 root_cell(table, face, i, j)
-                while done < table.n_cells[0] and done <= MAX_CELLS:
+                while done < table.n_cells[0] and done <= MAX_BAKED_CELLS:
                     cells_face[done] = face
                     make_cell(k, table, face, done, work)
                     done += 1
@@ -291,7 +291,7 @@ def _baked(nominal: Nominal) -> BakedLight:
         k = nominal.kernel(place * STEP_MM)
         table = new_table(k, nominal.margin_mm, nominal.rel, nominal.floor_e / BRIGHTEST, TO_POWERS)
         cells_face = _complete(k, table)
-        if len(cells_face) > MAX_CELLS:
+        if len(cells_face) > MAX_BAKED_CELLS:
             return NOTHING_BAKED
         powers, reach_mm = np.full((len(cells_face), TERMS, NODES, NODES), np.nan), np.zeros(len(cells_face))
         _derive(k, table, cells_face, powers, reach_mm)

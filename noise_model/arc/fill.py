@@ -75,30 +75,6 @@ def _fill_smooth(powers: Float64, box: Box, lows: Int64, group: int, ramp: Float
 
 
 @kernel
-def _fill_run(
-    k: ArcKernel,
-    table: FaceTable,
-    rays: Rays,
-    scan: int,
-    low: int,
-    first: int,
-    last: int,
-    out: Float32,
-    room: Room,
-    work: Scratch,
-) -> None:
-    """Write positions first ... last - 1 of one scan line into out[position - low], pixel by pixel."""
-    xy, cos4, n_pos = rays
-    pixels, light_e, faces, places = room[0], room[1], room[2], room[3]
-    for j in range(last - first):
-        pixels[j] = scan * n_pos + first + j
-    places_on_rays(k, table.seen, xy, pixels, last - first, faces, places, room[8])
-    light_at_places(k, table, cos4, pixels, last - first, faces, places, 0.0, light_e, work)
-    for j in range(last - first):
-        out[first - low + j] = light_e[j]
-
-
-@kernel
 def _fill_apart(
     k: ArcKernel,
     table: FaceTable,
@@ -110,7 +86,7 @@ def _fill_apart(
     room: Room,
     work: Scratch,
 ) -> None:
-    """Fill the part of a cell that is not halved any more that lies in the band, pixel by pixel."""
+    """Fill what of a box of at most LARGEST pixels lies in the band, pixel by pixel."""
     xy, cos4, n_pos = rays
     pixels, light_e, faces, places = room[0], room[1], room[2], room[3]
     n = 0
@@ -210,7 +186,8 @@ def _fill_mixed(
                     last - low,
                 )
             else:
-                _fill_run(k, table, rays, scan + i, low, first, last, band_e[scan + i], room, work)
+                run_box = (scan + i, first, 1, last - first)
+                _fill_apart(k, table, rays, run_box, lows, group, band_e, room, work)
             first = last
             if first < end:
                 face = face_seen(k, table.seen, xy[row + first, 0], xy[row + first, 1])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from noise_model.arc.quadrature import EXP_LIMIT, MAX_NODES_Q, more_nodes
+from noise_model.arc.quadrature import EXP_LIMIT, MAX_NODES_Q, Patch, Rule, more_nodes
 from noise_model.arc.slices import (
     AZIMUTH_X,
     AZIMUTH_Y,
@@ -49,21 +49,13 @@ SHUT_ENDS = 2
 
 
 @kernel(inline=True)
-def _sum_round(
-    n: int,
-    low: int,
-    high: int,
-    room: Float32,
-    normal: Point,
-    omega_r: Point,
-    material: LobeNumbers,
-    rules: Float64,
-    n_q: int,
-) -> float:
-    """Return the sum of f_r cos(theta_i) dt d(phi) over n slices, for a round Gaussian lobe.
+def _sum_round(patch: Patch, material: LobeNumbers, rule: Rule, low: int, high: int, room: Float32) -> float:
+    """Return the sum of f_r cos(theta_i) dt d(phi) over slices, for a round Gaussian lobe.
 
     Each goes between the sines that begin at `low` and `high` in the room. See `quadrature._sum_round`.
     """
+    _, normal, omega_r = patch
+    rules, n, n_q = rule
     zero, unity = spread(0.0), spread(1.0)
     cos_r = normal[0] * omega_r[0] + normal[1] * omega_r[1] + normal[2] * omega_r[2]
     light = zero
@@ -89,12 +81,8 @@ def _sum_round(
             power = lesser(spread(2.0 * material[2]) * v * alpha_2, spread(EXP_LIMIT)) * spread(-1.0 / 64.0)
             fall = spread(1.0 / 6.0) + power * (spread(1.0 / 24.0) + power * spread(1.0 / 120.0))
             fall = unity + power * (unity + power * (spread(0.5) + power * fall))
-            fall *= fall
-            fall *= fall
-            fall *= fall
-            fall *= fall
-            fall *= fall
-            fall *= fall
+            for _ in range(6):
+                fall *= fall
             attenuation = lesser(spread(4.0) * cos_alpha * lesser(cos_i, spread(cos_r)) * inverse_h, unity)
             f_r = spread(material[0]) + spread(material[1] / cos_r) * attenuation * fall
             part += spread(rules[3, n_q, j]) * f_r * cos_i
@@ -103,18 +91,10 @@ def _sum_round(
 
 
 @kernel
-def _sum_any(
-    n: int,
-    low: int,
-    high: int,
-    room: Float32,
-    normal: Point,
-    omega_r: Point,
-    material: LobeNumbers,
-    rules: Float64,
-    n_q: int,
-) -> float:
+def _sum_any(patch: Patch, material: LobeNumbers, rule: Rule, low: int, high: int, room: Float32) -> float:
     """Return the same for a lobe of any shape."""
+    _, normal, omega_r = patch
+    rules, n, n_q = rule
     light = 0.0
     for i in range(n):
         length = room[high + i] - room[low + i]
@@ -138,22 +118,18 @@ def _sum_any(
 @kernel(inline=True)
 def _light_between(
     between: tuple[float, float],
-    P: Point,
-    normal: Point,
-    omega_r: Point,
+    patch: Patch,
     center: Point,
     radius: float,
     planes: Float64,
     n_planes: int,
     sheets: Sheets,
     material: LobeNumbers,
-    up: tuple[Float64, int],
-    n: int,
+    rule: Rule,
     room: Float32,
 ) -> float:
-    """Return `lap_light` of n slices between two offsets; `up` are rules and how many nodes a slice has."""
-    rules, n_q = up
-    has_near = False
+    """Return `lap_light` between two offsets; the `rule` has so many slices, and nodes up each."""
+    P, n, has_near = patch.P, rule.n_p, False
     for look in range(MAX_LOOKS):
         if between[1] <= between[0]:
             return 0.0
@@ -170,30 +146,29 @@ def _light_between(
     for part in range(2 if has_near else 1):
         low, high = (LOW, HIGH) if part == 0 else (NEAR_LOW, NEAR_HIGH)
         if material[3] == 0.0 and material[4] == 0.0:
-            light += _sum_round(n, low, high, room, normal, omega_r, material, rules, n_q)
+            light += _sum_round(patch, material, rule, low, high, room)
         else:
-            light += _sum_any(n, low, high, room, normal, omega_r, material, rules, n_q)
+            light += _sum_any(patch, material, rule, low, high, room)
     return light
 
 
 @kernel(fastmath=REDUCTION)
 def lap_light(
-    P: Point,
-    normal: Point,
-    omega_r: Point,
+    patch: Patch,
     center: Point,
     radius: float,
     planes: Float64,
     n_planes: int,
     sheets: Sheets,
     material: LobeNumbers,
-    rule: tuple[Float64, int, int],
+    rule: Rule,
     room: Float32,
 ) -> float:
     """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees.
 
-    P stands farther than `radius` from the arc's axis.
+    P stands farther than `radius` from the arc's axis. The `rule` is that of the disc.
     """
+    P, normal, omega_r = patch
     if normal[0] * omega_r[0] + normal[1] * omega_r[1] + normal[2] * omega_r[2] <= 0.0:
         return 0.0
     rules, n_p, n_q = rule
@@ -206,26 +181,22 @@ def lap_light(
     plan = math.sqrt(to_x * to_x + to_y * to_y)
     low, high = upright_range(radius, plan, to_x / plan, to_y / plan, planes, n_planes)
     parting = parting_offset(P, center, radius, plan, sheets) if sheets.edge_hides else math.nan
-    if low < parting < high and abs(P[1] - sheets.edge[0]) > STEEP_SHARE * sheets.edge[3]:
+    is_parted = low < parting < high
+    if is_parted and abs(P[1] - sheets.edge[0]) > STEEP_SHARE * sheets.edge[3]:
         n = N_LANES * math.ceil(0.5 * n / N_LANES)
-    light = 0.0
-    for side in range(2 if low < parting < high else 1):
-        begin, end = low, high
-        if low < parting < high:
-            begin, end = (low, parting) if side == 0 else (parting, high)
+    first_end, light = parting if is_parted else high, 0.0
+    for side in range(2 if is_parted else 1):
+        between = (low, first_end) if side == 0 else (parting, high)
         light += _light_between(
-            (begin, end),
-            P,
-            normal,
-            omega_r,
+            between,
+            patch,
             center,
             radius,
             planes,
             n_planes,
             sheets,
             material,
-            (rules, n_q),
-            n,
+            Rule(rules, n, n_q),
             room,
         )
     return light

@@ -1,4 +1,4 @@
-"""Faces and light at a cell's sixteen nodes at once, a lane a node, on a plain section.
+"""Light at a cell's sixteen nodes at once, a lane a node, and faces and places on a plain section.
 
 What the table's cells do not hold the caller asks node by node.
 """

@@ -15,7 +15,7 @@ from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, Lanes, any_lane, greater, lesser, load, spread, store, where
 from noise_model.surface.faces import across
 from noise_model.surface.ray_casting import MISS
-from noise_model.surface.wave import Corrugation, wave, wave_and_slope
+from noise_model.surface.wave import Corrugation, corrugation_of, from_crest, wave, wave_and_slope
 
 NEWTON_STEPS = 8
 """The most steps in which rays are followed to a sheet: three are usual."""
@@ -99,14 +99,14 @@ def follow_to_lap(k: ArcKernel, rays: NodeRays) -> bool:
     and else on the edge itself.
     """
     d_x, d_y, d_z = along(k, 0, rays), along(k, 1, rays), along(k, 2, rays)
-    corrugation = (k.corrugation[0], k.corrugation[1], k.corrugation[2])
-    height, width, pitch = corrugation
+    corrugation = corrugation_of(k.corrugation)
+    height, width, _ = corrugation
     edge_y, upper, lower = k.vertices[1, 0], k.vertices[1, 1], k.vertices[2, 1]
     zero = spread(0.0)
     steepest = spread(MARGIN * math.pi * height / width)
     if k.eye[2] <= upper + height or any_lane(_size(d_x) * steepest + d_z >= zero):
         return False
-    x_0 = k.eye[0] - pitch * np.floor(k.eye[0] / pitch + 0.5)
+    x_0 = from_crest(k.eye[0], corrugation)
     way_u, miss_u = _meet(x_0, k.eye[2] - upper, d_x, d_z, corrugation)
     way_l, miss_l = _meet(x_0, k.eye[2] - lower, d_x, d_z, corrugation)
     if any_lane((_size(miss_u) > spread(MEETS_MM)) | (_size(miss_l) > spread(MEETS_MM))):

@@ -25,6 +25,7 @@ from noise_model.surface.visibility import (
     lap_planes,
     sky_planes,
 )
+from noise_model.surface.wave import corrugation_of
 
 MAX_TOGETHER = 25
 """So many points a cell's polynomial has."""
@@ -101,10 +102,9 @@ def is_beside(P: Point, center: Point, radius: float) -> bool:
 
 
 @kernel(inline=True)
-def _light_on_lap(
-    k: ArcKernel, P: Point, face: int, normal: Point, omega_r: Point, scratch: Scratch
-) -> float:
-    """Return `light_at` for a lap whose edge is no straight line; P stands beside the arc."""
+def _light_on_lap(k: ArcKernel, patch: Patch, face: int, scratch: Scratch) -> float:
+    """Return `light_at` for a lap whose edge is no straight line; the point stands beside the arc."""
+    P, normal, _ = patch
     vertices, center, radius = k.vertices, k.center, k.radius
     n_planes, crest_x = lap_planes(
         P,
@@ -125,7 +125,7 @@ def _light_on_lap(
         face == 0 and (curve != 0.0 or center[1] + radius > edge_y + k.bend[1])
     )
     sheets = Sheets(
-        (k.corrugation[0], k.corrugation[1], k.corrugation[2]),
+        corrugation_of(k.corrugation),
         (edge_y, slope, curve, vertices[1, 1] - vertices[2, 1]),
         crest_x,
         edge_hides,
@@ -133,16 +133,14 @@ def _light_on_lap(
         face == 0,
     )
     light = lap_light(
-        P,
-        normal,
-        omega_r,
+        patch,
         center,
         radius,
         scratch.planes,
         n_planes,
         sheets,
         k.material,
-        (k.rules, k.n_p, k.n_q),
+        Rule(k.rules, k.n_p, k.n_q),
         scratch.slices,
     )
     return k.radiance_e * light
@@ -157,13 +155,13 @@ def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
     normal = face_normal(face, P[0], k.vertices, k.corrugation)
     rx, ry, rz = k.eye[0] - P[0], k.eye[1] - P[1], k.eye[2] - P[2]
     inverse = 1.0 / math.sqrt(rx * rx + ry * ry + rz * rz)
-    omega_r = (rx * inverse, ry * inverse, rz * inverse)
+    patch = Patch(P, normal, (rx * inverse, ry * inverse, rz * inverse))
     if is_curved_lap(k.vertices, k.corrugation, k.bend) and is_beside(P, k.center, k.radius):
-        return _light_on_lap(k, P, face, normal, omega_r, scratch)
+        return _light_on_lap(k, patch, face, scratch)
     room, planes, ledges = scratch.room, scratch.planes, scratch.ledges
     n_planes, n_ledges = sky_planes(P, normal, face, k.center, k.radius, k.bend, k.vertices, planes, ledges)
     light = arc_light(
-        Patch(P, normal, omega_r),
+        patch,
         k.center,
         k.radius,
         Hiding(planes, n_planes, ledges, n_ledges),

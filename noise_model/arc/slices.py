@@ -30,7 +30,7 @@ from noise_model.lanes import (
     store,
     where,
 )
-from noise_model.surface.wave import Corrugation, wave
+from noise_model.surface.wave import Corrugation, from_crest, wave
 
 MAX_SLICES = 128
 """Room for the slices of one point's integral."""
@@ -268,12 +268,10 @@ def lay(
     tangent = math.sqrt(plan_2 + up * up - radius * radius)
     edge_y, _, _, step = sheets.edge
     over = P[1] - edge_y if abs(P[1] - edge_y) > SAME_MM else 0.0
-    # Stations are counted from the crest that is nearest to P.
-    height, _, pitch = sheets.corrugation
-    x_0 = P[0] - (pitch * np.floor(P[0] / pitch + 0.5) if height > 0.0 else 0.0)
+    x_0 = from_crest(P[0], sheets.corrugation)
     own = step - P[2] if sheets.from_upper else -P[2]
     middle, half = 0.5 * (between[0] + between[1]), 0.5 * (between[1] - between[0])
-    zero, far = spread(0.0), spread(FAR)
+    zero = spread(0.0)
     all_open, any_open, has_near, rule = True, False, False, _rule_at(n)
     for first in range(0, n, N_LANES):
         d = spread(middle) + spread(half) * load(_NODES, rule + first)
@@ -293,7 +291,7 @@ def lay(
                 hidden = greater(hidden, slope / spread(planes[j, 2]))
         low, near_low, near_high = hidden, zero, zero
         if sheets.cut:
-            low = greater(hidden, _cut(x_0, x, near, end, ahead, rho, up, own, high > zero - far, sheets))
+            low = greater(hidden, _cut(x_0, x, near, end, ahead, rho, up, own, rho >= zero, sheets))
         if sheets.edge_hides:
             r = _crossing(over, x, y, sheets)
             before, rim, low, apart = _past_edge(P, x_0, x, r, hidden, low, near, end, ahead, rho, up, sheets)
@@ -316,12 +314,18 @@ def lay(
 
 
 @kernel(inline=True)
+def _is_open(i: int, room: Float32) -> bool:
+    """Say whether a slice is open."""
+    return bool(room[HIGH + i] > room[LOW + i] or room[NEAR_HIGH + i] > room[NEAR_LOW + i])
+
+
+@kernel(inline=True)
 def open_ends(n: int, room: Float32) -> tuple[int, int]:
     """Return the first and the last of n slices that are open; one is."""
     first, last = 0, n - 1
-    while not (room[HIGH + first] > room[LOW + first] or room[NEAR_HIGH + first] > room[NEAR_LOW + first]):
+    while not _is_open(first, room):
         first += 1
-    while not (room[HIGH + last] > room[LOW + last] or room[NEAR_HIGH + last] > room[NEAR_LOW + last]):
+    while not _is_open(last, room):
         last -= 1
     return first, last
 

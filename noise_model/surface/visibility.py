@@ -19,7 +19,7 @@ from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import COUNT, N_LANES, greater, least, load, spread, where
 from noise_model.surface.faces import ridge, strip
 from noise_model.surface.joint import MAX_CHORDS, Section
-from noise_model.surface.wave import wave
+from noise_model.surface.wave import corrugation_of, from_crest, wave
 
 Bend = tuple[float, float]
 """How edges leave the direction of x towards the arc: dy/dx at P, and how far to the left at the arc, mm."""
@@ -94,18 +94,17 @@ def touch(horizon: Float64, x_start: float, x: float) -> tuple[float, float]:
 def steepest(P: Vector, sheet_z: float, center: Vector, radius: float, corrugation: Float64) -> float:
     """Return the steepest slope from P over one sheet on the way to the arc, as in `write_horizon`.
 
-    Sixteen stations at once. The plain twin is `write_horizon`'s, in the tests.
+    Sixteen stations are looked at together. -inf where nothing lies between.
     """
     towards = 1.0 if center[0] > P[0] else -1.0
     n = int((abs(center[0] - P[0]) + radius) / HORIZON_STEP_MM)
-    ridge_of = (corrugation[0], corrugation[1], corrugation[2])
-    # Stations are counted from the crest that is nearest to P.
-    x_0 = P[0] - corrugation[2] * np.floor(P[0] / corrugation[2] + 0.5)
+    sizes = corrugation_of(corrugation)
+    x_0 = from_crest(P[0], sizes)
     zero, none, highest = spread(0.0), spread(-math.inf), spread(-math.inf)
     for first in range(1, n + 1, N_LANES):
         count = load(COUNT, 0) + spread(float(first))
         way = count * spread(HORIZON_STEP_MM)
-        height = spread(sheet_z) + wave(spread(x_0) + spread(towards) * way, ridge_of)
+        height = spread(sheet_z) + wave(spread(x_0) + spread(towards) * way, sizes)
         slope = (height - spread(P[2])) / way
         is_before = way <= spread((center[0] - P[0]) * towards - radius)
         counts = is_before | ((slope > zero) & (height <= spread(center[2])))
@@ -197,6 +196,15 @@ def _own_planes(P: Vector, normal: Vector, center: Vector, radius: float, bend: 
 
 
 @kernel(inline=True)
+def _add_ridge(slope: float, towards: float, normal: Vector, face: int, planes: Float64, count: int) -> int:
+    """Add to `count` half-spaces that over a ridge, unless it is below P's own horizon; return how many."""
+    if slope == -math.inf or (face != 1 and towards * normal[0] + slope * normal[2] <= 1e-9):
+        return count
+    planes[count, 0], planes[count, 1], planes[count, 2] = -towards * slope, 0.0, 1.0
+    return count + 1
+
+
+@kernel(inline=True)
 def lap_planes(
     P: Vector,
     normal: Vector,
@@ -227,16 +235,12 @@ def lap_planes(
         slope = steepest(P, vertices[2, 1], center, radius, corrugation)
     else:
         slope, crest_x = touch(horizons[0], horizon_start, P[0])
-    rises = slope != -math.inf and (face == 1 or towards * normal[0] + slope * normal[2] > 1e-9)
-    if rises and not (on_upper and center[1] - beside + radius > edge_y):
-        planes[count, 0], planes[count, 1], planes[count, 2] = -towards * slope, 0.0, 1.0
-        count += 1
+    if not (on_upper and center[1] - beside + radius > edge_y):
+        count = _add_ridge(slope, towards, normal, face, planes, count)
     if on_upper and center[1] - beside > edge_y:
         # The upper sheet hides up to its edge, beyond the edge the lower one does.
         slope, _ = touch(horizons[1], horizon_start, P[0])
-        if slope != -math.inf and towards * normal[0] + slope * normal[2] > 1e-9:
-            planes[count, 0], planes[count, 1], planes[count, 2] = -towards * slope, 0.0, 1.0
-            count += 1
+        count = _add_ridge(slope, towards, normal, face, planes, count)
     return count, crest_x
 
 
@@ -254,11 +258,10 @@ def sky_planes(
 ) -> tuple[int, int]:
     """Write the half-spaces m.omega > 0 of directions in which P sees the arc; return how many, and ledges.
 
-    `planes` (MAX_PLANES, 3). The first is P's own horizon. `ledges` (2 MAX_LEDGES, 3) are pairs
-    of a half-space and a face (n_y, n_z, c) that cuts into the arc: what lies behind it,
-    n_y y + n_z z < c, is seen in the half-space alone. Edges that `bend` are taken along their `tangent`; a
-    ledge is written as if that ran along x, in coordinates y - askew (x - P_x), with askew in place of the
-    half-space's m_x.
+    `planes` (MAX_PLANES, 3). The first is P's own horizon. `ledges` (2 MAX_LEDGES, 3) are pairs of a
+    half-space and a face (n_y, n_z, c) that cuts into the arc: what lies behind it, n_y y + n_z z < c, is
+    seen in the half-space alone. Edges that `bend` are taken along their `tangent`; a ledge is written as if
+    that ran along x, in coordinates y - askew (x - P_x), with askew in place of the half-space's m_x.
     """
     count, n_ledges = _own_planes(P, normal, center, radius, bend, planes), 0
     beside, way = bend[1], center[0] - P[0]

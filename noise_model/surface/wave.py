@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from noise_model.arrays import Float64
 from noise_model.kernel import kernel
 from noise_model.lanes import Lanes, floor, greater, spread
 from noise_model.surface.faces import RAISED_COSINE
 
 Corrugation = tuple[float, float, float]
 """Height, width and pitch, mm; height 0 where there is none."""
+
+
+@kernel(inline=True)
+def corrugation_of(sizes: Float64) -> Corrugation:
+    """Return the corrugation of a `joint.Section`'s array (3,)."""
+    return sizes[0], sizes[1], sizes[2]
+
+
+@kernel(inline=True)
+def from_crest(x: float, corrugation: Corrugation) -> float:
+    """Return a station, mm, counted from the nearest crest: single precision holds it better there."""
+    height, _, pitch = corrugation
+    return float(x - pitch * np.floor(x / pitch + 0.5)) if height > 0.0 else x
 
 
 @kernel(inline=True)

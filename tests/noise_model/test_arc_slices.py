@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from noise_model.arc.lap_light import lap_light
-from noise_model.arc.quadrature import gauss_nodes
+from noise_model.arc.quadrature import Patch, Rule, gauss_nodes
 from noise_model.arc.slices import Sheets, slice_room
 from noise_model.surface.brdf import Lobe, Material, lobe_numbers, reflectance
 from noise_model.surface.visibility import first_crossing
@@ -114,16 +114,14 @@ def test_slices_hold_the_light_of_many_rays(way, over_mm, bend, ridge_mm, crest,
         planes = np.vstack([planes, [math.sin(crest), math.cos(crest), 0.0]])
     normal, omega_r = np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.0, 0.8])
     got = lap_light(
-        tuple(P),
-        tuple(normal),
-        tuple(omega_r),
+        Patch(tuple(P), tuple(normal), tuple(omega_r)),
         tuple(center),
         RADIUS_MM,
         planes,
         len(planes),
         sheets,
         lobe_numbers(material),
-        (gauss_nodes(), 32, 16),
+        Rule(gauss_nodes(), 32, 16),
         slice_room(),
     )
     want, whole = summed(P, normal, omega_r, center, planes, sheets, material)

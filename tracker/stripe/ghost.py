@@ -120,7 +120,8 @@ def _ask_lines(
 ) -> tuple[int, int, int, float, float]:
     """Return how many lines tell of a second stripe `apart` px away, how many see it behind and before.
 
-    Summed up, too, is of how bright it is there, over the one that is fitted. Less than `least` is none.
+    Returned too are the sums, behind and before, of its light over that of the stripe that is fitted. A
+    share of less than `least` tells of none.
     """
     asked, behind, ahead, by_behind, by_ahead = 0, 0, 0, 0.0, 0.0
     for s in range(0, charge.shape[0], EVERY):
