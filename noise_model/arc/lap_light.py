@@ -38,9 +38,6 @@ SLICES_PER_NODE = 4
 UP_SHARE = 0.5
 """So many of the disc's nodes do up a slice."""
 
-STEEP_SHARE = 0.5
-"""Farther beside the edge than this share of its height, slices to both sides share their number."""
-
 MAX_LOOKS = 3
 """So often slices are laid into the part of the arc that is open."""
 
@@ -182,8 +179,6 @@ def lap_light(
     low, high = upright_range(radius, plan, to_x / plan, to_y / plan, planes, n_planes)
     parting = parting_offset(P, center, radius, plan, sheets) if sheets.edge_hides else math.nan
     is_parted = low < parting < high
-    if is_parted and abs(P[1] - sheets.edge[0]) > STEEP_SHARE * sheets.edge[3]:
-        n = N_LANES * math.ceil(0.5 * n / N_LANES)
     first_end, light = parting if is_parted else high, 0.0
     for side in range(2 if is_parted else 1):
         between = (low, first_end) if side == 0 else (parting, high)
