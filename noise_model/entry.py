@@ -18,26 +18,29 @@ from numba.core.runtime import rtsys
 def enter_when_called(dispatcher: Any) -> None:
     """Give a function that numba compiles without entry points one when Python calls it."""
     compile_for = dispatcher._compile_for_args
-    # numba owns no reference to what is inserted.
-    entries: list[Any] = []
+    # numba owns no reference to what is inserted. Two entry points for the same types are ambiguous to it: it
+    # would ask anew at each call.
+    entries: dict[tuple[Any, ...], Any] = {}
 
     def keep(kernel: Any) -> None:
         dispatcher.overloads[tuple(kernel.signature.args)] = kernel
 
-    def enter(*arguments: Any) -> Any:
-        compiled = compile_for(*arguments)
+    def enter(*given: Any) -> Any:
+        compiled = compile_for(*given)
         kernel = next(kernel for kernel in dispatcher.overloads.values() if kernel.entry_point is compiled)
-        entry_point = _entry_point(dispatcher, kernel)
-        entries.append(entry_point)
-        dispatcher._insert([type_._code for type_ in kernel.signature.args], entry_point, False)
-        return entry_point
+        arguments = tuple(kernel.signature.args)
+        # Two threads may both ask before either has it.
+        with global_compiler_lock:
+            if arguments not in entries:
+                entries[arguments] = _entry_point(dispatcher, kernel)
+                dispatcher._insert([type_._code for type_ in arguments], entries[arguments], False)
+        return entries[arguments]
 
     # Python calls what is inserted there, and asks for what is not.
     dispatcher.add_overload = keep
     dispatcher._compile_for_args = enter
 
 
-@global_compiler_lock  # type: ignore[untyped-decorator]
 def _entry_point(dispatcher: Any, kernel: Any) -> Any:
     """Return what Python calls to call a kernel, from disk or compiled and kept there.
 

@@ -2,9 +2,11 @@
 
 import os
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 import pytest
 from documented import FORKS
@@ -137,6 +139,20 @@ def test_a_record_that_an_update_has_moved_is_compiled_for_anew(tmp_path: Path) 
         )
         assert run(tmp_path) == (4.0, 0, 2)
         (package / "old.py").unlink(missing_ok=True)
+
+
+def test_python_asks_once_for_a_kernel_that_two_threads_call_first_at_once() -> None:
+    """numba finds two entry points for the same types ambiguous, and asks at each call for another."""
+    nothing: Any = kernels.kernel(run_nothing)
+    with ThreadPoolExecutor(2) as threads:
+        both = [threads.submit(nothing._compile_for_args) for _ in range(2)]
+    assert both[0].result() is both[1].result()
+
+    def ask_again(*arguments: object) -> None:
+        raise AssertionError("numba knows no entry point for the types that it was given one for")
+
+    nothing._compile_for_args = ask_again
+    assert nothing() is None
 
 
 def test_a_kernel_outside_the_project_is_compiled_anew_when_what_keeps_it_has_changed() -> None:
