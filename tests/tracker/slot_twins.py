@@ -54,14 +54,18 @@ class LinesTwin:
     def __init__(self, profile: Profile, on_plates: OnPlates, beyond: bool) -> None:
         on_plate, face = on_plates
         self.away = 1 if profile.scan[-1] > profile.scan[0] else -1
-        scan = self.away * profile.scan
+        # A point of two lines lies between them: both see what it does.
+        half = 0.5 * (profile.lines_each - 1.0)
+        scans = [set(between) for between in (profile.scan - half, profile.scan + half)]
+        all_scans = self.away * np.array(sorted(scans[0] | scans[1]))
         pad = math.ceil((OUTSIDE_MM + SLACK_MM) / profile.column_mm) if beyond else 0
-        place = (scan - scan.min()).astype(np.int64) + pad
-        n = int(place.max()) + 1 + pad
-        self.first_scan = int(scan.min()) - pad
+        place = self.away * profile.scan - all_scans.min() + pad
+        n = int(np.ptp(all_scans)) + 1 + 2 * pad
+        self.first_scan = int(all_scans.min()) - pad
         self.light, self.image_dn, self.column_mm = profile.light, profile.image_dn, profile.column_mm
         self.sees = np.full(n, UNREAD)
-        self.sees[place] = np.where(on_plate, 1.0, -1.0)
+        for side in (-half, half):
+            self.sees[(place + side).astype(np.int64)] = np.where(on_plate, 1.0, -1.0)
         order = np.argsort(place, kind="stable")
         if on_plate.any():
             # Where the plates would be seen: what lies deep in the gap looks shifted beside them.

@@ -43,13 +43,17 @@ def some_profile(joint: Joint, seed: int) -> Profile:
     if seed % 3 == 1:
         k = int(rng.integers(n - 1))
         scan[k], scan[k + 1] = scan[k + 1], scan[k]
+    seen = replace(profile, z_mm=z_mm, scan=scan, mixed_mm=0.2 * (seed % 2))
+    if seed % 3 < 2:
+        return seen
+    # Of lines half as far apart some are read two by two, and of others every second one.
+    n_lines = rng.integers(1, 3, n).astype(float)
     return replace(
-        profile,
-        z_mm=z_mm,
-        scan=scan,
-        mixed_mm=0.2 * (seed % 2),
-        n_lines=rng.integers(1, 3, n).astype(float) if seed % 3 == 2 else None,
-        misfit_px=np.abs(rng.normal(0.0, 0.1, n)) if seed % 3 == 2 else None,
+        seen,
+        scan=2.0 * scan + 0.5 * (n_lines - 1.0),
+        column_mm=0.5 * profile.column_mm,
+        n_lines=n_lines,
+        misfit_px=np.abs(rng.normal(0.0, 0.1, n)),
     )
 
 

@@ -14,7 +14,7 @@ from stripe_ends import EDGE, N_SCAN, light_of, profile_of
 
 from noise_model.arrays import Float64
 from tracker.joint.evidence import gap_evidence_nats
-from tracker.joint.measured import OnFace
+from tracker.joint.measured import OnFace, SectionPoints
 from tracker.joint.plate_lines import (
     HIDDEN,
     UNREAD,
@@ -27,6 +27,7 @@ from tracker.joint.plate_lines import (
     evidence_of_gap,
     hold_plates,
     interpolated,
+    lines_read,
     others_between,
     plate_lines,
 )
@@ -94,6 +95,31 @@ def test_lines_see_what_their_twins_see(seed: int) -> None:
     assert blurred_lines(section.light) == twin.blurred
     for first, last in ((3, 40), (EDGE, EDGE + 1), (20, 50)):
         assert others_between(lines, first, last) == twin.others_between(first, last)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 2**32 - 1))
+def test_two_lines_that_were_read_as_one_both_see_what_it_sees(seed: int) -> None:
+    section, _, on_plates, beyond = lines_about_a_gap(seed)
+    points, rng = section.points, np.random.default_rng(seed)
+    row_of = {int(s): row for row, s in enumerate(points.scan)}
+    first_of_two = {
+        s
+        for s in row_of
+        if s % 2 == 0
+        and s + 1 in row_of
+        and on_plates.are_on[row_of[s]] == on_plates.are_on[row_of[s + 1]]
+        and rng.random() < 0.6
+    }
+    kept = np.array([row for s, row in row_of.items() if s - s % 2 not in first_of_two or s % 2 == 0])
+    n_lines = np.array([2.0 if int(s) in first_of_two else 1.0 for s in points.scan[kept]])
+    fewer = SectionPoints(*(values[kept] if len(values) else values for values in points))
+    fewer = fewer._replace(scan=fewer.scan + 0.5 * (n_lines - 1.0), n_lines=n_lines)
+    face = OnFace(*(values[kept] for values in on_plates.face))
+    seen = lines_read(section._replace(points=fewer), OnPlates(on_plates.are_on[kept], face), beyond)
+    alone = lines_read(section, on_plates, beyond)
+    np.testing.assert_array_equal(seen.sees, alone.sees)
+    assert (seen.away, seen.first_scan) == (alone.away, alone.first_scan)
 
 
 @settings(deadline=None, max_examples=80)

@@ -103,19 +103,23 @@ def plate_lines(
 
 @kernel(allocates=True)
 def lines_read(section: Section, on_plates: OnPlates, beyond: bool) -> PlateLines:
-    """Return `plate_lines` as the points alone say."""
+    """Return `plate_lines` as the points alone say: each speaks for all lines that were read as it."""
     scan, column_mm, are_on = section.points.scan, section.column_mm, on_plates.are_on
+    n_lines = section.points.n_lines
     n_points, away = scan.shape[0], 1 if scan[-1] > scan[0] else -1
     pad = math.ceil((OUTSIDE_MM + SLACK_MM) / column_mm) if beyond else 0
     first, last, n_on = math.inf, -math.inf, 0
     for i in range(n_points):
-        first, last = min(first, away * scan[i]), max(last, away * scan[i])
+        half = 0.5 * (n_lines[i] - 1.0)
+        first, last = min(first, away * scan[i] - half), max(last, away * scan[i] + half)
         n_on += are_on[i]
     n = int(last - first) + 1 + 2 * pad
-    places, sees = np.empty(n_points, np.int64), np.full(n, UNREAD)
+    places, sees = np.empty(n_points), np.full(n, UNREAD)
     for i in range(n_points):
-        places[i] = int(away * scan[i] - first) + pad
-        sees[places[i]] = 1.0 if are_on[i] else -1.0
+        places[i] = away * scan[i] - first + pad
+        line = int(places[i] - 0.5 * (n_lines[i] - 1.0))
+        for k in range(int(n_lines[i])):
+            sees[line + k] = 1.0 if are_on[i] else -1.0
     # Where the plates would be seen: what lies deep in the gap looks shifted beside them.
     count = n_on if n_on > 0 else n_points
     shown, face_mm, face_per_z, k = np.empty(count), np.empty(count), np.empty(count), 0
