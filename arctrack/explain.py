@@ -193,7 +193,7 @@ def _look(
     )
     is_searching = reading.reach_mm >= SEARCH_REACH_MM
     stripe = read_stripe(
-        geometry.look_source, lit, expected, reach_px, work.room, before.scatter, is_searching
+        geometry.look_source, lit, expected, reach_px, work.room, reading.read_with, is_searching
     )
     section = section_shown(
         geometry.look_source, scene, reading.seam.as_floats(), expected, stripe, reading.reach_mm

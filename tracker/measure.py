@@ -50,7 +50,10 @@ from tracker.stripe.smooth import smoothed
 
 
 class Reading(NamedTuple):
-    """What one look at a frame, within a reach about an expected seam, has found."""
+    """What one look at a frame, within a reach about an expected seam, has found.
+
+    `scatter` is what the frames up to this one show of the stripe, `read_with` what the look was taken with.
+    """
 
     asked: Asked
     scene: Scene
@@ -61,6 +64,7 @@ class Reading(NamedTuple):
     joint: MeasuredJoint | None = None
     fov_margin_mm: float = math.nan
     scatter: Scatter = NO_SCATTER
+    read_with: Scatter = NO_SCATTER
 
     @property
     def flags(self) -> int:
@@ -84,9 +88,9 @@ def measure(
     look = _look(asked, geometry, frame, scene, seam.as_floats(), reach_mm, work, use_arc_map, scatter)
     stripe = look.stripe if look.stripe.position_px.size else None
     if not look.is_stripe:
-        return Reading(asked, scene, seam, reach_mm, look.arc, stripe, scatter=scatter)
+        return Reading(asked, scene, seam, reach_mm, look.arc, stripe, scatter=scatter, read_with=scatter)
     joint, margin_mm = _joint(asked, geometry, scene, frame, look, reach_mm)
-    return Reading(asked, scene, seam, reach_mm, look.arc, stripe, joint, margin_mm, look.scatter)
+    return Reading(asked, scene, seam, reach_mm, look.arc, stripe, joint, margin_mm, look.scatter, scatter)
 
 
 def _look(
@@ -258,7 +262,9 @@ def measure_again(
     located = locate(geometry.seam_source, nominal_scene.T_joint_tool, placed.scene, joint.y_mm, joint.z_mm)
     y_mm, z_mm = located.displacement_mm
     there = seam._replace(station_mm=located.station_mm, y_mm=y_mm, z_mm=z_mm)
-    again = measure(geometry, frame, pose, there, TRACK_REACH_MM, work, use_arc_map, scatter)
+    # A first frame's scatter is known from the look before.
+    known = scatter if scatter.frames > 0 else placed.scatter
+    again = measure(geometry, frame, pose, there, TRACK_REACH_MM, work, use_arc_map, known)
     # What only a wrong map shows is no stripe: most of its lines are gone with the right one.
     if again.joint is None and _lines_held(again) >= MIN_HELD_SHARE * _lines_held(placed):
         return first
@@ -266,7 +272,7 @@ def measure_again(
     take_answer(again.asked, placed.asked, checks.JOINT_TYPE)
     if placed.flags & flags.TWO_STRIPES.mask:
         take_answer(again.asked, placed.asked, checks.SECOND_STRIPE)
-    return again
+    return again._replace(scatter=again.scatter._replace(frames=scatter.frames + 1))
 
 
 def _lines_held(reading: Reading) -> int:

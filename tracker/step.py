@@ -113,7 +113,7 @@ def step_and_reading(
         if tracked.ends == REFUSED:
             return _refused(state, asked, frame)
         if tracked.ends == TRACKED:
-            reading = _reading(asked, tracked)
+            reading = _reading(asked, tracked, state)
             return tracked.state, _track(frame, asked, reading, tracked.shown, tracked.offset), reading
     return step_by_step(geometry, state, frame, pose, work, use_arc_map, correction, lead)
 
@@ -145,7 +145,7 @@ def _given(
     )
 
 
-def _reading(asked: Asked, tracked: FrameTracked) -> Reading:
+def _reading(asked: Asked, tracked: FrameTracked, before: TrackerState) -> Reading:
     """Return the look that a frame which was tracked in one call rests on."""
     return Reading(
         asked,
@@ -157,6 +157,7 @@ def _reading(asked: Asked, tracked: FrameTracked) -> Reading:
         tracked.joint if tracked.joint.is_determined else None,
         tracked.fov_margin_mm,
         tracked.state.scatter,
+        before.scatter,
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from noise_model.arrays import Float32, Float64, Int64, Integers
 from noise_model.instrument.sensor import Sensor, linearise, variance_e2
-from tracker.stripe.viterbi import best_path
+from tracker.stripe.viterbi import JUMP_COST, best_path
 
 SCALES_PX = (1.5, 3.0, 6.0, 12.0)
 """The sigmas of the lines that are looked for."""
@@ -93,7 +93,7 @@ def _line_along(charge: Float32, along_rows: bool, dark_e2: float) -> BrightLine
         return no_line(along_rows)
     _, sigma_px, score, height = best
     choice = np.empty(len(score), dtype=np.int64)
-    best_path(score, choice)
+    best_path(score, JUMP_COST, choice)
     lines = np.flatnonzero(choice >= 0)
     if not len(lines):
         return no_line(along_rows)

@@ -19,7 +19,7 @@ from calibration.camera.lens import Lens
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.robust import spread
 from noise_model.transforms import transform
-from tracker.stripe.viterbi import best_path
+from tracker.stripe.viterbi import JUMP_COST, best_path
 
 SCALES_PX = (1.5, 3.0, 6.0, 12.0)
 """The sigmas of the stripes that are looked for."""
@@ -216,7 +216,7 @@ def _clearer(track: Callable[[Float32, Float32, Bool], _Track], seen: LaserLight
 def _likely(score: Float32) -> tuple[Int64, Int64]:
     """Return the scan lines (k,) in which the likeliest path is clear, and its places there (k,)."""
     choice = np.empty(len(score), dtype=np.int64)
-    best_path(score, choice)
+    best_path(score, JUMP_COST, choice)
     scan = np.flatnonzero(choice >= 0)
     scan = scan[score[scan, choice[scan]] >= LEAST_SCORE]
     return scan, choice[scan]

@@ -176,6 +176,7 @@ def made(
         stripe,
         band,
         lows,
+        np.rint(expected.position_px),
         offsets,
         score,
         start,

@@ -31,7 +31,18 @@ from tracker.stripe.line_fit.normal_equations import (
     solve,
 )
 from tracker.stripe.line_fit.residuals import CORE_SIGMAS, SATURATED_SIGMAS
-from tracker.stripe.viterbi import MANY_OFFSETS, OFFSET_STEP, best_path, matched_filter, peaks
+from tracker.stripe.viterbi import (
+    JUMP_COST,
+    MANY_OFFSETS,
+    MIN_BINNED_SIGMA,
+    OFFSET_STEP,
+    best_path,
+    bin_for,
+    matched_filter,
+    middles,
+    offsets_within,
+    peaks,
+)
 from tracker.stripe.viterbi import bell as bell_of
 
 READ_E, GAIN = 45.0, 80.0
@@ -123,8 +134,8 @@ class Lines:
 
 
 @settings(deadline=None, max_examples=30)
-@given(seeds)
-def test_the_matched_filter_is_its_twin(seed: int) -> None:
+@given(seeds, st.sampled_from([1, 2, 4, 8]))
+def test_the_matched_filter_is_its_twin(seed: int, bin_px: int) -> None:
     rng = np.random.default_rng(seed)
     n_scan, depth = rng.integers(1, 20), rng.integers(12, 120)
     n_offsets = rng.integers(1, 2 * MANY_OFFSETS)
@@ -134,12 +145,45 @@ def test_the_matched_filter_is_its_twin(seed: int) -> None:
     residual, variance = charge - background, np.maximum(background, 0.0) + np.float32(60.0)
     lows = rng.integers(0, 5, -(-n_scan // CELL))
     center = rng.uniform(-10.0, depth + 10.0, n_scan)
-    width = rng.uniform(0.6, 6.0, n_scan)
-    offsets = rng.integers(-40, 40) + OFFSET_STEP * np.arange(n_offsets)
+    width = bin_px * rng.uniform(0.6, 6.0, n_scan)
+    offsets = bin_px * (rng.integers(-40, 40) + OFFSET_STEP * np.arange(n_offsets))
     score = np.full((n_scan, n_offsets), np.nan, dtype=np.float32)
-    matched_filter(charge, background, 1.0, 60.0, center, width, lows, offsets, score)
-    twin = twins.matched_filter(residual, variance, center, width, np.repeat(lows, CELL), offsets)
+    around = np.empty(n_scan)
+    middles(center, lows, bin_px, around)
+    assert (np.abs(around - center) <= 0.5 * bin_px).all()
+    matched_filter(charge, background, 1.0, 60.0, around, width, lows, offsets, bin_px, score)
+    begins = np.repeat(lows, CELL)[:n_scan]
+    twin = twins.matched_filter(residual, variance, center, width, begins, offsets, bin_px)
     np.testing.assert_allclose(score, twin, rtol=2e-5, atol=2e-5)
+
+
+@given(st.floats(0.3, 60.0), st.floats(1.0, 300.0))
+def test_bins_of_a_wide_stripe_keep_its_score_and_reach_as_far(sigma_px: float, reach_px: float) -> None:
+    bin_px = bin_for(np.array([math.nan, sigma_px, 2.0 * sigma_px]))
+    assert bin_px == 1 or sigma_px >= MIN_BINNED_SIGMA * bin_px
+    assert sigma_px < 2.0 * MIN_BINNED_SIGMA * bin_px
+    offsets = offsets_within(reach_px, bin_px)
+    assert (np.diff(offsets) == OFFSET_STEP * bin_px).all()
+    assert (offsets % bin_px == 0).all()
+    assert offsets[0] == -offsets[-1]
+    assert math.floor(reach_px) <= offsets[-1] < math.floor(reach_px) + bin_px
+
+
+@pytest.mark.parametrize("sigma_px", [5.0, 9.9, 12.0, 40.0])
+def test_bins_lose_less_than_a_percent_of_a_wide_stripes_score(sigma_px: float) -> None:
+    """Held against the best filter over the same pixels, at the middle of a bin."""
+    bin_px, depth = bin_for(np.array([sigma_px])), 64 * math.ceil(sigma_px / 4.0)
+    place = np.full(1, 0.5 * depth + 0.5 * (bin_px - 1))
+    bell = 1e3 * np.exp(-0.5 * ((np.arange(depth) - place) / sigma_px) ** 2)
+    charge, score = bell.astype(np.float32)[None], np.empty((1, 1), np.float32)
+    around, lows, offsets = np.empty(1), np.zeros(1, np.int64), np.zeros(1, np.int64)
+    middles(place, lows, bin_px, around)
+    width = np.full(1, sigma_px)
+    matched_filter(charge, np.zeros_like(charge), 0.0, 1.0, around, width, lows, offsets, bin_px, score)
+    half_px = bin_px * (math.ceil(2.5 * sigma_px / bin_px) + 0.5)
+    within = bell[np.abs(np.arange(depth) - place) < half_px]
+    best = np.sqrt(np.sum((within - within.mean()) ** 2))
+    assert 0.99 * best < score[0, 0] <= best * (1.0 + 1e-5)
 
 
 @settings(deadline=None, max_examples=60)
@@ -150,7 +194,7 @@ def test_no_path_is_cheaper_than_the_best_path(seed: int, height: float) -> None
     score = (height * rng.normal(0.0, 1.0, (n_scan, n))).astype(np.float32)
     score[rng.random(n_scan) < 0.2] = 0.0
     choice = np.full(n_scan, 99)
-    best_path(score, choice)
+    best_path(score, JUMP_COST, choice)
     assert ((choice >= -1) & (choice < n)).all()
     exact = score.astype(np.float64)
     assert twins.path_cost(exact, choice) == pytest.approx(twins.best_path_cost(exact), rel=1e-9, abs=1e-9)
@@ -166,7 +210,7 @@ def test_a_fit_starts_at_the_peak_that_the_path_is_on(seed: int, peak: float, ch
     score = np.tile(100.0 - (offsets - peak) ** 2, (4, 1)).astype(np.float32)
     start = np.empty(4)
     peaks(score, np.full(4, choice), centers, offsets, start)
-    want = np.rint(centers) + (np.nan if choice < 0 else peak)
+    want = centers + (np.nan if choice < 0 else peak)
     np.testing.assert_allclose(start, want, atol=1e-4)
 
 
@@ -181,12 +225,12 @@ def test_a_fit_starts_on_the_paths_own_hill() -> None:
 def test_a_single_offset_is_where_a_fit_starts() -> None:
     start = np.empty(1)
     peaks(np.ones((1, 1), np.float32), np.zeros(1, np.int64), np.full(1, 7.2), np.zeros(1, np.int64), start)
-    assert start[0] == 7.0
+    assert start[0] == 7.2
 
 
 def test_a_path_without_evidence_holds_no_stripe() -> None:
     choice = np.zeros(12, dtype=np.int64)
-    best_path(np.zeros((12, 9), dtype=np.float32), choice)
+    best_path(np.zeros((12, 9), dtype=np.float32), JUMP_COST, choice)
     assert (choice == -1).all()
 
 

@@ -85,7 +85,7 @@ def test_a_stripe_alone_is_no_dark_one(width: float, phase: float) -> None:
         offsets = np.arange(-60, 61, OFFSET_STEP)
         score = np.empty((1, len(offsets)), np.float32)
         lines = np.array([100.0]), np.array([width]), np.zeros(1, np.int64)
-        matched_filter(residual, np.zeros_like(residual), 0.0, 1.0, *lines, offsets, score)
+        matched_filter(residual, np.zeros_like(residual), 0.0, 1.0, *lines, offsets, 1, score)
         worst, reach_px = own_lobes(width)
         path = score.argmax(axis=1)
         assert -score.min() / score.max() <= worst * 1.01
@@ -96,8 +96,8 @@ def test_a_stripe_alone_is_no_dark_one(width: float, phase: float) -> None:
 
 def test_the_path_is_where_the_stripe_was_found() -> None:
     offsets = np.arange(-20, 21, OFFSET_STEP)
-    expected = np.full(6, 50.4)
-    at = path_of(offsets, expected, np.array([50.0, np.nan, 30.0, 70.4, 28.0, 72.0]))
+    expected = np.full(6, 50.0)
+    at = path_of(offsets, 1, expected, np.array([49.6, np.nan, 29.6, 70.0, 27.6, 71.6]))
     np.testing.assert_array_equal(at, [10, -1, 0, 20, -1, -1])
 
 
@@ -125,10 +125,10 @@ def test_path_and_rim_are_their_plain_twins() -> None:
         position = expected.position_px + rng.normal(0.0, 9.0, 30)
         position[rng.random(30) < 0.3] = np.nan
         held = np.isfinite(position)
-        off = np.nan_to_num(position) - np.rint(expected.position_px) + 20
+        off = np.nan_to_num(position) - expected.position_px + 20
         nearest = np.rint(off / OFFSET_STEP)
         want = np.where(held & (nearest >= 0) & (nearest < len(offsets)), nearest, -1)
-        np.testing.assert_array_equal(path_of(offsets, expected.position_px, position), want)
+        np.testing.assert_array_equal(path_of(offsets, 1, expected.position_px, position), want)
         at = np.where(held, position, expected.position_px)
         leaves = (at < expected.sigma_px) | (at > 99 - expected.sigma_px)
         assert leaves_image(position, *of_lines(expected), 100) == bool(leaves[expected.shown].any())
@@ -155,7 +155,7 @@ def test_lines_that_would_show_it_and_do_not_are_counted() -> None:
     r = np.arange(N)
     bell = np.exp(-0.5 * ((r - 30.0) / width) ** 2)
     score = np.empty((1, 1), np.float32)
-    where = np.array([30.0]), np.array([width]), np.zeros(1, np.int64), np.zeros(1, np.int64)
+    where = np.array([30.0]), np.array([width]), np.zeros(1, np.int64), np.zeros(1, np.int64), 1
     residual = (0.25 * amplitude_e * bell).astype(np.float32)[None]
     matched_filter(residual, np.zeros_like(residual), 0.0, dark_e2, *where, score)
     just = dark_e2 * (float(score[0, 0]) / CLEAR_SIGMAS) ** 2

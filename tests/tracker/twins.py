@@ -29,16 +29,31 @@ def running_median(band: Float64, half: int) -> Float64:
 
 
 def matched_filter(
-    residual: Float64, variance: Float64, center: Float64, width: Float64, lows: Float64, offsets: Float64
+    residual: Float64,
+    variance: Float64,
+    center: Float64,
+    width: Float64,
+    lows: Float64,
+    offsets: Float64,
+    bin_px: int,
 ) -> Float64:
-    """The amplitude of a Gaussian without its mean over its 1 sigma, 0 where it does not fit in."""
+    """The amplitude of a Gaussian without its mean over its 1 sigma, 0 where it does not fit in.
+
+    Pixels are summed by so many from the band's first on, and places count in these sums.
+    """
+    whole = residual.shape[1] // bin_px
+    residual, variance = (
+        pixels[:, : whole * bin_px].reshape(len(pixels), whole, bin_px).sum(axis=2)
+        for pixels in (residual, variance)
+    )
+    center, width = (center - lows - 0.5 * (bin_px - 1)) / bin_px, width / bin_px
     score = np.zeros((len(residual), len(offsets)))
     for s, line in enumerate(residual):
         half = math.ceil(2.5 * width[s])
         template = np.exp(-0.5 * (np.arange(-half, half + 1) / width[s]) ** 2)
         template -= template.mean()
         for i, offset in enumerate(offsets):
-            first = int(np.rint(center[s])) - lows[s] + offset - half
+            first = int(np.rint(center[s])) + offset // bin_px - half
             if first < 0 or first + len(template) > len(line):
                 continue
             part = slice(first, first + len(template))

@@ -51,39 +51,41 @@ LEAST_FAN = 1.0 / 3.0
 
 
 @kernel(allocates=True)
-def path_of(offsets_px: Int64, expected_px: Float64, position_px: Float64) -> Int64:
+def path_of(offsets_px: Int64, bin_px: int, around_px: Float64, position_px: Float64) -> Int64:
     """Return the offsets' indices (n_scan,) of stripe centres (n_scan,), -1 for none and beyond the offsets.
 
-    A centre may lie beside the offsets where a fit has moved it: the score at the last one is its flank's.
+    Those are from `around_px` (n_scan,), OFFSET_STEP bins apart. A centre may lie beside the offsets where a
+    fit has moved it: the score at the last one is its flank's.
     """
     n = position_px.shape[0]
     path = np.empty(n, dtype=np.int64)
     for s in range(n):
         path[s] = -1
         if math.isfinite(position_px[s]):
-            i = round((position_px[s] - round(expected_px[s]) - offsets_px[0]) / OFFSET_STEP)
+            i = round((position_px[s] - around_px[s] - offsets_px[0]) / (OFFSET_STEP * bin_px))
             if 0 <= i < offsets_px.shape[0]:
                 path[s] = i
     return path
 
 
 @kernel(allocates=True)
-def own_lobes(width_px: float) -> tuple[float, int]:
-    """Return a stripe's darkest lobe in its own matched filter over its score, and how far lobes reach, px.
+def own_lobes(width: float) -> tuple[float, int]:
+    """Return a stripe's darkest lobe in its own matched filter over its score, and how far lobes reach, bins.
 
-    Scores are OFFSET_STEP apart: the stripe's may be seen half a step off its peak, its lobe at their worst.
+    The `width` counts bins too. Scores are OFFSET_STEP apart: the stripe's may be seen half a step off its
+    peak, its lobe at their worst.
     """
-    half = math.ceil(TEMPLATE_SIGMAS * width_px)
+    half = math.ceil(TEMPLATE_SIGMAS * width)
     template = np.empty(2 * half + 1, dtype=np.float32)
-    write_template(width_px, half, template)
+    write_template(width, half, template)
     reach = 2 * half + 1
     least, worst = math.inf, 0.0
     # It looks alike to either side, and a wide stripe's lobes are as smooth.
-    phases = PHASES if width_px < SMOOTH_PX else 1
+    phases = PHASES if width < SMOOTH_PX else 1
     for k in range(phases * reach + 1):
         off, total = k / phases, 0.0
         for j in range(-half, half + 1):
-            total += template[j + half] * math.exp(-0.5 * ((j - off) / width_px) ** 2)
+            total += template[j + half] * math.exp(-0.5 * ((j - off) / width) ** 2)
         worst = max(worst, -total)
         if abs(off) <= 0.5 * OFFSET_STEP:
             least = min(least, total)
@@ -91,16 +93,16 @@ def own_lobes(width_px: float) -> tuple[float, int]:
 
 
 @kernel(allocates=True)
-def evidence_ratio(score: Float32, path: Int64, shown: Bool, width_px: float) -> float:
+def evidence_ratio(score: Float32, path: Int64, shown: Bool, width: float) -> float:
     """Return the evidence for a stripe over that for a dark one, which no laser makes; inf if that is none.
 
     `score` (n_scan, n_offsets) is the matched filter's, in sigmas, `path` (n_scan,) where along it a stripe
-    was found, -1 for none, `shown` (n_scan,) which lines may hold one, `width_px` the stripe's sigma.
+    was found, -1 for none, `shown` (n_scan,) which lines may hold one, `width` the stripe's sigma, bins.
     Evidence is the path's gain, score^2 / 2 with its cap: for a stripe where one was found, for a dark one at
     each scan line's darkest place, unless that may be a lobe of the stripe, or of its like just out of sight
     where none was found.
     """
-    worst, reach_px = own_lobes(width_px)
+    worst, reach = own_lobes(width)
     lobe = max(LOBE, LOBE_MARGIN * worst)
     bright, dark, total, held = 0.0, 0.0, 0.0, 0
     for s in range(score.shape[0]):
@@ -115,7 +117,7 @@ def evidence_ratio(score: Float32, path: Int64, shown: Bool, width_px: float) ->
             continue
         beside, depth = float(score[s, path[s]]) if path[s] >= 0 else typical, 0.0
         for i in range(score.shape[1]):
-            is_near = path[s] < 0 or abs(i - path[s]) * OFFSET_STEP <= reach_px
+            is_near = path[s] < 0 or abs(i - path[s]) * OFFSET_STEP <= reach
             if -score[s, i] > (lobe if is_near else LOBE) * beside:
                 depth = max(depth, -float(score[s, i]))
         if depth > CHANCE_SIGMAS:
@@ -227,13 +229,16 @@ def evidence_of(
     shown: Bool,
     n_pos: int,
     score: Float32,
+    around_px: Float64,
     offsets_px: Int64,
+    bin_px: int,
     learned: FrameScatter,
     room: Float32,
 ) -> Evidence:
     """Return what tells of stripe centres (n_scan,), read at offsets of the `score` (n_scan, n_offsets).
 
-    What is expected is `ExpectedStripe`'s; `room` (`numbers_for(n_scan)`,) is written over.
+    These are from `around_px` (n_scan,), in bins of `bin_px`. What is expected is `ExpectedStripe`'s; `room`
+    (`numbers_for(n_scan)`,) is written over.
     """
     n_saturated, n_held, n_shown = 0, 0, 0
     for s in range(position_px.shape[0]):
@@ -241,6 +246,6 @@ def evidence_of(
         n_held += math.isfinite(position_px[s])
         n_shown += shown[s]
     leaves = leaves_image(position_px, expected_px, sigma_px, shown, n_pos)
-    width_px = finite_median(sigma_px, room) * width_factor(learned)
-    ratio = evidence_ratio(score, path_of(offsets_px, expected_px, position_px), shown, width_px)
+    width = finite_median(sigma_px, room) * width_factor(learned) / bin_px
+    ratio = evidence_ratio(score, path_of(offsets_px, bin_px, around_px, position_px), shown, width)
     return Evidence(n_saturated, leaves, n_held / max(n_shown, 1), ratio)

@@ -1,4 +1,4 @@
-"""The likeliest path through a band, and the fits of its lines: what a reading does once or a few times."""
+"""The likeliest path through a band, and the fits along it: what a reading does once or a few times."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tracker.stripe.scatter import (
     width_factor,
     width_limit_ln,
 )
-from tracker.stripe.viterbi import best_path, matched_filter, peaks
+from tracker.stripe.viterbi import JUMP_COST, best_path, matched_filter, middles, peaks
 
 
 class Noise(NamedTuple):
@@ -40,7 +40,10 @@ class Noise(NamedTuple):
 
 
 class ReadRoom(NamedTuple):
-    """Scratch for a frame's lines; `score` is flat, for as many offsets as a search has."""
+    """Scratch for a frame's lines; `score` is flat, for as many offsets as a search has.
+
+    Offsets are from `around_px` (n_scan,).
+    """
 
     score: Float32
     choice: Int64
@@ -51,6 +54,7 @@ class ReadRoom(NamedTuple):
     scatter: ScatterRoom
     misfit: MisfitRoom
     seen: FrameScatter
+    around_px: Float64
     start_px: Float64
     width_px: Float64
     own_px: Float64
@@ -69,15 +73,70 @@ class ReadRoom(NamedTuple):
             ScatterRoom.empty(n_scan),
             MisfitRoom.empty(),
             empty_scatter(),
-            *np.empty((4, n_scan)),
+            *np.empty((5, n_scan)),
         )
 
 
+MOST_SCORE_LOST = 0.01
+"""The share of its score that a stripe may lose to a filter for another width: the path hardly feels it."""
+
+
+@kernel
+def score_lost(factor: float) -> float:
+    """Return the share of its score that a stripe loses to a matched filter for so many times its width.
+
+    Bells of widths w and k w overlap by sqrt(2 k / (1 + k^2)).
+    """
+    return 1.0 - math.sqrt(2.0 * factor / (1.0 + factor * factor))
+
+
 @kernel(allocates=True)
-def fit_band(
+def seek_path(
     band: Band,
     expected: ExpectedStripe,
     offsets_px: Int64,
+    bin_px: int,
+    noise: Noise,
+    learned: FrameScatter,
+    room: ReadRoom,
+) -> None:
+    """Find the likeliest path through a band at some offsets (n,), and where the fit of each line starts.
+
+    Pixels are summed by `bin_px`, see `viterbi.matched_filter`.
+    """
+    n_scan, n = band.charge.shape[0], len(offsets_px)
+    factor = width_factor(learned)
+    for s in range(n_scan):
+        room.width_px[s] = factor * expected.sigma_px[s]
+    score = room.score[: n_scan * n].reshape((n_scan, n))
+    middles(expected.position_px, band.lows, bin_px, room.around_px)
+    matched_filter(
+        band.charge,
+        band.background,
+        noise.shot,
+        noise.dark_e2,
+        room.around_px,
+        room.width_px,
+        band.lows,
+        offsets_px,
+        bin_px,
+        score,
+    )
+    # Where no light can be none is looked for.
+    for s in range(n_scan):
+        if not expected.is_sought[s]:
+            score[s] = 0.0
+    best_path(score, JUMP_COST * bin_px, room.choice)
+    peaks(score, room.choice, room.around_px, offsets_px, room.start_px)
+    for s in range(n_scan):
+        if not expected.is_sought[s]:
+            room.start_px[s], room.choice[s] = math.nan, -1
+
+
+@kernel(allocates=True)
+def fit_path(
+    band: Band,
+    expected: ExpectedStripe,
     noise: Noise,
     learned: FrameScatter,
     is_searching: bool,
@@ -85,7 +144,7 @@ def fit_band(
     reach_px: float,
     room: ReadRoom,
 ) -> None:
-    """Find the likeliest path through a band at some offsets (n,), fit its lines and see how they scatter.
+    """Fit the lines of a band along the likeliest path and see how they scatter.
 
     Where it `reads_pairs`, two lines are fitted as one where no corner lies within `reach_px`.
     """
@@ -93,27 +152,6 @@ def fit_band(
     factor = width_factor(learned)
     for s in range(n_scan):
         room.width_px[s] = factor * expected.sigma_px[s]
-    score = room.score[: n_scan * len(offsets_px)].reshape((n_scan, len(offsets_px)))
-    matched_filter(
-        band.charge,
-        band.background,
-        noise.shot,
-        noise.dark_e2,
-        expected.position_px,
-        room.width_px,
-        band.lows,
-        offsets_px,
-        score,
-    )
-    # Where no light can be none is looked for.
-    for s in range(n_scan):
-        if not expected.is_sought[s]:
-            score[s] = 0.0
-    best_path(score, room.choice)
-    peaks(score, room.choice, expected.position_px, offsets_px, room.start_px)
-    for s in range(n_scan):
-        if not expected.is_sought[s]:
-            room.start_px[s], room.choice[s] = math.nan, -1
         room.n_lines[s], room.is_smooth[s] = 1, True
     if reads_pairs:
         mark_pairs(

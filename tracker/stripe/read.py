@@ -30,7 +30,7 @@ from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.fit_band import Noise, ReadRoom
 from tracker.stripe.read_band import UsualLine, read_band
 from tracker.stripe.scatter import Scatter
-from tracker.stripe.viterbi import OFFSET_STEP
+from tracker.stripe.viterbi import OFFSET_STEP, bin_for, offsets_within
 
 MEDIAN_HALF_PX = 30
 MEDIAN_SIGMA = 1.0
@@ -74,10 +74,10 @@ class StripeReading(NamedTuple):
 
     All but the stripe and the scatter are views of the scratch, good until the next frame; `lows` says where
     the band begins for each CELL scan lines. `score` (n_scan, n_offsets) is the matched filter's, in sigmas,
-    at `offsets_px` from the rounded expected place; `start_px` (n_scan,) is where the likeliest path runs,
-    NaN for no stripe; `tried` and `fits` (n_scan, 7) are those of `LineFits`. The variance of a pixel is
-    `shot` times its mean plus `dark_variance_e2`; `map_sigma` is the background's relative 1 sigma,
-    `base_sigma_e` that of the black level and of the hall's light.
+    at `offsets_px` from `around_px` (n_scan,), next to the expected places; `start_px` (n_scan,) is where the
+    likeliest path runs, NaN for no stripe; `tried` and `fits` (n_scan, 7) are those of `LineFits`. The
+    variance of a pixel is `shot` times its mean plus `dark_variance_e2`; `map_sigma` is the background's
+    relative 1 sigma, `base_sigma_e` that of the black level and of the hall's light.
     `second_share` is how bright a second stripe is over the first, 0 for none; the background has its light.
     `told_nats` is the evidence that the other one is the reflection, infinite where none is searched.
     `scatter` is what the frames up to this one show of it, `learned` what this one was read with.
@@ -90,6 +90,7 @@ class StripeReading(NamedTuple):
     stripe: Stripe
     band: Band
     lows: Int64
+    around_px: Float64
     offsets_px: Int64
     score: Float32
     start_px: Float64
@@ -232,12 +233,13 @@ def read_stripe(
     `scatter` is what earlier frames show of it; this frame's is added before it is used. `is_searching` says
     whether the joint may lie far off its expected place.
     """
-    band, noise, farthest = lit.band, lit.noise, math.floor(reach_px)
+    band, noise, bin_px = lit.band, lit.noise, bin_for(expected.sigma_px)
     seen = read_band(
         band,
         lit.light,
         expected,
-        np.arange(-farthest, farthest + 1, OFFSET_STEP),
+        offsets_within(reach_px, bin_px),
+        bin_px,
         noise,
         scatter.average,
         scatter.frames,
@@ -252,6 +254,7 @@ def read_stripe(
         seen.stripe,
         band,
         band.lows,
+        room.around_px,
         seen.offsets_px,
         seen.score,
         room.start_px,

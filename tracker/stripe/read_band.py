@@ -14,7 +14,7 @@ from tracker.state import Stripe
 from tracker.stripe.band import Band, LightLevel, at_level
 from tracker.stripe.detection import Evidence, evidence_of
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.fit_band import Noise, ReadRoom, fit_band
+from tracker.stripe.fit_band import MOST_SCORE_LOST, Noise, ReadRoom, fit_path, score_lost, seek_path
 from tracker.stripe.frame_scatter import ScatterRoom, own_sigma
 from tracker.stripe.ghost import second_light, second_place
 from tracker.stripe.misfit import count_alike, misfit_sigma_px
@@ -26,6 +26,7 @@ from tracker.stripe.scatter import (
     empty_scatter,
     line_variance_px2,
     widen,
+    width_factor,
 )
 
 REACH_SIGMAS = 3.0
@@ -111,6 +112,7 @@ def _read_without_a_second(
     band: Band,
     expected: ExpectedStripe,
     offsets_px: Int64,
+    bin_px: int,
     noise: Noise,
     learned: FrameScatter,
     is_searching: bool,
@@ -138,7 +140,8 @@ def _read_without_a_second(
             for j in range(light.shape[1]):
                 band.background[s, j] = band.plain[s, j] + light[s, j]
         share = now
-        fit_band(band, expected, offsets_px, noise, learned, is_searching, reads_pairs, reach_px, room)
+        seek_path(band, expected, offsets_px, bin_px, noise, learned, room)
+        fit_path(band, expected, noise, learned, is_searching, reads_pairs, reach_px, room)
     told = Told(share, math.inf, False, 0, len(offsets_px))
     if not is_searching or share == 0.0:
         return told
@@ -148,7 +151,8 @@ def _read_without_a_second(
     if told.is_reflection:
         _copy(band.plain, band.background)
         near = offsets_px[told.first : told.first + told.n_offsets]
-        fit_band(band, expected, near, noise, learned, is_searching, reads_pairs, reach_px, room)
+        seek_path(band, expected, near, bin_px, noise, learned, room)
+        fit_path(band, expected, noise, learned, is_searching, reads_pairs, reach_px, room)
     return told
 
 
@@ -166,7 +170,7 @@ class BandReading(NamedTuple):
 
     `read_with` is the scatter that it was read with, `after` that of all frames with this one. `width_px`
     (n_scan,) is the lines' fitted 1 sigma across the stripe. `score` (n_scan, n) is the matched filter's at
-    those offsets (n,) from the expected place at which the stripe was sought last.
+    those offsets (n,) from `ReadRoom.around_px` at which the stripe was sought last.
     """
 
     stripe: Stripe
@@ -227,6 +231,7 @@ def read_band(
     light: LightLevel,
     expected: ExpectedStripe,
     offsets_px: Int64,
+    bin_px: int,
     noise: Noise,
     before: FrameScatter,
     frames: int,
@@ -237,7 +242,7 @@ def read_band(
     along_rows: bool,
     room: ReadRoom,
 ) -> BandReading:
-    """Read the stripe in a band at some offsets (n,) from its expected place.
+    """Read the stripe in a band at some offsets (n,) from its expected place, sought in bins of `bin_px`.
 
     The band's background is brought to the level of its `light` first. `before` is the scatter of so many
     earlier `frames`. With it a frame is read; the first one with what it shows itself. `is_searching` says
@@ -247,13 +252,19 @@ def read_band(
     at_level(band.background, light)
     read_with, after = before, empty_scatter()
     reads_pairs = frames > 0 and not is_searching
-    fit_band(band, expected, offsets_px, noise, before, is_searching, reads_pairs, reach_px, room)
+    seek_path(band, expected, offsets_px, bin_px, noise, before, room)
+    fit_path(band, expected, noise, before, is_searching, reads_pairs, reach_px, room)
     if frames == 0:
         read_with = empty_scatter()
         add_frame(before, 0, room.seen, read_with)
-        fit_band(band, expected, offsets_px, noise, read_with, is_searching, reads_pairs, reach_px, room)
+        # A stripe of another width is sought anew. Of a search no more is asked than where the joint is.
+        if score_lost(width_factor(before) / width_factor(read_with)) > MOST_SCORE_LOST:
+            seek_path(band, expected, offsets_px, bin_px, noise, read_with, room)
+            fit_path(band, expected, noise, read_with, is_searching, reads_pairs, reach_px, room)
+        elif not is_searching:
+            fit_path(band, expected, noise, read_with, is_searching, reads_pairs, reach_px, room)
     told = _read_without_a_second(
-        band, expected, offsets_px, noise, read_with, is_searching, reads_pairs, reach_px, room
+        band, expected, offsets_px, bin_px, noise, read_with, is_searching, reads_pairs, reach_px, room
     )
     add_frame(before, frames, room.seen, after)
     stripe = _empty_stripe(band.charge.shape[0], along_rows)
@@ -269,7 +280,9 @@ def read_band(
         expected.shown,
         n_pos,
         score,
+        room.around_px,
         sought_px,
+        bin_px,
         read_with,
         room.scatter.values,
     )

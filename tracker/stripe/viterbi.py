@@ -16,11 +16,18 @@ Pair = tuple[float, float]
 Room = tuple[Float32, Float32, Float32, Float32, Float32]
 """Scratch, by turns: a template's values and their squares, a line's residuals and variances; and sums."""
 
+MIN_BINNED_SIGMA = 2.5
+"""A wide stripe is sought in sums of neighbouring pixels, of which its sigma holds so many at least.
+
+Sums of b pixels cost a bell's score b^2 / (48 sigma^2) of it, a third of a percent at most; with the
+template's mean taken out it is less than one.
+"""
+
 TEMPLATE_SIGMAS = 2.5
 """How far the matched filter's template reaches."""
 
 OFFSET_STEP = 2
-"""The path is sought on every second pixel; the fit starts from there."""
+"""The path is sought on every second pixel, or bin of pixels; the fit starts from there."""
 
 MANY_OFFSETS = 32
 """So many offsets and more are scored together: fewer take less time one by one."""
@@ -33,6 +40,32 @@ GAIN_CAP = 60.0
 
 JUMP_COST, JUMP_COST_CAP, MISSING_COST = 1.0, 12.0, 6.0
 """Path costs in log-likelihood: per 2 px of change against the expected shape, at most, and for no stripe."""
+
+
+@kernel
+def bin_for(sigma_px: Float64) -> int:
+    """Return how many pixels are summed where stripes of 1 sigma (n,) px are sought: a power of two."""
+    narrowest, n = math.inf, 1
+    for s in range(sigma_px.shape[0]):
+        narrowest = min(narrowest, sigma_px[s]) if sigma_px[s] > 0.0 else narrowest
+    while math.isfinite(narrowest) and 2.0 * MIN_BINNED_SIGMA * n <= narrowest:
+        n *= 2
+    return n
+
+
+@kernel(allocates=True)
+def offsets_within(reach_px: float, bin_px: int) -> Int64:
+    """Return the offsets (n,), px, at which a stripe is sought within a reach: OFFSET_STEP bins apart."""
+    farthest = bin_px * math.ceil(math.floor(reach_px) / bin_px)
+    return np.arange(-farthest, farthest + 1, OFFSET_STEP * bin_px)
+
+
+@kernel
+def middles(center_px: Float64, lows: Int64, bin_px: int, around_px: Float64) -> None:
+    """Write the middles (n_scan,), px, of the bins next to places (n_scan,); the band begins at `lows`."""
+    for s in range(center_px.shape[0]):
+        first = lows[s // CELL] + 0.5 * (bin_px - 1)
+        around_px[s] = first + bin_px * round((center_px[s] - first) / bin_px)
 
 
 @kernel(inline=True)
@@ -176,27 +209,36 @@ def _score_together(
             score[first + i] = _score_seen(template, residual_e[low:high], variance_e2[low:high])
 
 
+@kernel
+def _halve(pixels: Float32, n: int, sums: Float32) -> None:
+    """Write the sums of every two of the first n pixels, the last one alone left out."""
+    for i in range(n // 2):
+        sums[i] = pixels[2 * i] + pixels[2 * i + 1]
+
+
 @kernel(allocates=True)
 def matched_filter(
     charge_e: Float32,
     background_e: Float32,
     shot: float,
     dark_variance_e2: float,
-    center: Float64,
-    width: Float64,
+    around_px: Float64,
+    width_px: Float64,
     lows: Int64,
-    offsets: Int64,
+    offsets_px: Int64,
+    bin_px: int,
     score: Float32,
 ) -> None:
     """Score a stripe of the expected width at offsets from its expected place, in sigmas of its amplitude.
 
     `charge_e`, `background_e` (n_scan, depth) hold the pixels and what lights them beside the laser; see
-    `band.weigh` for their variance. `center`, `width` (n_scan,) are expected positions and sigmas; `score`
-    (n_scan, n_offsets). The template's mean is taken out, so a wrong level of the map scores nothing.
-    `offsets` are OFFSET_STEP apart.
+    `band.weigh` for their variance. They are summed by `bin_px`, a power of two. `around_px` (n_scan,) are
+    the bins' `middles` next to the expected places, `width_px` (n_scan,) expected sigmas; `score` (n_scan,
+    n_offsets). The template's mean is taken out, so a wrong level of the map scores nothing. `offsets_px` are
+    whole bins, OFFSET_STEP bins apart.
     """
     n_offsets = score.shape[1]
-    most = math.ceil(TEMPLATE_SIGMAS * width.max())
+    most = math.ceil(TEMPLATE_SIGMAS * width_px.max() / bin_px)
     values = np.empty(2 * most + 1, dtype=np.float32)
     n_taps, n_sums = TAPS * (most // TAPS + 1), WHOLE * (n_offsets // WHOLE + 1)
     room = (
@@ -206,9 +248,22 @@ def matched_filter(
         np.zeros((2, n_sums + n_taps), dtype=np.float32),
         np.empty((2, n_sums), dtype=np.float32),
     )
-    line = np.empty(charge_e.shape[1], np.float32), np.empty(charge_e.shape[1], np.float32)
+    line = np.empty((4, charge_e.shape[1]), np.float32)
     noise = shot, dark_variance_e2
-    _score_lines(charge_e, background_e, noise, center, width, lows, offsets, values, line, room, score)
+    _score_lines(
+        charge_e,
+        background_e,
+        noise,
+        around_px,
+        width_px,
+        lows,
+        offsets_px,
+        bin_px,
+        values,
+        line,
+        room,
+        score,
+    )
 
 
 @kernel
@@ -216,40 +271,49 @@ def _score_lines(
     charge_e: Float32,
     background_e: Float32,
     noise: tuple[float, float],
-    center: Float64,
-    width: Float64,
+    around_px: Float64,
+    width_px: Float64,
     lows: Int64,
-    offsets: Int64,
+    offsets_px: Int64,
+    bin_px: int,
     values: Float32,
-    line: tuple[Float32, Float32],
+    line: Float32,
     room: Room,
     score: Float32,
 ) -> None:
     """Score all lines, see `matched_filter`: no array is made here, so that none is counted line by line.
 
-    `noise` are the shot noise's share and the dark's variance; `values` take a template, the `line` a line's
-    residual and its variance.
+    `noise` are the shot noise's share and the dark's variance; `values` take a template, `line` (4, depth) a
+    line's residual and its variance, and by turns their sums.
     """
-    residual_e, variance_e2 = line
     n_scan, n_offsets = score.shape
     for s in range(n_scan):
+        residual_e, variance_e2, other_e, other_e2 = line[0], line[1], line[2], line[3]
         weigh(charge_e[s], background_e[s], *noise, residual_e, variance_e2)
-        half = math.ceil(TEMPLATE_SIGMAS * width[s])
+        n, bins = charge_e.shape[1], 1
+        while bins < bin_px:
+            _halve(residual_e, n, other_e)
+            _halve(variance_e2, n, other_e2)
+            residual_e, other_e, variance_e2, other_e2 = other_e, residual_e, other_e2, variance_e2
+            n, bins = n // 2, 2 * bins
+        width = width_px[s] / bin_px
+        half = math.ceil(TEMPLATE_SIGMAS * width)
         template = values[: 2 * half + 1]
-        write_template(width[s], half, template)
-        begin = round(center[s]) - lows[s // CELL] + offsets[0] - half
+        write_template(width, half, template)
+        place = (around_px[s] - lows[s // CELL] - 0.5 * (bin_px - 1)) / bin_px
+        begin = round(place) + offsets_px[0] // bin_px - half
         if n_offsets < MANY_OFFSETS:
-            _score_each(template, residual_e, variance_e2, begin, score[s])
+            _score_each(template, residual_e[:n], variance_e2[:n], begin, score[s])
         else:
-            _score_together(template, residual_e, variance_e2, begin, room, score[s])
+            _score_together(template, residual_e[:n], variance_e2[:n], begin, room, score[s])
 
 
 @kernel(allocates=True)
-def best_path(score: Float32, choice: Int64) -> None:
+def best_path(score: Float32, jump_cost: float, choice: Int64) -> None:
     """Find the likeliest path of offsets through the scores (n_scan, n); write its indices, -1 for no stripe.
 
-    Viterbi: the gain is score^2 / 2 (capped), a change of offset costs its size up to a cap, so a step of a
-    lap may be taken, and 'no stripe' is a state of its own.
+    Viterbi: the gain is score^2 / 2 (capped), a change to the next offset has a `jump_cost`, a larger one its
+    multiple up to a cap, so a step of a lap may be taken, and 'no stripe' is a state of its own.
     """
     n_scan, n = score.shape
     cost = np.zeros(n + 1)
@@ -257,18 +321,18 @@ def best_path(score: Float32, choice: Int64) -> None:
     reach = np.empty(n)
     source = np.empty(n, dtype=np.int32)
     for s in range(n_scan):
-        # Lower envelope of cost[j] + JUMP_COST |i - j|, in two passes.
+        # Lower envelope of cost[j] + jump_cost |i - j|, in two passes.
         cheapest, cheapest_at = cost[0], 0
         for i in range(n + 1):
             if cost[i] < cheapest:
                 cheapest, cheapest_at = cost[i], i
         for i in range(n):
             reach[i], source[i] = cost[i], i
-            if i > 0 and reach[i - 1] + JUMP_COST < reach[i]:
-                reach[i], source[i] = reach[i - 1] + JUMP_COST, source[i - 1]
+            if i > 0 and reach[i - 1] + jump_cost < reach[i]:
+                reach[i], source[i] = reach[i - 1] + jump_cost, source[i - 1]
         for i in range(n - 2, -1, -1):
-            if reach[i + 1] + JUMP_COST < reach[i]:
-                reach[i], source[i] = reach[i + 1] + JUMP_COST, source[i + 1]
+            if reach[i + 1] + jump_cost < reach[i]:
+                reach[i], source[i] = reach[i + 1] + jump_cost, source[i + 1]
         lost = cost[n]
         for i in range(n):
             if cheapest + JUMP_COST_CAP < reach[i]:
@@ -294,11 +358,12 @@ def best_path(score: Float32, choice: Int64) -> None:
 
 
 @kernel
-def peaks(score: Float32, choice: Int64, center_px: Float64, offsets_px: Int64, start_px: Float64) -> None:
+def peaks(score: Float32, choice: Int64, around_px: Float64, offsets_px: Int64, start_px: Float64) -> None:
     """Write where the fit of each scan line starts (n_scan,), px: the peak of the score that the path is on.
 
-    The path is as content anywhere on a strong stripe's score. From there the way leads uphill, and between
-    offsets along the parabola through the highest three. NaN for no stripe.
+    The score's `offsets_px` (n,) are from `around_px` (n_scan,). The path is as content anywhere on a strong
+    stripe's score. From there the way leads uphill, and between offsets along the parabola through the
+    highest three. NaN for no stripe.
     """
     n_scan, n = score.shape
     for s in range(n_scan):
@@ -314,4 +379,4 @@ def peaks(score: Float32, choice: Int64, center_px: Float64, offsets_px: Int64, 
             before, here, after = score[s, peak - 1], score[s, peak], score[s, peak + 1]
             curve = 2.0 * here - before - after
             between = 0.5 * (after - before) / curve * (offsets_px[1] - offsets_px[0]) if curve > 0.0 else 0.0
-        start_px[s] = round(center_px[s]) + offsets_px[peak] + between
+        start_px[s] = around_px[s] + offsets_px[peak] + between

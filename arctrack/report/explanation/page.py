@@ -81,12 +81,10 @@ def telling_lines(stripe: StripeLook) -> list[tuple[str, int]]:
 
 def candidates(explanation: Explanation, stripe: StripeLook, s: int) -> tuple[Candidate, ...]:
     """Return a scan line's likeliest candidates, the likeliest first, and the chosen one if it is no peak."""
-    assert explanation.look is not None
-    assert explanation.look.expected is not None
     reading = stripe.reading
     score = reading.score[s].astype(float)
     gains = np.minimum(0.5 * np.maximum(score, 0.0) ** 2, GAIN_CAP)
-    places = np.rint(explanation.look.expected.position_px[s]) + reading.offsets_px
+    places = reading.around_px[s] + reading.offsets_px
     around = np.concatenate([[-np.inf], score, [-np.inf]])
     peaks = np.flatnonzero((score >= around[:-2]) & (score > around[2:]) & (gains >= MIN_GAIN))
     shown = list(peaks[np.argsort(-score[peaks], kind="stable")][:MAX_CANDIDATES])

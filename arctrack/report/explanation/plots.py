@@ -68,6 +68,7 @@ def candidates_picture(explanation: Explanation, look: StripeLook) -> str:
     ceiling = max(1.2 * float(np.median(score.max(axis=1))), CERTAIN_SIGMAS)
     step = ceiling / SHADES
     low, high = int(reading.offsets_px[0]), int(reading.offsets_px[-1])
+    half = (high - low) / (2.0 * max(len(reading.offsets_px) - 1, 1))
     shown = axes.imshow(
         step * np.floor(score.T / step),
         cmap="Greys",
@@ -75,10 +76,10 @@ def candidates_picture(explanation: Explanation, look: StripeLook) -> str:
         vmax=ceiling,
         aspect="auto",
         interpolation="none",
-        extent=(-0.5, len(score) - 0.5, high + 1.0, low - 1.0),
+        extent=(-0.5, len(score) - 0.5, high + half, low - half),
     )
     figure.colorbar(shown, ax=axes, label="score [σ]", pad=0.01)
-    off = reading.start_px - np.rint(explanation.look.expected.position_px)
+    off = reading.start_px - reading.around_px
     lines = np.arange(len(off))
     axes.axhline(0.0, color=style.BLUE, linewidth=0.9, dashes=(6, 4), label="expected")
     axes.plot(lines, off, color=style.ORANGE, linewidth=1.2, label="likeliest path")
@@ -135,7 +136,7 @@ def line_picture(explanation: Explanation, look: StripeLook, s: int, title: str)
     keep = [n for n, name in enumerate(labels) if name != "saturated" or reading.band.censored[s, near].any()]
     close.legend([handles[n] for n in keep], [labels[n] for n in keep], fontsize=8, loc="upper right")
 
-    places, score = np.rint(expected) + reading.offsets_px, reading.score[s]
+    places, score = reading.around_px[s] + reading.offsets_px, reading.score[s]
     style.plain(tried, "position [px]", "score [σ]")
     tried.plot(places, score, color=style.BLACK, linewidth=0.9)
     tried.axhline(CERTAIN_SIGMAS, color=style.GREY, linewidth=0.9, dashes=(2, 2), label="above, no more gain")
