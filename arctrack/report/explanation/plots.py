@@ -79,7 +79,7 @@ def candidates_picture(explanation: Explanation, look: StripeLook) -> str:
         extent=(-0.5, len(score) - 0.5, high + half, low - half),
     )
     figure.colorbar(shown, ax=axes, label="score [σ]", pad=0.01)
-    off = reading.start_px - reading.around_px
+    off = reading.start_px - explanation.look.expected.position_px
     lines = np.arange(len(off))
     axes.axhline(0.0, color=style.BLUE, linewidth=0.9, dashes=(6, 4), label="expected")
     axes.plot(lines, off, color=style.ORANGE, linewidth=1.2, label="likeliest path")
