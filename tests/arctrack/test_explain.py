@@ -178,6 +178,7 @@ def made(
         lows,
         np.rint(expected.position_px),
         offsets,
+        1,
         score,
         start,
         lines.tried,

@@ -56,12 +56,11 @@ class LinesTwin:
         self.away = 1 if profile.scan[-1] > profile.scan[0] else -1
         # A point of two lines lies between them: both see what it does.
         half = 0.5 * (profile.lines_each - 1.0)
-        scans = [set(between) for between in (profile.scan - half, profile.scan + half)]
-        all_scans = self.away * np.array(sorted(scans[0] | scans[1]))
+        scans = self.away * np.concatenate([profile.scan - half, profile.scan + half])
         pad = math.ceil((OUTSIDE_MM + SLACK_MM) / profile.column_mm) if beyond else 0
-        place = self.away * profile.scan - all_scans.min() + pad
-        n = int(np.ptp(all_scans)) + 1 + 2 * pad
-        self.first_scan = int(all_scans.min()) - pad
+        place = self.away * profile.scan - scans.min() + pad
+        n = int(np.ptp(scans)) + 1 + 2 * pad
+        self.first_scan = int(scans.min()) - pad
         self.light, self.image_dn, self.column_mm = profile.light, profile.image_dn, profile.column_mm
         self.sees = np.full(n, UNREAD)
         for side in (-half, half):

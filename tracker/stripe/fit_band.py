@@ -39,6 +39,20 @@ class Noise(NamedTuple):
     base_e: float
 
 
+class Sought(NamedTuple):
+    """Where and how a stripe is sought: at `offsets_px` (n,) from its expected place, in sums of `bin_px`.
+
+    `is_searching` says whether the joint may lie far off its expected place, up to `reach_px`. Where a look
+    `reads_pairs`, two lines are fitted as one where no corner lies within that reach.
+    """
+
+    offsets_px: Int64
+    bin_px: int
+    reach_px: float
+    is_searching: bool
+    reads_pairs: bool
+
+
 class ReadRoom(NamedTuple):
     """Scratch for a frame's lines; `score` is flat, for as many offsets as a search has.
 
@@ -90,24 +104,27 @@ def score_lost(factor: float) -> float:
     return 1.0 - math.sqrt(2.0 * factor / (1.0 + factor * factor))
 
 
+@kernel
+def _write_widths(expected: ExpectedStripe, learned: FrameScatter, width_px: Float64) -> None:
+    """Write the 1 sigma (n_scan,) that is expected across the stripe, as much wider as frames have shown."""
+    factor = width_factor(learned)
+    for s in range(width_px.shape[0]):
+        width_px[s] = factor * expected.sigma_px[s]
+
+
 @kernel(allocates=True)
-def seek_path(
+def _seek_path(
     band: Band,
     expected: ExpectedStripe,
-    offsets_px: Int64,
-    bin_px: int,
+    sought: Sought,
     noise: Noise,
     learned: FrameScatter,
     room: ReadRoom,
 ) -> None:
-    """Find the likeliest path through a band at some offsets (n,), and where the fit of each line starts.
-
-    Pixels are summed by `bin_px`, see `viterbi.matched_filter`.
-    """
+    """Find the likeliest path through a band, and where the fit of each line starts."""
+    offsets_px, bin_px = sought.offsets_px, sought.bin_px
     n_scan, n = band.charge.shape[0], len(offsets_px)
-    factor = width_factor(learned)
-    for s in range(n_scan):
-        room.width_px[s] = factor * expected.sigma_px[s]
+    _write_widths(expected, learned, room.width_px)
     score = room.score[: n_scan * n].reshape((n_scan, n))
     middles(expected.position_px, band.lows, bin_px, room.around_px)
     matched_filter(
@@ -134,32 +151,40 @@ def seek_path(
 
 
 @kernel(allocates=True)
+def fit_band(
+    band: Band,
+    expected: ExpectedStripe,
+    sought: Sought,
+    noise: Noise,
+    learned: FrameScatter,
+    room: ReadRoom,
+) -> None:
+    """Find the likeliest path through a band, fit its lines and see how they scatter."""
+    _seek_path(band, expected, sought, noise, learned, room)
+    fit_path(band, expected, sought, noise, learned, room)
+
+
+@kernel(allocates=True)
 def fit_path(
     band: Band,
     expected: ExpectedStripe,
+    sought: Sought,
     noise: Noise,
     learned: FrameScatter,
-    is_searching: bool,
-    reads_pairs: bool,
-    reach_px: float,
     room: ReadRoom,
 ) -> None:
-    """Fit the lines of a band along the likeliest path and see how they scatter.
-
-    Where it `reads_pairs`, two lines are fitted as one where no corner lies within `reach_px`.
-    """
+    """Fit the lines of a band along the likeliest path that is known, and see how they scatter."""
     n_scan, lines = band.charge.shape[0], room.lines
-    factor = width_factor(learned)
+    _write_widths(expected, learned, room.width_px)
     for s in range(n_scan):
-        room.width_px[s] = factor * expected.sigma_px[s]
         room.n_lines[s], room.is_smooth[s] = 1, True
-    if reads_pairs:
+    if sought.reads_pairs:
         mark_pairs(
             room.choice,
             expected.face,
             expected.position_px,
             room.width_px,
-            reach_px,
+            sought.reach_px,
             room.n_lines,
             room.is_smooth,
         )
@@ -180,7 +205,7 @@ def fit_path(
         room.fit,
         lines,
     )
-    if reads_pairs:
+    if sought.reads_pairs:
         tell_both(expected.position_px, room.n_lines, centre_share(learned), lines)
     own_sigma(lines.fits, room.width_px, room.n_lines, room.scatter.values, room.own_px)
     frame_scatter(
@@ -192,7 +217,7 @@ def fit_path(
         room.n_lines,
         room.is_smooth,
         learned,
-        is_searching,
+        sought.is_searching,
         room.scatter,
         room.seen,
     )

@@ -27,10 +27,10 @@ from tracker.stripe.band import Band, LightLevel, gather_band, median_background
 from tracker.stripe.detection import Evidence
 from tracker.stripe.edge import StripeLight
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.fit_band import Noise, ReadRoom
+from tracker.stripe.fit_band import Noise, ReadRoom, Sought
 from tracker.stripe.read_band import UsualLine, read_band
 from tracker.stripe.scatter import Scatter
-from tracker.stripe.viterbi import OFFSET_STEP, bin_for, offsets_within
+from tracker.stripe.viterbi import bin_for, offsets_within
 
 MEDIAN_HALF_PX = 30
 MEDIAN_SIGMA = 1.0
@@ -47,7 +47,8 @@ class Work(NamedTuple):
     def of(cls, geometry: SensorGeometry) -> Work:
         """Make room for the widest band of a sensor, and for the offsets of a search."""
         n = geometry.n_scan * geometry.n_pos
-        n_offsets = 2 * math.floor(geometry.reach_px(SEARCH_REACH_MM)) // OFFSET_STEP + 1
+        # Bins of several pixels have fewer.
+        n_offsets = len(offsets_within(geometry.reach_px(SEARCH_REACH_MM), 1))
         charge, background, light, plain = np.empty((4, n), np.float32)
         censored, lows = np.empty(n, np.bool_), np.empty(-(-geometry.n_scan // CELL), np.int64)
         pixels = Band(charge, background, light, plain, censored, lows)
@@ -74,10 +75,10 @@ class StripeReading(NamedTuple):
 
     All but the stripe and the scatter are views of the scratch, good until the next frame; `lows` says where
     the band begins for each CELL scan lines. `score` (n_scan, n_offsets) is the matched filter's, in sigmas,
-    at `offsets_px` from `around_px` (n_scan,), next to the expected places; `start_px` (n_scan,) is where the
-    likeliest path runs, NaN for no stripe; `tried` and `fits` (n_scan, 7) are those of `LineFits`. The
-    variance of a pixel is `shot` times its mean plus `dark_variance_e2`; `map_sigma` is the background's
-    relative 1 sigma, `base_sigma_e` that of the black level and of the hall's light.
+    at `offsets_px` from `around_px` (n_scan,), next to the expected places, in sums of `bin_px`; `start_px`
+    (n_scan,) is where the likeliest path runs, NaN for no stripe; `tried` and `fits` (n_scan, 7) are those of
+    `LineFits`. The variance of a pixel is `shot` times its mean plus `dark_variance_e2`; `map_sigma` is the
+    background's relative 1 sigma, `base_sigma_e` that of the black level and of the hall's light.
     `second_share` is how bright a second stripe is over the first, 0 for none; the background has its light.
     `told_nats` is the evidence that the other one is the reflection, infinite where none is searched.
     `scatter` is what the frames up to this one show of it, `learned` what this one was read with.
@@ -92,6 +93,7 @@ class StripeReading(NamedTuple):
     lows: Int64
     around_px: Float64
     offsets_px: Int64
+    bin_px: int
     score: Float32
     start_px: Float64
     tried: Float64
@@ -234,17 +236,15 @@ def read_stripe(
     whether the joint may lie far off its expected place.
     """
     band, noise, bin_px = lit.band, lit.noise, bin_for(expected.sigma_px)
+    reads_pairs = scatter.frames > 0 and not is_searching
     seen = read_band(
         band,
         lit.light,
         expected,
-        offsets_within(reach_px, bin_px),
-        bin_px,
+        Sought(offsets_within(reach_px, bin_px), bin_px, reach_px, is_searching, reads_pairs),
         noise,
         scatter.average,
         scatter.frames,
-        is_searching,
-        reach_px,
         source.stripe.psf_sigma_px,
         source.image.n_pos,
         source.image.along_rows,
@@ -256,6 +256,7 @@ def read_stripe(
         band.lows,
         room.around_px,
         seen.offsets_px,
+        bin_px,
         seen.score,
         room.start_px,
         room.lines.tried,

@@ -14,7 +14,7 @@ from tracker.state import Stripe
 from tracker.stripe.band import Band, LightLevel, at_level
 from tracker.stripe.detection import Evidence, evidence_of
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.fit_band import MOST_SCORE_LOST, Noise, ReadRoom, fit_path, score_lost, seek_path
+from tracker.stripe.fit_band import MOST_SCORE_LOST, Noise, ReadRoom, Sought, fit_band, fit_path, score_lost
 from tracker.stripe.frame_scatter import ScatterRoom, own_sigma
 from tracker.stripe.ghost import second_light, second_place
 from tracker.stripe.misfit import count_alike, misfit_sigma_px
@@ -111,16 +111,13 @@ def _copy(pixels: Float32, into: Float32) -> None:
 def _read_without_a_second(
     band: Band,
     expected: ExpectedStripe,
-    offsets_px: Int64,
-    bin_px: int,
+    sought: Sought,
     noise: Noise,
     learned: FrameScatter,
-    is_searching: bool,
-    reads_pairs: bool,
-    reach_px: float,
     room: ReadRoom,
 ) -> Told:
     """Take a second stripe's light for background, and read the band anew until that changes nothing."""
+    offsets_px, reach_px = sought.offsets_px, sought.reach_px
     share, apart_px, is_plain = 0.0, 0.0, True
     for _ in range(MAX_ROUNDS):
         plain = band.background if is_plain else band.plain
@@ -140,10 +137,9 @@ def _read_without_a_second(
             for j in range(light.shape[1]):
                 band.background[s, j] = band.plain[s, j] + light[s, j]
         share = now
-        seek_path(band, expected, offsets_px, bin_px, noise, learned, room)
-        fit_path(band, expected, noise, learned, is_searching, reads_pairs, reach_px, room)
+        fit_band(band, expected, sought, noise, learned, room)
     told = Told(share, math.inf, False, 0, len(offsets_px))
-    if not is_searching or share == 0.0:
+    if not sought.is_searching or share == 0.0:
         return told
     told = told_of_two(
         room.lines.fits, expected.position_px, apart_px, share, offsets_px, reach_px, room.scatter
@@ -151,8 +147,8 @@ def _read_without_a_second(
     if told.is_reflection:
         _copy(band.plain, band.background)
         near = offsets_px[told.first : told.first + told.n_offsets]
-        seek_path(band, expected, near, bin_px, noise, learned, room)
-        fit_path(band, expected, noise, learned, is_searching, reads_pairs, reach_px, room)
+        nearby = Sought(near, sought.bin_px, reach_px, sought.is_searching, sought.reads_pairs)
+        fit_band(band, expected, nearby, noise, learned, room)
     return told
 
 
@@ -230,47 +226,39 @@ def read_band(
     band: Band,
     light: LightLevel,
     expected: ExpectedStripe,
-    offsets_px: Int64,
-    bin_px: int,
+    sought: Sought,
     noise: Noise,
     before: FrameScatter,
     frames: int,
-    is_searching: bool,
-    reach_px: float,
     psf_sigma_px: float,
     n_pos: int,
     along_rows: bool,
     room: ReadRoom,
 ) -> BandReading:
-    """Read the stripe in a band at some offsets (n,) from its expected place, sought in bins of `bin_px`.
+    """Read the stripe in a band.
 
     The band's background is brought to the level of its `light` first. `before` is the scatter of so many
-    earlier `frames`. With it a frame is read; the first one with what it shows itself. `is_searching` says
-    whether the joint may lie far off its expected place, up to `reach_px`. Scan lines are `n_pos` long, and
-    the image's columns where the stripe runs `along_rows`. What is read beside the lines stays in `room`.
+    earlier `frames`. With it a frame is read; the first one with what it shows itself. Scan lines are `n_pos`
+    long, and the image's columns where the stripe runs `along_rows`. What is read beside the lines stays in
+    `room`.
     """
     at_level(band.background, light)
     read_with, after = before, empty_scatter()
-    reads_pairs = frames > 0 and not is_searching
-    seek_path(band, expected, offsets_px, bin_px, noise, before, room)
-    fit_path(band, expected, noise, before, is_searching, reads_pairs, reach_px, room)
+    fit_band(band, expected, sought, noise, before, room)
     if frames == 0:
         read_with = empty_scatter()
         add_frame(before, 0, room.seen, read_with)
         # A stripe of another width is sought anew. Of a search no more is asked than where the joint is.
         if score_lost(width_factor(before) / width_factor(read_with)) > MOST_SCORE_LOST:
-            seek_path(band, expected, offsets_px, bin_px, noise, read_with, room)
-            fit_path(band, expected, noise, read_with, is_searching, reads_pairs, reach_px, room)
-        elif not is_searching:
-            fit_path(band, expected, noise, read_with, is_searching, reads_pairs, reach_px, room)
-    told = _read_without_a_second(
-        band, expected, offsets_px, bin_px, noise, read_with, is_searching, reads_pairs, reach_px, room
-    )
+            fit_band(band, expected, sought, noise, read_with, room)
+        elif not sought.is_searching:
+            fit_path(band, expected, sought, noise, read_with, room)
+    told = _read_without_a_second(band, expected, sought, noise, read_with, room)
     add_frame(before, frames, room.seen, after)
     stripe = _empty_stripe(band.charge.shape[0], along_rows)
     _finish(expected, after, psf_sigma_px, room, stripe)
     n_scan, n = room.start_px.shape[0], told.n_offsets
-    sought_px = offsets_px[told.first : told.first + n]
+    sought_px = sought.offsets_px[told.first : told.first + n]
     score = room.score[: n_scan * n].reshape((n_scan, n))
     evidence = evidence_of(
         stripe.position_px,
@@ -282,7 +270,7 @@ def read_band(
         score,
         room.around_px,
         sought_px,
-        bin_px,
+        sought.bin_px,
         read_with,
         room.scatter.values,
     )

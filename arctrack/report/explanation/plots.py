@@ -18,7 +18,7 @@ from arctrack.report.explanation.words import scan_line
 from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float64
 from tracker.joint.measured import SIGMA_FLOOR_PX, off_section
-from tracker.stripe.viterbi import GAIN_CAP
+from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP
 
 WIDTH_INCH = 10.5
 
@@ -68,7 +68,7 @@ def candidates_picture(explanation: Explanation, look: StripeLook) -> str:
     ceiling = max(1.2 * float(np.median(score.max(axis=1))), CERTAIN_SIGMAS)
     step = ceiling / SHADES
     low, high = int(reading.offsets_px[0]), int(reading.offsets_px[-1])
-    half = (high - low) / (2.0 * max(len(reading.offsets_px) - 1, 1))
+    half = 0.5 * OFFSET_STEP * reading.bin_px
     shown = axes.imshow(
         step * np.floor(score.T / step),
         cmap="Greys",
