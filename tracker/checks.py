@@ -326,6 +326,12 @@ STRIPE_TOLD = _question(
 JOINT_TYPE = _question(
     "joint_type", "the profile shows no other type of joint decidedly", "yes", flags.JOINT_TYPE_MISMATCH
 )
+JOINT_AS_STATED = _question(
+    "joint_as_stated",
+    "a joint that departs from its shape looks like no other type",
+    "yes",
+    flags.JOINT_NOT_FOUND,
+)
 JOINT_SEEN = _question("joint_seen", "the profile determines the joint", "yes", flags.JOINT_NOT_FOUND)
 GAP_SHOWN = _question("gap_shown", "the stripe shows the butt joint's gap", "yes", flags.SEAM_BY_LINE)
 JOINT_EVIDENCE = _question(

@@ -275,6 +275,18 @@ def measure_again(
     return again._replace(scatter=again.scatter._replace(frames=scatter.frames + 1))
 
 
+def as_stated(reading: Reading) -> Reading:
+    """Return a search's reading without its joint where that is neither of its shape nor of its type.
+
+    Of pieces of two stripes, or of one that the map has broken, a section can be made that no plate explains.
+    """
+    both = flags.JOINT_TYPE_MISMATCH.mask | flags.JOINT_MISFIT.mask
+    if reading.joint is None:
+        return reading
+    is_stated = ask_whether(reading.asked, checks.JOINT_AS_STATED, reading.flags & both != both)
+    return reading if is_stated else reading._replace(joint=None)
+
+
 def _lines_held(reading: Reading) -> int:
     """Return how many scan lines hold a stripe."""
     return 0 if reading.stripe is None else int(np.isfinite(reading.stripe.position_px).sum())

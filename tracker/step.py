@@ -14,7 +14,7 @@ from tracker import checks
 from tracker.checks import Asked, ask, ask_as, ask_whether
 from tracker.frame import REFUSED, TRACKED, TRACKS, FrameGiven, FrameTracked, expect, reach_of
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
-from tracker.measure import Reading, frame_light, measure, measure_again
+from tracker.measure import Reading, as_stated, frame_light, measure, measure_again
 from tracker.seam.correction import UNSTATED, Correction
 from tracker.seam.expected import ExpectedSeam, pose_checks
 from tracker.seam.judge import Judged, SeamShown, judge
@@ -180,7 +180,7 @@ def step_by_step(
     reach_mm: float = reach_of(state, expected)
     reading = measure(geometry, frame, pose, expected.line, reach_mm, work, use_arc_map, state.scatter)
     if not ask(asked, checks.REACH, reach_mm, SEARCH_REACH_MM):
-        reading = measure_again(
+        again = measure_again(
             geometry,
             frame,
             pose,
@@ -191,6 +191,7 @@ def step_by_step(
             use_arc_map,
             state.scatter,
         )
+        reading = as_stated(again)
     ask_as(asked, reading.asked)
     joint, unknown = reading.joint, (NAN, NAN)
     judged: Judged = judge(

@@ -13,7 +13,10 @@ from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, transform
-from tracker import flags
+from tracker import checks, flags
+from tracker.checks import ask, ask_whether
+from tracker.joint.ask import JOINT_CHI2_LIMIT
+from tracker.measure import as_stated
 from tracker.state import Frame
 from tracker.tracker import Tracker
 
@@ -154,6 +157,25 @@ def test_a_joint_that_is_not_as_stated_is_told(stated: str, there: str) -> None:
     pose = pose_at(0.0)
     track = Tracker(setup).step(frame_of(setup, pose, of=true), pose)
     assert track.flags & flags.JOINT_TYPE_MISMATCH.mask, track.flag_names
+
+
+@pytest.mark.parametrize(
+    ("is_misfit", "is_other", "is_kept"), [(True, True, False), (True, False, True), (False, True, True)]
+)
+def test_a_misfit_that_looks_like_another_type_is_no_joint(
+    is_misfit: bool, is_other: bool, is_kept: bool
+) -> None:
+    setup, pose = small_setup("lap"), pose_at(0.0)
+    tracker = Tracker(setup)
+    tracker.step(frame_of(setup, pose), pose)
+    reading = tracker.reading
+    assert reading is not None
+    assert reading.joint is not None
+    ask(reading.asked, checks.JOINT_CHI2, 20.0 if is_misfit else 1.0, JOINT_CHI2_LIMIT)
+    ask_whether(reading.asked, checks.JOINT_TYPE, not is_other)
+    judged = as_stated(reading)
+    assert (judged.joint is not None) == is_kept
+    assert bool(judged.flags & flags.JOINT_NOT_FOUND.mask) != is_kept
 
 
 def test_the_margin_shrinks_as_the_joint_leaves_the_view() -> None:
