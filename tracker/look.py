@@ -36,8 +36,8 @@ from tracker.seam.locate import sources
 from tracker.state import Stripe
 from tracker.stripe.band import FIT_SIGMAS
 from tracker.stripe.detection import MIN_RATIO, MIN_SEEN, seen_share
-from tracker.stripe.edge import no_light
 from tracker.stripe.expected import ExpectedStripe, expect
+from tracker.stripe.light import no_light
 from tracker.stripe.read import LitBand, StripeReading, Work, light_band, light_of, read_stripe
 from tracker.stripe.scatter import Scatter
 

@@ -18,7 +18,8 @@ from noise_model.surface.faces import ridge
 from noise_model.transforms import inverted
 from tracker.geometry import SensorGeometry, StripeSource
 from tracker.stripe.askew import askew_sigma_px
-from tracker.stripe.edge import StripeLight, clear_lines
+from tracker.stripe.edge import clear_lines
+from tracker.stripe.light import StripeLight
 
 MIN_POINTS = 20
 """A profile of fewer points shows no joint."""

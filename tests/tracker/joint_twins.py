@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from edge_twins import FacesBeside
 
 from noise_model.arrays import Bool, Float64
 from noise_model.surface.joint import Joint, section
@@ -35,7 +36,6 @@ from tracker.joint.measured import (
     START_SIGMA_MM,
     SURE_MM,
     SURE_SIGMAS,
-    OnFace,
     ShapeFit,
     fit_points,
     points_of,
@@ -193,12 +193,12 @@ def fitted_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: 
     if fit is None:
         return None
     lines, wall_mm = profile.by_scan(), float(start[-1])
-    before, behind = beside_the_upright(lines, fit, wall_mm)
+    faces, near, before, behind = beside_the_upright(lines, fit, wall_mm)
     if before < 0:
         return None
     hidden = hidden_strip((camera_mm, laser_mm), wall_mm, z_0 + depth, depth, profile.slope_sigma)
-    met = met_by_rays(lines, fit, wall_mm, before)
-    edge = upright_edge(lines.scan, lines.column_mm, light_of(lines), before, behind, hidden, met)
+    met, change = faces.met(lines, before), faces.change(lines, near, half_v.BENT_MM, before, behind)
+    edge = upright_edge(lines.scan, lines.column_mm, light_of(lines), before, behind, hidden, met, change)
     start[-1] = wall_mm = edge.y_mm
     clear = (y_mm <= lines.y_mm[before]) | (y_mm >= lines.y_mm[behind] + profile.mixed_mm)
     fit = fit_of(profile, HALF_GROOVE, start, sigma, clear)
@@ -219,30 +219,26 @@ def fitted_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: 
     return HalfV(fit, wall_mm, left_out_of(fit, clear & inside))
 
 
-def beside_the_upright(profile: Profile, fit: ShapeFit, wall_mm: float) -> tuple[int, int]:
-    """The last point of the right plate and the first in the groove beside an upright side, or -1."""
+class BesideUpright(NamedTuple):
+    """The faces beside an upright side, points (n,) that are near it, and the two next to it, or -1."""
+
+    faces: FacesBeside
+    near: Bool
+    before: int
+    behind: int
+
+
+def beside_the_upright(profile: Profile, fit: ShapeFit, wall_mm: float) -> BesideUpright:
+    """What lies beside an upright side: the right plate before it, the groove behind."""
     gap, root, tan, _, depth, _, slope = fit.parameters
     y = profile.y_mm - wall_mm
-    over_plate = profile.z_mm - (root + depth + slope * y)
-    over_groove = profile.z_mm - (root + np.maximum(y - gap, 0.0) / tan)
+    heights_mm = np.stack([root + depth + slope * y, root + np.maximum(y - gap, 0.0) / tan])
+    slopes = np.stack([np.full(len(y), slope), np.where(y > gap, 1.0 / tan, 0.0)])
     sigma_mm = half_v.ON_FACE_SIGMAS * np.abs(profile.dz_mm) * profile.sigma_px
     limit_mm = np.minimum(0.25 * depth, np.hypot(half_v.BENT_MM, sigma_mm))
     near = np.abs(y) < 5.0 * half_v.CLEAR_OF_EDGE_MM
-    beside: tuple[int, int] = neighbours_of_edge(
-        near & (np.abs(over_plate) < limit_mm), near & (np.abs(over_groove) < limit_mm)
-    )
-    return beside
-
-
-def met_by_rays(profile: Profile, fit: ShapeFit, wall_mm: float, before: int) -> OnFace:
-    """Where points' rays meet the right plate, up to the point `before` the upright, or the groove."""
-    gap, root, tan, _, depth, _, slope_right = fit.parameters
-    y = profile.y_mm - wall_mm
-    is_plate = np.arange(len(y)) <= before
-    height_mm = root + np.where(is_plate, depth + slope_right * y, np.maximum(y - gap, 0.0) / tan)
-    slope = np.where(is_plate, slope_right, np.where(y > gap, 1.0 / tan, 0.0))
-    y_per_z = profile.dy_mm / (profile.dz_mm - slope * profile.dy_mm)
-    return OnFace(profile.y_mm - y_per_z * (profile.z_mm - height_mm), y_per_z)
+    on_plate, in_groove = near & (np.abs(profile.z_mm - heights_mm) < limit_mm)
+    return BesideUpright(FacesBeside(heights_mm, slopes), near, *neighbours_of_edge(on_plate, in_groove))
 
 
 def left_out_of(fit: ShapeFit, near: Bool) -> float:

@@ -40,7 +40,8 @@ from tracker.joint.slot import (
     Gap,
 )
 from tracker.profile import Profile
-from tracker.stripe.edge import WINDOW_SIGMAS, clear_of_an_edge, stripe_end
+from tracker.stripe.edge import clear_of_an_edge, stripe_end
+from tracker.stripe.light import WINDOW_SIGMAS
 
 
 class LinesTwin:

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 from noise_model.arc.map import CELL
 from noise_model.arrays import Float64
 from tracker.profile import Profile
-from tracker.stripe.edge import StripeLight
+from tracker.stripe.light import StripeLight
 
 N_SCAN, DEPTH, EDGE = 64, 96, 31
 WIDTH_PX, PSF_PX, DARK_E2 = 5.0, 0.8, 100.0

@@ -13,9 +13,15 @@ from profiles import COLUMN_MM, PX_MM, lap, measure, only, spoil
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint, fit_joint
 from tracker.joint.complete import ALIKE_OFF_PX, BIAS_SHARE
-from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, clear_of_edge, near_sheets, share_off
-from tracker.joint.measured import OFF_SIGMAS, SIGMA_FLOOR_PX, count_with_floor, typical_mm
-from tracker.joint.upright_edge import Edge, edge_covariance, hidden_strip, neighbours_of_edge
+from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, clear_of_edge, share_off, sheets_at
+from tracker.joint.measured import OFF_SIGMAS, SIGMA_FLOOR_PX, count_with_floor, points_of, typical_mm
+from tracker.joint.upright_edge import (
+    Edge,
+    edge_covariance,
+    hidden_strip,
+    neighbours_of_edge,
+    points_beside,
+)
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
 STATED = Joint("lap", {"thickness_mm": 2.0}, LINE)
@@ -184,17 +190,20 @@ def test_what_lies_on_which_sheet_is_its_twin(seed: int) -> None:
     y, z = profile.y_mm, profile.z_mm
     sheets = Sheets(float(rng.uniform(-1.0, 1.0)), 0.2, 2.1, 0.01, -0.02)
     edge = sheets.y + float(rng.normal(0.0, 0.1))
-    clear, upper, lower = np.empty((3, len(y)), dtype=bool)
+    clear = np.empty(len(y), dtype=bool)
     before, behind = clear_of_edge(y, sheets.y, clear)
     np.testing.assert_array_equal(clear, np.abs(y - sheets.y) > CLEAR_OF_EDGE_MM)
     assert (before, behind) == ((clear & (y < sheets.y)).sum(), (clear & (y > sheets.y)).sum())
-    limit_mm = float(rng.uniform(0.05, 0.6))
-    near_sheets(y, z, sheets, limit_mm, upper, lower)
-    off_upper = np.abs(z - np.polyval([-0.02, 2.3], y - sheets.y))
-    off_lower = np.abs(z - np.polyval([0.01, 0.2], y - sheets.y))
+    faces = sheets_at(y, sheets)
+    upper_mm, lower_mm = np.polyval([-0.02, 2.3], y - sheets.y), np.polyval([0.01, 0.2], y - sheets.y)
+    np.testing.assert_allclose((faces.before_mm, faces.behind_mm), (upper_mm, lower_mm))
+    np.testing.assert_array_equal(faces.before_slope, -0.02)
+    np.testing.assert_array_equal(faces.behind_slope, 0.01)
+    off_upper, off_lower = np.abs(z - upper_mm), np.abs(z - lower_mm)
     near = np.abs(y - sheets.y) < 2.0
-    np.testing.assert_array_equal(upper, near & (off_upper < limit_mm))
-    np.testing.assert_array_equal(lower, near & (off_lower < limit_mm))
+    limits_mm = np.where(near, rng.uniform(0.05, 0.6, len(y)), 0.0)
+    beside = points_beside(points_of(profile), faces, limits_mm)
+    assert beside == neighbours_of_edge(off_upper < limits_mm, off_lower < limits_mm)
     sigma = np.abs(profile.dz_mm) * np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
     off = np.where(y < edge, off_upper, off_lower) > OFF_SIGMAS * sigma
     share = share_off(y, z, profile.dz_mm, profile.sigma_px, sheets, edge)

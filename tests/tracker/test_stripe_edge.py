@@ -25,22 +25,20 @@ from noise_model.arrays import Float64
 from tracker.joint.measured import OnFace, meet_face, points_of
 from tracker.joint.plate_lines import HIDDEN, UNREAD, OnPlates, plate_lines
 from tracker.joint.section import frame_given, section_from
-from tracker.joint.upright_edge import Edge, HiddenStrip, edge_covariance, upright_edge
+from tracker.joint.upright_edge import Change, Edge, HiddenStrip, edge_covariance, upright_edge
 from tracker.joint.upright_edge import light_of as light_at_hand
 from tracker.profile import Profile
 from tracker.stripe.edge import (
-    BEYOND,
     MIN_SIGMA,
     MIN_STRIPE_SHARE,
     SPREAD,
     STEP,
-    StripeLight,
     end_misfit,
     fit_end,
-    line_shares,
     stripe_end,
     stripe_ends,
 )
+from tracker.stripe.light import BEYOND, StripeLight, line_room, line_shares
 
 
 @pytest.mark.parametrize("flipped", [False, True])
@@ -117,11 +115,12 @@ def test_shares_are_their_twin(seed: int, n: int, back: bool) -> None:
     rng = np.random.default_rng(seed)
     light = light_of(rng, EDGE + rng.uniform(-1.0, 1.0), EDGE + rng.uniform(0.0, 2.0))
     light.censored[rng.uniform(size=light.censored.shape) < 0.01] = True
+    light.background_e[:] += rng.normal(0.0, rng.choice([0.0, 300.0]), light.background_e.shape)
     away = -1 if back else 1
     last = EDGE - away * 4
     first = last + away * (n + 1)
     shares, variances = np.empty((2, 2, n))
-    assert line_shares(light, last, first, away, BEYOND, shares, variances)
+    assert line_shares(light, last, first, away, BEYOND, shares, variances, line_room(DEPTH))
 
     residual = light.charge_e.astype(np.float64) - light.background_e
     residual[light.censored] = np.nan
@@ -147,12 +146,21 @@ def test_shares_are_their_twin(seed: int, n: int, back: bool) -> None:
             r <= math.ceil(max(upper, lower) + 3.0 * WIDTH_PX)
         )
         used = near & np.isfinite(u + v + residual[s])
-        weight = 1.0 / np.sqrt(light.background_e[s] + DARK_E2 + np.maximum(np.maximum(u, v), 0.0))[used]
+        weight = (
+            1.0
+            / np.sqrt(np.maximum(light.background_e[s], 0.0) + DARK_E2 + np.maximum(np.maximum(u, v), 0.0))[
+                used
+            ]
+        )
         A = np.stack([u[used], v[used], np.ones(used.sum())], axis=1) * weight[:, None]
         covariance = np.linalg.inv(A.T @ A)
         expected = covariance @ A.T @ (residual[s][used] * weight)
         assert shares[:, i] == pytest.approx(expected[:2], rel=1e-6, abs=1e-6)
-        assert variances[:, i] == pytest.approx(np.diag(covariance)[:2], rel=1e-4)
+        left = (residual[s][used] * weight - A @ expected).astype(float)
+        change_e = 0.5 * (light.background_e[s + 1].astype(float) - light.background_e[s - 1])
+        by_background = covariance @ A.T @ (change_e[used] * weight)
+        noise = max(left @ left / (used.sum() - 3.0), 1.0) * np.diag(covariance)
+        assert variances[:, i] == pytest.approx((noise + by_background**2)[:2], rel=1e-4)
 
 
 def gap_of(
@@ -257,6 +265,9 @@ def test_an_end_is_its_twin(true: float, sigma: float, contrast: float, alike: f
     assert end_sigma == pytest.approx(math.hypot(math.sqrt(excess) * deviation, MIN_SIGMA), rel=0.2)
 
 
+NO_CHANGE = Change(0.0, 0.0)
+
+
 def edge_of(profile: Profile, before: int, behind: int, hidden_mm: float) -> Edge:
     """The edge between two points of a profile whose faces lie at z = 0."""
     n = len(profile.y_mm)
@@ -267,7 +278,7 @@ def edge_of(profile: Profile, before: int, behind: int, hidden_mm: float) -> Edg
 
 def edge_amid(profile: Profile, before: int, behind: int, hidden: HiddenStrip, face: OnFace) -> Edge:
     edge: Edge = upright_edge(
-        profile.scan, profile.column_mm, light_at_hand(profile), before, behind, hidden, face
+        profile.scan, profile.column_mm, light_at_hand(profile), before, behind, hidden, face, NO_CHANGE
     )
     return edge
 

@@ -16,12 +16,9 @@ from tracker.joint.measured import (
     SURE_MM,
     SURE_SIGMAS,
     MeasuredJoint,
-    OnFace,
-    SectionPoints,
     ShapeFit,
     fit_points,
     in_scan_order,
-    meet_face,
     opening_area,
     share_left_out,
     shift_of,
@@ -31,7 +28,16 @@ from tracker.joint.measured import (
 from tracker.joint.root import weigh_root
 from tracker.joint.section import Section, is_long_enough
 from tracker.joint.section_shapes import HALF_GROOVE, N_CORNERS, corners_of
-from tracker.joint.upright_edge import edge_covariance, hidden_strip, neighbours_of_edge, upright_edge
+from tracker.joint.upright_edge import (
+    Faces,
+    change_of,
+    edge_covariance,
+    hidden_strip,
+    meet_faces,
+    no_faces,
+    points_beside,
+    upright_edge,
+)
 from tracker.state import JointShape
 
 SEARCH_STEP_MM = 0.1
@@ -147,15 +153,20 @@ def upright_side(
     """
     lines, y_mm = in_scan_order(section.points), section.points.y_mm
     wall_mm, n = start[WALL], y_mm.shape[0]
-    on_plate, in_groove = np.empty(n, np.bool_), np.empty(n, np.bool_)
-    near_faces(lines, fit.parameters, wall_mm, on_plate, in_groove)
-    before, behind = neighbours_of_edge(on_plate, in_groove)
+    faces, limits_mm = faces_at(lines.y_mm, fit.parameters, wall_mm), np.empty(n)
+    for i in range(n):
+        # Faces may bend beside the upright side.
+        sure_mm = math.hypot(BENT_MM, ON_FACE_SIGMAS * abs(lines.dz_mm[i]) * lines.sigma_px[i])
+        is_near = abs(lines.y_mm[i] - wall_mm) < 5.0 * CLEAR_OF_EDGE_MM
+        limits_mm[i] = min(0.25 * fit.parameters[DEPTH_RIGHT], sure_mm) if is_near else 0.0
+    before, behind = points_beside(lines, faces, limits_mm)
     if before < 0:
         return UprightSide(math.nan, math.nan)
     sources_mm = section.camera_mm, section.laser_mm
     hidden = hidden_strip(sources_mm, wall_mm, start[ROOT] + depth_mm, depth_mm, section.slope_sigma)
-    met = meet_faces(lines, fit.parameters, wall_mm, before)
-    edge = upright_edge(lines.scan, section.column_mm, section.light, before, behind, hidden, met)
+    met = meet_faces(lines, faces, before)
+    change = change_of(lines, faces, limits_mm, BENT_MM, section.column_mm, section.light, before, behind)
+    edge = upright_edge(lines.scan, section.column_mm, section.light, before, behind, hidden, met, change)
     # What lies between may be either side's, and the first lines in the groove hold light of the plate too.
     for i in range(n):
         clear[i] = y_mm[i] <= lines.y_mm[before] or y_mm[i] >= lines.y_mm[behind] + section.mixed_mm
@@ -163,32 +174,19 @@ def upright_side(
     return UprightSide(edge.y_mm, edge_covariance(edge, mean_height, mean_height, fit.covariance)[0, 0])
 
 
-@kernel
-def near_faces(lines: SectionPoints, p: Float64, wall_mm: float, on_plate: Bool, in_groove: Bool) -> None:
-    """Say which points (n,) beside an upright side lie on the right plate, and which in the groove."""
-    for i in range(lines.y_mm.shape[0]):
-        y, z = lines.y_mm[i] - wall_mm, lines.z_mm[i] - p[ROOT]
-        sure_mm = math.hypot(BENT_MM, ON_FACE_SIGMAS * abs(lines.dz_mm[i]) * lines.sigma_px[i])
-        limit_mm = min(0.25 * p[DEPTH_RIGHT], sure_mm)
-        is_near = abs(y) < 5.0 * CLEAR_OF_EDGE_MM
-        on_plate[i] = is_near and abs(z - (p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y)) < limit_mm
-        in_groove[i] = is_near and abs(z - max(y - p[GAP], 0.0) / p[TAN]) < limit_mm
-
-
 @kernel(allocates=True)
-def meet_faces(lines: SectionPoints, p: Float64, wall_mm: float, before: int) -> OnFace:
-    """Return where points' rays meet the right plate, up to the point `before` the upright, or the groove."""
-    n = lines.y_mm.shape[0]
-    height_mm, slope = np.empty(n), np.empty(n)
-    for i in range(n):
-        y = lines.y_mm[i] - wall_mm
-        if i <= before:
-            height_mm[i], slope[i] = p[ROOT] + (p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y), p[SLOPE_RIGHT]
-        else:
-            height_mm[i] = p[ROOT] + max(y - p[GAP], 0.0) / p[TAN]
-            slope[i] = 1.0 / p[TAN] if y > p[GAP] else 0.0
-    met: OnFace = meet_face(lines, height_mm, slope)
-    return met
+def faces_at(y_mm: Float64, p: Float64, wall_mm: float) -> Faces:
+    """Return what lies beside an upright side, carried on to places (n,): the right plate, and the groove."""
+    faces = no_faces(y_mm.shape[0])
+    for i in range(y_mm.shape[0]):
+        y = y_mm[i] - wall_mm
+        faces.before_mm[i], faces.before_slope[i] = (
+            p[ROOT] + (p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y),
+            p[SLOPE_RIGHT],
+        )
+        faces.behind_mm[i] = p[ROOT] + max(y - p[GAP], 0.0) / p[TAN]
+        faces.behind_slope[i] = 1.0 / p[TAN] if y > p[GAP] else 0.0
+    return faces
 
 
 @kernel

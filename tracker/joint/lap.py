@@ -17,12 +17,10 @@ from tracker.joint.measured import (
     SIGMA_FLOOR_PX,
     START_SIGMA_MM,
     MeasuredJoint,
-    OnFace,
     SectionPoints,
     ShapeFit,
     fit_points,
     in_scan_order,
-    meet_face,
     shift_of,
     two_angles,
     undetermined,
@@ -31,9 +29,13 @@ from tracker.joint.section import Section, is_long_enough
 from tracker.joint.section_shapes import N_CORNERS, SHEETS, corners_of
 from tracker.joint.upright_edge import (
     Edge,
+    Faces,
+    change_of,
     edge_covariance,
     hidden_strip,
-    neighbours_of_edge,
+    meet_faces,
+    no_faces,
+    points_beside,
     upright_edge,
 )
 from tracker.state import JointShape
@@ -142,13 +144,15 @@ def measured_lap(
 def edge_of_sheets(section: Section, lines: SectionPoints, sheets: Sheets, thickness_mm: float) -> Edge:
     """Return where the sheets' edge is, NaN where points (n,) do not lie on both beside it."""
     n, nowhere = lines.y_mm.shape[0], Edge(math.nan, math.nan, math.nan)
-    moves_mm, on_upper, on_lower = np.empty(n), np.empty(n, np.bool_), np.empty(n, np.bool_)
+    moves_mm, limits_mm = np.empty(n), np.empty(n)
     for i in range(n):
         moves_mm[i] = abs(lines.dz_mm[i]) * lines.sigma_px[i]
-    off_mm = OFF_SIGMAS * exact_median(moves_mm)
-    limit_mm = max(MIN_OFF_SHEET * thickness_mm, min(off_mm, ON_SHEET * thickness_mm))
-    near_sheets(lines.y_mm, lines.z_mm, sheets, limit_mm, on_upper, on_lower)
-    before, behind = neighbours_of_edge(on_upper, on_lower)
+    off_mm, bent_mm = OFF_SIGMAS * exact_median(moves_mm), MIN_OFF_SHEET * thickness_mm
+    limit_mm = max(bent_mm, min(off_mm, ON_SHEET * thickness_mm))
+    for i in range(n):
+        limits_mm[i] = limit_mm if abs(lines.y_mm[i] - sheets.y) < NEAR_MM else 0.0
+    faces = sheets_at(lines.y_mm, sheets)
+    before, behind = points_beside(lines, faces, limits_mm)
     if before < 0:
         return nowhere
     # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.
@@ -157,8 +161,9 @@ def edge_of_sheets(section: Section, lines: SectionPoints, sheets: Sheets, thick
     # Glare or spatter over all of the points near it: between those beyond, an edge may be anywhere.
     if lines.y_mm[behind] - hidden.width_mm - lines.y_mm[before] > 2.0 * CLEAR_OF_EDGE_MM:
         return nowhere
-    met = meet_sheets(lines, sheets, before)
-    return upright_edge(lines.scan, section.column_mm, section.light, before, behind, hidden, met)
+    change = change_of(lines, faces, limits_mm, bent_mm, section.column_mm, section.light, before, behind)
+    met = meet_faces(lines, faces, before)
+    return upright_edge(lines.scan, section.column_mm, section.light, before, behind, hidden, met, change)
 
 
 @kernel(allocates=True)
@@ -192,16 +197,17 @@ class Sheets(NamedTuple):
 
 
 @kernel(allocates=True)
-def meet_sheets(lines: SectionPoints, sheets: Sheets, before: int) -> OnFace:
-    """Return where points' (n,) rays meet the upper sheet, up to the point `before`, or the lower one."""
-    n = lines.y_mm.shape[0]
-    height_mm, slope = np.empty(n), np.empty(n)
-    for i in range(n):
-        slope[i] = sheets.slope_upper if i <= before else sheets.slope_lower
-        step_mm = sheets.step if i <= before else 0.0
-        height_mm[i] = sheets.z + step_mm + slope[i] * (lines.y_mm[i] - sheets.y)
-    met: OnFace = meet_face(lines, height_mm, slope)
-    return met
+def sheets_at(y_mm: Float64, sheets: Sheets) -> Faces:
+    """Return both sheets carried on to places (n,): the upper one before the edge, the lower one behind."""
+    faces = no_faces(y_mm.shape[0])
+    for i in range(y_mm.shape[0]):
+        y = y_mm[i] - sheets.y
+        faces.before_mm[i], faces.before_slope[i] = (
+            sheets.z + sheets.step + sheets.slope_upper * y,
+            sheets.slope_upper,
+        )
+        faces.behind_mm[i], faces.behind_slope[i] = sheets.z + sheets.slope_lower * y, sheets.slope_lower
+    return faces
 
 
 @kernel
@@ -214,19 +220,6 @@ def clear_of_edge(y_mm: Float64, edge_mm: float, clear: Bool) -> tuple[int, int]
         before += off < -CLEAR_OF_EDGE_MM
         behind += off > CLEAR_OF_EDGE_MM
     return before, behind
-
-
-@kernel
-def near_sheets(
-    y_mm: Float64, z_mm: Float64, sheets: Sheets, limit: float, on_upper: Bool, on_lower: Bool
-) -> None:
-    """Say of each point (n,) whether it lies near the edge and, within a limit, mm, on either sheet."""
-    for i in range(y_mm.shape[0]):
-        y = y_mm[i] - sheets.y
-        over = z_mm[i] - sheets.z
-        is_near = abs(y) < NEAR_MM
-        on_upper[i] = is_near and abs(over - sheets.step - sheets.slope_upper * y) < limit
-        on_lower[i] = is_near and abs(over - sheets.slope_lower * y) < limit
 
 
 @kernel

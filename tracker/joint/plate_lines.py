@@ -14,7 +14,8 @@ from noise_model.median import exact_median
 from tracker.joint.evidence import gap_evidence_nats
 from tracker.joint.measured import OnFace
 from tracker.joint.section import Section
-from tracker.stripe.edge import WINDOW_SIGMAS, StripeLight, clear_of_an_edge, stripe_end
+from tracker.stripe.edge import clear_of_an_edge, stripe_end
+from tracker.stripe.light import WINDOW_SIGMAS, StripeLight
 
 OUTSIDE_MM = 1.0
 """How much of what is beyond an edge joint is looked at to place it."""

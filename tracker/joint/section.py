@@ -11,7 +11,7 @@ from noise_model.kernel import kernel
 from tracker.joint.measured import SectionPoints, points_of
 from tracker.joint.upright_edge import light_of
 from tracker.profile import MIN_POINTS, Profile
-from tracker.stripe.edge import StripeLight
+from tracker.stripe.light import StripeLight
 
 
 class Section(NamedTuple):

@@ -48,7 +48,7 @@ from tracker.joint.plate_lines import (
 from tracker.joint.section import Section, is_long_enough
 from tracker.joint.section_shapes import N_CORNERS, SHEETS, corners_of
 from tracker.state import JointShape
-from tracker.stripe.edge import StripeLight
+from tracker.stripe.light import StripeLight
 
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
 """1 sigma of the left plate's height, the step to the right one (mm), both plates' slopes."""

@@ -1,6 +1,10 @@
 """Upright edges: no point lies on one, so it lies between the last point before and the first one behind.
 
 Where between them the image's scan lines say.
+
+Which two these are the points say by how far they lie off either face. With points up to one on the face
+before and all others on that behind, a place has the likelihood exp(-sum of squares / 2); so the edge's
+posterior (a change point's: Hinkley 1970, Biometrika 57, 1) says how far off the two may be.
 """
 
 from __future__ import annotations
@@ -12,12 +16,51 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
-from tracker.joint.measured import OnFace
+from tracker.joint.measured import OFF_SIGMAS, OnFace, SectionPoints, meet_face
+from tracker.joint.section_fit import MIN_ALONG_MM
 from tracker.profile import Profile
-from tracker.stripe.edge import StripeLight, apart_px, no_light, stripe_ends
+from tracker.stripe.edge import stripe_ends
+from tracker.stripe.light import StripeLight, apart_px, background_off_px, no_light
 
 BESIDE = 20
 """So many points beside an edge say which y its scan lines have there."""
+
+
+class Faces(NamedTuple):
+    """Both faces beside an upright edge, carried on to points (n,): their heights, mm, and slopes there."""
+
+    before_mm: Float64
+    before_slope: Float64
+    behind_mm: Float64
+    behind_slope: Float64
+
+
+@kernel(allocates=True)
+def no_faces(n: int) -> Faces:
+    """Make room for the faces beside an edge at some points."""
+    return Faces(np.empty(n), np.empty(n), np.empty(n), np.empty(n))
+
+
+@kernel(allocates=True)
+def points_beside(lines: SectionPoints, faces: Faces, limit_mm: Float64) -> tuple[int, int]:
+    """Return `neighbours_of_edge` of points (n,) that lie on a face within limits (n,), 0 for none."""
+    n = limit_mm.shape[0]
+    on_before, on_behind = np.empty(n, np.bool_), np.empty(n, np.bool_)
+    for i in range(n):
+        on_before[i] = abs(lines.z_mm[i] - faces.before_mm[i]) < limit_mm[i]
+        on_behind[i] = abs(lines.z_mm[i] - faces.behind_mm[i]) < limit_mm[i]
+    beside: tuple[int, int] = neighbours_of_edge(on_before, on_behind)
+    return beside
+
+
+@kernel(allocates=True)
+def meet_faces(lines: SectionPoints, faces: Faces, before: int) -> OnFace:
+    """Return where points' (n,) rays meet the face before an edge, up to point `before`, or that behind."""
+    height_mm, slope = faces.behind_mm.copy(), faces.behind_slope.copy()
+    for i in range(before + 1):
+        height_mm[i], slope[i] = faces.before_mm[i], faces.before_slope[i]
+    met: OnFace = meet_face(lines, height_mm, slope)
+    return met
 
 
 @kernel
@@ -40,6 +83,77 @@ def neighbours_of_edge(before: Bool, behind: Bool) -> tuple[int, int]:
     while last < n and not behind[last]:
         last += 1
     return (first, last) if first >= 0 and last < n else (-1, -1)
+
+
+class Change(NamedTuple):
+    """The mean square, mm^2, by which an edge is off midway between two points, by all points.
+
+    `beyond_mm2` is what places add to it that lie clear of the two.
+    """
+
+    square_mm2: float
+    beyond_mm2: float
+
+
+@kernel(allocates=True)
+def change_of(
+    lines: SectionPoints,
+    faces: Faces,
+    limit_mm: Float64,
+    bent_mm: float,
+    column_mm: float,
+    light: StripeLight,
+    before: int,
+    behind: int,
+) -> Change:
+    """Return how far off points (n,) change faces that seem to do so between two of them.
+
+    Points with a limit (n,) count. Any place between scan lines, a column apart, is as likely beforehand. A
+    face may be bent by so much, and a centre may be off by what its background makes of a line
+    (`background_off_px`). A point that lies off both faces is no evidence. A change lies midway between where
+    the last ray before it meets that face and where the next one meets the other: seen from beside, points
+    themselves lie aside with their own scatter.
+    """
+    first, last = before, behind
+    while first > 0 and limit_mm[first - 1] > 0.0:
+        first -= 1
+    while last < limit_mm.shape[0] - 1 and limit_mm[last + 1] > 0.0:
+        last += 1
+    n, farthest = last - first, OFF_SIGMAS * OFF_SIGMAS
+    moved_px = background_off_px(light, lines.scan[first : last + 1], lines.sigma_px[first : last + 1])
+    costs, on_before, on_behind = np.empty(n + 1), np.empty(n + 1), np.empty(n + 1)
+    cost, least = 0.0, math.inf
+    for k in range(n + 1):
+        i = first + k
+        off_px = math.hypot(lines.sigma_px[i], moved_px[k])
+        to_before = lines.dz_mm[i] - faces.before_slope[i] * lines.dy_mm[i]
+        to_behind = lines.dz_mm[i] - faces.behind_slope[i] * lines.dy_mm[i]
+        over_before, over_behind = lines.z_mm[i] - faces.before_mm[i], lines.z_mm[i] - faces.behind_mm[i]
+        off_before = over_before / math.hypot(to_before * off_px, bent_mm)
+        off_behind = over_behind / math.hypot(to_behind * off_px, bent_mm)
+        cost += min(off_before**2, farthest) - min(off_behind**2, farthest)
+        costs[k] = cost
+        least = min(least, cost) if k < n else least
+        on_before[k] = lines.y_mm[i] - _y_per_z(lines.dy_mm[i], to_before) * over_before
+        on_behind[k] = lines.y_mm[i] - _y_per_z(lines.dy_mm[i], to_behind) * over_behind
+    middle_mm = 0.5 * (on_before[before - first] + on_behind[behind - first])
+    half_mm = 0.5 * column_mm * abs(lines.scan[behind] - lines.scan[before])
+    total, square, beyond = 0.0, 0.0, 0.0
+    for k in range(n):
+        wide_mm = column_mm * abs(lines.scan[first + k + 1] - lines.scan[first + k])
+        off_mm = 0.5 * (on_before[k] + on_behind[k + 1]) - middle_mm
+        weight = wide_mm * math.exp(-0.5 * (costs[k] - least))
+        there = weight * (off_mm * off_mm + wide_mm * wide_mm / 12.0)
+        total += weight
+        square += there
+        beyond += there if abs(off_mm) > half_mm + wide_mm else 0.0
+    return Change(square / total, beyond / total) if total > 0.0 else Change(0.0, 0.0)
+
+
+@kernel
+def _y_per_z(dy_mm: float, across_mm: float) -> float:
+    """Return by how much a ray's y goes with a face's height, which it crosses so fast; see `meet_face`."""
+    return dy_mm / across_mm if abs(across_mm) > MIN_ALONG_MM else 0.0
 
 
 class Edge(NamedTuple):
@@ -93,17 +207,19 @@ def upright_edge(
     behind: int,
     hidden: HiddenStrip,
     face: OnFace,
+    change: Change,
 ) -> Edge:
     """Return the edge between two neighbouring points that lie on either side's face, a column apart.
 
     `scan` (n,) are the points' lines; where they meet it is `face`. Of the lower side, behind, the edge hides
-    a strip. Anywhere between the two points is as likely; where the image is at hand, its scan lines there
-    say how much of them is either side's (`stripe_end`).
+    a strip. Where between the two points, or how far from them, `change` says; where the image is at hand,
+    its scan lines there say how much of them is either side's (`stripe_end`).
     """
     last_mm, first_mm = face.y_mm[before], face.y_mm[behind] - hidden.width_mm
     y_per_z = 0.5 * (face.y_per_z[before] + face.y_per_z[behind])
     spread_mm = max(abs(first_mm - last_mm), column_mm)
-    middle_mm, variance_mm2 = 0.5 * (last_mm + first_mm), spread_mm**2 / 12.0 + 0.25 * hidden.sigma_mm**2
+    middle_mm = 0.5 * (last_mm + first_mm)
+    variance_mm2 = max(spread_mm**2 / 12.0, change.square_mm2) + 0.25 * hidden.sigma_mm**2
     anywhere = Edge(middle_mm, variance_mm2, y_per_z)
     last, first = int(scan[before]), int(scan[behind])
     if light.position_px.shape[0] == 0 or _is_hidden(light, last, first):
@@ -131,7 +247,8 @@ def upright_edge(
     # What shines from the upright side itself, if it is seen, counts as either's: then they do not agree.
     apart_mm2 = (places[0] - places[n - 1]) ** 2 - of_both
     both = 1.0 + _likeness(light, last, first) if n == 2 else 1.0
-    return Edge(edge_mm / information, both / information + 0.25 * max(apart_mm2, 0.0), y_per_z)
+    variance_mm2 = both / information + 0.25 * max(apart_mm2, 0.0) + change.beyond_mm2
+    return Edge(edge_mm / information, variance_mm2, y_per_z)
 
 
 @kernel

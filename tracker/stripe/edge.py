@@ -21,22 +21,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.map import CELL
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.arrays import Float64
 from noise_model.kernel import kernel
-
-BEYOND = 6
-"""So many lines on either side say how the stripe looks there, and MIN_BEYOND of them at least."""
-
-MIN_BEYOND = 3
+from tracker.stripe.light import BEYOND, MIN_BEYOND, StripeLight, apart_px, line_room, line_shares
 
 CLEAR_SIGMAS = 3.0
 """So many sigmas of the optics a line is clear of an edge; one more may hold a stripe that seems whole."""
 
-WINDOW_SIGMAS = 3.0
-"""A line is read so many stripe sigmas beyond where either stripe runs."""
-
-MIN_PIXELS = 8
 MIN_STRIPE_SHARE = 0.02
 """Shares are not trusted better: what else lights the lines about an edge."""
 
@@ -65,39 +56,6 @@ MAX_LINES = 128
 """No edge is looked for between lines that lie farther apart."""
 
 
-class StripeLight(NamedTuple):
-    """What a stripe was read from, (n_scan, n_pos) of a band that begins at `lows` for each CELL lines.
-
-    A pixel's variance is `shot` times its light, `background_e` and the stripe's, plus `dark_variance_e2`.
-    `position_px`, `width_px` (n_scan,) are the stripe's. `contrast` is by how much its
-    brightness scatters from line to line, relative, `alike` the correlation of two neighbouring lines in
-    that, `psf_sigma_px` the optics' sigma, `sheet_lines` over how many lines an edge along the seam crosses
-    the sheet's sigma, `centre_sigma_px` the 1 sigma of centres.
-    """
-
-    charge_e: Float32
-    background_e: Float32
-    censored: Bool
-    lows: Int64
-    position_px: Float64
-    width_px: Float64
-    shot: float
-    dark_variance_e2: float
-    contrast: float
-    alike: float
-    psf_sigma_px: float
-    sheet_lines: float
-    centre_sigma_px: float
-
-
-@kernel(allocates=True)
-def no_light() -> StripeLight:
-    """Return what a stripe was read from where that is not at hand."""
-    pixels, lines = np.empty((0, 0), np.float32), np.empty(0)
-    censored, lows = np.empty((0, 0), np.bool_), np.empty(0, np.int64)
-    return StripeLight(pixels, pixels, censored, lows, lines, lines, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
 class StripeEnd(NamedTuple):
     """An end of a stripe, in scan lines, and its 1 sigma; NaN where it cannot be told."""
 
@@ -116,8 +74,10 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
     n = abs(first - last) + 2 * clear - 1
     if n > MAX_LINES:
         return NOT_TOLD, NOT_TOLD
-    shares, variances = np.empty((2, n)), np.empty((2, n))
-    if not line_shares(light, last - away * clear, first + away * clear, away, BEYOND, shares, variances):
+    shares, variances, room = np.empty((2, n)), np.empty((2, n)), line_room(light.charge_e.shape[1])
+    if not line_shares(
+        light, last - away * clear, first + away * clear, away, BEYOND, shares, variances, room
+    ):
         return NOT_TOLD, NOT_TOLD
     # Of a stripe that is off by its scatter the other one seems to have a share.
     apart = max(apart_px(light, last, first), light.centre_sigma_px, TINY_PX)
@@ -151,20 +111,14 @@ def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int, unread:
     clear = clear_of_an_edge(light)
     # No more than half of the gap: behind it the stripe begins again.
     n = clear + min(clear + min(unread, clear), (gap_lines + 1) // 2)
-    shares, variances = np.empty((2, n)), np.empty((2, n))
+    shares, variances, room = np.empty((2, n)), np.empty((2, n)), line_room(light.charge_e.shape[1])
     deep = max(gap_lines - 2 * clear, min(MIN_BEYOND, gap_lines))
     first = last + away * (1 + (gap_lines - deep) // 2)
-    if not line_shares(light, last - away * clear, first, away, deep, shares, variances):
+    if not line_shares(light, last - away * clear, first, away, deep, shares, variances, room):
         return NOT_TOLD
     # Beside a gap a line that holds little of the stripe shows its centre too.
     ends = _fitted(light, shares[0], variances[0], 0.0, n - 1.0)
     return StripeEnd(last - away * (clear - 1) + away * ends.line, ends.sigma)
-
-
-@kernel
-def apart_px(light: StripeLight, last: int, first: int) -> float:
-    """Return how far apart the stripes of two lines are, px."""
-    return float(abs(light.position_px[first] - light.position_px[last]))
 
 
 @kernel
@@ -192,116 +146,6 @@ def _fitted(
     first, last = max(earliest - sigma, 0.0), latest + sigma
     line, line_sigma = fit_end(shares, variances, contrast, light.alike, sigma, first, last)
     return StripeEnd(line, line_sigma)
-
-
-@kernel
-def run_of(position_px: Float64, begins: int, away: int, most: int) -> tuple[float, float]:
-    """Return the straight line, its value at line `begins` and slope by lines, that some positions run on.
-
-    They are BEYOND, or `most` if that is less, from `begins` on in steps of `away`; NaN where fewer than
-    MIN_BEYOND of them hold a stripe.
-    """
-    n, sum_x, sum_y, sum_xx, sum_xy = 0, 0.0, 0.0, 0.0, 0.0
-    for k in range(min(BEYOND, most)):
-        s = begins + away * k
-        if not 0 <= s < position_px.shape[0] or math.isnan(position_px[s]):
-            continue
-        x, y = float(away * k), position_px[s]
-        n += 1
-        sum_x += x
-        sum_y += y
-        sum_xx += x * x
-        sum_xy += x * y
-    if n < MIN_BEYOND:
-        return math.nan, math.nan
-    slope = (n * sum_xy - sum_x * sum_y) / (n * sum_xx - sum_x * sum_x)
-    return (sum_y - slope * sum_x) / n, slope
-
-
-@kernel
-def mean_stripe(light: StripeLight, begins: int, away: int, most: int, off_px: float) -> float:
-    """Return the mean light, e-, so far off the centres of the lines of `run_of`; NaN for none."""
-    n, total = 0, 0.0
-    for k in range(min(BEYOND, most)):
-        s = begins + away * k
-        if not 0 <= s < light.position_px.shape[0] or math.isnan(light.position_px[s]):
-            continue
-        r = light.position_px[s] - light.lows[s // CELL] + off_px
-        j = math.floor(r)
-        if j < 0 or j + 1 >= light.charge_e.shape[1] or light.censored[s, j] or light.censored[s, j + 1]:
-            continue
-        part = r - j
-        here = light.charge_e[s, j] - light.background_e[s, j]
-        next_one = light.charge_e[s, j + 1] - light.background_e[s, j + 1]
-        total += (1.0 - part) * here + part * next_one
-        n += 1
-    return total / n if n >= MIN_BEYOND else math.nan
-
-
-@kernel
-def line_shares(
-    light: StripeLight, last: int, first: int, away: int, most: int, shares: Float64, variances: Float64
-) -> bool:
-    """Write the shares (2, n) of both stripes, and their variances, of the n lines from `last` on.
-
-    `away` is the step, 1 or -1, from `last`, where the first stripe is clear, to `first`, where the other is;
-    that is read from `most` lines at most. False if the first is not seen. A line that cannot be read has a
-    NaN, and so has the other stripe everywhere if it is not seen.
-    """
-    at_last, slope_last = run_of(light.position_px, last, -away, BEYOND)
-    at_first, slope_first = run_of(light.position_px, first, away, most)
-    alone = math.isnan(at_first)
-    width = 0.0
-    for s in (last, first):
-        if 0 <= s < light.width_px.shape[0] and not math.isnan(light.width_px[s]):
-            width = max(width, light.width_px[s])
-    if math.isnan(at_last) or width == 0.0:
-        return False
-    for i in range(shares.shape[1]):
-        s = last + away * (i + 1)
-        shares[:, i], variances[:, i] = math.nan, math.nan
-        if not 0 <= s < light.charge_e.shape[0]:
-            continue
-        low = light.lows[s // CELL]
-        upper = at_last + slope_last * (s - last)
-        lower = upper if alone else at_first + slope_first * (s - first)
-        begin = max(math.floor(min(upper, lower) - WINDOW_SIGMAS * width) - low, 0)
-        end = min(math.ceil(max(upper, lower) + WINDOW_SIGMAS * width) - low + 1, light.charge_e.shape[1])
-        n, w_, w_u, w_v, w_c = 0, 0.0, 0.0, 0.0, 0.0
-        w_uu, w_uv, w_vv, w_uc, w_vc = 0.0, 0.0, 0.0, 0.0, 0.0
-        for j in range(begin, end):
-            if light.censored[s, j]:
-                continue
-            u = mean_stripe(light, last, -away, BEYOND, j + low - upper)
-            v = 0.0 if alone else mean_stripe(light, first, away, most, j + low - lower)
-            if math.isnan(u) or math.isnan(v):
-                continue
-            c = light.charge_e[s, j] - light.background_e[s, j]
-            lit = max(light.background_e[s, j], 0.0) + max(u, v, 0.0)
-            weight = 1.0 / (light.shot * lit + light.dark_variance_e2)
-            n += 1
-            w_ += weight
-            w_u += weight * u
-            w_v += weight * v
-            w_c += weight * c
-            w_uu += weight * u * u
-            w_uv += weight * u * v
-            w_vv += weight * v * v
-            w_uc += weight * u * c
-            w_vc += weight * v * c
-        if n < MIN_PIXELS:
-            continue
-        # The offset c_s is solved for first, the two shares with what it leaves.
-        H_uu, H_uv, H_vv = w_uu - w_u * w_u / w_, w_uv - w_u * w_v / w_, w_vv - w_v * w_v / w_
-        g_u, g_v = w_uc - w_u * w_c / w_, w_vc - w_v * w_c / w_
-        area = H_uu * H_vv - H_uv * H_uv
-        if alone:
-            if H_uu > 0.0:
-                shares[0, i], variances[0, i] = g_u / H_uu, 1.0 / H_uu
-        elif area > 1e-6 * H_uu * H_vv:
-            shares[0, i], variances[0, i] = (g_u * H_vv - g_v * H_uv) / area, H_vv / area
-            shares[1, i], variances[1, i] = (g_v * H_uu - g_u * H_uv) / area, H_uu / area
-    return True
 
 
 class EndMisfit(NamedTuple):

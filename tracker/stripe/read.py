@@ -25,9 +25,9 @@ from tracker.geometry import (
 from tracker.state import Stripe
 from tracker.stripe.band import Band, LightLevel, gather_band, median_background
 from tracker.stripe.detection import Evidence
-from tracker.stripe.edge import StripeLight
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.fit_band import Noise, ReadRoom, Sought
+from tracker.stripe.light import StripeLight
 from tracker.stripe.read_band import UsualLine, read_band
 from tracker.stripe.scatter import Scatter
 from tracker.stripe.viterbi import bin_for, offsets_within

@@ -1,0 +1,314 @@
+"""What the light of single scan lines says of a stripe, and of another one beside it.
+
+Beside an edge the arc's light changes abruptly too, and where it does is known to a line at best: what is
+taken for background may be the next line's. So a share's variance is that of its pixels' noise, times the
+chi^2 that they leave, and the square of what half the neighbours' difference in background adds to it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from noise_model.arc.map import CELL
+from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.kernel import kernel
+from noise_model.median import exact_median
+
+BEYOND = 6
+"""So many lines on either side say how the stripe looks there, and MIN_BEYOND of them at least."""
+
+MIN_BEYOND = 3
+
+WINDOW_SIGMAS = 3.0
+"""A line is read so many stripe sigmas beyond where either stripe runs."""
+
+MIN_PIXELS = 8
+
+NEXT_TO_NOTHING = 0.1
+"""What is less than this share of a sigma adds half a percent to it."""
+
+
+class StripeLight(NamedTuple):
+    """What a stripe was read from, (n_scan, n_pos) of a band that begins at `lows` for each CELL lines.
+
+    A pixel's variance is `shot` times its light, `background_e` and the stripe's, plus `dark_variance_e2`.
+    `position_px`, `width_px` (n_scan,) are the stripe's. `contrast` is by how much its
+    brightness scatters from line to line, relative, `alike` the correlation of two neighbouring lines in
+    that, `psf_sigma_px` the optics' sigma, `sheet_lines` over how many lines an edge along the seam crosses
+    the sheet's sigma, `centre_sigma_px` the 1 sigma of centres.
+    """
+
+    charge_e: Float32
+    background_e: Float32
+    censored: Bool
+    lows: Int64
+    position_px: Float64
+    width_px: Float64
+    shot: float
+    dark_variance_e2: float
+    contrast: float
+    alike: float
+    psf_sigma_px: float
+    sheet_lines: float
+    centre_sigma_px: float
+
+
+@kernel(allocates=True)
+def no_light() -> StripeLight:
+    """Return what a stripe was read from where that is not at hand."""
+    pixels, lines = np.empty((0, 0), np.float32), np.empty(0)
+    censored, lows = np.empty((0, 0), np.bool_), np.empty(0, np.int64)
+    return StripeLight(pixels, pixels, censored, lows, lines, lines, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@kernel
+def apart_px(light: StripeLight, last: int, first: int) -> float:
+    """Return how far apart the stripes of two lines are, px."""
+    return float(abs(light.position_px[first] - light.position_px[last]))
+
+
+@kernel
+def run_of(position_px: Float64, begins: int, away: int, most: int) -> tuple[float, float]:
+    """Return the straight line, its value at line `begins` and slope by lines, that some positions run on.
+
+    They are BEYOND, or `most` if that is less, from `begins` on in steps of `away`; NaN where fewer than
+    MIN_BEYOND of them hold a stripe.
+    """
+    n, sum_x, sum_y, sum_xx, sum_xy = 0, 0.0, 0.0, 0.0, 0.0
+    for k in range(min(BEYOND, most)):
+        s = begins + away * k
+        if not 0 <= s < position_px.shape[0] or math.isnan(position_px[s]):
+            continue
+        x, y = float(away * k), position_px[s]
+        n += 1
+        sum_x += x
+        sum_y += y
+        sum_xx += x * x
+        sum_xy += x * y
+    if n < MIN_BEYOND:
+        return math.nan, math.nan
+    slope = (n * sum_xy - sum_x * sum_y) / (n * sum_xx - sum_x * sum_x)
+    return (sum_y - slope * sum_x) / n, slope
+
+
+@kernel
+def write_change(background_e: Float32, lows: Int64, s: int, change_e: Float64) -> None:
+    """Write by how much what is beside the stripe (n_scan, n_pos) changes within line s, e-, at its pixels.
+
+    It is half of what its neighbours differ by, and 0 at the band's rim.
+    """
+    depth = background_e.shape[1]
+    change_e[:] = 0.0
+    if not 0 < s < background_e.shape[0] - 1:
+        return
+    to_before, to_behind = lows[s // CELL] - lows[(s - 1) // CELL], lows[s // CELL] - lows[(s + 1) // CELL]
+    begin = max(0, -to_before, -to_behind)
+    for j in range(begin, depth - max(0, to_before, to_behind)):
+        change_e[j] = 0.5 * (background_e[s + 1, j + to_behind] - background_e[s - 1, j + to_before])
+
+
+@kernel(allocates=True)
+def background_off_px(light: StripeLight, scan: Float64, sigma_px: Float64) -> Float64:
+    """Return by how much the centres of lines (n,) move, px, if what is beside the stripe lies a line off.
+
+    It is 0 where it would be next to nothing beside the centre's own 1 sigma (n,), and without a stripe. With
+    a bell u(r) of the stripe's sigma w and brightness A, a change d of the background moves the least-squares
+    centre by
+
+        sum d t / (A sum t^2),   t = r / w^2 u,   sum t^2 = sqrt(pi) / (2 w).
+
+    All lines have the median A: where the rest of the light is wrong a line's own is wrong too.
+    """
+    n = scan.shape[0]
+    moved, brightness, change_e = np.zeros(n), np.zeros(n), np.empty(light.charge_e.shape[1])
+    if light.position_px.shape[0] > 0:
+        _write_brightness(light, scan, brightness)
+        usual_e = exact_median(brightness)
+        if usual_e > 0.0:
+            _write_moved(light, scan, sigma_px, usual_e, change_e, moved)
+    return moved
+
+
+@kernel
+def _write_brightness(light: StripeLight, scan: Float64, brightness: Float64) -> None:
+    """Write how bright the stripe is in lines (n,), e-, by the pixel next to its centre; 0 without one."""
+    for i in range(scan.shape[0]):
+        s = int(scan[i])
+        low, centre, width = light.lows[s // CELL], light.position_px[s], light.width_px[s]
+        j = -1 if math.isnan(centre) else round(centre) - low
+        brightness[i] = 0.0
+        if 0 <= j < light.charge_e.shape[1] and width > 0.0:
+            r = (j + low - centre) / width
+            brightness[i] = max(light.charge_e[s, j] - light.background_e[s, j], 0.0) * math.exp(0.5 * r * r)
+
+
+@kernel
+def _write_moved(
+    light: StripeLight, scan: Float64, sigma_px: Float64, usual_e: float, change_e: Float64, moved: Float64
+) -> None:
+    """Write what `background_off_px` returns, of stripes of a brightness."""
+    for i in range(scan.shape[0]):
+        s = int(scan[i])
+        low, centre, width = light.lows[s // CELL], light.position_px[s], light.width_px[s]
+        if math.isnan(centre) or not width > 0.0:
+            continue
+        begin = max(math.floor(centre - WINDOW_SIGMAS * width) - low, 0)
+        end = min(math.ceil(centre + WINDOW_SIGMAS * width) - low + 1, light.charge_e.shape[1])
+        write_change(light.background_e, light.lows, s, change_e)
+        lowest, highest = math.inf, -math.inf
+        for j in range(begin, end):
+            lowest, highest = min(lowest, change_e[j]), max(highest, change_e[j])
+        # sum |t| is 2: it cannot be more than this range, which is twice as much as d is off its middle.
+        per_e = 2.0 * width / (usual_e * math.sqrt(math.pi))
+        if (highest - lowest) * per_e < NEXT_TO_NOTHING * sigma_px[i]:
+            continue
+        total = 0.0
+        for j in range(begin, end):
+            r = (j + low - centre) / width
+            total += (change_e[j] - 0.5 * (lowest + highest)) * r / width * math.exp(-0.5 * r * r)
+        moved[i] = abs(total) * per_e
+
+
+class LineRoom(NamedTuple):
+    """Room for what is known of a line's pixels (n_pos,).
+
+    That is both mean stripes, e-, how many lines tell either, and by how much the background changes, e-.
+    """
+
+    u_e: Float64
+    v_e: Float64
+    n_lines: Float64
+    change_e: Float64
+
+
+@kernel(allocates=True)
+def line_room(n_pos: int) -> LineRoom:
+    """Make room for a line of a band."""
+    return LineRoom(np.empty(n_pos), np.empty(n_pos), np.empty(n_pos), np.empty(n_pos))
+
+
+@kernel
+def write_mean_stripe(
+    light: StripeLight,
+    begins: int,
+    away: int,
+    most: int,
+    begin: int,
+    end: int,
+    off_px: float,
+    mean_e: Float64,
+    n_lines: Float64,
+) -> None:
+    """Write the mean light, e-, of the lines of `run_of` to pixels from `begin` to `end`; NaN for none.
+
+    Pixel 0 lies so far off their centres.
+    """
+    for j in range(begin, end):
+        mean_e[j], n_lines[j] = 0.0, 0.0
+    for k in range(min(BEYOND, most)):
+        s = begins + away * k
+        if not 0 <= s < light.position_px.shape[0] or math.isnan(light.position_px[s]):
+            continue
+        r = light.position_px[s] - light.lows[s // CELL] + off_px
+        shift = math.floor(r)
+        part = r - shift
+        for j in range(max(begin, -shift), min(end, light.charge_e.shape[1] - 1 - shift)):
+            i = j + shift
+            if light.censored[s, i] or light.censored[s, i + 1]:
+                continue
+            here = light.charge_e[s, i] - light.background_e[s, i]
+            next_one = light.charge_e[s, i + 1] - light.background_e[s, i + 1]
+            mean_e[j] += (1.0 - part) * here + part * next_one
+            n_lines[j] += 1.0
+    for j in range(begin, end):
+        mean_e[j] = mean_e[j] / n_lines[j] if n_lines[j] >= MIN_BEYOND else math.nan
+
+
+@kernel
+def line_shares(
+    light: StripeLight,
+    last: int,
+    first: int,
+    away: int,
+    most: int,
+    shares: Float64,
+    variances: Float64,
+    room: LineRoom,
+) -> bool:
+    """Write the shares (2, n) of both stripes, and their variances, of the n lines from `last` on.
+
+    `away` is the step, 1 or -1, from `last`, where the first stripe is clear, to `first`, where the other is;
+    that is read from `most` lines at most. False if the first is not seen. A line that cannot be read has a
+    NaN, and so has the other stripe everywhere if it is not seen.
+    """
+    at_last, slope_last = run_of(light.position_px, last, -away, BEYOND)
+    at_first, slope_first = run_of(light.position_px, first, away, most)
+    alone = math.isnan(at_first)
+    width = 0.0
+    for s in (last, first):
+        if 0 <= s < light.width_px.shape[0] and not math.isnan(light.width_px[s]):
+            width = max(width, light.width_px[s])
+    if math.isnan(at_last) or width == 0.0:
+        return False
+    for i in range(shares.shape[1]):
+        s = last + away * (i + 1)
+        shares[:, i], variances[:, i] = math.nan, math.nan
+        if not 0 <= s < light.charge_e.shape[0]:
+            continue
+        low = light.lows[s // CELL]
+        upper = at_last + slope_last * (s - last)
+        lower = upper if alone else at_first + slope_first * (s - first)
+        begin = max(math.floor(min(upper, lower) - WINDOW_SIGMAS * width) - low, 0)
+        end = min(math.ceil(max(upper, lower) + WINDOW_SIGMAS * width) - low + 1, light.charge_e.shape[1])
+        write_change(light.background_e, light.lows, s, room.change_e)
+        write_mean_stripe(light, last, -away, BEYOND, begin, end, low - upper, room.u_e, room.n_lines)
+        if alone:
+            room.v_e[begin:end] = 0.0
+        else:
+            write_mean_stripe(light, first, away, most, begin, end, low - lower, room.v_e, room.n_lines)
+        n, w_, w_u, w_v, w_c = 0, 0.0, 0.0, 0.0, 0.0
+        w_uu, w_uv, w_vv, w_uc, w_vc, w_cc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        w_d, w_ud, w_vd = 0.0, 0.0, 0.0
+        for j in range(begin, end):
+            u, v, d = room.u_e[j], room.v_e[j], room.change_e[j]
+            if light.censored[s, j] or math.isnan(u) or math.isnan(v):
+                continue
+            c = light.charge_e[s, j] - light.background_e[s, j]
+            lit = max(light.background_e[s, j], 0.0) + max(u, v, 0.0)
+            weight = 1.0 / (light.shot * lit + light.dark_variance_e2)
+            n += 1
+            w_ += weight
+            w_u += weight * u
+            w_v += weight * v
+            w_c += weight * c
+            w_uu += weight * u * u
+            w_uv += weight * u * v
+            w_vv += weight * v * v
+            w_uc += weight * u * c
+            w_vc += weight * v * c
+            w_cc += weight * c * c
+            w_d += weight * d
+            w_ud += weight * u * d
+            w_vd += weight * v * d
+        if n < MIN_PIXELS:
+            continue
+        # The offset c_s is solved for first, the two shares with what it leaves.
+        H_uu, H_uv, H_vv = w_uu - w_u * w_u / w_, w_uv - w_u * w_v / w_, w_vv - w_v * w_v / w_
+        g_u, g_v = w_uc - w_u * w_c / w_, w_vc - w_v * w_c / w_
+        area = H_uu * H_vv - H_uv * H_uv
+        if alone:
+            if H_uu > 0.0:
+                shares[0, i] = g_u / H_uu
+                chi2 = max((w_cc - w_c * w_c / w_ - g_u * shares[0, i]) / (n - 2.0), 1.0)
+                variances[0, i] = chi2 / H_uu + ((w_ud - w_u * w_d / w_) / H_uu) ** 2
+        elif area > 1e-6 * H_uu * H_vv:
+            shares[0, i], shares[1, i] = (g_u * H_vv - g_v * H_uv) / area, (g_v * H_uu - g_u * H_uv) / area
+            unexplained = w_cc - w_c * w_c / w_ - g_u * shares[0, i] - g_v * shares[1, i]
+            chi2 = max(unexplained / (n - 3.0), 1.0)
+            d_u, d_v = w_ud - w_u * w_d / w_, w_vd - w_v * w_d / w_
+            variances[0, i] = chi2 * H_vv / area + ((d_u * H_vv - d_v * H_uv) / area) ** 2
+            variances[1, i] = chi2 * H_uu / area + ((d_v * H_uu - d_u * H_uv) / area) ** 2
+    return True
