@@ -9,7 +9,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
-from noise_model.median import exact_median, median_of, numbers_for
+from noise_model.median import median_of, numbers_for
 from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.complete import completed
 from tracker.joint.measured import (
@@ -144,13 +144,10 @@ def measured_lap(
 def edge_of_sheets(section: Section, lines: SectionPoints, sheets: Sheets, thickness_mm: float) -> Edge:
     """Return where the sheets' edge is, NaN where points (n,) do not lie on both beside it."""
     n, nowhere = lines.y_mm.shape[0], Edge(math.nan, math.nan, math.nan)
-    moves_mm, limits_mm = np.empty(n), np.empty(n)
+    bent_mm, limits_mm = MIN_OFF_SHEET * thickness_mm, np.empty(n)
     for i in range(n):
-        moves_mm[i] = abs(lines.dz_mm[i]) * lines.sigma_px[i]
-    off_mm, bent_mm = OFF_SIGMAS * exact_median(moves_mm), MIN_OFF_SHEET * thickness_mm
-    limit_mm = max(bent_mm, min(off_mm, ON_SHEET * thickness_mm))
-    for i in range(n):
-        limits_mm[i] = limit_mm if abs(lines.y_mm[i] - sheets.y) < NEAR_MM else 0.0
+        off_mm = min(OFF_SIGMAS * abs(lines.dz_mm[i]) * lines.sigma_px[i], ON_SHEET * thickness_mm)
+        limits_mm[i] = max(bent_mm, off_mm) if abs(lines.y_mm[i] - sheets.y) < NEAR_MM else 0.0
     faces = sheets_at(lines.y_mm, sheets)
     before, behind = points_beside(lines, faces, limits_mm)
     if before < 0:
