@@ -279,11 +279,13 @@ def as_stated(reading: Reading) -> Reading:
     """Return a search's reading without its joint where that is neither of its shape nor of its type.
 
     Of pieces of two stripes, or of one that the map has broken, a section can be made that no plate explains.
+    A seam that is read off its line in the image does not stand on the section.
     """
     both = flags.JOINT_TYPE_MISMATCH.mask | flags.JOINT_MISFIT.mask
+    said = reading.flags & (both | flags.SEAM_BY_LINE.mask)
     if reading.joint is None:
         return reading
-    is_stated = ask_whether(reading.asked, checks.JOINT_AS_STATED, reading.flags & both != both)
+    is_stated = ask_whether(reading.asked, checks.JOINT_AS_STATED, said != both)
     return reading if is_stated else reading._replace(joint=None)
 
 

@@ -160,10 +160,16 @@ def test_a_joint_that_is_not_as_stated_is_told(stated: str, there: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("is_misfit", "is_other", "is_kept"), [(True, True, False), (True, False, True), (False, True, True)]
+    ("is_misfit", "is_other", "is_by_line", "is_kept"),
+    [
+        (True, True, False, False),
+        (True, False, False, True),
+        (False, True, False, True),
+        (True, True, True, True),
+    ],
 )
 def test_a_misfit_that_looks_like_another_type_is_no_joint(
-    is_misfit: bool, is_other: bool, is_kept: bool
+    is_misfit: bool, is_other: bool, is_by_line: bool, is_kept: bool
 ) -> None:
     setup, pose = small_setup("lap"), pose_at(0.0)
     tracker = Tracker(setup)
@@ -173,6 +179,7 @@ def test_a_misfit_that_looks_like_another_type_is_no_joint(
     assert reading.joint is not None
     ask(reading.asked, checks.JOINT_CHI2, 20.0 if is_misfit else 1.0, JOINT_CHI2_LIMIT)
     ask_whether(reading.asked, checks.JOINT_TYPE, not is_other)
+    ask_whether(reading.asked, checks.GAP_SHOWN, not is_by_line)
     judged = as_stated(reading)
     assert (judged.joint is not None) == is_kept
     assert bool(judged.flags & flags.JOINT_NOT_FOUND.mask) != is_kept
