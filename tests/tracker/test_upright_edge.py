@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from stripe_ends import DEPTH, EDGE, N_SCAN, WIDTH_PX, light_of, profile_of
 
 from noise_model.arrays import Float64
-from tracker.joint.measured import points_of
+from tracker.joint.measured import meet_face, points_of
 from tracker.joint.upright_edge import (
     Edge,
     Faces,
     HiddenStrip,
     change_of,
-    meet_faces,
+    edge_between,
     points_beside,
     upright_edge,
 )
@@ -46,11 +46,8 @@ def edge_of(profile: Profile, faces: Faces, limits_mm: Float64) -> Edge | None:
     before, behind = points_beside(points, faces, limits_mm)
     if before < 0:
         return None
-    change = change_of(points, faces, limits_mm, 1e-3, COLUMN_MM, light_at_hand(profile), before, behind)
-    strip, met = HiddenStrip(0.0, 0.0), meet_faces(points, faces, before)
-    edge: Edge = upright_edge(
-        profile.scan, profile.column_mm, light_at_hand(profile), before, behind, strip, met, change
-    )
+    light, strip = light_at_hand(profile), HiddenStrip(0.0, 0.0)
+    edge: Edge = edge_between(points, faces, limits_mm, 1e-3, COLUMN_MM, light, before, behind, strip)
     return edge
 
 
@@ -98,13 +95,27 @@ def test_a_change_is_its_twin(seed: int) -> None:
     if before < 0:
         return
     limits_mm = np.where(near, 0.5, 0.0)
-    found = change_of(points_of(profile), faces, limits_mm, 0.02, profile.column_mm, light, before, behind)
+    points, column_mm, strip = points_of(profile), profile.column_mm, HiddenStrip(0.1, 0.02)
+    on_before = meet_face(points, faces.before_mm, faces.before_slope)
+    on_behind = meet_face(points, faces.behind_mm, faces.behind_slope)
+    found = change_of(
+        points,
+        faces,
+        limits_mm,
+        0.02,
+        column_mm,
+        light,
+        before,
+        behind,
+        on_before.y_mm,
+        on_behind.y_mm,
+    )
     twin = FacesBeside(heights_mm, slopes)
-    np.testing.assert_allclose(found, twin.change(profile, near, 0.02, before, behind), rtol=1e-4, atol=1e-9)
-    for kernel, plain in zip(
-        meet_faces(points_of(profile), faces, before), twin.met(profile, before), strict=True
-    ):
-        np.testing.assert_allclose(kernel, plain)
+    change, met = twin.change(profile, near, 0.02, before, behind), twin.met(profile, before)
+    np.testing.assert_allclose(found, change, rtol=1e-4, atol=1e-9)
+    edge = edge_between(points, faces, limits_mm, 0.02, column_mm, light, before, behind, strip)
+    expected = upright_edge(profile.scan, column_mm, light, before, behind, strip, met, change)
+    np.testing.assert_allclose(edge, expected, rtol=1e-4, atol=1e-9)
 
 
 def test_a_centre_moves_with_its_background() -> None:

@@ -30,13 +30,11 @@ from tracker.joint.section import Section, is_long_enough
 from tracker.joint.section_shapes import HALF_GROOVE, N_CORNERS, corners_of
 from tracker.joint.upright_edge import (
     Faces,
-    change_of,
+    edge_between,
     edge_covariance,
     hidden_strip,
-    meet_faces,
     no_faces,
     points_beside,
-    upright_edge,
 )
 from tracker.state import JointShape
 
@@ -164,9 +162,9 @@ def upright_side(
         return UprightSide(math.nan, math.nan)
     sources_mm = section.camera_mm, section.laser_mm
     hidden = hidden_strip(sources_mm, wall_mm, start[ROOT] + depth_mm, depth_mm, section.slope_sigma)
-    met = meet_faces(lines, faces, before)
-    change = change_of(lines, faces, limits_mm, BENT_MM, section.column_mm, section.light, before, behind)
-    edge = upright_edge(lines.scan, section.column_mm, section.light, before, behind, hidden, met, change)
+    edge = edge_between(
+        lines, faces, limits_mm, BENT_MM, section.column_mm, section.light, before, behind, hidden
+    )
     # What lies between may be either side's, and the first lines in the groove hold light of the plate too.
     for i in range(n):
         clear[i] = y_mm[i] <= lines.y_mm[before] or y_mm[i] >= lines.y_mm[behind] + section.mixed_mm

@@ -30,13 +30,11 @@ from tracker.joint.section_shapes import N_CORNERS, SHEETS, corners_of
 from tracker.joint.upright_edge import (
     Edge,
     Faces,
-    change_of,
+    edge_between,
     edge_covariance,
     hidden_strip,
-    meet_faces,
     no_faces,
     points_beside,
-    upright_edge,
 )
 from tracker.state import JointShape
 
@@ -158,9 +156,10 @@ def edge_of_sheets(section: Section, lines: SectionPoints, sheets: Sheets, thick
     # Glare or spatter over all of the points near it: between those beyond, an edge may be anywhere.
     if lines.y_mm[behind] - hidden.width_mm - lines.y_mm[before] > 2.0 * CLEAR_OF_EDGE_MM:
         return nowhere
-    change = change_of(lines, faces, limits_mm, bent_mm, section.column_mm, section.light, before, behind)
-    met = meet_faces(lines, faces, before)
-    return upright_edge(lines.scan, section.column_mm, section.light, before, behind, hidden, met, change)
+    edge: Edge = edge_between(
+        lines, faces, limits_mm, bent_mm, section.column_mm, section.light, before, behind, hidden
+    )
+    return edge
 
 
 @kernel(allocates=True)

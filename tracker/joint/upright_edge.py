@@ -17,7 +17,6 @@ import numpy as np
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from tracker.joint.measured import OFF_SIGMAS, OnFace, SectionPoints, meet_face
-from tracker.joint.section_fit import MIN_ALONG_MM
 from tracker.profile import Profile
 from tracker.stripe.edge import stripe_ends
 from tracker.stripe.light import StripeLight, apart_px, background_off_px, no_light
@@ -51,16 +50,6 @@ def points_beside(lines: SectionPoints, faces: Faces, limit_mm: Float64) -> tupl
         on_behind[i] = abs(lines.z_mm[i] - faces.behind_mm[i]) < limit_mm[i]
     beside: tuple[int, int] = neighbours_of_edge(on_before, on_behind)
     return beside
-
-
-@kernel(allocates=True)
-def meet_faces(lines: SectionPoints, faces: Faces, before: int) -> OnFace:
-    """Return where points' (n,) rays meet the face before an edge, up to point `before`, or that behind."""
-    height_mm, slope = faces.behind_mm.copy(), faces.behind_slope.copy()
-    for i in range(before + 1):
-        height_mm[i], slope[i] = faces.before_mm[i], faces.before_slope[i]
-    met: OnFace = meet_face(lines, height_mm, slope)
-    return met
 
 
 @kernel
@@ -105,14 +94,16 @@ def change_of(
     light: StripeLight,
     before: int,
     behind: int,
+    on_before_mm: Float64,
+    on_behind_mm: Float64,
 ) -> Change:
     """Return how far off points (n,) change faces that seem to do so between two of them.
 
     Points with a limit (n,) count. Any place between scan lines, a column apart, is as likely beforehand. A
     face may be bent by so much, and a centre may be off by what its background makes of a line
     (`background_off_px`). A point that lies off both faces is no evidence. A change lies midway between where
-    the last ray before it meets that face and where the next one meets the other: seen from beside, points
-    themselves lie aside with their own scatter.
+    the last ray before it meets that face (n,) and where the next one meets the other (n,): seen from beside,
+    points themselves lie aside with their own scatter.
     """
     first, last = before, behind
     while first > 0 and limit_mm[first - 1] > 0.0:
@@ -121,39 +112,30 @@ def change_of(
         last += 1
     n, farthest = last - first, OFF_SIGMAS * OFF_SIGMAS
     moved_px = background_off_px(light, lines.scan[first : last + 1], lines.sigma_px[first : last + 1])
-    costs, on_before, on_behind = np.empty(n + 1), np.empty(n + 1), np.empty(n + 1)
-    cost, least = 0.0, math.inf
-    for k in range(n + 1):
+    costs, cost, least = np.empty(n), 0.0, math.inf
+    for k in range(n):
         i = first + k
         off_px = math.hypot(lines.sigma_px[i], moved_px[k])
-        to_before = lines.dz_mm[i] - faces.before_slope[i] * lines.dy_mm[i]
-        to_behind = lines.dz_mm[i] - faces.behind_slope[i] * lines.dy_mm[i]
-        over_before, over_behind = lines.z_mm[i] - faces.before_mm[i], lines.z_mm[i] - faces.behind_mm[i]
-        off_before = over_before / math.hypot(to_before * off_px, bent_mm)
-        off_behind = over_behind / math.hypot(to_behind * off_px, bent_mm)
+        to_before = (lines.dz_mm[i] - faces.before_slope[i] * lines.dy_mm[i]) * off_px
+        to_behind = (lines.dz_mm[i] - faces.behind_slope[i] * lines.dy_mm[i]) * off_px
+        off_before = (lines.z_mm[i] - faces.before_mm[i]) / math.hypot(to_before, bent_mm)
+        off_behind = (lines.z_mm[i] - faces.behind_mm[i]) / math.hypot(to_behind, bent_mm)
         cost += min(off_before**2, farthest) - min(off_behind**2, farthest)
         costs[k] = cost
-        least = min(least, cost) if k < n else least
-        on_before[k] = lines.y_mm[i] - _y_per_z(lines.dy_mm[i], to_before) * over_before
-        on_behind[k] = lines.y_mm[i] - _y_per_z(lines.dy_mm[i], to_behind) * over_behind
-    middle_mm = 0.5 * (on_before[before - first] + on_behind[behind - first])
+        least = min(least, cost)
+    middle_mm = 0.5 * (on_before_mm[before] + on_behind_mm[behind])
     half_mm = 0.5 * column_mm * abs(lines.scan[behind] - lines.scan[before])
     total, square, beyond = 0.0, 0.0, 0.0
     for k in range(n):
-        wide_mm = column_mm * abs(lines.scan[first + k + 1] - lines.scan[first + k])
-        off_mm = 0.5 * (on_before[k] + on_behind[k + 1]) - middle_mm
+        i = first + k
+        wide_mm = column_mm * abs(lines.scan[i + 1] - lines.scan[i])
+        off_mm = 0.5 * (on_before_mm[i] + on_behind_mm[i + 1]) - middle_mm
         weight = wide_mm * math.exp(-0.5 * (costs[k] - least))
         there = weight * (off_mm * off_mm + wide_mm * wide_mm / 12.0)
         total += weight
         square += there
         beyond += there if abs(off_mm) > half_mm + wide_mm else 0.0
     return Change(square / total, beyond / total) if total > 0.0 else Change(0.0, 0.0)
-
-
-@kernel
-def _y_per_z(dy_mm: float, across_mm: float) -> float:
-    """Return by how much a ray's y goes with a face's height, which it crosses so fast; see `meet_face`."""
-    return dy_mm / across_mm if abs(across_mm) > MIN_ALONG_MM else 0.0
 
 
 class Edge(NamedTuple):
@@ -196,6 +178,33 @@ class HiddenStrip(NamedTuple):
 def light_of(profile: Profile) -> StripeLight:
     """Return what a profile's stripe was read from, without any lines where that is not at hand."""
     return no_light() if profile.light is None else profile.light
+
+
+@kernel(allocates=True)
+def edge_between(
+    lines: SectionPoints,
+    faces: Faces,
+    limit_mm: Float64,
+    bent_mm: float,
+    column_mm: float,
+    light: StripeLight,
+    before: int,
+    behind: int,
+    hidden: HiddenStrip,
+) -> Edge:
+    """Return the edge between the two of some points (n,) that `points_beside` has told.
+
+    A face may be bent by so much; see `change_of` and `upright_edge`.
+    """
+    on_before = meet_face(lines, faces.before_mm, faces.before_slope)
+    met = meet_face(lines, faces.behind_mm, faces.behind_slope)
+    change = change_of(
+        lines, faces, limit_mm, bent_mm, column_mm, light, before, behind, on_before.y_mm, met.y_mm
+    )
+    for i in range(before + 1):
+        met.y_mm[i], met.y_per_z[i] = on_before.y_mm[i], on_before.y_per_z[i]
+    edge: Edge = upright_edge(lines.scan, column_mm, light, before, behind, hidden, met, change)
+    return edge
 
 
 @kernel(allocates=True)

@@ -95,18 +95,18 @@ def run_of(position_px: Float64, begins: int, away: int, most: int) -> tuple[flo
 
 
 @kernel
-def write_change(background_e: Float32, lows: Int64, s: int, change_e: Float64) -> None:
-    """Write by how much what is beside the stripe (n_scan, n_pos) changes within line s, e-, at its pixels.
+def write_change(background_e: Float32, lows: Int64, s: int, begin: int, end: int, change_e: Float64) -> None:
+    """Write by how much what is beside the stripe (n_scan, n_pos) changes within line s, e-.
 
-    It is half of what its neighbours differ by, and 0 at the band's rim.
+    It is half of what its neighbours differ by, at pixels from `begin` to `end`, and 0 at the band's rim.
     """
-    depth = background_e.shape[1]
-    change_e[:] = 0.0
-    if not 0 < s < background_e.shape[0] - 1:
+    n_scan, depth = background_e.shape
+    change_e[begin:end] = 0.0
+    if not 0 < s < n_scan - 1:
         return
     to_before, to_behind = lows[s // CELL] - lows[(s - 1) // CELL], lows[s // CELL] - lows[(s + 1) // CELL]
-    begin = max(0, -to_before, -to_behind)
-    for j in range(begin, depth - max(0, to_before, to_behind)):
+    first = max(begin, -to_before, -to_behind)
+    for j in range(first, min(end, depth - max(0, to_before, to_behind))):
         change_e[j] = 0.5 * (background_e[s + 1, j + to_behind] - background_e[s - 1, j + to_before])
 
 
@@ -157,7 +157,7 @@ def _write_moved(
             continue
         begin = max(math.floor(centre - WINDOW_SIGMAS * width) - low, 0)
         end = min(math.ceil(centre + WINDOW_SIGMAS * width) - low + 1, light.charge_e.shape[1])
-        write_change(light.background_e, light.lows, s, change_e)
+        write_change(light.background_e, light.lows, s, begin, end, change_e)
         lowest, highest = math.inf, -math.inf
         for j in range(begin, end):
             lowest, highest = min(lowest, change_e[j]), max(highest, change_e[j])
@@ -263,7 +263,7 @@ def line_shares(
         lower = upper if alone else at_first + slope_first * (s - first)
         begin = max(math.floor(min(upper, lower) - WINDOW_SIGMAS * width) - low, 0)
         end = min(math.ceil(max(upper, lower) + WINDOW_SIGMAS * width) - low + 1, light.charge_e.shape[1])
-        write_change(light.background_e, light.lows, s, room.change_e)
+        write_change(light.background_e, light.lows, s, begin, end, room.change_e)
         write_mean_stripe(light, last, -away, BEYOND, begin, end, low - upper, room.u_e, room.n_lines)
         if alone:
             room.v_e[begin:end] = 0.0
