@@ -11,11 +11,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from profiles import COLUMN_MM, measure, spoil
 from test_joint_types import CASES, LINE, fit, seen
+from type_check_twin import family, groups
+from type_check_twin import stated_cost as twins_cost
 
 from noise_model.surface.joint import Joint
-from tracker.joint.type_check import Family, cut_into_pieces, family_of, is_another_type
+from tracker.joint.measured import points_of
+from tracker.joint.type_check import (
+    Family,
+    cut_into_pieces,
+    family_of,
+    groups_of,
+    is_another_type,
+    shown_family,
+    stated_cost,
+)
 
 EACH = 12
+SEAM = 0.3, 0.1
 PLATE = np.array([(-60.0, 0.0), (60.0, 0.0)])
 SHOWN = {name: family_of(joint) for name, (joint, _) in CASES.items() if name != "edge"}
 
@@ -46,6 +58,24 @@ def test_no_other_cut_into_pieces_is_cheaper(seed: int) -> None:
     assert cost - 6.0 == pytest.approx(cheapest, abs=1e-6)
     assert cost_of(y, z, sigma, 6.0, list(ends[: n - 1])) == pytest.approx(cheapest, abs=1e-6)
     assert ends[n - 1] == 9
+
+
+@pytest.mark.parametrize("name", [*CASES, "plate"])
+def test_the_family_is_that_of_plain_numpy(name: str) -> None:
+    rng = np.random.default_rng(16)
+    for _ in range(EACH):
+        clean = measure(PLATE, SEAM, rng) if name == "plate" else seen(CASES[name][1](rng), SEAM, rng)
+        profile = spoil(clean, 0.05, rng)
+        twins = groups(profile)
+        told = groups_of(points_of(profile))
+        for numbers, want in zip(told, twins, strict=True):
+            np.testing.assert_allclose(numbers, want, rtol=1e-14)
+        ends = np.empty(len(twins[0]), dtype=np.int64)
+        _, n_pieces = cut_into_pieces(*twins, 3.0 * math.log(len(ends)), ends)
+        assert shown_family(profile)[0] is family(twins[0], twins[1], ends[:n_pieces])
+        found = None if name == "plate" else fit(profile, CASES[name][0], SEAM)
+        if found is not None:
+            assert stated_cost(told, found.corners_mm) == pytest.approx(twins_cost(*twins, found), rel=1e-12)
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.1])

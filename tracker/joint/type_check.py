@@ -11,14 +11,15 @@ from __future__ import annotations
 
 import math
 from enum import Enum
-from typing import NamedTuple, overload
+from typing import NamedTuple
 
 import numpy as np
 
 from noise_model.arrays import Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.surface.joint import Joint
-from tracker.joint.measured import MeasuredJoint
+from noise_model.surface.stated_joint import StatedJoint
+from tracker.joint.measured import MeasuredJoint, SectionPoints, points_of, undetermined
 from tracker.joint.plate_lines import BLURRED_LINES
 from tracker.profile import Profile
 
@@ -70,6 +71,10 @@ FAMILIES = {
     "butt": Family.SLOT,
 }
 
+_NUMBERED = tuple(Family)
+_NONE = -1
+_FLAT, _INSIDE_CORNER, _OUTSIDE_CORNER, _STEP, _SLOT, _GROOVE = range(len(_NUMBERED))
+
 
 def family_of(joint: Joint) -> Family | None:
     """Return the family of a stated joint; None for an edge, which shows no plates to tell it by."""
@@ -79,50 +84,96 @@ def family_of(joint: Joint) -> Family | None:
     return FAMILIES.get(joint.type)
 
 
+def number_of(family: Family | None) -> int:
+    """Return the number of a family, as the kernels take it."""
+    return _NONE if family is None else _NUMBERED.index(family)
+
+
 def is_another_type(profile: Profile, joint: Joint, measured: MeasuredJoint | None) -> bool:
     """Say whether a profile shows another family of joints than the stated one, decidedly.
 
     `measured` is the stated type's fit, None where there is none.
     """
-    stated = family_of(joint)
-    if stated is None:
-        return False
-    family, cost = shown_family(profile)
-    if family is None or family is stated:
-        return False
-    if stated is Family.SLOT and family is Family.FLAT:
-        # A gap may show nothing but missing points, and a narrow one not even those.
-        is_shown = joint.dimensions["gap_mm"] >= BLURRED_LINES * profile.column_mm
-        return measured is None and is_shown
-    return measured is None or cost + DECIDED < _stated_cost(*_groups(profile), measured)
+    fitted = undetermined() if measured is None else measured
+    stated, points = number_of(family_of(joint)), points_of(profile)
+    return bool(shows_another(points, profile.column_mm, stated, StatedJoint.of(joint), fitted))
 
 
 def shown_family(profile: Profile) -> tuple[Family | None, float]:
     """Return the family that a profile's straight pieces look like, None for none known, and their cost."""
-    y, z, sigma = _groups(profile)
-    if len(y) < GROUPS // 4:
-        return None, math.inf
-    ends = np.empty(len(y), dtype=np.int64)
-    cost, n_pieces = cut_into_pieces(y, z, sigma, 3.0 * math.log(len(y)), ends)
-    return _family(y, z, ends[:n_pieces]), cost
+    number, cost = family_shown(groups_of(points_of(profile)))
+    return (None if number == _NONE else _NUMBERED[number]), cost
 
 
-def _groups(profile: Profile) -> tuple[Float64, Float64, Float64]:
-    """Return the median points of neighbouring points (n,): y and z, mm, and the sigma of z."""
-    size = max(1, math.ceil(len(profile.y_mm) / GROUPS))
-    n = len(profile.y_mm) // size
-    z = profile.z_mm[: n * size].reshape(n, size)
-    middle = np.argsort(z, axis=1)[:, (size - 1) // 2]
-    medians = np.arange(n) * size + middle
-    sigma = np.hypot(np.abs(profile.dz_mm[medians]) * profile.sigma_px[medians], ROUGH_MM)
-    return profile.y_mm[medians], profile.z_mm[medians], sigma
+@kernel(allocates=True)
+def shows_another(
+    points: SectionPoints, column_mm: float, family: int, stated: StatedJoint, measured: MeasuredJoint
+) -> bool:
+    """Return `is_another_type` of a section's points; `family` is the stated one's number.
+
+    `measured` is undetermined where there is no fit.
+    """
+    if family == _NONE:
+        return False
+    groups = groups_of(points)
+    shown, cost = family_shown(groups)
+    if shown in (_NONE, family):
+        return False
+    is_fitted = not math.isnan(measured.y_mm)
+    if family == _SLOT and shown == _FLAT:
+        # A gap may show nothing but missing points, and a narrow one not even those.
+        return not is_fitted and stated.gap_mm >= BLURRED_LINES * column_mm
+    return not is_fitted or cost + DECIDED < stated_cost(groups, measured.corners_mm)
 
 
-def _stated_cost(y: Float64, z: Float64, sigma: Float64, measured: MeasuredJoint) -> float:
-    """Return the stated type's own cost: chi2 about its fitted section and its parameters' penalty."""
-    corners = measured.corners_mm
-    off = (z - np.interp(y, corners[:, 0], corners[:, 1])) / sigma
-    return float(np.minimum(off**2, FARTHEST).sum() + STATED_PARAMETERS * math.log(len(y)))
+class Groups(NamedTuple):
+    """The median points (n,) of neighbouring points: y and z, mm, and the sigma of z."""
+
+    y_mm: Float64
+    z_mm: Float64
+    sigma_mm: Float64
+
+
+@kernel(allocates=True)
+def groups_of(points: SectionPoints) -> Groups:
+    """Return the groups of points, y rising."""
+    size = max(1, -(-points.y_mm.shape[0] // GROUPS))
+    n = points.y_mm.shape[0] // size
+    groups = Groups(np.empty(n), np.empty(n), np.empty(n))
+    _write_groups(points, groups, np.empty(size, np.int64))
+    return groups
+
+
+@kernel
+def _write_groups(points: SectionPoints, groups: Groups, order: Int64) -> None:
+    """Write the groups of points, each as large as `order`, which is written over."""
+    z, size = points.z_mm, order.shape[0]
+    for i in range(groups.y_mm.shape[0]):
+        for k in range(size):
+            place, j = i * size + k, k
+            while j > 0 and z[order[j - 1]] > z[place]:
+                order[j] = order[j - 1]
+                j -= 1
+            order[j] = place
+        middle = order[(size - 1) // 2]
+        groups.y_mm[i], groups.z_mm[i] = points.y_mm[middle], z[middle]
+        groups.sigma_mm[i] = math.hypot(abs(points.dz_mm[middle]) * points.sigma_px[middle], ROUGH_MM)
+
+
+@kernel
+def stated_cost(groups: Groups, corners_mm: Float64) -> float:
+    """Return the stated type's own cost: chi2 about its fitted section (m, 2) and its parameters' penalty."""
+    n, last, piece = groups.y_mm.shape[0], corners_mm.shape[0] - 1, 0
+    cost = STATED_PARAMETERS * math.log(n)
+    for i in range(n):
+        y = min(max(groups.y_mm[i], corners_mm[0, 0]), corners_mm[last, 0])
+        while piece < last - 1 and corners_mm[piece + 1, 0] < y:
+            piece += 1
+        wide_mm = corners_mm[piece + 1, 0] - corners_mm[piece, 0]
+        share = (y - corners_mm[piece, 0]) / wide_mm if wide_mm > 0.0 else 1.0
+        z = corners_mm[piece, 1] + share * (corners_mm[piece + 1, 1] - corners_mm[piece, 1])
+        cost += min(((groups.z_mm[i] - z) / groups.sigma_mm[i]) ** 2, FARTHEST)
+    return cost
 
 
 @kernel(allocates=True)
@@ -165,6 +216,17 @@ def cut_into_pieces(y: Float64, z: Float64, sigma: Float64, penalty: float, ends
     return float(best[n] + penalty), count
 
 
+@kernel(allocates=True)
+def family_shown(groups: Groups) -> tuple[int, float]:
+    """Return the number of the family that groups look like, and the cost of their straight pieces."""
+    n = groups.y_mm.shape[0]
+    if n < GROUPS // 4:
+        return _NONE, math.inf
+    ends = np.empty(n, dtype=np.int64)
+    cost, n_pieces = cut_into_pieces(groups.y_mm, groups.z_mm, groups.sigma_mm, 3.0 * math.log(n), ends)
+    return _family(groups, ends, n_pieces), cost
+
+
 class _Line(NamedTuple):
     """A straight line through (y, z), dz/dy its slope."""
 
@@ -172,50 +234,67 @@ class _Line(NamedTuple):
     z: float
     slope: float
 
-    @classmethod
-    def through(cls, y: Float64, z: Float64) -> _Line:
-        """Return the least-squares line through points (n,)."""
-        y_mean, z_mean = float(y.mean()), float(z.mean())
-        beside = y - y_mean
-        spread = float(beside @ beside)
-        return cls(y_mean, z_mean, float(beside @ (z - z_mean)) / spread if spread > 0.0 else 0.0)
 
-    @overload
-    def at(self, y: float) -> float: ...
-    @overload
-    def at(self, y: Float64) -> Float64: ...
-    def at(self, y: float | Float64) -> float | Float64:
-        """Return its z at a place or places."""
-        return self.z + self.slope * (y - self.y)
+@kernel
+def _line_through(groups: Groups, first: int, end: int) -> _Line:
+    """Return the least-squares line through the groups from `first` on and before `end`."""
+    n, y, z = end - first, 0.0, 0.0
+    for i in range(first, end):
+        y += groups.y_mm[i] / n
+        z += groups.z_mm[i] / n
+    spread, along = 0.0, 0.0
+    for i in range(first, end):
+        beside = groups.y_mm[i] - y
+        spread += beside * beside
+        along += beside * (groups.z_mm[i] - z)
+    return _Line(y, z, along / spread if spread > 0.0 else 0.0)
 
 
-def _family(y: Float64, z: Float64, ends: Int64) -> Family | None:
-    """Return what the pieces of a profile look like, None for nothing known."""
-    if len(ends) == 1:
-        return Family.FLAT
-    pieces = list(zip([0, *ends[:-1]], ends, strict=True))
-    (_, right_end), (left_start, _) = pieces[0], pieces[-1]
-    if right_end < MIN_BEVEL_GROUPS or len(y) - left_start < MIN_BEVEL_GROUPS:
-        return None
-    right, left = _Line.through(y[:right_end], z[:right_end]), _Line.through(y[left_start:], z[left_start:])
+@kernel
+def _z_on(line: _Line, y: float) -> float:
+    """Return a line's z at a place."""
+    z: float = line.z + line.slope * (y - line.y)
+    return z
+
+
+@kernel
+def _family(groups: Groups, ends: Int64, n_pieces: int) -> int:
+    """Return the number of what pieces look like, _NONE for nothing known; `ends` are exclusive."""
+    if n_pieces == 1:
+        return _FLAT
+    y, n = groups.y_mm, groups.y_mm.shape[0]
+    right_end, left_start = ends[0], ends[n_pieces - 2]
+    if right_end < MIN_BEVEL_GROUPS or n - left_start < MIN_BEVEL_GROUPS:
+        return _NONE
+    right, left = _line_through(groups, 0, right_end), _line_through(groups, left_start, n)
     turn_deg = math.degrees(math.atan(left.slope) - math.atan(right.slope))
     if abs(turn_deg) > MIN_CORNER_DEG:
-        meet = (right.at(0.0) - left.at(0.0)) / (left.slope - right.slope)
-        if y[right_end - 1] - CORNER_OFF_MM < meet < y[left_start] + CORNER_OFF_MM:
-            return Family.INSIDE_CORNER if turn_deg > 0.0 else Family.OUTSIDE_CORNER
-        return None
+        meet = (_z_on(right, 0.0) - _z_on(left, 0.0)) / (left.slope - right.slope)
+        if not y[right_end - 1] - CORNER_OFF_MM < meet < y[left_start] + CORNER_OFF_MM:
+            return _NONE
+        return _INSIDE_CORNER if turn_deg > 0.0 else _OUTSIDE_CORNER
     middle = 0.5 * (y[right_end - 1] + y[left_start])
-    step = float(left.at(middle) - right.at(middle))
-    between = slice(right_end, left_start)
-    over_right, over_left = (z[between] - line.at(y[between]) for line in (right, left))
-    if len(over_left) and np.maximum(over_right, over_left).min() < -MIN_OPENING_MM:
-        bevelled = any(
-            end - first >= MIN_BEVEL_GROUPS
-            and abs(_Line.through(y[first:end], z[first:end]).slope) * (y[end - 1] - y[first])
-            > MIN_BEVEL_RISE_MM
-            for first, end in pieces[1:-1]
-        )
-        return Family.GROOVE if bevelled else Family.SLOT
-    if len(over_left) and np.minimum(over_right, over_left).max() > MIN_OPENING_MM:
-        return None
-    return Family.STEP if abs(step) > MIN_STEP_MM else Family.FLAT
+    step = _z_on(left, middle) - _z_on(right, middle)
+    below_both, above_both = math.inf, -math.inf
+    for i in range(right_end, left_start):
+        over_right = groups.z_mm[i] - _z_on(right, y[i])
+        over_left = groups.z_mm[i] - _z_on(left, y[i])
+        below_both = min(below_both, max(over_right, over_left))
+        above_both = max(above_both, min(over_right, over_left))
+    if below_both < -MIN_OPENING_MM:
+        return _GROOVE if _is_bevelled(groups, ends, n_pieces) else _SLOT
+    if above_both > MIN_OPENING_MM:
+        return _NONE
+    return _STEP if abs(step) > MIN_STEP_MM else _FLAT
+
+
+@kernel
+def _is_bevelled(groups: Groups, ends: Int64, n_pieces: int) -> bool:
+    """Say whether one of the pieces between the plates' rises as a bevel does."""
+    for piece in range(1, n_pieces - 1):
+        first, end = ends[piece - 1], ends[piece]
+        if end - first >= MIN_BEVEL_GROUPS:
+            rise_mm = _line_through(groups, first, end).slope * (groups.y_mm[end - 1] - groups.y_mm[first])
+            if abs(rise_mm) > MIN_BEVEL_RISE_MM:
+                return True
+    return False
