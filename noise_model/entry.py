@@ -41,6 +41,14 @@ def enter_when_called(dispatcher: Any) -> None:
     dispatcher._compile_for_args = enter
 
 
+def entry_for(kernel: Any, *given: Any) -> Any:
+    """Return what calls a kernel with arguments of the types of those given, and does not ask for types.
+
+    Others it would misread: who calls it answers for theirs.
+    """
+    return kernel._compile_for_args(*given)
+
+
 def _entry_point(dispatcher: Any, kernel: Any) -> Any:
     """Return what Python calls to call a kernel, from disk or compiled and kept there.
 

@@ -11,17 +11,19 @@ import numpy as np
 
 from noise_model.arrays import as_compiled_for
 from tracker import checks
-from tracker.checks import Asked, ask, ask_as, ask_whether
-from tracker.frame import REFUSED, TRACKED, TRACKS, FrameGiven, FrameTracked, expect, reach_of
-from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
-from tracker.measure import Reading, as_stated, frame_light, measure, measure_again
+from tracker.checks import Asked, ask_whether
+from tracker.frame import TRACKS, FrameCall
+from tracker.frame_pieces import REFUSED, TRACKED, FrameGiven, FrameTracked, begin, end, seen_by
+from tracker.geometry import SensorGeometry
+from tracker.joint.type_check import family_of, number_of
+from tracker.measure import Reading, fit_by_pieces, frame_light, look_by_pieces
 from tracker.seam.correction import UNSTATED, Correction
-from tracker.seam.expected import ExpectedSeam, pose_checks
-from tracker.seam.judge import Judged, SeamShown, judge
+from tracker.seam.judge import SeamShown
 from tracker.seam.steer import AT_ONCE, Lead, TorchOffset
+from tracker.search import DONE, after_look, first_turn, settled
 from tracker.state import NAN, NO_SHAPE, Frame, Pose, Track, frame_misfit
 from tracker.stripe.read import Work
-from tracker.tracker_state import TrackerState, state_after, stretches_of
+from tracker.tracker_state import TrackerState
 
 
 @dataclass(frozen=True)
@@ -98,24 +100,38 @@ def step_and_reading(
     use_arc_map: bool = True,
     correction: Correction = UNSTATED,
     lead: Lead = AT_ONCE,
+    call: FrameCall | None = None,
 ) -> tuple[TrackerState, Track, Reading | None]:
-    """Return what `step` does and the look at the frame that it rests on, None where it took none."""
+    """Return what `step` does and the look at the frame that it rests on, None where it took none.
+
+    The `call` is the setup's `prepared_call`, if there is one.
+    """
     asked = Asked.nothing()
     if pose is None or not _is_readable(geometry, frame, pose):
         _ask_frame(asked, geometry, frame, pose)
         return _refused(state, asked, frame)
     frame, pose = _as_compiled_for(frame, pose)
-    in_one_call = None if geometry.has_light_effects else TRACKS.get(geometry.setup.joint.type)
-    if in_one_call is not None:
-        tracked: FrameTracked = in_one_call(
-            asked, _given(geometry, state, frame, pose, work, use_arc_map, correction, lead)
-        )
+    if not geometry.has_light_effects and geometry.setup.joint.type in TRACKS:
+        track = TRACKS[geometry.setup.joint.type] if call is None else call
+        tracked = track(asked, _given(geometry, state, frame, pose, work, use_arc_map, correction, lead))
         if tracked.ends == REFUSED:
             return _refused(state, asked, frame)
         if tracked.ends == TRACKED:
-            reading = _reading(asked, tracked, state)
-            return tracked.state, _track(frame, asked, reading, tracked.shown, tracked.offset), reading
+            return _shown(asked, frame, tracked)
     return step_by_step(geometry, state, frame, pose, work, use_arc_map, correction, lead)
+
+
+def prepared_call(
+    geometry: SensorGeometry, work: Work, use_arc_map: bool, correction: Correction
+) -> FrameCall | None:
+    """Return what tracks a setup's frames in one call, None where no one call serves them."""
+    if geometry.has_light_effects or geometry.setup.joint.type not in TRACKS:
+        return None
+    (height, width), dtype = geometry.frame_form
+    exposure_s, current_a = geometry.setup.camera.exposure_s, geometry.setup.arc.current_a
+    dark = Frame(0, 0.0, np.zeros((height, width), dtype), exposure_s, current_a)
+    given = _given(geometry, TrackerState(), dark, Pose(np.eye(4)), work, use_arc_map, correction, AT_ONCE)
+    return FrameCall(geometry.setup.joint.type, given)
 
 
 def _given(
@@ -132,6 +148,7 @@ def _given(
     return FrameGiven(
         geometry.look_source,
         geometry.stated_joint,
+        number_of(family_of(geometry.setup.joint)),
         correction.numbers,
         state,
         frame.image_dn,
@@ -145,20 +162,22 @@ def _given(
     )
 
 
-def _reading(asked: Asked, tracked: FrameTracked, before: TrackerState) -> Reading:
-    """Return the look that a frame which was tracked in one call rests on."""
-    return Reading(
+def _shown(asked: Asked, frame: Frame, tracked: FrameTracked) -> tuple[TrackerState, Track, Reading]:
+    """Return the state, the track and the look of a frame that was tracked."""
+    aim, stripe, joint = tracked.aim, tracked.stripe, tracked.joint
+    reading = Reading(
         asked,
-        tracked.scene,
-        tracked.seam,
-        tracked.reach_mm,
+        aim.scene,
+        aim.seam,
+        aim.reach_mm,
         tracked.arc,
-        tracked.stripe if tracked.stripe.position_px.size else None,
-        tracked.joint if tracked.joint.is_determined else None,
+        stripe if stripe.position_px.size else None,
+        joint if joint.is_determined else None,
         tracked.fov_margin_mm,
         tracked.state.scatter,
-        before.scatter,
+        aim.scatter,
     )
+    return tracked.state, _track(frame, asked, reading, tracked.shown, tracked.offset), reading
 
 
 def step_by_step(
@@ -171,46 +190,18 @@ def step_by_step(
     correction: Correction,
     lead: Lead,
 ) -> tuple[TrackerState, Track, Reading | None]:
-    """Take a step by its pieces: a search, and what no one call serves."""
-    asked, source = Asked.nothing(), geometry.look_source
-    _ask_frame(asked, geometry, frame, pose)
-    expected: ExpectedSeam = expect(source, state, pose.T_base_tool)
-    if not pose_checks(asked, source.seam, expected.pose):
+    """Take a step by its pieces, where Python comes in between."""
+    asked = Asked.nothing()
+    given = _given(geometry, state, frame, pose, work, use_arc_map, correction, lead)
+    begun = begin(asked, given)
+    if begun.ends == REFUSED:
         return _refused(state, asked, frame)
-    reach_mm: float = reach_of(state, expected)
-    reading = measure(geometry, frame, pose, expected.line, reach_mm, work, use_arc_map, state.scatter)
-    if not ask(asked, checks.REACH, reach_mm, SEARCH_REACH_MM):
-        again = measure_again(
-            geometry,
-            frame,
-            pose,
-            expected.scene,
-            expected.line,
-            reading,
-            work,
-            use_arc_map,
-            state.scatter,
-        )
-        reading = as_stated(again)
-    ask_as(asked, reading.asked)
-    joint, unknown = reading.joint, (NAN, NAN)
-    judged: Judged = judge(
-        asked,
-        source.seam,
-        correction.numbers,
-        stretches_of(state),
-        state.steering,
-        state.frames + 1,
-        expected,
-        reading.scene,
-        unknown if joint is None else (joint.y_mm, joint.z_mm),
-        unknown if joint is None else (joint.covariance_mm2[0, 0], joint.covariance_mm2[1, 1]),
-        reading.stripe is not None,
-        float(frame.timestamp_s),
-        lead,
-    )
-    track = _track(frame, asked, reading, judged.shown, judged.offset)
-    return state_after(state, judged.stretches, judged.steering, reading.scatter), track, reading
+    turn = first_turn(asked, given, begun)
+    while turn.looks != DONE:
+        look = look_by_pieces(turn.asked, geometry, frame, turn.aim, work)
+        fitted = fit_by_pieces(turn.asked, geometry, turn.aim.scene, frame, look)
+        turn = after_look(given, begun, turn, seen_by(turn.asked, given, turn.aim, look, fitted))
+    return _shown(asked, frame, end(asked, given, begun, settled(asked, begun, turn)))
 
 
 def _refused(state: TrackerState, asked: Asked, frame: Frame) -> tuple[TrackerState, Track, None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import fields, replace
 
@@ -12,13 +13,15 @@ from rendered import frame_of, pose_at, small_setup
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker import flags
-from tracker.frame import TRACKED, TRACKS, FrameTracked
+from tracker.frame import TRACKS
+from tracker.frame_pieces import BY_PIECES, REFUSED, TRACKED, FrameTracked
 from tracker.geometry import SensorGeometry
 from tracker.seam.correction import AxisCorrection, Correction
 from tracker.seam.steer import AT_ONCE, Lead
 from tracker.state import Frame, Pose, Track
 from tracker.step import step_and_reading, step_by_step
 from tracker.stripe.read import Work
+from tracker.tracker import Tracker
 from tracker.tracker_state import TrackerState
 
 SEAM = SeamLine(0.0, 0.6, -0.3, 0.01, 0.002)
@@ -30,10 +33,10 @@ CORRECTIONS = {
 
 
 def frames(setup: Setup) -> Iterator[tuple[Frame, Pose]]:
-    """A walk along a seam during which much goes wrong, never so long that it is searched anew."""
+    """A walk along a seam during which much goes wrong, at last so long that it is searched anew."""
     rng = np.random.default_rng(0)
-    for n in range(26):
-        pose, light = pose_at(2.0 * n, 0.2 * np.sin(n)), {}
+    for n in range(32):
+        pose, light = pose_at(1.6 * n, 0.2 * np.sin(n)), {}
         seam = SEAM if n < 18 else SEAM._replace(y_mm=1.4)
         if n == 6:
             light = {"laser": 0.0}
@@ -42,7 +45,7 @@ def frames(setup: Setup) -> Iterator[tuple[Frame, Pose]]:
         if n == 10:
             light = {"laser": 30.0}
         frame = frame_of(setup, pose, seam, index=n, **light)
-        if n == 12:
+        if n == 12 or 26 <= n < 30:
             frame = replace(frame, image_dn=rng.integers(0, 60, frame.image_dn.shape).astype(np.uint8))
         if n == 14:
             bright = np.where(rng.random(frame.image_dn.shape) < 0.02, 255, frame.image_dn)
@@ -82,7 +85,7 @@ def test_a_frame_in_one_call_is_the_step_by_its_pieces(
     monkeypatch.setattr("tracker.measure.transmission_of", lambda *_: None)
     geometry, follow = SensorGeometry.of(setup), CORRECTIONS[correction]
     state, works, in_one_call = TrackerState(), (Work.of(geometry), Work.of(geometry)), 0
-    raised = 0
+    raised = searched = 0
     for n, (frame, pose) in enumerate(frames(setup)):
         lead = AT_ONCE if n % 2 else Lead(0.02, 0.4)
         given = geometry, state, frame, pose
@@ -94,34 +97,64 @@ def test_a_frame_in_one_call_is_the_step_by_its_pieces(
         if reading is not None and twins_reading is not None:
             assert (reading.joint is None) == (twins_reading.joint is None)
         in_one_call += reading is not None and reading.reach_mm < 5.0
+        searched += bool(track.flags & flags.SEARCHED.mask)
         raised |= track.flags
         state = after
     assert in_one_call > 12
+    assert searched > 2
     for flag in (flags.LASER_OFF, flags.ARC_OFF, flags.STRIPE_LOST, flags.POSE_EXTRAPOLATED, flags.SATURATED):
         assert raised & flag.mask, flag.name
 
 
 def test_what_one_call_cannot_track_is_handed_back() -> None:
-    """A search, and a pose from which no seam is seen."""
-    setup = small_setup("v_groove")
-    geometry, seen = SensorGeometry.of(setup), []
+    """A butt whose gap the stripe does not tell, and a pose from which no seam is seen."""
+    seen: list[int] = []
+
+    def ends(setup: Setup, frame: Frame, pose: Pose) -> tuple[int, Track]:
+        called = TRACKS[setup.joint.type]
+
+        def heard(*args: object) -> FrameTracked:
+            tracked: FrameTracked = called(*args)  # type: ignore[arg-type]
+            seen.append(tracked.ends)
+            return tracked
+
+        geometry = SensorGeometry.of(setup)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setitem(TRACKS, setup.joint.type, heard)  # type: ignore[arg-type]
+            _, track, _ = step_and_reading(geometry, TrackerState(), frame, pose, Work.of(geometry))
+        return seen[-1], track
+
+    groove, butt, pose = small_setup("v_groove"), small_setup("butt"), pose_at(0.0)
+    assert ends(groove, frame_of(groove, pose, SEAM), pose)[0] == TRACKED
+    joint = replace(butt.joint, dimensions={**butt.joint.dimensions, "gap_mm": 0.0})
+    closed = replace(butt, joint=joint)
+    assert ends(closed, frame_of(closed, pose, SEAM), pose)[0] == BY_PIECES
+    far = replace(pose, T_base_tool=pose.T_base_tool @ np.diag([1.0, -1.0, -1.0, 1.0]))
+    end, refused = ends(groove, frame_of(groove, pose, SEAM), far)
+    assert end == REFUSED
+    assert refused.flags & flags.INVALIDATING
+
+
+def test_a_prepared_call_asks_for_types_where_they_may_be_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its tracks are those of a call that always asks; a state that was not returned last it asks about."""
+    setup, asked = small_setup("v_groove"), []
     called = TRACKS["v_groove"]
 
     def heard(*args: object) -> FrameTracked:
+        asked.append(args)
         tracked: FrameTracked = called(*args)  # type: ignore[arg-type]
-        seen.append(tracked.ends)
         return tracked
 
-    frame, pose = frame_of(setup, pose_at(0.0), SEAM), pose_at(0.0)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(TRACKS, "v_groove", heard)  # type: ignore[arg-type]
-        state, track, _ = step_and_reading(geometry, TrackerState(), frame, pose, Work.of(geometry))
-        assert track.valid
-        for _ in range(2):
-            state, track, _ = step_and_reading(geometry, state, frame, pose, Work.of(geometry))
-        far = replace(pose, T_base_tool=pose.T_base_tool @ np.diag([1.0, -1.0, -1.0, 1.0]))
-        _, refused, reading = step_and_reading(geometry, state, frame, far, Work.of(geometry))
-    assert seen[-2] == TRACKED
-    assert seen[0] != TRACKED != seen[-1]
-    assert refused.flags & flags.INVALIDATING
-    assert reading is None
+    plain, prepared = Tracker(setup), Tracker(setup)
+    prepared.warm_up()
+    call = prepared._call
+    assert call is not None
+    monkeypatch.setattr(call, "_call", heard)
+    for n, (frame, pose) in enumerate(itertools.islice(frames(setup), 6)):
+        if n == 4:
+            # As a host would that keeps states: equal, but another object.
+            prepared.state = prepared.state._replace(frames=prepared.state.frames)
+        pairs = zip(numbers(plain.step(frame, pose)), numbers(prepared.step(frame, pose)), strict=True)
+        for told, want in pairs:
+            np.testing.assert_array_equal(told, want)
+        assert len(asked) == (1 if n < 4 else 2)

@@ -14,9 +14,10 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, transform
 from tracker import checks, flags
-from tracker.checks import ask, ask_whether
+from tracker.checks import Asked, ask, ask_whether
+from tracker.frame_pieces import Aim, Seen
 from tracker.joint.ask import JOINT_CHI2_LIMIT
-from tracker.measure import as_stated
+from tracker.search import as_stated
 from tracker.state import Frame
 from tracker.tracker import Tracker
 
@@ -177,12 +178,17 @@ def test_a_misfit_that_looks_like_another_type_is_no_joint(
     reading = tracker.reading
     assert reading is not None
     assert reading.joint is not None
-    ask(reading.asked, checks.JOINT_CHI2, 20.0 if is_misfit else 1.0, JOINT_CHI2_LIMIT)
-    ask_whether(reading.asked, checks.JOINT_TYPE, not is_other)
-    ask_whether(reading.asked, checks.GAP_SHOWN, not is_by_line)
-    judged = as_stated(reading)
-    assert (judged.joint is not None) == is_kept
-    assert bool(judged.flags & flags.JOINT_NOT_FOUND.mask) != is_kept
+    assert reading.stripe is not None
+    asked = Asked.nothing()
+    ask(asked, checks.JOINT_CHI2, 20.0 if is_misfit else 1.0, JOINT_CHI2_LIMIT)
+    ask_whether(asked, checks.JOINT_TYPE, not is_other)
+    ask_whether(asked, checks.GAP_SHOWN, not is_by_line)
+    aim = Aim(reading.scene, reading.seam, reading.reach_mm, True, reading.read_with)
+    seen = Seen(
+        asked, aim, reading.arc, reading.stripe, reading.scatter, reading.joint, reading.fov_margin_mm
+    )
+    assert as_stated(seen).joint.is_determined == is_kept
+    assert bool(asked.flags & flags.JOINT_NOT_FOUND.mask) != is_kept
 
 
 def test_the_margin_shrinks_as_the_joint_leaves_the_view() -> None:
