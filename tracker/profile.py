@@ -13,7 +13,7 @@ from noise_model.arrays import Float64, Int64, Integers
 from noise_model.instrument.camera import Intrinsics, distorted, undistorted
 from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel
-from noise_model.median import median
+from noise_model.median import exact_median, median
 from noise_model.surface.faces import ridge
 from noise_model.transforms import inverted
 from tracker.geometry import SensorGeometry, StripeSource
@@ -299,7 +299,7 @@ def _spacing(y: Float64, scan: Float64) -> float:
     apart = np.empty(max(len(y) - 1, 0))
     for i in range(len(apart)):
         apart[i] = (y[i + 1] - y[i]) / (1.0 + scan[i] % 1.0 + scan[i + 1] % 1.0)
-    return np.median(apart) if len(apart) > 0 else math.nan
+    return exact_median(apart)
 
 
 @kernel(allocates=True)

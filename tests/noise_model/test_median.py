@@ -16,6 +16,14 @@ def test_the_median_is_numpys_bit_for_bit(values):
     assert median(np.array([values, values]).T[:, 1]) == np.median(values)
 
 
+alike = st.integers(-3, 3).map(lambda n: 1.0 + 1e-12 * n) | st.sampled_from([0.0, 1e-300, 1e300, np.inf])
+
+
+@given(st.lists(alike, min_size=1, max_size=200))
+def test_values_that_round_to_the_same_are_told_apart(values):
+    assert median(values) == np.median(values)
+
+
 @given(st.lists(numbers | st.just(float("nan")), min_size=1, max_size=40))
 def test_the_known_median_is_numpys(values):
     known = [value for value in values if value == value]

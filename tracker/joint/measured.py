@@ -9,6 +9,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64, Int64
 from noise_model.kernel import kernel
+from noise_model.median import exact_median
 from tracker.joint.alike import add_shared_errors
 from tracker.joint.section_fit import MIN_ALONG_MM, best_shift, fit_section
 from tracker.joint.section_shapes import opening
@@ -208,7 +209,7 @@ def typical_mm(dz_mm: Float64, sigma_px: Float64, used: Bool) -> float:
         if used[i]:
             moves[count] = abs(dz_mm[i]) * sigma_px[i]
             count += 1
-    return float(np.median(moves[:count]))
+    return exact_median(moves[:count])
 
 
 @kernel(allocates=True)

@@ -16,7 +16,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
-from noise_model.median import median_of, numbers_for
+from noise_model.median import exact_median, median_of, numbers_for
 from noise_model.robust import MAD_SIGMA
 from noise_model.surface.faces import face_under, slope_across
 from tracker.joint.section_shapes import N_CORNERS, corners_of
@@ -123,7 +123,7 @@ def _scale(r: Float64, used: Bool, least: float) -> float:
         if used[i]:
             sizes[count] = abs(r[i])
             count += 1
-    return max(least, MAD_SIGMA * np.median(sizes))
+    return max(least, MAD_SIGMA * exact_median(sizes))
 
 
 @kernel(fastmath=REDUCTION)

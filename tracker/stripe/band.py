@@ -16,6 +16,9 @@ FIT_SIGMAS = 5.0
 a second stripe beside them has to be seen."""
 
 
+_NEAR_PX = np.uint64(64)
+
+
 class Band(NamedTuple):
     """A band's pixels (n_scan, depth), e-, that begin at `lows` (n_cells,) for each CELL scan lines.
 
@@ -68,14 +71,20 @@ def gather(
 
     A code beyond the sensor's bits counts as the table's last.
     """
-    n_scan, depth = band.shape
-    max_dn = len(charge_e) - 1
-    for s in range(n_scan):
-        low = lows[s // CELL]
-        for j in range(depth):
-            dn = image_dn[low + j, s] if along_rows else image_dn[s, low + j]
-            band[s, j] = charge_e[min(dn, max_dn)]
-            censored[s, j] = dn >= saturation_dn
+    # Unsigned, so that no index is asked whether it counts from the end.
+    n_scan, depth, cell_lines = np.uint64(band.shape[0]), np.uint64(band.shape[1]), np.uint64(CELL)
+    first, max_dn, saturation = np.uint64(0), np.uint64(len(charge_e) - 1), np.uint64(saturation_dn)
+    for cell in range(lows.shape[0]):
+        low, end = np.uint64(lows[cell]), min(first + cell_lines, n_scan)
+        # Lines of so few positions at a time that the image's pixels stay in the nearest cache.
+        for top in range(np.uint64(0), depth, _NEAR_PX):
+            bottom = min(top + _NEAR_PX, depth)
+            for s in range(first, end):
+                for j in range(top, bottom):
+                    dn = np.uint64(image_dn[low + j, s] if along_rows else image_dn[s, low + j])
+                    band[s, j] = charge_e[min(dn, max_dn)]
+                    censored[s, j] = dn >= saturation
+        first = end
 
 
 class LightLevel(NamedTuple):

@@ -13,7 +13,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
-from noise_model.median import finite_median
+from noise_model.median import exact_median, finite_median
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.scatter import FrameScatter, width_factor
 from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP, TEMPLATE_SIGMAS, write_template
@@ -155,7 +155,7 @@ def seen_share(
             n_found += 1
     if n_found == 0:
         return math.nan
-    weak_e = WEAK * np.median(held_e[:n_found])
+    weak_e = WEAK * exact_median(held_e[:n_found])
     for s in range(n):
         most_e = 0.0
         for j in range(background_e.shape[1]):

@@ -17,6 +17,7 @@ import numpy as np
 from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
+from noise_model.median import exact_median
 from tracker.stripe.viterbi import TEMPLATE_SIGMAS, Pair, bell
 
 NEAREST_SIGMAS = 3.0
@@ -151,7 +152,7 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
     n = _lay_lines(charge, background, censored, fits, lows, remainder, widths, laid, laid_on)
     if n == 0:
         return 0.0, 0.0
-    width = float(np.median(widths[:n]))
+    width = exact_median(widths[:n])
     for i in range(2 * depth + 1):
         laid[i] = laid[i] / laid_on[i] if laid_on[i] > MIN_GHOST_LINES * n else np.float32(math.nan)
     share, apart = 0.0, 0.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.kernel import kernel
-from noise_model.median import finite_median
+from noise_model.median import exact_median, finite_median
 from tracker.state import Stripe
 from tracker.stripe.band import Band, LightLevel, at_level
 from tracker.stripe.detection import Evidence, evidence_of
@@ -215,8 +215,7 @@ def _finish(
 @kernel(allocates=True)
 def usual_line(average: FrameScatter, own_px: Float64) -> UsualLine:
     """Return what scatter and lines' own 1 sigma (n,) say of a usual line read alone."""
-    known_px = own_px[np.isfinite(own_px)]
-    own_sigma_px = np.median(known_px) if len(known_px) > 0 else math.nan
+    own_sigma_px = exact_median(own_px[np.isfinite(own_px)])
     centre_sigma_px = math.hypot(own_sigma_px, math.sqrt(line_variance_px2(average)))
     return UsualLine(math.sqrt(brightness_plateau(average)), brightness_alike(average), centre_sigma_px)
 
