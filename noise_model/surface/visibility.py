@@ -40,40 +40,109 @@ def write_horizon(
     x_start: float,
     rows: tuple[int, int],
     arc: tuple[float, float],
-    top: float,
     lift: float,
     foot: float,
     table: Float64,
+    hull: Int64,
 ) -> None:
     """Write rows first ... last - 1 of a table (n, 2): the steepest slope towards the arc, and where it is.
 
     Each row is a station, HORIZON_STEP_MM after the one before. `heights` (n,) are the corrugation's c(x)
-    there, none above `top`, `arc` is the arc's center_x and radius. Seen from height c(x) for terrain that
-    lies `lift` mm higher than the surface the point is on: all of it up to the arc's near side, and up to its
-    far side what rises towards it to no more than c = `foot`, the arc's own level: no part of the arc stands
-    in front of that and below its top. -inf where nothing lies between.
+    there, `arc` is the arc's center_x and radius. Seen from height c(x) for terrain that lies `lift` mm
+    higher than the surface the point is on: all of it up to the arc's near side, and up to its far side what
+    rises towards it to no more than c = `foot`, the arc's own level: no part of the arc stands in front of
+    that and below its top. -inf where nothing lies between. `hull` (n,) is written over.
+
+    Stations are taken from the arc outwards, and those of the upper convex hull are kept: on it the slope as
+    seen from farther out rises to the steepest and falls again.
     """
     (center_x, radius), n = arc, len(heights)
-    for i in range(rows[0], rows[1]):
-        x = x_start + i * HORIZON_STEP_MM
-        steepest, where = -math.inf, math.nan
-        step = -1 if x > center_x else 1
-        # Nothing at this distance or farther is steeper than the top would be, here or at the way's end.
-        most, way = top + lift - heights[i], (center_x - x) * step + radius
-        j = i + step
-        while 0 <= j < n:
-            x_j = x_start + j * HORIZON_STEP_MM
-            if (center_x - x_j) * step < -radius:
-                break
-            distance = (x_j - x) * step
-            if steepest * (distance if most > 0.0 else way) > most:
-                break
-            slope = (heights[j] + lift - heights[i]) / distance
-            counts = (center_x - x_j) * step >= radius or (slope > 0.0 and heights[j] <= foot)
-            if counts and slope > steepest:
-                steepest, where = slope, x_j
-            j += step
-        table[i, 0], table[i, 1] = steepest, where
+    for towards in (1, -1):
+        # The station next to the arc's centre on this side.
+        place = math.floor((center_x - x_start) / HORIZON_STEP_MM)
+        i = min(place, n - 1) if towards > 0 else max(place + 1, 0)
+        # The first station past the far side, and the outermost one under the arc so far.
+        beyond, under, highest = i, i + towards, -math.inf
+        while 0 <= beyond < n and (center_x - (x_start + beyond * HORIZON_STEP_MM)) * towards >= -radius:
+            if heights[beyond] <= foot:
+                highest = max(highest, heights[beyond])
+            beyond += towards
+        count = 0
+        while rows[0] <= i if towards > 0 else i < rows[1]:
+            is_before = (center_x - (x_start + i * HORIZON_STEP_MM)) * towards >= radius
+            if rows[0] <= i < rows[1]:
+                steepest, touched = _touched(heights, i, lift, hull, count)
+                if highest + lift > heights[i]:
+                    j = under if is_before else i + towards
+                    steepest, touched = _over_foot(
+                        heights, i, (j, beyond, towards), lift, foot, (steepest, touched)
+                    )
+                where = x_start + touched * HORIZON_STEP_MM if touched >= 0 else math.nan
+                table[i, 0], table[i, 1] = steepest, where
+            if is_before:
+                count = _onto_hull(heights, i, hull, count)
+            else:
+                under = i
+                if heights[i] <= foot:
+                    highest = max(highest, heights[i])
+            i -= towards
+
+
+@kernel
+def _slope(heights: Float64, i: int, j: int, lift: float) -> float:
+    """Return the slope from station i to terrain that lies `lift` mm higher, at station j."""
+    slope: float = (heights[j] + lift - heights[i]) / (abs(j - i) * HORIZON_STEP_MM)
+    return slope
+
+
+@kernel
+def _touched(heights: Float64, i: int, lift: float, hull: Int64, count: int) -> tuple[float, int]:
+    """Return the steepest slope from station i to the first `count` stations of a hull, and the station.
+
+    -inf and -1 without any.
+    """
+    if count == 0:
+        return -math.inf, -1
+    first, last = 0, count - 1
+    while first < last:
+        middle = (first + last) // 2
+        if _slope(heights, i, hull[middle], lift) > _slope(heights, i, hull[middle + 1], lift):
+            last = middle
+        else:
+            first = middle + 1
+    return _slope(heights, i, hull[first], lift), hull[first]
+
+
+@kernel
+def _over_foot(
+    heights: Float64,
+    i: int,
+    stations: tuple[int, int, int],
+    lift: float,
+    foot: float,
+    steepest: tuple[float, int],
+) -> tuple[float, int]:
+    """Return what of `steepest` and of stations under the arc that rise to its foot at most is steepest."""
+    most, touched = steepest
+    (j, end, step), least = stations, max(most, 0.0)
+    while j != end:
+        slope = _slope(heights, i, j, lift)
+        if heights[j] <= foot and slope > least:
+            least, most, touched = slope, slope, j
+        j += step
+    return most, touched
+
+
+@kernel
+def _onto_hull(heights: Float64, i: int, hull: Int64, count: int) -> int:
+    """Add a station, farther out than `count` others, to their upper convex hull; return how many it has."""
+    while count >= 2:
+        far, near = hull[count - 2], hull[count - 1]
+        if (heights[near] - heights[far]) * abs(i - far) > (heights[i] - heights[far]) * abs(near - far):
+            break
+        count -= 1
+    hull[count] = i
+    return count + 1
 
 
 @kernel(inline=True)
@@ -325,7 +394,7 @@ def _write_horizons(
 ) -> None:
     """Write the tables of `horizons_of_scenes`; the sheets of the lap lie at `terrain`, mm."""
     upper, lower = terrain
-    heights = np.empty(tables.shape[2])
+    heights, hull = np.empty(tables.shape[2]), np.empty(tables.shape[2], np.int64)
     for s in range(len(starts)):
         start, n, center_x = starts[s], counts[s], centers[s, 0]
         for i in range(n):
@@ -341,10 +410,10 @@ def _write_horizons(
                 start,
                 (first, last),
                 (center_x, radius),
-                corrugation[0],
                 lift,
                 foot,
                 tables[s, sheet],
+                hull,
             )
 
 

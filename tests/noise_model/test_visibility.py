@@ -267,8 +267,41 @@ def test_half_spaces_open_the_arc_as_a_walk_does(name, center):
 def horizon_table(x_start, n, center_x, radius, corrugation, lift, foot):
     stations = x_start + HORIZON_STEP_MM * np.arange(n)
     heights, table = corrugation_height(stations, corrugation), np.empty((n, 2))
-    write_horizon(heights, x_start, (0, n), (center_x, radius), corrugation[0], lift, foot, table)
+    room = np.empty(n, np.int64)
+    write_horizon(heights, x_start, (0, n), (center_x, radius), lift, foot, table, room)
     return table
+
+
+def steepest_on_the_way(heights, i, x_start, center_x, radius, lift, foot):
+    """What `write_horizon` says of a station, by a look at each one on the way: the slope and its place."""
+    stations = x_start + HORIZON_STEP_MM * np.arange(len(heights))
+    towards = -1.0 if stations[i] > center_x else 1.0
+    way, to_center = (stations - stations[i]) * towards, (center_x - stations) * towards
+    slopes = np.full(len(heights), -np.inf)
+    slopes[way > 0.0] = ((heights + lift - heights[i])[way > 0.0]) / way[way > 0.0]
+    is_under = (to_center < radius) & (to_center >= -radius) & (slopes > 0.0) & (heights <= foot)
+    slopes[~((to_center >= radius) | is_under)] = -np.inf
+    steepest = int(np.argmax(slopes))
+    return slopes[steepest], stations[steepest] if slopes[steepest] > -np.inf else np.nan
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_horizon_is_that_of_a_look_at_each_station(seed):
+    rng = np.random.default_rng(seed)
+    n, x_start = int(rng.integers(1, 90)), HORIZON_STEP_MM * int(rng.integers(-60, 20))
+    heights = rng.choice([0.05, 1.0]) * rng.normal(size=n).cumsum() + rng.normal(0.0, 0.2, n)
+    center_x, radius = rng.uniform(-16.0, 16.0), rng.uniform(0.1, 4.0)
+    lift, foot = rng.uniform(-2.0, 1.0), rng.normal()
+    first = int(rng.integers(0, n))
+    table, untouched = np.full((n, 2), -7.0), np.full((n, 2), -7.0)
+    last = int(rng.integers(first, n + 1))
+    room = np.empty(n, np.int64)
+    write_horizon(heights, x_start, (first, last), (center_x, radius), lift, foot, table, room)
+    for i in range(first, last):
+        slope, where = steepest_on_the_way(heights, i, x_start, center_x, radius, lift, foot)
+        np.testing.assert_allclose(table[i], (slope, where), rtol=1e-9, atol=1e-12)
+    untouched[first:last] = table[first:last]
+    np.testing.assert_array_equal(table, untouched)
 
 
 @pytest.mark.parametrize(("center_x", "lift"), [(0.0, 0.0), (12.0, 0.0), (30.0, -1.5)])
