@@ -22,8 +22,11 @@ BESIDE_MM = 1e-6
 SAME_ELEVATION = 1e-6
 """Points of one face that a source sees edge on differ by less."""
 
-MAX_STEPS, MET_MM = 20, 1e-9
-"""Steps by which a plane is met on a corrugation at most; one that is shorter is the last."""
+MAX_STEPS, MET_MM = 20, 1e-5
+"""Newton's steps by which a plane is met on a corrugation at most; one that is shorter is the last.
+
+What it leaves is some 1e-11 mm: the square of it, times the corrugation's curvature.
+"""
 
 NEAREST_MM = 1.0
 """What comes nearer to the camera than this is not in view."""
@@ -58,11 +61,12 @@ def cut_and_project(
     for i in range(y.shape[0]):
         k = face[i]
         plain = z[i]
+        # Newton's steps, each from where the plane met the point before.
         for _ in range(MAX_STEPS):
-            met = -(ny * y[i] + nz * (plain + ridge(x, corrugation)[0]) + d) / nx
-            moved = abs(met - x)
-            x = met
-            if moved < MET_MM:
+            height, slope = ridge(x, corrugation)
+            move = (nx * x + ny * y[i] + nz * (plain + height) + d) / (nx + nz * slope)
+            x -= move
+            if abs(move) < MET_MM:
                 break
         P = (x, y[i], plain + ridge(x, corrugation)[0])
 
