@@ -14,6 +14,8 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.lowering import Environment
 from numba.core.runtime import rtsys
 
+from noise_model.deep_calls import call_with_room
+
 
 def enter_when_called(dispatcher: Any) -> None:
     """Give a function that numba compiles without entry points one when Python calls it."""
@@ -26,13 +28,13 @@ def enter_when_called(dispatcher: Any) -> None:
         dispatcher.overloads[tuple(kernel.signature.args)] = kernel
 
     def enter(*given: Any) -> Any:
-        compiled = compile_for(*given)
+        compiled = call_with_room(compile_for, *given)
         kernel = next(kernel for kernel in dispatcher.overloads.values() if kernel.entry_point is compiled)
         arguments = tuple(kernel.signature.args)
         # Two threads may both ask before either has it.
         with global_compiler_lock:
             if arguments not in entries:
-                entries[arguments] = _entry_point(dispatcher, kernel)
+                entries[arguments] = call_with_room(_entry_point, dispatcher, kernel)
                 dispatcher._insert([type_._code for type_ in arguments], entries[arguments], False)
         return entries[arguments]
 
