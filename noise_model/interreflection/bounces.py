@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from noise_model.arrays import Float64, Int64
+from noise_model.arrays import Float32, Float64, Int64, Point
 from noise_model.interreflection.first_bounce import Place, arc_leaving, laser_leaving
 from noise_model.interreflection.lattice import Lattice, around
 from noise_model.interreflection.nodes import (
@@ -17,6 +17,7 @@ from noise_model.interreflection.nodes import (
     look_around,
     room,
 )
+from noise_model.interreflection.scratch import Scratch, scratch_for
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import reflected
 from noise_model.surface.faces import across, strip
@@ -25,56 +26,61 @@ ORDERS = 6
 """How many bounces are followed."""
 
 
-@kernel(allocates=True)
 def gather_first(
     k: Place, seen: Lattice, camera: Float64, focus: Focus, of_laser: bool, fine: Rules
 ) -> Float64:
     """Return what points of a lattice (n, 1) send to the camera of once-bounced light, source's output 1."""
-    nodes, omega = np.empty((room(k, fine), COLUMNS)), np.empty(3)
-    sent = np.zeros((len(seen.faces), 1))
-    for i in range(len(seen.faces)):
-        P, normal = seen.points[i], seen.normals[i]
-        _towards(P, camera, omega)
-        n = look_around(k, P, normal, seen.faces[i], focus, of_laser, fine, nodes)
-        for j in range(n):
-            o = nodes[j, OMEGA : OMEGA + 3]
-            f_r = reflected(k.material, o, omega, normal)
-            sent[i, 0] += f_r * nodes[j, WEIGHT] * _leaving(k, nodes[j], of_laser)
+    nodes, sent = np.empty((room(k, fine), COLUMNS)), np.zeros((len(seen.faces), 1))
+    _gather_first(k, seen, camera, focus, of_laser, fine, scratch_for(k), nodes, sent)
     return sent
 
 
-@kernel(inline=True)
-def _towards(P: Float64, Q: Float64, omega: Float64) -> None:
-    """Write the unit vector from P to Q."""
-    r = 0.0
-    for a in range(3):
-        omega[a] = Q[a] - P[a]
-        r += omega[a] * omega[a]
-    r = r**0.5
-    for a in range(3):
-        omega[a] /= r
-
-
-@kernel(allocates=True, inline=True)
-def _leaving(k: Place, node: Float64, of_laser: bool) -> float:
-    """Return what a node sends of the source's own light to the point that looks at it."""
-    Q, normal, o = node[:3], node[3:OMEGA], node[OMEGA : OMEGA + 3]
-    back = (-o[0], -o[1], -o[2])
-    return laser_leaving(k, Q, normal, back) if of_laser else arc_leaving(k, Q, normal, back)
+@kernel
+def _gather_first(
+    k: Place,
+    seen: Lattice,
+    camera: Float64,
+    focus: Focus,
+    of_laser: bool,
+    fine: Rules,
+    scratch: Scratch,
+    nodes: Float64,
+    sent: Float64,
+) -> None:
+    for i in range(seen.faces.shape[0]):
+        P, normal = seen.points[i], seen.normals[i]
+        to_camera = _towards(P, camera)
+        for j in range(look_around(k, P, normal, seen.faces[i], focus, of_laser, fine, scratch, nodes)):
+            node = nodes[j]
+            f_r = reflected(k.material, node[OMEGA : OMEGA + 3], to_camera, normal)
+            sent[i, 0] += f_r * node[WEIGHT] * _leaving(k, node, of_laser, scratch)
 
 
 @kernel
-def _copy(source: Float64, n: int, target: Float64, start: int) -> None:
-    """Copy n rows to a table's rows from `start` on.
-
-    A slice that is assigned makes numba compile the message of shapes that do not fit.
-    """
-    for i in range(n):
-        for column in range(source.shape[1]):
-            target[start + i, column] = source[i, column]
+def _towards(P: Float64, Q: Float64) -> Point:
+    """Return the unit vector from P to Q."""
+    dx, dy, dz = Q[0] - P[0], Q[1] - P[1], Q[2] - P[2]
+    r = (dx * dx + dy * dy + dz * dz) ** 0.5
+    return dx / r, dy / r, dz / r
 
 
-@kernel(allocates=True)
+@kernel
+def _leaving(k: Place, node: Float64, of_laser: bool, scratch: Scratch) -> float:
+    """Return what a node sends of the source's own light to the point that looks at it."""
+    Q, normal, back = node[:3], node[3:OMEGA], _back(node)
+    if of_laser:
+        light: float = laser_leaving(k, Q, normal, back)
+    else:
+        light = arc_leaving(k, Q, normal, back, scratch.borders, scratch.spans)
+    return light
+
+
+@kernel
+def _back(node: Float64) -> Point:
+    """Return the direction from a node to the point that looks at it."""
+    return -node[OMEGA], -node[OMEGA + 1], -node[OMEGA + 2]
+
+
 def arriving(
     k: Place, passing: Lattice, focus: Focus, of_laser: bool, coarse: Rules
 ) -> tuple[Int64, Float64, Float64]:
@@ -83,73 +89,119 @@ def arriving(
     Point i remembers the directions `omega` (n, 3) from start[i] to start[i + 1] and the irradiance (n,
     ORDERS - 1) that comes along each, after 1, 2, … reflections, at the source's output 1.
     """
-    n_points = len(passing.faces)
-    start = np.zeros(n_points + 1, dtype=np.int64)
-    all_nodes, used = np.empty((1024, COLUMNS)), 0
-    struck = np.zeros(n_points, dtype=np.int64)
-    nodes = np.empty((room(k, coarse), COLUMNS))
-    for i in range(n_points):
-        # The laser's own light comes from its stripe, what it sends further comes from all faces.
-        for of_stripe in (True, False):
-            if of_stripe and not of_laser:
-                continue
-            n = look_around(
-                k, passing.points[i], passing.normals[i], passing.faces[i], focus, of_stripe, coarse, nodes
-            )
-            if used + n > len(all_nodes):
-                larger = np.empty((2 * len(all_nodes) + n, COLUMNS))
-                _copy(all_nodes, used, larger, 0)
-                all_nodes = larger
-            _copy(nodes, n, all_nodes, used)
-            used += n
-            if of_stripe or not of_laser:
-                struck[i] = n
-        start[i + 1] = used
-    all_nodes = all_nodes[:used]
-    omega = all_nodes[:, OMEGA : OMEGA + 3].copy()
-    irradiance = np.zeros((used, ORDERS - 1))
-    for i in range(n_points):
+    n_points, scratch = len(passing.faces), scratch_for(k)
+    # Where the nodes of each point begin, and how many of them the source strikes.
+    start, struck = np.zeros(n_points + 1, dtype=np.int64), np.zeros(n_points, dtype=np.int64)
+    nodes, done, most = np.empty((0, COLUMNS)), 0, room(k, coarse)
+    while done < n_points:
+        more = np.empty((max(len(nodes), 16 * most), COLUMNS))
+        nodes = np.concatenate([nodes[: start[done]], more])
+        done = _look_from_each(k, passing, focus, of_laser, coarse, scratch, most, done, start, struck, nodes)
+    nodes = nodes[: start[-1]]
+    irradiance = np.zeros((len(nodes), ORDERS - 1))
+    _strike(k, start, struck, of_laser, scratch, nodes, irradiance)
+    # The laser's own light comes from its stripe, what it sends further comes from all faces.
+    first = start[:-1] + (struck if of_laser else 0)
+    shares = np.empty(_count_shares(k, passing, start, first, scratch, nodes), dtype=np.float32)
+    _pass_on(k, passing, start, first, scratch, nodes, shares, irradiance)
+    return start, nodes[:, OMEGA : OMEGA + 3].copy(), irradiance
+
+
+@kernel
+def _look_from_each(
+    k: Place,
+    passing: Lattice,
+    focus: Focus,
+    of_laser: bool,
+    coarse: Rules,
+    scratch: Scratch,
+    most: int,
+    done: int,
+    start: Int64,
+    struck: Int64,
+    nodes: Float64,
+) -> int:
+    """Write the nodes of a lattice's points from point `done` on, as far as there is room; return how far.
+
+    A point has `most` nodes at most.
+    """
+    for i in range(done, len(passing.faces)):
+        P, normal, face, used = passing.points[i], passing.normals[i], passing.faces[i], start[i]
+        if used + 2 * most > nodes.shape[0]:
+            return i
+        if of_laser:
+            struck[i] = look_around(k, P, normal, face, focus, True, coarse, scratch, nodes[used:])
+            used += struck[i]
+        n = look_around(k, P, normal, face, focus, False, coarse, scratch, nodes[used:])
+        if not of_laser:
+            struck[i] = n
+        start[i + 1] = used + n
+    return len(passing.faces)
+
+
+@kernel
+def _strike(
+    k: Place,
+    start: Int64,
+    struck: Int64,
+    of_laser: bool,
+    scratch: Scratch,
+    nodes: Float64,
+    irradiance: Float64,
+) -> None:
+    """Fill the irradiance after one reflection."""
+    for i in range(struck.shape[0]):
         for j in range(start[i], start[i] + struck[i]):
-            irradiance[j, 0] = all_nodes[j, WEIGHT] * _leaving(k, all_nodes[j], of_laser)
-    _pass_on(k, passing, start, struck if of_laser else np.zeros_like(struck), all_nodes, omega, irradiance)
-    return start, omega, irradiance
+            irradiance[j, 0] = nodes[j, WEIGHT] * _leaving(k, nodes[j], of_laser, scratch)
 
 
-@kernel(allocates=True, inline=True)
+@kernel
+def _count_shares(
+    k: Place, passing: Lattice, start: Int64, first: Int64, scratch: Scratch, nodes: Float64
+) -> int:
+    """Return how many directions are remembered by the points about all nodes from `first` on."""
+    count, which = 0, scratch.which
+    for i in range(first.shape[0]):
+        for j in range(first[i], start[i + 1]):
+            for a in range(_about(k, passing, nodes[j], which, scratch.weights)):
+                count += start[which[a] + 1] - start[which[a]]
+    return count
+
+
+@kernel
 def _pass_on(
     k: Place,
     passing: Lattice,
     start: Int64,
     first: Int64,
-    all_nodes: Float64,
-    omega: Float64,
+    scratch: Scratch,
+    nodes: Float64,
+    shares: Float32,
     irradiance: Float64,
 ) -> None:
-    """Fill the irradiance after 2, 3, … reflections from that after one, over nodes from start + first on."""
-    which, weights = np.empty(8, dtype=np.int64), np.empty(8)
-    # Which share of what arrives along each remembered direction leaves towards the node's point.
-    most = 0
-    for i in range(len(first)):
-        for j in range(start[i] + first[i], start[i + 1]):
-            for a in range(_about(k, passing, all_nodes[j], which, weights)):
-                most += start[which[a] + 1] - start[which[a]]
-    shares = np.empty(most, dtype=np.float32)
+    """Fill the irradiance after 2, 3, … reflections from that after one, over nodes from `first` on.
+
+    `shares` is room for which share of what arrives along each remembered direction leaves towards the point.
+    """
+    which, weights = scratch.which, scratch.weights
     for order in range(ORDERS - 1):
         entry = 0
-        for i in range(len(first)):
-            for j in range(start[i] + first[i], start[i + 1]):
-                back = (-all_nodes[j, OMEGA], -all_nodes[j, OMEGA + 1], -all_nodes[j, OMEGA + 2])
+        for i in range(first.shape[0]):
+            for j in range(first[i], start[i + 1]):
+                back = _back(nodes[j])
                 total = 0.0
-                for a in range(_about(k, passing, all_nodes[j], which, weights)):
+                for a in range(_about(k, passing, nodes[j], which, weights)):
                     n = passing.normals[which[a]]
                     for m in range(start[which[a]], start[which[a] + 1]):
                         if order == 0:
-                            shares[entry] = weights[a] * reflected(k.material, omega[m], back, n)
+                            shares[entry] = weights[a] * reflected(
+                                k.material, nodes[m, OMEGA : OMEGA + 3], back, n
+                            )
                         else:
                             total += shares[entry] * irradiance[m, order - 1]
                         entry += 1
                 if order > 0:
-                    irradiance[j, order] = all_nodes[j, WEIGHT] * total
+                    irradiance[j, order] = nodes[j, WEIGHT] * total
 
 
 @kernel(inline=True)
@@ -160,7 +212,6 @@ def _about(k: Place, passing: Lattice, node: Float64, which: Int64, weights: Flo
     return around(passing, face, s, node[0], which, weights)
 
 
-@kernel(allocates=True)
 def gather_further(
     k: Place,
     seen: Lattice,
@@ -173,21 +224,39 @@ def gather_further(
     irradiance: Float64,
 ) -> Float64:
     """Return what points of a lattice (n, ORDERS - 1) send to the camera after 2, 3, … bounces."""
-    nodes, to_camera = np.empty((room(k, coarse), COLUMNS)), np.empty(3)
-    which, weights = np.empty(8, dtype=np.int64), np.empty(8)
-    sent = np.zeros((len(seen.faces), ORDERS - 1))
-    for i in range(len(seen.faces)):
+    nodes, sent = np.empty((room(k, coarse), COLUMNS)), np.zeros((len(seen.faces), ORDERS - 1))
+    _gather_further(
+        k, seen, camera, focus, passing, coarse, start, omega, irradiance, scratch_for(k), nodes, sent
+    )
+    return sent
+
+
+@kernel
+def _gather_further(
+    k: Place,
+    seen: Lattice,
+    camera: Float64,
+    focus: Focus,
+    passing: Lattice,
+    coarse: Rules,
+    start: Int64,
+    omega: Float64,
+    irradiance: Float64,
+    scratch: Scratch,
+    nodes: Float64,
+    sent: Float64,
+) -> None:
+    which, weights = scratch.which, scratch.weights
+    for i in range(seen.faces.shape[0]):
         P, normal = seen.points[i], seen.normals[i]
-        _towards(P, camera, to_camera)
-        count = look_around(k, P, normal, seen.faces[i], focus, False, coarse, nodes)
-        for j in range(count):
-            o = nodes[j, OMEGA : OMEGA + 3]
-            onward = nodes[j, WEIGHT] * reflected(k.material, o, to_camera, normal)
-            back = (-o[0], -o[1], -o[2])
-            for a in range(_about(k, passing, nodes[j], which, weights)):
+        to_camera = _towards(P, camera)
+        for j in range(look_around(k, P, normal, seen.faces[i], focus, False, coarse, scratch, nodes)):
+            node = nodes[j]
+            onward = node[WEIGHT] * reflected(k.material, node[OMEGA : OMEGA + 3], to_camera, normal)
+            back = _back(node)
+            for a in range(_about(k, passing, node, which, weights)):
                 n = passing.normals[which[a]]
                 for m in range(start[which[a]], start[which[a] + 1]):
                     f_r = reflected(k.material, omega[m], back, n)
                     for order in range(ORDERS - 1):
                         sent[i, order] += onward * weights[a] * f_r * irradiance[m, order]
-    return sent

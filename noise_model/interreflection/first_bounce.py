@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from noise_model.arc.chords import chords, corner_p, disc, disc_lines
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.scene import Scene
@@ -24,6 +22,9 @@ DISC_FAR, DISC_NEAR = (6, 4), (8, 6)
 
 With 4 across a level plate would send 1.2 % too little: cos(theta_i) times a chord is u^2, u = sqrt(1 - p^2).
 """
+
+MAX_CHORDS = max(DISC_FAR[0], DISC_NEAR[0])
+"""Room for the chords across the arc's disc."""
 
 NEAR_RADII = 4.0
 
@@ -146,12 +147,15 @@ def _borders(k: Place, Q: Float64, normal: Float64, borders: Float64) -> int:
     return count
 
 
-@kernel(allocates=True)
-def arc_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
+@kernel
+def arc_leaving(
+    k: Place, Q: Float64, normal: Float64, omega_r: Point, borders: Float64, spans: Float64
+) -> float:
     """Return what Q sends of the arc's light along `omega_r`: integral f_r cos(theta_i) d(omega).
 
     In units of the arc's radiance, over what Q sees of the luminous half, by the disc of `quadrature`.
-    What hides it otherwise than along a straight border is looked up node by node.
+    What hides it otherwise than along a straight border is looked up node by node. `borders` (n_vertices, 3)
+    and `spans` (3, `MAX_CHORDS`) are room for the lines and the chords of the disc.
     """
     nx, ny, nz = normal[0], normal[1], normal[2]
     if omega_r[0] * nx + omega_r[1] * ny + omega_r[2] * nz <= 0.0:
@@ -168,13 +172,12 @@ def arc_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
     below, tan_b = wz > 0.0, arc[2]
     p_high = corner if below else 1.0
     p_low = -p_high
-    borders = np.empty((k.vertices.shape[0], 3))
     n_borders = disc_lines(borders, _borders(k, Q, normal, borders), axes, tan_b, borders)
     if n_borders < 0:
         return 0.0
     # Chords that lie beyond one of the lines as a whole are left out.
     for j in range(n_borders):
-        m_w, m_u, m_v = borders[j]
+        m_w, m_u, m_v = borders[j, 0], borders[j, 1], borders[j, 2]
         square = m_u * m_u + m_v * m_v
         middle = -m_w * m_u / square
         half = math.sqrt(square - m_w * m_w) * abs(m_v) / square
@@ -186,7 +189,6 @@ def arc_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
         return 0.0
     total = 0.0
     n_chords = p_nodes.shape[0]
-    spans = np.empty((3, n_chords))
     for i in range(n_chords):
         spans[0, i] = 0.5 * (p_low + p_high + (p_high - p_low) * p_nodes[i])
     chords(spans, 0, n_chords, arc, below, borders, n_borders)

@@ -17,12 +17,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arrays import Float64
 from noise_model.instrument.laser import depth_below
 from noise_model.interreflection.first_bounce import Place, sees
+from noise_model.interreflection.scratch import PSI_KNOTS, X_KNOTS, Y_KNOTS, Scratch
 from noise_model.kernel import kernel
 from noise_model.surface.faces import face_point, ridge, slanted, strip
 
@@ -33,9 +32,6 @@ OMEGA, WEIGHT, FACE, COLUMNS = 6, 9, 10, 11
 
 ACROSS_SIGMA = 3.5
 """How far across the stripe the nodes go."""
-
-PSI_KNOTS, X_KNOTS, Y_KNOTS = 10, 36, 5
-"""Room for what cuts psi, a corrugation's x and its y into pieces."""
 
 MIN_SLOPE = 0.05
 """A sheet that meets a line of the surface at a smaller slope than this makes no stripe across it."""
@@ -72,7 +68,6 @@ class Focus(NamedTuple):
     extent: float
 
 
-@kernel
 def room(k: Place, rules: Rules) -> int:
     """Return how many nodes of one surface point there may be at most."""
     n_faces = k.vertices.shape[0] - 1
@@ -148,14 +143,14 @@ def stripe_at(k: Place, face: int, s: float) -> tuple[float, float]:
     return x, k.sheet.sigma * depth / k.sheet.stand / abs(climb)
 
 
-@kernel(allocates=True)
-def _cuts(knots: Float64, low: float, high: float) -> Float64:
-    """Return the borders of the pieces that knots cut a range into."""
-    cuts = np.empty(len(knots) + 2)
+@kernel
+def _cut(knots: Float64, n_knots: int, low: float, high: float, cuts: Float64) -> int:
+    """Write the borders of the pieces that knots cut a range into; return how many pieces there are."""
     cuts[0] = low
     # Few knots are put in their order by hand: NumPy's sorts take seconds to compile.
     n = 1
-    for knot in knots:
+    for k in range(n_knots):
+        knot = knots[k]
         if not low + 1e-9 < knot < high - 1e-9:
             continue
         i = n
@@ -168,10 +163,10 @@ def _cuts(knots: Float64, low: float, high: float) -> Float64:
         cuts[i] = knot
         n += 1
     cuts[n] = high
-    return cuts[: n + 1]
+    return n
 
 
-@kernel(allocates=True, inline=True)
+@kernel
 def _from_strip(
     k: Place,
     P: Float64,
@@ -180,6 +175,7 @@ def _from_strip(
     focus: Focus,
     of_stripe: bool,
     rules: Rules,
+    scratch: Scratch,
     nodes: Float64,
     count: int,
 ) -> int:
@@ -190,6 +186,7 @@ def _from_strip(
     s_0, d = py * ty + pz * tz, pz * ty - py * tz
     if d < 1e-9:
         return count
+    knots, cuts = scratch.knots, scratch.cuts
     first, last = math.atan(-s_0 / d), math.atan((width - s_0) / d)
     n_phi = rules.phi[0].shape[0]
     # A plate that runs on is lit least evenly: it is looked at in two halves.
@@ -207,19 +204,19 @@ def _from_strip(
             reach = ACROSS_SIGMA * sigma
             low = math.atan((x_stripe - reach - P[0]) / rho)
             high = math.atan((x_stripe + reach - P[0]) / rho)
-            cuts = _cuts(np.array([0.0, math.atan((x_stripe - P[0]) / rho)]), low, high)
+            knots[0], knots[1] = 0.0, math.atan((x_stripe - P[0]) / rho)
+            n_pieces = _cut(knots, 2, low, high, cuts)
             psi_rule = rules.across
         else:
             right = 0.5 * math.pi
-            knots = np.zeros(PSI_KNOTS)
-            knots[0] = math.atan((focus.x - P[0]) / rho)
+            knots[0], knots[1] = 0.0, math.atan((focus.x - P[0]) / rho)
             if rules.closely:
                 for j, share in enumerate((-2.0, -1.0, 1.0, 2.0)):
-                    knots[j + 1] = share * right / 3.0
-                    knots[j + 5] = math.atan((focus.x + 0.5 * share * focus.extent - P[0]) / rho)
-            cuts = _cuts(knots, -right, right)
+                    knots[j + 2] = share * right / 3.0
+                    knots[j + 6] = math.atan((focus.x + 0.5 * share * focus.extent - P[0]) / rho)
+            n_pieces = _cut(knots, PSI_KNOTS if rules.closely else 2, -right, right, cuts)
             psi_rule = rules.psi
-        for piece in range(len(cuts) - 1):
+        for piece in range(n_pieces):
             span = cuts[piece + 1] - cuts[piece]
             for j in range(psi_rule[0].shape[0]):
                 psi = cuts[piece] + span * psi_rule[0][j]
@@ -229,7 +226,7 @@ def _from_strip(
     return count
 
 
-@kernel(allocates=True, inline=True)
+@kernel
 def _from_sheet(
     k: Place,
     P: Float64,
@@ -238,13 +235,14 @@ def _from_sheet(
     face: int,
     focus: Focus,
     rules: Rules,
+    scratch: Scratch,
     nodes: Float64,
     count: int,
 ) -> int:
     """Write the nodes on a corrugated sheet, that of P (face `on`) or the other one."""
     y_0, z_0, _, _, width = strip(face, k.vertices)
     _, bump, pitch = k.corrugation
-    knots, sides = np.empty(X_KNOTS), np.empty(Y_KNOTS)
+    knots, cuts, sides, side_cuts = scratch.knots, scratch.cuts, scratch.sides, scratch.side_cuts
     n = 0
     for i in range(-2, 3):
         crest_x = pitch * (math.floor(P[0] / pitch + 0.5) + i)
@@ -259,8 +257,7 @@ def _from_sheet(
         if rules.closely or share == 0.0:
             knots[n] = focus.x + share * focus.extent
             n += 1
-    cuts = _cuts(knots[:n], P[0] - pitch, P[0] + pitch)
-    for piece in range(len(cuts) - 1):
+    for piece in range(_cut(knots, n, P[0] - pitch, P[0] + pitch, cuts)):
         span = cuts[piece + 1] - cuts[piece]
         for i in range(rules.x[0].shape[0]):
             x = cuts[piece] + span * rules.x[0][i]
@@ -272,15 +269,15 @@ def _from_sheet(
             if on == face and not sees(P[0], P[1], P[2], x, P[1], z_0 + c, k.vertices, k.corrugation):
                 continue
             r = math.sqrt(dx * dx + dz * dz)
-            sides[:] = 0.0
+            sides[0] = 0.0
             for j, share in enumerate((-1.0, -0.5, 0.5, 1.0)):
                 if rules.closely:
                     sides[j + 1] = math.atan((focus.y + share * focus.extent - P[1]) / r)
-            y_cuts = _cuts(sides, math.atan((y_0 - P[1]) / r), math.atan((y_0 + width - P[1]) / r))
-            for part in range(len(y_cuts) - 1):
-                y_span = y_cuts[part + 1] - y_cuts[part]
+            low, high = math.atan((y_0 - P[1]) / r), math.atan((y_0 + width - P[1]) / r)
+            for part in range(_cut(sides, Y_KNOTS if rules.closely else 1, low, high, side_cuts)):
+                y_span = side_cuts[part + 1] - side_cuts[part]
                 for j in range(rules.y[0].shape[0]):
-                    psi = y_cuts[part] + y_span * rules.y[0][j]
+                    psi = side_cuts[part] + y_span * rules.y[0][j]
                     cos_psi = math.cos(psi)
                     measure = span * rules.x[1][i] * r / (cos_psi * cos_psi) * y_span * rules.y[1][j]
                     s = P[1] + r * math.tan(psi) - y_0
@@ -288,9 +285,16 @@ def _from_sheet(
     return count
 
 
-@kernel(allocates=True, inline=True)
+@kernel
 def _from_stripe_on_sheet(
-    k: Place, P: Float64, normal: Float64, face: int, rules: Rules, nodes: Float64, count: int
+    k: Place,
+    P: Float64,
+    normal: Float64,
+    face: int,
+    rules: Rules,
+    scratch: Scratch,
+    nodes: Float64,
+    count: int,
 ) -> int:
     """Write the nodes across the stripe on a corrugated sheet."""
     y_0, z_0, _, _, width = strip(face, k.vertices)
@@ -299,8 +303,10 @@ def _from_stripe_on_sheet(
         return count
     c, _ = ridge(x_stripe, k.corrugation)
     r = max(math.hypot(x_stripe - P[0], z_0 + c - P[2]), sigma)
-    cuts = _cuts(np.zeros(1), math.atan((y_0 - P[1]) / r), math.atan((y_0 + width - P[1]) / r))
-    for part in range(len(cuts) - 1):
+    sides, cuts = scratch.sides, scratch.side_cuts
+    sides[0] = 0.0
+    low, high = math.atan((y_0 - P[1]) / r), math.atan((y_0 + width - P[1]) / r)
+    for part in range(_cut(sides, 1, low, high, cuts)):
         y_span = cuts[part + 1] - cuts[part]
         for j in range(rules.y[0].shape[0]):
             psi = cuts[part] + y_span * rules.y[0][j]
@@ -317,7 +323,7 @@ def _from_stripe_on_sheet(
     return count
 
 
-@kernel(allocates=True)
+@kernel
 def look_around(
     k: Place,
     P: Float64,
@@ -326,6 +332,7 @@ def look_around(
     focus: Focus,
     of_stripe: bool,
     rules: Rules,
+    scratch: Scratch,
     nodes: Float64,
 ) -> int:
     """Write the nodes (n, COLUMNS) of all that a point of face `on` sees of the joint; return how many.
@@ -339,9 +346,9 @@ def look_around(
         # Only a lap is corrugated: face 1 is its edge.
         if corrugated and face != 1 and on != 1:
             if of_stripe:
-                count = _from_stripe_on_sheet(k, P, normal, face, rules, nodes, count)
+                count = _from_stripe_on_sheet(k, P, normal, face, rules, scratch, nodes, count)
             else:
-                count = _from_sheet(k, P, normal, on, face, focus, rules, nodes, count)
+                count = _from_sheet(k, P, normal, on, face, focus, rules, scratch, nodes, count)
         elif face != on:
-            count = _from_strip(k, P, normal, face, focus, of_stripe, rules, nodes, count)
+            count = _from_strip(k, P, normal, face, focus, of_stripe, rules, scratch, nodes, count)
     return count

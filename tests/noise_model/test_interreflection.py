@@ -20,6 +20,7 @@ from noise_model.interreflection.first_bounce import arc_leaving, place, sees
 from noise_model.interreflection.lattice import stations
 from noise_model.interreflection.model import FINE, Grain, Grains, bounced_light
 from noise_model.interreflection.nodes import COLUMNS, FACE, WEIGHT, Focus, look_around, room, rules
+from noise_model.interreflection.scratch import scratch_for
 from noise_model.stripe import stripe_reference
 from noise_model.surface.brdf import TABLE_1, Material, reflectance
 from noise_model.surface.faces import face_point, ridge, slanted, strip
@@ -56,8 +57,8 @@ def some_pixels(view, faces, n, seed):
 
 def nodes_from(view, P, normal, face, fine):
     k = place(view.setup, view.scene)
-    nodes = np.empty((room(k, fine), COLUMNS))
-    n = look_around(k, P, normal, np.int32(face), Focus(0.0, 0.0, 6.0), False, fine, nodes)
+    nodes, scratch = np.empty((room(k, fine), COLUMNS)), scratch_for(k)
+    n = look_around(k, P, normal, np.int32(face), Focus(0.0, 0.0, 6.0), False, fine, scratch, nodes)
     return nodes[:n]
 
 
@@ -130,7 +131,7 @@ def test_there_is_room_for_every_node(joint):
         (rules(24, 8, 3, 5, 6, True), rules(3, 4, 2, 2, 4, False)), (False, True)
     ):
         most = room(k, fine)
-        nodes = np.empty((4 * most, COLUMNS))
+        nodes, scratch = np.empty((4 * most, COLUMNS)), scratch_for(k)
         for face, x, share in itertools.product(
             range(len(vertices) - 1), rng.uniform(-60.0, 60.0, 6), (0.1, 0.5, 0.9)
         ):
@@ -139,7 +140,8 @@ def test_there_is_room_for_every_node(joint):
             P = np.array(face_point(x, s, on, corrugation))
             normal = np.array(slanted(ridge(x, corrugation)[1], on)[0])
             focus = Focus(x + 3.0, 0.5, 6.0)
-            assert look_around(k, P, normal, np.int32(face), focus, of_stripe, fine, nodes) <= most
+            n = look_around(k, P, normal, np.int32(face), focus, of_stripe, fine, scratch, nodes)
+            assert n <= most
 
 
 @pytest.mark.parametrize(
@@ -261,6 +263,11 @@ def test_points_see_each_other_as_a_walk_finds_it(joint):
     assert 0.1 < np.mean(found) < 0.9
 
 
+def leaving(k, P, normal, omega_r):
+    scratch = scratch_for(k)
+    return arc_leaving(k, P, normal, omega_r, scratch.borders, scratch.spans)
+
+
 @pytest.mark.parametrize("joint", ["v_groove", "lap", "corrugation"])
 @pytest.mark.parametrize("material", TABLE_1)
 def test_what_leaves_towards_the_camera_is_the_arc_map(joint, material):
@@ -272,7 +279,7 @@ def test_what_leaves_towards_the_camera_is_the_arc_map(joint, material):
     k, camera = place(view.setup, view.scene), view.scene.T_joint_camera[:3, 3]
     points, normals = (values.reshape(-1, 3)[pixels] for values in view.surface[:2])
     towards = (camera - points) / np.linalg.norm(camera - points, axis=1, keepdims=True)
-    got = [arc_leaving(k, P, n, tuple(omega)) for P, n, omega in zip(points, normals, towards, strict=True)]
+    got = [leaving(k, P, n, tuple(omega)) for P, n, omega in zip(points, normals, towards, strict=True)]
     got_e = np.array(got) * view.setup.arc.radiance_e * view.cos4.reshape(-1)[pixels]
     lit = want > 0.05 * np.nanmax(want)
     assert np.quantile(np.abs(got_e[lit] / want[lit] - 1.0), 0.8) < 0.03
@@ -291,7 +298,7 @@ def test_a_level_plate_sends_what_the_half_discs_closed_form_says(radii):
         center=np.array([0.0, 1.0, 0.0]),
     )
     point = np.array([radii * k.radius, 1.0, 0.0])
-    got = arc_leaving(k, point, np.array([0.0, 0.0, 1.0]), (0.0, 0.0, 1.0))
+    got = leaving(k, point, np.array([0.0, 0.0, 1.0]), (0.0, 0.0, 1.0))
     beta = math.asin(1.0 / radii)
     assert got == pytest.approx(beta - math.sin(beta) * math.cos(beta), rel=0.004)
 
