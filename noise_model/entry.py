@@ -9,6 +9,7 @@ from __future__ import annotations
 from copy import copy
 from typing import Any
 
+from numba._dispatcher import compute_fingerprint
 from numba.core import event
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.lowering import Environment
@@ -49,6 +50,11 @@ def entry_for(kernel: Any, *given: Any) -> Any:
     Others it would misread: who calls it answers for theirs.
     """
     return kernel._compile_for_args(*given)
+
+
+def types_within(record: Any) -> bytes:
+    """Return what two records have in common whose numbers and arrays have the same types for numba."""
+    return compute_fingerprint(record)
 
 
 def _entry_point(dispatcher: Any, kernel: Any) -> Any:
