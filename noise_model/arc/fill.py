@@ -1,10 +1,10 @@
 """The arc map of a band or a frame, filled from the faces' table (`table`).
 
 The image is taken in square cells. Where the 4 by 4 rays of a cell meet one face, a bicubic polynomial
-through their light times cos^4 fills it, if its highest Chebyshev coefficients are small. Else the cell is
-halved, across or along the scan lines, where it changes more. Where a plain section shows several faces, each
-has a polynomial of its own, of the light on its plane continued beyond its edges, and each scan line is cut
-where the rays meet another face.
+through their light times cos^4 fills it, if its highest Chebyshev coefficients are small. Where ridges hide
+the arc it must hold between the nodes too. Else the cell is halved, across or along the scan lines, where it
+changes more. Where a plain section shows several faces, each has a polynomial of its own, of the light on its
+plane continued beyond its edges, and each scan line is cut where the rays meet another face.
 What is left is read off the table pixel by pixel.
 """
 
@@ -35,6 +35,11 @@ MIXED, SMALLEST = 32, 8
 
 SHARE = 0.5
 """The share of the tolerance that a cell's polynomial may use up."""
+
+SURE = 0.5
+"""A cell whose highest coefficients are below this share of what they may be is not checked between nodes."""
+
+N_CORNERS = 4
 
 CELL_WORTH = 20.0
 """So many integrals a cell takes, with what it was halved from."""
@@ -215,6 +220,39 @@ def _changes_across(faces: Int64) -> bool:
     return across >= along
 
 
+@kernel
+def _holds_between_nodes(
+    k: ArcKernel,
+    table: FaceTable,
+    rays: Rays,
+    box: Box,
+    powers: Float64,
+    allowed: float,
+    room: Room,
+    work: Scratch,
+) -> bool:
+    """Say whether a cell's polynomial is off by no more than is allowed, e-, between nodes in its corners."""
+    xy, cos4, n_pos = rays
+    pixels, light_e, faces, places = room[0], room[1], room[2], room[3]
+    scan, pos, n_s, n_p = box
+    down, on = (n_s - 1) // (2 * (N - 1)), (n_p - 1) // (2 * (N - 1))
+    for i in range(N_CORNERS):
+        line, position = (n_s - 1 - down if i // 2 else down), (n_p - 1 - on if i % 2 else on)
+        pixels[i] = (scan + line) * n_pos + pos + position
+    places_on_rays(k, table.seen, xy, pixels, N_CORNERS, faces, places, room[8])
+    light_at_places(k, table, cos4, pixels, N_CORNERS, faces, places, 0.0, light_e, work)
+    for i in range(N_CORNERS):
+        line, position = pixels[i] // n_pos - scan, pixels[i] % n_pos - pos
+        t, u = -1.0 + 2.0 * line / (n_s - 1), -1.0 + 2.0 * position / (n_p - 1)
+        polynomial_e = 0.0
+        for a in range(N - 1, -1, -1):
+            on_line = powers[a, 0] + u * (powers[a, 1] + u * (powers[a, 2] + u * powers[a, 3]))
+            polynomial_e = on_line + t * polynomial_e
+        if not abs(polynomial_e - light_e[i]) <= allowed:
+            return False
+    return True
+
+
 @kernel(inline=True)
 def _fill_cell(
     k: ArcKernel,
@@ -259,7 +297,12 @@ def _fill_cell(
             else:
                 light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
             across, along, least = to_powers(light_e, rules, (n_s, n_p), powers[0])
-            if max(across, along) <= SHARE * max(table.rel * least, table.floor_e):
+            allowed = SHARE * max(table.rel * least, table.floor_e)
+            is_smooth = max(across, along) <= allowed
+            # What ridges hide has borders anywhere in a cell.
+            if is_smooth and not is_plain and max(across, along) > SURE * allowed:
+                is_smooth = _holds_between_nodes(k, table, rays, box, powers[0], allowed, room, work)
+            if is_smooth:
                 _fill_smooth(powers[0], box, lows, group, ramp, band_e)
                 return FILLED
             halved = _halved(n_s, n_p, across >= along)

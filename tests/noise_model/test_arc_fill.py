@@ -67,6 +67,16 @@ def test_a_filled_corrugation_is_each_pixels_own_light(material, shift, turn_deg
     assert np.mean(error > 1.0) < 0.01
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("shift", "turn_deg"), [((6.0, 0.5, 1.0), (-3.0, 2.0, -1.0)), ((20.0, -1.0, 2.0), (3.0, 3.0, 3.0))]
+)
+def test_a_shadows_border_between_two_nodes_is_seen(shift, turn_deg):
+    of_camera = scenes.camera(width=640, height=480, focal_px=2190.0)
+    error = over_limit(scenes.setup("corrugation", of_camera=of_camera), scenes.pose(shift, turn_deg))
+    assert np.mean(error > 1.0) < 5e-5
+
+
 @pytest.mark.parametrize("name", ["v_groove", "lap"])
 def test_a_lens_that_distorts_is_filled_as_well(name):
     camera = dataclasses.replace(
