@@ -53,7 +53,7 @@ def entry_for(kernel: Any, *given: Any) -> Any:
 
 
 def types_within(record: Any) -> bytes:
-    """Return what two records have in common whose numbers and arrays have the same types for numba."""
+    """Return a key of the types of a record's numbers and arrays: records of the same types have the same."""
     return compute_fingerprint(record)
 
 

@@ -150,7 +150,8 @@ class Asked(NamedTuple):
     @classmethod
     def nothing(cls) -> Asked:
         """Return a record without answers."""
-        return cls(np.empty((MOST_ANSWERS, 4)), np.zeros(2, np.int64))
+        record: Asked = nothing_asked()
+        return record
 
     @property
     def flags(self) -> int:
@@ -161,6 +162,12 @@ class Asked(NamedTuple):
     def answers(self) -> Answers:
         """The answers in the order in which the questions were asked."""
         return Answers(self.rows[: self.told[0]].copy())
+
+
+@kernel(allocates=True)
+def nothing_asked() -> Asked:
+    """Return `Asked.nothing`."""
+    return Asked(np.empty((MOST_ANSWERS, 4)), np.zeros(2, np.int64))
 
 
 @kernel

@@ -33,7 +33,6 @@ from tracker.look import (
     Look,
     ask_light,
     level_of,
-    look_at,
     no_stripe,
     nothing_read,
     output_for,
@@ -72,24 +71,10 @@ class Reading(NamedTuple):
         return self.asked.flags
 
 
-def look_by_pieces(asked: Asked, geometry: SensorGeometry, frame: Frame, aim: Aim, work: Work) -> Look:
-    """Take a look, by its pieces where effects act on the arc's light on its way to the pixels."""
+def look_through_effects(asked: Asked, geometry: SensorGeometry, frame: Frame, aim: Aim, work: Work) -> Look:
+    """Take a look by its pieces: effects act on the arc's light on its way to the pixels."""
     image_dn, light, source = frame.image_dn, frame_light(geometry.setup, frame), geometry.look_source
     scene, scatter = aim.scene, aim.scatter
-    if not geometry.has_light_effects:
-        whole: Look = look_at(
-            asked,
-            source,
-            scene,
-            aim.seam,
-            aim.reach_mm,
-            image_dn,
-            light,
-            work,
-            aim.use_arc_map,
-            scatter,
-        )
-        return whole
     none = no_stripe(geometry.along_rows)
     if not ask_whether(asked, checks.CAMERA_ABOVE, not scene.below_surface):
         return nothing_read(UNKNOWN, none, scatter)

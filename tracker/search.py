@@ -9,13 +9,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from noise_model.arrays import Float64
 from noise_model.kernel import kernel
 from noise_model.surface.joint import SeamLine
 from tracker import checks, flags
-from tracker.checks import MOST_ANSWERS, Asked, ask_as, ask_whether, take_answer
+from tracker.checks import Asked, ask_as, ask_whether, nothing_asked, take_answer
 from tracker.frame_pieces import SEARCHED, Aim, Begun, FrameGiven, Seen, aim_at, nothing_seen
 from tracker.geometry import SEARCH_REACH_MM, TRACK_REACH_MM
 from tracker.joint.measured import undetermined
@@ -44,12 +42,6 @@ class Turn(NamedTuple):
     seen: Seen
     placed: Asked
     n_held: int
-
-
-@kernel(allocates=True)
-def nothing_asked() -> Asked:
-    """Return a record without answers, see `Asked.nothing`."""
-    return Asked(np.empty((MOST_ANSWERS, 4)), np.zeros(2, np.int64))
 
 
 @kernel(allocates=True)

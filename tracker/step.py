@@ -13,10 +13,10 @@ from noise_model.arrays import as_compiled_for
 from tracker import checks
 from tracker.checks import Asked, ask_whether
 from tracker.frame import TRACKS, FrameCall
-from tracker.frame_pieces import REFUSED, TRACKED, FrameGiven, FrameTracked, begin, end, seen_by
+from tracker.frame_pieces import REFUSED, TRACKED, FrameGiven, FrameTracked, begin, end, look_by, seen_by
 from tracker.geometry import SensorGeometry
 from tracker.joint.type_check import family_of, number_of
-from tracker.measure import Reading, fit_by_pieces, frame_light, look_by_pieces
+from tracker.measure import Reading, fit_by_pieces, frame_light, look_through_effects
 from tracker.seam.correction import UNSTATED, Correction
 from tracker.seam.judge import SeamShown
 from tracker.seam.steer import AT_ONCE, Lead, TorchOffset
@@ -198,7 +198,10 @@ def step_by_step(
         return _refused(state, asked, frame)
     turn = first_turn(asked, given, begun)
     while turn.looks != DONE:
-        look = look_by_pieces(turn.asked, geometry, frame, turn.aim, work)
+        if geometry.has_light_effects:
+            look = look_through_effects(turn.asked, geometry, frame, turn.aim, work)
+        else:
+            look = look_by(turn.asked, given, turn.aim)
         fitted = fit_by_pieces(turn.asked, geometry, turn.aim.scene, frame, look)
         turn = after_look(given, begun, turn, seen_by(turn.asked, given, turn.aim, look, fitted))
     return _shown(asked, frame, end(asked, given, begun, settled(asked, begun, turn)))

@@ -57,9 +57,9 @@ def write_horizon(
     seen from farther out rises to the steepest and falls again.
     """
     (center_x, radius), n = arc, len(heights)
+    place = math.floor((center_x - x_start) / HORIZON_STEP_MM)
     for towards in (1, -1):
         # The station next to the arc's centre on this side.
-        place = math.floor((center_x - x_start) / HORIZON_STEP_MM)
         i = min(place, n - 1) if towards > 0 else max(place + 1, 0)
         # The first station past the far side, and the outermost one under the arc so far.
         beyond, under, highest = i, i + towards, -math.inf

@@ -19,7 +19,7 @@ from noise_model.arrays import Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.surface.joint import Joint
 from noise_model.surface.stated_joint import StatedJoint
-from tracker.joint.measured import MeasuredJoint, SectionPoints, points_of, undetermined
+from tracker.joint.measured import MeasuredJoint, SectionPoints, points_of, section_at, undetermined
 from tracker.joint.plate_lines import BLURRED_LINES
 from tracker.profile import Profile
 
@@ -160,19 +160,16 @@ def _write_groups(points: SectionPoints, groups: Groups, order: Int64) -> None:
         groups.sigma_mm[i] = math.hypot(abs(points.dz_mm[middle]) * points.sigma_px[middle], ROUGH_MM)
 
 
-@kernel
+@kernel(allocates=True)
 def stated_cost(groups: Groups, corners_mm: Float64) -> float:
     """Return the stated type's own cost: chi2 about its fitted section (m, 2) and its parameters' penalty."""
-    n, last, piece = groups.y_mm.shape[0], corners_mm.shape[0] - 1, 0
+    n = groups.y_mm.shape[0]
+    # Beyond its ends a section goes on level.
+    within_mm = np.minimum(np.maximum(groups.y_mm, corners_mm[0, 0]), corners_mm[-1, 0])
+    height_mm, _ = section_at(corners_mm, within_mm)
     cost = STATED_PARAMETERS * math.log(n)
     for i in range(n):
-        y = min(max(groups.y_mm[i], corners_mm[0, 0]), corners_mm[last, 0])
-        while piece < last - 1 and corners_mm[piece + 1, 0] < y:
-            piece += 1
-        wide_mm = corners_mm[piece + 1, 0] - corners_mm[piece, 0]
-        share = (y - corners_mm[piece, 0]) / wide_mm if wide_mm > 0.0 else 1.0
-        z = corners_mm[piece, 1] + share * (corners_mm[piece + 1, 1] - corners_mm[piece, 1])
-        cost += min(((groups.z_mm[i] - z) / groups.sigma_mm[i]) ** 2, FARTHEST)
+        cost += min(((groups.z_mm[i] - height_mm[i]) / groups.sigma_mm[i]) ** 2, FARTHEST)
     return cost
 
 
