@@ -15,21 +15,31 @@ from type_check_twin import family, groups
 from type_check_twin import stated_cost as twins_cost
 
 from noise_model.surface.joint import Joint
-from tracker.joint.measured import points_of
+from noise_model.surface.stated_joint import StatedJoint
+from tracker.joint.measured import MeasuredJoint, points_of, undetermined
 from tracker.joint.type_check import (
     Family,
     cut_into_pieces,
     family_of,
     groups_of,
-    is_another_type,
+    number_of,
     shown_family,
+    shows_another,
     stated_cost,
 )
+from tracker.profile import Profile
 
 EACH = 12
 SEAM = 0.3, 0.1
 PLATE = np.array([(-60.0, 0.0), (60.0, 0.0)])
 SHOWN = {name: family_of(joint) for name, (joint, _) in CASES.items() if name != "edge"}
+
+
+def is_another_type(profile: Profile, joint: Joint, measured: MeasuredJoint | None) -> bool:
+    """Whether a profile shows another type than a stated joint, by that one's fit."""
+    fitted = undetermined() if measured is None else measured
+    stated, points = number_of(family_of(joint)), points_of(profile)
+    return shows_another(points, profile.column_mm, stated, StatedJoint.of(joint), fitted)
 
 
 def cost_of(y, z, sigma, penalty, borders) -> float:

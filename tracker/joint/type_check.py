@@ -19,7 +19,7 @@ from noise_model.arrays import Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.surface.joint import Joint
 from noise_model.surface.stated_joint import StatedJoint
-from tracker.joint.measured import MeasuredJoint, SectionPoints, points_of, section_at, undetermined
+from tracker.joint.measured import MeasuredJoint, SectionPoints, points_of, section_at
 from tracker.joint.plate_lines import BLURRED_LINES
 from tracker.profile import Profile
 
@@ -89,16 +89,6 @@ def number_of(family: Family | None) -> int:
     return _NONE if family is None else _NUMBERED.index(family)
 
 
-def is_another_type(profile: Profile, joint: Joint, measured: MeasuredJoint | None) -> bool:
-    """Say whether a profile shows another family of joints than the stated one, decidedly.
-
-    `measured` is the stated type's fit, None where there is none.
-    """
-    fitted = undetermined() if measured is None else measured
-    stated, points = number_of(family_of(joint)), points_of(profile)
-    return bool(shows_another(points, profile.column_mm, stated, StatedJoint.of(joint), fitted))
-
-
 def shown_family(profile: Profile) -> tuple[Family | None, float]:
     """Return the family that a profile's straight pieces look like, None for none known, and their cost."""
     number, cost = family_shown(groups_of(points_of(profile)))
@@ -109,9 +99,10 @@ def shown_family(profile: Profile) -> tuple[Family | None, float]:
 def shows_another(
     points: SectionPoints, column_mm: float, family: int, stated: StatedJoint, measured: MeasuredJoint
 ) -> bool:
-    """Return `is_another_type` of a section's points; `family` is the stated one's number.
+    """Say whether points show another family of joints than the stated one, by its number, decidedly.
 
-    `measured` is undetermined where there is no fit.
+    `column_mm` is the spacing of their scan lines. `measured` is the stated type's fit, undetermined where
+    there is none.
     """
     if family == _NONE:
         return False

@@ -94,9 +94,6 @@ class LightLevel(NamedTuple):
     black_e: float
 
 
-AS_IT_IS = LightLevel(1.0, 0.0)
-
-
 @kernel
 def at_level(background_e: Float32, to: LightLevel) -> None:
     """Bring light (n_scan, depth), e-, to a level."""
