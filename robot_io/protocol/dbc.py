@@ -107,7 +107,8 @@ def messages_table() -> str:
 def _signal_row(signal: Signal) -> str:
     unknown = invalid_raw(signal)
     meaning = signal.comment or ""
-    if signal.choices:
+    # The code of a number that is unknown has a column of its own.
+    if signal.choices and set(signal.choices) != {unknown}:
         meaning += f" {_choices(signal)}"
     bits = str(signal.start) if signal.length == 1 else f"{signal.start}–{signal.start + signal.length - 1}"
     return (

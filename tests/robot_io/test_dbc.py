@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from enum import IntEnum
 from pathlib import Path
 from typing import get_type_hints
@@ -9,6 +10,7 @@ from typing import get_type_hints
 import pytest
 from e2e.p11 import e2e_p11_protect
 
+from robot_io.protocol.codec import encode
 from robot_io.protocol.dbc import (
     HEADER_SIGNALS,
     cycle_time_s,
@@ -20,7 +22,7 @@ from robot_io.protocol.dbc import (
     messages_table,
     payload_signals,
 )
-from robot_io.protocol.messages import MESSAGE_TYPES
+from robot_io.protocol.messages import MESSAGE_TYPES, SeamOffset, Validity
 from robot_io.protocol.protect import SOURCES
 
 LAYOUTS = database().messages
@@ -39,15 +41,14 @@ def test_value_tables_are_the_enumerations():
         hints = get_type_hints(message_type)
         for signal in payload_signals(database().get_message_by_name(message_type.__name__)):
             hint = hints[signal.name]
-            members = (
-                {m.value: m.name for m in hint}
-                if isinstance(hint, type) and issubclass(hint, IntEnum)
-                else None
-            )
-            choices = {k: str(v) for k, v in signal.choices.items()} if signal.choices else None
-            assert choices == members
-            if members and "UNKNOWN" in members.values():
-                assert invalid_raw(signal) == hint.UNKNOWN
+            choices = {k: str(v) for k, v in signal.choices.items()} if signal.choices else {}
+            if isinstance(hint, type) and issubclass(hint, IntEnum):
+                assert choices == {m.value: m.name for m in hint}
+                if "UNKNOWN" in choices.values():
+                    assert invalid_raw(signal) == hint.UNKNOWN
+            else:
+                unknown = invalid_raw(signal)
+                assert choices == ({} if unknown is None else {unknown: "UNKNOWN"})
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
@@ -66,6 +67,14 @@ def test_every_message_is_classic_intel_with_the_e2e_header(layout):
     assert {s.offset for s in payload_signals(layout)} == {0}
 
 
+def test_a_tool_that_reads_the_dbc_shows_a_refused_offset_as_unknown():
+    layout = database().get_message_by_name("SeamOffset")
+    refused = SeamOffset(math.nan, math.nan, math.nan, math.nan, Validity.REFUSED)
+    shown = layout.decode(bytes(encode(refused)[1]))
+    names = ("offset_y_mm", "offset_z_mm", "capture_age_ms", "confidence")
+    assert [str(shown[name]) for name in names] == ["UNKNOWN"] * 4
+
+
 @pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: layout.name)
 def test_unknown_codes_are_the_extreme_ones_and_outside_the_range(layout):
     for signal in payload_signals(layout):
@@ -74,7 +83,7 @@ def test_unknown_codes_are_the_extreme_ones_and_outside_the_range(layout):
             continue
         most_negative, all_ones = -(1 << (signal.length - 1)), (1 << signal.length) - 1
         assert unknown == (most_negative if signal.is_signed else all_ones)
-        if not signal.choices:
+        if set(signal.choices) == {unknown}:
             assert not signal.minimum <= unknown * signal.scale + signal.offset <= signal.maximum
 
 
@@ -98,6 +107,7 @@ def test_layout_changes_only_together_with_the_version():
         (1, 3, 0): LAYOUT_1_3_0,
         (1, 3, 1): LAYOUT_1_3_0,
         (1, 4, 0): LAYOUT_1_4_0,
+        (1, 5, 0): LAYOUT_1_5_0,
     }
     version = dbc_version()
     assert checksums[version.major, version.minor, version.patch] == layout_checksum()
@@ -116,3 +126,4 @@ LAYOUT_1_1_0 = 0xFF894D
 LAYOUT_1_2_0 = 0xAD60DA
 LAYOUT_1_3_0 = 0x976BA9
 LAYOUT_1_4_0 = 0xD7EEE7
+LAYOUT_1_5_0 = 0x80D38E
