@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from arctrack.errors import ArctrackError, in_file
 from arctrack.importing.colours import Bayer, Channel
 from arctrack.importing.grey import camera_of_sites, channel_of_laser, grey, sites
@@ -23,8 +25,9 @@ from tracker.state import frame_misfit
 class GreyFrames:
     """How a series becomes grey frames, and the setup that they fit.
 
-    `toml` is the text of `setup`; `size` is what an image must have, width and height; `has_colours` and
-    `is_lossy` are those of the first image; `is_converted` says that `[camera]` is no longer the stated one.
+    `toml` is the text of `setup`; `size` is what an image must have, width and height; `has_colours` is that
+    of the first image; `doubts` are what to tell of images that were read, and of which; `is_converted` says
+    that `[camera]` is no longer the stated one.
     """
 
     series: ImageSeries
@@ -34,7 +37,7 @@ class GreyFrames:
     setup: Setup
     toml: str
     has_colours: bool
-    is_lossy: bool
+    doubts: dict[str, list[Path]]
     is_converted: bool = False
 
     @property
@@ -50,6 +53,15 @@ class GreyFrames:
         lens = f"fx {camera.fx:.6g}, fy {camera.fy:.6g}, cx {camera.cx:.6g}, cy {camera.cy:.6g} px"
         return f"{note}; [camera] of the mosaic made theirs: {lens}"
 
+    @property
+    def warnings(self) -> list[str]:
+        """What to tell of the images that were read, a line each."""
+        return [
+            f"{paths[0]}: {doubt}"
+            + (f"; the same holds for {len(paths) - 1} more images" if len(paths) > 1 else "")
+            for doubt, paths in self.doubts.items()
+        ]
+
     def __iter__(self) -> Iterator[Integers]:
         """Yield the frames' grey levels (H, W); ArctrackError names the image that does not fit."""
         if self.series.video is not None:
@@ -58,6 +70,8 @@ class GreyFrames:
         for path in self.series.paths:
             image = EncodedImage(path)
             self._check_size(image.size, path)
+            for doubt in image.doubts:
+                self.doubts.setdefault(doubt, []).append(path)
             yield self._grey(image.pixels(), path)
 
     def _of_video(self, video: Path) -> Iterator[Integers]:
@@ -101,28 +115,28 @@ def grey_frames(
     setup, camera = stated.setup, stated.setup.camera
     channel = channel or channel_of_laser(setup)
     text = setup_text(stated.path)
-    size, has_colours, is_lossy = _first(series)
+    size, has_colours = _first(series)
     stated_size = (camera.width, camera.height)
     if bayer is None:
-        return GreyFrames(series, channel, None, stated_size, setup, text, has_colours, is_lossy)
+        return GreyFrames(series, channel, None, stated_size, setup, text, has_colours, {})
     if channel is Channel.LUMINANCE:
         raise ArctrackError(
             "--channel luminance: a mosaic's sites have one colour each; give red, green or blue"
         )
     if stated_size in _sizes_of_sites(*size):
-        return GreyFrames(series, channel, bayer, size, setup, text, has_colours, is_lossy)
+        return GreyFrames(series, channel, bayer, size, setup, text, has_colours, {})
     _check_no_effect_in_px(setup, stated.path)
     text = with_camera_keys(stated.path, camera_of_sites(setup, bayer, channel))
     setup = parse_setup(text, stated.path).setup
-    return GreyFrames(series, channel, bayer, stated_size, setup, text, has_colours, is_lossy, True)
+    return GreyFrames(series, channel, bayer, stated_size, setup, text, has_colours, {}, True)
 
 
-def _first(series: ImageSeries) -> tuple[tuple[int, int], bool, bool]:
-    """Return the size of a series' first image, whether it has colours, and whether its codec is lossy."""
+def _first(series: ImageSeries) -> tuple[tuple[int, int], bool]:
+    """Return the size of a series' first image, and whether it has colours."""
     if series.video is not None:
-        return ffv1.grey_size(series.video), False, False
+        return ffv1.grey_size(series.video), False
     image = EncodedImage(series.paths[0])
-    return image.size, image.has_colours, image.is_lossy
+    return image.size, image.has_colours
 
 
 def _sizes_of_sites(width: int, height: int) -> list[tuple[int, int]]:
@@ -141,13 +155,17 @@ def _check_no_effect_in_px(setup: Setup, path: Path) -> None:
 
 
 def _too_bright(image_dn: Integers, setup: Setup) -> str | None:
-    """Return what is wrong with levels that the sensor cannot give, None if it can give them."""
+    """Return what is wrong with levels that the sensor cannot give, None if it can give them.
+
+    Noise leaves no image of several levels in multiples of a shift, however dark it is.
+    """
     bits, highest, brightest = setup.sensor.bits, setup.sensor.max_dn, int(image_dn.max())
-    if brightest <= highest:
-        return None
     step = 1 << (8 * image_dn.dtype.itemsize - bits)
+    is_shifted = not np.bitwise_or.reduce(image_dn, axis=None) % step and brightest > image_dn.min()
+    if brightest <= highest and not (step > 1 and is_shifted):
+        return None
     problem = f"holds {brightest} DN, [sensor] bits = {bits} ends at {highest}"
-    if (image_dn % step).any():
+    if not is_shifted:
         return problem
     return (
         f"{problem}; its levels are multiples of {step}: state bits = 16, with gain and black level of these"

@@ -36,8 +36,6 @@ from tracker.state import Frame
 OnFrame = Callable[[str, int, int], None]
 """Is told what is done, how far, and of how many frames."""
 
-LOSSY = "JPEG has changed the noise that sigmas are read from; have the camera write PNG, BMP or TIFF"
-
 LONE_PERIOD_S = 1.0
 """How long before a single image its pose is repeated."""
 
@@ -155,8 +153,7 @@ def import_recording(
         "conditions": _conditions_note(assumed, raw.frames),
         "poses": "; ".join((_pose_note(poses), *poses.notes)),
     }
-    lossy = [f"{series.paths[0]}: {LOSSY}"] if images.is_lossy else []
-    return Imported(recording, notes, (*lossy, *poses.warnings, *doubts(times, source), *misfits))
+    return Imported(recording, notes, (*images.warnings, *poses.warnings, *doubts(times, source), *misfits))
 
 
 def _write(

@@ -339,6 +339,12 @@ def with_bits(raw: Path) -> None:
         cv2.imwrite(str(raw / "photos" / f"img_{n}.png"), shifted)
 
 
+def with_few_bits_used(raw: Path) -> None:
+    with_bits(raw)
+    dark = 16 * np.random.default_rng(0).integers(0, 200, (HEIGHT, WIDTH), np.uint16)
+    cv2.imwrite(str(raw / "photos" / "img_9.png"), dark)
+
+
 def with_effect(raw: Path) -> None:
     with (raw / "recording.toml").open("a") as file:
         file.write("\n[effects.defocus]\nsigma_px = 1.0\n")
@@ -361,6 +367,11 @@ BAD = {
         with_bits,
         [],
         "[sensor] bits = 12 ends at 4095; its levels are multiples of 16: state bits = 16",
+    ),
+    "shifted bits of a dark image": (
+        with_few_bits_used,
+        [],
+        "img_9.png: holds 3184 DN, [sensor] bits = 12 ends at 4095; its levels are multiples of 16",
     ),
     "a mosaic in colour": (
         image("img_10.png", small_image(0, HEIGHT, WIDTH, 3)),
