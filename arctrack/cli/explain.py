@@ -51,7 +51,7 @@ def explain(
     write_whole(path, page(explanation))
     typer.echo(words.headline(explanation))
     typer.echo(words.offset_sentence(explanation))
-    for check in explanation.track.checks:
+    for check in words.by_severity(explanation.track.checks):
         if not check.passed:
             answer = f"{check.question.words}: {words.value_text(check)}"
             if check.question.demand != "yes":

@@ -45,6 +45,34 @@ os.execv(sys.argv[3], sys.argv[3:])
 
 PATIENCE_S = 60.0
 
+WIDTHS_PX = (1366, 390)
+"""A notebook's window, and a telephone's."""
+
+MISPLACED = """(() => {
+  const found = [], seen = [];
+  if (document.documentElement.scrollWidth > innerWidth) found.push("the page is wider than its window");
+  const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  for (let node; (node = walk.nextNode());) {
+    if (!node.data.trim() || !node.parentElement.checkVisibility()) continue;
+    const range = document.createRange();
+    range.selectNodeContents(node);
+    const drawing = node.parentElement.closest("svg")?.getBoundingClientRect();
+    for (const box of range.getClientRects()) {
+      if (box.width < 1 || box.height < 1) continue;
+      if (drawing && (box.left < drawing.left - 2 || box.right > drawing.right + 2))
+        found.push(`cut off: ${node.data}`);
+      for (const [other, text] of seen) {
+        const across = Math.min(box.right, other.right) - Math.max(box.left, other.left);
+        const down = Math.min(box.bottom, other.bottom) - Math.max(box.top, other.top);
+        if (across > 2 && down > 0.3 * box.height) found.push(`${text.trim()} | ${node.data.trim()}`);
+      }
+      seen.push([box, node.data]);
+    }
+  }
+  return found;
+})()"""
+"""What is wrong with the place of a page's texts: too wide a page, texts cut off or over one another."""
+
 
 class Page:
     """A page in the browser; `complaints` are its errors and all that it wrote to the console."""
@@ -102,6 +130,13 @@ class Page:
         answer = self.ask("Runtime.evaluate", expression=expression, returnByValue=True)
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
+
+    def assert_readable(self) -> None:
+        """Hold that no text lies over another, and none beyond the window, at each of the usual widths."""
+        for width in WIDTHS_PX:
+            self.resize(width, 900)
+            misplaced = self.value(MISPLACED)
+            assert misplaced == [], (width, misplaced)
 
     def text(self, selector: str) -> str:
         """Return the text that an element shows."""

@@ -1,7 +1,9 @@
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from browser import CHROMIUM, Page
 from made import UNREADABLE, noise_frames, small_setup, write
 from spoiled import Refusal
 
@@ -28,6 +30,15 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a recording of four frames of noise; tests copy it before they spoil it."""
     setup = small_setup()
     return write(tmp_path_factory.mktemp("good") / "r", setup, noise_frames(setup, 4))
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    """Yield a browser's page."""
+    if CHROMIUM is None:
+        pytest.skip("needs Chromium: apt-get install chromium")
+    with Page(tmp_path_factory.mktemp("chromium")) as page:
+        yield page
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """What explains a frame: bit for bit what the replay did, each number by itself, a page for every frame."""
 
 import functools
+import html
 import math
 import re
 import shutil
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import Page
 from made import replace_line
 from test_diagnosis_page import read
 from typer.testing import CliRunner
@@ -24,6 +26,7 @@ from arctrack.replay import ReplayOptions, replay_recording
 from arctrack.report.explanation import words
 from arctrack.report.explanation.page import page, telling_lines
 from arctrack.report.explanation.pictures import marks, path
+from arctrack.report.explanation.plots import FLOOR, PARTS
 from arctrack.simulate import SimulationPlan, simulate_recording
 from noise_model.arc.map import CELL
 from noise_model.setup import Setup
@@ -327,6 +330,45 @@ def test_a_frame_of_every_kind_has_a_page(explained: list[Explanation]) -> None:
         assert words.headline(found) in text
     assert any(found.track.valid for found in explained)
     assert any(not found.frame.laser_on for found in explained)
+
+
+@pytest.mark.slow
+def test_a_page_can_be_read_at_every_width(
+    explained: list[Explanation], browser: Page, tmp_path: Path
+) -> None:
+    valid = next(found for found in explained if found.track.valid)
+    for found in (valid, explained[0]):
+        (tmp_path / "page.html").write_text(page_of(found))
+        browser.open(tmp_path / "page.html")
+        browser.assert_readable()
+
+
+@pytest.mark.slow
+def test_what_failed_comes_first(explained: list[Explanation]) -> None:
+    found = next(one for one in explained if {"refused", "noted", "passed"} <= outcomes(one))
+    shown = re.findall(r'<td class="(refused|noted|passed)">', page_of(found))
+    assert len(shown) == len(found.track.checks)
+    assert shown == sorted(shown, key=["refused", "noted", "passed"].index)
+    raised = [flag.invalidates for flag in words.raised(found.track.flags)]
+    assert raised == sorted(raised, reverse=True)
+
+
+def outcomes(found: Explanation) -> set[str]:
+    return {check.outcome for check in found.track.checks}
+
+
+@pytest.mark.slow
+def test_the_parts_of_the_variance_are_all_of_it(explained: list[Explanation]) -> None:
+    found = next(one for one in explained if one.track.valid and one.frame.arc_on)
+    (table,) = re.findall(r"<caption>Share of the variance.*?</table>", html.unescape(page_of(found)), re.S)
+    shares = dict(re.findall(r'<tr><td>(.*?)</td><td class="n">(-?\d+) %</td>', table))
+    assert list(shares)[-1] == FLOOR[0]
+    assert len(shares) == len(PARTS) + 1
+    assert int(shares[FLOOR[0]]) > 0
+    assert sum(map(int, shares.values())) == 100
+    off = re.search(r"to within ([\d.]+) % in every scan line", page_of(found))
+    assert off is not None
+    assert 0.0 < float(off[1]) < 1.0
 
 
 def test_an_axis_that_is_not_followed_has_no_offset(explained: list[Explanation]) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, Page
+from browser import WIDTHS_PX, Page
 from hypothesis import given
 from hypothesis import strategies as st
 from made import UNREADABLE, noise_frames, results_of, small_setup, write
@@ -20,7 +20,7 @@ from arctrack.recording.results import REPLAY_PAGE
 from arctrack.replay import Replay, replay_recording
 from arctrack.report.explanation import words
 from arctrack.report.replay import pictures
-from arctrack.report.replay.page import frames_to_show
+from arctrack.report.replay.page import frames_to_show, opening_frame
 from arctrack.report.replay.seen import Seen
 from arctrack.report.replay.view import Viewer
 from arctrack.tracking import tracker_of
@@ -29,8 +29,6 @@ from robot_io import SeamOffset, Validity
 from tracker import flags
 from tracker.profile import triangulate
 from tracker.stripe.expected import expect_stripe
-
-needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
 
 
 @pytest.fixture(scope="module")
@@ -53,19 +51,18 @@ def results(replayed: Replay) -> Path:
     return replayed.folder
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    with Page(tmp_path_factory.mktemp("chromium")) as page:
-        yield page
-
-
 @pytest.fixture
 def page(browser: Page, results: Path) -> Iterator[Page]:
     """Yield the page at its first frame; it must not complain."""
     browser.complaints.clear()
-    browser.open(results / REPLAY_PAGE)
+    browser.resize(1280, 900)
+    browser.open(results / REPLAY_PAGE, "#frame=0")
     yield browser
     assert browser.complaints == []
+
+
+def frame_shown(page: Page) -> str:
+    return str(page.value("document.querySelector('#number').value"))
 
 
 def content_of(path: Path) -> dict[str, object]:
@@ -182,7 +179,6 @@ def test_the_view_is_the_trackers_own(simulated: Path) -> None:
     assert seen_valid > 5
 
 
-@needs_browser
 def test_the_slider_shows_the_numbers_of_the_results(page: Page, results: Path) -> None:
     rows = results_of(results)
     assert page.value("document.querySelector('#slider').max") == str(len(rows) - 1)
@@ -213,7 +209,6 @@ def test_the_slider_shows_the_numbers_of_the_results(page: Page, results: Path) 
     assert len(cursors) > 6
 
 
-@needs_browser
 def test_a_click_on_a_frame_opens_its_explanation(page: Page, replayed: Replay, recording_path: Path) -> None:
     results = replayed.folder
     assert page.value("document.querySelector('#explanation').hidden")
@@ -232,7 +227,7 @@ def test_a_click_on_a_frame_opens_its_explanation(page: Page, replayed: Replay, 
         table = page.value(
             "[...document.querySelectorAll('#explanation_checks tbody tr')].map(e => e.cells[3].textContent)"
         )
-        assert table == [words.outcome_text(check) for check in track.checks]
+        assert table == [words.outcome_text(check) for check in words.by_severity(track.checks)]
         assert page.value("document.querySelector('#all_checks').hidden") == (n == UNREADABLE)
         asked = shlex.split(page.text("#command"))
         assert asked == ["arctrack", "explain", str(recording_path), str(n)]
@@ -242,11 +237,7 @@ def test_a_click_on_a_frame_opens_its_explanation(page: Page, replayed: Replay, 
     assert "Why frame 3 came out so" in page.text("#explanation")
 
 
-@needs_browser
 def test_it_goes_by_keys(page: Page) -> None:
-    def now() -> str:
-        return str(page.value("document.querySelector('#number').value"))
-
     for key, frame in (
         ("ArrowRight", "1"),
         ("PageDown", "11"),
@@ -255,7 +246,7 @@ def test_it_goes_by_keys(page: Page) -> None:
         ("Home", "0"),
     ):
         page.press(key)
-        assert now() == frame
+        assert frame_shown(page) == frame
     page.press("Enter")
     assert not page.value("document.querySelector('#explanation').hidden")
     page.press("End")
@@ -263,32 +254,88 @@ def test_it_goes_by_keys(page: Page) -> None:
     page.press("Home")
     page.press(" ")
     assert page.text("#play") == "stop"
-    while now() != "13":
+    while frame_shown(page) != "13":
         page.value("new Promise(done => setTimeout(done, 50))")
     assert page.text("#play") == "play"
     assert page.value("location.hash") == "#frame=13&explain"
 
 
 @pytest.mark.slow
-@needs_browser
-def test_it_fits_narrow_windows(page: Page) -> None:
-    for width in (1280, 800):
+@pytest.mark.parametrize("fragment", ["", f"#frame={UNREADABLE}&explain", "#frame=99"])
+def test_it_can_be_read_at_every_width(page: Page, results: Path, fragment: str) -> None:
+    page.open(results / REPLAY_PAGE, fragment)
+    page.value("document.querySelectorAll('details').forEach(each => { each.open = true; })")
+    page.assert_readable()
+    for width in WIDTHS_PX:
         page.resize(width, 900)
-        assert page.value("document.documentElement.scrollWidth") <= width
         chart = page.value("document.querySelector('#chart_seam_y').getBoundingClientRect().width")
-        assert 340 < chart <= width
-    page.resize(1280, 900)
+        assert 0.4 * width < chart <= width
+
+
+def test_it_opens_at_the_first_valid_frame_with_the_arc_on(page: Page, results: Path, tmp_path: Path) -> None:
+    rows = results_of(results)
+    frame = next(row["frame"] for row in rows if row["valid"] == "1" and "arc_off" not in row["flags"])
+    assert frame != "0"
+    page.open(results / REPLAY_PAGE)
+    assert frame_shown(page) == frame
+    assert page.value("document.querySelector('#slider').value") == frame
+    assert page.text("#state") == "valid"
+
+
+@pytest.mark.parametrize(
+    ("frame_flags", "position"),
+    [
+        ([flags.LASER_OFF.mask, flags.ARC_OFF.mask, flags.SEARCHED.mask, 0], 2),
+        ([flags.LASER_OFF.mask, flags.STRIPE_LOST.mask, flags.ARC_OFF.mask], 2),
+        ([flags.LASER_OFF.mask, flags.STRIPE_LOST.mask], 1),
+        ([flags.LASER_OFF.mask], 0),
+    ],
+)
+def test_opening_frame(frame_flags: list[int], position: int) -> None:
+    assert opening_frame(frame_flags) == position
+    long = [flags.LASER_OFF.mask, flags.ARC_OFF.mask] * 50 + frame_flags
+    assert opening_frame(long) in frames_to_show(long, 4)
+
+
+def test_a_frame_that_is_not_there_is_said(page: Page, results: Path) -> None:
+    for asked, shown in (("99", "13"), ("-7", "0"), ("4.4", "4"), ("1e999", "0"), ("abc", "0"), ("", "0")):
+        page.value("show(0)")
+        for _ in range(3):
+            page.press("ArrowRight")
+        page.value(
+            f"(() => {{ const n = byId('number'); n.value = {asked!r}; "
+            "n.dispatchEvent(new Event('change', {bubbles: true})); })()"
+        )
+        is_number = asked not in ("abc", "", "1e999")
+        assert frame_shown(page) == (shown if is_number else "3")
+        assert (f"there is no frame {asked}; the nearest is" in page.text("#message")) == is_number
+        assert page.text("#message") != ""
+    page.press("ArrowRight")
+    assert frame_shown(page) == "4"
+    assert page.value("byId('message').textContent") == ""
+    for fragment in ("#frame=99", "#frame=99&explain"):
+        page.open(results / REPLAY_PAGE, fragment)
+        assert frame_shown(page) == "13"
+        assert page.text("#message") == "there is no frame 99; the nearest is frame 13"
+    page.open(results / REPLAY_PAGE, "#frame=abc")
+    assert page.text("#state") == "valid"
+    assert "no frame's number" in page.text("#message")
+
+
+def test_the_arrows_move_from_within_the_frames_number(page: Page) -> None:
+    page.value("byId('number').focus()")
+    for key, frame in (("ArrowUp", "1"), ("ArrowUp", "2"), ("ArrowDown", "1")):
+        page.press(key)
+        assert frame_shown(page) == frame
 
 
 @pytest.mark.slow
-@needs_browser
 def test_a_click_into_a_chart_moves_there(page: Page) -> None:
     page.click("#chart_seam_y")
     assert page.value("document.querySelector('#number').value") in ("6", "7")
 
 
 @pytest.mark.slow
-@needs_browser
 def test_a_long_replay_says_what_it_leaves_out(
     browser: Page, simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -313,7 +360,6 @@ def test_a_long_replay_says_what_it_leaves_out(
 
 
 @pytest.mark.slow
-@needs_browser
 def test_a_replay_that_sees_nothing_has_its_page(browser: Page, tmp_path: Path) -> None:
     setup = small_setup(bits=12)
     done = replay_recording(read_recording(write(tmp_path / "r", setup, noise_frames(setup, 1))))

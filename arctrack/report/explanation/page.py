@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from arctrack.explain import Explanation, StripeLook
-from arctrack.explain_lines import READ, UNLIT, read_with
+from arctrack.explain_lines import READ, UNLIT, SigmaParts, read_with
 from arctrack.printable import quoted
 from arctrack.recording.setup_file import FILE_NAME
 from arctrack.report.diagnosis.words import number, percent
 from arctrack.report.explanation import pictures, plots, words
 from arctrack.report.template import environment
-from noise_model.arrays import Float64
 from tracker.joint.measured import off_section
 from tracker.stripe.viterbi import GAIN_CAP
 
@@ -126,7 +125,8 @@ def _content(explanation: Explanation) -> dict[str, Any]:
         "sigmas": plots.sigma_picture(explanation, stripe.parts)
         if stripe is not None and has_parts
         else None,
-        "parts": _medians(stripe) if stripe is not None and has_parts else [],
+        "parts": _shares(stripe.parts) if stripe is not None and has_parts else [],
+        "sum_off": _sum_off(stripe) if stripe is not None and has_parts else math.nan,
         "profile": plots.profile_picture(explanation, look) if look is not None and look.profile else None,
         "left_out": _left_out(explanation),
         "history": plots.history_picture(explanation, look) if look is not None and has_path else None,
@@ -177,12 +177,18 @@ def _summary(explanation: Explanation, stripe: StripeLook, s: int) -> str:
     )
 
 
-def _medians(stripe: StripeLook) -> list[tuple[str, float]]:
-    """Return the median share of each part of the variance."""
-    parts = stripe.parts
-    total: Float64 = parts.variance_px2
-    shares = [(label, getattr(parts, name) / total) for name, (label, _) in plots.PARTS.items()]
-    return [(label, float(np.nanmedian(share))) for label, share in shares]
+def _shares(parts: SigmaParts) -> list[tuple[str, int]]:
+    """Return each part's mean share of the variance in percent, rounded such that they add up to 100."""
+    labels, _, values = zip(*plots.parts_with_floor(parts), strict=True)
+    shares = 100.0 * np.nanmean(np.array(values) / np.sum(values, axis=0), axis=1)
+    whole = np.floor(shares).astype(int)
+    whole[np.argsort(whole - shares, kind="stable")[: 100 - whole.sum()]] += 1
+    return list(zip(labels, whole.tolist(), strict=True))
+
+
+def _sum_off(stripe: StripeLook) -> float:
+    """Return how far the parts' sum is off the variance that the fit stated, at most, as a share of it."""
+    return float(np.nanmax(np.abs(stripe.parts.variance_px2 / stripe.reading.stripe.sigma_px**2 - 1.0)))
 
 
 def _left_out(explanation: Explanation) -> tuple[int, int] | None:

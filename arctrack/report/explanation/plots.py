@@ -39,7 +39,7 @@ PARTS = {
     "width": ("unknown width", style.SKY),
     "misfit": ("misfit (χ² above its scatter), scatter of the lines", style.BLACK),
 }
-"""What a sigma is made of, bottom to top; the floor, which the joint's fit adds, is drawn above them."""
+"""What a sigma is made of, bottom to top."""
 
 FLOOR = ("floor that the joint's fit adds", style.GREEN)
 
@@ -163,6 +163,13 @@ def fitted_mean(look: Look, stripe: StripeLook, s: int) -> tuple[Float64, Float6
     return x, bell + background + parts.offset_e[s] + parts.slope_e_per_px[s] * u
 
 
+def parts_with_floor(parts: SigmaParts) -> list[tuple[str, str, Float64]]:
+    """Return label, colour and variance (n_scan,), px^2, of all parts of a line in the joint's fit."""
+    listed = [(label, colour, getattr(parts, name)) for name, (label, colour) in PARTS.items()]
+    floor = np.where(np.isfinite(parts.stripe), SIGMA_FLOOR_PX**2, np.nan)
+    return [*listed, (*FLOOR, floor)]
+
+
 def sigma_picture(explanation: Explanation, parts: SigmaParts) -> str:
     """Return each scan line's sigma, and what its variance is made of."""
     figure = style.new_figure(WIDTH_INCH, 4.6, "Where each scan line's σ comes from")
@@ -182,12 +189,11 @@ def sigma_picture(explanation: Explanation, parts: SigmaParts) -> str:
 
     style.plain(lower, f"{scan_line(explanation)} [px]", "share of the variance [%]")
     each = max(1, -(-len(lines) // BINS))
-    values = [_binned(getattr(parts, name), each) for name in PARTS]
-    values.append(np.where(np.isfinite(values[0]), SIGMA_FLOOR_PX**2, np.nan))
-    total = np.sum(values, axis=0)
+    of_bins = [(label, colour, _binned(value, each)) for label, colour, value in parts_with_floor(parts)]
+    total = np.sum([value for _, _, value in of_bins], axis=0)
     middles = (np.arange(len(total)) + 0.5) * each - 0.5
     below = np.zeros_like(total)
-    for (label, colour), value in zip([*PARTS.values(), FLOOR], values, strict=True):
+    for label, colour, value in of_bins:
         above = below + 100.0 * value / total
         lower.fill_between(middles, below, above, color=colour, lw=0, label=label, alpha=0.85)
         below = above

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -109,8 +110,14 @@ def condition(explanation: Explanation) -> str:
 
 
 def raised(track_flags: int) -> tuple[Flag, ...]:
-    """Return the flags that are set."""
-    return tuple(flag for flag in flags.FLAGS if track_flags & flag.mask)
+    """Return the flags that are set, those that invalidate the seam first."""
+    raised_flags = (flag for flag in flags.FLAGS if track_flags & flag.mask)
+    return tuple(sorted(raised_flags, key=lambda flag: not flag.invalidates))
+
+
+def by_severity(checks: Iterable[Check]) -> list[Check]:
+    """Return a frame's answers, those that refuse its seam first, then those that flag it; each in order."""
+    return sorted(checks, key=lambda check: ("refused", "noted", "passed").index(check.outcome))
 
 
 def value_text(check: Check) -> str:

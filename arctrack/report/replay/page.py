@@ -33,16 +33,29 @@ MAX_SHOWN = 240
 """Of a longer recording only so many frames keep picture, profile and all checks on the page."""
 
 
+def opening_frame(frame_flags: Sequence[int]) -> int:
+    """Return the position of the first frame whose seam is valid with the arc on.
+
+    Where there is none, that of the first valid one, else of the first with the laser on, else 0.
+    """
+    for without in (flags.INVALIDATING | flags.ARC_OFF.mask, flags.INVALIDATING, flags.LASER_OFF.mask):
+        for position, mask in enumerate(frame_flags):
+            if not mask & without:
+                return position
+    return 0
+
+
 def frames_to_show(frame_flags: Sequence[int], most: int = MAX_SHOWN) -> list[int]:
     """Return the positions of the frames to keep pictures of: all, or `most` of a longer recording.
 
-    Half of those are evenly spaced, the others where the flags are not those of the frame before; where they
-    change more often, evenly chosen among them.
+    Half of those are evenly spaced. The others are the one that the page opens at and those where the flags
+    are not those of the frame before, evenly chosen among them if they are too many.
     """
     count = len(frame_flags)
     if count <= most:
         return list(range(count))
-    even = np.unique(np.linspace(0, count - 1, most // 2).round().astype(np.int64))
+    even = np.linspace(0, count - 1, most // 2).round().astype(np.int64)
+    even = np.union1d(even, opening_frame(frame_flags))
     changed = 1 + np.flatnonzero(np.diff(np.asarray(frame_flags, dtype=np.int64)))
     changed = np.setdiff1d(changed, even)
     room = most - len(even)
@@ -69,7 +82,7 @@ class ReplayPage:
         if shown is not None:
             self._shown[len(self._tracks)] = shown
         # Of a frame that is not shown the checks that passed would be much for little.
-        checks = [check for check in track.checks if shown is not None or not check.passed]
+        checks = [check for check in words.by_severity(track.checks) if shown is not None or not check.passed]
         self._checks.append([[self._text(text) for text in _check_texts(check)] for check in checks])
         true_mm = self._truth_mm.get(track.frame)
         for name, value in _columns(frame, seen, true_mm).items():
@@ -102,6 +115,7 @@ class ReplayPage:
             "checks": self._checks,
             "shown": self._shown,
             "explain": self._explain_command(),
+            "opens": opening_frame(self._columns["flags"]),
         }
         return (
             environment()

@@ -1,4 +1,4 @@
-let now = 0; // the position of the frame that is shown
+let now = R.opens; // the position of the frame that is shown
 
 function drawAll() {
   cursors.length = 0;
@@ -38,7 +38,6 @@ function showArc(view) {
   const missing = byId("arc_missing"), image = byId("arc");
   missing.hidden = Boolean(view && view.arc);
   if (view && view.arc) image.src = view.arc;
-  else if (view && view.frame) image.src = view.frame; // keeps the place, out of sight
   image.alt = "the arc's light as predicted for this pose";
   missing.textContent = view ? "no prediction: there is no pose from which the joint is seen" : "left out, as the frame's picture";
   const level = C.arc_level[now];
@@ -51,6 +50,11 @@ function neighbours() {
   return [before, after].filter(known).map((n) => C.frame[n]).join(" and ");
 }
 
+const PROFILE_MARKS = [
+  ["measured", GREY, "dot"], ["off the section by more than 5 σ", VERMILLION, "cross"], ["fitted section", GREEN, "line"],
+  ["expected section", SKY, "dash"], ["seam point", INK, "plus"],
+];
+
 function showProfile(view) {
   const node = byId("profile"), profile = view && view.profile;
   const mm = (point) => point && [point[0] / 1000, point[1] / 1000];
@@ -61,7 +65,8 @@ function showProfile(view) {
   const [yLow, yHigh] = extent(0), z = extent(1).slice();
   for (const value of [C.true_z_mm[now], C.seam_z_mm[now]]) if (known(value)) { z[0] = Math.min(z[0], value); z[1] = Math.max(z[1], value); }
   const margin = 0.08 * (z[1] - z[0]) + 0.2;
-  const plot = axes(node, { width: node.clientWidth, height: 270, top: 44 }, [yLow - 0.3, yHigh + 0.3], [z[0] - margin, z[1] + margin], title, "y, to the left of the travel [mm]; upwards z, away from the work [mm]");
+  const plot = axes(node, 236, [yLow - 0.3, yHigh + 0.3], [z[0] - margin, z[1] + margin]);
+  legend(node, title, profile ? PROFILE_MARKS : []);
   if (!profile) return;
   svg(plot.area, "path", { d: path(profile.expected.map(mm), plot.x, plot.y), stroke: SKY, "stroke-width": 1.5, "stroke-dasharray": "7 5", fill: "none" });
   const off = new Set(profile.off);
@@ -73,7 +78,6 @@ function showProfile(view) {
   svg(plot.area, "path", { d: path(profile.section.map(mm), plot.x, plot.y), stroke: GREEN, "stroke-width": 2, fill: "none" });
   if (known(C.true_y_mm[now])) svg(plot.area, "circle", { cx: plot.x(C.true_y_mm[now]), cy: plot.y(C.true_z_mm[now]), r: 8, stroke: GREEN, "stroke-width": 2.5, fill: "none" });
   if (known(C.seam_y_mm[now])) shape(plot.area, "plus", plot.x(C.seam_y_mm[now]), plot.y(C.seam_z_mm[now]), INK);
-  legend(plot, [["measured", GREY, "dot"], ["off the section by more than 5 σ", VERMILLION, "cross"], ["fitted section", GREEN, "line"], ["expected section", SKY, "dash"], ["seam point", INK, "plus"]], 34);
 }
 
 const withSigma = (value, sigma) => (known(value) ? `${signed(value, 3)}${known(sigma) ? " ± " + number(sigma, 3) : ""} mm` : "–");
@@ -143,11 +147,13 @@ function showChecks(n) {
       if (outcome.endsWith(`: ${flag}`)) html(item, "div", `${asked}: ${answer}; demanded: ${demanded}`, "note");
   }
   byId("all_checks").hidden = !R.shown[n] || !checks.length;
-  byId("checks_summary").textContent = `All ${checks.length} questions that the tracker asked of it, in order`;
+  byId("checks_summary").textContent = `All ${checks.length} questions that the tracker asked of it, those that failed first`;
 }
 
-function show(n) {
-  now = Math.max(0, Math.min(N - 1, n));
+function show(asked, message) {
+  const n = Math.max(0, Math.min(N - 1, asked));
+  if (message !== undefined || n !== now) byId("message").textContent = message || "";
+  now = n;
   const view = R.shown[now];
   byId("slider").value = now;
   byId("slider").setAttribute("aria-valuetext", `frame ${C.frame[now]}, ${number(times[now], 3)} s`);
@@ -186,16 +192,26 @@ function explain(open) {
 
 // The address says which frame is shown, so that a link opens it.
 function remember() {
-  const hash = `#frame=${C.frame[now]}${byId("explanation").hidden ? "" : "&explain"}`;
-  if (location.hash !== hash) location.replace(hash);
+  if (location.hash !== address()) location.replace(address());
+}
+
+const address = () => `#frame=${C.frame[now]}${byId("explanation").hidden ? "" : "&explain"}`;
+
+// A frame's number, typed or from the address. One that is not there leads to the nearest, and the page says so.
+function go(asked) {
+  const text = asked.trim(), value = text === "" ? NaN : Number(text);
+  if (!Number.isFinite(value)) return show(now, `“${text}” is no frame's number; frame ${C.frame[now]} stays`);
+  let n = 0;
+  C.frame.forEach((frame, k) => { if (Math.abs(frame - value) < Math.abs(C.frame[n] - value)) n = k; });
+  show(n, C.frame[n] === value ? "" : `there is no frame ${text}; the nearest is frame ${C.frame[n]}`);
 }
 
 function recall() {
   const asked = new URLSearchParams(location.hash.slice(1));
-  const n = asked.has("frame") ? C.frame.indexOf(Number(asked.get("frame"))) : 0;
-  const opens = asked.has("explain");
-  byId("explanation").hidden = !opens;
-  show(n < 0 ? 0 : n);
+  if (location.hash === address()) return; // the page's own: what it says of it stays
+  byId("explanation").hidden = !asked.has("explain");
+  if (asked.has("frame")) go(asked.get("frame"));
+  else show(now);
 }
 
 // Playing keeps the recording's pace, within 1 to 20 frames a second.
@@ -219,22 +235,28 @@ const KEYS = {
   ArrowLeft: () => show(now - 1), ArrowRight: () => show(now + 1), PageUp: () => show(now - 10), PageDown: () => show(now + 10),
   Home: () => show(0), End: () => show(N - 1), " ": () => play(timer === null), Enter: () => explain(true), Escape: () => explain(false),
 };
+const NUMBER_KEYS = { ArrowUp: KEYS.ArrowRight, ArrowDown: KEYS.ArrowLeft };
 document.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.altKey || event.metaKey || event.target.id === "number") return;
+  if (event.ctrlKey || event.altKey || event.metaKey) return;
   if (event.target.tagName === "BUTTON" && (event.key === " " || event.key === "Enter")) return;
-  if (event.key in KEYS) {
+  const keys = event.target.id === "number" ? NUMBER_KEYS : KEYS;
+  if (event.key in keys) {
     event.preventDefault();
-    KEYS[event.key]();
+    keys[event.key]();
   }
 });
 byId("slider").oninput = (event) => show(Number(event.target.value));
-byId("number").onchange = (event) => show(Math.max(0, C.frame.indexOf(Number(event.target.value))));
+byId("number").onchange = (event) => go(event.target.value);
 byId("before").onclick = () => show(now - 1);
 byId("after").onclick = () => show(now + 1);
 byId("play").onclick = () => play(timer === null);
 byId("picture").onclick = () => explain(byId("explanation").hidden);
 byId("close").onclick = () => explain(false);
-for (const chart of CHARTS) svg(byId("charts"), "svg", { id: "chart_" + chart.id, role: "img", "aria-label": chart.title + " over time" });
+for (const chart of CHARTS) {
+  const figure = html(byId("charts"), "figure");
+  html(figure, "div", undefined, "legend");
+  svg(figure, "svg", { id: "chart_" + chart.id, role: "img", "aria-label": chart.title + " over time" });
+}
 window.addEventListener("hashchange", recall);
 let width = 0;
 window.addEventListener("resize", () => { if (width !== (width = document.body.clientWidth)) drawAll(); });

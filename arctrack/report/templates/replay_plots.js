@@ -29,7 +29,7 @@ const minus = (text) => text.replace("-", "−");
 const known = (value) => value !== null && value !== undefined;
 const number = (value, digits) => (known(value) ? minus(value.toFixed(digits)) : "–");
 const signed = (value, digits) => (known(value) ? (value < 0 ? "" : "+") + number(value, digits) : "–");
-const raised = (n) => R.flags.filter((flag) => C.flags[n] & flag.mask);
+const raised = (n) => R.flags.filter((flag) => C.flags[n] & flag.mask).sort((a, b) => b.invalidates - a.invalidates);
 
 function path(points, x, y) {
   let text = "", down = false;
@@ -50,14 +50,13 @@ function ticks(low, high, most) {
   return marks;
 }
 
-function axes(node, size, xRange, yRange, title, xLabel) {
-  const left = 52, right = size.width - 8, top = size.top || 24, bottom = size.height - (xLabel ? 36 : 20);
+function axes(node, height, xRange, yRange) {
+  const width = node.clientWidth, left = 52, right = width - 8, top = 6, bottom = height - 20;
   node.replaceChildren();
-  node.setAttribute("viewBox", `0 0 ${size.width} ${size.height}`);
-  node.style.height = size.height + "px";
+  node.setAttribute("viewBox", `0 0 ${width} ${height}`);
+  node.style.height = height + "px";
   const x = (value) => left + ((right - left) * (value - xRange[0])) / (xRange[1] - xRange[0]);
   const y = (value) => bottom - ((bottom - top) * (value - yRange[0])) / (yRange[1] - yRange[0]);
-  svg(node, "text", { x: 4, y: 14, class: "title" }, title);
   const back = svg(node, "g", {});
   for (const [value, text] of ticks(yRange[0], yRange[1], (bottom - top) / 26)) {
     svg(node, "line", { x1: left, x2: right, y1: y(value), y2: y(value), stroke: "#dddddd" });
@@ -68,24 +67,24 @@ function axes(node, size, xRange, yRange, title, xLabel) {
     svg(node, "text", { x: x(value), y: bottom + 16, "text-anchor": "middle" }, text);
   }
   svg(node, "line", { x1: left, x2: right, y1: bottom, y2: bottom, stroke: GREY });
-  if (xLabel) svg(node, "text", { x: (left + right) / 2, y: bottom + 32, "text-anchor": "middle" }, xLabel);
   const id = "clip_" + node.id;
   svg(svg(node, "clipPath", { id }), "rect", { x: left, y: top, width: right - left, height: bottom - top });
   const area = svg(node, "g", { "clip-path": `url(#${id})` });
   return { node, area, back, x, y, left, right, top, bottom };
 }
 
-// A title's marks say what is what: [text, colour, mark].
-function legend(plot, entries, y = 14) {
-  let x = plot.right;
-  for (const [text, colour, mark] of entries.slice().reverse()) {
-    const label = svg(plot.node, "text", { x, y, "text-anchor": "end", class: "soft" }, text);
-    x -= label.getComputedTextLength() + 5;
-    if (mark === "line") svg(plot.node, "line", { x1: x - 18, x2: x, y1: y - 4, y2: y - 4, stroke: colour, "stroke-width": 2 });
-    else if (mark === "dash") svg(plot.node, "line", { x1: x - 18, x2: x, y1: y - 4, y2: y - 4, stroke: colour, "stroke-width": 2, "stroke-dasharray": "5 3" });
-    else if (mark === "band") svg(plot.node, "rect", { x: x - 18, y: y - 9, width: 18, height: 10, fill: colour, "fill-opacity": 0.35 });
-    else shape(plot.node, mark, x - 8, y - 4, colour);
-    x -= mark === "line" || mark === "dash" || mark === "band" ? 34 : 28;
+// The line above a plot: its title, and what each mark means: [text, colour, mark]. The browser breaks it to the width.
+function legend(node, title, entries = []) {
+  const line = node.parentNode.querySelector(".legend");
+  line.replaceChildren();
+  html(line, "b", title);
+  for (const [text, colour, mark] of entries) {
+    const entry = html(line, "span");
+    const key = svg(entry, "svg", { viewBox: "0 0 18 12", "aria-hidden": "true" });
+    if (mark === "line" || mark === "dash") svg(key, "path", { d: "M0 6H18", stroke: colour, "stroke-width": 2, "stroke-dasharray": mark === "dash" ? "5 3" : "none" });
+    else if (mark === "band") svg(key, "rect", { y: 1, width: 18, height: 10, fill: colour, "fill-opacity": 0.35 });
+    else shape(key, mark, 9, 6, colour);
+    entry.append(text);
   }
 }
 
@@ -148,7 +147,7 @@ function shade(plot) {
 }
 
 function drawChart(chart, node) {
-  const plot = axes(node, { width: node.clientWidth, height: 150 }, span, valueRange(chart), chart.title);
+  const plot = axes(node, 132, span, valueRange(chart));
   shade(plot);
   const entries = [];
   if (chart.band) {
@@ -182,7 +181,7 @@ function drawChart(chart, node) {
   if (chart.id.startsWith("offset")) entries.push(["sent", BLUE, N > DOTS_UP_TO ? "line" : "dot"], ...(N > DOTS_UP_TO ? [] : [["held", BLUE, "ring"]]));
   if (chart.id.startsWith("seam")) entries.push(["measured", BLUE, N > DOTS_UP_TO ? "line" : "dot"], ...(N > DOTS_UP_TO ? [] : [["not used", BLUE, "ring"]]));
   if (chart.second) entries.push(["arc level", BLUE, N > DOTS_UP_TO ? "line" : "dot"], ["map misfit", VERMILLION, N > DOTS_UP_TO ? "line" : "cross"]);
-  legend(plot, entries);
+  legend(node, chart.title, entries);
   follow(plot);
 }
 
@@ -190,13 +189,13 @@ function drawStrip() {
   const node = byId("strip");
   const rows = R.flags.filter((flag) => C.flags.some((mask) => mask & flag.mask));
   rows.sort((a, b) => b.invalidates - a.invalidates);
-  const width = node.clientWidth, left = 172, right = width - 8, row = 19, top = 24, bottom = top + row * rows.length + 2;
-  const height = bottom + 36;
+  const width = node.clientWidth, left = 172, right = width - 8, row = 19, top = 6, bottom = top + row * rows.length + 2;
+  const height = bottom + 20;
   node.replaceChildren();
   node.setAttribute("viewBox", `0 0 ${width} ${height}`);
   node.style.height = height + "px";
   const x = (value) => left + ((right - left) * (value - span[0])) / (span[1] - span[0]);
-  svg(node, "text", { x: 4, y: 14, class: "title" }, rows.length ? "flags" : "no frame carries a flag");
+  legend(node, rows.length ? "flags" : "no frame carries a flag");
   const plot = { node, area: node, back: svg(node, "g", {}), x, left, right, top, bottom };
   shade(plot);
   rows.forEach((flag, k) => {
@@ -210,7 +209,6 @@ function drawStrip() {
     }
   });
   for (const [value, text] of ticks(span[0], span[1], (right - left) / 80)) svg(node, "text", { x: x(value), y: bottom + 16, "text-anchor": "middle" }, text);
-  svg(node, "text", { x: (left + right) / 2, y: bottom + 32, "text-anchor": "middle" }, "time [s]; grey: no seam to use; ✕: such a frame's seam is not used");
   follow(plot, true);
 }
 
