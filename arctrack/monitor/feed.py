@@ -14,7 +14,7 @@ from arctrack.journal.records import Entry, GapReport, Status
 from arctrack.monitor.options import MonitorOptions
 from arctrack.monitor.outbox import Kind, Message, Outbox
 from arctrack.monitor.picture import Painter, Picture
-from arctrack.monitor.status import SHOWN_S, FrameRate, Point, point_of, status_content
+from arctrack.monitor.status import SHOWN_S, FrameRate, OffsetFlow, Point, point_of, status_content
 from tracker.arc.level import ArcLevel
 
 TICK_S = 0.1
@@ -53,7 +53,7 @@ class Feed:
         self.gap: GapReport | None = None
         self.arc: ArcLevel | None = None
         self._changed_s = -math.inf
-        self._rate = FrameRate()
+        self._rate, self._offset_flow = FrameRate(), OffsetFlow()
         self._points: deque[Point] = deque()
         self._next = reader.count
         self._picture: Picture | None = None
@@ -86,6 +86,11 @@ class Feed:
         return self._rate.hz
 
     @property
+    def offset_age_s(self) -> float:
+        """How long before the status an offset that the robot may use went out, s; infinite before."""
+        return self._offset_flow.age_s
+
+    @property
     def frame_age_s(self) -> float:
         """How old the newest frame is, s; NaN before the first."""
         if self.status is None:
@@ -115,7 +120,13 @@ class Feed:
     def status_text(self) -> str:
         """Return how the run stands as JSON."""
         content = status_content(
-            self._options, self.status, self.gap, self.arc, self.rate_hz, self._last_point()
+            self._options,
+            self.status,
+            self.gap,
+            self.arc,
+            self.rate_hz,
+            self.offset_age_s,
+            self._last_point(),
         )
         content |= {
             "age_s": round(min(self.status_age_s, 1e6), 3),
@@ -149,6 +160,7 @@ class Feed:
         if status is not None and (self.status is None or status.now_s != self.status.now_s):
             self.status, self._changed_s = status, time.monotonic()
             self._rate.add(status)
+            self._offset_flow.add(status)
         points = self._new_points()
         if points:
             self._points.extend(points)

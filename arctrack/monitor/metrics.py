@@ -11,6 +11,8 @@ from prometheus_client.registry import Collector
 
 from arctrack.journal.records import Status
 from arctrack.monitor.feed import Feed
+from arctrack.monitor.status import indicated
+from arctrack.monitor.words import Indication
 from robot_io import TrackerState
 
 QUANTILES = ("0.5", "0.99", "1")
@@ -54,6 +56,17 @@ class RunCollector(Collector):
         for each in TrackerState:
             state.add_metric([each.name], float(each is status.state))
         yield state
+        indication = GaugeMetricFamily(
+            "arctrack_indication", "1 for what the page's colour and shape indicate", labels=["indication"]
+        )
+        for shown in Indication:
+            indication.add_metric([shown.name], float(shown is indicated(status, feed.offset_age_s)))
+        yield indication
+        yield _gauge(
+            "arctrack_usable_offset_age_seconds",
+            "Time since an offset that the robot may use went out",
+            feed.offset_age_s,
+        )
         yield _gauge(
             "arctrack_status_age_seconds", "Time since the run said how it stands", feed.status_age_s
         )

@@ -8,7 +8,7 @@ from typing import Any
 
 from arctrack.journal.records import Entry, GapReport, Status
 from arctrack.monitor.options import MonitorOptions
-from arctrack.monitor.words import LASERS, headline, plain
+from arctrack.monitor.words import LASERS, Indication, headline, indication_of, plain
 from robot_io import RobotStatus, Source, Switch, TrackerState, Validity
 from tracker.arc.level import ArcLevel
 
@@ -17,6 +17,9 @@ SHOWN_S = 180.0
 
 RATE_S = 2.0
 """Over so long frames are counted for their rate, s."""
+
+USABLE = (Validity.VALID, Validity.HELD)
+"""A robot may follow these offsets alone."""
 
 Number = float | None
 Point = tuple[float, Number, Number, Number, Number, str, Number, Number]
@@ -45,6 +48,35 @@ class FrameRate:
         self.hz = (last - first) / (last_s - first_s) if last_s > first_s else math.nan
 
 
+class OffsetFlow:
+    """Watches whether offsets that the robot may use go out.
+
+    Attributes
+    ----------
+    age_s : float
+        How long before the newest status the last one went out, s; infinite before the first.
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._sent_s = -math.inf
+        self.age_s = math.inf
+
+    def add(self, status: Status) -> None:
+        """Take a status."""
+        count = sum(status.offsets.get(validity.name, 0) for validity in USABLE)
+        if count != self._count:
+            self._count, self._sent_s = count, status.now_s
+        self.age_s = status.now_s - self._sent_s
+
+
+def indicated(status: Status, offset_age_s: float) -> Indication:
+    """Return what a status indicates; see `indication_of`."""
+    command = None if status.command is None else status.command.command
+    validity = None if status.offset is None else status.offset.validity
+    return indication_of(status.state, command, validity, offset_age_s)
+
+
 def number(value: float, digits: int = 3) -> Number:
     """Return a number to some digits, None where it is not known."""
     return round(value, digits) if math.isfinite(value) else None
@@ -55,7 +87,7 @@ def point_of(entry: Entry) -> Point:
     offset, track = entry.offset, entry.track
     validity = Validity.REFUSED if offset is None else offset.validity
     y = z = sigma_y = sigma_z = math.nan
-    if offset is not None and validity in (Validity.VALID, Validity.HELD):
+    if offset is not None and validity in USABLE:
         y, z = offset.offset_y_mm, offset.offset_z_mm
     if validity is Validity.VALID:
         sigma_y, sigma_z = track.offset_sigma_y_mm, track.offset_sigma_z_mm
@@ -77,14 +109,22 @@ def status_content(
     gap: GapReport | None,
     arc: ArcLevel | None,
     rate_hz: float,
+    offset_age_s: float,
     point: Point | None,
 ) -> dict[str, Any]:
     """Return how a run stands as it is told to browsers; before the first status only that it starts."""
     if status is None:
-        return {"kind": "status", "state": TrackerState.STARTING.name, "reason": "The tracker starts."}
+        starting = TrackerState.STARTING.name
+        return {
+            "kind": "status",
+            "state": starting,
+            "indication": starting,
+            "reason": "The tracker starts.",
+        }
+    indication = indicated(status, offset_age_s)
     is_simulated = options.is_simulated or status.source is Source.SIMULATION
     offset = status.offset
-    is_out = offset is not None and offset.validity in (Validity.VALID, Validity.HELD)
+    is_out = offset is not None and offset.validity in USABLE
     is_valid = offset is not None and offset.validity is Validity.VALID
     return {
         "kind": "status",
@@ -92,9 +132,10 @@ def status_content(
         "wall_s": status.wall_s,
         "source": "SIMULATED" if is_simulated else status.source.name,
         "state": status.state.name,
+        "indication": indication.name,
         "fault": status.fault.name,
         "reason_name": status.reason.name,
-        "reason": headline(status.state, status.fault, status.reason),
+        "reason": headline(status.state, status.fault, status.reason, indication),
         "laser": LASERS[status.laser],
         "job": {"number": status.job_number, "name": options.job_names.get(status.job_number, "")},
         "frames": status.frames,
@@ -105,6 +146,7 @@ def status_content(
         "capture_ms": [number(ms, 1) for ms in status.capture_ms],
         "arrival_ms": [number(ms, 1) for ms in status.arrival_ms],
         "validity": None if offset is None else offset.validity.name,
+        "usable_offset_age_s": number(offset_age_s),
         "offset_y_mm": number(offset.offset_y_mm) if offset is not None and is_out else None,
         "offset_z_mm": number(offset.offset_z_mm) if offset is not None and is_out else None,
         "sigma_y_mm": point[2] if point is not None and is_valid else None,

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from robot_io import Fault, GateReason, LaserState, TrackerState
+from enum import Enum
+
+from robot_io import Command, Fault, GateReason, LaserState, TrackerState, Validity
+
+OFFSETS_MISSED_S = 0.5
+"""A state counts as followed for so long after the last usable offset, s: one bad frame is no alarm."""
 
 STATES = {
     TrackerState.STARTING: "No robot has been heard yet.",
@@ -60,6 +65,9 @@ REASONS = {
     GateReason.UNKNOWN: "The reason is not known.",
 }
 
+NOTHING_SENT = "No offset goes out: no frame comes, or the bus takes no message."
+NO_DISARM = "The robot commands TRACK without a DISARM before it. Send DISARM, then TRACK."
+
 LASERS = {
     LaserState.OFF: "off",
     LaserState.ON: "on",
@@ -69,12 +77,57 @@ LASERS = {
 }
 
 
-def headline(state: TrackerState, fault: Fault, reason: GateReason) -> str:
+class Indication(Enum):
+    """What colour and shape stand for: the state, unless offsets that it promises do not go out."""
+
+    STARTING = "starting"
+    DISARMED = "disarmed"
+    SEARCHING = "searching"
+    TRACKING = "tracking"
+    HOLDING = "holding"
+    NO_OFFSETS = "no offsets"
+    FAULT = "fault"
+
+
+def indication_of(
+    state: TrackerState, command: Command | None, validity: Validity | None, offset_age_s: float
+) -> Indication:
+    """Return what is indicated.
+
+    Parameters
+    ----------
+    state : TrackerState
+        The tracker's state.
+    command : Command or None
+        What the robot commanded last, however long ago.
+    validity : Validity or None
+        The newest offset's.
+    offset_age_s : float
+        How long ago an offset that the robot may use last went out, s.
+    """
+    if state in (TrackerState.FAULT, TrackerState.STARTING):
+        return Indication[state.name]
+    is_following = state in (TrackerState.SEARCHING, TrackerState.TRACKING, TrackerState.HOLDING)
+    if is_following and offset_age_s <= OFFSETS_MISSED_S:
+        is_held = state is TrackerState.HOLDING or validity is Validity.HELD
+        return Indication.HOLDING if is_held else Indication.TRACKING
+    if state is TrackerState.SEARCHING and command is Command.SEARCH:
+        return Indication.SEARCHING
+    # A robot that is lost while it commands TRACK leaves the tracker disarmed.
+    is_wanted = is_following or command in (Command.TRACK, Command.HOLD)
+    return Indication.NO_OFFSETS if is_wanted else Indication.DISARMED
+
+
+def headline(
+    state: TrackerState, fault: Fault, reason: GateReason, indication: Indication | None = None
+) -> str:
     """Return why the tracker is as it is, in one or two sentences."""
     if state is TrackerState.FAULT and fault is not Fault.NONE:
         return FAULTS[fault]
+    if indication is Indication.NO_OFFSETS and reason is GateReason.NONE:
+        return NOTHING_SENT
     if state is TrackerState.DISARMED and reason is GateReason.NOT_ARMED:
-        return STATES[state]
+        return NO_DISARM if indication is Indication.NO_OFFSETS else STATES[state]
     return REASONS[reason] or STATES[state]
 
 

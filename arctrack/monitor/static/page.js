@@ -10,6 +10,7 @@ const SHAPES = {
   TRACKING: "M50 4a46 46 0 1 0 0 92a46 46 0 0 0 0-92zM43 74L20 51l9-9 14 14 29-30 9 9z",
   SEARCHING: "M42 6a36 36 0 1 0 20 66l22 22 10-10-22-22a36 36 0 0 0-30-56zm0 13a23 23 0 1 1 0 46a23 23 0 0 1 0-46z",
   HOLDING: "M16 10h24v80H16zM60 10h24v80H60z",
+  NO_OFFSETS: "M50 6L97 90H3zM45 34l2 30h6l2-30zM50 69a6 6 0 1 0 0 12a6 6 0 0 0 0-12z",
   FAULT: "M30 4h40l26 26v40L70 96H30L4 70V30zM43 20l2 42h10l2-42zM50 69a7 7 0 1 0 0 14a7 7 0 0 0 0-14z",
   DISARMED: "M8 8h84v84H8zM21 21v58h58V21z",
   STARTING: "M20 8h60v12L58 50l22 30v12H20V80l22-30L20 20zM33 20l17 22 17-22z",
@@ -36,7 +37,7 @@ const charts = [
   new TimeChart(byId("chart-z"), points, "z", "sigmaZ", { shownS: 180, minSpan: 0.4, colour: COLOURS.green }),
   new TimeChart(byId("chart-latency"), points, "latency", null, { shownS: 180, minSpan: 10, fromZero: true, colour: COLOURS.expected }),
 ];
-let status = null, heardMs = NaN, drawnMs = -Infinity;
+let title = document.title, status = null, heardMs = NaN, drawnMs = -Infinity;
 
 function hear(message) {
   heardMs = performance.now();
@@ -63,7 +64,7 @@ function greet(content) {
   points.clear();
   content.points.forEach((point) => points.add(point));
   say("title", content.title);
-  document.title = content.title ? `arctrack: ${content.title}` : "arctrack monitor";
+  title = content.title ? `arctrack: ${content.title}` : "arctrack monitor";
   document.querySelectorAll(".save").forEach((button) => { button.hidden = !content.has_black_box; });
   for (const chart of charts) chart.options.shownS = content.shown_s;
 }
@@ -150,13 +151,17 @@ function look() {
   show("lost", isStale); say("lost-what", lost);
   say("lost-age", Number.isNaN(oldS) ? "" : `What is shown is ${age(oldS)} old.`);
   if (!status) return;
-  const name = isStale || !(status.state in SHAPES) ? "NO_SIGNAL" : status.state;
+  const name = isStale || !(status.indication in SHAPES) ? "NO_SIGNAL" : status.indication;
+  // Colour and shape follow what goes out. The word is the state, unless nothing goes out.
+  const word = (name.startsWith("NO_") ? name : status.state).replace("_", " ");
   if (document.body.dataset.state !== name || !byId("shape").getAttribute("d")) {
     document.body.dataset.state = name;
     byId("shape").setAttribute("d", SHAPES[name]);
   }
-  say("word", name.replace("_", " "));
-  say("reason", isStale ? `It was ${status.state} when it was last heard.` : status.reason);
+  say("word", word);
+  const without = status.indication === "NO_OFFSETS" ? " without offsets" : "";
+  say("reason", isStale ? `It was ${status.state}${without} when it was last heard.` : status.reason);
+  document.title = `${word} · ${title}`;
 }
 
 function age(seconds) {

@@ -126,6 +126,7 @@ class ShownRun:
             valid=self.count,
             frame_s=frame.timestamp_s,
             offset=entry.offset,
+            offsets={"VALID": 11 + self.count, "REFUSED": 2},
         )
         self.status = replace(self.status, **self.changes)
         position = self.journal.add(entry)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from pathlib import Path
 
@@ -9,13 +10,15 @@ import pytest
 from browser import CHROMIUM, Page
 from shown_run import TITLE, TOKEN, answering_black_box, shown_run
 
-from robot_io import Fault, GateReason, Source, TrackerState
+from arctrack.monitor.words import NOTHING_SENT, REASONS
+from robot_io import Fault, GateReason, SeamOffset, Source, TrackerState, Validity
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium"),
 ]
 
+AMBER, GREEN = "rgb(255, 181, 46)", "rgb(53, 212, 143)"
 SIZES = ((1920, 1080), (1280, 800), (1024, 768))
 PATIENCE_S = 20.0
 COLOURS = """(id => {
@@ -57,6 +60,22 @@ def test_the_page_shows_the_run_and_greys_when_that_ends(tmp_path: Path) -> None
                 == f"{size[0]},{size[0]}"
             )
             assert page.value("document.documentElement.scrollHeight <= innerHeight")
+
+        refused = SeamOffset(0.0, 0.0, 0.0, 0.0, Validity.REFUSED)
+        for reason, words in (
+            (GateReason.CORRECTION_OFF, REASONS[GateReason.CORRECTION_OFF]),
+            (GateReason.NONE, NOTHING_SENT),
+        ):
+            offsets = {"VALID": 11, "REFUSED": run.count}
+            run.changes = {"offset": refused, "offsets": offsets, "reason": reason}
+            wait_for(page, "document.body.dataset.state === 'NO_OFFSETS'")
+            assert page.text("#word") == "NO OFFSETS"
+            wait_for(page, f"document.getElementById('reason').innerText === {json.dumps(words)}")
+            assert page.value("getComputedStyle(document.getElementById('state')).backgroundColor") == AMBER
+            assert page.value("document.title") == f"NO OFFSETS · arctrack: {TITLE}"
+        run.changes = {}
+        wait_for(page, "document.body.dataset.state === 'TRACKING'")
+        assert page.value("getComputedStyle(document.getElementById('state')).backgroundColor") == GREEN
 
         run.report_gap(name, "It looks like a film on the window.")
         wait_for(page, "!document.getElementById('gap').hidden")

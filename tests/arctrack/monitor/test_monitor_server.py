@@ -24,7 +24,7 @@ from shown_run import TITLE, TOKEN, answering_black_box, shown_run
 
 from arctrack.monitor.access import Access, is_same_origin
 from arctrack.monitor.outbox import MAX_WAITING, Kind, Outbox
-from arctrack.monitor.words import FAULTS, LASERS, REASONS, STATES, headline
+from arctrack.monitor.words import FAULTS, LASERS, NO_DISARM, REASONS, STATES, Indication, headline
 from robot_io import Fault, GateReason, LaserState, TrackerState
 
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
@@ -110,7 +110,9 @@ def test_health_metrics_and_the_frame_are_those_of_the_run(shown: SimpleNamespac
     assert {name for name, *_ in values} == {*re.findall(r"`(arctrack_\w+)`", page)}
     assert values["arctrack_up",] == 1.0
     assert values["arctrack_frames_dropped_total",] == 3.0
-    assert values["arctrack_offsets_total", "VALID"] == 11.0
+    assert values["arctrack_offsets_total", "VALID"] > 11.0
+    assert values["arctrack_indication", "TRACKING"] + values["arctrack_indication", "FAULT"] == 1.0
+    assert 0.0 <= values["arctrack_usable_offset_age_seconds",] < 1.0
     assert values["arctrack_gate_reasons_total", "NOT_ARMED"] == 2.0
     assert values["arctrack_bus_faults_total", "repeated"] == 1.0
     assert values["arctrack_latency_seconds", "0.99", "mid_exposure"] == pytest.approx(0.0315)
@@ -120,6 +122,7 @@ def test_health_metrics_and_the_frame_are_those_of_the_run(shown: SimpleNamespac
 
     _, body, _ = awaited(shown.address, "status.json", lambda answer: b'"TRACKING"' in answer[1])
     status = json.loads(body)
+    assert status["indication"] == "TRACKING"
     assert (status["job"], status["gap"]["text"]) == ({"number": 7, "name": "side wall"}, "window film")
     jpeg = asked(shown.address, "frame.jpg", **BEARER)[1]
     assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE).shape == (480, 640)
@@ -212,3 +215,5 @@ def test_each_state_fault_and_reason_has_words() -> None:
         headline(TrackerState.TRACKING, Fault.NONE, GateReason.SOFT_START) == REASONS[GateReason.SOFT_START]
     )
     assert headline(TrackerState.TRACKING, Fault.NONE, GateReason.NONE) == STATES[TrackerState.TRACKING]
+    nothing = (Fault.NONE, GateReason.NOT_ARMED, Indication.NO_OFFSETS)
+    assert headline(TrackerState.DISARMED, *nothing) == NO_DISARM

@@ -15,6 +15,8 @@ from arctrack.cameras.camera import CameraTraits, UnreadableFrame
 from arctrack.cameras.recording import RecordingCamera
 from arctrack.cell.robot import WELDING
 from arctrack.cell_file import as_the_job_says, read_cell_file
+from arctrack.monitor.status import OffsetFlow, indicated
+from arctrack.monitor.words import Indication
 from arctrack.recording import read_recording
 from arctrack.replay import ReplayOptions, replay_recording
 from arctrack.serve.exposure import ExposureChooser
@@ -45,6 +47,7 @@ from robot_io import (
     Switch,
     TrackerCommand,
     TrackerHeartbeat,
+    TrackerState,
     TrackerStatus,
     Validity,
 )
@@ -116,6 +119,7 @@ class Stage:
         )
         self.command = TrackerCommand(Command.DISARM, True, True, 0, 1, None, Switch.ON)
         self.steps = 0
+        self.robot_status, self.speaks = WELDING, True
         self.takes = True
         self.rng = np.random.default_rng(1)
 
@@ -142,9 +146,11 @@ class Stage:
         return 40.0 + SPEED_MM_S * self.camera.time_s
 
     def _say(self) -> None:
+        if not self.speaks:
+            return
         self.robot.send(RobotPosePosition(self.place_mm, 0.0, 0.0, PoseKind.ACTUAL))
         self.robot.send(RobotPoseRotation.from_quaternion((0.0, 0.0, 0.0, 1.0), 0.0))
-        self.robot.send(WELDING)
+        self.robot.send(self.robot_status)
         self.robot.send(self.command)
 
     def _shot(self) -> Frame:
@@ -202,6 +208,46 @@ def test_a_loop_sends_what_it_tracks_and_goes_on_without_a_camera(stage: Stage) 
     last = stage.close()
     assert of_type(last, SeamOffset)[-1].validity is Validity.REFUSED
     assert not stage.camera.laser_on
+
+
+@pytest.mark.slow
+def test_what_is_indicated_follows_the_offsets_that_go_out(stage: Stage) -> None:
+    flow = OffsetFlow()
+
+    def indications(seconds: float) -> list[Indication]:
+        shown = []
+        for _ in range(round(seconds / 0.1)):
+            stage.run(0.1)
+            status = stage.loop.status()
+            flow.add(status)
+            shown.append(indicated(status, flow.age_s))
+        return shown
+
+    assert {*indications(0.4)} == {Indication.DISARMED}
+    stage.command = replace(stage.command, command=Command.TRACK)
+    begun = indications(1.6)
+    assert begun[-5:] == 5 * [Indication.TRACKING]
+    assert {*begun} == {Indication.NO_OFFSETS, Indication.TRACKING}
+
+    stage.robot_status = replace(WELDING, correction=Switch.OFF)
+    assert indications(0.3) == 3 * [Indication.TRACKING]
+    assert indications(0.6)[-1] is Indication.NO_OFFSETS
+    assert stage.loop.status().state is TrackerState.TRACKING
+    assert stage.loop.status().reason is GateReason.CORRECTION_OFF
+    stage.robot_status = WELDING
+    assert indications(0.4)[-1] is Indication.TRACKING
+
+    stage.takes = False
+    assert indications(1.0)[-1] is Indication.NO_OFFSETS
+    stage.takes = True
+    assert indications(0.6)[-1] is Indication.TRACKING
+    stage.speaks = False
+    assert indications(1.0)[-1] is Indication.NO_OFFSETS
+    assert stage.loop.status().reason is GateReason.HEARTBEAT_LOST
+    stage.speaks, stage.command = True, replace(stage.command, command=Command.SEARCH)
+    assert indications(1.0)[-1] is Indication.SEARCHING
+    stage.command = replace(stage.command, command=Command.DISARM)
+    assert indications(0.2)[-1] is Indication.DISARMED
 
 
 @pytest.mark.slow
