@@ -61,9 +61,7 @@ class RecordingTime:
 
         Raises LinkError if the link is closed, BusLogError if the log cannot hold its time.
         """
-        self._now_s = exposed_s(row)
-        self._hear(assumed_robot(row))
-        self._hear(assumed_command(row, job_number=self._job_number))
+        self._hear_robot(row)
         self._controller.on_poses(self._poses_verdict(self._now_s), self._now_s)
         messages = self._controller.on_track(track, self._now_s, T_base_tool, took_ms)
         self._send(messages)
@@ -83,6 +81,15 @@ class RecordingTime:
             f"frames come before 0 s, where a log begins: in bus.blf all times are {self._log_is_late_s:g} s "
             "later",
         )
+
+    def _hear_robot(self, row: FrameRow) -> None:
+        """Let the robot say how it stood at a frame, and before: it was not silent between two frames."""
+        before_s, exposed = self._now_s, exposed_s(row)
+        n_steps = max(1, math.ceil((exposed - before_s) / self._controller.job.limits.hold_s))
+        for n in range(1, n_steps + 1):
+            self._now_s = exposed if n == n_steps else before_s + n * (exposed - before_s) / n_steps
+            self._hear(assumed_robot(row))
+            self._hear(assumed_command(row, job_number=self._job_number))
 
     def _hear(self, message: BusMessage) -> None:
         self._controller.on_message(Received(self._now_s, message, 0), self._now_s)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from robot_io.link.inbox import STALE_PERIODS, Received
 from robot_io.protocol.dbc import cycle_time_s, message_layout
-from robot_io.protocol.messages import SeamOffset, TrackerHeartbeat, TrackerState, Validity
+from robot_io.protocol.messages import CommandHeard, SeamOffset, TrackerHeartbeat, TrackerState, Validity
 
 BEAT_PERIODS = 1.5
 """A heartbeat that is later than this has been missed."""
+
+COUNTING = (TrackerState.SEARCHING, TrackerState.TRACKING, TrackerState.HOLDING)
+"""The states in which a tracker's offsets count."""
 
 _ROLLING = 256
 
@@ -58,13 +61,33 @@ class OffsetUse:
         SeamOffset or None
             The offset to be used, None if none counts.
         """
-        if self._beat is None or self._offset is None or not self._follows:
+        beat = self._fresh_beat(now_s)
+        if beat is None or self._offset is None:
             return None
-        (beat, beat_at_s), (offset, offset_at_s) = self._beat, self._offset
-        if not 0.0 <= now_s - beat_at_s <= self._max_beat_age_s:
-            return None
-        if beat.state not in (TrackerState.SEARCHING, TrackerState.TRACKING, TrackerState.HOLDING):
+        offset, offset_at_s = self._offset
+        if beat.state not in COUNTING:
             return None
         if not 0.0 <= now_s - offset_at_s <= self._max_offset_age_s:
             return None
         return offset if offset.validity in (Validity.VALID, Validity.HELD) else None
+
+    def is_disarm_heard(self, request_number: int, now_s: float) -> bool:
+        """Return whether the tracker has acknowledged DISARM: only then may TRACK follow.
+
+        Parameters
+        ----------
+        request_number : int
+            That of the DISARM, new with each: no late heartbeat is taken for its answer.
+        now_s : float
+            The time, s, on the robot's clock.
+        """
+        beat = self._fresh_beat(now_s)
+        if beat is None or beat.request_number != request_number:
+            return False
+        return beat.command_heard is CommandHeard.DISARM
+
+    def _fresh_beat(self, now_s: float) -> TrackerHeartbeat | None:
+        if self._beat is None or not self._follows:
+            return None
+        beat, beat_at_s = self._beat
+        return beat if 0.0 <= now_s - beat_at_s <= self._max_beat_age_s else None

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from robot_io import (
     BusMessage,
+    CommandHeard,
     DbcVersion,
     Source,
     TrackerHeartbeat,
@@ -13,6 +14,7 @@ from robot_io import (
     dbc_version,
     message_layout,
 )
+from robot_io.offset_use import COUNTING
 from tracker.state import NAN
 
 _ROLLING = 256
@@ -20,6 +22,9 @@ _ROLLING = 256
 
 class Beat:
     """Says when version and heartbeat are due; both are at first.
+
+    A heartbeat is due at once where it says anew whether offsets count or which command is obeyed: a robot
+    that heard it late would come in on the midst of a soft start.
 
     Parameters
     ----------
@@ -31,6 +36,7 @@ class Beat:
         self._source = source
         self._due_at_s = {DbcVersion: NAN, TrackerHeartbeat: NAN}
         self._rolling = 0
+        self._said: tuple[bool, CommandHeard] | None = None
 
     def hurry(self) -> None:
         """Let the next heartbeat be due at once."""
@@ -38,6 +44,10 @@ class Beat:
 
     def due(self, heartbeat: TrackerHeartbeat, now_s: float) -> list[BusMessage]:
         """Return version and heartbeat where their time, s, has come; the heartbeat with its number."""
+        said = heartbeat.state in COUNTING, heartbeat.command_heard
+        if said != self._said:
+            self._said = said
+            self.hurry()
         due: list[BusMessage] = []
         for kind, due_at_s in self._due_at_s.items():
             cycle_s = cycle_time_s(message_layout(kind.__name__))

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from arctrack.service import track_messages
 from arctrack.service.beat import Beat
 from arctrack.service.bus_delay import BusDelay
-from arctrack.service.heard import Heard, fresh
+from arctrack.service.heard import Heard, OutageWatch, fresh
 from arctrack.service.job import NO_JOB, Job
 from arctrack.service.part import PartWatch
 from arctrack.service.policy import ServicePolicy
@@ -23,6 +23,7 @@ from noise_model.arrays import Float64
 from robot_io import (
     BusMessage,
     Command,
+    CommandHeard,
     Conditions,
     Fault,
     GateReason,
@@ -63,6 +64,10 @@ class Controller:
     A robot that is armed already as the controller begins must be disarmed first: it may still stand where a
     tracker before this one sent it, and the first offset after arming is nought.
 
+    The first offset is nought after whatever may have made the robot go back to its path: a command that is
+    not one of `ARMING`, another job, a correction that was not ON, or more than `hold_s` without a command or
+    a status, for such a silence may hide each of these.
+
     Parameters
     ----------
     job : Job or mapping of int to Job
@@ -101,6 +106,7 @@ class Controller:
         self._fault = Fault.NONE
         self._closed = False
         self._was_disarmed = False
+        self._outages = OutageWatch()
         self._request_number, self._request_result = 0, RequestResult.NONE
         self._zero_mm = (0.0, 0.0)
         self._track, self._track_at_s = NO_TRACK, NAN
@@ -156,10 +162,15 @@ class Controller:
             The echo of a RobotSync; else empty. `poll` says what else follows.
         """
         message, came_at_s = received.message, now_s - received.max_age_s
+        self._follow_clock(now_s)
+        if self._outages.hear(message, came_at_s, now_s, self.job.limits.hold_s):
+            self._forget_offset()
         if message_layout(type(message).__name__).senders == ["TRACKER"]:
             self._fault = Fault.OTHER_TRACKER
         elif isinstance(message, RobotStatus):
             self._robot = Heard(message, came_at_s)
+            if message.correction is not Switch.ON:
+                self._forget_offset()
         elif isinstance(message, TrackerCommand):
             self._obey(message, came_at_s, now_s)
         elif isinstance(message, RobotSync):
@@ -268,7 +279,12 @@ class Controller:
             # Else, once the clock is there again, it would pass for new.
             self._last_sent = self._last_sent.set_back(back_s)
             self._sent_before = self._sent_before.set_back(back_s)
+            self._outages.set_back(back_s)
         self._now_s = now_s
+
+    def _forget_offset(self) -> None:
+        """Let the next offset be nought: the robot may have gone back to its path."""
+        self._last_sent = self._sent_before = LastSent()
 
     def _refuse(self, reason: GateReason, now_s: float) -> list[BusMessage]:
         self._refused_at_s = now_s
@@ -359,10 +375,12 @@ class Controller:
         self._command = Heard(command, came_at_s)
         if before is not None and before.message.job_number != command.job_number:
             # Another job's nought, and another job's seam.
-            self._zero_mm, self._last_sent = (0.0, 0.0), LastSent()
+            self._zero_mm = (0.0, 0.0)
+            self._forget_offset()
             self._part.begin()
         if command.command not in ARMING:
-            self._was_disarmed, self._last_sent = True, LastSent()
+            self._was_disarmed = True
+            self._forget_offset()
             if command.command is not Command.STORE_ZERO:
                 self._part.begin()
         if before is not None and before.message.request_number == command.request_number:
@@ -388,12 +406,18 @@ class Controller:
 
     def _due(self, now_s: float) -> list[BusMessage]:
         """Return version and heartbeat where their time has come."""
-        return self._beat.due(self._heartbeat(), now_s)
+        return self._beat.due(self._heartbeat(now_s), now_s)
 
     def _is_due(self, since_s: float, now_s: float) -> bool:
         return not 0.0 <= now_s - since_s < self._policy.repeat_s
 
-    def _heartbeat(self) -> TrackerHeartbeat:
+    def _command_heard(self, now_s: float) -> CommandHeard:
+        command = self._fresh_command(now_s)
+        if command is None:
+            return CommandHeard.NONE if self._command is None else CommandHeard.LOST
+        return CommandHeard.DISARM if command.command is Command.DISARM else CommandHeard.OTHER
+
+    def _heartbeat(self, now_s: float) -> TrackerHeartbeat:
         job_number = None if self._command is None else self._command.message.job_number
         return TrackerHeartbeat(
             state=self._state,
@@ -404,4 +428,5 @@ class Controller:
             request_result=self._request_result,
             job_number=job_number,
             rolling=0,
+            command_heard=self._command_heard(now_s),
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from robot_io import SOURCES, BusMessage, Source, Trusted
+from robot_io import SOURCES, BusMessage, RobotStatus, Source, TrackerCommand, Trusted
 
 M = TypeVar("M", bound=BusMessage)
 
@@ -26,3 +26,33 @@ def fresh(heard: Heard[M] | None, now_s: float, max_age_s: float) -> M | None:
     if heard is None or not abs(now_s - heard.came_at_s) <= max_age_s:
         return None
     return heard.message
+
+
+class OutageWatch:
+    """Tells a silence of the robot's commands or status that may hide a DISARM or a correction set to OFF."""
+
+    def __init__(self) -> None:
+        self._came_at_s: dict[type[BusMessage], float] = {}
+
+    def hear(self, message: BusMessage, came_at_s: float, now_s: float, hold_s: float) -> bool:
+        """Take a message, and return whether the one of its kind before may be more than `hold_s` older.
+
+        Parameters
+        ----------
+        message : BusMessage
+            An accepted message of any type.
+        came_at_s, now_s : float
+            The earliest time at which it came, and that of its reading, s.
+        hold_s : float
+            The longest silence, s, after which the robot still stands where it was sent.
+        """
+        kind = type(message)
+        if kind not in (TrackerCommand, RobotStatus):
+            return False
+        before_s = self._came_at_s.get(kind, now_s)
+        self._came_at_s[kind] = came_at_s
+        return not now_s - before_s <= hold_s
+
+    def set_back(self, back_s: float) -> None:
+        """Go on by a clock that was set back, s."""
+        self._came_at_s = {kind: at_s - back_s for kind, at_s in self._came_at_s.items()}

@@ -193,6 +193,17 @@ class RequestResult(IntEnum):
     UNKNOWN = 7
 
 
+class CommandHeard(IntEnum):
+    """Which command a tracker obeys; NOT_STATED is a tracker of a layout before 1.6."""
+
+    NOT_STATED = 0
+    NONE = 1
+    LOST = 2
+    DISARM = 3
+    OTHER = 4
+    UNKNOWN = 7
+
+
 @dataclass(frozen=True)
 class BusMessage:
     """Any message of the bus."""
@@ -376,6 +387,7 @@ class TrackerHeartbeat(BusMessage):
     request_result: RequestResult
     job_number: int | None
     rolling: int
+    command_heard: CommandHeard = CommandHeard.NOT_STATED
 
 
 @dataclass(frozen=True)

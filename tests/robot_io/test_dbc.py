@@ -108,6 +108,7 @@ def test_layout_changes_only_together_with_the_version():
         (1, 3, 1): LAYOUT_1_3_0,
         (1, 4, 0): LAYOUT_1_4_0,
         (1, 5, 0): LAYOUT_1_5_0,
+        (1, 6, 0): LAYOUT_1_6_0,
     }
     version = dbc_version()
     assert checksums[version.major, version.minor, version.patch] == layout_checksum()
@@ -127,3 +128,4 @@ LAYOUT_1_2_0 = 0xAD60DA
 LAYOUT_1_3_0 = 0x976BA9
 LAYOUT_1_4_0 = 0xD7EEE7
 LAYOUT_1_5_0 = 0x80D38E
+LAYOUT_1_6_0 = 0xCC8EA3

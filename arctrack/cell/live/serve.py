@@ -20,7 +20,7 @@ from arctrack.cell.robot_party import RobotParty
 from arctrack.cell.scheduler import Scheduler
 from arctrack.cell.weld.closed_loop import LoopPlan, setup_of, world_of
 from arctrack.errors import ArctrackError
-from robot_io import Command, Received, TrackerHeartbeat
+from robot_io import Command, OffsetUse, Received, TrackerHeartbeat
 
 REAL_TIME_PX = (320, 240)
 """An image that is rendered in some 25 ms: its offset is not too old for the gate."""
@@ -33,9 +33,6 @@ SILENT_S = 0.5
 
 MAX_PART_MM = 1500.0
 """No part is longer: coordinates on the bus reach to 1638 mm."""
-
-CHANGED_S = 0.3
-"""So long after the end of a part the next one is there: the tracker has heard DISARM three times."""
 
 
 def serve_cell(
@@ -99,8 +96,8 @@ def serve_cell(
 class Program:
     """What the robot's program wants of the tracker: nothing before it hears one, and none that fell silent.
 
-    A tracker that begins must be disarmed first. So TRACK comes ARMED_S after its first heartbeat. At a
-    part's end it is disarmed; then the next part is there, and all begins again.
+    TRACK comes ARMED_S after a tracker's first heartbeat, once DISARM is acknowledged. At a part's end it is
+    disarmed; when that is acknowledged the next part is there, and all begins again.
 
     Parameters
     ----------
@@ -115,28 +112,35 @@ class Program:
     def __init__(self, party: RobotParty, scheduler: Scheduler, part_mm: float) -> None:
         self._robot, self._scheduler, self._part_mm = party.robot, scheduler, part_mm
         self._beat_s = self._since_s = -math.inf
-        self._ended_s = math.inf
+        self._is_ended = self._is_disarmed = False
+        self._use = OffsetUse()
         party.on_message = self._hear
         scheduler.every(0.02, self._command, 0.0007)
 
     def _hear(self, received: Received, _frame: Frame) -> None:
+        now_s = self._scheduler.now_s
+        self._use.on_message(received, now_s)
         if isinstance(received.message, TrackerHeartbeat):
-            now_s = self._scheduler.now_s
             if now_s - self._beat_s > SILENT_S:
                 self._since_s = now_s
             self._beat_s = now_s
 
     def _command(self) -> None:
         now_s = self._scheduler.now_s
-        if math.isinf(self._ended_s) and self._robot.station_mm >= self._part_mm:
-            self._ended_s = now_s
-        elif now_s - self._ended_s >= CHANGED_S:
+        said = self._robot.command
+        is_silent = now_s - self._beat_s > SILENT_S
+        if said.command is Command.DISARM:
+            self._is_disarmed |= self._use.is_disarm_heard(said.request_number, now_s)
+        if self._is_ended and (self._is_disarmed or is_silent):
             self._robot.begin_again()
-            self._since_s, self._ended_s = now_s, math.inf
-        is_welding = now_s - self._since_s >= ARMED_S and math.isinf(self._ended_s)
-        is_there = now_s - self._beat_s <= SILENT_S and is_welding
-        command = Command.TRACK if is_there else Command.DISARM
-        self._robot.command = replace(self._robot.command, command=command)
+            self._since_s, self._is_ended = now_s, False
+        self._is_ended |= self._robot.station_mm >= self._part_mm
+        may_track = self._is_disarmed and now_s - self._since_s >= ARMED_S
+        if may_track and not (is_silent or self._is_ended):
+            self._robot.command = replace(said, command=Command.TRACK)
+        elif said.command is not Command.DISARM:
+            self._is_disarmed, number = False, (said.request_number + 1) % 256
+            self._robot.command = replace(said, command=Command.DISARM, request_number=number)
 
 
 def run_robot(

@@ -24,6 +24,7 @@ from arctrack.errors import ArctrackError
 from robot_io import (
     SOURCES,
     Command,
+    CommandHeard,
     Fault,
     Inbox,
     LaserState,
@@ -56,7 +57,15 @@ SERVE = """
 
 
 BEAT = TrackerHeartbeat(
-    TrackerState.DISARMED, Source.LIVE, LaserState.UNKNOWN, Fault.NONE, 0, RequestResult.NONE, 1, 0
+    TrackerState.DISARMED,
+    Source.LIVE,
+    LaserState.UNKNOWN,
+    Fault.NONE,
+    0,
+    RequestResult.NONE,
+    1,
+    0,
+    CommandHeard.DISARM,
 )
 
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from itertools import groupby
+from dataclasses import replace
+from itertools import count, groupby
 
 import numpy as np
 
 from arctrack.cell.bus import Bus
-from arctrack.cell.live.serve import CHANGED_S, Program
+from arctrack.cell.live.serve import Program
 from arctrack.cell.robot import Robot
 from arctrack.cell.robot_party import RobotParty
 from arctrack.cell.scheduler import Scheduler
 from arctrack.cell.weld.closed_loop import LoopPlan, setup_of, world_of
 from robot_io import (
     Command,
+    CommandHeard,
     Fault,
     LaserState,
     Protector,
@@ -24,7 +26,15 @@ from robot_io import (
 )
 
 BEAT = TrackerHeartbeat(
-    TrackerState.DISARMED, Source.LIVE, LaserState.UNKNOWN, Fault.NONE, 0, RequestResult.NONE, 1, 0
+    TrackerState.DISARMED,
+    Source.LIVE,
+    LaserState.UNKNOWN,
+    Fault.NONE,
+    0,
+    RequestResult.NONE,
+    1,
+    0,
+    CommandHeard.DISARM,
 )
 PART_MM = 40.0
 
@@ -37,7 +47,14 @@ def test_a_part_ends_disarmed_and_the_next_one_begins_at_its_start() -> None:
     robot, protector = party.robot, Protector(Source.LIVE)
     Program(party, scheduler, PART_MM)
     bus.join("tracker", lambda _frame: None)
-    scheduler.every(0.05, lambda: bus.send("tracker", *protector.protect(BEAT)), 0.001)
+    rolling, heard = count(), CommandHeard.OTHER
+
+    def beat() -> None:
+        number = robot.command.request_number
+        said = replace(BEAT, rolling=next(rolling) % 256, request_number=number, command_heard=heard)
+        bus.send("tracker", *protector.protect(said))
+
+    scheduler.every(0.05, beat, 0.001)
     seen: list[tuple[Command, int, float]] = []
 
     def look() -> None:
@@ -46,6 +63,10 @@ def test_a_part_ends_disarmed_and_the_next_one_begins_at_its_start() -> None:
 
     scheduler.every(0.01, look, 0.0093)
     robot.offset_mm = np.array([1.0, 0.0])
+    scheduler.run(1.0)
+    # A tracker that has not acknowledged DISARM is not armed.
+    assert {command for command, _, _ in seen} == {Command.DISARM}
+    heard = CommandHeard.DISARM
     scheduler.run(6.0)
 
     assert [command for command, _ in groupby(command for command, _, _ in seen)] == [
@@ -55,7 +76,7 @@ def test_a_part_ends_disarmed_and_the_next_one_begins_at_its_start() -> None:
         Command.TRACK,
     ]
     # It stands still where the part ended no longer than the tracker takes to hear of it.
-    assert max(station for _, _, station in seen) < PART_MM + 10.0 * (CHANGED_S + 0.1)
+    assert max(station for _, _, station in seen) < PART_MM + 4.0
     assert {parts for _, parts, _ in seen} == {0, 1}
     assert all(command is Command.DISARM for command, parts, station in seen if parts and station < 1.0)
     assert robot.offset_mm.tolist() == [0.0, 0.0]
