@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.errors import in_file
 from arctrack.recording import Recording
-from arctrack.recording.poses import LOG_NAMES
+from arctrack.recording.poses import LOG_NAMES, can_channel
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import PoseWatch, nominal_path
 from noise_model.transforms import invert
@@ -121,7 +121,7 @@ def _coming(recording: Recording) -> Iterator[Received | PoseSample]:
     """Yield what a live run would have heard."""
     poses = recording.poses
     if poses.path.name in LOG_NAMES:
-        yield from BusLogReader(poses.path)
+        yield from BusLogReader(poses.path, can_channel(recording.robot))
         return
     quaternions = Rotation.from_matrix(poses.T_base_tool[:, :3, :3]).as_quat()
     for timestamp_s, T_base_tool, quaternion in zip(

@@ -2,7 +2,8 @@
 
 from robot_io.gate import Conditions, Decision, LastSent, Proposal, Verdict, decide, forbidden_by
 from robot_io.gate_limits import GateLimits
-from robot_io.link.bus_log import BusLogError, BusLogReader, BusLogWriter
+from robot_io.link.bus_log import BusLogError, BusLogWriter
+from robot_io.link.bus_log_reader import LOG_SUFFIXES, AmbiguousChannelError, BusLogReader
 from robot_io.link.inbox import ANY_SOURCE, LIVE, Inbox, Received, SkipReason, Trusted
 from robot_io.link.link import Link, LinkError
 from robot_io.link.reconnecting import LinkFault
@@ -56,8 +57,10 @@ from robot_io.protocol.protect import SOURCES, Checker, CheckStatus, Protector
 __all__ = [
     "ANY_SOURCE",
     "LIVE",
+    "LOG_SUFFIXES",
     "MESSAGE_TYPES",
     "SOURCES",
+    "AmbiguousChannelError",
     "BusLogError",
     "BusLogReader",
     "BusLogWriter",

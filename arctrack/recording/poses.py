@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,11 +17,22 @@ from arctrack.recording.tables import PoseTable, read_poses_csv
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint, seam_frame
 from noise_model.transforms import invert, pose_matrix
-from robot_io import BusLogError, BusLogReader, PoseAssembler, PoseAt, PoseBuffer, PoseKind, PoseStatus
+from robot_io import (
+    LOG_SUFFIXES,
+    AmbiguousChannelError,
+    BusLogError,
+    BusLogReader,
+    PoseAssembler,
+    PoseAt,
+    PoseBuffer,
+    PoseKind,
+    PoseStatus,
+)
 from tracker.state import Pose
 
 CSV_NAME = "poses.csv"
-LOG_NAMES = ("can.asc", "can.blf", "can.log")
+LOG_NAMES = tuple(f"can{suffix}" for suffix in LOG_SUFFIXES)
+CHANNEL_KEY = "can_channel"
 
 COVERAGE_PERIODS = 3.0
 """The poses may end this many of their periods before the last frame: it is extrapolated to."""
@@ -27,54 +40,60 @@ COVERAGE_PERIODS = 3.0
 MIN_TRAVEL_MM = 5.0
 """A robot that went less far along the seam while frames were taken shows no direction of travel."""
 
+MIN_ZONE_S, MAX_ZONE_S = 1800.0, 93_600.0
+"""Clocks of two time zones differ by half an hour at least, by 26 hours at most (IANA's time zones)."""
+
 REPEATED_S = 0.05
 """A pose of the bus that is not later than the one before, by less than this, is the same sample again."""
 
 
-def read_poses(recording: Path, T_tool_controllertool: Float64 | None) -> tuple[PoseTable, list[str]]:
+def read_poses(
+    recording: Path, T_tool_controllertool: Float64 | None, robot: Mapping[str, Any]
+) -> tuple[PoseTable, list[str]]:
     """Read poses.csv, or else the CAN log; return T_base_tool and warnings.
 
     Raises ArctrackError if there is neither. `T_tool_controllertool` turns the poses of a controller
-    whose tool frame is another one.
+    whose tool frame is another one; `robot` is [robot] of the setup.
     """
     csv_path = recording / CSV_NAME
     logs = [recording / name for name in LOG_NAMES if (recording / name).exists()]
     warnings: list[str] = []
     if csv_path.exists() or not logs:
         if not csv_path.exists():
+            others = sorted(path.name for path in recording.glob("can.*"))
+            unread = f"; {others[0]} is of a format that is not read: save it as can.blf" if others else ""
             raise in_file(
-                csv_path, f"there are no poses: neither this file nor {', '.join(LOG_NAMES)} exists"
+                csv_path, f"there are no poses: neither this file nor {', '.join(LOG_NAMES)} exists{unread}"
             )
         poses, warnings = read_poses_csv(csv_path)
     else:
-        poses, skipped = _read_log(logs[0])
-        if skipped:
-            warnings.append(
-                f"{logs[0]}: {skipped} frames of the bus were left out: foreign, damaged, lost, or a pose "
-                "that is known already"
-            )
+        poses, warnings = read_log(logs[0], can_channel(robot))
+        if len(logs) > 1:
+            warnings.append(f"{logs[0]}: the poses are of this log; {logs[1].name} is not read")
     if T_tool_controllertool is None:
         return poses, warnings
     T_base_tool = poses.T_base_tool @ invert(T_tool_controllertool)
-    return PoseTable(poses.path, poses.timestamps_s, T_base_tool), warnings
+    return replace(poses, T_base_tool=T_base_tool), warnings
 
 
 def check_coverage(poses: PoseTable, first_frame_s: float, last_frame_s: float) -> list[str]:
     """Return warnings on frames before the first pose or after the last; ArctrackError if all of them are."""
     first_s, last_s = float(poses.timestamps_s[0]), float(poses.timestamps_s[-1])
     if len(poses.timestamps_s) < 2:
-        raise in_file(poses.path, "holds a single pose; two are the least to work with")
+        raise in_file(poses.path, poses.damage or "holds a single pose; two are the least to work with")
     if first_frame_s - last_s > COVERAGE_PERIODS * poses.period_s:
+        cure = _cure(poses, first_frame_s - last_s, "record poses for as long as frames")
         raise in_file(
             poses.path,
             f"the poses stop before the frames: the last pose is at {last_s:.6f} s, the first frame at "
-            f"{first_frame_s:.6f} s; record poses for as long as frames",
+            f"{first_frame_s:.6f} s; {cure}",
         )
     if first_s > last_frame_s:
+        cure = _cure(poses, first_s - last_frame_s, "both need one clock")
         raise in_file(
             poses.path,
             f"the poses start after the frames: the first pose is at {first_s:.6f} s, the last frame at "
-            f"{last_frame_s:.6f} s; both need one clock",
+            f"{last_frame_s:.6f} s; {cure}",
         )
     warnings = []
     if first_s > first_frame_s:
@@ -88,6 +107,15 @@ def check_coverage(poses: PoseTable, first_frame_s: float, last_frame_s: float) 
             "frames after it have none"
         )
     return warnings
+
+
+def _cure(poses: PoseTable, apart_s: float, otherwise: str) -> str:
+    """Return what to do about poses and frames that lie so far apart, s."""
+    if poses.damage is not None:
+        return poses.damage
+    if poses.path.suffix == ".asc" and MIN_ZONE_S <= apart_s <= MAX_ZONE_S:
+        return "an .asc states local time: set TZ to the time zone in which it was written"
+    return otherwise
 
 
 def runs_against_travel(poses: PoseTable, frames_s: Sequence[float], joint: Joint) -> bool:
@@ -124,15 +152,23 @@ def _pose(buffered: PoseAt) -> Pose | None:
     return Pose(buffered.T_base_tool, extrapolated=buffered.status is PoseStatus.EXTRAPOLATED)
 
 
-def _read_log(path: Path) -> tuple[PoseTable, int]:
-    """Return the actual poses that a CAN log holds, and how many of its frames were left out."""
+def can_channel(robot: Mapping[str, Any]) -> str | None:
+    """Return the channel of a CAN log that [robot] of a setup names, None if it names none."""
+    return None if robot.get(CHANNEL_KEY) is None else str(robot[CHANNEL_KEY])
+
+
+def read_log(path: Path, channel: str | None) -> tuple[PoseTable, list[str]]:
+    """Return the actual poses that a CAN log holds, and warnings on what was left out.
+
+    Raises ArctrackError for a log that holds none, and for one whose robot nobody can tell.
+    """
     assembler = PoseAssembler()
     times_s: list[float] = []
     poses: list[Float64] = []
     repeated = 0
     try:
         check_file(path, LIMITS.log_bytes)
-        reader = BusLogReader(path)
+        reader = BusLogReader(path, channel)
         for received in reader:
             sample = assembler.push(received)
             if sample is None or sample.kind is not PoseKind.ACTUAL:
@@ -150,8 +186,22 @@ def _read_log(path: Path) -> tuple[PoseTable, int]:
                 raise in_file(path, f"holds more than {LIMITS.csv_rows} poses: that is the most")
             times_s.append(sample.timestamp_s)
             poses.append(pose_matrix(sample.position_base_mm, sample.quaternion_xyzw))
-    except (BusLogError, UnfitFileError) as error:
+    except AmbiguousChannelError as error:
+        problem = str(error).removeprefix(f"log {path}: ")
+        raise in_file(
+            path, f"{problem}; name the robot's by [robot] {CHANNEL_KEY} in recording.toml"
+        ) from None
+    except (BusLogError, UnfitFileError, OSError) as error:
         raise in_file(path, str(error).removeprefix(f"log {path}: ")) from None
+    damage = reader.damage
+    warnings = [] if damage is None else [f"{path}: {damage}"]
     if not poses:
-        raise in_file(path, "holds no whole pose of arctrack.dbc; were the pose messages logged?")
-    return PoseTable(path, np.array(times_s), np.array(poses)), sum(reader.skipped.values()) + repeated
+        cure = damage or "were the pose messages logged?"
+        raise in_file(path, f"holds no whole pose of arctrack.dbc; {cure}")
+    skipped = sum(reader.skipped.values()) + repeated
+    if skipped:
+        warnings.append(
+            f"{path}: {skipped} frames of the bus were left out: foreign, damaged, lost, or a pose that is "
+            "known already"
+        )
+    return PoseTable(path, np.array(times_s), np.array(poses), damage), warnings

@@ -291,7 +291,7 @@ def read_recording(
     _check_folder(folder)
     stated = setup_file.read_setup_file(folder / setup_file.FILE_NAME if setup_path is None else setup_path)
     rows, frame_warnings = read_frame_rows(folder / FRAMES_CSV)
-    poses, pose_warnings = read_poses(folder, stated.T_tool_controllertool)
+    poses, pose_warnings = read_poses(folder, stated.T_tool_controllertool, stated.robot)
     source, source_warnings = check_source(folder, rows, stated.setup)
     recording = Recording(
         path=folder,

@@ -248,6 +248,7 @@ class RobotTable(Table):
     """[robot], optional: what is particular to the controller."""
 
     controllertool_to_tool: PoseTable | None = None
+    can_channel: str | int | None = None
 
 
 class CalibrationTable(Table):

@@ -50,11 +50,15 @@ class FrameRow:
 
 @dataclass(frozen=True)
 class PoseTable:
-    """T_base_tool (n, 4, 4), mm, at times (n,) that rise; `path` is the file they came from."""
+    """T_base_tool (n, 4, 4), mm, at times (n,) that rise.
+
+    `path` is the file they came from, `damage` what of it could not be read.
+    """
 
     path: Path
     timestamps_s: Float64
     T_base_tool: Float64
+    damage: str | None = None
 
     def __repr__(self) -> str:
         first_s, last_s = self.timestamps_s[[0, -1]]

@@ -24,27 +24,39 @@ _PADDING = 8
 """So far behind the last object the next begins at most."""
 
 
-def check_blf(file: BinaryIO) -> None:
-    """Walk through a BLF file's objects; ValueError for one that is too large, or too small to be one.
+def check_blf(file: BinaryIO) -> int | None:
+    """Walk through a BLF file's objects; return the byte from which on it is damaged, None if it is whole.
 
-    One that the file's end cuts off is none: whoever wrote it was killed.
+    What the file's end cuts off, or what is no object, ends it: whoever wrote it was killed, or lost power.
+    ValueError for an object that is too large, or too small to be one, and for a file that is no BLF.
     """
-    signature, header_bytes = _FILE_HEADER.unpack(file.read(_FILE_HEADER.size))
-    if signature != b"LOGG":
-        raise ValueError("Unexpected file format")
-    file.seek(header_bytes)
+    header = file.read(_FILE_HEADER.size)
+    if not header.startswith(b"LOGG"[: len(header)]) or not header:
+        raise ValueError("is no BLF file, as Vector's tools write it; name the log by its format")
+    if len(header) < _FILE_HEADER.size:
+        return 0
+    file.seek(_FILE_HEADER.unpack(header)[1])
     rest = b""
-    while len(header := file.read(_OBJECT_HEADER.size)) == _OBJECT_HEADER.size:
+    while True:
+        start = file.tell()
+        header = file.read(_OBJECT_HEADER.size)
+        if not header:
+            return None
+        if len(header) < _OBJECT_HEADER.size:
+            return start
         signature, _, _, size, kind = _OBJECT_HEADER.unpack(header)
         if signature != b"LOBJ":
-            raise ValueError("no object where one should begin")
+            return start
         _check_size(size, LARGEST_CONTAINER_BYTES, "an object")
         content = file.read(size - _OBJECT_HEADER.size)
         if len(content) < size - _OBJECT_HEADER.size:
-            return
+            return start
         file.read(size % 4)
         if kind == _CONTAINER:
-            rest = _walk(rest + _unpacked(content))
+            try:
+                rest = _walk(rest + _unpacked(content))
+            except (zlib.error, struct.error):
+                return start
 
 
 def _unpacked(content: bytes) -> bytes:

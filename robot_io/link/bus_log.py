@@ -1,4 +1,4 @@
-"""Logs of the bus, `.blf`, `.asc` or `.log`: written so that the times come back, read as accepted messages.
+"""Logs of the bus, `.blf`, `.asc` or `.log`, written so that the times come back.
 
 A log holds either wall-clock times (Unix seconds) or recording times (seconds from a recording's zero). The
 formats store times relative to a start: here that start is 0 for recording times and a whole second for
@@ -8,25 +8,16 @@ wall-clock times, so that nothing is lost to the start's own resolution of a mil
 from __future__ import annotations
 
 import copy
-import io
 import math
-import struct
 import time
-import zlib
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
-from typing import TextIO
 
 import can
-from can.io.blf import BLFParseError
 
-from robot_io.link.blf_check import check_blf
-from robot_io.link.inbox import ANY_SOURCE, Inbox, Received, SkipReason
-
-LOG_SUFFIXES = (".asc", ".blf", ".log")
-"""The formats that are written and read."""
+WRITTEN_SUFFIXES = (".asc", ".blf", ".log")
+"""The formats that are written."""
 
 UNIX_TIME_FROM_S = 631_152_000.0
 """Times from here on (1990-01-01) are taken for wall-clock times, as python-can's BLF writer does."""
@@ -36,10 +27,6 @@ _BLF_CONTAINER_BYTES = 4096
 
 KEPT_EVERY_S = 1.0
 """A process that is killed loses no more than this of a log; a machine that stops may lose more."""
-
-
-LONGEST_LINE = 65_536
-"""Characters: a line of an `.asc` or `.log` holds one frame."""
 
 
 class BusLogError(ValueError):
@@ -54,7 +41,7 @@ class BusLogWriter:
     """Writes frames to one log file; `close` it, or use it as a context manager."""
 
     def __init__(self, path: Path) -> None:
-        _require_suffix(path)
+        require_suffix(path, WRITTEN_SUFFIXES)
         self.path = path
         self._start_s: float | None = None
         self._kept_at_s = time.monotonic()
@@ -169,73 +156,7 @@ def _blf_writer(path: Path, append: bool = False) -> can.BLFWriter:
     return can.BLFWriter(path, append=append, max_container_size=_BLF_CONTAINER_BYTES)
 
 
-class BusLogReader:
-    """Iterates over the accepted messages of a log; `skipped` counts the frames left out, by reason.
-
-    Live, replayed and simulated frames are accepted; `Received.source` tells them apart.
-
-    Every pass over it reads the file anew, with fresh counters. Times are those that were logged: wall-clock
-    seconds, or recording seconds where the log's start is not a wall-clock time. An `.asc` file states its
-    start in local time: read it in the time zone in which it was written, or use `.blf`.
-    """
-
-    def __init__(self, path: Path) -> None:
-        _require_suffix(path)
-        if not path.is_file():
-            problem = "is no file" if path.exists() else "no such file"
-            raise BusLogError(f"log {path}: {problem}; check the path")
-        self.path = path
-        self.skipped: Counter[SkipReason] = Counter()
-
-    def __iter__(self) -> Iterator[Received]:
-        inbox = Inbox(ANY_SOURCE)
-        self.skipped = inbox.skipped
-        try:
-            for frame in _frames(self.path):
-                received = inbox.receive(frame)
-                if received is not None:
-                    yield received
-        except (OSError, ValueError, LookupError, struct.error, zlib.error, BLFParseError) as error:
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise BusLogError(f"log {self.path}: cannot be read ({reason}); is it a whole log?") from error
-
-
-def _frames(path: Path) -> Iterator[can.Message]:
-    if path.suffix == ".blf":
-        # Opened here: the reader leaves the file open when its header is not a log's.
-        with path.open("rb") as file:
-            check_blf(file)
-            file.seek(0)
-            try:
-                yield from can.BLFReader(file)
-            except struct.error:
-                # Whoever wrote it was killed: of the last object only a part is there.
-                if file.read(1):
-                    raise
-    else:
-        with _Lines(path.open("rb"), encoding="utf-8") as lines:
-            yield from _asc_frames(lines) if path.suffix == ".asc" else can.CanutilsLogReader(lines)
-
-
-class _Lines(io.TextIOWrapper):
-    """A log's lines; ValueError for one that is longer than any."""
-
-    def readline(self, size: int = -1, /) -> str:  # type: ignore[override]
-        line = super().readline(LONGEST_LINE + 1)
-        if len(line) > LONGEST_LINE:
-            raise ValueError(f"a line of more than {LONGEST_LINE} characters")
-        return line
-
-
-def _asc_frames(lines: TextIO) -> Iterator[can.Message]:
-    asc = can.ASCReader(lines, relative_timestamp=False)
-    for frame in asc:
-        if asc.start_time < UNIX_TIME_FROM_S:
-            # To the nanosecond: the file holds microseconds, the sum with the start has rounded them.
-            frame.timestamp = round(frame.timestamp - asc.start_time, 9)
-        yield frame
-
-
-def _require_suffix(path: Path) -> None:
-    if path.suffix not in LOG_SUFFIXES:
-        raise BusLogError(f"log {path}: unknown format '{path.suffix}'; use one of {', '.join(LOG_SUFFIXES)}")
+def require_suffix(path: Path, suffixes: Collection[str]) -> None:
+    """Raise BusLogError for a file of another format than those."""
+    if path.suffix not in suffixes:
+        raise BusLogError(f"log {path}: unknown format '{path.suffix}'; use one of {', '.join(suffixes)}")

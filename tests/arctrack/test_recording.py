@@ -1,4 +1,5 @@
 import math
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -261,6 +262,80 @@ def test_poses_of_a_can_log(tmp_path: Path) -> None:
     pose = pose_at(recording.pose_buffer(), 1.1)
     assert pose is not None
     np.testing.assert_allclose(pose.T_base_tool, level_pose(0.1), atol=0.01)
+
+
+@pytest.fixture
+def logged(tmp_path: Path) -> Path:
+    """A recording whose poses are in the log of two buses, `can.asc`: the second's robot is 30 mm beside."""
+    path = write(tmp_path / "r", small_setup(), noise_frames(small_setup(), 3))
+    (path / "poses.csv").unlink()
+    lines = []
+    for channel in (1, 2):
+        protector = Protector()
+        for n in range(-10, 40):
+            for message in (
+                RobotPosePosition(0.1 * n, 30.0 * (channel - 1), 0.0, kind=PoseKind.ACTUAL),
+                RobotPoseRotation.from_quaternion((0.0, 0.0, 0.0, 1.0), sample_age_ms=0.0),
+            ):
+                number, payload = protector.protect(message)
+                lines.append(f"{1.0 + 0.01 * n:.6f} {channel} {number:x} Rx d 8 {payload.hex(' ')}\n")
+    (path / "can.asc").write_text(f"base hex  timestamps absolute\n{''.join(sorted(lines))}")
+    _delay_frames(path / "frames.csv")
+    return path
+
+
+def test_of_two_robots_in_a_log_the_setup_names_one(logged: Path) -> None:
+    with pytest.raises(
+        ArctrackError, match=r"can\.asc: the channels 1 and 2 both carry RobotPosePosition; name"
+    ) as refused:
+        read_recording(logged)
+    assert str(refused.value).endswith("name the robot's by [robot] can_channel in recording.toml")
+    setup = (logged / "recording.toml").read_text()
+    for channel, y_mm in ((1, 0.0), ('"2"', 30.0)):
+        (logged / "recording.toml").write_text(f"{setup}\n[robot]\ncan_channel = {channel}\n")
+        recording = read_recording(logged)
+        assert not recording.unknown_keys
+        assert set(recording.poses.T_base_tool[:, 1, 3]) == {y_mm}
+        assert len(recording.poses.timestamps_s) == 50
+
+
+def test_a_log_that_is_cut_says_so_in_the_place_of_other_causes(logged: Path) -> None:
+    log = logged / "can.asc"
+    lines = [line for line in log.read_text().splitlines(keepends=True) if " 2 1" not in line]
+    log.write_text("".join(lines)[:-30])
+    assert (
+        f"{log}: is cut off in line {len(lines)}: what stands before it is read"
+        in read_recording(logged).warnings
+    )
+    log.write_text("".join(lines[:13]) + lines[13][:20])
+    with pytest.raises(ArctrackError, match=r"stop before the frames: .* is cut off in line 14"):
+        read_recording(logged)
+    log.write_text(lines[0] + lines[1][:20])
+    with pytest.raises(ArctrackError, match=r"no whole pose of arctrack\.dbc; is cut off in line 2"):
+        read_recording(logged)
+
+
+def test_an_asc_of_another_time_zone_is_told_from_poses_that_stop(
+    logged: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = logged / "can.asc"
+    lines = [line for line in log.read_text().splitlines(keepends=True) if " 2 1" not in line]
+    log.write_text("".join(["date Wed May 1 10:00:00.000 2024\n", *lines]))
+    frames = [
+        f"{line[0]},{1_714_557_600.0 + float(line[2:10]):.6f}{line[10:]}"
+        for line in _lines(logged / "frames.csv")
+    ]
+    (logged / "frames.csv").write_text("\n".join([_header(logged / "frames.csv"), *frames]))
+    for zone, problem in (("UTC", None), ("Asia/Tokyo", "stop before"), ("America/New_York", "start after")):
+        monkeypatch.setenv("TZ", zone)
+        time.tzset()
+        if problem is None:
+            assert len(read_recording(logged).poses.timestamps_s) == 50
+        else:
+            with pytest.raises(ArctrackError, match=f"{problem} the frames: .* set TZ to the time zone"):
+                read_recording(logged)
+    monkeypatch.undo()
+    time.tzset()
 
 
 def test_a_controller_that_sends_a_sample_twice_is_heard_once(tmp_path: Path) -> None:

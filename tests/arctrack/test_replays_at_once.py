@@ -40,7 +40,7 @@ def test_processes_write_what_a_replay_in_turn_writes(
     for result in (at_once, in_turn):
         assert [line for line in result.stderr.splitlines() if "error" in line] == [
             f"arctrack: error: {broken}/poses.csv: there are no poses: neither this file nor can.asc, "
-            "can.blf, can.log exists"
+            "can.blf, can.csv, can.db, can.log, can.trc exists"
         ]
     kept = [
         [line for line in result.stdout.splitlines() if line.startswith(("a: tracked", "c: tracked"))]

@@ -7,7 +7,8 @@ import can
 import pytest
 from bus_messages import EXAMPLES
 
-from robot_io.link.bus_log import BusLogError, BusLogReader, BusLogWriter
+from robot_io.link.bus_log import BusLogError, BusLogWriter
+from robot_io.link.bus_log_reader import BusLogReader
 from robot_io.link.inbox import SkipReason
 from robot_io.protocol.codec import decode, encode
 from robot_io.protocol.protect import Protector
@@ -92,11 +93,12 @@ def test_a_received_frame_from_before_the_start_gets_the_start(tmp_path):
     assert [r.timestamp_s for r in BusLogReader(path)] == [1_790_000_000.5, 1_789_999_999.0]
 
 
-@pytest.mark.parametrize("path", ["bus.csv", "bus"])
+@pytest.mark.parametrize("path", ["bus.mf4", "bus"])
 def test_unknown_formats(tmp_path, path):
-    for kind in (BusLogWriter, BusLogReader):
-        with pytest.raises(BusLogError, match=r"unknown format .*; use one of \.asc, \.blf, \.log"):
-            kind(tmp_path / path)
+    with pytest.raises(BusLogError, match=r"unknown format .*; use one of \.asc, \.blf, \.log$"):
+        BusLogWriter(tmp_path / path)
+    with pytest.raises(BusLogError, match=r"unknown format .*; use one of .*\.csv, \.db, \.log, \.trc$"):
+        BusLogReader(tmp_path / path)
 
 
 def test_missing_file_and_folder(tmp_path):
@@ -107,19 +109,29 @@ def test_missing_file_and_folder(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "content"),
+    ("name", "content", "problem"),
     [
-        ("bus.blf", b"not a log at all"),
-        ("bus.blf", b"\x00" * 400),
-        ("bus.asc", b"date Mi Okt 40 99:00:00 2026\nbase hex  timestamps absolute\n"),
-        ("bus.log", b"(x) can0 110#00\n"),
-        ("bus.log", b"\xff\xfe\x00"),
+        ("bus.blf", b"not a log at all", "is no BLF file"),
+        ("bus.blf", b"\x00" * 400, "is no BLF file"),
+        (
+            "bus.asc",
+            b"base hex\ndate Mi Okt 40 99:00:00 2026\n",
+            "line 2: the date 'Mi Okt 40 99:00:00 2026'",
+        ),
+        ("bus.log", b"\n(x) can0 110#00\n", r"line 2 is none as candump -L write it: '\(x\) can0 110#00'"),
+        (
+            "bus.log",
+            b" can0  110   [8]  00 00 00 00 00 00 00 00\n",
+            "its lines have no times: record them by candump -L",
+        ),
+        ("bus.log", b"\xff\xfe\x00", "line 1 is none"),
+        ("bus.db", b"not a database at all" * 100, "is no database of python-can"),
     ],
 )
-def test_a_file_that_is_no_log_is_one_clear_line(tmp_path, name, content):
+def test_a_file_that_is_no_log_is_one_clear_line(tmp_path, name, content, problem):
     path = tmp_path / name
     path.write_bytes(content)
-    with pytest.raises(BusLogError, match=r"bus\.\w+: cannot be read") as caught:
+    with pytest.raises(BusLogError, match=rf"bus\.\w+: {problem}") as caught:
         list(BusLogReader(path))
     assert "\n" not in str(caught.value)
 

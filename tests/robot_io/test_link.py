@@ -13,7 +13,8 @@ from bus_messages import EXAMPLES
 from can.interfaces.virtual import VirtualBus
 from slcan_adapters import SlcanAdapters
 
-from robot_io.link.bus_log import BusLogError, BusLogReader
+from robot_io.link.bus_log import BusLogError
+from robot_io.link.bus_log_reader import BusLogReader
 from robot_io.link.inbox import SkipReason
 from robot_io.link.link import Link, LinkError
 from robot_io.poses.pose_assembler import PoseAssembler

@@ -1,0 +1,176 @@
+"""Logs of the bus by arctrack, python-can, candump, Vector's and PEAK's tools, read as accepted messages."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+from can.io.blf import BLFParseError
+
+from robot_io.link.asc_log import asc_frames
+from robot_io.link.blf_check import check_blf
+from robot_io.link.bus_log import BusLogError, require_suffix
+from robot_io.link.inbox import ANY_SOURCE, Inbox, Received, SkipReason
+from robot_io.link.log_lines import LogLines
+from robot_io.link.text_logs import line_reader, text_frames
+from robot_io.protocol.dbc import message_layout
+
+_WRITERS = {
+    ".asc": "Vector's tools",
+    ".blf": "Vector's tools",
+    ".csv": "python-can",
+    ".db": "python-can",
+    ".log": "candump -L",
+    ".trc": "PEAK's tools",
+}
+
+LOG_SUFFIXES = tuple(_WRITERS)
+"""The formats that are read."""
+
+
+class AmbiguousChannelError(BusLogError):
+    """A log in which several channels carry the same messages of a robot, and none was chosen."""
+
+
+class BusLogReader:
+    """Iterates over the accepted messages of a log.
+
+    Live, replayed and simulated frames are accepted; `Received.source` tells them apart. A log that is cut
+    off is read up to the cut, and lines that cannot be read are left out.
+
+    Every pass over it reads the file anew, with fresh counters. Times are those that were logged: wall-clock
+    seconds, or recording seconds where the log's start is not a wall-clock time. An `.asc` file states its
+    start in local time: read it in the time zone in which it was written, or use `.blf`.
+
+    Parameters
+    ----------
+    path : Path
+        The log; its suffix says its format.
+    channel : str, optional
+        The channel whose frames are read, as the log names it: `can0` in a `.log`, 1 in an `.asc` or `.blf`.
+        By default all are, unless two carry the same messages of a robot.
+
+    Attributes
+    ----------
+    skipped : Counter of SkipReason
+        How many frames were left out, by reason.
+    damage : str or None
+        What of the log cannot be read, for people.
+    """
+
+    def __init__(self, path: Path, channel: str | None = None) -> None:
+        require_suffix(path, LOG_SUFFIXES)
+        if not path.is_file():
+            problem = "is no file" if path.exists() else "no such file"
+            raise BusLogError(f"log {path}: {problem}; check the path")
+        self.path = path
+        self.skipped: Counter[SkipReason] = Counter()
+        self.damage: str | None = None
+        self._channel = channel
+
+    def __iter__(self) -> Iterator[Received]:
+        self.skipped, self.damage = Counter(), None
+        try:
+            yield from self._received()
+        except OSError as error:
+            raise BusLogError(f"log {self.path}: cannot be read: {error.strerror}") from error
+        except AmbiguousChannelError:
+            raise
+        except ValueError as error:
+            raise BusLogError(f"log {self.path}: {' '.join(str(error).split())}") from error
+
+    def _received(self) -> Iterator[Received]:
+        with self.path.open("rb") as file:
+            lines = LogLines(file)
+            inboxes: dict[str, Inbox] = {}
+            carriers: dict[type, str] = {}
+            accepted_line = 0
+            for frame in self._frames(lines):
+                channel = _channel_name(frame, self.path.suffix)
+                inbox = inboxes.setdefault(channel, Inbox(ANY_SOURCE))
+                if self._channel not in (None, channel):
+                    continue
+                inbox.skipped = self.skipped
+                received = inbox.receive(frame)
+                if received is None:
+                    continue
+                accepted_line = lines.number
+                self._require_one(carriers, received, channel)
+                yield received
+            if lines.is_unfinished and accepted_line != lines.number:
+                lines.leave_out("a part of a line")
+            self._check_content(lines, inboxes)
+            self.damage = self.damage or lines.damage
+
+    def _frames(self, lines: LogLines) -> Iterator[can.Message]:
+        suffix = self.path.suffix
+        if suffix == ".blf":
+            return self._blf_frames()
+        if suffix == ".db":
+            return self._db_frames()
+        return asc_frames(lines) if suffix == ".asc" else text_frames(lines, line_reader(suffix))
+
+    def _blf_frames(self) -> Iterator[can.Message]:
+        # Opened here: the reader leaves the file open when its header is not a log's.
+        with self.path.open("rb") as file:
+            damaged_from = check_blf(file)
+            if damaged_from is not None:
+                self.damage = f"is cut off or damaged at byte {damaged_from}: what stands before it is read"
+            file.seek(0)
+            try:
+                yield from can.BLFReader(file)
+            except (struct.error, zlib.error, BLFParseError):
+                self.damage = (
+                    self.damage or f"is damaged before byte {file.tell()}: what stands before is read"
+                )
+
+    def _db_frames(self) -> Iterator[can.Message]:
+        reader = can.SqliteReader(self.path)
+        is_begun = False
+        try:
+            for frame in reader:
+                is_begun = True
+                yield frame
+        except sqlite3.DatabaseError as error:
+            if not is_begun:
+                raise BusLogError(f"is no database of python-can: {error}") from None
+            self.damage = f"is cut off or damaged ({error}): what stands before it is read"
+        finally:
+            reader.stop()
+
+    def _require_one(self, carriers: dict[type, str], received: Received, channel: str) -> None:
+        """Raise AmbiguousChannelError where a second channel brings a message of a robot."""
+        kind = type(received.message)
+        if (
+            message_layout(kind.__name__).senders == ["ROBOT"]
+            and carriers.setdefault(kind, channel) != channel
+        ):
+            raise AmbiguousChannelError(
+                f"log {self.path}: the channels {carriers[kind]} and {channel} both carry {kind.__name__}"
+            )
+
+    def _check_content(self, lines: LogLines, inboxes: dict[str, Inbox]) -> None:
+        """Raise BusLogError for a log without frames, or without any of the channel that was chosen."""
+        if self._channel is not None and inboxes and self._channel not in inboxes:
+            raise BusLogError(
+                f"has no frame of the channel {self._channel}; there are {', '.join(sorted(inboxes))}"
+            )
+        is_cut_after_head = lines.is_unfinished and lines.unreadable == [lines.number] and lines.number > 1
+        if not inboxes and lines.unreadable and not is_cut_after_head:
+            raise BusLogError(
+                f"line {lines.unreadable[0]} is none as {_WRITERS[self.path.suffix]} write it: "
+                f"{lines.first_unreadable[:60]!r}; name the log by its format, one of {', '.join(_WRITERS)}"
+            )
+
+
+def _channel_name(frame: can.Message, suffix: str) -> str:
+    """Return a frame's channel as its log and its user name it."""
+    if isinstance(frame.channel, int) and suffix == ".blf":
+        # python-can counts from 0.
+        return str(frame.channel + 1)
+    return "1" if frame.channel is None else str(frame.channel)

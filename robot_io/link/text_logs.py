@@ -1,0 +1,103 @@
+"""Frames of text logs whose lines stand for themselves: of candump, PEAK's tools and python-can's `.csv`."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime, timedelta
+
+import can
+from cantools.logreader import Parser
+
+from robot_io.link.bus_log import BusLogError
+from robot_io.link.log_lines import LogLines
+
+LineReader = Callable[[str], can.Message | None]
+"""Returns the frame of a line, None for a line that holds none; ValueError for a part of one."""
+
+_CSV_HEADER = "timestamp,"
+_TRC_START = re.compile(r";\$STARTTIME=([\d.]+)$")
+_TRC_DAY_0 = datetime(1899, 12, 30, tzinfo=UTC)
+"""PEAK's start times count days from here on."""
+
+_TRC_FRAME = re.compile(r"\b(?:Rx|Tx|DT)\b")
+
+
+def line_reader(suffix: str) -> LineReader:
+    """Return what reads the lines of a `.log`, a `.trc` or a `.csv`."""
+    readers: dict[str, LineReader] = {".log": _candump_line, ".trc": _TrcLines(), ".csv": _csv_line}
+    return readers[suffix]
+
+
+def text_frames(lines: LogLines, read_line: LineReader) -> Iterator[can.Message]:
+    """Yield the frames of a text log; lines that cannot be read are left out and counted."""
+    for line in lines:
+        try:
+            frame = read_line(line)
+            if frame is not None and not math.isfinite(frame.timestamp):
+                raise ValueError("no time")
+        except BusLogError:
+            raise
+        except (ValueError, LookupError, OverflowError, OSError):
+            lines.leave_out(line)
+            continue
+        if frame is not None:
+            yield frame
+
+
+def _candump_line(line: str) -> can.Message | None:
+    if "#" in line:
+        return next(iter(can.CanutilsLogReader(io.StringIO(line))))
+    # As candump prints to its screen: no `-L`.
+    frame = _cantools_frame(Parser(None), line)  # type: ignore[arg-type, unused-ignore]
+    if frame is None:
+        raise ValueError("no frame")
+    return frame
+
+
+def _csv_line(line: str) -> can.Message | None:
+    if line.startswith(_CSV_HEADER):
+        return None
+    return next(iter(can.CSVReader(io.StringIO(f"{_CSV_HEADER}\n{line}"))))
+
+
+class _TrcLines:
+    def __init__(self) -> None:
+        self._parser = Parser(None)  # type: ignore[arg-type, unused-ignore]
+        self._start_s = 0.0
+
+    def __call__(self, line: str) -> can.Message | None:
+        if start := _TRC_START.match(line):
+            self._start_s = (_TRC_DAY_0 + timedelta(days=float(start[1]))).timestamp()
+        if line.startswith(";"):
+            return None
+        frame = _cantools_frame(self._parser, line)
+        if frame is None:
+            # What is no frame is a state of the bus or of the device.
+            if _TRC_FRAME.search(line):
+                raise ValueError("a part of a frame")
+            return None
+        frame.timestamp += self._start_s
+        return frame
+
+
+def _cantools_frame(parser: Parser, line: str) -> can.Message | None:
+    """Return a frame of candump's screen or of PEAK's tools; its time is as the line has it."""
+    parsed = parser.parse(line)
+    if parsed is None:
+        return None
+    if parsed.timestamp is None:
+        raise BusLogError("its lines have no times: record them by candump -L")
+    stamp = parsed.timestamp
+    return can.Message(
+        timestamp=stamp.total_seconds() if isinstance(stamp, timedelta) else stamp.timestamp(),
+        arbitration_id=parsed.frame_id & 0x1FFFFFFF,
+        is_extended_id=parsed.is_extended_frame,
+        is_remote_frame=parsed.is_remote_frame,
+        data=parsed.data,
+        channel=parsed.channel.removeprefix("pcan").replace("x", "1")
+        if parsed.channel.startswith("pcan")
+        else parsed.channel,
+    )
