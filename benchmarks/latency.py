@@ -140,10 +140,11 @@ def tree_of(revision: str) -> Path:
     """Return a folder with a revision's files; it is kept, what its kernels are compiled to as well."""
     git = ["git", "-C", str(ROOT)]
     commit = subprocess.check_output([*git, "rev-parse", "--short=12", f"{revision}^{{commit}}"], text=True)
-    tree = Path(tempfile.gettempdir()) / f"arctrack-{commit.strip()}"
+    # In a folder that others may write to, its code could be theirs.
+    tree = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / f"arctrack-{commit.strip()}"
     if not tree.exists():
         files = subprocess.check_output([*git, "archive", commit.strip()])
-        tree.mkdir()
+        tree.mkdir(0o700, parents=True)
         subprocess.run(["tar", "-x", "-C", str(tree)], input=files, check=True)
     return tree
 

@@ -17,7 +17,8 @@ from contextlib import suppress
 from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 
-from arctrack.journal.ring import LOOKS, memory_folder
+from arctrack.journal.private_memory import open_private, private_path
+from arctrack.journal.ring import LOOKS
 from robot_io import RobotPulse
 
 HOLD_S = 0.3
@@ -64,7 +65,7 @@ WIRED_ON = Wanted(laser_until_s=math.inf)
 
 def line_path(name: str) -> Path:
     """Return where the line of a camera's name lies."""
-    return memory_folder() / f"arctrack-line-{name}"
+    return private_path(f"line-{name}")
 
 
 class CameraLine:
@@ -77,13 +78,18 @@ class CameraLine:
     """
 
     def __init__(self, name: str) -> None:
-        file = os.open(line_path(name), os.O_RDWR | os.O_CREAT, 0o600)
+        path = line_path(name)
+        new = path.with_name(f"{path.name}.{os.getpid()}")
+        new.unlink(missing_ok=True)
+        file = open_private(new, os.O_RDWR | os.O_CREAT)
         try:
-            os.ftruncate(file, _BYTES)
+            os.posix_fallocate(file, 0, _BYTES)
             self._memory = mmap.mmap(file, _BYTES)
         finally:
             os.close(file)
         self._write(Wanted())
+        # A camera finds a line that is whole, and never one that is not there.
+        new.rename(path)
 
     def switch_laser(self, is_on: bool) -> None:
         """Switch the laser; on lasts for HOLD_S."""
@@ -124,9 +130,11 @@ def read_line(name: str) -> Wanted:
     """Return what is wanted of a camera; `WIRED_ON` where nobody ever drove its line."""
     for _ in range(LOOKS):
         try:
-            held = line_path(name).read_bytes()
+            file = open_private(line_path(name), os.O_RDONLY)
         except FileNotFoundError:
             return WIRED_ON
+        with os.fdopen(file, "rb") as line:
+            held = line.read()
         packed, checksum = held[: _WANTED.size], held[_WANTED.size :]
         if len(held) == _BYTES and checksum == _CHECKSUM.pack(zlib.crc32(packed)):
             return Wanted(*_WANTED.unpack(packed))

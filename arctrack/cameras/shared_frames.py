@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from arctrack.closing import Closing
-from arctrack.journal.ring import RingError, RingReader, RingWriter, ring_path
+from arctrack.journal.private_memory import private_path
+from arctrack.journal.ring import RingError, RingReader, RingWriter
 from tracker.state import Frame
 
 KIND = struct.Struct("<8sII8s")
@@ -34,7 +35,7 @@ def ring_name(name: str) -> str:
 
 def path_of(name: str) -> Path:
     """Return where frames of a name lie."""
-    return ring_path(ring_name(name))
+    return private_path(ring_name(name))
 
 
 def pack_fields(frame: Frame) -> bytes:

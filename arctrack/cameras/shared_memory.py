@@ -109,8 +109,9 @@ class SharedMemoryCamera:
             self._reader.close()
             self._reader = None
         try:
+            # Another camera took the old line away.
+            self._line = CameraLine(self._name)
             self._reader = SharedFramesReader(self._name)
-        except SharedFramesError:
+        except (SharedFramesError, OSError):
+            # Memory that is full, or somebody else's, is no reason to end.
             return
-        # Another camera took the old line away.
-        self._line = CameraLine(self._name)

@@ -13,7 +13,7 @@ from pathlib import Path
 from arctrack.cell_file import ProcessChoice
 from arctrack.doctor.finding import Finding, State, judged
 from arctrack.doctor.policy import POLICY
-from arctrack.journal.ring import memory_folder
+from arctrack.journal.private_memory import memory_folder
 
 PACKAGES = ("arctrack", "numpy", "numba", "opencv-contrib-python-headless", "python-can", "av", "aiohttp")
 PROCESSORS = Path("/sys/devices/system/cpu")

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from arctrack.journal.private_memory import private_path
 from arctrack.journal.records import (
     Entry,
     GapReport,
@@ -32,7 +33,6 @@ from arctrack.journal.ring import (
     RingWriter,
     remove_if_dead,
     ring_bytes,
-    ring_path,
 )
 
 ENTRY_BYTES = 96 * 1024
@@ -68,7 +68,7 @@ def status_name(name: str) -> str:
 def remove_dead_journal(name: str) -> None:
     """Remove what a run left behind whose process is dead."""
     for ring in (entries_name(name), view_name(name), status_name(name)):
-        remove_if_dead(ring_path(ring))
+        remove_if_dead(private_path(ring))
 
 
 def gap_name(name: str) -> str:

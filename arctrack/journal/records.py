@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from arctrack.journal.packing import Packer
 from noise_model.arrays import UInt8
 from noise_model.surface.joint import SeamLine
 from robot_io import (
@@ -197,15 +197,17 @@ class GapReport:
     arc_height_sigma_mm: float = NAN
 
 
+_PACKER = Packer((Entry, View, Status, GapReport))
+
+
 def pack(record: object) -> bytes:
-    """Return a record as bytes, padded to a multiple of eight."""
-    packed = pickle.dumps(record, pickle.HIGHEST_PROTOCOL)
-    return packed + bytes(-len(packed) % EIGHTH)
+    """Return a record as bytes; ValueError if a part of it is of no known class."""
+    return _PACKER.pack(record)
 
 
 def unpack(packed: UInt8) -> Any:
-    """Return what `pack` made bytes of: this user's own processes alone write there."""
-    return pickle.loads(packed.data)
+    """Return what `pack` made bytes of."""
+    return _PACKER.unpack(packed)
 
 
 def pack_entry(entry: Entry) -> tuple[bytes, bytes, UInt8]:
@@ -213,13 +215,14 @@ def pack_entry(entry: Entry) -> tuple[bytes, bytes, UInt8]:
     image = np.ascontiguousarray(entry.frame.image_dn)
     frame = replace(entry.frame, image_dn=NO_IMAGE)
     packed = pack((image.shape, image.dtype.str, replace(entry, frame=frame)))
-    return len(packed).to_bytes(EIGHTH, "little"), packed, image.view(np.uint8)
+    length = len(packed).to_bytes(EIGHTH, "little")
+    return length, packed + bytes(-len(packed) % EIGHTH), image.view(np.uint8)
 
 
 def unpack_entry(record: UInt8) -> Entry:
     """Return the entry of a record."""
-    begin = EIGHTH + int.from_bytes(record[:EIGHTH].tobytes(), "little")
-    shape, dtype, entry = unpack(record[EIGHTH:begin])
+    end = EIGHTH + int.from_bytes(record[:EIGHTH].tobytes(), "little")
+    shape, dtype, entry = unpack(record[EIGHTH:end])
     held: Entry = entry
-    image = record[begin:].view(np.dtype(dtype)).reshape(shape)
+    image = record[end + -end % EIGHTH :].view(np.dtype(dtype)).reshape(shape)
     return replace(held, frame=replace(held.frame, image_dn=image))

@@ -1,8 +1,8 @@
 """Records from one process to others, through memory that they share: the newest counts, nobody waits.
 
-A ring of slots lies in a file in memory. Each slot has a sequence number, odd while it is written, so that a
-reader sees a record whole or looks again (a sequence lock: Lameter 2005, "Effective synchronization on Linux
-/NUMA systems"). Processors may show another's writes in another order, so a checksum has the last word.
+A ring of slots lies in a file of `private_memory`. Each slot has a sequence number, odd while it is written,
+so that a reader sees a record whole or looks again (a sequence lock: Lameter 2005, "Effective synchronization
+on Linux/NUMA systems"). Processors may show another's writes in another order: a checksum has the last word.
 
 The writer holds a lock on the file as long as it lives, however it dies. A file whose lock is free is of a
 writer that crashed: readers say so, and the next writer takes its place.
@@ -15,7 +15,6 @@ import math
 import mmap
 import os
 import struct
-import tempfile
 import time
 import zlib
 from collections.abc import Sequence
@@ -26,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arctrack.closing import Closing
+from arctrack.journal.private_memory import open_private, private_path
 from noise_model.arrays import UInt8
 
 MAGIC = b"ARCRNG01"
@@ -40,24 +40,11 @@ PAGE_BYTES = 4096
 LOOKS = 100
 """So often a reader looks again at a slot that is written meanwhile."""
 
-MEMORY = Path("/dev/shm")
-PREFIX = "arctrack-"
-
 Part = bytes | npt.NDArray[np.generic]
 
 
 class RingError(RuntimeError):
     """Records cannot be shared, or read."""
-
-
-def memory_folder() -> Path:
-    """Return the folder whose files are memory, where the machine has one."""
-    return MEMORY if MEMORY.is_dir() else Path(tempfile.gettempdir())
-
-
-def ring_path(name: str) -> Path:
-    """Return where the records of a name lie."""
-    return memory_folder() / f"{PREFIX}{name}"
 
 
 def ring_bytes(slots: int, record_bytes: int) -> int:
@@ -83,16 +70,18 @@ class RingWriter(Closing):
     ------
     RingError
         If a writer of this name is alive, or there is no room.
+    PermissionError
+        If memory of this user's name is another's.
     """
 
     def __init__(self, name: str, slots: int, record_bytes: int, kind: bytes = b"") -> None:
-        self.path = ring_path(name)
         self._slots, self._record_bytes = slots, record_bytes
         self._slot_bytes = _slot_bytes(record_bytes)
         self.count = 0
-        remove_if_dead(self.path)
         try:
-            self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+            self.path = private_path(name)
+            remove_if_dead(self.path)
+            self._file = open_private(self.path, os.O_RDWR | os.O_CREAT)
         except FileExistsError:
             raise RingError(f"{name!r}: another process publishes them") from None
         size = ring_bytes(slots, record_bytes)
@@ -157,12 +146,14 @@ class RingReader(Closing):
     ------
     RingError
         If nobody writes such records.
+    PermissionError
+        If memory of this user's name is another's.
     """
 
     def __init__(self, name: str) -> None:
-        path = ring_path(name)
         try:
-            self._file = os.open(path, os.O_RDONLY)
+            path = private_path(name)
+            self._file = open_private(path, os.O_RDONLY)
         except FileNotFoundError:
             raise RingError(f"{name!r}: nobody publishes them") from None
         try:
@@ -223,7 +214,7 @@ class RingReader(Closing):
 
 def remove_dead_rings() -> None:
     """Remove all that crashed writers left behind."""
-    for path in memory_folder().glob(f"{PREFIX}*"):
+    for path in private_path("").iterdir():
         with suppress(OSError), path.open("rb") as file:
             is_dead = file.read(len(MAGIC)) == MAGIC and not _is_locked(file.fileno())
             if is_dead:
@@ -234,7 +225,7 @@ def remove_if_dead(path: Path) -> None:
     """Remove the file of a writer that is dead; a reader may ask just now whether it is."""
     for _ in range(LOOKS):
         try:
-            file = os.open(path, os.O_RDWR)
+            file = open_private(path, os.O_RDWR)
         except FileNotFoundError:
             return
         try:

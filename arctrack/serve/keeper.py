@@ -78,7 +78,7 @@ class Keeper:
 
 
 def _view(position: int, step: Step) -> View:
-    reading = step.reading
+    reading, track = step.reading, replace(step.track, checks=())
     if reading is None:
-        return View(position, step.track)
-    return View(position, step.track, reading.seam, reading.reach_mm, reading.arc, reading.joint)
+        return View(position, track)
+    return View(position, track, reading.seam, reading.reach_mm, reading.arc, reading.joint)

@@ -223,7 +223,9 @@ def _live(cell: CellFile, frames: str, lag_estimator: LagEstimator | None) -> Ca
     try:
         camera = SharedMemoryCamera(frames, setup_file.setup)
     except SharedFramesError as error:
-        raise in_file(cell.path, f"[camera] name: {error}; start what publishes them first") from None
+        raise in_file(
+            cell.path, f"[camera] name: {error}; start what publishes them first, as the same user"
+        ) from None
     return Cast(camera, services, trackings, Source.LIVE)
 
 

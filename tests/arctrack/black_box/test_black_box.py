@@ -17,7 +17,7 @@ from arctrack.black_box.recorder import FaultWatch, RecorderOptions, run_recorde
 from arctrack.black_box.save import JobSetup, NothingToSaveError, save_window
 from arctrack.cell_file import read_cell_file
 from arctrack.cell_file.job_setup import job_setup_text
-from arctrack.journal import ring
+from arctrack.journal import private_memory
 from arctrack.journal.journal import Journal, JournalReader, slots_for
 from arctrack.journal.records import Status
 from arctrack.recording import read_recording
@@ -51,7 +51,7 @@ EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "v_groove"
 def memory(tmp_path, monkeypatch):
     folder = tmp_path / "memory"
     folder.mkdir()
-    monkeypatch.setattr(ring, "MEMORY", folder)
+    monkeypatch.setattr(private_memory, "MEMORY", folder)
     return folder
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import replace
 from itertools import pairwise
@@ -19,6 +18,7 @@ from arctrack.cameras.capture.device_clock import WINDOW_S, DeviceClock
 from arctrack.cameras.capture.pulse import SLACK_S
 from arctrack.cell_file import CameraChoice, CaptureChoice
 from arctrack.errors import ArctrackError
+from arctrack.journal.private_memory import private_path
 from arctrack.nominal import nominal_setup
 
 pytestmark = pytest.mark.filterwarnings("ignore:DynamicImporter:ImportWarning")
@@ -71,7 +71,7 @@ class Wants:
 @pytest.fixture
 def fake(request):
     # The camera's port is the same for all: one test at a time has it, whichever worker runs it.
-    with (Path(tempfile.gettempdir()) / "arctrack-fake-gige.lock").open("w") as turn:
+    with private_path("fake-gige.lock").open("w") as turn:
         fcntl.flock(turn, fcntl.LOCK_EX)
         yield from running_fake(request)
 

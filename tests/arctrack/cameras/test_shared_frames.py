@@ -17,14 +17,14 @@ from arctrack.cameras.shared_frames import (
     SharedFramesWriter,
     path_of,
 )
-from arctrack.journal import ring
+from arctrack.journal import private_memory
 from arctrack.journal.ring import PAGE_BYTES, SLOT
 from tracker.state import Frame
 
 
 @pytest.fixture
 def name(tmp_path, monkeypatch):
-    monkeypatch.setattr(ring, "MEMORY", tmp_path)
+    monkeypatch.setattr(private_memory, "MEMORY", tmp_path)
     return "camera"
 
 
@@ -111,9 +111,9 @@ WRITER = """
     from pathlib import Path
     import numpy as np
     from arctrack.cameras.shared_frames import SharedFramesWriter
-    from arctrack.journal import ring
+    from arctrack.journal import private_memory
     from tracker.state import Frame
-    ring.MEMORY = Path(sys.argv[1])
+    private_memory.MEMORY = Path(sys.argv[1])
     writer = SharedFramesWriter("camera", 240, 320)
     for index in range(10**9):
         image = np.full((240, 320), index % 251, np.uint8)

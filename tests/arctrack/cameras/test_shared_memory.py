@@ -14,14 +14,14 @@ from arctrack.cameras.camera import UnreadableFrame
 from arctrack.cameras.camera_line import PULSE_HOLD_S, line_path, read_line, remove_line
 from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesWriter
 from arctrack.cameras.shared_memory import SharedMemoryCamera
-from arctrack.journal import ring
+from arctrack.journal import private_memory
 from robot_io import LaserState, RobotPulse
 from tracker.state import Frame
 
 
 @pytest.fixture
 def name(tmp_path, monkeypatch):
-    monkeypatch.setattr(ring, "MEMORY", tmp_path)
+    monkeypatch.setattr(private_memory, "MEMORY", tmp_path)
     return "camera"
 
 

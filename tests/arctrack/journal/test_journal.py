@@ -2,28 +2,45 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from arctrack.journal import ring
+from arctrack.cell.robot import WELDING
+from arctrack.journal import private_memory
 from arctrack.journal.journal import MIN_SLOTS, Journal, JournalReader, gap_name, slots_for
-from arctrack.journal.records import Entry, GapReport, HeardPose, View, pack
+from arctrack.journal.private_memory import private_path
+from arctrack.journal.records import Entry, GapReport, HeardPose, Status, View, pack
 from arctrack.journal.ring import RingError, RingWriter
-from robot_io import PoseKind, PoseSample
+from robot_io import (
+    Command,
+    Fault,
+    GateReason,
+    LaserState,
+    PoseKind,
+    PoseSample,
+    SeamOffset,
+    Source,
+    Switch,
+    TrackerCommand,
+    TrackerState,
+    Validity,
+)
 from tracker.state import Frame, Pose, Track
 from tracker.step import StepInputs
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import TrackerState as SteppedState
 
 SHAPE = (6, 8)
 
 
 @pytest.fixture
 def journal(tmp_path, monkeypatch):
-    monkeypatch.setattr(ring, "MEMORY", tmp_path)
+    monkeypatch.setattr(private_memory, "MEMORY", tmp_path)
     journal = Journal("run", SHAPE, np.uint16, MIN_SLOTS)
     yield journal
     journal.close()
-    assert not list(tmp_path.iterdir())
+    assert not list(private_path("").iterdir())
 
 
 def entry(index):
@@ -31,7 +48,7 @@ def entry(index):
     pose = Pose(np.diag([1.0, 1.0, 1.0, 1.0 + index]))
     return Entry(
         Frame(index, index / 3.0, image, 0.005),
-        StepInputs(TrackerState(), pose),
+        StepInputs(SteppedState(), pose),
         Track(index, 0.0, 0),
         None,
         1,
@@ -74,6 +91,33 @@ def test_the_newest_view_and_status_are_told(journal):
     reader.close()
 
 
+def test_a_status_comes_out_as_it_was_told(journal):
+    told = Status(
+        now_s=1 / 3,
+        wall_s=2 / 3,
+        source=Source.LIVE,
+        state=TrackerState.TRACKING,
+        fault=Fault.NONE,
+        laser=LaserState.ON,
+        reason=GateReason.CAMERA_STOPPED,
+        offset=SeamOffset(0.1, -0.2, 24.0, 0.9, Validity.VALID),
+        robot=WELDING,
+        command=TrackerCommand(Command.TRACK, True, True, 0, 7, None, Switch.ON),
+        job_number=7,
+        frames=2**40,
+        valid=3,
+        dropped=0,
+        offsets={"VALID": 3},
+        arrival_ms=(1.0, 2.0, 3.0),
+        frame_s=0.3,
+    )
+    journal.tell(told)
+    reader = JournalReader("run")
+    # A NaN is no other NaN's equal.
+    assert replace(reader.status(), capture_ms=()) == replace(told, capture_ms=())
+    reader.close()
+
+
 def test_gap_reports_are_read_while_somebody_writes_them(journal):
     reader = JournalReader("run")
     for text in ("window film", "arc lower"):
@@ -93,7 +137,7 @@ def test_what_does_not_fit_is_counted_and_nothing_raises(journal):
 
 
 def test_a_reader_without_a_run_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr(ring, "MEMORY", tmp_path)
+    monkeypatch.setattr(private_memory, "MEMORY", tmp_path)
     with pytest.raises(RingError, match="nobody"):
         JournalReader("run")
 

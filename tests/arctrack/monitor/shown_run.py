@@ -67,7 +67,9 @@ def tracked() -> Sequence[Tracked]:
         entry = Entry(
             frame, StepInputs(before, pose), replace(track, stripe=None, checks=()), offset, 7, took_ms=4.0
         )
-        view = View(position, track, reading.seam, reading.reach_mm, reading.arc, reading.joint)
+        view = View(
+            position, replace(track, checks=()), reading.seam, reading.reach_mm, reading.arc, reading.joint
+        )
         shown.append((entry, view))
     return shown
 

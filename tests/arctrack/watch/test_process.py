@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from arctrack.journal import ring
+from arctrack.journal import private_memory
 from arctrack.journal.journal import Journal, JournalReader
 from arctrack.journal.records import Entry, View
 from arctrack.nominal import nominal_setup
@@ -41,12 +41,13 @@ def drawn(setup: Setup, nominal: Setup, seed: int) -> list[tuple[Entry, View]]:
         reading = tracker.reading
         assert reading is not None
         entry = Entry(frame, inputs, replace(track, stripe=None, checks=()), None, 1)
-        made.append((entry, View(0, track, reading.seam, reading.reach_mm, reading.arc, reading.joint)))
+        shown = replace(track, checks=())
+        made.append((entry, View(0, shown, reading.seam, reading.reach_mm, reading.arc, reading.joint)))
     return made
 
 
 def test_a_window_that_gets_dirty_is_told_and_named(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(ring, "MEMORY", tmp_path)
+    monkeypatch.setattr(private_memory, "MEMORY", tmp_path)
     nominal = balance(nominal_setup("v_groove", "mild_steel", width=160, height=120))
     nominal = replace(nominal, camera=replace(nominal.camera, exposure_s=0.005))
     clean, dirty = drawn(nominal, nominal, 1), drawn(replace(nominal, effects=DIRTY), nominal, 2)
