@@ -39,7 +39,7 @@ def import_files(
     ] = None,
     rate_hz: Annotated[float | None, typer.Option(help="Images a second, by their numbers.")] = None,
     times_in_names: Annotated[
-        bool, typer.Option("--times-in-names", help="The images' names end with their times.")
+        bool, typer.Option("--times-in-names", help="The images' names hold their times.")
     ] = False,
     current_a: Annotated[
         float | None, typer.Option(help="The arc burns, at this current, A. Default: no arc burns.", min=0.0)

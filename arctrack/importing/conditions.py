@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -21,11 +20,13 @@ from arctrack.importing.columns import (
     times_s,
 )
 from arctrack.importing.image_files import ImageSeries
+from arctrack.importing.name_times import recognized_times
 from arctrack.importing.pose_files import PoseFile
 from arctrack.importing.units import TIME, UNSTATED, Units, factor
 from arctrack.limits import LIMITS
 from arctrack.recording.csv_file import Parser, number, number_or_unknown, read_csv, whole
 from arctrack.recording.tables import FrameRow, check_frame
+from arctrack.recording.time_sources import TimeSource, contradictions
 from noise_model.arrays import Float64, Int64
 
 CONDITION_NAMES = (
@@ -41,7 +42,9 @@ SLOWEST_HZ, FASTEST_HZ = 0.01, 5000.0
 """Frame rates beyond these mean another unit of time."""
 
 _PARSERS = (whole(1), whole(1), number_or_unknown, number)
-_TRAILING_NUMBER = re.compile(r"\d+(?:\.\d+)?$")
+
+TAG_TICK_S = 1.0
+"""What DateTime of EXIF and TIFF is rounded to."""
 
 
 @dataclass(frozen=True)
@@ -107,42 +110,28 @@ def read_frame_table(columns: Columns, stated: Units, series: ImageSeries) -> Fr
     return FrameTable(times, laser_on, arc_on, current_a, exposure, table.lines[rows], tuple(notes))
 
 
-def times_in_names(series: ImageSeries, stated: Units) -> Float64:
-    """Return the times (n,), s, that images' names end with; ArctrackError for a name without."""
-    if stated.time is None:
-        raise ArctrackError("--times-in-names: names state no unit: give --units s, ms, us or ns")
-    values = []
-    for path in series.paths:
-        digits = _TRAILING_NUMBER.search(path.stem)
-        if digits is None:
-            raise in_file(path, "its name ends with no time; give the times by --frames")
-        values.append(float(digits[0]))
-    return np.array(values) * factor(TIME, stated.time)
-
-
 def frame_times(
     series: ImageSeries,
-    table: tuple[Path, Float64] | None,
-    names_s: Float64 | None,
+    table: TimeSource | None,
+    names: TimeSource | None,
     rate_hz: float | None,
     poses: PoseFile,
-) -> tuple[Float64, str]:
-    """Return the images' times (n,), s, and where they are from.
+) -> TimeSource:
+    """Return the images' times, s.
 
-    One source may state them: a table, names or a rate; else the rows of the poses' file that name images.
+    One source may state them: a table, names or a rate; else the rows of the poses' file that name images, or
+    the video itself.
 
     Raises ArctrackError if none does, or several, and for times that do not rise.
     """
-    sources: list[tuple[Float64, str]] = []
-    if table is not None:
-        sources.append((table[1], f"the times of {table[0].name}"))
-    if names_s is not None:
-        sources.append((names_s, "the times in the names"))
+    sources = [source for source in (table, names) if source is not None]
     if rate_hz is not None:
         counts = (np.array(series.indices) - series.indices[0]) / series.step
-        sources.append((counts / rate_hz, f"--rate-hz {rate_hz:g}"))
+        sources.append(TimeSource(f"--rate-hz {rate_hz:g}", counts / rate_hz))
     if not sources and poses.times_s is not None and poses.rows is not None:
-        sources.append((poses.times_s[poses.rows], f"the rows of {poses.path.name}"))
+        sources.append(TimeSource(f"the rows of {poses.path.name}", poses.times_s[poses.rows]))
+    if not sources and series.times is not None and np.isfinite(series.times.values).all():
+        sources.append(series.times)
     if not sources:
         raise ArctrackError(
             f"{series.paths[0]}: nothing states the images' times; give --rate-hz, --times-in-names, or "
@@ -150,26 +139,38 @@ def frame_times(
         )
     if len(sources) > 1:
         raise ArctrackError(
-            f"{sources[0][1]} and {sources[1][1]} both state the images' times; leave one of them"
+            f"{sources[0].name} and {sources[1].name} both state the images' times; leave one of them"
         )
-    times, source = sources[0]
+    (source,) = sources
+    times = source.values
     for n in np.flatnonzero(np.abs(times) > LIMITS.time_s):
-        beyond = f"{times[n]:g} s, by {source}, is beyond {LIMITS.time_s:g} s"
+        beyond = f"{times[n]:g} s, by {source.name}, is beyond {LIMITS.time_s:g} s"
         raise in_file(series.paths[n], f"{beyond}; give --units ms, us or ns")
     for n in np.flatnonzero(np.diff(times) <= 0.0) + 1:
         earlier = f"{times[n - 1]:.6f} s of {series.paths[n - 1].name}"
-        raise in_file(series.paths[n], f"{times[n]:.6f} s does not come after {earlier}, by {source}")
-    return times, source
+        raise in_file(series.paths[n], f"{times[n]:.6f} s does not come after {earlier}, by {source.name}")
+    return source
 
 
-def doubts(times: Float64, source: str) -> list[str]:
-    """Return a warning on times whose rate no camera has."""
+def doubts(series: ImageSeries, used: TimeSource, taken_s: Sequence[float]) -> list[str]:
+    """Return warnings on times whose rate no camera has, and on what contradicts them.
+
+    Held against them are a video's own times, times and numbers in the names of images, and `taken_s`, the
+    times that the tags of images state.
+    """
+    times, frames = used.values, series.indices
     if len(times) < 2:
         return []
+    others = [series.times] if series.times is not None else recognized_times(series.paths)
+    others.append(TimeSource("the times in the images' tags", np.array(taken_s), TAG_TICK_S))
+    if not any(source.is_count for source in others):
+        others.append(TimeSource("the frames' numbers", np.array(frames, float), is_count=True))
     rate_hz = 1.0 / float(np.median(np.diff(times)))
-    if SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
-        return []
-    return [f"{source}: {rate_hz:.3g} frames a second; in which unit are the times?"]
+    lines = []
+    if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
+        lines.append(f"{used.name}: {rate_hz:.3g} frames a second; in which unit are the times?")
+    where = series.video or series.paths[0].parent
+    return lines + [f"{where}: {line}" for line in contradictions(used, others, frames)]
 
 
 def frame_rows(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +26,8 @@ class GreyFrames:
     """How a series becomes grey frames, and the setup that they fit.
 
     `toml` is the text of `setup`; `size` is what an image must have, width and height; `has_colours` is that
-    of the first image; `doubts` are what to tell of images that were read, and of which; `is_converted` says
-    that `[camera]` is no longer the stated one.
+    of the first image; `doubts` are what to tell of images that were read, and of which, `taken_s` when their
+    tags say that they were taken; `is_converted` says that `[camera]` is no longer the stated one.
     """
 
     series: ImageSeries
@@ -37,7 +37,8 @@ class GreyFrames:
     setup: Setup
     toml: str
     has_colours: bool
-    doubts: dict[str, list[Path]]
+    doubts: dict[str, list[Path]] = field(default_factory=dict)
+    taken_s: list[float] = field(default_factory=list)
     is_converted: bool = False
 
     @property
@@ -70,6 +71,7 @@ class GreyFrames:
         for path in self.series.paths:
             image = EncodedImage(path)
             self._check_size(image.size, path)
+            self.taken_s.append(image.taken_s)
             for doubt in image.doubts:
                 self.doubts.setdefault(doubt, []).append(path)
             yield self._grey(image.pixels(), path)
@@ -118,17 +120,17 @@ def grey_frames(
     size, has_colours = _first(series)
     stated_size = (camera.width, camera.height)
     if bayer is None:
-        return GreyFrames(series, channel, None, stated_size, setup, text, has_colours, {})
+        return GreyFrames(series, channel, None, stated_size, setup, text, has_colours)
     if channel is Channel.LUMINANCE:
         raise ArctrackError(
             "--channel luminance: a mosaic's sites have one colour each; give red, green or blue"
         )
     if stated_size in _sizes_of_sites(*size):
-        return GreyFrames(series, channel, bayer, size, setup, text, has_colours, {})
+        return GreyFrames(series, channel, bayer, size, setup, text, has_colours)
     _check_no_effect_in_px(setup, stated.path)
     text = with_camera_keys(stated.path, camera_of_sites(setup, bayer, channel))
     setup = parse_setup(text, stated.path).setup
-    return GreyFrames(series, channel, bayer, stated_size, setup, text, has_colours, {}, True)
+    return GreyFrames(series, channel, bayer, stated_size, setup, text, has_colours, is_converted=True)
 
 
 def _first(series: ImageSeries) -> tuple[tuple[int, int], bool]:

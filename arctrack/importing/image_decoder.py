@@ -6,9 +6,12 @@ pixels is applied, refused, or told.
 
 from __future__ import annotations
 
+import calendar
 import io
+import math
+import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +19,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, UnidentifiedImageError
+from PIL import ExifTags, Image, UnidentifiedImageError
 
 from arctrack.errors import in_file
 from arctrack.importing import tiff_tags
@@ -44,6 +47,9 @@ TURNED = "asks to turn the image; it is taken as the sensor stored it"
 MAX_BYTES = LIMITS.png_bytes_per_px * LIMITS.image_px + LIMITS.spare_bytes
 
 _ORIENTATION_TAG, _UPRIGHT = 274, 1
+_TAKEN_TAGS = {36867: 37521, 306: 37520}
+"""EXIF's DateTimeOriginal and DateTime, each with the tag of its part of a second."""
+
 _LINEAR_GAMMA = 1.0
 _BMP_BITS = slice(28, 30)
 """EXIF's Orientation, PNG's gAMA of light, and where a BMP states the bits of a pixel."""
@@ -51,12 +57,16 @@ _BMP_BITS = slice(28, 30)
 
 @dataclass(frozen=True)
 class Header:
-    """What an image says of its pixels: `size` is width and height, `doubts` what to tell, a line each."""
+    """What an image says of its pixels: `size` is width and height, `doubts` what to tell, a line each.
+
+    `taken_s` is when it was taken, in s since 1970 by the camera's clock, NaN if no tag says it.
+    """
 
     size: tuple[int, int]
     has_colours: bool
     is_lossy: bool
     doubts: tuple[str, ...]
+    taken_s: float
     is_inverted: bool = False
     is_tiff: bool = False
 
@@ -106,6 +116,11 @@ class EncodedImage:
     def doubts(self) -> tuple[str, ...]:
         """What to tell of the image, a line each."""
         return self._header.doubts
+
+    @property
+    def taken_s(self) -> float:
+        """When its tags say that it was taken, s since 1970 by the camera's clock, NaN if they do not."""
+        return self._header.taken_s
 
     def pixels(self) -> Integers:
         """Return the levels, black 0, (H, W) grey or (H, W, 3 or 4) blue first; ArctrackError if damaged."""
@@ -166,7 +181,13 @@ def _header(content: bytes) -> Header:
         if problem is not None:
             raise UnfitFileError(problem)
         is_lossy = image.format in LOSSY_FORMATS
-        return Header(image.size, image.mode in COLOUR_MODES, is_lossy, tuple(_doubts(image, is_lossy)))
+        return Header(
+            image.size,
+            image.mode in COLOUR_MODES,
+            is_lossy,
+            tuple(_doubts(image, is_lossy)),
+            _taken_of(image),
+        )
 
 
 def _tiff_header(content: bytes) -> Header:
@@ -181,9 +202,26 @@ def _tiff_header(content: bytes) -> Header:
         tiff.photometric in (tiff_tags.RGB, tiff_tags.PALETTE),
         tiff.is_lossy,
         (*([LOSSY] if tiff.is_lossy else []), *(f"its tag {name} {ENCODED}" for name in tiff.encodings)),
+        _taken_s(tiff.tags),
         tiff.photometric == tiff_tags.WHITE_IS_ZERO,
         is_tiff=True,
     )
+
+
+def _taken_of(image: Image.Image) -> float:
+    exif = image.getexif()
+    return _taken_s({**exif, **exif.get_ifd(ExifTags.IFD.Exif)})
+
+
+def _taken_s(tags: Mapping[int, Any]) -> float:
+    """Return when an image was taken, s since 1970 by the camera's clock; NaN if no tag says it."""
+    for number, part in _TAKEN_TAGS.items():
+        try:
+            taken = time.strptime(str(tags[number]).strip("\0 "), "%Y:%m:%d %H:%M:%S")
+            return calendar.timegm(taken) + float(f"0.{str(tags.get(part, '0')).strip()}")
+        except (KeyError, ValueError):
+            continue
+    return math.nan
 
 
 def _too_large() -> str:

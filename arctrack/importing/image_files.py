@@ -14,17 +14,23 @@ from pathlib import Path
 import numpy as np
 
 from arctrack.errors import ArctrackError, in_file
+from arctrack.importing.name_times import holds_dates
 from arctrack.limits import LIMITS
 from arctrack.printable import cut
 from arctrack.recording import ffv1
 from arctrack.recording.frame_hints import IMPORTED, VIDEOS
+from arctrack.recording.time_sources import TimeSource
 
 VIDEO_SUFFIX = ".mkv"
 
 MAX_GAPS_NAMED = 5
 """Gaps in the numbering that are named one by one."""
 
+BINARY_ENDS = (255, 65535, 2**32 - 1)
+"""The last numbers of counters of 1, 2 and 4 bytes."""
+
 _DIGITS = re.compile(r"(\d+)")
+_DECIMAL = re.compile(r"(\d+)\.(\d+)$")
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,7 @@ class ImageSeries:
 
     `paths` are the files, `indices` their frame numbers, which rise; `step` is by how much these go up where
     none is missing; `notes` say how names became numbers, and which are missing. The frames of a `video` have
-    names after it.
+    names after it; `times` are its own then, and `warnings` say what is wrong with it.
     """
 
     paths: tuple[Path, ...]
@@ -41,6 +47,8 @@ class ImageSeries:
     step: int
     notes: tuple[str, ...]
     video: Path | None = None
+    times: TimeSource | None = None
+    warnings: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -72,8 +80,9 @@ def find_images(sources: Sequence[Path]) -> ImageSeries:
                 after, f"has the number of {before.name}; leave one of them out, as by the pattern '*.png'"
             )
     indices, notes = _indices(ordered)
+    ordered, indices, wraps = _unwrapped(ordered, indices)
     step = math.gcd(*np.diff(indices).tolist()) or 1
-    return ImageSeries(tuple(ordered), indices, step, (*notes, *_gaps(indices, step)))
+    return ImageSeries(tuple(ordered), indices, step, (*notes, *wraps, *_gaps(indices, step)))
 
 
 def images_of(sources: Sequence[Path]) -> list[Path]:
@@ -96,11 +105,13 @@ def distinct_names(paths: Sequence[Path]) -> dict[Path, str]:
 def _frames_of(video: Path) -> ImageSeries:
     if video.suffix.lower() != VIDEO_SUFFIX:
         raise in_file(video, "only grey FFV1 in .mkv is read; export the frames of other videos as PNG")
-    count = ffv1.count_frames(video)
+    index = ffv1.index_of(video)
+    count = len(index)
     if not 0 < count <= LIMITS.csv_rows:
         raise in_file(video, f"holds {count} frames: 1 to {LIMITS.csv_rows} are read")
     names = tuple(video.with_name(f"{video.name} frame {n}") for n in range(count))
-    return ImageSeries(names, tuple(range(count)), 1, (), video)
+    warnings = () if index.breaks_off is None else (index.breaks_off,)
+    return ImageSeries(names, tuple(range(count)), 1, (), video, index.times, warnings)
 
 
 def _images_of(source: Path) -> list[Path]:
@@ -153,11 +164,51 @@ def _indices(paths: Sequence[Path]) -> tuple[tuple[int, ...], list[str]]:
     if not varying:
         # A single image: its last number is its own.
         varying = [(numbers[0][-1],)] if numbers[0] else []
-    if len(varying) == 1 and varying[0][-1] <= LIMITS.frame_number:
+    if len(varying) == 1 and varying[0][-1] <= LIMITS.frame_number and not holds_dates(paths):
         return varying[0], []
     counted = "frames are counted from 0: their names hold "
     reason = "no number" if not varying else "times or dates"
     return tuple(range(len(paths))), [counted + reason]
+
+
+def _unwrapped(
+    paths: list[Path], indices: tuple[int, ...]
+) -> tuple[list[Path], tuple[int, ...], tuple[str, ...]]:
+    """Return images and numbers in the order of a counter that went on from 0 or 1 behind its last number.
+
+    That is where both its ends are among the numbers and nothing else of half its range is.
+    """
+    last = indices[-1]
+    is_last = str(last) == "9" * len(str(last)) or last in BINARY_ENDS
+    jumps = np.diff(indices)
+    if indices[0] > 1 or not is_last or not len(jumps) or jumps.max() <= last / 2:
+        return paths, indices, ()
+    cut_at = int(np.argmax(jumps)) + 1
+    # A camera that counts from 1 leaves no number out.
+    more = last + 1 - indices[0]
+    numbers = (*indices[cut_at:], *(number + more for number in indices[:cut_at]))
+    note = f"the numbers begin anew after {last}: {paths[0].name} is frame {last + 1}"
+    return [*paths[cut_at:], *paths[:cut_at]], numbers, (note,)
+
+
+def check_decimals(series: ImageSeries) -> None:
+    """Raise ArctrackError if numbers with a point have another order as decimals than as two counters."""
+    if series.video is not None:
+        return
+    hits = [_DECIMAL.search(path.stem) for path in series.paths]
+    decimals = [match for match in hits if match is not None]
+    counters = {match[2] for match in decimals}
+    # Places of one width have one order; numbers without a gap behind one point are a counter.
+    if len({len(text) for text in counters}) < 2 or len(decimals) < len(hits):
+        return
+    is_counter = len({match[1] for match in decimals}) == 1 and not any("missing" in n for n in series.notes)
+    for (before, after), (path, later) in zip(pairwise(decimals), pairwise(series.paths), strict=True):
+        if not is_counter and float(before[0]) > float(after[0]):
+            raise in_file(
+                later,
+                f"comes after {path.name} by its numbers, before it as a decimal; say that they are times by "
+                "--times-in-names, or name all with as many places",
+            )
 
 
 def _gaps(indices: Sequence[int], step: int) -> Iterable[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,15 +21,16 @@ from arctrack.importing.conditions import (
     frame_rows,
     frame_times,
     read_frame_table,
-    times_in_names,
 )
 from arctrack.importing.grey_frames import GreyFrames, grey_frames
-from arctrack.importing.image_files import ImageSeries, find_images
+from arctrack.importing.image_files import ImageSeries, check_decimals, find_images
+from arctrack.importing.name_times import times_in_names
 from arctrack.importing.pose_files import PoseFile, known_names, read_poses
 from arctrack.importing.units import UNSTATED, Units
 from arctrack.recording import BadFrame, Recording, RecordingWriter, read_recording, read_setup_file
 from arctrack.recording.reader import UNFINISHED_SUFFIX, fitted
 from arctrack.recording.tables import FrameRow
+from arctrack.recording.time_sources import TimeSource
 from noise_model.arrays import Float64
 from tracker.state import Frame
 
@@ -65,7 +66,7 @@ class RawFiles:
     rate_hz : float, optional
         Images a second.
     times_in_names : bool
-        Whether names end with times.
+        Whether names hold times.
     current_a, exposure_s : float, optional
         The welding current and the exposure of all images, A and s.
     channel : Channel, optional
@@ -126,21 +127,26 @@ def import_recording(
     """
     stated = read_setup_file(raw.setup)
     series = find_images(raw.sources)
-    names_s = None
+    names = None
     if raw.times_in_names:
-        names_s = times_in_names(series, raw.units)
-        order = np.argsort(names_s, kind="stable")
-        series, names_s = series.in_order(order.tolist()), names_s[order]
+        names = times_in_names(series.paths, raw.units)
+        order = np.argsort(names.values, kind="stable")
+        series, names = series.in_order(order.tolist()), replace(names, values=names.values[order])
+    else:
+        check_decimals(series)
     frame_columns = None if raw.frames is None else Columns(raw.frames, raw.columns, ",".join(KNOWN_NAMES))
     table = NO_TABLE if frame_columns is None else read_frame_table(frame_columns, raw.units, series)
-    times_of_table = None if table.times_s is None or raw.frames is None else (raw.frames, table.times_s)
-    is_timed = times_of_table is not None or names_s is not None or raw.rate_hz is not None
+    times_of_table = None
+    if table.times_s is not None and raw.frames is not None:
+        times_of_table = TimeSource(f"the times of {raw.frames.name}", table.times_s)
+    is_timed = times_of_table is not None or names is not None or raw.rate_hz is not None
     poses, pose_columns = read_poses(
         raw.poses, raw.translations, raw.rotation, raw.units, raw.columns, series, is_timed
     )
     tables = [*pose_columns, *([] if frame_columns is None else [frame_columns])]
     check_all_named(raw.columns, dict.fromkeys((*known_names(raw.rotation), *KNOWN_NAMES)), tables)
-    times, source = frame_times(series, times_of_table, names_s, raw.rate_hz, poses)
+    source = frame_times(series, times_of_table, names, raw.rate_hz, poses)
+    times = source.values
     conditions = Conditions(frame_columns, raw.current_a, raw.exposure_s)
     rows, assumed = frame_rows(series, times, table, conditions, stated.setup.camera.exposure_s)
     images = grey_frames(series, stated, raw.channel, raw.bayer)
@@ -149,11 +155,12 @@ def import_recording(
     notes = {
         "images": "; ".join((_span(series), *series.notes, *table.notes)),
         "grey": images.note,
-        "times": f"{source}: {times[0]:.6g} to {times[-1]:.6g} s",
+        "times": f"{source.name}: {times[0]:.6g} to {times[-1]:.6g} s",
         "conditions": _conditions_note(assumed, raw.frames),
         "poses": "; ".join((_pose_note(poses), *poses.notes)),
     }
-    return Imported(recording, notes, (*images.warnings, *poses.warnings, *doubts(times, source), *misfits))
+    told = doubts(series, source, images.taken_s)
+    return Imported(recording, notes, (*series.warnings, *images.warnings, *poses.warnings, *told, *misfits))
 
 
 def _write(

@@ -17,6 +17,7 @@ from av.video.stream import VideoStream
 
 from arctrack.errors import in_file
 from arctrack.recording.video_file import VideoFile, opened_video
+from arctrack.recording.video_index import VideoIndex, payloads, read_index
 from noise_model.arrays import Integers
 
 CODECS, CONTAINERS = ("ffv1",), ("matroska",)
@@ -24,6 +25,12 @@ PIXEL_FORMATS = {"gray": np.uint8, "gray16le": np.uint16}
 
 CHECKSUMS_SOUGHT_IN = 8
 """So many packets from the first are asked whether a video carries checksums: one that is damaged may lie."""
+
+_LIMITED_RANGE = 1
+"""FFmpeg's AVCOL_RANGE_MPEG: black at 16 of 256."""
+
+_TICK = Fraction(1, 1000)
+"""What times in a Matroska file are rounded to, s."""
 
 _FOOTER_BYTES = 8
 _REVERSED_BITS = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
@@ -41,6 +48,16 @@ def grey_size(path: Path) -> tuple[int, int]:
         pixels = codec.format.name if codec.format is not None else "unknown pixels"
         if pixels not in PIXEL_FORMATS:
             raise in_file(path, f"holds ffv1 with {pixels}: must be gray or gray16le, which is exact")
+        if len(container.streams.video) > 1:
+            raise in_file(
+                path, f"holds {len(container.streams.video)} videos: write each to a file of its own"
+            )
+        if codec.color_range == _LIMITED_RANGE:
+            raise in_file(
+                path,
+                "its colour range is limited: black is not 0; write it with the full range, such as by "
+                "-color_range pc of ffmpeg if levels are the sensor's",
+            )
         return codec.width, codec.height
 
 
@@ -81,26 +98,17 @@ def _packets(path: Path) -> Iterator[_Packets]:
         yield _Packets(container, stream, has_checksums)
 
 
-def count_frames(path: Path) -> int:
-    """Return how many frames a video holds, without decoding them."""
+def index_of(path: Path) -> VideoIndex:
+    """Return how many frames a video holds, and when they were taken, without decoding them."""
     with open_video(path) as container:
-        return sum(1 for _ in _payloads(container.demux(container.streams.video[0])))
+        return read_index(path, container)
 
 
 def carries_checksums(path: Path) -> bool:
     """Return whether a video carries checksums; without, damage within a frame may go unnoticed."""
     with open_video(path) as container:
-        packets = islice(_payloads(container.demux(container.streams.video[0])), CHECKSUMS_SOUGHT_IN)
+        packets = islice(payloads(container.demux(container.streams.video[0])), CHECKSUMS_SOUGHT_IN)
         return any(checksums_hold(bytes(packet)) for packet in packets)
-
-
-def _payloads(packets: Iterator[av.Packet[VideoStream]]) -> Iterator[av.Packet[VideoStream]]:
-    """Yield the packets that hold something, up to where the container breaks off."""
-    try:
-        yield from (packet for packet in packets if packet.size > 0)
-    except av.error.FFmpegError:
-        # Nothing behind this can be found again.
-        return
 
 
 class _Packets:
@@ -109,7 +117,7 @@ class _Packets:
     def __init__(
         self, container: av.container.InputContainer, stream: VideoStream, has_checksums: bool
     ) -> None:
-        self._packets = _payloads(container.demux(stream))
+        self._packets = payloads(container.demux(stream))
         self._codec: VideoCodecContext = stream.codec_context
         self._next = 0
         self.is_over = False
@@ -174,11 +182,16 @@ class VideoWriter(VideoFile):
         self._stream.width, self._stream.height = width, height
         self._stream.pix_fmt = self._format
         self._stream.options = {"level": "3", "slicecrc": "1", "g": "1"}
-        self._count = 0
+        self._stream.codec_context.time_base = _TICK
+        self._first_s: float | None = None
+        self._next_tick = 0
 
-    def write(self, image_dn: npt.NDArray[np.integer]) -> None:
-        """Append a frame (H, W) of the type that was announced."""
+    def write(self, image_dn: npt.NDArray[np.integer], timestamp_s: float) -> None:
+        """Append a frame (H, W) of the type that was announced; times count from the first one's."""
+        self._first_s = timestamp_s if self._first_s is None else self._first_s
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image_dn), format=self._format)
-        frame.pts = self._count
-        self._count += 1
+        frame.time_base = _TICK
+        # Two frames of one tick would be refused.
+        frame.pts = max(round((timestamp_s - self._first_s) / float(_TICK)), self._next_tick)
+        self._next_tick = frame.pts + 1
         self._container.mux(self._stream.encode(frame))

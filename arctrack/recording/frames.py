@@ -15,6 +15,7 @@ from arctrack.recording import ffv1, png
 from arctrack.recording.files import UnfitFileError, check_file, kind_of, read_bytes
 from arctrack.recording.frame_hints import frame_hint, number_hint, source_hint
 from arctrack.recording.tables import FrameRow
+from arctrack.recording.time_sources import TimeSource, contradictions
 from noise_model.arrays import Integers
 from noise_model.setup import Setup
 from tracker.state import Frame, frame_misfit
@@ -155,8 +156,15 @@ def _check_video(video: Path, rows: Sequence[FrameRow], setup: Setup) -> list[st
         raise in_file(video, str(error)) from None
     ffv1.check_video(video, camera.width, camera.height)
     # Of fewer frames the last are lost; of more nobody knows which row is whose.
-    if (count := ffv1.count_frames(video)) > len(rows):
-        raise in_file(video, f"holds {count} frames where frames.csv has {len(rows)} rows")
-    if ffv1.carries_checksums(video):
-        return []
-    return [f"{video}: carries no checksums, so that damage may go unnoticed; write it with slicecrc=1"]
+    index = ffv1.index_of(video)
+    if len(index) > len(rows):
+        raise in_file(video, f"holds {len(index)} frames where frames.csv has {len(rows)} rows")
+    warnings = [] if index.breaks_off is None else [index.breaks_off]
+    kept = rows[: len(index)]
+    stated = TimeSource("those of frames.csv", np.array([row.timestamp_s for row in kept]))
+    told = contradictions(stated, [index.times], [row.index for row in kept])
+    warnings += [f"{video}: {line}" for line in told]
+    if not ffv1.carries_checksums(video):
+        what = "carries no checksums, so that damage may go unnoticed; write it with slicecrc=1"
+        warnings.append(f"{video}: {what}")
+    return warnings

@@ -129,7 +129,7 @@ class RecordingWriter:
         if misfit is not None:
             raise ValueError(f"frame {frame.index} {misfit}")
         if self._video is not None:
-            self._video.write(frame.image_dn)
+            self._video.write(frame.image_dn, frame.timestamp_s)
         else:
             path = frames.png_path(self._folder / frames.FOLDER_NAME, frame.index)
             path.write_bytes(png.encode(frame.image_dn))

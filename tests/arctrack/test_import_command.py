@@ -272,7 +272,7 @@ def test_a_current_says_that_the_arc_is_on(raw: Path) -> None:
 def test_a_grey_video_is_read(raw: Path) -> None:
     with VideoWriter(raw / "scan.mkv", WIDTH, HEIGHT, np.uint8, 25.0) as video:
         for n in range(3):
-            video.write(small_image(n))
+            video.write(small_image(n), 0.04 * n)
     said = imported(raw / "scan.mkv", *arguments(raw)[1:])
     assert "3, scan.mkv frame 0 to scan.mkv frame 2" in said
     np.testing.assert_array_equal(images_of(raw / "out"), [small_image(n) for n in range(3)])

@@ -37,7 +37,7 @@ def written(path, frames, setup):
     camera = setup.camera
     with VideoWriter(path, camera.width, camera.height, setup.sensor.dtype, RATE_HZ) as video:
         for frame in frames:
-            video.write(frame.image_dn)
+            video.write(frame.image_dn, frame.timestamp_s)
     return path
 
 
@@ -185,7 +185,7 @@ def test_a_process_beside_captures_a_video_and_ends_with_it(tmp_path):
     path = tmp_path / "weld.mkv"
     with VideoWriter(path, setup.camera.width, setup.camera.height, setup.sensor.dtype, 20.0) as video:
         for frame in frames:
-            video.write(frame.image_dn)
+            video.write(frame.image_dn, frame.timestamp_s)
     choice = CameraChoice(20.0, "video", "weld.mkv", CaptureChoice())
     camera = CapturedCamera(choice, tmp_path / "cell.toml", setup)
     shared = camera.frames_path
