@@ -14,7 +14,7 @@ from arctrack.importing.image_files import ImageSeries
 from arctrack.importing.units import TIME, UNITS, UNSTATED, Units, factor, split_unit, unit_of
 from arctrack.limits import LIMITS
 from arctrack.printable import cut
-from arctrack.recording.csv_file import CsvTable, read_header, whole
+from arctrack.recording.csv_file import CsvTable, TimeParser, read_header, whole
 from noise_model.arrays import Float64, Int64
 from noise_model.spelling import nearest
 
@@ -192,7 +192,11 @@ def rows_of_images(
     return np.array([row_of.get(n, UNKNOWN_IMAGE) for n in range(len(series))]), notes
 
 
-def times_s(columns: Columns, table: CsvTable, column: Column, stated: Units) -> Float64:
-    """Return a column of times in s; ArctrackError if nothing states their unit."""
-    unit = columns.unit(column, TIME, stated, UNSTATED)
-    return np.asarray(table.column(column.header) * factor(TIME, unit))
+def times_s(
+    columns: Columns, table: CsvTable, column: Column, stated: Units, parser: TimeParser
+) -> tuple[Float64, list[str]]:
+    """Return a column of times in s, and notes; ArctrackError if nothing states the unit of numbers."""
+    times = table.column(column.header)
+    if parser.are_dates:
+        return times, ["dates without a time zone are taken as UTC"] if parser.lacks_zone else []
+    return np.asarray(times * factor(TIME, columns.unit(column, TIME, stated, UNSTATED))), []

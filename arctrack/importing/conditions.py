@@ -24,7 +24,7 @@ from arctrack.importing.name_times import recognized_times
 from arctrack.importing.pose_files import PoseFile
 from arctrack.importing.units import TIME, UNSTATED, Units, factor
 from arctrack.limits import LIMITS
-from arctrack.recording.csv_file import Parser, number, number_or_unknown, read_csv, whole
+from arctrack.recording.csv_file import Parser, TimeParser, number, number_or_unknown, read_csv, whole
 from arctrack.recording.tables import FrameRow, check_frame
 from arctrack.recording.time_sources import TimeSource, contradictions
 from noise_model.arrays import Float64, Int64
@@ -92,8 +92,9 @@ def read_frame_table(columns: Columns, stated: Units, series: ImageSeries) -> Fr
     parsers: dict[str, Parser] = {
         column.header: parse for column, parse in zip(conditions, _PARSERS, strict=True) if column is not None
     }
+    time_parser = TimeParser()
     if time is not None:
-        parsers[time.header] = number
+        parsers[time.header] = time_parser
     if file is not None:
         parsers[file.header] = image_parser(series)
     elif frame is not None:
@@ -106,7 +107,10 @@ def read_frame_table(columns: Columns, stated: Units, series: ImageSeries) -> Fr
     exposure_column = conditions[-1]
     if exposure is not None and exposure_column is not None:
         exposure = exposure * factor(TIME, columns.unit(exposure_column, TIME, stated, UNSTATED))
-    times = None if time is None else times_s(columns, table, time, stated)[rows]
+    times = None
+    if time is not None:
+        times, more = times_s(columns, table, time, stated, time_parser)
+        times, notes = times[rows], [*notes, *more]
     return FrameTable(times, laser_on, arc_on, current_a, exposure, table.lines[rows], tuple(notes))
 
 

@@ -32,10 +32,12 @@ from arctrack.importing.rotations import (
 )
 from arctrack.importing.units import ANGLE, LENGTH, UNITS, Units, factor
 from arctrack.limits import LIMITS
-from arctrack.recording.csv_file import CsvTable, Parser, number, read_csv
+from arctrack.recording.csv_file import CsvTable, Parser, TimeParser, number, read_csv, rows_once
 from noise_model.arrays import Float64, Int64
 
-POSITION_NAMES = tuple((axis, f"pos_{axis}", f"t{axis}") for axis in "xyz")
+POSITION_NAMES = tuple(
+    (axis, f"pos_{axis}", f"t{axis}", f"actual_tcp_pose_{n}") for n, axis in enumerate("xyz")
+)
 
 SMALL_REACH = 2.0
 """Positions that reach no further from base's origin than so many of their unit, mm as stated, are m."""
@@ -111,13 +113,19 @@ def read_pose_table(
     frame, file = None, None
     if time is None or not is_timed:
         frame, file = columns.find(FRAME_NAMES), columns.find(FILE_NAMES)
-    timed = () if time is None else (time,)
-    parsers: dict[str, Parser] = {column.header: number for column in (*place, *turn, *timed)}
+    parsers: dict[str, Parser] = {column.header: number for column in (*place, *turn)}
+    time_parser = TimeParser()
+    if time is not None:
+        parsers[time.header] = time_parser
     if file is not None:
         parsers[file.header] = image_parser(series)
     elif frame is not None:
         parsers[frame.header] = frame_number
     table = read_csv(columns.path, parsers)
+    notes = list[str]()
+    if time is not None:
+        table, repeats = rows_once(table, time.header)
+        notes += [f"{repeats} rows repeat the row before and are left out"] if repeats else []
     units = [
         *(columns.unit(column, LENGTH, stated, written.units) for column in place),
         *(columns.unit(column, ANGLE, stated, written.units) for column in turn if written.are_angles),
@@ -130,10 +138,14 @@ def read_pose_table(
     warnings = _doubts(T_base_tool[:, :3, 3], units[0], columns.path)
     if written.are_angles:
         warnings += _angle_doubts(_column_values(table, turn), units[3], columns.path)
-    times = None if time is None else _rising(times_s(columns, table, time, stated), table)
-    rows, notes = None, list[str]()
+    times, rows = None, None
+    if time is not None:
+        times, more = times_s(columns, table, time, stated, time_parser)
+        _check_size(times, columns.path)
+        notes += more
     if time is None or file is not None or frame is not None:
-        rows, notes = rows_of_images(table, frame, file, series, may_lack=may_lack)
+        rows, more = rows_of_images(table, frame, file, series, may_lack=may_lack)
+        notes += more
     spoken = ", ".join(dict.fromkeys(units))
     numbers = _column_values(table, turn)
     return PoseFile(columns.path, T_base_tool, times, rows, spoken, tuple(notes), tuple(warnings), numbers)
@@ -196,15 +208,11 @@ def _angle_doubts(angles: Float64, unit: str, path: Path) -> list[str]:
     return []
 
 
-def _rising(times: Float64, table: CsvTable) -> Float64:
+def _check_size(times: Float64, path: Path) -> None:
     if np.abs(times).max() > LIMITS.time_s:
         raise in_file(
-            table.path, f"{np.abs(times).max():g} s is beyond {LIMITS.time_s:g} s; give --units ms, us or ns"
+            path, f"{np.abs(times).max():g} s is beyond {LIMITS.time_s:g} s; give --units ms, us or ns"
         )
-    for n in np.flatnonzero(np.diff(times) <= 0.0) + 1:
-        problem = f"{times[n]:.6f} s does not come after {times[n - 1]:.6f}: times must rise"
-        raise in_file(table.path, problem, line=int(table.lines[n]))
-    return times
 
 
 def read_poses(

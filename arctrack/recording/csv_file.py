@@ -1,4 +1,9 @@
-"""CSV files of numbers, read strictly and line by line: every complaint names the file and the line."""
+"""Tables of numbers as text, read strictly and line by line: every complaint names the file and the line.
+
+Columns are parted by semicolons, tabs, bars, commas or blanks: by the first of these that makes as many cells
+of the head as of the first row. Numbers have decimal points, or decimal commas throughout. Lines that begin
+with # or % are remarks; the last before rows of numbers is their head if it has as many cells.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +12,16 @@ import io
 import math
 import re
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
+from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.printable import cut, first_of, shown
 from arctrack.recording.files import UnfitFileError, blamed_on, is_utf16, not_utf8, open_file
@@ -23,9 +31,12 @@ from noise_model.spelling import nearest
 Parser = Callable[[str], float]
 """Makes a number of a cell; ValueError says what it must be."""
 
-SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
-
-_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+\s*")
+_SEPARATORS = (";", "\t", "|", ",", " ")
+_REMARKS = ("#", "%")
+_EXCELS_SEPARATOR = re.compile(r"sep=.", re.IGNORECASE)
+_QUOTED = re.compile(r'"[^"]*"')
+_DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+(?:e[+-]?\d+)?\s*", re.IGNORECASE)
+_DECIMAL_POINT = re.compile(r"\s*[+-]?\d*\.\d+(?:e[+-]?\d+)?\s*", re.IGNORECASE)
 _INTEGER = re.compile(r"\s*[+-]?\d+\s*")
 
 
@@ -62,9 +73,46 @@ def number(text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        cure = "; write a point, not a comma" if _DECIMAL_COMMA.fullmatch(text) else ""
-        raise ValueError(f"must be a finite number{cure}")
+        raise ValueError("must be a finite number")
     return value
+
+
+class TimeParser:
+    """Makes times of numbers, or Unix seconds of dates as ISO 8601 writes them: all are of one kind.
+
+    Attributes
+    ----------
+    are_dates : bool
+        Whether the times are dates.
+    lacks_zone : bool
+        Whether a date stated no time zone; it is then taken as UTC.
+    """
+
+    def __init__(self) -> None:
+        self.are_dates = False
+        self.lacks_zone = False
+        self._is_begun = False
+
+    def __call__(self, text: str) -> float:
+        """Return a time, s or as the file has it."""
+        try:
+            value, is_date = number(text), False
+        except ValueError:
+            value, is_date = self._of_date(text), True
+        if self._is_begun and is_date != self.are_dates:
+            raise ValueError("is another kind of time than those before: dates and numbers do not mix")
+        self._is_begun, self.are_dates = True, is_date
+        return value
+
+    def _of_date(self, text: str) -> float:
+        try:
+            date = datetime.fromisoformat(text.strip())
+            if date.tzinfo is None:
+                self.lacks_zone, date = True, date.replace(tzinfo=UTC)
+            return date.timestamp()
+        except (ValueError, OverflowError):
+            example = "2024-05-01T10:00:00.125+02:00"
+            raise ValueError(f"must be a finite number, or a date such as {example}") from None
 
 
 def number_or_unknown(text: str) -> float:
@@ -104,6 +152,25 @@ def read_header(path: Path, wanted: str) -> tuple[str, ...]:
         return tuple(name.strip() for name in header)
 
 
+def rows_once(table: CsvTable, time: str) -> tuple[CsvTable, int]:
+    """Return a table without rows that repeat the row before, time and all, and how many they were.
+
+    Raises ArctrackError, with both lines, for other rows whose time does not rise.
+    """
+    times = table.column(time)
+    repeats = np.zeros(len(times), dtype=bool)
+    repeats[1:] = (table.values[1:] == table.values[:-1]).all(axis=1)
+    for n in np.flatnonzero((np.diff(times) <= 0.0) & ~repeats[1:]) + 1:
+        earlier = f"{times[n - 1]:.6f} of line {table.lines[n - 1]}"
+        problem = f"{time} = {times[n]:.6f} does not come after {earlier}"
+        cure = "one time has two poses" if times[n] == times[n - 1] else "times must rise"
+        raise in_file(table.path, f"{problem}: {cure}", line=int(table.lines[n]))
+    if not repeats.any():
+        return table, 0
+    once = replace(table, values=table.values[~repeats], lines=table.lines[~repeats])
+    return once, int(repeats.sum())
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[Iterator[tuple[int, list[str]]]]:
     """Open a CSV file for its records; what is wrong becomes an ArctrackError that names the file."""
@@ -126,14 +193,18 @@ def _parse(
     parsers = {name: parse for name, parse in {**needed, **optional}.items() if name in header}
     places = [(header.index(name), name, parse) for name, parse in parsers.items()]
     values, lines = array("d"), array("q")
+    decimals = _DecimalSign()
     for line, cells in records:
+        if len(cells) == len(header) + 1 and not cells[-1].strip():
+            # A separator at the line's end.
+            cells.pop()
         if len(cells) != len(header):
             raise UnfitFileError(_wrong_count(cells, len(header)), line)
         if len(lines) == LIMITS.csv_rows:
             raise UnfitFileError(f"holds more than {LIMITS.csv_rows} rows: that is the most", line)
         for place, name, parse in places:
             try:
-                values.append(parse(cells[place]))
+                values.append(parse(decimals.with_point(cells[place])))
             except ValueError as error:
                 raise UnfitFileError(f"{name} = {shown(cells[place])}: {error}", line) from None
         lines.append(line)
@@ -168,11 +239,6 @@ def _check_is_header(header: Sequence[str], wanted: str, line: int) -> None:
     """Raise UnfitFileError for a first line that names no columns of a CSV file."""
     if not header:
         raise UnfitFileError(f"is empty; needed are {wanted}", line)
-    for separator, name in SEPARATORS.items():
-        if len(header) == 1 and separator in header[0]:
-            raise UnfitFileError(
-                f"its columns are parted by {name}: save it with commas between and points in numbers", line
-            )
     if "\0" in "".join(header):
         raise UnfitFileError("holds NUL bytes: save it as UTF-8 text", line)
     if all(map(_is_number, header)):
@@ -195,14 +261,95 @@ def _wrong_count(cells: Sequence[str], expected: int) -> str:
     return problem
 
 
-def _records(file: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
-    """Yield each line that holds something and its number; UnfitFileError where it is no CSV."""
-    reader = csv.reader(file, strict=True)
+class _DecimalSign:
+    """The decimal sign of a table: a point or a comma, one throughout."""
+
+    def __init__(self) -> None:
+        self._with_comma = ""
+        self._with_point = ""
+
+    def with_point(self, cell: str) -> str:
+        """Return a cell, its decimal comma made a point; ValueError where both signs occur."""
+        if "," in cell and _DECIMAL_COMMA.fullmatch(cell):
+            self._with_comma, number_text = cell.strip(), cell.replace(",", ".")
+        elif not self._with_point and "." in cell and _DECIMAL_POINT.fullmatch(cell):
+            self._with_point = number_text = cell.strip()
+        else:
+            return cell
+        if self._with_comma and self._with_point:
+            both = f"{self._with_point} and {self._with_comma}"
+            raise ValueError(f"the file writes {both}: write all numbers with points")
+        return number_text
+
+
+def _records(file: Iterator[str]) -> Iterator[tuple[int, list[str]]]:
+    """Yield the head, each line that holds something, and its number; UnfitFileError where it is no table."""
+    begin: list[str] = []
+    line = 0
     try:
+        separator = _begin(file, begin)
+        lines: Iterator[str] = chain(begin, ("\n" if text.startswith(_REMARKS) else text for text in file))
+        if separator == " ":
+            lines = (text.replace("\t", " ").strip() + "\n" for text in lines)
+        reader = csv.reader(lines, strict=True, delimiter=separator, skipinitialspace=separator == " ")
         for cells in reader:
+            line = reader.line_num
             if cells:
-                yield reader.line_num, cells
+                yield line, cells
     except csv.Error as error:
         raise UnfitFileError(f"is no valid CSV: {error}", reader.line_num) from None
     except UnicodeDecodeError as error:
-        raise not_utf8(error, reader.line_num + 1) from None
+        raise not_utf8(error, max(line, len(begin)) + 1) from None
+
+
+def _begin(file: Iterator[str], begin: list[str]) -> str:
+    """Read a table to its second line that is no remark, and return what parts its columns.
+
+    `begin` takes the lines that were read. Remarks among them are made empty, but for one that is the head.
+    """
+    remarks: list[tuple[int, str]] = []
+    contents: list[str] = []
+    for text in file:
+        stripped = text.strip(" \r\n")
+        begin.append(text)
+        if stripped.startswith(_REMARKS) or _EXCELS_SEPARATOR.fullmatch(stripped):
+            begin[-1] = "\n"
+            remarks.append((len(begin) - 1, stripped.lstrip("#% ")))
+        elif stripped:
+            contents.append(stripped)
+            if len(contents) == 2:
+                break
+    if not contents:
+        return ","
+    row = contents[0]
+    separator = _separator(row, contents[-1])
+    if all(map(_is_time_or_number, _cells(row, separator))):
+        for place, remark in reversed(remarks):
+            separator_of_both = _separator(remark, row)
+            count = len(_cells(remark, separator_of_both))
+            if count == len(_cells(row, separator_of_both)) > 1:
+                begin[place] = remark + "\n"
+                return separator_of_both
+    return separator
+
+
+def _separator(head: str, row: str) -> str:
+    """Return what parts the columns of a head and of a row."""
+    possible = [separator for separator in _SEPARATORS if len(_cells(head, separator)) > 1]
+    for separator in possible:
+        if len(_cells(head, separator)) == len(_cells(row, separator)):
+            return separator
+    return possible[0] if possible else ","
+
+
+def _cells(text: str, separator: str) -> list[str]:
+    bare = _QUOTED.sub("q", text).rstrip(separator)
+    return bare.split() if separator == " " else bare.split(separator)
+
+
+def _is_time_or_number(text: str) -> bool:
+    try:
+        TimeParser()(text.replace(",", "."))
+    except ValueError:
+        return False
+    return True

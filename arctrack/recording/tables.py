@@ -11,7 +11,7 @@ import numpy as np
 from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.printable import printable
-from arctrack.recording.csv_file import CsvTable, number, number_or_unknown, read_csv, whole
+from arctrack.recording.csv_file import CsvTable, number, number_or_unknown, read_csv, rows_once, whole
 from noise_model.arrays import Float64, Int64
 from noise_model.transforms import pose_matrix
 
@@ -101,17 +101,18 @@ def read_frame_rows(path: Path) -> tuple[tuple[FrameRow, ...], list[str]]:
 def read_poses_csv(path: Path) -> tuple[PoseTable, list[str]]:
     """Read poses.csv; return its poses and warnings."""
     table = read_csv(path, POSE_COLUMNS)
-    timestamps_s = table.column("timestamp_s")
     _check_size(table, ("timestamp_s",), LIMITS.time_s, "s; give seconds, not ms or ns")
+    table, repeats = rows_once(table, "timestamp_s")
+    timestamps_s = table.column("timestamp_s")
     _check_size(table, ("x_mm", "y_mm", "z_mm"), LIMITS.length_mm, "mm")
-    _check_rising(timestamps_s, table)
     T_base_tool = np.empty((len(timestamps_s), 4, 4))
     for n, value in enumerate(table.values):
         try:
             T_base_tool[n] = pose_matrix(value[1:4], value[4:])
         except ValueError as error:
             raise in_file(path, str(error), line=int(table.lines[n])) from None
-    return PoseTable(path, timestamps_s, T_base_tool), table.warnings
+    repeated = [f"{path}: {repeats} rows repeat the row before: they are left out"] if repeats else []
+    return PoseTable(path, timestamps_s, T_base_tool), [*table.warnings, *repeated]
 
 
 def read_truth_csv(path: Path) -> Truth:
@@ -154,12 +155,6 @@ def _check_size(table: CsvTable, names: tuple[str, ...], most: float, unit: str)
         for n in np.flatnonzero(np.abs(table.column(name)) > most):
             problem = f"{name} = {table.column(name)[n]:g}: is beyond {most:g} {unit}"
             raise in_file(table.path, problem, line=int(table.lines[n]))
-
-
-def _check_rising(timestamps_s: Float64, table: CsvTable) -> None:
-    for n in np.flatnonzero(np.diff(timestamps_s) <= 0) + 1:
-        problem = _backwards(timestamps_s[n], timestamps_s[n - 1])
-        raise in_file(table.path, problem, line=int(table.lines[n]))
 
 
 def _backwards(later_s: float, earlier_s: float) -> str:

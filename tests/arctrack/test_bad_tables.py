@@ -109,10 +109,19 @@ BAD: dict[str, tuple[Spoil, str, str]] = {
         "poses.csv, line 4",
         "timestamp_s = 1.7e+18: is beyond 1e+11 s; give seconds, not ms or ns",
     ),
-    "a pose twice": (
-        content("poses.csv", lambda text: b"\n".join([*text.split(b"\n")[:3], *text.split(b"\n")[2:]])),
+    "two poses of one time": (
+        content(
+            "poses.csv",
+            lambda text: b"\n".join(
+                [
+                    *(rows := text.split(b"\n"))[:3],
+                    rows[2].replace(b",", b",9,", 1).rpartition(b",")[0],
+                    *rows[3:],
+                ]
+            ),
+        ),
         "poses.csv, line 4",
-        "times must rise",
+        "of line 3: one time has two poses",
     ),
     "a frame twice": (
         line("frames.csv", 4, "1,0.15,1,1,100,0.005"),

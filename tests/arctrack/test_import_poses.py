@@ -247,7 +247,24 @@ REFUSED = {
         "",
         "x and x_mm may both be x; say which, as by --column x=x",
     ),
-    "semicolons": ("x;y;z\n1;2;3\n", "kuka", "", "its columns are parted by semicolons"),
+    "both decimal signs": (
+        "x;y;z;a;b;c\n1,5;2;3;0;0;0\n1;2.5;3;0;0;0\n",
+        "kuka",
+        "",
+        "line 3: y = '2.5': the file writes 2.5 and 1,5: write all numbers with points",
+    ),
+    "dates and numbers": (
+        f"time,{HEAD}\n2024-05-01T10:00:00,{ROW}\n1714557601,{ROW}\n",
+        "kuka",
+        "",
+        "line 3: time = '1714557601': is another kind of time than those before",
+    ),
+    "a date that is none": (
+        f"time,{HEAD}\n01.05.2024 10:00,{ROW}\n",
+        "kuka",
+        "",
+        "must be a finite number, or a date such as 2024-05-01T10:00:00.125+02:00",
+    ),
     "no header": (
         "1,2,3,4,5,6\n",
         "kuka",
@@ -261,10 +278,16 @@ REFUSED = {
         "line 3: the quaternion's norm is 1.4142, not 1",
     ),
     "times": (
-        f"t_s,{HEAD}\n1,{ROW}\n1,{ROW}\n",
+        f"t_s,{HEAD}\n1,{ROW}\n1,9{ROW}\n",
         "kuka",
         "",
-        "line 3: 1.000000 s does not come after 1.000000",
+        "line 3: t_s = 1.000000 does not come after 1.000000 of line 2: one time has two poses",
+    ),
+    "times that fall": (
+        f"t_s,{HEAD}\n1,{ROW}\n0.5,{ROW}\n",
+        "kuka",
+        "",
+        "line 3: t_s = 0.500000 does not come after 1.000000 of line 2: times must rise",
     ),
     "nanoseconds": (f"t_s,{HEAD}\n1e12,{ROW}\n", "kuka", "", "1e+12 s is beyond 1e+11 s; give --units ms"),
     "another count": (
@@ -401,3 +424,71 @@ def test_the_names_of_columns_are_those_of_the_header(tmp_path: Path) -> None:
     path = written(tmp_path, "time,x\n1,2\n")
     assert Columns(path, {}, "x").find(("time", "t")) is not None
     assert parse_units("") == UNSTATED
+
+
+POSES = ((0.0, 0.1, -0.2, 0.3, 0.05, -0.02, 0.001), (0.01, 0.1015, -0.2, 0.3, 0.05, -0.02, 0.001))
+RTDE = "timestamp " + " ".join(f"actual_TCP_pose_{n}" for n in range(6))
+
+
+def rows_as(separator: str, comma: bool = False, end: str = "") -> str:
+    texts = [separator.join(map(repr, row)) + end for row in POSES]
+    return "\n".join(text.replace(".", ",") if comma else text for text in texts) + "\n"
+
+
+TABLES = {
+    "blanks": f"{RTDE}\n{rows_as(' ')}",
+    "columns in line": f"{RTDE}\n{rows_as('    ')}",
+    "tabs": f"{RTDE.replace(' ', chr(9))}\n{rows_as(chr(9))}",
+    "semicolons and decimal commas": f"{RTDE.replace(' ', ';')}\n{rows_as(';', comma=True)}",
+    "a separator at each row's end": f"{RTDE.replace(' ', ';')}\n{rows_as(';', end=';')}",
+    "Excel's first line": f"sep=;\n{RTDE.replace(' ', ';')}\n{rows_as(';')}",
+    "blanks and decimal commas": f"{RTDE}\n{rows_as(' ', comma=True)}",
+    "commas and quoted decimal commas": f"{RTDE.replace(' ', ',')}\n"
+    + "\n".join(",".join(f'"{value}"'.replace(".", ",") for value in row) for row in POSES),
+    "remarks before the head": f"# UR10e, cell 4\n#\n% 2024, May\n{RTDE.replace(' ', ',')}\n{rows_as(',')}",
+    "the head as a remark": f"# a trajectory\n# {RTDE}\n{rows_as(' ')}# end\n",
+    "the head as a remark, with commas": f"#{RTDE.replace(' ', ',')}\n{rows_as(', ')}",
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_is_read_whatever_parts_its_columns(name: str, tmp_path: Path) -> None:
+    poses = poses_of(written(tmp_path, TABLES[name]), "ur", "s")
+    assert poses.times_s is not None
+    np.testing.assert_array_equal(poses.times_s, [0.0, 0.01])
+    np.testing.assert_allclose(poses.T_base_tool[:, :3, 3], [[100.0, -200.0, 300.0], [101.5, -200.0, 300.0]])
+    np.testing.assert_array_equal(poses.rotation, [row[4:] for row in POSES])
+    assert poses.units == "m, rad"
+
+
+def test_a_trajectory_of_tum_has_its_head_as_a_remark(tmp_path: Path) -> None:
+    text = (
+        "# ground truth\n# timestamp tx ty tz qx qy qz qw\n1.0 0.4 0.1 0.2 0 0 0 1\n2.0 0.5 0.1 0.2 0 0 0 1\n"
+    )
+    poses = poses_of(written(tmp_path, text), None, "m, s")
+    np.testing.assert_allclose(poses.T_base_tool[:, :3, 3], [[400.0, 100.0, 200.0], [500.0, 100.0, 200.0]])
+
+
+@pytest.mark.parametrize(
+    ("dates", "notes"),
+    [
+        (("2024-05-01T12:00:00.5+02:00", "2024-05-01T10:00:01Z"), ()),
+        (("2024-05-01 10:00:00.5", "2024-05-01 10:00:01"), ("dates without a time zone are taken as UTC",)),
+    ],
+)
+def test_times_may_be_dates(dates: tuple[str, str], notes: tuple[str, ...], tmp_path: Path) -> None:
+    text = f"time,{HEAD}\n" + "".join(f"{date},{ROW}\n" for date in dates)
+    poses = poses_of(written(tmp_path, text), "kuka")
+    assert poses.times_s is not None
+    np.testing.assert_allclose(poses.times_s, [1_714_557_600.5, 1_714_557_601.0], rtol=0.0, atol=1e-6)
+    assert poses.notes == notes
+
+
+def test_rows_that_repeat_the_row_before_are_left_out(tmp_path: Path) -> None:
+    """As a Motoman writes them: some poses are logged twice, with one time."""
+    text = f"t_s,{HEAD}\n0,{ROW}\n0,{ROW}\n1,{ROW}\n2,{ROW}\n2.0,{ROW}\n2,{ROW}\n"
+    poses = poses_of(written(tmp_path, text), "kuka")
+    assert poses.times_s is not None
+    assert poses.times_s.tolist() == [0.0, 1.0, 2.0]
+    assert len(poses.T_base_tool) == 3
+    assert poses.notes == ("3 rows repeat the row before and are left out",)

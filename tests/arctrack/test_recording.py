@@ -264,6 +264,16 @@ def test_poses_of_a_can_log(tmp_path: Path) -> None:
     np.testing.assert_allclose(pose.T_base_tool, level_pose(0.1), atol=0.01)
 
 
+def test_poses_that_are_logged_twice_are_taken_once(tmp_path: Path) -> None:
+    path = write(tmp_path / "r", small_setup(), noise_frames(small_setup(), 3))
+    expected = read_recording(path).poses
+    rows = _lines(path / "poses.csv")
+    (path / "poses.csv").write_text("\n".join([_header(path / "poses.csv"), rows[0], *rows, rows[-1]]))
+    recording = read_recording(path)
+    np.testing.assert_array_equal(recording.poses.timestamps_s, expected.timestamps_s)
+    assert f"{path / 'poses.csv'}: 2 rows repeat the row before: they are left out" in recording.warnings
+
+
 @pytest.fixture
 def logged(tmp_path: Path) -> Path:
     """A recording whose poses are in the log of two buses, `can.asc`: the second's robot is 30 mm beside."""
