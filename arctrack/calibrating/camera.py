@@ -62,6 +62,7 @@ def camera_stage(
     """
     images = read_boards(sources, board, steps("looking for the board", "images"))
     warn(left_out(images.left_out))
+    warn(images.warnings)
     try:
         result = calibrate_camera(
             board,
@@ -72,7 +73,7 @@ def camera_stage(
             progress=steps("fitting the lens", "steps"),
         )
     except UndeterminedError as error:
-        raise in_file(sources[0], str(error)) from None
+        raise in_file(sources[0], "; ".join(filter(None, (str(error), images.too_small)))) from None
     except LinAlgError:
         raise in_file(sources[0], OPEN_VALUE) from None
     warn(left_out(result.left_out))

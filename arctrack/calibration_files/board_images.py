@@ -15,7 +15,7 @@ from arctrack.importing.grey import grey
 from arctrack.importing.image_decoder import EncodedImage
 from arctrack.importing.image_files import distinct_names, images_of
 from calibration.boards.board import Board, Kind
-from calibration.boards.detect import Corners, find_corners
+from calibration.boards.detect import LEAST_PITCH_PX, Corners, find_corners, small_pitch_px
 from calibration.camera.sightings import View
 from noise_model.arrays import Float64, Integers
 
@@ -42,6 +42,10 @@ class BoardImages:
         How much brighter a view's light squares are than its dark ones, of full scale.
     sample : array (H, W)
         The first image with the board.
+    lossy : list of str
+        The views whose files are JPEG.
+    too_small : str
+        What to do about boards that are seen too small; empty if none is.
     """
 
     size: tuple[int, int]
@@ -49,11 +53,24 @@ class BoardImages:
     left_out: dict[str, str] = field(default_factory=dict)
     contrast: list[float] = field(default_factory=list)
     sample: Integers | None = None
+    lossy: list[str] = field(default_factory=list)
+    too_small: str = ""
 
     @property
     def is_dim(self) -> bool:
         """Whether the boards are poorly lit."""
         return bool(self.contrast) and float(np.median(self.contrast)) < DIM_DN / 255.0
+
+    @property
+    def warnings(self) -> list[str]:
+        """What makes the corners worse than the camera's."""
+        if not self.lossy:
+            return []
+        others = f" and {len(self.lossy) - 1} more are" if len(self.lossy) > 1 else " is"
+        return [
+            f"{self.lossy[0]}{others} JPEG, whose compression shifts corners: the sigmas count that as "
+            "noise; PNG or TIFF straight from the camera is better"
+        ]
 
 
 def read_boards(
@@ -98,7 +115,8 @@ def read_boards(
         if progress is not None:
             progress(n + 1, len(encoded))
     if not boards.views:
-        raise ArctrackError(f"{sources[0]}: no image shows a {board}: {_hint(encoded, size, board)}")
+        hint = boards.too_small or _hint(encoded, size, board)
+        raise ArctrackError(f"{sources[0]}: no image shows a {board}: {hint}")
     return boards
 
 
@@ -114,13 +132,18 @@ def _add(boards: BoardImages, name: str, image: EncodedImage, board: Board) -> N
         return
     corners = find_corners(pixels, board)
     if corners is None:
-        boards.left_out[name] = _not_seen(pixels, board)
+        pitch_px = small_pitch_px(pixels, board)
+        boards.left_out[name] = _not_seen(pixels, board) if pitch_px is None else _too_small(pitch_px)
+        if pitch_px is not None:
+            boards.too_small = boards.too_small or f"{name} {boards.left_out[name]}"
         return
     same = next((view.name for view in boards.views if _is_same_place(view, corners)), None)
     if same is not None:
         boards.left_out[name] = f"shows the board where {same} shows it"
         return
     boards.views.append(View(name, corners.corners, corners.points_px))
+    if image.is_lossy:
+        boards.lossy.append(name)
     boards.contrast.append(corners.contrast_dn / _full_scale_dn(pixels))
     if boards.sample is None:
         boards.sample = pixels
@@ -149,6 +172,13 @@ def _not_seen(pixels: Integers, board: Board) -> str:
     if board.kind is Kind.CHARUCO:
         return "shows too few of the board's markers: none in view, too blurred or too small"
     return "shows no whole board: it is cut off, blurred, or not this one"
+
+
+def _too_small(pitch_px: float) -> str:
+    return (
+        f"shows the board's corners {pitch_px:.1f} px apart, more than {LEAST_PITCH_PX:g} are needed: "
+        "give the images at the camera's own size, or hold the board nearer"
+    )
 
 
 def _is_same_place(view: View, corners: Corners) -> bool:

@@ -118,5 +118,5 @@ def read_posed_boards(
         rows,
         poses.T_controllertool_tool,
         left_out,
-        [*poses.file.warnings, *poses.file.notes],
+        [*boards.warnings, *poses.file.warnings, *poses.file.notes],
     )

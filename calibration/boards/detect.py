@@ -25,6 +25,9 @@ EVENED_CLIP, EVENED_TILES = 4.0, (8, 8)
 SEARCHED_PX = 1200
 """A larger image is searched at a smaller scale first: squares are then no more than some 100 px wide."""
 
+MOST_ENLARGED = 4.0
+"""A smaller image is searched enlarged, too, up to so many times: OpenCV finds no squares of a few pixels."""
+
 WINDOW = 0.15
 """Half the side of the window that places a corner, over the distance to its neighbour."""
 
@@ -35,6 +38,9 @@ MARKER_CLEARANCE = 0.9
 """Of the gap between a corner and its next marker, how much the window may take."""
 
 LEAST_WINDOW_PX = 2
+LEAST_PITCH_PX = 2.0 * LEAST_WINDOW_PX
+"""Corners that are nearer to each other have their neighbours in their windows."""
+
 SUBPIXEL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
 
 LEAST_CORNERS = 6
@@ -79,18 +85,32 @@ def find_corners(image_dn: Integers, board: Board) -> Corners | None:
         All corners of a chessboard, or those of a ChArUco board that can be told; None without a board.
     """
     raw = image_dn.astype(np.float32)
-    shrink = min(1.0, SEARCHED_PX / max(image_dn.shape))
-    for scale in sorted({shrink, 1.0}):
-        for picture in _pictures(image_dn, scale):
-            place = _search(picture, board, is_again=scale > shrink)
-            if place is None:
-                continue
-            corners, points = place
-            at_full_size = (points + 0.5) / scale - 0.5
-            result = _placed(raw, board, corners, at_full_size)
-            if result is not None:
-                return result
+    for corners, points in _found(image_dn, board):
+        result = _placed(raw, board, corners, points)
+        if result is not None:
+            return result
     return None
+
+
+def small_pitch_px(image_dn: Integers, board: Board) -> float | None:
+    """Return the least distance of corners, px, of a board that is seen too small; None if none is seen."""
+    for corners, points in _found(image_dn, board):
+        pitch = _pitch_px(_grid(board, corners, points))
+        if pitch <= LEAST_PITCH_PX:
+            return pitch
+    return None
+
+
+def _found(image_dn: Integers, board: Board) -> Iterator[tuple[Int64, Float64]]:
+    """Yield corners and roughly their points (n, 2), px, each time that a scale shows the board."""
+    first = min(1.0, SEARCHED_PX / max(image_dn.shape))
+    enlarged = min(MOST_ENLARGED, max(1.0, SEARCHED_PX / max(image_dn.shape)))
+    for scale in sorted({first, 1.0, enlarged}):
+        for picture in _pictures(image_dn, scale):
+            place = _search(picture, board, is_again=scale > first)
+            if place is not None:
+                corners, points = place
+                yield corners, (points + 0.5) / scale - 0.5
 
 
 def _pictures(image_dn: Integers, scale: float) -> Iterator[UInt8]:
@@ -103,9 +123,10 @@ def _pictures(image_dn: Integers, scale: float) -> Iterator[UInt8]:
     evened = cv2.createCLAHE(EVENED_CLIP, EVENED_TILES).apply(stretched)
     for picture in (plain, stretched, evened):
         small = np.asarray(picture, dtype=np.uint8)
-        if scale < 1.0:
+        if scale != 1.0:
             size = round(scale * picture.shape[1]), round(scale * picture.shape[0])
-            small = np.asarray(cv2.resize(small, size, interpolation=cv2.INTER_AREA))
+            way = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_CUBIC
+            small = np.asarray(cv2.resize(small, size, interpolation=way))
         yield small
         yield 255 - small
 
@@ -148,10 +169,9 @@ def _detector(board: Board, is_legacy: bool) -> cv2.aruco.CharucoDetector:
 
 def _placed(raw: Float32, board: Board, corners: Int64, points_px: Float64) -> Corners | None:
     """Return corners placed on the raw image and in the board's order, None if they are those of no board."""
-    grid = np.full((board.rows * board.columns, 2), np.nan)
-    grid[corners] = points_px
-    pitch = _pitch_px(grid.reshape(board.rows, board.columns, 2))
-    if not pitch > 2.0 * LEAST_WINDOW_PX:
+    whole = _grid(board, corners, points_px)
+    grid, pitch = whole.reshape(-1, 2), _pitch_px(whole)
+    if not pitch > LEAST_PITCH_PX:
         return None
     for window in (FIRST_WINDOW, WINDOW):
         half = window * pitch
@@ -161,7 +181,6 @@ def _placed(raw: Float32, board: Board, corners: Int64, points_px: Float64) -> C
         half = max(round(half), LEAST_WINDOW_PX)
         start = grid[corners].astype(np.float32).reshape(-1, 1, 2)
         grid[corners] = cv2.cornerSubPix(raw, start, (half, half), (-1, -1), SUBPIXEL)[:, 0]
-    whole = grid.reshape(board.rows, board.columns, 2)
     if _handedness(whole) < 0.0:
         if board.kind is Kind.CHARUCO:
             return None
@@ -179,6 +198,13 @@ def _placed(raw: Float32, board: Board, corners: Int64, points_px: Float64) -> C
     flat = whole.reshape(-1, 2)
     seen = np.flatnonzero(np.isfinite(flat[:, 0]))
     return Corners(seen, flat[seen], abs(contrast))
+
+
+def _grid(board: Board, corners: Int64, points_px: Float64) -> Float64:
+    """Return the points (rows, columns, 2), px, NaN for corners that are not seen."""
+    grid = np.full((board.rows * board.columns, 2), np.nan)
+    grid[corners] = points_px
+    return grid.reshape(board.rows, board.columns, 2)
 
 
 def _pitch_px(grid: Float64) -> float:

@@ -102,7 +102,7 @@ def linearised(
     Returns
     -------
     NormalEquations
-        Without what is known of the places beforehand.
+        Without what is known of lens and places beforehand.
     """
     points = scene.points_camera(seen)
     image, per_motion, per_lens = scene.lens.project_with_jacobian(points)
@@ -127,7 +127,7 @@ def adjusted(
     poses_only: bool = False,
     print_sigma_mm: float = 0.0,
 ) -> Scene:
-    """Return the scene of least squares.
+    """Return the scene of least squares, with the prior on the lens' distortion.
 
     Parameters
     ----------
@@ -147,12 +147,13 @@ def adjusted(
     Scene
         The one at which no step lowers the sum of squares any more.
     """
-    cost, damping = _cost(scene, seen, weight, print_sigma_mm), FIRST_DAMPING
+    prior = prior_precision(scene, print_sigma_mm)
+    cost, damping = _cost(scene, seen, weight, prior), FIRST_DAMPING
     for _ in range(MAX_ROUNDS):
-        equations = known_beforehand(scene, seen, weight, print_sigma_mm)
+        equations = _with_prior(scene, seen, weight, prior)
         while True:
             moved = _stepped(scene, equations.damped(damping), poses_only)
-            new_cost = np.inf if moved is None else _cost(moved, seen, weight, print_sigma_mm)
+            new_cost = np.inf if moved is None else _cost(moved, seen, weight, prior)
             if new_cost <= cost:
                 break
             damping *= HARDER
@@ -167,18 +168,31 @@ def adjusted(
     return scene
 
 
-def known_beforehand(
-    scene: Scene, seen: Sightings, weight: Float64, print_sigma_mm: float
+def prior_precision(scene: Scene, print_sigma_mm: float = 0.0) -> Float64:
+    """Return 1 / sigma² (m,) of what is known of lens, warp and print beforehand; a print of 0 mm is held."""
+    places = np.full(scene.print_mm.size, print_sigma_mm**-2) if print_sigma_mm > 0.0 else np.empty(0)
+    return np.concatenate([scene.lens.prior_precision(), np.zeros(len(WARP)), places])
+
+
+def with_prior(
+    scene: Scene, seen: Sightings, weight: Float64, print_sigma_mm: float = 0.0
 ) -> NormalEquations:
-    """Return the normal equations, with the corners' places on the board and their prior unless held."""
-    if not print_sigma_mm > 0.0:
-        return linearised(scene, seen, weight)
-    equations = linearised(scene, seen, weight, with_print=True)
-    precision = np.zeros(equations.shared.shape[1])
-    precision[len(scene.lens.values) + 2 :] = print_sigma_mm**-2
-    value = np.zeros(len(precision))
-    value[len(scene.lens.values) + 2 :] = scene.print_mm.ravel()
-    return equations.with_prior(precision, value)
+    """Return the normal equations at a scene with what is known of lens and print beforehand.
+
+    The corners' places on the board are among the unknowns where `print_sigma_mm` is not 0.
+    """
+    return _with_prior(scene, seen, weight, prior_precision(scene, print_sigma_mm))
+
+
+def _with_prior(scene: Scene, seen: Sightings, weight: Float64, prior: Float64) -> NormalEquations:
+    n = len(scene.lens.values) + len(WARP)
+    equations = linearised(scene, seen, weight, with_print=len(prior) > n)
+    return equations.with_prior(prior, values_of(scene)[: len(prior)])
+
+
+def values_of(scene: Scene) -> Float64:
+    """Return the values of all that is shared: lens, warp and the corners' places on the board."""
+    return np.concatenate([scene.lens.values, scene.warp_mm, scene.print_mm.ravel()])
 
 
 def _stepped(scene: Scene, equations: NormalEquations, poses_only: bool) -> Scene | None:
@@ -190,13 +204,11 @@ def _stepped(scene: Scene, equations: NormalEquations, poses_only: bool) -> Scen
         return None
 
 
-def _cost(scene: Scene, seen: Sightings, weight: Float64, print_sigma_mm: float) -> float:
+def _cost(scene: Scene, seen: Sightings, weight: Float64, prior: Float64) -> float:
     # A board behind the camera, or a focal length below 0, explains nothing.
     points = scene.points_camera(seen)
     if not (points[:, 2] > 0.0).all() or not (scene.lens.values[:2] > 0.0).all():
         return float("inf")
     residual = (seen.points_px - scene.lens.project(points)) * weight[:, None]
-    cost = float(np.sum(residual**2))
-    if print_sigma_mm > 0.0:
-        cost += float(np.sum((scene.print_mm / print_sigma_mm) ** 2))
+    cost = float(np.sum(residual**2) + np.sum(prior * values_of(scene)[: len(prior)] ** 2))
     return cost if np.isfinite(cost) else float("inf")

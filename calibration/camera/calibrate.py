@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calibration.boards.board import Board
-from calibration.camera.adjustment import Scene, known_beforehand, linearised
+from calibration.camera.adjustment import Scene, with_prior
 from calibration.camera.enough import (
     UndeterminedError,
     check_count,
@@ -252,18 +252,27 @@ def _lens(
         chosen = leanest_within_error(known)
         result = _last_fit(chosen, held, all_seen, left_out, distance_mm)
         # The last fit knows how the images scatter and how the board is printed: sigmas are wider.
-        if result.sigma_map()[1].max() <= MOST_SIGMA_PX or not ORDERS[chosen.name]:
+        fault = _fault(result)
+        if fault is None or not ORDERS[chosen.name]:
             break
         known = known[: known.index(chosen)]
         if not known:
             raise UndeterminedError(
-                f"the distortion {chosen.name} leaves the image unknown to more than {MOST_SIGMA_PX:g} px: "
-                "take images with the board nearer to the image's corners, or give --distortion fewer "
-                "coefficients"
+                f"the distortion {chosen.name} {fault}: take images with the board nearer to the image's "
+                "corners, or give --distortion fewer coefficients"
             )
     if tilted:
         _check_tilt(result)
     return result
+
+
+def _fault(result: CameraCalibration) -> str | None:
+    """Return what makes a distortion useless, None if nothing does."""
+    if not result.scene.lens.is_invertible:
+        return "folds the image: two points of the scene are seen at the same place"
+    if result.sigma_map()[1].max() > MOST_SIGMA_PX:
+        return f"leaves the image unknown to more than {MOST_SIGMA_PX:g} px"
+    return None
 
 
 def _last_fit(
@@ -280,7 +289,7 @@ def _last_fit(
         noise,
         chosen.name,
         held,
-        Knowledge.of(known_beforehand(scene, seen, weight, print_sigma)),
+        Knowledge.of(with_prior(scene, seen, weight, print_sigma)),
         scatter_between_images(scene, seen, weight),
         print_sigma,
         _named(scene, all_seen.where(is_wrong)),
@@ -328,11 +337,11 @@ def _as_printed(scene: Scene, noise: Noise, seen: Sightings) -> tuple[Scene, Noi
 def _check(scene: Scene, seen: Sightings, noise: Noise) -> None:
     """Raise UndeterminedError if the images do not determine the lens."""
     try:
-        covariance = scaled_inverse(linearised(scene, seen, noise.weight(seen)).information())
+        covariance = scaled_inverse(with_prior(scene, seen, noise.weight(seen)).information())
         sigma = np.sqrt(np.abs(np.diag(covariance)))
     except np.linalg.LinAlgError:
         sigma = np.full(len(scene.lens.values) + 2, np.inf)
-    check_focal_length(scene, sigma)
+    check_focal_length(scene, sigma, float(np.median(noise.sigma_px)))
     check_cover(scene.lens, seen)
 
 
@@ -351,8 +360,10 @@ def _check_tilt(result: CameraCalibration) -> None:
 
 def _is_determined(held: Held, seen: Sightings, noise: Noise, distance_mm: float) -> bool:
     lens = held.scene.lens
+    if not lens.is_invertible:
+        return False
     try:
-        known = Knowledge.of(linearised(held.scene, seen, noise.weight(seen)))
+        known = Knowledge.of(with_prior(held.scene, seen, noise.weight(seen)))
         variance = known.of_projection(lens, image_grid(lens)[0], distance_mm)
     except np.linalg.LinAlgError:
         return False

@@ -19,6 +19,9 @@ MOST_FOCAL_SIGMA = 0.01
 LEAST_TILT_DEG = 10.0
 """Boards that lean less, all of them, tell little of the focal length."""
 
+ENOUGH_TILT_DEG = 20.0
+"""Boards that lean as much either way about both axes lack nothing: then their corners are too noisy."""
+
 LEAST_COVER = 0.15
 """The share of the image within the hull of all corners: below it, most of the lens is not seen."""
 
@@ -43,7 +46,7 @@ def check_count(views: int, left_out: int) -> None:
         )
 
 
-def check_focal_length(scene: Scene, sigma: Float64) -> None:
+def check_focal_length(scene: Scene, sigma: Float64, corner_sigma_px: float) -> None:
     """Raise UndeterminedError if the boards do not tell the focal length.
 
     Parameters
@@ -52,12 +55,19 @@ def check_focal_length(scene: Scene, sigma: Float64) -> None:
         The scene found.
     sigma : array (m,)
         1 sigma of its lens and warp.
+    corner_sigma_px : float
+        1 sigma of a corner, px.
     """
     worst = float(np.max(sigma[:2] / scene.lens.values[:2]))
     if worst <= MOST_FOCAL_SIGMA:
         return
     known = "unknown" if not worst < 1.0 else f"known to {100.0 * worst:.1f} % only"
     about_x, about_y = tilts_deg(scene)
+    if min(np.ptp(about_x), np.ptp(about_y)) >= 2.0 * ENOUGH_TILT_DEG:
+        raise UndeterminedError(
+            f"the focal length is {known}: corners scatter by {corner_sigma_px:.2g} px, too much for their "
+            "number; give sharper images, at the camera's own size and well lit, or more of them"
+        )
     if max(np.ptp(about_x), np.ptp(about_y)) < 2.0 * LEAST_TILT_DEG:
         reason = "all boards lie nearly parallel to the sensor"
         missing = "leans 20 to 40 deg about the image's horizontal in some, about its vertical in others"

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
-from calibration.camera.adjustment import Scene, linearised
+from calibration.camera.adjustment import Scene, with_prior
 from calibration.camera.lens import Lens
 from calibration.camera.noise import fitted
 from calibration.camera.normal_equations import scaled_inverse
@@ -84,9 +84,11 @@ def difference_of_halves(scene: Scene, seen: Sightings, first: Bool) -> Differen
         chosen = np.flatnonzero(half).tolist()
         corners = seen.of_views(chosen)
         own, noise = fitted(scene.of_views(chosen), corners)
-        equations = linearised(own, corners, noise.weight(corners))
+        equations = with_prior(own, corners, noise.weight(corners))
         lenses.append(own.lens)
-        covariances.append(scaled_inverse(equations.information())[:-2, :-2])
+        # Both halves share the prior: they differ by their corners' noise alone.
+        C = scaled_inverse(equations.information())
+        covariances.append((C @ equations.information_of_views().sum(axis=0) @ C)[:-2, :-2])
     depths_mm = np.quantile(scene.points_camera(seen)[:, 2], [0.05, 0.95])
     grid, _ = image_grid(scene.lens)
     grid = grid[Delaunay(seen.points_px).find_simplex(grid) >= 0]

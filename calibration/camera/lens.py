@@ -26,6 +26,20 @@ ORDERS: dict[str, tuple[str, ...]] = {
 }
 """The distortions to choose from, the leanest first."""
 
+POWERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "p1": 1, "p2": 1}
+"""Powers of the field's radius by which a coefficient shifts a point, as a share of that radius."""
+
+RADIAL_SIGMA, TANGENTIAL_SIGMA = 0.3, 0.01
+"""1 sigma of what one coefficient does at the image's corner, as a share of its distance from the middle.
+
+The 5660 rectilinear calibrations of lensfun's database (lensfunpy 1.18, as k1 k2 k3 of a 3:2 image) have
+0.09, 0.13 and 0.07 RMS; 99 % of each lie below 0.32, 0.50 and 0.28. It has no p1 and p2: 0.01 is more than
+lenses that are mounted straight have.
+"""
+
+FIELD_STEPS = 400
+"""Radii at which the distortion is looked at from the middle to beyond the image's corner."""
+
 
 @dataclass(frozen=True)
 class Lens:
@@ -70,6 +84,40 @@ class Lens:
         full = np.zeros(len(OPENCV))
         full[[OPENCV.index(name) for name in self.names[4:]]] = self.values[4:]
         return full
+
+    @property
+    def field_radius(self) -> float:
+        """The slope of the ray to the image's corner, without distortion: the same at every image size."""
+        return 0.5 * float(np.hypot(self.width / self.values[0], self.height / self.values[1]))
+
+    def prior_precision(self) -> Float64:
+        """Return 1 / sigma² (n,) of what lenses are known to be, 0 where nothing is.
+
+        Each coefficient is normal about 0, in units of what it does at the image's corner.
+        """
+        precision = np.zeros(len(self.names))
+        for n, name in enumerate(self.names):
+            if name in POWERS:
+                sigma = TANGENTIAL_SIGMA if name in ("p1", "p2") else RADIAL_SIGMA
+                precision[n] = (self.field_radius ** POWERS[name] / sigma) ** 2
+        return precision
+
+    @property
+    def is_invertible(self) -> bool:
+        """Whether the radial distortion grows all the way to the image's farthest corner."""
+        k1, k2, _, _, k3, k4, k5, k6 = self.distortion[:8]
+        corners = np.array([[x, y] for x in (0.0, self.width - 1.0) for y in (0.0, self.height - 1.0)])
+        reach = float(np.linalg.norm((corners - self.values[2:4]) / self.values[:2], axis=1).max())
+        # A distortion that does not reach the corner at twice its distance never does for a real lens.
+        r = np.linspace(0.0, 2.0 * reach, FIELD_STEPS)
+        above, below = (1.0 + r**2 * (a + r**2 * (b + r**2 * c)) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            seen = r * above / below
+        outside = np.flatnonzero(seen >= reach)
+        if not len(outside):
+            return False
+        inner = slice(0, outside[0] + 1)
+        return bool((below[inner] > 0.0).all() and (np.diff(seen[inner]) > 0.0).all())
 
     def project(self, points_camera: Float64) -> Float64:
         """Return the image points (N, 2), px, of points (N, 3), mm, camera frame."""

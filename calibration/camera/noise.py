@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 from scipy.stats import f
 
-from calibration.camera.adjustment import Scene, adjusted, known_beforehand, linearised
+from calibration.camera.adjustment import Scene, adjusted, with_prior
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
 from noise_model.arrays import Bool, Float64
@@ -69,7 +69,7 @@ def robust(scene: Scene, seen: Sightings) -> Scene:
     scale = max(float(np.median(square)) / (2.0 * math.log(2.0)), LEAST_SIGMA_PX**2)
     for _ in range(ROBUST_ROUNDS):
         weight = (TAIL + 2.0) / (TAIL + square / scale)
-        scene = adjusted(scene, seen, np.sqrt(weight))
+        scene = adjusted(scene, seen, np.sqrt(weight / scale))
         square = np.sum(scene.residuals(seen) ** 2, axis=1)
         before = scale
         scale = max(float(np.mean(weight * square)) / 2.0, LEAST_SIGMA_PX**2)
@@ -118,14 +118,13 @@ def fitted(scene: Scene, seen: Sightings, print_sigma_mm: float = 0.0) -> tuple[
     A sum of squares is divided by the corners' coordinates less what the image spends on its pose and on what
     is shared: 2 N_i - 6 - tr(S_i S^-1).
     """
-    with_print = print_sigma_mm > 0.0
     noise = Noise(np.ones(len(seen.names)), 0.0)
     for _ in range(NOISE_ROUNDS):
         weight = noise.weight(seen)
         scene = adjusted(scene, seen, weight, print_sigma_mm=print_sigma_mm)
-        parts = linearised(scene, seen, weight, with_print=with_print).information_of_views()
-        whole = known_beforehand(scene, seen, weight, print_sigma_mm).information()
-        spent = np.einsum("vij,ji->v", parts, scaled_inverse(whole))
+        equations = with_prior(scene, seen, weight, print_sigma_mm)
+        covariance = scaled_inverse(equations.information())
+        spent = np.einsum("vij,ji->v", equations.information_of_views(), covariance)
         free = np.maximum(2.0 * seen.counts - 6.0 - spent, 1.0)
         square = np.sum(scene.residuals(seen) ** 2, axis=1)
         variance = np.array([square[part].sum() for part in seen.slices]) / free

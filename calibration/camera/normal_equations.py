@@ -12,7 +12,7 @@ shared: its inverse is the covariance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,6 +35,8 @@ class NormalEquations:
         Each image's part of g_s.
     gradient_motion : array (V, 6)
         g_i.
+    precision, gradient_prior : array (m,)
+        What a normal prior adds to the diagonal of S and to the right side of S ds; 0 without one.
     """
 
     shared: Float64
@@ -42,6 +44,8 @@ class NormalEquations:
     motion: Float64
     gradient_shared: Float64
     gradient_motion: Float64
+    precision: Float64 | float = 0.0
+    gradient_prior: Float64 | float = 0.0
 
     @classmethod
     def of(
@@ -76,24 +80,16 @@ class NormalEquations:
 
     def damped(self, damping: float) -> NormalEquations:
         """Return them with each diagonal raised by a share: Levenberg's and Marquardt's step."""
-        motion, total = self.motion.copy(), self.shared.sum(axis=0)
+        motion, total = self.motion.copy(), np.diag(self.shared.sum(axis=0)) + self.precision
         motion[:, range(6), range(6)] *= 1.0 + damping
-        shared = self.shared.copy()
-        diagonal = range(len(total))
-        shared[0, diagonal, diagonal] += damping * total[diagonal, diagonal]
-        return NormalEquations(shared, self.mixed, motion, self.gradient_shared, self.gradient_motion)
+        return replace(self, motion=motion, precision=self.precision + damping * total)
 
     def with_prior(self, precision: Float64, value: Float64) -> NormalEquations:
-        """Return them with what is known of the shared unknowns beforehand: normal about 0.
+        """Return them with a normal prior about 0 on the shared unknowns.
 
-        `precision` (m,) is 1 / sigma² of each, 0 where nothing is known; `value` (m,) is each now. It counts
-        as a part of the first image.
+        `precision` (m,) is 1 / sigma² of each, 0 where nothing is known; `value` (m,) is each now.
         """
-        shared, gradient = self.shared.copy(), self.gradient_shared.copy()
-        diagonal = range(len(precision))
-        shared[0, diagonal, diagonal] += precision
-        gradient[0] -= precision * value
-        return NormalEquations(shared, self.mixed, self.motion, gradient, self.gradient_motion)
+        return replace(self, precision=precision, gradient_prior=-precision * value)
 
     def information_of_views(self) -> Float64:
         """Return each image's part (V, m, m) of S."""
@@ -101,20 +97,26 @@ class NormalEquations:
         return np.asarray(self.shared - self.mixed @ solved)
 
     def information(self) -> Float64:
-        """Return S (m, m), the information on what is shared."""
-        return np.asarray(self.information_of_views().sum(axis=0))
+        """Return S (m, m), the information on what is shared, with that of the prior."""
+        total = np.asarray(self.information_of_views().sum(axis=0))
+        total[np.diag_indices_from(total)] += self.precision
+        return total
 
     def pulls(self) -> Float64:
         """Return each image's part (V, m) of the right side of S ds."""
         eliminated = np.linalg.solve(self.motion, self.gradient_motion[:, :, None])
         return np.asarray(self.gradient_shared - (self.mixed @ eliminated)[:, :, 0])
 
+    def pull(self) -> Float64:
+        """Return the right side (m,) of S ds, with the prior's part."""
+        return np.asarray(self.pulls().sum(axis=0) + self.gradient_prior)
+
     def step(self) -> tuple[Float64, Float64]:
         """Return the step of what is shared (m,) and of each image's board (V, 6).
 
         Raises numpy.linalg.LinAlgError where they are singular.
         """
-        shared = scaled_inverse(self.information()) @ self.pulls().sum(axis=0)
+        shared = scaled_inverse(self.information()) @ self.pull()
         pulled = self.gradient_motion - np.einsum("vmk,m->vk", self.mixed, shared)
         return shared, np.linalg.solve(self.motion, pulled[:, :, None])[:, :, 0]
 

@@ -1,9 +1,17 @@
-"""How much distortion the lens needs: what boards that no fit saw say.
+"""How much distortion the lens needs: how well the other boards predict each.
 
-The images are dealt into folds. Each distortion is fitted to all folds but one; the boards of that one then
-get a pose each and nothing else, and their residuals count. The best has the least mean square of them. Taken
-is the leanest whose mean is within one standard error of the best's, of the differences from board to board
-(Breiman et al., Classification and regression trees, 1984, section 3.4.3).
+Each board in turn is held out. The others give a lens, the board gets a pose under it and nothing else, and
+its residuals count. The best distortion has the least mean square of them. Taken is the leanest whose mean is
+within one standard error of the best's, of the differences from board to board (Breiman et al.,
+Classification and regression trees, 1984, section 3.4.3), or against which the best has no strong evidence.
+The evidence is the marginal likelihood under the prior on lenses, by Laplace's approximation:
+
+    2 ln Z = -chi² - ln |S| + sum ln precision
+
+No fit is repeated. With S the information of all boards and the prior on lens and warp, S_i that of board i,
+u_i its pull and c_i its sum of squares, the others alone move lens and warp by one step, and board i has then
+
+    ds = -(S - S_i)^-1 u_i,   c_i - 2 u_i' ds + ds' S_i ds
 """
 
 from __future__ import annotations
@@ -13,13 +21,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.camera.adjustment import Scene, adjusted
+from calibration.camera.adjustment import Scene, adjusted, with_prior
 from calibration.camera.lens import ORDERS, TILT
 from calibration.camera.noise import Noise
+from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
 from noise_model.arrays import Float64
 
-MOST_FOLDS = 10
+STRONG_EVIDENCE = 3.0
+"""ln of the odds at which evidence is strong (Kass and Raftery, Bayes factors, 1995, section 3.2)."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +42,15 @@ class Held:
         The distortion, one of `ORDERS`.
     loss : array (V,)
         Each board's mean square of residuals over sigma, when held out.
+    log_evidence : float
+        ln Z, but for what all distortions have in common.
     scene : Scene
         The scene of all boards.
     """
 
     name: str
     loss: Float64
+    log_evidence: float
     scene: Scene
 
     @property
@@ -86,37 +99,31 @@ def held_out_errors(
     for n, name in enumerate(orders):
         lens = scene.lens.with_distortion((*ORDERS[name], *(TILT if tilted else ())))
         whole = adjusted(replace(scene, lens=lens), seen, noise.weight(seen))
-        # With nothing to choose from, nothing need be held out.
-        losses = _losses(whole, seen, noise) if len(orders) > 1 else np.ones(len(seen.names))
-        held.append(Held(name, losses, whole))
+        held.append(_held(name, whole, seen, noise))
         if progress is not None:
             progress(n + 1)
     return held
 
 
 def leanest_within_error(held: list[Held]) -> Held:
-    """Return the leanest distortion that predicts as well as the best, within one standard error."""
+    """Return the leanest distortion that predicts as well as the best, or has hardly less evidence."""
     best = min(held, key=lambda each: each.mean)
     for each in held:
         worse, error = each.excess(best)
-        if worse <= error:
+        if worse <= error or best.log_evidence - each.log_evidence <= STRONG_EVIDENCE:
             return each
     return best
 
 
-def _losses(whole: Scene, seen: Sightings, noise: Noise) -> Float64:
-    views = len(seen.names)
-    folds = np.arange(views) % min(MOST_FOLDS, views)
-    losses = np.empty(views)
-    for fold in range(folds.max() + 1):
-        kept, held = np.flatnonzero(folds != fold).tolist(), np.flatnonzero(folds == fold).tolist()
-        corners = seen.of_views(kept)
-        trained = adjusted(whole.of_views(kept), corners, (1.0 / noise.sigma_px[kept])[corners.view])
-        others = seen.of_views(held)
-        weight = (1.0 / noise.sigma_px[held])[others.view]
-        start = replace(trained, T_camera_board=whole.T_camera_board[held])
-        posed = adjusted(start, others, weight, poses_only=True)
-        squares = np.sum((posed.residuals(others) * weight[:, None]) ** 2, axis=1)
-        free = 2.0 * others.counts - 6.0
-        losses[held] = [squares[part].sum() / dof for part, dof in zip(others.slices, free, strict=True)]
-    return losses
+def _held(name: str, whole: Scene, seen: Sightings, noise: Noise) -> Held:
+    weight = noise.weight(seen)
+    equations = with_prior(whole, seen, weight)
+    parts, pulls, information = equations.information_of_views(), equations.pulls(), equations.information()
+    residuals = np.sum((whole.residuals(seen) * weight[:, None]) ** 2, axis=1)
+    squares = np.array([residuals[part].sum() for part in seen.slices])
+    steps = np.stack([-scaled_inverse(information - S) @ u for S, u in zip(parts, pulls, strict=True)])
+    held_out = squares - 2.0 * np.sum(pulls * steps, axis=1) + np.einsum("vi,vij,vj->v", steps, parts, steps)
+    precision = whole.lens.prior_precision()
+    chi2 = squares.sum() + np.sum(precision * whole.lens.values**2)
+    occam = np.log(precision[precision > 0.0]).sum() - np.linalg.slogdet(information)[1]
+    return Held(name, held_out / (2.0 * seen.counts - 6.0), 0.5 * float(occam - chi2), whole)

@@ -17,7 +17,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from calibration.boards.board import Board, Kind
-from calibration.camera.adjustment import Scene, linearised
+from calibration.camera.adjustment import Scene, linearised, prior_precision, values_of
 from calibration.camera.noise import Noise
 from calibration.camera.sightings import Sightings
 
@@ -56,9 +56,12 @@ def print_sigma_mm(scene: Scene, seen: Sightings, noise: Noise) -> float:
     float
         The maximum of the likelihood, mm.
     """
-    equations = linearised(scene, seen, noise.weight(seen), with_print=True)
     n = len(scene.lens.values) + 2
-    information, pull = equations.information(), equations.pulls().sum(axis=0)
+    prior = np.pad(prior_precision(scene), (0, scene.print_mm.size))
+    equations = linearised(scene, seen, noise.weight(seen), with_print=True).with_prior(
+        prior, values_of(scene)
+    )
+    information, pull = equations.information(), equations.pull()
     solved = np.linalg.solve(information[:n, :n], information[:n, n:])
     information = information[n:, n:] - information[n:, :n] @ solved
     pull = pull[n:] - solved.T @ pull[:n]

@@ -2,9 +2,9 @@
 
 Corners of one image may err together: the board is not as it was printed, it moved, light shifts its edges.
 Then images differ by more than their corners' noise. With u_i an image's pull on lens and warp at the
-solution, and S_i its information on them, S = sum S_i,
+solution, S_i its information on them, and S their sum with the lens' prior,
 
-    sum u_i' S^-1 u_i   is expected to be   m - sum tr((S^-1 S_i)²)
+    sum u_i' S^-1 u_i   is expected to be   sum tr(S^-1 S_i) - sum tr((S^-1 S_i)²)
 
 The ratio of both is by how much the covariance is too small. It is roughly chi² over its m degrees of
 freedom.
@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from calibration.camera.adjustment import Scene, linearised
+from calibration.camera.adjustment import Scene, with_prior
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
 from noise_model.arrays import Float64
@@ -41,11 +41,11 @@ def scatter_between_images(scene: Scene, seen: Sightings, weight: Float64) -> fl
     float
         The ratio of the images' scatter to that which the noise predicts, where it is significant; else 1.
     """
-    equations = linearised(scene, seen, weight)
+    equations = with_prior(scene, seen, weight)
     parts = equations.information_of_views()
-    covariance = scaled_inverse(parts.sum(axis=0))
+    covariance = scaled_inverse(equations.information())
     pulls = equations.pulls()
     share = covariance @ parts
-    expected = float(len(covariance) - np.einsum("vij,vji->", share, share))
+    expected = float(np.trace(share.sum(axis=0)) - np.einsum("vij,vji->", share, share))
     ratio = float(np.einsum("vi,ij,vj->", pulls, covariance, pulls)) / expected
     return ratio if chi2.sf(ratio * len(covariance), len(covariance)) < FALSE_ALARM else 1.0

@@ -1,4 +1,5 @@
 import math
+import runpy
 import shutil
 import tomllib
 from dataclasses import replace
@@ -18,6 +19,7 @@ from calibration.boards.board import Board
 from calibration.camera.calibrate import find_lens
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.halves import Difference
+from noise_model.arrays import UInt8
 
 pytestmark = pytest.mark.slow
 
@@ -146,7 +148,7 @@ def test_twelve_bits_in_sixteen_are_not_dim(tmp_path: Path) -> None:
 
 def test_a_distortion_that_few_boards_do_not_tell_is_refused() -> None:
     with pytest.raises(UndeterminedError, match="the distortion rational leaves the image unknown to more"):
-        find_lens(SCENE_BOARD, views()[:6], SIZE, orders=["rational"], tilted=True)
+        find_lens(SCENE_BOARD, views(sigma_px=0.3), SIZE, orders=["rational"])
 
 
 def test_halves_that_know_nothing_do_not_blame_the_board() -> None:
@@ -156,6 +158,60 @@ def test_halves_that_know_nothing_do_not_blame_the_board() -> None:
     error = replace(result, halves=[unknown]).model_error
     assert error is not None
     assert "half of the images does not tell the distortion k1" in error
+
+
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory: pytest.TempPathFactory) -> list[UInt8]:
+    """Return the pictures that the example draws: fx 2186, fy 2190 px and k1 -0.35."""
+    folder = tmp_path_factory.mktemp("shipped")
+    runpy.run_path(str(EXAMPLES / "make_boards.py"))["main"](folder)
+    return [read_grey(path) for path in sorted(folder.glob("*.png"))]
+
+
+def read_grey(path: Path) -> UInt8:
+    return np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), dtype=np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("factor", "way", "suffix", "noise_dn"),
+    [
+        (0.4, cv2.INTER_AREA, "png", 0.0),
+        (0.5, cv2.INTER_LANCZOS4, "png", 0.0),
+        (0.5, cv2.INTER_LANCZOS4, "jpg", 0.0),
+        (0.6, cv2.INTER_LINEAR, "png", 5.0),
+        (1.0, cv2.INTER_NEAREST, "jpg", 0.0),
+        (2.0, cv2.INTER_LINEAR, "png", 0.0),
+    ],
+)
+def test_the_lens_is_the_same_at_every_size_of_the_images(
+    shipped: list[UInt8], tmp_path: Path, factor: float, way: int, suffix: str, noise_dn: float
+) -> None:
+    rng = np.random.default_rng(1)
+    for n, picture in enumerate(shipped):
+        resized = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=way)
+        resized = (resized + noise_dn * rng.standard_normal(resized.shape)).clip(0, 255).round()
+        cv2.imwrite(str(tmp_path / f"{n}.{suffix}"), resized, [cv2.IMWRITE_JPEG_QUALITY, 75])
+    board = Board.parse("chessboard:9x6:4mm")
+    images = read_boards([tmp_path], board)
+    result = find_lens(board, images.views, images.size)
+    lens = result.scene.lens
+    found = dict(zip(lens.names, zip(lens.values, result.sigma[:-2], strict=True), strict=True))
+    assert result.order == "k1"
+    for name, truth in (("fx", 2186.0 * factor), ("fy", 2190.0 * factor), ("k1", -0.35)):
+        value, sigma = found[name]
+        assert abs(value - truth) < 3.0 * sigma, name
+    assert found["k1"][0] == pytest.approx(-0.355, abs=0.02)
+    assert bool(images.warnings) == (suffix == "jpg")
+
+
+def test_boards_of_a_few_pixels_are_refused_with_the_cure(shipped: list[UInt8], tmp_path: Path) -> None:
+    for n, picture in enumerate(shipped[:2]):
+        small = cv2.resize(picture, None, fx=0.13, fy=0.13, interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(tmp_path / f"{n}.png"), small)
+    result = calibrate(tmp_path, "--board", "chessboard:9x6:4mm")
+    assert "px apart, more than 4 are needed: give the images at the camera's own size" in str(
+        result.exception
+    )
 
 
 def test_help_has_an_example() -> None:

@@ -13,6 +13,7 @@ from calibration.camera.halves import MOST_RATIO
 from calibration.camera.lens import ORDERS, Lens
 from calibration.camera.next_board import mean_sigma
 from calibration.camera.noise import moderated
+from calibration.camera.order import held_out_errors
 from calibration.camera.projection import Knowledge
 from calibration.camera.sightings import Sightings, View
 
@@ -266,3 +267,62 @@ def test_what_is_no_board_is_refused(text: str, why: str) -> None:
 def test_every_distortion_holds_those_before_it() -> None:
     names = list(ORDERS.values())
     assert all(set(lean) < set(rich) for lean, rich in itertools.pairwise(names))
+
+
+def test_held_out_errors_are_those_of_fits_without_the_board(found: CameraCalibration) -> None:
+    seen, noise = found.seen, found.noise
+    weight = noise.weight(seen)
+    lens = found.scene.lens.with_distortion(ORDERS["k1 k2 p1 p2"])
+    scene = adjusted(replace(found.scene, lens=lens), seen, weight)
+    held = held_out_errors(scene, seen, noise, ["k1 k2 p1 p2"], tilted=False)[0]
+    for n in (0, 4, 7):
+        others = [view for view in range(len(seen.names)) if view != n]
+        trained = adjusted(
+            scene.of_views(others), seen.of_views(others), 1.0 / np.repeat(noise.sigma_px[others], 42)
+        )
+        own = seen.of_views([n])
+        start = replace(trained, T_camera_board=scene.T_camera_board[[n]])
+        posed = adjusted(start, own, np.full(42, 1.0 / noise.sigma_px[n]), poses_only=True)
+        loss = np.sum(posed.residuals(own) ** 2) / noise.sigma_px[n] ** 2 / (2.0 * 42 - 6.0)
+        assert held.loss[n] == pytest.approx(loss, rel=1e-3)
+
+
+def test_terms_that_no_image_tells_stay_within_what_lenses_are() -> None:
+    """Numerator and denominator of the rational distortion cannot cancel each other."""
+    lens = find_lens(
+        BOARD, views(lens={**LENS, "k1": -0.05, "k2": 0.0}), SIZE, orders=["rational"]
+    ).scene.lens
+    share = lens.values[4:] * np.sqrt(lens.prior_precision()[4:])
+    assert np.abs(share).max() < 2.0
+    assert lens.is_invertible
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "is_invertible"),
+    [
+        (("k1",), (-0.35,), True),
+        (("k1",), (-3.0,), False),
+        (("k1", "k4"), (-0.5, -0.3), True),
+        (("k1", "k4"), (-7.0, -6.9), False),
+    ],
+    ids=["barrel", "folded", "rational", "pole"],
+)
+def test_a_lens_that_folds_its_image_is_known(
+    names: tuple[str, ...], values: tuple[float, ...], is_invertible: bool
+) -> None:
+    pinhole = Lens.simple(*SIZE, 1000.0)
+    lens = replace(pinhole, names=(*pinhole.names, *names), values=np.array([*pinhole.values, *values]))
+    assert lens.is_invertible is is_invertible
+
+
+def test_what_a_lens_may_be_does_not_depend_on_the_images_size() -> None:
+    full, half = (
+        Lens.simple(width, height, focal).with_distortion(ORDERS["rational"]).prior_precision()
+        for width, height, focal in ((640, 480, 2186.0), (320, 240, 1093.0))
+    )
+    assert half == pytest.approx(full)
+
+
+def test_corners_that_are_too_noisy_are_blamed_where_boards_lean_enough() -> None:
+    with pytest.raises(UndeterminedError, match=r"corners scatter by 2\.. px.* at the camera's own size"):
+        find_lens(BOARD, views(sigma_px=2.5), SIZE, orders=["none"])

@@ -98,7 +98,10 @@ def camera_notes(result: CameraCalibration, stated: SetupFile | None, is_dim: bo
     size = result.scene.lens.width, result.scene.lens.height
     if stated is not None and size != (stated.setup.camera.width, stated.setup.camera.height):
         before = f"{stated.setup.camera.width} x {stated.setup.camera.height}"
-        yield f"{stated.path}: [camera] width, height: {before} before, {size[0]} x {size[1]} as the images"
+        yield (
+            f"{stated.path}: [camera] width, height: {before} before, {size[0]} x {size[1]} as the images: "
+            "recordings must have this size, too; images that were enlarged or reduced are no camera's"
+        )
     if is_dim:
         yield DIM
 
@@ -135,8 +138,8 @@ def _pictures(result: CameraCalibration, images: BoardImages) -> Iterator[Pictur
         yield _picture(
             camera_pictures.orders(result),
             "how well each distortion predicts boards that its fit did not see",
-            "The leanest within one standard error of the best is taken, red. Bars are standard errors of "
-            "the difference to the best.",
+            "Red is taken: the leanest within one standard error of the best, or against which the best has "
+            "no strong evidence. Bars are standard errors of the difference to the best.",
         )
     yield _picture(
         camera_pictures.noise(result),
