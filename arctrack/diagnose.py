@@ -21,7 +21,7 @@ from arctrack.workers import Failed
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from noise_model.spelling import cure_for
-from sim_to_real.diagnosis import Diagnosis, Named, Predicted, Verdict, excluded_effects
+from sim_to_real.diagnosis import Diagnosis, Named, Predicted, Verdict
 
 DIAGNOSIS_FOLDER = "diagnosis"
 
@@ -108,8 +108,8 @@ def diagnose_recording(job: Job, on_stage: OnStage | None = None, threads: int =
     except ValueError as error:
         raise in_file(job.recording, str(error)) from error
     # Numbers first: whatever happens to the page, the work is not lost.
-    write_numbers(result, job.folder)
-    write_page(result, recording, excluded_effects(recording.setup, job.without), job.folder / REPORT_PAGE)
+    write_numbers(result, job.folder, job.without)
+    write_page(result, recording, job.without, job.folder / REPORT_PAGE)
     return Diagnosed(
         job,
         recording.setup,

@@ -25,7 +25,7 @@ def diagnose(
     ] = None,
     without: Annotated[
         list[str] | None,
-        typer.Option(metavar="EFFECT", help="Leave an effect out of the catalogue; repeat it for more."),
+        typer.Option(metavar="EFFECT", help="Leave an effect out of the search; repeat it for more."),
     ] = None,
     setup: Annotated[
         Path | None, typer.Option(help="A recording.toml to use instead of each recording's own.")

@@ -28,7 +28,8 @@ def print_one(done: Sequence[Diagnosed]) -> None:
         console.warn(diagnosed.warnings)
         diagnosis = diagnosed.diagnosis
         screen.print(words.headline(diagnosis), style="bold", markup=False, soft_wrap=True)
-        for text in (words.how_far(diagnosis), _seam(diagnosed)):
+        withheld = words.withheld(diagnosis, diagnosed.job.without)
+        for text in filter(None, (words.how_far(diagnosis), withheld, _seam(diagnosed))):
             screen.print(text, markup=False, soft_wrap=True)
         lines = list(_lines(diagnosis))
         width = max((len(name) for name, _ in lines), default=0)
@@ -63,6 +64,8 @@ def print_many(done: Sequence[Diagnosed]) -> None:
     screen = console.tables()
     screen.print(table)
     for diagnosed in done:
+        if withheld := words.withheld(diagnosed.diagnosis, diagnosed.job.without):
+            console.say(f"{diagnosed.job.name}: {withheld}")
         page = diagnosed.job.folder / REPORT_PAGE
         console.say(f"{diagnosed.job.name}: report in {page}")
 

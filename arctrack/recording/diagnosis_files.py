@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,10 @@ DIGITS, ALL_DIGITS = 6, 17
 """Significant digits of a number in report.json, and those that say a float exactly."""
 
 
-def write_numbers(diagnosis: Diagnosis, folder: Path) -> None:
+def write_numbers(diagnosis: Diagnosis, folder: Path, without: Sequence[str] = ()) -> None:
     """Write where.npz, predicted.npz and report.json; who sees report.json finds the arrays whole.
+
+    `without` are the effects that the user left out of the search.
 
     Raises ArctrackError if one cannot be written.
     """
@@ -34,11 +36,11 @@ def write_numbers(diagnosis: Diagnosis, folder: Path) -> None:
         np.savez_compressed(folder / WHERE_NPZ, z=np.abs(z), sign=np.sign(z))
     with writing(folder / PREDICTED_NPZ):
         _write_predicted(diagnosis.predicted, folder / PREDICTED_NPZ)
-    text = json.dumps(report(diagnosis), indent=2, allow_nan=False)
+    text = json.dumps(report(diagnosis, without), indent=2, allow_nan=False)
     write_whole(folder / REPORT_JSON, text + "\n")
 
 
-def report(diagnosis: Diagnosis) -> dict[str, Any]:
+def report(diagnosis: Diagnosis, without: Sequence[str] = ()) -> dict[str, Any]:
     """Return the content of report.json; what is not known is null."""
     gap = diagnosis.gap
     content = {
@@ -63,6 +65,7 @@ def report(diagnosis: Diagnosis) -> dict[str, Any]:
         "left_over": _left_over(diagnosis.left_over),
         "after_with": diagnosis.after_with,
         "reasons": [_reason(reason) for reason in diagnosis.reasons],
+        "withheld": tuple(without),
     }
     rounded: dict[str, Any] = plain(content, DIGITS)
     return rounded

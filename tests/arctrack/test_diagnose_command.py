@@ -7,6 +7,7 @@ import sys
 import types
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,7 @@ from arctrack.diagnose import Diagnosed, Job, at_once, jobs_for, without_images
 from arctrack.errors import ArctrackError
 from arctrack.recording import read_recording
 from arctrack.recording.diagnosis_files import FILES
+from arctrack.report.diagnosis import words
 from arctrack.workers import Failed, cluster, processes
 from noise_model.setup import Setup
 from sim_to_real.diagnosis import Diagnosis, Verdict
@@ -118,7 +120,35 @@ def test_an_effect_that_does_not_exist(found: Found, recording: Path) -> None:
 def test_what_is_left_out_reaches_the_diagnosis_and_the_page(found: Found, recording: Path) -> None:
     result = run(recording, "--without", "gamma", "--without", "fume")
     assert result.exit_code == 0, result.output
-    assert "catalogue: gamma and fume" in (recording / "diagnosis" / "report.html").read_text()
+    folder = recording / "diagnosis"
+    page = (folder / "report.html").read_text()
+    assert "catalogue: gamma and fume" in page
+    line = "You left gamma and fume out: the answer is among the effects that were allowed;"
+    assert line in page
+    assert line in result.stdout
+    assert json.loads((folder / "report.json").read_text())["withheld"] == ["gamma", "fume"]
+    assert "You left" not in run(recording).stdout
+    other = shutil.copytree(recording, recording.with_name("other"))
+    both = run(recording, other, "--without", "gamma", "--without", "fume").stdout
+    assert [f"{name}: {line[:-1]}" in both for name in (recording.name, "other")] == [True, True]
+
+
+def test_what_stays_of_the_gap_is_told_where_effects_are_left_out(
+    found: Found, recording: Path, seen_setup: Setup
+) -> None:
+    """The named effect alone closes 71 % in bins, though all of it in single pixels."""
+    diagnosis = example(Verdict.EFFECTS, seen_setup)
+    ranking = tuple(replace(c, gap_closed=0.71) if c.id == "gamma" else c for c in diagnosis.ranking)
+    line = words.withheld(replace(diagnosis, ranking=ranking), ["defocus"])
+    assert line == (
+        "You left defocus out: the answer is among the effects that were allowed; "
+        "29 % of the gap stays in bins with gamma."
+    )
+    several = example(Verdict.EFFECTS, seen_setup, GAMMA | GLARE)
+    several = replace(several, gap=replace(several.gap, closed=0.9))
+    line = words.withheld(several, ["defocus"])
+    assert line.endswith("10 % of the gap stays in single pixels with gamma and veiling_glare.")
+    assert "stays" not in words.withheld(example(Verdict.UNKNOWN, seen_setup), ["defocus"])
 
 
 def test_effects_are_written_into_the_setup(found: Found, recording: Path) -> None:

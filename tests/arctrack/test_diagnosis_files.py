@@ -15,7 +15,7 @@ from noise_model.setup import Setup
 from sim_to_real.diagnosis import Verdict
 
 KEYS = ["format", "verdict", "effects", "ranking", "ambiguous_with", "gap", "where", "next", "not_resolvable"]
-MORE_KEYS = ["smallest_detectable", "left_over", "after_with", "reasons"]
+MORE_KEYS = ["smallest_detectable", "left_over", "after_with", "reasons", "withheld"]
 
 
 @pytest.mark.parametrize("verdict", Verdict)

@@ -18,7 +18,7 @@ from arctrack.report.diagnosis import pictures, words
 from arctrack.report.diagnosis.advice import ADVICE
 from arctrack.report.template import environment
 from noise_model.effects import REGISTRY
-from sim_to_real.diagnosis import Curve, Diagnosis, Named, Next, Ranked, Verdict
+from sim_to_real.diagnosis import Curve, Diagnosis, Named, Next, Ranked, Verdict, excluded_effects
 
 TEMPLATE = "diagnosis.html.j2"
 
@@ -74,7 +74,7 @@ class Ranking:
 
 
 def write_page(diagnosis: Diagnosis, recording: Recording, without: Sequence[str], path: Path) -> None:
-    """Write the page to a file; `without` are the effects that were left out of the catalogue.
+    """Write the page to a file; `without` are the effects that the user left out of the search.
 
     Raises ArctrackError if it cannot be written.
     """
@@ -141,7 +141,8 @@ def _content(diagnosis: Diagnosis, recording: Recording, without: Sequence[str])
     return {
         "diagnosis": diagnosis,
         "recording": recording,
-        "without": without,
+        "excluded": excluded_effects(setup, without),
+        "withheld": words.withheld(diagnosis, without),
         "label": LABELS[diagnosis.verdict],
         "seam": words.seam_sentence(diagnosis, setup.tolerance.seam_mm),
         "bears_mm": setup.tolerance.seam_mm,

@@ -148,6 +148,25 @@ def how_far(diagnosis: Diagnosis) -> str:
     return f"{lead}."
 
 
+def withheld(diagnosis: Diagnosis, without: Sequence[str]) -> str:
+    """Return that the user left effects out of the search, and which share of the gap stays; or nothing."""
+    if not without:
+        return ""
+    line = f"You left {listed(without, 'and')} out: the answer is among the effects that were allowed"
+    if diagnosis.verdict is not Verdict.EFFECTS:
+        return f"{line}."
+    named = {effect.id for effect in diagnosis.effects}
+    alone = [
+        candidate for candidate in diagnosis.ranking if candidate.id in named and not candidate.is_random
+    ]
+    # What is left of the gap weighs more in bins than in pixels; there each effect is fitted by itself.
+    if len(alone) == 1:
+        stays, where = 1.0 - alone[0].gap_closed, f"{where_closed(alone[0])} with {alone[0].id}"
+    else:
+        stays, where = 1.0 - diagnosis.gap.closed, f"{IN_PIXELS} with {added(diagnosis)}"
+    return f"{line}; {percent(max(stays, 0.0))} of the gap stays {where}."
+
+
 def shrinks(diagnosis: Diagnosis) -> bool:
     """Say whether the effects in the predictions after make the gap smaller."""
     return bool(diagnosis.after_with) and diagnosis.gap.after < diagnosis.gap.before
