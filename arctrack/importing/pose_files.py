@@ -13,6 +13,7 @@ from arctrack.errors import ArctrackError, in_file
 from arctrack.importing.columns import (
     FILE_NAMES,
     FRAME_NAMES,
+    UNKNOWN_IMAGE,
     Column,
     Columns,
     frame_number,
@@ -20,6 +21,7 @@ from arctrack.importing.columns import (
     rows_of_images,
     times_s,
 )
+from arctrack.importing.controller_listings import LISTED, find_poses
 from arctrack.importing.image_files import ImageSeries
 from arctrack.importing.matrix_files import read_matrices
 from arctrack.importing.rotations import (
@@ -30,9 +32,10 @@ from arctrack.importing.rotations import (
     NoRotationError,
     convention,
 )
-from arctrack.importing.units import ANGLE, LENGTH, UNITS, Units, factor
+from arctrack.importing.units import ANGLE, LENGTH, TIME, UNITS, Units, factor
 from arctrack.limits import LIMITS
 from arctrack.recording.csv_file import CsvTable, Parser, TimeParser, number, read_csv, rows_once
+from arctrack.recording.files import blamed_on, read_bytes
 from noise_model.arrays import Float64, Int64
 
 POSITION_NAMES = tuple(
@@ -132,12 +135,10 @@ def read_pose_table(
     ]
     if len(set(units[:3])) > 1 or len(set(units[3:])) > 1:
         raise in_file(columns.path, f"{', '.join(units)}: coordinates need one unit, angles another")
-    T_base_tool = np.tile(np.eye(4), (len(table.lines), 1, 1))
-    T_base_tool[:, :3, :3] = _matrices(table, turn, written, units[3:4])
-    T_base_tool[:, :3, 3] = _column_values(table, place) * factor(LENGTH, units[0])
-    warnings = _doubts(T_base_tool[:, :3, 3], units[0], columns.path)
-    if written.are_angles:
-        warnings += _angle_doubts(_column_values(table, turn), units[3], columns.path)
+    numbers = _column_values(table, turn)
+    T_base_tool, warnings = _matrices(
+        columns.path, _column_values(table, place), numbers, table.lines, written, units
+    )
     times, rows = None, None
     if time is not None:
         times, more = times_s(columns, table, time, stated, time_parser)
@@ -147,8 +148,62 @@ def read_pose_table(
         rows, more = rows_of_images(table, frame, file, series, may_lack=may_lack)
         notes += more
     spoken = ", ".join(dict.fromkeys(units))
-    numbers = _column_values(table, turn)
     return PoseFile(columns.path, T_base_tool, times, rows, spoken, tuple(notes), tuple(warnings), numbers)
+
+
+def read_listing(
+    path: Path, rotation: str, stated: Units, series: ImageSeries, *, may_lack: bool = False
+) -> PoseFile | None:
+    """Return the poses of a file in which a controller keeps its points; None for a file that is none.
+
+    A time, or an image's name, may stand before each pose on its line. Else each image needs a pose.
+
+    Raises ArctrackError for a point without a pose, a rotation that is none, times that do not rise, another
+    number of poses than images, and as `rows_of_images`.
+    """
+    if rotation not in LISTED:
+        return None
+    with blamed_on(path):
+        listed = find_poses(read_bytes(path, LIMITS.csv_bytes).decode("latin-1"), rotation)
+    if listed is None:
+        return None
+    written = _stated(rotation)
+    kinds = (LENGTH, ANGLE) if written.are_angles else (LENGTH,)
+    units = [stated.of_kind(kind) or written.units.of_kind(kind) or "" for kind in kinds]
+    names = ("", *map(str, range(listed.numbers.shape[1])))
+    table = CsvTable(path, names, np.column_stack([listed.lines, listed.numbers]), listed.lines, ())
+    notes, times, rows = [f"as {rotation} lists them"], None, None
+    parser = TimeParser()
+    images = [image_parser(series)(text) for text in listed.before]
+    try:
+        times = np.array([parser(text) for text in listed.before])
+    except ValueError:
+        if any(image != UNKNOWN_IMAGE for image in images):
+            table.values[:, 0] = images
+            rows, more = rows_of_images(table, None, Column("", None), series, may_lack=may_lack)
+            notes += more
+        elif len(table.lines) == len(series):
+            rows = np.arange(len(series))
+        else:
+            counts = f"{len(table.lines)} poses for {len(series)} images"
+            cure = "one each is needed, or a time or an image's name before each pose"
+            raise in_file(path, f"lists {counts}: {cure}") from None
+    else:
+        unit = "s" if parser.are_dates else stated.time
+        if unit is None:
+            choice = " or ".join(UNITS[TIME])
+            raise in_file(path, f"the times before its poses state no unit: give --units {choice}")
+        table.values[:, 0] = times * factor(TIME, unit)
+        _check_size(table.values[:, 0], path)
+        table, repeats = rows_once(table, "")
+        times = table.column("")
+        notes += [f"{repeats} rows repeat the row before and are left out"] if repeats else []
+    values = table.values[:, 1:]
+    T_base_tool, warnings = _matrices(
+        path, values[:, :3], values[:, 3:], table.lines, written, [*units[:1] * 3, *units[1:]]
+    )
+    spoken = ", ".join(units)
+    return PoseFile(path, T_base_tool, times, rows, spoken, tuple(notes), tuple(warnings), values[:, 3:])
 
 
 def _stated(rotation: str | None) -> Convention:
@@ -177,12 +232,25 @@ def _column_values(table: CsvTable, columns: list[Column]) -> Float64:
     return np.stack([table.column(column.header) for column in columns], axis=1)
 
 
-def _matrices(table: CsvTable, turn: list[Column], written: Convention, unit: list[str]) -> Float64:
-    numbers = _column_values(table, turn) * (factor(ANGLE, unit[0]) if unit else 1.0)
+def _matrices(
+    path: Path,
+    places: Float64,
+    numbers: Float64,
+    lines: Int64,
+    written: Convention,
+    units: list[str],
+) -> tuple[Float64, list[str]]:
+    """Return T_base_tool (n, 4, 4), mm, of numbers in three units of length and those of angles; warnings."""
+    T_base_tool = np.tile(np.eye(4), (len(places), 1, 1))
     try:
-        return written.matrices(numbers)
+        T_base_tool[:, :3, :3] = written.matrices(numbers * (factor(ANGLE, units[3]) if units[3:] else 1.0))
     except NoRotationError as error:
-        raise in_file(table.path, str(error), line=int(table.lines[error.row])) from None
+        raise in_file(path, str(error), line=int(lines[error.row])) from None
+    T_base_tool[:, :3, 3] = places * factor(LENGTH, units[0])
+    warnings = _doubts(T_base_tool[:, :3, 3], units[0], path)
+    if written.are_angles:
+        warnings += _angle_doubts(numbers, units[3], path)
+    return T_base_tool, warnings
 
 
 def _doubts(positions_mm: Float64, unit: str, path: Path) -> list[str]:
@@ -236,6 +304,9 @@ def read_poses(
         raise ArctrackError(f"--translations: has no effect with --rotation {rotation}; leave one of them")
     if translations is not None or rotation == MATRIX:
         return read_matrix_poses(path, translations, stated, series), []
+    listed = None if rotation is None else read_listing(path, rotation, stated, series, may_lack=may_lack)
+    if listed is not None:
+        return listed, []
     wanted = ",".join((*known_names(rotation), "and a time, frame or file if there is one"))
     columns = Columns(path, named, wanted)
     return read_pose_table(columns, rotation, stated, series, is_timed, may_lack=may_lack), [columns]

@@ -162,7 +162,8 @@ def rows_once(table: CsvTable, time: str) -> tuple[CsvTable, int]:
     repeats[1:] = (table.values[1:] == table.values[:-1]).all(axis=1)
     for n in np.flatnonzero((np.diff(times) <= 0.0) & ~repeats[1:]) + 1:
         earlier = f"{times[n - 1]:.6f} of line {table.lines[n - 1]}"
-        problem = f"{time} = {times[n]:.6f} does not come after {earlier}"
+        stated = f"{time} = " if time else ""
+        problem = f"{stated}{times[n]:.6f} does not come after {earlier}"
         cure = "one time has two poses" if times[n] == times[n - 1] else "times must rise"
         raise in_file(table.path, f"{problem}: {cure}", line=int(table.lines[n]))
     if not repeats.any():

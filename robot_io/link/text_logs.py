@@ -51,7 +51,7 @@ def _candump_line(line: str) -> can.Message | None:
     if "#" in line:
         return next(iter(can.CanutilsLogReader(io.StringIO(line))))
     # As candump prints to its screen: no `-L`.
-    frame = _cantools_frame(Parser(None), line)  # type: ignore[arg-type, unused-ignore]
+    frame = _cantools_frame(Parser(), line)
     if frame is None:
         raise ValueError("no frame")
     return frame
@@ -65,7 +65,7 @@ def _csv_line(line: str) -> can.Message | None:
 
 class _TrcLines:
     def __init__(self) -> None:
-        self._parser = Parser(None)  # type: ignore[arg-type, unused-ignore]
+        self._parser = Parser()
         self._start_s = 0.0
 
     def __call__(self, line: str) -> can.Message | None:

@@ -264,6 +264,18 @@ def test_poses_of_a_can_log(tmp_path: Path) -> None:
     np.testing.assert_allclose(pose.T_base_tool, level_pose(0.1), atol=0.01)
 
 
+@pytest.mark.parametrize("separator", [";", "\t", " "])
+def test_a_spreadsheet_may_have_saved_the_tables(separator: str, tmp_path: Path) -> None:
+    path = write(tmp_path / "r", small_setup(), noise_frames(small_setup(), 3))
+    expected = read_recording(path)
+    for name in ("frames.csv", "poses.csv"):
+        text = (path / name).read_text()
+        (path / name).write_text(text.replace(",", separator).replace(".", ","))
+    recording = read_recording(path)
+    np.testing.assert_array_equal(recording.poses.T_base_tool, expected.poses.T_base_tool)
+    assert recording.rows == expected.rows
+
+
 def test_poses_that_are_logged_twice_are_taken_once(tmp_path: Path) -> None:
     path = write(tmp_path / "r", small_setup(), noise_frames(small_setup(), 3))
     expected = read_recording(path).poses
