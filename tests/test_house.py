@@ -79,7 +79,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "cell": {"service", "cameras"},
         "black_box": {"recording", "journal"},
         "watch": {"journal"},
-        "monitor": {"recording", "cell_file", "journal", "report"},
+        "monitor": {"recording", "service", "cell_file", "journal", "report"},
         "serve": {
             "recording",
             "service",

@@ -10,7 +10,7 @@ UNFIT = 1
 """A machine that cannot run a cell live."""
 
 NOTHING_TRACKED = 3
-"""A recording of which no frame is valid."""
+"""A recording of which no frame is valid; a live run that no robot could follow."""
 
 INTERRUPTED = 130
 """The shell's own for a command that an interrupt ended: 128 + SIGINT."""

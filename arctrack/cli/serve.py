@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from arctrack.cli.cell import LIVE_MM
+from arctrack.cli.exit_codes import NOTHING_TRACKED
 from arctrack.cli.interrupt import interruptible, stoppable
 from arctrack.errors import ArctrackError
 from arctrack.safe_points import ENDING
@@ -45,15 +46,22 @@ def serve(
     It says ready once all is compiled, loaded and open, and at which address a browser shows the run. Ctrl-C
     or SIGTERM ends it: the last offset is REFUSED, the laser goes off, and it prints what the run came to.
     SIGUSR1 saves the black box. A recording as camera is played at its own pace.
+
+    The exit code is 3 where no VALID offset went out, where no frame of a recording is valid, and where the
+    torch of a simulated cell was not on the seam.
     """
     from arctrack.cell_file import read_cell_file
 
     if simulated == (cell is not None):
         raise ArctrackError("serve: give a cell file, or --simulated")
     if cell is None:
-        _serve_simulated(job, seconds)
-        return
-    serve_cell_file(read_cell_file(cell), job, seconds)
+        is_tracked = _serve_simulated(job, seconds)
+    else:
+        read = read_cell_file(cell)
+        result = serve_cell_file(read, job, seconds)
+        is_tracked = bool(result.valid if read.camera.kind == "recording" else result.offsets.get("VALID"))
+    if not is_tracked:
+        raise typer.Exit(NOTHING_TRACKED)
 
 
 def serve_cell_file(
@@ -63,8 +71,8 @@ def serve_cell_file(
     on_track: OnTrack | None = None,
     is_simulated: bool = False,
     **bus_options: int,
-) -> None:
-    """Run a cell live, say when it is ready, and what it came to."""
+) -> LoopResult:
+    """Run a cell live, say when it is ready and what it came to, and return that."""
     from arctrack.cli import console
     from arctrack.serve.notify import Notifier
     from arctrack.serve.process import schedule
@@ -90,8 +98,14 @@ def serve_cell_file(
             black_box = None if beside is None else beside.black_box
             ends_s = math.inf if seconds is None else time.monotonic() + seconds
 
+            is_told = False
+
             def goes_on() -> bool:
+                nonlocal is_told
                 signals = came()
+                if not is_told and live.loop.warning is not None:
+                    is_told = True
+                    console.warn([live.loop.warning])
                 if signal.SIGUSR1 in signals and black_box is not None:
                     black_box.save("asked by SIGUSR1")
                 return signals.isdisjoint(ENDING) and time.monotonic() < ends_s
@@ -100,10 +114,12 @@ def serve_cell_file(
             notifier.stopping()
             saved = [] if black_box is None else black_box.answers(ANSWER_S)
     console.say(*saved, *_result_lines(result))
+    return result
 
 
-def _serve_simulated(job: int | None, seconds: float | None) -> None:
-    """Run a simulated cell beside the live run, and say how far its torch was off the seam."""
+def _serve_simulated(job: int | None, seconds: float | None) -> bool:
+    """Run a simulated cell beside the live run, and say and return whether its torch was on the seam."""
+    from arctrack.cell.faults.schedules import TORCH_MM
     from arctrack.cell.live.serve import REAL_TIME_PX
     from arctrack.cell.weld.closed_loop import LoopPlan
     from arctrack.cell_file import read_cell_file
@@ -123,17 +139,20 @@ def _serve_simulated(job: int | None, seconds: float | None) -> None:
             Path.cwd() / "black_box",
         )
         with simulated.SimulatedCell(plan, frames) as robot:
-            serve_cell_file(read_cell_file(cell), job, seconds, lock.on_track, True, **robot.bus_options)
-            ended_s = time.monotonic()
+            result = serve_cell_file(
+                read_cell_file(cell), job, seconds, lock.on_track, True, **robot.bus_options
+            )
             samples = robot.end()
-    error = simulated.torch_error(samples, lock.at_s, ended_s)
+    error = simulated.torch_error(samples, lock.at_s, result.ended_s)
     if error is None:
-        console.say("the torch never locked onto the seam")
-        return
+        console.say("torch: never locked onto the seam")
+        return False
     console.say(
         f"torch: off the seam by {error.rms_mm:.3f} mm RMS, {error.max_mm:.3f} mm at most, "
         f"over {error.watched_s:.1f} s from the lock on"
+        + ("" if error.is_on_seam else f"; it may be off by {TORCH_MM:g} mm")
     )
+    return error.is_on_seam
 
 
 def _result_lines(result: LoopResult) -> list[str]:
@@ -141,9 +160,19 @@ def _result_lines(result: LoopResult) -> list[str]:
     offsets = ", ".join(f"{name} {count}" for name, count in result.offsets.items()) or "none"
     reasons = ", ".join(f"{name} {count}" for name, count in result.reasons.items()) or "none"
     dark = f", without the laser {result.dark}" if result.dark else ""
+    busy = (
+        [
+            f"this machine was too busy: {result.delayed} offsets were late or refused for it; the tracker "
+            f"waited for a processor {result.waited_s:.1f} s, and had one {result.ran_s:.1f} s; "
+            "end what else runs here"
+        ]
+        if result.delayed
+        else []
+    )
     return [
         f"frames: {result.frames}, dropped {result.dropped}, tracks valid {result.valid}{dark}",
         f"offsets: {offsets}; not as measured: {reasons}",
         f"mid-exposure to send: {result.capture_to_send}",
         f"arrival to send: {result.arrival_to_send}",
+        *busy,
     ]

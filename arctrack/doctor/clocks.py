@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import time
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from arctrack.doctor.finding import Finding, State, judged
 from arctrack.doctor.policy import POLICY
 from arctrack.serve.latency import LatencyCounts, Quantiles
 from arctrack.serve.process import schedule
+from arctrack.service.processor import ProcessorWait
 
 CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 
@@ -87,6 +89,29 @@ def wake_ups(choice: ProcessChoice, count: int = POLICY.wake_ups) -> Quantiles:
             time.sleep(POLICY.wake_up_s)
             late.add(time.monotonic() - began_s - POLICY.wake_up_s)
     return late.quantiles()
+
+
+def processor_wait(choice: ProcessChoice) -> ProcessorWait:
+    """Measure how long work waits for a processor, scheduled as a run would be."""
+    with scheduled_as(choice):
+        wait, until_s = ProcessorWait(), time.monotonic() + POLICY.work_s
+        while time.monotonic() < until_s:
+            wait.look()
+    return wait
+
+
+def processor_finding(wait: ProcessorWait) -> Finding:
+    """Return whether this machine is too busy for work to be done when it is due."""
+    share = wait.waited_s / (wait.waited_s + wait.ran_s) if wait.ran_s > 0.0 else math.nan
+    if math.isnan(share):
+        return Finding("load", State.OK, "not told by this kernel")
+    return judged(
+        "load",
+        f"work waits for a processor {100.0 * share:.0f} % of its time",
+        State.WARNING,
+        "this machine is too busy: frames and poses come late; end what else runs here",
+        share <= POLICY.wait_share,
+    )
 
 
 def wake_up_finding(late: Quantiles, choice: ProcessChoice) -> Finding:

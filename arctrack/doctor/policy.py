@@ -21,6 +21,8 @@ class DoctorPolicy:
         The largest step of the monotonic clock, s.
     wake_up_s, wake_ups : float, int
         How long a sleep is whose lateness is measured, s, and how many there are.
+    work_s, wait_share : float
+        How long it works to see how busy the machine is, s, and the largest share that it may wait meanwhile.
     listen_s : float
         How long robot and camera are waited for, s.
     disk_free_bytes : float
@@ -42,6 +44,16 @@ class DoctorPolicy:
         0.002, "s", "sleep that is timed", "a turn of the loop waits as long", "longer ones are as late"
     )
     wake_ups: int = 450
+    work_s: float = _limit(
+        0.5, "s", "work that is timed", "a hundred time slices of the scheduler, of some ms", "none beyond"
+    )
+    wait_share: float = _limit(
+        0.25,
+        "",
+        "largest share of the time that work waits",
+        "one other process that works all the time takes 0.5 of a processor, none takes 0",
+        "halfway between the two",
+    )
     listen_s: float = _limit(
         1.0,
         "s",

@@ -18,7 +18,13 @@ from arctrack.doctor.budget import (
 )
 from arctrack.doctor.bus import bus_findings
 from arctrack.doctor.camera import Watched, camera_findings
-from arctrack.doctor.clocks import clock_findings, wake_up_finding, wake_ups
+from arctrack.doctor.clocks import (
+    clock_findings,
+    processor_finding,
+    processor_wait,
+    wake_up_finding,
+    wake_ups,
+)
 from arctrack.doctor.finding import Finding, State
 from arctrack.doctor.host import (
     disk_finding,
@@ -57,6 +63,7 @@ def machine_findings(choice: ProcessChoice) -> Iterator[Finding]:
     yield versions_finding()
     yield from clock_findings()
     yield from scheduler_findings(choice)
+    yield processor_finding(processor_wait(choice))
 
 
 def examine_machine(folder: Path) -> Iterator[Finding]:

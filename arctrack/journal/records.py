@@ -143,6 +143,8 @@ class Status:
         Median, 99 % and largest time from mid-exposure and from the frame's arrival to its offset, ms.
     frame_s : float
         When the newest frame was taken, s; NaN before the first.
+    processor_wait : float
+        Which share of the time that the loop wants a processor it waits for one; NaN where that is not known.
     """
 
     now_s: float
@@ -165,6 +167,7 @@ class Status:
     capture_ms: tuple[float, float, float] = (NAN, NAN, NAN)
     arrival_ms: tuple[float, float, float] = (NAN, NAN, NAN)
     frame_s: float = NAN
+    processor_wait: float = NAN
 
 
 @dataclass(frozen=True)

@@ -71,6 +71,11 @@ class RunCollector(Collector):
             "arctrack_status_age_seconds", "Time since the run said how it stands", feed.status_age_s
         )
         yield _gauge("arctrack_frame_age_seconds", "Age of the newest frame", feed.frame_age_s)
+        yield _gauge(
+            "arctrack_processor_wait_ratio",
+            "Share of the time that the loop wants a processor and waits for one",
+            status.processor_wait,
+        )
         yield _gauge("arctrack_frame_rate_hertz", "Frames tracked a second", feed.rate_hz)
         arc = feed.arc
         if arc is not None and arc.is_on:

@@ -9,6 +9,7 @@ from typing import Any
 from arctrack.journal.records import Entry, GapReport, Status
 from arctrack.monitor.options import MonitorOptions
 from arctrack.monitor.words import LASERS, Indication, headline, indication_of, plain
+from arctrack.service.processor import MAX_WAIT_SHARE
 from robot_io import RobotStatus, Source, Switch, TrackerState, Validity
 from tracker.arc.level import ArcLevel
 
@@ -135,13 +136,17 @@ def status_content(
         "indication": indication.name,
         "fault": status.fault.name,
         "reason_name": status.reason.name,
-        "reason": headline(status.state, status.fault, status.reason, indication),
+        "reason": headline(
+            status.state, status.fault, status.reason, indication, status.processor_wait > MAX_WAIT_SHARE
+        ),
         "laser": LASERS[status.laser],
         "job": {"number": status.job_number, "name": options.job_names.get(status.job_number, "")},
         "frames": status.frames,
         "valid": status.valid,
         "dropped": status.dropped,
         "rate_hz": number(rate_hz, 1),
+        "processor_wait": number(status.processor_wait, 2),
+        "is_too_busy": status.processor_wait > MAX_WAIT_SHARE,
         "frame_age_s": number(status.now_s - status.frame_s),
         "capture_ms": [number(ms, 1) for ms in status.capture_ms],
         "arrival_ms": [number(ms, 1) for ms in status.arrival_ms],

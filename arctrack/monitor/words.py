@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from enum import Enum
 
+from arctrack.service.processor import DELAYS, TOO_BUSY
 from robot_io import Command, Fault, GateReason, LaserState, TrackerState, Validity
 
 OFFSETS_MISSED_S = 0.5
@@ -119,7 +120,11 @@ def indication_of(
 
 
 def headline(
-    state: TrackerState, fault: Fault, reason: GateReason, indication: Indication | None = None
+    state: TrackerState,
+    fault: Fault,
+    reason: GateReason,
+    indication: Indication | None = None,
+    is_too_busy: bool = False,
 ) -> str:
     """Return why the tracker is as it is, in one or two sentences."""
     if state is TrackerState.FAULT and fault is not Fault.NONE:
@@ -128,6 +133,8 @@ def headline(
         return NOTHING_SENT
     if state is TrackerState.DISARMED and reason is GateReason.NOT_ARMED:
         return NO_DISARM if indication is Indication.NO_OFFSETS else STATES[state]
+    if is_too_busy and reason in DELAYS:
+        return TOO_BUSY
     return REASONS[reason] or STATES[state]
 
 

@@ -20,6 +20,7 @@ from arctrack.serve.keeper import Keeper
 from arctrack.serve.latency import LatencyCounts, Quantiles
 from arctrack.service.frame_tracking import FrameTracking
 from arctrack.service.pose_watch import BEGINNING
+from arctrack.service.processor import DELAYS, TOO_BUSY, ProcessorWait
 from arctrack.service.tracking_service import Tracked, TrackingService
 from robot_io import (
     BusMessage,
@@ -75,6 +76,12 @@ class LoopResult:
         Why the gate did not let the tracks' own offsets out.
     capture_to_send, arrival_to_send : Quantiles
         From a frame's mid-exposure, and from when the loop had it, to the sending of its offset.
+    delayed : int
+        How many offsets were late or refused for a delay while the machine was too busy.
+    waited_s, ran_s : float
+        How long the loop waited for a processor, and had one, s; NaN where the kernel does not tell.
+    ended_s : float
+        The machine's monotonic time at which this was so, s.
     """
 
     frames: int
@@ -85,10 +92,14 @@ class LoopResult:
     reasons: Mapping[str, int]
     capture_to_send: Quantiles
     arrival_to_send: Quantiles
+    delayed: int
+    waited_s: float
+    ran_s: float
+    ended_s: float
 
 
 class LiveLoop:
-    """Takes frames and messages, and sends what the controller answers.
+    """Takes frames and messages, and sends what the controller answers; the thread that makes it runs it.
 
     Parameters
     ----------
@@ -132,7 +143,8 @@ class LiveLoop:
         self._waiting: Frame | UnreadableFrame | None = None
         self._replaced = 0
         self._laser = LaserState.UNKNOWN
-        self._frames = self._valid = self._dark = 0
+        self._processor = ProcessorWait()
+        self._frames = self._valid = self._dark = self._delayed = 0
         self._offsets: Counter[Validity] = Counter()
         self._offset: SeamOffset | None
         self._reason, self._offset = GateReason.NOT_ARMED, None
@@ -144,6 +156,11 @@ class LiveLoop:
         """Whether nothing is left to be tracked, now or ever."""
         return self.camera.is_over and self._waiting is None
 
+    @property
+    def warning(self) -> str | None:
+        """What the user is to be warned of, once in a run."""
+        return TOO_BUSY if self._delayed else None
+
     def turn(self, wait_s: float | None = None) -> None:
         """Hear the bus, switch the laser, track the newest frame once its pose is there, send what is due."""
         self._listen(self._wait_s() if wait_s is None else wait_s)
@@ -151,6 +168,7 @@ class LiveLoop:
         is_time = not 0.0 <= now_s - self._checked_s < CHECK_S
         if is_time:
             self._checked_s = now_s
+            self._processor.look()
             self._laser = self.camera.switch_laser(self.controller.is_laser_on(now_s))
             self.controller.on_laser(self._laser)
         frame = self._without_dark(self.camera.newest())
@@ -197,6 +215,7 @@ class LiveLoop:
             capture_ms=_shown(result.capture_to_send),
             arrival_ms=_shown(result.arrival_to_send),
             frame_s=self._frame_s,
+            processor_wait=self._processor.share,
         )
 
     def result(self) -> LoopResult:
@@ -210,6 +229,10 @@ class LiveLoop:
             reasons={reason.name: count for reason, count in sorted(self.controller.reasons.items())},
             capture_to_send=self._since_capture.quantiles(),
             arrival_to_send=self._since_arrival.quantiles(),
+            delayed=self._delayed,
+            waited_s=self._processor.waited_s,
+            ran_s=self._processor.ran_s,
+            ended_s=time.monotonic(),
         )
 
     @property
@@ -323,6 +346,7 @@ class LiveLoop:
                 self._offset, sent_s = message, now_s
             elif isinstance(message, TrackerStatus):
                 self._reason = message.gate_reason
+                self._delayed += self._reason in DELAYS and self._processor.is_too_long
         return sent_s
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import tomlkit
 
+from arctrack.cell.faults.schedules import TORCH_MM
 from arctrack.cell.live.serve import serve_cell
 from arctrack.cell.robot import Robot
 from arctrack.cell.weld.closed_loop import SETTLED_TIME_CONSTANTS, LoopPlan, setup_of, world_of
@@ -42,6 +43,11 @@ class TorchError:
     rms_mm: float
     max_mm: float
     watched_s: float
+
+    @property
+    def is_on_seam(self) -> bool:
+        """Whether the torch never was farther off than a run with faults may leave it."""
+        return self.max_mm <= TORCH_MM
 
 
 @dataclass

@@ -117,6 +117,7 @@ function robot() {
     rows.push(["Mode", said.mode], ["Motion", said.motion], ["Welding", said.welding, said.welding === "fault"], ["Arc", said.arc], ["Correction", said.correction]);
     rows.push(["Current", `${value(said.current_a, 0)} A`], ["Travel", `${value(said.speed_mm_s, 1)} mm/s`]);
   }
+  if (status.is_too_busy) rows.push(["Machine", "too busy", true]);
   const faults = Object.entries(status.bus_faults);
   if (faults.length) rows.push(["Bus faults", faults.map(([name, count]) => `${name} ${count}`).join(", "), false]);
   const key = JSON.stringify(rows);

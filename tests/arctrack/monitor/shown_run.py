@@ -105,6 +105,7 @@ class ShownRun:
             faults={"repeated": 1},
             capture_ms=(24.0, 31.5, 40.0),
             arrival_ms=(4.0, 8.0, 11.0),
+            processor_wait=0.12,
         )
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._write)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -10,9 +11,13 @@ import tomlkit
 from made import playing_cell
 from typer.testing import CliRunner
 
+from arctrack.cameras.shared_frames import SharedFramesWriter
+from arctrack.cell.weld.closed_loop import LoopPlan, setup_of
 from arctrack.cell_file.new import write_new_cell
 from arctrack.cli import app
+from arctrack.cli.exit_codes import NOTHING_TRACKED
 from arctrack.errors import ArctrackError
+from arctrack.serve.simulated import write_simulated_cell
 
 
 @pytest.mark.slow
@@ -30,6 +35,17 @@ def test_a_recording_is_served_at_its_pace(simulated: Path, tmp_path: Path) -> N
     assert tracked + dropped == 14
     assert offsets.startswith("offsets: REFUSED ")
     assert [line.split(":")[0] for line in late] == ["mid-exposure to send", "arrival to send"]
+
+
+@pytest.mark.slow
+def test_a_run_that_no_robot_could_follow_ends_with_3(tmp_path: Path) -> None:
+    plan = LoopPlan(joint="lap", length_mm=1000.0, rate_hz=10.0, size_px=(160, 120))
+    name = f"unfollowed-{os.getpid()}"
+    cell = write_simulated_cell(tmp_path / "cell", plan, "virtual", name, name)
+    with SharedFramesWriter(name, 120, 160, setup_of(plan).sensor.dtype):
+        done = CliRunner().invoke(app, ["serve", str(cell), "--seconds", "0.1"])
+    assert done.exit_code == NOTHING_TRACKED, done.output
+    assert "offsets: REFUSED " in done.stdout
 
 
 def test_what_cannot_be_served_is_named(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import pytest
 from made import replace_in, results_of
 
 from arctrack.cameras.shared_frames import SharedFramesReader
+from arctrack.cell.faults.schedules import TORCH_MM
 from arctrack.cell.weld.closed_loop import LoopPlan
 from arctrack.serve.simulated import (
     GROUP,
@@ -185,6 +186,8 @@ def test_the_torch_is_judged_from_the_lock_to_the_end() -> None:
     judged = torch_error(samples, 0.5, 2.5)
     assert judged == TorchError(pytest.approx(0.125**0.5), 0.4, 2.0)
     assert torch_error(samples, float("inf"), 2.5) is None
+    assert TorchError(0.1, TORCH_MM, 1.0).is_on_seam
+    assert not TorchError(0.1, 1.01 * TORCH_MM, 1.0).is_on_seam
 
 
 def _is_dark(camera: SharedFramesReader, dark: list) -> bool:

@@ -15,8 +15,9 @@ from arctrack.cameras.camera import CameraTraits, UnreadableFrame
 from arctrack.cameras.recording import RecordingCamera
 from arctrack.cell.robot import WELDING
 from arctrack.cell_file import as_the_job_says, read_cell_file
-from arctrack.monitor.status import OffsetFlow, indicated
-from arctrack.monitor.words import Indication
+from arctrack.monitor.options import MonitorOptions
+from arctrack.monitor.status import OffsetFlow, indicated, status_content
+from arctrack.monitor.words import REASONS, Indication
 from arctrack.recording import read_recording
 from arctrack.replay import ReplayOptions, replay_recording
 from arctrack.serve.exposure import ExposureChooser
@@ -28,6 +29,7 @@ from arctrack.service.frame_tracking import FrameTracking
 from arctrack.service.job import Job
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import nominal_path
+from arctrack.service.processor import TOO_BUSY
 from arctrack.service.tracking_service import TrackingService
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame
@@ -248,6 +250,31 @@ def test_what_is_indicated_follows_the_offsets_that_go_out(stage: Stage) -> None
     assert indications(1.0)[-1] is Indication.SEARCHING
     stage.command = replace(stage.command, command=Command.DISARM)
     assert indications(0.2)[-1] is Indication.DISARMED
+
+
+@pytest.mark.slow
+def test_delays_are_blamed_on_a_machine_that_is_too_busy(stage: Stage) -> None:
+    def words() -> str:
+        status = stage.loop.status()
+        return status_content(MonitorOptions("", {}), status, None, None, 0.0, 1.0, None)["reason"]
+
+    stage.loop._processor.look = lambda: None
+    stage.loop._processor.share = 0.3
+    stage.run(0.1)
+    stage.command = replace(stage.command, command=Command.TRACK)
+    stage.run(1.6)
+    stage.speaks = False
+    stage.run(0.6)
+    assert words() == REASONS[GateReason.HEARTBEAT_LOST]
+    assert stage.loop.result().delayed == 0
+    stage.loop._processor.share = 0.9
+    stage.run(0.6)
+    assert words() == TOO_BUSY
+    assert stage.loop.result().delayed > 0
+    # What no load explains keeps its own words.
+    stage.speaks, stage.robot_status = True, replace(WELDING, correction=Switch.OFF)
+    stage.run(0.6)
+    assert words() == REASONS[GateReason.CORRECTION_OFF]
 
 
 @pytest.mark.slow

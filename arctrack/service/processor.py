@@ -1,0 +1,82 @@
+"""How long a thread waits for a processor: what a busy machine takes from the loop."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+
+from robot_io import GateReason
+
+SCHEDSTAT = Path("/proc/thread-self/schedstat")
+"""Nanoseconds that the thread ran, and that it was ready but waited (Linux, scheduler/sched-stats.rst)."""
+
+LOOK_S = 0.1
+"""So often it is measured: a reading takes some hundredths of a millisecond."""
+
+WINDOW_S = 0.5
+"""The share is that of the last one to two windows, s."""
+
+MAX_WAIT_SHARE = 0.5
+"""Above it the thread waits longer for a processor than it has one: what it does takes twice its time."""
+
+
+TOO_BUSY = (
+    "This machine is too busy: the tracker waits longer for a processor than it has one. "
+    "End what else runs here."
+)
+
+DELAYS = frozenset(
+    {
+        GateReason.CAPTURE_TOO_OLD,
+        GateReason.ROBOT_STATUS_STALE,
+        GateReason.HEARTBEAT_LOST,
+        GateReason.CAMERA_STOPPED,
+        GateReason.POSE_IMPLAUSIBLE,
+        GateReason.BUS_DELAYED,
+    }
+)
+"""What a busy machine makes the gate say of robot, bus and camera: whatever comes late looks like it."""
+
+
+class ProcessorWait:
+    """Measures which share of the time that the calling thread wants a processor it waits for one.
+
+    Attributes
+    ----------
+    share : float
+        The latest share; NaN where the kernel does not tell.
+    waited_s, ran_s : float
+        How long the thread waited and ran since this object was made, s; NaN where the kernel does not tell.
+    """
+
+    def __init__(self) -> None:
+        self._began = self._before = self._window = _ran_and_waited_ns()
+        self._looked_s = self._window_s = time.monotonic()
+        self.share = self.waited_s = self.ran_s = math.nan
+
+    @property
+    def is_too_long(self) -> bool:
+        """Whether the machine is too busy for this thread."""
+        return self.share > MAX_WAIT_SHARE
+
+    def look(self) -> None:
+        """Measure, where it is time for it."""
+        now_s = time.monotonic()
+        if now_s - self._looked_s < LOOK_S:
+            return
+        self._looked_s = now_s
+        ran_ns, waited_ns = _ran_and_waited_ns()
+        if now_s - self._window_s > WINDOW_S:
+            self._before, self._window, self._window_s = self._window, (ran_ns, waited_ns), now_s
+        self.ran_s, self.waited_s = 1e-9 * (ran_ns - self._began[0]), 1e-9 * (waited_ns - self._began[1])
+        ran_ns, waited_ns = ran_ns - self._before[0], waited_ns - self._before[1]
+        self.share = waited_ns / (ran_ns + waited_ns) if ran_ns + waited_ns > 0.0 else math.nan
+
+
+def _ran_and_waited_ns() -> tuple[float, float]:
+    try:
+        ran, waited, *_ = SCHEDSTAT.read_bytes().split()
+    except (OSError, ValueError):
+        return math.nan, math.nan
+    return float(ran), float(waited)
