@@ -12,7 +12,7 @@ from arctrack.errors import in_file
 from arctrack.recording import Recording
 from arctrack.recording.poses import LOG_NAMES, can_channel
 from arctrack.service.policy import ServicePolicy
-from arctrack.service.pose_watch import PoseWatch, nominal_path
+from arctrack.service.pose_watch import Doubt, PoseWatch, nominal_path
 from noise_model.transforms import invert
 from robot_io import BusLogError, BusLogReader, GateReason, PoseKind, PoseSample, Received, RobotStatus
 from robot_io.clocks.sync import SyncLimits
@@ -28,8 +28,6 @@ LOOK_BACK_S, LEAST_LOOKS = 0.4, 10
 
 Two bad frames then fail no window, whatever the frame rate: each counts for 4 sigmas in 2 axes at most.
 """
-
-Doubt = Implausibility | SeamMotion
 
 
 class RecordedPoses:

@@ -21,7 +21,7 @@ from arctrack.moments import RealTime, RecordingTime
 from arctrack.output import make_folder
 from arctrack.pose_agreement import PoseAgreement
 from arctrack.printable import printable
-from arctrack.recorded_poses import Doubt, RecordedPoses
+from arctrack.recorded_poses import RecordedPoses
 from arctrack.recording import BadFrame, FrameRow, Recording, Truth, read_truth
 from arctrack.recording.ahead import read_ahead
 from arctrack.recording.results import (
@@ -32,12 +32,14 @@ from arctrack.recording.results import (
     Summary,
     count_flags,
 )
+from arctrack.recording.run_offsets import OffsetOutcome, RunComparison, read_run_offsets
 from arctrack.recording.score import score
 from arctrack.report.replay.drawing import drawing_on
 from arctrack.report.replay.seen import Seen, SeenFile
 from arctrack.safe_points import ends_at_safe_points
 from arctrack.service.controller import Controller
 from arctrack.service.heard import TRUSTED
+from arctrack.service.pose_watch import Doubt
 from arctrack.service.seam_measured import seam_measured
 from arctrack.tracking import RecordedTracking
 from robot_io import (
@@ -243,6 +245,7 @@ def _replay(
     compute_ms: list[float] = []
     doubts: list[Doubt | None] = []
     bad_frames: list[BadFrame] = []
+    run_offsets, comparison = read_run_offsets(recording.path), RunComparison()
     started_s = time.monotonic()
     with ExitStack() as opened:
         check_interrupt = opened.enter_context(ends_at_safe_points())
@@ -281,10 +284,16 @@ def _replay(
             T_base_tool = None if step.pose is None else step.pose.T_base_tool
             poses.see(step.seam)
             offset = moments.publish(step.row, step.track, T_base_tool, step.took_ms)
-            results.write(step.track, offset, step.took_ms, poses.doubt)
+            outcome = OffsetOutcome.of(offset, controller.gate_reason, poses.doubt)
+            run_outcome = run_offsets.get(step.row.index)
+            if run_outcome is not None:
+                comparison.add(run_outcome, outcome)
+            results.write(step.track, outcome, step.took_ms, run_outcome)
             doubts.append(poses.doubt)
             if seen is not None:
-                seen.add(Seen(step.pose, step.track, step.reading, offset, step.took_ms))
+                seen.add(
+                    Seen(step.pose, step.track, step.reading, offset, step.took_ms, outcome, run_outcome)
+                )
             tracks.append(replace(step.track, stripe=None))
             compute_ms.append(step.took_ms)
             if isinstance(step.frame, BadFrame):
@@ -297,9 +306,12 @@ def _replay(
         refusals={reason.name.lower(): count for reason, count in sorted(controller.reasons.items())},
         pose_doubts=Counter(doubt.name.lower() for doubt in doubts if doubt is not None),
         heard_robot_status=poses.hears_robot,
+        run_offsets=comparison if run_offsets else None,
     )
     summary.write(folder)
     warnings = (*moments.warnings, *_pose_warnings(recording, doubts))
+    if comparison.differences:
+        warnings = (*warnings, str(comparison))
     return Replay(recording, folder, summary, tuple(tracks), tuple(bad_frames), warnings, warm_up)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 import tempfile
 import time
@@ -15,14 +16,15 @@ from typing import IO
 import numpy as np
 
 from arctrack.journal.journal import JournalReader
-from arctrack.journal.records import NO_IMAGE, Entry
+from arctrack.journal.records import NO_IMAGE, Entry, Status
 from arctrack.recording.results import ResultsWriter
+from arctrack.recording.run_offsets import LIVE_FOLDER, OffsetOutcome
 from arctrack.recording.steps import write_steps
 from arctrack.recording.writer import RecordingWriter, VideoFormat
 from noise_model.setup import Setup
 from noise_model.transforms import pose_matrix
 
-ABOUT_JSON, LIVE_FOLDER = "black_box.json", "live"
+ABOUT_JSON = "black_box.json"
 
 VERSIONS = ("arctrack", "numpy", "numba", "scipy", "opencv-contrib-python-headless")
 """What the same tracks need the same versions of."""
@@ -92,7 +94,9 @@ def save_window(
             folder = recording.unfinished_path
             write_steps(folder, ((entry.frame.index, entry.inputs) for entry in entries))
             _write_live(folder / LIVE_FOLDER, entries)
-            (folder / ABOUT_JSON).write_text(json.dumps(_about(entries, reason), indent=1), encoding="utf-8")
+            (folder / ABOUT_JSON).write_text(
+                json.dumps(_about(entries, reason, reader.status()), indent=1), encoding="utf-8"
+            )
     return path
 
 
@@ -145,7 +149,11 @@ def _write_live(folder: Path, entries: Sequence[Entry]) -> None:
     with ResultsWriter(folder) as results:
         for entry in entries:
             if entry.offset is not None:
-                results.write(entry.track, entry.offset, entry.took_ms, None)
+                outcome = OffsetOutcome.of(
+                    entry.offset, entry.gate_reason, None, was_sent=math.isfinite(entry.sent_s)
+                )
+                outcome = replace(outcome, pose_doubt=entry.pose_doubt)
+                results.write(entry.track, outcome, entry.took_ms)
     with (folder / "poses_read.csv").open("w", encoding="utf-8") as file:
         file.write("timestamp_s,read_s\n")
         for entry in entries:
@@ -153,10 +161,20 @@ def _write_live(folder: Path, entries: Sequence[Entry]) -> None:
                 file.write(f"{heard.sample.timestamp_s:.6f},{heard.read_s:.6f}\n")
 
 
-def _about(entries: Sequence[Entry], reason: str) -> dict[str, object]:
+def _about(entries: Sequence[Entry], reason: str, status: Status | None) -> dict[str, object]:
     first, last = entries[0], entries[-1]
+    ended = (
+        {}
+        if status is None
+        else {
+            "state": status.state.name.lower(),
+            "gate_reason": status.reason.name.lower(),
+            "fault": status.fault.name.lower(),
+        }
+    )
     return {
         "reason": reason,
+        **ended,
         "saved": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "job_number": last.job_number,
         "frames": len(entries),

@@ -65,6 +65,10 @@ class Entry:
         How long the step took, ms.
     dropped : int
         How many frames were dropped since the start.
+    gate_reason : GateReason
+        Why the offset did not go out as it was measured; NONE if it did.
+    pose_doubt : str
+        Why poses were not trusted, by the name in `results.csv`; empty where they were.
     """
 
     frame: Frame
@@ -77,6 +81,8 @@ class Entry:
     sent_s: float = NAN
     took_ms: float = NAN
     dropped: int = 0
+    gate_reason: GateReason = GateReason.NONE
+    pose_doubt: str = ""
 
 
 @dataclass(frozen=True)

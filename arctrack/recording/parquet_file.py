@@ -18,7 +18,16 @@ if TYPE_CHECKING:
 OF_THE_RECORDING = ("recording", "recording_path")
 """The columns before those of results.csv."""
 
-NO_FLOATS = {"frame": "int64", "valid": "bool", "flags": "string", "pose_doubt": "string"}
+TEXTS = (
+    "flags",
+    "pose_doubt",
+    "validity",
+    "gate_reason",
+    "run_validity",
+    "run_gate_reason",
+    "run_pose_doubt",
+)
+NO_FLOATS = {"frame": "int64", "valid": "bool", **dict.fromkeys(TEXTS, "string")}
 """The columns of results.csv that are not float64, and Arrow's names for their types."""
 
 

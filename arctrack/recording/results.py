@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from enum import Enum
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -17,8 +16,8 @@ from typing import Any, Self
 import numpy as np
 
 from arctrack.output import write_whole, writing
+from arctrack.recording.run_offsets import NO_OUTCOME, OffsetOutcome, RunComparison
 from arctrack.recording.score import AxisScore, Score
-from robot_io import SeamOffset
 from tracker import flags
 from tracker.state import NAN, Track
 
@@ -73,6 +72,13 @@ COLUMNS = (
     "area_mm2",
     "area_sigma_mm2",
     "pose_doubt",
+    "validity",
+    "gate_reason",
+    "run_offset_y_mm",
+    "run_offset_z_mm",
+    "run_validity",
+    "run_gate_reason",
+    "run_pose_doubt",
 )
 """The format's own columns, then arctrack's."""
 
@@ -91,15 +97,20 @@ class ResultsWriter:
         self._append(COLUMNS)
 
     def write(
-        self, track: Track, offset: SeamOffset, compute_ms: float = NAN, pose_doubt: Enum | None = None
+        self,
+        track: Track,
+        outcome: OffsetOutcome,
+        compute_ms: float = NAN,
+        run: OffsetOutcome | None = None,
     ) -> None:
-        """Append a frame's row: track, offset as it went to the bus, and why poses were not trusted."""
+        """Append a frame's row: track, its offset on the bus, and in a replay what the run had sent."""
+        run = run or NO_OUTCOME
         lengths_mm = (
             *track.seam_tool_mm,
             track.sigma_y_mm,
             track.sigma_z_mm,
-            offset.offset_y_mm,
-            offset.offset_z_mm,
+            outcome.offset_y_mm,
+            outcome.offset_z_mm,
             track.gap_mm,
             track.mismatch_mm,
         )
@@ -115,7 +126,14 @@ class ResultsWriter:
                 _text(track.map_misfit, 4),
                 _text(compute_ms, 3),
                 *(_text(value, 5) for value in _section_values(track)),
-                "" if pose_doubt is None else pose_doubt.name.lower(),
+                outcome.pose_doubt,
+                outcome.validity,
+                outcome.gate_reason,
+                _text(run.offset_y_mm, 5),
+                _text(run.offset_z_mm, 5),
+                run.validity,
+                run.gate_reason,
+                run.pose_doubt,
             )
         )
 
@@ -164,7 +182,8 @@ class Summary:
     `offsets` counts what the gate did by verdict, `refusals` what it did not let through by reason.
     `joint_ends_mm` is station and 1 sigma of the joint's start and end, where they were found. `pose_doubts`
     counts the frames at which poses were not trusted, by doubt; `heard_robot_status` says whether a
-    RobotStatus was recorded, without which fewer doubts can arise.
+    RobotStatus was recorded, without which fewer doubts can arise. `run_offsets` compares the offsets of a
+    black box with those that its run sent; None for other recordings.
     """
 
     recording: str
@@ -181,6 +200,7 @@ class Summary:
     joint_ends_mm: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     pose_doubts: Mapping[str, int] = field(default_factory=dict)
     heard_robot_status: bool = False
+    run_offsets: RunComparison | None = None
 
     def __str__(self) -> str:
         error = ""
@@ -212,6 +232,8 @@ class Summary:
                 end: {"station_mm": station_mm, "sigma_mm": sigma_mm}
                 for end, (station_mm, sigma_mm) in self.joint_ends_mm.items()
             }
+        if self.run_offsets is not None:
+            content["run_offsets"] = self.run_offsets.to_json()
         if self.score is not None:
             content["error_mm"] = _score_json(self.score)
         rounded: dict[str, Any] = _rounded(content)

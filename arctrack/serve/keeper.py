@@ -9,7 +9,8 @@ from dataclasses import replace
 from arctrack.journal.journal import Journal
 from arctrack.journal.records import Entry, HeardPose, Status, View
 from arctrack.service.frame_tracking import Step
-from robot_io import PoseSample, SeamOffset
+from arctrack.service.pose_watch import Doubt
+from robot_io import GateReason, PoseSample, SeamOffset
 
 VIEW_S = 0.04
 """Nobody sees more pictures a second than 25."""
@@ -47,6 +48,8 @@ class Keeper:
         sent_s: float,
         took_ms: float,
         dropped: int,
+        gate_reason: GateReason = GateReason.NONE,
+        pose_doubt: Doubt | None = None,
     ) -> None:
         """Write the step's entry: its offset went out, or none did; see `Entry`."""
         step, self._step = self._step, None
@@ -64,6 +67,8 @@ class Keeper:
                 sent_s=sent_s,
                 took_ms=took_ms,
                 dropped=dropped,
+                gate_reason=gate_reason,
+                pose_doubt="" if pose_doubt is None else pose_doubt.name.lower(),
             )
         )
         if not 0.0 <= arrived_s - self._shown_s < VIEW_S:

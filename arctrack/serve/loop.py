@@ -304,7 +304,16 @@ class LiveLoop:
         self._valid += tracked.track.valid
         if self._keeper is not None:
             offset = next((message for message in messages if isinstance(message, SeamOffset)), None)
-            self._keeper.on_sent(offset, self._job_number, self._arrived_s, sent_s, took_ms, self._dropped)
+            self._keeper.on_sent(
+                offset,
+                self._job_number,
+                self._arrived_s,
+                sent_s,
+                took_ms,
+                self._dropped,
+                self.controller.gate_reason,
+                self.service.poses.doubt,
+            )
         if self._on_track is not None:
             self._on_track(tracked.track, messages)
         if self._exposure is not None and shown is not None:

@@ -11,6 +11,7 @@ from arctrack.recorded_poses import RecordedPoses
 from arctrack.recording import Recording
 from arctrack.recording.steps import RecordedStep
 from arctrack.service.policy import ServicePolicy
+from arctrack.service.pose_watch import Doubt
 from noise_model.effects import pose_time_s
 from robot_io import GateReason, PoseAt, PoseStatus, Received, SeamOffset
 from robot_io.poses.plausibility_limits import PlausibilityLimits
@@ -47,6 +48,11 @@ class PlayedPoses:
         self.on_begin: Callable[[], None] | None = None
         self._poses_age_s = policy.poses_age_s
         self._place, self._place_at_s = GateReason.ROBOT_ELSEWHERE, -math.inf
+
+    @property
+    def doubt(self) -> Doubt | None:
+        """Why the recorded poses were not trusted when the verdict was asked last; None where they were."""
+        return self._trust.doubt
 
     def begin(self) -> None:
         """Do nothing: a recording has one seam."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from arctrack.service.look_ahead import LagEstimator, LagNow, LookAhead
 from arctrack.service.policy import ServicePolicy
-from arctrack.service.pose_watch import PoseWatch
+from arctrack.service.pose_watch import Doubt, PoseWatch
 from noise_model.arrays import Float64
 from robot_io import (
     GateReason,
@@ -56,6 +56,8 @@ class BusPoses:
         How late the robot follows.
     looks_ahead : bool
         Whether offsets are asked for where the torch will be once they act.
+    doubt : Doubt or None
+        Why poses were not trusted when the verdict was asked last; None where they were.
     on_sample : callable or None
         Hears each pose, its time on the frames' clock, and when it was read, s.
     """
@@ -90,6 +92,7 @@ class BusPoses:
             self._T_controllertool_tool,
         )
         self.look_ahead = LookAhead(self._path, estimator=self._lag_estimator or LagNow())
+        self.doubt: Doubt | None = None
         self._forget_poses()
 
     def hear(self, received: Received, now_s: float) -> None:
@@ -123,7 +126,8 @@ class BusPoses:
 
     def verdict(self, now_s: float) -> GateReason:
         """Return what the gate is told of the poses."""
-        return self.watch.verdict(now_s)
+        self.doubt = self.watch.doubt(now_s)
+        return GateReason.NONE if self.doubt is None else GateReason.POSE_IMPLAUSIBLE
 
     def may_last(self, now_s: float) -> bool:
         """Return whether what is measured by the poses now may be kept: they are trusted."""

@@ -84,6 +84,8 @@ class Controller:
         What became of the offsets of all tracks.
     reasons : Counter of GateReason
         Why they were held or refused.
+    gate_reason : GateReason
+        Why the offset of the newest track did not go out as it was measured; NONE if it did.
     """
 
     def __init__(
@@ -94,6 +96,7 @@ class Controller:
     ) -> None:
         self.verdicts: Counter[Verdict] = Counter()
         self.reasons: Counter[GateReason] = Counter()
+        self.gate_reason = GateReason.NONE
         self._jobs = job
         self._source = source
         self._policy = policy or ServicePolicy()
@@ -225,6 +228,7 @@ class Controller:
             self._last_sent,
             now_s,
         )
+        self.gate_reason = decision.reason
         self._sent_before, self._last_sent = self._last_sent, decision.last_sent
         self._offset, self._is_refusal_owed = decision.message, False
         self.verdicts[decision.verdict] += 1

@@ -30,6 +30,9 @@ from tracker.seam.innovation import InnovationLimits, SeamInnovation, SeamMeasur
 BEGINNING = (Command.DISARM, Command.RESET)
 """With these commands a new seam begins: what was before says nothing of it."""
 
+Doubt = Implausibility | SeamMotion
+"""Why poses are not trusted."""
+
 
 class PoseWatch:
     """Hears the bus and the seam, and says whether poses are to be trusted.
@@ -124,7 +127,7 @@ class PoseWatch:
         moving = seam.at_speed(self._poses.speed_mm_s, self._seam_limits)
         self._seam = self._seam.with_seam(moving, self._seam_limits)
 
-    def doubt(self, now_s: float) -> Implausibility | SeamMotion | None:
+    def doubt(self, now_s: float) -> Doubt | None:
         """Return why poses are not trusted at a time, s; None where they are."""
         doubt = self._poses.at(now_s, self._limits)
         if doubt is None and self._seam.motion is SeamMotion.CONTRADICTED:

@@ -10,6 +10,7 @@ from typing import Generic, Protocol, TypeVar
 
 from arctrack.service.controller import Controller
 from arctrack.service.frame_tracking import Capture
+from arctrack.service.pose_watch import Doubt
 from noise_model.arrays import Float64
 from robot_io import (
     BusMessage,
@@ -29,6 +30,10 @@ Shown = TypeVar("Shown", contravariant=True)
 
 class Poses(Protocol):
     """Where the tool was, and whether that is to be trusted; see `BusPoses`."""
+
+    @property
+    def doubt(self) -> Doubt | None:
+        """Why poses were not trusted when the verdict was asked last; None where they were."""
 
     def begin(self) -> None:
         """Begin as a new process."""

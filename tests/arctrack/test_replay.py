@@ -128,6 +128,8 @@ def test_bad_frames_are_flagged_and_the_tracking_goes_on(simulated: Path, tmp_pa
         "flags": "frame_unreadable",
         "offset_y_mm": rows[5]["offset_y_mm"],
         "offset_z_mm": rows[5]["offset_z_mm"],
+        "validity": "held",
+        "gate_reason": "not_measured",
     }
     assert [t.valid for t in done.tracks[6:]] == [t.valid for t in expected.tracks[6:]]
     assert done.complaint is not None

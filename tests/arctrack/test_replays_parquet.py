@@ -15,7 +15,8 @@ from tests.arctrack.test_replays_at_once import copies, run
 
 parquet = pytest.importorskip("pyarrow.parquet")
 
-TEXTS = ("recording", "recording_path", "flags", "pose_doubt")
+RUN_TEXTS = ("run_validity", "run_gate_reason", "run_pose_doubt")
+TEXTS = ("recording", "recording_path", "flags", "pose_doubt", "validity", "gate_reason", *RUN_TEXTS)
 
 
 def expected(recording: Path, results: Path) -> list[dict[str, object]]:

@@ -15,6 +15,7 @@ from arctrack.output import write_whole
 from arctrack.printable import printable, quoted
 from arctrack.recording import Recording, Truth
 from arctrack.recording.results import count_flags
+from arctrack.recording.run_offsets import OffsetOutcome, RunComparison
 from arctrack.recording.score import score
 from arctrack.recording.setup_file import FILE_NAME
 from arctrack.report.explanation import words
@@ -75,6 +76,7 @@ class ReplayPage:
         self._texts: dict[str, int] = {}
         self._checks: list[list[list[int]]] = []
         self._shown: dict[int, dict[str, Any]] = {}
+        self._comparison = RunComparison()
 
     def add(self, frame: Frame | None, seen: Seen, shown: dict[str, Any] | None) -> None:
         """Take the next frame, None if it could not be read, and its `view_json`, None if it is not shown."""
@@ -87,6 +89,8 @@ class ReplayPage:
         true_mm = self._truth_mm.get(track.frame)
         for name, value in _columns(frame, seen, true_mm).items():
             self._columns.setdefault(name, []).append(value)
+        if seen.run is not None:
+            self._comparison.add(seen.run, seen.outcome)
         self._tracks.append(replace(track, stripe=None, checks=()))
 
     def save(self, path: Path) -> None:
@@ -130,6 +134,7 @@ class ReplayPage:
                 span_s=tracks[-1].timestamp_s - tracks[0].timestamp_s,
                 counts=count_flags(tracks),
                 score=scored,
+                comparison=self._comparison if self._comparison.frames else None,
                 width=camera.width,
                 height=camera.height,
                 has_truth=bool(self._truth_mm),
@@ -164,6 +169,13 @@ def _check_texts(check: Check) -> tuple[str, str, str, str]:
     )
 
 
+def _run_text(run: OffsetOutcome) -> str:
+    """Return what the live run sent: y and z, mm, and what its gate did."""
+    axes = ((run.offset_y_mm, "y"), (run.offset_z_mm, "z"))
+    known = [f"{axis} {value:+.3f} mm" for value, axis in axes if math.isfinite(value)]
+    return ", ".join([*known, run.gate, *([run.pose_doubt] if run.pose_doubt else [])])
+
+
 def _columns(frame: Frame | None, seen: Seen, true_mm: Float64 | None) -> dict[str, Any]:
     """Return a frame's cell of each of the page's columns; what is not known is None."""
     values = numbers(frame, seen, true_mm)
@@ -172,6 +184,8 @@ def _columns(frame: Frame | None, seen: Seen, true_mm: Float64 | None) -> dict[s
         "flags": seen.track.flags,
         "valid": int(seen.track.valid),
         "bus": on_bus(seen),
+        "gate": seen.outcome.gate,
+        "run": None if seen.run is None else _run_text(seen.run),
         "laser": None if frame is None else int(frame.laser_on),
         "arc": None if frame is None else int(frame.arc_on),
         **{name: round(value, 5) if math.isfinite(value) else None for name, value in values.items()},

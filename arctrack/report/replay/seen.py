@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import IO
 
 from arctrack.output import writing
+from arctrack.recording.run_offsets import NO_OUTCOME, OffsetOutcome
 from robot_io import SeamOffset
 from tracker.measure import Reading
 from tracker.state import Pose, Track
@@ -19,7 +20,8 @@ class Seen:
     """A frame's pose and track, the look that it rests on, the offset that went to the bus.
 
     `pose` is None where it was refused or there was no frame, `reading` where no look was taken; `compute_ms`
-    is NaN where there was no frame to step.
+    is NaN where there was no frame to step. `outcome` is what the gate did, and `run` what it had done in the
+    live run that a black box is of.
     """
 
     pose: Pose | None
@@ -27,6 +29,8 @@ class Seen:
     reading: Reading | None
     offset: SeamOffset
     compute_ms: float
+    outcome: OffsetOutcome = NO_OUTCOME
+    run: OffsetOutcome | None = None
 
 
 class SeenFile:

@@ -99,6 +99,8 @@ function rows(n) {
     list.push([`offset ${axis} proposed`, withSigma(C[`proposed_${axis}_mm`][n], C[`proposed_sigma_${axis}_mm`][n]), `proposed_${axis}`]);
     list.push([`offset ${axis} on bus`, known(C[`offset_${axis}_mm`][n]) ? `${signed(C[`offset_${axis}_mm`][n], 3)} mm, ${C.bus[n]}` : C.bus[n] === "none" ? "none" : "–", `offset_${axis}`]);
   }
+  list.push(["the gate", C.gate[n], "gate"]);
+  if (known(C.run[n])) list.push(["the run itself sent", C.run[n], "run"]);
   list.push(["gap; mismatch", `${number(C.gap_mm[n], 3)}; ${signed(C.mismatch_mm[n], 3)} mm`, "gap"]);
   list.push(["seam to view's edge", known(C.fov_margin_mm[n]) ? `${number(C.fov_margin_mm[n], 2)} mm` : "–", "fov_margin"]);
   list.push(["confidence", number(C.confidence[n], 3), "confidence"]);

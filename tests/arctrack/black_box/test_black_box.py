@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import math
 import multiprocessing
 from dataclasses import asdict, replace
 from itertools import takewhile
@@ -17,11 +19,14 @@ from arctrack.black_box.recorder import FaultWatch, RecorderOptions, run_recorde
 from arctrack.black_box.save import JobSetup, NothingToSaveError, save_window
 from arctrack.cell_file import read_cell_file
 from arctrack.cell_file.job_setup import job_setup_text
+from arctrack.errors import ArctrackError
 from arctrack.journal import private_memory
 from arctrack.journal.journal import Journal, JournalReader, slots_for
 from arctrack.journal.records import Status
 from arctrack.recording import read_recording
+from arctrack.recording.run_offsets import OffsetOutcome, RunComparison, read_run_offsets
 from arctrack.recording.steps import read_state, write_state
+from arctrack.replay import replay_recording
 from arctrack.serve.keeper import Keeper
 from arctrack.serve.loop import LiveLoop
 from arctrack.serve.run import cast_of, run
@@ -38,6 +43,7 @@ from robot_io import (
     TrackerState,
     Validity,
 )
+from robot_io.poses.pose_questions import Implausibility
 from tracker.seam.steer import AT_ONCE, Lead
 from tracker.seam.stretches import PastStretches
 from tracker.state import Track
@@ -82,8 +88,14 @@ class Run:
             capture = Capture(frame.index, frame.timestamp_s, pose, None, n not in (6, 7), lead)
             track, _ = self.tracking.track(frame, capture)
             self.tracks.append(track)
-            offset = SeamOffset(0.1 * n, 0.0, 10.0, 0.9, Validity.VALID)
-            self.keeper.on_sent(offset, 1, frame.timestamp_s + 0.01, frame.timestamp_s + 0.02, 2.0, 0)
+            offset, reason, doubt = SeamOffset(0.1 * n, 0.0, 10.0, 0.9, Validity.VALID), GateReason.NONE, None
+            if n == 7:
+                offset, reason = replace(offset, validity=Validity.HELD), GateReason.CAPTURE_TOO_OLD
+            elif n == 8:
+                offset = SeamOffset(math.nan, math.nan, math.nan, math.nan, Validity.REFUSED)
+                reason, doubt = GateReason.POSE_IMPLAUSIBLE, Implausibility.STOPPED
+            arrived_s, sent_s = frame.timestamp_s + 0.01, math.nan if n == 10 else frame.timestamp_s + 0.02
+            self.keeper.on_sent(offset, 1, arrived_s, sent_s, 2.0, 0, reason, doubt)
 
     @property
     def jobs(self) -> dict[int, JobSetup]:
@@ -117,6 +129,64 @@ def test_a_saved_window_replays_to_the_same_tracks(memory, tmp_path, kept_s, slo
     assert sum(track.valid for track in replayed) >= 3
     assert json.loads((path / "black_box.json").read_text())["frames"] == len(saved.rows)
     assert (path / "live" / "results.csv").read_text().count("\n") == len(saved.rows) + 1
+
+
+@pytest.mark.slow
+def test_a_replay_shows_what_the_run_sent_and_why_it_refused(memory, tmp_path) -> None:
+    live, journal = a_run()
+    journal.tell(refused(GateReason.CAMERA_STOPPED))
+    path = save_window(JournalReader(RUN), 30.0, live.jobs, 25.0, tmp_path / "saved", "asked")
+    journal.close()
+    assert json.loads((path / "black_box.json").read_text())["gate_reason"] == "camera_stopped"
+    replay = replay_recording(read_recording(path), tmp_path / "out")
+    rows = list(csv.DictReader((tmp_path / "out" / "results.csv").read_text().splitlines()))
+    run = [(row["run_validity"], row["run_gate_reason"], row["run_pose_doubt"]) for row in rows]
+    assert run[6:11] == [
+        ("valid", "", ""),
+        ("held", "capture_too_old", ""),
+        ("refused", "pose_implausible", "stopped"),
+        ("valid", "", ""),
+        ("not_sent", "", ""),
+    ]
+    assert [row["run_offset_y_mm"] for row in rows[6:9]] == ["0.60000", "0.70000", ""]
+    names = ("offset_y_mm", "offset_z_mm", "validity")
+    sent = [[row[name] for name in names] for row in rows]
+    as_run = [[row[f"run_{name}"] for name in names] for row in rows]
+    assert (rows[0]["validity"], rows[0]["gate_reason"]) == ("refused", "arc_off")
+    differ = sum(one != other for one, other in zip(sent, as_run, strict=True))
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())["run_offsets"]
+    assert (summary["frames"], summary["differ"]) == (14, differ)
+    assert sum(kind["frames"] for kind in summary["differences"]) == differ > 0
+    assert replay.warnings[-1].startswith(f"{differ} of 14 offsets are not those that the run sent: ")
+    page = (tmp_path / "out" / "replay.html").read_text(encoding="utf-8")
+    assert f"This is a black box: {differ} of 14 offsets" in page
+    assert '"refused, pose_implausible, stopped"' in page
+
+
+def test_a_run_that_is_replayed_alike_is_said_to_be() -> None:
+    run = OffsetOutcome(0.1, math.nan, "valid", "soft_start")
+    comparison = RunComparison()
+    for other in (run, replace(run, offset_y_mm=0.1004, gate_reason=""), replace(run, pose_doubt="age")):
+        comparison.add(run, other)
+    assert str(comparison) == "all 3 offsets are those that the run sent"
+    # An older black box notes no validity: its offsets are compared.
+    comparison.add(OffsetOutcome(0.1, math.nan), replace(run, validity="held"))
+    assert not comparison.differences
+    comparison.add(run, replace(run, offset_z_mm=0.0))
+    comparison.add(run, replace(run, offset_y_mm=0.102, validity="held"))
+    assert comparison.differences == {
+        ("valid, soft_start", "valid, soft_start"): 1,
+        ("valid, soft_start", "held, soft_start"): 1,
+    }
+
+
+@pytest.mark.parametrize("text", ["frame,offset_y_mm\n0,1\n", "frame,offset_y_mm,offset_z_mm\n0,a,1\n"])
+def test_offsets_of_a_run_that_cannot_be_read_name_file_and_cure(tmp_path, text) -> None:
+    assert read_run_offsets(tmp_path) == {}
+    (tmp_path / "live").mkdir()
+    (tmp_path / "live" / "results.csv").write_text(text)
+    with pytest.raises(ArctrackError, match=r"live/results.csv: row 1: .*; take live/results.csv away"):
+        read_run_offsets(tmp_path)
 
 
 def test_a_state_comes_back_the_same(memory, tmp_path) -> None:

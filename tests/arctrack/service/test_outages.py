@@ -255,6 +255,8 @@ def test_the_robot_follows_a_soft_start_from_its_first_offset() -> None:
 
 def test_an_offset_that_did_not_go_out_does_not_bring_back_the_one_before_a_disarm() -> None:
     cell = tracking()
+    # The next step says TRACK before its frame comes.
+    cell.n = 4
     offset = cell.controller.on_track(track(cell.now_s), cell.now_s)[-4]
     assert isinstance(offset, SeamOffset)
     received = Inbox().receive(frame_of(Protector(), DISARMS))

@@ -1,0 +1,151 @@
+"""What a live run sent of each frame of its black box, beside what a replay of it sends."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+
+from arctrack.errors import in_file
+from robot_io import GateReason, SeamOffset
+from tracker.state import NAN
+
+LIVE_FOLDER, LIVE_RESULTS = "live", "results.csv"
+
+NOT_SENT = "not_sent"
+"""The validity of an offset that the bus did not take."""
+
+BUS_STEP_MM = 0.001
+"""The resolution of an offset on the bus, mm: closer ones are the same."""
+
+MAX_NAMED = 3
+"""Kinds of differences that a line names."""
+
+
+@dataclass(frozen=True)
+class OffsetOutcome:
+    """What became of a frame's offset: y and z, mm, its validity, the gate's reason, the doubt of the poses.
+
+    The texts are those of results.csv; `gate_reason` and `pose_doubt` are empty where there was none, and all
+    three where nobody noted them.
+    """
+
+    offset_y_mm: float = NAN
+    offset_z_mm: float = NAN
+    validity: str = ""
+    gate_reason: str = ""
+    pose_doubt: str = ""
+
+    @classmethod
+    def of(
+        cls, offset: SeamOffset, reason: GateReason, pose_doubt: Enum | None, was_sent: bool = True
+    ) -> OffsetOutcome:
+        """Return the outcome of an offset that went to the bus, or was to go there."""
+        return cls(
+            offset.offset_y_mm,
+            offset.offset_z_mm,
+            offset.validity.name.lower() if was_sent else NOT_SENT,
+            "" if reason is GateReason.NONE else reason.name.lower(),
+            "" if pose_doubt is None else pose_doubt.name.lower(),
+        )
+
+    @property
+    def gate(self) -> str:
+        """What the gate did, and why."""
+        return ", ".join(text for text in (self.validity, self.gate_reason) if text) or "not noted"
+
+    def differs(self, other: OffsetOutcome) -> bool:
+        """Return whether another offset is not the same for a robot."""
+        pairs = (self.offset_y_mm, other.offset_y_mm), (self.offset_z_mm, other.offset_z_mm)
+        is_other = any(not _is_same(run_mm, other_mm) for run_mm, other_mm in pairs)
+        return is_other or (bool(self.validity) and self.validity != other.validity)
+
+
+NO_OUTCOME = OffsetOutcome()
+"""Nothing is known of it."""
+
+
+@dataclass
+class RunComparison:
+    """Counts the frames whose offset a replay would send otherwise than the run did.
+
+    Attributes
+    ----------
+    frames : int
+        How many frames both know.
+    differences : Counter of (str, str)
+        What the gate of the run did, and that of the replay, where offsets differ.
+    """
+
+    frames: int = 0
+    differences: Counter[tuple[str, str]] = field(default_factory=Counter)
+
+    def add(self, run: OffsetOutcome, replayed: OffsetOutcome) -> None:
+        """Take a frame."""
+        self.frames += 1
+        if run.differs(replayed):
+            self.differences[run.gate, replayed.gate] += 1
+
+    def __str__(self) -> str:
+        count = self.differences.total()
+        if count == 0:
+            return f"all {self.frames} offsets are those that the run sent"
+        kinds = [
+            f"{n} in the run {run}, here {here}" for (run, here), n in self.differences.most_common(MAX_NAMED)
+        ]
+        others = len(self.differences) - len(kinds)
+        kinds += [f"{others} more kinds"] if others > 0 else []
+        return (
+            f"{count} of {self.frames} offsets are not those that the run sent: {'; '.join(kinds)}. "
+            "A replay takes a robot that tracks and welds from the first frame on, without delays; "
+            "run_… in results.csv is what the run sent"
+        )
+
+    def to_json(self) -> dict[str, object]:
+        """Return the content for summary.json."""
+        return {
+            "frames": self.frames,
+            "differ": self.differences.total(),
+            "differences": [
+                {"run": run, "replay": here, "frames": count}
+                for (run, here), count in self.differences.most_common()
+            ],
+        }
+
+
+def read_run_offsets(recording: Path) -> Mapping[int, OffsetOutcome]:
+    """Return what a live run sent, by frame; nothing for a recording that is no black box.
+
+    Raises ArctrackError, with the cure, where the file is there and cannot be read.
+    """
+    path = recording / LIVE_FOLDER / LIVE_RESULTS
+    if not path.is_file():
+        return {}
+    outcomes = {}
+    n_rows = 0
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            for row in csv.DictReader(file):
+                n_rows += 1
+                outcomes[int(row["frame"])] = OffsetOutcome(
+                    float(row["offset_y_mm"] or NAN),
+                    float(row["offset_z_mm"] or NAN),
+                    row.get("validity") or "",
+                    row.get("gate_reason") or "",
+                    row.get("pose_doubt") or "",
+                )
+    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
+        raise in_file(
+            path, f"row {n_rows}: {error!r}; take {LIVE_FOLDER}/{LIVE_RESULTS} away to replay without it"
+        ) from None
+    return outcomes
+
+
+def _is_same(run_mm: float, other_mm: float) -> bool:
+    if math.isnan(run_mm) or math.isnan(other_mm):
+        return math.isnan(run_mm) and math.isnan(other_mm)
+    return abs(run_mm - other_mm) < BUS_STEP_MM
