@@ -156,17 +156,18 @@ def frame_times(
     return source
 
 
-def doubts(series: ImageSeries, used: TimeSource, taken_s: Sequence[float]) -> list[str]:
+def doubts(series: ImageSeries, used: TimeSource, poses: PoseFile, taken_s: Sequence[float]) -> list[str]:
     """Return warnings on times whose rate no camera has, and on what contradicts them.
 
-    Held against them are a video's own times, times and numbers in the names of images, and `taken_s`, the
-    times that the tags of images state.
+    Held against them are a video's own times, times and numbers in the names of images, rows of the `poses`
+    that name images, and `taken_s`, the times that the tags of images state.
     """
     times, frames = used.values, series.indices
     if len(times) < 2:
         return []
     others = [series.times] if series.times is not None else recognized_times(series.paths)
     others.append(TimeSource("the times in the images' tags", np.array(taken_s), TAG_TICK_S))
+    others += [poses.image_times] if poses.image_times is not None else []
     if not any(source.is_count for source in others):
         others.append(TimeSource("the frames' numbers", np.array(frames, float), is_count=True))
     rate_hz = 1.0 / float(np.median(np.diff(times)))

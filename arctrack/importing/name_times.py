@@ -17,14 +17,18 @@ from noise_model.arrays import Float64
 
 NAME = "the times in the names"
 
-DAY_S = 86400.0
+DAY_S, MONTHS = 86400.0, 12
 
-_OF_DAY = r"([01]\d|2[0-3])%s([0-5]\d)%s([0-5]\d)(?:([-_.,]?)(\d{1,9}))?(?!\d)"
+_OF_DAY = r"([01]\d|2[0-3])%s([0-5]\d)%s([0-5]\d)(?:([-_.,]%s)(\d{1,9}))?(?!\d)"
 _DATED = re.compile(
     r"(?<!\d)((?:19|20)\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])[-T_ .]*"
-    + _OF_DAY % ("[-_.:h]?", "[-_.:m]?")
+    + _OF_DAY % ("[-_.:h]?", "[-_.:m]?", "?")
 )
-_OF_DAY_ALONE = re.compile(r"(?<!\d)" + _OF_DAY % ("[-_.:h]", "[-_.:m]"))
+_DAY_FIRST = re.compile(
+    r"(?<!\d)(0[1-9]|[12]\d|3[01])[-_.](0[1-9]|[12]\d|3[01])[-_.]((?:19|20)\d\d)[-T_ .]*"
+    + _OF_DAY % ("[-_.:h]?", "[-_.:m]?", "?")
+)
+_OF_DAY_ALONE = re.compile(r"(?<!\d)" + _OF_DAY % ("[-_.:h]", "[-_.:m]", ""))
 _TRAILING_COUNT = re.compile(r"\d{1,9}$")
 _TRAILING_NUMBER = re.compile(r"\d+(?:\.\d+)?$")
 
@@ -53,8 +57,11 @@ def times_in_names(paths: Sequence[Path], stated: Units) -> TimeSource:
 
 def holds_dates(paths: Sequence[Path]) -> bool:
     """Return whether each name holds a date and a time of day: no count, for 230000 follows 225959."""
-    times = [_DATED.search(path.stem) for path in paths]
-    return len({match and match[0] for match in times}) > 1 and None not in times
+    for form in (_DATED, _DAY_FIRST):
+        times = [form.search(path.stem) for path in paths]
+        if None not in times:
+            return len({match and match[0] for match in times}) > 1
+    return False
 
 
 def recognized_times(paths: Sequence[Path]) -> list[TimeSource]:
@@ -73,23 +80,29 @@ def recognized_times(paths: Sequence[Path]) -> list[TimeSource]:
 
 
 def _by_calendar(paths: Sequence[Path]) -> list[TimeSource]:
-    for form in (_DATED, _OF_DAY_ALONE):
+    for form in (_DATED, _DAY_FIRST, _OF_DAY_ALONE):
         hits = [form.search(path.stem) for path in paths]
         matches = [match for match in hits if match is not None]
         if len(matches) == len(paths):
-            return _calendar_times(matches, has_date=form is _DATED)
+            return _calendar_times(matches, form)
     return []
 
 
-def _calendar_times(matches: Sequence[re.Match[str]], has_date: bool) -> list[TimeSource]:
+def _calendar_times(matches: Sequence[re.Match[str]], form: re.Pattern[str]) -> list[TimeSource]:
     """Return times in s since 1970, or since a midnight, by the camera's clock; and a counter behind them."""
-    seconds = []
-    for match in matches:
-        fields = [int(text) for text in match.groups()[: 6 if has_date else 3]]
-        date = fields[:3] if has_date else [1970, 1, 1]
-        seconds.append(float(calendar.timegm((*date, *fields[-3:]))))
-    whole_s = np.array(seconds)
-    if not has_date:
+    fields = np.array([match.groups()[:-2] for match in matches], dtype=np.int64)
+    dates = np.tile((1970, 1, 1), (len(matches), 1)) if form is _OF_DAY_ALONE else fields[:, :3]
+    if form is _DAY_FIRST:
+        # The month is first in the United States.
+        month, day = (0, 1) if dates[:, 1].max() > MONTHS else (1, 0)
+        dates = dates[:, [2, month, day]]
+    whole_s = np.array(
+        [
+            float(calendar.timegm((*date, *time_of_day)))
+            for date, time_of_day in zip(dates.tolist(), fields[:, -3:].tolist(), strict=True)
+        ]
+    )
+    if form is _OF_DAY_ALONE:
         whole_s = _past_midnight(whole_s)
     behind = [_TRAILING_COUNT.search(match.string, match.end()) for match in matches]
     counts = [int(count[0]) for count in behind if count is not None]

@@ -36,6 +36,7 @@ from arctrack.importing.units import ANGLE, LENGTH, TIME, UNITS, Units, factor
 from arctrack.limits import LIMITS
 from arctrack.recording.csv_file import CsvTable, Parser, TimeParser, number, read_csv, rows_once
 from arctrack.recording.files import blamed_on, read_bytes
+from arctrack.recording.time_sources import TimeSource
 from noise_model.arrays import Float64, Int64
 
 POSITION_NAMES = tuple(
@@ -58,7 +59,8 @@ class PoseFile:
 
     `T_base_tool` (n, 4, 4), mm; `times_s` (n,) if the file has times; `rows` (images,) the row of each image,
     if the file says it or has no times, -1 for none; `units` as read, for people; `warnings` where they look
-    wrong; `rotation` (n, 3) or (n, 4) the numbers of the rotation as the file has them, None of matrices.
+    wrong; `rotation` (n, 3) or (n, 4) the numbers of the rotation as the file has them, None of matrices;
+    `image_times` what rows say of the images' times where these are from elsewhere.
     """
 
     path: Path
@@ -69,6 +71,7 @@ class PoseFile:
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     rotation: Float64 | None = None
+    image_times: TimeSource | None = None
 
 
 def known_names(rotation: str | None) -> tuple[str, ...]:
@@ -120,10 +123,15 @@ def read_pose_table(
     time_parser = TimeParser()
     if time is not None:
         parsers[time.header] = time_parser
+    named = None
     if file is not None:
         parsers[file.header] = image_parser(series)
     elif frame is not None:
         parsers[frame.header] = frame_number
+    elif time is not None:
+        named = columns.find(FILE_NAMES) or columns.find(FRAME_NAMES)
+    if named is not None:
+        parsers[named.header] = _lenient_parser(series, columns.find(FILE_NAMES) is not None)
     table = read_csv(columns.path, parsers)
     notes = list[str]()
     if time is not None:
@@ -147,8 +155,30 @@ def read_pose_table(
     if time is None or file is not None or frame is not None:
         rows, more = rows_of_images(table, frame, file, series, may_lack=may_lack)
         notes += more
+    image_times = None
+    if named is not None and times is not None:
+        image_times = _times_of_images(table.column(named.header), times, series, columns.path)
     spoken = ", ".join(dict.fromkeys(units))
-    return PoseFile(columns.path, T_base_tool, times, rows, spoken, tuple(notes), tuple(warnings), numbers)
+    return PoseFile(
+        columns.path, T_base_tool, times, rows, spoken, tuple(notes), tuple(warnings), numbers, image_times
+    )
+
+
+def _lenient_parser(series: ImageSeries, are_files: bool) -> Parser:
+    """Return what makes an image's position of a file's name or a frame's number, -1 of what is neither."""
+    if are_files:
+        return image_parser(series)
+    positions = {index: n for n, index in enumerate(series.indices)}
+    return lambda text: positions.get(int(text), UNKNOWN_IMAGE) if text.isdecimal() else UNKNOWN_IMAGE
+
+
+def _times_of_images(positions: Float64, times: Float64, series: ImageSeries, path: Path) -> TimeSource:
+    """Return the times of the rows that name images, NaN for an image of none or of several rows."""
+    rows, counts = np.unique(positions[positions != UNKNOWN_IMAGE].astype(np.int64), return_counts=True)
+    image_times = np.full(len(series), np.nan)
+    for position in rows[counts == 1].tolist():
+        image_times[position] = times[np.argmax(positions == position)]
+    return TimeSource(f"the rows of {path.name}", image_times)
 
 
 def read_listing(

@@ -159,7 +159,7 @@ def import_recording(
         "conditions": _conditions_note(assumed, raw.frames),
         "poses": "; ".join((_pose_note(poses), *poses.notes)),
     }
-    told = doubts(series, source, images.taken_s)
+    told = doubts(series, source, poses, images.taken_s)
     return Imported(recording, notes, (*series.warnings, *images.warnings, *poses.warnings, *told, *misfits))
 
 

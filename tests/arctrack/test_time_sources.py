@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
 from fractions import Fraction
 from pathlib import Path
 
@@ -100,6 +103,8 @@ def test_a_counter(times_s: Float64, counts: Float64, line: str | None) -> None:
         (["20240131_235958_001", "20240131_235958_101"], [0.0, 0.1]),
         (["05-59-59_9", "05-59-59_90", "06-00-00_1"], [0.0, 0.081, 0.992]),
         (["a_23-59-59", "a_00-00-01"], [0.0, 2.0]),
+        (["cam_31-01-2024_23-59-59", "cam_01-02-2024_00-00-01"], [0.0, 2.0]),
+        (["cam_01-31-2024 23.59.59.5", "cam_02-01-2024 00.00.01.0"], [0.0, 1.5]),
         (["1403636579763555584", "1403636579813555456"], [0.0, 0.049999872]),
         (["f1706745599123.5", "f1706745599223.5"], [0.0, 0.1]),
     ],
@@ -215,14 +220,27 @@ def test_a_video_without_its_index_has_all_frames(tmp_path: Path) -> None:
     assert f"{video} breaks off after its last frame, 23: " in str(index_of(video).breaks_off)
 
 
-def test_a_video_that_nobody_finished(tmp_path: Path) -> None:
-    """A writer that is killed leaves the sizes open that it states at its end."""
-    video = recorded(tmp_path / "r", EVERY_100_MS) / "frames.mkv"
-    content = bytearray(video.read_bytes())
-    where = content.index(bytes.fromhex("18538067")) + 4
-    content[where : where + 8] = bytes.fromhex("01ffffffffffffff")
-    video.write_bytes(content)
-    assert str(index_of(video).breaks_off).endswith("its writer did not finish it")
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+import numpy as np
+from arctrack.recording.ffv1 import VideoWriter
+video = VideoWriter(Path(sys.argv[1]), 48, 36, np.uint8, 10.0)
+rng = np.random.default_rng(0)
+for n in range(600):
+    video.write(rng.integers(0, 256, (36, 48), np.uint8), 0.1 * n)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.slow
+def test_a_video_whose_writer_was_killed_breaks_off(tmp_path: Path) -> None:
+    video = tmp_path / "v.mkv"
+    done = subprocess.run([sys.executable, "-c", KILLED, str(video)], check=False)
+    assert done.returncode == -signal.SIGKILL
+    count = len(index_of(video))
+    assert 0 < count < 600
+    assert index_of(video).breaks_off == f"{video} breaks off in frame {count}: its writer did not finish it"
 
 
 def written_video(path: Path, streams: int, **tags: int) -> Path:
@@ -288,6 +306,19 @@ def test_times_in_tags_are_held_against_the_rate(tmp_path: Path) -> None:
     code, said = imported(tmp_path, photos, "--rate-hz", 1)
     assert code == 0
     assert "the times in the images' tags contradict --rate-hz 1 from frame 3 on: 12 s where 3 s" in said
+
+
+def test_rows_of_poses_that_name_images_are_held_against_the_rate(tmp_path: Path) -> None:
+    photos = images(tmp_path, [f"f_{n}.png" for n in range(8)])
+    setup, poses = tmp_path / "setup.toml", tmp_path / "robot.csv"
+    setup.write_text(format_setup(small_setup()))
+    # A path at 20 Hz: every other row names the image that was taken then.
+    rows = [f"{0.05 * n + (n > 9):.2f},{n},0,500,0,0,0,1,{'' if n % 2 else n // 2}\n" for n in range(80)]
+    poses.write_text("timestamp_s,x_mm,y_mm,z_mm,qx,qy,qz,qw,frame\n" + "".join(rows))
+    words = ["import", photos, "--setup", setup, "--poses", poses, "--out", tmp_path / "out", "--rate-hz", 10]
+    done = RUNNER.invoke(app, [str(word) for word in words])
+    assert done.exit_code == 0
+    assert "the rows of robot.csv contradict --rate-hz 10 from frame 5 on: 1.5 s where 0.5 s" in done.output
 
 
 def test_lost_frames_of_a_table_are_told(tmp_path: Path) -> None:
