@@ -6,18 +6,20 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from arctrack.calibrating.stage import Stage, Steps, Warn, left_out
-from arctrack.calibration_files.hand_eye_meaning import other_meaning
+from arctrack.calibration_files.hand_eye_meaning import other_meanings
 from arctrack.calibration_files.hand_eye_poses import read_posed_boards
-from arctrack.calibration_files.robot_poses import PoseSource
+from arctrack.calibration_files.robot_poses import PoseSource, read_robot_poses
 from arctrack.calibration_records.hand_eye_record import hand_eye_record
 from arctrack.calibration_records.laser_record import moved_with_camera
 from arctrack.errors import in_file
+from arctrack.importing.image_files import find_images
 from arctrack.recording import SetupFile
 from arctrack.report.calibration.hand_eye import hand_eye_page
 from calibration.boards.board import Board
 from calibration.camera.enough import UndeterminedError
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration, calibrate_hand_eye
 from calibration.hand_eye_boards.enough import InconsistentError
+from noise_model.arrays import Float64
 
 CHECK = (
     "check how rotations are written (--rotation), units, which pose is of which image, and the squares' side"
@@ -76,10 +78,13 @@ def hand_eye_stage(
             progress=steps("fitting the camera's pose", "steps"),
         )
     except InconsistentError as error:
-        # Another reading that fits is named: numbers alone do not say which convention they follow.
-        meaning = other_meaning(posed, source.rotation, is_eye_to_hand=is_eye_to_hand)
-        cure = CHECK if meaning is None else f"the poses fit the boards if they are read otherwise: {meaning}"
-        raise in_file(source.path, f"{error}: {cure}") from None
+        # Readings that fit are named: numbers alone do not say which convention they follow.
+        def reread(other: PoseSource) -> Float64:
+            return read_robot_poses(other, find_images(sources), stated).at(posed.rows)
+
+        meanings = other_meanings(posed, source, reread, is_eye_to_hand=is_eye_to_hand)
+        fits = f"the poses fit the boards if they are read otherwise: {'; or '.join(meanings)}"
+        raise in_file(source.path, f"{error}: {fits if meanings else CHECK}") from None
     except UndeterminedError as error:
         raise in_file(source.path, str(error)) from None
     warn(left_out(result.left_out))

@@ -18,9 +18,13 @@ _OPENCV_STARTS = ("%YAML", "<?xml")
 _SEPARATORS = re.compile(r"[\s,;\[\]]+")
 _HOMOGENEOUS = (0.0, 0.0, 0.0, 1.0)
 
+BY_COLUMNS = "the matrices stand column by column, and are read so"
 
-def read_matrices(rotations: Path, translations: Path | None, mm: float) -> Float64:
-    """Return poses (n, 4, 4), mm, of a file of rotations and one of translations, or of whole poses in one.
+
+def read_matrices(rotations: Path, translations: Path | None, mm: float) -> tuple[Float64, tuple[str, ...]]:
+    """Return poses (n, 4, 4), mm, and notes, of rotations and translations, or of whole poses in one file.
+
+    Whole poses may stand column by column: their last row, or that no other reading makes rotations, tells.
 
     Parameters
     ----------
@@ -37,8 +41,9 @@ def read_matrices(rotations: Path, translations: Path | None, mm: float) -> Floa
         For a file that holds something else, a matrix that is no rotation, another number of translations.
     """
     values, width = _numbers(rotations)
+    notes: tuple[str, ...] = ()
     if translations is None:
-        T_base_tool = _whole_poses(values, width, rotations)
+        T_base_tool, notes = _whole_poses(values, width, rotations)
     else:
         if values.size % 9 or width not in (3, 9):
             raise in_file(rotations, f"holds rows of {width} numbers: matrices of 3 x 3 are needed")
@@ -56,23 +61,44 @@ def read_matrices(rotations: Path, translations: Path | None, mm: float) -> Floa
     except NoRotationError as error:
         raise in_file(rotations, f"matrix {error.row + 1} {error}") from None
     T_base_tool[:, :3, 3] *= mm
-    return T_base_tool
+    return T_base_tool, notes
 
 
-def _whole_poses(values: Float64, width: int, path: Path) -> Float64:
-    flat = values.reshape(-1)
-    T_base_tool = np.tile(np.eye(4), (flat.size // 12, 1, 1))
-    if width in (4, 16) and flat.size % 16 == 0:
-        blocks = flat.reshape(-1, 4, 4)
-        if np.allclose(blocks[:, 3], _HOMOGENEOUS, rtol=0.0, atol=1e-9):
-            return blocks.copy()
-    if width in (4, 12) and flat.size % 12 == 0:
-        T_base_tool[:, :3] = flat.reshape(-1, 3, 4)
-        return T_base_tool
-    raise in_file(
-        path,
-        f"holds rows of {width} numbers: poses of 4 x 4 are needed, or --translations beside matrices 3 x 3",
-    )
+def _whole_poses(values: Float64, width: int, path: Path) -> tuple[Float64, tuple[str, ...]]:
+    arrangements: list[tuple[Float64, tuple[str, ...]]] = []
+    if width in (4, 16) and values.size % 16 == 0:
+        rows = values.reshape(-1, 4, 4)
+        arrangements += [(rows, ()), (rows.swapaxes(1, 2), (BY_COLUMNS,))]
+    if width in (3, 4, 12) and values.size % 12 == 0:
+        last = np.tile(_HOMOGENEOUS, (values.size // 12, 1, 1))
+        if width != 3:
+            arrangements.append((np.concatenate([values.reshape(-1, 3, 4), last], axis=1), ()))
+        if width != 4:
+            columns = values.reshape(-1, 4, 3).swapaxes(1, 2)
+            arrangements.append((np.concatenate([columns, last], axis=1), (BY_COLUMNS,)))
+    whole = [
+        (T_base_tool, notes)
+        for T_base_tool, notes in arrangements
+        if np.allclose(T_base_tool[:, 3], _HOMOGENEOUS, rtol=0.0, atol=1e-9)
+        # Rows of three may as well be rotations without their translations.
+        and (width != 3 or _are_rotations(T_base_tool))
+    ]
+    if not whole:
+        raise in_file(
+            path,
+            f"holds rows of {width} numbers: poses of 4 x 4 are needed, their last row 0 0 0 1, or of 3 x 4, "
+            "or --translations beside matrices 3 x 3",
+        )
+    T_base_tool, notes = next((each for each in whole if _are_rotations(each[0])), whole[0])
+    return T_base_tool.copy(), notes
+
+
+def _are_rotations(T_base_tool: Float64) -> bool:
+    try:
+        rotation_matrices(T_base_tool[:, :3, :3])
+    except NoRotationError:
+        return False
+    return True
 
 
 def _numbers(path: Path) -> tuple[Float64, int]:

@@ -60,7 +60,8 @@ class PoseFile:
     `T_base_tool` (n, 4, 4), mm; `times_s` (n,) if the file has times; `rows` (images,) the row of each image,
     if the file says it or has no times, -1 for none; `units` as read, for people; `warnings` where they look
     wrong; `rotation` (n, 3) or (n, 4) the numbers of the rotation as the file has them, None of matrices;
-    `image_times` what rows say of the images' times where these are from elsewhere.
+    `image_times` what rows say of the images' times where these are from elsewhere; `rotation_columns` the
+    headers of the numbers of the rotation, none of a listing.
     """
 
     path: Path
@@ -72,6 +73,7 @@ class PoseFile:
     warnings: tuple[str, ...] = ()
     rotation: Float64 | None = None
     image_times: TimeSource | None = None
+    rotation_columns: tuple[str, ...] = ()
 
 
 def known_names(rotation: str | None) -> tuple[str, ...]:
@@ -87,14 +89,14 @@ def read_matrix_poses(
     """Return the poses of matrices, one an image; ArctrackError as `read_matrices`, and for another count."""
     if stated.length is None:
         raise in_file(translations or rotations, f"states no unit: give --units {' or '.join(UNITS[LENGTH])}")
-    T_base_tool = read_matrices(rotations, translations, factor(LENGTH, stated.length))
+    T_base_tool, notes = read_matrices(rotations, translations, factor(LENGTH, stated.length))
     if len(T_base_tool) != len(series):
         raise in_file(
             rotations, f"holds {len(T_base_tool)} poses for {len(series)} images: one each is needed"
         )
     warnings = _doubts(T_base_tool[:, :3, 3], stated.length, translations or rotations)
     rows = np.arange(len(series))
-    return PoseFile(rotations, T_base_tool, None, rows, stated.length, (), tuple(warnings))
+    return PoseFile(rotations, T_base_tool, None, rows, stated.length, notes, tuple(warnings))
 
 
 def read_pose_table(
@@ -159,9 +161,9 @@ def read_pose_table(
     if named is not None and times is not None:
         image_times = _times_of_images(table.column(named.header), times, series, columns.path)
     spoken = ", ".join(dict.fromkeys(units))
-    return PoseFile(
-        columns.path, T_base_tool, times, rows, spoken, tuple(notes), tuple(warnings), numbers, image_times
-    )
+    headers = tuple(column.header for column in turn)
+    more_of_file = tuple(notes), tuple(warnings), numbers, image_times, headers
+    return PoseFile(columns.path, T_base_tool, times, rows, spoken, *more_of_file)
 
 
 def _lenient_parser(series: ImageSeries, are_files: bool) -> Parser:

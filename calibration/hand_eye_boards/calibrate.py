@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2, t
+from scipy.stats import chi, chi2, t
 
 from calibration.camera.adjustment import Scene, adjusted
 from calibration.camera.enough import UndeterminedError
@@ -22,7 +22,7 @@ from calibration.hand_eye_boards.enough import (
     check_turns,
     turns_deg,
 )
-from calibration.hand_eye_boards.refine import Boards, Refined, with_warp
+from calibration.hand_eye_boards.refine import Boards, Refined, robot_errors, with_warp
 from calibration.hand_eye_boards.start import first_chain, renumbered
 from calibration.threads import one_thread
 from noise_model.arrays import Bool, Float64
@@ -35,6 +35,12 @@ MOST_LEFT_OUT = 0.4
 
 MOST_ROBOT_DEG, MOST_ROBOT_MM = 1.0, 5.0
 """1 sigma of the robot's error that no robot has: the poses mean something else."""
+
+FAR_START = 3.0
+"""A start from which the robot is so many times farther off than any robot is not refined."""
+
+MEDIAN_OF_THREE = float(chi.median(3))
+"""The median length of three normal numbers."""
 
 SAME_BOARD = 1e-3
 """The probability that a board's pose is refused whose corners fit it as well as the best one."""
@@ -248,6 +254,7 @@ def _started(chain: Chain, boards: Boards) -> tuple[Chain, Boards, Float64]:
         )
     except np.linalg.LinAlgError as error:
         raise UndeterminedError(f"the camera's pose is open: {error}") from None
+    _check_start(chain, T_camera_board)
     seen = renumbered(seen, scene.T_camera_board, T_camera_board)
     own = replace(scene, T_camera_board=T_camera_board)
     # A board that is seen from far looks much the same when it leans the other way: the robot tells which.
@@ -280,7 +287,20 @@ def _check_agreement(agreement: Agreement) -> None:
     deg, mm = math.degrees(sigma[0]), float(sigma[1])
     if count - kept > MOST_LEFT_OUT * count:
         raise InconsistentError(f"only {kept} of {count} poses agree with what the camera sees")
-    if deg > MOST_ROBOT_DEG or mm > MOST_ROBOT_MM:
+    _check_robot(deg, mm)
+
+
+def _check_start(chain: Chain, T_camera_board: Float64) -> None:
+    """Raise InconsistentError if most poses are so far off the start that no refinement brings them near."""
+    off = robot_errors(chain, T_camera_board)
+    deg = math.degrees(float(np.median(np.linalg.norm(off[:, :3], axis=1))))
+    mm = float(np.median(np.linalg.norm(off[:, 3:], axis=1)))
+    _check_robot(deg / MEDIAN_OF_THREE, mm / MEDIAN_OF_THREE, FAR_START)
+
+
+def _check_robot(deg: float, mm: float, wider: float = 1.0) -> None:
+    """Raise InconsistentError if the robot's error, 1 sigma, is so many times larger than any robot's."""
+    if deg > wider * MOST_ROBOT_DEG or mm > wider * MOST_ROBOT_MM:
         raise InconsistentError(
             f"the robot's poses are {mm:.2g} mm and {deg:.2g} deg off what the camera sees (1 sigma, "
             f"{MOST_ROBOT_MM:g} mm and {MOST_ROBOT_DEG:g} deg are the most)"

@@ -80,8 +80,13 @@ class Refined:
     @property
     def robot_error(self) -> Float64:
         """By what motion of the tool each pose was off most likely (V, 6), rad and mm."""
-        eta = twists(self.boards.scene.T_camera_board @ inverse(self.chain.T_camera_board))
-        return np.asarray(np.linalg.solve(self.errors.per_robot, eta[:, :, np.newaxis])[:, :, 0])
+        return robot_errors(self.chain, self.boards.scene.T_camera_board)
+
+
+def robot_errors(chain: Chain, T_camera_board: Float64) -> Float64:
+    """Return by what motion of the tool each pose is off (V, 6), rad and mm, if boards are where stated."""
+    eta = twists(T_camera_board @ inverse(chain.T_camera_board))
+    return np.asarray(np.linalg.solve(chain.per_robot_error(), eta[:, :, np.newaxis])[:, :, 0])
 
 
 def with_warp(scene: Scene, seen: Sightings) -> Boards:

@@ -1,4 +1,5 @@
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -7,6 +8,7 @@ import pytest
 from calibrate_commands import BOARD, EXAMPLES, command, setup_with_camera
 from camera_scenes import BOARD as BOARD_SHOWN
 from camera_scenes import picture
+from click.testing import Result
 from hand_eye_scenes import HELD, T_HOLDER_CAMERA, TRUE_LENS, board_in_camera, off, shown
 from scipy.spatial.transform import Rotation
 
@@ -98,18 +100,118 @@ def test_a_camera_that_stands_still_is_kept_apart(setup_toml: Path) -> None:
     assert np.array_equal(read_setup_file(setup_toml).setup.camera.T_tool_camera, stated)
 
 
-def test_a_camera_that_stands_still_is_told(images: Path, setup_toml: Path, tmp_path: Path) -> None:
-    path = write(tmp_path / "poses.csv", poses(is_eye_to_hand=True))
+CARRIED = "the robot carries the camera, 150 mm from its tool, and the board stands still, 775 mm from base"
+STILL = "the camera stands still, 150 mm from base's origin, and the robot carries the board, 775 mm from its"
+
+
+def refusal(result: Result) -> str:
+    assert result.exit_code != 0
+    return str(result.exception)
+
+
+@pytest.mark.parametrize("is_inverted", [False, True], ids=["still", "inverted"])
+def test_inverted_poses_and_a_camera_that_stands_still_are_both_named(
+    is_inverted: bool, images: Path, setup_toml: Path, tmp_path: Path
+) -> None:
+    """Either has the other's equation, so either's camera must not be taken for the only one."""
+    T_base_tool = np.linalg.inv(poses()) if is_inverted else poses(is_eye_to_hand=True)
+    path = write(tmp_path / "poses.csv", T_base_tool)
+    words = (images, *BOARD, "--poses", path, "--rotation", "kuka", "--setup", setup_toml)
+    cure = refusal(calibrate(*words))
+    assert f"--eye-to-hand, if the file's poses are the tool in base, {STILL}" in cure
+    assert (
+        f"each pose of the file inverted, if the file's poses are base in the tool (inverted), {CARRIED}"
+        in cure
+    )
+    assert "the images cannot tell the two apart" in cure
+    followed = calibrate(*words, "--eye-to-hand")
+    assert followed.exit_code == 0
+    said = " ".join(followed.output.split())
+    assert f"This holds if the file's poses are the tool in base, {STILL}" in said
+    assert f"fit if the file's poses are base in the tool (inverted), {CARRIED}" in said
+    write(path, np.linalg.inv(T_base_tool))
+    assert calibrate(*words).exit_code == 0
+
+
+def transposed(T_base_tool: Float64) -> Float64:
+    result = T_base_tool.copy()
+    result[:, :3, :3] = T_base_tool[:, :3, :3].swapaxes(1, 2)
+    return result
+
+
+def of_another_length(T_base_tool: Float64, mm: float) -> Float64:
+    result = T_base_tool.copy()
+    result[:, :3, 3] /= mm
+    return result
+
+
+@pytest.mark.parametrize(
+    ("change", "reading"),
+    [
+        (transposed, "each rotation of the file transposed"),
+        (
+            lambda T: np.diag([1.0, 1.0, -1.0, 1.0]) @ T @ np.diag([1.0, 1.0, -1.0, 1.0]),
+            "one axis of base and tool mirrored (the file's are left-handed)",
+        ),
+        (lambda T: of_another_length(T, 1000.0), "positions in m"),
+        (
+            lambda T: of_another_length(T, 25.4),
+            "positions in inches, which arctrack does not read: convert them",
+        ),
+        (
+            lambda T: of_another_length(transposed(T), 1000.0),
+            "each rotation of the file transposed and positions in m",
+        ),
+    ],
+    ids=["transposed", "left-handed", "metres", "inches", "transposed metres"],
+)
+def test_a_reading_that_fits_is_named(
+    change: Callable[[Float64], Float64], reading: str, images: Path, setup_toml: Path, tmp_path: Path
+) -> None:
+    path = write(tmp_path / "poses.csv", change(poses()))
     result = calibrate(images, *BOARD, "--poses", path, "--rotation", "kuka", "--setup", setup_toml)
-    assert "the poses fit the boards if they are read otherwise: --eye-to-hand" in str(result.exception)
+    assert refusal(result).endswith(f"if they are read otherwise: {reading}")
 
 
-def test_another_convention_that_fits_is_named(images: Path, setup_toml: Path, tmp_path: Path) -> None:
-    path = write(tmp_path / "poses.csv", poses(), "w_deg,p_deg,r_deg")
-    result = calibrate(images, *BOARD, "--poses", path, "--rotation", "fanuc", "--setup", setup_toml)
-    assert str(result.exception).startswith(f"{path}: ")
-    assert str(result.exception).endswith("if they are read otherwise: --rotation kuka")
+@pytest.mark.parametrize(
+    ("header", "words", "cure"),
+    [
+        (
+            "w_deg,p_deg,r_deg",
+            ("fanuc",),
+            "--rotation kuka --column a=w_deg --column b=p_deg --column c=r_deg",
+        ),
+        (
+            "a_deg,b_deg,c_deg",
+            ("XYZ", *("--column", "rx=a_deg"), *("--column", "ry=b_deg", "--column", "rz=c_deg")),
+            "",
+        ),
+    ],
+    ids=["by other names", "by its names"],
+)
+def test_another_convention_that_fits_is_named_with_what_reads_it(
+    header: str, words: tuple[str, ...], cure: str, images: Path, setup_toml: Path, tmp_path: Path
+) -> None:
+    path = write(tmp_path / "poses.csv", poses(), header)
+    given = (images, *BOARD, "--poses", path, "--setup", setup_toml, "--rotation")
+    said = refusal(calibrate(*given, *words))
+    cure = cure or "--rotation kuka without --column rx without --column ry without --column rz"
+    assert said.startswith(f"{path}: ")
+    assert said.endswith(f"if they are read otherwise: {cure}")
     assert not (tmp_path / "calibrate_hand_eye.html").exists()
+    followed = cure.partition(" without")[0].split()[1:]
+    assert calibrate(*given, *followed).exit_code == 0
+
+
+def test_matrices_column_by_column_are_read_and_told(images: Path, setup_toml: Path, tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    np.savetxt(path, poses().swapaxes(1, 2).reshape(-1, 16))
+    words = ("--poses", path, "--rotation", "matrix", "--units", "mm")
+    result = calibrate(images, *BOARD, *words, "--setup", setup_toml)
+    assert result.exit_code == 0
+    assert "the matrices stand column by column, and are read so" in result.output
+    sigma = np.sqrt(np.diag(tomllib.loads(setup_toml.read_text())["calibration"]["hand_eye"]["covariance"]))
+    assert np.abs(off(read_setup_file(setup_toml).setup.camera.T_tool_camera) / sigma).max() < 4.0
 
 
 @pytest.mark.parametrize(

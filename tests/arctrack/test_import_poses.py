@@ -375,7 +375,7 @@ def rows_of(blocks: Float64) -> str:
 def test_matrices_are_read_row_by_row(rotations: str, translations: str, tmp_path: Path) -> None:
     (tmp_path / "R.txt").write_text(rotations)
     (tmp_path / "t.txt").write_text(translations)
-    T_base_tool = read_matrices(tmp_path / "R.txt", tmp_path / "t.txt", 1000.0)
+    T_base_tool, _ = read_matrices(tmp_path / "R.txt", tmp_path / "t.txt", 1000.0)
     np.testing.assert_allclose(T_base_tool[:, :3, :3], R_TWO, atol=1e-12)
     np.testing.assert_allclose(T_base_tool[:, :3, 3], 1000.0 * T_TWO, rtol=1e-15)
 
@@ -388,7 +388,19 @@ def test_whole_poses_are_read(rows: int, is_flat: bool, tmp_path: Path) -> None:
     expected[:, :3, :3], expected[:, :3, 3] = np.tile(R_TWO, (2, 1, 1)), np.tile(T_TWO, (2, 1))
     blocks = expected[:, :rows]
     (tmp_path / "T.txt").write_text(rows_of(blocks.reshape(4, -1) if is_flat else blocks))
-    np.testing.assert_allclose(read_matrices(tmp_path / "T.txt", None, 1.0), expected, atol=1e-12)
+    np.testing.assert_allclose(read_matrices(tmp_path / "T.txt", None, 1.0)[0], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("rows", [3, 4])
+@pytest.mark.parametrize("is_flat", [False, True])
+def test_whole_poses_that_stand_column_by_column_are_read(rows: int, is_flat: bool, tmp_path: Path) -> None:
+    expected = np.tile(np.eye(4), (4, 1, 1))
+    expected[:, :3, :3], expected[:, :3, 3] = np.tile(R_TWO, (2, 1, 1)), np.tile(T_TWO, (2, 1))
+    blocks = expected[:, :rows].swapaxes(1, 2)
+    (tmp_path / "T.txt").write_text(rows_of(blocks.reshape(4, -1) if is_flat else blocks))
+    T_base_tool, notes = read_matrices(tmp_path / "T.txt", None, 1.0)
+    np.testing.assert_allclose(T_base_tool, expected, atol=1e-12)
+    assert notes == ("the matrices stand column by column, and are read so",)
 
 
 @pytest.mark.parametrize(

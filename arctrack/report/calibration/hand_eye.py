@@ -7,6 +7,7 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from arctrack.calibration_files.hand_eye_meaning import assumption
 from arctrack.calibration_files.hand_eye_poses import PosedBoards
 from arctrack.report.calibration.hand_eye_pictures import excitation, misfits, places, robot_off
 from arctrack.report.calibration.page import EXACT_LENS, CalibrationPage, Picture, Row, row_of, with_reasons
@@ -37,9 +38,10 @@ def hand_eye_page(
         f"The poses turn by {turns}° RMS about x, y and z of the {holder}. A turn about one axis tells the "
         "camera's place along the other two.",
     ]
+    sentences.append(assumption(result))
     if result.is_eye_to_hand:
         sentences.append(
-            "The camera stands still: its pose in base is kept in [calibration.camera_in_base]. "
+            "The camera's pose in base is kept in [calibration.camera_in_base]. "
             "[camera.pose_in_tool] stays as it was."
         )
     else:
