@@ -142,9 +142,9 @@ def frame_times(
             "--frames with a column time_s"
         )
     if len(sources) > 1:
-        raise ArctrackError(
-            f"{sources[0].name} and {sources[1].name} both state the images' times; leave one of them"
-        )
+        both = f"{sources[0].name} and {sources[1].name} both state the images' times; leave one of them"
+        told = contradictions(sources[0], sources[1:], series.indices)
+        raise ArctrackError("; ".join((both, *told)))
     (source,) = sources
     times = source.values
     for n in np.flatnonzero(np.abs(times) > LIMITS.time_s):

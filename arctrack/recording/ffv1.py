@@ -150,6 +150,10 @@ class _Packets:
         if damaged or self._broken_until_keyframe or len(frames) != 1 or frames[0].is_corrupt:
             self._broken_until_keyframe = True
             return f"frame {self._next - 1} of the video is damaged"
+        if frames[0].rotation:
+            return (
+                f"the video asks to be turned by {frames[0].rotation} degrees: write it as the sensor gave it"
+            )
         pixels = frames[0].to_ndarray()
         return np.ascontiguousarray(pixels, dtype=PIXEL_FORMATS[frames[0].format.name])
 

@@ -243,12 +243,14 @@ def test_a_video_whose_writer_was_killed_breaks_off(tmp_path: Path) -> None:
     assert index_of(video).breaks_off == f"{video} breaks off in frame {count}: its writer did not finish it"
 
 
-def written_video(path: Path, streams: int, **tags: int) -> Path:
+def written_video(path: Path, streams: int, turned_deg: int = 0, **tags: int) -> Path:
     frame = np.zeros((36, 48), np.uint8)
     with av.open(str(path), mode="w") as video:
         made = [video.add_stream("ffv1", rate=Fraction(10)) for _ in range(streams)]
         for stream in made:
             stream.width, stream.height, stream.pix_fmt = 48, 36, "gray"
+            if turned_deg:
+                stream.set_display_rotation(turned_deg)
             for name, value in tags.items():
                 setattr(stream.codec_context, name, value)
         for stream in made:
@@ -266,6 +268,7 @@ def written_video(path: Path, streams: int, **tags: int) -> Path:
         (1, {"color_range": 1}, "its colour range is limited: black is not 0"),
         (2, {}, "holds 2 videos: write each to a file of its own"),
         (1, {"color_range": 2}, None),
+        (1, {"turned_deg": 90}, "the video asks to be turned by 90 degrees: write it as the sensor gave it"),
     ],
 )
 def test_what_a_video_says_of_its_levels(
@@ -319,6 +322,18 @@ def test_rows_of_poses_that_name_images_are_held_against_the_rate(tmp_path: Path
     done = RUNNER.invoke(app, [str(word) for word in words])
     assert done.exit_code == 0
     assert "the rows of robot.csv contradict --rate-hz 10 from frame 5 on: 1.5 s where 0.5 s" in done.output
+
+
+def test_two_stated_times_that_differ_are_refused_with_both(tmp_path: Path) -> None:
+    photos = images(tmp_path, [f"f_{n}.png" for n in range(8)])
+    (tmp_path / "f.csv").write_text("time_s\n" + "".join(f"{0.125 * n}\n" for n in range(8)))
+    code, said = imported(tmp_path, photos, "--frames", tmp_path / "f.csv", "--rate-hz", 10)
+    assert code == 2
+    assert said == (
+        "the times of f.csv and --rate-hz 10 both state the images' times; leave one of them; --rate-hz 10 "
+        "contradict the times of f.csv by their rate, 10 frames a second where 8; frame 3: 0.3 s where "
+        "0.375 s, counted from frame 0"
+    )
 
 
 def test_lost_frames_of_a_table_are_told(tmp_path: Path) -> None:
