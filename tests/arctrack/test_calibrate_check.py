@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from browser import Page
 from typer.testing import CliRunner
 
 from arctrack.cli import app
@@ -39,7 +40,9 @@ def test_the_arc_of_a_setup_that_is_too_dim_is_named(simulated: Path, checked: S
     assert dim.arc.level.value == pytest.approx(2.0 * checked.arc.level.value, rel=0.02)
 
 
-def test_the_command_says_what_to_do_and_writes_a_page(simulated: Path, tmp_path: Path) -> None:
+def test_the_command_says_what_to_do_and_writes_a_page(
+    simulated: Path, tmp_path: Path, browser: Page
+) -> None:
     text = (simulated / "recording.toml").read_text()
     black = next(line for line in text.splitlines() if line.startswith("black_level_dn"))
     setup = tmp_path / "recording.toml"
@@ -53,6 +56,8 @@ def test_the_command_says_what_to_do_and_writes_a_page(simulated: Path, tmp_path
     html = page.read_text()
     assert html.count("data:image/svg+xml") == 2
     assert "<h2>sensor: does not explain</h2>" in html
+    browser.open(page)
+    browser.assert_readable()
 
 
 def test_a_page_does_not_replace_the_setup(simulated: Path) -> None:

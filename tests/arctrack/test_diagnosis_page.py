@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import Page
 from made import small_setup
 from test_diagnosis_examples import GAMMA, GLARE, example
 
@@ -75,6 +76,15 @@ def test_the_page_is_self_contained(verdict: Verdict, seen_setup: Setup, recordi
     assert "@import" not in html
     assert "<script" not in html
     assert "nan" not in re.findall(r"[a-z]+", reader.text)
+
+
+@pytest.mark.slow
+def test_the_page_can_be_read_at_every_width(
+    seen_setup: Setup, recording: Recording, browser: Page, tmp_path: Path
+) -> None:
+    (tmp_path / "page.html").write_text(page(example(Verdict.EFFECTS, seen_setup, GAMMA | GLARE), recording))
+    browser.open(tmp_path / "page.html")
+    browser.assert_readable()
 
 
 @pytest.mark.slow
