@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from arctrack.printable import printable
@@ -24,6 +25,32 @@ def in_file(path: Path, problem: str, *, line: int | None = None) -> ArctrackErr
     """Return the error that a file, at a line (counted from 1) if one is to blame, makes."""
     place = str(path) if line is None else f"{path}, line {line}"
     return ArctrackError(f"{place}: {problem}")
+
+
+def no_such_path(
+    path: Path, problem: str = "there is no such file", is_kind: Callable[[Path], bool] = Path.exists
+) -> ArctrackError:
+    """Return the error for a path that does not exist; it names the nearest one that does, of a kind."""
+    near = _nearest_path(path, is_kind)
+    return in_file(path, problem if near is None else f"{problem}; did you mean {near}?")
+
+
+def _nearest_path(path: Path, is_kind: Callable[[Path], bool]) -> Path | None:
+    """Return the path that differs in its first part that does not exist, None if none is near."""
+    from noise_model.spelling import nearest
+
+    wrong = path
+    while wrong.parent != wrong and not wrong.parent.is_dir():
+        wrong = wrong.parent
+    rest = path.relative_to(wrong)
+    try:
+        # Names that end alike are not near for that alone, such as poses.csv and frames.csv.
+        there = [each / rest for each in wrong.parent.iterdir() if nearest(wrong.stem, [each.stem])]
+        names = {str(each): each for each in there if is_kind(each)}
+    except OSError:
+        return None
+    near = nearest(str(path), names)
+    return None if near is None else names[near]
 
 
 def without_extra(name: str, error: ModuleNotFoundError, extra: str) -> ArctrackError:

@@ -13,7 +13,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from arctrack.calibration_files.robot_poses import PoseSource
-from arctrack.errors import ArctrackError, in_file
+from arctrack.errors import ArctrackError, in_file, no_such_path
 from arctrack.importing.image_files import images_of
 from arctrack.importing.units import parse_units
 from arctrack.limits import LIMITS
@@ -157,7 +157,9 @@ def read_raw_files(folder: Path) -> RawFiles:
         For a folder that holds none, and for a key that is wrong or missing.
     """
     if not folder.is_dir():
-        raise in_file(folder, "is a file; give the folder" if folder.exists() else "there is no such folder")
+        if folder.exists():
+            raise in_file(folder, "is a file; give the folder")
+        raise no_such_path(folder, "there is no such folder", Path.is_dir)
     stated = _stated(folder)
     here = {name for name in STAGES if getattr(stated, name) is not None or (folder / name).is_dir()}
     if not here:

@@ -11,13 +11,14 @@ import typer
 from arctrack.cli.calibrate import calibrate
 from arctrack.cli.cell_file import cell
 from arctrack.cli.check import check
+from arctrack.cli.crash import crash, end_of_output
 from arctrack.cli.diagnose import diagnose
-from arctrack.cli.diagnose_check import TwoWordGroup
 from arctrack.cli.diagnose_check import check as blind_check
 from arctrack.cli.doctor import doctor
 from arctrack.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from arctrack.cli.explain import explain
 from arctrack.cli.figures import figures
+from arctrack.cli.group import CommandGroup, UnexpectedEndError
 from arctrack.cli.import_files import import_files
 from arctrack.cli.inspect import inspect
 from arctrack.cli.interrupt import InterruptedCommandError
@@ -33,10 +34,10 @@ from arctrack.printable import printable
 
 app = typer.Typer(
     name="arctrack",
-    cls=TwoWordGroup,
+    cls=CommandGroup,
     help="Seam tracking for GTAW under reflected arc light.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["--help", "-h"]},
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
@@ -86,7 +87,8 @@ def _arctrack(
 def main() -> None:
     """Run the command line; what is wrong with the input is one line on stderr and exit code 2.
 
-    Ctrl-C says what it interrupted and what is kept; the exit code is then 130.
+    Ctrl-C says what it interrupted and what is kept; the exit code is then 130. A fault of arctrack itself is
+    one line too, and exit code 70.
     """
     for stream in (sys.stdout, sys.stderr):
         # Not every terminal can show a sigma.
@@ -102,6 +104,10 @@ def main() -> None:
     except OSError as error:
         # A disk that is full, a folder that went away: what was written stays.
         _complain(printable(f"{error.filename or 'file'}: {error.strerror or error}"))
+    except UnexpectedEndError as error:
+        end_of_output(error.error)
+    except Exception as error:
+        crash(error)
 
 
 def _complain(problem: str) -> NoReturn:

@@ -9,7 +9,7 @@ import typer
 
 from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
 from arctrack.cli.setups import read_setup, write_calibrated
-from arctrack.errors import ArctrackError
+from arctrack.errors import ArctrackError, no_such_path
 
 if TYPE_CHECKING:
     from arctrack.recording import SetupFile
@@ -44,8 +44,10 @@ def sensor(
     from arctrack.recording.setup_file import FILE_NAME
 
     if not source.is_dir():
-        is_what = "is a file" if source.exists() else "there is no such folder"
-        raise ArctrackError(f"{source}: {is_what}; give a folder of frames, or a recording")
+        if source.exists():
+            raise ArctrackError(f"{source}: is a file; give a folder of frames, or a recording")
+        what = "there is no such folder; give a folder of frames, or a recording"
+        raise no_such_path(source, what, Path.is_dir)
     is_recording = (source / FILE_NAME).exists()
     if setup is None and not is_recording:
         raise ArctrackError(f"{source}: holds flat and dark frames: give --setup, the setup of their sensor")

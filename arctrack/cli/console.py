@@ -36,10 +36,17 @@ PLAIN_WIDTH = 160
 """Columns of a table that goes to a file or a pipe, where nobody knows a width."""
 
 
+class _Tables(Console):
+    """The console for results; it ends the process like `say` where their reader has gone."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
 def tables() -> Console:
     """Return the console for results, on stdout."""
-    console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=PLAIN_WIDTH)
+    console = _Tables(highlight=False)
+    return console if console.is_terminal else _Tables(highlight=False, width=PLAIN_WIDTH)
 
 
 def say(*lines: str) -> None:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from typer.core import TyperGroup
 
-from arctrack.cli.interrupt import InterruptedCommandError
 from arctrack.cli.worker_options import Workers
 from arctrack.errors import in_file
 
@@ -21,23 +19,6 @@ check = typer.Typer(
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The check's folder.")]
 Folders = Annotated[list[Path], typer.Argument(metavar="DIR", help="Folders of checks.")]
-
-
-class TwoWordGroup(TyperGroup):
-    """A group with commands of two words, beside the command that the first word alone is."""
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Take the first two words for one where they are a command."""
-        both = " ".join(args[:2])
-        return super().resolve_command(ctx, [both, *args[2:]] if both in self.commands else args)
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command; of one that says nothing of its own, Ctrl-C says its name."""
-        try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt:
-            name = f"arctrack {ctx.invoked_subcommand}"
-            raise InterruptedCommandError(f"{name} interrupted; what it had finished stays") from None
 
 
 @check.callback(epilog="Example: arctrack diagnose check make --out /tmp/check --draws 1 --tiers AE")

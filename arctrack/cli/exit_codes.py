@@ -12,5 +12,11 @@ UNFIT = 1
 NOTHING_TRACKED = 3
 """A recording of which no frame is valid; a live run that no robot could follow."""
 
+CRASHED = 70
+"""A fault of arctrack itself, `EX_SOFTWARE` of sysexits.h; no other code ever means one."""
+
 INTERRUPTED = 130
 """The shell's own for a command that an interrupt ended: 128 + SIGINT."""
+
+READER_GONE = 141
+"""The shell's own for a command whose output nobody reads to its end: 128 + SIGPIPE."""

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from arctrack.cli.setups import check_replaces_nothing
+from arctrack.cli.tracking_options import ArcMap
 
 
 def explain(
@@ -20,13 +21,7 @@ def explain(
     setup: Annotated[
         Path | None, typer.Option(help="A recording.toml to use instead of the recording's own.")
     ] = None,
-    arc_map: Annotated[
-        bool,
-        typer.Option(
-            "--arc-map/--no-arc-map",
-            help="Without the arc map: local median background, constant variance.",
-        ),
-    ] = True,
+    arc_map: ArcMap = True,
 ) -> None:
     """Say why one frame gave its seam, or none: image, arc map, stripe, sigmas, profile, joint, history.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from arctrack.cli.interrupt import interruptible
+from arctrack.cli.tracking_options import ArcMap
 from arctrack.cli.worker_options import Scheduler, Workers
 from arctrack.errors import ArctrackError
 
@@ -50,16 +51,13 @@ def replay(
             "recording's robot stood, and what it hears is marked as a replay.",
         ),
     ] = False,
-    arc_map: Annotated[
+    arc_map: ArcMap = True,
+    pictures: Annotated[
         bool,
         typer.Option(
-            "--arc-map/--no-arc-map",
-            help="Without the arc map: local median background, constant variance. Where the truth is known, "
-            "the numbers with the map are shown beside it.",
+            "--pictures/--no-pictures",
+            help="--pictures writes overlay.mp4, overview.png, replay.html; --no-pictures leaves them out.",
         ),
-    ] = True,
-    pictures: Annotated[
-        bool, typer.Option("--pictures/--no-pictures", help="Write overlay.mp4, overview.png, replay.html.")
     ] = True,
     mcap: Annotated[
         bool, typer.Option("--mcap", help="Write replay.mcap too, for Foxglove. Needs arctrack\\[mcap].")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from arctrack.errors import ArctrackError, in_file
+from arctrack.errors import ArctrackError, in_file, no_such_path
 from arctrack.importing.name_times import holds_dates
 from arctrack.limits import LIMITS
 from arctrack.printable import cut
@@ -123,7 +123,7 @@ def _images_of(source: Path) -> list[Path]:
     if source.exists():
         return [source]
     if not glob.has_magic(str(source)):
-        raise in_file(source, "there is no such file or folder")
+        raise no_such_path(source, "there is no such file or folder")
     matches = [Path(name) for name in glob.glob(str(source))]
     if not matches:
         raise in_file(source, "no file fits this pattern")

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from arctrack.errors import in_file
+from arctrack.errors import in_file, no_such_path
 
 KINDS = (
     (stat.S_ISDIR, "folder"),
@@ -38,7 +38,7 @@ def blamed_on(path: Path, missing: str = "there is no such file") -> Iterator[No
     try:
         yield
     except FileNotFoundError:
-        raise in_file(path, missing) from None
+        raise no_such_path(path, missing) from None
     except UnfitFileError as error:
         raise in_file(path, str(error), line=error.line) from None
     except OSError as error:

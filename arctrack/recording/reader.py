@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from arctrack.errors import ArctrackError, in_file
+from arctrack.errors import ArctrackError, in_file, no_such_path
 from arctrack.output import real
 from arctrack.printable import printable
 from arctrack.recording import setup_file
@@ -351,8 +351,9 @@ def read_truth(path: Path | str) -> Truth | None:
 
 def _check_folder(folder: Path) -> None:
     if not folder.is_dir():
-        problem = "is a file; give the folder that holds it" if folder.exists() else "there is no such folder"
-        raise in_file(folder, problem)
+        if folder.exists():
+            raise in_file(folder, "is a file; give the folder that holds it")
+        raise no_such_path(folder, "there is no such folder", Path.is_dir)
     if real(folder).name.endswith(UNFINISHED_SUFFIX):
         raise in_file(
             folder, f"was not written to its end; take {UNFINISHED_SUFFIX} off its name to read it so"

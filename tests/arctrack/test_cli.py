@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from typer.testing import CliRunner
 import arctrack
 from arctrack import __version__
 from arctrack.cli import app
+from arctrack.cli.crash import crash
+from arctrack.cli.exit_codes import CRASHED, READER_GONE
 from arctrack.errors import ArctrackError
 from arctrack.recording import read_recording
 
@@ -166,6 +169,112 @@ def test_the_installed_way(simulated: Path, tmp_path: Path) -> None:
     assert bad.returncode == 2
     assert bad.stderr == f"arctrack: error: {tmp_path / 'nowhere'}: there is no such folder\n"
     assert bad.stdout == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("error", ["ZeroDivisionError", "EOFError", "BrokenPipeError", "SyntaxError"])
+def test_a_fault_of_arctrack_has_a_code_of_its_own(error: str, tmp_path: Path) -> None:
+    code = (
+        "import arctrack.doctor.run as run; from arctrack.cli import main\n"
+        f"def fail(folder): raise {error}('two\\nlines')\n"
+        "run.examine_machine = fail; main()"
+    )
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
+    command = [sys.executable, "-c", code, "doctor"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == CRASHED
+    (kept,) = tmp_path.iterdir()
+    assert done.stderr == (
+        f"arctrack: error: arctrack itself failed, {error}: two lines; "
+        f"the traceback is in {kept}, to report it with\n"
+    )
+    assert "Traceback" in kept.read_text()
+    assert "in fail" in kept.read_text()
+    assert kept.stat().st_mode & 0o077 == 0
+
+
+def test_a_fault_whose_file_cannot_be_written_is_shown(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
+    with pytest.raises(SystemExit) as ended:
+        crash(ValueError("why"))
+    assert ended.value.code == CRASHED
+    said = capsys.readouterr().err
+    assert "ValueError: why\n" in said
+    assert said.endswith(
+        "arctrack: error: arctrack itself failed, ValueError: why; the traceback stands above\n"
+    )
+
+
+@pytest.mark.slow
+def test_results_that_nobody_reads_are_no_crash(simulated: Path, tmp_path: Path) -> None:
+    command = [*COMMAND, "inspect", str(simulated), "--out", str(tmp_path / "seen.png")]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+    ) as running:
+        assert running.stdout is not None
+        assert running.stderr is not None
+        running.stdout.close()
+        said = running.stderr.read().decode()
+    assert running.returncode == READER_GONE
+    assert "error" not in said
+    assert [path for path in tmp_path.iterdir() if path.name.startswith("arctrack-")] == []
+
+
+def test_a_shell_completes_commands() -> None:
+    asked = {"_ARCTRACK_COMPLETE": "complete_bash", "COMP_WORDS": "arctrack cal", "COMP_CWORD": "1"}
+    environment = os.environ | {"PYTHONPATH": str(ROOT)} | asked
+    done = subprocess.run(COMMAND, capture_output=True, text=True, env=environment, check=False)
+    assert done.stdout.split() == ["calibrate"]
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["replya"], "'replay'"),
+        (["calibrate", "camra"], "'camera'"),
+        (["diagnose", "chek"], "'diagnose check'"),
+        (["diagnose", "check", "opne"], "'open'"),
+    ],
+)
+def test_a_command_that_is_not_there_is_guessed(words: list[str], meant: str) -> None:
+    result = RUNNER.invoke(app, words)
+    assert result.exit_code == 2
+    assert f"Did you mean {meant}" in result.output
+
+
+def test_a_path_that_is_not_there_is_guessed(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(recording, Path("lines") / "v_groove")
+    Path("lines/v_grooves.zip").touch()
+    for words, problem in (
+        (["replay", "lines/v_grove"], "lines/v_grove: there is no such folder; did you mean lines/v_groove?"),
+        (
+            ["check", "linse/v_groove"],
+            "linse/v_groove: there is no such folder; did you mean lines/v_groove?",
+        ),
+        (["replay", "lines/monday"], "lines/monday: there is no such folder"),
+        (
+            ["plan", "lines/v_groove/recordings.toml"],
+            "lines/v_groove/recordings.toml: there is no such file; a recording needs one; "
+            "did you mean lines/v_groove/recording.toml?",
+        ),
+        (
+            ["doctor", "lines/cell.toml"],
+            "lines/cell.toml: there is no such file; arctrack cell new writes one",
+        ),
+    ):
+        result = RUNNER.invoke(app, words)
+        said = result.stderr.removeprefix("arctrack: error: ").strip() or str(result.exception)
+        assert said == problem
+    (Path("lines/v_groove") / "poses.csv").unlink()
+    result = RUNNER.invoke(app, ["replay", "lines/v_groove"])
+    assert "did you mean" not in result.output
 
 
 @pytest.mark.slow

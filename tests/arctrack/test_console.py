@@ -5,7 +5,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -44,6 +46,25 @@ def test_every_help_fits_80_columns_and_has_an_example(command: tuple[str, ...])
     assert result.exit_code == 0, result.output
     assert "Example: arctrack" in result.output
     assert all(len(line) <= 80 for line in result.output.splitlines())
+    assert runner.invoke(app, [*command, "-h"]).output == result.output
+
+
+def test_options_with_two_sides_say_what_both_do() -> None:
+    pairs = 0
+    for command in commands(typer.main.get_command(app)):
+        for option in command.params:
+            for name in option.secondary_opts:
+                pairs += 1
+                assert name in option.help
+                assert f"{option.opts[0]} " in option.help
+    assert pairs >= 3
+
+
+def commands(command: Any) -> Iterator[Any]:
+    """Yield a command and all below it."""
+    yield command
+    for each in getattr(command, "commands", {}).values():
+        yield from commands(each)
 
 
 def test_paragraphs_keep_apart_and_lose_their_breaks() -> None:
