@@ -14,6 +14,7 @@ from arctrack.importing.image_files import ImageSeries
 from arctrack.importing.pose_files import PoseFile, known_names, read_poses
 from arctrack.importing.units import Units
 from arctrack.recording import SetupFile
+from arctrack.recording.poses import can_channel
 from noise_model.arrays import Float64, Int64
 from noise_model.transforms import invert
 
@@ -87,6 +88,7 @@ def read_robot_poses(source: PoseSource, series: ImageSeries, stated: SetupFile)
         series,
         False,
         may_lack=True,
+        can_channel=can_channel(stated.robot),
     )
     if files:
         check_all_named(source.columns, (*known_names(source.rotation), "time", "frame", "file"), files)

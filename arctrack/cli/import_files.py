@@ -25,7 +25,10 @@ def import_files(
         ),
     ],
     setup: Annotated[Path, typer.Option(help="The sensor's recording.toml, or a recording that has it.")],
-    poses: Annotated[Path, typer.Option(help="The robot's poses: a CSV file, or matrices as text or YAML.")],
+    poses: Annotated[
+        Path,
+        typer.Option(help="The robot's poses: a table, its controller's points, matrices, or a CAN log."),
+    ],
     out: Annotated[Path, typer.Option(help="Folder for the recording; must not exist yet.")],
     rotation: Rotation = None,
     units: Annotated[

@@ -9,7 +9,7 @@ import typer
 
 from arctrack.errors import ArctrackError
 
-Poses = Annotated[Path | None, typer.Option(help="The robot's pose of each image: a CSV file, or matrices.")]
+Poses = Annotated[Path | None, typer.Option(help="The robot's pose of each image: a table, or matrices.")]
 Rotation = Annotated[
     str | None,
     typer.Option(

@@ -35,7 +35,8 @@ from arctrack.importing.rotations import (
 from arctrack.importing.units import ANGLE, LENGTH, TIME, UNITS, Units, factor
 from arctrack.limits import LIMITS
 from arctrack.recording.csv_file import CsvTable, Parser, TimeParser, number, read_csv, rows_once
-from arctrack.recording.files import blamed_on, read_bytes
+from arctrack.recording.files import blamed_on, open_file, read_bytes
+from arctrack.recording.poses import read_log
 from arctrack.recording.time_sources import TimeSource
 from noise_model.arrays import Float64, Int64
 
@@ -315,6 +316,14 @@ def _check_size(times: Float64, path: Path) -> None:
         )
 
 
+def _is_bus_log(path: Path) -> bool:
+    """Return whether a file is a CAN log by its name; a `.log` of candump begins with a parenthesis."""
+    if path.suffix != ".log":
+        return path.suffix in (".asc", ".blf", ".trc")
+    with blamed_on(path), open_file(path, LIMITS.log_bytes) as file:
+        return file.peek(1).lstrip()[:1] == b"("
+
+
 def read_poses(
     path: Path,
     translations: Path | None,
@@ -325,10 +334,11 @@ def read_poses(
     is_timed: bool,
     *,
     may_lack: bool = False,
+    can_channel: str | None = None,
 ) -> tuple[PoseFile, list[Columns]]:
-    """Return the poses of a CSV file or of matrices, and the columns of the file if it has any.
+    """Return the poses of a table, a listing, matrices or a CAN log, and the columns of a table.
 
-    Where images `may_lack` a pose, their row is -1.
+    Where images `may_lack` a pose, their row is -1. `can_channel` is the robot's in a log.
 
     Raises ArctrackError as `read_pose_table` and `read_matrix_poses`.
     """
@@ -336,6 +346,10 @@ def read_poses(
         raise ArctrackError(f"--translations: has no effect with --rotation {rotation}; leave one of them")
     if translations is not None or rotation == MATRIX:
         return read_matrix_poses(path, translations, stated, series), []
+    if _is_bus_log(path):
+        poses, warnings = read_log(path, can_channel)
+        T_base_tool, times = poses.T_base_tool, poses.timestamps_s
+        return PoseFile(path, T_base_tool, times, None, "mm", (), tuple(warnings)), []
     listed = None if rotation is None else read_listing(path, rotation, stated, series, may_lack=may_lack)
     if listed is not None:
         return listed, []

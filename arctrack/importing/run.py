@@ -28,6 +28,7 @@ from arctrack.importing.name_times import times_in_names
 from arctrack.importing.pose_files import PoseFile, known_names, read_poses
 from arctrack.importing.units import UNSTATED, Units
 from arctrack.recording import BadFrame, Recording, RecordingWriter, read_recording, read_setup_file
+from arctrack.recording.poses import can_channel
 from arctrack.recording.reader import UNFINISHED_SUFFIX, fitted
 from arctrack.recording.tables import FrameRow
 from arctrack.recording.time_sources import TimeSource
@@ -141,7 +142,14 @@ def import_recording(
         times_of_table = TimeSource(f"the times of {raw.frames.name}", table.times_s)
     is_timed = times_of_table is not None or names is not None or raw.rate_hz is not None
     poses, pose_columns = read_poses(
-        raw.poses, raw.translations, raw.rotation, raw.units, raw.columns, series, is_timed
+        raw.poses,
+        raw.translations,
+        raw.rotation,
+        raw.units,
+        raw.columns,
+        series,
+        is_timed,
+        can_channel=can_channel(stated.robot),
     )
     tables = [*pose_columns, *([] if frame_columns is None else [frame_columns])]
     check_all_named(raw.columns, dict.fromkeys((*known_names(raw.rotation), *KNOWN_NAMES)), tables)

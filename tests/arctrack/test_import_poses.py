@@ -6,6 +6,7 @@ import unicodedata
 from pathlib import Path
 from typing import Literal
 
+import can
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,6 +21,7 @@ from arctrack.importing.pose_files import PoseFile, read_poses
 from arctrack.importing.rotations import convention
 from arctrack.importing.units import UNSTATED, parse_units, split_unit
 from noise_model.arrays import Float64
+from robot_io import BusLogWriter, PoseKind, Protector, RobotPosePosition, RobotPoseRotation
 
 Form = Literal["NFC", "NFD"]
 
@@ -504,3 +506,21 @@ def test_rows_that_repeat_the_row_before_are_left_out(tmp_path: Path) -> None:
     assert poses.times_s.tolist() == [0.0, 1.0, 2.0]
     assert len(poses.T_base_tool) == 3
     assert poses.notes == ("3 rows repeat the row before and are left out",)
+
+
+@pytest.mark.parametrize("name", ["bus.log", "bus.asc", "bus.blf"])
+def test_poses_may_be_those_of_a_can_log(name: str, tmp_path: Path) -> None:
+    path, protector = tmp_path / name, Protector()
+    with BusLogWriter(path) as log:
+        for n in range(3):
+            for message in (
+                RobotPosePosition(100.0 + n, -5.0, 40.0, PoseKind.ACTUAL),
+                RobotPoseRotation.from_quaternion((0.0, 0.0, 0.0, 1.0), 0.0),
+            ):
+                identifier, payload = protector.protect(message)
+                log.write(can.Message(1.0 + 0.01 * n, identifier, is_extended_id=False, data=payload))
+    poses = poses_of(path, None)
+    assert poses.times_s is not None
+    np.testing.assert_allclose(poses.times_s, [1.0, 1.01, 1.02], atol=1e-6)
+    np.testing.assert_allclose(poses.T_base_tool[:, 0, 3], [100.0, 101.0, 102.0])
+    assert poses.warnings == ()
