@@ -78,6 +78,9 @@ def asc_frames(lines: LogLines) -> Iterator[can.Message]:
             continue
         if (head := _HEAD.match(line)) and head["date"] != date:
             date = head["date"]
+            if lines.is_unfinished:
+                # The log is cut off in its head.
+                return
             start_s, now_s = _start_s(date, lines), 0.0
             continue
         if is_relative and lines.unreadable:

@@ -40,7 +40,7 @@ def text_frames(lines: LogLines, read_line: LineReader) -> Iterator[can.Message]
                 raise ValueError("no time")
         except BusLogError:
             raise
-        except (ValueError, LookupError, OverflowError, OSError):
+        except (ValueError, TypeError, LookupError, OverflowError, OSError):
             lines.leave_out(line)
             continue
         if frame is not None:
