@@ -32,6 +32,9 @@ EIGHTH = 8
 
 NO_IMAGE = np.empty((0, 0), np.uint8)
 
+BUCKETS_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 60.0)
+"""Up to which times Prometheus is told counts, s: upper ends of bins. The gate lets out what is 0.2 s old."""
+
 
 @dataclass(frozen=True)
 class HeardPose:
@@ -151,6 +154,10 @@ class Status:
         When the newest frame was taken, s; NaN before the first.
     processor_wait : float
         Which share of the time that the loop wants a processor it waits for one; NaN where that is not known.
+    capture_counts, arrival_counts : tuple of int
+        How many of these times were at most each of `BUCKETS_S`, and last how many there were.
+    capture_sum_s, arrival_sum_s : float
+        The sums of these times, s.
     """
 
     now_s: float
@@ -174,6 +181,10 @@ class Status:
     arrival_ms: tuple[float, float, float] = (NAN, NAN, NAN)
     frame_s: float = NAN
     processor_wait: float = NAN
+    capture_counts: tuple[int, ...] = ()
+    arrival_counts: tuple[int, ...] = ()
+    capture_sum_s: float = 0.0
+    arrival_sum_s: float = 0.0
 
 
 @dataclass(frozen=True)

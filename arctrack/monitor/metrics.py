@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterable, Iterator
 
 from prometheus_client import CollectorRegistry
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from arctrack.journal.records import Status
+from arctrack.journal.records import BUCKETS_S, Status
 from arctrack.monitor.feed import Feed
 from arctrack.monitor.status import indicated
 from arctrack.monitor.words import Indication
@@ -52,6 +52,7 @@ class RunCollector(Collector):
             return
         yield from _counts(status)
         yield _latencies(status)
+        yield _delays(status)
         state = GaugeMetricFamily("arctrack_state", "1 for the state of the tracker", labels=["state"])
         for each in TrackerState:
             state.add_metric([each.name], float(each is status.state))
@@ -119,6 +120,22 @@ def _latencies(status: Status) -> Metric:
             if math.isfinite(value_ms):
                 latency.add_metric([since, quantile], value_ms / 1000.0)
     return latency
+
+
+def _delays(status: Status) -> Metric:
+    delays = HistogramMetricFamily(
+        "arctrack_sending_delay_seconds",
+        "Time to the sending of an offset, by how many offsets took at most so long",
+        labels=["since"],
+    )
+    ends = (*map(str, BUCKETS_S), "+Inf")
+    for since, counts, sum_s in (
+        ("mid_exposure", status.capture_counts, status.capture_sum_s),
+        ("arrival", status.arrival_counts, status.arrival_sum_s),
+    ):
+        if counts:
+            delays.add_metric([since], list(zip(ends, map(float, counts), strict=True)), sum_s)
+    return delays
 
 
 def _gauge(name: str, text: str, value: float) -> Metric:

@@ -216,6 +216,10 @@ class LiveLoop:
             arrival_ms=_shown(result.arrival_to_send),
             frame_s=self._frame_s,
             processor_wait=self._processor.share,
+            capture_counts=self._since_capture.up_to_buckets(),
+            arrival_counts=self._since_arrival.up_to_buckets(),
+            capture_sum_s=self._since_capture.sum_s,
+            arrival_sum_s=self._since_arrival.sum_s,
         )
 
     def result(self) -> LoopResult:

@@ -106,6 +106,8 @@ class ShownRun:
             capture_ms=(24.0, 31.5, 40.0),
             arrival_ms=(4.0, 8.0, 11.0),
             processor_wait=0.12,
+            capture_counts=(0, 0, 0, 11, 11, 11, 11, 11, 11, 11, 11, 11, 11),
+            capture_sum_s=0.3,
         )
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._write)

@@ -116,6 +116,9 @@ def test_health_metrics_and_the_frame_are_those_of_the_run(shown: SimpleNamespac
     assert values["arctrack_gate_reasons_total", "NOT_ARMED"] == 2.0
     assert values["arctrack_bus_faults_total", "repeated"] == 1.0
     assert values["arctrack_latency_seconds", "0.99", "mid_exposure"] == pytest.approx(0.0315)
+    assert values["arctrack_sending_delay_seconds_bucket", "0.05", "mid_exposure"] == 11.0
+    assert values["arctrack_sending_delay_seconds_bucket", "0.02", "mid_exposure"] == 0.0
+    assert values["arctrack_sending_delay_seconds_sum", "mid_exposure"] == 0.3
     assert values["arctrack_arc_height_millimeters",] == 2.61
     assert 0.0 < values["arctrack_frame_age_seconds",] < 1.0
     assert values["arctrack_arc_level_ratio",] == pytest.approx(1.0, abs=0.2)

@@ -10,6 +10,7 @@ import sys
 import textwrap
 from dataclasses import astuple
 
+import numpy as np
 import pytest
 
 from arctrack.cell_file import ProcessChoice
@@ -62,6 +63,20 @@ def test_no_garbage_is_collected_meanwhile() -> None:
     assert gc.get_freeze_count() == 0
 
 
+@pytest.mark.parametrize("middle_s", [0.0004, 0.01, 0.4, 1.7, 60.0])
+def test_quantiles_of_latencies_are_true_to_a_hundredth_however_long_they_are(middle_s) -> None:
+    took_s = middle_s * np.exp(0.7 * np.random.default_rng(1).standard_normal(5000))
+    counts = LatencyCounts()
+    for each_s in took_s:
+        counts.add(float(each_s))
+    quantiles = counts.quantiles()
+    true_ms = 1000.0 * np.quantile(took_s, [0.5, 0.99, 0.999], method="inverted_cdf")
+    found_ms = np.array([quantiles.p50_ms, quantiles.p99_ms, quantiles.p999_ms])
+    assert (found_ms >= true_ms - 1e-9).all()
+    assert (found_ms <= np.maximum(1.01 * true_ms, true_ms + 0.1)).all()
+    assert quantiles.max_ms == 1000.0 * took_s.max()
+
+
 def test_latencies_are_counted_to_a_bin() -> None:
     counts = LatencyCounts()
     assert all(map(math.isnan, astuple(counts.quantiles())))
@@ -70,6 +85,8 @@ def test_latencies_are_counted_to_a_bin() -> None:
         counts.add(0.001 * (n + 0.55))
     counts.add(7.0)
     quantiles = counts.quantiles()
+    assert counts.up_to_buckets() == (5, 10, 20, 50, 100, 100, 100, 100, 100, 100, 101, 101, 101)
+    assert counts.sum_s == pytest.approx(0.001 * (4950 + 55) + 7.0)
     assert quantiles.p50_ms == pytest.approx(50.6, abs=0.1)
     assert quantiles.p99_ms == pytest.approx(99.6, abs=0.1)
     assert quantiles.max_ms == 7000.0
