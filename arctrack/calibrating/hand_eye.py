@@ -77,16 +77,16 @@ def hand_eye_stage(
             lens_covariance=posed.lens_covariance,
             progress=steps("fitting the camera's pose", "steps"),
         )
-    except InconsistentError as error:
+    except UndeterminedError as error:
         # Readings that fit are named: numbers alone do not say which convention they follow.
         def reread(other: PoseSource) -> Float64:
             return read_robot_poses(other, find_images(sources), stated).at(posed.rows)
 
         meanings = other_meanings(posed, source, reread, is_eye_to_hand=is_eye_to_hand)
         fits = f"the poses fit the boards if they are read otherwise: {'; or '.join(meanings)}"
-        raise in_file(source.path, f"{error}: {fits if meanings else CHECK}") from None
-    except UndeterminedError as error:
-        raise in_file(source.path, str(error)) from None
+        if isinstance(error, InconsistentError):
+            raise in_file(source.path, f"{error}: {fits if meanings else CHECK}") from None
+        raise in_file(source.path, fits if meanings else str(error)) from None
     warn(left_out(result.left_out))
     sheet = None if is_eye_to_hand else moved_with_camera(stated, result.T_holder_camera)
     page = hand_eye_page(result, posed, stated.setup, moves_sheet=sheet is not None)

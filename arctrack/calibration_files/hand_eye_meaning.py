@@ -151,7 +151,8 @@ def _written(
     if posed.poses.rotation is None:
         return
     numbers = posed.poses.rotation[posed.rows]
-    for name in (*CONVENTIONS, *SEQUENCES):
+    # Of the names of one convention the stated one is said.
+    for name in dict.fromkeys((*filter(None, (source.rotation,)), *CONVENTIONS, *SEQUENCES)):
         written = convention(name)
         if len(written.columns[0]) != numbers.shape[1]:
             continue
@@ -174,13 +175,15 @@ def _option(
     # A controller's listing has no columns to name.
     named = dict(zip(convention(name).columns[0], headers, strict=bool(headers)))
     without = [f"without --column {key}" for key in source.columns if key not in kept]
-    for columns in ({}, named):
+    for columns, units in product(({}, named), (source.units, replace(source.units, angle=unit or None))):
         try:
-            read = reread(replace(source, rotation=name, columns={**kept, **columns}))
+            read = reread(replace(source, rotation=name, columns={**kept, **columns}, units=units))
         except ArctrackError:
             continue
         if np.allclose(read, T_base_tool @ posed.T_controllertool_tool, atol=1e-6):
-            options = [f"--column {key}={header}" for key, header in columns.items()]
-            return " ".join([f"--rotation {name}", *(options or without)])
+            stated = ",".join(filter(None, (units.length, units.angle, units.time)))
+            options = [f"--column {key}={header}" for key, header in columns.items()] or without
+            options += [f"--units {stated}"] if units != source.units else []
+            return " ".join([f"--rotation {name}", *options])
     as_written = "" if name == source.rotation else f" as --rotation {name} has them"
     return f"{', '.join(headers) or 'rotations'}{as_written}{f' in {unit}' if unit else ''}"

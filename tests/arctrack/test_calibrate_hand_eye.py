@@ -203,6 +203,30 @@ def test_another_convention_that_fits_is_named_with_what_reads_it(
     assert calibrate(*given, *followed).exit_code == 0
 
 
+def test_angles_in_radians_and_a_quaternions_order_are_told(
+    images: Path, setup_toml: Path, tmp_path: Path
+) -> None:
+    turns = [Rotation.from_matrix(T[:3, :3]) for T in poses()]
+    path = tmp_path / "poses.csv"
+    for header, numbers, words, reading in (
+        ("a_deg,b_deg,c_deg", [turn.as_euler("ZYX") for turn in turns], ("--rotation", "kuka"), "in rad"),
+        (
+            "qx,qy,qz,qw",
+            [turn.as_quat()[[3, 0, 1, 2]] for turn in turns],
+            (),
+            "--rotation wxyz --column qw=qx --column qx=qy --column qy=qz --column qz=qw",
+        ),
+    ):
+        rows = [
+            f"board_{n}.png,{','.join(f'{each:.7f}' for each in (*T[:3, 3], *number))}"
+            for n, (T, number) in enumerate(zip(poses(), numbers, strict=True))
+        ]
+        path.write_text("\n".join([f"file,x_mm,y_mm,z_mm,{header}", *rows]) + "\n")
+        given = (images, *BOARD, "--poses", path, "--setup", setup_toml)
+        assert refusal(calibrate(*given, *words)).endswith(reading)
+    assert calibrate(*given, *reading.split()).exit_code == 0
+
+
 def test_matrices_column_by_column_are_read_and_told(images: Path, setup_toml: Path, tmp_path: Path) -> None:
     path = tmp_path / "poses.txt"
     np.savetxt(path, poses().swapaxes(1, 2).reshape(-1, 16))
