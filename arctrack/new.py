@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 
-from arctrack.errors import in_file
 from arctrack.nominal import nominal_setup
-from arctrack.output import writing
+from arctrack.output import make_new_folder, write_whole, writing
 from arctrack.recording import format_setup
 from arctrack.recording.frames import FOLDER_NAME
 from arctrack.recording.poses import CSV_NAME as POSES_CSV
@@ -466,8 +465,7 @@ def write_new(folder: Path, joint_type: str, material_name: str) -> tuple[Path, 
 
     Raises ArctrackError if the folder holds anything, or if it cannot be written.
     """
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise in_file(folder, "exists already; choose the name of a new folder")
+    make_new_folder(folder)
     setup = nominal_setup(joint_type, material_name)
     texts = {
         FILE_NAME: commented_setup(replace(setup, arc=replace(setup.arc, radiance_e=RADIANCE_E))),
@@ -475,9 +473,9 @@ def write_new(folder: Path, joint_type: str, material_name: str) -> tuple[Path, 
         POSES_CSV: ",".join(POSE_COLUMNS) + "\n",
     }
     with writing(folder):
-        (folder / FOLDER_NAME).mkdir(parents=True)
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8")
+        (folder / FOLDER_NAME).mkdir()
+    for name, text in texts.items():
+        write_whole(folder / name, text)
     return tuple(folder / name for name in texts)
 
 

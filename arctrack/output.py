@@ -22,6 +22,14 @@ def make_folder(folder: Path, files: Iterable[str]) -> None:
         raise in_file(folder, f"cannot be written: {error.strerror}; choose another with --out") from None
 
 
+def make_new_folder(folder: Path) -> None:
+    """Make a folder, or take an empty one; ArctrackError if it holds anything, or if it cannot be made."""
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise in_file(folder, "exists already; choose the name of a new folder")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+
+
 def real(path: Path) -> Path:
     """Return where a path leads through all links, as far as they lead: one may point at itself."""
     return Path(os.path.realpath(path))

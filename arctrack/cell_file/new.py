@@ -8,10 +8,9 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 from arctrack.cell_file.model import FORMAT
-from arctrack.errors import in_file
 from arctrack.new import RADIANCE_E, commented_setup
 from arctrack.nominal import nominal_setup
-from arctrack.output import writing
+from arctrack.output import make_new_folder, write_whole
 from arctrack.service.policy import ServicePolicy
 from robot_io import GateLimits
 
@@ -102,18 +101,21 @@ def write_new_cell(folder: Path, joint_type: str, material_name: str) -> tuple[P
 
     Raises ArctrackError if the folder holds anything, or if it cannot be written.
     """
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise in_file(folder, "exists already; choose the name of a new folder")
     setup = nominal_setup(joint_type, material_name)
-    texts = {
-        CELL_TOML: commented_cell(),
-        SETUP_TOML: commented_setup(replace(setup, arc=replace(setup.arc, radiance_e=RADIANCE_E))),
-    }
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8")
-    return folder / CELL_TOML, folder / SETUP_TOML
+    unknown_arc = replace(setup, arc=replace(setup.arc, radiance_e=RADIANCE_E))
+    return write_cell(folder, commented_cell(), commented_setup(unknown_arc))
+
+
+def write_cell(folder: Path, cell_text: str, setup_text: str) -> tuple[Path, Path]:
+    """Write the texts of a cell file and its setup as `write_new_cell` does.
+
+    The cell file comes last, and whole: whoever waits for it may read it as soon as it is there.
+    """
+    make_new_folder(folder)
+    cell, setup = folder / CELL_TOML, folder / SETUP_TOML
+    write_whole(setup, setup_text)
+    write_whole(cell, cell_text)
+    return cell, setup
 
 
 def commented_cell() -> str:

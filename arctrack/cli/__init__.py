@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import sys
 from typing import Annotated, NoReturn
 
@@ -94,6 +95,8 @@ def main() -> None:
         # Not every terminal can show a sigma.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    # python-can complains of a bus that it could not open, after the error's own line.
+    logging.getLogger("can.bus").addHandler(logging.NullHandler())
     try:
         app(prog_name="arctrack")
     except InterruptedCommandError as interrupted:

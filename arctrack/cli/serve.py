@@ -92,7 +92,8 @@ def serve_cell_file(
             beside = live.beside
             console.warn([*refused, *(() if beside is None else beside.warnings)])
             page = [] if beside is None or beside.page is None else [f"page: {beside.page}"]
-            ready = f"ready: {cell.camera.kind} {cell.camera.name}, bus {cell.bus}"
+            port = f", port {bus_options['port']}" if "port" in bus_options else ""
+            ready = f"ready: {cell.camera.kind} {cell.camera.name}, bus {cell.bus}{port}"
             console.say(*done, *page, f"{ready}; Ctrl-C ends it")
             notifier.ready(ready)
             black_box = None if beside is None else beside.black_box
@@ -139,6 +140,7 @@ def _serve_simulated(job: int | None, seconds: float | None) -> bool:
             Path.cwd() / "black_box",
         )
         with simulated.SimulatedCell(plan, frames) as robot:
+            console.say(f"bus messages: {robot.listening}")
             result = serve_cell_file(
                 read_cell_file(cell), job, seconds, lock.on_track, True, **robot.bus_options
             )

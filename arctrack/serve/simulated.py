@@ -15,10 +15,10 @@ import numpy as np
 import tomlkit
 
 from arctrack.cell.faults.schedules import TORCH_MM
-from arctrack.cell.live.serve import serve_cell
+from arctrack.cell.live.serve import joined_bus, serve_cell
 from arctrack.cell.robot import Robot
 from arctrack.cell.weld.closed_loop import SETTLED_TIME_CONSTANTS, LoopPlan, setup_of, world_of
-from arctrack.cell_file.new import write_new_cell
+from arctrack.cell_file.new import commented_cell, write_cell
 from arctrack.errors import ArctrackError
 from arctrack.new import commented_setup
 from robot_io import BusMessage, GateReason, SeamOffset, TrackerStatus, Validity
@@ -104,6 +104,8 @@ class SimulatedCell:
         self._process = spawn.Process(target=_run, args=(plan, frames, self.bus_options, self._other_end))
 
     def __enter__(self) -> SimulatedCell:
+        # At once: the process takes a while to start.
+        joined_bus(INTERFACE, GROUP, **self.bus_options).shutdown()
         self._process.start()
         self._other_end.close()
         try:
@@ -119,6 +121,11 @@ class SimulatedCell:
         self._process.join(ENDS_S)
         if self._process.is_alive():
             self._process.kill()
+
+    @property
+    def listening(self) -> str:
+        """The command that prints what is on its bus."""
+        return f"python -m can.logger -i {INTERFACE} -c {GROUP} --bus-kwargs port={self.bus_options['port']}"
 
     def end(self) -> Samples:
         """End it, and return how far its torch was off the seam."""
@@ -144,15 +151,12 @@ def write_simulated_cell(
 
     Raises ArctrackError if the folder holds anything, or if it cannot be written.
     """
-    cell_path, setup_path = write_new_cell(folder, plan.joint, plan.material)
-    setup_path.write_text(commented_setup(setup_of(plan)), encoding="utf-8")
-    document = tomlkit.parse(cell_path.read_text(encoding="utf-8"))
+    document = tomlkit.parse(commented_cell())
     document["bus"].update({"interface": interface, "channel": channel})
     document["camera"].update({"frame_rate_hz": plan.rate_hz, "kind": "shared_memory", "name": frames})
     if black_box is not None:
         document["black_box"]["folder"] = str(black_box)
-    cell_path.write_text(tomlkit.dumps(document), encoding="utf-8")
-    return cell_path
+    return write_cell(folder, tomlkit.dumps(document), commented_setup(setup_of(plan)))[0]
 
 
 def torch_error(samples: Samples, from_s: float, to_s: float) -> TorchError | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import multiprocessing
 import time
@@ -31,8 +32,25 @@ CAMERA_ENDS_S = 5.0
 SILENT_S = 0.5
 """A tracker that was not heard for so long is gone."""
 
+NO_ROUTE = (errno.ENODEV, errno.ENETUNREACH)
+MULTICAST_CURE = (
+    "no network of this machine or container carries multicast. Connect one, or as root: "
+    "ip link set lo up; ip route add 224.0.0.0/4 dev lo"
+)
+
 MAX_PART_MM = 1500.0
 """No part is longer: coordinates on the bus reach to 1638 mm."""
+
+
+def joined_bus(interface: str, channel: str, **bus_options: Any) -> can.BusABC:
+    """Return a bus that was joined; ArctrackError, with the cure where one is known, if it cannot be."""
+    try:
+        return can.Bus(channel, interface=interface, **bus_options)
+    except (can.CanError, OSError, ValueError) as error:
+        cause = error.__cause__
+        if interface == "udp_multicast" and isinstance(cause, OSError) and cause.errno in NO_ROUTE:
+            raise ArctrackError(f"--bus {interface}:{channel}: {cause.strerror}; {MULTICAST_CURE}") from None
+        raise ArctrackError(f"--bus {interface}:{channel}: {error}") from None
 
 
 def serve_cell(
@@ -69,10 +87,7 @@ def serve_cell(
     spawn = multiprocessing.get_context("spawn")
     shots, camera_end = spawn.Pipe()
     camera = spawn.Process(target=run_camera, args=(camera_end, plan, frames), daemon=True)
-    try:
-        can_bus = can.Bus(channel, interface=interface, **bus_options)
-    except (can.CanError, OSError, ValueError) as error:
-        raise ArctrackError(f"--bus {interface}:{channel}: {error}") from None
+    can_bus = joined_bus(interface, channel, **bus_options)
     camera.start()
     camera_end.close()
     try:
