@@ -64,9 +64,12 @@ async def _serve(options: MonitorOptions, reader: JournalReader, told: Connectio
     loop.add_reader(told.fileno(), ended.set)
     told.send(_address(options.host, runner.addresses[0][1]))
     feeding = asyncio.create_task(feed.run())
+    assert runner.server is not None
+    sweeping = asyncio.create_task(server.connections.sweep(runner.server))
     ending = asyncio.create_task(ended.wait())
     await asyncio.wait((feeding, ending), return_when=asyncio.FIRST_COMPLETED)
     loop.remove_reader(told.fileno())
+    sweeping.cancel()
     await runner.cleanup()
     if feeding.done():
         # It has failed, and says why.

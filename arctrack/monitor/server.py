@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
+import time
 from importlib.resources import files
 
 from aiohttp import web
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 
 from arctrack.monitor.access import Access
+from arctrack.monitor.connections import Connections
 from arctrack.monitor.feed import Feed
 from arctrack.monitor.health import ailment
 from arctrack.monitor.metrics import registry_of
@@ -41,6 +44,9 @@ HEADERS = {
     "Cache-Control": "no-store",
     "Server": "arctrack",
 }
+SAVES_APART_S = 10.0
+"""Between two saves, s: the second one still reaches back to the first, and no disk is filled in minutes."""
+
 SAVE_REASON = "monitor page"
 
 
@@ -59,6 +65,8 @@ class Server:
 
     def __init__(self, feed: Feed, access: Access, saver: Saver) -> None:
         self._feed, self._access, self._saver = feed, access, saver
+        self.connections = Connections()
+        self._saved_s = -math.inf
         self._registry = registry_of(feed)
         self._sockets: set[web.WebSocketResponse] = set()
         folder = files("arctrack.monitor") / "static"
@@ -66,7 +74,7 @@ class Server:
 
     def app(self) -> web.Application:
         """Return the application."""
-        app = web.Application(middlewares=[self._access.guard])
+        app = web.Application(middlewares=[self.connections.watch, self._access.guard])
         app.router.add_get("/", self._page)
         app.router.add_get("/static/{name}", self._static)
         app.router.add_get("/ws", self._socket)
@@ -131,6 +139,18 @@ class Server:
     async def _black_box(self, _request: web.Request) -> web.Response:
         if not self._saver.is_there:
             return web.json_response({"error": "this run keeps no black box"}, status=404)
+        wait_s = self._saved_s + SAVES_APART_S - time.monotonic()
+        if wait_s > 0.0:
+            again_s = math.ceil(min(wait_s, SAVES_APART_S))
+            error = f"it is being saved, or was a moment ago; ask again in {again_s} s"
+            return web.json_response({"error": error}, status=429, headers={"Retry-After": f"{again_s}"})
+        self._saved_s = math.inf
+        try:
+            return await self._save()
+        finally:
+            self._saved_s = time.monotonic()
+
+    async def _save(self) -> web.Response:
         answer = await self._saver.save(SAVE_REASON)
         return web.Response(
             text=json.dumps(answer),

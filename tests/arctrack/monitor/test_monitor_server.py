@@ -11,6 +11,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from urllib.parse import urlsplit
@@ -24,6 +25,7 @@ from shown_run import TITLE, TOKEN, answering_black_box, shown_run
 
 from arctrack.monitor.access import Access, is_same_origin
 from arctrack.monitor.outbox import MAX_WAITING, Kind, Outbox
+from arctrack.monitor.server import SAVES_APART_S
 from arctrack.monitor.words import FAULTS, LASERS, NO_DISARM, REASONS, STATES, Indication, headline
 from robot_io import Fault, GateReason, LaserState, TrackerState
 
@@ -185,6 +187,36 @@ def test_a_browser_hears_the_run_beside_one_that_never_reads(shown: SimpleNamesp
         assert cv2.imdecode(np.frombuffer(pictures[-1]["rest"], np.uint8), 0).shape == (480, 640)
         heat = next(message for message in messages if message["kind"] == "heat")
         assert cv2.imdecode(np.frombuffer(heat["rest"], np.uint8), cv2.IMREAD_UNCHANGED).shape[2] == 4
+
+
+@pytest.mark.slow
+def test_clients_that_misbehave_hold_nothing_and_fill_no_log(capfd: pytest.CaptureFixture[str]) -> None:
+    with shown_run("rough", answering_black_box()) as (_, _, address):
+        place = (urlsplit(address).hostname, urlsplit(address).port)
+        for nonsense in (
+            b"\x16\x03\x01\x02\r\n\r\n",
+            b"GET / HTTP/1.1\r\nHost: a\r\nContent-Length: x\r\n\r\n",
+        ):
+            with socket.create_connection(place, PATIENCE_S) as client:
+                client.sendall(nonsense)
+                assert client.recv(4096).startswith(b"HTTP/1.0 400 ")
+        with (
+            socket.create_connection(place, PATIENCE_S) as silent,
+            socket.create_connection(place, PATIENCE_S) as slow,
+        ):
+            slow.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n")
+            for client in (silent, slow):
+                with suppress(ConnectionResetError):
+                    assert client.recv(1) == b""
+
+        headers = BEARER | {"Origin": address.removesuffix("/")}
+        assert asked(address, "black_box", "POST", **headers)[0] == 200
+        status, body, told = asked(address, "black_box", "POST", **headers)
+        assert status == 429
+        assert 0 < int(told["Retry-After"]) <= SAVES_APART_S
+        assert "ask again in" in json.loads(body)["error"]
+        assert asked(address, "status.json", **BEARER)[0] == 200
+    assert capfd.readouterr().err == ""
 
 
 def test_what_waits_for_a_browser_is_little_and_the_newest() -> None:

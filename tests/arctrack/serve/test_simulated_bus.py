@@ -1,4 +1,4 @@
-"""The bus of `arctrack serve --simulated`: others hear it, and where there is no network the cure is named."""
+"""The bus of `arctrack serve --simulated`: others hear it; without a network the cure is named."""
 
 from __future__ import annotations
 

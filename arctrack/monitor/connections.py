@@ -1,0 +1,58 @@
+"""The connections of a monitor page: who asks nothing is let go, and an error is one line of the log."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+
+from aiohttp import web
+from aiohttp.typedefs import Handler
+
+ASKS_S = 10.0
+"""A browser has sent its request after so long, s; a connection without one is half open."""
+
+SWEEP_S = 1.0
+MAX_CONNECTIONS = 128
+"""So many are open at most, four a browser: beyond it those go that have asked nothing for longest."""
+
+_LOG = logging.getLogger(__name__)
+
+
+class Connections:
+    """Closes connections on which nothing is asked, and turns errors of the program into answers."""
+
+    def __init__(self) -> None:
+        self._idle_since_s: dict[web.RequestHandler, float] = {}
+        self._told: set[type[Exception]] = set()
+        # What is wrong with a request, its client is told; its traceback is nothing for this machine's log.
+        logging.getLogger("aiohttp.server").disabled = True
+
+    @web.middleware
+    async def watch(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Let a request be answered; an error of the program is logged once for each of its kinds."""
+        connection = request.protocol
+        self._idle_since_s[connection] = float("inf")
+        try:
+            return await handler(request)
+        except (web.HTTPException, ConnectionError):
+            raise
+        except Exception as error:
+            if type(error) not in self._told:
+                self._told.add(type(error))
+                _LOG.warning("arctrack: the monitor page's answer to %s failed: %r", request.rel_url, error)
+            raise web.HTTPInternalServerError(text="the page has failed at this; its log says how") from None
+        finally:
+            self._idle_since_s[connection] = time.monotonic()
+
+    async def sweep(self, server: web.Server) -> None:
+        """Close what is half open, without end."""
+        while True:
+            await asyncio.sleep(SWEEP_S)
+            now_s = time.monotonic()
+            self._idle_since_s = {each: self._idle_since_s.get(each, now_s) for each in server.connections}
+            longest = sorted(self._idle_since_s.items(), key=lambda pair: pair[1])
+            for n, (connection, idle_since_s) in enumerate(longest):
+                is_too_many = n < len(longest) - MAX_CONNECTIONS and idle_since_s <= now_s
+                if (now_s - idle_since_s > ASKS_S or is_too_many) and connection.transport is not None:
+                    connection.transport.abort()
