@@ -54,7 +54,9 @@ def check(
     try:
         picture.parent.mkdir(parents=True, exist_ok=True)
         draw(checked).savefig(picture, format=picture.suffix[1:] or "png")
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise in_file(picture, f"cannot be written: {error.strerror or error}") from None
+    except ValueError as error:
         raise in_file(picture, f"cannot be written: {error}; give a .png or .pdf with --out") from None
     console.say(f"picture      {picture}")
     if checked.refusal is not None:

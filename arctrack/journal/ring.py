@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arctrack.closing import Closing
-from arctrack.journal.private_memory import open_private, private_path
+from arctrack.journal.private_memory import memory_folder, open_private, private_path
 from noise_model.arrays import UInt8
 
 MAGIC = b"ARCRNG01"
@@ -95,7 +95,10 @@ class RingWriter(Closing):
         except OSError as error:
             os.unlink(self.path)
             os.close(self._file)
-            raise RingError(f"{name!r}: {size / 1e6:.0f} MB: {error.strerror}") from error
+            raise RingError(
+                f"{name!r}: {self.path}, {size / 1e6:.1f} MB: {error.strerror}; "
+                f"mount -o remount,size=… {memory_folder()}, or docker run --shm-size=…, gives more memory"
+            ) from error
         # The magic last: a reader that finds it finds the rest.
         HEADER.pack_into(self._memory, 0, b"", slots, record_bytes, kind, 0)
         self._memory[: len(MAGIC)] = MAGIC

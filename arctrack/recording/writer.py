@@ -9,13 +9,14 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self, TextIO
 
 from arctrack.errors import in_file
+from arctrack.output import write_whole, writing
 from arctrack.recording import ffv1, frames, png, setup_file, tables
 from arctrack.recording.poses import CSV_NAME as POSES_CSV
 from arctrack.recording.reader import FRAMES_CSV, TRUTH_CSV, UNFINISHED_SUFFIX
@@ -85,14 +86,12 @@ class RecordingWriter:
         for folder in (self.path, self._folder):
             if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
                 raise in_file(folder, "exists already; remove it or choose another name")
-        try:
+        text = setup_file.format_setup(setup) if toml is None else toml
+        with writing(self._folder):
             (self._folder / frames.FOLDER_NAME if video is None else self._folder).mkdir(
                 parents=True, exist_ok=True
             )
-        except OSError as error:
-            raise in_file(self._folder, f"cannot be made: {error.strerror}") from None
-        text = setup_file.format_setup(setup) if toml is None else toml
-        (self._folder / setup_file.FILE_NAME).write_text(text, encoding="utf-8")
+        write_whole(self._folder / setup_file.FILE_NAME, text)
         self._opened = ExitStack()
         self._tables: dict[str, TextIO] = {}
         self._video: ffv1.VideoWriter | None = None
@@ -129,10 +128,12 @@ class RecordingWriter:
         if misfit is not None:
             raise ValueError(f"frame {frame.index} {misfit}")
         if self._video is not None:
-            self._video.write(frame.image_dn, frame.timestamp_s)
+            with writing(self._folder / frames.VIDEO_NAME):
+                self._video.write(frame.image_dn, frame.timestamp_s)
         else:
             path = frames.png_path(self._folder / frames.FOLDER_NAME, frame.index)
-            path.write_bytes(png.encode(frame.image_dn))
+            with writing(path):
+                path.write_bytes(png.encode(frame.image_dn))
         current_a = "" if math.isnan(frame.current_a) else format(frame.current_a, VALUE_FORMAT)
         self._append(
             FRAMES_CSV,
@@ -179,10 +180,11 @@ class RecordingWriter:
 
     def close(self) -> None:
         """Finish all files and give the folder its name."""
-        self._opened.close()
-        if self.path.exists():
-            self.path.rmdir()
-        self._folder.rename(self.path)
+        with writing(self._folder):
+            self._opened.close()
+            if self.path.exists():
+                self.path.rmdir()
+            self._folder.rename(self.path)
 
     def __enter__(self) -> Self:
         return self
@@ -193,13 +195,17 @@ class RecordingWriter:
         if kind is None:
             self.close()
         else:
-            self._opened.close()
+            # The first error says which file fails; that no more can be written is nothing new.
+            with suppress(OSError):
+                self._opened.close()
 
     def _append(self, name: str, columns: Iterable[str], values: Iterable[str]) -> None:
-        file = self._tables.get(name)
-        if file is None:
-            file = self._opened.enter_context((self._folder / name).open("w", encoding="utf-8", newline=""))
-            self._tables[name] = file
-            csv.writer(file, lineterminator="\n").writerow(columns)
-        csv.writer(file, lineterminator="\n").writerow(values)
-        file.flush()
+        path = self._folder / name
+        with writing(path):
+            file = self._tables.get(name)
+            if file is None:
+                file = self._opened.enter_context(path.open("w", encoding="utf-8", newline=""))
+                self._tables[name] = file
+                csv.writer(file, lineterminator="\n").writerow(columns)
+            csv.writer(file, lineterminator="\n").writerow(values)
+            file.flush()

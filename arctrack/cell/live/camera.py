@@ -11,7 +11,7 @@ from multiprocessing.connection import Connection
 import numpy as np
 
 from arctrack.cameras.camera_line import read_line, remove_line
-from arctrack.cameras.shared_frames import SharedFramesWriter
+from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesWriter
 from arctrack.cell.robot import Robot
 from arctrack.cell.weld.closed_loop import LoopPlan, setup_of, world_of
 from arctrack.cell.weld.rendered_eye import RenderedEye
@@ -68,6 +68,8 @@ def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
         with SharedFramesWriter(name, camera.height, camera.width, setup.sensor.dtype) as frames:
             shots.send(True)
             _publish(shots, eye, frames, name)
+    except SharedFramesError as error:
+        shots.send(str(error))
     finally:
         remove_line(name)
 

@@ -92,9 +92,11 @@ def serve_cell(
     camera_end.close()
     try:
         try:
-            shots.recv()
+            said = shots.recv()
         except EOFError:
-            raise ArctrackError(f"--frames {frames}: the camera did not begin; is the name in use?") from None
+            raise ArctrackError(f"--frames {frames}: the camera ended by itself") from None
+        if isinstance(said, str):
+            raise ArctrackError(f"--frames {frames}: {said}")
         if on_ready is not None:
             on_ready()
         run_robot(plan, can_bus, shots.send, lambda robot: goes_on(robot) and camera.is_alive())
