@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from arctrack.cli.json_output import AsJson, say_json
 from arctrack.cli.setups import check_replaces_nothing
 from arctrack.errors import ArctrackError, in_file
+
+if TYPE_CHECKING:
+    from arctrack.check.run import Checked
 
 PICTURE = "check.png"
 
@@ -22,6 +26,7 @@ def check(
     setup: Annotated[
         Path | None, typer.Option(help="A recording.toml to use instead of the recording's own.")
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Say from some frames whether a recording fits its setup, and what most likely is wrong if not.
 
@@ -45,10 +50,11 @@ def check(
         on_compiled = console.compiling(bar, read.name)
         on_frame = console.track(bar, f"{read.name}: looking at frames", 10)
         checked = check_recording(read, on_frame, on_compiled)
-    screen = console.tables()
-    for finding in checked.findings:
-        if finding.text:
-            screen.print(f"{finding.name:12} {finding.text}", markup=False, soft_wrap=True)
+    if not as_json:
+        screen = console.tables()
+        for finding in checked.findings:
+            if finding.text:
+                screen.print(f"{finding.name:12} {finding.text}", markup=False, soft_wrap=True)
     warnings = [*read.warnings, *checked.warnings]
     console.warn(warnings)
     try:
@@ -58,12 +64,12 @@ def check(
         raise in_file(picture, f"cannot be written: {error.strerror or error}") from None
     except ValueError as error:
         raise in_file(picture, f"cannot be written: {error}; give a .png or .pdf with --out") from None
-    console.say(f"picture      {picture}")
+    if as_json:
+        say_json("check", _content(checked, warnings, picture))
+    else:
+        console.say(f"picture      {picture}", *_verdict_lines(checked))
     if checked.refusal is not None:
-        if checked.hint is not None:
-            console.say(f"{read.name}: most likely {checked.hint}")
         raise checked.refusal
-    console.say(f"{read.name}: {checked.verdict.line}")
     if checked.bad_frames:
         bad = checked.bad_frames
         raise ArctrackError(f"{bad[0].message}; {len(bad)} of the frames looked at could not be used")
@@ -71,3 +77,29 @@ def check(
         raise typer.Exit(NOTHING_TRACKED)
     if warnings or checked.verdict.few_tracked:
         raise typer.Exit(WARNED)
+
+
+def _verdict_lines(checked: Checked) -> list[str]:
+    name = checked.recording.name
+    if checked.refusal is None:
+        return [f"{name}: {checked.verdict.line}"]
+    return [] if checked.hint is None else [f"{name}: most likely {checked.hint}"]
+
+
+def _content(checked: Checked, warnings: list[str], picture: Path) -> dict[str, Any]:
+    """Return a check for programs."""
+    verdict = checked.verdict
+    return {
+        "recording": checked.recording.path,
+        "frames": verdict.frames,
+        "looked_at": verdict.laser_on,
+        "valid": verdict.valid,
+        "flags": verdict.flags,
+        "verdict": verdict.line,
+        "refusal": None if checked.refusal is None else str(checked.refusal),
+        "most_likely": None if checked.hint is None else str(checked.hint),
+        "findings": [vars(finding) for finding in checked.findings],
+        "warnings": warnings,
+        "unusable_frames": [bad.message for bad in checked.bad_frames],
+        "picture": picture,
+    }

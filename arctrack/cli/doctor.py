@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from arctrack.cli.exit_codes import UNFIT
 from arctrack.cli.interrupt import interruptible
+from arctrack.cli.json_output import AsJson, say_json
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from arctrack.doctor.budget import Budget
-    from arctrack.doctor.finding import Finding
+    from arctrack.doctor.finding import Finding, State
 
 
 def doctor(
     cell: Annotated[
         Path | None, typer.Argument(help="A cell file, cell.toml; without it the machine alone.")
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Check a machine, and a cell on it: clock, scheduler, memory, bus, camera, what is compiled.
 
@@ -34,6 +36,7 @@ def doctor(
     from arctrack.doctor.run import Examination, examine_cell, examine_machine
 
     examination, counts = Examination(), dict.fromkeys(State, 0)
+    examined: list[Finding] = []
     read = None if cell is None else read_cell_file(cell)
     with interruptible("doctor was", "nothing was written"), console.progress() as bar:
         if read is None:
@@ -45,12 +48,36 @@ def doctor(
             )
         for finding in findings:
             counts[finding.state] += 1
-            console.say(_line(finding))
-    if examination.budget is not None:
-        console.tables().print(_table(examination.budget))
-    console.say(", ".join(f"{state.value} {count}" for state, count in counts.items()))
+            examined.append(finding)
+            if not as_json:
+                console.say(_line(finding))
+    if as_json:
+        say_json("doctor", _content(cell, examined, counts, examination.budget))
+    else:
+        if examination.budget is not None:
+            console.tables().print(_table(examination.budget))
+        console.say(", ".join(f"{state.value} {count}" for state, count in counts.items()))
     if counts[State.FAILED]:
         raise typer.Exit(UNFIT)
+
+
+def _content(
+    cell: Path | None, findings: list[Finding], counts: dict[State, int], budget: Budget | None
+) -> dict[str, Any]:
+    """Return an examination for programs."""
+    return {
+        "cell": cell,
+        "findings": [{**vars(finding), "state": finding.state.value} for finding in findings],
+        "counts": {state.value: count for state, count in counts.items()},
+        "budget": None
+        if budget is None
+        else {
+            "parts": [vars(part) for part in budget.parts],
+            "typical_s": budget.typical_s,
+            "at_most_s": budget.at_most_s,
+            "capture_age_s": budget.capture_age_s,
+        },
+    }
 
 
 def _line(finding: Finding) -> str:

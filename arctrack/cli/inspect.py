@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from arctrack.cli.json_output import AsJson, say_json
 from arctrack.cli.setups import check_replaces_nothing
 from arctrack.errors import ArctrackError, in_file
 
@@ -19,6 +20,7 @@ def inspect(
         Path | None,
         typer.Option(help=f"Where the picture goes; default: results/{PICTURE} in the recording."),
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Say what a recording holds: sensor, joint, conditions, poses, unknown keys; and draw it.
 
@@ -26,7 +28,7 @@ def inspect(
     and the robot's path.
     """
     from arctrack.cli import console
-    from arctrack.cli.inspect_text import print_survey
+    from arctrack.cli.inspect_text import print_survey, survey_json
     from arctrack.output import make_folder, writing
     from arctrack.recording import read_recording
     from arctrack.replay import RESULTS_FOLDER
@@ -39,14 +41,18 @@ def inspect(
     check_replaces_nothing(picture, read)
     with console.progress() as bar:
         result = survey(read, console.track(bar, read.name, len(read.rows)))
-    print_survey(console.tables(), read, result)
+    if not as_json:
+        print_survey(console.tables(), read, result)
     make_folder(picture.parent, ())
     try:
         with writing(picture):
             draw(read, result).savefig(picture, format=picture.suffix[1:] or "png")
     except ValueError as error:
         raise in_file(picture, f"cannot be written: {error}; give a .png or .pdf with --out") from None
-    console.say(f"picture  {picture}")
+    if as_json:
+        say_json("inspect", {**survey_json(read, result), "picture": picture})
+    else:
+        console.say(f"picture  {picture}")
     if result.bad_frames:
         raise ArctrackError(
             f"{result.bad_frames[0].message}; "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -31,6 +32,35 @@ def print_survey(console: Console, recording: Recording, survey: Survey) -> None
         console.print(f"[bold]{name:<{width}}[/bold]  ", end="")
         console.print(printable(text), markup=False, soft_wrap=True)
     console.print(condition_table(survey.conditions))
+
+
+def survey_json(recording: Recording, survey: Survey) -> dict[str, Any]:
+    """Return what a recording holds, for programs."""
+    setup, rows = recording.setup, recording.rows
+    conditions = [
+        {name: value for name, value in vars(condition).items() if name != "sample"}
+        for condition in survey.conditions
+    ]
+    return {
+        "recording": recording.path,
+        "setup": recording.setup_path,
+        "frames": len(rows),
+        "first_s": rows[0].timestamp_s,
+        "last_s": rows[-1].timestamp_s,
+        "frame_rate_hz": recording.frame_rate_hz,
+        "width_px": setup.camera.width,
+        "height_px": setup.camera.height,
+        "bits": setup.sensor.bits,
+        "joint": setup.joint.type,
+        "material": setup.material.name,
+        "effects": list(setup.effects),
+        "conditions": conditions,
+        "motion": vars(survey.motion),
+        "has_truth": recording.has_truth,
+        "unknown_keys": recording.unknown_keys,
+        "warnings": recording.warnings,
+        "unusable_frames": [bad.message for bad in survey.bad_frames],
+    }
 
 
 def correction_words(correction: Correction) -> str:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from arctrack.cli.json_output import AsJson, say_json
 from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError, in_file
 
@@ -64,6 +65,7 @@ def plan(
     speckle: Annotated[
         float, typer.Option(help="Speckle contrast of the laser, 0 to 1; 0 leaves the speckle floor out.")
     ] = 1.0,
+    as_json: AsJson = False,
 ) -> None:
     """Search sensor designs for the least expected error of the seam; say where along the path it is blind.
 
@@ -93,10 +95,42 @@ def plan(
     except ValueError as error:
         raise ArctrackError(str(error)) from None
     made = _plan(source, setup, options, poses)
-    print_plan(console.tables(), made)
+    if not as_json:
+        print_plan(console.tables(), made)
     folder = out or (source if source.is_dir() else source.parent) / FOLDER
     _write(made, torch_radius, folder)
-    console.say(f"tables and pictures in {folder}")
+    if as_json:
+        say_json("plan", {"source": source, **_content(made), "folder": folder})
+    else:
+        console.say(f"tables and pictures in {folder}")
+
+
+def _content(made: Plan) -> dict[str, Any]:
+    """Return a plan for programs."""
+    from arctrack.report.plan_files import designs, stations
+
+    return {
+        "limit_mm": made.limit_mm,
+        "designs": designs(made),
+        "stations": stations(made),
+        "rules": {
+            name: {
+                "light": rule.light.value,
+                "light_ratio": rule.light_ratio,
+                "seam": rule.seam.value,
+                "seam_ratio": rule.seam_ratio,
+                "kept_deg": rule.kept_deg,
+                "broken_deg": rule.broken_deg,
+                "best_deg": rule.best_deg,
+            }
+            for name, rule in (
+                ("tilt", made.rules.tilt),
+                ("head", made.rules.head),
+                ("azimuth", made.rules.azimuth),
+            )
+        },
+        "left_out": made.left_out,
+    }
 
 
 COUNTED = {

@@ -23,10 +23,15 @@ def write_tables(plan: Plan, folder: Path) -> None:
     """Write both tables; ArctrackError if the folder cannot be written to."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _write(folder / PLAN, [_design(plan.own, "yours"), *(_design(c, "front") for c in plan.front)])
-        _write(folder / PATH, _stations(plan))
+        _write(folder / PLAN, designs(plan))
+        _write(folder / PATH, stations(plan))
     except OSError as error:
         raise in_file(folder, f"cannot be written: {error.strerror}") from None
+
+
+def designs(plan: Plan) -> list[Row]:
+    """Return the user's design and those that none beats, a row each."""
+    return [_design(plan.own, "yours"), *(_design(candidate, "front") for candidate in plan.front)]
 
 
 def _design(candidate: Candidate, kind: str) -> Row:
@@ -51,7 +56,8 @@ def _design(candidate: Candidate, kind: str) -> Row:
     }
 
 
-def _stations(plan: Plan) -> list[Row]:
+def stations(plan: Plan) -> list[Row]:
+    """Return the stations along the path, a row each, with what cures a blind one."""
     rows: list[Row] = []
     for n, (station_mm, noise) in enumerate(zip(plan.along.path.station_mm, plan.along.noise, strict=True)):
         cure = next((cure for cure in plan.cures if cure.first <= n <= cure.last), None)
