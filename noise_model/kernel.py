@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Iterable, Mapping, Set
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, overload
@@ -14,6 +15,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from noise_model.boxing import make_results_in_c
 from noise_model.entry import enter_when_called
+from noise_model.kernel_place import KernelPlace
 from noise_model.linking import LinkedCacheImpl, keep_linked
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -137,17 +139,24 @@ def _root(path: Path) -> Path:
     return folder
 
 
-class _ReadableIndex(IndexDataCacheFile):  # type: ignore[misc]
-    """numba's index of what is kept, empty where it names a class that an update has moved or removed.
+class _KernelFile(IndexDataCacheFile):  # type: ignore[misc]
+    """numba's files of one kernel; what is damaged counts as absent, so that it is compiled and kept anew.
 
-    The index holds the types of arguments, and unpickling it would raise for a named tuple's old module.
+    Unpickling raises nearly anything: files are cut by a full disk, and an update moves the class of an
+    argument.
     """
 
     def _load_index(self) -> Any:
         try:
             return super()._load_index()
-        except (ImportError, AttributeError):
+        except Exception:
             return {}
+
+    def _load_data(self, name: str) -> Any:
+        try:
+            return super()._load_data(name)
+        except Exception:
+            return None
 
 
 class KernelCache(FunctionCache):  # type: ignore[misc]
@@ -160,12 +169,30 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self._cache_file = _ReadableIndex(
-            cache_path=self._cache_path,
-            filename_base=self._impl.filename_base,
-            source_stamp=f"{source_key(Path(function.__code__.co_filename))} {source_key(Path(__file__))}",
-        )
+        stamp = f"{source_key(Path(function.__code__.co_filename))} {source_key(Path(__file__))}"
+        self._place: KernelPlace = self._impl.locator
+        self._files = [
+            _KernelFile(str(folder), self._impl.filename_base, stamp) for folder in self._place.folders
+        ]
+        # The last folder is the one that is written to.
+        self._cache_file = self._files[-1]
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """Return a kernel that was compiled before, None if no folder has it."""
+        for file in self._files:
+            self._cache_file = file
+            compiled = super().load_overload(signature, target_context)
+            if compiled is not None:
+                return compiled
+        return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        """Keep a compiled kernel."""
-        keep_linked(self._py_func, result, lambda: super(KernelCache, self).save_overload(signature, result))
+        """Keep a compiled kernel, where a folder may be written and has room."""
+
+        def keep() -> None:
+            if self._place.kept is not None:
+                self._cache_file = self._files[-1]
+                with suppress(OSError):
+                    super(KernelCache, self).save_overload(signature, result)
+
+        keep_linked(self._py_func, result, keep)

@@ -17,6 +17,8 @@ from typing import Any, NamedTuple
 from llvmlite import binding as llvm
 from numba.core.caching import CompileResultCacheImpl
 
+from noise_model.kernel_place import KernelPlace
+
 MIN_INSTRUCTIONS = 250
 """From so many of LLVM's instructions on a kernel is long. LLVM writes out what has some fifty."""
 
@@ -35,6 +37,8 @@ class Link(NamedTuple):
 
 class LinkedCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
     """What of a compiled kernel is kept on disk: numba's own record, and what is linked."""
+
+    _locator_classes = (KernelPlace,)
 
     def reduce(self, result: Any) -> Any:
         """Return what is kept of a compiled kernel."""

@@ -178,8 +178,12 @@ def compiling(bar: Progress, name: str) -> Callable[[str, int, float], None]:
 def say_compiled(name: str, warm_up: WarmUp) -> None:
     """Say on stderr what a warm-up compiled, where it had to."""
     if warm_up.compiled:
+        from noise_model.kernel_place import kernels_are_kept
+
         took = f"compiled {warm_up.compiled} functions in {warm_up.elapsed_s:.0f} s"
-        print(f"arctrack: {name}: {took}; the next run finds them on disk", file=sys.stderr)
+        kept = "the next run finds them on disk"
+        not_kept = "no folder could keep them; set NUMBA_CACHE_DIR to one that only you may write"
+        print(f"arctrack: {name}: {took}; {kept if kernels_are_kept() else not_kept}", file=sys.stderr)
 
 
 class _Rate(ProgressColumn):

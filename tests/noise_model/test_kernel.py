@@ -2,10 +2,12 @@
 
 import os
 import sys
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from multiprocessing.connection import Connection
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -120,6 +122,53 @@ def test_what_a_kernel_does_not_import_leaves_it_alone(tmp_path: Path) -> None:
     write(package, "", 3.0)
     run(tmp_path)
     (package / "beside.py").write_text("# another thing\n")
+    assert run(tmp_path) == (7.0, 2, 0)
+
+
+@pytest.fixture
+def installed() -> Iterator[Path]:
+    """Yield a folder with the two kernels, which other users may read."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        write(folder / "optics_of_a_test", "", 3.0)
+        yield folder
+
+
+def as_nobody(home: Path) -> str:
+    """Return the lines by which a process becomes a user who may write nothing but his home.
+
+    He may not even read what numba imports late, so that is imported before.
+    """
+    environment = f"os.environ['HOME'] = {str(home)!r}\nos.environ.pop('XDG_CACHE_HOME', None)\n"
+    return f"import numba\nnumba.njit(lambda: 1)()\nos.setuid(65534)\n{environment}"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+def test_kernels_of_a_read_only_installation(installed: Path) -> None:
+    assert run(installed, as_nobody(Path("/proc"))) == (7.0, 0, 2), "no folder to keep them: compiled"
+    home = installed / "home"
+    home.mkdir()
+    os.chown(home, 65534, 65534)
+    assert run(installed, as_nobody(home)) == (7.0, 0, 2)
+    assert run(installed, as_nobody(home)) == (7.0, 2, 0), "kept in the user's cache"
+    for kept in (home / ".cache/arctrack/kernels").iterdir():
+        assert kept.stat().st_mode & 0o077 == 0
+        kept.chmod(0o777)
+    assert run(installed, as_nobody(home)) == (7.0, 0, 2), "what others may write is not loaded"
+    run(installed)
+    assert run(installed, as_nobody(Path("/proc"))) == (7.0, 2, 0), "the installation's own are loaded"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+def test_a_damaged_file_of_a_kernel_is_compiled_anew(suffix: str, tmp_path: Path) -> None:
+    write(tmp_path / "optics_of_a_test", "", 3.0)
+    run(tmp_path)
+    for kept in tmp_path.rglob(f"*.{suffix}"):
+        kept.write_bytes(kept.read_bytes()[:-9])
+    assert run(tmp_path) == (7.0, 0, 2)
     assert run(tmp_path) == (7.0, 2, 0)
 
 
