@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM where a run may end: between two frames, not inside one."""
+"""Signals that end a run, and where it may end: between two frames, not inside one."""
 
 from __future__ import annotations
 
@@ -8,13 +8,31 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-ENDING = (signal.SIGINT, signal.SIGTERM)
-"""What ends a run."""
+ENDING: tuple[signal.Signals, ...] = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+"""What ends a run: Ctrl-C, the end of a service, a terminal that is closed."""
+
+PARENTS: tuple[signal.Signals, ...] = ENDING + tuple(
+    getattr(signal, name) for name in ("SIGQUIT", "SIGUSR1") if hasattr(signal, name)
+)
+"""What a terminal or a service manager sends to all processes of a run, and means for one."""
+
+
+def is_ignored(number: signal.Signals) -> bool:
+    """Return True if this process was started to ignore a signal, as by nohup, or in the background."""
+    return signal.getsignal(number) in (signal.SIG_IGN, None)
+
+
+def leave_signals_to_parent() -> None:
+    """Ignore in this process what its parent is to hear."""
+    for number in PARENTS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager
 def ends_at_safe_points() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C and SIGTERM back until what runs within may end, and give what it asks then.
+    """Hold what ends a run back until what runs within may end, and give what it asks then.
 
     A KeyboardInterrupt may otherwise come between any two lines: in a message that is half sent, or in a file
     that is half closed. A second signal does not wait, for the first may be held back by a disk that hangs.
@@ -40,11 +58,7 @@ def ends_at_safe_points() -> Iterator[Callable[[], None]]:
     if threading.current_thread() is not threading.main_thread():
         yield check
         return
-    # What a shell starts in the background ignores Ctrl-C, and None is a handler that Python does not know.
-    before = {number: signal.getsignal(number) for number in ENDING}
-    held = {number: was for number, was in before.items() if was not in (signal.SIG_IGN, None)}
-    for number in held:
-        signal.signal(number, note)
+    held = {number: signal.signal(number, note) for number in ENDING if not is_ignored(number)}
     try:
         yield check
     finally:

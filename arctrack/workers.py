@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from contextlib import AbstractContextManager, contextmanager
@@ -94,20 +95,21 @@ def processes(count: int) -> Iterator[Executor]:
     """Give an executor of so many processes on this machine; they end if this one is killed."""
     # A forked process would inherit the locks of threads that it does not have.
     spawn = multiprocessing.get_context("spawn")
-    executor = ProcessPoolExecutor(count, mp_context=spawn, initializer=_end_with_parent)
+    executor = ProcessPoolExecutor(count, mp_context=spawn, initializer=end_with_parent)
     try:
         yield executor
     finally:
         executor.shutdown(cancel_futures=True)
 
 
-def _end_with_parent() -> None:
-    """Let this process end once the one that started it has: nobody takes its results then."""
+def end_with_parent(after_s: float = 0.0) -> None:
+    """Let this process end some time after the one that started it has: nobody takes its results then."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 
     def end() -> None:
         parent.join()
+        time.sleep(after_s)
         os._exit(1)
 
     Thread(target=end, name="ends with parent", daemon=True).start()

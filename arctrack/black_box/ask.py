@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from multiprocessing.connection import Connection
+
+from arctrack.journal.message_pipe import PipeEnd
 
 
 class BlackBoxAsker:
@@ -13,11 +14,11 @@ class BlackBoxAsker:
 
     Parameters
     ----------
-    connection : Connection
+    connection : PipeEnd
         To the black box' process.
     """
 
-    def __init__(self, connection: Connection) -> None:
+    def __init__(self, connection: PipeEnd) -> None:
         self._connection = connection
         self._is_asked = False
         self._told: list[str] = []
@@ -26,7 +27,7 @@ class BlackBoxAsker:
         """Ask that the latest frames be saved, unless that is under way."""
         self._hear(0.0)
         if not self._is_asked:
-            with suppress(BrokenPipeError):
+            with suppress(OSError):
                 self._connection.send({"save": reason})
                 self._is_asked = True
 
@@ -37,7 +38,9 @@ class BlackBoxAsker:
         return told
 
     def _hear(self, wait_s: float) -> None:
-        if self._is_asked and self._connection.poll(wait_s):
+        with suppress(EOFError, OSError):
+            if not self._is_asked or not self._connection.poll(wait_s):
+                return
             answer = self._connection.recv()
             self._is_asked = False
             said = f"saved {answer['saved']}" if "saved" in answer else answer["error"]

@@ -23,6 +23,7 @@ from arctrack.cli.group import CommandGroup, UnexpectedEndError
 from arctrack.cli.import_files import import_files
 from arctrack.cli.inspect import inspect
 from arctrack.cli.interrupt import InterruptedCommandError
+from arctrack.cli.lines import write_line
 from arctrack.cli.new import new
 from arctrack.cli.plan import plan
 from arctrack.cli.reflow import reflow
@@ -100,7 +101,7 @@ def main() -> None:
     try:
         app(prog_name="arctrack")
     except InterruptedCommandError as interrupted:
-        print(f"arctrack: {printable(str(interrupted))}", file=sys.stderr)
+        write_line(f"arctrack: {printable(str(interrupted))}", sys.stderr)
         sys.exit(INTERRUPTED)
     except ArctrackError as error:
         _complain(str(error))
@@ -114,5 +115,5 @@ def main() -> None:
 
 
 def _complain(problem: str) -> NoReturn:
-    print(f"arctrack: error: {problem}", file=sys.stderr)
+    write_line(f"arctrack: error: {problem}", sys.stderr)
     sys.exit(BAD_INPUT)

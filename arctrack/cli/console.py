@@ -21,6 +21,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
+from arctrack.cli.lines import write_line
 from arctrack.printable import printable
 
 if TYPE_CHECKING:
@@ -55,19 +56,19 @@ def say(*lines: str) -> None:
     At once: whoever waits for a live run to be ready may read a pipe, which is written to once much is said.
     """
     for line in lines:
-        print(printable(line), flush=True)
+        write_line(printable(line), sys.stdout)
 
 
 def warn(messages: Iterable[str]) -> None:
     """Print warnings on stderr, one line each."""
     for message in messages:
-        print(f"arctrack: warning: {printable(message)}", file=sys.stderr)
+        write_line(f"arctrack: warning: {printable(message)}", sys.stderr)
 
 
 def complain(problems: Iterable[str]) -> None:
     """Print errors on stderr, one line each; what several say alike is said once."""
     for problem in dict.fromkeys(problems):
-        print(f"arctrack: error: {printable(problem)}", file=sys.stderr)
+        write_line(f"arctrack: error: {printable(problem)}", sys.stderr)
 
 
 class SpokenProgress(Progress):

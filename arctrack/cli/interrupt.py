@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: what was interrupted, what is kept, and where; or a run that they end as it should."""
+"""Signals that end a command: what they interrupted, what is kept, and where; or a run that they end well."""
 
 from __future__ import annotations
 
@@ -7,33 +7,38 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from arctrack.safe_points import ENDING
+from arctrack.safe_points import ENDING, is_ignored
 
 
 class InterruptedCommandError(Exception):
-    """A command that Ctrl-C or SIGTERM ended; its text says what was interrupted and what is kept."""
+    """A command that Ctrl-C, SIGTERM or SIGHUP ended; its text says what was interrupted and what is kept."""
 
 
 @contextmanager
 def interruptible(what: str, kept: str) -> Iterator[None]:
-    """Say of what runs within, where Ctrl-C or SIGTERM ends it, what it was and what is kept."""
-    # Signals are the main thread's: in another one SIGTERM ends the process as before.
+    """Say of what runs within, where Ctrl-C, SIGTERM or SIGHUP ends it, what it was and what is kept."""
+    # Signals are the main thread's: in another one they end the process as before.
     is_main = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler) if is_main else None
+    before = {
+        number: signal.signal(number, signal.default_int_handler)
+        for number in ENDING
+        if is_main and number != signal.SIGINT and not is_ignored(number)
+    }
     try:
         yield
     except KeyboardInterrupt:
         raise InterruptedCommandError(f"{what} interrupted; {kept}") from None
     finally:
-        if before is not None:
-            signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager
 def stoppable(*others: signal.Signals) -> Iterator[Callable[[], set[signal.Signals]]]:
     """Give what says which signals came since it was asked last; nothing that runs within is interrupted.
 
-    The signals are Ctrl-C's, SIGTERM, and others that are named.
+    The signals are those that end a run, and others that are named. A run under nohup goes on without its
+    terminal.
     """
     came: set[signal.Signals] = set()
 
@@ -45,6 +50,7 @@ def stoppable(*others: signal.Signals) -> Iterator[Callable[[], set[signal.Signa
     before = {
         number: signal.signal(number, lambda which, _: came.add(signal.Signals(which)))
         for number in (*ENDING, *others)
+        if number == signal.SIGINT or not is_ignored(number)
     }
     try:
         yield take

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from arctrack.serve.loop import LoopResult, OnTrack
 
 
+SAVING = {signal.SIGUSR1: "asked by SIGUSR1", signal.SIGHUP: "terminal closed"}
+"""Signals on which the black box is saved, and why."""
+
 ANSWER_S = 60.0
 """How long an answer of the black box may take after a run, s."""
 
@@ -43,9 +46,10 @@ def serve(
 ) -> None:
     """Track live: frames of the cell's camera and poses off its bus in, offsets onto the bus.
 
-    It says ready once all is compiled, loaded and open, and at which address a browser shows the run. Ctrl-C
-    or SIGTERM ends it: the last offset is REFUSED, the laser goes off, and it prints what the run came to.
-    SIGUSR1 saves the black box. A recording as camera is played at its own pace.
+    It says ready once all is compiled, loaded and open, and at which address a browser shows the run. Ctrl-C,
+    SIGTERM or a terminal that is closed ends it: the last offset is REFUSED, the laser goes off, it prints
+    what the run came to. SIGUSR1 and a terminal that is closed save the black box. A recording as camera is
+    played at its own pace.
 
     The exit code is 3 where no VALID offset went out, where no frame of a recording is valid, and where the
     torch of a simulated cell was not on the seam.
@@ -85,7 +89,15 @@ def serve_cell_file(
         with interruptible("serve was", "nothing was sent"), console.progress() as bar:
             on_compiled = console.compiling(bar, "serve")
             live: LiveRun = opened.enter_context(
-                opened_run(cell, job, on_compiled, on_track, is_simulated, **bus_options)
+                opened_run(
+                    cell,
+                    lambda line: console.warn([line]),
+                    job,
+                    on_compiled,
+                    on_track,
+                    is_simulated,
+                    **bus_options,
+                )
             )
             done, refused = schedule(cell.process)
         with stoppable(signal.SIGUSR1) as came:
@@ -107,8 +119,9 @@ def serve_cell_file(
                 if not is_told and live.loop.warning is not None:
                     is_told = True
                     console.warn([live.loop.warning])
-                if signal.SIGUSR1 in signals and black_box is not None:
-                    black_box.save("asked by SIGUSR1")
+                for number in signals & SAVING.keys():
+                    if black_box is not None:
+                        black_box.save(SAVING[number])
                 return signals.isdisjoint(ENDING) and time.monotonic() < ends_s
 
             result = run(live.loop, goes_on, cell.policy.watchdog_s, notifier)

@@ -117,6 +117,28 @@ class View:
 
 
 @dataclass(frozen=True)
+class ProcessState:
+    """How a process of the run stands, beside the loop's own.
+
+    Attributes
+    ----------
+    pid : int
+        The number of the process, or of the one that ended last.
+    is_running : bool
+        Whether it does its work.
+    ends : int
+        How often it has ended by itself; it was started again each time.
+    problem : str
+        What is wrong with it or its work; empty where nothing is.
+    """
+
+    pid: int
+    is_running: bool
+    ends: int
+    problem: str
+
+
+@dataclass(frozen=True)
 class Status:
     """How the run stands.
 
@@ -158,6 +180,8 @@ class Status:
         How many of these times were at most each of `BUCKETS_S`, and last how many there were.
     capture_sum_s, arrival_sum_s : float
         The sums of these times, s.
+    processes : mapping of str to ProcessState
+        The processes of the run beside the loop's own, by their names.
     """
 
     now_s: float
@@ -185,6 +209,7 @@ class Status:
     arrival_counts: tuple[int, ...] = ()
     capture_sum_s: float = 0.0
     arrival_sum_s: float = 0.0
+    processes: Mapping[str, ProcessState] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

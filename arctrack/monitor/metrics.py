@@ -53,6 +53,7 @@ class RunCollector(Collector):
         yield from _counts(status)
         yield _latencies(status)
         yield _delays(status)
+        yield from _processes(status)
         state = GaugeMetricFamily("arctrack_state", "1 for the state of the tracker", labels=["state"])
         for each in TrackerState:
             state.add_metric([each.name], float(each is status.state))
@@ -107,6 +108,23 @@ def _counts(status: Status) -> Iterator[Metric]:
         for key, count in counts.items():
             family.add_metric([key], float(count))
         yield family
+
+
+def _processes(status: Status) -> Iterator[Metric]:
+    running = GaugeMetricFamily(
+        "arctrack_process_running", "1 while a process of the run does its work", labels=["process"]
+    )
+    healthy = GaugeMetricFamily(
+        "arctrack_process_healthy", "1 while nothing is wrong with its work", labels=["process"]
+    )
+    ends = CounterMetricFamily(
+        "arctrack_process_ends", "How often it ended by itself and was started again", labels=["process"]
+    )
+    for name, process in status.processes.items():
+        running.add_metric([name], float(process.is_running))
+        healthy.add_metric([name], float(not process.problem))
+        ends.add_metric([name], float(process.ends))
+    yield from (running, healthy, ends)
 
 
 def _latencies(status: Status) -> Metric:

@@ -11,6 +11,7 @@ import cv2
 from aiohttp import web
 
 from arctrack.journal.journal import JournalReader
+from arctrack.journal.message_pipe import PipeEnd
 from arctrack.journal.ring import RingError
 from arctrack.monitor.access import Access
 from arctrack.monitor.feed import Feed
@@ -22,7 +23,7 @@ CLOSED_S = 1.0
 """So long requests may take to end, s."""
 
 
-def run_monitor(options: MonitorOptions, told: Connection, black_box: Connection | None = None) -> None:
+def run_monitor(options: MonitorOptions, told: Connection, black_box: PipeEnd | None = None) -> None:
     """Serve a run's page until its other end is closed.
 
     Over `told` it says at which address the page is, or 'error: ' and why there is none.
@@ -33,7 +34,7 @@ def run_monitor(options: MonitorOptions, told: Connection, black_box: Connection
         What is known of the run.
     told : Connection
         To whoever started the process.
-    black_box : Connection, optional
+    black_box : PipeEnd, optional
         To the black box: it is sent {"save": reason}, and answers {"saved": path} or {"error": text}.
     """
     cv2.setNumThreads(1)

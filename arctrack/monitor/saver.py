@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from multiprocessing.connection import Connection
+
+from arctrack.journal.message_pipe import PipeEnd
 
 PATIENCE_S = 60.0
 """So long a black box may take to write what it holds, s."""
@@ -14,11 +15,11 @@ class Saver:
 
     Parameters
     ----------
-    connection : Connection or None
+    connection : PipeEnd or None
         To the black box; None where there is none.
     """
 
-    def __init__(self, connection: Connection | None) -> None:
+    def __init__(self, connection: PipeEnd | None) -> None:
         self._connection = connection
         self._asking = asyncio.Lock()
 

@@ -160,6 +160,15 @@ def status_content(
         "reasons": dict(status.reasons),
         "bus_faults": dict(status.faults),
         "robot": _robot(status.robot),
+        "processes": {
+            name: {
+                "pid": state.pid,
+                "running": state.is_running,
+                "ended": state.ends,
+                "problem": state.problem or None,
+            }
+            for name, state in status.processes.items()
+        },
         "command": None if status.command is None else plain(status.command.command.name),
         "arc": _arc(gap, arc),
         "gap": None if gap is None else _gap(gap),

@@ -15,8 +15,12 @@ from arctrack.cameras.shared_frames import path_of
 from arctrack.cameras.shared_memory import SharedMemoryCamera
 from arctrack.cell_file import CameraChoice
 from arctrack.errors import ArctrackError, in_file
-from arctrack.serve.beside import Beside
+from arctrack.journal.message_pipe import message_pipe
+from arctrack.serve.side_process import SideProcess
 from noise_model.setup import Setup
+
+ENDS_S = 10.0
+"""How long a driver may take to let go of its camera, s."""
 
 
 class CapturedCamera(SharedMemoryCamera):
@@ -31,6 +35,11 @@ class CapturedCamera(SharedMemoryCamera):
     setup : Setup
         Which frames are expected.
 
+    Attributes
+    ----------
+    process : SideProcess
+        What captures.
+
     Raises
     ------
     ArctrackError
@@ -40,12 +49,13 @@ class CapturedCamera(SharedMemoryCamera):
     def __init__(self, choice: CameraChoice, cell_path: Path, setup: Setup) -> None:
         opened, traits = _opening(choice, cell_path, setup)
         name = f"captured-{os.getpid()}"
-        self._beside = Beside("camera", run_capture, (opened, setup, name))
+        self._pipe, its_end = message_pipe()
+        self.process = SideProcess("camera", run_capture, (opened, setup, name), (its_end,), ends_s=ENDS_S)
         try:
-            self._beside.wait_ready()
+            self.process.wait_ready()
             super().__init__(name, setup, traits)
         except ArctrackError as error:
-            self._beside.end()
+            self.process.end()
             text = str(error)
             raise in_file(cell_path, text) if text.startswith("[camera]") else error from None
         self._is_ended = False
@@ -58,22 +68,18 @@ class CapturedCamera(SharedMemoryCamera):
     @property
     def is_over(self) -> bool:
         """Whether a file has come to its end, and all of it was handed out."""
-        if not self._is_ended and self._beside.told.poll():
-            try:
-                self._is_ended = self._beside.told.recv() == OVER
-            except (EOFError, ConnectionResetError):
-                # It ended otherwise: the camera stopped.
-                return False
+        if not self._is_ended and self._pipe.poll():
+            self._is_ended = self._pipe.recv() == OVER
         return self._is_ended and self.is_newest_read
 
     def begin(self) -> None:
         """Let it capture."""
-        self._beside.told.send(True)
+        self._pipe.send(True)
 
     def close(self) -> None:
         """Read no more, and let the process end."""
         super().close()
-        self._beside.end()
+        self.process.end()
 
 
 def _opening(choice: CameraChoice, cell_path: Path, setup: Setup) -> tuple[Open, CameraTraits]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from arctrack.journal.journal import Journal
-from arctrack.journal.records import Entry, HeardPose, Status, View
+from arctrack.journal.records import Entry, HeardPose, ProcessState, Status, View
 from arctrack.service.frame_tracking import Step
 from arctrack.service.pose_watch import Doubt
 from robot_io import GateReason, PoseSample, SeamOffset
@@ -25,10 +25,12 @@ class Keeper:
     ----------
     journal : Journal
         Where it writes.
+    processes : callable
+        Returns how the run's other processes stand.
     """
 
-    def __init__(self, journal: Journal) -> None:
-        self._journal = journal
+    def __init__(self, journal: Journal, processes: Callable[[], Mapping[str, ProcessState]] = dict) -> None:
+        self._journal, self._processes = journal, processes
         self._step: Step | None = None
         self._shown_s = self._told_s = -math.inf
 
@@ -79,7 +81,7 @@ class Keeper:
         """Write how the run stands, where it is time for it."""
         if not 0.0 <= now_s - self._told_s < STATUS_S:
             self._told_s = now_s
-            self._journal.tell(status())
+            self._journal.tell(replace(status(), processes=self._processes()))
 
 
 def _view(position: int, step: Step) -> View:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
-from multiprocessing.connection import Connection
+from dataclasses import dataclass, replace
+from pathlib import Path
+from urllib.parse import urlsplit
 
 from arctrack.black_box.ask import BlackBoxAsker
 from arctrack.black_box.recorder import END, RecorderOptions, run_recorder
@@ -16,13 +16,18 @@ from arctrack.cell_file import CellFile
 from arctrack.cell_file.job_setup import job_setup_text
 from arctrack.errors import ArctrackError, in_file
 from arctrack.journal.journal import Journal, slots_for
+from arctrack.journal.message_pipe import PipeEnd, message_pipe
 from arctrack.journal.ring import RingError, remove_dead_rings
-from arctrack.monitor.options import options_of
+from arctrack.monitor.options import MonitorOptions, options_of
 from arctrack.monitor.run import run_monitor
-from arctrack.serve.beside import Beside, ended
 from arctrack.serve.keeper import Keeper
+from arctrack.serve.side_process import SideProcess
+from arctrack.serve.supervisor import Supervisor
 from arctrack.watch.process import WatchOptions, run_watch
 from noise_model.setup import Setup
+
+WRITES_S = 60.0
+"""How long the black box may take to write what it holds, s."""
 
 PAGE_NICENESS, BLACK_BOX_NICENESS, WATCH_NICENESS = 10, 10, 15
 """By how much each yields to the loop and to whoever publishes frames: what a person waits for goes first."""
@@ -51,8 +56,10 @@ class Kept:
 
 
 @contextmanager
-def kept(cell: CellFile, setups: Mapping[int, Setup], is_simulated: bool = False) -> Iterator[Kept | None]:
-    """Keep a run's journal, with the processes beside it that a cell file asks for.
+def kept(
+    cell: CellFile, setups: Mapping[int, Setup], supervisor: Supervisor, is_simulated: bool = False
+) -> Iterator[Kept | None]:
+    """Keep a run's journal, with the processes that a cell file asks for.
 
     Parameters
     ----------
@@ -60,6 +67,8 @@ def kept(cell: CellFile, setups: Mapping[int, Setup], is_simulated: bool = False
         The cell.
     setups : mapping of int to Setup
         The setup of each job that may be tracked.
+    supervisor : Supervisor
+        Starts the processes again that end.
     is_simulated : bool
         Whether robot and camera are simulated.
 
@@ -78,33 +87,40 @@ def kept(cell: CellFile, setups: Mapping[int, Setup], is_simulated: bool = False
         yield None
         return
     run, setup = f"{os.getpid()}", cell.setup.setup
-    remove_dead_rings()
     slots = slots_for(kept_s, cell.camera.frame_rate_hz)
     with ExitStack() as opened:
         try:
+            remove_dead_rings()
             journal = Journal(run, (setup.camera.height, setup.camera.width), setup.sensor.dtype, slots)
         except RingError as error:
             raise in_file(cell.path, f"[black_box] seconds = {kept_s:g}: {error}; choose fewer") from None
         opened.callback(journal.close)
-        watching = Beside("watch", run_watch, (WatchOptions(run, setups),), niceness=WATCH_NICENESS)
-        watch = opened.enter_context(ended(watching))
-        page_end, box_end = multiprocessing.Pipe() if cell.monitor.enabled and kept_s else (None, None)
-        recorder = None
+        watching = SideProcess("watch", run_watch, (WatchOptions(run, setups),), niceness=WATCH_NICENESS)
+        started = [opened.enter_context(supervisor.running(watching))]
+        black_box, box_end = message_pipe()
+        page_end, asked_end = message_pipe()
         if kept_s:
-            asked = () if box_end is None else (box_end,)
             # A simulated cell's faults are this machine's load; nobody wants their files.
             options = _recorder_options(cell, run, setups, saves_faults=not is_simulated)
-            recording = Beside("black box", run_recorder, (options,), asked, BLACK_BOX_NICENESS)
-            recorder = opened.enter_context(ended(recording, END))
+            recording = SideProcess(
+                "black box",
+                run_recorder,
+                (options,),
+                (box_end, asked_end),
+                BLACK_BOX_NICENESS,
+                lost={"error": "its process ended before all was saved; ask again"},
+                ends_s=WRITES_S,
+            )
+            started.append(opened.enter_context(supervisor.running(recording, END)))
         page: str | None = None
         warnings: tuple[str, ...] = ()
         if cell.monitor.enabled:
-            page, warnings = _page(opened, cell, run, is_simulated, page_end)
-        for beside in (watch, recorder):
-            if beside is not None:
-                beside.wait_ready()
+            pipes = (page_end,) if kept_s else ()
+            page, warnings = _page(opened, supervisor, options_of(cell, run, is_simulated), pipes, cell.path)
+        for process in started:
+            process.wait_ready()
         yield Kept(
-            Keeper(journal), None if recorder is None else BlackBoxAsker(recorder.told), page, warnings
+            Keeper(journal, supervisor.states), BlackBoxAsker(black_box) if kept_s else None, page, warnings
         )
 
 
@@ -117,13 +133,19 @@ def _recorder_options(
 
 
 def _page(
-    opened: ExitStack, cell: CellFile, run: str, is_simulated: bool, black_box: Connection | None
+    opened: ExitStack,
+    supervisor: Supervisor,
+    options: MonitorOptions,
+    pipes: tuple[PipeEnd, ...],
+    cell_path: Path,
 ) -> tuple[str | None, tuple[str, ...]]:
     """Start the page, and return where it is, and what is wrong: a run goes on without it."""
-    others = () if black_box is None else (black_box,)
-    options = options_of(cell, run, is_simulated)
-    beside = opened.enter_context(ended(Beside("page", run_monitor, (options,), others, PAGE_NICENESS)))
+    process = SideProcess("page", run_monitor, (options,), pipes, PAGE_NICENESS)
+    opened.enter_context(supervisor.running(process))
     try:
-        return str(beside.wait_ready()), ()
+        address = str(process.wait_ready())
     except ArctrackError as error:
-        return None, (f"{cell.path}: {error}; there is no page",)
+        return None, (f"{cell_path}: {error}; there is no page",)
+    # Browsers look there: the next one is at the same port.
+    process.arguments = (replace(options, port=urlsplit(address).port or options.port),)
+    return address, ()

@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 
+from arctrack.journal.message_pipe import PipeEnd
 from arctrack.service.look_ahead import Motions, lag_of
 from arctrack.service.policy import LookAheadPolicy
 from robot_io.clocks.lag import Lag, LagLimits
 
 
-class LagBeside:
+class LagAsker:
     """Asks a process for estimates; the loop waits for none.
 
     Parameters
     ----------
-    connection : Connection
+    connection : PipeEnd
         To the process.
     """
 
-    def __init__(self, connection: Connection) -> None:
+    def __init__(self, connection: PipeEnd) -> None:
         self._connection = connection
         self._is_asked = False
 
     def ask(self, motions: Motions) -> None:
         """Send what an estimate rests on, unless the process still has what it was sent before."""
         if not self._is_asked:
-            with suppress(BrokenPipeError):
+            with suppress(OSError):
                 self._connection.send(motions)
                 self._is_asked = True
 
@@ -36,19 +37,19 @@ class LagBeside:
             return None
         try:
             lag: Lag = self._connection.recv()
-        except (EOFError, ConnectionResetError):
+        except (EOFError, OSError):
             return None
         self._is_asked = False
         return lag
 
 
-def estimate_lags(told: Connection) -> None:
-    """Say that it is ready, and answer each `Motions` with the lag, until the other end is closed."""
+def estimate_lags(told: Connection, asked: PipeEnd) -> None:
+    """Say that it is ready, and answer each `Motions` that is asked with the lag, until `told` is closed."""
     policy, limits = LookAheadPolicy(), LagLimits()
     # Whoever started it may be gone before it is ready.
     try:
         told.send([])
-        while True:
-            told.send(lag_of(told.recv(), policy, limits))
+        while wait([told, asked.fileno()]) == [asked.fileno()]:
+            asked.send(lag_of(asked.recv(), policy, limits))
     except (EOFError, ConnectionResetError, BrokenPipeError):
         return

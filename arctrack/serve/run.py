@@ -15,23 +15,25 @@ from arctrack.cameras.shared_frames import SharedFramesError
 from arctrack.cameras.shared_memory import SharedMemoryCamera
 from arctrack.cell_file import CellFile, as_the_job_says, jobs_for
 from arctrack.errors import ArctrackError, in_file
+from arctrack.journal.message_pipe import message_pipe
 from arctrack.recorded_poses import seam_limits
 from arctrack.recording import Recording, read_recording
-from arctrack.serve.beside import Beside, ended
 from arctrack.serve.captured import CapturedCamera
 from arctrack.serve.exposure import ExposureChooser
 from arctrack.serve.keeper import Keeper
 from arctrack.serve.kept import Kept, kept
-from arctrack.serve.lag_process import LagBeside, estimate_lags
+from arctrack.serve.lag_process import LagAsker, estimate_lags
 from arctrack.serve.loop import LiveLoop, LoopResult, OnTrack, Service
 from arctrack.serve.notify import Notifier
 from arctrack.serve.played_poses import PlayedPoses
 from arctrack.serve.process import Watchdog, garbage_left
+from arctrack.serve.side_process import SideProcess
+from arctrack.serve.supervisor import Supervisor, Tell
 from arctrack.service.bus_poses import BusPoses
 from arctrack.service.controller import Controller
 from arctrack.service.frame_tracking import FrameTracking
 from arctrack.service.heard import TRUSTED
-from arctrack.service.look_ahead import LagEstimator
+from arctrack.service.look_ahead import NOTHING_YET, LagEstimator
 from arctrack.service.pose_watch import nominal_path
 from arctrack.service.tracking_service import TrackingService
 from noise_model.effects import pose_time_s
@@ -66,6 +68,7 @@ class LiveRun:
 @contextmanager
 def opened_run(
     cell: CellFile,
+    tell: Tell,
     job_number: int | None = None,
     on_compiled: OnCompiled | None = None,
     on_track: OnTrack | None = None,
@@ -78,6 +81,8 @@ def opened_run(
     ----------
     cell : CellFile
         The cell.
+    tell : callable
+        Hears what happens to the run's other processes, in another thread.
     job_number : int, optional
         Which of the jobs a recording's seam is; by default the only one. A live robot names its job itself.
     on_compiled : callable, optional
@@ -100,14 +105,20 @@ def opened_run(
         If the cell file states no camera, or camera or bus cannot be opened.
     """
     with ExitStack() as opened:
-        lag = opened.enter_context(ended(Beside("lag", estimate_lags, niceness=LAG_NICENESS)))
-        cast = cast_of(cell, job_number, LagBeside(lag.told))
+        supervisor = Supervisor(tell)
+        lag_end, its_end = message_pipe()
+        estimating = SideProcess("lag", estimate_lags, (), (its_end,), LAG_NICENESS, lost=NOTHING_YET)
+        lag = opened.enter_context(supervisor.running(estimating))
+        cast = cast_of(cell, job_number, LagAsker(lag_end))
         opened.callback(cast.camera.close)
+        if isinstance(cast.camera, CapturedCamera):
+            opened.enter_context(supervisor.running(cast.camera.process))
         setups = {number: tracking.tracker.geometry.setup for number, tracking in cast.trackings.items()}
-        beside = opened.enter_context(kept(cell, setups, is_simulated))
+        beside = opened.enter_context(kept(cell, setups, supervisor, is_simulated))
         for tracking in cast.trackings.values():
             tracking.tracker.warm_up(on_compiled)
         lag.wait_ready()
+        opened.enter_context(supervisor.started())
         # On a bus where it is heard, a tracker must not wait for anything.
         try:
             link = Link(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-import signal
 import socket
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -21,6 +21,7 @@ from arctrack.cell.weld.closed_loop import SETTLED_TIME_CONSTANTS, LoopPlan, set
 from arctrack.cell_file.new import commented_cell, write_cell
 from arctrack.errors import ArctrackError
 from arctrack.new import commented_setup
+from arctrack.safe_points import leave_signals_to_parent
 from robot_io import BusMessage, GateReason, SeamOffset, TrackerStatus, Validity
 from tracker import flags
 from tracker.state import Track
@@ -129,7 +130,8 @@ class SimulatedCell:
 
     def end(self) -> Samples:
         """End it, and return how far its torch was off the seam."""
-        self._told.send(True)
+        with suppress(OSError):
+            self._told.send(True)
         return self._receive()
 
     def _receive(self) -> Samples:
@@ -169,8 +171,7 @@ def torch_error(samples: Samples, from_s: float, to_s: float) -> TorchError | No
 
 def _run(plan: LoopPlan, frames: str, bus_options: dict[str, int], told: Connection) -> None:
     """Run robot and camera until the other end says so, or is closed."""
-    # Ctrl-C is meant for the tracker, which ends this.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    leave_signals_to_parent()
     samples: Samples = []
 
     def goes_on(robot: Robot) -> bool:

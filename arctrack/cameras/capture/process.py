@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 
 from arctrack.cameras.camera_line import read_line, remove_line
 from arctrack.cameras.capture.source import Ask, FrameSource
 from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesWriter
 from arctrack.errors import ArctrackError
+from arctrack.journal.message_pipe import PipeEnd
 from noise_model.setup import Setup
 
 OPENED_AGAIN_S = 1.0
@@ -22,11 +23,12 @@ OVER = "over"
 Open = Callable[[Ask], FrameSource]
 
 
-def run_capture(open_source: Open, setup: Setup, name: str, told: Connection) -> None:
-    """Publish a source's frames under a name, from the first word over the connection until it is closed.
+def run_capture(open_source: Open, setup: Setup, name: str, told: Connection, loop: PipeEnd) -> None:
+    """Publish a source's frames under a name, from the first word of the loop until `told` is closed.
 
-    It says 'ready', or 'error: ' and why, once the source is open; 'over' once it has ended. A source that
-    fails later is opened anew, again and again.
+    Over `told` it says that it is ready, or 'error: ' and why, once the source is open; to the loop 'over'
+    once it has ended. A source that fails later is opened anew, again and again. The loop's word stays in its
+    pipe: a process that takes over begins at once.
     """
     remove_line(name)
     try:
@@ -34,9 +36,9 @@ def run_capture(open_source: Open, setup: Setup, name: str, told: Connection) ->
         try:
             camera = setup.camera
             with SharedFramesWriter(name, camera.height, camera.width, setup.sensor.dtype) as frames:
-                told.send("ready")
-                told.recv()
-                _publish(source, open_source, frames, name, told)
+                told.send([])
+                if wait([told, loop.fileno()]) == [loop.fileno()]:
+                    _publish(source, open_source, frames, name, told, loop)
         finally:
             source.close()
     except (ArctrackError, SharedFramesError) as error:
@@ -48,14 +50,19 @@ def run_capture(open_source: Open, setup: Setup, name: str, told: Connection) ->
 
 
 def _publish(
-    source: FrameSource, open_source: Open, frames: SharedFramesWriter, name: str, told: Connection
+    source: FrameSource,
+    open_source: Open,
+    frames: SharedFramesWriter,
+    name: str,
+    told: Connection,
+    loop: PipeEnd,
 ) -> None:
     """Publish until the parent is gone."""
     first = latest = 0
     source.begin()
     while not told.poll():
         if source.is_over:
-            told.send(OVER)
+            loop.send(OVER)
             told.recv()
             return
         try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import signal
 import time
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -15,6 +14,7 @@ from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesWriter
 from arctrack.cell.robot import Robot
 from arctrack.cell.weld.closed_loop import LoopPlan, setup_of, world_of
 from arctrack.cell.weld.rendered_eye import RenderedEye
+from arctrack.safe_points import leave_signals_to_parent
 from robot_io import RobotStatus, Switch
 from tracker.state import Frame
 
@@ -56,7 +56,7 @@ def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
     the camera is ready, its kernels compiled, it says so over the same connection.
     """
     # Whoever runs the robot ends this process by closing its end.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    leave_signals_to_parent()
     setup = setup_of(plan)
     camera = setup.camera
     robot = Robot(world_of(plan, setup))

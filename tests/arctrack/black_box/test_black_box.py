@@ -6,22 +6,27 @@ import csv
 import json
 import math
 import multiprocessing
+import re
+import time
 from dataclasses import asdict, replace
 from itertools import takewhile
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
 from made import playing_cell
 
+from arctrack.black_box import recorder
 from arctrack.black_box.ask import BlackBoxAsker
-from arctrack.black_box.recorder import FaultWatch, RecorderOptions, run_recorder
+from arctrack.black_box.recorder import END, FaultWatch, RecorderOptions, run_recorder
 from arctrack.black_box.save import JobSetup, NothingToSaveError, save_window
 from arctrack.cell_file import read_cell_file
 from arctrack.cell_file.job_setup import job_setup_text
 from arctrack.errors import ArctrackError
 from arctrack.journal import private_memory
 from arctrack.journal.journal import Journal, JournalReader, slots_for
+from arctrack.journal.message_pipe import message_pipe
 from arctrack.journal.records import Status
 from arctrack.recording import read_recording
 from arctrack.recording.run_offsets import OffsetOutcome, RunComparison, read_run_offsets
@@ -257,7 +262,7 @@ def test_a_fault_is_saved_once_and_what_is_commanded_is_none() -> None:
 
 
 def test_a_request_during_a_save_is_covered_by_it() -> None:
-    end, box = multiprocessing.Pipe()
+    end, box = message_pipe()
     asker = BlackBoxAsker(end)
     assert asker.answers() == []
     for _ in range(3):
@@ -270,6 +275,44 @@ def test_a_request_during_a_save_is_covered_by_it() -> None:
     box.send({"error": "no frame was tracked yet"})
     assert asker.answers() == ["black box: saved here", "black box: no frame was tracked yet"]
     assert asker.answers() == []
+
+
+@pytest.mark.slow
+def test_a_fault_that_cannot_be_saved_is_told_and_saved_once_it_can(memory, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(recorder, "TRY_S", 0.05)
+    monkeypatch.setattr(recorder, "AFTERMATH_S", 0.05)
+    live, journal = a_run(5)
+    boxes = tmp_path / "boxes"
+    boxes.write_text("a file where the folder should be")
+    told_end, its_end = multiprocessing.Pipe()
+    options = RecorderOptions(RUN, boxes, 30.0, 25.0, live.jobs)
+    thread = Thread(target=run_recorder, args=(options, its_end))
+    thread.start()
+    assert told_end.recv() == []
+    problem = told_end.recv()
+    assert problem == f"{boxes}: cannot be written: Not a directory"
+    for shown in (status(), refused(GateReason.CAMERA_STOPPED)):
+        journal.tell(shown)
+        # The recorder has looked at it since.
+        time.sleep(3.0 * recorder.LOOK_S)
+    said: list[str] = []
+    while not any(line.startswith("refused_camera_stopped is not saved: ") for line in said):
+        said.append(told_end.recv())
+    boxes.unlink()
+    while said[-1] != "":
+        said.append(told_end.recv())
+    told_end.send(END)
+    thread.join()
+    journal.close()
+    (saved,) = boxes.glob("*_refused_camera_stopped")
+    assert len(read_recording(saved).rows) == 5
+
+
+def test_a_folder_without_room_is_told(tmp_path) -> None:
+    assert recorder.folder_problem(tmp_path / "not" / "there", 1000) == ""
+    assert not (tmp_path / "not").exists()
+    told = recorder.folder_problem(tmp_path, 2**60)
+    assert re.fullmatch(rf"{tmp_path}: \d+ MB free, a black box takes up to 1152921504607 MB", told)
 
 
 @pytest.mark.slow

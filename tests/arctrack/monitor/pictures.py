@@ -20,7 +20,7 @@ from arctrack.cell.weld.closed_loop import LoopPlan, setup_of
 from arctrack.cli.cell import LIVE_MM
 from arctrack.monitor.options import MonitorOptions
 from arctrack.monitor.run import run_monitor
-from arctrack.serve.beside import Beside, ended
+from arctrack.serve.side_process import SideProcess, ended
 
 SIZE = (1280, 800)
 SHOWN_S = 40.0
@@ -45,10 +45,10 @@ def main(folder: Path) -> None:
             is_simulated=True,
         )
         with (
-            ended(Beside("monitor", run_monitor, (options,))) as beside,
+            ended(SideProcess("monitor", run_monitor, (options,))) as page,
             Page(Path(profile), *SIZE) as page,
         ):
-            page.ask("Page.navigate", url=beside.wait_ready())
+            page.ask("Page.navigate", url=page.wait_ready())
             time.sleep(SHOWN_S)
             page.screenshot(folder / "monitor.png")
             run.terminate()

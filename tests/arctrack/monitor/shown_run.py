@@ -9,17 +9,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cache
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 from arctrack.cell.robot import WELDING
 from arctrack.journal.journal import MIN_SLOTS, Journal, gap_name
+from arctrack.journal.message_pipe import PipeEnd, message_pipe
 from arctrack.journal.records import Entry, GapReport, Status, View, pack
 from arctrack.journal.ring import RingWriter
 from arctrack.monitor.options import MonitorOptions
 from arctrack.monitor.run import run_monitor
 from arctrack.recording import Recording, read_recording
-from arctrack.serve.beside import SPAWN, Beside, ended
+from arctrack.serve.side_process import SideProcess, ended
 from robot_io import (
     Command,
     Fault,
@@ -160,9 +160,9 @@ class ShownRun:
             self.gaps.close()
 
 
-def answering_black_box() -> Connection:
+def answering_black_box() -> PipeEnd:
     """Return an end of a connection; at the other one what is asked to be saved is saved."""
-    black_box, asked = SPAWN.Pipe()
+    black_box, asked = message_pipe()
 
     def answer() -> None:
         with suppress(EOFError, ConnectionResetError):
@@ -174,7 +174,7 @@ def answering_black_box() -> Connection:
 
 
 @contextmanager
-def shown_run(suffix: str, black_box: Connection | None = None) -> Iterator[tuple[ShownRun, str, str]]:
+def shown_run(suffix: str, black_box: PipeEnd | None = None) -> Iterator[tuple[ShownRun, str, str]]:
     """Yield a run, its name, and the address of its page, in a process of its own."""
     name = f"monitor-{suffix}-{os.getpid()}"
     setup = example().setup
@@ -182,7 +182,7 @@ def shown_run(suffix: str, black_box: Connection | None = None) -> Iterator[tupl
     run = ShownRun(name)
     try:
         others = () if black_box is None else (black_box,)
-        with ended(Beside("monitor", run_monitor, (options,), others)) as beside:
-            yield run, name, beside.wait_ready()
+        with ended(SideProcess("monitor", run_monitor, (options,), others)) as page:
+            yield run, name, page.wait_ready()
     finally:
         run.close()

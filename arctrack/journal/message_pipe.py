@@ -1,0 +1,68 @@
+"""A pipe of whole messages between a run's processes, which another process may take over at either end.
+
+A process that is killed while it reads or writes a stream leaves a part of a message in it, which the next
+one takes for a message. Here each is sent and received at once or not at all (unix(7), SOCK_SEQPACKET). The
+pipe has no name: none but the processes that are given an end reach it.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import socket
+from multiprocessing import reduction
+from multiprocessing.connection import wait
+from typing import Any
+
+MAX_BYTES = 2**20
+"""A message is shorter: Linux takes a fifth of that at most unless net.core.wmem_max says more."""
+
+
+class PipeEnd:
+    """One end of a pipe; it never makes its user wait unless that asks for it.
+
+    Parameters
+    ----------
+    handle : int
+        The descriptor of a socket that makes nobody wait.
+    """
+
+    def __init__(self, handle: int) -> None:
+        self._handle = handle
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _received, (reduction.DupFd(self._handle),)
+
+    def __del__(self) -> None:
+        os.close(self._handle)
+
+    def fileno(self) -> int:
+        """Return the descriptor to wait for."""
+        return self._handle
+
+    def send(self, message: object) -> None:
+        """Send a message; OSError where there is no room for it, or nobody has the other end."""
+        os.write(self._handle, pickle.dumps(message, pickle.HIGHEST_PROTOCOL))
+
+    def poll(self, wait_s: float | None = 0.0) -> bool:
+        """Return True if a message, or the end, is there within a time, s."""
+        return bool(wait([self._handle], wait_s))
+
+    def recv(self) -> Any:
+        """Wait for a message and return it; EOFError where nobody has the other end."""
+        self.poll(None)
+        packed = os.read(self._handle, MAX_BYTES)
+        if not packed:
+            raise EOFError
+        return pickle.loads(packed)
+
+
+def message_pipe() -> tuple[PipeEnd, PipeEnd]:
+    """Return both ends of a new pipe."""
+    first, second = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+    return PipeEnd(first.detach()), PipeEnd(second.detach())
+
+
+def _received(handle: Any) -> PipeEnd:
+    """Return the end that a process was given."""
+    return PipeEnd(handle.detach())
