@@ -152,7 +152,9 @@ def position_of(recording: Recording, index: int) -> int:
         if row.index == index:
             return position
     first, last = recording.rows[0].index, recording.rows[-1].index
-    raise in_file(recording.path, f"has no frame {index}; its frames run from {first} to {last}")
+    nearest = min((row.index for row in recording.rows), key=lambda known: abs(known - index))
+    problem = f"has no frame {index}; its frames run from {first} to {last}, and {nearest} is the nearest"
+    raise in_file(recording.path, problem)
 
 
 def _look(

@@ -549,7 +549,8 @@ def test_the_page_lies_beside_the_recording(simulated: Path, tmp_path: Path) -> 
 def test_a_frame_that_is_not_there(simulated: Path, tmp_path: Path) -> None:
     result = RUNNER.invoke(app, ["explain", str(simulated), "14"])
     assert isinstance(result.exception, ArctrackError)
-    assert str(result.exception) == f"{simulated}: has no frame 14; its frames run from 0 to 13"
+    there = "its frames run from 0 to 13, and 13 is the nearest"
+    assert str(result.exception) == f"{simulated}: has no frame 14; {there}"
     path = Path(shutil.copytree(simulated, tmp_path / "r"))
     (path / "frames" / "000004.png").write_bytes(b"no picture")
     recording = read_recording(path)
