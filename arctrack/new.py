@@ -166,7 +166,7 @@ KEYS = (
         "Electrons for one grey level.",
         Source.DATA_SHEET,
         "EMVA 1288 calls its inverse the system gain K. Check: full_well_e over the highest grey level. "
-        "By yourself: mean over variance of an evenly lit grey picture, black level taken off.",
+        "`arctrack calibrate sensor` measures it.",
         "5 to 150 at 8 bits",
     ),
     Key(
@@ -174,7 +174,8 @@ KEYS = (
         "black_level_dn",
         "The mean grey level without light.",
         Source.PICTURE,
-        "The mean of a frame with the lens covered. It must be above 0, or noise is cut off.",
+        "The mean of a frame with the lens covered; `arctrack calibrate sensor` measures it. It must be "
+        "above 0, or noise is cut off.",
         "1 to 20 at 8 bits",
     ),
     Key(
@@ -182,8 +183,7 @@ KEYS = (
         "read_noise_e",
         "Noise without light: 1 sigma, electrons.",
         Source.DATA_SHEET,
-        "EMVA 1288's temporal dark noise. By yourself: the difference of two covered frames, its sigma over "
-        "1.41, times gain_e_per_dn.",
+        "EMVA 1288's temporal dark noise. `arctrack calibrate sensor` measures it.",
         "2 to 60",
     ),
     Key(
@@ -191,7 +191,8 @@ KEYS = (
         "full_well_e",
         "Electrons at which a pixel is full.",
         Source.DATA_SHEET,
-        "EMVA 1288's saturation capacity; gain_e_per_dn times the highest grey level where that is less.",
+        "EMVA 1288's saturation capacity; gain_e_per_dn times the highest grey level where that is less. "
+        "`arctrack calibrate sensor` measures it on flat frames.",
         "5000 to 100000",
     ),
     Key(
@@ -199,7 +200,7 @@ KEYS = (
         "gamma",
         "The response's exponent: 1 where twice the light is twice the grey level.",
         Source.CHOICE,
-        "Switch the camera's gamma off, and state 1.",
+        "Switch the camera's gamma off, and state 1. `arctrack calibrate sensor` measures it on flat frames.",
         "1, or 0.45 with gamma on",
     ),
     Key(
@@ -227,7 +228,8 @@ KEYS = (
         "plane_in_tool",
         "The sheet of light in the tool frame: n_x, n_y, n_z, d of n·p + d = 0, n of length 1, d in mm.",
         Source.CALIBRATION,
-        "`arctrack calibrate laser`, from images of a board without and with the stripe. "
+        "`arctrack calibrate laser`, from images of a board without and with the stripe; "
+        "`arctrack calibrate gauge`, from the stripe on a block of known size. "
         "An upright sheet 35 mm ahead of the torch is [1, 0, 0, -35].",
         "30 to 60 ahead",
     ),
@@ -243,8 +245,9 @@ KEYS = (
         "laser",
         "stripe_sigma_mm",
         "The sheet's half thickness where it meets the part: 1 sigma, mm.",
-        Source.PICTURE,
-        "The stripe's full width at half height over 2.35; a width in px times the distance over fx is mm.",
+        Source.CALIBRATION,
+        "`arctrack calibrate laser`. Check: the stripe's full width at half height over 2.35; a width in px "
+        "times the distance over fx is mm.",
         "0.05 to 0.6",
     ),
     Key(
@@ -261,7 +264,8 @@ KEYS = (
         "Where the fan of light ends to either side of its axis, deg. Optional: without it the stripe is "
         "longer than the image shows.",
         Source.DATA_SHEET,
-        "Half the fan angle. Check: half the stripe's length over the laser's height is its tangent.",
+        "Half the fan angle; `arctrack calibrate laser` measures it. "
+        "Check: half the stripe's length over the laser's height is its tangent.",
         "5 to 45",
         optional="30.0",
     ),
@@ -270,7 +274,8 @@ KEYS = (
         "radius_mm",
         "Radius of the arc's bright half sphere, mm.",
         Source.PICTURE,
-        "Of the arc through a dark filter, with the electrode's diameter as the scale.",
+        "Of the arc through a dark filter, with the electrode's diameter as the scale. "
+        "`arctrack calibrate arc` finds it from frames of the arc alone.",
         "1.5 to 5",
     ),
     Key(
@@ -278,7 +283,8 @@ KEYS = (
         "center_in_tool_mm",
         "The half sphere's centre: x, y, z in the tool frame, mm.",
         Source.RULER,
-        "The origin, where the arc burns on the part's surface. On a lap it stands on the upper sheet.",
+        "The origin, where the arc burns on the part's surface. On a lap it stands on the upper sheet. "
+        "`arctrack calibrate arc` finds it.",
         "within 3 of the origin",
     ),
     Key(
@@ -286,7 +292,8 @@ KEYS = (
         "radiance_e",
         "How bright the arc is to this camera, electrons.",
         Source.GUESS,
-        "Leave it, replay a recording, and multiply it by the median of `arc_level` in results.csv.",
+        "Leave it, replay a recording, and multiply it by the median of `arc_level` in results.csv; or "
+        "`arctrack calibrate arc`.",
         "1e6 to 1e10",
     ),
     Key(
@@ -320,7 +327,8 @@ KEYS = (
         "kappa_diff",
         "Diffuse part of the metal's reflectance.",
         Source.CALIBRATION,
-        "Mild steel 0.021, Zn-coated 0.495; another metal by `arctrack calibrate reflectance`.",
+        "Mild steel 0.021, Zn-coated 0.495; another metal by `arctrack calibrate reflectance`, from "
+        "goniometer readings, or by `arctrack calibrate arc`.",
         "0.02 to 0.6",
     ),
     Key(
@@ -328,7 +336,7 @@ KEYS = (
         "kappa_spec",
         "Specular part of the metal's reflectance.",
         Source.CALIBRATION,
-        "Mild steel 0.326, Zn-coated 0.153.",
+        "Mild steel 0.326, Zn-coated 0.153. As kappa_diff.",
         "0.1 to 0.5",
     ),
     Key(
@@ -336,7 +344,7 @@ KEYS = (
         "c2",
         "How narrow the specular lobe is: the larger, the more like a mirror.",
         Source.CALIBRATION,
-        "Mild steel 112, Zn-coated 8.3.",
+        "Mild steel 112, Zn-coated 8.3. As kappa_diff.",
         "5 to 200",
     ),
     Key(

@@ -80,6 +80,11 @@ class OffsetUse:
             That of the DISARM, new with each: no late heartbeat is taken for its answer.
         now_s : float
             The time, s, on the robot's clock.
+
+        Returns
+        -------
+        bool
+            True while the heartbeat that acknowledges it is fresh.
         """
         beat = self._fresh_beat(now_s)
         if beat is None or beat.request_number != request_number:

@@ -19,7 +19,7 @@ from tracker.warm_up import OnCompiled, WarmUp, warm_up
 
 
 class Tracker:
-    """A setup's tables, the state between frames and the scratch.
+    """A seam tracker: `step` takes a frame and its pose, and returns a track.
 
     Parameters
     ----------
@@ -29,13 +29,6 @@ class Tracker:
         False reads the stripe over a local median with one variance for all pixels, for comparison.
     correction : Correction
         What of the seam's displacement is sent; by default the displacement as it is.
-
-    Attributes
-    ----------
-    state : TrackerState
-        What the last step handed on.
-    reading : Reading or None
-        The look at the last frame that its track rests on, None where none was taken.
     """
 
     def __init__(self, setup: Setup, use_arc_map: bool = True, correction: Correction = UNSTATED) -> None:

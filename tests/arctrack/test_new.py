@@ -97,8 +97,7 @@ def test_what_is_there_is_not_touched(tmp_path: Path) -> None:
 
 
 def test_the_documentation_is_in_step() -> None:
-    text = (ROOT / "docs" / "how_to" / "own_sensor.md").read_text(encoding="utf-8")
-    table = text.split("<!-- keys: begin -->\n")[1].split("<!-- keys: end -->")[0]
-    assert table == runpy.run_path(str(ROOT / "docs" / "keys_table.py"))["keys_table"](), (
-        "docs/how_to/own_sensor.md: put the output of `python docs/keys_table.py` between its marks"
+    page = (ROOT / "docs" / "reference" / "setup_keys.md").read_text(encoding="utf-8")
+    assert page == runpy.run_path(str(ROOT / "docs" / "keys_table.py"))["setup_keys"](), (
+        "make it anew: python docs/keys_table.py > docs/reference/setup_keys.md"
     )

@@ -31,7 +31,7 @@ PARSED_ONLY = {
     r".*\b(monday|tuesday)\b": "names the reader's own recordings",
     r".*\bsocketcan:": "needs CAN hardware",
     r"arctrack cell serve ": "needs a bus that processes share; tests/arctrack/cell/test_live.py runs one",
-    r"arctrack serve ": "runs until it is ended; tests/arctrack/serve runs it beside a simulated cell",
+    r"(\.venv/bin/)?arctrack serve ": "runs until it is ended; tests/arctrack/serve runs it beside a cell",
     r"arctrack figures effects ": "takes a minute; tests/arctrack/test_effects_page.py draws each of them",
 }
 """Commands that are parsed and not run, as regular expressions, and why."""

@@ -10,9 +10,10 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
+from browser import CHROMIUM, WIDTHS_PX, Page
 from bs4 import BeautifulSoup
 from once import once
-from pages import EVERY_PAGE, ROOT, anchors, links, name
+from pages import EVERY_PAGE, README, ROOT, Command, anchors, links, name, steps
 
 import arctrack
 
@@ -65,11 +66,47 @@ def test_the_site_loads_nothing_from_elsewhere(site: Path) -> None:
         assert [source for source in sources if urlsplit(source).netloc] == [], path.name
 
 
+FEW_COPIED = {"index.html": 2, "reference/api.html": 0}
+"""Pages, and how many of their blocks have a button that copies them."""
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no browser")
+def test_a_browser_opens_the_site_without_an_error(site: Path, tmp_path: Path) -> None:
+    with Page(tmp_path) as page:
+        for shown, n_copied in FEW_COPIED.items():
+            for width in WIDTHS_PX:
+                page.resize(width, 900)
+                page.open(site / shown)
+                assert page.value("document.documentElement.scrollWidth <= innerWidth"), (shown, width)
+            assert page.value("document.querySelectorAll('.copybtn').length") == n_copied, shown
+        assert [text for text in page.complaints if '"type": "log"' not in text] == []
+
+
+def test_the_first_page_shows_the_commands_of_the_readme() -> None:
+    first, readme = (
+        [step.text for step in steps(page) if isinstance(step, Command)]
+        for page in (ROOT / "docs" / "index.md", README)
+    )
+    assert len(first) == 2
+    assert set(first) <= set(readme)
+
+
 @pytest.mark.slow
 def test_the_reference_holds_the_public_names(site: Path) -> None:
     shown = read(site / "reference" / "api.html")
     described = {tag["id"] for tag in shown.find_all("dt", id=True)}
     assert {f"arctrack.{public}" for public in arctrack.__all__} <= described
+    assert next(tag["id"] for tag in shown.find_all("dt", id=True)) == "arctrack.Tracker"
+
+
+def test_signatures_show_no_values_that_fill_lines(site: Path) -> None:
+    signatures = [
+        " ".join(tag.get_text().split())
+        for path in sorted((site / "reference").glob("api*.html"))
+        for tag in read(path).find_all("dt", class_="sig")
+    ]
+    assert any("…" in text for text in signatures)
+    assert [text for text in signatures if "<" in text or "array(" in text] == []
 
 
 @pytest.mark.parametrize("path", EVERY_PAGE, ids=name)
