@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -109,3 +110,8 @@ def playing_cell(folder: Path, recording: Path) -> Path:
     document["monitor"] = {"enabled": False}
     cell_path.write_text(tomlkit.dumps(document))
     return cell_path
+
+
+def without_progress(stderr: str) -> list[str]:
+    """Return a command's lines on stderr but those of its progress, of which a slow machine has more."""
+    return [line for line in stderr.splitlines() if not re.search(r", \d+ s$|: compiled \d+ functions", line)]
