@@ -23,11 +23,14 @@ from arctrack.recording.frames import png_path
 from arctrack.recording.poses import CSV_NAME, LOG_NAMES
 from arctrack.recording.reader import FRAMES_CSV, TRUTH_CSV
 from arctrack.recording.results import FILES, FINISHED_JSON, RESULTS_CSV, SUMMARY_JSON, Summary
+from arctrack.recording.run_offsets import LIVE_FOLDER, LIVE_RESULTS
 from arctrack.recording.steps import STATE_JSON, STEPS_CSV
 from arctrack.replay import ReplayOptions
 from arctrack.version import __version__
 
-TABLES = (FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES, STEPS_CSV, STATE_JSON)
+LIVE_TABLE = f"{LIVE_FOLDER}/{LIVE_RESULTS}"
+
+TABLES = (FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES, STEPS_CSV, STATE_JSON, LIVE_TABLE)
 """The files of a recording that are compared by content."""
 
 PACKAGES = ("arctrack", "noise_model", "robot_io", "tracker")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
@@ -77,27 +76,34 @@ class RunComparison:
     ----------
     frames : int
         How many frames both know.
-    differences : Counter of (str, str)
-        What the gate of the run did, and that of the replay, where offsets differ.
+    differences : dict of str to dict of str to int
+        Frames whose offsets differ, by what the run's gate did, then by what the replay's did.
     """
 
     frames: int = 0
-    differences: Counter[tuple[str, str]] = field(default_factory=Counter)
+    differences: dict[str, dict[str, int]] = field(default_factory=dict)
 
     def add(self, run: OffsetOutcome, replayed: OffsetOutcome) -> None:
         """Take a frame."""
         self.frames += 1
         if run.differs(replayed):
-            self.differences[run.gate, replayed.gate] += 1
+            by_replay = self.differences.setdefault(run.gate, {})
+            by_replay[replayed.gate] = by_replay.get(replayed.gate, 0) + 1
+
+    def _most_common(self) -> list[tuple[str, str, int]]:
+        """Return what both gates did and the number of frames, the most frequent first."""
+        kinds = [
+            (run, here, n) for run, by_replay in self.differences.items() for here, n in by_replay.items()
+        ]
+        return sorted(kinds, key=lambda kind: -kind[2])
 
     def __str__(self) -> str:
-        count = self.differences.total()
+        different = self._most_common()
+        count = sum(n for _, _, n in different)
         if count == 0:
             return f"all {self.frames} offsets are those that the run sent"
-        kinds = [
-            f"{n} in the run {run}, here {here}" for (run, here), n in self.differences.most_common(MAX_NAMED)
-        ]
-        others = len(self.differences) - len(kinds)
+        kinds = [f"{n} in the run {run}, here {here}" for run, here, n in different[:MAX_NAMED]]
+        others = len(different) - len(kinds)
         kinds += [f"{others} more kinds"] if others > 0 else []
         return (
             f"{count} of {self.frames} offsets are not those that the run sent: {'; '.join(kinds)}. "
@@ -107,13 +113,11 @@ class RunComparison:
 
     def to_json(self) -> dict[str, object]:
         """Return the content for summary.json."""
+        different = self._most_common()
         return {
             "frames": self.frames,
-            "differ": self.differences.total(),
-            "differences": [
-                {"run": run, "replay": here, "frames": count}
-                for (run, here), count in self.differences.most_common()
-            ],
+            "differ": sum(n for _, _, n in different),
+            "differences": [{"run": run, "replay": here, "frames": n} for run, here, n in different],
         }
 
 
