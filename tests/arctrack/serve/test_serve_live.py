@@ -38,7 +38,7 @@ from robot_io import (
 
 PLAN = LoopPlan(joint="lap", length_mm=1000.0, rate_hz=10.0, size_px=(160, 120))
 
-SENT = ("offset_y_mm", "offset_z_mm", "compute_ms", "pose_doubt")
+SENT = ("offset_y_mm", "offset_z_mm", "compute_ms", "pose_doubt", "validity", "gate_reason")
 """Columns that say what went out, and when."""
 
 REPLAY = "import sys; from arctrack.cli import main; sys.argv[1:1] = ['replay']; main()"
@@ -162,7 +162,7 @@ def _check_black_boxes(folder: Path) -> None:
 
 def told(row: dict[str, str]) -> dict[str, str]:
     """Return what a row says of the track."""
-    return {name: cell for name, cell in row.items() if name not in SENT}
+    return {name: cell for name, cell in row.items() if not name.startswith(("run_", *SENT))}
 
 
 def _check_offsets(ear: Ear) -> None:
