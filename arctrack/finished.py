@@ -16,6 +16,7 @@ import arctrack
 from arctrack.check.hint import Hint
 from arctrack.check.verdict import Verdict
 from arctrack.limits import LIMITS
+from arctrack.offset_count import OffsetCount
 from arctrack.output import real, write_whole
 from arctrack.recording import Recording
 from arctrack.recording.files import read_text
@@ -47,6 +48,8 @@ class FinishedVerdict(BaseModel):
     valid: int
     flags: dict[str, int]
     hint: tuple[str, str, float] | None
+    offsets: OffsetCount
+    reasons: dict[str, int]
 
     @classmethod
     def of(cls, verdict: Verdict) -> FinishedVerdict:
@@ -58,12 +61,14 @@ class FinishedVerdict(BaseModel):
             valid=verdict.valid,
             flags=dict(verdict.flags),
             hint=None if hint is None else (hint.what, hint.cure, hint.share),
+            offsets=verdict.offsets,
+            reasons=dict(verdict.reasons),
         )
 
     def verdict(self) -> Verdict:
         """Return the verdict."""
         hint = None if self.hint is None else Hint(*self.hint)
-        return Verdict(self.frames, self.laser_on, self.valid, self.flags, hint)
+        return Verdict(self.frames, self.laser_on, self.valid, self.flags, hint, self.offsets, self.reasons)
 
 
 class Finished(BaseModel):

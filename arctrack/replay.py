@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +22,7 @@ from arctrack.output import make_folder
 from arctrack.pose_agreement import PoseAgreement
 from arctrack.printable import printable
 from arctrack.recorded_poses import RecordedPoses
-from arctrack.recording import BadFrame, FrameRow, Recording, Truth, read_truth
+from arctrack.recording import BadFrame, Recording, Truth, read_truth
 from arctrack.recording.ahead import read_ahead
 from arctrack.recording.results import (
     BUS_LOG,
@@ -40,8 +40,7 @@ from arctrack.safe_points import ends_at_safe_points
 from arctrack.service.controller import Controller
 from arctrack.service.heard import TRUSTED
 from arctrack.service.pose_watch import Doubt
-from arctrack.service.seam_measured import seam_measured
-from arctrack.tracking import RecordedTracking
+from arctrack.tracking import RecordedTracking, steps
 from robot_io import (
     BusLogError,
     Link,
@@ -52,9 +51,7 @@ from robot_io import (
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from robot_io.poses.pose_questions import Implausibility
 from tracker import flags
-from tracker.measure import Reading
-from tracker.seam.innovation import SeamMeasured
-from tracker.state import NAN, Frame, Pose, Track
+from tracker.state import Track
 from tracker.warm_up import OnCompiled, WarmUp
 
 if TYPE_CHECKING:
@@ -122,23 +119,6 @@ class Replay:
         """One line on the frames that could not be read, None if all could."""
         of_the_others = f"their rows carry {flags.FRAME_UNREADABLE.name}, the others are in {self.folder}"
         return self.recording.complaint(self.bad_frames, of_the_others)
-
-
-@dataclass(frozen=True)
-class Step:
-    """One row of frames.csv after the tracker saw it; `took_ms` is NaN where there was no frame to step.
-
-    `pose` is None where it was refused or there was no frame; `reading` is the look that the track rests on,
-    None where none was taken. `seam` is where the pose puts what was seen, None where nothing was.
-    """
-
-    row: FrameRow
-    frame: Frame | BadFrame
-    pose: Pose | None
-    track: Track
-    reading: Reading | None
-    took_ms: float
-    seam: SeamMeasured | None
 
 
 def replay_recording(
@@ -279,7 +259,7 @@ def _replay(
             moments = RealTime(recording.rows, link, controller, agreement, poses.verdict, check_interrupt)
         # However it ends, the robot hears that nothing holds any longer.
         opened.callback(moments.close)
-        for step in _steps(tracking, frames):
+        for step in steps(tracking, recording.rows, frames):
             check_interrupt()
             T_base_tool = None if step.pose is None else step.pose.T_base_tool
             poses.see(step.seam)
@@ -338,7 +318,7 @@ def track_alone(
     tracking.tracker.warm_up()
     started_s = time.monotonic()
     with read_ahead(recording.frames()) as frames:
-        for step in _steps(tracking, frames):
+        for step in steps(tracking, recording.rows, frames):
             tracks.append(replace(step.track, stripe=None))
             compute_ms.append(step.took_ms)
             if on_frame is not None:
@@ -365,21 +345,6 @@ def _check_bus(options: ReplayOptions) -> None:
         )
 
 
-def _steps(tracking: RecordedTracking, frames: Iterable[Frame | BadFrame]) -> Iterator[Step]:
-    recording, tracker = tracking.recording, tracking.tracker
-    for row, frame in zip(recording.rows, frames, strict=True):
-        if isinstance(frame, BadFrame):
-            raised = flags.FRAME_UNREADABLE.mask | tracker.state.lasting_flags
-            yield Step(row, frame, None, Track(row.index, row.timestamp_s, raised), None, NAN, None)
-            continue
-        began_ns = time.perf_counter_ns()
-        pose, track = tracking.step(frame)
-        took_ms = (time.perf_counter_ns() - began_ns) / 1e6
-        of_hand_eye = tracker.state.steering.hand_eye_variance_mm2
-        seam = seam_measured(recording.setup, track, pose, of_hand_eye)
-        yield Step(row, frame, pose, track, tracker.reading, took_ms, seam)
-
-
 def _summary(
     recording: Recording,
     truth: Truth | None,
@@ -393,6 +358,7 @@ def _summary(
         use_arc_map=use_arc_map,
         frames=len(tracks),
         valid=sum(track.valid for track in tracks),
+        laser_on=sum(row.laser_on for row in recording.rows),
         flags=count_flags(tracks),
         offsets={},
         refusals={},

@@ -116,7 +116,7 @@ def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = 
     replayed = Replayed(
         job,
         tuple(summaries),
-        verdict_on(done.recording, done.tracks),
+        verdict_on(done.recording, done.tracks, done.summary),
         recording.warnings,
         tuple(f"{recording.path}: {warning}" for warning in done.warnings),
         done.complaint,

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
 from arctrack.errors import in_file
-from arctrack.recording import Recording
-from tracker.state import Frame, Pose, Track
+from arctrack.recording import BadFrame, FrameRow, Recording
+from arctrack.service.seam_measured import seam_measured
+from tracker import flags
+from tracker.measure import Reading
+from tracker.seam.innovation import SeamMeasured
+from tracker.state import NAN, Frame, Pose, Track
 from tracker.step import StepInputs
 from tracker.tracker import Tracker
 from tracker.tracker_state import TrackerState
@@ -62,3 +70,38 @@ class RecordedTracking:
         if not inputs.keeps_state:
             self.tracker.state = inputs.state
         return inputs.pose, track
+
+
+@dataclass(frozen=True)
+class Step:
+    """One row of frames.csv after the tracker saw it; `took_ms` is NaN where there was no frame to step.
+
+    `pose` is None where it was refused or there was no frame; `reading` is the look that the track rests on,
+    None where none was taken. `seam` is where the pose puts what was seen, None where nothing was.
+    """
+
+    row: FrameRow
+    frame: Frame | BadFrame
+    pose: Pose | None
+    track: Track
+    reading: Reading | None
+    took_ms: float
+    seam: SeamMeasured | None
+
+
+def steps(
+    tracking: RecordedTracking, rows: Sequence[FrameRow], frames: Iterable[Frame | BadFrame]
+) -> Iterator[Step]:
+    """Track the frames of rows, one at a time."""
+    recording, tracker = tracking.recording, tracking.tracker
+    for row, frame in zip(rows, frames, strict=True):
+        if isinstance(frame, BadFrame):
+            raised = flags.FRAME_UNREADABLE.mask | tracker.state.lasting_flags
+            yield Step(row, frame, None, Track(row.index, row.timestamp_s, raised), None, NAN, None)
+            continue
+        began_ns = time.perf_counter_ns()
+        pose, track = tracking.step(frame)
+        took_ms = (time.perf_counter_ns() - began_ns) / 1e6
+        of_hand_eye = tracker.state.steering.hand_eye_variance_mm2
+        seam = seam_measured(recording.setup, track, pose, of_hand_eye)
+        yield Step(row, frame, pose, track, tracker.reading, took_ms, seam)

@@ -73,7 +73,7 @@ def main() -> None:
         f"torch off the seam by {result.rms_mm:.3f} mm RMS "
         f"(across {result.rms_y_mm:.3f}, height {result.rms_z_mm:.3f}), {result.max_mm:.3f} mm at most"
     )
-    print(f"{100.0 * result.valid_share:.1f} % VALID; {result.reasons}; weave {result.weave_mm:.3f} mm")
+    print(f"{result.offsets}; {result.reasons}; weave {result.weave_mm:.3f} mm")
 
 
 if __name__ == "__main__":

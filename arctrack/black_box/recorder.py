@@ -20,7 +20,8 @@ from arctrack.journal.journal import JournalReader, remove_dead_journal
 from arctrack.journal.message_pipe import PipeEnd
 from arctrack.journal.records import Status
 from arctrack.journal.ring import RingError
-from robot_io import Fault, GateReason, Validity
+from arctrack.offset_count import COMMANDED
+from robot_io import Fault, Validity
 
 LOOK_S = 0.05
 """So often the run's status is looked at: half as long as it is written."""
@@ -30,23 +31,6 @@ AFTERMATH_S = 2.0
 
 MIN_BETWEEN_S, MAX_FAULTS_SAVED = 60.0, 20
 """A fault that comes again fills no disk: so long between two, so many in a run. Requests are not counted."""
-
-COMMANDED = frozenset(
-    {
-        GateReason.NONE,
-        GateReason.NOT_ARMED,
-        GateReason.EMERGENCY_STOP,
-        GateReason.NOT_AUTOMATIC,
-        GateReason.CORRECTION_OFF,
-        GateReason.ARC_OFF,
-        GateReason.NO_AXIS_ENABLED,
-        GateReason.ROBOT_NOT_MOVING,
-        GateReason.NOT_WELDING,
-        GateReason.SEARCH_ONLY,
-        GateReason.SHUTTING_DOWN,
-    }
-)
-"""Reasons for a refusal that the robot's program or a person gives: no fault."""
 
 TRY_S = 10.0
 """So often it is tried whether the folder can be written, s: three times before a fault's frames are gone."""

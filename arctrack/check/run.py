@@ -11,11 +11,13 @@ from arctrack.check.hint import Hint, likely_mistake
 from arctrack.check.look import Look, looks_at
 from arctrack.check.sensor_seen import SensorSeen, sensor_seen
 from arctrack.check.timing import timing_of
-from arctrack.check.verdict import ENOUGH, Verdict, verdict_of
+from arctrack.check.verdict import ENOUGH, Verdict, is_few, verdict_of
 from arctrack.errors import ArctrackError, in_file
+from arctrack.offset_count import OffsetCount
 from arctrack.recording import BadFrame, Recording
 from arctrack.recording.reader import fitted
-from tracker.flags import FRAME_UNREADABLE, JOINT_TYPE_MISMATCH
+from arctrack.trial import Trial, rows_to_try, try_out
+from tracker.flags import JOINT_TYPE_MISMATCH
 from tracker.geometry import SensorGeometry
 from tracker.seam.correction import UNSTATED
 from tracker.state import Frame, Track
@@ -76,12 +78,13 @@ def check_recording(
         warm_up(geometry, UNSTATED, on_compiled=on_compiled)
         looks = looks_at(recording, geometry, frames, on_frame)
         unlit = looks_at(recording, geometry, _as_if_lit(recording))
-    tracks = [look.track for look in looks]
-    tracks += [Track(bad.row.index, bad.row.timestamp_s, FRAME_UNREADABLE.mask) for bad in bad_frames]
-    enough = ENOUGH * max(len(tracks), 1)
-    is_tracked = sum(track.valid for track in tracks) >= enough
-    seen = sum(track.valid and not track.flags & JOINT_TYPE_MISMATCH.mask for track in tracks)
-    hint = None if case is None else likely_mistake(case, joint_is_seen=seen >= enough)
+    tried = rows_to_try(recording)
+    trial = _untracked(recording, tried) if refusal is not None else try_out(recording, tried)
+    lit = [t for n, t in zip(tried, trial.tracks, strict=True) if recording.rows[n].laser_on]
+    is_tracked = not is_few(sum(track.valid for track in lit), len(lit), trial.offsets)
+    seen = sum(look.track.valid and not look.track.flags & JOINT_TYPE_MISMATCH.mask for look in looks)
+    joint_is_seen = seen >= ENOUGH * max(len(positions), 1)
+    hint = None if case is None else likely_mistake(case, joint_is_seen)
     all_findings = list(timing_findings(timing))
     if case is not None and case.fits_camera:
         all_findings.append(_lines_finding(case, hint if is_tracked else None))
@@ -91,7 +94,7 @@ def check_recording(
     if hint is not None:
         # Where something decided is wrong, seam and stripe lie elsewhere for that reason.
         all_findings = [replace(f, warning=None) if f.name in ("seam", "course") else f for f in all_findings]
-    verdict = verdict_of(len(recording.rows), tracks, lambda: hint)
+    verdict = verdict_of(len(tried), lit, trial.offsets, trial.reasons, lambda: hint)
     return Checked(
         recording, refusal, verdict, hint, tuple(all_findings), tuple(looks), tuple(bad_frames), case
     )
@@ -105,6 +108,13 @@ def _lines_finding(case: Case, hint: Hint | None) -> Finding:
     if hint.case is None:
         return Finding("lines", text, f"{text}; most likely {hint}")
     return Finding("lines", text, f"{text}, {100.0 * hint.share:.0f} % if {hint}")
+
+
+def _untracked(recording: Recording, positions: Sequence[int]) -> Trial:
+    """Return the trial of a recording that a replay refuses: no offset goes out."""
+    rows = [recording.rows[n] for n in positions]
+    tracks = tuple(Track(row.index, row.timestamp_s, 0) for row in rows)
+    return Trial(tracks, OffsetCount(0, sum(row.arc_on for row in rows)), {})
 
 
 def parted(frames: Iterable[Frame | BadFrame]) -> tuple[list[Frame], list[BadFrame]]:

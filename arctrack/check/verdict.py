@@ -1,4 +1,4 @@
-"""What a run comes to, in a line: how many frames are valid, the others' flags, what most likely is wrong."""
+"""What a run comes to, in a line: offsets sent, valid frames, why not more, what most likely is wrong."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from dataclasses import dataclass
 
 from arctrack.check.case import case_of, chosen_rows
 from arctrack.check.hint import Hint, likely_mistake
+from arctrack.offset_count import OffsetCount, faults
 from arctrack.recording import Recording
-from arctrack.recording.results import count_flags
+from arctrack.recording.results import Summary, count_flags, counts_in_words
+from robot_io import GateReason
 from tracker import flags
 from tracker.state import Track
 
 ENOUGH = 0.5
-"""If fewer of the frames with the laser on are valid, something is sought that is wrong."""
+"""If fewer of the wanted offsets go out, or of the frames with the laser on are valid, something is wrong."""
 
-MAX_FLAGS = 3
-"""So many flags are named, the most frequent first."""
+MAX_NAMED = 3
+"""So many flags, and reasons of the gate, are named, the most frequent first."""
 
 QUESTIONS: Mapping[flags.Flag, str] = {
     flags.FRAME_UNREADABLE: "are the frames of the size and type that recording.toml states?",
@@ -31,12 +33,20 @@ QUESTIONS: Mapping[flags.Flag, str] = {
 }
 """What to ask where no known mistake explains why frames carry a flag."""
 
+GATE_QUESTIONS: Mapping[GateReason, str] = {
+    GateReason.NOT_MEASURED: "does the line of [joint] seam_in_base_mm reach along all of the path?",
+    GateReason.LOW_CONFIDENCE: "are the lengths and angles of [tolerance] in mm and degrees?",
+    GateReason.POSE_IMPLAUSIBLE: "are the poses those of the frames' times?",
+}
+"""What to ask where frames are valid, and the gate lets no offset out."""
+
 
 @dataclass(frozen=True)
 class Verdict:
     """What a run comes to: its frames, those with the laser on, the valid ones, and the invalid ones' flags.
 
-    `hint` says what most likely is wrong, None where all is well or nothing known explains it.
+    `offsets` are those that it sent, `reasons` why the gate sent no others, by name. `hint` says
+    what most likely is wrong, None where all is well or nothing known explains it.
     """
 
     frames: int
@@ -44,54 +54,73 @@ class Verdict:
     valid: int
     flags: Mapping[str, int]
     hint: Hint | None
+    offsets: OffsetCount
+    reasons: Mapping[str, int]
 
     @property
     def nothing_tracked(self) -> bool:
-        """Whether no frame is valid."""
-        return self.valid == 0
+        """Whether no frame is valid, or no offset goes out though the robot wants some."""
+        return self.valid == 0 or self.offsets.none_sent
 
     @property
     def few_tracked(self) -> bool:
-        """Whether fewer of the frames with the laser on are valid than a sound run has."""
-        return self.valid < ENOUGH * self.laser_on or self.nothing_tracked
+        """Whether fewer offsets go out, or fewer frames are valid, than of a sound run."""
+        return self.nothing_tracked or is_few(self.valid, self.laser_on, self.offsets)
 
     @property
     def line(self) -> str:
         """The verdict in a line."""
         if self.laser_on == 0:
             return f"no frame valid: the laser is off in all {self.frames}, says frames.csv"
-        counts = ", ".join(f"{name} {count}" for name, count in list(self.flags.items())[:MAX_FLAGS])
-        if not self.few_tracked:
-            rest = f" ({counts})" if counts else ""
-            return f"tracked: {self.valid} of {self.laser_on} frames with the laser on are valid{rest}"
-        number = "no frame" if self.nothing_tracked else f"only {self.valid} of {self.laser_on} frames"
-        return f"{number} valid: {counts or 'no flag'}; {self._what_to_do}"
+        causes = [*self.flags.items()][:MAX_NAMED]
+        if self.valid >= ENOUGH * self.laser_on:
+            causes += sorted(self.reasons.items(), key=lambda item: -item[1])[:MAX_NAMED]
+        counts = counts_in_words(self.offsets, self.valid, self.laser_on)
+        if causes:
+            counts += f": {', '.join(f'{name} {count}' for name, count in causes)}"
+        return f"{counts}; {self._what_to_do}" if self.few_tracked else counts
 
     @property
     def _what_to_do(self) -> str:
         if self.hint is not None:
             return f"most likely {self.hint}"
         asked = {flag.name: question for flag, question in QUESTIONS.items()}
-        return next((asked[name] for name in self.flags if name in asked), "arctrack check says more")
+        asked |= {reason.name.lower(): question for reason, question in GATE_QUESTIONS.items()}
+        names = (*self.flags, *self.reasons)
+        return next((asked[name] for name in names if name in asked), "arctrack check says more")
 
 
-def verdict_on(recording: Recording, tracks: Sequence[Track]) -> Verdict:
+def is_few(valid: int, laser_on: int, offsets: OffsetCount) -> bool:
+    """Return whether fewer frames are valid, or fewer offsets go out, than of a sound run."""
+    return valid < ENOUGH * laser_on or offsets.sent < ENOUGH * offsets.wanted
+
+
+def verdict_on(recording: Recording, tracks: Sequence[Track], summary: Summary) -> Verdict:
     """Return what a run over all of a recording's frames comes to."""
     lit = [track for row, track in zip(recording.rows, tracks, strict=True) if row.laser_on]
-    return verdict_of(len(tracks), lit, lambda: _hint_for(recording))
+    return verdict_of(len(tracks), lit, summary.offset_count, summary.refusals, lambda: _hint_for(recording))
 
 
-def verdict_of(frames: int, lit: Sequence[Track], seek: Callable[[], Hint | None]) -> Verdict:
+def verdict_of(
+    frames: int,
+    lit: Sequence[Track],
+    offsets: OffsetCount,
+    reasons: Mapping[str, int],
+    seek: Callable[[], Hint | None],
+) -> Verdict:
     """Return what the tracks of frames with the laser on, of so many in all, come to.
 
-    `seek` finds what most likely is wrong; it is asked where few of them are valid.
+    `reasons` of the gate for what it did not send count the robot's own commands too. `seek` finds what most
+    likely is wrong; it is asked where few frames are valid or few offsets sent.
     """
     valid = sum(track.valid for track in lit)
     counts = count_flags([track for track in lit if not track.valid])
     invalidating = {flag.name for flag in flags.FLAGS if flag.invalidates}
     named = sorted((name for name in counts if name in invalidating), key=lambda name: -counts[name])
-    hint = None if valid >= ENOUGH * len(lit) else seek()
-    return Verdict(frames, len(lit), valid, {name: counts[name] for name in named}, hint)
+    hint = seek() if is_few(valid, len(lit), offsets) else None
+    return Verdict(
+        frames, len(lit), valid, {name: counts[name] for name in named}, hint, offsets, faults(reasons)
+    )
 
 
 def _hint_for(recording: Recording) -> Hint | None:

@@ -204,7 +204,7 @@ def serve(
 def _lines(plan: LoopPlan, result: LoopResult) -> list[str]:
     """Return what came of a run in words."""
     reasons = ", ".join(f"{name} {count}" for name, count in sorted(result.reasons.items()))
-    valid = f"offsets: {100.0 * result.valid_share:.1f} % VALID; not as measured: {reasons or 'none'}"
+    valid = f"{result.offsets}; not as measured: {reasons or 'none'}"
     if math.isinf(result.lock_s):
         return ["the torch never locked onto the seam", valid]
     return [

@@ -33,7 +33,7 @@ def check(
     Measured are seam and stripe, width, peak, saturation and speckle, black level and noise, the arc's light,
     times and speeds, each beside what is stated. A stripe where frames.csv says laser_on = 0 is named, and a
     missing line where it says 1. The picture shows the predicted stripe over two frames.
-    The exit code is 0 without a warning, 1 with one or if few frames would be tracked, 3 if none would be, 2
+    The exit code is 0 without a warning, 1 with one or if few offsets would go out, 3 if none would, 2
     for bad input.
     """
     from arctrack.check.run import check_recording

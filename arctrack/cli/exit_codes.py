@@ -10,7 +10,8 @@ UNFIT = 1
 """A machine that cannot run a cell live."""
 
 NOTHING_TRACKED = 3
-"""A recording of which no frame is valid; a live run that no robot could follow."""
+"""A recording of which no frame is valid, or no offset goes out though the robot wants some;
+a live run that no robot could follow."""
 
 CRASHED = 70
 """A fault of arctrack itself, `EX_SOFTWARE` of sysexits.h; no other code ever means one."""

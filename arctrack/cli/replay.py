@@ -87,8 +87,8 @@ def replay(
     A frame that cannot be read gets a row with its flag, and the rest is tracked. A recording that fails does
     not stop the others. The exit code is then 2. A bus other than virtual needs --onto-a-robot; the robot
     there is listened to.
-    The last lines say how many frames are valid and, where few are, what most likely is wrong. The exit code
-    is 3 where no frame is valid.
+    The last lines say how many offsets went out, of those wanted, how many frames are valid and, where few
+    are, what most likely is wrong. The exit code is 3 where no frame is valid or no wanted offset went out.
     """
     from arctrack.cell_file import read_cell_file
     from arctrack.recording.parquet_file import check_parquet

@@ -52,7 +52,7 @@ def many_table(summaries: Sequence[Summary], taken_over: Sequence[bool]) -> Tabl
     table.add_column("ms a\nframe", justify="right", no_wrap=True)
     for summary, is_taken_over in zip(summaries, taken_over, strict=True):
         mark = f" {TAKEN_OVER}" if is_taken_over else ""
-        cells = [escape(summary.recording) + mark, _map(summary), f"{summary.valid}/{summary.frames}"]
+        cells = [escape(summary.recording) + mark, _map(summary), f"{summary.valid}/{summary.laser_on}"]
         if scored:
             cells += _short(summary.score)
         table.add_row(*cells, _number(summary.latency_ms.p50, 1))
@@ -74,7 +74,7 @@ def _table(title: str) -> Table:
 def in_words(summary: Summary) -> str:
     """Return a replay's counts and times in one line."""
     lead = "with the arc map" if summary.use_arc_map else "without the arc map"
-    text = f"{lead}: {summary.valid} of {summary.frames} frames valid"
+    text = f"{lead}: {summary.valid} of {summary.laser_on} frames with the laser on are valid"
     if summary.score is not None:
         text += f", {summary.score.beyond_limit} of them beyond {summary.score.limit_mm:g} mm"
     else:

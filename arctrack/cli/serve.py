@@ -172,6 +172,8 @@ def _serve_simulated(job: int | None, seconds: float | None) -> bool:
 
 def _result_lines(result: LoopResult) -> list[str]:
     """Return what a run came to in words."""
+    from arctrack.offset_count import OffsetCount
+
     offsets = ", ".join(f"{name} {count}" for name, count in result.offsets.items()) or "none"
     reasons = ", ".join(f"{name} {count}" for name, count in result.reasons.items()) or "none"
     dark = f", without the laser {result.dark}" if result.dark else ""
@@ -185,6 +187,7 @@ def _result_lines(result: LoopResult) -> list[str]:
         else []
     )
     return [
+        str(OffsetCount.of(result.offsets.get("VALID", 0), result.frames, result.reasons)),
         f"frames: {result.frames}, dropped {result.dropped}, tracks valid {result.valid}{dark}",
         f"offsets: {offsets}; not as measured: {reasons}",
         f"mid-exposure to send: {result.capture_to_send}",

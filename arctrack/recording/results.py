@@ -15,6 +15,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from arctrack.offset_count import OffsetCount
 from arctrack.output import write_whole, writing
 from arctrack.recording.run_offsets import NO_OUTCOME, OffsetOutcome, RunComparison
 from arctrack.recording.score import AxisScore, Score
@@ -183,7 +184,8 @@ class Summary:
     `joint_ends_mm` is station and 1 sigma of the joint's start and end, where they were found. `pose_doubts`
     counts the frames at which poses were not trusted, by doubt; `heard_robot_status` says whether a
     RobotStatus was recorded, without which fewer doubts can arise. `run_offsets` compares the offsets of a
-    black box with those that its run sent; None for other recordings.
+    black box with those that its run sent; None for other recordings. `laser_on` counts the frames with the
+    laser on.
     """
 
     recording: str
@@ -201,13 +203,24 @@ class Summary:
     pose_doubts: Mapping[str, int] = field(default_factory=dict)
     heard_robot_status: bool = False
     run_offsets: RunComparison | None = None
+    laser_on: int = 0
+
+    @property
+    def offset_count(self) -> OffsetCount:
+        """The offsets sent, of those that the robot wanted."""
+        return OffsetCount.of(self.offsets.get("send", 0), sum(self.offsets.values()), self.refusals)
+
+    @property
+    def counts(self) -> str:
+        """The offsets sent and the valid frames, each of how many, in words."""
+        return counts_in_words(self.offset_count, self.valid, self.laser_on)
 
     def __str__(self) -> str:
         error = ""
         if self.score is not None:
             lateral, vertical = self.score.lateral.whole.rms, self.score.vertical.whole.rms
             error = f", RMS error {lateral:.3f} mm lateral and {vertical:.3f} mm vertical"
-        return f"{self.recording}: {self.valid} of {self.frames} frames valid{error}"
+        return f"{self.recording}: {self.counts}{error}"
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of summary.json; what is not known is null."""
@@ -217,12 +230,17 @@ class Summary:
             "arc_map": self.use_arc_map,
             "frames": {
                 "total": self.frames,
+                "laser_on": self.laser_on,
                 "valid": self.valid,
                 "invalid": self.frames - self.valid,
                 "unreadable": self.flags.get(flags.FRAME_UNREADABLE.name, 0),
             },
             "flags": dict(self.flags),
-            "offsets": {**self.offsets, "reasons": dict(self.refusals)},
+            "offsets": {
+                **self.offsets,
+                "wanted": self.offset_count.wanted,
+                "reasons": dict(self.refusals),
+            },
             "poses": {"robot_status": self.heard_robot_status, "doubts": dict(self.pose_doubts)},
             "rate_hz": {"recorded": self.recorded_rate_hz, "replayed": self.replayed_rate_hz},
             "latency_ms": asdict(self.latency_ms),
@@ -262,6 +280,11 @@ def count_flags(tracks: Sequence[Track]) -> dict[str, int]:
     """Return how many frames carry each flag, in the registry's order, without those that none carries."""
     counts = Counter(name for track in tracks for name in track.flag_names)
     return {flag.name: counts[flag.name] for flag in flags.FLAGS if counts[flag.name]}
+
+
+def counts_in_words(offsets: OffsetCount, valid: int, laser_on: int) -> str:
+    """Return what a run comes to: offsets sent and valid frames, each of how many there could be."""
+    return f"{offsets}; {valid} of {laser_on} frames with the laser on are valid"
 
 
 def _score_json(score: Score) -> dict[str, Any]:

@@ -1,3 +1,4 @@
+import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,6 +21,7 @@ from arctrack.simulate import SimulationPlan, simulate_recording
 from noise_model.setup import Setup
 
 LITTLE_SPECKLE = {"laser_speckle": {"contrast": 0.01, "grain_px": 0.5}}
+ARE_VALID = "frames with the laser on are valid"
 SEAM_4_MM_ASIDE = [[-100.0, 4.0, 0.0], [1000.0, 4.0, 0.0]]
 
 
@@ -56,7 +58,7 @@ def replayed(path: Path, out: Path) -> tuple[int, str]:
 def test_a_replay_ends_with_its_verdict(weaving: Path, tmp_path: Path) -> None:
     code, said = replayed(weaving, tmp_path)
     assert code == 0, said
-    assert "v: tracked: 11 of 11 frames with the laser on are valid" in said
+    assert f"v: 10 of 10 offsets sent; 11 of 11 {ARE_VALID}" in said
 
 
 @pytest.mark.slow
@@ -66,7 +68,7 @@ def test_a_replay_that_sees_nothing_says_what_is_wrong(weaving: Path, tmp_path: 
     spoil(path)
     code, said = replayed(path, tmp_path / "out")
     assert code == NOTHING_TRACKED, said
-    assert f"r: no frame valid: below_surface 11; most likely {hint}" in said
+    assert f"; 0 of 11 frames with the laser on are valid: below_surface 11; most likely {hint}" in said
     assert (tmp_path / "out" / "results.csv").exists()
 
 
@@ -77,7 +79,7 @@ def test_what_cannot_be_used_comes_before_what_sees_nothing(weaving: Path, tmp_p
     spoil(path)
     code, said = replayed(path, tmp_path / "out")
     assert code == BAD_INPUT, said
-    assert f"no frame valid: frame_unreadable 11; most likely {hint}" in said
+    assert f"0 of 11 {ARE_VALID}: frame_unreadable 11; most likely {hint}" in said
 
 
 @pytest.mark.slow
@@ -95,7 +97,20 @@ def test_what_no_known_mistake_explains_is_asked_for(weaving: Path, tmp_path: Pa
     edit_frames(path, np.zeros_like)
     code, said = replayed(path, tmp_path / "out")
     assert code == NOTHING_TRACKED, said
-    assert "no frame valid: stripe_lost 11; do [camera] and [laser] state where" in said
+    assert f"0 of 11 {ARE_VALID}: stripe_lost 11; do [camera] and [laser] state" in said
+
+
+@pytest.mark.slow
+def test_frames_that_are_valid_and_send_nothing(weaving: Path, tmp_path: Path) -> None:
+    """A tolerance in m lets no offset through, though each frame shows its seam."""
+    path = Path(shutil.copytree(weaving, tmp_path / "r"))
+    set_key("tolerance", "seam_mm", 0.001)(path)
+    code, said = replayed(path, tmp_path / "out")
+    assert code == NOTHING_TRACKED, said
+    assert f"r: 0 of 10 offsets sent; 11 of 11 {ARE_VALID}: low_confidence 10; " in said
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert (summary["frames"]["laser_on"], summary["offsets"]["wanted"]) == (11, 10)
+    assert checked(path, tmp_path / "check.raw")[0] == NOTHING_TRACKED
 
 
 def checked(path: Path, out: Path) -> tuple[int, str]:
@@ -109,7 +124,7 @@ def checked(path: Path, out: Path) -> tuple[int, str]:
 def test_a_sound_recording_is_checked_without_a_warning(weaving: Path, tmp_path: Path) -> None:
     code, said = checked(weaving, tmp_path / "check.png")
     assert code == 0, said
-    assert "v: tracked: 10 of 10 frames with the laser on are valid" in said
+    assert f"v: 10 of 10 offsets sent; 11 of 11 {ARE_VALID}" in said
     assert cv2.imread(str(tmp_path / "check.png")).shape[1] > 1000
 
 

@@ -65,5 +65,6 @@ def test_what_is_read_and_replayed(simulated: Path, tmp_path: Path) -> None:
     tracker = arctrack.Tracker(read.setup)
     assert repr(tracker) == "Tracker(a v_groove seen by 160 x 120 px, with the arc map; 0 frames so far)"
     replay = arctrack.replay_recording(read, tmp_path / "out", arctrack.ReplayOptions(pictures=False))
-    assert str(replay.summary).startswith(f"v: {replay.summary.valid} of 14 frames valid, RMS error ")
+    counts = "8 of 8 offsets sent; 9 of 9 frames with the laser on are valid"
+    assert str(replay.summary).startswith(f"v: {counts}, RMS error ")
     assert repr(replay) == f"Replay({replay.summary}; results in {tmp_path}/out)"

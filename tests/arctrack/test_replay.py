@@ -46,7 +46,8 @@ def test_a_replay_tracks_and_writes_every_file(simulated: Path, tmp_path: Path) 
     assert [row["seam_y_mm"] != "" for row in rows] == lit
     assert all("laser_off" in row["flags"].split("|") for row, on in zip(rows, lit, strict=True) if not on)
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["frames"] == {"total": 14, "valid": sum(lit), "invalid": 14 - sum(lit), "unreadable": 0}
+    seen = {"laser_on": sum(lit), "valid": sum(lit), "invalid": 14 - sum(lit)}
+    assert summary["frames"] == {"total": 14, **seen, "unreadable": 0}
     assert summary["flags"]["laser_off"] == 14 - sum(lit)
     assert summary["error_mm"]["valid_frames_beyond_limit"] == 0
     assert summary["error_mm"]["lateral"]["with_constant_part_removed"]["rms"] < 0.1

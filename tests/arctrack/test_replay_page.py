@@ -365,5 +365,5 @@ def test_a_replay_that_sees_nothing_has_its_page(browser: Page, tmp_path: Path) 
     done = replay_recording(read_recording(write(tmp_path / "r", setup, noise_frames(setup, 1))))
     browser.complaints.clear()
     browser.open(done.folder / REPLAY_PAGE)
-    assert browser.text("h1").endswith("0 of 1 frames show a seam to use")
+    assert browser.text("h1").endswith(": 0 of 1 offsets sent; 0 of 0 frames with the laser on are valid")
     assert browser.complaints == []

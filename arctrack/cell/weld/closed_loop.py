@@ -20,6 +20,7 @@ from arctrack.cell.weld.events import LOOP_EVENTS
 from arctrack.cell.weld.rendered_eye import RenderedEye
 from arctrack.cell.world import World
 from arctrack.nominal import nominal_setup
+from arctrack.offset_count import OffsetCount
 from arctrack.simulate import balance, true_values
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
@@ -167,8 +168,8 @@ class LoopResult:
         The torch's distance from the seam.
     rms_y_mm, rms_z_mm : float
         Its parts.
-    valid_share : float
-        The share of frames whose offset is VALID.
+    offsets : OffsetCount
+        The offsets sent, of those that the robot wanted.
     reasons : dict
         How many frames had each reason but NONE.
     lag : Lag
@@ -182,7 +183,7 @@ class LoopResult:
     max_mm: float
     rms_y_mm: float
     rms_z_mm: float
-    valid_share: float
+    offsets: OffsetCount
     reasons: dict[str, int]
     lag: Lag
     weave_mm: float
@@ -240,11 +241,11 @@ class ClosedLoop:
         lock_s = self.lock_s()
         locked = [sample for sample in self.samples if sample.time_s >= lock_s]
         valid = [frame.offset.validity is Validity.VALID for frame in self.frames]
-        valid_share = float(np.mean(valid)) if valid else math.nan
         reasons = _reasons(self.frames)
+        offsets = OffsetCount.of(sum(valid), len(valid), reasons)
         lag = self.cell.tracker.poses.look_ahead.lag
         if not locked:
-            return LoopResult(lock_s, *(math.nan,) * 4, valid_share, reasons, lag, math.nan)
+            return LoopResult(lock_s, *(math.nan,) * 4, offsets, reasons, lag, math.nan)
         off = np.array([np.subtract(sample.torch_mm, sample.seam_mm) for sample in locked])
         distance = np.hypot(off[:, 0], off[:, 1])
         rms_y_mm, rms_z_mm = np.sqrt((off**2).mean(axis=0)).tolist()
@@ -254,7 +255,7 @@ class ClosedLoop:
             float(distance.max()),
             rms_y_mm,
             rms_z_mm,
-            valid_share,
+            offsets,
             reasons,
             lag,
             _weave_mm(locked, self.plan.weave_hz),

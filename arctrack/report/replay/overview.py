@@ -41,16 +41,16 @@ class Overview:
         if frame is not None and track.valid and (self.sample is None or (first_half and frame.arc_on)):
             self.sample = (frame, track)
 
-    def save(self, path: Path, truth: Truth | None) -> None:
-        """Draw the page; ArctrackError if it cannot be written."""
+    def save(self, path: Path, truth: Truth | None, counts: str) -> None:
+        """Draw the page, entitled with the run's counts in words; ArctrackError if it cannot be written."""
         with writing(path):
-            draw(self, truth).savefig(path)
+            draw(self, truth, counts).savefig(path)
 
 
-def draw(overview: Overview, truth: Truth | None) -> Figure:
+def draw(overview: Overview, truth: Truth | None, counts: str) -> Figure:
     """Return the page; `truth` is drawn and scored against where it is known."""
     tracks = overview.tracks
-    figure = style.new_figure(13.0, 9.5, _title(overview, truth))
+    figure = style.new_figure(13.0, 9.5, _title(overview, truth, counts))
     grid = figure.add_gridspec(4, 2, width_ratios=(1.25, 1.0))
     seam_axes = figure.add_subplot(grid[0, 0])
     _seam(seam_axes, tracks, truth, 1, "seam y, to the left, tool frame [mm]")
@@ -66,9 +66,9 @@ def draw(overview: Overview, truth: Truth | None) -> Figure:
     return figure
 
 
-def _title(overview: Overview, truth: Truth | None) -> str:
+def _title(overview: Overview, truth: Truth | None, counts: str) -> str:
     tracks = overview.tracks
-    text = f"{overview.recording.name}: {sum(t.valid for t in tracks)} of {len(tracks)} frames valid"
+    text = f"{overview.recording.name}: {counts}"
     limit_mm = overview.recording.setup.tolerance.seam_mm
     scored = None if truth is None else score(tracks, truth, limit_mm)
     if scored is None:

@@ -93,11 +93,11 @@ class ReplayPage:
             self._comparison.add(seen.run, seen.outcome)
         self._tracks.append(replace(track, stripe=None, checks=()))
 
-    def save(self, path: Path) -> None:
-        """Write the page; ArctrackError if it cannot be written."""
-        write_whole(path, self.html())
+    def save(self, path: Path, counts: str) -> None:
+        """Write the page, headed by the run's counts in words; ArctrackError if it cannot be written."""
+        write_whole(path, self._html(counts))
 
-    def html(self) -> str:
+    def _html(self, counts: str) -> str:
         """Return the page, which needs no other file and no network."""
         tracks, setup = self._tracks, self._recording.setup
         camera = setup.camera
@@ -130,9 +130,9 @@ class ReplayPage:
                 joint=setup.joint.type.replace("_", " "),
                 use_arc_map=self._use_arc_map,
                 count=len(tracks),
-                valid=sum(track.valid for track in tracks),
+                counts=counts,
                 span_s=tracks[-1].timestamp_s - tracks[0].timestamp_s,
-                counts=count_flags(tracks),
+                flag_counts=count_flags(tracks),
                 score=scored,
                 comparison=self._comparison if self._comparison.frames else None,
                 width=camera.width,

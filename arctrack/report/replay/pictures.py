@@ -12,7 +12,14 @@ from typing import Protocol
 from arctrack.errors import without_extra
 from arctrack.output import writing
 from arctrack.recording import BadFrame, Recording, Truth
-from arctrack.recording.results import OVERLAY_VIDEO, OVERVIEW_PICTURE, REPLAY_MCAP, REPLAY_PAGE, REPLAY_RRD
+from arctrack.recording.results import (
+    OVERLAY_VIDEO,
+    OVERVIEW_PICTURE,
+    REPLAY_MCAP,
+    REPLAY_PAGE,
+    REPLAY_RRD,
+    counts_in_words,
+)
 from arctrack.report.replay.drawing import Drawing
 from arctrack.report.replay.frame_drawer import ToDraw
 from arctrack.report.replay.overlay import OverlayVideo
@@ -103,8 +110,10 @@ class ReplayPictures:
                 if self.on_drawn is not None:
                     self.on_drawn(n + 1)
         if self.pictures:
-            overview.save(self.folder / OVERVIEW_PICTURE, self.truth)
-            page.save(self.folder / REPLAY_PAGE)
+            laser_on = sum(row.laser_on for row in recording.rows)
+            counts = counts_in_words(seen.offset_count, seen.valid, laser_on)
+            overview.save(self.folder / OVERVIEW_PICTURE, self.truth, counts)
+            page.save(self.folder / REPLAY_PAGE, counts)
 
     def _video(self) -> OverlayVideo:
         return OverlayVideo(self.folder / OVERLAY_VIDEO, self.recording.setup, self.recording.frame_rate_hz)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import pickle
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+from arctrack.offset_count import OffsetCount
 from arctrack.output import writing
 from arctrack.recording.run_offsets import NO_OUTCOME, OffsetOutcome
-from robot_io import SeamOffset
+from robot_io import SeamOffset, Validity
 from tracker.measure import Reading
 from tracker.state import Pose, Track
 
@@ -36,19 +38,31 @@ class Seen:
 class SeenFile:
     """Keeps what was seen in a file: the memory that a replay takes does not grow with it.
 
-    `flags` are those of the tracks so far. Raises ArctrackError, which names the file's folder, where it
-    cannot be written.
+    `flags` are those of the tracks so far, `valid` counts the valid ones. Raises ArctrackError, which names
+    the file's folder, where it cannot be written.
     """
 
     def __init__(self, file: IO[bytes], folder: Path) -> None:
         self._file, self._folder = file, folder
         self.flags: list[int] = []
+        self.valid, self._sent = 0, 0
+        self._reasons: Counter[str] = Counter()
 
     def add(self, seen: Seen) -> None:
         """Keep what was seen of the next frame."""
         with writing(self._folder):
             pickle.dump(seen, self._file, pickle.HIGHEST_PROTOCOL)
         self.flags.append(seen.track.flags)
+        self.valid += seen.track.valid
+        if seen.offset.validity is Validity.VALID:
+            self._sent += 1
+        else:
+            self._reasons[seen.outcome.gate_reason] += 1
+
+    @property
+    def offset_count(self) -> OffsetCount:
+        """The offsets sent so far, of those that the robot wanted."""
+        return OffsetCount.of(self._sent, len(self), self._reasons)
 
     def __len__(self) -> int:
         return len(self.flags)

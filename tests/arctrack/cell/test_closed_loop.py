@@ -44,7 +44,7 @@ def test_a_run_is_a_table_a_picture_and_some_lines(tmp_path):
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert "the torch never locked onto the seam" in done.output
-    assert "offsets: 0.0 % VALID; not as measured: NOT_ARMED" in done.output
+    assert "0 of 2 offsets sent; not as measured: NOT_ARMED" in done.output
     with (tmp_path / "out" / "run.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["validity"] for row in rows] == ["REFUSED"] * 6

@@ -29,10 +29,11 @@ def test_a_recording_is_served_at_its_pace(simulated: Path, tmp_path: Path) -> N
     done = CliRunner().invoke(app, ["serve", str(cell)])
     assert done.exit_code == 0, done.output
     assert "[process] cpus = [4095]: " in done.stderr
-    ready, frames, offsets, *late = done.stdout.splitlines()
+    ready, count, frames, offsets, *late = done.stdout.splitlines()
     assert ready == f"ready: recording {simulated}, bus virtual:{cell.parent}; Ctrl-C ends it"
     tracked, dropped = map(int, re.match(r"frames: (\d+), dropped (\d+), tracks valid", frames).groups())
     assert tracked + dropped == 14
+    assert count == "no offset was wanted"
     assert offsets.startswith("offsets: REFUSED ")
     assert [line.split(":")[0] for line in late] == ["mid-exposure to send", "arrival to send"]
 
