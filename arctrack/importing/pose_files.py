@@ -318,8 +318,9 @@ def _check_size(times: Float64, path: Path) -> None:
 
 def _is_bus_log(path: Path) -> bool:
     """Return whether a file is a CAN log by its name; a `.log` of candump begins with a parenthesis."""
-    if path.suffix != ".log":
-        return path.suffix in (".asc", ".blf", ".trc")
+    suffix = path.suffix.lower()
+    if suffix != ".log":
+        return suffix in (".asc", ".blf", ".trc")
     with blamed_on(path), open_file(path, LIMITS.log_bytes) as file:
         return file.peek(1).lstrip()[:1] == b"("
 

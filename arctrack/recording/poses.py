@@ -61,7 +61,7 @@ def read_poses(
     if csv_path.exists() or not logs:
         if not csv_path.exists():
             others = sorted(path.name for path in recording.glob("can.*"))
-            unread = f"; {others[0]} is of a format that is not read: save it as can.blf" if others else ""
+            unread = _unread(others[0]) if others else ""
             raise in_file(
                 csv_path, f"there are no poses: neither this file nor {', '.join(LOG_NAMES)} exists{unread}"
             )
@@ -76,13 +76,24 @@ def read_poses(
     return replace(poses, T_base_tool=T_base_tool), warnings
 
 
+def _unread(name: str) -> str:
+    """Return what to do about a log of the bus that is not read for its name."""
+    if name.lower() in LOG_NAMES:
+        return f"; name {name} {name.lower()}"
+    if name.lower().endswith(".gz"):
+        return f"; {name} is packed by gzip: unpack it"
+    return f"; {name} is of a format that is not read: save it as can.blf"
+
+
 def check_coverage(poses: PoseTable, first_frame_s: float, last_frame_s: float) -> list[str]:
     """Return warnings on frames before the first pose or after the last; ArctrackError if all of them are."""
     first_s, last_s = float(poses.timestamps_s[0]), float(poses.timestamps_s[-1])
     if len(poses.timestamps_s) < 2:
         raise in_file(poses.path, poses.damage or "holds a single pose; two are the least to work with")
     if first_frame_s - last_s > COVERAGE_PERIODS * poses.period_s:
-        cure = _cure(poses, first_frame_s - last_s, "record poses for as long as frames")
+        is_short = last_s - first_s < last_frame_s - first_frame_s
+        otherwise = "record poses for as long as frames" if is_short else "both need one clock"
+        cure = _cure(poses, first_frame_s - last_s, otherwise)
         raise in_file(
             poses.path,
             f"the poses stop before the frames: the last pose is at {last_s:.6f} s, the first frame at "

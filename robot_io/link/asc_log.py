@@ -29,6 +29,10 @@ _CLASSIC = re.compile(
     r"(?P<time>\d+\.\d+)\s+(?P<channel>\d+)\s+(?P<id>\S+)\s+(?P<way>Rx|Tx)(?:\s+(?P<rest>.*))?$",
     re.IGNORECASE,
 )
+_ALMOST_CLASSIC = re.compile(r"\d\S*\s+\S+\s+\S+\s+(?:Rx|Tx)\s+[dr]\b", re.IGNORECASE)
+_BEGIN = re.compile(r"date\s|base\s|//|;|(?:no\s+)?internal\s+events|begin\s+trigger|\d", re.IGNORECASE)
+"""How a log of Vector's tools can begin."""
+
 _FD = re.compile(
     r"(?P<time>\d+\.\d+)\s+CANFD\s+(?P<channel>\d+)\s+(?P<way>Rx|Tx)(?:\s+(?P<id>\S+)(?:\s+(?P<rest>.*))?)?$",
     re.IGNORECASE,
@@ -71,7 +75,12 @@ def asc_frames(lines: LogLines) -> Iterator[can.Message]:
     """
     base, is_relative = 16, False
     date, start_s, now_s = "", 0.0, 0.0
+    is_begun = False
     for line in lines:
+        is_begun = is_begun or _BEGIN.match(line) is not None
+        if not is_begun:
+            lines.leave_out(line)
+            continue
         if base_line := _BASE.match(line):
             base = 10 if base_line["base"].lower() == "dec" else 16
             is_relative = (base_line["times"] or "").lower() == "relative"
@@ -104,6 +113,8 @@ def _frame(line: str, base: int) -> can.Message | None:
     fd = _FD.match(line)
     match = fd or _CLASSIC.match(line)
     if match is None:
+        if _ALMOST_CLASSIC.match(line):
+            raise ValueError("a frame whose time or channel is no number")
         return None
     if not match["id"] or not match["rest"]:
         raise ValueError("no data")

@@ -48,9 +48,9 @@ class BusLogWriter:
         self._flushed_bytes = 0
         self._writer: can.BLFWriter | can.ASCWriter | can.CanutilsLogWriter
         try:
-            if path.suffix == ".blf":
+            if path.suffix.lower() == ".blf":
                 self._writer = _blf_writer(path)
-            elif path.suffix == ".asc":
+            elif path.suffix.lower() == ".asc":
                 self._writer = can.ASCWriter(path)
             else:
                 self._writer = can.CanutilsLogWriter(path)
@@ -158,5 +158,7 @@ def _blf_writer(path: Path, append: bool = False) -> can.BLFWriter:
 
 def require_suffix(path: Path, suffixes: Collection[str]) -> None:
     """Raise BusLogError for a file of another format than those."""
-    if path.suffix not in suffixes:
+    if path.suffix.lower() == ".gz":
+        raise BusLogError(f"log {path}: is packed by gzip: unpack it, as by gunzip")
+    if path.suffix.lower() not in suffixes:
         raise BusLogError(f"log {path}: unknown format '{path.suffix}'; use one of {', '.join(suffixes)}")

@@ -65,6 +65,7 @@ class BusLogReader:
 
     def __init__(self, path: Path, channel: str | None = None) -> None:
         require_suffix(path, LOG_SUFFIXES)
+        self._suffix = path.suffix.lower()
         if not path.is_file():
             problem = "is no file" if path.exists() else "no such file"
             raise BusLogError(f"log {path}: {problem}; check the path")
@@ -86,12 +87,13 @@ class BusLogReader:
 
     def _received(self) -> Iterator[Received]:
         with self.path.open("rb") as file:
+            _require_bare(file.peek(2))
             lines = LogLines(file)
             inboxes: dict[str, Inbox] = {}
             carriers: dict[type, str] = {}
             accepted_line = 0
             for frame in self._frames(lines):
-                channel = _channel_name(frame, self.path.suffix)
+                channel = _channel_name(frame, self._suffix)
                 inbox = inboxes.setdefault(channel, Inbox(ANY_SOURCE))
                 if self._channel not in (None, channel):
                     continue
@@ -108,7 +110,7 @@ class BusLogReader:
             self.damage = self.damage or lines.damage
 
     def _frames(self, lines: LogLines) -> Iterator[can.Message]:
-        suffix = self.path.suffix
+        suffix = self._suffix
         if suffix == ".blf":
             return self._blf_frames()
         if suffix == ".db":
@@ -163,9 +165,17 @@ class BusLogReader:
         is_cut_after_head = lines.is_unfinished and lines.unreadable == [lines.number] and lines.number > 1
         if not inboxes and lines.unreadable and not is_cut_after_head:
             raise BusLogError(
-                f"line {lines.unreadable[0]} is none as {_WRITERS[self.path.suffix]} write it: "
+                f"line {lines.unreadable[0]} is none as {_WRITERS[self._suffix]} write it: "
                 f"{lines.first_unreadable[:60]!r}; name the log by its format, one of {', '.join(_WRITERS)}"
             )
+
+
+def _require_bare(start: bytes) -> None:
+    """Raise BusLogError for a file whose first bytes are those of a packed one, or of UTF-16."""
+    if start.startswith(b"\x1f\x8b"):
+        raise BusLogError("is packed by gzip: unpack it, as by gunzip")
+    if start.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise BusLogError("is UTF-16: save it as UTF-8")
 
 
 def _channel_name(frame: can.Message, suffix: str) -> str:

@@ -11,7 +11,7 @@ from datetime import UTC, datetime, timedelta
 import can
 from cantools.logreader import Parser
 
-from robot_io.link.bus_log import BusLogError
+from robot_io.link.bus_log import UNIX_TIME_FROM_S, BusLogError
 from robot_io.link.log_lines import LogLines
 
 LineReader = Callable[[str], can.Message | None]
@@ -23,11 +23,17 @@ _TRC_DAY_0 = datetime(1899, 12, 30, tzinfo=UTC)
 """PEAK's start times count days from here on."""
 
 _TRC_FRAME = re.compile(r"\b(?:Rx|Tx|DT)\b")
+_TRC_STATE = re.compile(r"\S+\s+[\d.]+\s+(?:ST|EC|ER|EV)\s")
+"""A state of the bus or of the device, counted or told as an event, as PEAK's tools write it since 2.0."""
+
+_CANDUMP_TIME = re.compile(r"\((?P<time>[\d.]+|\d{4}-\d\d-\d\d [\d:.]+)\)\s")
+_CANDUMP_WAY = re.compile(r"(?<=\s)(?:RX|TX)(?:\s+[-BE]){2}\s+")
+"""What `candump -x` puts before the identifier: the direction, bit rate switch and error state."""
 
 
 def line_reader(suffix: str) -> LineReader:
     """Return what reads the lines of a `.log`, a `.trc` or a `.csv`."""
-    readers: dict[str, LineReader] = {".log": _candump_line, ".trc": _TrcLines(), ".csv": _csv_line}
+    readers: dict[str, LineReader] = {".log": _CandumpLines(), ".trc": _TrcLines(), ".csv": _csv_line}
     return readers[suffix]
 
 
@@ -38,8 +44,8 @@ def text_frames(lines: LogLines, read_line: LineReader) -> Iterator[can.Message]
             frame = read_line(line)
             if frame is not None and not math.isfinite(frame.timestamp):
                 raise ValueError("no time")
-        except BusLogError:
-            raise
+        except BusLogError as error:
+            raise BusLogError(f"line {lines.number}: {error}") from None
         except (ValueError, TypeError, LookupError, OverflowError, OSError):
             lines.leave_out(line)
             continue
@@ -47,14 +53,25 @@ def text_frames(lines: LogLines, read_line: LineReader) -> Iterator[can.Message]
             yield frame
 
 
-def _candump_line(line: str) -> can.Message | None:
-    if "#" in line:
-        return next(iter(can.CanutilsLogReader(io.StringIO(line))))
-    # As candump prints to its screen: no `-L`.
-    frame = _cantools_frame(Parser(), line)
-    if frame is None:
-        raise ValueError("no frame")
-    return frame
+class _CandumpLines:
+    def __init__(self) -> None:
+        self._parser = Parser()
+        self._before_s = 0.0
+
+    def __call__(self, line: str) -> can.Message | None:
+        if "#" in line:
+            return next(iter(can.CanutilsLogReader(io.StringIO(line))))
+        # As candump prints to its screen: no `-L`.
+        frame = _cantools_frame(self._parser, _CANDUMP_WAY.sub("", line, count=1))
+        if frame is None or _CANDUMP_TIME.match(line) is None:
+            raise ValueError("no frame")
+        if frame.timestamp < min(self._before_s, UNIX_TIME_FROM_S):
+            raise BusLogError(
+                f"the time falls back to {frame.timestamp:.6f}, as the steps of candump -td do: "
+                "record by candump -L"
+            )
+        self._before_s = frame.timestamp
+        return frame
 
 
 def _csv_line(line: str) -> can.Message | None:
@@ -76,7 +93,7 @@ class _TrcLines:
         frame = _cantools_frame(self._parser, line)
         if frame is None:
             # What is no frame is a state of the bus or of the device.
-            if _TRC_FRAME.search(line):
+            if _TRC_FRAME.search(line) and not _TRC_STATE.match(line):
                 raise ValueError("a part of a frame")
             return None
         frame.timestamp += self._start_s
@@ -89,7 +106,7 @@ def _cantools_frame(parser: Parser, line: str) -> can.Message | None:
     if parsed is None:
         return None
     if parsed.timestamp is None:
-        raise BusLogError("its lines have no times: record them by candump -L")
+        raise BusLogError("its frames have no times: record them by candump -L")
     stamp = parsed.timestamp
     return can.Message(
         timestamp=stamp.total_seconds() if isinstance(stamp, timedelta) else stamp.timestamp(),

@@ -12,6 +12,16 @@ def cut_poses(path: Path) -> None:
     (path / "poses.csv").write_text("\n".join(lines[:5]))
 
 
+def a_day_earlier(text: bytes) -> bytes:
+    head, *rows = text.decode().splitlines()
+    cells = [row.split(",", 1) for row in rows]
+    return "\n".join([head, *(f"{float(time) - 86_400.0},{rest}" for time, rest in cells)]).encode()
+
+
+def packed_log(path: Path) -> None:
+    (path / "poses.csv").rename(path / "can.log.gz")
+
+
 BAD: dict[str, tuple[Spoil, str, str]] = {
     "no frames.csv": (gone("frames.csv"), "frames.csv", "no such file"),
     "no poses": (gone("poses.csv"), "poses.csv", "no poses"),
@@ -58,6 +68,8 @@ BAD: dict[str, tuple[Spoil, str, str]] = {
     "pose nan": (line("poses.csv", 2, "-0.2,0,nan,1,0,0,0,1"), "poses.csv, line 2", "y_mm = 'nan'"),
     "pose no rotation": (line("poses.csv", 2, "-0.2,0,0,1,0,0,0,2"), "poses.csv, line 2", "no rotation"),
     "poses stop early": (cut_poses, "poses.csv", "poses stop before the frames"),
+    "poses of another day": (content("poses.csv", a_day_earlier), "poses.csv", "s; both need one clock"),
+    "a packed log": (packed_log, "poses.csv", "can.log.gz is packed by gzip: unpack it"),
     "no bytes": (content("frames.csv", lambda _: b""), "frames.csv, line 1", "is empty; needed are frame,"),
     "a header alone": (
         content("poses.csv", lambda text: text.split(b"\n")[0]),

@@ -122,9 +122,9 @@ def test_missing_file_and_folder(tmp_path):
         (
             "bus.log",
             b" can0  110   [8]  00 00 00 00 00 00 00 00\n",
-            "its lines have no times: record them by candump -L",
+            "line 1: its frames have no times: record them by candump -L",
         ),
-        ("bus.log", b"\xff\xfe\x00", "line 1 is none"),
+        ("bus.log", b"\xff\xfe\x00", "is UTF-16"),
         ("bus.db", b"not a database at all" * 100, "is no database of python-can"),
     ],
 )

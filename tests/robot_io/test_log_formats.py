@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 import time
 from datetime import datetime
@@ -176,6 +177,14 @@ TRC = ";$FILEVERSION=1.1\n;$STARTTIME=45413.4166608796\n;\n" + "".join(
 )
 
 
+WITH_WAY = re.sub(r"can0  ", "can0  RX - -  ", SCREEN)
+STATES = ";$FILEVERSION=2.0\n;$STARTTIME=45413.4166608796\n;$COLUMNS=N,O,T,I,d,l,D\n" + "".join(
+    f"{n:7} {1e3 * (frame.timestamp - START_S):13.3f} DT     {frame.arbitration_id:04X} Rx 8  "
+    f"{frame.data.hex(' ').upper()}\n{n:7} 1.000 ST          Rx    00 00 00 08\n"
+    for n, frame in enumerate(pose_frames(20), 1)
+)
+
+
 def written(path, made):
     """Write a log by python-can's own writer of its format."""
     with can.Logger(path) as log:
@@ -193,7 +202,9 @@ def test_what_python_can_writes_is_read(tmp_path, utc, suffix):
     assert reader.damage is None
 
 
-@pytest.mark.parametrize(("suffix", "text"), [(".log", SCREEN), (".trc", TRC)])
+@pytest.mark.parametrize(
+    ("suffix", "text"), [(".log", SCREEN), (".log", WITH_WAY), (".trc", TRC), (".trc", STATES)]
+)
 def test_what_candump_prints_and_peaks_tools_write_is_read(tmp_path, suffix, text):
     path = tmp_path / f"can{suffix}"
     path.write_text(text)
@@ -216,6 +227,37 @@ def test_two_robots_in_one_log_are_refused_until_one_is_named(tmp_path, suffix):
     assert len(poses_in(path, second)[0]) == 5
     with pytest.raises(BusLogError, match=f"has no frame of the channel 7; there are {first}, {second}"):
         poses_in(path, "7")
+
+
+STEPS = re.sub(
+    r"\([\d.]+\)(?=  can0  11(.))", lambda line: f"(000.{'009800' if line[1] == '0' else '000200'})", SCREEN
+)
+UNFIT = {
+    "candump -td": (
+        ".log",
+        STEPS.encode(),
+        "line 2: the time falls back to 0.000200, .* record by candump -L",
+    ),
+    "a .trc": (".log", TRC.encode(), "line 1 is none as candump -L"),
+    "a .log": (".asc", SCREEN.encode(), "line 1 is none as Vector's tools"),
+    "channels by name": (".asc", asc_text().replace(" 1  1", " CAN1  1").encode(), "line 3 is none"),
+    "packed": (".asc", gzip.compress(asc_text().encode()), "is packed by gzip: unpack it"),
+    "UTF-16": (".log", SCREEN.encode("utf-16"), "is UTF-16: save it as UTF-8"),
+}
+
+
+@pytest.mark.parametrize("name", UNFIT)
+def test_a_log_of_another_kind_is_refused_with_a_cure(tmp_path, name):
+    suffix, content, problem = UNFIT[name]
+    path = tmp_path / f"can{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(BusLogError, match=problem):
+        poses_in(path)
+
+
+def test_a_suffix_may_be_in_capitals(tmp_path, utc):
+    (tmp_path / "RUN.ASC").write_text(asc_text())
+    assert len(poses_in(tmp_path / "RUN.ASC")[0]) == 3
 
 
 CUT = {".log": log_text(pose_frames(20)), ".asc": asc_text(n_poses=20), ".trc": TRC}
