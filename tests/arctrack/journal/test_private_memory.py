@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pickle
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -24,13 +25,13 @@ needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become 
 
 
 @pytest.fixture(autouse=True)
-def memory(tmp_path, monkeypatch):
+def memory(monkeypatch):
     """A folder as /dev/shm is: all may create in it, and remove what is theirs."""
-    tmp_path.chmod(0o1777)
-    for above in tmp_path.parents[:2]:
-        above.chmod(0o711)
-    monkeypatch.setattr(private_memory, "MEMORY", tmp_path)
-    return tmp_path
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        folder.chmod(0o1777)
+        monkeypatch.setattr(private_memory, "MEMORY", folder)
+        yield folder
 
 
 def as_other(action) -> None:

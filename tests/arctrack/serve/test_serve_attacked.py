@@ -118,8 +118,7 @@ def test_killed_neighbours_are_started_again_and_a_closed_terminal_ends_the_run(
                 ear.listen(lambda victim=victim: processes_of(page).get(victim, {}).get("running"))
                 assert processes_of(page)[victim]["ended"] == 1
                 assert f'arctrack_process_ends_total{{process="{victim}"}} 1.0' in told_by(page, "metrics")
-                meanwhile = [offset.validity for offset in ear.offsets()[before:]]
-                assert Validity.VALID in meanwhile
+                ear.listen(lambda n=before: Validity.VALID in [sent.validity for sent in ear.offsets()[n:]])
             run.process.send_signal(signal.SIGUSR1)
             ear.listen(lambda: any(boxes.glob("*_asked_by_SIGUSR1/recording.toml")))
             pids = [process["pid"] for process in processes_of(page).values()]
