@@ -30,12 +30,12 @@ class Trial:
     reasons: Mapping[str, int]
 
 
-def rows_to_try(recording: Recording) -> range:
-    """Return the positions of the frames to track: all of a short recording."""
+def rows_to_try(recording: Recording, most: int = MAX_TRIED) -> range:
+    """Return the positions of at most so many frames in a row to track: all of a short recording."""
     rows = recording.rows
     first_lit = next((n for n, row in enumerate(rows) if row.arc_on), 0)
-    first = max(0, min(first_lit - TRIED_BEFORE_ARC, len(rows) - MAX_TRIED))
-    return range(first, min(first + MAX_TRIED, len(rows)))
+    first = max(0, min(first_lit - min(TRIED_BEFORE_ARC, most // 2), len(rows) - most))
+    return range(first, min(first + most, len(rows)))
 
 
 def try_out(recording: Recording, positions: Sequence[int]) -> Trial:

@@ -15,7 +15,7 @@ import numpy as np
 
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
-from noise_model.surface.joint import corrugation_height, seam_frame, section
+from noise_model.surface.joint import SeamSegments, corrugation_height, nearest_segment, seam_frame, section
 from noise_model.transforms import invert, transform
 from tracker.checks import Asked
 from tracker.geometry import SEARCH_REACH_MM, to_laser_plane
@@ -29,6 +29,9 @@ BESIDE_MM = 4.0
 
 MIN_BEYOND_MM = 2.0
 """A line that reaches less far beyond these corners shows no joint."""
+
+ENOUGH = 0.5
+"""If fewer of the frames, or of the wanted offsets, of a run are as they should be, something is wrong."""
 
 MIN_POINTS, MAX_POINTS = 8, 240
 """Fewer points beside the joint tell nothing of it; so many of a line are enough."""
@@ -96,7 +99,10 @@ class LinePoints:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """How well lines lie on a section: `share` of all points, where it is displaced along a straight line."""
+    """How well lines lie on a section: `share` of all points, where it is displaced along a straight line.
+
+    It is 0 where the nominal line ends before most of the torch's places: there no offset goes out.
+    """
 
     share: float
     lines: tuple[LinePoints, ...]
@@ -112,7 +118,21 @@ def fit(setup: Setup, sights: Sequence[Sight], fineness: Fineness = COARSE) -> F
         float(_share_on(*_off(line, vertices, place[:1]), place[1:], line.within_mm(fineness))[0])
         for line, place in zip(lines, straight, strict=True)
     ]
-    return Fit(float(np.mean(shares)) if shares else 0.0, tuple(lines))
+    on_line = [_torch_is_on_line(setup, sight.T_base_tool) for sight in sights]
+    reaches = sum(on_line) >= ENOUGH * len(on_line)
+    return Fit(float(np.mean(shares)) if shares and reaches else 0.0, tuple(lines))
+
+
+def _torch_is_on_line(setup: Setup, T_base_tool: Float64) -> bool:
+    """Return whether the torch is between the ends of the nominal line, True where no pose is known."""
+    tip_mm = np.array(T_base_tool[:3, 3])
+    if not np.isfinite(tip_mm).all():
+        return True
+    segments = SeamSegments.of(setup.joint)
+    nearest = nearest_segment(segments, tip_mm)
+    step = segments.steps[nearest]
+    along = float((tip_mm - segments.starts[nearest]) @ step / (step @ step))
+    return (nearest > 0 or along >= 0.0) and (nearest < len(segments.steps) - 1 or along <= 1.0)
 
 
 def line_points(setup: Setup, sight: Sight) -> LinePoints:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from arctrack.check.case import Case
 from arctrack.check.fit import LinePoints
@@ -46,20 +46,31 @@ def likely_mistake(case: Case, joint_is_seen: bool = False) -> Hint | None:
     """
     stated = case.fit() if case.fits_camera else None
     share = 0.0 if stated is None else stated.share
-    hint = None if share > 1.0 - GAIN else _best(case, common_mistakes(case.T_tool_controllertool), share)
+    hint = None
+    if share <= 1.0 - GAIN:
+        hint = either(_explaining(case, common_mistakes(case.T_tool_controllertool), share))
     if hint is None and stated is not None and not joint_is_seen:
         hint = _joint_hint(case.setup, stated.lines)
     if hint is None and share <= 1.0 - GAIN:
-        hint = _best(case, focal_lengths(case.setup.camera), share)
+        fitting = _explaining(case, focal_lengths(case.setup.camera), share)
+        hint = fitting[len(fitting) // 2] if fitting else None
     return hint
 
 
-def _best(case: Case, mistakes: Sequence[Mistake], stated_share: float) -> Hint | None:
-    """Return the hint to the mistake without which most points lie on the section, if decidedly so."""
+def either(hints: Sequence[Hint]) -> Hint | None:
+    """Return the first hint; its cure names the second too, which explains a recording as well."""
+    if not hints:
+        return None
+    first, *others = hints
+    return replace(first, cure=f"{first.cure}; or else {others[0]}") if others else first
+
+
+def _explaining(case: Case, mistakes: Sequence[Mistake], stated_share: float) -> list[Hint]:
+    """Return the mistakes without which most points lie on the section, the commonest first."""
     hints = []
     for mistake in mistakes:
         undone = mistake.undo(case)
-        if undone is None:
+        if undone is None or not undone.fits_camera:
             continue
         try:
             hints.append(Hint(mistake.what, mistake.cure, undone.fit().share, undone))
@@ -68,9 +79,8 @@ def _best(case: Case, mistakes: Sequence[Mistake], stated_share: float) -> Hint 
             continue
     most = max((hint.share for hint in hints), default=0.0)
     if most < max(FITS, stated_share + GAIN):
-        return None
-    # Some mistakes have the same effect: the commonest is named.
-    return next(hint for hint in hints if hint.share >= most - EQUAL_SHARE)
+        return []
+    return [hint for hint in hints if hint.share >= most - EQUAL_SHARE]
 
 
 def _joint_hint(setup: Setup, lines: Sequence[LinePoints]) -> Hint | None:

@@ -17,6 +17,11 @@ from noise_model.transforms import invert
 FOCAL_STEP, FOCAL_OVER_WIDTH = 1.04, (0.4, 12.0)
 """Focal lengths to try: the ratio of two, and the least and most over the image's width."""
 
+MAX_REACH_MM = 1e4
+"""No seam in m is taken to reach farther, mm: twice the reach of the largest welding robots."""
+
+LENGTH_UNITS_MM = {"m": 1000.0, "cm": 10.0, "inches": 25.4}
+
 TIME_UNITS = {"ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
 
 
@@ -68,7 +73,11 @@ def _poses() -> Iterator[Mistake]:
         return Mistake(f"the poses {what}", f"poses.csv: {cure}", partial(Case.with_poses, change=change))
 
     yield poses("have their quaternions as w x y z", "put qw last", _from_wxyz)
-    yield poses("are in m", "give x_mm, y_mm, z_mm in mm", _from_metres)
+    for unit, factor in LENGTH_UNITS_MM.items():
+        yield poses(f"are in {unit}", "give x_mm, y_mm, z_mm in mm", partial(_from_unit, factor=factor))
+    yield Mistake(
+        "the poses and [joint] seam_in_base_mm are in m", "give both in mm", _with_poses_and_seam_in_mm
+    )
     yield poses("are inverted: they take points of base to the tool", "give the tool's place in base", invert)
     yield poses("have conjugated quaternions", "change the signs of qx, qy, qz", _turned_back)
 
@@ -81,6 +90,16 @@ def _images() -> Iterator[Mistake]:
             partial(_with_images, move=move, turns=turns),
         )
 
+    yield Mistake(
+        "[camera] width and height are not those of the frames",
+        "recording.toml: state the frames' size",
+        _with_size,
+    )
+    yield Mistake(
+        "[camera] is that of a larger or smaller image than the frames",
+        "recording.toml: scale width, height, fx, fy, cx and cy to the frames' size",
+        _with_scale,
+    )
     # Points are (x, y) of images of width w and height h.
     yield frames("rotated by 180°", lambda p, w, h: np.array([w - 1.0, h - 1.0]) - p, turns=False)
     yield frames("mirrored left to right", lambda p, w, h: _beside(w - 1.0 - p[:, 0], p[:, 1]), turns=False)
@@ -109,7 +128,13 @@ def _hand_eye() -> Iterator[Mistake]:
 
     yield hand_eye("is inverted", "give the camera's place in the tool frame", invert)
     yield hand_eye("has its quaternion as w x y z", "put w last", _from_wxyz)
-    yield hand_eye("is in m", "give translation_mm in mm", _from_metres)
+    yield hand_eye("is in m", "give translation_mm in mm", partial(_from_unit, factor=1000.0))
+    for name in ("fx", "fy"):
+        yield Mistake(
+            f"[camera] {name} is not that of this lens",
+            "recording.toml: fx and fy are alike where pixels are square",
+            partial(_with_square_pixels, wrong=name),
+        )
     yield Mistake(
         "[camera] cx and cy are exchanged",
         "recording.toml: cx goes with the width, cy with the height",
@@ -222,15 +247,41 @@ def _turned_back(T: Float64) -> Float64:
     return changed
 
 
-def _from_metres(T: Float64) -> Float64:
+def _from_unit(T: Float64, factor: float) -> Float64:
     changed = T.copy()
-    changed[:3, 3] *= 1000.0
+    changed[:3, 3] *= factor
     return changed
 
 
 def _with_images(case: Case, move: Callable[[Float64, int, int], Float64], turns: bool) -> Case | None:
     moved = case.with_points(move, turns)
     return moved if moved.fits_camera else None
+
+
+def _with_size(case: Case) -> Case | None:
+    if case.fits_camera:
+        return None
+    width, height = case.size_px
+    return _with_camera(case, lambda camera: replace(camera, width=width, height=height))
+
+
+def _with_scale(case: Case) -> Case | None:
+    camera, (width, height) = case.setup.camera, case.size_px
+    ratio = width / camera.width
+    if case.fits_camera or camera.height * ratio != height:
+        return None
+    # Pixels are counted from the middle of the first.
+    cx, cy = (ratio * (c + 0.5) - 0.5 for c in (camera.cx, camera.cy))
+    scaled = replace(camera, width=width, height=height, fx=ratio * camera.fx, fy=ratio * camera.fy)
+    return case.with_setup(replace(case.setup, camera=replace(scaled, cx=cx, cy=cy)))
+
+
+def _with_square_pixels(case: Case, wrong: str) -> Case | None:
+    camera = case.setup.camera
+    if 1.0 / FOCAL_STEP < camera.fx / camera.fy < FOCAL_STEP:
+        return None
+    right = camera.fy if wrong == "fx" else camera.fx
+    return _with_camera(case, lambda camera: replace(camera, fx=right, fy=right))
 
 
 def _with_camera(case: Case, change: Callable[[Camera], Camera]) -> Case:
@@ -265,6 +316,12 @@ def _with_normal_turned(case: Case) -> Case:
     return case.with_setup(replace(case.setup, joint=joint))
 
 
-def _with_seam_in_mm(case: Case) -> Case:
+def _with_poses_and_seam_in_mm(case: Case) -> Case | None:
+    return _with_seam_in_mm(case.with_poses(partial(_from_unit, factor=1000.0)))
+
+
+def _with_seam_in_mm(case: Case) -> Case | None:
     points = tuple((1000.0 * x, 1000.0 * y, 1000.0 * z) for x, y, z in case.setup.joint.seam_in_base_mm)
+    if np.abs(points).max() > MAX_REACH_MM:
+        return None
     return case.with_setup(replace(case.setup, joint=replace(case.setup.joint, seam_in_base_mm=points)))

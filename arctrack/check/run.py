@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 
 from arctrack.check.case import Case, case_of, chosen_rows, laser_off_rows
 from arctrack.check.findings import Finding, findings, timing_findings
+from arctrack.check.fit import ENOUGH
 from arctrack.check.hint import Hint, likely_mistake
 from arctrack.check.look import Look, looks_at
 from arctrack.check.sensor_seen import SensorSeen, sensor_seen
 from arctrack.check.timing import timing_of
-from arctrack.check.verdict import ENOUGH, Verdict, is_few, verdict_of
+from arctrack.check.units import likely_unit
+from arctrack.check.verdict import Verdict, is_few, verdict_of
 from arctrack.errors import ArctrackError, in_file
 from arctrack.offset_count import OffsetCount
 from arctrack.recording import BadFrame, Recording
@@ -85,6 +87,8 @@ def check_recording(
     seen = sum(look.track.valid and not look.track.flags & JOINT_TYPE_MISMATCH.mask for look in looks)
     joint_is_seen = seen >= ENOUGH * max(len(positions), 1)
     hint = None if case is None else likely_mistake(case, joint_is_seen)
+    if hint is None and not is_tracked:
+        hint = likely_unit(recording)
     all_findings = list(timing_findings(timing))
     if case is not None and case.fits_camera:
         all_findings.append(_lines_finding(case, hint if is_tracked else None))

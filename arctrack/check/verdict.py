@@ -6,16 +6,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from arctrack.check.case import case_of, chosen_rows
+from arctrack.check.fit import ENOUGH
 from arctrack.check.hint import Hint, likely_mistake
+from arctrack.check.units import likely_unit
 from arctrack.offset_count import OffsetCount, faults
 from arctrack.recording import Recording
 from arctrack.recording.results import Summary, count_flags, counts_in_words
 from robot_io import GateReason
 from tracker import flags
 from tracker.state import Track
-
-ENOUGH = 0.5
-"""If fewer of the wanted offsets go out, or of the frames with the laser on are valid, something is wrong."""
 
 MAX_NAMED = 3
 """So many flags, and reasons of the gate, are named, the most frequent first."""
@@ -127,4 +126,5 @@ def _hint_for(recording: Recording) -> Hint | None:
     """Look at some frames of a recording and return what most likely is wrong, None for nothing known."""
     positions = chosen_rows(recording)
     case = case_of(recording, positions, list(recording.images(positions)))
-    return None if case is None else likely_mistake(case)
+    hint = None if case is None else likely_mistake(case)
+    return hint or likely_unit(recording)

@@ -147,6 +147,37 @@ def _normal_turned(path: Path) -> None:
     edit_setup(path, edit)
 
 
+def _key(table: str, name: str, change: Callable[[float], float]) -> Callable[[Path], None]:
+    def changed(value: Any) -> Any:
+        return [changed(item) for item in value] if isinstance(value, list) else change(value)
+
+    def edit(document: Any) -> None:
+        document[table][name] = changed(document[table][name])
+
+    return lambda path: edit_setup(path, edit)
+
+
+def _metres(value: float) -> float:
+    return 0.001 * value
+
+
+def _of_larger_image(path: Path) -> None:
+    for name in ("width", "height"):
+        _key("camera", name, lambda value: 2 * value)(path)
+    for name in ("fx", "fy", "cx", "cy"):
+        _key("camera", name, lambda value: 2.0 * value)(path)
+
+
+def _poses_in_cm(path: Path) -> None:
+    for axis in "xyz":
+        edit_table(path / "poses.csv", scale(f"{axis}_mm", 0.1))
+
+
+def _poses_and_seam_in_metres(path: Path) -> None:
+    _in_metres(path)
+    _key("joint", "seam_in_base_mm", _metres)(path)
+
+
 MISTAKES: dict[str, tuple[Callable[[Path], None], str]] = {
     "tool z down": (_turned("x"), "the poses' tool z points into the part (its +x is arctrack's x)"),
     "tool z down, x back": (_turned("y"), "the poses' tool z points into the part (its -x is arctrack's x)"),
@@ -199,6 +230,26 @@ MISTAKES: dict[str, tuple[Callable[[Path], None], str]] = {
     "surface normal into the part": (_normal_turned, "[joint] surface_normal_in_base points into the part"),
     "focal length halved": (_focal(0.5), "[camera] fx, fy: about"),
     "focal length doubled": (_focal(2.0), "[camera] fx, fy: about"),
+    "image size": (
+        _key("camera", "width", lambda value: value + 8),
+        "[camera] width and height are not those of the frames",
+    ),
+    "camera of a larger image": (
+        _of_larger_image,
+        "[camera] is that of a larger or smaller image than the frames",
+    ),
+    "fy doubled": (_key("camera", "fy", lambda value: 2.0 * value), "[camera] fy is not that of this lens"),
+    "seam in m": (_key("joint", "seam_in_base_mm", _metres), "[joint] seam_in_base_mm is in m"),
+    "poses and seam in m": (
+        _poses_and_seam_in_metres,
+        "the poses and [joint] seam_in_base_mm are in m",
+    ),
+    "poses in cm": (_poses_in_cm, "the poses are in cm"),
+    "depth in m": (_key("joint", "depth_mm", _metres), "[joint] depth_mm is in m"),
+    "angle in rad": (_key("joint", "included_angle_deg", np.deg2rad), "[joint] included_angle_deg is in rad"),
+    "laser's origin in m": (_key("laser", "origin_in_tool_mm", _metres), "[laser] origin_in_tool_mm is in m"),
+    "stripe's sigma in m": (_key("laser", "stripe_sigma_mm", _metres), "[laser] stripe_sigma_mm is in m"),
+    "tolerance in m": (_key("tolerance", "seam_mm", _metres), "[tolerance] seam_mm is in m"),
     "focal length in mm": (_focal(16.2 / 2190.0), "[camera] fx, fy: about"),
 }
 """Each mistake: what spoils a recording of a V-groove, and what the hint says of it."""

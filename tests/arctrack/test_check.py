@@ -113,6 +113,24 @@ def test_frames_that_are_valid_and_send_nothing(weaving: Path, tmp_path: Path) -
     assert checked(path, tmp_path / "check.raw")[0] == NOTHING_TRACKED
 
 
+@pytest.mark.slow
+def test_no_cure_loosens_a_tolerance_that_is_in_mm(weaving: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(weaving, tmp_path / "r"))
+    edit_setup(path, lambda document: document["tolerance"].update(hand_eye_mm=50.0))
+    code, said = checked(path, tmp_path / "check.raw")
+    assert code == NOTHING_TRACKED, said
+    assert "are the lengths and angles of [tolerance] in mm and degrees?" in said
+
+
+@pytest.mark.slow
+def test_no_unit_is_the_cure_of_a_setup_that_is_refused_with_it_too(weaving: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(weaving, tmp_path / "r"))
+    edit_table(path / "poses.csv", scale("x_mm", -1.0))
+    _, said = checked(path, tmp_path / "check.raw")
+    assert "runs against the travel" in said
+    assert "is in m" not in said
+
+
 def checked(path: Path, out: Path) -> tuple[int, str]:
     """Check and return the exit code and what was said."""
     result = CliRunner().invoke(app, ["check", str(path), "--out", str(out)])
