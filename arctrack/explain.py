@@ -140,7 +140,9 @@ def explain(
     )
     look = None
     if pose is not None and reading is not None:
-        look = _look(geometry, before, frame, pose, reading, use_arc_map)
+        # A frame that contradicts the arc map was read as if no arc were said to burn.
+        as_read = replace(frame, arc_on=frame.arc_on and reading.arc.is_on)
+        look = _look(geometry, before, as_read, pose, reading, use_arc_map)
     if on_frame is not None:
         on_frame(position + 1)
     return Explanation(recording, geometry, frame, pose, use_arc_map, before, after, track, look)

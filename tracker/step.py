@@ -6,16 +6,18 @@ Live service, replay, tests and diagnosis call the same `step` and get the same 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeGuard
 
 import numpy as np
 
 from noise_model.arrays import as_compiled_for
-from tracker import checks
-from tracker.checks import Asked, ask_whether
+from tracker import checks, flags
+from tracker.checks import Asked, ask, ask_whether, take_answer
 from tracker.frame import TRACKS, FrameCall
 from tracker.frame_pieces import REFUSED, TRACKED, FrameGiven, FrameTracked, begin, end, look_by, seen_by
 from tracker.geometry import SensorGeometry
 from tracker.joint.type_check import family_of, number_of
+from tracker.look import MISFIT_LIMIT
 from tracker.measure import Reading, fit_by_pieces, frame_light, look_through_effects
 from tracker.seam.correction import UNSTATED, Correction
 from tracker.seam.judge import SeamShown
@@ -104,8 +106,55 @@ def step_and_reading(
 ) -> tuple[TrackerState, Track, Reading | None]:
     """Return what `step` does and the look at the frame that it rests on, None where it took none.
 
-    The `call` is the setup's `prepared_call`, if there is one.
+    The `call` is the setup's `prepared_call`, if there is one. A frame that contradicts the arc map and shows
+    no seam over it is read as if no arc were stated: over an even background, by its own scatter.
     """
+    by_map = _step_once(geometry, state, frame, pose, work, use_arc_map, correction, lead, call)
+    if not (use_arc_map and _contradicts_map(by_map[2]) and not by_map[1].valid):
+        return by_map
+    without = replace(frame, arc_on=False)
+    plain = _step_once(geometry, state, without, pose, work, use_arc_map, correction, lead, call)
+    return _as_contradicted(*plain, by_map[2]) if plain[1].valid else by_map
+
+
+def _contradicts_map(reading: Reading | None) -> TypeGuard[Reading]:
+    """Return True if no level of the arc fits a frame off the stripe, or its misfit exceeds the limit.
+
+    What the map predicts beneath the stripe is then no evidence against a stripe.
+    """
+    if reading is None or reading.flags & flags.LASER_OFF.mask:
+        return False
+    return bool(reading.flags & flags.ARC_LEVEL_UNKNOWN.mask) or reading.arc.misfit > MISFIT_LIMIT
+
+
+def _as_contradicted(
+    state: TrackerState, track: Track, reading: Reading | None, by_map: Reading
+) -> tuple[TrackerState, Track, Reading | None]:
+    """Return a step without the arc map, whose track says of the arc what the look with the map found."""
+    assert reading is not None
+    asked = reading.asked
+    for question in (checks.ARC_ON, checks.ARC_LEVEL_KNOWN, checks.ARC_LEVEL, checks.MAP_MISFIT):
+        take_answer(asked, by_map.asked, question)
+    # It is not asked of a level that is none.
+    if not asked.flags & (flags.ARC_LEVEL_UNKNOWN.mask | flags.MAP_MISFIT.mask):
+        ask(asked, checks.MAP_MISFIT, by_map.arc.misfit, MISFIT_LIMIT)
+    arc = by_map.arc
+    told = replace(track, flags=asked.flags, checks=asked.answers, arc_level=arc.level, map_misfit=arc.misfit)
+    return state, told, reading
+
+
+def _step_once(
+    geometry: SensorGeometry,
+    state: TrackerState,
+    frame: Frame,
+    pose: Pose | None,
+    work: Work,
+    use_arc_map: bool,
+    correction: Correction,
+    lead: Lead,
+    call: FrameCall | None,
+) -> tuple[TrackerState, Track, Reading | None]:
+    """Return what a step does that takes the frame's arc as it is said to be."""
     asked = Asked.nothing()
     if pose is None or not _is_readable(geometry, frame, pose):
         _ask_frame(asked, geometry, frame, pose)

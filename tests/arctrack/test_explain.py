@@ -433,6 +433,27 @@ def test_a_jump_is_told_with_its_limit(recording: Recording) -> None:
 
 
 @pytest.mark.slow
+def test_a_frame_that_was_read_without_the_arc_map_is_explained_as_it_was_read(tmp_path: Path) -> None:
+    setup = nominal_setup("fillet", "zn_coated", width=320, height=240)
+    setup = replace(setup, arc=replace(setup.arc, radiance_e=8.0e6))
+    of_one = read_recording(
+        simulate_recording(tmp_path / "f", setup, SimulationPlan(frames=1, production=True))
+    )
+    center_mm = tuple(np.add(setup.arc.center_in_tool_mm, (0.0, 15.0, 0.0)))
+    stated = replace(of_one.setup, arc=replace(of_one.setup.arc, center_in_tool_mm=center_mm))
+    found = explain(replace(of_one, setup=stated), of_one.rows[0].index)
+    assert found.track.valid
+    assert "read over an even background" in assert_told(found)
+    assert not failed(found, flags.ARC_LEVEL_UNKNOWN).flag.invalidates
+    assert found.look is not None
+    assert found.look.stripe is not None
+    assert found.track.stripe is not None
+    np.testing.assert_array_equal(
+        found.look.stripe.reading.stripe.position_px, found.track.stripe.position_px
+    )
+
+
+@pytest.mark.slow
 def test_a_lost_stripe_is_told_by_its_share(simulated: Path, tmp_path: Path) -> None:
     path = Path(shutil.copytree(simulated, tmp_path / "r"))
     lines = (path / "frames.csv").read_text().splitlines()

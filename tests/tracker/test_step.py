@@ -115,6 +115,38 @@ def test_the_torch_on_the_measured_stretch_gets_the_seams_own_offset(v: Setup) -
     assert track.offset_sigma_y_mm < 0.1
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("joint", "off_mm", "laser", "flag"),
+    [
+        ("fillet", (0.0, 15.0, 0.0), 1.0, "arc_level_unknown"),
+        ("butt", (35.0, 10.0, 0.0), 0.1, "map_misfit"),
+        # The level is zero, and the light is there.
+        ("fillet", (35.0, 10.0, 0.0), 0.1, "map_misfit"),
+    ],
+)
+def test_frames_that_contradict_the_arc_map_are_read_without_it(
+    joint: str, off_mm: tuple[float, float, float], laser: float, flag: str
+) -> None:
+    true = small_setup(joint)
+    center_mm = np.add(true.arc.center_in_tool_mm, off_mm)
+    stated = replace(true, arc=replace(true.arc, center_in_tool_mm=tuple(center_mm)))
+    poses = [pose_at(x_mm) for x_mm in (5.0, 15.0, 25.0)]
+    frames = [frame_of(stated, pose, SHIFTED, laser=laser, index=i, of=true) for i, pose in enumerate(poses)]
+    seen = tracks(stated, zip(frames, poses, strict=True))
+    for n in (0, 2):
+        assert_seam(true, seen[n], poses[n], SHIFTED)
+        assert ("searched" in seen[n].flag_names) == (n == 0)
+    assert flag in seen[2].flag_names
+    assert ("arc_off" in seen[2].flag_names) == (seen[2].arc_level == 0.0)
+    assert np.isnan(seen[2].map_misfit) == (flag == "arc_level_unknown")
+    for one, again in zip(seen, tracks(stated, zip(frames, poses, strict=True)), strict=True):
+        assert_same(one, again)
+    # The arc's own light is no stripe.
+    dark = frame_of(stated, poses[0], SHIFTED, laser=1e-9, of=true)
+    assert not Tracker(stated).step(dark, poses[0]).valid
+
+
 @pytest.mark.parametrize("x_mm", [-22.0, -35.0, -10.0])
 def test_a_corrugation_is_followed_in_height(setups: dict[str, Setup], x_mm: float) -> None:
     setup, seam = setups["corrugation"], SeamLine(0.0, 0.5, -0.3)

@@ -173,6 +173,12 @@ def arc_sentence(explanation: Explanation) -> str:
         return ""
     share = float(np.nanmedian(parts.arc_share))
     typical = number(float(np.nanmedian(sigma)))
+    contradicts = flags.ARC_LEVEL_UNKNOWN.mask | flags.MAP_MISFIT.mask
+    if not explanation.look.reading.arc.is_on and explanation.track.flags & contradicts:
+        return (
+            "The frame contradicts the arc map and shows no seam over it. So the stripe was read over an "
+            f"even background: σ is {typical} px in the median scan line."
+        )
     if explanation.track.flags & flags.ARC_OFF.mask:
         return f"There is no arc light to read through: σ is {typical} px in the median scan line."
     without = float(np.nanmedian(sigma * np.sqrt(1.0 - parts.arc_share)))
