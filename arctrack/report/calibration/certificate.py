@@ -62,8 +62,8 @@ def certificate_page(
     rest = certificate.without(certificate.weakest)
     field = certificate.points_tool_mm
     sentences = (
-        f"That is {COVER:g} σ at the point of the laser sheet nearest to the tool's axis. At the "
-        f"worst point it is ± {COVER * certificate.sigma_mm[worst, LATERAL]:.2f} mm lateral and "
+        f"That is {COVER:g} σ of the calibration at the point of the laser sheet nearest to the tool's "
+        f"axis. At the worst point it is ± {COVER * certificate.sigma_mm[worst, LATERAL]:.2f} mm lateral and "
         f"± {COVER * certificate.sigma_mm[worst, VERTICAL]:.2f} mm vertical. "
         "The sheet was judged where the pairs show it, from "
         f"{field[:, LATERAL].min():.0f} to {field[:, LATERAL].max():.0f} mm across the seam and from "
@@ -82,7 +82,7 @@ def certificate_page(
         (
             Picture(
                 _map(certificate),
-                "1 σ of the seam's position over the laser sheet",
+                "1 σ of the calibration over the laser sheet",
                 "The cross is the point nearest to the tool's axis.",
             ),
         ),

@@ -271,7 +271,11 @@ def history_picture(explanation: Explanation, look: Look) -> str:
                 stations, (mean - sigma)[:, axis], (mean + sigma)[:, axis], color=style.SKY, alpha=0.35, lw=0
             )
             axes.plot(
-                stations, mean[:, axis], color=style.BLUE, lw=1.0, label="the earlier frames' seam, ± 1 σ"
+                stations,
+                mean[:, axis],
+                color=style.BLUE,
+                lw=1.0,
+                label="the earlier frames' seam, ± 1 σ of measurement",
             )
             axes.errorbar(
                 history.stations_mm,

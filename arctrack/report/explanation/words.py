@@ -33,7 +33,7 @@ def headline(explanation: Explanation) -> str:
         _, y, z = track.seam_tool_mm
         return (
             f"Frame {track.frame}: the seam is at y {pm(y, track.sigma_y_mm)}, "
-            f"z {pm(z, track.sigma_z_mm)} mm in the tool frame."
+            f"z {pm(z, track.sigma_z_mm)} mm in the tool frame (1 σ of measurement and calibration)."
         )
     why = listed([flag.meaning for flag in raised(track.flags) if flag.invalidates], "and")
     verb = "shows a seam that is not used" if math.isfinite(track.seam_tool_mm[1]) else "gives no seam"
@@ -52,7 +52,7 @@ def offset_sentence(explanation: Explanation) -> str:
         return "It gives no offset for the torch."
     if explanation.recording.correction != UNSTATED:
         return f"For the torch it proposes {known} mm, with what [follow] says of gain, bias and limits."
-    return f"At the torch the seam lies {known} mm off the programmed path."
+    return f"At the torch the seam lies {known} mm off the programmed path (1 σ of the measurement)."
 
 
 def places(explanation: Explanation) -> list[tuple[str, str, str, str]]:
@@ -86,13 +86,13 @@ def places(explanation: Explanation) -> list[tuple[str, str, str, str]]:
 
 
 def own_sigma(explanation: Explanation) -> str:
-    """Return which part of the seam's sigma is the measurement's own; nothing without a seam."""
+    """Return the measurement's part of the seam's sigma, mm; nothing without a seam."""
     if explanation.look is None or explanation.look.seam is None:
         return ""
     y, z = np.sqrt(explanation.look.seam.variance_mm2)
     return (
-        f"Of the seam's σ {number(y)} mm in y and {number(z)} mm in z are the measurement's own; "
-        "the rest is the stated hand-eye tolerance, much the same in all frames."
+        f"Of the seam's σ {number(y)} mm in y and {number(z)} mm in z are of the measurement; "
+        "the rest is of the calibration, as [tolerance] states it, much the same in all frames."
     )
 
 

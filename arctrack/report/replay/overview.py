@@ -92,7 +92,15 @@ def _seam(axes: Axes, tracks: Sequence[Track], truth: Truth | None, axis: int, l
         times = np.array([track.timestamp_s for track in valid])
         seam = np.array([track.seam_tool_mm[axis] for track in valid])
         sigma = np.array([track.sigma_y_mm if axis == 1 else track.sigma_z_mm for track in valid])
-        axes.fill_between(times, seam - sigma, seam + sigma, color=style.SKY, alpha=0.3, lw=0, label="±1 σ")
+        axes.fill_between(
+            times,
+            seam - sigma,
+            seam + sigma,
+            color=style.SKY,
+            alpha=0.3,
+            lw=0,
+            label="±1 σ, with calibration",
+        )
         axes.plot(times, seam, "o", color=style.BLUE, markersize=4, label="measured")
     if valid or truth is not None:
         axes.legend(fontsize=8, loc="best", framealpha=0.8)

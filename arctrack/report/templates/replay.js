@@ -125,7 +125,7 @@ function showExplanation() {
   section.classList.toggle("refused", !C.valid[n]);
   byId("explanation_title").textContent = `Why frame ${C.frame[n]} came out so`;
   byId("explanation_verdict").textContent = C.valid[n]
-    ? `The seam is at y ${withSigma(C.seam_y_mm[n], C.sigma_y_mm[n])}, z ${withSigma(C.seam_z_mm[n], C.sigma_z_mm[n])} in the tool frame.`
+    ? `The seam is at y ${signed(C.seam_y_mm[n], 3)}, z ${signed(C.seam_z_mm[n], 3)} mm in the tool frame.`
     : `It ${known(C.seam_y_mm[n]) ? "shows a seam that is not used" : "gives no seam"}: ` +
       raised(n).filter((flag) => flag.invalidates).map((flag) => flag.meaning).join("; ") + ".";
   listFlags(byId("explanation_flags"), n);

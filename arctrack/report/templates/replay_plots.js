@@ -163,7 +163,7 @@ function drawChart(chart, node) {
         ? { d: path([upper[0], lower[0]], plot.x, plot.y), stroke: SKY, "stroke-width": 5, "stroke-opacity": 0.5 }
         : { d: path([...upper, ...lower], plot.x, plot.y) + "Z", fill: SKY, "fill-opacity": 0.35 });
     }
-    entries.push(["± 1 σ", SKY, "band"]);
+    entries.push([chart.id.startsWith("seam") ? "± 1 σ, with calibration" : "± 1 σ, measurement", SKY, "band"]);
   }
   if (chart.truth && C[chart.truth].some(known)) {
     svg(plot.area, "path", { d: path(C[chart.truth].map((v, n) => (known(v) ? [times[n], v] : null)), plot.x, plot.y), stroke: INK, fill: "none" });
