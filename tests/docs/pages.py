@@ -60,18 +60,23 @@ class Command:
 
 @dataclass(frozen=True)
 class Script:
-    """A block of Python."""
+    """A block of Python, and the lines of its output, where a block of text behind it shows them."""
 
     text: str
+    shown: tuple[str, ...] = ()
 
 
 def steps(path: Path) -> list[Command | Script]:
     """Return what a page has its reader run, in order: `sh`, `console` and `python` blocks."""
     found: list[Command | Script] = []
-    for token in tokens(path):
-        if token.type == "fence" and token.info == "python":
+    fences = [token for token in tokens(path) if token.type == "fence"]
+    for before, token in itertools.pairwise([Token("", "", 0), *fences]):
+        if token.info == "python":
             found.append(Script(token.content))
-        elif token.type == "fence" and token.info in ("sh", "console"):
+        elif token.info == "text" and before.info == "python":
+            lines = [" ".join(line.split()) for line in token.content.splitlines()]
+            found[-1] = replace(found[-1], shown=tuple(lines))
+        elif token.info in ("sh", "console"):
             found += _commands(token.content, is_shell=token.info == "sh")
     return found
 

@@ -12,10 +12,11 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 import typer
 from documented import run, run_once, run_shown
-from pages import EVERY_PAGE, ROOT, Command, Script, name, quoted_commands, steps
+from pages import EVERY_PAGE, ROOT, Command, Script, links, name, quoted_commands, steps
 
 from arctrack.cli import app
 
@@ -201,13 +202,22 @@ def test_an_output_that_is_not_as_shown_is_seen() -> None:
 
 @pytest.mark.parametrize("page", list(filter(to_run, EVERY_PAGE)), ids=name)
 def test_a_page_does_what_it_shows(page: Path, scratch: Path, shared: Path) -> None:
-    """Run a page from top to bottom: a step may use what one before it has written."""
+    """Run a page from top to bottom: a step may use what one before it has written.
+
+    A picture of the page that a step writes is the page's, within a grey level.
+    """
     for step in to_run(page):
         if isinstance(step, Script):
             text = step.text.replace("/tmp/", f"{scratch / 'tmp'}/")
-            run([sys.executable, "-W", "error", "-c", text], scratch)
+            output = run([sys.executable, "-W", "error", "-c", text], scratch)
+            assert missing(output, step.shown) == [], output
         else:
             # What edits files in place is cheap, and is run on each page.
             is_pure = step.text.startswith(("arctrack ", "python examples/make_"))
             output = run_once(step.text, scratch, shared) if is_pure else run_shown(step.text, scratch)
             assert missing(output, step.shown) == [], output
+    for link in links(page):
+        made = scratch / "tmp" / Path(link).name
+        if link.endswith(".png") and made.exists():
+            pictures = [cv2.imread(str(path)).astype(int) for path in (made, page.parent / link)]
+            assert abs(pictures[0] - pictures[1]).max() <= 1, link
