@@ -39,13 +39,26 @@ _POINTS = {
     "abb": re.compile(r"\brobtarget\s+\w+\s*(?:\{\d+\})?\s*:=", re.IGNORECASE),
     "kuka": re.compile(r"\bE6POS\s+\w+\s*=", re.IGNORECASE),
     "fanuc": re.compile(r"\bP\[\d+[^\]]*\]\s*\{", re.IGNORECASE),
+    # A pose in another pose's frame is none in base.
+    "ur": re.compile(r"\bp\[|\bpose_(?:trans|add)\s*\("),
 }
 """What begins a point of a listing, whether or not its pose can be read."""
 
-_REMARKS = {"abb": re.compile(r"!.*"), "kuka": re.compile(r"^[ \t]*;.*", re.MULTILINE)}
+_NO_POINTS = {
+    "abb": re.compile(r"!.*"),
+    "kuka": re.compile(
+        r"^[ \t]*;.*|(?:\$\w+|\w+_DATA)\s*(?:\[\w+\])?\s*=\s*\{[^{}]*\}|\w+_REL\s*\{[^{}]*\}",
+        re.MULTILINE | re.IGNORECASE,
+    ),
+    "ur": re.compile(r"#.*|\bset_tcp\s*\(\s*p\[[^\]]*\]"),
+}
+"""What is no point of a path: remarks, frames of tools and bases, steps from one point to the next."""
 
 LISTED = tuple(_POSES)
 """The controllers whose listings are read."""
+
+LISTING_SUFFIXES = (".ls", ".mod", ".pgf", ".prg", ".script", ".src", ".sys", ".va")
+"""Names of files that are controllers' programs, and no tables."""
 
 
 @dataclass(frozen=True)
@@ -66,17 +79,17 @@ def find_poses(text: str, rotation: str) -> ListedPoses | None:
 
     UnfitFileError for a point that is no pose: FANUC's may be angles of joints.
     """
-    if rotation in _REMARKS:
-        text = _REMARKS[rotation].sub("", text)
+    if rotation in _NO_POINTS:
+        text = _NO_POINTS[rotation].sub(lambda match: "\n" * match[0].count("\n"), text)
     poses = list(_POSES[rotation].finditer(text))
-    if not poses:
-        return None
-    points = [point.start() for point in _POINTS[rotation].finditer(text)] if rotation in _POINTS else []
+    points = [point.start() for point in _POINTS[rotation].finditer(text)]
     starts = [pose.start() for pose in poses]
     for start, end in pairwise([*points, len(text)]):
         if bisect_left(starts, start) == bisect_left(starts, end):
             line = 1 + text.count("\n", 0, start)
             raise UnfitFileError("a point without a pose: show it in Cartesian coordinates", line)
+    if not poses:
+        return None
     ends_of_lines = [end.start() for end in re.finditer("\n", text)]
     return ListedPoses(
         np.array([[float(number) for number in pose.groups()] for pose in poses]),

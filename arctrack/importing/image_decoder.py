@@ -124,6 +124,8 @@ class EncodedImage:
 
     def pixels(self) -> Integers:
         """Return the levels, black 0, (H, W) grey or (H, W, 3 or 4) blue first; ArctrackError if damaged."""
+        # OpenCV prints more about a damaged image than the line that names it.
+        verbosity = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         try:
             if self.is_lossy and not self._header.is_tiff:
                 # OpenCV before 4.11 fills up a cut JPEG and says nothing.
@@ -133,6 +135,8 @@ class EncodedImage:
             pixels = cv2.imdecode(np.frombuffer(self._content, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
         except (OSError, cv2.error):
             pixels = None
+        finally:
+            cv2.utils.logging.setLogLevel(verbosity)
         if pixels is None:
             raise in_file(self.path, "is truncated or damaged; copy it anew, or leave it out")
         if pixels.dtype not in (np.uint8, np.uint16):

@@ -21,7 +21,7 @@ from arctrack.importing.columns import (
     rows_of_images,
     times_s,
 )
-from arctrack.importing.controller_listings import LISTED, find_poses
+from arctrack.importing.controller_listings import LISTED, LISTING_SUFFIXES, find_poses
 from arctrack.importing.image_files import ImageSeries
 from arctrack.importing.matrix_files import read_matrices
 from arctrack.importing.rotations import (
@@ -354,6 +354,8 @@ def read_poses(
     listed = None if rotation is None else read_listing(path, rotation, stated, series, may_lack=may_lack)
     if listed is not None:
         return listed, []
+    if rotation in LISTED and path.suffix.lower() in LISTING_SUFFIXES:
+        raise in_file(path, f"holds no pose as {rotation} lists them: give the file that holds the points")
     wanted = ",".join((*known_names(rotation), "and a time, frame or file if there is one"))
     columns = Columns(path, named, wanted)
     return read_pose_table(columns, rotation, stated, series, is_timed, may_lack=may_lack), [columns]

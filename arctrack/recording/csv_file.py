@@ -149,6 +149,10 @@ def read_header(path: Path, wanted: str) -> tuple[str, ...]:
     with _opened(path) as records:
         line, header = next(records, (1, []))
         _check_is_header(header, wanted, line)
+        row_line, row = next(records, (line, header))
+        if len(row) not in (len(header), len(header) + 1):
+            cure = f"if line {line} is no head, put # before it"
+            raise UnfitFileError(f"{_wrong_count(row, len(header))} in line {line}; {cure}", row_line)
         return tuple(name.strip() for name in header)
 
 
@@ -200,7 +204,12 @@ def _parse(
             # A separator at the line's end.
             cells.pop()
         if len(cells) != len(header):
-            raise UnfitFileError(_wrong_count(cells, len(header)), line)
+            is_last = next(records, None) is None
+            cut_off = "; the file is cut off: leave its last line out" if is_last and lines else ""
+            raise UnfitFileError(_wrong_count(cells, len(header)) + cut_off, line)
+        if not lines and not any(map(str.isdigit, "".join(cells))):
+            cure = "put # before it, and state units by --units or in names such as x_mm"
+            raise UnfitFileError(f"holds no number: if it is a row of units, {cure}", line)
         if len(lines) == LIMITS.csv_rows:
             raise UnfitFileError(f"holds more than {LIMITS.csv_rows} rows: that is the most", line)
         for place, name, parse in places:
@@ -327,8 +336,9 @@ def _begin(file: Iterator[str], begin: list[str]) -> str:
     if all(map(_is_time_or_number, _cells(row, separator))):
         for place, remark in reversed(remarks):
             separator_of_both = _separator(remark, row)
-            count = len(_cells(remark, separator_of_both))
-            if count == len(_cells(row, separator_of_both)) > 1:
+            names = _cells(remark, separator_of_both)
+            # Units below the names repeat.
+            if len(set(names)) == len(_cells(row, separator_of_both)) == len(names) > 1:
                 begin[place] = remark + "\n"
                 return separator_of_both
     return separator

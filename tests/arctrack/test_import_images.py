@@ -173,10 +173,13 @@ def test_a_palette_gives_its_colours(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".jpg", ".png", ".bmp", ".tif"])
 @pytest.mark.parametrize("share", [0.3, 0.7, 0.97])
-def test_a_truncated_image_is_refused(suffix: str, share: float, tmp_path: Path) -> None:
+def test_a_truncated_image_is_refused(
+    suffix: str, share: float, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     content = encoded(RNG.integers(0, 256, (40, 60), np.uint8), suffix)
     with pytest.raises(ArctrackError, match=r"image: is (truncated|no JPEG, PNG, BMP or TIFF)"):
         read(content[: int(share * len(content))], tmp_path)
+    assert capfd.readouterr() == ("", "")
 
 
 def two_pages() -> bytes:

@@ -61,6 +61,26 @@ def test_the_points_that_a_controller_keeps_are_read_in_their_order(name: str, t
     np.testing.assert_allclose(poses.T_base_tool[:, :3, :3], [turn("y", 180.0), turn("x", 90.0)], atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("rotation", "more"),
+    [
+        ("kuka", "$BASE={X 1,Y 2,Z 3,A 0,B 0,C 0}\nTOOL_DATA[1]={X 1,Y 2,Z 3,A 0,B 0,C 0}\n"),
+        ("kuka", "LIN_REL {X 1,Y 0,Z 0,A 0,B 0,C 0}\n"),
+        ("ur", "# movel(p[1,2,3,0,0,0])\nset_tcp(p[0,0,0.1,0,0,0])\n"),
+    ],
+)
+def test_frames_of_tools_and_bases_are_no_points(rotation: str, more: str, tmp_path: Path) -> None:
+    poses = poses_of(written(tmp_path, more + LISTINGS[rotation]), rotation)
+    np.testing.assert_allclose(poses.T_base_tool[:, 0, 3], [600.0, 601.5])
+
+
+def test_a_program_without_points_is_no_table(tmp_path: Path) -> None:
+    path = tmp_path / "pos.va"
+    path.write_text("[*POSREG*]\n  X: 600.0   Y: 500.0\n")
+    with pytest.raises(ArctrackError, match="holds no pose as fanuc lists them: give the file"):
+        poses_of(path, "fanuc")
+
+
 ROBTARGET = "[[{x},500,225.3],[0,0,1,0],[0,-1,0,0],[9E+09,9E+09,9E+09,9E+09,9E+09,9E+09]]"
 
 
@@ -105,6 +125,8 @@ def test_a_listing_may_name_the_images(tmp_path: Path) -> None:
             "line 6: a point without a pose",
         ),
         ("abb", RAPID.replace("[0,0,1,0]", "[0,0,9,0]"), "line 4: the quaternion's norm is 9.0000, not 1"),
+        ("ur", SCRIPT.replace("-0.5,", "y,"), "line 3: a point without a pose"),
+        ("ur", SCRIPT.replace("p[0.6015", "pose_trans(a, p[0.6015"), "line 3: a point without a pose"),
         ("ur", SCRIPT + SCRIPT, "lists 4 poses for 2 images: one each is needed"),
         (
             "abb",

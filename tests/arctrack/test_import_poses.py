@@ -298,6 +298,24 @@ REFUSED = {
         "",
         "has 1 rows for 2 images: add a column time, file or frame",
     ),
+    "a row of units": (
+        f"{HEAD}\nmm,mm,mm,deg,deg,deg\n{ROW}\n",
+        "kuka",
+        "",
+        "line 2: holds no number: if it is a row of units, put # before it",
+    ),
+    "a title above the head": (
+        f"Robot 4711, cell 2\n{HEAD}\n{ROW}\n",
+        "kuka",
+        "",
+        "no head, put # before it",
+    ),
+    "cut off": (
+        f"{HEAD}\n{ROW}\n{ROW[:6]}",
+        "kuka",
+        "",
+        "line 3: has 2 values where the header names 6; the file is cut off: leave its last line out",
+    ),
     "an image without a pose": (
         f"frame,{HEAD}\n0,{ROW}\n5,{ROW}\n",
         "kuka",
@@ -461,6 +479,8 @@ TABLES = {
     + "\n".join(",".join(f'"{value}"'.replace(".", ",") for value in row) for row in POSES),
     "remarks before the head": f"# UR10e, cell 4\n#\n% 2024, May\n{RTDE.replace(' ', ',')}\n{rows_as(',')}",
     "the head as a remark": f"# a trajectory\n# {RTDE}\n{rows_as(' ')}# end\n",
+    "units below the head, as a remark": f"{RTDE}\n# s m m m rad rad rad\n{rows_as(' ')}",
+    "both as remarks": f"# {RTDE}\n# s m m m rad rad rad\n{rows_as(' ')}",
     "the head as a remark, with commas": f"#{RTDE.replace(' ', ',')}\n{rows_as(', ')}",
 }
 
