@@ -73,6 +73,8 @@ class Columns:
             if name in names or header.lower() in names
         ]
         if len(fitting) > 1:
+            if fitting[0].header == fitting[1].header:
+                raise in_file(self.path, f"the column {cut(fitting[0].header)} occurs twice: rename one")
             both = " and ".join(cut(column.header) for column in fitting[:2])
             raise in_file(
                 self.path,

@@ -298,6 +298,7 @@ REFUSED = {
         "",
         "has 1 rows for 2 images: add a column time, file or frame",
     ),
+    "a column twice": (f"{HEAD},x\n{ROW},1\n", "kuka", "", "the column x occurs twice: rename one"),
     "a row of units": (
         f"{HEAD}\nmm,mm,mm,deg,deg,deg\n{ROW}\n",
         "kuka",
