@@ -62,7 +62,12 @@ def say(*lines: str) -> None:
 def warn(messages: Iterable[str]) -> None:
     """Print warnings on stderr, one line each."""
     for message in messages:
-        write_line(f"arctrack: warning: {printable(message)}", sys.stderr)
+        write_line(warning_line(message), sys.stderr)
+
+
+def warning_line(message: str) -> str:
+    """Return a warning as it is printed."""
+    return f"arctrack: warning: {printable(message)}"
 
 
 def complain(problems: Iterable[str]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import signal
+import sys
 import tempfile
 import time
 from contextlib import ExitStack
@@ -78,20 +79,25 @@ def serve_cell_file(
 ) -> LoopResult:
     """Run a cell live, say when it is ready and what it came to, and return that."""
     from arctrack.cli import console
+    from arctrack.cli.lines import LineQueue
     from arctrack.serve.notify import Notifier
     from arctrack.serve.process import schedule
     from arctrack.serve.run import LiveRun, opened_run, run
 
     console.warn(cell.setup.warnings)
     notifier = Notifier()
+    # None where the process was started without; -1 is no file.
+    warnings = LineQueue(-1 if sys.__stderr__ is None else sys.__stderr__.fileno())
     with ExitStack() as opened:
+        # Before the loop gets its priority and its processors, which a thread would inherit.
+        opened.enter_context(warnings.started())
         opened.callback(notifier.close)
         with interruptible("serve was", "nothing was sent"), console.progress() as bar:
             on_compiled = console.compiling(bar, "serve")
             live: LiveRun = opened.enter_context(
                 opened_run(
                     cell,
-                    lambda line: console.warn([line]),
+                    lambda line: warnings.put(console.warning_line(line)),
                     job,
                     on_compiled,
                     on_track,
@@ -118,7 +124,7 @@ def serve_cell_file(
                 signals = came()
                 if not is_told and live.loop.warning is not None:
                     is_told = True
-                    console.warn([live.loop.warning])
+                    warnings.put(console.warning_line(live.loop.warning))
                 for number in signals & SAVING.keys():
                     if black_box is not None:
                         black_box.save(SAVING[number])
