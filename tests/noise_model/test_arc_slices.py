@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from noise_model.arc.lap_light import lap_light
@@ -15,6 +15,14 @@ from noise_model.surface.visibility import first_crossing
 
 RADIUS_MM = 3.0
 N_AZIMUTHS, N_ELEVATIONS = 400, 200
+EVEN_SHARE, LOST_SLICE_SHARE = 0.006, 0.025
+"""What slices may be off, over the arc's light without metal: anywhere, and where one slice is lost.
+
+An edge that bends away from a point on the lower sheet hides slices to one side of its tangent and none to
+its other side. The slices are parted elsewhere, and up to all of the one where that turns is lost. In the
+middle of a half disc one slice of n is 2 / n of the light, 1.6 % of n = 128; a lobe weighs it up to 2 %.
+"""
+
 MATERIALS = [
     Material("round", 0.4, 0.2, 8.0),
     Material("skewed", 0.4, 0.2, 8.0, Lobe(tail=0.3, anisotropy=0.2, marks_deg=30.0)),
@@ -57,19 +65,20 @@ def clearance(P, o, center, sheets):
     return free
 
 
-def summed(P, normal, omega_r, center, planes, sheets, material):
+def summed(P, normal, omega_r, center, planes, sheets, material, finer=1):
     """Return the light of many rays, and what it were without metal; even between tangents."""
+    n_azimuths, n_elevations = finer * N_AZIMUTHS, finer * N_ELEVATIONS
     to = center - P
     plan, ahead = math.hypot(to[0], to[1]), math.atan2(to[1], to[0])
     # Between the tangents to the sphere in each upright plane, even in the angle across them.
-    across = np.pi * (np.arange(N_AZIMUTHS) + 0.5) / N_AZIMUTHS
-    offset, d_offset = RADIUS_MM * np.cos(across), RADIUS_MM * np.sin(across) * np.pi / N_AZIMUTHS
+    across = np.pi * (np.arange(n_azimuths) + 0.5) / n_azimuths
+    offset, d_offset = RADIUS_MM * np.cos(across), RADIUS_MM * np.sin(across) * np.pi / n_azimuths
     phi, way = np.arcsin(offset / plan), np.sqrt(plan**2 - offset**2)
     rise = np.arctan2(to[2], way)
     half = np.arcsin(np.sqrt(RADIUS_MM**2 - offset**2) / np.hypot(way, to[2]))
     low, high = np.sin(np.maximum(rise - half, -np.pi / 2)), np.sin(np.minimum(rise + half, np.pi / 2))
-    t = low + (np.arange(N_ELEVATIONS)[:, np.newaxis] + 0.5) / N_ELEVATIONS * (high - low)
-    weight = np.broadcast_to((high - low) / N_ELEVATIONS * d_offset / way, t.shape).ravel()
+    t = low + (np.arange(n_elevations)[:, np.newaxis] + 0.5) / n_elevations * (high - low)
+    weight = np.broadcast_to((high - low) / n_elevations * d_offset / way, t.shape).ravel()
     level = np.sqrt(1.0 - t * t)
     o = np.stack([level * np.cos(ahead + phi), level * np.sin(ahead + phi), t], axis=-1).reshape(-1, 3)
     along = o @ to
@@ -84,6 +93,26 @@ def summed(P, normal, omega_r, center, planes, sheets, material):
 
 @pytest.mark.slow
 @settings(max_examples=60, deadline=None)
+@example(
+    way=(38.0, 0.0, 0.0),
+    over_mm=0.0,
+    bend=(0.0, -0.004),
+    ridge_mm=0.0,
+    crest=0.5,
+    horizon=0.0,
+    flags=(False, False),
+    material=MATERIALS[0],
+)
+@example(
+    way=(4.0, -1.5, 1.5),
+    over_mm=1.0,
+    bend=(0.0, 0.0),
+    ridge_mm=0.0,
+    crest=0.5,
+    horizon=0.0,
+    flags=(False, False),
+    material=MATERIALS[0],
+)
 @given(
     way=st.tuples(st.floats(4.0, 40.0), st.floats(-8.0, 8.0), st.floats(0.0, 1.5)),
     over_mm=st.one_of(st.just(0.0), st.floats(-4.0, -0.03), st.floats(0.03, 4.0)),
@@ -124,5 +153,9 @@ def test_slices_hold_the_light_of_many_rays(way, over_mm, bend, ridge_mm, crest,
         Rule(gauss_nodes(), 32, 16),
         slice_room(),
     )
+    share = LOST_SLICE_SHARE if curve < 0.0 and not from_upper else EVEN_SHARE
     want, whole = summed(P, normal, omega_r, center, planes, sheets, material)
-    assert got == pytest.approx(want, abs=0.006 * whole + 1e-12)
+    if abs(got - want) > share * whole:
+        # Near the arc so few rays may be 1.6 % off themselves.
+        want, whole = summed(P, normal, omega_r, center, planes, sheets, material, finer=4)
+    assert got == pytest.approx(want, abs=share * whole + 1e-12)
