@@ -141,7 +141,7 @@ def _parts_of_second(parts: Sequence[tuple[str | None, ...]]) -> tuple[Float64, 
     texts = [str(digits) for _, digits in parts]
     length = max(map(len, texts))
     if all(separator in ("-", "_") for separator, _ in parts):
-        # Milliseconds are often written without the noughts before them.
+        # Milliseconds are often written without leading zeros.
         places = 3 * math.ceil(length / 3)
         return np.array([int(text) for text in texts]) / 10.0**places, 10.0**-places
     return np.array([float(f"0.{text}") for text in texts]), 10.0**-length

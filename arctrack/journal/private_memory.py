@@ -63,4 +63,6 @@ def _require_private(path: Path, status: os.stat_result, is_kind: Callable[[int]
 
 
 def _refused(path: Path) -> PermissionError:
-    return PermissionError(errno.EPERM, "is not this user's alone; remove it", str(path))
+    return PermissionError(
+        errno.EPERM, "is not this user's alone; have its owner or root remove it", str(path)
+    )

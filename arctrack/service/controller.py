@@ -64,7 +64,7 @@ class Controller:
     A robot that is armed already as the controller begins must be disarmed first: it may still stand where a
     tracker before this one sent it, and the first offset after arming is nought.
 
-    The first offset is nought after whatever may have made the robot go back to its path: a command that is
+    The first offset is zero after whatever may have made the robot go back to its path: a command that is
     not one of `ARMING`, another job, a correction that was not ON, or more than `hold_s` without a command or
     a status, for such a silence may hide each of these.
 
@@ -287,7 +287,7 @@ class Controller:
         self._now_s = now_s
 
     def _forget_offset(self) -> None:
-        """Let the next offset be nought: the robot may have gone back to its path."""
+        """Let the next offset be zero: the robot may have gone back to its path."""
         self._last_sent = self._sent_before = LastSent()
 
     def _refuse(self, reason: GateReason, now_s: float) -> list[BusMessage]:

@@ -77,7 +77,7 @@ def test_a_folder_that_another_user_made_first_is_refused(memory):
         lambda: CameraLine("camera"),
         lambda: read_line("camera"),
     ):
-        with pytest.raises(PermissionError, match="not this user's alone; remove it"):
+        with pytest.raises(PermissionError, match="not this user's alone; have its owner or root"):
             use()
     assert not (memory / "run-as-root").exists()
 

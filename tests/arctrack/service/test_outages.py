@@ -1,4 +1,4 @@
-"""After whatever may have made the robot forget an offset, the first one that the tracker sends is nought."""
+"""After whatever may have made the robot forget an offset, the first one that the tracker sends is zero."""
 
 from __future__ import annotations
 
@@ -330,7 +330,7 @@ def happen(cell: Cell, event: str | int) -> None:
 @example(False, ["sleep", "go back", "track", 80, "lose", "wake", 60])
 @given(st.booleans(), st.lists(EVENTS, max_size=30))
 @pytest.mark.slow
-def test_the_first_offset_after_a_robot_went_back_is_nought(waits: bool, events: list[str | int]) -> None:
+def test_the_first_offset_after_a_robot_went_back_is_zero(waits: bool, events: list[str | int]) -> None:
     cell = tracking(waits)
     for event in events:
         happen(cell, event)
