@@ -81,8 +81,8 @@ def test_processes_draw_what_one_draws_byte_for_byte(
     started: list[OwnProcess[ToDraw, Drawn]],
 ) -> None:
     # The page shows how long each step took.
-    clock = SimpleNamespace(perf_counter_ns=lambda: 0, monotonic=iter(range(10_000)).__next__)
-    monkeypatch.setattr("arctrack.replay.time", clock)
+    monkeypatch.setattr("arctrack.tracking.time", SimpleNamespace(perf_counter_ns=lambda: 0))
+    monkeypatch.setattr("arctrack.replay.time", SimpleNamespace(monotonic=iter(range(10_000)).__next__))
     has_mcap = importlib.util.find_spec("mcap") is not None
     options = ReplayOptions(exports=(REPLAY_MCAP,) if has_mcap else ())
     drawn: dict[int, list[int]] = {1: [], 2: [], 4: []}
