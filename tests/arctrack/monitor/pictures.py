@@ -45,10 +45,10 @@ def main(folder: Path) -> None:
             is_simulated=True,
         )
         with (
-            ended(SideProcess("monitor", run_monitor, (options,))) as page,
+            ended(SideProcess("monitor", run_monitor, (options,))) as process,
             Page(Path(profile), *SIZE) as page,
         ):
-            page.ask("Page.navigate", url=page.wait_ready())
+            page.ask("Page.navigate", url=process.wait_ready())
             time.sleep(SHOWN_S)
             page.screenshot(folder / "monitor.png")
             run.terminate()
