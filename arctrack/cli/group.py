@@ -27,7 +27,8 @@ class CommandGroup(TyperGroup):
         if both in self.commands:
             return super().resolve_command(ctx, [both, *args[2:]])
         second_words = [name.split()[1] for name in self.commands if name.startswith(f"{args[0]} ")]
-        if second_words and len(args) > 1 and not Path(args[1]).exists():
+        # What is written as a path is none of them, whether it is there or not.
+        if second_words and len(args) > 1 and "/" not in args[1] and not Path(args[1]).exists():
             from noise_model.spelling import nearest
 
             near = nearest(args[1], second_words)

@@ -122,7 +122,7 @@ def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed
             assert page.startswith("page: http://127.0.0.1:")
             assert ready.startswith(f"ready: shared_memory {name}, bus udp_multicast:239.74.163.2")
             assert saved.startswith("black box: saved ")
-            assert said.startswith("frames: ")
+            assert said.endswith(" offsets sent")
             assert late == "after ready: loaded [], compiled 0"
             # What the robot says next came after all of that.
             heard = len(ear.messages)
