@@ -6,16 +6,17 @@ other user may write in it. `__pycache__` beside the sources holds Python's own 
 
 from __future__ import annotations
 
+import hashlib
 import os
 from functools import cache
 from pathlib import Path
+from types import FunctionType
 
 import numba
-from numba.core.caching import InTreeCacheLocator
 
 
-class KernelPlace(InTreeCacheLocator):  # type: ignore[misc]
-    """The folders of one kernel.
+class KernelPlace:
+    """The folders of one kernel, as numba asks a cache's locator for them.
 
     Attributes
     ----------
@@ -25,18 +26,31 @@ class KernelPlace(InTreeCacheLocator):  # type: ignore[misc]
         Where it is written; None where no folder may be, and each process compiles for itself.
     """
 
-    def __init__(self, function: object, source: str) -> None:
-        super().__init__(function, source)
+    def __init__(self, function: FunctionType, source: str) -> None:
+        self._line = function.__code__.co_firstlineno
+        self._in_tree = Path(source).parent / "__pycache__"
         self.folders, self.kept = kernel_folders(Path(source).parent)
 
     @classmethod
-    def from_function(cls, function: object, source: str) -> KernelPlace:
+    def from_function(cls, function: FunctionType, source: str) -> KernelPlace:
         """Return the folders of a function's kernel, whether they may be written or not."""
         return cls(function, source)
 
     def get_cache_path(self) -> str:
         """Return the folder that kernels are written to."""
-        return str(self.kept or super().get_cache_path())
+        return str(self.kept or self._in_tree)
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder that kernels are written to."""
+        os.makedirs(self.get_cache_path(), exist_ok=True)
+
+    def get_source_stamp(self) -> str:
+        """Return nothing: the index of a kernel has `noise_model.kernel.source_key`."""
+        return ""
+
+    def get_disambiguator(self) -> str:
+        """Return what tells two functions of one name in one file apart."""
+        return str(self._line)
 
 
 @cache
@@ -51,7 +65,8 @@ def kernel_folders(sources: Path) -> tuple[tuple[Path, ...], Path | None]:
         return (in_tree,), in_tree
     user_cache = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
     own = Path(numba.config.CACHE_DIR or user_cache / "arctrack" / "kernels")
-    own /= KernelPlace.get_suitable_cache_subpath(str(sources / "kernel.py"))
+    # As numba names it: the folder's name for people, a digest for short paths.
+    own /= f"{sources.name}_{hashlib.sha1(str(sources).encode()).hexdigest()}"
     if not _make(own, 0o700) or _is_open_to_others(own):
         return (in_tree,), None
     return ((own,) if numba.config.CACHE_DIR else (in_tree, own)), own
