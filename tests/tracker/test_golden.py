@@ -1,35 +1,59 @@
-"""Stored frames give the stored stripes and seams: processors differ in the last bits only."""
+"""Stored frames give the stored stripes, seams and flags: processors differ in the last bits only."""
 
 from __future__ import annotations
 
 import csv
 from collections import defaultdict
+from pathlib import Path
 
 import numpy as np
-from golden import SEAMS, STRIPES, replay, seam_row
+import pytest
+from golden import CASES, FRAMES, SEAMS, STRIPES, numbers_of, replay, stored, stripe_of
 
-TOLERANCE = 1e-4
-"""Pixels and millimetres."""
+TOLERANCE = 1e-6
+"""Pixels, millimetres, degrees, and numbers near 1."""
+
+Rows = dict[tuple[str, str], list[dict[str, str]]]
 
 
-def test_the_golden_frames_give_the_golden_tracks() -> None:
-    stripes: dict[tuple[str, str], list[tuple[int, float]]] = defaultdict(list)
-    with STRIPES.open(newline="") as file:
+def rows_of(path: Path) -> Rows:
+    """A reference's rows by case and frame."""
+    rows: Rows = defaultdict(list)
+    with path.open(newline="") as file:
         for row in csv.DictReader(file):
-            stripes[row["case"], row["frame"]].append((int(row["scan"]), float(row["position_px"])))
-    with SEAMS.open(newline="") as file:
-        seams = {
-            (row.pop("case"), row.pop("frame")): list(map(float, row.values()))
-            for row in csv.DictReader(file)
+            rows[row.pop("case"), row.pop("frame")].append(row)
+    return rows
+
+
+@pytest.fixture(scope="module")
+def seams() -> Rows:
+    return rows_of(SEAMS)
+
+
+@pytest.fixture(scope="module")
+def stripes() -> Rows:
+    return rows_of(STRIPES)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_golden_frames_give_the_golden_tracks(name: str, seams: Rows, stripes: Rows) -> None:
+    for track in replay(CASES[name]):
+        key = name, str(track.frame)
+        (want,) = seams[key]
+        assert (key, " ".join(track.flag_names)) == (key, want["flags"])
+        numbers = numbers_of(track)
+        assert ["flags", *numbers] == list(want)
+        differ = {
+            column: (value, float(want[column]))
+            for column, value in numbers.items()
+            if not np.isclose(value, float(want[column]), rtol=0.0, atol=TOLERANCE, equal_nan=True)
         }
-    seen = set()
-    for case, track in replay():
-        key = case, str(track.frame)
-        seen.add(key)
-        assert track.stripe is not None
-        scan, position = np.array(stripes[key]).T
-        np.testing.assert_allclose(
-            track.stripe.position_px[scan.astype(int)], position, rtol=0.0, atol=TOLERANCE, err_msg=str(key)
-        )
-        np.testing.assert_allclose(seam_row(track), seams[key], rtol=0.0, atol=TOLERANCE, err_msg=str(key))
-    assert seen == set(seams) == set(stripes)
+        assert not differ, key
+        lines = [[float(value) for value in row.values()] for row in stripes.get(key, [])]
+        np.testing.assert_allclose(stripe_of(track), lines, rtol=0.0, atol=TOLERANCE, err_msg=str(key))
+
+
+def test_each_stored_frame_and_row_is_replayed(seams: Rows) -> None:
+    shots = [(name, shot) for name, case in CASES.items() for shot in case.shots]
+    assert {stored(shot.image) for _, shot in shots} == set(FRAMES.glob("*.png"))
+    assert [name for name, _ in seams] == [name for name, _ in shots]
