@@ -10,10 +10,19 @@ import numpy as np
 import pytest
 from golden import CASES, FRAMES, SEAMS, STRIPES, numbers_of, replay, stored, stripe_of
 
-TOLERANCE = 1e-6
-"""Pixels, millimetres, degrees, and numbers near 1."""
+TOLERANCES = {"mm": 5e-6, "mm2": 1e-5, "deg": 1e-4, "px": 2e-5}
+PURE_NUMBER = 1e-5
+"""How far processors may differ, by a column's unit: some five times what they do.
+
+Light is kept in float32, and sums of it depend on the processor's vectors and fused products. Compiled for
+SSE2 alone and for AVX-512 the cases differ by up to 1e-6 mm, 2e-6 mm^2, 2e-5 deg, 5e-6 px and 2e-6.
+"""
 
 Rows = dict[tuple[str, str], list[dict[str, str]]]
+
+
+def tolerance_of(column: str) -> float:
+    return TOLERANCES.get(column.rpartition("_")[2], PURE_NUMBER)
 
 
 def rows_of(path: Path) -> Rows:
@@ -46,11 +55,11 @@ def test_the_golden_frames_give_the_golden_tracks(name: str, seams: Rows, stripe
         differ = {
             column: (value, float(want[column]))
             for column, value in numbers.items()
-            if not np.isclose(value, float(want[column]), rtol=0.0, atol=TOLERANCE, equal_nan=True)
+            if not np.isclose(value, float(want[column]), 0.0, tolerance_of(column), equal_nan=True)
         }
         assert not differ, key
         lines = [[float(value) for value in row.values()] for row in stripes.get(key, [])]
-        np.testing.assert_allclose(stripe_of(track), lines, rtol=0.0, atol=TOLERANCE, err_msg=str(key))
+        np.testing.assert_allclose(stripe_of(track), lines, rtol=0.0, atol=TOLERANCES["px"], err_msg=str(key))
 
 
 def test_each_stored_frame_and_row_is_replayed(seams: Rows) -> None:
