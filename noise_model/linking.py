@@ -75,7 +75,9 @@ def keep_linked(function: Callable[..., Any], result: Any, keep: Callable[[], No
 
 
 def _is_long(machine_code: Any) -> bool:
-    """Say whether a function in LLVM's language has MIN_INSTRUCTIONS."""
+    """Say whether a function in LLVM's language has MIN_INSTRUCTIONS, and may stay a call."""
+    if b"alwaysinline" in machine_code.attributes:
+        return False
     instructions = chain.from_iterable(block.instructions for block in machine_code.blocks)
     return next(islice(instructions, MIN_INSTRUCTIONS, None), None) is not None
 

@@ -243,9 +243,10 @@ def make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: Scratc
 @kernel(inline=True)
 def root_cell(table: FaceTable, face: int, i: int, j: int) -> int:
     """Return the first cell of a patch, begun if need be; -1 where there is no room."""
-    cell = int(table.roots[face, i, j])
+    # A sum with a literal is what `make_cell` takes cells as: 64 bits.
+    cell = 0 + int(table.roots[face, i, j])
     if cell < 0 and table.n_cells[0] < MAX_CELLS:
-        cell = int(table.n_cells[0])
+        cell = 0 + int(table.n_cells[0])
         table.n_cells[0] += 1
         table.roots[face, i, j] = cell
         table.axis[cell] = NEW + 2
@@ -280,7 +281,7 @@ def cell_at(
         along = axis[cell]
         if along >= SMOOTH:
             return cell if along == SMOOTH else -1
-        cell = int(table.child[cell]) + (1 if (x if along == 0 else s) > middle[cell, along] else 0)
+        cell = 0 + int(table.child[cell]) + (1 if (x if along == 0 else s) > middle[cell, along] else 0)
 
 
 @kernel
