@@ -177,7 +177,7 @@ def lap_light(
     n_q = math.ceil(min(float(MAX_NODES_Q), UP_SHARE * n_q * more) - 1e-6)
     plan = math.sqrt(to_x * to_x + to_y * to_y)
     low, high = upright_range(radius, plan, to_x / plan, to_y / plan, planes, n_planes)
-    parting = parting_offset(P, center, radius, plan, sheets) if sheets.edge_hides else math.nan
+    parting = parting_offset(P, center, radius, sheets) if sheets.edge_hides else math.nan
     is_parted = low < parting < high
     first_end, light = parting if is_parted else high, 0.0
     for side in range(2 if is_parted else 1):

@@ -120,10 +120,17 @@ def _sine(slope: Lanes) -> Lanes:
 
 
 @kernel(inline=True)
-def _crossing(over: float, x: Lanes, y: Lanes, sheets: Sheets) -> Lanes:
-    """Return the ways, mm, on which slices come to the upper sheet's edge; FAR where they do not.
+def _over_edge(P: Point, edge_y: float) -> float:
+    """Return how far to the left of the edge P stands at its station, mm; 0 on the edge itself."""
+    over = P[1] - edge_y
+    return over if abs(over) > SAME_MM else 0.0
 
-    P stands `over` beyond the edge; see `visibility.first_crossing`.
+
+@kernel(inline=True)
+def _crossings(over: float, x: Lanes, y: Lanes, sheets: Sheets) -> tuple[Lanes, Lanes]:
+    """Return the ways, mm, on which slices cross the upper sheet's edge, and cross it again; FAR for never.
+
+    P stands `over` beyond the edge; see `visibility.first_crossings`.
     """
     _, slope, curve, _ = sheets.edge
     zero, far = spread(0.0), spread(FAR)
@@ -131,7 +138,7 @@ def _crossing(over: float, x: Lanes, y: Lanes, sheets: Sheets) -> Lanes:
     leaves = across > zero if sheets.from_upper else across < zero
     straight = where(leaves, spread(-over) / across, far)
     if curve == 0.0:
-        return straight
+        return straight, far
     bend = spread(curve) * x * x
     rest = across * across + spread(2.0 * over) * bend
     sqrt = root(greater(rest, zero))
@@ -139,8 +146,9 @@ def _crossing(over: float, x: Lanes, y: Lanes, sheets: Sheets) -> Lanes:
     first, second = half / bend, spread(-2.0 * over) / half
     first = where((first > zero) & (rest >= zero), first, far)
     second = where((second > zero) & (rest >= zero), second, far)
-    first = lesser(first, second)
-    return where(leaves, straight, first) if over == 0.0 else first
+    if over == 0.0:
+        return where(leaves, straight, first), where(leaves, first, far)
+    return lesser(first, second), greater(first, second)
 
 
 @kernel(inline=True)
@@ -159,7 +167,7 @@ def _cut(
     ahead: Lanes,
     rho: Lanes,
     up: float,
-    lift: float,
+    lift: Lanes,
     asked: Mask,
     sheets: Sheets,
 ) -> Lanes:
@@ -171,8 +179,8 @@ def _cut(
     zero, unity, half = spread(0.0), spread(1.0), spread(0.5)
     length = end - near
     low, high = zero, unity
-    below = _circle(near, ahead, rho, up) - wave(spread(x_0) + near * x, sheets.corrugation) - spread(lift)
-    above = _circle(end, ahead, rho, up) - wave(spread(x_0) + end * x, sheets.corrugation) - spread(lift)
+    below = _circle(near, ahead, rho, up) - wave(spread(x_0) + near * x, sheets.corrugation) - lift
+    above = _circle(end, ahead, rho, up) - wave(spread(x_0) + end * x, sheets.corrugation) - lift
     is_open, is_shut = below >= zero, above < zero
     if not any_lane(asked & (below < zero)):
         return spread(-FAR)
@@ -182,7 +190,7 @@ def _cut(
         # The near side rises with the root of the way.
         share = (low * f_high - high * f_low) / (f_high - f_low)
         r = near + length * share * share
-        free = _circle(r, ahead, rho, up) - wave(spread(x_0) + r * x, sheets.corrugation) - spread(lift)
+        free = _circle(r, ahead, rho, up) - wave(spread(x_0) + r * x, sheets.corrugation) - lift
         is_below = free < zero
         # Illinois: the end that stays counts half.
         f_high = where(is_below, f_high * half, free)
@@ -199,7 +207,7 @@ def _past_edge(
     P: Point,
     x_0: float,
     x: Lanes,
-    r: Lanes,
+    crossings: tuple[Lanes, Lanes],
     hidden: Lanes,
     low: Lanes,
     near: Lanes,
@@ -209,14 +217,14 @@ def _past_edge(
     up: float,
     sheets: Sheets,
 ) -> tuple[Lanes, Lanes, Lanes, Mask]:
-    """Return what is seen of the arc in slices that may come to the upper sheet's edge, at ways r.
+    """Return what is seen of the arc in slices that may cross the upper sheet's edge, at two ways.
 
     `hidden` is the slope below which all of a slice is hidden, `low` that below which P's own sheet hides the
     arc. Returned are the slope from which the arc is seen before the edge, that up to which it is, the slope
     from which it is seen, and in which slices the edge stands within the arc and parts the two.
     """
     lift, crest = sheets.edge[3] - P[2], sheets.crest_x - P[0]
-    r = greater(r, spread(SAME_MM))
+    r = greater(crossings[0], spread(SAME_MM))
     meets, behind = r < end, hidden
     if any_lane(meets):
         at_edge = (wave(spread(x_0) + r * x, sheets.corrugation) + spread(lift)) / r
@@ -224,8 +232,11 @@ def _past_edge(
             at_edge = where(r > spread(SKIMS_MM), at_edge, spread(-FAR))
         behind = greater(hidden, at_edge)
         if sheets.cut:
-            begin, other = lesser(greater(r, near), end), -P[2] if sheets.from_upper else lift
-            behind = greater(behind, _cut(x_0, x, begin, end, ahead, rho, up, other, meets, sheets))
+            begin, lower, upper = lesser(greater(r, near), end), spread(-P[2]), spread(lift)
+            own, other = (upper, lower) if sheets.from_upper else (lower, upper)
+            # Under the arc lies P's own sheet again where the edge was crossed twice.
+            under = where(crossings[1] < near, own, other)
+            behind = greater(behind, _cut(x_0, x, begin, end, ahead, rho, up, under, meets, sheets))
     if not math.isnan(crest):
         way = spread(crest) / x
         if sheets.from_upper:
@@ -267,9 +278,9 @@ def lay(
     to_x, to_y = to_x / plan, to_y / plan
     tangent = math.sqrt(plan_2 + up * up - radius * radius)
     edge_y, _, _, step = sheets.edge
-    over = P[1] - edge_y if abs(P[1] - edge_y) > SAME_MM else 0.0
+    over = _over_edge(P, edge_y)
     x_0 = from_crest(P[0], sheets.corrugation)
-    own = step - P[2] if sheets.from_upper else -P[2]
+    own = spread(step - P[2] if sheets.from_upper else -P[2])
     middle, half = 0.5 * (between[0] + between[1]), 0.5 * (between[1] - between[0])
     zero = spread(0.0)
     all_open, any_open, has_near, rule = True, False, False, _rule_at(n)
@@ -293,8 +304,10 @@ def lay(
         if sheets.cut:
             low = greater(hidden, _cut(x_0, x, near, end, ahead, rho, up, own, rho >= zero, sheets))
         if sheets.edge_hides:
-            r = _crossing(over, x, y, sheets)
-            before, rim, low, apart = _past_edge(P, x_0, x, r, hidden, low, near, end, ahead, rho, up, sheets)
+            ways = _crossings(over, x, y, sheets)
+            before, rim, low, apart = _past_edge(
+                P, x_0, x, ways, hidden, low, near, end, ahead, rho, up, sheets
+            )
             if any_lane(apart):
                 has_near = True
                 near_low, near_high = where(apart, _sine(before), zero), where(apart, _sine(rim), zero)
@@ -390,16 +403,23 @@ def upright_range(
 
 
 @kernel(inline=True)
-def parting_offset(P: Point, center: Point, radius: float, plan: float, sheets: Sheets) -> float:
+def parting_offset(P: Point, center: Point, radius: float, sheets: Sheets) -> float:
     """Return the offset of the slice on one side of which the edge begins to hide, or to leave open.
 
-    A slice from the lower sheet comes to the edge before the arc there, one from the upper sheet before the
-    crest. Near P it is a small angle from those that do not to those that see nothing, or all.
+    A slice y = (slope + m) x meets the edge, `over` mm to the right of P, at stations x with
+    m(x) = curve x / 2 - over / x. From the lower sheet the edge hides where it is met before the arc, from
+    the upper one it leaves open where it is met before the crest: the border is m there. On an edge that
+    bends away from P, m(x) turns about at x_t = sqrt(-2 over / curve), where the slice is a tangent. Slices
+    beyond m(x_t) never meet the edge, all others meet it before x_t: the border is m at the nearer of both.
     """
     edge_y, slope, curve, _ = sheets.edge
+    over = _over_edge(P, edge_y)
     to_x, to_y = center[0] - P[0], center[1] - P[1]
     x = math.copysign(max(abs(to_x) - radius, radius), to_x)
     if sheets.from_upper and not math.isnan(sheets.crest_x):
         x = sheets.crest_x - P[0]
-    y = edge_y - P[1] + x * (slope + 0.5 * curve * x)
+    if curve > 0.0 if sheets.from_upper else curve < 0.0:
+        # On the edge itself the tangent is P's own.
+        x = math.copysign(min(abs(x), math.sqrt(max(-2.0 * over / curve, SAME_MM * SAME_MM))), x)
+    y = x * (slope + 0.5 * curve * x) - over
     return (to_x * y - to_y * x) / math.sqrt(x * x + y * y)
