@@ -53,9 +53,9 @@ def kernel(
 ) -> Callable[..., Any]:
     """Compile a function, kept on disk; it runs without Python's lock and divides as NumPy does.
 
-    `allocates` says that it, or what it calls, makes arrays. `inline` lets LLVM write it out where it is
-    called; `fastmath` are the liberties that LLVM may take with its arithmetic. What is kept on disk is used
-    again only while no source that the function's file imports, directly or not, has changed.
+    `allocates` says that it, or what it calls, makes or returns arrays. `inline` lets LLVM write it out where
+    it is called; `fastmath` are the liberties that LLVM may take with its arithmetic. What is kept on disk is
+    used again only while no source that the function's file imports, directly or not, has changed.
     """
     compiled = numba.njit(
         nogil=True,

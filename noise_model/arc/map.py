@@ -112,7 +112,7 @@ class ArcKernels(NamedTuple):
     n_q: int
 
 
-@kernel(inline=True)
+@kernel(allocates=True)
 def _of_scene(k: ArcKernels, s: int) -> ArcKernel:
     """Return the kernel of one scene, which knows of no `reach`."""
     eye, center, bend = k.eye[s], k.center[s], k.bend[s]

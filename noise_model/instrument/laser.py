@@ -209,7 +209,7 @@ def sheets_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
     )
 
 
-@kernel(inline=True)
+@kernel(allocates=True)
 def sheet_at(sheets: Sheet, n: int) -> Sheet:
     """Return the sheet of one of several poses."""
     return Sheet(
