@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import ast
 import functools
+import importlib
+import pkgutil
 import re
 import subprocess
 import sys
 import tomllib
+import typing
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -386,3 +391,32 @@ def test_changelog_opens_with_the_version_that_is_built() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     released = re.findall(r"^## \[(\d[^\]]*)\] - \d{4}-\d\d-\d\d$", (ROOT / "CHANGELOG.md").read_text(), re.M)
     assert released[0] == project["version"]
+
+
+def holds_arrays(hint: object) -> bool:
+    """Say whether a type is that of an array, or of a tuple or a record with one."""
+    if typing.get_origin(hint) is np.ndarray:
+        return True
+    parts = typing.get_type_hints(hint).values() if hasattr(hint, "_fields") else typing.get_args(hint)
+    return any(map(holds_arrays, parts))
+
+
+@pytest.mark.slow
+def test_a_kernel_that_counts_references_gets_no_arrays_of_one_that_does_not() -> None:
+    # It would give back a reference that nobody took: the array's memory is freed while it is in use.
+    modules = [
+        importlib.import_module(module.name)
+        for room in ("noise_model", "tracker", "calibration")
+        for module in pkgutil.walk_packages([str(ROOT / room)], f"{room}.")
+    ]
+    found = {f for module in modules for f in vars(module).values() if isinstance(f, Dispatcher)}
+    counting = [kernel for kernel in found if kernel.targetoptions.get("_nrt", True)]
+    assert 0 < len(counting) < len(found)
+    wrong = {
+        (kernel.__name__, called.__name__)
+        for kernel in counting
+        for called in map(kernel.py_func.__globals__.get, kernel.py_func.__code__.co_names)
+        if isinstance(called, Dispatcher) and called not in counting
+        if holds_arrays(typing.get_type_hints(called.py_func)["return"])
+    }
+    assert wrong == set()
