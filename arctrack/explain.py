@@ -1,8 +1,8 @@
 """One frame of a recording, explained: what the tracker's step did with it, and all that this rests on.
 
-The frames before it go through the same step, so the seam's history is the one that the replay had. The
-frame's own reading is then taken apart by the calls that the step made, in their order: nothing is random,
-so they give the same numbers bit for bit.
+The frames before it go through the same step, so the seam's history is the one that the replay had. The look
+that counts is then taken once more, for what the step does not keep: nothing is random, so it gives the same
+numbers bit for bit.
 """
 
 from __future__ import annotations
@@ -17,30 +17,31 @@ from arctrack.errors import ArctrackError, in_file
 from arctrack.explain_lines import Refusals, SigmaParts, refusals, sigma_parts
 from arctrack.recording import BadFrame, Recording
 from arctrack.tracking import RecordedTracking
-from noise_model.arc.map import ArcKernel, arc_frame
+from noise_model.arc.map import ArcKernel, arc_frame, arc_kernel
 from noise_model.arc.scene import Scene, make_scene
 from noise_model.arrays import Float32, Float64
 from noise_model.instrument.sensor import variance_e2
 from tracker import flags
 from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.arc.transmission import Transmission
-from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
+from tracker.checks import FrameChecks
+from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_section
-from tracker.look import section_shown, see_arc
-from tracker.measure import (
+from tracker.judge import jump_limit_mm
+from tracker.observation import (
+    FrameInput,
     Reading,
-    frame_light,
-    light_through,
+    expected_output,
+    observe,
+    observed_section,
     profile_of,
-    transmission_of,
 )
 from tracker.profile import Profile
 from tracker.seam.locate import locate
-from tracker.seam.stretches import jump_limit_mm
 from tracker.state import Frame, Pose, Track
 from tracker.step import step_and_reading
-from tracker.stripe.expected import ExpectedStripe, expect_stripe
-from tracker.stripe.read import StripeReading, Work, read_stripe
+from tracker.stripe.expected import ExpectedStripe
+from tracker.stripe.read import StripeReading, Work
 from tracker.tracker_state import TrackerState
 
 
@@ -142,7 +143,18 @@ def explain(
     if pose is not None and reading is not None:
         # A frame that contradicts the arc map was read as if no arc were said to burn.
         as_read = replace(frame, arc_on=frame.arc_on and reading.arc.is_on)
-        look = _look(geometry, before, as_read, pose, reading, use_arc_map)
+        given = FrameInput(
+            geometry,
+            before,
+            as_read,
+            pose.T_base_tool,
+            pose.extrapolated,
+            Work.of(geometry),
+            use_arc_map,
+            tracker.correction,
+            inputs.lead,
+        )
+        look = _look(given, reading)
     if on_frame is not None:
         on_frame(position + 1)
     return Explanation(recording, geometry, frame, pose, use_arc_map, before, after, track, look)
@@ -159,50 +171,24 @@ def position_of(recording: Recording, index: int) -> int:
     raise in_file(recording.path, problem)
 
 
-def _look(
-    geometry: SensorGeometry,
-    before: TrackerState,
-    frame: Frame,
-    pose: Pose,
-    reading: Reading,
-    use_arc_map: bool,
-) -> Look:
+def _look(given: FrameInput, reading: Reading) -> Look:
     """Take a reading apart, as far as the step went."""
-    setup, scene = geometry.setup, reading.scene
-    nominal_scene = make_scene(setup, pose.T_base_tool)
+    geometry, use_arc_map = given.geometry, given.use_arc_map
+    scene, aim = reading.scene, reading.aim(use_arc_map)
+    nominal_scene = make_scene(geometry.setup, given.T_base_tool)
     reach_px = geometry.reach_px(reading.reach_mm)
     look = Look(reading, reach_px, float(nominal_scene.T_joint_tool[0, 3]))
-    expected = None if scene.below_surface else expect_stripe(geometry, scene)
-    if expected is None:
+    # A search looks more than once, and each look writes over what the one before had read.
+    seen = observe(given, FrameChecks(), aim)
+    if seen.expected is None:
         return look
-    light = frame_light(setup, frame)
-    seen = see_arc(geometry.look_source, scene, expected, frame.image_dn, light, reach_px)
-    transmission = transmission_of(geometry, scene, seen, frame)
-    arc = _arc_image(geometry, seen.kernel, transmission, reading.arc, frame)
+    expected, stripe = seen.expected, seen.stripe
+    arc = _arc_image(geometry, scene, seen.transmission, reading.arc, given.frame)
     look = replace(look, expected=expected, arc=arc)
-    if reading.stripe is None:
+    if stripe is None:
         return look
-
-    work = Work.of(geometry)
-    lit = light_through(
-        geometry,
-        seen,
-        transmission,
-        reading.arc,
-        frame.image_dn,
-        expected,
-        reach_px,
-        work,
-        use_arc_map,
-    )
-    is_searching = reading.reach_mm >= SEARCH_REACH_MM
-    stripe = read_stripe(
-        geometry.look_source, lit, expected, reach_px, work.room, reading.read_with, is_searching
-    )
-    section = section_shown(
-        geometry.look_source, scene, reading.seam.as_floats(), expected, stripe, reading.reach_mm
-    )
-    profile = profile_of(section, frame, geometry.along_rows)
+    section = observed_section(geometry, aim, seen)
+    profile = profile_of(section, given.frame, geometry.along_rows)
     look = replace(look, stripe=StripeLook(stripe, refusals(stripe, expected), sigma_parts(stripe, expected)))
     if len(profile.y_mm) < 2:
         return look
@@ -210,12 +196,12 @@ def _look(
     if reading.flags & flags.STRIPE_LOST.mask:
         return look
     if reading.joint is None:
-        fitted = fit_section(section, setup.joint, frame.image_dn, geometry.along_rows)
+        fitted = fit_section(section, geometry.setup.joint, given.frame.image_dn, geometry.along_rows)
         return replace(look, joint=fitted)
     return replace(
         look,
         joint=reading.joint,
-        seam=_seam_look(geometry, before, nominal_scene, scene, reading.joint),
+        seam=_seam_look(geometry, given.state, nominal_scene, scene, reading.joint),
     )
 
 
@@ -239,12 +225,13 @@ def arc_light(
 
 def _arc_image(
     geometry: SensorGeometry,
-    kernel: ArcKernel,
+    scene: Scene,
     transmission: Transmission | None,
     arc: ArcLevel,
     frame: Frame,
 ) -> ArcImage:
     """Predict the arc's light over the whole image, as the tracker does it for the stripe's band."""
+    kernel = arc_kernel(geometry.setup, scene, expected_output(geometry.setup, frame))
     arc_e, mean_e = arc_light(geometry, kernel, transmission, arc)
     dn = frame.image_dn.T if geometry.along_rows else frame.image_dn
     charge_e = geometry.charge_e[np.minimum(dn, len(geometry.charge_e) - 1)]

@@ -10,7 +10,7 @@ from arctrack.errors import in_file
 from arctrack.recording import BadFrame, FrameRow, Recording
 from arctrack.service.seam_measured import seam_measured
 from tracker import flags
-from tracker.measure import Reading
+from tracker.observation import Reading
 from tracker.seam.innovation import SeamMeasured
 from tracker.state import NAN, Frame, Pose, Track
 from tracker.step import StepInputs

@@ -9,7 +9,6 @@ from __future__ import annotations
 from copy import copy
 from typing import Any
 
-from numba._dispatcher import compute_fingerprint
 from numba.core import event
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.lowering import Environment
@@ -42,19 +41,6 @@ def enter_when_called(dispatcher: Any) -> None:
     # Python calls what is inserted there, and asks for what is not.
     dispatcher.add_overload = keep
     dispatcher._compile_for_args = enter
-
-
-def entry_for(kernel: Any, *given: Any) -> Any:
-    """Return what calls a kernel with arguments of the types of those given, and does not ask for types.
-
-    Others it would misread: who calls it answers for theirs.
-    """
-    return kernel._compile_for_args(*given)
-
-
-def types_within(record: Any) -> bytes:
-    """Return a key of the types of a record's numbers and arrays: records of the same types have the same."""
-    return compute_fingerprint(record)
 
 
 def _entry_point(dispatcher: Any, kernel: Any) -> Any:

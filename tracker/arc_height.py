@@ -27,7 +27,7 @@ from noise_model.surface.joint import SeamLine
 from tracker.arc.level import HUBER, MAP_SIGMA, MAX_SIGMA, MIN_BLACK_SIGMA_E, MIN_PIXELS, unlit_by_the_laser
 from tracker.arc.transmission import ArcLight, Transmission, seen_arc
 from tracker.geometry import MAP_FLOOR_E, MAP_TOLERANCE, SensorGeometry, dark_variance_at
-from tracker.measure import expected_output
+from tracker.observation import expected_output
 from tracker.state import NAN, Frame, Pose
 
 STEP_MM = 0.5
@@ -153,6 +153,8 @@ class ArcHeightEstimator:
                 kernel, geometry.xy, geometry.cos4, geometry.n_scan, MAP_TOLERANCE, MAP_FLOOR_E
             )
             arc_e = arc_map.at
+            if not geometry.has_light_effects:
+                return arc_e, None
             return arc_e, Transmission.of(geometry, scene, arc_e, output)
 
         unlit = unlit_by_the_laser(geometry, *light(Departure()), frame.image_dn, stripe_px, keep_off_px)

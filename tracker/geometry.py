@@ -30,7 +30,6 @@ from noise_model.instrument.sensor import (
     saturation_dn,
     variance_e2,
 )
-from noise_model.kernel import kernel
 from noise_model.setup import Setup, require_setup
 from noise_model.stripe import stripe_runs_along_rows
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
@@ -320,7 +319,6 @@ class SensorGeometry:
         return points_px if self.along_rows else points_px[:, ::-1]
 
 
-@kernel(allocates=True)
 def dark_variance_at(image: ImageSource, charge_e: Float32 | Float64) -> float:
     """Return the part of a pixel's variance, e-^2, that is not its light's, in light like charges (n,), e-.
 
@@ -328,10 +326,10 @@ def dark_variance_at(image: ImageSource, charge_e: Float32 | Float64) -> float:
     may be large in the dark: taken is that at the median of the charges, but not below what a stripe that can
     be seen has, MIN_LIGHT of full well.
     """
-    if image.is_linear or charge_e.shape[0] == 0:
+    if image.is_linear or charge_e.size == 0:
         return image.dark_variance_e2
-    typical_e = np.float64(np.median(charge_e))
-    return dark_part_e2(max(typical_e, MIN_LIGHT * image.response.full_well_e), image.response)
+    typical_e = max(float(np.median(charge_e)), MIN_LIGHT * image.response.full_well_e)
+    return float(dark_part_e2(typical_e, image.response))
 
 
 def meet_laser_plane(setup: Setup, origins_tool: Float64, rays_tool: Float64) -> Float64:

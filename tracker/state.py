@@ -140,6 +140,25 @@ class Pose:
         return f"Pose(tool at {place}, {tilt_deg:.1f} deg off its z{how})"
 
 
+class Lead(NamedTuple):
+    """How far ahead of the torch the offset is asked for: where it will be once the correction acts.
+
+    Parameters
+    ----------
+    time_s : float
+        From the capture until the correction acts, s.
+    way_mm : float
+        How far the torch goes along the seam meanwhile, mm.
+    """
+
+    time_s: float = 0.0
+    way_mm: float = 0.0
+
+
+AT_ONCE = Lead()
+"""The offset of where the torch is at the capture."""
+
+
 class Stripe(NamedTuple):
     """The stripe of one frame, scan line by scan line; the joint is fitted to `position_px`.
 

@@ -1,4 +1,4 @@
-"""The heart: one frame and one pose in, one track out, the state handed on.
+"""One frame and one pose in, one track out, the state handed on.
 
 Live service, replay, tests and diagnosis call the same `step` and get the same numbers.
 """
@@ -6,24 +6,18 @@ Live service, replay, tests and diagnosis call the same `step` and get the same 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeGuard
 
 import numpy as np
 
 from noise_model.arrays import as_compiled_for
 from tracker import checks, flags
-from tracker.checks import Asked, ask, ask_whether, take_answer
-from tracker.frame import TRACKS, FrameCall
-from tracker.frame_pieces import REFUSED, TRACKED, FrameGiven, FrameTracked, begin, end, look_by, seen_by
+from tracker.checks import FrameChecks
 from tracker.geometry import SensorGeometry
-from tracker.joint.type_check import family_of, number_of
-from tracker.look import MISFIT_LIMIT
-from tracker.measure import Reading, fit_by_pieces, frame_light, look_through_effects
+from tracker.judge import SeamShown
+from tracker.observation import MISFIT_LIMIT, FrameInput, Reading
+from tracker.pipeline import FrameResult, track_frame
 from tracker.seam.correction import UNSTATED, Correction
-from tracker.seam.judge import SeamShown
-from tracker.seam.steer import AT_ONCE, Lead, TorchOffset
-from tracker.search import DONE, after_look, first_turn, settled
-from tracker.state import NAN, NO_SHAPE, Frame, Pose, Track, frame_misfit
+from tracker.state import AT_ONCE, NAN, NO_SHAPE, Frame, Lead, Pose, Track, frame_misfit
 from tracker.stripe.read import Work
 from tracker.tracker_state import TrackerState
 
@@ -102,165 +96,63 @@ def step_and_reading(
     use_arc_map: bool = True,
     correction: Correction = UNSTATED,
     lead: Lead = AT_ONCE,
-    call: FrameCall | None = None,
 ) -> tuple[TrackerState, Track, Reading | None]:
     """Return what `step` does and the look at the frame that it rests on, None where it took none.
 
-    The `call` is the setup's `prepared_call`, if there is one. A frame that contradicts the arc map and shows
-    no seam over it is read as if no arc were stated: over an even background, by its own scatter.
+    A frame that contradicts the arc map and shows no seam over it is read as if no arc were stated: over an
+    even background, by its own scatter.
     """
-    by_map = _step_once(geometry, state, frame, pose, work, use_arc_map, correction, lead, call)
-    if not (use_arc_map and _contradicts_map(by_map[2]) and not by_map[1].valid):
+    frame_checks = FrameChecks()
+    if pose is None or not _is_readable(geometry, frame, pose):
+        _check_form(frame_checks, geometry, frame, pose)
+        return _refused(state, frame_checks, frame)
+    frame, pose = _as_compiled_for(frame, pose)
+    lead = Lead(float(lead.time_s), float(lead.way_mm))
+    T_base_tool, extrapolated = pose.T_base_tool, bool(pose.extrapolated)
+    given = FrameInput(geometry, state, frame, T_base_tool, extrapolated, work, use_arc_map, correction, lead)
+    tracked = track_frame(given, frame_checks)
+    if tracked is None:
+        return _refused(state, frame_checks, frame)
+    by_map = tracked.state, _track(frame, tracked), tracked.reading
+    if not (use_arc_map and _contradicts_map(tracked.reading) and not by_map[1].valid):
         return by_map
-    without = replace(frame, arc_on=False)
-    plain = _step_once(geometry, state, without, pose, work, use_arc_map, correction, lead, call)
-    return _as_contradicted(*plain, by_map[2]) if plain[1].valid else by_map
+    plain = track_frame(given._replace(frame=replace(frame, arc_on=False)), FrameChecks())
+    if plain is None or not _track(frame, plain).valid:
+        return by_map
+    return _as_contradicted(frame, plain, tracked.reading)
 
 
-def _contradicts_map(reading: Reading | None) -> TypeGuard[Reading]:
+def _contradicts_map(reading: Reading) -> bool:
     """Return True if no level of the arc fits a frame off the stripe, or its misfit exceeds the limit.
 
     What the map predicts beneath the stripe is then no evidence against a stripe.
     """
-    if reading is None or reading.flags & flags.LASER_OFF.mask:
+    if reading.flags & flags.LASER_OFF.mask:
         return False
     return bool(reading.flags & flags.ARC_LEVEL_UNKNOWN.mask) or reading.arc.misfit > MISFIT_LIMIT
 
 
 def _as_contradicted(
-    state: TrackerState, track: Track, reading: Reading | None, by_map: Reading
-) -> tuple[TrackerState, Track, Reading | None]:
+    frame: Frame, plain: FrameResult, by_map: Reading
+) -> tuple[TrackerState, Track, Reading]:
     """Return a step without the arc map, whose track says of the arc what the look with the map found."""
-    assert reading is not None
-    asked = reading.asked
+    reading, arc = plain.reading, by_map.arc
     for question in (checks.ARC_ON, checks.ARC_LEVEL_KNOWN, checks.ARC_LEVEL, checks.MAP_MISFIT):
-        take_answer(asked, by_map.asked, question)
+        reading.checks.take_answer(by_map.checks, question)
     # It is not asked of a level that is none.
-    if not asked.flags & (flags.ARC_LEVEL_UNKNOWN.mask | flags.MAP_MISFIT.mask):
-        ask(asked, checks.MAP_MISFIT, by_map.arc.misfit, MISFIT_LIMIT)
-    arc = by_map.arc
-    told = replace(track, flags=asked.flags, checks=asked.answers, arc_level=arc.level, map_misfit=arc.misfit)
-    return state, told, reading
+    if not reading.flags & (flags.ARC_LEVEL_UNKNOWN.mask | flags.MAP_MISFIT.mask):
+        reading.checks.ask(checks.MAP_MISFIT, arc.misfit, MISFIT_LIMIT)
+    track = replace(_track(frame, plain), arc_level=arc.level, map_misfit=arc.misfit)
+    return plain.state, track, reading
 
 
-def _step_once(
-    geometry: SensorGeometry,
-    state: TrackerState,
-    frame: Frame,
-    pose: Pose | None,
-    work: Work,
-    use_arc_map: bool,
-    correction: Correction,
-    lead: Lead,
-    call: FrameCall | None,
-) -> tuple[TrackerState, Track, Reading | None]:
-    """Return what a step does that takes the frame's arc as it is said to be."""
-    asked = Asked.nothing()
-    if pose is None or not _is_readable(geometry, frame, pose):
-        _ask_frame(asked, geometry, frame, pose)
-        return _refused(state, asked, frame)
-    frame, pose = _as_compiled_for(frame, pose)
-    if not geometry.has_light_effects and geometry.setup.joint.type in TRACKS:
-        track = TRACKS[geometry.setup.joint.type] if call is None else call
-        tracked = track(asked, _given(geometry, state, frame, pose, work, use_arc_map, correction, lead))
-        if tracked.ends == REFUSED:
-            return _refused(state, asked, frame)
-        if tracked.ends == TRACKED:
-            return _shown(asked, frame, tracked)
-    return step_by_step(geometry, state, frame, pose, work, use_arc_map, correction, lead)
-
-
-def prepared_call(
-    geometry: SensorGeometry, work: Work, use_arc_map: bool, correction: Correction
-) -> FrameCall | None:
-    """Return what tracks a setup's frames in one call, None where no one call serves them."""
-    if geometry.has_light_effects or geometry.setup.joint.type not in TRACKS:
-        return None
-    (height, width), dtype = geometry.frame_form
-    exposure_s, current_a = geometry.setup.camera.exposure_s, geometry.setup.arc.current_a
-    dark = Frame(0, 0.0, np.zeros((height, width), dtype), exposure_s, current_a)
-    given = _given(geometry, TrackerState(), dark, Pose(np.eye(4)), work, use_arc_map, correction, AT_ONCE)
-    return FrameCall(geometry.setup.joint.type, given)
-
-
-def _given(
-    geometry: SensorGeometry,
-    state: TrackerState,
-    frame: Frame,
-    pose: Pose,
-    work: Work,
-    use_arc_map: bool,
-    correction: Correction,
-    lead: Lead,
-) -> FrameGiven:
-    """Return what a frame is tracked with in one call."""
-    return FrameGiven(
-        geometry.look_source,
-        geometry.stated_joint,
-        number_of(family_of(geometry.setup.joint)),
-        correction.numbers,
-        state,
-        frame.image_dn,
-        frame_light(geometry.setup, frame),
-        pose.T_base_tool,
-        bool(pose.extrapolated),
-        float(frame.timestamp_s),
-        Lead(float(lead.time_s), float(lead.way_mm)),
-        work,
-        use_arc_map,
-    )
-
-
-def _shown(asked: Asked, frame: Frame, tracked: FrameTracked) -> tuple[TrackerState, Track, Reading]:
-    """Return the state, the track and the look of a frame that was tracked."""
-    aim, stripe, joint = tracked.aim, tracked.stripe, tracked.joint
-    reading = Reading(
-        asked,
-        aim.scene,
-        aim.seam,
-        aim.reach_mm,
-        tracked.arc,
-        stripe if stripe.position_px.size else None,
-        joint if joint.is_determined else None,
-        tracked.fov_margin_mm,
-        tracked.state.scatter,
-        aim.scatter,
-    )
-    return tracked.state, _track(frame, asked, reading, tracked.shown, tracked.offset), reading
-
-
-def step_by_step(
-    geometry: SensorGeometry,
-    state: TrackerState,
-    frame: Frame,
-    pose: Pose,
-    work: Work,
-    use_arc_map: bool,
-    correction: Correction,
-    lead: Lead,
-) -> tuple[TrackerState, Track, Reading | None]:
-    """Take a step by its pieces, where Python comes in between."""
-    asked = Asked.nothing()
-    given = _given(geometry, state, frame, pose, work, use_arc_map, correction, lead)
-    begun = begin(asked, given)
-    if begun.ends == REFUSED:
-        return _refused(state, asked, frame)
-    turn = first_turn(asked, given, begun)
-    while turn.looks != DONE:
-        if geometry.has_light_effects:
-            look = look_through_effects(turn.asked, geometry, frame, turn.aim, work)
-        else:
-            look = look_by(turn.asked, given, turn.aim)
-        fitted = fit_by_pieces(turn.asked, geometry, turn.aim.scene, frame, look)
-        turn = after_look(given, begun, turn, seen_by(turn.asked, given, turn.aim, look, fitted))
-    return _shown(asked, frame, end(asked, given, begun, settled(asked, begun, turn)))
-
-
-def _refused(state: TrackerState, asked: Asked, frame: Frame) -> tuple[TrackerState, Track, None]:
+def _refused(
+    state: TrackerState, frame_checks: FrameChecks, frame: Frame
+) -> tuple[TrackerState, Track, None]:
     """Return what a step does that took no look."""
     if state.steering.is_stopped:
-        ask_whether(asked, checks.FOLLOWING, False)
-    track = Track(frame.index, frame.timestamp_s, asked.flags, checks=asked.answers)
+        frame_checks.ask_whether(checks.FOLLOWING, False)
+    track = Track(frame.index, frame.timestamp_s, frame_checks.flags, checks=frame_checks.answers)
     return state._replace(frames=state.frames + 1), track, None
 
 
@@ -273,30 +165,34 @@ def _as_compiled_for(frame: Frame, pose: Pose) -> tuple[Frame, Pose]:
 
 
 def _is_readable(geometry: SensorGeometry, frame: Frame, pose: Pose) -> bool:
-    """Say whether a frame and a pose have their form."""
+    """Return True if a frame and a pose have their form."""
     image_dn = frame.image_dn
     return pose.T_base_tool.shape == (4, 4) and (image_dn.shape, image_dn.dtype) == geometry.frame_form
 
 
-def _ask_frame(asked: Asked, geometry: SensorGeometry, frame: Frame, pose: Pose | None) -> None:
+def _check_form(frame_checks: FrameChecks, geometry: SensorGeometry, frame: Frame, pose: Pose | None) -> None:
     """Ask whether a frame has its form and a pose, and whether the pose has its own."""
     fits = frame_misfit(frame.image_dn.shape, frame.image_dn.dtype, geometry.setup) is None
-    is_known = ask_whether(asked, checks.FRAME_FORMAT, fits) and ask_whether(
-        asked, checks.POSE_KNOWN, pose is not None
-    )
-    if is_known and pose is not None:
-        ask_whether(asked, checks.POSE_BRACKETED, not pose.extrapolated)
-        if pose.T_base_tool.shape != (4, 4):
-            ask_whether(asked, checks.POSE_RIGID, False)
+    if not (
+        frame_checks.ask_whether(checks.FRAME_FORMAT, fits)
+        and frame_checks.ask_whether(checks.POSE_KNOWN, pose is not None)
+    ):
+        return
+    assert pose is not None
+    frame_checks.ask_whether(checks.POSE_BRACKETED, not pose.extrapolated)
+    if pose.T_base_tool.shape != (4, 4):
+        frame_checks.ask_whether(checks.POSE_RIGID, False)
 
 
-def _track(frame: Frame, asked: Asked, reading: Reading, shown: SeamShown, offset: TorchOffset) -> Track:
+def _track(frame: Frame, tracked: FrameResult) -> Track:
     """Return what a step says of a frame that it looked at."""
-    joint = reading.joint if shown.is_shown else None
+    reading, offset = tracked.reading, tracked.offset
+    shown = SeamShown() if tracked.shown is None else tracked.shown
+    joint = None if tracked.shown is None else reading.joint
     return Track(
         frame.index,
         frame.timestamp_s,
-        asked.flags,
+        reading.flags,
         seam_tool_mm=shown.seam_tool_mm,
         sigma_y_mm=shown.sigma_y_mm,
         sigma_z_mm=shown.sigma_z_mm,
@@ -316,5 +212,5 @@ def _track(frame: Frame, asked: Asked, reading: Reading, shown: SeamShown, offse
         fov_margin_mm=reading.fov_margin_mm,
         shape=NO_SHAPE if joint is None else joint.shape,
         stripe=reading.stripe,
-        checks=asked.answers,
+        checks=reading.checks.answers,
     )

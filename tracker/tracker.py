@@ -6,13 +6,11 @@ import warnings
 
 from noise_model.setup import Setup
 from tracker import flags
-from tracker.frame import FrameCall
 from tracker.geometry import SensorGeometry
-from tracker.measure import Reading
+from tracker.observation import Reading
 from tracker.seam.correction import UNSTATED, Correction
-from tracker.seam.steer import AT_ONCE, Lead
-from tracker.state import Frame, Pose, Track, frame_misfit
-from tracker.step import prepared_call, step_and_reading
+from tracker.state import AT_ONCE, Frame, Lead, Pose, Track, frame_misfit
+from tracker.step import step_and_reading
 from tracker.stripe.read import Work
 from tracker.tracker_state import TrackerState
 from tracker.warm_up import OnCompiled, WarmUp, warm_up
@@ -38,7 +36,6 @@ class Tracker:
         self.use_arc_map = use_arc_map
         self.correction = correction
         self._work = Work.of(self.geometry)
-        self._call: FrameCall | None = None
 
     def __repr__(self) -> str:
         setup = self.geometry.setup
@@ -75,7 +72,6 @@ class Tracker:
             self.use_arc_map,
             self.correction,
             lead,
-            self._call,
         )
         if track.flags & flags.FRAME_UNREADABLE.mask:
             misfit = frame_misfit(frame.image_dn.shape, frame.image_dn.dtype, self.geometry.setup)
@@ -98,6 +94,4 @@ class Tracker:
         WarmUp
             How many functions were compiled, and the seconds in all.
         """
-        took = warm_up(self.geometry, self.correction, self.use_arc_map, on_compiled)
-        self._call = prepared_call(self.geometry, self._work, self.use_arc_map, self.correction)
-        return took
+        return warm_up(self.geometry, self.correction, self.use_arc_map, on_compiled)

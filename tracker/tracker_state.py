@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from noise_model.kernel import kernel
 from tracker import flags
 from tracker.seam.gaussian_process import NO_HISTORY, SeamHistory
-from tracker.seam.steer import Steering
-from tracker.seam.stretches import PastStretches, Stretches
+from tracker.seam.joint_ends import JointEnds
+from tracker.seam.stretches import PastStretches
+from tracker.state import Pair
 from tracker.stripe.scatter import NO_SCATTER, Scatter
 
 LOST_TO_FORGET = 10
@@ -19,6 +19,18 @@ The torch, which comes later, is steered by it all the same.
 
 LOST_TO_SEARCH = 3
 """So many frames without a joint widen the search to what it was at first."""
+
+
+class Steering(NamedTuple):
+    """What the steering hands on from frame to frame.
+
+    Once stopped it stays so: a new Steering, as a new Tracker has, is the only way to start again.
+    `hand_eye_variance_mm2` (y, z) is what the hand-eye tolerance leaves of the latest measurement.
+    """
+
+    ends: JointEnds = JointEnds()
+    is_stopped: bool = False
+    hand_eye_variance_mm2: Pair = (0.0, 0.0)
 
 
 class TrackerState(NamedTuple):
@@ -60,25 +72,3 @@ class TrackerState(NamedTuple):
     def lasting_flags(self) -> int:
         """The flags of every frame from now on, one that cannot be read as well."""
         return flags.FOLLOW_STOPPED.mask if self.steering.is_stopped else 0
-
-
-@kernel(allocates=True)
-def stretches_of(state: TrackerState) -> Stretches:
-    """Return what a state remembers of the seam."""
-    return Stretches(state.history, state.beyond, state.behind, state.jumps, state.jumped_at, state.lost)
-
-
-@kernel(allocates=True)
-def state_after(before: TrackerState, kept: Stretches, steering: Steering, scatter: Scatter) -> TrackerState:
-    """Return the state after one more frame, with what is remembered of the seam and of the stripe."""
-    return TrackerState(
-        kept.history,
-        kept.beyond,
-        kept.behind,
-        steering,
-        scatter,
-        kept.jumps,
-        kept.jumped_at,
-        kept.lost,
-        before.frames + 1,
-    )

@@ -20,8 +20,8 @@ from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64, Integers
 from noise_model.surface.joint import NOMINAL_SEAM, seam_frame
 from tracker.geometry import SensorGeometry
+from tracker.judge import JUMPS_TO_RELEARN
 from tracker.seam.correction import Correction
-from tracker.seam.stretches import JUMPS_TO_RELEARN
 from tracker.state import Frame, Pose
 from tracker.step import step
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
@@ -165,6 +165,9 @@ def _frames(geometry: SensorGeometry) -> Iterator[tuple[Frame, Pose | None]]:
         yield frame(dark), middle
     yield frame(shown.image(rng, aside_px=aside_px)), middle
     yield frame(shown.image(rng)), middle
+    for _ in range(LOST_TO_SEARCH):
+        yield frame(dark), middle
+    yield frame(shown.image(rng, ghost=0.5)), middle
     # Before the joint's start and past its end; then from where nothing is seen.
     for pose in (start, end, beyond):
         yield frame(_Picture.of(geometry, pose).image(rng)), replace(pose, extrapolated=True)
@@ -237,7 +240,7 @@ class _Picture:
     ) -> Integers:
         """Return a frame (H, W) with so much of the stripe, of the arc, and of a ghost beside the stripe.
 
-        The stripe is in a share of the scan lines alone, and moved aside.
+        The stripe is in a share of those scan lines alone that show it, and moved aside.
         """
         geometry, sensor = self.geometry, self.geometry.setup.sensor
         charge_e = arc * self.arc_e
@@ -245,7 +248,8 @@ class _Picture:
             places = np.arange(geometry.n_pos) - self.expected.position_px[:, None] - aside_px
             sigma = self.expected.sigma_px[:, None]
             bells = np.exp(-0.5 * (places / sigma) ** 2) + ghost * np.exp(-0.5 * (places / sigma - 5.0) ** 2)
-            held = self.expected.shown & (np.arange(geometry.n_scan) < share * geometry.n_scan)
+            shown = self.expected.shown
+            held = shown & (np.cumsum(shown) <= share * shown.sum())
             charge_e = charge_e + stripe * STRIPE_OVER_FULL_WELL * sensor.full_well_e * bells * held[:, None]
         noise_e = np.sqrt(charge_e + geometry.dark_variance_e2) * rng.standard_normal(charge_e.shape)
         codes = np.searchsorted(geometry.charge_e, charge_e + noise_e)

@@ -17,11 +17,11 @@ from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamSegments, corrugation_height, nearest_segment, seam_frame, section
 from noise_model.transforms import invert, transform
-from tracker.checks import Asked
+from tracker.checks import FrameChecks
 from tracker.geometry import SEARCH_REACH_MM, to_laser_plane
 from tracker.joint.type_check import Family, shown_family
 from tracker.profile import Profile
-from tracker.seam.expected import pose_checks, pose_numbers
+from tracker.seam.expected import check_pose, pose_numbers
 from tracker.seam.locate import SeamSource
 
 BESIDE_MM = 4.0
@@ -140,8 +140,8 @@ def line_points(setup: Setup, sight: Sight) -> LinePoints:
     nothing = np.empty(0)
     if not np.isfinite(sight.T_base_tool).all():
         return LinePoints(nothing, nothing, math.nan, math.nan, 0)
-    asked, source = Asked.nothing(), SeamSource.of(setup)
-    pose_checks(asked, source, pose_numbers(source, np.require(sight.T_base_tool, np.float64, ("C", "W"))))
+    asked, source = FrameChecks(), SeamSource.of(setup)
+    check_pose(asked, source, pose_numbers(source, np.require(sight.T_base_tool, np.float64, ("C", "W"))))
     points_px = sight.points_px[:: max(1, len(sight.points_px) // MAX_POINTS)]
     points_tool, beside_tool = (to_laser_plane(setup, points_px + step)[0] for step in (0.0, 1.0))
     met = np.isfinite(points_tool).all(axis=1) & np.isfinite(beside_tool).all(axis=1)

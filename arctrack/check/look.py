@@ -17,7 +17,7 @@ from noise_model.forward import predict
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker.geometry import SensorGeometry
-from tracker.measure import Reading
+from tracker.observation import Reading
 from tracker.seam.locate import locate
 from tracker.state import Frame, Pose, Track
 from tracker.step import step_and_reading

@@ -26,9 +26,9 @@ from noise_model.setup import Setup
 from noise_model.transforms import invert, transform
 from robot_io import SeamOffset, Validity
 from tracker import flags
-from tracker.checks import Asked
+from tracker.checks import FrameChecks
 from tracker.geometry import SensorGeometry
-from tracker.measure import Reading, expected_output, shows_arc
+from tracker.observation import Reading, expected_output, shows_arc
 from tracker.state import NAN
 from tracker.stripe.read import arc_map_of
 
@@ -136,7 +136,7 @@ def _reading(setup: Setup, entry: Entry, view: View) -> Reading | None:
         return None
     scene: Scene = make_scene(setup, pose.T_base_tool, view.seam)
     return Reading(
-        Asked.nothing(), scene, view.seam, view.reach_mm, view.arc, stripe=view.track.stripe, joint=view.joint
+        FrameChecks(), scene, view.seam, view.reach_mm, view.arc, stripe=view.track.stripe, joint=view.joint
     )
 
 

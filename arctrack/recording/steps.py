@@ -23,12 +23,11 @@ from arctrack.recording.csv_file import number, number_or_unknown, read_csv, who
 from arctrack.recording.files import blamed_on, read_text
 from tracker.seam.gaussian_process import SeamHistory
 from tracker.seam.joint_ends import Change, JointEnds
-from tracker.seam.steer import Lead, Steering
 from tracker.seam.stretches import PastStretches
-from tracker.state import NAN, Pose
+from tracker.state import NAN, Lead, Pose
 from tracker.step import StepInputs
 from tracker.stripe.scatter import FrameScatter, Scatter
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import Steering, TrackerState
 
 STEPS_CSV, STATE_JSON = "steps.csv", "state.json"
 FORMAT = "arctrack-tracker-state/1"

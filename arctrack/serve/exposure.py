@@ -12,7 +12,7 @@ from noise_model.arc.map import arc_kernel
 from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from noise_model.plan.exposure import POLICY, better_exposure_s, expected_sigma_px, ladder_s
-from tracker.measure import expected_output
+from tracker.observation import expected_output
 from tracker.state import Frame, Track
 from tracker.stripe.expected import expect_stripe
 from tracker.stripe.read import arc_map_of

@@ -16,7 +16,7 @@ from noise_model.effects import pose_time_s
 from robot_io import GateReason, PoseAt, PoseStatus, Received, SeamOffset
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker.seam.innovation import SeamMeasured
-from tracker.seam.steer import AT_ONCE, Lead
+from tracker.state import AT_ONCE, Lead
 
 
 class PlayedPoses:

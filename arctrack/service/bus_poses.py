@@ -22,7 +22,7 @@ from robot_io.clocks.sync import SyncLimits
 from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker.seam.innovation import InnovationLimits, SeamMeasured
-from tracker.seam.steer import AT_ONCE, Lead
+from tracker.state import AT_ONCE, Lead
 
 KEPT_POSES = 256
 

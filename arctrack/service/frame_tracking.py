@@ -9,11 +9,10 @@ from arctrack.service.seam_measured import seam_measured
 from noise_model.setup import Setup
 from robot_io import PoseAt, PoseStatus, RobotStatus
 from tracker import flags
-from tracker.measure import Reading
+from tracker.observation import Reading
 from tracker.seam.correction import UNSTATED, Correction
 from tracker.seam.innovation import SeamMeasured
-from tracker.seam.steer import Lead
-from tracker.state import Frame, Pose, Track
+from tracker.state import Frame, Lead, Pose, Track
 from tracker.step import StepInputs
 from tracker.tracker import Tracker
 from tracker.tracker_state import TrackerState

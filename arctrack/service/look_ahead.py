@@ -22,7 +22,7 @@ from noise_model.arrays import Float64
 from robot_io import BusMessage, Command, PoseSample, SeamOffset, TrackerCommand, Validity
 from robot_io.clocks.lag import Lag, LagLimits, LagUnestimated, Motion, estimate_lag
 from robot_io.poses.nominal_path import NominalPath
-from tracker.seam.steer import AT_ONCE, Lead
+from tracker.state import AT_ONCE, Lead
 
 NOTHING_YET = Lag(unestimated=LagUnestimated.TOO_FEW)
 

@@ -22,8 +22,7 @@ from robot_io import (
     SeamOffset,
 )
 from tracker.seam.innovation import SeamMeasured
-from tracker.seam.steer import AT_ONCE, Lead
-from tracker.state import Track
+from tracker.state import AT_ONCE, Lead, Track
 
 Shown = TypeVar("Shown", contravariant=True)
 

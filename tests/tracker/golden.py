@@ -18,8 +18,7 @@ from rendered import CURRENT_A, EXPOSURE_S, frame_of, pose_at, small_setup
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker.seam.correction import UNSTATED, AxisCorrection, Correction
-from tracker.seam.steer import AT_ONCE, Lead
-from tracker.state import Frame, Pose, Track
+from tracker.state import AT_ONCE, Frame, Lead, Pose, Track
 from tracker.tracker import Tracker
 
 HERE = Path(__file__).parent

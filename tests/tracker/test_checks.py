@@ -1,6 +1,5 @@
 """What a step asked: noted as it was, and read as checks."""
 
-import math
 import operator
 import pickle
 
@@ -8,16 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tracker import checks, flags
-from tracker.checks import (
-    QUESTIONS,
-    Asked,
-    Check,
-    ask,
-    ask_as,
-    ask_raising,
-    ask_whether,
-    take_answer,
-)
+from tracker.checks import Check, FrameChecks, Question
+
+QUESTIONS = [question for question in vars(checks).values() if isinstance(question, Question)]
 
 FAILS = {
     "yes": operator.ne,
@@ -28,17 +20,17 @@ FAILS = {
 }
 
 
-def three() -> Asked:
+def three() -> FrameChecks:
     """Three questions: one passes, one fails, one fails with a flag that is not its own."""
-    asked = Asked.nothing()
-    assert ask_whether(asked, checks.LASER_ON, True)
-    assert not ask(asked, checks.LINES_HELD, 0.1, 0.2)
-    assert not ask_raising(asked, checks.SEAM_NOT_LOST, 3.0, 1.0, flags.FOLLOW_STOPPED.mask)
+    asked = FrameChecks()
+    assert asked.ask_whether(checks.LASER_ON, True)
+    assert not asked.ask(checks.LINES_HELD, 0.1, 0.2)
+    assert not asked.ask(checks.SEAM_NOT_LOST, 3.0, 1.0, flags.FOLLOW_STOPPED)
     return asked
 
 
 def test_answers_say_what_was_asked() -> None:
-    laser, held, lost = (QUESTIONS[n] for n in (checks.LASER_ON, checks.LINES_HELD, checks.SEAM_NOT_LOST))
+    laser, held, lost = checks.LASER_ON, checks.LINES_HELD, checks.SEAM_NOT_LOST
     want = (
         Check(laser, 1.0, 1.0, flags.LASER_OFF),
         Check(held, 0.1, 0.2, flags.STRIPE_LOST),
@@ -46,26 +38,21 @@ def test_answers_say_what_was_asked() -> None:
     )
     answers = three().answers
     assert tuple(answers) == want
-    assert (len(answers), answers[1], answers[1:]) == (3, want[1], want[1:])
-    assert repr(answers) == repr(want)
     assert [check.passed for check in answers] == [True, False, False]
-    assert pickle.loads(pickle.dumps(answers)) == answers == want
-    assert hash(answers) == hash(want)
-    assert answers != want[:2]
-    assert three().answers == answers
+    assert pickle.loads(pickle.dumps(answers)) == want
 
 
 def test_questions_are_told_apart_by_their_names() -> None:
-    assert QUESTIONS[checks.FRAME_FORMAT].id == "frame_format"
-    assert QUESTIONS[checks.OFFSET_WITHIN].id == "offset_within"
+    assert checks.FRAME_FORMAT.id == "frame_format"
+    assert checks.OFFSET_WITHIN.id == "offset_within"
     assert len({question.id for question in QUESTIONS}) == len(QUESTIONS)
 
 
 @given(st.sampled_from(QUESTIONS), st.floats() | st.sampled_from([0.0, 1.0]), st.floats(allow_nan=False))
 def test_a_value_fails_as_its_question_demands(question: checks.Question, value: float, limit: float) -> None:
-    asked = Asked.nothing()
+    asked = FrameChecks()
     want = not FAILS[question.demand](value, limit)
-    assert ask(asked, QUESTIONS.index(question), value, limit) == want
+    assert asked.ask(question, value, limit) == want
     assert asked.flags == (0 if want else question.flag.mask)
     assert asked.answers[0].passed == want
     assert asked.answers[0].flag is question.flag
@@ -74,32 +61,25 @@ def test_a_value_fails_as_its_question_demands(question: checks.Question, value:
 def test_answers_do_not_change_with_what_is_asked_later() -> None:
     asked = three()
     answers = asked.answers
-    ask_whether(asked, checks.ARC_ON, False)
+    asked.ask_whether(checks.ARC_ON, False)
     assert (len(answers), len(asked.answers)) == (3, 4)
 
 
-def test_answers_that_are_not_known_are_the_same() -> None:
-    asked, others = Asked.nothing(), Asked.nothing()
-    for record in (asked, others):
-        assert ask(record, checks.MAP_MISFIT, math.nan, 2.0)
-    assert asked.answers == others.answers
-
-
 def test_flags_are_those_of_the_answers_that_failed() -> None:
-    asked, others = three(), Asked.nothing()
+    asked, others = three(), FrameChecks()
     assert asked.flags == flags.STRIPE_LOST.mask | flags.FOLLOW_STOPPED.mask
-    ask_whether(others, checks.ARC_ON, False)
-    ask_as(asked, others)
+    others.ask_whether(checks.ARC_ON, False)
+    asked.extend(others)
     assert asked.flags & flags.ARC_OFF.mask
-    assert asked.answers[-1].question is QUESTIONS[checks.ARC_ON]
+    assert asked.answers[-1].question is checks.ARC_ON
 
 
 def test_an_answer_takes_the_place_of_another() -> None:
-    asked, others = three(), Asked.nothing()
-    ask(others, checks.LINES_HELD, 0.9, 0.2)
-    ask_whether(others, checks.JOINT_TYPE, False)
+    asked, others = three(), FrameChecks()
+    others.ask(checks.LINES_HELD, 0.9, 0.2)
+    others.ask_whether(checks.JOINT_TYPE, False)
     for question in (checks.LINES_HELD, checks.JOINT_TYPE, checks.ARC_ON):
-        take_answer(asked, others, question)
+        asked.take_answer(others, question)
     assert [check.question.id for check in asked.answers] == [
         "laser_on",
         "lines_held",

@@ -14,9 +14,9 @@ from profiles import groove, lap, measure, only
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint, fit_joint
-from tracker.joint.ask import JOINT_CHI2_LIMIT, UNEXPLAINED_LIMIT
 from tracker.joint.complete import ALIKE_OFF_PX
 from tracker.joint.measured import SIGMA_FLOOR_PX
+from tracker.pipeline import JOINT_CHI2_LIMIT, UNEXPLAINED_LIMIT
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
 SIGMA_PX = 0.07

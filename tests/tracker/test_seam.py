@@ -17,9 +17,9 @@ from noise_model.arrays import Float64
 from noise_model.surface.joint import SeamLine, corrugation_height
 from noise_model.transforms import invert, transform
 from tracker import flags
-from tracker.checks import Asked
+from tracker.checks import FrameChecks
 from tracker.geometry import SensorGeometry, meet_laser_plane
-from tracker.seam.expected import is_rotation, pose_checks, pose_numbers
+from tracker.seam.expected import check_pose, is_rotation, pose_numbers
 from tracker.seam.locate import (
     SeamSource,
     confidence,
@@ -96,8 +96,8 @@ def test_confidence_is_that_of_independent_normal_errors(sigmas: list[float]) ->
 
 def flags_of(source: SeamSource, T_base_tool: Float64) -> int:
     """Return the flags that a pose raises."""
-    asked = Asked.nothing()
-    can_look = pose_checks(asked, source, pose_numbers(source, T_base_tool))
+    asked = FrameChecks()
+    can_look = check_pose(asked, source, pose_numbers(source, T_base_tool))
     assert can_look == (asked.flags == 0)
     return asked.flags
 

@@ -23,7 +23,6 @@ from tracker.seam.gaussian_process import (
     SeamHistory,
 )
 from tracker.seam.locate import SeamSource, locate, sources
-from tracker.seam.stretches import JUMP_FLOOR_MM, JUMP_SIGMAS, see
 
 JOINTS = "v_groove", "lap", "corrugation"
 TURNS_DEG = st.tuples(*[st.floats(-20.0, 20.0)] * 3)
@@ -114,36 +113,6 @@ def test_what_is_no_pose_raises_nothing(wrong: float) -> None:
     source = SeamSource.of(small_setup("corrugation"))
     expected = expect_seam(source, T, SeamHistory())
     assert not expected.pose.is_rotation
-
-
-@pytest.mark.parametrize("name", JOINTS)
-def test_a_seen_seam_is_located_and_put_beside_the_history(name: str) -> None:
-    setup, history = small_setup(name), SeamHistory()
-    source, scene = SeamSource.of(setup), make_scene(setup, pose_at(10.0, 0.7).T_base_tool)
-    for station in np.arange(20.0, 50.0, 2.0):
-        history = history.with_measurement(float(station), (0.01 * station, -0.2), (1e-4, 1e-4))
-    seen = see(
-        source,
-        scene.T_joint_tool,
-        scene,
-        0.3,
-        -0.1,
-        (1e-3, 2e-3),
-        history,
-    )
-    assert seen.located == locate(source, scene.T_joint_tool, scene, 0.3, -0.1)
-    station, displacement = seen.located.station_mm, seen.located.displacement_mm
-    expected = history.point_at(station)
-    np.testing.assert_allclose(seen.away_mm, np.abs(np.subtract(displacement, expected.displacement_mm)))
-    limit_mm = np.maximum(
-        JUMP_SIGMAS * np.hypot(expected.sigma_mm, np.sqrt(seen.variance_mm2)), JUMP_FLOOR_MM
-    )
-    np.testing.assert_allclose(seen.limit_mm, limit_mm)
-    after = history.with_measurement(station, displacement, (1e-3, 2e-3))
-    np.testing.assert_array_equal(seen.history.stations_mm, after.stations_mm)
-    np.testing.assert_array_equal(seen.history.displacements_mm, after.displacements_mm)
-    np.testing.assert_array_equal(seen.history.variances_mm2, after.variances_mm2)
-    assert seen.history.began_mm == after.began_mm
 
 
 @pytest.mark.parametrize("name", JOINTS)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from rendered import LASER_X_MM, frame_of, pose_at, small_setup, walk
 
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
+from tracker.checks import FrameChecks
 from tracker.seam.correction import AxisCorrection, Correction
 from tracker.seam.gaussian_process import (
     BEND_LENGTH_MM,
@@ -21,8 +23,8 @@ from tracker.seam.gaussian_process import (
     WIDE_SIGMA_MM,
     SeamHistory,
 )
-from tracker.seam.steer import Lead, SeamAtTorch, seam_at_torch
-from tracker.state import Frame, Pose, Track
+from tracker.state import Frame, Lead, Pose, Track
+from tracker.steer import SeamAtTorch, seam_at_torch
 from tracker.tracker import Tracker
 
 ENDLESS = (-math.inf, math.inf)
@@ -44,39 +46,61 @@ def history() -> SeamHistory:
     return seam
 
 
-def known(seam: SeamAtTorch) -> bool:
+class Told(NamedTuple):
+    """What is known of the seam at the torch, and the flags that were raised."""
+
+    seam: SeamAtTorch
+    flags: int
+
+    @property
+    def displacement_mm(self) -> tuple[float, float]:
+        return self.seam.displacement_mm
+
+    @property
+    def sigma_mm(self) -> tuple[float, float]:
+        return self.seam.sigma_mm
+
+
+def at_torch(
+    correction: Correction, history: SeamHistory, torch_mm: float, stretch_mm: tuple[float, float]
+) -> Told:
+    frame_checks = FrameChecks()
+    return Told(seam_at_torch(frame_checks, correction, history, torch_mm, stretch_mm), frame_checks.flags)
+
+
+def known(seam: Told) -> bool:
     assert np.isfinite(seam.displacement_mm).all() == np.isfinite(seam.sigma_mm).all()
     return bool(np.isfinite(seam.displacement_mm).all())
 
 
-def raised(seam: SeamAtTorch) -> tuple[str, ...]:
+def raised(seam: Told) -> tuple[str, ...]:
     return Track(0, 0.0, seam.flags).flag_names
 
 
 @pytest.mark.parametrize("correction", [HOLD, EXTRAPOLATE, STOP])
 def test_on_the_measured_stretch_nothing_is_lost(correction: Correction, history: SeamHistory) -> None:
     for torch_mm in (0.0, 17.0, 40.0):
-        seam = seam_at_torch(correction, history, torch_mm, ENDLESS)
+        seam = at_torch(correction, history, torch_mm, ENDLESS)
         np.testing.assert_array_equal((seam.displacement_mm, seam.sigma_mm), history.at(torch_mm))
         assert seam.flags == 0
 
 
 def test_what_was_lost_is_extrapolated_within_its_limits(history: SeamHistory) -> None:
     correction = replace(EXTRAPOLATE, extrapolate_mm=8.0)
-    seam = seam_at_torch(correction, history, 48.0, ENDLESS)
+    seam = at_torch(correction, history, 48.0, ENDLESS)
     np.testing.assert_array_equal((seam.displacement_mm, seam.sigma_mm), history.at(48.0))
     assert raised(seam) == ("offset_extrapolated",)
-    beyond = seam_at_torch(correction, history, 48.001, ENDLESS)
+    beyond = at_torch(correction, history, 48.001, ENDLESS)
     assert not known(beyond)
     assert raised(beyond) == ("offset_extrapolated", "offset_unknown")
     sigma = float(history.at(45.0)[1].max())
     for limit, is_known in ((sigma, True), (0.999 * sigma, False)):
         tight = replace(correction, extrapolate_sigma_mm=limit)
-        assert known(seam_at_torch(tight, history, 45.0, ENDLESS)) == is_known
+        assert known(at_torch(tight, history, 45.0, ENDLESS)) == is_known
 
 
 def test_what_was_lost_is_held_at_a_growing_sigma(history: SeamHistory) -> None:
-    held = [seam_at_torch(HOLD, history, 40.0 + d, ENDLESS) for d in (0.0, 1e-3, 3.0, 6.0, 10.0)]
+    held = [at_torch(HOLD, history, 40.0 + d, ENDLESS) for d in (0.0, 1e-3, 3.0, 6.0, 10.0)]
     for seam in held[1:]:
         np.testing.assert_array_equal(seam.displacement_mm, held[0].displacement_mm)
         assert raised(seam) == ("offset_held",)
@@ -84,7 +108,7 @@ def test_what_was_lost_is_held_at_a_growing_sigma(history: SeamHistory) -> None:
     assert (np.diff(sigmas, axis=0) > 0.0).all()
     assert sigmas[1, 0] == pytest.approx(sigmas[0, 0], rel=1e-3)
     assert (sigmas[2:] > [history.at(40.0 + d)[1] for d in (3.0, 6.0, 10.0)]).any()
-    assert not known(seam_at_torch(HOLD, history, 50.001, ENDLESS))
+    assert not known(at_torch(HOLD, history, 50.001, ENDLESS))
 
 
 def test_the_sigma_of_a_held_seam_is_honest() -> None:
@@ -101,7 +125,7 @@ def test_the_sigma_of_a_held_seam_is_honest() -> None:
         for station, true in zip(stations, seam[:-1], strict=True):
             measured = true + rng.normal(0.0, math.hypot(0.05, MODEL_SIGMA_MM), 2)
             history = history.with_measurement(float(station), measured, np.full(2, 0.05**2))
-        held = seam_at_torch(HOLD, history, torch_mm, ENDLESS)
+        held = at_torch(HOLD, history, torch_mm, ENDLESS)
         squares.append(((held.displacement_mm - seam[-1]) / held.sigma_mm) ** 2)
     print(f"chi2 of a held seam: {np.mean(squares):.3f}")
     assert 0.85 < np.mean(squares) < 1.15
@@ -109,26 +133,26 @@ def test_the_sigma_of_a_held_seam_is_honest() -> None:
 
 def test_before_anything_is_measured_there_nobody_is_lost(history: SeamHistory) -> None:
     """The torch that runs up to the measured stretch follows even where a lost seam stops it."""
-    seam = seam_at_torch(STOP, history, -20.0, ENDLESS)
+    seam = at_torch(STOP, history, -20.0, ENDLESS)
     assert known(seam)
     assert raised(seam) == ("offset_extrapolated",)
-    assert raised(seam_at_torch(STOP, SeamHistory(), 0.0, ENDLESS)) == ("offset_unknown",)
-    assert raised(seam_at_torch(STOP, history, 41.0, ENDLESS)) == ("offset_extrapolated",)
-    assert raised(seam_at_torch(STOP, history, 41.001, ENDLESS)) == ("follow_stopped",)
+    assert raised(at_torch(STOP, SeamHistory(), 0.0, ENDLESS)) == ("offset_unknown",)
+    assert raised(at_torch(STOP, history, 41.0, ENDLESS)) == ("offset_extrapolated",)
+    assert raised(at_torch(STOP, history, 41.001, ENDLESS)) == ("follow_stopped",)
 
 
 def test_before_the_joint_it_is_its_start_and_past_it_nothing(history: SeamHistory) -> None:
-    before = seam_at_torch(STOP, history, -15.0, (6.0, 30.0))
+    before = at_torch(STOP, history, -15.0, (6.0, 30.0))
     np.testing.assert_array_equal((before.displacement_mm, before.sigma_mm), history.at(6.0))
     assert raised(before) == ("before_joint",)
-    assert seam_at_torch(STOP, history, 6.0, (6.0, 30.0)).flags == 0
-    assert seam_at_torch(STOP, history, 30.0, (6.0, 30.0)).flags == 0
+    assert at_torch(STOP, history, 6.0, (6.0, 30.0)).flags == 0
+    assert at_torch(STOP, history, 30.0, (6.0, 30.0)).flags == 0
     # The sensor has seen something, but not yet the joint's start: nothing is lost.
     for torch_mm in (-15.0, 45.0, 59.0):
-        early = seam_at_torch(STOP, history, torch_mm, (60.0, 90.0))
+        early = at_torch(STOP, history, torch_mm, (60.0, 90.0))
         np.testing.assert_array_equal(early.displacement_mm, history.at(60.0)[0])
         assert raised(early) == ("offset_extrapolated", "before_joint")
-    past = seam_at_torch(STOP, history, 30.001, (6.0, 30.0))
+    past = at_torch(STOP, history, 30.001, (6.0, 30.0))
     assert not known(past)
     assert raised(past) == ("past_joint",)
 

@@ -14,10 +14,8 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, transform
 from tracker import checks, flags
-from tracker.checks import Asked, ask, ask_whether
-from tracker.frame_pieces import Aim, Seen
-from tracker.joint.ask import JOINT_CHI2_LIMIT
-from tracker.search import as_stated
+from tracker.checks import FrameChecks
+from tracker.pipeline import JOINT_CHI2_LIMIT, as_stated
 from tracker.state import Frame
 from tracker.tracker import Tracker
 
@@ -179,15 +177,11 @@ def test_a_misfit_that_looks_like_another_type_is_no_joint(
     assert reading is not None
     assert reading.joint is not None
     assert reading.stripe is not None
-    asked = Asked.nothing()
-    ask(asked, checks.JOINT_CHI2, 20.0 if is_misfit else 1.0, JOINT_CHI2_LIMIT)
-    ask_whether(asked, checks.JOINT_TYPE, not is_other)
-    ask_whether(asked, checks.GAP_SHOWN, not is_by_line)
-    aim = Aim(reading.scene, reading.seam, reading.reach_mm, True, reading.read_with)
-    seen = Seen(
-        asked, aim, reading.arc, reading.stripe, reading.scatter, reading.joint, reading.fov_margin_mm
-    )
-    assert as_stated(seen).joint.is_determined == is_kept
+    asked = FrameChecks()
+    asked.ask(checks.JOINT_CHI2, 20.0 if is_misfit else 1.0, JOINT_CHI2_LIMIT)
+    asked.ask_whether(checks.JOINT_TYPE, not is_other)
+    asked.ask_whether(checks.GAP_SHOWN, not is_by_line)
+    assert (as_stated(reading._replace(checks=asked)).joint is not None) == is_kept
     assert bool(asked.flags & flags.JOINT_NOT_FOUND.mask) != is_kept
 
 

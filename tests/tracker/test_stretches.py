@@ -1,31 +1,20 @@
-"""What is remembered of the seam from frame to frame, against the same by lists."""
+"""What is remembered of the seam from frame to frame, through jumps and back."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tracker import flags
-from tracker.checks import Asked
+from tracker.checks import FrameChecks
+from tracker.judge import JUMPS_TO_RELEARN, jump_limit_mm, jump_of, remember
 from tracker.seam.gaussian_process import NO_HISTORY, SeamHistory
-from tracker.seam.locate import Located
-from tracker.seam.stretches import (
-    JUMP_FLOOR_MM,
-    JUMP_SIGMAS,
-    JUMPS_TO_RELEARN,
-    MAX_STRETCHES,
-    RELEARN_MM,
-    RELEARN_SHARE,
-    PastStretches,
-    SeenSeam,
-    Stretches,
-    aways,
-    followed,
-    history_at,
-)
+from tracker.seam.stretches import MAX_STRETCHES, PastStretches, history_at
+from tracker.tracker_state import TrackerState
 
 seeds = st.integers(0, 2**32 - 1)
 VARIANCE_MM2 = (1e-4, 4e-4)
@@ -75,56 +64,60 @@ def test_a_station_lies_on_the_latest_stretch_that_measured_it(seed: int, k: int
     assert is_present == (i == 0)
 
 
-def plain_followed(before: Stretches, n: int, seen: SeenSeam) -> tuple[Stretches, bool]:
-    """What is remembered after a frame, and whether its seam jumps, by the records' own methods."""
-    history, station = before.history, seen.located.station_mm
-    place = seen.located.displacement_mm
-
-    def is_beyond(stretch: SeamHistory) -> bool:
-        there = stretch.point_at(station)
-        off = np.abs(np.subtract(place, there.displacement_mm))
-        most = JUMP_SIGMAS * np.sqrt(np.square(there.sigma_mm) + seen.variance_mm2)
-        return bool((off > np.maximum(most, JUMP_FLOOR_MM)).any())
-
-    jumped = history.n > 0 and is_beyond(history)
-    if not jumped:
-        after = history.with_measurement(station, place, seen.variance_mm2)
-        return Stretches(after, NO_HISTORY, before.behind, 0, before.jumped_at, 0), False
-    jumps, beyond = before.jumps + 1, before.beyond
-    if is_beyond(beyond):
-        jumps, beyond = 1, NO_HISTORY
-    since = n if jumps == 1 else before.jumped_at
-    beyond = beyond.with_measurement(station, place, seen.variance_mm2)
-    goes_on = jumps >= JUMPS_TO_RELEARN and abs(station - beyond.stations_mm[0]) >= RELEARN_MM
-    if not goes_on or jumps / (1 + n - since) < RELEARN_SHARE:
-        return Stretches(history, beyond, before.behind, jumps, since, before.lost), True
-    past = [*before.behind.histories, history] if history.n >= JUMPS_TO_RELEARN else before.behind.histories
-    return Stretches(beyond, NO_HISTORY, PastStretches.of(past), 0, since, 0), True
+def remembered(places_mm: list[tuple[float, float]], state: TrackerState) -> tuple[TrackerState, list[bool]]:
+    """Return the state after frames that show a seam at (station, y), and which of them jumped."""
+    jumped = []
+    for station_mm, y_mm in places_mm:
+        frame_checks = FrameChecks()
+        state = remember(frame_checks, state, station_mm, (y_mm, 0.0), VARIANCE_MM2)
+        state = state._replace(frames=state.frames + 1)
+        jumped.append(bool(frame_checks.flags & flags.SEAM_JUMP.mask))
+    return state, jumped
 
 
-@settings(deadline=None, max_examples=40)
-@given(seeds)
-def test_a_seam_is_remembered_as_its_twin_remembers_it(seed: int) -> None:
-    """A seam that steps aside now and then, and is lost at times."""
-    rng = np.random.default_rng(seed)
-    stretches = twin = Stretches(NO_HISTORY, NO_HISTORY, PastStretches(), 0, 0, 0)
-    station, place = 0.0, np.zeros(2)
-    for n in range(1, 60):
-        station += rng.uniform(0.2, 1.5)
-        if rng.random() < 0.06:
-            place = rng.normal(0.0, 2.0, 2)
-        if rng.random() < 0.15:
-            continue
-        shown = place + rng.normal(0.0, 0.01, 2) + (rng.random() < 0.1) * rng.normal(0.0, 2.0, 2)
-        located = Located((0.0, 0.0, 0.0), station, (float(shown[0]), float(shown[1])), (0.0, 0.0))
-        away_mm, limit_mm = aways(stretches.history.point_at(station), located.displacement_mm, VARIANCE_MM2)
-        after = stretches.history.with_measurement(station, shown, VARIANCE_MM2)
-        seen, asked = SeenSeam(located, VARIANCE_MM2, away_mm, limit_mm, after), Asked.nothing()
-        stretches = followed(asked, stretches, n, seen)
-        twin, jumps = plain_followed(twin, n, seen)
-        assert bool(asked.flags & flags.SEAM_JUMP.mask) == jumps
-        assert stretches[3:] == twin[3:]
-        assert same(stretches.history, twin.history)
-        assert same(stretches.beyond, twin.beyond)
-        assert len(stretches.behind.ends) == len(twin.behind.ends)
-        assert all(map(same, stretches.behind.histories, twin.behind.histories))
+STRAIGHT = [(1.5 * n, 0.0) for n in range(10)]
+
+
+def test_a_rim_that_shows_for_some_frames_moves_no_seam() -> None:
+    """Two jumps to one place, then two to others, then the seam again."""
+    before, _ = remembered(STRAIGHT, TrackerState())
+    state, jumped = remembered([(15.0, 3.0), (16.5, 3.0), (18.0, -3.0), (19.5, 2.0)], before)
+    assert all(jumped)
+    assert same(state.history, before.history)
+    assert (state.jumps, state.beyond.n) == (1, 1)
+    state, jumped = remembered([(21.0, 0.0)], state)
+    assert jumped == [False]
+    assert (state.history.n, state.jumps, state.beyond.n) == (11, 0, 0)
+
+
+def test_a_seam_that_goes_on_elsewhere_is_learned_anew() -> None:
+    before, _ = remembered(STRAIGHT, TrackerState(lost=4))
+    assert before.lost == 0
+    state, jumped = remembered([(15.0 + n, 3.0) for n in range(JUMPS_TO_RELEARN)], before)
+    assert all(jumped)
+    assert (state.jumps, state.beyond.n, state.history.n) == (0, 0, JUMPS_TO_RELEARN)
+    (behind,) = state.behind.histories
+    assert same(behind, before.history)
+
+
+def test_jumps_over_too_short_a_way_or_too_seldom_are_no_new_seam() -> None:
+    before, _ = remembered(STRAIGHT, TrackerState())
+    state, _ = remembered([(15.0 + 0.1 * n, 3.0) for n in range(8)], before)
+    assert same(state.history, before.history)
+    # Every third frame of the last shows the joint there, the others show none.
+    seldom = before
+    for n in range(4):
+        seldom, _ = remembered([(15.0 + 3.0 * n, 3.0)], seldom._replace(frames=seldom.frames + 2))
+    assert same(seldom.history, before.history)
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 0.1), st.floats(-5.0, 5.0))
+def test_how_far_a_seam_may_lie_is_five_sigmas_of_the_difference(
+    sigma_mm: float, variance_mm2: float, y_mm: float
+) -> None:
+    assert jump_limit_mm(sigma_mm, variance_mm2) == pytest.approx(
+        max(5.0 * math.hypot(sigma_mm, variance_mm2**0.5), 0.3)
+    )
+    history = NO_HISTORY.with_measurement(0.0, (0.5, 0.5), VARIANCE_MM2)
+    (away_y_mm, _), _ = jump_of(history, 0.0, (y_mm, 0.0), VARIANCE_MM2)
+    assert away_y_mm == abs(y_mm - history.point_at(0.0).displacement_mm[0])

@@ -97,7 +97,18 @@ def unlit_by_the_laser(
     return unlit
 
 
-@kernel(allocates=True)
+def estimate_light(
+    image: ImageSource, charge_e: Float64, pixels: Int64, arc_e: Float32, other_e: Float32, has_arc: bool
+) -> ArcLevel:
+    """Return what lights a frame beside the laser, from pixels (n,) off the stripe that hold `charge_e`.
+
+    `arc_e` (n,) is the arc's light at its expected output once it has passed effects, `other_e` (n,) is what
+    else they make, empty for none.
+    """
+    unlit = only_seen(arc_e, charge_e, other_e, pixels)
+    return estimate_arc_level(image, unlit) if has_arc else estimate_ambient_light(image, unlit)
+
+
 def estimate_arc_level(image: ImageSource, unlit: Unlit) -> ArcLevel:
     """Fit charge = level * map + black to pixels off the stripe.
 
@@ -107,10 +118,11 @@ def estimate_arc_level(image: ImageSource, unlit: Unlit) -> ArcLevel:
     """
     dark_e2 = dark_variance_at(image, unlit.charge_e)
     black_sigma_e = max(image.black_sigma_e, MIN_BLACK_SIGMA_E)
-    return fit_level(unlit.arc_e, unlit.charge_e, dark_e2, black_sigma_e, image.response.full_well_e)
+    full_well_e = image.response.full_well_e
+    level: ArcLevel = fit_level(unlit.arc_e, unlit.charge_e, dark_e2, black_sigma_e, full_well_e)
+    return level
 
 
-@kernel(allocates=True)
 def estimate_ambient_light(image: ImageSource, unlit: Unlit) -> ArcLevel:
     """Read the light of a frame whose arc is off.
 

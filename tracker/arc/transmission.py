@@ -35,18 +35,14 @@ class Transmission:
     even_arc_e: Float32
 
     @classmethod
-    def of(
-        cls, geometry: SensorGeometry, scene: Scene, light: ArcLight, output: float
-    ) -> Transmission | None:
-        """Return the transmission of a frame; None if no effect acts on the light.
+    def of(cls, geometry: SensorGeometry, scene: Scene, light: ArcLight, output: float) -> Transmission:
+        """Return the transmission of a frame.
 
         `light` is the arc's at its expected output, which counts the exposure over the nominal one; `output`
         is that, or 0 if the arc is said to be off: metal glows less then. What drifts with time are laser and
         exposure: neither matters here.
         """
         setup = geometry.setup
-        if not geometry.has_light_effects:
-            return None
         stated = Condition(0.0, output, setup.camera.exposure_s)
         # The exposure is in the output already, and the arc's own level is measured in each frame.
         condition = replace(apply_condition_effects(setup, stated), exposure_s=setup.camera.exposure_s)

@@ -8,10 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Literal, NamedTuple
-
-from noise_model.kernel import kernel
 
 AtLimit = Literal["saturate", "stop"]
 WhenLost = Literal["hold", "extrapolate", "stop"]
@@ -106,53 +103,6 @@ class Correction:
         """Whether y and z are corrected."""
         return self.y.enable, self.z.enable
 
-    @cached_property
-    def numbers(self) -> CorrectionNumbers:
-        """The correction as the kernels take it."""
-        return CorrectionNumbers(
-            _numbers_of(self.y),
-            _numbers_of(self.z),
-            self.when_lost == "hold",
-            self.when_lost == "stop",
-            float(self.extrapolate_mm),
-            float(self.extrapolate_sigma_mm),
-            float(self.ends_mm),
-            self.corrugation == "followed",
-        )
-
-
-class AxisNumbers(NamedTuple):
-    """An `AxisCorrection` as the kernels take it; `stops` says that its limit stops following."""
-
-    enable: bool
-    gain: float
-    bias_mm: float
-    limit_mm: float
-    stops: bool
-
-
-class CorrectionNumbers(NamedTuple):
-    """A `Correction` as the kernels take it."""
-
-    y: AxisNumbers
-    z: AxisNumbers
-    holds_when_lost: bool
-    stops_when_lost: bool
-    extrapolate_mm: float
-    extrapolate_sigma_mm: float
-    ends_mm: float
-    follows_corrugation: bool
-
-
-def _numbers_of(axis: AxisCorrection) -> AxisNumbers:
-    return AxisNumbers(
-        bool(axis.enable),
-        float(axis.gain),
-        float(axis.bias_mm),
-        float(axis.limit_mm),
-        axis.at_limit == "stop",
-    )
-
 
 UNSTATED = Correction()
 """The correction where none is stated."""
@@ -175,16 +125,6 @@ def correct(
     passes. `height_mm` is what the programmed path leaves out of the drawing, a corrugation's height: it is
     known and not measured, so z gets all of it whatever the gain.
     """
-    y_mm, z_mm = displacement_mm
-    sent: Corrected = corrected(correction.numbers, (float(y_mm), float(z_mm)), float(height_mm))
-    return sent
-
-
-@kernel
-def corrected(
-    correction: CorrectionNumbers, displacement_mm: tuple[float, float], height_mm: float
-) -> Corrected:
-    """Return `correct`'s correction."""
     y_mm, y_is_limited, y_stops = _sent(correction.y, displacement_mm[0], 0.0)
     z_mm, z_is_limited, z_stops = _sent(correction.z, displacement_mm[1], height_mm)
     if y_stops or z_stops:
@@ -192,12 +132,11 @@ def corrected(
     return Corrected((y_mm, z_mm), y_is_limited or z_is_limited, False)
 
 
-@kernel
-def _sent(axis: AxisNumbers, displacement_mm: float, drawn_mm: float) -> tuple[float, bool, bool]:
+def _sent(axis: AxisCorrection, displacement_mm: float, drawn_mm: float) -> tuple[float, bool, bool]:
     """Return what an axis is sent, mm, whether its limit cut it, and whether that stops following."""
     if not axis.enable:
         return math.nan, False, False
     sent_mm = axis.gain * displacement_mm + drawn_mm + axis.bias_mm
     if not abs(sent_mm) > axis.limit_mm:
         return sent_mm, False, False
-    return math.copysign(axis.limit_mm, sent_mm), True, axis.stops
+    return math.copysign(axis.limit_mm, sent_mm), True, axis.at_limit == "stop"

@@ -13,7 +13,7 @@ from noise_model.kernel import kernel
 from noise_model.surface.joint import SeamLine, SeamSegments, nearest_segment
 from noise_model.transforms import inverted, moved_point, multiplied
 from tracker import checks
-from tracker.checks import Asked, ask, ask_whether
+from tracker.checks import FrameChecks
 from tracker.seam.gaussian_process import SeamHistory, condition
 from tracker.seam.joint_ends import nominal_ends
 from tracker.seam.locate import SeamSource, seam_point
@@ -80,16 +80,16 @@ def pose_numbers(source: SeamSource, T_base_tool: Float64) -> PoseNumbers:
     return PoseNumbers(True, height, abs(crossing), ahead_mm)
 
 
-@kernel
-def pose_checks(asked: Asked, source: SeamSource, told: PoseNumbers) -> bool:
-    """Ask of a pose, up to the first answer by which the joint cannot be seen from it, whether it can."""
+def check_pose(frame_checks: FrameChecks, source: SeamSource, told: PoseNumbers) -> bool:
+    """Ask of a pose whether the joint can be seen from it, up to the first answer by which it cannot."""
+    ask = frame_checks.ask
     return (
-        ask_whether(asked, checks.POSE_RIGID, told.is_rotation)
-        and ask(asked, checks.LASER_ABOVE, told.height_mm, 0.0)
-        and ask(asked, checks.LASER_NEAR, told.height_mm, MAX_HEIGHT * source.origin_mm[2])
-        and ask(asked, checks.SHEET_ACROSS, told.crossing, MIN_CROSSING)
+        frame_checks.ask_whether(checks.POSE_RIGID, told.is_rotation)
+        and ask(checks.LASER_ABOVE, told.height_mm, 0.0)
+        and ask(checks.LASER_NEAR, told.height_mm, MAX_HEIGHT * float(source.origin_mm[2]))
+        and ask(checks.SHEET_ACROSS, told.crossing, MIN_CROSSING)
         # The sensor looks ahead. Of a line that runs against the travel, left would be taken for right.
-        and ask(asked, checks.LASER_AHEAD, told.ahead_mm, 0.0)
+        and ask(checks.LASER_AHEAD, told.ahead_mm, 0.0)
     )
 
 

@@ -60,17 +60,29 @@ class Change(NamedTuple):
     @property
     def is_decided(self) -> bool:
         """Whether the change is behind."""
-        return bool(is_decided(self))
+        return self.odds + self.before >= 1.0 / FALSE_ALARM
 
     @property
     def is_seen(self) -> bool:
         """Whether the change is behind and was passed while looking."""
-        return bool(is_seen(self))
+        return self.odds > self.before and self.is_decided
 
     def with_look(self, station_mm: float, ratio: float) -> Change:
         """Return the odds after a look at a station that is `ratio` times as likely after the change."""
-        change: Change = change_with_look(self, station_mm, ratio)
-        return change
+        before = self.before * ratio
+        if math.isnan(self.looked_mm):
+            return self._replace(before=before, looked_mm=station_mm)
+        if station_mm < self.looked_mm + LOOK_MM:
+            return self
+        place_mm = 0.5 * (self.looked_mm + station_mm)
+        variance_mm2 = (station_mm - self.looked_mm) ** 2 / 12.0
+        odds = self.odds + 1.0
+        if self.odds > 0.0:
+            # Two mixed laws: their spreads, and how far their means lie apart.
+            away_mm = place_mm - self.station_mm
+            place_mm = self.station_mm + away_mm / odds
+            variance_mm2 = (self.odds * (self.variance_mm2 + away_mm**2 / odds) + variance_mm2) / odds
+        return Change(odds * ratio, before, place_mm, variance_mm2, station_mm)
 
 
 class JointEnds(NamedTuple):
@@ -86,72 +98,22 @@ class JointEnds(NamedTuple):
 
         Each end is searched within `within_mm` of its nominal station, and the end once the start is behind.
         """
-        ends: JointEnds = ends_with_look(self, station_mm, is_found, nominal_mm, within_mm)
-        return ends
+        ratio = FOUND_SHARE / FALSE_SHARE if is_found else (1.0 - FOUND_SHARE) / (1.0 - FALSE_SHARE)
+        from_start_mm, from_end_mm = station_mm - nominal_mm[0], station_mm - nominal_mm[1]
+        if not self.start.is_decided and from_start_mm <= within_mm + DECIDE_MM:
+            if from_start_mm >= -within_mm:
+                return self._replace(start=self.start.with_look(station_mm, ratio))
+        elif not self.end.is_decided and -within_mm <= from_end_mm <= within_mm + DECIDE_MM:
+            return self._replace(end=self.end.with_look(station_mm, 1.0 / ratio))
+        return self
 
     def stretch_mm(self, nominal_mm: tuple[float, float], within_mm: float) -> tuple[float, float]:
         """Return the stations between which there may be a joint: its ends where they were seen."""
-        stretch: tuple[float, float] = stretch_between(self, nominal_mm, within_mm)
-        return stretch
-
-
-@kernel
-def is_decided(change: Change) -> bool:
-    """Say whether a change is behind."""
-    return change.odds + change.before >= 1.0 / FALSE_ALARM
-
-
-@kernel
-def is_seen(change: Change) -> bool:
-    """Say whether a change is behind and was passed while looking."""
-    return change.odds > change.before and is_decided(change)
-
-
-@kernel
-def change_with_look(change: Change, station_mm: float, ratio: float) -> Change:
-    """Return `Change.with_look`'s odds."""
-    before = change.before * ratio
-    if math.isnan(change.looked_mm):
-        return Change(change.odds, before, change.station_mm, change.variance_mm2, station_mm)
-    if station_mm < change.looked_mm + LOOK_MM:
-        return change
-    place_mm = 0.5 * (change.looked_mm + station_mm)
-    variance_mm2 = (station_mm - change.looked_mm) ** 2 / 12.0
-    odds = change.odds + 1.0
-    if change.odds > 0.0:
-        # Two mixed laws: their spreads, and how far their means lie apart.
-        away_mm = place_mm - change.station_mm
-        place_mm = change.station_mm + away_mm / odds
-        variance_mm2 = (change.odds * (change.variance_mm2 + away_mm**2 / odds) + variance_mm2) / odds
-    return Change(odds * ratio, before, place_mm, variance_mm2, station_mm)
-
-
-@kernel
-def ends_with_look(
-    ends: JointEnds, station_mm: float, is_found: bool, nominal_mm: tuple[float, float], within_mm: float
-) -> JointEnds:
-    """Return `JointEnds.with_look`'s ends."""
-    ratio = FOUND_SHARE / FALSE_SHARE if is_found else (1.0 - FOUND_SHARE) / (1.0 - FALSE_SHARE)
-    from_start_mm, from_end_mm = station_mm - nominal_mm[0], station_mm - nominal_mm[1]
-    if not is_decided(ends.start) and from_start_mm <= within_mm + DECIDE_MM:
-        if from_start_mm >= -within_mm:
-            return JointEnds(change_with_look(ends.start, station_mm, ratio), ends.end)
-    elif not is_decided(ends.end) and -within_mm <= from_end_mm <= within_mm + DECIDE_MM:
-        return JointEnds(ends.start, change_with_look(ends.end, station_mm, 1.0 / ratio))
-    return ends
-
-
-@kernel
-def stretch_between(
-    ends: JointEnds, nominal_mm: tuple[float, float], within_mm: float
-) -> tuple[float, float]:
-    """Return `JointEnds.stretch_mm`'s stations."""
-    start_mm, end_mm = nominal_mm[0] - within_mm, nominal_mm[1] + within_mm
-    if is_seen(ends.start):
-        start_mm = ends.start.station_mm
-    if is_seen(ends.end):
-        end_mm = ends.end.station_mm
-    return start_mm, end_mm
+        start_mm, end_mm = nominal_mm[0] - within_mm, nominal_mm[1] + within_mm
+        return (
+            self.start.station_mm if self.start.is_seen else start_mm,
+            self.end.station_mm if self.end.is_seen else end_mm,
+        )
 
 
 @kernel

@@ -2,34 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.scene import Scene
 from noise_model.arrays import Float64, Int64
 from noise_model.kernel import kernel
-from tracker import checks
-from tracker.checks import Asked, ask
-from tracker.seam.gaussian_process import (
-    SeamHistory,
-    SeamPoint,
-    condition,
-    is_measured,
-    no_history,
-    with_measurement,
-)
-from tracker.seam.locate import Located, SeamSource, locate
-from tracker.state import Pair
-
-JUMP_SIGMAS, JUMP_FLOOR_MM = 5.0, 0.3
-JUMPS_TO_RELEARN, RELEARN_MM, RELEARN_SHARE = 3, 1.5, 0.5
-"""So many jumps to one place are the seam's new place, if most frames show it there over such a way.
-
-The rim of a tack shows a joint for some frames, or now and then: a seam shows it on and on.
-"""
+from tracker.seam.gaussian_process import SeamHistory, is_measured
 
 MAX_STRETCHES = 8
 """So many stretches between jumps are remembered for the torch that comes after."""
@@ -62,17 +42,6 @@ class PastStretches(NamedTuple):
     def histories(self) -> tuple[SeamHistory, ...]:
         """The stretches one by one."""
         return tuple(stretch_of(self, i) for i in range(len(self.ends)))
-
-
-class Stretches(NamedTuple):
-    """What a state remembers of the seam; see `TrackerState`."""
-
-    history: SeamHistory
-    beyond: SeamHistory
-    behind: PastStretches
-    jumps: int
-    jumped_at: int
-    lost: int
 
 
 @kernel(allocates=True)
@@ -137,87 +106,3 @@ def history_at(history: SeamHistory, behind: PastStretches, station_mm: float) -
                 return stretch, is_present
         stretch, is_present = before, False
     return stretch, is_present
-
-
-class SeenSeam(NamedTuple):
-    """A seam that a frame shows, beside what a history says of its place.
-
-    `located` is where it lies, `variance_mm2` that of its (y, z); in y and in z it lies `away_mm` from where
-    the history puts it, and may lie `limit_mm`. `history` is the history with it as one more measurement.
-    """
-
-    located: Located
-    variance_mm2: Pair
-    away_mm: Pair
-    limit_mm: Pair
-    history: SeamHistory
-
-
-@kernel(allocates=True)
-def see(
-    source: SeamSource,
-    T_nominal_tool: Float64,
-    scene: Scene,
-    y_mm: float,
-    z_mm: float,
-    variance_mm2: Pair,
-    history: SeamHistory,
-) -> SeenSeam:
-    """Return the seam at (y, z) of a look's frame, of such variances, beside a history.
-
-    `T_nominal_tool` is of the nominal joint frame, see `locate`.
-    """
-    located = locate(source, T_nominal_tool, scene, y_mm, z_mm)
-    expected = condition(history, located.station_mm)
-    after = with_measurement(history, located.station_mm, located.displacement_mm, variance_mm2)
-    away_mm, limit_mm = aways(expected, located.displacement_mm, variance_mm2)
-    return SeenSeam(located, variance_mm2, away_mm, limit_mm, after)
-
-
-@kernel(allocates=True)
-def followed(asked: Asked, before: Stretches, n: int, seen: SeenSeam) -> Stretches:
-    """Judge the seam that the n-th frame shows against the earlier ones, and remember it."""
-    station, displacement = seen.located.station_mm, seen.located.displacement_mm
-    history, behind, jumped_at = before.history, before.behind, before.jumped_at
-    if history.stations_mm.shape[0] == 0 or _is_near(asked, seen):
-        return Stretches(seen.history, no_history(), behind, 0, jumped_at, 0)
-    jumps, beyond = before.jumps + 1, before.beyond
-    away_mm, limit_mm = aways(condition(beyond, station), displacement, seen.variance_mm2)
-    if away_mm[0] > limit_mm[0] or away_mm[1] > limit_mm[1]:
-        # Nor where the last jump was: what is here and there is no seam.
-        jumps, beyond = 1, no_history()
-    if jumps == 1:
-        jumped_at = n
-    beyond = with_measurement(beyond, station, displacement, seen.variance_mm2)
-    way_mm = abs(station - beyond.stations_mm[0])
-    share = jumps / (1 + n - jumped_at)
-    if jumps < JUMPS_TO_RELEARN or way_mm < RELEARN_MM or share < RELEARN_SHARE:
-        return Stretches(history, beyond, behind, jumps, jumped_at, before.lost)
-    # The torch comes to the new stretch later: until then it is on the one before, if that was one.
-    if history.stations_mm.shape[0] >= JUMPS_TO_RELEARN:
-        behind = with_stretch(behind, history)
-    return Stretches(beyond, no_history(), behind, 0, jumped_at, 0)
-
-
-@kernel
-def _is_near(asked: Asked, seen: SeenSeam) -> bool:
-    """Ask whether a seam lies where the earlier frames put it."""
-    is_near_in_y = ask(asked, checks.JUMP_Y, seen.away_mm[0], seen.limit_mm[0])
-    return ask(asked, checks.JUMP_Z, seen.away_mm[1], seen.limit_mm[1]) and is_near_in_y
-
-
-@kernel
-def aways(expected: SeamPoint, displacement_mm: Pair, variance_mm2: Pair) -> tuple[Pair, Pair]:
-    """Return how far a seam lies from where it is expected, and how far it may, mm, in y and in z each."""
-    (expected_y, expected_z), (sigma_y, sigma_z) = expected.displacement_mm, expected.sigma_mm
-    (y_mm, z_mm), (variance_y, variance_z) = displacement_mm, variance_mm2
-    return (
-        (abs(y_mm - expected_y), abs(z_mm - expected_z)),
-        (jump_limit_mm(sigma_y, variance_y), jump_limit_mm(sigma_z, variance_z)),
-    )
-
-
-@kernel
-def jump_limit_mm(expected_sigma_mm: float, variance_mm2: float) -> float:
-    """Return how far a seam may lie from where the earlier frames put it, mm, without being a jump."""
-    return max(JUMP_SIGMAS * math.sqrt(expected_sigma_mm**2 + variance_mm2), JUMP_FLOOR_MM)

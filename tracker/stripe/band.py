@@ -10,6 +10,7 @@ import numpy as np
 from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.kernel import kernel
+from tracker.geometry import ImageSource
 
 FIT_SIGMAS = 5.0
 """How many stripe sigmas of background the band holds beyond the reach of the search: the fit reads four, and
@@ -133,24 +134,12 @@ def median_background(band: Float32, half: int, background: Float32) -> None:
             background[s, j] = np.median(band[s, low:high])
 
 
-@kernel(allocates=True)
-def gather_band(
-    image_dn: Integers,
-    along_rows: bool,
-    center_px: Float64,
-    widest_px: float,
-    reach_px: float,
-    n_pos: int,
-    charge_e: Float32,
-    saturation_dn: int,
-    room: Band,
-) -> Band:
-    """Return the band about a stripe's expected centres (n_scan,), its charge copied out of an image.
+def gather_band(image_dn: Integers, image: ImageSource, center_px: Float64, half_px: int, room: Band) -> Band:
+    """Return the band of +-`half_px` about a stripe's expected centres (n_scan,), its charge in e-.
 
-    It holds what a fit within `reach_px` reads of a stripe of 1 sigma `widest_px` at most. The `room` is
-    flat, for any depth.
+    The `room` is flat, for any depth.
     """
-    depth = place(center_px, n_pos, math.ceil(reach_px + FIT_SIGMAS * widest_px), room.lows)
+    depth = place(center_px, image.n_pos, half_px, room.lows)
     shape = center_px.shape[0], depth
     n = shape[0] * depth
     band = Band(
@@ -161,5 +150,6 @@ def gather_band(
         room.censored[:n].reshape(shape),
         room.lows,
     )
-    gather(image_dn, along_rows, room.lows, charge_e, saturation_dn, band.charge, band.censored)
+    codes = image.charge_e, image.saturation_dn
+    gather(image_dn, image.along_rows, room.lows, *codes, band.charge, band.censored)
     return band

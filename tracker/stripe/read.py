@@ -7,11 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.fill import fill_band
 from noise_model.arc.map import CELL, ArcKernel, ArcMap
-from noise_model.arc.table import FaceTable
-from noise_model.arrays import Float32, Float64, Int64, Integers
-from noise_model.kernel import kernel
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.robust import MAD_SIGMA
 from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.geometry import (
@@ -20,16 +17,23 @@ from tracker.geometry import (
     SEARCH_REACH_MM,
     LookSource,
     SensorGeometry,
-    dark_variance_at,
 )
 from tracker.state import Stripe
-from tracker.stripe.band import Band, LightLevel, gather_band, median_background
-from tracker.stripe.detection import Evidence
+from tracker.stripe.band import Band, LightLevel, at_level, median_background
+from tracker.stripe.detection import Evidence, evidence_of
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.fit_band import Noise, ReadRoom, Sought
+from tracker.stripe.fit_band import (
+    MOST_SCORE_LOST,
+    Noise,
+    ReadRoom,
+    Sought,
+    fit_band,
+    fit_path,
+    score_lost,
+)
 from tracker.stripe.light import StripeLight
-from tracker.stripe.read_band import UsualLine, read_band
-from tracker.stripe.scatter import Scatter
+from tracker.stripe.read_band import UsualLine, empty_stripe, read_without_second, usual_line, write_stripe
+from tracker.stripe.scatter import Scatter, add_frame, empty_scatter, width_factor
 from tracker.stripe.viterbi import bin_for, offsets_within
 
 MEDIAN_HALF_PX = 30
@@ -113,7 +117,6 @@ class StripeReading(NamedTuple):
     n_lines: Int64
 
 
-@kernel(allocates=True)
 def light_of(reading: StripeReading, psf_sigma_px: float, sheet_lines: float) -> StripeLight:
     """Return what shows where the stripe ends, as good as the band."""
     band, usual = reading.band, reading.usual
@@ -155,72 +158,27 @@ class LitBand(NamedTuple):
     noise: Noise
 
 
-@kernel
-def level_or_expected(arc: ArcLevel) -> float:
-    """Return the arc's level, the expected one where it is not known."""
-    return arc.level if math.isfinite(arc.level) else 1.0
+def over_median(band: Band, dark_e2: float, base_sigma_e: float) -> LitBand:
+    """Return a band over the running median of each scan line, with one variance for all pixels."""
+    median_background(band.charge, MEDIAN_HALF_PX, band.background)
+    scatter_e = MAD_SIGMA * float(np.median(np.abs(band.charge - band.background)))
+    noise = Noise(0.0, max(scatter_e**2, dark_e2), MEDIAN_SIGMA, base_sigma_e)
+    return LitBand(band, LightLevel(1.0, 0.0), noise)
 
 
-@kernel(allocates=True)
-def light_band(
-    source: LookSource,
-    arc_kernel: ArcKernel,
-    table: FaceTable,
-    arc: ArcLevel,
-    image_dn: Integers,
-    expected: ExpectedStripe,
-    reach_px: float,
-    work: Work,
-    use_arc_map: bool,
-    has_effects: bool,
+def over_arc_map(
+    band: Band, arc: ArcLevel, dark_e2: float, base_sigma_e: float, arc_level_rel: float
 ) -> LitBand:
-    """Gather the band about the expected stripe, and predict what lights it beside the laser.
+    """Return a band over the arc's light, which its background holds at the expected output.
 
-    That is the arc's map at its expected output, which `has_effects` says is still to pass effects.
+    Where the level is not known it is the expected one, within the stated tolerance.
     """
-    image = source.image
-    band = gather_band(
-        image_dn,
-        image.along_rows,
-        expected.position_px,
-        expected.widest_px,
-        reach_px,
-        image.n_pos,
-        image.charge_e,
-        image.saturation_dn,
-        work.pixels,
-    )
-    dark_e2 = dark_variance_at(image, band.charge.reshape(-1))
-    base_sigma_e = math.hypot(image.black_sigma_e, arc.ambient_e)
-    if not use_arc_map:
-        median_background(band.charge, MEDIAN_HALF_PX, band.background)
-        scatter_e = MAD_SIGMA * np.float64(np.median(np.abs(band.charge - band.background)))
-        noise = Noise(0.0, max(scatter_e**2, dark_e2), MEDIAN_SIGMA, base_sigma_e)
-        return LitBand(band, LightLevel(1.0, 0.0), noise)
-    level, level_sigma, misfit = level_or_expected(arc), source.arc_level_rel, 1.0
+    level, map_sigma = 1.0, math.hypot(MAP_SIGMA, arc_level_rel)
     if math.isfinite(arc.level):
-        level_sigma, misfit = 0.0, max(1.0, arc.misfit)
-    noise = Noise(1.0, dark_e2, math.hypot(MAP_SIGMA * misfit, level_sigma), base_sigma_e)
-    if level == 0.0 and not has_effects:
-        for s in range(band.background.shape[0]):
-            for j in range(band.background.shape[1]):
-                band.background[s, j] = np.float32(0.0)
-        return LitBand(band, LightLevel(1.0, arc.black_e), noise)
-    fill_band(
-        arc_kernel,
-        table,
-        image.xy,
-        image.cos4,
-        source.arc.node_at,
-        source.arc.node_rules,
-        band.lows,
-        CELL,
-        band.background,
-    )
-    return LitBand(band, LightLevel(level, arc.black_e), noise)
+        level, map_sigma = arc.level, MAP_SIGMA * max(1.0, arc.misfit)
+    return LitBand(band, LightLevel(level, arc.black_e), Noise(1.0, dark_e2, map_sigma, base_sigma_e))
 
 
-@kernel(allocates=True)
 def read_stripe(
     source: LookSource,
     lit: LitBand,
@@ -233,31 +191,52 @@ def read_stripe(
     """Find the stripe within `reach_px` of its expected place and fit its centre in every scan line.
 
     `scatter` is what earlier frames show of it; this frame's is added before it is used. `is_searching` says
-    whether the joint may lie far off its expected place.
+    whether the joint may lie far off its expected place. A first frame is read with what it shows itself.
     """
     band, noise, bin_px = lit.band, lit.noise, bin_for(expected.sigma_px)
-    reads_pairs = scatter.frames > 0 and not is_searching
-    seen = read_band(
-        band,
-        lit.light,
-        expected,
-        Sought(offsets_within(reach_px, bin_px), bin_px, reach_px, is_searching, reads_pairs),
-        noise,
-        scatter.average,
-        scatter.frames,
-        source.stripe.psf_sigma_px,
+    before, frames = scatter
+    reads_pairs = frames > 0 and not is_searching
+    sought = Sought(offsets_within(reach_px, bin_px), bin_px, reach_px, is_searching, reads_pairs)
+    at_level(band.background, lit.light)
+    fit_band(band, expected, sought, noise, before, room)
+    read_with, after = before, empty_scatter()
+    if frames == 0:
+        read_with = empty_scatter()
+        add_frame(before, 0, room.seen, read_with)
+        # A stripe of another width is sought anew. Of a search no more is asked than where the joint is.
+        if score_lost(width_factor(before) / width_factor(read_with)) > MOST_SCORE_LOST:
+            fit_band(band, expected, sought, noise, read_with, room)
+        elif not is_searching:
+            fit_path(band, expected, sought, noise, read_with, room)
+    told = read_without_second(band, expected, sought, noise, read_with, room)
+    add_frame(before, frames, room.seen, after)
+    stripe = empty_stripe(len(expected.position_px), source.image.along_rows)
+    write_stripe(expected, after, source.stripe.psf_sigma_px, room, stripe)
+    n_scan, n = len(expected.position_px), told.n_offsets
+    offsets_px = sought.offsets_px[told.first : told.first + n]
+    score = room.score[: n_scan * n].reshape((n_scan, n))
+    evidence = evidence_of(
+        stripe.position_px,
+        stripe.saturated,
+        expected.position_px,
+        expected.sigma_px,
+        expected.shown,
         source.image.n_pos,
-        source.image.along_rows,
-        room,
+        score,
+        room.around_px,
+        offsets_px,
+        bin_px,
+        read_with,
+        room.scatter.values,
     )
     return StripeReading(
-        seen.stripe,
+        stripe,
         band,
         band.lows,
         room.around_px,
-        seen.offsets_px,
+        offsets_px,
         bin_px,
-        seen.score,
+        score,
         room.start_px,
         room.lines.tried,
         room.lines.fits,
@@ -265,13 +244,13 @@ def read_stripe(
         noise.dark_e2,
         noise.map_rel,
         noise.base_e,
-        seen.told.share,
-        seen.told.nats,
-        Scatter(seen.after, scatter.frames + 1),
-        Scatter(seen.read_with, max(scatter.frames, 1)),
+        told.share,
+        told.nats,
+        Scatter(after, frames + 1),
+        Scatter(read_with, max(frames, 1)),
         room.misfit_px,
-        seen.usual,
-        seen.evidence,
-        seen.width_px,
+        usual_line(after, room.own_px),
+        evidence,
+        room.lines.fits[:, 3].copy(),
         room.n_lines,
     )

@@ -1,4 +1,4 @@
-"""Reading a band: path, fits, a second stripe's light, scatter and neighbours, in one compiled call."""
+"""A second stripe's light beneath the first, and what the fits of a band say of each line."""
 
 from __future__ import annotations
 
@@ -7,26 +7,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.arrays import Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.median import exact_median, finite_median
 from tracker.state import Stripe
-from tracker.stripe.band import Band, LightLevel, at_level
-from tracker.stripe.detection import Evidence, evidence_of
+from tracker.stripe.band import Band
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.fit_band import MOST_SCORE_LOST, Noise, ReadRoom, Sought, fit_band, fit_path, score_lost
+from tracker.stripe.fit_band import Noise, ReadRoom, Sought, fit_band
 from tracker.stripe.frame_scatter import ScatterRoom, own_sigma
 from tracker.stripe.ghost import second_light, second_place
 from tracker.stripe.misfit import count_alike, misfit_sigma_px
 from tracker.stripe.scatter import (
     FrameScatter,
-    add_frame,
     brightness_alike,
     brightness_plateau,
-    empty_scatter,
     line_variance_px2,
     widen,
-    width_factor,
 )
 
 REACH_SIGMAS = 3.0
@@ -99,16 +95,7 @@ def told_of_two(
     return Told(share, abs(odds), True, first, n)
 
 
-@kernel
-def _copy(pixels: Float32, into: Float32) -> None:
-    """Copy a band's pixels (n_scan, depth): a slice that is assigned to takes 2 s to compile."""
-    for s in range(pixels.shape[0]):
-        for j in range(pixels.shape[1]):
-            into[s, j] = pixels[s, j]
-
-
-@kernel(allocates=True)
-def _read_without_a_second(
+def read_without_second(
     band: Band,
     expected: ExpectedStripe,
     sought: Sought,
@@ -125,17 +112,14 @@ def _read_without_a_second(
         if now == 0.0 and share == 0.0:
             break
         if is_plain:
-            _copy(band.background, band.plain)
+            band.plain[:] = band.background
             is_plain = False
-        light = band.light
-        light[:] = 0.0
+        band.light[:] = 0.0
         if now > 0.0:
             second_light(
-                band.charge, band.plain, band.censored, room.lines.fits, band.lows, now, apart_px, light
+                band.charge, band.plain, band.censored, room.lines.fits, band.lows, now, apart_px, band.light
             )
-        for s in range(light.shape[0]):
-            for j in range(light.shape[1]):
-                band.background[s, j] = band.plain[s, j] + light[s, j]
+        np.add(band.plain, band.light, out=band.background)
         share = now
         fit_band(band, expected, sought, noise, learned, room)
     told = Told(share, math.inf, False, 0, len(offsets_px))
@@ -145,10 +129,9 @@ def _read_without_a_second(
         room.lines.fits, expected.position_px, apart_px, share, offsets_px, reach_px, room.scatter
     )
     if told.is_reflection:
-        _copy(band.plain, band.background)
+        band.background[:] = band.plain
         near = offsets_px[told.first : told.first + told.n_offsets]
-        nearby = Sought(near, sought.bin_px, reach_px, sought.is_searching, sought.reads_pairs)
-        fit_band(band, expected, nearby, noise, learned, room)
+        fit_band(band, expected, sought._replace(offsets_px=near), noise, learned, room)
     return told
 
 
@@ -161,27 +144,7 @@ def _sheet_px(fits: Float64, psf_sigma_px: float, room: ScatterRoom) -> float:
     return math.sqrt(max(width_px**2 - psf_sigma_px**2, 0.0)) if width_px > 0.0 else 0.0
 
 
-class BandReading(NamedTuple):
-    """What is read of a band: its stripe, a second stripe, what tells of a stripe, and what is `usual`.
-
-    `read_with` is the scatter that it was read with, `after` that of all frames with this one. `width_px`
-    (n_scan,) is the lines' fitted 1 sigma across the stripe. `score` (n_scan, n) is the matched filter's at
-    those offsets (n,) from `ReadRoom.around_px` at which the stripe was sought last.
-    """
-
-    stripe: Stripe
-    told: Told
-    evidence: Evidence
-    read_with: FrameScatter
-    after: FrameScatter
-    usual: UsualLine
-    width_px: Float64
-    offsets_px: Int64
-    score: Float32
-
-
-@kernel(allocates=True)
-def _empty_stripe(n_scan: int, along_rows: bool) -> Stripe:
+def empty_stripe(n_scan: int, along_rows: bool) -> Stripe:
     """Make room for the stripe of a frame."""
     return Stripe(
         np.empty(n_scan),
@@ -194,7 +157,7 @@ def _empty_stripe(n_scan: int, along_rows: bool) -> Stripe:
 
 
 @kernel
-def _finish(
+def write_stripe(
     expected: ExpectedStripe, learned: FrameScatter, psf_sigma_px: float, room: ReadRoom, out: Stripe
 ) -> None:
     """Write what the fits say of each line, with the scatter that is known and with its neighbours."""
@@ -218,60 +181,3 @@ def usual_line(average: FrameScatter, own_px: Float64) -> UsualLine:
     own_sigma_px = exact_median(own_px[np.isfinite(own_px)])
     centre_sigma_px = math.hypot(own_sigma_px, math.sqrt(line_variance_px2(average)))
     return UsualLine(math.sqrt(brightness_plateau(average)), brightness_alike(average), centre_sigma_px)
-
-
-@kernel(allocates=True)
-def read_band(
-    band: Band,
-    light: LightLevel,
-    expected: ExpectedStripe,
-    sought: Sought,
-    noise: Noise,
-    before: FrameScatter,
-    frames: int,
-    psf_sigma_px: float,
-    n_pos: int,
-    along_rows: bool,
-    room: ReadRoom,
-) -> BandReading:
-    """Read the stripe in a band.
-
-    The band's background is brought to the level of its `light` first. `before` is the scatter of so many
-    earlier `frames`. With it a frame is read; the first one with what it shows itself. Scan lines are `n_pos`
-    long, and the image's columns where the stripe runs `along_rows`. What is read beside the lines stays in
-    `room`.
-    """
-    at_level(band.background, light)
-    read_with, after = before, empty_scatter()
-    fit_band(band, expected, sought, noise, before, room)
-    if frames == 0:
-        read_with = empty_scatter()
-        add_frame(before, 0, room.seen, read_with)
-        # A stripe of another width is sought anew. Of a search no more is asked than where the joint is.
-        if score_lost(width_factor(before) / width_factor(read_with)) > MOST_SCORE_LOST:
-            fit_band(band, expected, sought, noise, read_with, room)
-        elif not sought.is_searching:
-            fit_path(band, expected, sought, noise, read_with, room)
-    told = _read_without_a_second(band, expected, sought, noise, read_with, room)
-    add_frame(before, frames, room.seen, after)
-    stripe = _empty_stripe(band.charge.shape[0], along_rows)
-    _finish(expected, after, psf_sigma_px, room, stripe)
-    n_scan, n = room.start_px.shape[0], told.n_offsets
-    sought_px = sought.offsets_px[told.first : told.first + n]
-    score = room.score[: n_scan * n].reshape((n_scan, n))
-    evidence = evidence_of(
-        stripe.position_px,
-        stripe.saturated,
-        expected.position_px,
-        expected.sigma_px,
-        expected.shown,
-        n_pos,
-        score,
-        room.around_px,
-        sought_px,
-        sought.bin_px,
-        read_with,
-        room.scatter.values,
-    )
-    usual, width_px = usual_line(after, room.own_px), room.lines.fits[:, 3].copy()
-    return BandReading(stripe, told, evidence, read_with, after, usual, width_px, sought_px, score)

@@ -28,8 +28,7 @@ from noise_model.surface.joint import section
 from robot_io import BusMessage, GateReason, SeamOffset, TrackerStatus, Validity
 from robot_io.clocks.lag import Lag
 from tracker import flags
-from tracker.seam.steer import Lead
-from tracker.state import Track
+from tracker.state import Lead, Track
 
 START_MM = 30.0
 """Where the torch begins, mm, base's x: in a valley of the nominal corrugation."""

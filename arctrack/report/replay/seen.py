@@ -13,7 +13,7 @@ from arctrack.offset_count import OffsetCount
 from arctrack.output import writing
 from arctrack.recording.run_offsets import NO_OUTCOME, OffsetOutcome
 from robot_io import SeamOffset, Validity
-from tracker.measure import Reading
+from tracker.observation import Reading
 from tracker.state import Pose, Track
 
 

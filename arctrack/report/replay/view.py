@@ -16,14 +16,12 @@ from noise_model.arrays import Bool, Float64, UInt8
 from noise_model.instrument.sensor import respond
 from noise_model.surface.joint import corrugation_height
 from noise_model.transforms import invert, transform
-from tracker.arc.transmission import Transmission
 from tracker.geometry import SensorGeometry, meet_laser_plane, to_laser_plane
 from tracker.joint.measured import off_section
-from tracker.measure import Reading, expected_output, shows_arc
+from tracker.observation import Reading, expected_output, transmission_of
 from tracker.profile import triangulate
 from tracker.state import Frame, Stripe
 from tracker.stripe.expected import expect_stripe
-from tracker.stripe.read import arc_map_of
 
 BEHIND_MM = 1000.0
 """The section's corners are followed along the seam from so far behind the torch to the laser's sheet."""
@@ -116,12 +114,7 @@ class Viewer:
         geometry = self.geometry
         output = expected_output(geometry.setup, frame)
         kernel = arc_kernel(geometry.setup, reading.scene, output)
-        transmission = Transmission.of(
-            geometry,
-            reading.scene,
-            arc_map_of(geometry, kernel).at,
-            output if shows_arc(geometry.setup, frame) else 0.0,
-        )
+        transmission = transmission_of(geometry, reading.scene, frame)
         _, mean_e = arc_light(geometry, kernel, transmission, reading.arc)
         image_e = mean_e.T if geometry.along_rows else mean_e
         sensor = geometry.setup.sensor

@@ -50,9 +50,8 @@ from robot_io import (
     Validity,
 )
 from robot_io.poses.pose_questions import Implausibility
-from tracker.seam.steer import AT_ONCE, Lead
 from tracker.seam.stretches import PastStretches
-from tracker.state import Track
+from tracker.state import AT_ONCE, Lead, Track
 from tracker.tracker_state import TrackerState as SteppedState
 
 RUN = "black-box"

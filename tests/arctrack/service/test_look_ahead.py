@@ -12,7 +12,7 @@ from arctrack.service.look_ahead import LookAhead
 from robot_io import Command, PoseKind, PoseSample, SeamOffset, Switch, TrackerCommand, Validity
 from robot_io.clocks.lag import Lag, LagUnestimated, Motion, respond
 from robot_io.poses.nominal_path import NominalPath
-from tracker.seam.steer import AT_ONCE
+from tracker.state import AT_ONCE
 
 PATH = NominalPath(((0.0, 0.0, 0.0), (500.0, 0.0, 0.0)))
 DISARM = TrackerCommand(Command.DISARM, True, True, 0, 1, 1, Switch.ON)

@@ -1,0 +1,65 @@
+"""The arc's light that a pose lets expect."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from noise_model.arc.fill import fill_band, fill_pixels
+from noise_model.arc.map import CELL, NODES_P, NODES_Q, kernel_of, table_of
+from noise_model.arc.scene import Scene
+from noise_model.arrays import Float32, Int64
+from noise_model.kernel import kernel
+from noise_model.surface.brdf import LobeNumbers
+from tracker.geometry import MAP_FLOOR_E, MAP_TOLERANCE, ArcSource, ImageSource
+
+MAX_CURRENT_A, MAX_EXPOSURE_S = 1e4, 1e2
+"""No welding current and no exposure reaches these: such a number is not known."""
+
+
+class FrameLight(NamedTuple):
+    """What is said to light a frame, see `state.Frame`; `has_arc` says that an arc is on and is stated."""
+
+    exposure_s: float
+    current_a: float
+    laser_on: bool
+    has_arc: bool
+
+
+class ArcLight(NamedTuple):
+    """Where the arc's light is wanted, and room for it, e-: at pixels (n,) and in a band (n_scan, depth).
+
+    `pixels` are counted by scan line. For each CELL scan lines the band begins at a place of `lows`.
+    """
+
+    pixels: Int64
+    pixel_e: Float32
+    lows: Int64
+    band_e: Float32
+
+
+@kernel
+def output_for(
+    current_a: float, exposure_s: float, stated_a: float, stated_s: float, exponent: float
+) -> float:
+    """Return what is expected of the arc for a current and an exposure, over the output that is stated.
+
+    Without a known current, or with the arc said to be off, that is the stated one, and so is an exposure.
+    """
+    current, exposure = 1.0, 1.0
+    if 0.0 < current_a < MAX_CURRENT_A:
+        current = (current_a / stated_a) ** exponent
+    if 0.0 < exposure_s < MAX_EXPOSURE_S:
+        exposure = exposure_s / stated_s
+    return float(current * exposure)
+
+
+@kernel(allocates=True)
+def predict_arc(
+    arc: ArcSource, image: ImageSource, material: LobeNumbers, scene: Scene, output: float, into: ArcLight
+) -> None:
+    """Write the arc's light of a scene, for so many times its stated output; NaN past the workpiece."""
+    k = kernel_of(scene, arc.radius_mm, arc.radiance_e * output, material, arc.rules, NODES_P, NODES_Q)
+    table = table_of(k, image.xy, image.n_scan, MAP_TOLERANCE, MAP_FLOOR_E, arc.to_powers, arc.baked)
+    fill_pixels(k, table, image.xy, image.cos4, into.pixels, into.pixel_e)
+    if into.band_e.shape[1] > 0:
+        fill_band(k, table, image.xy, image.cos4, arc.node_at, arc.node_rules, into.lows, CELL, into.band_e)

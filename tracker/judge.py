@@ -1,0 +1,122 @@
+"""From a look's joint to what a step says of the seam: judged beside the earlier frames, and remembered."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from tracker import checks
+from tracker.checks import FrameChecks
+from tracker.observation import FrameInput, Reading
+from tracker.seam.expected import ExpectedSeam
+from tracker.seam.gaussian_process import (
+    NO_HISTORY,
+    WIDE_SIGMA_MM,
+    SeamHistory,
+    condition,
+    with_measurement,
+)
+from tracker.seam.locate import confidence, locate
+from tracker.seam.stretches import with_stretch
+from tracker.state import Pair
+from tracker.tracker_state import TrackerState
+
+MAX_OFF_MM = 3.0 * WIDE_SIGMA_MM
+"""A seam so far off its nominal line is none: the line would be another joint's."""
+
+JUMP_SIGMAS, JUMP_FLOOR_MM = 5.0, 0.3
+JUMPS_TO_RELEARN, RELEARN_MM, RELEARN_SHARE = 3, 1.5, 0.5
+"""So many jumps to one place are the seam's new place, if most frames show it there over such a way.
+
+The rim of a tack shows a joint for some frames, or now and then: a seam shows it on and on.
+"""
+
+
+class SeamShown(NamedTuple):
+    """Where a frame shows the seam: in the tool frame, mm, with 1 sigmas and confidence; NaN if it does not.
+
+    The sigmas of y and z, mm, take in the hand-eye tolerance.
+    """
+
+    seam_tool_mm: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    sigma_y_mm: float = math.nan
+    sigma_z_mm: float = math.nan
+    confidence: float = math.nan
+
+
+def judge(
+    frame_checks: FrameChecks, given: FrameInput, expected: ExpectedSeam, reading: Reading
+) -> tuple[TrackerState, SeamShown | None]:
+    """Judge the joint that a look shows; return what is remembered, and the seam, None if none is shown."""
+    source, before, joint = given.geometry.seam_source, given.state, reading.joint
+    if joint is None:
+        return _lost(before, reading), None
+    located = locate(source, expected.scene.T_joint_tool, reading.scene, joint.y_mm, joint.z_mm)
+    off_mm, (hand_eye_y, hand_eye_z) = located.displacement_mm, located.hand_eye_mm2
+    if not frame_checks.ask(checks.NEAR_NOMINAL, max(abs(off_mm[0]), abs(off_mm[1])), MAX_OFF_MM):
+        return _lost(before, reading), None
+    variance_mm2 = float(joint.covariance_mm2[0, 0]), float(joint.covariance_mm2[1, 1])
+    steering = before.steering._replace(hand_eye_variance_mm2=located.hand_eye_mm2)
+    state = before._replace(steering=steering)
+    state = remember(frame_checks, state, located.station_mm, off_mm, variance_mm2)
+    sigma_y_mm = math.sqrt(variance_mm2[0] + hand_eye_y)
+    sigma_z_mm = math.sqrt(variance_mm2[1] + hand_eye_z)
+    sure = confidence(source.weld_mm, sigma_y_mm, sigma_z_mm)
+    return state, SeamShown(located.seam_tool_mm, sigma_y_mm, sigma_z_mm, sure)
+
+
+def _lost(before: TrackerState, reading: Reading) -> TrackerState:
+    """Return the state after a frame without a joint: a frame without a stripe says nothing of it."""
+    return before if reading.stripe is None else before._replace(lost=before.lost + 1)
+
+
+def remember(
+    frame_checks: FrameChecks,
+    before: TrackerState,
+    station_mm: float,
+    displacement_mm: Pair,
+    variance_mm2: Pair,
+) -> TrackerState:
+    """Return the state with a seam that a frame shows, judged against the earlier frames."""
+    measured = station_mm, displacement_mm, variance_mm2
+    history, beyond, jumps = before.history, before.beyond, before.jumps + 1
+    if history.n == 0 or _is_near(frame_checks, *jump_of(history, *measured)):
+        history = with_measurement(history, *measured)
+        return before._replace(history=history, beyond=NO_HISTORY, jumps=0, lost=0)
+    away_mm, limit_mm = jump_of(beyond, *measured)
+    if away_mm[0] > limit_mm[0] or away_mm[1] > limit_mm[1]:
+        # Nor where the last jump was: what is here and there is no seam.
+        jumps, beyond = 1, NO_HISTORY
+    n = before.frames + 1
+    jumped_at = n if jumps == 1 else before.jumped_at
+    beyond = with_measurement(beyond, *measured)
+    way_mm = abs(station_mm - float(beyond.stations_mm[0]))
+    share = jumps / (1 + n - jumped_at)
+    if jumps < JUMPS_TO_RELEARN or way_mm < RELEARN_MM or share < RELEARN_SHARE:
+        return before._replace(beyond=beyond, jumps=jumps, jumped_at=jumped_at)
+    # The torch comes to the new stretch later: until then it is on the one before, if that was one.
+    behind = with_stretch(before.behind, history) if history.n >= JUMPS_TO_RELEARN else before.behind
+    return before._replace(
+        history=beyond, beyond=NO_HISTORY, behind=behind, jumps=0, jumped_at=jumped_at, lost=0
+    )
+
+
+def _is_near(frame_checks: FrameChecks, away_mm: Pair, limit_mm: Pair) -> bool:
+    """Return True if a seam lies where the earlier frames put it."""
+    is_near_in_y = frame_checks.ask(checks.JUMP_Y, away_mm[0], limit_mm[0])
+    return frame_checks.ask(checks.JUMP_Z, away_mm[1], limit_mm[1]) and is_near_in_y
+
+
+def jump_of(
+    history: SeamHistory, station_mm: float, displacement_mm: Pair, variance_mm2: Pair
+) -> tuple[Pair, Pair]:
+    """Return how far a seam lies from where a history puts it, and how far it may, mm, in y and in z each."""
+    there = condition(history, station_mm)
+    away_y_mm, away_z_mm = (abs(a - b) for a, b in zip(displacement_mm, there.displacement_mm, strict=True))
+    limit_y_mm, limit_z_mm = map(jump_limit_mm, there.sigma_mm, variance_mm2)
+    return (away_y_mm, away_z_mm), (limit_y_mm, limit_z_mm)
+
+
+def jump_limit_mm(expected_sigma_mm: float, variance_mm2: float) -> float:
+    """Return how far a seam may lie from where the earlier frames put it, mm, without being a jump."""
+    return max(JUMP_SIGMAS * math.sqrt(expected_sigma_mm**2 + variance_mm2), JUMP_FLOOR_MM)

@@ -1,0 +1,355 @@
+"""One look at a frame about an expected seam: the arc's light, the stripe and the section that it shows."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from noise_model.arc.map import CELL, arc_kernel
+from noise_model.arc.scene import Scene
+from noise_model.arrays import Float32, Float64, Int64
+from noise_model.setup import Setup
+from noise_model.surface.joint import SeamLine
+from tracker import checks
+from tracker.arc.level import NOWHERE, UNKNOWN, ArcLevel, estimate_light, off_stripe
+from tracker.arc.prediction import ArcLight, FrameLight, output_for, predict_arc
+from tracker.arc.transmission import NO_LIGHT, Transmission
+from tracker.checks import FrameChecks
+from tracker.geometry import SEARCH_REACH_MM, SensorGeometry, dark_variance_at
+from tracker.joint.measured import MeasuredJoint, SectionPoints
+from tracker.joint.section import Section
+from tracker.profile import Profile, StripeLines, measured_points
+from tracker.seam.correction import Correction
+from tracker.seam.locate import sources
+from tracker.state import Frame, Lead, Stripe
+from tracker.stripe.band import FIT_SIGMAS, Band, LightLevel, gather_band
+from tracker.stripe.detection import MIN_RATIO, MIN_SEEN, seen_share
+from tracker.stripe.expected import ExpectedStripe, expect_stripe
+from tracker.stripe.read import (
+    LitBand,
+    StripeReading,
+    Work,
+    arc_map_of,
+    light_of,
+    over_arc_map,
+    over_median,
+    read_stripe,
+)
+from tracker.stripe.scatter import NO_SCATTER, Scatter
+from tracker.tracker_state import TrackerState
+
+MIN_HELD_SHARE, WHOLE_SHARE = 0.2, 0.75
+"""The share of the scan lines that the joint crosses which must hold a stripe, and below it is partial."""
+
+MIN_TOLD_NATS = math.log(1e2)
+"""Of two stripes the laser's must be told by so much: its reflection is read once in a hundred at most."""
+
+ARC_OFF_SIGMAS = 5.0
+MISFIT_LIMIT = 2.0
+
+NO_PIXELS, NO_BAND = np.empty(0, np.int64), np.empty((0, 0), np.float32)
+
+BEYOND_REACH_MM = 1.0
+"""So much farther than a stripe is followed its joint is looked for."""
+
+
+class FrameInput(NamedTuple):
+    """What a frame is tracked with: the setup's tables, the state before it, the frame and its pose.
+
+    `T_base_tool` (4, 4) is the tool's pose, mm; `work` is scratch.
+    """
+
+    geometry: SensorGeometry
+    state: TrackerState
+    frame: Frame
+    T_base_tool: Float64
+    is_extrapolated: bool
+    work: Work
+    use_arc_map: bool
+    correction: Correction
+    lead: Lead
+
+
+class Aim(NamedTuple):
+    """Where a look is taken, and how far about the seam there.
+
+    `scatter` is what the frames before show of the stripe.
+    """
+
+    scene: Scene
+    seam: SeamLine
+    reach_mm: float
+    use_arc_map: bool
+    scatter: Scatter
+
+
+class Observation(NamedTuple):
+    """What one look at a frame shows; None where it did not get that far.
+
+    `arc` is the light beside the laser's, `stripe` what was read of the stripe, `section` the profile of a
+    stripe that counts. What is in `stripe` beyond the stripe itself is good until the next look.
+    """
+
+    arc: ArcLevel = UNKNOWN
+    expected: ExpectedStripe | None = None
+    transmission: Transmission | None = None
+    stripe: StripeReading | None = None
+    section: Section | None = None
+
+
+class Reading(NamedTuple):
+    """What the look that counts of a frame has found, within a reach about an expected seam.
+
+    `scatter` is what the frames up to this one show of the stripe, `read_with` what the look was taken with.
+    """
+
+    checks: FrameChecks
+    scene: Scene
+    seam: SeamLine
+    reach_mm: float
+    arc: ArcLevel = UNKNOWN
+    stripe: Stripe | None = None
+    joint: MeasuredJoint | None = None
+    fov_margin_mm: float = math.nan
+    scatter: Scatter = NO_SCATTER
+    read_with: Scatter = NO_SCATTER
+
+    @property
+    def flags(self) -> int:
+        """The flags that its frame raises."""
+        return self.checks.flags
+
+    def aim(self, use_arc_map: bool) -> Aim:
+        """Return where the look was taken."""
+        return Aim(self.scene, self.seam, self.reach_mm, use_arc_map, self.read_with)
+
+    @property
+    def n_held(self) -> int:
+        """The number of scan lines that hold a stripe."""
+        return 0 if self.stripe is None else int(np.isfinite(self.stripe.position_px).sum())
+
+
+def observe(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Observation:
+    """Look for arc, stripe and section about a seam."""
+    geometry, frame, scene = given.geometry, given.frame, aim.scene
+    if not frame_checks.ask_whether(checks.CAMERA_ABOVE, not scene.below_surface):
+        return Observation()
+    expected = expect_stripe(geometry, scene)
+    frame_checks.ask_whether(checks.STRIPE_EXPECTED, expected is not None)
+    if expected is None:
+        return Observation()
+    light, reach_px = frame_light(geometry.setup, frame), geometry.reach_px(aim.reach_mm)
+    half_px = reach_px + FIT_SIGMAS * expected.widest_px
+    stripe_px, band = NOWHERE, None
+    if light.laser_on:
+        stripe_px, room = expected.position_px, given.work.pixels
+        band = gather_band(frame.image_dn, geometry.image_source, stripe_px, math.ceil(half_px), room)
+    pixels, charge_e = off_stripe(geometry.image_source, frame.image_dn, stripe_px, half_px)
+    arc_e, other_e, transmission = _predict_arc(given, aim, light, pixels, band)
+    arc = estimate_light(geometry.image_source, charge_e, pixels, arc_e, other_e, light.has_arc)
+    seen = Observation(arc, expected, transmission)
+    if not _check_light(frame_checks, arc, light) or band is None:
+        return seen
+    lit = _lit_band(geometry, aim, seen, band)
+    reading = read_stripe(
+        geometry.look_source,
+        lit,
+        expected,
+        reach_px,
+        given.work.room,
+        aim.scatter,
+        aim.reach_mm >= SEARCH_REACH_MM,
+    )
+    seen = seen._replace(stripe=reading)
+    # An arc lights rims that end as a fan does.
+    seeks_ends = geometry.setup.laser.fan_half_angle_deg is None and not arc.is_on
+    if not _check_stripe(frame_checks, expected, reading, seeks_ends):
+        return seen
+    return seen._replace(section=observed_section(geometry, aim, seen))
+
+
+def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> Section:
+    """Return the section that a stripe shows, whose joint is looked for a little beyond a look's reach."""
+    assert seen.expected is not None
+    assert seen.stripe is not None
+    reading, stripe, seam_source = seen.stripe, seen.stripe.stripe, geometry.seam_source
+    lines = StripeLines(
+        stripe.position_px,
+        stripe.sigma_px,
+        stripe.beside_px,
+        stripe.amplitude_e,
+        reading.width_px,
+        seen.expected.bias_px,
+        reading.misfit_px,
+        reading.n_lines,
+    )
+    points = measured_points(
+        geometry.stripe_source,
+        aim.scene,
+        lines,
+        reading.usual.contrast,
+        seam_source.height_mm,
+        aim.seam.slope_sigma,
+    )
+    camera_mm, laser_mm = sources(seam_source, aim.scene, aim.seam.station_mm)
+    return Section(
+        SectionPoints(
+            points.y_mm,
+            points.z_mm,
+            points.dy_mm,
+            points.dz_mm,
+            points.scan,
+            points.sigma_px,
+            points.beside_px,
+            points.misfit_px,
+            points.n_lines,
+        ),
+        points.column_mm,
+        aim.reach_mm + BEYOND_REACH_MM,
+        points.mixed_mm,
+        aim.seam.slope_sigma,
+        points.bias_px,
+        light_of(reading, geometry.stripe_source.psf_sigma_px, points.sheet_lines),
+        camera_mm,
+        laser_mm,
+    )
+
+
+def _check_light(frame_checks: FrameChecks, arc: ArcLevel, light: FrameLight) -> bool:
+    """Ask whether there is arc light and the map explains it; return True if the laser is on."""
+    if (
+        frame_checks.ask_whether(checks.ARC_ON, arc.is_on)
+        and frame_checks.ask_whether(checks.ARC_LEVEL_KNOWN, not math.isnan(arc.level))
+        and frame_checks.ask(checks.ARC_LEVEL, arc.level, ARC_OFF_SIGMAS * arc.sigma)
+    ):
+        frame_checks.ask(checks.MAP_MISFIT, arc.misfit, MISFIT_LIMIT)
+    return frame_checks.ask_whether(checks.LASER_ON, light.laser_on)
+
+
+def _check_stripe(
+    frame_checks: FrameChecks, expected: ExpectedStripe, reading: StripeReading, seeks_ends: bool
+) -> bool:
+    """Return True if what was read is a stripe; ask whether all of it was seen, up to ends it may show."""
+    evidence, ask = reading.evidence, frame_checks.ask
+    ask(checks.LINES_SATURATED, float(evidence.n_saturated), 0.0)
+    frame_checks.ask_whether(checks.STRIPE_INSIDE, not evidence.leaves)
+    if not ask(checks.LINES_HELD, evidence.share, MIN_HELD_SHARE):
+        return False
+    if not ask(checks.STRIPE_EVIDENCE, evidence.ratio, MIN_RATIO):
+        return False
+    if evidence.share < WHOLE_SHARE:
+        seen = seen_share(
+            expected,
+            reading.stripe.position_px,
+            reading.stripe.amplitude_e,
+            reading.band.background,
+            reading.shot,
+            reading.dark_variance_e2,
+            reading.band.censored,
+            seeks_ends,
+        )
+        if not ask(checks.CLEAR_LINES_HELD, seen, MIN_SEEN):
+            return False
+    ask(checks.STRIPE_WHOLE, evidence.share, WHOLE_SHARE)
+    # Of what is no stripe nothing is the second.
+    ask(checks.SECOND_STRIPE, reading.second_share, 0.0)
+    return not math.isfinite(reading.told_nats) or ask(checks.STRIPE_TOLD, reading.told_nats, MIN_TOLD_NATS)
+
+
+def _predict_arc(
+    given: FrameInput, aim: Aim, light: FrameLight, pixels: Int64, band: Band | None
+) -> tuple[Float32, Float32, Transmission | None]:
+    """Write the arc's light at its expected output to a band's background, and return it at pixels (n,), e-.
+
+    With it comes what effects make there of other light, and what they do to the light; None if none acts.
+    """
+    geometry = given.geometry
+    output = expected_output(geometry.setup, given.frame)
+    lows, band_e, arc_e = NO_PIXELS, NO_BAND, np.empty(len(pixels), np.float32)
+    if band is not None and aim.use_arc_map and (light.has_arc or geometry.has_light_effects):
+        lows, band_e = band.lows, band.background
+    material, into = geometry.stripe_source.material, ArcLight(pixels, arc_e, lows, band_e)
+    predict_arc(geometry.arc_source, geometry.image_source, material, aim.scene, output, into)
+    transmission = transmission_of(geometry, aim.scene, given.frame)
+    if transmission is None:
+        return arc_e, NO_LIGHT, None
+    return (*transmission.through(pixels, arc_e), transmission)
+
+
+def transmission_of(geometry: SensorGeometry, scene: Scene, frame: Frame) -> Transmission | None:
+    """Return what a frame's effects make of the arc's light, None if no effect acts on it."""
+    if not geometry.has_light_effects:
+        return None
+    output = expected_output(geometry.setup, frame)
+    arc_map = arc_map_of(geometry, arc_kernel(geometry.setup, scene, output))
+    stated = output if shows_arc(geometry.setup, frame) else 0.0
+    return Transmission.of(geometry, scene, arc_map.at, stated)
+
+
+def _lit_band(geometry: SensorGeometry, aim: Aim, seen: Observation, band: Band) -> LitBand:
+    """Return a band with what lights it, as that comes through effects."""
+    arc, image, transmission = seen.arc, geometry.image_source, seen.transmission
+    dark_e2 = dark_variance_at(image, band.charge)
+    base_sigma_e = math.hypot(image.black_sigma_e, arc.ambient_e)
+    if not aim.use_arc_map:
+        return over_median(band, dark_e2, base_sigma_e)
+    lit = over_arc_map(band, arc, dark_e2, base_sigma_e, geometry.look_source.arc_level_rel)
+    if transmission is None:
+        if arc.level == 0.0:
+            band.background[:] = 0.0
+        return lit
+    n_scan, depth = band.background.shape
+    first = np.arange(n_scan) * geometry.n_pos + band.lows[np.arange(n_scan) // CELL]
+    pixels = (first[:, None] + np.arange(depth)).ravel()
+    arc_e, other_e = transmission.through(pixels, band.background.ravel())
+    band.background[:] = (np.float32(lit.light.level) * arc_e + other_e).reshape(n_scan, depth)
+    return lit._replace(light=LightLevel(1.0, lit.light.black_e))
+
+
+def profile_of(section: Section, frame: Frame, along_rows: bool) -> Profile:
+    """Return a section as a profile, with the whole frame by scan line."""
+    points = section.points
+    return Profile(
+        points.y_mm,
+        points.z_mm,
+        points.dy_mm,
+        points.dz_mm,
+        points.sigma_px,
+        points.scan,
+        section.column_mm,
+        points.beside_px,
+        reach_mm=section.reach_mm,
+        light=section.light,
+        image_dn=frame.image_dn.T if along_rows else frame.image_dn,
+        mixed_mm=section.mixed_mm,
+        bias_px=section.bias_px,
+        misfit_px=points.misfit_px,
+        slope_sigma=section.slope_sigma,
+        n_lines=points.n_lines,
+    )
+
+
+def shows_arc(setup: Setup, frame: Frame) -> bool:
+    """Return True if a frame is said to show an arc that the setup knows."""
+    return frame.arc_on and setup.arc.shines
+
+
+def expected_output(setup: Setup, frame: Frame) -> float:
+    """Return the arc's expected output for a frame's current and exposure, over the nominal one.
+
+    Without a known current, or with the arc said to be off, that is the nominal one, and so is an exposure.
+    """
+    arc, exposure_s = setup.arc, setup.camera.exposure_s
+    output: float = output_for(
+        float(frame.current_a), float(frame.exposure_s), arc.current_a, exposure_s, arc.current_exponent
+    )
+    return output
+
+
+def frame_light(setup: Setup, frame: Frame) -> FrameLight:
+    """Return what is said to light a frame."""
+    return FrameLight(
+        float(frame.exposure_s), float(frame.current_a), bool(frame.laser_on), bool(shows_arc(setup, frame))
+    )

@@ -1,0 +1,238 @@
+"""A frame's way from image and pose to the track: expect, look, fit, judge, steer.
+
+This is the one order of the stages. Live runs, replays and explanations go through it; what works on pixels
+and points is a kernel, what decides is here.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from noise_model.arc.scene import laid_scene
+from noise_model.median import known_median
+from noise_model.surface.joint import SeamLine
+from tracker import checks, flags
+from tracker.checks import FrameChecks
+from tracker.geometry import SEARCH_REACH_MM, TRACK_REACH_MM
+from tracker.joint import MeasuredJoint, fit_closed_joint, fit_section
+from tracker.joint.evidence import MIN_EVIDENCE_NATS
+from tracker.joint.image_line import read_image_line
+from tracker.joint.measured import undetermined
+from tracker.joint.type_check import family_of, number_of, shows_another
+from tracker.judge import SeamShown, judge
+from tracker.observation import (
+    MIN_HELD_SHARE,
+    Aim,
+    FrameInput,
+    Observation,
+    Reading,
+    observe,
+    profile_of,
+)
+from tracker.seam.expected import ExpectedSeam, check_pose, expect_seam
+from tracker.seam.gaussian_process import NO_HISTORY
+from tracker.seam.locate import locate
+from tracker.steer import TorchOffset, steer
+from tracker.stripe.scatter import Scatter
+from tracker.stripe.smooth import smoothed
+from tracker.tracker_state import LOST_TO_FORGET, LOST_TO_SEARCH, TrackerState
+
+JOINT_CHI2_LIMIT = 9.0
+UNEXPLAINED_LIMIT = 0.1
+"""So large a share of the points near the seam may lie off the joint's shape: spatter, a tack weld's end."""
+
+MIN_MARGIN_MM = 1.0
+"""A seam nearer to the profile's end than this is out of view."""
+
+
+class FrameResult(NamedTuple):
+    """What a frame gives: the state after it, the look that counts, the seam and the offset at the torch."""
+
+    state: TrackerState
+    reading: Reading
+    shown: SeamShown | None
+    offset: TorchOffset
+
+
+def track_frame(given: FrameInput, frame_checks: FrameChecks) -> FrameResult | None:
+    """Track a frame; return None where its pose shows no seam."""
+    state, source = given.state, given.geometry.seam_source
+    frame_checks.ask_whether(checks.FRAME_FORMAT, True)
+    frame_checks.ask_whether(checks.POSE_KNOWN, True)
+    frame_checks.ask_whether(checks.POSE_BRACKETED, not given.is_extrapolated)
+    # After so many frames without a joint the earlier ones say nothing any more.
+    confirmed = state.history if state.lost < LOST_TO_FORGET else NO_HISTORY
+    expected: ExpectedSeam = expect_seam(source, given.T_base_tool, confirmed)
+    if not check_pose(frame_checks, source, expected.pose):
+        return None
+    reach_mm = _reach_mm(state, expected)
+    aim = _aim_at(given, expected.line, reach_mm, state.scatter)
+    if frame_checks.ask(checks.REACH, reach_mm, SEARCH_REACH_MM):
+        reading = look_and_fit(given, frame_checks, aim)
+    else:
+        reading = search(given, frame_checks, aim, expected)
+    after, shown = judge(frame_checks, given, expected, reading)
+    steering, offset = steer(frame_checks, given, expected, after, shown is not None)
+    after = after._replace(steering=steering, scatter=reading.scatter, frames=state.frames + 1)
+    return FrameResult(after, reading, shown, offset)
+
+
+def search(given: FrameInput, frame_checks: FrameChecks, aim: Aim, expected: ExpectedSeam) -> Reading:
+    """Look widely for the joint, then look where it is.
+
+    The map for another place misleads, near its edges most. So a search looks again where it has found the
+    joint. If the map misled the search itself, the joint is placed without it.
+    """
+    wide = placed = look_and_fit(given, FrameChecks(), aim)
+    if wide.joint is None and wide.stripe is not None and given.use_arc_map:
+        placed = look_and_fit(given, FrameChecks(), aim._replace(use_arc_map=False))
+    reading = wide
+    if placed.joint is not None:
+        at_joint = look_and_fit(given, FrameChecks(), _aim_at_joint(given, expected, aim, placed))
+        reading = _nearer_look(given, wide, placed, at_joint)
+    reading = as_stated(reading)
+    frame_checks.extend(reading.checks)
+    return reading._replace(checks=frame_checks)
+
+
+def look_and_fit(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Reading:
+    """Look at a frame about a seam, and fit the joint to the section that it shows."""
+    seen = observe(given, frame_checks, aim)
+    joint, margin_mm = None, math.nan
+    if seen.section is not None:
+        joint, margin_mm = _fit_joint(given, frame_checks, aim, seen)
+    stripe, scatter = None, aim.scatter
+    if seen.stripe is not None:
+        stripe = seen.stripe.stripe
+        scatter = seen.stripe.scatter if seen.section is not None else aim.scatter
+    return Reading(
+        frame_checks,
+        aim.scene,
+        aim.seam,
+        aim.reach_mm,
+        seen.arc,
+        stripe,
+        joint,
+        margin_mm,
+        scatter,
+        aim.scatter,
+    )
+
+
+def _reach_mm(state: TrackerState, expected: ExpectedSeam) -> float:
+    """Return how far about the expected seam it is looked for, mm."""
+    if state.lost >= LOST_TO_SEARCH:
+        return SEARCH_REACH_MM
+    return min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * max(expected.sigma_mm))
+
+
+def _aim_at(given: FrameInput, seam: SeamLine, reach_mm: float, scatter: Scatter) -> Aim:
+    """Return the aim of a look at a seam."""
+    scene = laid_scene(given.geometry.seam_source.scene, given.T_base_tool, seam, seam, True)
+    return Aim(scene, seam, reach_mm, given.use_arc_map, scatter)
+
+
+def _aim_at_joint(given: FrameInput, expected: ExpectedSeam, aim: Aim, placed: Reading) -> Aim:
+    """Return the aim of the look at the joint that a wide look has placed."""
+    assert placed.joint is not None
+    located = locate(
+        given.geometry.seam_source,
+        expected.scene.T_joint_tool,
+        placed.scene,
+        placed.joint.y_mm,
+        placed.joint.z_mm,
+    )
+    y_mm, z_mm = located.displacement_mm
+    seam, scatter = aim.seam, given.state.scatter
+    there = SeamLine(located.station_mm, y_mm, z_mm, seam.slope_y, seam.slope_z, seam.slope_sigma)
+    # A first frame's scatter is known from the look before.
+    return _aim_at(given, there, TRACK_REACH_MM, scatter if scatter.frames > 0 else placed.scatter)
+
+
+def _nearer_look(given: FrameInput, wide: Reading, placed: Reading, at_joint: Reading) -> Reading:
+    """Return the look that counts of those that placed the joint and looked at it.
+
+    What only a wrong map shows is no stripe: most of its lines are gone with the right one. Then the look at
+    the joint counts, else one that shows no joint does not.
+    """
+    if at_joint.joint is None and at_joint.n_held >= MIN_HELD_SHARE * placed.n_held:
+        return wide
+    # The narrow look does not see as far beside the stripe.
+    at_joint.checks.take_answer(placed.checks, checks.JOINT_TYPE)
+    if placed.flags & flags.TWO_STRIPES.mask:
+        at_joint.checks.take_answer(placed.checks, checks.SECOND_STRIPE)
+    # It is the same frame's second look.
+    return at_joint._replace(scatter=Scatter(at_joint.scatter.average, given.state.scatter.frames + 1))
+
+
+def as_stated(reading: Reading) -> Reading:
+    """Return a search's result without its joint where that is neither of its shape nor of its type.
+
+    Of pieces of two stripes, or of one that the map has broken, a section can be made that no plate explains.
+    A seam that is read off its line in the image does not stand on the section.
+    """
+    if reading.joint is None:
+        return reading
+    unlikely = flags.JOINT_TYPE_MISMATCH.mask | flags.JOINT_MISFIT.mask
+    is_stated = reading.flags & (unlikely | flags.SEAM_BY_LINE.mask) != unlikely
+    if reading.checks.ask_whether(checks.JOINT_AS_STATED, is_stated):
+        return reading
+    return reading._replace(joint=None)
+
+
+def _fit_joint(
+    given: FrameInput, frame_checks: FrameChecks, aim: Aim, seen: Observation
+) -> tuple[MeasuredJoint | None, float]:
+    """Return the joint that a section shows, None where none counts, and its margin in the view, mm."""
+    section, geometry = seen.section, given.geometry
+    assert section is not None
+    stated, image_dn = geometry.setup.joint, given.frame.image_dn
+    joint = fit_section(section, stated, image_dn, geometry.along_rows)
+    if stated.type == "butt" and not _is_told(joint):
+        closed = _closed_joint(given, aim, seen)
+        if _is_told(closed):
+            frame_checks.ask_whether(checks.GAP_SHOWN, False)
+            joint = closed
+    # A narrower look shows only what lies where the stated joint should.
+    if aim.reach_mm == SEARCH_REACH_MM:
+        points, family = section.points, number_of(family_of(stated))
+        fitted = undetermined() if joint is None else joint
+        is_other = shows_another(points, section.column_mm, family, geometry.stated_joint, fitted)
+        frame_checks.ask_whether(checks.JOINT_TYPE, not is_other)
+    return check_joint(frame_checks, joint, float(section.points.y_mm[0]), float(section.points.y_mm[-1]))
+
+
+def _is_told(joint: MeasuredJoint | None) -> bool:
+    """Return True if a joint is told from a plate."""
+    return joint is not None and joint.evidence_nats >= MIN_EVIDENCE_NATS
+
+
+def _closed_joint(given: FrameInput, aim: Aim, seen: Observation) -> MeasuredJoint | None:
+    """Return the closed joint whose line the image shows beside the stripe, None where it shows none."""
+    geometry, section = given.geometry, seen.section
+    assert section is not None
+    assert seen.stripe is not None
+    profile = profile_of(section, given.frame, geometry.along_rows)
+    stripe_px = smoothed(seen.stripe.stripe).position_px
+    stripe_sigma_px = known_median(section.light.width_px)
+    line = read_image_line(geometry, aim.scene, stripe_px, stripe_sigma_px, profile)
+    return None if line is None else fit_closed_joint(profile, geometry.setup.joint, line)
+
+
+def check_joint(
+    frame_checks: FrameChecks, joint: MeasuredJoint | None, first_mm: float, last_mm: float
+) -> tuple[MeasuredJoint | None, float]:
+    """Return a joint, None if it does not count, and its margin in the view, mm, NaN for none.
+
+    The section goes from `first_mm` to `last_mm`.
+    """
+    frame_checks.ask_whether(checks.JOINT_SEEN, joint is not None)
+    if joint is None or not frame_checks.ask(checks.JOINT_EVIDENCE, joint.evidence_nats, MIN_EVIDENCE_NATS):
+        return None, math.nan
+    margin_mm = min(joint.y_mm - first_mm, last_mm - joint.y_mm)
+    if not frame_checks.ask(checks.VIEW_MARGIN, margin_mm, MIN_MARGIN_MM):
+        return None, margin_mm
+    frame_checks.ask(checks.JOINT_CHI2, joint.chi2, JOINT_CHI2_LIMIT)
+    frame_checks.ask(checks.JOINT_UNEXPLAINED, joint.unexplained, UNEXPLAINED_LIMIT)
+    return joint, margin_mm

@@ -1,0 +1,152 @@
+"""From the seam along the path to the offset that is proposed to the gate.
+
+What is asked is what is known of the seam where the torch stands, and not whether the present frame shows
+it: the torch follows the measured stretch for the whole look-ahead while the sensor is blind or past the
+joint's end. The seam is lost once the torch leaves that stretch. A frame that cannot be read and a pose that
+is refused say nothing of where the torch is: for those, and for offsets that come too late, jump or lie out
+of range, the gate holds what was sent last, by its age, and then refuses.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from noise_model.surface.faces import ridge
+from tracker import checks, flags
+from tracker.checks import FrameChecks
+from tracker.observation import FrameInput
+from tracker.seam.correction import Corrected, Correction, correct
+from tracker.seam.expected import ExpectedSeam
+from tracker.seam.gaussian_process import SPACING_MM, SeamHistory, condition
+from tracker.seam.joint_ends import Change
+from tracker.seam.locate import confidence
+from tracker.seam.stretches import history_at
+from tracker.state import UNKNOWN, Pair
+from tracker.tracker_state import Steering, TrackerState
+
+NO_LOOK = flags.LASER_OFF.mask | flags.BELOW_SURFACE.mask | flags.SEAM_OUT_OF_VIEW.mask
+"""A frame with these says nothing of whether there is a joint."""
+
+
+class SeamAtTorch(NamedTuple):
+    """The seam's displacement and 1 sigma as (y, z) at the torch, mm, NaN where it is not known."""
+
+    displacement_mm: Pair = UNKNOWN
+    sigma_mm: Pair = UNKNOWN
+    stops_following: bool = False
+
+
+def seam_at_torch(
+    frame_checks: FrameChecks,
+    correction: Correction,
+    history: SeamHistory,
+    torch_mm: float,
+    stretch_mm: Pair,
+    goes_on: bool = False,
+) -> SeamAtTorch:
+    """Return the seam where the torch stands; `stretch_mm` are the stations of the joint's start and end.
+
+    Before the joint it is the seam at its start. Before what is measured of it the process is asked. Past
+    the last measurement the seam is lost: its last place is held, at a sigma that takes in how far the
+    process expects it to have gone since, or the process goes on, both within the correction's limits; or
+    following stops, but not within SPACING_MM, where the joint's very end may lie. A seam that `goes_on` in
+    another stretch beyond is not lost.
+    """
+    ask, (start_mm, end_mm) = frame_checks.ask, stretch_mm
+    if not ask(checks.TORCH_BEFORE_END, torch_mm - end_mm, 0.0):
+        return SeamAtTorch()
+    ask(checks.TORCH_AFTER_START, start_mm - torch_mm, 0.0)
+    if not frame_checks.ask_whether(checks.SEAM_MEASURED, history.n > 0):
+        return SeamAtTorch()
+    station_mm = max(torch_mm, start_mm)
+    there = condition(history, station_mm)
+    displacement, sigma = there.displacement_mm, there.sigma_mm
+    lost_mm = torch_mm - there.last_mm if torch_mm >= start_mm and not goes_on else 0.0
+    if correction.when_lost == "stop" and not ask(
+        checks.SEAM_NOT_LOST, lost_mm, SPACING_MM, flags.FOLLOW_STOPPED
+    ):
+        return SeamAtTorch(stops_following=True)
+    if correction.when_lost == "hold" and not ask(checks.SEAM_NOT_LOST, lost_mm, 0.0):
+        held = condition(history, there.last_mm).displacement_mm
+        gone_y_mm, gone_z_mm = displacement[0] - held[0], displacement[1] - held[1]
+        sigma = math.hypot(sigma[0], gone_y_mm), math.hypot(sigma[1], gone_z_mm)
+        displacement = held
+    else:
+        frame_checks.ask_whether(checks.TORCH_MEASURED, there.first_mm <= station_mm <= there.last_mm)
+    if not ask(checks.REACHED, lost_mm, correction.extrapolate_mm):
+        return SeamAtTorch()
+    if not ask(checks.TORCH_SIGMA, max(sigma), correction.extrapolate_sigma_mm):
+        return SeamAtTorch()
+    return SeamAtTorch(displacement, sigma)
+
+
+class TorchOffset(NamedTuple):
+    """What a track says of its offset and of the joint's ends; see `state.Track`."""
+
+    offset_y_mm: float
+    offset_z_mm: float
+    offset_sigma_y_mm: float
+    offset_sigma_z_mm: float
+    offset_confidence: float
+    valid_at_s: float
+    joint_start_mm: Pair
+    joint_end_mm: Pair
+
+
+def steer(
+    frame_checks: FrameChecks, given: FrameInput, expected: ExpectedSeam, state: TrackerState, is_shown: bool
+) -> tuple[Steering, TorchOffset]:
+    """Return the offset that is proposed to the gate, and what is handed on.
+
+    `state` is with the frame's own measurement. What was asked of the frame says whether a seam that
+    `is_shown` is valid; what is asked of the torch's place is added. The torch is taken for where it will be
+    after the lead.
+    """
+    steering, correction, lead = state.steering, given.correction, given.lead
+    ends, torch_mm, raised = steering.ends, expected.torch_mm + lead.way_mm, frame_checks.flags
+    if correction.ends_mm > 0.0 and not raised & NO_LOOK:
+        is_valid = is_shown and not raised & flags.INVALIDATING
+        ends = ends.with_look(expected.line.station_mm, is_valid, expected.ends_mm, correction.ends_mm)
+    joint_mm = ends.stretch_mm(expected.ends_mm, correction.ends_mm)
+    history, is_present = history_at(state.history, state.behind, max(torch_mm, joint_mm[0]))
+    seam = seam_at_torch(frame_checks, correction, history, torch_mm, joint_mm, not is_present)
+    height_mm = 0.0
+    if correction.corrugation == "followed":
+        height_mm = ridge(torch_mm, expected.scene.shape.corrugation)[0]
+    sent = correct(correction, seam.displacement_mm, height_mm)
+    if steering.is_stopped or seam.stops_following:
+        sent = Corrected(UNKNOWN, False, True)
+    frame_checks.ask_whether(checks.OFFSET_WITHIN, not sent.is_limited)
+    frame_checks.ask_whether(checks.FOLLOWING, not sent.is_stopped)
+    y_mm, z_mm = sent.offset_mm
+    sigma_y_mm = math.nan if math.isnan(y_mm) else seam.sigma_mm[0]
+    sigma_z_mm = math.nan if math.isnan(z_mm) else seam.sigma_mm[1]
+    hand_eye_y, hand_eye_z = steering.hand_eye_variance_mm2
+    weld_mm, timestamp_s = given.geometry.seam_source.weld_mm, float(given.frame.timestamp_s)
+    offset = TorchOffset(
+        y_mm,
+        z_mm,
+        sigma_y_mm,
+        sigma_z_mm,
+        _confidence(weld_mm, sigma_y_mm**2 + hand_eye_y, sigma_z_mm**2 + hand_eye_z),
+        math.nan if math.isnan(y_mm) and math.isnan(z_mm) else timestamp_s + lead.time_s,
+        _where(ends.start),
+        _where(ends.end),
+    )
+    return steering._replace(ends=ends, is_stopped=sent.is_stopped), offset
+
+
+def _confidence(weld_mm: float, variance_y_mm2: float, variance_z_mm2: float) -> float:
+    """Return the probability that the offsets that are known are right within the tolerance, NaN for none."""
+    knows_y, knows_z = math.isfinite(variance_y_mm2), math.isfinite(variance_z_mm2)
+    if not (knows_y or knows_z):
+        return math.nan
+    sigma_y_mm = math.sqrt(variance_y_mm2) if knows_y else 0.0
+    sigma_z_mm = math.sqrt(variance_z_mm2) if knows_z else 0.0
+    return confidence(weld_mm, sigma_y_mm, sigma_z_mm)
+
+
+def _where(change: Change) -> Pair:
+    """Return where a change was seen, its station and 1 sigma, mm; NaN where it was not."""
+    return (change.station_mm, change.sigma_mm) if change.is_seen else UNKNOWN
