@@ -1,5 +1,6 @@
 import io
 import os
+import re
 import select
 import signal
 import subprocess
@@ -89,12 +90,10 @@ def test_where_no_bar_can_be_shown_lines_say_how_far_it_is(
     monkeypatch.setattr(console, "SPOKEN_EVERY_S", 0.01)
     with console.SpokenProgress(TextColumn("{task.description}")) as bar:
         bar.update(bar.add_task("v: frames", total=24), completed=12)
-        deadline_s = time.monotonic() + 30.0
         said = ""
-        while "v: frames" not in said and time.monotonic() < deadline_s:
-            time.sleep(0.01)
+        while "\n" not in said:
             said += capsys.readouterr().err
-    assert "arctrack: v: frames, 12 of 24, 0 s" in said
+    assert re.match(r"arctrack: v: frames, 12 of 24, \d+ s\n", said)
 
 
 def test_a_bar_names_what_it_counts() -> None:

@@ -81,7 +81,6 @@ def test_no_reference_to_a_class_stays_behind() -> None:
 INTERRUPTED = """
 import random
 import signal
-import time
 
 from tests.noise_model.test_boxing import slow
 
@@ -91,15 +90,13 @@ def interrupt(number, frame):
 slow(1.0)
 signal.signal(signal.SIGALRM, interrupt)
 rng, interrupts = random.Random(1), 0
-ends_s = time.monotonic() + 1.0
-while time.monotonic() < ends_s:
+while interrupts < 100:
     try:
         signal.setitimer(signal.ITIMER_REAL, rng.uniform(1e-3, 4e-3))
         while True:
             slow(1.0)
     except KeyboardInterrupt:
         interrupts += 1
-print(interrupts)
 """
 
 
@@ -109,4 +106,3 @@ def test_a_signal_in_a_kernel_is_an_interrupt_of_its_caller() -> None:
     arguments = [sys.executable, "-c", INTERRUPTED]
     finished = subprocess.run(arguments, cwd=ROOT, capture_output=True, text=True, check=False, timeout=120)
     assert finished.returncode == 0, finished.stderr
-    assert int(finished.stdout) > 10

@@ -30,10 +30,10 @@ def as_bytes(messages):
     return [encode(decode(*encode(message))) for message in messages]
 
 
-def exchange(sender, receiver, timeout_s=0.5):
+def exchange(sender, receiver):
     for message in EXAMPLES:
         sender.send(message)
-    return [r.message for r in itertools.islice(receiver.receive(timeout_s), len(EXAMPLES))]
+    return [r.message for r in itertools.islice(receiver.receive(60.0), len(EXAMPLES))]
 
 
 def test_virtual_both_ways():

@@ -7,10 +7,10 @@ import json
 import math
 import multiprocessing
 import re
-import time
 from dataclasses import asdict, replace
 from itertools import takewhile
 from pathlib import Path
+from queue import SimpleQueue
 from threading import Thread
 
 import numpy as np
@@ -281,6 +281,13 @@ def test_a_request_during_a_save_is_covered_by_it() -> None:
 def test_a_fault_that_cannot_be_saved_is_told_and_saved_once_it_can(memory, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(recorder, "TRY_S", 0.05)
     monkeypatch.setattr(recorder, "AFTERMATH_S", 0.05)
+    looks, look = SimpleQueue(), FaultWatch.look
+
+    def told_look(watch, status):
+        looks.put(status)
+        return look(watch, status)
+
+    monkeypatch.setattr(FaultWatch, "look", told_look)
     live, journal = a_run(5)
     boxes = tmp_path / "boxes"
     boxes.write_text("a file where the folder should be")
@@ -293,8 +300,9 @@ def test_a_fault_that_cannot_be_saved_is_told_and_saved_once_it_can(memory, tmp_
     assert problem == f"{boxes}: cannot be written: Not a directory"
     for shown in (status(), refused(GateReason.CAMERA_STOPPED)):
         journal.tell(shown)
-        # The recorder has looked at it since.
-        time.sleep(3.0 * recorder.LOOK_S)
+        # The recorder looks at it.
+        while looks.get().offset != shown.offset:
+            pass
     said: list[str] = []
     while not any(line.startswith("refused_camera_stopped is not saved: ") for line in said):
         said.append(told_end.recv())

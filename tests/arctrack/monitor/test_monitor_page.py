@@ -20,7 +20,7 @@ pytestmark = [
 
 AMBER, GREEN = "rgb(255, 181, 46)", "rgb(53, 212, 143)"
 SIZES = ((1920, 1080), (1280, 800), (1024, 768))
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 COLOURS = """(id => {
   const canvas = document.getElementById(id), copy = new OffscreenCanvas(canvas.width, canvas.height);
   const c = copy.getContext('2d', {willReadFrequently: true});

@@ -30,7 +30,7 @@ from arctrack.monitor.words import FAULTS, LASERS, NO_DISARM, REASONS, STATES, I
 from robot_io import Fault, GateReason, LaserState, TrackerState
 
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 ROOT = Path(__file__).parents[3]
 
 

@@ -6,12 +6,13 @@ import os
 import socket
 import subprocess
 import sys
-import time
 from contextlib import closing
+from types import SimpleNamespace
 
 import pytest
 from made import playing_cell
 
+from arctrack.serve import notify
 from arctrack.serve.notify import Notifier
 
 
@@ -24,8 +25,9 @@ def manager(request, tmp_path):
         yield path, listening
 
 
-def test_systemd_hears_ready_watchdog_and_stopping(manager) -> None:
+def test_systemd_hears_ready_watchdog_and_stopping(manager, monkeypatch) -> None:
     path, listening = manager
+    monkeypatch.setattr(notify, "time", SimpleNamespace(monotonic=iter([7.0, 7.019, 7.021]).__next__))
     stated = {"NOTIFY_SOCKET": path, "WATCHDOG_USEC": "40000", "WATCHDOG_PID": str(os.getpid())}
     with closing(Notifier(stated)) as notifier:
         notifier.ready("ready: a camera")
@@ -33,7 +35,6 @@ def test_systemd_hears_ready_watchdog_and_stopping(manager) -> None:
         notifier.goes_on()
         notifier.goes_on()
         assert listening.recv(100) == b"WATCHDOG=1"
-        time.sleep(0.02)
         notifier.goes_on()
         notifier.stopping()
     assert [listening.recv(100), listening.recv(100)] == [b"WATCHDOG=1", b"STOPPING=1"]

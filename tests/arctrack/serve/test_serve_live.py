@@ -109,7 +109,7 @@ def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed
             ear, words = Ear(bus), (str(cell), str(robot.bus_options["port"]))
             processes.append(started(TRACKER, *words))
             ear.listen(lambda: sum(o.validity is Validity.VALID for o in ear.offsets()) >= 20)
-            assert ear.is_usable()
+            ear.listen(ear.is_usable)
             _check_offsets(ear)
 
             processes[0].send_signal(signal.SIGUSR1)
