@@ -6,7 +6,7 @@ from typing import Any
 
 import can
 import pytest
-from documented import collect_rarely, compile_kernels, make_scratch
+from documented import compile_kernels, make_scratch
 from hypothesis import settings
 from once import compiling_in_turn, once
 
@@ -25,7 +25,6 @@ def pytest_configure() -> None:
     """
     for name in ("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
         os.environ.setdefault(name, "1")
-    collect_rarely()
 
 
 COMPILE_NOTHING = ("tests/robot_io/", "tests/test_", "tests/docs/test_site.py")

@@ -5,7 +5,6 @@ Several tests need what the same command makes of the same inputs. It is run onc
 
 from __future__ import annotations
 
-import gc
 import hashlib
 import multiprocessing
 import os
@@ -24,11 +23,6 @@ from noise_model.forward import predict
 from tracker.tracker import Tracker
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-def collect_rarely() -> None:
-    """Look for garbage after more objects than usual: a tenth of the time that numba compiles goes there."""
-    gc.set_threshold(50_000)
 
 
 def compile_kernels(_: Path) -> None:
@@ -116,7 +110,6 @@ def _command(words: list[str], folder: Path, environment: dict[str, str], said: 
         for stream in (1, 2):
             os.dup2(file.fileno(), stream)
     sys.argv = words
-    collect_rarely()
     # Imported here: what it says of colours and columns is that environment's.
     from arctrack.cli import main
 

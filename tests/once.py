@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,7 +12,7 @@ from typing import Any, TextIO
 import numba.core.event as numba_events
 import pytest
 
-from noise_model.kernel import KernelCache
+from noise_model.compiled.numba_internals import KernelCache
 
 
 def once(shared: Path, name: str, make: Callable[[Path], None]) -> Path:
@@ -46,7 +45,7 @@ def compiling_in_turn(folder: Path) -> Iterator[None]:
     def load_in_turn(cache: KernelCache, signature: Any, context: Any) -> Any:
         found = load(cache, signature, context)
         if found is None and cache not in held:
-            held[cache] = (folder / _name(cache)).open("w")
+            held[cache] = (folder / cache.name).open("w")
             fcntl.flock(held[cache], fcntl.LOCK_EX)
             found = load(cache, signature, context)
             if found is not None:
@@ -63,11 +62,6 @@ def compiling_in_turn(folder: Path) -> Iterator[None]:
         patch.setattr(KernelCache, "save_overload", save_in_turn)
         with numba_events.install_listener("numba:compiler_lock", _Release(held)):
             yield
-
-
-def _name(cache: KernelCache) -> str:
-    """Return what a kernel's lock is called: two kernels of one name may lie in two folders."""
-    return hashlib.sha256(cache._cache_file._index_path.encode()).hexdigest()
 
 
 class _Release(numba_events.Listener):

@@ -31,6 +31,7 @@ MAY_IMPORT = {
 }
 FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
     "noise_model": {
+        "compiled": set(),
         "surface": set(),
         "instrument": {"surface"},
         "reference": {"surface"},

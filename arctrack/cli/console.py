@@ -184,7 +184,7 @@ def compiling(bar: Progress, name: str) -> Callable[[str, int, float], None]:
 def say_compiled(name: str, warm_up: WarmUp) -> None:
     """Say on stderr what a warm-up compiled, where it had to."""
     if warm_up.compiled:
-        from noise_model.kernel_place import kernels_are_kept
+        from noise_model.compiled.store import kernels_are_kept
 
         took = f"compiled {warm_up.compiled} functions in {warm_up.elapsed_s:.0f} s"
         kept = "the next run finds them on disk"

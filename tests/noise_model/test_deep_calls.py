@@ -1,10 +1,11 @@
 """However deep calls go, none of them takes memory from the operating system each time."""
 
+import gc
 import resource
 
 import pytest
 
-from noise_model.deep_calls import call_with_room
+from noise_model.compiled.deep_calls import RARELY, call_with_room
 
 LEVELS, CALLS = 300, 200
 """So many levels of short calls fill several chunks of 16 kB."""
@@ -32,3 +33,11 @@ def test_what_a_function_returns_or_raises_comes_through() -> None:
     assert call_with_room(divmod, 7, 2) == (3, 1)
     with pytest.raises(ZeroDivisionError):
         call_with_room(divmod, 7, 0)
+
+
+def test_the_collector_looks_as_often_as_before_once_a_kernel_is_compiled() -> None:
+    before = gc.get_threshold()
+    assert call_with_room(gc.get_threshold) == RARELY
+    with pytest.raises(ZeroDivisionError):
+        call_with_room(divmod, 7, 0)
+    assert gc.get_threshold() == before

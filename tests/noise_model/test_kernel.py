@@ -1,6 +1,7 @@
-"""Machine code on disk is used again while its sources are what they were, and only then."""
+"""Machine code on disk is used again while a kernel would become the same, and only then."""
 
 import os
+import shutil
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -13,8 +14,8 @@ from typing import Any
 import pytest
 from documented import FORKS
 
-from noise_model import kernel as kernels
-from noise_model.linking import MIN_INSTRUCTIONS
+from noise_model.compiled.numba_internals import MIN_INSTRUCTIONS
+from noise_model.kernel import kernel
 
 INNER = (
     "import math\n\nfrom noise_model.kernel import kernel\n\n\n"
@@ -25,19 +26,23 @@ OUTER = (
     "from noise_model.kernel import kernel\nfrom optics_of_a_test.{module} import inner\n\n\n"
     "@kernel\ndef outer(x):\n    return inner(x) + 1.0\n"
 )
+COMPILED, COMPILED_ANEW, FOUND = (0, 2), (1, 1), (2, 0)
+"""What a process found on disk, and compiled: the outer kernel, and what lets Python call it.
+
+A kernel whose types stay is called as before.
+"""
 
 
-def write(package: Path, options: str, value: float, more: str = "") -> None:
+def write(package: Path, options: str, value: str, more: str = "") -> None:
     """Write two kernels, one that calls the other, with times and sizes that tell nothing.
 
     `more` makes the inner one longer and changes nothing.
     """
-    package.mkdir(exist_ok=True)
+    package.mkdir(parents=True, exist_ok=True)
     sources = {
         "__init__.py": "",
         "inner.py": INNER.format(options=options, value=value, more=more),
         "outer.py": OUTER.format(module="inner"),
-        "beside.py": f"# {value}\n",
     }
     for name, source in sources.items():
         (package / name).write_text(source)
@@ -47,8 +52,8 @@ def write(package: Path, options: str, value: float, more: str = "") -> None:
 def run(folder: Path, first: str = "") -> tuple[float, int, int]:
     """Return the outer kernel's result, and what of it a new process found on disk, and compiled.
 
-    That is the kernel, and what lets Python call it. The process runs the lines `first` before. It is forked
-    from one that has imported numba, and no kernel of these.
+    It keeps kernels beside the package. The process runs the lines `first` before. It is forked from one that
+    has imported numba, and no kernel of these.
     """
     receiver, sender = FORKS.Pipe(duplex=False)
     process = FORKS.Process(target=_run, args=(folder, first, sender))
@@ -62,67 +67,113 @@ def run(folder: Path, first: str = "") -> tuple[float, int, int]:
 def _run(folder: Path, first: str, sender: Connection) -> None:
     sys.path.insert(0, str(folder))
     sys.dont_write_bytecode = True
+    os.environ["NUMBA_CACHE_DIR"] = str(folder / "kept")
     exec(first)
     outer = import_module("optics_of_a_test.outer").outer
     result = outer(2.0)
     sender.send((result, sum(outer.stats.cache_hits.values()), sum(outer.stats.cache_misses.values())))
 
 
+def kept_of(folder: Path, name: str) -> list[Path]:
+    """Return what is kept of a kernel, and of what lets Python call it."""
+    return list((folder / "kept/arctrack/kernels").glob(f"optics_of_a_test.{name}/*"))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("options", "more"), [("inline=True", ""), ("", ""), ("", LONG)], ids=["written out", "short", "long"]
-)
-def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed(
+@pytest.mark.parametrize(("options", "more"), [("inline=True", ""), ("", "")], ids=["written out", "short"])
+def test_a_kernel_is_compiled_anew_when_one_that_is_optimised_into_it_has_changed(
     options: str, more: str, tmp_path: Path
 ) -> None:
     package = tmp_path / "optics_of_a_test"
-    write(package, options, 3.0, more)
-    assert run(tmp_path) == (7.0, 0, 2)
-    assert run(tmp_path) == (7.0, 2, 0)
-    write(package, options, 5.0, more)
-    assert run(tmp_path) == (11.0, 0, 2)
-    assert run(tmp_path) == (11.0, 2, 0)
+    write(package, options, "3.0", more)
+    assert run(tmp_path) == (7.0, *COMPILED)
+    assert run(tmp_path) == (7.0, *FOUND)
+    write(package, options, "5.0", more)
+    assert run(tmp_path) == (11.0, *COMPILED_ANEW)
+    assert run(tmp_path) == (11.0, *FOUND)
+    write(package, options, "3.0", more)
+    assert run(tmp_path) == (7.0, *FOUND), "what was before is still there"
 
 
 @pytest.mark.slow
-def test_a_kernel_is_compiled_anew_when_a_long_one_that_it_calls_has_another_symbol(tmp_path: Path) -> None:
-    """numba counts what it compiles, and the number is in the symbol."""
+def test_a_long_kernel_that_has_changed_leaves_its_callers_alone(tmp_path: Path) -> None:
     package = tmp_path / "optics_of_a_test"
-    write(package, "", 3.0, LONG)
-    assert run(tmp_path) == (7.0, 0, 2)
-    for kept in package.glob("__pycache__/inner.inner*"):
+    write(package, "", "3.0", LONG)
+    assert run(tmp_path) == (7.0, *COMPILED)
+    write(package, "", "5.0", LONG)
+    assert run(tmp_path) == (11.0, *FOUND)
+    for kept in kept_of(tmp_path, "inner.inner"):
         kept.unlink()
-    compile_another = "from optics_of_a_test.inner import inner\ninner(1), inner(True)\n"
-    assert run(tmp_path, compile_another) == (7.0, 0, 2)
-    assert run(tmp_path) == (7.0, 2, 0)
+    assert run(tmp_path) == (11.0, *FOUND), "it is compiled, and has the symbol that its callers call"
+    write(package, "", "5j", LONG)
+    assert run(tmp_path) == (1.0 + 10.0j, *COMPILED), "its result has another type"
 
 
 @pytest.mark.slow
 def test_the_machine_code_of_a_long_kernel_is_not_in_that_of_its_caller(tmp_path: Path) -> None:
-    package = tmp_path / "optics_of_a_test"
     sizes = []
-    for more in ("", LONG):
-        write(package, "", 3.0, more)
-        run(tmp_path)
-        sizes.append({name: _kept_bytes(package, name) for name in ("inner", "outer")})
+    for folder, more in ((tmp_path / "short", ""), (tmp_path / "long", LONG)):
+        folder.mkdir()
+        write(folder / "optics_of_a_test", "", "3.0", more)
+        run(folder)
+        kept = {name: kept_of(folder, f"{name}.{name}") for name in ("inner", "outer")}
+        sizes.append({name: max(file.stat().st_size for file in files) for name, files in kept.items()})
     short, long = sizes
     assert long["inner"] > 2 * short["inner"]
     # A link takes two kilobytes.
     assert long["outer"] - short["outer"] < 0.2 * (long["inner"] - short["inner"])
 
 
-def _kept_bytes(package: Path, name: str) -> int:
-    """Return how large a kernel is on disk."""
-    return max(kept.stat().st_size for kept in package.glob(f"__pycache__/{name}.{name}*.nbc"))
+READS = (
+    "from typing import NamedTuple\n\nimport numpy as np\n\nimport optics_of_a_test.glass as glass\n"
+    "from noise_model.kernel import kernel\n\nFACTOR, TABLE = {factor}, np.array({table})\n\n\n"
+    "class Lens(NamedTuple):\n    {fields}: float\n\n\n"
+    "@kernel\ndef outer(x{default}):\n{docstring}"
+    "    lens = Lens(x, FACTOR)\n    return glass.INDEX * lens.f_mm + TABLE[1] {more}\n"
+)
+AS_IT_WAS = {
+    "factor": "2.0",
+    "table": "[0.0, 1.0]",
+    "fields": "f_mm: float\n    second",
+    "default": "",
+    "docstring": "",
+    "more": "",
+    "index": "1.5",
+}
 
 
 @pytest.mark.slow
-def test_what_a_kernel_does_not_import_leaves_it_alone(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("changed", "result", "found"),
+    [
+        ({"docstring": '    """Say more."""\n', "more": "# a remark"}, 4.0, FOUND),
+        ({"index": "1.5\nOTHER = 7.0"}, 4.0, FOUND),
+        ({"more": "+ 1.0"}, 5.0, COMPILED_ANEW),
+        ({"factor": "5.0"}, 4.0, COMPILED_ANEW),
+        ({"table": "[0.0, 3.0]"}, 6.0, COMPILED_ANEW),
+        ({"fields": "second: float\n    f_mm"}, 4.0, COMPILED_ANEW),
+        ({"default": ", y=1.0", "more": "+ y"}, 5.0, COMPILED),
+        ({"index": "2.5"}, 6.0, COMPILED_ANEW),
+    ],
+)
+def test_the_key_is_what_a_kernel_reads(
+    changed: dict[str, str], result: float, found: tuple[int, int], tmp_path: Path
+) -> None:
     package = tmp_path / "optics_of_a_test"
-    write(package, "", 3.0)
-    run(tmp_path)
-    (package / "beside.py").write_text("# another thing\n")
-    assert run(tmp_path) == (7.0, 2, 0)
+    package.mkdir()
+    (package / "__init__.py").touch()
+    for values, expected in ((AS_IT_WAS, (4.0, *COMPILED)), ({**AS_IT_WAS, **changed}, (result, *found))):
+        (package / "outer.py").write_text(READS.format(**values))
+        (package / "glass.py").write_text(f"INDEX = {values['index']}\n")
+        assert run(tmp_path) == expected
+
+
+@pytest.mark.slow
+def test_a_clone_elsewhere_finds_what_another_has_compiled(tmp_path: Path) -> None:
+    write(tmp_path / "one/optics_of_a_test", "", "3.0")
+    assert run(tmp_path / "one") == (7.0, *COMPILED)
+    shutil.copytree(tmp_path / "one", tmp_path / "other")
+    assert run(tmp_path / "other") == (7.0, *FOUND)
 
 
 @pytest.fixture
@@ -131,7 +182,7 @@ def installed() -> Iterator[Path]:
     with TemporaryDirectory() as name:
         folder = Path(name)
         folder.chmod(0o755)
-        write(folder / "optics_of_a_test", "", 3.0)
+        write(folder / "optics_of_a_test", "", "3.0")
         yield folder
 
 
@@ -141,35 +192,33 @@ def as_nobody(home: Path) -> str:
     He may not even read what numba imports late, so that is imported before.
     """
     environment = f"os.environ['HOME'] = {str(home)!r}\nos.environ.pop('XDG_CACHE_HOME', None)\n"
-    return f"import numba\nnumba.njit(lambda: 1)()\nos.setuid(65534)\n{environment}"
+    forget = "del os.environ['NUMBA_CACHE_DIR']\n"
+    return f"import numba\nnumba.njit(lambda: 1)()\nos.setuid(65534)\n{environment}{forget}"
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 def test_kernels_of_a_read_only_installation(installed: Path) -> None:
-    assert run(installed, as_nobody(Path("/proc"))) == (7.0, 0, 2), "no folder to keep them: compiled"
+    assert run(installed, as_nobody(Path("/proc"))) == (7.0, *COMPILED), "no folder to keep them"
     home = installed / "home"
     home.mkdir()
     os.chown(home, 65534, 65534)
-    assert run(installed, as_nobody(home)) == (7.0, 0, 2)
-    assert run(installed, as_nobody(home)) == (7.0, 2, 0), "kept in the user's cache"
+    assert run(installed, as_nobody(home)) == (7.0, *COMPILED)
+    assert run(installed, as_nobody(home)) == (7.0, *FOUND), "kept in the user's cache"
     for kept in (home / ".cache/arctrack/kernels").iterdir():
         assert kept.stat().st_mode & 0o077 == 0
         kept.chmod(0o777)
-    assert run(installed, as_nobody(home)) == (7.0, 0, 2), "what others may write is not loaded"
-    run(installed)
-    assert run(installed, as_nobody(Path("/proc"))) == (7.0, 2, 0), "the installation's own are loaded"
+    assert run(installed, as_nobody(home)) == (7.0, *COMPILED), "what others may write is not loaded"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
-def test_a_damaged_file_of_a_kernel_is_compiled_anew(suffix: str, tmp_path: Path) -> None:
-    write(tmp_path / "optics_of_a_test", "", 3.0)
+def test_a_damaged_file_of_a_kernel_is_compiled_anew(tmp_path: Path) -> None:
+    write(tmp_path / "optics_of_a_test", "", "3.0")
     run(tmp_path)
-    for kept in tmp_path.rglob(f"*.{suffix}"):
+    for kept in kept_of(tmp_path, "*"):
         kept.write_bytes(kept.read_bytes()[:-9])
-    assert run(tmp_path) == (7.0, 0, 2)
-    assert run(tmp_path) == (7.0, 2, 0)
+    assert run(tmp_path) == (7.0, *COMPILED)
+    assert run(tmp_path) == (7.0, *FOUND)
 
 
 @pytest.mark.slow
@@ -186,13 +235,28 @@ def test_a_record_that_an_update_has_moved_is_compiled_for_anew(tmp_path: Path) 
             "@kernel\ndef of_lens(lens):\n    return 2.0 * lens.f_mm\n\n\n"
             "def outer(x):\n    return of_lens(Lens(x))\n\n\nouter.stats = of_lens.stats\n"
         )
-        assert run(tmp_path) == (4.0, 0, 2)
+        assert run(tmp_path) == (4.0, *COMPILED)
         (package / "old.py").unlink(missing_ok=True)
+
+
+def test_kernels_of_one_name_in_one_process_are_told_apart() -> None:
+    def times(factor: float) -> Any:
+        @kernel
+        def inner(x: float) -> float:
+            return factor * x
+
+        @kernel
+        def outer(x: float) -> float:
+            return inner(x) + 1.0
+
+        return outer
+
+    assert [times(factor)(2.0) for factor in (3.0, 5.0)] == [7.0, 11.0]
 
 
 def test_python_asks_once_for_a_kernel_that_two_threads_call_first_at_once() -> None:
     """numba finds two entry points for the same types ambiguous, and asks at each call for another."""
-    nothing: Any = kernels.kernel(run_nothing)
+    nothing: Any = kernel(run_nothing)
     with ThreadPoolExecutor(2) as threads:
         both = [threads.submit(nothing._compile_for_args) for _ in range(2)]
     assert both[0].result() is both[1].result()
@@ -202,13 +266,6 @@ def test_python_asks_once_for_a_kernel_that_two_threads_call_first_at_once() -> 
 
     nothing._compile_for_args = ask_again
     assert nothing() is None
-
-
-def test_a_kernel_outside_the_project_is_compiled_anew_when_what_keeps_it_has_changed() -> None:
-    """What is on disk has the form that an earlier version gave it."""
-    keeps = Path(kernels.__file__)
-    cache = vars(kernels.kernel(run_nothing))["_cache"]
-    assert kernels.source_key(keeps) in cache._cache_file._source_stamp
 
 
 def run_nothing() -> None:

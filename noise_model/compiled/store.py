@@ -1,0 +1,160 @@
+"""The folder that keeps a user's compiled kernels: one for all clones, environments and processes.
+
+A file is a kernel compiled for some types. Its name is made of keys, so nothing in it goes out of date: what
+changes is compiled under another name. What is kept is pickled: whoever writes it runs code as the user who
+loads it. So a folder that another user may write is left alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import pickle
+import tempfile
+from collections.abc import Iterator
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+MAX_BYTES = 1 << 30
+"""What is kept takes no more: all joints' kernels thirty times. What was not used longest goes first."""
+
+_DIGEST_BYTES = hashlib.sha256().digest_size
+_LOG = logging.getLogger(__name__)
+_WARNED: set[str] = set()
+
+
+class Record(NamedTuple):
+    """A compiled kernel as it is kept: what its machine code relies on, how long it took, numba's record."""
+
+    relies_on: tuple[Any, ...]
+    compile_s: float
+    body: bytes
+
+
+@cache
+def kernel_folder() -> Path | None:
+    """Return the folder of the compiled kernels, None where there is none that only this user may write.
+
+    It lies in NUMBA_CACHE_DIR where that is set, else in the user's cache.
+    """
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    user_cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    folder = Path(chosen or user_cache) / "arctrack" / "kernels"
+    # A user without a home is none that `~` stands for.
+    return _own(folder) if chosen or folder.is_absolute() else None
+
+
+def kernels_are_kept() -> bool:
+    """Return True if the next process finds on disk what this one compiles."""
+    folder = kernel_folder()
+    return folder is not None and os.access(folder, os.W_OK | os.X_OK) and "lost" not in _WARNED
+
+
+def _warn(kind: str, *what: object) -> None:
+    """Say in one line what is wrong with kept kernels, each kind once: hundreds of files may be damaged."""
+    if kind not in _WARNED:
+        _WARNED.add(kind)
+        _LOG.warning("arctrack: warning: " + " ".join(map(str, what)))
+
+
+def read_records(kernel: str, key: str) -> Iterator[Record]:
+    """Yield what is kept of a kernel under a key, the last used first."""
+    folder = _folder_of(kernel)
+    if folder is None:
+        return
+    try:
+        files = [file for file in os.scandir(folder) if file.name.startswith(key)]
+        files.sort(key=lambda file: file.stat().st_mtime, reverse=True)
+    except OSError:
+        return
+    for file in files:
+        record = _read(Path(file.path))
+        if record is not None:
+            yield record
+
+
+def _read(file: Path) -> Record | None:
+    try:
+        content = file.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        _warn("damaged", file, f"cannot be read ({error.strerror}); what cannot be is compiled anew")
+        return None
+    if hashlib.sha256(content[_DIGEST_BYTES:]).digest() != content[:_DIGEST_BYTES]:
+        _warn("damaged", file, "is damaged; what is damaged is compiled anew")
+        return None
+    with suppress(OSError):
+        os.utime(file)
+    try:
+        return Record(*pickle.loads(content[_DIGEST_BYTES:]))
+    # Unpickling raises nearly anything where an update has moved or changed the class of an argument.
+    except Exception:
+        return None
+
+
+def write_record(kernel: str, key: str, record: Record) -> None:
+    """Keep a compiled kernel, where a folder may be written and has room."""
+    folder = _folder_of(kernel)
+    if folder is None:
+        _warn(
+            "lost",
+            "no folder keeps compiled kernels; set NUMBA_CACHE_DIR to one that only you may write",
+        )
+        return
+    _make_room()
+    content = pickle.dumps(tuple(record), protocol=pickle.HIGHEST_PROTOCOL)
+    try:
+        with tempfile.NamedTemporaryFile(dir=folder, delete=False) as unfinished:
+            unfinished.write(hashlib.sha256(content).digest())
+            unfinished.write(content)
+        os.replace(unfinished.name, folder / key)
+    except OSError as error:
+        _warn("lost", folder, f"cannot be written ({error.strerror}): the next run compiles anew")
+        with suppress(OSError, UnboundLocalError):
+            os.unlink(unfinished.name)
+
+
+@cache
+def _make_room() -> None:
+    """Remove kernels that were not used longest, once a process, where all take more than MAX_BYTES."""
+    folder = kernel_folder()
+    if folder is None:
+        return
+    with suppress(OSError):
+        used = [(file.stat(), file) for file in folder.glob("*/*")]
+        size = sum(status.st_size for status, _ in used)
+        for status, file in sorted(used, key=lambda kept: kept[0].st_mtime):
+            if size <= MAX_BYTES:
+                break
+            file.unlink()
+            size -= status.st_size
+
+
+@cache
+def _folder_of(kernel: str) -> Path | None:
+    """Return the folder of one kernel."""
+    folder = kernel_folder()
+    return None if folder is None else _own(folder / kernel)
+
+
+def _own(folder: Path) -> Path | None:
+    """Return a folder, made unless it is there, if no other user may write in it."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        return None if _is_open_to_others(folder) else folder
+    except OSError:
+        return folder if folder.is_dir() and not _is_open_to_others(folder) else None
+
+
+def _is_open_to_others(folder: Path) -> bool:
+    """Return True if a user other than this process's and root may write in a folder.
+
+    The group of this user is trusted: many systems give each user one of his own, and let it write.
+    """
+    status = folder.stat()
+    strange_group = status.st_mode & 0o020 and status.st_gid not in (0, os.getegid())
+    return status.st_uid not in (0, os.geteuid()) or bool(status.st_mode & 0o002 or strange_group)
