@@ -7,7 +7,6 @@ from typing import Any, TypeVar, overload
 
 import numba
 
-from noise_model.boxing import make_results_in_c
 from noise_model.compiled.numba_internals import (
     KernelCache,
     KernelCompiler,
@@ -23,8 +22,6 @@ NO_REFERENCE_COUNTS = {"_nrt": False}
 
 REDUCTION = frozenset({"reassoc", "contract", "arcp", "nsz"})
 """Liberties by which LLVM sums many terms at once; NaN stays NaN."""
-
-make_results_in_c()
 
 
 @overload

@@ -83,6 +83,69 @@ def test_what_is_ignored_stays_ignored() -> None:
         signal.signal(signal.SIGINT, before)
 
 
+INTERRUPTED = """
+import random
+import signal
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from arctrack.safe_points import interrupt
+from noise_model.kernel import kernel
+
+
+class Point(NamedTuple):
+    x: float
+    y: float
+
+
+class Line(NamedTuple):
+    first: Point
+    second: Point
+
+
+@kernel(allocates=True)
+def slow(value):
+    values = np.full(3, value)
+    for n in range(100_000):
+        values[n % 3] = np.sqrt(values[n % 3] + n)
+    return Line(Point(value, values[0]), Point(values[1], value))
+
+
+slow(1.0)
+signal.signal(signal.SIGALRM, interrupt)
+rng, interrupts = random.Random(1), 0
+ends_s = time.monotonic() + 1.0
+while time.monotonic() < ends_s:
+    try:
+        signal.setitimer(signal.ITIMER_REAL, rng.uniform(1e-3, 4e-3))
+        while True:
+            slow(1.0)
+    except KeyboardInterrupt:
+        interrupts += 1
+print(interrupts)
+"""
+
+
+@pytest.mark.slow
+def test_a_signal_in_a_kernel_is_an_interrupt_of_its_caller() -> None:
+    """A kernel that runs nearly all the time: the signal comes while numba makes its result."""
+    arguments = [sys.executable, "-c", INTERRUPTED]
+    finished = subprocess.run(arguments, cwd=ROOT, capture_output=True, text=True, check=False, timeout=120)
+    assert finished.returncode == 0, finished.stderr
+    assert int(finished.stdout) > 10
+
+
+@pytest.mark.slow
+def test_numba_still_crashes_where_nobody_holds_signals_back() -> None:
+    """The report's own lines, plain numba: once it ends well, `interrupt` may go."""
+    page = (ROOT / "docs/explanation/interrupts.md").read_text()
+    program = page.partition("```{code-block} python\n")[2].partition("```")[0]
+    finished = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False, timeout=120)
+    assert finished.returncode == -signal.SIGSEGV
+
+
 def test_in_another_thread_signals_stay_with_the_main_one() -> None:
     handlers = []
 
