@@ -144,20 +144,30 @@ def explain(
         # A frame that contradicts the arc map was read as if no arc were said to burn.
         as_read = replace(frame, arc_on=frame.arc_on and reading.arc.is_on)
         given = FrameInput(
-            geometry,
-            before,
-            as_read,
-            pose.T_base_tool,
-            pose.extrapolated,
-            Work.of(geometry),
-            use_arc_map,
-            tracker.correction,
-            inputs.lead,
+            geometry=geometry,
+            state=before,
+            frame=as_read,
+            T_base_tool=pose.T_base_tool,
+            is_extrapolated=pose.extrapolated,
+            work=Work.of(geometry),
+            use_arc_map=use_arc_map,
+            correction=tracker.correction,
+            lead=inputs.lead,
         )
         look = _look(given, reading)
     if on_frame is not None:
         on_frame(position + 1)
-    return Explanation(recording, geometry, frame, pose, use_arc_map, before, after, track, look)
+    return Explanation(
+        recording=recording,
+        geometry=geometry,
+        frame=frame,
+        pose=pose,
+        use_arc_map=use_arc_map,
+        before=before,
+        after=after,
+        track=track,
+        look=look,
+    )
 
 
 def position_of(recording: Recording, index: int) -> int:

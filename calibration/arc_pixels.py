@@ -94,16 +94,16 @@ class ArcPixels:
         charge_e = geometry.charge_e[frame.image_dn[v, u]].astype(np.float64)
         place = (np.column_stack([u, v]) - 0.5 * np.array([width, height])) / (0.5 * width)
         return cls(
-            frame,
-            T_base_tool,
-            tuple(line.station_mm for line in seam.lines),
-            torch_mm,
-            pixels,
-            stretch,
-            here.faces,
-            compared,
-            charge_e[compared],
-            place[compared],
+            frame=frame,
+            T_base_tool=T_base_tool,
+            stretches_mm=tuple(line.station_mm for line in seam.lines),
+            torch_mm=torch_mm,
+            pixels=pixels,
+            stretch=stretch,
+            faces=here.faces,
+            compared=compared,
+            charge_e=charge_e[compared],
+            place=place[compared],
         )
 
     def light(

@@ -188,15 +188,15 @@ def fit_pose_delay(setup: Setup, observations: SeamObservations, track: PoseTrac
     motion = problem.motion_mm_s(delay_s)
     place = int(np.searchsorted(grid, delay_s))
     return PoseDelay(
-        delay_s,
-        sigma_s,
-        _unestimated(grid, rival_s, delay_s, sigma_s, motion),
-        np.insert(grid, place, delay_s),
-        np.insert(curve - highest, place, 0.0),
-        problem.observations,
-        bends,
-        scatters,
-        motion,
+        delay_s=delay_s,
+        sigma_s=sigma_s,
+        unestimated=_unestimated(grid, rival_s, delay_s, sigma_s, motion),
+        delays_s=np.insert(grid, place, delay_s),
+        ln_likelihood=np.insert(curve - highest, place, 0.0),
+        observations=problem.observations,
+        bends_mm=bends,
+        scatters_mm=scatters,
+        motion_mm_s=motion,
     )
 
 

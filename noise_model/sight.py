@@ -149,16 +149,16 @@ class Sight:
         points, normals, _ = self.surface
         shape, laser, light = self.scenes.shape, self.setup.laser, np.empty(len(points))
         light_stripe(
-            points,
-            normals,
-            self.which,
-            np.ascontiguousarray(self.scenes.T_joint_camera[:, :3, 3]),
-            sheets_of(laser, self.scenes.T_joint_tool),
-            lobe_numbers(self.setup.material),
-            laser.reach_sigmas,
-            shape.vertices,
-            shape.corrugation,
-            light,
+            points=points,
+            normals=normals,
+            which=self.which,
+            cameras=np.ascontiguousarray(self.scenes.T_joint_camera[:, :3, 3]),
+            sheets=sheets_of(laser, self.scenes.T_joint_tool),
+            material=lobe_numbers(self.setup.material),
+            reach=laser.reach_sigmas,
+            vertices=shape.vertices,
+            corrugation=shape.corrugation,
+            light=light,
         )
         return np.asarray(light * (self.cos4 * unit_e), dtype=np.float32)
 

@@ -265,27 +265,27 @@ def _enabled_axes(
     if conditions.enable_y:
         axes.append(
             _Axis(
-                proposal.offset_y_mm,
-                proposal.sigma_y_mm,
-                last_sent.offset_y_mm,
-                last_sent.measured_y_mm,
-                proposal.captured_at_s - last_sent.captured_y_at_s,
-                limits.range_y_mm,
-                limits.rate_y_mm_s,
-                limits.sigma_y_mm,
+                offset_mm=proposal.offset_y_mm,
+                sigma_mm=proposal.sigma_y_mm,
+                sent_mm=last_sent.offset_y_mm,
+                measured_mm=last_sent.measured_y_mm,
+                elapsed_s=proposal.captured_at_s - last_sent.captured_y_at_s,
+                range_mm=limits.range_y_mm,
+                rate_mm_s=limits.rate_y_mm_s,
+                sigma_limit_mm=limits.sigma_y_mm,
             )
         )
     if conditions.enable_z:
         axes.append(
             _Axis(
-                proposal.offset_z_mm,
-                proposal.sigma_z_mm,
-                last_sent.offset_z_mm,
-                last_sent.measured_z_mm,
-                proposal.captured_at_s - last_sent.captured_z_at_s,
-                limits.range_z_mm,
-                limits.rate_z_mm_s,
-                limits.sigma_z_mm,
+                offset_mm=proposal.offset_z_mm,
+                sigma_mm=proposal.sigma_z_mm,
+                sent_mm=last_sent.offset_z_mm,
+                measured_mm=last_sent.measured_z_mm,
+                elapsed_s=proposal.captured_at_s - last_sent.captured_z_at_s,
+                range_mm=limits.range_z_mm,
+                rate_mm_s=limits.rate_z_mm_s,
+                sigma_limit_mm=limits.sigma_z_mm,
             )
         )
     return axes

@@ -116,7 +116,16 @@ def _diagnosed(
         model, before, of_bins, without, lambda text, share: tell(text, 0.1 + 0.6 * share), policy
     )
     tell("predicting the frames held out", 0.75)
-    held_out_frames = HeldOut(setup, frames, pose_at, seen.subset(holdout), model, before, without, tell)
+    held_out_frames = HeldOut(
+        setup=setup,
+        frames=frames,
+        pose_at=pose_at,
+        observed=seen.subset(holdout),
+        model=model,
+        before=before,
+        without=without,
+        tell=tell,
+    )
     assessed = held_out_frames.assess(judge(weighed.posterior, policy))
     while assessed.is_refuted:
         weighed = weighed.without(assessed.judgement.leader)
@@ -134,19 +143,19 @@ def _diagnosed(
     where = _located(functions, weighed, of_bins, before, effects, predicted)
     tell("done", 1.0)
     return Diagnosis(
-        verdict,
-        effects,
-        ranking(weighed, random),
-        judgement.ambiguous,
-        gap,
-        where,
-        _next(model, weighed, judgement),
-        weighed.not_resolvable,
-        weighed.smallest,
-        functions.left_over,
-        (*after.ids, *random.effects),
-        predicted,
-        reasons(weighed.posterior),
+        verdict=verdict,
+        effects=effects,
+        ranking=ranking(weighed, random),
+        ambiguous_with=judgement.ambiguous,
+        gap=gap,
+        where=where,
+        next=_next(model, weighed, judgement),
+        not_resolvable=weighed.not_resolvable,
+        smallest=weighed.smallest,
+        left_over=functions.left_over,
+        after_with=(*after.ids, *random.effects),
+        predicted=predicted,
+        reasons=reasons(weighed.posterior),
     )
 
 

@@ -176,14 +176,14 @@ def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> S
     assert seen.stripe is not None
     reading, stripe, seam_source = seen.stripe, seen.stripe.stripe, geometry.seam_source
     lines = StripeLines(
-        stripe.position_px,
-        stripe.sigma_px,
-        stripe.beside_px,
-        stripe.amplitude_e,
-        reading.width_px,
-        seen.expected.bias_px,
-        reading.misfit_px,
-        reading.n_lines,
+        position_px=stripe.position_px,
+        sigma_px=stripe.sigma_px,
+        beside_px=stripe.beside_px,
+        amplitude_e=stripe.amplitude_e,
+        width_px=reading.width_px,
+        bias_px=seen.expected.bias_px,
+        misfit_px=reading.misfit_px,
+        n_lines=reading.n_lines,
     )
     points = measured_points(
         geometry.stripe_source,
@@ -195,25 +195,25 @@ def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> S
     )
     camera_mm, laser_mm = sources(seam_source, aim.scene, aim.seam.station_mm)
     return Section(
-        SectionPoints(
-            points.y_mm,
-            points.z_mm,
-            points.dy_mm,
-            points.dz_mm,
-            points.scan,
-            points.sigma_px,
-            points.beside_px,
-            points.misfit_px,
-            points.n_lines,
+        points=SectionPoints(
+            y_mm=points.y_mm,
+            z_mm=points.z_mm,
+            dy_mm=points.dy_mm,
+            dz_mm=points.dz_mm,
+            scan=points.scan,
+            sigma_px=points.sigma_px,
+            beside_px=points.beside_px,
+            misfit_px=points.misfit_px,
+            n_lines=points.n_lines,
         ),
-        points.column_mm,
-        aim.reach_mm + BEYOND_REACH_MM,
-        points.mixed_mm,
-        aim.seam.slope_sigma,
-        points.bias_px,
-        light_of(reading, geometry.stripe_source.psf_sigma_px, points.sheet_lines),
-        camera_mm,
-        laser_mm,
+        column_mm=points.column_mm,
+        reach_mm=aim.reach_mm + BEYOND_REACH_MM,
+        mixed_mm=points.mixed_mm,
+        slope_sigma=aim.seam.slope_sigma,
+        bias_px=points.bias_px,
+        light=light_of(reading, geometry.stripe_source.psf_sigma_px, points.sheet_lines),
+        camera_mm=camera_mm,
+        laser_mm=laser_mm,
     )
 
 
@@ -241,14 +241,14 @@ def _check_stripe(
         return False
     if evidence.share < WHOLE_SHARE:
         seen = seen_share(
-            expected,
-            reading.stripe.position_px,
-            reading.stripe.amplitude_e,
-            reading.band.background,
-            reading.shot,
-            reading.dark_variance_e2,
-            reading.band.censored,
-            seeks_ends,
+            expected=expected,
+            position_px=reading.stripe.position_px,
+            amplitude_e=reading.stripe.amplitude_e,
+            background_e=reading.band.background,
+            shot=reading.shot,
+            dark_variance_e2=reading.dark_variance_e2,
+            censored=reading.band.censored,
+            seeks_ends=seeks_ends,
         )
         if not ask(checks.CLEAR_LINES_HELD, seen, MIN_SEEN):
             return False
@@ -312,14 +312,14 @@ def profile_of(section: Section, frame: Frame, along_rows: bool) -> Profile:
     """Return a section as a profile, with the whole frame by scan line."""
     points = section.points
     return Profile(
-        points.y_mm,
-        points.z_mm,
-        points.dy_mm,
-        points.dz_mm,
-        points.sigma_px,
-        points.scan,
-        section.column_mm,
-        points.beside_px,
+        y_mm=points.y_mm,
+        z_mm=points.z_mm,
+        dy_mm=points.dy_mm,
+        dz_mm=points.dz_mm,
+        sigma_px=points.sigma_px,
+        scan=points.scan,
+        column_mm=section.column_mm,
+        beside_px=points.beside_px,
         reach_mm=section.reach_mm,
         light=section.light,
         image_dn=frame.image_dn.T if along_rows else frame.image_dn,

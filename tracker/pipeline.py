@@ -107,16 +107,16 @@ def look_and_fit(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Read
         stripe = seen.stripe.stripe
         scatter = seen.stripe.scatter if seen.section is not None else aim.scatter
     return Reading(
-        frame_checks,
-        aim.scene,
-        aim.seam,
-        aim.reach_mm,
-        seen.arc,
-        stripe,
-        joint,
-        margin_mm,
-        scatter,
-        aim.scatter,
+        checks=frame_checks,
+        scene=aim.scene,
+        seam=aim.seam,
+        reach_mm=aim.reach_mm,
+        arc=seen.arc,
+        stripe=stripe,
+        joint=joint,
+        fov_margin_mm=margin_mm,
+        scatter=scatter,
+        read_with=aim.scatter,
     )
 
 

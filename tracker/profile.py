@@ -125,17 +125,17 @@ def triangulate(
     n_scan = len(position_px)
     points, scan = np.empty((5, n_scan)), np.empty(n_scan)
     n, column, is_in_order = _triangulate(
-        position_px,
-        sigma_px,
-        np.ones(n_scan, np.int64),
-        geometry.setup.camera.intrinsics,
-        geometry.along_rows,
-        scene.T_joint_camera,
-        scene.T_joint_tool,
-        geometry.setup.laser.plane,
-        scene.shape.corrugation,
-        points,
-        scan,
+        position_px=position_px,
+        sigma_px=sigma_px,
+        n_lines=np.ones(n_scan, np.int64),
+        lens=geometry.setup.camera.intrinsics,
+        along_rows=geometry.along_rows,
+        T_joint_camera=scene.T_joint_camera,
+        T_joint_tool=scene.T_joint_tool,
+        plane_in_tool=geometry.setup.laser.plane,
+        corrugation=scene.shape.corrugation,
+        points=points,
+        scan=scan,
     )
     y, z, dy, dz, sigma = points[:, :n]
     scan = scan[:n]
@@ -144,7 +144,16 @@ def triangulate(
         # Rows that lie strided in memory are another type to the kernels, which they would compile for anew.
         y, z, dy, dz, sigma = np.take(points, order, axis=1)
         scan, column = scan[order], median(np.diff(y))
-    return Profile(y, z, dy, dz, sigma, scan, column, beside_px[scan.astype(np.int64)])
+    return Profile(
+        y_mm=y,
+        z_mm=z,
+        dy_mm=dy,
+        dz_mm=dz,
+        sigma_px=sigma,
+        scan=scan,
+        column_mm=column,
+        beside_px=beside_px[scan.astype(np.int64)],
+    )
 
 
 class EdgeLines(NamedTuple):
@@ -244,17 +253,17 @@ def measured_points(
         centre_px[s] = lines.position_px[s] - lines.bias_px[s]
         sigma_px[s] = math.hypot(lines.sigma_px[s], askew_px[s])
     n, column_mm, is_in_order = _triangulate(
-        centre_px,
-        sigma_px,
-        lines.n_lines,
-        source.lens,
-        source.along_rows,
-        scene.T_joint_camera,
-        scene.T_joint_tool,
-        source.sheet.plane,
-        scene.shape.corrugation,
-        rows,
-        scan,
+        position_px=centre_px,
+        sigma_px=sigma_px,
+        n_lines=lines.n_lines,
+        lens=source.lens,
+        along_rows=source.along_rows,
+        T_joint_camera=scene.T_joint_camera,
+        T_joint_tool=scene.T_joint_tool,
+        plane_in_tool=source.sheet.plane,
+        corrugation=scene.shape.corrugation,
+        points=rows,
+        scan=scan,
     )
     if not is_in_order:
         order = np.argsort(rows[0, :n], kind="mergesort")
@@ -274,19 +283,19 @@ def measured_points(
         rows[5, i] = math.hypot(beside_px, askew_px[s])
         rows[6, i], rows[7, i], rows[8, i] = lines.bias_px[s], lines.misfit_px[s], n_lines
     return Points(
-        rows[0, :n],
-        rows[1, :n],
-        rows[2, :n],
-        rows[3, :n],
-        rows[4, :n],
-        scan[:n],
-        column_mm,
-        rows[5, :n],
-        rows[6, :n],
-        rows[7, :n],
-        rows[8, :n],
-        lines_over.stated,
-        column_mm * (clear_lines(source.psf_sigma_px, lines_over.stated) - 1),
+        y_mm=rows[0, :n],
+        z_mm=rows[1, :n],
+        dy_mm=rows[2, :n],
+        dz_mm=rows[3, :n],
+        sigma_px=rows[4, :n],
+        scan=scan[:n],
+        column_mm=column_mm,
+        beside_px=rows[5, :n],
+        bias_px=rows[6, :n],
+        misfit_px=rows[7, :n],
+        n_lines=rows[8, :n],
+        sheet_lines=lines_over.stated,
+        mixed_mm=column_mm * (clear_lines(source.psf_sigma_px, lines_over.stated) - 1),
     )
 
 

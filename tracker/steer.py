@@ -125,14 +125,14 @@ def steer(
     hand_eye_y, hand_eye_z = steering.hand_eye_variance_mm2
     weld_mm, timestamp_s = given.geometry.seam_source.weld_mm, float(given.frame.timestamp_s)
     offset = TorchOffset(
-        y_mm,
-        z_mm,
-        sigma_y_mm,
-        sigma_z_mm,
-        _confidence(weld_mm, sigma_y_mm**2 + hand_eye_y, sigma_z_mm**2 + hand_eye_z),
-        math.nan if math.isnan(y_mm) and math.isnan(z_mm) else timestamp_s + lead.time_s,
-        _where(ends.start),
-        _where(ends.end),
+        offset_y_mm=y_mm,
+        offset_z_mm=z_mm,
+        offset_sigma_y_mm=sigma_y_mm,
+        offset_sigma_z_mm=sigma_z_mm,
+        offset_confidence=_confidence(weld_mm, sigma_y_mm**2 + hand_eye_y, sigma_z_mm**2 + hand_eye_z),
+        valid_at_s=math.nan if math.isnan(y_mm) and math.isnan(z_mm) else timestamp_s + lead.time_s,
+        joint_start_mm=_where(ends.start),
+        joint_end_mm=_where(ends.end),
     )
     return steering._replace(ends=ends, is_stopped=sent.is_stopped), offset
 

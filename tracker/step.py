@@ -109,7 +109,17 @@ def step_and_reading(
     frame, pose = _as_compiled_for(frame, pose)
     lead = Lead(float(lead.time_s), float(lead.way_mm))
     T_base_tool, extrapolated = pose.T_base_tool, bool(pose.extrapolated)
-    given = FrameInput(geometry, state, frame, T_base_tool, extrapolated, work, use_arc_map, correction, lead)
+    given = FrameInput(
+        geometry=geometry,
+        state=state,
+        frame=frame,
+        T_base_tool=T_base_tool,
+        is_extrapolated=extrapolated,
+        work=work,
+        use_arc_map=use_arc_map,
+        correction=correction,
+        lead=lead,
+    )
     tracked = track_frame(given, frame_checks)
     if tracked is None:
         return _refused(state, frame_checks, frame)

@@ -64,14 +64,14 @@ class Tracker:
             The seam, the offset at the torch, their sigmas and the flags.
         """
         self.state, track, self.reading = step_and_reading(
-            self.geometry,
-            self.state,
-            frame,
-            pose,
-            self._work,
-            self.use_arc_map,
-            self.correction,
-            lead,
+            geometry=self.geometry,
+            state=self.state,
+            frame=frame,
+            pose=pose,
+            work=self._work,
+            use_arc_map=self.use_arc_map,
+            correction=self.correction,
+            lead=lead,
         )
         if track.flags & flags.FRAME_UNREADABLE.mask:
             misfit = frame_misfit(frame.image_dn.shape, frame.image_dn.dtype, self.geometry.setup)

@@ -232,19 +232,19 @@ def answer_of(result: Mapping[str, Any]) -> Answer:
     named = sorted(said["effects"], key=lambda effect: -(effect["share"] or 0.0))
     ranking, gap = said["ranking"], said["gap"]
     return Answer(
-        said["verdict"],
-        tuple(effect["id"] for effect in named),
-        tuple(entry["id"] for entry in ranking),
-        next((_known(entry["confidence"]) for entry in (*named, *ranking)), math.nan),
-        {entry["id"]: _known(entry["gap_closed"]) for entry in ranking},
-        said["where"]["stage"],
-        _known(gap["before"]),
-        _known(gap["floor"]),
-        _known(gap["closed"]),
-        frozenset(frozenset(pair) for pair in said["not_resolvable"]),
-        asked_for["experiment"],
-        tuple(asked_for["separates"]),
-        tuple(name for ids in said["ambiguous_with"] for name in ids),
+        verdict=said["verdict"],
+        named=tuple(effect["id"] for effect in named),
+        ranked=tuple(entry["id"] for entry in ranking),
+        confidence=next((_known(entry["confidence"]) for entry in (*named, *ranking)), math.nan),
+        closes={entry["id"]: _known(entry["gap_closed"]) for entry in ranking},
+        stage=said["where"]["stage"],
+        gap_before=_known(gap["before"]),
+        gap_floor=_known(gap["floor"]),
+        gap_closed=_known(gap["closed"]),
+        unresolvable=frozenset(frozenset(pair) for pair in said["not_resolvable"]),
+        experiment=asked_for["experiment"],
+        separates=tuple(asked_for["separates"]),
+        alike=tuple(name for ids in said["ambiguous_with"] for name in ids),
         **times,
     )
 

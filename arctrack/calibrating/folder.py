@@ -166,14 +166,14 @@ def read_raw_files(folder: Path) -> RawFiles:
         raise in_file(folder, f"holds nothing to calibrate with: make a subfolder {', '.join(STAGES)}")
     reading = _Reading(folder, stated, here)
     return RawFiles(
-        folder,
-        reading.sensor(),
-        reading.camera(),
-        reading.hand_eye(),
-        reading.board_files("laser", stated.laser),
-        reading.recording("delay", stated.delay),
-        reading.recording("arc", stated.arc),
-        {place(location): near for location, near in _unknown(stated, ())},
+        folder=folder,
+        sensor=reading.sensor(),
+        camera=reading.camera(),
+        hand_eye=reading.hand_eye(),
+        laser=reading.board_files("laser", stated.laser),
+        delay=reading.recording("delay", stated.delay),
+        arc=reading.recording("arc", stated.arc),
+        unknown_keys={place(location): near for location, near in _unknown(stated, ())},
     )
 
 

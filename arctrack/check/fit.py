@@ -92,7 +92,16 @@ class LinePoints:
         px = np.ones(n)
         spacing = float(np.median(np.diff(y)))
         family, _ = shown_family(
-            Profile(y, z, np.zeros(n), self.mm_per_px * px, px, np.arange(n, dtype=np.float64), spacing, px)
+            Profile(
+                y_mm=y,
+                z_mm=z,
+                dy_mm=np.zeros(n),
+                dz_mm=self.mm_per_px * px,
+                sigma_px=px,
+                scan=np.arange(n, dtype=np.float64),
+                column_mm=spacing,
+                beside_px=px,
+            )
         )
         return family
 

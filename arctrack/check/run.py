@@ -100,7 +100,14 @@ def check_recording(
         all_findings = [replace(f, warning=None) if f.name in ("seam", "course") else f for f in all_findings]
     verdict = verdict_of(len(tried), lit, trial.offsets, trial.reasons, lambda: hint)
     return Checked(
-        recording, refusal, verdict, hint, tuple(all_findings), tuple(looks), tuple(bad_frames), case
+        recording=recording,
+        refusal=refusal,
+        verdict=verdict,
+        hint=hint,
+        findings=tuple(all_findings),
+        looks=tuple(looks),
+        bad_frames=tuple(bad_frames),
+        case=case,
     )
 
 

@@ -236,7 +236,16 @@ def read_listing(
         path, values[:, :3], values[:, 3:], table.lines, written, [*units[:1] * 3, *units[1:]]
     )
     spoken = ", ".join(units)
-    return PoseFile(path, T_base_tool, times, rows, spoken, tuple(notes), tuple(warnings), values[:, 3:])
+    return PoseFile(
+        path=path,
+        T_base_tool=T_base_tool,
+        times_s=times,
+        rows=rows,
+        units=spoken,
+        notes=tuple(notes),
+        warnings=tuple(warnings),
+        rotation=values[:, 3:],
+    )
 
 
 def _stated(rotation: str | None) -> Convention:

@@ -66,4 +66,13 @@ def judged(
         verdict = Verdict.UNTOLD
     else:
         verdict = Verdict.NOT_EXPLAINED if off_sigmas > MAX_SIGMAS else Verdict.OK
-    return Measure(stage, name, measured, expected, sigma, unit, verdict, cure)
+    return Measure(
+        stage=stage,
+        name=name,
+        measured=measured,
+        expected=expected,
+        sigma=sigma,
+        unit=unit,
+        verdict=verdict,
+        cure=cure,
+    )

@@ -28,14 +28,14 @@ def place_measures(place: StripePlace) -> list[Measure]:
     """Return the stripe's place, and where it is not explained each suspect with the change that it needs."""
     measures = [
         Measure(
-            Stage.PLACE,
-            "stripe off its place",
-            place.off_px,
-            0.0,
-            place.off_sigma_px,
-            "px",
-            Verdict.OK if place.is_explained else Verdict.NOT_EXPLAINED,
-            "" if place.is_explained else CURES[first_suspect(place)],
+            stage=Stage.PLACE,
+            name="stripe off its place",
+            measured=place.off_px,
+            expected=0.0,
+            sigma=place.off_sigma_px,
+            unit="px",
+            verdict=Verdict.OK if place.is_explained else Verdict.NOT_EXPLAINED,
+            cure="" if place.is_explained else CURES[first_suspect(place)],
         )
     ]
     if place.is_explained:
@@ -48,15 +48,15 @@ def place_measures(place: StripePlace) -> list[Measure]:
             verdict = Verdict.NOT_EXPLAINED if len(likely) == 1 else Verdict.UNTOLD
         measures.append(
             Measure(
-                Stage.PLACE,
-                f"{name}, if it is that",
-                math.nan,
-                math.nan,
-                math.nan,
-                "",
-                verdict,
-                CURES[name] if name in likely else "",
-                _change(cause),
+                stage=Stage.PLACE,
+                name=f"{name}, if it is that",
+                measured=math.nan,
+                expected=math.nan,
+                sigma=math.nan,
+                unit="",
+                verdict=verdict,
+                cure=CURES[name] if name in likely else "",
+                text=_change(cause),
             )
         )
     return measures

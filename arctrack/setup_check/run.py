@@ -109,7 +109,16 @@ def check_setup(
     measures += stripe_measures(recording.setup, looks, _first(measures))
     measures += arc_measures(recording.setup, arc, _first(measures))
     said = (*said_of_place, *said_of_arc)
-    return SetupCheck(recording, tuple(measures), place, arc, tuple(looks), sights, said, tuple(bad_frames))
+    return SetupCheck(
+        recording=recording,
+        measures=tuple(measures),
+        place=place,
+        arc=arc,
+        looks=tuple(looks),
+        sights=sights,
+        sentences=said,
+        bad_frames=tuple(bad_frames),
+    )
 
 
 def _placed(setup: Setup, sights: Sequence[StripeSight]) -> tuple[StripePlace | None, list[str]]:

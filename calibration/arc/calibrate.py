@@ -335,13 +335,13 @@ def _calibrated(
     J[7, ARC.index(C2)] = metal.c2
     covariance = J @ result.covariance[: len(ARC), : len(ARC)] @ J.T
     return ArcCalibration(
-        setup,
-        numbers,
-        covariance,
-        result,
-        refused,
-        combinations,
-        problem.pixel_sigma,
-        problem.flicker,
-        problem,
+        setup=setup,
+        values=numbers,
+        covariance=covariance,
+        fit=result,
+        refused=refused,
+        combinations=combinations,
+        pixel_sigma=problem.pixel_sigma,
+        flicker=problem.flicker,
+        problem=problem,
     )

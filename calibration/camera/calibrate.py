@@ -284,17 +284,17 @@ def _last_fit(
     scene, noise, print_sigma = _as_printed(*fitted(agreed, seen), seen)
     weight = noise.weight(seen)
     return CameraCalibration(
-        scene,
-        seen,
-        noise,
-        chosen.name,
-        held,
-        Knowledge.of(with_prior(scene, seen, weight, print_sigma)),
-        scatter_between_images(scene, seen, weight),
-        print_sigma,
-        _named(scene, all_seen.where(is_wrong)),
-        left_out,
-        distance_mm,
+        scene=scene,
+        seen=seen,
+        noise=noise,
+        order=chosen.name,
+        held=held,
+        known=Knowledge.of(with_prior(scene, seen, weight, print_sigma)),
+        scatter=scatter_between_images(scene, seen, weight),
+        print_sigma_mm=print_sigma,
+        wrong=_named(scene, all_seen.where(is_wrong)),
+        left_out=left_out,
+        distance_mm=distance_mm,
     )
 
 

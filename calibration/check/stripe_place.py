@@ -230,17 +230,17 @@ def _located(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
     turned = Rotation.from_matrix(turns[0].T @ turns).magnitude()
     heights = [sight.T_base_tool[:3, 3] @ np.asarray(setup.joint.surface_normal_in_base) for sight in sights]
     return StripePlace(
-        setup,
-        off_px,
-        sigma_px,
-        as_stated.rms_px,
-        as_stated,
-        tuple(causes),
-        float(np.degrees(turned.max())),
-        float(np.ptp(heights)),
-        len(sights),
-        problem.middle_mm,
-        problem.bends,
+        setup=setup,
+        off_px=off_px,
+        off_sigma_px=sigma_px,
+        rms_px=as_stated.rms_px,
+        as_stated=as_stated,
+        causes=tuple(causes),
+        turned_deg=float(np.degrees(turned.max())),
+        lifted_mm=float(np.ptp(heights)),
+        n_frames=len(sights),
+        middle_mm=problem.middle_mm,
+        bends=problem.bends,
     )
 
 
@@ -320,14 +320,14 @@ class _Problem:
         if not known.any():
             raise ValueError("no stripe meets the laser plane where the joint is")
         return cls(
-            true,
-            points_px[known],
-            T_joint_tool[known],
-            np.hypot(sigma_px, MIN_SIGMA_MM / np.where(known, mm_per_px, 1.0))[known],
-            float(np.median(in_joint[known, 0])),
-            _bends(points_px, true)[:, known],
-            across,
-            SeamBends.between(in_joint[known, 0].min(), in_joint[known, 0].max()),
+            setup=true,
+            points_px=points_px[known],
+            T_joint_tool=T_joint_tool[known],
+            sigma_px=np.hypot(sigma_px, MIN_SIGMA_MM / np.where(known, mm_per_px, 1.0))[known],
+            middle_mm=float(np.median(in_joint[known, 0])),
+            bends_px=_bends(points_px, true)[:, known],
+            across=across,
+            bends=SeamBends.between(in_joint[known, 0].min(), in_joint[known, 0].max()),
         )
 
     def coarse_place(self) -> dict[str, float]:

@@ -125,14 +125,14 @@ def pose_errors(
     pull = np.zeros(len(known))
     pull[UNKNOWNS:] = equations.pulls().sum(axis=0)[n:]
     errors = PoseErrors(
-        eta + np.einsum("vij,vj->vi", covariance, equations.gradient_motion),
-        np.asarray(covariance),
-        chain.per_robot_error(),
-        np.concatenate([chain.per_unknown(), per_shared[:, :, n:]], axis=2),
-        known,
-        pull,
-        np.asarray(per_shared[:, :, :n]),
-        lens_root,
+        error=eta + np.einsum("vij,vj->vi", covariance, equations.gradient_motion),
+        by_corners=np.asarray(covariance),
+        per_robot=chain.per_robot_error(),
+        per_unknown=np.concatenate([chain.per_unknown(), per_shared[:, :, n:]], axis=2),
+        known=known,
+        pull=pull,
+        per_lens=np.asarray(per_shared[:, :, :n]),
+        lens_root=lens_root,
     )
     return errors, equations, eta
 

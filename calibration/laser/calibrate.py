@@ -190,17 +190,17 @@ def calibrate_laser(
         for stripe, line in zip(stripes_kept, lines, strict=True)
     )
     return LaserCalibration(
-        fit,
-        scene.lens,
-        per_lens,
-        known_lens,
-        scatter,
-        seen.names,
-        stripes_kept,
-        tuple(lines),
-        points,
-        sigma_px[kept],
-        left_out,
+        fit=fit,
+        lens=scene.lens,
+        per_lens=per_lens,
+        lens_covariance=known_lens,
+        scatter=scatter,
+        names=seen.names,
+        stripes=stripes_kept,
+        lines=tuple(lines),
+        points_mm=points,
+        corner_sigma_px=sigma_px[kept],
+        left_out=left_out,
     )
 
 

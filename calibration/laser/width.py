@@ -166,7 +166,16 @@ def fit_width(pairs: Mapping[float, tuple[float, float]], height_mm: float) -> W
     is_near = law is Law.MODEL or beyond <= MOST_BEYOND * float(np.ptp(depth))
     at_height = (value, value_error) if is_near and value > SURE_SIGMAS * value_error else None
     waist = _waist(coefficients, covariance) if law is Law.WAIST else None
-    return Width(depth, sigma, error, law, coefficients, covariance, at_height, waist)
+    return Width(
+        depth_mm=depth,
+        sigma_mm=sigma,
+        error_mm=error,
+        law=law,
+        coefficients=coefficients,
+        covariance=covariance,
+        at_height_mm=at_height,
+        waist=waist,
+    )
 
 
 _Fit = tuple[Float64, Float64, float, int]

@@ -179,15 +179,15 @@ def statistics(levels: Sequence[Level]) -> LevelStatistics:
     kept -= kept.mean(axis=1, keepdims=True)
     light = float(means.max() - means.min())
     return LevelStatistics(
-        np.array([level.exposure_s for level in levels]),
-        np.array([level.is_lit for level in levels]),
-        np.array([float(level.n_frames) for level in levels]),
-        np.array([float(level.mean_dn[good].mean(dtype=np.float64)) for level in levels]),
-        np.array([float(level.variance_dn2[good].mean(dtype=np.float64)) for level in levels]),
-        kept @ kept.T / kept.shape[1] / (1.0 - 1.0 / BOX_PX**2),
-        float(slow[int(np.argmax(means))][good].std() / light) if light > 0.0 else 0.0,
-        int(good.sum()),
-        n_defects,
+        exposure_s=np.array([level.exposure_s for level in levels]),
+        is_lit=np.array([level.is_lit for level in levels]),
+        n_frames=np.array([float(level.n_frames) for level in levels]),
+        mean_dn=np.array([float(level.mean_dn[good].mean(dtype=np.float64)) for level in levels]),
+        variance_dn2=np.array([float(level.variance_dn2[good].mean(dtype=np.float64)) for level in levels]),
+        spatial_dn2=kept @ kept.T / kept.shape[1] / (1.0 - 1.0 / BOX_PX**2),
+        shading_rel=float(slow[int(np.argmax(means))][good].std() / light) if light > 0.0 else 0.0,
+        n_pixels=int(good.sum()),
+        n_defects=n_defects,
     )
 
 

@@ -117,16 +117,16 @@ def calibrate_still(frames_dn: Sequence[Integers], stated: Sensor) -> StillCalib
     }
     sensor = Sensor(stated.bits, gain, black, read, gain * (top - black), stated.gamma)
     return StillCalibration(
-        estimates,
-        covariance,
-        sensor,
-        seen,
-        fitted,
-        math.sqrt(max(float(x[-2]), 0.0)),
-        math.sqrt(max(float(x[-1]), 0.0)),
-        unlike,
-        is_hidden,
-        fit_speckle_pattern(seen),
+        estimates=estimates,
+        covariance=covariance,
+        sensor=sensor,
+        statistics=seen,
+        fitted_dn2=fitted,
+        shake_px=math.sqrt(max(float(x[-2]), 0.0)),
+        flicker_rel=math.sqrt(max(float(x[-1]), 0.0)),
+        unlike_rel=unlike,
+        is_read_noise_hidden=is_hidden,
+        speckle=fit_speckle_pattern(seen),
     )
 
 

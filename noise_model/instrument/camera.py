@@ -114,14 +114,14 @@ class Camera:
         k1, k2, p1, p2, k3 = given[:5].tolist()
         k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = given[5:].tolist()
         return Intrinsics(
-            float(self.fx),
-            float(self.fy),
-            float(self.cx),
-            float(self.cy),
-            (k1, k2, p1, p2, k3),
-            (k4, k5, k6),
-            (s1, s2, s3, s4),
-            tilt_numbers(tau_x, tau_y),
+            fx=float(self.fx),
+            fy=float(self.fy),
+            cx=float(self.cx),
+            cy=float(self.cy),
+            distortion=(k1, k2, p1, p2, k3),
+            denominator=(k4, k5, k6),
+            prism=(s1, s2, s3, s4),
+            tilt=tilt_numbers(tau_x, tau_y),
         )
 
     @property

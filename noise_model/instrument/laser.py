@@ -175,7 +175,17 @@ def sheet_in(T_a_b: Float64, sheet_b: Sheet) -> Sheet:
         axis[i] = x * there.axis[0] + y * there.axis[1] + z * there.axis[2]
         side[i] = x * there.side[0] + y * there.side[1] + z * there.side[2]
     plane[0], plane[1], plane[2], plane[3] = plane_in(T, there.plane)
-    return Sheet(origin, plane, up, there.sigma, there.stand, axis, side, there.slope, there.exponent)
+    return Sheet(
+        origin=origin,
+        plane=plane,
+        tool_up=up,
+        sigma=there.sigma,
+        stand=there.stand,
+        axis=axis,
+        side=side,
+        slope=there.slope,
+        exponent=there.exponent,
+    )
 
 
 def sheet_in_tool(laser: Laser) -> Sheet:
@@ -183,7 +193,17 @@ def sheet_in_tool(laser: Laser) -> Sheet:
     axis, side, slope = laser.fan
     up, stand = np.array([0.0, 0.0, 1.0]), laser.origin_in_tool_mm[2]
     sigma, exponent = laser.stripe_sigma_mm, laser.profile_exponent
-    return Sheet(laser.origin_mm, laser.plane, up, sigma, stand, axis, side, slope, exponent)
+    return Sheet(
+        origin=laser.origin_mm,
+        plane=laser.plane,
+        tool_up=up,
+        sigma=sigma,
+        stand=stand,
+        axis=axis,
+        side=side,
+        slope=slope,
+        exponent=exponent,
+    )
 
 
 def sheet_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
@@ -197,15 +217,15 @@ def sheets_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
     axis, side, slope = laser.fan
     normal = R @ laser.plane[:3]
     return Sheet(
-        R @ laser.origin_mm + place,
-        np.column_stack([normal, laser.plane[3] - (normal * place).sum(axis=1)]),
-        np.ascontiguousarray(R[:, :, 2]),
-        laser.stripe_sigma_mm,
-        laser.origin_in_tool_mm[2],
-        R @ axis,
-        R @ side,
-        slope,
-        laser.profile_exponent,
+        origin=R @ laser.origin_mm + place,
+        plane=np.column_stack([normal, laser.plane[3] - (normal * place).sum(axis=1)]),
+        tool_up=np.ascontiguousarray(R[:, :, 2]),
+        sigma=laser.stripe_sigma_mm,
+        stand=laser.origin_in_tool_mm[2],
+        axis=R @ axis,
+        side=R @ side,
+        slope=slope,
+        exponent=laser.profile_exponent,
     )
 
 
@@ -213,15 +233,15 @@ def sheets_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
 def sheet_at(sheets: Sheet, n: int) -> Sheet:
     """Return the sheet of one of several poses."""
     return Sheet(
-        sheets.origin[n],
-        sheets.plane[n],
-        sheets.tool_up[n],
-        sheets.sigma,
-        sheets.stand,
-        sheets.axis[n],
-        sheets.side[n],
-        sheets.slope,
-        sheets.exponent,
+        origin=sheets.origin[n],
+        plane=sheets.plane[n],
+        tool_up=sheets.tool_up[n],
+        sigma=sheets.sigma,
+        stand=sheets.stand,
+        axis=sheets.axis[n],
+        side=sheets.side[n],
+        slope=sheets.slope,
+        exponent=sheets.exponent,
     )
 
 

@@ -48,14 +48,14 @@ class Place(NamedTuple):
 def place(setup: Setup, scene: Scene) -> Place:
     """Gather a scene for the kernels."""
     return Place(
-        scene.shape.vertices,
-        scene.shape.corrugation,
-        lobe_numbers(setup.material),
-        scene.center_mm,
-        setup.arc.radius_mm,
-        sheet_of(setup.laser, scene.T_joint_tool),
-        _disc_nodes(*DISC_FAR),
-        _disc_nodes(*DISC_NEAR),
+        vertices=scene.shape.vertices,
+        corrugation=scene.shape.corrugation,
+        material=lobe_numbers(setup.material),
+        center=scene.center_mm,
+        radius=setup.arc.radius_mm,
+        sheet=sheet_of(setup.laser, scene.T_joint_tool),
+        far=_disc_nodes(*DISC_FAR),
+        near=_disc_nodes(*DISC_NEAR),
     )
 
 

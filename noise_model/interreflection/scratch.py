@@ -39,12 +39,12 @@ def scratch_for(k: Place) -> Scratch:
     """Return room for what is computed of a place."""
     n_along = max(PSI_KNOTS, X_KNOTS)
     return Scratch(
-        np.empty(n_along),
-        np.empty(n_along + 2),
-        np.empty(Y_KNOTS),
-        np.empty(Y_KNOTS + 2),
-        np.empty((len(k.vertices), 3)),
-        np.empty((3, MAX_CHORDS)),
-        np.empty(8, dtype=np.int64),
-        np.empty(8),
+        knots=np.empty(n_along),
+        cuts=np.empty(n_along + 2),
+        sides=np.empty(Y_KNOTS),
+        side_cuts=np.empty(Y_KNOTS + 2),
+        borders=np.empty((len(k.vertices), 3)),
+        spans=np.empty((3, MAX_CHORDS)),
+        which=np.empty(8, dtype=np.int64),
+        weights=np.empty(8),
     )

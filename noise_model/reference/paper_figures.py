@@ -222,7 +222,14 @@ def mirror_over_distance(number: int, theta_deg: float) -> MirrorOverDistance:
         reflected_radiance_extended(spots.points_mm, spots.normals, spots.omega_r, ARC, SUS304) / SUS304.rho
     )
     return MirrorOverDistance(
-        number, SUS304, theta_deg, theta_deg, a_mm, extended / extended[0], point / extended[0], image
+        number=number,
+        mirror=SUS304,
+        theta_i_deg=theta_deg,
+        theta_r_deg=theta_deg,
+        a_mm=a_mm,
+        extended=extended / extended[0],
+        point=point / extended[0],
+        image=image,
     )
 
 

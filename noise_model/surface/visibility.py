@@ -406,14 +406,14 @@ def _write_horizons(
             lift, level = (0.0, upper) if sheet == 0 else (lower - upper, lower)
             foot = centers[s, 2] - level
             write_horizon(
-                heights[:n],
-                start,
-                (first, last),
-                (center_x, radius),
-                lift,
-                foot,
-                tables[s, sheet],
-                hull,
+                heights=heights[:n],
+                x_start=start,
+                rows=(first, last),
+                arc=(center_x, radius),
+                lift=lift,
+                foot=foot,
+                table=tables[s, sheet],
+                hull=hull,
             )
 
 

@@ -100,7 +100,16 @@ def _contents(
         turn: int, tier: str, *effects: str, form: str | None = None, is_dry: bool = False
     ) -> Planned:
         n, (world_seed, joint) = next(counted), _world(seed, turn, effects)
-        return Planned(n, SEEDS * seed + n, tier, world_seed, joint, effects, form, is_dry)
+        return Planned(
+            number=n,
+            seed=SEEDS * seed + n,
+            tier=tier,
+            world_seed=world_seed,
+            joint=joint,
+            effects=effects,
+            form=form,
+            is_dry=is_dry,
+        )
 
     ids = list(FORMS)
     for turn in range(draws):

@@ -278,22 +278,22 @@ def _observed(
     binned_dn = block_means(frame.image_dn, bin_px).astype(np.float32)
     sigma_dn, shown_dn2 = _noise(binned_dn, setup, bin_px, transfer)
     return ObservedFrame(
-        position,
-        frame.index,
-        frame.timestamp_s,
-        STRATA[int(condition.laser_level > 0.0) + 2 * int(condition.arc_level > 0.0)],
-        condition,
-        T_base_tool,
-        stations_mm,
-        frame.image_dn,
-        binned_dn,
-        keep,
-        keep | ~usable | dilated(in_stripe, STRIPE_RIM_BINS),
-        sigma_dn[keep],
-        in_stripe[keep],
-        _stated_e(setup, layers, condition),
-        layers.arc_e if condition.arc_level > 0.0 else np.zeros_like(binned_dn),
-        shown_dn2[keep],
+        position=position,
+        index=frame.index,
+        timestamp_s=frame.timestamp_s,
+        stratum=STRATA[int(condition.laser_level > 0.0) + 2 * int(condition.arc_level > 0.0)],
+        condition=condition,
+        pose_at=T_base_tool,
+        stations_mm=stations_mm,
+        image_dn=frame.image_dn,
+        binned_dn=binned_dn,
+        keep=keep,
+        rendered=keep | ~usable | dilated(in_stripe, STRIPE_RIM_BINS),
+        sigma_dn=sigma_dn[keep],
+        in_stripe=in_stripe[keep],
+        stated_e=_stated_e(setup, layers, condition),
+        stated_arc_e=layers.arc_e if condition.arc_level > 0.0 else np.zeros_like(binned_dn),
+        shown_dn2=shown_dn2[keep],
     )
 
 

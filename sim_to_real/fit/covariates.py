@@ -155,18 +155,18 @@ def covariates(model: LinearizedModel, fit: Refit) -> Covariates:
         return np.concatenate([part[name] for part in parts]).astype(kind)
 
     return Covariates(
-        observed.frames[0].keep.shape,
-        {name: joined(name) for name in UNITS},
-        joined("frame", np.int32),
-        joined("bins", np.int32),
-        joined("stratum", np.int8),
-        joined("in_stripe", np.bool_),
-        joined("sigma_dn"),
-        joined("arc_dn"),
-        joined("laser_dn"),
-        joined("predicted_dn"),
-        joined("part_mm"),
-        -fit.jacobian[:, : len(anchor)].astype(np.float32),
+        shape=observed.frames[0].keep.shape,
+        values={name: joined(name) for name in UNITS},
+        frame=joined("frame", np.int32),
+        bins=joined("bins", np.int32),
+        stratum=joined("stratum", np.int8),
+        in_stripe=joined("in_stripe", np.bool_),
+        sigma_dn=joined("sigma_dn"),
+        arc_dn=joined("arc_dn"),
+        laser_dn=joined("laser_dn"),
+        predicted_dn=joined("predicted_dn"),
+        part_mm=joined("part_mm"),
+        tangents=-fit.jacobian[:, : len(anchor)].astype(np.float32),
     )
 
 

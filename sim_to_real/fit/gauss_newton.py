@@ -143,17 +143,17 @@ def refit(
     if not is_current:
         J = problem.jacobian(x, lights, r)
     return Refit(
-        problem.ids,
-        x,
-        len(nuisance),
-        problem.effects(x),
-        problem.arc_ln(x),
-        r,
-        J,
-        huber_weights(r, huber_bound(r)),
-        loss_about(r).quadratic(problem.parameters, x, r, J),
-        tuple(lights),
-        problem.trend_at(x),
+        ids=problem.ids,
+        x=x,
+        n_nuisances=len(nuisance),
+        effects=problem.effects(x),
+        arc_ln=problem.arc_ln(x),
+        residuals=r,
+        jacobian=J,
+        weights=huber_weights(r, huber_bound(r)),
+        quadratic=loss_about(r).quadratic(problem.parameters, x, r, J),
+        lights=tuple(lights),
+        trend=problem.trend_at(x),
     )
 
 

@@ -122,14 +122,16 @@ def random_effects(model: LinearizedModel, fitted: Refit, without: Sequence[str]
     if any(effect.id == "spatter" for effect in acting):
         sigmas_dn = [np.where(use, sigma, np.inf) for use, sigma in zip(masks, sigmas_dn, strict=True)]
     return RandomEffects(
-        {effect.id: effect.values for effect in named},
-        {effect.id: effect.sigmas for effect in named},
-        {effect.id: effect.excess for effect in named},
-        tuple(sigmas_dn),
-        {effect.id: effect.evidence for effect in candidates},
-        {effect.id: float(expit(effect.evidence)) for effect in candidates},
-        {effect.id: _share(effect.excess, gap) for effect in candidates},
-        1.0 if any(effect.id == "read_noise" for effect in acting) else _within_tolerance(read[0], observed),
+        effects={effect.id: effect.values for effect in named},
+        sigmas={effect.id: effect.sigmas for effect in named},
+        excess={effect.id: effect.excess for effect in named},
+        sigmas_dn=tuple(sigmas_dn),
+        evidence={effect.id: effect.evidence for effect in candidates},
+        confidence={effect.id: float(expit(effect.evidence)) for effect in candidates},
+        closed={effect.id: _share(effect.excess, gap) for effect in candidates},
+        read_ratio=1.0
+        if any(effect.id == "read_noise" for effect in acting)
+        else _within_tolerance(read[0], observed),
     )
 
 

@@ -34,18 +34,18 @@ def completed(section: Section, measured: MeasuredJoint) -> MeasuredJoint:
     if math.isnan(nats):
         nats = section_evidence_nats(points, measured.corners_mm, section.reach_mm)
     return MeasuredJoint(
-        measured.y_mm,
-        measured.z_mm,
-        with_alike(
+        y_mm=measured.y_mm,
+        z_mm=measured.z_mm,
+        covariance_mm2=with_alike(
             points.y_mm, points.dy_mm, points.dz_mm, section.bias_px, measured.y_mm, measured.covariance_mm2
         ),
-        measured.gap_mm,
-        measured.mismatch_mm,
-        measured.chi2,
-        measured.shape,
-        measured.unexplained,
-        measured.corners_mm,
-        nats,
+        gap_mm=measured.gap_mm,
+        mismatch_mm=measured.mismatch_mm,
+        chi2=measured.chi2,
+        shape=measured.shape,
+        unexplained=measured.unexplained,
+        corners_mm=measured.corners_mm,
+        evidence_nats=nats,
     )
 
 

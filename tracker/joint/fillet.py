@@ -69,15 +69,24 @@ def fit_fillet(section: Section, stated: StatedJoint) -> MeasuredJoint:
     corners_of(CORNER, p, corners_mm)
     plates, plate_sigmas = two_angles(p, covariance, 2, 3)
     measured = MeasuredJoint(
-        p[0],
-        p[1],
-        covariance[:2, :2].copy(),
-        math.nan,
-        math.nan,
-        fit.chi2,
-        JointShape(math.nan, math.nan, unknown, unknown, plates, plate_sigmas, math.nan, math.nan),
-        share_left_out(y_mm, fit.weights, chosen, p[0], BESIDE_MM),
-        corners_mm,
-        math.nan,
+        y_mm=p[0],
+        z_mm=p[1],
+        covariance_mm2=covariance[:2, :2].copy(),
+        gap_mm=math.nan,
+        mismatch_mm=math.nan,
+        chi2=fit.chi2,
+        shape=JointShape(
+            gap_sigma_mm=math.nan,
+            mismatch_sigma_mm=math.nan,
+            bevel_angles_deg=unknown,
+            bevel_sigmas_deg=unknown,
+            plate_angles_deg=plates,
+            plate_sigmas_deg=plate_sigmas,
+            area_mm2=math.nan,
+            area_sigma_mm2=math.nan,
+        ),
+        unexplained=share_left_out(y_mm, fit.weights, chosen, p[0], BESIDE_MM),
+        corners_mm=corners_mm,
+        evidence_nats=math.nan,
     )
     return completed(section, measured)

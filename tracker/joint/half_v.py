@@ -226,28 +226,28 @@ def measured_half_v(fit: ShapeFit, wall: float, wall_variance: float, left_out: 
     with_side = gives_way if p[GAP] >= CLOSED_MM else 1.0
     area_sigma = math.hypot(area_sigma, with_side * p[DEPTH_RIGHT] * math.sqrt(wall_variance))
     shape = JointShape(
-        math.sqrt(covariance[GAP, GAP] + gives_way**2 * wall_variance),
-        math.sqrt(
+        gap_sigma_mm=math.sqrt(covariance[GAP, GAP] + gives_way**2 * wall_variance),
+        mismatch_sigma_mm=math.sqrt(
             covariance[DEPTH_LEFT, DEPTH_LEFT]
             + covariance[DEPTH_RIGHT, DEPTH_RIGHT]
             - 2.0 * covariance[DEPTH_LEFT, DEPTH_RIGHT]
         ),
-        (math.degrees(bevel), math.nan),
-        (math.degrees(bevel_sigma), math.nan),
-        plates,
-        plate_sigmas,
-        area,
-        area_sigma,
+        bevel_angles_deg=(math.degrees(bevel), math.nan),
+        bevel_sigmas_deg=(math.degrees(bevel_sigma), math.nan),
+        plate_angles_deg=plates,
+        plate_sigmas_deg=plate_sigmas,
+        area_mm2=area,
+        area_sigma_mm2=area_sigma,
     )
     return MeasuredJoint(
-        y_s,
-        p[ROOT],
-        together,
-        max(p[GAP], 0.0),
-        p[DEPTH_LEFT] - p[DEPTH_RIGHT],
-        fit.chi2,
-        shape,
-        left_out,
-        corners_mm,
-        math.nan,
+        y_mm=y_s,
+        z_mm=p[ROOT],
+        covariance_mm2=together,
+        gap_mm=max(p[GAP], 0.0),
+        mismatch_mm=p[DEPTH_LEFT] - p[DEPTH_RIGHT],
+        chi2=fit.chi2,
+        shape=shape,
+        unexplained=left_out,
+        corners_mm=corners_mm,
+        evidence_nats=math.nan,
     )

@@ -125,16 +125,25 @@ def measured_lap(
     step_sigma, unknown = math.sqrt(variance), (math.nan, math.nan)
     plates, plate_sigmas = two_angles(p, covariance, 2, 3)
     return MeasuredJoint(
-        edge,
-        z_edge,
-        edge_covariance(upright, between, at_edge, covariance),
-        max(step - thickness_mm, 0.0),
-        -step,
-        fit.chi2,
-        JointShape(step_sigma, step_sigma, unknown, unknown, plates, plate_sigmas, math.nan, math.nan),
-        share_off(lines.y_mm, lines.z_mm, lines.dz_mm, lines.sigma_px, sheets, edge),
-        corners_mm,
-        math.nan,
+        y_mm=edge,
+        z_mm=z_edge,
+        covariance_mm2=edge_covariance(upright, between, at_edge, covariance),
+        gap_mm=max(step - thickness_mm, 0.0),
+        mismatch_mm=-step,
+        chi2=fit.chi2,
+        shape=JointShape(
+            gap_sigma_mm=step_sigma,
+            mismatch_sigma_mm=step_sigma,
+            bevel_angles_deg=unknown,
+            bevel_sigmas_deg=unknown,
+            plate_angles_deg=plates,
+            plate_sigmas_deg=plate_sigmas,
+            area_mm2=math.nan,
+            area_sigma_mm2=math.nan,
+        ),
+        unexplained=share_off(lines.y_mm, lines.z_mm, lines.dz_mm, lines.sigma_px, sheets, edge),
+        corners_mm=corners_mm,
+        evidence_nats=math.nan,
     )
 
 

@@ -72,18 +72,27 @@ class MeasuredJoint(NamedTuple):
 def undetermined() -> MeasuredJoint:
     """Return the joint of a profile that does not determine one."""
     unknown = math.nan, math.nan
-    shape = JointShape(math.nan, math.nan, unknown, unknown, unknown, unknown, math.nan, math.nan)
+    shape = JointShape(
+        gap_sigma_mm=math.nan,
+        mismatch_sigma_mm=math.nan,
+        bevel_angles_deg=unknown,
+        bevel_sigmas_deg=unknown,
+        plate_angles_deg=unknown,
+        plate_sigmas_deg=unknown,
+        area_mm2=math.nan,
+        area_sigma_mm2=math.nan,
+    )
     return MeasuredJoint(
-        math.nan,
-        math.nan,
-        np.full((2, 2), math.nan),
-        math.nan,
-        math.nan,
-        math.nan,
-        shape,
-        1.0,
-        np.empty((0, 2)),
-        math.nan,
+        y_mm=math.nan,
+        z_mm=math.nan,
+        covariance_mm2=np.full((2, 2), math.nan),
+        gap_mm=math.nan,
+        mismatch_mm=math.nan,
+        chi2=math.nan,
+        shape=shape,
+        unexplained=1.0,
+        corners_mm=np.empty((0, 2)),
+        evidence_nats=math.nan,
     )
 
 
@@ -113,15 +122,15 @@ class SectionPoints(NamedTuple):
 def points_of(profile: Profile) -> SectionPoints:
     """Return a profile's points as a fit takes them."""
     return SectionPoints(
-        profile.y_mm,
-        profile.z_mm,
-        profile.dy_mm,
-        profile.dz_mm,
-        profile.scan,
-        profile.sigma_px,
-        profile.beside_px,
-        np.empty(0) if profile.misfit_px is None else profile.misfit_px,
-        profile.lines_each,
+        y_mm=profile.y_mm,
+        z_mm=profile.z_mm,
+        dy_mm=profile.dy_mm,
+        dz_mm=profile.dz_mm,
+        scan=profile.scan,
+        sigma_px=profile.sigma_px,
+        beside_px=profile.beside_px,
+        misfit_px=np.empty(0) if profile.misfit_px is None else profile.misfit_px,
+        n_lines=profile.lines_each,
     )
 
 
@@ -132,15 +141,15 @@ def in_scan_order(points: SectionPoints) -> SectionPoints:
         return points
     order = scan_order(points.scan)
     return SectionPoints(
-        _taken(points.y_mm, order),
-        _taken(points.z_mm, order),
-        _taken(points.dy_mm, order),
-        _taken(points.dz_mm, order),
-        _taken(points.scan, order),
-        _taken(points.sigma_px, order),
-        _taken(points.beside_px, order),
-        _taken(points.misfit_px, order),
-        _taken(points.n_lines, order),
+        y_mm=_taken(points.y_mm, order),
+        z_mm=_taken(points.z_mm, order),
+        dy_mm=_taken(points.dy_mm, order),
+        dz_mm=_taken(points.dz_mm, order),
+        scan=_taken(points.scan, order),
+        sigma_px=_taken(points.sigma_px, order),
+        beside_px=_taken(points.beside_px, order),
+        misfit_px=_taken(points.misfit_px, order),
+        n_lines=_taken(points.n_lines, order),
     )
 
 

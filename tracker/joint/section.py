@@ -35,15 +35,15 @@ class Section(NamedTuple):
 def section_from(profile: Profile, camera_mm: Float64, laser_mm: Float64) -> Section:
     """Return a profile as the kernels take it, seen and lit from two points (3,), joint frame, mm."""
     return Section(
-        points_of(profile),
-        float(profile.column_mm),
-        float(profile.reach_mm),
-        float(profile.mixed_mm),
-        float(profile.slope_sigma),
-        np.empty(0) if profile.bias_px is None else profile.bias_px,
-        light_of(profile),
-        camera_mm,
-        laser_mm,
+        points=points_of(profile),
+        column_mm=float(profile.column_mm),
+        reach_mm=float(profile.reach_mm),
+        mixed_mm=float(profile.mixed_mm),
+        slope_sigma=float(profile.slope_sigma),
+        bias_px=np.empty(0) if profile.bias_px is None else profile.bias_px,
+        light=light_of(profile),
+        camera_mm=camera_mm,
+        laser_mm=laser_mm,
     )
 
 

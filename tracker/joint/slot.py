@@ -244,19 +244,26 @@ def measured_slot(
     if not stated.is_edge:
         area, area_sigma = gap.width_mm * thickness, width_sigma * thickness
     shape = JointShape(
-        width_sigma, math.sqrt(step_variance), unknown, unknown, plates, plate_sigmas, area, area_sigma
+        gap_sigma_mm=width_sigma,
+        mismatch_sigma_mm=math.sqrt(step_variance),
+        bevel_angles_deg=unknown,
+        bevel_sigmas_deg=unknown,
+        plate_angles_deg=plates,
+        plate_sigmas_deg=plate_sigmas,
+        area_mm2=area,
+        area_sigma_mm2=area_sigma,
     )
     return MeasuredJoint(
-        gap.y_mm,
-        z_s,
-        together,
-        gap.width_mm,
-        left_top - right_top,
-        fit.chi2,
-        shape,
-        share_raised(points, p, y_0, right_mm, left_mm),
-        slot_corners(p, y_0, (right_mm, right_top), (left_mm, left_top), z_s - thickness),
-        nats,
+        y_mm=gap.y_mm,
+        z_mm=z_s,
+        covariance_mm2=together,
+        gap_mm=gap.width_mm,
+        mismatch_mm=left_top - right_top,
+        chi2=fit.chi2,
+        shape=shape,
+        unexplained=share_raised(points, p, y_0, right_mm, left_mm),
+        corners_mm=slot_corners(p, y_0, (right_mm, right_top), (left_mm, left_top), z_s - thickness),
+        evidence_nats=nats,
     )
 
 

@@ -88,7 +88,17 @@ def _lifted(vertices: Float64) -> tuple[Float64, Bool]:
 def _endless(sheet: Sheet) -> Sheet:
     """Return a sheet without its fan's end: place and width go on there, and light that stops bends them."""
     origin, plane, up, sigma, stand, axis, side, _, exponent = sheet
-    return Sheet(origin, plane, up, sigma, stand, axis, side, math.inf, exponent)
+    return Sheet(
+        origin=origin,
+        plane=plane,
+        tool_up=up,
+        sigma=sigma,
+        stand=stand,
+        axis=axis,
+        side=side,
+        slope=math.inf,
+        exponent=exponent,
+    )
 
 
 @kernel
@@ -124,17 +134,17 @@ def expect(source: StripeSource, scene: Scene, n_scan: int) -> tuple[bool, Expec
     section, is_deep = _lifted(scene.shape.vertices)
     face = np.empty(n_scan, dtype=np.int64)
     in_view = _expect(
-        source,
-        _endless(sheet_in(scene.T_joint_tool, source.sheet)),
-        section,
-        scene.shape.corrugation,
-        scene.T_joint_tool,
-        scene.T_joint_camera,
-        scene.footprint_mm[1],
-        position,
-        sigma,
-        bias,
-        face,
+        source=source,
+        sheet=_endless(sheet_in(scene.T_joint_tool, source.sheet)),
+        vertices=section,
+        corrugation=scene.shape.corrugation,
+        T_joint_tool=scene.T_joint_tool,
+        T_joint_camera=scene.T_joint_camera,
+        seen_mm=scene.footprint_mm[1],
+        position=position,
+        sigma=sigma,
+        bias=bias,
+        face_shown=face,
     )
     widest = 0.0
     for s in range(n_scan if in_view else 0):
@@ -183,21 +193,21 @@ def _expect(
         # Of three the bias is made of the flanks' light.
         with_light = shift != 0.0 or n_planes > FLANKS.shape[0]
         cut_and_project(
-            y,
-            z,
-            face,
-            vertices,
-            corrugation,
-            sheet,
-            shift,
-            tool_x,
-            T_joint_camera,
-            source.lens,
-            source.material,
-            source.along_rows,
-            with_light,
-            points_px,
-            light,
+            y=y,
+            z=z,
+            face=face,
+            vertices=vertices,
+            corrugation=corrugation,
+            sheet=sheet,
+            shift_mm=shift,
+            start_x=tool_x,
+            T_joint_camera=T_joint_camera,
+            lens=source.lens,
+            material=source.material,
+            along_rows=source.along_rows,
+            with_light=with_light,
+            points_px=points_px,
+            light=light,
         )
         in_sight = np.flatnonzero(is_seen & np.isfinite(points_px[:, 0]))
         every = 1 if k in (before, middle, behind) else EVERY

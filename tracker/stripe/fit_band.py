@@ -128,16 +128,16 @@ def _seek_path(
     score = room.score[: n_scan * n].reshape((n_scan, n))
     middles(expected.position_px, band.lows, bin_px, room.around_px)
     matched_filter(
-        band.charge,
-        band.background,
-        noise.shot,
-        noise.dark_e2,
-        room.around_px,
-        room.width_px,
-        band.lows,
-        offsets_px,
-        bin_px,
-        score,
+        charge_e=band.charge,
+        background_e=band.background,
+        shot=noise.shot,
+        dark_variance_e2=noise.dark_e2,
+        around_px=room.around_px,
+        width_px=room.width_px,
+        lows=band.lows,
+        offsets_px=offsets_px,
+        bin_px=bin_px,
+        score=score,
     )
     # Where no light can be none is looked for.
     for s in range(n_scan):
@@ -189,37 +189,37 @@ def fit_path(
             room.is_smooth,
         )
     fit_lines(
-        band.charge,
-        band.background,
-        band.censored,
-        room.start_px,
-        room.width_px,
-        room.n_lines,
-        band.lows,
-        noise.shot,
-        noise.dark_e2,
-        weighing_contrast(learned),
-        pair_contrast(learned),
-        noise.map_rel,
-        noise.base_e,
-        room.fit,
-        lines,
+        charge=band.charge,
+        background=band.background,
+        censored=band.censored,
+        start=room.start_px,
+        width=room.width_px,
+        n_lines=room.n_lines,
+        lows=band.lows,
+        shot=noise.shot,
+        dark_variance=noise.dark_e2,
+        speckle=weighing_contrast(learned),
+        pair_speckle=pair_contrast(learned),
+        map_sigma=noise.map_rel,
+        base_sigma=noise.base_e,
+        room=room.fit,
+        lines=lines,
     )
     if sought.reads_pairs:
         tell_both(expected.position_px, room.n_lines, centre_share(learned), lines)
     own_sigma(lines.fits, room.width_px, room.n_lines, room.scatter.values, room.own_px)
     frame_scatter(
-        lines.fits,
-        expected.position_px,
-        expected.sigma_px,
-        room.own_px,
-        lines.core,
-        room.n_lines,
-        room.is_smooth,
-        learned,
-        sought.is_searching,
-        room.scatter,
-        room.seen,
+        fits=lines.fits,
+        expected_px=expected.position_px,
+        width_px=expected.sigma_px,
+        sigma_px=room.own_px,
+        core=lines.core,
+        n_lines=room.n_lines,
+        is_smooth=room.is_smooth,
+        learned=learned,
+        is_searching=sought.is_searching,
+        room=room.scatter,
+        seen=room.seen,
     )
     # The limit is that of what is known: a frame without a stripe would widen it for itself.
     limit_ln = width_limit_ln(learned)

@@ -61,7 +61,21 @@ def no_light() -> StripeLight:
     """Return what a stripe was read from where that is not at hand."""
     pixels, lines = np.empty((0, 0), np.float32), np.empty(0)
     censored, lows = np.empty((0, 0), np.bool_), np.empty(0, np.int64)
-    return StripeLight(pixels, pixels, censored, lows, lines, lines, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return StripeLight(
+        charge_e=pixels,
+        background_e=pixels,
+        censored=censored,
+        lows=lows,
+        position_px=lines,
+        width_px=lines,
+        shot=0.0,
+        dark_variance_e2=0.0,
+        contrast=0.0,
+        alike=0.0,
+        psf_sigma_px=0.0,
+        sheet_lines=0.0,
+        centre_sigma_px=0.0,
+    )
 
 
 @kernel

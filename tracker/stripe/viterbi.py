@@ -251,18 +251,18 @@ def matched_filter(
     line = np.empty((4, charge_e.shape[1]), np.float32)
     noise = shot, dark_variance_e2
     _score_lines(
-        charge_e,
-        background_e,
-        noise,
-        around_px,
-        width_px,
-        lows,
-        offsets_px,
-        bin_px,
-        values,
-        line,
-        room,
-        score,
+        charge_e=charge_e,
+        background_e=background_e,
+        noise=noise,
+        around_px=around_px,
+        width_px=width_px,
+        lows=lows,
+        offsets_px=offsets_px,
+        bin_px=bin_px,
+        values=values,
+        line=line,
+        room=room,
+        score=score,
     )
 
 

@@ -249,15 +249,15 @@ class ClosedLoop:
         distance = np.hypot(off[:, 0], off[:, 1])
         rms_y_mm, rms_z_mm = np.sqrt((off**2).mean(axis=0)).tolist()
         return LoopResult(
-            lock_s,
-            float(np.sqrt((distance**2).mean())),
-            float(distance.max()),
-            rms_y_mm,
-            rms_z_mm,
-            offsets,
-            reasons,
-            lag,
-            _weave_mm(locked, self.plan.weave_hz),
+            lock_s=lock_s,
+            rms_mm=float(np.sqrt((distance**2).mean())),
+            max_mm=float(distance.max()),
+            rms_y_mm=rms_y_mm,
+            rms_z_mm=rms_z_mm,
+            offsets=offsets,
+            reasons=reasons,
+            lag=lag,
+            weave_mm=_weave_mm(locked, self.plan.weave_hz),
         )
 
     def event_result(self) -> EventResult | None:

@@ -63,24 +63,24 @@ def arc_page(result: ArcCalibration, recording: Recording) -> CalibrationPage:
         *(_combination(weak) for weak in result.combinations),
     )
     return CalibrationPage(
-        f"arctrack calibrates the arc of {recording.name}",
-        "arc and metal",
-        f"height {height} ± {height_sigma} mm",
-        sentences,
-        _rows(result),
-        (
+        title=f"arctrack calibrates the arc of {recording.name}",
+        label="arc and metal",
+        headline=f"height {height} ± {height_sigma} mm",
+        sentences=sentences,
+        rows=_rows(result),
+        pictures=(
             Picture(
                 _residuals(result),
                 "what is left, relative to the arc's light: over the image, and in each frame (68 %)",
                 "A pattern that all frames share is what the model lacks: arctrack diagnose names it.",
             ),
         ),
-        (),
-        (
+        maps=(),
+        notes=(
             "Brightness and the kappas' sum only occur as a product: the sum stays as stated.",
             "The sigmas hold the camera's tolerance, the part's place, texture and flicker.",
         ),
-        "ambiguous" if result.refused else "no_gap",
+        mark="ambiguous" if result.refused else "no_gap",
     )
 
 

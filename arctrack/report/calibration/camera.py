@@ -56,17 +56,17 @@ def camera_page(result: CameraCalibration, images: BoardImages, stated: SetupFil
             f"would be {result.next_board.sigma_px:.3f} px RMS over the image."
         )
     return CalibrationPage(
-        f"arctrack calibrates a camera of {lens.width} × {lens.height} px",
-        "refused" if result.model_error else "lens",
-        f"known to {sigma.min():.2g} px at best and {sigma.max():.2g} px at worst, 1 σ at "
+        title=f"arctrack calibrates a camera of {lens.width} × {lens.height} px",
+        label="refused" if result.model_error else "lens",
+        headline=f"known to {sigma.min():.2g} px at best and {sigma.max():.2g} px at worst, 1 σ at "
         f"{result.distance_mm:.0f} mm",
-        tuple(sentences),
-        camera_rows(result),
-        tuple(_pictures(result, images)),
-        (),
-        tuple(camera_notes(result, stated, images.is_dim)),
-        "unknown" if result.model_error else "no_gap",
-        (*with_reasons(images.left_out | result.left_out), *_wrong_corners(result)),
+        sentences=tuple(sentences),
+        rows=camera_rows(result),
+        pictures=tuple(_pictures(result, images)),
+        maps=(),
+        notes=tuple(camera_notes(result, stated, images.is_dim)),
+        mark="unknown" if result.model_error else "no_gap",
+        left_out=(*with_reasons(images.left_out | result.left_out), *_wrong_corners(result)),
     )
 
 

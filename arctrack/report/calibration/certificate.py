@@ -54,7 +54,17 @@ def certificate_page(
     if certificate is None:
         without = "The seam's position follows from the laser sheet, which was not measured."
         headline = "no certificate"
-        return CalibrationPage(TITLE, "certificate", headline, (without,), (), (), (), tuple(notes), mark)
+        return CalibrationPage(
+            title=TITLE,
+            label="certificate",
+            headline=headline,
+            sentences=(without,),
+            rows=(),
+            pictures=(),
+            maps=(),
+            notes=tuple(notes),
+            mark=mark,
+        )
     n, worst = certificate.nearest_to_tool, certificate.worst
     lateral, vertical = (certificate.sigma_mm[n, axis] for axis in (LATERAL, VERTICAL))
     total = certificate.across_sigma_mm
@@ -74,21 +84,21 @@ def certificate_page(
         "point's own calibration, the robot's path accuracy and the reading of a single frame come on top.",
     )
     return CalibrationPage(
-        TITLE,
-        "certificate",
-        f"± {COVER * lateral:.2f} mm lateral, ± {COVER * vertical:.2f} mm vertical",
-        sentences,
-        _rows(certificate),
-        (
+        title=TITLE,
+        label="certificate",
+        headline=f"± {COVER * lateral:.2f} mm lateral, ± {COVER * vertical:.2f} mm vertical",
+        sentences=sentences,
+        rows=_rows(certificate),
+        pictures=(
             Picture(
                 _map(certificate),
                 "1 σ of the calibration over the laser sheet",
                 "The cross is the point nearest to the tool's axis.",
             ),
         ),
-        (),
-        tuple(notes),
-        mark,
+        maps=(),
+        notes=tuple(notes),
+        mark=mark,
         heads=("1 σ lateral / vertical", "at the worst point", "share there"),
     )
 

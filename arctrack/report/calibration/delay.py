@@ -31,12 +31,12 @@ def delay_page(result: PoseDelay, recording: Recording) -> CalibrationPage:
         f"{result.motion_mm_s:.1f} mm/s (RMS).",
     )
     return CalibrationPage(
-        f"arctrack calibrates the delay of {recording.name}",
-        "pose delay" if is_known else "unestimated",
-        f"{value} ± {sigma} ms" if is_known else "The delay is unestimated",
-        sentences,
-        (row_of("delay of the poses' clock", "delay_s", delay_ms, sigma_ms, "ms"),) if is_known else (),
-        (
+        title=f"arctrack calibrates the delay of {recording.name}",
+        label="pose delay" if is_known else "unestimated",
+        headline=f"{value} ± {sigma} ms" if is_known else "The delay is unestimated",
+        sentences=sentences,
+        rows=(row_of("delay of the poses' clock", "delay_s", delay_ms, sigma_ms, "ms"),) if is_known else (),
+        pictures=(
             Picture(
                 _seam(result, recording),
                 "the seam beside its nominal line: with the delay as stated, and as estimated",
@@ -50,12 +50,12 @@ def delay_page(result: PoseDelay, recording: Recording) -> CalibrationPage:
                 "likely.",
             ),
         ),
-        (),
-        (
+        maps=(),
+        notes=(
             f"About a smooth seam its points scatter by {result.scatters_mm[0]:.3f} mm sideways and "
             f"{result.scatters_mm[1]:.3f} mm in height beyond the tracker's own sigmas.",
         ),
-        "no_gap" if is_known else "ambiguous",
+        mark="no_gap" if is_known else "ambiguous",
     )
 
 

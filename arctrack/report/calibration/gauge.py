@@ -36,16 +36,16 @@ def gauge_page(result: GaugeCalibration, images: GaugeImages, setup: Setup) -> C
         f"inaccuracy, or the camera's pose. Along a piece of the stripe {form_mm:.3f} mm are left.",
     )
     return CalibrationPage(
-        "arctrack calibrates the laser sheet by a gauge",
-        "laser plane",
-        plane_in_words(result.plane),
-        sentences,
-        plane_rows(result.plane, result.covariance),
-        _pictures(result.problem, result.fitted, images),
-        (),
-        (NOT_IN_SIGMAS,),
-        "no_gap",
-        with_reasons(images.left_out | result.left_out),
+        title="arctrack calibrates the laser sheet by a gauge",
+        label="laser plane",
+        headline=plane_in_words(result.plane),
+        sentences=sentences,
+        rows=plane_rows(result.plane, result.covariance),
+        pictures=_pictures(result.problem, result.fitted, images),
+        maps=(),
+        notes=(NOT_IN_SIGMAS,),
+        mark="no_gap",
+        left_out=with_reasons(images.left_out | result.left_out),
     )
 
 
@@ -63,16 +63,16 @@ def check_page(
         left_out |= check.left_out
     first = checks[0]
     return CalibrationPage(
-        "arctrack checks the laser sheet by a gauge",
-        str(first.problem.gauge),
-        line,
-        (f"{cure[0].upper()}{cure[1:]}.",) if cure else (),
-        tuple(rows),
-        _pictures(first.problem, first.fitted, images),
-        (),
-        (NOT_IN_SIGMAS,),
-        "no_gap" if is_good else "ambiguous",
-        with_reasons(left_out),
+        title="arctrack checks the laser sheet by a gauge",
+        label=str(first.problem.gauge),
+        headline=line,
+        sentences=(f"{cure[0].upper()}{cure[1:]}.",) if cure else (),
+        rows=tuple(rows),
+        pictures=_pictures(first.problem, first.fitted, images),
+        maps=(),
+        notes=(NOT_IN_SIGMAS,),
+        mark="no_gap" if is_good else "ambiguous",
+        left_out=with_reasons(left_out),
     )
 
 

@@ -51,12 +51,12 @@ def hand_eye_page(
             f"{np.linalg.norm(move_mm):.2f} mm against the pose stated before."
         )
     return CalibrationPage(
-        "arctrack calibrates the camera's pose",
-        "camera in base" if result.is_eye_to_hand else "camera in the tool",
-        f"[{x:.3f}, {y:.3f}, {z:.3f}] mm in the {holder}",
-        tuple(sentences),
-        hand_eye_rows(result, setup),
-        (
+        title="arctrack calibrates the camera's pose",
+        label="camera in base" if result.is_eye_to_hand else "camera in the tool",
+        headline=f"[{x:.3f}, {y:.3f}, {z:.3f}] mm in the {holder}",
+        sentences=tuple(sentences),
+        rows=hand_eye_rows(result, setup),
+        pictures=(
             Picture(
                 misfits(result),
                 "how far the robot was off each pose, most likely",
@@ -78,10 +78,10 @@ def hand_eye_page(
                 "This is the robot's error, seen by the camera. Grey are all corners.",
             ),
         ),
-        (),
-        tuple(_notes(result, posed, moves_sheet)),
-        "ambiguous" if result.left_out or result.is_scale_off else "no_gap",
-        with_reasons(posed.left_out | result.left_out),
+        maps=(),
+        notes=tuple(_notes(result, posed, moves_sheet)),
+        mark="ambiguous" if result.left_out or result.is_scale_off else "no_gap",
+        left_out=with_reasons(posed.left_out | result.left_out),
     )
 
 

@@ -76,12 +76,12 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: S
             f"them, and up to {most:.1f} % of its contrast is left (1 σ)."
         )
     return CalibrationPage(
-        "arctrack calibrates the laser sheet",
-        "laser plane",
-        plane_in_words(plane),
-        tuple(sentences),
-        (*plane_rows(plane, covariance), *beam_rows(beam)),
-        (
+        title="arctrack calibrates the laser sheet",
+        label="laser plane",
+        headline=plane_in_words(plane),
+        sentences=tuple(sentences),
+        rows=(*plane_rows(plane, covariance), *beam_rows(beam)),
+        pictures=(
             Picture(
                 _in_plane(result),
                 "the points within the plane, a colour for each pair; lines are the stripes' fitted ones",
@@ -100,10 +100,10 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: S
             ),
             *beam_pictures(beam),
         ),
-        (),
-        tuple(notes),
-        "no_gap" if result.scatter == 1.0 else "ambiguous",
-        with_reasons(pairs.left_out | result.left_out),
+        maps=(),
+        notes=tuple(notes),
+        mark="no_gap" if result.scatter == 1.0 else "ambiguous",
+        left_out=with_reasons(pairs.left_out | result.left_out),
     )
 
 

@@ -69,12 +69,14 @@ def sensor_page(
         ),
     )
     return CalibrationPage(
-        f"arctrack calibrates the sensor of {source}",
-        "sensor",
-        f"{gain.value:.4g} ± {gain.sigma:.2g} e-/DN, read noise {read.value:.3g} ± {read.sigma:.2g} e-",
-        sentences,
-        sensor_rows(result),
-        (
+        title=f"arctrack calibrates the sensor of {source}",
+        label="sensor",
+        headline=(
+            f"{gain.value:.4g} ± {gain.sigma:.2g} e-/DN, read noise {read.value:.3g} ± {read.sigma:.2g} e-"
+        ),
+        sentences=sentences,
+        rows=sensor_rows(result),
+        pictures=(
             Picture(
                 _transfer(result),
                 "photon transfer: variance from frame to frame over the mean",
@@ -87,10 +89,10 @@ def sensor_page(
                 "Noise within ±2 σ is chance. The band on the right is ± the linearity error.",
             ),
         ),
-        _maps(result, levels),
-        (),
-        "no_gap" if fits else "ambiguous",
-        (*(f"{name}: is saturated" for name in result.left_out), *warnings),
+        maps=_maps(result, levels),
+        notes=(),
+        mark="no_gap" if fits else "ambiguous",
+        left_out=(*(f"{name}: is saturated" for name in result.left_out), *warnings),
     )
 
 

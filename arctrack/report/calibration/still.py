@@ -54,12 +54,12 @@ def still_page(result: StillCalibration, source: str, warnings: Sequence[str]) -
     if speckle is None:
         sentences.append("The stripe is too short, saturated or too faint to tell its speckle.")
     return CalibrationPage(
-        f"arctrack calibrates the sensor of {source}",
-        "sensor, from a still stripe",
-        f"{headline} ± {within} e-/DN",
-        tuple(sentences),
-        tuple(rows),
-        (
+        title=f"arctrack calibrates the sensor of {source}",
+        label="sensor, from a still stripe",
+        headline=f"{headline} ± {within} e-/DN",
+        sentences=tuple(sentences),
+        rows=tuple(rows),
+        pictures=(
             Picture(
                 _transfer(result),
                 "photon transfer: variance from frame to frame over the mean, and the same over the fit",
@@ -67,10 +67,12 @@ def still_page(result: StillCalibration, source: str, warnings: Sequence[str]) -
                 "What the fit lies above the line of shot noise is shake and flicker.",
             ),
         ),
-        (Picture(png(visible(seen.image_dn, result.sensor)), "the mean of the frames, brightness by √"),),
-        (),
-        "no_gap" if is_fine else "ambiguous",
-        tuple(warnings),
+        maps=(
+            Picture(png(visible(seen.image_dn, result.sensor)), "the mean of the frames, brightness by √"),
+        ),
+        notes=(),
+        mark="no_gap" if is_fine else "ambiguous",
+        left_out=tuple(warnings),
     )
 
 

@@ -135,15 +135,15 @@ def _exponential(x: Lanes) -> Lanes:
 def _kept(mask: Mask, new: Fitted, old: Fitted) -> Fitted:
     """Return the new fits in the lanes of a mask, the old ones in the others."""
     return Fitted(
-        where(mask, new.position, old.position),
-        where(mask, new.sigma, old.sigma),
-        where(mask, new.amplitude, old.amplitude),
-        where(mask, new.width, old.width),
-        where(mask, new.chi2, old.chi2),
-        where(mask, new.offset, old.offset),
-        where(mask, new.slope, old.slope),
-        where(mask, new.is_done, old.is_done),
-        where(mask, new.is_stripe, old.is_stripe),
+        position=where(mask, new.position, old.position),
+        sigma=where(mask, new.sigma, old.sigma),
+        amplitude=where(mask, new.amplitude, old.amplitude),
+        width=where(mask, new.width, old.width),
+        chi2=where(mask, new.chi2, old.chi2),
+        offset=where(mask, new.offset, old.offset),
+        slope=where(mask, new.slope, old.slope),
+        is_done=where(mask, new.is_done, old.is_done),
+        is_stripe=where(mask, new.is_stripe, old.is_stripe),
     )
 
 
@@ -167,15 +167,15 @@ def _judged(
     unspeckled = without / (without + grains * grains)
     is_significant = ended.amplitude >= spread(MIN_SIGNIFICANCE) * root(variances[0] * excess * unspeckled)
     return Fitted(
-        ended.position,
-        root(variances[1] * excess) * ended.sigma,
-        ended.amplitude,
-        ended.width,
-        chi2,
-        ended.offset,
-        ended.slope,
-        ended.is_done,
-        is_significant,
+        position=ended.position,
+        sigma=root(variances[1] * excess) * ended.sigma,
+        amplitude=ended.amplitude,
+        width=ended.width,
+        chi2=chi2,
+        offset=ended.offset,
+        slope=ended.slope,
+        is_done=ended.is_done,
+        is_stripe=is_significant,
     )
 
 
@@ -197,7 +197,17 @@ def fit_block(block: Block, n: int, known: Known, noise: PixelNoise, stand: Stan
     narrow = spread(WIDTH_SIGMA_LN**-2)
     amplitude, position, width, off, offset, slope, settled = stand
     runs, is_settled = zero < unity, settled > zero
-    fitted = Fitted(known.start, zero, zero, known.width, zero, zero, zero, no, no)
+    fitted = Fitted(
+        position=known.start,
+        sigma=zero,
+        amplitude=zero,
+        width=known.width,
+        chi2=zero,
+        offset=zero,
+        slope=zero,
+        is_done=no,
+        is_stripe=no,
+    )
     for turn in range(ROUND_STEPS):
         inverse = unity / width
         x = Unknowns(amplitude, position * inverse, offset, slope * width)
@@ -222,7 +232,17 @@ def fit_block(block: Block, n: int, known: Known, noise: PixelNoise, stand: Stan
         if is_last and turn == ROUND_STEPS - 1:
             ends = runs
         if any_lane(ends):
-            there = Fitted(position, unit, amplitude, width, chi2, offset, slope, runs, runs)
+            there = Fitted(
+                position=position,
+                sigma=unit,
+                amplitude=amplitude,
+                width=width,
+                chi2=chi2,
+                offset=offset,
+                slope=slope,
+                is_done=runs,
+                is_stripe=runs,
+            )
             variances = solved.variance_0, solved.variance_1
             fitted = _kept(ends, _judged(there, moments.used, variances, known.level, noise), fitted)
         runs = where(ends, no, runs)

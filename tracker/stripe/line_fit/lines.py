@@ -72,15 +72,15 @@ def fit_room(n_scan: int) -> FitRoom:
     block = Block(*np.empty((3, (MAX_PIXELS + PAD) * N_LANES), np.float32))
     lines, lows = np.zeros((2, N_LANES), np.int64)
     return FitRoom(
-        Rows.empty(),
-        block,
-        np.empty((N_ASKED, N_LANES), np.float32),
-        np.empty((N_STANDING, N_LANES), np.float32),
-        np.empty((N_WRITTEN, N_LANES), np.float32),
-        lines,
-        lows,
-        np.empty(n_scan, np.int64),
-        np.empty((n_scan, N_STANDING), np.float32),
+        rows=Rows.empty(),
+        block=block,
+        asked=np.empty((N_ASKED, N_LANES), np.float32),
+        standing=np.empty((N_STANDING, N_LANES), np.float32),
+        fitted=np.empty((N_WRITTEN, N_LANES), np.float32),
+        lines=lines,
+        lows=lows,
+        todo=np.empty(n_scan, np.int64),
+        stands=np.empty((n_scan, N_STANDING), np.float32),
     )
 
 
@@ -214,14 +214,14 @@ def _fit_lanes(
     write_block(room.rows, n_pixels, room.block)
     fitted = room.fitted
     asked = Asked(
-        load(room.asked[0], 0),
-        load(room.asked[1], 0),
-        load(room.asked[2], 0),
-        load(room.asked[3], 0),
-        load(room.asked[4], 0),
-        load(room.asked[5], 0),
-        load(room.asked[6], 0),
-        load(room.asked[7], 0),
+        start=load(room.asked[0], 0),
+        n=load(room.asked[1], 0),
+        width=load(room.asked[2], 0),
+        first=load(room.asked[3], 0),
+        last=load(room.asked[4], 0),
+        edge=load(room.asked[5], 0),
+        share=load(room.asked[6], 0),
+        speckle=load(room.asked[7], 0),
     )
     noise = PixelNoise(spread(law.shot) * asked.share, spread(law.dark) * asked.share, asked.speckle)
     known = first_guess(room.block, n_pixels, asked, law.map)

@@ -192,25 +192,25 @@ def moments_of(block: Block, n: int, x: Unknowns, inverse_width: Lanes, noise: P
         chi2 += off * residual
         used += counts
     return Moments(
-        bell2_0,
-        bell2_1,
-        bell2_2,
-        bell2_3,
-        bell2_4,
-        bell_0,
-        bell_1,
-        bell_2,
-        bell_3,
-        flat_0,
-        flat_1,
-        flat_2,
-        off_bell_0,
-        off_bell_1,
-        off_bell_2,
-        off_0,
-        off_1,
-        chi2,
-        used,
+        bell2_0=bell2_0,
+        bell2_1=bell2_1,
+        bell2_2=bell2_2,
+        bell2_3=bell2_3,
+        bell2_4=bell2_4,
+        bell_0=bell_0,
+        bell_1=bell_1,
+        bell_2=bell_2,
+        bell_3=bell_3,
+        flat_0=flat_0,
+        flat_1=flat_1,
+        flat_2=flat_2,
+        off_bell_0=off_bell_0,
+        off_bell_1=off_bell_1,
+        off_bell_2=off_bell_2,
+        off_0=off_0,
+        off_1=off_1,
+        chi2=chi2,
+        used=used,
     )
 
 
@@ -223,26 +223,26 @@ def normal_equations(m: Moments, x: Unknowns, prior: Prior) -> Equations:
     A, slope = x.amplitude, x.slope
     double = spread(2.0) * slope
     return Equations(
-        m.bell2_0,
-        A * m.bell2_1 - slope * m.bell_0,
-        A * (A * m.bell2_2 - double * m.bell_1) + slope * slope * m.flat_0,
-        A * m.bell2_2,
-        A * (A * m.bell2_3 - slope * m.bell_2),
-        A * A * m.bell2_4 + prior.width,
-        m.bell_0,
-        A * m.bell_1 - slope * m.flat_0,
-        A * m.bell_2,
-        m.flat_0 + prior.offset,
-        m.bell_1,
-        A * m.bell_2 - slope * m.flat_1,
-        A * m.bell_3,
-        m.flat_1,
-        m.flat_2 + prior.slope,
-        m.off_bell_0,
-        A * m.off_bell_1 - slope * m.off_0,
-        A * m.off_bell_2 - prior.off_width * prior.width,
-        m.off_0 - x.offset * prior.offset,
-        m.off_1 - slope * prior.slope,
+        h_00=m.bell2_0,
+        h_10=A * m.bell2_1 - slope * m.bell_0,
+        h_11=A * (A * m.bell2_2 - double * m.bell_1) + slope * slope * m.flat_0,
+        h_20=A * m.bell2_2,
+        h_21=A * (A * m.bell2_3 - slope * m.bell_2),
+        h_22=A * A * m.bell2_4 + prior.width,
+        h_30=m.bell_0,
+        h_31=A * m.bell_1 - slope * m.flat_0,
+        h_32=A * m.bell_2,
+        h_33=m.flat_0 + prior.offset,
+        h_40=m.bell_1,
+        h_41=A * m.bell_2 - slope * m.flat_1,
+        h_42=A * m.bell_3,
+        h_43=m.flat_1,
+        h_44=m.flat_2 + prior.slope,
+        g_0=m.off_bell_0,
+        g_1=A * m.off_bell_1 - slope * m.off_0,
+        g_2=A * m.off_bell_2 - prior.off_width * prior.width,
+        g_3=m.off_0 - x.offset * prior.offset,
+        g_4=m.off_1 - slope * prior.slope,
     )
 
 
@@ -291,4 +291,14 @@ def solve(e: Equations) -> Solution:
     b_3 = l_21 * l_32 - l_31
     b_4 = l_21 * l_42 - l_41 - l_43 * b_3
     variance_1 = i_1 + l_21 * l_21 * i_2 + b_3 * b_3 * i_3 + b_4 * b_4 * i_4
-    return Solution(step_0, step_1, step_2, step_3, step_4, gained, variance_0, variance_1, is_positive)
+    return Solution(
+        step_0=step_0,
+        step_1=step_1,
+        step_2=step_2,
+        step_3=step_3,
+        step_4=step_4,
+        gained=gained,
+        variance_0=variance_0,
+        variance_1=variance_1,
+        is_positive=is_positive,
+    )
