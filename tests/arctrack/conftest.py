@@ -12,6 +12,14 @@ from arctrack.simulate import SimulationPlan, balance, simulate_recording
 from noise_model.setup import Setup
 
 
+@pytest.fixture(scope="session", autouse=True)
+def speaks_often() -> Iterator[None]:
+    """Let commands say how far they are as often as on a slow machine: no test may stumble over it."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("arctrack.cli.console.SPOKEN_EVERY_S", 0.001)
+        yield
+
+
 @pytest.fixture(scope="session")
 def seen_setup() -> Setup:
     """Return a V-groove under a small camera: quick to render, fine enough to track."""

@@ -160,6 +160,6 @@ def test_what_is_said_comes_through_a_pipe_at_once() -> None:
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as process:
         assert process.stdout is not None
-        heard, _, _ = select.select([process.stdout], [], [], 20.0)
+        heard, _, _ = select.select([process.stdout], [], [], 60.0)
         process.communicate()
     assert heard

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from made import replace_in
+from made import replace_in, without_progress
 from test_diagnosis_examples import GAMMA, GLARE, Effects, example
 from typer.testing import CliRunner, Result
 
@@ -183,7 +183,7 @@ def test_what_is_open_is_not_written(verdict: Verdict, found: Found, recording: 
     before = (recording / "recording.toml").read_bytes()
     result = run(recording, "--apply")
     assert result.exit_code == 2
-    (error,) = result.stderr.splitlines()
+    (error,) = without_progress(result.stderr)
     assert error.startswith(f"arctrack: error: {recording / 'recording.toml'}: nothing was written")
     assert f"'{verdict.value}'" in error
     assert (recording / "recording.toml").read_bytes() == before
@@ -210,7 +210,7 @@ def test_one_that_fails_does_not_stop_the_others(found: Found, simulated: Path, 
     (paths[2] / "frames" / "000002.png").unlink()
     result = run(*paths, "--out", tmp_path / "out")
     assert result.exit_code == 2
-    first, second = result.stderr.splitlines()[-2:]
+    first, second = without_progress(result.stderr)[-2:]
     assert first == f"arctrack: error: {paths[0]}/recording.toml: {NO_LASER}"
     assert second == f"arctrack: error: {paths[2]}: two frames of each kind are the least"
     assert {path.name for path in (tmp_path / "out" / "b").iterdir()} == set(FILES)
@@ -223,7 +223,7 @@ def test_frames_that_cannot_be_read_are_left_out(found: Found, recording: Path) 
         file.write("14,1.4,1,1,100,0.005\n")
     result = run(recording)
     assert result.exit_code == 2
-    (error,) = result.stderr.splitlines()
+    (error,) = without_progress(result.stderr)
     assert "000014.png: there is no such file" in error
     assert "1 of 15 frames could not be used, the diagnosis is that of the others" in error
     assert (recording / "diagnosis" / "report.json").exists()

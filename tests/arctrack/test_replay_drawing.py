@@ -120,7 +120,6 @@ def test_a_drawing_process_that_is_killed_is_one_line_and_what_was_tracked_is_th
         ask(process, questions)
 
     monkeypatch.setattr(OwnProcess, "ask", ask_and_kill)
-    monkeypatch.setattr("arctrack.cli.console.SPOKEN_EVERY_S", 0.001)
     monkeypatch.setattr("arctrack.workers.cores_each", lambda *_: 3)
     result = RUNNER.invoke(app, ["replay", str(simulated), "--out", str(tmp_path)])
     assert result.exit_code == 2, result.output

@@ -25,7 +25,7 @@ options = {{"port": 43567, "hop_limit": 0}}
 one, other = (joined_bus("{INTERFACE}", "{GROUP}", **options) for _ in range(2))
 with one, other:
     one.send(can.Message(arbitration_id=0x123, data=b"hi", is_extended_id=False))
-    print(other.recv(20.0).arbitration_id)
+    print(other.recv(60.0).arbitration_id)
 """
 
 needs_namespaces = pytest.mark.skipif(
