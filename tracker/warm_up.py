@@ -18,6 +18,7 @@ import numpy as np
 from noise_model.arc.map import arc_frame, arc_kernel
 from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64, Integers
+from noise_model.compiled.forecast import Forecast
 from noise_model.surface.joint import NOMINAL_SEAM, seam_frame
 from tracker.geometry import SensorGeometry
 from tracker.judge import JUMPS_TO_RELEARN
@@ -57,8 +58,11 @@ class WarmUp:
     elapsed_s: float
 
 
-OnCompiled = Callable[[str, int, float], None]
-"""Hears a function's name as its compilation begins, how many there were before it, and seconds so far."""
+OnCompiled = Callable[[str, int, float, float | None], None]
+"""Hears a function's name as its compilation begins, how many there were before it, seconds so far and left.
+
+How many are left is known where this machine has compiled the same before, else None.
+"""
 
 
 def warm_up(
@@ -80,8 +84,7 @@ def warm_up(
     use_arc_map : bool
         As `step` will be given it.
     on_compiled : callable, optional
-        Hears each function's name as its compilation begins, how many there were before it, and seconds so
-        far.
+        Hears each function's name as its compilation begins; see `OnCompiled`.
 
     Returns
     -------
@@ -89,7 +92,8 @@ def warm_up(
         What the warm-up took.
     """
     began_s = time.perf_counter()
-    with heard_compilations(on_compiled) as compiled:
+    forecast = Forecast(geometry.setup.joint.type)
+    with heard_compilations(on_compiled, forecast) as compiled:
         kind = _kind(geometry, use_arc_map)
         if kind not in _warm:
             small = _with_larger_pixels(geometry)
@@ -98,6 +102,8 @@ def warm_up(
                 state, _ = step(small, state, frame, pose, work, use_arc_map, correction)
             _warm.add(kind)
         geometry.make_ready()
+    if compiled:
+        forecast.keep()
     return WarmUp(len(compiled), time.perf_counter() - began_s)
 
 
@@ -258,14 +264,17 @@ class _Picture:
 
 
 @contextmanager
-def heard_compilations(on_compiled: OnCompiled | None) -> Iterator[list[str]]:
+def heard_compilations(
+    on_compiled: OnCompiled | None, forecast: Forecast | None = None
+) -> Iterator[list[str]]:
     """Give the names of the functions that numba compiles meanwhile, as they are.
 
     Parameters
     ----------
     on_compiled : callable, optional
-        Hears each function's name as its compilation begins, how many there were before it, and seconds so
-        far.
+        Hears each function's name as its compilation begins; see `OnCompiled`.
+    forecast : Forecast, optional
+        Of what is compiled meanwhile.
 
     Yields
     ------
@@ -280,11 +289,14 @@ def heard_compilations(on_compiled: OnCompiled | None) -> Iterator[list[str]]:
             function = event.data["dispatcher"].py_func
             name = f"{function.__module__}.{function.__qualname__}"
             if on_compiled is not None:
-                on_compiled(name, len(compiled), time.perf_counter() - began_s)
+                left_s = None if forecast is None else forecast.left_s()
+                on_compiled(name, len(compiled), time.perf_counter() - began_s, left_s)
             compiled.append(name)
 
         def on_end(self, event: numba_events.Event) -> None:
-            pass
+            function = event.data["dispatcher"].py_func
+            if forecast is not None:
+                forecast.note_compiled(f"{function.__module__}.{function.__qualname__}")
 
     listener = Listener()
     numba_events.register("numba:compile", listener)

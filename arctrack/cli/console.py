@@ -165,17 +165,17 @@ def _remove_compiling(bar: Progress) -> None:
             bar.remove_task(task.id)
 
 
-def compiling(bar: Progress, name: str) -> Callable[[str, int, float], None]:
-    """Return the function that shows what is compiled before the first frame, and how long it has taken."""
+def compiling(bar: Progress, name: str) -> Callable[[str, int, float, float | None], None]:
+    """Return the function that shows what is compiled before the first frame, and how long it takes yet."""
     tasks: list[TaskID] = []
 
-    def on_compiled(function: str, n_before: int, elapsed_s: float) -> None:
+    def on_compiled(function: str, n_before: int, elapsed_s: float, left_s: float | None = None) -> None:
         # A bar that was removed is over, but what comes late is compiled all the same.
         if not tasks or tasks[-1] not in bar.task_ids:
             tasks.append(bar.add_task(f"{name}: compiling", total=None, unit=COMPILED))
         if not function.startswith("numba."):
-            what = f"{name}: compiling {function} ({elapsed_s:.0f} s; the first time takes a minute or two)"
-            bar.update(tasks[-1], description=what)
+            until_ready = "the first time on this machine" if left_s is None else f"about {left_s:.0f} s left"
+            bar.update(tasks[-1], description=f"{name}: compiling {function} ({until_ready})")
         bar.update(tasks[-1], completed=n_before + 1)
 
     return on_compiled

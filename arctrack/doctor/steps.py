@@ -47,7 +47,7 @@ class StepTimes:
 def require_compiled(tracker: Tracker) -> None:
     """Load all that a step may need; NotCompiledError for what would have to be compiled."""
 
-    def refuse(function: str, n_before: int, elapsed_s: float) -> None:
+    def refuse(function: str, *_: object) -> None:
         raise NotCompiledError(function)
 
     tracker.warm_up(refuse)

@@ -76,6 +76,14 @@ def read_records(kernel: str, key: str) -> Iterator[Record]:
             yield record
 
 
+def is_kept(kernel: str, key: str) -> bool:
+    """Return True if something is kept of a kernel under a key."""
+    folder = _folder_of(kernel)
+    with suppress(OSError):
+        return folder is not None and any(name.startswith(key) for name in os.listdir(folder))
+    return False
+
+
 def _read(file: Path) -> Record | None:
     try:
         content = file.read_bytes()
