@@ -57,7 +57,7 @@ def made_up(setup: arctrack.Setup, n_frames: int = 20, speed_mm_s: float = 40.0)
 def track(setup: arctrack.Setup, arrays: Arrays) -> list[arctrack.Track]:
     """Return a track a frame; a live loop does the same with each frame as it comes."""
     tracker = arctrack.Tracker(setup)
-    # The first time on a machine this compiles, for a minute or two; afterwards no frame waits.
+    # The first time on a machine this compiles, for a minute or several; afterwards no frame waits.
     tracker.warm_up()
     poses = PoseBuffer()
     tracks = []
