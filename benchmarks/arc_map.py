@@ -19,17 +19,15 @@ import numpy as np
 
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import balance
-from noise_model.arc.baked import NOTHING_BAKED
-from noise_model.arc.fill import MAX_GROUP, fill_band
 from noise_model.arc.map import (
     CELL,
     NODES_P,
     NODES_Q,
     TOLERANCE,
     ArcKernel,
+    ArcMap,
     arc_at,
     arc_kernel,
-    table_of,
 )
 from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float32, Float64, Int64
@@ -78,11 +76,11 @@ def measure(joint: str, repeats: int) -> Setup:
     pixels = np.arange(0, geometry.cos4.size, 7)
     want, _ = arc_at(arc_kernel(setup, scene, nodes=(24, 12)), geometry.xy, geometry.cos4, pixels)
     frame = np.empty((geometry.n_scan, geometry.n_pos), dtype=np.float32)
-    no_lows = np.zeros(-(-geometry.n_scan // MAX_GROUP), dtype=np.int64)
+    no_lows = np.zeros(-(-geometry.n_scan // CELL), dtype=np.int64)
     expected = expect_stripe(geometry, scene)
     assert expected is not None
     half = math.ceil(BAND_MM * geometry.pixels_per_mm + FIT_SIGMAS * float(expected.sigma_px.max()))
-    lows = np.empty(-(-geometry.n_scan // CELL), dtype=np.int64)
+    lows = np.empty_like(no_lows)
     depth = place(expected.position_px, geometry.n_pos, half, lows)
     band = np.empty((geometry.n_scan, depth), dtype=np.float32)
     source = np.ones_like(frame)
@@ -95,17 +93,15 @@ def measure(joint: str, repeats: int) -> Setup:
 
         def fill(
             lows: Int64 = no_lows,
-            group: int = MAX_GROUP,
             out: Float32 = frame,
             kernel: ArcKernel = kernel,
             tolerance: float = tolerance,
         ) -> None:
-            table = table_of(kernel, tolerance, quarter_dn, NOTHING_BAKED)
-            fill_band(kernel, table, geometry.xy, geometry.cos4, lows, group, out)
+            ArcMap.of(kernel, geometry.xy, geometry.cos4, len(out), tolerance, quarter_dn).fill(lows, out)
 
         whole = least_ms(fill, repeats)
         error = np.abs(frame.reshape(-1)[pixels] - want) / np.maximum(0.005 * want, quarter_dn)
-        part = least_ms(lambda fill=fill: fill(lows, CELL, band), repeats)
+        part = least_ms(lambda fill=fill: fill(lows, band), repeats)
         print(
             f"  {nodes[0]:2d}x{nodes[1]:d}   {tolerance:8.2%} | {whole:9.2f} {whole / copy:7.1f} | "
             f"{part:9.2f} | {np.nanmedian(error):13.3f} {np.nanquantile(error, 0.99):6.2f} "

@@ -16,6 +16,10 @@ from noise_model.compiled.numba_internals import (
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+# Short kernels run faster if no references to arrays are counted. numba's one option for it is private; what
+# is compiled with it must not make arrays.
+NO_REFERENCE_COUNTS = {"_nrt": False}
+
 REDUCTION = frozenset({"reassoc", "contract", "arcp", "nsz"})
 """Liberties by which LLVM sums many terms at once; NaN stays NaN."""
 
@@ -39,9 +43,9 @@ def kernel(
 ) -> Callable[..., Any]:
     """Compile a function, kept on disk; it runs without Python's lock and divides as NumPy does.
 
-    `allocates` says that it makes or returns arrays. `inline` lets LLVM write it out where it is called;
-    `fastmath` are the liberties that LLVM may take with its arithmetic. What is kept on disk is used again
-    while the kernel, and what it reads and calls, would become the same machine code.
+    `allocates` says that it, or what it calls, makes or returns arrays. `inline` lets LLVM write it out where
+    it is called; `fastmath` are the liberties that LLVM may take with its arithmetic. What is kept on disk is
+    used again while the kernel, and what it reads and calls, would become the same machine code.
     """
     compiled = numba.njit(
         nogil=True,
@@ -52,9 +56,7 @@ def kernel(
         pipeline_class=KernelCompiler,
         forceinline=inline,
         fastmath=set(fastmath),
-        # Short kernels run faster if no references to arrays are counted. numba's one option for it is
-        # private; what is compiled without must neither make nor return arrays.
-        _nrt=allocates,
+        **({} if allocates else NO_REFERENCE_COUNTS),
     )
 
     def keep(plain: Callable[..., Any]) -> Callable[..., Any]:

@@ -149,7 +149,9 @@ class ArcHeightEstimator:
             scene = make_scene(setup, pose.T_base_tool, seam)
             kernel = arc_kernel(setup, scene, output)
             # Nothing is baked of an arc that departs from the setup's, and differences want like maps.
-            arc_map = ArcMap.of(kernel, geometry.xy, geometry.cos4, MAP_TOLERANCE, MAP_FLOOR_E)
+            arc_map = ArcMap.of(
+                kernel, geometry.xy, geometry.cos4, geometry.n_scan, MAP_TOLERANCE, MAP_FLOOR_E
+            )
             arc_e = arc_map.at
             if not geometry.has_light_effects:
                 return arc_e, None

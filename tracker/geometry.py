@@ -13,10 +13,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from noise_model.arc.baked import NOTHING_BAKED, BakedLight, baked_light
-from noise_model.arc.map import arc_kernel
+from noise_model.arc.baked import NOTHING_BAKED, BakedLight
+from noise_model.arc.bicubic import node_rules
+from noise_model.arc.map import arc_kernel, baked_light
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.scene import scene_along
+from noise_model.arc.table import TO_POWERS
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.effects import acting, apply_setup_effects
 from noise_model.instrument.camera import Intrinsics, Rays
@@ -80,7 +82,8 @@ class ArcSource(NamedTuple):
     """What a setup fixes of its arc's map, as the kernels take it.
 
     `radiance_e` is the arc's at `current_a` and for `exposure_s`; the output goes with the current by
-    `exponent`. `rules` are those of `arc.quadrature`; `baked` is the light about the nominal pose.
+    `exponent`. `rules`, `to_powers`, `node_at` and `node_rules` are those of `arc.quadrature`, `arc.table`
+    and `arc.fill`; `baked` is the light about the nominal pose.
     """
 
     radius_mm: float
@@ -89,6 +92,9 @@ class ArcSource(NamedTuple):
     exponent: float
     exposure_s: float
     rules: Float64
+    to_powers: Float64
+    node_at: Int64
+    node_rules: Float64
     baked: BakedLight
 
 
@@ -197,6 +203,8 @@ class SensorGeometry:
             arc.current_exponent,
             self.setup.camera.exposure_s,
             gauss_nodes(),
+            TO_POWERS,
+            *node_rules(),
             self.baked_light,
         )
 
@@ -251,7 +259,7 @@ class SensorGeometry:
         scene = scene_along(source, source.segments.frames[0], NOMINAL_SEAM)
         if scene.below_surface:
             return NOTHING_BAKED
-        return baked_light(arc_kernel(self.setup, scene), MAP_TOLERANCE, MAP_FLOOR_E)
+        return baked_light(arc_kernel(self.setup, scene), self.xy, self.n_scan, MAP_TOLERANCE, MAP_FLOOR_E)
 
     @cached_property
     def stripe_source(self) -> StripeSource:

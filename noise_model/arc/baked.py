@@ -21,13 +21,14 @@ import numpy as np
 
 from noise_model.arc.patch_borders import MAX_BORDERS, seen_strip
 from noise_model.arc.quadrature import gauss_nodes
-from noise_model.arc.ray import ArcKernel
+from noise_model.arc.ray import ArcKernel, Scratch, scratch
 from noise_model.arc.table import (
     ASKED,
     NEW,
     NODES,
     SHARE,
     SMOOTH,
+    TO_POWERS,
     FaceTable,
     fall_off,
     fit,
@@ -100,7 +101,7 @@ class BakedLight(NamedTuple):
     n_cells: Int32
 
 
-@kernel(allocates=True)
+@kernel(inline=True)
 def moved(k: ArcKernel, y_mm: float, eye_mm: Point) -> ArcKernel:
     """Return a scene whose torch is moved sideways, and its camera besides."""
     (x, y, z), (e_x, e_y, e_z) = k.center, k.eye
@@ -124,26 +125,29 @@ def moved(k: ArcKernel, y_mm: float, eye_mm: Point) -> ArcKernel:
     )
 
 
-@kernel(allocates=True)
-def _value_at(k: ArcKernel, y_mm: float, eye_mm: Point, face: int, x: float, s: float) -> float:
+@kernel
+def _value_at(
+    k: ArcKernel, y_mm: float, eye_mm: Point, face: int, x: float, s: float, work: Scratch
+) -> float:
     """Return what a cell's polynomial stands for, light times fall-off, of a scene that is `moved`."""
     there, on = moved(k, y_mm, eye_mm), seen_strip(face, k.vertices)
-    places, light_e = np.array([[x, s]]), np.array([ASKED])
-    integrate(there, np.array([face]), places, 1, light_e)
-    return float(fall_off(there, on, x, s) * light_e[0])
+    work.faces[0], work.places[0, 0], work.places[0, 1], work.light_e[0] = face, x, s, ASKED
+    integrate(there, work.faces, work.places, 1, work.light_e, work)
+    return float(fall_off(there, on, x, s) * work.light_e[0])
 
 
 @kernel(allocates=True)
 def _complete(k: ArcKernel, table: FaceTable) -> Int32:
     """Make all cells of an empty table, or some more than MAX_BAKED_CELLS; return the face (n,) of each."""
-    cells_face, done = np.empty(table.axis.shape[0], dtype=np.int32), 0
+    work, cells_face = scratch(), np.empty(table.axis.shape[0], dtype=np.int32)
+    done = 0
     for face in range(table.n_s.shape[0]):
         for i in range(table.x_borders.shape[0] - 1):
             for j in range(table.n_s[face] - 1):
                 root_cell(table, face, i, j)
                 while done < table.n_cells[0] and done <= MAX_BAKED_CELLS:
                     cells_face[done] = face
-                    make_cell(k, table, face, done)
+                    make_cell(k, table, face, done, work)
                     done += 1
     return cells_face[:done].copy()
 
@@ -156,7 +160,7 @@ def _derive(k: ArcKernel, table: FaceTable, cells_face: Int32, powers: Float64, 
     corners and its middle, with the torch STEP_MM / 2 to either side, and with the camera REACH_MM off along
     each axis.
     """
-    values = np.empty((TERMS, NODES, NODES))
+    work, values = scratch(), np.empty((TERMS, NODES, NODES))
     for cell in range(cells_face.shape[0]):
         if table.axis[cell] != SMOOTH:
             continue
@@ -166,28 +170,28 @@ def _derive(k: ArcKernel, table: FaceTable, cells_face: Int32, powers: Float64, 
             for j in range(NODES):
                 x = table.middle[cell, 0] + 0.5 * (i - 2) * half_x
                 s = table.middle[cell, 1] + 0.5 * (j - 2) * half_s
-                here = _value_at(k, 0.0, (0.0, 0.0, 0.0), face, x, s)
+                here = _value_at(k, 0.0, (0.0, 0.0, 0.0), face, x, s, work)
                 values[0, i, j] = here
                 for term in range(1, TERMS):
                     y, eye = _step(term)
-                    values[term, i, j] = (_value_at(k, y, eye, face, x, s) - here) / DIFFERENCE_MM
+                    values[term, i, j] = (_value_at(k, y, eye, face, x, s, work) - here) / DIFFERENCE_MM
                 if i % 2 == 1 or j % 2 == 1 or (i == 2) != (j == 2):
                     continue
                 on = seen_strip(face, k.vertices)
                 allowed = SHARE * max(table.rel * here, table.floor_e * fall_off(k, on, x, s))
                 for sign in (-1.0, 1.0):
                     y = 0.5 * sign * STEP_MM
-                    value = _value_at(k, y, (0.0, 0.0, 0.0), face, x, s)
+                    value = _value_at(k, y, (0.0, 0.0, 0.0), face, x, s, work)
                     worst_y = max(worst_y, abs(value - here - y * values[1, i, j]) / allowed)
                 for which in range(8):
                     eye = _corner(which)
                     linear = eye[0] * values[2, i, j] + eye[1] * values[3, i, j] + eye[2] * values[4, i, j]
-                    value = _value_at(k, 0.0, eye, face, x, s)
+                    value = _value_at(k, 0.0, eye, face, x, s, work)
                     worst_eye = max(worst_eye, abs(value - here - linear) / allowed)
         rest = max(0.0, LINEAR_SHARE - worst_y)
         reach_mm[cell] = REACH_MM * (1.0 if worst_eye <= rest else math.sqrt(rest / worst_eye))
         for term in range(TERMS):
-            fit(values[term], powers[cell, term])
+            fit(values[term], table.to_powers, powers[cell, term])
 
 
 @kernel(inline=True)
@@ -220,6 +224,7 @@ class Nominal(NamedTuple):
     material: LobeNumbers
     n_p: int
     n_q: int
+    margin_mm: float
     rel: float
     floor_e: float
 
@@ -252,10 +257,10 @@ class Nominal(NamedTuple):
         )
 
 
-def baked_light(k: ArcKernel, rel: float, floor_e: float) -> BakedLight:
+def bake(k: ArcKernel, margin_mm: float, rel: float, floor_e: float) -> BakedLight:
     """Return the light about a nominal pose: tables of a plain section's faces, of others none.
 
-    `rel` and `floor_e` are the tables' tolerance, see `table.new_table`.
+    Faces run on by a margin; `rel` and `floor_e` are the tables' tolerance, see `table.new_table`.
     """
     if k.corrugation[0] > 0.0 or k.bend != (0.0, 0.0) or k.radiance_e == 0.0:
         return NOTHING_BAKED
@@ -271,6 +276,7 @@ def baked_light(k: ArcKernel, rel: float, floor_e: float) -> BakedLight:
             k.material,
             k.n_p,
             k.n_q,
+            margin_mm,
             rel,
             floor_e,
         )
@@ -279,11 +285,11 @@ def baked_light(k: ArcKernel, rel: float, floor_e: float) -> BakedLight:
 
 @lru_cache(maxsize=8)
 def _baked(nominal: Nominal) -> BakedLight:
-    """Return `baked_light`'s tables of a plain section."""
+    """Return `bake`'s tables of a plain section."""
     tables = []
     for place in range(-N_BESIDE, N_BESIDE + 1):
         k = nominal.kernel(place * STEP_MM)
-        table = new_table(k, nominal.rel, nominal.floor_e / BRIGHTEST)
+        table = new_table(k, nominal.margin_mm, nominal.rel, nominal.floor_e / BRIGHTEST, TO_POWERS)
         cells_face = _complete(k, table)
         if len(cells_face) > MAX_BAKED_CELLS:
             return NOTHING_BAKED
@@ -374,11 +380,13 @@ def _eye_off(k: ArcKernel, baked: BakedLight) -> Point:
 
 
 @kernel(allocates=True)
-def table_from(k: ArcKernel, baked: BakedLight, place: int, rel: float, floor_e: float) -> FaceTable:
+def table_from(
+    k: ArcKernel, baked: BakedLight, place: int, rel: float, floor_e: float, to_powers: Float64
+) -> FaceTable:
     """Return a pose's table with the cells that are baked at a place; see `table.new_table`."""
     x_arc = k.center[0]
     patches = (baked.x_borders + x_arc, baked.s_borders[place], baked.n_s[place], baked.roots[place].copy())
-    table = table_within(k, patches, rel, floor_e)
+    table = table_within(k, patches, rel, floor_e, to_powers)
     table.n_cells[0] = baked.n_cells[place]
     y_off = k.center[1] - (place - N_BESIDE) * STEP_MM
     e_x, e_y, e_z = _eye_off(k, baked)

@@ -49,12 +49,12 @@ def sight(k: ArcKernel) -> Sight:
 
 
 @kernel(inline=True)
-def meet_plane(k: ArcKernel, x: float, y: float, on: Strip) -> Point:
-    """Return where a ray (x, y, 1) of the camera meets a strip's plane, mm."""
+def meet_plane(k: ArcKernel, x: float, y: float, on: Strip) -> tuple[Point, bool]:
+    """Return where a ray (x, y, 1) of the camera meets a strip's plane, mm, and whether that is ahead."""
     y_0, z_0, ty, tz, _ = on
     d, eye = direction(k, x, y), k.eye
     t = (ty * (z_0 - eye[2]) - tz * (y_0 - eye[1])) / (ty * d[2] - tz * d[1])
-    return eye[0] + t * d[0], eye[1] + t * d[1], eye[2] + t * d[2]
+    return (eye[0] + t * d[0], eye[1] + t * d[1], eye[2] + t * d[2]), t > 0.0
 
 
 @kernel(inline=True)

@@ -1,271 +1,397 @@
 """The arc map of a band or a frame, filled from the faces' table (`table`).
 
-The image is taken in cells of all the scan lines that share a place of the band. Where the 4 by 4 nodes of a
-cell see one face, a bicubic polynomial through their light fills it, if its highest terms are small. Else the
-cell is halved along its lines, or taken line by line. A line of at most four pixels holds their own light: so
-edges of faces and of shadows are as sharp as the image.
+The image is taken in square cells. Where the 4 by 4 rays of a cell meet one face, a bicubic polynomial
+through their light times cos^4 fills it, if its highest Chebyshev coefficients are small. Where ridges hide
+the arc it must hold between the nodes too. Else the cell is halved, across or along the scan lines, where it
+changes more. Where a plain section shows several faces, each has a polynomial of its own, of the light on its
+plane continued beyond its edges, and each scan line is cut where the rays meet another face.
+What is left is read off the table pixel by pixel.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from noise_model.arc.node_rays import places_on_rays
-from noise_model.arc.ray import ArcKernel
+from noise_model.arc.bicubic import LARGEST, N, fill_row, to_powers
+from noise_model.arc.face_lookup import face_seen
+from noise_model.arc.node_light import light_of_face, light_of_nodes, write_faces
+from noise_model.arc.node_rays import (
+    NodeRays,
+    follow_to_lap,
+    node_rays,
+    places_on_rays,
+    take_rays,
+    tell_faces,
+    tell_places,
+)
+from noise_model.arc.ray import ArcKernel, Scratch, scratch
 from noise_model.arc.table import FaceTable, light_at_places
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
-from noise_model.lanes import COUNT, N_LANES, load, spread, store
 from noise_model.surface.ray_casting import MISS
 
-LARGEST = 192
-"""The longest cell, px: in the band about a stripe one is as long as the lines."""
+MIXED, SMALLEST = 32, 8
+"""The cells' size, px, where faces may be mixed, and where they are not halved any more; LARGEST at first."""
 
-N = 4
-"""Nodes of a cell along each direction."""
+SHARE = 0.5
+"""The share of the tolerance that a cell's polynomial may use up."""
 
-SHARE, CURVED_SHARE = 0.5, 0.2
-"""The share of the tolerance that a polynomial's highest terms may be, and that on a corrugation.
+SURE = 0.5
+"""A cell whose highest coefficients are below this share of what they may be is not checked between nodes."""
 
-What ridges hide has borders anywhere in a cell, and its nodes show a part of what they do to the light.
-"""
-
-DECAY = 0.1
-"""The highest coefficient of smooth light over the one before."""
-
-BATCH = 32
-"""Cells whose nodes are computed together."""
-
-MAX_HALVINGS, MAX_GROUP = 8, 32
-"""LARGEST is halved to N at most so often. No more lines are one cell."""
+N_CORNERS = 4
 
 CELL_WORTH = 20.0
-"""So many integrals a cell of the table takes, with what it was halved from."""
+"""So many integrals a cell takes, with what it was halved from."""
 
-Places = tuple[Int64, Int64, Float64, Float64]
-"""Pixels (n,), the faces they see, their places (n, 2) there and their light."""
+FILLED, HALVED_ACROSS, HALVED_ALONG = 0, 1, 2
+"""What becomes of a cell: edges and what ridges do to light run along scan lines or across them."""
 
-Cubic = tuple[float, float, float, float]
-"""A polynomial in Newton's form: its divided differences at the nodes of so many pixels."""
+MAX_FACES = 40
+"""Room for the faces of a section: those of a U are most."""
 
+Box = tuple[int, int, int, int]
+"""A cell: its first scan line and position, and their numbers."""
 
-@kernel(allocates=True)
-def _places(n: int) -> Places:
-    """Return room for n pixels."""
-    return np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n)
+Rays = tuple[Float32, Float32, int]
+"""The camera's `xy` (n_scan n_pos, 2) and `cos4`, and n_pos."""
 
-
-@kernel
-def _node(i: int, n: int) -> int:
-    """Return the i-th node of n pixels, counted from the first."""
-    return min(i, n - 1) if n < N else (i * (n - 1) + 1) // (N - 1)
+Room = tuple[Int64, Float64, Int64, Float64, Bool, Int64, Float64, Float32, NodeRays]
+"""Scratch: pixels, light, faces and places; by face whether it is seen, the last run's end, coefficients
+(MAX_FACES, 4, 4); and 0, 1, 2 ..."""
 
 
-@kernel
-def _cubic(n: int, v_0: float, v_1: float, v_2: float, v_3: float) -> Cubic:
-    """Return the cubic through the light at the nodes of n pixels, more than three."""
-    p_1, p_2, p_3 = float(_node(1, n)), float(_node(2, n)), float(n - 1)
-    d_1, d_2, d_3 = (v_1 - v_0) / p_1, (v_2 - v_1) / (p_2 - p_1), (v_3 - v_2) / (p_3 - p_2)
-    square, beyond = (d_2 - d_1) / p_2, (d_3 - d_2) / (p_3 - p_1)
-    return v_0, d_1, square, (beyond - square) / p_3
-
-
-@kernel
-def _roughness(n: int, cubic: Cubic) -> float:
-    """Return the highest term of a cubic over n pixels, e-.
-
-    That is Chebyshev's T_3, or T_2 where it is more than DECAY allows: a kink may show in one of them alone.
-    """
-    half, centre = 0.5 * (n - 1), _node(1, n) + _node(2, n)
-    second = 0.5 * abs(cubic[2] + cubic[3] * (3.0 * half - centre)) * half**2
-    return max(0.25 * abs(cubic[3]) * half**3, DECAY * second)
+@kernel(inline=True)
+def _line_in_band(box: Box, i: int, lows: Int64, group: int, depth: int) -> tuple[int, int, int]:
+    """Return where the band begins on a cell's i-th line, and which positions of the cell lie in it."""
+    scan, pos, _, n_p = box
+    low = lows[(scan + i) // group]
+    return low, max(pos, low), min(pos + n_p, low + depth)
 
 
 @kernel(fastmath={"contract"})
-def _fill_line(n: int, cubic: Cubic, line: Float32) -> None:
-    """Fill n pixels of a line from a cubic."""
-    c_0, c_1, c_2, c_3 = (
-        np.float32(cubic[0]),
-        np.float32(cubic[1]),
-        np.float32(cubic[2]),
-        np.float32(cubic[3]),
-    )
-    q_1, q_2 = np.float32(_node(1, n)), np.float32(_node(2, n))
-    if n < N_LANES:
-        for j in range(n):
-            p = np.float32(j)
-            line[j] = c_0 + p * (c_1 + (p - q_1) * (c_2 + (p - q_2) * c_3))
-        return
-    for k in range(0, n, N_LANES):
-        j = min(k, n - N_LANES)
-        u = spread(np.float32(j)) + load(COUNT, 0)
-        value = spread(c_2) + (u - spread(q_2)) * spread(c_3)
-        store(line, j, spread(c_0) + u * (spread(c_1) + (u - spread(q_1)) * value))
+def _fill_smooth(powers: Float64, box: Box, lows: Int64, group: int, ramp: Float32, band_e: Float32) -> None:
+    """Fill the part of a cell that lies in the band from its coefficients."""
+    scan, pos, n_s, n_p = box
+    for i in range(n_s):
+        low, first, last = _line_in_band(box, i, lows, group, band_e.shape[1])
+        t, line = -1.0 + 2.0 / (n_s - 1) * i, band_e[scan + i]
+        fill_row(powers, t, 2.0 / (n_p - 1), pos - low, ramp, line, first - low, last - low)
 
 
 @kernel
-def _add_cell(line: int, n_lines: int, first: int, n: int, cells: Int64, n_cells: int) -> int:
-    """Add a cell to those still to be filled; return how many there are."""
-    cells[n_cells, 0], cells[n_cells, 1], cells[n_cells, 2], cells[n_cells, 3] = line, n_lines, first, n
-    return n_cells + 1
-
-
-@kernel
-def _lines_of_one_face(faces: Int64, n_lines: int) -> tuple[bool, bool]:
-    """Say whether each line of a cell's nodes sees one face, and whether all see the same one."""
-    each = True
-    for i in range(0, N * min(n_lines, N), N):
-        is_one = faces[i] == faces[i + 1] and faces[i] == faces[i + 2] and faces[i] == faces[i + 3]
-        each = each and is_one and faces[i] != MISS
-    same = each
-    for i in range(N, N * min(n_lines, N), N):
-        same = same and faces[i] == faces[0]
-    return each, same
-
-
-@kernel
-def _fill_cell(
-    cell: tuple[int, int, int, int],
-    faces: Int64,
-    light_e: Float64,
-    allowed: tuple[float, float],
-    begin: int,
+def _fill_apart(
+    k: ArcKernel,
+    table: FaceTable,
+    rays: Rays,
+    box: Box,
+    lows: Int64,
+    group: int,
     band_e: Float32,
-) -> tuple[bool, bool]:
-    """Fill a cell from the faces and the light (16,) of its nodes; say if it is, else if it is halved along.
-
-    `allowed` is what its highest terms may be, relative and e-; in the band its lines begin at `begin`.
-    """
-    line, n_lines, _, n = cell
-    if n <= N and n_lines == 1:
-        for j in range(n):
-            band_e[line, begin + j] = light_e[j]
-        return True, False
-    each, same = _lines_of_one_face(faces, n_lines)
-    if not same:
-        return False, n > N and (n_lines == 1 or not each)
-    v, least = light_e, np.inf
-    for i in range(N * min(n_lines, N)):
-        least = min(least, v[i])
-    limit = max(allowed[0] * least, allowed[1])
-    is_smooth_along = n >= N
-    for i in range(0, N * min(n_lines, N), N):
-        if is_smooth_along:
-            rough = _roughness(n, _cubic(n, v[i], v[i + 1], v[i + 2], v[i + 3]))
-            is_smooth_along = rough <= limit
-    if not is_smooth_along:
-        return False, n > N
-    if n_lines == 1:
-        cubic = _cubic(n, v[0], v[1], v[2], v[3])
-        _fill_line(n, cubic, band_e[line, begin : begin + n])
-        return True, False
-    c_0 = _cubic(n_lines, v[0], v[4], v[8], v[12])
-    c_1 = _cubic(n_lines, v[1], v[5], v[9], v[13])
-    c_2 = _cubic(n_lines, v[2], v[6], v[10], v[14])
-    c_3 = _cubic(n_lines, v[3], v[7], v[11], v[15])
-    rough = max(_roughness(n_lines, c_0), _roughness(n_lines, c_1))
-    if not max(rough, max(_roughness(n_lines, c_2), _roughness(n_lines, c_3))) <= limit:
-        return False, False
-    for i in range(n_lines):
-        cubic = _cubic(
-            n,
-            _value(n_lines, c_0, i),
-            _value(n_lines, c_1, i),
-            _value(n_lines, c_2, i),
-            _value(n_lines, c_3, i),
-        )
-        _fill_line(n, cubic, band_e[line + i, begin : begin + n])
-    return True, False
+    room: Room,
+    work: Scratch,
+) -> None:
+    """Fill what of a box of at most LARGEST pixels lies in the band, pixel by pixel."""
+    xy, cos4, n_pos = rays
+    pixels, light_e, faces, places = room[0], room[1], room[2], room[3]
+    n = 0
+    for i in range(box[2]):
+        _, first, last = _line_in_band(box, i, lows, group, band_e.shape[1])
+        for position in range(first, last):
+            pixels[n] = (box[0] + i) * n_pos + position
+            n += 1
+    places_on_rays(k, table.seen, xy, pixels, n, faces, places, room[8])
+    light_at_places(k, table, cos4, pixels, n, faces, places, 0.0, light_e, work)
+    n = 0
+    for i in range(box[2]):
+        low, first, last = _line_in_band(box, i, lows, group, band_e.shape[1])
+        for position in range(first, last):
+            band_e[box[0] + i, position - low] = light_e[n]
+            n += 1
 
 
 @kernel
-def _value(n: int, cubic: Cubic, p: int) -> float:
-    """Return a cubic over n pixels at one of them."""
-    return cubic[0] + p * (cubic[1] + (p - _node(1, n)) * (cubic[2] + (p - _node(2, n)) * cubic[3]))
+def _node_pixels(n_pos: int, box: Box, node_at: Int64, pixels: Int64) -> None:
+    """Write the pixels (16,) of a cell's nodes."""
+    scan, pos, n_s, n_p = box
+    for i in range(N):
+        for j in range(N):
+            pixels[N * i + j] = (scan + node_at[n_s, i]) * n_pos + pos + node_at[n_p, j]
+
+
+@kernel
+def _fill_mixed(
+    k: ArcKernel,
+    table: FaceTable,
+    rays: Rays,
+    box: Box,
+    rules: Float64,
+    lows: Int64,
+    group: int,
+    band_e: Float32,
+    room: Room,
+    work: Scratch,
+) -> int:
+    """Fill a cell of a plain section that shows several faces, or say how it has to be halved.
+
+    In `room` the nodes' pixels and which faces they meet are known; the latter are left with those that have
+    coefficients.
+    """
+    xy, _, n_pos = rays
+    light_e, seen, guess, powers, ramp = room[1], room[4], room[5], room[6], room[7]
+    scan, pos, n_s, n_p = box
+    for face in range(k.vertices.shape[0] - 1):
+        if not seen[face]:
+            continue
+        light_of_face(k, table, face, rays[:2], room[8], room[:4], work)
+        across, along, least = to_powers(light_e, rules, (n_s, n_p), powers[face])
+        if not max(across, along) <= SHARE * max(table.rel * least, table.floor_e):
+            halved = _halved(n_s, n_p, across >= along)
+            if halved != FILLED:
+                return halved
+            seen[face] = False
+    depth = band_e.shape[1]
+    t_step, u_step = 2.0 / (n_s - 1), 2.0 / (n_p - 1)
+    for i in range(guess.shape[0]):
+        guess[i] = -1
+    for i in range(n_s):
+        row = (scan + i) * n_pos
+        low, first, end = _line_in_band(box, i, lows, group, depth)
+        if first >= end:
+            continue
+        face = face_seen(k, table.seen, xy[row + first, 0], xy[row + first, 1])
+        face_end = face_seen(k, table.seen, xy[row + end - 1, 0], xy[row + end - 1, 1])
+        run = 0
+        while first < end:
+            last = end
+            if face != face_end:
+                # The last pixel that still shows this face: where it was one line before, or by halving.
+                inside, last = first, end - 1
+                probe = guess[run]
+                for _ in range(2):
+                    if inside < probe < last:
+                        met = face_seen(k, table.seen, xy[row + probe, 0], xy[row + probe, 1])
+                        inside, last = (probe, last) if met == face else (inside, probe)
+                        probe += 1 if met == face else -1
+                while last - inside > 1:
+                    probe = (inside + last) // 2
+                    met = face_seen(k, table.seen, xy[row + probe, 0], xy[row + probe, 1])
+                    inside, last = (probe, last) if met == face else (inside, probe)
+                guess[run] = last
+                run = min(run + 1, guess.shape[0] - 1)
+            if face != MISS and seen[face]:
+                fill_row(
+                    powers[face],
+                    -1.0 + t_step * i,
+                    u_step,
+                    pos - low,
+                    ramp,
+                    band_e[scan + i],
+                    first - low,
+                    last - low,
+                )
+            else:
+                run_box = (scan + i, first, 1, last - first)
+                _fill_apart(k, table, rays, run_box, lows, group, band_e, room, work)
+            first = last
+            if first < end:
+                face = face_seen(k, table.seen, xy[row + first, 0], xy[row + first, 1])
+    return FILLED
+
+
+@kernel
+def _halved(n_s: int, n_p: int, is_across: bool) -> int:
+    """Return how a cell is halved, across the scan lines where asked and not too small; FILLED if not."""
+    if n_s <= SMALLEST and n_p <= SMALLEST:
+        return FILLED
+    if n_p <= SMALLEST or (is_across and n_s > SMALLEST):
+        return HALVED_ACROSS
+    return HALVED_ALONG
+
+
+@kernel
+def _changes_across(faces: Int64) -> bool:
+    """Say whether a cell's nodes (16,) change their face more often from line to line than along lines."""
+    across, along = 0, 0
+    for i in range(N):
+        for j in range(N - 1):
+            across += faces[N * j + i] != faces[N * j + N + i]
+            along += faces[N * i + j] != faces[N * i + j + 1]
+    return across >= along
+
+
+@kernel
+def _holds_between_nodes(
+    k: ArcKernel,
+    table: FaceTable,
+    rays: Rays,
+    box: Box,
+    powers: Float64,
+    allowed: float,
+    room: Room,
+    work: Scratch,
+) -> bool:
+    """Say whether a cell's polynomial is off by no more than is allowed, e-, between nodes in its corners."""
+    xy, cos4, n_pos = rays
+    pixels, light_e, faces, places = room[0], room[1], room[2], room[3]
+    scan, pos, n_s, n_p = box
+    down, on = (n_s - 1) // (2 * (N - 1)), (n_p - 1) // (2 * (N - 1))
+    for i in range(N_CORNERS):
+        line, position = (n_s - 1 - down if i // 2 else down), (n_p - 1 - on if i % 2 else on)
+        pixels[i] = (scan + line) * n_pos + pos + position
+    places_on_rays(k, table.seen, xy, pixels, N_CORNERS, faces, places, room[8])
+    light_at_places(k, table, cos4, pixels, N_CORNERS, faces, places, 0.0, light_e, work)
+    for i in range(N_CORNERS):
+        line, position = pixels[i] // n_pos - scan, pixels[i] % n_pos - pos
+        t, u = -1.0 + 2.0 * line / (n_s - 1), -1.0 + 2.0 * position / (n_p - 1)
+        polynomial_e = 0.0
+        for a in range(N - 1, -1, -1):
+            on_line = powers[a, 0] + u * (powers[a, 1] + u * (powers[a, 2] + u * powers[a, 3]))
+            polynomial_e = on_line + t * polynomial_e
+        if not abs(polynomial_e - light_e[i]) <= allowed:
+            return False
+    return True
+
+
+@kernel(inline=True)
+def _fill_cell(
+    k: ArcKernel,
+    table: FaceTable,
+    rays: Rays,
+    box: Box,
+    node_at: Int64,
+    rules: Float64,
+    lows: Int64,
+    group: int,
+    band_e: Float32,
+    room: Room,
+    work: Scratch,
+) -> int:
+    """Fill a cell, or say how it has to be halved."""
+    xy, cos4, n_pos = rays
+    pixels, light_e, faces, places, seen, _, powers, ramp, nodes = room
+    _, _, n_s, n_p = box
+    halved = _halved(n_s, n_p, True)
+    if n_s >= N and n_p >= N:
+        _node_pixels(n_pos, box, node_at, pixels)
+        take_rays(xy, pixels, 0, N * N, nodes)
+        is_plain = k.corrugation[0] == 0.0
+        is_told = write_faces(k, table.seen, nodes) if is_plain else follow_to_lap(k, nodes)
+        if is_told:
+            tell_faces(nodes, 0, N * N, faces)
+        else:
+            places_on_rays(k, table.seen, xy, pixels, N * N, faces, places, nodes)
+        is_one = faces[0] != MISS
+        for face in range(k.vertices.shape[0] - 1):
+            seen[face] = False
+        for i in range(N * N):
+            is_one = is_one and faces[i] == faces[0]
+            if faces[i] != MISS:
+                seen[faces[i]] = True
+        if is_one:
+            if is_told and is_plain:
+                light_of_face(k, table, faces[0], rays[:2], nodes, room[:4], work)
+            elif is_told:
+                tell_places(k, nodes, 0, N * N, places)
+                light_of_nodes(k, table, faces[0], cos4, nodes, room[:4], work)
+            else:
+                light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
+            across, along, least = to_powers(light_e, rules, (n_s, n_p), powers[0])
+            allowed = SHARE * max(table.rel * least, table.floor_e)
+            is_smooth = max(across, along) <= allowed
+            # What ridges hide has borders anywhere in a cell.
+            if is_smooth and not is_plain and max(across, along) > SURE * allowed:
+                is_smooth = _holds_between_nodes(k, table, rays, box, powers[0], allowed, room, work)
+            if is_smooth:
+                _fill_smooth(powers[0], box, lows, group, ramp, band_e)
+                return FILLED
+            halved = _halved(n_s, n_p, across >= along)
+        elif is_plain and min(n_s, n_p) <= MIXED:
+            return _fill_mixed(k, table, rays, box, rules, lows, group, band_e, room, work)
+        else:
+            halved = _halved(n_s, n_p, _changes_across(faces))
+    if halved == FILLED:
+        _fill_apart(k, table, rays, box, lows, group, band_e, room, work)
+    return halved
+
+
+@kernel(allocates=True)
+def fill_band(
+    k: ArcKernel,
+    table: FaceTable,
+    xy: Float32,
+    cos4: Float32,
+    node_at: Int64,
+    rules: Float64,
+    lows: Int64,
+    group: int,
+    band_e: Float32,
+) -> None:
+    """Fill a band (n_scan, depth), e-; `group` scan lines share a place of `lows`. See `map.ArcMap`.
+
+    `node_at` and `rules` are `node_rules`.
+    """
+    n_pos = cos4.shape[0] // band_e.shape[0]
+    work = scratch()
+    room = (
+        np.empty(LARGEST, dtype=np.int64),
+        np.empty(LARGEST),
+        np.empty(LARGEST, dtype=np.int64),
+        np.empty((LARGEST, 2)),
+        np.empty(MAX_FACES, dtype=np.bool_),
+        np.empty(MAX_FACES, dtype=np.int64),
+        np.empty((MAX_FACES, N, N)),
+        np.arange(LARGEST).astype(np.float32),
+        node_rays(),
+    )
+    stack = np.empty((64, 4), dtype=np.int64)
+    _fill_cells(k, table, (xy, cos4, n_pos), node_at, rules, lows, group, band_e, stack, room, work)
 
 
 @kernel
 def _fill_cells(
     k: ArcKernel,
     table: FaceTable,
-    xy: Float32,
-    cos4: Float32,
+    rays: Rays,
+    node_at: Int64,
+    rules: Float64,
     lows: Int64,
     group: int,
     band_e: Float32,
-    cells: Int64,
-    batch: Int64,
-    places: Places,
+    stack: Int64,
+    room: Room,
+    work: Scratch,
 ) -> None:
     """Fill the cells of a band; no array is made here, so that none is counted cell by cell.
 
-    `cells` (n, 4) are still to be filled, the last one next: first line, how many, first position, how many.
+    The `stack` (n, 4) holds cells still to be filled, the top one next: scan line, position, their numbers.
     """
     n_scan, depth = band_e.shape
-    n_pos = cos4.shape[0] // n_scan
-    pixels, faces, spots, light_e = places
-    share = SHARE if k.corrugation[0] == 0.0 else CURVED_SHARE
-    allowed = share * table.rel, share * table.floor_e
-    line, n_cells = 0, 0
-    while line < n_scan or n_cells > 0:
-        while line < n_scan and n_cells < BATCH:
-            low, n_lines = lows[line // group], min(group, n_scan - line)
-            n = min(depth, n_pos - low)
-            parts = (n + LARGEST - 1) // LARGEST
-            for part in range(parts):
-                first, end = n * part // parts, n * (part + 1) // parts
-                if n_lines >= N:
-                    n_cells = _add_cell(line, n_lines, low + first, end - first, cells, n_cells)
+    n_pos = rays[2]
+    for scan in range(0, n_scan, LARGEST):
+        lines = min(LARGEST, n_scan - scan)
+        low, high = n_pos, 0
+        for g in range(scan // group, (scan + lines - 1) // group + 1):
+            low, high = min(low, lows[g]), max(high, lows[g] + depth)
+        for pos in range(low // LARGEST * LARGEST, high, LARGEST):
+            stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = scan, pos, lines, min(LARGEST, n_pos - pos)
+            waiting = 1
+            while waiting > 0:
+                waiting -= 1
+                box = (stack[waiting, 0], stack[waiting, 1], stack[waiting, 2], stack[waiting, 3])
+                halved = _fill_cell(k, table, rays, box, node_at, rules, lows, group, band_e, room, work)
+                if halved == FILLED:
                     continue
-                for i in range(n_lines):
-                    n_cells = _add_cell(line + i, 1, low + first, end - first, cells, n_cells)
-            line += n_lines
-        n_batch = min(n_cells, BATCH)
-        n_cells -= n_batch
-        n_nodes = 0
-        for i in range(n_batch):
-            for c in range(4):
-                batch[i, c] = cells[n_cells + i, c]
-            for a in range(min(batch[i, 1], N)):
-                begin = (batch[i, 0] + _node(a, batch[i, 1])) * n_pos + batch[i, 2]
-                for j in range(N):
-                    pixels[n_nodes + j] = begin + _node(j, batch[i, 3])
-                n_nodes += N
-        places_on_rays(k, table.seen, xy, pixels, n_nodes, faces, spots)
-        light_at_places(k, table, cos4, pixels, n_nodes, faces, spots, 0.0, light_e)
-        n_nodes = 0
-        for i in range(n_batch):
-            cell = (batch[i, 0], batch[i, 1], batch[i, 2], batch[i, 3])
-            begin = cell[2] - lows[cell[0] // group]
-            is_filled, is_halved = _fill_cell(
-                cell,
-                faces[n_nodes : n_nodes + N * N],
-                light_e[n_nodes : n_nodes + N * N],
-                allowed,
-                begin,
-                band_e,
-            )
-            n_nodes += N * min(cell[1], N)
-            if is_filled:
-                continue
-            if is_halved:
-                half = cell[3] // 2
-                n_cells = _add_cell(cell[0], cell[1], cell[2], half, cells, n_cells)
-                n_cells = _add_cell(cell[0], cell[1], cell[2] + half, cell[3] - half, cells, n_cells)
-                continue
-            for a in range(cell[1]):
-                n_cells = _add_cell(cell[0] + a, 1, cell[2], cell[3], cells, n_cells)
-
-
-@kernel(allocates=True)
-def fill_band(
-    k: ArcKernel, table: FaceTable, xy: Float32, cos4: Float32, lows: Int64, group: int, band_e: Float32
-) -> None:
-    """Fill a band (n_scan, depth), e-; `group` scan lines share a place of `lows`. See `map.ArcMap`."""
-    # A batch is halved at most so often, and taken line by line once, before its last cells are filled.
-    room = BATCH * (MAX_GROUP + MAX_HALVINGS + 2) + MAX_GROUP * (band_e.shape[1] // LARGEST + 1)
-    cells, batch = np.empty((room, 4), dtype=np.int64), np.empty((BATCH, 4), dtype=np.int64)
-    _fill_cells(k, table, xy, cos4, lows, group, band_e, cells, batch, _places(N * N * BATCH))
+                s_half = (box[2] + 1) // 2 if halved == HALVED_ACROSS else box[2]
+                p_half = (box[3] + 1) // 2 if halved == HALVED_ALONG else box[3]
+                for s in range(0, box[2], s_half):
+                    for p in range(0, box[3], p_half):
+                        stack[waiting, 0], stack[waiting, 1] = box[0] + s, box[1] + p
+                        stack[waiting, 2], stack[waiting, 3] = (
+                            min(s_half, box[2] - s),
+                            min(p_half, box[3] - p),
+                        )
+                        waiting += 1
 
 
 @kernel(allocates=True)
@@ -277,9 +403,9 @@ def fill_pixels(
     Cells that hold less of them than nodes are not worth making.
     """
     n = len(pixels)
-    _, faces, places, light_e = _places(n)
+    faces, places, light_e = np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n)
     x_low, x_high, y_low, y_high = k.reach
     least_mm2 = CELL_WORTH * (x_high - x_low) * (y_high - y_low) / max(n, 1)
-    places_on_rays(k, table.seen, xy, pixels, n, faces, places)
-    light_at_places(k, table, cos4, pixels, n, faces, places, least_mm2, light_e)
+    places_on_rays(k, table.seen, xy, pixels, n, faces, places, node_rays())
+    light_at_places(k, table, cos4, pixels, n, faces, places, least_mm2, light_e, scratch())
     out[:] = light_e

@@ -16,13 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.baked import NOTHING_BAKED, BakedLight, place_baked, table_from
-from noise_model.arc.fill import MAX_GROUP, fill_band, fill_pixels
+from noise_model.arc.baked import NOTHING_BAKED, BakedLight, bake, place_baked, table_from
+from noise_model.arc.bicubic import node_rules
+from noise_model.arc.fill import MIXED, fill_band, fill_pixels
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.ray import ArcKernel as ArcKernel
 from noise_model.arc.ray import follow, light_at, scratch
 from noise_model.arc.scene import Scene, Scenes
-from noise_model.arc.table import FaceTable, new_table
+from noise_model.arc.table import TO_POWERS, FaceTable, new_table
 from noise_model.arrays import Bool, Float32, Float64, Int32, Int64
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
@@ -36,6 +37,9 @@ NODES_P, NODES_Q = 8, 4
 
 TOLERANCE, FLOOR_E = 0.005, 20.0
 """How far a filled map may be off: relative, or in electrons where that is more."""
+
+MAX_MARGIN_MM = 4.0
+"""No face is continued further beyond its edges."""
 
 CELL = 8
 """So many scan lines of a band share its place."""
@@ -278,16 +282,37 @@ def arc_at(kernel: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64) -> tupl
     return mean_e, faces
 
 
+@kernel
+def _margin_mm(k: ArcKernel, xy: Float32, n_scan: int) -> float:
+    """Return how far a cell of `MIXED` pixels reaches on a level face, at most MAX_MARGIN_MM.
+
+    By the camera's rays `xy` (n_scan n_pos, 2): so far faces go on beyond their edges.
+    """
+    # An image of one pixel has no step.
+    first = max(0, min(xy.shape[0] // n_scan // 2, xy.shape[0] - 2))
+    last = min(first + 1, xy.shape[0] - 1)
+    pixel = math.hypot(xy[last, 0] - xy[first, 0], xy[last, 1] - xy[first, 1])
+    distance_mm = k.eye[2] / max(0.1, abs(k.rotation[2, 2]))
+    return float(min(MIXED * pixel * distance_mm, MAX_MARGIN_MM))
+
+
 @kernel(allocates=True)
-def table_of(k: ArcKernel, rel: float, floor_e: float, baked: BakedLight) -> FaceTable:
+def table_of(
+    k: ArcKernel, xy: Float32, n_scan: int, rel: float, floor_e: float, to_powers: Float64, baked: BakedLight
+) -> FaceTable:
     """Return a scene's table, from what is `baked` where that holds, else an empty one.
 
-    See `table.new_table`.
+    See `table.new_table`; the camera's rays are `xy` (n_scan n_pos, 2).
     """
     place = place_baked(k, baked)
     if place >= 0:
-        return table_from(k, baked, place, rel, floor_e)
-    return new_table(k, rel, floor_e)
+        return table_from(k, baked, place, rel, floor_e, to_powers)
+    return new_table(k, _margin_mm(k, xy, n_scan), rel, floor_e, to_powers)
+
+
+def baked_light(k: ArcKernel, xy: Float32, n_scan: int, tolerance: float, floor_e: float) -> BakedLight:
+    """Return what may be baked of an `ArcMap` about a nominal pose, for the map's own tolerance."""
+    return bake(k, _margin_mm(k, xy, n_scan), tolerance, floor_e)
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,17 +334,19 @@ class ArcMap:
         kernel: ArcKernel,
         xy: Float32,
         cos4: Float32,
+        n_scan: int,
         tolerance: float = TOLERANCE,
         floor_e: float = FLOOR_E,
         baked: BakedLight = NOTHING_BAKED,
     ) -> ArcMap:
         """Begin the map of a scene.
 
-        `tolerance`, relative, and `floor_e`, whichever is more, bound what the faces' tables and the runs
+        `tolerance`, relative, and `floor_e`, whichever is more, bound what the faces' tables and the cells
         read off them may each be off, halves of it where all is smooth; docs/explanation/arc_map.md says what
         is reached. `baked` is light for the same tolerance, of the same setup.
         """
-        return cls(kernel, xy, cos4, table_of(kernel, tolerance, floor_e, baked))
+        table = table_of(kernel, xy, n_scan, tolerance, floor_e, TO_POWERS, baked)
+        return cls(kernel, xy, cos4, table)
 
     def at(self, pixels: Int64) -> Float32:
         """Return the light (n,) at some pixels (n,)."""
@@ -329,7 +356,7 @@ class ArcMap:
 
     def fill(self, lows: Int64, band_e: Float32) -> None:
         """Fill a band (n_scan, depth); CELL lines each begin at a place of `lows` (ceil(n_scan / CELL),)."""
-        fill_band(self.kernel, self.table, self.xy, self.cos4, lows, CELL, band_e)
+        fill_band(self.kernel, self.table, self.xy, self.cos4, *node_rules(), lows, CELL, band_e)
 
 
 def arc_frame(
@@ -342,7 +369,6 @@ def arc_frame(
 ) -> Float32:
     """Return the whole `ArcMap` (H, W), e-; NaN where a pixel looks past the workpiece."""
     frame_e = np.empty(shape, dtype=np.float32)
-    lows = np.zeros(-(-shape[0] // MAX_GROUP), dtype=np.int64)
-    table = table_of(kernel, tolerance, floor_e, NOTHING_BAKED)
-    fill_band(kernel, table, xy, cos4, lows, MAX_GROUP, frame_e)
+    lows = np.zeros(-(-shape[0] // CELL), dtype=np.int64)
+    ArcMap.of(kernel, xy, cos4, shape[0], tolerance, floor_e).fill(lows, frame_e)
     return frame_e

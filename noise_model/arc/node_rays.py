@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,32 +27,41 @@ MARGIN = 1.05
 """So much steeper than the corrugation rays are that meet each sheet once."""
 
 
-X, Y, FACE, PLACE_X, PLACE_S = (N_LANES * row for row in range(5))
-"""Where each number of sixteen rays (x, y, 1) of the camera begins in their room.
+class NodeRays(NamedTuple):
+    """Sixteen rays (x, y, 1) of the camera, and room for numbers of theirs.
 
-The faces that they meet; the stations where they do, counted from the camera's, and the ways across, mm.
-"""
+    `places` (32,) are the stations where they meet a face, counted from the camera's, and the ways across it,
+    mm; `faces` the faces that they meet.
+    """
+
+    x: Float32
+    y: Float32
+    faces: Float32
+    places: Float32
+    light_e: Float32
 
 
 @kernel(allocates=True)
-def ray_room() -> Float32:
-    """Return room for sixteen rays."""
-    return np.empty(5 * N_LANES, np.float32)
+def node_rays() -> NodeRays:
+    """Make room for sixteen rays."""
+    n = N_LANES
+    x, y, faces = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    return NodeRays(x, y, faces, np.empty(2 * n, np.float32), np.empty(n, np.float32))
 
 
 @kernel
-def take_rays(xy: Float32, pixels: Int64, first: int, n: int, rays: Float32) -> None:
+def take_rays(xy: Float32, pixels: Int64, first: int, n: int, rays: NodeRays) -> None:
     """Take the rays of n pixels, at most sixteen, from `first` on; the last one's fill the rest."""
     for i in range(N_LANES):
         pixel = pixels[first + min(i, n - 1)]
-        rays[X + i], rays[Y + i] = xy[pixel, 0], xy[pixel, 1]
+        rays.x[i], rays.y[i] = xy[pixel, 0], xy[pixel, 1]
 
 
 @kernel(inline=True)
-def along(k: ArcKernel, row: int, rays: Float32) -> Lanes:
+def along(k: ArcKernel, row: int, rays: NodeRays) -> Lanes:
     """Return a coordinate of the rays' directions, joint frame; see `ray.direction`."""
     R = k.rotation
-    return spread(R[row, 0]) * load(rays, X) + spread(R[row, 1]) * load(rays, Y) + spread(R[row, 2])
+    return spread(R[row, 0]) * load(rays.x, 0) + spread(R[row, 1]) * load(rays.y, 0) + spread(R[row, 2])
 
 
 @kernel(inline=True)
@@ -80,7 +90,7 @@ def _meet(x_0: float, down: float, d_x: Lanes, d_z: Lanes, corrugation: Corrugat
 
 
 @kernel(fastmath=REDUCTION)
-def follow_to_lap(k: ArcKernel, rays: Float32) -> bool:
+def follow_to_lap(k: ArcKernel, rays: NodeRays) -> bool:
     """Write which faces of a corrugated lap rays meet, and their places; see `ray.follow`.
 
     False where one ray is not told: it may meet a ridge twice, or looks past the workpiece. Else a ray meets
@@ -113,53 +123,62 @@ def follow_to_lap(k: ArcKernel, rays: Float32) -> bool:
         way_e = spread(-beside) / d_y
         down = spread(upper - k.eye[2]) + wave(spread(x_0) + way_e * d_x, corrugation) - way_e * d_z
         way, s, face = where(on_edge, way_e, way), where(on_edge, down, s), where(on_edge, spread(1.0), face)
-    store(rays, PLACE_X, way * d_x)
-    store(rays, PLACE_S, s)
-    store(rays, FACE, face)
+    store(rays.places, 0, way * d_x)
+    store(rays.places, N_LANES, s)
+    store(rays.faces, 0, face)
     return True
 
 
 @kernel
-def tell_faces(rays: Float32, first: int, n: int, faces: Int64) -> None:
+def tell_faces(rays: NodeRays, first: int, n: int, faces: Int64) -> None:
     """Write which faces the first n rays meet, from `first` on."""
     for i in range(n):
-        faces[first + i] = int(rays[FACE + i])
+        faces[first + i] = int(rays.faces[i])
 
 
 @kernel
-def tell_places(k: ArcKernel, rays: Float32, first: int, n: int, places: Float64) -> None:
+def tell_places(k: ArcKernel, rays: NodeRays, first: int, n: int, places: Float64) -> None:
     """Write the places x and s (n, 2) where the first n rays meet their faces, from `first` on."""
     for i in range(n):
-        places[first + i, 0], places[first + i, 1] = k.eye[0] + rays[PLACE_X + i], rays[PLACE_S + i]
+        places[first + i, 0], places[first + i, 1] = k.eye[0] + rays.places[i], rays.places[N_LANES + i]
 
 
 @kernel
 def places_on_rays(
-    k: ArcKernel, seen: Sight, xy: Float32, pixels: Int64, n: int, faces: Int64, places: Float64
+    k: ArcKernel,
+    seen: Sight,
+    xy: Float32,
+    pixels: Int64,
+    n: int,
+    faces: Int64,
+    places: Float64,
+    nodes: NodeRays,
 ) -> None:
     """Write which faces (n,) the rays of some pixels meet and where, x and s (n, 2).
 
-    `ray_casting.MISS` and NaN for a ray that looks past the workpiece.
+    `ray_casting.MISS` and NaN for a ray that looks past the workpiece. `nodes` are room for sixteen rays.
     """
     if k.corrugation[0] > 0.0:
-        _places_on_lap(k, xy, pixels, n, faces, places)
+        _places_on_lap(k, xy, pixels, n, faces, places, nodes)
         return
     for i in range(n):
         x, y = xy[pixels[i], 0], xy[pixels[i], 1]
         face = face_seen(k, seen, x, y)
-        _write_place(k, meet_plane(k, x, y, seen_strip(max(face, 0), k.vertices)), face, i, faces, places)
+        P, _ = meet_plane(k, x, y, seen_strip(max(face, 0), k.vertices))
+        _write_place(k, P, face, i, faces, places)
 
 
-@kernel(allocates=True)
-def _places_on_lap(k: ArcKernel, xy: Float32, pixels: Int64, n: int, faces: Int64, places: Float64) -> None:
+@kernel
+def _places_on_lap(
+    k: ArcKernel, xy: Float32, pixels: Int64, n: int, faces: Int64, places: Float64, nodes: NodeRays
+) -> None:
     """Write `places_on_rays` of a corrugated lap, sixteen at a time where each ray meets a sheet once."""
-    rays = ray_room()
     for first in range(0, n, N_LANES):
         count = min(N_LANES, n - first)
-        take_rays(xy, pixels, first, count, rays)
-        if follow_to_lap(k, rays):
-            tell_faces(rays, first, count, faces)
-            tell_places(k, rays, first, count, places)
+        take_rays(xy, pixels, first, count, nodes)
+        if follow_to_lap(k, nodes):
+            tell_faces(nodes, first, count, faces)
+            tell_places(k, nodes, first, count, places)
             continue
         for i in range(first, first + count):
             P, face = follow(k, xy[pixels[i], 0], xy[pixels[i], 1])
@@ -172,3 +191,19 @@ def _write_place(k: ArcKernel, P: Point, face: int, i: int, faces: Int64, places
     faces[i], places[i, 0], places[i, 1] = face, math.nan, math.nan
     if face != MISS:
         places[i, 0], places[i, 1] = P[0], across(P, seen_strip(face, k.vertices), k.corrugation)
+
+
+@kernel
+def places_on_plane(
+    k: ArcKernel, face: int, xy: Float32, pixels: Int64, n: int, faces: Int64, places: Float64
+) -> None:
+    """Write where the rays of some pixels meet a plain face's plane, x and s (n, 2), seen or not.
+
+    NaN where a ray runs away from it. `faces` (n,) are all this face.
+    """
+    on = seen_strip(face, k.vertices)
+    for i in range(n):
+        P, is_ahead = meet_plane(k, xy[pixels[i], 0], xy[pixels[i], 1], on)
+        faces[i], places[i, 0], places[i, 1] = face, math.nan, math.nan
+        if is_ahead:
+            places[i, 0], places[i, 1] = P[0], across(P, on, k.corrugation)

@@ -15,6 +15,7 @@ from noise_model.arc.ray import ArcKernel
 from noise_model.arrays import Float64
 from noise_model.kernel import kernel
 from noise_model.surface.faces import Strip, strip
+from noise_model.surface.visibility import is_curved_lap
 
 PATCH_MM, CURVED_PATCH_MM = 48.0, 16.0
 """The largest patch, and the largest where borders of shadows may run across the patches, uncut."""
@@ -24,9 +25,6 @@ MERGE_MM = 0.2
 
 MIN_SEEN_MM = 1.0
 """A face that the camera sees less of is taken to be seen so far."""
-
-INSIDE_MM = 1e-9
-"""Faces are read so far within their edges: on an edge itself either face may be seen."""
 
 MAX_BORDERS = 64
 """Room for the borders between patches, along each coordinate."""
@@ -129,14 +127,16 @@ def borders_along(k: ArcKernel) -> Float64:
 
 
 @kernel
-def borders_across(k: ArcKernel, face: int, borders: Float64) -> int:
-    """Write the borders (MAX_BORDERS,) across a face; return how many."""
+def borders_across(k: ArcKernel, face: int, margin_mm: float, borders: Float64) -> int:
+    """Write the borders (MAX_BORDERS,) across a face, continued by a margin; return how many."""
     _, _, y_low, y_high = k.reach
+    # A curved lap's faces are read where they are seen alone: beyond their edges the light is another.
+    margin_mm = -1e-9 if is_curved_lap(k.vertices, k.corrugation, k.bend) else margin_mm
     y, _, _, _, length = seen_strip(face, k.vertices)
-    borders[0] = min(y_low - y, -MIN_SEEN_MM) if face == 0 else INSIDE_MM
-    borders[1] = max(y_high - y, MIN_SEEN_MM) if face == k.vertices.shape[0] - 2 else length - INSIDE_MM
+    borders[0] = min(y_low - y, -MIN_SEEN_MM) if face == 0 else -margin_mm
+    borders[1] = max(y_high - y, MIN_SEEN_MM) if face == k.vertices.shape[0] - 2 else length + margin_mm
     if face == 0:
-        borders[1] = -INSIDE_MM
+        borders[1] = margin_mm
     n = 2
     if k.corrugation[0] == 0.0:
         n = _penumbrae(k, face, borders, n)

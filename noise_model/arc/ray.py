@@ -11,7 +11,7 @@ from noise_model.arc.chords import MAX_PARTS, MAX_PIECES
 from noise_model.arc.lap_light import lap_light
 from noise_model.arc.quadrature import MAX_POINTS, Hiding, Patch, Room, Rule, arc_light
 from noise_model.arc.slices import Sheets, slice_room
-from noise_model.arrays import Float32, Float64, Point, Vector
+from noise_model.arrays import Float32, Float64, Int64, Point, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
 from noise_model.surface.faces import face_normal
@@ -27,14 +27,23 @@ from noise_model.surface.visibility import (
 )
 from noise_model.surface.wave import corrugation_of
 
+MAX_TOGETHER = 25
+"""So many points a cell's polynomial has."""
+
 
 class Scratch(NamedTuple):
-    """What a point's integral needs room for, see `sky_planes` for `planes` and `ledges`."""
+    """What a point's integral needs room for, see `sky_planes` for `planes` and `ledges`.
+
+    `faces`, `places` and `light_e` (MAX_TOGETHER,) are for points that are integrated one after another.
+    """
 
     room: Room
     slices: Float32
     planes: Float64
     ledges: Float64
+    faces: Int64
+    places: Float64
+    light_e: Float64
 
 
 @kernel(allocates=True)
@@ -47,7 +56,15 @@ def scratch() -> Scratch:
         np.empty((MAX_PARTS, 3)),
         np.empty((4, MAX_PIECES)),
     )
-    return Scratch(room, slice_room(), np.empty((MAX_PLANES, 3)), np.empty((2 * MAX_LEDGES, 3)))
+    return Scratch(
+        room,
+        slice_room(),
+        np.empty((MAX_PLANES, 3)),
+        np.empty((2 * MAX_LEDGES, 3)),
+        np.empty(MAX_TOGETHER, dtype=np.int64),
+        np.empty((MAX_TOGETHER, 2)),
+        np.empty(MAX_TOGETHER),
+    )
 
 
 class ArcKernel(NamedTuple):

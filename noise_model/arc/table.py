@@ -20,7 +20,7 @@ import numpy as np
 
 from noise_model.arc.face_lookup import Sight, sight
 from noise_model.arc.patch_borders import MAX_BORDERS, borders_across, borders_along, seen_strip
-from noise_model.arc.ray import ArcKernel, Scratch, light_at, scratch
+from noise_model.arc.ray import ArcKernel, Scratch, light_at
 from noise_model.arrays import Bool, Float32, Float64, Int32, Int64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.surface.faces import Strip, face_point
@@ -63,8 +63,8 @@ class FaceTable(NamedTuple):
     `roots` (n_faces, n_x - 1, MAX_BORDERS) their first cells, -1 where none is made yet. A cell has an
     `axis` (along which it is halved, `SMOOTH` ...), its `middle` (n, 2) and `inverse` half widths (n, 2), a
     `child` (the other one is the next) and `powers` (n, 5, 5), the values at its nodes while it has no
-    polynomial. `n_cells` (1,) there are; those that are baked (`baked`) are `is_ready` (n,). `seen` says
-    which face a ray meets.
+    polynomial. `n_cells` (1,) there are; those that are baked (`baked`) are `is_ready` (n,). `check` (5, 5)
+    is scratch, `seen` says which face a ray meets.
     """
 
     x_borders: Float64
@@ -78,6 +78,8 @@ class FaceTable(NamedTuple):
     powers: Float64
     n_cells: Int32
     is_ready: Bool
+    check: Float64
+    to_powers: Float64
     rel: float
     floor_e: float
     seen: Sight
@@ -114,18 +116,18 @@ def _highest(values: Float64) -> tuple[float, float]:
 
 
 @kernel
-def fit(values: Float64, powers: Float64) -> None:
+def fit(values: Float64, to_powers: Float64, powers: Float64) -> None:
     """Write the coefficients (5, 5) of the polynomial through a cell's values (5, 5), which may be there."""
     for j in range(NODES):
         v_0, v_1, v_2, v_3, v_4 = values[0, j], values[1, j], values[2, j], values[3, j], values[4, j]
         for a in range(NODES):
-            low = TO_POWERS[a, 0] * v_0 + TO_POWERS[a, 1] * v_1 + TO_POWERS[a, 2] * v_2
-            powers[a, j] = low + TO_POWERS[a, 3] * v_3 + TO_POWERS[a, 4] * v_4
+            low = to_powers[a, 0] * v_0 + to_powers[a, 1] * v_1 + to_powers[a, 2] * v_2
+            powers[a, j] = low + to_powers[a, 3] * v_3 + to_powers[a, 4] * v_4
     for i in range(NODES):
         v_0, v_1, v_2, v_3, v_4 = powers[i, 0], powers[i, 1], powers[i, 2], powers[i, 3], powers[i, 4]
         for b in range(NODES):
-            low = TO_POWERS[b, 0] * v_0 + TO_POWERS[b, 1] * v_1 + TO_POWERS[b, 2] * v_2
-            powers[i, b] = low + TO_POWERS[b, 3] * v_3 + TO_POWERS[b, 4] * v_4
+            low = to_powers[b, 0] * v_0 + to_powers[b, 1] * v_1 + to_powers[b, 2] * v_2
+            powers[i, b] = low + to_powers[b, 3] * v_3 + to_powers[b, 4] * v_4
 
 
 @kernel(inline=True)
@@ -151,18 +153,12 @@ def fall_off(k: ArcKernel, on: Strip, x: float, s: float) -> float:
     return square * square
 
 
-@kernel(allocates=True)
-def integrate(k: ArcKernel, faces: Int64, places: Float64, n: int, light_e: Float64) -> None:
+@kernel(fastmath=REDUCTION)
+def integrate(k: ArcKernel, faces: Int64, places: Float64, n: int, light_e: Float64, work: Scratch) -> None:
     """Integrate the light (n,), e- without the lens' fall-off, at those places (n, 2) where it is ASKED.
 
     One call serves many: to hand on the records takes a fifth of one point's integral.
     """
-    _integrate(k, faces, places, n, light_e, scratch())
-
-
-@kernel(fastmath=REDUCTION)
-def _integrate(k: ArcKernel, faces: Int64, places: Float64, n: int, light_e: Float64, work: Scratch) -> None:
-    """Do what `integrate` does, in its room."""
     for i in range(n):
         if light_e[i] == ASKED:
             # A sum with a literal is what kernels take faces as: 64 bits.
@@ -184,19 +180,18 @@ def _is_missing(missing: int, row: int, column: int) -> bool:
     return missing == 2 or (missing == 0 and row % 2 == 1) or (missing == 1 and column % 2 == 1)
 
 
-@kernel(allocates=True)
-def make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int) -> None:
+@kernel
+def make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: Scratch) -> None:
     """Integrate the light at a new cell's missing nodes; make it a polynomial's, or halve it."""
     axis, child, middle, inverse, powers = table.axis, table.child, table.middle, table.inverse, table.powers
     on, n_cells = seen_strip(face, k.vertices), table.n_cells
     values, missing = powers[cell], axis[cell] - NEW
-    places, light_e, check = np.empty((NODES * NODES, 2)), np.empty(NODES * NODES), np.empty((NODES, NODES))
-    faces = np.full(NODES * NODES, face)
+    faces, places, light_e = work.faces, work.places, work.light_e
     for i in range(NODES * NODES):
         row, column = i // NODES, i % NODES
         places[i, 0], places[i, 1] = _node(table, cell, 0.5 * (row - 2), 0.5 * (column - 2))
-        light_e[i] = ASKED if _is_missing(missing, row, column) else 0.0
-    integrate(k, faces, places, NODES * NODES, light_e)
+        faces[i], light_e[i] = face, ASKED if _is_missing(missing, row, column) else 0.0
+    integrate(k, faces, places, NODES * NODES, light_e, work)
     allowed = math.inf
     for i in range(NODES * NODES):
         row, column, times = i // NODES, i % NODES, fall_off(k, on, places[i, 0], places[i, 1])
@@ -207,12 +202,13 @@ def make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int) -> None:
     is_smooth = max(worst_x, worst_s) <= allowed
     if is_smooth:
         # The differences may be small by chance: two points between the nodes are looked at.
-        fit(values, check)
+        check = table.check
+        fit(values, table.to_powers, check)
         for i in range(2):
             offset = CHECK * (2.0 * i - 1.0)
             places[i, 0], places[i, 1] = _node(table, cell, offset, offset)
             light_e[i] = ASKED
-        integrate(k, faces, places, 2, light_e)
+        integrate(k, faces, places, 2, light_e, work)
         for i in range(2):
             offset = CHECK * (2.0 * i - 1.0)
             light = fall_off(k, on, places[i, 0], places[i, 1]) * light_e[i]
@@ -221,7 +217,7 @@ def make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int) -> None:
     along = 0 if worst_x > worst_s else 1
     is_small = (half_x if along == 0 else half_s) < 0.5 * SMALLEST_MM
     if is_smooth or (is_small and max(worst_x, worst_s) <= ROUGH * allowed):
-        fit(values, values)
+        fit(values, table.to_powers, values)
         axis[cell] = SMOOTH
         return
     if is_small or n_cells[0] + 2 > MAX_CELLS:
@@ -262,7 +258,9 @@ def root_cell(table: FaceTable, face: int, i: int, j: int) -> int:
 
 
 @kernel(inline=True)
-def cell_at(k: ArcKernel, table: FaceTable, face: int, x: float, s: float, least_mm2: float) -> int:
+def cell_at(
+    k: ArcKernel, table: FaceTable, face: int, x: float, s: float, least_mm2: float, work: Scratch
+) -> int:
     """Return the cell at a face's coordinates, made if need be.
 
     -1 if there is none, or where it has not been ready from the first and is smaller.
@@ -279,7 +277,7 @@ def cell_at(k: ArcKernel, table: FaceTable, face: int, x: float, s: float, least
         if not table.is_ready[cell] and least_mm2 * inverse[cell, 0] * inverse[cell, 1] > 4.0:
             return -1
         if axis[cell] >= NEW:
-            make_cell(k, table, face, cell)
+            make_cell(k, table, face, cell, work)
         along = axis[cell]
         if along >= SMOOTH:
             return cell if along == SMOOTH else -1
@@ -297,6 +295,7 @@ def light_at_places(
     places: Float64,
     least_mm2: float,
     light_e: Float64,
+    work: Scratch,
 ) -> None:
     """Write the arc's light (n,), e-, that some pixels receive from places (n, 2) on faces (n,).
 
@@ -316,21 +315,21 @@ def light_at_places(
         elif cell >= 0:
             t, u = (x - middle[cell, 0]) * inverse[cell, 0], (s - middle[cell, 1]) * inverse[cell, 1]
         if not (abs(t) < 1.0 and abs(u) < 1.0):
-            cell = cell_at(k, table, face, x, s, least_mm2)
+            cell = cell_at(k, table, face, x, s, least_mm2, work)
         if cell >= 0:
             t, u = (x - middle[cell, 0]) * inverse[cell, 0], (s - middle[cell, 1]) * inverse[cell, 1]
             light_e[i] = _value(powers[cell], t, u) / fall_off(k, on, x, s)
         else:
             light_e[i], is_asked = ASKED, True
     if is_asked:
-        integrate(k, faces, places, n, light_e)
+        integrate(k, faces, places, n, light_e, work)
     for i in range(n):
         light_e[i] *= cos4[pixels[i]]
 
 
 @kernel(allocates=True)
-def new_table(k: ArcKernel, rel: float, floor_e: float) -> FaceTable:
-    """Return an empty table for what the camera sees (`ArcKernel.reach`).
+def new_table(k: ArcKernel, margin_mm: float, rel: float, floor_e: float, to_powers: Float64) -> FaceTable:
+    """Return an empty table for what the camera sees (`ArcKernel.reach`), faces continued by a margin.
 
     Cells may be off by `SHARE` of `rel` of their least light or of `floor_e`, whichever is more.
     """
@@ -338,13 +337,13 @@ def new_table(k: ArcKernel, rel: float, floor_e: float) -> FaceTable:
     x_borders = borders_along(k)
     s_borders, n_s = np.empty((n_faces, MAX_BORDERS)), np.empty(n_faces, dtype=np.int32)
     for face in range(n_faces):
-        n_s[face] = borders_across(k, face, s_borders[face])
+        n_s[face] = borders_across(k, face, margin_mm, s_borders[face])
     roots = np.full((n_faces, len(x_borders), MAX_BORDERS), -1, dtype=np.int32)
-    return table_within(k, (x_borders, s_borders, n_s, roots), rel, floor_e)
+    return table_within(k, (x_borders, s_borders, n_s, roots), rel, floor_e, to_powers)
 
 
 @kernel(allocates=True)
-def table_within(k: ArcKernel, patches: Patches, rel: float, floor_e: float) -> FaceTable:
+def table_within(k: ArcKernel, patches: Patches, rel: float, floor_e: float, to_powers: Float64) -> FaceTable:
     """Return a table without cells for patches; see `new_table` for the tolerance."""
     x_borders, s_borders, n_s, roots = patches
     return FaceTable(
@@ -359,6 +358,8 @@ def table_within(k: ArcKernel, patches: Patches, rel: float, floor_e: float) -> 
         np.empty((MAX_CELLS, NODES, NODES)),
         np.zeros(1, dtype=np.int32),
         np.zeros(MAX_CELLS, dtype=np.bool_),
+        np.empty((NODES, NODES)),
+        to_powers,
         rel,
         floor_e,
         sight(k),

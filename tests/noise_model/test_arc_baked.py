@@ -8,8 +8,8 @@ import scenes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from noise_model.arc.baked import BRIGHTEST, N_BESIDE, NOTHING_BAKED, REACH_MM, STEP_MM, baked_light
-from noise_model.arc.map import CELL, ArcMap, arc_at, arc_kernel
+from noise_model.arc.baked import BRIGHTEST, N_BESIDE, NOTHING_BAKED, REACH_MM, STEP_MM
+from noise_model.arc.map import CELL, ArcMap, arc_at, arc_kernel, baked_light
 from noise_model.arc.scene import make_scene
 from noise_model.instrument.camera import Rays
 from noise_model.surface.joint import SeamLine
@@ -23,7 +23,7 @@ def sensor(joint, material="zn_coated"):
     rays = Rays.of(setup.camera)
     xy, cos4 = rays.xy.reshape(-1, 2), rays.cos4.reshape(-1)
     nominal = arc_kernel(setup, make_scene(setup, scenes.pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))))
-    return setup, xy, cos4, baked_light(nominal, TOLERANCE, QUARTER_DN_E)
+    return setup, xy, cos4, baked_light(nominal, xy, 120, TOLERANCE, QUARTER_DN_E)
 
 
 def kernel_at(setup, shift=(0.0, 0.0, 0.0), turn_deg=(0.0, 0.0, 0.0), level=1.0):
@@ -37,7 +37,7 @@ def frame(arc_map, shape=(120, 160)):
 
 
 def map_of(kernel, xy, cos4, baked):
-    return ArcMap.of(kernel, xy, cos4, TOLERANCE, QUARTER_DN_E, baked)
+    return ArcMap.of(kernel, xy, cos4, 120, TOLERANCE, QUARTER_DN_E, baked)
 
 
 @pytest.mark.slow
@@ -111,8 +111,9 @@ def test_nothing_is_baked_that_takes_thousands_of_cells():
     """A camera right over the arc sees the spot below it, where light varies by the tenth of a millimetre."""
     over = scenes.camera(((4.0, 0.0, 120.0), (0.0, 0.0, 0.0)), width=160, height=120, focal_px=400.0)
     setup = scenes.setup("v_groove", of_camera=over)
+    xy = Rays.of(setup.camera).xy.reshape(-1, 2)
     nominal = arc_kernel(setup, make_scene(setup, scenes.pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))))
-    assert len(baked_light(nominal, TOLERANCE, QUARTER_DN_E).n_cells) == 0
+    assert len(baked_light(nominal, xy, 120, TOLERANCE, QUARTER_DN_E).n_cells) == 0
 
 
 @pytest.mark.parametrize("joint", ["v_groove", "lap"])

@@ -432,7 +432,7 @@ def test_no_node_of_a_corrugated_laps_table_is_beyond_a_faces_edge(along_mm):
     setup, view = with_scene("corrugation", along_mm)
     rays = Rays.of(setup.camera)
     kernel = arc_kernel(setup, view)
-    table = ArcMap.of(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1)).table
+    table = ArcMap.of(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), len(rays.cos4)).table
     for face in range(3):
         borders = table.s_borders[face, : table.n_s[face]]
         length = kernel.vertices[1, 1] if face == 1 else np.inf
@@ -562,7 +562,7 @@ def test_a_band_is_that_part_of_the_frame(name):
     kernel = arc_kernel(setup, make_scene(setup, POSES["aside"]))
     lows = np.arange(-(-119 // CELL), dtype=np.int64) * 5 % 108
     band = np.full((119, 49), np.nan, dtype=np.float32)
-    ArcMap.of(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1)).fill(lows, band)
+    ArcMap.of(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), len(band)).fill(lows, band)
     check_filled(band, np.array([want[i, lows[i // CELL] : lows[i // CELL] + 49] for i in range(119)]))
 
 
@@ -572,7 +572,7 @@ def test_a_band_of_no_tolerance_is_exact():
     kernel = arc_kernel(setup, make_scene(setup, POSES["aside"]))
     band = np.empty((119, 157), dtype=np.float32)
     lows = np.zeros(-(-119 // CELL), dtype=np.int64)
-    ArcMap.of(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), 0.0, -1.0).fill(lows, band)
+    ArcMap.of(kernel, rays.xy.reshape(-1, 2), rays.cos4.reshape(-1), len(band), 0.0, -1.0).fill(lows, band)
     np.testing.assert_allclose(band, want, rtol=1e-6)
 
 

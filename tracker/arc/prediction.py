@@ -59,7 +59,7 @@ def predict_arc(
 ) -> None:
     """Write the arc's light of a scene, for so many times its stated output; NaN past the workpiece."""
     k = kernel_of(scene, arc.radius_mm, arc.radiance_e * output, material, arc.rules, NODES_P, NODES_Q)
-    table = table_of(k, MAP_TOLERANCE, MAP_FLOOR_E, arc.baked)
+    table = table_of(k, image.xy, image.n_scan, MAP_TOLERANCE, MAP_FLOOR_E, arc.to_powers, arc.baked)
     fill_pixels(k, table, image.xy, image.cos4, into.pixels, into.pixel_e)
     if into.band_e.shape[1] > 0:
-        fill_band(k, table, image.xy, image.cos4, into.lows, CELL, into.band_e)
+        fill_band(k, table, image.xy, image.cos4, arc.node_at, arc.node_rules, into.lows, CELL, into.band_e)

@@ -143,6 +143,7 @@ def arc_map_of(geometry: SensorGeometry, kernel: ArcKernel) -> ArcMap:
         kernel,
         geometry.xy,
         geometry.cos4,
+        geometry.n_scan,
         MAP_TOLERANCE,
         MAP_FLOOR_E,
         geometry.baked_light,

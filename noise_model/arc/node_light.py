@@ -1,0 +1,143 @@
+"""Light at a cell's sixteen nodes at once, a lane a node, and faces and places on a plain section.
+
+What the table's cells do not hold the caller asks node by node.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from noise_model.arc.face_lookup import Sight
+from noise_model.arc.node_rays import NodeRays, along, places_on_plane, tell_places
+from noise_model.arc.patch_borders import seen_strip
+from noise_model.arc.ray import ArcKernel, Scratch
+from noise_model.arc.table import DEGREE, FaceTable, cell_at, light_at_places
+from noise_model.arrays import Float32, Float64, Int64
+from noise_model.kernel import REDUCTION, kernel
+from noise_model.lanes import N_LANES, Lanes, any_lane, load, spread, store, where
+
+LEVEL = 1e-6
+"""A ray that goes down by less is level."""
+
+
+@kernel(fastmath=REDUCTION)
+def write_faces(k: ArcKernel, seen: Sight, rays: NodeRays) -> bool:
+    """Write which faces of a plain section rays meet, `ray_casting.MISS` for none.
+
+    False if one of them is level. See `face_lookup.face_seen`: a ray through an edge may meet either face.
+    """
+    down, zero, unity = along(k, 2, rays), spread(0.0), spread(1.0)
+    if any_lane(down > spread(-LEVEL)):
+        return False
+    slope, place = zero - along(k, 1, rays) / down, zero
+    for i in range(seen.slopes.shape[0]):
+        place += where(slope > spread(seen.slopes[i]), unity, zero)
+    store(rays.places, 0, place)
+    for i in range(N_LANES):
+        rays.faces[i] = seen.faces[int(rays.places[i])]
+    return True
+
+
+@kernel(fastmath=REDUCTION)
+def write_places(k: ArcKernel, face: int, rays: NodeRays) -> bool:
+    """Write the rays' places on a plain face, seen or not; False where one runs away from it."""
+    y_0, z_0, ty, tz, _ = seen_strip(face, k.vertices)
+    d_x, d_y, d_z = along(k, 0, rays), along(k, 1, rays), along(k, 2, rays)
+    over = ty * (z_0 - k.eye[2]) - tz * (y_0 - k.eye[1])
+    way = spread(over) / (spread(ty) * d_z - spread(tz) * d_y)
+    if any_lane(way <= spread(0.0)):
+        return False
+    s = (spread(k.eye[1] - y_0) + way * d_y) * spread(ty) + (spread(k.eye[2] - z_0) + way * d_z) * spread(tz)
+    store(rays.places, 0, way * d_x)
+    store(rays.places, N_LANES, s)
+    return True
+
+
+@kernel(inline=True)
+def write_light(k: ArcKernel, table: FaceTable, face: int, rays: NodeRays, work: Scratch) -> bool:
+    """Write the light, e- without the lens' fall-off, that rays receive from their places on a face.
+
+    False where one is in none of the table's cells. See `table.light_at_places`, whose numbers these are in
+    single precision.
+    """
+    y_0, z_0, ty, tz, _ = seen_strip(face, k.vertices)
+    x, s = load(rays.places, 0), load(rays.places, N_LANES)
+    zero, unity = spread(0.0), spread(1.0)
+    value, done = zero, zero
+    store(rays.light_e, 0, done)
+    for i in range(N_LANES):
+        if rays.light_e[i] > 0.0:
+            continue
+        first_x, first_s = k.eye[0] + rays.places[i], np.float64(rays.places[N_LANES + i])
+        cell = cell_at(k, table, face, first_x, first_s, 0.0, work)
+        if cell < 0:
+            return False
+        t = (x - spread(table.middle[cell, 0] - k.eye[0])) * spread(table.inverse[cell, 0])
+        u = (s - spread(table.middle[cell, 1])) * spread(table.inverse[cell, 1])
+        is_within = (t * t <= unity) & (u * u <= unity) & (done == zero)
+        value = where(is_within, _polynomial(table.powers[cell], t, u), value)
+        done = where(is_within, unity, done)
+        store(rays.light_e, 0, done)
+    if any_lane(done == zero):
+        return False
+    # From the arc's centre; see `table.fall_off`.
+    x -= spread(k.center[0] - k.eye[0])
+    y, z = spread(y_0 - k.center[1]) + s * spread(ty), spread(z_0 - k.center[2]) + s * spread(tz)
+    square = x * x + y * y + z * z + spread(k.radius * k.radius)
+    store(rays.light_e, 0, value / (square * square))
+    return True
+
+
+@kernel(fastmath=REDUCTION)
+def _polynomial(powers: Float64, t: Lanes, u: Lanes) -> Lanes:
+    """Return a polynomial (5, 5) at (t, u), each -1 to 1."""
+    value = spread(0.0)
+    for a in range(DEGREE, -1, -1):
+        row = spread(powers[a, 3]) + u * spread(powers[a, 4])
+        row = spread(powers[a, 0]) + u * (spread(powers[a, 1]) + u * (spread(powers[a, 2]) + u * row))
+        value = value * t + row
+    return value
+
+
+@kernel(inline=True)
+def light_of_face(
+    k: ArcKernel,
+    table: FaceTable,
+    face: int,
+    camera: tuple[Float32, Float32],
+    rays: NodeRays,
+    room: tuple[Int64, Float64, Int64, Float64],
+    work: Scratch,
+) -> None:
+    """Write the light (16,), e-, that nodes receive from a plain face, seen or not; NaN where none can come.
+
+    `camera` are its `xy` and `cos4`, the `room` holds the nodes' pixels, and takes light, faces and places.
+    """
+    pixels, _, faces, places = room
+    if write_places(k, face, rays):
+        tell_places(k, rays, 0, N_LANES, places)
+        light_of_nodes(k, table, face, camera[1], rays, room, work)
+        return
+    places_on_plane(k, face, camera[0], pixels, N_LANES, faces, places)
+    light_at_places(k, table, camera[1], pixels, N_LANES, faces, places, 0.0, room[1], work)
+
+
+@kernel(fastmath=REDUCTION)
+def light_of_nodes(
+    k: ArcKernel,
+    table: FaceTable,
+    face: int,
+    cos4: Float32,
+    rays: NodeRays,
+    room: tuple[Int64, Float64, Int64, Float64],
+    work: Scratch,
+) -> None:
+    """Write the light (16,), e-, that nodes receive from their places on one face, in the `room` too."""
+    pixels, light_e, faces, places = room
+    if not write_light(k, table, face, rays, work):
+        for i in range(N_LANES):
+            faces[i] = face
+        light_at_places(k, table, cos4, pixels, N_LANES, faces, places, 0.0, light_e, work)
+        return
+    for i in range(N_LANES):
+        light_e[i] = cos4[pixels[i]] * rays.light_e[i]
