@@ -81,8 +81,8 @@ class Tracker:
     def warm_up(self, on_compiled: OnCompiled | None = None) -> WarmUp:
         """Compile and load all that a step may need: afterwards no frame waits for it.
 
-        The first time on a machine takes a minute, on a slow one several; what is compiled is kept on disk. The
-        state is not touched.
+        The first time on a machine takes a minute, on a slow one several; what is compiled is kept on disk.
+        The state is not touched.
 
         Parameters
         ----------
