@@ -81,16 +81,13 @@ class StripeSource(NamedTuple):
 class ArcSource(NamedTuple):
     """What a setup fixes of its arc's map, as the kernels take it.
 
-    `radiance_e` is the arc's at `current_a` and for `exposure_s`; the output goes with the current by
-    `exponent`. `rules`, `to_powers`, `node_at` and `node_rules` are those of `arc.quadrature`, `arc.table`
-    and `arc.fill`; `baked` is the light about the nominal pose.
+    `radiance_e` is the arc's at the stated current and exposure. `rules`, `to_powers`, `node_at` and
+    `node_rules` are those of `arc.quadrature`, `arc.table` and `arc.fill`; `baked` is the light about the
+    nominal pose.
     """
 
     radius_mm: float
     radiance_e: float
-    current_a: float
-    exponent: float
-    exposure_s: float
     rules: Float64
     to_powers: Float64
     node_at: Int64
@@ -118,22 +115,6 @@ class ImageSource(NamedTuple):
     black_sigma_e: float
     level_scan: Int64
     level_position: Int64
-
-
-class LookSource(NamedTuple):
-    """What a setup fixes of a look at a frame, as the kernels take it.
-
-    `reach_px_per_mm` is `SensorGeometry.reach_px` of 1 mm, `arc_level_rel` the tolerance of the arc's output;
-    `states_fan` says whether the laser's fan is stated.
-    """
-
-    seam: SeamSource
-    stripe: StripeSource
-    arc: ArcSource
-    image: ImageSource
-    reach_px_per_mm: float
-    arc_level_rel: float
-    states_fan: bool
 
 
 @dataclass(frozen=True)
@@ -199,9 +180,6 @@ class SensorGeometry:
         return ArcSource(
             arc.radius_mm,
             float(arc.radiance_e),
-            arc.current_a,
-            arc.current_exponent,
-            self.setup.camera.exposure_s,
             gauss_nodes(),
             TO_POWERS,
             *node_rules(),
@@ -225,20 +203,6 @@ class SensorGeometry:
             Response.of(sensor),
             self.setup.tolerance.black_level_dn * sensor.gain_e_per_dn,
             *self.level_sample,
-        )
-
-    @cached_property
-    def look_source(self) -> LookSource:
-        """All that a look at a frame takes of the setup."""
-        setup = self.setup
-        return LookSource(
-            self.seam_source,
-            self.stripe_source,
-            self.arc_source,
-            self.image_source,
-            self.reach_px(1.0),
-            setup.tolerance.arc_level_rel,
-            setup.laser.fan_half_angle_deg is not None,
         )
 
     @cached_property

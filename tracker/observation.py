@@ -14,7 +14,7 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker import checks
 from tracker.arc.level import NOWHERE, UNKNOWN, ArcLevel, estimate_light, off_stripe
-from tracker.arc.prediction import ArcLight, FrameLight, output_for, predict_arc
+from tracker.arc.prediction import ArcLight, output_for, predict_arc
 from tracker.arc.transmission import NO_LIGHT, Transmission
 from tracker.checks import FrameChecks
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry, dark_variance_at
@@ -140,21 +140,22 @@ def observe(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Observati
     frame_checks.ask_whether(checks.STRIPE_EXPECTED, expected is not None)
     if expected is None:
         return Observation()
-    light, reach_px = frame_light(geometry.setup, frame), geometry.reach_px(aim.reach_mm)
+    reach_px, has_arc = geometry.reach_px(aim.reach_mm), shows_arc(geometry.setup, frame)
     half_px = reach_px + FIT_SIGMAS * expected.widest_px
     stripe_px, band = NOWHERE, None
-    if light.laser_on:
+    if frame.laser_on:
         stripe_px, room = expected.position_px, given.work.pixels
         band = gather_band(frame.image_dn, geometry.image_source, stripe_px, math.ceil(half_px), room)
     pixels, charge_e = off_stripe(geometry.image_source, frame.image_dn, stripe_px, half_px)
-    arc_e, other_e, transmission = _predict_arc(given, aim, light, pixels, band)
-    arc = estimate_light(geometry.image_source, charge_e, pixels, arc_e, other_e, light.has_arc)
+    arc_e, other_e, transmission = _predict_arc(given, aim, pixels, band)
+    arc = estimate_light(geometry.image_source, charge_e, pixels, arc_e, other_e, has_arc)
     seen = Observation(arc, expected, transmission)
-    if not _check_light(frame_checks, arc, light) or band is None:
+    if not _check_light(frame_checks, arc, band is not None) or band is None:
         return seen
     lit = _lit_band(geometry, aim, seen, band)
     reading = read_stripe(
-        geometry.look_source,
+        geometry.image_source,
+        geometry.stripe_source.psf_sigma_px,
         lit,
         expected,
         reach_px,
@@ -217,7 +218,7 @@ def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> S
     )
 
 
-def _check_light(frame_checks: FrameChecks, arc: ArcLevel, light: FrameLight) -> bool:
+def _check_light(frame_checks: FrameChecks, arc: ArcLevel, laser_on: bool) -> bool:
     """Ask whether there is arc light and the map explains it; return True if the laser is on."""
     if (
         frame_checks.ask_whether(checks.ARC_ON, arc.is_on)
@@ -225,7 +226,7 @@ def _check_light(frame_checks: FrameChecks, arc: ArcLevel, light: FrameLight) ->
         and frame_checks.ask(checks.ARC_LEVEL, arc.level, ARC_OFF_SIGMAS * arc.sigma)
     ):
         frame_checks.ask(checks.MAP_MISFIT, arc.misfit, MISFIT_LIMIT)
-    return frame_checks.ask_whether(checks.LASER_ON, light.laser_on)
+    return frame_checks.ask_whether(checks.LASER_ON, laser_on)
 
 
 def _check_stripe(
@@ -259,7 +260,7 @@ def _check_stripe(
 
 
 def _predict_arc(
-    given: FrameInput, aim: Aim, light: FrameLight, pixels: Int64, band: Band | None
+    given: FrameInput, aim: Aim, pixels: Int64, band: Band | None
 ) -> tuple[Float32, Float32, Transmission | None]:
     """Write the arc's light at its expected output to a band's background, and return it at pixels (n,), e-.
 
@@ -267,8 +268,9 @@ def _predict_arc(
     """
     geometry = given.geometry
     output = expected_output(geometry.setup, given.frame)
+    has_arc = shows_arc(geometry.setup, given.frame)
     lows, band_e, arc_e = NO_PIXELS, NO_BAND, np.empty(len(pixels), np.float32)
-    if band is not None and aim.use_arc_map and (light.has_arc or geometry.has_light_effects):
+    if band is not None and aim.use_arc_map and (has_arc or geometry.has_light_effects):
         lows, band_e = band.lows, band.background
     material, into = geometry.stripe_source.material, ArcLight(pixels, arc_e, lows, band_e)
     predict_arc(geometry.arc_source, geometry.image_source, material, aim.scene, output, into)
@@ -295,7 +297,7 @@ def _lit_band(geometry: SensorGeometry, aim: Aim, seen: Observation, band: Band)
     base_sigma_e = math.hypot(image.black_sigma_e, arc.ambient_e)
     if not aim.use_arc_map:
         return over_median(band, dark_e2, base_sigma_e)
-    lit = over_arc_map(band, arc, dark_e2, base_sigma_e, geometry.look_source.arc_level_rel)
+    lit = over_arc_map(band, arc, dark_e2, base_sigma_e, geometry.setup.tolerance.arc_level_rel)
     if transmission is None:
         if arc.level == 0.0:
             band.background[:] = 0.0
@@ -346,10 +348,3 @@ def expected_output(setup: Setup, frame: Frame) -> float:
         float(frame.current_a), float(frame.exposure_s), arc.current_a, exposure_s, arc.current_exponent
     )
     return output
-
-
-def frame_light(setup: Setup, frame: Frame) -> FrameLight:
-    """Return what is said to light a frame."""
-    return FrameLight(
-        float(frame.exposure_s), float(frame.current_a), bool(frame.laser_on), bool(shows_arc(setup, frame))
-    )

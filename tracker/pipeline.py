@@ -102,20 +102,18 @@ def look_and_fit(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Read
     joint, margin_mm = None, math.nan
     if seen.section is not None:
         joint, margin_mm = _fit_joint(given, frame_checks, aim, seen)
-    stripe, scatter = None, aim.scatter
-    if seen.stripe is not None:
-        stripe = seen.stripe.stripe
-        scatter = seen.stripe.scatter if seen.section is not None else aim.scatter
+    # What is no stripe says nothing of the scatter.
+    counted = None if seen.section is None else seen.stripe
     return Reading(
         checks=frame_checks,
         scene=aim.scene,
         seam=aim.seam,
         reach_mm=aim.reach_mm,
         arc=seen.arc,
-        stripe=stripe,
+        stripe=None if seen.stripe is None else seen.stripe.stripe,
         joint=joint,
         fov_margin_mm=margin_mm,
-        scatter=scatter,
+        scatter=aim.scatter if counted is None else counted.scatter,
         read_with=aim.scatter,
     )
 

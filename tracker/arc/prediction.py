@@ -16,15 +16,6 @@ MAX_CURRENT_A, MAX_EXPOSURE_S = 1e4, 1e2
 """No welding current and no exposure reaches these: such a number is not known."""
 
 
-class FrameLight(NamedTuple):
-    """What is said to light a frame, see `state.Frame`; `has_arc` says that an arc is on and is stated."""
-
-    exposure_s: float
-    current_a: float
-    laser_on: bool
-    has_arc: bool
-
-
 class ArcLight(NamedTuple):
     """Where the arc's light is wanted, and room for it, e-: at pixels (n,) and in a band (n_scan, depth).
 

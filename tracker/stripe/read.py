@@ -15,7 +15,7 @@ from tracker.geometry import (
     MAP_FLOOR_E,
     MAP_TOLERANCE,
     SEARCH_REACH_MM,
-    LookSource,
+    ImageSource,
     SensorGeometry,
 )
 from tracker.state import Stripe
@@ -180,7 +180,8 @@ def over_arc_map(
 
 
 def read_stripe(
-    source: LookSource,
+    image: ImageSource,
+    psf_sigma_px: float,
     lit: LitBand,
     expected: ExpectedStripe,
     reach_px: float,
@@ -210,8 +211,8 @@ def read_stripe(
             fit_path(band, expected, sought, noise, read_with, room)
     told = read_without_second(band, expected, sought, noise, read_with, room)
     add_frame(before, frames, room.seen, after)
-    stripe = empty_stripe(len(expected.position_px), source.image.along_rows)
-    write_stripe(expected, after, source.stripe.psf_sigma_px, room, stripe)
+    stripe = empty_stripe(len(expected.position_px), image.along_rows)
+    write_stripe(expected, after, psf_sigma_px, room, stripe)
     n_scan, n = len(expected.position_px), told.n_offsets
     offsets_px = sought.offsets_px[told.first : told.first + n]
     score = room.score[: n_scan * n].reshape((n_scan, n))
@@ -221,7 +222,7 @@ def read_stripe(
         expected_px=expected.position_px,
         sigma_px=expected.sigma_px,
         shown=expected.shown,
-        n_pos=source.image.n_pos,
+        n_pos=image.n_pos,
         score=score,
         around_px=room.around_px,
         offsets_px=offsets_px,
