@@ -11,9 +11,9 @@ from pathlib import Path
 from arctrack.nominal import nominal_setup
 from arctrack.output import make_new_folder, write_whole, writing
 from arctrack.recording import format_setup
+from arctrack.recording.files import FRAMES_CSV
 from arctrack.recording.frames import FOLDER_NAME
 from arctrack.recording.poses import CSV_NAME as POSES_CSV
-from arctrack.recording.reader import FRAMES_CSV
 from arctrack.recording.setup_file import FILE_NAME
 from arctrack.recording.tables import FRAME_COLUMNS, POSE_COLUMNS
 from noise_model.setup import Setup

@@ -22,10 +22,15 @@ def make_folder(folder: Path, files: Iterable[str]) -> None:
         raise in_file(folder, f"cannot be written: {error.strerror}; choose another with --out") from None
 
 
+def check_new_folder(folder: Path) -> None:
+    """Raise ArctrackError for a folder that holds anything, and for a file in its place."""
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise in_file(folder, "exists already; remove it or choose another name")
+
+
 def make_new_folder(folder: Path) -> None:
     """Make a folder, or take an empty one; ArctrackError if it holds anything, or if it cannot be made."""
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise in_file(folder, "exists already; choose the name of a new folder")
+    check_new_folder(folder)
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
 

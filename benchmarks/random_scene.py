@@ -14,7 +14,8 @@ from swept_world import Speckle, SweptWorld
 
 from arctrack.nominal import nominal_setup
 from noise_model.arrays import Float64
-from noise_model.setup import Setup, Tolerance
+from noise_model.setup import Setup
+from noise_model.setup_keys import Tolerance
 from noise_model.surface.joint import Joint
 from tracker.state import Frame, Pose
 

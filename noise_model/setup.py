@@ -10,53 +10,9 @@ from noise_model.instrument.camera import Camera
 from noise_model.instrument.laser import Laser
 from noise_model.instrument.sensor import Sensor
 from noise_model.instrument.spectrum import Filter, FilterCurve
+from noise_model.setup_keys import Tolerance
 from noise_model.surface.brdf import UNSTATED_METAL, Material
 from noise_model.surface.joint import Joint
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """How well a careful user knows the setup: 1 sigma each, but for `seam_mm`.
-
-    Parameters
-    ----------
-    arc_level_rel, laser_level_rel : float
-        The output of arc and laser, relative.
-    hand_eye_deg, hand_eye_mm : float
-        The camera's pose in the tool frame, degrees and mm.
-    black_level_dn : float
-        The black level, DN.
-    read_noise_rel : float
-        The read noise, relative.
-    seam_mm : float
-        The error that the weld can bear, mm. A track's confidence is the probability that the lateral and the
-        vertical error both stay below it.
-
-    Raises
-    ------
-    ValueError
-        For a value below 0.
-    """
-
-    arc_level_rel: float = 0.1
-    laser_level_rel: float = 0.05
-    hand_eye_deg: float = 0.05
-    hand_eye_mm: float = 0.05
-    black_level_dn: float = 0.3
-    read_noise_rel: float = 0.05
-    seam_mm: float = 0.25
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value >= 0:
-                raise ValueError(f"[tolerance] {name} = {value}: must be >= 0")
-
-    def __str__(self) -> str:
-        return (
-            f"hand-eye {self.hand_eye_deg:g} deg and {self.hand_eye_mm:g} mm, "
-            f"arc {100 * self.arc_level_rel:g} %, laser {100 * self.laser_level_rel:g} %; "
-            f"the weld bears {self.seam_mm:g} mm"
-        )
 
 
 @dataclass(frozen=True)

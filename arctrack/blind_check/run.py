@@ -28,7 +28,7 @@ from arctrack.errors import ArctrackError, in_file
 from arctrack.output import real, write_whole
 from arctrack.recording import BadFrame, Recording, RecordingWriter, pose_at, read_recording
 from arctrack.recording.diagnosis_files import plain, report
-from arctrack.recording.reader import UNFINISHED_SUFFIX
+from arctrack.recording.files import UNFINISHED_SUFFIX
 from arctrack.workers import processes
 from sim_to_real.check.case import FAILED, Answer, Case
 from sim_to_real.check.plan import TIERS, Planned, plan

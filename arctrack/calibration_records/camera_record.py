@@ -8,7 +8,7 @@ from arctrack.recording import Calibrated
 from arctrack.recording.toml_text import rounded
 from calibration.camera.calibrate import CameraCalibration
 from calibration.camera.lens import OPENCV
-from noise_model.instrument.camera import COEFFICIENTS
+from noise_model.setup_keys import COEFFICIENTS
 
 MADE_BY = "arctrack calibrate camera"
 

@@ -1,27 +1,8 @@
-"""The cell file: the choices for a cell, beside the facts that its setup holds."""
+"""The cell file: the choices for a cell, beside the facts that its setup holds.
 
-from arctrack.cell_file.choices import (
-    BusChoice,
-    CameraChoice,
-    CaptureChoice,
-    CellFile,
-    CellJob,
-    MonitorChoice,
-    ProcessChoice,
-)
-from arctrack.cell_file.reader import is_cell_file, read_cell_file
-from arctrack.cell_file.recorded import as_the_job_says, jobs_for
+The names in `__init__.pyi` are loaded when they are first used.
+"""
 
-__all__ = [
-    "BusChoice",
-    "CameraChoice",
-    "CaptureChoice",
-    "CellFile",
-    "CellJob",
-    "MonitorChoice",
-    "ProcessChoice",
-    "as_the_job_says",
-    "is_cell_file",
-    "jobs_for",
-    "read_cell_file",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

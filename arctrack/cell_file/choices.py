@@ -6,18 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from ipaddress import ip_address
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from arctrack.errors import ArctrackError, in_file
-from arctrack.recording.setup_file import SetupFile
 from arctrack.service.job import Bridging, Job, PartLimits
-from arctrack.service.policy import ServicePolicy
-from arctrack.service.pose_watch import nominal_path
-from noise_model.setup import Setup
-from noise_model.surface.joint import Joint
-from robot_io import GateLimits
-from robot_io.poses.plausibility_limits import PlausibilityLimits
-from robot_io.protocol.bus_load import load_share
-from tracker.seam.correction import Correction
+
+if TYPE_CHECKING:
+    from arctrack.recording import SetupFile
+    from arctrack.service.policy import ServicePolicy
+    from noise_model.setup import Setup
+    from noise_model.surface.joint import Joint
+    from robot_io import GateLimits
+    from robot_io.poses.plausibility_limits import PlausibilityLimits
+    from tracker.seam.correction import Correction
 
 DEEP = ("v_groove", "half_v")
 """The joints whose depth a track tells."""
@@ -246,6 +247,8 @@ class CellJob:
         ValueError
             For a depth that is asked of a joint whose depth no track tells; it names the key.
         """
+        from arctrack.service.pose_watch import nominal_path
+
         setup = self.setup_for(setup)
         if self.part.depth_mm is not None and setup.joint.type not in DEEP:
             raise ValueError(
@@ -312,6 +315,8 @@ class CellFile:
     @property
     def bus_load(self) -> float:
         """The share of the bus that all messages take at most."""
+        from robot_io.protocol.bus_load import load_share
+
         return load_share(self.camera.frame_rate_hz, self.bus.bit_rate_bit_s)
 
     def job_numbered(self, number: int | None) -> int:

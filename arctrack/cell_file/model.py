@@ -13,8 +13,8 @@ from arctrack.recording.key_errors import place
 from arctrack.recording.setup_model import FollowTable, JointTable, Number, Table
 from arctrack.service.job import PartLimits
 from arctrack.service.policy import ServicePolicy
+from noise_model.setup_keys import DIMENSIONS
 from noise_model.spelling import cure_for
-from noise_model.surface.joint import DIMENSIONS
 from robot_io import GateLimits
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from pydantic import ValidationError
 
@@ -40,9 +40,11 @@ from arctrack.recording.setup_model import Table
 from arctrack.recording.toml_text import parse_toml
 from arctrack.service.job import PartLimits, Range
 from arctrack.service.policy import ServicePolicy
-from noise_model.surface.joint import Joint
 from robot_io import GateLimits
 from robot_io.poses.plausibility_limits import PlausibilityLimits
+
+if TYPE_CHECKING:
+    from noise_model.surface.joint import Joint
 
 R = TypeVar("R")
 
@@ -66,6 +68,16 @@ def read_cell_file(path: Path | str) -> CellFile:
         It names the file and the key or line that is wrong. A key that is not known is wrong.
     """
     path = Path(path)
+    model = stated_keys(path)
+    setup = read_setup_file(path.parent / model.setup)
+    try:
+        return _cell(path, model, setup)
+    except ValueError as error:
+        raise in_file(path, str(error)) from None
+
+
+def stated_keys(path: Path) -> CellToml:
+    """Return the keys of a cell file; ArctrackError for one that is missing, not known or of another type."""
     if path.is_dir():
         raise in_file(path, "is a folder; give the cell.toml in it")
     with blamed_on(path, "there is no such file; arctrack cell new writes one"):
@@ -81,11 +93,7 @@ def read_cell_file(path: Path | str) -> CellFile:
         raise in_file(path, str(error)) from None
     for line in unknown_keys(model):
         raise in_file(path, line)
-    setup = read_setup_file(path.parent / model.setup)
-    try:
-        return _cell(path, model, setup)
-    except ValueError as error:
-        raise in_file(path, str(error)) from None
+    return model
 
 
 def is_cell_file(path: Path) -> bool:

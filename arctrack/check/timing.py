@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from arctrack.recording import PoseTable, Recording
+from arctrack.recording.files import FRAMES_CSV
 from arctrack.recording.poses import COVERAGE_PERIODS
-from arctrack.recording.reader import FRAMES_CSV
 from noise_model.arrays import Bool, Float64
 
 SPEEDS_MM_S = (0.1, 200.0)

@@ -26,6 +26,7 @@ from arctrack.cli.calibrate_laser import EXAMPLE as LASER_EXAMPLE
 from arctrack.cli.calibrate_laser import laser
 from arctrack.cli.calibrate_sensor import EXAMPLE as SENSOR_EXAMPLE
 from arctrack.cli.calibrate_sensor import sensor
+from arctrack.cli.inputs import look_at_file
 from arctrack.errors import ArctrackError, in_file
 
 if TYPE_CHECKING:
@@ -98,6 +99,9 @@ def reflectance(
     standard their scale is unknown: only kappa_spec / kappa_diff and c2 are measured, and --total sets the
     sum (Table 1: 0.347 for mild steel, 0.648 for the Zn-coated panel).
     """
+    look_at_file(data)
+    if white is not None:
+        look_at_file(white)
     from arctrack.calibration_files.goniometer import read_goniometer
     from arctrack.cli import console
     from arctrack.cli.reflectance_text import print_result, warnings

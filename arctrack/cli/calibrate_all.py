@@ -8,9 +8,11 @@ from typing import Annotated
 import typer
 
 from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
+from arctrack.cli.inputs import look_at_setup
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.setups import read_setup, write_calibrated
 from arctrack.errors import ArctrackError
+from arctrack.recording.files import check_folder
 
 REPORT = "calibrate_all.html"
 
@@ -40,6 +42,8 @@ def calibrate_all(
     certificate carries the whole covariance to the seam, in mm, and says which measurement would improve it
     most.
     """
+    look_at_setup(setup)
+    check_folder(folder)
     from arctrack.calibrating.all import calibrate_folder
     from arctrack.calibrating.folder import read_raw_files
     from arctrack.cli import console

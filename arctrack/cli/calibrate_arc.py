@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from arctrack.cli.calibration_output import Out, Report, calibrate_from_recording
+from arctrack.cli.inputs import look_at_recording
 
 REPORT = "calibrate_arc.html"
 
@@ -27,6 +28,7 @@ def arc(
     and keeps its stated value: which frames would tell it is said, and which values cannot be told apart. The
     values go into [arc] and [material] of the setup, their covariance beside them.
     """
+    look_at_recording(recording)
     from arctrack.calibrating.arc import arc_stage
 
     calibrate_from_recording(arc_stage, recording, out, report, REPORT, "the values are those of the others")

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from arctrack.cli.calibration_output import Out, Pattern, Report, Sources, board_of, check_outputs, finish
+from arctrack.cli.inputs import look_at_images, look_at_setup
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.setups import read_setup, write_calibrated
 from arctrack.errors import ArctrackError
@@ -37,11 +38,14 @@ def camera(
     Each value has its sigma, and so has the projection all over the image. Images that do not determine the
     lens are refused, and what is missing is named.
     """
+    look_at_images(sources)
+    if setup is not None:
+        look_at_setup(setup)
+    pattern = board_of(board)
     from arctrack.calibrating.camera import camera_stage
     from arctrack.cli import console
     from arctrack.importing.image_files import images_of
 
-    pattern = board_of(board)
     if out is not None and setup is None:
         raise ArctrackError("--out: needs --setup, whose other values stay; `arctrack new` writes one")
     stated = None if setup is None else read_setup(setup)

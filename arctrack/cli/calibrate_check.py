@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from arctrack.cli.calibration_output import Report, check_outputs
+from arctrack.cli.inputs import look_at_recording
 from arctrack.cli.setups import setup_path
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ def check(
     them apart, all are named, and the recording that would tell. The exit code is 0 if the setup explains
     the recording, 1 if not, 2 for bad input.
     """
+    look_at_recording(recording, setup)
     from arctrack.cli import console
     from arctrack.cli.exit_codes import WARNED
     from arctrack.output import write_whole

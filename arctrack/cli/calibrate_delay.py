@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from arctrack.cli.calibration_output import Out, Report, calibrate_from_recording
+from arctrack.cli.inputs import look_at_recording
 
 REPORT = "calibrate_delay.html"
 
@@ -25,6 +26,7 @@ def delay(
     the right one. It goes into the effect pose_delay of the setup. Where the motion is too weak, the answer
     is 'unestimated': what motion is missing is said, nothing but the page is written, and the exit code is 2.
     """
+    look_at_recording(recording)
     from arctrack.calibrating.delay import delay_stage
 
     calibrate_from_recording(delay_stage, recording, out, report, REPORT, "the delay is that of the others")

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from arctrack.cli.inputs import look_at_file, look_at_setup
 from arctrack.cli.setups import check_can_be_written, read_setup
 from arctrack.errors import ArctrackError, in_file
 from arctrack.output import write_whole
@@ -28,6 +29,8 @@ def filter_curve(
     """
     import numpy as np
 
+    look_at_file(data)
+    look_at_setup(setup)
     from arctrack.calibration_files.filter import read_filter_curve
     from arctrack.cli import console
     from arctrack.recording import with_filter_curve

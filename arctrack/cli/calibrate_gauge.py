@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
+from arctrack.cli.inputs import look_at_file, look_at_images, look_at_recording, look_at_setup
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.pose_options import Poses
 from arctrack.cli.setups import read_setup, setup_path, write_calibrated
@@ -63,12 +64,20 @@ def gauge(
     With --check one image is enough: the setup's sheet measures the gauge's size, and what to calibrate anew
     is said where it is off. Nothing but the page is written. The exit code is 1 where it is not OK.
     """
+    shape = _gauge_of(gauge)
+    if _is_recording(sources):
+        look_at_recording(sources[0], setup)
+    else:
+        look_at_images(sources)
+        if setup is not None:
+            look_at_setup(setup)
+    if poses is not None:
+        look_at_file(poses)
     from arctrack.calibrating.gauge import check_stage, gauge_stage
     from arctrack.cli import console
     from arctrack.cli.exit_codes import WARNED
     from arctrack.importing.image_files import images_of
 
-    shape = _gauge_of(gauge)
     if not within > 0.0:
         raise ArctrackError(f"--within {within:g}: must be > 0 mm")
     if check and out is not None:
@@ -108,12 +117,18 @@ def _gauge_of(text: str) -> Gauge:
         raise ArctrackError(f"--gauge: {error}") from None
 
 
+def _is_recording(sources: list[Path]) -> bool:
+    """Return True for one recording, False for images."""
+    from arctrack.recording.setup_file import FILE_NAME
+
+    return len(sources) == 1 and (sources[0] / FILE_NAME).exists()
+
+
 def _recording_of(sources: list[Path], setup: Path | None) -> Recording | None:
     """Return the recording that the sources are, None for images."""
     from arctrack.recording import read_recording
-    from arctrack.recording.setup_file import FILE_NAME
 
-    if len(sources) > 1 or not (sources[0] / FILE_NAME).exists():
+    if not _is_recording(sources):
         return None
     return read_recording(sources[0], None if setup is None else setup_path(setup), must_fit=False)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arctrack.cli.calibration_output import refuse_bad_frames
+from arctrack.cli.inputs import look_at_recording
 from arctrack.cli.setups import check_can_be_written, check_replaces_nothing
 from arctrack.errors import ArctrackError
 from arctrack.output import write_whole
@@ -23,6 +24,7 @@ def from_arc(recording: Path, out: Path) -> None:
     stands beside it. The seam's expected error is printed, before and after; where it is not clearly smaller
     after, no file is written. Use the file with `replay --setup`.
     """
+    look_at_recording(recording)
     from arctrack.cli import console
     from arctrack.recording import read_recording, with_camera_pose
     from calibration.hand_eye import estimate_hand_eye

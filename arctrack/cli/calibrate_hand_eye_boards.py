@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from arctrack.cli.calibration_output import board_of, check_outputs, finish
+from arctrack.cli.inputs import look_at_file, look_at_images, look_at_setup
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.pose_options import named_columns
 from arctrack.cli.setups import read_setup, write_calibrated
@@ -29,13 +30,16 @@ def from_boards(
     report: Path | None,
 ) -> None:
     """Calibrate, and write page and setup."""
+    look_at_images(sources)
+    look_at_setup(setup)
+    look_at_file(poses)
+    pattern = board_of(board)
     from arctrack.calibrating.hand_eye import hand_eye_stage
     from arctrack.calibration_files.robot_poses import PoseSource
     from arctrack.cli import console
     from arctrack.importing.image_files import images_of
     from arctrack.importing.units import parse_units
 
-    pattern = board_of(board)
     source = PoseSource(poses, translations, rotation, parse_units(units), named_columns(columns))
     stated = read_setup(setup)
     target = out or stated.path

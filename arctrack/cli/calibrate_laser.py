@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from arctrack.cli.calibration_output import Out, Pattern, Report, Sources, board_of, check_outputs, finish
+from arctrack.cli.inputs import look_at_images, look_at_setup
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.setups import read_setup, write_calibrated
 
@@ -36,11 +37,13 @@ def laser(
     Pairs that do not determine the plane are refused, and what is missing is named. Where the stripe ends on
     the board in several pairs, the fan's origin and angle follow; its width says the sheet's thickness.
     """
+    look_at_images(sources)
+    look_at_setup(setup)
+    pattern = board_of(board)
     from arctrack.calibrating.laser import laser_stage
     from arctrack.cli import console
     from arctrack.importing.image_files import images_of
 
-    pattern = board_of(board)
     stated = read_setup(setup)
     target = out or stated.path
     shown = report or target.with_name(REPORT)

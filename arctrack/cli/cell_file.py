@@ -9,7 +9,9 @@ import typer
 
 from arctrack.cli.cell import cell
 from arctrack.cli.exit_codes import WARNED
+from arctrack.cli.inputs import look_at_cell
 from arctrack.cli.simulate import JointName, MaterialName
+from arctrack.output import check_new_folder
 
 if TYPE_CHECKING:
     from arctrack.cell_file import CellFile, CellJob
@@ -24,6 +26,7 @@ def new(
     material: Annotated[MaterialName, typer.Option(help="The base metal.")] = MaterialName.MILD_STEEL,
 ) -> None:
     """Write a cell file that explains its keys: bus, camera, gate limits, jobs. A setup lies beside it."""
+    check_new_folder(folder)
     from arctrack.cell_file.new import write_new_cell
 
     cell_path, setup_path = write_new_cell(folder, joint.value, material.value)
@@ -37,6 +40,7 @@ def check(file: Annotated[Path, typer.Argument(help="The cell file, cell.toml.")
 
     The exit code is 1 where the setup has keys that are not known, or the bus is loaded above 70 %.
     """
+    look_at_cell(file)
     from arctrack.cell_file import read_cell_file
     from arctrack.cell_file.choices import HIGH_LOAD
     from arctrack.cli import console

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from arctrack.cli.inputs import look_at_recording
 from arctrack.cli.json_output import AsJson, say_json
 from arctrack.cli.setups import check_replaces_nothing
 from arctrack.errors import ArctrackError, in_file
@@ -36,6 +37,7 @@ def check(
     The exit code is 0 without a warning, 1 with one or if few offsets would go out, 3 if none would, 2
     for bad input.
     """
+    look_at_recording(recording, setup)
     from arctrack.check.run import check_recording
     from arctrack.cli import console
     from arctrack.cli.exit_codes import NOTHING_TRACKED, WARNED

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from arctrack.cli.inputs import look_at_recordings
 from arctrack.cli.worker_options import Scheduler, Workers
 from arctrack.errors import ArctrackError
 
@@ -42,6 +43,7 @@ def diagnose(
     tables of arc, filter and material; a plain laser's need none of them. A recording that fails does not
     stop the others; the exit code is then 2.
     """
+    look_at_recordings(recordings, setup)
     from arctrack.cli import console
     from arctrack.cli.diagnose_text import print_many, print_one
     from arctrack.diagnose import Diagnosed, jobs_for

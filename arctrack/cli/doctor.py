@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from arctrack.cli.exit_codes import UNFIT
+from arctrack.cli.inputs import look_at_cell
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.json_output import AsJson, say_json
 
@@ -30,6 +31,8 @@ def doctor(
     an offset goes out. Nothing is sent, and the laser stays off: not beside a live run of the same cell.
     The exit code is 1 if something failed, without which a live run cannot do, and 0 otherwise.
     """
+    if cell is not None:
+        look_at_cell(cell)
     from arctrack.cell_file import read_cell_file
     from arctrack.cli import console
     from arctrack.doctor.finding import State

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from arctrack.cli.inputs import look_at_recording
 from arctrack.cli.setups import check_replaces_nothing
 from arctrack.cli.tracking_options import ArcMap
 
@@ -27,6 +28,7 @@ def explain(
 
     The frames before it are replayed, so that the tracker knows what it knew.
     """
+    look_at_recording(recording, setup)
     from arctrack import explain as engine
     from arctrack.cli import console
     from arctrack.output import make_folder, write_whole

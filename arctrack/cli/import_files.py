@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from arctrack.cli.inputs import look_at_file, look_at_images, look_at_setup
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.pose_options import NamedColumns, Rotation, Translations, named_columns
 from arctrack.cli.setups import setup_path
@@ -62,6 +63,9 @@ def import_files(
     Images are taken in the order of their numbers. Units and the way that rotations are written are stated,
     never guessed. Nothing is written over, and what fails leaves nothing.
     """
+    look_at_setup(setup)
+    look_at_file(poses)
+    look_at_images(sources)
     from arctrack.cli import console
     from arctrack.importing.run import RawFiles, import_recording
     from arctrack.importing.units import parse_units

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from arctrack.cli.inputs import look_at_recording
 from arctrack.cli.json_output import AsJson, say_json
 from arctrack.cli.setups import check_replaces_nothing
 from arctrack.errors import ArctrackError, in_file
@@ -27,6 +28,7 @@ def inspect(
     The picture shows one frame of each condition, with the stripe where the nominal setup expects it,
     and the robot's path.
     """
+    look_at_recording(recording)
     from arctrack.cli import console
     from arctrack.cli.inspect_text import print_survey, survey_json
     from arctrack.output import make_folder, writing

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from arctrack.cli.simulate import JointName, MaterialName
+from arctrack.output import check_new_folder
 
 
 def new(
@@ -19,6 +20,7 @@ def new(
 
     The values are those of a sensor that works. Replace them by your own, add frames and poses, and replay.
     """
+    check_new_folder(folder)
     from arctrack.new import write_new
 
     written = write_new(folder, joint.value, material.value)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from arctrack.cli.inputs import look_at_setup
 from arctrack.cli.json_output import AsJson, say_json
 from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError, in_file
@@ -71,6 +72,7 @@ def plan(
 
     The error is the Cramer-Rao bound under the predicted noise of stripe and arc, with the speckle floor.
     """
+    look_at_setup(source)
     from arctrack.cli import console
     from arctrack.cli.plan_text import print_plan
     from noise_model.plan.noise import Surroundings

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from arctrack.cli.inputs import look_at_cell, look_at_recordings
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.tracking_options import ArcMap
 from arctrack.cli.worker_options import Scheduler, Workers
@@ -90,6 +91,9 @@ def replay(
     The last lines say how many offsets went out, of those wanted, how many frames are valid and, where few
     are, what most likely is wrong. The exit code is 3 where no frame is valid or no wanted offset went out.
     """
+    if cell is not None:
+        look_at_cell(cell)
+    look_at_recordings(recordings, setup)
     from arctrack.cell_file import read_cell_file
     from arctrack.recording.parquet_file import check_parquet
     from arctrack.recording.results import REPLAY_MCAP, REPLAY_RRD

@@ -16,6 +16,7 @@ import typer
 
 from arctrack.cli.cell import LIVE_MM
 from arctrack.cli.exit_codes import NOTHING_TRACKED
+from arctrack.cli.inputs import look_at_cell
 from arctrack.cli.interrupt import interruptible, stoppable
 from arctrack.errors import ArctrackError
 from arctrack.safe_points import ENDING
@@ -55,10 +56,12 @@ def serve(
     The exit code is 3 where no VALID offset went out, where no frame of a recording is valid, and where the
     torch of a simulated cell was not on the seam.
     """
-    from arctrack.cell_file import read_cell_file
-
     if simulated == (cell is not None):
         raise ArctrackError("serve: give a cell file, or --simulated")
+    if cell is not None:
+        look_at_cell(cell)
+    from arctrack.cell_file import read_cell_file
+
     if cell is None:
         is_tracked = _serve_simulated(job, seconds)
     else:

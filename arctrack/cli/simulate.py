@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from arctrack.cli.inputs import look_at_setup
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError
+from arctrack.output import check_new_folder
 
 if TYPE_CHECKING:
     from noise_model.setup import Setup
@@ -79,9 +81,12 @@ def simulate(
     ] = None,
 ) -> None:
     """Make a recording, with its truth, from arctrack's own forward model: stripe, arc, sensor noise."""
+    check_new_folder(out)
+    if setup is not None:
+        look_at_setup(setup)
     from arctrack import simulate as engine
     from arctrack.cli import console
-    from arctrack.recording.reader import UNFINISHED_SUFFIX
+    from arctrack.recording.files import UNFINISHED_SUFFIX
 
     plan = engine.SimulationPlan(
         frames=frames,

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from arctrack.cli.inputs import look_at_stated
+
 if TYPE_CHECKING:
     from noise_model.setup import Setup
     from tracker.seam.correction import Correction
@@ -26,6 +28,8 @@ def warm(
     same for its own setup before it reads the first frame. An update of arctrack compiles anew what has
     changed.
     """
+    for path in setups or []:
+        look_at_stated(path)
     from arctrack.cli import console
     from arctrack.errors import in_file
     from tracker.tracker import Tracker

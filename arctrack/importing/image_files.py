@@ -17,7 +17,6 @@ from arctrack.errors import ArctrackError, in_file, no_such_path
 from arctrack.importing.name_times import holds_dates
 from arctrack.limits import LIMITS
 from arctrack.printable import cut
-from arctrack.recording import ffv1
 from arctrack.recording.frame_hints import IMPORTED, VIDEOS
 from arctrack.recording.time_sources import TimeSource
 
@@ -105,6 +104,8 @@ def distinct_names(paths: Sequence[Path]) -> dict[Path, str]:
 def _frames_of(video: Path) -> ImageSeries:
     if video.suffix.lower() != VIDEO_SUFFIX:
         raise in_file(video, "only grey FFV1 in .mkv is read; export the frames of other videos as PNG")
+    from arctrack.recording import ffv1
+
     index = ffv1.index_of(video)
     count = len(index)
     if not 0 < count <= LIMITS.csv_rows:

@@ -28,8 +28,9 @@ from arctrack.importing.name_times import times_in_names
 from arctrack.importing.pose_files import PoseFile, known_names, read_poses
 from arctrack.importing.units import UNSTATED, Units
 from arctrack.recording import BadFrame, Recording, RecordingWriter, read_recording, read_setup_file
+from arctrack.recording.files import UNFINISHED_SUFFIX
 from arctrack.recording.poses import can_channel
-from arctrack.recording.reader import UNFINISHED_SUFFIX, fitted
+from arctrack.recording.reader import fitted
 from arctrack.recording.tables import FrameRow
 from arctrack.recording.time_sources import TimeSource
 from noise_model.arrays import Float64

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from arctrack.errors import in_file, no_such_path
+from arctrack.output import real
 
 KINDS = (
     (stat.S_ISDIR, "folder"),
@@ -22,6 +23,12 @@ KINDS = (
     (stat.S_ISCHR, "device"),
     (stat.S_ISBLK, "device"),
 )
+
+
+FRAMES_CSV, TRUTH_CSV = "frames.csv", "truth.csv"
+
+UNFINISHED_SUFFIX = ".unfinished"
+"""Ends the name of a recording's folder until all is written."""
 
 
 class UnfitFileError(ValueError):
@@ -43,6 +50,18 @@ def blamed_on(path: Path, missing: str = "there is no such file") -> Iterator[No
         raise in_file(path, str(error), line=error.line) from None
     except OSError as error:
         raise in_file(path, f"cannot be read: {error.strerror}") from None
+
+
+def check_folder(folder: Path) -> None:
+    """Raise ArctrackError if a recording's folder is missing, is none, or was not written to its end."""
+    if not folder.is_dir():
+        if folder.exists():
+            raise in_file(folder, "is a file; give the folder that holds it")
+        raise no_such_path(folder, "there is no such folder", Path.is_dir)
+    if real(folder).name.endswith(UNFINISHED_SUFFIX):
+        raise in_file(
+            folder, f"was not written to its end; take {UNFINISHED_SUFFIX} off its name to read it so"
+        )
 
 
 def open_file(path: Path, most_bytes: int) -> io.BufferedReader:

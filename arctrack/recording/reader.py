@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from arctrack.errors import ArctrackError, in_file, no_such_path
+from arctrack.errors import ArctrackError, in_file
 from arctrack.output import real
 from arctrack.printable import printable
 from arctrack.recording import setup_file
+from arctrack.recording.files import FRAMES_CSV, TRUTH_CSV, check_folder
 from arctrack.recording.frames import BadFrame, Image, check_source, read_frames, read_images
 from arctrack.recording.poses import (
     CSV_NAME,
@@ -32,9 +33,6 @@ from noise_model.setup import Setup
 from robot_io import PoseBuffer
 from tracker.seam.correction import Correction
 from tracker.state import Frame, Pose
-
-FRAMES_CSV, TRUTH_CSV = "frames.csv", "truth.csv"
-UNFINISHED_SUFFIX = ".unfinished"
 
 
 @dataclass(frozen=True)
@@ -288,7 +286,7 @@ def read_recording(
         travel. It names the file and the key or line.
     """
     folder = Path(path)
-    _check_folder(folder)
+    check_folder(folder)
     stated = setup_file.read_setup_file(folder / setup_file.FILE_NAME if setup_path is None else setup_path)
     rows, frame_warnings = read_frame_rows(folder / FRAMES_CSV)
     poses, pose_warnings = read_poses(folder, stated.T_tool_controllertool, stated.robot)
@@ -347,14 +345,3 @@ def read_truth(path: Path | str) -> Truth | None:
     """
     truth = Path(path) / TRUTH_CSV
     return read_truth_csv(truth) if truth.exists() else None
-
-
-def _check_folder(folder: Path) -> None:
-    if not folder.is_dir():
-        if folder.exists():
-            raise in_file(folder, "is a file; give the folder that holds it")
-        raise no_such_path(folder, "there is no such folder", Path.is_dir)
-    if real(folder).name.endswith(UNFINISHED_SUFFIX):
-        raise in_file(
-            folder, f"was not written to its end; take {UNFINISHED_SUFFIX} off its name to read it so"
-        )

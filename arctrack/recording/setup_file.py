@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import tomlkit
 from pydantic import ValidationError
-from scipy.spatial.transform import Rotation
 from tomlkit.items import Table
 
 from arctrack.errors import in_file
@@ -21,11 +20,11 @@ from arctrack.recording.key_errors import describe
 from arctrack.recording.setup_model import FORMAT, UNITS, CalibrationTable, RecordingToml, unknown_keys
 from arctrack.recording.toml_text import parse_toml, rounded
 from noise_model.arrays import Float64
-from noise_model.instrument.spectrum import Filter, FilterCurve
-from noise_model.setup import Setup
 from tracker.seam.correction import Correction
 
 if TYPE_CHECKING:
+    from noise_model.instrument.spectrum import Filter, FilterCurve
+    from noise_model.setup import Setup
     from sim_to_real.diagnosis import Named
 
 FILE_NAME = "recording.toml"
@@ -96,16 +95,24 @@ def setup_text(path: Path) -> str:
         return read_text(path, LIMITS.toml_bytes)
 
 
-def parse_setup(text: str, path: Path) -> SetupFile:
-    """Parse the text of a recording.toml; `path` is for the messages."""
+def stated_keys(text: str, path: Path) -> RecordingToml:
+    """Return the keys of a recording.toml's text; ArctrackError for one that is missing or of another type.
+
+    `path` is for the messages.
+    """
     try:
-        document = parse_toml(text)
-    except ValueError as error:
-        raise in_file(path, str(error)) from None
-    try:
-        model = RecordingToml.model_validate(document)
+        model = RecordingToml.model_validate(parse_toml(text))
+        model.joint.dimensions()
     except ValidationError as error:
         raise in_file(path, describe(error, RecordingToml)) from None
+    except ValueError as error:
+        raise in_file(path, str(error)) from None
+    return model
+
+
+def parse_setup(text: str, path: Path) -> SetupFile:
+    """Parse the text of a recording.toml; `path` is for the messages."""
+    model = stated_keys(text, path)
     controllertool = None if model.robot is None else model.robot.controllertool_to_tool
     try:
         setup = model.to_setup()
@@ -114,7 +121,7 @@ def parse_setup(text: str, path: Path) -> SetupFile:
             path=path,
             setup=setup,
             correction=model.follow.to_correction(),
-            robot=document.get("robot", {}),
+            robot={} if model.robot is None else model.robot.model_dump(exclude_unset=True),
             T_tool_controllertool=None
             if controllertool is None
             else controllertool.matrix("robot.controllertool_to_tool"),
@@ -159,6 +166,8 @@ def with_camera_keys(path: Path, keys: Mapping[str, int | float]) -> str:
 
 def pose_table(T_a_b: Float64) -> dict[str, list[float]]:
     """Return a pose as the file states it: translation in mm, unit quaternion x y z w with w >= 0."""
+    from scipy.spatial.transform import Rotation
+
     # Twelve decimals: what rounding left behind the last ones does not come back the same.
     quaternion = Rotation.from_matrix(T_a_b[:3, :3]).as_quat(canonical=True).round(12)
     return {
@@ -200,6 +209,8 @@ def with_effects(path: Path, effects: Sequence[Named]) -> str:
 
 
 def _filter_table(of_filter: Filter | FilterCurve | None) -> dict[str, Any]:
+    from noise_model.instrument.spectrum import FilterCurve
+
     if of_filter is None:
         return {}
     table: dict[str, Any] = {

@@ -1,10 +1,13 @@
-"""recording.toml's keys and types; what the values must be beyond that is said beside the physics."""
+"""recording.toml's keys and types; what the values must be beyond that is said beside the physics.
+
+The physics is imported once the keys are right: it takes seconds, and a misspelt key needs none of it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
@@ -14,17 +17,15 @@ from arctrack.printable import shown
 from arctrack.recording.key_errors import held, meant_by, place
 from noise_model.arc_source import NO_ARC, Arc
 from noise_model.arrays import Float64
-from noise_model.effects import REGISTRY, checked
-from noise_model.instrument.camera import COEFFICIENTS, Camera
-from noise_model.instrument.laser import Laser
-from noise_model.instrument.sensor import Sensor
-from noise_model.instrument.spectrum import CurveError, Filter, FilterCurve
-from noise_model.setup import Setup, Tolerance
+from noise_model.setup_keys import COEFFICIENTS, DIMENSIONS, Tolerance
 from noise_model.spelling import nearest
-from noise_model.surface.brdf import UNSTATED_METAL, Material
-from noise_model.surface.joint import DIMENSIONS, Joint
-from noise_model.transforms import pose_matrix
 from tracker.seam.correction import AtLimit, AxisCorrection, Correction, CorrugationPath, WhenLost
+
+if TYPE_CHECKING:
+    from noise_model.instrument.camera import Camera
+    from noise_model.instrument.spectrum import Filter, FilterCurve
+    from noise_model.setup import Setup
+    from noise_model.surface.joint import Joint
 
 FORMAT = "joint-tracking-recording/1"
 UNITS = "mm, s, deg, e-, DN"
@@ -65,6 +66,8 @@ class PoseTable(Table):
 
     def matrix(self, place: str) -> Float64:
         """Return the pose as a 4x4 matrix; ValueError names `place` if it is no rotation."""
+        from noise_model.transforms import pose_matrix
+
         try:
             return pose_matrix(self.translation_mm, self.quaternion_xyzw)
         except ValueError as error:
@@ -111,6 +114,8 @@ class FilterTable(Table):
 
     def to_filter(self) -> Filter | FilterCurve:
         """Return the filter; ValueError names the key of a curve that cannot be."""
+        from noise_model.instrument.spectrum import CurveError, Filter, FilterCurve
+
         wavelengths, transmission = self.curve_wavelength_nm, self.curve_transmission
         if wavelengths is None and transmission is None:
             return Filter(self.center_nm, self.fwhm_nm, self.effective_index)
@@ -171,6 +176,8 @@ class JointTable(Table):
 
     def to_joint(self) -> Joint:
         """Return the joint; ValueError names the key of a value that cannot be."""
+        from noise_model.surface.joint import Joint
+
         return Joint(
             type=self.type,
             dimensions=self.dimensions(),
@@ -289,6 +296,12 @@ class RecordingToml(Table):
 
     def to_setup(self) -> Setup:
         """Return the typed setup; ValueError names the table and key of a value that cannot be."""
+        from noise_model.effects import checked
+        from noise_model.instrument.laser import Laser
+        from noise_model.instrument.sensor import Sensor
+        from noise_model.setup import Setup
+        from noise_model.surface.brdf import UNSTATED_METAL, Material
+
         known = *_units(UNITS), *NAMED_IN_KEYS
         if any(unit not in known for unit in _units(self.units)):
             raise ValueError(f"{held('units', self.units)}: must be of {UNITS}; convert the file's values")
@@ -314,6 +327,8 @@ class RecordingToml(Table):
 
     def _known_effects(self) -> dict[str, dict[str, float]]:
         """Return the effects that are known, with their parameters that are; ValueError if they hold else."""
+        from noise_model.effects import REGISTRY
+
         known: dict[str, dict[str, float]] = {}
         for name, table in self.effects.items():
             if name not in REGISTRY:
@@ -327,6 +342,8 @@ class RecordingToml(Table):
         return known
 
     def _camera(self) -> Camera:
+        from noise_model.instrument.camera import Camera
+
         problem = size_problem(self.camera.width, self.camera.height)
         if problem is not None:
             raise ValueError(f"[camera] width, height: {problem}")
@@ -348,6 +365,8 @@ def _is_usable(value: Any) -> bool:
 
 def unknown_keys(model: RecordingToml) -> dict[str, str | None]:
     """Return the keys that mean nothing here, as `[table] key`, each with the known key nearest to it."""
+    from noise_model.effects import REGISTRY
+
     unknown = {place(location): near for location, near in _unknown(model, ())}
     for name, table in model.effects.items():
         if name not in REGISTRY:

@@ -16,10 +16,10 @@ from types import TracebackType
 from typing import Self, TextIO
 
 from arctrack.errors import in_file
-from arctrack.output import write_whole, writing
+from arctrack.output import check_new_folder, write_whole, writing
 from arctrack.recording import ffv1, frames, png, setup_file, tables
+from arctrack.recording.files import FRAMES_CSV, TRUTH_CSV, UNFINISHED_SUFFIX
 from arctrack.recording.poses import CSV_NAME as POSES_CSV
-from arctrack.recording.reader import FRAMES_CSV, TRUTH_CSV, UNFINISHED_SUFFIX
 from noise_model.arrays import Float64
 from noise_model.setup import Setup, require_setup
 from tracker.state import Frame, frame_misfit
@@ -84,8 +84,7 @@ class RecordingWriter:
             raise in_file(self.path, "is no name for a recording; give that of a new folder")
         self._folder = self.path.with_name(self.path.name + UNFINISHED_SUFFIX)
         for folder in (self.path, self._folder):
-            if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-                raise in_file(folder, "exists already; remove it or choose another name")
+            check_new_folder(folder)
         text = setup_file.format_setup(setup) if toml is None else toml
         with writing(self._folder):
             (self._folder / frames.FOLDER_NAME if video is None else self._folder).mkdir(

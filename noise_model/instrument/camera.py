@@ -13,13 +13,11 @@ import numpy.typing as npt
 
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.kernel import kernel
+from noise_model.setup_keys import COEFFICIENTS
 
 NARROW_PX = 0.65
 """Below this 1 sigma a Gaussian sampled at the pixel centres is narrower than it should be."""
 
-
-COEFFICIENTS = (5, 8, 14)
-"""How many of OpenCV's coefficients of distortion a camera may state."""
 
 MONOCHROME = ("mono", "gray", "grey")
 """How the name of a pixel format begins that has no colour: the one thing that is asked of it."""

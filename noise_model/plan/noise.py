@@ -23,8 +23,9 @@ from noise_model.plan.cramer_rao import (
 from noise_model.plan.design import design_of, gains_over_effects, magnification
 from noise_model.plan.light import ARC_PLACES, HALF_WINDOW_SIGMAS, StripeLight
 from noise_model.setup import Setup
+from noise_model.setup_keys import DIMENSIONS
 from noise_model.stripe import stripe_depth_mm
-from noise_model.surface.joint import DIMENSIONS, Joint, section
+from noise_model.surface.joint import Joint, section
 
 NODES = 33
 """Nodes across a scan line's window: a quarter of the stripe's sigma apart, as good as an integral."""

@@ -17,24 +17,12 @@ import numpy as np
 
 from noise_model.arrays import Float64, Int64, Point
 from noise_model.kernel import kernel
+from noise_model.setup_keys import DIMENSIONS
 from noise_model.spelling import cure_for
 from noise_model.transforms import cross
 
 REACH_MM = 1.0e4
 """How far the plates run on to either side of the seam."""
-
-DIMENSIONS: Mapping[str, tuple[str, ...]] = {
-    "flat": (),
-    "v_groove": ("included_angle_deg", "depth_mm", "root_gap_mm"),
-    "lap": ("thickness_mm",),
-    "corrugation": ("thickness_mm", "pitch_mm", "height_mm", "width_mm"),
-    "butt": ("gap_mm", "thickness_mm"),
-    "fillet": ("included_angle_deg",),
-    "half_v": ("bevel_angle_deg", "depth_mm", "root_gap_mm"),
-    "u_groove": ("depth_mm", "root_radius_mm", "bevel_angle_deg", "root_gap_mm"),
-    "edge": ("gap_mm", "thickness_mm"),
-}
-"""The dimensions that each type of joint needs."""
 
 MAY_BE_ZERO = ("root_gap_mm", "gap_mm")
 """The dimensions that may be 0; all others are above it."""

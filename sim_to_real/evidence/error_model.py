@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import REGISTRY
 from noise_model.effects.effect import Stage
-from noise_model.setup import Tolerance
+from noise_model.setup_keys import Tolerance
 from sim_to_real.data.binned import Observed
 from sim_to_real.evidence.coordinates import (
     FreeTerms,

@@ -91,7 +91,7 @@ def test_a_new_recording_with_frames_and_poses_is_one(tmp_path: Path) -> None:
 
 def test_what_is_there_is_not_touched(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(ArctrackError, match="exists already; choose the name of a new folder"):
+    with pytest.raises(ArctrackError, match="exists already; remove it or choose another name"):
         write_new(tmp_path, "lap", "mild_steel")
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 

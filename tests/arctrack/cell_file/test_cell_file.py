@@ -236,7 +236,7 @@ def test_a_setup_that_is_not_there_is_named(changed: Callable[[Change], Path], t
         read_cell_file(tmp_path / "cell.toml")
     with pytest.raises(ArctrackError, match=r"is a folder; give the cell\.toml in it"):
         read_cell_file(tmp_path)
-    with pytest.raises(ArctrackError, match="exists already; choose the name of a new folder"):
+    with pytest.raises(ArctrackError, match="exists already; remove it or choose another name"):
         write_new_cell(ROOT, "lap", "mild_steel")
 
 

@@ -1,0 +1,131 @@
+"""A command that fails on its input has imported nothing of what computes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from arctrack.cli import app
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "v_groove"
+
+HEAVY = ("PIL", "aiohttp", "av", "can", "cantools", "cv2", "matplotlib", "numba", "scipy", "skimage")
+
+RUN_EACH = f"""
+import json, sys
+from arctrack.cli import main
+for line in sys.stdin:
+    sys.argv = ["arctrack", *json.loads(line)]
+    try:
+        main()
+    except SystemExit as end:
+        print(json.dumps([end.code, [name for name in {HEAVY!r} if name in sys.modules]]))
+"""
+
+MISSING = {
+    "replay": ["nowhere"],
+    "check": ["nowhere"],
+    "inspect": ["nowhere"],
+    "explain": ["nowhere", "0"],
+    "new": ["taken"],
+    "import": ["nowhere", "--setup", "sound", "--poses", "sound/poses.csv", "--out", "new"],
+    "simulate": ["taken"],
+    "plan": ["nowhere"],
+    "diagnose": ["nowhere"],
+    "serve": ["nowhere"],
+    "doctor": ["nowhere"],
+    "warm": ["nowhere"],
+    "calibrate all": ["nowhere", "--setup", "sound"],
+    "calibrate arc": ["nowhere"],
+    "calibrate camera": ["nowhere", "--board", "chessboard:9x6:5mm"],
+    "calibrate check": ["sound", "nowhere"],
+    "calibrate delay": ["nowhere"],
+    "calibrate filter": ["nowhere", "--setup", "sound", "--out", "new"],
+    "calibrate gauge": ["nowhere", "--gauge", "step:5mm", "--setup", "sound"],
+    "calibrate hand-eye": ["nowhere", "--out", "new"],
+    "calibrate laser": ["nowhere", "--board", "chessboard:9x6:5mm", "--setup", "sound"],
+    "calibrate reflectance": ["nowhere"],
+    "calibrate sensor": ["nowhere"],
+    "cell new": ["taken"],
+    "cell check": ["nowhere"],
+}
+"""What each command may be given that is not there, or that is there already."""
+
+MISSPELT = (
+    ["replay", "misspelt"],
+    ["replay", "--resume", "--workers", "2", "misspelt", "nowhere"],
+    ["replay", "sound", "--setup", "misspelt/recording.toml"],
+    ["replay", "sound", "--cell", "misspelt/cell.toml"],
+    ["replay", "no_frames"],
+    ["check", "misspelt"],
+    ["explain", "misspelt", "0"],
+    ["diagnose", "misspelt"],
+    ["serve", "misspelt/cell.toml"],
+    ["doctor", "misspelt/cell.toml"],
+    ["warm", "misspelt", "misspelt/cell.toml"],
+    ["plan", "misspelt"],
+    ["simulate", "new", "--setup", "misspelt"],
+    ["calibrate", "sensor", "misspelt"],
+    ["calibrate", "check", "misspelt", "sound"],
+)
+
+WITHOUT_INPUT = {"cell run", "cell serve", "cell schedules", "figures paper", "figures effects"}
+OF_THE_BLIND_CHECK = {f"diagnose check {name}" for name in ("make", "run", "more", "open")}
+
+
+def _commands(command: Any, names: str = "") -> Iterator[str]:
+    inner = getattr(command, "commands", {})
+    for name, each in inner.items():
+        yield from _commands(each, f"{names} {name}".strip())
+    if not inner:
+        yield names
+
+
+@pytest.fixture
+def inputs(tmp_path: Path) -> Path:
+    """Return a folder with what the commands above name."""
+    setup = (EXAMPLE / "recording.toml").read_text()
+    for name, text in (
+        ("sound", setup),
+        ("no_frames", setup),
+        ("misspelt", setup.replace("depth_mm", "dept_mm")),
+    ):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "recording.toml").write_text(text)
+    for table in ("frames.csv", "poses.csv"):
+        (tmp_path / "sound" / table).write_text((EXAMPLE / table).read_text())
+    cell = 'format = "arctrack-cell/1"\nsetup = "recording.toml"\n[camera]\nframe_rate = 25.0\n'
+    (tmp_path / "misspelt" / "cell.toml").write_text(cell)
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "recording.toml").write_text(setup)
+    return tmp_path
+
+
+def test_each_command_that_reads_is_given_something_missing() -> None:
+    assert {*_commands(typer.main.get_command(app))} == {*MISSING} | WITHOUT_INPUT | OF_THE_BLIND_CHECK
+
+
+@pytest.mark.slow
+def test_what_fails_on_its_input_imports_nothing_that_computes(inputs: Path) -> None:
+    given = [*([*command.split(), *rest] for command, rest in MISSING.items()), *MISSPELT]
+    ran = subprocess.run(
+        [sys.executable, "-c", RUN_EACH],
+        input="".join(json.dumps(arguments) + "\n" for arguments in given),
+        capture_output=True,
+        text=True,
+        cwd=inputs,
+    )
+    ends = [json.loads(line) for line in ran.stdout.splitlines()]
+    assert [(arguments, *end) for arguments, end in zip(given, ends, strict=True)] == [
+        (arguments, 2, []) for arguments in given
+    ]
+    complaints = ran.stderr.splitlines()
+    assert all(line.startswith("arctrack: error: ") for line in complaints)
+    assert len(complaints) == len(given) + 1
