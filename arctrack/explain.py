@@ -34,9 +34,8 @@ from tracker.observation import (
     expected_output,
     observe,
     observed_section,
-    profile_of,
 )
-from tracker.profile import Profile
+from tracker.profile import Section
 from tracker.seam.locate import locate
 from tracker.state import Frame, Pose, Track
 from tracker.step import step_and_reading
@@ -93,7 +92,7 @@ class Look:
     expected: ExpectedStripe | None = None
     arc: ArcImage | None = None
     stripe: StripeLook | None = None
-    profile: Profile | None = None
+    profile: Section | None = None
     joint: MeasuredJoint | None = None
     seam: SeamLook | None = None
 
@@ -198,11 +197,10 @@ def _look(given: FrameInput, reading: Reading) -> Look:
     if stripe is None:
         return look
     section = observed_section(geometry, aim, seen)
-    profile = profile_of(section, given.frame, geometry.along_rows)
     look = replace(look, stripe=StripeLook(stripe, refusals(stripe, expected), sigma_parts(stripe, expected)))
-    if len(profile.y_mm) < 2:
+    if len(section.y_mm) < 2:
         return look
-    look = replace(look, profile=profile)
+    look = replace(look, profile=section)
     if reading.flags & flags.STRIPE_LOST.mask:
         return look
     if reading.joint is None:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from noise_model.arc.map import CELL
 from noise_model.arrays import Float64
+from tracker.state import N_LINES
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.line_fit.block import CORRELATION_PX, MIN_SIGMA_E, WIDTH_SIGMA_LN, WINDOW_SIGMAS
 from tracker.stripe.line_fit.first_guess import line_window
@@ -104,7 +105,7 @@ def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[flo
     charge, background, censored = (
         image[both, window].mean(axis=0) for image in (band.charge, band.background, band.censored)
     )
-    share = 1.0 / reading.n_lines[s]
+    share = 1.0 / reading.lines[N_LINES, s]
     shot, dark_e2 = share * reading.shot, share * reading.dark_variance_e2
     u = np.arange(window.start, window.stop) + low - position
     t = u / width
@@ -154,8 +155,9 @@ def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[flo
 
 def read_with(reading: StripeReading, s: int) -> slice:
     """Return the scan lines that one was read with, itself and, where they are a pair, its neighbour."""
-    first = s - s % int(reading.n_lines[s])
-    return slice(first, first + int(reading.n_lines[s]))
+    n_lines = int(reading.lines[N_LINES, s])
+    first = s - s % n_lines
+    return slice(first, first + n_lines)
 
 
 def window_of(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[slice, float]:

@@ -18,14 +18,14 @@ from tracker.arc.prediction import ArcLight, output_for, predict_arc
 from tracker.arc.transmission import NO_LIGHT, Transmission
 from tracker.checks import FrameChecks
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry, dark_variance_at
-from tracker.joint.measured import MeasuredJoint, SectionPoints
-from tracker.joint.section import Section
-from tracker.profile import Profile, StripeLines, measured_points
+from tracker.joint.measured import MeasuredJoint
+from tracker.profile import EdgeAlongSeam, Section, triangulate
 from tracker.seam.correction import Correction
 from tracker.seam.locate import sources
 from tracker.state import Frame, Lead, Stripe
 from tracker.stripe.band import FIT_SIGMAS, Band, LightLevel, gather_band
 from tracker.stripe.detection import MIN_RATIO, MIN_SEEN, seen_share
+from tracker.stripe.edge import clear_lines
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import (
     LitBand,
@@ -173,46 +173,18 @@ def observe(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Observati
 
 def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> Section:
     """Return the section that a stripe shows, whose joint is looked for a little beyond a look's reach."""
-    assert seen.expected is not None
     assert seen.stripe is not None
-    reading, stripe, seam_source = seen.stripe, seen.stripe.stripe, geometry.seam_source
-    lines = StripeLines(
-        position_px=stripe.position_px,
-        sigma_px=stripe.sigma_px,
-        beside_px=stripe.beside_px,
-        amplitude_e=stripe.amplitude_e,
-        width_px=reading.width_px,
-        bias_px=seen.expected.bias_px,
-        misfit_px=reading.misfit_px,
-        n_lines=reading.n_lines,
-    )
-    points = measured_points(
-        geometry.stripe_source,
-        aim.scene,
-        lines,
-        reading.usual.contrast,
-        seam_source.height_mm,
-        aim.seam.slope_sigma,
-    )
+    reading, source, seam_source = seen.stripe, geometry.stripe_source, geometry.seam_source
+    edge = EdgeAlongSeam(seam_source.height_mm, aim.seam.slope_sigma, reading.usual.contrast)
+    points, column_mm, sheet_lines = triangulate(source, aim.scene, reading.lines, edge)
     camera_mm, laser_mm = sources(seam_source, aim.scene, aim.seam.station_mm)
     return Section(
-        points=SectionPoints(
-            y_mm=points.y_mm,
-            z_mm=points.z_mm,
-            dy_mm=points.dy_mm,
-            dz_mm=points.dz_mm,
-            scan=points.scan,
-            sigma_px=points.sigma_px,
-            beside_px=points.beside_px,
-            misfit_px=points.misfit_px,
-            n_lines=points.n_lines,
-        ),
-        column_mm=points.column_mm,
+        points=points,
+        column_mm=column_mm,
         reach_mm=aim.reach_mm + BEYOND_REACH_MM,
-        mixed_mm=points.mixed_mm,
+        mixed_mm=column_mm * (clear_lines(source.psf_sigma_px, sheet_lines) - 1),
         slope_sigma=aim.seam.slope_sigma,
-        bias_px=points.bias_px,
-        light=light_of(reading, geometry.stripe_source.psf_sigma_px, points.sheet_lines),
+        light=light_of(reading, source.psf_sigma_px, sheet_lines),
         camera_mm=camera_mm,
         laser_mm=laser_mm,
     )
@@ -308,29 +280,6 @@ def _lit_band(geometry: SensorGeometry, aim: Aim, seen: Observation, band: Band)
     arc_e, other_e = transmission.through(pixels, band.background.ravel())
     band.background[:] = (np.float32(lit.light.level) * arc_e + other_e).reshape(n_scan, depth)
     return lit._replace(light=LightLevel(1.0, lit.light.black_e))
-
-
-def profile_of(section: Section, frame: Frame, along_rows: bool) -> Profile:
-    """Return a section as a profile, with the whole frame by scan line."""
-    points = section.points
-    return Profile(
-        y_mm=points.y_mm,
-        z_mm=points.z_mm,
-        dy_mm=points.dy_mm,
-        dz_mm=points.dz_mm,
-        sigma_px=points.sigma_px,
-        scan=points.scan,
-        column_mm=section.column_mm,
-        beside_px=points.beside_px,
-        reach_mm=section.reach_mm,
-        light=section.light,
-        image_dn=frame.image_dn.T if along_rows else frame.image_dn,
-        mixed_mm=section.mixed_mm,
-        bias_px=section.bias_px,
-        misfit_px=points.misfit_px,
-        slope_sigma=section.slope_sigma,
-        n_lines=points.n_lines,
-    )
 
 
 def shows_arc(setup: Setup, frame: Frame) -> bool:

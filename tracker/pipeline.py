@@ -28,7 +28,6 @@ from tracker.observation import (
     Observation,
     Reading,
     observe,
-    profile_of,
 )
 from tracker.seam.expected import ExpectedSeam, check_pose, expect_seam
 from tracker.seam.gaussian_process import NO_HISTORY
@@ -198,7 +197,7 @@ def _fit_joint(
         fitted = undetermined() if joint is None else joint
         is_other = shows_another(points, section.column_mm, family, geometry.stated_joint, fitted)
         frame_checks.ask_whether(checks.JOINT_TYPE, not is_other)
-    return check_joint(frame_checks, joint, float(section.points.y_mm[0]), float(section.points.y_mm[-1]))
+    return check_joint(frame_checks, joint, float(section.y_mm[0]), float(section.y_mm[-1]))
 
 
 def _is_told(joint: MeasuredJoint | None) -> bool:
@@ -211,11 +210,11 @@ def _closed_joint(given: FrameInput, aim: Aim, seen: Observation) -> MeasuredJoi
     geometry, section = given.geometry, seen.section
     assert section is not None
     assert seen.stripe is not None
-    profile = profile_of(section, given.frame, geometry.along_rows)
+    image_dn = given.frame.image_dn.T if geometry.along_rows else given.frame.image_dn
     stripe_px = smoothed(seen.stripe.stripe).position_px
     stripe_sigma_px = known_median(section.light.width_px)
-    line = read_image_line(geometry, aim.scene, stripe_px, stripe_sigma_px, profile)
-    return None if line is None else fit_closed_joint(profile, geometry.setup.joint, line)
+    line = read_image_line(geometry, aim.scene, stripe_px, stripe_sigma_px, section, image_dn)
+    return None if line is None else fit_closed_joint(section, geometry.setup.joint, line)
 
 
 def check_joint(

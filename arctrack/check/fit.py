@@ -20,7 +20,7 @@ from noise_model.transforms import invert, transform
 from tracker.checks import FrameChecks
 from tracker.geometry import SEARCH_REACH_MM, to_laser_plane
 from tracker.joint.type_check import Family, shown_family
-from tracker.profile import Profile
+from tracker.profile import points_of
 from tracker.seam.expected import check_pose, pose_numbers
 from tracker.seam.locate import SeamSource
 
@@ -89,20 +89,9 @@ class LinePoints:
             return None
         order = np.argsort(self.y_mm)
         y, z = self.y_mm[order], self.z_mm[order]
-        px = np.ones(n)
-        spacing = float(np.median(np.diff(y)))
-        family, _ = shown_family(
-            Profile(
-                y_mm=y,
-                z_mm=z,
-                dy_mm=np.zeros(n),
-                dz_mm=self.mm_per_px * px,
-                sigma_px=px,
-                scan=np.arange(n, dtype=np.float64),
-                column_mm=spacing,
-                beside_px=px,
-            )
-        )
+        px, scan = np.ones(n), np.arange(n, dtype=np.float64)
+        points = points_of(y, z, scan=scan, sigma_px=px, beside_px=px, dz_mm=self.mm_per_px)
+        family, _ = shown_family(points)
         return family
 
 

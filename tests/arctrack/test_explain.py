@@ -33,7 +33,7 @@ from noise_model.setup import Setup
 from tracker import flags
 from tracker.checks import Check
 from tracker.geometry import SensorGeometry
-from tracker.state import Stripe
+from tracker.state import N_ROWS, Stripe
 from tracker.stripe.band import Band
 from tracker.stripe.detection import Evidence
 from tracker.stripe.expected import ExpectedStripe
@@ -194,11 +194,9 @@ def made(
         math.inf,
         NO_SCATTER,
         NO_SCATTER,
-        np.zeros(N_SCAN),
         UsualLine(0.0, 0.0, math.nan),
         Evidence(0, False, 1.0, math.inf),
-        fits[:, 3],
-        alone,
+        np.ones((N_ROWS, N_SCAN)),
     )
     return reading, expected
 

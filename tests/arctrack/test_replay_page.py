@@ -27,7 +27,7 @@ from arctrack.tracking import tracker_of
 from noise_model.transforms import transform
 from robot_io import SeamOffset, Validity
 from tracker import flags
-from tracker.profile import triangulate
+from tracker.profile import lines_of, triangulate
 from tracker.stripe.expected import expect_stripe
 
 
@@ -150,17 +150,10 @@ def test_the_view_is_the_trackers_own(simulated: Path) -> None:
         assert view.profile is not None
         expected = expect_stripe(tracker.geometry, reading.scene)
         assert expected is not None
-        profile = triangulate(
-            tracker.geometry,
-            reading.scene,
-            stripe.position_px - expected.bias_px,
-            stripe.sigma_px,
-            stripe.beside_px,
-        )
+        lines = lines_of(stripe, expected.bias_px)
+        points, _, _ = triangulate(tracker.geometry.stripe_source, reading.scene, lines)
         points_joint = transform(reading.scene.T_joint_tool, view.profile.points_mm)
-        np.testing.assert_allclose(
-            points_joint[:, 1:], np.column_stack([profile.y_mm, profile.z_mm]), atol=1e-6
-        )
+        np.testing.assert_allclose(points_joint[:, 1:], points[:2].T, atol=1e-6)
         y, z = view.profile.section_mm[:, 1:].T
         assert np.interp(track.seam_tool_mm[1], y, z) == pytest.approx(track.seam_tool_mm[2], abs=0.02)
         plane = tracker.geometry.setup.laser.plane

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from profiles import Profile
 
 from noise_model.arrays import Bool, Float64
 from tracker.joint.measured import OnFace
-from tracker.joint.upright_edge import Change, light_of
-from tracker.profile import Profile
+from tracker.joint.upright_edge import Change
 from tracker.stripe.light import NEXT_TO_NOTHING, WINDOW_SIGMAS, StripeLight
 
 
@@ -30,7 +30,7 @@ class FacesBeside:
         """`change_of` of points that are `near` (n,), all in one row."""
         first, last = np.flatnonzero(near)[[0, -1]]
         rows = slice(first, last + 1)
-        moved_px = moved_by_background_px(light_of(profile), profile.scan[rows], profile.sigma_px[rows])
+        moved_px = moved_by_background_px(profile.light, profile.scan[rows], profile.sigma_px[rows])
         across = profile.dz_mm[rows] - self.slopes[:, rows] * profile.dy_mm[rows]
         sigma_mm = np.hypot(across * np.hypot(profile.sigma_px[rows], moved_px), bent_mm)
         squares = np.minimum(((profile.z_mm[rows] - self.heights_mm[:, rows]) / sigma_mm) ** 2, 25.0)

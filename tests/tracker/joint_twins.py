@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from edge_twins import FacesBeside
+from profiles import Profile
 
 from noise_model.arrays import Bool, Float64
 from noise_model.surface.joint import Joint, section
@@ -38,7 +39,6 @@ from tracker.joint.measured import (
     SURE_SIGMAS,
     ShapeFit,
     fit_points,
-    points_of,
     shift_of,
 )
 from tracker.joint.root import CELLS_MM, CLOSED_AS_STATED, GAPS, NARROW_MM
@@ -46,11 +46,9 @@ from tracker.joint.section_fit import tukey_loss
 from tracker.joint.section_shapes import CORNER, GROOVE, HALF_GROOVE, ROUND_GROOVE
 from tracker.joint.upright_edge import (
     hidden_strip,
-    light_of,
     neighbours_of_edge,
     upright_edge,
 )
-from tracker.profile import Profile
 
 
 def fit_of(
@@ -63,7 +61,7 @@ def fit_of(
 ) -> ShapeFit | None:
     """A shape's fit to the points that are used, None where it cannot be."""
     chosen = np.ones(len(profile.y_mm), dtype=bool) if used is None else used
-    fit: ShapeFit = fit_points(shape, points_of(profile), chosen, start_sigma_mm, prior_sigma, start)
+    fit: ShapeFit = fit_points(shape, profile.points, chosen, start_sigma_mm, prior_sigma, start)
     return fit if math.isfinite(fit.chi2) else None
 
 
@@ -198,7 +196,7 @@ def fitted_half_v(profile: Profile, joint: Joint, camera_mm: Float64, laser_mm: 
         return None
     hidden = hidden_strip((camera_mm, laser_mm), wall_mm, z_0 + depth, depth, profile.slope_sigma)
     met, change = faces.met(lines, before), faces.change(lines, near, half_v.BENT_MM, before, behind)
-    edge = upright_edge(lines.scan, lines.column_mm, light_of(lines), before, behind, hidden, met, change)
+    edge = upright_edge(lines.scan, lines.column_mm, lines.light, before, behind, hidden, met, change)
     start[-1] = wall_mm = edge.y_mm
     clear = (y_mm <= lines.y_mm[before]) | (y_mm >= lines.y_mm[behind] + profile.mixed_mm)
     fit = fit_of(profile, HALF_GROOVE, start, sigma, clear)

@@ -3,16 +3,111 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64
-from tracker.profile import Profile
+from noise_model.arrays import Bool, Float64, Integers
+from noise_model.surface.joint import Joint
+from tracker.joint import NO_IMAGE, MeasuredJoint, fit_section
+from tracker.profile import Section, in_scan_order, points_of
+from tracker.state import BIAS_PX, MISFIT_PX, N_LINES
+from tracker.stripe.light import NO_LIGHT, StripeLight
 
 COLUMN_MM, PX_MM = 0.07, (0.012, 0.075)
 """The columns' spacing in y, and how far (y, z) a point moves per px of its stripe centre."""
 
 REACH_MM = 18.0
+
+
+NOWHERE = np.full(3, math.nan)
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A section whose points (n,) are at hand by name, and the frame by scan line that it was read from."""
+
+    y_mm: Float64
+    z_mm: Float64
+    dy_mm: Float64
+    dz_mm: Float64
+    sigma_px: Float64
+    scan: Float64
+    column_mm: float
+    beside_px: Float64
+    reach_mm: float = math.inf
+    light: StripeLight = NO_LIGHT
+    image_dn: Integers | None = None
+    mixed_mm: float = 0.0
+    bias_px: Float64 | float = 0.0
+    misfit_px: Float64 | float = 0.0
+    n_lines: Float64 | float = 1.0
+    slope_sigma: float = 0.0
+
+    @property
+    def points(self) -> Float64:
+        """The points as the tracker takes them."""
+        points = points_of(
+            self.y_mm,
+            self.z_mm,
+            dy_mm=self.dy_mm,
+            dz_mm=self.dz_mm,
+            scan=self.scan,
+            sigma_px=self.sigma_px,
+            beside_px=self.beside_px,
+        )
+        points[BIAS_PX], points[MISFIT_PX], points[N_LINES] = self.bias_px, self.misfit_px, self.n_lines
+        return points
+
+    @property
+    def lines_each(self) -> Float64:
+        """For how many scan lines each point stands."""
+        return self.points[N_LINES]
+
+    @property
+    def given(self) -> tuple[Integers, bool]:
+        """The frame that it was read from, and whether its stripe runs along the rows."""
+        if self.image_dn is None:
+            return NO_IMAGE, False
+        if self.image_dn.flags.c_contiguous:
+            return self.image_dn, False
+        return np.ascontiguousarray(self.image_dn.T), True
+
+    def seen_from(self, camera_mm: Float64 = NOWHERE, laser_mm: Float64 = NOWHERE) -> Section:
+        """The section as the tracker takes it."""
+        return Section(
+            self.points,
+            self.column_mm,
+            self.reach_mm,
+            self.mixed_mm,
+            self.slope_sigma,
+            light=self.light,
+            camera_mm=camera_mm,
+            laser_mm=laser_mm,
+        )
+
+    def by_scan(self) -> Profile:
+        """The profile in order of its scan lines."""
+        names = (
+            "y_mm",
+            "z_mm",
+            "dy_mm",
+            "dz_mm",
+            "scan",
+            "sigma_px",
+            "beside_px",
+            "bias_px",
+            "misfit_px",
+            "n_lines",
+        )
+        return replace(self, **dict(zip(names, in_scan_order(self.points), strict=True)))
+
+
+def fit_joint(
+    profile: Profile, joint: Joint, camera_mm: Float64 = NOWHERE, laser_mm: Float64 = NOWHERE
+) -> MeasuredJoint | None:
+    """The joint that a profile shows, seen and lit from two points (3,)."""
+    return fit_section(profile.seen_from(camera_mm, laser_mm), joint, *profile.given)
 
 
 def groove(

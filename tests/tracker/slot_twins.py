@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from joint_twins import fit_of
+from profiles import Profile
 
 from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float64, Int64
@@ -39,7 +40,6 @@ from tracker.joint.slot import (
     THICKNESS_SIGMA_MM,
     Gap,
 )
-from tracker.profile import Profile
 from tracker.stripe.edge import clear_of_an_edge, stripe_end
 from tracker.stripe.light import WINDOW_SIGMAS
 
@@ -80,7 +80,7 @@ class LinesTwin:
     def _leave_out_dim(self) -> None:
         """Take lines as unread that hold a stripe where the plates' is, but hardly any of its light."""
         plates = np.flatnonzero(self.sees > 0.0)
-        if self.light is None or self.image_dn is None or not len(plates):
+        if not len(self.light.position_px) or self.image_dn is None or not len(plates):
             return
         scans = self.away * (self.first_scan + plates)
         width_px = np.nanmedian(self.light.width_px[scans])
@@ -90,7 +90,7 @@ class LinesTwin:
     def _leave_out_hidden(self) -> None:
         """Let lines say nothing that hold saturated pixels where the plates' stripe would be read."""
         plates = np.flatnonzero(self.sees > 0.0)
-        if self.light is None or not len(plates):
+        if not len(self.light.position_px) or not len(plates):
             return
         scans = self.away * (self.first_scan + plates)
         width_px = self.light.width_px[scans]
@@ -175,7 +175,7 @@ class LinesTwin:
 
         Where a gap is expected the stripe is sought on what is below it, and not where the plates have it.
         """
-        if self.light is None or self.image_dn is None:
+        if not len(self.light.position_px) or self.image_dn is None:
             return False
         between = np.arange(first, last + 1)
         plates = np.flatnonzero(self.sees > 0.0)

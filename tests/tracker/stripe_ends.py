@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from profiles import Profile
 from scipy.special import ndtr
 
 from noise_model.arc.map import CELL
 from noise_model.arrays import Float64
-from tracker.profile import Profile
 from tracker.stripe.light import StripeLight
 
 N_SCAN, DEPTH, EDGE = 64, 96, 31

@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from profiles import PX_MM, groove, lap, measure
+from profiles import PX_MM, Profile, fit_joint, groove, lap, measure
 from rendered import SEED
 
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
-from tracker.joint import MeasuredJoint, fit_joint
-from tracker.profile import Profile
+from tracker.joint import MeasuredJoint
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
 CAMERA_MM, LASER_MM = np.array([-55.0, 0.0, 135.0]), np.array([0.0, 0.0, 140.0])

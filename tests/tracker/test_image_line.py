@@ -30,7 +30,8 @@ from tracker.joint.image_line import (
     sum_along,
     whiten,
 )
-from tracker.profile import Profile, triangulate
+from tracker.profile import Section, lines_of, triangulate
+from tracker.state import Stripe
 from tracker.stripe.expected import expect_stripe
 
 PLATE_DN, NOISE_DN = 60.0, 2.0
@@ -45,14 +46,14 @@ class Bench(NamedTuple):
     scene: Scene
     path_px: Float64
     sigma_px: float
-    profile: Profile
+    section: Section
 
     def read(self, image: Float64) -> ImageLine | None:
         """Read a drawn image, rounded to codes."""
         codes = np.clip(np.rint(image), 0, 255).astype(np.uint8)
         by_line = codes.T if self.geometry.along_rows else codes
-        profile = replace(self.profile, image_dn=by_line)
-        return read_image_line(self.geometry, self.scene, self.path_px, self.sigma_px, profile)
+        given = self.geometry, self.scene, self.path_px, self.sigma_px, self.section, by_line
+        return read_image_line(*given)
 
 
 def bench_of(setup: Setup) -> Bench:
@@ -60,10 +61,12 @@ def bench_of(setup: Setup) -> Bench:
     scene = make_scene(setup, np.eye(4))
     expected = expect_stripe(geometry, scene)
     assert expected is not None
-    sigma = np.full(geometry.n_scan, 0.1)
-    profile = triangulate(geometry, scene, expected.position_px, sigma, sigma)
-    profile = replace(profile, reach_mm=REACH_MM)
-    return Bench(geometry, scene, expected.position_px, float(np.median(expected.sigma_px)), profile)
+    sigma, none = np.full(geometry.n_scan, 0.1), np.zeros(geometry.n_scan)
+    stripe = Stripe(expected.position_px, sigma, sigma, none > 0.0, geometry.along_rows, sigma)
+    lines = lines_of(stripe, none)
+    points, column_mm, _ = triangulate(geometry.stripe_source, scene, lines)
+    section = Section(points, column_mm, REACH_MM)
+    return Bench(geometry, scene, expected.position_px, float(np.median(expected.sigma_px)), section)
 
 
 def closed_butt() -> Setup:
@@ -115,7 +118,7 @@ def test_a_slit_is_read_where_it_meets_the_stripe_within_its_sigma(bench: Bench)
         pulls.append((line.y_mm - y) / line.sigma_mm)
         sigmas.append(line.sigma_mm)
     assert np.mean(np.square(pulls)) < 1.3, pulls
-    assert max(sigmas) < 1.5 * bench.profile.column_mm
+    assert max(sigmas) < 1.5 * bench.section.column_mm
 
 
 def test_a_rim_beside_the_slit_does_not_pull_the_seam_to_its_plate(bench: Bench) -> None:
@@ -189,14 +192,14 @@ def test_what_stands_on_the_stripe_alone_is_no_line(bench: Bench) -> None:
 
 def test_a_closed_joint_lies_on_its_plates(bench: Bench) -> None:
     joint = bench.geometry.setup.joint
-    measured = fit_closed_joint(bench.profile, joint, ImageLine(1.2, 0.1, 40.0))
+    measured = fit_closed_joint(bench.section, joint, ImageLine(1.2, 0.1, 40.0))
     assert measured is not None
     assert measured.y_mm == 1.2
     assert measured.z_mm == pytest.approx(0.0, abs=1e-6)
     assert measured.covariance_mm2[0, 0] == pytest.approx(0.01, rel=1e-2)
     assert math.isnan(measured.gap_mm)
     assert measured.evidence_nats == 40.0
-    assert fit_closed_joint(bench.profile, joint, ImageLine(bench.profile.y_mm[0], 0.1, 40.0)) is None
+    assert fit_closed_joint(bench.section, joint, ImageLine(bench.section.y_mm[0], 0.1, 40.0)) is None
 
 
 @settings(deadline=None, max_examples=25)
@@ -251,11 +254,10 @@ def test_sums_along_lines_are_numpy_s(seed: int) -> None:
 @pytest.mark.parametrize("points", [0, 1, 19])
 def test_a_profile_of_hardly_any_points_places_no_line(bench: Bench, points: int) -> None:
     image = plate(bench, np.random.default_rng(5)) + drawn(bench, 0.0, 0.0, 500.0, 20.0)
-    names = ("y_mm", "z_mm", "dy_mm", "dz_mm", "sigma_px", "scan", "beside_px")
-    middle = len(bench.profile.y_mm) // 2
-    few = {name: getattr(bench.profile, name)[middle : middle + points] for name in names}
+    middle = len(bench.section.y_mm) // 2
+    few = bench.section.points[:, middle : middle + points]
     assert bench.read(image) is not None
-    assert bench._replace(profile=replace(bench.profile, **few)).read(image) is None
+    assert bench._replace(section=bench.section._replace(points=few)).read(image) is None
 
 
 @pytest.mark.parametrize("lines", [0, 1, 19])

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from profiles import PX_MM, groove, lap, measure, spoil
+from profiles import PX_MM, Profile, fit_joint, groove, lap, measure, spoil
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
-from tracker.joint import fit_joint
 from tracker.joint.evidence import (
     MIN_EVIDENCE_NATS,
     PLATE_STEPS,
@@ -28,9 +27,7 @@ from tracker.joint.evidence import (
     runs_of,
     section_evidence_nats,
 )
-from tracker.joint.measured import points_of
 from tracker.joint.wander import MIN_KEPT, Wander, innovations, points_alike, wander_of
-from tracker.profile import Profile
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
 CAMERA_MM, LASER_MM = np.array([60.0, 0.0, 130.0]), np.array([0.0, 0.0, 140.0])
@@ -222,7 +219,7 @@ def loss_of(profile: Profile) -> float:
 
 def test_what_lies_on_a_section_as_on_a_plate_speaks_for_none() -> None:
     profile = measure(PLATE, (0.0, 0.0), np.random.default_rng(6))
-    assert section_evidence_nats(points_of(profile), PLATE, profile.reach_mm) < 0.0
+    assert section_evidence_nats(profile.points, PLATE, profile.reach_mm) < 0.0
     assert loss_of(profile) < 0.7 * len(profile.y_mm)
 
 

@@ -12,7 +12,7 @@ from tracker.joint.evidence import loss
 from tracker.joint.lap import ROLL_BY, SEARCH_STEP_MM, placed
 from tracker.joint.measured import section_at, shift_of
 from tracker.joint.section_fit import BISQUARE_WIDTH, tukey_loss
-from tracker.profile import is_in_order
+from tracker.state import BIAS_PX, DY_MM, DZ_MM, N_ROWS, Y_MM
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -43,7 +43,9 @@ def test_what_all_centres_are_off_alike_is_its_twin(seed: int, n: int, has_bias:
     off_px = ALIKE_OFF_PX
     if has_bias and near.any():
         off_px = float(np.hypot(off_px, BIAS_SHARE * np.median(np.abs(bias[near]))))
-    found = off_alike_mm(y, dy, dz, bias if has_bias else np.empty(0), 0.7)
+    points = np.zeros((N_ROWS, n))
+    points[Y_MM], points[DY_MM], points[DZ_MM], points[BIAS_PX] = y, dy, dz, bias if has_bias else 0.0
+    found = off_alike_mm(points, 0.7)
     assert found == pytest.approx((off_px * np.median(dy), off_px * np.median(dz)), rel=1e-5)
 
 
@@ -69,9 +71,3 @@ def test_a_rolled_lap_is_placed_as_a_level_one(seed: int, roll: float, edge_mm: 
     twin = shift_of(y, level + (roll - found) * y, 5.0, corners, 0.0, SEARCH_STEP_MM, 0.5)
     assert shift == pytest.approx(twin, abs=1e-6)
     assert shift[0] == pytest.approx(edge_mm, abs=SEARCH_STEP_MM)
-
-
-@given(st.lists(st.integers(-5, 5), max_size=8))
-def test_values_are_in_order_where_they_only_rise_or_only_fall(values: list[int]) -> None:
-    is_sorted = values in (sorted(values), sorted(values, reverse=True))
-    assert is_in_order(np.array(values, dtype=np.float64)) == is_sorted

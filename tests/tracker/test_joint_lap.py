@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from profiles import COLUMN_MM, PX_MM, lap, measure, only, spoil
+from profiles import COLUMN_MM, PX_MM, fit_joint, lap, measure, only, spoil
 
 from noise_model.surface.joint import Joint
-from tracker.joint import MeasuredJoint, fit_joint
+from tracker.joint import MeasuredJoint
 from tracker.joint.complete import ALIKE_OFF_PX, BIAS_SHARE
 from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, clear_of_edge, share_off, sheets_at
-from tracker.joint.measured import OFF_SIGMAS, SIGMA_FLOOR_PX, count_with_floor, points_of, typical_mm
+from tracker.joint.measured import OFF_SIGMAS, SIGMA_FLOOR_PX, count_with_floor, typical_mm
 from tracker.joint.upright_edge import (
     Edge,
     edge_covariance,
@@ -202,7 +202,7 @@ def test_what_lies_on_which_sheet_is_its_twin(seed: int) -> None:
     off_upper, off_lower = np.abs(z - upper_mm), np.abs(z - lower_mm)
     near = np.abs(y - sheets.y) < 2.0
     limits_mm = np.where(near, rng.uniform(0.05, 0.6, len(y)), 0.0)
-    beside = points_beside(points_of(profile), faces, limits_mm)
+    beside = points_beside(profile.points, faces, limits_mm)
     assert beside == neighbours_of_edge(off_upper < limits_mm, off_lower < limits_mm)
     sigma = np.abs(profile.dz_mm) * np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
     off = np.where(y < edge, off_upper, off_lower) > OFF_SIGMAS * sigma

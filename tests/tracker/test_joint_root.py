@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from profiles import groove, measure
+from profiles import fit_joint, groove, measure
 
 from noise_model.surface.joint import Joint
-from tracker.joint import MeasuredJoint, fit_joint
+from tracker.joint import MeasuredJoint
 from tracker.joint.complete import ALIKE_OFF_PX
 from tracker.joint.groove import GAP, PRIOR_SIGMA
 from tracker.joint.root import CELLS_MM, CLOSED_AS_STATED, GAPS, NARROW_MM, prior_of

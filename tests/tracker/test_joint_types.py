@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import profiles
 import pytest
-from profiles import groove, lap, measure, only
+from profiles import fit_joint, groove, lap, measure, only
 
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
-from tracker.joint import MeasuredJoint, fit_joint
+from tracker.joint import MeasuredJoint
 from tracker.joint.complete import ALIKE_OFF_PX
 from tracker.joint.measured import SIGMA_FLOOR_PX
 from tracker.pipeline import JOINT_CHI2_LIMIT, UNEXPLAINED_LIMIT

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from profiles import groove, measure, only, spoil
+from profiles import fit_joint, groove, measure, only, spoil
 
 from noise_model.surface.joint import Joint
-from tracker.joint import MeasuredJoint, fit_joint
+from tracker.joint import MeasuredJoint
 from tracker.joint.complete import ALIKE_OFF_PX
 from tracker.joint.groove import GAP, PRIOR_SIGMA
 from tracker.joint.measured import SIGMA_FLOOR_PX

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from profiles import Profile
 from slot_twins import LinesTwin
 from stripe_ends import EDGE, N_SCAN, light_of, profile_of
 
 from noise_model.arrays import Float64
 from tracker.joint.evidence import gap_evidence_nats
-from tracker.joint.measured import OnFace, SectionPoints
+from tracker.joint.measured import OnFace
 from tracker.joint.plate_lines import (
     HIDDEN,
     UNREAD,
@@ -31,8 +32,9 @@ from tracker.joint.plate_lines import (
     others_between,
     plate_lines,
 )
-from tracker.joint.section import Section, frame_given, section_from
-from tracker.profile import Profile
+from tracker.profile import Section
+from tracker.state import N_LINES, SCAN
+from tracker.stripe.light import NO_LIGHT
 
 NOWHERE = np.full(3, math.nan)
 
@@ -65,7 +67,7 @@ def lines_about_a_gap(seed: int) -> tuple[Section, Profile, OnPlates, bool]:
     lost = replace(
         profile,
         image_dn=image_dn if rng.random() < 0.9 else None,
-        light=light if rng.random() < 0.9 else None,
+        light=light if rng.random() < 0.9 else NO_LIGHT,
         **{
             name: getattr(profile, name)[order]
             for name in ("y_mm", "z_mm", "dy_mm", "dz_mm", "sigma_px", "beside_px")
@@ -73,12 +75,12 @@ def lines_about_a_gap(seed: int) -> tuple[Section, Profile, OnPlates, bool]:
         scan=(scan[::-1] if flipped else scan)[order].astype(float),
     )
     face = OnFace(lost.y_mm + 0.01 * rng.uniform(size=len(order)), rng.uniform(size=len(order)))
-    return section_from(lost, NOWHERE, NOWHERE), lost, OnPlates(are_on[kept], face), beyond
+    return lost.seen_from(NOWHERE, NOWHERE), lost, OnPlates(are_on[kept], face), beyond
 
 
 def both(seed: int) -> tuple[PlateLines, LinesTwin, Section, Profile]:
     section, profile, on_plates, beyond = lines_about_a_gap(seed)
-    lines = plate_lines(section, on_plates, beyond, *frame_given(profile))
+    lines = plate_lines(section, on_plates, beyond, *profile.given)
     return lines, LinesTwin(profile, on_plates, beyond), section, profile
 
 
@@ -102,7 +104,7 @@ def test_lines_see_what_their_twins_see(seed: int) -> None:
 def test_two_lines_that_were_read_as_one_both_see_what_it_sees(seed: int) -> None:
     section, _, on_plates, beyond = lines_about_a_gap(seed)
     points, rng = section.points, np.random.default_rng(seed)
-    row_of = {int(s): row for row, s in enumerate(points.scan)}
+    row_of = {int(s): row for row, s in enumerate(section.scan)}
     first_of_two = {
         s
         for s in row_of
@@ -112,9 +114,10 @@ def test_two_lines_that_were_read_as_one_both_see_what_it_sees(seed: int) -> Non
         and rng.random() < 0.6
     }
     kept = np.array([row for s, row in row_of.items() if s - s % 2 not in first_of_two or s % 2 == 0])
-    n_lines = np.array([2.0 if int(s) in first_of_two else 1.0 for s in points.scan[kept]])
-    fewer = SectionPoints(*(values[kept] if len(values) else values for values in points))
-    fewer = fewer._replace(scan=fewer.scan + 0.5 * (n_lines - 1.0), n_lines=n_lines)
+    n_lines = np.array([2.0 if int(s) in first_of_two else 1.0 for s in section.scan[kept]])
+    fewer = np.take(points, kept, axis=1)
+    fewer[SCAN] += 0.5 * (n_lines - 1.0)
+    fewer[N_LINES] = n_lines
     face = OnFace(*(values[kept] for values in on_plates.face))
     seen = lines_read(section._replace(points=fewer), OnPlates(on_plates.are_on[kept], face), beyond)
     alone = lines_read(section, on_plates, beyond)
@@ -150,7 +153,7 @@ def test_ends_are_their_twins(seed: int, plate_first: bool, y_mm: float) -> None
 @given(st.integers(0, 2**32 - 1))
 def test_lines_hold_plates_and_lack_them_as_their_twins_do(seed: int) -> None:
     section, profile, on_plates, _ = lines_about_a_gap(seed)
-    image_dn, along_rows = frame_given(profile)
+    image_dn, along_rows = profile.given
     lines = plate_lines(section, on_plates, False, image_dn, along_rows)
     twin = LinesTwin(profile, on_plates, False)
     for first, last in ((EDGE - 3, EDGE + 3), (EDGE - 1, EDGE), (10, 14)):

@@ -9,13 +9,29 @@ import numpy as np
 import pytest
 from rendered import pose_at, small_setup
 
-from noise_model.arc.scene import make_scene
+from noise_model.arc.scene import Scene, make_scene
+from noise_model.arrays import Float64
+from noise_model.instrument.laser import plane_in
+from noise_model.ordering import stable_order
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry, to_laser_plane
-from tracker.profile import StripeLines, edge_lines, measured_points, triangulate
-from tracker.stripe.askew import askew_sigma_px
-from tracker.stripe.edge import clear_lines
+from tracker.profile import EdgeAlongSeam, EdgeLines, edge_lines, lines_of, triangulate
+from tracker.state import (
+    AMPLITUDE_E,
+    BESIDE_PX,
+    DY_MM,
+    DZ_MM,
+    MISFIT_PX,
+    N_LINES,
+    SCAN,
+    SIGMA_PX,
+    WIDTH_PX,
+    Y_MM,
+    Z_MM,
+    Stripe,
+)
+from tracker.stripe.skew import skewed_sigma_px
 
 DISTORTION = (-0.12, 0.03, 0.001, -0.002, 0.0)
 
@@ -59,27 +75,36 @@ def test_a_profile_lies_on_its_surface_and_knows_how_it_moves(upright: bool) -> 
     position[:] = np.interp(scan, at[order, 0], at[order, 1], left=np.nan, right=np.nan)
     y_true[:] = np.interp(scan, at[order, 0], y[order])
     position[7] = np.nan
-    profile = triangulate(geometry, scene, position, *np.full((2, geometry.n_scan), 0.1))
-    assert 7 not in profile.scan
-    assert len(profile.y_mm) == np.isfinite(position).sum()
-    assert (np.diff(profile.y_mm) > 0.0).all()
-    np.testing.assert_allclose(profile.z_mm, 0.0, atol=2e-3)
-    np.testing.assert_allclose(profile.y_mm, y_true[profile.scan.astype(int)], atol=2e-3)
-    assert profile.column_mm == pytest.approx(np.median(np.abs(np.diff(y_true))), rel=0.05)
-    moved = triangulate(geometry, scene, position + 0.01, *np.full((2, geometry.n_scan), 0.1))
-    np.testing.assert_allclose((moved.z_mm - profile.z_mm) / 0.01, profile.dz_mm, rtol=1e-3, atol=1e-5)
-    np.testing.assert_allclose((moved.y_mm - profile.y_mm) / 0.01, profile.dy_mm, rtol=1e-3, atol=1e-5)
+    points, column_mm = triangulated(geometry, scene, position)
+    scan = points[SCAN]
+    assert 7 not in scan
+    assert points.shape[1] == np.isfinite(position).sum()
+    assert (np.diff(points[Y_MM]) > 0.0).all()
+    np.testing.assert_allclose(points[Z_MM], 0.0, atol=2e-3)
+    np.testing.assert_allclose(points[Y_MM], y_true[scan.astype(int)], atol=2e-3)
+    assert column_mm == pytest.approx(np.median(np.abs(np.diff(y_true))), rel=0.05)
+    moved, _ = triangulated(geometry, scene, position + 0.01)
+    np.testing.assert_allclose((moved[Z_MM] - points[Z_MM]) / 0.01, points[DZ_MM], rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose((moved[Y_MM] - points[Y_MM]) / 0.01, points[DY_MM], rtol=1e-3, atol=1e-5)
+
+
+def stripe_at(position: Float64, sigma: Float64, beside: Float64) -> Stripe:
+    return Stripe(position, sigma, sigma, np.zeros(len(sigma), bool), True, beside)
+
+
+def triangulated(geometry: SensorGeometry, scene: Scene, position: Float64) -> tuple[Float64, float]:
+    sigma = np.full(len(position), 0.1)
+    lines = lines_of(stripe_at(position, sigma, sigma), np.zeros(len(position)))
+    return triangulate(geometry.stripe_source, scene, lines)[:2]
 
 
 def test_a_single_point_has_no_spacing() -> None:
     geometry = distorted(False)
     position = np.full(geometry.n_scan, np.nan)
     position[5] = 100.0
-    profile = triangulate(
-        geometry, make_scene(geometry.setup, np.eye(4)), position, *np.ones((2, geometry.n_scan))
-    )
-    assert len(profile.y_mm) == 1
-    assert np.isnan(profile.column_mm)
+    points, column_mm = triangulated(geometry, make_scene(geometry.setup, np.eye(4)), position)
+    assert points.shape[1] == 1
+    assert np.isnan(column_mm)
 
 
 def test_rays_that_run_away_from_the_sheet_are_nan() -> None:
@@ -91,7 +116,7 @@ def test_rays_that_run_away_from_the_sheet_are_nan() -> None:
 
 @pytest.mark.parametrize("upright", [False, True])
 @pytest.mark.parametrize("scattered_px", [0.0, 40.0])
-def test_a_stripes_points_are_its_triangulation_with_bias_and_steps_taken_in(
+def test_a_stripes_points_lie_where_its_corrected_centres_meet_the_sheet(
     upright: bool, scattered_px: float
 ) -> None:
     """Points that lie out of order are sorted as well."""
@@ -100,24 +125,37 @@ def test_a_stripes_points_are_its_triangulation_with_bias_and_steps_taken_in(
     n = geometry.n_scan
     position = 0.5 * geometry.n_pos + rng.normal(0.0, 0.3 + scattered_px, n)
     position[rng.random(n) < 0.2] = np.nan
-    sigma, beside, width, bias, misfit = rng.uniform(0.1, 3.0, (5, n))
+    sigma, beside, bias, misfit, width = rng.uniform(0.1, 3.0, (5, n))
     amplitude = np.where(np.arange(n) < n // 2, 900.0, 300.0) * rng.uniform(0.95, 1.05, n)
-    lines = StripeLines(position, sigma, beside, amplitude, width, bias, misfit, np.ones(n, np.int64))
-    points = measured_points(geometry.stripe_source, scene, lines, 0.05, -2.0, 0.03)
-    over = edge_lines(geometry.stripe_source, scene, -2.0, 0.03)
-    askew = askew_sigma_px(amplitude, width, 0.05, over.possible)
-    assert askew.any()
-    twin = triangulate(geometry, scene, position - bias, np.hypot(sigma, askew), np.hypot(beside, askew))
-    own = twin.scan.astype(int)
-    rows = twin.y_mm, twin.z_mm, twin.dy_mm, twin.dz_mm, twin.sigma_px, twin.beside_px, bias[own], misfit[own]
-    found = points.y_mm, points.z_mm, points.dy_mm, points.dz_mm, points.sigma_px
-    found = *found, points.beside_px, points.bias_px, points.misfit_px
-    np.testing.assert_array_equal(points.scan, twin.scan)
-    np.testing.assert_allclose(np.array(found), np.array(rows), rtol=1e-12)
-    assert points.column_mm == pytest.approx(twin.column_mm)
-    assert points.sheet_lines == over.stated
-    clear = clear_lines(geometry.setup.camera.psf_sigma_px, over.stated)
-    assert points.mixed_mm == pytest.approx(twin.column_mm * (clear - 1))
+    lines = lines_of(stripe_at(position, sigma, beside), bias)
+    lines[AMPLITUDE_E], lines[WIDTH_PX], lines[MISFIT_PX] = amplitude, width, misfit
+    edge = EdgeAlongSeam(-2.0, 0.03, 0.05)
+    points, _, sheet_lines = triangulate(geometry.stripe_source, scene, lines, edge)
+    own = points[SCAN].astype(int)
+    np.testing.assert_array_equal(np.sort(own), np.flatnonzero(np.isfinite(position)))
+    assert (np.diff(points[Y_MM]) >= 0.0).all()
+    centres = geometry.image_points(points[SCAN], (position - bias)[own])
+    there = transform(scene.T_joint_tool, to_laser_plane(geometry.setup, centres)[0])
+    np.testing.assert_allclose(points[[Y_MM, Z_MM]], there[:, 1:].T, atol=1e-6)
+    over = lines_over(geometry, scene, edge)
+    assert sheet_lines == over.stated
+    skewed = skewed_sigma_px(amplitude, width, edge.contrast, over.possible)
+    assert skewed.any()
+    rows = np.array([np.hypot(sigma, skewed), np.hypot(beside, skewed), bias, misfit, np.ones(n)])
+    np.testing.assert_allclose(points[SIGMA_PX:], rows[:, own], rtol=1e-12)
+
+
+def lines_over(geometry: SensorGeometry, scene: Scene, edge: EdgeAlongSeam) -> EdgeLines:
+    source = geometry.stripe_source
+    found: EdgeLines = edge_lines(
+        source.lens,
+        source.along_rows,
+        scene.T_joint_camera,
+        plane_in(scene.T_joint_tool, source.sheet.plane),
+        source.sheet.sigma,
+        edge,
+    )
+    return found
 
 
 def test_two_lines_read_as_one_are_one_point_between_them() -> None:
@@ -125,41 +163,49 @@ def test_two_lines_read_as_one_are_one_point_between_them() -> None:
     scene = make_scene(geometry.setup, pose_at(11.0, 2.0, -1.0, (2.0, -1.0, 5.0)).T_base_tool)
     n = geometry.n_scan
     position, ones = 0.5 * geometry.n_pos + 0.3 * np.arange(n), np.ones(n)
-    sigma, beside, nothing = 0.1 * ones, 0.3 * ones, np.zeros(n)
     n_lines = np.where((np.arange(n) >= 60) & (np.arange(n) < 100), 2, 1)
-    points = measured_points(
-        geometry.stripe_source,
-        scene,
-        StripeLines(position, sigma, beside, 900.0 * ones, 3.0 * ones, nothing, nothing, n_lines),
-        0.05,
-        -2.0,
-        0.03,
-    )
-    assert len(points.scan) == n - 20
-    pairs = points.n_lines == 2.0
-    np.testing.assert_array_equal(np.sort(points.scan[pairs]), np.arange(60.5, 100.0, 2.0))
-    each = triangulate(geometry, scene, position, sigma, beside)
-    for name in ("y_mm", "z_mm", "dy_mm", "dz_mm"):
-        order = np.argsort(each.scan)
-        twin = np.interp(points.scan, each.scan[order], getattr(each, name)[order])
-        np.testing.assert_allclose(getattr(points, name), twin, rtol=1e-4, atol=1e-4)
+    stripe = stripe_at(position, 0.1 * ones, 0.3 * ones)
+    lines = lines_of(stripe, 0.0 * ones)
+    lines[N_LINES] = n_lines
+    points, column_mm, _ = triangulate(geometry.stripe_source, scene, lines)
+    assert points.shape[1] == n - 20
+    pairs = points[N_LINES] == 2.0
+    np.testing.assert_array_equal(np.sort(points[SCAN, pairs]), np.arange(60.5, 100.0, 2.0))
+    each, each_mm = triangulated(geometry, scene, position)
+    order = np.argsort(each[SCAN])
+    for row in (Y_MM, Z_MM, DY_MM, DZ_MM):
+        twin = np.interp(points[SCAN], each[SCAN, order], each[row, order])
+        np.testing.assert_allclose(points[row], twin, rtol=1e-4, atol=1e-4)
     # A stripe's spacing is that of its lines.
-    assert points.column_mm == pytest.approx(each.column_mm, rel=0.02)
-    np.testing.assert_allclose(points.sigma_px, 0.1)
-    np.testing.assert_allclose(points.beside_px, np.where(pairs, 0.3 / math.sqrt(2.0), 0.3))
+    assert column_mm == pytest.approx(each_mm, rel=0.02)
+    np.testing.assert_allclose(points[SIGMA_PX], 0.1)
+    np.testing.assert_allclose(points[BESIDE_PX], np.where(pairs, 0.3 / math.sqrt(2.0), 0.3))
 
 
 @pytest.mark.parametrize("upright", [False, True])
-def test_an_edge_is_spread_over_the_lines_that_its_ends_are_seen_in(upright: bool) -> None:
-    geometry, z_mm, slope_sigma = distorted(upright), -2.0, 0.03
+def test_an_edge_along_the_seam_crosses_the_sheet_over_lines(upright: bool) -> None:
+    """Against the camera's own projection of the edge's points a sigma to either side of the sheet."""
+    geometry, slope_sigma = distorted(upright), 0.03
     scene = make_scene(geometry.setup, pose_at(11.0, 2.0, -1.0, (2.0, -1.0, 5.0)).T_base_tool)
-    laser, camera = geometry.setup.laser, geometry.setup.camera
-    normal = scene.T_joint_tool[:3, :3] @ laser.plane[:3]
-    d = laser.plane[3] - normal @ scene.T_joint_tool[:3, 3]
-    x, along = -(normal[2] * z_mm + d) / normal[0], laser.stripe_sigma_mm / normal[0]
-    ends = np.array([[x - along, 0, z_mm], [x + along, 0, z_mm], [x, -slope_sigma * along, z_mm]])
-    ends = np.vstack([ends, [x, slope_sigma * along, z_mm]])
-    scan = geometry.scan_points(camera.project(transform(invert(scene.T_joint_camera), ends)))[:, 0]
-    stated, turned = abs(scan[1] - scan[0]) / 2.0, abs(scan[3] - scan[2]) / 2.0
-    found = edge_lines(geometry.stripe_source, scene, z_mm, slope_sigma)
-    assert found == pytest.approx((stated, np.hypot(stated, turned)), rel=1e-6)
+    camera, sheet = geometry.setup.camera, geometry.stripe_source.sheet
+    R, t = scene.T_joint_tool[:3, :3], scene.T_joint_tool[:3, 3]
+    normal = R @ sheet.plane[:3]
+    x = -(normal[2] * -2.0 + sheet.plane[3] - normal @ t) / normal[0]
+    along = sheet.sigma / normal[0]
+
+    def line(x_mm: float, y_mm: float) -> float:
+        there = transform(invert(scene.T_joint_camera), np.array([[x_mm, y_mm, -2.0]]))
+        return float(geometry.scan_points(camera.project(there))[0, 0])
+
+    stated = 0.5 * abs(line(x + along, 0.0) - line(x - along, 0.0))
+    turned = 0.5 * abs(line(x, slope_sigma * along) - line(x, -slope_sigma * along))
+    found = lines_over(geometry, scene, EdgeAlongSeam(-2.0, slope_sigma, 0.05))
+    assert found == pytest.approx((stated, math.hypot(stated, turned)), rel=1e-6)
+
+
+@pytest.mark.parametrize("rises", [True, False])
+def test_values_are_ordered_as_numpy_orders_them(rises: bool) -> None:
+    rng = np.random.default_rng(4)
+    for n in (0, 1, 2, 3, 64, 321):
+        values = np.round(rng.normal(size=n), 1) + (0.1 if rises else -0.1) * np.arange(n)
+        np.testing.assert_array_equal(stable_order(values), np.argsort(values, kind="stable"))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from profiles import Profile
 from scipy.special import ndtr
 from stripe_ends import (
     DARK_E2,
@@ -22,12 +23,9 @@ from stripe_ends import (
 )
 
 from noise_model.arrays import Float64
-from tracker.joint.measured import OnFace, meet_face, points_of
+from tracker.joint.measured import OnFace, meet_face
 from tracker.joint.plate_lines import HIDDEN, UNREAD, OnPlates, plate_lines
-from tracker.joint.section import frame_given, section_from
 from tracker.joint.upright_edge import Change, Edge, HiddenStrip, edge_covariance, upright_edge
-from tracker.joint.upright_edge import light_of as light_at_hand
-from tracker.profile import Profile
 from tracker.stripe.edge import (
     MIN_SIGMA,
     MIN_STRIPE_SHARE,
@@ -38,7 +36,7 @@ from tracker.stripe.edge import (
     stripe_end,
     stripe_ends,
 )
-from tracker.stripe.light import BEYOND, StripeLight, line_room, line_shares
+from tracker.stripe.light import BEYOND, NO_LIGHT, StripeLight, line_room, line_shares
 
 
 @pytest.mark.parametrize("flipped", [False, True])
@@ -272,13 +270,20 @@ def edge_of(profile: Profile, before: int, behind: int, hidden_mm: float) -> Edg
     """The edge between two points of a profile whose faces lie at z = 0."""
     n = len(profile.y_mm)
     strip = HiddenStrip(hidden_mm, 0.0)
-    face = meet_face(points_of(profile), np.zeros(n), np.zeros(n))
+    face = meet_face(profile.points, np.zeros(n), np.zeros(n))
     return edge_amid(profile, before, behind, strip, face)
 
 
 def edge_amid(profile: Profile, before: int, behind: int, hidden: HiddenStrip, face: OnFace) -> Edge:
     edge: Edge = upright_edge(
-        profile.scan, profile.column_mm, light_at_hand(profile), before, behind, hidden, face, NO_CHANGE
+        profile.scan,
+        profile.column_mm,
+        profile.light,
+        before,
+        behind,
+        hidden,
+        face,
+        NO_CHANGE,
     )
     return edge
 
@@ -300,7 +305,7 @@ def test_an_edge_seen_from_beside_does_not_scatter_with_its_neighbours_centres()
     assert seen.variance_mm2 == pytest.approx(expected.variance_mm2)
     assert seen.y_per_z == pytest.approx(1.5)
     # A face that is believed 0.1 mm higher than it is moves the edge by that much of 0.1 mm.
-    face = meet_face(points_of(beside), np.full(N_SCAN, 0.1), np.zeros(N_SCAN))
+    face = meet_face(beside.points, np.full(N_SCAN, 0.1), np.zeros(N_SCAN))
     higher = edge_amid(beside, EDGE, EDGE + 2, HiddenStrip(0.0, 0.0), face)
     assert higher.y_mm - seen.y_mm == pytest.approx(0.15)
     covariance = edge_covariance(seen, np.array([1.0]), np.array([1.0]), np.array([[0.04]]))
@@ -312,7 +317,7 @@ def test_an_edge_seen_from_beside_does_not_scatter_with_its_neighbours_centres()
 def test_a_ray_along_a_face_meets_it_nowhere_else() -> None:
     light = light_of(np.random.default_rng(5), EDGE + 0.3, EDGE + 1.6)
     profile = replace(profile_of(light), dy_mm=np.full(N_SCAN, 0.2), dz_mm=np.full(N_SCAN, 0.1))
-    met = meet_face(points_of(profile), np.ones(N_SCAN), np.full(N_SCAN, 0.5))
+    met = meet_face(profile.points, np.ones(N_SCAN), np.full(N_SCAN, 0.5))
     assert (met.y_mm == profile.y_mm).all()
     assert (met.y_per_z == 0.0).all()
 
@@ -322,7 +327,7 @@ def test_an_edge_is_where_the_stripes_end(hidden_mm: float, foot_lines: float) -
     """Where nothing is hidden, the stripes end at the upright side's top and foot, as the camera sees it."""
     light = light_of(np.random.default_rng(5), EDGE + 0.3, EDGE + 0.3 + foot_lines)
     edge = edge_of(profile_of(light), EDGE, EDGE + 2, hidden_mm)
-    blind = edge_of(replace(profile_of(light), light=None), EDGE, EDGE + 2, hidden_mm)
+    blind = edge_of(replace(profile_of(light), light=NO_LIGHT), EDGE, EDGE + 2, hidden_mm)
     true = 0.03 if hidden_mm else 0.06
     assert edge.y_mm == pytest.approx(true, abs=0.01)
     assert edge.variance_mm2 < blind.variance_mm2
@@ -334,7 +339,9 @@ def test_an_edge_is_where_the_stripes_end(hidden_mm: float, foot_lines: float) -
 def test_light_that_ends_elsewhere_is_no_edge() -> None:
     light = light_of(np.random.default_rng(5), EDGE + 3.4, EDGE + 3.4)
     profile = profile_of(light)
-    assert edge_of(profile, EDGE, EDGE + 1, 0.0) == edge_of(replace(profile, light=None), EDGE, EDGE + 1, 0.0)
+    assert edge_of(profile, EDGE, EDGE + 1, 0.0) == edge_of(
+        replace(profile, light=NO_LIGHT), EDGE, EDGE + 1, 0.0
+    )
 
 
 def under_a_glint(light: StripeLight, first: int, last: int) -> StripeLight:
@@ -348,15 +355,15 @@ def under_a_glint(light: StripeLight, first: int, last: int) -> StripeLight:
 def test_no_share_is_read_under_a_glint() -> None:
     light = light_of(np.random.default_rng(5), EDGE + 0.3, EDGE + 1.6)
     hidden = profile_of(under_a_glint(light, EDGE + 1, EDGE + 1))
-    blind = edge_of(replace(hidden, light=None), EDGE, EDGE + 2, 0.0)
+    blind = edge_of(replace(hidden, light=NO_LIGHT), EDGE, EDGE + 2, 0.0)
     assert edge_of(hidden, EDGE, EDGE + 2, 0.0) == blind
     assert edge_of(profile_of(light), EDGE, EDGE + 2, 0.0) != blind
 
 
 def sees_of(profile: Profile, on_plates: OnPlates) -> Float64:
     """What a profile's scan lines say of two plates that go on beyond it."""
-    section = section_from(profile, np.zeros(3), np.zeros(3))
-    return np.asarray(plate_lines(section, on_plates, False, *frame_given(profile)).sees)
+    section = profile.seen_from(np.zeros(3), np.zeros(3))
+    return np.asarray(plate_lines(section, on_plates, False, *profile.given).sees)
 
 
 def test_lines_under_a_glint_say_nothing_of_a_plate() -> None:
@@ -367,11 +374,11 @@ def test_lines_under_a_glint_say_nothing_of_a_plate() -> None:
     shown = replace(profile, **{name: getattr(profile, name)[seen] for name in along})
     on_plates = OnPlates(
         np.ones(int(seen.sum()), dtype=bool),
-        meet_face(points_of(shown), shown.z_mm, np.zeros(len(shown.z_mm))),
+        meet_face(shown.points, shown.z_mm, np.zeros(len(shown.z_mm))),
     )
     sees = sees_of(shown, on_plates)
     assert (sees[EDGE : EDGE + 5] == HIDDEN).all()
-    plain = sees_of(replace(shown, light=None), on_plates)
+    plain = sees_of(replace(shown, light=NO_LIGHT), on_plates)
     assert (plain[EDGE : EDGE + 5] == UNREAD).all()
     assert (np.delete(sees, np.arange(EDGE, EDGE + 5)) == 1.0).all()
 
@@ -385,7 +392,7 @@ def test_lines_with_hardly_any_of_a_plate_s_light_hold_none() -> None:
     image_dn[half_lit] *= 0.5
     profile = replace(profile_of(light), image_dn=np.rint(image_dn).astype(np.int64))
     on_plates = OnPlates(
-        np.ones(N_SCAN, dtype=bool), meet_face(points_of(profile), profile.z_mm, np.zeros(N_SCAN))
+        np.ones(N_SCAN, dtype=bool), meet_face(profile.points, profile.z_mm, np.zeros(N_SCAN))
     )
     sees = sees_of(profile, on_plates)
     assert (sees[gap] == UNREAD).all()

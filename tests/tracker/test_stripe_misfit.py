@@ -7,14 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from profiles import PX_MM, groove, measure
+from profiles import PX_MM, fit_joint, groove, measure
 from rendered import SEED
 from test_alike import CAMERA_MM, JOINTS, LASER_MM
 from test_stripe import line_fits
 
 from noise_model.arrays import Bool, Float64
 from noise_model.median import numbers_for
-from tracker.joint import fit_joint
 from tracker.stripe.line_fit.block import CORRELATION_PX, WINDOW_SIGMAS
 from tracker.stripe.line_fit.first_guess import line_window
 from tracker.stripe.line_fit.residuals import LAST_BIN, N_BINS
@@ -174,7 +173,7 @@ def test_a_joint_whose_centres_are_off_together_says_so() -> None:
             exact, y_mm=y[order], z_mm=z[order], sigma_px=own, beside_px=own, misfit_px=misfit_px[order],
             scan=exact.scan[order],
         )  # fmt: skip
-        for told, into in ((profile, squares), (replace(profile, misfit_px=None), alone)):
+        for told, into in ((profile, squares), (replace(profile, misfit_px=0.0), alone)):
             joint = fit_joint(told, JOINTS["v_groove"][0], CAMERA_MM, LASER_MM)
             assert joint is not None
             into.append(np.array([joint.y_mm, joint.z_mm]) ** 2 / np.diag(joint.covariance_mm2))

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from profiles import COLUMN_MM, measure, spoil
+from profiles import COLUMN_MM, Profile, measure, spoil
 from test_joint_types import CASES, LINE, fit, seen
 from type_check_twin import family, groups
 from type_check_twin import stated_cost as twins_cost
 
 from noise_model.surface.joint import Joint
 from noise_model.surface.stated_joint import StatedJoint
-from tracker.joint.measured import MeasuredJoint, points_of, undetermined
+from tracker.joint.measured import MeasuredJoint, undetermined
 from tracker.joint.type_check import (
     Family,
     cut_into_pieces,
@@ -27,7 +27,6 @@ from tracker.joint.type_check import (
     shows_another,
     stated_cost,
 )
-from tracker.profile import Profile
 
 EACH = 12
 SEAM = 0.3, 0.1
@@ -38,7 +37,7 @@ SHOWN = {name: family_of(joint) for name, (joint, _) in CASES.items() if name !=
 def is_another_type(profile: Profile, joint: Joint, measured: MeasuredJoint | None) -> bool:
     """Whether a profile shows another type than a stated joint, by that one's fit."""
     fitted = undetermined() if measured is None else measured
-    stated, points = number_of(family_of(joint)), points_of(profile)
+    stated, points = number_of(family_of(joint)), profile.points
     return shows_another(points, profile.column_mm, stated, StatedJoint.of(joint), fitted)
 
 
@@ -77,12 +76,12 @@ def test_the_family_is_that_of_plain_numpy(name: str) -> None:
         clean = measure(PLATE, SEAM, rng) if name == "plate" else seen(CASES[name][1](rng), SEAM, rng)
         profile = spoil(clean, 0.05, rng)
         twins = groups(profile)
-        told = groups_of(points_of(profile))
+        told = groups_of(profile.points)
         for numbers, want in zip(told, twins, strict=True):
             np.testing.assert_allclose(numbers, want, rtol=1e-14)
         ends = np.empty(len(twins[0]), dtype=np.int64)
         _, n_pieces = cut_into_pieces(*twins, 3.0 * math.log(len(ends)), ends)
-        assert shown_family(profile)[0] is family(twins[0], twins[1], ends[:n_pieces])
+        assert shown_family(profile.points)[0] is family(twins[0], twins[1], ends[:n_pieces])
         found = None if name == "plate" else fit(profile, CASES[name][0], SEAM)
         if found is not None:
             assert stated_cost(told, found.corners_mm) == pytest.approx(twins_cost(*twins, found), rel=1e-12)

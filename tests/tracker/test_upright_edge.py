@@ -7,10 +7,11 @@ import pytest
 from edge_twins import FacesBeside, moved_by_background_px
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from profiles import Profile
 from stripe_ends import DEPTH, EDGE, N_SCAN, WIDTH_PX, light_of, profile_of
 
 from noise_model.arrays import Float64
-from tracker.joint.measured import meet_face, points_of
+from tracker.joint.measured import meet_face
 from tracker.joint.upright_edge import (
     Edge,
     Faces,
@@ -20,9 +21,7 @@ from tracker.joint.upright_edge import (
     points_beside,
     upright_edge,
 )
-from tracker.joint.upright_edge import light_of as light_at_hand
-from tracker.profile import Profile
-from tracker.stripe.light import background_off_px, no_light
+from tracker.stripe.light import NO_LIGHT, background_off_px
 
 COLUMN_MM, NEAR_MM = 0.1, 2.0
 
@@ -34,7 +33,7 @@ def sheets(rng: np.random.Generator, edge_mm: float, step_mm: float, sigma_mm: f
     z_mm = np.where(y_mm < edge_mm, step_mm, 0.0) + sigma_mm * rng.standard_normal(n)
     scan, dz_mm = np.arange(n, dtype=float), np.full(n, 0.1)
     sigma_px = np.full(n, sigma_mm / 0.1)
-    return Profile(y_mm, z_mm, np.zeros(n), dz_mm, sigma_px, scan, COLUMN_MM, sigma_px, light=no_light())
+    return Profile(y_mm, z_mm, np.zeros(n), dz_mm, sigma_px, scan, COLUMN_MM, sigma_px, light=NO_LIGHT)
 
 
 def flat_faces(n: int, step_mm: float) -> Faces:
@@ -42,11 +41,11 @@ def flat_faces(n: int, step_mm: float) -> Faces:
 
 
 def edge_of(profile: Profile, faces: Faces, limits_mm: Float64) -> Edge | None:
-    points = points_of(profile)
+    points = profile.points
     before, behind = points_beside(points, faces, limits_mm)
     if before < 0:
         return None
-    light, strip = light_at_hand(profile), HiddenStrip(0.0, 0.0)
+    light, strip = (NO_LIGHT if profile.light is None else profile.light), HiddenStrip(0.0, 0.0)
     edge: Edge = edge_between(points, faces, limits_mm, 1e-3, COLUMN_MM, light, before, behind, strip)
     return edge
 
@@ -91,11 +90,11 @@ def test_a_change_is_its_twin(seed: int) -> None:
     )
     near = np.abs(profile.y_mm) < 1.5
     faces = Faces(heights_mm[0], slopes[0], heights_mm[1], slopes[1])
-    before, behind = points_beside(points_of(profile), faces, np.where(near, 0.5, 0.0))
+    before, behind = points_beside(profile.points, faces, np.where(near, 0.5, 0.0))
     if before < 0:
         return
     limits_mm = np.where(near, 0.5, 0.0)
-    points, column_mm, strip = points_of(profile), profile.column_mm, HiddenStrip(0.1, 0.02)
+    points, column_mm, strip = profile.points, profile.column_mm, HiddenStrip(0.1, 0.02)
     on_before = meet_face(points, faces.before_mm, faces.before_slope)
     on_behind = meet_face(points, faces.behind_mm, faces.behind_slope)
     found = change_of(
@@ -135,4 +134,4 @@ def test_a_centre_moves_with_its_background() -> None:
     np.testing.assert_allclose(moved_px[beside], 0.5 * whole_px, rtol=0.05)
     np.testing.assert_array_equal(moved_px[~beside], 0.0)
     assert (background_off_px(light, scan, 100.0 * moved_px.max() + sigma_px) == 0.0).all()
-    assert (background_off_px(no_light(), scan, sigma_px) == 0.0).all()
+    assert (background_off_px(NO_LIGHT, scan, sigma_px) == 0.0).all()

@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple, overload
 
 import numpy as np
+from profiles import Profile
 
 from noise_model.arrays import Float64, Int64
 from tracker.joint.measured import MeasuredJoint
@@ -22,7 +23,6 @@ from tracker.joint.type_check import (
     STATED_PARAMETERS,
     Family,
 )
-from tracker.profile import Profile
 
 
 def groups(profile: Profile) -> tuple[Float64, Float64, Float64]:

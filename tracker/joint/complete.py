@@ -11,7 +11,8 @@ from noise_model.kernel import kernel
 from noise_model.median import finite_median, median_of, numbers_for
 from tracker.joint.evidence import section_evidence_nats
 from tracker.joint.measured import MeasuredJoint
-from tracker.joint.section import Section
+from tracker.profile import Section
+from tracker.state import BIAS_PX, DY_MM, DZ_MM, Y_MM
 
 ALIKE_OFF_PX = 0.01
 """By how much all centres of a stripe may be off alike, px: its bell is none, and pixels are not all alike.
@@ -36,9 +37,7 @@ def completed(section: Section, measured: MeasuredJoint) -> MeasuredJoint:
     return MeasuredJoint(
         y_mm=measured.y_mm,
         z_mm=measured.z_mm,
-        covariance_mm2=with_alike(
-            points.y_mm, points.dy_mm, points.dz_mm, section.bias_px, measured.y_mm, measured.covariance_mm2
-        ),
+        covariance_mm2=with_alike(points, measured.y_mm, measured.covariance_mm2),
         gap_mm=measured.gap_mm,
         mismatch_mm=measured.mismatch_mm,
         chi2=measured.chi2,
@@ -50,11 +49,9 @@ def completed(section: Section, measured: MeasuredJoint) -> MeasuredJoint:
 
 
 @kernel(allocates=True)
-def with_alike(
-    y_mm: Float64, dy_mm: Float64, dz_mm: Float64, bias_px: Float64, seam_mm: float, covariance_mm2: Float64
-) -> Float64:
-    """Return a joint's covariance (2, 2) with what all points of its profile (n,) may be off alike."""
-    off = off_alike_mm(y_mm, dy_mm, dz_mm, bias_px, seam_mm)
+def with_alike(points: Float64, seam_mm: float, covariance_mm2: Float64) -> Float64:
+    """Return a joint's covariance (2, 2) with what all points of its section may be off alike."""
+    off = off_alike_mm(points, seam_mm)
     together = covariance_mm2.copy()
     for i in range(2):
         for j in range(2):
@@ -63,20 +60,15 @@ def with_alike(
 
 
 @kernel(allocates=True)
-def off_alike_mm(
-    y_mm: Float64, dy_mm: Float64, dz_mm: Float64, bias_px: Float64, seam_mm: float
-) -> tuple[float, float]:
-    """Return the (y, z), mm, that all points of a profile (n,) may be off alike.
-
-    `bias_px` (n,), or none, is by how much their centres were corrected.
-    """
-    n = y_mm.shape[0]
+def off_alike_mm(points: Float64, seam_mm: float) -> tuple[float, float]:
+    """Return the (y, z), mm, that all points of a section may be off alike."""
+    n = points.shape[1]
     room, count = np.empty(numbers_for(n), np.float32), 0
     off_px = ALIKE_OFF_PX
-    for i in range(bias_px.shape[0]):
-        if abs(y_mm[i] - seam_mm) < NEAR_MM:
-            room[count] = abs(bias_px[i])
+    for i in range(n):
+        if abs(points[Y_MM, i] - seam_mm) < NEAR_MM:
+            room[count] = abs(points[BIAS_PX, i])
             count += 1
     if count > 0:
         off_px = math.hypot(off_px, BIAS_SHARE * median_of(room, count))
-    return off_px * finite_median(dy_mm, room), off_px * finite_median(dz_mm, room)
+    return off_px * finite_median(points[DY_MM], room), off_px * finite_median(points[DZ_MM], room)

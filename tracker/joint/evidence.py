@@ -38,9 +38,10 @@ from noise_model.arrays import Bool, Float32, Float64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.median import median_of, numbers_for
 from noise_model.robust import MAD_SIGMA
-from tracker.joint.measured import SectionPoints, section_at
+from tracker.joint.measured import section_at
 from tracker.joint.section_fit import BISQUARE_WIDTH, MIN_ALONG_MM
 from tracker.joint.wander import MIN_KEPT, innovations, points_alike, wander_of
+from tracker.state import DY_MM, DZ_MM, N_LINES, SCAN, SIGMA_PX, Y_MM, Z_MM
 from tracker.stripe.pairs import usual_of
 
 MIN_EVIDENCE_NATS = math.log(1e3)
@@ -63,12 +64,13 @@ RUN_PRIOR = 1.0, 9.0
 
 
 @kernel(allocates=True)
-def section_evidence_nats(points: SectionPoints, corners_mm: Float64, reach_mm: float) -> float:
+def section_evidence_nats(points: Float64, corners_mm: Float64, reach_mm: float) -> float:
     """Return the evidence, nats, that points (n,) show the section of corners (k, 2) and not a plate.
 
     The seam was sought within a reach.
     """
-    y_mm, z_mm, dy_mm, dz_mm, scan, sigma_px, _, _, n_lines = points
+    y_mm, z_mm, dy_mm, dz_mm = points[Y_MM], points[Z_MM], points[DY_MM], points[DZ_MM]
+    scan, sigma_px, n_lines = points[SCAN], points[SIGMA_PX], points[N_LINES]
     n = y_mm.shape[0]
     off, off_plate = np.empty(n), np.empty(n)
     height_mm, slope = section_at(corners_mm, y_mm)

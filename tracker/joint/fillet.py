@@ -18,9 +18,9 @@ from tracker.joint.measured import (
     two_angles,
     undetermined,
 )
-from tracker.joint.section import Section, is_long_enough
 from tracker.joint.section_shapes import CORNER, N_CORNERS, corners_of
-from tracker.state import JointShape
+from tracker.profile import Section
+from tracker.state import Y_MM, Z_MM, JointShape
 
 SEARCH_STEP_MM = 0.2
 SEARCH_LIMIT_MM = 1.0
@@ -40,11 +40,9 @@ MIN_POINTS = 10.0
 @kernel(allocates=True)
 def fit_fillet(section: Section, stated: StatedJoint) -> MeasuredJoint:
     """Return the corner that a section shows, not determined where it does not show both plates."""
-    if not is_long_enough(section):
-        return undetermined()
-    points, y_mm = section.points, section.points.y_mm
+    points, y_mm = section.points, section.points[Y_MM]
     y_0, z_0 = shift_of(
-        y_mm, points.z_mm, section.reach_mm, stated.corners_mm, 0.0, SEARCH_STEP_MM, SEARCH_LIMIT_MM
+        y_mm, points[Z_MM], section.reach_mm, stated.corners_mm, 0.0, SEARCH_STEP_MM, SEARCH_LIMIT_MM
     )
     slope = 1.0 / stated.tan
     plate_sigma = math.radians(PLATE_SIGMA_DEG) * (1.0 + slope**2)

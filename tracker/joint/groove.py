@@ -25,9 +25,9 @@ from tracker.joint.measured import (
     undetermined,
 )
 from tracker.joint.root import weigh_root
-from tracker.joint.section import Section, is_long_enough
 from tracker.joint.section_shapes import GROOVE, N_CORNERS, ROUND_GROOVE, corners_of
-from tracker.state import JointShape
+from tracker.profile import Section
+from tracker.state import Y_MM, Z_MM, JointShape
 
 SEARCH_STEP_MM = 0.2
 PRIOR_SIGMA = np.array([5.0, 5.0, 0.3, 0.04, 0.04, 0.3, 0.3, 0.03, 0.03])
@@ -58,37 +58,35 @@ def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint:
 
     It is a U where its roundings' radius is stated.
     """
-    if not is_long_enough(section):
-        return undetermined()
     points, half_mouth_mm = section.points, stated.corners_mm[-2, 0]
     # A copy of its own has one type: for a constant the kernels would be compiled anew.
     shape, prior_sigma = GROOVE, PRIOR_SIGMA.copy()
     if not math.isnan(stated.radius_mm):
         shape, prior_sigma = ROUND_GROOVE, ROUND_PRIOR_SIGMA.copy()
-    start = start_of(points.y_mm, points.z_mm, section.reach_mm, stated, prior_sigma)
-    chosen = np.ones(points.y_mm.shape[0], np.bool_)
+    start = start_of(points[Y_MM], points[Z_MM], section.reach_mm, stated, prior_sigma)
+    chosen = np.ones(points[Y_MM].shape[0], np.bool_)
     fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start)
     if not math.isfinite(fit.chi2):
         return undetermined()
-    seen = seen_by(fit, points.y_mm, half_mouth_mm)
+    seen = seen_by(fit, points[Y_MM], half_mouth_mm)
     if seen.left_out > MUCH_LEFT_OUT:
         wider = fit_points(shape, points, chosen, WIDER_MM, prior_sigma, start)
         if math.isfinite(wider.chi2):
-            seen_wider = seen_by(wider, points.y_mm, half_mouth_mm)
+            seen_wider = seen_by(wider, points[Y_MM], half_mouth_mm)
             if seen_wider.left_out < seen.left_out:
                 fit, seen = wider, seen_wider
     if shape == GROOVE and min(seen.right_bevel, seen.left_bevel) > 0.0:
         for i in range(chosen.shape[0]):
-            chosen[i] = abs(points.y_mm[i] - fit.parameters[0]) >= section.mixed_mm
+            chosen[i] = abs(points[Y_MM, i] - fit.parameters[0]) >= section.mixed_mm
         fit = weigh_root(shape, points, chosen, start, prior_sigma, GAP, fit)
-        seen = seen_by(fit, points.y_mm, half_mouth_mm)
+        seen = seen_by(fit, points[Y_MM], half_mouth_mm)
     amid_mm = (1.0 - 2.0 * END_SHARE) * (half_mouth_mm - 0.5 * stated.gap_mm)
     enough = min(MIN_POINTS, MIN_GROOVE_SHARE * amid_mm / section.column_mm)
     if min(seen.right_bevel, seen.left_bevel) < enough:
         unseen, alone = (1.0, seen.right) if seen.left_bevel < seen.right_bevel else (-1.0, seen.left)
         if max(seen.right_bevel, seen.left_bevel) < enough or alone < MIN_ALONE:
             return undetermined()
-        beside_unseen(points.y_mm, fit.parameters, start, prior_sigma, unseen, half_mouth_mm, chosen)
+        beside_unseen(points[Y_MM], fit.parameters, start, prior_sigma, unseen, half_mouth_mm, chosen)
         fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start)
         if not math.isfinite(fit.chi2):
             return undetermined()

@@ -18,7 +18,6 @@ from tracker.joint.measured import (
     MeasuredJoint,
     ShapeFit,
     fit_points,
-    in_scan_order,
     opening_area,
     share_left_out,
     shift_of,
@@ -26,7 +25,6 @@ from tracker.joint.measured import (
     undetermined,
 )
 from tracker.joint.root import weigh_root
-from tracker.joint.section import Section, is_long_enough
 from tracker.joint.section_shapes import HALF_GROOVE, N_CORNERS, corners_of
 from tracker.joint.upright_edge import (
     Faces,
@@ -36,7 +34,8 @@ from tracker.joint.upright_edge import (
     no_faces,
     points_beside,
 )
-from tracker.state import JointShape
+from tracker.profile import Section, in_scan_order
+from tracker.state import DZ_MM, SIGMA_PX, Y_MM, Z_MM, JointShape
 
 SEARCH_STEP_MM = 0.1
 CLEAR_OF_EDGE_MM = 0.3
@@ -76,9 +75,7 @@ def fit_half_v(section: Section, stated: StatedJoint) -> MeasuredJoint:
     the first one in the groove, less what it hides there from camera or laser; then they are fitted once
     more.
     """
-    if not is_long_enough(section):
-        return undetermined()
-    points, y_mm, gap_mm = section.points, section.points.y_mm, stated.gap_mm
+    points, y_mm, gap_mm = section.points, section.points[Y_MM], stated.gap_mm
     # A copy of its own has one type: for a constant the kernels would be compiled anew.
     prior_sigma, clear = PRIOR_SIGMA.copy(), np.empty(y_mm.shape[0], np.bool_)
     start = start_of(section, stated)
@@ -121,7 +118,7 @@ def fit_half_v(section: Section, stated: StatedJoint) -> MeasuredJoint:
 @kernel(allocates=True)
 def start_of(section: Section, stated: StatedJoint) -> Float64:
     """Return the parameters of a stated half groove where most of a section's points lie on it."""
-    y_mm, z_mm, depth = section.points.y_mm, section.points.z_mm, stated.depth_mm
+    y_mm, z_mm, depth = section.points[Y_MM], section.points[Z_MM], stated.depth_mm
     y_0, z_0 = shift_of(y_mm, z_mm, section.reach_mm, stated.corners_mm, depth, SEARCH_STEP_MM, 0.25 * depth)
     start = np.zeros(N_PARAMETERS)
     start[GAP], start[ROOT], start[TAN], start[WALL] = (
@@ -149,13 +146,13 @@ def upright_side(
 
     `clear` (n,) gets which of the section's points are surely of one face beside it.
     """
-    lines, y_mm = in_scan_order(section.points), section.points.y_mm
+    lines, y_mm = in_scan_order(section.points), section.points[Y_MM]
     wall_mm, n = start[WALL], y_mm.shape[0]
-    faces, limits_mm = faces_at(lines.y_mm, fit.parameters, wall_mm), np.empty(n)
+    faces, limits_mm = faces_at(lines[Y_MM], fit.parameters, wall_mm), np.empty(n)
     for i in range(n):
         # Faces may bend beside the upright side.
-        sure_mm = math.hypot(BENT_MM, ON_FACE_SIGMAS * abs(lines.dz_mm[i]) * lines.sigma_px[i])
-        is_near = abs(lines.y_mm[i] - wall_mm) < 5.0 * CLEAR_OF_EDGE_MM
+        sure_mm = math.hypot(BENT_MM, ON_FACE_SIGMAS * abs(lines[DZ_MM, i]) * lines[SIGMA_PX, i])
+        is_near = abs(lines[Y_MM, i] - wall_mm) < 5.0 * CLEAR_OF_EDGE_MM
         limits_mm[i] = min(0.25 * fit.parameters[DEPTH_RIGHT], sure_mm) if is_near else 0.0
     before, behind = points_beside(lines, faces, limits_mm)
     if before < 0:
@@ -167,7 +164,7 @@ def upright_side(
     )
     # What lies between may be either side's, and the first lines in the groove hold light of the plate too.
     for i in range(n):
-        clear[i] = y_mm[i] <= lines.y_mm[before] or y_mm[i] >= lines.y_mm[behind] + section.mixed_mm
+        clear[i] = y_mm[i] <= lines[Y_MM, before] or y_mm[i] >= lines[Y_MM, behind] + section.mixed_mm
     mean_height = MEAN_HEIGHT.copy()
     return UprightSide(edge.y_mm, edge_covariance(edge, mean_height, mean_height, fit.covariance)[0, 0])
 

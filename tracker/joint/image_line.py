@@ -36,7 +36,8 @@ from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
 from tracker.joint.evidence import fit_plate
 from tracker.joint.section_fit import BISQUARE_WIDTH
-from tracker.profile import MIN_POINTS, Profile
+from tracker.profile import MIN_POINTS, Section, in_scan_order
+from tracker.state import SCAN, Y_MM
 
 BESIDE_MM = 12.0
 """So far along the seam its line is read on either side of the stripe."""
@@ -127,7 +128,8 @@ def read_image_line(
     scene: Scene,
     path_px: Float64,
     stripe_sigma_px: float,
-    profile: Profile,
+    section: Section,
+    image_dn: Integers,
 ) -> ImageLine | None:
     """Return the line that a seam leaves in the image beside its stripe; None where nothing can be read.
 
@@ -141,13 +143,13 @@ def read_image_line(
         The stripe's centre, px; NaN where it was not read.
     stripe_sigma_px : float
         Its 1 sigma across, px.
-    profile : Profile
-        The stripe's points and its frame. They say which y a scan line has, and how far about 0 the seam is
-        sought.
+    section : Section
+        What the stripe shows: which y a scan line has, and how far about 0 the seam is sought.
+    image_dn : array (n_scan, n_pos)
+        The frame by scan line.
     """
     # Of a weak stripe no line's smooth centre may be sure enough to be one.
-    is_read = min(len(profile.y_mm), np.isfinite(path_px).sum()) >= MIN_POINTS
-    if profile.image_dn is None or not is_read:
+    if min(len(section.y_mm), np.isfinite(path_px).sum()) < MIN_POINTS:
         return None
     path = _plates_path(path_px)
     expected = _expected_slopes(geometry, scene, path)
@@ -159,10 +161,10 @@ def read_image_line(
     n_each = int((reach_px - guard_px) / averaged)
     if n_each < MIN_PIECES:
         return None
-    gap_lines = geometry.setup.joint.dimensions["gap_mm"] / profile.column_mm
+    gap_lines = geometry.setup.joint.dimensions["gap_mm"] / section.column_mm
     width = max(MIN_WIDTH_LINES, 0.5 * gap_lines)
     columns, offsets_px = np.empty((2 * n_each, len(path))), np.empty(2 * n_each)
-    columns_beside(profile.image_dn, path, guard_px, averaged, columns, offsets_px)
+    columns_beside(image_dn, path, guard_px, averaged, columns, offsets_px)
     white = np.empty_like(columns)
     whiten(columns, math.ceil(MEDIAN_WIDTHS * width), white)
     n_slopes = 2 + math.ceil(abs(last_slope - first_slope) * reach_px / width)
@@ -170,7 +172,7 @@ def read_image_line(
     along, counts = np.empty((2, n_slopes, len(path)))
     sum_along(white, offsets_px, slopes, along, counts)
     energy = _energy(along, counts >= MIN_COLUMNS_SHARE * len(offsets_px), width)
-    return _place(profile, _Sums(white, offsets_px, slopes, along, energy, width, profile.column_mm))
+    return _place(section, _Sums(white, offsets_px, slopes, along, energy, width, section.column_mm))
 
 
 def _plates_path(path_px: Float64) -> Float64:
@@ -301,18 +303,19 @@ def _energy(along: Float64, is_told: Bool, width: float) -> Float64:
     return np.where(is_told, energy, 0.0)
 
 
-def _place(profile: Profile, sums: _Sums) -> ImageLine | None:
-    """Return the strongest line within a profile's reach, and how far it is told from what lies elsewhere."""
-    ordered = profile.by_scan()
-    order = slice(None, None, 1 if ordered.scan[0] <= ordered.scan[-1] else -1)
+def _place(section: Section, sums: _Sums) -> ImageLine | None:
+    """Return the strongest line within a section's reach, and how far it is told from what lies elsewhere."""
+    points = in_scan_order(section.points)
+    scan = points[SCAN]
+    order = slice(None, None, 1 if scan[0] <= scan[-1] else -1)
     y_of_scan = np.interp(
         np.arange(sums.energy.shape[1]),
-        ordered.scan[order],
-        ordered.y_mm[order],
+        scan[order],
+        points[Y_MM, order],
         left=np.nan,
         right=np.nan,
     )
-    within = np.where(np.abs(y_of_scan) <= profile.reach_mm, sums.energy, 0.0)
+    within = np.where(np.abs(y_of_scan) <= section.reach_mm, sums.energy, 0.0)
     slope, line = np.unravel_index(int(within.argmax()), within.shape)
     strongest = float(within[slope, line])
     if strongest == 0.0:
@@ -334,7 +337,7 @@ def _place(profile: Profile, sums: _Sums) -> ImageLine | None:
         return None
     crossing, sigma = course
     y_mm = float(np.interp(crossing, np.arange(len(y_of_scan)), y_of_scan))
-    return ImageLine(y_mm, sigma * profile.column_mm, evidence)
+    return ImageLine(y_mm, sigma * section.column_mm, evidence)
 
 
 def _crossing(sums: _Sums, slope: int, line: int) -> tuple[float, float] | None:

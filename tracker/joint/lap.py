@@ -17,15 +17,12 @@ from tracker.joint.measured import (
     SIGMA_FLOOR_PX,
     START_SIGMA_MM,
     MeasuredJoint,
-    SectionPoints,
     ShapeFit,
     fit_points,
-    in_scan_order,
     shift_of,
     two_angles,
     undetermined,
 )
-from tracker.joint.section import Section, is_long_enough
 from tracker.joint.section_shapes import N_CORNERS, SHEETS, corners_of
 from tracker.joint.upright_edge import (
     Edge,
@@ -36,7 +33,8 @@ from tracker.joint.upright_edge import (
     no_faces,
     points_beside,
 )
-from tracker.state import JointShape
+from tracker.profile import Section, in_scan_order
+from tracker.state import DZ_MM, SIGMA_PX, Y_MM, Z_MM, JointShape
 
 SEARCH_STEP_MM = 0.1
 CLEAR_OF_EDGE_MM = 0.4
@@ -64,8 +62,6 @@ def fit_lap(section: Section, stated: StatedJoint) -> MeasuredJoint:
     and the edge lies between the last point of the upper and the first of the lower sheet, less what it
     hides of that one (`upright_edge`).
     """
-    if not is_long_enough(section):
-        return undetermined()
     # A copy of its own has one type: for a constant the kernels would be compiled anew.
     prior_sigma = PRIOR_SIGMA.copy()
     y_0, fit = fit_sheets(
@@ -79,16 +75,16 @@ def fit_lap(section: Section, stated: StatedJoint) -> MeasuredJoint:
 
 @kernel(allocates=True)
 def fit_sheets(
-    points: SectionPoints, reach_mm: float, corners: Float64, thickness_mm: float, prior_sigma: Float64
+    points: Float64, reach_mm: float, corners: Float64, thickness_mm: float, prior_sigma: Float64
 ) -> tuple[float, ShapeFit]:
     """Place a lap amid a profile's points and fit its sheets' lines clear of the edge.
 
     Returned are where it was placed and the fit, whose chi2 is NaN where it cannot be.
     """
-    roll, y_0, z_level = placed(points.y_mm, points.z_mm, reach_mm, corners, 0.25 * thickness_mm)
-    clear, start = np.empty(points.y_mm.shape[0], np.bool_), np.empty(prior_sigma.shape[0] + 1)
+    roll, y_0, z_level = placed(points[Y_MM], points[Z_MM], reach_mm, corners, 0.25 * thickness_mm)
+    clear, start = np.empty(points[Y_MM].shape[0], np.bool_), np.empty(prior_sigma.shape[0] + 1)
     start[0], start[1], start[2], start[3], start[4] = z_level + roll * y_0, thickness_mm, roll, roll, y_0
-    before, behind = clear_of_edge(points.y_mm, y_0, clear)
+    before, behind = clear_of_edge(points[Y_MM], y_0, clear)
     if min(before, behind) < MIN_POINTS:
         return y_0, ShapeFit(start[:-1], np.empty((0, 0)), math.nan, np.empty(0))
     return y_0, fit_points(SHEETS, points, clear, START_SIGMA_MM, prior_sigma, start)
@@ -96,7 +92,7 @@ def fit_sheets(
 
 @kernel(allocates=True)
 def measured_lap(
-    section: Section, lines: SectionPoints, fit: ShapeFit, y_0: float, thickness_mm: float
+    section: Section, lines: Float64, fit: ShapeFit, y_0: float, thickness_mm: float
 ) -> MeasuredJoint:
     """Return the lap of sheets that were fitted, its y NaN where they are not seen beside their edge.
 
@@ -141,21 +137,21 @@ def measured_lap(
             area_mm2=math.nan,
             area_sigma_mm2=math.nan,
         ),
-        unexplained=share_off(lines.y_mm, lines.z_mm, lines.dz_mm, lines.sigma_px, sheets, edge),
+        unexplained=share_off(lines[Y_MM], lines[Z_MM], lines[DZ_MM], lines[SIGMA_PX], sheets, edge),
         corners_mm=corners_mm,
         evidence_nats=math.nan,
     )
 
 
 @kernel(allocates=True)
-def edge_of_sheets(section: Section, lines: SectionPoints, sheets: Sheets, thickness_mm: float) -> Edge:
+def edge_of_sheets(section: Section, lines: Float64, sheets: Sheets, thickness_mm: float) -> Edge:
     """Return where the sheets' edge is, NaN where points (n,) do not lie on both beside it."""
-    n, nowhere = lines.y_mm.shape[0], Edge(math.nan, math.nan, math.nan)
+    n, nowhere = lines[Y_MM].shape[0], Edge(math.nan, math.nan, math.nan)
     bent_mm, limits_mm = MIN_OFF_SHEET * thickness_mm, np.empty(n)
     for i in range(n):
-        off_mm = min(OFF_SIGMAS * abs(lines.dz_mm[i]) * lines.sigma_px[i], ON_SHEET * thickness_mm)
-        limits_mm[i] = max(bent_mm, off_mm) if abs(lines.y_mm[i] - sheets.y) < NEAR_MM else 0.0
-    faces = sheets_at(lines.y_mm, sheets)
+        off_mm = min(OFF_SIGMAS * abs(lines[DZ_MM, i]) * lines[SIGMA_PX, i], ON_SHEET * thickness_mm)
+        limits_mm[i] = max(bent_mm, off_mm) if abs(lines[Y_MM, i] - sheets.y) < NEAR_MM else 0.0
+    faces = sheets_at(lines[Y_MM], sheets)
     before, behind = points_beside(lines, faces, limits_mm)
     if before < 0:
         return nowhere
@@ -163,7 +159,7 @@ def edge_of_sheets(section: Section, lines: SectionPoints, sheets: Sheets, thick
     sources_mm = section.camera_mm, section.laser_mm
     hidden = hidden_strip(sources_mm, sheets.y, sheets.z + sheets.step, sheets.step, section.slope_sigma)
     # Glare or spatter over all of the points near it: between those beyond, an edge may be anywhere.
-    if lines.y_mm[behind] - hidden.width_mm - lines.y_mm[before] > 2.0 * CLEAR_OF_EDGE_MM:
+    if lines[Y_MM, behind] - hidden.width_mm - lines[Y_MM, before] > 2.0 * CLEAR_OF_EDGE_MM:
         return nowhere
     edge: Edge = edge_between(
         lines, faces, limits_mm, bent_mm, section.column_mm, section.light, before, behind, hidden

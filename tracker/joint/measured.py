@@ -7,14 +7,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64, Int64
+from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from noise_model.median import exact_median
 from tracker.joint.alike import add_shared_errors
 from tracker.joint.section_fit import MIN_ALONG_MM, best_shift, fit_section
 from tracker.joint.section_shapes import opening
-from tracker.profile import Profile, is_in_order, scan_order
-from tracker.state import NO_SHAPE, JointShape, Pair
+from tracker.state import (
+    BESIDE_PX,
+    DY_MM,
+    DZ_MM,
+    MISFIT_PX,
+    N_LINES,
+    NO_SHAPE,
+    SCAN,
+    SIGMA_PX,
+    Y_MM,
+    Z_MM,
+    JointShape,
+    Pair,
+)
 
 SIGMA_FLOOR_PX = 0.01
 """What a stripe centre may be off beyond its noise: the surface's own roughness, pixels unlike each other."""
@@ -105,82 +117,25 @@ class ShapeFit(NamedTuple):
     weights: Float64
 
 
-class SectionPoints(NamedTuple):
-    """A profile's points (n,) as a fit takes them; see `Profile`. An empty `misfit_px` is none."""
-
-    y_mm: Float64
-    z_mm: Float64
-    dy_mm: Float64
-    dz_mm: Float64
-    scan: Float64
-    sigma_px: Float64
-    beside_px: Float64
-    misfit_px: Float64
-    n_lines: Float64
-
-
-def points_of(profile: Profile) -> SectionPoints:
-    """Return a profile's points as a fit takes them."""
-    return SectionPoints(
-        y_mm=profile.y_mm,
-        z_mm=profile.z_mm,
-        dy_mm=profile.dy_mm,
-        dz_mm=profile.dz_mm,
-        scan=profile.scan,
-        sigma_px=profile.sigma_px,
-        beside_px=profile.beside_px,
-        misfit_px=np.empty(0) if profile.misfit_px is None else profile.misfit_px,
-        n_lines=profile.lines_each,
-    )
-
-
-@kernel(allocates=True)
-def in_scan_order(points: SectionPoints) -> SectionPoints:
-    """Return a profile's points in order of their scan lines; see `Profile.by_scan`."""
-    if is_in_order(points.scan):
-        return points
-    order = scan_order(points.scan)
-    return SectionPoints(
-        y_mm=_taken(points.y_mm, order),
-        z_mm=_taken(points.z_mm, order),
-        dy_mm=_taken(points.dy_mm, order),
-        dz_mm=_taken(points.dz_mm, order),
-        scan=_taken(points.scan, order),
-        sigma_px=_taken(points.sigma_px, order),
-        beside_px=_taken(points.beside_px, order),
-        misfit_px=_taken(points.misfit_px, order),
-        n_lines=_taken(points.n_lines, order),
-    )
-
-
-@kernel(allocates=True)
-def _taken(values: Float64, order: Int64) -> Float64:
-    """Return values (n,), or none, in an order."""
-    taken = np.empty(values.shape[0])
-    for i in range(values.shape[0]):
-        taken[i] = values[order[i]]
-    return taken
-
-
 @kernel(allocates=True)
 def fit_points(
     shape: int,
-    points: SectionPoints,
+    points: Float64,
     used: Bool,
     start_sigma_mm: float,
     prior_sigma: Float64,
     start: Float64,
 ) -> ShapeFit:
-    """Fit a shape of `section_fit` to points (n,), in pixels of stripe centre, with priors about `start`.
+    """Fit a shape of `section_fit` to a section's points, in px of stripe centre, with priors about `start`.
 
-    Those that are `used` (n,) count. A point may lie `start_sigma_mm` off the start, and without a
-    `misfit_px` it is 0. The fit's chi2 is NaN where fewer points are used than the parameters need, and where
-    it runs away. What `start` has beyond `prior_sigma` (p,) stays as it is.
+    Those that are `used` (n,) count. A point may lie `start_sigma_mm` off the start. The fit's chi2 is NaN
+    where fewer points are used than the parameters need, and where it runs away. What `start` has beyond
+    `prior_sigma` (p,) stays as it is.
     """
-    y_mm, z_mm, dy_mm, dz_mm, scan, sigma_px, beside_px, misfit_px, n_lines = points
-    n, m = y_mm.shape[0], prior_sigma.shape[0]
+    y_mm, z_mm, dy_mm, dz_mm = points[Y_MM], points[Z_MM], points[DY_MM], points[DZ_MM]
+    sigma_px, beside_px, n_lines = points[SIGMA_PX], points[BESIDE_PX], points[N_LINES]
+    n, m = points.shape[1], prior_sigma.shape[0]
     parameters, covariance, weights = start.copy(), np.empty((m, m)), np.empty(n)
-    misfit = misfit_px if len(misfit_px) > 0 else np.zeros(n)
     sigma, beside = np.empty(n), np.empty(n)
     if count_with_floor(sigma_px, n_lines, used, sigma) < m + 3:
         return ShapeFit(parameters[:m], covariance, math.nan, weights)
@@ -192,7 +147,18 @@ def fit_points(
     )
     if math.isfinite(chi2):
         add_shared_errors(
-            shape, y_mm, dy_mm, dz_mm, scan, sigma, beside, misfit, weights, parameters, chi2, covariance
+            shape,
+            y_mm,
+            dy_mm,
+            dz_mm,
+            points[SCAN],
+            sigma,
+            beside,
+            points[MISFIT_PX],
+            weights,
+            parameters,
+            chi2,
+            covariance,
         )
     return ShapeFit(parameters[:m], covariance, chi2, weights)
 
@@ -254,7 +220,7 @@ class OnFace(NamedTuple):
 
 
 @kernel(allocates=True)
-def meet_face(points: SectionPoints, height_mm: Float64, slope: Float64) -> OnFace:
+def meet_face(points: Float64, height_mm: Float64, slope: Float64) -> OnFace:
     """Return where points' rays meet a face of heights (n,), mm, and slopes (n,) at the points' own y.
 
     A centre that is off by c px moves its point by c (dy, dz). On the face it would be at
@@ -264,9 +230,9 @@ def meet_face(points: SectionPoints, height_mm: Float64, slope: Float64) -> OnFa
     n = height_mm.shape[0]
     met_mm, y_per_z = np.empty(n), np.empty(n)
     for i in range(n):
-        across = points.dz_mm[i] - slope[i] * points.dy_mm[i]
-        y_per_z[i] = points.dy_mm[i] / across if abs(across) > MIN_ALONG_MM else 0.0
-        met_mm[i] = points.y_mm[i] - y_per_z[i] * (points.z_mm[i] - height_mm[i])
+        across = points[DZ_MM, i] - slope[i] * points[DY_MM, i]
+        y_per_z[i] = points[DY_MM, i] / across if abs(across) > MIN_ALONG_MM else 0.0
+        met_mm[i] = points[Y_MM, i] - y_per_z[i] * (points[Z_MM, i] - height_mm[i])
     return OnFace(met_mm, y_per_z)
 
 
@@ -288,11 +254,11 @@ def section_at(corners_mm: Float64, y_mm: Float64) -> tuple[Float64, Float64]:
     return height, slope
 
 
-def off_section(profile: Profile, joint: MeasuredJoint) -> Bool:
+def off_section(points: Float64, joint: MeasuredJoint) -> Bool:
     """Return which points (n,) lie off a joint's section by more than `OFF_SIGMAS` of their stripe centre."""
-    height_mm, slope = section_at(joint.corners_mm, profile.y_mm)
-    moved = np.abs(profile.dz_mm - slope * profile.dy_mm) * np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
-    return np.asarray(np.abs(profile.z_mm - height_mm) > OFF_SIGMAS * moved)
+    height_mm, slope = section_at(joint.corners_mm, points[Y_MM])
+    moved = np.abs(points[DZ_MM] - slope * points[DY_MM]) * np.hypot(points[SIGMA_PX], SIGMA_FLOOR_PX)
+    return np.asarray(np.abs(points[Z_MM] - height_mm) > OFF_SIGMAS * moved)
 
 
 @kernel

@@ -11,9 +11,11 @@ from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float64, Integers
 from noise_model.kernel import kernel
 from noise_model.median import exact_median
+from noise_model.ordering import stable_order
 from tracker.joint.evidence import gap_evidence_nats
 from tracker.joint.measured import OnFace
-from tracker.joint.section import Section
+from tracker.profile import Section
+from tracker.state import N_LINES, SCAN
 from tracker.stripe.edge import clear_of_an_edge, stripe_end
 from tracker.stripe.light import WINDOW_SIGMAS, StripeLight
 
@@ -105,8 +107,8 @@ def plate_lines(
 @kernel(allocates=True)
 def lines_read(section: Section, on_plates: OnPlates, beyond: bool) -> PlateLines:
     """Return `plate_lines` as the points alone say: each speaks for all lines that were read as it."""
-    scan, column_mm, are_on = section.points.scan, section.column_mm, on_plates.are_on
-    n_lines = section.points.n_lines
+    scan, column_mm, are_on = section.points[SCAN], section.column_mm, on_plates.are_on
+    n_lines = section.points[N_LINES]
     n_points, away = scan.shape[0], 1 if scan[-1] > scan[0] else -1
     pad = math.ceil((OUTSIDE_MM + SLACK_MM) / column_mm) if beyond else 0
     first, last, n_on = math.inf, -math.inf, 0
@@ -124,7 +126,7 @@ def lines_read(section: Section, on_plates: OnPlates, beyond: bool) -> PlateLine
     # Where the plates would be seen: what lies deep in the gap looks shifted beside them.
     count = n_on if n_on > 0 else n_points
     shown, face_mm, face_per_z, k = np.empty(count), np.empty(count), np.empty(count), 0
-    for i in np.argsort(places, kind="mergesort"):
+    for i in stable_order(places):
         if are_on[i] or n_on == 0:
             shown[k], face_mm[k], face_per_z[k] = places[i], on_plates.face.y_mm[i], on_plates.face.y_per_z[i]
             k += 1
@@ -358,7 +360,7 @@ def hold_plates(
     away = np.empty(plates.lines.shape[0])
     for i in range(away.shape[0]):
         away[i] = min(abs(plates.lines[i] - first), abs(plates.lines[i] - last))
-    nearest = np.sort(np.argsort(away, kind="mergesort")[: 2 * BRIGHT_LINES])
+    nearest = np.sort(stable_order(away)[: 2 * BRIGHT_LINES])
     n = nearest.shape[0]
     near = PlateStripe(np.empty(n), np.empty(n), np.empty(n))
     for i in range(n):

@@ -16,8 +16,9 @@ import numpy as np
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from noise_model.median import exact_median
-from tracker.joint.measured import START_SIGMA_MM, SectionPoints, ShapeFit, fit_points
+from tracker.joint.measured import START_SIGMA_MM, ShapeFit, fit_points
 from tracker.joint.section_fit import BISQUARE_WIDTH
+from tracker.state import BESIDE_PX, SIGMA_PX
 
 NARROW_MM = 0.8
 """A root that comes out narrower than this is weighed."""
@@ -56,7 +57,7 @@ def prior_of(stated_mm: float, sigma_mm: float) -> Float64:
 @kernel(allocates=True)
 def weigh_root(
     shape: int,
-    points: SectionPoints,
+    points: Float64,
     clear: Bool,
     start: Float64,
     prior_sigma: Float64,
@@ -102,12 +103,12 @@ def weigh_root(
 
 
 @kernel(allocates=True)
-def likeness_of(points: SectionPoints, clear: Bool) -> float:
+def likeness_of(points: Float64, clear: Bool) -> float:
     """Return how many of a profile's clear points (n,) say as much as one: errors of neighbours are alike."""
     ratios, count = np.empty(clear.shape[0]), 0
     for i in range(clear.shape[0]):
         if clear[i]:
-            ratios[count] = (points.beside_px[i] / points.sigma_px[i]) ** 2
+            ratios[count] = (points[BESIDE_PX, i] / points[SIGMA_PX, i]) ** 2
             count += 1
     return exact_median(ratios[:count]) if count > 0 else 1.0
 

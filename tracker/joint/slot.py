@@ -22,7 +22,6 @@ from tracker.joint.measured import (
     SIGMA_FLOOR_PX,
     START_SIGMA_MM,
     MeasuredJoint,
-    SectionPoints,
     ShapeFit,
     fit_points,
     meet_face,
@@ -45,9 +44,9 @@ from tracker.joint.plate_lines import (
     others_between,
     plate_lines,
 )
-from tracker.joint.section import Section, is_long_enough
 from tracker.joint.section_shapes import N_CORNERS, SHEETS, corners_of
-from tracker.state import JointShape
+from tracker.profile import Section
+from tracker.state import DZ_MM, SIGMA_PX, Y_MM, Z_MM, JointShape
 from tracker.stripe.light import StripeLight
 
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
@@ -85,11 +84,9 @@ def fit_slot(section: Section, stated: StatedJoint, image_dn: Integers, along_ro
     An edge joint whose gap is too narrow to be seen is the middle of its two sheets. `image_dn` (H, W) is the
     frame, without any pixels where it is not at hand; the stripe runs `along_rows` or along its columns.
     """
-    if not is_long_enough(section):
-        return undetermined()
     points, is_edge, gap_mm = section.points, stated.is_edge, stated.gap_mm
-    y_0, limit_mm = exact_median(points.y_mm), on_plate_mm(stated)
-    plates = fit_plates(points, y_0, np.ones(points.y_mm.shape[0], np.bool_))
+    y_0, limit_mm = exact_median(points[Y_MM]), on_plate_mm(stated)
+    plates = fit_plates(points, y_0, np.ones(points[Y_MM].shape[0], np.bool_))
     if not math.isfinite(plates.chi2):
         return undetermined()
     lines = plate_lines(section, on_plates(points, plates, y_0, limit_mm), is_edge, image_dn, along_rows)
@@ -111,7 +108,7 @@ def fit_slot(section: Section, stated: StatedJoint, image_dn: Integers, along_ro
     if not is_edge:
         if hold_plates(seen, section.light, image_dn, along_rows, gap.first, gap.last):
             return undetermined()
-        places = places_of(points.y_mm, section.reach_mm, section.column_mm)
+        places = places_of(points[Y_MM], section.reach_mm, section.column_mm)
         nats = evidence_of_gap(seen, gap.first, gap.last, places)
     return completed(section, measured_slot(points, stated, fit, placed_mm, gap, nats))
 
@@ -128,9 +125,9 @@ def fit_closed_slot(
     points = section.points
     if stated.gap_mm >= MAX_CLOSED_MM:
         return undetermined()
-    near = np.empty(points.y_mm.shape[0], np.bool_)
+    near = np.empty(points[Y_MM].shape[0], np.bool_)
     for i in range(near.shape[0]):
-        near[i] = abs(points.y_mm[i] - line_mm) < NEAR_MM
+        near[i] = abs(points[Y_MM, i] - line_mm) < NEAR_MM
     plates = fit_plates(points, line_mm, near)
     if not math.isfinite(plates.chi2):
         return undetermined()
@@ -198,24 +195,24 @@ def gap_about(lines: PlateLines, light: StripeLight, stated: StatedJoint, y_0: f
 
 
 @kernel(allocates=True)
-def beside_gap(points: SectionPoints, stated: StatedJoint, are_on: Bool, y_0: float) -> Bool:
+def beside_gap(points: Float64, stated: StatedJoint, are_on: Bool, y_0: float) -> Bool:
     """Say which points (n,) place the plates beside a placed joint once more; none if either is too short."""
     n, right, left = are_on.shape[0], 0, 0
     clear = np.empty(n, np.bool_)
     for i in range(n):
-        away_mm = abs(points.y_mm[i] - y_0)
+        away_mm = abs(points[Y_MM, i] - y_0)
         off_mm = away_mm - 0.5 * stated.gap_mm
         clear[i] = are_on[i] and CLEAR_OF_GAP_MM < off_mm < NEAR_MM
         if stated.is_edge:
             clear[i] = clear[i] and away_mm < 0.5 * stated.gap_mm + stated.thickness_mm
-        left += clear[i] and points.y_mm[i] > y_0
-        right += clear[i] and not points.y_mm[i] > y_0
+        left += clear[i] and points[Y_MM, i] > y_0
+        right += clear[i] and not points[Y_MM, i] > y_0
     return clear if min(left, right) >= MIN_POINTS else np.zeros(n, np.bool_)
 
 
 @kernel(allocates=True)
 def measured_slot(
-    points: SectionPoints, stated: StatedJoint, fit: ShapeFit, y_0: float, gap: Gap, nats: float
+    points: Float64, stated: StatedJoint, fit: ShapeFit, y_0: float, gap: Gap, nats: float
 ) -> MeasuredJoint:
     """Return the joint of two plates, whose lines are fitted about a place, with a gap between them."""
     p, covariance, thickness = fit.parameters, fit.covariance, stated.thickness_mm
@@ -289,30 +286,30 @@ def slot_corners(
 
 
 @kernel
-def share_raised(points: SectionPoints, p: Float64, y_0: float, right_mm: float, left_mm: float) -> float:
+def share_raised(points: Float64, p: Float64, y_0: float, right_mm: float, left_mm: float) -> float:
     """Return the share of the points near the gap that no plate and no gap has, as a tack weld's.
 
     Beside the gap they lie off their plate, in the gap over it; 1 without any.
     """
     near, wrong = 0, 0
-    for i in range(points.y_mm.shape[0]):
-        y = points.y_mm[i]
+    for i in range(points[Y_MM].shape[0]):
+        y = points[Y_MM, i]
         if not right_mm - SLACK_MM < y < left_mm + SLACK_MM:
             continue
         is_left = y > 0.5 * (right_mm + left_mm)
         line_mm = p[0] + p[2] * (y - y_0) if is_left else p[0] + p[1] + p[3] * (y - y_0)
-        sigma_mm = abs(points.dz_mm[i]) * math.hypot(points.sigma_px[i], SIGMA_FLOOR_PX)
-        off = (points.z_mm[i] - line_mm) / sigma_mm
+        sigma_mm = abs(points[DZ_MM, i]) * math.hypot(points[SIGMA_PX, i], SIGMA_FLOOR_PX)
+        off = (points[Z_MM, i] - line_mm) / sigma_mm
         near += 1
         wrong += off > OFF_SIGMAS or (off < -OFF_SIGMAS and not right_mm < y < left_mm)
     return wrong / near if near > 0 else 1.0
 
 
 @kernel(allocates=True)
-def fit_plates(points: SectionPoints, y_0: float, used: Bool) -> ShapeFit:
+def fit_plates(points: Float64, y_0: float, used: Bool) -> ShapeFit:
     """Fit a line to the plates on either side of a place; the fit's chi2 is NaN where it cannot be."""
     start = np.zeros(5)
-    start[0], start[4] = exact_median(points.z_mm), y_0
+    start[0], start[4] = exact_median(points[Z_MM]), y_0
     # A copy of its own has one type: for a constant the kernels would be compiled anew.
     fit: ShapeFit = fit_points(SHEETS, points, used, START_SIGMA_MM, PRIOR_SIGMA.copy(), start)
     return fit
@@ -325,14 +322,14 @@ def on_plate_mm(stated: StatedJoint) -> float:
 
 
 @kernel(allocates=True)
-def on_plates(points: SectionPoints, plates: ShapeFit, y_0: float, limit_mm: float) -> OnPlates:
+def on_plates(points: Float64, plates: ShapeFit, y_0: float, limit_mm: float) -> OnPlates:
     """Say of each point whether it lies on one of the plates' lines, and where."""
-    p, n = plates.parameters, points.y_mm.shape[0]
+    p, n = plates.parameters, points[Y_MM].shape[0]
     are_on, height_mm, slope = np.empty(n, np.bool_), np.empty(n), np.empty(n)
     for i in range(n):
-        y = points.y_mm[i] - y_0
+        y = points[Y_MM, i] - y_0
         left_mm, right_mm = p[0] + p[2] * y, p[0] + p[1] + p[3] * y
-        off_left, off_right = abs(points.z_mm[i] - left_mm), abs(points.z_mm[i] - right_mm)
+        off_left, off_right = abs(points[Z_MM, i] - left_mm), abs(points[Z_MM, i] - right_mm)
         is_left = off_left < off_right
         height_mm[i], slope[i] = (left_mm, p[2]) if is_left else (right_mm, p[3])
         are_on[i] = min(off_left, off_right) < limit_mm

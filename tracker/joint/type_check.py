@@ -19,9 +19,9 @@ from noise_model.arrays import Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.surface.joint import Joint
 from noise_model.surface.stated_joint import StatedJoint
-from tracker.joint.measured import MeasuredJoint, SectionPoints, points_of, section_at
+from tracker.joint.measured import MeasuredJoint, section_at
 from tracker.joint.plate_lines import BLURRED_LINES
-from tracker.profile import Profile
+from tracker.state import DZ_MM, SIGMA_PX, Y_MM, Z_MM
 
 GROUPS = 120
 """About so many groups of neighbouring points, each its median, are cut into pieces."""
@@ -89,15 +89,15 @@ def number_of(family: Family | None) -> int:
     return _NONE if family is None else _NUMBERED.index(family)
 
 
-def shown_family(profile: Profile) -> tuple[Family | None, float]:
-    """Return the family that a profile's straight pieces look like, None for none known, and their cost."""
-    number, cost = family_shown(groups_of(points_of(profile)))
+def shown_family(points: Float64) -> tuple[Family | None, float]:
+    """Return the family that a section's straight pieces look like, None for none known, and their cost."""
+    number, cost = family_shown(groups_of(points))
     return (None if number == _NONE else _NUMBERED[number]), cost
 
 
 @kernel(allocates=True)
 def shows_another(
-    points: SectionPoints, column_mm: float, family: int, stated: StatedJoint, measured: MeasuredJoint
+    points: Float64, column_mm: float, family: int, stated: StatedJoint, measured: MeasuredJoint
 ) -> bool:
     """Say whether points show another family of joints than the stated one, by its number, decidedly.
 
@@ -126,19 +126,19 @@ class Groups(NamedTuple):
 
 
 @kernel(allocates=True)
-def groups_of(points: SectionPoints) -> Groups:
+def groups_of(points: Float64) -> Groups:
     """Return the groups of points, y rising."""
-    size = max(1, -(-points.y_mm.shape[0] // GROUPS))
-    n = points.y_mm.shape[0] // size
+    size = max(1, -(-points[Y_MM].shape[0] // GROUPS))
+    n = points[Y_MM].shape[0] // size
     groups = Groups(np.empty(n), np.empty(n), np.empty(n))
     _write_groups(points, groups, np.empty(size, np.int64))
     return groups
 
 
 @kernel
-def _write_groups(points: SectionPoints, groups: Groups, order: Int64) -> None:
+def _write_groups(points: Float64, groups: Groups, order: Int64) -> None:
     """Write the groups of points, each as large as `order`, which is written over."""
-    z, size = points.z_mm, order.shape[0]
+    z, size = points[Z_MM], order.shape[0]
     for i in range(groups.y_mm.shape[0]):
         for k in range(size):
             place, j = i * size + k, k
@@ -147,8 +147,8 @@ def _write_groups(points: SectionPoints, groups: Groups, order: Int64) -> None:
                 j -= 1
             order[j] = place
         middle = order[(size - 1) // 2]
-        groups.y_mm[i], groups.z_mm[i] = points.y_mm[middle], z[middle]
-        groups.sigma_mm[i] = math.hypot(abs(points.dz_mm[middle]) * points.sigma_px[middle], ROUGH_MM)
+        groups.y_mm[i], groups.z_mm[i] = points[Y_MM, middle], z[middle]
+        groups.sigma_mm[i] = math.hypot(abs(points[DZ_MM, middle]) * points[SIGMA_PX, middle], ROUGH_MM)
 
 
 @kernel(allocates=True)

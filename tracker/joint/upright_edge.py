@@ -16,10 +16,10 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
-from tracker.joint.measured import OFF_SIGMAS, OnFace, SectionPoints, meet_face
-from tracker.profile import Profile
+from tracker.joint.measured import OFF_SIGMAS, OnFace, meet_face
+from tracker.state import DY_MM, DZ_MM, SCAN, SIGMA_PX, Z_MM
 from tracker.stripe.edge import stripe_ends
-from tracker.stripe.light import StripeLight, apart_px, background_off_px, no_light
+from tracker.stripe.light import StripeLight, apart_px, background_off_px
 
 BESIDE = 20
 """So many points beside an edge say which y its scan lines have there."""
@@ -41,13 +41,13 @@ def no_faces(n: int) -> Faces:
 
 
 @kernel(allocates=True)
-def points_beside(lines: SectionPoints, faces: Faces, limit_mm: Float64) -> tuple[int, int]:
+def points_beside(lines: Float64, faces: Faces, limit_mm: Float64) -> tuple[int, int]:
     """Return `neighbours_of_edge` of points (n,) that lie on a face within limits (n,), 0 for none."""
     n = limit_mm.shape[0]
     on_before, on_behind = np.empty(n, np.bool_), np.empty(n, np.bool_)
     for i in range(n):
-        on_before[i] = abs(lines.z_mm[i] - faces.before_mm[i]) < limit_mm[i]
-        on_behind[i] = abs(lines.z_mm[i] - faces.behind_mm[i]) < limit_mm[i]
+        on_before[i] = abs(lines[Z_MM, i] - faces.before_mm[i]) < limit_mm[i]
+        on_behind[i] = abs(lines[Z_MM, i] - faces.behind_mm[i]) < limit_mm[i]
     beside: tuple[int, int] = neighbours_of_edge(on_before, on_behind)
     return beside
 
@@ -86,7 +86,7 @@ class Change(NamedTuple):
 
 @kernel(allocates=True)
 def change_of(
-    lines: SectionPoints,
+    lines: Float64,
     faces: Faces,
     limit_mm: Float64,
     bent_mm: float,
@@ -111,24 +111,24 @@ def change_of(
     while last < limit_mm.shape[0] - 1 and limit_mm[last + 1] > 0.0:
         last += 1
     n, farthest = last - first, OFF_SIGMAS * OFF_SIGMAS
-    moved_px = background_off_px(light, lines.scan[first : last + 1], lines.sigma_px[first : last + 1])
+    moved_px = background_off_px(light, lines[SCAN][first : last + 1], lines[SIGMA_PX][first : last + 1])
     costs, cost, least = np.empty(n), 0.0, math.inf
     for k in range(n):
         i = first + k
-        off_px = math.hypot(lines.sigma_px[i], moved_px[k])
-        to_before = (lines.dz_mm[i] - faces.before_slope[i] * lines.dy_mm[i]) * off_px
-        to_behind = (lines.dz_mm[i] - faces.behind_slope[i] * lines.dy_mm[i]) * off_px
-        off_before = (lines.z_mm[i] - faces.before_mm[i]) / math.hypot(to_before, bent_mm)
-        off_behind = (lines.z_mm[i] - faces.behind_mm[i]) / math.hypot(to_behind, bent_mm)
+        off_px = math.hypot(lines[SIGMA_PX, i], moved_px[k])
+        to_before = (lines[DZ_MM, i] - faces.before_slope[i] * lines[DY_MM, i]) * off_px
+        to_behind = (lines[DZ_MM, i] - faces.behind_slope[i] * lines[DY_MM, i]) * off_px
+        off_before = (lines[Z_MM, i] - faces.before_mm[i]) / math.hypot(to_before, bent_mm)
+        off_behind = (lines[Z_MM, i] - faces.behind_mm[i]) / math.hypot(to_behind, bent_mm)
         cost += min(off_before**2, farthest) - min(off_behind**2, farthest)
         costs[k] = cost
         least = min(least, cost)
     middle_mm = 0.5 * (on_before_mm[before] + on_behind_mm[behind])
-    half_mm = 0.5 * column_mm * abs(lines.scan[behind] - lines.scan[before])
+    half_mm = 0.5 * column_mm * abs(lines[SCAN, behind] - lines[SCAN, before])
     total, square, beyond = 0.0, 0.0, 0.0
     for k in range(n):
         i = first + k
-        wide_mm = column_mm * abs(lines.scan[i + 1] - lines.scan[i])
+        wide_mm = column_mm * abs(lines[SCAN][i + 1] - lines[SCAN, i])
         off_mm = 0.5 * (on_before_mm[i] + on_behind_mm[i + 1]) - middle_mm
         weight = wide_mm * math.exp(-0.5 * (costs[k] - least))
         there = weight * (off_mm * off_mm + wide_mm * wide_mm / 12.0)
@@ -175,14 +175,9 @@ class HiddenStrip(NamedTuple):
     sigma_mm: float
 
 
-def light_of(profile: Profile) -> StripeLight:
-    """Return what a profile's stripe was read from, without any lines where that is not at hand."""
-    return no_light() if profile.light is None else profile.light
-
-
 @kernel(allocates=True)
 def edge_between(
-    lines: SectionPoints,
+    lines: Float64,
     faces: Faces,
     limit_mm: Float64,
     bent_mm: float,
@@ -203,7 +198,7 @@ def edge_between(
     )
     for i in range(before + 1):
         met.y_mm[i], met.y_per_z[i] = on_before.y_mm[i], on_before.y_per_z[i]
-    edge: Edge = upright_edge(lines.scan, column_mm, light, before, behind, hidden, met, change)
+    edge: Edge = upright_edge(lines[SCAN], column_mm, light, before, behind, hidden, met, change)
     return edge
 
 

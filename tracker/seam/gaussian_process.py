@@ -23,6 +23,7 @@ import numpy as np
 
 from noise_model.arrays import Float64
 from noise_model.kernel import kernel
+from noise_model.ordering import stable_order
 from noise_model.surface.joint import SeamLine
 
 CAPACITY = 96
@@ -199,7 +200,7 @@ def condition(history: SeamHistory, station_mm: float) -> SeamPoint:
     """
     stations_mm, displacements_mm, variances_mm2, _ = history
     n = len(stations_mm)
-    order = np.argsort(stations_mm, kind="mergesort")
+    order = stable_order(stations_mm)
     decay = math.sqrt(3.0) / BEND_LENGTH_MM
     m, gain, P, A = np.empty(N_STATES), np.empty(N_STATES), np.empty((N_STATES, N_STATES)), np.empty((2, 2))
     value, sigma, slope, slope_sigma = np.empty(2), np.empty(2), np.empty(2), np.empty(2)

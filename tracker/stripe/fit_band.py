@@ -72,7 +72,6 @@ class ReadRoom(NamedTuple):
     start_px: Float64
     width_px: Float64
     own_px: Float64
-    misfit_px: Float64
 
     @classmethod
     def empty(cls, n_scan: int, n_offsets: int) -> ReadRoom:
@@ -87,7 +86,7 @@ class ReadRoom(NamedTuple):
             ScatterRoom.empty(n_scan),
             MisfitRoom.empty(),
             empty_scatter(),
-            *np.empty((5, n_scan)),
+            *np.empty((4, n_scan)),
         )
 
 

@@ -56,26 +56,22 @@ class StripeLight(NamedTuple):
     centre_sigma_px: float
 
 
-@kernel(allocates=True)
-def no_light() -> StripeLight:
-    """Return what a stripe was read from where that is not at hand."""
-    pixels, lines = np.empty((0, 0), np.float32), np.empty(0)
-    censored, lows = np.empty((0, 0), np.bool_), np.empty(0, np.int64)
-    return StripeLight(
-        charge_e=pixels,
-        background_e=pixels,
-        censored=censored,
-        lows=lows,
-        position_px=lines,
-        width_px=lines,
-        shot=0.0,
-        dark_variance_e2=0.0,
-        contrast=0.0,
-        alike=0.0,
-        psf_sigma_px=0.0,
-        sheet_lines=0.0,
-        centre_sigma_px=0.0,
-    )
+NO_LIGHT = StripeLight(
+    charge_e=np.empty((0, 0), np.float32),
+    background_e=np.empty((0, 0), np.float32),
+    censored=np.empty((0, 0), np.bool_),
+    lows=np.empty(0, np.int64),
+    position_px=np.empty(0),
+    width_px=np.empty(0),
+    shot=0.0,
+    dark_variance_e2=0.0,
+    contrast=0.0,
+    alike=0.0,
+    psf_sigma_px=0.0,
+    sheet_lines=0.0,
+    centre_sigma_px=0.0,
+)
+"""A stripe whose light is not at hand."""
 
 
 @kernel

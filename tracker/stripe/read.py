@@ -18,7 +18,7 @@ from tracker.geometry import (
     ImageSource,
     SensorGeometry,
 )
-from tracker.state import Stripe
+from tracker.state import AMPLITUDE_E, BESIDE_PX, CENTRE_PX, N_ROWS, OWN_PX, SIGMA_PX, WIDTH_PX, Stripe
 from tracker.stripe.band import Band, LightLevel, at_level, median_background
 from tracker.stripe.detection import Evidence, evidence_of
 from tracker.stripe.expected import ExpectedStripe
@@ -32,7 +32,7 @@ from tracker.stripe.fit_band import (
     score_lost,
 )
 from tracker.stripe.light import StripeLight
-from tracker.stripe.read_band import UsualLine, empty_stripe, read_without_second, usual_line, write_stripe
+from tracker.stripe.read_band import UsualLine, read_without_second, usual_line, write_lines
 from tracker.stripe.scatter import Scatter, add_frame, empty_scatter, width_factor
 from tracker.stripe.viterbi import bin_for, offsets_within
 
@@ -86,10 +86,9 @@ class StripeReading(NamedTuple):
     `second_share` is how bright a second stripe is over the first, 0 for none; the background has its light.
     `told_nats` is the evidence that the other one is the reflection, infinite where none is searched.
     `scatter` is what the frames up to this one show of it, `learned` what this one was read with.
-    `misfit_px` (n_scan,) is by how much each centre may be off, alike with its neighbours', for light beneath
-    it that is not as expected. `usual` is what is usual for a line, `evidence` what tells whether there is a
-    stripe, `width_px` (n_scan,) the lines' fitted 1 sigma across it. Where `n_lines` (n_scan,) is 2, an even
-    line and the next were read as one: the fits of both are what either would say alone.
+    `usual` is what is usual for a line, `evidence` what tells whether there is a stripe. `lines`
+    (N_ROWS, n_scan) are the stripe's scan lines. Where `N_LINES` is 2, an even line and the next were read as
+    one: the fits of both are what either would say alone.
     """
 
     stripe: Stripe
@@ -110,11 +109,9 @@ class StripeReading(NamedTuple):
     told_nats: float
     scatter: Scatter
     learned: Scatter
-    misfit_px: Float64
     usual: UsualLine
     evidence: Evidence
-    width_px: Float64
-    n_lines: Int64
+    lines: Float64
 
 
 def light_of(reading: StripeReading, psf_sigma_px: float, sheet_lines: float) -> StripeLight:
@@ -126,7 +123,7 @@ def light_of(reading: StripeReading, psf_sigma_px: float, sheet_lines: float) ->
         censored=band.censored,
         lows=reading.lows,
         position_px=reading.stripe.position_px,
-        width_px=reading.width_px,
+        width_px=reading.lines[WIDTH_PX],
         shot=reading.shot,
         dark_variance_e2=reading.dark_variance_e2,
         contrast=usual.contrast,
@@ -211,9 +208,17 @@ def read_stripe(
             fit_path(band, expected, sought, noise, read_with, room)
     told = read_without_second(band, expected, sought, noise, read_with, room)
     add_frame(before, frames, room.seen, after)
-    stripe = empty_stripe(len(expected.position_px), image.along_rows)
-    write_stripe(expected, after, psf_sigma_px, room, stripe)
     n_scan, n = len(expected.position_px), told.n_offsets
+    lines, saturated = np.empty((N_ROWS, n_scan)), np.empty(n_scan, np.bool_)
+    write_lines(expected, after, psf_sigma_px, room, lines, saturated)
+    stripe = Stripe(
+        position_px=lines[CENTRE_PX],
+        sigma_px=lines[SIGMA_PX],
+        amplitude_e=lines[AMPLITUDE_E],
+        saturated=saturated,
+        along_rows=image.along_rows,
+        beside_px=lines[BESIDE_PX],
+    )
     offsets_px = sought.offsets_px[told.first : told.first + n]
     score = room.score[: n_scan * n].reshape((n_scan, n))
     evidence = evidence_of(
@@ -249,9 +254,7 @@ def read_stripe(
         told_nats=told.nats,
         scatter=Scatter(after, frames + 1),
         learned=Scatter(read_with, max(frames, 1)),
-        misfit_px=room.misfit_px,
-        usual=usual_line(after, room.own_px),
+        usual=usual_line(after, lines[OWN_PX]),
         evidence=evidence,
-        width_px=room.lines.fits[:, 3].copy(),
-        n_lines=room.n_lines,
+        lines=lines,
     )

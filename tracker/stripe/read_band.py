@@ -7,10 +7,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64, Int64
+from noise_model.arrays import Bool, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.median import exact_median, finite_median
-from tracker.state import Stripe
+from tracker.state import (
+    AMPLITUDE_E,
+    BESIDE_PX,
+    BIAS_PX,
+    CENTRE_PX,
+    MISFIT_PX,
+    N_LINES,
+    OWN_PX,
+    SCAN,
+    SIGMA_PX,
+    WIDTH_PX,
+)
 from tracker.stripe.band import Band
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.fit_band import Noise, ReadRoom, Sought, fit_band
@@ -144,35 +155,29 @@ def _sheet_px(fits: Float64, psf_sigma_px: float, room: ScatterRoom) -> float:
     return math.sqrt(max(width_px**2 - psf_sigma_px**2, 0.0)) if width_px > 0.0 else 0.0
 
 
-def empty_stripe(n_scan: int, along_rows: bool) -> Stripe:
-    """Make room for the stripe of a frame."""
-    return Stripe(
-        np.empty(n_scan),
-        np.empty(n_scan),
-        np.empty(n_scan),
-        np.empty(n_scan, np.bool_),
-        along_rows,
-        np.empty(n_scan),
-    )
-
-
 @kernel
-def write_stripe(
-    expected: ExpectedStripe, learned: FrameScatter, psf_sigma_px: float, room: ReadRoom, out: Stripe
+def write_lines(
+    expected: ExpectedStripe,
+    learned: FrameScatter,
+    psf_sigma_px: float,
+    room: ReadRoom,
+    lines: Float64,
+    saturated: Bool,
 ) -> None:
-    """Write what the fits say of each line, with the scatter that is known and with its neighbours."""
-    n_scan, fits = room.start_px.shape[0], room.lines.fits
-    own_sigma(fits, expected.sigma_px, room.n_lines, room.scatter.values, room.own_px)
+    """Write what the fits say of each line (N_ROWS, n_scan), with the scatter and with its neighbours."""
+    fits, sigma_px, beside_px, own_px = room.lines.fits, lines[SIGMA_PX], lines[BESIDE_PX], lines[OWN_PX]
+    own_sigma(fits, expected.sigma_px, room.n_lines, room.scatter.values, own_px)
     sheet_px = _sheet_px(fits, psf_sigma_px, room.scatter)
-    widen(learned, room.own_px, room.n_lines, sheet_px, out.sigma_px, out.beside_px)
-    for s in range(n_scan):
-        out.position_px[s], out.amplitude_e[s] = fits[s, 0], fits[s, 2]
-        out.saturated[s] = room.lines.saturated[s]
+    widen(learned, own_px, room.n_lines, sheet_px, sigma_px, beside_px)
+    for s in range(lines.shape[1]):
+        lines[CENTRE_PX, s], lines[AMPLITUDE_E, s], lines[WIDTH_PX, s] = fits[s, 0], fits[s, 2], fits[s, 3]
+        lines[SCAN, s], lines[BIAS_PX, s], lines[N_LINES, s] = s, expected.bias_px[s], room.n_lines[s]
+        saturated[s] = room.lines.saturated[s]
         # Two lines that were read as one tell their misfit once.
         if room.n_lines[s] > 1 and s % 2 == 1:
             room.lines.odd[s] = math.nan
-    count_alike(out.sigma_px, out.beside_px, room.n_lines, room.scatter.values, room.scatter.off)
-    misfit_sigma_px(room.lines.odd, fits, room.scatter.off, room.misfit, room.misfit_px)
+    count_alike(sigma_px, beside_px, room.n_lines, room.scatter.values, room.scatter.off)
+    misfit_sigma_px(room.lines.odd, fits, room.scatter.off, room.misfit, lines[MISFIT_PX])
 
 
 @kernel(allocates=True)

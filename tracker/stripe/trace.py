@@ -10,6 +10,7 @@ from noise_model.arrays import Bool, Float64, Int64
 from noise_model.instrument.camera import Intrinsics, distorted
 from noise_model.instrument.laser import Sheet, depth_below, sheet_reflected
 from noise_model.kernel import kernel
+from noise_model.ordering import stable_order
 from noise_model.surface.brdf import LobeNumbers
 from noise_model.surface.faces import face_normal, face_under, ridge
 
@@ -110,7 +111,7 @@ def samples(vertices: Float64, middle_mm: float, low_mm: float, high_mm: float) 
     for k in range(n_inner):
         y[n_even + 2 * k] = vertices[k + 1, 0] - BESIDE_MM
         y[n_even + 2 * k + 1] = vertices[k + 1, 0] + BESIDE_MM
-    y.sort()
+    y = y[stable_order(y)]
     under, face = 0, np.empty(len(y), dtype=np.int64)
     for i in range(len(y)):
         under = face_under(y[i], under, vertices)
@@ -156,8 +157,7 @@ def per_line(
 
     Ends are held. Only the points `seen` (m,) count. False if no scan line meets it.
     """
-    # Indexed, the column is contiguous: a strided one would compile the sort anew.
-    order = seen[np.argsort(points_px[:, 0][seen], kind="mergesort")]
+    order = seen[stable_order(points_px[:, 0][seen])]
     n, n_scan = len(order), position.shape[0]
     if n == 0 or points_px[order[n - 1], 0] < 0.0 or points_px[order[0], 0] > n_scan - 1:
         return False

@@ -196,5 +196,5 @@ def _left_out(explanation: Explanation) -> tuple[int, int] | None:
     if explanation.look is None or explanation.look.joint is None:
         return None
     assert explanation.look.profile is not None
-    left_out = off_section(explanation.look.profile, explanation.look.joint)
+    left_out = off_section(explanation.look.profile.points, explanation.look.joint)
     return int(left_out.sum()), len(left_out)

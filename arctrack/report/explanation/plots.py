@@ -214,7 +214,7 @@ def profile_picture(explanation: Explanation, look: Look) -> str:
     whole, close = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[:, 1])
     y, z = profile.y_mm, profile.z_mm
     expected = look.reading.scene.shape.vertices
-    off = None if joint is None else off_section(profile, joint)
+    off = None if joint is None else off_section(profile.points, joint)
     margin = 0.03 * float(np.ptp(y))
     for axes in (whole, close):
         style.plain(axes, "y, to the left [mm]", "z, up [mm]")

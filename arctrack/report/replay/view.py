@@ -19,8 +19,8 @@ from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry, meet_laser_plane, to_laser_plane
 from tracker.joint.measured import off_section
 from tracker.observation import Reading, expected_output, transmission_of
-from tracker.profile import triangulate
-from tracker.state import Frame, Stripe
+from tracker.profile import lines_of, triangulate
+from tracker.state import SCAN, Y_MM, Frame, Stripe
 from tracker.stripe.expected import expect_stripe
 
 BEHIND_MM = 1000.0
@@ -123,16 +123,17 @@ class Viewer:
     def _profile(self, reading: Reading, stripe: Stripe, bias_px: Float64) -> Profile | None:
         geometry, scene, joint = self.geometry, reading.scene, reading.joint
         centre_px = stripe.position_px - bias_px
-        profile = triangulate(geometry, scene, centre_px, stripe.sigma_px, stripe.beside_px)
-        if not profile.y_mm.size:
+        points, _, _ = triangulate(geometry.stripe_source, scene, lines_of(stripe, bias_px))
+        if not points.size:
             return None
-        centres_px = geometry.image_points(profile.scan, centre_px[profile.scan.astype(np.int64)])
+        scan = points[SCAN]
+        centres_px = geometry.image_points(scan, centre_px[scan.astype(np.int64)])
         points_mm, _ = to_laser_plane(geometry.setup, centres_px)
-        ends_mm = float(profile.y_mm[0]), float(profile.y_mm[-1])
+        ends_mm = float(points[Y_MM, 0]), float(points[Y_MM, -1])
         corners = np.empty((0, 2)) if joint is None else joint.corners_mm
         return Profile(
             points_mm,
-            NO_LINES if joint is None else off_section(profile, joint),
+            NO_LINES if joint is None else off_section(points, joint),
             self._in_laser_plane(scene, corners, ends_mm),
             self._in_laser_plane(scene, scene.shape.vertices, ends_mm),
         )

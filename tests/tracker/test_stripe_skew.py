@@ -1,4 +1,4 @@
-"""What a step of brightness that runs askew does to centres: against moments, and a plain twin."""
+"""What a step of brightness that runs skewed does to centres: against moments, and a plain twin."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from noise_model.arrays import Float64
-from tracker.stripe.askew import MIN_CONTRAST, MIN_HELD, STEP_LINES, STEP_SIGMAS, askew_sigma_px
+from tracker.stripe.skew import MIN_CONTRAST, MIN_HELD, STEP_LINES, STEP_SIGMAS, skewed_sigma_px
 
 N_LINES, WIDTH_PX, PSF_PX, STEP = 60, 2.2, 0.7, 30.4
 SCANS = np.arange(float(N_LINES))
 
 
-def plain_askew_sigma_px(amplitude: Float64, width: Float64, contrast: float, lines: float) -> Float64:
+def plain_skewed_sigma_px(amplitude: Float64, width: Float64, contrast: float, lines: float) -> Float64:
     """The module's formula, line by line."""
     sigma = np.zeros(len(amplitude))
     for s in range(len(amplitude)):
@@ -40,8 +40,8 @@ def test_the_kernel_is_its_twin(seed: int, contrast: float, lost: float) -> None
     gone = rng.random(N_LINES) < lost
     amplitude[gone], width[gone] = np.nan, np.nan
     np.testing.assert_allclose(
-        askew_sigma_px(amplitude, width, contrast, 0.3),
-        plain_askew_sigma_px(amplitude, width, contrast, 0.3),
+        skewed_sigma_px(amplitude, width, contrast, 0.3),
+        plain_skewed_sigma_px(amplitude, width, contrast, 0.3),
         atol=1e-12,
     )
 
@@ -55,7 +55,7 @@ def test_it_is_how_far_moments_move(slope: float, dark: float) -> None:
     share = ndtr((SCANS[:, None] + slope * across - STEP) / PSF_PX)
     light = bell * (1.0 + (dark - 1.0) * share)
     moved = np.abs(light @ across / light.sum(axis=1))
-    told = askew_sigma_px(light.max(axis=1), np.full(N_LINES, WIDTH_PX), 0.0, abs(slope) * WIDTH_PX)
+    told = skewed_sigma_px(light.max(axis=1), np.full(N_LINES, WIDTH_PX), 0.0, abs(slope) * WIDTH_PX)
     worst = int(np.argmax(moved))
     assert moved[worst] > 0.03
     assert told[worst] == pytest.approx(moved[worst], rel=0.3)
@@ -65,5 +65,5 @@ def test_it_is_how_far_moments_move(slope: float, dark: float) -> None:
 def test_what_speckle_explains_counts_for_nothing() -> None:
     rng, contrast = np.random.default_rng(3), 0.3
     speckled = np.exp(contrast * rng.standard_normal(2000))
-    told = askew_sigma_px(speckled, np.full(2000, WIDTH_PX), contrast, 0.3)
+    told = skewed_sigma_px(speckled, np.full(2000, WIDTH_PX), contrast, 0.3)
     assert np.mean(told > 0.0) < 0.02

@@ -1,7 +1,7 @@
-"""How far a step of brightness that crosses the stripe askew may draw its centres aside.
+"""How far a step of brightness that crosses the stripe skewed may draw its centres aside.
 
 At a groove's foot, where one face shines and the next one hardly does, the stripe's brightness steps within a
-few lines, along the seam. Where the seam runs askew through the image, a line beside the step holds more of
+few lines, along the seam. Where the seam runs skewed through the image, a line beside the step holds more of
 the bright side's light on one flank than on the other. A bell of 1 sigma w times exp(b t), t the place across
 it, is the same bell b w^2 farther. With A(s) the brightness of the lines s and a step that moves by `lines`
 over the bell's sigma, b = lines / w d(ln A)/ds, so a centre is off by
@@ -46,7 +46,7 @@ def _beside(ln_amplitude: Float64, s: int, away: int) -> tuple[float, float, int
 
 
 @kernel(allocates=True)
-def askew_sigma_px(amplitude_e: Float64, width_px: Float64, contrast: float, lines: float) -> Float64:
+def skewed_sigma_px(amplitude_e: Float64, width_px: Float64, contrast: float, lines: float) -> Float64:
     """Return by how much a step that crosses the stripe may move each line's centre (n,), px.
 
     Parameters
