@@ -14,6 +14,7 @@ import numpy.typing as npt
 from noise_model.arrays import Float32, Float64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, bits_of, float_of, least, load, spread, total, where
+from noise_model.ordering import stable_order
 
 
 def median(values: npt.ArrayLike) -> float:
@@ -155,18 +156,18 @@ def exact_median(values: Float64) -> float:
         if rounded[i] == middle:
             alike[n_alike] = values[i]
             n_alike += 1
-    held, ordered = rounded[: numbers_for(n)], np.sort(alike[:n_alike])
+    held, order = rounded[: numbers_for(n)], stable_order(alike[:n_alike])
     below = min(int(_count_up_to(held, middle)), n) - n_alike
     rank = half - 1 - below
     if n % 2 == 1:
-        return float(ordered[rank])
+        return float(alike[order[rank]])
     if rank + 1 < n_alike:
-        return float(0.5 * (ordered[rank] + ordered[rank + 1]))
+        return float(0.5 * (alike[order[rank]] + alike[order[rank + 1]]))
     next_above, upper = _least_above(held, middle), math.inf
     for i in range(n):
         if rounded[i] == next_above:
             upper = min(upper, values[i])
-    return float(0.5 * (ordered[rank] + upper))
+    return float(0.5 * (alike[order[rank]] + upper))
 
 
 @kernel(fastmath=REDUCTION)

@@ -10,14 +10,13 @@ from tracker.checks import FrameChecks
 from tracker.observation import FrameInput, Reading
 from tracker.seam.expected import ExpectedSeam
 from tracker.seam.gaussian_process import (
+    MAX_STRETCHES,
     NO_HISTORY,
     WIDE_SIGMA_MM,
     SeamHistory,
     condition,
-    with_measurement,
 )
 from tracker.seam.locate import confidence, locate
-from tracker.seam.stretches import with_stretch
 from tracker.state import Pair
 from tracker.tracker_state import TrackerState
 
@@ -51,7 +50,7 @@ def judge(
     source, before, joint = given.geometry.seam_source, given.state, reading.joint
     if joint is None:
         return _lost(before, reading), None
-    located = locate(source, expected.scene.T_joint_tool, reading.scene, joint.y_mm, joint.z_mm)
+    located = locate(source, expected.T_joint_tool, reading.scene, joint.y_mm, joint.z_mm)
     off_mm, (hand_eye_y, hand_eye_z) = located.displacement_mm, located.hand_eye_mm2
     if not frame_checks.ask(checks.NEAR_NOMINAL, max(abs(off_mm[0]), abs(off_mm[1])), MAX_OFF_MM):
         return _lost(before, reading), None
@@ -81,7 +80,7 @@ def remember(
     measured = station_mm, displacement_mm, variance_mm2
     history, beyond, jumps = before.history, before.beyond, before.jumps + 1
     if history.n == 0 or _is_near(frame_checks, *jump_of(history, *measured)):
-        history = with_measurement(history, *measured)
+        history = history.with_measurement(*measured)
         return before._replace(history=history, beyond=NO_HISTORY, jumps=0, lost=0)
     away_mm, limit_mm = jump_of(beyond, *measured)
     if away_mm[0] > limit_mm[0] or away_mm[1] > limit_mm[1]:
@@ -89,13 +88,15 @@ def remember(
         jumps, beyond = 1, NO_HISTORY
     n = before.frames + 1
     jumped_at = n if jumps == 1 else before.jumped_at
-    beyond = with_measurement(beyond, *measured)
+    beyond = beyond.with_measurement(*measured)
     way_mm = abs(station_mm - float(beyond.stations_mm[0]))
     share = jumps / (1 + n - jumped_at)
     if jumps < JUMPS_TO_RELEARN or way_mm < RELEARN_MM or share < RELEARN_SHARE:
         return before._replace(beyond=beyond, jumps=jumps, jumped_at=jumped_at)
     # The torch comes to the new stretch later: until then it is on the one before, if that was one.
-    behind = with_stretch(before.behind, history) if history.n >= JUMPS_TO_RELEARN else before.behind
+    behind = before.behind
+    if history.n >= JUMPS_TO_RELEARN:
+        behind = (*behind, history)[-MAX_STRETCHES:]
     return before._replace(
         history=beyond, beyond=NO_HISTORY, behind=behind, jumps=0, jumped_at=jumped_at, lost=0
     )

@@ -29,7 +29,7 @@ from tracker.observation import (
     Reading,
     observe,
 )
-from tracker.seam.expected import ExpectedSeam, check_pose, expect_seam
+from tracker.seam.expected import ExpectedSeam, check_pose, expect_seam, pose_numbers
 from tracker.seam.gaussian_process import NO_HISTORY
 from tracker.seam.locate import locate
 from tracker.steer import TorchOffset, steer
@@ -60,11 +60,11 @@ def track_frame(given: FrameInput, frame_checks: FrameChecks) -> FrameResult | N
     frame_checks.ask_whether(checks.FRAME_FORMAT, True)
     frame_checks.ask_whether(checks.POSE_KNOWN, True)
     frame_checks.ask_whether(checks.POSE_BRACKETED, not given.is_extrapolated)
+    if not check_pose(frame_checks, source, pose_numbers(source, given.T_base_tool)):
+        return None
     # After so many frames without a joint the earlier ones say nothing any more.
     confirmed = state.history if state.lost < LOST_TO_FORGET else NO_HISTORY
-    expected: ExpectedSeam = expect_seam(source, given.T_base_tool, confirmed)
-    if not check_pose(frame_checks, source, expected.pose):
-        return None
+    expected = expect_seam(source, given.T_base_tool, confirmed)
     reach_mm = _reach_mm(state, expected)
     aim = _aim_at(given, expected.line, reach_mm, state.scatter)
     if frame_checks.ask(checks.REACH, reach_mm, SEARCH_REACH_MM):
@@ -135,7 +135,7 @@ def _aim_at_joint(given: FrameInput, expected: ExpectedSeam, aim: Aim, placed: R
     assert placed.joint is not None
     located = locate(
         given.geometry.seam_source,
-        expected.scene.T_joint_tool,
+        expected.T_joint_tool,
         placed.scene,
         placed.joint.y_mm,
         placed.joint.z_mm,

@@ -12,16 +12,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from noise_model.surface.faces import ridge
 from tracker import checks, flags
 from tracker.checks import FrameChecks
 from tracker.observation import FrameInput
 from tracker.seam.correction import Corrected, Correction, correct
 from tracker.seam.expected import ExpectedSeam
-from tracker.seam.gaussian_process import SPACING_MM, SeamHistory, condition
+from tracker.seam.gaussian_process import SPACING_MM, SeamHistory, condition, stretch_at
 from tracker.seam.joint_ends import Change
-from tracker.seam.locate import confidence
-from tracker.seam.stretches import history_at
+from tracker.seam.locate import confidence, ridge_mm
 from tracker.state import UNKNOWN, Pair
 from tracker.tracker_state import Steering, TrackerState
 
@@ -109,11 +107,11 @@ def steer(
         is_valid = is_shown and not raised & flags.INVALIDATING
         ends = ends.with_look(expected.line.station_mm, is_valid, expected.ends_mm, correction.ends_mm)
     joint_mm = ends.stretch_mm(expected.ends_mm, correction.ends_mm)
-    history, is_present = history_at(state.history, state.behind, max(torch_mm, joint_mm[0]))
+    history, is_present = stretch_at(state.history, state.behind, max(torch_mm, joint_mm[0]))
     seam = seam_at_torch(frame_checks, correction, history, torch_mm, joint_mm, not is_present)
     height_mm = 0.0
     if correction.corrugation == "followed":
-        height_mm = ridge(torch_mm, expected.scene.shape.corrugation)[0]
+        height_mm = ridge_mm(torch_mm, given.geometry.seam_source.scene.shape.corrugation)
     sent = correct(correction, seam.displacement_mm, height_mm)
     if steering.is_stopped or seam.stops_following:
         sent = Corrected(UNKNOWN, False, True)

@@ -7,7 +7,6 @@ from typing import NamedTuple
 from tracker import flags
 from tracker.seam.gaussian_process import NO_HISTORY, SeamHistory
 from tracker.seam.joint_ends import JointEnds
-from tracker.seam.stretches import PastStretches
 from tracker.state import Pair
 from tracker.stripe.scatter import NO_SCATTER, Scatter
 
@@ -42,8 +41,8 @@ class TrackerState(NamedTuple):
         The seam from its last jump on.
     beyond : SeamHistory
         What has been measured elsewhere since. It becomes the history if it goes on so.
-    behind : PastStretches
-        The latest stretches before, in which the torch may still stand.
+    behind : tuple of SeamHistory
+        The latest stretches before, the oldest first, in which the torch may still stand.
     steering : Steering
         What the steering remembers.
     scatter : Scatter
@@ -60,7 +59,7 @@ class TrackerState(NamedTuple):
 
     history: SeamHistory = NO_HISTORY
     beyond: SeamHistory = NO_HISTORY
-    behind: PastStretches = PastStretches()
+    behind: tuple[SeamHistory, ...] = ()
     steering: Steering = Steering()
     scatter: Scatter = NO_SCATTER
     jumps: int = 0

@@ -97,13 +97,13 @@ def certificate_record(certificate: Certificate, stated: SetupFile) -> Calibrate
     Calibrated
         The tolerance; its covariance is that of the seam, lateral and vertical, nearest to the tool's axis.
     """
-    setup = stated.setup
+    setup, plane = stated.setup, stated.setup.laser.plane.tolist()
     wanted = np.square(certificate.sigma_mm[:, 1:]).ravel()
     columns = [
         np.concatenate(
             [
-                moved_variance(setup.camera.T_tool_camera, setup.laser.plane, np.eye(4), point, *unit)
-                for point in certificate.points_tool_mm
+                moved_variance(setup.camera.T_tool_camera, plane, np.eye(4), point, unit)
+                for point in certificate.points_tool_mm.tolist()
             ]
         )
         / wanted

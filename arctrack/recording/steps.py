@@ -23,7 +23,6 @@ from arctrack.recording.csv_file import number, number_or_unknown, read_csv, who
 from arctrack.recording.files import blamed_on, read_text
 from tracker.seam.gaussian_process import SeamHistory
 from tracker.seam.joint_ends import Change, JointEnds
-from tracker.seam.stretches import PastStretches
 from tracker.state import NAN, Lead, Pose
 from tracker.step import StepInputs
 from tracker.stripe.scatter import FrameScatter, Scatter
@@ -147,8 +146,6 @@ def _encoded(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         values = value.ravel().tolist()
         return {"array": values, "shape": list(value.shape), "dtype": value.dtype.str}
-    if isinstance(value, PastStretches):
-        return _encoded(value.histories)
     if hasattr(value, "_fields"):
         return {
             "record": type(value).__name__,
@@ -167,7 +164,4 @@ def _decoded(value: Any) -> Any:
     if "array" in value:
         return np.array(value["array"], np.dtype(value["dtype"])).reshape(value["shape"])
     record = RECORDS[value["record"]]
-    items = {name: _decoded(item) for name, item in value.items() if name != "record"}
-    if record is TrackerState:
-        items["behind"] = PastStretches.of(items["behind"])
-    return record(**items)
+    return record(**{name: _decoded(item) for name, item in value.items() if name != "record"})

@@ -101,10 +101,13 @@ def test_the_expected_error_before_is_what_the_tracker_states_of_the_tolerance()
     sigma_mm = seam_sigma_mm(setup, sightings, prior)
     points_tool, _ = to_laser_plane(setup, sightings.image_px)
     source = SeamSource.of(setup)
-    offs = source.turn_rad, source.move_mm
     variances_mm2 = [
         moved_variance(
-            setup.camera.T_tool_camera, source.plane, make_scene(setup, pose(0.0)).T_joint_tool, point, *offs
+            setup.camera.T_tool_camera,
+            source.plane,
+            make_scene(setup, pose(0.0)).T_joint_tool,
+            point.tolist(),
+            source.tolerance,
         )
         for pose, point in zip(sightings.poses, points_tool, strict=True)
     ]

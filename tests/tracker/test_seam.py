@@ -23,8 +23,8 @@ from tracker.seam.expected import check_pose, is_rotation, pose_numbers
 from tracker.seam.locate import (
     SeamSource,
     confidence,
+    meet_ridges,
     moved_variance,
-    seam_point,
     seam_point_tool,
 )
 from tracker.state import Frame, Pose
@@ -50,6 +50,7 @@ def test_the_seam_meets_the_sheet(joint: str, y: float, z: float, x: float) -> N
 
 @given(lean_deg=st.floats(-60.0, 60.0), x=st.floats(-20.0, 20.0), height_mm=st.floats(0.5, 12.0))
 @example(lean_deg=55.0, x=3.0, height_mm=12.0)
+@example(lean_deg=49.359375, x=0.0, height_mm=10.0)
 def test_a_sheet_that_leans_like_the_ridges_flanks_meets_the_seam_too(
     lean_deg: float, x: float, height_mm: float
 ) -> None:
@@ -57,9 +58,10 @@ def test_a_sheet_that_leans_like_the_ridges_flanks_meets_the_seam_too(
     lean = math.radians(lean_deg)
     plane = np.array([math.cos(lean), 0.0, math.sin(lean), -math.cos(lean) * x])
     corrugation = np.array([height_mm, 20.0, 30.0])
-    point = seam_point(np.eye(4), plane, np.array([x, 0.0, 0.0]), corrugation, 0.0, 0.2)
-    assert plane[:3] @ point + plane[3] == pytest.approx(0.0, abs=1e-7)
-    assert point[2] == pytest.approx(0.2 + float(corrugation_height(point[0], corrugation)), abs=1e-7)
+    of_valley = -(0.2 * plane[2] + plane[3]) / plane[0]
+    met = meet_ridges(x, of_valley, plane[2] / plane[0], corrugation)
+    height = 0.2 + float(corrugation_height(met, corrugation))
+    assert plane @ [met, 0.0, height, 1.0] == pytest.approx(0.0, abs=1e-7)
 
 
 @pytest.mark.parametrize("joint", ["v_groove", "lap"])
@@ -79,7 +81,7 @@ def test_the_hand_eye_variance_is_its_twin(joint: str) -> None:
             moves.append(scene.T_joint_tool[1:3, :3] @ (met - point))
     source = SeamSource.of(setup)
     variance = moved_variance(
-        setup.camera.T_tool_camera, source.plane, scene.T_joint_tool, point, source.turn_rad, source.move_mm
+        setup.camera.T_tool_camera, source.plane, scene.T_joint_tool, point, source.tolerance
     )
     np.testing.assert_allclose(variance, np.sum(np.square(moves), axis=0), rtol=5e-3)
 
@@ -116,17 +118,17 @@ def test_a_line_that_runs_against_the_travel_is_told(joint: str) -> None:
 def test_what_is_no_pose_is_told() -> None:
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("xyz", [10.0, -20.0, 30.0], degrees=True).as_matrix()
-    assert is_rotation(T)
+    assert is_rotation(T.tolist())
     mirrored, scaled, sheared = T.copy(), T.copy(), T.copy()
     mirrored[:3, 0] *= -1.0
     scaled[:3, :3] *= 1.01
     sheared[:3, 0] += 0.01 * T[:3, 1]
     for wrong in (mirrored, scaled, sheared):
-        assert not is_rotation(wrong)
+        assert not is_rotation(wrong.tolist())
     for row, column, value in ((0, 3, np.nan), (1, 1, np.inf), (3, 0, 1e-9), (3, 3, 2.0)):
         wrong = T.copy()
         wrong[row, column] = value
-        assert not is_rotation(wrong)
+        assert not is_rotation(wrong.tolist())
 
 
 @pytest.mark.parametrize("no_pose", [np.eye(4)[:3], np.full((4, 4), np.nan), 2.0 * np.eye(4)])

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from tracker import flags
 from tracker.checks import FrameChecks
 from tracker.judge import JUMPS_TO_RELEARN, jump_limit_mm, jump_of, remember
-from tracker.seam.gaussian_process import NO_HISTORY, SeamHistory
-from tracker.seam.stretches import MAX_STRETCHES, PastStretches, history_at
+from tracker.seam.gaussian_process import MAX_STRETCHES, NO_HISTORY, SeamHistory, stretch_at
 from tracker.tracker_state import TrackerState
 
 seeds = st.integers(0, 2**32 - 1)
@@ -29,14 +28,6 @@ def drawn_history(rng: np.random.Generator, first_mm: float, n: int) -> SeamHist
 
 def same(history: SeamHistory, other: SeamHistory) -> bool:
     return all(np.array_equal(a, b, equal_nan=True) for a, b in zip(history, other, strict=True))
-
-
-def test_stretches_are_kept_one_by_one() -> None:
-    rng = np.random.default_rng(0)
-    histories = [drawn_history(rng, 40.0 * i, 3 + i) for i in range(MAX_STRETCHES + 3)]
-    kept = PastStretches.of(histories).histories
-    assert len(kept) == MAX_STRETCHES
-    assert all(map(same, kept, histories[-MAX_STRETCHES:]))
 
 
 def plain_stretch(stretches: list[SeamHistory], station_mm: float) -> int:
@@ -58,7 +49,7 @@ def test_a_station_lies_on_the_latest_stretch_that_measured_it(seed: int, k: int
     past = [drawn_history(rng, 40.0 * i + rng.uniform(0.0, 15.0), 6) for i in range(k)]
     present = drawn_history(rng, 40.0 * k, rng.integers(0, 6))
     stretches = [present, *reversed(past)]
-    stretch, is_present = history_at(present, PastStretches.of(past), station_mm)
+    stretch, is_present = stretch_at(present, past, station_mm)
     i = plain_stretch(stretches, station_mm) if past else 0
     assert same(stretch, stretches[i])
     assert is_present == (i == 0)
@@ -96,7 +87,7 @@ def test_a_seam_that_goes_on_elsewhere_is_learned_anew() -> None:
     state, jumped = remembered([(15.0 + n, 3.0) for n in range(JUMPS_TO_RELEARN)], before)
     assert all(jumped)
     assert (state.jumps, state.beyond.n, state.history.n) == (0, 0, JUMPS_TO_RELEARN)
-    (behind,) = state.behind.histories
+    (behind,) = state.behind
     assert same(behind, before.history)
 
 
@@ -121,3 +112,12 @@ def test_how_far_a_seam_may_lie_is_five_sigmas_of_the_difference(
     history = NO_HISTORY.with_measurement(0.0, (0.5, 0.5), VARIANCE_MM2)
     (away_y_mm, _), _ = jump_of(history, 0.0, (y_mm, 0.0), VARIANCE_MM2)
     assert away_y_mm == abs(y_mm - history.point_at(0.0).displacement_mm[0])
+
+
+def test_the_latest_stretches_alone_are_remembered() -> None:
+    state = TrackerState()
+    for k in range(MAX_STRETCHES + 3):
+        places = [(10.0 * k + n, 3.0 * (-1) ** k) for n in range(JUMPS_TO_RELEARN + 1)]
+        state, _ = remembered(places, state)
+    assert len(state.behind) == MAX_STRETCHES
+    assert state.behind[-1].stations_mm[-1] == 10.0 * (MAX_STRETCHES + 1) + JUMPS_TO_RELEARN

@@ -35,6 +35,7 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arrays import Bool, Float32, Float64
+from noise_model.cholesky import factorise, solve
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.median import median_of, numbers_for
 from noise_model.robust import MAD_SIGMA
@@ -161,9 +162,13 @@ def fit_plate(
 
     A point's sigma is by how much its height changes beside the cubic with 1 sigma of its stripe's centre.
     """
-    n, middle, half = y_mm.shape[0], y_mm.mean(), 0.5 * max(y_mm.max() - y_mm.min(), MIN_ALONG_MM)
+    n, middle, low, high = y_mm.shape[0], 0.0, math.inf, -math.inf
+    for i in range(n):
+        middle += y_mm[i] / n
+        low, high = min(low, y_mm[i]), max(high, y_mm[i])
+    half = 0.5 * max(high - low, MIN_ALONG_MM)
     H, g = np.empty((PLATE_PARAMETERS, PLATE_PARAMETERS)), np.empty(PLATE_PARAMETERS)
-    p = np.empty(PLATE_PARAMETERS)
+    p = np.zeros(PLATE_PARAMETERS)
     weights, line_px, sizes = np.empty(n), np.empty(n), np.empty(numbers_for(n), np.float32)
     t, unit_mm, slopes = np.empty(n), np.empty(n), np.zeros(PLATE_PARAMETERS - 1)
     for i in range(n):
@@ -173,9 +178,11 @@ def fit_plate(
         _units(t, dy_mm, dz_mm, line_px, slopes, unit_mm)
         _plate_sums(t, z_mm, unit_mm, weights, H, g)
         for k in range(PLATE_PARAMETERS):
-            # Points at one place leave a cubic open: the solver would raise.
+            # Points at one place leave a cubic open.
             H[k, k] += FIRM * H[0, 0]
-        p[:] = np.linalg.solve(H, g)
+        if factorise(H):
+            solve(H, g)
+            p, g = g, p
         _off_plate(t, z_mm, unit_mm, p, off, sizes)
         for k in range(PLATE_PARAMETERS - 1):
             slopes[k] = (k + 1) * p[k + 1] / half

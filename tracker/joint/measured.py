@@ -10,8 +10,7 @@ import numpy as np
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from noise_model.median import exact_median
-from tracker.joint.alike import add_shared_errors
-from tracker.joint.section_fit import MIN_ALONG_MM, best_shift, fit_section
+from tracker.joint.section_fit import MIN_ALONG_MM, add_shared_errors, best_shift, fit_section
 from tracker.joint.section_shapes import opening
 from tracker.state import (
     BESIDE_PX,

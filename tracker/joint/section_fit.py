@@ -6,6 +6,14 @@ straight, z = (1 - s) z_a + s z_b with s = (y - y_a) / (y_b - y_a), and moves wi
     dz = (1 - s) (dz_a - m dy_a) + s (dz_b - m dy_b),    m its slope.
 
 So a face's points enter the normal equations by three sums of their weights, whatever the parameters are.
+
+A fit to points with errors of covariance V, each taken at weight w / sigma^2 as if it were alone, scatters by
+
+    H^-1 (J^T W V W J) H^-1,    H its information, J how the residuals change with the parameters
+
+(the sandwich: Huber 1967, Proc. 5th Berkeley Symp. 1, 221). Where V reaches over few points only, along which
+J hardly changes, the sum over a point's neighbours is that of their covariance with it, so V counts as a
+diagonal: the variance with which a point counts beside others, in the place of its own.
 """
 
 from __future__ import annotations
@@ -15,11 +23,13 @@ import math
 import numpy as np
 
 from noise_model.arrays import Bool, Float64, Int64
+from noise_model.cholesky import factorise, solve, write_inverse
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.median import exact_median, median_of, numbers_for
 from noise_model.robust import MAD_SIGMA
 from noise_model.surface.faces import face_under, slope_across
 from tracker.joint.section_shapes import N_CORNERS, corners_of
+from tracker.stripe.line_fit.block import CORRELATION_PX
 
 STEP = 1e-6
 """The step of the corners' derivatives, in each parameter's unit."""
@@ -174,7 +184,7 @@ def _add_faces(
     information: Float64,
     gradient: Float64,
 ) -> None:
-    """Add what the points of all faces say to the normal equations, see `fit_section`.
+    """Add what the points of all faces say to the lower half of the normal equations, see `fit_section`.
 
     No array is made here, so that none is counted face by face. The `room` takes two rows (m,).
     """
@@ -196,9 +206,6 @@ def _add_faces(
             on_a, on_b = aa * at_a[i] + ab * at_b[i], ab * at_a[i] + bb * at_b[i]
             for j in range(i + 1):
                 information[i, j] += on_a * at_a[j] + on_b * at_b[j]
-    for i in range(m):
-        for j in range(i):
-            information[j, i] = information[i, j]
 
 
 @kernel(allocates=True)
@@ -237,20 +244,24 @@ def fit_section(
         corners_and_slopes(shape, p, corners, moved, J)
         _all_residuals(y, z, dy, dz, sigma, corners, first, r, unit)
         scale = _scale(r, used, max(1.0, wide))
-        information[:] = 0.0
         for i in range(m):
             known = (scale / prior_sigma[i]) ** 2
+            for j in range(i):
+                information[i, j] = 0.0
             information[i, i] = known
             gradient[i] = known * (start[i] - p[i])
         _add_faces(y, used, corners, J, first, r, unit, scale, weights, (at_a, at_b), information, gradient)
-        # The priors make it positive; the solver would raise at a NaN.
-        if not math.isfinite(information.sum() + gradient.sum()):
+        # The priors make it positive, but for a NaN.
+        if not factorise(information):
             return math.nan
-        step = np.linalg.solve(information, gradient)
-        largest = 0.0
+        solve(information, gradient)
+        largest, total = 0.0, 0.0
         for i in range(m):
-            p[i] += step[i]
-            largest = max(largest, abs(step[i]))
+            p[i] += gradient[i]
+            largest = max(largest, abs(gradient[i]))
+            total += gradient[i]
+        if not math.isfinite(total):
+            return math.nan
         if wide < 1.0 and largest < CONVERGED:
             break
         wide /= 2.0
@@ -261,7 +272,10 @@ def fit_section(
         total += weights[i] * r[i] * r[i]
         freedom += weights[i]
     chi2 = total / max(freedom, 1.0)
-    covariance[:] = np.linalg.inv(information) * max(1.0, chi2)
+    write_inverse(information, covariance)
+    for i in range(m):
+        for j in range(m):
+            covariance[i, j] *= max(1.0, chi2)
     return float(chi2)
 
 
@@ -295,3 +309,101 @@ def best_shift(
         if cost < best:
             best, best_shift_mm, best_rise = cost, shift, rise
     return best_shift_mm, best_rise
+
+
+@kernel(allocates=True)
+def _by_parameters(
+    shape: int, y: Float64, dy: Float64, dz: Float64, sigma: Float64, p: Float64, m: int
+) -> Float64:
+    """Return how the residuals of points (n,), in sigmas, change with the first m parameters, (n, m)."""
+    n_corners = N_CORNERS[shape]
+    corners, moved = np.empty((n_corners, 2)), np.empty((n_corners, 2))
+    changed, J = np.empty((n_corners, m, 2)), np.empty((y.shape[0], m))
+    corners_and_slopes(shape, p, corners, moved, changed)
+    k = 0
+    for i in range(y.shape[0]):
+        k = face_under(y[i], k, corners)
+        slope = slope_across(k, corners)
+        share = (y[i] - corners[k, 0]) / (corners[k + 1, 0] - corners[k, 0])
+        along = max(abs(dz[i] - slope * dy[i]), MIN_ALONG_MM)
+        for j in range(m):
+            before = changed[k, j, 1] - slope * changed[k, j, 0]
+            behind = changed[k + 1, j, 1] - slope * changed[k + 1, j, 0]
+            J[i, j] = ((1.0 - share) * before + share * behind) / (along * sigma[i])
+    return J
+
+
+@kernel
+def _add_sandwich(covariance: Float64, filling: Float64, room: Float64, over: float) -> None:
+    """Add covariance times filling times covariance, each (m, m), over a number to the covariance."""
+    m = covariance.shape[0]
+    for i in range(m):
+        for j in range(m):
+            room[i, j] = 0.0
+            for k in range(m):
+                room[i, j] += covariance[i, k] * filling[k, j]
+    for i in range(m):
+        for j in range(m):
+            filling[i, j] = 0.0
+            for k in range(m):
+                filling[i, j] += room[i, k] * covariance[k, j]
+    for i in range(m):
+        for j in range(m):
+            covariance[i, j] += filling[i, j] / over
+
+
+@kernel(allocates=True)
+def add_shared_errors(
+    shape: int,
+    y: Float64,
+    dy: Float64,
+    dz: Float64,
+    scan: Float64,
+    sigma: Float64,
+    beside: Float64,
+    misfit_px: Float64,
+    weights: Float64,
+    p: Float64,
+    chi2: float,
+    covariance: Float64,
+) -> None:
+    """Add to the covariance (m, m) of a fit what it leaves out of errors that points share.
+
+    `y`, `dy`, `dz`, `sigma`, `weights` (n,), the parameters `p` and `chi2` are the fit's; `scan` (n,) are the
+    points' lines. `beside` (n,) px is the 1 sigma with which a point's centre counts beside its neighbours.
+
+    Unexpected light moves centres by 1 sigma `misfit_px` (n,). Two of these errors have the correlation
+    exp(-|s - s'| / CORRELATION_PX) of their lines: a sum over all pairs is a running sum.
+    """
+    are_common, are_misfit, n, m = False, False, y.shape[0], covariance.shape[0]
+    for i in range(n):
+        are_common |= beside[i] > sigma[i]
+        are_misfit |= misfit_px[i] > 0.0
+    if not (are_common or are_misfit):
+        return
+    J = _by_parameters(shape, y, dy, dz, sigma, p, m)
+    filling, room, before, here = np.zeros((m, m)), np.empty((m, m)), np.zeros(m), np.empty(m)
+    if are_common:
+        for i in range(n):
+            weight = weights[i] * ((beside[i] / sigma[i]) ** 2 - 1.0)
+            for j in range(m):
+                for k in range(m):
+                    filling[j, k] += weight * J[i, j] * J[i, k]
+        _add_sandwich(covariance, filling, room, max(1.0, chi2))
+    if not are_misfit:
+        return
+    for j in range(m):
+        for k in range(m):
+            filling[j, k] = 0.0
+    for i in range(n):
+        faded = math.exp(-abs(scan[i] - scan[i - 1]) / CORRELATION_PX) if i > 0 else 1.0
+        counts = weights[i] > 0.0 and misfit_px[i] > 0.0
+        for j in range(m):
+            before[j] *= faded
+            here[j] = J[i, j] * (weights[i] * misfit_px[i] / sigma[i]) if counts else 0.0
+        for j in range(m):
+            for k in range(m):
+                filling[j, k] += here[j] * here[k] + here[j] * before[k] + before[j] * here[k]
+        for j in range(m):
+            before[j] += here[j]
+    _add_sandwich(covariance, filling, room, max(1.0, chi2) ** 2)

@@ -16,12 +16,12 @@ a time that grows with the number of measurements and no faster.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.arrays import Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.ordering import stable_order
 from noise_model.surface.joint import SeamLine
@@ -91,19 +91,35 @@ class SeamHistory(NamedTuple):
         It takes the place of older ones that are nearer than SPACING_MM: a sensor that goes to and fro
         forgets nothing of what it does not see again.
         """
-        y_mm, z_mm = displacement_mm
-        variance_y_mm2, variance_z_mm2 = variance_mm2
-        history: SeamHistory = with_measurement(
-            self,
-            float(station_mm),
-            (float(y_mm), float(z_mm)),
-            (float(variance_y_mm2), float(variance_z_mm2)),
+        here_mm, noise_mm2 = (
+            np.array(tuple(displacement_mm)),
+            np.maximum(tuple(variance_mm2), MIN_VARIANCE_MM2),
         )
-        return history
+        kept: slice | Int64
+        if abs(station_mm - self.began_mm) < SPACING_MM:
+            latest_mm, latest = self.stations_mm[-1], self.displacements_mm[-1]
+            before_mm2 = np.maximum(self.variances_mm2[-1] - MODEL_SIGMA_MM**2, MIN_VARIANCE_MM2)
+            share = before_mm2 / (before_mm2 + noise_mm2)
+            here_mm, noise_mm2 = latest + share * (here_mm - latest), share * noise_mm2
+            # From where it began, not from the average: that would run along with a sensor that creeps.
+            station_mm = latest_mm + 0.5 * (share[0] + share[1]) * (station_mm - latest_mm)
+            kept, began_mm = slice(0, -1), self.began_mm
+        else:
+            kept, began_mm = slice(1 - CAPACITY, None), station_mm
+            is_near = np.abs(self.stations_mm[:-1] - station_mm) < SPACING_MM
+            # The latest stays, however near: what it is the average of began farther away.
+            if is_near.any():
+                kept = np.flatnonzero(~np.append(is_near, False))[1 - CAPACITY :]
+        return SeamHistory(
+            _with_row(self.stations_mm[kept], station_mm),
+            _with_row(self.displacements_mm[kept], here_mm),
+            _with_row(self.variances_mm2[kept], noise_mm2 + MODEL_SIGMA_MM**2),
+            began_mm,
+        )
 
     def is_measured(self, station_mm: float) -> bool:
-        """Say whether a station lies within the measured stretch."""
-        return bool(is_measured(self, station_mm))
+        """Return True if a station lies within the measured stretch."""
+        return self.n > 0 and bool(self.stations_mm.min() <= station_mm <= self.stations_mm.max())
 
     def line_at(self, station_mm: float) -> tuple[SeamLine, Float64]:
         """Return the seam as a straight stretch about a station, and the 1 sigma (2,) of its y and z, mm."""
@@ -126,65 +142,35 @@ NO_HISTORY = SeamHistory()
 """The history before anything is measured."""
 
 
-@kernel(allocates=True)
-def is_measured(history: SeamHistory, station_mm: float) -> bool:
-    """Say whether a station lies within the measured stretch."""
-    if history.stations_mm.shape[0] == 0:
-        return False
-    return bool(history.stations_mm.min() <= station_mm <= history.stations_mm.max())
+MAX_STRETCHES = 8
+"""The number of stretches between jumps that are remembered for the torch, which comes later."""
 
 
-@kernel(allocates=True)
-def no_history() -> SeamHistory:
-    """Return the history before anything is measured."""
-    return SeamHistory(np.empty(0), np.empty((0, 2)), np.empty((0, 2)), math.nan)
+def stretch_at(
+    history: SeamHistory, behind: Sequence[SeamHistory], station_mm: float
+) -> tuple[SeamHistory, bool]:
+    """Return the stretch of the seam that a station lies on, and whether it is the present one.
+
+    It is the latest that has measured the station; between two, the nearer. The oldest stands first `behind`.
+    """
+    if not behind or history.is_measured(station_mm):
+        return history, True
+    for before in reversed(behind):
+        if before.is_measured(station_mm):
+            return before, False
+    stretch, is_present = history, True
+    for before in reversed(behind):
+        if stretch.n and station_mm >= 0.5 * (before.stations_mm.max() + stretch.stations_mm.min()):
+            break
+        stretch, is_present = before, False
+    return stretch, is_present
 
 
-@kernel(allocates=True)
-def with_measurement(
-    history: SeamHistory,
-    station_mm: float,
-    displacement_mm: tuple[float, float],
-    variance_mm2: tuple[float, float],
-) -> SeamHistory:
-    """Return `SeamHistory.with_measurement`'s history."""
-    stations_mm, displacements_mm, variances_mm2, began_mm = history
-    n = stations_mm.shape[0]
-    first, end, m = 0, 0, 0
-    joins = abs(station_mm - began_mm) < SPACING_MM
-    # The latest stays, however near: what it is the average of began farther away.
-    is_kept = np.zeros(n, dtype=np.bool_)
-    for i in range(n):
-        is_kept[i] = i < n - 1 if joins else i == n - 1 or abs(stations_mm[i] - station_mm) >= SPACING_MM
-        m += is_kept[i]
-    while not joins and m > CAPACITY - 1:
-        m -= is_kept[first]
-        is_kept[first] = False
-        first += 1
-    stations, displacements, variances = np.empty(m + 1), np.empty((m + 1, 2)), np.empty((m + 1, 2))
-    for i in range(n):
-        if is_kept[i]:
-            stations[end] = stations_mm[i]
-            for axis in range(2):
-                displacements[end, axis] = displacements_mm[i, axis]
-                variances[end, axis] = variances_mm2[i, axis]
-            end += 1
-    mean_share = 0.0
-    for axis in range(2):
-        here, noise = displacement_mm[axis], max(variance_mm2[axis], MIN_VARIANCE_MM2)
-        if joins:
-            latest = displacements_mm[n - 1, axis]
-            before = max(variances_mm2[n - 1, axis] - MODEL_SIGMA_MM**2, MIN_VARIANCE_MM2)
-            share = before / (before + noise)
-            mean_share += 0.5 * share
-            here, noise = latest + share * (here - latest), share * noise
-        displacements[m, axis], variances[m, axis] = here, noise + MODEL_SIGMA_MM**2
-    if not joins:
-        stations[m] = station_mm
-        return SeamHistory(stations, displacements, variances, station_mm)
-    # From where it began, not from the average: that would run along with a sensor that creeps.
-    stations[m] = stations_mm[n - 1] + mean_share * (station_mm - stations_mm[n - 1])
-    return SeamHistory(stations, displacements, variances, began_mm)
+def _with_row(rows: Float64, last: float | Float64) -> Float64:
+    """Return rows (n, ...) with one more."""
+    longer = np.empty((len(rows) + 1, *rows.shape[1:]))
+    longer[:-1], longer[-1] = rows, last
+    return longer
 
 
 N_STATES = 5
@@ -195,18 +181,16 @@ N_STATES = 5
 def condition(history: SeamHistory, station_mm: float) -> SeamPoint:
     """Return the seam at a station as a history's measurements leave it.
 
-    The last two of the states stay once the station that is asked for
-    is passed. What the measurements tell of the bend's slope, they tell of the seam's, which may be more.
+    What the measurements tell of the bend's slope, they tell of the seam's, which may be more.
     """
     stations_mm, displacements_mm, variances_mm2, _ = history
     n = len(stations_mm)
     order = stable_order(stations_mm)
     decay = math.sqrt(3.0) / BEND_LENGTH_MM
-    m, gain, P, A = np.empty(N_STATES), np.empty(N_STATES), np.empty((N_STATES, N_STATES)), np.empty((2, 2))
+    gain = np.empty(N_STATES)
     value, sigma, slope, slope_sigma = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
     for axis in range(2):
-        m[:] = 0.0
-        P[:] = 0.0
+        m, P = np.zeros(N_STATES), np.zeros((N_STATES, N_STATES))
         P[0, 0], P[1, 1], P[2, 2] = BEND_SIGMA_MM**2, (decay * BEND_SIGMA_MM) ** 2, WIDE_SIGMA_MM**2
         is_passed = False
         before = min(stations_mm[order[0]], station_mm) if n else station_mm
@@ -218,7 +202,7 @@ def condition(history: SeamHistory, station_mm: float) -> SeamPoint:
             moved = here - before
             before = here
             if moved > 0.0:
-                _predict(m, P, A, decay, moved)
+                _predict(m, P, decay, moved)
             if is_query:
                 is_passed = True
                 for k in range(2):
@@ -257,20 +241,20 @@ def condition(history: SeamHistory, station_mm: float) -> SeamPoint:
 
 
 @kernel
-def _predict(m: Float64, P: Float64, A: Float64, decay: float, moved_mm: float) -> None:
-    """Take bend and slope on over a distance; `A` (2, 2) is scratch."""
+def _predict(m: Float64, P: Float64, decay: float, moved_mm: float) -> None:
+    """Take bend and slope on over a distance."""
     fade = math.exp(-decay * moved_mm)
-    A[0, 0], A[0, 1] = fade * (1.0 + decay * moved_mm), fade * moved_mm
-    A[1, 0], A[1, 1] = -(decay**2) * fade * moved_mm, fade * (1.0 - decay * moved_mm)
-    m[0], m[1] = A[0, 0] * m[0] + A[0, 1] * m[1], A[1, 0] * m[0] + A[1, 1] * m[1]
+    a, b = fade * (1.0 + decay * moved_mm), fade * moved_mm
+    c, d = -(decay**2) * fade * moved_mm, fade * (1.0 - decay * moved_mm)
+    m[0], m[1] = a * m[0] + b * m[1], c * m[0] + d * m[1]
     for j in range(N_STATES):
-        P[0, j], P[1, j] = A[0, 0] * P[0, j] + A[0, 1] * P[1, j], A[1, 0] * P[0, j] + A[1, 1] * P[1, j]
+        P[0, j], P[1, j] = a * P[0, j] + b * P[1, j], c * P[0, j] + d * P[1, j]
     for j in range(N_STATES):
-        P[j, 0], P[j, 1] = A[0, 0] * P[j, 0] + A[0, 1] * P[j, 1], A[1, 0] * P[j, 0] + A[1, 1] * P[j, 1]
+        P[j, 0], P[j, 1] = a * P[j, 0] + b * P[j, 1], c * P[j, 0] + d * P[j, 1]
     # What the process gains is what the step takes from its stationary variance, diag(s^2, (q s)^2).
     value, slope = BEND_SIGMA_MM**2, (decay * BEND_SIGMA_MM) ** 2
-    cross = A[0, 0] * A[1, 0] * value + A[0, 1] * A[1, 1] * slope
-    P[0, 0] += value - A[0, 0] ** 2 * value - A[0, 1] ** 2 * slope
-    P[1, 1] += slope - A[1, 0] ** 2 * value - A[1, 1] ** 2 * slope
+    cross = a * c * value + b * d * slope
+    P[0, 0] += value - a**2 * value - b**2 * slope
+    P[1, 1] += slope - c**2 * value - d**2 * slope
     P[0, 1] -= cross
     P[1, 0] -= cross

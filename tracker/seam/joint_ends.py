@@ -20,9 +20,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from noise_model.arrays import Float64
-from noise_model.kernel import kernel
+import numpy as np
+
 from noise_model.surface.joint import SeamSegments
+from noise_model.transforms import invert, transform
 
 FOUND_SHARE, FALSE_SHARE = 0.9, 0.1
 """How often a joint is found where there is one, at least, and where there is none, at most."""
@@ -116,36 +117,15 @@ class JointEnds(NamedTuple):
         )
 
 
-@kernel
-def nominal_ends(segments: SeamSegments, T_joint_base: Float64) -> tuple[float, float]:
-    """Return the stations, mm, of the ends of a joint's nominal line in its frame at a pose.
+def nominal_ends(segments: SeamSegments, k: int) -> tuple[float, float]:
+    """Return the stations, mm, of the ends of a joint's nominal line in the frame of its k-th segment.
 
-    An end that does not lie on the line's segment at that pose is infinitely far.
+    An end that does not lie on that segment's line is infinitely far.
     """
-    _, starts, steps = segments
-    last = starts.shape[0] - 1
-    start_mm, end_mm = -math.inf, math.inf
-    on_first, first_mm = _on_line(T_joint_base, starts[0], steps[0], 0.0)
-    on_first = on_first and _on_line(T_joint_base, starts[0], steps[0], 1.0)[0]
-    on_last, last_mm = _on_line(T_joint_base, starts[last], steps[last], 1.0)
-    on_last = on_last and _on_line(T_joint_base, starts[last], steps[last], 0.0)[0]
-    if on_first:
-        start_mm = first_mm
-    if on_last:
-        end_mm = last_mm
-    return start_mm, end_mm
-
-
-@kernel
-def _on_line(T_joint_base: Float64, start: Float64, step: Float64, share: float) -> tuple[bool, float]:
-    """Say whether a point of a segment lies on the joint frame's x axis, and its station, mm."""
-    T, station_mm, is_on = T_joint_base, 0.0, True
-    for i in range(3):
-        place = T[i, 3]
-        for j in range(3):
-            place += T[i, j] * (start[j] + share * step[j])
-        if i == 0:
-            station_mm = place
-        else:
-            is_on = is_on and abs(place) < ON_LINE_MM
-    return is_on, station_mm
+    T_joint_base, ends = invert(segments.frames[k]), []
+    for segment, end, beyond_mm in ((0, 0, -math.inf), (-1, 1, math.inf)):
+        start, step = segments.starts[segment], segments.steps[segment]
+        points = transform(T_joint_base, np.stack([start, start + step]))
+        is_on_line = bool((np.abs(points[:, 1:]) < ON_LINE_MM).all())
+        ends.append(float(points[end, 0]) if is_on_line else beyond_mm)
+    return ends[0], ends[1]

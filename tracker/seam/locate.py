@@ -1,68 +1,98 @@
-"""Where a seam that was seen lies, and how far the hand-eye tolerance lets it be off."""
+"""Where a seam that was seen lies, and how far the hand-eye tolerance lets it be off.
+
+Of some numbers Python's own are quicker than arrays: matrices are lists here.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from noise_model.arc.scene import Scene, SceneSource
 from noise_model.arrays import Float64
-from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
-from noise_model.surface.joint import seam_height_mm, section
-from noise_model.transforms import moved_point, transform
+from noise_model.surface.joint import nearest_segment, seam_height_mm, section
+from noise_model.transforms import invert, transform
+from tracker.seam.joint_ends import nominal_ends
 
-MAX_STEPS, MET_MM = 40, 1e-9
+MAX_STEPS, MET_MM = 80, 1e-9
 """Steps by which the sheet is met along a corrugated seam at most, and how near to it is on it."""
+
+Point = Sequence[float]
+Matrix = Sequence[Sequence[float]]
 
 
 class SeamSource(NamedTuple):
-    """What a setup fixes of its seam, as the kernels take it.
+    """What a setup fixes of its seam.
 
-    `scene` is of its scenes; `origin_mm` (3,) and `plane` (4,) are the laser's, tool frame; `height_mm` is
-    the seam point's over the reference surface; `turn_rad` and `move_mm` are the hand-eye tolerance's 1
-    sigmas, `weld_mm` is the weld's tolerance.
+    `scene` is of its scenes. `T_base_joint` and `T_joint_base` (4, 4) are of the nominal line's segments,
+    `ends_mm` its ends' stations in the frame of each. `origin_mm` and `plane` are the laser's, `ahead_mm` is
+    where its sheet is at tool height, all in the tool frame. `height_mm` is the seam point's over the
+    reference surface; `tolerance` are the hand-eye's 1 sigmas, rad and mm, `weld_mm` is the weld's.
     """
 
     scene: SceneSource
-    origin_mm: Float64
-    plane: Float64
+    T_base_joint: tuple[Matrix, ...]
+    T_joint_base: tuple[Float64, ...]
+    ends_mm: tuple[tuple[float, float], ...]
+    origin_mm: Point
+    plane: Point
+    ahead_mm: Point
     height_mm: float
-    turn_rad: float
-    move_mm: float
+    tolerance: tuple[float, float]
     weld_mm: float
 
     @classmethod
     def of(cls, setup: Setup) -> SeamSource:
         """Gather a setup."""
-        laser, tolerance = setup.laser, setup.tolerance
+        laser, tolerance, scene = setup.laser, setup.tolerance, SceneSource.of(setup)
+        frames = scene.segments.frames
         return cls(
-            SceneSource.of(setup),
-            laser.origin_mm,
-            laser.plane,
-            seam_height_mm(setup.joint),
-            math.radians(tolerance.hand_eye_deg),
-            tolerance.hand_eye_mm,
-            tolerance.seam_mm,
+            scene=scene,
+            T_base_joint=tuple(frames.tolist()),
+            T_joint_base=tuple(map(invert, frames)),
+            ends_mm=tuple(nominal_ends(scene.segments, k) for k in range(len(frames))),
+            origin_mm=laser.origin_mm.tolist(),
+            plane=laser.plane.tolist(),
+            ahead_mm=laser.point_mm.tolist(),
+            height_mm=seam_height_mm(setup.joint),
+            tolerance=(math.radians(tolerance.hand_eye_deg), tolerance.hand_eye_mm),
+            weld_mm=tolerance.seam_mm,
         )
 
+    def segment_near(self, point_base_mm: Point) -> int:
+        """Return the number of the segment nearest to a point (3,) of base."""
+        if len(self.T_base_joint) == 1:
+            return 0
+        return int(nearest_segment(self.scene.segments, np.array(point_base_mm)))
 
-@kernel(allocates=True)
+
+def moved_by(T: Matrix, point: Point) -> list[float]:
+    """Return a point (3,) of a pose's own frame in the other frame."""
+    x, y, z = point
+    return [a * x + b * y + c * z + d for a, b, c, d in T[:3]]
+
+
+def ridge_mm(x_mm: float, corrugation: Float64) -> float:
+    """Return the corrugation's height at a station, mm; a plain joint's is 0."""
+    return ridge(x_mm, corrugation)[0] if corrugation[0] > 0.0 else 0.0
+
+
 def sources(source: SeamSource, scene: Scene, station_mm: float) -> tuple[Float64, Float64]:
     """Return where camera and laser stand, (3,) mm, x from a station where the tangent plane is levelled.
 
     That is a corrugation's.
     """
     corrugation = scene.shape.corrugation
-    here = ridge(station_mm, corrugation)[0]
-    tangent = ridge(station_mm + 0.5, corrugation)[0] - ridge(station_mm - 0.5, corrugation)[0]
-    camera_mm, laser_mm = np.empty(3), moved_point(scene.T_joint_tool, source.origin_mm)
-    for i in range(3):
-        camera_mm[i] = scene.T_joint_camera[i, 3]
+    here = ridge_mm(station_mm, corrugation)
+    tangent = ridge_mm(station_mm + 0.5, corrugation) - ridge_mm(station_mm - 0.5, corrugation)
+    camera_mm = scene.T_joint_camera[:3, 3].copy()
+    laser_mm = np.array(moved_by(scene.T_joint_tool.tolist(), source.origin_mm))
     for place_mm in (camera_mm, laser_mm):
         place_mm[0] -= station_mm
         place_mm[2] -= here + tangent * place_mm[0]
@@ -74,51 +104,56 @@ def seam_point_tool(setup: Setup, scene: Scene, y_mm: float, z_mm: float) -> Flo
 
     `z_mm` counts from a corrugation's own height, which is added at the station that is found.
     """
-    laser = setup.laser
-    return seam_point(scene.T_joint_tool, laser.plane, laser.point_mm, scene.shape.corrugation, y_mm, z_mm)
+    source = SeamSource.of(setup)
+    return np.array(seam_point(source, scene.T_joint_tool.tolist(), scene.shape.corrugation, y_mm, z_mm))
 
 
-@kernel(allocates=True)
-def seam_point(
-    T_joint_tool: Float64, plane_tool: Float64, start_tool: Float64, corrugation: Float64, y: float, z: float
-) -> Float64:
-    """Return `seam_point_tool`'s point, sought by Newton's steps from where a point (3,), tool frame, lies.
+def seam_point(source: SeamSource, T: Matrix, corrugation: Float64, y: float, z: float) -> list[float]:
+    """Return `seam_point_tool`'s point; `T` is T_joint_tool."""
+    n_x, n_y, n_z, n_d = source.plane
+    (a, b, c, u), (d, e, f, v), (g, h, k, w), _ = T
+    nx, ny, nz = a * n_x + b * n_y + c * n_z, d * n_x + e * n_y + f * n_z, g * n_x + h * n_y + k * n_z
+    x = -(ny * y + nz * z + (n_d - nx * u - ny * v - nz * w)) / nx
+    if corrugation[0] > 0.0:
+        x = meet_ridges(moved_by(T, source.ahead_mm)[0], x, nz / nx, corrugation)
+        z += ridge_mm(x, corrugation)
+    x, y, z = x - u, y - v, z - w
+    return [a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + k * z]
 
-    Steps that leave where it must lie are halved brackets instead.
+
+@kernel
+def meet_ridges(start: float, of_valley: float, lean: float, corrugation: Float64) -> float:
+    """Return where a sheet meets a seam over ridges, sought by Newton's steps from a start.
+
+    It meets the valleys' height at `of_valley`, and `lean` earlier for each mm of height. A step that leaves
+    the bracket, or is more than half of the one before, halves the bracket instead (Press et al. 2007,
+    Numerical Recipes, Section 9.4): Newton's alone may go to and fro between a crest and a valley.
     """
-    T = T_joint_tool
-    nx, ny, nz, e = plane_in(T, plane_tool)
-    x = T[0, 0] * start_tool[0] + T[0, 1] * start_tool[1] + T[0, 2] * start_tool[2] + T[0, 3]
     # Between where it meets the valleys' height and where the ridges' the sheet meets the seam, or thrice.
-    of_valley, of_ridge = -(ny * y + nz * z + e) / nx, -(ny * y + nz * (z + corrugation[0]) + e) / nx
+    of_ridge = of_valley - lean * corrugation[0]
     low, high = min(of_valley, of_ridge), max(of_valley, of_ridge)
-    x = min(max(x, low), high)
+    x, before = min(max(start, low), high), math.inf
     for _ in range(MAX_STEPS):
         height, slope = ridge(x, corrugation)
-        beyond = x - of_valley + nz / nx * height
+        beyond = x - of_valley + lean * height
         low, high = (low, x) if beyond > 0.0 else (x, high)
-        met = x - beyond / (1.0 + nz / nx * slope)
-        if not low <= met <= high:
+        met = x - beyond / (1.0 + lean * slope)
+        if not (low <= met <= high and abs(met - x) < 0.5 * before):
             met = 0.5 * (low + high)
-        step = abs(met - x)
+        before = abs(met - x)
         x = met
-        if step < MET_MM:
+        if before < MET_MM:
             break
-    from_tool = (x - T[0, 3], y - T[1, 3], z + ridge(x, corrugation)[0] - T[2, 3])
-    point = np.empty(3)
-    for i in range(3):
-        point[i] = T[0, i] * from_tool[0] + T[1, i] * from_tool[1] + T[2, i] * from_tool[2]
-    return point
+    return float(x)
 
 
 def seam_displacement(setup: Setup, T_joint_tool: Float64, seam_tool: Float64) -> tuple[float, Float64]:
     """Return the station of a seam point (3,), tool frame, and its displacement (2,) from the path, mm."""
     station, y, z = transform(T_joint_tool, seam_tool)
-    height = seam_height_mm(setup.joint) + ridge(station, section(setup.joint).corrugation)[0]
+    height = seam_height_mm(setup.joint) + ridge_mm(station, section(setup.joint).corrugation)
     return float(station), np.array([y, z - height])
 
 
-@kernel
 def confidence(weld_mm: float, sigma_y_mm: float, sigma_z_mm: float) -> float:
     """Return the probability that errors of these 1 sigmas, mm, both stay within the weld's tolerance, mm.
 
@@ -131,7 +166,7 @@ def confidence(weld_mm: float, sigma_y_mm: float, sigma_z_mm: float) -> float:
     return probability
 
 
-class Located(NamedTuple):
+class LocatedSeam(NamedTuple):
     """A seam point: in the tool frame, mm, its station, and its displacement from the path as (y, z), mm.
 
     `hand_eye_mm2` is the variance of its (y, z) that the stated hand-eye tolerance leaves.
@@ -143,54 +178,54 @@ class Located(NamedTuple):
     hand_eye_mm2: tuple[float, float]
 
 
-@kernel(allocates=True)
-def locate(source: SeamSource, T_nominal_tool: Float64, scene: Scene, y_mm: float, z_mm: float) -> Located:
+def locate(
+    source: SeamSource, T_nominal_tool: Float64, scene: Scene, y_mm: float, z_mm: float
+) -> LocatedSeam:
     """Return the seam point at (y, z) of a look's frame; `T_nominal_tool` is of the nominal joint frame.
 
     Of the hand-eye each of the camera's three rotations and translations is off by its 1 sigma in turn; what
     is seen is kept.
     """
     corrugation = scene.shape.corrugation
-    point = seam_point(scene.T_joint_tool, source.plane, source.scene.ahead_mm, corrugation, y_mm, z_mm)
-    place = moved_point(T_nominal_tool, point)
-    height = source.height_mm + ridge(place[0], corrugation)[0]
-    moves = moved_variance(
-        source.scene.T_tool_camera, source.plane, T_nominal_tool, point, source.turn_rad, source.move_mm
-    )
-    return Located(
-        (point[0], point[1], point[2]), place[0], (place[1], place[2] - height), (moves[0], moves[1])
-    )
+    px, py, pz = point = seam_point(source, scene.T_joint_tool.tolist(), corrugation, y_mm, z_mm)
+    station, y, z = moved_by(T_nominal_tool.tolist(), point)
+    height = source.height_mm + ridge_mm(station, corrugation)
+    moves = moved_variance(source.scene.T_tool_camera, source.plane, T_nominal_tool, point, source.tolerance)
+    return LocatedSeam((px, py, pz), station, (y, z - height), moves)
 
 
-@kernel(allocates=True)
 def moved_variance(
     T_tool_camera: Float64,
-    plane_tool: Float64,
+    plane_tool: Point,
     T_joint_tool: Float64,
-    point_tool: Float64,
-    turn: float,
-    move_mm: float,
-) -> Float64:
-    """Return the sum (2,) of a point's squared moves in y and z as the camera turns and moves about its axes.
+    point_tool: Point,
+    tolerance: tuple[float, float],
+) -> tuple[float, float]:
+    """Return the sum of a point's squared moves in y and z as the camera turns and moves about its axes.
 
-    A ray d from o meets the plane n.p + e = 0 in o + t d. If the camera turns by a small angle about one of
-    its axes a, d moves by its cross product with it; a move of the camera moves o.
+    The `tolerance` is by how much, rad and mm. A ray d from o meets the plane n.p + e = 0 in o + t d. If the
+    camera turns by a small angle about one of its axes a, d moves by its cross product with it; a move
+    moves o.
     """
-    T, n, variance = T_tool_camera, plane_tool, np.zeros(2)
-    ray, o, d, met = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    for i in range(3):
-        ray[i] = point_tool[i] - T[i, 3]
-    for case in range(6):
-        k = case % 3
-        for i in range(3):
-            j, m = (i + 1) % 3, (i + 2) % 3
-            o[i] = T[i, 3] + (move_mm * T[i, k] if case >= 3 else 0.0)
-            d[i] = ray[i] + (turn * (T[j, k] * ray[m] - T[m, k] * ray[j]) if case < 3 else 0.0)
-        off = n[0] * o[0] + n[1] * o[1] + n[2] * o[2] + n[3]
-        t = -off / (n[0] * d[0] + n[1] * d[1] + n[2] * d[2])
-        for i in range(3):
-            met[i] = o[i] + t * d[i] - point_tool[i] if t > 0.0 else math.nan
-        for axis in range(2):
-            row = T_joint_tool[axis + 1]
-            variance[axis] += (row[0] * met[0] + row[1] * met[1] + row[2] * met[2]) ** 2
-    return variance
+    (a, b, c, o_x), (d, e, f, o_y), (g, h, k, o_z), _ = T_tool_camera.tolist()
+    _, (y_x, y_y, y_z, _), (z_x, z_y, z_z, _), _ = T_joint_tool.tolist()
+    (n_x, n_y, n_z, n_d), (turn, move_mm), (x, y, z) = plane_tool, tolerance, point_tool
+    d_x, d_y, d_z = x - o_x, y - o_y, z - o_z
+    axes, rays = ((a, d, g), (b, e, h), (c, f, k)), []
+    for i, j, m in axes:
+        turned = j * d_z - m * d_y, m * d_x - i * d_z, i * d_y - j * d_x
+        rays.append((o_x, o_y, o_z, d_x + turn * turned[0], d_y + turn * turned[1], d_z + turn * turned[2]))
+    for i, j, m in axes:
+        rays.append((o_x + move_mm * i, o_y + move_mm * j, o_z + move_mm * m, d_x, d_y, d_z))
+    variance_y = variance_z = 0.0
+    for p_x, p_y, p_z, r_x, r_y, r_z in rays:
+        off, towards = n_x * p_x + n_y * p_y + n_z * p_z + n_d, n_x * r_x + n_y * r_y + n_z * r_z
+        if not off * towards < 0.0:
+            return math.nan, math.nan
+        t = -off / towards
+        off_x, off_y, off_z = p_x + t * r_x - x, p_y + t * r_y - y, p_z + t * r_z - z
+        moved_y = y_x * off_x + y_y * off_y + y_z * off_z
+        moved_z = z_x * off_x + z_y * off_y + z_z * off_z
+        variance_y += moved_y * moved_y
+        variance_z += moved_z * moved_z
+    return variance_y, variance_z

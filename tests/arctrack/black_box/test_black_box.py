@@ -50,7 +50,6 @@ from robot_io import (
     Validity,
 )
 from robot_io.poses.pose_questions import Implausibility
-from tracker.seam.stretches import PastStretches
 from tracker.state import AT_ONCE, Lead, Track
 from tracker.tracker_state import TrackerState as SteppedState
 
@@ -209,12 +208,12 @@ def test_a_state_comes_back_the_same(memory, tmp_path) -> None:
 def test_the_stretches_before_are_a_list_in_a_states_file(tmp_path) -> None:
     """As they were when a state held them so: a file of then is read, and one of now has its form."""
     state = SteppedState()
-    histories = [state.history.with_measurement(x_mm, (0.1, -0.2), (1e-4, 1e-4)) for x_mm in (3.0, 9.0)]
+    histories = tuple(state.history.with_measurement(x_mm, (0.1, -0.2), (1e-4, 1e-4)) for x_mm in (3.0, 9.0))
     path = tmp_path / "state.json"
-    write_state(path, state._replace(behind=PastStretches.of(histories)))
+    write_state(path, state._replace(behind=histories))
     behind = json.loads(path.read_text())["state"]["behind"]
     assert [record["record"] for record in behind] == ["SeamHistory", "SeamHistory"]
-    for again, history in zip(read_state(path).behind.histories, histories, strict=True):
+    for again, history in zip(read_state(path).behind, histories, strict=True):
         np.testing.assert_equal(tuple(again), tuple(history))
 
 
