@@ -13,6 +13,9 @@ from noise_model.compiled.numba_internals import (
     enter_when_called,
     take_types_alone,
 )
+from noise_model.compiled.target import compile_for_level
+
+compile_for_level()
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -22,6 +25,13 @@ NO_REFERENCE_COUNTS = {"_nrt": False}
 
 REDUCTION = frozenset({"reassoc", "contract", "arcp", "nsz"})
 """Liberties by which LLVM sums many terms at once; NaN stays NaN."""
+
+
+class _Liberties(set[str]):
+    """A set that reads the same in each process: numba writes it into the kernel's symbol."""
+
+    def __repr__(self) -> str:
+        return repr(sorted(self))
 
 
 @overload
@@ -55,7 +65,7 @@ def kernel(
         no_cpython_wrapper=True,
         pipeline_class=KernelCompiler,
         forceinline=inline,
-        fastmath=set(fastmath),
+        fastmath=_Liberties(fastmath),
         **({} if allocates else NO_REFERENCE_COUNTS),
     )
 

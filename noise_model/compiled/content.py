@@ -32,6 +32,12 @@ from numba.extending import is_jitted
 FOREIGN = sys.stdlib_module_names | {"numba", "llvmlite", "numpy"}
 """Packages whose functions and classes are named by the key: it holds their versions."""
 
+COMPILER = ("noise_model.compiled.callee", "noise_model.compiled.numba_internals")
+"""The files that decide how kernels are compiled."""
+
+NO_MATTER = ("NUMBA_CACHE", "NUMBA_COLOR", "NUMBA_CPU", "NUMBA_CUDA", "NUMBA_NUM", "NUMBA_THREADING")
+"""How the names of those settings of numba's begin that change no machine code, or are in the target."""
+
 _PLAIN = (type(None), type(...), bool, int, float, complex, str, bytes)
 
 
@@ -197,15 +203,24 @@ def _options(kernel: Any) -> tuple[object, ...]:
     return tuple((name, sorted(value) if isinstance(value, set) else value) for name, value in options)
 
 
+def versions() -> list[str]:
+    """Return what machine code depends on that is installed: Python and numba's packages.
+
+    numba asks which of NumPy's minor versions there is, and no more.
+    """
+    python = f"{platform.python_implementation()} {sys.version_info[0]}.{sys.version_info[1]}"
+    numpy = ".".join(np.__version__.split(".")[:2])
+    return [python, f"numba {numba.__version__}", f"llvmlite {llvmlite.__version__}", f"NumPy {numpy}"]
+
+
 @cache
 def _compiler() -> tuple[object, ...]:
-    """Return what compiles: versions, numba's settings, and the file that uses its private parts."""
-    settings = [item for item in os.environ.items() if item[0].startswith("NUMBA_")]
-    versions = platform.python_implementation(), sys.version_info[:2], numba.__version__
+    """Return what compiles: versions, numba's settings, and the files that use it."""
+    names = (name for name in os.environ if name.startswith("NUMBA_") and not name.startswith(NO_MATTER))
     return (
-        *versions,
-        llvmlite.__version__,
-        np.__version__,
-        *sorted(item for item in settings if item[0] != "NUMBA_CACHE_DIR"),
-        _source("noise_model.compiled.numba_internals"),
+        *versions(),
+        *((name, os.environ[name]) for name in sorted(names)),
+        # Functions of Intel's library, where that is installed.
+        numba.config.USING_SVML,
+        *map(_source, COMPILER),
     )

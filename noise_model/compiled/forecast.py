@@ -13,6 +13,7 @@ from numba.extending import is_jitted
 
 from noise_model.compiled.content import find_kernel, is_named
 from noise_model.compiled.numba_internals import KernelCache
+from noise_model.compiled.packed import find_records, is_found
 from noise_model.compiled.store import Record, is_kept, read_records, write_record
 
 
@@ -45,10 +46,10 @@ class Forecast:
     def keep(self) -> None:
         """Keep which kernels this process has used, for which types, and how long each took to compile."""
         noted = []
-        for kernel in _kernels_in_use():
+        for kernel in kernels_in_use():
             for arguments, result in kernel.overloads.items():
                 key = kernel._cache._key(arguments, result.target_context)
-                compile_s = [record.compile_s for record in read_records(kernel._cache.name, key)][:1]
+                compile_s = [record.compile_s for record in find_records(kernel._cache.name, key)][:1]
                 # Each by itself: an update may move the class of an argument.
                 asked = pickle.dumps((kernel.py_func.__module__, kernel.py_func.__qualname__, arguments))
                 noted.append((asked, sum(compile_s)))
@@ -62,11 +63,11 @@ class Forecast:
                     module, name, arguments = pickle.loads(asked)
                     import_module(module)
                     kernel = find_kernel(module, name)
-                    if not is_kept(kernel._cache.name, kernel._cache._key(arguments, kernel.targetctx)):
+                    if not is_found(kernel._cache.name, kernel._cache._key(arguments, kernel.targetctx)):
                         yield kernel._cache.name, compile_s
 
 
-def _kernels_in_use() -> list[Any]:
+def kernels_in_use() -> list[Any]:
     """Return the kernels that are compiled for some types in this process."""
     values = [value for module in list(sys.modules.values()) for value in list(vars(module).values())]
     kernels = {id(value): value for value in values if is_jitted(value) and value.overloads}

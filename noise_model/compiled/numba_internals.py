@@ -1,22 +1,22 @@
 """All of numba's private parts that kernels need, in one file; each with its reason.
 
 numba's public `cache=True` keys a kernel by time and size of its file. It misses a kernel of another file
-that is written into it, or linked, and it throws all of a file away for a comment. No public way sets the
-key, the name of a function's symbol, whether callers get its bitcode, or when its entry point for Python is
-compiled.
+that is written into it, and throws all of a file away for a comment. No public way sets the key, a function's
+symbol, whether callers get its bitcode, or when its entry point for Python is compiled.
 
 - **The cache** (`dispatcher._cache`, `CompileResult._reduce` and `_rebuild`): a kernel is kept under the
   digest of its content, with what its machine code relies on of the kernels that it calls.
-- **Symbols** (`func_id.unique_id`, `_unique_ids`): numba's hold a count of what a process has compiled. Here
-  they hold what stays, so that a kernel finds what it calls in every process. numba's own functions within
-  kernels are still counted, from another number in each process: else two of one name could be taken for one.
+- **Symbols** (`func_id.unique_id`, `_unique_ids`, `_optimize_final_module`): numba's hold a count of what a
+  process has compiled. Here they hold what stays, so that a kernel finds what it calls in every process, and
+  its machine code is the same bytes in each. numba's own functions within a kernel stay hidden in it: two of
+  one name, from two processes, are never taken for one.
+- **Places of errors** (`build_excinfo_struct`): numba's machine code holds the file and line that raise.
 - **Links** (`library._linking_libraries`, `_shared_module`, `_get_module_for_linking`): numba hands a caller
-  the bitcode of all that it calls, and optimises it anew in each caller and each of theirs. LLVM writes out
-  what is short, and the caller gains by it. What is long stays a call all the same, so callers get its symbol
-  alone: a quarter of the CPU time of compiling, and half the bytes.
+  the bitcode of all that it calls. LLVM writes out what is short, and the caller gains by it. What is long
+  stays a call, so callers get its symbol alone: a quarter of the CPU time of compiling, and half the bytes.
 - **Entry points** (`_compile_for_args`, `add_overload`, `create_cpython_wrapper`): numba compiles with each
-  kernel what unpacks its arguments and makes objects of its result. For records of hundreds of numbers that
-  is more machine code than the kernel's own, and Python calls one kernel in ten: compiled at its first call.
+  kernel what unpacks its arguments and makes objects of its result. Python calls one kernel in ten, so its
+  entry point is compiled at its first call.
 - **Types of arguments** (`get_call_template`): numba compiles a kernel anew for each constant that another
   calls it with.
 """
@@ -24,64 +24,43 @@ compiled.
 from __future__ import annotations
 
 import pickle
+import re
 from collections.abc import Iterable, Mapping
 from copy import copy
-from importlib import import_module
-from itertools import chain, count, islice
-from secrets import randbits
-from typing import Any, NamedTuple
+from functools import partial
+from itertools import chain, count
+from pathlib import Path
+from typing import Any
 
 import numba
 from llvmlite import binding as llvm
 from numba.core import event
 from numba.core.bytecode import FunctionIdentity
+from numba.core.callconv import CPUCallConv
+from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.environment import Environment
-from numba.core.errors import NumbaError
+from numba.core.environment import Environment, _rebuild_env, lookup_environment
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
-from noise_model.compiled.content import (
-    describe_function,
-    describe_type,
-    digest,
-    entry_key,
-    find_kernel,
-    is_named,
-    kernel_key,
-)
+from noise_model.compiled.callee import Callee, is_as_before, is_long, symbol_id
+from noise_model.compiled.content import describe_type, digest, entry_key, is_named, kernel_key
 from noise_model.compiled.deep_calls import call_with_room
+from noise_model.compiled.packed import find_records
 from noise_model.compiled.stopwatch import last_compile_s
-from noise_model.compiled.store import Record, kernel_folder, read_records, write_record
+from noise_model.compiled.store import Record, kernel_folder, write_record
 
-MIN_INSTRUCTIONS = 250
-"""From so many of LLVM's instructions on a kernel is long. LLVM writes out what has some fifty."""
+NOTHING = llvm.parse_assembly("")
+"""The bitcode of what is called by its symbol."""
+NUMBA = str(Path(numba.__file__).parent)
+ENVIRONMENT = "_ZN08NumbaEnv"
+"""How the names begin of what machine code needs of Python."""
 
+COUNT = re.compile(r"(?<=B19v)1\d{17}")
+"""numba's counts in symbols: as long as what `KernelLibrary` puts into their place."""
 
-class Callee(NamedTuple):
-    """A kernel that others call, and what of it their machine code relies on.
-
-    Attributes
-    ----------
-    module, name : str
-        What leads to it.
-    arguments : tuple
-        Types that it is compiled for.
-    symbol : str
-        Its name in machine code.
-    returns : str
-        The digest of the type of its result.
-    content : str
-        The digest of its bitcode's sources, which is optimised into its callers; of a long kernel none.
-    """
-
-    module: str
-    name: str
-    arguments: tuple[Any, ...]
-    symbol: str
-    returns: str
-    content: str
+FunctionIdentity._unique_ids = count(10**17)
 
 
 class KernelCompiler(Compiler):  # type: ignore[misc]
@@ -89,8 +68,69 @@ class KernelCompiler(Compiler):  # type: ignore[misc]
 
     def define_pipelines(self) -> Any:
         """Return numba's own passes."""
-        self.state.func_id.unique_id = _symbol_id(self.state.func_id.func, self.state.args)
+        identity = self.state.func_id
+        identity.unique_id = symbol_id(identity.func, self.state.args)
+        identity.unique_name = f"{identity.func_qualname}${identity.unique_id}"
+        library = KernelLibrary(self.state.targetctx.codegen(), identity.func_qualname)
+        library.enable_object_caching()
+        library.symbol_id, library.environments = identity.unique_id, []
+        self.state.library = library
         return super().define_pipelines()
+
+
+class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """A kernel's machine code, in which others see the kernel alone."""
+
+    _final_module: Any
+
+    def _optimize_final_module(self) -> None:
+        for name in self._inner_environments():
+            # LLVM drops one that nothing reads.
+            self._final_module.get_global_variable(name).linkage = "linkonce_any"
+        super()._optimize_final_module()
+        self._name_environments(self._inner_environments())
+        for part in chain(self._final_module.functions, self._final_module.global_variables):
+            if part.name.startswith(ENVIRONMENT):
+                part.linkage = "common"
+            elif not part.is_declaration and self.symbol_id not in part.name:
+                part.linkage = "private"
+
+    def _finalize_specific(self) -> None:
+        super()._finalize_specific()
+        for environment in self.environments:
+            self.codegen.set_env(environment.env_name, environment)
+
+    def _inner_environments(self) -> list[str]:
+        """Return the names of what numba's own functions in the kernel need of Python."""
+        names = [variable.name for variable in self._final_module.global_variables]
+        return [name for name in names if name.startswith(ENVIRONMENT) and self.symbol_id not in name]
+
+    def _name_environments(self, counted: list[str]) -> None:
+        """Give what numba's own functions need of Python names of the kernel's, which hold no count."""
+        own_ids: dict[str, str] = {}
+
+        def own_id(numbas: re.Match[str]) -> str:
+            return own_ids.setdefault(numbas[0], f"{len(own_ids):02d}{self.symbol_id}")
+
+        for name, numbas in zip(counted, map(lookup_environment, counted), strict=True):
+            own = numbas.globals["__name__"], numbas.consts, COUNT.sub(own_id, name)
+            self.environments.append(_rebuild_env(*own))
+        if own_ids:
+            self._final_module = llvm.parse_assembly(COUNT.sub(own_id, str(self._final_module)))
+
+
+_describe_error = CPUCallConv.build_excinfo_struct
+
+
+def _describe_placeless(convention: Any, error: Any, arguments: Any, place: Any, function: Any) -> Any:
+    """Return how machine code raises an error; of a kernel's, and of numba's own, without file and line."""
+    is_kernels = any(isinstance(library, KernelLibrary) for library in convention.context._codelib_stack)
+    if is_kernels or (place is not None and place.filename.startswith(NUMBA)):
+        place = None
+    return _describe_error(convention, error, arguments, place, function)
+
+
+CPUCallConv.build_excinfo_struct = _describe_placeless
 
 
 class KernelCache:
@@ -108,75 +148,68 @@ class KernelCache:
     def load_overload(self, arguments: Any, context: Any) -> Any:
         """Return the kernel for types of arguments, None if it must be compiled."""
         context.refresh()
-        for record in read_records(self.name, self._key(arguments, context)):
-            if all(map(_is_as_before, record.relies_on)):
-                own, kept = pickle.loads(record.body)
-                result = CompileResult._rebuild(context, *kept)
+        for record in find_records(self.name, self._key(arguments, context)):
+            if all(map(is_as_before, record.relies_on)):
+                result, own = _rebuild(context, record)
                 _note(result.library, own, record.relies_on)
+                if (own is None or own.content) and not record.bitcode:
+                    result.library._get_module_for_linking = partial(self._bitcode, arguments)
                 return result
         return None
 
+    def _bitcode(self, arguments: Any) -> Any:
+        """Return what LLVM writes out in callers of a kernel that was kept without it, in a pack."""
+        with event.trigger_event("numba:compile", data={"dispatcher": self.kernel, "args": arguments}):
+            result = self.kernel._compiler.compile(arguments, None)
+        self.save_overload(arguments, result)
+        return result.library._get_module_for_linking()
+
     def save_overload(self, arguments: Any, result: Any) -> None:
         """Keep a compiled kernel; if it is long, callers get its symbol alone from now on."""
-        library, function = result.library, result.fndesc
+        library, symbol = result.library, result.fndesc.llvm_func_name
         relies_on = tuple(_callees(library))
         key = self._key(arguments, result.target_context)
         content = digest(key, [(callee.symbol, callee.returns, callee.content) for callee in relies_on])
         own = None
         if is_named(self.kernel):
-            is_long = _is_long(library.get_function(function.llvm_func_name))
+            written_out = "" if is_long(library.get_function(symbol)) else content
             module, name = self.kernel.py_func.__module__, self.kernel.py_func.__qualname__
             returns = digest(describe_type(result.signature.return_type))
-            symbol = function.llvm_func_name
-            own = Callee(module, name, function.argtypes, symbol, returns, "" if is_long else content)
-            if is_long:
-                # numba reads off its bitcode which names the machine code defines.
-                defined = [part.name for part in library.get_defined_functions()]
-                stubs = (f'define void @"{name}"() {{ ret void }}' for name in defined)
-                library._shared_module = llvm.parse_assembly("\n".join(stubs))
+            own = Callee(module, name, result.fndesc.argtypes, symbol, returns, written_out)
+        _note(library, own, relies_on)
         # Addresses of this process are in the machine code.
         if not library.has_dynamic_globals:
-            body = dumps((own, result._reduce()))
-            write_record(self.name, f"{key}-{content[:16]}", Record(relies_on, last_compile_s(), body))
-        _note(library, own, relies_on)
+            write_record(self.name, f"{key}-{content[:16]}", _reduce(result, symbol, own, relies_on))
 
     def _key(self, arguments: Any, context: Any) -> str:
         # The symbol of what another function of this process has the name of is another.
-        symbol_id = _symbol_id(self.kernel.py_func, arguments)
-        return kernel_key(self.kernel, arguments, (symbol_id, *context.codegen().magic_tuple()))[:32]
-
-
-_NAMED: dict[str, Any] = {}
-FunctionIdentity._unique_ids = count(randbits(48))
-
-
-def _symbol_id(function: Any, arguments: tuple[Any, ...]) -> str:
-    """Return what tells a kernel's symbol from others: its module, name and types of arguments.
-
-    What no name leads to, as a kernel within a function, has its content in the symbol too.
-    """
-    module, name = function.__module__, function.__qualname__
-    symbol_id = digest(module, name, *map(describe_type, arguments))[:16]
-    is_only = getattr(find_kernel(module, name), "py_func", None) is function
-    if not is_only or _NAMED.setdefault(symbol_id, function) is not function:
-        symbol_id = digest(symbol_id, describe_function(function))[:16]
-    return symbol_id
-
-
-def _is_long(machine_code: Any) -> bool:
-    """Return True if a function in LLVM's language has MIN_INSTRUCTIONS, and may stay a call."""
-    if b"alwaysinline" in machine_code.attributes:
-        return False
-    instructions = chain.from_iterable(block.instructions for block in machine_code.blocks)
-    return next(islice(instructions, MIN_INSTRUCTIONS, None), None) is not None
+        target = symbol_id(self.kernel.py_func, arguments), *context.codegen().magic_tuple()
+        return kernel_key(self.kernel, arguments, target)[:32]
 
 
 def _note(library: Any, own: Callee | None, relies_on: tuple[Callee, ...]) -> None:
     """Note with a kernel's machine code what its callers, and theirs, rely on."""
     library.own, library.relies_on = own, relies_on
     if own is not None and not own.content:
-        nothing = llvm.parse_assembly("")
-        library._get_module_for_linking = lambda: nothing
+        library._shared_module = NOTHING
+
+
+def _reduce(result: Any, symbol: str, own: Callee | None, relies_on: tuple[Callee, ...]) -> Record:
+    """Return what is kept of compiled code: nothing that differs between two who compile the same."""
+    function = copy(result.fndesc)
+    function.doc = None
+    (name, kind, (code, bitcode)), *more = result._replace(fndesc=function, type_annotation="")._reduce()
+    linked = b"" if result.library._shared_module is NOTHING else bitcode
+    return Record(relies_on, last_compile_s(), dumps((own, symbol, name, kind, more)), code, linked)
+
+
+def _rebuild(context: Any, record: Record) -> tuple[Any, Callee | None]:
+    """Return compiled code that was kept, and what its callers rely on."""
+    own, symbol, name, kind, more = pickle.loads(record.body)
+    # numba reads off the bitcode which names the machine code defines.
+    stub = llvm.parse_assembly(f'define void @"{symbol}"() {{ ret void }}').as_bitcode()
+    code = record.machine_code, record.bitcode or stub
+    return CompileResult._rebuild(context, (name, kind, code), *more), own
 
 
 def _callees(library: Any) -> Iterable[Callee]:
@@ -189,18 +222,6 @@ def _callees(library: Any) -> Iterable[Callee]:
         own = getattr(part, "own", None)
         callees.update((callee.symbol, callee) for callee in (_callees(part) if own is None else (own,)))
     return callees.values()
-
-
-def _is_as_before(callee: Callee) -> bool:
-    """Load or compile a kernel that another calls; return True if what the other relies on is as it was."""
-    import_module(callee.module)
-    kernel = find_kernel(callee.module, callee.name)
-    try:
-        kernel.compile(callee.arguments)
-    except (AttributeError, NumbaError):
-        return False
-    now = kernel.overloads[callee.arguments].library.own
-    return now is not None and now[3:] == callee[3:]
 
 
 def enter_when_called(kernel: Any) -> None:
@@ -237,14 +258,14 @@ def _entry(kernel: Any, result: Any) -> Any:
     context, symbol = result.target_context, result.fndesc.llvm_func_name
     described = map(describe_type, (result.signature.return_type, *result.signature.args))
     key = entry_key(kernel, symbol, *described, context.codegen().magic_tuple())
-    for record in read_records(kernel._cache.name, key):
+    for record in find_records(kernel._cache.name, key):
         kernel._cache_hits[symbol] += 1
-        return CompileResult._rebuild(context, *pickle.loads(record.body))
+        return _rebuild(context, record)[0]
     kernel._cache_misses[symbol] += 1
     data = {"dispatcher": kernel, "args": result.signature.args, "return_type": result.signature.return_type}
     with event.trigger_event("numba:compile", data=data):
         entry = _compiled_entry(kernel, result)
-    write_record(kernel._cache.name, key, Record((), last_compile_s(), dumps(entry._reduce())))
+    write_record(kernel._cache.name, key, _reduce(entry, entry.fndesc.llvm_cpython_wrapper_name, None, ()))
     return entry
 
 
@@ -260,6 +281,7 @@ def _compiled_entry(kernel: Any, result: Any) -> Any:
     library.add_linking_library(rtsys.library)
     context.create_cpython_wrapper(library, function, environment, None, release_gil=True)
     entry_point = context.get_executable(library, function, environment)
+    library._shared_module = NOTHING
     return result._replace(
         library=library, fndesc=function, environment=environment, entry_point=entry_point, referenced_envs=()
     )

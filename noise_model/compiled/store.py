@@ -27,11 +27,27 @@ _WARNED: set[str] = set()
 
 
 class Record(NamedTuple):
-    """A compiled kernel as it is kept: what its machine code relies on, how long it took, numba's record."""
+    """A compiled kernel as it is kept.
+
+    Attributes
+    ----------
+    relies_on : tuple
+        What its machine code relies on.
+    compile_s : float
+        How long it took to compile, s.
+    body : bytes
+        numba's record of it, pickled.
+    machine_code : bytes
+        An object file.
+    bitcode : bytes
+        What LLVM writes out in callers; empty if nothing is.
+    """
 
     relies_on: tuple[Any, ...]
     compile_s: float
     body: bytes
+    machine_code: bytes = b""
+    bitcode: bytes = b""
 
 
 @cache
@@ -53,7 +69,7 @@ def kernels_are_kept() -> bool:
     return folder is not None and os.access(folder, os.W_OK | os.X_OK) and "lost" not in _WARNED
 
 
-def _warn(kind: str, *what: object) -> None:
+def warn(kind: str, *what: object) -> None:
     """Say in one line what is wrong with kept kernels, each kind once: hundreds of files may be damaged."""
     if kind not in _WARNED:
         _WARNED.add(kind)
@@ -62,7 +78,7 @@ def _warn(kind: str, *what: object) -> None:
 
 def read_records(kernel: str, key: str) -> Iterator[Record]:
     """Yield what is kept of a kernel under a key, the last used first."""
-    folder = _folder_of(kernel)
+    folder = _kept_of(kernel)
     if folder is None:
         return
     try:
@@ -76,9 +92,17 @@ def read_records(kernel: str, key: str) -> Iterator[Record]:
             yield record
 
 
+def kept_records(cache: Path) -> Iterator[tuple[str, str, Record]]:
+    """Yield the name, the key and the record of each kernel that is kept in a folder for NUMBA_CACHE_DIR."""
+    for file in sorted((cache / "arctrack" / "kernels").glob("*/*")):
+        record = _read(file)
+        if record is not None and record.machine_code:
+            yield file.parent.name, file.name, record
+
+
 def is_kept(kernel: str, key: str) -> bool:
     """Return True if something is kept of a kernel under a key."""
-    folder = _folder_of(kernel)
+    folder = _kept_of(kernel)
     with suppress(OSError):
         return folder is not None and any(name.startswith(key) for name in os.listdir(folder))
     return False
@@ -90,10 +114,10 @@ def _read(file: Path) -> Record | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        _warn("damaged", file, f"cannot be read ({error.strerror}); what cannot be is compiled anew")
+        warn("damaged", file, f"cannot be read ({error.strerror}); what cannot be is compiled anew")
         return None
     if hashlib.sha256(content[_DIGEST_BYTES:]).digest() != content[:_DIGEST_BYTES]:
-        _warn("damaged", file, "is damaged; what is damaged is compiled anew")
+        warn("damaged", file, "is damaged; what is damaged is compiled anew")
         return None
     with suppress(OSError):
         os.utime(file)
@@ -108,7 +132,7 @@ def write_record(kernel: str, key: str, record: Record) -> None:
     """Keep a compiled kernel, where a folder may be written and has room."""
     folder = _folder_of(kernel)
     if folder is None:
-        _warn(
+        warn(
             "lost",
             "no folder keeps compiled kernels; set NUMBA_CACHE_DIR to one that only you may write",
         )
@@ -121,7 +145,7 @@ def write_record(kernel: str, key: str, record: Record) -> None:
             unfinished.write(content)
         os.replace(unfinished.name, folder / key)
     except OSError as error:
-        _warn("lost", folder, f"cannot be written ({error.strerror}): the next run compiles anew")
+        warn("lost", folder, f"cannot be written ({error.strerror}): the next run compiles anew")
         with suppress(OSError, UnboundLocalError):
             os.unlink(unfinished.name)
 
@@ -144,9 +168,16 @@ def _make_room() -> None:
 
 @cache
 def _folder_of(kernel: str) -> Path | None:
-    """Return the folder of one kernel."""
+    """Return the folder that keeps one kernel, made unless it is there."""
     folder = kernel_folder()
     return None if folder is None else _own(folder / kernel)
+
+
+def _kept_of(kernel: str) -> Path | None:
+    """Return the folder of one kernel, None if nothing is kept, or others may write there."""
+    folder = kernel_folder()
+    is_kept = folder is not None and (folder / kernel).is_dir()
+    return _folder_of(kernel) if is_kept else None
 
 
 def _own(folder: Path) -> Path | None:

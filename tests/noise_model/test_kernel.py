@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from documented import FORKS
 
-from noise_model.compiled.numba_internals import MIN_INSTRUCTIONS
+from noise_model.compiled.callee import MIN_INSTRUCTIONS
 from noise_model.kernel import kernel
 
 INNER = (

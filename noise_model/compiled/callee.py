@@ -1,0 +1,75 @@
+"""What the machine code of a kernel relies on of the kernels that it calls."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from itertools import chain, islice
+from typing import Any, NamedTuple
+
+from numba.core.errors import NumbaError
+
+from noise_model.compiled.content import describe_function, describe_type, digest, find_kernel
+
+MIN_INSTRUCTIONS = 250
+"""From so many of LLVM's instructions on a kernel is long. LLVM writes out what has some fifty."""
+
+
+class Callee(NamedTuple):
+    """A kernel that others call, and what of it their machine code relies on.
+
+    Attributes
+    ----------
+    module, name : str
+        What leads to it.
+    arguments : tuple
+        Types that it is compiled for.
+    symbol : str
+        Its name in machine code.
+    returns : str
+        The digest of the type of its result.
+    content : str
+        The digest of its bitcode's sources, which is optimised into its callers; of a long kernel none.
+    """
+
+    module: str
+    name: str
+    arguments: tuple[Any, ...]
+    symbol: str
+    returns: str
+    content: str
+
+
+def is_as_before(callee: Callee) -> bool:
+    """Load or compile a kernel that another calls; return True if what the other relies on is as it was."""
+    import_module(callee.module)
+    kernel = find_kernel(callee.module, callee.name)
+    try:
+        kernel.compile(callee.arguments)
+    except (AttributeError, NumbaError):
+        return False
+    now = kernel.overloads[callee.arguments].library.own
+    return now is not None and now[3:] == callee[3:]
+
+
+def is_long(machine_code: Any) -> bool:
+    """Return True if a function in LLVM's language has MIN_INSTRUCTIONS, and may stay a call."""
+    if b"alwaysinline" in machine_code.attributes:
+        return False
+    instructions = chain.from_iterable(block.instructions for block in machine_code.blocks)
+    return next(islice(instructions, MIN_INSTRUCTIONS, None), None) is not None
+
+
+_NAMED: dict[str, Any] = {}
+
+
+def symbol_id(function: Any, arguments: tuple[Any, ...]) -> str:
+    """Return what tells a kernel's symbol from others: its module, name and types of arguments.
+
+    What no name leads to, as a kernel within a function, has its content in the symbol too.
+    """
+    module, name = function.__module__, function.__qualname__
+    named_id = digest(module, name, *map(describe_type, arguments))[:16]
+    is_only = getattr(find_kernel(module, name), "py_func", None) is function
+    if not is_only or _NAMED.setdefault(named_id, function) is not function:
+        return digest(named_id, describe_function(function))[:16]
+    return named_id

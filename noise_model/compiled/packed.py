@@ -1,0 +1,131 @@
+"""Kernels that come with arctrack, compiled: one file for each level of processor, its pack.
+
+`noise_model.compiled.pack` writes it. It holds what a user's folder of kernels would, under the same keys, so
+a kernel that has changed since is not found and compiled. What is in a pack is pickled, as trusted as the
+package's sources: it lies beside them, and one that more users may write than those is left aside.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import lzma
+import os
+import pickle
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from functools import cache
+from itertools import chain
+from pathlib import Path
+from typing import NamedTuple
+
+from noise_model.compiled.content import versions
+from noise_model.compiled.store import Record, is_kept, read_records, warn
+from noise_model.compiled.target import target
+
+
+class Pack(NamedTuple):
+    """What a pack holds.
+
+    Attributes
+    ----------
+    made_with : list
+        Versions of what compiled it.
+    costs : dict
+        For each work, such as a joint's name, the bytes of machine code of each kernel that it needs.
+    entries : dict
+        The compiled kernels, by name and key: for relies_on and body, pickled, and machine_code of `Record`,
+        the first byte of `content` and the number of bytes.
+    content : bytes
+        All of them.
+    """
+
+    made_with: list[str]
+    costs: Mapping[str, Mapping[str, int]]
+    entries: Mapping[str, Mapping[str, list[tuple[int, int]]]]
+    content: bytes
+
+
+def find_records(kernel: str, key: str) -> Iterator[Record]:
+    """Yield what this user has compiled of a kernel under a key, then what came with arctrack."""
+    return chain(read_records(kernel, key), _read_packed(kernel, key))
+
+
+def is_found(kernel: str, key: str) -> bool:
+    """Return True if something is at hand of a kernel under a key."""
+    return is_kept(kernel, key) or any(True for _ in _read_packed(kernel, key))
+
+
+def compile_costs(work: str) -> Mapping[str, int]:
+    """Return how much machine code each kernel is that some work needs, bytes; the time goes with it.
+
+    It is known without anything compiled on this machine before, for arctrack as it was released, and serves
+    where the pack itself does not. Nothing without a pack.
+
+    Parameters
+    ----------
+    work : str
+        A type of joint to be tracked.
+    """
+    pack = _pack()
+    return {} if pack is None else pack.costs.get(work, {})
+
+
+def _read_packed(kernel: str, key: str) -> Iterator[Record]:
+    pack = _pack()
+    if pack is None:
+        return
+    if pack.made_with != versions():
+        warn(
+            "other",
+            f"the kernels that come with arctrack are compiled for {', '.join(pack.made_with)}, and here is "
+            f"{', '.join(versions())}: compiling anew; requirements.lock has those versions",
+        )
+        return
+    for name, places in pack.entries.get(kernel, {}).items():
+        if name.startswith(key):
+            relies_on, body, machine_code = (pack.content[first : first + n] for first, n in places)
+            # A class of an argument may have moved since the release.
+            with suppress(AttributeError, ImportError):
+                yield Record(pickle.loads(relies_on), 0.0, body, machine_code)
+
+
+def pack_folder() -> Path:
+    """Return the folder of the packs: beside this file, or that of ARCTRACK_PACKS."""
+    return Path(os.environ.get("ARCTRACK_PACKS") or Path(__file__).with_name("packs"))
+
+
+@cache
+def _pack() -> Pack | None:
+    """Return the pack for what this process compiles for; None if there is none, or none to be trusted."""
+    file = pack_folder() / f"{target()}.pack"
+    try:
+        status, ours = file.stat(), Path(__file__).stat()
+        if status.st_uid not in (0, os.geteuid(), ours.st_uid) or status.st_mode & ~ours.st_mode & 0o022:
+            warn("foreign", file, "may be written by other users than arctrack itself: it is left aside")
+            return None
+        return read_pack(file)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        warn("pack", file, f"is left aside ({error}): compiling anew; install arctrack again")
+        return None
+
+
+def read_pack(file: Path) -> Pack:
+    """Return what a pack holds; ValueError if it is damaged."""
+    digest, _, compressed = file.read_bytes().partition(b"\n")
+    if hashlib.sha256(compressed).hexdigest().encode() != digest:
+        raise ValueError("it is damaged")
+    index, _, content = lzma.decompress(compressed).partition(b"\n")
+    made_with, costs, entries = json.loads(index)
+    return Pack(made_with, costs, entries, content)
+
+
+def write_pack(file: Path, pack: Pack) -> None:
+    """Write a pack: the same bytes for the same content."""
+    *index, content = pack
+    plain = json.dumps(index, sort_keys=True).encode() + b"\n" + content
+    compressed = lzma.compress(plain, preset=9 | lzma.PRESET_EXTREME)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(hashlib.sha256(compressed).hexdigest().encode() + b"\n" + compressed)

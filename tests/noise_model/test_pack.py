@@ -1,0 +1,179 @@
+"""A pack holds what was compiled elsewhere: the same bytes for the same sources. It is used or left aside."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from test_kernel import COMPILED, COMPILED_ANEW, FOUND, LONG, run, write
+
+from noise_model.compiled import packed as packed_module
+from noise_model.compiled.content import versions
+from noise_model.compiled.pack import pack_of
+from noise_model.compiled.packed import Pack, read_pack, write_pack
+from noise_model.compiled.store import kept_records
+from noise_model.compiled.target import V3, V4, levels, target
+
+RELEASED = Path(packed_module.__file__).with_name("packs") / f"{target()}.pack"
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(target() is None, reason="this machine compiles for no level of processors"),
+]
+
+BUILD = """
+from pathlib import Path
+from noise_model.compiled.pack import pack_of
+from noise_model.compiled.packed import write_pack
+from noise_model.compiled.store import kept_records
+from noise_model.compiled.target import target
+folder = Path({folder!r})
+write_pack(folder / "packs" / f"{{target()}}.pack", pack_of(kept_records(folder / "kept"), {{}}))
+"""
+
+
+def pack_file(folder: Path) -> Path:
+    """Return where the pack of a test's folder lies."""
+    return folder / "packs" / f"{target()}.pack"
+
+
+def packed(folder: Path, more: str = "") -> None:
+    """Compile two kernels, one that calls the other, into a pack; nothing stays in the cache."""
+    write(folder / "optics_of_a_test", "", "3.0", more)
+    assert run(folder) == (7.0, *COMPILED)
+    run(folder, BUILD.format(folder=str(folder)))
+    (folder / "kept").rename(folder / "compiled")
+
+
+def use(folder: Path) -> str:
+    """Return the line by which a process takes the pack of a test."""
+    return f"os.environ['ARCTRACK_PACKS'] = {str(folder / 'packs')!r}"
+
+
+def test_kernels_of_a_pack_are_not_compiled(tmp_path: Path) -> None:
+    packed(tmp_path)
+    assert run(tmp_path, use(tmp_path)) == (7.0, *FOUND)
+    assert list((tmp_path / "kept").rglob("*/*.*/*")) == [], "the user's cache stays empty"
+
+
+@pytest.mark.parametrize("more", ["", LONG], ids=["short", "long"])
+def test_a_kernel_that_was_edited_calls_one_of_a_pack(more: str, tmp_path: Path) -> None:
+    packed(tmp_path, more)
+    outer = tmp_path / "optics_of_a_test" / "outer.py"
+    outer.write_text(outer.read_text().replace("+ 1.0", "+ 2.0"))
+    assert run(tmp_path, use(tmp_path)) == (8.0, *COMPILED_ANEW)
+    assert run(tmp_path, use(tmp_path)) == (8.0, *FOUND)
+
+
+@pytest.mark.parametrize("more", ["", LONG], ids=["short", "long"])
+def test_a_kernel_of_a_pack_calls_one_that_was_edited(more: str, tmp_path: Path) -> None:
+    packed(tmp_path, more)
+    inner = tmp_path / "optics_of_a_test" / "inner.py"
+    inner.write_text(inner.read_text().replace("return 3.0", "return 5.0"))
+    assert run(tmp_path, use(tmp_path)) == (11.0, *(COMPILED_ANEW if not more else FOUND))
+
+
+def test_a_damaged_pack_is_left_aside_with_a_line(tmp_path: Path) -> None:
+    packed(tmp_path)
+    file = pack_file(tmp_path)
+    file.write_bytes(file.read_bytes()[:-1])
+    assert run(tmp_path, use(tmp_path)) == (7.0, *COMPILED)
+    file.write_bytes(b"")
+    assert run(tmp_path, use(tmp_path)) == (7.0, *FOUND), "of the user's cache"
+
+
+def test_a_pack_that_others_may_write_is_left_aside(tmp_path: Path) -> None:
+    packed(tmp_path)
+    pack_file(tmp_path).chmod(0o666)
+    assert run(tmp_path, use(tmp_path)) == (7.0, *COMPILED)
+
+
+def test_a_pack_of_other_versions_is_left_aside(tmp_path: Path) -> None:
+    packed(tmp_path)
+    pack = read_pack(pack_file(tmp_path))
+    write_pack(pack_file(tmp_path), pack._replace(made_with=["CPython 3.1", *pack.made_with[1:]]))
+    assert run(tmp_path, use(tmp_path)) == (7.0, *COMPILED)
+
+
+KERNELS = """
+import numpy as np
+from noise_model.kernel import REDUCTION, kernel
+
+@kernel(fastmath=REDUCTION)
+def mean(values):
+    total = 0.0
+    for value in values:
+        total += value
+    return total / len(values)
+
+@kernel(allocates=True)
+def solved(matrix, values):
+    if len(values) > 9:
+        raise ValueError("too many")
+    values[np.argsort(values)[0]] = mean(values)
+    return np.linalg.solve(matrix, values)
+"""
+
+
+def test_two_builds_are_the_same_bytes(tmp_path: Path) -> None:
+    """In other folders, by processes that order sets otherwise; one has compiled something else before."""
+    packs = []
+    for n, first in enumerate(("", "import numba; numba.njit(lambda: 1)(); ")):
+        folder = tmp_path / str(n)
+        folder.mkdir()
+        (folder / "algebra_of_a_test.py").write_text(KERNELS)
+        call = "import numpy as np; from algebra_of_a_test import solved; solved(np.eye(2), np.ones(2))"
+        environment = {**os.environ, "PYTHONHASHSEED": str(n), "NUMBA_CACHE_DIR": str(folder / "kept")}
+        environment["PYTHONPATH"] = os.pathsep.join((str(folder), *sys.path))
+        code = f"import noise_model.kernel; {first}{call}\n{BUILD.format(folder=str(folder))}"
+        subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+        packs.append(pack_file(folder).read_bytes())
+    assert packs[0] == packs[1]
+
+
+COMPILE_SOME = """
+import pickle
+from pathlib import Path
+from contextlib import suppress
+from importlib import import_module
+from noise_model.compiled.content import find_kernel
+from noise_model.compiled.packed import read_pack
+pack = read_pack(Path({file!r}))
+places = [entry for kernel in pack.entries.values() for entry in kernel.values()]
+# Short ones: what they call is compiled too.
+few = sorted(entry for entry in places if entry[0][1] < 2000 and entry[2][1] > 1000)[::{every}]
+for _, (first, n), _ in few:
+    # It may have moved, or take other arguments than at the release.
+    with suppress(Exception):
+        own = pickle.loads(pack.content[first : first + n])[0]
+        import_module(own.module)
+        find_kernel(own.module, own.name).compile(own.arguments)
+"""
+
+
+@pytest.mark.skipif(not RELEASED.exists(), reason="no pack of the last release for this machine")
+def test_machine_code_of_the_release_is_what_its_sources_become(tmp_path: Path) -> None:
+    """For a sample of the kernels that are still the same: others are not found in the pack any more."""
+    pack = read_pack(RELEASED)
+    if pack.made_with != versions():
+        pytest.skip(f"the pack is for {pack.made_with}")
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "ARCTRACK_PACKS": str(tmp_path)}
+    environment["PYTHONPATH"] = os.pathsep.join(sys.path)
+    code = COMPILE_SOME.format(file=str(RELEASED), every=12)
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+    compiled = pack_of(kept_records(tmp_path), {})
+    for kernel, keys in compiled.entries.items():
+        for key in keys.keys() & pack.entries.get(kernel, {}).keys():
+            assert pieces(compiled, kernel, key) == pieces(pack, kernel, key), kernel
+
+
+def pieces(pack: Pack, kernel: str, key: str) -> list[bytes]:
+    """Return what a pack holds of a kernel under a key."""
+    return [pack.content[first : first + n] for first, n in pack.entries[kernel][key]]
+
+
+def test_the_level_is_the_highest_of_which_a_processor_has_all() -> None:
+    assert levels(V4 | {"avx512vnni"}) == ["x86-64-v4", "x86-64-v3"]
+    assert levels(V4 - {"avx512vl"}) == ["x86-64-v3"]
+    assert levels(V3 - {"fma"}) == []
