@@ -1,0 +1,32 @@
+# arctrack with GigE Vision cameras (Aravis), as a user without rights: docs/how_to/deploy.md says how to run it.
+# Debian's Python, since PyGObject and Aravis are compiled for it.
+FROM debian:12-slim AS build
+RUN apt-get update \
+    && apt-get install --yes --no-install-recommends python3-venv \
+    && rm -rf /var/lib/apt/lists/*
+WORKDIR /source
+COPY requirements.lock .
+RUN python3 -m venv /opt/arctrack \
+    && /opt/arctrack/bin/pip install --no-cache-dir --require-hashes -r requirements.lock
+COPY pyproject.toml README.md LICENSE ./
+COPY arctrack arctrack
+COPY calibration calibration
+COPY noise_model noise_model
+COPY robot_io robot_io
+COPY sim_to_real sim_to_real
+COPY tracker tracker
+RUN /opt/arctrack/bin/pip install --no-cache-dir --no-deps --no-build-isolation .
+
+FROM debian:12-slim
+RUN apt-get update \
+    && apt-get install --yes --no-install-recommends python3 gir1.2-aravis-0.8 python3-gi \
+    && rm -rf /var/lib/apt/lists/*
+COPY --from=build /opt/arctrack /opt/arctrack
+RUN ln -s /usr/lib/python3/dist-packages/gi /opt/arctrack/lib/python3.11/site-packages/gi \
+    && useradd --create-home --groups video,dialout arctrack \
+    && install -d -o arctrack /data
+ENV PATH=/opt/arctrack/bin:$PATH
+USER arctrack
+WORKDIR /data
+ENTRYPOINT ["arctrack"]
+CMD ["--help"]

@@ -1,0 +1,47 @@
+"""The container's image copies what is there, and installs as the pages say; nobody builds it here."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+LINES = (ROOT / "Dockerfile").read_text().replace("\\\n", " ").splitlines()
+STEPS = [line.split(maxsplit=1) for line in LINES if line and not line.startswith("#")]
+
+
+def steps(word: str) -> list[str]:
+    """Return what follows an instruction, in order."""
+    return [" ".join(rest.split()) for instruction, rest in STEPS if instruction == word]
+
+
+def test_the_image_copies_what_the_wheel_needs() -> None:
+    copied = {name for step in steps("COPY") if "--from" not in step for name in step.split()[:-1]}
+    assert all((ROOT / name).exists() for name in copied)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    packages = project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
+    assert copied >= {*packages, "pyproject.toml", project["project"]["readme"], "requirements.lock"}
+    assert copied >= set(project["project"]["license-files"])
+
+
+def test_the_image_installs_as_the_page_says() -> None:
+    page = (ROOT / "docs/how_to/deploy.md").read_text()
+    documented = re.findall(r"pip (install --.*)", page)
+    installed = [part for step in steps("RUN") for part in re.findall(r"pip (install [^&]*)", step)]
+    assert [part.replace("--no-cache-dir ", "").strip() for part in installed] == documented
+
+
+def test_the_image_has_debians_aravis_and_runs_without_rights() -> None:
+    page = (ROOT / "docs/reference/cameras.md").read_text()
+    packages = re.search(r"apt-get install (.*)", page)
+    link = re.search(r"ln -s (\S+) \.venv(\S+)", page)
+    assert packages is not None
+    assert link is not None
+    runtime = steps("RUN")[-2:]
+    assert all(package in runtime[0] for package in packages[1].split())
+    assert f"ln -s {link[1]} /opt/arctrack{link[2]}" in runtime[1]
+    assert steps("FROM")[-1] == "debian:12-slim", "of which Python 3.11 is the one of that link"
+    user = steps("USER")[-1]
+    assert f"useradd --create-home --groups video,dialout {user}" in runtime[1]
+    assert [instruction for instruction, _ in STEPS][-4:] == ["USER", "WORKDIR", "ENTRYPOINT", "CMD"]
