@@ -37,9 +37,9 @@ from tracker.state import N_ROWS, Stripe
 from tracker.stripe.band import Band
 from tracker.stripe.detection import Evidence
 from tracker.stripe.expected import ExpectedStripe
+from tracker.stripe.fit_band import UsualLine
 from tracker.stripe.line_fit.lines import LineFits, fit_lines, fit_room
 from tracker.stripe.read import StripeReading
-from tracker.stripe.read_band import UsualLine
 from tracker.stripe.scatter import NO_SCATTER
 
 EXAMPLE = Path(arctrack.__file__).parents[1] / "examples" / "v_groove"
@@ -160,7 +160,7 @@ def made(
         band.censored,
         start,
         expected.sigma_px,
-        alone,
+        np.ones(N_SCAN),
         lows,
         1.0,
         dark_variance_e2,

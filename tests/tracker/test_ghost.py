@@ -16,14 +16,20 @@ from noise_model.arc.scene import make_scene
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.instrument.sensor import expose
+from noise_model.median import numbers_for
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine, seam_height_mm
 from tracker.seam.locate import seam_point_tool
 from tracker.state import Frame, Pose, Track
-from tracker.stripe.frame_scatter import ScatterRoom
+from tracker.stripe.fit_band import (
+    REACH_SIGMAS,
+    REFLECTED_SHARE,
+    REFLECTED_SIGMA_LN,
+    SecondStripe,
+    told_of_two,
+)
 from tracker.stripe.ghost import MIN_GHOST_LINES, MIN_GHOST_SHARE, second_light, second_place
 from tracker.stripe.line_fit.lines import N_FITTED
-from tracker.stripe.read_band import REACH_SIGMAS, REFLECTED_SHARE, REFLECTED_SIGMA_LN, Told, told_of_two
 from tracker.tracker import Tracker
 
 N_SCAN, DEPTH, WIDTH, AMPLITUDE_E, DARK_E2 = 160, 120, 3.5, 4000.0, 2500.0
@@ -181,10 +187,12 @@ def test_the_odds_of_two_stripes_are_those_of_their_densities(share: float, off:
         assert np.abs(near - off - apart).max() < 0.5 * abs(apart)
 
 
-def told(off_px: float, apart_px: float, share: float, offsets_px: np.ndarray, reach_px: float) -> Told:
+def told(
+    off_px: float, apart_px: float, share: float, offsets_px: np.ndarray, reach_px: float
+) -> SecondStripe:
     """What lines that are all off alike tell."""
     fits, expected_px = np.full((N_SCAN, N_FITTED), 30.0 + off_px), np.full(N_SCAN, 30.0)
-    room = ScatterRoom.empty(N_SCAN)
+    room = np.empty(numbers_for(N_SCAN), np.float32)
     return told_of_two(fits, expected_px, apart_px, share, offsets_px, reach_px, room)
 
 

@@ -74,7 +74,7 @@ def line_fits(
         np.zeros(charge.shape, bool) if censored is None else censored,
         start.astype(np.float64),
         np.full(n, width),
-        np.ones(n, np.int64) if n_lines is None else n_lines,
+        np.ones(n) if n_lines is None else n_lines,
         np.zeros(-(-n // CELL), np.int64) if lows is None else lows,
         1.0,
         DARK,

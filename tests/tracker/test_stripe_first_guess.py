@@ -14,9 +14,11 @@ from tracker.stripe.line_fit.block import CORRELATION_PX, MIN_SIGMA_E, WINDOW_SI
 from tracker.stripe.line_fit.first_guess import (
     CORE_MEAN,
     CORE_SIGMAS,
-    Asked,
+    MAX_PIXELS,
+    PAD,
     MapNoise,
     Rows,
+    Window,
     core_of,
     first_guess,
     leave_out,
@@ -43,7 +45,7 @@ def block_of(
 
 @kernel
 def guess_of(block: Block, n: int, asked: Float32, map_rel: float, base_e: float, out: Float32) -> None:
-    windows = Asked(
+    windows = Window(
         load(asked[0], 0),
         load(asked[1], 0),
         load(asked[2], 0),
@@ -70,7 +72,7 @@ def test_each_line_is_in_its_lane_and_guessed_as_its_twin(
     cores = [core_of(*line) for line in zip(place, width, n, strict=True)]
     edge = rng.choice([0.0, 300.0], N_LANES)
     asked = np.array([place, n, width, *np.transpose(cores), edge], np.float32)
-    rows = Rows.empty()
+    rows = Rows(*np.empty((3, N_LANES, MAX_PIXELS + PAD), np.float32))
     block = Block(*np.full((3, rows.charge.size), np.nan, np.float32))
     block_of(charge, background, censored, asked[1], rows, block)
     known = np.empty((7, N_LANES), np.float32)

@@ -21,7 +21,6 @@ from tracker.stripe.misfit import (
     CHANCE,
     MIN_LINES,
     MOVED,
-    MisfitRoom,
     count_alike,
     mean_square_near,
     misfit_sigma_px,
@@ -56,7 +55,7 @@ def plain_odd_parts(
 def near(odd: Float64, half: int, alike: float) -> Float64:
     """The kernel's mean square."""
     mean_square = np.empty(len(odd))
-    mean_square_near(odd, half, np.full(len(odd), alike), MisfitRoom.empty(), mean_square)
+    mean_square_near(odd, half, np.full(len(odd), alike), mean_square)
     return mean_square
 
 
@@ -120,7 +119,7 @@ def stretch(error_e: Float64, rng: np.random.Generator) -> tuple[float, float]:
     background = np.full((N_LINES, DEPTH), ARC_E)
     charge = rng.poisson(bell + ARC_E + error_e, background.shape) + rng.normal(0.0, 45.0, background.shape)
     found, sigma_px = line_fits(charge, background, np.full(N_LINES, at), WIDTH_PX), np.empty(N_LINES)
-    misfit_sigma_px(found.odd, found.fits, np.ones(N_LINES), MisfitRoom.empty(), sigma_px)
+    misfit_sigma_px(found.odd, found.fits, np.ones(N_LINES), sigma_px)
     return float(np.mean(found.fits[:, 0]) - at), float(np.median(sigma_px))
 
 

@@ -41,7 +41,7 @@ BOTH_ON = Condition(1.0, 1.0, rendered.EXPOSURE_S)
 def marked(choice: Int64, face: Int64, expected: Float64) -> tuple[Int64, Bool]:
     """With how many lines each is read, and where the surface is smooth."""
     n = len(choice)
-    n_lines, smooth = np.zeros(n, np.int64), np.zeros(n, np.bool_)
+    n_lines, smooth = np.zeros(n, np.float64), np.zeros(n, np.bool_)
     mark_pairs(choice, face, expected, np.full(n, WIDTH_PX), REACH_PX, n_lines, smooth)
     return n_lines, smooth
 
@@ -79,7 +79,7 @@ def two_by_two(seed: int, amplitude: float, speckle: float) -> tuple[Float64, Li
     bell = amplitude * np.exp(-0.5 * ((np.arange(depth) - true_px[:, None]) / WIDTH_PX) ** 2)
     light = level + bell * np.maximum(1.0 + speckle * rng.normal(size=bell.shape), 0.0)
     charge = rng.poisson(light) + rng.normal(0.0, math.sqrt(DARK), bell.shape)
-    background, start, twos = np.full(charge.shape, level), np.rint(true_px), np.full(n, 2, np.int64)
+    background, start, twos = np.full(charge.shape, level), np.rint(true_px), np.full(n, 2, np.float64)
     contrast = speckle / math.sqrt(2.0)
     each = line_fits(charge, background, start, WIDTH_PX, speckle=speckle, map_sigma=0.0)
     pair = line_fits(charge, background, start, WIDTH_PX, speckle=contrast, map_sigma=0.0, n_lines=twos)
@@ -114,7 +114,7 @@ def test_lines_lie_along_the_stripe_about_their_pairs_centre() -> None:
     for values in lines:
         values[:] = 0
     lines.fits[:, 0], lines.fits[:, 1], lines.tried[:, 0] = 20.0, 0.1, 20.0
-    tell_both(0.5 * np.arange(6), np.array([1, 1, 2, 2, 1, 1]), 0.5, lines)
+    tell_both(0.5 * np.arange(6), np.array([1.0, 1.0, 2.0, 2.0, 1.0, 1.0]), 0.5, lines)
     np.testing.assert_allclose(lines.fits[:, 0], [20.0, 20.0, 19.75, 20.25, 20.0, 20.0])
     np.testing.assert_allclose(lines.fits[:, 1] / 0.1, [1.0, 1.0, math.sqrt(2.0), math.sqrt(2.0), 1.0, 1.0])
     np.testing.assert_array_equal(lines.tried[:, 0], lines.fits[:, 0])
@@ -135,18 +135,18 @@ def test_scatter_is_learned_from_pairs_as_from_lines(grain: float) -> None:
         sigma, ones = np.full(n, own), np.ones(n)
         apart = learn(apart, shown(off, sigma, ones))
         # The first frame is read line by line.
-        read = n_lines if turn > 0 else np.ones(n, np.int64)
+        read = n_lines if turn > 0 else np.ones(n, np.float64)
         mixed = learn(mixed, shown(np.where(read > 1, means, off), sigma, ones, read, mixed))
         if turn > 10:
             errors.append(means[n_lines > 1][::2])
     true_share = 0.5 * (1.0 + float(kernel[1:] @ kernel[:-1]))
     for scatter in (apart, mixed):
-        assert centre_share(scatter.average) == pytest.approx(true_share, abs=0.08)
+        assert centre_share(scatter.average.numbers) == pytest.approx(true_share, abs=0.08)
         by_lag, by_length = scatter.average.by_lag, scatter.average.by_length
         assert by_lag[-1] == pytest.approx(shared**2, rel=0.15)
         np.testing.assert_allclose(by_length, apart.average.by_length, rtol=1e-6, atol=1e-9)
     stated, beside = np.empty((2, n))
-    widen(mixed.average, np.full(n, own), n_lines, 0.0, stated, beside)
+    widen(mixed.average.numbers, np.full(n, own), n_lines, 0.0, stated, beside)
     assert np.std(errors) == pytest.approx(stated[n_lines > 1][0], rel=0.05)
 
 

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64, Int64
+from noise_model.arrays import Float32, Float64
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
+from noise_model.median import numbers_for
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame
 from tracker.stripe.expected import expect_stripe
@@ -26,7 +27,7 @@ from tracker.stripe.frame_scatter import (
     MIN_PER_FAR_LAG,
     MIN_PER_LAG,
     MIN_SEEN_SHARE,
-    ScatterRoom,
+    N_SCRATCH,
     differences,
     frame_scatter,
     own_sigma,
@@ -37,10 +38,14 @@ from tracker.stripe.scatter import (
     FAR_LAG,
     LAGS,
     LENGTHS,
+    LN_WIDTH,
     MAX_WIDTH_LIMIT_LN,
     MIN_WIDTH_LIMIT_LN,
+    N_NUMBERS,
     NO_SCATTER,
     REMEMBERED,
+    SPECKLE,
+    WIDTH_VARIANCE,
     FrameScatter,
     Scatter,
     add_frame,
@@ -48,7 +53,6 @@ from tracker.stripe.scatter import (
     brightness_plateau,
     brightness_share,
     centre_share,
-    empty_scatter,
     line_variance_px2,
     mean_variance_px2,
     widen,
@@ -62,33 +66,38 @@ seeds = st.integers(0, 2**32 - 1)
 NOTHING = tuple(np.array(math.nan) for _ in range(3))
 
 
+def room_for(n: int) -> tuple[Float32, Float64]:
+    """Scratch for a frame of so many lines."""
+    return np.empty(numbers_for(n), np.float32), np.empty((N_SCRATCH, n))
+
+
 def shown(
     off: Float64,
     sigma: Float64,
     amplitude: Float64,
-    n_lines: Int64 | None = None,
+    n_lines: Float64 | None = None,
     learned: Scatter = NO_SCATTER,
 ) -> tuple[Float64, Float64, Float64]:
     """What `differences` shows of centres off their expected places."""
-    n, seen = len(off), empty_scatter()
-    fits, read = np.zeros((n, N_FITTED)), np.ones(n, np.int64) if n_lines is None else n_lines
+    n, seen = len(off), np.empty(N_NUMBERS)
+    fits, read = np.zeros((n, N_FITTED)), np.ones(n) if n_lines is None else n_lines
     fits[:, 0], fits[:, 2] = off, amplitude
-    smooth, room = np.ones(n, np.bool_), ScatterRoom.empty(n)
-    differences(fits, np.zeros(n), sigma, read, smooth, learned.average, 1, MIN_MEANS, room, seen)
-    return seen.by_lag, seen.by_length, seen.brightness
+    smooth, known = np.ones(n, np.bool_), learned.average.numbers
+    differences(fits, np.zeros(n), sigma, read, smooth, known, 1, MIN_MEANS, *room_for(n), seen)
+    return FrameScatter.of(seen)[:3]
 
 
 def own_of(fits: Float64, expected: Float64) -> Float64:
     """The lines' own 1 sigma."""
     own = np.empty(len(fits))
-    own_sigma(fits, expected, np.ones(len(fits), np.int64), ScatterRoom.empty(len(fits)).values, own)
+    own_sigma(fits, expected, np.ones(len(fits)), room_for(len(fits))[0], own)
     return own
 
 
 def widened(scatter: Scatter, own: Float64, sheet_px: float) -> tuple[Float64, Float64]:
     """The lines' 1 sigma with the scatter, alone and among neighbours."""
     sigma, beside = np.empty((2, len(own)))
-    widen(scatter.average, own, np.ones(len(own), np.int64), sheet_px, sigma, beside)
+    widen(scatter.average.numbers, own, np.ones(len(own)), sheet_px, sigma, beside)
     return sigma, beside
 
 
@@ -158,10 +167,10 @@ def test_pairs_among_lines_are_compared_as_their_twin(seed: int, n: int) -> None
     line = max(known.by_lag[-2:].max(), 0.0)
     of_centres = plain_share(known.by_lag, line)
     of_light = plain_share(known.brightness, known.brightness[: len(LAGS)].max())
-    assert centre_share(learned.average) == pytest.approx(of_centres)
-    assert brightness_share(learned.average) == pytest.approx(of_light)
+    assert centre_share(learned.average.numbers) == pytest.approx(of_centres)
+    assert brightness_share(learned.average.numbers) == pytest.approx(of_light)
     off, own, amplitude = rng.normal(0.0, 0.3, n), np.full(n, 0.2), rng.uniform(500.0, 900.0, n)
-    n_lines = np.repeat(rng.choice([1, 2], n // 2 + 1), 2)[:n]
+    n_lines = np.repeat(rng.choice([1.0, 2.0], n // 2 + 1), 2)[:n]
     by_lag, _, brightness = shown(off, own, amplitude, n_lines, learned)
     pair = n_lines == 2
     share = np.where(pair, (0.5 * own**2 + of_centres * line) / (own**2 + line), 1.0)
@@ -180,18 +189,18 @@ def test_pairs_among_lines_are_compared_as_their_twin(seed: int, n: int) -> None
 
 def test_what_is_not_known_of_neighbours_makes_a_pair_no_surer_than_a_line() -> None:
     known = frame(0.0)._replace(by_lag=np.array([math.nan, 0.03, 0.04, 0.04]))
-    assert centre_share(with_frame(NO_SCATTER, known).average) == 1.0
-    assert centre_share(NO_SCATTER.average) == 0.5
+    assert centre_share(with_frame(NO_SCATTER, known).average.numbers) == 1.0
+    assert centre_share(NO_SCATTER.average.numbers) == 0.5
 
 
 def test_a_pairs_sigma_is_its_own_and_what_it_scatters_by() -> None:
     known = frame(0.0)._replace(
         by_lag=np.array([0.02, 0.03, 0.04, 0.04]), by_length=np.full(len(LENGTHS), 0.1)
     )
-    learned, n_lines = with_frame(NO_SCATTER, known), np.array([1, 2])
+    learned, n_lines = with_frame(NO_SCATTER, known), np.array([1.0, 2.0])
     sigma, beside = np.empty((2, 2))
-    widen(learned.average, np.full(2, 0.2), n_lines, 0.0, sigma, beside)
-    np.testing.assert_allclose(sigma**2, [0.04 + 0.04, 0.02 + centre_share(learned.average) * 0.04])
+    widen(learned.average.numbers, np.full(2, 0.2), n_lines, 0.0, sigma, beside)
+    np.testing.assert_allclose(sigma**2, [0.04 + 0.04, 0.02 + centre_share(learned.average.numbers) * 0.04])
     np.testing.assert_allclose(beside**2, 0.04 + 0.1)
 
 
@@ -229,14 +238,16 @@ def test_means_of_a_joint_that_is_searched_tell_nothing_by_themselves() -> None:
     rng = np.random.default_rng(5)
     fits = np.column_stack([rng.normal(size=640), np.ones((640, 6))])
     ones = np.ones(640)
-    core, room = np.zeros(640, np.float32), ScatterRoom.empty(640)
-    alone = np.ones(640, np.int64), ones > 0.0, NO_SCATTER.average
-    settled, searched = empty_scatter(), empty_scatter()
-    frame_scatter(fits, np.zeros(640), ones, ones, core, *alone, False, room, settled)
-    frame_scatter(fits, np.zeros(640), ones, ones, core, *alone, True, room, searched)
-    assert np.isfinite(settled.by_length).all()
-    np.testing.assert_array_equal(searched.by_length[:-1], settled.by_length[:-1])
-    assert math.isnan(searched.by_length[-1])
+    core, room = np.zeros(640, np.float32), room_for(640)
+    alone = np.ones(640), ones > 0.0, NO_SCATTER.average.numbers
+    settled, searched = np.empty((2, N_NUMBERS))
+    frame_scatter(fits, np.zeros(640), ones, ones, core, *alone, False, *room, settled)
+    frame_scatter(fits, np.zeros(640), ones, ones, core, *alone, True, *room, searched)
+    assert np.isfinite(FrameScatter.of(settled).by_length).all()
+    np.testing.assert_array_equal(
+        FrameScatter.of(searched).by_length[:-1], FrameScatter.of(settled).by_length[:-1]
+    )
+    assert math.isnan(FrameScatter.of(searched).by_length[-1])
 
 
 @pytest.mark.parametrize("n", [160, 320, 640])
@@ -248,7 +259,7 @@ def test_a_joint_that_is_off_its_expected_place_is_no_scatter(n: int) -> None:
         deep = [100.0 * np.maximum(1.0 - np.abs(s - n / 2.0 - off) / half, 0.0) for off in (0.0, half / 4.0)]
         off = deep[1] - deep[0] + own * rng.normal(size=n)
         scatter = with_frame(NO_SCATTER, FrameScatter(*shown(off, np.full(n, own), np.ones(n)), *NOTHING))
-        most.append(mean_variance_px2(scatter.average) / own**2)
+        most.append(mean_variance_px2(scatter.average.numbers) / own**2)
     print(f"{n} lines: {np.mean(most):.2f} of the lines' own variance, {np.max(most):.2f} at most")
     # Alone the lines have one; a joint may feign up to two more.
     assert np.mean(most) < 2.0
@@ -257,29 +268,29 @@ def test_a_joint_that_is_off_its_expected_place_is_no_scatter(n: int) -> None:
 @settings(deadline=None, max_examples=20)
 @given(seeds, st.integers(0, 60))
 def test_speckle_and_width_are_the_lines_medians(seed: int, n: int) -> None:
-    rng, seen = np.random.default_rng(seed), empty_scatter()
+    rng, seen = np.random.default_rng(seed), np.empty(N_NUMBERS)
     fits = np.column_stack([rng.normal(size=(n, 3)), rng.uniform(2.0, 5.0, n), np.ones((n, 3))])
     core = rng.normal(0.02, 0.01, n).astype(np.float32)
     gone = rng.random(n) < 0.3
     fits[gone], core[gone] = np.nan, np.nan
     width, ones = rng.uniform(3.0, 4.0, n), np.ones(n)
-    alone = np.ones(n, np.int64), ones > 0.0, NO_SCATTER.average
-    frame_scatter(fits, ones, width, ones, core, *alone, False, ScatterRoom.empty(n), seen)
+    alone = np.ones(n), ones > 0.0, NO_SCATTER.average.numbers
+    frame_scatter(fits, ones, width, ones, core, *alone, False, *room_for(n), seen)
     if n - gone.sum() < MIN_DIFFERENCES:
-        assert np.isnan([seen.speckle[()], seen.ln_width[()], seen.width_variance[()]]).all()
+        assert np.isnan(seen[SPECKLE:]).all()
         return
     ln_width = np.log(fits[:, 3] / width)[~gone]
     variance = np.median((ln_width - np.median(ln_width)) ** 2) / MEDIAN_CHI2
-    assert seen.speckle[()] == pytest.approx(np.nanmedian(core))
-    assert seen.ln_width[()] == pytest.approx(np.median(ln_width), rel=1e-6, abs=1e-7)
-    assert seen.width_variance[()] == pytest.approx(variance, rel=1e-5, abs=1e-9)
+    assert seen[SPECKLE] == pytest.approx(np.nanmedian(core))
+    assert seen[LN_WIDTH] == pytest.approx(np.median(ln_width), rel=1e-6, abs=1e-7)
+    assert seen[WIDTH_VARIANCE] == pytest.approx(variance, rel=1e-5, abs=1e-9)
 
 
 def with_frame(scatter: Scatter, seen: FrameScatter) -> Scatter:
     """The scatter with one more frame."""
-    after = empty_scatter()
-    add_frame(scatter.average, scatter.frames, seen, after)
-    return Scatter(after, scatter.frames + 1)
+    after = np.empty(N_NUMBERS)
+    add_frame(scatter.average.numbers, scatter.frames, seen.numbers, after)
+    return Scatter(FrameScatter.of(after), scatter.frames + 1)
 
 
 def frame(value: float) -> FrameScatter:
@@ -296,8 +307,8 @@ def test_neighbours_brightness_is_as_alike_as_it_was_drawn(alike: float) -> None
     amplitude = 1000.0 * (1.0 + contrast * np.array(scatter))
     seen = shown(np.zeros(n), np.ones(n), amplitude)
     learned = with_frame(NO_SCATTER, FrameScatter(*seen, *NOTHING))
-    assert math.sqrt(brightness_plateau(learned.average)) == pytest.approx(contrast, rel=0.15)
-    assert brightness_alike(learned.average) == pytest.approx(alike, abs=0.1)
+    assert math.sqrt(brightness_plateau(learned.average.numbers)) == pytest.approx(contrast, rel=0.15)
+    assert brightness_alike(learned.average.numbers) == pytest.approx(alike, abs=0.1)
 
 
 def test_grains_that_reach_far_add_what_they_move_centres_together() -> None:
@@ -323,16 +334,16 @@ def test_grains_that_reach_far_add_what_they_move_centres_together() -> None:
 
 
 def test_the_first_frame_counts_whole_and_old_ones_fade() -> None:
-    assert line_variance_px2(with_frame(NO_SCATTER, frame(0.25)).average) == 0.25
+    assert line_variance_px2(with_frame(NO_SCATTER, frame(0.25)).average.numbers) == 0.25
     scatter = NO_SCATTER
     for n in range(REMEMBERED):
         scatter = with_frame(scatter, frame(float(n)))
     # So many frames count alike.
-    assert line_variance_px2(scatter.average) == pytest.approx((REMEMBERED - 1) / 2.0)
-    steel = line_variance_px2(scatter.average)
+    assert line_variance_px2(scatter.average.numbers) == pytest.approx((REMEMBERED - 1) / 2.0)
+    steel = line_variance_px2(scatter.average.numbers)
     for _ in range(3 * REMEMBERED):
         scatter = with_frame(scatter, frame(0.0))
-    assert line_variance_px2(scatter.average) == pytest.approx(
+    assert line_variance_px2(scatter.average.numbers) == pytest.approx(
         steel * (1.0 - 1.0 / REMEMBERED) ** (3 * REMEMBERED)
     )
 
@@ -345,8 +356,11 @@ def test_a_frame_that_shows_nothing_changes_nothing() -> None:
     blank = with_frame(NO_SCATTER, frame(math.nan))
     sigma = np.array([0.1, 0.2, np.nan])
     for scatter in (NO_SCATTER, blank):
-        assert (line_variance_px2(scatter.average), mean_variance_px2(scatter.average)) == (0.0, 0.0)
-        assert (scatter.weighing_contrast, brightness_plateau(scatter.average)) == (0.0, 0.0)
+        assert (line_variance_px2(scatter.average.numbers), mean_variance_px2(scatter.average.numbers)) == (
+            0.0,
+            0.0,
+        )
+        assert (scatter.weighing_contrast, brightness_plateau(scatter.average.numbers)) == (0.0, 0.0)
         assert (scatter.width_factor, scatter.width_limit_ln) == (1.0, MIN_WIDTH_LIMIT_LN)
         for wider in widened(scatter, sigma, 3.0):
             np.testing.assert_allclose(wider, sigma)
@@ -357,8 +371,8 @@ def test_a_scatter_keeps_its_bounds(ln_width: float, variance: float) -> None:
     """Less than none is chance; a stripe that is far wider is another light."""
     seen = frame(variance)._replace(ln_width=np.array(ln_width))
     scatter = with_frame(NO_SCATTER, seen)
-    assert line_variance_px2(scatter.average) == max(variance, 0.0)
-    assert mean_variance_px2(scatter.average) >= line_variance_px2(scatter.average)
+    assert line_variance_px2(scatter.average.numbers) == max(variance, 0.0)
+    assert mean_variance_px2(scatter.average.numbers) >= line_variance_px2(scatter.average.numbers)
     assert MIN_WIDTH_LIMIT_LN <= scatter.width_limit_ln <= MAX_WIDTH_LIMIT_LN
     assert math.exp(-0.5) <= scatter.width_factor <= math.exp(0.5)
 

@@ -15,7 +15,7 @@ from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.median import exact_median, finite_median
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.scatter import FrameScatter, width_factor
+from tracker.stripe.scatter import width_factor
 from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP, TEMPLATE_SIGMAS, write_template
 
 LOBE, LOBE_MARGIN = 0.7, 1.5
@@ -232,7 +232,7 @@ def evidence_of(
     around_px: Float64,
     offsets_px: Int64,
     bin_px: int,
-    learned: FrameScatter,
+    learned: Float64,
     room: Float32,
 ) -> Evidence:
     """Return what tells of stripe centres (n_scan,), read at offsets of the `score` (n_scan, n_offsets).

@@ -1,4 +1,7 @@
-"""The likeliest path through a band, and the fits along it: what a reading does once or a few times."""
+"""The likeliest path through a band, the fits along it, and what these say of each line.
+
+The order is Python's; a kernel seeks the path, one fits the lines, one sees how they scatter.
+"""
 
 from __future__ import annotations
 
@@ -9,22 +12,51 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
+from noise_model.median import exact_median, finite_median, numbers_for
+from tracker.state import (
+    AMPLITUDE_E,
+    BESIDE_PX,
+    BIAS_PX,
+    CENTRE_PX,
+    MISFIT_PX,
+    N_LINES,
+    OWN_PX,
+    SCAN,
+    SIGMA_PX,
+    WIDTH_PX,
+)
 from tracker.stripe.band import Band
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.frame_scatter import ScatterRoom, frame_scatter, own_sigma
+from tracker.stripe.frame_scatter import N_SCRATCH, OFF, frame_scatter, own_sigma
+from tracker.stripe.ghost import second_light, second_place
 from tracker.stripe.line_fit.lines import FitRoom, LineFits, fit_lines, fit_room
-from tracker.stripe.misfit import MisfitRoom
+from tracker.stripe.misfit import count_alike, misfit_sigma_px
 from tracker.stripe.pairs import mark_pairs, tell_both
 from tracker.stripe.scatter import (
-    FrameScatter,
+    N_NUMBERS,
+    brightness_alike,
+    brightness_plateau,
     centre_share,
-    empty_scatter,
+    line_variance_px2,
     pair_contrast,
     weighing_contrast,
+    widen,
     width_factor,
     width_limit_ln,
 )
 from tracker.stripe.viterbi import JUMP_COST, best_path, matched_filter, middles, peaks
+
+REACH_SIGMAS = 3.0
+"""A search reaches so many sigmas of the seam's place."""
+
+REFLECTED_SHARE, REFLECTED_SIGMA_LN = 0.4, 0.7
+"""A reflection has about so much of its stripe's light, within a factor of two; it is seldom the brighter."""
+
+MAX_ROUNDS = 3
+"""So many times at most the stripe is read again without a second one's light."""
+
+MOST_SCORE_LOST = 0.01
+"""The share of its score that a stripe may lose to a filter for another width: the path hardly feels it."""
 
 
 class Noise(NamedTuple):
@@ -39,7 +71,7 @@ class Noise(NamedTuple):
     base_e: float
 
 
-class Sought(NamedTuple):
+class SearchRange(NamedTuple):
     """Where and how a stripe is sought: at `offsets_px` (n,) from its expected place, in sums of `bin_px`.
 
     `is_searching` says whether the joint may lie far off its expected place, up to `reach_px`. Where a look
@@ -56,22 +88,24 @@ class Sought(NamedTuple):
 class ReadRoom(NamedTuple):
     """Scratch for a frame's lines; `score` is flat, for as many offsets as a search has.
 
-    Offsets are from `around_px` (n_scan,).
+    Offsets are from `around_px` (n_scan,). The path's index among them is `choice` (n_scan,), -1 for none;
+    there each line's fit starts, at `start_px`, for a stripe of 1 sigma `width_px`. Each line was read with
+    `n_lines`, and its 1 sigma by photons is `own_px`. `seen` (N_NUMBERS,) is the frame's scatter.
     """
 
     score: Float32
     choice: Int64
     lines: LineFits
     fit: FitRoom
-    n_lines: Int64
     is_smooth: Bool
-    scatter: ScatterRoom
-    misfit: MisfitRoom
-    seen: FrameScatter
+    values: Float32
+    scratch: Float64
+    seen: Float64
     around_px: Float64
     start_px: Float64
     width_px: Float64
     own_px: Float64
+    n_lines: Float64
 
     @classmethod
     def empty(cls, n_scan: int, n_offsets: int) -> ReadRoom:
@@ -81,20 +115,14 @@ class ReadRoom(NamedTuple):
             np.empty(n_scan, np.int64),
             LineFits.empty(n_scan),
             fit_room(n_scan),
-            np.ones(n_scan, np.int64),
             np.ones(n_scan, np.bool_),
-            ScatterRoom.empty(n_scan),
-            MisfitRoom.empty(),
-            empty_scatter(),
-            *np.empty((4, n_scan)),
+            np.empty(numbers_for(n_scan), np.float32),
+            np.empty((N_SCRATCH, n_scan)),
+            np.empty(N_NUMBERS),
+            *np.empty((5, n_scan)),
         )
 
 
-MOST_SCORE_LOST = 0.01
-"""The share of its score that a stripe may lose to a filter for another width: the path hardly feels it."""
-
-
-@kernel
 def score_lost(factor: float) -> float:
     """Return the share of its score that a stripe loses to a matched filter for so many times its width.
 
@@ -103,90 +131,93 @@ def score_lost(factor: float) -> float:
     return 1.0 - math.sqrt(2.0 * factor / (1.0 + factor * factor))
 
 
-@kernel
-def _write_widths(expected: ExpectedStripe, learned: FrameScatter, width_px: Float64) -> None:
-    """Write the 1 sigma (n_scan,) that is expected across the stripe, as much wider as frames have shown."""
-    factor = width_factor(learned)
-    for s in range(width_px.shape[0]):
-        width_px[s] = factor * expected.sigma_px[s]
-
-
-@kernel(allocates=True)
-def _seek_path(
-    band: Band,
-    expected: ExpectedStripe,
-    sought: Sought,
-    noise: Noise,
-    learned: FrameScatter,
-    room: ReadRoom,
+def fit_band(
+    band: Band, expected: ExpectedStripe, sought: SearchRange, noise: Noise, learned: Float64, room: ReadRoom
 ) -> None:
-    """Find the likeliest path through a band, and where the fit of each line starts."""
-    offsets_px, bin_px = sought.offsets_px, sought.bin_px
-    n_scan, n = band.charge.shape[0], len(offsets_px)
-    _write_widths(expected, learned, room.width_px)
-    score = room.score[: n_scan * n].reshape((n_scan, n))
-    middles(expected.position_px, band.lows, bin_px, room.around_px)
-    matched_filter(
+    """Find the likeliest path through a band, fit its lines and see how they scatter.
+
+    `learned` (N_NUMBERS,) is the scatter that is known.
+    """
+    np.multiply(width_factor(learned), expected.sigma_px, out=room.width_px)
+    _seek_path(
         charge_e=band.charge,
         background_e=band.background,
-        shot=noise.shot,
-        dark_variance_e2=noise.dark_e2,
-        around_px=room.around_px,
-        width_px=room.width_px,
         lows=band.lows,
-        offsets_px=offsets_px,
-        bin_px=bin_px,
-        score=score,
+        noise=noise,
+        expected_px=expected.position_px,
+        is_sought=expected.is_sought,
+        width_px=room.width_px,
+        offsets_px=sought.offsets_px,
+        bin_px=sought.bin_px,
+        score=room.score,
+        choice=room.choice,
+        around_px=room.around_px,
+        start_px=room.start_px,
     )
-    # Where no light can be none is looked for.
-    for s in range(n_scan):
-        if not expected.is_sought[s]:
-            score[s] = 0.0
-    best_path(score, JUMP_COST * bin_px, room.choice)
-    peaks(score, room.choice, room.around_px, offsets_px, room.start_px)
-    for s in range(n_scan):
-        if not expected.is_sought[s]:
-            room.start_px[s], room.choice[s] = math.nan, -1
-
-
-@kernel(allocates=True)
-def fit_band(
-    band: Band,
-    expected: ExpectedStripe,
-    sought: Sought,
-    noise: Noise,
-    learned: FrameScatter,
-    room: ReadRoom,
-) -> None:
-    """Find the likeliest path through a band, fit its lines and see how they scatter."""
-    _seek_path(band, expected, sought, noise, learned, room)
     fit_path(band, expected, sought, noise, learned, room)
 
 
 @kernel(allocates=True)
-def fit_path(
-    band: Band,
-    expected: ExpectedStripe,
-    sought: Sought,
+def _seek_path(
+    charge_e: Float32,
+    background_e: Float32,
+    lows: Int64,
     noise: Noise,
-    learned: FrameScatter,
-    room: ReadRoom,
+    expected_px: Float64,
+    is_sought: Bool,
+    width_px: Float64,
+    offsets_px: Int64,
+    bin_px: int,
+    score: Float32,
+    choice: Int64,
+    around_px: Float64,
+    start_px: Float64,
+) -> None:
+    """Find the likeliest path through a band, and where the fit of each line starts."""
+    n_scan, n = charge_e.shape[0], len(offsets_px)
+    scores = score[: n_scan * n].reshape((n_scan, n))
+    middles(expected_px, lows, bin_px, around_px)
+    matched_filter(
+        charge_e=charge_e,
+        background_e=background_e,
+        shot=noise.shot,
+        dark_variance_e2=noise.dark_e2,
+        around_px=around_px,
+        width_px=width_px,
+        lows=lows,
+        offsets_px=offsets_px,
+        bin_px=bin_px,
+        score=scores,
+    )
+    # Where no light can be none is looked for.
+    for s in range(n_scan):
+        if not is_sought[s]:
+            scores[s] = 0.0
+    best_path(scores, JUMP_COST * bin_px, choice)
+    peaks(scores, choice, around_px, offsets_px, start_px)
+    for s in range(n_scan):
+        if not is_sought[s]:
+            start_px[s], choice[s] = math.nan, -1
+
+
+def fit_path(
+    band: Band, expected: ExpectedStripe, sought: SearchRange, noise: Noise, learned: Float64, room: ReadRoom
 ) -> None:
     """Fit the lines of a band along the likeliest path that is known, and see how they scatter."""
-    n_scan, lines = band.charge.shape[0], room.lines
-    _write_widths(expected, learned, room.width_px)
-    for s in range(n_scan):
-        room.n_lines[s], room.is_smooth[s] = 1, True
+    np.multiply(width_factor(learned), expected.sigma_px, out=room.width_px)
     if sought.reads_pairs:
         mark_pairs(
-            room.choice,
-            expected.face,
-            expected.position_px,
-            room.width_px,
-            sought.reach_px,
-            room.n_lines,
-            room.is_smooth,
+            choice=room.choice,
+            face=expected.face,
+            expected_px=expected.position_px,
+            width_px=room.width_px,
+            reach_px=sought.reach_px,
+            n_lines=room.n_lines,
+            is_smooth=room.is_smooth,
         )
+    else:
+        room.n_lines.fill(1.0)
+        room.is_smooth.fill(True)
     fit_lines(
         charge=band.charge,
         background=band.background,
@@ -202,28 +233,210 @@ def fit_path(
         map_sigma=noise.map_rel,
         base_sigma=noise.base_e,
         room=room.fit,
-        lines=lines,
+        lines=room.lines,
     )
-    if sought.reads_pairs:
-        tell_both(expected.position_px, room.n_lines, centre_share(learned), lines)
-    own_sigma(lines.fits, room.width_px, room.n_lines, room.scatter.values, room.own_px)
-    frame_scatter(
-        fits=lines.fits,
+    _see_scatter(
+        lines=room.lines,
         expected_px=expected.position_px,
-        width_px=expected.sigma_px,
-        sigma_px=room.own_px,
-        core=lines.core,
+        sigma_px=expected.sigma_px,
+        width_px=room.width_px,
         n_lines=room.n_lines,
         is_smooth=room.is_smooth,
         learned=learned,
         is_searching=sought.is_searching,
-        room=room.scatter,
+        values=room.values,
+        scratch=room.scratch,
+        own_px=room.own_px,
         seen=room.seen,
+    )
+
+
+@kernel
+def _see_scatter(
+    lines: LineFits,
+    expected_px: Float64,
+    sigma_px: Float64,
+    width_px: Float64,
+    n_lines: Float64,
+    is_smooth: Bool,
+    learned: Float64,
+    is_searching: bool,
+    values: Float32,
+    scratch: Float64,
+    own_px: Float64,
+    seen: Float64,
+) -> None:
+    """Write how the lines' fits scatter, and leave out those that are of no stripe's width."""
+    tell_both(expected_px, n_lines, centre_share(learned), lines)
+    own_sigma(lines.fits, width_px, n_lines, values, own_px)
+    frame_scatter(
+        fits=lines.fits,
+        expected_px=expected_px,
+        width_px=sigma_px,
+        sigma_px=own_px,
+        core=lines.core,
+        n_lines=n_lines,
+        is_smooth=is_smooth,
+        learned=learned,
+        is_searching=is_searching,
+        values=values,
+        scratch=scratch,
+        seen=seen,
     )
     # The limit is that of what is known: a frame without a stripe would widen it for itself.
     limit_ln = width_limit_ln(learned)
-    for s in range(n_scan):
-        if abs(math.log(lines.fits[s, 3] / room.width_px[s])) > limit_ln:
+    for s in range(width_px.shape[0]):
+        if abs(math.log(lines.fits[s, 3] / width_px[s])) > limit_ln:
             lines.fits[s] = math.nan
             lines.odd[s] = math.nan
             lines.saturated[s] = False
+
+
+class UsualLine(NamedTuple):
+    """The `contrast` and likeness of the lines' brightness, and the median 1 sigma of their centres, px."""
+
+    contrast: float
+    alike: float
+    centre_sigma_px: float
+
+
+class SecondStripe(NamedTuple):
+    """A second stripe: its `share` of the brighter one's light, 0 for none, and by how many nats it is told.
+
+    The brighter one is read at all offsets; where it `is_reflection`, the other at `n_offsets` of them, from
+    number `first` on.
+    """
+
+    share: float
+    nats: float
+    is_reflection: bool
+    first: int
+    n_offsets: int
+
+
+@kernel(allocates=True)
+def told_of_two(
+    fits: Float64,
+    expected_px: Float64,
+    apart_px: float,
+    share: float,
+    offsets_px: Int64,
+    reach_px: float,
+    values: Float32,
+) -> SecondStripe:
+    """Return by how many nats the laser's of two stripes is told, and the offsets about it if it is dimmer.
+
+    The brighter one's fits (n_scan, 7) lie off their expected places (n_scan,), the weaker one, of a `share`
+    of its light, `apart_px` from it. Either reflection's ln(strength) is normal about ln(REFLECTED_SHARE),
+    and the stripe's place is normal about the expected one. With r = ln(share), m and s the reflection's mean
+    and sigma, the log odds that the brighter one is the laser's are
+
+        L = 2 m r / s^2 + (weaker^2 - brighter^2) / (2 sigma^2).
+    """
+    everything = SecondStripe(share, math.inf, False, 0, len(offsets_px))
+    off_px = np.empty(fits.shape[0])
+    for s in range(fits.shape[0]):
+        off_px[s] = fits[s, 0] - expected_px[s]
+    brighter_px, sigma_px = finite_median(off_px, values), reach_px / REACH_SIGMAS
+    if math.isnan(brighter_px):
+        return everything
+    weaker_px = brighter_px + apart_px
+    by_light = 2.0 * math.log(REFLECTED_SHARE) * math.log(share) / REFLECTED_SIGMA_LN**2
+    odds = by_light + (weaker_px**2 - brighter_px**2) / (2.0 * sigma_px**2)
+    first, n = 0, 0
+    for i in range(len(offsets_px)):
+        if abs(offsets_px[i] - weaker_px) < 0.5 * abs(apart_px):
+            first = first if n > 0 else i
+            n += 1
+    if odds >= 0.0 or n == 0:
+        return SecondStripe(share, abs(odds), False, 0, len(offsets_px))
+    return SecondStripe(share, abs(odds), True, first, n)
+
+
+def read_without_second(
+    band: Band,
+    expected: ExpectedStripe,
+    sought: SearchRange,
+    noise: Noise,
+    learned: Float64,
+    room: ReadRoom,
+) -> SecondStripe:
+    """Take a second stripe's light for background, and read the band anew until that changes nothing."""
+    offsets_px, reach_px = sought.offsets_px, sought.reach_px
+    share, apart_px, is_plain = 0.0, 0.0, True
+    for _ in range(MAX_ROUNDS):
+        plain = band.background if is_plain else band.plain
+        now, apart_px = second_place(band.charge, plain, band.censored, room.lines.fits, band.lows)
+        if now == 0.0 and share == 0.0:
+            break
+        if is_plain:
+            band.plain[:] = band.background
+            is_plain = False
+        band.light[:] = 0.0
+        if now > 0.0:
+            second_light(
+                band.charge, band.plain, band.censored, room.lines.fits, band.lows, now, apart_px, band.light
+            )
+        np.add(band.plain, band.light, out=band.background)
+        share = now
+        fit_band(band, expected, sought, noise, learned, room)
+    told = SecondStripe(share, math.inf, False, 0, len(offsets_px))
+    if not sought.is_searching or share == 0.0:
+        return told
+    told = told_of_two(
+        room.lines.fits, expected.position_px, apart_px, share, offsets_px, reach_px, room.values
+    )
+    if told.is_reflection:
+        band.background[:] = band.plain
+        near = offsets_px[told.first : told.first + told.n_offsets]
+        fit_band(band, expected, sought._replace(offsets_px=near), noise, learned, room)
+    return told
+
+
+@kernel
+def _sheet_px(fits: Float64, psf_sigma_px: float, values: Float32, scratch: Float64) -> float:
+    """Return the sheet's 1 sigma in the image, px, of the fits (n_scan, 7) of lines; 0 of none."""
+    for s in range(fits.shape[0]):
+        scratch[s] = fits[s, 3]
+    width_px = finite_median(scratch, values)
+    return math.sqrt(max(width_px**2 - psf_sigma_px**2, 0.0)) if width_px > 0.0 else 0.0
+
+
+@kernel(allocates=True)
+def write_lines(
+    fits: LineFits,
+    n_lines: Float64,
+    expected_sigma_px: Float64,
+    bias_px: Float64,
+    learned: Float64,
+    psf_sigma_px: float,
+    values: Float32,
+    scratch: Float64,
+    lines: Float64,
+) -> None:
+    """Write what the fits say of each line (N_ROWS, n_scan), with the scatter and with its neighbours."""
+    sigma_px, beside_px, own_px, alike = lines[SIGMA_PX], lines[BESIDE_PX], lines[OWN_PX], scratch[OFF]
+    own_sigma(fits.fits, expected_sigma_px, n_lines, values, own_px)
+    widen(learned, own_px, n_lines, _sheet_px(fits.fits, psf_sigma_px, values, alike), sigma_px, beside_px)
+    for s in range(lines.shape[1]):
+        lines[CENTRE_PX, s], lines[AMPLITUDE_E, s] = fits.fits[s, 0], fits.fits[s, 2]
+        lines[WIDTH_PX, s], lines[BIAS_PX, s] = fits.fits[s, 3], bias_px[s]
+        lines[SCAN, s], lines[N_LINES, s] = s, n_lines[s]
+        # Two lines that were read as one tell their misfit once.
+        if n_lines[s] > 1.0 and s % 2 == 1:
+            fits.odd[s] = math.nan
+    count_alike(sigma_px, beside_px, n_lines, values, alike)
+    misfit_sigma_px(fits.odd, fits.fits, alike, lines[MISFIT_PX])
+
+
+@kernel(allocates=True)
+def usual_line(average: Float64, own_px: Float64) -> UsualLine:
+    """Return what scatter and lines' own 1 sigma (n,) say of a usual line read alone."""
+    known_px, n = np.empty(own_px.shape[0]), 0
+    for s in range(own_px.shape[0]):
+        if math.isfinite(own_px[s]):
+            known_px[n] = own_px[s]
+            n += 1
+    own_sigma_px = exact_median(known_px[:n])
+    centre_sigma_px = math.hypot(own_sigma_px, math.sqrt(line_variance_px2(average)))
+    return UsualLine(math.sqrt(brightness_plateau(average)), brightness_alike(average), centre_sigma_px)

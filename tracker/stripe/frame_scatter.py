@@ -27,21 +27,23 @@ stripe is taken to be that across it.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
-import numpy as np
-
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.arrays import Bool, Float32, Float64
 from noise_model.kernel import kernel
-from noise_model.median import close_up, finite_median, keep_finite, median_of, numbers_for
+from noise_model.median import close_up, finite_median, keep_finite, median_of
 from tracker.stripe.line_fit.block import WINDOW_SIGMAS
 from tracker.stripe.pairs import usual_of
 from tracker.stripe.scatter import (
+    BRIGHTNESS,
     BRIGHTNESS_LAGS,
+    BY_LAG,
+    BY_LENGTH,
     FAR_LAG,
     LAGS,
     LENGTHS,
-    FrameScatter,
+    LN_WIDTH,
+    SPECKLE,
+    WIDTH_VARIANCE,
     brightness_share,
     centre_share,
     line_variance_px2,
@@ -74,25 +76,13 @@ A joint's four corners spoil two for each, a third of them at most.
 """
 
 
-class ScatterRoom(NamedTuple):
-    """Room for what a frame shows: numbers (`numbers_for(n_scan)`,); of lines and means (n_scan,) each."""
-
-    values: Float32
-    off: Float64
-    variance: Float64
-    alone: Float64
-    share: Float64
-    means: Float64
-    mean_variance: Float64
-
-    @classmethod
-    def empty(cls, n_scan: int) -> ScatterRoom:
-        """Make room for a frame of so many lines."""
-        return cls(np.empty(numbers_for(n_scan), np.float32), *np.empty((6, n_scan)))
+OFF, VARIANCE, ALONE, SHARE, MEANS, MEAN_VARIANCE = range(6)
+N_SCRATCH = 6
+"""The rows of scratch (N_SCRATCH, n_scan), of lines and of their means."""
 
 
 @kernel
-def own_sigma(fits: Float64, expected_px: Float64, n_lines: Int64, room: Float32, own_px: Float64) -> None:
+def own_sigma(fits: Float64, expected_px: Float64, n_lines: Float64, room: Float32, own_px: Float64) -> None:
     """Write the lines' 1 sigma (n,), px, by their photons, more where a line fits worse than most do.
 
     `fits` (n, 7) are `LineFits`', `expected_px` (n,) the widths whose windows they read, `n_lines` (n,) with
@@ -117,12 +107,13 @@ def frame_scatter(
     width_px: Float64,
     sigma_px: Float64,
     core: Float32,
-    n_lines: Int64,
+    n_lines: Float64,
     is_smooth: Bool,
-    learned: FrameScatter,
+    learned: Float64,
     is_searching: bool,
-    room: ScatterRoom,
-    seen: FrameScatter,
+    values: Float32,
+    scratch: Float64,
+    seen: Float64,
 ) -> None:
     """Write what one frame shows of its scatter.
 
@@ -131,26 +122,38 @@ def frame_scatter(
     `residuals.core_square`; `n_lines` (n,) are with how many each was read, and what is `learned` says how
     much less pairs scatter. `is_searching` says whether the joint may be far off its expected place.
     """
-    n = fits.shape[0]
+    n, off, share = fits.shape[0], scratch[OFF], scratch[SHARE]
     for s in range(n):
-        room.off[s] = fits[s, 3]
-    known_px = finite_median(room.off, room.values)
+        off[s] = fits[s, 3]
+    known_px = finite_median(off, values)
     times = 1 if math.isnan(known_px) else max(round(known_px / USUAL_PX), 1)
     min_means = MIN_MEANS_SEARCHING if is_searching else MIN_MEANS
-    differences(fits, expected_px, sigma_px, n_lines, is_smooth, learned, times, min_means, room, seen)
+    differences(
+        fits=fits,
+        expected_px=expected_px,
+        sigma_px=sigma_px,
+        n_lines=n_lines,
+        is_smooth=is_smooth,
+        learned=learned,
+        times=times,
+        min_means=min_means,
+        values=values,
+        scratch=scratch,
+        seen=seen,
+    )
     count = 0
     for s in range(n):
-        room.off[s] = math.log(fits[s, 3] / width_px[s])
-        count += math.isfinite(room.off[s])
+        off[s] = math.log(fits[s, 3] / width_px[s])
+        count += math.isfinite(off[s])
     middle, variance = math.nan, math.nan
     if count >= MIN_DIFFERENCES:
-        middle = finite_median(room.off, room.values)
+        middle = finite_median(off, values)
         for s in range(n):
-            room.off[s] = (room.off[s] - middle) ** 2 / room.share[s]
-        variance = finite_median(room.off, room.values) / MEDIAN_CHI2
-    seen.ln_width[()], seen.width_variance[()] = middle, variance
-    count = keep_finite(core, room.values)
-    seen.speckle[()] = median_of(room.values, count) if count >= MIN_DIFFERENCES else math.nan
+            off[s] = (off[s] - middle) ** 2 / share[s]
+        variance = finite_median(off, values) / MEDIAN_CHI2
+    seen[LN_WIDTH], seen[WIDTH_VARIANCE] = middle, variance
+    count = keep_finite(core, values)
+    seen[SPECKLE] = median_of(values, count) if count >= MIN_DIFFERENCES else math.nan
 
 
 @kernel
@@ -179,60 +182,62 @@ def differences(
     fits: Float64,
     expected_px: Float64,
     sigma_px: Float64,
-    n_lines: Int64,
+    n_lines: Float64,
     is_smooth: Bool,
-    learned: FrameScatter,
+    learned: Float64,
     times: int,
     min_means: int,
-    room: ScatterRoom,
-    seen: FrameScatter,
+    values: Float32,
+    scratch: Float64,
+    seen: Float64,
 ) -> None:
     """Write the variances by second differences, by lag and of means, less the lines' own, px^2.
 
     LAGS and LENGTHS count so many `times`. Fewer than `min_means` differences of means tell nothing. Into
-    `seen.brightness` goes the square of the amplitudes' contrast, by its own lags, of which the last asks for
+    `seen` goes the square of the amplitudes' contrast, by its own lags, of which the last asks for
     more differences. Pairs have the share of a line's variance that is `learned`: with it they tell that of
     lines FAR_LAG apart and more. Means over an even number of lines are the same of pairs.
     """
-    n, values, share = fits.shape[0], room.values, room.share
+    n, off, alone, share = fits.shape[0], scratch[OFF], scratch[ALONE], scratch[SHARE]
+    own_px2, means, mean_variance = scratch[VARIANCE], scratch[MEANS], scratch[MEAN_VARIANCE]
     of_two = brightness_share(learned)
     for i in range(n):
-        room.off[i] = fits[i, 2]
-        room.alone[i] = fits[i, 2] if n_lines[i] == 1 and is_smooth[i] else math.nan
+        off[i] = fits[i, 2]
+        alone[i] = fits[i, 2] if n_lines[i] == 1 and is_smooth[i] else math.nan
         share[i] = 1.0 if n_lines[i] == 1 else of_two
-    typical_e = finite_median(room.off, values)
+    typical_e = finite_median(off, values)
     for k in range(len(BRIGHTNESS_LAGS)):
         lag = BRIGHTNESS_LAGS[k]
         least = MIN_PER_FAR_LAG * lag if k == len(BRIGHTNESS_LAGS) - 1 else MIN_DIFFERENCES
-        read = room.off if lag >= FAR_LAG else room.alone
-        seen.brightness[k] = _variance_of(read, share, n, lag, least, values) / typical_e**2
+        read = off if lag >= FAR_LAG else alone
+        seen[BRIGHTNESS + k] = _variance_of(read, share, n, lag, least, values) / typical_e**2
     line, of_two = line_variance_px2(learned), centre_share(learned) * line_variance_px2(learned)
     for i in range(n):
-        room.off[i] = fits[i, 0] - expected_px[i]
-        room.variance[i] = sigma_px[i] ** 2
-        room.alone[i] = room.off[i] if n_lines[i] == 1 and is_smooth[i] else math.nan
+        off[i] = fits[i, 0] - expected_px[i]
+        own_px2[i] = sigma_px[i] ** 2
+        alone[i] = off[i] if n_lines[i] == 1 and is_smooth[i] else math.nan
         if n_lines[i] > 1:
-            share[i] = (0.5 * room.variance[i] + of_two) / (room.variance[i] + line)
+            share[i] = (0.5 * own_px2[i] + of_two) / (own_px2[i] + line)
     for k in range(len(LAGS)):
         is_far = LAGS[k] >= FAR_LAG
         lag = times * LAGS[k] if is_far else LAGS[k]
-        read = room.off if is_far else room.alone
+        read = off if is_far else alone
         least = MIN_PER_LAG * lag if is_far else MIN_DIFFERENCES
         variance = _variance_of(read, share, n, lag, least, values)
-        seen.by_lag[k] = variance - _own_variance_of(room.variance, n, lag, values)
+        seen[BY_LAG + k] = variance - _own_variance_of(own_px2, n, lag, values)
     for k in range(len(LENGTHS)):
         length = times * LENGTHS[k]
         for b in range(n // length):
             added, variance, known = 0.0, 0.0, 0
             for i in range(b * length, (b + 1) * length):
-                if math.isfinite(room.off[i]):
-                    added += room.off[i]
-                    variance += room.variance[i]
+                if math.isfinite(off[i]):
+                    added += off[i]
+                    variance += own_px2[i]
                     known += 1
             is_mean = known >= MIN_SEEN_SHARE * length
-            room.means[b] = added / known if is_mean else math.nan
-            room.mean_variance[b] = variance / known if is_mean else math.nan
-            room.alone[b] = 1.0
-        variance = _variance_of(room.means, room.alone, n // length, 1, min_means, values)
-        own = _own_variance_of(room.mean_variance, n // length, 1, values)
-        seen.by_length[k] = length * variance - own
+            means[b] = added / known if is_mean else math.nan
+            mean_variance[b] = variance / known if is_mean else math.nan
+            alone[b] = 1.0
+        variance = _variance_of(means, alone, n // length, 1, min_means, values)
+        own = _own_variance_of(mean_variance, n // length, 1, values)
+        seen[BY_LENGTH + k] = length * variance - own

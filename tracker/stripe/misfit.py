@@ -16,14 +16,12 @@ a step's is 6.3. The even part moves no centre. The mean over neighbouring lines
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.arrays import Float32, Float64
 from noise_model.kernel import kernel
 from tracker.stripe.line_fit.block import CORRELATION_PX
-from tracker.stripe.line_fit.residuals import N_BINS
 from tracker.stripe.pairs import usual_of
 
 MOVED = 5.0
@@ -36,28 +34,15 @@ CHANCE = 3.3
 """A mean of N_BINS squares of noise exceeds its expectation by this factor once in 100 (chi2 of 4)."""
 
 
-class MisfitRoom(NamedTuple):
-    """Running sums of odd residuals over lines: theirs, their squares' and how many, (N_BINS,) each."""
-
-    total: Float64
-    squares: Float64
-    n_lines: Float64
-
-    @classmethod
-    def empty(cls) -> MisfitRoom:
-        """Make room for the sums."""
-        return cls(*np.empty((3, N_BINS)))
-
-
-@kernel
-def mean_square_near(odd_e: Float64, half: int, alike: Float64, room: MisfitRoom, near_e2: Float64) -> None:
+@kernel(allocates=True)
+def mean_square_near(odd_e: Float64, half: int, alike: Float64, near_e2: Float64) -> None:
     """Write the mean square (n,), e-^2, of the odd residuals' means over lines up to `half` away.
 
     Less what the lines' own scatter gives it by chance, 0 where that explains it or too few lines are known.
     About each line so many, `alike` (n,), scatter as one.
     """
     n, n_bins = odd_e.shape
-    total, squares, n_lines = room
+    total, squares, n_lines = np.empty(n_bins), np.empty(n_bins), np.empty(n_bins)
     for k in range(n_bins):
         total[k], squares[k], n_lines[k] = 0.0, 0.0, 0.0
     for i in range(-half, n):
@@ -83,7 +68,9 @@ def mean_square_near(odd_e: Float64, half: int, alike: Float64, room: MisfitRoom
 
 
 @kernel
-def count_alike(sigma_px: Float64, beside_px: Float64, n_lines: Int64, room: Float32, alike: Float64) -> None:
+def count_alike(
+    sigma_px: Float64, beside_px: Float64, n_lines: Float64, values: Float32, alike: Float64
+) -> None:
     """Write how many neighbouring centres (n,) scatter as one, the usual number of lines alone or of pairs.
 
     `sigma_px` is the centres' 1 sigma, `beside_px` that with which a line counts among neighbours.
@@ -91,21 +78,19 @@ def count_alike(sigma_px: Float64, beside_px: Float64, n_lines: Int64, room: Flo
     for s in range(n_lines.shape[0]):
         alike[s] = (beside_px[s] / sigma_px[s]) ** 2 / n_lines[s]
     for together in range(1, 3):
-        count, usual = usual_of(alike, n_lines, together, room)
+        count, usual = usual_of(alike, n_lines, together, values)
         for s in range(n_lines.shape[0]):
             if n_lines[s] == together:
                 alike[s] = usual if count > 0 else 1.0
 
 
-@kernel
-def misfit_sigma_px(
-    odd_e: Float64, fits: Float64, alike: Float64, room: MisfitRoom, misfit_px: Float64
-) -> None:
+@kernel(allocates=True)
+def misfit_sigma_px(odd_e: Float64, fits: Float64, alike: Float64, misfit_px: Float64) -> None:
     """Write by how much each line's centre may be off alike with its neighbours' (n,), px.
 
     `odd_e` (n, N_BINS) are the lines' odd residuals, `fits` (n, 7) their fits; about each so many,
     `alike` (n,), scatter as one. Of two lines that were read as one the second has no residuals.
     """
-    mean_square_near(odd_e, round(0.5 * CORRELATION_PX), alike, room, misfit_px)
+    mean_square_near(odd_e, round(0.5 * CORRELATION_PX), alike, misfit_px)
     for s in range(misfit_px.shape[0]):
         misfit_px[s] = MOVED * fits[s, 3] * math.sqrt(misfit_px[s]) / fits[s, 2]

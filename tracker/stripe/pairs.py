@@ -66,7 +66,7 @@ def mark_pairs(
     expected_px: Float64,
     width_px: Float64,
     reach_px: float,
-    n_lines: Int64,
+    n_lines: Float64,
     is_smooth: Bool,
 ) -> None:
     """Write with how many lines each (n,) is read: 2 for an even line and the next as one, else 1.
@@ -94,7 +94,7 @@ def mark_pairs(
 
 
 @kernel
-def tell_both(expected_px: Float64, n_lines: Int64, speckle_share: float, lines: LineFits) -> None:
+def tell_both(expected_px: Float64, n_lines: Float64, speckle_share: float, lines: LineFits) -> None:
     """Write what the fits of pairs, which stand in their first lines, say of either line.
 
     Both lie where the expected stripe's slope has them about the one centre. A line alone would have its
@@ -117,7 +117,7 @@ def tell_both(expected_px: Float64, n_lines: Int64, speckle_share: float, lines:
 
 
 @kernel
-def usual_of(values: Float64, n_lines: Int64 | Float64, together: int, room: Float32) -> tuple[int, float]:
+def usual_of(values: Float64, n_lines: Float64, together: int, room: Float32) -> tuple[int, float]:
     """Return how many values (n,) are known where so many lines were read `together`, and their median.
 
     That is NaN where none is. `room` is scratch of `median.median_of`.

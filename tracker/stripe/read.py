@@ -26,14 +26,17 @@ from tracker.stripe.fit_band import (
     MOST_SCORE_LOST,
     Noise,
     ReadRoom,
-    Sought,
+    SearchRange,
+    UsualLine,
     fit_band,
     fit_path,
+    read_without_second,
     score_lost,
+    usual_line,
+    write_lines,
 )
 from tracker.stripe.light import StripeLight
-from tracker.stripe.read_band import UsualLine, read_without_second, usual_line, write_lines
-from tracker.stripe.scatter import Scatter, add_frame, empty_scatter, width_factor
+from tracker.stripe.scatter import N_NUMBERS, FrameScatter, Scatter, add_frame, width_factor
 from tracker.stripe.viterbi import bin_for, offsets_within
 
 MEDIAN_HALF_PX = 30
@@ -192,14 +195,14 @@ def read_stripe(
     whether the joint may lie far off its expected place. A first frame is read with what it shows itself.
     """
     band, noise, bin_px = lit.band, lit.noise, bin_for(expected.sigma_px)
-    before, frames = scatter
+    before, frames = scatter.average.numbers, scatter.frames
     reads_pairs = frames > 0 and not is_searching
-    sought = Sought(offsets_within(reach_px, bin_px), bin_px, reach_px, is_searching, reads_pairs)
+    sought = SearchRange(offsets_within(reach_px, bin_px), bin_px, reach_px, is_searching, reads_pairs)
     at_level(band.background, lit.light)
     fit_band(band, expected, sought, noise, before, room)
-    read_with, after = before, empty_scatter()
+    read_with, after = before, np.empty(N_NUMBERS)
     if frames == 0:
-        read_with = empty_scatter()
+        read_with = np.empty(N_NUMBERS)
         add_frame(before, 0, room.seen, read_with)
         # A stripe of another width is sought anew. Of a search no more is asked than where the joint is.
         if score_lost(width_factor(before) / width_factor(read_with)) > MOST_SCORE_LOST:
@@ -209,13 +212,23 @@ def read_stripe(
     told = read_without_second(band, expected, sought, noise, read_with, room)
     add_frame(before, frames, room.seen, after)
     n_scan, n = len(expected.position_px), told.n_offsets
-    lines, saturated = np.empty((N_ROWS, n_scan)), np.empty(n_scan, np.bool_)
-    write_lines(expected, after, psf_sigma_px, room, lines, saturated)
+    lines = np.empty((N_ROWS, n_scan))
+    write_lines(
+        fits=room.lines,
+        n_lines=room.n_lines,
+        expected_sigma_px=expected.sigma_px,
+        bias_px=expected.bias_px,
+        learned=after,
+        psf_sigma_px=psf_sigma_px,
+        values=room.values,
+        scratch=room.scratch,
+        lines=lines,
+    )
     stripe = Stripe(
         position_px=lines[CENTRE_PX],
         sigma_px=lines[SIGMA_PX],
         amplitude_e=lines[AMPLITUDE_E],
-        saturated=saturated,
+        saturated=room.lines.saturated.copy(),
         along_rows=image.along_rows,
         beside_px=lines[BESIDE_PX],
     )
@@ -233,7 +246,7 @@ def read_stripe(
         offsets_px=offsets_px,
         bin_px=bin_px,
         learned=read_with,
-        room=room.scatter.values,
+        room=room.values,
     )
     return StripeReading(
         stripe=stripe,
@@ -252,8 +265,8 @@ def read_stripe(
         base_sigma_e=noise.base_e,
         second_share=told.share,
         told_nats=told.nats,
-        scatter=Scatter(after, frames + 1),
-        learned=Scatter(read_with, max(frames, 1)),
+        scatter=Scatter(FrameScatter.of(after), frames + 1),
+        learned=Scatter(FrameScatter.of(read_with), max(frames, 1)),
         usual=usual_line(after, lines[OWN_PX]),
         evidence=evidence,
         lines=lines,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64, Int64
+from noise_model.arrays import Float64
 from noise_model.kernel import kernel
 
 LAGS = np.array([1, 2, 4, 8])
@@ -56,6 +56,15 @@ REMEMBERED = 10
 """About so many frames are averaged: the metal changes along the seam."""
 
 
+BY_LAG = 0
+BY_LENGTH = BY_LAG + len(LAGS)
+BRIGHTNESS = BY_LENGTH + len(LENGTHS)
+SPECKLE = BRIGHTNESS + len(BRIGHTNESS_LAGS)
+LN_WIDTH, WIDTH_VARIANCE = SPECKLE + 1, SPECKLE + 2
+N_NUMBERS = SPECKLE + 3
+"""Where the numbers of a `FrameScatter` begin in the one array that kernels take."""
+
+
 class FrameScatter(NamedTuple):
     """What one frame shows beyond photons' noise; NaN where it shows nothing.
 
@@ -71,26 +80,25 @@ class FrameScatter(NamedTuple):
     ln_width: Float64
     width_variance: Float64
 
+    @classmethod
+    def of(cls, numbers: Float64) -> FrameScatter:
+        """Return what an array (N_NUMBERS,) holds."""
+        return cls(
+            by_lag=numbers[BY_LAG:BY_LENGTH],
+            by_length=numbers[BY_LENGTH:BRIGHTNESS],
+            brightness=numbers[BRIGHTNESS:SPECKLE],
+            speckle=numbers[SPECKLE:LN_WIDTH].reshape(()),
+            ln_width=numbers[LN_WIDTH:WIDTH_VARIANCE].reshape(()),
+            width_variance=numbers[WIDTH_VARIANCE:].reshape(()),
+        )
 
-@kernel(allocates=True)
-def empty_scatter() -> FrameScatter:
-    """Make room for what frames show of their scatter."""
-    return FrameScatter(
-        np.empty(len(LAGS)),
-        np.empty(len(LENGTHS)),
-        np.empty(len(BRIGHTNESS_LAGS)),
-        np.empty(()),
-        np.empty(()),
-        np.empty(()),
-    )
+    @property
+    def numbers(self) -> Float64:
+        """All of it in one array (N_NUMBERS,), as the kernels take it."""
+        return np.concatenate(self, axis=None)
 
 
-_NOTHING = FrameScatter(
-    np.full(len(LAGS), math.nan),
-    np.full(len(LENGTHS), math.nan),
-    np.full(len(BRIGHTNESS_LAGS), math.nan),
-    *(np.array(math.nan) for _ in range(3)),
-)
+_NOTHING = FrameScatter.of(np.full(N_NUMBERS, math.nan))
 
 
 @kernel
@@ -113,15 +121,15 @@ def _plateau(variances: Float64) -> float:
 
 
 @kernel
-def line_variance_px2(average: FrameScatter) -> float:
+def line_variance_px2(average: Float64) -> float:
     """Return by how much a line's centre scatters beyond its own variance."""
-    return _plateau(average.by_lag)
+    return _plateau(average[BY_LAG:BY_LENGTH])
 
 
 @kernel
-def mean_variance_px2(average: FrameScatter) -> float:
+def mean_variance_px2(average: Float64) -> float:
     """Return the variance beyond its own with which a line counts among neighbours."""
-    return max(_plateau(average.by_lag), _plateau(average.by_length))
+    return max(_plateau(average[BY_LAG:BY_LENGTH]), _plateau(average[BY_LENGTH:BRIGHTNESS]))
 
 
 @kernel
@@ -144,35 +152,35 @@ def _share_of_two(variances: Float64, plateau: float) -> float:
 
 
 @kernel
-def centre_share(average: FrameScatter) -> float:
+def centre_share(average: Float64) -> float:
     """Return the share of `line_variance_px2` that the mean of two neighbours' centres has."""
-    return _share_of_two(average.by_lag, _plateau(average.by_lag))
+    return _share_of_two(average[BY_LAG:BY_LENGTH], _plateau(average[BY_LAG:BY_LENGTH]))
 
 
 @kernel
-def brightness_share(average: FrameScatter) -> float:
+def brightness_share(average: Float64) -> float:
     """Return the share of `brightness_plateau` that the mean brightness of two neighbours has."""
-    return _share_of_two(average.brightness, brightness_plateau(average))
+    return _share_of_two(average[BRIGHTNESS:SPECKLE], brightness_plateau(average))
 
 
 @kernel
-def brightness_plateau(average: FrameScatter) -> float:
+def brightness_plateau(average: Float64) -> float:
     """Return the square of the contrast by which brightness scatters between lines far apart; 0 for none."""
     largest = 0.0
-    for k in range(average.by_lag.shape[0]):
-        if math.isfinite(average.brightness[k]):
-            largest = max(largest, average.brightness[k])
+    for k in range(BRIGHTNESS, SPECKLE - 1):
+        if math.isfinite(average[k]):
+            largest = max(largest, average[k])
     return largest
 
 
 @kernel
-def brightness_alike(average: FrameScatter) -> float:
+def brightness_alike(average: Float64) -> float:
     """Return the correlation of two neighbouring lines' brightness, where two k apart have its k-th power.
 
     Second differences over L lines have the variance (1 - r) (3 - r) / 3, r = rho^L, over that of lines
     far apart. A grain is rounder than that law: L = 2 tells its width best.
     """
-    near, plateau = average.brightness[SECOND_LAG], brightness_plateau(average)
+    near, plateau = average[BRIGHTNESS + SECOND_LAG], brightness_plateau(average)
     if not plateau > 0.0 or math.isnan(near):
         return 0.0
     of_two = 2.0 - math.sqrt(1.0 + 3.0 * near / plateau)
@@ -180,44 +188,44 @@ def brightness_alike(average: FrameScatter) -> float:
 
 
 @kernel
-def texture(average: FrameScatter) -> float:
+def texture(average: Float64) -> float:
     """Return what a texture adds to a line's variance among neighbours, over its sigma's fourth power."""
-    near, far = average.brightness[-2], average.brightness[-1]
+    near, far = average[SPECKLE - 2], average[SPECKLE - 1]
     if not far > near:
         return 0.0
     return max(0.75 * float(far - near) / (FARTHEST_LAG * math.log(2.0)), 0.0)
 
 
 @kernel
-def weighing_contrast(average: FrameScatter) -> float:
+def weighing_contrast(average: Float64) -> float:
     """Return the contrast with which a fit weighs a line's pixels."""
-    return WEIGHED_SHARE * _root(float(average.speckle[()]))
+    return WEIGHED_SHARE * _root(average[SPECKLE])
 
 
 @kernel
-def pair_contrast(average: FrameScatter) -> float:
+def pair_contrast(average: Float64) -> float:
     """Return the contrast with which a fit weighs the mean pixels of two lines."""
     return weighing_contrast(average) * math.sqrt(centre_share(average))
 
 
 @kernel
-def _is_as_stated(average: FrameScatter) -> bool:
+def _is_as_stated(average: Float64) -> bool:
     """Say whether the lines' width is one that the stated stripe may have."""
-    return abs(float(average.ln_width[()])) <= MAX_LN_WIDTH
+    return bool(abs(average[LN_WIDTH]) <= MAX_LN_WIDTH)
 
 
 @kernel
-def width_factor(average: FrameScatter) -> float:
+def width_factor(average: Float64) -> float:
     """Return how much wider the stripe is than the setup says."""
-    return math.exp(float(average.ln_width[()])) if _is_as_stated(average) else 1.0
+    return math.exp(average[LN_WIDTH]) if _is_as_stated(average) else 1.0
 
 
 @kernel
-def width_limit_ln(average: FrameScatter) -> float:
+def width_limit_ln(average: Float64) -> float:
     """Return how far a line's ln(width) may lie off the stripe's: beyond, it is two faces, or no stripe."""
     if not _is_as_stated(average):
         return MIN_WIDTH_LIMIT_LN
-    spread = WIDTH_SIGMAS * _root(float(average.width_variance[()]))
+    spread = WIDTH_SIGMAS * _root(average[WIDTH_VARIANCE])
     return min(max(spread, MIN_WIDTH_LIMIT_LN), MAX_WIDTH_LIMIT_LN)
 
 
@@ -230,27 +238,18 @@ def _mix_one(before: float, seen: float, weight: float) -> float:
 
 
 @kernel
-def add_frame(before: FrameScatter, frames: int, seen: FrameScatter, after: FrameScatter) -> None:
-    """Write the average of so many frames and one more."""
+def add_frame(average: Float64, frames: int, seen: Float64, after: Float64) -> None:
+    """Write the average (N_NUMBERS,) of so many frames and one more."""
     weight = 1.0 / min(frames + 1, REMEMBERED)
-    for k in range(before.by_lag.shape[0]):
-        after.by_lag[k] = _mix_one(before.by_lag[k], seen.by_lag[k], weight)
-    for k in range(before.by_length.shape[0]):
-        after.by_length[k] = _mix_one(before.by_length[k], seen.by_length[k], weight)
-    for k in range(before.brightness.shape[0]):
-        after.brightness[k] = _mix_one(before.brightness[k], seen.brightness[k], weight)
-    after.speckle[()] = _mix_one(float(before.speckle[()]), float(seen.speckle[()]), weight)
-    after.ln_width[()] = _mix_one(float(before.ln_width[()]), float(seen.ln_width[()]), weight)
-    after.width_variance[()] = _mix_one(
-        float(before.width_variance[()]), float(seen.width_variance[()]), weight
-    )
+    for k in range(average.shape[0]):
+        after[k] = _mix_one(average[k], seen[k], weight)
 
 
 @kernel
 def widen(
-    average: FrameScatter,
+    average: Float64,
     own_px: Float64,
-    n_lines: Int64,
+    n_lines: Float64,
     sheet_px: float,
     sigma_px: Float64,
     beside_px: Float64,
@@ -283,22 +282,22 @@ class Scatter(NamedTuple):
     @property
     def weighing_contrast(self) -> float:
         """The contrast with which a fit weighs a line's pixels."""
-        return weighing_contrast(self.average)
+        return weighing_contrast(self.average.numbers)
 
     @property
     def pair_contrast(self) -> float:
         """The contrast with which a fit weighs the mean pixels of two lines."""
-        return pair_contrast(self.average)
+        return pair_contrast(self.average.numbers)
 
     @property
     def width_factor(self) -> float:
         """How much wider the stripe is than the setup says."""
-        return width_factor(self.average)
+        return width_factor(self.average.numbers)
 
     @property
     def width_limit_ln(self) -> float:
         """How far a line's ln(width) may lie off the stripe's: farther off it is two faces, or no stripe."""
-        return width_limit_ln(self.average)
+        return width_limit_ln(self.average.numbers)
 
 
 NO_SCATTER = Scatter()

@@ -52,7 +52,7 @@ MAX_LN_WIDTH = 1.0
 """A fit whose width leaves the predicted one by a larger ln has lost its stripe."""
 
 
-class Known(NamedTuple):
+class LinePrior(NamedTuple):
     """What is known of sixteen lines before their fit, by lane.
 
     `start` is where the stripe is expected, px from the window's first pixel, `n` the window's length, px,
@@ -69,7 +69,7 @@ class Known(NamedTuple):
     slope: Lanes
 
 
-class Stand(NamedTuple):
+class FitState(NamedTuple):
     """Where sixteen lines' fits stand between two steps, by lane.
 
     `width` is px, `off` how far its logarithm lies off the predicted one's; position, offset and slope are as
@@ -106,7 +106,7 @@ class Round(NamedTuple):
     """What a round of steps gives: fits that came to their end, where the others stand, and which go on."""
 
     fitted: Fitted
-    stand: Stand
+    reached: FitState
     goes_on: Mask
 
 
@@ -180,14 +180,16 @@ def _judged(
 
 
 @kernel
-def begun(known: Known) -> Stand:
+def first_state(known: LinePrior) -> FitState:
     """Return where fits stand before their first step."""
     zero = spread(0.0)
-    return Stand(known.amplitude, known.start, known.width, zero, zero, zero, zero)
+    return FitState(known.amplitude, known.start, known.width, zero, zero, zero, zero)
 
 
 @kernel(fastmath=REDUCTION)
-def fit_block(block: Block, n: int, known: Known, noise: PixelNoise, stand: Stand, is_last: bool) -> Round:
+def fit_block(
+    block: Block, n: int, known: LinePrior, noise: PixelNoise, reached: FitState, is_last: bool
+) -> Round:
     """Fit the first n pixels of sixteen lines by Gauss-Newton on the likelihood, see `lines.fit_lines`.
 
     One round of steps is taken; in the last one what is sound ends.
@@ -195,7 +197,7 @@ def fit_block(block: Block, n: int, known: Known, noise: PixelNoise, stand: Stan
     zero, unity = spread(0.0), spread(1.0)
     no = zero > unity
     narrow = spread(WIDTH_SIGMA_LN**-2)
-    amplitude, position, width, off, offset, slope, settled = stand
+    amplitude, position, width, off, offset, slope, settled = reached
     runs, is_settled = zero < unity, settled > zero
     fitted = Fitted(
         position=known.start,
@@ -250,4 +252,4 @@ def fit_block(block: Block, n: int, known: Known, noise: PixelNoise, stand: Stan
             break
         is_settled = is_small
     settled = where(is_settled, unity, zero)
-    return Round(fitted, Stand(amplitude, position, width, off, offset, slope, settled), runs)
+    return Round(fitted, FitState(amplitude, position, width, off, offset, slope, settled), runs)

@@ -10,7 +10,7 @@ import numpy as np
 from noise_model.arrays import Bool, Float32
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, Lanes, load, root, spread, transpose, where
-from tracker.stripe.line_fit.block import CORRELATION_PX, MIN_SIGMA_E, WINDOW_SIGMAS, Known, larger
+from tracker.stripe.line_fit.block import CORRELATION_PX, MIN_SIGMA_E, WINDOW_SIGMAS, LinePrior, larger
 from tracker.stripe.line_fit.normal_equations import BEYOND, COUNTS, HIDDEN, Block
 
 BLOCK = 8
@@ -33,18 +33,14 @@ class Rows(NamedTuple):
     background: Float32
     kind: Float32
 
-    @classmethod
-    def empty(cls) -> Rows:
-        """Make room for sixteen windows."""
-        return cls(*np.empty((3, N_LANES, MAX_PIXELS + PAD), np.float32))
 
-
-class Asked(NamedTuple):
+class Window(NamedTuple):
     """What is asked of sixteen windows, by lane.
 
-    `start`, `n` and `width` are `Known`'s; `first` and `last` are the pixels that tell the amplitude, from
-    the first to before the last; `edge` is by how much the map may be off for an edge nearby, e-. The pixels
-    are means over a `share` of 1 line or 1/2 of two, and the square of `speckle` times their light varies.
+    `start`, `n` and `width` are `LinePrior`'s; `first` and `last` are the pixels that tell the amplitude,
+    from the first to before the last; `edge` is by how much the map may be off for an edge nearby, e-. The
+    pixels are means over a `share` of 1 line or 1/2 of two, and the square of `speckle` times their light
+    varies.
     """
 
     start: Lanes
@@ -138,7 +134,7 @@ def write_block(rows: Rows, n: int, block: Block) -> None:
 
 
 @kernel(fastmath=REDUCTION)
-def first_guess(block: Block, n: int, asked: Asked, noise: MapNoise) -> Known:
+def first_guess(block: Block, n: int, asked: Window, noise: MapNoise) -> LinePrior:
     """Return what is known of the lines whose first n pixels a block holds; NaN where a line's map is."""
     zero, unity = spread(0.0), spread(1.0)
     level, over = zero, zero
@@ -152,7 +148,7 @@ def first_guess(block: Block, n: int, asked: Asked, noise: MapNoise) -> Known:
     off = spread(noise.map_rel) * level
     smooth = larger(root(off * off + spread(noise.base_e**2)), spread(MIN_SIGMA_E))
     slope, bent = smooth / spread(CORRELATION_PX), asked.edge / (spread(WINDOW_SIGMAS) * asked.width)
-    return Known(
+    return LinePrior(
         asked.start,
         asked.n,
         asked.width,

@@ -18,13 +18,13 @@ from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.lanes import N_LANES, load, spread, store, where
-from tracker.stripe.line_fit.block import ROUNDS, Fitted, Stand, begun, fit_block
+from tracker.stripe.line_fit.block import ROUNDS, FitState, Fitted, first_state, fit_block
 from tracker.stripe.line_fit.first_guess import (
     MAX_PIXELS,
     PAD,
-    Asked,
     MapNoise,
     Rows,
+    Window,
     core_of,
     first_guess,
     leave_out,
@@ -39,7 +39,7 @@ from tracker.stripe.line_fit.residuals import N_BINS, core_square, odd_parts
 N_FITTED = 7
 """A line's fit has so many numbers."""
 
-N_ASKED, N_STANDING, N_WRITTEN = len(Asked._fields), len(Stand._fields), N_FITTED + 5 + N_BINS
+N_WINDOW, N_STATE, N_WRITTEN = len(Window._fields), len(FitState._fields), N_FITTED + 5 + N_BINS
 """So many numbers of a lane go into its fit, tell where it stands, and come out: with three answers, and with
 what the fit leaves."""
 
@@ -50,37 +50,29 @@ EDGE_PX = 3
 class FitRoom(NamedTuple):
     """Room for the fit of sixteen lines, and for what a frame's lines are fitted by.
 
-    `rows` and `block` hold their pixels, `asked` (N_ASKED, N_LANES), `standing` (N_STANDING, N_LANES) and
-    `fitted` (N_WRITTEN, N_LANES) their numbers, `lines` and `lows` (N_LANES,) which lines they are and where
-    their windows begin. The first of `todo` (n_scan,) are the lines that are still to be fitted, and `stands`
-    (n_scan, N_STANDING) is where their fits stand.
+    `windows` (3, N_LANES, n) and `block` (3, n N_LANES) hold charge, background and kind of their pixels line
+    by line, and pixel by pixel. `lanes` (N_WINDOW + N_STATE + N_WRITTEN, N_LANES) hold their numbers,
+    `places` (2, N_LANES) which lines they are and where their windows begin. The first of `todo` (n_scan,)
+    are the lines that are still to be fitted, and `states` (n_scan, N_STATE) is where their fits stand.
     """
 
-    rows: Rows
-    block: Block
-    asked: Float32
-    standing: Float32
-    fitted: Float32
-    lines: Int64
-    lows: Int64
+    windows: Float32
+    block: Float32
+    lanes: Float32
+    places: Int64
     todo: Int64
-    stands: Float32
+    states: Float32
 
 
 def fit_room(n_scan: int) -> FitRoom:
     """Make room for the fits of a frame's lines."""
-    block = Block(*np.empty((3, (MAX_PIXELS + PAD) * N_LANES), np.float32))
-    lines, lows = np.zeros((2, N_LANES), np.int64)
     return FitRoom(
-        rows=Rows.empty(),
-        block=block,
-        asked=np.empty((N_ASKED, N_LANES), np.float32),
-        standing=np.empty((N_STANDING, N_LANES), np.float32),
-        fitted=np.empty((N_WRITTEN, N_LANES), np.float32),
-        lines=lines,
-        lows=lows,
+        windows=np.empty((3, N_LANES, MAX_PIXELS + PAD), np.float32),
+        block=np.empty((3, (MAX_PIXELS + PAD) * N_LANES), np.float32),
+        lanes=np.empty((N_WINDOW + N_STATE + N_WRITTEN, N_LANES), np.float32),
+        places=np.zeros((2, N_LANES), np.int64),
         todo=np.empty(n_scan, np.int64),
-        stands=np.empty((n_scan, N_STANDING), np.float32),
+        states=np.empty((n_scan, N_STATE), np.float32),
     )
 
 
@@ -92,7 +84,7 @@ class Scans(NamedTuple):
     censored: Bool
     start: Float64
     width: Float64
-    n_lines: Int64
+    n_lines: Float64
     lows: Int64
 
 
@@ -144,51 +136,42 @@ def map_edge(background: Float32, lows: Int64, s: int, position: float) -> float
 
 
 @kernel
-def _fill_up(n_lanes: int, n_pixels: int, room: FitRoom) -> None:
+def _fill_up(n_lanes: int, n_pixels: int, window: Float32, rows: Rows) -> None:
     """Make what lies beyond a line's end count for nothing, and lanes without a line follow the first."""
     end = -(-n_pixels // N_LANES) * N_LANES
     for lane in range(N_LANES):
         if lane < n_lanes:
-            leave_out(lane, int(room.asked[1, lane]), end, room.rows)
+            leave_out(lane, int(window[1, lane]), end, rows)
         else:
-            leave_out(lane, 0, end, room.rows)
-            for k in range(room.asked.shape[0]):
-                room.asked[k, lane] = room.asked[k, 0]
+            leave_out(lane, 0, end, rows)
+            for k in range(N_WINDOW):
+                window[k, lane] = window[k, 0]
 
 
 @kernel
-def _go_on(room: FitRoom, n_lanes: int) -> None:
-    """Take up where lines' fits stand."""
-    for lane in range(n_lanes):
-        for k in range(N_STANDING):
-            room.standing[k, lane] = room.stands[room.lines[lane], k]
-
-
-@kernel
-def _standing(room: FitRoom) -> Stand:
+def _load_state(state: Float32) -> FitState:
     """Return where the lanes' fits stand."""
-    standing = room.standing
-    return Stand(
-        load(standing[0], 0),
-        load(standing[1], 0),
-        load(standing[2], 0),
-        load(standing[3], 0),
-        load(standing[4], 0),
-        load(standing[5], 0),
-        load(standing[6], 0),
+    return FitState(
+        load(state[0], 0),
+        load(state[1], 0),
+        load(state[2], 0),
+        load(state[3], 0),
+        load(state[4], 0),
+        load(state[5], 0),
+        load(state[6], 0),
     )
 
 
 @kernel
-def _leave_standing(stand: Stand, room: FitRoom) -> None:
+def _store_state(reached: FitState, state: Float32) -> None:
     """Write where the lanes' fits stand."""
-    store(room.standing[0], 0, stand.amplitude)
-    store(room.standing[1], 0, stand.position)
-    store(room.standing[2], 0, stand.width)
-    store(room.standing[3], 0, stand.off)
-    store(room.standing[4], 0, stand.offset)
-    store(room.standing[5], 0, stand.slope)
-    store(room.standing[6], 0, stand.is_settled)
+    store(state[0], 0, reached.amplitude)
+    store(state[1], 0, reached.position)
+    store(state[2], 0, reached.width)
+    store(state[3], 0, reached.off)
+    store(state[4], 0, reached.offset)
+    store(state[5], 0, reached.slope)
+    store(state[6], 0, reached.is_settled)
 
 
 @kernel
@@ -210,39 +193,43 @@ def _fit_lanes(
     n_lanes: int, n_pixels: int, law: Law, turn: int, n_left: int, room: FitRoom, lines: LineFits
 ) -> int:
     """Fit the lines in the first lanes and write what their fits say; return how many lines are left now."""
-    _fill_up(n_lanes, n_pixels, room)
-    write_block(room.rows, n_pixels, room.block)
-    fitted = room.fitted
-    asked = Asked(
-        start=load(room.asked[0], 0),
-        n=load(room.asked[1], 0),
-        width=load(room.asked[2], 0),
-        first=load(room.asked[3], 0),
-        last=load(room.asked[4], 0),
-        edge=load(room.asked[5], 0),
-        share=load(room.asked[6], 0),
-        speckle=load(room.asked[7], 0),
+    window, state = room.lanes[:N_WINDOW], room.lanes[N_WINDOW : N_WINDOW + N_STATE]
+    fitted, block = room.lanes[N_WINDOW + N_STATE :], Block(room.block[0], room.block[1], room.block[2])
+    rows = Rows(room.windows[0], room.windows[1], room.windows[2])
+    _fill_up(n_lanes, n_pixels, window, rows)
+    write_block(rows, n_pixels, block)
+    asked = Window(
+        start=load(window[0], 0),
+        n=load(window[1], 0),
+        width=load(window[2], 0),
+        first=load(window[3], 0),
+        last=load(window[4], 0),
+        edge=load(window[5], 0),
+        share=load(window[6], 0),
+        speckle=load(window[7], 0),
     )
     noise = PixelNoise(spread(law.shot) * asked.share, spread(law.dark) * asked.share, asked.speckle)
-    known = first_guess(room.block, n_pixels, asked, law.map)
-    stand = begun(known)
+    known = first_guess(block, n_pixels, asked, law.map)
+    reached = first_state(known)
     if turn > 0:
-        _go_on(room, n_lanes)
-        stand = _standing(room)
-    fit, stand, goes_on = fit_block(room.block, n_pixels, known, noise, stand, turn == ROUNDS - 1)
+        for lane in range(n_lanes):
+            for k in range(N_STATE):
+                state[k, lane] = room.states[room.places[0, lane], k]
+        reached = _load_state(state)
+    fit, reached, goes_on = fit_block(block, n_pixels, known, noise, reached, turn == ROUNDS - 1)
     _write_fit(fit, fitted)
-    _leave_standing(stand, room)
-    core, hidden = core_square(room.block, n_pixels, fit, asked.width, noise)
+    _store_state(reached, state)
+    core, hidden = core_square(block, n_pixels, fit, asked.width, noise)
     store(fitted[N_FITTED + 2], 0, core)
     store(fitted[N_FITTED + 3], 0, hidden)
     store(fitted[N_FITTED + 4], 0, where(goes_on, spread(1.0), spread(0.0)))
-    odd_parts(room.block, n_pixels, fit, asked.n, asked.width, fitted[N_FITTED + 5 :])
+    odd_parts(block, n_pixels, fit, asked.n, asked.width, fitted[N_FITTED + 5 :])
     for lane in range(n_lanes):
-        line = room.lines[lane]
+        line = room.places[0, lane]
         if fitted[N_FITTED, lane] > 0.0:
             for k in range(N_FITTED):
                 lines.tried[line, k] = fitted[k, lane]
-            lines.tried[line, 0] += room.lows[lane]
+            lines.tried[line, 0] += room.places[1, lane]
         if fitted[N_FITTED + 1, lane] > 0.0:
             for k in range(N_FITTED):
                 lines.fits[line, k] = lines.tried[line, k]
@@ -253,15 +240,16 @@ def _fit_lanes(
         if fitted[N_FITTED + 4, lane] > 0.0:
             room.todo[n_left] = line
             n_left += 1
-            for k in range(N_STANDING):
-                room.stands[line, k] = room.standing[k, lane]
+            for k in range(N_STATE):
+                room.states[line, k] = state[k, lane]
     return n_left
 
 
 @kernel
 def _fit_round(scans: Scans, law: Law, turn: int, n_todo: int, room: FitRoom, lines: LineFits) -> int:
     """Take a round of steps on the lines to be fitted; return how many are left."""
-    depth, asked = scans.charge.shape[1], room.asked
+    depth, asked = scans.charge.shape[1], room.lanes
+    rows = Rows(room.windows[0], room.windows[1], room.windows[2])
     lane, longest, n_left = 0, 0, 0
     for i in range(n_todo):
         s = room.todo[i]
@@ -276,21 +264,21 @@ def _fit_round(scans: Scans, law: Law, turn: int, n_todo: int, room: FitRoom, li
             continue
         if is_pair:
             both = slice(s, s + 2), slice(low, end)
-            take_pair(scans.charge[both], scans.background[both], scans.censored[both], lane, room.rows)
+            take_pair(scans.charge[both], scans.background[both], scans.censored[both], lane, rows)
         else:
             take_line(
                 scans.charge[s, low:end],
                 scans.background[s, low:end],
                 scans.censored[s, low:end],
                 lane,
-                room.rows,
+                rows,
             )
         asked[0, lane], asked[1, lane], asked[2, lane] = place - low, n, width
         asked[3, lane], asked[4, lane] = core_of(place - low, width, n)
         asked[5, lane] = map_edge(scans.background, scans.lows, s, start)
         asked[6, lane] = 0.5 if is_pair else 1.0
         asked[7, lane] = law.pair_speckle if is_pair else law.speckle
-        room.lines[lane], room.lows[lane] = s, begin + low
+        room.places[0, lane], room.places[1, lane] = s, begin + low
         lane, longest = lane + 1, max(longest, n)
         if lane == N_LANES:
             n_left = _fit_lanes(lane, longest, law, turn, n_left, room, lines)
@@ -307,7 +295,7 @@ def fit_lines(
     censored: Bool,
     start: Float64,
     width: Float64,
-    n_lines: Int64,
+    n_lines: Float64,
     lows: Int64,
     shot: float,
     dark_variance: float,
