@@ -1,10 +1,19 @@
-"""The container's image copies what is there, and installs as the pages say; nobody builds it here."""
+"""The wheel carries the packs; the container's image copies what is there, and installs as the pages say.
+
+Nobody builds the image here.
+"""
 
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 LINES = (ROOT / "Dockerfile").read_text().replace("\\\n", " ").splitlines()
@@ -14,6 +23,22 @@ STEPS = [line.split(maxsplit=1) for line in LINES if line and not line.startswit
 def steps(word: str) -> list[str]:
     """Return what follows an instruction, in order."""
     return [" ".join(rest.split()) for instruction, rest in STEPS if instruction == word]
+
+
+@pytest.mark.slow
+def test_a_wheel_carries_the_packs(tmp_path: Path) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    for name in ("pyproject.toml", "README.md", "LICENSE", ".gitignore"):
+        shutil.copy(ROOT / name, tmp_path)
+    for package in project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]:
+        (tmp_path / package).mkdir()
+        (tmp_path / package / "__init__.py").touch()
+    pack = "noise_model/compiled/packs/x86-64-v3.pack"
+    (tmp_path / pack).parent.mkdir(parents=True)
+    (tmp_path / pack).write_bytes(b"machine code")
+    subprocess.run([sys.executable, "-m", "hatchling", "build", "-t", "wheel"], cwd=tmp_path, check=True)
+    (wheel,) = (tmp_path / "dist").glob("*.whl")
+    assert ZipFile(wheel).read(pack) == b"machine code"
 
 
 def test_the_image_copies_what_the_wheel_needs() -> None:
