@@ -35,10 +35,18 @@ from tracker.state import (
     Stripe,
 )
 from tracker.stripe.light import NO_LIGHT, StripeLight
-from tracker.stripe.skew import skewed_sigma_px
 
 MIN_POINTS = 20
 """A section of fewer points shows no joint."""
+
+STEP_LINES, MIN_HELD = 4, 2
+"""The means of so many lines on either side tell a step; of so many at least that hold a stripe."""
+
+STEP_SIGMAS = 3.0
+"""By so many sigmas of their scatter both means must differ: one line in 400 does so by chance."""
+
+MIN_CONTRAST = 0.02
+"""So much a stripe's brightness changes from line to line without speckle."""
 
 _NOWHERE = np.full(3, math.nan)
 
@@ -296,6 +304,49 @@ def _triangulate(
         for i in range(n):
             kept[row, i] = points[row, n - 1 - i if flips else i]
     return Points(kept, _spacing(kept), crossed.stated)
+
+
+@kernel
+def _beside(ln_amplitude: Float64, s: int, away: int) -> tuple[float, float, int]:
+    """Return the mean of lines (n,) beside line s, the nearest one's value, and how many hold a stripe."""
+    total, nearest, count = 0.0, math.nan, 0
+    for k in range(1, STEP_LINES + 1):
+        line = s + away * k
+        if 0 <= line < ln_amplitude.shape[0] and not math.isnan(ln_amplitude[line]):
+            total += ln_amplitude[line]
+            if count == 0:
+                nearest = ln_amplitude[line]
+            count += 1
+    return (total / count if count > 0 else math.nan), nearest, count
+
+
+@kernel(allocates=True)
+def skewed_sigma_px(amplitude_e: Float64, width_px: Float64, contrast: float, lines: float) -> Float64:
+    """Return the 1 sigma, px, by which a step of brightness that crosses the stripe moves each centre (n,).
+
+    At a groove's foot, where one face shines and the next hardly does, the brightness steps within a few
+    lines, along the seam. Where the seam runs skewed through the image, a line beside the step holds more of
+    the bright side's light on one flank. A bell of 1 sigma w times exp(b t), t the place across it, is the
+    same bell b w^2 farther. With A(s) the brightness of the lines s and a step that moves by `lines` over
+    the bell's sigma, b = lines / w d(ln A)/ds, so a centre is off by w lines d(ln A)/ds.
+
+    `lines` is known as well as the seam's direction is, so this is an uncertainty and no correction. What
+    speckle explains counts for nothing: `contrast` is that of the lines' brightness. `amplitude_e` and
+    `width_px` (n,), e- and px, are NaN for lines without a stripe.
+    """
+    n, least = amplitude_e.shape[0], max(contrast, MIN_CONTRAST)
+    ln_amplitude, sigma_px = np.empty(n), np.zeros(n)
+    for s in range(n):
+        ln_amplitude[s] = math.log(amplitude_e[s]) if amplitude_e[s] > 0.0 else math.nan
+    for s in range(n):
+        before, last, n_before = _beside(ln_amplitude, s, -1)
+        behind, first, n_behind = _beside(ln_amplitude, s, 1)
+        if min(n_before, n_behind) < MIN_HELD or math.isnan(width_px[s]):
+            continue
+        variance = least * least * (1.0 / n_before + 1.0 / n_behind)
+        if (behind - before) ** 2 > STEP_SIGMAS**2 * variance:
+            sigma_px[s] = width_px[s] * lines * 0.5 * abs(first - last)
+    return sigma_px
 
 
 @kernel(allocates=True)

@@ -176,9 +176,9 @@ class Stripe(NamedTuple):
     """The stripe of one frame, scan line by scan line; the joint is fitted to `position_px`.
 
     The scan lines are the image's columns if the stripe runs along its rows, else its rows. Where the surface
-    is smooth two are read as one (`tracker.stripe.pairs`). Both have its centre, moved along the stripe, and
-    its 1 sigma; for the joint's fit they are one point. `tracker.stripe.smooth.smoothed` smooths centres with
-    their neighbours.
+    is smooth two are read as one (`tracker.stripe.neighbours`). Both have its centre, moved along the stripe,
+    and its 1 sigma; for the joint's fit they are one point. `tracker.stripe.smooth.smoothed` smooths centres
+    with their neighbours.
 
     Attributes
     ----------

@@ -84,7 +84,16 @@ def step(
     Track
         The frame's result.
     """
-    return step_and_reading(geometry, state, frame, pose, work, use_arc_map, correction, lead)[:2]
+    return step_and_reading(
+        geometry=geometry,
+        state=state,
+        frame=frame,
+        pose=pose,
+        work=work,
+        use_arc_map=use_arc_map,
+        correction=correction,
+        lead=lead,
+    )[:2]
 
 
 def step_and_reading(

@@ -13,8 +13,7 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import corrugation_height
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
-from tracker.stripe.bias import PLANES
-from tracker.stripe.expected import FLANKS, ExpectedStripe
+from tracker.stripe.expected import FLANKS, PLANES, ExpectedStripe
 from tracker.stripe.trace import SAME_ELEVATION, STEP_MM
 
 HALF_SPAN_MM = 60.0

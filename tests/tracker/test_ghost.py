@@ -21,14 +21,17 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine, seam_height_mm
 from tracker.seam.locate import seam_point_tool
 from tracker.state import Frame, Pose, Track
-from tracker.stripe.fit_band import (
+from tracker.stripe.ghost import (
+    MIN_GHOST_LINES,
+    MIN_GHOST_SHARE,
     REACH_SIGMAS,
     REFLECTED_SHARE,
     REFLECTED_SIGMA_LN,
     SecondStripe,
+    second_light,
+    second_place,
     told_of_two,
 )
-from tracker.stripe.ghost import MIN_GHOST_LINES, MIN_GHOST_SHARE, second_light, second_place
 from tracker.stripe.line_fit.lines import N_FITTED
 from tracker.tracker import Tracker
 

@@ -16,7 +16,7 @@ from noise_model.ordering import stable_order
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry, to_laser_plane
-from tracker.profile import EdgeAlongSeam, EdgeLines, edge_lines, lines_of, triangulate
+from tracker.profile import EdgeAlongSeam, EdgeLines, edge_lines, lines_of, skewed_sigma_px, triangulate
 from tracker.state import (
     AMPLITUDE_E,
     BESIDE_PX,
@@ -31,7 +31,6 @@ from tracker.state import (
     Z_MM,
     Stripe,
 )
-from tracker.stripe.skew import skewed_sigma_px
 
 DISTORTION = (-0.12, 0.03, 0.001, -0.002, 0.0)
 

@@ -17,7 +17,7 @@ from noise_model.median import numbers_for
 from tracker.stripe.line_fit.block import CORRELATION_PX, WINDOW_SIGMAS
 from tracker.stripe.line_fit.first_guess import line_window
 from tracker.stripe.line_fit.residuals import LAST_BIN, N_BINS
-from tracker.stripe.misfit import (
+from tracker.stripe.neighbours import (
     CHANCE,
     MIN_LINES,
     MOVED,

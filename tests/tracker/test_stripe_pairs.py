@@ -21,7 +21,7 @@ from tracker.geometry import TRACK_REACH_MM
 from tracker.state import Frame
 from tracker.stripe.expected import expect_stripe
 from tracker.stripe.line_fit.lines import LineFits
-from tracker.stripe.pairs import (
+from tracker.stripe.neighbours import (
     AGREES_LINES,
     ALONE,
     CLEAR_SIGMAS,

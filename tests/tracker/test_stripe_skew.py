@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from noise_model.arrays import Float64
-from tracker.stripe.skew import MIN_CONTRAST, MIN_HELD, STEP_LINES, STEP_SIGMAS, skewed_sigma_px
+from tracker.profile import MIN_CONTRAST, MIN_HELD, STEP_LINES, STEP_SIGMAS, skewed_sigma_px
 
 N_LINES, WIDTH_PX, PSF_PX, STEP = 60, 2.2, 0.7, 30.4
 SCANS = np.arange(float(N_LINES))

@@ -17,8 +17,8 @@ x with the probability
 
 and anywhere among N places with N P at most. The evidence is -ln of that.
 
-Two lines that were read as one (`stripe.pairs`) speak as often as two that were not: their mean's innovation
-stands for both, that spread about it as independent lines are, or as alike as their sigma says.
+Two lines that were read as one (`stripe.neighbours`) speak as often as two that were not: their mean's
+innovation stands for both, that spread about it as independent lines are, or as alike as their sigma says.
 
 A gap shows by lines that hold no plate. Lines are lost by chance too, and in runs. With the rate r at which
 runs begin and the probability q that one goes on, a run of n lines or more is somewhere among N by chance
@@ -43,7 +43,7 @@ from tracker.joint.measured import section_at
 from tracker.joint.section_fit import BISQUARE_WIDTH, MIN_ALONG_MM
 from tracker.joint.wander import MIN_KEPT, innovations, points_alike, wander_of
 from tracker.state import DY_MM, DZ_MM, N_LINES, SCAN, SIGMA_PX, Y_MM, Z_MM
-from tracker.stripe.pairs import usual_of
+from tracker.stripe.neighbours import usual_of
 
 MIN_EVIDENCE_NATS = math.log(1e3)
 """A joint must be told from a plate by so much: chance does so in one frame of a thousand at most."""

@@ -1,6 +1,6 @@
 """How residuals of neighbouring lines go together: each one's own noise, and a wander that they share.
 
-`evidence` says what for. Residuals may be those of single lines or the means of two (`stripe.pairs`).
+`evidence` says what for. Residuals may be those of single lines or the means of two (`stripe.neighbours`).
 """
 
 from __future__ import annotations

@@ -128,10 +128,41 @@ def weigh(
 def median_background(band: Float32, half: int, background: Float32) -> None:
     """Write the running median over 2 half + 1 pixels of each scan line: a background without an arc map."""
     n_scan, depth = band.shape
+    held = np.empty(2 * half + 1, np.float32)
     for s in range(n_scan):
+        n = 0
+        for j in range(min(half, depth)):
+            n = _insert(held, n, band[s, j])
         for j in range(depth):
-            low, high = max(0, j - half), min(depth, j + half + 1)
-            background[s, j] = np.median(band[s, low:high])
+            if j + half < depth:
+                n = _insert(held, n, band[s, j + half])
+            middle = n // 2
+            both = held[middle] + (held[middle] if n % 2 == 1 else held[middle - 1])
+            background[s, j] = np.float32(0.5) * both
+            if j >= half:
+                n = _remove(held, n, band[s, j - half])
+
+
+@kernel
+def _insert(held: Float32, n: int, value: np.float32) -> int:
+    """Put a value among the first n, which rise; return how many there are then."""
+    k = n
+    while k > 0 and held[k - 1] > value:
+        held[k] = held[k - 1]
+        k -= 1
+    held[k] = value
+    return n + 1
+
+
+@kernel
+def _remove(held: Float32, n: int, value: np.float32) -> int:
+    """Take a value out of the first n; return how many are left."""
+    k = 0
+    while held[k] < value:
+        k += 1
+    for i in range(k, n - 1):
+        held[i] = held[i + 1]
+    return n - 1
 
 
 def gather_band(image_dn: Integers, image: ImageSource, center_px: Float64, half_px: int, room: Band) -> Band:

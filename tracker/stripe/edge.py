@@ -75,9 +75,17 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
     if n > MAX_LINES:
         return NOT_TOLD, NOT_TOLD
     shares, variances, room = np.empty((2, n)), np.empty((2, n)), line_room(light.charge_e.shape[1])
-    if not line_shares(
-        light, last - away * clear, first + away * clear, away, BEYOND, shares, variances, room
-    ):
+    is_seen = line_shares(
+        light=light,
+        last=last - away * clear,
+        first=first + away * clear,
+        away=away,
+        most=BEYOND,
+        shares=shares,
+        variances=variances,
+        room=room,
+    )
+    if not is_seen:
         return NOT_TOLD, NOT_TOLD
     # Of a stripe that is off by its scatter the other one seems to have a share.
     apart = max(apart_px(light, last, first), light.centre_sigma_px, TINY_PX)
@@ -114,7 +122,17 @@ def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int, unread:
     shares, variances, room = np.empty((2, n)), np.empty((2, n)), line_room(light.charge_e.shape[1])
     deep = max(gap_lines - 2 * clear, min(MIN_BEYOND, gap_lines))
     first = last + away * (1 + (gap_lines - deep) // 2)
-    if not line_shares(light, last - away * clear, first, away, deep, shares, variances, room):
+    is_seen = line_shares(
+        light=light,
+        last=last - away * clear,
+        first=first,
+        away=away,
+        most=deep,
+        shares=shares,
+        variances=variances,
+        room=room,
+    )
+    if not is_seen:
         return NOT_TOLD
     # Beside a gap a line that holds little of the stripe shows its centre too.
     ends = _fitted(light, shares[0], variances[0], 0.0, n - 1.0)

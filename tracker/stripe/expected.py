@@ -15,11 +15,19 @@ from noise_model.kernel import kernel
 from noise_model.surface.faces import ridge, slope_across
 from noise_model.surface.joint import EDGE_STANDS_MM
 from tracker.geometry import SensorGeometry, StripeSource
-from tracker.stripe.bias import PLANES, fit_bell
 from tracker.stripe.trace import cut_and_project, hide_behind, per_line, samples
 
 FLANKS = np.array([-1.0, 0.0, 1.0])
 """Planes across the sheet, in its sigmas, that tell width and bias of a stripe on flat faces."""
+
+PLANES = np.linspace(-3.0, 3.0, 13)
+"""Where across the sheet its light is looked at, in its sigmas."""
+
+MAX_STEPS, BELL_SETTLED = 30, 1e-4
+"""Gauss-Newton steps at most; one shorter than this, in the stripe's sigmas, is the last."""
+
+MAX_LN = 0.5
+"""No width is further off that of the sheet alone."""
 
 EVERY = 8
 """Every so many scan lines a bell is fitted to the light of all planes: both change slowly along a face."""
@@ -61,8 +69,7 @@ def expect_stripe(geometry: SensorGeometry, scene: Scene) -> ExpectedStripe | No
     exp(k v) is that Gaussian moved by k sigma^2. One that is wider on one side by the surface's curve,
     v = a x + b x^2, moves the least-squares centre by 3/2 b sigma_x^2, as its third-order term projects on
     the derivative of the Gaussian. Both together are the bias, with k from the model of the light. On a
-    corrugation, which may mirror the laser for a part of the stripe, `tracker.stripe.bias` fits centre and
-    width.
+    corrugation, which may mirror the laser for a part of the stripe, `fit_bell` fits centre and width.
     """
     in_view, expected = expect(geometry.stripe_source, scene, geometry.n_scan)
     return expected if in_view else None
@@ -177,8 +184,9 @@ def _expect(
     y, face = samples(vertices, tool_y, seen_mm[0], seen_mm[1])
     n = len(y)
     points_px, light = np.empty((n, 2)), np.empty(n)
-    z, is_seen = np.empty(n), np.ones(n, dtype=np.bool_)
+    z, is_seen = np.empty(n), np.empty(n, np.bool_)
     for i in range(n):
+        is_seen[i] = True
         z[i] = vertices[face[i], 1] + slope_across(face[i], vertices) * (y[i] - vertices[face[i], 0])
     lift = ridge(tool_x, corrugation)[0]
     hide_behind(y, z, T_joint_camera[1, 3], T_joint_camera[2, 3] - lift, is_seen)
@@ -209,9 +217,18 @@ def _expect(
             points_px=points_px,
             light=light,
         )
-        in_sight = np.flatnonzero(is_seen & np.isfinite(points_px[:, 0]))
         every = 1 if k in (before, middle, behind) else EVERY
-        if not per_line(points_px, light, face, in_sight, every, places[k], strengths[k], faces[k]):
+        is_met = per_line(
+            points_px=points_px,
+            light=light,
+            face=face,
+            is_seen=is_seen,
+            every=every,
+            position=places[k],
+            strength=strengths[k],
+            shown=faces[k],
+        )
+        if not is_met:
             return False
     good = np.empty(n_scan, dtype=np.bool_)
     for s in range(n_scan):
@@ -225,10 +242,81 @@ def _expect(
             shading = 0.5 * half_width * math.log(strengths[behind, s] / strengths[before, s])
         bias[s] = shading + 1.5 * (0.5 * (places[behind, s] + places[before, s]) - places[middle, s])
     if n_planes > FLANKS.shape[0]:
-        _bells(planes, places, strengths, faces, good, source.psf_sigma_px, sigma, bias)
+        _bells(
+            planes=planes,
+            places=places,
+            strengths=strengths,
+            faces=faces,
+            good=good,
+            psf_sigma_px=source.psf_sigma_px,
+            sigma=sigma,
+            bias=bias,
+        )
     _take_from_same_face(sigma, bias, faces[middle], good)
     face_shown[:] = faces[middle]
     return True
+
+
+@kernel
+def fit_bell(place: Float64, light: Float64, width: float, out: Float64) -> bool:
+    """Write centre and 1 sigma (2,), px, of the Gaussian that fits light (n,) seen at places (n,), px.
+
+    Where a curved metal mirrors the laser for a part of the stripe only, its light across the stripe is no
+    exponential, and may have two peaks. A scan line's fit will find the Gaussian
+
+        A exp(-1/2 ((r - r_0) / w)^2),    sum of (light - Gaussian)^2 / V least,    V = Gaussian + peak,
+
+    V the noise of a stripe that stands in as much arc light, over the length of line from plane to plane.
+    `width` is the sheet's own 1 sigma, px. False if there is no light, or the Gaussian runs off the places; a
+    plane with no light is not looked at.
+    """
+    n = place.shape[0]
+    peak, total, centre = 0.0, 0.0, 0.0
+    for k in range(n):
+        peak = max(peak, light[k])
+        total += light[k]
+        centre += light[k] * place[k]
+    if not peak > 0.0:
+        return False
+    r_0, ln_w, A = centre / total, 0.0, peak
+    for _ in range(MAX_STEPS):
+        w = width * math.exp(ln_w)
+        aa, ar, aw, rr, rw, ww = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        g_a, g_r, g_w = 0.0, 0.0, 0.0
+        for k in range(n):
+            if not light[k] > 0.0:
+                continue
+            length = 0.5 * abs(place[min(k + 1, n - 1)] - place[max(k - 1, 0)])
+            t = (place[k] - r_0) / w
+            bell = math.exp(-0.5 * t * t)
+            weight = length / (A * bell + peak)
+            residual = light[k] - A * bell
+            by_r, by_w = A * bell * t, A * bell * t * t
+            aa += weight * bell * bell
+            ar += weight * bell * by_r
+            aw += weight * bell * by_w
+            rr += weight * by_r * by_r
+            rw += weight * by_r * by_w
+            ww += weight * by_w * by_w
+            g_a += weight * bell * residual
+            g_r += weight * by_r * residual
+            g_w += weight * by_w * residual
+        # The amplitude is eliminated.
+        rr, rw, ww = rr - ar * ar / aa, rw - ar * aw / aa, ww - aw * aw / aa
+        g_r, g_w = g_r - ar / aa * g_a, g_w - aw / aa * g_a
+        determinant = rr * ww - rw * rw
+        if not determinant > 0.0:
+            return False
+        step_r = (ww * g_r - rw * g_w) / determinant
+        step_w = (rr * g_w - rw * g_r) / determinant
+        step_r, step_w = min(max(step_r, -0.5), 0.5), min(max(step_w, -0.2), 0.2)
+        A = max(A + (g_a - ar * step_r - aw * step_w) / aa, 0.1 * peak)
+        r_0 += step_r * w
+        ln_w = min(max(ln_w + step_w, -MAX_LN), MAX_LN)
+        if abs(step_r) < BELL_SETTLED and abs(step_w) < BELL_SETTLED:
+            break
+    out[0], out[1] = r_0, width * math.exp(ln_w)
+    return bool(min(place[0], place[n - 1]) <= r_0 <= max(place[0], place[n - 1]))
 
 
 @kernel(allocates=True)

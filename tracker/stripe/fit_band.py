@@ -28,10 +28,8 @@ from tracker.state import (
 from tracker.stripe.band import Band
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.frame_scatter import N_SCRATCH, OFF, frame_scatter, own_sigma
-from tracker.stripe.ghost import second_light, second_place
 from tracker.stripe.line_fit.lines import FitRoom, LineFits, fit_lines, fit_room
-from tracker.stripe.misfit import count_alike, misfit_sigma_px
-from tracker.stripe.pairs import mark_pairs, tell_both
+from tracker.stripe.neighbours import count_alike, mark_pairs, misfit_sigma_px, tell_both
 from tracker.stripe.scatter import (
     N_NUMBERS,
     brightness_alike,
@@ -45,15 +43,6 @@ from tracker.stripe.scatter import (
     width_limit_ln,
 )
 from tracker.stripe.viterbi import JUMP_COST, best_path, matched_filter, middles, peaks
-
-REACH_SIGMAS = 3.0
-"""A search reaches so many sigmas of the seam's place."""
-
-REFLECTED_SHARE, REFLECTED_SIGMA_LN = 0.4, 0.7
-"""A reflection has about so much of its stripe's light, within a factor of two; it is seldom the brighter."""
-
-MAX_ROUNDS = 3
-"""So many times at most the stripe is read again without a second one's light."""
 
 MOST_SCORE_LOST = 0.01
 """The share of its score that a stripe may lose to a filter for another width: the path hardly feels it."""
@@ -110,16 +99,21 @@ class ReadRoom(NamedTuple):
     @classmethod
     def empty(cls, n_scan: int, n_offsets: int) -> ReadRoom:
         """Make room for so many lines and offsets at most."""
+        around_px, start_px, width_px, own_px, n_lines = np.empty((5, n_scan))
         return cls(
-            np.empty(n_scan * n_offsets, np.float32),
-            np.empty(n_scan, np.int64),
-            LineFits.empty(n_scan),
-            fit_room(n_scan),
-            np.ones(n_scan, np.bool_),
-            np.empty(numbers_for(n_scan), np.float32),
-            np.empty((N_SCRATCH, n_scan)),
-            np.empty(N_NUMBERS),
-            *np.empty((5, n_scan)),
+            score=np.empty(n_scan * n_offsets, np.float32),
+            choice=np.empty(n_scan, np.int64),
+            lines=LineFits.empty(n_scan),
+            fit=fit_room(n_scan),
+            is_smooth=np.ones(n_scan, np.bool_),
+            values=np.empty(numbers_for(n_scan), np.float32),
+            scratch=np.empty((N_SCRATCH, n_scan)),
+            seen=np.empty(N_NUMBERS),
+            around_px=around_px,
+            start_px=start_px,
+            width_px=width_px,
+            own_px=own_px,
+            n_lines=n_lines,
         )
 
 
@@ -298,99 +292,6 @@ class UsualLine(NamedTuple):
     contrast: float
     alike: float
     centre_sigma_px: float
-
-
-class SecondStripe(NamedTuple):
-    """A second stripe: its `share` of the brighter one's light, 0 for none, and by how many nats it is told.
-
-    The brighter one is read at all offsets; where it `is_reflection`, the other at `n_offsets` of them, from
-    number `first` on.
-    """
-
-    share: float
-    nats: float
-    is_reflection: bool
-    first: int
-    n_offsets: int
-
-
-@kernel(allocates=True)
-def told_of_two(
-    fits: Float64,
-    expected_px: Float64,
-    apart_px: float,
-    share: float,
-    offsets_px: Int64,
-    reach_px: float,
-    values: Float32,
-) -> SecondStripe:
-    """Return by how many nats the laser's of two stripes is told, and the offsets about it if it is dimmer.
-
-    The brighter one's fits (n_scan, 7) lie off their expected places (n_scan,), the weaker one, of a `share`
-    of its light, `apart_px` from it. Either reflection's ln(strength) is normal about ln(REFLECTED_SHARE),
-    and the stripe's place is normal about the expected one. With r = ln(share), m and s the reflection's mean
-    and sigma, the log odds that the brighter one is the laser's are
-
-        L = 2 m r / s^2 + (weaker^2 - brighter^2) / (2 sigma^2).
-    """
-    everything = SecondStripe(share, math.inf, False, 0, len(offsets_px))
-    off_px = np.empty(fits.shape[0])
-    for s in range(fits.shape[0]):
-        off_px[s] = fits[s, 0] - expected_px[s]
-    brighter_px, sigma_px = finite_median(off_px, values), reach_px / REACH_SIGMAS
-    if math.isnan(brighter_px):
-        return everything
-    weaker_px = brighter_px + apart_px
-    by_light = 2.0 * math.log(REFLECTED_SHARE) * math.log(share) / REFLECTED_SIGMA_LN**2
-    odds = by_light + (weaker_px**2 - brighter_px**2) / (2.0 * sigma_px**2)
-    first, n = 0, 0
-    for i in range(len(offsets_px)):
-        if abs(offsets_px[i] - weaker_px) < 0.5 * abs(apart_px):
-            first = first if n > 0 else i
-            n += 1
-    if odds >= 0.0 or n == 0:
-        return SecondStripe(share, abs(odds), False, 0, len(offsets_px))
-    return SecondStripe(share, abs(odds), True, first, n)
-
-
-def read_without_second(
-    band: Band,
-    expected: ExpectedStripe,
-    sought: SearchRange,
-    noise: Noise,
-    learned: Float64,
-    room: ReadRoom,
-) -> SecondStripe:
-    """Take a second stripe's light for background, and read the band anew until that changes nothing."""
-    offsets_px, reach_px = sought.offsets_px, sought.reach_px
-    share, apart_px, is_plain = 0.0, 0.0, True
-    for _ in range(MAX_ROUNDS):
-        plain = band.background if is_plain else band.plain
-        now, apart_px = second_place(band.charge, plain, band.censored, room.lines.fits, band.lows)
-        if now == 0.0 and share == 0.0:
-            break
-        if is_plain:
-            band.plain[:] = band.background
-            is_plain = False
-        band.light[:] = 0.0
-        if now > 0.0:
-            second_light(
-                band.charge, band.plain, band.censored, room.lines.fits, band.lows, now, apart_px, band.light
-            )
-        np.add(band.plain, band.light, out=band.background)
-        share = now
-        fit_band(band, expected, sought, noise, learned, room)
-    told = SecondStripe(share, math.inf, False, 0, len(offsets_px))
-    if not sought.is_searching or share == 0.0:
-        return told
-    told = told_of_two(
-        room.lines.fits, expected.position_px, apart_px, share, offsets_px, reach_px, room.values
-    )
-    if told.is_reflection:
-        band.background[:] = band.plain
-        near = offsets_px[told.first : told.first + told.n_offsets]
-        fit_band(band, expected, sought._replace(offsets_px=near), noise, learned, room)
-    return told
 
 
 @kernel

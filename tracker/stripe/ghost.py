@@ -11,14 +11,27 @@ the other's fit. With the second one's light in the background path, fit and evi
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import REDUCTION, kernel
-from noise_model.median import exact_median
+from noise_model.median import exact_median, finite_median
+from tracker.stripe.band import Band
+from tracker.stripe.expected import ExpectedStripe
+from tracker.stripe.fit_band import Noise, ReadRoom, SearchRange, fit_band
 from tracker.stripe.viterbi import TEMPLATE_SIGMAS, Pair, bell
+
+REACH_SIGMAS = 3.0
+"""A search reaches so many sigmas of the seam's place."""
+
+REFLECTED_SHARE, REFLECTED_SIGMA_LN = 0.4, 0.7
+"""A reflection has about so much of its stripe's light, within a factor of two; it is seldom the brighter."""
+
+MAX_ROUNDS = 3
+"""So many times at most the stripe is read again without a second one's light."""
 
 NEAREST_SIGMAS = 3.0
 """What stands nearer to the first, in its sigmas, is of its own shape."""
@@ -149,7 +162,17 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
     n_scan, depth = charge.shape
     laid, laid_on = np.zeros((2, 2 * depth + 1), dtype=np.float32)
     remainder, widths = np.empty(depth, dtype=np.float32), np.empty(n_scan)
-    n = _lay_lines(charge, background, censored, fits, lows, remainder, widths, laid, laid_on)
+    n = _lay_lines(
+        charge=charge,
+        background=background,
+        censored=censored,
+        fits=fits,
+        lows=lows,
+        remainder=remainder,
+        widths=widths,
+        laid=laid,
+        laid_on=laid_on,
+    )
     if n == 0:
         return 0.0, 0.0
     width = exact_median(widths[:n])
@@ -169,7 +192,14 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
     if curve > 0.0:
         apart += 0.5 * (after - before) / curve
     asked, behind, ahead, by_behind, by_ahead = _ask_lines(
-        charge, background, censored, fits, lows, remainder, apart, 0.5 * min(share, 1.0 / share)
+        charge=charge,
+        background=background,
+        censored=censored,
+        fits=fits,
+        lows=lows,
+        remainder=remainder,
+        apart=apart,
+        least=0.5 * min(share, 1.0 / share),
     )
     if behind + ahead <= MIN_GHOST_LINES * asked:
         return 0.0, 0.0
@@ -222,3 +252,103 @@ def second_light(
         for r in range(depth):
             t = (r - middle) / width
             light[s, r] = amplitude * math.exp(-0.5 * t * t)
+
+
+class SecondStripe(NamedTuple):
+    """A second stripe: its `share` of the brighter one's light, 0 for none, and by how many nats it is told.
+
+    The brighter one is read at all offsets; where it `is_reflection`, the other at `n_offsets` of them, from
+    number `first` on.
+    """
+
+    share: float
+    nats: float
+    is_reflection: bool
+    first: int
+    n_offsets: int
+
+
+@kernel(allocates=True)
+def told_of_two(
+    fits: Float64,
+    expected_px: Float64,
+    apart_px: float,
+    share: float,
+    offsets_px: Int64,
+    reach_px: float,
+    values: Float32,
+) -> SecondStripe:
+    """Return by how many nats the laser's of two stripes is told, and the offsets about it if it is dimmer.
+
+    The brighter one's fits (n_scan, 7) lie off their expected places (n_scan,), the weaker one, of a `share`
+    of its light, `apart_px` from it. Either reflection's ln(strength) is normal about ln(REFLECTED_SHARE),
+    and the stripe's place is normal about the expected one. With r = ln(share), m and s the reflection's mean
+    and sigma, the log odds that the brighter one is the laser's are
+
+        L = 2 m r / s^2 + (weaker^2 - brighter^2) / (2 sigma^2).
+    """
+    everything = SecondStripe(share, math.inf, False, 0, len(offsets_px))
+    off_px = np.empty(fits.shape[0])
+    for s in range(fits.shape[0]):
+        off_px[s] = fits[s, 0] - expected_px[s]
+    brighter_px, sigma_px = finite_median(off_px, values), reach_px / REACH_SIGMAS
+    if math.isnan(brighter_px):
+        return everything
+    weaker_px = brighter_px + apart_px
+    by_light = 2.0 * math.log(REFLECTED_SHARE) * math.log(share) / REFLECTED_SIGMA_LN**2
+    odds = by_light + (weaker_px**2 - brighter_px**2) / (2.0 * sigma_px**2)
+    first, n = 0, 0
+    for i in range(len(offsets_px)):
+        if abs(offsets_px[i] - weaker_px) < 0.5 * abs(apart_px):
+            first = first if n > 0 else i
+            n += 1
+    if odds >= 0.0 or n == 0:
+        return SecondStripe(share, abs(odds), False, 0, len(offsets_px))
+    return SecondStripe(share, abs(odds), True, first, n)
+
+
+def read_without_second(
+    band: Band,
+    expected: ExpectedStripe,
+    sought: SearchRange,
+    noise: Noise,
+    learned: Float64,
+    room: ReadRoom,
+) -> SecondStripe:
+    """Take a second stripe's light for background, and read the band anew until that changes nothing."""
+    offsets_px, reach_px = sought.offsets_px, sought.reach_px
+    share, apart_px, is_plain = 0.0, 0.0, True
+    for _ in range(MAX_ROUNDS):
+        plain = band.background if is_plain else band.plain
+        now, apart_px = second_place(band.charge, plain, band.censored, room.lines.fits, band.lows)
+        if now == 0.0 and share == 0.0:
+            break
+        if is_plain:
+            band.plain[:] = band.background
+            is_plain = False
+        band.light[:] = 0.0
+        if now > 0.0:
+            second_light(
+                charge=band.charge,
+                background=band.plain,
+                censored=band.censored,
+                fits=room.lines.fits,
+                lows=band.lows,
+                share=now,
+                apart_px=apart_px,
+                light=band.light,
+            )
+        np.add(band.plain, band.light, out=band.background)
+        share = now
+        fit_band(band, expected, sought, noise, learned, room)
+    told = SecondStripe(share, math.inf, False, 0, len(offsets_px))
+    if not sought.is_searching or share == 0.0:
+        return told
+    told = told_of_two(
+        room.lines.fits, expected.position_px, apart_px, share, offsets_px, reach_px, room.values
+    )
+    if told.is_reflection:
+        band.background[:] = band.plain
+        near = offsets_px[told.first : told.first + told.n_offsets]
+        fit_band(band, expected, sought._replace(offsets_px=near), noise, learned, room)
+    return told

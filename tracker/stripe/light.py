@@ -203,19 +203,17 @@ def line_room(n_pos: int) -> LineRoom:
 @kernel
 def write_mean_stripe(
     light: StripeLight,
-    begins: int,
-    away: int,
-    most: int,
-    begin: int,
-    end: int,
+    run: tuple[int, int, int],
+    pixels: tuple[int, int],
     off_px: float,
     mean_e: Float64,
     n_lines: Float64,
 ) -> None:
-    """Write the mean light, e-, of the lines of `run_of` to pixels from `begin` to `end`; NaN for none.
+    """Write the mean light, e-, of a run of lines to pixels from the first to before the last; NaN for none.
 
-    Pixel 0 lies so far off their centres.
+    The `run` is `run_of`'s beginning, step and number of lines. Pixel 0 lies so far off their centres.
     """
+    (begins, away, most), (begin, end) = run, pixels
     for j in range(begin, end):
         mean_e[j], n_lines[j] = 0.0, 0.0
     for k in range(min(BEYOND, most)):
@@ -274,11 +272,12 @@ def line_shares(
         begin = max(math.floor(min(upper, lower) - WINDOW_SIGMAS * width) - low, 0)
         end = min(math.ceil(max(upper, lower) + WINDOW_SIGMAS * width) - low + 1, light.charge_e.shape[1])
         write_change(light.background_e, light.lows, s, begin, end, room.change_e)
-        write_mean_stripe(light, last, -away, BEYOND, begin, end, low - upper, room.u_e, room.n_lines)
+        pixels = begin, end
+        write_mean_stripe(light, (last, -away, BEYOND), pixels, low - upper, room.u_e, room.n_lines)
         if alone:
             room.v_e[begin:end] = 0.0
         else:
-            write_mean_stripe(light, first, away, most, begin, end, low - lower, room.v_e, room.n_lines)
+            write_mean_stripe(light, (first, away, most), pixels, low - lower, room.v_e, room.n_lines)
         n, w_, w_u, w_v, w_c = 0, 0.0, 0.0, 0.0, 0.0
         w_uu, w_uv, w_vv, w_uc, w_vc, w_cc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         w_d, w_ud, w_vd = 0.0, 0.0, 0.0

@@ -30,11 +30,11 @@ from tracker.stripe.fit_band import (
     UsualLine,
     fit_band,
     fit_path,
-    read_without_second,
     score_lost,
     usual_line,
     write_lines,
 )
+from tracker.stripe.ghost import read_without_second
 from tracker.stripe.light import StripeLight
 from tracker.stripe.scatter import N_NUMBERS, FrameScatter, Scatter, add_frame, width_factor
 from tracker.stripe.viterbi import bin_for, offsets_within

@@ -111,12 +111,13 @@ def samples(vertices: Float64, middle_mm: float, low_mm: float, high_mm: float) 
     for k in range(n_inner):
         y[n_even + 2 * k] = vertices[k + 1, 0] - BESIDE_MM
         y[n_even + 2 * k + 1] = vertices[k + 1, 0] + BESIDE_MM
-    y = y[stable_order(y)]
-    under, face = 0, np.empty(len(y), dtype=np.int64)
+    order, rising = stable_order(y), np.empty(len(y))
+    under, face = 0, np.empty(len(y), np.int64)
     for i in range(len(y)):
-        under = face_under(y[i], under, vertices)
+        rising[i] = y[order[i]]
+        under = face_under(rising[i], under, vertices)
         face[i] = under
-    return y, face
+    return rising, face
 
 
 @kernel
@@ -147,7 +148,7 @@ def per_line(
     points_px: Float64,
     light: Float64,
     face: Int64,
-    seen: Int64,
+    is_seen: Bool,
     every: int,
     position: Float64,
     strength: Float64,
@@ -155,10 +156,16 @@ def per_line(
 ) -> bool:
     """Read a trace (n, 2) off at every so many-th scan line: place, light and face, -1 between two.
 
-    Ends are held. Only the points `seen` (m,) count. False if no scan line meets it.
+    Ends are held. Only points (n,) that are seen and met count. False if no scan line meets it.
     """
-    order = seen[stable_order(points_px[:, 0][seen])]
-    n, n_scan = len(order), position.shape[0]
+    seen, scan, n, n_scan = np.empty(len(face), np.int64), np.empty(len(face)), 0, position.shape[0]
+    for i in range(len(face)):
+        if is_seen[i] and math.isfinite(points_px[i, 0]):
+            seen[n], scan[n] = i, points_px[i, 0]
+            n += 1
+    order = stable_order(scan[:n])
+    for k in range(n):
+        order[k] = seen[order[k]]
     if n == 0 or points_px[order[n - 1], 0] < 0.0 or points_px[order[0], 0] > n_scan - 1:
         return False
     after = 0

@@ -53,7 +53,6 @@ def bin_for(sigma_px: Float64) -> int:
     return n
 
 
-@kernel(allocates=True)
 def offsets_within(reach_px: float, bin_px: int) -> Int64:
     """Return the offsets (n,), px, at which a stripe is sought within a reach: OFFSET_STEP bins apart."""
     farthest = bin_px * math.ceil(math.floor(reach_px) / bin_px)
@@ -238,7 +237,10 @@ def matched_filter(
     whole bins, OFFSET_STEP bins apart.
     """
     n_offsets = score.shape[1]
-    most = math.ceil(TEMPLATE_SIGMAS * width_px.max() / bin_px)
+    widest = 0.0
+    for s in range(width_px.shape[0]):
+        widest = max(widest, width_px[s])
+    most = math.ceil(TEMPLATE_SIGMAS * widest / bin_px)
     values = np.empty(2 * most + 1, dtype=np.float32)
     n_taps, n_sums = TAPS * (most // TAPS + 1), WHOLE * (n_offsets // WHOLE + 1)
     room = (
