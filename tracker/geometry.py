@@ -34,7 +34,6 @@ from noise_model.setup import Setup, require_setup
 from noise_model.stripe import stripe_runs_along_rows
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
 from noise_model.surface.joint import NOMINAL_SEAM
-from noise_model.surface.stated_joint import StatedJoint
 from noise_model.transforms import invert, transform
 from tracker.seam.locate import SeamSource
 
@@ -204,11 +203,6 @@ class SensorGeometry:
             self.setup.tolerance.black_level_dn * sensor.gain_e_per_dn,
             *self.level_sample,
         )
-
-    @cached_property
-    def stated_joint(self) -> StatedJoint:
-        """The joint as the setup states it."""
-        return StatedJoint.of(self.setup.joint)
 
     @cached_property
     def frame_form(self) -> tuple[tuple[int, int], np.dtype[Any]]:

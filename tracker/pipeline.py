@@ -18,8 +18,7 @@ from tracker.geometry import SEARCH_REACH_MM, TRACK_REACH_MM
 from tracker.joint import MeasuredJoint, fit_closed_joint, fit_section
 from tracker.joint.evidence import MIN_EVIDENCE_NATS
 from tracker.joint.image_line import read_image_line
-from tracker.joint.measured import undetermined
-from tracker.joint.type_check import family_of, number_of, shows_another
+from tracker.joint.type_check import shows_another
 from tracker.judge import SeamShown, judge
 from tracker.observation import (
     MIN_HELD_SHARE,
@@ -193,10 +192,7 @@ def _fit_joint(
             joint = closed
     # A narrower look shows only what lies where the stated joint should.
     if aim.reach_mm == SEARCH_REACH_MM:
-        points, family = section.points, number_of(family_of(stated))
-        fitted = undetermined() if joint is None else joint
-        is_other = shows_another(points, section.column_mm, family, geometry.stated_joint, fitted)
-        frame_checks.ask_whether(checks.JOINT_TYPE, not is_other)
+        frame_checks.ask_whether(checks.JOINT_TYPE, not shows_another(section, stated, joint))
     return check_joint(frame_checks, joint, float(section.y_mm[0]), float(section.y_mm[-1]))
 
 

@@ -160,9 +160,14 @@ def _frames(geometry: SensorGeometry) -> Iterator[tuple[Frame, Pose | None]]:
     yield frame(shown.image(rng, share=0.6)), middle
     yield frame(shown.image(rng, share=0.1)), middle
     yield frame(np.full_like(dark, geometry.saturation_dn)), middle
-    # A plate without a joint, which a closed one looks like.
-    plate = SensorGeometry.of(replace(geometry.setup, joint=replace(geometry.setup.joint, type="flat")))
-    yield frame(_Picture.of(plate, middle).image(rng)), middle
+    # A plate without a joint, which a closed one looks like, and a root that is as narrow as can be.
+    joint = geometry.setup.joint
+    others = [replace(joint, type="flat")]
+    if "root_gap_mm" in joint.dimensions:
+        others.append(replace(joint, dimensions={**joint.dimensions, "root_gap_mm": 0.0}))
+    for other in others:
+        shown_instead = SensorGeometry.of(replace(geometry.setup, joint=other))
+        yield frame(_Picture.of(shown_instead, middle).image(rng)), middle
     # Elsewhere: a jump, which becomes the seam's place; then lost, searched and not where it should be.
     for moved_px in (0.3 * aside_px, aside_px):
         for _ in range(JUMPS_TO_RELEARN + 1):

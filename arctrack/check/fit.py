@@ -91,8 +91,7 @@ class LinePoints:
         y, z = self.y_mm[order], self.z_mm[order]
         px, scan = np.ones(n), np.arange(n, dtype=np.float64)
         points = points_of(y, z, scan=scan, sigma_px=px, beside_px=px, dz_mm=self.mm_per_px)
-        family, _ = shown_family(points)
-        return family
+        return shown_family(points)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tracker.joint.complete import ALIKE_OFF_PX, BIAS_SHARE, NEAR_MM, off_alike_mm
+from tracker.joint.common_mode import BIAS_SHARE, COMMON_MODE_PX, NEAR_MM, common_mode_mm
 from tracker.joint.evidence import loss
 from tracker.joint.lap import ROLL_BY, SEARCH_STEP_MM, placed
 from tracker.joint.measured import section_at, shift_of
@@ -40,12 +40,12 @@ def test_what_all_centres_are_off_alike_is_its_twin(seed: int, n: int, has_bias:
     y, bias = np.sort(rng.uniform(-12.0, 12.0, n)), rng.normal(size=n)
     dy, dz = rng.normal(size=(2, n))
     near = np.abs(y - 0.7) < NEAR_MM
-    off_px = ALIKE_OFF_PX
+    off_px = COMMON_MODE_PX
     if has_bias and near.any():
         off_px = float(np.hypot(off_px, BIAS_SHARE * np.median(np.abs(bias[near]))))
     points = np.zeros((N_ROWS, n))
     points[Y_MM], points[DY_MM], points[DZ_MM], points[BIAS_PX] = y, dy, dz, bias if has_bias else 0.0
-    found = off_alike_mm(points, 0.7)
+    found = common_mode_mm(points, 0.7)
     assert found == pytest.approx((off_px * np.median(dy), off_px * np.median(dz)), rel=1e-5)
 
 

@@ -12,8 +12,8 @@ from profiles import COLUMN_MM, PX_MM, fit_joint, lap, measure, only, spoil
 
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint
-from tracker.joint.complete import ALIKE_OFF_PX, BIAS_SHARE
-from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, clear_of_edge, share_off, sheets_at
+from tracker.joint.common_mode import BIAS_SHARE, COMMON_MODE_PX
+from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, share_off, sheets_at
 from tracker.joint.measured import OFF_SIGMAS, SIGMA_FLOOR_PX, count_with_floor, typical_mm
 from tracker.joint.upright_edge import (
     Edge,
@@ -87,7 +87,7 @@ def test_its_covariance_is_honest() -> None:
     errors, scaled, chi2 = [], [], []
     for _ in range(400):
         seam = (rng.uniform(-1.0, 1.0), 0.5)
-        profile = measure(lap(2.2, 0.01, -0.01), seam, rng, sigma_px=TRUE_SIGMA_PX, alike_px=ALIKE_OFF_PX)
+        profile = measure(lap(2.2, 0.01, -0.01), seam, rng, sigma_px=TRUE_SIGMA_PX, alike_px=COMMON_MODE_PX)
         profile.sigma_px[:] = 0.05
         above = np.array([0.0, seam[0], 0.0])
         found = fit(profile, CAMERA_MM + above, LASER_MM + above)
@@ -190,10 +190,6 @@ def test_what_lies_on_which_sheet_is_its_twin(seed: int) -> None:
     y, z = profile.y_mm, profile.z_mm
     sheets = Sheets(float(rng.uniform(-1.0, 1.0)), 0.2, 2.1, 0.01, -0.02)
     edge = sheets.y + float(rng.normal(0.0, 0.1))
-    clear = np.empty(len(y), dtype=bool)
-    before, behind = clear_of_edge(y, sheets.y, clear)
-    np.testing.assert_array_equal(clear, np.abs(y - sheets.y) > CLEAR_OF_EDGE_MM)
-    assert (before, behind) == ((clear & (y < sheets.y)).sum(), (clear & (y > sheets.y)).sum())
     faces = sheets_at(y, sheets)
     upper_mm, lower_mm = np.polyval([-0.02, 2.3], y - sheets.y), np.polyval([0.01, 0.2], y - sheets.y)
     np.testing.assert_allclose((faces.before_mm, faces.behind_mm), (upper_mm, lower_mm))
@@ -206,7 +202,7 @@ def test_what_lies_on_which_sheet_is_its_twin(seed: int) -> None:
     assert beside == neighbours_of_edge(off_upper < limits_mm, off_lower < limits_mm)
     sigma = np.abs(profile.dz_mm) * np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
     off = np.where(y < edge, off_upper, off_lower) > OFF_SIGMAS * sigma
-    share = share_off(y, z, profile.dz_mm, profile.sigma_px, sheets, edge)
+    share = share_off(profile.points, sheets, edge)
     assert share == pytest.approx(off[near].mean())
 
 

@@ -13,7 +13,7 @@ from profiles import fit_joint, groove, measure
 
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint
-from tracker.joint.complete import ALIKE_OFF_PX
+from tracker.joint.common_mode import COMMON_MODE_PX
 from tracker.joint.groove import GAP, PRIOR_SIGMA
 from tracker.joint.root import CELLS_MM, CLOSED_AS_STATED, GAPS, NARROW_MM, prior_of
 
@@ -28,7 +28,7 @@ def stated(gap_mm: float) -> Joint:
 
 def fit(joint: Joint, gap_mm: float, mixed_mm: float, rng: np.random.Generator) -> MeasuredJoint:
     profile = measure(
-        groove((30.0, 30.0), (4.0, 4.0), gap_mm), SEAM, rng, sigma_px=0.1, alike_px=ALIKE_OFF_PX
+        groove((30.0, 30.0), (4.0, 4.0), gap_mm), SEAM, rng, sigma_px=0.1, alike_px=COMMON_MODE_PX
     )
     found = fit_joint(replace(profile, mixed_mm=mixed_mm), joint, CAMERA_MM, LASER_MM)
     assert found is not None

@@ -14,7 +14,7 @@ from profiles import fit_joint, groove, lap, measure, only
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint
-from tracker.joint.complete import ALIKE_OFF_PX
+from tracker.joint.common_mode import COMMON_MODE_PX
 from tracker.joint.measured import SIGMA_FLOOR_PX
 from tracker.pipeline import JOINT_CHI2_LIMIT, UNEXPLAINED_LIMIT
 
@@ -144,7 +144,7 @@ CASES = {
 
 def seen(truth: Truth, seam: tuple[float, float], rng: np.random.Generator):
     """A profile of a drawn section, seen from straight above; what lies far below is out of view."""
-    profile = measure(truth.corners, seam, rng, sigma_px=TRUE_SIGMA_PX, alike_px=ALIKE_OFF_PX)
+    profile = measure(truth.corners, seam, rng, sigma_px=TRUE_SIGMA_PX, alike_px=COMMON_MODE_PX)
     profile.sigma_px[:] = SIGMA_PX
     return only(profile, profile.z_mm > seam[1] - OUT_OF_VIEW_MM)
 

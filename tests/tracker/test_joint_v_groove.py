@@ -8,7 +8,7 @@ from profiles import fit_joint, groove, measure, only, spoil
 
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint
-from tracker.joint.complete import ALIKE_OFF_PX
+from tracker.joint.common_mode import COMMON_MODE_PX
 from tracker.joint.groove import GAP, PRIOR_SIGMA
 from tracker.joint.measured import SIGMA_FLOOR_PX
 
@@ -53,7 +53,7 @@ def test_its_covariance_is_honest() -> None:
     errors, scaled, chi2 = [], [], []
     for _ in range(120):
         profile = measure(
-            groove((30.0, 30.0), (4.2, 4.0), 1.1), seam, rng, sigma_px=TRUE_SIGMA_PX, alike_px=ALIKE_OFF_PX
+            groove((30.0, 30.0), (4.2, 4.0), 1.1), seam, rng, sigma_px=TRUE_SIGMA_PX, alike_px=COMMON_MODE_PX
         )
         profile = only(profile, np.ones(len(profile.y_mm), dtype=bool))
         profile.sigma_px[:] = profile.beside_px[:] = 0.05

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from profiles import groove, lap, measure, spoil
 
 from tracker.joint.groove import PRIOR_SIGMA as GROOVE_PRIOR
-from tracker.joint.groove import seen_in_groove
+from tracker.joint.groove import weights_within
 from tracker.joint.lap import PRIOR_SIGMA as LAP_PRIOR
 from tracker.joint.section_fit import best_shift, fit_section
 from tracker.joint.section_shapes import (
@@ -147,7 +147,7 @@ def test_what_is_seen_of_a_groove_is_its_twin(seed: int) -> None:
     rng = np.random.default_rng(seed)
     y, weights = rng.uniform(-6.0, 6.0, 60), rng.choice([0.0, 0.05, 0.5, 1.0], 60)
     middle, gap, mouth = rng.uniform(-1.0, 1.0), rng.uniform(0.0, 0.8), rng.uniform(1.5, 4.0)
-    right, left, right_bevel, left_bevel, out = seen_in_groove(y, weights, middle, gap, mouth, 0.25, 0.1)
+    right, left, right_bevel, left_bevel, out = weights_within(y, weights, middle, gap, mouth)
     share = (np.abs(y - middle) - gap) / (mouth - gap)
     amid, inside = (share > 0.25) & (share < 0.75), share < 1.0
     assert right_bevel == pytest.approx(weights[amid & (y < middle)].sum())

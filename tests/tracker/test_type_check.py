@@ -15,14 +15,12 @@ from type_check_twin import family, groups
 from type_check_twin import stated_cost as twins_cost
 
 from noise_model.surface.joint import Joint
-from noise_model.surface.stated_joint import StatedJoint
-from tracker.joint.measured import MeasuredJoint, undetermined
+from tracker.joint.measured import MeasuredJoint
 from tracker.joint.type_check import (
     Family,
     cut_into_pieces,
     family_of,
     groups_of,
-    number_of,
     shown_family,
     shows_another,
     stated_cost,
@@ -36,9 +34,7 @@ SHOWN = {name: family_of(joint) for name, (joint, _) in CASES.items() if name !=
 
 def is_another_type(profile: Profile, joint: Joint, measured: MeasuredJoint | None) -> bool:
     """Whether a profile shows another type than a stated joint, by that one's fit."""
-    fitted = undetermined() if measured is None else measured
-    stated, points = number_of(family_of(joint)), profile.points
-    return shows_another(points, profile.column_mm, stated, StatedJoint.of(joint), fitted)
+    return shows_another(profile.seen_from(), joint, measured)
 
 
 def cost_of(y, z, sigma, penalty, borders) -> float:
@@ -81,7 +77,7 @@ def test_the_family_is_that_of_plain_numpy(name: str) -> None:
             np.testing.assert_allclose(numbers, want, rtol=1e-14)
         ends = np.empty(len(twins[0]), dtype=np.int64)
         _, n_pieces = cut_into_pieces(*twins, 3.0 * math.log(len(ends)), ends)
-        assert shown_family(profile.points)[0] is family(twins[0], twins[1], ends[:n_pieces])
+        assert shown_family(profile.points) is family(twins[0], twins[1], ends[:n_pieces])
         found = None if name == "plate" else fit(profile, CASES[name][0], SEAM)
         if found is not None:
             assert stated_cost(told, found.corners_mm) == pytest.approx(twins_cost(*twins, found), rel=1e-12)

@@ -21,7 +21,7 @@ from tracker.joint.measured import MeasuredJoint
 from tracker.joint.slot import fit_closed_slot, fit_slot
 from tracker.profile import MIN_POINTS, Section
 
-FITS: Mapping[str, Callable[[Section, StatedJoint], MeasuredJoint]] = {
+FITS: Mapping[str, Callable[[Section, StatedJoint], MeasuredJoint | None]] = {
     "v_groove": fit_groove,
     "u_groove": fit_groove,
     "lap": fit_lap,
@@ -29,10 +29,10 @@ FITS: Mapping[str, Callable[[Section, StatedJoint], MeasuredJoint]] = {
     "half_v": fit_half_v,
     "fillet": fit_fillet,
 }
-"""The kernels that measure a joint of a type, whose y is NaN where the section does not determine it."""
+"""The fit of a joint of a type, None where the section does not determine it."""
 
 SLOTS = frozenset({"butt", "edge"})
-"""The types whose kernel, `fit_slot`, takes the frame as well."""
+"""The types whose fit, `fit_slot`, takes the frame as well."""
 
 NO_IMAGE = np.empty((0, 0), np.uint8)
 
@@ -50,16 +50,10 @@ def fit_section(
         return None
     stated = StatedJoint.of(joint)
     if joint.type in FITS:
-        fitted = FITS[joint.type](section, stated)
-    elif joint.type in SLOTS:
-        fitted = fit_slot(section, stated, image_dn, along_rows)
-    else:
-        return None
-    return fitted if fitted.is_determined else None
+        return FITS[joint.type](section, stated)
+    return fit_slot(section, stated, image_dn, along_rows) if joint.type in SLOTS else None
 
 
 def fit_closed_joint(section: Section, joint: Joint, line: ImageLine) -> MeasuredJoint | None:
     """Return the closed joint that a line in the image shows amid a section, or None without two plates."""
-    stated = StatedJoint.of(joint)
-    fitted: MeasuredJoint = fit_closed_slot(section, stated, line.y_mm, line.sigma_mm, line.evidence_nats)
-    return fitted if fitted.is_determined else None
+    return fit_closed_slot(section, StatedJoint.of(joint), line.y_mm, line.sigma_mm, line.evidence_nats)

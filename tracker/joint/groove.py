@@ -10,7 +10,7 @@ import numpy as np
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from noise_model.surface.stated_joint import StatedJoint
-from tracker.joint.complete import completed
+from tracker.joint.common_mode import as_reported
 from tracker.joint.measured import (
     LEFT_OUT,
     START_SIGMA_MM,
@@ -20,12 +20,12 @@ from tracker.joint.measured import (
     ShapeFit,
     fit_points,
     opening_area,
+    section_corners,
     shift_of,
     two_angles,
-    undetermined,
 )
 from tracker.joint.root import weigh_root
-from tracker.joint.section_shapes import GROOVE, N_CORNERS, ROUND_GROOVE, corners_of
+from tracker.joint.section_shapes import GROOVE, ROUND_GROOVE
 from tracker.profile import Section
 from tracker.state import Y_MM, Z_MM, JointShape
 
@@ -52,52 +52,51 @@ END_SHARE = 0.25
 """The share of a bevel's width at either end whose points may be the root's or the plate's as well."""
 
 
-@kernel(allocates=True)
-def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint:
-    """Return the V or U that a section shows, not determined where too little of it lies within the bevels.
+def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
+    """Return the V or U that a section shows, None where too little of it lies within the bevels.
 
     It is a U where its roundings' radius is stated.
     """
-    points, half_mouth_mm = section.points, stated.corners_mm[-2, 0]
-    # A copy of its own has one type: for a constant the kernels would be compiled anew.
-    shape, prior_sigma = GROOVE, PRIOR_SIGMA.copy()
+    points, y_mm, half_mouth_mm = section.points, section.points[Y_MM], float(stated.corners_mm[-2, 0])
+    shape, prior_sigma = GROOVE, PRIOR_SIGMA
     if not math.isnan(stated.radius_mm):
-        shape, prior_sigma = ROUND_GROOVE, ROUND_PRIOR_SIGMA.copy()
-    start = start_of(points[Y_MM], points[Z_MM], section.reach_mm, stated, prior_sigma)
-    chosen = np.ones(points[Y_MM].shape[0], np.bool_)
+        shape, prior_sigma = ROUND_GROOVE, ROUND_PRIOR_SIGMA
+    start = start_of(section, stated, len(prior_sigma))
+    chosen = np.ones(len(y_mm), np.bool_)
     fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start)
     if not math.isfinite(fit.chi2):
-        return undetermined()
-    seen = seen_by(fit, points[Y_MM], half_mouth_mm)
-    if seen.left_out > MUCH_LEFT_OUT:
+        return None
+    shown = groove_shown(fit, y_mm, half_mouth_mm)
+    if shown.left_out > MUCH_LEFT_OUT:
         wider = fit_points(shape, points, chosen, WIDER_MM, prior_sigma, start)
         if math.isfinite(wider.chi2):
-            seen_wider = seen_by(wider, points[Y_MM], half_mouth_mm)
-            if seen_wider.left_out < seen.left_out:
-                fit, seen = wider, seen_wider
-    if shape == GROOVE and min(seen.right_bevel, seen.left_bevel) > 0.0:
-        for i in range(chosen.shape[0]):
-            chosen[i] = abs(points[Y_MM, i] - fit.parameters[0]) >= section.mixed_mm
-        fit = weigh_root(shape, points, chosen, start, prior_sigma, GAP, fit)
-        seen = seen_by(fit, points[Y_MM], half_mouth_mm)
+            shown_wider = groove_shown(wider, y_mm, half_mouth_mm)
+            if shown_wider.left_out < shown.left_out:
+                fit, shown = wider, shown_wider
+    if shape == GROOVE and min(shown.right_bevel, shown.left_bevel) > 0.0:
+        clear = np.abs(y_mm - fit.parameters[0]) >= section.mixed_mm
+        fit = weigh_root(shape, points, clear, start, prior_sigma, GAP, fit)
+        shown = groove_shown(fit, y_mm, half_mouth_mm)
     amid_mm = (1.0 - 2.0 * END_SHARE) * (half_mouth_mm - 0.5 * stated.gap_mm)
     enough = min(MIN_POINTS, MIN_GROOVE_SHARE * amid_mm / section.column_mm)
-    if min(seen.right_bevel, seen.left_bevel) < enough:
-        unseen, alone = (1.0, seen.right) if seen.left_bevel < seen.right_bevel else (-1.0, seen.left)
-        if max(seen.right_bevel, seen.left_bevel) < enough or alone < MIN_ALONE:
-            return undetermined()
-        beside_unseen(points[Y_MM], fit.parameters, start, prior_sigma, unseen, half_mouth_mm, chosen)
+    if min(shown.right_bevel, shown.left_bevel) < enough:
+        is_left_unseen = shown.left_bevel < shown.right_bevel
+        side, alone = (1.0, shown.right) if is_left_unseen else (-1.0, shown.left)
+        if max(shown.right_bevel, shown.left_bevel) < enough or alone < MIN_ALONE:
+            return None
+        sure_mm = max(start[GAP] - SURE_SIGMAS * prior_sigma[GAP], 0.0)
+        chosen = beside_unseen(side * (y_mm - fit.parameters[0]), fit.parameters, sure_mm, half_mouth_mm)
         fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start)
         if not math.isfinite(fit.chi2):
-            return undetermined()
-    elif min(seen.right, seen.left) < MIN_POINTS:
-        return undetermined()
+            return None
+    elif min(shown.right, shown.left) < MIN_POINTS:
+        return None
     # On a side that is not seen its points are left out on purpose.
-    return completed(section, measured_groove(shape, fit, seen.left_out))
+    return as_reported(section, measured_groove(shape, fit, shown.left_out))
 
 
-class Seen(NamedTuple):
-    """What a fit sees of a groove: the weight of the points within the mouth on either side, of those amid
+class ShownGroove(NamedTuple):
+    """What a fit shows of a groove: the weight of the points within the mouth on either side, of those amid
     either bevel, and the share of all of them that it leaves out.
     """
 
@@ -108,96 +107,60 @@ class Seen(NamedTuple):
     left_out: float
 
 
-@kernel(allocates=True)
-def start_of(
-    y_mm: Float64, z_mm: Float64, reach_mm: float, stated: StatedJoint, prior_sigma: Float64
-) -> Float64:
-    """Return the parameters (p,) of a stated groove where most of points (n,) lie on it; see `shift_of`.
+def start_of(section: Section, stated: StatedJoint, n_parameters: int) -> Float64:
+    """Return the parameters (p,) of a stated groove where most of a section's points lie on it."""
+    depth, tan = stated.depth_mm, stated.tan
+    y_mm, z_mm = section.points[Y_MM], section.points[Z_MM]
+    y_0, z_0 = shift_of(y_mm, z_mm, section.reach_mm, stated.corners_mm, depth, SEARCH_STEP_MM, 0.25 * depth)
+    start = y_0, z_0, stated.gap_mm, tan, tan, depth, depth, 0.0, 0.0, stated.radius_mm
+    return np.array(start[:n_parameters])
 
-    Those are as many as have a `prior_sigma` (p,).
-    """
-    depth = stated.depth_mm
-    y_0, z_0 = shift_of(y_mm, z_mm, reach_mm, stated.corners_mm, depth, SEARCH_STEP_MM, 0.25 * depth)
-    start = np.zeros(prior_sigma.shape[0])
-    start[0], start[1], start[GAP] = y_0, z_0, stated.gap_mm
-    start[3], start[4], start[5], start[6] = stated.tan, stated.tan, depth, depth
-    if start.shape[0] > RADIUS:
-        start[RADIUS] = stated.radius_mm
-    return start
+
+def groove_shown(fit: ShapeFit, y_mm: Float64, half_mouth_mm: float) -> ShownGroove:
+    """Return what a fit shows of a groove of a mouth amid points (n,)."""
+    middle_mm, _, gap_mm = fit.parameters[:3].tolist()
+    return ShownGroove(*weights_within(y_mm, fit.weights, middle_mm, 0.5 * max(gap_mm, 0.0), half_mouth_mm))
 
 
 @kernel
-def seen_in_groove(
-    y_mm: Float64,
-    weights: Float64,
-    middle_mm: float,
-    half_gap_mm: float,
-    half_mouth_mm: float,
-    end_share: float,
-    least_weight: float,
-) -> Seen:
-    """Return what is seen of a groove by points (n,) and their weights.
+def weights_within(
+    y_mm: Float64, weights: Float64, middle_mm: float, half_gap_mm: float, half_mouth_mm: float
+) -> tuple[float, float, float, float, float]:
+    """Return the numbers of `ShownGroove` by points (n,) and their weights.
 
-    Amid is without `end_share` of the bevel's width at either end; left out is what weighs less than
-    `least_weight`, 1 of no points.
+    Amid is without END_SHARE of the bevel's width at either end.
     """
-    ends = end_share * (half_mouth_mm - half_gap_mm)
+    ends = END_SHARE * (half_mouth_mm - half_gap_mm)
     low, high = half_gap_mm + ends, half_mouth_mm - ends
     right, left, right_bevel, left_bevel, inside, out = 0.0, 0.0, 0.0, 0.0, 0, 0
     for i in range(y_mm.shape[0]):
-        beside = y_mm[i] - middle_mm
-        away = abs(beside)
+        away = abs(y_mm[i] - middle_mm)
         if away >= half_mouth_mm:
             continue
         inside += 1
-        out += weights[i] < least_weight
+        out += weights[i] < LEFT_OUT
         amid = weights[i] if low < away < high else 0.0
-        if beside < 0.0:
+        if y_mm[i] < middle_mm:
             right += weights[i]
             right_bevel += amid
         else:
             left += weights[i]
             left_bevel += amid
-    return Seen(right, left, right_bevel, left_bevel, out / inside if inside else 1.0)
+    return right, left, right_bevel, left_bevel, out / inside if inside else 1.0
 
 
-@kernel
-def seen_by(fit: ShapeFit, y_mm: Float64, half_mouth_mm: float) -> Seen:
-    """Return what a fit sees of a groove of a mouth amid points (n,)."""
-    p = fit.parameters
-    seen: Seen = seen_in_groove(
-        y_mm, fit.weights, p[0], 0.5 * max(p[GAP], 0.0), half_mouth_mm, END_SHARE, LEFT_OUT
-    )
-    return seen
-
-
-@kernel
-def beside_unseen(
-    y_mm: Float64,
-    parameters: Float64,
-    start: Float64,
-    prior_sigma: Float64,
-    side: float,
-    half_mouth_mm: float,
-    counts: Bool,
-) -> None:
-    """Say which points (n,) count for a groove whose one bevel, on a side, is not seen.
+def beside_unseen(out_mm: Float64, parameters: Float64, sure_mm: float, half_mouth_mm: float) -> Bool:
+    """Return which points (n,), so far towards a bevel that is not seen, count for a groove.
 
     Priors stand in for that, in the covariance too. Where the root ends there is not known: of the root only
     what lies well this side of it counts.
     """
-    half_gap_mm, sure_mm = 0.5 * parameters[GAP], max(start[GAP] - SURE_SIGMAS * prior_sigma[GAP], 0.0)
-    for i in range(y_mm.shape[0]):
-        out_mm = side * (y_mm[i] - parameters[0])
-        counts[i] = out_mm + half_gap_mm < sure_mm or out_mm > half_mouth_mm + SURE_MM
+    return np.asarray((out_mm + 0.5 * parameters[GAP] < sure_mm) | (out_mm > half_mouth_mm + SURE_MM))
 
 
-@kernel(allocates=True)
 def measured_groove(shape: int, fit: ShapeFit, left_out: float) -> MeasuredJoint:
     """Return the joint that a fitted groove is, of whose points some share is left out."""
     p, covariance = fit.parameters, fit.covariance
-    corners_mm = np.empty((N_CORNERS[shape], 2))
-    corners_of(shape, p, corners_mm)
     bevels, bevel_sigmas = two_angles(p, covariance, 3, 4)
     plates, plate_sigmas = two_angles(p, covariance, 7, 8)
     area, area_sigma = opening_area(shape, p, covariance)
@@ -212,14 +175,13 @@ def measured_groove(shape: int, fit: ShapeFit, left_out: float) -> MeasuredJoint
         area_sigma_mm2=area_sigma,
     )
     return MeasuredJoint(
-        y_mm=p[0],
-        z_mm=p[1],
+        y_mm=float(p[0]),
+        z_mm=float(p[1]),
         covariance_mm2=covariance[:2, :2].copy(),
-        gap_mm=max(p[GAP], 0.0),
-        mismatch_mm=p[5] - p[6],
+        gap_mm=max(float(p[GAP]), 0.0),
+        mismatch_mm=float(p[5] - p[6]),
         chi2=fit.chi2,
         shape=joint_shape,
         unexplained=left_out,
-        corners_mm=corners_mm,
-        evidence_nats=math.nan,
+        corners_mm=section_corners(shape, p),
     )

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from noise_model.surface.stated_joint import StatedJoint
-from tracker.joint.complete import completed
+from tracker.joint.common_mode import as_reported
 from tracker.joint.measured import (
     START_SIGMA_MM,
     SURE_MM,
@@ -19,13 +18,13 @@ from tracker.joint.measured import (
     ShapeFit,
     fit_points,
     opening_area,
+    section_corners,
     share_left_out,
     shift_of,
     two_angles,
-    undetermined,
 )
 from tracker.joint.root import weigh_root
-from tracker.joint.section_shapes import HALF_GROOVE, N_CORNERS, corners_of
+from tracker.joint.section_shapes import HALF_GROOVE
 from tracker.joint.upright_edge import (
     Faces,
     edge_between,
@@ -51,7 +50,6 @@ BENT_MM = 0.2
 """So far a face may bend off its straight line beside the upright side."""
 
 GAP, ROOT, TAN, DEPTH_LEFT, DEPTH_RIGHT, SLOPE_LEFT, SLOPE_RIGHT, WALL = range(8)
-N_PARAMETERS = 8
 """The parameters of a half groove; where its wall is, the last, is not fitted."""
 
 PRIOR_SIGMA = np.array([0.3, 5.0, 0.04, 0.3, 0.3, 0.03, 0.03])
@@ -67,96 +65,76 @@ MIN_POINTS = 5.0
 """The weight of the points that must be seen in the groove, and on the bevel if it is not to be bridged."""
 
 
-@kernel(allocates=True)
-def fit_half_v(section: Section, stated: StatedJoint) -> MeasuredJoint:
-    """Return the half V that a section shows, not determined where too little lies beside its upright side.
+def fit_half_v(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
+    """Return the half V that a section shows, None where too little lies beside its upright side.
 
     The faces are fitted clear of the upright side; that lies between the last point of the right plate and
     the first one in the groove, less what it hides there from camera or laser; then they are fitted once
     more.
     """
     points, y_mm, gap_mm = section.points, section.points[Y_MM], stated.gap_mm
-    # A copy of its own has one type: for a constant the kernels would be compiled anew.
-    prior_sigma, clear = PRIOR_SIGMA.copy(), np.empty(y_mm.shape[0], np.bool_)
     start = start_of(section, stated)
-    for i in range(y_mm.shape[0]):
-        clear[i] = abs(y_mm[i] - start[WALL]) > CLEAR_OF_EDGE_MM
-    fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, prior_sigma, start)
+    clear = np.abs(y_mm - start[WALL]) > CLEAR_OF_EDGE_MM
+    fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, PRIOR_SIGMA, start)
     if not math.isfinite(fit.chi2):
-        return undetermined()
-    side = upright_side(section, stated.depth_mm, fit, start, clear)
-    if math.isnan(side.y_mm):
-        return undetermined()
-    start[WALL] = side.y_mm
-    fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, prior_sigma, start)
+        return None
+    wall_mm, wall_variance_mm2 = upright_side(
+        section, stated.depth_mm, fit.parameters, fit.covariance, start, clear
+    )
+    if math.isnan(wall_mm):
+        return None
+    start[WALL] = wall_mm
+    fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, PRIOR_SIGMA, start)
     if not math.isfinite(fit.chi2):
-        return undetermined()
-    p, wall_mm = fit.parameters, side.y_mm
-    mouth_mm = wall_mm + p[GAP] + p[DEPTH_LEFT] * p[TAN]
-    is_seen = weight_between(y_mm, fit.weights, wall_mm + max(p[GAP], 0.0), mouth_mm) >= MIN_POINTS
-    if is_seen:
-        middle_mm, away = wall_mm + 0.5 * max(p[GAP], 0.0), clear.copy()
-        for i in range(y_mm.shape[0]):
-            away[i] = clear[i] and abs(y_mm[i] - middle_mm) >= section.mixed_mm
-        fit = weigh_root(HALF_GROOVE, points, away, start, prior_sigma, GAP, fit)
+        return None
+    p = fit.parameters
+    foot_mm, mouth_mm = wall_mm + max(float(p[GAP]), 0.0), float(wall_mm + p[GAP] + p[DEPTH_LEFT] * p[TAN])
+    if weight_between(y_mm, fit.weights, foot_mm, mouth_mm) >= MIN_POINTS:
+        away = clear & (np.abs(y_mm - 0.5 * (wall_mm + foot_mm)) >= section.mixed_mm)
+        fit = weigh_root(HALF_GROOVE, points, away, start, PRIOR_SIGMA, GAP, fit)
     else:
         # A bevel that is not seen is bridged by its priors, in the covariance too; where the root ends is not
         # known, and what lies there counts for nothing.
-        sure_mm = wall_mm + max(gap_mm - SURE_SIGMAS * prior_sigma[GAP], 0.0)
-        for i in range(y_mm.shape[0]):
-            clear[i] = clear[i] and (y_mm[i] < sure_mm or y_mm[i] > mouth_mm + SURE_MM)
-        fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, prior_sigma, start)
+        sure_mm = wall_mm + max(gap_mm - SURE_SIGMAS * PRIOR_SIGMA[GAP], 0.0)
+        clear &= (y_mm < sure_mm) | (y_mm > mouth_mm + SURE_MM)
+        fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, PRIOR_SIGMA, start)
         if not math.isfinite(fit.chi2):
-            return undetermined()
+            return None
     if weight_between(y_mm, fit.weights, wall_mm, mouth_mm) < MIN_POINTS:
-        return undetermined()
+        return None
     middle_mm, half_mm = 0.5 * (wall_mm + mouth_mm), 0.5 * (mouth_mm - wall_mm)
     left_out = share_left_out(y_mm, fit.weights, clear, middle_mm, half_mm)
-    return completed(section, measured_half_v(fit, wall_mm, side.variance_mm2, left_out))
+    return as_reported(section, measured_half_v(fit, wall_mm, wall_variance_mm2, left_out))
 
 
-@kernel(allocates=True)
 def start_of(section: Section, stated: StatedJoint) -> Float64:
     """Return the parameters of a stated half groove where most of a section's points lie on it."""
     y_mm, z_mm, depth = section.points[Y_MM], section.points[Z_MM], stated.depth_mm
     y_0, z_0 = shift_of(y_mm, z_mm, section.reach_mm, stated.corners_mm, depth, SEARCH_STEP_MM, 0.25 * depth)
-    start = np.zeros(N_PARAMETERS)
-    start[GAP], start[ROOT], start[TAN], start[WALL] = (
-        stated.gap_mm,
-        z_0,
-        stated.tan,
-        y_0 - 0.5 * stated.gap_mm,
-    )
-    start[DEPTH_LEFT], start[DEPTH_RIGHT] = depth, depth
-    return start
-
-
-class UprightSide(NamedTuple):
-    """Where an upright side is, mm, and its variance with that of the faces beside it, mm^2."""
-
-    y_mm: float
-    variance_mm2: float
+    gap_mm = stated.gap_mm
+    return np.array([gap_mm, z_0, stated.tan, depth, depth, 0.0, 0.0, y_0 - 0.5 * gap_mm])
 
 
 @kernel(allocates=True)
 def upright_side(
-    section: Section, depth_mm: float, fit: ShapeFit, start: Float64, clear: Bool
-) -> UprightSide:
-    """Return the upright side of faces that were fitted from a start, NaN where it is not seen.
+    section: Section, depth_mm: float, p: Float64, covariance: Float64, start: Float64, clear: Bool
+) -> tuple[float, float]:
+    """Return where the upright side of fitted faces is, mm, and its variance, mm^2; NaN where it is not seen.
 
-    `clear` (n,) gets which of the section's points are surely of one face beside it.
+    `p` and `covariance` are the fit's from a start. `clear` (n,) gets which points surely lie on one face
+    beside it.
     """
     lines, y_mm = in_scan_order(section.points), section.points[Y_MM]
     wall_mm, n = start[WALL], y_mm.shape[0]
-    faces, limits_mm = faces_at(lines[Y_MM], fit.parameters, wall_mm), np.empty(n)
+    faces, limits_mm = faces_at(lines[Y_MM], p, wall_mm), np.empty(n)
     for i in range(n):
         # Faces may bend beside the upright side.
         sure_mm = math.hypot(BENT_MM, ON_FACE_SIGMAS * abs(lines[DZ_MM, i]) * lines[SIGMA_PX, i])
         is_near = abs(lines[Y_MM, i] - wall_mm) < 5.0 * CLEAR_OF_EDGE_MM
-        limits_mm[i] = min(0.25 * fit.parameters[DEPTH_RIGHT], sure_mm) if is_near else 0.0
+        limits_mm[i] = min(0.25 * p[DEPTH_RIGHT], sure_mm) if is_near else 0.0
     before, behind = points_beside(lines, faces, limits_mm)
     if before < 0:
-        return UprightSide(math.nan, math.nan)
+        return math.nan, math.nan
     sources_mm = section.camera_mm, section.laser_mm
     hidden = hidden_strip(sources_mm, wall_mm, start[ROOT] + depth_mm, depth_mm, section.slope_sigma)
     edge = edge_between(
@@ -166,7 +144,7 @@ def upright_side(
     for i in range(n):
         clear[i] = y_mm[i] <= lines[Y_MM, before] or y_mm[i] >= lines[Y_MM, behind] + section.mixed_mm
     mean_height = MEAN_HEIGHT.copy()
-    return UprightSide(edge.y_mm, edge_covariance(edge, mean_height, mean_height, fit.covariance)[0, 0])
+    return edge.y_mm, edge_covariance(edge, mean_height, mean_height, covariance)[0, 0]
 
 
 @kernel(allocates=True)
@@ -175,26 +153,18 @@ def faces_at(y_mm: Float64, p: Float64, wall_mm: float) -> Faces:
     faces = no_faces(y_mm.shape[0])
     for i in range(y_mm.shape[0]):
         y = y_mm[i] - wall_mm
-        faces.before_mm[i], faces.before_slope[i] = (
-            p[ROOT] + (p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y),
-            p[SLOPE_RIGHT],
-        )
+        faces.before_mm[i] = p[ROOT] + (p[DEPTH_RIGHT] + p[SLOPE_RIGHT] * y)
+        faces.before_slope[i] = p[SLOPE_RIGHT]
         faces.behind_mm[i] = p[ROOT] + max(y - p[GAP], 0.0) / p[TAN]
         faces.behind_slope[i] = 1.0 / p[TAN] if y > p[GAP] else 0.0
     return faces
 
 
-@kernel
 def weight_between(y_mm: Float64, weights: Float64, first_mm: float, last_mm: float) -> float:
     """Return the weight of the points (n,) between two places."""
-    weight = 0.0
-    for i in range(y_mm.shape[0]):
-        if first_mm < y_mm[i] < last_mm:
-            weight += weights[i]
-    return weight
+    return float(weights[(y_mm > first_mm) & (y_mm < last_mm)].sum())
 
 
-@kernel(allocates=True)
 def measured_half_v(fit: ShapeFit, wall: float, wall_variance: float, left_out: float) -> MeasuredJoint:
     """Return the joint of a fit beside a given upright side, the side's own variance put in.
 
@@ -211,40 +181,33 @@ def measured_half_v(fit: ShapeFit, wall: float, wall_variance: float, left_out: 
         variance_z, across = variance_z + wall_variance / p[TAN] ** 2, across + wall_variance / p[TAN]
     bevel, bevel_sigma = math.atan(p[TAN]), math.sqrt(covariance[TAN, TAN]) / (1.0 + p[TAN] ** 2)
     plates, plate_sigmas = two_angles(p, covariance, SLOPE_LEFT, SLOPE_RIGHT)
-    whole = np.empty(N_PARAMETERS)
-    for i in range(p.shape[0]):
-        whole[i] = p[i]
-    whole[WALL] = wall
+    whole = np.append(p, wall)
     area, area_sigma = opening_area(HALF_GROOVE, whole, covariance)
-    corners_mm, together = np.empty((N_CORNERS[HALF_GROOVE], 2)), np.empty((2, 2))
-    corners_of(HALF_GROOVE, whole, corners_mm)
-    together[0, 0], together[0, 1], together[1, 0], together[1, 1] = variance_y, across, across, variance_z
     # The upright side takes the root's gap with it, or of a closed root its foot on the bevel.
     with_side = gives_way if p[GAP] >= CLOSED_MM else 1.0
-    area_sigma = math.hypot(area_sigma, with_side * p[DEPTH_RIGHT] * math.sqrt(wall_variance))
+    mismatch_variance = (
+        covariance[DEPTH_LEFT, DEPTH_LEFT]
+        + covariance[DEPTH_RIGHT, DEPTH_RIGHT]
+        - 2.0 * covariance[DEPTH_LEFT, DEPTH_RIGHT]
+    )
     shape = JointShape(
         gap_sigma_mm=math.sqrt(covariance[GAP, GAP] + gives_way**2 * wall_variance),
-        mismatch_sigma_mm=math.sqrt(
-            covariance[DEPTH_LEFT, DEPTH_LEFT]
-            + covariance[DEPTH_RIGHT, DEPTH_RIGHT]
-            - 2.0 * covariance[DEPTH_LEFT, DEPTH_RIGHT]
-        ),
+        mismatch_sigma_mm=math.sqrt(mismatch_variance),
         bevel_angles_deg=(math.degrees(bevel), math.nan),
         bevel_sigmas_deg=(math.degrees(bevel_sigma), math.nan),
         plate_angles_deg=plates,
         plate_sigmas_deg=plate_sigmas,
         area_mm2=area,
-        area_sigma_mm2=area_sigma,
+        area_sigma_mm2=math.hypot(area_sigma, with_side * p[DEPTH_RIGHT] * math.sqrt(wall_variance)),
     )
     return MeasuredJoint(
-        y_mm=y_s,
-        z_mm=p[ROOT],
-        covariance_mm2=together,
-        gap_mm=max(p[GAP], 0.0),
-        mismatch_mm=p[DEPTH_LEFT] - p[DEPTH_RIGHT],
+        y_mm=float(y_s),
+        z_mm=float(p[ROOT]),
+        covariance_mm2=np.array([[variance_y, across], [across, variance_z]]),
+        gap_mm=max(float(p[GAP]), 0.0),
+        mismatch_mm=float(p[DEPTH_LEFT] - p[DEPTH_RIGHT]),
         chi2=fit.chi2,
         shape=shape,
         unexplained=left_out,
-        corners_mm=corners_mm,
-        evidence_nats=math.nan,
+        corners_mm=section_corners(HALF_GROOVE, whole),
     )

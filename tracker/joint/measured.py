@@ -11,7 +11,7 @@ from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from noise_model.median import exact_median
 from tracker.joint.section_fit import MIN_ALONG_MM, add_shared_errors, best_shift, fit_section
-from tracker.joint.section_shapes import opening
+from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
 from tracker.state import (
     BESIDE_PX,
     DY_MM,
@@ -72,39 +72,6 @@ class MeasuredJoint(NamedTuple):
     unexplained: float = 0.0
     corners_mm: Float64 = _NO_CORNERS
     evidence_nats: float = math.nan
-
-    @property
-    def is_determined(self) -> bool:
-        """Whether a profile determines the joint: of one that it does not, the place is NaN."""
-        return not math.isnan(self.y_mm)
-
-
-@kernel(allocates=True)
-def undetermined() -> MeasuredJoint:
-    """Return the joint of a profile that does not determine one."""
-    unknown = math.nan, math.nan
-    shape = JointShape(
-        gap_sigma_mm=math.nan,
-        mismatch_sigma_mm=math.nan,
-        bevel_angles_deg=unknown,
-        bevel_sigmas_deg=unknown,
-        plate_angles_deg=unknown,
-        plate_sigmas_deg=unknown,
-        area_mm2=math.nan,
-        area_sigma_mm2=math.nan,
-    )
-    return MeasuredJoint(
-        y_mm=math.nan,
-        z_mm=math.nan,
-        covariance_mm2=np.full((2, 2), math.nan),
-        gap_mm=math.nan,
-        mismatch_mm=math.nan,
-        chi2=math.nan,
-        shape=shape,
-        unexplained=1.0,
-        corners_mm=np.empty((0, 2)),
-        evidence_nats=math.nan,
-    )
 
 
 class ShapeFit(NamedTuple):
@@ -186,7 +153,6 @@ def typical_mm(dz_mm: Float64, sigma_px: Float64, used: Bool) -> float:
     return exact_median(moves[:count])
 
 
-@kernel(allocates=True)
 def shift_of(
     y_mm: Float64,
     z_mm: Float64,
@@ -200,15 +166,11 @@ def shift_of(
 
     Lateral shifts are tried by steps of `step_mm` within the points' reach, see `best_shift`.
     """
-    lifted = corners.copy()
-    lifted[:, 1] += lift_mm
-    every = max(1, y_mm.shape[0] // PLACED_BY)
-    n = (y_mm.shape[0] + every - 1) // every
-    y, z = np.empty(n), np.empty(n)
-    for i in range(n):
-        y[i], z[i] = y_mm[i * every], z_mm[i * every]
-    first, last = max(y_mm[0], -reach_mm), min(y_mm[-1], reach_mm)
-    return best_shift(y, z, lifted, np.arange(first, last + step_mm, step_mm), limit_mm)
+    every = max(1, len(y_mm) // PLACED_BY)
+    y, z, lifted = y_mm[::every].copy(), z_mm[::every].copy(), corners + np.array([0.0, lift_mm])
+    shifts = np.arange(max(y_mm[0], -reach_mm), min(y_mm[-1], reach_mm) + step_mm, step_mm)
+    shift: tuple[float, float] = best_shift(y, z, lifted, shifts, limit_mm)
+    return shift
 
 
 class OnFace(NamedTuple):
@@ -260,33 +222,30 @@ def off_section(points: Float64, joint: MeasuredJoint) -> Bool:
     return np.asarray(np.abs(points[Z_MM] - height_mm) > OFF_SIGMAS * moved)
 
 
-@kernel
 def share_left_out(y_mm: Float64, weights: Float64, used: Bool, middle_mm: float, reach_mm: float) -> float:
     """Return the share of the used points (n,) within a reach of a place that a fit leaves out; 1 of none."""
-    near, out = 0, 0
-    for i in range(y_mm.shape[0]):
-        if used[i] and abs(y_mm[i] - middle_mm) < reach_mm:
-            near += 1
-            out += weights[i] < LEFT_OUT
-    return out / near if near > 0 else 1.0
+    near = weights[used & (np.abs(y_mm - middle_mm) < reach_mm)]
+    return np.count_nonzero(near < LEFT_OUT) / len(near) if len(near) else 1.0
 
 
-@kernel
-def two_angles(parameters: Float64, covariance: Float64, left: int, right: int) -> tuple[Pair, Pair]:
+def two_angles(p: Float64, covariance: Float64, left: int, right: int) -> tuple[Pair, Pair]:
     """Return the angles, deg, whose tangents are two of a fit's parameters, and their 1 sigma."""
-    first, second = parameters[left], parameters[right]
+    first, second = float(p[left]), float(p[right])
     first_sigma = math.sqrt(covariance[left, left]) / (1.0 + first * first)
     second_sigma = math.sqrt(covariance[right, right]) / (1.0 + second * second)
     angles = math.degrees(math.atan(first)), math.degrees(math.atan(second))
     return angles, (math.degrees(first_sigma), math.degrees(second_sigma))
 
 
-@kernel(allocates=True)
+def section_corners(shape: int, p: Float64) -> Float64:
+    """Return the corners (n, 2) of a shape as (y, z), mm, at its parameters."""
+    corners_mm = np.empty((N_CORNERS[shape], 2))
+    corners_of(shape, p, corners_mm)
+    return corners_mm
+
+
 def opening_area(shape: int, p: Float64, covariance: Float64) -> Pair:
     """Return the opening's area at parameters p, mm^2, and its 1 sigma by the covariance of the first m."""
-    gradient, variance = np.empty(p.shape[0]), 0.0
-    area = opening(shape, p, gradient)
-    for i in range(covariance.shape[0]):
-        for j in range(covariance.shape[0]):
-            variance += gradient[i] * covariance[i, j] * gradient[j]
-    return area, math.sqrt(variance)
+    gradient = np.empty(len(p))
+    area, slopes = opening(shape, p, gradient), gradient[: len(covariance)]
+    return area, math.sqrt(slopes @ covariance @ slopes)

@@ -15,7 +15,7 @@ import numpy as np
 
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
-from noise_model.median import exact_median
+from noise_model.median import median
 from tracker.joint.measured import START_SIGMA_MM, ShapeFit, fit_points
 from tracker.joint.section_fit import BISQUARE_WIDTH
 from tracker.state import BESIDE_PX, SIGMA_PX
@@ -36,25 +36,17 @@ CLOSED_AS_STATED = 0.95
 """How probable it is, before it is seen, that a root that is stated closed is closed: tacked plates touch."""
 
 
-@kernel(allocates=True)
 def prior_of(stated_mm: float, sigma_mm: float) -> Float64:
     """Return the prior probability of each of GAPS for a stated gap and its 1 sigma, mm."""
-    n = GAPS.shape[0]
-    prior, below, open_roots = np.empty(n), 0.0, 0.0
-    for k in range(n):
-        border = 0.5 * (GAPS[k] + GAPS[k + 1]) if k + 1 < n else math.inf
-        up_to = 0.5 * (1.0 + math.erf((border - stated_mm) / (math.sqrt(2.0) * sigma_mm)))
-        prior[k] = up_to - below
-        below = up_to
-        open_roots += prior[k] if k > 0 else 0.0
+    borders = [*(0.5 * (GAPS[1:] + GAPS[:-1])), math.inf]
+    up_to = [0.5 * (1.0 + math.erf((b - stated_mm) / (math.sqrt(2.0) * sigma_mm))) for b in borders]
+    prior = np.diff(up_to, prepend=0.0)
     if stated_mm == 0.0:
+        prior[1:] *= (1.0 - CLOSED_AS_STATED) / prior[1:].sum()
         prior[0] = CLOSED_AS_STATED
-        for k in range(1, n):
-            prior[k] *= (1.0 - CLOSED_AS_STATED) / open_roots
     return prior
 
 
-@kernel(allocates=True)
 def weigh_root(
     shape: int,
     points: Float64,
@@ -71,75 +63,47 @@ def weigh_root(
     """
     if not fit.parameters[gap] < NARROW_MM:
         return fit
-    n_gaps, m = GAPS.shape[0], prior_sigma.shape[0]
-    likeliest, most, alike = fit, -math.inf, likeness_of(points, clear)
-    nats, parameters, covariances = np.empty(n_gaps), np.empty((n_gaps, m)), np.empty((n_gaps, m, m))
-    prior = prior_of(start[gap], prior_sigma[gap])
-    for k in range(n_gaps):
-        from_gap, sigma = start.copy(), prior_sigma.copy()
-        from_gap[gap], sigma[gap], nats[k] = GAPS[k], CELLS_MM[k], -math.inf
-        held = fit_points(shape, points, clear, START_SIGMA_MM, sigma, from_gap)
-        if not (math.isfinite(held.chi2) and prior[k] > 0.0):
-            continue
-        moved = (held.parameters[gap] - GAPS[k]) / CELLS_MM[k]
-        left_open = min(held.covariance[gap, gap] / CELLS_MM[k] ** 2, 1.0)
-        loss = loss_of(held.weights, clear) / alike
-        nats[k] = math.log(prior[k]) - loss - 0.5 * moved**2 + 0.5 * math.log(left_open)
-        for i in range(m):
-            parameters[k, i] = held.parameters[i]
-            for j in range(m):
-                covariances[k, i, j] = held.covariance[i, j]
-        if nats[k] > most:
-            likeliest, most = held, nats[k]
-    if most == -math.inf:
+    prior = prior_of(float(start[gap]), float(prior_sigma[gap]))
+    parameters, covariances, weights, chi2, losses = fit_gaps(shape, points, clear, start, prior_sigma, gap)
+    (held,) = np.nonzero(np.isfinite(chi2) & (prior > 0.0))
+    if not len(held):
         return fit
-    mean, covariance = mixture_of(nats, parameters, covariances)
-    weights = fit.weights.copy()
-    for i in range(weights.shape[0]):
-        # What is left out beside the root was left out for the light that it mixes.
-        if clear[i]:
-            weights[i] = likeliest.weights[i]
-    return ShapeFit(mean, covariance, likeliest.chi2, weights)
+    # Errors of neighbours go together: so many points say as much as one.
+    common = median((points[BESIDE_PX, clear] / points[SIGMA_PX, clear]) ** 2) if clear.any() else 1.0
+    moved = (parameters[held, gap] - GAPS[held]) / CELLS_MM[held]
+    left_open = np.minimum(covariances[held, gap, gap] / CELLS_MM[held] ** 2, 1.0)
+    nats = np.log(prior[held]) - losses[held] / common - 0.5 * moved**2 + 0.5 * np.log(left_open)
+    mean, covariance = mixture_of(nats, parameters[held], covariances[held])
+    likeliest = held[np.argmax(nats)]
+    # What is left out beside the root was left out for the light that it mixes.
+    weights = np.where(clear, weights[likeliest], fit.weights)
+    return ShapeFit(mean, covariance, float(chi2[likeliest]), weights)
 
 
 @kernel(allocates=True)
-def likeness_of(points: Float64, clear: Bool) -> float:
-    """Return how many of a profile's clear points (n,) say as much as one: errors of neighbours are alike."""
-    ratios, count = np.empty(clear.shape[0]), 0
-    for i in range(clear.shape[0]):
-        if clear[i]:
-            ratios[count] = (points[BESIDE_PX, i] / points[SIGMA_PX, i]) ** 2
-            count += 1
-    return exact_median(ratios[:count]) if count > 0 else 1.0
+def fit_gaps(
+    shape: int, points: Float64, clear: Bool, start: Float64, prior_sigma: Float64, gap: int
+) -> tuple[Float64, Float64, Float64, Float64, Float64]:
+    """Return a groove's fits from GAPS (k,): parameters, covariances, weights, chi2 and losses, nats."""
+    k, m, n = GAPS.shape[0], prior_sigma.shape[0], clear.shape[0]
+    parameters, covariances, weights = np.empty((k, m)), np.empty((k, m, m)), np.empty((k, n))
+    chi2, losses = np.empty(k), np.zeros(k)
+    for j in range(k):
+        from_gap, sigma = start.copy(), prior_sigma.copy()
+        from_gap[gap], sigma[gap] = GAPS[j], CELLS_MM[j]
+        held = fit_points(shape, points, clear, START_SIGMA_MM, sigma, from_gap)
+        chi2[j], parameters[j] = held.chi2, held.parameters
+        covariances[j], weights[j] = held.covariance, held.weights
+        for i in range(n):
+            if clear[i]:
+                losses[j] += BISQUARE_WIDTH**2 / 6.0 * (1.0 - weights[j, i] * math.sqrt(weights[j, i]))
+    return parameters, covariances, weights, chi2, losses
 
 
-@kernel
-def loss_of(weights: Float64, clear: Bool) -> float:
-    """Return `section_fit.tukey_loss` of the weights of clear points (n,)."""
-    total = 0.0
-    for i in range(weights.shape[0]):
-        if clear[i]:
-            total += 1.0 - weights[i] * math.sqrt(weights[i])
-    return BISQUARE_WIDTH**2 / 6.0 * total
-
-
-@kernel(allocates=True)
 def mixture_of(nats: Float64, parameters: Float64, covariances: Float64) -> tuple[Float64, Float64]:
     """Return mean (m,) and covariance (m, m) of normals (k, m), (k, m, m) by their evidence (k,), nats."""
-    n, m = parameters.shape
-    most, total = nats.max(), 0.0
-    shares, mean, covariance = np.empty(n), np.zeros(m), np.zeros((m, m))
-    for k in range(n):
-        shares[k] = math.exp(nats[k] - most)
-        total += shares[k]
-    for k in range(n):
-        shares[k] /= total
-        # What has no share may not have been fitted at all.
-        for i in range(m if shares[k] > 0.0 else 0):
-            mean[i] += shares[k] * parameters[k, i]
-    for k in range(n):
-        for i in range(m if shares[k] > 0.0 else 0):
-            for j in range(m):
-                off = (parameters[k, i] - mean[i]) * (parameters[k, j] - mean[j])
-                covariance[i, j] += shares[k] * (covariances[k, i, j] + off)
-    return mean, covariance
+    shares = np.exp(nats - nats.max())
+    shares /= shares.sum()
+    mean = shares @ parameters
+    off = parameters - mean
+    return mean, np.tensordot(shares, covariances + off[:, :, None] * off[:, None, :], 1)

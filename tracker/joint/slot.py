@@ -15,7 +15,7 @@ from noise_model.arrays import Bool, Float64, Integers
 from noise_model.kernel import kernel
 from noise_model.median import exact_median
 from noise_model.surface.stated_joint import StatedJoint
-from tracker.joint.complete import completed
+from tracker.joint.common_mode import as_reported
 from tracker.joint.evidence import places_of
 from tracker.joint.measured import (
     OFF_SIGMAS,
@@ -25,8 +25,8 @@ from tracker.joint.measured import (
     ShapeFit,
     fit_points,
     meet_face,
+    section_corners,
     two_angles,
-    undetermined,
 )
 from tracker.joint.plate_lines import (
     BLURRED_LINES,
@@ -44,7 +44,7 @@ from tracker.joint.plate_lines import (
     others_between,
     plate_lines,
 )
-from tracker.joint.section_shapes import N_CORNERS, SHEETS, corners_of
+from tracker.joint.section_shapes import SHEETS
 from tracker.profile import Section
 from tracker.state import DZ_MM, SIGMA_PX, Y_MM, Z_MM, JointShape
 from tracker.stripe.light import StripeLight
@@ -77,66 +77,72 @@ THICKNESS_SIGMA_MM = 0.1
 """How far a sheet may be off its stated thickness: it moves an edge joint's seam where no gap is seen."""
 
 
-@kernel(allocates=True)
-def fit_slot(section: Section, stated: StatedJoint, image_dn: Integers, along_rows: bool) -> MeasuredJoint:
-    """Return the butt or edge joint that a section shows, not determined without a gap between two plates.
+def fit_slot(
+    section: Section, stated: StatedJoint, image_dn: Integers, along_rows: bool
+) -> MeasuredJoint | None:
+    """Return the butt or edge joint that a section shows, None without a gap between two plates.
 
     An edge joint whose gap is too narrow to be seen is the middle of its two sheets. `image_dn` (H, W) is the
     frame, without any pixels where it is not at hand; the stripe runs `along_rows` or along its columns.
     """
+    fit, placed_mm, gap, nats = find_gap(section, stated, image_dn, along_rows)
+    if math.isnan(gap.y_mm):
+        return None
+    return as_reported(section, measured_slot(section.points, stated, fit, placed_mm, gap, nats))
+
+
+@kernel(allocates=True)
+def find_gap(
+    section: Section, stated: StatedJoint, image_dn: Integers, along_rows: bool
+) -> tuple[ShapeFit, float, Gap, float]:
+    """Return the plates' fit, the place about which it is, the gap, its y NaN of none, and its evidence."""
     points, is_edge, gap_mm = section.points, stated.is_edge, stated.gap_mm
+    nothing, nats = Gap(math.nan, math.nan, math.nan, math.nan, 0, 0, math.nan), math.inf
     y_0, limit_mm = exact_median(points[Y_MM]), on_plate_mm(stated)
-    plates = fit_plates(points, y_0, np.ones(points[Y_MM].shape[0], np.bool_))
-    if not math.isfinite(plates.chi2):
-        return undetermined()
-    lines = plate_lines(section, on_plates(points, plates, y_0, limit_mm), is_edge, image_dn, along_rows)
+    fit = fit_plates(points, y_0, np.ones(points.shape[1], np.bool_))
+    if not math.isfinite(fit.chi2):
+        return fit, y_0, nothing, nats
+    lines = plate_lines(section, on_plates(points, fit, y_0, limit_mm), is_edge, image_dn, along_rows)
     seen_gap_mm = max(gap_mm, (MIN_LINES + 1) * section.column_mm)
     placed_mm = best_place(lines, stated.thickness_mm if is_edge else BESIDE_MM, seen_gap_mm, is_edge)
     if math.isnan(placed_mm) and is_edge:
         placed_mm = best_place(lines, stated.thickness_mm + 0.5 * gap_mm, 0.0, is_edge)
     if math.isnan(placed_mm):
-        return undetermined()
-    are_on = on_plates(points, plates, y_0, 2.0 * limit_mm).are_on
+        return fit, y_0, nothing, nats
+    are_on = on_plates(points, fit, y_0, 2.0 * limit_mm).are_on
     fit = fit_plates(points, placed_mm, beside_gap(points, stated, are_on, placed_mm))
     if not math.isfinite(fit.chi2):
-        return undetermined()
+        return fit, placed_mm, nothing, nats
     seen = plate_lines(section, on_plates(points, fit, placed_mm, limit_mm), is_edge, image_dn, along_rows)
     gap = gap_about(seen, section.light, stated, placed_mm)
-    if math.isnan(gap.y_mm):
-        return undetermined()
-    nats = math.inf
-    if not is_edge:
+    if not (is_edge or math.isnan(gap.y_mm)):
         if hold_plates(seen, section.light, image_dn, along_rows, gap.first, gap.last):
-            return undetermined()
+            return fit, placed_mm, nothing, nats
         places = places_of(points[Y_MM], section.reach_mm, section.column_mm)
         nats = evidence_of_gap(seen, gap.first, gap.last, places)
-    return completed(section, measured_slot(points, stated, fit, placed_mm, gap, nats))
+    return fit, placed_mm, gap, nats
 
 
-@kernel(allocates=True)
 def fit_closed_slot(
     section: Section, stated: StatedJoint, line_mm: float, sigma_mm: float, nats: float
-) -> MeasuredJoint:
+) -> MeasuredJoint | None:
     """Return the butt joint whose gap no scan line shows, but a line in the image, with its evidence.
 
-    How wide its gap is remains unknown. It is not determined without two plates, nor where the stated gap is
-    too wide to be closed.
+    How wide its gap is remains unknown. None without two plates, and where the stated gap is too wide to be
+    closed.
     """
     points = section.points
     if stated.gap_mm >= MAX_CLOSED_MM:
-        return undetermined()
-    near = np.empty(points[Y_MM].shape[0], np.bool_)
-    for i in range(near.shape[0]):
-        near[i] = abs(points[Y_MM, i] - line_mm) < NEAR_MM
-    plates = fit_plates(points, line_mm, near)
-    if not math.isfinite(plates.chi2):
-        return undetermined()
-    are_on = on_plates(points, plates, line_mm, 2.0 * on_plate_mm(stated)).are_on
+        return None
+    fit = fit_plates(points, line_mm, np.abs(points[Y_MM] - line_mm) < NEAR_MM)
+    if not math.isfinite(fit.chi2):
+        return None
+    are_on = on_plates(points, fit, line_mm, 2.0 * on_plate_mm(stated)).are_on
     fit = fit_plates(points, line_mm, beside_gap(points, stated, are_on, line_mm))
     if not math.isfinite(fit.chi2):
-        return undetermined()
+        return None
     closed = Gap(line_mm, sigma_mm**2, math.nan, math.nan, 0, 0, 0.0)
-    return completed(section, measured_slot(points, stated, fit, line_mm, closed, nats))
+    return as_reported(section, measured_slot(points, stated, fit, line_mm, closed, nats))
 
 
 class Gap(NamedTuple):
@@ -210,99 +216,63 @@ def beside_gap(points: Float64, stated: StatedJoint, are_on: Bool, y_0: float) -
     return clear if min(left, right) >= MIN_POINTS else np.zeros(n, np.bool_)
 
 
-@kernel(allocates=True)
 def measured_slot(
     points: Float64, stated: StatedJoint, fit: ShapeFit, y_0: float, gap: Gap, nats: float
 ) -> MeasuredJoint:
     """Return the joint of two plates, whose lines are fitted about a place, with a gap between them."""
-    p, covariance, thickness = fit.parameters, fit.covariance, stated.thickness_mm
+    (z_left, down, slope_left, slope_right), thickness = fit.parameters.tolist(), stated.thickness_mm
     half_mm = 0.0 if math.isnan(gap.width_mm) else 0.5 * gap.width_mm
     right_mm, left_mm = gap.y_mm - half_mm, gap.y_mm + half_mm
+    to_right, to_left = right_mm - y_0, left_mm - y_0
     # The plates' surfaces where they end.
-    left_top, right_top = p[0] + (left_mm - y_0) * p[2], p[0] + p[1] + (right_mm - y_0) * p[3]
+    left_top, right_top = z_left + to_left * slope_left, z_left + down + to_right * slope_right
     z_s = 0.5 * (left_top + right_top)
-    at_seam, step = np.empty(4), np.empty(4)
-    at_seam[0], at_seam[1] = 1.0, 0.5
-    at_seam[2], at_seam[3] = 0.5 * (left_mm - y_0), 0.5 * (right_mm - y_0)
-    step[0], step[1], step[2], step[3] = 0.0, -1.0, left_mm - y_0, y_0 - right_mm
-    height_variance, step_variance = 0.0, 0.0
-    for i in range(4):
-        for j in range(4):
-            height_variance += at_seam[i] * covariance[i, j] * at_seam[j]
-            step_variance += step[i] * covariance[i, j] * step[j]
+    at_seam = np.array([1.0, 0.5, 0.5 * to_left, 0.5 * to_right])
+    step = np.array([0.0, -1.0, to_left, -to_right])
+    height_variance, step_variance = at_seam @ fit.covariance @ at_seam, step @ fit.covariance @ step
     # Which scan line lies where goes with the plates' heights.
-    variance = gap.variance_mm2 + gap.y_per_z**2 * height_variance
-    across = gap.y_per_z * height_variance
+    variance, across = gap.variance_mm2 + gap.y_per_z**2 * height_variance, gap.y_per_z * height_variance
     width_sigma = math.sqrt(gap.width_variance_mm2 + gap.y_per_z**2 * step_variance)
-    together = np.empty((2, 2))
-    together[0, 0], together[0, 1], together[1, 0], together[1, 1] = variance, across, across, height_variance
-    plates, plate_sigmas = two_angles(p, covariance, 2, 3)
-    area, area_sigma, unknown = math.nan, math.nan, (math.nan, math.nan)
-    if not stated.is_edge:
-        area, area_sigma = gap.width_mm * thickness, width_sigma * thickness
+    plates, plate_sigmas = two_angles(fit.parameters, fit.covariance, 2, 3)
     shape = JointShape(
         gap_sigma_mm=width_sigma,
         mismatch_sigma_mm=math.sqrt(step_variance),
-        bevel_angles_deg=unknown,
-        bevel_sigmas_deg=unknown,
         plate_angles_deg=plates,
         plate_sigmas_deg=plate_sigmas,
-        area_mm2=area,
-        area_sigma_mm2=area_sigma,
+        area_mm2=math.nan if stated.is_edge else gap.width_mm * thickness,
+        area_sigma_mm2=math.nan if stated.is_edge else width_sigma * thickness,
     )
+    outer, floor_mm = section_corners(SHEETS, np.append(fit.parameters, y_0)), z_s - thickness
+    # What lies deep in the gap is the gap's, whatever it is: it has a floor.
+    ends = (right_mm, right_top), (right_mm, floor_mm), (left_mm, floor_mm), (left_mm, left_top)
     return MeasuredJoint(
         y_mm=gap.y_mm,
         z_mm=z_s,
-        covariance_mm2=together,
+        covariance_mm2=np.array([[variance, across], [across, height_variance]]),
         gap_mm=gap.width_mm,
         mismatch_mm=left_top - right_top,
         chi2=fit.chi2,
         shape=shape,
-        unexplained=share_raised(points, p, y_0, right_mm, left_mm),
-        corners_mm=slot_corners(p, y_0, (right_mm, right_top), (left_mm, left_top), z_s - thickness),
+        unexplained=share_raised(points, fit.parameters, y_0, right_mm, left_mm),
+        corners_mm=np.array([outer[0], *ends, outer[-1]]),
         evidence_nats=nats,
     )
 
 
-@kernel(allocates=True)
-def slot_corners(
-    p: Float64, y_0: float, right: tuple[float, float], left: tuple[float, float], floor_mm: float
-) -> Float64:
-    """Return the corners (6, 2) of two plates that end at a right and a left place (y, z), mm.
-
-    What lies deep in the gap is the gap's, whatever it is: it has a floor.
-    """
-    sheets, whole, corners = np.empty((N_CORNERS[SHEETS], 2)), np.empty(5), np.empty((6, 2))
-    for i in range(4):
-        whole[i] = p[i]
-    whole[4] = y_0
-    corners_of(SHEETS, whole, sheets)
-    for k in range(2):
-        corners[0, k], corners[5, k] = sheets[0, k], sheets[-1, k]
-        corners[1, k], corners[4, k] = right[k], left[k]
-    corners[2, 0], corners[2, 1] = right[0], floor_mm
-    corners[3, 0], corners[3, 1] = left[0], floor_mm
-    return corners
-
-
-@kernel
 def share_raised(points: Float64, p: Float64, y_0: float, right_mm: float, left_mm: float) -> float:
     """Return the share of the points near the gap that no plate and no gap has, as a tack weld's.
 
     Beside the gap they lie off their plate, in the gap over it; 1 without any.
     """
-    near, wrong = 0, 0
-    for i in range(points[Y_MM].shape[0]):
-        y = points[Y_MM, i]
-        if not right_mm - SLACK_MM < y < left_mm + SLACK_MM:
-            continue
-        is_left = y > 0.5 * (right_mm + left_mm)
-        line_mm = p[0] + p[2] * (y - y_0) if is_left else p[0] + p[1] + p[3] * (y - y_0)
-        sigma_mm = abs(points[DZ_MM, i]) * math.hypot(points[SIGMA_PX, i], SIGMA_FLOOR_PX)
-        off = (points[Z_MM, i] - line_mm) / sigma_mm
-        near += 1
-        wrong += off > OFF_SIGMAS or (off < -OFF_SIGMAS and not right_mm < y < left_mm)
-    return wrong / near if near > 0 else 1.0
+    y = points[Y_MM]
+    near = points[:, (y > right_mm - SLACK_MM) & (y < left_mm + SLACK_MM)]
+    y = near[Y_MM]
+    left_line, right_line = p[0] + p[2] * (y - y_0), p[0] + p[1] + p[3] * (y - y_0)
+    line_mm = np.where(y > 0.5 * (right_mm + left_mm), left_line, right_line)
+    off = (near[Z_MM] - line_mm) / (np.abs(near[DZ_MM]) * np.hypot(near[SIGMA_PX], SIGMA_FLOOR_PX))
+    is_in_gap = (y > right_mm) & (y < left_mm)
+    wrong = (off > OFF_SIGMAS) | ((off < -OFF_SIGMAS) & ~is_in_gap)
+    return np.count_nonzero(wrong) / len(y) if len(y) else 1.0
 
 
 @kernel(allocates=True)

@@ -9,18 +9,19 @@ stated type's own fit does.
 
 from __future__ import annotations
 
+import itertools
 import math
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from noise_model.arrays import Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.surface.joint import Joint
-from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.measured import MeasuredJoint, section_at
 from tracker.joint.plate_lines import BLURRED_LINES
+from tracker.profile import Section
 from tracker.state import DZ_MM, SIGMA_PX, Y_MM, Z_MM
 
 GROUPS = 120
@@ -71,10 +72,6 @@ FAMILIES = {
     "butt": Family.SLOT,
 }
 
-_NUMBERED = tuple(Family)
-_NONE = -1
-_FLAT, _INSIDE_CORNER, _OUTSIDE_CORNER, _STEP, _SLOT, _GROOVE = range(len(_NUMBERED))
-
 
 def family_of(joint: Joint) -> Family | None:
     """Return the family of a stated joint; None for an edge, which shows no plates to tell it by."""
@@ -84,37 +81,27 @@ def family_of(joint: Joint) -> Family | None:
     return FAMILIES.get(joint.type)
 
 
-def number_of(family: Family | None) -> int:
-    """Return the number of a family, as the kernels take it."""
-    return _NONE if family is None else _NUMBERED.index(family)
+def shows_another(section: Section, joint: Joint, measured: MeasuredJoint | None) -> bool:
+    """Return True if a section decidedly shows another family of joints than the stated one's.
 
-
-def shown_family(points: Float64) -> tuple[Family | None, float]:
-    """Return the family that a section's straight pieces look like, None for none known, and their cost."""
-    number, cost = family_shown(groups_of(points))
-    return (None if number == _NONE else _NUMBERED[number]), cost
-
-
-@kernel(allocates=True)
-def shows_another(
-    points: Float64, column_mm: float, family: int, stated: StatedJoint, measured: MeasuredJoint
-) -> bool:
-    """Say whether points show another family of joints than the stated one, by its number, decidedly.
-
-    `column_mm` is the spacing of their scan lines. `measured` is the stated type's fit, undetermined where
-    there is none.
+    `measured` is the stated type's fit, None where there is none.
     """
-    if family == _NONE:
+    family = family_of(joint)
+    if family is None:
         return False
-    groups = groups_of(points)
+    groups = groups_of(section.points)
     shown, cost = family_shown(groups)
-    if shown in (_NONE, family):
+    if shown in (None, family):
         return False
-    is_fitted = not math.isnan(measured.y_mm)
-    if family == _SLOT and shown == _FLAT:
+    if family is Family.SLOT and shown is Family.FLAT:
         # A gap may show nothing but missing points, and a narrow one not even those.
-        return not is_fitted and stated.gap_mm >= BLURRED_LINES * column_mm
-    return not is_fitted or cost + DECIDED < stated_cost(groups, measured.corners_mm)
+        return measured is None and joint.dimensions["gap_mm"] >= BLURRED_LINES * section.column_mm
+    return measured is None or cost + DECIDED < stated_cost(groups, measured.corners_mm)
+
+
+def shown_family(points: Float64) -> Family | None:
+    """Return the family that points' straight pieces look like, None for none known."""
+    return family_shown(groups_of(points))[0]
 
 
 class Groups(NamedTuple):
@@ -125,43 +112,22 @@ class Groups(NamedTuple):
     sigma_mm: Float64
 
 
-@kernel(allocates=True)
 def groups_of(points: Float64) -> Groups:
     """Return the groups of points, y rising."""
-    size = max(1, -(-points[Y_MM].shape[0] // GROUPS))
-    n = points[Y_MM].shape[0] // size
-    groups = Groups(np.empty(n), np.empty(n), np.empty(n))
-    _write_groups(points, groups, np.empty(size, np.int64))
-    return groups
+    size = max(1, -(-points.shape[1] // GROUPS))
+    n = points.shape[1] // size
+    order = np.argsort(points[Z_MM, : n * size].reshape(n, size), axis=1, kind="stable")
+    middle = points[:, order[:, (size - 1) // 2] + size * np.arange(n)]
+    own_mm = np.abs(middle[DZ_MM]) * middle[SIGMA_PX]
+    return Groups(middle[Y_MM].copy(), middle[Z_MM].copy(), np.hypot(own_mm, ROUGH_MM))
 
 
-@kernel
-def _write_groups(points: Float64, groups: Groups, order: Int64) -> None:
-    """Write the groups of points, each as large as `order`, which is written over."""
-    z, size = points[Z_MM], order.shape[0]
-    for i in range(groups.y_mm.shape[0]):
-        for k in range(size):
-            place, j = i * size + k, k
-            while j > 0 and z[order[j - 1]] > z[place]:
-                order[j] = order[j - 1]
-                j -= 1
-            order[j] = place
-        middle = order[(size - 1) // 2]
-        groups.y_mm[i], groups.z_mm[i] = points[Y_MM, middle], z[middle]
-        groups.sigma_mm[i] = math.hypot(abs(points[DZ_MM, middle]) * points[SIGMA_PX, middle], ROUGH_MM)
-
-
-@kernel(allocates=True)
 def stated_cost(groups: Groups, corners_mm: Float64) -> float:
     """Return the stated type's own cost: chi2 about its fitted section (m, 2) and its parameters' penalty."""
-    n = groups.y_mm.shape[0]
     # Beyond its ends a section goes on level.
-    within_mm = np.minimum(np.maximum(groups.y_mm, corners_mm[0, 0]), corners_mm[-1, 0])
-    height_mm, _ = section_at(corners_mm, within_mm)
-    cost = STATED_PARAMETERS * math.log(n)
-    for i in range(n):
-        cost += min(((groups.z_mm[i] - height_mm[i]) / groups.sigma_mm[i]) ** 2, FARTHEST)
-    return cost
+    height_mm, _ = section_at(corners_mm, np.clip(groups.y_mm, corners_mm[0, 0], corners_mm[-1, 0]))
+    off = (groups.z_mm - height_mm) / groups.sigma_mm
+    return float(STATED_PARAMETERS * math.log(len(off)) + np.minimum(off * off, FARTHEST).sum())
 
 
 @kernel(allocates=True)
@@ -204,15 +170,14 @@ def cut_into_pieces(y: Float64, z: Float64, sigma: Float64, penalty: float, ends
     return float(best[n] + penalty), count
 
 
-@kernel(allocates=True)
-def family_shown(groups: Groups) -> tuple[int, float]:
-    """Return the number of the family that groups look like, and the cost of their straight pieces."""
-    n = groups.y_mm.shape[0]
+def family_shown(groups: Groups) -> tuple[Family | None, float]:
+    """Return the family that groups look like, None for none known, and the cost of their straight pieces."""
+    n = len(groups.y_mm)
     if n < GROUPS // 4:
-        return _NONE, math.inf
+        return None, math.inf
     ends = np.empty(n, dtype=np.int64)
-    cost, n_pieces = cut_into_pieces(groups.y_mm, groups.z_mm, groups.sigma_mm, 3.0 * math.log(n), ends)
-    return _family(groups, ends, n_pieces), cost
+    cost, n_pieces = cut_into_pieces(*groups, 3.0 * math.log(n), ends)
+    return _family(groups, ends[:n_pieces].tolist()), cost
 
 
 class _Line(NamedTuple):
@@ -222,67 +187,49 @@ class _Line(NamedTuple):
     z: float
     slope: float
 
+    @classmethod
+    def through(cls, groups: Groups, first: int, end: int) -> _Line:
+        """Return the least-squares line through the groups from `first` on and before `end`."""
+        y_mm, z_mm = groups.y_mm[first:end], groups.z_mm[first:end]
+        y, z = float(y_mm.mean()), float(z_mm.mean())
+        spread = float(((y_mm - y) ** 2).sum())
+        return cls(y, z, float(((y_mm - y) * (z_mm - z)).sum()) / spread if spread > 0.0 else 0.0)
 
-@kernel
-def _line_through(groups: Groups, first: int, end: int) -> _Line:
-    """Return the least-squares line through the groups from `first` on and before `end`."""
-    n, y, z = end - first, 0.0, 0.0
-    for i in range(first, end):
-        y += groups.y_mm[i] / n
-        z += groups.z_mm[i] / n
-    spread, along = 0.0, 0.0
-    for i in range(first, end):
-        beside = groups.y_mm[i] - y
-        spread += beside * beside
-        along += beside * (groups.z_mm[i] - z)
-    return _Line(y, z, along / spread if spread > 0.0 else 0.0)
+    def at(self, y: Any) -> Any:
+        """Return the line's z at a place or at places (n,)."""
+        return self.z + self.slope * (y - self.y)
 
 
-@kernel
-def _z_on(line: _Line, y: float) -> float:
-    """Return a line's z at a place."""
-    z: float = line.z + line.slope * (y - line.y)
-    return z
-
-
-@kernel
-def _family(groups: Groups, ends: Int64, n_pieces: int) -> int:
-    """Return the number of what pieces look like, _NONE for nothing known; `ends` are exclusive."""
-    if n_pieces == 1:
-        return _FLAT
-    y, n = groups.y_mm, groups.y_mm.shape[0]
-    right_end, left_start = ends[0], ends[n_pieces - 2]
+def _family(groups: Groups, ends: list[int]) -> Family | None:
+    """Return what pieces look like, None for nothing known; `ends` are exclusive."""
+    if len(ends) == 1:
+        return Family.FLAT
+    y, n = groups.y_mm, len(groups.y_mm)
+    right_end, left_start = ends[0], ends[-2]
     if right_end < MIN_BEVEL_GROUPS or n - left_start < MIN_BEVEL_GROUPS:
-        return _NONE
-    right, left = _line_through(groups, 0, right_end), _line_through(groups, left_start, n)
+        return None
+    right, left = _Line.through(groups, 0, right_end), _Line.through(groups, left_start, n)
     turn_deg = math.degrees(math.atan(left.slope) - math.atan(right.slope))
     if abs(turn_deg) > MIN_CORNER_DEG:
-        meet = (_z_on(right, 0.0) - _z_on(left, 0.0)) / (left.slope - right.slope)
+        meet = (right.at(0.0) - left.at(0.0)) / (left.slope - right.slope)
         if not y[right_end - 1] - CORNER_OFF_MM < meet < y[left_start] + CORNER_OFF_MM:
-            return _NONE
-        return _INSIDE_CORNER if turn_deg > 0.0 else _OUTSIDE_CORNER
+            return None
+        return Family.INSIDE_CORNER if turn_deg > 0.0 else Family.OUTSIDE_CORNER
+    between, z = y[right_end:left_start], groups.z_mm[right_end:left_start]
+    over_right, over_left = z - right.at(between), z - left.at(between)
+    if np.maximum(over_right, over_left).min(initial=math.inf) < -MIN_OPENING_MM:
+        return Family.GROOVE if _is_bevelled(groups, ends) else Family.SLOT
+    if np.minimum(over_right, over_left).max(initial=-math.inf) > MIN_OPENING_MM:
+        return None
     middle = 0.5 * (y[right_end - 1] + y[left_start])
-    step = _z_on(left, middle) - _z_on(right, middle)
-    below_both, above_both = math.inf, -math.inf
-    for i in range(right_end, left_start):
-        over_right = groups.z_mm[i] - _z_on(right, y[i])
-        over_left = groups.z_mm[i] - _z_on(left, y[i])
-        below_both = min(below_both, max(over_right, over_left))
-        above_both = max(above_both, min(over_right, over_left))
-    if below_both < -MIN_OPENING_MM:
-        return _GROOVE if _is_bevelled(groups, ends, n_pieces) else _SLOT
-    if above_both > MIN_OPENING_MM:
-        return _NONE
-    return _STEP if abs(step) > MIN_STEP_MM else _FLAT
+    return Family.STEP if abs(left.at(middle) - right.at(middle)) > MIN_STEP_MM else Family.FLAT
 
 
-@kernel
-def _is_bevelled(groups: Groups, ends: Int64, n_pieces: int) -> bool:
-    """Say whether one of the pieces between the plates' rises as a bevel does."""
-    for piece in range(1, n_pieces - 1):
-        first, end = ends[piece - 1], ends[piece]
+def _is_bevelled(groups: Groups, ends: list[int]) -> bool:
+    """Return True if one of the pieces between the plates' rises as a bevel does."""
+    for first, end in itertools.pairwise(ends[:-1]):
         if end - first >= MIN_BEVEL_GROUPS:
-            rise_mm = _line_through(groups, first, end).slope * (groups.y_mm[end - 1] - groups.y_mm[first])
+            rise_mm = _Line.through(groups, first, end).slope * (groups.y_mm[end - 1] - groups.y_mm[first])
             if abs(rise_mm) > MIN_BEVEL_RISE_MM:
                 return True
     return False
