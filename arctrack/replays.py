@@ -15,7 +15,7 @@ from arctrack.recording import Recording, read_recording
 from arctrack.recording.results import Summary
 from arctrack.replay import RESULTS_FOLDER, ReplayOptions, parse_bus, replay_recording, track_alone
 from arctrack.workers import Failed
-from tracker.warm_up import OnCompiled, WarmUp
+from tracker.warm_up import WarmUp
 
 OnFrame = Callable[[int], None]
 """Hears the number of frames done."""
@@ -53,7 +53,6 @@ class Listeners:
 
     on_frame: OnFrame | None = None
     on_drawn: OnFrame | None = None
-    on_compiled: OnCompiled | None = None
     on_compared: OnFrame | None = None
 
 
@@ -108,7 +107,7 @@ def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = 
         return _taken_over(job, recording, earlier)
     hears = Listeners() if begin is None else begin(recording)
     done = replay_recording(
-        recording, job.folder, job.options, hears.on_frame, hears.on_drawn, hears.on_compiled, job.cores
+        recording, job.folder, job.options, hears.on_frame, hears.on_drawn, cores=job.cores
     )
     summaries = [done.summary]
     if not job.options.use_arc_map and done.recording.has_truth:

@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
-import numba.core.event as numba_events
 import numpy as np
 
 from noise_model.arc.map import arc_frame, arc_kernel
 from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64, Integers
 from noise_model.compiled.forecast import Forecast
+from noise_model.compiled.heard import heard
 from noise_model.surface.joint import NOMINAL_SEAM, seam_frame
 from tracker.geometry import SensorGeometry
 from tracker.judge import JUMPS_TO_RELEARN
@@ -93,7 +93,7 @@ def warm_up(
     """
     began_s = time.perf_counter()
     forecast = Forecast(geometry.setup.joint.type)
-    with heard_compilations(on_compiled, forecast) as compiled:
+    with forecast.running(), heard_compilations(on_compiled, forecast) as compiled:
         kind = _kind(geometry, use_arc_map)
         if kind not in _warm:
             small = _with_larger_pixels(geometry)
@@ -289,23 +289,15 @@ def heard_compilations(
     compiled: list[str] = []
     began_s = time.perf_counter()
 
-    class Listener(numba_events.Listener):  # type: ignore[misc]
-        def on_start(self, event: numba_events.Event) -> None:
-            function = event.data["dispatcher"].py_func
-            name = f"{function.__module__}.{function.__qualname__}"
-            if on_compiled is not None:
-                left_s = None if forecast is None else forecast.left_s()
-                on_compiled(name, len(compiled), time.perf_counter() - began_s, left_s)
-            compiled.append(name)
+    def on_begin(name: str) -> None:
+        if on_compiled is not None:
+            left_s = None if forecast is None else forecast.left_s()
+            on_compiled(name, len(compiled), time.perf_counter() - began_s, left_s)
+        compiled.append(name)
 
-        def on_end(self, event: numba_events.Event) -> None:
-            function = event.data["dispatcher"].py_func
-            if forecast is not None:
-                forecast.note_compiled(f"{function.__module__}.{function.__qualname__}")
+    def on_end(name: str) -> None:
+        if forecast is not None:
+            forecast.note_compiled(name)
 
-    listener = Listener()
-    numba_events.register("numba:compile", listener)
-    try:
+    with heard(on_begin, on_end):
         yield compiled
-    finally:
-        numba_events.unregister("numba:compile", listener)

@@ -23,7 +23,7 @@ from tracker.flags import JOINT_TYPE_MISMATCH
 from tracker.geometry import SensorGeometry
 from tracker.seam.correction import UNSTATED
 from tracker.state import Frame, Track
-from tracker.warm_up import OnCompiled, warm_up
+from tracker.warm_up import warm_up
 
 MAX_DARK_FRAMES = 2
 """So many frames without laser and arc tell black level and noise."""
@@ -56,11 +56,10 @@ class Checked:
 def check_recording(
     recording: Recording,
     on_frame: Callable[[int], None] | None = None,
-    on_compiled: OnCompiled | None = None,
 ) -> Checked:
     """Check a recording that was read without `must_fit`.
 
-    `on_frame` hears the number of frames looked at, `on_compiled` what is compiled before the first of them.
+    `on_frame` hears the number of frames looked at.
     """
     refusal: ArctrackError | None = None
     geometry: SensorGeometry | None = None
@@ -77,7 +76,7 @@ def check_recording(
     timing = timing_of(recording)
     looks, unlit = [], []
     if geometry is not None:
-        warm_up(geometry, UNSTATED, on_compiled=on_compiled)
+        warm_up(geometry, UNSTATED)
         looks = looks_at(recording, geometry, frames, on_frame)
         unlit = looks_at(recording, geometry, _as_if_lit(recording))
     tried = rows_to_try(recording)

@@ -48,7 +48,6 @@ def calibrate_all(
     from arctrack.calibrating.folder import read_raw_files
     from arctrack.cli import console
     from arctrack.report.calibration.certificate import certificate_page
-    from tracker.warm_up import heard_compilations
 
     stated = read_setup(setup)
     target = out or stated.path
@@ -56,11 +55,7 @@ def calibrate_all(
     raw = read_raw_files(folder)
     console.warn(raw.warnings)
     check_outputs(target, page_path, stated.path, images=raw.images)
-    with (
-        interruptible("the calibration was", "nothing was written"),
-        console.progress() as bar,
-        heard_compilations(console.compiling(bar, folder.name)),
-    ):
+    with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
         result = calibrate_folder(raw, stated, console.steps(bar), console.warn)
     page = certificate_page(result.certificate, result.unmeasured, result.refused)
     finish(page, page_path, [stage.page for stage in result.stages.values()])

@@ -49,8 +49,7 @@ def check(
         page.parent.mkdir(parents=True, exist_ok=True)
     check_outputs(None, page, read.setup_path, read)
     with console.progress() as bar:
-        on_compiled = console.compiling(bar, read.name)
-        checked = check_setup(read, console.track(bar, f"{read.name}: looking at frames", 10), on_compiled)
+        checked = check_setup(read, console.track(bar, f"{read.name}: looking at frames", 10))
     _print(checked)
     write_whole(page, render(checked))
     console.say(f"report in {page}")

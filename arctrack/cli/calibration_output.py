@@ -103,14 +103,13 @@ def calibrate_from_recording(
     """
     from arctrack.cli import console
     from arctrack.recording import read_recording
-    from tracker.warm_up import heard_compilations
 
     read = read_recording(recording)
     console.warn(read.warnings)
     target = out or read.setup_path
     page_path = report or target.with_name(page)
     check_outputs(target, page_path, read.setup_path, read)
-    with console.progress() as bar, heard_compilations(console.compiling(bar, read.name)):
+    with console.progress() as bar:
         stage, bad_frames = make(read, console.steps(bar))
     finish(stage.page, page_path)
     if stage.refusal is not None:

@@ -114,7 +114,6 @@ def run(
     from arctrack.cli import console
     from arctrack.output import make_folder
     from arctrack.report.cell_run import RUN_PICTURE, draw_run
-    from tracker.warm_up import heard_compilations
 
     plan = LoopPlan(
         joint=joint.value,
@@ -132,7 +131,7 @@ def run(
         exact=not off_nominal,
     )
     make_folder(out, (RUN_CSV, RUN_PICTURE))
-    with console.progress() as bar, heard_compilations(console.compiling(bar, plan.joint)):
+    with console.progress() as bar:
         loop = ClosedLoop(plan)
         result = loop.run(console.track(bar, plan.joint, round(loop.duration_s * fps)))
     write_run(out / RUN_CSV, loop.frames)

@@ -49,9 +49,8 @@ def check(
     picture = out or recording / RESULTS_FOLDER / PICTURE
     check_replaces_nothing(picture, read)
     with console.progress() as bar:
-        on_compiled = console.compiling(bar, read.name)
         on_frame = console.track(bar, f"{read.name}: looking at frames", 10)
-        checked = check_recording(read, on_frame, on_compiled)
+        checked = check_recording(read, on_frame)
     if not as_json:
         screen = console.tables()
         for finding in checked.findings:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
+from contextlib import ExitStack
+from datetime import timedelta
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import (
@@ -17,7 +20,6 @@ from rich.progress import (
     TaskID,
     TextColumn,
     TimeElapsedColumn,
-    TimeRemainingColumn,
 )
 from rich.text import Text
 
@@ -77,29 +79,79 @@ def complain(problems: Iterable[str]) -> None:
 
 
 class SpokenProgress(Progress):
-    """Progress bars on stderr; where that is no terminal, a plain line every some seconds instead."""
+    """Progress bars on stderr; where that is no terminal, a plain line every some seconds instead.
+
+    The first of them is there at once. It says how much is compiled, and goes when something else is counted.
+    """
 
     def __init__(self, *columns: ProgressColumn) -> None:
         console = Console(stderr=True)
         super().__init__(*columns, console=console, disable=not console.is_terminal)
         self._is_over = threading.Event()
-        self._speaker: threading.Thread | None = None
+        self._running = ExitStack()
+        self._ready: TaskID | None = None
+        self._prefix = ""
+        self._compiled: set[str] = set()
 
     def start(self) -> None:
-        """Begin to show how far it is."""
+        """Begin to show how far it is, and to hear what is compiled."""
         super().start()
-        if self.disable and self._speaker is None:
-            self._is_over.clear()
-            self._speaker = threading.Thread(target=self._speak, daemon=True)
-            self._speaker.start()
+        self._show("getting ready")
+        if self.disable:
+            speaker = threading.Thread(target=self._speak, daemon=True)
+            speaker.start()
+            self._running.callback(speaker.join)
+            self._running.callback(self._is_over.set)
+        from noise_model.compiled.heard import heard
+
+        self._running.enter_context(heard(self._on_begin, self._on_end))
 
     def stop(self) -> None:
         """Show no more."""
+        self._remove_ready()
+        self._running.close()
         super().stop()
-        self._is_over.set()
-        if self._speaker is not None:
-            self._speaker.join()
-            self._speaker = None
+
+    def get_ready(self, name: str) -> None:
+        """Say of what comes that it is for something, such as a joint."""
+        self._prefix = f"{name}: "
+        self._compiled.clear()
+        self._remove_ready()
+        self._show("getting ready")
+
+    def update(self, task_id: TaskID, **changes: Any) -> None:
+        """Change a bar, from now on in sight; once it moves, all is ready."""
+        super().update(task_id, visible=True, **changes)
+        self.start_task(task_id)
+        self._remove_ready()
+
+    def advance(self, task_id: TaskID, advance: float = 1) -> None:
+        """Move a bar; all is ready then."""
+        super().advance(task_id, advance)
+        self._remove_ready()
+
+    def _show(self, what: str, done: int = 0, needed: int | None = None, left_s: float | None = None) -> None:
+        text = f"{self._prefix}{what}"
+        if self._ready is None:
+            self._ready = self.add_task(text, total=None, unit=COMPILED)
+        super().update(self._ready, description=text, completed=done, total=needed, left_s=left_s)
+
+    def _remove_ready(self) -> None:
+        if self._ready is not None:
+            self.remove_task(self._ready)
+            self._ready = None
+
+    def _on_begin(self, _function: str) -> None:
+        from noise_model.compiled.forecast import running_forecast
+
+        forecast = running_forecast()
+        done, needed = (forecast and forecast.counts()) or (len(self._compiled), None)
+        self._show("compiling", done, needed, None if forecast is None else forecast.left_s())
+
+    def _on_end(self, function: str) -> None:
+        # numba's own functions are of the one that calls them.
+        if not function.startswith("numba."):
+            self._compiled.add(function)
 
     def _speak(self) -> None:
         while not self._is_over.wait(SPOKEN_EVERY_S):
@@ -110,13 +162,23 @@ class SpokenProgress(Progress):
 
 
 def how_far(task: Task) -> str:
-    """Return in words what is done, how far, and how long it has taken."""
-    elapsed_s = task.elapsed or 0.0
-    if task.total is None:
-        return f"{task.description}, {elapsed_s:.0f} s"
+    """Return in words what is done, how far, how long it has taken, and about how long it takes yet."""
+    done, unit = [task.description], task.fields.get("unit", "")
     if task.total == 1.0:
-        return f"{task.description}, {100.0 * task.completed:.0f} %, {elapsed_s:.0f} s"
-    return f"{task.description}, {task.completed:.0f} of {task.total:.0f}, {elapsed_s:.0f} s"
+        done.append(f"{100.0 * task.completed:.0f} %")
+    elif task.total is not None:
+        done.append(f"{task.completed:.0f} of {task.total:.0f} {unit}".rstrip())
+    elif task.completed:
+        done.append(f"{task.completed:.0f} {unit}")
+    done.append(f"{task.elapsed or 0.0:.0f} s")
+    left_s = _left_s(task)
+    return ", ".join(done if left_s is None else [*done, f"about {left_s:.0f} s left"])
+
+
+def _left_s(task: Task) -> float | None:
+    """Return how long it takes yet, s, as it took before on this machine, else by the pace so far."""
+    before_s: float | None = task.fields.get("left_s")
+    return task.time_remaining if before_s is None else before_s
 
 
 def progress() -> SpokenProgress:
@@ -127,17 +189,16 @@ def progress() -> SpokenProgress:
         MofNCompleteColumn(),
         _Rate(),
         TextColumn("ETA"),
-        TimeRemainingColumn(),
+        _Left(),
         TimeElapsedColumn(),
     )
 
 
 def track(bar: Progress, name: str, total: int, unit: str = "frames") -> Callable[[int], None]:
-    """Add a bar over frames, or other units, and return the function that moves it to a number of them."""
-    task = bar.add_task(name, total=total, unit=unit)
+    """Return the function that moves a bar over frames, or other units, to a number of them."""
+    task = bar.add_task(name, start=False, visible=False, total=total, unit=unit)
 
     def on_frame(done: int) -> None:
-        _remove_compiling(bar)
         bar.update(task, completed=done)
 
     return on_frame
@@ -147,38 +208,14 @@ def steps(bar: Progress) -> Callable[[str, str], Callable[[int, int], None]]:
     """Return the function that adds a bar for a step of work, by what is done and what is counted."""
 
     def begin(what: str, unit: str) -> Callable[[int, int], None]:
-        task = bar.add_task(what, total=None, unit=unit)
+        task = bar.add_task(what, start=False, visible=False, total=None, unit=unit)
 
         def tell(done: int, total: int) -> None:
-            _remove_compiling(bar)
             bar.update(task, completed=done, total=total)
 
         return tell
 
     return begin
-
-
-def _remove_compiling(bar: Progress) -> None:
-    """Remove the bar of what is compiled: that is done before anything else is counted."""
-    for task in bar.tasks:
-        if task.fields["unit"] == COMPILED:
-            bar.remove_task(task.id)
-
-
-def compiling(bar: Progress, name: str) -> Callable[[str, int, float, float | None], None]:
-    """Return the function that shows what is compiled before the first frame, and how long it takes yet."""
-    tasks: list[TaskID] = []
-
-    def on_compiled(function: str, n_before: int, elapsed_s: float, left_s: float | None = None) -> None:
-        # A bar that was removed is over, but what comes late is compiled all the same.
-        if not tasks or tasks[-1] not in bar.task_ids:
-            tasks.append(bar.add_task(f"{name}: compiling", total=None, unit=COMPILED))
-        if not function.startswith("numba."):
-            until_ready = "the first time on this machine" if left_s is None else f"about {left_s:.0f} s left"
-            bar.update(tasks[-1], description=f"{name}: compiling {function} ({until_ready})")
-        bar.update(tasks[-1], completed=n_before + 1)
-
-    return on_compiled
 
 
 def say_compiled(name: str, warm_up: WarmUp) -> None:
@@ -196,3 +233,12 @@ class _Rate(ProgressColumn):
     def render(self, task: Task) -> Text:
         speed = task.finished_speed or task.speed
         return Text(f"{'–' if speed is None else f'{speed:.1f}'} {task.fields['unit']}/s")
+
+
+class _Left(ProgressColumn):
+    max_refresh = 0.5
+
+    def render(self, task: Task) -> Text:
+        left_s = _left_s(task)
+        known = "-:--:--" if left_s is None else str(timedelta(seconds=math.ceil(left_s)))
+        return Text(known, style="progress.remaining")

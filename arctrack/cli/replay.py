@@ -155,6 +155,7 @@ def _in_turn(jobs: list[ReplayJob]) -> Iterator[Outcome]:
 
     with console.progress() as bar:
         for job in jobs:
+            bar.get_ready(job.name)
             kept = f"rows so far are in {job.folder / RESULTS_CSV}, what was sent in {job.folder / BUS_LOG}"
             try:
                 with interruptible(f"{job.name}: replay", kept):
@@ -180,7 +181,6 @@ def _begin(bar: Progress, job: ReplayJob, recording: Recording) -> Listeners:
     return Listeners(
         on_frame,
         console.track(bar, f"{name}, pictures", rows) if draws else None,
-        console.compiling(bar, name),
         console.track(bar, f"{name}, arc map", rows) if compares else None,
     )
 

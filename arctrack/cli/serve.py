@@ -95,14 +95,12 @@ def serve_cell_file(
         # Before the loop gets its priority and its processors, which a thread would inherit.
         opened.enter_context(warnings.started())
         opened.callback(notifier.close)
-        with interruptible("serve was", "nothing was sent"), console.progress() as bar:
-            on_compiled = console.compiling(bar, "serve")
+        with interruptible("serve was", "nothing was sent"), console.progress():
             live: LiveRun = opened.enter_context(
                 opened_run(
                     cell,
                     lambda line: warnings.put(console.warning_line(line)),
                     job,
-                    on_compiled,
                     on_track,
                     is_simulated,
                     **bus_options,
@@ -142,31 +140,40 @@ def serve_cell_file(
 
 def _serve_simulated(job: int | None, seconds: float | None) -> bool:
     """Run a simulated cell beside the live run, and say and return whether its torch was on the seam."""
-    from arctrack.cell.faults.schedules import TORCH_MM
-    from arctrack.cell.live.serve import REAL_TIME_PX
-    from arctrack.cell.weld.closed_loop import LoopPlan
-    from arctrack.cell_file import read_cell_file
     from arctrack.cli import console
-    from arctrack.serve import simulated
 
-    plan = LoopPlan(joint="lap", length_mm=LIVE_MM, rate_hz=10.0, size_px=REAL_TIME_PX)
-    frames = f"simulated-{os.getpid()}"
-    lock = simulated.Lock(plan)
-    with interruptible("serve was", "nothing was sent"), tempfile.TemporaryDirectory() as folder:
-        cell = simulated.write_simulated_cell(
-            Path(folder) / "cell",
-            plan,
-            simulated.INTERFACE,
-            simulated.GROUP,
-            frames,
-            Path.cwd() / "black_box",
-        )
-        with simulated.SimulatedCell(plan, frames) as robot:
-            console.say(f"bus messages: {robot.listening}")
-            result = serve_cell_file(
-                read_cell_file(cell), job, seconds, lock.on_track, True, **robot.bus_options
+    with interruptible("serve was", "nothing was sent"), ExitStack() as opened:
+        with console.progress() as bar:
+            from arctrack.cell.faults.schedules import TORCH_MM
+            from arctrack.cell.live.serve import REAL_TIME_PX
+            from arctrack.cell.weld.closed_loop import LoopPlan
+            from arctrack.cell_file import read_cell_file
+            from arctrack.serve import simulated
+            from tracker.tracker import Tracker
+
+            plan = LoopPlan(joint="lap", length_mm=LIVE_MM, rate_hz=10.0, size_px=REAL_TIME_PX)
+            frames = f"simulated-{os.getpid()}"
+            lock = simulated.Lock(plan)
+            cell = simulated.write_simulated_cell(
+                Path(opened.enter_context(tempfile.TemporaryDirectory())) / "cell",
+                plan,
+                simulated.INTERFACE,
+                simulated.GROUP,
+                frames,
+                Path.cwd() / "black_box",
             )
-            samples = robot.end()
+            read = read_cell_file(cell)
+
+            def warm_up() -> None:
+                # Robot and camera compile as much.
+                for each in read.jobs.values():
+                    Tracker(each.setup_for(read.setup.setup), correction=each.correction).warm_up()
+                bar.get_ready("simulated cell")
+
+            robot = opened.enter_context(simulated.SimulatedCell(plan, frames, warm_up))
+        console.say(f"bus messages: {robot.listening}")
+        result = serve_cell_file(read, job, seconds, lock.on_track, True, **robot.bus_options)
+        samples = robot.end()
     error = simulated.torch_error(samples, lock.at_s, result.ended_s)
     if error is None:
         console.say("torch: never locked onto the seam")

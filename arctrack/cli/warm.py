@@ -37,9 +37,9 @@ def warm(
     said: list[str] = []
     with console.progress() as bar:
         for name, setup, correction in _chosen(setups or []):
-            on_compiled = console.compiling(bar, name)
+            bar.get_ready(name)
             try:
-                done = Tracker(setup, correction=correction).warm_up(on_compiled)
+                done = Tracker(setup, correction=correction).warm_up()
             except ValueError as error:
                 raise in_file(Path(name), str(error)) from error
             said.append(f"{name}: {done.compiled} functions compiled, ready after {done.elapsed_s:.1f} s")

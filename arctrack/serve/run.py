@@ -41,7 +41,6 @@ from noise_model.setup import Setup
 from noise_model.transforms import invert
 from robot_io import Link, LinkError, Source
 from tracker.seam.correction import Correction
-from tracker.warm_up import OnCompiled
 
 LAG_NICENESS = 5
 """By how much the estimate of the robot's lag yields: nobody waits for it."""
@@ -70,7 +69,6 @@ def opened_run(
     cell: CellFile,
     tell: Tell,
     job_number: int | None = None,
-    on_compiled: OnCompiled | None = None,
     on_track: OnTrack | None = None,
     is_simulated: bool = False,
     **bus_options: Any,
@@ -85,8 +83,6 @@ def opened_run(
         Hears what happens to the run's other processes, in another thread.
     job_number : int, optional
         Which of the jobs a recording's seam is; by default the only one. A live robot names its job itself.
-    on_compiled : callable, optional
-        Hears what is compiled.
     on_track : callable, optional
         Hears each track, and what was sent of it.
     is_simulated : bool
@@ -116,7 +112,7 @@ def opened_run(
         setups = {number: tracking.tracker.geometry.setup for number, tracking in cast.trackings.items()}
         beside = opened.enter_context(kept(cell, setups, supervisor, is_simulated))
         for tracking in cast.trackings.values():
-            tracking.tracker.warm_up(on_compiled)
+            tracking.tracker.warm_up()
         lag.wait_ready()
         opened.enter_context(supervisor.started())
         # On a bus where it is heard, a tracker must not wait for anything.

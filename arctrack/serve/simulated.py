@@ -6,6 +6,7 @@ import math
 import multiprocessing
 import socket
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -91,6 +92,8 @@ class SimulatedCell:
         What is welded.
     frames : str
         The name of its frames.
+    meanwhile : callable, optional
+        What is done while they get ready.
 
     Attributes
     ----------
@@ -98,7 +101,8 @@ class SimulatedCell:
         What python-can needs beside interface and channel: nobody else hears this bus.
     """
 
-    def __init__(self, plan: LoopPlan, frames: str) -> None:
+    def __init__(self, plan: LoopPlan, frames: str, meanwhile: Callable[[], None] = lambda: None) -> None:
+        self._meanwhile = meanwhile
         self.bus_options = {"port": _free_port(), "hop_limit": 0}
         spawn = multiprocessing.get_context("spawn")
         self._told, self._other_end = spawn.Pipe()
@@ -110,6 +114,7 @@ class SimulatedCell:
         self._process.start()
         self._other_end.close()
         try:
+            self._meanwhile()
             self._receive()
         except BaseException:
             self.__exit__()

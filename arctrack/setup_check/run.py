@@ -25,7 +25,7 @@ from noise_model.surface.joint import NOMINAL_SEAM
 from tracker.geometry import SensorGeometry
 from tracker.seam.correction import UNSTATED
 from tracker.state import Frame
-from tracker.warm_up import OnCompiled, warm_up
+from tracker.warm_up import warm_up
 
 MAX_ARC_FRAMES = 12
 """So many frames with the arc on are compared with the arc map."""
@@ -90,7 +90,6 @@ class SetupCheck:
 def check_setup(
     recording: Recording,
     on_frame: Callable[[int], None] | None = None,
-    on_compiled: OnCompiled | None = None,
 ) -> SetupCheck:
     """Check the setup that a recording was read with; ArctrackError where it can track no such frames."""
     fitted(recording)
@@ -99,7 +98,7 @@ def check_setup(
     except ValueError as error:
         raise in_file(recording.setup_path, str(error)) from None
     frames, bad_frames = parted(recording.frames(chosen_rows(recording)))
-    warm_up(geometry, UNSTATED, on_compiled=on_compiled)
+    warm_up(geometry, UNSTATED)
     looks = looks_at(recording, geometry, frames, on_frame)
     sights = sights_of(geometry, looks)
     place, said_of_place = _placed(recording.setup, sights)

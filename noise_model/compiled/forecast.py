@@ -1,11 +1,12 @@
-"""How long compiling takes yet: what the same work needed before on this machine, and lacks now."""
+"""How long compiling takes yet: by what the same work needed before, and lacks now."""
 
 from __future__ import annotations
 
 import pickle
 import sys
+import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import Any
 
@@ -13,12 +14,15 @@ from numba.extending import is_jitted
 
 from noise_model.compiled.content import find_kernel, is_named
 from noise_model.compiled.numba_internals import KernelCache
-from noise_model.compiled.packed import find_records, is_found
+from noise_model.compiled.packed import compile_costs, find_records, is_found
 from noise_model.compiled.store import Record, is_kept, read_records, write_record
 
 
 class Forecast:
-    """The time that some work needs for compiling, by what it needed on this machine before.
+    """How much of some work is compiled, and the time that the rest takes.
+
+    This machine tells it by what the work needed before. Where it was never done here, arctrack's last
+    release tells how much machine code each kernel is, and the pace so far how long that takes.
 
     Parameters
     ----------
@@ -28,20 +32,51 @@ class Forecast:
 
     def __init__(self, work: str) -> None:
         self._work = work
-        self._left_s: dict[str, float] | None = None
+        # What each kernel costs that must be compiled: s, or bytes of machine code where `_began_s` is known.
+        self._costs: dict[str, float] | None = None
+        self._left: dict[str, float] = {}
+        self._began_s: float | None = None
+        self._is_known = False
 
     def left_s(self) -> float | None:
-        """Return how long it takes yet, s; None where this machine has never done this work."""
-        if self._left_s is None and is_kept("work", self._work):
-            self._left_s = {}
-            for kernel, compile_s in self._missing():
-                self._left_s[kernel] = self._left_s.get(kernel, 0.0) + compile_s
-        return None if self._left_s is None else sum(self._left_s.values())
+        """Return how long it takes yet, s; None where nothing tells."""
+        costs, missing = self._looked_up(), sum(self._left.values())
+        if self._began_s is None:
+            return missing if self._is_known else None
+        done = sum(costs.values()) - missing
+        return missing * (time.perf_counter() - self._began_s) / done if done else None
+
+    def counts(self) -> tuple[int, int] | None:
+        """Return how many kernels are compiled, of how many; None where nothing tells."""
+        costs = self._looked_up()
+        return (len(costs) - len(self._left), len(costs)) if costs else None
+
+    def _looked_up(self) -> dict[str, float]:
+        """Return the costs, those that this machine knows if it does."""
+        if self._costs is None:
+            self._costs, self._is_known = {}, is_kept("work", self._work)
+            if self._is_known:
+                for kernel, compile_s in self._missing():
+                    self._costs[kernel] = self._costs.get(kernel, 0.0) + compile_s
+            elif costs := compile_costs(self._work):
+                # Of another work that was done here: what is kept of a kernel serves this one too.
+                self._costs = {kernel: cost for kernel, cost in costs.items() if not is_kept(kernel, "")}
+                self._began_s = time.perf_counter()
+            self._left = dict(self._costs)
+        return self._costs
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Be the forecast of what this process compiles, meanwhile."""
+        _RUNNING.append(self)
+        try:
+            yield
+        finally:
+            _RUNNING.remove(self)
 
     def note_compiled(self, kernel: str) -> None:
         """Hear that a kernel is compiled."""
-        if self._left_s is not None:
-            self._left_s.pop(kernel, None)
+        self._left.pop(kernel, None)
 
     def keep(self) -> None:
         """Keep which kernels this process has used, for which types, and how long each took to compile."""
@@ -65,6 +100,14 @@ class Forecast:
                     kernel = find_kernel(module, name)
                     if not is_found(kernel._cache.name, kernel._cache._key(arguments, kernel.targetctx)):
                         yield kernel._cache.name, compile_s
+
+
+_RUNNING: list[Forecast] = []
+
+
+def running_forecast() -> Forecast | None:
+    """Return the forecast of what this process compiles now, None where there is none."""
+    return _RUNNING[-1] if _RUNNING else None
 
 
 def kernels_in_use() -> list[Any]:

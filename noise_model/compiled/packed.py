@@ -59,8 +59,8 @@ def is_found(kernel: str, key: str) -> bool:
 def compile_costs(work: str) -> Mapping[str, int]:
     """Return how much machine code each kernel is that some work needs, bytes; the time goes with it.
 
-    It is known without anything compiled on this machine before, for arctrack as it was released, and serves
-    where the pack itself does not. Nothing without a pack.
+    It is known without anything compiled on this machine before, for arctrack as it was released. Nothing
+    without a pack, and where the pack itself serves: little is compiled then.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def compile_costs(work: str) -> Mapping[str, int]:
         A type of joint to be tracked.
     """
     pack = _pack()
-    return {} if pack is None else pack.costs.get(work, {})
+    return {} if pack is None or pack.made_with == versions() else pack.costs.get(work, {})
 
 
 def _read_packed(kernel: str, key: str) -> Iterator[Record]:

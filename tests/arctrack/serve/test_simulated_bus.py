@@ -51,7 +51,8 @@ def test_without_a_network_the_cure_is_named_and_cures() -> None:
     serve = [sys.executable, "-c", SERVE, "serve", "--simulated", "--seconds", "1"]
     refused = subprocess.run(["unshare", "-n", *serve], capture_output=True, text=True)
     assert refused.returncode == 2
-    (line,) = refused.stderr.splitlines()
+    # A slow machine's gets lines before it on how far it is.
+    *_, line = refused.stderr.splitlines()
     assert line == f"arctrack: error: --bus {INTERFACE}:{GROUP}: No such device; {MULTICAST_CURE}"
     cure = MULTICAST_CURE.rpartition("as root: ")[2]
     talk = ["unshare", "-n", "sh", "-c", f"{cure}; exec {sys.executable} -c {shlex.quote(TALK)}"]
