@@ -25,7 +25,6 @@ from tracker.seam.locate import sources
 from tracker.state import Frame, Lead, Stripe
 from tracker.stripe.band import FIT_SIGMAS, Band, LightLevel, gather_band
 from tracker.stripe.detection import MIN_RATIO, MIN_SEEN, seen_share
-from tracker.stripe.edge import clear_lines
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import (
     LitBand,
@@ -176,13 +175,13 @@ def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> S
     assert seen.stripe is not None
     reading, source, seam_source = seen.stripe, geometry.stripe_source, geometry.seam_source
     edge = EdgeAlongSeam(seam_source.height_mm, aim.seam.slope_sigma, reading.usual.contrast)
-    points, column_mm, sheet_lines = triangulate(source, aim.scene, reading.lines, edge)
+    points, column_mm, sheet_lines, mixed_lines = triangulate(source, aim.scene, reading.lines, edge)
     camera_mm, laser_mm = sources(seam_source, aim.scene, aim.seam.station_mm)
     return Section(
         points=points,
         column_mm=column_mm,
         reach_mm=aim.reach_mm + BEYOND_REACH_MM,
-        mixed_mm=column_mm * (clear_lines(source.psf_sigma_px, sheet_lines) - 1),
+        mixed_mm=column_mm * mixed_lines,
         slope_sigma=aim.seam.slope_sigma,
         light=light_of(reading, source.psf_sigma_px, sheet_lines),
         camera_mm=camera_mm,

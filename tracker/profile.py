@@ -34,6 +34,7 @@ from tracker.state import (
     Z_MM,
     Stripe,
 )
+from tracker.stripe.edge import clear_lines
 from tracker.stripe.light import NO_LIGHT, StripeLight
 
 MIN_POINTS = 20
@@ -168,11 +169,15 @@ _NO_EDGE = EdgeAlongSeam(0.0, 0.0, 1.0)
 
 
 class Points(NamedTuple):
-    """Points (N_ROWS, n), their scan lines' spacing, mm, and how many lines an edge spreads over."""
+    """Points (N_ROWS, n) and their scan lines' spacing, mm; over how many lines an edge crosses the sheet.
+
+    Nearer to a corner than `mixed_lines` a scan line holds light of both faces.
+    """
 
     points: Float64
     column_mm: float
     sheet_lines: float
+    mixed_lines: int
 
 
 def triangulate(source: StripeSource, scene: Scene, lines: Float64, edge: EdgeAlongSeam = _NO_EDGE) -> Points:
@@ -186,8 +191,10 @@ def triangulate(source: StripeSource, scene: Scene, lines: Float64, edge: EdgeAl
         edge=edge,
         lens=source.lens,
         along_rows=source.along_rows,
+        psf_sigma_px=source.psf_sigma_px,
         sheet_sigma_mm=source.sheet.sigma,
-        plane_joint=plane_in(scene.T_joint_tool, source.sheet.plane),
+        plane_tool=source.sheet.plane,
+        T_joint_tool=scene.T_joint_tool,
         T_joint_camera=scene.T_joint_camera,
         corrugation=scene.shape.corrugation,
     )
@@ -251,8 +258,10 @@ def _triangulate(
     edge: EdgeAlongSeam,
     lens: Intrinsics,
     along_rows: bool,
+    psf_sigma_px: float,
     sheet_sigma_mm: float,
-    plane_joint: Plane,
+    plane_tool: Float64,
+    T_joint_tool: Float64,
     T_joint_camera: Float64,
     corrugation: Float64,
 ) -> Points:
@@ -261,6 +270,7 @@ def _triangulate(
     The camera's ray d from o meets the laser plane n.p + e = 0 in o + t d, t = -(n.o + e) / n.d. With a
     change of the ray by d' that point moves by t (d' - d (n.d') / (n.d)).
     """
+    plane_joint = plane_in(T_joint_tool, plane_tool)
     crossed = edge_lines(lens, along_rows, T_joint_camera, plane_joint, sheet_sigma_mm, edge)
     skewed_px = skewed_sigma_px(lines[AMPLITUDE_E], lines[WIDTH_PX], edge.contrast, crossed.possible)
     position_px, bias_px, n_lines = lines[CENTRE_PX], lines[BIAS_PX], lines[N_LINES]
@@ -303,7 +313,7 @@ def _triangulate(
     for row in range(N_ROWS):
         for i in range(n):
             kept[row, i] = points[row, n - 1 - i if flips else i]
-    return Points(kept, _spacing(kept), crossed.stated)
+    return Points(kept, _spacing(kept), crossed.stated, clear_lines(psf_sigma_px, crossed.stated) - 1)
 
 
 @kernel

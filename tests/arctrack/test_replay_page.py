@@ -151,7 +151,7 @@ def test_the_view_is_the_trackers_own(simulated: Path) -> None:
         expected = expect_stripe(tracker.geometry, reading.scene)
         assert expected is not None
         lines = lines_of(stripe, expected.bias_px)
-        points, _, _ = triangulate(tracker.geometry.stripe_source, reading.scene, lines)
+        points = triangulate(tracker.geometry.stripe_source, reading.scene, lines).points
         points_joint = transform(reading.scene.T_joint_tool, view.profile.points_mm)
         np.testing.assert_allclose(points_joint[:, 1:], points[:2].T, atol=1e-6)
         y, z = view.profile.section_mm[:, 1:].T

@@ -64,7 +64,7 @@ def bench_of(setup: Setup) -> Bench:
     sigma, none = np.full(geometry.n_scan, 0.1), np.zeros(geometry.n_scan)
     stripe = Stripe(expected.position_px, sigma, sigma, none > 0.0, geometry.along_rows, sigma)
     lines = lines_of(stripe, none)
-    points, column_mm, _ = triangulate(geometry.stripe_source, scene, lines)
+    points, column_mm, _, _ = triangulate(geometry.stripe_source, scene, lines)
     section = Section(points, column_mm, REACH_MM)
     return Bench(geometry, scene, expected.position_px, float(np.median(expected.sigma_px)), section)
 

@@ -31,6 +31,7 @@ from tracker.state import (
     Z_MM,
     Stripe,
 )
+from tracker.stripe.edge import clear_lines
 
 DISTORTION = (-0.12, 0.03, 0.001, -0.002, 0.0)
 
@@ -129,7 +130,7 @@ def test_a_stripes_points_lie_where_its_corrected_centres_meet_the_sheet(
     lines = lines_of(stripe_at(position, sigma, beside), bias)
     lines[AMPLITUDE_E], lines[WIDTH_PX], lines[MISFIT_PX] = amplitude, width, misfit
     edge = EdgeAlongSeam(-2.0, 0.03, 0.05)
-    points, _, sheet_lines = triangulate(geometry.stripe_source, scene, lines, edge)
+    points, _, sheet_lines, mixed_lines = triangulate(geometry.stripe_source, scene, lines, edge)
     own = points[SCAN].astype(int)
     np.testing.assert_array_equal(np.sort(own), np.flatnonzero(np.isfinite(position)))
     assert (np.diff(points[Y_MM]) >= 0.0).all()
@@ -138,6 +139,7 @@ def test_a_stripes_points_lie_where_its_corrected_centres_meet_the_sheet(
     np.testing.assert_allclose(points[[Y_MM, Z_MM]], there[:, 1:].T, atol=1e-6)
     over = lines_over(geometry, scene, edge)
     assert sheet_lines == over.stated
+    assert mixed_lines == clear_lines(geometry.setup.camera.psf_sigma_px, over.stated) - 1
     skewed = skewed_sigma_px(amplitude, width, edge.contrast, over.possible)
     assert skewed.any()
     rows = np.array([np.hypot(sigma, skewed), np.hypot(beside, skewed), bias, misfit, np.ones(n)])
@@ -166,7 +168,7 @@ def test_two_lines_read_as_one_are_one_point_between_them() -> None:
     stripe = stripe_at(position, 0.1 * ones, 0.3 * ones)
     lines = lines_of(stripe, 0.0 * ones)
     lines[N_LINES] = n_lines
-    points, column_mm, _ = triangulate(geometry.stripe_source, scene, lines)
+    points, column_mm, *_ = triangulate(geometry.stripe_source, scene, lines)
     assert points.shape[1] == n - 20
     pairs = points[N_LINES] == 2.0
     np.testing.assert_array_equal(np.sort(points[SCAN, pairs]), np.arange(60.5, 100.0, 2.0))

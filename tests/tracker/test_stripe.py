@@ -14,6 +14,7 @@ from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.lanes import N_LANES, load, spread, store, where
+from tracker.stripe.fit_band import MIN_BINNED_SIGMA, bin_for, offsets_within
 from tracker.stripe.line_fit.block import CORRELATION_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
 from tracker.stripe.line_fit.first_guess import BLOCK, line_window
 from tracker.stripe.line_fit.lines import LineFits, fit_lines, fit_room, map_edge
@@ -34,13 +35,10 @@ from tracker.stripe.line_fit.residuals import CORE_SIGMAS, SATURATED_SIGMAS
 from tracker.stripe.viterbi import (
     JUMP_COST,
     MANY_OFFSETS,
-    MIN_BINNED_SIGMA,
     OFFSET_STEP,
     best_path,
-    bin_for,
     matched_filter,
     middles,
-    offsets_within,
     peaks,
 )
 from tracker.stripe.viterbi import bell as bell_of

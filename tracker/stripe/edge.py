@@ -7,10 +7,10 @@ between them is
     d(r) = a_s u(r) + b_s v(r) + c_s + noise.
 
 Seen through a Gaussian of sigma_p, an edge at e leaves a_s = A Phi((e - s) / sigma_p), A near 1, and so of
-the other side. Where the edge crosses the stripe askew, the sheet's 1 sigma spreads it over lines of its own:
-a bell cut off at t of its sigmas has the least-squares share Phi(sqrt(2) t), so half of that square counts.
-A stripe's brightness scatters by a contrast C, neighbouring lines alike: two lines k apart by rho^k. So a
-whole line may be dimmer than one that holds half, and so may its neighbours: an end is the mean of its
+the other side. Where the edge crosses the stripe skewed, the sheet's 1 sigma spreads it over lines of its
+own: a bell cut off at t of its sigmas has the least-squares share Phi(sqrt(2) t), so half of that square
+counts. A stripe's brightness scatters by a contrast C, neighbouring lines alike: two lines k apart by rho^k.
+So a whole line may be dimmer than one that holds half, and so may its neighbours: an end is the mean of its
 posterior. The likelihood is a Kalman filter's along the lines (Kalman 1960, J. Basic Eng. 82, 35).
 """
 

@@ -42,7 +42,14 @@ from tracker.stripe.scatter import (
     width_factor,
     width_limit_ln,
 )
-from tracker.stripe.viterbi import JUMP_COST, best_path, matched_filter, middles, peaks
+from tracker.stripe.viterbi import JUMP_COST, OFFSET_STEP, best_path, matched_filter, middles, peaks
+
+MIN_BINNED_SIGMA = 2.5
+"""A wide stripe is sought in sums of neighbouring pixels, of which its sigma holds so many at least.
+
+Sums of b pixels cost a bell's score b^2 / (48 sigma^2) of it, a third of a percent at most; with the
+template's mean taken out it is less than one.
+"""
 
 MOST_SCORE_LOST = 0.01
 """The share of its score that a stripe may lose to a filter for another width: the path hardly feels it."""
@@ -117,6 +124,20 @@ class ReadRoom(NamedTuple):
         )
 
 
+def bin_for(sigma_px: Float64) -> int:
+    """Return how many pixels are summed where stripes of 1 sigma (n,) px are sought: a power of two."""
+    narrowest, n = np.min(sigma_px, where=sigma_px > 0.0, initial=math.inf), 1
+    while math.isfinite(narrowest) and 2.0 * MIN_BINNED_SIGMA * n <= narrowest:
+        n *= 2
+    return n
+
+
+def offsets_within(reach_px: float, bin_px: int) -> Int64:
+    """Return the offsets (n,), px, at which a stripe is sought within a reach: OFFSET_STEP bins apart."""
+    farthest = bin_px * math.ceil(math.floor(reach_px) / bin_px)
+    return np.arange(-farthest, farthest + 1, OFFSET_STEP * bin_px)
+
+
 def score_lost(factor: float) -> float:
     """Return the share of its score that a stripe loses to a matched filter for so many times its width.
 
@@ -126,7 +147,7 @@ def score_lost(factor: float) -> float:
 
 
 def fit_band(
-    band: Band, expected: ExpectedStripe, sought: SearchRange, noise: Noise, learned: Float64, room: ReadRoom
+    band: Band, expected: ExpectedStripe, search: SearchRange, noise: Noise, learned: Float64, room: ReadRoom
 ) -> None:
     """Find the likeliest path through a band, fit its lines and see how they scatter.
 
@@ -141,14 +162,14 @@ def fit_band(
         expected_px=expected.position_px,
         is_sought=expected.is_sought,
         width_px=room.width_px,
-        offsets_px=sought.offsets_px,
-        bin_px=sought.bin_px,
+        offsets_px=search.offsets_px,
+        bin_px=search.bin_px,
         score=room.score,
         choice=room.choice,
         around_px=room.around_px,
         start_px=room.start_px,
     )
-    fit_path(band, expected, sought, noise, learned, room)
+    fit_path(band, expected, search, noise, learned, room)
 
 
 @kernel(allocates=True)
@@ -195,17 +216,17 @@ def _seek_path(
 
 
 def fit_path(
-    band: Band, expected: ExpectedStripe, sought: SearchRange, noise: Noise, learned: Float64, room: ReadRoom
+    band: Band, expected: ExpectedStripe, search: SearchRange, noise: Noise, learned: Float64, room: ReadRoom
 ) -> None:
     """Fit the lines of a band along the likeliest path that is known, and see how they scatter."""
     np.multiply(width_factor(learned), expected.sigma_px, out=room.width_px)
-    if sought.reads_pairs:
+    if search.reads_pairs:
         mark_pairs(
             choice=room.choice,
             face=expected.face,
             expected_px=expected.position_px,
             width_px=room.width_px,
-            reach_px=sought.reach_px,
+            reach_px=search.reach_px,
             n_lines=room.n_lines,
             is_smooth=room.is_smooth,
         )
@@ -237,7 +258,7 @@ def fit_path(
         n_lines=room.n_lines,
         is_smooth=room.is_smooth,
         learned=learned,
-        is_searching=sought.is_searching,
+        is_searching=search.is_searching,
         values=room.values,
         scratch=room.scratch,
         own_px=room.own_px,

@@ -255,7 +255,7 @@ def second_light(
 
 
 class SecondStripe(NamedTuple):
-    """A second stripe: its `share` of the brighter one's light, 0 for none, and by how many nats it is told.
+    """A second stripe: its `share` of the brighter one's light, 0 for none, and the evidence that tells it.
 
     The brighter one is read at all offsets; where it `is_reflection`, the other at `n_offsets` of them, from
     number `first` on.
@@ -310,13 +310,13 @@ def told_of_two(
 def read_without_second(
     band: Band,
     expected: ExpectedStripe,
-    sought: SearchRange,
+    search: SearchRange,
     noise: Noise,
     learned: Float64,
     room: ReadRoom,
 ) -> SecondStripe:
     """Take a second stripe's light for background, and read the band anew until that changes nothing."""
-    offsets_px, reach_px = sought.offsets_px, sought.reach_px
+    offsets_px, reach_px = search.offsets_px, search.reach_px
     share, apart_px, is_plain = 0.0, 0.0, True
     for _ in range(MAX_ROUNDS):
         plain = band.background if is_plain else band.plain
@@ -340,15 +340,15 @@ def read_without_second(
             )
         np.add(band.plain, band.light, out=band.background)
         share = now
-        fit_band(band, expected, sought, noise, learned, room)
-    told = SecondStripe(share, math.inf, False, 0, len(offsets_px))
-    if not sought.is_searching or share == 0.0:
-        return told
-    told = told_of_two(
+        fit_band(band, expected, search, noise, learned, room)
+    second = SecondStripe(share, math.inf, False, 0, len(offsets_px))
+    if not search.is_searching or share == 0.0:
+        return second
+    second = told_of_two(
         room.lines.fits, expected.position_px, apart_px, share, offsets_px, reach_px, room.values
     )
-    if told.is_reflection:
+    if second.is_reflection:
         band.background[:] = band.plain
-        near = offsets_px[told.first : told.first + told.n_offsets]
-        fit_band(band, expected, sought._replace(offsets_px=near), noise, learned, room)
-    return told
+        near = offsets_px[second.first : second.first + second.n_offsets]
+        fit_band(band, expected, search._replace(offsets_px=near), noise, learned, room)
+    return second

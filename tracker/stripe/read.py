@@ -28,8 +28,10 @@ from tracker.stripe.fit_band import (
     ReadRoom,
     SearchRange,
     UsualLine,
+    bin_for,
     fit_band,
     fit_path,
+    offsets_within,
     score_lost,
     usual_line,
     write_lines,
@@ -37,7 +39,6 @@ from tracker.stripe.fit_band import (
 from tracker.stripe.ghost import read_without_second
 from tracker.stripe.light import StripeLight
 from tracker.stripe.scatter import N_NUMBERS, FrameScatter, Scatter, add_frame, width_factor
-from tracker.stripe.viterbi import bin_for, offsets_within
 
 MEDIAN_HALF_PX = 30
 MEDIAN_SIGMA = 1.0
@@ -197,21 +198,21 @@ def read_stripe(
     band, noise, bin_px = lit.band, lit.noise, bin_for(expected.sigma_px)
     before, frames = scatter.average.numbers, scatter.frames
     reads_pairs = frames > 0 and not is_searching
-    sought = SearchRange(offsets_within(reach_px, bin_px), bin_px, reach_px, is_searching, reads_pairs)
+    search = SearchRange(offsets_within(reach_px, bin_px), bin_px, reach_px, is_searching, reads_pairs)
     at_level(band.background, lit.light)
-    fit_band(band, expected, sought, noise, before, room)
+    fit_band(band, expected, search, noise, before, room)
     read_with, after = before, np.empty(N_NUMBERS)
     if frames == 0:
         read_with = np.empty(N_NUMBERS)
         add_frame(before, 0, room.seen, read_with)
         # A stripe of another width is sought anew. Of a search no more is asked than where the joint is.
         if score_lost(width_factor(before) / width_factor(read_with)) > MOST_SCORE_LOST:
-            fit_band(band, expected, sought, noise, read_with, room)
+            fit_band(band, expected, search, noise, read_with, room)
         elif not is_searching:
-            fit_path(band, expected, sought, noise, read_with, room)
-    told = read_without_second(band, expected, sought, noise, read_with, room)
+            fit_path(band, expected, search, noise, read_with, room)
+    second = read_without_second(band, expected, search, noise, read_with, room)
     add_frame(before, frames, room.seen, after)
-    n_scan, n = len(expected.position_px), told.n_offsets
+    n_scan, n = len(expected.position_px), second.n_offsets
     lines = np.empty((N_ROWS, n_scan))
     write_lines(
         fits=room.lines,
@@ -232,7 +233,7 @@ def read_stripe(
         along_rows=image.along_rows,
         beside_px=lines[BESIDE_PX],
     )
-    offsets_px = sought.offsets_px[told.first : told.first + n]
+    offsets_px = search.offsets_px[second.first : second.first + n]
     score = room.score[: n_scan * n].reshape((n_scan, n))
     evidence = evidence_of(
         position_px=stripe.position_px,
@@ -263,8 +264,8 @@ def read_stripe(
         dark_variance_e2=noise.dark_e2,
         map_sigma=noise.map_rel,
         base_sigma_e=noise.base_e,
-        second_share=told.share,
-        told_nats=told.nats,
+        second_share=second.share,
+        told_nats=second.nats,
         scatter=Scatter(FrameScatter.of(after), frames + 1),
         learned=Scatter(FrameScatter.of(read_with), max(frames, 1)),
         usual=usual_line(after, lines[OWN_PX]),

@@ -95,7 +95,10 @@ class FrameScatter(NamedTuple):
     @property
     def numbers(self) -> Float64:
         """All of it in one array (N_NUMBERS,), as the kernels take it."""
-        return np.concatenate(self, axis=None)
+        numbers = np.empty(N_NUMBERS)
+        numbers[:BY_LENGTH], numbers[BY_LENGTH:BRIGHTNESS], numbers[BRIGHTNESS:SPECKLE] = self[:3]
+        numbers[SPECKLE], numbers[LN_WIDTH], numbers[WIDTH_VARIANCE] = self[3:]
+        return numbers
 
 
 _NOTHING = FrameScatter.of(np.full(N_NUMBERS, math.nan))

@@ -16,13 +16,6 @@ Pair = tuple[float, float]
 Room = tuple[Float32, Float32, Float32, Float32, Float32]
 """Scratch, by turns: a template's values and their squares, a line's residuals and variances; and sums."""
 
-MIN_BINNED_SIGMA = 2.5
-"""A wide stripe is sought in sums of neighbouring pixels, of which its sigma holds so many at least.
-
-Sums of b pixels cost a bell's score b^2 / (48 sigma^2) of it, a third of a percent at most; with the
-template's mean taken out it is less than one.
-"""
-
 TEMPLATE_SIGMAS = 2.5
 """How far the matched filter's template reaches."""
 
@@ -40,23 +33,6 @@ GAIN_CAP = 60.0
 
 JUMP_COST, JUMP_COST_CAP, MISSING_COST = 1.0, 12.0, 6.0
 """Path costs in log-likelihood: per 2 px of change against the expected shape, at most, and for no stripe."""
-
-
-@kernel
-def bin_for(sigma_px: Float64) -> int:
-    """Return how many pixels are summed where stripes of 1 sigma (n,) px are sought: a power of two."""
-    narrowest, n = math.inf, 1
-    for s in range(sigma_px.shape[0]):
-        narrowest = min(narrowest, sigma_px[s]) if sigma_px[s] > 0.0 else narrowest
-    while math.isfinite(narrowest) and 2.0 * MIN_BINNED_SIGMA * n <= narrowest:
-        n *= 2
-    return n
-
-
-def offsets_within(reach_px: float, bin_px: int) -> Int64:
-    """Return the offsets (n,), px, at which a stripe is sought within a reach: OFFSET_STEP bins apart."""
-    farthest = bin_px * math.ceil(math.floor(reach_px) / bin_px)
-    return np.arange(-farthest, farthest + 1, OFFSET_STEP * bin_px)
 
 
 @kernel

@@ -123,7 +123,7 @@ class Viewer:
     def _profile(self, reading: Reading, stripe: Stripe, bias_px: Float64) -> Profile | None:
         geometry, scene, joint = self.geometry, reading.scene, reading.joint
         centre_px = stripe.position_px - bias_px
-        points, _, _ = triangulate(geometry.stripe_source, scene, lines_of(stripe, bias_px))
+        points = triangulate(geometry.stripe_source, scene, lines_of(stripe, bias_px)).points
         if not points.size:
             return None
         scan = points[SCAN]
