@@ -21,7 +21,8 @@ import numpy as np
 
 from noise_model.arc.patch_borders import MAX_BORDERS, seen_strip
 from noise_model.arc.quadrature import gauss_nodes
-from noise_model.arc.ray import ArcKernel, Scratch, scratch
+from noise_model.arc.ray import ArcKernel
+from noise_model.arc.scratch import Scratch, scratch
 from noise_model.arc.table import (
     ASKED,
     NEW,
@@ -131,9 +132,11 @@ def _value_at(
 ) -> float:
     """Return what a cell's polynomial stands for, light times fall-off, of a scene that is `moved`."""
     there, on = moved(k, y_mm, eye_mm), seen_strip(face, k.vertices)
-    work.faces[0], work.places[0, 0], work.places[0, 1], work.light_e[0] = face, x, s, ASKED
-    integrate(there, work.faces, work.places, 1, work.light_e, work)
-    return float(fall_off(there, on, x, s) * work.light_e[0])
+    room = work[0]
+    faces, places, light_e = room.node_faces[:], room.node_places[:], room.node_light_e[:]
+    faces[0], places[0, 0], places[0, 1], light_e[0] = face, x, s, ASKED
+    integrate(there, faces, places, 1, light_e, work)
+    return float(fall_off(there, on, x, s) * light_e[0])
 
 
 @kernel(allocates=True)

@@ -10,23 +10,24 @@ What is left is read off the table pixel by pixel.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from noise_model.arc.bicubic import LARGEST, N, fill_row, to_powers
 from noise_model.arc.face_lookup import face_seen
 from noise_model.arc.node_light import light_of_face, light_of_nodes, write_faces
 from noise_model.arc.node_rays import (
-    NodeRays,
     follow_to_lap,
-    node_rays,
     places_on_rays,
     take_rays,
     tell_faces,
     tell_places,
 )
-from noise_model.arc.ray import ArcKernel, Scratch, scratch
+from noise_model.arc.ray import ArcKernel
+from noise_model.arc.scratch import Scratch, scratch
 from noise_model.arc.table import FaceTable, light_at_places
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.arrays import Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.surface.ray_casting import MISS
 
@@ -47,66 +48,64 @@ CELL_WORTH = 20.0
 FILLED, HALVED_ACROSS, HALVED_ALONG = 0, 1, 2
 """What becomes of a cell: edges and what ridges do to light run along scan lines or across them."""
 
-MAX_FACES = 40
-"""Room for the faces of a section: those of a U are most."""
-
 Box = tuple[int, int, int, int]
 """A cell: its first scan line and position, and their numbers."""
 
-Rays = tuple[Float32, Float32, int]
-"""The camera's `xy` (n_scan n_pos, 2) and `cos4`, and n_pos."""
 
-Room = tuple[Int64, Float64, Int64, Float64, Bool, Int64, Float64, Float32, NodeRays]
-"""Scratch: pixels, light, faces and places; by face whether it is seen, the last run's end, coefficients
-(MAX_FACES, 4, 4); and 0, 1, 2 ..."""
+class Image(NamedTuple):
+    """A band (n_scan, depth), e-, to be filled, and the camera whose image it is a part of.
+
+    `xy` (n_scan n_pos, 2) and `cos4` are the camera's rays; `group` scan lines share a place of `lows`, where
+    the band begins. `node_at` and `rules` are `bicubic.node_rules`, `ramp` (LARGEST,) is 0, 1, 2 ...
+    """
+
+    xy: Float32
+    cos4: Float32
+    n_pos: int
+    node_at: Int64
+    rules: Float64
+    ramp: Float32
+    lows: Int64
+    group: int
+    band_e: Float32
 
 
 @kernel(inline=True)
-def _line_in_band(box: Box, i: int, lows: Int64, group: int, depth: int) -> tuple[int, int, int]:
+def _line_in_band(image: Image, box: Box, i: int) -> tuple[int, int, int]:
     """Return where the band begins on a cell's i-th line, and which positions of the cell lie in it."""
     scan, pos, _, n_p = box
-    low = lows[(scan + i) // group]
-    return low, max(pos, low), min(pos + n_p, low + depth)
+    low = image.lows[(scan + i) // image.group]
+    return low, max(pos, low), min(pos + n_p, low + image.band_e.shape[1])
 
 
 @kernel(fastmath={"contract"})
-def _fill_smooth(powers: Float64, box: Box, lows: Int64, group: int, ramp: Float32, band_e: Float32) -> None:
+def _fill_smooth(powers: Float64, image: Image, box: Box) -> None:
     """Fill the part of a cell that lies in the band from its coefficients."""
     scan, pos, n_s, n_p = box
     for i in range(n_s):
-        low, first, last = _line_in_band(box, i, lows, group, band_e.shape[1])
-        t, line = -1.0 + 2.0 / (n_s - 1) * i, band_e[scan + i]
-        fill_row(powers, t, 2.0 / (n_p - 1), pos - low, ramp, line, first - low, last - low)
+        low, first, last = _line_in_band(image, box, i)
+        t, line = -1.0 + 2.0 / (n_s - 1) * i, image.band_e[scan + i]
+        fill_row(powers, t, 2.0 / (n_p - 1), pos - low, image.ramp, line, first - low, last - low)
 
 
 @kernel
-def _fill_apart(
-    k: ArcKernel,
-    table: FaceTable,
-    rays: Rays,
-    box: Box,
-    lows: Int64,
-    group: int,
-    band_e: Float32,
-    room: Room,
-    work: Scratch,
-) -> None:
+def _fill_apart(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: Scratch) -> None:
     """Fill what of a box of at most LARGEST pixels lies in the band, pixel by pixel."""
-    xy, cos4, n_pos = rays
-    pixels, light_e, faces, places = room[0], room[1], room[2], room[3]
+    n_pos, room = image.n_pos, work[0]
+    pixels, light_e, faces, places = room.pixels[:], room.light_e[:], room.faces[:], room.places[:]
     n = 0
     for i in range(box[2]):
-        _, first, last = _line_in_band(box, i, lows, group, band_e.shape[1])
+        _, first, last = _line_in_band(image, box, i)
         for position in range(first, last):
             pixels[n] = (box[0] + i) * n_pos + position
             n += 1
-    places_on_rays(k, table.seen, xy, pixels, n, faces, places, room[8])
-    light_at_places(k, table, cos4, pixels, n, faces, places, 0.0, light_e, work)
+    places_on_rays(k, table.seen, image.xy, pixels, n, faces, places, room)
+    light_at_places(k, table, image.cos4, pixels, n, faces, places, 0.0, light_e, work)
     n = 0
     for i in range(box[2]):
-        low, first, last = _line_in_band(box, i, lows, group, band_e.shape[1])
+        low, first, last = _line_in_band(image, box, i)
         for position in range(first, last):
-            band_e[box[0] + i, position - low] = light_e[n]
+            image.band_e[box[0] + i, position - low] = light_e[n]
             n += 1
 
 
@@ -120,43 +119,32 @@ def _node_pixels(n_pos: int, box: Box, node_at: Int64, pixels: Int64) -> None:
 
 
 @kernel
-def _fill_mixed(
-    k: ArcKernel,
-    table: FaceTable,
-    rays: Rays,
-    box: Box,
-    rules: Float64,
-    lows: Int64,
-    group: int,
-    band_e: Float32,
-    room: Room,
-    work: Scratch,
-) -> int:
+def _fill_mixed(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: Scratch) -> int:
     """Fill a cell of a plain section that shows several faces, or say how it has to be halved.
 
-    In `room` the nodes' pixels and which faces they meet are known; the latter are left with those that have
-    coefficients.
+    In the scratch the nodes' pixels and which faces they meet are known; the latter are left with those that
+    have coefficients.
     """
-    xy, _, n_pos = rays
-    light_e, seen, guess, powers, ramp = room[1], room[4], room[5], room[6], room[7]
+    xy, n_pos, room = image.xy, image.n_pos, work[0]
+    light_e, seen, guess = room.light_e[:], room.is_filled[:], room.run_ends[:]
+    powers, band_e = room.powers[:], image.band_e
     scan, pos, n_s, n_p = box
     for face in range(k.vertices.shape[0] - 1):
         if not seen[face]:
             continue
-        light_of_face(k, table, face, rays[:2], room[8], room[:4], work)
-        across, along, least = to_powers(light_e, rules, (n_s, n_p), powers[face])
+        light_of_face(k, table, face, xy, image.cos4, work)
+        across, along, least = to_powers(light_e, image.rules, (n_s, n_p), powers[face])
         if not max(across, along) <= SHARE * max(table.rel * least, table.floor_e):
             halved = _halved(n_s, n_p, across >= along)
             if halved != FILLED:
                 return halved
             seen[face] = False
-    depth = band_e.shape[1]
     t_step, u_step = 2.0 / (n_s - 1), 2.0 / (n_p - 1)
     for i in range(guess.shape[0]):
         guess[i] = -1
     for i in range(n_s):
         row = (scan + i) * n_pos
-        low, first, end = _line_in_band(box, i, lows, group, depth)
+        low, first, end = _line_in_band(image, box, i)
         if first >= end:
             continue
         face = face_seen(k, table.seen, xy[row + first, 0], xy[row + first, 1])
@@ -185,14 +173,13 @@ def _fill_mixed(
                     -1.0 + t_step * i,
                     u_step,
                     pos - low,
-                    ramp,
+                    image.ramp,
                     band_e[scan + i],
                     first - low,
                     last - low,
                 )
             else:
-                run_box = (scan + i, first, 1, last - first)
-                _fill_apart(k, table, rays, run_box, lows, group, band_e, room, work)
+                _fill_apart(k, table, image, (scan + i, first, 1, last - first), work)
             first = last
             if first < end:
                 face = face_seen(k, table.seen, xy[row + first, 0], xy[row + first, 1])
@@ -222,25 +209,18 @@ def _changes_across(faces: Int64) -> bool:
 
 @kernel
 def _holds_between_nodes(
-    k: ArcKernel,
-    table: FaceTable,
-    rays: Rays,
-    box: Box,
-    powers: Float64,
-    allowed: float,
-    room: Room,
-    work: Scratch,
+    k: ArcKernel, table: FaceTable, image: Image, box: Box, powers: Float64, allowed: float, work: Scratch
 ) -> bool:
     """Say whether a cell's polynomial is off by no more than is allowed, e-, between nodes in its corners."""
-    xy, cos4, n_pos = rays
-    pixels, light_e, faces, places = room[0], room[1], room[2], room[3]
+    n_pos, room = image.n_pos, work[0]
+    pixels, light_e, faces, places = room.pixels[:], room.light_e[:], room.faces[:], room.places[:]
     scan, pos, n_s, n_p = box
     down, on = (n_s - 1) // (2 * (N - 1)), (n_p - 1) // (2 * (N - 1))
     for i in range(N_CORNERS):
         line, position = (n_s - 1 - down if i // 2 else down), (n_p - 1 - on if i % 2 else on)
         pixels[i] = (scan + line) * n_pos + pos + position
-    places_on_rays(k, table.seen, xy, pixels, N_CORNERS, faces, places, room[8])
-    light_at_places(k, table, cos4, pixels, N_CORNERS, faces, places, 0.0, light_e, work)
+    places_on_rays(k, table.seen, image.xy, pixels, N_CORNERS, faces, places, room)
+    light_at_places(k, table, image.cos4, pixels, N_CORNERS, faces, places, 0.0, light_e, work)
     for i in range(N_CORNERS):
         line, position = pixels[i] // n_pos - scan, pixels[i] % n_pos - pos
         t, u = -1.0 + 2.0 * line / (n_s - 1), -1.0 + 2.0 * position / (n_p - 1)
@@ -254,33 +234,22 @@ def _holds_between_nodes(
 
 
 @kernel(inline=True)
-def _fill_cell(
-    k: ArcKernel,
-    table: FaceTable,
-    rays: Rays,
-    box: Box,
-    node_at: Int64,
-    rules: Float64,
-    lows: Int64,
-    group: int,
-    band_e: Float32,
-    room: Room,
-    work: Scratch,
-) -> int:
+def _fill_cell(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: Scratch) -> int:
     """Fill a cell, or say how it has to be halved."""
-    xy, cos4, n_pos = rays
-    pixels, light_e, faces, places, seen, _, powers, ramp, nodes = room
+    xy, cos4, rules, room = image.xy, image.cos4, image.rules, work[0]
+    pixels, light_e, faces, places = room.pixels[:], room.light_e[:], room.faces[:], room.places[:]
+    seen, powers = room.is_filled[:], room.powers[0]
     _, _, n_s, n_p = box
     halved = _halved(n_s, n_p, True)
     if n_s >= N and n_p >= N:
-        _node_pixels(n_pos, box, node_at, pixels)
-        take_rays(xy, pixels, 0, N * N, nodes)
+        _node_pixels(image.n_pos, box, image.node_at, pixels)
+        take_rays(xy, pixels, 0, N * N, room)
         is_plain = k.corrugation[0] == 0.0
-        is_told = write_faces(k, table.seen, nodes) if is_plain else follow_to_lap(k, nodes)
+        is_told = write_faces(k, table.seen, room) if is_plain else follow_to_lap(k, room)
         if is_told:
-            tell_faces(nodes, 0, N * N, faces)
+            tell_faces(room, 0, N * N, faces)
         else:
-            places_on_rays(k, table.seen, xy, pixels, N * N, faces, places, nodes)
+            places_on_rays(k, table.seen, xy, pixels, N * N, faces, places, room)
         is_one = faces[0] != MISS
         for face in range(k.vertices.shape[0] - 1):
             seen[face] = False
@@ -290,28 +259,28 @@ def _fill_cell(
                 seen[faces[i]] = True
         if is_one:
             if is_told and is_plain:
-                light_of_face(k, table, faces[0], rays[:2], nodes, room[:4], work)
+                light_of_face(k, table, faces[0], xy, cos4, work)
             elif is_told:
-                tell_places(k, nodes, 0, N * N, places)
-                light_of_nodes(k, table, faces[0], cos4, nodes, room[:4], work)
+                tell_places(k, room, 0, N * N, places)
+                light_of_nodes(k, table, faces[0], cos4, work)
             else:
                 light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
-            across, along, least = to_powers(light_e, rules, (n_s, n_p), powers[0])
+            across, along, least = to_powers(light_e, rules, (n_s, n_p), powers)
             allowed = SHARE * max(table.rel * least, table.floor_e)
             is_smooth = max(across, along) <= allowed
             # What ridges hide has borders anywhere in a cell.
             if is_smooth and not is_plain and max(across, along) > SURE * allowed:
-                is_smooth = _holds_between_nodes(k, table, rays, box, powers[0], allowed, room, work)
+                is_smooth = _holds_between_nodes(k, table, image, box, powers, allowed, work)
             if is_smooth:
-                _fill_smooth(powers[0], box, lows, group, ramp, band_e)
+                _fill_smooth(powers, image, box)
                 return FILLED
             halved = _halved(n_s, n_p, across >= along)
         elif is_plain and min(n_s, n_p) <= MIXED:
-            return _fill_mixed(k, table, rays, box, rules, lows, group, band_e, room, work)
+            return _fill_mixed(k, table, image, box, work)
         else:
             halved = _halved(n_s, n_p, _changes_across(faces))
     if halved == FILLED:
-        _fill_apart(k, table, rays, box, lows, group, band_e, room, work)
+        _fill_apart(k, table, image, box, work)
     return halved
 
 
@@ -331,43 +300,19 @@ def fill_band(
 
     `node_at` and `rules` are `node_rules`.
     """
-    n_pos = cos4.shape[0] // band_e.shape[0]
-    work = scratch()
-    room = (
-        np.empty(LARGEST, dtype=np.int64),
-        np.empty(LARGEST),
-        np.empty(LARGEST, dtype=np.int64),
-        np.empty((LARGEST, 2)),
-        np.empty(MAX_FACES, dtype=np.bool_),
-        np.empty(MAX_FACES, dtype=np.int64),
-        np.empty((MAX_FACES, N, N)),
-        np.arange(LARGEST).astype(np.float32),
-        node_rays(),
-    )
-    stack = np.empty((64, 4), dtype=np.int64)
-    _fill_cells(k, table, (xy, cos4, n_pos), node_at, rules, lows, group, band_e, stack, room, work)
+    n_pos, ramp = cos4.shape[0] // band_e.shape[0], np.arange(LARGEST).astype(np.float32)
+    image = Image(xy, cos4, n_pos, node_at, rules, ramp, lows, group, band_e)
+    _fill_cells(k, table, image, np.empty((64, 4), dtype=np.int64), scratch())
 
 
 @kernel
-def _fill_cells(
-    k: ArcKernel,
-    table: FaceTable,
-    rays: Rays,
-    node_at: Int64,
-    rules: Float64,
-    lows: Int64,
-    group: int,
-    band_e: Float32,
-    stack: Int64,
-    room: Room,
-    work: Scratch,
-) -> None:
+def _fill_cells(k: ArcKernel, table: FaceTable, image: Image, stack: Int64, work: Scratch) -> None:
     """Fill the cells of a band; no array is made here, so that none is counted cell by cell.
 
     The `stack` (n, 4) holds cells still to be filled, the top one next: scan line, position, their numbers.
     """
-    n_scan, depth = band_e.shape
-    n_pos = rays[2]
+    n_scan, depth = image.band_e.shape
+    n_pos, lows, group = image.n_pos, image.lows, image.group
     for scan in range(0, n_scan, LARGEST):
         lines = min(LARGEST, n_scan - scan)
         low, high = n_pos, 0
@@ -379,7 +324,7 @@ def _fill_cells(
             while waiting > 0:
                 waiting -= 1
                 box = (stack[waiting, 0], stack[waiting, 1], stack[waiting, 2], stack[waiting, 3])
-                halved = _fill_cell(k, table, rays, box, node_at, rules, lows, group, band_e, room, work)
+                halved = _fill_cell(k, table, image, box, work)
                 if halved == FILLED:
                     continue
                 s_half = (box[2] + 1) // 2 if halved == HALVED_ACROSS else box[2]
@@ -406,6 +351,7 @@ def fill_pixels(
     faces, places, light_e = np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n)
     x_low, x_high, y_low, y_high = k.reach
     least_mm2 = CELL_WORTH * (x_high - x_low) * (y_high - y_low) / max(n, 1)
-    places_on_rays(k, table.seen, xy, pixels, n, faces, places, node_rays())
-    light_at_places(k, table, cos4, pixels, n, faces, places, least_mm2, light_e, scratch())
+    work = scratch()
+    places_on_rays(k, table.seen, xy, pixels, n, faces, places, work[0])
+    light_at_places(k, table, cos4, pixels, n, faces, places, least_mm2, light_e, work)
     out[:] = light_e

@@ -21,8 +21,9 @@ from noise_model.arc.bicubic import node_rules
 from noise_model.arc.fill import MIXED, fill_band, fill_pixels
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.ray import ArcKernel as ArcKernel
-from noise_model.arc.ray import follow, light_at, scratch
+from noise_model.arc.ray import follow, light_at
 from noise_model.arc.scene import Scene, Scenes
+from noise_model.arc.scratch import scratch
 from noise_model.arc.table import TO_POWERS, FaceTable, new_table
 from noise_model.arrays import Bool, Float32, Float64, Int32, Int64
 from noise_model.kernel import kernel

@@ -8,11 +8,12 @@ from __future__ import annotations
 import numpy as np
 
 from noise_model.arc.face_lookup import Sight
-from noise_model.arc.node_rays import NodeRays, along, places_on_plane, tell_places
+from noise_model.arc.node_rays import along, places_on_plane, tell_places
 from noise_model.arc.patch_borders import seen_strip
-from noise_model.arc.ray import ArcKernel, Scratch
+from noise_model.arc.ray import ArcKernel
+from noise_model.arc.scratch import Record, Scratch
 from noise_model.arc.table import DEGREE, FaceTable, cell_at, light_at_places
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.arrays import Float32, Float64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, Lanes, any_lane, load, spread, store, where
 
@@ -21,7 +22,7 @@ LEVEL = 1e-6
 
 
 @kernel(fastmath=REDUCTION)
-def write_faces(k: ArcKernel, seen: Sight, rays: NodeRays) -> bool:
+def write_faces(k: ArcKernel, seen: Sight, rays: Record) -> bool:
     """Write which faces of a plain section rays meet, `ray_casting.MISS` for none.
 
     False if one of them is level. See `face_lookup.face_seen`: a ray through an edge may meet either face.
@@ -32,14 +33,14 @@ def write_faces(k: ArcKernel, seen: Sight, rays: NodeRays) -> bool:
     slope, place = zero - along(k, 1, rays) / down, zero
     for i in range(seen.slopes.shape[0]):
         place += where(slope > spread(seen.slopes[i]), unity, zero)
-    store(rays.places, 0, place)
+    store(rays.ray_places, 0, place)
     for i in range(N_LANES):
-        rays.faces[i] = seen.faces[int(rays.places[i])]
+        rays.ray_faces[i] = seen.faces[int(rays.ray_places[i])]
     return True
 
 
 @kernel(fastmath=REDUCTION)
-def write_places(k: ArcKernel, face: int, rays: NodeRays) -> bool:
+def write_places(k: ArcKernel, face: int, rays: Record) -> bool:
     """Write the rays' places on a plain face, seen or not; False where one runs away from it."""
     y_0, z_0, ty, tz, _ = seen_strip(face, k.vertices)
     d_x, d_y, d_z = along(k, 0, rays), along(k, 1, rays), along(k, 2, rays)
@@ -48,27 +49,28 @@ def write_places(k: ArcKernel, face: int, rays: NodeRays) -> bool:
     if any_lane(way <= spread(0.0)):
         return False
     s = (spread(k.eye[1] - y_0) + way * d_y) * spread(ty) + (spread(k.eye[2] - z_0) + way * d_z) * spread(tz)
-    store(rays.places, 0, way * d_x)
-    store(rays.places, N_LANES, s)
+    store(rays.ray_places, 0, way * d_x)
+    store(rays.ray_places, N_LANES, s)
     return True
 
 
 @kernel(inline=True)
-def write_light(k: ArcKernel, table: FaceTable, face: int, rays: NodeRays, work: Scratch) -> bool:
+def write_light(k: ArcKernel, table: FaceTable, face: int, work: Scratch) -> bool:
     """Write the light, e- without the lens' fall-off, that rays receive from their places on a face.
 
     False where one is in none of the table's cells. See `table.light_at_places`, whose numbers these are in
     single precision.
     """
+    rays = work[0]
     y_0, z_0, ty, tz, _ = seen_strip(face, k.vertices)
-    x, s = load(rays.places, 0), load(rays.places, N_LANES)
+    x, s = load(rays.ray_places, 0), load(rays.ray_places, N_LANES)
     zero, unity = spread(0.0), spread(1.0)
     value, done = zero, zero
-    store(rays.light_e, 0, done)
+    store(rays.ray_light_e, 0, done)
     for i in range(N_LANES):
-        if rays.light_e[i] > 0.0:
+        if rays.ray_light_e[i] > 0.0:
             continue
-        first_x, first_s = k.eye[0] + rays.places[i], np.float64(rays.places[N_LANES + i])
+        first_x, first_s = k.eye[0] + rays.ray_places[i], np.float64(rays.ray_places[N_LANES + i])
         cell = cell_at(k, table, face, first_x, first_s, 0.0, work)
         if cell < 0:
             return False
@@ -77,14 +79,14 @@ def write_light(k: ArcKernel, table: FaceTable, face: int, rays: NodeRays, work:
         is_within = (t * t <= unity) & (u * u <= unity) & (done == zero)
         value = where(is_within, _polynomial(table.powers[cell], t, u), value)
         done = where(is_within, unity, done)
-        store(rays.light_e, 0, done)
+        store(rays.ray_light_e, 0, done)
     if any_lane(done == zero):
         return False
     # From the arc's centre; see `table.fall_off`.
     x -= spread(k.center[0] - k.eye[0])
     y, z = spread(y_0 - k.center[1]) + s * spread(ty), spread(z_0 - k.center[2]) + s * spread(tz)
     square = x * x + y * y + z * z + spread(k.radius * k.radius)
-    store(rays.light_e, 0, value / (square * square))
+    store(rays.ray_light_e, 0, value / (square * square))
     return True
 
 
@@ -101,43 +103,33 @@ def _polynomial(powers: Float64, t: Lanes, u: Lanes) -> Lanes:
 
 @kernel(inline=True)
 def light_of_face(
-    k: ArcKernel,
-    table: FaceTable,
-    face: int,
-    camera: tuple[Float32, Float32],
-    rays: NodeRays,
-    room: tuple[Int64, Float64, Int64, Float64],
-    work: Scratch,
+    k: ArcKernel, table: FaceTable, face: int, xy: Float32, cos4: Float32, work: Scratch
 ) -> None:
     """Write the light (16,), e-, that nodes receive from a plain face, seen or not; NaN where none can come.
 
-    `camera` are its `xy` and `cos4`, the `room` holds the nodes' pixels, and takes light, faces and places.
+    The scratch holds the nodes' pixels and rays, and takes light, faces and places.
     """
-    pixels, _, faces, places = room
-    if write_places(k, face, rays):
-        tell_places(k, rays, 0, N_LANES, places)
-        light_of_nodes(k, table, face, camera[1], rays, room, work)
+    room = work[0]
+    pixels, places = room.pixels[:], room.places[:]
+    if write_places(k, face, room):
+        tell_places(k, room, 0, N_LANES, places)
+        light_of_nodes(k, table, face, cos4, work)
         return
-    places_on_plane(k, face, camera[0], pixels, N_LANES, faces, places)
-    light_at_places(k, table, camera[1], pixels, N_LANES, faces, places, 0.0, room[1], work)
+    faces = room.faces[:]
+    places_on_plane(k, face, xy, pixels, N_LANES, faces, places)
+    light_at_places(k, table, cos4, pixels, N_LANES, faces, places, 0.0, room.light_e[:], work)
 
 
 @kernel(fastmath=REDUCTION)
-def light_of_nodes(
-    k: ArcKernel,
-    table: FaceTable,
-    face: int,
-    cos4: Float32,
-    rays: NodeRays,
-    room: tuple[Int64, Float64, Int64, Float64],
-    work: Scratch,
-) -> None:
-    """Write the light (16,), e-, that nodes receive from their places on one face, in the `room` too."""
-    pixels, light_e, faces, places = room
-    if not write_light(k, table, face, rays, work):
+def light_of_nodes(k: ArcKernel, table: FaceTable, face: int, cos4: Float32, work: Scratch) -> None:
+    """Write the light (16,), e-, that nodes receive from their places on one face, in the scratch too."""
+    room = work[0]
+    pixels, light_e = room.pixels[:], room.light_e[:]
+    if not write_light(k, table, face, work):
+        faces = room.faces[:]
         for i in range(N_LANES):
             faces[i] = face
-        light_at_places(k, table, cos4, pixels, N_LANES, faces, places, 0.0, light_e, work)
+        light_at_places(k, table, cos4, pixels, N_LANES, faces, room.places[:], 0.0, light_e, work)
         return
     for i in range(N_LANES):
-        light_e[i] = cos4[pixels[i]] * rays.light_e[i]
+        light_e[i] = cos4[pixels[i]] * room.ray_light_e[i]

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
-
-import numpy as np
 
 from noise_model.arc.face_lookup import Sight, face_seen, meet_plane
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.ray import ArcKernel, follow
+from noise_model.arc.scratch import Record
 from noise_model.arrays import Float32, Float64, Int64, Point
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, Lanes, any_lane, greater, lesser, load, spread, store, where
@@ -27,41 +25,21 @@ MARGIN = 1.05
 """So much steeper than the corrugation rays are that meet each sheet once."""
 
 
-class NodeRays(NamedTuple):
-    """Sixteen rays (x, y, 1) of the camera, and room for numbers of theirs.
-
-    `places` (32,) are the stations where they meet a face, counted from the camera's, and the ways across it,
-    mm; `faces` the faces that they meet.
-    """
-
-    x: Float32
-    y: Float32
-    faces: Float32
-    places: Float32
-    light_e: Float32
-
-
-@kernel(allocates=True)
-def node_rays() -> NodeRays:
-    """Make room for sixteen rays."""
-    n = N_LANES
-    x, y, faces = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
-    return NodeRays(x, y, faces, np.empty(2 * n, np.float32), np.empty(n, np.float32))
-
-
 @kernel
-def take_rays(xy: Float32, pixels: Int64, first: int, n: int, rays: NodeRays) -> None:
+def take_rays(xy: Float32, pixels: Int64, first: int, n: int, rays: Record) -> None:
     """Take the rays of n pixels, at most sixteen, from `first` on; the last one's fill the rest."""
     for i in range(N_LANES):
         pixel = pixels[first + min(i, n - 1)]
-        rays.x[i], rays.y[i] = xy[pixel, 0], xy[pixel, 1]
+        rays.ray_x[i], rays.ray_y[i] = xy[pixel, 0], xy[pixel, 1]
 
 
 @kernel(inline=True)
-def along(k: ArcKernel, row: int, rays: NodeRays) -> Lanes:
+def along(k: ArcKernel, row: int, rays: Record) -> Lanes:
     """Return a coordinate of the rays' directions, joint frame; see `ray.direction`."""
     R = k.rotation
-    return spread(R[row, 0]) * load(rays.x, 0) + spread(R[row, 1]) * load(rays.y, 0) + spread(R[row, 2])
+    return (
+        spread(R[row, 0]) * load(rays.ray_x, 0) + spread(R[row, 1]) * load(rays.ray_y, 0) + spread(R[row, 2])
+    )
 
 
 @kernel(inline=True)
@@ -90,7 +68,7 @@ def _meet(x_0: float, down: float, d_x: Lanes, d_z: Lanes, corrugation: Corrugat
 
 
 @kernel(fastmath=REDUCTION)
-def follow_to_lap(k: ArcKernel, rays: NodeRays) -> bool:
+def follow_to_lap(k: ArcKernel, rays: Record) -> bool:
     """Write which faces of a corrugated lap rays meet, and their places; see `ray.follow`.
 
     False where one ray is not told: it may meet a ridge twice, or looks past the workpiece. Else a ray meets
@@ -123,24 +101,27 @@ def follow_to_lap(k: ArcKernel, rays: NodeRays) -> bool:
         way_e = spread(-beside) / d_y
         down = spread(upper - k.eye[2]) + wave(spread(x_0) + way_e * d_x, corrugation) - way_e * d_z
         way, s, face = where(on_edge, way_e, way), where(on_edge, down, s), where(on_edge, spread(1.0), face)
-    store(rays.places, 0, way * d_x)
-    store(rays.places, N_LANES, s)
-    store(rays.faces, 0, face)
+    store(rays.ray_places, 0, way * d_x)
+    store(rays.ray_places, N_LANES, s)
+    store(rays.ray_faces, 0, face)
     return True
 
 
 @kernel
-def tell_faces(rays: NodeRays, first: int, n: int, faces: Int64) -> None:
+def tell_faces(rays: Record, first: int, n: int, faces: Int64) -> None:
     """Write which faces the first n rays meet, from `first` on."""
     for i in range(n):
-        faces[first + i] = int(rays.faces[i])
+        faces[first + i] = int(rays.ray_faces[i])
 
 
 @kernel
-def tell_places(k: ArcKernel, rays: NodeRays, first: int, n: int, places: Float64) -> None:
+def tell_places(k: ArcKernel, rays: Record, first: int, n: int, places: Float64) -> None:
     """Write the places x and s (n, 2) where the first n rays meet their faces, from `first` on."""
     for i in range(n):
-        places[first + i, 0], places[first + i, 1] = k.eye[0] + rays.places[i], rays.places[N_LANES + i]
+        places[first + i, 0], places[first + i, 1] = (
+            k.eye[0] + rays.ray_places[i],
+            rays.ray_places[N_LANES + i],
+        )
 
 
 @kernel
@@ -152,7 +133,7 @@ def places_on_rays(
     n: int,
     faces: Int64,
     places: Float64,
-    nodes: NodeRays,
+    nodes: Record,
 ) -> None:
     """Write which faces (n,) the rays of some pixels meet and where, x and s (n, 2).
 
@@ -170,7 +151,7 @@ def places_on_rays(
 
 @kernel
 def _places_on_lap(
-    k: ArcKernel, xy: Float32, pixels: Int64, n: int, faces: Int64, places: Float64, nodes: NodeRays
+    k: ArcKernel, xy: Float32, pixels: Int64, n: int, faces: Int64, places: Float64, nodes: Record
 ) -> None:
     """Write `places_on_rays` of a corrugated lap, sixteen at a time where each ray meets a sheet once."""
     for first in range(0, n, N_LANES):

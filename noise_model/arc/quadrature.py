@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -264,20 +264,6 @@ class Rule(NamedTuple):
     n_q: int
 
 
-class Room(NamedTuple):
-    """Scratch of one point's integral.
-
-    `nodes` (3, MAX_POINTS) with their weights, `cuts` (MAX_PLANES, 3) the lines, `breaks` (MAX_PIECES,) the
-    sorted crossings, `parts` (MAX_PARTS, 3) of a chord, `spans` (4, MAX_PIECES) the chords and their weights.
-    """
-
-    nodes: Float64
-    cuts: Float64
-    breaks: Float64
-    parts: Float64
-    spans: Float64
-
-
 @kernel
 def arc_light(
     patch: Patch,
@@ -286,12 +272,12 @@ def arc_light(
     hiding: Hiding,
     material: LobeNumbers,
     rule: Rule,
-    room: Room,
+    room: Any,
 ) -> float:
     """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees."""
     P, normal, omega_r = patch
     planes, n_planes, ledges, n_ledges = hiding
-    _, cuts, breaks, _, _ = room
+    cuts, breaks = room.cuts[:], room.breaks[:]
     nx, ny, nz = normal
     rx, ry, rz = omega_r
     distance, axes, arc = disc(P, center, radius)
@@ -342,7 +328,7 @@ def _integrate(
     hiding: Hiding,
     material: LobeNumbers,
     rule: Rule,
-    room: Room,
+    room: Any,
 ) -> float:
     """Return the integral over p and q, without d(omega)'s tan(beta)^2, piece by piece between `breaks`.
 
@@ -351,7 +337,7 @@ def _integrate(
     _, _, omega_r = patch
     n_ledges = hiding.n_ledges
     rules, n_p, n_q = rule
-    _, cuts, breaks, _, spans = room
+    cuts, breaks, spans = room.cuts[:], room.breaks[:], room.spans[:]
     wx, wy, wz, _, _, _, _, _ = axes
     sin_b, _, tan_b, _, _ = arc
     below = wz > 0.0
@@ -415,7 +401,7 @@ def _sum_chords(
     hiding: Hiding,
     material: LobeNumbers,
     rules: Float64,
-    room: Room,
+    room: Any,
 ) -> float:
     """Return the integral along some chords (n_chords,), with their weights, of `n_q` nodes an open part.
 
@@ -423,7 +409,7 @@ def _sum_chords(
     """
     P, normal, omega_r = patch
     ledges, n_ledges = hiding.ledges, hiding.n_ledges
-    nodes, _, _, parts, spans = room
+    nodes, parts, spans = room.nodes[:], room.parts[:], room.spans[:]
     total = 0.0
     n = 0
     for i in range(n_chords):

@@ -5,20 +5,16 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
-from noise_model.arc.chords import MAX_PARTS, MAX_PIECES
 from noise_model.arc.lap_light import lap_light
-from noise_model.arc.quadrature import MAX_POINTS, Hiding, Patch, Room, Rule, arc_light
-from noise_model.arc.slices import Sheets, slice_room
-from noise_model.arrays import Float32, Float64, Int64, Point, Vector
+from noise_model.arc.quadrature import Hiding, Patch, Rule, arc_light
+from noise_model.arc.scratch import Record, Scratch
+from noise_model.arc.slices import Sheets
+from noise_model.arrays import Float64, Point, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
 from noise_model.surface.faces import face_normal
 from noise_model.surface.ray_casting import MISS, first_hit
 from noise_model.surface.visibility import (
-    MAX_LEDGES,
-    MAX_PLANES,
     Bend,
     bent,
     is_curved_lap,
@@ -26,45 +22,6 @@ from noise_model.surface.visibility import (
     sky_planes,
 )
 from noise_model.surface.wave import corrugation_of
-
-MAX_TOGETHER = 25
-"""So many points a cell's polynomial has."""
-
-
-class Scratch(NamedTuple):
-    """What a point's integral needs room for, see `sky_planes` for `planes` and `ledges`.
-
-    `faces`, `places` and `light_e` (MAX_TOGETHER,) are for points that are integrated one after another.
-    """
-
-    room: Room
-    slices: Float32
-    planes: Float64
-    ledges: Float64
-    faces: Int64
-    places: Float64
-    light_e: Float64
-
-
-@kernel(allocates=True)
-def scratch() -> Scratch:
-    """Return room for one point's integral."""
-    room = Room(
-        np.empty((3, MAX_POINTS)),
-        np.empty((MAX_PLANES, 3)),
-        np.empty(MAX_PIECES),
-        np.empty((MAX_PARTS, 3)),
-        np.empty((4, MAX_PIECES)),
-    )
-    return Scratch(
-        room,
-        slice_room(),
-        np.empty((MAX_PLANES, 3)),
-        np.empty((2 * MAX_LEDGES, 3)),
-        np.empty(MAX_TOGETHER, dtype=np.int64),
-        np.empty((MAX_TOGETHER, 2)),
-        np.empty(MAX_TOGETHER),
-    )
 
 
 class ArcKernel(NamedTuple):
@@ -102,10 +59,10 @@ def is_beside(P: Point, center: Point, radius: float) -> bool:
 
 
 @kernel(inline=True)
-def _light_on_lap(k: ArcKernel, patch: Patch, face: int, scratch: Scratch) -> float:
+def _light_on_lap(k: ArcKernel, patch: Patch, face: int, room: Record) -> float:
     """Return `light_at` for a lap whose edge is no straight line; the point stands beside the arc."""
     P, normal, _ = patch
-    vertices, center, radius = k.vertices, k.center, k.radius
+    vertices, center, radius, planes = k.vertices, k.center, k.radius, room.planes[:]
     n_planes, crest_x = lap_planes(
         P,
         normal,
@@ -117,7 +74,7 @@ def _light_on_lap(k: ArcKernel, patch: Patch, face: int, scratch: Scratch) -> fl
         k.corrugation,
         k.horizon_start,
         k.horizons,
-        scratch.planes,
+        planes,
     )
     edge_y = vertices[1, 0]
     slope, curve = bent(P, center, radius, k.bend)
@@ -136,29 +93,30 @@ def _light_on_lap(k: ArcKernel, patch: Patch, face: int, scratch: Scratch) -> fl
         patch,
         center,
         radius,
-        scratch.planes,
+        planes,
         n_planes,
         sheets,
         k.material,
         Rule(k.rules, k.n_p, k.n_q),
-        scratch.slices,
+        room.slices[:],
     )
     return k.radiance_e * light
 
 
 @kernel(inline=True)
-def light_at(k: ArcKernel, P: Point, face: int, scratch: Scratch) -> float:
+def light_at(k: ArcKernel, P: Point, face: int, work: Scratch) -> float:
     """Return the arc's light, e- without the lens' fall-off, that a point of a face sends to the camera.
 
     `P` may lie on the face's plane beyond its edges.
     """
+    room = work[0]
     normal = face_normal(face, P[0], k.vertices, k.corrugation)
     rx, ry, rz = k.eye[0] - P[0], k.eye[1] - P[1], k.eye[2] - P[2]
     inverse = 1.0 / math.sqrt(rx * rx + ry * ry + rz * rz)
     patch = Patch(P, normal, (rx * inverse, ry * inverse, rz * inverse))
     if is_curved_lap(k.vertices, k.corrugation, k.bend) and is_beside(P, k.center, k.radius):
-        return _light_on_lap(k, patch, face, scratch)
-    room, planes, ledges = scratch.room, scratch.planes, scratch.ledges
+        return _light_on_lap(k, patch, face, room)
+    planes, ledges = room.planes[:], room.ledges[:]
     n_planes, n_ledges = sky_planes(P, normal, face, k.center, k.radius, k.bend, k.vertices, planes, ledges)
     light = arc_light(
         patch,

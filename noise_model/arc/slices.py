@@ -101,12 +101,6 @@ between which it is, too, where an edge stands within the arc.
 """
 
 
-@kernel(allocates=True)
-def slice_room() -> Float32:
-    """Return room for the slices of one point's integral."""
-    return np.empty(N_NUMBERS * MAX_SLICES, np.float32)
-
-
 @kernel(inline=True)
 def _rule_at(n: int) -> int:
     """Return where the rule of n nodes begins."""

@@ -20,7 +20,8 @@ import numpy as np
 
 from noise_model.arc.face_lookup import Sight, sight
 from noise_model.arc.patch_borders import MAX_BORDERS, borders_across, borders_along, seen_strip
-from noise_model.arc.ray import ArcKernel, Scratch, light_at
+from noise_model.arc.ray import ArcKernel, light_at
+from noise_model.arc.scratch import Scratch
 from noise_model.arrays import Bool, Float32, Float64, Int32, Int64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.surface.faces import Strip, face_point
@@ -186,7 +187,8 @@ def make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: Scratc
     axis, child, middle, inverse, powers = table.axis, table.child, table.middle, table.inverse, table.powers
     on, n_cells = seen_strip(face, k.vertices), table.n_cells
     values, missing = powers[cell], axis[cell] - NEW
-    faces, places, light_e = work.faces, work.places, work.light_e
+    room = work[0]
+    faces, places, light_e = room.node_faces[:], room.node_places[:], room.node_light_e[:]
     for i in range(NODES * NODES):
         row, column = i // NODES, i % NODES
         places[i, 0], places[i, 1] = _node(table, cell, 0.5 * (row - 2), 0.5 * (column - 2))

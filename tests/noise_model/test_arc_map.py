@@ -20,8 +20,9 @@ from noise_model.arc.map import (
 )
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.quadrature import Hiding, Patch, Rule, arc_light, gauss_nodes
-from noise_model.arc.ray import light_at, scratch
+from noise_model.arc.ray import light_at
 from noise_model.arc.scene import make_scene
+from noise_model.arc.scratch import scratch
 from noise_model.instrument.camera import Rays
 from noise_model.reference.hemisphere import Hemisphere, irradiance_extended, reflected_radiance_extended
 from noise_model.surface.brdf import TABLE_1, Lobe, Material, lobe_numbers, reflected
@@ -169,7 +170,7 @@ def disc_light(P, normal, omega_r, center, material, nodes, planes=()):
     return arc_light(
         Patch(*vectors), tuple(float(c) for c in center), 3.0,
         Hiding(cuts, len(cuts), np.empty((0, 3)), 0),
-        lobe_numbers(material), Rule(gauss_nodes(), *nodes), scratch().room,
+        lobe_numbers(material), Rule(gauss_nodes(), *nodes), scratch()[0],
     )  # fmt: skip
 
 

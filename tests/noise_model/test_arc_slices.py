@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from noise_model.arc.lap_light import lap_light
 from noise_model.arc.quadrature import Patch, Rule, gauss_nodes
-from noise_model.arc.slices import Sheets, slice_room
+from noise_model.arc.scratch import scratch
+from noise_model.arc.slices import Sheets
 from noise_model.surface.brdf import Lobe, Material, lobe_numbers, reflectance
 from noise_model.surface.visibility import first_crossing
 
@@ -115,7 +116,7 @@ def assert_rays_agree(way, over_mm, bend, ridge_mm, crest, horizon, flags, mater
         sheets,
         lobe_numbers(material),
         Rule(gauss_nodes(), *nodes),
-        slice_room(),
+        scratch()[0]["slices"],
     )
     want, whole = summed(P, normal, omega_r, center, planes, sheets, material)
     if abs(got - want) > limit * whole:

@@ -6,8 +6,9 @@ import scenes
 
 from arctrack.nominal import nominal_setup
 from noise_model.arc.map import arc_kernel
-from noise_model.arc.ray import light_at, scratch
+from noise_model.arc.ray import light_at
 from noise_model.arc.scene import make_scene
+from noise_model.arc.scratch import scratch
 from noise_model.forward import Renderer
 from noise_model.surface.faces import face_normal
 from noise_model.surface.joint import BentSeam, SeamLine, corrugation_height, section

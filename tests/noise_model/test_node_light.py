@@ -9,7 +9,6 @@ from noise_model.arc.map import ArcMap, arc_kernel
 from noise_model.arc.node_light import write_faces, write_light, write_places
 from noise_model.arc.node_rays import (
     follow_to_lap,
-    node_rays,
     places_on_plane,
     places_on_rays,
     take_rays,
@@ -17,8 +16,9 @@ from noise_model.arc.node_rays import (
     tell_places,
 )
 from noise_model.arc.patch_borders import seen_strip
-from noise_model.arc.ray import follow, scratch
+from noise_model.arc.ray import follow
 from noise_model.arc.scene import make_scene
+from noise_model.arc.scratch import scratch
 from noise_model.arc.table import light_at_places
 from noise_model.instrument.camera import Rays
 from noise_model.surface.faces import across
@@ -45,7 +45,7 @@ def test_nodes_meet_the_faces_that_their_rays_meet(name):
     rng, told = np.random.default_rng(1), 0
     for _ in range(60):
         arc_map, pixels = drawn(name, rng)
-        nodes, faces = node_rays(), np.empty(N, np.int64)
+        nodes, faces = scratch()[0], np.empty(N, np.int64)
         take_rays(arc_map.xy, pixels, 0, N, nodes)
         assert write_faces(arc_map.kernel, arc_map.table.seen, nodes)
         tell_faces(nodes, 0, N, faces)
@@ -61,23 +61,23 @@ def test_nodes_receive_what_each_receives(name):
     for _ in range(60):
         arc_map, pixels = drawn(name, rng)
         kernel, table, work = arc_map.kernel, arc_map.table, scratch()
-        nodes, faces = node_rays(), np.empty(N, np.int64)
+        nodes, faces = work[0], np.empty(N, np.int64)
         take_rays(arc_map.xy, pixels, 0, N, nodes)
         places, want_e = np.empty((N, 2)), np.empty(N)
         for face in range(len(kernel.vertices) - 1):
-            if not write_places(kernel, face, nodes) or not write_light(kernel, table, face, nodes, work):
+            if not write_places(kernel, face, nodes) or not write_light(kernel, table, face, work):
                 continue
             n_lit += 1
             places_on_plane(kernel, face, arc_map.xy, pixels, N, faces, places)
             light_at_places(kernel, table, arc_map.cos4, pixels, N, faces, places, 0.0, want_e, work)
-            got_e = nodes.light_e * arc_map.cos4[pixels]
+            got_e = nodes["ray_light_e"] * arc_map.cos4[pixels]
             np.testing.assert_allclose(got_e, want_e, rtol=2e-4, atol=1e-3)
     assert n_lit > 50
 
 
 def test_rays_that_do_not_go_down_are_not_told():
     arc_map, pixels = drawn("v_groove", np.random.default_rng(3))
-    nodes = node_rays()
+    nodes = scratch()[0]
     take_rays(arc_map.xy, pixels, 0, N, nodes)
     up = arc_map.kernel._replace(rotation=np.ascontiguousarray(-arc_map.kernel.rotation))
     assert not write_faces(up, arc_map.table.seen, nodes)
@@ -88,7 +88,7 @@ def test_nodes_meet_a_corrugated_lap_where_each_ray_does():
     rng, n_told, met = np.random.default_rng(4), 0, set()
     for _ in range(200):
         arc_map, pixels = drawn("corrugation", rng)
-        kernel, nodes = arc_map.kernel, node_rays()
+        kernel, nodes = arc_map.kernel, scratch()[0]
         take_rays(arc_map.xy, pixels, 0, N, nodes)
         if not follow_to_lap(kernel, nodes):
             continue
@@ -114,7 +114,7 @@ def test_any_number_of_rays_meets_a_corrugated_lap(n):
         arc_map, _ = drawn("corrugation", rng)
         kernel, pixels = arc_map.kernel, rng.integers(0, arc_map.cos4.size, n)
         faces, places = np.full(n + 1, -7), np.full((n + 1, 2), -7.0)
-        places_on_rays(kernel, arc_map.table.seen, arc_map.xy, pixels, n, faces, places, node_rays())
+        places_on_rays(kernel, arc_map.table.seen, arc_map.xy, pixels, n, faces, places, scratch()[0])
         want = [follow(kernel, *arc_map.xy[pixel].tolist()) for pixel in pixels]
         np.testing.assert_array_equal(faces[:n], [face for _, face in want])
         np.testing.assert_allclose(places[:n, 0], [P[0] for P, _ in want], atol=2e-4)
@@ -124,7 +124,7 @@ def test_any_number_of_rays_meets_a_corrugated_lap(n):
 
 def test_rays_that_may_meet_a_ridge_twice_are_not_told():
     arc_map, pixels = drawn("corrugation", np.random.default_rng(6))
-    nodes = node_rays()
+    nodes = scratch()[0]
     take_rays(arc_map.xy, pixels, 0, N, nodes)
     assert follow_to_lap(arc_map.kernel, nodes)
     steeper = arc_map.kernel._replace(corrugation=np.array([40.0, 30.0, 60.0]))

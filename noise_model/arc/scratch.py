@@ -1,0 +1,72 @@
+"""Scratch of the arc's kernels: one record, so that a kernel takes one argument for it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from noise_model.arc.bicubic import LARGEST, N
+from noise_model.arc.chords import MAX_PARTS, MAX_PIECES
+from noise_model.arc.quadrature import MAX_POINTS
+from noise_model.arc.slices import MAX_SLICES, N_NUMBERS
+from noise_model.kernel import kernel
+from noise_model.lanes import N_LANES
+from noise_model.surface.visibility import MAX_LEDGES, MAX_PLANES
+
+MAX_TOGETHER = 25
+"""So many points a cell's polynomial has."""
+
+MAX_FACES = 40
+"""Room for the faces of a section: those of a U are most."""
+
+SCRATCH = np.dtype(
+    [
+        # One point's integral: nodes with their weights, the lines across the disc, the sorted crossings, the
+        # open parts of a chord, the chords with their weights; and a lap's slices.
+        ("nodes", np.float64, (3, MAX_POINTS)),
+        ("cuts", np.float64, (MAX_PLANES, 3)),
+        ("breaks", np.float64, (MAX_PIECES,)),
+        ("parts", np.float64, (MAX_PARTS, 3)),
+        ("spans", np.float64, (4, MAX_PIECES)),
+        ("slices", np.float32, (N_NUMBERS * MAX_SLICES,)),
+        # What hides the arc from the point, see `visibility.sky_planes`.
+        ("planes", np.float64, (MAX_PLANES, 3)),
+        ("ledges", np.float64, (2 * MAX_LEDGES, 3)),
+        # Points of a table's cell, integrated one after another.
+        ("node_faces", np.int64, (MAX_TOGETHER,)),
+        ("node_places", np.float64, (MAX_TOGETHER, 2)),
+        ("node_light_e", np.float64, (MAX_TOGETHER,)),
+        # Sixteen rays (x, y, 1) of the camera: the faces that they meet; the stations where, from the
+        # camera's, then the ways across the face, mm; and their light.
+        ("ray_x", np.float32, (N_LANES,)),
+        ("ray_y", np.float32, (N_LANES,)),
+        ("ray_faces", np.float32, (N_LANES,)),
+        ("ray_places", np.float32, (2 * N_LANES,)),
+        ("ray_light_e", np.float32, (N_LANES,)),
+        # Pixels of an image's cell.
+        ("pixels", np.int64, (LARGEST,)),
+        ("faces", np.int64, (LARGEST,)),
+        ("places", np.float64, (LARGEST, 2)),
+        ("light_e", np.float64, (LARGEST,)),
+        # By face: whether it is seen and filled by a polynomial, and its coefficients; where a line's runs
+        # of one face end.
+        ("is_filled", np.int8, (MAX_FACES,)),
+        ("powers", np.float64, (MAX_FACES, N, N)),
+        ("run_ends", np.int64, (MAX_FACES,)),
+    ],
+    align=True,
+)
+
+Record = Any
+"""A record of SCRATCH."""
+
+Scratch = NDArray[Any]
+"""One record of SCRATCH (1,). Whoever makes it keeps it: a record is freed with its array."""
+
+
+@kernel(allocates=True)
+def scratch() -> Scratch:
+    """Return new scratch."""
+    return np.empty(1, SCRATCH)
