@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.map import CELL, arc_kernel
+from noise_model.arc.map import CELL, arc_kernel, horizon_of
 from noise_model.arc.scene import Scene
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.setup import Setup
@@ -244,7 +244,8 @@ def _predict_arc(
     if band is not None and aim.use_arc_map and (has_arc or geometry.has_light_effects):
         lows, band_e = band.lows, band.background
     material, into = geometry.stripe_source.material, ArcLight(pixels, arc_e, lows, band_e)
-    predict_arc(geometry.arc_source, geometry.image_source, material, aim.scene, output, into)
+    source, horizon = geometry.arc_source, horizon_of(aim.scene, geometry.arc_source.radius_mm)
+    predict_arc(source, geometry.image_source, material, aim.scene, horizon, output, into)
     transmission = transmission_of(geometry, aim.scene, given.frame)
     if transmission is None:
         return arc_e, NO_LIGHT, None

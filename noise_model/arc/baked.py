@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.patch_borders import MAX_BORDERS, seen_strip
-from noise_model.arc.quadrature import gauss_nodes
+from noise_model.arc.quadrature import Rule, gauss_nodes
 from noise_model.arc.ray import ArcKernel
 from noise_model.arc.scratch import Scratch, scratch
 from noise_model.arc.table import (
@@ -120,9 +120,7 @@ def moved(k: ArcKernel, y_mm: float, eye_mm: Point) -> ArcKernel:
         k.metal_cuts,
         k.reach,
         k.material,
-        k.rules,
-        k.n_p,
-        k.n_q,
+        k.rule,
     )
 
 
@@ -225,8 +223,7 @@ class Nominal(NamedTuple):
     vertices: tuple[tuple[float, ...], ...]
     reach: tuple[float, float, float, float]
     material: LobeNumbers
-    n_p: int
-    n_q: int
+    nodes: tuple[int, int]
     margin_mm: float
     rel: float
     floor_e: float
@@ -254,9 +251,7 @@ class Nominal(NamedTuple):
                 y_high + aside_mm + BEYOND_MM,
             ),
             self.material,
-            gauss_nodes(),
-            self.n_p,
-            self.n_q,
+            Rule(gauss_nodes(), *self.nodes),
         )
 
 
@@ -277,8 +272,7 @@ def bake(k: ArcKernel, margin_mm: float, rel: float, floor_e: float) -> BakedLig
             vertices,
             k.reach,
             k.material,
-            k.n_p,
-            k.n_q,
+            (k.rule.n_p, k.rule.n_q),
             margin_mm,
             rel,
             floor_e,

@@ -19,7 +19,7 @@ import numpy as np
 from noise_model.arc.baked import NOTHING_BAKED, BakedLight, bake, place_baked, table_from
 from noise_model.arc.bicubic import node_rules
 from noise_model.arc.fill import MIXED, fill_band, fill_pixels
-from noise_model.arc.quadrature import gauss_nodes
+from noise_model.arc.quadrature import Rule, gauss_nodes
 from noise_model.arc.ray import ArcKernel as ArcKernel
 from noise_model.arc.ray import follow, light_at
 from noise_model.arc.scene import Scene, Scenes
@@ -108,9 +108,7 @@ class ArcKernels(NamedTuple):
     horizons: Float64
     metal_cuts: Bool
     material: LobeNumbers
-    rules: Float64
-    n_p: int
-    n_q: int
+    rule: Rule
 
 
 @kernel(allocates=True)
@@ -131,9 +129,7 @@ def _of_scene(k: ArcKernels, s: int) -> ArcKernel:
         k.metal_cuts[s],
         (math.nan, math.nan, math.nan, math.nan),
         k.material,
-        k.rules,
-        k.n_p,
-        k.n_q,
+        k.rule,
     )
 
 
@@ -164,9 +160,7 @@ def arc_kernels(setup: Setup, scenes: Scenes, x_ranges_mm: Float64) -> ArcKernel
         horizons,
         np.array(cuts),
         lobe_numbers(setup.material),
-        gauss_nodes(),
-        NODES_P,
-        NODES_Q,
+        Rule(gauss_nodes(), NODES_P, NODES_Q),
     )
 
 
@@ -181,33 +175,42 @@ def arc_kernel(
         raise ValueError("the camera stands below the surface at this pose")
     made: ArcKernel = kernel_of(
         scene,
+        horizon_of(scene, setup.arc.radius_mm),
         setup.arc.radius_mm,
         setup.arc.radiance_e * level,
         lobe_numbers(setup.material),
-        gauss_nodes(),
-        *nodes,
+        Rule(gauss_nodes(), *nodes),
     )
     return made
 
 
+class Horizon(NamedTuple):
+    """A scene's horizon table (2, n, 2) and the station of its first row, mm; see `horizons_of_scenes`."""
+
+    start: float
+    table: Float64
+
+
+LEVEL = Horizon(0.0, np.empty((2, 0, 2)))
+"""The horizon of a scene without a corrugation."""
+
+
+def horizon_of(scene: Scene, radius: float) -> Horizon:
+    """Return a scene's horizon, also for points beyond what the camera sees: faces are continued."""
+    if scene.shape.corrugation[0] == 0.0:
+        return LEVEL
+    centers = np.array([scene.center_mm], dtype=np.float64)
+    starts, tables = horizons_of_scenes(scene.shape, scene.footprint_mm[:1], centers, radius, True)
+    return Horizon(float(starts[0]), tables[0])
+
+
 @kernel(allocates=True)
 def kernel_of(
-    scene: Scene,
-    radius: float,
-    radiance_e: float,
-    material: LobeNumbers,
-    rules: Float64,
-    n_p: int,
-    n_q: int,
+    scene: Scene, horizon: Horizon, radius: float, radiance_e: float, material: LobeNumbers, rule: Rule
 ) -> ArcKernel:
     """Return `arc_kernel`'s numbers of a scene whose camera stands above the surface."""
     T, foot, center = scene.T_joint_camera, scene.footprint_mm, scene.center_mm
     vertices, corrugation = scene.shape
-    centers = np.empty((1, 3))
-    for i in range(3):
-        centers[0, i] = center[i]
-    # Points beyond what the camera sees are asked for, too, where faces are continued.
-    starts, horizons = horizons_of_scenes(scene.shape, foot[:1].copy(), centers, radius, True)
     middle = (center[0], center[1], center[2])
     return ArcKernel(
         T[:3, :3].copy(),
@@ -218,14 +221,12 @@ def kernel_of(
         radiance_e,
         vertices,
         corrugation,
-        starts[0],
-        horizons[0],
+        horizon.start,
+        horizon.table,
         metal_cuts(middle, scene.bend, radius, vertices, corrugation),
         (foot[0, 0], foot[0, 1], foot[1, 0], foot[1, 1]),
         material,
-        rules,
-        n_p,
-        n_q,
+        rule,
     )
 
 

@@ -29,8 +29,7 @@ class ArcKernel(NamedTuple):
 
     `rotation` (3, 3) and `eye` are the camera's in the joint frame, mm; `radiance_e` the arc's at its level;
     `bend` is the scene's; `metal_cuts` says that a corrugation may cut into the arc; `reach` between which x
-    and which y the camera sees the plate, mm; `rules` are `quadrature.gauss_nodes`, of which `n_p` and
-    `n_q` nodes are used.
+    and which y the camera sees the plate, mm; `rule` says at which nodes light is integrated.
     """
 
     rotation: Float64
@@ -46,9 +45,7 @@ class ArcKernel(NamedTuple):
     metal_cuts: bool
     reach: tuple[float, float, float, float]
     material: LobeNumbers
-    rules: Float64
-    n_p: int
-    n_q: int
+    rule: Rule
 
 
 @kernel(inline=True)
@@ -97,7 +94,7 @@ def _light_on_lap(k: ArcKernel, patch: Patch, face: int, room: Record) -> float:
         n_planes,
         sheets,
         k.material,
-        Rule(k.rules, k.n_p, k.n_q),
+        k.rule,
         room.slices[:],
     )
     return k.radiance_e * light
@@ -124,7 +121,7 @@ def light_at(k: ArcKernel, P: Point, face: int, work: Scratch) -> float:
         k.radius,
         Hiding(planes, n_planes, ledges, n_ledges),
         k.material,
-        Rule(k.rules, k.n_p, k.n_q),
+        k.rule,
         room,
     )
     return k.radiance_e * light

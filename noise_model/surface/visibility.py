@@ -417,7 +417,6 @@ def _write_horizons(
             )
 
 
-@kernel(allocates=True)
 def horizons_of_scenes(
     shape: Section, x_ranges_mm: Float64, centers: Float64, radius: float, everywhere: bool
 ) -> tuple[Float64, Float64]:

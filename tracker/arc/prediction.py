@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from noise_model.arc.fill import fill_band, fill_pixels
-from noise_model.arc.map import CELL, NODES_P, NODES_Q, kernel_of, table_of
+from noise_model.arc.map import CELL, NODES_P, NODES_Q, Horizon, kernel_of, table_of
+from noise_model.arc.quadrature import Rule
 from noise_model.arc.scene import Scene
 from noise_model.arrays import Float32, Int64
 from noise_model.kernel import kernel
@@ -46,10 +47,17 @@ def output_for(
 
 @kernel(allocates=True)
 def predict_arc(
-    arc: ArcSource, image: ImageSource, material: LobeNumbers, scene: Scene, output: float, into: ArcLight
+    arc: ArcSource,
+    image: ImageSource,
+    material: LobeNumbers,
+    scene: Scene,
+    horizon: Horizon,
+    output: float,
+    into: ArcLight,
 ) -> None:
     """Write the arc's light of a scene, for so many times its stated output; NaN past the workpiece."""
-    k = kernel_of(scene, arc.radius_mm, arc.radiance_e * output, material, arc.rules, NODES_P, NODES_Q)
+    rule = Rule(arc.rules, NODES_P, NODES_Q)
+    k = kernel_of(scene, horizon, arc.radius_mm, arc.radiance_e * output, material, rule)
     table = table_of(k, image.xy, image.n_scan, MAP_TOLERANCE, MAP_FLOOR_E, arc.to_powers, arc.baked)
     fill_pixels(k, table, image.xy, image.cos4, into.pixels, into.pixel_e)
     if into.band_e.shape[1] > 0:
