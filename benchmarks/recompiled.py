@@ -5,7 +5,8 @@
 Nothing is compiled. In the tree of each commit the content of every kernel is described, with the records
 that its annotations name. A kernel is compiled anew if that is another than a commit before, or that of a
 short one that it calls. How long each takes, and which are long, is read off this user's cache: run
-`arctrack warm` before. A kernel that is not there, of an older commit, counts by the size of its bytecode.
+`ARCTRACK_PACKS=/nowhere arctrack warm` before. A kernel that is not there, of an older commit, counts by the
+size of its bytecode.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("noise_model", "tracker", "calibration", "robot_io", "sim_to_real", "arctrack")
-COMPILER = ("compiled.numba_internals", "linking", "entry")
+COMPILER = ("compiled.callee", "compiled.numba_internals", "linking", "entry")
 LONG_BYTES = 600
 """A kernel that the cache does not know is long from so many bytes of bytecode on."""
 
@@ -117,7 +118,7 @@ def describe_tree() -> None:
     compiler = [
         content._source(f"noise_model.{name}")
         for name in COMPILER
-        if importlib.util.find_spec(f"noise_model.{name.partition('.')[0]}") is not None
+        if Path("noise_model", *name.split(".")).with_suffix(".py").exists()
         and importlib.import_module(f"noise_model.{name}")
     ]
     kernels = {}
