@@ -189,19 +189,21 @@ class SensorGeometry:
     def image_source(self) -> ImageSource:
         """The setup's frames."""
         sensor = self.setup.sensor
+        level_scan, level_position = self.level_sample
         return ImageSource(
-            self.n_scan,
-            self.n_pos,
-            self.along_rows,
-            self.xy,
-            self.cos4,
-            self.charge_e,
-            self.saturation_dn,
-            self.dark_variance_e2,
-            sensor.is_linear,
-            Response.of(sensor),
-            self.setup.tolerance.black_level_dn * sensor.gain_e_per_dn,
-            *self.level_sample,
+            n_scan=self.n_scan,
+            n_pos=self.n_pos,
+            along_rows=self.along_rows,
+            xy=self.xy,
+            cos4=self.cos4,
+            charge_e=self.charge_e,
+            saturation_dn=self.saturation_dn,
+            dark_variance_e2=self.dark_variance_e2,
+            is_linear=sensor.is_linear,
+            response=Response.of(sensor),
+            black_sigma_e=self.setup.tolerance.black_level_dn * sensor.gain_e_per_dn,
+            level_scan=level_scan,
+            level_position=level_position,
         )
 
     @cached_property

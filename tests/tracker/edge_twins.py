@@ -9,7 +9,7 @@ from profiles import Profile
 
 from noise_model.arrays import Bool, Float64
 from tracker.joint.measured import OnFace
-from tracker.joint.upright_edge import Change
+from tracker.joint.upright_edge import EdgeScatter
 from tracker.stripe.light import NEXT_TO_NOTHING, WINDOW_SIGMAS, StripeLight
 
 
@@ -26,7 +26,7 @@ class FacesBeside:
         y_per_z = profile.dy_mm / (profile.dz_mm - self.slopes[which] * profile.dy_mm)
         return OnFace(profile.y_mm - y_per_z * (profile.z_mm - self.heights_mm[which]), y_per_z)
 
-    def change(self, profile: Profile, near: Bool, bent_mm: float, before: int, behind: int) -> Change:
+    def change(self, profile: Profile, near: Bool, bent_mm: float, before: int, behind: int) -> EdgeScatter:
         """`change_of` of points that are `near` (n,), all in one row."""
         first, last = np.flatnonzero(near)[[0, -1]]
         rows = slice(first, last + 1)
@@ -47,7 +47,7 @@ class FacesBeside:
         square = off_mm**2 + wide_mm**2 / 12.0
         seems_mm = profile.column_mm * abs(profile.scan[behind] - profile.scan[before])
         clear = np.abs(off_mm) > 0.5 * seems_mm + wide_mm
-        return Change(weight @ square, (weight * square)[clear].sum())
+        return EdgeScatter(weight @ square, (weight * square)[clear].sum())
 
 
 def moved_by_background_px(light: StripeLight, scan: Float64, sigma_px: Float64) -> Float64:

@@ -32,17 +32,9 @@ from tracker.joint.groove import (
     SEARCH_STEP_MM,
     WIDER_MM,
 )
-from tracker.joint.measured import (
-    LEFT_OUT,
-    START_SIGMA_MM,
-    SURE_MM,
-    SURE_SIGMAS,
-    ShapeFit,
-    fit_points,
-    shift_of,
-)
+from tracker.joint.measured import LEFT_OUT, START_SIGMA_MM, SURE_MM, SURE_SIGMAS, fit_points, shift_of
 from tracker.joint.root import CELLS_MM, CLOSED_AS_STATED, GAPS, NARROW_MM
-from tracker.joint.section_fit import tukey_loss
+from tracker.joint.section_fit import ShapeFit, tukey_loss
 from tracker.joint.section_shapes import CORNER, GROOVE, HALF_GROOVE, ROUND_GROOVE
 from tracker.joint.upright_edge import (
     hidden_strip,

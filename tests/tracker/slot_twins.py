@@ -12,7 +12,7 @@ from profiles import Profile
 from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float64, Int64
 from noise_model.surface.joint import Joint
-from tracker.joint.measured import OFF_SIGMAS, SIGMA_FLOOR_PX, OnFace, ShapeFit
+from tracker.joint.measured import OFF_SIGMAS, OnFace
 from tracker.joint.plate_lines import (
     BESIDE_SIGMAS,
     BLURRED_LINES,
@@ -28,6 +28,7 @@ from tracker.joint.plate_lines import (
     OnPlates,
     PlateEnd,
 )
+from tracker.joint.section_fit import SIGMA_FLOOR_PX, ShapeFit
 from tracker.joint.section_shapes import SHEETS
 from tracker.joint.slot import (
     BESIDE_MM,

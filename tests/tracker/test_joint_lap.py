@@ -14,7 +14,8 @@ from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint
 from tracker.joint.common_mode import BIAS_SHARE, COMMON_MODE_PX
 from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, share_off, sheets_at
-from tracker.joint.measured import OFF_SIGMAS, SIGMA_FLOOR_PX, count_with_floor, typical_mm
+from tracker.joint.measured import OFF_SIGMAS, count_with_floor, typical_mm
+from tracker.joint.section_fit import SIGMA_FLOOR_PX
 from tracker.joint.upright_edge import (
     Edge,
     edge_covariance,

@@ -15,7 +15,7 @@ from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint
 from tracker.joint.common_mode import COMMON_MODE_PX
-from tracker.joint.measured import SIGMA_FLOOR_PX
+from tracker.joint.section_fit import SIGMA_FLOOR_PX
 from tracker.pipeline import JOINT_CHI2_LIMIT, UNEXPLAINED_LIMIT
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))

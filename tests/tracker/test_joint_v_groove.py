@@ -10,7 +10,7 @@ from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint
 from tracker.joint.common_mode import COMMON_MODE_PX
 from tracker.joint.groove import GAP, PRIOR_SIGMA
-from tracker.joint.measured import SIGMA_FLOOR_PX
+from tracker.joint.section_fit import SIGMA_FLOOR_PX
 
 CAMERA_MM, LASER_MM = np.array([60.0, 0.0, 130.0]), np.array([0.0, 0.0, 140.0])
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))

@@ -23,6 +23,7 @@ from tracker.joint.section_shapes import (
     corners_of,
     opening,
 )
+from tracker.profile import points_of
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -44,21 +45,7 @@ def test_the_fit_is_its_twin(seed: int, shape: int, wrong: float) -> None:
     profile = spoil(measure(corners, (0.0, 0.0), rng), wrong, rng)
     used = np.abs(profile.y_mm) > 0.4 if shape == SHEETS else np.ones(len(profile.y_mm), dtype=bool)
     sigma = np.hypot(profile.sigma_px, 0.05)
-    fitted, covariance, weights = start.copy(), np.empty((len(prior), len(prior))), np.empty(len(sigma))
-    chi2 = fit_section(
-        shape,
-        profile.y_mm,
-        profile.z_mm,
-        profile.dy_mm,
-        profile.dz_mm,
-        sigma,
-        used,
-        30.0,
-        prior,
-        fitted,
-        covariance,
-        weights,
-    )
+    fitted, covariance, chi2, weights = fit_section(shape, profile.points, sigma, used, 30.0, prior, start)
     move = profile.dy_mm, profile.dz_mm
     twin = twins.bisquare_fit(height, profile.y_mm, profile.z_mm, move, sigma, used, start, prior, 30.0)
     # A point at a corner lies on one face or the other by a hair, and its derivative with it.
@@ -85,10 +72,8 @@ def test_a_fit_that_runs_away_is_nan() -> None:
     y = np.linspace(-5.0, 5.0, 50)
     n = np.ones(50)
     start = np.array([0.0, 0.0, 1.0, np.nan, 0.6, 4.0, 4.0, 0.0, 0.0])
-    covariance, weights = np.empty((9, 9)), np.empty(50)
-    chi2 = fit_section(
-        GROOVE, y, y, 0.01 * n, 0.07 * n, n, n > 0.0, 3.0, GROOVE_PRIOR, start, covariance, weights
-    )
+    points = points_of(y, y, scan=y, sigma_px=n, beside_px=n, dy_mm=0.01, dz_mm=0.07)
+    chi2 = fit_section(GROOVE, points, n, n > 0.0, 3.0, GROOVE_PRIOR, start).chi2
     assert np.isnan(chi2)
 
 

@@ -25,7 +25,7 @@ from stripe_ends import (
 from noise_model.arrays import Float64
 from tracker.joint.measured import OnFace, meet_face
 from tracker.joint.plate_lines import HIDDEN, UNREAD, OnPlates, plate_lines
-from tracker.joint.upright_edge import Change, Edge, HiddenStrip, edge_covariance, upright_edge
+from tracker.joint.upright_edge import Edge, EdgeScatter, HiddenStrip, edge_covariance, upright_edge
 from tracker.stripe.edge import (
     MIN_SIGMA,
     MIN_STRIPE_SHARE,
@@ -263,7 +263,7 @@ def test_an_end_is_its_twin(true: float, sigma: float, contrast: float, alike: f
     assert end_sigma == pytest.approx(math.hypot(math.sqrt(excess) * deviation, MIN_SIGMA), rel=0.2)
 
 
-NO_CHANGE = Change(0.0, 0.0)
+NO_CHANGE = EdgeScatter(0.0, 0.0)
 
 
 def edge_of(profile: Profile, before: int, behind: int, hidden_mm: float) -> Edge:

@@ -17,7 +17,6 @@ from tracker.joint.measured import (
     SURE_MM,
     SURE_SIGMAS,
     MeasuredJoint,
-    ShapeFit,
     fit_points,
     opening_area,
     section_corners,
@@ -25,6 +24,7 @@ from tracker.joint.measured import (
     two_angles,
 )
 from tracker.joint.root import weigh_root
+from tracker.joint.section_fit import ShapeFit
 from tracker.joint.section_shapes import GROOVE, ROUND_GROOVE
 from tracker.profile import Section
 from tracker.state import Y_MM, Z_MM, JointShape

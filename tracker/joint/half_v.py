@@ -15,7 +15,6 @@ from tracker.joint.measured import (
     SURE_MM,
     SURE_SIGMAS,
     MeasuredJoint,
-    ShapeFit,
     fit_points,
     opening_area,
     section_corners,
@@ -24,6 +23,7 @@ from tracker.joint.measured import (
     two_angles,
 )
 from tracker.joint.root import weigh_root
+from tracker.joint.section_fit import ShapeFit
 from tracker.joint.section_shapes import HALF_GROOVE
 from tracker.joint.upright_edge import (
     Faces,
@@ -138,7 +138,15 @@ def upright_side(
     sources_mm = section.camera_mm, section.laser_mm
     hidden = hidden_strip(sources_mm, wall_mm, start[ROOT] + depth_mm, depth_mm, section.slope_sigma)
     edge = edge_between(
-        lines, faces, limits_mm, BENT_MM, section.column_mm, section.light, before, behind, hidden
+        lines,
+        faces,
+        limits_mm,
+        bent_mm=BENT_MM,
+        column_mm=section.column_mm,
+        light=section.light,
+        before=before,
+        behind=behind,
+        hidden=hidden,
     )
     # What lies between may be either side's, and the first lines in the groove hold light of the plate too.
     for i in range(n):

@@ -14,15 +14,14 @@ from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.common_mode import as_reported
 from tracker.joint.measured import (
     OFF_SIGMAS,
-    SIGMA_FLOOR_PX,
     START_SIGMA_MM,
     MeasuredJoint,
-    ShapeFit,
     fit_points,
     section_corners,
     shift_of,
     two_angles,
 )
+from tracker.joint.section_fit import SIGMA_FLOOR_PX, ShapeFit
 from tracker.joint.section_shapes import SHEETS
 from tracker.joint.upright_edge import (
     Edge,
@@ -132,7 +131,15 @@ def edge_of_sheets(section: Section, lines: Float64, sheets: Sheets, thickness_m
     if lines[Y_MM, behind] - hidden.width_mm - lines[Y_MM, before] > 2.0 * CLEAR_OF_EDGE_MM:
         return nowhere
     edge: Edge = edge_between(
-        lines, faces, limits_mm, bent_mm, section.column_mm, section.light, before, behind, hidden
+        lines,
+        faces,
+        limits_mm,
+        bent_mm=bent_mm,
+        column_mm=section.column_mm,
+        light=section.light,
+        before=before,
+        behind=behind,
+        hidden=hidden,
     )
     return edge
 

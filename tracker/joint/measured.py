@@ -10,25 +10,26 @@ import numpy as np
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from noise_model.median import exact_median
-from tracker.joint.section_fit import MIN_ALONG_MM, add_shared_errors, best_shift, fit_section
+from tracker.joint.section_fit import (
+    MIN_ALONG_MM,
+    SIGMA_FLOOR_PX,
+    ShapeFit,
+    add_shared_errors,
+    best_shift,
+    fit_section,
+)
 from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
 from tracker.state import (
-    BESIDE_PX,
     DY_MM,
     DZ_MM,
-    MISFIT_PX,
     N_LINES,
     NO_SHAPE,
-    SCAN,
     SIGMA_PX,
     Y_MM,
     Z_MM,
     JointShape,
     Pair,
 )
-
-SIGMA_FLOOR_PX = 0.01
-"""What a stripe centre may be off beyond its noise: the surface's own roughness, pixels unlike each other."""
 
 START_SIGMA_MM = 0.3
 """How far off the nominal shape a point may lie at first; halved with every step of the fit."""
@@ -74,15 +75,6 @@ class MeasuredJoint(NamedTuple):
     evidence_nats: float = math.nan
 
 
-class ShapeFit(NamedTuple):
-    """Parameters (p,), their covariance (p, p), chi2 per degree of freedom and the points' weights (n,)."""
-
-    parameters: Float64
-    covariance: Float64
-    chi2: float
-    weights: Float64
-
-
 @kernel(allocates=True)
 def fit_points(
     shape: int,
@@ -98,35 +90,14 @@ def fit_points(
     where fewer points are used than the parameters need, and where it runs away. What `start` has beyond
     `prior_sigma` (p,) stays as it is.
     """
-    y_mm, z_mm, dy_mm, dz_mm = points[Y_MM], points[Z_MM], points[DY_MM], points[DZ_MM]
-    sigma_px, beside_px, n_lines = points[SIGMA_PX], points[BESIDE_PX], points[N_LINES]
-    n, m = points.shape[1], prior_sigma.shape[0]
-    parameters, covariance, weights = start.copy(), np.empty((m, m)), np.empty(n)
-    sigma, beside = np.empty(n), np.empty(n)
-    if count_with_floor(sigma_px, n_lines, used, sigma) < m + 3:
-        return ShapeFit(parameters[:m], covariance, math.nan, weights)
-    for i in range(n):
-        beside[i] = math.sqrt(beside_px[i] ** 2 + SIGMA_FLOOR_PX**2 / n_lines[i])
-    wide = start_sigma_mm / max(typical_mm(dz_mm, sigma, used), MIN_UNIT_MM)
-    chi2 = fit_section(
-        shape, y_mm, z_mm, dy_mm, dz_mm, sigma, used, wide, prior_sigma, parameters, covariance, weights
-    )
-    if math.isfinite(chi2):
-        add_shared_errors(
-            shape,
-            y_mm,
-            dy_mm,
-            dz_mm,
-            points[SCAN],
-            sigma,
-            beside,
-            points[MISFIT_PX],
-            weights,
-            parameters,
-            chi2,
-            covariance,
-        )
-    return ShapeFit(parameters[:m], covariance, chi2, weights)
+    m, sigma = prior_sigma.shape[0], np.empty(points.shape[1])
+    if count_with_floor(points[SIGMA_PX], points[N_LINES], used, sigma) < m + 3:
+        return ShapeFit(start[:m].copy(), np.empty((m, m)), math.nan, sigma)
+    wide = start_sigma_mm / max(typical_mm(points[DZ_MM], sigma, used), MIN_UNIT_MM)
+    fit = fit_section(shape, points, sigma, used, wide, prior_sigma, start)
+    if math.isfinite(fit.chi2):
+        add_shared_errors(shape, points, sigma, fit)
+    return ShapeFit(fit.parameters[:m], fit.covariance, fit.chi2, fit.weights)
 
 
 @kernel

@@ -360,7 +360,8 @@ def hold_plates(
     away = np.empty(plates.lines.shape[0])
     for i in range(away.shape[0]):
         away[i] = min(abs(plates.lines[i] - first), abs(plates.lines[i] - last))
-    nearest = np.sort(stable_order(away)[: 2 * BRIGHT_LINES])
+    nearest = stable_order(away)[: 2 * BRIGHT_LINES]
+    nearest = nearest[stable_order(nearest.astype(np.float64))]
     n = nearest.shape[0]
     near = PlateStripe(np.empty(n), np.empty(n), np.empty(n))
     for i in range(n):

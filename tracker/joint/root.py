@@ -16,8 +16,8 @@ import numpy as np
 from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from noise_model.median import median
-from tracker.joint.measured import START_SIGMA_MM, ShapeFit, fit_points
-from tracker.joint.section_fit import BISQUARE_WIDTH
+from tracker.joint.measured import START_SIGMA_MM, fit_points
+from tracker.joint.section_fit import BISQUARE_WIDTH, ShapeFit
 from tracker.state import BESIDE_PX, SIGMA_PX
 
 NARROW_MM = 0.8

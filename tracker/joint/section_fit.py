@@ -19,6 +19,7 @@ diagonal: the variance with which a point counts beside others, in the place of 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,7 +30,11 @@ from noise_model.median import exact_median, median_of, numbers_for
 from noise_model.robust import MAD_SIGMA
 from noise_model.surface.faces import face_under, slope_across
 from tracker.joint.section_shapes import N_CORNERS, corners_of
+from tracker.state import BESIDE_PX, DY_MM, DZ_MM, MISFIT_PX, N_LINES, SCAN, Y_MM, Z_MM
 from tracker.stripe.line_fit.block import CORRELATION_PX
+
+SIGMA_FLOOR_PX = 0.01
+"""What a stripe centre may be off beyond its noise: the surface's own roughness, pixels unlike each other."""
 
 STEP = 1e-6
 """The step of the corners' derivatives, in each parameter's unit."""
@@ -66,55 +71,27 @@ def corners_and_slopes(shape: int, p: Float64, corners: Float64, moved: Float64,
             slopes[k, i, 1] = (moved[k, 1] - corners[k, 1]) / STEP
 
 
-@kernel
-def _first_of_faces(y: Float64, corners: Float64, first: Int64) -> None:
-    """Write the first point, y rising, of each face (n_faces,), and behind the last one's last."""
-    i = 0
-    for k in range(len(first) - 1):
-        while k > 0 and i < len(y) and y[i] < corners[k, 0]:
-            i += 1
-        first[k] = i
-    first[-1] = len(y)
-
-
 @kernel(fastmath=REDUCTION)
 def _residuals(
-    y: Float64,
-    z: Float64,
-    dy: Float64,
-    dz: Float64,
-    sigma: Float64,
-    corner: tuple[float, float],
-    slope: float,
-    r: Float64,
-    unit: Float64,
+    points: Float64, sigma: Float64, corners: Float64, first: Int64, r: Float64, unit: Float64
 ) -> None:
-    """Write how far each centre of a face's points (n,) lies off it, in its sigmas, and that unit in mm."""
-    for i in range(y.shape[0]):
-        along = dz[i] - slope * dy[i]
-        along = MIN_ALONG_MM if abs(along) < MIN_ALONG_MM else along
-        unit[i] = along * sigma[i]
-        r[i] = (z[i] - corner[1] - slope * (y[i] - corner[0])) / unit[i]
+    """Write how far each centre of points (n,) lies off its face, in its sigmas, and that unit in mm.
 
-
-@kernel
-def _all_residuals(
-    y: Float64,
-    z: Float64,
-    dy: Float64,
-    dz: Float64,
-    sigma: Float64,
-    corners: Float64,
-    first: Int64,
-    r: Float64,
-    unit: Float64,
-) -> None:
-    """Write the `_residuals` of all faces' points, and which these are."""
-    _first_of_faces(y, corners, first)
+    `first` (k,) gets the first point, y rising, of each face, and behind the last one's last.
+    """
+    i, n = 0, points.shape[1]
     for k in range(len(first) - 1):
-        on = slice(first[k], first[k + 1])
-        corner, slope = (corners[k, 0], corners[k, 1]), slope_across(k, corners)
-        _residuals(y[on], z[on], dy[on], dz[on], sigma[on], corner, slope, r[on], unit[on])
+        first[k] = i
+        while i < n and (k == len(first) - 2 or points[Y_MM, i] < corners[k + 1, 0]):
+            i += 1
+    first[-1] = n
+    for k in range(len(first) - 1):
+        slope = slope_across(k, corners)
+        for i in range(first[k], first[k + 1]):
+            along = points[DZ_MM, i] - slope * points[DY_MM, i]
+            along = MIN_ALONG_MM if abs(along) < MIN_ALONG_MM else along
+            unit[i] = along * sigma[i]
+            r[i] = (points[Z_MM, i] - corners[k, 1] - slope * (points[Y_MM, i] - corners[k, 0])) / unit[i]
 
 
 @kernel(allocates=True)
@@ -195,7 +172,14 @@ def _add_faces(
         on = slice(first[k], first[k + 1])
         y_a, y_b = corners[k, 0], corners[k + 1, 0]
         aa, ab, bb, pull_a, pull_b = _face_sums(
-            y[on], r[on], unit[on], used[on], y_a, y_b, scale, weights[on]
+            y=y[on],
+            r=r[on],
+            unit=unit[on],
+            used=used[on],
+            y_a=y_a,
+            y_b=y_b,
+            scale=scale,
+            weights=weights[on],
         )
         slope = slope_across(k, corners)
         for i in range(m):
@@ -208,41 +192,44 @@ def _add_faces(
                 information[i, j] += on_a * at_a[j] + on_b * at_b[j]
 
 
+class ShapeFit(NamedTuple):
+    """Parameters (p,), their covariance (p, p), chi2 per degree of freedom and the points' weights (n,)."""
+
+    parameters: Float64
+    covariance: Float64
+    chi2: float
+    weights: Float64
+
+
 @kernel(allocates=True)
 def fit_section(
     shape: int,
-    y: Float64,
-    z: Float64,
-    dy: Float64,
-    dz: Float64,
+    points: Float64,
     sigma: Float64,
     used: Bool,
     start_scale: float,
     prior_sigma: Float64,
-    p: Float64,
-    covariance: Float64,
-    weights: Float64,
-) -> float:
-    """Fit a section to points y, z (n,), y rising; return chi2 per degree of freedom, NaN if it cannot be.
+    start: Float64,
+) -> ShapeFit:
+    """Fit a section to points (n,), y rising; its chi2 is NaN if it cannot be.
 
-    A point moves by `dy`, `dz` (n,), mm, with 1 px of its stripe centre, whose 1 sigma is `sigma` (n,) px:
+    A point moves by `DY_MM`, `DZ_MM` with 1 px of its stripe centre, whose 1 sigma is `sigma` (n,) px:
     its residual is how far the centre would have to move to lie on the face, (z - f) / (dz - m dy). Only
-    `used` points count. `p` holds the start, about which the first len(prior_sigma) parameters have priors
-    and are fitted, and becomes the fit; `covariance` (m, m) and the points' Tukey `weights` (n,) are written.
-    The scale of these begins at `start_scale` sigmas and halves: a narrow one would cut off the few points
-    that tell, such as a root's, for good.
+    `used` points count. The first len(prior_sigma) parameters have priors about `start` and are fitted; all
+    are returned. The scale of Tukey's weights begins at `start_scale` sigmas and halves: a narrow one would
+    cut off the few points that tell, such as a root's, for good.
     """
-    n, m = y.shape[0], prior_sigma.shape[0]
+    n, m = points.shape[1], prior_sigma.shape[0]
     n_corners = N_CORNERS[shape]
     corners, moved = np.empty((n_corners, 2)), np.empty((n_corners, 2))
-    start, J, first = p.copy(), np.empty((n_corners, m, 2)), np.empty(n_corners, dtype=np.int64)
-    r, unit = np.empty(n), np.empty(n)
+    p, J, first = start.copy(), np.empty((n_corners, m, 2)), np.empty(n_corners, dtype=np.int64)
+    r, unit, weights, covariance = np.empty(n), np.empty(n), np.empty(n), np.empty((m, m))
     information, gradient = np.empty((m, m)), np.empty(m)
     at_a, at_b = np.empty(m), np.empty(m)
     wide = start_scale
     for _ in range(MAX_STEPS):
         corners_and_slopes(shape, p, corners, moved, J)
-        _all_residuals(y, z, dy, dz, sigma, corners, first, r, unit)
+        _residuals(points, sigma, corners, first, r, unit)
         scale = _scale(r, used, max(1.0, wide))
         for i in range(m):
             known = (scale / prior_sigma[i]) ** 2
@@ -250,10 +237,23 @@ def fit_section(
                 information[i, j] = 0.0
             information[i, i] = known
             gradient[i] = known * (start[i] - p[i])
-        _add_faces(y, used, corners, J, first, r, unit, scale, weights, (at_a, at_b), information, gradient)
+        _add_faces(
+            y=points[Y_MM],
+            used=used,
+            corners=corners,
+            J=J,
+            first=first,
+            r=r,
+            unit=unit,
+            scale=scale,
+            weights=weights,
+            room=(at_a, at_b),
+            information=information,
+            gradient=gradient,
+        )
         # The priors make it positive, but for a NaN.
         if not factorise(information):
-            return math.nan
+            return ShapeFit(p, covariance, math.nan, weights)
         solve(information, gradient)
         largest, total = 0.0, 0.0
         for i in range(m):
@@ -261,12 +261,12 @@ def fit_section(
             largest = max(largest, abs(gradient[i]))
             total += gradient[i]
         if not math.isfinite(total):
-            return math.nan
+            return ShapeFit(p, covariance, math.nan, weights)
         if wide < 1.0 and largest < CONVERGED:
             break
         wide /= 2.0
     corners_of(shape, p, corners)
-    _all_residuals(y, z, dy, dz, sigma, corners, first, r, unit)
+    _residuals(points, sigma, corners, first, r, unit)
     total, freedom = 0.0, -float(m)
     for i in range(n):
         total += weights[i] * r[i] * r[i]
@@ -276,7 +276,7 @@ def fit_section(
     for i in range(m):
         for j in range(m):
             covariance[i, j] *= max(1.0, chi2)
-    return float(chi2)
+    return ShapeFit(p, covariance, chi2, weights)
 
 
 @kernel(allocates=True)
@@ -312,15 +312,13 @@ def best_shift(
 
 
 @kernel(allocates=True)
-def _by_parameters(
-    shape: int, y: Float64, dy: Float64, dz: Float64, sigma: Float64, p: Float64, m: int
-) -> Float64:
+def _by_parameters(shape: int, points: Float64, sigma: Float64, p: Float64, m: int) -> Float64:
     """Return how the residuals of points (n,), in sigmas, change with the first m parameters, (n, m)."""
     n_corners = N_CORNERS[shape]
     corners, moved = np.empty((n_corners, 2)), np.empty((n_corners, 2))
-    changed, J = np.empty((n_corners, m, 2)), np.empty((y.shape[0], m))
+    changed, J = np.empty((n_corners, m, 2)), np.empty((len(sigma), m))
     corners_and_slopes(shape, p, corners, moved, changed)
-    k = 0
+    k, y, dy, dz = 0, points[Y_MM], points[DY_MM], points[DZ_MM]
     for i in range(y.shape[0]):
         k = face_under(y[i], k, corners)
         slope = slope_across(k, corners)
@@ -353,35 +351,24 @@ def _add_sandwich(covariance: Float64, filling: Float64, room: Float64, over: fl
 
 
 @kernel(allocates=True)
-def add_shared_errors(
-    shape: int,
-    y: Float64,
-    dy: Float64,
-    dz: Float64,
-    scan: Float64,
-    sigma: Float64,
-    beside: Float64,
-    misfit_px: Float64,
-    weights: Float64,
-    p: Float64,
-    chi2: float,
-    covariance: Float64,
-) -> None:
+def add_shared_errors(shape: int, points: Float64, sigma: Float64, fit: ShapeFit) -> None:
     """Add to the covariance (m, m) of a fit what it leaves out of errors that points share.
 
-    `y`, `dy`, `dz`, `sigma`, `weights` (n,), the parameters `p` and `chi2` are the fit's; `scan` (n,) are the
-    points' lines. `beside` (n,) px is the 1 sigma with which a point's centre counts beside its neighbours.
-
-    Unexpected light moves centres by 1 sigma `misfit_px` (n,). Two of these errors have the correlation
-    exp(-|s - s'| / CORRELATION_PX) of their lines: a sum over all pairs is a running sum.
+    `sigma` (n,) px are the centres'. `BESIDE_PX` is the 1 sigma with which a point's
+    centre counts beside its neighbours. Unexpected light moves centres by 1 sigma `MISFIT_PX`. Two of these
+    errors have the correlation exp(-|s - s'| / CORRELATION_PX) of their lines: a sum over all pairs is a
+    running sum.
     """
-    are_common, are_misfit, n, m = False, False, y.shape[0], covariance.shape[0]
+    covariance, chi2, weights = fit.covariance, fit.chi2, fit.weights
+    are_common, are_misfit, n, m = False, False, points.shape[1], covariance.shape[0]
+    beside, misfit_px, scan = np.empty(n), points[MISFIT_PX], points[SCAN]
     for i in range(n):
+        beside[i] = math.sqrt(points[BESIDE_PX, i] ** 2 + SIGMA_FLOOR_PX**2 / points[N_LINES, i])
         are_common |= beside[i] > sigma[i]
         are_misfit |= misfit_px[i] > 0.0
     if not (are_common or are_misfit):
         return
-    J = _by_parameters(shape, y, dy, dz, sigma, p, m)
+    J = _by_parameters(shape, points, sigma, fit.parameters, m)
     filling, room, before, here = np.zeros((m, m)), np.empty((m, m)), np.zeros(m), np.empty(m)
     if are_common:
         for i in range(n):

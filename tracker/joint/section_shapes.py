@@ -63,8 +63,8 @@ def corners_of(shape: int, p: Float64, corners: Float64) -> None:
         corners[5, 0], corners[5, 1] = left + FAR_MM, z + p[3] + p[5] * FAR_MM
     elif shape == ROUND_GROOVE:
         y, z, half = p[0], p[1], 0.5 * max(p[2], 0.0)
-        _rounded_side(y + half, z, 1.0, p[3], p[5], p[9], p[7], corners)
-        _rounded_side(y - half, z, -1.0, p[4], p[6], p[9], p[8], corners)
+        _rounded_side((y + half, z), 1.0, p[3], p[5], p[9], p[7], corners)
+        _rounded_side((y - half, z), -1.0, p[4], p[6], p[9], p[8], corners)
     else:
         y, z = p[0], p[1]
         corners[0, 0], corners[0, 1] = y - FAR_MM, z - p[3] * FAR_MM
@@ -74,8 +74,7 @@ def corners_of(shape: int, p: Float64, corners: Float64) -> None:
 
 @kernel
 def _rounded_side(
-    y: float,
-    z: float,
+    end: tuple[float, float],
     side: float,
     tan: float,
     depth: float,
@@ -83,11 +82,11 @@ def _rounded_side(
     slope: float,
     corners: Float64,
 ) -> None:
-    """Write one side of a round groove from the root's end at (y, z): `side` 1 for the left, -1 the right.
+    """Write one side of a round groove from the root's end (y, z): `side` 1 for the left, -1 the right.
 
     The rounding is the polygon about it, whose first and last sides are the root's and the bevel's.
     """
-    bevel = math.atan(tan)
+    (y, z), bevel = end, math.atan(tan)
     half_step = 0.5 * (0.5 * math.pi - bevel) / CHORDS
     cos_half, sin_half = math.cos(half_step), math.sin(half_step)
     cos_step, sin_step = cos_half * cos_half - sin_half * sin_half, 2.0 * sin_half * cos_half

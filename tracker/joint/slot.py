@@ -19,10 +19,8 @@ from tracker.joint.common_mode import as_reported
 from tracker.joint.evidence import places_of
 from tracker.joint.measured import (
     OFF_SIGMAS,
-    SIGMA_FLOOR_PX,
     START_SIGMA_MM,
     MeasuredJoint,
-    ShapeFit,
     fit_points,
     meet_face,
     section_corners,
@@ -44,6 +42,7 @@ from tracker.joint.plate_lines import (
     others_between,
     plate_lines,
 )
+from tracker.joint.section_fit import SIGMA_FLOOR_PX, ShapeFit
 from tracker.joint.section_shapes import SHEETS
 from tracker.profile import Section
 from tracker.state import DZ_MM, SIGMA_PX, Y_MM, Z_MM, JointShape

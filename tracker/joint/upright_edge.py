@@ -74,7 +74,7 @@ def neighbours_of_edge(before: Bool, behind: Bool) -> tuple[int, int]:
     return (first, last) if first >= 0 and last < n else (-1, -1)
 
 
-class Change(NamedTuple):
+class EdgeScatter(NamedTuple):
     """The mean square, mm^2, by which an edge is off midway between two points, by all points.
 
     `beyond_mm2` is what places add to it that lie clear of the two.
@@ -96,7 +96,7 @@ def change_of(
     behind: int,
     on_before_mm: Float64,
     on_behind_mm: Float64,
-) -> Change:
+) -> EdgeScatter:
     """Return how far off points (n,) change faces that seem to do so between two of them.
 
     Points with a limit (n,) count. Any place between scan lines, a column apart, is as likely beforehand. A
@@ -135,7 +135,7 @@ def change_of(
         total += weight
         square += there
         beyond += there if abs(off_mm) > half_mm + wide_mm else 0.0
-    return Change(square / total, beyond / total) if total > 0.0 else Change(0.0, 0.0)
+    return EdgeScatter(square / total, beyond / total) if total > 0.0 else EdgeScatter(0.0, 0.0)
 
 
 class Edge(NamedTuple):
@@ -194,11 +194,22 @@ def edge_between(
     on_before = meet_face(lines, faces.before_mm, faces.before_slope)
     met = meet_face(lines, faces.behind_mm, faces.behind_slope)
     change = change_of(
-        lines, faces, limit_mm, bent_mm, column_mm, light, before, behind, on_before.y_mm, met.y_mm
+        lines,
+        faces,
+        limit_mm,
+        bent_mm=bent_mm,
+        column_mm=column_mm,
+        light=light,
+        before=before,
+        behind=behind,
+        on_before_mm=on_before.y_mm,
+        on_behind_mm=met.y_mm,
     )
     for i in range(before + 1):
         met.y_mm[i], met.y_per_z[i] = on_before.y_mm[i], on_before.y_per_z[i]
-    edge: Edge = upright_edge(lines[SCAN], column_mm, light, before, behind, hidden, met, change)
+    edge: Edge = upright_edge(
+        lines[SCAN], column_mm, light, before, behind, hidden=hidden, face=met, change=change
+    )
     return edge
 
 
@@ -211,7 +222,7 @@ def upright_edge(
     behind: int,
     hidden: HiddenStrip,
     face: OnFace,
-    change: Change,
+    change: EdgeScatter,
 ) -> Edge:
     """Return the edge between two neighbouring points that lie on either side's face, a column apart.
 
@@ -259,8 +270,9 @@ def upright_edge(
 def _is_hidden(light: StripeLight, last: int, first: int) -> bool:
     """Say whether a line between two hides its stripe under saturated pixels, a glint's."""
     for s in range(min(last, first) + 1, max(last, first)):
-        if math.isnan(light.position_px[s]) and light.censored[s].any():
-            return True
+        for is_censored in light.censored[s]:
+            if is_censored and math.isnan(light.position_px[s]):
+                return True
     return False
 
 
@@ -276,7 +288,10 @@ def _likeness(light: StripeLight, last: int, first: int) -> float:
 @kernel
 def _at_line(y_mm: Float64, scan: Float64, line: float) -> float:
     """Return the y, mm, at which a scan line crosses the face that some points (n,) lie on."""
-    middle, mean_mm, product, square = scan.mean(), y_mm.mean(), 0.0, 0.0
+    middle, mean_mm, product, square, n = 0.0, 0.0, 0.0, 0.0, scan.shape[0]
+    for i in range(n):
+        middle += scan[i] / n
+        mean_mm += y_mm[i] / n
     for i in range(scan.shape[0]):
         product += (scan[i] - middle) * y_mm[i]
         square += (scan[i] - middle) ** 2

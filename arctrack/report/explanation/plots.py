@@ -17,7 +17,8 @@ from arctrack.report.embedded import svg
 from arctrack.report.explanation.words import scan_line
 from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float64
-from tracker.joint.measured import SIGMA_FLOOR_PX, off_section
+from tracker.joint.measured import off_section
+from tracker.joint.section_fit import SIGMA_FLOOR_PX
 from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP
 
 WIDTH_INCH = 10.5
