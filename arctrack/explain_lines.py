@@ -99,22 +99,22 @@ def sigma_parts(reading: StripeReading, expected: ExpectedStripe) -> SigmaParts:
 
 def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[float, ...]:
     """Return one line's numbers in the order of `SigmaParts`' fields."""
-    band, low, both = reading.band, int(reading.lows[s // CELL]), read_with(reading, s)
+    band, low, both = reading.band, int(reading.band.lows[s // CELL]), read_with(reading, s)
     position, _, amplitude, width, chi2 = reading.fits[both, :5].mean(axis=0)
     window, half = window_of(reading, expected, s)
     charge, background, censored = (
         image[both, window].mean(axis=0) for image in (band.charge, band.background, band.censored)
     )
     share = 1.0 / reading.lines[N_LINES, s]
-    shot, dark_e2 = share * reading.shot, share * reading.dark_variance_e2
+    shot, dark_e2 = share * reading.noise.shot, share * reading.noise.dark_e2
     u = np.arange(window.start, window.stop) + low - position
     t = u / width
     stripe = amplitude * np.exp(-0.5 * t**2)
     learned = reading.learned
     grains = ((learned.weighing_contrast if share == 1.0 else learned.pair_contrast) * stripe) ** 2
 
-    smooth = max(math.hypot(reading.map_sigma * background.mean(), reading.base_sigma_e), MIN_SIGMA_E)
-    edge = map_edge(band.background, reading.lows, both.start, float(reading.start_px[both].mean()))
+    smooth = max(math.hypot(reading.noise.map_rel * background.mean(), reading.noise.base_e), MIN_SIGMA_E)
+    edge = map_edge(band.background, reading.band.lows, both.start, float(reading.start_px[both].mean()))
     known = _information(math.hypot(smooth, edge), math.hypot(smooth / CORRELATION_PX, edge / half))
     beside = np.column_stack([np.ones_like(u), u])
     b = np.zeros(2)
@@ -137,7 +137,7 @@ def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[flo
     excess = max(chi2 - math.sqrt(2.0 / (counts.sum() - 2.0)), 1.0)
     beyond = reading.stripe.sigma_px[s] ** 2 - share * reading.fits[s, 1] ** 2 + C[1, 1] * excess - told
 
-    without = _information(*(2 * [max(reading.base_sigma_e, MIN_SIGMA_E)]))
+    without = _information(*(2 * [max(reading.noise.base_e, MIN_SIGMA_E)]))
     without[4] *= CORRELATION_PX**2
     alone = _covariance(J, counts / (shot_stripe + dark + grains), without)
     return (
@@ -163,7 +163,7 @@ def read_with(reading: StripeReading, s: int) -> slice:
 def window_of(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[slice, float]:
     """Return which of a band's pixels a line's fit read, and how far it reached from the path, px."""
     both = read_with(reading, s)
-    start = float(reading.start_px[both].mean()) - int(reading.lows[s // CELL])
+    start = float(reading.start_px[both].mean()) - int(reading.band.lows[s // CELL])
     width = float(expected.sigma_px[both.start]) * reading.learned.width_factor
     return slice(*line_window(start, width, reading.band.charge.shape[1])), WINDOW_SIGMAS * width
 

@@ -217,8 +217,8 @@ def _check_stripe(
             position_px=reading.stripe.position_px,
             amplitude_e=reading.stripe.amplitude_e,
             background_e=reading.band.background,
-            shot=reading.shot,
-            dark_variance_e2=reading.dark_variance_e2,
+            shot=reading.noise.shot,
+            dark_variance_e2=reading.noise.dark_e2,
             censored=reading.band.censored,
             seeks_ends=seeks_ends,
         )

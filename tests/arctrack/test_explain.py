@@ -38,7 +38,8 @@ from tracker.stripe.band import Band
 from tracker.stripe.detection import Evidence
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.fit_band import UsualLine
-from tracker.stripe.line_fit.lines import LineFits, fit_lines, fit_room
+from tracker.stripe.line_fit.first_guess import Noise
+from tracker.stripe.line_fit.lines import LineFits, Scans, fit_lines, fit_room
 from tracker.stripe.read import StripeReading
 from tracker.stripe.scatter import NO_SCATTER
 
@@ -154,23 +155,9 @@ def made(
     band = Band(charge, background, *nothing, np.zeros(charge.shape, np.bool_), lows)
     start[0] = np.nan
     lines = LineFits.empty(N_SCAN)
-    fit_lines(
-        charge,
-        background,
-        band.censored,
-        start,
-        expected.sigma_px,
-        np.ones(N_SCAN),
-        lows,
-        1.0,
-        dark_variance_e2,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        fit_room(N_SCAN),
-        lines,
-    )
+    noise = Noise(1.0, dark_variance_e2, 0.0, 0.0)
+    scans = Scans(charge, background, band.censored, start, expected.sigma_px, np.ones(N_SCAN), lows)
+    fit_lines(scans, noise, fit_room(N_SCAN), lines)
     fits = lines.fits
     fits[np.abs(np.log(fits[:, 3] / expected.sigma_px)) > NO_SCATTER.width_limit_ln] = np.nan
     stripe = Stripe(fits[:, 0], fits[:, 1], fits[:, 2], lines.saturated, True, fits[:, 1])
@@ -178,7 +165,6 @@ def made(
     reading = StripeReading(
         stripe,
         band,
-        lows,
         np.rint(expected.position_px),
         offsets,
         1,
@@ -186,10 +172,7 @@ def made(
         start,
         lines.tried,
         fits,
-        1.0,
-        dark_variance_e2,
-        0.0,
-        0.0,
+        noise,
         0.0,
         math.inf,
         NO_SCATTER,
@@ -258,7 +241,7 @@ def assert_predicted(found: Explanation) -> None:
     mean_e, whitened = (image.T if found.geometry.along_rows else image for image in images)
     n_scan, depth = reading.band.background.shape
     lines = np.arange(n_scan)[:, None]
-    beside = mean_e[lines, reading.lows[lines // CELL] + np.arange(depth)]
+    beside = mean_e[lines, reading.band.lows[lines // CELL] + np.arange(depth)]
     off = np.abs(beside - reading.band.background)
     assert np.nanquantile(off / np.maximum(0.01 * beside, 20.0), 0.98) < 1.5
     clear = np.abs(np.arange(mean_e.shape[1]) - found.look.expected.position_px[:, None]) > 30.0

@@ -11,13 +11,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from noise_model.arc.map import CELL
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.arrays import Bool, Float32, Float64
 from noise_model.kernel import kernel
 from noise_model.lanes import N_LANES, load, spread, store, where
 from tracker.stripe.fit_band import MIN_BINNED_SIGMA, bin_for, offsets_within
 from tracker.stripe.line_fit.block import CORRELATION_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
-from tracker.stripe.line_fit.first_guess import BLOCK, line_window
-from tracker.stripe.line_fit.lines import LineFits, fit_lines, fit_room, map_edge
+from tracker.stripe.line_fit.first_guess import BLOCK, Noise, line_window
+from tracker.stripe.line_fit.lines import LineFits, Scans, fit_lines, fit_room, map_edge
 from tracker.stripe.line_fit.normal_equations import (
     BEYOND,
     COUNTS,
@@ -61,12 +61,12 @@ def line_fits(
     map_sigma: float = MAP_SIGMA,
     base_sigma: float = BASE_SIGMA,
     speckle: float = 0.0,
-    n_lines: Int64 | None = None,
+    n_lines: Float64 | None = None,
 ) -> LineFits:
     """All that `fit_lines` writes."""
     n = len(charge)
     fits = LineFits.empty(n)
-    fit_lines(
+    scans = Scans(
         charge.astype(np.float32),
         background.astype(np.float32),
         np.zeros(charge.shape, bool) if censored is None else censored,
@@ -74,15 +74,8 @@ def line_fits(
         np.full(n, width),
         np.ones(n) if n_lines is None else n_lines,
         np.zeros(-(-n // CELL), np.int64) if lows is None else lows,
-        1.0,
-        DARK,
-        speckle,
-        speckle,
-        map_sigma,
-        base_sigma,
-        fit_room(n),
-        fits,
     )
+    fit_lines(scans, Noise(1.0, DARK, map_sigma, base_sigma, speckle, speckle), fit_room(n), fits)
     return fits
 
 

@@ -28,7 +28,8 @@ from tracker.state import (
 from tracker.stripe.band import Band
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.frame_scatter import N_SCRATCH, OFF, frame_scatter, own_sigma
-from tracker.stripe.line_fit.lines import FitRoom, LineFits, fit_lines, fit_room
+from tracker.stripe.line_fit.first_guess import Noise
+from tracker.stripe.line_fit.lines import FitRoom, LineFits, Scans, fit_lines, fit_room
 from tracker.stripe.neighbours import count_alike, mark_pairs, misfit_sigma_px, tell_both
 from tracker.stripe.scatter import (
     N_NUMBERS,
@@ -53,18 +54,6 @@ template's mean taken out it is less than one.
 
 MOST_SCORE_LOST = 0.01
 """The share of its score that a stripe may lose to a filter for another width: the path hardly feels it."""
-
-
-class Noise(NamedTuple):
-    """A pixel's variance is `shot` times its mean plus `dark_e2`; the background's own 1 sigma.
-
-    `map_rel` is that of the arc map, relative, `base_e` that of the black level and of the hall's light.
-    """
-
-    shot: float
-    dark_e2: float
-    map_rel: float
-    base_e: float
 
 
 class SearchRange(NamedTuple):
@@ -233,7 +222,7 @@ def fit_path(
     else:
         room.n_lines.fill(1.0)
         room.is_smooth.fill(True)
-    fit_lines(
+    scans = Scans(
         charge=band.charge,
         background=band.background,
         censored=band.censored,
@@ -241,15 +230,9 @@ def fit_path(
         width=room.width_px,
         n_lines=room.n_lines,
         lows=band.lows,
-        shot=noise.shot,
-        dark_variance=noise.dark_e2,
-        speckle=weighing_contrast(learned),
-        pair_speckle=pair_contrast(learned),
-        map_sigma=noise.map_rel,
-        base_sigma=noise.base_e,
-        room=room.fit,
-        lines=room.lines,
     )
+    speckled = noise._replace(speckle=weighing_contrast(learned), pair_speckle=pair_contrast(learned))
+    fit_lines(scans, speckled, room.fit, room.lines)
     _see_scatter(
         lines=room.lines,
         expected_px=expected.position_px,

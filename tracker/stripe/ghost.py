@@ -21,7 +21,8 @@ from noise_model.kernel import REDUCTION, kernel
 from noise_model.median import exact_median, finite_median
 from tracker.stripe.band import Band
 from tracker.stripe.expected import ExpectedStripe
-from tracker.stripe.fit_band import Noise, ReadRoom, SearchRange, fit_band
+from tracker.stripe.fit_band import ReadRoom, SearchRange, fit_band
+from tracker.stripe.line_fit.first_guess import Noise
 from tracker.stripe.viterbi import TEMPLATE_SIGMAS, Pair, bell
 
 REACH_SIGMAS = 3.0

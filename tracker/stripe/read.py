@@ -24,7 +24,6 @@ from tracker.stripe.detection import Evidence, evidence_of
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.fit_band import (
     MOST_SCORE_LOST,
-    Noise,
     ReadRoom,
     SearchRange,
     UsualLine,
@@ -38,6 +37,7 @@ from tracker.stripe.fit_band import (
 )
 from tracker.stripe.ghost import read_without_second
 from tracker.stripe.light import StripeLight
+from tracker.stripe.line_fit.first_guess import Noise
 from tracker.stripe.scatter import N_NUMBERS, FrameScatter, Scatter, add_frame, width_factor
 
 MEDIAN_HALF_PX = 30
@@ -81,12 +81,10 @@ def _write_once(room: object) -> None:
 class StripeReading(NamedTuple):
     """A stripe, and what it was read from: explaining a frame asks for that.
 
-    All but the stripe and the scatter are views of the scratch, good until the next frame; `lows` says where
-    the band begins for each CELL scan lines. `score` (n_scan, n_offsets) is the matched filter's, in sigmas,
-    at `offsets_px` from `around_px` (n_scan,), next to the expected places, in sums of `bin_px`; `start_px`
-    (n_scan,) is where the likeliest path runs, NaN for no stripe; `tried` and `fits` (n_scan, 7) are those of
-    `LineFits`. The variance of a pixel is `shot` times its mean plus `dark_variance_e2`; `map_sigma` is the
-    background's relative 1 sigma, `base_sigma_e` that of the black level and of the hall's light.
+    All but the stripe and the scatter are views of the scratch, good until the next frame. `score`
+    (n_scan, n_offsets) is the matched filter's, in sigmas, at `offsets_px` from `around_px` (n_scan,), next
+    to the expected places, in sums of `bin_px`; `start_px` (n_scan,) is where the likeliest path runs, NaN
+    for no stripe; `tried` and `fits` (n_scan, 7) are those of `LineFits`.
     `second_share` is how bright a second stripe is over the first, 0 for none; the background has its light.
     `told_nats` is the evidence that the other one is the reflection, infinite where none is searched.
     `scatter` is what the frames up to this one show of it, `learned` what this one was read with.
@@ -97,7 +95,6 @@ class StripeReading(NamedTuple):
 
     stripe: Stripe
     band: Band
-    lows: Int64
     around_px: Float64
     offsets_px: Int64
     bin_px: int
@@ -105,10 +102,7 @@ class StripeReading(NamedTuple):
     start_px: Float64
     tried: Float64
     fits: Float64
-    shot: float
-    dark_variance_e2: float
-    map_sigma: float
-    base_sigma_e: float
+    noise: Noise
     second_share: float
     told_nats: float
     scatter: Scatter
@@ -125,11 +119,11 @@ def light_of(reading: StripeReading, psf_sigma_px: float, sheet_lines: float) ->
         charge_e=band.charge,
         background_e=band.background,
         censored=band.censored,
-        lows=reading.lows,
+        lows=band.lows,
         position_px=reading.stripe.position_px,
         width_px=reading.lines[WIDTH_PX],
-        shot=reading.shot,
-        dark_variance_e2=reading.dark_variance_e2,
+        shot=reading.noise.shot,
+        dark_variance_e2=reading.noise.dark_e2,
         contrast=usual.contrast,
         alike=usual.alike,
         psf_sigma_px=psf_sigma_px,
@@ -252,7 +246,6 @@ def read_stripe(
     return StripeReading(
         stripe=stripe,
         band=band,
-        lows=band.lows,
         around_px=room.around_px,
         offsets_px=offsets_px,
         bin_px=bin_px,
@@ -260,10 +253,7 @@ def read_stripe(
         start_px=room.start_px,
         tried=room.lines.tried,
         fits=room.lines.fits,
-        shot=noise.shot,
-        dark_variance_e2=noise.dark_e2,
-        map_sigma=noise.map_rel,
-        base_sigma_e=noise.base_e,
+        noise=noise,
         second_share=second.share,
         told_nats=second.nats,
         scatter=Scatter(FrameScatter.of(after), frames + 1),

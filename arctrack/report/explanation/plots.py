@@ -107,7 +107,7 @@ def line_picture(explanation: Explanation, look: StripeLook, s: int, title: str)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1.0), height_ratios=(1.3, 1.0))
     whole, close = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[:, 1])
     tried = figure.add_subplot(grid[1, 0], sharex=whole)
-    low = int(reading.lows[s // CELL])
+    low = int(reading.band.lows[s // CELL])
     positions_px = low + np.arange(reading.band.charge.shape[1])
     predicted = "arc map" if explanation.use_arc_map else "running median"
     start, fitted = float(reading.start_px[s]), float(reading.stripe.position_px[s])
@@ -154,7 +154,7 @@ def fitted_mean(look: Look, stripe: StripeLook, s: int) -> tuple[Float64, Float6
     reading, parts = stripe.reading, stripe.parts
     assert look.expected is not None
     window, _ = window_of(reading, look.expected, s)
-    low = int(reading.lows[s // CELL])
+    low = int(reading.band.lows[s // CELL])
     pixels = low + np.arange(window.start, window.stop)
     x = np.linspace(pixels[0], pixels[-1], 8 * len(pixels))
     position, _, amplitude, width = reading.fits[s, :4]

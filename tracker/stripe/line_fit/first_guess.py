@@ -53,11 +53,20 @@ class Window(NamedTuple):
     speckle: Lanes
 
 
-class MapNoise(NamedTuple):
-    """1 sigma of the background: relative, that of the arc map, and in e-, that of the rest."""
+class Noise(NamedTuple):
+    """A pixel's variance, and the background's own 1 sigma.
 
+    The variance is `shot` (1, or 0 for one variance for all) times the pixel's mean plus `dark_e2`, and the
+    square of `speckle`, of two lines' mean of `pair_speckle`, times the stripe's light. `map_rel` is the arc
+    map's relative 1 sigma, `base_e` that of the black level and of the hall's light.
+    """
+
+    shot: float
+    dark_e2: float
     map_rel: float
     base_e: float
+    speckle: float = 0.0
+    pair_speckle: float = 0.0
 
 
 @kernel
@@ -134,7 +143,7 @@ def write_block(rows: Rows, n: int, block: Block) -> None:
 
 
 @kernel(fastmath=REDUCTION)
-def first_guess(block: Block, n: int, asked: Window, noise: MapNoise) -> LinePrior:
+def first_guess(block: Block, n: int, asked: Window, noise: Noise) -> LinePrior:
     """Return what is known of the lines whose first n pixels a block holds; NaN where a line's map is."""
     zero, unity = spread(0.0), spread(1.0)
     level, over = zero, zero

@@ -22,7 +22,7 @@ from tracker.stripe.line_fit.block import ROUNDS, FitState, Fitted, first_state,
 from tracker.stripe.line_fit.first_guess import (
     MAX_PIXELS,
     PAD,
-    MapNoise,
+    Noise,
     Rows,
     Window,
     core_of,
@@ -77,7 +77,13 @@ def fit_room(n_scan: int) -> FitRoom:
 
 
 class Scans(NamedTuple):
-    """What lines are fitted to, see `fit_lines`: pixels (n_scan, depth), and by line where they are read."""
+    """What lines are fitted to.
+
+    `charge`, `background` (n_scan, depth) are the linearised pixels and the arc map at its level, e-, of a
+    band that begins at `lows`. Each line's fit begins at `start` (n_scan,), NaN for none, with a stripe of
+    1 sigma `width`, px. Where `n_lines` (n_scan,) is 2, a line and the next are fitted as one, to the mean of
+    their pixels.
+    """
 
     charge: Float32
     background: Float32
@@ -86,16 +92,6 @@ class Scans(NamedTuple):
     width: Float64
     n_lines: Float64
     lows: Int64
-
-
-class Law(NamedTuple):
-    """A pixel's noise, the speckle of a line's and of a pair's, and the background's noise."""
-
-    shot: float
-    dark: float
-    speckle: float
-    pair_speckle: float
-    map: MapNoise
 
 
 class LineFits(NamedTuple):
@@ -190,7 +186,7 @@ def _write_fit(fit: Fitted, fitted: Float32) -> None:
 
 @kernel
 def _fit_lanes(
-    n_lanes: int, n_pixels: int, law: Law, turn: int, n_left: int, room: FitRoom, lines: LineFits
+    n_lanes: int, n_pixels: int, noise: Noise, turn: int, n_left: int, room: FitRoom, lines: LineFits
 ) -> int:
     """Fit the lines in the first lanes and write what their fits say; return how many lines are left now."""
     window, state = room.lanes[:N_WINDOW], room.lanes[N_WINDOW : N_WINDOW + N_STATE]
@@ -208,18 +204,20 @@ def _fit_lanes(
         share=load(window[6], 0),
         speckle=load(window[7], 0),
     )
-    noise = PixelNoise(spread(law.shot) * asked.share, spread(law.dark) * asked.share, asked.speckle)
-    known = first_guess(block, n_pixels, asked, law.map)
+    pixel_noise = PixelNoise(
+        spread(noise.shot) * asked.share, spread(noise.dark_e2) * asked.share, asked.speckle
+    )
+    known = first_guess(block, n_pixels, asked, noise)
     reached = first_state(known)
     if turn > 0:
         for lane in range(n_lanes):
             for k in range(N_STATE):
                 state[k, lane] = room.states[room.places[0, lane], k]
         reached = _load_state(state)
-    fit, reached, goes_on = fit_block(block, n_pixels, known, noise, reached, turn == ROUNDS - 1)
+    fit, reached, goes_on = fit_block(block, n_pixels, known, pixel_noise, reached, turn == ROUNDS - 1)
     _write_fit(fit, fitted)
     _store_state(reached, state)
-    core, hidden = core_square(block, n_pixels, fit, asked.width, noise)
+    core, hidden = core_square(block, n_pixels, fit, asked.width, pixel_noise)
     store(fitted[N_FITTED + 2], 0, core)
     store(fitted[N_FITTED + 3], 0, hidden)
     store(fitted[N_FITTED + 4], 0, where(goes_on, spread(1.0), spread(0.0)))
@@ -246,7 +244,7 @@ def _fit_lanes(
 
 
 @kernel
-def _fit_round(scans: Scans, law: Law, turn: int, n_todo: int, room: FitRoom, lines: LineFits) -> int:
+def _fit_round(scans: Scans, noise: Noise, turn: int, n_todo: int, room: FitRoom, lines: LineFits) -> int:
     """Take a round of steps on the lines to be fitted; return how many are left."""
     depth, asked = scans.charge.shape[1], room.lanes
     rows = Rows(room.windows[0], room.windows[1], room.windows[2])
@@ -277,58 +275,33 @@ def _fit_round(scans: Scans, law: Law, turn: int, n_todo: int, room: FitRoom, li
         asked[3, lane], asked[4, lane] = core_of(place - low, width, n)
         asked[5, lane] = map_edge(scans.background, scans.lows, s, start)
         asked[6, lane] = 0.5 if is_pair else 1.0
-        asked[7, lane] = law.pair_speckle if is_pair else law.speckle
+        asked[7, lane] = noise.pair_speckle if is_pair else noise.speckle
         room.places[0, lane], room.places[1, lane] = s, begin + low
         lane, longest = lane + 1, max(longest, n)
         if lane == N_LANES:
-            n_left = _fit_lanes(lane, longest, law, turn, n_left, room, lines)
+            n_left = _fit_lanes(lane, longest, noise, turn, n_left, room, lines)
             lane, longest = 0, 0
     if lane > 0:
-        n_left = _fit_lanes(lane, longest, law, turn, n_left, room, lines)
+        n_left = _fit_lanes(lane, longest, noise, turn, n_left, room, lines)
     return n_left
 
 
 @kernel
-def fit_lines(
-    charge: Float32,
-    background: Float32,
-    censored: Bool,
-    start: Float64,
-    width: Float64,
-    n_lines: Float64,
-    lows: Int64,
-    shot: float,
-    dark_variance: float,
-    speckle: float,
-    pair_speckle: float,
-    map_sigma: float,
-    base_sigma: float,
-    room: FitRoom,
-    lines: LineFits,
-) -> None:
-    """Fit every scan line from `start` (n_scan,), NaN for none, and write what the fits say.
+def fit_lines(scans: Scans, noise: Noise, room: FitRoom, lines: LineFits) -> None:
+    """Fit every scan line that has a start, and write what the fits say; of a pair in the first of both.
 
-    `charge`, `background` (n_scan, depth) are the linearised pixels and the arc map at its level, e-; `start`
-    and `width` px. The variance of a pixel is `shot` (1, or 0 for one variance for all) times its mean plus
-    `dark_variance`, e-^2, and the square of `speckle` times the stripe's light. `map_sigma` is the map's
-    relative 1 sigma, `base_sigma` the black level's, e-. How much the map changes to the neighbouring lines
-    counts as well: an edge may cut across a line.
-
-    Where `n_lines` (n_scan,) is 2, a line and the next are fitted as one, to the mean of their pixels, whose
-    speckle is `pair_speckle`. What its fit says stands in the first of both.
+    How much the map changes to the neighbouring lines counts as well: an edge may cut across a line.
     """
-    n_todo, n_scan = 0, charge.shape[0]
+    n_todo, n_scan = 0, scans.charge.shape[0]
     for s in range(n_scan):
         lines.saturated[s], lines.core[s] = False, np.float32(math.nan)
         for k in range(N_FITTED):
             lines.tried[s, k] = lines.fits[s, k] = math.nan
         for k in range(N_BINS):
             lines.odd[s, k] = math.nan
-        is_second = n_lines[s] > 1 and s % 2 == 1
-        if not (math.isnan(start[s]) or is_second):
+        is_second = scans.n_lines[s] > 1 and s % 2 == 1
+        if not (math.isnan(scans.start[s]) or is_second):
             room.todo[n_todo] = s
             n_todo += 1
-    scans = Scans(charge, background, censored, start, width, n_lines, lows)
-    law = Law(shot, dark_variance, speckle, pair_speckle, MapNoise(map_sigma, base_sigma))
     for turn in range(ROUNDS):
-        n_todo = _fit_round(scans, law, turn, n_todo, room, lines)
+        n_todo = _fit_round(scans, noise, turn, n_todo, room, lines)
