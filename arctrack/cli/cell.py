@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -134,8 +135,8 @@ def run(
     with console.progress() as bar:
         loop = ClosedLoop(plan)
         result = loop.run(console.track(bar, plan.joint, round(loop.duration_s * fps)))
-    write_run(out / RUN_CSV, loop.frames)
-    draw_run(out / RUN_PICTURE, loop, result)
+        write_run(out / RUN_CSV, loop.frames)
+        draw_run(out / RUN_PICTURE, loop, result)
     happened = loop.event_result()
     lines = _lines(plan, result) if happened is None else _event_lines(happened)
     console.say(*lines, f"{out / RUN_CSV}, {out / RUN_PICTURE}")
@@ -189,14 +190,20 @@ def serve(
     )
     if write_cell is not None:
         console.say(f"{write_simulated_cell(write_cell, plan, interface, channel, frames)}")
-    with interruptible("the cell was", "frames and robot are gone"):
+    with interruptible("the cell was", "frames and robot are gone"), ExitStack() as waiting:
+        waiting.enter_context(console.progress()).get_ready("robot and camera")
+
+        def on_ready() -> None:
+            waiting.close()
+            console.say(f"robot on {bus}, frames as {frames!r}; Ctrl-C ends it")
+
         serve_cell(
             plan,
             interface,
             channel,
             frames,
             lambda robot: seconds is None or robot.now_s < seconds,
-            lambda: console.say(f"robot on {bus}, frames as {frames!r}; Ctrl-C ends it"),
+            on_ready,
         )
 
 

@@ -43,12 +43,13 @@ def inspect(
     check_replaces_nothing(picture, read)
     with console.progress() as bar:
         result = survey(read, console.track(bar, read.name, len(read.rows)))
+        figure = draw(read, result)
     if not as_json:
         print_survey(console.tables(), read, result)
     make_folder(picture.parent, ())
     try:
         with writing(picture):
-            draw(read, result).savefig(picture, format=picture.suffix[1:] or "png")
+            figure.savefig(picture, format=picture.suffix[1:] or "png")
     except ValueError as error:
         raise in_file(picture, f"cannot be written: {error}; give a .png or .pdf with --out") from None
     if as_json:

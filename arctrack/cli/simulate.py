@@ -101,10 +101,10 @@ def simulate(
         video=video,
     )
     stated = None if setup is None else read_setup(setup)
-    nominal = _nominal(joint, material, width, height) if stated is None else stated.setup
     hidden = _effects(effect or [])
     unfinished = f"what was written stays in {out}{UNFINISHED_SUFFIX}"
     with interruptible(f"{out.name}: simulation", unfinished), console.progress() as bar:
+        nominal = _nominal(joint, material, width, height) if stated is None else stated.setup
         engine.simulate_recording(out, nominal, plan, console.track(bar, out.name, frames), hidden, stated)
     console.say(f"{out}: {frames} frames of a {nominal.joint.type} in {nominal.material.name}")
 
