@@ -1,24 +1,20 @@
 """All of numba's private parts that kernels need, in one file; each with its reason.
 
-numba's public `cache=True` keys a kernel by time and size of its file. It misses a kernel of another file
-that is written into it, and throws all of a file away for a comment. No public way sets the key, a function's
-symbol, whether callers get its bitcode, or when its entry point for Python is compiled.
+numba's public `cache=True` keys a kernel by its file's time and size: it misses a change in another file, and
+throws all away for a comment. No public way does what follows.
 
 - **The cache** (`dispatcher._cache`, `CompileResult._reduce` and `_rebuild`): a kernel is kept under the
   digest of its content, with what its machine code relies on of the kernels that it calls.
-- **Symbols** (`func_id.unique_id`, `_unique_ids`, `_optimize_final_module`): numba's hold a count of what a
-  process has compiled. Here they hold what stays, so that a kernel finds what it calls in every process, and
-  its machine code is the same bytes in each. numba's own functions within a kernel stay hidden in it: two of
-  one name, from two processes, are never taken for one.
+- **Symbols** (`func_id.unique_id`, `_unique_ids`, `mangler`, `_optimize_final_module`): numba's count what a
+  process compiles, and its records. Here a kernel finds what it calls in every process, and its machine code
+  is the same bytes in each. numba's own functions stay hidden in a kernel: two of one name are never one.
 - **Places of errors** (`build_excinfo_struct`): numba's machine code holds the file and line that raise.
 - **Links** (`library._linking_libraries`, `_shared_module`, `_get_module_for_linking`): numba hands a caller
   the bitcode of all that it calls. LLVM writes out what is short, and the caller gains by it. What is long
   stays a call, so callers get its symbol alone: a quarter of the CPU time of compiling, and half the bytes.
-- **Entry points** (`_compile_for_args`, `add_overload`, `create_cpython_wrapper`): numba compiles with each
-  kernel what unpacks its arguments and makes objects of its result. Python calls one kernel in ten, so its
-  entry point is compiled at its first call.
-- **Types of arguments** (`get_call_template`): numba compiles a kernel anew for each constant that another
-  calls it with.
+- **Entry points** (`_compile_for_args`, `add_overload`, `create_cpython_wrapper`): numba compiles one with
+  each kernel. Python calls one kernel in ten, so its entry point is compiled at its first call.
+- **Types of arguments** (`get_call_template`): numba compiles a kernel anew for each constant in a call.
 """
 
 from __future__ import annotations
@@ -41,6 +37,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.environment import Environment, _rebuild_env, lookup_environment
+from numba.core.funcdesc import default_mangler
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
@@ -75,6 +72,9 @@ class KernelCompiler(Compiler):  # type: ignore[misc]
         library.enable_object_caching()
         library.symbol_id, library.environments = identity.unique_id, []
         self.state.library = library
+        self.state.targetctx = self.state.targetctx.subtarget(
+            mangler=lambda name, _types, **more: default_mangler(name, (), **more)
+        )
         return super().define_pipelines()
 
 

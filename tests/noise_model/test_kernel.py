@@ -11,6 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numba
+import numpy as np
 import pytest
 from documented import FORKS
 
@@ -252,6 +254,34 @@ def test_kernels_of_one_name_in_one_process_are_told_apart() -> None:
         return outer
 
     assert [times(factor)(2.0) for factor in (3.0, 5.0)] == [7.0, 11.0]
+
+
+@pytest.mark.slow
+def test_a_kernels_symbol_is_the_same_whatever_records_a_process_knows(tmp_path: Path) -> None:
+    assert symbol_after(0, tmp_path / "first") == symbol_after(40, tmp_path / "second")
+
+
+def symbol_after(n_records: int, kept: Path) -> str:
+    """Return a symbol from a new process, in which numba has met so many other records."""
+    receiver, sender = FORKS.Pipe(duplex=False)
+    process = FORKS.Process(target=_symbol_after, args=(n_records, kept, sender))
+    process.start()
+    symbol: str = receiver.recv()
+    process.join()
+    return symbol
+
+
+def _symbol_after(n_records: int, kept: Path, sender: Connection) -> None:
+    os.environ["NUMBA_CACHE_DIR"] = str(kept)
+    for i in range(n_records):
+        numba.typeof(np.zeros(1, [(f"field_{i}", "f8")]))
+
+    @kernel
+    def first_x(points: Any) -> Any:
+        return points[0].x
+
+    first_x(np.zeros(1, [("x", "f8")]))
+    sender.send(first_x.overloads[first_x.signatures[0]].fndesc.llvm_func_name)
 
 
 def test_python_asks_once_for_a_kernel_that_two_threads_call_first_at_once() -> None:
