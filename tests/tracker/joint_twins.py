@@ -21,19 +21,22 @@ from tracker.joint.fillet import (
 from tracker.joint.fillet import MIN_POINTS as MIN_ON_PLATE
 from tracker.joint.fillet import SEARCH_STEP_MM as CORNER_STEP_MM
 from tracker.joint.groove import (
+    CELLS_MM,
+    CLOSED_AS_STATED,
     END_SHARE,
     GAP,
+    GAPS,
     MIN_ALONE,
     MIN_GROOVE_SHARE,
     MIN_POINTS,
     MUCH_LEFT_OUT,
+    NARROW_MM,
     PRIOR_SIGMA,
     ROUND_PRIOR_SIGMA,
     SEARCH_STEP_MM,
     WIDER_MM,
 )
 from tracker.joint.measured import LEFT_OUT, START_SIGMA_MM, SURE_MM, SURE_SIGMAS, fit_points, shift_of
-from tracker.joint.root import CELLS_MM, CLOSED_AS_STATED, GAPS, NARROW_MM
 from tracker.joint.section_fit import ShapeFit, tukey_loss
 from tracker.joint.section_shapes import CORNER, GROOVE, HALF_GROOVE, ROUND_GROOVE
 from tracker.joint.upright_edge import (

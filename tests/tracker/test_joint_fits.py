@@ -12,8 +12,7 @@ from slot_twins import fitted_slot, share_raised
 
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint, section
-from tracker.joint.groove import PRIOR_SIGMA, beside_unseen
-from tracker.joint.root import mixture_of, prior_of
+from tracker.joint.groove import PRIOR_SIGMA, beside_unseen, mixture_of, prior_of
 from tracker.profile import MIN_POINTS, in_scan_order
 from tracker.state import SCAN
 

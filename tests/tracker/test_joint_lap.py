@@ -14,7 +14,7 @@ from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint
 from tracker.joint.common_mode import BIAS_SHARE, COMMON_MODE_PX
 from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, share_off, sheets_at
-from tracker.joint.measured import OFF_SIGMAS, count_with_floor, typical_mm
+from tracker.joint.measured import OFF_SIGMAS
 from tracker.joint.section_fit import SIGMA_FLOOR_PX
 from tracker.joint.upright_edge import (
     Edge,
@@ -205,19 +205,6 @@ def test_what_lies_on_which_sheet_is_its_twin(seed: int) -> None:
     off = np.where(y < edge, off_upper, off_lower) > OFF_SIGMAS * sigma
     share = share_off(profile.points, sheets, edge)
     assert share == pytest.approx(off[near].mean())
-
-
-@settings(deadline=None, max_examples=30)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 60))
-def test_what_points_may_be_off_is_its_twin(seed: int, n: int) -> None:
-    rng = np.random.default_rng(seed)
-    sigma_px, dz, used = rng.uniform(0.0, 0.3, n), rng.normal(0.0, 0.1, n), rng.random(n) < 0.7
-    n_lines = rng.integers(1, 3, n).astype(float)
-    used[rng.integers(n)] = True
-    sigma = np.empty(n)
-    assert count_with_floor(sigma_px, n_lines, used, sigma) == used.sum()
-    np.testing.assert_allclose(sigma, np.hypot(sigma_px, SIGMA_FLOOR_PX / np.sqrt(n_lines)))
-    assert typical_mm(dz, sigma, used) == pytest.approx(np.median((np.abs(dz) * sigma)[used]))
 
 
 def test_an_edges_covariance_is_its_twin() -> None:

@@ -14,8 +14,7 @@ from profiles import fit_joint, groove, measure
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint
 from tracker.joint.common_mode import COMMON_MODE_PX
-from tracker.joint.groove import GAP, PRIOR_SIGMA
-from tracker.joint.root import CELLS_MM, CLOSED_AS_STATED, GAPS, NARROW_MM, prior_of
+from tracker.joint.groove import CELLS_MM, CLOSED_AS_STATED, GAP, GAPS, NARROW_MM, PRIOR_SIGMA, prior_of
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
 CAMERA_MM, LASER_MM = np.array([60.0, 0.0, 130.0]), np.array([0.0, 0.0, 140.0])

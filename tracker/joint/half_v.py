@@ -10,6 +10,7 @@ from noise_model.arrays import Bool, Float64
 from noise_model.kernel import kernel
 from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.common_mode import as_reported
+from tracker.joint.groove import weigh_root
 from tracker.joint.measured import (
     START_SIGMA_MM,
     SURE_MM,
@@ -22,7 +23,6 @@ from tracker.joint.measured import (
     shift_of,
     two_angles,
 )
-from tracker.joint.root import weigh_root
 from tracker.joint.section_fit import ShapeFit
 from tracker.joint.section_shapes import HALF_GROOVE
 from tracker.joint.upright_edge import (

@@ -90,38 +90,20 @@ def fit_points(
     where fewer points are used than the parameters need, and where it runs away. What `start` has beyond
     `prior_sigma` (p,) stays as it is.
     """
-    m, sigma = prior_sigma.shape[0], np.empty(points.shape[1])
-    if count_with_floor(points[SIGMA_PX], points[N_LINES], used, sigma) < m + 3:
+    n, m, count = points.shape[1], prior_sigma.shape[0], 0
+    sigma, moves = np.empty(n), np.empty(n)
+    for i in range(n):
+        sigma[i] = math.sqrt(points[SIGMA_PX, i] ** 2 + SIGMA_FLOOR_PX**2 / points[N_LINES, i])
+        if used[i]:
+            moves[count] = abs(points[DZ_MM, i]) * sigma[i]
+            count += 1
+    if count < m + 3:
         return ShapeFit(start[:m].copy(), np.empty((m, m)), math.nan, sigma)
-    wide = start_sigma_mm / max(typical_mm(points[DZ_MM], sigma, used), MIN_UNIT_MM)
+    wide = start_sigma_mm / max(exact_median(moves[:count]), MIN_UNIT_MM)
     fit = fit_section(shape, points, sigma, used, wide, prior_sigma, start)
     if math.isfinite(fit.chi2):
         add_shared_errors(shape, points, sigma, fit)
     return ShapeFit(fit.parameters[:m], fit.covariance, fit.chi2, fit.weights)
-
-
-@kernel
-def count_with_floor(sigma_px: Float64, n_lines: Float64, used: Bool, sigma: Float64) -> int:
-    """Write stripe centres' 1 sigma (n,) with what each of their lines may be off beyond it.
-
-    Returns how many are used.
-    """
-    count = 0
-    for i in range(sigma_px.shape[0]):
-        sigma[i] = math.sqrt(sigma_px[i] ** 2 + SIGMA_FLOOR_PX**2 / n_lines[i])
-        count += used[i]
-    return count
-
-
-@kernel(allocates=True)
-def typical_mm(dz_mm: Float64, sigma_px: Float64, used: Bool) -> float:
-    """Return the median height, mm, by which used points (n,) move with their centres' 1 sigma."""
-    moves, count = np.empty(dz_mm.shape[0]), 0
-    for i in range(dz_mm.shape[0]):
-        if used[i]:
-            moves[count] = abs(dz_mm[i]) * sigma_px[i]
-            count += 1
-    return exact_median(moves[:count])
 
 
 def shift_of(
