@@ -92,15 +92,15 @@ def _fill_smooth(powers: Float64, image: Image, box: Box) -> None:
 def _fill_apart(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: Scratch) -> None:
     """Fill what of a box of at most LARGEST pixels lies in the band, pixel by pixel."""
     n_pos, room = image.n_pos, work[0]
-    pixels, light_e, faces, places = room.pixels[:], room.light_e[:], room.faces[:], room.places[:]
+    pixels, light_e = room.pixels[:], room.light_e[:]
     n = 0
     for i in range(box[2]):
         _, first, last = _line_in_band(image, box, i)
         for position in range(first, last):
             pixels[n] = (box[0] + i) * n_pos + position
             n += 1
-    places_on_rays(k, table.seen, image.xy, pixels, n, faces, places, room)
-    light_at_places(k, table, image.cos4, pixels, n, faces, places, 0.0, light_e, work)
+    places_on_rays(k, table.seen, image.xy, n, room)
+    light_at_places(k, table, image.cos4, n, 0.0, work)
     n = 0
     for i in range(box[2]):
         low, first, last = _line_in_band(image, box, i)
@@ -213,14 +213,14 @@ def _holds_between_nodes(
 ) -> bool:
     """Say whether a cell's polynomial is off by no more than is allowed, e-, between nodes in its corners."""
     n_pos, room = image.n_pos, work[0]
-    pixels, light_e, faces, places = room.pixels[:], room.light_e[:], room.faces[:], room.places[:]
+    pixels, light_e = room.pixels[:], room.light_e[:]
     scan, pos, n_s, n_p = box
     down, on = (n_s - 1) // (2 * (N - 1)), (n_p - 1) // (2 * (N - 1))
     for i in range(N_CORNERS):
         line, position = (n_s - 1 - down if i // 2 else down), (n_p - 1 - on if i % 2 else on)
         pixels[i] = (scan + line) * n_pos + pos + position
-    places_on_rays(k, table.seen, image.xy, pixels, N_CORNERS, faces, places, room)
-    light_at_places(k, table, image.cos4, pixels, N_CORNERS, faces, places, 0.0, light_e, work)
+    places_on_rays(k, table.seen, image.xy, N_CORNERS, room)
+    light_at_places(k, table, image.cos4, N_CORNERS, 0.0, work)
     for i in range(N_CORNERS):
         line, position = pixels[i] // n_pos - scan, pixels[i] % n_pos - pos
         t, u = -1.0 + 2.0 * line / (n_s - 1), -1.0 + 2.0 * position / (n_p - 1)
@@ -237,19 +237,19 @@ def _holds_between_nodes(
 def _fill_cell(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: Scratch) -> int:
     """Fill a cell, or say how it has to be halved."""
     xy, cos4, rules, room = image.xy, image.cos4, image.rules, work[0]
-    pixels, light_e, faces, places = room.pixels[:], room.light_e[:], room.faces[:], room.places[:]
+    light_e, faces = room.light_e[:], room.faces[:]
     seen, powers = room.is_filled[:], room.powers[0]
     _, _, n_s, n_p = box
     halved = _halved(n_s, n_p, True)
     if n_s >= N and n_p >= N:
-        _node_pixels(image.n_pos, box, image.node_at, pixels)
-        take_rays(xy, pixels, 0, N * N, room)
+        _node_pixels(image.n_pos, box, image.node_at, room.pixels[:])
+        take_rays(xy, 0, N * N, room)
         is_plain = k.corrugation[0] == 0.0
         is_told = write_faces(k, table.seen, room) if is_plain else follow_to_lap(k, room)
         if is_told:
-            tell_faces(room, 0, N * N, faces)
+            tell_faces(0, N * N, room)
         else:
-            places_on_rays(k, table.seen, xy, pixels, N * N, faces, places, room)
+            places_on_rays(k, table.seen, xy, N * N, room)
         is_one = faces[0] != MISS
         for face in range(k.vertices.shape[0] - 1):
             seen[face] = False
@@ -261,10 +261,10 @@ def _fill_cell(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: Scr
             if is_told and is_plain:
                 light_of_face(k, table, faces[0], xy, cos4, work)
             elif is_told:
-                tell_places(k, room, 0, N * N, places)
+                tell_places(k, 0, N * N, room)
                 light_of_nodes(k, table, faces[0], cos4, work)
             else:
-                light_at_places(k, table, cos4, pixels, N * N, faces, places, 0.0, light_e, work)
+                light_at_places(k, table, cos4, N * N, 0.0, work)
             across, along, least = to_powers(light_e, rules, (n_s, n_p), powers)
             allowed = SHARE * max(table.rel * least, table.floor_e)
             is_smooth = max(across, along) <= allowed
@@ -347,11 +347,15 @@ def fill_pixels(
 
     Cells that hold less of them than nodes are not worth making.
     """
-    n = len(pixels)
-    faces, places, light_e = np.empty(n, dtype=np.int64), np.empty((n, 2)), np.empty(n)
     x_low, x_high, y_low, y_high = k.reach
-    least_mm2 = CELL_WORTH * (x_high - x_low) * (y_high - y_low) / max(n, 1)
+    least_mm2 = CELL_WORTH * (x_high - x_low) * (y_high - y_low) / max(len(pixels), 1)
     work = scratch()
-    places_on_rays(k, table.seen, xy, pixels, n, faces, places, work[0])
-    light_at_places(k, table, cos4, pixels, n, faces, places, least_mm2, light_e, work)
-    out[:] = light_e
+    room = work[0]
+    for first in range(0, len(pixels), LARGEST):
+        n = min(LARGEST, len(pixels) - first)
+        for i in range(n):
+            room.pixels[i] = pixels[first + i]
+        places_on_rays(k, table.seen, xy, n, room)
+        light_at_places(k, table, cos4, n, least_mm2, work)
+        for i in range(n):
+            out[first + i] = room.light_e[i]

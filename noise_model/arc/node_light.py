@@ -110,26 +110,22 @@ def light_of_face(
     The scratch holds the nodes' pixels and rays, and takes light, faces and places.
     """
     room = work[0]
-    pixels, places = room.pixels[:], room.places[:]
     if write_places(k, face, room):
-        tell_places(k, room, 0, N_LANES, places)
+        tell_places(k, 0, N_LANES, room)
         light_of_nodes(k, table, face, cos4, work)
         return
-    faces = room.faces[:]
-    places_on_plane(k, face, xy, pixels, N_LANES, faces, places)
-    light_at_places(k, table, cos4, pixels, N_LANES, faces, places, 0.0, room.light_e[:], work)
+    places_on_plane(k, face, xy, N_LANES, room)
+    light_at_places(k, table, cos4, N_LANES, 0.0, work)
 
 
 @kernel(fastmath=REDUCTION)
 def light_of_nodes(k: ArcKernel, table: FaceTable, face: int, cos4: Float32, work: Scratch) -> None:
     """Write the light (16,), e-, that nodes receive from their places on one face, in the scratch too."""
     room = work[0]
-    pixels, light_e = room.pixels[:], room.light_e[:]
     if not write_light(k, table, face, work):
-        faces = room.faces[:]
         for i in range(N_LANES):
-            faces[i] = face
-        light_at_places(k, table, cos4, pixels, N_LANES, faces, room.places[:], 0.0, light_e, work)
+            room.faces[i] = face
+        light_at_places(k, table, cos4, N_LANES, 0.0, work)
         return
     for i in range(N_LANES):
-        light_e[i] = cos4[pixels[i]] * room.ray_light_e[i]
+        room.light_e[i] = cos4[room.pixels[i]] * room.ray_light_e[i]

@@ -8,7 +8,7 @@ from noise_model.arc.face_lookup import Sight, face_seen, meet_plane
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.ray import ArcKernel, follow
 from noise_model.arc.scratch import Record
-from noise_model.arrays import Float32, Float64, Int64, Point
+from noise_model.arrays import Float32, Point
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, Lanes, any_lane, greater, lesser, load, spread, store, where
 from noise_model.surface.faces import across
@@ -26,11 +26,11 @@ MARGIN = 1.05
 
 
 @kernel
-def take_rays(xy: Float32, pixels: Int64, first: int, n: int, rays: Record) -> None:
+def take_rays(xy: Float32, first: int, n: int, room: Record) -> None:
     """Take the rays of n pixels, at most sixteen, from `first` on; the last one's fill the rest."""
     for i in range(N_LANES):
-        pixel = pixels[first + min(i, n - 1)]
-        rays.ray_x[i], rays.ray_y[i] = xy[pixel, 0], xy[pixel, 1]
+        pixel = room.pixels[first + min(i, n - 1)]
+        room.ray_x[i], room.ray_y[i] = xy[pixel, 0], xy[pixel, 1]
 
 
 @kernel(inline=True)
@@ -108,83 +108,68 @@ def follow_to_lap(k: ArcKernel, rays: Record) -> bool:
 
 
 @kernel
-def tell_faces(rays: Record, first: int, n: int, faces: Int64) -> None:
-    """Write which faces the first n rays meet, from `first` on."""
+def tell_faces(first: int, n: int, room: Record) -> None:
+    """Write which faces the first n rays meet, as those of pixels from `first` on."""
     for i in range(n):
-        faces[first + i] = int(rays.ray_faces[i])
+        room.faces[first + i] = int(room.ray_faces[i])
 
 
 @kernel
-def tell_places(k: ArcKernel, rays: Record, first: int, n: int, places: Float64) -> None:
-    """Write the places x and s (n, 2) where the first n rays meet their faces, from `first` on."""
+def tell_places(k: ArcKernel, first: int, n: int, room: Record) -> None:
+    """Write the places x and s where the first n rays meet faces, as those of pixels from `first` on."""
     for i in range(n):
-        places[first + i, 0], places[first + i, 1] = (
-            k.eye[0] + rays.ray_places[i],
-            rays.ray_places[N_LANES + i],
-        )
+        room.places[first + i, 0] = k.eye[0] + room.ray_places[i]
+        room.places[first + i, 1] = room.ray_places[N_LANES + i]
 
 
 @kernel
-def places_on_rays(
-    k: ArcKernel,
-    seen: Sight,
-    xy: Float32,
-    pixels: Int64,
-    n: int,
-    faces: Int64,
-    places: Float64,
-    nodes: Record,
-) -> None:
-    """Write which faces (n,) the rays of some pixels meet and where, x and s (n, 2).
+def places_on_rays(k: ArcKernel, seen: Sight, xy: Float32, n: int, room: Record) -> None:
+    """Write which faces the rays of the first n pixels meet and where, x and s.
 
-    `ray_casting.MISS` and NaN for a ray that looks past the workpiece. `nodes` are room for sixteen rays.
+    `ray_casting.MISS` and NaN for a ray that looks past the workpiece.
     """
     if k.corrugation[0] > 0.0:
-        _places_on_lap(k, xy, pixels, n, faces, places, nodes)
+        _places_on_lap(k, xy, n, room)
         return
     for i in range(n):
-        x, y = xy[pixels[i], 0], xy[pixels[i], 1]
+        x, y = xy[room.pixels[i], 0], xy[room.pixels[i], 1]
         face = face_seen(k, seen, x, y)
         P, _ = meet_plane(k, x, y, seen_strip(max(face, 0), k.vertices))
-        _write_place(k, P, face, i, faces, places)
+        _write_place(k, P, face, i, room)
 
 
 @kernel
-def _places_on_lap(
-    k: ArcKernel, xy: Float32, pixels: Int64, n: int, faces: Int64, places: Float64, nodes: Record
-) -> None:
+def _places_on_lap(k: ArcKernel, xy: Float32, n: int, room: Record) -> None:
     """Write `places_on_rays` of a corrugated lap, sixteen at a time where each ray meets a sheet once."""
     for first in range(0, n, N_LANES):
         count = min(N_LANES, n - first)
-        take_rays(xy, pixels, first, count, nodes)
-        if follow_to_lap(k, nodes):
-            tell_faces(nodes, first, count, faces)
-            tell_places(k, nodes, first, count, places)
+        take_rays(xy, first, count, room)
+        if follow_to_lap(k, room):
+            tell_faces(first, count, room)
+            tell_places(k, first, count, room)
             continue
         for i in range(first, first + count):
-            P, face = follow(k, xy[pixels[i], 0], xy[pixels[i], 1])
-            _write_place(k, P, face, i, faces, places)
+            P, face = follow(k, xy[room.pixels[i], 0], xy[room.pixels[i], 1])
+            _write_place(k, P, face, i, room)
 
 
 @kernel(inline=True)
-def _write_place(k: ArcKernel, P: Point, face: int, i: int, faces: Int64, places: Float64) -> None:
+def _write_place(k: ArcKernel, P: Point, face: int, i: int, room: Record) -> None:
     """Write the i-th face, and a point's place on it."""
-    faces[i], places[i, 0], places[i, 1] = face, math.nan, math.nan
+    room.faces[i], room.places[i, 0], room.places[i, 1] = face, math.nan, math.nan
     if face != MISS:
-        places[i, 0], places[i, 1] = P[0], across(P, seen_strip(face, k.vertices), k.corrugation)
+        room.places[i, 0], room.places[i, 1] = P[0], across(P, seen_strip(face, k.vertices), k.corrugation)
 
 
 @kernel
-def places_on_plane(
-    k: ArcKernel, face: int, xy: Float32, pixels: Int64, n: int, faces: Int64, places: Float64
-) -> None:
-    """Write where the rays of some pixels meet a plain face's plane, x and s (n, 2), seen or not.
+def places_on_plane(k: ArcKernel, face: int, xy: Float32, n: int, room: Record) -> None:
+    """Write where the rays of the first n pixels meet a plain face's plane, x and s, seen or not.
 
-    NaN where a ray runs away from it. `faces` (n,) are all this face.
+    NaN where a ray runs away from it. The pixels' faces are all this one.
     """
     on = seen_strip(face, k.vertices)
     for i in range(n):
-        P, is_ahead = meet_plane(k, xy[pixels[i], 0], xy[pixels[i], 1], on)
-        faces[i], places[i, 0], places[i, 1] = face, math.nan, math.nan
+        P, is_ahead = meet_plane(k, xy[room.pixels[i], 0], xy[room.pixels[i], 1], on)
+        room.faces[i], room.places[i, 0], room.places[i, 1] = face, math.nan, math.nan
         if is_ahead:
-            places[i, 0], places[i, 1] = P[0], across(P, on, k.corrugation)
+            room.places[i, 0], room.places[i, 1] = P[0], across(P, on, k.corrugation)

@@ -288,21 +288,14 @@ def cell_at(
 
 @kernel
 def light_at_places(
-    k: ArcKernel,
-    table: FaceTable,
-    cos4: Float32,
-    pixels: Int64,
-    n: int,
-    faces: Int64,
-    places: Float64,
-    least_mm2: float,
-    light_e: Float64,
-    work: Scratch,
+    k: ArcKernel, table: FaceTable, cos4: Float32, n: int, least_mm2: float, work: Scratch
 ) -> None:
-    """Write the arc's light (n,), e-, that some pixels receive from places (n, 2) on faces (n,).
+    """Write the arc's light, e-, that the first n pixels receive from their places on faces.
 
     It is integrated where there is no cell or none of at least `least_mm2`; NaN where a place is.
     """
+    room = work[0]
+    pixels, faces, places, light_e = room.pixels[:], room.faces[:], room.places[:], room.light_e[:]
     middle, inverse, powers = table.middle, table.inverse, table.powers
     cell, cells_face, on, is_asked = -1, MISS, seen_strip(0, k.vertices), False
     for i in range(n):

@@ -40,17 +40,24 @@ def drawn(name, rng):
     return arc_map, (rows[:, None] * width + columns).ravel()
 
 
+def rays_of(arc_map, pixels):
+    """Scratch that holds the rays of sixteen pixels."""
+    work = scratch()
+    work[0]["pixels"][:N] = pixels
+    take_rays(arc_map.xy, 0, N, work[0])
+    return work
+
+
 @pytest.mark.parametrize("name", ["v_groove", "lap", "u_groove"])
 def test_nodes_meet_the_faces_that_their_rays_meet(name):
     rng, told = np.random.default_rng(1), 0
     for _ in range(60):
         arc_map, pixels = drawn(name, rng)
-        nodes, faces = scratch()[0], np.empty(N, np.int64)
-        take_rays(arc_map.xy, pixels, 0, N, nodes)
+        nodes = rays_of(arc_map, pixels)[0]
         assert write_faces(arc_map.kernel, arc_map.table.seen, nodes)
-        tell_faces(nodes, 0, N, faces)
+        tell_faces(0, N, nodes)
         want = [face_seen(arc_map.kernel, arc_map.table.seen, *arc_map.xy[i].tolist()) for i in pixels]
-        told += np.count_nonzero(faces == want)
+        told += np.count_nonzero(nodes["faces"][:N] == want)
     # Only a ray through an edge itself may meet the other face.
     assert told >= 60 * N - 2
 
@@ -60,25 +67,22 @@ def test_nodes_receive_what_each_receives(name):
     rng, n_lit = np.random.default_rng(2), 0
     for _ in range(60):
         arc_map, pixels = drawn(name, rng)
-        kernel, table, work = arc_map.kernel, arc_map.table, scratch()
-        nodes, faces = work[0], np.empty(N, np.int64)
-        take_rays(arc_map.xy, pixels, 0, N, nodes)
-        places, want_e = np.empty((N, 2)), np.empty(N)
+        kernel, table, work = arc_map.kernel, arc_map.table, rays_of(arc_map, pixels)
+        nodes = work[0]
         for face in range(len(kernel.vertices) - 1):
             if not write_places(kernel, face, nodes) or not write_light(kernel, table, face, work):
                 continue
             n_lit += 1
-            places_on_plane(kernel, face, arc_map.xy, pixels, N, faces, places)
-            light_at_places(kernel, table, arc_map.cos4, pixels, N, faces, places, 0.0, want_e, work)
+            places_on_plane(kernel, face, arc_map.xy, N, nodes)
+            light_at_places(kernel, table, arc_map.cos4, N, 0.0, work)
             got_e = nodes["ray_light_e"] * arc_map.cos4[pixels]
-            np.testing.assert_allclose(got_e, want_e, rtol=2e-4, atol=1e-3)
+            np.testing.assert_allclose(got_e, nodes["light_e"][:N], rtol=2e-4, atol=1e-3)
     assert n_lit > 50
 
 
 def test_rays_that_do_not_go_down_are_not_told():
     arc_map, pixels = drawn("v_groove", np.random.default_rng(3))
-    nodes = scratch()[0]
-    take_rays(arc_map.xy, pixels, 0, N, nodes)
+    nodes = rays_of(arc_map, pixels)[0]
     up = arc_map.kernel._replace(rotation=np.ascontiguousarray(-arc_map.kernel.rotation))
     assert not write_faces(up, arc_map.table.seen, nodes)
     assert not write_places(up, 0, nodes)
@@ -88,14 +92,13 @@ def test_nodes_meet_a_corrugated_lap_where_each_ray_does():
     rng, n_told, met = np.random.default_rng(4), 0, set()
     for _ in range(200):
         arc_map, pixels = drawn("corrugation", rng)
-        kernel, nodes = arc_map.kernel, scratch()[0]
-        take_rays(arc_map.xy, pixels, 0, N, nodes)
+        kernel, nodes = arc_map.kernel, rays_of(arc_map, pixels)[0]
         if not follow_to_lap(kernel, nodes):
             continue
         n_told += 1
-        faces, places = np.empty(N, np.int64), np.empty((N, 2))
-        tell_faces(nodes, 0, N, faces)
-        tell_places(kernel, nodes, 0, N, places)
+        tell_faces(0, N, nodes)
+        tell_places(kernel, 0, N, nodes)
+        faces, places = nodes["faces"], nodes["places"]
         for i, pixel in enumerate(pixels):
             P, face = follow(kernel, *arc_map.xy[pixel].tolist())
             s = across(P, seen_strip(face, kernel.vertices), kernel.corrugation)
@@ -113,8 +116,10 @@ def test_any_number_of_rays_meets_a_corrugated_lap(n):
     for _ in range(20):
         arc_map, _ = drawn("corrugation", rng)
         kernel, pixels = arc_map.kernel, rng.integers(0, arc_map.cos4.size, n)
-        faces, places = np.full(n + 1, -7), np.full((n + 1, 2), -7.0)
-        places_on_rays(kernel, arc_map.table.seen, arc_map.xy, pixels, n, faces, places, scratch()[0])
+        room = scratch()[0]
+        faces, places, room["pixels"][:n] = room["faces"], room["places"], pixels
+        faces[:], places[:] = -7, -7.0
+        places_on_rays(kernel, arc_map.table.seen, arc_map.xy, n, room)
         want = [follow(kernel, *arc_map.xy[pixel].tolist()) for pixel in pixels]
         np.testing.assert_array_equal(faces[:n], [face for _, face in want])
         np.testing.assert_allclose(places[:n, 0], [P[0] for P, _ in want], atol=2e-4)
@@ -124,8 +129,7 @@ def test_any_number_of_rays_meets_a_corrugated_lap(n):
 
 def test_rays_that_may_meet_a_ridge_twice_are_not_told():
     arc_map, pixels = drawn("corrugation", np.random.default_rng(6))
-    nodes = scratch()[0]
-    take_rays(arc_map.xy, pixels, 0, N, nodes)
+    nodes = rays_of(arc_map, pixels)[0]
     assert follow_to_lap(arc_map.kernel, nodes)
     steeper = arc_map.kernel._replace(corrugation=np.array([40.0, 30.0, 60.0]))
     assert not follow_to_lap(steeper, nodes)
