@@ -318,7 +318,16 @@ def draw_frame(
     ValueError
         For a pose whose camera stands below the surface, and for effects that cannot be.
     """
-    true, light = _light(setup, T_base_tool, condition, seam, renderer, None, rng, part_seed)
+    true, light = _light(
+        setup=setup,
+        T_base_tool=T_base_tool,
+        condition=condition,
+        seam=seam,
+        renderer=renderer,
+        pixels=None,
+        rng=rng,
+        part_seed=part_seed,
+    )
     image_dn = expose(light.total.astype(np.float64), true.sensor, rng)
     for effect, values in acting(true):
         if effect.codes is not None:

@@ -115,7 +115,16 @@ class Sight:
         n, shape = len(self.cos4), self.scenes.shape
         points, normals, faces = np.empty((n, 3)), np.empty((n, 3)), np.empty(n, dtype=np.int32)
         poses = self.scenes.T_joint_camera
-        trace(self.xy, self.which, poses, shape.vertices, shape.corrugation, points, normals, faces)
+        trace(
+            xy=self.xy,
+            which=self.which,
+            T_joint_camera=poses,
+            vertices=shape.vertices,
+            corrugation=shape.corrugation,
+            points=points,
+            normals=normals,
+            faces=faces,
+        )
         return points, normals, faces
 
     @property

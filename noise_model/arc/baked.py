@@ -107,20 +107,20 @@ def moved(k: ArcKernel, y_mm: float, eye_mm: Point) -> ArcKernel:
     """Return a scene whose torch is moved sideways, and its camera besides."""
     (x, y, z), (e_x, e_y, e_z) = k.center, k.eye
     return ArcKernel(
-        k.rotation,
-        (e_x + eye_mm[0], e_y + y_mm + eye_mm[1], e_z + eye_mm[2]),
-        (x, y + y_mm, z),
-        k.bend,
-        k.radius,
-        k.radiance_e,
-        k.vertices,
-        k.corrugation,
-        k.horizon_start,
-        k.horizons,
-        k.metal_cuts,
-        k.reach,
-        k.material,
-        k.rule,
+        rotation=k.rotation,
+        eye=(e_x + eye_mm[0], e_y + y_mm + eye_mm[1], e_z + eye_mm[2]),
+        center=(x, y + y_mm, z),
+        bend=k.bend,
+        radius=k.radius,
+        radiance_e=k.radiance_e,
+        vertices=k.vertices,
+        corrugation=k.corrugation,
+        horizon_start=k.horizon_start,
+        horizons=k.horizons,
+        metal_cuts=k.metal_cuts,
+        reach=k.reach,
+        material=k.material,
+        rule=k.rule,
     )
 
 
@@ -233,25 +233,25 @@ class Nominal(NamedTuple):
         x_low, x_high, y_low, y_high = self.reach
         aside_mm = y_mm - self.center[1]
         return ArcKernel(
-            np.eye(3),
-            (self.eye[0], self.eye[1] + aside_mm, self.eye[2]),
-            (self.center[0], y_mm, self.center[2]),
-            (0.0, 0.0),
-            self.radius,
-            self.radiance_e,
-            np.array(self.vertices),
-            np.zeros(3),
-            0.0,
-            np.empty((2, 0, 2)),
-            False,
-            (
+            rotation=np.eye(3),
+            eye=(self.eye[0], self.eye[1] + aside_mm, self.eye[2]),
+            center=(self.center[0], y_mm, self.center[2]),
+            bend=(0.0, 0.0),
+            radius=self.radius,
+            radiance_e=self.radiance_e,
+            vertices=np.array(self.vertices),
+            corrugation=np.zeros(3),
+            horizon_start=0.0,
+            horizons=np.empty((2, 0, 2)),
+            metal_cuts=False,
+            reach=(
                 x_low - BEYOND_MM,
                 x_high + BEYOND_MM,
                 y_low + aside_mm - BEYOND_MM,
                 y_high + aside_mm + BEYOND_MM,
             ),
-            self.material,
-            Rule(gauss_nodes(), *self.nodes),
+            material=self.material,
+            rule=Rule(gauss_nodes(), *self.nodes),
         )
 
 
@@ -265,17 +265,17 @@ def bake(k: ArcKernel, margin_mm: float, rel: float, floor_e: float) -> BakedLig
     vertices = tuple(map(tuple, k.vertices.tolist()))
     return _baked(
         Nominal(
-            k.eye,
-            k.center,
-            k.radius,
-            k.radiance_e,
-            vertices,
-            k.reach,
-            k.material,
-            (k.rule.n_p, k.rule.n_q),
-            margin_mm,
-            rel,
-            floor_e,
+            eye=k.eye,
+            center=k.center,
+            radius=k.radius,
+            radiance_e=k.radiance_e,
+            vertices=vertices,
+            reach=k.reach,
+            material=k.material,
+            nodes=(k.rule.n_p, k.rule.n_q),
+            margin_mm=margin_mm,
+            rel=rel,
+            floor_e=floor_e,
         )
     )
 
@@ -317,23 +317,23 @@ def _baked(nominal: Nominal) -> BakedLight:
 def _room(n: int, n_faces: int, n_x: int, n_cells: int) -> BakedLight:
     """Return room for n tables of some faces, borders along the seam, and cells."""
     return BakedLight(
-        0.0,
-        (0.0, 0.0, 0.0),
-        0.0,
-        0.0,
-        (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        np.empty((n_faces + 1, 2)),
-        np.empty(n_x),
-        np.empty((n, n_faces, MAX_BORDERS)),
-        np.empty((n, n_faces), dtype=np.int32),
-        np.empty((n, n_faces, n_x, MAX_BORDERS), dtype=np.int32),
-        np.empty((n, n_cells), dtype=np.int32),
-        np.empty((n, n_cells), dtype=np.int32),
-        np.empty((n, n_cells, 2)),
-        np.empty((n, n_cells, 2)),
-        np.empty((n, n_cells, TERMS, NODES, NODES)),
-        np.empty((n, n_cells)),
-        np.empty(n, dtype=np.int32),
+        center_z_mm=0.0,
+        eye_mm=(0.0, 0.0, 0.0),
+        radius_mm=0.0,
+        radiance_e=0.0,
+        material=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        vertices=np.empty((n_faces + 1, 2)),
+        x_borders=np.empty(n_x),
+        s_borders=np.empty((n, n_faces, MAX_BORDERS)),
+        n_s=np.empty((n, n_faces), dtype=np.int32),
+        roots=np.empty((n, n_faces, n_x, MAX_BORDERS), dtype=np.int32),
+        axis=np.empty((n, n_cells), dtype=np.int32),
+        child=np.empty((n, n_cells), dtype=np.int32),
+        middle=np.empty((n, n_cells, 2)),
+        inverse=np.empty((n, n_cells, 2)),
+        powers=np.empty((n, n_cells, TERMS, NODES, NODES)),
+        reach_mm=np.empty((n, n_cells)),
+        n_cells=np.empty(n, dtype=np.int32),
     )
 
 

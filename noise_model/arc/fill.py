@@ -42,6 +42,9 @@ SURE = 0.5
 
 N_CORNERS = 4
 
+CELL = 8
+"""So many scan lines of a band share its place."""
+
 CELL_WORTH = 20.0
 """So many integrals a cell takes, with what it was halved from."""
 
@@ -55,7 +58,7 @@ Box = tuple[int, int, int, int]
 class Image(NamedTuple):
     """A band (n_scan, depth), e-, to be filled, and the camera whose image it is a part of.
 
-    `xy` (n_scan n_pos, 2) and `cos4` are the camera's rays; `group` scan lines share a place of `lows`, where
+    `xy` (n_scan n_pos, 2) and `cos4` are the camera's rays; CELL scan lines share a place of `lows`, where
     the band begins. `node_at` and `rules` are `bicubic.node_rules`, `ramp` (LARGEST,) is 0, 1, 2 ...
     """
 
@@ -66,7 +69,6 @@ class Image(NamedTuple):
     rules: Float64
     ramp: Float32
     lows: Int64
-    group: int
     band_e: Float32
 
 
@@ -74,7 +76,7 @@ class Image(NamedTuple):
 def _line_in_band(image: Image, box: Box, i: int) -> tuple[int, int, int]:
     """Return where the band begins on a cell's i-th line, and which positions of the cell lie in it."""
     scan, pos, _, n_p = box
-    low = image.lows[(scan + i) // image.group]
+    low = image.lows[(scan + i) // CELL]
     return low, max(pos, low), min(pos + n_p, low + image.band_e.shape[1])
 
 
@@ -85,7 +87,16 @@ def _fill_smooth(powers: Float64, image: Image, box: Box) -> None:
     for i in range(n_s):
         low, first, last = _line_in_band(image, box, i)
         t, line = -1.0 + 2.0 / (n_s - 1) * i, image.band_e[scan + i]
-        fill_row(powers, t, 2.0 / (n_p - 1), pos - low, image.ramp, line, first - low, last - low)
+        fill_row(
+            powers=powers,
+            t=t,
+            step=2.0 / (n_p - 1),
+            start=pos - low,
+            ramp=image.ramp,
+            line=line,
+            first=first - low,
+            last=last - low,
+        )
 
 
 @kernel
@@ -169,14 +180,14 @@ def _fill_mixed(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: Sc
                 run = min(run + 1, guess.shape[0] - 1)
             if face != MISS and seen[face]:
                 fill_row(
-                    powers[face],
-                    -1.0 + t_step * i,
-                    u_step,
-                    pos - low,
-                    image.ramp,
-                    band_e[scan + i],
-                    first - low,
-                    last - low,
+                    powers=powers[face],
+                    t=-1.0 + t_step * i,
+                    step=u_step,
+                    start=pos - low,
+                    ramp=image.ramp,
+                    line=band_e[scan + i],
+                    first=first - low,
+                    last=last - low,
                 )
             else:
                 _fill_apart(k, table, image, (scan + i, first, 1, last - first), work)
@@ -290,18 +301,22 @@ def fill_band(
     table: FaceTable,
     xy: Float32,
     cos4: Float32,
-    node_at: Int64,
-    rules: Float64,
+    rules: tuple[Int64, Float64],
     lows: Int64,
-    group: int,
     band_e: Float32,
 ) -> None:
-    """Fill a band (n_scan, depth), e-; `group` scan lines share a place of `lows`. See `map.ArcMap`.
-
-    `node_at` and `rules` are `node_rules`.
-    """
+    """Fill a band (n_scan, depth), e-, by `bicubic.node_rules`. See `map.ArcMap`."""
     n_pos, ramp = cos4.shape[0] // band_e.shape[0], np.arange(LARGEST).astype(np.float32)
-    image = Image(xy, cos4, n_pos, node_at, rules, ramp, lows, group, band_e)
+    image = Image(
+        xy=xy,
+        cos4=cos4,
+        n_pos=n_pos,
+        node_at=rules[0],
+        rules=rules[1],
+        ramp=ramp,
+        lows=lows,
+        band_e=band_e,
+    )
     _fill_cells(k, table, image, np.empty((64, 4), dtype=np.int64), scratch())
 
 
@@ -312,11 +327,11 @@ def _fill_cells(k: ArcKernel, table: FaceTable, image: Image, stack: Int64, work
     The `stack` (n, 4) holds cells still to be filled, the top one next: scan line, position, their numbers.
     """
     n_scan, depth = image.band_e.shape
-    n_pos, lows, group = image.n_pos, image.lows, image.group
+    n_pos, lows = image.n_pos, image.lows
     for scan in range(0, n_scan, LARGEST):
         lines = min(LARGEST, n_scan - scan)
         low, high = n_pos, 0
-        for g in range(scan // group, (scan + lines - 1) // group + 1):
+        for g in range(scan // CELL, (scan + lines - 1) // CELL + 1):
             low, high = min(low, lows[g]), max(high, lows[g] + depth)
         for pos in range(low // LARGEST * LARGEST, high, LARGEST):
             stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = scan, pos, lines, min(LARGEST, n_pos - pos)

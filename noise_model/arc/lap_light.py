@@ -130,7 +130,17 @@ def _light_between(
     for look in range(MAX_LOOKS):
         if between[1] <= between[0]:
             return 0.0
-        all_open, any_open, has_near = lay(P, center, radius, between, n, planes, n_planes, sheets, room)
+        all_open, any_open, has_near = lay(
+            P=P,
+            center=center,
+            radius=radius,
+            between=between,
+            n=n,
+            planes=planes,
+            n_planes=n_planes,
+            sheets=sheets,
+            room=room,
+        )
         if not any_open:
             return 0.0
         if all_open or look == MAX_LOOKS - 1:
@@ -183,15 +193,15 @@ def lap_light(
     for side in range(2 if is_parted else 1):
         between = (low, first_end) if side == 0 else (parting, high)
         light += _light_between(
-            between,
-            patch,
-            center,
-            radius,
-            planes,
-            n_planes,
-            sheets,
-            material,
-            Rule(rules, n, n_q),
-            room,
+            between=between,
+            patch=patch,
+            center=center,
+            radius=radius,
+            planes=planes,
+            n_planes=n_planes,
+            sheets=sheets,
+            material=material,
+            rule=Rule(rules, n, n_q),
+            room=room,
         )
     return light

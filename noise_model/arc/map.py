@@ -18,6 +18,7 @@ import numpy as np
 
 from noise_model.arc.baked import NOTHING_BAKED, BakedLight, bake, place_baked, table_from
 from noise_model.arc.bicubic import node_rules
+from noise_model.arc.fill import CELL as CELL
 from noise_model.arc.fill import MIXED, fill_band, fill_pixels
 from noise_model.arc.quadrature import Rule, gauss_nodes
 from noise_model.arc.ray import ArcKernel as ArcKernel
@@ -41,9 +42,6 @@ TOLERANCE, FLOOR_E = 0.005, 20.0
 
 MAX_MARGIN_MM = 4.0
 """No face is continued further beyond its edges."""
-
-CELL = 8
-"""So many scan lines of a band share its place."""
 
 
 def _on_half_sphere() -> Float64:
@@ -116,20 +114,20 @@ def _of_scene(k: ArcKernels, s: int) -> ArcKernel:
     """Return the kernel of one scene, which knows of no `reach`."""
     eye, center, bend = k.eye[s], k.center[s], k.bend[s]
     return ArcKernel(
-        k.rotation[s],
-        (eye[0], eye[1], eye[2]),
-        (center[0], center[1], center[2]),
-        (bend[0], bend[1]),
-        k.radius,
-        k.radiance_e,
-        k.vertices,
-        k.corrugation,
-        k.horizon_start[s],
-        k.horizons[s],
-        k.metal_cuts[s],
-        (math.nan, math.nan, math.nan, math.nan),
-        k.material,
-        k.rule,
+        rotation=k.rotation[s],
+        eye=(eye[0], eye[1], eye[2]),
+        center=(center[0], center[1], center[2]),
+        bend=(bend[0], bend[1]),
+        radius=k.radius,
+        radiance_e=k.radiance_e,
+        vertices=k.vertices,
+        corrugation=k.corrugation,
+        horizon_start=k.horizon_start[s],
+        horizons=k.horizons[s],
+        metal_cuts=k.metal_cuts[s],
+        reach=(math.nan, math.nan, math.nan, math.nan),
+        material=k.material,
+        rule=k.rule,
     )
 
 
@@ -148,19 +146,19 @@ def arc_kernels(setup: Setup, scenes: Scenes, x_ranges_mm: Float64) -> ArcKernel
         for center, bend in zip(scenes.center_mm.tolist(), scenes.bend.tolist(), strict=True)
     ]
     return ArcKernels(
-        np.ascontiguousarray(scenes.T_joint_camera[:, :3, :3]),
-        np.ascontiguousarray(scenes.T_joint_camera[:, :3, 3]),
-        scenes.center_mm,
-        scenes.bend,
-        radius,
-        setup.arc.radiance_e,
-        scenes.shape.vertices,
-        scenes.shape.corrugation,
-        starts,
-        horizons,
-        np.array(cuts),
-        lobe_numbers(setup.material),
-        Rule(gauss_nodes(), NODES_P, NODES_Q),
+        rotation=np.ascontiguousarray(scenes.T_joint_camera[:, :3, :3]),
+        eye=np.ascontiguousarray(scenes.T_joint_camera[:, :3, 3]),
+        center=scenes.center_mm,
+        bend=scenes.bend,
+        radius=radius,
+        radiance_e=setup.arc.radiance_e,
+        vertices=scenes.shape.vertices,
+        corrugation=scenes.shape.corrugation,
+        horizon_start=starts,
+        horizons=horizons,
+        metal_cuts=np.array(cuts),
+        material=lobe_numbers(setup.material),
+        rule=Rule(gauss_nodes(), NODES_P, NODES_Q),
     )
 
 
@@ -213,20 +211,20 @@ def kernel_of(
     vertices, corrugation = scene.shape
     middle = (center[0], center[1], center[2])
     return ArcKernel(
-        T[:3, :3].copy(),
-        (T[0, 3], T[1, 3], T[2, 3]),
-        middle,
-        scene.bend,
-        radius,
-        radiance_e,
-        vertices,
-        corrugation,
-        horizon.start,
-        horizon.table,
-        metal_cuts(middle, scene.bend, radius, vertices, corrugation),
-        (foot[0, 0], foot[0, 1], foot[1, 0], foot[1, 1]),
-        material,
-        rule,
+        rotation=T[:3, :3].copy(),
+        eye=(T[0, 3], T[1, 3], T[2, 3]),
+        center=middle,
+        bend=scene.bend,
+        radius=radius,
+        radiance_e=radiance_e,
+        vertices=vertices,
+        corrugation=corrugation,
+        horizon_start=horizon.start,
+        horizons=horizon.table,
+        metal_cuts=metal_cuts(middle, scene.bend, radius, vertices, corrugation),
+        reach=(foot[0, 0], foot[0, 1], foot[1, 0], foot[1, 1]),
+        material=material,
+        rule=rule,
     )
 
 
@@ -358,7 +356,7 @@ class ArcMap:
 
     def fill(self, lows: Int64, band_e: Float32) -> None:
         """Fill a band (n_scan, depth); CELL lines each begin at a place of `lows` (ceil(n_scan / CELL),)."""
-        fill_band(self.kernel, self.table, self.xy, self.cos4, *node_rules(), lows, CELL, band_e)
+        fill_band(self.kernel, self.table, self.xy, self.cos4, node_rules(), lows, band_e)
 
 
 def arc_frame(

@@ -219,19 +219,19 @@ def _sum(
     nx, ny, nz = normal
     rx, ry, rz = omega_r
     return _sum_round(
-        points,
-        n,
-        tan_b,
-        nx * wx + ny * wy + nz * wz,
-        nx * ux + ny * uy,
-        nx * vx + ny * vy + nz * vz,
-        rx * wx + ry * wy + rz * wz,
-        rx * ux + ry * uy,
-        rx * vx + ry * vy + rz * vz,
-        nx * rx + ny * ry + nz * rz,
-        material[0],
-        material[1],
-        material[2],
+        points=points,
+        n=n,
+        tan_b=tan_b,
+        n_w=nx * wx + ny * wy + nz * wz,
+        n_u=nx * ux + ny * uy,
+        n_v=nx * vx + ny * vy + nz * vz,
+        r_w=rx * wx + ry * wy + rz * wz,
+        r_u=rx * ux + ry * uy,
+        r_v=rx * vx + ry * vy + rz * vz,
+        cos_r=nx * rx + ny * ry + nz * rz,
+        kappa_diff=material[0],
+        kappa_spec=material[1],
+        c2=material[2],
     )
 
 
@@ -296,21 +296,29 @@ def arc_light(
     n_breaks = crossings(cuts, n_cuts, p_max, corner, arc, breaks)
     for j in range(n_ledges):
         n_breaks = ledge_crossings(
-            ledges[2 * j], ledges[2 * j + 1], P, axes, center, radius, arc, breaks, n_breaks
+            rim=ledges[2 * j],
+            wall=ledges[2 * j + 1],
+            P=P,
+            axes=axes,
+            center=center,
+            radius=radius,
+            arc=arc,
+            breaks=breaks,
+            n=n_breaks,
         )
     total = _integrate(
-        patch,
-        axes,
-        arc,
-        distance,
-        radius,
-        p_max,
-        n_cuts,
-        n_breaks,
-        hiding,
-        material,
-        rule,
-        room,
+        patch=patch,
+        axes=axes,
+        arc=arc,
+        distance=distance,
+        radius=radius,
+        p_max=p_max,
+        n_cuts=n_cuts,
+        n_breaks=n_breaks,
+        hiding=hiding,
+        material=material,
+        rule=rule,
+        room=room,
     )
     return total * tan_b * tan_b
 
@@ -359,7 +367,19 @@ def _integrate(
             row, m = 4, 2 * math.ceil(0.5 * UNCUT_SHARE * m)
         if n + m + 1 > MAX_CHORDS:
             n = _open_chords(n, arc, below, cuts, n_cuts, spans)
-            total += _sum_chords(patch, axes, tan_b, distance, radius, n, n_q, hiding, material, rules, room)
+            total += _sum_chords(
+                patch=patch,
+                axes=axes,
+                tan_b=tan_b,
+                distance=distance,
+                radius=radius,
+                n_chords=n,
+                n_q=n_q,
+                hiding=hiding,
+                material=material,
+                rules=rules,
+                room=room,
+            )
             n = 0
         spans[0, n], spans[3, n] = middle, PIECE_BEGINS
         for i in range(m):
@@ -367,7 +387,19 @@ def _integrate(
             spans[3, n + 1 + i] = half * rules[row + 1, m, i]
         n += m + 1
     n = _open_chords(n, arc, below, cuts, n_cuts, spans)
-    return total + _sum_chords(patch, axes, tan_b, distance, radius, n, n_q, hiding, material, rules, room)
+    return total + _sum_chords(
+        patch=patch,
+        axes=axes,
+        tan_b=tan_b,
+        distance=distance,
+        radius=radius,
+        n_chords=n,
+        n_q=n_q,
+        hiding=hiding,
+        material=material,
+        rules=rules,
+        room=room,
+    )
 
 
 @kernel(inline=True)
@@ -419,7 +451,19 @@ def _sum_chords(
         parts[0, 0], parts[0, 1] = low, high
         n_parts = 1
         if n_ledges > 0:
-            n_parts = wall_parts(p, low, high, P, axes, tan_b, distance, radius, ledges, n_ledges, parts)
+            n_parts = wall_parts(
+                p=p,
+                low=low,
+                high=high,
+                P=P,
+                axes=axes,
+                tan_b=tan_b,
+                distance=distance,
+                radius=radius,
+                ledges=ledges,
+                n_ledges=n_ledges,
+                parts=parts,
+            )
         for k in range(n_parts):
             begin, length = parts[k, 0], parts[k, 1] - parts[k, 0]
             for j in range(n_q):

@@ -61,17 +61,17 @@ def _light_on_lap(k: ArcKernel, patch: Patch, face: int, room: Record) -> float:
     P, normal, _ = patch
     vertices, center, radius, planes = k.vertices, k.center, k.radius, room.planes[:]
     n_planes, crest_x = lap_planes(
-        P,
-        normal,
-        face,
-        center,
-        radius,
-        k.bend,
-        vertices,
-        k.corrugation,
-        k.horizon_start,
-        k.horizons,
-        planes,
+        P=P,
+        normal=normal,
+        face=face,
+        center=center,
+        radius=radius,
+        bend=k.bend,
+        vertices=vertices,
+        corrugation=k.corrugation,
+        horizon_start=k.horizon_start,
+        horizons=k.horizons,
+        planes=planes,
     )
     edge_y = vertices[1, 0]
     slope, curve = bent(P, center, radius, k.bend)
@@ -87,15 +87,15 @@ def _light_on_lap(k: ArcKernel, patch: Patch, face: int, room: Record) -> float:
         face == 0,
     )
     light = lap_light(
-        patch,
-        center,
-        radius,
-        planes,
-        n_planes,
-        sheets,
-        k.material,
-        k.rule,
-        room.slices[:],
+        patch=patch,
+        center=center,
+        radius=radius,
+        planes=planes,
+        n_planes=n_planes,
+        sheets=sheets,
+        material=k.material,
+        rule=k.rule,
+        room=room.slices[:],
     )
     return k.radiance_e * light
 
@@ -114,7 +114,17 @@ def light_at(k: ArcKernel, P: Point, face: int, work: Scratch) -> float:
     if is_curved_lap(k.vertices, k.corrugation, k.bend) and is_beside(P, k.center, k.radius):
         return _light_on_lap(k, patch, face, room)
     planes, ledges = room.planes[:], room.ledges[:]
-    n_planes, n_ledges = sky_planes(P, normal, face, k.center, k.radius, k.bend, k.vertices, planes, ledges)
+    n_planes, n_ledges = sky_planes(
+        P=P,
+        normal=normal,
+        face=face,
+        center=k.center,
+        radius=k.radius,
+        bend=k.bend,
+        vertices=k.vertices,
+        planes=planes,
+        ledges=ledges,
+    )
     light = arc_light(
         patch,
         k.center,

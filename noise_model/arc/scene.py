@@ -120,14 +120,14 @@ class SceneSource(NamedTuple):
     def of(cls, setup: Setup) -> SceneSource:
         """Gather a setup."""
         return cls(
-            SeamSegments.of(setup.joint),
-            section(setup.joint),
-            setup.laser.point_mm,
-            np.require(setup.camera.T_tool_camera, np.float64, ("C", "W")),
-            _rim_rays(*setup.camera.geometry),
-            np.array(setup.arc.center_in_tool_mm, dtype=np.float64),
-            setup.arc.on_surface,
-            setup.joint.has_ridges,
+            segments=SeamSegments.of(setup.joint),
+            shape=section(setup.joint),
+            ahead_mm=setup.laser.point_mm,
+            T_tool_camera=np.require(setup.camera.T_tool_camera, np.float64, ("C", "W")),
+            rim_rays=_rim_rays(*setup.camera.geometry),
+            arc_mm=np.array(setup.arc.center_in_tool_mm, dtype=np.float64),
+            on_surface=setup.arc.on_surface,
+            has_ridges=setup.joint.has_ridges,
         )
 
 
@@ -268,7 +268,9 @@ def _rim_rays(
     width: int, height: int, fx: float, fy: float, cx: float, cy: float, distortion: tuple[float, ...]
 ) -> Float64:
     """Return rays (9, 3) of the image's corners, its sides' middles and its own, camera frame."""
-    camera = Camera(width, height, fx, fy, cx, cy, np.eye(4), distortion)
+    camera = Camera(
+        width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy, T_tool_camera=np.eye(4), distortion=distortion
+    )
     u, v = np.meshgrid([0.0, 0.5 * (width - 1.0), width - 1.0], [0.0, 0.5, 1.0])
     rim = camera.normalised(np.column_stack([u.ravel(), v.ravel() * (height - 1.0)]))
     return np.column_stack([rim, np.ones(len(rim))])

@@ -230,7 +230,21 @@ def _past_edge(
             own, other = (upper, lower) if sheets.from_upper else (lower, upper)
             # Under the arc lies P's own sheet again where the edge was crossed twice.
             under = where(crossings[1] < near, own, other)
-            behind = greater(behind, _cut(x_0, x, begin, end, ahead, rho, up, under, meets, sheets))
+            behind = greater(
+                behind,
+                _cut(
+                    x_0=x_0,
+                    x=x,
+                    near=begin,
+                    end=end,
+                    ahead=ahead,
+                    rho=rho,
+                    up=up,
+                    lift=under,
+                    asked=meets,
+                    sheets=sheets,
+                ),
+            )
     if not math.isnan(crest):
         way = spread(crest) / x
         if sheets.from_upper:
@@ -296,11 +310,36 @@ def lay(
                 hidden = greater(hidden, slope / spread(planes[j, 2]))
         low, near_low, near_high = hidden, zero, zero
         if sheets.cut:
-            low = greater(hidden, _cut(x_0, x, near, end, ahead, rho, up, own, rho >= zero, sheets))
+            low = greater(
+                hidden,
+                _cut(
+                    x_0=x_0,
+                    x=x,
+                    near=near,
+                    end=end,
+                    ahead=ahead,
+                    rho=rho,
+                    up=up,
+                    lift=own,
+                    asked=rho >= zero,
+                    sheets=sheets,
+                ),
+            )
         if sheets.edge_hides:
             ways = _crossings(over, x, y, sheets)
             before, rim, low, apart = _past_edge(
-                P, x_0, x, ways, hidden, low, near, end, ahead, rho, up, sheets
+                P=P,
+                x_0=x_0,
+                x=x,
+                crossings=ways,
+                hidden=hidden,
+                low=low,
+                near=near,
+                end=end,
+                ahead=ahead,
+                rho=rho,
+                up=up,
+                sheets=sheets,
             )
             if any_lane(apart):
                 has_near = True

@@ -31,7 +31,17 @@ def gather_first(
 ) -> Float64:
     """Return what points of a lattice (n, 1) send to the camera of once-bounced light, source's output 1."""
     nodes, sent = np.empty((room(k, fine), COLUMNS)), np.zeros((len(seen.faces), 1))
-    _gather_first(k, seen, camera, focus, of_laser, fine, scratch_for(k), nodes, sent)
+    _gather_first(
+        k=k,
+        seen=seen,
+        camera=camera,
+        focus=focus,
+        of_laser=of_laser,
+        fine=fine,
+        scratch=scratch_for(k),
+        nodes=nodes,
+        sent=sent,
+    )
     return sent
 
 
@@ -50,7 +60,19 @@ def _gather_first(
     for i in range(seen.faces.shape[0]):
         P, normal = seen.points[i], seen.normals[i]
         to_camera = _towards(P, camera)
-        for j in range(look_around(k, P, normal, seen.faces[i], focus, of_laser, fine, scratch, nodes)):
+        for j in range(
+            look_around(
+                k=k,
+                P=P,
+                normal=normal,
+                on=seen.faces[i],
+                focus=focus,
+                of_stripe=of_laser,
+                rules=fine,
+                scratch=scratch,
+                nodes=nodes,
+            )
+        ):
             node = nodes[j]
             f_r = reflected(k.material, node[OMEGA : OMEGA + 3], to_camera, normal)
             sent[i, 0] += f_r * node[WEIGHT] * _leaving(k, node, of_laser, scratch)
@@ -96,14 +118,35 @@ def arriving(
     while done < n_points:
         more = np.empty((max(len(nodes), 16 * most), COLUMNS))
         nodes = np.concatenate([nodes[: start[done]], more])
-        done = _look_from_each(k, passing, focus, of_laser, coarse, scratch, most, done, start, struck, nodes)
+        done = _look_from_each(
+            k=k,
+            passing=passing,
+            focus=focus,
+            of_laser=of_laser,
+            coarse=coarse,
+            scratch=scratch,
+            most=most,
+            done=done,
+            start=start,
+            struck=struck,
+            nodes=nodes,
+        )
     nodes = nodes[: start[-1]]
     irradiance = np.zeros((len(nodes), ORDERS - 1))
     _strike(k, start, struck, of_laser, scratch, nodes, irradiance)
     # The laser's own light comes from its stripe, what it sends further comes from all faces.
     first = start[:-1] + (struck if of_laser else 0)
     shares = np.empty(_count_shares(k, passing, start, first, scratch, nodes), dtype=np.float32)
-    _pass_on(k, passing, start, first, scratch, nodes, shares, irradiance)
+    _pass_on(
+        k=k,
+        passing=passing,
+        start=start,
+        first=first,
+        scratch=scratch,
+        nodes=nodes,
+        shares=shares,
+        irradiance=irradiance,
+    )
     return start, nodes[:, OMEGA : OMEGA + 3].copy(), irradiance
 
 
@@ -130,9 +173,29 @@ def _look_from_each(
         if used + 2 * most > nodes.shape[0]:
             return i
         if of_laser:
-            struck[i] = look_around(k, P, normal, face, focus, True, coarse, scratch, nodes[used:])
+            struck[i] = look_around(
+                k=k,
+                P=P,
+                normal=normal,
+                on=face,
+                focus=focus,
+                of_stripe=True,
+                rules=coarse,
+                scratch=scratch,
+                nodes=nodes[used:],
+            )
             used += struck[i]
-        n = look_around(k, P, normal, face, focus, False, coarse, scratch, nodes[used:])
+        n = look_around(
+            k=k,
+            P=P,
+            normal=normal,
+            on=face,
+            focus=focus,
+            of_stripe=False,
+            rules=coarse,
+            scratch=scratch,
+            nodes=nodes[used:],
+        )
         if not of_laser:
             struck[i] = n
         start[i + 1] = used + n
@@ -226,7 +289,18 @@ def gather_further(
     """Return what points of a lattice (n, ORDERS - 1) send to the camera after 2, 3, … bounces."""
     nodes, sent = np.empty((room(k, coarse), COLUMNS)), np.zeros((len(seen.faces), ORDERS - 1))
     _gather_further(
-        k, seen, camera, focus, passing, coarse, start, omega, irradiance, scratch_for(k), nodes, sent
+        k=k,
+        seen=seen,
+        camera=camera,
+        focus=focus,
+        passing=passing,
+        coarse=coarse,
+        start=start,
+        omega=omega,
+        irradiance=irradiance,
+        scratch=scratch_for(k),
+        nodes=nodes,
+        sent=sent,
     )
     return sent
 
@@ -250,7 +324,19 @@ def _gather_further(
     for i in range(seen.faces.shape[0]):
         P, normal = seen.points[i], seen.normals[i]
         to_camera = _towards(P, camera)
-        for j in range(look_around(k, P, normal, seen.faces[i], focus, False, coarse, scratch, nodes)):
+        for j in range(
+            look_around(
+                k=k,
+                P=P,
+                normal=normal,
+                on=seen.faces[i],
+                focus=focus,
+                of_stripe=False,
+                rules=coarse,
+                scratch=scratch,
+                nodes=nodes,
+            )
+        ):
             node = nodes[j]
             onward = node[WEIGHT] * reflected(k.material, node[OMEGA : OMEGA + 3], to_camera, normal)
             back = _back(node)

@@ -66,22 +66,14 @@ def _disc_nodes(n_p: int, n_q: int) -> DiscNodes:
 
 
 @kernel
-def sees(
-    px: float,
-    py: float,
-    pz: float,
-    qx: float,
-    qy: float,
-    qz: float,
-    vertices: Float64,
-    corrugation: Float64,
-) -> bool:
+def sees(P: Point, Q: Point, vertices: Float64, corrugation: Float64) -> bool:
     """Say whether nothing stands between P and Q, neither of which lies below the surface.
 
     A polyline is highest over a straight way at its vertices. A corrugation is highest over it at the ends,
     at a sheet's edge, or where its bumps' convex upper halves run parallel to it, a closed form: exact.
     """
-    dx, dy, dz = qx - px, qy - py, qz - pz
+    (px, py, pz), (qx, qy, _) = P, Q
+    dx, dy, dz = qx - px, qy - py, Q[2] - pz
     for k in range(1, vertices.shape[0] - 1):
         y_k = vertices[k, 0]
         if not min(py, qy) < y_k < max(py, qy):
@@ -212,7 +204,7 @@ def arc_leaving(
             ax, ay, az = Q[0] + t * ox, Q[1] + t * oy, Q[2] + t * oz
             if below_surface(ax, ay, az, k.vertices, k.corrugation):
                 continue
-            if not sees(Q[0], Q[1], Q[2], ax, ay, az, k.vertices, k.corrugation):
+            if not sees((Q[0], Q[1], Q[2]), (ax, ay, az), k.vertices, k.corrugation):
                 continue
             f_r = reflected(k.material, (ox / length, oy / length, oz / length), omega_r, normal)
             column += q_weights[j] * f_r * cos_i / (square * length)
@@ -227,4 +219,4 @@ def laser_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> floa
     if light == 0.0:
         return 0.0
     x, y, z = k.sheet.origin
-    return light if sees(Q[0], Q[1], Q[2], x, y, z, k.vertices, k.corrugation) else 0.0
+    return light if sees((Q[0], Q[1], Q[2]), (x, y, z), k.vertices, k.corrugation) else 0.0

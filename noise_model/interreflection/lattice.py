@@ -53,7 +53,16 @@ def lattice(
     start = np.concatenate([[0], np.cumsum(counts * len(x))])
     points, normals = np.empty((start[-1], 3)), np.empty((start[-1], 3))
     faces = np.repeat(np.arange(n_faces, dtype=np.int32), counts * len(x))
-    _place(x, s, counts, start, vertices, corrugation, points, normals)
+    _place(
+        x=x,
+        s=s,
+        n_s=counts,
+        start=start,
+        vertices=vertices,
+        corrugation=corrugation,
+        points=points,
+        normals=normals,
+    )
     return Lattice(x, s, counts, start, points, normals, faces)
 
 

@@ -107,7 +107,7 @@ def _add(
     cos_q = -(dx * nx + dy * ny + dz * nz) / r
     if cos_p <= 1e-9 or cos_q <= 1e-9:
         return count
-    if not sees(P[0], P[1], P[2], x, qy, qz, k.vertices, k.corrugation):
+    if not sees((P[0], P[1], P[2]), (x, qy, qz), k.vertices, k.corrugation):
         return count
     node = nodes[count]
     node[0], node[1], node[2] = x, qy, qz
@@ -222,7 +222,17 @@ def _from_strip(
                 psi = cuts[piece] + span * psi_rule[0][j]
                 cos_psi = math.cos(psi)
                 dx = rho / (cos_psi * cos_psi) * span * psi_rule[1][j]
-                count = _add(k, P, normal, face, s, P[0] + rho * math.tan(psi), ds * dx, nodes, count)
+                count = _add(
+                    k=k,
+                    P=P,
+                    normal=normal,
+                    face=face,
+                    s=s,
+                    x=P[0] + rho * math.tan(psi),
+                    measure=ds * dx,
+                    nodes=nodes,
+                    count=count,
+                )
     return count
 
 
@@ -266,7 +276,8 @@ def _from_sheet(
             # Level along y, neither cosine changes its sign over y.
             if dx * normal[0] + dz * normal[2] <= 1e-9 or dx * slope - dz <= 1e-9:
                 continue
-            if on == face and not sees(P[0], P[1], P[2], x, P[1], z_0 + c, k.vertices, k.corrugation):
+            here, there = (P[0], P[1], P[2]), (x, P[1], z_0 + c)
+            if on == face and not sees(here, there, k.vertices, k.corrugation):
                 continue
             r = math.sqrt(dx * dx + dz * dz)
             sides[0] = 0.0
@@ -281,7 +292,17 @@ def _from_sheet(
                     cos_psi = math.cos(psi)
                     measure = span * rules.x[1][i] * r / (cos_psi * cos_psi) * y_span * rules.y[1][j]
                     s = P[1] + r * math.tan(psi) - y_0
-                    count = _add(k, P, normal, face, s, x, measure, nodes, count)
+                    count = _add(
+                        k=k,
+                        P=P,
+                        normal=normal,
+                        face=face,
+                        s=s,
+                        x=x,
+                        measure=measure,
+                        nodes=nodes,
+                        count=count,
+                    )
     return count
 
 
@@ -319,7 +340,17 @@ def _from_stripe_on_sheet(
             span = 2.0 * ACROSS_SIGMA * sigma
             for i in range(rules.across[0].shape[0]):
                 x = x_stripe + span * (rules.across[0][i] - 0.5)
-                count = _add(k, P, normal, face, s, x, dy * span * rules.across[1][i], nodes, count)
+                count = _add(
+                    k=k,
+                    P=P,
+                    normal=normal,
+                    face=face,
+                    s=s,
+                    x=x,
+                    measure=dy * span * rules.across[1][i],
+                    nodes=nodes,
+                    count=count,
+                )
     return count
 
 
@@ -346,9 +377,33 @@ def look_around(
         # Only a lap is corrugated: face 1 is its edge.
         if corrugated and face != 1 and on != 1:
             if of_stripe:
-                count = _from_stripe_on_sheet(k, P, normal, face, rules, scratch, nodes, count)
+                count = _from_stripe_on_sheet(
+                    k=k, P=P, normal=normal, face=face, rules=rules, scratch=scratch, nodes=nodes, count=count
+                )
             else:
-                count = _from_sheet(k, P, normal, on, face, focus, rules, scratch, nodes, count)
+                count = _from_sheet(
+                    k=k,
+                    P=P,
+                    normal=normal,
+                    on=on,
+                    face=face,
+                    focus=focus,
+                    rules=rules,
+                    scratch=scratch,
+                    nodes=nodes,
+                    count=count,
+                )
         elif face != on:
-            count = _from_strip(k, P, normal, face, focus, of_stripe, rules, scratch, nodes, count)
+            count = _from_strip(
+                k=k,
+                P=P,
+                normal=normal,
+                face=face,
+                focus=focus,
+                of_stripe=of_stripe,
+                rules=rules,
+                scratch=scratch,
+                nodes=nodes,
+                count=count,
+            )
     return count

@@ -125,7 +125,16 @@ def _fan(setup: Setup, scene: Scene) -> tuple[Float64, Float64, Float64]:
     faces = np.empty(FAN_RAYS, dtype=np.int32)
     rays = np.column_stack([s, np.zeros(FAN_RAYS)])
     shape = scene.shape
-    trace(rays, fan, T_joint_fan, shape.vertices, shape.corrugation, points, normals, faces)
+    trace(
+        xy=rays,
+        which=fan,
+        T_joint_camera=T_joint_fan,
+        vertices=shape.vertices,
+        corrugation=shape.corrugation,
+        points=points,
+        normals=normals,
+        faces=faces,
+    )
     d = down + s[:, np.newaxis] * side
     # A neighbouring ray meets the same face at P + dt d + t ds side.
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -191,7 +200,16 @@ def _look(setup: Setup, scene: Scene, points: Float64, normals: Float64) -> _Loo
     seen &= np.isfinite(moves).all(axis=1) & (np.sum((eye - points) * normals, axis=1) > 0.0)
     theta = np.arctan(np.linalg.norm(camera.normalised(image), axis=1))
     lines = np.abs(np.nan_to_num(slide[:, 1 - axis]))
-    return _Looks(image, axis, moves, lines, width, sheet_px / width, theta, seen)
+    return _Looks(
+        image=image,
+        position_axis=axis,
+        moves=moves,
+        lines_per_mm=lines,
+        width_px=width,
+        sheet_share=sheet_px / width,
+        theta=theta,
+        seen=seen,
+    )
 
 
 def _stripe(setup: Setup, scene: Scene, points: Float64, normals: Float64, looks: _Looks) -> Float64:

@@ -320,5 +320,5 @@ def reflected(numbers: LobeNumbers, omega_i: Vector, omega_r: Vector, normal: Ve
     h = math.sqrt(hx * hx + hy * hy + hz * hz)
     cos_alpha = (cos_i + cos_r) / h
     attenuation = min(1.0, 4.0 * cos_alpha * min(cos_i, cos_r) / h)
-    fall = lobe_fall(numbers, hx, hy, hz, nx, ny, nz, h, cos_alpha)
+    fall = lobe_fall(numbers=numbers, hx=hx, hy=hy, hz=hz, nx=nx, ny=ny, nz=nz, h=h, cos_alpha=cos_alpha)
     return numbers[0] + numbers[1] * attenuation / cos_r * fall

@@ -441,5 +441,14 @@ def horizons_of_scenes(
         asked_mm[:, 0], asked_mm[:, 1] = lowest_mm, highest_mm
     tables = np.full((n_scenes, 2, counts.max(), 2), np.nan)
     terrain = shape.vertices[1, 1], shape.vertices[2, 1]
-    _write_horizons(starts, counts, asked_mm, centers, radius, shape.corrugation, terrain, tables)
+    _write_horizons(
+        starts=starts,
+        counts=counts,
+        x_ranges=asked_mm,
+        centers=centers,
+        radius=radius,
+        corrugation=shape.corrugation,
+        terrain=terrain,
+        tables=tables,
+    )
     return starts, tables

@@ -257,7 +257,7 @@ def test_points_see_each_other_as_a_walk_finds_it(joint):
         for Q, clearance in zip(points[1:], clear, strict=True):
             # What just grazes the surface is neither.
             if abs(clearance) > 1e-3:
-                is_open = sees(*points[0], *Q, shape.vertices, shape.corrugation)
+                is_open = sees(tuple(points[0]), tuple(Q), shape.vertices, shape.corrugation)
                 assert is_open == (clearance > 0.0)
                 found.append(is_open)
     assert 0.1 < np.mean(found) < 0.9

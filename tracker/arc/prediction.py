@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from noise_model.arc.fill import fill_band, fill_pixels
-from noise_model.arc.map import CELL, NODES_P, NODES_Q, Horizon, kernel_of, table_of
+from noise_model.arc.map import NODES_P, NODES_Q, Horizon, kernel_of, table_of
 from noise_model.arc.quadrature import Rule
 from noise_model.arc.scene import Scene
 from noise_model.arrays import Float32, Int64
@@ -61,4 +61,5 @@ def predict_arc(
     table = table_of(k, image.xy, image.n_scan, MAP_TOLERANCE, MAP_FLOOR_E, arc.to_powers, arc.baked)
     fill_pixels(k, table, image.xy, image.cos4, into.pixels, into.pixel_e)
     if into.band_e.shape[1] > 0:
-        fill_band(k, table, image.xy, image.cos4, arc.node_at, arc.node_rules, into.lows, CELL, into.band_e)
+        rules = arc.node_at, arc.node_rules
+        fill_band(k, table, image.xy, image.cos4, rules, into.lows, into.band_e)
