@@ -136,7 +136,14 @@ def explain(
     pose, before = inputs.pose, inputs.state
     tracker, geometry = tracking.tracker, tracking.tracker.geometry
     after, track, reading = step_and_reading(
-        geometry, before, frame, pose, Work.of(geometry), use_arc_map, tracker.correction, inputs.lead
+        geometry,
+        before,
+        frame,
+        pose,
+        work=Work.of(geometry),
+        use_arc_map=use_arc_map,
+        correction=tracker.correction,
+        lead=inputs.lead,
     )
     look = None
     if pose is not None and reading is not None:

@@ -182,11 +182,11 @@ def replay_recording(
             recording,
             truth,
             folder,
-            options.use_arc_map,
-            drawing,
-            options.pictures,
-            options.exports,
-            on_drawn,
+            use_arc_map=options.use_arc_map,
+            drawing=drawing,
+            pictures=options.pictures,
+            exports=options.exports,
+            on_drawn=on_drawn,
         )
         # From here to the last offset nobody draws: nothing slows the tracking.
         drawing.wait_ready()

@@ -135,6 +135,14 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
 }
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 MAX_FUNCTION_LINES = 100
+MAX_POSITIONAL = 7
+POSITIONAL_ALONE = {
+    "arctrack/cli/inspect_text.py: table.add_row",
+    "arctrack/report/replay/overlay.py: cv2.putText",
+    "sim_to_real/check/world_bounce.py: digest",
+}
+"""Calls of functions that take their arguments by position alone."""
+
 NAMES_SAYING_NOTHING = {"of", "one", "found", "at", "left"}
 ONLY_IN_ARCTRACK = {"matplotlib", "jinja2", "rich", "typer", "pydantic", "av", "aiohttp", "prometheus_client"}
 
@@ -299,6 +307,27 @@ def test_no_function_is_longer_than_a_hundred_lines() -> None:
         and (node.end_lineno or node.lineno) - node.lineno + 1 > MAX_FUNCTION_LINES
     ]
     assert long == []
+
+
+def wide_calls(source: str) -> list[str]:
+    """Return the calls with more arguments by position than one can hold apart; `*more` counts as one."""
+    calls = (node for node in ast.walk(parsed(source)) if isinstance(node, ast.Call))
+    return [ast.unparse(call.func) for call in calls if len(call.args) > MAX_POSITIONAL]
+
+
+@pytest.mark.slow
+def test_no_call_has_more_than_seven_arguments_by_position() -> None:
+    wide = {
+        f"{path.relative_to(ROOT)}: {name}"
+        for room in MAY_IMPORT
+        for path in (ROOT / room).rglob("*.py")
+        for name in wide_calls(path.read_text())
+    }
+    assert wide == POSITIONAL_ALONE
+
+
+def test_a_wide_call_is_seen() -> None:
+    assert wide_calls("fit(1, 2, 3, 4, 5, 6, 7, 8)\nfit(1, 2, 3, 4, 5, 6, 7, rest=8)\n") == ["fit"]
 
 
 def names_that_say_nothing(source: str) -> list[str]:

@@ -155,12 +155,12 @@ def observe(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Observati
     reading = read_stripe(
         geometry.image_source,
         geometry.stripe_source.psf_sigma_px,
-        lit,
-        expected,
-        reach_px,
-        given.work.room,
-        aim.scatter,
-        aim.reach_mm >= SEARCH_REACH_MM,
+        lit=lit,
+        expected=expected,
+        reach_px=reach_px,
+        room=given.work.room,
+        scatter=aim.scatter,
+        is_searching=aim.reach_mm >= SEARCH_REACH_MM,
     )
     seen = seen._replace(stripe=reading)
     # An arc lights rims that end as a fan does.

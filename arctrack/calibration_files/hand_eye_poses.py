@@ -109,14 +109,16 @@ def read_posed_boards(
         raise in_file(source.path, "has a pose of no image that shows the board")
     lens, covariance = stated_lens(stated)
     rows = poses.rows[[image_of[view.name] for view in views]]
+    scene, seen = board_poses(board, views, lens)
     return PosedBoards(
-        boards,
-        *board_poses(board, views, lens),
-        poses.at(rows),
-        covariance,
-        poses.file,
-        rows,
-        poses.T_controllertool_tool,
-        left_out,
-        [*boards.warnings, *poses.file.warnings, *poses.file.notes],
+        boards=boards,
+        scene=scene,
+        seen=seen,
+        T_base_tool=poses.at(rows),
+        lens_covariance=covariance,
+        poses=poses.file,
+        rows=rows,
+        T_controllertool_tool=poses.T_controllertool_tool,
+        left_out=left_out,
+        warnings=[*boards.warnings, *poses.file.warnings, *poses.file.notes],
     )

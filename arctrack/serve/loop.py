@@ -311,12 +311,12 @@ class LiveLoop:
             self._keeper.on_sent(
                 offset,
                 self._job_number,
-                self._arrived_s,
-                sent_s,
-                took_ms,
-                self._dropped,
-                self.controller.gate_reason,
-                self.service.poses.doubt,
+                arrived_s=self._arrived_s,
+                sent_s=sent_s,
+                took_ms=took_ms,
+                dropped=self._dropped,
+                gate_reason=self.controller.gate_reason,
+                pose_doubt=self.service.poses.doubt,
             )
         if self._on_track is not None:
             self._on_track(tracked.track, messages)

@@ -79,7 +79,19 @@ def best_next_board(
     candidates = [
         candidate
         for place, size, tilt in itertools.product(itertools.product(PLACES, PLACES), SIZES, _tilts())
-        if (candidate := _candidate(known, scene, seen, sigma_px, distance_mm, place, size, tilt)) is not None
+        if (
+            candidate := _candidate(
+                known,
+                scene,
+                seen,
+                sigma_px=sigma_px,
+                distance_mm=distance_mm,
+                place=place,
+                size=size,
+                tilt=tilt,
+            )
+        )
+        is not None
     ]
     return min(candidates, key=lambda each: each.sigma_px, default=None)
 

@@ -175,18 +175,20 @@ def fit_photon_transfer(problem: PhotonTransferProblem) -> PhotonTransferFit:
             break
     predicted = problem.predict_at(x)
     departures = _departures(problem, x)
+    chi2, p_value = _chi2(problem, predicted, departures, tau, int(free.sum()))
     return PhotonTransferFit(
-        problem.sensor_at(x),
-        x,
-        covariance,
-        _freedoms(information, free, covariance, tau, freedom),
-        problem.charges_at(x),
-        predicted,
-        tau,
-        freedom,
-        departures,
-        *_chi2(problem, predicted, departures, tau, int(free.sum())),
-        is_settled,
+        sensor=problem.sensor_at(x),
+        values=x,
+        covariance=covariance,
+        freedoms=_freedoms(information, free, covariance, tau, freedom),
+        charge_e=problem.charges_at(x),
+        predicted=predicted,
+        linearity_rel=tau,
+        linearity_freedom=freedom,
+        departures=departures,
+        chi2=chi2,
+        p_value=p_value,
+        is_settled=is_settled,
     )
 
 

@@ -214,7 +214,18 @@ def observe_along(
         seam,
         seam_observations,
         tuple(
-            _observed(setup, binned, bin_px, position, frame, first_s, T_base_tool, seam, is_usable, transfer)
+            _observed(
+                setup,
+                binned,
+                bin_px,
+                position=position,
+                frame=frame,
+                first_s=first_s,
+                T_base_tool=T_base_tool,
+                seam=seam,
+                usable=is_usable,
+                transfer=transfer,
+            )
             for position, (frame, T_base_tool, is_usable) in enumerate(zip(posed, poses, usable, strict=True))
         ),
     )

@@ -156,15 +156,26 @@ class FreeFunctions:
         That is its mean over bins, and its slope along the grey level. Without a function it has no places.
         """
         if name not in self.before:
-            return Curve(name, UNITS[name], 0.0, "adds", 0.0, *([np.zeros(0)] * 4))
+            none = np.zeros(0)
+            return Curve(name, UNITS[name], 0.0, "adds", 0.0, centers=none, mean=none, low=none, high=none)
         function = self.before[name]
         family, sizes = function.family, function.sizes
         per_unit = (ADDED_DN if family.form == "adds" else 1.0) * family.at_places
         # Columns change residuals: sizes cancel what the light has more than predicted.
         mean = -per_unit @ sizes.mean
         variance = np.maximum(np.sum(per_unit @ sizes.covariance * per_unit, axis=1), 0.0)
-        band = mean - BAND_SIGMAS * np.sqrt(variance), mean + BAND_SIGMAS * np.sqrt(variance)
-        return Curve(name, UNITS[name], self.r2(name), family.form, function.nats, family.places, mean, *band)
+        half_band = BAND_SIGMAS * np.sqrt(variance)
+        return Curve(
+            name=name,
+            unit=UNITS[name],
+            r2=self.r2(name),
+            form=family.form,
+            nats=function.nats,
+            centers=family.places,
+            mean=mean,
+            low=mean - half_band,
+            high=mean + half_band,
+        )
 
     @property
     def left_over(self) -> tuple[str, float] | None:
