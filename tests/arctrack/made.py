@@ -112,6 +112,9 @@ def playing_cell(folder: Path, recording: Path) -> Path:
     return cell_path
 
 
+PROGRESS = re.compile(r", \d+ s$|, about [^,]* left$|: compiled \d+ functions")
+
+
 def without_progress(stderr: str) -> list[str]:
     """Return a command's lines on stderr but those of its progress, of which a slow machine has more."""
-    return [line for line in stderr.splitlines() if not re.search(r", \d+ s$|: compiled \d+ functions", line)]
+    return [line for line in stderr.splitlines() if not re.search(PROGRESS, line)]

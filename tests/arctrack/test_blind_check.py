@@ -526,6 +526,6 @@ def test_a_file_that_holds_no_table_is_named(made: Path) -> None:
 def test_a_folder_named_check_is_a_recording_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     result = RUNNER.invoke(cli.app, ["diagnose", "./check"])
-    assert "check: there is no such folder" in result.stderr
+    assert str(result.exception) == "check: there is no such folder"
     result = RUNNER.invoke(cli.app, ["diagnose", "check", "--help"])
     assert "Example: arctrack diagnose check make" in result.output

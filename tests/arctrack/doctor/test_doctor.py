@@ -116,7 +116,8 @@ def test_processors_that_are_not_there_fail_and_scheduling_is_given_back() -> No
 @pytest.mark.slow
 def test_what_was_never_compiled_is_named_and_what_fails_is_the_exit_code(tmp_path: Path) -> None:
     cell = cell_with(tmp_path / "cell", process={"cpus": [4095]}).path
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "empty")}
+    nothing = str(tmp_path / "empty")
+    environment = {**os.environ, "NUMBA_CACHE_DIR": nothing, "ARCTRACK_PACKS": nothing}
     words = [sys.executable, "-c", "import arctrack.cli; arctrack.cli.main()", "doctor", str(cell)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 1, done.stderr
