@@ -46,11 +46,17 @@ class InTerminal:
             stdout=terminal,
             stderr=terminal,
             start_new_session=True,
-            preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+            preexec_fn=self._log_in,
         )
         os.close(terminal)
         os.set_blocking(self._screen, False)
         self._shown = b""
+
+    @staticmethod
+    def _log_in() -> None:
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+        # The tests may run under nohup.
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
     @property
     def shown(self) -> str:
