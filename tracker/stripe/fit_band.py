@@ -207,8 +207,7 @@ def _seek_path(
 def fit_path(
     band: Band, expected: ExpectedStripe, search: SearchRange, noise: Noise, learned: Float64, room: ReadRoom
 ) -> None:
-    """Fit the lines of a band along the likeliest path that is known, and see how they scatter."""
-    np.multiply(width_factor(learned), expected.sigma_px, out=room.width_px)
+    """Fit the lines of a band along the path and with the widths in the room, and see how they scatter."""
     if search.reads_pairs:
         mark_pairs(
             choice=room.choice,

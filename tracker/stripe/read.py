@@ -203,6 +203,7 @@ def read_stripe(
         if score_lost(width_factor(before) / width_factor(read_with)) > MOST_SCORE_LOST:
             fit_band(band, expected, search, noise, read_with, room)
         elif not is_searching:
+            np.multiply(width_factor(read_with), expected.sigma_px, out=room.width_px)
             fit_path(band, expected, search, noise, read_with, room)
     second = read_without_second(band, expected, search, noise, read_with, room)
     add_frame(before, frames, room.seen, after)
