@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,36 +19,9 @@ PARENTS: tuple[signal.Signals, ...] = ENDING + tuple(
 """What a terminal or a service manager sends to all processes of a run, and means for one."""
 
 
-MAKING_RESULTS = ("numba.core.serialize", "namedtuple_")
-"""How the modules begin whose Python runs while numba makes a result: what finds classes, and the classes."""
-
-
 def is_ignored(number: signal.Signals) -> bool:
     """Return True if this process was started to ignore a signal, as by nohup, or in the background."""
     return signal.getsignal(number) in (signal.SIG_IGN, None)
-
-
-def interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt; while numba makes the result of a kernel, behind the call of the kernel.
-
-    numba looks up the classes of a result by Python, and expects no error there: the process would end by
-    SIGSEGV (docs/explanation/interrupts.md).
-    """
-    caller = None
-    while frame is not None:
-        if frame.f_globals.get("__name__", "").startswith(MAKING_RESULTS):
-            caller = frame.f_back
-        frame = frame.f_back
-    if caller is None:
-        raise KeyboardInterrupt
-
-    def raise_there(frame: FrameType, _event: str, _value: object) -> None:
-        frame.f_trace = None
-        raise KeyboardInterrupt
-
-    # What the caller does next is raising: Python ends the tracing where a trace function raises.
-    caller.f_trace, caller.f_trace_opcodes = raise_there, True
-    sys.settrace(lambda *_: None)
 
 
 def leave_signals_to_parent() -> None:
@@ -77,7 +49,7 @@ def ends_at_safe_points() -> Iterator[Callable[[], None]]:
     def note(number: int, frame: FrameType | None) -> None:
         came.append(number)
         if len(came) > 1:
-            interrupt(number, frame)
+            signal.default_int_handler(number, frame)
 
     def check() -> None:
         if came:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import logging
-import signal
 import sys
 from typing import Annotated, NoReturn
 
@@ -34,7 +33,6 @@ from arctrack.cli.simulate import simulate
 from arctrack.cli.warm import warm
 from arctrack.errors import ArctrackError
 from arctrack.printable import printable
-from arctrack.safe_points import interrupt
 
 app = typer.Typer(
     name="arctrack",
@@ -98,9 +96,6 @@ def main() -> None:
         # Not every terminal can show a sigma.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    # Who ignores Ctrl-C, as nohup does, goes on ignoring it.
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, interrupt)
     # python-can complains of a bus that it could not open, after the error's own line.
     logging.getLogger("can.bus").addHandler(logging.NullHandler())
     try:

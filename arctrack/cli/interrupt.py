@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from arctrack.safe_points import ENDING, interrupt, is_ignored
+from arctrack.safe_points import ENDING, is_ignored
 
 
 class InterruptedCommandError(Exception):
@@ -20,7 +20,7 @@ def interruptible(what: str, kept: str) -> Iterator[None]:
     # Signals are the main thread's: in another one they end the process as before.
     is_main = threading.current_thread() is threading.main_thread()
     before = {
-        number: signal.signal(number, interrupt)
+        number: signal.signal(number, signal.default_int_handler)
         for number in ENDING
         if is_main and number != signal.SIGINT and not is_ignored(number)
     }

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from numba.core.errors import NumbaError
 
-from noise_model.compiled.content import describe_function, describe_type, digest, find_kernel
+from noise_model.compiled.content import describe_function, describe_type, digest, find_kernel, is_named
 
 MIN_INSTRUCTIONS = 250
 """From so many of LLVM's instructions on a kernel is long. LLVM writes out what has some fifty."""
@@ -37,6 +37,16 @@ class Callee(NamedTuple):
     symbol: str
     returns: str
     content: str
+
+
+def callee_of(kernel: Any, result: Any, content: str) -> Callee | None:
+    """Return what others rely on of a compiled kernel, None if no name leads to it."""
+    if not is_named(kernel):
+        return None
+    symbol, signature = result.fndesc.llvm_func_name, result.signature
+    names = kernel.py_func.__module__, kernel.py_func.__qualname__
+    written_out = "" if is_long(result.library.get_function(symbol)) else content
+    return Callee(*names, signature.args, symbol, digest(describe_type(signature.return_type)), written_out)
 
 
 def is_as_before(callee: Callee) -> bool:

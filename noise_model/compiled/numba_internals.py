@@ -10,10 +10,12 @@ throws all away for a comment. No public way does what follows.
   is the same bytes in each. numba's own functions stay hidden in a kernel: two of one name are never one.
 - **Places of errors** (`build_excinfo_struct`): numba's machine code holds the file and line that raise.
 - **Links** (`library._linking_libraries`, `_shared_module`, `_get_module_for_linking`): numba hands a caller
-  the bitcode of all that it calls. LLVM writes out what is short, and the caller gains by it. What is long
-  stays a call, so callers get its symbol alone: a quarter of the CPU time of compiling, and half the bytes.
+  the bitcode of all that it calls. LLVM writes out what is short. What is long stays a call, so callers get
+  its symbol alone: a quarter of the CPU time of compiling, and half the bytes.
 - **Entry points** (`_compile_for_args`, `add_overload`, `create_cpython_wrapper`): numba compiles one with
   each kernel. Python calls one kernel in ten, so its entry point is compiled at its first call.
+- **Results** (`PythonAPI`): numba makes named tuples, and finds their classes and an array's, by functions of
+  Python: slow, and a process that Ctrl-C interrupts there crashes (docs/explanation/interrupts.md).
 - **Types of arguments** (`get_call_template`): numba compiles a kernel anew for each constant in a call.
 """
 
@@ -21,11 +23,9 @@ from __future__ import annotations
 
 import pickle
 import re
-from collections.abc import Iterable, Mapping
 from copy import copy
 from functools import partial
 from itertools import chain, count
-from pathlib import Path
 from typing import Any
 
 import numba
@@ -38,25 +38,23 @@ from numba.core.compiler import Compiler, CompileResult
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.environment import Environment, _rebuild_env, lookup_environment
 from numba.core.funcdesc import default_mangler
+from numba.core.pythonapi import PythonAPI
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
-from noise_model.compiled.callee import Callee, is_as_before, is_long, symbol_id
-from noise_model.compiled.content import describe_type, digest, entry_key, is_named, kernel_key
+from noise_model.compiled.callee import Callee, callee_of, is_as_before, symbol_id
+from noise_model.compiled.content import describe_type, digest, entry_key, kernel_key
 from noise_model.compiled.deep_calls import call_with_room
 from noise_model.compiled.packed import find_records
 from noise_model.compiled.stopwatch import last_compile_s
 from noise_model.compiled.store import Record, kernel_folder, write_record
 
-NOTHING = llvm.parse_assembly("")
-"""The bitcode of what is called by its symbol."""
-NUMBA = str(Path(numba.__file__).parent)
+NO_BITCODE = llvm.parse_assembly("")
 ENVIRONMENT = "_ZN08NumbaEnv"
 """How the names begin of what machine code needs of Python."""
 
 COUNT = re.compile(r"(?<=B19v)1\d{17}")
 """numba's counts in symbols: as long as what `KernelLibrary` puts into their place."""
-
 FunctionIdentity._unique_ids = count(10**17)
 
 
@@ -68,10 +66,9 @@ class KernelCompiler(Compiler):  # type: ignore[misc]
         identity = self.state.func_id
         identity.unique_id = symbol_id(identity.func, self.state.args)
         identity.unique_name = f"{identity.func_qualname}${identity.unique_id}"
-        library = KernelLibrary(self.state.targetctx.codegen(), identity.func_qualname)
+        library = self.state.library = KernelLibrary(self.state.targetctx.codegen(), identity.func_qualname)
         library.enable_object_caching()
         library.symbol_id, library.environments = identity.unique_id, []
-        self.state.library = library
         self.state.targetctx = self.state.targetctx.subtarget(
             mangler=lambda name, _types, **more: default_mangler(name, (), **more)
         )
@@ -101,7 +98,6 @@ class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
             self.codegen.set_env(environment.env_name, environment)
 
     def _inner_environments(self) -> list[str]:
-        """Return the names of what numba's own functions in the kernel need of Python."""
         names = [variable.name for variable in self._final_module.global_variables]
         return [name for name in names if name.startswith(ENVIRONMENT) and self.symbol_id not in name]
 
@@ -125,7 +121,7 @@ _describe_error = CPUCallConv.build_excinfo_struct
 def _describe_placeless(convention: Any, error: Any, arguments: Any, place: Any, function: Any) -> Any:
     """Return how machine code raises an error; of a kernel's, and of numba's own, without file and line."""
     is_kernels = any(isinstance(library, KernelLibrary) for library in convention.context._codelib_stack)
-    if is_kernels or (place is not None and place.filename.startswith(NUMBA)):
+    if is_kernels or (place is not None and place.filename.startswith(numba.__path__[0])):
         place = None
     return _describe_error(convention, error, arguments, place, function)
 
@@ -140,18 +136,15 @@ class KernelCache:
         self.kernel = kernel
         self.name = f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
 
-    @property
-    def cache_path(self) -> str:
-        """The folder of all kernels; numba's statistics show it."""
-        return str(kernel_folder())
+    cache_path = property(lambda _: str(kernel_folder()), doc="The folder of all kernels.")
 
     def load_overload(self, arguments: Any, context: Any) -> Any:
         """Return the kernel for types of arguments, None if it must be compiled."""
         context.refresh()
         for record in find_records(self.name, self._key(arguments, context)):
             if all(map(is_as_before, record.relies_on)):
-                result, own = _rebuild(context, record)
-                _note(result.library, own, record.relies_on)
+                result = _rebuild(context, record)
+                own = result.library.own
                 if (own is None or own.content) and not record.bitcode:
                     result.library._get_module_for_linking = partial(self._bitcode, arguments)
                 return result
@@ -170,12 +163,7 @@ class KernelCache:
         relies_on = tuple(_callees(library))
         key = self._key(arguments, result.target_context)
         content = digest(key, [(callee.symbol, callee.returns, callee.content) for callee in relies_on])
-        own = None
-        if is_named(self.kernel):
-            written_out = "" if is_long(library.get_function(symbol)) else content
-            module, name = self.kernel.py_func.__module__, self.kernel.py_func.__qualname__
-            returns = digest(describe_type(result.signature.return_type))
-            own = Callee(module, name, result.fndesc.argtypes, symbol, returns, written_out)
+        own = callee_of(self.kernel, result, content)
         _note(library, own, relies_on)
         # Addresses of this process are in the machine code.
         if not library.has_dynamic_globals:
@@ -191,7 +179,7 @@ def _note(library: Any, own: Callee | None, relies_on: tuple[Callee, ...]) -> No
     """Note with a kernel's machine code what its callers, and theirs, rely on."""
     library.own, library.relies_on = own, relies_on
     if own is not None and not own.content:
-        library._shared_module = NOTHING
+        library._shared_module = NO_BITCODE
 
 
 def _reduce(result: Any, symbol: str, own: Callee | None, relies_on: tuple[Callee, ...]) -> Record:
@@ -199,40 +187,35 @@ def _reduce(result: Any, symbol: str, own: Callee | None, relies_on: tuple[Calle
     function = copy(result.fndesc)
     function.doc = None
     (name, kind, (code, bitcode)), *more = result._replace(fndesc=function, type_annotation="")._reduce()
-    linked = b"" if result.library._shared_module is NOTHING else bitcode
+    linked = b"" if result.library._shared_module is NO_BITCODE else bitcode
     return Record(relies_on, last_compile_s(), dumps((own, symbol, name, kind, more)), code, linked)
 
 
-def _rebuild(context: Any, record: Record) -> tuple[Any, Callee | None]:
-    """Return compiled code that was kept, and what its callers rely on."""
+def _rebuild(context: Any, record: Record) -> Any:
+    """Return compiled code that was kept."""
     own, symbol, name, kind, more = pickle.loads(record.body)
     # numba reads off the bitcode which names the machine code defines.
     stub = llvm.parse_assembly(f'define void @"{symbol}"() {{ ret void }}').as_bitcode()
     code = record.machine_code, record.bitcode or stub
-    return CompileResult._rebuild(context, (name, kind, code), *more), own
+    result = CompileResult._rebuild(context, (name, kind, code), *more)
+    _note(result.library, own, record.relies_on)
+    return result
 
 
-def _callees(library: Any) -> Iterable[Callee]:
+def _callees(library: Any) -> Any:
     """Return the kernels that a library's machine code calls, or has in it."""
-    known: Iterable[Callee] | None = getattr(library, "relies_on", None)
-    if known is not None:
-        return known
-    callees: dict[str, Callee] = {}
-    for part in library._linking_libraries:
-        own = getattr(part, "own", None)
-        callees.update((callee.symbol, callee) for callee in (_callees(part) if own is None else (own,)))
-    return callees.values()
+    if hasattr(library, "relies_on"):
+        return library.relies_on
+    parts = ((part, getattr(part, "own", None)) for part in library._linking_libraries)
+    callees = chain.from_iterable(_callees(part) if own is None else (own,) for part, own in parts)
+    return {callee.symbol: callee for callee in callees}.values()
 
 
 def enter_when_called(kernel: Any) -> None:
     """Give a kernel that numba compiles without entry points one when Python calls it."""
     compile_for = kernel._compile_for_args
-    # numba owns no reference to what is inserted. Two entry points for the same types are ambiguous to it: it
-    # would ask anew at each call.
+    # numba owns no reference to what is inserted. It asks at each call where two have the same types.
     entries: dict[tuple[Any, ...], Any] = {}
-
-    def keep(result: Any) -> None:
-        kernel.overloads[tuple(result.signature.args)] = result
 
     def enter(*given: Any) -> Any:
         # Two threads may both ask before either has it.
@@ -246,32 +229,51 @@ def enter_when_called(kernel: Any) -> None:
         return entries[arguments].entry_point
 
     # Python calls what is inserted there, and asks for what is not.
-    kernel.add_overload = keep
+    kernel.add_overload = lambda result: kernel.overloads.update({result.signature.args: result})
     kernel._compile_for_args = enter
 
 
 def _entry(kernel: Any, result: Any) -> Any:
-    """Return the entry point of a compiled kernel, from disk or compiled and kept there.
-
-    It calls the kernel by its symbol. So it is compiled anew for another symbol, and for no other content.
-    """
+    """Return the entry point of a compiled kernel, from disk or compiled and kept: one for its symbol."""
     context, symbol = result.target_context, result.fndesc.llvm_func_name
     described = map(describe_type, (result.signature.return_type, *result.signature.args))
     key = entry_key(kernel, symbol, *described, context.codegen().magic_tuple())
     for record in find_records(kernel._cache.name, key):
         kernel._cache_hits[symbol] += 1
-        return _rebuild(context, record)[0]
+        return _rebuild(context, record)
     kernel._cache_misses[symbol] += 1
-    data = {"dispatcher": kernel, "args": result.signature.args, "return_type": result.signature.return_type}
-    with event.trigger_event("numba:compile", data=data):
+    with event.trigger_event("numba:compile", data={"dispatcher": kernel, "args": result.signature.args}):
         entry = _compiled_entry(kernel, result)
     write_record(kernel._cache.name, key, _reduce(entry, entry.fndesc.llvm_cpython_wrapper_name, None, ()))
     return entry
 
 
+class _ResultMaker(PythonAPI):  # type: ignore[misc]
+    """What an entry point calls to make a kernel's result: C functions alone."""
+
+    def get_env_manager(self, *environment: Any) -> Any:
+        self.environment = super().get_env_manager(*environment)
+        return self.environment
+
+    def serialize_object(self, value: Any) -> Any:
+        return value if isinstance(value, type) else super().serialize_object(value)
+
+    def unserialize(self, value: Any) -> Any:
+        return self._constant(value) if isinstance(value, type) else super().unserialize(value)
+
+    def call(self, named_tuple: Any, fields: Any, *_: Any) -> Any:
+        # numba gives up the class that `unserialize` returned.
+        self.incref(named_tuple)
+        return self.call_function_objargs(self._constant(tuple.__new__), (named_tuple, fields))
+
+    def _constant(self, value: Any) -> Any:
+        return self.environment.read_const(self.environment.add_const(value))
+
+
 def _compiled_entry(kernel: Any, result: Any) -> Any:
     """Return an entry point as a record of its own, that calls the kernel by its symbol."""
     context = result.target_context.subtarget(enable_nrt=kernel.targetoptions.get("_nrt", True))
+    context.get_python_api = partial(_ResultMaker, context)
     function = copy(result.fndesc)
     # The constants of the entry point are its own.
     function.env_name = f"{function.env_name}.entry"
@@ -281,20 +283,16 @@ def _compiled_entry(kernel: Any, result: Any) -> Any:
     library.add_linking_library(rtsys.library)
     context.create_cpython_wrapper(library, function, environment, None, release_gil=True)
     entry_point = context.get_executable(library, function, environment)
-    library._shared_module = NOTHING
+    library._shared_module = NO_BITCODE
     return result._replace(
         library=library, fndesc=function, environment=environment, entry_point=entry_point, referenced_envs=()
     )
 
 
 def take_types_alone(kernel: Any) -> None:
-    """Let other kernels call one without the constants among the arguments.
-
-    numba would compile it anew for each constant, even for one that a loop starts from.
-    """
+    """Let other kernels call one without the constants among the arguments."""
     template, plain = kernel.get_call_template, numba.types.unliteral
 
-    def without_constants(arguments: Iterable[Any], by_name: Mapping[str, Any]) -> Any:
-        return template(tuple(map(plain, arguments)), {name: plain(type_) for name, type_ in by_name.items()})
-
-    kernel.get_call_template = without_constants
+    kernel.get_call_template = lambda arguments, by_name: template(
+        tuple(map(plain, arguments)), {name: plain(type_) for name, type_ in by_name.items()}
+    )

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from multiprocessing.connection import Connection
+from operator import sub
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -239,6 +240,47 @@ def test_a_record_that_an_update_has_moved_is_compiled_for_anew(tmp_path: Path) 
         )
         assert run(tmp_path) == (4.0, *COMPILED)
         (package / "old.py").unlink(missing_ok=True)
+
+
+class Reading(NamedTuple):
+    """A result of a kernel, within another."""
+
+    place_mm: float
+    values: np.ndarray
+
+
+class Readings(NamedTuple):
+    """A result of a kernel."""
+
+    first: Reading
+    both: tuple[Reading, Reading]
+    count: int
+
+
+@kernel(allocates=True)
+def read(place_mm: float) -> Readings:
+    """Return named tuples within others, and an array in three of them."""
+    values = np.full(2, place_mm)
+    first = Reading(place_mm, values)
+    return Readings(first, (first, Reading(2.0 * place_mm, values)), 3)
+
+
+def test_a_result_is_of_the_classes_that_the_kernel_returns() -> None:
+    readings = read(1.5)
+    assert type(readings) is Readings
+    assert [type(reading) for reading in (readings.first, *readings.both)] == [Reading] * 3
+    assert (readings.count, readings.both[1].place_mm) == (3, 3.0)
+    assert type(readings.first.values) is np.ndarray
+    assert readings.both[1].values.tolist() == [1.5, 1.5]
+
+
+def test_results_leave_no_references_behind() -> None:
+    owned = (Readings, Reading, np.ndarray, tuple.__new__, np.dtype(float))
+    read(1.5)
+    before = [sys.getrefcount(thing) for thing in owned]
+    for _ in range(100):
+        read(1.5)
+    assert max(map(sub, map(sys.getrefcount, owned), before)) < 10
 
 
 def test_kernels_of_one_name_in_one_process_are_told_apart() -> None:
