@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from arctrack.errors import in_file
 from arctrack.recording import Recording
 from arctrack.recording.poses import LOG_NAMES, can_channel
+from arctrack.service.innovation import InnovationLimits, SeamMeasured, SeamMotion
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import Doubt, PoseWatch, nominal_path
 from noise_model.transforms import invert
@@ -18,7 +19,6 @@ from robot_io import BusLogError, BusLogReader, GateReason, PoseKind, PoseSample
 from robot_io.clocks.sync import SyncLimits
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from robot_io.poses.pose_questions import Implausibility
-from tracker.seam.innovation import InnovationLimits, SeamMeasured, SeamMotion
 
 GAP_PERIODS = 4.0
 """After so many periods without a pose poses have stopped, where that is longer than the limit."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 from arctrack.errors import in_file
 from arctrack.recording import BadFrame, FrameRow, Recording
+from arctrack.service.innovation import SeamMeasured
 from arctrack.service.seam_measured import seam_measured
 from tracker import flags
 from tracker.observation import Reading
-from tracker.seam.innovation import SeamMeasured
 from tracker.state import NAN, Frame, Pose, Track
 from tracker.step import StepInputs
 from tracker.tracker import Tracker

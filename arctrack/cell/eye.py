@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy.typing as npt
 
 from arctrack.service.frame_tracking import Capture
-from tracker.seam.innovation import SeamMeasured
+from arctrack.service.innovation import SeamMeasured
 from tracker.state import Track
 
 Shown = npt.NDArray[Any] | None

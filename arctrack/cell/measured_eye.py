@@ -10,10 +10,10 @@ import numpy as np
 from arctrack.cell.eye import Shown
 from arctrack.cell.robot import Robot
 from arctrack.service.frame_tracking import Capture
+from arctrack.service.innovation import SeamMeasured
 from robot_io import PoseAt, PoseStatus
 from tracker import flags
 from tracker.seam.gaussian_process import SeamHistory
-from tracker.seam.innovation import SeamMeasured
 from tracker.state import Track
 
 TOLERANCE_MM = 0.25

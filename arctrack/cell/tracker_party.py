@@ -18,6 +18,7 @@ from arctrack.cell.robot_party import SOURCE, as_message
 from arctrack.cell.scheduler import Scheduler
 from arctrack.service.bus_poses import BusPoses
 from arctrack.service.controller import Controller
+from arctrack.service.innovation import InnovationLimits
 from arctrack.service.job import Job
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.tracking_service import TrackingService
@@ -34,7 +35,6 @@ from robot_io.link.reconnecting import LinkFault
 from robot_io.link.steady_log import SteadyLog
 from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility_limits import PlausibilityLimits
-from tracker.seam.innovation import InnovationLimits
 from tracker.state import Track
 
 FRAME_PERIOD_S, EXPOSED_S, COMPUTED_S = 0.02, 0.002, 0.012

@@ -10,12 +10,12 @@ from arctrack.pose_agreement import PoseAgreement
 from arctrack.recorded_poses import RecordedPoses
 from arctrack.recording import Recording
 from arctrack.recording.steps import RecordedStep
+from arctrack.service.innovation import SeamMeasured
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import Doubt
 from noise_model.effects import pose_time_s
 from robot_io import GateReason, PoseAt, PoseStatus, Received, SeamOffset
 from robot_io.poses.plausibility_limits import PlausibilityLimits
-from tracker.seam.innovation import SeamMeasured
 from tracker.state import AT_ONCE, Lead
 
 

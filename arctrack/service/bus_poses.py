@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from arctrack.service.innovation import InnovationLimits, SeamMeasured
 from arctrack.service.look_ahead import LagEstimator, LagNow, LookAhead
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import Doubt, PoseWatch
@@ -21,7 +22,6 @@ from robot_io import (
 from robot_io.clocks.sync import SyncLimits
 from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility_limits import PlausibilityLimits
-from tracker.seam.innovation import InnovationLimits, SeamMeasured
 from tracker.state import AT_ONCE, Lead
 
 KEPT_POSES = 256

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from arctrack.service.innovation import SeamMeasured
 from arctrack.service.seam_measured import seam_measured
 from noise_model.setup import Setup
 from robot_io import PoseAt, PoseStatus, RobotStatus
 from tracker import flags
 from tracker.observation import Reading
 from tracker.seam.correction import UNSTATED, Correction
-from tracker.seam.innovation import SeamMeasured
 from tracker.state import Frame, Lead, Pose, Track
 from tracker.step import StepInputs
 from tracker.tracker import Tracker

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from arctrack.service.innovation import InnovationLimits, SeamInnovation, SeamMeasured, SeamMotion
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
 from robot_io import (
@@ -25,7 +26,6 @@ from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility import Plausibility, clock_set, update
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from robot_io.poses.pose_questions import Implausibility, PoseSeen
-from tracker.seam.innovation import InnovationLimits, SeamInnovation, SeamMeasured, SeamMotion
 
 BEGINNING = (Command.DISARM, Command.RESET)
 """With these commands a new seam begins: what was before says nothing of it."""

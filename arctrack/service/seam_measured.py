@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
+from arctrack.service.innovation import SeamMeasured
 from noise_model.setup import Setup
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert, transform
-from tracker.seam.innovation import SeamMeasured
 from tracker.seam.locate import seam_displacement
 from tracker.state import Pose, Track
 

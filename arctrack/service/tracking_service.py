@@ -10,6 +10,7 @@ from typing import Generic, Protocol, TypeVar
 
 from arctrack.service.controller import Controller
 from arctrack.service.frame_tracking import Capture
+from arctrack.service.innovation import SeamMeasured
 from arctrack.service.pose_watch import Doubt
 from noise_model.arrays import Float64
 from robot_io import (
@@ -21,7 +22,6 @@ from robot_io import (
     RobotStatus,
     SeamOffset,
 )
-from tracker.seam.innovation import SeamMeasured
 from tracker.state import AT_ONCE, Lead, Track
 
 Shown = TypeVar("Shown", contravariant=True)

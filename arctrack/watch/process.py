@@ -12,9 +12,9 @@ import numpy as np
 from arctrack.journal.journal import JournalReader, gap_name
 from arctrack.journal.records import Entry, GapReport, pack
 from arctrack.journal.ring import RingError, RingWriter
+from arctrack.watch.arc_height import NOT_KNOWN, ArcHeight, ArcHeightEstimator
 from arctrack.watch.gap_watch import GapWatch
 from noise_model.setup import Setup
-from tracker.arc_height import NOT_KNOWN, ArcHeight, ArcHeightEstimator
 from tracker.geometry import SensorGeometry
 
 LOOK_S = 0.2

@@ -11,6 +11,7 @@ import numpy as np
 from arctrack.cell.eye import Shown
 from arctrack.cell.robot import Robot
 from arctrack.service.frame_tracking import Capture, FrameTracking
+from arctrack.service.innovation import SeamMeasured
 from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64, Integers
 from noise_model.condition import Condition
@@ -21,7 +22,6 @@ from noise_model.plan.noise import expected_speckle
 from noise_model.setup import Setup
 from noise_model.surface.joint import BentSeam, Seam, SeamLine
 from robot_io import Switch
-from tracker.seam.innovation import SeamMeasured
 from tracker.state import Frame, Track
 
 FAR_MM = 1e6

@@ -26,6 +26,7 @@ from arctrack.serve.run import cast_of, run
 from arctrack.service.bus_poses import BusPoses
 from arctrack.service.controller import Controller
 from arctrack.service.frame_tracking import FrameTracking
+from arctrack.service.innovation import InnovationLimits
 from arctrack.service.job import Job
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import nominal_path
@@ -54,7 +55,6 @@ from robot_io import (
     Validity,
 )
 from robot_io.poses.plausibility_limits import PlausibilityLimits
-from tracker.seam.innovation import InnovationLimits
 from tracker.state import Frame
 
 CHANNELS = (f"test_serve_{n}" for n in itertools.count())

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from arctrack.cell.robot import WELDING
+from arctrack.service.innovation import InnovationLimits, SeamMeasured, SeamMotion
 from arctrack.service.pose_watch import PoseWatch
 from robot_io import (
     Command,
@@ -24,7 +25,6 @@ from robot_io.clocks.sync import SyncLimits
 from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from robot_io.poses.pose_questions import Implausibility
-from tracker.seam.innovation import InnovationLimits, SeamMeasured, SeamMotion
 
 PATH = NominalPath(((0.0, 0.0, 0.0), (300.0, 0.0, 0.0)))
 WELDS = replace(WELDING, path_section=None)

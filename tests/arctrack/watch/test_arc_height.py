@@ -9,10 +9,10 @@ import pytest
 
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import balance
+from arctrack.watch.arc_height import ArcHeight, ArcHeightEstimator
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame
 from noise_model.surface.joint import SeamLine
-from tracker.arc_height import ArcHeight, ArcHeightEstimator
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from arctrack.service.innovation import InnovationLimits, SeamInnovation, SeamMeasured, SeamMotion
 from tracker.seam.gaussian_process import SeamHistory
-from tracker.seam.innovation import InnovationLimits, SeamInnovation, SeamMeasured, SeamMotion
 
 LIMITS = InnovationLimits()
 RATE_HZ, SPEED_MM_S = 50.0, 10.0
