@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import groupby
 from pathlib import Path
 
 from arctrack.report import effect_pictures
@@ -14,7 +15,6 @@ from noise_model.forward import Renderer
 PAGE = "effects.md"
 PICTURES = Path("figures") / "effects"
 COLUMNS = 110
-UNBROKEN = "\N{NO-BREAK SPACE}"
 
 STAGES = {
     Stage.SOURCE: "the arc itself",
@@ -30,64 +30,58 @@ STAGES = {
 HONOURED = (
     (
         "`arctrack replay`, `arctrack explain`, `arctrack calibrate hand-eye`",
-        "geometry, surface and sensor; what becomes of the arc's light; the poses' clock. What random "
-        "effects scatter is no part of their noise: the tracker learns its stripe's from the frames",
+        "geometry, surface, sensor, the arc's light, the poses' clock; not the scatter of random effects",
     ),
-    (
-        "`arctrack simulate`",
-        "all of them. Those of `--setup` are written with the recording; `--effect {id}.{value}`, once a "
-        "parameter, adds one that the recording does not name",
-    ),
+    ("`arctrack simulate`", "all; `--effect {id}.{value}` adds one"),
     ("`arctrack plan`", "all but `interreflection`"),
-    ("`arctrack diagnose`", "takes them for stated, and looks for others and for changes from there"),
+    ("`arctrack diagnose`", "all, as stated; it looks for others and for changes from there"),
     ("`arctrack inspect`", "lists them, and draws the stripe where they put it"),
-    ("`noise_model.forward`", "`predict` gives mean and variance with them, `draw_frame` one frame"),
+    ("`noise_model.forward`", "all: `predict` gives mean and variance, `draw_frame` one frame"),
 )
 
 INTRO = """\
 # Effects
 
-What the nominal model leaves out. An effect has an id, a stage at which it acts, and parameters.
-`noise_model.effects.REGISTRY` holds them all; `arctrack figures effects --out docs/reference` draws the
-pictures and writes this page.
+What the nominal model leaves out, and how `recording.toml` states it. `arctrack figures effects --out
+docs/reference` writes this page and its pictures from `noise_model.effects.REGISTRY`.
 
-**The order of light.** Light goes through source, illumination, surface, medium, optics and sensor, in this
-order; within a stage effects act in the order of the table below. Geometry and timing change what is
-rendered.
-
-**Naming one.** A table in `recording.toml` says that an effect is known to act:
+A table of the setup says that an effect is known to act:
 
 ```toml
 [effects.{id}]
 {values}
 ```
 
-A parameter that the file leaves out takes its neutral value, which is where its prior starts. With all of
-them neutral an effect does nothing. An unknown id or parameter is reported and has no effect. A value out of
-its bounds is an error that names it. So is `interreflection` on a `u_groove`, where it is not followed.
+A parameter that is left out takes its neutral value, where its prior starts. With all of them neutral an
+effect does nothing. An unknown id or parameter is reported and ignored. A value out of its bounds is an
+error, and so is `interreflection` on a `u_groove`.
 
-**What uses them.** Everything that predicts light:
-
-| | |
+| command | uses |
 | --- | --- |
 {honoured}
 
-**The pictures** show each effect at the values that its section states. Frames are 640 × 480. Their
-brightness is drawn by √, on one scale for both. Differences are in DN, red for brighter, blue for darker.
-Where both frames are saturated there is no difference. Expected frames are free of noise. Random effects are
-shown in single frames. The 1 σ that is predicted for each pixel stands beside them. Effects that move all
-pixels at once are shown in one frame after another.
+Light goes through source, illumination, surface, medium, optics and sensor, and through the effects of a
+stage in the order of this table. Geometry and timing change what is rendered.
+
+{overview}
+
+In the pictures' differences red is brighter, blue is darker.
 """
 
 
 def page(registry: Mapping[str, Effect]) -> str:
-    """Return the page's text: intro, all ids by stage, a section for each effect."""
+    """Return the page's text: intro with all ids by stage, a section for each effect."""
     effects = list(registry.values())
     first = effects[0]
     rows = "\n".join(f"| {who} | {what} |" for who, what in HONOURED)
     named = {"id": first.id, "value": _toml(first)[0].replace(" = ", "=")}
-    intro = INTRO.format(values="\n".join(_toml(first)), honoured=rows.format(**named), **named)
-    return "\n".join([intro, *_overview(effects), *(line for e in effects for line in _section(e))])
+    intro = INTRO.format(
+        values="\n".join(_toml(first)),
+        honoured=rows.format(**named),
+        overview="\n".join(_overview(effects)),
+        **named,
+    )
+    return "\n".join([intro, *(line for effect in effects for line in _section(effect))])
 
 
 def write(folder: Path, registry: Mapping[str, Effect], on_picture: Callable[[Path], None]) -> None:
@@ -104,46 +98,36 @@ def write(folder: Path, registry: Mapping[str, Effect], on_picture: Callable[[Pa
 
 
 def _overview(effects: Iterable[Effect]) -> Iterator[str]:
-    yield "| stage | effect | what it is |"
-    yield "| --- | --- | --- |"
-    above = None
-    for effect in effects:
-        stage = f"**{effect.stage.value}**, {STAGES[effect.stage]}" if effect.stage is not above else ""
-        above = effect.stage
-        yield f"| {stage} | [`{effect.id}`](#{effect.id}) | {_cell(effect.summary)} |"
-    yield ""
+    yield "| stage | effects |"
+    yield "| --- | --- |"
+    for stage, group in groupby(effects, key=lambda effect: effect.stage):
+        links = ", ".join(f"[`{effect.id}`](#{effect.id})" for effect in group)
+        yield f"| **{stage.value}**, {STAGES[stage]} | {links} |"
 
 
 def _section(effect: Effect) -> Iterator[str]:
-    chosen = effect_pictures.choice(effect.id)
     yield f"## {effect.id}"
     yield ""
     yield from _wrapped(f"{effect.summary[:1].upper()}{effect.summary[1:]}.")
     yield ""
     yield from ("    " + line for line in textwrap.wrap(effect.equation, COLUMNS - 4))
     yield ""
-    yield "| parameter | unit | neutral | prior 1 σ | bounds |"
-    yield "| --- | --- | --- | --- | --- |"
-    yield from (_row(parameter) for parameter in effect.parameters)
+    yield from (_item(parameter) for parameter in effect.parameters)
     yield ""
     if effect.needs:
         needed = " and ".join(f"`[{section}]`" for section in effect.needs)
-        yield from _wrapped(f"Needs {needed}, which a setup may leave out.")
+        yield f"Needs {needed}."
         yield ""
     yield from _wrapped(f"Source: {effect.source}.")
     yield ""
-    values = ", ".join(f"`{value}`".replace(" ", UNBROKEN) for value in _toml(effect))
-    yield from _wrapped(f"Shown: {values}; {chosen.scene}; {chosen.form.value}.")
-    yield ""
-    yield f"![{effect.id}: {effect.summary}]({(PICTURES / effect.id).as_posix()}.png)"
+    yield f"![Frames with {effect.id}]({(PICTURES / effect.id).as_posix()}.png)"
     yield ""
 
 
-def _row(parameter: Parameter) -> str:
-    bounds = f"{_number(parameter.lower)} to {_number(parameter.upper)}"
-    unit = parameter.unit or "–"
+def _item(parameter: Parameter) -> str:
+    bounds = f"{_number(parameter.lower)} to {_number(parameter.upper)} {parameter.unit}".rstrip()
     start, sigma = _number(parameter.start), _number(parameter.prior_sigma)
-    return f"| `{parameter.name}` | {unit} | {start} | {sigma} | {bounds} |"
+    return f"- `{parameter.name}`: {bounds}; neutral {start}, prior 1 σ {sigma}"
 
 
 def _toml(effect: Effect) -> list[str]:
@@ -154,11 +138,5 @@ def _number(value: float) -> str:
     return f"{value:.12g}".replace("-", "−").replace("inf", "∞")
 
 
-def _cell(text: str) -> str:
-    """Keep a text within its cell of a table."""
-    return text.replace("|", "\\|")
-
-
 def _wrapped(text: str) -> list[str]:
-    lines = textwrap.wrap(text, COLUMNS, break_long_words=False, break_on_hyphens=False)
-    return [line.replace(UNBROKEN, " ") for line in lines]
+    return textwrap.wrap(text, COLUMNS, break_long_words=False, break_on_hyphens=False)
