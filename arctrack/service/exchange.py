@@ -72,13 +72,19 @@ def exchange() -> Iterator[tuple[float, str, BusMessage, int, bytes]]:
 
 
 def exchange_table() -> str:
-    """Return the exchange as Markdown."""
+    """Return the exchange as Markdown: what is new in each message, and no message without news."""
     lines = ["| ms | from | id | bytes | message | says |", "| ---: | --- | --- | --- | --- | --- |"]
-    lines += [
-        f"| {1000.0 * at_s:.0f} | {sender} | 0x{identifier:03X} | `{payload.hex(' ').upper()}` "
-        f"| `{type(message).__name__}` | {_values(message)} |"
-        for at_s, sender, message, identifier, payload in exchange()
-    ]
+    before: dict[int, dict[str, str]] = {}
+    for at_s, sender, message, identifier, payload in exchange():
+        values = _values(message)
+        changed = dict(values.items() - before.get(identifier, {}).items())
+        says = ", ".join(f"{name} {value}" for name, value in values.items() if name in changed)
+        before[identifier] = values
+        if says:
+            lines.append(
+                f"| {1000.0 * at_s:.0f} | {sender} | 0x{identifier:03X} | `{payload.hex(' ').upper()}` "
+                f"| `{type(message).__name__}` | {says} |"
+            )
     return "\n".join(lines) + "\n"
 
 
@@ -102,13 +108,13 @@ def _track(now_s: float) -> Track:
     )
 
 
-def _values(message: BusMessage) -> str:
-    """Return what a message says, its flags only where they are set."""
-    return ", ".join(
-        f"{field.name} {_value(getattr(message, field.name))}"
+def _values(message: BusMessage) -> dict[str, str]:
+    """Return what a message says by its signals' names, its flags only where they are set."""
+    return {
+        field.name: _value(getattr(message, field.name))
         for field in fields(message)
         if getattr(message, field.name) is not False
-    )
+    }
 
 
 def _value(value: float | int | IntEnum | None) -> str:

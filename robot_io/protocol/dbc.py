@@ -97,8 +97,8 @@ def messages_table() -> str:
     for layout in layouts:
         lines += ["", f"### 0x{layout.frame_id:03X} `{layout.name}`", "", layout.comment or "", ""]
         lines += [
-            "| bits | signal | unit | scale | range | unknown | meaning |",
-            "| --- | --- | --- | --- | --- | --- | --- |",
+            "| bits | signal | scale | range | unknown | meaning |",
+            "| --- | --- | --- | --- | --- | --- |",
         ]
         lines += [_signal_row(signal) for signal in payload_signals(layout)]
     return "\n".join(lines) + "\n"
@@ -111,9 +111,10 @@ def _signal_row(signal: Signal) -> str:
     if signal.choices and set(signal.choices) != {unknown}:
         meaning += f" {_choices(signal)}"
     bits = str(signal.start) if signal.length == 1 else f"{signal.start}–{signal.start + signal.length - 1}"
+    limits = f"{_range(signal)} {signal.unit or ''}".rstrip()
     return (
         f"| {bits} {'s' if signal.is_signed else 'u'}{signal.length} "
-        f"| `{signal.name}` | {signal.unit or ''} | {signal.scale:g} | {_range(signal)} "
+        f"| `{signal.name}` | {signal.scale:g} | {limits} "
         f"| {'' if unknown is None else unknown} | {meaning} |"
     )
 
