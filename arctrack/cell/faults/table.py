@@ -9,8 +9,8 @@ from arctrack.cell.faults.kinds import KINDS
 from arctrack.cell.faults.schedules import Outcome
 
 HEADER = (
-    "| fault | schedules | offsets end after, s | the tracker says | torch off by, mm | failed | remark |\n"
-    "| --- | --- | --- | --- | --- | --- | --- |"
+    "| fault | schedules, failed | offsets end after, s | the tracker says | torch off by, mm | remark |\n"
+    "| --- | --- | --- | --- | --- | --- |"
 )
 
 
@@ -24,8 +24,8 @@ def table(outcomes: Iterable[Outcome]) -> str:
     for outcome in outcomes:
         by_fault[outcome.fault].append(outcome)
     rows = [
-        f"| {kind.name} | {len(rows)} | {_ends(rows)} | {_said(rows)} | {_off(rows)} | "
-        f"{sum(bool(row.broken) for row in rows)} | {kind.note} |"
+        f"| {kind.name} | {len(rows)}, {sum(bool(row.broken) for row in rows)} "
+        f"| {_ends(rows)} | {_said(rows)} | {_off(rows)} | {kind.note} |"
         for kind in KINDS
         if (rows := by_fault[kind.name])
     ]
