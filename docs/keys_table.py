@@ -6,25 +6,19 @@ from arctrack.new import KEYS
 
 HEAD = """# The keys of a setup
 
-Each number of `recording.toml`, where it comes from, and what it usually is. `arctrack new` writes the same
-beside each key. [Recordings](recording.md#recordingtoml) says which may be left out, and draws each joint's
-dimensions.
+What each number of `recording.toml` is, where it comes from, and what it usually is. `arctrack new` writes
+the same beside each key. [Recordings](recording.md#recordingtoml) says which may be left out.
 """
 
 
 def setup_keys() -> str:
-    """Return the page: a table for each section of the setup."""
+    """Return the page: a list for each section of the setup."""
     lines = [HEAD]
     for section, keys in groupby(KEYS, key=lambda key: key.table):
-        lines += [
-            f"## [{section}]",
-            "",
-            "| key | what it is | where it comes from | usual |",
-            "| --- | --- | --- | --- |",
-        ]
+        lines += [f"## [{section}]", ""]
         for key in keys:
-            source = f"**{key.source.value}** {key.how}".rstrip()
-            lines.append(f"| `{key.name}` | {key.meaning} | {source} | {key.typical} |")
+            source = f"*{key.source.value}*: {key.how}" if key.how else f"*{key.source.value}*."
+            lines.append(f"- `{key.name}`: {key.meaning} From {source} Usual: {key.typical}.")
         lines.append("")
     return "\n".join(lines)
 
