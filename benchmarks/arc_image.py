@@ -16,8 +16,8 @@ import numpy as np
 from arctrack.recording import BadFrame, read_recording
 from calibration.hand_eye import estimate_hand_eye
 from noise_model.setup import Setup
-from sim_to_real.check.agreement import arc_agreement
 from tracker.state import Frame, Pose
+from validation.second_renderer.agreement import arc_agreement
 
 
 def read(path: str) -> tuple[str, Setup, list[tuple[Frame, Pose]]]:

@@ -121,7 +121,7 @@ def measure(joint: str, repeats: int) -> Setup:
 
 def beside_mitsuba(setup: Setup, samples: int) -> None:
     try:
-        from sim_to_real.check.path_traced import path_traced_arc
+        from validation.second_renderer.path_traced import path_traced_arc
 
         rng = np.random.default_rng(0)
         geometry = SensorGeometry.of(setup)

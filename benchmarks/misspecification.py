@@ -3,10 +3,10 @@
     python benchmarks/misspecification.py CHECK… [--sample N] [--workers N] [--alpha P] [--out FILE]
     python benchmarks/misspecification.py check-1 check-2 --workers 2 --out misspecification.json
 
-CHECK is a folder of `arctrack diagnose check make`. It needs sbi 0.27 (`pip install sbi`, which brings
-PyTorch), best in an environment of its own. FILE keeps what is done: it goes on from there, and prints the
-table again without sbi. Labels are opened for the table alone, once all recordings are tested. Results of
-`arctrack diagnose check run` stand beside them.
+CHECK is a folder of `python -m validation.blind_check make`. It needs sbi 0.27 (`pip install sbi`, which
+brings PyTorch), best in an environment of its own. FILE keeps what is done: it goes on from there, and prints
+the table again without sbi. Labels are opened for the table alone, once all recordings are tested. Results of
+`python -m validation.blind_check run` stand beside them.
 
 *Is there a gap?* For each recording 2300 others are drawn that the nominal model could have made: nuisances
 within their priors and tolerances, the camera's with where it makes the tracker see the seam; the model's own
@@ -26,8 +26,8 @@ is fitted to 2000 of them, ranked among the other 300. A p-value below P is a ga
 gap is what exceeds every recording that hides nothing. That threshold is taken from the labels: what the test
 could do without a false alarm, had it known them.
 
-*Which effect?* The cosine of the raw residual with each effect's signature (`sim_to_real.check.cosine`), as
-the check's results hold it. What a method fails on counts as a wrong answer. Bounds are Wilson's 95 %.
+*Which effect?* The cosine of the raw residual with each effect's signature (`validation.blind_check.cosine`),
+as the check's results hold it. What a method fails on counts as a wrong answer. Bounds are Wilson's 95 %.
 """
 
 from __future__ import annotations
@@ -49,14 +49,10 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from arctrack.blind_check.files import SealedFile, read_check_file
-from arctrack.blind_check.run import RECORDINGS, RESULTS, SEALED, cases
 from arctrack.output import write_whole
 from arctrack.recording import BadFrame, pose_at, read_recording
 from arctrack.workers import processes
 from noise_model.arrays import Float32, Float64
-from sim_to_real.check.case import Case
-from sim_to_real.check.score import Rate
 from sim_to_real.data.binned import observe, variances_dn2
 from sim_to_real.evidence.coordinates import free_terms
 from sim_to_real.evidence.error_model import (
@@ -72,6 +68,10 @@ from sim_to_real.fit.covariates import Covariates, covariates
 from sim_to_real.fit.gauss_newton import Refit, refit
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.search.score_test import score_effects
+from validation.blind_check.blind_check import RECORDINGS, RESULTS, SEALED, cases
+from validation.blind_check.case import Case
+from validation.blind_check.files import SealedFile, read_check_file
+from validation.blind_check.score import Rate
 
 N_FITTED, N_VALIDATION = 2000, 300
 """Draws that the flow is fitted to and the discrepancy taken to, and those that densities rank among."""

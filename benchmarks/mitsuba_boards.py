@@ -21,7 +21,7 @@ from camera_worlds import project
 
 from calibration.boards.board import Board, Kind
 from noise_model.arrays import Float64, Integers
-from sim_to_real.check.path_traced import load_mitsuba
+from validation.second_renderer.path_traced import load_mitsuba
 
 ROOM_SAMPLES = 4
 """Directions to the room's light for each ray: gloss scatters more there than under lamp and laser."""

@@ -35,9 +35,9 @@ from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
 from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import Joint
-from sim_to_real.check.agreement import BLOCK_PX, DARK_E
-from sim_to_real.check.blocks import compare_blocks
-from sim_to_real.check.path_traced import BATCHES, load_mitsuba, path_traced_arc
+from validation.second_renderer.agreement import BLOCK_PX, DARK_E
+from validation.second_renderer.blocks import compare_blocks
+from validation.second_renderer.path_traced import BATCHES, load_mitsuba, path_traced_arc
 
 POSES = {"left": ((5.0, 3.0, 1.0), (2.0, -3.0, 6.0)), "right": ((8.0, -3.5, 2.0), (-3.0, 4.0, -8.0))}
 STRIP_EVERY = 8

@@ -87,7 +87,7 @@ def scratch(compiled: None, tmp_path: Path) -> Path:
 @pytest.fixture(scope="session")
 def mitsuba() -> Any:
     """Return Mitsuba; where it cannot start, what needs it is skipped and says so."""
-    from sim_to_real.check.path_traced import load_mitsuba
+    from validation.second_renderer.path_traced import load_mitsuba
 
     try:
         return load_mitsuba()

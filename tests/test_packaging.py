@@ -14,6 +14,7 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+from test_house import MAY_IMPORT
 
 ROOT = Path(__file__).resolve().parents[1]
 LINES = (ROOT / "Dockerfile").read_text().replace("\\\n", " ").splitlines()
@@ -39,6 +40,13 @@ def test_a_wheel_carries_the_packs(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-m", "hatchling", "build", "-t", "wheel"], cwd=tmp_path, check=True)
     (wheel,) = (tmp_path / "dist").glob("*.whl")
     assert ZipFile(wheel).read(pack) == b"machine code"
+
+
+def test_the_wheel_leaves_out_what_judges_the_product() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert set(project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]) == set(MAY_IMPORT) - {
+        "validation"
+    }
 
 
 def test_the_image_copies_what_the_wheel_needs() -> None:

@@ -36,6 +36,9 @@ BRIDGE_MM = 20.0
 
 USABLE = (Validity.VALID, Validity.HELD)
 
+TORCH_MM = 0.5
+"""How far the torch may be off the seam at a run's end, mm."""
+
 
 @dataclass(frozen=True)
 class Heard:

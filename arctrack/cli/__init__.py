@@ -14,11 +14,9 @@ from arctrack.cli.cell_file import cell
 from arctrack.cli.check import check
 from arctrack.cli.crash import crash, end_of_output
 from arctrack.cli.diagnose import diagnose
-from arctrack.cli.diagnose_check import check as blind_check
 from arctrack.cli.doctor import doctor
 from arctrack.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from arctrack.cli.explain import explain
-from arctrack.cli.figures import figures
 from arctrack.cli.group import CommandGroup, UnexpectedEndError
 from arctrack.cli.import_files import import_files
 from arctrack.cli.inspect import inspect
@@ -62,10 +60,8 @@ app.command(epilog="Example: arctrack diagnose monday tuesday --workers 2")(diag
 app.command(epilog="Example: arctrack serve --simulated --seconds 30")(serve)
 app.command(epilog="Example: arctrack doctor /tmp/my_cell/cell.toml")(doctor)
 app.command(epilog="Example: arctrack warm examples/v_groove")(warm)
-app.add_typer(blind_check)
 app.add_typer(calibrate)
 app.add_typer(cell)
-app.add_typer(figures)
 reflow(app)
 
 
@@ -87,7 +83,12 @@ def _arctrack(
 
 
 def main() -> None:
-    """Run the command line; what is wrong with the input is one line on stderr and exit code 2.
+    """Run the command line."""
+    run_app(app, "arctrack")
+
+
+def run_app(app: typer.Typer, name: str) -> None:
+    """Run an app; what is wrong with the input is one line on stderr and exit code 2.
 
     Ctrl-C says what it interrupted and what is kept; the exit code is then 130. A fault of arctrack itself is
     one line too, and exit code 70.
@@ -99,7 +100,7 @@ def main() -> None:
     # python-can complains of a bus that it could not open, after the error's own line.
     logging.getLogger("can.bus").addHandler(logging.NullHandler())
     try:
-        app(prog_name="arctrack")
+        app(prog_name=name)
     except InterruptedCommandError as interrupted:
         write_line(f"arctrack: {printable(str(interrupted))}", sys.stderr)
         sys.exit(INTERRUPTED)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from arctrack.cli.exit_codes import WARNED
 from arctrack.cli.simulate import JointName, MaterialName
 
 if TYPE_CHECKING:
@@ -41,41 +40,9 @@ class EventName(StrEnum):
 cell = typer.Typer(name="cell", help="Run a simulated cell.", no_args_is_help=True)
 
 
-@cell.callback(epilog="Example: arctrack cell schedules --count 50 --seed 1")
+@cell.callback(epilog="Example: arctrack cell run /tmp/cell-run --joint lap")
 def _cell() -> None:
     """Run a simulated cell: robot, tracker and bus behind one clock."""
-
-
-@cell.command(epilog="Example: arctrack cell schedules --count 50 --seed 1 --workers 2")
-def schedules(
-    count: Annotated[int, typer.Option(min=1, help="How many schedules; each has the next fault.")] = 50,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all that is drawn at random.")] = 1,
-    only: Annotated[int | None, typer.Option(min=0, help="Run this one schedule of the seed alone.")] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Schedules run at once, a process each.")] = 1,
-) -> None:
-    """Let faults happen in a cell, and print what became of them as a table.
-
-    A schedule that failed is named by the options that run it again. The exit code is then 1.
-    """
-    from arctrack.cell.faults.schedules import executor, run_schedule, run_schedules
-    from arctrack.cell.faults.table import failures, table
-    from arctrack.cli import console
-
-    if only is not None:
-        outcomes = [run_schedule(seed, only)]
-    else:
-        with console.progress() as bar, executor(workers) as pool:
-            task = bar.add_task("schedules", total=count, unit="schedules")
-            outcomes = []
-            for outcome in run_schedules(seed, count, pool):
-                outcomes.append(outcome)
-                bar.advance(task)
-    typer.echo(table(outcomes))
-    failed = list(failures(seed, outcomes))
-    for line in failed:
-        typer.echo(line, err=True)
-    if failed:
-        raise typer.Exit(WARNED)
 
 
 @cell.command(epilog="Example: arctrack cell run cell-run --joint corrugation --displaced-mm -3")

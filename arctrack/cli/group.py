@@ -1,4 +1,4 @@
-"""The root of the command line: commands of two words, and errors that click would end with exit code 1."""
+"""The root of the command line: moved commands, and errors that click would end with exit code 1."""
 
 from __future__ import annotations
 
@@ -8,6 +8,14 @@ from typing import Any
 from typer.core import TyperGroup
 
 from arctrack.cli.interrupt import InterruptedCommandError
+from arctrack.errors import ArctrackError
+
+MOVED = {
+    ("figures",): "python -m validation.figures",
+    ("diagnose", "check"): "python -m validation.blind_check",
+    ("cell", "schedules"): "python -m validation.fault_schedules",
+}
+"""Commands that judge arctrack and are no longer installed with it, and what runs them in a clone."""
 
 
 class UnexpectedEndError(Exception):
@@ -19,21 +27,14 @@ class UnexpectedEndError(Exception):
 
 
 class CommandGroup(TyperGroup):
-    """A group with commands of two words, beside the command that the first word alone is."""
+    """A group that answers a moved command with the new one."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Take the first two words for one where they are a command, or nearly one."""
-        both = " ".join(args[:2])
-        if both in self.commands:
-            return super().resolve_command(ctx, [both, *args[2:]])
-        second_words = [name.split()[1] for name in self.commands if name.startswith(f"{args[0]} ")]
-        # What is written as a path is none of them, whether it is there or not.
-        if second_words and len(args) > 1 and "/" not in args[1] and not Path(args[1]).exists():
-            from noise_model.spelling import nearest
-
-            near = nearest(args[1], second_words)
-            if near is not None:
-                ctx.fail(f"No such command {both!r}. Did you mean '{args[0]} {near}'?")
+        """Raise ArctrackError for a moved command; a folder of its second word's name is a recording."""
+        for words, command in MOVED.items():
+            is_recording = len(words) > 1 and Path(words[1]).exists()
+            if tuple(args[: len(words)]) == words and not is_recording:
+                raise ArctrackError(f"arctrack {' '.join(words)} is now {command}, in a clone of arctrack")
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
@@ -41,7 +42,7 @@ class CommandGroup(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            name = f"arctrack {ctx.invoked_subcommand}"
+            name = f"{ctx.info_name} {ctx.invoked_subcommand}"
             raise InterruptedCommandError(f"{name} interrupted; what it had finished stays") from None
         except (EOFError, BrokenPipeError) as error:
             raise UnexpectedEndError(error) from error

@@ -144,7 +144,7 @@ def _serve_simulated(job: int | None, seconds: float | None) -> bool:
 
     with interruptible("serve was", "nothing was sent"), ExitStack() as opened:
         with console.progress() as bar:
-            from arctrack.cell.faults.schedules import TORCH_MM
+            from arctrack.cell.cell import TORCH_MM
             from arctrack.cell.live.serve import REAL_TIME_PX
             from arctrack.cell.weld.closed_loop import LoopPlan
             from arctrack.cell_file import read_cell_file

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import tomlkit
 
-from arctrack.cell.faults.schedules import TORCH_MM
+from arctrack.cell.cell import TORCH_MM
 from arctrack.cell.live.serve import joined_bus, serve_cell
 from arctrack.cell.robot import Robot
 from arctrack.cell.weld.closed_loop import SETTLED_TIME_CONSTANTS, LoopPlan, setup_of, world_of

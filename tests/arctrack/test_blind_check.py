@@ -16,15 +16,16 @@ from test_diagnosis_examples import GAMMA, example
 from typer.testing import CliRunner, Result
 
 from arctrack import cli
-from arctrack.blind_check import run as diagnose_check
-from arctrack.blind_check.run import Asked, make, more, open_labels, run, scores_json
 from arctrack.errors import ArctrackError
 from arctrack.recording import read_recording
 from noise_model.setup import Setup
-from sim_to_real.check.plan import Planned
 from sim_to_real.decision.experiments import BY_NAME, Experiment
 from sim_to_real.diagnosis import Diagnosis, Next, Verdict
 from tracker.state import Frame
+from validation.blind_check import __main__ as main
+from validation.blind_check import blind_check as diagnose_check
+from validation.blind_check.blind_check import Asked, make, more, open_labels, run, scores_json
+from validation.blind_check.plan import Planned
 
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
 ASKED = Asked(1, 1, "ABE", 3)
@@ -75,9 +76,9 @@ class Calls:
 def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
     """Let stubs draw, render and diagnose."""
     calls = Calls()
-    renderer, diagnosis, baseline = (
-        types.ModuleType(f"sim_to_real.{name}") for name in ("check.scenario", "diagnose", "check.cosine")
-    )
+    renderer = types.ModuleType("validation.second_renderer.scenario")
+    diagnosis = types.ModuleType("sim_to_real.diagnose")
+    baseline = types.ModuleType("validation.blind_check.cosine")
 
     def draw(seed: int, tier: str, **of: object) -> types.SimpleNamespace:
         return types.SimpleNamespace(
@@ -141,7 +142,7 @@ def made(tmp_path: Path) -> Path:
 
 
 def command(*arguments: object) -> Result:
-    return RUNNER.invoke(cli.app, ["diagnose", "check", *map(str, arguments)], catch_exceptions=False)
+    return RUNNER.invoke(main.check, list(map(str, arguments)), catch_exceptions=False)
 
 
 def change(path: Path, edit: Callable[[dict], None]) -> None:
@@ -382,7 +383,7 @@ def test_a_failed_experiment_is_a_wrong_answer_and_says_why(asking: Path, calls:
     if step == "diagnose":
         calls.fault = TypeError("a fault")
     else:
-        sys.modules["sim_to_real.check.scenario"].followed_by = broken
+        sys.modules["validation.second_renderer.scenario"].followed_by = broken
     more(asking, 1, quiet)
     scores = open_labels(asking).scores
     assert scores.failures == ((f"0001 then {RAISED}", "TypeError: a fault"),)
@@ -391,7 +392,7 @@ def test_a_failed_experiment_is_a_wrong_answer_and_says_why(asking: Path, calls:
 
 
 def test_another_truth_than_the_sealed_one_is_not_measured(asking: Path, calls: Calls) -> None:
-    renderer = sys.modules["sim_to_real.check.scenario"]
+    renderer = sys.modules["validation.second_renderer.scenario"]
     drawn = renderer.draw
 
     def draw(*of: object, **other: object) -> types.SimpleNamespace:
@@ -425,7 +426,7 @@ def test_more_without_the_renderer(asking: Path) -> None:
     def missing(*of: object, **other: object) -> None:
         raise ImportError("No module named 'mitsuba'")
 
-    sys.modules["sim_to_real.check.scenario"].draw = missing
+    sys.modules["validation.second_renderer.scenario"].draw = missing
     with pytest.raises(ArctrackError, match=r"pip install 'arctrack\[reference\]'"):
         more(asking, 1, quiet)
     assert not (asking / "results" / "0001-then-raised.json").exists()
@@ -475,13 +476,15 @@ def test_without_the_renderer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     def missing(*of: object, **other: object) -> None:
         raise ImportError("No module named 'mitsuba'")
 
-    sys.modules["sim_to_real.check.scenario"].draw = missing
+    sys.modules["validation.second_renderer.scenario"].draw = missing
     with pytest.raises(ArctrackError, match=r"pip install 'arctrack\[reference\]'"):
         make(tmp_path / "check", ASKED, 1, quiet)
 
 
 def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ArctrackError, match=r"sealed\.json: is missing; run `arctrack diagnose check make`"):
+    with pytest.raises(
+        ArctrackError, match=r"sealed\.json: is missing; run `python -m validation.blind_check make`"
+    ):
         command("run", tmp_path)
     monkeypatch.undo()
     with pytest.raises(ArctrackError, match="--tiers AX: tier 'X' is not known"):
@@ -527,5 +530,11 @@ def test_a_folder_named_check_is_a_recording_too(tmp_path: Path, monkeypatch: py
     monkeypatch.chdir(tmp_path)
     result = RUNNER.invoke(cli.app, ["diagnose", "./check"])
     assert str(result.exception) == "check: there is no such folder"
-    result = RUNNER.invoke(cli.app, ["diagnose", "check", "--help"])
-    assert "Example: arctrack diagnose check make" in result.output
+    (tmp_path / "check").mkdir()
+    result = RUNNER.invoke(cli.app, ["diagnose", "check"])
+    assert "recording.toml" in str(result.exception)
+
+
+def test_help_shows_an_example() -> None:
+    result = RUNNER.invoke(main.check, ["--help"])
+    assert "Example: python -m validation.blind_check make" in result.output

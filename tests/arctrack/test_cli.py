@@ -233,14 +233,35 @@ def test_a_shell_completes_commands() -> None:
     [
         (["replya"], "'replay'"),
         (["calibrate", "camra"], "'camera'"),
-        (["diagnose", "chek"], "'diagnose check'"),
-        (["diagnose", "check", "opne"], "'open'"),
     ],
 )
 def test_a_command_that_is_not_there_is_guessed(words: list[str], meant: str) -> None:
     result = RUNNER.invoke(app, words)
     assert result.exit_code == 2
     assert f"Did you mean {meant}" in result.output
+
+
+@pytest.mark.parametrize(
+    ("words", "command"),
+    [
+        (["figures", "paper", "--out", "figures"], "validation.figures"),
+        (["diagnose", "check", "make"], "validation.blind_check"),
+        (["cell", "schedules", "--help"], "validation.fault_schedules"),
+    ],
+)
+def test_a_moved_command_answers_with_the_new_one(words: list[str], command: str) -> None:
+    done = subprocess.run([*COMMAND, *words], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 2
+    moved = " ".join(words[: 1 if words[0] == "figures" else 2])
+    assert (
+        done.stderr
+        == f"arctrack: error: arctrack {moved} is now python -m {command}, in a clone of arctrack\n"
+    )
+    help_ = subprocess.run(
+        [sys.executable, "-m", command, "--help"], capture_output=True, text=True, cwd=ROOT
+    )
+    assert help_.returncode == 0
+    assert f"python -m {command}" in help_.stdout
 
 
 def test_a_path_that_is_not_there_is_guessed(

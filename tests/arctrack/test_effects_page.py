@@ -13,14 +13,14 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import noise_model.effects
-from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.nominal import DIMENSIONS, MATERIALS
-from arctrack.report import effect_pictures, effects_page
-from arctrack.report.effect_pictures import Form, Shown
 from noise_model.effects import REGISTRY, Effect, Stage
 from noise_model.fit import Parameter
 from noise_model.forward import Renderer
+from validation.figures import effect_pictures, effects_page
+from validation.figures.__main__ import figures
+from validation.figures.effect_pictures import Form, Shown
 
 DOCS = Path(__file__).parents[2] / "docs" / "reference"
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
@@ -56,12 +56,12 @@ def what_it_says(path: Path) -> str:
 
 
 def test_the_page_is_in_step() -> None:
-    """Make page and pictures anew with: arctrack figures effects --out docs/reference."""
+    """Make page and pictures anew with: python -m validation.figures effects --out docs/reference."""
     assert (DOCS / effects_page.PAGE).read_text(encoding="utf-8") == effects_page.page(REGISTRY)
 
 
 def test_each_effect_has_a_picture_of_its_present_values() -> None:
-    """Make page and pictures anew with: arctrack figures effects --out docs/reference."""
+    """Make page and pictures anew with: python -m validation.figures effects --out docs/reference."""
     pictures = {path.stem: path for path in (DOCS / effects_page.PICTURES).iterdir()}
     assert pictures.keys() == REGISTRY.keys()
     for effect in REGISTRY.values():
@@ -192,7 +192,7 @@ def test_few_colours_are_the_right_ones(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_command_writes_page_and_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(noise_model.effects, "REGISTRY", {"black_level": REGISTRY["black_level"]})
-    result = RUNNER.invoke(app, ["figures", "effects", "--out", str(tmp_path / "made" / "here")])
+    result = RUNNER.invoke(figures, ["effects", "--out", str(tmp_path / "made" / "here")])
     assert result.exit_code == 0, result.output
     assert "effects.md and its pictures" in result.output
     written = sorted(p.relative_to(tmp_path / "made/here") for p in tmp_path.rglob("*.*"))
@@ -210,8 +210,8 @@ def test_a_picture_of_other_values_is_told(tmp_path: Path) -> None:
 
 
 def test_help_and_a_folder_that_cannot_be(tmp_path: Path) -> None:
-    result = RUNNER.invoke(app, ["figures", "effects", "--help"])
-    assert "Example: arctrack figures effects" in result.output
+    result = RUNNER.invoke(figures, ["effects", "--help"])
+    assert "Example: python -m validation.figures effects" in result.output
     (tmp_path / "file").write_text("")
     with pytest.raises(ArctrackError, match="cannot be written"):
-        RUNNER.invoke(app, ["figures", "effects", "--out", str(tmp_path / "file")], catch_exceptions=False)
+        RUNNER.invoke(figures, ["effects", "--out", str(tmp_path / "file")], catch_exceptions=False)

@@ -9,10 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 import arctrack
-from arctrack.cli import app
 from arctrack.errors import ArctrackError
-from arctrack.report import paper_figures
-from noise_model.reference.paper_figures import FIGURES
+from validation.figures import paper_figures
+from validation.figures.__main__ import figures
+from validation.figures.paper_curves import FIGURES
 
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
 
@@ -20,7 +20,7 @@ RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("figures") / "made" / "here"
-    result = RUNNER.invoke(app, ["figures", "paper", "--out", str(folder)])
+    result = RUNNER.invoke(figures, ["paper", "--out", str(folder)])
     assert result.exit_code == 0, result.output
     for number in FIGURES:
         assert f"figure_{number:02d}.png and .csv" in result.output
@@ -73,10 +73,10 @@ def test_captions_keep_numbers_and_units_together() -> None:
 
 
 def test_help_shows_an_example() -> None:
-    for command in (["figures"], ["figures", "paper"]):
-        result = RUNNER.invoke(app, [*command, "--help"])
+    for command in ([], ["paper"]):
+        result = RUNNER.invoke(figures, [*command, "--help"])
         assert result.exit_code == 0
-        assert "Example: arctrack figures paper" in result.output
+        assert "Example: python -m validation.figures paper" in result.output
 
 
 @pytest.mark.slow
@@ -84,10 +84,9 @@ def test_a_folder_that_cannot_be_is_one_line_and_exit_code_2(tmp_path: Path) -> 
     file = tmp_path / "file"
     file.write_text("")
     with pytest.raises(ArctrackError, match="cannot be written"):
-        RUNNER.invoke(app, ["figures", "paper", "--out", str(file)], catch_exceptions=False)
-    code = "from arctrack.cli import main; main()"
+        RUNNER.invoke(figures, ["paper", "--out", str(file)], catch_exceptions=False)
     done = subprocess.run(
-        [sys.executable, "-c", code, "figures", "paper", "--out", str(file)],
+        [sys.executable, "-m", "validation.figures", "paper", "--out", str(file)],
         capture_output=True,
         text=True,
         check=False,

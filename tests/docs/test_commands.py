@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import re
 import runpy
 import shlex
@@ -27,13 +28,13 @@ PARSED_ONLY = {
     r"pip install ": "needs a package index",
     r"pytest ": "is run as a test of its own",
     r"python benchmarks/": "takes minutes to hours",
-    r"arctrack diagnose check ": "takes hours, and needs Mitsuba",
-    r"arctrack cell schedules --count \d{3,} ": "takes minutes; tests/arctrack/cell runs each of its faults",
+    r"python -m validation.blind_check ": "takes hours, and needs Mitsuba",
+    r"python -m validation.fault_schedules --count \d{3,} ": "takes minutes; tests/arctrack/cell runs each",
     r".*\b(monday|tuesday)\b": "names the reader's own recordings",
     r".*\bsocketcan:": "needs CAN hardware",
     r"arctrack cell serve ": "needs a bus that processes share; tests/arctrack/cell/test_live.py runs one",
     r"(\.venv/bin/)?arctrack serve ": "runs until it is ended; tests/arctrack/serve runs it beside a cell",
-    r"arctrack figures effects ": "takes a minute; tests/arctrack/test_effects_page.py draws each of them",
+    r"python -m validation.figures effects ": "takes a minute; test_effects_page.py draws each",
 }
 """Commands that are parsed and not run, as regular expressions, and why."""
 
@@ -52,9 +53,9 @@ class _ParsedError(Exception):
     """A script has read its command line."""
 
 
-def parse_arctrack(words: list[str]) -> None:
-    """Read a command line as `arctrack` does, and do nothing."""
-    command = typer.main.get_command(app)
+def parse_typer(commands: typer.Typer, words: list[str]) -> None:
+    """Read a command line as these commands do, and do nothing."""
+    command = typer.main.get_command(commands)
     _do_nothing(command)
     with pytest.raises(SystemExit) as ended:
         command(args=words, prog_name="arctrack")
@@ -63,10 +64,10 @@ def parse_arctrack(words: list[str]) -> None:
 
 def _do_nothing(command: Any) -> None:
     """Take what a command does from it and from those below it; what reads its options stays."""
+    if not hasattr(command, "commands"):
+        command.callback = None
     for below in getattr(command, "commands", {}).values():
         _do_nothing(below)
-        if not hasattr(below, "commands"):
-            below.callback = None
 
 
 def _has_options(path: Path) -> bool:
@@ -95,6 +96,15 @@ def parse_script(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
         runpy.run_path(str(path), run_name="__main__")
 
 
+def parse_module(name: str, *words: str) -> None:
+    """Read a command line as a module does that has commands; without words it is there."""
+    module = ROOT.joinpath(*name.split("."))
+    assert module.with_suffix(".py").exists() or (module / "__main__.py").exists()
+    if words and module.is_dir():
+        main = vars(importlib.import_module(f"{name}.__main__"))
+        parse_typer(next(each for each in main.values() if isinstance(each, typer.Typer)), list(words))
+
+
 def check_pytest(words: list[str]) -> None:
     for word in words:
         if not word.startswith("-"):
@@ -114,14 +124,13 @@ def parse(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
     program, *words = shlex.split(command)
     program = Path(program).name
     if program == "arctrack":
-        parse_arctrack(words)
+        parse_typer(app, words)
     elif program == "pytest":
         check_pytest([word for word in words if word.startswith("tests/")])
     elif program == "pip":
         check_install(words)
     elif program == "python" and words[0] == "-m":
-        module = ROOT.joinpath(*words[1].split("."))
-        assert module.with_suffix(".py").exists()
+        parse_module(*words[1:])
     elif program == "python":
         parse_script(words, monkeypatch)
     elif program in SHELL:
@@ -160,6 +169,7 @@ def test_every_example_of_the_help_is_one(command: str, monkeypatch: pytest.Monk
         "arctrack explain examples/v_groove twelve",
         "python benchmarks/seam_error.py --simulated 3",
         "python benchmarks/arc_image.py --all",
+        "python -m validation.fault_schedules --simulated 3",
         "pytest tests/test_house.py::test_of_nothing",
         "pip install 'arctrack[everything]'",
         "sudo reboot",

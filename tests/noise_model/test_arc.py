@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from noise_model.arc_source import Arc, level
-from noise_model.reference.hemisphere import (
+from noise_model.surface.brdf import MILD_STEEL, SUS304, TABLE_1, ZN_COATED, Material, Mirror, reflectance
+from validation.figures.hemisphere import (
     Hemisphere,
     PointSource,
     apparent_area,
@@ -18,7 +19,6 @@ from noise_model.reference.hemisphere import (
     reflected_radiance_extended,
     reflected_radiance_point,
 )
-from noise_model.surface.brdf import MILD_STEEL, SUS304, TABLE_1, ZN_COATED, Material, Mirror, reflectance
 
 UP = np.array([0.0, 0.0, 1.0])
 R = 2.0

@@ -24,12 +24,12 @@ from noise_model.arc.ray import light_at
 from noise_model.arc.scene import make_scene
 from noise_model.arc.scratch import scratch
 from noise_model.instrument.camera import Rays
-from noise_model.reference.hemisphere import Hemisphere, irradiance_extended, reflected_radiance_extended
 from noise_model.surface.brdf import TABLE_1, Lobe, Material, lobe_numbers, reflected
 from noise_model.surface.faces import face_normal, face_point
 from noise_model.surface.joint import Joint, SeamLine, section
 from noise_model.surface.ray_casting import MISS, is_open
 from noise_model.transforms import invert, transform
+from validation.figures.hemisphere import Hemisphere, irradiance_extended, reflected_radiance_extended
 
 UP = np.array([0.0, 0.0, 1.0])
 QUARTER_DN_E = 20.0

@@ -26,8 +26,8 @@ from noise_model.forward import Renderer, pass_on, predict
 from noise_model.instrument.argon import AR_I, line_weights
 from noise_model.instrument.spectrum import FilterCurve
 from noise_model.plan.noise import expected_speckle
-from noise_model.reference.hemisphere import Hemisphere, reflected_radiance_extended
 from noise_model.view import View
+from validation.figures.hemisphere import Hemisphere, reflected_radiance_extended
 
 ARC = CONDITIONS["arc"]
 

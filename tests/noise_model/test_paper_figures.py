@@ -12,12 +12,13 @@ from noise_model.instrument.spectrum import (
     line_to_continuum,
     passed_continuum,
 )
-from noise_model.reference.hemisphere import (
+from noise_model.surface.brdf import MILD_STEEL, SUS304, ZN_COATED, mirror_direction, reflectance
+from validation.figures.hemisphere import (
     irradiance_extended,
     point_source_distance,
     reflected_radiance_extended,
 )
-from noise_model.reference.paper_figures import (
+from validation.figures.paper_curves import (
     ARC,
     DISTANCE_MM,
     FARTHEST_MM,
@@ -32,7 +33,6 @@ from noise_model.reference.paper_figures import (
     patches,
     point_error,
 )
-from noise_model.surface.brdf import MILD_STEEL, SUS304, ZN_COATED, mirror_direction, reflectance
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "explanation"
 PAGE = (DOCS / "paper.md").read_text()

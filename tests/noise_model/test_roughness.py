@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from noise_model.reference.roughness import Regime, coherent_share, regime
+from validation.figures.roughness import Regime, coherent_share, regime
 
 
 @pytest.mark.parametrize(

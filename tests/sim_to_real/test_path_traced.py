@@ -13,13 +13,13 @@ from arctrack.nominal import looking_at
 from noise_model.arc.map import arc_at, arc_frame, arc_kernel
 from noise_model.arc.scene import make_scene
 from noise_model.instrument.camera import Rays
-from noise_model.reference.hemisphere import Hemisphere, irradiance_extended
 from noise_model.surface.brdf import TABLE_1, Lobe, Material
 from noise_model.surface.joint import Joint
-from sim_to_real.check.blocks import BLOCK_PX, compare_blocks
-from sim_to_real.check.joint_mesh import REACH_MM, joint_mesh
-from sim_to_real.check.path_traced import load_mitsuba, path_traced_arc
 from tests.sim_to_real.check import worlds
+from validation.figures.hemisphere import Hemisphere, irradiance_extended
+from validation.second_renderer.blocks import BLOCK_PX, compare_blocks
+from validation.second_renderer.joint_mesh import REACH_MM, joint_mesh
+from validation.second_renderer.path_traced import load_mitsuba, path_traced_arc
 
 RADIANCE_E = {"mild_steel": 2.0e8, "zn_coated": 8.0e6}
 """Some 10^4 electrons a pixel, as a user would set the aperture."""

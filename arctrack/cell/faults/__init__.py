@@ -1,1 +1,1 @@
-"""What may go wrong in a cell, schedules of it, and what became of them."""
+"""What goes wrong in a cell, and what happens in welding."""

@@ -9,15 +9,15 @@ import pytest
 from typer.testing import CliRunner
 
 from arctrack.cell.cell import Cell
-from arctrack.cell.faults import schedules
 from arctrack.cell.faults.kind import FaultKind
-from arctrack.cell.faults.kinds import KINDS
-from arctrack.cell.faults.schedules import Outcome, run_schedule, run_schedules
-from arctrack.cell.faults.table import failures, table
 from arctrack.cell.world import draw_world
-from arctrack.cli import app
 from robot_io import GateReason, Switch, Validity
 from robot_io.link.reconnecting import LinkFault
+from validation.fault_schedules import schedules
+from validation.fault_schedules.__main__ import app
+from validation.fault_schedules.kinds import KINDS
+from validation.fault_schedules.schedules import Outcome, run_schedule, run_schedules
+from validation.fault_schedules.table import failures, table
 
 pytestmark = pytest.mark.slow
 
@@ -118,13 +118,13 @@ def test_the_table_says_what_became_of_each_fault():
 
 
 def test_the_command_prints_the_table_and_what_failed(monkeypatch):
-    done = CliRunner().invoke(app, ["cell", "schedules", "--seed", "2", "--only", "20"])
+    done = CliRunner().invoke(app, ["--seed", "2", "--only", "20"])
     assert done.exit_code == 0
     assert KINDS[20].name in done.stdout
     monkeypatch.setattr(schedules, "KINDS", ())
     broken = replace(run_schedule(2, 20, KINDS), broken=("no",))
     monkeypatch.setattr(schedules, "run_schedule", lambda seed, number: broken)
-    failed = CliRunner().invoke(app, ["cell", "schedules", "--seed", "2", "--count", "1"])
+    failed = CliRunner().invoke(app, ["--seed", "2", "--count", "1"])
     assert failed.exit_code == 1
     assert "--seed 2 --only 20" in failed.stderr
 

@@ -15,7 +15,7 @@ import pytest
 from made import replace_in, results_of
 
 from arctrack.cameras.shared_frames import SharedFramesReader
-from arctrack.cell.faults.schedules import TORCH_MM
+from arctrack.cell.cell import TORCH_MM
 from arctrack.cell.weld.closed_loop import LoopPlan
 from arctrack.serve.simulated import (
     GROUP,

@@ -12,9 +12,9 @@ import can
 import cantools
 import pytest
 
-from arctrack.service.exchange import exchange, exchange_table
 from robot_io import MESSAGE_TYPES, BusLogWriter, GateReason, SeamOffset, Source, TrackerStatus, Validity
 from robot_io.protocol.bus_load import frame_bits, frames_per_s, load_table
+from validation.bus_exchange import exchange, exchange_table
 
 CAN_PAGE = Path(__file__).parents[3] / "docs" / "reference" / "can.md"
 
@@ -26,7 +26,7 @@ def part_of_page(mark: str) -> str:
 
 def test_the_page_shows_the_exchange() -> None:
     assert part_of_page("exchange") == exchange_table(), (
-        "docs/reference/can.md: put arctrack.service.exchange.exchange_table() between its marks"
+        "docs/reference/can.md: put validation.bus_exchange.exchange_table() between its marks"
     )
 
 

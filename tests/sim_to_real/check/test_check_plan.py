@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_to_real.check.plan import DRY, N_WORLDS, plan
-from sim_to_real.check.scenario import TIERS
-from sim_to_real.check.world import FORMS
-from sim_to_real.check.world_effect import CATALOGUE
-from sim_to_real.check.world_stated import draw_stated
+from validation.blind_check.plan import DRY, N_WORLDS, plan
+from validation.second_renderer.scenario import TIERS
+from validation.second_renderer.world import FORMS
+from validation.second_renderer.world_effect import CATALOGUE
+from validation.second_renderer.world_stated import draw_stated
 
 DOC = Path(__file__).parents[3] / "docs" / "research" / "blind_check.md"
 
@@ -77,7 +77,7 @@ def test_the_page_names_every_form():
 
 @pytest.mark.usefixtures("mitsuba")
 def test_a_plan_can_be_drawn(planned):
-    from sim_to_real.check.scenario import draw
+    from validation.second_renderer.scenario import draw
 
     (one, *_) = [one for one in planned if "interreflection" in one.effects and one.joint == "v_groove"]
     scenario = draw(

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from noise_model.transforms import moved
-from sim_to_real.check.world_stated import JOINTS, Continued, draw_stated
 from sim_to_real.decision.experiments import MENU
+from validation.second_renderer.world_stated import JOINTS, Continued, draw_stated
 
 FROM_S, TO_S = 1.2, 1.8
 BY_KEY = {one.key: one for one in MENU}

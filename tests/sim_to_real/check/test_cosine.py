@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from sim_to_real.check.cosine import cosine, cosines_of
 from sim_to_real.data.binned import observe
 from tests.sim_to_real.small import recorded
+from validation.blind_check.cosine import cosine, cosines_of
 
 TRIED = (
     "gamma",

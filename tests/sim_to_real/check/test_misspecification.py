@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_to_real.check.case import FAILED, Answer, Case
 from tests.sim_to_real.planted import planted
 from tests.sim_to_real.small import recorded
+from validation.blind_check.case import FAILED, Answer, Case
 
 sys.path.append(str(Path(__file__).parents[3] / "benchmarks"))
 from misspecification import (

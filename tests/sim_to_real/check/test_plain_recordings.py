@@ -11,15 +11,15 @@ from noise_model.arc_source import NO_ARC
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from noise_model.surface.brdf import UNSTATED_METAL
-from sim_to_real.check.scenario import Recorded, Scenario, Switches, make
-from sim_to_real.check.world_effect import CATALOGUE, Hidden
-from sim_to_real.check.world_light import TrueWorld
-from sim_to_real.check.world_stated import EXPOSURE_S, draw_stated
 from sim_to_real.data.binned import observe
 from sim_to_real.diagnose import diagnose
 from sim_to_real.diagnosis import Diagnosis, Verdict
 from sim_to_real.fit.metal_of_stripe import metal_of_stripe
 from tracker.state import Pose
+from validation.second_renderer.scenario import Recorded, Scenario, Switches, make
+from validation.second_renderer.world_effect import CATALOGUE, Hidden
+from validation.second_renderer.world_light import TrueWorld
+from validation.second_renderer.world_stated import EXPOSURE_S, draw_stated
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("mitsuba")]
 

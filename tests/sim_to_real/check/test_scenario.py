@@ -8,7 +8,9 @@ import pytest
 
 from arctrack.recording import RecordingWriter, pose_at, read_recording
 from noise_model.transforms import transform
-from sim_to_real.check.scenario import (
+from sim_to_real.decision.experiments import MENU, N_MORE
+from tracker.state import Frame
+from validation.second_renderer.scenario import (
     TIERS,
     draw,
     followed_by,
@@ -16,12 +18,10 @@ from sim_to_real.check.scenario import (
     stated_moment,
     true_seam_tool_mm,
 )
-from sim_to_real.check.world import FORMS, apply_moment_effects
-from sim_to_real.check.world_effect import CATALOGUE
-from sim_to_real.check.world_light import Studio, TrueWorld
-from sim_to_real.check.world_stated import JOINTS
-from sim_to_real.decision.experiments import MENU, N_MORE
-from tracker.state import Frame
+from validation.second_renderer.world import FORMS, apply_moment_effects
+from validation.second_renderer.world_effect import CATALOGUE
+from validation.second_renderer.world_light import Studio, TrueWorld
+from validation.second_renderer.world_stated import JOINTS
 
 BY_KEY = {one.key: one for one in MENU}
 

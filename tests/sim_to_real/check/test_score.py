@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from sim_to_real.check.case import FAILED, Answer, Case
-from sim_to_real.check.score import Z95, Rate, expected_calibration_error, score
+from validation.blind_check.case import FAILED, Answer, Case
+from validation.blind_check.score import Z95, Rate, expected_calibration_error, score
 
 ONE = {
     "stage": "sensor",

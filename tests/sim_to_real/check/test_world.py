@@ -7,7 +7,7 @@ import pytest
 from worlds import ARC, BOTH, DARK, LASER, charge_of, moment_of, pose, studio_of, world_of
 
 from noise_model.effects import REGISTRY
-from sim_to_real.check.world import (
+from validation.second_renderer.world import (
     FORMS,
     apply_moment_effects,
     apply_world_effects,
@@ -15,7 +15,7 @@ from sim_to_real.check.world import (
     in_order,
     read_out,
 )
-from sim_to_real.check.world_effect import CATALOGUE, Hidden
+from validation.second_renderer.world_effect import CATALOGUE, Hidden
 
 pytestmark = pytest.mark.usefixtures("mitsuba")
 

@@ -15,13 +15,13 @@ from noise_model.interreflection.model import bounced_light as modelled_bounces
 from noise_model.surface.brdf import Lobe, Material, reflectance
 from noise_model.surface.joint import BentSeam, SeamLine
 from noise_model.view import View
-from sim_to_real.check.agreement import BLOCK_PX
-from sim_to_real.check.blocks import compare_blocks
-from sim_to_real.check.world_bounce import STEP_PX, Bounces, bounced_light
-from sim_to_real.check.world_light import Lens, TrueWorld
-from sim_to_real.check.world_metal import STATED_LOBE, LobeShape
-from sim_to_real.check.world_optics import point_spread
-from sim_to_real.check.world_surface import Departure
+from validation.second_renderer.agreement import BLOCK_PX
+from validation.second_renderer.blocks import compare_blocks
+from validation.second_renderer.world_bounce import STEP_PX, Bounces, bounced_light
+from validation.second_renderer.world_light import Lens, TrueWorld
+from validation.second_renderer.world_metal import STATED_LOBE, LobeShape
+from validation.second_renderer.world_optics import point_spread
+from validation.second_renderer.world_surface import Departure
 
 pytestmark = pytest.mark.usefixtures("mitsuba")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from arctrack.nominal import nominal_setup
-from sim_to_real.check.world_medium import _even_fume, _exponential_glow, fume_along
+from validation.second_renderer.world_medium import _even_fume, _exponential_glow, fume_along
 
 
 def test_an_even_fumes_airlight_is_the_closed_form() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from noise_model.surface.joint import Joint
-from sim_to_real.check.world_surface import Departure, TrueSurface
+from validation.second_renderer.world_surface import Departure, TrueSurface
 
 SEAM = ((-90.0, 0.0, 0.0), (230.0, 0.0, 0.0))
 JOINTS = {

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import nominal_setup
 from noise_model.surface.joint import Joint
-from sim_to_real.check.world import apply_moment_effects, apply_world_effects, expected_charge
-from sim_to_real.check.world_effect import Moment
-from sim_to_real.check.world_light import Studio, TrueWorld
+from validation.second_renderer.world import apply_moment_effects, apply_world_effects, expected_charge
+from validation.second_renderer.world_effect import Moment
+from validation.second_renderer.world_light import Studio, TrueWorld
 
 RADIANCE_E = {"mild_steel": 2.0e8, "zn_coated": 6.0e6}
 DARK, LASER, ARC, BOTH = (0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)

@@ -1,1 +1,0 @@
-"""Predictions held against renderers that are not ours."""

@@ -1,0 +1,1 @@
+"""Faults drawn from a seed, run in the simulated cell and judged."""

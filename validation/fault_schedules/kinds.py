@@ -1,0 +1,10 @@
+"""All that may go wrong in a cell with a cheap camera, in the table's order."""
+
+from __future__ import annotations
+
+from arctrack.cell.faults.kind import FaultKind
+from arctrack.cell.faults.welding import EVENTS
+from validation.fault_schedules.failures import FAULTS
+
+KINDS: tuple[FaultKind, ...] = (*FAULTS, *EVENTS)
+"""Faults, then what happens in welding."""

@@ -1,0 +1,60 @@
+"""Faults by what became of them, as a table, and each failure as the line that runs it again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+
+from validation.fault_schedules.kinds import KINDS
+from validation.fault_schedules.schedules import Outcome
+
+HEADER = (
+    "| fault | schedules, failed | offsets end after, s | the tracker says | torch off by, mm | remark |\n"
+    "| --- | --- | --- | --- | --- | --- |"
+)
+
+
+def table(outcomes: Iterable[Outcome]) -> str:
+    """Return a Markdown table, a row for each fault.
+
+    "Offsets end after" is when the last VALID or HELD offset was sent after the fault began: the median and
+    the largest over its schedules. "go on" says in how many they did until its end.
+    """
+    by_fault: dict[str, list[Outcome]] = {kind.name: [] for kind in KINDS}
+    for outcome in outcomes:
+        by_fault[outcome.fault].append(outcome)
+    rows = [
+        f"| {kind.name} | {len(rows)}, {sum(bool(row.broken) for row in rows)} "
+        f"| {_ends(rows)} | {_said(rows)} | {_off(rows)} | {kind.note} |"
+        for kind in KINDS
+        if (rows := by_fault[kind.name])
+    ]
+    return "\n".join((HEADER, *rows))
+
+
+def failures(seed: int, outcomes: Iterable[Outcome]) -> Iterator[str]:
+    """Yield a line for each schedule that failed: how it is run again, its fault, and what did not hold."""
+    for outcome in outcomes:
+        for broken in outcome.broken:
+            yield f"--seed {seed} --only {outcome.number}: {outcome.fault}: {broken}"
+
+
+def _ends(rows: Sequence[Outcome]) -> str:
+    ended = sorted(row.told_s for row in rows if math.isfinite(row.told_s))
+    go_on = len(rows) - len(ended)
+    parts = [f"{ended[len(ended) // 2]:.2f}, {ended[-1]:.2f}"] if ended else []
+    if go_on:
+        parts.append("go on" if not ended else f"go on in {go_on}")
+    return "; ".join(parts)
+
+
+def _said(rows: Sequence[Outcome]) -> str:
+    """Return the reasons that at least a tenth of the schedules heard."""
+    reasons = sorted(set().union(*(row.reasons for row in rows)))
+    often = [name for name in reasons if sum(name in row.reasons for row in rows) * 10 >= len(rows)]
+    return ", ".join(often)
+
+
+def _off(rows: Sequence[Outcome]) -> str:
+    off_mm = sorted(row.torch_error_mm for row in rows)
+    return f"{off_mm[len(off_mm) // 2]:.2f}, {off_mm[-1]:.2f}"

@@ -1,0 +1,1 @@
+"""A second renderer, which shares no code with the model: predictions are held against it."""

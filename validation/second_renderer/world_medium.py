@@ -1,0 +1,195 @@
+"""Hidden effects of the medium: fume, spatter and the glow of hot metal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from noise_model.arrays import Float64
+from noise_model.setup import Setup
+from validation.second_renderer.world_effect import (
+    CATALOGUE,
+    Form,
+    FrameLight,
+    Generator,
+    Values,
+    direction,
+    magnitude,
+)
+
+Density = Callable[[Float64], Float64]
+"""The fume's density over the even one's, at distances from the arc, mm."""
+
+STEPS = 24
+"""Points along a ray at which fume is summed."""
+
+
+def _draw_fume(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return {
+        "extinction_per_m": magnitude(strength, 0.5, 3.0),
+        "airlight_share": magnitude(strength, 0.006, 0.12),
+    }
+
+
+def _draw_plume(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return {"width_mm": draw.uniform(20.0, 45.0), **_draw_fume(draw, strength, setup)}
+
+
+def _even_fume(frame: FrameLight, p: Values) -> None:
+    _fume(frame, p, lambda r: np.ones_like(r))
+
+
+def _plume(frame: FrameLight, p: Values) -> None:
+    _fume(frame, p, lambda r: 3.0 * np.exp(-0.5 * (r / p["width_mm"]) ** 2))
+
+
+def _fume(frame: FrameLight, p: Values, density: Density) -> None:
+    """Dim and scatter by the fume along every ray.
+
+    From a level pose at nominal height the airlight in the middle of the image is `airlight_share` of full
+    well at the nominal current: how much the fume scatters does not change with the pose.
+    """
+    sight, body, setup = frame.sight, frame.body, frame.studio.world.setup
+    far = float(np.linalg.norm(body.center_mm - sight.eye_mm))
+    length = np.nan_to_num(sight.distance_mm.ravel(), nan=far)
+    optical, air = fume_along(sight.eye_mm, sight.directions, length, body.center_mm, body.radius_mm, density)
+    optical, air = optical.reshape(sight.shape), sight.cos4.reshape(sight.shape) * air.reshape(sight.shape)
+
+    eye, axis = setup.camera.T_tool_camera[:3, 3], setup.camera.T_tool_camera[:3, 2]
+    to_plate = np.array([-eye[2] / axis[2]])
+    center = np.asarray(setup.arc.center_in_tool_mm)
+    _, middle = fume_along(eye, axis[np.newaxis], to_plate, center, setup.arc.radius_mm, density)
+    frame.scale(np.exp(-1e-3 * p["extinction_per_m"] * optical))
+    scattered_e = p["airlight_share"] * setup.sensor.full_well_e / float(middle[0])
+    frame.arc = frame.arc + frame.moment.arc_level * scattered_e * air
+
+
+def fume_along(
+    eye_mm: Float64,
+    directions: Float64,
+    length_mm: Float64,
+    arc_mm: Float64,
+    arc_radius_mm: float,
+    density: Density,
+) -> tuple[Float64, Float64]:
+    """Return sums of the fume's density, mm, and of density / r^2, 1/mm, along rays (n, 3) of lengths (n,).
+
+    r is the distance from the arc, within whose radius there is no fume.
+    """
+    optical, air = np.zeros(len(length_mm)), np.zeros(len(length_mm))
+    for step in (np.arange(STEPS) + 0.5) / STEPS:
+        point_mm = eye_mm + (step * length_mm)[:, np.newaxis] * directions
+        r = np.linalg.norm(point_mm - arc_mm, axis=1)
+        rho = density(r) * length_mm / STEPS
+        optical += rho
+        air += rho / np.maximum(r, arc_radius_mm) ** 2
+    return optical, air
+
+
+def _draw_spatter(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return {
+        "rate_per_frame": magnitude(strength, 1.0, 10.0),
+        "peak_e": magnitude(strength, 800.0, 15000.0),
+        "length_px": draw.uniform(20.0, 80.0),
+        "width_px": draw.uniform(1.0, 2.5),
+    }
+
+
+def _straight_spatter(frame: FrameLight, p: Values) -> None:
+    _spatter(frame, p, bend=0.0, peak=lambda: frame.draw.exponential(p["peak_e"]))
+
+
+def _curved_spatter(frame: FrameLight, p: Values) -> None:
+    # A heavy tail of the same mean: few drops are large.
+    _spatter(frame, p, bend=0.5, peak=lambda: 0.5 * p["peak_e"] * (1.0 + frame.draw.pareto(2.0)))
+
+
+def _spatter(frame: FrameLight, p: Values, bend: float, peak: Callable[[], float]) -> None:
+    """Draw streaks as chains of dots along a line or a parabola, each dot a Gaussian."""
+    if frame.moment.arc_level == 0.0:
+        return
+    height, width = frame.sight.shape
+    image = np.zeros((height, width))
+    reach = math.ceil(4.0 * p["width_px"])
+    for _ in range(frame.draw.poisson(p["rate_per_frame"])):
+        u, v = frame.draw.uniform(0.0, width), frame.draw.uniform(0.0, height)
+        du, dv = direction(frame.draw, 1.0)
+        curve, bright = bend * frame.draw.uniform(-1.0, 1.0), peak()
+        t = np.arange(-0.5 * p["length_px"], 0.5 * p["length_px"])
+        off = curve * t**2 / p["length_px"]
+        for x, y in zip(u + du * t - dv * off, v + dv * t + du * off, strict=True):
+            rows = np.arange(max(0, int(y) - reach), min(height, int(y) + reach + 1))
+            columns = np.arange(max(0, int(x) - reach), min(width, int(x) + reach + 1))
+            across, down = (
+                np.exp(-0.5 * ((n - middle) / p["width_px"]) ** 2) for n, middle in ((columns, x), (rows, y))
+            )
+            # A chain of unit steps adds up to sqrt(2 pi) width at its middle.
+            image[np.ix_(rows, columns)] += (
+                bright * np.outer(down, across) / (math.sqrt(2.0 * math.pi) * p["width_px"])
+            )
+    frame.other = frame.other + image
+
+
+def _draw_glow(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    return {"brightest_e": magnitude(strength, 350.0, 5000.0), "length_mm": draw.uniform(7.0, 20.0)}
+
+
+def _from_arc_mm(frame: FrameLight) -> Float64:
+    aside = frame.sight.points[:, :2] - frame.body.center_mm[:2]
+    return np.asarray(np.linalg.norm(aside, axis=1)).reshape(frame.sight.shape)
+
+
+def _nearest_mm(setup: Setup) -> float:
+    """Return how near to the arc the image comes, mm, along a plate, from a level pose at nominal height."""
+    camera = setup.camera
+    places = np.meshgrid(np.linspace(0.0, camera.width - 1.0, 9), np.linspace(0.0, camera.height - 1.0, 9))
+    u, v = (axis.ravel() for axis in places)
+    rays = np.column_stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))])
+    d, eye = rays @ camera.T_tool_camera[:3, :3].T, camera.T_tool_camera[:3, 3]
+    on_plate = eye - eye[2] / d[:, 2:] * d
+    aside = on_plate[:, :2] - np.asarray(setup.arc.center_in_tool_mm)[:2]
+    return float(np.linalg.norm(aside, axis=1).min())
+
+
+def _glow(frame: FrameLight, p: Values, fall: Callable[[Float64], Float64]) -> None:
+    """Add the glow, whatever the current: `brightest_e` where the image comes nearest to the arc.
+
+    That is from a level pose at nominal height: how much the metal glows does not change with the pose.
+    """
+    if frame.moment.arc_level == 0.0:
+        return
+    nearest = np.asarray(_nearest_mm(frame.studio.world.setup))
+    hot = np.nan_to_num(fall(_from_arc_mm(frame)) / fall(nearest))
+    frame.other = frame.other + p["brightest_e"] * hot * frame.sight.cos4.reshape(frame.sight.shape)
+
+
+def _exponential_glow(frame: FrameLight, p: Values) -> None:
+    _glow(frame, p, lambda rho: np.exp(-rho / p["length_mm"]))
+
+
+def _disc_glow(frame: FrameLight, p: Values) -> None:
+    _glow(frame, p, lambda rho: np.exp(-0.5 * (rho / (1.5 * p["length_mm"])) ** 2))
+
+
+FORMS: dict[str, tuple[Form, ...]] = {
+    "hot_metal_glow": (
+        Form(CATALOGUE, "exp(-rho / length_mm) about the arc", _draw_glow, light=_exponential_glow),
+        Form("disc", "a Gaussian of 1 sigma 1.5 length_mm about the arc", _draw_glow, light=_disc_glow),
+    ),
+    "spatter": (
+        Form(
+            CATALOGUE, "straight streaks, exponential in their peaks", _draw_spatter, light=_straight_spatter
+        ),
+        Form("curved", "parabolas, their peaks of a power law", _draw_spatter, light=_curved_spatter),
+    ),
+    "fume": (
+        Form(
+            CATALOGUE, "even fume: exp(-beta d); airlight ~ integral dt / r^2", _draw_fume, light=_even_fume
+        ),
+        Form(
+            "plume", "the same with a Gaussian plume about the arc, 3 beta in it", _draw_plume, light=_plume
+        ),
+    ),
+}
