@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import select
 import subprocess
 import sys
 import traceback
@@ -11,7 +12,8 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from itertools import islice
-from typing import Any, BinaryIO, Generic, TypeVar, cast
+from threading import Thread
+from typing import Any, BinaryIO, Generic, NamedTuple, TypeVar, cast
 
 from arctrack.closing import Closing
 from arctrack.errors import ArctrackError
@@ -43,14 +45,17 @@ class OwnProcess(Closing, Generic[Question, Answer]):
         What answers; it is pickled.
     ended : str
         What is said if the process ends by itself.
+    stderr : int, optional
+        As `subprocess` takes it; by default this process's.
     """
 
-    def __init__(self, answer: Callable[[Question], Answer], ended: str) -> None:
+    def __init__(self, answer: Callable[[Question], Answer], ended: str, stderr: int | None = None) -> None:
         self._ended, self._is_ready = ended, False
         self._process: subprocess.Popen[bytes] = subprocess.Popen(
             [sys.executable, "-c", CODE.format(path=sys.path)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            stderr=stderr,
             **GROUP_OF_ITS_OWN,
         )
         self._to = cast(BinaryIO, self._process.stdin)
@@ -68,10 +73,15 @@ class OwnProcess(Closing, Generic[Question, Answer]):
         """Ask what is answered next."""
         self._send(questions)
 
-    def answers(self) -> list[Answer]:
-        """Wait for the answers; raises what answering raised, or ArctrackError if the process ended."""
+    def answers(self, on_word: Callable[[Any], None] | None = None) -> list[Answer]:
+        """Wait for the answers; raises what answering raised, or ArctrackError if the process ended.
+
+        `on_word` hears what comes before them by `tell`.
+        """
         self.wait_ready()
-        answers = self._receive()
+        while isinstance(answers := self._receive(), _Word):
+            if on_word is not None:
+                on_word(answers.word)
         if isinstance(answers, _Raised):
             raise answers.error
         return cast(list[Answer], answers)
@@ -141,10 +151,28 @@ class _Raised:
         self.error = error
 
 
+class _Word(NamedTuple):
+    """What is told before an answer."""
+
+    word: object
+
+
+def tell(word: object) -> None:
+    """Tell who asks something before the answer."""
+    _send_back(_BACK[-1], _Word(word))
+
+
+_BACK: list[BinaryIO] = []
+"""Where answers go, in a process that gives them."""
+
+
 def serve() -> None:
     """Answer the questions that come to this process, by the function that comes first."""
+    if hasattr(select, "poll"):
+        Thread(target=_end_with_asker, daemon=True).start()
     asked = sys.stdin.buffer
     back = os.fdopen(os.dup(1), "wb")
+    _BACK.append(back)
     # What prints would speak in between.
     os.dup2(2, 1)
     # Who asks may end at any moment, in the middle of a question as well.
@@ -153,6 +181,14 @@ def serve() -> None:
         _send_back(back, None)
         while True:
             _send_back(back, _answers(answer, pickle.load(asked)))
+
+
+def _end_with_asker() -> None:
+    """Wait until who asks has ended, and end: nobody takes what is answered yet."""
+    asker = select.poll()
+    asker.register(0, 0)
+    asker.poll()
+    os._exit(1)
 
 
 def _answers(answer: Callable[[Any], object], questions: Sequence[object]) -> object:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arctrack.cell_file import CellFile, as_the_job_says, jobs_for
+from arctrack.compiling import compiled_by_two
 from arctrack.errors import ArctrackError
 from arctrack.moments import RealTime, RecordingTime
 from arctrack.output import make_folder
@@ -202,7 +203,8 @@ def _warm(
     Compiling takes long: it comes before there is a bus that nobody reads meanwhile.
     """
     tracking = RecordedTracking(recording, options.use_arc_map)
-    warm_up = tracking.tracker.warm_up(on_compiled)
+    with compiled_by_two(recording.setup):
+        warm_up = tracking.tracker.warm_up(on_compiled)
     # The first PNG compiles what decodes all.
     next(recording.frames(range(1)), None)
     return tracking, warm_up
@@ -315,7 +317,8 @@ def track_alone(
     tracks: list[Track] = []
     compute_ms: list[float] = []
     tracking = RecordedTracking(recording, use_arc_map)
-    tracking.tracker.warm_up()
+    with compiled_by_two(recording.setup):
+        tracking.tracker.warm_up()
     started_s = time.monotonic()
     with read_ahead(recording.frames()) as frames:
         for step in steps(tracking, recording.rows, frames):

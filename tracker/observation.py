@@ -146,7 +146,7 @@ def observe(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Observati
         stripe_px, room = expected.position_px, given.work.pixels
         band = gather_band(frame.image_dn, geometry.image_source, stripe_px, math.ceil(half_px), room)
     pixels, charge_e = off_stripe(geometry.image_source, frame.image_dn, stripe_px, half_px)
-    arc_e, other_e, transmission = _predict_arc(given, aim, pixels, band)
+    arc_e, other_e, transmission = predict_light(given, aim, pixels, band)
     arc = estimate_light(geometry.image_source, charge_e, pixels, arc_e, other_e, has_arc)
     seen = Observation(arc, expected, transmission)
     if not _check_light(frame_checks, arc, band is not None) or band is None:
@@ -230,7 +230,7 @@ def _check_stripe(
     return not math.isfinite(reading.told_nats) or ask(checks.STRIPE_TOLD, reading.told_nats, MIN_TOLD_NATS)
 
 
-def _predict_arc(
+def predict_light(
     given: FrameInput, aim: Aim, pixels: Int64, band: Band | None
 ) -> tuple[Float32, Float32, Transmission | None]:
     """Write the arc's light at its expected output to a band's background, and return it at pixels (n,), e-.

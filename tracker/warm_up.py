@@ -16,15 +16,20 @@ import numpy as np
 
 from noise_model.arc.map import arc_frame, arc_kernel
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64, Integers
+from noise_model.arrays import Float32, Float64, Int64, Integers
 from noise_model.compiled.forecast import Forecast
 from noise_model.compiled.heard import heard
+from noise_model.setup import Setup
 from noise_model.surface.joint import NOMINAL_SEAM, seam_frame
+from tracker import observation
+from tracker.arc.transmission import NO_LIGHT, Transmission
 from tracker.geometry import SensorGeometry
 from tracker.judge import JUMPS_TO_RELEARN
+from tracker.observation import Aim, FrameInput
 from tracker.seam.correction import Correction
 from tracker.state import Frame, Pose
 from tracker.step import step
+from tracker.stripe.band import Band
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import Work
 from tracker.tracker_state import LOST_TO_SEARCH, TrackerState
@@ -96,7 +101,7 @@ def warm_up(
     with forecast.running(), heard_compilations(on_compiled, forecast) as compiled:
         kind = _kind(geometry, use_arc_map)
         if kind not in _warm:
-            small = _with_larger_pixels(geometry)
+            small = _with_larger_pixels(geometry.setup)
             work, state = Work.of(small), TrackerState()
             for frame, pose in _frames(small):
                 state, _ = step(small, state, frame, pose, work, use_arc_map, correction)
@@ -126,11 +131,36 @@ def _kind(geometry: SensorGeometry, use_arc_map: bool) -> tuple[object, ...]:
     )
 
 
-def _with_larger_pixels(geometry: SensorGeometry) -> SensorGeometry:
+def compile_arc(setup: Setup) -> None:
+    """Compile what computes the arc's light, with what it needs: a step that sees no stripe."""
+    small = _with_larger_pixels(setup)
+    frame, pose = next(_frames(small))
+    step(small, TrackerState(), replace(frame, laser_on=False), pose, Work.of(small))
+
+
+def compile_stripe(setup: Setup) -> None:
+    """Compile all else that steps of a setup call, in a process for it alone: from now on no arc shines."""
+    observation.predict_light = _no_light
+    small = _with_larger_pixels(replace(setup, arc=replace(setup.arc, radiance_e=0.0)))
+    work, state = Work.of(small), TrackerState()
+    for frame, pose in _frames(small):
+        state, _ = step(small, state, frame, pose, work)
+
+
+def _no_light(
+    given: FrameInput, aim: Aim, pixels: Int64, band: Band | None
+) -> tuple[Float32, Float32, Transmission | None]:
+    """Return what `predict_light` returns where nothing shines."""
+    if band is not None:
+        band.background[:] = 0.0
+    return np.zeros(len(pixels), np.float32), NO_LIGHT, None
+
+
+def _with_larger_pixels(setup: Setup) -> SensorGeometry:
     """Return a setup of the same kind and the same view, whose image has SHORTER_SIDE_PX."""
-    camera = geometry.setup.camera
+    camera = setup.camera
     by = max(1, min(camera.width, camera.height) // SHORTER_SIDE_PX)
-    return SensorGeometry.of(replace(geometry.setup, camera=camera.coarser(by)))
+    return SensorGeometry.of(replace(setup, camera=camera.coarser(by)))
 
 
 def _frames(geometry: SensorGeometry) -> Iterator[tuple[Frame, Pose | None]]:
@@ -236,9 +266,12 @@ class _Picture:
     def of(cls, geometry: SensorGeometry, pose: Pose) -> _Picture:
         """Predict stripe and arc of a pose."""
         scene = make_scene(geometry.setup, pose.T_base_tool, NOMINAL_SEAM)
-        arc = arc_kernel(geometry.setup, scene, 1.0)
-        arc_e = arc_frame(arc, geometry.xy, geometry.cos4, (geometry.n_scan, geometry.n_pos))
-        return cls(geometry, expect_stripe(geometry, scene), np.nan_to_num(arc_e).astype(np.float64))
+        arc_e = np.zeros((geometry.n_scan, geometry.n_pos))
+        if geometry.setup.arc.shines:
+            arc = arc_kernel(geometry.setup, scene, 1.0)
+            seen_e = arc_frame(arc, geometry.xy, geometry.cos4, (geometry.n_scan, geometry.n_pos))
+            arc_e = np.nan_to_num(seen_e).astype(np.float64)
+        return cls(geometry, expect_stripe(geometry, scene), arc_e)
 
     def image(
         self,

@@ -14,6 +14,7 @@ from arctrack.check.sensor_seen import SensorSeen, sensor_seen
 from arctrack.check.timing import timing_of
 from arctrack.check.units import likely_unit
 from arctrack.check.verdict import Verdict, is_few, verdict_of
+from arctrack.compiling import compiled_by_two
 from arctrack.errors import ArctrackError, in_file
 from arctrack.offset_count import OffsetCount
 from arctrack.recording import BadFrame, Recording
@@ -76,7 +77,8 @@ def check_recording(
     timing = timing_of(recording)
     looks, unlit = [], []
     if geometry is not None:
-        warm_up(geometry, UNSTATED)
+        with compiled_by_two(geometry.setup):
+            warm_up(geometry, UNSTATED)
         looks = looks_at(recording, geometry, frames, on_frame)
         unlit = looks_at(recording, geometry, _as_if_lit(recording))
     tried = rows_to_try(recording)

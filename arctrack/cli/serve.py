@@ -148,6 +148,7 @@ def _serve_simulated(job: int | None, seconds: float | None) -> bool:
             from arctrack.cell.live.serve import REAL_TIME_PX
             from arctrack.cell.weld.closed_loop import LoopPlan
             from arctrack.cell_file import read_cell_file
+            from arctrack.compiling import compiled_by_two
             from arctrack.serve import simulated
             from tracker.tracker import Tracker
 
@@ -167,7 +168,9 @@ def _serve_simulated(job: int | None, seconds: float | None) -> bool:
             def warm_up() -> None:
                 # Robot and camera compile as much.
                 for each in read.jobs.values():
-                    Tracker(each.setup_for(read.setup.setup), correction=each.correction).warm_up()
+                    setup = each.setup_for(read.setup.setup)
+                    with compiled_by_two(setup):
+                        Tracker(setup, correction=each.correction).warm_up()
                 bar.get_ready("simulated cell")
 
             robot = opened.enter_context(simulated.SimulatedCell(plan, frames, warm_up))

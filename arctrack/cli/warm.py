@@ -31,6 +31,7 @@ def warm(
     for path in setups or []:
         look_at_stated(path)
     from arctrack.cli import console
+    from arctrack.compiling import compiled_by_two
     from arctrack.errors import in_file
     from tracker.tracker import Tracker
 
@@ -39,7 +40,8 @@ def warm(
         for name, setup, correction in _chosen(setups or []):
             bar.get_ready(name)
             try:
-                done = Tracker(setup, correction=correction).warm_up()
+                with compiled_by_two(setup):
+                    done = Tracker(setup, correction=correction).warm_up()
             except ValueError as error:
                 raise in_file(Path(name), str(error)) from error
             said.append(f"{name}: {done.compiled} functions compiled, ready after {done.elapsed_s:.1f} s")

@@ -14,6 +14,7 @@ from arctrack.cameras.recording import RecordingCamera
 from arctrack.cameras.shared_frames import SharedFramesError
 from arctrack.cameras.shared_memory import SharedMemoryCamera
 from arctrack.cell_file import CellFile, as_the_job_says, jobs_for
+from arctrack.compiling import compiled_by_two
 from arctrack.errors import ArctrackError, in_file
 from arctrack.journal.message_pipe import message_pipe
 from arctrack.recorded_poses import seam_limits
@@ -112,7 +113,8 @@ def opened_run(
         setups = {number: tracking.tracker.geometry.setup for number, tracking in cast.trackings.items()}
         beside = opened.enter_context(kept(cell, setups, supervisor, is_simulated))
         for tracking in cast.trackings.values():
-            tracking.tracker.warm_up()
+            with compiled_by_two(tracking.tracker.geometry.setup):
+                tracking.tracker.warm_up()
         lag.wait_ready()
         opened.enter_context(supervisor.started())
         # On a bus where it is heard, a tracker must not wait for anything.

@@ -10,6 +10,7 @@ import numpy as np
 from arctrack.check.case import chosen_rows
 from arctrack.check.look import Look, looks_at
 from arctrack.check.run import parted, sensor_of
+from arctrack.compiling import compiled_by_two
 from arctrack.errors import in_file
 from arctrack.recording import BadFrame, Recording
 from arctrack.recording.reader import fitted
@@ -98,7 +99,8 @@ def check_setup(
     except ValueError as error:
         raise in_file(recording.setup_path, str(error)) from None
     frames, bad_frames = parted(recording.frames(chosen_rows(recording)))
-    warm_up(geometry, UNSTATED)
+    with compiled_by_two(geometry.setup):
+        warm_up(geometry, UNSTATED)
     looks = looks_at(recording, geometry, frames, on_frame)
     sights = sights_of(geometry, looks)
     place, said_of_place = _placed(recording.setup, sights)

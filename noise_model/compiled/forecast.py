@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import Any
@@ -14,8 +14,11 @@ from numba.extending import is_jitted
 
 from noise_model.compiled.content import find_kernel, is_named
 from noise_model.compiled.numba_internals import KernelCache
-from noise_model.compiled.packed import compile_costs, find_records, is_found
+from noise_model.compiled.packed import compile_costs, find_records, is_found, pack_serves
 from noise_model.compiled.store import Record, is_kept, read_records, write_record
+
+MUCH_S = 10.0
+"""What takes more CPU time to compile, s, two processes do sooner: they take 3 s to start and to load."""
 
 
 class Forecast:
@@ -37,14 +40,39 @@ class Forecast:
         self._left: dict[str, float] = {}
         self._began_s: float | None = None
         self._is_known = False
+        self._processes = 1
 
     def left_s(self) -> float | None:
         """Return how long it takes yet, s; None where nothing tells."""
         costs, missing = self._looked_up(), sum(self._left.values())
         if self._began_s is None:
-            return missing if self._is_known else None
+            return missing / self._processes if self._is_known else None
         done = sum(costs.values()) - missing
         return missing * (time.perf_counter() - self._began_s) / done if done else None
+
+    def lacks_much(self) -> bool:
+        """Return True if compiling takes so long that it is worth the start of processes for it.
+
+        Where this machine does not know, it lacks much if nothing was compiled here before, and nothing came
+        with arctrack.
+        """
+        self._looked_up()
+        if self._is_known:
+            return sum(self._left.values()) >= MUCH_S
+        return not is_kept("work", "") and not pack_serves()
+
+    @contextmanager
+    def shared_by(self, processes: int) -> Iterator[Callable[[], None]]:
+        """Count with so many processes that compile at once; give what hears the end of one."""
+        self._processes = processes
+
+        def on_end() -> None:
+            self._processes = max(1, self._processes - 1)
+
+        try:
+            yield on_end
+        finally:
+            self._processes = 1
 
     def counts(self) -> tuple[int, int] | None:
         """Return how many kernels are compiled, of how many; None where nothing tells."""

@@ -1,4 +1,4 @@
-"""What numba compiles in this process, told as it happens."""
+"""What numba compiles in this process, or another one for it, told as it happens."""
 
 from __future__ import annotations
 
@@ -14,21 +14,32 @@ def heard(on_begin: Callable[[str], None], on_end: Callable[[str], None]) -> Ite
     """Tell the name of each function that is compiled meanwhile, as it begins and as it ends."""
     listener = _Listener(on_begin, on_end)
     event.register("numba:compile", listener)
+    _LISTENERS.append(listener)
     try:
         yield
     finally:
+        _LISTENERS.remove(listener)
         event.unregister("numba:compile", listener)
+
+
+def pass_on(is_begin: bool, name: str) -> None:
+    """Tell of a function that another process compiles for this one, as it begins or ends."""
+    for listener in tuple(_LISTENERS):
+        (listener.begin if is_begin else listener.end)(name)
 
 
 class _Listener(event.Listener):  # type: ignore[misc]
     def __init__(self, on_begin: Callable[[str], None], on_end: Callable[[str], None]) -> None:
-        self._on_begin, self._on_end = on_begin, on_end
+        self.begin, self.end = on_begin, on_end
 
     def on_start(self, compilation: event.Event) -> None:
-        self._on_begin(_name(compilation))
+        self.begin(_name(compilation))
 
     def on_end(self, compilation: event.Event) -> None:
-        self._on_end(_name(compilation))
+        self.end(_name(compilation))
+
+
+_LISTENERS: list[_Listener] = []
 
 
 def _name(compilation: Any) -> str:

@@ -68,7 +68,13 @@ def compile_costs(work: str) -> Mapping[str, int]:
         A type of joint to be tracked.
     """
     pack = _pack()
-    return {} if pack is None or pack.made_with == versions() else pack.costs.get(work, {})
+    return {} if pack is None or pack_serves() else pack.costs.get(work, {})
+
+
+def pack_serves() -> bool:
+    """Return True if arctrack came with kernels that are compiled for what is installed here."""
+    pack = _pack()
+    return pack is not None and pack.made_with == versions()
 
 
 def _read_packed(kernel: str, key: str) -> Iterator[Record]:

@@ -1,8 +1,8 @@
-"""How long a kernel takes to compile, without those that are compiled for it meanwhile."""
+"""CPU time that a kernel takes to compile, without those that are compiled for it meanwhile."""
 
 from __future__ import annotations
 
-from time import perf_counter
+from time import thread_time
 
 from numba.core import event
 
@@ -16,11 +16,11 @@ class _Stopwatch(event.Listener):  # type: ignore[misc]
         self.last_s = 0.0
 
     def on_start(self, _event: event.Event) -> None:
-        self._running.append([perf_counter(), 0.0])
+        self._running.append([thread_time(), 0.0])
 
     def on_end(self, event: event.Event) -> None:
         began_s, others_s = self._running.pop()
-        elapsed_s = perf_counter() - began_s
+        elapsed_s = thread_time() - began_s
         self.last_s = elapsed_s - others_s
         if self._running:
             is_numbas = event.data["dispatcher"].py_func.__module__.startswith("numba.")
@@ -32,5 +32,5 @@ event.register("numba:compile", _STOPWATCH)
 
 
 def last_compile_s() -> float:
-    """Return the seconds that what was compiled last took."""
+    """Return the CPU time that what was compiled last took, s."""
     return _STOPWATCH.last_s

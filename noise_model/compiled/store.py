@@ -34,7 +34,7 @@ class Record(NamedTuple):
     relies_on : tuple
         What its machine code relies on.
     compile_s : float
-        How long it took to compile, s.
+        CPU time that it took to compile, s.
     body : bytes
         numba's record of it, pickled.
     machine_code : bytes

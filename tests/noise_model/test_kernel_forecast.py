@@ -17,18 +17,35 @@ def halved(x: float) -> float:
 
 
 @pytest.mark.slow
-def test_what_is_left_is_what_must_be_compiled_anew(folder: Path) -> None:  # noqa: F811
+def test_what_is_left_is_what_must_be_compiled_anew(
+    folder: Path,  # noqa: F811
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     assert Forecast("v_groove").left_s() is None, "never done here"
     assert Forecast("v_groove").counts() is None
+    monkeypatch.setattr(forecast_module, "pack_serves", lambda: False)
+    assert Forecast("v_groove").lacks_much()
+    monkeypatch.setattr(forecast_module, "pack_serves", lambda: True)
+    assert not Forecast("v_groove").lacks_much(), "nearly all came with arctrack"
     assert halved(3.0) == 1.5
     Forecast("v_groove").keep()
     assert Forecast("v_groove").left_s() == 0.0
+    monkeypatch.setattr(forecast_module, "pack_serves", lambda: False)
+    assert not Forecast("lap").lacks_much(), "it shares most with what was done here"
     for kept in folder.glob("*.halved/*"):
         kept.unlink()
     forecast = Forecast("v_groove")
     assert 0.0 < forecast.left_s() < 60.0
     done, needed = forecast.counts() or (1, 0)
     assert done == 0 < needed
+    alone_s = forecast.left_s()
+    with forecast.shared_by(2) as on_end:
+        assert forecast.left_s() == alone_s / 2
+        on_end()
+        assert forecast.left_s() == alone_s
+    assert not forecast.lacks_much()
+    monkeypatch.setattr(forecast_module, "MUCH_S", alone_s)
+    assert forecast.lacks_much()
     forecast.note_compiled(f"{__name__}.halved")
     assert forecast.left_s() == 0.0
     assert forecast.counts() == (1, needed)
