@@ -1,21 +1,19 @@
-"""All of numba's private parts that kernels need, in one file; each with its reason.
+"""All of numba's private parts that kernels need, each with its reason: no public way does what follows.
 
-numba's public `cache=True` keys a kernel by its file's time and size: it misses a change in another file, and
-throws all away for a comment. No public way does what follows.
-
-- **The cache** (`dispatcher._cache`, `CompileResult._reduce` and `_rebuild`): a kernel is kept under the
-  digest of its content, with what its machine code relies on of the kernels that it calls.
+- **The cache** (`dispatcher._cache`, `CompileResult._reduce` and `_rebuild`): numba's misses a change in
+  another file. Here a kernel is kept under the digest of its content, with what it relies on of others.
 - **Symbols** (`func_id.unique_id`, `_unique_ids`, `mangler`, `_optimize_final_module`): numba's count what a
   process compiles, and its records. Here a kernel finds what it calls in every process, and its machine code
   is the same bytes in each. numba's own functions stay hidden in a kernel: two of one name are never one.
-- **Places of errors** (`build_excinfo_struct`): numba's machine code holds the file and line that raise.
+- **Passes** (`passes`): those for reports, closures and literals are left out: 3 %.
+- **Search** (`get_call_type`, `TargetConfig`): numba tries each implementation of `+` anew at each `+`: 10 %.
+- **Errors** (`build_excinfo_struct`): numba's machine code holds the file and line that raise.
 - **Links** (`library._linking_libraries`, `_shared_module`, `_get_module_for_linking`): numba hands a caller
-  the bitcode of all that it calls. LLVM writes out what is short. What is long stays a call, so callers get
-  its symbol alone: a quarter of the CPU time of compiling, and half the bytes.
+  the bitcode of all that it calls. What is long stays a call, so callers get its symbol: 25 % of the time.
 - **Entry points** (`_compile_for_args`, `add_overload`, `create_cpython_wrapper`): numba compiles one with
-  each kernel. Python calls one kernel in ten, so its entry point is compiled at its first call.
-- **Results** (`PythonAPI`): numba makes named tuples, and finds their classes and an array's, by functions of
-  Python: slow, and a process that Ctrl-C interrupts there crashes (docs/explanation/interrupts.md).
+  each kernel. Python calls one in ten: its entry point is compiled at its first call.
+- **Results** (`PythonAPI`): made by functions of Python numba's are slow, and Ctrl-C crashes in them
+  (docs/explanation/interrupts.md).
 - **Types of arguments** (`get_call_template`): numba compiles a kernel anew for each constant in a call.
 """
 
@@ -24,7 +22,7 @@ from __future__ import annotations
 import pickle
 import re
 from copy import copy
-from functools import partial
+from functools import cache, partial
 from itertools import chain, count
 from typing import Any
 
@@ -41,6 +39,8 @@ from numba.core.funcdesc import default_mangler
 from numba.core.pythonapi import PythonAPI
 from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
+from numba.core.targetconfig import ConfigStack, TargetConfig
+from numba.core.types.functions import BaseFunction
 
 from noise_model.compiled.callee import Callee, callee_of, is_as_before, symbol_id
 from noise_model.compiled.content import describe_type, digest, entry_key, kernel_key
@@ -50,11 +50,10 @@ from noise_model.compiled.stopwatch import last_compile_s
 from noise_model.compiled.store import Record, kernel_folder, write_record
 
 NO_BITCODE = llvm.parse_assembly("")
-ENVIRONMENT = "_ZN08NumbaEnv"
-"""How the names begin of what machine code needs of Python."""
-
-COUNT = re.compile(r"(?<=B19v)1\d{17}")
-"""numba's counts in symbols: as long as what `KernelLibrary` puts into their place."""
+ENVIRONMENT = "_ZN08NumbaEnv"  # So the names begin of what machine code needs of Python.
+COUNT = re.compile(r"(?<=B19v)1\d{17}")  # numba's in symbols: as long as what `KernelLibrary` puts there.
+NEEDLESS = {"annotate_types", "inline_closure_likes", "literal_unroll", "LiteralPropagation", "with_lifting"}
+"""Passes for reports, and for closures, literals and `with`: no kernel has any."""
 FunctionIdentity._unique_ids = count(10**17)
 
 
@@ -62,7 +61,7 @@ class KernelCompiler(Compiler):  # type: ignore[misc]
     """numba's compiler, but for the name of a kernel's symbol."""
 
     def define_pipelines(self) -> Any:
-        """Return numba's own passes."""
+        """Return numba's own passes, but for those that no kernel needs."""
         identity = self.state.func_id
         identity.unique_id = symbol_id(identity.func, self.state.args)
         identity.unique_name = f"{identity.func_qualname}${identity.unique_id}"
@@ -72,7 +71,9 @@ class KernelCompiler(Compiler):  # type: ignore[misc]
         self.state.targetctx = self.state.targetctx.subtarget(
             mangler=lambda name, _types, **more: default_mangler(name, (), **more)
         )
-        return super().define_pipelines()
+        (pipeline,) = super().define_pipelines()
+        pipeline.passes = [step for step in pipeline.passes if step[0].name() not in NEEDLESS]
+        return [pipeline]
 
 
 class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
@@ -109,8 +110,8 @@ class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
             return own_ids.setdefault(numbas[0], f"{len(own_ids):02d}{self.symbol_id}")
 
         for name, numbas in zip(counted, map(lookup_environment, counted), strict=True):
-            own = numbas.globals["__name__"], numbas.consts, COUNT.sub(own_id, name)
-            self.environments.append(_rebuild_env(*own))
+            own_name = COUNT.sub(own_id, name)
+            self.environments.append(_rebuild_env(numbas.globals["__name__"], numbas.consts, own_name))
         if own_ids:
             self._final_module = llvm.parse_assembly(COUNT.sub(own_id, str(self._final_module)))
 
@@ -121,20 +122,24 @@ _describe_error = CPUCallConv.build_excinfo_struct
 def _describe_placeless(convention: Any, error: Any, arguments: Any, place: Any, function: Any) -> Any:
     """Return how machine code raises an error; of a kernel's, and of numba's own, without file and line."""
     is_kernels = any(isinstance(library, KernelLibrary) for library in convention.context._codelib_stack)
-    if is_kernels or (place is not None and place.filename.startswith(numba.__path__[0])):
-        place = None
-    return _describe_error(convention, error, arguments, place, function)
+    is_placeless = is_kernels or (place is not None and place.filename.startswith(numba.__path__[0]))
+    return _describe_error(convention, error, arguments, None if is_placeless else place, function)
 
 
 CPUCallConv.build_excinfo_struct = _describe_placeless
+_search = BaseFunction.get_call_type
+_search_once = cache(lambda callee, context, types, names, _: _search(callee, context, types, dict(names)))
+BaseFunction.get_call_type = lambda callee, context, types, names: _search_once(  # type: ignore
+    callee, context, tuple(types), tuple(names.items()), ConfigStack.top_or_none()
+)
+TargetConfig.__hash__ = lambda settings: len(settings.options)
 
 
 class KernelCache:
     """What a dispatcher of numba's asks for machine code on disk."""
 
     def __init__(self, kernel: Any) -> None:
-        self.kernel = kernel
-        self.name = f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
+        self.kernel, self.name = kernel, f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
 
     cache_path = property(lambda _: str(kernel_folder()), doc="The folder of all kernels.")
 
@@ -170,7 +175,6 @@ class KernelCache:
             write_record(self.name, f"{key}-{content[:16]}", _reduce(result, symbol, own, relies_on))
 
     def _key(self, arguments: Any, context: Any) -> str:
-        # The symbol of what another function of this process has the name of is another.
         target = symbol_id(self.kernel.py_func, arguments), *context.codegen().magic_tuple()
         return kernel_key(self.kernel, arguments, target)[:32]
 
@@ -218,8 +222,7 @@ def enter_when_called(kernel: Any) -> None:
     entries: dict[tuple[Any, ...], Any] = {}
 
     def enter(*given: Any) -> Any:
-        # Two threads may both ask before either has it.
-        with global_compiler_lock:
+        with global_compiler_lock:  # Two threads may both ask before either has it.
             compiled = call_with_room(compile_for, *given)
             result = next(known for known in kernel.overloads.values() if known.entry_point is compiled)
             arguments = tuple(result.signature.args)
@@ -275,7 +278,6 @@ def _compiled_entry(kernel: Any, result: Any) -> Any:
     context = result.target_context.subtarget(enable_nrt=kernel.targetoptions.get("_nrt", True))
     context.get_python_api = partial(_ResultMaker, context)
     function = copy(result.fndesc)
-    # The constants of the entry point are its own.
     function.env_name = f"{function.env_name}.entry"
     environment = Environment.from_fndesc(function)
     library = context.codegen().create_library(f"entry of {function.qualname}")
@@ -292,7 +294,6 @@ def _compiled_entry(kernel: Any, result: Any) -> Any:
 def take_types_alone(kernel: Any) -> None:
     """Let other kernels call one without the constants among the arguments."""
     template, plain = kernel.get_call_template, numba.types.unliteral
-
     kernel.get_call_template = lambda arguments, by_name: template(
         tuple(map(plain, arguments)), {name: plain(type_) for name, type_ in by_name.items()}
     )
