@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from noise_model import arc_source
 from noise_model.arc.map import CELL, arc_kernel, horizon_of
 from noise_model.arc.scene import Scene
 from noise_model.arrays import Float32, Float64, Int64
@@ -14,7 +15,7 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker import checks
 from tracker.arc.level import NOWHERE, UNKNOWN, ArcLevel, estimate_light, off_stripe
-from tracker.arc.prediction import ArcLight, output_for, predict_arc
+from tracker.arc.prediction import ArcLight, predict_arc
 from tracker.arc.transmission import NO_LIGHT, Transmission
 from tracker.checks import FrameChecks
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry, dark_variance_at
@@ -49,6 +50,9 @@ ARC_OFF_SIGMAS = 5.0
 MISFIT_LIMIT = 2.0
 
 NO_PIXELS, NO_BAND = np.empty(0, np.int64), np.empty((0, 0), np.float32)
+
+MAX_CURRENT_A, MAX_EXPOSURE_S = 1e4, 1e2
+"""No welding current and no exposure reaches these: such a number is not known."""
 
 BEYOND_REACH_MM = 1.0
 """So much farther than a stripe is followed its joint is looked for."""
@@ -292,8 +296,8 @@ def expected_output(setup: Setup, frame: Frame) -> float:
 
     Without a known current, or with the arc said to be off, that is the nominal one, and so is an exposure.
     """
-    arc, exposure_s = setup.arc, setup.camera.exposure_s
-    output: float = output_for(
-        float(frame.current_a), float(frame.exposure_s), arc.current_a, exposure_s, arc.current_exponent
-    )
+    current_a, exposure_s = float(frame.current_a), float(frame.exposure_s)
+    output = arc_source.level(setup.arc, current_a) if 0.0 < current_a < MAX_CURRENT_A else 1.0
+    if 0.0 < exposure_s < MAX_EXPOSURE_S:
+        output *= exposure_s / setup.camera.exposure_s
     return output

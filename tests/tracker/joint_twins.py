@@ -37,13 +37,18 @@ from tracker.joint.groove import (
     WIDER_MM,
 )
 from tracker.joint.measured import LEFT_OUT, START_SIGMA_MM, SURE_MM, SURE_SIGMAS, fit_points, shift_of
-from tracker.joint.section_fit import ShapeFit, tukey_loss
+from tracker.joint.section_fit import BISQUARE_WIDTH, ShapeFit
 from tracker.joint.section_shapes import CORNER, GROOVE, HALF_GROOVE, ROUND_GROOVE
 from tracker.joint.upright_edge import (
     hidden_strip,
     neighbours_of_edge,
     upright_edge,
 )
+
+
+def tukey_loss(weights: Float64) -> float:
+    """Tukey's loss, nats, from his weights (n,): half the square of a residual that is small."""
+    return BISQUARE_WIDTH**2 / 6.0 * float(np.sum(1.0 - weights**1.5))
 
 
 def fit_of(

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from joint_twins import tukey_loss
 
 from tracker.joint.common_mode import BIAS_SHARE, COMMON_MODE_PX, NEAR_MM, common_mode_mm
 from tracker.joint.evidence import loss
 from tracker.joint.lap import ROLL_BY, SEARCH_STEP_MM, placed
 from tracker.joint.measured import section_at, shift_of
-from tracker.joint.section_fit import BISQUARE_WIDTH, tukey_loss
+from tracker.joint.section_fit import BISQUARE_WIDTH
 from tracker.state import BIAS_PX, DY_MM, DZ_MM, N_ROWS, Y_MM
 
 seeds = st.integers(0, 2**32 - 1)

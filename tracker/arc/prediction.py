@@ -13,9 +13,6 @@ from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
 from tracker.geometry import MAP_FLOOR_E, MAP_TOLERANCE, ArcSource, ImageSource
 
-MAX_CURRENT_A, MAX_EXPOSURE_S = 1e4, 1e2
-"""No welding current and no exposure reaches these: such a number is not known."""
-
 
 class ArcLight(NamedTuple):
     """Where the arc's light is wanted, and room for it, e-: at pixels (n,) and in a band (n_scan, depth).
@@ -27,22 +24,6 @@ class ArcLight(NamedTuple):
     pixel_e: Float32
     lows: Int64
     band_e: Float32
-
-
-@kernel
-def output_for(
-    current_a: float, exposure_s: float, stated_a: float, stated_s: float, exponent: float
-) -> float:
-    """Return what is expected of the arc for a current and an exposure, over the output that is stated.
-
-    Without a known current, or with the arc said to be off, that is the stated one, and so is an exposure.
-    """
-    current, exposure = 1.0, 1.0
-    if 0.0 < current_a < MAX_CURRENT_A:
-        current = (current_a / stated_a) ** exponent
-    if 0.0 < exposure_s < MAX_EXPOSURE_S:
-        exposure = exposure_s / stated_s
-    return float(current * exposure)
 
 
 @kernel(allocates=True)

@@ -218,7 +218,7 @@ def lines_alike(sigma_px: Float64, n_lines: Float64) -> Pairs:
 
 @kernel
 def loss(new: Float64, n_lines: Float64, alike: float) -> float:
-    """Return Tukey's loss of what is new in residuals (n,), sigmas, in nats; see `section_fit.tukey_loss`.
+    """Return Tukey's loss of what is new in residuals (n,), sigmas, in nats.
 
     Where two lines were read as one, `n_lines` is 2, it is what both would lose on average. `alike` by r,
     theirs lie about the root of (1 + r) / 2 of it with a variance of (1 - r) / 2, whose moments make the

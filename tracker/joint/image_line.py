@@ -31,6 +31,7 @@ from noise_model.arc.scene import Scene
 from noise_model.arrays import Bool, Float64, Int64, Integers
 from noise_model.instrument.laser import plane_in
 from noise_model.kernel import kernel
+from noise_model.median import exact_median
 from noise_model.robust import MAD_SIGMA
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
@@ -248,17 +249,14 @@ def whiten(columns: Float64, half: int, white: Float64) -> None:
         count = 0
         for s in range(n):
             white[j, s] = math.nan
-            if s < half or s + half >= n:
-                continue
-            window = columns[j, s - half : s + half + 1]
-            if np.isnan(window).any():
-                continue
-            white[j, s] = columns[j, s] - np.median(window)
-            sizes[count] = abs(white[j, s])
-            count += 1
+            if half <= s < n - half:
+                white[j, s] = columns[j, s] - exact_median(columns[j, s - half : s + half + 1])
+            if not math.isnan(white[j, s]):
+                sizes[count] = abs(white[j, s])
+                count += 1
         if count == 0:
             continue
-        sigma = max(MAD_SIGMA * np.median(sizes[:count]), CODE_SIGMA_DN)
+        sigma = max(MAD_SIGMA * exact_median(sizes[:count]), CODE_SIGMA_DN)
         for s in range(n):
             white[j, s] = min(max(white[j, s] / sigma, -CLIP_SIGMAS), CLIP_SIGMAS)
 

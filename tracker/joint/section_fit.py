@@ -49,11 +49,6 @@ MIN_ALONG_MM = 1e-6
 """No point moves less than this off a face with 1 px of its stripe centre."""
 
 
-def tukey_loss(weights: Float64) -> float:
-    """Return Tukey's loss, nats, from his weights (n,): half the square of a residual that is small."""
-    return BISQUARE_WIDTH**2 / 6.0 * float(np.sum(1.0 - weights**1.5))
-
-
 @kernel
 def corners_and_slopes(shape: int, p: Float64, corners: Float64, moved: Float64, slopes: Float64) -> None:
     """Write a section's corners (n, 2) at parameters p and their `slopes` (n, m, 2) by the first m of these.

@@ -234,7 +234,7 @@ def _expect(
     for s in range(n_scan):
         half_width = 0.5 * (places[behind, s] - places[before, s])
         position[s] = places[middle, s]
-        on = faces[middle, s]
+        face_shown[s] = on = faces[middle, s]
         good[s] = on >= 0 and faces[before, s] == on and faces[behind, s] == on
         sigma[s] = math.hypot(half_width, source.psf_sigma_px)
         shading = 0.0
@@ -252,8 +252,7 @@ def _expect(
             sigma=sigma,
             bias=bias,
         )
-    _take_from_same_face(sigma, bias, faces[middle], good)
-    face_shown[:] = faces[middle]
+    _take_from_same_face(sigma, bias, face_shown, good)
     return True
 
 

@@ -161,7 +161,8 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
     of one here and the other there.
     """
     n_scan, depth = charge.shape
-    laid, laid_on = np.zeros((2, 2 * depth + 1), dtype=np.float32)
+    room = np.zeros((2, 2 * depth + 1), dtype=np.float32)
+    laid, laid_on = room[0], room[1]
     remainder, widths = np.empty(depth, dtype=np.float32), np.empty(n_scan)
     n = _lay_lines(
         charge=charge,
