@@ -17,11 +17,11 @@ from arctrack.printable import printable
 from arctrack.recording import pose_at, read_recording
 from arctrack.recording.diagnosis_files import FILES, REPORT_PAGE, write_numbers
 from arctrack.recording.setup_file import FILE_NAME, with_effects
-from arctrack.workers import Failed
+from arctrack.workers import FailedJob
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from noise_model.spelling import cure_for
-from sim_to_real.diagnosis import Diagnosis, Named, Predicted, Verdict
+from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict, HeldOutPrediction, NamedEffect
 
 DIAGNOSIS_FOLDER = "diagnosis"
 
@@ -33,7 +33,7 @@ OnStage = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
-class Job:
+class DiagnosisJob:
     """One recording to diagnose: where its files go, another setup than its own, effects left out."""
 
     recording: Path
@@ -48,21 +48,21 @@ class Job:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosed:
+class DiagnosisResult:
     """A recording after its diagnosis, which comes without its images: those are in the folder.
 
     `setup` is the one that the recording was held against; `complaint` is one line on frames that could not
     be read, None if all could.
     """
 
-    job: Job
+    job: DiagnosisJob
     setup: Setup
     diagnosis: Diagnosis
     warnings: tuple[str, ...]
     complaint: str | None
 
 
-Outcome = Diagnosed | Failed[Job]
+Outcome = DiagnosisResult | FailedJob[DiagnosisJob]
 
 
 def jobs_for(
@@ -70,7 +70,7 @@ def jobs_for(
     out: Path | None = None,
     setup_path: Path | None = None,
     without: Sequence[str] = (),
-) -> list[Job]:
+) -> list[DiagnosisJob]:
     """Return what there is to do; ArctrackError for an unknown effect and for folders that would be shared.
 
     Paths come out absolute: a process elsewhere has its own working directory.
@@ -80,10 +80,14 @@ def jobs_for(
     paths = [recording.absolute() for recording in recordings]
     where = None if out is None else out.absolute()
     folders = folders_for(paths, where, DIAGNOSIS_FOLDER, "its diagnosis would replace another")
-    return [Job(path, folder, setup, tuple(without)) for path, folder in zip(paths, folders, strict=True)]
+    return [
+        DiagnosisJob(path, folder, setup, tuple(without)) for path, folder in zip(paths, folders, strict=True)
+    ]
 
 
-def diagnose_recording(job: Job, on_stage: OnStage | None = None, threads: int = THREADS) -> Diagnosed:
+def diagnose_recording(
+    job: DiagnosisJob, on_stage: OnStage | None = None, threads: int = THREADS
+) -> DiagnosisResult:
     """Diagnose a recording and write report.json, where.npz, predicted.npz and report.html.
 
     So many `threads` predict frames at once. Raises ArctrackError for what the user can mend.
@@ -110,7 +114,7 @@ def diagnose_recording(job: Job, on_stage: OnStage | None = None, threads: int =
     # Numbers first: whatever happens to the page, the work is not lost.
     write_numbers(result, job.folder, job.without)
     write_page(result, recording, job.without, job.folder / REPORT_PAGE)
-    return Diagnosed(
+    return DiagnosisResult(
         job,
         recording.setup,
         without_images(result),
@@ -119,21 +123,21 @@ def diagnose_recording(job: Job, on_stage: OnStage | None = None, threads: int =
     )
 
 
-def in_turn(jobs: Iterable[Job], on_stage: Callable[[Job], OnStage]) -> Iterator[Outcome]:
+def in_turn(jobs: Iterable[DiagnosisJob], on_stage: Callable[[DiagnosisJob], OnStage]) -> Iterator[Outcome]:
     """Diagnose recordings one after another in this process; one that fails does not stop the others."""
     for job in jobs:
         try:
             yield diagnose_recording(job, on_stage(job))
         except Exception as error:
-            yield Failed(job, error)
+            yield FailedJob(job, error)
 
 
-def at_once(jobs: Iterable[Job], executor: Executor) -> Iterator[Outcome]:
+def at_once(jobs: Iterable[DiagnosisJob], executor: Executor) -> Iterator[Outcome]:
     """Diagnose recordings wherever an executor runs them, and yield each as it comes."""
     return workers.at_once(partial(diagnose_recording, threads=1), jobs, executor)
 
 
-def apply(diagnosed: Diagnosed) -> str:
+def apply(diagnosed: DiagnosisResult) -> str:
     """Write the effects that a verdict names into the recording's recording.toml; return a note of it.
 
     The file is replaced at once, or not at all. ArctrackError, and nothing is written, if the verdict is
@@ -141,9 +145,9 @@ def apply(diagnosed: Diagnosed) -> str:
     """
     job, diagnosis = diagnosed.job, diagnosed.diagnosis
     path = job.recording / FILE_NAME
-    if diagnosis.verdict is Verdict.NO_GAP:
+    if diagnosis.verdict is DiagnosisVerdict.NO_GAP:
         return f"{path}: no gap, so there is nothing to write"
-    if diagnosis.verdict is not Verdict.EFFECTS or not diagnosis.effects:
+    if diagnosis.verdict is not DiagnosisVerdict.EFFECTS or not diagnosis.effects:
         raise in_file(
             path,
             f"nothing was written: --apply writes effects that a verdict names, this one is "
@@ -156,7 +160,7 @@ def apply(diagnosed: Diagnosed) -> str:
 def without_images(diagnosis: Diagnosis) -> Diagnosis:
     """Return a diagnosis that is small enough to hand from process to process."""
     none = np.empty((0, 0, 0), dtype=np.float32)
-    predicted = Predicted(
+    predicted = HeldOutPrediction(
         diagnosis.predicted.frames, np.empty((0, 0, 0), dtype=np.uint8), none, none, none, none
     )
     where = replace(diagnosis.where, z=np.empty((0, 0), dtype=np.float32))
@@ -169,6 +173,6 @@ def _check_effects(ids: Iterable[str]) -> None:
             raise ArctrackError(f"--without {name}: there is no such effect; {cure_for(name, REGISTRY)}")
 
 
-def _table(effect: Named) -> str:
+def _table(effect: NamedEffect) -> str:
     values = ", ".join(f"{name} = {estimate.value:.6g}" for name, estimate in effect.parameters.items())
     return f"[effects.{effect.id}] {values}"

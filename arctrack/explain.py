@@ -41,7 +41,7 @@ from tracker.state import Frame, Pose, Track
 from tracker.step import step_and_reading
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.read import StripeReading, Work
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import TrackerMemory
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ class SeamLook:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class StepObservation:
     """What the step saw in a frame; None where it did not get that far.
 
     `reach_px` is how far about the expected stripe it was searched, `torch_station_mm` where the torch stands
@@ -106,10 +106,10 @@ class Explanation:
     frame: Frame
     pose: Pose | None
     use_arc_map: bool
-    before: TrackerState
-    after: TrackerState
+    before: TrackerMemory
+    after: TrackerMemory
     track: Track
-    look: Look | None
+    look: StepObservation | None
 
 
 def explain(
@@ -187,13 +187,13 @@ def position_of(recording: Recording, index: int) -> int:
     raise in_file(recording.path, problem)
 
 
-def _look(given: FrameInput, reading: Reading) -> Look:
+def _look(given: FrameInput, reading: Reading) -> StepObservation:
     """Take a reading apart, as far as the step went."""
     geometry, use_arc_map = given.geometry, given.use_arc_map
     scene, aim = reading.scene, reading.aim(use_arc_map)
     nominal_scene = make_scene(geometry.setup, given.T_base_tool)
     reach_px = geometry.reach_px(reading.reach_mm)
-    look = Look(reading, reach_px, float(nominal_scene.T_joint_tool[0, 3]))
+    look = StepObservation(reading, reach_px, float(nominal_scene.T_joint_tool[0, 3]))
     # A search looks more than once, and each look writes over what the one before had read.
     seen = observe(given, FrameChecks(), aim)
     if seen.expected is None:
@@ -257,7 +257,7 @@ def _arc_image(
 
 
 def _seam_look(
-    geometry: SensorGeometry, before: TrackerState, nominal_scene: Scene, scene: Scene, joint: MeasuredJoint
+    geometry: SensorGeometry, before: TrackerMemory, nominal_scene: Scene, scene: Scene, joint: MeasuredJoint
 ) -> SeamLook:
     """Put a measured joint beside what the earlier frames said of its place."""
     source, T_nominal_tool = geometry.seam_source, nominal_scene.T_joint_tool

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict
 
 import arctrack
 from arctrack.check.hint import Hint
-from arctrack.check.verdict import Verdict
+from arctrack.check.verdict import RunVerdict
 from arctrack.limits import LIMITS
 from arctrack.offset_count import OffsetCount
 from arctrack.output import real, write_whole
@@ -38,7 +38,7 @@ PACKAGES = ("arctrack", "noise_model", "robot_io", "tracker")
 
 
 class FinishedVerdict(BaseModel):
-    """A `Verdict`, its hint as what is wrong, the cure and the share."""
+    """A `RunVerdict`, its hint as what is wrong, the cure and the share."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -51,7 +51,7 @@ class FinishedVerdict(BaseModel):
     reasons: dict[str, int]
 
     @classmethod
-    def of(cls, verdict: Verdict) -> FinishedVerdict:
+    def of(cls, verdict: RunVerdict) -> FinishedVerdict:
         """Return what is kept of a verdict."""
         hint = verdict.hint
         return cls(
@@ -64,13 +64,15 @@ class FinishedVerdict(BaseModel):
             reasons=dict(verdict.reasons),
         )
 
-    def verdict(self) -> Verdict:
+    def verdict(self) -> RunVerdict:
         """Return the verdict."""
         hint = None if self.hint is None else Hint(*self.hint)
-        return Verdict(self.frames, self.laser_on, self.valid, self.flags, hint, self.offsets, self.reasons)
+        return RunVerdict(
+            self.frames, self.laser_on, self.valid, self.flags, hint, self.offsets, self.reasons
+        )
 
 
-class Finished(BaseModel):
+class ReplayRecord(BaseModel):
     """What finished.json holds: the digest of what went in, the sizes in bytes of the files that came out.
 
     The rest is what `Replayed` says of the replay.
@@ -91,10 +93,12 @@ class Finished(BaseModel):
         write_whole(folder / FINISHED_JSON, json.dumps(self.model_dump(), indent=2) + "\n")
 
 
-def read_finished(folder: Path, made_of: str) -> Finished | None:
+def read_finished(folder: Path, made_of: str) -> ReplayRecord | None:
     """Return what a folder's finished replay came to; None unless it is whole, and was made of the same."""
     try:
-        finished = Finished.model_validate(json.loads(read_text(folder / FINISHED_JSON, LIMITS.toml_bytes)))
+        finished = ReplayRecord.model_validate(
+            json.loads(read_text(folder / FINISHED_JSON, LIMITS.toml_bytes))
+        )
     except (OSError, ValueError):
         return None
     whole = {RESULTS_CSV, SUMMARY_JSON} <= finished.files.keys() and finished.files == sizes(folder)

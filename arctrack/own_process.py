@@ -82,7 +82,7 @@ class OwnProcess(Closing, Generic[Question, Answer]):
         while isinstance(answers := self._receive(), _Word):
             if on_word is not None:
                 on_word(answers.word)
-        if isinstance(answers, _Raised):
+        if isinstance(answers, _WorkerError):
             raise answers.error
         return cast(list[Answer], answers)
 
@@ -144,7 +144,7 @@ def _first(
     return list(zip(questions, answers, strict=True))
 
 
-class _Raised:
+class _WorkerError:
     """What answering one of some questions raised."""
 
     def __init__(self, error: Exception) -> None:
@@ -196,7 +196,7 @@ def _answers(answer: Callable[[Any], object], questions: Sequence[object]) -> ob
         return [answer(question) for question in questions]
     except Exception as error:
         error.add_note(traceback.format_exc())
-        return _Raised(error)
+        return _WorkerError(error)
 
 
 def _send_back(back: BinaryIO, item: object) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 LONGEST_SHOWN = 60
 """Characters of a value that a message quotes."""
 
-MOST_NAMED = 20
+MAX_REPORTED = 20
 """Unknown names that are reported one by one."""
 
 
@@ -49,5 +49,5 @@ def cut(text: str) -> str:
 def first_of(names: Iterable[str], what: str) -> list[str]:
     """Return the first names, and after them how many more of `what` there are."""
     names = list(names)
-    more = len(names) - MOST_NAMED
-    return [*names[:MOST_NAMED], *([f"{more} more {what}"] if more > 0 else [])]
+    more = len(names) - MAX_REPORTED
+    return [*names[:MAX_REPORTED], *([f"{more} more {what}"] if more > 0 else [])]

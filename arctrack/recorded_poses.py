@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from arctrack.errors import in_file
 from arctrack.recording import Recording
 from arctrack.recording.poses import LOG_NAMES, can_channel
-from arctrack.service.innovation import InnovationLimits, SeamMeasured, SeamMotion
+from arctrack.service.innovation import InnovationLimits, SeamMeasurement, SeamMotion
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import Doubt, PoseWatch, nominal_path
 from noise_model.transforms import invert
@@ -23,7 +23,7 @@ from robot_io.poses.pose_questions import Implausibility
 GAP_PERIODS = 4.0
 """After so many periods without a pose poses have stopped, where that is longer than the limit."""
 
-LOOK_BACK_S, LEAST_LOOKS = 0.4, 10
+LOOK_BACK_S, MIN_LOOKS = 0.4, 10
 """The seam in the image is asked over so long, and over so many frames at least.
 
 Two bad frames then fail no window, whatever the frame rate: each counts for 4 sigmas in 2 axes at most.
@@ -76,7 +76,7 @@ class RecordedPoses:
         self._next = next(self._coming, None)
         self._is_contradicted = False
 
-    def see(self, seam: SeamMeasured | None) -> None:
+    def see(self, seam: SeamMeasurement | None) -> None:
         """Take what a frame showed of the seam; None where it showed none."""
         if seam is not None:
             self._watch.see(seam)
@@ -112,7 +112,7 @@ def seam_limits(frame_rate_hz: float) -> InnovationLimits:
     limits = InnovationLimits()
     if not frame_rate_hz * LOOK_BACK_S < limits.window:
         return limits
-    return replace(limits, window=max(LEAST_LOOKS, math.ceil(frame_rate_hz * LOOK_BACK_S)))
+    return replace(limits, window=max(MIN_LOOKS, math.ceil(frame_rate_hz * LOOK_BACK_S)))
 
 
 def _coming(recording: Recording) -> Iterator[Received | PoseSample]:

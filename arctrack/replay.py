@@ -36,7 +36,7 @@ from arctrack.recording.results import (
 from arctrack.recording.run_offsets import OffsetOutcome, RunComparison, read_run_offsets
 from arctrack.recording.score import score
 from arctrack.report.replay.drawing import drawing_on
-from arctrack.report.replay.seen import Seen, SeenFile
+from arctrack.report.replay.seen import ReplayedFrame, SeenFile
 from arctrack.safe_points import ends_at_safe_points
 from arctrack.service.controller import Controller
 from arctrack.service.heard import TRUSTED
@@ -274,7 +274,9 @@ def _replay(
             doubts.append(poses.doubt)
             if seen is not None:
                 seen.add(
-                    Seen(step.pose, step.track, step.reading, offset, step.took_ms, outcome, run_outcome)
+                    ReplayedFrame(
+                        step.pose, step.track, step.reading, offset, step.took_ms, outcome, run_outcome
+                    )
                 )
             tracks.append(replace(step.track, stripe=None))
             compute_ms.append(step.took_ms)

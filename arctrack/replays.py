@@ -6,15 +6,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from arctrack.check.verdict import Verdict, verdict_on
+from arctrack.check.verdict import RunVerdict, verdict_on
 from arctrack.errors import ArctrackError
-from arctrack.finished import Finished, FinishedVerdict, made_of, read_finished, sizes
+from arctrack.finished import FinishedVerdict, ReplayRecord, made_of, read_finished, sizes
 from arctrack.output import folders_for, real
 from arctrack.printable import printable
 from arctrack.recording import Recording, read_recording
 from arctrack.recording.results import Summary
 from arctrack.replay import RESULTS_FOLDER, ReplayOptions, parse_bus, replay_recording, track_alone
-from arctrack.workers import Failed
+from arctrack.workers import FailedJob
 from tracker.warm_up import WarmUp
 
 OnFrame = Callable[[int], None]
@@ -57,7 +57,7 @@ class Listeners:
 
 
 @dataclass(frozen=True, eq=False)
-class Replayed:
+class ReplayResult:
     """A recording after its replay, small enough to hand from process to process.
 
     `summaries` has a second one where the replay went without the arc map and the truth is known: that with
@@ -68,7 +68,7 @@ class Replayed:
 
     job: ReplayJob
     summaries: tuple[Summary, ...]
-    verdict: Verdict
+    verdict: RunVerdict
     warnings: tuple[str, ...]
     replay_warnings: tuple[str, ...]
     complaint: str | None
@@ -76,7 +76,7 @@ class Replayed:
     is_taken_over: bool = False
 
 
-Outcome = Replayed | Failed[ReplayJob]
+Outcome = ReplayResult | FailedJob[ReplayJob]
 
 
 def jobs_for(
@@ -95,7 +95,7 @@ def jobs_for(
     ]
 
 
-def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = None) -> Replayed:
+def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = None) -> ReplayResult:
     """Replay a recording and write its results; `begin` gives what hears how far it is, once it is read.
 
     Raises ArctrackError for what the user can mend.
@@ -112,7 +112,7 @@ def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = 
     summaries = [done.summary]
     if not job.options.use_arc_map and done.recording.has_truth:
         summaries.append(track_alone(done.recording, True, hears.on_compared))
-    replayed = Replayed(
+    replayed = ReplayResult(
         job,
         tuple(summaries),
         verdict_on(done.recording, done.tracks, done.summary),
@@ -122,7 +122,7 @@ def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = 
         done.warm_up,
     )
     # Last of all, when pictures and logs are closed: what is not there by then was not finished.
-    Finished(
+    ReplayRecord(
         made_of=digest,
         files=dict(sizes(job.folder)),
         summaries=replayed.summaries,
@@ -133,8 +133,8 @@ def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = 
     return replayed
 
 
-def _taken_over(job: ReplayJob, recording: Recording, earlier: Finished) -> Replayed:
-    return Replayed(
+def _taken_over(job: ReplayJob, recording: Recording, earlier: ReplayRecord) -> ReplayResult:
+    return ReplayResult(
         job,
         earlier.summaries,
         earlier.verdict.verdict(),

@@ -120,7 +120,7 @@ class SimulationPlan:
 
 
 @dataclass(frozen=True)
-class Switches:
+class FrameSwitches:
     """What is on in a frame."""
 
     laser_on: bool
@@ -184,7 +184,7 @@ def simulate_recording(
     )
     true_setup = setup if plan.exact else true_values(setup, draw_setup)
     true_setup = replace(true_setup, effects=effects)
-    motion = Motion(setup, plan, draw_motion, apply_setup_effects(true_setup).joint)
+    motion = SimulatedMotion(setup, plan, draw_motion, apply_setup_effects(true_setup).joint)
     renderer = Renderer()
     video = VideoFormat(plan.rate_hz) if plan.video else None
     toml = None if stated is None else setup_text(stated.path)
@@ -227,7 +227,7 @@ def balance(setup: Setup) -> Setup:
 
     The arc's light then fills on average `ARC_SHARE` of full well in a frame at its nominal current.
     """
-    T_base_tool = Motion(
+    T_base_tool = SimulatedMotion(
         setup, SimulationPlan(weave_mm=0.0, tilt_deg=0.0), np.random.default_rng(0)
     ).T_base_tool(0.0)
     arc_alone = Condition(laser_level=0.0, arc_level=1.0, exposure_s=setup.camera.exposure_s)
@@ -268,7 +268,7 @@ def true_values(setup: Setup, draw: np.random.Generator) -> Setup:
     )
 
 
-def conditions(setup: Setup, plan: SimulationPlan, rng: np.random.Generator) -> list[Switches]:
+def conditions(setup: Setup, plan: SimulationPlan, rng: np.random.Generator) -> list[FrameSwitches]:
     """Return what is on in each frame; the arc in none of a setup without one.
 
     For diagnosis: dark, laser alone, arc alone, both, two currents, two exposures; the frames without arc
@@ -277,12 +277,12 @@ def conditions(setup: Setup, plan: SimulationPlan, rng: np.random.Generator) -> 
     has_arc, exposure_s = setup.arc.shines, setup.camera.exposure_s
     current_a = setup.arc.current_a if has_arc else 0.0
     short_s, high_a = SHORT_EXPOSURE * exposure_s, HIGH_CURRENT * current_a
-    both = Switches(True, has_arc, current_a, exposure_s)
+    both = FrameSwitches(True, has_arc, current_a, exposure_s)
     if plan.production:
         return [both] * plan.frames
     both_high, both_short = replace(both, current_a=high_a), replace(both, exposure_s=short_s)
     arc, arc_high, arc_short = (replace(c, laser_on=False) for c in (both, both_high, both_short))
-    laser = Switches(True, False, 0.0, exposure_s)
+    laser = FrameSwitches(True, False, 0.0, exposure_s)
     dark = replace(laser, laser_on=False)
     ends = [dark, laser, replace(laser, exposure_s=short_s)]
     middle = [both, both_high, both_short, arc, arc_high, arc_short]
@@ -292,7 +292,7 @@ def conditions(setup: Setup, plan: SimulationPlan, rng: np.random.Generator) -> 
     return [*ends, *(middle[n] for n in order), *reversed(ends)]
 
 
-class Motion:
+class SimulatedMotion:
     """Where the tool is at a time and where the true seam runs; phases are drawn once.
 
     The tool follows the setup's joint, the true seam runs along `true_joint`, the same without it.

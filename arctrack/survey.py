@@ -18,7 +18,7 @@ from tracker.state import Frame
 
 
 @dataclass(frozen=True)
-class Condition:
+class ConditionSummary:
     """All frames taken under one condition; the grey levels are over those that can be used.
 
     `sample` is the middle one of the usable frames.
@@ -43,7 +43,7 @@ class Condition:
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionSummary:
     """How the robot moved, from its poses.
 
     `jitter_s` is the standard deviation of the time between two poses, `longest_gap_s` the longest;
@@ -68,8 +68,8 @@ class Motion:
 class Survey:
     """A whole recording."""
 
-    conditions: tuple[Condition, ...]
-    motion: Motion
+    conditions: tuple[ConditionSummary, ...]
+    motion: MotionSummary
     bad_frames: tuple[BadFrame, ...]
 
 
@@ -99,14 +99,14 @@ def path_over_seam(poses: PoseTable, setup: Setup) -> Float64:
     )
 
 
-def motion_of(poses: PoseTable, setup: Setup) -> Motion:
+def motion_of(poses: PoseTable, setup: Setup) -> MotionSummary:
     """Return how the robot moved."""
     gaps_s = np.diff(poses.timestamps_s)
     over_seam = path_over_seam(poses, setup)
     travel_mm = float(np.linalg.norm(poses.T_base_tool[-1, :3, 3] - poses.T_base_tool[0, :3, 3]))
     normal = np.asarray(setup.joint.surface_normal_in_base)
     upright = np.clip(poses.T_base_tool[:, :3, 2] @ normal, -1.0, 1.0)
-    return Motion(
+    return MotionSummary(
         first_s=float(poses.timestamps_s[0]),
         last_s=float(poses.timestamps_s[-1]),
         rate_hz=1.0 / poses.period_s,
@@ -139,8 +139,8 @@ class _Tally:
         if self.sample is None or up_to_middle:
             self.sample = frame
 
-    def condition(self) -> Condition:
-        return Condition(
+    def condition(self) -> ConditionSummary:
+        return ConditionSummary(
             laser_on=self.row.laser_on,
             arc_on=self.row.arc_on,
             current_a=self.row.current_a,

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 from arctrack.errors import in_file
 from arctrack.recording import BadFrame, FrameRow, Recording
-from arctrack.service.innovation import SeamMeasured
+from arctrack.service.innovation import SeamMeasurement
 from arctrack.service.seam_measured import seam_measured
 from tracker import flags
 from tracker.observation import Reading
 from tracker.state import NAN, Frame, Pose, Track
 from tracker.step import StepInputs
 from tracker.tracker import Tracker
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import TrackerMemory
 
 
 def tracker_of(recording: Recording, use_arc_map: bool) -> Tracker:
@@ -59,7 +59,7 @@ class RecordedTracking:
         recorded = None if steps is None else steps.steps.get(frame.index)
         if recorded is None:
             return StepInputs(self.tracker.state, self._poses[frame.index])
-        state = TrackerState() if recorded.begins else self.tracker.state
+        state = TrackerMemory() if recorded.begins else self.tracker.state
         return StepInputs(state, recorded.pose, recorded.lead, recorded.keeps_state)
 
     def step(self, frame: Frame) -> tuple[Pose | None, Track]:
@@ -73,7 +73,7 @@ class RecordedTracking:
 
 
 @dataclass(frozen=True)
-class Step:
+class RowStep:
     """One row of frames.csv after the tracker saw it; `took_ms` is NaN where there was no frame to step.
 
     `pose` is None where it was refused or there was no frame; `reading` is the look that the track rests on,
@@ -86,22 +86,22 @@ class Step:
     track: Track
     reading: Reading | None
     took_ms: float
-    seam: SeamMeasured | None
+    seam: SeamMeasurement | None
 
 
 def steps(
     tracking: RecordedTracking, rows: Sequence[FrameRow], frames: Iterable[Frame | BadFrame]
-) -> Iterator[Step]:
+) -> Iterator[RowStep]:
     """Track the frames of rows, one at a time."""
     recording, tracker = tracking.recording, tracking.tracker
     for row, frame in zip(rows, frames, strict=True):
         if isinstance(frame, BadFrame):
             raised = flags.FRAME_UNREADABLE.mask | tracker.state.lasting_flags
-            yield Step(row, frame, None, Track(row.index, row.timestamp_s, raised), None, NAN, None)
+            yield RowStep(row, frame, None, Track(row.index, row.timestamp_s, raised), None, NAN, None)
             continue
         began_ns = time.perf_counter_ns()
         pose, track = tracking.step(frame)
         took_ms = (time.perf_counter_ns() - began_ns) / 1e6
         of_hand_eye = tracker.state.steering.hand_eye_variance_mm2
         seam = seam_measured(recording.setup, track, pose, of_hand_eye)
-        yield Step(row, frame, pose, track, tracker.reading, took_ms, seam)
+        yield RowStep(row, frame, pose, track, tracker.reading, took_ms, seam)

@@ -33,7 +33,7 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Failed(Generic[Job]):
+class FailedJob(Generic[Job]):
     """Work on a recording that failed, and why."""
 
     job: Job
@@ -56,14 +56,14 @@ class Failed(Generic[Job]):
 
 def at_once(
     work: Callable[[Job], Result], jobs: Iterable[Job], executor: Executor
-) -> Iterator[Result | Failed[Job]]:
+) -> Iterator[Result | FailedJob[Job]]:
     """Do the work on each recording wherever an executor runs it, and yield each result as it comes."""
     futures = {executor.submit(work, job): job for job in jobs}
     for future in as_completed(futures):
         try:
             yield future.result()
         except Exception as error:
-            yield Failed(futures[future], error)
+            yield FailedJob(futures[future], error)
 
 
 def executor_of(workers: int, scheduler: str | None) -> AbstractContextManager[Executor]:

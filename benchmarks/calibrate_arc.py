@@ -23,7 +23,19 @@ from scipy.special import ndtri
 
 from arctrack.nominal import nominal_setup
 from calibration.arc.calibrate import KEYS, calibrate_arc
-from calibration.arc.problem import ARC, C2, FIELD_SIGMA, PART_SIGMAS, RADIUS, RATIO, Part, Problem, X, Y, Z
+from calibration.arc.problem import (
+    ARC,
+    C2,
+    FIELD_SIGMA,
+    PART_SIGMAS,
+    RADIUS,
+    RATIO,
+    ArcProblem,
+    PartPlacement,
+    X,
+    Y,
+    Z,
+)
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.brdf import Material
@@ -215,7 +227,9 @@ def bound(world: World, held: tuple[str, ...]) -> Float64:
     What is `held` is known as it is stated.
     """
     stated = replace(world.true, camera=world.stated.camera)
-    problem = Problem.of(stated, world.frames, Part.unseen(stated, 0.0), world.texture, world.flicker)
+    problem = ArcProblem.of(
+        stated, world.frames, PartPlacement.unseen(stated, 0.0), world.texture, world.flicker
+    )
     problem = replace(problem, held=held)
     x = np.zeros(len(problem.names))
     sigma_e = problem.sigma_e(x, problem.light(problem.named(x)))

@@ -21,13 +21,13 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
-from calibration.boards.board import Board, Kind
+from calibration.boards.board import Board, BoardKind
 from calibration.camera.adjustment import linearised
 from calibration.camera.calibrate import CameraCalibration, find_lens
 from calibration.camera.enough import UndeterminedError
-from calibration.camera.halves import MOST_RATIO, difference_of_halves, splits
+from calibration.camera.halves import MAX_RATIO, difference_of_halves, splits
 from calibration.camera.lens import ORDERS
-from calibration.camera.sightings import View
+from calibration.camera.sightings import BoardView
 from noise_model.arrays import Float64
 
 FAMILY_ALARM = 0.0027
@@ -125,7 +125,7 @@ def chosen(worlds: int, seed: int) -> None:
     print(f"68 % ellipse of the projection: {share(scores.ellipse, 0.68):.1f} %")
     print(
         f"halves' ratio: median {np.median(ratios):.2f}, 95 % below {np.quantile(ratios, 0.95):.2f}, "
-        f"above {MOST_RATIO:g} in {sum(r > MOST_RATIO for r in ratios)}"
+        f"above {MAX_RATIO:g} in {sum(r > MAX_RATIO for r in ratios)}"
     )
     print(f"sigma widened without need: {spread}; {np.median(scores.seconds):.2f} s a calibration")
 
@@ -150,11 +150,11 @@ def printed(world: World, rng: np.random.Generator, share: float) -> World:
 
 
 def board_of(world: World) -> Board:
-    return Board(Kind.CHESSBOARD, *world.counts, world.square_mm)
+    return Board(BoardKind.CHESSBOARD, *world.counts, world.square_mm)
 
 
-def views_of(images: list[Float64]) -> list[View]:
-    return [View(f"{n}", np.arange(len(points)), points) for n, points in enumerate(images)]
+def views_of(images: list[Float64]) -> list[BoardView]:
+    return [BoardView(f"{n}", np.arange(len(points)), points) for n, points in enumerate(images)]
 
 
 def add(scores: Scores, world: World, found: CameraCalibration, rng: np.random.Generator) -> None:

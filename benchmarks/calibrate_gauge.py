@@ -25,7 +25,7 @@ from calibration.camera.enough import UndeterminedError
 from calibration.camera.lens import Lens
 from calibration.gauge.calibrate import GaugeCalibration, calibrate_gauge
 from calibration.gauge.shape import Gauge, Shape
-from calibration.gauge.sightings import Posed
+from calibration.gauge.sightings import PosedPieces
 from calibration.gauge.stripe_pieces import Piece, Pieces, stripe_pieces
 from calibration.laser.image_line import fit_line
 from noise_model.arrays import Float64
@@ -164,7 +164,7 @@ def draw_poses(world: World, rng: np.random.Generator) -> list[Float64]:
 
 def draw_shown(
     world: World, T: Float64, noise: Noise, name: str, rng: np.random.Generator
-) -> tuple[Posed, Float64]:
+) -> tuple[PosedPieces, Float64]:
     """Return an image's pieces with the pose stated, and its information (9, 9) of the unknowns."""
     pieces, rows, variances, by_form = [], [], [], []
     lens = Lens.simple(WIDTH, HEIGHT, world.focal_px)
@@ -230,7 +230,7 @@ def draw_shown(
     C = np.diag(variances) + noise.robot_mm**2 * by_robot @ by_robot.T
     for n, per_mm in enumerate(by_form):
         C[2 * n : 2 * n + 2, 2 * n : 2 * n + 2] += (noise.form_mm * per_mm) ** 2
-    return Posed(name, Pieces(tuple(pieces), True, 3.0), stated), J.T @ np.linalg.solve(C, J)
+    return PosedPieces(name, Pieces(tuple(pieces), True, 3.0), stated), J.T @ np.linalg.solve(C, J)
 
 
 def judge(seed: int, tally: Tally, reasons: Counter[str]) -> None:
@@ -310,7 +310,7 @@ def judge_rendered(worlds: int, seed: int) -> None:
             if isinstance(pieces, str):
                 reasons[pieces] += 1
             else:
-                shown.append(Posed(f"{k}", pieces, stated))
+                shown.append(PosedPieces(f"{k}", pieces, stated))
         try:
             result = calibrate_gauge(shown, gauge, lens, camera, make_gauge.SHEET_IN_TOOL, UP)
         except UndeterminedError as error:

@@ -27,13 +27,13 @@ from mitsuba_boards import ROUGHNESS, Paper, draw_studio
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
-from calibration.boards.board import Board, Kind
+from calibration.boards.board import Board, BoardKind
 from calibration.boards.detect import find_corners
 from calibration.camera.calibrate import find_lens
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
-from calibration.camera.sightings import View
+from calibration.camera.sightings import BoardView
 from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration, calibrate_hand_eye
 from noise_model.arrays import Float64, Integers
 
@@ -78,7 +78,7 @@ class World:
     T_base_tool_true: Float64
     is_eye_to_hand: bool
     sigma: tuple[float, float, float]
-    views: list[View]
+    views: list[BoardView]
     swapped: tuple[int, ...]
 
 
@@ -128,7 +128,7 @@ def draw_world(rng: np.random.Generator, n: int) -> World:
     values = np.array([focal, focal * rng.uniform(0.995, 1.005), *center, rng.normal(0.0, 0.1), 0.0])
     lens = Lens(width, height, LENS_NAMES, values)
     columns, rows = int(rng.integers(6, 12)), int(rng.integers(5, 10))
-    board = Board(Kind.CHESSBOARD, columns, rows, float(rng.uniform(3.0, 15.0)))
+    board = Board(BoardKind.CHESSBOARD, columns, rows, float(rng.uniform(3.0, 15.0)))
     sigma = (
         np.radians(0.003 * (0.05 / 0.003) ** rng.uniform()),
         0.02 * (0.3 / 0.02) ** rng.uniform(),
@@ -164,7 +164,7 @@ def draw_world(rng: np.random.Generator, n: int) -> World:
     for view in range(count):
         image = chained(world, view, np.zeros(20))
         image = image + sigma[2] * rng.standard_normal(image.shape)
-        views.append(View(f"{view}", np.arange(len(image)), image))
+        views.append(BoardView(f"{view}", np.arange(len(image)), image))
     world = replace(world, views=views)
     if n % 3 == 2:
         lens_sigma = LENS_SIGMA * np.array([focal, focal, width, width, 1.0, 1.0])
@@ -326,7 +326,7 @@ def judge_rendered(worlds: int, seed: int, renderer: Renderer) -> None:
     rows: dict[str, list[tuple[float, float, Float64]]] = {"lens as drawn": [], "lens from the pictures": []}
     for n in range(worlds):
         rng = np.random.default_rng([seed, 1000 + n])
-        board = Board(Kind.CHESSBOARD, 9, 6, 5.0)
+        board = Board(BoardKind.CHESSBOARD, 9, 6, 5.0)
         lens = Lens(640, 480, LENS_NAMES, np.array([1500.0, 1502.0, 322.0, 236.0, -0.2, 0.1]))
         picture = renderer(rng, lens, board)
         T_holder_camera = rigid(Rotation.random(random_state=rng), rng.normal(0.0, 80.0, 3))
@@ -340,7 +340,7 @@ def judge_rendered(worlds: int, seed: int, renderer: Renderer) -> None:
             found = find_corners(picture(T), board)
             if found is None:
                 continue
-            views.append(View(f"{len(views)}", found.corners, found.points_px))
+            views.append(BoardView(f"{len(views)}", found.corners, found.points_px))
             drawn_boards.append(T)
             true = T_mount_board @ np.linalg.inv(T) @ np.linalg.inv(T_holder_camera)
             off = np.repeat([np.radians(RENDERED_DEG), RENDERED_MM], 3) * rng.standard_normal(6)

@@ -24,15 +24,15 @@ from mitsuba_boards import ROUGHNESS, Paper, Sheet, draw_studio
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
-from calibration.boards.board import Board, Kind
+from calibration.boards.board import Board, BoardKind
 from calibration.boards.detect import find_corners
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
-from calibration.camera.sightings import View
+from calibration.camera.sightings import BoardView
 from calibration.laser.calibrate import LaserCalibration, calibrate_laser
 from calibration.laser.cross_sections import cross_sections, placed
-from calibration.laser.stripe import Stripe, board_area, find_stripe, laser_light
+from calibration.laser.stripe import BoardStripe, board_area, find_stripe, laser_light
 from noise_model.arrays import Float64
 
 FAMILY_ALARM = 0.0027
@@ -54,8 +54,8 @@ class World:
     lens_covariance: Float64 | None
     board: Board
     plane: Float64
-    views: list[View]
-    stripes: dict[str, Stripe]
+    views: list[BoardView]
+    stripes: dict[str, BoardStripe]
     bound: Float64 | None = None
 
 
@@ -114,7 +114,7 @@ def rendered_world(rng: np.random.Generator, n: int) -> World:
     focal = float(rng.uniform(900.0, 2200.0))
     values = np.array([focal, 1.002 * focal, 322.0, 236.0, 0.05 * rng.standard_normal(), 0.0])
     lens = Lens(width, height, LENS_NAMES, values)
-    board = Board(Kind.CHESSBOARD, 8, 6, 5.0)
+    board = Board(BoardKind.CHESSBOARD, 8, 6, 5.0)
     span = np.array([board.columns - 1, board.rows - 1]) * board.square_mm
     distance = focal * span.max() / (0.5 * height)
     by_name = dict(zip(LENS_NAMES, values.tolist(), strict=True))
@@ -139,7 +139,7 @@ def rendered_world(rng: np.random.Generator, n: int) -> World:
         without, lit = studio.picture(room), studio.picture(room + line)
         corners = find_corners(without, board)
         if corners is not None:
-            views.append(View(f"{view}", corners.corners, corners.points_px))
+            views.append(BoardView(f"{view}", corners.corners, corners.points_px))
             pictures[f"{view}"] = without, lit
     scene, seen = board_poses(board, views, lens)
     stripes = {}
@@ -178,7 +178,7 @@ def draw_world(
     true = draw_lens(rng) if lens is None else lens
     width, height, focal, values = true.width, true.height, float(true.values[0]), true.values
     columns, rows = int(rng.integers(6, 12)), int(rng.integers(5, 10))
-    board = Board(Kind.CHESSBOARD, columns, rows, float(rng.uniform(3.0, 30.0)))
+    board = Board(BoardKind.CHESSBOARD, columns, rows, float(rng.uniform(3.0, 30.0)))
     span = np.array([columns - 1, rows - 1]) * board.square_mm
     distance = focal * span.max() / (rng.uniform(0.4, 0.7) * height)
     # The sheet stands some 10 to 40 deg to the line of sight and crosses it near the boards' mean distance.
@@ -198,7 +198,7 @@ def draw_world(
         origin = middle - turn.apply([*0.5 * span, 0.0])
         corners = project(true, turn.apply(board.points_mm) + origin)
         corners += corner_px * rng.standard_normal(corners.shape)
-        views.append(View(f"{n}", np.arange(len(corners)), corners))
+        views.append(BoardView(f"{n}", np.arange(len(corners)), corners))
         points = crossing(plane, turn, origin, span)
         image = project(true, points)
         image = image[np.argsort(image[:, 0 if along_rows else 1])]
@@ -208,7 +208,7 @@ def draw_world(
             is_wrong = rng.random(len(image)) < 0.03
             noise[is_wrong] += rng.uniform(-10.0, 10.0, is_wrong.sum())
         image[:, 1 if along_rows else 0] += noise
-        stripes[f"{n}"] = Stripe(image, along_rows, 2.0)
+        stripes[f"{n}"] = BoardStripe(image, along_rows, 2.0)
     sigma = LENS_SIGMA * np.array([focal, focal, width, width, 1.0, 1.0])
     boards = Boards(
         plane,

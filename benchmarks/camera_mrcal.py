@@ -21,7 +21,7 @@ from calibrate_camera import board_of, views_of
 from camera_worlds import World, draw_corners, draw_world
 from scipy.spatial.transform import Rotation
 
-from calibration.camera.adjustment import Scene, adjusted, linearised
+from calibration.camera.adjustment import BoardScene, adjusted, linearised
 from calibration.camera.lens import Lens
 from calibration.camera.projection import Knowledge, rms_sigma
 from calibration.camera.sightings import Sightings
@@ -83,7 +83,7 @@ def compare(world: World, images: list[Float64]) -> Compared:
     )
 
 
-def optimised(world: World, images: list[Float64], start: Scene) -> tuple[Scene, mrcal.cameramodel]:
+def optimised(world: World, images: list[Float64], start: BoardScene) -> tuple[BoardScene, mrcal.cameramodel]:
     """Return mrcal's scene and its model; it starts at ours, some of its sigmas off."""
     import mrcal
 
@@ -124,10 +124,10 @@ def optimised(world: World, images: list[Float64], start: Scene) -> tuple[Scene,
     T[:, :3, :3] = Rotation.from_rotvec(inputs["rt_ref_frame"][:, :3]).as_matrix()
     T[:, :3, 3] = inputs["rt_ref_frame"][:, 3:]
     model = mrcal.cameramodel(optimization_inputs=inputs, icam_intrinsics=0)
-    return Scene(lens, inputs["calobject_warp"].copy(), T, start.print_mm), model
+    return BoardScene(lens, inputs["calobject_warp"].copy(), T, start.print_mm), model
 
 
-def common_motion(first: Scene, second: Scene, seen: Sightings) -> Float64:
+def common_motion(first: BoardScene, second: BoardScene, seen: Sightings) -> Float64:
     """Return the small motion (6,) of the camera frame that brings the first's boards to the second's."""
     between = second.T_camera_board @ np.linalg.inv(first.T_camera_board)
     small = np.concatenate([Rotation.from_matrix(between[:, :3, :3]).as_rotvec(), between[:, :3, 3]], axis=1)

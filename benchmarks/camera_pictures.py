@@ -21,11 +21,11 @@ from camera_worlds import World, project
 from mitsuba_boards import ROUGHNESS, Paper, draw_studio
 from scipy.spatial.transform import Rotation
 
-from calibration.boards.board import Board, Kind
+from calibration.boards.board import Board, BoardKind
 from calibration.boards.detect import find_corners
 from calibration.camera.calibrate import find_lens
 from calibration.camera.enough import UndeterminedError
-from calibration.camera.sightings import View
+from calibration.camera.sightings import BoardView
 
 sys.path.append(str(Path(__file__).parents[1] / "examples"))
 from make_boards import Camera, Chessboard, draw, held, rays, turned
@@ -72,7 +72,7 @@ def rendered(rng: np.random.Generator, camera: Camera) -> Pictures:
     roughness = float(rng.uniform(*ROUGHNESS))
 
     def picture(board: Chessboard, R: np.ndarray, t: np.ndarray) -> np.ndarray:
-        stated = Board(Kind.CHESSBOARD, board.columns, board.rows, board.square_mm)
+        stated = Board(BoardKind.CHESSBOARD, board.columns, board.rows, board.square_mm)
         return studio.picture(studio.light_e(Paper(stated, np.array(board.warp_mm), roughness), R, t))
 
     return picture
@@ -108,7 +108,7 @@ def judge(
             lean, axis = rng.uniform(5.0, 40.0), rng.uniform(0.0, 2.0 * np.pi)
             R = turned(lean * np.cos(axis), lean * np.sin(axis), rng.uniform(-30.0, 30.0))
             t = held(camera, board, R, tuple(rng.uniform(0.3, 0.7, 2)), rng.uniform(0.4, 0.7))
-            corners = find_corners(picture(board, R, t), Board(Kind.CHESSBOARD, 8, 6, 5.0))
+            corners = find_corners(picture(board, R, t), Board(BoardKind.CHESSBOARD, 8, 6, 5.0))
             world.poses.append((Rotation.from_matrix(R), t))
             truth = project(world.lens, world.corners_camera(view))
             if corners is None:
@@ -116,10 +116,10 @@ def judge(
                 continue
             points = ordered(corners.points_px, truth)
             offsets.append(points - truth)
-            views.append((view, View(f"{view}", np.arange(len(points)), points)))
+            views.append((view, BoardView(f"{view}", np.arange(len(points)), points)))
         rays.cache_clear()
         try:
-            result = find_lens(Board(Kind.CHESSBOARD, 8, 6, 5.0), [view for _, view in views], SIZE)
+            result = find_lens(Board(BoardKind.CHESSBOARD, 8, 6, 5.0), [view for _, view in views], SIZE)
         except UndeterminedError:
             refused += 1
             continue

@@ -21,7 +21,7 @@ from calibration.boards.board import Board
 from calibration.boards.detect import find_corners
 from calibration.camera.calibrate import calibrate_camera
 from calibration.camera.enough import UndeterminedError
-from calibration.camera.sightings import View
+from calibration.camera.sightings import BoardView
 from noise_model.arrays import UInt8
 
 BOARD = Board.parse("chessboard:9x6:4mm")
@@ -57,7 +57,7 @@ def line(pictures: list[UInt8], factor: float, way: str, quality: int, noise_dn:
     begun = time.perf_counter()
     images = [changed(picture, factor, way, quality, noise_dn, n) for n, picture in enumerate(pictures)]
     found = [(f"{n}", find_corners(image, BOARD)) for n, image in enumerate(images)]
-    views = [View(name, each.corners, each.points_px) for name, each in found if each is not None]
+    views = [BoardView(name, each.corners, each.points_px) for name, each in found if each is not None]
     case = f"| {factor:g} | {way} | {quality or '-'} | {noise_dn:g} |"
     height, width = images[0].shape
     try:

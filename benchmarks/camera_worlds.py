@@ -23,7 +23,7 @@ LENSES: dict[str, dict[str, float]] = {
 """The distortions that are drawn, and 1 sigma of each coefficient at the image's corner, r = 1."""
 
 
-FAR, LEAST_SLOPE = 1.5, 0.2
+FAR, MIN_SLOPE = 1.5, 0.2
 """A lens must not fold up to so many times the radius of the image's corner, nor come near to it."""
 
 
@@ -108,7 +108,7 @@ def folds(lens: dict[str, float], far: float) -> bool:
     """Return whether a lens shows what is further out no further out, up to r = `far`."""
     r2 = np.linspace(0.0, far, 50) ** 2
     k1, k2, k3 = (lens.get(name, 0.0) for name in ("k1", "k2", "k3"))
-    return bool((1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3))).min() < LEAST_SLOPE)
+    return bool((1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3))).min() < MIN_SLOPE)
 
 
 def draw_world(rng: np.random.Generator, order: str, views: int | None = None) -> World:

@@ -30,7 +30,7 @@ from tracker.seam.gaussian_process import SeamHistory
 from tracker.state import Frame, Pose
 from tracker.step import step
 from tracker.stripe.read import Work
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import TrackerMemory
 
 FRAMES_A_SCENE = 20
 EXPOSURE_S = 0.005
@@ -39,12 +39,12 @@ EFFECTS = [name for name in REGISTRY if name not in SLOW]
 STATIONS_MM = np.arange(-60.0, 100.0, 4.0)
 
 
-def known_seam(seam: SeamLine) -> TrackerState:
+def known_seam(seam: SeamLine) -> TrackerMemory:
     """Return a state that has seen the seam where it is."""
     history = SeamHistory()
     for station in STATIONS_MM:
         history = history.with_measurement(station, np.array([seam.y_mm, seam.z_mm]), np.full(2, 0.01**2))
-    return TrackerState(history)
+    return TrackerMemory(history)
 
 
 def count(setup: Setup, true: Setup, rng: np.random.Generator, of: Counter[str], frames: int) -> None:
@@ -54,7 +54,7 @@ def count(setup: Setup, true: Setup, rng: np.random.Generator, of: Counter[str],
     T_base_tool[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, 2.0, 3), degrees=True).as_matrix()
     T_base_tool[:3, 3] = rng.uniform(-60.0, 60.0), *rng.normal(0.0, 1.0, 2)
     geometry, renderer = SensorGeometry.of(setup), Renderer()
-    states, work = (TrackerState(), known_seam(seam)), Work.of(geometry)
+    states, work = (TrackerMemory(), known_seam(seam)), Work.of(geometry)
     for i in range(frames):
         level = 4.0 ** rng.uniform(-1.5, 1.0)
         condition = Condition(0.0, level, EXPOSURE_S, 0.1 * i)
@@ -113,7 +113,7 @@ def print_blocks(rng: np.random.Generator, joints: list[str]) -> None:
             blocks = rng.integers(0, 256, (240 // size + 1, 320 // size + 1))
             image = np.kron(blocks, np.ones((size, size)))[:240, :320].astype(np.uint8)
             frame = Frame(i, 0.1 * i, image, EXPOSURE_S)
-            state = (TrackerState(), known_seam(SeamLine(0.0, 0.0, 0.0)))[i % 2]
+            state = (TrackerMemory(), known_seam(SeamLine(0.0, 0.0, 0.0)))[i % 2]
             tracked += step(geometry, state, frame, Pose(np.eye(4)), work)[1].valid
         print(f"{joint:12} {tracked:4} of 200 frames of random blocks tracked")
 

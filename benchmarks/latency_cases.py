@@ -10,7 +10,7 @@ from latency_worker import APPROACH, EXPOSURE_S, PERIOD_S, STRETCH, STRETCHES
 
 from arctrack.nominal import nominal_setup
 from arctrack.recording.setup_file import format_setup
-from arctrack.simulate import Motion, SimulationPlan, balance
+from arctrack.simulate import SimulatedMotion, SimulationPlan, balance
 from noise_model.arc.scene import make_scene
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame
@@ -76,7 +76,7 @@ def draw_case(case: Case) -> Case:
     """Draw a case's frames along a seam that wanders, and write them with their poses and the setup."""
     setup, rng = case.setup, np.random.default_rng(0)
     drawn = speckled(setup)
-    motion = Motion(setup, SimulationPlan(travel_speed_mm_s=SPEED_MM_S), rng)
+    motion = SimulatedMotion(setup, SimulationPlan(travel_speed_mm_s=SPEED_MM_S), rng)
     poses = np.array([motion.T_base_tool(time_s) for time_s in times_s()])
     images = np.empty((len(poses), setup.camera.height, setup.camera.width), setup.sensor.dtype)
     for image, T_base_tool in zip(images, poses, strict=True):

@@ -57,7 +57,7 @@ from sim_to_real.data.binned import observe, variances_dn2
 from sim_to_real.evidence.coordinates import free_terms
 from sim_to_real.evidence.error_model import (
     HAND_EYE,
-    Linearized,
+    LinearHypothesis,
     compared_bins,
     sampling_error,
     smooth_error,
@@ -148,7 +148,7 @@ def nominal_of(path: Path) -> tuple[Nominal, dict[str, Summary]]:
     bins = compared_bins(model, of_bins, fitted, POLICY)
     model, chosen = model.with_bins(bins), of_bins.subset(bins)
     fitted = refit(model, {}, fitted.nuisance, steps=0)
-    linear = Linearized.of(fitted)
+    linear = LinearHypothesis.of(fitted)
     tolerance = recording.setup.tolerance
     errors = [smooth_error(chosen, POLICY), sampling_error(model, chosen, fitted)]
     errors += [tolerated(score, tolerance) for score in score_effects(model, fitted, [HAND_EYE])]

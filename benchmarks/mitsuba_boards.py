@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from camera_worlds import project
 
-from calibration.boards.board import Board, Kind
+from calibration.boards.board import Board, BoardKind
 from noise_model.arrays import Float64, Integers
 from validation.second_renderer.path_traced import load_mitsuba
 
@@ -332,7 +332,7 @@ def draw_studio(
 def printed(board: Board) -> Float64:
     """Return what a board's face reflects (rows, columns) diffusely, its white margin included."""
     counts = np.array([board.columns + 1, board.rows + 1])
-    if board.kind is Kind.CHARUCO:
+    if board.kind is BoardKind.CHARUCO:
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}"))
         drawn = cv2.aruco.CharucoBoard(counts.tolist(), board.square_mm, board.marker_mm, dictionary)
         is_white = drawn.generateImage((counts * TEXELS).tolist()) > 127

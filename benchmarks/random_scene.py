@@ -43,7 +43,7 @@ BLUNT_MM = (0.02, 0.06)
 FAN_SHARE, HALL_SHARE, GHOST_SHARE, GLINTS_SHARE = 1 / 4, 1 / 3, 1 / 10, 1 / 10
 """So many scenes have a fan that ends in the image, light of the hall, a ghost, glints."""
 
-LEAST_LIT_MM = 10.0
+MIN_LIT_MM = 10.0
 """A fan reaches so far to either side: over any joint's own width."""
 
 
@@ -194,7 +194,7 @@ def _px_per_mm(setup: Setup) -> float:
 def _draw_fan(setup: Setup, turned: bool, draw: np.random.Generator) -> float:
     """Draw the half angle, deg, of a fan that ends in the image."""
     along_px = setup.camera.height if turned else setup.camera.width
-    lit_mm = max(draw.uniform(0.4, 0.9) * 0.5 * along_px / _px_per_mm(setup), LEAST_LIT_MM)
+    lit_mm = max(draw.uniform(0.4, 0.9) * 0.5 * along_px / _px_per_mm(setup), MIN_LIT_MM)
     return math.degrees(math.atan(lit_mm / setup.laser.origin_mm[2]))
 
 

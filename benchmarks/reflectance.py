@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.goniometer import Readings, Response, Settings, average, simulate
+from calibration.goniometer import GreyResponse, Readings, Settings, average, simulate
 from calibration.reading_noise import ReadingNoise
 from calibration.reflectance import Reflectance, identify_reflectance
 from calibration.reflectance_model import NAMES, White
@@ -51,7 +51,7 @@ CASES = [
 
 
 def draw(case: Case, rng: np.random.Generator) -> Reflectance:
-    response = Response(case.gamma, black_dn=10.0, saturation_dn=255.0)
+    response = GreyResponse(case.gamma, black_dn=10.0, saturation_dn=255.0)
     scale = BRIGHTEST ** (1.0 / case.gamma) / max(
         SAMPLE.light(case.material).max(), STANDARD.light(WHITE).max()
     )

@@ -25,7 +25,7 @@ from pathlib import Path
 from arctrack.nominal import nominal_setup
 from arctrack.recording import BadFrame, Recording, read_recording
 from arctrack.replay import ReplayOptions, replay_recording
-from arctrack.replays import Replayed, ReplayJob, replay_job
+from arctrack.replays import ReplayJob, ReplayResult, replay_job
 from arctrack.simulate import SimulationPlan, balance, simulate_recording
 from arctrack.tracking import RecordedTracking
 from arctrack.workers import at_once, processes
@@ -99,8 +99,10 @@ def frames_per_s(executor: Executor, jobs: list[ReplayJob]) -> float:
     began_s = time.perf_counter()
     done = list(at_once(replay_job, jobs, executor))
     took_s = time.perf_counter() - began_s
-    assert all(isinstance(replayed, Replayed) for replayed in done)
-    return sum(replayed.summaries[0].frames for replayed in done if isinstance(replayed, Replayed)) / took_s
+    assert all(isinstance(replayed, ReplayResult) for replayed in done)
+    return (
+        sum(replayed.summaries[0].frames for replayed in done if isinstance(replayed, ReplayResult)) / took_s
+    )
 
 
 def in_workers(recording: Recording, out: Path, repeats: int, workers: int) -> None:

@@ -23,7 +23,7 @@ NORMAL = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
-class Response:
+class GreyResponse:
     """How the sensor turns light into grey levels, DN: Eq. 20."""
 
     gamma: float = 1.0
@@ -162,7 +162,7 @@ def simulate(
     settings: Settings,
     material: Material,
     scale: float,
-    response: Response,
+    response: GreyResponse,
     noise: ReadingNoise,
     repeats: int,
     rng: np.random.Generator,

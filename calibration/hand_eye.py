@@ -129,7 +129,7 @@ def estimate_hand_eye(
         lit = [(frame, T_base_tool) for frame, T_base_tool in lit if frame.current_a > 0.0]
     if not lit:
         raise ValueError("no frame has the arc on: the hand-eye estimate needs the arc's light")
-    problem = _Problem.of(setup, _sightings(setup, frames), lit)
+    problem = _ArcHandEyeProblem.of(setup, _sightings(setup, frames), lit)
     result = _settled(problem, progress)
     prior = np.diag([parameter.prior_sigma**2 for parameter in result.parameters[:6]])
     fitted = problem.setup_at(result.values)
@@ -180,7 +180,7 @@ def _sightings(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> SeamObserv
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _ArcHandEyeProblem:
     """What is fitted: parameters (p,) in the order of `parameters`, to frames with the arc on.
 
     `curve` is the seam through the sightings as the stated camera puts them.
@@ -193,7 +193,9 @@ class _Problem:
     rays: Rays
 
     @classmethod
-    def of(cls, setup: Setup, sightings: SeamObservations, lit: list[tuple[Frame, Float64]]) -> _Problem:
+    def of(
+        cls, setup: Setup, sightings: SeamObservations, lit: list[tuple[Frame, Float64]]
+    ) -> _ArcHandEyeProblem:
         """Take the frames under whose stripe the seam is known; ValueError if it is under none."""
         true = apply_setup_effects(setup)
         scenes = [make_scene(true, T_base_tool) for _, T_base_tool in lit]
@@ -325,7 +327,7 @@ def _curve(setup: Setup, sightings: SeamObservations, stations_mm: Float64) -> S
     )
 
 
-def _settled(problem: _Problem, progress: Callable[[int, int], None]) -> Fit:
+def _settled(problem: _ArcHandEyeProblem, progress: Callable[[int, int], None]) -> Fit:
     """Choose pixels and fit in turn until the camera settles; ValueError if it does not, or far off."""
     parameters = problem.parameters
     reach = MAX_STEP_SIGMAS * np.array([parameter.prior_sigma for parameter in parameters])
@@ -361,7 +363,7 @@ def _fit(parameters: Sequence[Parameter], residuals: Float64, J: Float64, x: Flo
     return fit(parameters, lambda there: residuals + J @ (there - x), huber=HUBER, start=x)
 
 
-def _ln_level(problem: _Problem, views: Sequence[ArcPixels], x: Float64) -> float:
+def _ln_level(problem: _ArcHandEyeProblem, views: Sequence[ArcPixels], x: Float64) -> float:
     """Return about which level, within its bounds, the arc has where camera and seam are as stated."""
     arc_e, _ = problem.light(views, x)
     if not np.nansum(arc_e) > 0.0:

@@ -175,7 +175,7 @@ def fit_pose_delay(setup: Setup, observations: SeamObservations, track: PoseTrac
     delay_s = 0.0
     for _ in range(2):
         # What a delay takes out of the poses' time is left out, once a delay is known.
-        problem = _Problem(setup, _covered(observations, smooth, delay_s)).with_camera_slopes(delay_s)
+        problem = _DelayProblem(setup, _covered(observations, smooth, delay_s)).with_camera_slopes(delay_s)
         seen = [problem.seen(float(d)) for d in grid]
         for _ in range(2):
             curve = np.array([problem.ln_likelihood(*points, bends, scatters) for points in seen])
@@ -240,7 +240,7 @@ def _unestimated(
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _DelayProblem:
     """Seam points and what moves them; `camera_slopes` (6, n, 2) is by the camera's turn and move."""
 
     setup: Setup
@@ -251,7 +251,7 @@ class _Problem:
         """Return stations (n,) and displacements (n, 2), mm, for a delay."""
         return self.observations.in_joint(with_delay(self.setup, delay_s))
 
-    def with_camera_slopes(self, delay_s: float) -> _Problem:
+    def with_camera_slopes(self, delay_s: float) -> _DelayProblem:
         """Return the problem with what the camera's pose does at a delay."""
         here = with_delay(self.setup, delay_s)
         _, unmoved = self.observations.in_joint(here)

@@ -19,11 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.goniometer import Readings, Response
+from calibration.goniometer import GreyResponse, Readings
 from calibration.reading_noise import ReadingNoise
 from calibration.reflectance_limits import refuse_if_dark, refuse_if_undetermined, refuse_if_unfit
 from calibration.reflectance_model import White, fit_readings, fit_settings, readings_model
-from calibration.scatter import Scatter, compare
+from calibration.scatter import RepeatScatter, compare
 from noise_model.arrays import Float64
 from noise_model.fit import Fit, correlation, student_t
 from noise_model.surface.brdf import Material
@@ -32,13 +32,13 @@ CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True, eq=False)
-class Agreement:
+class StandardResiduals:
     """How the (m,) settings of a white standard agree with the fit, as in `Reflectance`."""
 
     predicted: Float64
     residuals: Float64
     studentised: Float64
-    scatter: Scatter
+    scatter: RepeatScatter
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +64,8 @@ class Reflectance:
     studentised: Float64
     noise: ReadingNoise
     between: float
-    scatter: Scatter
-    white: Agreement | None
+    scatter: RepeatScatter
+    white: StandardResiduals | None
     fit: Fit
 
     @property
@@ -86,7 +86,7 @@ class Reflectance:
 
 def identify_reflectance(
     sample: Readings,
-    response: Response,
+    response: GreyResponse,
     *,
     white: White | None = None,
     total: float = 1.0,
@@ -120,7 +120,7 @@ def identify_reflectance(
     standard = None
     if white is not None:
         of_white = compare(model, by_repeats, slice(m, None))
-        standard = Agreement(predicted[m:], residuals[m:], studentised[m:], of_white)
+        standard = StandardResiduals(predicted[m:], residuals[m:], studentised[m:], of_white)
     return Reflectance(
         material=Material(name, *values.tolist()),
         absolute=white is not None,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.goniometer import Readings, Response
+from calibration.goniometer import GreyResponse, Readings
 from calibration.reflectance_model import C2, NAMES, ReadingsFit, ReadingsModel
-from calibration.scatter import Scatter
+from calibration.scatter import RepeatScatter
 from noise_model.arrays import Bool, Float64
 
 SEEN_SIGMAS, SEEN_SETTINGS = 3.0, 3
@@ -16,7 +16,7 @@ WIDEST = 0.5
 """A 95 % interval wider than -+ this share of the value is no determination (kappa_diff: of both kappas)."""
 
 
-def refuse_if_unfit(sample: Readings, response: Response) -> None:
+def refuse_if_unfit(sample: Readings, response: GreyResponse) -> None:
     """Raise ValueError for readings that no fit can use."""
     settings = sample.settings
     angles = np.column_stack([settings.theta_i_deg, settings.theta_r_deg, settings.phi_r_deg])
@@ -29,7 +29,7 @@ def refuse_if_unfit(sample: Readings, response: Response) -> None:
     refuse_if_dark(sample, response)
 
 
-def refuse_if_dark(readings: Readings, response: Response) -> None:
+def refuse_if_dark(readings: Readings, response: GreyResponse) -> None:
     """Raise ValueError if the readings, a sample's or a white standard's, are all black or one saturated."""
     brightest = float(np.max(readings.gray_level))
     if brightest >= response.saturation_dn:
@@ -42,7 +42,7 @@ def refuse_if_undetermined(
     sample: Readings,
     model: ReadingsModel,
     fitted: ReadingsFit,
-    scatter: Scatter,
+    scatter: RepeatScatter,
     values: Float64,
     half: Float64,
 ) -> None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from calibration.goniometer import NORMAL, Readings, Response
+from calibration.goniometer import NORMAL, GreyResponse, Readings
 from calibration.reading_noise import ReadingNoise, estimate_noise, estimate_scatter, rounding_left
 from noise_model.arrays import Bool, Float64
 from noise_model.fit import Fit, Parameter, fit
@@ -68,7 +68,7 @@ class ReadingsModel:
     repeats: Float64
     variance: Float64
     is_whole: Bool
-    response: Response
+    response: GreyResponse
 
     def level(self, p: Float64) -> Float64:
         """Return the mean grey levels (m,), DN, for A_diff, A_spec, c2 and, with a white standard, s."""
@@ -106,7 +106,7 @@ class ReadingsModel:
         ]
 
 
-def readings_model(sample: Readings, response: Response, white: White | None) -> ReadingsModel:
+def readings_model(sample: Readings, response: GreyResponse, white: White | None) -> ReadingsModel:
     """Return the model of a sample's readings and those of a white standard, if there are any."""
     settings = sample.settings
     diffuse = settings.irradiance

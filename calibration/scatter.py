@@ -18,7 +18,7 @@ MIN_FREEDOM = 0.5
 
 
 @dataclass(frozen=True)
-class Scatter:
+class RepeatScatter:
     """Mean squares of the settings about the model and of the repeats, both over one noise model.
 
     `p_value` is Fisher's: how often a right model's `between` would exceed `within` as much; NaN without
@@ -48,7 +48,7 @@ class Scatter:
         return self.p_value < UNLIKELY
 
 
-def compare(model: ReadingsModel, fitted: ReadingsFit, part: slice) -> Scatter:
+def compare(model: ReadingsModel, fitted: ReadingsFit, part: slice) -> RepeatScatter:
     """Return how much some of the settings and their repeats scatter about a fit weighted by the repeats.
 
     `between` is NaN where the fit leaves them no freedom, `within` for repeats that were not taken.
@@ -63,4 +63,4 @@ def compare(model: ReadingsModel, fitted: ReadingsFit, part: slice) -> Scatter:
         if settings_freedom > MIN_FREEDOM
         else math.nan
     )
-    return Scatter(between, settings_freedom, squares / freedom if freedom else math.nan, freedom)
+    return RepeatScatter(between, settings_freedom, squares / freedom if freedom else math.nan, freedom)

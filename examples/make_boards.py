@@ -24,7 +24,7 @@ BLUR_PX, NOISE_E_PER_DN = 0.7, 60.0
 SAMPLES = 3
 """Samples of a pixel along each axis."""
 
-MOST_ROUNDS, UNDISTORTED = 100, 1e-10
+MAX_ROUNDS, UNDISTORTED = 100, 1e-10
 BEND_ROUNDS = 4
 """Rounds by which a ray meets the bent board: each is nearer by the bend's slope, some hundredths."""
 
@@ -70,7 +70,7 @@ def undistorted(camera: Camera, u: Array, v: Array) -> tuple[Array, Array]:
     """Return the rays (x, y, 1) of image points: OpenCV's distortion, undone by fixed points."""
     to_x, to_y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
     x, y = to_x, to_y
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         r2 = x * x + y * y
         radial = 1.0 + r2 * (camera.k1 + r2 * (camera.k2 + r2 * camera.k3))
         off_x = 2.0 * camera.p1 * x * y + camera.p2 * (r2 + 2.0 * x * x)

@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from arctrack.calibration_files.goniometer import write_goniometer
-from calibration.goniometer import Response, Settings, simulate
+from calibration.goniometer import GreyResponse, Settings, simulate
 from calibration.reading_noise import ReadingNoise
 from noise_model.surface.brdf import MILD_STEEL, ZN_COATED, Material
 
 SEED = 20030201
 REPEATS = 20
 ALBEDO = 0.99
-RESPONSE = Response(gamma=0.45, black_dn=10.0, saturation_dn=255.0)
+RESPONSE = GreyResponse(gamma=0.45, black_dn=10.0, saturation_dn=255.0)
 NOISE = ReadingNoise(additive_dn=0.8, relative=0.01)
 SAMPLE_SETTINGS = Settings.in_plane([20.0, 40.0, 60.0], np.arange(0.0, 76.0, 5.0))
 WHITE_SETTINGS = Settings.in_plane([20.0, 40.0, 60.0], [0.0])

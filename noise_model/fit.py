@@ -183,7 +183,7 @@ def fit(
     (p,) begins the search elsewhere than at the priors' means. Raises ValueError if there are fewer
     residuals and priors than parameters, if a residual or a derivative is not finite, and for huber <= 0.
     """
-    problem = _Problem(tuple(parameters), residuals, huber)
+    problem = _FitProblem(tuple(parameters), residuals, huber)
     x_start = problem.means if start is None else np.asarray(start, dtype=np.float64)
     n = problem.check(x_start)
     solution = least_squares(
@@ -211,7 +211,7 @@ def student_t(confidence: float, freedom: float) -> float:
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _FitProblem:
     parameters: tuple[Parameter, ...]
     residuals: Callable[[Float64], Float64]
     huber: float
@@ -268,7 +268,7 @@ class _Problem:
         return rho
 
 
-def _assess(problem: _Problem, x: Float64, n: int, converged: bool) -> Fit:
+def _assess(problem: _FitProblem, x: Float64, n: int, converged: bool) -> Fit:
     r = problem.residuals_and_pulls(x)[:n]
     J = problem.jacobian(x)[:n]
     psi = np.clip(r, -problem.huber, problem.huber)

@@ -25,7 +25,7 @@ from noise_model.instrument.camera import Rays, blur, blur_inner
 from noise_model.instrument.sensor import expose, respond_moments, saturation_dn
 from noise_model.setup import Setup
 from noise_model.sight import PixelRays, Sight
-from noise_model.stripe import SheetSeen, crossed_by_borders, stripe_reference
+from noise_model.stripe import SheetReach, crossed_by_borders, stripe_reference
 from noise_model.surface.joint import NOMINAL_SEAM, Seam, SeamLine
 from noise_model.view import View
 
@@ -110,7 +110,7 @@ class Layers:
         if not self.view.is_frame:
             return light.reshape(shape)
         near, shaded = self.sight.sheet
-        sheet = SheetSeen(near.reshape(shape), shaded.reshape(shape))
+        sheet = SheetReach(near.reshape(shape), shaded.reshape(shape))
         across = crossed_by_borders(self.faces, sheet).reshape(-1, 2)
         mine = np.flatnonzero(across.any(axis=1))
         offsets_px = WITHIN_PIXEL_PX * across[mine, np.newaxis]

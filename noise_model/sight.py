@@ -19,7 +19,7 @@ from noise_model.instrument.camera import Rays, fall_off
 from noise_model.instrument.laser import sheets_of
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
-from noise_model.stripe import SheetSeen, light_stripe, see_sheet
+from noise_model.stripe import SheetReach, light_stripe, see_sheet
 from noise_model.surface.brdf import lobe_numbers
 from noise_model.surface.joint import BentSeam
 from noise_model.surface.ray_casting import trace
@@ -172,13 +172,13 @@ class Sight:
         return np.asarray(light * (self.cos4 * unit_e), dtype=np.float32)
 
     @property
-    def sheet(self) -> SheetSeen:
+    def sheet(self) -> SheetReach:
         """Where the pixels meet the laser sheet, at their centres."""
         return self._keep("sheet", self._sheet)
 
-    def _sheet(self) -> SheetSeen:
+    def _sheet(self) -> SheetReach:
         n, shape, laser = len(self.cos4), self.scenes.shape, self.setup.laser
-        seen = SheetSeen(np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.bool_))
+        seen = SheetReach(np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.bool_))
         sheets, reach = sheets_of(laser, self.scenes.T_joint_tool), laser.reach_sigmas
         see_sheet(self.surface[0], self.which, sheets, reach, shape.vertices, shape.corrugation, seen)
         return seen

@@ -51,7 +51,7 @@ def _reflect(
         light[i] = sheet_reflected(sheet, material, P, normals[i], omega_r)
 
 
-class SheetSeen(NamedTuple):
+class SheetReach(NamedTuple):
     """Which pixels (...,) lie within the sheet's reach, and which of these it does not reach."""
 
     near: Bool
@@ -66,7 +66,7 @@ def see_sheet(
     reach: float,
     vertices: Float64,
     corrugation: Float64,
-    seen: SheetSeen,
+    seen: SheetReach,
 ) -> None:
     """Write which points (n, 3), mm, joint frame, the sheet is near up to a reach, and which it shades.
 
@@ -119,7 +119,7 @@ def light_stripe(
             light[i] = 0.0
 
 
-def crossed_by_borders(faces: Integers, sheet: SheetSeen) -> Bool:
+def crossed_by_borders(faces: Integers, sheet: SheetReach) -> Bool:
     """Say along which axes (H, W, 2), u and v, a border of the stripe may cross the pixels of a frame.
 
     Along an axis a neighbour shows another face or lies in the sheet's shadow, and the sheet is near one of

@@ -242,7 +242,7 @@ def _objection(
 
 
 @dataclass(frozen=True)
-class _Axis:
+class _OffsetAxis:
     """One enabled axis of a proposal beside its limits.
 
     `sent_mm`, `measured_mm` and `elapsed_s` are of what the axis was sent last, NaN if it never was.
@@ -260,11 +260,11 @@ class _Axis:
 
 def _enabled_axes(
     proposal: Proposal, conditions: Conditions, limits: GateLimits, last_sent: LastSent
-) -> list[_Axis]:
+) -> list[_OffsetAxis]:
     axes = []
     if conditions.enable_y:
         axes.append(
-            _Axis(
+            _OffsetAxis(
                 offset_mm=proposal.offset_y_mm,
                 sigma_mm=proposal.sigma_y_mm,
                 sent_mm=last_sent.offset_y_mm,
@@ -277,7 +277,7 @@ def _enabled_axes(
         )
     if conditions.enable_z:
         axes.append(
-            _Axis(
+            _OffsetAxis(
                 offset_mm=proposal.offset_z_mm,
                 sigma_mm=proposal.sigma_z_mm,
                 sent_mm=last_sent.offset_z_mm,
@@ -323,7 +323,7 @@ def _send(
     return Decision(Verdict.SEND, reason, _message(sent, conditions, Validity.VALID, now_s), sent)
 
 
-def _approached(axis: _Axis, limits: GateLimits) -> float:
+def _approached(axis: _OffsetAxis, limits: GateLimits) -> float:
     """Return the measured offset, or how near to it the rate limit lets come what was sent last.
 
     An axis that was sent nothing yet is at nought, where the robot is armed.

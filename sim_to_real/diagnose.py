@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from noise_model.arrays import Bool
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
-from sim_to_real.data.binned import Observed, PoseAt, observe
+from sim_to_real.data.binned import ObservedRecording, PoseAt, observe
 from sim_to_real.data.cross_validation import held_out
 from sim_to_real.decision.holdout_gap import excess_map, measure_gap, predict_holdout
 from sim_to_real.decision.next_experiment import next_measurement
@@ -20,24 +20,24 @@ from sim_to_real.decision.seam_error import seam_errors_mm
 from sim_to_real.diagnosis import (
     NO_GAP,
     Diagnosis,
-    Estimate,
+    DiagnosisVerdict,
     Gap,
-    Named,
+    HeldOutPrediction,
+    NamedEffect,
     Next,
-    Predicted,
-    Ranked,
+    ParameterEstimate,
+    RankedEffect,
     Reason,
     ReportedTrend,
-    Verdict,
     Where,
     excluded_effects,
 )
-from sim_to_real.evidence.error_model import Linearized
+from sim_to_real.evidence.error_model import LinearHypothesis
 from sim_to_real.evidence.free_functions import FreeFunctions, all_families, locate
-from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Unknown
+from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
 from sim_to_real.evidence.judgement import Judgement, judge
 from sim_to_real.evidence.policy import POLICY, Policy
-from sim_to_real.evidence.weigh import Weighed, weigh
+from sim_to_real.evidence.weigh import WeightedHypotheses, weigh
 from sim_to_real.fit.covariates import Covariates, covariates
 from sim_to_real.fit.gauss_newton import Refit, converged, refit, refit_there
 from sim_to_real.fit.linearized_model import LinearizedModel
@@ -136,8 +136,8 @@ def _diagnosed(
     )
     verdict = _on_held_out(verdict, gap)
     tell("locating the gap", 0.9)
-    effects: tuple[Named, ...] = ()
-    if verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS):
+    effects: tuple[NamedEffect, ...] = ()
+    if verdict in (DiagnosisVerdict.EFFECTS, DiagnosisVerdict.AMBIGUOUS):
         effects = _named(judgement, after, weighed, random, random_before)
     functions = _free_functions(weighed, judgement, of_bins)
     where = _located(functions, weighed, of_bins, before, effects, predicted)
@@ -159,13 +159,13 @@ def _diagnosed(
     )
 
 
-class Assessed(NamedTuple):
+class Assessment(NamedTuple):
     """A judgement on frames held out: its fit, random effects beside it, predictions, the gap."""
 
     judgement: Judgement
     after: Refit
     random: RandomEffects
-    predicted: Predicted
+    predicted: HeldOutPrediction
     gap: Gap
 
     @property
@@ -180,13 +180,13 @@ class HeldOut(NamedTuple):
     setup: Setup
     frames: Sequence[Frame]
     pose_at: PoseAt
-    observed: Observed
+    observed: ObservedRecording
     model: LinearizedModel
     before: Refit
     without: Sequence[str]
     tell: OnStage
 
-    def assess(self, judgement: Judgement) -> Assessed:
+    def assess(self, judgement: Judgement) -> Assessment:
         """Return a judgement on these frames, its effects fitted to all bins alike, as the fit before is."""
         fitted = judgement.leader.refit
         after = refit_there(self.model, fitted) if fitted.ids else self.before
@@ -199,16 +199,16 @@ class HeldOut(NamedTuple):
             lambda done: self.tell("predicting the frames held out", 0.75 + 0.15 * done),
         )
         seam_mm = seam_errors_mm(self.setup, self.frames, self.pose_at, self.model, after)
-        return Assessed(judgement, after, random, predicted, measure_gap(predicted, self.setup, seam_mm))
+        return Assessment(judgement, after, random, predicted, measure_gap(predicted, self.setup, seam_mm))
 
 
 def _located(
     functions: FreeFunctions,
-    weighed: Weighed,
+    weighed: WeightedHypotheses,
     of_bins: Covariates,
     before: Refit,
-    effects: Sequence[Named],
-    predicted: Predicted,
+    effects: Sequence[NamedEffect],
+    predicted: HeldOutPrediction,
 ) -> Where:
     """Return where the gap lies: at the first named effect's stage, or at the unknown cause's likeliest."""
     stages = weighed.posterior.unknown.stages(weighed.policy.temperature)
@@ -216,7 +216,7 @@ def _located(
     return locate(functions, of_bins, before.residuals, stage, stages, excess_map(predicted))
 
 
-def _comparable(observed: Observed, holdout: Bool) -> Observed:
+def _comparable(observed: ObservedRecording, holdout: Bool) -> ObservedRecording:
     """Return the frames that are not held out (n_frames,); ValueError if they show nothing to compare."""
     if not holdout.any():
         raise ValueError(
@@ -269,48 +269,54 @@ def baseline_of(
 
 
 def _with_random_effects(
-    verdict: Verdict, random: RandomEffects, all_random: RandomEffects, without: Sequence[str]
-) -> Verdict:
+    verdict: DiagnosisVerdict, random: RandomEffects, all_random: RandomEffects, without: Sequence[str]
+) -> DiagnosisVerdict:
     """Return the verdict with random effects: named beside others, or alone where nothing else is amiss.
 
     `all_random` are those found with nothing withheld: a gap that only a withheld one explains is unknown.
     """
-    if verdict is not Verdict.NO_GAP:
+    if verdict is not DiagnosisVerdict.NO_GAP:
         return verdict
     if random.effects:
-        return Verdict.EFFECTS
-    return Verdict.UNKNOWN if set(all_random.effects) & set(without) else verdict
+        return DiagnosisVerdict.EFFECTS
+    return DiagnosisVerdict.UNKNOWN if set(all_random.effects) & set(without) else verdict
 
 
-def _on_held_out(verdict: Verdict, gap: Gap) -> Verdict:
+def _on_held_out(verdict: DiagnosisVerdict, gap: Gap) -> DiagnosisVerdict:
     """Return the verdict, but unknown in place of no gap where frames held out show a clear one.
 
     The evidence has no bounds for nuisances: beyond them one may explain bins, and no fit takes it there.
     """
-    return Verdict.UNKNOWN if verdict is Verdict.NO_GAP and gap.is_clear_after else verdict
+    return DiagnosisVerdict.UNKNOWN if verdict is DiagnosisVerdict.NO_GAP and gap.is_clear_after else verdict
 
 
 def _named(
-    judgement: Judgement, after: Refit, weighed: Weighed, random: RandomEffects, random_before: RandomEffects
-) -> tuple[Named, ...]:
+    judgement: Judgement,
+    after: Refit,
+    weighed: WeightedHypotheses,
+    random: RandomEffects,
+    random_before: RandomEffects,
+) -> tuple[NamedEffect, ...]:
     """Return the effects that are named, as fitted, and random effects, the largest share first.
 
     Of an ambiguous verdict they are those of the likeliest hypothesis.
     """
     posterior = weighed.posterior
-    shown = after.ids if judgement.verdict is Verdict.AMBIGUOUS else judgement.named
+    shown = after.ids if judgement.verdict is DiagnosisVerdict.AMBIGUOUS else judgement.named
     effects = {name: values for name, values in after.effects.items() if name in shown}
     sigmas = {**after.sigmas, **random.sigmas}
     confidence = {**random.confidence, **posterior.of_effects}
     share = _with_random_shares(shares(posterior, judgement.leader), random_before, random)
     named = [
-        Named(
+        NamedEffect(
             name,
             REGISTRY[name].stage.value,
             confidence[name],
             share[name],
             {
-                parameter.name: Estimate(values[parameter.name], sigmas[name][parameter.name], parameter.unit)
+                parameter.name: ParameterEstimate(
+                    values[parameter.name], sigmas[name][parameter.name], parameter.unit
+                )
                 for parameter in REGISTRY[name].parameters
                 if parameter.name in values
             },
@@ -321,17 +327,17 @@ def _named(
     return tuple(sorted(named, key=lambda effect: -effect.share))
 
 
-def _free_functions(weighed: Weighed, judgement: Judgement, of_bins: Covariates) -> FreeFunctions:
+def _free_functions(weighed: WeightedHypotheses, judgement: Judgement, of_bins: Covariates) -> FreeFunctions:
     """Return the free functions beside no gap and beside the leading hypothesis."""
     none, leader = weighed.posterior.none.neutral, judgement.leader.refit
-    named = Linearized.of(leader) if leader.ids else none
+    named = LinearHypothesis.of(leader) if leader.ids else none
     families = all_families(of_bins, weighed.bins)
     return FreeFunctions.of(weighed.errors, families, none, named, weighed.policy)
 
 
-def _next(model: LinearizedModel, weighed: Weighed, judgement: Judgement) -> Next | None:
+def _next(model: LinearizedModel, weighed: WeightedHypotheses, judgement: Judgement) -> Next | None:
     """Return what to record next where effects are in question."""
-    if judgement.verdict not in (Verdict.EFFECTS, Verdict.AMBIGUOUS):
+    if judgement.verdict not in (DiagnosisVerdict.EFFECTS, DiagnosisVerdict.AMBIGUOUS):
         return None
     return next_measurement(model, weighed.posterior, weighed.errors, weighed.policy)
 
@@ -385,7 +391,7 @@ def _with_random_shares(
     return {name: part / total if total > 0.0 else 1.0 / len(of_all) for name, part in of_all.items()}
 
 
-def ranking(weighed: Weighed, random: RandomEffects) -> tuple[Ranked, ...]:
+def ranking(weighed: WeightedHypotheses, random: RandomEffects) -> tuple[RankedEffect, ...]:
     """Return all single effects, best first, with the share of the gap's size that each closes."""
     posterior = weighed.posterior
     singles = posterior.singles
@@ -396,9 +402,12 @@ def ranking(weighed: Weighed, random: RandomEffects) -> tuple[Ranked, ...]:
     for name, (single, p) in singles.items():
         remainder = math.sqrt(max(single.refit.mean_square - floor, 0.0))
         closed = 1.0 - remainder / size if size else math.nan
-        ranked.append((single.evidence - posterior.none.evidence, Ranked(name, p, closed)))
+        ranked.append((single.evidence - posterior.none.evidence, RankedEffect(name, p, closed)))
     ranked += [
-        (random.evidence[name], Ranked(name, random.confidence[name], random.closed[name], is_random=True))
+        (
+            random.evidence[name],
+            RankedEffect(name, random.confidence[name], random.closed[name], is_random=True),
+        )
         for name in random.evidence
     ]
     return tuple(candidate for _, candidate in sorted(ranked, key=lambda pair: -pair[0]))
@@ -423,7 +432,7 @@ def reasons(posterior: Posterior) -> tuple[Reason, ...]:
     return tuple(sorted(compared, key=lambda reason: (-reason.probability, -reason.evidence)))
 
 
-def _unknown_in_words(unknown: Unknown) -> str:
+def _unknown_in_words(unknown: UnknownCause) -> str:
     """Return an unknown cause with its likeliest stage and term."""
     stage, term = unknown.likeliest
     return f"unknown: {term}" if stage is None else f"unknown: {stage.value}, {term}"

@@ -11,7 +11,7 @@ from noise_model.effects import not_predicted
 from noise_model.setup import Setup
 
 
-class Verdict(Enum):
+class DiagnosisVerdict(Enum):
     """The verdict on a recording."""
 
     NO_GAP = "no_gap"
@@ -21,7 +21,7 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ParameterEstimate:
     """A fitted parameter."""
 
     value: float
@@ -44,7 +44,7 @@ class ReportedTrend:
 
 
 @dataclass(frozen=True)
-class Named:
+class NamedEffect:
     """An effect that the verdict names; `share`, 0 to 1, is its part of the gap that all named effects close.
 
     If its size changes from frame to frame, the parameters are those half-way, and `trend` says how.
@@ -54,12 +54,12 @@ class Named:
     stage: str
     confidence: float
     share: float
-    parameters: Mapping[str, Estimate]
+    parameters: Mapping[str, ParameterEstimate]
     trend: ReportedTrend | None = None
 
 
 @dataclass(frozen=True)
-class Ranked:
+class RankedEffect:
     """An effect that was fitted by itself: how probable it is, and the share of the gap that it closes.
 
     The confidence of an effect that changes a frame's mean is the probability that it and nothing else is
@@ -167,7 +167,7 @@ class Reason:
 
 
 @dataclass(frozen=True, eq=False)
-class Predicted:
+class HeldOutPrediction:
     """Held-out frames (n,) as predicted before and after, DN, with the variances (n, H, W), DN^2.
 
     A variance is inf where a pixel does not count: saturated, on an edge, past the workpiece. Both are the
@@ -194,18 +194,18 @@ class Diagnosis:
     are the hypotheses that were compared, the most probable first.
     """
 
-    verdict: Verdict
-    effects: tuple[Named, ...]
-    ranking: tuple[Ranked, ...]
+    verdict: DiagnosisVerdict
+    effects: tuple[NamedEffect, ...]
+    ranking: tuple[RankedEffect, ...]
     ambiguous_with: tuple[tuple[str, ...], ...]
     gap: Gap
     where: Where
     next: Next | None
     not_resolvable: tuple[tuple[str, str], ...]
-    smallest: Mapping[str, Estimate]
+    smallest: Mapping[str, ParameterEstimate]
     left_over: tuple[str, float] | None
     after_with: tuple[str, ...]
-    predicted: Predicted
+    predicted: HeldOutPrediction
     reasons: tuple[Reason, ...] = ()
 
 

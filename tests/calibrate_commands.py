@@ -8,7 +8,7 @@ import numpy as np
 from typer.testing import CliRunner, Result
 
 from arctrack import cli
-from arctrack.recording import Calibrated, with_calibrated
+from arctrack.recording import CalibrationValues, with_calibrated
 
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -29,6 +29,8 @@ def setup_with_camera(folder: Path, size: tuple[int, int], pinhole: Mapping[str,
     """Return a setup whose camera is that of the pictures, with the covariance of its calibration."""
     path = copied_setup(folder)
     values = {"width": size[0], "height": size[1], **pinhole}
-    camera = Calibrated("camera", values, tuple(pinhole), np.diag([0.01] * 4), "arctrack calibrate camera")
+    camera = CalibrationValues(
+        "camera", values, tuple(pinhole), np.diag([0.01] * 4), "arctrack calibrate camera"
+    )
     path.write_text(with_calibrated(path, camera) + "# mine\n")
     return path

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calibration.boards.board import Board, Kind
-from calibration.camera.sightings import View
+from calibration.boards.board import Board, BoardKind
+from calibration.camera.sightings import BoardView
 from noise_model.arrays import Float64, UInt8
 
-BOARD = Board(Kind.CHESSBOARD, 7, 6, 10.0)
+BOARD = Board(BoardKind.CHESSBOARD, 7, 6, 10.0)
 SIZE = (800, 600)
 LENS = {"fx": 1000.0, "fy": 1003.0, "cx": 410.0, "cy": 290.0, "k1": -0.12, "k2": 0.2}
 WARP_MM = np.array([0.15, -0.1])
@@ -87,7 +87,7 @@ def views(
     seed: int = 1,
     lens: dict[str, float] = LENS,
     print_mm: Float64 | float = 0.0,
-) -> list[View]:
+) -> list[BoardView]:
     """Return what a camera sees of boards so held."""
     rng = np.random.default_rng(seed)
     points, seen = bent_board(print_mm), []
@@ -102,7 +102,9 @@ def views(
         ]
         camera = turn.apply(points - points.mean(axis=0)) + each.depth_mm * np.array(ray)
         image = project(lens, camera)
-        seen.append(View(f"{n}", np.arange(len(image)), image + sigma_px * rng.standard_normal(image.shape)))
+        seen.append(
+            BoardView(f"{n}", np.arange(len(image)), image + sigma_px * rng.standard_normal(image.shape))
+        )
     return seen
 
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.boards.board import Board
 from calibration.camera.lens import Lens
-from calibration.camera.sightings import View
+from calibration.camera.sightings import BoardView
 from noise_model.arrays import Float64
 
 TRUE_LENS = Lens(*SIZE, tuple(LENS), np.array([*LENS.values()]))
@@ -68,7 +68,7 @@ class Shown:
     """The robot's poses (V, 4, 4) as reported, and the corners in each image."""
 
     T_base_tool: Float64
-    views: list[View]
+    views: list[BoardView]
 
 
 def shown(
@@ -94,7 +94,7 @@ def shown(
         poses.append(T_base_tool @ rigid(Rotation.from_rotvec(turn_deg, degrees=True), move_mm))
         image = project(LENS, points @ T_camera_board[:3, :3].T + T_camera_board[:3, 3])
         image = image + noise * CORNER_PX * rng.standard_normal(image.shape)
-        views.append(View(f"{n}", np.arange(len(image)), image))
+        views.append(BoardView(f"{n}", np.arange(len(image)), image))
     return Shown(np.array(poses), views)
 
 

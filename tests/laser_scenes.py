@@ -9,8 +9,8 @@ import numpy as np
 from camera_scenes import BOARD, SIZE, Held, picture_of, pose, project
 from scipy.spatial.transform import Rotation
 
-from calibration.camera.sightings import View
-from calibration.laser.stripe import Stripe
+from calibration.camera.sightings import BoardView
+from calibration.laser.stripe import BoardStripe
 from noise_model.arrays import Float64, UInt8
 
 PINHOLE = {"fx": 1000.0, "fy": 1003.0, "cx": 410.0, "cy": 290.0}
@@ -37,13 +37,15 @@ def flat_pose(held: Held) -> tuple[Rotation, Float64]:
     return pose(held, PINHOLE)
 
 
-def views(boards: tuple[Held, ...] = BOARDS, sigma_px: float = 0.05, seed: int = 1) -> list[View]:
+def views(boards: tuple[Held, ...] = BOARDS, sigma_px: float = 0.05, seed: int = 1) -> list[BoardView]:
     """Return the corners of boards."""
     rng, seen = np.random.default_rng(seed), []
     for n, held in enumerate(boards):
         turn, move = flat_pose(held)
         image = project(PINHOLE, turn.apply(BOARD.points_mm) + move)
-        seen.append(View(f"{n}", np.arange(len(image)), image + sigma_px * rng.standard_normal(image.shape)))
+        seen.append(
+            BoardView(f"{n}", np.arange(len(image)), image + sigma_px * rng.standard_normal(image.shape))
+        )
     return seen
 
 
@@ -60,7 +62,7 @@ def stripe_points(held: Held) -> Float64:
 
 def stripes(
     boards: tuple[Held, ...] = BOARDS, sigma_px: float = 0.2, wrong_share: float = 0.0, seed: int = 2
-) -> dict[str, Stripe]:
+) -> dict[str, BoardStripe]:
     """Return the stripes of boards, upright in the image; some of their points may be wrong."""
     rng, seen = np.random.default_rng(seed), {}
     for n, held in enumerate(boards):
@@ -69,7 +71,7 @@ def stripes(
         image[:, 0] += sigma_px * rng.standard_normal(len(image))
         wrong = rng.random(len(image)) < wrong_share
         image[wrong, 0] += rng.uniform(3.0, 15.0, wrong.sum())
-        seen[f"{n}"] = Stripe(image, along_rows=False, scale_px=1.5)
+        seen[f"{n}"] = BoardStripe(image, along_rows=False, scale_px=1.5)
     return seen
 
 

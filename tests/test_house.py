@@ -392,6 +392,28 @@ def test_a_name_that_says_nothing_is_seen(source: str, wrong: list[str]) -> None
     assert names_that_say_nothing(source) == wrong
 
 
+def test_a_name_of_a_class_has_one_meaning() -> None:
+    """No class name twice, not even of a record that one file alone uses."""
+    homes: dict[str, list[str]] = {}
+    for room in MAY_IMPORT:
+        for file in sorted((ROOT / room).rglob("*.py")):
+            for node in ast.walk(parsed(file.read_text())):
+                if isinstance(node, ast.ClassDef):
+                    homes.setdefault(node.name, []).append(str(file.relative_to(ROOT)))
+    assert {name: files for name, files in homes.items() if len(files) > 1} == {}
+
+
+@pytest.mark.slow
+def test_bounds_are_named_min_and_max() -> None:
+    wrong = [
+        f"{file.relative_to(ROOT)}:{name}"
+        for room in (*MAY_IMPORT, "benchmarks", "tests")
+        for file in sorted((ROOT / room).rglob("*.py"))
+        for name in re.findall(r"\b(?:M[O]ST|L[E]AST)_[A-Z]\w*", file.read_text())
+    ]
+    assert wrong == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "command",

@@ -24,7 +24,7 @@ from noise_model.effects import acting, apply_setup_effects
 from noise_model.instrument.camera import Intrinsics, Rays
 from noise_model.instrument.laser import Sheet, sheet_in_tool
 from noise_model.instrument.sensor import (
-    Response,
+    SensorResponse,
     dark_part_e2,
     linearise,
     saturation_dn,
@@ -110,7 +110,7 @@ class ImageSource(NamedTuple):
     saturation_dn: int
     dark_variance_e2: float
     is_linear: bool
-    response: Response
+    response: SensorResponse
     black_sigma_e: float
     level_scan: Int64
     level_position: Int64
@@ -200,7 +200,7 @@ class SensorGeometry:
             saturation_dn=self.saturation_dn,
             dark_variance_e2=self.dark_variance_e2,
             is_linear=sensor.is_linear,
-            response=Response.of(sensor),
+            response=SensorResponse.of(sensor),
             black_sigma_e=self.setup.tolerance.black_level_dn * sensor.gain_e_per_dn,
             level_scan=level_scan,
             level_position=level_position,

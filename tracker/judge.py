@@ -18,7 +18,7 @@ from tracker.seam.gaussian_process import (
 )
 from tracker.seam.locate import confidence, locate
 from tracker.state import Pair
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import TrackerMemory
 
 MAX_OFF_MM = 3.0 * WIDE_SIGMA_MM
 """A seam so far off its nominal line is none: the line would be another joint's."""
@@ -31,7 +31,7 @@ The rim of a tack shows a joint for some frames, or now and then: a seam shows i
 """
 
 
-class SeamShown(NamedTuple):
+class SeamEstimate(NamedTuple):
     """Where a frame shows the seam: in the tool frame, mm, with 1 sigmas and confidence; NaN if it does not.
 
     The sigmas of y and z, mm, take in the hand-eye tolerance.
@@ -45,7 +45,7 @@ class SeamShown(NamedTuple):
 
 def judge(
     frame_checks: FrameChecks, given: FrameInput, expected: ExpectedSeam, reading: Reading
-) -> tuple[TrackerState, SeamShown | None]:
+) -> tuple[TrackerMemory, SeamEstimate | None]:
     """Judge the joint that a look shows; return what is remembered, and the seam, None if none is shown."""
     source, before, joint = given.geometry.seam_source, given.state, reading.joint
     if joint is None:
@@ -61,21 +61,21 @@ def judge(
     sigma_y_mm = math.sqrt(variance_mm2[0] + hand_eye_y)
     sigma_z_mm = math.sqrt(variance_mm2[1] + hand_eye_z)
     sure = confidence(source.weld_mm, sigma_y_mm, sigma_z_mm)
-    return state, SeamShown(located.seam_tool_mm, sigma_y_mm, sigma_z_mm, sure)
+    return state, SeamEstimate(located.seam_tool_mm, sigma_y_mm, sigma_z_mm, sure)
 
 
-def _lost(before: TrackerState, reading: Reading) -> TrackerState:
+def _lost(before: TrackerMemory, reading: Reading) -> TrackerMemory:
     """Return the state after a frame without a joint: a frame without a stripe says nothing of it."""
     return before if reading.stripe is None else before._replace(lost=before.lost + 1)
 
 
 def remember(
     frame_checks: FrameChecks,
-    before: TrackerState,
+    before: TrackerMemory,
     station_mm: float,
     displacement_mm: Pair,
     variance_mm2: Pair,
-) -> TrackerState:
+) -> TrackerMemory:
     """Return the state with a seam that a frame shows, judged against the earlier frames."""
     measured = station_mm, displacement_mm, variance_mm2
     history, beyond, jumps = before.history, before.beyond, before.jumps + 1

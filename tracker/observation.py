@@ -15,7 +15,7 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker import checks
 from tracker.arc.level import NOWHERE, UNKNOWN, ArcLevel, estimate_light, off_stripe
-from tracker.arc.prediction import ArcLight, predict_arc
+from tracker.arc.prediction import ArcLightBuffers, predict_arc
 from tracker.arc.transmission import NO_LIGHT, Transmission
 from tracker.checks import FrameChecks
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry, dark_variance_at
@@ -23,7 +23,7 @@ from tracker.joint.measured import MeasuredJoint
 from tracker.profile import EdgeAlongSeam, Section, triangulate
 from tracker.seam.correction import Correction
 from tracker.seam.locate import sources
-from tracker.state import Frame, Lead, Stripe
+from tracker.state import Frame, OffsetLookAhead, Stripe
 from tracker.stripe.band import FIT_SIGMAS, Band, LightLevel, gather_band
 from tracker.stripe.detection import MIN_RATIO, MIN_SEEN, seen_share
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
@@ -38,7 +38,7 @@ from tracker.stripe.read import (
     read_stripe,
 )
 from tracker.stripe.scatter import NO_SCATTER, Scatter
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import TrackerMemory
 
 MIN_HELD_SHARE, WHOLE_SHARE = 0.2, 0.75
 """The share of the scan lines that the joint crosses which must hold a stripe, and below it is partial."""
@@ -65,14 +65,14 @@ class FrameInput(NamedTuple):
     """
 
     geometry: SensorGeometry
-    state: TrackerState
+    state: TrackerMemory
     frame: Frame
     T_base_tool: Float64
     is_extrapolated: bool
     work: Work
     use_arc_map: bool
     correction: Correction
-    lead: Lead
+    lead: OffsetLookAhead
 
 
 class Aim(NamedTuple):
@@ -247,7 +247,7 @@ def predict_light(
     lows, band_e, arc_e = NO_PIXELS, NO_BAND, np.empty(len(pixels), np.float32)
     if band is not None and aim.use_arc_map and (has_arc or geometry.has_light_effects):
         lows, band_e = band.lows, band.background
-    material, into = geometry.stripe_source.material, ArcLight(pixels, arc_e, lows, band_e)
+    material, into = geometry.stripe_source.material, ArcLightBuffers(pixels, arc_e, lows, band_e)
     source, horizon = geometry.arc_source, horizon_of(aim.scene, geometry.arc_source.radius_mm)
     predict_arc(source, geometry.image_source, material, aim.scene, horizon, output, into)
     transmission = transmission_of(geometry, aim.scene, given.frame)

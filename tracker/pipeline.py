@@ -19,7 +19,7 @@ from tracker.joint import MeasuredJoint, fit_closed_joint, fit_section
 from tracker.joint.evidence import MIN_EVIDENCE_NATS
 from tracker.joint.image_line import read_image_line
 from tracker.joint.type_check import shows_another
-from tracker.judge import SeamShown, judge
+from tracker.judge import SeamEstimate, judge
 from tracker.observation import (
     MIN_HELD_SHARE,
     Aim,
@@ -34,7 +34,7 @@ from tracker.seam.locate import locate
 from tracker.steer import TorchOffset, steer
 from tracker.stripe.scatter import Scatter
 from tracker.stripe.smooth import smoothed
-from tracker.tracker_state import LOST_TO_FORGET, LOST_TO_SEARCH, TrackerState
+from tracker.tracker_state import LOST_TO_FORGET, LOST_TO_SEARCH, TrackerMemory
 
 JOINT_CHI2_LIMIT = 9.0
 UNEXPLAINED_LIMIT = 0.1
@@ -47,9 +47,9 @@ MIN_MARGIN_MM = 1.0
 class FrameResult(NamedTuple):
     """What a frame gives: the state after it, the look that counts, the seam and the offset at the torch."""
 
-    state: TrackerState
+    state: TrackerMemory
     reading: Reading
-    shown: SeamShown | None
+    shown: SeamEstimate | None
     offset: TorchOffset
 
 
@@ -116,7 +116,7 @@ def look_and_fit(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Read
     )
 
 
-def _reach_mm(state: TrackerState, expected: ExpectedSeam) -> float:
+def _reach_mm(state: TrackerMemory, expected: ExpectedSeam) -> float:
     """Return how far about the expected seam it is looked for, mm."""
     if state.lost >= LOST_TO_SEARCH:
         return SEARCH_REACH_MM

@@ -140,7 +140,7 @@ class Pose:
         return f"Pose(tool at {place}, {tilt_deg:.1f} deg off its z{how})"
 
 
-class Lead(NamedTuple):
+class OffsetLookAhead(NamedTuple):
     """How far ahead of the torch the offset is asked for: where it will be once the correction acts.
 
     Parameters
@@ -155,7 +155,7 @@ class Lead(NamedTuple):
     way_mm: float = 0.0
 
 
-AT_ONCE = Lead()
+AT_ONCE = OffsetLookAhead()
 """The offset of where the torch is at the capture."""
 
 

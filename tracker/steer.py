@@ -15,13 +15,13 @@ from typing import NamedTuple
 from tracker import checks, flags
 from tracker.checks import FrameChecks
 from tracker.observation import FrameInput
-from tracker.seam.correction import Corrected, Correction, correct
+from tracker.seam.correction import CorrectedOffset, Correction, correct
 from tracker.seam.expected import ExpectedSeam
 from tracker.seam.gaussian_process import SPACING_MM, SeamHistory, condition, stretch_at
 from tracker.seam.joint_ends import Change
 from tracker.seam.locate import confidence, ridge_mm
 from tracker.state import UNKNOWN, Pair
-from tracker.tracker_state import Steering, TrackerState
+from tracker.tracker_state import Steering, TrackerMemory
 
 NO_LOOK = flags.LASER_OFF.mask | flags.BELOW_SURFACE.mask | flags.SEAM_OUT_OF_VIEW.mask
 """A frame with these says nothing of whether there is a joint."""
@@ -93,7 +93,7 @@ class TorchOffset(NamedTuple):
 
 
 def steer(
-    frame_checks: FrameChecks, given: FrameInput, expected: ExpectedSeam, state: TrackerState, is_shown: bool
+    frame_checks: FrameChecks, given: FrameInput, expected: ExpectedSeam, state: TrackerMemory, is_shown: bool
 ) -> tuple[Steering, TorchOffset]:
     """Return the offset that is proposed to the gate, and what is handed on.
 
@@ -114,7 +114,7 @@ def steer(
         height_mm = ridge_mm(torch_mm, given.geometry.seam_source.scene.shape.corrugation)
     sent = correct(correction, seam.displacement_mm, height_mm)
     if steering.is_stopped or seam.stops_following:
-        sent = Corrected(UNKNOWN, False, True)
+        sent = CorrectedOffset(UNKNOWN, False, True)
     frame_checks.ask_whether(checks.OFFSET_WITHIN, not sent.is_limited)
     frame_checks.ask_whether(checks.FOLLOWING, not sent.is_stopped)
     y_mm, z_mm = sent.offset_mm

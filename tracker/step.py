@@ -13,13 +13,13 @@ from noise_model.arrays import as_compiled_for
 from tracker import checks, flags
 from tracker.checks import FrameChecks
 from tracker.geometry import SensorGeometry
-from tracker.judge import SeamShown
+from tracker.judge import SeamEstimate
 from tracker.observation import MISFIT_LIMIT, FrameInput, Reading
 from tracker.pipeline import FrameResult, track_frame
 from tracker.seam.correction import UNSTATED, Correction
-from tracker.state import AT_ONCE, NAN, NO_SHAPE, Frame, Lead, Pose, Track, frame_misfit
+from tracker.state import AT_ONCE, NAN, NO_SHAPE, Frame, OffsetLookAhead, Pose, Track, frame_misfit
 from tracker.stripe.read import Work
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import TrackerMemory
 
 
 @dataclass(frozen=True)
@@ -38,22 +38,22 @@ class StepInputs:
         Whether what the step found counts for the next one: not where poses were doubted.
     """
 
-    state: TrackerState
+    state: TrackerMemory
     pose: Pose | None
-    lead: Lead = AT_ONCE
+    lead: OffsetLookAhead = AT_ONCE
     keeps_state: bool = True
 
 
 def step(
     geometry: SensorGeometry,
-    state: TrackerState,
+    state: TrackerMemory,
     frame: Frame,
     pose: Pose | None,
     work: Work,
     use_arc_map: bool = True,
     correction: Correction = UNSTATED,
-    lead: Lead = AT_ONCE,
-) -> tuple[TrackerState, Track]:
+    lead: OffsetLookAhead = AT_ONCE,
+) -> tuple[TrackerMemory, Track]:
     """Track one frame.
 
     Nothing about a frame raises: what fails is NaN with a flag.
@@ -98,14 +98,14 @@ def step(
 
 def step_and_reading(
     geometry: SensorGeometry,
-    state: TrackerState,
+    state: TrackerMemory,
     frame: Frame,
     pose: Pose | None,
     work: Work,
     use_arc_map: bool = True,
     correction: Correction = UNSTATED,
-    lead: Lead = AT_ONCE,
-) -> tuple[TrackerState, Track, Reading | None]:
+    lead: OffsetLookAhead = AT_ONCE,
+) -> tuple[TrackerMemory, Track, Reading | None]:
     """Return what `step` does and the look at the frame that it rests on, None where it took none.
 
     A frame that contradicts the arc map and shows no seam over it is read as if no arc were stated: over an
@@ -116,7 +116,7 @@ def step_and_reading(
         _check_form(frame_checks, geometry, frame, pose)
         return _refused(state, frame_checks, frame)
     frame, pose = _as_compiled_for(frame, pose)
-    lead = Lead(float(lead.time_s), float(lead.way_mm))
+    lead = OffsetLookAhead(float(lead.time_s), float(lead.way_mm))
     T_base_tool, extrapolated = pose.T_base_tool, bool(pose.extrapolated)
     given = FrameInput(
         geometry=geometry,
@@ -153,7 +153,7 @@ def _contradicts_map(reading: Reading) -> bool:
 
 def _as_contradicted(
     frame: Frame, plain: FrameResult, by_map: Reading
-) -> tuple[TrackerState, Track, Reading]:
+) -> tuple[TrackerMemory, Track, Reading]:
     """Return a step without the arc map, whose track says of the arc what the look with the map found."""
     reading, arc = plain.reading, by_map.arc
     for question in (checks.ARC_ON, checks.ARC_LEVEL_KNOWN, checks.ARC_LEVEL, checks.MAP_MISFIT):
@@ -166,8 +166,8 @@ def _as_contradicted(
 
 
 def _refused(
-    state: TrackerState, frame_checks: FrameChecks, frame: Frame
-) -> tuple[TrackerState, Track, None]:
+    state: TrackerMemory, frame_checks: FrameChecks, frame: Frame
+) -> tuple[TrackerMemory, Track, None]:
     """Return what a step does that took no look."""
     if state.steering.is_stopped:
         frame_checks.ask_whether(checks.FOLLOWING, False)
@@ -206,7 +206,7 @@ def _check_form(frame_checks: FrameChecks, geometry: SensorGeometry, frame: Fram
 def _track(frame: Frame, tracked: FrameResult) -> Track:
     """Return what a step says of a frame that it looked at."""
     reading, offset = tracked.reading, tracked.offset
-    shown = SeamShown() if tracked.shown is None else tracked.shown
+    shown = SeamEstimate() if tracked.shown is None else tracked.shown
     joint = None if tracked.shown is None else reading.joint
     return Track(
         frame.index,

@@ -9,10 +9,10 @@ from tracker import flags
 from tracker.geometry import SensorGeometry
 from tracker.observation import Reading
 from tracker.seam.correction import UNSTATED, Correction
-from tracker.state import AT_ONCE, Frame, Lead, Pose, Track, frame_misfit
+from tracker.state import AT_ONCE, Frame, OffsetLookAhead, Pose, Track, frame_misfit
 from tracker.step import step_and_reading
 from tracker.stripe.read import Work
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import TrackerMemory
 from tracker.warm_up import OnCompiled, WarmUp, warm_up
 
 
@@ -31,7 +31,7 @@ class Tracker:
 
     def __init__(self, setup: Setup, use_arc_map: bool = True, correction: Correction = UNSTATED) -> None:
         self.geometry = SensorGeometry.of(setup)
-        self.state = TrackerState()
+        self.state = TrackerMemory()
         self.reading: Reading | None = None
         self.use_arc_map = use_arc_map
         self.correction = correction
@@ -43,7 +43,7 @@ class Tracker:
         size = f"{setup.camera.width} x {setup.camera.height} px"
         return f"Tracker(a {setup.joint.type} seen by {size}, {means}; {self.state.frames} frames so far)"
 
-    def step(self, frame: Frame, pose: Pose | None, lead: Lead = AT_ONCE) -> Track:
+    def step(self, frame: Frame, pose: Pose | None, lead: OffsetLookAhead = AT_ONCE) -> Track:
         """Track one frame and keep the new state.
 
         Nothing about a frame raises: what is not known is NaN, with a flag that says why. A frame that is not

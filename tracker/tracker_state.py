@@ -32,7 +32,7 @@ class Steering(NamedTuple):
     hand_eye_variance_mm2: Pair = (0.0, 0.0)
 
 
-class TrackerState(NamedTuple):
+class TrackerMemory(NamedTuple):
     """What one step hands to the next; it can be saved with a recording.
 
     Attributes

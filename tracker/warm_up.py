@@ -32,7 +32,7 @@ from tracker.step import step
 from tracker.stripe.band import Band
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import Work
-from tracker.tracker_state import LOST_TO_SEARCH, TrackerState
+from tracker.tracker_state import LOST_TO_SEARCH, TrackerMemory
 
 STRIPE_OVER_FULL_WELL = 0.3
 """How bright the made-up stripe is."""
@@ -102,7 +102,7 @@ def warm_up(
         kind = _kind(geometry, use_arc_map)
         if kind not in _warm:
             small = _with_larger_pixels(geometry.setup)
-            work, state = Work.of(small), TrackerState()
+            work, state = Work.of(small), TrackerMemory()
             for frame, pose in _frames(small):
                 state, _ = step(small, state, frame, pose, work, use_arc_map, correction)
             _warm.add(kind)
@@ -135,14 +135,14 @@ def compile_arc(setup: Setup) -> None:
     """Compile what computes the arc's light, with what it needs: a step that sees no stripe."""
     small = _with_larger_pixels(setup)
     frame, pose = next(_frames(small))
-    step(small, TrackerState(), replace(frame, laser_on=False), pose, Work.of(small))
+    step(small, TrackerMemory(), replace(frame, laser_on=False), pose, Work.of(small))
 
 
 def compile_stripe(setup: Setup) -> None:
     """Compile all else that steps of a setup call, in a process for it alone: from now on no arc shines."""
     observation.predict_light = _no_light
     small = _with_larger_pixels(replace(setup, arc=replace(setup.arc, radiance_e=0.0)))
-    work, state = Work.of(small), TrackerState()
+    work, state = Work.of(small), TrackerMemory()
     for frame, pose in _frames(small):
         state, _ = step(small, state, frame, pose, work)
 

@@ -12,13 +12,20 @@ from arctrack.calibrating.arc import arc_stage
 from arctrack.calibrating.camera import camera_stage
 from arctrack.calibrating.certify import certificate_of, certificate_record
 from arctrack.calibrating.delay import delay_stage
-from arctrack.calibrating.folder import RawFiles, by_keys
+from arctrack.calibrating.folder import CalibrationSources, by_keys
 from arctrack.calibrating.hand_eye import hand_eye_stage
 from arctrack.calibrating.laser import laser_stage
 from arctrack.calibrating.sensor import sensor_stage
-from arctrack.calibrating.stage import Stage, Steps, Warn
+from arctrack.calibrating.stage import CalibrationStage, Steps, Warn
 from arctrack.errors import ArctrackError
-from arctrack.recording import BadFrame, Calibrated, Recording, SetupFile, read_recording, with_calibrated
+from arctrack.recording import (
+    BadFrame,
+    CalibrationValues,
+    Recording,
+    SetupFile,
+    read_recording,
+    with_calibrated,
+)
 from arctrack.recording.setup_file import parse_setup
 from calibration.certificate import Certificate
 
@@ -46,13 +53,13 @@ class Calibrations:
     """
 
     stated: SetupFile
-    records: list[Calibrated] = field(default_factory=list)
-    stages: dict[str, Stage[Any]] = field(default_factory=dict)
+    records: list[CalibrationValues] = field(default_factory=list)
+    stages: dict[str, CalibrationStage[Any]] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
     certificate: Certificate | None = None
     unmeasured: dict[str, str] = field(default_factory=dict)
 
-    def add(self, name: str, make: Callable[[], Stage[Any]]) -> None:
+    def add(self, name: str, make: Callable[[], CalibrationStage[Any]]) -> None:
         """Do a calibration, and put its values into the setup; one that is refused leaves them alone."""
         try:
             stage = make()
@@ -64,14 +71,14 @@ class Calibrations:
         if stage.refusal is not None:
             self.refused[name] = stage.refusal
 
-    def keep(self, *records: Calibrated) -> None:
+    def keep(self, *records: CalibrationValues) -> None:
         """Put values into the setup; ArctrackError, and nothing changes, where it does not take them."""
         kept = [*self.records, *records]
         self.stated = parse_setup(with_calibrated(self.stated.path, *kept), self.stated.path)
         self.records = kept
 
 
-def calibrate_folder(raw: RawFiles, stated: SetupFile, steps: Steps, warn: Warn) -> Calibrations:
+def calibrate_folder(raw: CalibrationSources, stated: SetupFile, steps: Steps, warn: Warn) -> Calibrations:
     """Calibrate what a folder holds files for.
 
     Parameters
@@ -134,12 +141,12 @@ def calibrate_folder(raw: RawFiles, stated: SetupFile, steps: Steps, warn: Warn)
 
 
 def _of_recording(
-    make: Callable[[Recording, Steps], tuple[Stage[Any], list[BadFrame]]],
+    make: Callable[[Recording, Steps], tuple[CalibrationStage[Any], list[BadFrame]]],
     path: Path,
     stated: SetupFile,
     steps: Steps,
     warn: Warn,
-) -> Stage[Any]:
+) -> CalibrationStage[Any]:
     """Calibrate with a recording, and the setup that the calibrations have made so far."""
     read = replace(read_recording(path, stated.path), setup=stated.setup)
     warn(read.warnings)

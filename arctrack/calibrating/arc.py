@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from arctrack.calibrating.stage import Stage, Steps
+from arctrack.calibrating.stage import CalibrationStage, Steps
 from arctrack.calibration_records.arc_record import arc_records
 from arctrack.check.case import chosen_rows
 from arctrack.check.look import looks_at
@@ -17,7 +17,7 @@ from arctrack.setup_check.light_measures import EXPOSURE_SIGMA, SPREAD_SIGMA
 from arctrack.setup_check.measure import MAX_SIGMAS
 from arctrack.setup_check.run import sights_of
 from calibration.arc.calibrate import ArcCalibration, calibrate_arc
-from calibration.arc.problem import Part
+from calibration.arc.problem import PartPlacement
 from calibration.check.arc_light import compare_arc
 from calibration.check.stripe_place import StripePlace, locate_stripes
 from noise_model.arrays import Float64
@@ -29,7 +29,7 @@ MAX_SLOPE, MAX_BEND_MM = 0.03, 0.3
 """A seam that leaves its nominal line faster, mm/mm, or bends more, is not straight up to the torch."""
 
 
-def arc_stage(read: Recording, steps: Steps) -> tuple[Stage[ArcCalibration], list[BadFrame]]:
+def arc_stage(read: Recording, steps: Steps) -> tuple[CalibrationStage[ArcCalibration], list[BadFrame]]:
     """Calibrate arc and metal from the frames with the arc on and the laser off.
 
     Parameters
@@ -71,7 +71,7 @@ def arc_stage(read: Recording, steps: Steps) -> tuple[Stage[ArcCalibration], lis
         result = calibrate_arc(read.setup, lit, part, steps("rounds", "rounds"))
     except ValueError as error:
         raise in_file(read.path, str(error)) from None
-    return Stage(result, arc_page(result, read), arc_records(result)), bad_frames
+    return CalibrationStage(result, arc_page(result, read), arc_records(result)), bad_frames
 
 
 def _refuse_bent_seam(read: Recording, place: StripePlace | None) -> None:
@@ -121,7 +121,7 @@ def _place(read: Recording) -> StripePlace | None:
     return locate_stripes(read.setup, sights) if sights else None
 
 
-def _part(place: StripePlace) -> Part:
+def _part(place: StripePlace) -> PartPlacement:
     """Return what stripes say of the part beside the camera within its tolerance."""
     cause = place.as_stated
-    return Part.beside(place.setup, place.middle_mm, cause.values, cause.fit)
+    return PartPlacement.beside(place.setup, place.middle_mm, cause.values, cause.fit)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from numpy.linalg import LinAlgError
 
-from arctrack.calibrating.stage import Stage, Steps, Warn, left_out
+from arctrack.calibrating.stage import CalibrationStage, Steps, Warn, left_out
 from arctrack.calibration_files.board_images import read_boards
 from arctrack.calibration_records.camera_record import calibrated_camera
 from arctrack.errors import in_file
@@ -30,7 +30,7 @@ def camera_stage(
     warn: Warn,
     orders: Sequence[str] = tuple(ORDERS),
     tilted: bool = False,
-) -> Stage[CameraCalibration]:
+) -> CalibrationStage[CameraCalibration]:
     """Find intrinsics and distortion in images of a board.
 
     Parameters
@@ -77,7 +77,7 @@ def camera_stage(
     except LinAlgError:
         raise in_file(sources[0], OPEN_VALUE) from None
     warn(left_out(result.left_out))
-    return Stage(
+    return CalibrationStage(
         result,
         camera_page(result, images, stated),
         (calibrated_camera(result),),

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linprog
 
-from arctrack.calibrating.stage import Stage
-from arctrack.recording import Calibrated, SetupFile
+from arctrack.calibrating.stage import CalibrationStage
+from arctrack.recording import CalibrationValues, SetupFile
 from arctrack.recording.toml_text import rounded
 from calibration.certificate import Certificate, KnownHandEye, KnownLens, KnownSheet, RobotNoise, certify
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration
@@ -29,7 +29,7 @@ MADE_BY = "arctrack calibrate all"
 
 
 def certificate_of(
-    stages: Mapping[str, Stage[Any]], stated: SetupFile
+    stages: Mapping[str, CalibrationStage[Any]], stated: SetupFile
 ) -> tuple[Certificate | None, dict[str, str]]:
     """Return the certificate, None without a measured sheet, and what it takes as stated.
 
@@ -77,7 +77,7 @@ def certificate_of(
     return certificate, unmeasured
 
 
-def certificate_record(certificate: Certificate, stated: SetupFile) -> Calibrated:
+def certificate_record(certificate: Certificate, stated: SetupFile) -> CalibrationValues:
     """Return the tolerance of the camera's pose with which no track is surer than the certificate.
 
     A track's sigma knows of the setup's errors by `hand_eye_deg` and `hand_eye_mm` alone: turns and moves of
@@ -112,7 +112,7 @@ def certificate_record(certificate: Certificate, stated: SetupFile) -> Calibrate
     over = np.column_stack(columns)
     turn2, move2 = linprog(over.sum(axis=0), A_ub=-over, b_ub=-np.ones(len(wanted))).x
     near = certificate.covariance_mm2[certificate.nearest_to_tool][1:, 1:]
-    return Calibrated(
+    return CalibrationValues(
         "tolerance",
         {
             "hand_eye_deg": rounded(math.degrees(UNIT_RAD * math.sqrt(turn2)), 3),
@@ -126,7 +126,7 @@ def certificate_record(certificate: Certificate, stated: SetupFile) -> Calibrate
 
 
 def _hand_eye(
-    stages: Mapping[str, Stage[Any]], stated: SetupFile, n_lens: int
+    stages: Mapping[str, CalibrationStage[Any]], stated: SetupFile, n_lens: int
 ) -> tuple[KnownHandEye, RobotNoise]:
     """Return the camera's pose, measured or within the setup's tolerance, and the robot's noise."""
     pose = stated.setup.camera.T_tool_camera

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from arctrack.calibrating.stage import Stage, Steps
+from arctrack.calibrating.stage import CalibrationStage, Steps
 from arctrack.calibration_records.delay_record import delay_record
 from arctrack.errors import in_file
 from arctrack.recording import BadFrame, Recording
@@ -10,7 +10,7 @@ from arctrack.report.calibration.delay import delay_page
 from calibration.pose_delay import PoseDelay, PoseTrack, estimate_pose_delay
 
 
-def delay_stage(read: Recording, steps: Steps) -> tuple[Stage[PoseDelay], list[BadFrame]]:
+def delay_stage(read: Recording, steps: Steps) -> tuple[CalibrationStage[PoseDelay], list[BadFrame]]:
     """Find the delay between poses and frames.
 
     Parameters
@@ -40,4 +40,4 @@ def delay_stage(read: Recording, steps: Steps) -> tuple[Stage[PoseDelay], list[B
         raise in_file(read.path, str(error)) from None
     refusal = None if result.unestimated is None else f"the delay is unestimated: {result.unestimated}"
     records = () if refusal is not None else (delay_record(result),)
-    return Stage(result, delay_page(result, read), records, refusal), bad_frames
+    return CalibrationStage(result, delay_page(result, read), records, refusal), bad_frames

@@ -108,7 +108,7 @@ class SensorFiles:
 
 
 @dataclass(frozen=True)
-class RawFiles:
+class CalibrationSources:
     """What a folder holds for each calibration, None for those it has nothing for.
 
     `unknown_keys` are keys of calibration.toml that mean nothing, each with the known key nearest to it.
@@ -137,7 +137,7 @@ class RawFiles:
             yield f"{self.folder / FILE_NAME}: {key} is not known and has no effect{hint}"
 
 
-def read_raw_files(folder: Path) -> RawFiles:
+def read_raw_files(folder: Path) -> CalibrationSources:
     """Return what a folder holds for each calibration.
 
     Parameters
@@ -165,7 +165,7 @@ def read_raw_files(folder: Path) -> RawFiles:
     if not here:
         raise in_file(folder, f"holds nothing to calibrate with: make a subfolder {', '.join(STAGES)}")
     reading = _Reading(folder, stated, here)
-    return RawFiles(
+    return CalibrationSources(
         folder=folder,
         sensor=reading.sensor(),
         camera=reading.camera(),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from arctrack.calibrating.stage import Stage, Steps, Warn, left_out
+from arctrack.calibrating.stage import CalibrationStage, Steps, Warn, left_out
 from arctrack.calibration_files.gauge_images import GaugeImages, read_gauge_frames, read_gauge_images
 from arctrack.calibration_files.robot_poses import PoseSource
 from arctrack.calibration_records.gauge_record import gauge_record
@@ -45,7 +45,7 @@ def gauge_stage(
     poses: PoseSource | None,
     steps: Steps,
     warn: Warn,
-) -> Stage[GaugeCalibration]:
+) -> CalibrationStage[GaugeCalibration]:
     """Find the laser sheet from a gauge at several poses of the robot.
 
     Parameters
@@ -85,11 +85,11 @@ def gauge_stage(
     except UndeterminedError as error:
         raise in_file(_path(source), str(error)) from None
     warn(left_out(result.left_out))
-    return Stage(result, gauge_page(result, images, setup), (gauge_record(result, setup),))
+    return CalibrationStage(result, gauge_page(result, images, setup), (gauge_record(result, setup),))
 
 
 @dataclass(frozen=True)
-class Verdict:
+class GaugeVerdict:
     """What a gauge says of a setup's sheet.
 
     Parameters
@@ -115,7 +115,7 @@ def check_stage(
     within_mm: float,
     steps: Steps,
     warn: Warn,
-) -> tuple[Stage[list[GaugeCheck]], Verdict]:
+) -> tuple[CalibrationStage[list[GaugeCheck]], GaugeVerdict]:
     """Check the setup's sheet by a gauge's size.
 
     Parameters
@@ -161,7 +161,9 @@ def check_stage(
             "add images, upright over the gauge, or give a larger --within",
         )
     verdict = _verdict(gauge, off_mm, sigma_mm, checks, within_mm)
-    return Stage(checks, check_page(checks, images, verdict.line, verdict.cure, verdict.is_good), ()), verdict
+    return CalibrationStage(
+        checks, check_page(checks, images, verdict.line, verdict.cure, verdict.is_good), ()
+    ), verdict
 
 
 def size_off(checks: Sequence[GaugeCheck]) -> tuple[float, float]:
@@ -173,32 +175,32 @@ def size_off(checks: Sequence[GaugeCheck]) -> tuple[float, float]:
 
 def _verdict(
     gauge: Gauge, off_mm: float, sigma_mm: float, checks: Sequence[GaugeCheck], within_mm: float
-) -> Verdict:
+) -> GaugeVerdict:
     robot_mm = float(checks[0].fitted.noise_mm[0])
     form_mm = float(np.median([check.fitted.noise_mm[1] for check in checks]))
     has_places = len(checks[0].problem.sightings) >= FEW_IMAGES
     places = f"; from pose to pose it lies within {robot_mm:.3f} mm, 1 σ" if has_places else ""
     size = f"the gauge's {gauge.size_mm:g} mm are measured {off_mm:+.3f} ± {sigma_mm:.3f} mm off{places}"
     if form_mm > within_mm:
-        return Verdict(
+        return GaugeVerdict(
             False,
             f"not OK: the stripe's pieces lie {form_mm:.2f} mm off the faces of {gauge}, 1 σ",
             f"is it that gauge? If so, {SHEET_CURE}",
         )
     if abs(off_mm) > within_mm:
-        return Verdict(
+        return GaugeVerdict(
             False,
             f"not OK: {size}",
             SHEET_CURE,
         )
     if has_places and robot_mm > within_mm:
-        return Verdict(
+        return GaugeVerdict(
             False,
             f"not OK: {size}",
             "sizes are right and places are not: the camera's pose in the tool, or the robot's poses; "
             "`arctrack calibrate hand-eye`, then `arctrack calibrate gauge`",
         )
-    return Verdict(True, f"OK: {size}", "")
+    return GaugeVerdict(True, f"OK: {size}", "")
 
 
 def _read(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from arctrack.calibrating.stage import Stage, Steps, Warn, left_out
+from arctrack.calibrating.stage import CalibrationStage, Steps, Warn, left_out
 from arctrack.calibration_files.hand_eye_meaning import other_meanings
 from arctrack.calibration_files.hand_eye_poses import read_posed_boards
 from arctrack.calibration_files.robot_poses import PoseSource, read_robot_poses
@@ -34,7 +34,7 @@ def hand_eye_stage(
     steps: Steps,
     warn: Warn,
     is_eye_to_hand: bool = False,
-) -> Stage[HandEyeCalibration]:
+) -> CalibrationStage[HandEyeCalibration]:
     """Find the camera's pose in the tool, or in base.
 
     Parameters
@@ -90,4 +90,4 @@ def hand_eye_stage(
     warn(left_out(result.left_out))
     sheet = None if is_eye_to_hand else moved_with_camera(stated, result.T_holder_camera)
     page = hand_eye_page(result, posed, stated.setup, moves_sheet=sheet is not None)
-    return Stage(result, page, (hand_eye_record(result), *([] if sheet is None else [sheet])))
+    return CalibrationStage(result, page, (hand_eye_record(result), *([] if sheet is None else [sheet])))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from arctrack.calibrating.stage import Stage, Steps, Warn, left_out
+from arctrack.calibrating.stage import CalibrationStage, Steps, Warn, left_out
 from arctrack.calibration_files.laser_pairs import read_pairs
 from arctrack.calibration_records.laser_record import laser_record
 from arctrack.errors import in_file
@@ -23,7 +23,7 @@ def laser_stage(
     stated: SetupFile,
     steps: Steps,
     warn: Warn,
-) -> Stage[LaserCalibration]:
+) -> CalibrationStage[LaserCalibration]:
     """Find the laser sheet in images of a board.
 
     Parameters
@@ -58,4 +58,4 @@ def laser_stage(
     warn(left_out(result.left_out))
     beam = beam_of(result, pairs.sections, pairs.scene.lens, stated.setup.camera, stated.setup.laser)
     page = laser_page(result, pairs, beam, stated.setup)
-    return Stage(result, page, (laser_record(result, beam, stated.setup),))
+    return CalibrationStage(result, page, (laser_record(result, beam, stated.setup),))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from arctrack.calibrating.stage import Stage, Steps, Warn
+from arctrack.calibrating.stage import CalibrationStage, Steps, Warn
 from arctrack.calibration_files.flat_frames import FlatFile, find_flat_frames, read_levels
 from arctrack.calibration_files.still_recording import read_still_frames
 from arctrack.calibration_records.sensor_record import flat_record, still_record
@@ -24,7 +24,7 @@ def sensor_stage(
     steps: Steps,
     warn: Warn,
     gamma: float | None = None,
-) -> Stage[SensorCalibration] | Stage[StillCalibration]:
+) -> CalibrationStage[SensorCalibration] | CalibrationStage[StillCalibration]:
     """Find a sensor's values in flat and dark frames, or in a recording where the folder is one."""
     if (source / FILE_NAME).exists():
         return still_stage(read_recording(source, stated.path, must_fit=False), steps, warn)
@@ -40,7 +40,7 @@ def flat_stage(
     steps: Steps,
     warn: Warn,
     gamma: float | None = None,
-) -> Stage[SensorCalibration]:
+) -> CalibrationStage[SensorCalibration]:
     """Find gain, noise and response in flat and dark frames.
 
     Parameters
@@ -77,10 +77,10 @@ def flat_stage(
     except ValueError as error:
         raise in_file(source, str(error)) from None
     warn(lossy)
-    return Stage(result, sensor_page(result, levels, source.name, lossy), (flat_record(result),))
+    return CalibrationStage(result, sensor_page(result, levels, source.name, lossy), (flat_record(result),))
 
 
-def still_stage(read: Recording, steps: Steps, warn: Warn) -> Stage[StillCalibration]:
+def still_stage(read: Recording, steps: Steps, warn: Warn) -> CalibrationStage[StillCalibration]:
     """Find gain, read noise, black level and speckle in a recording of a still stripe.
 
     Parameters
@@ -108,4 +108,4 @@ def still_stage(read: Recording, steps: Steps, warn: Warn) -> Stage[StillCalibra
     except ValueError as error:
         raise in_file(read.path, str(error)) from None
     warn(problems)
-    return Stage(result, still_page(result, read.name, problems), (still_record(result),))
+    return CalibrationStage(result, still_page(result, read.name, problems), (still_record(result),))

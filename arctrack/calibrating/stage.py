@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from arctrack.recording import Calibrated
+from arctrack.recording import CalibrationValues
 from arctrack.report.calibration.page import CalibrationPage
 
 Tell = Callable[[int, int], None]
@@ -22,7 +22,7 @@ Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Stage(Generic[Result]):
+class CalibrationStage(Generic[Result]):
     """A calibration that was done.
 
     Parameters
@@ -39,7 +39,7 @@ class Stage(Generic[Result]):
 
     result: Result
     page: CalibrationPage
-    records: tuple[Calibrated, ...]
+    records: tuple[CalibrationValues, ...]
     refusal: str | None = None
 
 

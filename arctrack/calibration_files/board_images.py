@@ -14,9 +14,9 @@ from arctrack.importing.colours import Channel
 from arctrack.importing.grey import grey
 from arctrack.importing.image_decoder import EncodedImage
 from arctrack.importing.image_files import distinct_names, images_of
-from calibration.boards.board import Board, Kind
-from calibration.boards.detect import LEAST_PITCH_PX, Corners, find_corners, small_pitch_px
-from calibration.camera.sightings import View
+from calibration.boards.board import Board, BoardKind
+from calibration.boards.detect import MIN_PITCH_PX, Corners, find_corners, small_pitch_px
+from calibration.camera.sightings import BoardView
 from noise_model.arrays import Float64, Integers
 
 MOVED_PX = 0.5
@@ -49,7 +49,7 @@ class BoardImages:
     """
 
     size: tuple[int, int]
-    views: list[View] = field(default_factory=list)
+    views: list[BoardView] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
     contrast: list[float] = field(default_factory=list)
     sample: Integers | None = None
@@ -141,7 +141,7 @@ def _add(boards: BoardImages, name: str, image: EncodedImage, board: Board) -> N
     if same is not None:
         boards.left_out[name] = f"shows the board where {same} shows it"
         return
-    boards.views.append(View(name, corners.corners, corners.points_px))
+    boards.views.append(BoardView(name, corners.corners, corners.points_px))
     if image.is_lossy:
         boards.lossy.append(name)
     boards.contrast.append(corners.contrast_dn / _full_scale_dn(pixels))
@@ -169,19 +169,19 @@ def _full_scale_dn(pixels: Integers) -> int:
 def _not_seen(pixels: Integers, board: Board) -> str:
     if not np.ptp(pixels) > 0:
         return "is all of one grey level"
-    if board.kind is Kind.CHARUCO:
+    if board.kind is BoardKind.CHARUCO:
         return "shows too few of the board's markers: none in view, too blurred or too small"
     return "shows no whole board: it is cut off, blurred, or not this one"
 
 
 def _too_small(pitch_px: float) -> str:
     return (
-        f"shows the board's corners {pitch_px:.1f} px apart, more than {LEAST_PITCH_PX:g} are needed: "
+        f"shows the board's corners {pitch_px:.1f} px apart, more than {MIN_PITCH_PX:g} are needed: "
         "give the images at the camera's own size, or hold the board nearer"
     )
 
 
-def _is_same_place(view: View, corners: Corners) -> bool:
+def _is_same_place(view: BoardView, corners: Corners) -> bool:
     _, own, other = np.intersect1d(view.corners, corners.corners, return_indices=True)
     if not len(own):
         return False
@@ -194,7 +194,7 @@ def _distances(a: Float64, b: Float64) -> Float64:
 
 def _hint(encoded: dict[Path, EncodedImage], size: tuple[int, int], board: Board) -> str:
     """Return what to try where no image shows the board: squares may have been counted for corners."""
-    if board.kind is Kind.CHARUCO:
+    if board.kind is BoardKind.CHARUCO:
         return "count the squares, not the corners; check the dictionary, and light the board evenly"
     if min(board.columns, board.rows) > 3:
         fewer = Board(board.kind, board.columns - 1, board.rows - 1, board.square_mm)

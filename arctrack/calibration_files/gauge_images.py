@@ -18,12 +18,12 @@ from arctrack.recording import BadFrame, Recording, SetupFile
 from calibration.camera.known_lens import lens_of
 from calibration.camera.lens import Lens
 from calibration.gauge.shape import Gauge
-from calibration.gauge.sightings import Posed
+from calibration.gauge.sightings import PosedPieces
 from calibration.gauge.stripe_pieces import Pieces, stripe_pieces
 from noise_model.arrays import Float64, Integers
 from noise_model.evenly import evenly
 
-MOST_FRAMES = 40
+MAX_FRAMES = 40
 """So many frames of a recording are looked at, evenly over it."""
 
 
@@ -49,7 +49,7 @@ class GaugeImages:
 
     lens: Lens
     has_poses: bool
-    shown: list[Posed] = field(default_factory=list)
+    shown: list[PosedPieces] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     sample: Integers | None = None
@@ -68,7 +68,7 @@ class GaugeImages:
         if isinstance(pieces, str):
             self.left_out[name] = pieces
             return
-        self.shown.append(Posed(name, pieces, T_base_tool))
+        self.shown.append(PosedPieces(name, pieces, T_base_tool))
         if self.sample is None:
             self.sample, self.sample_pieces = image, pieces
 
@@ -145,7 +145,7 @@ def read_gauge_frames(
     Returns
     -------
     GaugeImages
-        Stripes and poses of `MOST_FRAMES` frames at most.
+        Stripes and poses of `MAX_FRAMES` frames at most.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def read_gauge_frames(
     lit = [n for n, row in enumerate(recording.rows) if row.laser_on and not row.arc_on]
     if not lit:
         raise in_file(recording.path, "has no frame of the laser alone: take them with the arc off")
-    chosen = [lit[n] for n in evenly(len(lit), MOST_FRAMES)]
+    chosen = [lit[n] for n in evenly(len(lit), MAX_FRAMES)]
     images = GaugeImages(_lens(stated), has_poses=True)
     buffer = recording.pose_buffer()
     for done, frame in enumerate(recording.frames(chosen)):

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from arctrack.errors import in_file
 from arctrack.recording.csv_file import CsvTable, number, read_csv
-from calibration.goniometer import Readings, Response, Settings, average
+from calibration.goniometer import GreyResponse, Readings, Settings, average
 from noise_model.arrays import Float64
 
 NEEDED = ("theta_i_deg", "theta_r_deg", "phi_r_deg", "gray_level")
@@ -46,7 +46,7 @@ class GoniometerFile:
     unknown_columns: tuple[str, ...]
 
 
-def read_goniometer(path: Path, response: Response) -> GoniometerFile:
+def read_goniometer(path: Path, response: GreyResponse) -> GoniometerFile:
     """Read and average a file; ArctrackError names the file and the line that is wrong.
 
     A saturated reading is refused: it says no more than 'at least this bright', and without it the mean of
@@ -80,7 +80,7 @@ def write_goniometer(path: Path, settings: Settings, gray_level: Float64) -> Non
             writer.writerow([f"{n * READING_INTERVAL_S:.1f}", *(f"{value:g}" for value in row)])
 
 
-def _check(table: CsvTable, column: dict[str, Float64], response: Response) -> None:
+def _check(table: CsvTable, column: dict[str, Float64], response: GreyResponse) -> None:
     gray_level = column["gray_level"]
     least, most = SOURCE_RANGE
     limits = [

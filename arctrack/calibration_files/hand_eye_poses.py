@@ -14,7 +14,7 @@ from arctrack.importing.image_files import distinct_names, find_images
 from arctrack.importing.pose_files import PoseFile
 from arctrack.recording import SetupFile
 from calibration.boards.board import Board
-from calibration.camera.adjustment import Scene
+from calibration.camera.adjustment import BoardScene
 from calibration.camera.known_lens import board_poses
 from calibration.camera.sightings import Sightings
 from noise_model.arrays import Float64, Int64
@@ -49,7 +49,7 @@ class PosedBoards:
     """
 
     boards: BoardImages
-    scene: Scene
+    scene: BoardScene
     seen: Sightings
     T_base_tool: Float64
     lens_covariance: Float64 | None

@@ -21,13 +21,13 @@ from arctrack.importing.image_files import distinct_names, images_of
 from arctrack.recording import SetupFile
 from calibration.boards.board import Board
 from calibration.boards.detect import WINDOW
-from calibration.camera.adjustment import Scene, adjusted
+from calibration.camera.adjustment import BoardScene, adjusted
 from calibration.camera.known_lens import board_poses
-from calibration.camera.noise import LEAST_CORNERS
+from calibration.camera.noise import MIN_CORNERS
 from calibration.camera.sightings import Sightings
 from calibration.laser.cross_sections import CrossSections, cross_sections, placed
 from calibration.laser.lit_board import lit_board
-from calibration.laser.stripe import Stripe, board_area, find_stripe, laser_light
+from calibration.laser.stripe import BoardStripe, board_area, find_stripe, laser_light
 from calibration.threads import one_thread
 from noise_model.arrays import Float64, Integers
 from noise_model.setup import Setup
@@ -71,10 +71,10 @@ class LaserPairs:
     """
 
     boards: BoardImages
-    scene: Scene
+    scene: BoardScene
     seen: Sightings
     lens_covariance: Float64 | None
-    stripes: dict[str, Stripe] = field(default_factory=dict)
+    stripes: dict[str, BoardStripe] = field(default_factory=dict)
     sections: dict[str, CrossSections] = field(default_factory=dict)
     lit: dict[str, float] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
@@ -171,7 +171,7 @@ def read_pairs(
 
 def _add_stripe(
     result: LaserPairs, n: int, board: Board, setup: Setup, off_path: Path, on_path: Path
-) -> Stripe | None:
+) -> BoardStripe | None:
     """Add a view's stripe and its light, if there is one; ArctrackError for images that are no pair."""
     lens, T, name = result.scene.lens, result.scene.T_camera_board[n], result.seen.names[n]
     channel = channel_of_laser(setup)
@@ -212,7 +212,7 @@ def _without_lit_corners(pairs: LaserPairs) -> LaserPairs:
             )
             near_px = LIT_SIGMAS * stripe.scale_px + WINDOW * square_px
             kept[part] = np.linalg.norm(points[:, None] - stripe.points_px, axis=2).min(axis=1) > near_px
-            if kept[part].sum() < LEAST_CORNERS:
+            if kept[part].sum() < MIN_CORNERS:
                 kept[part] = True
                 del pairs.stripes[name]
                 pairs.left_out[name] = "the stripe hides too many of the board's corners"

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from arctrack.recording import Calibrated
+from arctrack.recording import CalibrationValues
 from arctrack.recording.calibrated import Value
 from calibration.arc.calibrate import KEYS, ArcCalibration
 
 MADE_BY = "arctrack calibrate arc"
 
 
-def arc_records(result: ArcCalibration) -> tuple[Calibrated, ...]:
+def arc_records(result: ArcCalibration) -> tuple[CalibrationValues, ...]:
     """Return the values that were told; what was refused stays as it is."""
     radius, *center, radiance, kappa_diff, kappa_spec, c2 = (float(f"{value:.8g}") for value in result.values)
     about: dict[str, float | int | str] = {
@@ -34,6 +34,6 @@ def arc_records(result: ArcCalibration) -> tuple[Calibrated, ...]:
     C = result.covariance * np.outer(scale, scale)
     names = tuple("radiance_rel" if key == "radiance_e" else key for key in KEYS)
     return (
-        Calibrated("arc", told[0], names[:n_arc], C[:n_arc, :n_arc], MADE_BY, about),
-        Calibrated("material", told[1], names[n_arc:], C[n_arc:, n_arc:], MADE_BY, about),
+        CalibrationValues("arc", told[0], names[:n_arc], C[:n_arc, :n_arc], MADE_BY, about),
+        CalibrationValues("material", told[1], names[n_arc:], C[n_arc:, n_arc:], MADE_BY, about),
     )

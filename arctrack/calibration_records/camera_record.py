@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from arctrack.recording import Calibrated
+from arctrack.recording import CalibrationValues
 from arctrack.recording.toml_text import rounded
 from calibration.camera.calibrate import CameraCalibration
 from calibration.camera.lens import OPENCV
@@ -13,7 +13,7 @@ from noise_model.setup_keys import COEFFICIENTS
 MADE_BY = "arctrack calibrate camera"
 
 
-def calibrated_camera(result: CameraCalibration) -> Calibrated:
+def calibrated_camera(result: CameraCalibration) -> CalibrationValues:
     """Return what a calibration found as values of `[camera]`, with their covariance.
 
     Parameters
@@ -31,7 +31,7 @@ def calibrated_camera(result: CameraCalibration) -> Calibrated:
     used = max((OPENCV.index(name) + 1 for name in lens.names[4:]), default=0)
     count = next(count for count in COEFFICIENTS if count >= used)
     fx, fy, cx, cy = (rounded(value, 9) for value in lens.values[:4])
-    return Calibrated(
+    return CalibrationValues(
         "camera",
         {
             "width": lens.width,

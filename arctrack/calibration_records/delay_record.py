@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from arctrack.recording import Calibrated
+from arctrack.recording import CalibrationValues
 from calibration.pose_delay import PoseDelay
 
 MADE_BY = "arctrack calibrate delay"
 
 
-def delay_record(result: PoseDelay) -> Calibrated:
+def delay_record(result: PoseDelay) -> CalibrationValues:
     """Return a delay that was estimated, to the microsecond."""
-    return Calibrated(
+    return CalibrationValues(
         "effects.pose_delay",
         {"delay_s": round(result.delay_s, 6)},
         ("delay_s",),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from arctrack.calibration_records.laser_record import PARAMETERS, sheet_values
-from arctrack.recording import Calibrated
+from arctrack.recording import CalibrationValues
 from arctrack.recording.toml_text import rounded
 from calibration.gauge.calibrate import GaugeCalibration
 from calibration.laser.plane import foot_on
@@ -14,7 +14,7 @@ from noise_model.setup import Setup
 MADE_BY = "arctrack calibrate gauge"
 
 
-def gauge_record(result: GaugeCalibration, setup: Setup) -> Calibrated:
+def gauge_record(result: GaugeCalibration, setup: Setup) -> CalibrationValues:
     """Return the plane as values of `[laser]`, with its covariance; the stated origin is moved into it.
 
     Parameters
@@ -32,7 +32,7 @@ def gauge_record(result: GaugeCalibration, setup: Setup) -> Calibrated:
     plane = result.plane
     origin = foot_on(plane, setup.laser.origin_mm)
     robot_mm, form_mm = result.fitted.noise_mm.tolist()
-    return Calibrated(
+    return CalibrationValues(
         "laser",
         sheet_values(plane, origin),
         PARAMETERS,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from arctrack.recording import Calibrated
+from arctrack.recording import CalibrationValues
 from arctrack.recording.calibrated import Value
 from arctrack.recording.toml_text import rounded
 from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration
@@ -16,7 +16,7 @@ IN_TOOL, IN_BASE = "hand_eye", "camera_in_base"
 """The calibration's name: eye in hand and eye to hand."""
 
 
-def hand_eye_record(result: HandEyeCalibration) -> Calibrated:
+def hand_eye_record(result: HandEyeCalibration) -> CalibrationValues:
     """Return the pose as values of `[camera.pose_in_tool]`, with its covariance.
 
     A camera that stands still has no pose in the tool: its pose in base is kept beside its covariance.
@@ -49,8 +49,12 @@ def hand_eye_record(result: HandEyeCalibration) -> Calibrated:
             for name, row in zip(PARAMETERS, result.per_lens, strict=True)
         }
     if result.is_eye_to_hand:
-        return Calibrated("camera", {}, PARAMETERS, result.covariance, MADE_BY, {**pose, **about}, IN_BASE)
-    return Calibrated("camera.pose_in_tool", pose, PARAMETERS, result.covariance, MADE_BY, about, IN_TOOL)
+        return CalibrationValues(
+            "camera", {}, PARAMETERS, result.covariance, MADE_BY, {**pose, **about}, IN_BASE
+        )
+    return CalibrationValues(
+        "camera.pose_in_tool", pose, PARAMETERS, result.covariance, MADE_BY, about, IN_TOOL
+    )
 
 
 def pose_values(T_holder_camera: Float64) -> dict[str, list[float]]:

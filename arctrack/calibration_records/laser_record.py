@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import block_diag
 
-from arctrack.recording import Calibrated, SetupFile
+from arctrack.recording import CalibrationValues, SetupFile
 from arctrack.recording.calibrated import Value
 from arctrack.recording.toml_text import rounded
 from calibration.laser.beam import Beam
@@ -20,7 +20,7 @@ ORIGIN = ("origin_x_mm", "origin_y_mm", "origin_z_mm")
 FAN = (*ORIGIN, "fan_half_angle_deg")
 
 
-def laser_record(result: LaserCalibration, beam: Beam, setup: Setup) -> Calibrated:
+def laser_record(result: LaserCalibration, beam: Beam, setup: Setup) -> CalibrationValues:
     """Return the sheet as values of `[laser]`, with their covariance.
 
     Parameters
@@ -62,7 +62,7 @@ def laser_record(result: LaserCalibration, beam: Beam, setup: Setup) -> Calibrat
                 rounded(value, 5) for value, _ in (waist.depth_mm, waist.sigma_mm)
             )
             about["rayleigh_mm"] = rounded(waist.rayleigh_mm[0], 5)
-    return Calibrated("laser", values, tuple(names), whole, MADE_BY, about)
+    return CalibrationValues("laser", values, tuple(names), whole, MADE_BY, about)
 
 
 def sheet_values(plane: Float64, origin_mm: Float64) -> dict[str, Value]:
@@ -73,7 +73,7 @@ def sheet_values(plane: Float64, origin_mm: Float64) -> dict[str, Value]:
     }
 
 
-def moved_with_camera(stated: SetupFile, T_tool_camera: Float64) -> Calibrated | None:
+def moved_with_camera(stated: SetupFile, T_tool_camera: Float64) -> CalibrationValues | None:
     """Return a calibrated sheet in the tool where the camera's pose in it becomes another one.
 
     The sheet is measured in the camera's frame: camera and laser are one body.
@@ -103,7 +103,7 @@ def moved_with_camera(stated: SetupFile, T_tool_camera: Float64) -> Calibrated |
     plane = whole[:4, :4] @ stated.setup.laser.plane
     origin = transform(T_new_old, stated.setup.laser.origin_mm)
     about = dict(record.model_extra or {})
-    return Calibrated(
+    return CalibrationValues(
         "laser",
         sheet_values(plane, origin),
         tuple(record.parameters),

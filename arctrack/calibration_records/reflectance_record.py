@@ -12,7 +12,7 @@ import tomlkit
 from arctrack.calibration_files.goniometer import GoniometerFile
 from arctrack.errors import in_file
 from arctrack.recording.toml_text import rounded
-from calibration.reflectance import Agreement, Reflectance
+from calibration.reflectance import Reflectance, StandardResiduals
 from calibration.reflectance_model import NAMES
 from noise_model.arrays import Float64
 
@@ -85,7 +85,7 @@ def _json(result: Reflectance, source: GoniometerFile) -> str:
 def _write_residuals(
     result: Reflectance, source: GoniometerFile, standard: GoniometerFile | None, path: Path
 ) -> None:
-    parts: list[tuple[str, GoniometerFile, Reflectance | Agreement]] = [("sample", source, result)]
+    parts: list[tuple[str, GoniometerFile, Reflectance | StandardResiduals]] = [("sample", source, result)]
     if standard is not None and result.white is not None:
         parts.append(("white", standard, result.white))
     with path.open("w", encoding="utf-8", newline="") as file:
@@ -99,7 +99,7 @@ def _write_residuals(
                 writer.writerow([*numbers, patch])
 
 
-def _columns(read: GoniometerFile, agreement: Reflectance | Agreement) -> dict[str, Float64]:
+def _columns(read: GoniometerFile, agreement: Reflectance | StandardResiduals) -> dict[str, Float64]:
     settings = read.readings.settings
     return {
         "theta_i_deg": settings.theta_i_deg,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from arctrack.recording import Calibrated
+from arctrack.recording import CalibrationValues
 from arctrack.recording.toml_text import rounded
 from calibration.sensor.flat_fields import KEYS, SensorCalibration
 from calibration.sensor.still import KEYS as STILL_KEYS
@@ -16,13 +16,13 @@ DIGITS = 7
 """Significant digits that are written: nobody knows a sensor better."""
 
 
-def flat_record(result: SensorCalibration) -> Calibrated:
+def flat_record(result: SensorCalibration) -> CalibrationValues:
     """Return the values of flat and dark frames, with DSNU, PRNU and linearity as remarks."""
     about = {}
     for name in ("dsnu_e", "prnu_rel", "linearity_rel"):
         about[name] = rounded(result[name].value, DIGITS)
         about[f"{name}_sigma"] = rounded(result[name].sigma, DIGITS)
-    return Calibrated(
+    return CalibrationValues(
         "sensor",
         {name: rounded(result[name].value, DIGITS) for name in KEYS},
         KEYS,
@@ -32,12 +32,12 @@ def flat_record(result: SensorCalibration) -> Calibrated:
     )
 
 
-def still_record(result: StillCalibration) -> Calibrated:
+def still_record(result: StillCalibration) -> CalibrationValues:
     """Return the values of a still stripe, with its speckle as remarks."""
     about: dict[str, float | int | str] = {"frames": result.statistics.n_frames}
     if result.speckle is not None:
         about |= {f"speckle_{name}": rounded(value, DIGITS) for name, value in asdict(result.speckle).items()}
-    return Calibrated(
+    return CalibrationValues(
         "sensor",
         # The code of saturation stays: the charge there goes with the gain.
         {

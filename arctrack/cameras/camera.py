@@ -54,7 +54,7 @@ PLAYED = CameraTraits(knows_arc=True, switches_laser=False)
 """All is recorded."""
 
 
-class Camera(Protocol):
+class CameraProtocol(Protocol):
     """Frames as they come, and the laser whose stripe they show."""
 
     @property

@@ -32,7 +32,7 @@ _BYTES = _WANTED.size + _CHECKSUM.size
 
 
 @dataclass(frozen=True)
-class Wanted:
+class CaptureRequest:
     """What a tracker wants; times are of the host's monotonic clock.
 
     Attributes
@@ -59,7 +59,7 @@ class Wanted:
     pulse_until_s: float = 0.0
 
 
-WIRED_ON = Wanted(laser_until_s=math.inf)
+WIRED_ON = CaptureRequest(laser_until_s=math.inf)
 """What is wanted of a camera whose line nobody ever drove: its laser is on for good."""
 
 
@@ -87,7 +87,7 @@ class CameraLine:
             self._memory = mmap.mmap(file, _BYTES)
         finally:
             os.close(file)
-        self._write(Wanted())
+        self._write(CaptureRequest())
         # A camera finds a line that is whole, and never one that is not there.
         new.rename(path)
 
@@ -120,13 +120,13 @@ class CameraLine:
             self.switch_laser(False)
             self._memory.close()
 
-    def _write(self, wanted: Wanted) -> None:
+    def _write(self, wanted: CaptureRequest) -> None:
         self._wanted = wanted
         packed = _WANTED.pack(*astuple(wanted))
         self._memory[:] = packed + _CHECKSUM.pack(zlib.crc32(packed))
 
 
-def read_line(name: str) -> Wanted:
+def read_line(name: str) -> CaptureRequest:
     """Return what is wanted of a camera; `WIRED_ON` where nobody ever drove its line."""
     for _ in range(LOOKS):
         try:
@@ -137,8 +137,8 @@ def read_line(name: str) -> Wanted:
             held = line.read()
         packed, checksum = held[: _WANTED.size], held[_WANTED.size :]
         if len(held) == _BYTES and checksum == _CHECKSUM.pack(zlib.crc32(packed)):
-            return Wanted(*_WANTED.unpack(packed))
-    return Wanted()
+            return CaptureRequest(*_WANTED.unpack(packed))
+    return CaptureRequest()
 
 
 def remove_line(name: str) -> None:

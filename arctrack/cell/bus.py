@@ -18,7 +18,7 @@ FRAME_BITS = 64
 
 
 @dataclass(frozen=True)
-class Frame:
+class BusFrame:
     """A frame on the bus, who sent it, and when."""
 
     sender: str
@@ -55,14 +55,14 @@ class BusTrouble:
     shuffled_s: float = 0.0
     ids: tuple[int, ...] = ()
 
-    def concerns(self, frame: Frame) -> bool:
+    def concerns(self, frame: BusFrame) -> bool:
         """Say whether a frame is one of these."""
         return (not self.senders or frame.sender in self.senders) and (
             not self.ids or frame.arbitration_id in self.ids
         )
 
 
-Listener = Callable[[Frame], None]
+Listener = Callable[[BusFrame], None]
 
 
 class BusParty(Protocol):
@@ -104,7 +104,7 @@ class Bus:
 
     def send(self, sender: str, arbitration_id: int, data: bytes) -> None:
         """Put a frame on the bus."""
-        frame = Frame(sender, arbitration_id, data, self.scheduler.now_s)
+        frame = BusFrame(sender, arbitration_id, data, self.scheduler.now_s)
         # What a sender sends waits for what it sent before.
         arrives_s = max(frame.sent_s + self.rng.exponential(0.0002), self._free_s.get(sender, 0.0)) + FRAME_S
         self._free_s[sender] = arrives_s
@@ -122,7 +122,7 @@ class Bus:
         for copy in range(copies):
             self.scheduler.at(frame.sent_s + delay_s + copy * FRAME_S, lambda: self._arrive(frame))
 
-    def _arrive(self, frame: Frame) -> None:
+    def _arrive(self, frame: BusFrame) -> None:
         for party, listener in self._listeners.items():
             if party != frame.sender:
                 listener(frame)

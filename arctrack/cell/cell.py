@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from arctrack.cell.bus import Bus, Frame
+from arctrack.cell.bus import Bus, BusFrame
 from arctrack.cell.eye import Eye
 from arctrack.cell.measured_eye import MeasuredEye
 from arctrack.cell.robot import Robot
@@ -41,7 +41,7 @@ TORCH_MM = 0.5
 
 
 @dataclass(frozen=True)
-class Heard:
+class ReceivedOffset:
     """An offset that reached the robot.
 
     Attributes
@@ -102,7 +102,7 @@ class Cell:
         self.tracker = TrackerParty(
             self.robot.robot, self.bus, self.scheduler, rng, self.job, eye, frame_period_s
         )
-        self.heard: list[Heard] = []
+        self.heard: list[ReceivedOffset] = []
         self.reasons: list[tuple[float, GateReason]] = []
         self.torch_error_mm: list[tuple[float, float]] = []
         self._captured: dict[float, float] = {}
@@ -145,13 +145,13 @@ class Cell:
             true_s = self.tracker.captured[nearest]
         self._captured[self.scheduler.now_s] = true_s
 
-    def _on_message(self, received: Received, frame: Frame) -> None:
+    def _on_message(self, received: Received, frame: BusFrame) -> None:
         if frame.sender != self.tracker.name:
             return
         now_s = self.scheduler.now_s
         if isinstance(received.message, SeamOffset):
             true_s = self._captured.get(frame.sent_s, math.nan)
-            self.heard.append(Heard(frame.sent_s, now_s, true_s, received.message))
+            self.heard.append(ReceivedOffset(frame.sent_s, now_s, true_s, received.message))
         elif isinstance(received.message, TrackerStatus):
             self.reasons.append((now_s, received.message.gate_reason))
 

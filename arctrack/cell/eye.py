@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy.typing as npt
 
 from arctrack.service.frame_tracking import Capture
-from arctrack.service.innovation import SeamMeasured
+from arctrack.service.innovation import SeamMeasurement
 from tracker.state import Track
 
 Shown = npt.NDArray[Any] | None
@@ -26,5 +26,5 @@ class Eye(Protocol):
     def garbage(self) -> Shown:
         """Return what a camera that is broken shows."""
 
-    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasured | None]:
+    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
         """Track a frame; the measurement of the seam is what the watch over the poses sees."""

@@ -10,7 +10,7 @@ import numpy as np
 from arctrack.cell.eye import Shown
 from arctrack.cell.robot import Robot
 from arctrack.service.frame_tracking import Capture
-from arctrack.service.innovation import SeamMeasured
+from arctrack.service.innovation import SeamMeasurement
 from robot_io import PoseAt, PoseStatus
 from tracker import flags
 from tracker.seam.gaussian_process import SeamHistory
@@ -61,7 +61,7 @@ class MeasuredEye:
         """Return nothing: no seam is seen."""
         return None
 
-    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasured | None]:
+    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
         """Take a measurement into the seam, and return the offset at the torch."""
         if capture.pose.status is PoseStatus.REFUSED:
             return Track(capture.index, capture.captured_s, flags.POSE_REFUSED.mask), None
@@ -75,7 +75,7 @@ class MeasuredEye:
             self._history = self._history.with_measurement(
                 place.station_mm, np.array(displacement), np.full(2, world.noise_mm**2)
             )
-        measured = SeamMeasured(place.station_mm, displacement, (world.noise_mm, world.noise_mm))
+        measured = SeamMeasurement(place.station_mm, displacement, (world.noise_mm, world.noise_mm))
         return self._tracked(shown, capture, 0), measured
 
     def _tracked(self, shown: Shown, capture: Capture, flag_bits: int) -> Track:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import can
 from scipy.spatial.transform import Rotation
 
-from arctrack.cell.bus import BusParty, Frame
+from arctrack.cell.bus import BusFrame, BusParty
 from arctrack.cell.robot import Robot
 from arctrack.cell.scheduler import Scheduler
 from robot_io import (
@@ -39,7 +39,7 @@ SEND_LAG_S = 0.002
 
 
 @dataclass(frozen=True)
-class Told:
+class RobotReport:
     """A pose as the robot tells it."""
 
     place_mm: Vector
@@ -47,7 +47,7 @@ class Told:
     age_s: float
 
 
-Spoil = Callable[[float, Told], Told | None]
+Spoil = Callable[[float, RobotReport], RobotReport | None]
 """Takes the time and what is true, and returns what is told; None for nothing."""
 
 SOURCE = Source.LIVE
@@ -79,7 +79,7 @@ class RobotParty:
     said: Callable[[RobotStatus], RobotStatus | None] | None = None
     breaks_status: bool = False
     commands: bool = True
-    on_message: Callable[[Received, Frame], None] | None = None
+    on_message: Callable[[Received, BusFrame], None] | None = None
     inbox: Inbox = field(default_factory=lambda: Inbox(Trusted(SOURCES, SOURCES)))
     _protector: Protector = field(default_factory=lambda: Protector(SOURCE))
     _sequence: int = 0
@@ -101,14 +101,14 @@ class RobotParty:
         now_s = self.scheduler.now_s
         self.robot.advance(now_s)
         x, y, z = self.robot.place_mm().tolist()
-        told: Told | None = Told((x, y, z), self._quaternion, SEND_LAG_S)
+        told: RobotReport | None = RobotReport((x, y, z), self._quaternion, SEND_LAG_S)
         if self.spoil is not None and told is not None:
             told = self.spoil(now_s, told)
         if told is not None:
             pose = told
             self.scheduler.at(now_s + SEND_LAG_S, lambda: self._send_pose(pose, now_s + SEND_LAG_S))
 
-    def _send_pose(self, told: Told, due_s: float) -> None:
+    def _send_pose(self, told: RobotReport, due_s: float) -> None:
         self._send(RobotPosePosition(*told.place_mm, PoseKind.ACTUAL))
         # In real time it may be later than it was to be.
         age_ms = 1000.0 * (told.age_s + self.scheduler.now_s - due_s)
@@ -138,7 +138,7 @@ class RobotParty:
     def _send(self, message: BusMessage) -> None:
         self.bus.send(self.name, *self._protector.protect(message))
 
-    def _hear(self, frame: Frame) -> None:
+    def _hear(self, frame: BusFrame) -> None:
         received = self.inbox.receive(as_message(frame, self.scheduler.now_s))
         if received is None:
             return
@@ -158,7 +158,7 @@ class RobotParty:
         self._round_trip_us = round_trip_us if 0 <= round_trip_us < 65_535 else None
 
 
-def as_message(frame: Frame, timestamp_s: float) -> can.Message:
+def as_message(frame: BusFrame, timestamp_s: float) -> can.Message:
     """Return a frame as python-can has it."""
     return can.Message(
         timestamp=timestamp_s, arbitration_id=frame.arbitration_id, data=frame.data, is_extended_id=False

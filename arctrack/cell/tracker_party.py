@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from arctrack.cell.bus import Bus, Frame
+from arctrack.cell.bus import Bus, BusFrame
 from arctrack.cell.disk import Disk
 from arctrack.cell.eye import Eye, Shown
 from arctrack.cell.robot import Robot
@@ -45,7 +45,7 @@ UNHEARD = (SeamPoint, SeamGeometry)
 """What this robot does not listen to is not sent: it would take a fifth of the time."""
 
 
-class Camera(Enum):
+class CameraBehaviour(Enum):
     """What the camera does."""
 
     RIGHT = "right"
@@ -98,7 +98,7 @@ class TrackerParty:
     eye: Eye
     frame_period_s: float = FRAME_PERIOD_S
     clock_s: float = 0.0
-    camera: Camera = Camera.RIGHT
+    camera: CameraBehaviour = CameraBehaviour.RIGHT
     is_running: bool = True
     queue_full: bool = False
     disk: Disk = field(default_factory=Disk)
@@ -116,7 +116,7 @@ class TrackerParty:
         self.path: NominalPath = self.robot.world.path
         self._shown: Shown = None
         self._has_shown = False
-        self._waiting: deque[tuple[Frame, float]] = deque()
+        self._waiting: deque[tuple[BusFrame, float]] = deque()
         self._index = 0
         self._log = SteadyLog(
             Path("bus.blf"), self.faults, self.disk.open, lambda: self.scheduler.now_s, self.said.append
@@ -151,13 +151,13 @@ class TrackerParty:
             frame, came_s = self._waiting.popleft()
             self._read(frame, came_s)
 
-    def _hear(self, frame: Frame) -> None:
+    def _hear(self, frame: BusFrame) -> None:
         if self.is_running:
             self._read(frame, self.now_s)
         else:
             self._waiting.append((frame, self.now_s))
 
-    def _read(self, frame: Frame, came_s: float) -> None:
+    def _read(self, frame: BusFrame, came_s: float) -> None:
         now_s = self.now_s
         message = as_message(frame, came_s)
         self._log.write(message)
@@ -168,14 +168,16 @@ class TrackerParty:
 
     def _capture(self) -> None:
         camera = self.camera
-        if camera is Camera.STOPPED or (camera is Camera.DROPPING and self.rng.random() < 0.1):
+        if camera is CameraBehaviour.STOPPED or (
+            camera is CameraBehaviour.DROPPING and self.rng.random() < 0.1
+        ):
             return
         true_s, captured_s = self.scheduler.now_s, self.now_s
         self.robot.advance(true_s)
-        if camera is not Camera.FROZEN or not self._has_shown:
-            self._shown = self.eye.look(self.ghost_mm if camera is Camera.GHOST else 0.0)
+        if camera is not CameraBehaviour.FROZEN or not self._has_shown:
+            self._shown = self.eye.look(self.ghost_mm if camera is CameraBehaviour.GHOST else 0.0)
             self._has_shown = True
-        shown = self.eye.garbage() if camera is Camera.GARBAGE else self._shown
+        shown = self.eye.garbage() if camera is CameraBehaviour.GARBAGE else self._shown
         self.scheduler.at(
             true_s + EXPOSED_S + COMPUTED_S * self.rng.uniform(0.8, 1.2),
             lambda: self._track(shown, true_s, captured_s),
@@ -210,4 +212,4 @@ class TrackerParty:
                     self.on_sent(message)
             arbitration_id, data = self._protector.protect(message)
             self.bus.send(self.name, arbitration_id, data)
-            self._log.write(as_message(Frame(self.name, arbitration_id, data, self.now_s), self.now_s))
+            self._log.write(as_message(BusFrame(self.name, arbitration_id, data, self.now_s), self.now_s))

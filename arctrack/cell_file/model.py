@@ -56,7 +56,7 @@ class BusTable(Table):
     bit_rate_bit_s: int = Field(default=500_000, ge=10_000, le=1_000_000)
 
 
-class CameraTable(Table):
+class CellCameraTable(Table):
     """[camera]."""
 
     frame_rate_hz: Rate
@@ -124,7 +124,7 @@ class CellToml(Table):
     format: Literal["arctrack-cell/1"]
     setup: str = Field(min_length=1)
     bus: BusTable
-    camera: CameraTable
+    camera: CellCameraTable
     gate: GateTable = Field(default_factory=GateTable)
     service: ServiceTable = Field(default_factory=ServiceTable)
     plausibility: PlausibilityTable = Field(default_factory=PlausibilityTable)

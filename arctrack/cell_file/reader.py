@@ -24,7 +24,7 @@ from arctrack.cell_file.choices import (
 from arctrack.cell_file.model import (
     FORMAT,
     MAX_JOB_NUMBER,
-    CameraTable,
+    CellCameraTable,
     CellToml,
     JobTable,
     MonitorTable,
@@ -129,14 +129,14 @@ def _cell(path: Path, model: CellToml, setup: SetupFile) -> CellFile:
     return cell
 
 
-def _camera(table: CameraTable) -> CameraChoice:
+def _camera(table: CellCameraTable) -> CameraChoice:
     if (table.kind is None) != (table.name is None):
         missing = "kind" if table.kind is None else "name"
         raise ValueError(f"[camera] {missing}: missing; a camera is stated by kind and name")
     return CameraChoice(table.frame_rate_hz, table.kind, table.name, _capture(table))
 
 
-def _capture(table: CameraTable) -> CaptureChoice:
+def _capture(table: CellCameraTable) -> CaptureChoice:
     """Return how a camera takes frames; ValueError for a key that does not belong to its kind."""
     stated = {
         choice.name: getattr(table, choice.name)

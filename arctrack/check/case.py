@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from arctrack.check.bright_line import BrightLine, find_lines
-from arctrack.check.fit import Fit, Sight, fit
+from arctrack.check.fit import SectionMatch, SightedLine, fit
 from arctrack.recording import FrameRow, PoseTable, Recording
 from arctrack.recording.frames import Image
 from arctrack.recording.poses import pose_at, pose_buffer
@@ -34,7 +34,7 @@ NO_POSE = np.full((4, 4), np.nan)
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class CheckCase:
     """Some frames' lines, the setup that should explain them and the poses.
 
     `images_dn` (H, W) are the frames as they are and `rows` their lines of frames.csv; `points_px` is each
@@ -53,16 +53,16 @@ class Case:
     T_base_tool: tuple[Float64, ...]
     T_tool_controllertool: Float64
 
-    def fit(self) -> Fit:
+    def fit(self) -> SectionMatch:
         """Lay the lines over the setup's section."""
-        sights = [Sight(*pair) for pair in zip(self.points_px, self.T_base_tool, strict=True)]
+        sights = [SightedLine(*pair) for pair in zip(self.points_px, self.T_base_tool, strict=True)]
         return fit(self.setup, sights)
 
-    def with_setup(self, setup: Setup) -> Case:
+    def with_setup(self, setup: Setup) -> CheckCase:
         """Return the case with another setup."""
         return replace(self, setup=setup)
 
-    def with_poses(self, change: Callable[[Float64], Float64]) -> Case:
+    def with_poses(self, change: Callable[[Float64], Float64]) -> CheckCase:
         """Return the case with another pose of the controller's in the place of each."""
         there, back = self.T_tool_controllertool, invert(self.T_tool_controllertool)
         return replace(
@@ -70,7 +70,7 @@ class Case:
             T_base_tool=tuple(T if np.isnan(T).any() else change(T @ there) @ back for T in self.T_base_tool),
         )
 
-    def with_tool(self, T_tool_controllertool: Float64) -> Case:
+    def with_tool(self, T_tool_controllertool: Float64) -> CheckCase:
         """Return the case with another frame for the controller's tool."""
         changed = self.T_tool_controllertool @ invert(T_tool_controllertool)
         return replace(
@@ -79,7 +79,7 @@ class Case:
             T_tool_controllertool=T_tool_controllertool,
         )
 
-    def with_times(self, frames: float = 1.0, poses: float = 1.0) -> Case:
+    def with_times(self, frames: float = 1.0, poses: float = 1.0) -> CheckCase:
         """Return the case with the times of frames and poses multiplied."""
         frames_s = tuple(frames * timestamp_s for timestamp_s in self.frames_s)
         table = replace(self.poses, timestamps_s=poses * self.poses.timestamps_s)
@@ -87,7 +87,7 @@ class Case:
             self, frames_s=frames_s, poses=table, T_base_tool=_poses_at(table, frames_s, self.setup)
         )
 
-    def with_points(self, change: Callable[[Float64, int, int], Float64], turns: bool) -> Case:
+    def with_points(self, change: Callable[[Float64, int, int], Float64], turns: bool) -> CheckCase:
         """Return the case with the lines' points moved, images `turns` by a quarter or not."""
         width, height = self.size_px
         points = tuple(change(points, width, height) for points in self.points_px)
@@ -112,7 +112,7 @@ def laser_off_rows(recording: Recording) -> list[int]:
     return _spread([n for n, row in enumerate(recording.rows) if not row.laser_on], MAX_LASER_OFF)
 
 
-def case_of(recording: Recording, positions: Sequence[int], images: Sequence[Image]) -> Case | None:
+def case_of(recording: Recording, positions: Sequence[int], images: Sequence[Image]) -> CheckCase | None:
     """Return the case of some frames, None where no image can be read; images of the commonest size count."""
     usable = [
         (recording.rows[n], image)
@@ -127,7 +127,7 @@ def case_of(recording: Recording, positions: Sequence[int], images: Sequence[Ima
     lines: list[BrightLine] = find_lines([image for _, image in usable], recording.setup.sensor)
     frames_s = tuple(row.timestamp_s for row, _ in usable)
     setup = apply_setup_effects(recording.setup)
-    return Case(
+    return CheckCase(
         setup=setup,
         images_dn=tuple(image for _, image in usable),
         rows=tuple(row for row, _ in usable),

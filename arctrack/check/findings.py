@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from arctrack.check.fit import FINE, Sight, fit
+from arctrack.check.fit import FINE, SightedLine, fit
 from arctrack.check.hint import FITS, GAIN
-from arctrack.check.look import Look
-from arctrack.check.sensor_seen import SensorSeen
+from arctrack.check.look import CheckedFrame
+from arctrack.check.sensor_seen import SensorReading
 from arctrack.check.stated_speckle import stated_contrast
 from arctrack.check.timing import Timing
 from noise_model.instrument.sensor import saturation_dn
@@ -45,7 +45,7 @@ FOCAL_RATIOS = np.arange(0.80, 1.255, 0.01)
 
 
 @dataclass(frozen=True)
-class Finding:
+class SetupFinding:
     """Something measured: its name, what was measured and is stated, and what to tell where these part."""
 
     name: str
@@ -56,11 +56,11 @@ class Finding:
 def findings(
     setup: Setup,
     geometry: SensorGeometry,
-    looks: Sequence[Look],
-    unlit: Sequence[Look],
-    sensor: SensorSeen,
+    looks: Sequence[CheckedFrame],
+    unlit: Sequence[CheckedFrame],
+    sensor: SensorReading,
     exposures_fit: bool,
-) -> list[Finding]:
+) -> list[SetupFinding]:
     """Put what was measured beside what is stated; of a stripe only where a frame is valid.
 
     `unlit` are frames that frames.csv says the laser is off in, looked at as if it were on. Without exposures
@@ -78,7 +78,7 @@ def findings(
     ]
 
 
-def _images(setup: Setup, looks: Sequence[Look]) -> Iterator[Finding]:
+def _images(setup: Setup, looks: Sequence[CheckedFrame]) -> Iterator[SetupFinding]:
     """Say how bright the frames are."""
     if not looks:
         return
@@ -94,10 +94,10 @@ def _images(setup: Setup, looks: Sequence[Look]) -> Iterator[Finding]:
     text = (
         f"brightest pixel {brightest} DN of {setup.sensor.max_dn}, {_percent(share)} of the pixels saturated"
     )
-    yield Finding("frames", text, warning)
+    yield SetupFinding("frames", text, warning)
 
 
-def _laser(looks: Sequence[Look], unlit: Sequence[Look]) -> Iterator[Finding]:
+def _laser(looks: Sequence[CheckedFrame], unlit: Sequence[CheckedFrame]) -> Iterator[SetupFinding]:
     """Say whether the frames show the laser where frames.csv has it on, and only there.
 
     A frame with the laser off shows it where the tracker finds the stated joint in it. One with the laser on
@@ -118,7 +118,7 @@ def _laser(looks: Sequence[Look], unlit: Sequence[Look]) -> Iterator[Finding]:
     if missed and any(look.track.valid for look in (*looks, *unlit)):
         wrong.append(f"{_frames(missed)} no line, though frames.csv says laser_on = 1")
     cure = "correct frames.csv; are its rows those of the frames before or after?"
-    yield Finding("laser", text, f"{'; '.join(wrong)}; {cure}" if wrong else None)
+    yield SetupFinding("laser", text, f"{'; '.join(wrong)}; {cure}" if wrong else None)
 
 
 def _frames(indices: Sequence[int]) -> str:
@@ -128,7 +128,7 @@ def _frames(indices: Sequence[int]) -> str:
     return f"frames {', '.join(map(str, indices))} show"
 
 
-def _seam(geometry: SensorGeometry, valid: Sequence[Look]) -> Iterator[Finding]:
+def _seam(geometry: SensorGeometry, valid: Sequence[CheckedFrame]) -> Iterator[SetupFinding]:
     """Say where the seam lies beside its nominal line, and how the stripe runs there."""
     if not valid:
         return
@@ -137,7 +137,7 @@ def _seam(geometry: SensorGeometry, valid: Sequence[Look]) -> Iterator[Finding]:
     where += f"{_mm(abs(z_mm))} {'above' if z_mm > 0.0 else 'below'} it"
     far = max(abs(y_mm), abs(z_mm)) > FAR_MM
     cure = "correct [joint] seam_in_base_mm, or the poses' base frame"
-    yield Finding(
+    yield SetupFinding(
         "seam",
         f"{where}, in the median; sought within {SEARCH_REACH_MM:g} mm",
         f"the seam lies {where}, and is sought within {SEARCH_REACH_MM:g} mm; {cure}" if far else None,
@@ -156,10 +156,10 @@ def _seam(geometry: SensorGeometry, valid: Sequence[Look]) -> Iterator[Finding]:
             else f"[camera] fx, fy: about {focal_px:.0f} px fit, not {camera.fx:.4g}"
         )
         warning = f"the stripe runs {off} off the course that the setup expects at this seam; {cure}"
-    yield Finding("course", f"the stripe runs {off} off its expected course", warning)
+    yield SetupFinding("course", f"the stripe runs {off} off its expected course", warning)
 
 
-def _better_focal_px(geometry: SensorGeometry, valid: Sequence[Look]) -> float | None:
+def _better_focal_px(geometry: SensorGeometry, valid: Sequence[CheckedFrame]) -> float | None:
     """Return a focal length with which the stripes lie on the joint decidedly better, None for none."""
     sights = []
     for look in valid:
@@ -167,7 +167,7 @@ def _better_focal_px(geometry: SensorGeometry, valid: Sequence[Look]) -> float |
             continue
         scan = np.flatnonzero(np.isfinite(look.track.stripe.position_px))
         points_px = geometry.image_points(scan.astype(np.float64), look.track.stripe.position_px[scan])
-        sights.append(Sight(points_px, look.pose.T_base_tool))
+        sights.append(SightedLine(points_px, look.pose.T_base_tool))
     camera = geometry.setup.camera
 
     def share(ratio: float) -> float:
@@ -181,7 +181,7 @@ def _better_focal_px(geometry: SensorGeometry, valid: Sequence[Look]) -> float |
     return float(FOCAL_RATIOS[best] * camera.fx)
 
 
-def _stripe(valid: Sequence[Look], exposures_fit: bool) -> Iterator[Finding]:
+def _stripe(valid: Sequence[CheckedFrame], exposures_fit: bool) -> Iterator[SetupFinding]:
     """Say how wide and how bright the stripe is, and how much of it is saturated."""
     looks = _without_arc(valid)
     sigma_px = _median(look.seen.sigma_px for look in looks)
@@ -190,22 +190,22 @@ def _stripe(valid: Sequence[Look], exposures_fit: bool) -> Iterator[Finding]:
         text = f"1 sigma {sigma_px:.3g} px, expected {expected_px:.3g} px"
         cure = "do [laser] stripe_sigma_mm, [camera] psf_sigma_px and fx, fy hold, and is the lens in focus?"
         parted = _part(sigma_px, expected_px, WIDTH_RATIO)
-        yield Finding("width", text, f"the stripe's width is {text}; {cure}" if parted else None)
+        yield SetupFinding("width", text, f"the stripe's width is {text}; {cure}" if parted else None)
     share = _median(look.seen.saturated_share for look in looks)
     if share > 0.0:
         text = f"{_percent(share)} of the stripe's scan lines are saturated"
         cure = "shorten the exposure, or close the aperture"
-        yield Finding("saturation", text, f"{text}; {cure}" if share > MAX_SATURATED else None)
+        yield SetupFinding("saturation", text, f"{text}; {cure}" if share > MAX_SATURATED else None)
     peak_e = _median(look.seen.peak_e for look in looks)
     predicted_e = _median(look.peak_e for look in looks if math.isfinite(look.seen.peak_e))
     if math.isfinite(peak_e) and math.isfinite(predicted_e):
         text = f"{peak_e:.0f} e over its background, expected {predicted_e:.0f} e"
         cure = "do [laser] peak_e, exposure_s, [sensor] gain_e_per_dn and gamma hold?"
         parted = exposures_fit and share <= MAX_SATURATED and _part(peak_e, predicted_e, PEAK_RATIO)
-        yield Finding("peak", text, f"the stripe's peak is {text}; {cure}" if parted else None)
+        yield SetupFinding("peak", text, f"the stripe's peak is {text}; {cure}" if parted else None)
 
 
-def _speckle(setup: Setup, valid: Sequence[Look]) -> Iterator[Finding]:
+def _speckle(setup: Setup, valid: Sequence[CheckedFrame]) -> Iterator[SetupFinding]:
     """Say how much the stripe's brightness scatters along it."""
     looks = _without_arc(valid)
     contrast = _median(look.seen.contrast for look in looks)
@@ -214,16 +214,18 @@ def _speckle(setup: Setup, valid: Sequence[Look]) -> Iterator[Finding]:
     stated = stated_contrast(setup, _median(look.seen.sigma_px for look in looks))
     if stated == 0.0:
         # The tracker learns what no setup states.
-        yield Finding("speckle", f"{contrast:.2f} from scan line to scan line, not stated", None)
+        yield SetupFinding("speckle", f"{contrast:.2f} from scan line to scan line, not stated", None)
         return
     text = f"{contrast:.2f} from scan line to scan line, [effects.laser_speckle] states {stated:.2f}"
     counts = max(contrast, stated) > SPECKLE_FROM
     cure = "leave it out, or let arctrack diagnose find contrast and grain_px"
     parted = counts and _part(contrast, stated, SPECKLE_RATIO)
-    yield Finding("speckle", text, f"the stripe's brightness scatters by {text}; {cure}" if parted else None)
+    yield SetupFinding(
+        "speckle", text, f"the stripe's brightness scatters by {text}; {cure}" if parted else None
+    )
 
 
-def _sensor(setup: Setup, sensor: SensorSeen) -> Iterator[Finding]:
+def _sensor(setup: Setup, sensor: SensorReading) -> Iterator[SetupFinding]:
     """Say how dark pixels read."""
     if math.isnan(sensor.black_dn):
         return
@@ -233,7 +235,7 @@ def _sensor(setup: Setup, sensor: SensorSeen) -> Iterator[Finding]:
     off_dn = sensor.black_dn - stated.black_level_dn
     cure = "correct [sensor] black_level_dn" + ("" if off_dn < 0.0 else ", or keep other light out")
     parted = abs(off_dn) > BLACK_SIGMAS * tolerance_dn + BLACK_DN
-    yield Finding("black level", text, f"dark pixels read {text}; {cure}" if parted else None)
+    yield SetupFinding("black level", text, f"dark pixels read {text}; {cure}" if parted else None)
     if not stated.is_linear or not math.isfinite(sensor.noise_dn):
         return
     # Rounding to whole codes adds its twelfth.
@@ -242,17 +244,17 @@ def _sensor(setup: Setup, sensor: SensorSeen) -> Iterator[Finding]:
     counts = max(sensor.noise_dn, expected_dn) > MIN_NOISE_DN
     parted = counts and _part(sensor.noise_dn, expected_dn, NOISE_RATIO)
     cure = "do [sensor] read_noise_e and gain_e_per_dn hold?"
-    yield Finding("noise", text, f"dark pixels scatter by {text}; {cure}" if parted else None)
+    yield SetupFinding("noise", text, f"dark pixels scatter by {text}; {cure}" if parted else None)
 
 
-def _arc(setup: Setup, looks: Sequence[Look], exposures_fit: bool) -> Iterator[Finding]:
+def _arc(setup: Setup, looks: Sequence[CheckedFrame], exposures_fit: bool) -> Iterator[SetupFinding]:
     """Say how bright the arc is, from the frames whose light the map explains."""
     lit = [look for look in looks if look.frame.arc_on]
     if not lit:
         return
     if not setup.arc.shines:
         text = f"[arc] is missing, though frames.csv says arc_on in {len(lit)} of {len(looks)} frames"
-        yield Finding("arc", text, f"{text}; state it, or its light counts as the hall's")
+        yield SetupFinding("arc", text, f"{text}; state it, or its light counts as the hall's")
         return
     dark = sum(bool(look.track.flags & flags.ARC_OFF.mask) for look in lit)
     unexplained = sum(bool(look.track.flags & flags.MAP_MISFIT.mask) for look in lit)
@@ -265,18 +267,18 @@ def _arc(setup: Setup, looks: Sequence[Look], exposures_fit: bool) -> Iterator[F
     elif exposures_fit and _part(level, 1.0, ARC_RATIO):
         cure = "do [arc] radiance_e, current_a and [camera] exposure_s hold?"
         warning = f"the arc's light is {level:.2g} times the expected; {cure}"
-    yield Finding("arc", text, warning)
+    yield SetupFinding("arc", text, warning)
 
 
-def timing_findings(timing: Timing) -> Iterator[Finding]:
+def timing_findings(timing: Timing) -> Iterator[SetupFinding]:
     """Say how often frames and poses come, how fast the tool goes, and what of times and exposures is odd."""
     rates = f"frames at {timing.frame_rate_hz:.3g} Hz, poses at {timing.pose_rate_hz:.3g} Hz"
-    yield Finding("times", f"{rates}, the tool at {timing.speed_mm_s:.3g} mm/s")
+    yield SetupFinding("times", f"{rates}, the tool at {timing.speed_mm_s:.3g} mm/s")
     for warning in timing.warnings:
-        yield Finding("times", "", warning)
+        yield SetupFinding("times", "", warning)
 
 
-def _without_arc(looks: Sequence[Look]) -> Sequence[Look]:
+def _without_arc(looks: Sequence[CheckedFrame]) -> Sequence[CheckedFrame]:
     """Return the frames without arc, where the stripe is clearest, or all if all have one."""
     return [look for look in looks if not look.frame.arc_on] or looks
 

@@ -19,7 +19,7 @@ from noise_model.surface.joint import SeamSegments, corrugation_height, nearest_
 from noise_model.transforms import invert, transform
 from tracker.checks import FrameChecks
 from tracker.geometry import SEARCH_REACH_MM, to_laser_plane
-from tracker.joint.type_check import Family, shown_family
+from tracker.joint.type_check import JointFamily, shown_family
 from tracker.profile import points_of
 from tracker.seam.expected import check_pose, pose_numbers
 from tracker.seam.locate import SeamSource
@@ -57,7 +57,7 @@ COARSE, FINE = Fineness(0.25, 0.3, 1.5), Fineness(0.05, 0.1, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class SightedLine:
     """A frame's bright line, points (n, 2) x y, px, and the tool's pose (4, 4), NaN where there is none."""
 
     points_px: Float64
@@ -82,7 +82,7 @@ class LinePoints:
         return max(fineness.within_mm, fineness.within_px * self.mm_per_px)
 
     @property
-    def family(self) -> Family | None:
+    def family(self) -> JointFamily | None:
         """What the points look like, None for nothing known."""
         n = len(self.y_mm)
         if n < 2:
@@ -95,7 +95,7 @@ class LinePoints:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class SectionMatch:
     """How well lines lie on a section: `share` of all points, where it is displaced along a straight line.
 
     It is 0 where the nominal line ends before most of the torch's places: there no offset goes out.
@@ -105,7 +105,7 @@ class Fit:
     lines: tuple[LinePoints, ...]
 
 
-def fit(setup: Setup, sights: Sequence[Sight], fineness: Fineness = COARSE) -> Fit:
+def fit(setup: Setup, sights: Sequence[SightedLine], fineness: Fineness = COARSE) -> SectionMatch:
     """Lay the lines over the setup's section."""
     vertices = section(setup.joint).vertices
     lines = [line_points(setup, sight) for sight in sights]
@@ -117,7 +117,7 @@ def fit(setup: Setup, sights: Sequence[Sight], fineness: Fineness = COARSE) -> F
     ]
     on_line = [_torch_is_on_line(setup, sight.T_base_tool) for sight in sights]
     reaches = sum(on_line) >= ENOUGH * len(on_line)
-    return Fit(float(np.mean(shares)) if shares and reaches else 0.0, tuple(lines))
+    return SectionMatch(float(np.mean(shares)) if shares and reaches else 0.0, tuple(lines))
 
 
 def _torch_is_on_line(setup: Setup, T_base_tool: Float64) -> bool:
@@ -132,7 +132,7 @@ def _torch_is_on_line(setup: Setup, T_base_tool: Float64) -> bool:
     return (nearest > 0 or along >= 0.0) and (nearest < len(segments.steps) - 1 or along <= 1.0)
 
 
-def line_points(setup: Setup, sight: Sight) -> LinePoints:
+def line_points(setup: Setup, sight: SightedLine) -> LinePoints:
     """Meet a line with the laser plane and put it beside the joint, a corrugation's height taken off."""
     nothing = np.empty(0)
     if not np.isfinite(sight.T_base_tool).all():

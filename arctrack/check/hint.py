@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from arctrack.check.case import Case
+from arctrack.check.case import CheckCase
 from arctrack.check.fit import LinePoints
 from arctrack.check.mistakes import Mistake, common_mistakes, focal_lengths
 from noise_model.setup import Setup
-from tracker.joint.type_check import FAMILIES, Family, family_of
+from tracker.joint.type_check import FAMILIES, JointFamily, family_of
 
 FITS, GAIN = 0.8, 0.15
 """The share of a line's points that lies on the section where all is right, and what undoing must gain."""
@@ -33,13 +33,13 @@ class Hint:
     what: str
     cure: str
     share: float
-    case: Case | None = None
+    case: CheckCase | None = None
 
     def __str__(self) -> str:
         return f"{self.what}; {self.cure}"
 
 
-def likely_mistake(case: Case, joint_is_seen: bool = False) -> Hint | None:
+def likely_mistake(case: CheckCase, joint_is_seen: bool = False) -> Hint | None:
     """Return the mistake without which the lines lie where the stripe should be, None for none known.
 
     `joint_is_seen` says that the tracker finds the stated joint: then its type is not doubted.
@@ -65,7 +65,7 @@ def either(hints: Sequence[Hint]) -> Hint | None:
     return replace(first, cure=f"{first.cure}; or else {others[0]}") if others else first
 
 
-def _explaining(case: Case, mistakes: Sequence[Mistake], stated_share: float) -> list[Hint]:
+def _explaining(case: CheckCase, mistakes: Sequence[Mistake], stated_share: float) -> list[Hint]:
     """Return the mistakes without which most points lie on the section, the commonest first."""
     hints = []
     for mistake in mistakes:
@@ -90,7 +90,7 @@ def _joint_hint(setup: Setup, lines: Sequence[LinePoints]) -> Hint | None:
     stated = family_of(setup.joint)
     counts = Counter(line.family for line in lines)
     # Where the arc outshines a joint's faces a plate is left.
-    for nothing in (None, Family.FLAT):
+    for nothing in (None, JointFamily.FLAT):
         counts.pop(nothing, None)
     if not counts or stated is None:
         return None
@@ -102,7 +102,7 @@ def _joint_hint(setup: Setup, lines: Sequence[LinePoints]) -> Hint | None:
     ):
         return None
     types = [name for name, shown in FAMILIES.items() if shown is family]
-    if family in (Family.INSIDE_CORNER, Family.OUTSIDE_CORNER):
+    if family in (JointFamily.INSIDE_CORNER, JointFamily.OUTSIDE_CORNER):
         types = ["fillet"]
     what = f"[joint] type = {setup.joint.type!r}: {count} of {len(lines)} frames show {family.value}"
     return Hint(what, f"recording.toml: state {' or '.join(types)}", float(count) / len(lines))

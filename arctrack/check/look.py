@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from arctrack.check.bright_line import BrightLine, find_lines
-from arctrack.check.stripe_seen import StripeSeen, stripe_seen
+from arctrack.check.stripe_seen import StripeMeasurement, stripe_seen
 from arctrack.recording import Recording
 from noise_model.arc.scene import make_scene
 from noise_model.condition import Condition
@@ -23,7 +23,7 @@ from tracker.state import Frame, Pose, Track
 from tracker.step import step_and_reading
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import Work
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import TrackerMemory
 
 MIN_LINE_SHARE = 0.5
 """A frame whose line is in fewer of the scan lines shows none."""
@@ -33,7 +33,7 @@ MAX_PIXELS = 200
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class CheckedFrame:
     """A frame with the laser on: the tracker's view of it, and the bright line in its image.
 
     `expected` is the stripe at the nominal seam, `placed` that at the measured one, None where there is none;
@@ -45,7 +45,7 @@ class Look:
     pose: Pose | None
     track: Track
     line: BrightLine
-    seen: StripeSeen
+    seen: StripeMeasurement
     expected: ExpectedStripe | None = None
     placed: ExpectedStripe | None = None
     seam_mm: tuple[float, float] = (math.nan, math.nan)
@@ -71,17 +71,17 @@ def looks_at(
     geometry: SensorGeometry,
     frames: Sequence[Frame],
     on_frame: Callable[[int], None] | None = None,
-) -> list[Look]:
+) -> list[CheckedFrame]:
     """Look at some frames of a recording; `on_frame` hears the number of them done."""
     sensor = recording.setup.sensor
     lines = find_lines([frame.image_dn for frame in frames], sensor)
     poses, work = recording.pose_buffer(), Work.of(geometry)
-    looks: list[Look] = []
+    looks: list[CheckedFrame] = []
     for frame, line in zip(frames, lines, strict=True):
         pose = recording.pose_at(poses, frame.timestamp_s)
-        state, track, reading = step_and_reading(geometry, TrackerState(), frame, pose, work)
+        state, track, reading = step_and_reading(geometry, TrackerMemory(), frame, pose, work)
         seen = stripe_seen(frame.image_dn, sensor, line)
-        look = Look(frame, pose, track, line, seen)
+        look = CheckedFrame(frame, pose, track, line, seen)
         if pose is not None:
             look = _with_expected(recording.setup, geometry, look, pose, state, reading)
         looks.append(look)
@@ -93,11 +93,11 @@ def looks_at(
 def _with_expected(
     setup: Setup,
     geometry: SensorGeometry,
-    look: Look,
+    look: CheckedFrame,
     pose: Pose,
-    state: TrackerState,
+    state: TrackerMemory,
     reading: Reading | None,
-) -> Look:
+) -> CheckedFrame:
     """Return a look with what the setup expects at its pose, and at its seam where that was measured."""
     nominal_scene = make_scene(geometry.setup, pose.T_base_tool)
     if nominal_scene.below_surface:

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from arctrack.check.case import Case
+from arctrack.check.case import CheckCase
 from noise_model.arrays import Float64
 from noise_model.instrument.camera import Camera
 from noise_model.transforms import invert
@@ -31,7 +31,7 @@ class Mistake:
 
     what: str
     cure: str
-    undo: Callable[[Case], Case | None]
+    undo: Callable[[CheckCase], CheckCase | None]
 
 
 def common_mistakes(T_tool_controllertool: Float64) -> list[Mistake]:
@@ -59,18 +59,22 @@ def _times() -> Iterator[Mistake]:
     for unit, factor in TIME_UNITS.items():
         cure = "give timestamp_s in seconds"
         yield Mistake(
-            f"the times of poses are in {unit}", f"poses.csv: {cure}", partial(Case.with_times, poses=factor)
+            f"the times of poses are in {unit}",
+            f"poses.csv: {cure}",
+            partial(CheckCase.with_times, poses=factor),
         )
         yield Mistake(
             f"the times of frames are in {unit}",
             f"frames.csv: {cure}",
-            partial(Case.with_times, frames=factor),
+            partial(CheckCase.with_times, frames=factor),
         )
 
 
 def _poses() -> Iterator[Mistake]:
     def poses(what: str, cure: str, change: Callable[[Float64], Float64]) -> Mistake:
-        return Mistake(f"the poses {what}", f"poses.csv: {cure}", partial(Case.with_poses, change=change))
+        return Mistake(
+            f"the poses {what}", f"poses.csv: {cure}", partial(CheckCase.with_poses, change=change)
+        )
 
     yield poses("have their quaternions as w x y z", "put qw last", _from_wxyz)
     for unit, factor in LENGTH_UNITS_MM.items():
@@ -174,7 +178,7 @@ def _tool_axes(T_tool_controllertool: Float64) -> Iterator[Mistake]:
             f"the poses' tool {_tool_axes_in_words(turn)}",
             f"recording.toml: [robot.controllertool_to_tool] translation_mm = {_numbers(T_stated[:3, 3])}, "
             f"quaternion_xyzw = {_numbers(quaternion)}",
-            partial(Case.with_tool, T_tool_controllertool=T_stated),
+            partial(CheckCase.with_tool, T_tool_controllertool=T_stated),
         )
 
 
@@ -253,19 +257,21 @@ def _from_unit(T: Float64, factor: float) -> Float64:
     return changed
 
 
-def _with_images(case: Case, move: Callable[[Float64, int, int], Float64], turns: bool) -> Case | None:
+def _with_images(
+    case: CheckCase, move: Callable[[Float64, int, int], Float64], turns: bool
+) -> CheckCase | None:
     moved = case.with_points(move, turns)
     return moved if moved.fits_camera else None
 
 
-def _with_size(case: Case) -> Case | None:
+def _with_size(case: CheckCase) -> CheckCase | None:
     if case.fits_camera:
         return None
     width, height = case.size_px
     return _with_camera(case, lambda camera: replace(camera, width=width, height=height))
 
 
-def _with_scale(case: Case) -> Case | None:
+def _with_scale(case: CheckCase) -> CheckCase | None:
     camera, (width, height) = case.setup.camera, case.size_px
     ratio = width / camera.width
     if case.fits_camera or camera.height * ratio != height:
@@ -276,7 +282,7 @@ def _with_scale(case: Case) -> Case | None:
     return case.with_setup(replace(case.setup, camera=replace(scaled, cx=cx, cy=cy)))
 
 
-def _with_square_pixels(case: Case, wrong: str) -> Case | None:
+def _with_square_pixels(case: CheckCase, wrong: str) -> CheckCase | None:
     camera = case.setup.camera
     if 1.0 / FOCAL_STEP < camera.fx / camera.fy < FOCAL_STEP:
         return None
@@ -284,7 +290,7 @@ def _with_square_pixels(case: Case, wrong: str) -> Case | None:
     return _with_camera(case, lambda camera: replace(camera, fx=right, fy=right))
 
 
-def _with_camera(case: Case, change: Callable[[Camera], Camera]) -> Case:
+def _with_camera(case: CheckCase, change: Callable[[Camera], Camera]) -> CheckCase:
     return case.with_setup(replace(case.setup, camera=change(case.setup.camera)))
 
 
@@ -300,7 +306,7 @@ def _with_focal(camera: Camera, focal_px: float) -> Camera:
     return replace(camera, fx=focal_px, fy=focal_px * camera.fy / camera.fx)
 
 
-def _with_plane(case: Case, index: int, factor: float) -> Case | None:
+def _with_plane(case: CheckCase, index: int, factor: float) -> CheckCase | None:
     a, b, c, d = (
         factor * value if n == index else value for n, value in enumerate(case.setup.laser.plane_in_tool)
     )
@@ -310,17 +316,17 @@ def _with_plane(case: Case, index: int, factor: float) -> Case | None:
     return case.with_setup(replace(case.setup, laser=laser))
 
 
-def _with_normal_turned(case: Case) -> Case:
+def _with_normal_turned(case: CheckCase) -> CheckCase:
     x, y, z = case.setup.joint.surface_normal_in_base
     joint = replace(case.setup.joint, surface_normal_in_base=(-x, -y, -z))
     return case.with_setup(replace(case.setup, joint=joint))
 
 
-def _with_poses_and_seam_in_mm(case: Case) -> Case | None:
+def _with_poses_and_seam_in_mm(case: CheckCase) -> CheckCase | None:
     return _with_seam_in_mm(case.with_poses(partial(_from_unit, factor=1000.0)))
 
 
-def _with_seam_in_mm(case: Case) -> Case | None:
+def _with_seam_in_mm(case: CheckCase) -> CheckCase | None:
     points = tuple((1000.0 * x, 1000.0 * y, 1000.0 * z) for x, y, z in case.setup.joint.seam_in_base_mm)
     if np.abs(points).max() > MAX_REACH_MM:
         return None

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from arctrack.check.case import Case, case_of, chosen_rows, laser_off_rows
-from arctrack.check.findings import Finding, findings, timing_findings
+from arctrack.check.case import CheckCase, case_of, chosen_rows, laser_off_rows
+from arctrack.check.findings import SetupFinding, findings, timing_findings
 from arctrack.check.fit import ENOUGH
 from arctrack.check.hint import Hint, likely_mistake
-from arctrack.check.look import Look, looks_at
-from arctrack.check.sensor_seen import SensorSeen, sensor_seen
+from arctrack.check.look import CheckedFrame, looks_at
+from arctrack.check.sensor_seen import SensorReading, sensor_seen
 from arctrack.check.timing import timing_of
 from arctrack.check.units import likely_unit
-from arctrack.check.verdict import Verdict, is_few, verdict_of
+from arctrack.check.verdict import RunVerdict, is_few, verdict_of
 from arctrack.compiling import compiled_by_two
 from arctrack.errors import ArctrackError, in_file
 from arctrack.offset_count import OffsetCount
@@ -31,7 +31,7 @@ MAX_DARK_FRAMES = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Checked:
+class CheckResult:
     """What a check came to.
 
     `refusal` is why a replay refuses the recording, None if it does not; `bad_frames` cannot be used. `hint`
@@ -41,12 +41,12 @@ class Checked:
 
     recording: Recording
     refusal: ArctrackError | None
-    verdict: Verdict
+    verdict: RunVerdict
     hint: Hint | None
-    findings: tuple[Finding, ...]
-    looks: tuple[Look, ...]
+    findings: tuple[SetupFinding, ...]
+    looks: tuple[CheckedFrame, ...]
     bad_frames: tuple[BadFrame, ...]
-    case: Case | None
+    case: CheckCase | None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -57,7 +57,7 @@ class Checked:
 def check_recording(
     recording: Recording,
     on_frame: Callable[[int], None] | None = None,
-) -> Checked:
+) -> CheckResult:
     """Check a recording that was read without `must_fit`.
 
     `on_frame` hears the number of frames looked at.
@@ -100,7 +100,7 @@ def check_recording(
         # Where something decided is wrong, seam and stripe lie elsewhere for that reason.
         all_findings = [replace(f, warning=None) if f.name in ("seam", "course") else f for f in all_findings]
     verdict = verdict_of(len(tried), lit, trial.offsets, trial.reasons, lambda: hint)
-    return Checked(
+    return CheckResult(
         recording=recording,
         refusal=refusal,
         verdict=verdict,
@@ -112,14 +112,14 @@ def check_recording(
     )
 
 
-def _lines_finding(case: Case, hint: Hint | None) -> Finding:
+def _lines_finding(case: CheckCase, hint: Hint | None) -> SetupFinding:
     """Say how well the bright lines lie on the stated joint, and what most likely is wrong if not."""
     text = f"{100.0 * case.fit().share:.0f} % of the bright lines' points lie on the stated joint"
     if hint is None:
-        return Finding("lines", text)
+        return SetupFinding("lines", text)
     if hint.case is None:
-        return Finding("lines", text, f"{text}; most likely {hint}")
-    return Finding("lines", text, f"{text}, {100.0 * hint.share:.0f} % if {hint}")
+        return SetupFinding("lines", text, f"{text}; most likely {hint}")
+    return SetupFinding("lines", text, f"{text}, {100.0 * hint.share:.0f} % if {hint}")
 
 
 def _untracked(recording: Recording, positions: Sequence[int]) -> Trial:
@@ -147,7 +147,7 @@ def _as_if_lit(recording: Recording) -> list[Frame]:
     return [replace(frame, laser_on=True) for frame in frames]
 
 
-def sensor_of(recording: Recording, looks: Sequence[Look]) -> SensorSeen:
+def sensor_of(recording: Recording, looks: Sequence[CheckedFrame]) -> SensorReading:
     """Look at frames without laser and arc, or else at those with the laser alone."""
     dark = [n for n, row in enumerate(recording.rows) if not (row.laser_on or row.arc_on)]
     frames, _ = parted(recording.frames(dark[:MAX_DARK_FRAMES]))

@@ -22,7 +22,7 @@ KEEP_OFF_SCALES = 8.0
 
 
 @dataclass(frozen=True)
-class SensorSeen:
+class SensorReading:
     """Black level and noise of dark pixels, DN, NaN if unknown; `is_dark`: laser and arc were off."""
 
     black_dn: float
@@ -32,22 +32,22 @@ class SensorSeen:
 
 def sensor_seen(
     dark_dn: Sequence[Integers], lit_dn: Sequence[Integers], lines: Sequence[BrightLine]
-) -> SensorSeen:
+) -> SensorReading:
     """Measure dark frames (H, W), DN, or without them frames with the laser alone, off its line.
 
     Without either nothing is known.
     """
     images = list(dark_dn) or list(lit_dn)
     if not images:
-        return SensorSeen(math.nan, math.nan, is_dark=False)
+        return SensorReading(math.nan, math.nan, is_dark=False)
     masks = [np.ones(image.shape, dtype=np.bool_) for image in dark_dn]
     if not masks:
         masks = [_off_line(image, line) for image, line in zip(lit_dn, lines, strict=True)]
     black = [_middle(image[mask]) for image, mask in zip(images, masks, strict=True) if mask.any()]
     noise = [_noise(image, mask) for image, mask in zip(images, masks, strict=True) if mask.any()]
     if not black:
-        return SensorSeen(math.nan, math.nan, is_dark=False)
-    return SensorSeen(float(np.median(black)), float(np.median(noise)), is_dark=bool(dark_dn))
+        return SensorReading(math.nan, math.nan, is_dark=False)
+    return SensorReading(float(np.median(black)), float(np.median(noise)), is_dark=bool(dark_dn))
 
 
 def _off_line(image_dn: Integers, line: BrightLine) -> Bool:

@@ -25,7 +25,7 @@ MIN_LINES = 20
 
 
 @dataclass(frozen=True)
-class StripeSeen:
+class StripeMeasurement:
     """A stripe as it is in the image; NaN where that cannot be told.
 
     `sigma_px` is its 1 sigma, `peak_e` its peak over the background, both of the median scan line;
@@ -39,10 +39,10 @@ class StripeSeen:
     contrast: float
 
 
-UNSEEN = StripeSeen(math.nan, math.nan, math.nan, math.nan)
+UNSEEN = StripeMeasurement(math.nan, math.nan, math.nan, math.nan)
 
 
-def stripe_seen(image_dn: Integers, sensor: Sensor, line: BrightLine) -> StripeSeen:
+def stripe_seen(image_dn: Integers, sensor: Sensor, line: BrightLine) -> StripeMeasurement:
     """Measure the stripe of an image (H, W), DN, about a line that was found in it."""
     if len(line.scan) < MIN_LINES:
         return UNSEEN
@@ -62,9 +62,11 @@ def stripe_seen(image_dn: Integers, sensor: Sensor, line: BrightLine) -> StripeS
     charge_e -= np.median(charge_e[:, np.abs(offsets) > 2.0 / 3.0 * reach], axis=1)[:, np.newaxis]
     share = float(clipped.mean())
     if (~clipped).sum() < MIN_LINES:
-        return StripeSeen(math.nan, math.nan, share, math.nan)
+        return StripeMeasurement(math.nan, math.nan, share, math.nan)
     sigma_px, peak_e = _bell(offsets, np.median(charge_e[~clipped], axis=0), line.scale_px)
-    return StripeSeen(sigma_px, peak_e, share, _contrast(offsets, charge_e[~clipped], sigma_px, sensor))
+    return StripeMeasurement(
+        sigma_px, peak_e, share, _contrast(offsets, charge_e[~clipped], sigma_px, sensor)
+    )
 
 
 def _bell(offsets_px: Float64, profile_e: Float64, start_px: float) -> tuple[float, float]:

@@ -41,7 +41,7 @@ GATE_QUESTIONS: Mapping[GateReason, str] = {
 
 
 @dataclass(frozen=True)
-class Verdict:
+class RunVerdict:
     """What a run comes to: its frames, those with the laser on, the valid ones, and the invalid ones' flags.
 
     `offsets` are those that it sent, `reasons` why the gate sent no others, by name. `hint` says
@@ -94,7 +94,7 @@ def is_few(valid: int, laser_on: int, offsets: OffsetCount) -> bool:
     return valid < ENOUGH * laser_on or offsets.sent < ENOUGH * offsets.wanted
 
 
-def verdict_on(recording: Recording, tracks: Sequence[Track], summary: Summary) -> Verdict:
+def verdict_on(recording: Recording, tracks: Sequence[Track], summary: Summary) -> RunVerdict:
     """Return what a run over all of a recording's frames comes to."""
     lit = [track for row, track in zip(recording.rows, tracks, strict=True) if row.laser_on]
     return verdict_of(len(tracks), lit, summary.offset_count, summary.refusals, lambda: _hint_for(recording))
@@ -106,7 +106,7 @@ def verdict_of(
     offsets: OffsetCount,
     reasons: Mapping[str, int],
     seek: Callable[[], Hint | None],
-) -> Verdict:
+) -> RunVerdict:
     """Return what the tracks of frames with the laser on, of so many in all, come to.
 
     `reasons` of the gate for what it did not send count the robot's own commands too. `seek` finds what most
@@ -117,7 +117,7 @@ def verdict_of(
     invalidating = {flag.name for flag in flags.FLAGS if flag.invalidates}
     named = sorted((name for name in counts if name in invalidating), key=lambda name: -counts[name])
     hint = seek() if is_few(valid, len(lit), offsets) else None
-    return Verdict(
+    return RunVerdict(
         frames, len(lit), valid, {name: counts[name] for name in named}, hint, offsets, faults(reasons)
     )
 

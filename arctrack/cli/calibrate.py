@@ -31,7 +31,7 @@ from arctrack.errors import ArctrackError, in_file
 
 if TYPE_CHECKING:
     from arctrack.calibration_files.goniometer import GoniometerFile
-    from calibration.goniometer import Response
+    from calibration.goniometer import GreyResponse
     from calibration.reflectance import Reflectance
 
 calibrate = typer.Typer(
@@ -105,10 +105,10 @@ def reflectance(
     from arctrack.calibration_files.goniometer import read_goniometer
     from arctrack.cli import console
     from arctrack.cli.reflectance_text import print_result, warnings
-    from calibration.goniometer import Response
+    from calibration.goniometer import GreyResponse
 
     try:
-        response = Response(gamma, black, saturation)
+        response = GreyResponse(gamma, black, saturation)
     except ValueError as error:
         raise ArctrackError(str(error)) from None
     _check_scale(white, albedo, total)
@@ -145,7 +145,7 @@ def _check_scale(white: Path | None, albedo: float | None, total: float | None) 
 
 def _identify(
     sample: GoniometerFile,
-    response: Response,
+    response: GreyResponse,
     standard: GoniometerFile | None,
     albedo: float,
     total: float,
@@ -176,7 +176,7 @@ def _write(
     result: Reflectance,
     sample: GoniometerFile,
     standard: GoniometerFile | None,
-    response: Response,
+    response: GreyResponse,
     out: Path,
 ) -> None:
     from arctrack.calibration_records.reflectance_record import PICTURE, write_results

@@ -65,7 +65,7 @@ def _print(checked: SetupCheck) -> None:
     from rich.table import Table
 
     from arctrack.cli import console
-    from arctrack.setup_check.measure import Verdict
+    from arctrack.setup_check.measure import SetupVerdict
 
     table = Table(box=None, pad_edge=False)
     for name in ("stage", "quantity"):
@@ -74,7 +74,7 @@ def _print(checked: SetupCheck) -> None:
         table.add_column(name, justify="right")
     for name in ("", "verdict"):
         table.add_column(name)
-    colours = {Verdict.NOT_EXPLAINED: "red", Verdict.UNTOLD: "yellow", Verdict.OK: "green"}
+    colours = {SetupVerdict.NOT_EXPLAINED: "red", SetupVerdict.UNTOLD: "yellow", SetupVerdict.OK: "green"}
     stage = None
     for measure in checked.measures:
         first = measure.stage.value if measure.stage is not stage else ""
@@ -94,10 +94,10 @@ def _print(checked: SetupCheck) -> None:
 
 def cures(measures: tuple[Measure, ...]) -> list[str]:
     """Return what to do about quantities that are not explained, a line each."""
-    from arctrack.setup_check.measure import Stage, Verdict
+    from arctrack.setup_check.measure import LightStage, SetupVerdict
 
     return [
         f"{measure.name}: {measure.cure}"
         for measure in measures
-        if measure.verdict is Verdict.NOT_EXPLAINED and measure.stage is not Stage.PLACE
+        if measure.verdict is SetupVerdict.NOT_EXPLAINED and measure.stage is not LightStage.PLACE
     ]

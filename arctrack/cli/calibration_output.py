@@ -13,7 +13,7 @@ from arctrack.errors import ArctrackError
 from arctrack.output import real, write_whole
 
 if TYPE_CHECKING:
-    from arctrack.calibrating.stage import Stage, Steps
+    from arctrack.calibrating.stage import CalibrationStage, Steps
     from arctrack.recording import BadFrame, Recording
     from arctrack.report.calibration.page import CalibrationPage
     from calibration.boards.board import Board
@@ -74,7 +74,7 @@ def check_outputs(
 
 
 def calibrate_from_recording(
-    make: Callable[[Recording, Steps], tuple[Stage[Any], list[BadFrame]]],
+    make: Callable[[Recording, Steps], tuple[CalibrationStage[Any], list[BadFrame]]],
     recording: Path,
     out: Path | None,
     report: Path | None,

@@ -13,7 +13,7 @@ import typer
 from arctrack.cli.simulate import JointName, MaterialName
 
 if TYPE_CHECKING:
-    from arctrack.cell.weld.closed_loop import EventResult, LoopPlan, LoopResult
+    from arctrack.cell.weld.closed_loop import ClosedLoopResult, EventResult, LoopPlan
     from robot_io.clocks.lag import Lag
 
 
@@ -174,7 +174,7 @@ def serve(
         )
 
 
-def _lines(plan: LoopPlan, result: LoopResult) -> list[str]:
+def _lines(plan: LoopPlan, result: ClosedLoopResult) -> list[str]:
     """Return what came of a run in words."""
     reasons = ", ".join(f"{name} {count}" for name, count in sorted(result.reasons.items()))
     valid = f"{result.offsets}; not as measured: {reasons or 'none'}"

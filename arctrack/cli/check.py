@@ -13,7 +13,7 @@ from arctrack.cli.setups import check_replaces_nothing
 from arctrack.errors import ArctrackError, in_file
 
 if TYPE_CHECKING:
-    from arctrack.check.run import Checked
+    from arctrack.check.run import CheckResult
 
 PICTURE = "check.png"
 
@@ -80,14 +80,14 @@ def check(
         raise typer.Exit(WARNED)
 
 
-def _verdict_lines(checked: Checked) -> list[str]:
+def _verdict_lines(checked: CheckResult) -> list[str]:
     name = checked.recording.name
     if checked.refusal is None:
         return [f"{name}: {checked.verdict.line}"]
     return [] if checked.hint is None else [f"{name}: most likely {checked.hint}"]
 
 
-def _content(checked: Checked, warnings: list[str], picture: Path) -> dict[str, Any]:
+def _content(checked: CheckResult, warnings: list[str], picture: Path) -> dict[str, Any]:
     """Return a check for programs."""
     verdict = checked.verdict
     return {

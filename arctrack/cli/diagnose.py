@@ -15,7 +15,7 @@ from arctrack.errors import ArctrackError
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from arctrack.diagnose import Diagnosed, Job, OnStage, Outcome
+    from arctrack.diagnose import DiagnosisJob, DiagnosisResult, OnStage, Outcome
 
 
 def diagnose(
@@ -46,16 +46,16 @@ def diagnose(
     look_at_recordings(recordings, setup)
     from arctrack.cli import console
     from arctrack.cli.diagnose_text import print_many, print_one
-    from arctrack.diagnose import Diagnosed, jobs_for
-    from arctrack.workers import Failed, check_choice
+    from arctrack.diagnose import DiagnosisResult, jobs_for
+    from arctrack.workers import FailedJob, check_choice
 
     if apply and setup is not None:
         raise ArctrackError("--apply writes into the recording's own recording.toml: leave --setup out")
     check_choice(workers, scheduler)
     jobs = jobs_for(recordings, out, setup, without or ())
     outcomes = sorted(_outcomes(jobs, workers, scheduler), key=lambda outcome: jobs.index(outcome.job))
-    done = [outcome for outcome in outcomes if isinstance(outcome, Diagnosed)]
-    failed = [outcome for outcome in outcomes if isinstance(outcome, Failed)]
+    done = [outcome for outcome in outcomes if isinstance(outcome, DiagnosisResult)]
+    failed = [outcome for outcome in outcomes if isinstance(outcome, FailedJob)]
     if done:
         (print_one if len(jobs) == 1 else print_many)(done)
     complaints = [*(failure.problem for failure in failed), *(d.complaint for d in done if d.complaint)]
@@ -71,7 +71,7 @@ def diagnose(
         raise typer.Exit(BAD_INPUT)
 
 
-def _outcomes(jobs: list[Job], workers: int, scheduler: str | None) -> Iterator[Outcome]:
+def _outcomes(jobs: list[DiagnosisJob], workers: int, scheduler: str | None) -> Iterator[Outcome]:
     """Yield what becomes of each recording, and show how far it is."""
     from arctrack import diagnose as engine
     from arctrack.workers import executor_of
@@ -87,7 +87,7 @@ def _outcomes(jobs: list[Job], workers: int, scheduler: str | None) -> Iterator[
                 yield outcome
 
 
-def _apply(done: list[Diagnosed]) -> list[str]:
+def _apply(done: list[DiagnosisResult]) -> list[str]:
     """Write what was found into each recording; return a line for each that got nothing."""
     from arctrack.cli import console
     from arctrack.diagnose import apply
@@ -112,7 +112,7 @@ def _progress() -> Progress:
     )
 
 
-def _stages(bar: Progress, job: Job) -> OnStage:
+def _stages(bar: Progress, job: DiagnosisJob) -> OnStage:
     task = bar.add_task(job.name, total=1.0)
 
     def on_stage(stage: str, share_done: float) -> None:

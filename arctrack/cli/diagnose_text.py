@@ -9,10 +9,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from arctrack.cli import console
-from arctrack.diagnose import Diagnosed
+from arctrack.diagnose import DiagnosisResult
 from arctrack.recording.diagnosis_files import REPORT_PAGE
 from arctrack.report.diagnosis import words
-from sim_to_real.diagnosis import Diagnosis, Ranked, Verdict
+from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict, RankedEffect
 
 MAX_RANKED = 5
 """Effects that are listed here; the page has more."""
@@ -21,7 +21,7 @@ MAX_PAIRS = 4
 """Pairs that cannot be told apart here; the page has them all."""
 
 
-def print_one(done: Sequence[Diagnosed]) -> None:
+def print_one(done: Sequence[DiagnosisResult]) -> None:
     """Print one diagnosis: verdict, gap, parameters, ranking, what is open, what to measure next."""
     screen = console.tables()
     for diagnosed in done:
@@ -36,13 +36,13 @@ def print_one(done: Sequence[Diagnosed]) -> None:
         for name, text in lines:
             screen.print(f"[bold]{escape(name):<{width}}[/bold]  ", end="")
             screen.print(text, markup=False, soft_wrap=True)
-        if diagnosis.ranking and diagnosis.verdict is not Verdict.NO_GAP:
+        if diagnosis.ranking and diagnosis.verdict is not DiagnosisVerdict.NO_GAP:
             for table in _rankings(diagnosis):
                 screen.print(table)
         console.say(f"report in {diagnosed.job.folder / REPORT_PAGE}")
 
 
-def print_many(done: Sequence[Diagnosed]) -> None:
+def print_many(done: Sequence[DiagnosisResult]) -> None:
     """Print several diagnoses, a line each."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("recording", overflow="fold")
@@ -70,12 +70,12 @@ def print_many(done: Sequence[Diagnosed]) -> None:
         console.say(f"{diagnosed.job.name}: report in {page}")
 
 
-def _seam(diagnosed: Diagnosed) -> str:
+def _seam(diagnosed: DiagnosisResult) -> str:
     return words.seam_sentence(diagnosed.diagnosis, diagnosed.setup.tolerance.seam_mm)
 
 
 def _named(diagnosis: Diagnosis) -> str:
-    if diagnosis.verdict is Verdict.AMBIGUOUS:
+    if diagnosis.verdict is DiagnosisVerdict.AMBIGUOUS:
         return "; ".join(words.listed(ids, "or") for ids in diagnosis.ambiguous_with)
     return ", ".join(effect.id for effect in diagnosis.effects)
 
@@ -83,7 +83,7 @@ def _named(diagnosis: Diagnosis) -> str:
 def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
     """Yield names and texts of what else there is to say."""
     gap, where = diagnosis.gap, diagnosis.where
-    if diagnosis.verdict is Verdict.NO_GAP:
+    if diagnosis.verdict is DiagnosisVerdict.NO_GAP:
         yield "residual", f"{words.number(gap.rms_dn[0])} DN rms"
     else:
         yield "residual", f"{' → '.join(words.number(value) for value in gap.rms_dn)} DN rms"
@@ -93,8 +93,11 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
     for effect in diagnosis.effects:
         values = [f"{name} = {words.estimate(value)}" for name, value in effect.parameters.items()]
         values += [words.trend(effect.trend)] if effect.trend is not None else []
-        yield effect.id if diagnosis.verdict is Verdict.EFFECTS else f"if {effect.id}", ", ".join(values)
-    if diagnosis.verdict is Verdict.UNKNOWN and diagnosis.left_over is not None:
+        yield (
+            effect.id if diagnosis.verdict is DiagnosisVerdict.EFFECTS else f"if {effect.id}",
+            ", ".join(values),
+        )
+    if diagnosis.verdict is DiagnosisVerdict.UNKNOWN and diagnosis.left_over is not None:
         yield "left over", words.left_over(*diagnosis.left_over)
     if diagnosis.not_resolvable:
         pairs = [" | ".join(pair) for pair in diagnosis.not_resolvable[:MAX_PAIRS]]
@@ -115,7 +118,7 @@ def _rankings(diagnosis: Diagnosis) -> Iterator[Table]:
         yield _table("random effect", words.PRESENT, present)
 
 
-def _table(effect: str, probability: str, ranking: Sequence[Ranked]) -> Table:
+def _table(effect: str, probability: str, ranking: Sequence[RankedEffect]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column(effect, no_wrap=True)
     table.add_column(f"closes {words.where_closed(ranking[0])}", justify="right", no_wrap=True)

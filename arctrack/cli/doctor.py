@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from arctrack.doctor.budget import Budget
-    from arctrack.doctor.finding import Finding, State
+    from arctrack.doctor.finding import DoctorFinding, FindingState
 
 
 def doctor(
@@ -35,11 +35,11 @@ def doctor(
         look_at_cell(cell)
     from arctrack.cell_file import read_cell_file
     from arctrack.cli import console
-    from arctrack.doctor.finding import State
+    from arctrack.doctor.finding import FindingState
     from arctrack.doctor.run import Examination, examine_cell, examine_machine
 
-    examination, counts = Examination(), dict.fromkeys(State, 0)
-    examined: list[Finding] = []
+    examination, counts = Examination(), dict.fromkeys(FindingState, 0)
+    examined: list[DoctorFinding] = []
     read = None if cell is None else read_cell_file(cell)
     with interruptible("doctor was", "nothing was written"), console.progress() as bar:
         if read is None:
@@ -60,12 +60,12 @@ def doctor(
         if examination.budget is not None:
             console.tables().print(_table(examination.budget))
         console.say(", ".join(f"{state.value} {count}" for state, count in counts.items()))
-    if counts[State.FAILED]:
+    if counts[FindingState.FAILED]:
         raise typer.Exit(UNFIT)
 
 
 def _content(
-    cell: Path | None, findings: list[Finding], counts: dict[State, int], budget: Budget | None
+    cell: Path | None, findings: list[DoctorFinding], counts: dict[FindingState, int], budget: Budget | None
 ) -> dict[str, Any]:
     """Return an examination for programs."""
     return {
@@ -83,7 +83,7 @@ def _content(
     }
 
 
-def _line(finding: Finding) -> str:
+def _line(finding: DoctorFinding) -> str:
     return f"{finding.state.value:8} {finding}"
 
 

@@ -67,14 +67,14 @@ def import_files(
     look_at_file(poses)
     look_at_images(sources)
     from arctrack.cli import console
-    from arctrack.importing.run import RawFiles, import_recording
+    from arctrack.importing.run import ImportSources, import_recording
     from arctrack.importing.units import parse_units
     from arctrack.printable import quoted
 
     _check_range("--rate-hz", rate_hz, 1e-4, 1e5)
     _check_range("--exposure-s", exposure_s, 1e-9, 3600.0)
     _check_range("--current-a", current_a, 0.0, 1e4)
-    raw = RawFiles(
+    raw = ImportSources(
         sources=sources,
         setup=setup_path(setup),
         poses=poses,

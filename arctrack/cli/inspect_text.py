@@ -10,7 +10,7 @@ from rich.table import Table
 
 from arctrack.printable import cut, first_of, printable
 from arctrack.recording import Recording
-from arctrack.survey import Condition, Motion, Survey
+from arctrack.survey import ConditionSummary, MotionSummary, Survey
 from noise_model.instrument.spectrum import Filter, FilterCurve
 from noise_model.setup import Setup
 from tracker.seam.correction import UNSTATED, AxisCorrection, Correction
@@ -95,7 +95,7 @@ def setup_lines(setup: Setup) -> list[tuple[str, str]]:
     ]
 
 
-def motion_lines(motion: Motion) -> list[tuple[str, str]]:
+def motion_lines(motion: MotionSummary) -> list[tuple[str, str]]:
     """Return how the robot moved, in two lines."""
     return [
         (
@@ -113,7 +113,7 @@ def motion_lines(motion: Motion) -> list[tuple[str, str]]:
     ]
 
 
-def condition_table(conditions: tuple[Condition, ...]) -> Table:
+def condition_table(conditions: tuple[ConditionSummary, ...]) -> Table:
     """Return one row a condition."""
     table = Table(title="Conditions", title_justify="left")
     for name in ("laser", "arc"):

@@ -13,8 +13,8 @@ from rich.table import Table
 from arctrack.printable import printable
 from noise_model.plan.plan import Plan
 from noise_model.plan.remedies import Cure
-from noise_model.plan.rules import Rule
-from noise_model.plan.search import Candidate
+from noise_model.plan.rules import DesignRule
+from noise_model.plan.search import DesignCandidate
 
 MAX_STRETCHES = 12
 """Blind stretches that are printed; path.csv has them all."""
@@ -54,7 +54,7 @@ def _designs(plan: Plan) -> Table:
     return table
 
 
-def _cells(candidate: Candidate) -> Iterator[str]:
+def _cells(candidate: DesignCandidate) -> Iterator[str]:
     design = candidate.design
     for sigma_mm in (candidate.sigma_mm, candidate.sigma_y_mm, candidate.sigma_z_mm):
         yield _number(1e3 * sigma_mm) if sigma_mm < 0.1 else _whole(1e3 * sigma_mm)
@@ -84,7 +84,7 @@ def _rules(plan: Plan) -> Iterator[str]:
         yield "  σ z mm  " + "".join(f"{_number(c.sigma_z_mm):>10}" for c in rule.tried)
 
 
-def _outcomes(rule: Rule, angle: str) -> str:
+def _outcomes(rule: DesignRule, angle: str) -> str:
     if math.isnan(rule.light_ratio):
         return "cannot be told: fewer than two angles show the whole path"
     return (
@@ -138,7 +138,7 @@ def _cure_cells(cure: Cure) -> Iterator[str]:
     yield from _if_seen(f"{moved.tilt_deg:.0f}, {moved.azimuth_deg:.0f}", cure.moved)
 
 
-def _if_seen(cure: str, candidate: Candidate) -> tuple[str, str]:
+def _if_seen(cure: str, candidate: DesignCandidate) -> tuple[str, str]:
     return (cure, _number(candidate.sigma_mm)) if math.isfinite(candidate.sigma_mm) else ("none", "–")
 
 

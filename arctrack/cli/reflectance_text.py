@@ -13,7 +13,7 @@ from rich.table import Table
 from arctrack.calibration_files.goniometer import GoniometerFile
 from arctrack.calibration_records.reflectance_record import material_toml, scale_sentence
 from arctrack.printable import printable
-from calibration.reflectance import Agreement, Reflectance
+from calibration.reflectance import Reflectance, StandardResiduals
 from calibration.reflectance_model import NAMES
 
 FAR_OFF = 4.0
@@ -54,7 +54,7 @@ def warnings(result: Reflectance, sample: GoniometerFile, standard: GoniometerFi
         yield from _about_the_fit(standard, result.white)
 
 
-def _about_the_fit(file: GoniometerFile, agreement: Reflectance | Agreement) -> Iterator[str]:
+def _about_the_fit(file: GoniometerFile, agreement: Reflectance | StandardResiduals) -> Iterator[str]:
     """Yield what in a file does not agree with the fit."""
     scatter = agreement.scatter
     if scatter.is_unlikely:

@@ -18,9 +18,9 @@ from arctrack.errors import ArctrackError
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from arctrack.check.verdict import Verdict
+    from arctrack.check.verdict import RunVerdict
     from arctrack.recording import Recording
-    from arctrack.replays import Listeners, Outcome, Replayed, ReplayJob
+    from arctrack.replays import Listeners, Outcome, ReplayJob, ReplayResult
 
 
 def replay(
@@ -128,7 +128,7 @@ def replay(
 def _at_once(jobs: list[ReplayJob], workers: int, scheduler: str | None) -> Iterator[Outcome]:
     """Yield what becomes of each recording as it comes, and say what it warns of."""
     from arctrack.cli import console
-    from arctrack.replays import Replayed, replay_job
+    from arctrack.replays import ReplayResult, replay_job
     from arctrack.workers import at_once, executor_of
 
     kept = "rows so far are in the recordings' results.csv"
@@ -140,7 +140,7 @@ def _at_once(jobs: list[ReplayJob], workers: int, scheduler: str | None) -> Iter
         on_recording = console.track(bar, "recordings", len(jobs), "recordings")
         for n, outcome in enumerate(at_once(replay_job, jobs, executor)):
             on_recording(n + 1)
-            if isinstance(outcome, Replayed):
+            if isinstance(outcome, ReplayResult):
                 console.warn([*outcome.warnings, *outcome.replay_warnings])
                 console.say_compiled(outcome.job.name, outcome.warm_up)
             yield outcome
@@ -151,7 +151,7 @@ def _in_turn(jobs: list[ReplayJob]) -> Iterator[Outcome]:
     from arctrack.cli import console
     from arctrack.recording.results import BUS_LOG, RESULTS_CSV
     from arctrack.replays import replay_job
-    from arctrack.workers import Failed
+    from arctrack.workers import FailedJob
 
     with console.progress() as bar:
         for job in jobs:
@@ -161,7 +161,7 @@ def _in_turn(jobs: list[ReplayJob]) -> Iterator[Outcome]:
                 with interruptible(f"{job.name}: replay", kept):
                     done = replay_job(job, partial(_begin, bar, job))
             except (ArctrackError, OSError) as error:
-                yield Failed(job, error)
+                yield FailedJob(job, error)
                 continue
             console.say_compiled(job.name, done.warm_up)
             console.warn([*(done.warnings if done.is_taken_over else ()), *done.replay_warnings])
@@ -191,11 +191,11 @@ def _report(outcomes: list[Outcome], parquet: Path | None) -> None:
     The frames of those that did not fail go into the Parquet file, where one is wanted.
     """
     from arctrack.cli import console
-    from arctrack.replays import Replayed
-    from arctrack.workers import Failed
+    from arctrack.replays import ReplayResult
+    from arctrack.workers import FailedJob
 
-    done = [outcome for outcome in outcomes if isinstance(outcome, Replayed)]
-    failed = [outcome for outcome in outcomes if isinstance(outcome, Failed)]
+    done = [outcome for outcome in outcomes if isinstance(outcome, ReplayResult)]
+    failed = [outcome for outcome in outcomes if isinstance(outcome, FailedJob)]
     _show(done, len(outcomes) > 1)
     for replayed in done:
         console.say(
@@ -213,7 +213,7 @@ def _report(outcomes: list[Outcome], parquet: Path | None) -> None:
     _end(complaints, [replayed.verdict for replayed in done])
 
 
-def _write_parquet(path: Path, done: list[Replayed]) -> None:
+def _write_parquet(path: Path, done: list[ReplayResult]) -> None:
     from arctrack.cli import console
     from arctrack.recording.parquet_file import ReplayedRecording, write_parquet
 
@@ -221,7 +221,7 @@ def _write_parquet(path: Path, done: list[Replayed]) -> None:
     console.say(f"{rows} frames of {len(done)} recordings in {path}")
 
 
-def _end(complaints: list[str], verdicts: list[Verdict]) -> None:
+def _end(complaints: list[str], verdicts: list[RunVerdict]) -> None:
     """Leave with the exit code of what came out, if it is not 0."""
     from arctrack.cli.exit_codes import BAD_INPUT, NOTHING_TRACKED
 
@@ -231,7 +231,7 @@ def _end(complaints: list[str], verdicts: list[Verdict]) -> None:
         raise typer.Exit(NOTHING_TRACKED)
 
 
-def _show(done: list[Replayed], of_several: bool) -> None:
+def _show(done: list[ReplayResult], of_several: bool) -> None:
     from arctrack.cli import console
     from arctrack.cli.replay_table import in_words, many_table, one_table
 

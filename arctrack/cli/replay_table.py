@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from arctrack.recording.results import Summary
-from arctrack.recording.score import AxisScore, Score
+from arctrack.recording.score import AxisScore, TrackScore
 
 NO_VALUE, TAKEN_OVER = "–", "†"
 CONSTANT_REMOVED = "RMS*: with the constant part removed"
@@ -93,7 +93,7 @@ def _axis(axis: AxisScore) -> list[str]:
     return [*values, f"{axis.constant_mm:+.3f}", _number(axis.without_constant.rms, 3)]
 
 
-def _short(score: Score | None) -> list[str]:
+def _short(score: TrackScore | None) -> list[str]:
     if score is None:
         return [NO_VALUE] * 7
     values = [

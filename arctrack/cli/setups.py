@@ -10,7 +10,7 @@ from arctrack.errors import ArctrackError
 from arctrack.output import real
 
 if TYPE_CHECKING:
-    from arctrack.recording import Calibrated, Recording, SetupFile
+    from arctrack.recording import CalibrationValues, Recording, SetupFile
 
 
 def setup_path(source: Path) -> Path:
@@ -52,7 +52,7 @@ def check_can_be_replaced(out: Path, option: str = "--out") -> None:
         raise ArctrackError(f"{out.parent}: nothing can be written there; give {option} another place")
 
 
-def write_calibrated(out: Path, setup: Path, *results: Calibrated) -> None:
+def write_calibrated(out: Path, setup: Path, *results: CalibrationValues) -> None:
     """Write a setup with calibrated values; say where it is, and where the one before it is kept.
 
     `out` may be the setup itself: the earlier file stays beside it under a number.

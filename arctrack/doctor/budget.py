@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from arctrack.cell_file import CellFile
-from arctrack.doctor.camera import Watched
-from arctrack.doctor.finding import Finding, State, judged
+from arctrack.doctor.camera import CameraReading
+from arctrack.doctor.finding import DoctorFinding, FindingState, judged
 from arctrack.doctor.policy import POLICY
 from arctrack.doctor.steps import StepTimes
 from arctrack.serve.latency import Quantiles
@@ -23,7 +23,7 @@ SERIAL_LINE_S = 0.0023
 
 
 @dataclass(frozen=True)
-class Part:
+class LatencyPart:
     """A part of the time from mid-exposure to the offset.
 
     Parameters
@@ -46,7 +46,7 @@ class Part:
 class Budget:
     """The parts in their order, and the oldest capture that the gate lets out, s."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[LatencyPart, ...]
     capture_age_s: float
 
     @property
@@ -91,7 +91,7 @@ def max_rows(width: int, bytes_per_pixel: int, rate_hz: float) -> int:
 
 
 def budget_of(
-    cell: CellFile, steps: StepTimes | None, late: Quantiles, watched: Watched | None = None
+    cell: CellFile, steps: StepTimes | None, late: Quantiles, watched: CameraReading | None = None
 ) -> Budget:
     """Work out the time from a frame's mid-exposure until its offset is on the bus.
 
@@ -107,64 +107,72 @@ def budget_of(
         What the live camera gave: then the way to the loop is measured, not worked out.
     """
     way = _way(cell.setup.setup, watched)
-    turn = Part("turn of the loop", NEAR_S, TURN_S + 1e-3 * late.p99_ms, "waits for a message meanwhile")
+    turn = LatencyPart(
+        "turn of the loop", NEAR_S, TURN_S + 1e-3 * late.p99_ms, "waits for a message meanwhile"
+    )
     came = (*way, turn)
     pose = _pose(cell, came)
     if steps is None:
-        step = Part("step of the tracker", math.nan, math.nan, "not compiled: not measured")
+        step = LatencyPart("step of the tracker", math.nan, math.nan, "not compiled: not measured")
     else:
         took = (1e-3 * steps.tracked.p50_ms, 1e-3 * max(steps.tracked.p99_ms, steps.searched.p99_ms))
-        step = Part("step of the tracker", *took, "measured: tracking, and 99 % of a search")
+        step = LatencyPart("step of the tracker", *took, "measured: tracking, and 99 % of a search")
     return Budget((*came, pose, step, *_bus(cell)), cell.limits.capture_age_s)
 
 
-def _way(setup: Setup, watched: Watched | None) -> tuple[Part, ...]:
+def _way(setup: Setup, watched: CameraReading | None) -> tuple[LatencyPart, ...]:
     """Return what lies between mid-exposure and the frame's arrival."""
     if watched is not None:
         age = watched.age
-        return (Part("mid-exposure to arrival", 1e-3 * age.p50_ms, 1e-3 * age.max_ms, "measured"),)
+        return (LatencyPart("mid-exposure to arrival", 1e-3 * age.p50_ms, 1e-3 * age.max_ms, "measured"),)
     half_s, n_bytes = setup.camera.exposure_s / 2.0, image_bytes(setup)
     sent_s = transfer_s(n_bytes)
     return (
-        Part("half of the exposure", half_s, half_s, "the setup"),
-        Part("transfer", sent_s, sent_s, f"{n_bytes} bytes over gigabit Ethernet; the camera's own are more"),
+        LatencyPart("half of the exposure", half_s, half_s, "the setup"),
+        LatencyPart(
+            "transfer", sent_s, sent_s, f"{n_bytes} bytes over gigabit Ethernet; the camera's own are more"
+        ),
     )
 
 
-def _pose(cell: CellFile, came: tuple[Part, ...]) -> Part:
+def _pose(cell: CellFile, came: tuple[LatencyPart, ...]) -> LatencyPart:
     """Return the wait for the pose after the capture: it runs while the frame is on its way."""
     period_s = cycle_time_s(message_layout(RobotPosePosition.__name__))
     sent_s = 2 * frame_bits() / cell.bus.bit_rate_bit_s
     wait_s, came_s = cell.policy.pose_wait_s, sum(part.typical_s for part in came)
     typical_s = max(0.0, min(period_s / 2.0 + sent_s, wait_s) - came_s)
-    return Part("wait for the pose", typical_s, max(0.0, wait_s - came_s), "beyond the frame's own way")
+    return LatencyPart(
+        "wait for the pose", typical_s, max(0.0, wait_s - came_s), "beyond the frame's own way"
+    )
 
 
-def _bus(cell: CellFile) -> tuple[Part, ...]:
+def _bus(cell: CellFile) -> tuple[LatencyPart, ...]:
     rate, bit_rate = cell.camera.frame_rate_hz, cell.bus.bit_rate_bit_s
     answered = response_time_s("SeamOffset", rate, bit_rate)
     least, most = least_frame_bits(), frame_bits()
     text = f"{answered.frames} frames at most, each of {least} to {most} bits"
-    bus = Part("bus", (least + most) / 2.0 / bit_rate, answered.time_s, text)
+    bus = LatencyPart("bus", (least + most) / 2.0 / bit_rate, answered.time_s, text)
     if cell.bus.interface != "slcan":
         return (bus,)
-    return Part("serial adapter", SERIAL_LINE_S, 2.0 * SERIAL_LINE_S, "at 115200 bit/s"), bus
+    return LatencyPart("serial adapter", SERIAL_LINE_S, 2.0 * SERIAL_LINE_S, "at 115200 bit/s"), bus
 
 
-def budget_finding(budget: Budget) -> Finding:
+def budget_finding(budget: Budget) -> DoctorFinding:
     """Hold a budget against the oldest capture that the gate lets out."""
     text = (
         f"{1e3 * budget.typical_s:.1f} ms, {1e3 * budget.at_most_s:.1f} ms at most; "
         f"[gate] capture_age_s lets out {1e3 * budget.capture_age_s:.0f} ms"
     )
     if math.isnan(budget.typical_s):
-        return Finding("latency", State.WARNING, "not known without the step's time", "arctrack warm")
-    problem = State.FAILED if budget.typical_s > budget.capture_age_s else State.WARNING
+        return DoctorFinding(
+            "latency", FindingState.WARNING, "not known without the step's time", "arctrack warm"
+        )
+    problem = FindingState.FAILED if budget.typical_s > budget.capture_age_s else FindingState.WARNING
     cure = "shorten the largest part of the table"
     return judged("latency", text, problem, cure, budget.at_most_s <= budget.capture_age_s)
 
 
-def bandwidth_finding(setup: Setup, rate_hz: float, is_ethernet: bool) -> Finding:
+def bandwidth_finding(setup: Setup, rate_hz: float, is_ethernet: bool) -> DoctorFinding:
     """Say what part of a gigabit line a camera's images take; too much is no use where it hangs on one."""
     camera, bits = setup.camera, 8 * pixel_bytes(setup)
     sent_s, rows = transfer_s(image_bytes(setup)), max_rows(camera.width, pixel_bytes(setup), rate_hz)
@@ -172,26 +180,26 @@ def bandwidth_finding(setup: Setup, rate_hz: float, is_ethernet: bool) -> Findin
         "bandwidth",
         f"{camera.height} rows of {camera.width} px, {bits} bit, {rate_hz:g} a second take "
         f"{100.0 * rate_hz * sent_s:.0f} % of gigabit Ethernet, {1e3 * sent_s:.1f} ms each",
-        State.FAILED if is_ethernet else State.WARNING,
+        FindingState.FAILED if is_ethernet else FindingState.WARNING,
         f"it carries {rows} rows at this rate: read fewer, or use a faster line",
         camera.height <= rows,
     )
 
 
-def step_findings(number: int, steps: StepTimes, rate_hz: float) -> tuple[Finding, ...]:
+def step_findings(number: int, steps: StepTimes, rate_hz: float) -> tuple[DoctorFinding, ...]:
     """Say whether a job's steps keep up with the camera, and whether its own frames are tracked."""
     return (
         judged(
             f"job {number}",
             f"a step takes {steps.tracked}; a search {steps.searched}",
-            State.WARNING,
+            FindingState.WARNING,
             "frames would be dropped: fewer rows, fewer frames a second, or a faster machine",
             1e-3 * steps.tracked.p99_ms * rate_hz <= 1.0,
         ),
         judged(
             f"job {number}",
             f"{100.0 * steps.valid_share:.0f} % of frames drawn of the setup itself are tracked",
-            State.WARNING,
+            FindingState.WARNING,
             "the setup does not show its own joint: arctrack plan says why",
             steps.valid_share > 0.5,
         ),

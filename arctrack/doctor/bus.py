@@ -13,7 +13,7 @@ from typing import Any
 
 from arctrack.cell_file import BusChoice, CellFile
 from arctrack.cell_file.choices import HIGH_LOAD
-from arctrack.doctor.finding import Finding, State, judged
+from arctrack.doctor.finding import DoctorFinding, FindingState, judged
 from arctrack.doctor.policy import POLICY
 from arctrack.service.heard import TRUSTED
 from robot_io import Link, LinkError
@@ -21,7 +21,7 @@ from robot_io import Link, LinkError
 ROBOT_CURE = "check the bit rate, the terminators and whether the robot's controller runs"
 
 
-def bus_findings(cell: CellFile, **bus_options: Any) -> Iterator[Finding]:
+def bus_findings(cell: CellFile, **bus_options: Any) -> Iterator[DoctorFinding]:
     """Yield what is to be said of a cell's bus; nothing is sent.
 
     Parameters
@@ -35,13 +35,13 @@ def bus_findings(cell: CellFile, **bus_options: Any) -> Iterator[Finding]:
     yield judged(
         "bus load",
         f"{100.0 * cell.bus_load:.0f} % of {bus.bit_rate_bit_s / 1000.0:g} kbit/s at most",
-        State.WARNING,
+        FindingState.WARNING,
         "what is last may wait; choose a higher bit rate, or fewer frames a second",
         cell.bus_load <= HIGH_LOAD,
     )
     if bus.interface == "virtual":
         cure = "state the robot's bus in [bus] before you weld"
-        yield Finding("bus", State.WARNING, f"{bus} goes to nobody", cure)
+        yield DoctorFinding("bus", FindingState.WARNING, f"{bus} goes to nobody", cure)
         return
     if bus.interface == "socketcan":
         yield from _socketcan_findings(bus)
@@ -52,14 +52,14 @@ def bus_findings(cell: CellFile, **bus_options: Any) -> Iterator[Finding]:
             bus.interface, bus.channel, bitrate_bit_s=bus.bit_rate_bit_s, trusted=TRUSTED, **bus_options
         )
     except LinkError as error:
-        yield Finding("bus", State.FAILED, str(error))
+        yield DoctorFinding("bus", FindingState.FAILED, str(error))
         return
     with link:
-        yield Finding("bus", State.OK, f"{bus} opens")
+        yield DoctorFinding("bus", FindingState.OK, f"{bus} opens")
         yield _robot_finding(link)
 
 
-def _robot_finding(link: Link) -> Finding:
+def _robot_finding(link: Link) -> DoctorFinding:
     """Return whether a robot is heard, and what of it was not accepted."""
     heard: Counter[str] = Counter()
     ends_s = time.monotonic() + POLICY.listen_s
@@ -70,26 +70,30 @@ def _robot_finding(link: Link) -> Finding:
     return robot_finding(heard, {reason.value: n for reason, n in link.inbox.skipped.items()})
 
 
-def robot_finding(heard: dict[str, int], skipped: dict[str, int]) -> Finding:
+def robot_finding(heard: dict[str, int], skipped: dict[str, int]) -> DoctorFinding:
     """Return what is to be said of messages by name, and of frames that were none by reason."""
     refused = ", ".join(f"{reason} {count}" for reason, count in sorted(skipped.items()))
     if not heard:
         seen = f"frames that are no messages: {refused}" if refused else "nothing"
-        return Finding("robot", State.WARNING, f"heard {seen} in {POLICY.listen_s:g} s", ROBOT_CURE)
+        return DoctorFinding(
+            "robot", FindingState.WARNING, f"heard {seen} in {POLICY.listen_s:g} s", ROBOT_CURE
+        )
     names = ", ".join(f"{name} {count}" for name, count in sorted(heard.items()))
-    return Finding("robot", State.OK, f"in {POLICY.listen_s:g} s {names}")
+    return DoctorFinding("robot", FindingState.OK, f"in {POLICY.listen_s:g} s {names}")
 
 
-def _port_finding(port: Path) -> Finding:
+def _port_finding(port: Path) -> DoctorFinding:
     if not port.exists():
-        return Finding("serial port", State.FAILED, f"{port} is not there", "plug the adapter in")
-    return Finding("serial port", State.OK, f"{port} is there")
+        return DoctorFinding(
+            "serial port", FindingState.FAILED, f"{port} is not there", "plug the adapter in"
+        )
+    return DoctorFinding("serial port", FindingState.OK, f"{port} is there")
 
 
-def _socketcan_findings(bus: BusChoice) -> Iterator[Finding]:
+def _socketcan_findings(bus: BusChoice) -> Iterator[DoctorFinding]:
     program = shutil.which("ip")
     if program is None:
-        yield Finding("interface", State.WARNING, "its state is not told", "install iproute2")
+        yield DoctorFinding("interface", FindingState.WARNING, "its state is not told", "install iproute2")
         return
     asked = subprocess.run(
         [program, "-details", "-json", "link", "show", bus.channel],
@@ -99,14 +103,14 @@ def _socketcan_findings(bus: BusChoice) -> Iterator[Finding]:
     )
     if asked.returncode != 0:
         cure = f"ip link set {bus.channel} up type can bitrate {bus.bit_rate_bit_s}"
-        yield Finding(
-            "interface", State.FAILED, f"{bus.channel} is not there", f"load its driver, then {cure}"
+        yield DoctorFinding(
+            "interface", FindingState.FAILED, f"{bus.channel} is not there", f"load its driver, then {cure}"
         )
         return
     yield from interface_findings(json.loads(asked.stdout)[0], bus)
 
 
-def interface_findings(told: dict[str, Any], bus: BusChoice) -> Iterator[Finding]:
+def interface_findings(told: dict[str, Any], bus: BusChoice) -> Iterator[DoctorFinding]:
     """Yield what is to be said of a CAN interface.
 
     Parameters
@@ -118,29 +122,33 @@ def interface_findings(told: dict[str, Any], bus: BusChoice) -> Iterator[Finding
     """
     up = f"ip link set {bus.channel} up type can bitrate {bus.bit_rate_bit_s} restart-ms 100"
     anew = f"ip link set {bus.channel} down && {up}"
-    yield judged("interface", f"{bus.channel} {_up_or_down(told)}", State.FAILED, up, "UP" in told["flags"])
+    yield judged(
+        "interface", f"{bus.channel} {_up_or_down(told)}", FindingState.FAILED, up, "UP" in told["flags"]
+    )
     info = told.get("linkinfo", {})
     controller = info.get("info_data", {})
     if info.get("info_kind") != "can":
         kind = info.get("info_kind", "not a CAN interface")
-        yield Finding("bit rate", State.WARNING, f"{kind}: has none", "a robot is on a real controller")
+        yield DoctorFinding(
+            "bit rate", FindingState.WARNING, f"{kind}: has none", "a robot is on a real controller"
+        )
         return
     bit_rate = controller.get("bittiming", {}).get("bitrate")
     yield judged(
         "bit rate",
         f"{bit_rate} bit/s, the cell file states {bus.bit_rate_bit_s}",
-        State.FAILED,
+        FindingState.FAILED,
         anew,
         bit_rate == bus.bit_rate_bit_s,
     )
     state = controller.get("state", "not told")
     is_dead = state in ("BUS-OFF", "STOPPED")
-    problem = State.FAILED if is_dead else State.WARNING
+    problem = FindingState.FAILED if is_dead else FindingState.WARNING
     cure = anew if is_dead else ROBOT_CURE
     yield judged("controller", state, problem, cure, state == "ERROR-ACTIVE")
     restart_ms = controller.get("restart_ms", 0)
     yield judged(
-        "restart", f"{restart_ms} ms after bus-off, 0 for never", State.WARNING, anew, restart_ms > 0
+        "restart", f"{restart_ms} ms after bus-off, 0 for never", FindingState.WARNING, anew, restart_ms > 0
     )
 
 

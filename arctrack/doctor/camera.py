@@ -6,9 +6,9 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from arctrack.cameras.camera import Camera, UnreadableFrame
+from arctrack.cameras.camera import CameraProtocol, UnreadableFrame
 from arctrack.cell_file import CellFile
-from arctrack.doctor.finding import Finding, State, judged
+from arctrack.doctor.finding import DoctorFinding, FindingState, judged
 from arctrack.doctor.policy import POLICY
 from arctrack.errors import ArctrackError
 from arctrack.serve.latency import LatencyCounts, Quantiles
@@ -20,7 +20,7 @@ SLOW_SHARE = 0.9
 
 
 @dataclass(frozen=True)
-class Watched:
+class CameraReading:
     """What a camera gave.
 
     Parameters
@@ -39,7 +39,7 @@ class Watched:
     age: Quantiles
 
 
-def watch(camera: Camera, seconds: float) -> Watched:
+def watch(camera: CameraProtocol, seconds: float) -> CameraReading:
     """Look at what a camera gives, for some seconds, or until it is over."""
     ages, frames, unreadable = LatencyCounts(), 0, 0
     camera.begin()
@@ -52,10 +52,10 @@ def watch(camera: Camera, seconds: float) -> Watched:
             ages.add(camera.now_s() - frame.timestamp_s)
         time.sleep(1.0 / LOOKS_PER_S)
     watched_s = time.monotonic() - began_s
-    return Watched(frames, unreadable, (frames + camera.dropped) / watched_s, ages.quantiles())
+    return CameraReading(frames, unreadable, (frames + camera.dropped) / watched_s, ages.quantiles())
 
 
-def camera_findings(cell: CellFile) -> Iterator[Finding | Watched]:
+def camera_findings(cell: CellFile) -> Iterator[DoctorFinding | CameraReading]:
     """Yield what is to be said of a cell's camera, and what it gave where it is live.
 
     What opens it is what opens it for a run, whatever its kind. Its laser is off meanwhile.
@@ -63,16 +63,18 @@ def camera_findings(cell: CellFile) -> Iterator[Finding | Watched]:
     kind, name = cell.camera.kind, cell.camera.name
     if kind is None:
         cure = "state [camera] kind and name"
-        yield Finding("camera", State.WARNING, "the cell file states none: nothing is run live", cure)
+        yield DoctorFinding(
+            "camera", FindingState.WARNING, "the cell file states none: nothing is run live", cure
+        )
         return
     job_number = next(iter(cell.jobs)) if kind == "recording" else None
     try:
         camera = cast_of(cell, job_number).camera
     except ArctrackError as error:
-        yield Finding("camera", State.FAILED, str(error))
+        yield DoctorFinding("camera", FindingState.FAILED, str(error))
         return
     try:
-        yield Finding("camera", State.OK, f"{kind} {name} opens")
+        yield DoctorFinding("camera", FindingState.OK, f"{kind} {name} opens")
         watched = watch(camera, POLICY.listen_s)
     finally:
         camera.close()
@@ -81,20 +83,22 @@ def camera_findings(cell: CellFile) -> Iterator[Finding | Watched]:
         yield watched
 
 
-def frames_findings(watched: Watched, rate_hz: float) -> Iterator[Finding]:
+def frames_findings(watched: CameraReading, rate_hz: float) -> Iterator[DoctorFinding]:
     """Yield what is to be said of the frames that came, where so many a second are stated."""
     if watched.frames == 0:
         cure = "start the camera; is it waiting for a trigger?"
-        yield Finding("frames", State.FAILED, f"none came in {POLICY.listen_s:g} s", cure)
+        yield DoctorFinding("frames", FindingState.FAILED, f"none came in {POLICY.listen_s:g} s", cure)
         return
     text = f"{watched.rate_hz:.1f} a second, the cell file states {rate_hz:g}"
     cure = "state what it gives in [camera] frame_rate_hz, or see what slows it"
     few = f"{watched.frames} came: too few to tell how many come a second"
     if watched.frames * SLOW_SHARE > 1.0 and rate_hz * POLICY.listen_s > 10.0:
-        yield judged("frames", text, State.WARNING, cure, watched.rate_hz >= SLOW_SHARE * rate_hz)
+        yield judged("frames", text, FindingState.WARNING, cure, watched.rate_hz >= SLOW_SHARE * rate_hz)
     else:
-        yield Finding("frames", State.OK, few)
+        yield DoctorFinding("frames", FindingState.OK, few)
     if watched.unreadable:
         text = f"{watched.unreadable} of {watched.frames} do not fit the setup"
-        yield Finding("frames", State.FAILED, text, "state width, height and bits of the camera in the setup")
-    yield Finding("age", State.OK, f"from mid-exposure to arrival {watched.age}")
+        yield DoctorFinding(
+            "frames", FindingState.FAILED, text, "state width, height and bits of the camera in the setup"
+        )
+    yield DoctorFinding("age", FindingState.OK, f"from mid-exposure to arrival {watched.age}")

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from arctrack.cell_file import ProcessChoice
-from arctrack.doctor.finding import Finding, State, judged
+from arctrack.doctor.finding import DoctorFinding, FindingState, judged
 from arctrack.doctor.policy import POLICY
 from arctrack.serve.latency import LatencyCounts, Quantiles
 from arctrack.serve.process import schedule
@@ -26,20 +26,20 @@ SYNCHRONISED = Path("/run/systemd/timesync/synchronized")
 READS = 2000
 
 
-def clock_source_finding(source: str | None) -> Finding:
+def clock_source_finding(source: str | None) -> DoctorFinding:
     """Return what is to be said of a kernel's clock source, None where it is not told."""
     if source is None:
-        return Finding("clock source", State.OK, "not told by this kernel")
+        return DoctorFinding("clock source", FindingState.OK, "not told by this kernel")
     return judged(
         "clock source",
         source,
-        State.WARNING,
+        FindingState.WARNING,
         "a slow clock delays each reading; boot with clocksource=tsc where the processor's is steady",
         source not in SLOW_SOURCES,
     )
 
 
-def clock_findings() -> Iterator[Finding]:
+def clock_findings() -> Iterator[DoctorFinding]:
     """Yield what is to be said of the clocks."""
     try:
         source = CLOCK_SOURCE.read_text(encoding="ascii").strip()
@@ -50,13 +50,13 @@ def clock_findings() -> Iterator[Finding]:
     yield judged(
         "monotonic clock",
         f"steps of {1e9 * step_s:.0f} ns, a reading takes {1e9 * read_s:.0f} ns",
-        State.WARNING,
+        FindingState.WARNING,
         "times of frames and poses are that coarse; look at the clock source",
         step_s <= POLICY.clock_step_s,
     )
     # Internal time is monotonic: only the dates of logs and recordings hang on the wall clock.
     is_set = "set from the network" if SYNCHRONISED.exists() else "not known to be set from the network"
-    yield Finding("wall clock", State.OK, f"{is_set}; only dates of logs hang on it")
+    yield DoctorFinding("wall clock", FindingState.OK, f"{is_set}; only dates of logs hang on it")
 
 
 def monotonic_steps() -> tuple[float, float]:
@@ -100,21 +100,21 @@ def processor_wait(choice: ProcessChoice) -> ProcessorWait:
     return wait
 
 
-def processor_finding(wait: ProcessorWait) -> Finding:
+def processor_finding(wait: ProcessorWait) -> DoctorFinding:
     """Return whether this machine is too busy for work to be done when it is due."""
     share = wait.waited_s / (wait.waited_s + wait.ran_s) if wait.ran_s > 0.0 else math.nan
     if math.isnan(share):
-        return Finding("load", State.OK, "not told by this kernel")
+        return DoctorFinding("load", FindingState.OK, "not told by this kernel")
     return judged(
         "load",
         f"work waits for a processor {100.0 * share:.0f} % of its time",
-        State.WARNING,
+        FindingState.WARNING,
         "this machine is too busy: frames and poses come late; end what else runs here",
         share <= POLICY.wait_share,
     )
 
 
-def wake_up_finding(late: Quantiles, choice: ProcessChoice) -> Finding:
+def wake_up_finding(late: Quantiles, choice: ProcessChoice) -> DoctorFinding:
     """Return what is to be said of how late sleeps end: it must not add a turn to a frame's wait."""
     cure = "end what else runs here, or isolate a processor"
     if choice.priority is None:
@@ -122,7 +122,7 @@ def wake_up_finding(late: Quantiles, choice: ProcessChoice) -> Finding:
     return judged(
         "wake-up",
         f"a sleep of {1e3 * POLICY.wake_up_s:g} ms ends late: {late}",
-        State.WARNING,
+        FindingState.WARNING,
         cure,
         late.p99_ms <= 1e3 * POLICY.wake_up_s,
     )

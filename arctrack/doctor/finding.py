@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 
-class State(Enum):
+class FindingState(Enum):
     """How a check ended; a live run cannot do with what failed."""
 
     OK = "ok"
@@ -15,7 +15,7 @@ class State(Enum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class DoctorFinding:
     """A check in words.
 
     Parameters
@@ -31,7 +31,7 @@ class Finding:
     """
 
     name: str
-    state: State
+    state: FindingState
     text: str
     cure: str = ""
 
@@ -39,6 +39,6 @@ class Finding:
         return f"{self.name}: {self.text}" + (f"; {self.cure}" if self.cure else "")
 
 
-def judged(name: str, text: str, problem: State, cure: str, is_good: bool) -> Finding:
+def judged(name: str, text: str, problem: FindingState, cure: str, is_good: bool) -> DoctorFinding:
     """Return a finding that is ok, or else the problem with its cure."""
-    return Finding(name, State.OK, text) if is_good else Finding(name, problem, text, cure)
+    return DoctorFinding(name, FindingState.OK, text) if is_good else DoctorFinding(name, problem, text, cure)

@@ -17,7 +17,7 @@ from arctrack.doctor.budget import (
     step_findings,
 )
 from arctrack.doctor.bus import bus_findings
-from arctrack.doctor.camera import Watched, camera_findings
+from arctrack.doctor.camera import CameraReading, camera_findings
 from arctrack.doctor.clocks import (
     clock_findings,
     processor_finding,
@@ -25,7 +25,7 @@ from arctrack.doctor.clocks import (
     wake_up_finding,
     wake_ups,
 )
-from arctrack.doctor.finding import Finding, State
+from arctrack.doctor.finding import DoctorFinding, FindingState
 from arctrack.doctor.host import (
     disk_finding,
     own_memory_lock_finding,
@@ -58,7 +58,7 @@ class Examination:
     budget: Budget | None = None
 
 
-def machine_findings(choice: ProcessChoice) -> Iterator[Finding]:
+def machine_findings(choice: ProcessChoice) -> Iterator[DoctorFinding]:
     """Yield what is to be said of the machine, for a process that is to be scheduled so."""
     yield versions_finding()
     yield from clock_findings()
@@ -66,7 +66,7 @@ def machine_findings(choice: ProcessChoice) -> Iterator[Finding]:
     yield processor_finding(processor_wait(choice))
 
 
-def examine_machine(folder: Path) -> Iterator[Finding]:
+def examine_machine(folder: Path) -> Iterator[DoctorFinding]:
     """Yield what is to be said of a machine without a cell."""
     choice = ProcessChoice()
     yield from machine_findings(choice)
@@ -77,7 +77,7 @@ def examine_machine(folder: Path) -> Iterator[Finding]:
 
 def examine_cell(
     cell: CellFile, steps: Steps, examination: Examination, **bus_options: Any
-) -> Iterator[Finding]:
+) -> Iterator[DoctorFinding]:
     """Yield what is to be said of a machine that is to run a cell; nothing is sent, the laser stays off.
 
     Parameters
@@ -110,9 +110,9 @@ def examine_cell(
     yield bandwidth_finding(setup, rate_hz, cell.camera.kind == GIGE)
     if cell.camera.kind == GIGE:
         yield own_receive_buffer_finding(image_bytes(setup))
-    watched: Watched | None = None
+    watched: CameraReading | None = None
     for seen in camera_findings(cell):
-        if isinstance(seen, Watched):
+        if isinstance(seen, CameraReading):
             watched = seen
         else:
             yield seen
@@ -128,22 +128,22 @@ def _shared_bytes(cell: CellFile) -> int:
     return journal_bytes(kept_s, cell.camera.frame_rate_hz, image_bytes(cell.setup.setup)) if kept_s else 0
 
 
-def _job_findings(cell: CellFile, number: int, steps: Steps) -> Iterator[Finding | StepTimes]:
+def _job_findings(cell: CellFile, number: int, steps: Steps) -> Iterator[DoctorFinding | StepTimes]:
     """Yield what is to be said of a job's tracker, and how long its steps took."""
     job, name = cell.jobs[number], f"job {number}"
     try:
         tracker = Tracker(job.setup_for(cell.setup.setup), correction=job.correction)
     except ValueError as error:
-        yield Finding(name, State.FAILED, str(error), f"mend {cell.setup.path}")
+        yield DoctorFinding(name, FindingState.FAILED, str(error), f"mend {cell.setup.path}")
         return
     try:
         require_compiled(tracker)
     except NotCompiledError as missing:
         text = f"{missing} is not compiled on this disk, or an update changed it"
         cure = f"arctrack warm {cell.path}: else the first start takes minutes"
-        yield Finding(name, State.WARNING, text, cure)
+        yield DoctorFinding(name, FindingState.WARNING, text, cure)
         return
-    yield Finding(name, State.OK, f"{job.name}: all that a step may need is compiled")
+    yield DoctorFinding(name, FindingState.OK, f"{job.name}: all that a step may need is compiled")
     on_done = steps(f"{name}: timing the tracker", FRAMES + POLICY.steps)
     times = time_steps(tracker, POLICY.steps, on_done)
     yield times

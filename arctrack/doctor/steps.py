@@ -14,7 +14,7 @@ from noise_model.forward import draw_frame
 from noise_model.surface.joint import seam_frame
 from tracker.state import Frame, Pose
 from tracker.tracker import Tracker
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import TrackerMemory
 
 FRAMES = 8
 SPACING_MM = 1.0
@@ -76,7 +76,7 @@ def time_steps(tracker: Tracker, steps: int, on_done: OnDone) -> StepTimes:
             frame, pose = shown[n % FRAMES]
             is_first = n % FRAMES == 0
             if is_first:
-                tracker.state = TrackerState()
+                tracker.state = TrackerMemory()
             began_s = time.perf_counter()
             track = tracker.step(frame, pose)
             (searched if is_first else tracked).add(time.perf_counter() - began_s)

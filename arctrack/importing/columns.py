@@ -34,7 +34,7 @@ class Column:
     unit: str | None
 
 
-class Columns:
+class CsvColumns:
     """The columns of a CSV file.
 
     Parameters
@@ -121,7 +121,7 @@ class Columns:
         return unit
 
 
-def check_all_named(named: Mapping[str, str], known: Iterable[str], files: Sequence[Columns]) -> None:
+def check_all_named(named: Mapping[str, str], known: Iterable[str], files: Sequence[CsvColumns]) -> None:
     """Raise ArctrackError for a name of --column that means nothing, and for a header that no file has."""
     names = list(known)
     for name, header in named.items():
@@ -195,7 +195,7 @@ def rows_of_images(
 
 
 def times_s(
-    columns: Columns, table: CsvTable, column: Column, stated: Units, parser: TimeParser
+    columns: CsvColumns, table: CsvTable, column: Column, stated: Units, parser: TimeParser
 ) -> tuple[Float64, list[str]]:
     """Return a column of times in s, and notes; ArctrackError if nothing states the unit of numbers."""
     times = table.column(column.header)

@@ -13,7 +13,7 @@ from arctrack.importing.columns import (
     FILE_NAMES,
     FRAME_NAMES,
     TIME_NAMES,
-    Columns,
+    CsvColumns,
     frame_number,
     image_parser,
     rows_of_images,
@@ -48,14 +48,14 @@ TAG_TICK_S = 1.0
 
 
 @dataclass(frozen=True)
-class Conditions:
+class FrameConditions:
     """What is stated of the frames: a table of them, or values for all.
 
     `columns` are those of the table; `current_a` is None where no arc burns; `exposure_s` is None where the
     setup's holds.
     """
 
-    columns: Columns | None = None
+    columns: CsvColumns | None = None
     current_a: float | None = None
     exposure_s: float | None = None
 
@@ -76,7 +76,7 @@ class FrameTable:
 NO_TABLE = FrameTable(None, None, None, None, None, np.zeros(0, dtype=np.int64), ())
 
 
-def read_frame_table(columns: Columns, stated: Units, series: ImageSeries) -> FrameTable:
+def read_frame_table(columns: CsvColumns, stated: Units, series: ImageSeries) -> FrameTable:
     """Return what a CSV file says of images.
 
     Raises ArctrackError if it says nothing, for a value that is none, a unit that nothing states, and as
@@ -179,7 +179,11 @@ def doubts(series: ImageSeries, used: TimeSource, poses: PoseFile, taken_s: Sequ
 
 
 def frame_rows(
-    series: ImageSeries, times: Float64, table: FrameTable, conditions: Conditions, nominal_exposure_s: float
+    series: ImageSeries,
+    times: Float64,
+    table: FrameTable,
+    conditions: FrameConditions,
+    nominal_exposure_s: float,
 ) -> tuple[list[FrameRow], list[str]]:
     """Return the rows of frames.csv, and a note on each value that no table states.
 

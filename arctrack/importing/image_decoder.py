@@ -56,7 +56,7 @@ _BMP_BITS = slice(28, 30)
 
 
 @dataclass(frozen=True)
-class Header:
+class ImageHeader:
     """What an image says of its pixels: `size` is width and height, `doubts` what to tell, a line each.
 
     `taken_s` is when it was taken, in s since 1970 by the camera's clock, NaN if no tag says it.
@@ -161,7 +161,7 @@ def _is_opaque(alpha: npt.NDArray[Any]) -> bool:
     return bool((alpha == np.iinfo(alpha.dtype).max).all())
 
 
-def _header(content: bytes) -> Header:
+def _header(content: bytes) -> ImageHeader:
     """Return what an image's header says; ValueError says what is wrong."""
     if not content:
         raise UnfitFileError("is empty")
@@ -185,7 +185,7 @@ def _header(content: bytes) -> Header:
         if problem is not None:
             raise UnfitFileError(problem)
         is_lossy = image.format in LOSSY_FORMATS
-        return Header(
+        return ImageHeader(
             image.size,
             image.mode in COLOUR_MODES,
             is_lossy,
@@ -194,14 +194,14 @@ def _header(content: bytes) -> Header:
         )
 
 
-def _tiff_header(content: bytes) -> Header:
+def _tiff_header(content: bytes) -> ImageHeader:
     tiff = tiff_tags.read_tiff_header(content)
     problem = size_problem(*tiff.size)
     if problem is None and tiff.size[0] * tiff.size[1] > LIMITS.image_px:
         problem = _too_large()
     if problem is not None:
         raise UnfitFileError(problem)
-    return Header(
+    return ImageHeader(
         tiff.size,
         tiff.photometric in (tiff_tags.RGB, tiff_tags.PALETTE),
         tiff.is_lossy,

@@ -15,7 +15,7 @@ from arctrack.importing.columns import (
     FRAME_NAMES,
     UNKNOWN_IMAGE,
     Column,
-    Columns,
+    CsvColumns,
     frame_number,
     image_parser,
     rows_of_images,
@@ -101,7 +101,7 @@ def read_matrix_poses(
 
 
 def read_pose_table(
-    columns: Columns,
+    columns: CsvColumns,
     rotation: str | None,
     stated: Units,
     series: ImageSeries,
@@ -252,7 +252,7 @@ def _stated(rotation: str | None) -> Convention:
     return BY_ITS_NAMES if rotation is None else convention(rotation)
 
 
-def _rotation_columns(columns: Columns, rotation: str | None) -> tuple[Convention, list[Column]]:
+def _rotation_columns(columns: CsvColumns, rotation: str | None) -> tuple[Convention, list[Column]]:
     written = _stated(rotation)
     named = written.columns[0]
     for names in written.columns:
@@ -345,7 +345,7 @@ def read_poses(
     *,
     may_lack: bool = False,
     can_channel: str | None = None,
-) -> tuple[PoseFile, list[Columns]]:
+) -> tuple[PoseFile, list[CsvColumns]]:
     """Return the poses of a table, a listing, matrices or a CAN log, and the columns of a table.
 
     Where images `may_lack` a pose, their row is -1. `can_channel` is the robot's in a log.
@@ -366,5 +366,5 @@ def read_poses(
     if rotation in LISTED and path.suffix.lower() in LISTING_SUFFIXES:
         raise in_file(path, f"holds no pose as {rotation} lists them: give the file that holds the points")
     wanted = ",".join((*known_names(rotation), "and a time, frame or file if there is one"))
-    columns = Columns(path, named, wanted)
+    columns = CsvColumns(path, named, wanted)
     return read_pose_table(columns, rotation, stated, series, is_timed, may_lack=may_lack), [columns]

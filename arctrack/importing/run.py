@@ -12,11 +12,11 @@ import numpy as np
 
 from arctrack.errors import ArctrackError
 from arctrack.importing.colours import Bayer, Channel
-from arctrack.importing.columns import Columns, check_all_named
+from arctrack.importing.columns import CsvColumns, check_all_named
 from arctrack.importing.conditions import (
     KNOWN_NAMES,
     NO_TABLE,
-    Conditions,
+    FrameConditions,
     doubts,
     frame_rows,
     frame_times,
@@ -44,7 +44,7 @@ LONE_PERIOD_S = 1.0
 
 
 @dataclass(frozen=True)
-class RawFiles:
+class ImportSources:
     """What an import is made of, and how it reads.
 
     Attributes
@@ -94,7 +94,7 @@ class RawFiles:
 
 
 @dataclass(frozen=True)
-class Imported:
+class ImportResult:
     """A recording that was made: `notes` say how each part was read, `warnings` what looks wrong."""
 
     recording: Recording
@@ -103,8 +103,8 @@ class Imported:
 
 
 def import_recording(
-    raw: RawFiles, out: Path, on_frame: OnFrame = lambda what, done, total: None
-) -> Imported:
+    raw: ImportSources, out: Path, on_frame: OnFrame = lambda what, done, total: None
+) -> ImportResult:
     """Make a recording of raw files.
 
     Parameters
@@ -136,7 +136,7 @@ def import_recording(
         series, names = series.in_order(order.tolist()), replace(names, values=names.values[order])
     else:
         check_decimals(series)
-    frame_columns = None if raw.frames is None else Columns(raw.frames, raw.columns, ",".join(KNOWN_NAMES))
+    frame_columns = None if raw.frames is None else CsvColumns(raw.frames, raw.columns, ",".join(KNOWN_NAMES))
     table = NO_TABLE if frame_columns is None else read_frame_table(frame_columns, raw.units, series)
     times_of_table = None
     if table.times_s is not None and raw.frames is not None:
@@ -156,7 +156,7 @@ def import_recording(
     check_all_named(raw.columns, dict.fromkeys((*known_names(raw.rotation), *KNOWN_NAMES)), tables)
     source = frame_times(series, times_of_table, names, raw.rate_hz, poses)
     times = source.values
-    conditions = Conditions(frame_columns, raw.current_a, raw.exposure_s)
+    conditions = FrameConditions(frame_columns, raw.current_a, raw.exposure_s)
     rows, assumed = frame_rows(series, times, table, conditions, stated.setup.camera.exposure_s)
     images = grey_frames(series, stated, raw.channel, raw.bayer)
     _write(out, images, rows, _timed(poses, times), on_frame)
@@ -169,7 +169,9 @@ def import_recording(
         "poses": "; ".join((_pose_note(poses), *poses.notes)),
     }
     told = doubts(series, source, poses, images.taken_s)
-    return Imported(recording, notes, (*series.warnings, *images.warnings, *poses.warnings, *told, *misfits))
+    return ImportResult(
+        recording, notes, (*series.warnings, *images.warnings, *poses.warnings, *told, *misfits)
+    )
 
 
 def _write(

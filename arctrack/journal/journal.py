@@ -20,8 +20,8 @@ from arctrack.journal.records import (
     Entry,
     GapReport,
     HeardPose,
+    SeenFrame,
     Status,
-    View,
     pack,
     pack_entry,
     unpack,
@@ -140,7 +140,7 @@ class Journal:
             self.lost += 1
         return self._entries.count - 1
 
-    def show(self, view: View) -> None:
+    def show(self, view: SeenFrame) -> None:
         """Write the newest view."""
         try:
             self._views.write(pack(view))
@@ -203,9 +203,9 @@ class JournalReader:
         record = self._entries.read(position)
         return None if record is None else unpack_entry(record)
 
-    def newest_view(self) -> View | None:
+    def newest_view(self) -> SeenFrame | None:
         """Return the newest view, None before the first."""
-        view: View | None = _newest(self._views)
+        view: SeenFrame | None = _newest(self._views)
         return view
 
     def status(self) -> Status | None:

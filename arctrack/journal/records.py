@@ -89,7 +89,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class View:
+class SeenFrame:
     """What was seen in a frame, for those who look: its entry's position, and more than that holds.
 
     Attributes
@@ -242,7 +242,7 @@ class GapReport:
     arc_height_sigma_mm: float = NAN
 
 
-_PACKER = Packer((Entry, View, Status, GapReport))
+_PACKER = Packer((Entry, SeenFrame, Status, GapReport))
 
 
 def pack(record: object) -> bytes:

@@ -12,8 +12,8 @@ from concurrent.futures import ThreadPoolExecutor
 from arctrack.journal.journal import JournalReader
 from arctrack.journal.records import Entry, GapReport, Status
 from arctrack.monitor.options import MonitorOptions
-from arctrack.monitor.outbox import Kind, Message, Outbox
-from arctrack.monitor.picture import Painter, Picture
+from arctrack.monitor.outbox import Message, MessageKind, Outbox
+from arctrack.monitor.picture import MonitorPicture, Painter
 from arctrack.monitor.status import SHOWN_S, FrameRate, OffsetFlow, Point, point_of, status_content
 from tracker.arc.level import ArcLevel
 
@@ -56,14 +56,14 @@ class Feed:
         self._rate, self._offset_flow = FrameRate(), OffsetFlow()
         self._points: deque[Point] = deque()
         self._next = reader.count
-        self._picture: Picture | None = None
+        self._picture: MonitorPicture | None = None
         self._heat: bytes | None = None
         self._heated_s = -math.inf
         self._painter = Painter(options.setups)
         self._painting = asyncio.Lock()
         self._executor = ThreadPoolExecutor(1, "painter")
         self._outboxes: set[Outbox] = set()
-        self._painted: asyncio.Task[Picture | None] | None = None
+        self._painted: asyncio.Task[MonitorPicture | None] | None = None
 
     @property
     def browsers(self) -> int:
@@ -106,11 +106,11 @@ class Feed:
 
     def join(self, outbox: Outbox) -> None:
         """Let a browser hear of the run, from what is known already on."""
-        outbox.put(Kind.HELLO, self._hello())
-        outbox.put(Kind.STATUS, self.status_text())
-        for kind, message in ((Kind.PICTURE, self._picture), (Kind.HEAT, self._heat)):
+        outbox.put(MessageKind.HELLO, self._hello())
+        outbox.put(MessageKind.STATUS, self.status_text())
+        for kind, message in ((MessageKind.PICTURE, self._picture), (MessageKind.HEAT, self._heat)):
             if message is not None:
-                outbox.put(kind, message.message if isinstance(message, Picture) else message)
+                outbox.put(kind, message.message if isinstance(message, MonitorPicture) else message)
         self._outboxes.add(outbox)
 
     def leave(self, outbox: Outbox) -> None:
@@ -135,7 +135,7 @@ class Feed:
         }
         return json.dumps(content, allow_nan=False)
 
-    async def picture(self) -> Picture | None:
+    async def picture(self) -> MonitorPicture | None:
         """Return the newest frame's picture, painted where it was not; None before the first frame."""
         async with self._painting:
             view = self._reader.newest_view()
@@ -147,11 +147,11 @@ class Feed:
             loop = asyncio.get_running_loop()
             self.arc = view.arc
             self._picture = await loop.run_in_executor(self._executor, self._painter.paint, entry, view)
-            self._send(Kind.PICTURE, self._picture.message)
+            self._send(MessageKind.PICTURE, self._picture.message)
             if self._outboxes and time.monotonic() - self._heated_s > HEAT_S:
                 self._heated_s = time.monotonic()
                 self._heat = await loop.run_in_executor(self._executor, self._painter.heat, entry, view)
-                self._send(Kind.HEAT, self._heat)
+                self._send(MessageKind.HEAT, self._heat)
             return self._picture
 
     def _look(self, tick: int) -> None:
@@ -166,13 +166,13 @@ class Feed:
             self._points.extend(points)
             while self._points[-1][0] - self._points[0][0] > SHOWN_S:
                 self._points.popleft()
-            self._send(Kind.POINTS, json.dumps({"kind": "points", "points": points}, allow_nan=False))
+            self._send(MessageKind.POINTS, json.dumps({"kind": "points", "points": points}, allow_nan=False))
         if tick % STATUS_TICKS == 0:
             self.gap = self._reader.gap()
             if not self._outboxes:
                 view = self._reader.newest_view()
                 self.arc = None if view is None else view.arc
-            self._send(Kind.STATUS, self.status_text())
+            self._send(MessageKind.STATUS, self.status_text())
         if self._outboxes and not self._painting.locked():
             self._painted = asyncio.create_task(self.picture())
 
@@ -199,6 +199,6 @@ class Feed:
         }
         return json.dumps(content, allow_nan=False)
 
-    def _send(self, kind: Kind, message: Message) -> None:
+    def _send(self, kind: MessageKind, message: Message) -> None:
         for outbox in self._outboxes:
             outbox.put(kind, message)

@@ -12,7 +12,7 @@ MAX_WAITING = 32
 Message = str | bytes
 
 
-class Kind(Enum):
+class MessageKind(Enum):
     """What a message tells."""
 
     HELLO = "hello"
@@ -22,7 +22,7 @@ class Kind(Enum):
     HEAT = "heat"
 
 
-COUNTS_ALONE = frozenset({Kind.STATUS, Kind.PICTURE, Kind.HEAT})
+COUNTS_ALONE = frozenset({MessageKind.STATUS, MessageKind.PICTURE, MessageKind.HEAT})
 """Of these the newest says all: an older one that still waits is not sent."""
 
 
@@ -36,14 +36,14 @@ class Outbox:
     """
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[Kind, Message]] = deque()
+        self._waiting: deque[tuple[MessageKind, Message]] = deque()
         self._filled = asyncio.Event()
         self.dropped = 0
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def put(self, kind: Kind, message: Message) -> None:
+    def put(self, kind: MessageKind, message: Message) -> None:
         """Let a message wait, in the place of an older one where only the newest counts."""
         before = len(self._waiting)
         if kind in COUNTS_ALONE:

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from arctrack.journal.records import Entry, View
-from arctrack.report.replay.seen import Seen
+from arctrack.journal.records import Entry, SeenFrame
+from arctrack.report.replay.seen import ReplayedFrame
 from arctrack.report.replay.view import Profile, Viewer
 from noise_model.arc.map import arc_kernel
 from noise_model.arc.scene import Scene, make_scene
@@ -49,7 +49,7 @@ NO_OFFSET = SeamOffset(NAN, NAN, NAN, NAN, Validity.UNKNOWN)
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class MonitorPicture:
     """A frame for the page: its position among the entries, its message, its JPEG alone."""
 
     position: int
@@ -70,11 +70,11 @@ class Painter:
         self._setups = setups
         self._viewers: dict[int, Viewer] = {}
 
-    def paint(self, entry: Entry, view: View) -> Picture:
+    def paint(self, entry: Entry, view: SeenFrame) -> MonitorPicture:
         """Return the picture of an entry with its view."""
         viewer = self._viewer(entry.job_number)
         reading = _reading(viewer.geometry.setup, entry, view)
-        seen = Seen(entry.inputs.pose, view.track, reading, entry.offset or NO_OFFSET, entry.took_ms)
+        seen = ReplayedFrame(entry.inputs.pose, view.track, reading, entry.offset or NO_OFFSET, entry.took_ms)
         shown = viewer.view(entry.frame, seen, shows_arc_light=False)
         assert shown.grey is not None
         jpeg = _jpeg(shown.grey)
@@ -97,9 +97,9 @@ class Painter:
         }
         header = json.dumps(content, allow_nan=False).encode()
         message = struct.pack("<BxxxI", PICTURE, len(header)) + header + jpeg
-        return Picture(view.position, message, jpeg)
+        return MonitorPicture(view.position, message, jpeg)
 
-    def heat(self, entry: Entry, view: View) -> bytes:
+    def heat(self, entry: Entry, view: SeenFrame) -> bytes:
         """Return a message with the light of the arc that is expected in an entry's frame."""
         geometry = self._viewer(entry.job_number).geometry
         spacing = max(1, round(max(geometry.n_scan, geometry.n_pos) / HEAT_CELLS))
@@ -111,7 +111,7 @@ class Painter:
         png = cv2.imencode(".png", picture)[1].tobytes()
         return struct.pack("<BxxxI", HEAT, len(header)) + header + png
 
-    def _heat_e(self, geometry: SensorGeometry, spacing: int, entry: Entry, view: View) -> Float32:
+    def _heat_e(self, geometry: SensorGeometry, spacing: int, entry: Entry, view: SeenFrame) -> Float32:
         """Return the arc's light (n,) at every so many-th pixel, e-; NaN where none is expected."""
         scan, position = geometry.lattice(spacing)
         reading = _reading(geometry.setup, entry, view)
@@ -129,7 +129,7 @@ class Painter:
         return self._viewers[job_number]
 
 
-def _reading(setup: Setup, entry: Entry, view: View) -> Reading | None:
+def _reading(setup: Setup, entry: Entry, view: SeenFrame) -> Reading | None:
     """Return the look at a frame that its view was made of, None where none was taken."""
     pose = entry.inputs.pose
     if pose is None or view.seam is None or view.arc is None:

@@ -1,4 +1,4 @@
-from .calibrated import Calibrated as Calibrated, with_calibrated as with_calibrated
+from .calibrated import CalibrationValues as CalibrationValues, with_calibrated as with_calibrated
 from .frames import BadFrame as BadFrame
 from .poses import pose_at as pose_at
 from .reader import Recording as Recording, read_recording as read_recording, read_truth as read_truth

@@ -25,7 +25,7 @@ Value = float | int | Sequence[float]
 
 
 @dataclass(frozen=True)
-class Calibrated:
+class CalibrationValues:
     """Values of one table of recording.toml, and how well they are known.
 
     Parameters
@@ -70,7 +70,7 @@ class Calibrated:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
 
-def with_calibrated(path: Path, *results: Calibrated) -> str:
+def with_calibrated(path: Path, *results: CalibrationValues) -> str:
     """Return a recording.toml's text with calibrated values; all else, comments included, stays.
 
     Parameters
@@ -118,7 +118,7 @@ def _replace(tables: MutableMapping[str, Any], name: str, record: Mapping[str, o
         table[key] = value
 
 
-def _record(result: Calibrated) -> dict[str, object]:
+def _record(result: CalibrationValues) -> dict[str, object]:
     rows = Array([], tomlkit.items.Trivia())
     for row in result.covariance:
         rows.append(_plain(row))

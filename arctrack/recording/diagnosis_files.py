@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from arctrack.output import write_whole, writing
-from sim_to_real.diagnosis import Diagnosis, Named, Next, Predicted, Ranked, Reason, Where
+from sim_to_real.diagnosis import Diagnosis, HeldOutPrediction, NamedEffect, Next, RankedEffect, Reason, Where
 
 FORMAT = "arctrack-diagnosis/1"
 REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ = "report.json", "where.npz", "predicted.npz"
@@ -71,7 +71,7 @@ def report(diagnosis: Diagnosis, without: Sequence[str] = ()) -> dict[str, Any]:
     return rounded
 
 
-def _named(effect: Named) -> dict[str, Any]:
+def _named(effect: NamedEffect) -> dict[str, Any]:
     parameters = {name: asdict(estimate) for name, estimate in effect.parameters.items()}
     named = {
         "id": effect.id,
@@ -83,7 +83,7 @@ def _named(effect: Named) -> dict[str, Any]:
     return named if effect.trend is None else {**named, "trend": asdict(effect.trend)}
 
 
-def _ranked(candidate: Ranked) -> dict[str, Any]:
+def _ranked(candidate: RankedEffect) -> dict[str, Any]:
     return {"id": candidate.id, "confidence": candidate.confidence, "gap_closed": candidate.gap_closed}
 
 
@@ -125,7 +125,7 @@ def _left_over(left_over: tuple[str, float] | None) -> dict[str, Any] | None:
     return None if left_over is None else {"covariate": left_over[0], "share": left_over[1]}
 
 
-def _write_predicted(predicted: Predicted, path: Path) -> None:
+def _write_predicted(predicted: HeldOutPrediction, path: Path) -> None:
     np.savez_compressed(
         path,
         frames=predicted.frames,

@@ -15,7 +15,7 @@ LOSSY = (".jpg", ".jpeg", ".webp", ".heic")
 OTHER_PICTURES = (".pgm", ".raw")
 VIDEOS = {".avi", ".mkv", ".mov", ".mp4", ".m4v", ".webm", ".wmv", ".mpg", ".mpeg"}
 
-MOST_LOOKED_AT = 10_000
+MAX_NAMES = 10_000
 """Names in a folder that are looked at for a hint."""
 
 _LAST_NUMBER = re.compile(r"(\d+)\D*$")
@@ -75,6 +75,6 @@ def _names(folder: Path) -> list[str]:
     """Return the first names in a folder, sorted; none if it cannot be read."""
     try:
         with os.scandir(folder) as entries:
-            return sorted(entry.name for _, entry in zip(range(MOST_LOOKED_AT), entries, strict=False))
+            return sorted(entry.name for _, entry in zip(range(MAX_NAMES), entries, strict=False))
     except OSError:
         return []

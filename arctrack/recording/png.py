@@ -28,7 +28,7 @@ WRONG_HEADER = "is no PNG: its header is wrong"
 
 
 @dataclass(frozen=True)
-class Header:
+class PngHeader:
     """What a PNG says of its pixels before they are decoded."""
 
     width: int
@@ -76,7 +76,7 @@ def _chunks(encoded: bytes) -> Iterator[tuple[bytes, slice]]:
         yield name, content
 
 
-def header_of(encoded: bytes) -> Header:
+def header_of(encoded: bytes) -> PngHeader:
     """Return the header of a whole PNG, its pixels untouched; ValueError says what is wrong with it."""
     problem = problem_of(encoded)
     if problem is not None:
@@ -89,10 +89,10 @@ def header_of(encoded: bytes) -> Header:
         raise ValueError(WRONG_HEADER)
     if bits not in (8, 16) and colour == 0:
         raise ValueError(f"has {bits} bits a pixel: grey levels of 8 or 16 are needed")
-    return Header(width, height, bits, CHANNELS[colour], interlace != 0)
+    return PngHeader(width, height, bits, CHANNELS[colour], interlace != 0)
 
 
-def decode(encoded: bytes, header: Header) -> Integers:
+def decode(encoded: bytes, header: PngHeader) -> Integers:
     """Decode a PNG to its raw pixels, with its `header_of`; ValueError says what is wrong with it."""
     if header.channels == 1 and not header.is_interlaced:
         return _decode_grey(encoded, header)
@@ -105,7 +105,7 @@ def decode(encoded: bytes, header: Header) -> Integers:
     return np.asarray(image, dtype=np.uint16 if image.dtype == np.uint16 else np.uint8)
 
 
-def _decode_grey(encoded: bytes, header: Header) -> Integers:
+def _decode_grey(encoded: bytes, header: PngHeader) -> Integers:
     """Decode a grey PNG of 8 or 16 bits, row after row: W3C PNG, 9 and 10."""
     pixel_bytes = header.bits // 8
     row_bytes = header.width * pixel_bytes

@@ -18,7 +18,7 @@ import numpy as np
 from arctrack.offset_count import OffsetCount
 from arctrack.output import write_whole, writing
 from arctrack.recording.run_offsets import NO_OUTCOME, OffsetOutcome, RunComparison
-from arctrack.recording.score import AxisScore, Score
+from arctrack.recording.score import AxisScore, TrackScore
 from tracker import flags
 from tracker.state import NAN, Track
 
@@ -198,7 +198,7 @@ class Summary:
     recorded_rate_hz: float
     replayed_rate_hz: float
     latency_ms: Latency
-    score: Score | None
+    score: TrackScore | None
     joint_ends_mm: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     pose_doubts: Mapping[str, int] = field(default_factory=dict)
     heard_robot_status: bool = False
@@ -287,7 +287,7 @@ def counts_in_words(offsets: OffsetCount, valid: int, laser_on: int) -> str:
     return f"{offsets}; {valid} of {laser_on} frames with the laser on are valid"
 
 
-def _score_json(score: Score) -> dict[str, Any]:
+def _score_json(score: TrackScore) -> dict[str, Any]:
     def axis(axis_score: AxisScore) -> dict[str, Any]:
         return {
             **asdict(axis_score.whole),

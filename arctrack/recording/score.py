@@ -13,7 +13,7 @@ from tracker.state import Track
 
 
 @dataclass(frozen=True)
-class Spread:
+class ErrorSizes:
     """How large errors are, mm: RMS, and median, 95 % quantile and maximum of their size."""
 
     rms: float
@@ -26,13 +26,13 @@ class Spread:
 class AxisScore:
     """The errors of one axis, mm: as they are, their constant part, and with that part removed."""
 
-    whole: Spread
+    whole: ErrorSizes
     constant_mm: float
-    without_constant: Spread
+    without_constant: ErrorSizes
 
 
 @dataclass(frozen=True)
-class Score:
+class TrackScore:
     """The errors of all valid frames that truth.csv knows, in the tool frame.
 
     `beyond_limit` counts the frames whose lateral or vertical error exceeds `limit_mm` though they are valid.
@@ -45,13 +45,13 @@ class Score:
     beyond_limit: int
 
 
-def score(tracks: Sequence[Track], truth: Truth, limit_mm: float) -> Score | None:
+def score(tracks: Sequence[Track], truth: Truth, limit_mm: float) -> TrackScore | None:
     """Return the errors of the valid tracks, None if truth.csv knows none of them."""
     errors = errors_mm(tracks, truth)
     known = errors[np.isfinite(errors).all(axis=1)]
     if not len(known):
         return None
-    return Score(
+    return TrackScore(
         frames=len(known),
         lateral=_axis(known[:, 0]),
         vertical=_axis(known[:, 1]),
@@ -76,9 +76,9 @@ def _axis(errors: Float64) -> AxisScore:
     return AxisScore(_spread(errors), constant, _spread(errors - constant))
 
 
-def _spread(errors: Float64) -> Spread:
+def _spread(errors: Float64) -> ErrorSizes:
     size = np.abs(errors)
-    return Spread(
+    return ErrorSizes(
         rms=float(np.sqrt(np.mean(errors**2))),
         median=float(np.median(size)),
         p95=float(np.quantile(size, 0.95)),

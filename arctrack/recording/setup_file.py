@@ -25,7 +25,7 @@ from tracker.seam.correction import Correction
 if TYPE_CHECKING:
     from noise_model.instrument.spectrum import Filter, FilterCurve
     from noise_model.setup import Setup
-    from sim_to_real.diagnosis import Named
+    from sim_to_real.diagnosis import NamedEffect
 
 FILE_NAME = "recording.toml"
 
@@ -186,7 +186,7 @@ def with_filter_curve(path: Path, curve: FilterCurve) -> str:
     return tomlkit.dumps(document)
 
 
-def with_effects(path: Path, effects: Sequence[Named]) -> str:
+def with_effects(path: Path, effects: Sequence[NamedEffect]) -> str:
     """Return a recording.toml's text that names effects which were found; all else, comments included, stays.
 
     Raises ArctrackError for a file that cannot be read, and for a value that it could not hold.

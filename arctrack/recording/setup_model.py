@@ -58,7 +58,7 @@ class Table(BaseModel):
     model_config = ConfigDict(strict=True, extra="allow")
 
 
-class PoseTable(Table):
+class RigidPoseTable(Table):
     """A rigid pose: translation in mm, quaternion x y z w."""
 
     translation_mm: PointInTool
@@ -89,7 +89,7 @@ class CameraTable(Table):
     psf_sigma_px: FiniteFloat = Field(le=LIMITS.blur_px)
     exposure_s: Number
     pixel_format: str
-    pose_in_tool: PoseTable
+    pose_in_tool: RigidPoseTable
 
 
 class SensorTable(Table):
@@ -254,7 +254,7 @@ class FollowTable(Table):
 class RobotTable(Table):
     """[robot], optional: what is particular to the controller."""
 
-    controllertool_to_tool: PoseTable | None = None
+    controllertool_to_tool: RigidPoseTable | None = None
     can_channel: str | int | None = None
 
 

@@ -23,10 +23,10 @@ from arctrack.recording.csv_file import number, number_or_unknown, read_csv, who
 from arctrack.recording.files import blamed_on, read_text
 from tracker.seam.gaussian_process import SeamHistory
 from tracker.seam.joint_ends import Change, JointEnds
-from tracker.state import NAN, Lead, Pose
+from tracker.state import NAN, OffsetLookAhead, Pose
 from tracker.step import StepInputs
 from tracker.stripe.scatter import FrameScatter, Scatter
-from tracker.tracker_state import Steering, TrackerState
+from tracker.tracker_state import Steering, TrackerMemory
 
 STEPS_CSV, STATE_JSON = "steps.csv", "state.json"
 FORMAT = "arctrack-tracker-state/1"
@@ -47,7 +47,7 @@ COLUMNS = {
 
 RECORDS = {
     record.__name__: record
-    for record in (TrackerState, SeamHistory, Steering, JointEnds, Change, Scatter, FrameScatter)
+    for record in (TrackerMemory, SeamHistory, Steering, JointEnds, Change, Scatter, FrameScatter)
 }
 """What a state is made of."""
 
@@ -60,7 +60,7 @@ class RecordedStep:
     """
 
     pose: Pose | None
-    lead: Lead
+    lead: OffsetLookAhead
     keeps_state: bool
     begins: bool
 
@@ -69,7 +69,7 @@ class RecordedStep:
 class RecordedSteps:
     """The steps of a live run, by frame number, and the tracker's state before the first of them."""
 
-    state: TrackerState
+    state: TrackerMemory
     steps: Mapping[int, RecordedStep]
 
 
@@ -98,20 +98,20 @@ def read_steps(folder: Path) -> RecordedSteps | None:
             raise in_file(path, "a pose that is not refused has twelve numbers", line=line)
         steps[int(frame)] = RecordedStep(
             None if pose == REFUSED else Pose(_matrix(entries), pose == EXTRAPOLATED),
-            Lead(time_s, way_mm),
+            OffsetLookAhead(time_s, way_mm),
             bool(keeps_state),
             bool(begins),
         )
     return RecordedSteps(read_state(folder / STATE_JSON), steps)
 
 
-def write_state(path: Path, state: TrackerState) -> None:
+def write_state(path: Path, state: TrackerMemory) -> None:
     """Write a tracker's state."""
     document = {"format": FORMAT, "state": _encoded(state)}
     path.write_text(json.dumps(document, indent=1), encoding="utf-8")
 
 
-def read_state(path: Path) -> TrackerState:
+def read_state(path: Path) -> TrackerMemory:
     """Read a tracker's state; ArctrackError says what is wrong with the file."""
     with blamed_on(path, "there is no such file; steps.csv needs it"):
         text = read_text(path, LIMITS.toml_bytes)
@@ -122,7 +122,7 @@ def read_state(path: Path) -> TrackerState:
         state = _decoded(document["state"])
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise in_file(path, f"holds no tracker's state: {error}") from None
-    if not isinstance(state, TrackerState):
+    if not isinstance(state, TrackerMemory):
         raise in_file(path, "holds no tracker's state")
     return state
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from arctrack.cell.weld.closed_loop import ClosedLoop, LoopFrame, LoopResult
+from arctrack.cell.weld.closed_loop import ClosedLoop, ClosedLoopResult, LoopFrame
 from arctrack.output import writing
 from arctrack.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, new_figure, plain
 from robot_io import Validity
@@ -19,7 +19,7 @@ VALIDITY_COLOURS = {Validity.VALID: GREEN, Validity.HELD: ORANGE, Validity.REFUS
 AXES = ("across, y", "height, z")
 
 
-def draw_run(path: Path, loop: ClosedLoop, result: LoopResult) -> None:
+def draw_run(path: Path, loop: ClosedLoop, result: ClosedLoopResult) -> None:
     """Draw a run; ArctrackError if the file cannot be written."""
     plan = loop.plan
     title = (
@@ -55,7 +55,7 @@ def _draw_axis(axes: Axes, loop: ClosedLoop, n: int) -> None:
     plain(axes, "", "mm", AXES[n])
 
 
-def _draw_error(axes: Axes, loop: ClosedLoop, result: LoopResult) -> None:
+def _draw_error(axes: Axes, loop: ClosedLoop, result: ClosedLoopResult) -> None:
     times_s = [sample.time_s for sample in loop.samples]
     for n, colour in enumerate((BLUE, ORANGE)):
         off_mm = [sample.torch_mm[n] - sample.seam_mm[n] for sample in loop.samples]

@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from arctrack.check.case import Case
-from arctrack.check.run import Checked
+from arctrack.check.case import CheckCase
+from arctrack.check.run import CheckResult
 from arctrack.report import style
 from arctrack.report.image import visible
 from noise_model.arc.scene import make_scene
@@ -22,7 +22,7 @@ TITLE_LETTERS = 120
 """A longer title goes over several lines."""
 
 
-def draw(checked: Checked) -> Figure:
+def draw(checked: CheckResult) -> Figure:
     """Return the picture of two frames: one without arc and one with it, where there are both."""
     said = checked.verdict.line if checked.refusal is None else str(checked.refusal)
     title = textwrap.fill(f"{checked.recording.name}: {said}", TITLE_LETTERS)
@@ -47,7 +47,7 @@ def draw(checked: Checked) -> Figure:
     return figure
 
 
-def _shown(case: Case) -> list[int]:
+def _shown(case: CheckCase) -> list[int]:
     """Return the first frame without arc and the middle one with it; any, where all are alike."""
     dark = [n for n, row in enumerate(case.rows) if not row.arc_on]
     lit = [n for n, row in enumerate(case.rows) if row.arc_on]
@@ -55,7 +55,7 @@ def _shown(case: Case) -> list[int]:
     return chosen if len(chosen) == 2 else sorted({0, len(case.rows) - 1})
 
 
-def _frame(axes: Axes, case: Case, index: int) -> None:
+def _frame(axes: Axes, case: CheckCase, index: int) -> None:
     """Draw a frame, the stripe as predicted, how far about it the seam is sought, and the line found."""
     row, image = case.rows[index], case.images_dn[index]
     lit = "laser + arc" if row.arc_on else "laser"
@@ -68,7 +68,7 @@ def _frame(axes: Axes, case: Case, index: int) -> None:
     _set_limits(axes, *case.size_px)
 
 
-def _undone(axes: Axes, case: Case, index: int) -> None:
+def _undone(axes: Axes, case: CheckCase, index: int) -> None:
     """Draw the same line and the predicted stripe, a mistake undone."""
     axes.set_axis_on()
     axes.set_xticks([])

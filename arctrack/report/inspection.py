@@ -12,7 +12,7 @@ from arctrack.errors import in_file
 from arctrack.recording import Recording
 from arctrack.report import style
 from arctrack.report.image import visible
-from arctrack.survey import Condition, Survey, path_over_seam
+from arctrack.survey import ConditionSummary, Survey, path_over_seam
 from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from robot_io import PoseBuffer
@@ -67,7 +67,7 @@ def expected_stripe_px(
 
 
 def _frame(
-    axes: Axes, recording: Recording, condition: Condition, geometry: SensorGeometry, poses: PoseBuffer
+    axes: Axes, recording: Recording, condition: ConditionSummary, geometry: SensorGeometry, poses: PoseBuffer
 ) -> None:
     axes.set_title(f"{condition.name}\n{condition.frames} frames", fontsize=9, loc="left")
     frame = condition.sample

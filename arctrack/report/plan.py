@@ -16,7 +16,7 @@ from arctrack.report import style
 from noise_model.arrays import Float64
 from noise_model.plan.design import clears_torch
 from noise_model.plan.plan import Plan
-from noise_model.plan.search import Candidate
+from noise_model.plan.search import DesignCandidate
 from noise_model.surface.joint import corrugation_height, seam_frame, section
 from noise_model.transforms import invert, transform
 
@@ -119,7 +119,7 @@ def _front(axes: Axes, plan: Plan) -> None:
     axes.legend(fontsize=8, framealpha=0.9, loc="upper right")
 
 
-def _places(candidates: list[Candidate], shift: float) -> tuple[list[float], list[float]]:
+def _places(candidates: list[DesignCandidate], shift: float) -> tuple[list[float], list[float]]:
     return [c.design.preview_mm + shift for c in candidates], [c.sigma_mm for c in candidates]
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from arctrack.errors import in_file
 from noise_model.plan.plan import Plan
 from noise_model.plan.remedies import Cure
-from noise_model.plan.search import Candidate
+from noise_model.plan.search import DesignCandidate
 
 PLAN, PATH, PLAN_PICTURE, PATH_PICTURE = "plan.csv", "path.csv", "plan.png", "path.png"
 
@@ -34,7 +34,7 @@ def designs(plan: Plan) -> list[Row]:
     return [_design(plan.own, "yours"), *(_design(candidate, "front") for candidate in plan.front)]
 
 
-def _design(candidate: Candidate, kind: str) -> Row:
+def _design(candidate: DesignCandidate, kind: str) -> Row:
     design = candidate.design
     return {
         "design": kind,

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from arctrack.report import style
-from calibration.goniometer import Readings, Response, Settings
+from calibration.goniometer import GreyResponse, Readings, Settings
 from calibration.reflectance import Reflectance
 from calibration.reflectance_model import NAMES
 from noise_model.arrays import Bool, Float64
@@ -21,7 +21,7 @@ MAX_CURVES = 6
 Sweep = tuple[float, float]
 
 
-def draw(result: Reflectance, readings: Readings, response: Response) -> Figure:
+def draw(result: Reflectance, readings: Readings, response: GreyResponse) -> Figure:
     """Return the page for a result and the averaged readings that it came from."""
     figure = style.new_figure(11.0, 8.0, _title(result))
     grid = figure.add_gridspec(2, 2, height_ratios=(1.35, 1.0))
@@ -52,7 +52,7 @@ def _sweeps(settings: Settings) -> list[Sweep]:
 
 
 def _reflectance(
-    axes: Axes, result: Reflectance, readings: Readings, response: Response, sweeps: list[Sweep]
+    axes: Axes, result: Reflectance, readings: Readings, response: GreyResponse, sweeps: list[Sweep]
 ) -> None:
     settings = readings.settings
     unit = "1/sr" if result.absolute else "relative"

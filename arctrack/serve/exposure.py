@@ -37,7 +37,7 @@ FRAME_SHARE = 0.9
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _TimedPose:
     """A pose, and when it was that of a frame, s."""
 
     at_s: float
@@ -59,7 +59,7 @@ class ExposureChooser:
         self._least_s = range_s[0]
         self._most_s = min(range_s[1], FRAME_SHARE / frame_rate_hz)
         self._chosen_at_s = self._read_at_s = -math.inf
-        self._seen: _Seen | None = None
+        self._seen: _TimedPose | None = None
 
     def choose(
         self, tracking: FrameTracking, frame: Frame, track: Track, T_base_tool: Float64 | None
@@ -71,7 +71,7 @@ class ExposureChooser:
         before, self._seen = self._seen, None
         if T_base_tool is None:
             return None
-        self._seen = _Seen(frame.timestamp_s, T_base_tool)
+        self._seen = _TimedPose(frame.timestamp_s, T_base_tool)
         if track.stripe is not None:
             self._read_at_s = frame.timestamp_s
         elif frame.laser_on and frame.timestamp_s - self._read_at_s > LOST_S:
@@ -82,7 +82,7 @@ class ExposureChooser:
         return self._better_s(tracking, frame, track, before, self._seen)
 
     def _better_s(
-        self, tracking: FrameTracking, frame: Frame, track: Track, before: _Seen, now: _Seen
+        self, tracking: FrameTracking, frame: Frame, track: Track, before: _TimedPose, now: _TimedPose
     ) -> float | None:
         geometry, reading, stripe = tracking.tracker.geometry, tracking.tracker.reading, track.stripe
         took_s = now.at_s - before.at_s

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from arctrack.journal.journal import Journal
-from arctrack.journal.records import Entry, HeardPose, ProcessState, Status, View
-from arctrack.service.frame_tracking import Step
+from arctrack.journal.records import Entry, HeardPose, ProcessState, SeenFrame, Status
+from arctrack.service.frame_tracking import FrameStep
 from arctrack.service.pose_watch import Doubt
 from robot_io import GateReason, PoseSample, SeamOffset
 
@@ -31,10 +31,10 @@ class Keeper:
 
     def __init__(self, journal: Journal, processes: Callable[[], Mapping[str, ProcessState]] = dict) -> None:
         self._journal, self._processes = journal, processes
-        self._step: Step | None = None
+        self._step: FrameStep | None = None
         self._shown_s = self._told_s = -math.inf
 
-    def on_step(self, step: Step) -> None:
+    def on_step(self, step: FrameStep) -> None:
         """Take a step that was taken."""
         self._step = step
 
@@ -84,8 +84,8 @@ class Keeper:
             self._journal.tell(replace(status(), processes=self._processes()))
 
 
-def _view(position: int, step: Step) -> View:
+def _view(position: int, step: FrameStep) -> SeenFrame:
     reading, track = step.reading, replace(step.track, checks=())
     if reading is None:
-        return View(position, track)
-    return View(position, track, reading.seam, reading.reach_mm, reading.arc, reading.joint)
+        return SeenFrame(position, track)
+    return SeenFrame(position, track, reading.seam, reading.reach_mm, reading.arc, reading.joint)

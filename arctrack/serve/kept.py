@@ -34,7 +34,7 @@ PAGE_NICENESS, BLACK_BOX_NICENESS, WATCH_NICENESS = 10, 10, 15
 
 
 @dataclass(frozen=True)
-class Kept:
+class JournalProcesses:
     """What writes a run's journal, and what reads it.
 
     Attributes
@@ -58,7 +58,7 @@ class Kept:
 @contextmanager
 def kept(
     cell: CellFile, setups: Mapping[int, Setup], supervisor: Supervisor, is_simulated: bool = False
-) -> Iterator[Kept | None]:
+) -> Iterator[JournalProcesses | None]:
     """Keep a run's journal, with the processes that a cell file asks for.
 
     Parameters
@@ -119,7 +119,7 @@ def kept(
             page, warnings = _page(opened, supervisor, options_of(cell, run, is_simulated), pipes, cell.path)
         for process in started:
             process.wait_ready()
-        yield Kept(
+        yield JournalProcesses(
             Keeper(journal, supervisor.states), BlackBoxAsker(black_box) if kept_s else None, page, warnings
         )
 

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from arctrack.cameras.camera import Camera, UnreadableFrame
+from arctrack.cameras.camera import CameraProtocol, UnreadableFrame
 from arctrack.journal.records import Status
 from arctrack.recording.writer import as_stated
 from arctrack.serve.exposure import ExposureChooser
@@ -21,7 +21,7 @@ from arctrack.serve.latency import LatencyCounts, Quantiles
 from arctrack.service.frame_tracking import FrameTracking
 from arctrack.service.pose_watch import BEGINNING
 from arctrack.service.processor import DELAYS, TOO_BUSY, ProcessorWait
-from arctrack.service.tracking_service import Tracked, TrackingService
+from arctrack.service.tracking_service import FramePose, TrackingService
 from robot_io import (
     BusMessage,
     GateReason,
@@ -124,7 +124,7 @@ class LiveLoop:
 
     def __init__(
         self,
-        camera: Camera,
+        camera: CameraProtocol,
         link: Link,
         services: Mapping[int, Service],
         source: Source = Source.LIVE,
@@ -324,7 +324,7 @@ class LiveLoop:
             self._choose_exposure(shown, tracked)
         self.service.poses.rest(self.camera.now_s())
 
-    def _choose_exposure(self, shown: Frame, tracked: Tracked) -> None:
+    def _choose_exposure(self, shown: Frame, tracked: FramePose) -> None:
         assert self._exposure is not None
         tracking = self.service.tracking
         if isinstance(tracking, FrameTracking):

@@ -10,13 +10,13 @@ from arctrack.pose_agreement import PoseAgreement
 from arctrack.recorded_poses import RecordedPoses
 from arctrack.recording import Recording
 from arctrack.recording.steps import RecordedStep
-from arctrack.service.innovation import SeamMeasured
+from arctrack.service.innovation import SeamMeasurement
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import Doubt
 from noise_model.effects import pose_time_s
 from robot_io import GateReason, PoseAt, PoseStatus, Received, SeamOffset
 from robot_io.poses.plausibility_limits import PlausibilityLimits
-from tracker.state import AT_ONCE, Lead
+from tracker.state import AT_ONCE, OffsetLookAhead
 
 
 class PlayedPoses:
@@ -80,7 +80,7 @@ class PlayedPoses:
         status = PoseStatus.EXTRAPOLATED if step.pose.extrapolated else PoseStatus.INTERPOLATED
         return replace(buffered, status=status, T_base_tool=step.pose.T_base_tool)
 
-    def see(self, measured: SeamMeasured) -> None:
+    def see(self, measured: SeamMeasurement) -> None:
         """Take where a pose put the seam that was seen."""
         self._trust.see(measured)
 
@@ -96,7 +96,7 @@ class PlayedPoses:
         """Return that it may, as in a replay, unless the run that was recorded did not keep it."""
         return self._step is None or self._step.keeps_state
 
-    def lead(self, now_s: float) -> Lead:
+    def lead(self, now_s: float) -> OffsetLookAhead:
         """Return none: the robot that was recorded follows nobody now; it may have done so then."""
         return AT_ONCE if self._step is None else self._step.lead
 

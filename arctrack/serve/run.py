@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from arctrack.cameras.camera import Camera
+from arctrack.cameras.camera import CameraProtocol
 from arctrack.cameras.recording import RecordingCamera
 from arctrack.cameras.shared_frames import SharedFramesError
 from arctrack.cameras.shared_memory import SharedMemoryCamera
@@ -22,7 +22,7 @@ from arctrack.recording import Recording, read_recording
 from arctrack.serve.captured import CapturedCamera
 from arctrack.serve.exposure import ExposureChooser
 from arctrack.serve.keeper import Keeper
-from arctrack.serve.kept import Kept, kept
+from arctrack.serve.kept import JournalProcesses, kept
 from arctrack.serve.lag_process import LagAsker, estimate_lags
 from arctrack.serve.loop import LiveLoop, LoopResult, OnTrack, Service
 from arctrack.serve.notify import Notifier
@@ -48,10 +48,10 @@ LAG_NICENESS = 5
 
 
 @dataclass(frozen=True)
-class Cast:
+class RunParts:
     """Who plays in a run: a camera, and what answers its frames by the robot's job number."""
 
-    camera: Camera
+    camera: CameraProtocol
     services: dict[int, Service]
     trackings: dict[int, FrameTracking]
     source: Source
@@ -62,7 +62,7 @@ class LiveRun:
     """A loop that is ready to run, and what is beside it; None where the cell asks for nothing."""
 
     loop: LiveLoop
-    beside: Kept | None
+    beside: JournalProcesses | None
 
 
 @contextmanager
@@ -139,7 +139,7 @@ def opened_run(
         yield LiveRun(loop, beside)
 
 
-def _let_hear(keeper: Keeper, cast: Cast) -> None:
+def _let_hear(keeper: Keeper, cast: RunParts) -> None:
     """Let what writes the journal hear each step and each pose."""
     for number, service in cast.services.items():
         cast.trackings[number].on_step = keeper.on_step
@@ -186,7 +186,9 @@ def _chooser(cell: CellFile) -> ExposureChooser | None:
     return None if range_s is None else ExposureChooser(range_s, cell.camera.frame_rate_hz)
 
 
-def cast_of(cell: CellFile, job_number: int | None = None, lag_estimator: LagEstimator | None = None) -> Cast:
+def cast_of(
+    cell: CellFile, job_number: int | None = None, lag_estimator: LagEstimator | None = None
+) -> RunParts:
     """Return a cell file's camera, and what answers its frames; see `BusPoses` of the estimator.
 
     Raises ArctrackError if the file states none, if it cannot be opened, or if a job's stripe is not in view.
@@ -204,7 +206,7 @@ def cast_of(cell: CellFile, job_number: int | None = None, lag_estimator: LagEst
     return _live(cell, camera.name, lag_estimator)
 
 
-def _live(cell: CellFile, frames: str, lag_estimator: LagEstimator | None) -> Cast:
+def _live(cell: CellFile, frames: str, lag_estimator: LagEstimator | None) -> RunParts:
     """Return the camera of a name, and what answers a live robot."""
     setup_file = cell.setup
     jobs = {number: job.to_job(setup_file.setup, cell.limits) for number, job in cell.jobs.items()}
@@ -228,17 +230,17 @@ def _live(cell: CellFile, frames: str, lag_estimator: LagEstimator | None) -> Ca
         services[number] = TrackingService(controller, poses, trackings[number])
     if cell.camera.kind != "shared_memory":
         camera: SharedMemoryCamera = CapturedCamera(cell.camera, cell.path, setup_file.setup)
-        return Cast(camera, services, trackings, Source.LIVE)
+        return RunParts(camera, services, trackings, Source.LIVE)
     try:
         camera = SharedMemoryCamera(frames, setup_file.setup)
     except SharedFramesError as error:
         raise in_file(
             cell.path, f"[camera] name: {error}; start what publishes them first, as the same user"
         ) from None
-    return Cast(camera, services, trackings, Source.LIVE)
+    return RunParts(camera, services, trackings, Source.LIVE)
 
 
-def _played(cell: CellFile, recording: Recording, job_number: int | None) -> Cast:
+def _played(cell: CellFile, recording: Recording, job_number: int | None) -> RunParts:
     """Return a recording as camera, and what answers its frames as one of a cell's jobs."""
     number, jobs = jobs_for(recording, cell, job_number)
     assert number is not None
@@ -249,7 +251,7 @@ def _played(cell: CellFile, recording: Recording, job_number: int | None) -> Cas
     if recording.steps is not None:
         tracking.tracker.state = recording.steps.state
     services: dict[int, Service] = {number: TrackingService(controller, poses, tracking)}
-    return Cast(RecordingCamera(recording), services, {number: tracking}, Source.REPLAY)
+    return RunParts(RecordingCamera(recording), services, {number: tracking}, Source.REPLAY)
 
 
 def _tracking(cell: CellFile, setup: Setup, correction: Correction) -> FrameTracking:

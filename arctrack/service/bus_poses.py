@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from arctrack.service.innovation import InnovationLimits, SeamMeasured
+from arctrack.service.innovation import InnovationLimits, SeamMeasurement
 from arctrack.service.look_ahead import LagEstimator, LagNow, LookAhead
 from arctrack.service.policy import ServicePolicy
 from arctrack.service.pose_watch import Doubt, PoseWatch
@@ -22,7 +22,7 @@ from robot_io import (
 from robot_io.clocks.sync import SyncLimits
 from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility_limits import PlausibilityLimits
-from tracker.state import AT_ONCE, Lead
+from tracker.state import AT_ONCE, OffsetLookAhead
 
 KEPT_POSES = 256
 
@@ -120,7 +120,7 @@ class BusPoses:
         """Return the tool's pose at a capture."""
         return self._buffer.at(captured_s + self._late_s)
 
-    def see(self, measured: SeamMeasured) -> None:
+    def see(self, measured: SeamMeasurement) -> None:
         """Take where a pose put the seam that was seen."""
         self.watch.see(measured)
 
@@ -133,7 +133,7 @@ class BusPoses:
         """Return whether what is measured by the poses now may be kept: they are trusted."""
         return self.watch.doubt(now_s) is None
 
-    def lead(self, now_s: float) -> Lead:
+    def lead(self, now_s: float) -> OffsetLookAhead:
         """Return how far ahead of the torch an offset is to be asked for."""
         if self._lag_estimator is None:
             self.look_ahead.update(now_s)

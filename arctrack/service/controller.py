@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from arctrack.service import track_messages
 from arctrack.service.beat import Beat
 from arctrack.service.bus_delay import BusDelay
-from arctrack.service.heard import Heard, OutageWatch, fresh
+from arctrack.service.heard import OutageWatch, TimedMessage, fresh
 from arctrack.service.job import NO_JOB, Job
 from arctrack.service.part import PartWatch
 from arctrack.service.policy import ServicePolicy
@@ -101,8 +101,8 @@ class Controller:
         self._source = source
         self._policy = policy or ServicePolicy()
         self._part, self._bus_delay = PartWatch(), BusDelay(self._policy)
-        self._robot: Heard[RobotStatus] | None = None
-        self._command: Heard[TrackerCommand] | None = None
+        self._robot: TimedMessage[RobotStatus] | None = None
+        self._command: TimedMessage[TrackerCommand] | None = None
         self._poses_doubt, self._poses_at_s = GateReason.POSE_IMPLAUSIBLE, NAN
         self._laser = LaserState.UNKNOWN
         self._dropped = 0
@@ -171,7 +171,7 @@ class Controller:
         if message_layout(type(message).__name__).senders == ["TRACKER"]:
             self._fault = Fault.OTHER_TRACKER
         elif isinstance(message, RobotStatus):
-            self._robot = Heard(message, came_at_s)
+            self._robot = TimedMessage(message, came_at_s)
             if message.correction is not Switch.ON:
                 self._forget_offset()
         elif isinstance(message, TrackerCommand):
@@ -376,7 +376,7 @@ class Controller:
 
     def _obey(self, command: TrackerCommand, came_at_s: float, now_s: float) -> None:
         before = self._command
-        self._command = Heard(command, came_at_s)
+        self._command = TimedMessage(command, came_at_s)
         if before is not None and before.message.job_number != command.job_number:
             # Another job's nought, and another job's seam.
             self._zero_mm = (0.0, 0.0)

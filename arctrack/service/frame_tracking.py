@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from arctrack.service.innovation import SeamMeasured
+from arctrack.service.innovation import SeamMeasurement
 from arctrack.service.seam_measured import seam_measured
 from noise_model.setup import Setup
 from robot_io import PoseAt, PoseStatus, RobotStatus
 from tracker import flags
 from tracker.observation import Reading
 from tracker.seam.correction import UNSTATED, Correction
-from tracker.state import Frame, Lead, Pose, Track
+from tracker.state import Frame, OffsetLookAhead, Pose, Track
 from tracker.step import StepInputs
 from tracker.tracker import Tracker
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import TrackerMemory
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ class Capture:
     pose: PoseAt
     robot: RobotStatus | None
     is_trusted: bool
-    lead: Lead
+    lead: OffsetLookAhead
 
 
 @dataclass(frozen=True)
-class Step:
+class FrameStep:
     """A step that was taken: the frame, what the step took beside it, and what came of it."""
 
     frame: Frame
@@ -76,13 +76,13 @@ class FrameTracking:
 
     def __init__(self, setup: Setup, correction: Correction = UNSTATED) -> None:
         self.tracker = Tracker(setup, correction=correction)
-        self.on_step: Callable[[Step], None] | None = None
+        self.on_step: Callable[[FrameStep], None] | None = None
 
     def begin(self) -> None:
         """Forget the seam: another part comes."""
-        self.tracker.state = TrackerState()
+        self.tracker.state = TrackerMemory()
 
-    def track(self, shown: Frame | None, capture: Capture) -> tuple[Track, SeamMeasured | None]:
+    def track(self, shown: Frame | None, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
         """Track a frame, None for one that cannot be read; of poses that are doubted nothing lasts.
 
         Parameters
@@ -112,6 +112,6 @@ class FrameTracking:
             self.tracker.state = before
         if self.on_step is not None:
             inputs = StepInputs(before, pose, capture.lead, capture.is_trusted)
-            self.on_step(Step(shown, inputs, track, self.tracker.reading))
+            self.on_step(FrameStep(shown, inputs, track, self.tracker.reading))
         setup = self.tracker.geometry.setup
         return track, seam_measured(setup, track, pose, hand_eye_mm2) if track.valid else None

@@ -14,14 +14,14 @@ TRUSTED = Trusted(robot=(Source.LIVE,), tracker=SOURCES)
 
 
 @dataclass(frozen=True)
-class Heard(Generic[M]):
+class TimedMessage(Generic[M]):
     """A message and the time, s, at which it came."""
 
     message: M
     came_at_s: float
 
 
-def fresh(heard: Heard[M] | None, now_s: float, max_age_s: float) -> M | None:
+def fresh(heard: TimedMessage[M] | None, now_s: float, max_age_s: float) -> M | None:
     """Return a message that is not stale; one from as far in the future is stale as well."""
     if heard is None or not abs(now_s - heard.came_at_s) <= max_age_s:
         return None

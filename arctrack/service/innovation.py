@@ -80,7 +80,7 @@ class InnovationLimits:
 
 
 @dataclass(frozen=True)
-class SeamMeasured:
+class SeamMeasurement:
     """A measurement of the seam.
 
     Parameters
@@ -97,7 +97,7 @@ class SeamMeasured:
     displacement_mm: tuple[float, float]
     sigma_mm: tuple[float, float]
 
-    def at_speed(self, speed_mm_s: float, limits: InnovationLimits) -> SeamMeasured:
+    def at_speed(self, speed_mm_s: float, limits: InnovationLimits) -> SeamMeasurement:
         """Return it with its sigma of a tool at a speed, mm/s, whose time is as unsure as the limits say.
 
         Of a tool that weaves at v a pose that is off by t puts the seam aside by v t.
@@ -108,7 +108,7 @@ class SeamMeasured:
 
 
 @dataclass(frozen=True)
-class _Axis:
+class _SeamAxis:
     """Bend, its slope and the whole seam's displacement, and the upper triangle of their covariance."""
 
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -132,7 +132,7 @@ class _Axis:
         p00, _, p02, _, _, p22 = self.covariance
         return p00 + 2.0 * p02 + p22
 
-    def moved(self, distance_mm: float) -> _Axis:
+    def moved(self, distance_mm: float) -> _SeamAxis:
         """Return what is known of a station further on."""
         fade = math.exp(-DECAY * distance_mm)
         a, b = fade * (1.0 + DECAY * distance_mm), fade * distance_mm
@@ -143,7 +143,7 @@ class _Axis:
         q00 = VALUE_MM2 - a * a * VALUE_MM2 - b * b * SLOPE_MM2
         q11 = SLOPE_MM2 - c * c * VALUE_MM2 - d * d * SLOPE_MM2
         q01 = -(a * c * VALUE_MM2 + b * d * SLOPE_MM2)
-        return _Axis(
+        return _SeamAxis(
             (a * bend + b * slope, c * bend + d * slope, whole),
             (
                 a * a * p00 + 2.0 * a * b * p01 + b * b * p11 + q00,
@@ -157,7 +157,7 @@ class _Axis:
 
     def measured(
         self, displacement_mm: float, variance_mm2: float, most_sigmas: float = math.inf
-    ) -> tuple[_Axis, float]:
+    ) -> tuple[_SeamAxis, float]:
         """Return what is known after a measurement, and its innovation over its sigma, both cut (Huber)."""
         p00, p01, p02, p11, p12, p22 = self.covariance
         g0, g1, g2 = p00 + p02, p01 + p12, p02 + p22
@@ -179,17 +179,17 @@ class _Axis:
             p12 - g1 * g2 / spread,
             p22 - g2 * g2 / spread,
         )
-        return _Axis(mean, covariance), innovation
+        return _SeamAxis(mean, covariance), innovation
 
 
 @dataclass(frozen=True)
-class _Known:
+class _SeamKnowledge:
     """What is known of the seam at a station."""
 
     station_mm: float
-    axes: tuple[_Axis, _Axis]
+    axes: tuple[_SeamAxis, _SeamAxis]
 
-    def moved(self, station_mm: float) -> tuple[_Axis, _Axis]:
+    def moved(self, station_mm: float) -> tuple[_SeamAxis, _SeamAxis]:
         """Return what is known of another station."""
         step_mm = station_mm - self.station_mm
         y, z = self.axes
@@ -198,7 +198,7 @@ class _Known:
         # Backwards the same law holds: of a seam that runs the other way the slope changes its sign.
         return _mirrored(_mirrored(y).moved(-step_mm)), _mirrored(_mirrored(z).moved(-step_mm))
 
-    def agrees(self, other: _Known, limits: InnovationLimits) -> bool:
+    def agrees(self, other: _SeamKnowledge, limits: InnovationLimits) -> bool:
         """Say whether two that share no measurement may be of one seam."""
         chi2 = 0.0
         for here, there in zip(self.axes, other.moved(self.station_mm), strict=True):
@@ -219,17 +219,17 @@ class SeamInnovation:
     """
 
     motion: SeamMotion = SeamMotion.UNPROVEN
-    known: _Known | None = None
+    known: _SeamKnowledge | None = None
     innovations: tuple[tuple[float, float], ...] = field(default=(), repr=False)
-    past: tuple[_Known, ...] = field(default=(), repr=False)
-    reference: _Known | None = field(default=None, repr=False)
+    past: tuple[_SeamKnowledge, ...] = field(default=(), repr=False)
+    reference: _SeamKnowledge | None = field(default=None, repr=False)
 
     @property
     def chi2(self) -> float:
         """The sum of the window's squared innovations over their variances."""
         return math.fsum(y * y + z * z for y, z in self.innovations)
 
-    def with_seam(self, seam: SeamMeasured, limits: InnovationLimits) -> SeamInnovation:
+    def with_seam(self, seam: SeamMeasurement, limits: InnovationLimits) -> SeamInnovation:
         """Return the state after one more measurement.
 
         Parameters
@@ -254,7 +254,7 @@ class SeamInnovation:
         window = (*self.innovations, (innovations[0], innovations[1]))[-limits.window :]
         state = replace(
             self,
-            known=_Known(seam.station_mm, (axes[0], axes[1])),
+            known=_SeamKnowledge(seam.station_mm, (axes[0], axes[1])),
             innovations=window,
             past=(*self.past, self.known)[-limits.window :],
         )
@@ -272,19 +272,19 @@ class SeamInnovation:
         return replace(state, motion=SeamMotion.CONSISTENT, reference=None)
 
 
-def _begun(seam: SeamMeasured, limits: InnovationLimits) -> _Known:
+def _begun(seam: SeamMeasurement, limits: InnovationLimits) -> _SeamKnowledge:
     """Return what a first measurement says, of which the wide prior makes no innovation."""
     y, z = (
-        _Axis().measured(displacement_mm, _variance_mm2(sigma_mm, limits))[0]
+        _SeamAxis().measured(displacement_mm, _variance_mm2(sigma_mm, limits))[0]
         for displacement_mm, sigma_mm in zip(seam.displacement_mm, seam.sigma_mm, strict=True)
     )
-    return _Known(seam.station_mm, (y, z))
+    return _SeamKnowledge(seam.station_mm, (y, z))
 
 
-def _mirrored(axis: _Axis) -> _Axis:
+def _mirrored(axis: _SeamAxis) -> _SeamAxis:
     bend, slope, whole = axis.mean
     p00, p01, p02, p11, p12, p22 = axis.covariance
-    return _Axis((bend, -slope, whole), (p00, -p01, p02, p11, -p12, p22))
+    return _SeamAxis((bend, -slope, whole), (p00, -p01, p02, p11, -p12, p22))
 
 
 def _variance_mm2(sigma_mm: float, limits: InnovationLimits) -> float:

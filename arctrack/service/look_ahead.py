@@ -22,7 +22,7 @@ from noise_model.arrays import Float64
 from robot_io import BusMessage, Command, PoseSample, SeamOffset, TrackerCommand, Validity
 from robot_io.clocks.lag import Lag, LagLimits, LagUnestimated, Motion, estimate_lag
 from robot_io.poses.nominal_path import NominalPath
-from tracker.state import AT_ONCE, Lead
+from tracker.state import AT_ONCE, OffsetLookAhead
 
 NOTHING_YET = Lag(unestimated=LagUnestimated.TOO_FEW)
 
@@ -159,12 +159,12 @@ class LookAhead:
         if lag is not None:
             self._judge(lag)
 
-    def lead(self) -> Lead:
+    def lead(self) -> OffsetLookAhead:
         """Return how far to look ahead."""
         if self.lag.unestimated is not None or len(self._commanded) < 2:
             return AT_ONCE
         time_s = self.lag.lag_s + 0.5 * self._period_s
-        return Lead(time_s, time_s * self._speed_mm_s())
+        return OffsetLookAhead(time_s, time_s * self._speed_mm_s())
 
     def _judge(self, lag: Lag) -> None:
         """Keep the better of two estimates, the new one where they do not agree."""

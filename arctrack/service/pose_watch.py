@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from arctrack.service.innovation import InnovationLimits, SeamInnovation, SeamMeasured, SeamMotion
+from arctrack.service.innovation import InnovationLimits, SeamInnovation, SeamMeasurement, SeamMotion
 from noise_model.arrays import Float64
 from noise_model.surface.joint import Joint
 from robot_io import (
@@ -25,7 +25,7 @@ from robot_io.clocks.sync import ClockSync, SyncLimits
 from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility import Plausibility, clock_set, update
 from robot_io.poses.plausibility_limits import PlausibilityLimits
-from robot_io.poses.pose_questions import Implausibility, PoseSeen
+from robot_io.poses.pose_questions import Implausibility, PoseArrival
 
 BEGINNING = (Command.DISARM, Command.RESET)
 """With these commands a new seam begins: what was before says nothing of it."""
@@ -119,10 +119,10 @@ class PoseWatch:
         robot = self._robot
         is_fresh = robot is not None and abs(came_at_s - robot[1]) <= self._status_age_s
         status = robot[0] if robot is not None and is_fresh else None
-        seen = PoseSeen(sample, status, self._programmed, self._seam.motion is SeamMotion.CONTRADICTED)
+        seen = PoseArrival(sample, status, self._programmed, self._seam.motion is SeamMotion.CONTRADICTED)
         self._poses = update(self._poses, seen, self._limits, self._path)
 
-    def see(self, seam: SeamMeasured) -> None:
+    def see(self, seam: SeamMeasurement) -> None:
         """Take a measurement of the seam, as the pose at its capture puts it."""
         moving = seam.at_speed(self._poses.speed_mm_s, self._seam_limits)
         self._seam = self._seam.with_seam(moving, self._seam_limits)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from arctrack.service.innovation import SeamMeasured
+from arctrack.service.innovation import SeamMeasurement
 from noise_model.setup import Setup
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert, transform
@@ -16,7 +16,7 @@ from tracker.state import Pose, Track
 
 def seam_measured(
     setup: Setup, track: Track, pose: Pose | None, hand_eye_variance_mm2: tuple[float, float]
-) -> SeamMeasured | None:
+) -> SeamMeasurement | None:
     """Return where a track's pose puts the seam that it saw; None where it saw none.
 
     Its sigma leaves the hand-eye tolerance out. That error turns with the tool, and is the same from frame to
@@ -46,4 +46,4 @@ def seam_measured(
             (track.sigma_y_mm, track.sigma_z_mm), hand_eye_variance_mm2, strict=True
         )
     )
-    return SeamMeasured(station_mm, (y_mm, z_mm), (sigma_y_mm, sigma_z_mm))
+    return SeamMeasurement(station_mm, (y_mm, z_mm), (sigma_y_mm, sigma_z_mm))

@@ -10,7 +10,7 @@ from typing import Generic, Protocol, TypeVar
 
 from arctrack.service.controller import Controller
 from arctrack.service.frame_tracking import Capture
-from arctrack.service.innovation import SeamMeasured
+from arctrack.service.innovation import SeamMeasurement
 from arctrack.service.pose_watch import Doubt
 from noise_model.arrays import Float64
 from robot_io import (
@@ -22,7 +22,7 @@ from robot_io import (
     RobotStatus,
     SeamOffset,
 )
-from tracker.state import AT_ONCE, Lead, Track
+from tracker.state import AT_ONCE, OffsetLookAhead, Track
 
 Shown = TypeVar("Shown", contravariant=True)
 
@@ -46,7 +46,7 @@ class Poses(Protocol):
     def at(self, captured_s: float) -> PoseAt:
         """Return the tool's pose at a capture."""
 
-    def see(self, measured: SeamMeasured) -> None:
+    def see(self, measured: SeamMeasurement) -> None:
         """Take where a pose put the seam that was seen."""
 
     def verdict(self, now_s: float) -> GateReason:
@@ -55,7 +55,7 @@ class Poses(Protocol):
     def may_last(self, now_s: float) -> bool:
         """Return whether what is measured by the poses now may be kept."""
 
-    def lead(self, now_s: float) -> Lead:
+    def lead(self, now_s: float) -> OffsetLookAhead:
         """Return how far ahead of the torch an offset is to be asked for."""
 
     def sent(self, offset: SeamOffset, now_s: float) -> None:
@@ -71,12 +71,12 @@ class SeamTracking(Protocol[Shown]):
     def begin(self) -> None:
         """Begin to track anew, as a new process does."""
 
-    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasured | None]:
+    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
         """Track a frame; the measurement of the seam is what the watch over the poses sees."""
 
 
 @dataclass(frozen=True)
-class Tracked:
+class FramePose:
     """A frame's track, and T_base_tool (4, 4) at its capture, mm; None where it was refused."""
 
     track: Track
@@ -123,7 +123,7 @@ class TrackingService(Generic[Shown]):
         self.poses.hear(received, now_s)
         return self.controller.on_message(received, now_s)
 
-    def track(self, shown: Shown, index: int, captured_s: float, now_s: float) -> Tracked:
+    def track(self, shown: Shown, index: int, captured_s: float, now_s: float) -> FramePose:
         """Track a frame, captured and looked at by these times, s; `answer` says what is sent of it."""
         pose = self.poses.at(captured_s)
         is_refused = pose.status is PoseStatus.REFUSED
@@ -133,9 +133,9 @@ class TrackingService(Generic[Shown]):
         track, measured = self.tracking.track(shown, capture)
         if measured is not None:
             self.poses.see(measured)
-        return Tracked(track, None if is_refused else pose.T_base_tool)
+        return FramePose(track, None if is_refused else pose.T_base_tool)
 
-    def answer(self, tracked: Tracked, now_s: float, took_ms: float) -> list[BusMessage]:
+    def answer(self, tracked: FramePose, now_s: float, took_ms: float) -> list[BusMessage]:
         """Return what is to be sent of a track at a time, s; `took_ms` is what tracking took, ms."""
         self._judge_poses(now_s)
         return self.controller.on_track(tracked.track, now_s, tracked.T_base_tool, took_ms)

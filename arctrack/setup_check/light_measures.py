@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from arctrack.check.look import Look
-from arctrack.check.sensor_seen import SensorSeen
-from arctrack.setup_check.measure import Measure, Stage, Verdict, judged
-from calibration.check.arc_light import ArcLight
+from arctrack.check.look import CheckedFrame
+from arctrack.check.sensor_seen import SensorReading
+from arctrack.setup_check.measure import LightStage, Measure, SetupVerdict, judged
+from calibration.check.arc_light import ArcLightCheck
 from noise_model.setup import Setup
 
 DARK_SIGMA_DN, NOISE_SIGMA_REL = 0.1, 0.1
@@ -33,7 +33,7 @@ MAX_POWER_SIGMA, MAX_REL_SIGMA = 0.15, 0.05
 """With wider sigmas a power, or a relative quantity, is not told."""
 
 
-def sensor_measures(setup: Setup, seen: SensorSeen, arc: ArcLight | None) -> list[Measure]:
+def sensor_measures(setup: Setup, seen: SensorReading, arc: ArcLightCheck | None) -> list[Measure]:
     """Return the sensor's: black level, noise in the dark, response to the exposure."""
     sensor, tolerance = setup.sensor, setup.tolerance
     where = "in dark frames" if seen.is_dark else "off the stripe"
@@ -41,7 +41,7 @@ def sensor_measures(setup: Setup, seen: SensorSeen, arc: ArcLight | None) -> lis
         "" if seen.is_dark else "; other light may fall there: take dark frames"
     )
     black = judged(
-        Stage.SENSOR,
+        LightStage.SENSOR,
         f"black level {where}",
         seen.black_dn,
         sensor.black_level_dn,
@@ -49,25 +49,35 @@ def sensor_measures(setup: Setup, seen: SensorSeen, arc: ArcLight | None) -> lis
         "DN",
         cure,
     )
-    if not seen.is_dark and black.verdict is Verdict.NOT_EXPLAINED and seen.black_dn > sensor.black_level_dn:
+    if (
+        not seen.is_dark
+        and black.verdict is SetupVerdict.NOT_EXPLAINED
+        and seen.black_dn > sensor.black_level_dn
+    ):
         # Light of the hall lies over the black level.
-        black = replace(black, verdict=Verdict.UNTOLD)
+        black = replace(black, verdict=SetupVerdict.UNTOLD)
     # Rounding to whole codes adds its twelfth.
     expected_dn = math.hypot(sensor.read_noise_e / sensor.gain_e_per_dn, math.sqrt(1.0 / 12.0))
     sigma_dn = expected_dn * math.hypot(tolerance.read_noise_rel, NOISE_SIGMA_REL)
     told = sensor.is_linear and max(seen.noise_dn, expected_dn) > MIN_NOISE_DN
     noise = judged(
-        Stage.SENSOR, f"noise {where}", seen.noise_dn, expected_dn, sigma_dn if told else math.nan, "DN", cure
+        LightStage.SENSOR,
+        f"noise {where}",
+        seen.noise_dn,
+        expected_dn,
+        sigma_dn if told else math.nan,
+        "DN",
+        cure,
     )
-    if not seen.is_dark and noise.verdict is Verdict.NOT_EXPLAINED:
+    if not seen.is_dark and noise.verdict is SetupVerdict.NOT_EXPLAINED:
         # A codec smooths, and texture and light of the hall scatter.
-        noise = replace(noise, verdict=Verdict.UNTOLD)
+        noise = replace(noise, verdict=SetupVerdict.UNTOLD)
     measures = [black, noise]
     if arc is not None and math.isfinite(arc.exposure_power.value):
         power = arc.exposure_power
         measures.append(
             judged(
-                Stage.SENSOR,
+                LightStage.SENSOR,
                 "response to the exposure, power",
                 1.0 + power.value,
                 1.0,
@@ -79,7 +89,7 @@ def sensor_measures(setup: Setup, seen: SensorSeen, arc: ArcLight | None) -> lis
     return measures
 
 
-def stripe_measures(setup: Setup, looks: Sequence[Look], first: str) -> list[Measure]:
+def stripe_measures(setup: Setup, looks: Sequence[CheckedFrame], first: str) -> list[Measure]:
     """Return the stripe's: saturation, width, peak, from frames without arc where there are some.
 
     Where an earlier stage, `first`, is wrong, what departs is not told.
@@ -88,7 +98,7 @@ def stripe_measures(setup: Setup, looks: Sequence[Look], first: str) -> list[Mea
     share = _median(look.seen.saturated_share for look in seen)
     measures = [
         judged(
-            Stage.STRIPE,
+            LightStage.STRIPE,
             "scan lines saturated",
             share,
             0.0,
@@ -101,7 +111,7 @@ def stripe_measures(setup: Setup, looks: Sequence[Look], first: str) -> list[Mea
     stripes = [look.placed or look.expected for look in seen]
     expected_px = _median(float(np.median(stripe.sigma_px)) for stripe in stripes if stripe is not None)
     width = judged(
-        Stage.STRIPE,
+        LightStage.STRIPE,
         "width, 1 σ",
         width_px,
         expected_px,
@@ -111,7 +121,7 @@ def stripe_measures(setup: Setup, looks: Sequence[Look], first: str) -> list[Mea
     )
     ratio = _median(look.seen.peak_e / look.peak_e for look in seen)
     peak = judged(
-        Stage.STRIPE,
+        LightStage.STRIPE,
         "peak over the expected one",
         ratio,
         1.0,
@@ -119,9 +129,9 @@ def stripe_measures(setup: Setup, looks: Sequence[Look], first: str) -> list[Mea
         "",
         "clean the window; [laser] peak_e, [material], exposure_s",
     )
-    if measures[0].verdict is Verdict.NOT_EXPLAINED:
+    if measures[0].verdict is SetupVerdict.NOT_EXPLAINED:
         # What is left of a saturated stripe are its dim parts.
-        width, peak = (replace(m, verdict=Verdict.UNTOLD) for m in (width, peak))
+        width, peak = (replace(m, verdict=SetupVerdict.UNTOLD) for m in (width, peak))
     return [*measures, *(_after(measure, first) for measure in (width, peak))]
 
 
@@ -154,10 +164,10 @@ ARC_QUANTITIES = (
         "clean window and lens; arctrack diagnose: veiling_glare, or light between faces",
     ),
 )
-"""The arc's quantities: name, that of `ArcLight`, the widest sigma with which it is told, and the cure."""
+"""The arc's quantities: name, field of `ArcLightCheck`, largest sigma that tells it, and the cure."""
 
 
-def arc_measures(setup: Setup, arc: ArcLight | None, first: str) -> list[Measure]:
+def arc_measures(setup: Setup, arc: ArcLightCheck | None, first: str) -> list[Measure]:
     """Return the arc's quantities; where an earlier stage, `first`, is wrong, what departs is not told."""
     if arc is None:
         return []
@@ -177,18 +187,20 @@ def arc_measures(setup: Setup, arc: ArcLight | None, first: str) -> list[Measure
         stated = expected.get(key, 0.0)
         value = known.value + stated if key == "current_power" else known.value
         sigma = math.hypot(known.sigma, own_sigma[key]) if known.sigma < widest else math.nan
-        measure = judged(Stage.ARC, name, value, stated, sigma, "", cure)
+        measure = judged(LightStage.ARC, name, value, stated, sigma, "", cure)
         measures.append(_after(measure, first))
-    is_unsteady = any(m.name == ARC_QUANTITIES[1][0] and m.verdict is not Verdict.OK for m in measures)
+    is_unsteady = any(m.name == ARC_QUANTITIES[1][0] and m.verdict is not SetupVerdict.OK for m in measures)
     # An unsteady arc at a few currents looks like another exponent.
-    return [replace(m, verdict=Verdict.UNTOLD) if is_unsteady and m.name == POWER else m for m in measures]
+    return [
+        replace(m, verdict=SetupVerdict.UNTOLD) if is_unsteady and m.name == POWER else m for m in measures
+    ]
 
 
 def _after(measure: Measure, first: str) -> Measure:
     """Return a quantity that departs as not told where an earlier stage is to be set right first."""
-    if not first or measure.verdict is not Verdict.NOT_EXPLAINED:
+    if not first or measure.verdict is not SetupVerdict.NOT_EXPLAINED:
         return measure
-    return replace(measure, verdict=Verdict.UNTOLD, cure=f"first {first}, then check anew")
+    return replace(measure, verdict=SetupVerdict.UNTOLD, cure=f"first {first}, then check anew")
 
 
 def _median(values: Iterable[float]) -> float:

@@ -10,7 +10,7 @@ MAX_SIGMAS = 3.0
 """What is measured may lie so many sigmas off what is expected."""
 
 
-class Verdict(Enum):
+class SetupVerdict(Enum):
     """What a measured quantity says of the setup."""
 
     OK = "ok"
@@ -18,7 +18,7 @@ class Verdict(Enum):
     UNTOLD = "cannot tell"
 
 
-class Stage(Enum):
+class LightStage(Enum):
     """The part of a setup that a quantity is about, in the order in which light passes them backwards."""
 
     SENSOR = "sensor"
@@ -35,13 +35,13 @@ class Measure:
     not explain it.
     """
 
-    stage: Stage
+    stage: LightStage
     name: str
     measured: float
     expected: float
     sigma: float
     unit: str
-    verdict: Verdict
+    verdict: SetupVerdict
     cure: str = ""
     text: str = ""
 
@@ -58,14 +58,14 @@ def _number(value: float) -> str:
 
 
 def judged(
-    stage: Stage, name: str, measured: float, expected: float, sigma: float, unit: str, cure: str
+    stage: LightStage, name: str, measured: float, expected: float, sigma: float, unit: str, cure: str
 ) -> Measure:
     """Return a quantity with its verdict: it cannot be told where it, or the sigma, is unknown."""
     off_sigmas = abs(measured - expected) / sigma if sigma > 0.0 else math.nan
     if math.isnan(off_sigmas):
-        verdict = Verdict.UNTOLD
+        verdict = SetupVerdict.UNTOLD
     else:
-        verdict = Verdict.NOT_EXPLAINED if off_sigmas > MAX_SIGMAS else Verdict.OK
+        verdict = SetupVerdict.NOT_EXPLAINED if off_sigmas > MAX_SIGMAS else SetupVerdict.OK
     return Measure(
         stage=stage,
         name=name,

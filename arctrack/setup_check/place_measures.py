@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from arctrack.setup_check.measure import MAX_SIGMAS, Measure, Stage, Verdict
+from arctrack.setup_check.measure import MAX_SIGMAS, LightStage, Measure, SetupVerdict
 from calibration.check.stripe_place import CAMERA, LASER, LENS, PART, SENSOR, Cause, StripePlace
 
 SUSPECTS = ("hand-eye", "part", "laser plane", "lens")
@@ -28,13 +28,13 @@ def place_measures(place: StripePlace) -> list[Measure]:
     """Return the stripe's place, and where it is not explained each suspect with the change that it needs."""
     measures = [
         Measure(
-            stage=Stage.PLACE,
+            stage=LightStage.PLACE,
             name="stripe off its place",
             measured=place.off_px,
             expected=0.0,
             sigma=place.off_sigma_px,
             unit="px",
-            verdict=Verdict.OK if place.is_explained else Verdict.NOT_EXPLAINED,
+            verdict=SetupVerdict.OK if place.is_explained else SetupVerdict.NOT_EXPLAINED,
             cure="" if place.is_explained else CURES[first_suspect(place)],
         )
     ]
@@ -43,12 +43,12 @@ def place_measures(place: StripePlace) -> list[Measure]:
     likely = suspects(place)
     for name in SUSPECTS:
         cause = cause_of(place, name)
-        verdict = Verdict.OK
+        verdict = SetupVerdict.OK
         if name in likely:
-            verdict = Verdict.NOT_EXPLAINED if len(likely) == 1 else Verdict.UNTOLD
+            verdict = SetupVerdict.NOT_EXPLAINED if len(likely) == 1 else SetupVerdict.UNTOLD
         measures.append(
             Measure(
-                stage=Stage.PLACE,
+                stage=LightStage.PLACE,
                 name=f"{name}, if it is that",
                 measured=math.nan,
                 expected=math.nan,

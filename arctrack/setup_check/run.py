@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from arctrack.check.case import chosen_rows
-from arctrack.check.look import Look, looks_at
+from arctrack.check.look import CheckedFrame, looks_at
 from arctrack.check.run import parted, sensor_of
 from arctrack.compiling import compiled_by_two
 from arctrack.errors import in_file
 from arctrack.recording import BadFrame, Recording
 from arctrack.recording.reader import fitted
 from arctrack.setup_check.light_measures import arc_measures, sensor_measures, stripe_measures
-from arctrack.setup_check.measure import Measure, Stage, Verdict
+from arctrack.setup_check.measure import LightStage, Measure, SetupVerdict
 from arctrack.setup_check.place_measures import first_suspect, place_measures, place_sentences
-from calibration.check.arc_light import ArcLight, compare_arc
+from calibration.check.arc_light import ArcLightCheck, compare_arc
 from calibration.check.stripe_place import StripePlace, StripeSight, locate_stripes
 from noise_model.arrays import Float64
 from noise_model.evenly import evenly
@@ -46,8 +46,8 @@ class SetupCheck:
     recording: Recording
     measures: tuple[Measure, ...]
     place: StripePlace | None
-    arc: ArcLight | None
-    looks: tuple[Look, ...]
+    arc: ArcLightCheck | None
+    looks: tuple[CheckedFrame, ...]
     sights: tuple[StripeSight, ...]
     sentences: tuple[str, ...]
     bad_frames: tuple[BadFrame, ...]
@@ -58,31 +58,33 @@ class SetupCheck:
         return self.recording.setup
 
     @property
-    def not_explained(self) -> tuple[Stage, ...]:
+    def not_explained(self) -> tuple[LightStage, ...]:
         """The stages at which the setup does not explain the recording."""
-        return tuple(stage for stage in Stage if self.verdict_of(stage) is Verdict.NOT_EXPLAINED)
+        return tuple(stage for stage in LightStage if self.verdict_of(stage) is SetupVerdict.NOT_EXPLAINED)
 
-    def verdict_of(self, stage: Stage) -> Verdict:
+    def verdict_of(self, stage: LightStage) -> SetupVerdict:
         """Return a stage's verdict: that of its worst quantity, and none without any that is told."""
         verdicts = {measure.verdict for measure in self.measures if measure.stage is stage}
-        for verdict in (Verdict.NOT_EXPLAINED, Verdict.OK):
+        for verdict in (SetupVerdict.NOT_EXPLAINED, SetupVerdict.OK):
             if verdict in verdicts:
                 return verdict
-        return Verdict.UNTOLD
+        return SetupVerdict.UNTOLD
 
     @property
     def headline(self) -> str:
         """What the check comes to, in a line."""
         if not self.not_explained:
-            told = [stage.value for stage in Stage if self.verdict_of(stage) is Verdict.OK]
+            told = [stage.value for stage in LightStage if self.verdict_of(stage) is SetupVerdict.OK]
             return f"the setup explains the recording: {'; '.join(told) or 'nothing could be told'}"
         parts = []
         for stage in self.not_explained:
-            if stage is Stage.PLACE and self.place is not None:
+            if stage is LightStage.PLACE and self.place is not None:
                 parts.append(f"calibrate the {first_suspect(self.place)} anew")
             else:
                 names = [
-                    m.name for m in self.measures if m.stage is stage and m.verdict is Verdict.NOT_EXPLAINED
+                    m.name
+                    for m in self.measures
+                    if m.stage is stage and m.verdict is SetupVerdict.NOT_EXPLAINED
                 ]
                 parts.append(f"{stage.value}: {', '.join(names)}")
         return f"the setup does not explain the recording: {'; '.join(parts)}"
@@ -133,7 +135,7 @@ def _placed(setup: Setup, sights: Sequence[StripeSight]) -> tuple[StripePlace | 
     return place, place_sentences(place)
 
 
-def _arc_seen(recording: Recording, place: StripePlace | None) -> tuple[ArcLight | None, list[str]]:
+def _arc_seen(recording: Recording, place: StripePlace | None) -> tuple[ArcLightCheck | None, list[str]]:
     """Return the arc's light beside the expected one, None where nothing tells of it, and what to say."""
     lit = _arc_frames(recording)
     if not lit:
@@ -149,16 +151,18 @@ def _arc_seen(recording: Recording, place: StripePlace | None) -> tuple[ArcLight
 
 def _first(measures: Sequence[Measure]) -> str:
     """Return what an earlier stage asks to be set right first, nothing where all explain the recording."""
-    wrong = [m for m in measures if m.verdict is Verdict.NOT_EXPLAINED and m.stage is not Stage.STRIPE]
+    wrong = [
+        m for m in measures if m.verdict is SetupVerdict.NOT_EXPLAINED and m.stage is not LightStage.STRIPE
+    ]
     return wrong[0].stage.value if wrong else ""
 
 
-def sights_of(geometry: SensorGeometry, looks: Sequence[Look]) -> tuple[StripeSight, ...]:
+def sights_of(geometry: SensorGeometry, looks: Sequence[CheckedFrame]) -> tuple[StripeSight, ...]:
     """Return the stripes of the looks that have a pose and show a line."""
     return tuple(_sight(geometry, look) for look in looks if look.pose is not None and len(look.line.scan))
 
 
-def _sight(geometry: SensorGeometry, look: Look) -> StripeSight:
+def _sight(geometry: SensorGeometry, look: CheckedFrame) -> StripeSight:
     """Return the stripe as the tracker read it, or else the bright line that was found without any model."""
     assert look.pose is not None
     stripe = look.track.stripe

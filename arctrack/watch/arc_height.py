@@ -80,7 +80,7 @@ NOT_KNOWN = ArcHeight()
 
 
 @dataclass(frozen=True)
-class Departure:
+class ArcDeparture:
     """By how much the arc stands higher, and beside its place, mm, and its radius over the stated one."""
 
     height_mm: float = 0.0
@@ -144,7 +144,7 @@ class ArcHeightEstimator:
             return NOT_KNOWN
         output = expected_output(geometry.setup, frame)
 
-        def light(departure: Departure) -> tuple[ArcLight, Transmission | None]:
+        def light(departure: ArcDeparture) -> tuple[ArcLight, Transmission | None]:
             setup = departure.applied_to(geometry.setup)
             scene = make_scene(setup, pose.T_base_tool, seam)
             kernel = arc_kernel(setup, scene, output)
@@ -157,18 +157,18 @@ class ArcHeightEstimator:
                 return arc_e, None
             return arc_e, Transmission.of(geometry, scene, arc_e, output)
 
-        unlit = unlit_by_the_laser(geometry, *light(Departure()), frame.image_dn, stripe_px, keep_off_px)
+        unlit = unlit_by_the_laser(geometry, *light(ArcDeparture()), frame.image_dn, stripe_px, keep_off_px)
         if len(unlit.arc_e) < MIN_PIXELS:
             return NOT_KNOWN
 
-        def light_e(departure: Departure) -> Float64:
+        def light_e(departure: ArcDeparture) -> Float64:
             return np.asarray(seen_arc(*light(departure), unlit.pixels)[0], np.float64)
 
         scan, position = np.divmod(unlit.pixels, geometry.n_pos)
         places = np.column_stack([scan, position]) / math.hypot(geometry.n_scan, geometry.n_pos)
         about_mm, map_e, height = 0.0, unlit.arc_e, NOT_KNOWN
         for _ in range(MAX_STEPS):
-            about = Departure(height_mm=about_mm)
+            about = ArcDeparture(height_mm=about_mm)
             slope_e = light_e(replace(about, height_mm=about_mm + STEP_MM)) - light_e(
                 replace(about, height_mm=about_mm - STEP_MM)
             )
@@ -187,7 +187,7 @@ class ArcHeightEstimator:
             height = replace(moved, height_mm=about_mm + moved.height_mm)
             if not abs(moved.height_mm) > STEP_MM or not abs(height.height_mm) <= MAX_HEIGHT_MM:
                 break
-            about_mm, map_e = height.height_mm, light_e(Departure(height_mm=height.height_mm))
+            about_mm, map_e = height.height_mm, light_e(ArcDeparture(height_mm=height.height_mm))
         return replace(height, height_sigma_mm=math.hypot(height.height_sigma_mm, surface_sigma_mm))
 
 

@@ -1,9 +1,10 @@
 """Radius, place and brightness of the arc, and its metal's reflectance, from frames of the arc's light alone.
 
-The estimate is the maximum a posteriori of `Problem`: the camera within its tolerance, the part where stripes
-put it, slow fields of brightness, a level for each frame and a black level are fitted along. Texture of the
-metal and the arc's flicker are estimated from what is left, so that the sigmas hold them. What comes out with
-too wide a sigma is refused: its stated value stays, with the stated tolerance, and all else is fitted anew.
+The estimate is the maximum a posteriori of `ArcProblem`: the camera within its tolerance, the part where
+stripes put it, slow fields of brightness, a level for each frame and a black level are fitted along. Texture
+of the metal and the arc's flicker are estimated from what is left, so that the sigmas hold them. What comes
+out with too wide a sigma is refused: its stated value stays, with the stated tolerance, and all else is
+fitted anew.
 """
 
 from __future__ import annotations
@@ -17,7 +18,20 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import stdtrit
 
-from calibration.arc.problem import ARC, BROAD, C2, RADIANCE, RADIUS, RATIO, STATED, Part, Problem, X, Y, Z
+from calibration.arc.problem import (
+    ARC,
+    BROAD,
+    C2,
+    RADIANCE,
+    RADIUS,
+    RATIO,
+    STATED,
+    ArcProblem,
+    PartPlacement,
+    X,
+    Y,
+    Z,
+)
 from calibration.settle import settled
 from calibration.threads import one_thread
 from noise_model.arrays import Float64
@@ -126,7 +140,7 @@ class ArcCalibration:
     combinations: tuple[Combination, ...]
     pixel_sigma: float
     flicker: float
-    problem: Problem
+    problem: ArcProblem
 
     @property
     def sigmas(self) -> Float64:
@@ -150,7 +164,7 @@ class ArcCalibration:
 def calibrate_arc(
     setup: Setup,
     frames: Sequence[tuple[Frame, Float64]],
-    part: Part | None = None,
+    part: PartPlacement | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> ArcCalibration:
     """Calibrate arc and metal from frames with the arc on and the laser off, each with T_base_tool (4, 4).
@@ -166,15 +180,15 @@ def calibrate_arc(
 def _calibrate(
     setup: Setup,
     frames: Sequence[tuple[Frame, Float64]],
-    part: Part | None,
+    part: PartPlacement | None,
     progress: Callable[[int, int], None],
 ) -> ArcCalibration:
     setup.require("the arc's calibration", "arc", "material")
     if setup.material.kappa_diff == 0.0 or setup.material.kappa_spec == 0.0:
         raise ValueError("[material] kappa_diff, kappa_spec: both must be above 0 for a start")
     chosen = [frames[n] for n in evenly(len(frames), MAX_FRAMES)]
-    known = Part.unseen(setup, 0.0) if part is None else part
-    problem = Problem.of(setup, chosen, known, FIRST_PIXEL_SIGMA, FIRST_FLICKER)
+    known = PartPlacement.unseen(setup, 0.0) if part is None else part
+    problem = ArcProblem.of(setup, chosen, known, FIRST_PIXEL_SIGMA, FIRST_FLICKER)
     if sum(len(lattice.charge_e) for lattice in problem.frames) < MIN_PIXELS:
         raise ValueError(
             "no pixel with the arc's light is below saturation and off the joint's edges: shorten the "
@@ -189,7 +203,7 @@ def _calibrate(
     return _calibrated(problem, result, refused, _combinations(covariance))
 
 
-def _covariance(problem: Problem, result: Fit) -> Float64:
+def _covariance(problem: ArcProblem, result: Fit) -> Float64:
     """Return that of `ARC` (7, 7), at the fit or where all is as stated, whichever knows less.
 
     What is hardly told may come out where it seems to be told well.
@@ -206,7 +220,7 @@ def _covariance(problem: Problem, result: Fit) -> Float64:
     return np.asarray(stated) if is_less else fitted
 
 
-def _start(problem: Problem) -> Float64:
+def _start(problem: ArcProblem) -> Float64:
     """Return where the rounds begin (p,): all as stated, the radiance about that of the frames."""
     x = np.zeros(len(problem.names))
     x[len(ARC) : len(ARC) + 10] = problem.part.values
@@ -221,7 +235,7 @@ def _start(problem: Problem) -> Float64:
     return x
 
 
-def _fitted(problem: Problem, x: Float64, progress: Callable[[int, int], None]) -> tuple[Problem, Fit]:
+def _fitted(problem: ArcProblem, x: Float64, progress: Callable[[int, int], None]) -> tuple[ArcProblem, Fit]:
     """Fit, and estimate texture and flicker from what is left, in turn."""
     for done in range(SCALE_ROUNDS):
         progress(done, SCALE_ROUNDS)
@@ -240,12 +254,12 @@ def _fitted(problem: Problem, x: Float64, progress: Callable[[int, int], None]) 
     return problem, result
 
 
-def _derivatives(problem: Problem, sigma_e: Float64, x: Float64, residuals: Float64) -> Float64:
+def _derivatives(problem: ArcProblem, sigma_e: Float64, x: Float64, residuals: Float64) -> Float64:
     del residuals
     return problem.whitened(problem.derivatives_e(x), sigma_e)
 
 
-def _with_refused(problem: Problem, covariance: Float64) -> Problem:
+def _with_refused(problem: ArcProblem, covariance: Float64) -> ArcProblem:
     """Return the problem with what the frames do not tell held at its stated value, the worst first.
 
     What is held has the stated tolerance for its prior: (C^-1 + h h^T (1/s^2 - 1/b^2))^-1. What else was too
@@ -268,7 +282,7 @@ def _with_refused(problem: Problem, covariance: Float64) -> Problem:
         covariance -= np.outer(column, column) / (1.0 / more + covariance[worst, worst])
 
 
-def _rescaled(problem: Problem, result: Fit, sigma_e: Float64) -> Problem:
+def _rescaled(problem: ArcProblem, result: Fit, sigma_e: Float64) -> ArcProblem:
     """Return the problem with the texture and the flicker that a fit leaves."""
     x, n_frames = result.values, len(problem.frames)
     light_e = problem.light(problem.named(x))
@@ -307,7 +321,7 @@ def _combinations(covariance: Float64) -> tuple[Combination, ...]:
 
 
 def _calibrated(
-    problem: Problem, result: Fit, refused: Mapping[str, float], combinations: tuple[Combination, ...]
+    problem: ArcProblem, result: Fit, refused: Mapping[str, float], combinations: tuple[Combination, ...]
 ) -> ArcCalibration:
     held = [ARC.index(name) for name in problem.held]
     values, C = result.values, result.covariance

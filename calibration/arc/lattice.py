@@ -38,7 +38,7 @@ KEEP_OFF_SIGMAS = 6.0
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
+class PixelSample:
     """A frame's pixels (n,) that are compared.
 
     `uv_px` (n, 2) are their places, `charge_e` what they hold and `noise_e` its 1 sigma, e-, and `map_e` the
@@ -55,7 +55,7 @@ class Lattice:
 
 def choose_pixels(
     geometry: SensorGeometry, rays: Rays, frame: Frame, T_base_tool: Float64, seam: SeamLine
-) -> Lattice:
+) -> PixelSample:
     """Choose the pixels of a frame, as a setup and a seam let expect its light."""
     true = geometry.setup
     height, width = true.camera.height, true.camera.width
@@ -77,10 +77,10 @@ def choose_pixels(
         use &= _off_stripe(geometry, T_base_tool, seam, u, v)
     charge_e = _block_means(linearise(frame.image_dn.astype(np.float64), true.sensor), u, v)[use]
     noise_e = np.sqrt(variance_e2(np.maximum(charge_e, 0.0), true.sensor)) / BLOCK_PX
-    return Lattice(frame, T_base_tool, np.column_stack([u, v])[use], charge_e, noise_e, arc_e[0][use])
+    return PixelSample(frame, T_base_tool, np.column_stack([u, v])[use], charge_e, noise_e, arc_e[0][use])
 
 
-def expected_light(true: Setup, rays: Rays, lattice: Lattice, seam: SeamLine) -> Float64:
+def expected_light(true: Setup, rays: Rays, lattice: PixelSample, seam: SeamLine) -> Float64:
     """Return the arc's light (n,), e-, that a setup, effects applied, lets expect at a seam."""
     return _light(true, rays, lattice.frame, lattice.T_base_tool, seam, lattice.uv_px)[0]
 

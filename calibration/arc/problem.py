@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calibration.arc.lattice import Lattice, choose_pixels, expected_light
+from calibration.arc.lattice import PixelSample, choose_pixels, expected_light
 from noise_model.arrays import Float64
 from noise_model.effects import apply_setup_effects
 from noise_model.fit import Fit, Parameter
@@ -72,7 +72,7 @@ SEAM_SIGMAS = (0.1, 0.1, 0.03, 0.01)
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class PartPlacement:
     """Where stripes put the part, and what they say of the camera with it.
 
     `values` (10,) are `CAMERA` and `SEAM` about the stated camera and the nominal seam at `station_mm`, deg
@@ -84,14 +84,14 @@ class Part:
     covariance: Float64
 
     @classmethod
-    def unseen(cls, setup: Setup, station_mm: float) -> Part:
+    def unseen(cls, setup: Setup, station_mm: float) -> PartPlacement:
         """Return what is known without stripes: the tolerance of the camera, and how parts lie."""
         deg, mm = (max(value, 1e-4) for value in (setup.tolerance.hand_eye_deg, setup.tolerance.hand_eye_mm))
         sigmas = np.array([deg, deg, deg, mm, mm, mm, *PART_SIGMAS])
         return cls(station_mm, np.zeros(10), np.diag(sigmas**2))
 
     @classmethod
-    def beside(cls, setup: Setup, station_mm: float, values: Mapping[str, float], fit: Fit) -> Part:
+    def beside(cls, setup: Setup, station_mm: float, values: Mapping[str, float], fit: Fit) -> PartPlacement:
         """Return what stripes say of the part, for each camera within its tolerance.
 
         Of the camera itself they are not believed: that the seam is straight would tell too much of it. With
@@ -109,7 +109,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class ArcProblem:
     """The pixels of all frames, and the parameters that explain them.
 
     `pixel_sigma` is the relative 1 sigma of the metal's texture and the map, `flicker` that of a frame's
@@ -117,8 +117,8 @@ class Problem:
     """
 
     setup: Setup
-    part: Part
-    frames: tuple[Lattice, ...]
+    part: PartPlacement
+    frames: tuple[PixelSample, ...]
     rays: Rays
     pixel_sigma: float
     flicker: float
@@ -129,10 +129,10 @@ class Problem:
         cls,
         setup: Setup,
         frames: Sequence[tuple[Frame, Float64]],
-        part: Part,
+        part: PartPlacement,
         pixel_sigma: float,
         flicker: float,
-    ) -> Problem:
+    ) -> ArcProblem:
         """Choose the pixels of frames with their T_base_tool (4, 4)."""
         true = apply_setup_effects(setup)
         rays, geometry = Rays.of(true.camera), SensorGeometry.of(setup)
@@ -148,7 +148,7 @@ class Problem:
 
     @property
     def parameters(self) -> list[Parameter]:
-        """All parameters with their priors; those of camera and seam come as residuals of `Part`."""
+        """All parameters with their priors; those of camera and seam come as residuals of `PartPlacement`."""
         black_e = max(self.setup.tolerance.black_level_dn * self.setup.sensor.gain_e_per_dn, 1e-3)
         sigmas = {name: (STATED if name in self.held else BROAD)[name] for name in ARC}
         wide = 30.0 * np.sqrt(np.diag(self.part.covariance))

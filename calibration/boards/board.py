@@ -27,7 +27,7 @@ _CHESSBOARD = re.compile(rf"chessboard:{_SIZE}:{_LENGTH}", re.IGNORECASE)
 _CHARUCO = re.compile(rf"charuco:{_SIZE}:{_LENGTH}:{_LENGTH}:(?:DICT_)?(\w+)", re.IGNORECASE)
 
 
-class Kind(StrEnum):
+class BoardKind(StrEnum):
     """What tells the corners of a board apart."""
 
     CHESSBOARD = "chessboard"
@@ -57,7 +57,7 @@ class Board:
         For a board that cannot be, or a dictionary that OpenCV does not have.
     """
 
-    kind: Kind
+    kind: BoardKind
     columns: int
     rows: int
     square_mm: float
@@ -71,7 +71,7 @@ class Board:
             )
         if not self.square_mm > 0.0:
             raise ValueError("the squares' side must be > 0 mm")
-        if self.kind is Kind.CHARUCO:
+        if self.kind is BoardKind.CHARUCO:
             if not 0.0 < self.marker_mm < self.square_mm:
                 raise ValueError("the markers must be smaller than the squares")
             if not hasattr(cv2.aruco, f"DICT_{self.dictionary}"):
@@ -94,14 +94,14 @@ class Board:
         """
         chess, charuco = _CHESSBOARD.fullmatch(text.strip()), _CHARUCO.fullmatch(text.strip())
         if chess is not None:
-            return cls(Kind.CHESSBOARD, int(chess[1]), int(chess[2]), float(chess[3]))
+            return cls(BoardKind.CHESSBOARD, int(chess[1]), int(chess[2]), float(chess[3]))
         if charuco is not None:
             sides = int(charuco[1]) - 1, int(charuco[2]) - 1
-            return cls(Kind.CHARUCO, *sides, float(charuco[3]), float(charuco[4]), charuco[5].upper())
+            return cls(BoardKind.CHARUCO, *sides, float(charuco[3]), float(charuco[4]), charuco[5].upper())
         raise ValueError(f"{text!r} is no board: it is written as {FORMS}")
 
     def __str__(self) -> str:
-        if self.kind is Kind.CHESSBOARD:
+        if self.kind is BoardKind.CHESSBOARD:
             return f"chessboard:{self.columns}x{self.rows}:{self.square_mm:g}mm"
         return (
             f"charuco:{self.columns + 1}x{self.rows + 1}:{self.square_mm:g}mm:{self.marker_mm:g}mm:"

@@ -13,7 +13,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from calibration.boards.board import Board, Kind
+from calibration.boards.board import Board, BoardKind
 from noise_model.arrays import Float32, Float64, Int64, Integers, UInt8
 
 STRETCHED = (0.5, 99.5)
@@ -25,7 +25,7 @@ EVENED_CLIP, EVENED_TILES = 4.0, (8, 8)
 SEARCHED_PX = 1200
 """A larger image is searched at a smaller scale first: squares are then no more than some 100 px wide."""
 
-MOST_ENLARGED = 4.0
+MAX_ENLARGEMENT = 4.0
 """A smaller image is searched enlarged, too, up to so many times: OpenCV finds no squares of a few pixels."""
 
 WINDOW = 0.15
@@ -37,16 +37,16 @@ FIRST_WINDOW = 0.25
 MARKER_CLEARANCE = 0.9
 """Of the gap between a corner and its next marker, how much the window may take."""
 
-LEAST_WINDOW_PX = 2
-LEAST_PITCH_PX = 2.0 * LEAST_WINDOW_PX
+MIN_WINDOW_PX = 2
+MIN_PITCH_PX = 2.0 * MIN_WINDOW_PX
 """Corners that are nearer to each other have their neighbours in their windows."""
 
 SUBPIXEL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
 
-LEAST_CORNERS = 6
+MIN_CORNERS = 6
 """Fewer corners tell nothing beyond the board's pose."""
 
-LEAST_CONTRAST = 1.0
+MIN_CONTRAST = 1.0
 """Light squares less dark ones, over the scatter of either: less is no board."""
 
 
@@ -96,7 +96,7 @@ def small_pitch_px(image_dn: Integers, board: Board) -> float | None:
     """Return the least distance of corners, px, of a board that is seen too small; None if none is seen."""
     for corners, points in _found(image_dn, board):
         pitch = _pitch_px(_grid(board, corners, points))
-        if pitch <= LEAST_PITCH_PX:
+        if pitch <= MIN_PITCH_PX:
             return pitch
     return None
 
@@ -104,7 +104,7 @@ def small_pitch_px(image_dn: Integers, board: Board) -> float | None:
 def _found(image_dn: Integers, board: Board) -> Iterator[tuple[Int64, Float64]]:
     """Yield corners and roughly their points (n, 2), px, each time that a scale shows the board."""
     first = min(1.0, SEARCHED_PX / max(image_dn.shape))
-    enlarged = min(MOST_ENLARGED, max(1.0, SEARCHED_PX / max(image_dn.shape)))
+    enlarged = min(MAX_ENLARGEMENT, max(1.0, SEARCHED_PX / max(image_dn.shape)))
     for scale in sorted({first, 1.0, enlarged}):
         for picture in _pictures(image_dn, scale):
             place = _search(picture, board, is_again=scale > first)
@@ -132,7 +132,7 @@ def _pictures(image_dn: Integers, scale: float) -> Iterator[UInt8]:
 
 
 def _search(picture: UInt8, board: Board, *, is_again: bool) -> tuple[Int64, Float64] | None:
-    if board.kind is Kind.CHARUCO:
+    if board.kind is BoardKind.CHARUCO:
         return _search_charuco(picture, board)
     size, flags = (board.columns, board.rows), cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     if is_again:
@@ -149,7 +149,7 @@ def _search_charuco(picture: UInt8, board: Board) -> tuple[Int64, Float64] | Non
     # Boards of an even number of rows begin with another colour since OpenCV 4.6.
     for is_legacy in (False, True):
         points, ids, _, _ = _detector(board, is_legacy).detectBoard(picture)
-        if ids is not None and len(ids) >= LEAST_CORNERS and (best is None or len(ids) > len(best[0])):
+        if ids is not None and len(ids) >= MIN_CORNERS and (best is None or len(ids) > len(best[0])):
             best = ids.ravel().astype(np.int64), points.reshape(-1, 2).astype(np.float64)
     return best
 
@@ -171,28 +171,30 @@ def _placed(raw: Float32, board: Board, corners: Int64, points_px: Float64) -> C
     """Return corners placed on the raw image and in the board's order, None if they are those of no board."""
     whole = _grid(board, corners, points_px)
     grid, pitch = whole.reshape(-1, 2), _pitch_px(whole)
-    if not pitch > LEAST_PITCH_PX:
+    if not pitch > MIN_PITCH_PX:
         return None
     for window in (FIRST_WINDOW, WINDOW):
         half = window * pitch
-        if board.kind is Kind.CHARUCO:
+        if board.kind is BoardKind.CHARUCO:
             gap = 0.5 * (1.0 - board.marker_mm / board.square_mm) * pitch
             half = min(half, MARKER_CLEARANCE * gap)
-        half = max(round(half), LEAST_WINDOW_PX)
+        half = max(round(half), MIN_WINDOW_PX)
         start = grid[corners].astype(np.float32).reshape(-1, 1, 2)
         grid[corners] = cv2.cornerSubPix(raw, start, (half, half), (-1, -1), SUBPIXEL)[:, 0]
     if _handedness(whole) < 0.0:
-        if board.kind is Kind.CHARUCO:
+        if board.kind is BoardKind.CHARUCO:
             return None
         # A board is not seen from behind.
         whole = whole[:, ::-1]
     inward = (
-        1.0 if board.kind is Kind.CHESSBOARD else MARKER_CLEARANCE * (1.0 - board.marker_mm / board.square_mm)
+        1.0
+        if board.kind is BoardKind.CHESSBOARD
+        else MARKER_CLEARANCE * (1.0 - board.marker_mm / board.square_mm)
     )
     contrast, scatter = _contrast(raw, whole, inward)
-    if not abs(contrast) > LEAST_CONTRAST * scatter:
+    if not abs(contrast) > MIN_CONTRAST * scatter:
         return None
-    if board.kind is Kind.CHESSBOARD and contrast < 0.0 and (board.rows + board.columns) % 2:
+    if board.kind is BoardKind.CHESSBOARD and contrast < 0.0 and (board.rows + board.columns) % 2:
         # Turned by half a turn, such a board has its colours the other way round: that tells its ends apart.
         whole = whole[::-1, ::-1]
     flat = whole.reshape(-1, 2)

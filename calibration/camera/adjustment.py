@@ -20,7 +20,7 @@ MAX_ROUNDS = 100
 SETTLED = 1e-9
 """A round that lowers the cost by a smaller share is the last."""
 
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-9, 1e12
+FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-4, 1e-9, 1e12
 EASIER, HARDER = 0.1, 10.0
 
 WARP = ("warp_x", "warp_y")
@@ -28,7 +28,7 @@ WARP = ("warp_x", "warp_y")
 
 
 @dataclass(frozen=True)
-class Scene:
+class BoardScene:
     """What explains the corners: a lens, the board's warp, and its pose in each image.
 
     Parameters
@@ -63,11 +63,11 @@ class Scene:
         """Return the RMS distance of observed from predicted image points, px."""
         return float(np.sqrt(np.mean(np.sum(self.residuals(seen) ** 2, axis=1))))
 
-    def of_views(self, chosen: list[int]) -> Scene:
+    def of_views(self, chosen: list[int]) -> BoardScene:
         """Return the scene of some of the images."""
         return replace(self, T_camera_board=self.T_camera_board[chosen])
 
-    def moved(self, shared: Float64, motion: Float64) -> Scene:
+    def moved(self, shared: Float64, motion: Float64) -> BoardScene:
         """Return the scene after a step of each board (V, 6), and of what is shared.
 
         This is the lens and the warp (n + 2,), or these and the corners' places on the board.
@@ -75,7 +75,7 @@ class Scene:
         n = len(self.lens.values)
         lens = replace(self.lens, values=self.lens.values + shared[:n])
         places = shared[n + 2 :].reshape(-1, 2) if len(shared) > n + 2 else 0.0
-        return Scene(
+        return BoardScene(
             lens,
             self.warp_mm + shared[n : n + 2],
             motions(motion) @ self.T_camera_board,
@@ -84,7 +84,7 @@ class Scene:
 
 
 def linearised(
-    scene: Scene, seen: Sightings, weight: Float64, *, with_print: bool = False
+    scene: BoardScene, seen: Sightings, weight: Float64, *, with_print: bool = False
 ) -> NormalEquations:
     """Return the normal equations at a scene.
 
@@ -120,13 +120,13 @@ def linearised(
 
 
 def adjusted(
-    scene: Scene,
+    scene: BoardScene,
     seen: Sightings,
     weight: Float64,
     *,
     poses_only: bool = False,
     print_sigma_mm: float = 0.0,
-) -> Scene:
+) -> BoardScene:
     """Return the scene of least squares, with the prior on the lens' distortion.
 
     Parameters
@@ -157,25 +157,25 @@ def adjusted(
             if new_cost <= cost:
                 break
             damping *= HARDER
-            if damping > MOST_DAMPING:
+            if damping > MAX_DAMPING:
                 return scene
         if moved is None:
             return scene
         gained, scene, cost = cost - new_cost, moved, new_cost
-        damping = max(damping * EASIER, LEAST_DAMPING)
+        damping = max(damping * EASIER, MIN_DAMPING)
         if gained <= SETTLED * cost:
             break
     return scene
 
 
-def prior_precision(scene: Scene, print_sigma_mm: float = 0.0) -> Float64:
+def prior_precision(scene: BoardScene, print_sigma_mm: float = 0.0) -> Float64:
     """Return 1 / sigma² (m,) of what is known of lens, warp and print beforehand; a print of 0 mm is held."""
     places = np.full(scene.print_mm.size, print_sigma_mm**-2) if print_sigma_mm > 0.0 else np.empty(0)
     return np.concatenate([scene.lens.prior_precision(), np.zeros(len(WARP)), places])
 
 
 def with_prior(
-    scene: Scene, seen: Sightings, weight: Float64, print_sigma_mm: float = 0.0
+    scene: BoardScene, seen: Sightings, weight: Float64, print_sigma_mm: float = 0.0
 ) -> NormalEquations:
     """Return the normal equations at a scene with what is known of lens and print beforehand.
 
@@ -184,18 +184,18 @@ def with_prior(
     return _with_prior(scene, seen, weight, prior_precision(scene, print_sigma_mm))
 
 
-def _with_prior(scene: Scene, seen: Sightings, weight: Float64, prior: Float64) -> NormalEquations:
+def _with_prior(scene: BoardScene, seen: Sightings, weight: Float64, prior: Float64) -> NormalEquations:
     n = len(scene.lens.values) + len(WARP)
     equations = linearised(scene, seen, weight, with_print=len(prior) > n)
     return equations.with_prior(prior, values_of(scene)[: len(prior)])
 
 
-def values_of(scene: Scene) -> Float64:
+def values_of(scene: BoardScene) -> Float64:
     """Return the values of all that is shared: lens, warp and the corners' places on the board."""
     return np.concatenate([scene.lens.values, scene.warp_mm, scene.print_mm.ravel()])
 
 
-def _stepped(scene: Scene, equations: NormalEquations, poses_only: bool) -> Scene | None:
+def _stepped(scene: BoardScene, equations: NormalEquations, poses_only: bool) -> BoardScene | None:
     try:
         if poses_only:
             return scene.moved(np.zeros(len(scene.lens.values) + 2), equations.motion_step())
@@ -204,7 +204,7 @@ def _stepped(scene: Scene, equations: NormalEquations, poses_only: bool) -> Scen
         return None
 
 
-def _cost(scene: Scene, seen: Sightings, weight: Float64, prior: Float64) -> float:
+def _cost(scene: BoardScene, seen: Sightings, weight: Float64, prior: Float64) -> float:
     # A board behind the camera, or a focal length below 0, explains nothing.
     points = scene.points_camera(seen)
     if not (points[:, 2] > 0.0).all() or not (scene.lens.values[:2] > 0.0).all():

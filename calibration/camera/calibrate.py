@@ -9,23 +9,23 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calibration.boards.board import Board
-from calibration.camera.adjustment import Scene, with_prior
+from calibration.camera.adjustment import BoardScene, with_prior
 from calibration.camera.enough import (
     UndeterminedError,
     check_count,
     check_cover,
     check_focal_length,
 )
-from calibration.camera.halves import MOST_RATIO, Difference, difference_of_halves, splits
+from calibration.camera.halves import MAX_RATIO, Difference, difference_of_halves, splits
 from calibration.camera.lens import ORDERS, TILT
 from calibration.camera.next_board import NextBoard, best_next_board
-from calibration.camera.noise import LEAST_CORNERS, Noise, fitted, noise_of_most, robust, wrong_corners
+from calibration.camera.noise import MIN_CORNERS, CornerNoise, fitted, noise_of_most, robust, wrong_corners
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.order import Held, held_out_errors, leanest_within_error
 from calibration.camera.printed import are_ends_told, print_sigma_mm
 from calibration.camera.projection import Knowledge, image_grid, rms_sigma
 from calibration.camera.scatter import scatter_between_images
-from calibration.camera.sightings import Sightings, View
+from calibration.camera.sightings import BoardView, Sightings
 from calibration.camera.start import first_scene, with_better_poses
 from calibration.threads import one_thread
 from noise_model.arrays import Float64
@@ -33,19 +33,19 @@ from noise_model.arrays import Float64
 FIRST_ORDER = "k1 k2 p1 p2"
 """The distortion with which wrong corners are looked for, before one is chosen."""
 
-MOST_WRONG = 0.3
+MAX_OUTLIER_SHARE = 0.3
 """An image with a larger share of wrong corners is left out as a whole."""
 
 PRINT_ROUNDS, PRINT_SETTLED = 5, 0.02
 """The print and the noise are estimated in turn until the print's sigma changes by a smaller share."""
 
-MOST_NOISE = 10.0
+MAX_NOISE = 10.0
 """An image whose corners scatter so many times as far as those of most was moved, or its board misread."""
 
-MOST_SIGMA_PX = 1.0
+MAX_SIGMA_PX = 1.0
 """A distortion that leaves the projection less known than this, anywhere in the image, is not determined."""
 
-MOST_TILT_SIGMA = math.radians(3.0)
+MAX_TILT_SIGMA = math.radians(3.0)
 """1 sigma of the sensor's tilt, rad: beyond it is as good as unknown."""
 
 
@@ -93,9 +93,9 @@ class CameraCalibration:
         The pose that is worth an image most.
     """
 
-    scene: Scene
+    scene: BoardScene
     seen: Sightings
-    noise: Noise
+    noise: CornerNoise
     order: str
     held: list[Held]
     known: Knowledge
@@ -142,7 +142,7 @@ class CameraCalibration:
     @property
     def model_error(self) -> str | None:
         """What to say where two halves contradict each other, None if they agree."""
-        if self.ratio_of_halves <= MOST_RATIO:
+        if self.ratio_of_halves <= MAX_RATIO:
             return None
         if not math.isfinite(self.ratio_of_halves):
             return (
@@ -153,7 +153,7 @@ class CameraCalibration:
         tilt = "" if is_tilted else "; give --tilted if the sensor is tilted to the lens"
         return (
             f"two halves of the images differ {self.ratio_of_halves:.1f} times as much as their noise "
-            f"predicts, {MOST_RATIO:g} is the most: the model is wrong. Try: hold the board still; lock "
+            f"predicts, {MAX_RATIO:g} is the most: the model is wrong. Try: hold the board still; lock "
             "focus and aperture; use a stiff flat board, its squares' side the same both ways; leave out "
             f"images with large residuals{tilt}"
         )
@@ -161,7 +161,7 @@ class CameraCalibration:
 
 def calibrate_camera(
     board: Board,
-    views: Sequence[View],
+    views: Sequence[BoardView],
     size: tuple[int, int],
     *,
     tilted: bool = False,
@@ -175,7 +175,7 @@ def calibrate_camera(
     board : Board
         The board.
     views : sequence of View
-        The corners in each image, `LEAST_CORNERS` at least.
+        The corners in each image, `MIN_CORNERS` at least.
     size : tuple of int
         The images' width and height, px.
     tilted : bool
@@ -216,7 +216,7 @@ def calibrate_camera(
 
 def find_lens(
     board: Board,
-    views: Sequence[View],
+    views: Sequence[BoardView],
     size: tuple[int, int],
     *,
     tilted: bool = False,
@@ -229,7 +229,7 @@ def find_lens(
 
 def _lens(
     board: Board,
-    views: Sequence[View],
+    views: Sequence[BoardView],
     size: tuple[int, int],
     tilted: bool,
     orders: Sequence[str],
@@ -270,8 +270,8 @@ def _fault(result: CameraCalibration) -> str | None:
     """Return what makes a distortion useless, None if nothing does."""
     if not result.scene.lens.is_invertible:
         return "folds the image: two points of the scene are seen at the same place"
-    if result.sigma_map()[1].max() > MOST_SIGMA_PX:
-        return f"leaves the image unknown to more than {MOST_SIGMA_PX:g} px"
+    if result.sigma_map()[1].max() > MAX_SIGMA_PX:
+        return f"leaves the image unknown to more than {MAX_SIGMA_PX:g} px"
     return None
 
 
@@ -298,19 +298,19 @@ def _last_fit(
     )
 
 
-def _robust(scene: Scene, seen: Sightings) -> Scene:
+def _robust(scene: BoardScene, seen: Sightings) -> BoardScene:
     return robust(with_better_poses(robust(scene, seen), seen), seen)
 
 
-def _views_to_keep(scene: Scene, seen: Sightings) -> tuple[list[int], dict[str, str]]:
+def _views_to_keep(scene: BoardScene, seen: Sightings) -> tuple[list[int], dict[str, str]]:
     is_wrong, kept, left_out = wrong_corners(scene, seen), [], {}
     sigma_px = noise_of_most(scene, seen).sigma_px
     typical_px = float(np.median(sigma_px))
     for n, (name, part) in enumerate(zip(seen.names, seen.slices, strict=True)):
         bad, count = int(is_wrong[part].sum()), part.stop - part.start
-        if bad > MOST_WRONG * count or count - bad < LEAST_CORNERS:
+        if bad > MAX_OUTLIER_SHARE * count or count - bad < MIN_CORNERS:
             left_out[name] = f"{bad} of {count} corners are not where the board has them"
-        elif sigma_px[n] > MOST_NOISE * typical_px:
+        elif sigma_px[n] > MAX_NOISE * typical_px:
             left_out[name] = (
                 f"its corners scatter by {sigma_px[n]:.2g} px, those of most by {typical_px:.2g} px"
             )
@@ -319,7 +319,9 @@ def _views_to_keep(scene: Scene, seen: Sightings) -> tuple[list[int], dict[str, 
     return kept, left_out
 
 
-def _as_printed(scene: Scene, noise: Noise, seen: Sightings) -> tuple[Scene, Noise, float]:
+def _as_printed(
+    scene: BoardScene, noise: CornerNoise, seen: Sightings
+) -> tuple[BoardScene, CornerNoise, float]:
     """Return scene and noise with the corners where the print has them, and 1 sigma of that, mm."""
     sigma_mm = 0.0
     if not are_ends_told(seen.board):
@@ -334,7 +336,7 @@ def _as_printed(scene: Scene, noise: Noise, seen: Sightings) -> tuple[Scene, Noi
     return scene, noise, sigma_mm
 
 
-def _check(scene: Scene, seen: Sightings, noise: Noise) -> None:
+def _check(scene: BoardScene, seen: Sightings, noise: CornerNoise) -> None:
     """Raise UndeterminedError if the images do not determine the lens."""
     try:
         covariance = scaled_inverse(with_prior(scene, seen, noise.weight(seen)).information())
@@ -351,14 +353,14 @@ def _check_tilt(result: CameraCalibration) -> None:
     Without distortion a tilted sensor sees what one sees that is turned and shifted.
     """
     variance = np.diag(result.covariance)[[result.names.index(name) for name in TILT]]
-    if not ((variance > 0.0) & (variance <= MOST_TILT_SIGMA**2)).all():
+    if not ((variance > 0.0) & (variance <= MAX_TILT_SIGMA**2)).all():
         raise UndeterminedError(
             "the sensor's tilt is unknown: the lens has too little distortion to tell it from the principal "
             "point; leave --tilted, the projection is the same without"
         )
 
 
-def _is_determined(held: Held, seen: Sightings, noise: Noise, distance_mm: float) -> bool:
+def _is_determined(held: Held, seen: Sightings, noise: CornerNoise, distance_mm: float) -> bool:
     lens = held.scene.lens
     if not lens.is_invertible:
         return False
@@ -367,10 +369,10 @@ def _is_determined(held: Held, seen: Sightings, noise: Noise, distance_mm: float
         variance = known.of_projection(lens, image_grid(lens)[0], distance_mm)
     except np.linalg.LinAlgError:
         return False
-    return bool(rms_sigma(variance).max() <= MOST_SIGMA_PX)
+    return bool(rms_sigma(variance).max() <= MAX_SIGMA_PX)
 
 
-def _named(scene: Scene, wrong: Sightings) -> tuple[WrongCorner, ...]:
+def _named(scene: BoardScene, wrong: Sightings) -> tuple[WrongCorner, ...]:
     residuals = scene.residuals(wrong) if len(wrong) else np.empty((0, 2))
     return tuple(
         WrongCorner(int(view), int(corner), point, residual)

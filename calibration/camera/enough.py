@@ -5,24 +5,24 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from calibration.camera.adjustment import Scene
+from calibration.camera.adjustment import BoardScene
 from calibration.camera.lens import Lens
 from calibration.camera.sightings import Sightings
 from noise_model.arrays import Float64
 
-LEAST_VIEWS = 6
+MIN_VIEWS = 6
 """Images: two halves of three each determine a lens by themselves."""
 
-MOST_FOCAL_SIGMA = 0.01
+MAX_FOCAL_SIGMA = 0.01
 """1 sigma of a focal length over its value: beyond it is as good as unknown."""
 
-LEAST_TILT_DEG = 10.0
+MIN_TILT_DEG = 10.0
 """Boards that lean less, all of them, tell little of the focal length."""
 
 ENOUGH_TILT_DEG = 20.0
 """Boards that lean as much either way about both axes lack nothing: then their corners are too noisy."""
 
-LEAST_COVER = 0.15
+MIN_COVER = 0.15
 """The share of the image within the hull of all corners: below it, most of the lens is not seen."""
 
 GOOD_COVER = 0.6
@@ -37,16 +37,16 @@ class UndeterminedError(ValueError):
 
 def check_count(views: int, left_out: int) -> None:
     """Raise UndeterminedError if there are too few images."""
-    if views < LEAST_VIEWS:
+    if views < MIN_VIEWS:
         others = f" ({left_out} left out)" if left_out else ""
         raise UndeterminedError(
-            f"{views} image{'s show' if views != 1 else ' shows'} the board{others}: {LEAST_VIEWS} at least "
+            f"{views} image{'s show' if views != 1 else ' shows'} the board{others}: {MIN_VIEWS} at least "
             "are needed, and 15 are good; "
             "take more, the board leaning another way and elsewhere in the image in each"
         )
 
 
-def check_focal_length(scene: Scene, sigma: Float64, corner_sigma_px: float) -> None:
+def check_focal_length(scene: BoardScene, sigma: Float64, corner_sigma_px: float) -> None:
     """Raise UndeterminedError if the boards do not tell the focal length.
 
     Parameters
@@ -59,7 +59,7 @@ def check_focal_length(scene: Scene, sigma: Float64, corner_sigma_px: float) -> 
         1 sigma of a corner, px.
     """
     worst = float(np.max(sigma[:2] / scene.lens.values[:2]))
-    if worst <= MOST_FOCAL_SIGMA:
+    if worst <= MAX_FOCAL_SIGMA:
         return
     known = "unknown" if not worst < 1.0 else f"known to {100.0 * worst:.1f} % only"
     about_x, about_y = tilts_deg(scene)
@@ -68,7 +68,7 @@ def check_focal_length(scene: Scene, sigma: Float64, corner_sigma_px: float) -> 
             f"the focal length is {known}: corners scatter by {corner_sigma_px:.2g} px, too much for their "
             "number; give sharper images, at the camera's own size and well lit, or more of them"
         )
-    if max(np.ptp(about_x), np.ptp(about_y)) < 2.0 * LEAST_TILT_DEG:
+    if max(np.ptp(about_x), np.ptp(about_y)) < 2.0 * MIN_TILT_DEG:
         reason = "all boards lie nearly parallel to the sensor"
         missing = "leans 20 to 40 deg about the image's horizontal in some, about its vertical in others"
     else:
@@ -83,7 +83,7 @@ def check_focal_length(scene: Scene, sigma: Float64, corner_sigma_px: float) -> 
 def check_cover(lens: Lens, seen: Sightings) -> None:
     """Raise UndeterminedError if the boards keep to a small part of the image."""
     share = cover(lens, seen)
-    if share < LEAST_COVER:
+    if share < MIN_COVER:
         raise UndeterminedError(
             f"the boards cover {100.0 * share:.0f} % of the image: the lens is not seen beyond; take images "
             f"with the board nearer by, so that it fills the image, and in its {empty_parts(lens, seen)}"
@@ -108,7 +108,7 @@ def empty_parts(lens: Lens, seen: Sightings) -> str:
     return ", ".join(missing)
 
 
-def tilts_deg(scene: Scene) -> tuple[Float64, Float64]:
+def tilts_deg(scene: BoardScene) -> tuple[Float64, Float64]:
     """Return how far each board leans about the image's horizontal and its vertical (V,), deg."""
     normal = scene.T_camera_board[:, :3, 2]
     toward = np.sign(normal[:, 2])

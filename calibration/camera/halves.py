@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 
-from calibration.camera.adjustment import Scene, with_prior
+from calibration.camera.adjustment import BoardScene, with_prior
 from calibration.camera.lens import Lens
 from calibration.camera.noise import fitted
 from calibration.camera.normal_equations import scaled_inverse
@@ -24,7 +24,7 @@ from noise_model.arrays import Bool, Float64
 SPLITS = 9
 """Ways to split the images: every second one, then drawn at random. Their median decides."""
 
-MOST_RATIO = 2.0
+MAX_RATIO = 2.0
 """Differences above so many predicted sigmas are a wrong model."""
 
 MATCH_ROUNDS = 5
@@ -62,7 +62,7 @@ def splits(views: int) -> list[Bool]:
     return [alternate, *(rng.permutation(alternate) for _ in range(SPLITS - 1))]
 
 
-def difference_of_halves(scene: Scene, seen: Sightings, first: Bool) -> Difference:
+def difference_of_halves(scene: BoardScene, seen: Sightings, first: Bool) -> Difference:
     """Return how the lens of some images differs from that of the others.
 
     Parameters

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration.boards.board import Board
-from calibration.camera.adjustment import Scene, adjusted
+from calibration.camera.adjustment import BoardScene, adjusted
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.lens import OPENCV, PINHOLE, Lens
-from calibration.camera.noise import LEAST_CORNERS, wrong_corners
-from calibration.camera.sightings import Sightings, View
+from calibration.camera.noise import MIN_CORNERS, wrong_corners
+from calibration.camera.sightings import BoardView, Sightings
 from calibration.camera.start import with_better_poses
 from calibration.threads import one_thread
 from noise_model.instrument.camera import Camera
 
-MOST_RMS_PX = 2.0
+MAX_RMS_PX = 2.0
 """Corners that are farther off than this, RMS, are not seen by the stated camera."""
 
 FAR_MM = 1e3
@@ -31,25 +31,25 @@ def lens_of(camera: Camera, free: Sequence[str] = ()) -> Lens:
     return Lens(camera.width, camera.height, (*PINHOLE, *names), np.array(values))
 
 
-def board_poses(board: Board, views: Sequence[View], lens: Lens) -> tuple[Scene, Sightings]:
+def board_poses(board: Board, views: Sequence[BoardView], lens: Lens) -> tuple[BoardScene, Sightings]:
     """Return the boards' poses before a known lens, and the corners that are where the board has them."""
     seen = Sightings.of(board, views)
     far = np.tile(np.eye(4), (len(views), 1, 1))
     far[:, 2, 3] = FAR_MM
-    scene = Scene(lens, np.zeros(2), far, np.zeros((len(board.points_mm), 2)))
+    scene = BoardScene(lens, np.zeros(2), far, np.zeros((len(board.points_mm), 2)))
     with one_thread():
         scene = with_better_poses(scene, seen)
         kept = ~wrong_corners(scene, seen)
-        if not kept.all() and (seen.where(kept).counts >= LEAST_CORNERS).all():
+        if not kept.all() and (seen.where(kept).counts >= MIN_CORNERS).all():
             seen = seen.where(kept)
             scene = adjusted(scene, seen, np.ones(len(seen)), poses_only=True)
     return scene, seen
 
 
-def check_corners(scene: Scene, seen: Sightings) -> None:
+def check_corners(scene: BoardScene, seen: Sightings) -> None:
     """Raise UndeterminedError for corners that are not where the stated lens sees them."""
     rms = scene.rms_px(seen)
-    if rms > MOST_RMS_PX:
+    if rms > MAX_RMS_PX:
         raise UndeterminedError(
             f"the boards' corners are {rms:.1f} px off where the setup's camera sees them: calibrate the "
             "camera first, `arctrack calibrate camera`; or the board's counts or squares are others"

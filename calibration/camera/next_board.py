@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calibration.boards.board import Kind
-from calibration.camera.adjustment import Scene, linearised
+from calibration.boards.board import BoardKind
+from calibration.camera.adjustment import BoardScene, linearised
 from calibration.camera.projection import Knowledge, image_grid, rms_sigma
-from calibration.camera.sightings import Sightings, View
+from calibration.camera.sightings import BoardView, Sightings
 from noise_model.arrays import Float64
 
 PLACES = (0.2, 0.5, 0.8)
@@ -47,14 +47,14 @@ class NextBoard:
     sigma_px: float
 
 
-def mean_sigma(known: Knowledge, scene: Scene, distance_mm: float) -> float:
+def mean_sigma(known: Knowledge, scene: BoardScene, distance_mm: float) -> float:
     """Return the projection's RMS sigma over the image, px."""
     grid, _ = image_grid(scene.lens)
     return float(np.sqrt(np.mean(rms_sigma(known.of_projection(scene.lens, grid, distance_mm)) ** 2)))
 
 
 def best_next_board(
-    known: Knowledge, scene: Scene, seen: Sightings, sigma_px: float, distance_mm: float
+    known: Knowledge, scene: BoardScene, seen: Sightings, sigma_px: float, distance_mm: float
 ) -> NextBoard | None:
     """Return the pose among a set of candidates that helps most.
 
@@ -103,7 +103,7 @@ def _tilts() -> list[tuple[float, str]]:
 
 def _candidate(
     known: Knowledge,
-    scene: Scene,
+    scene: BoardScene,
     seen: Sightings,
     sigma_px: float,
     distance_mm: float,
@@ -120,10 +120,10 @@ def _candidate(
     T[:3, 3] = lens.rays(middle_px)[0] * depth_mm - T[:3, :3] @ (0.5 * board.points_mm.max(axis=0))
     pose = replace(scene, T_camera_board=T[np.newaxis])
     corners = np.arange(len(board.points_mm))
-    blank = Sightings.of(board, [View("", corners, np.zeros((len(corners), 2)))])
+    blank = Sightings.of(board, [BoardView("", corners, np.zeros((len(corners), 2)))])
     points = lens.project(pose.points_camera(blank))
     inside = np.all((points >= 0.0) & (points <= [lens.width - 1.0, lens.height - 1.0]), axis=1)
-    if not inside.all() and (board.kind is Kind.CHESSBOARD or inside.sum() < 0.5 * len(inside)):
+    if not inside.all() and (board.kind is BoardKind.CHESSBOARD or inside.sum() < 0.5 * len(inside)):
         return None
     shown = blank.where(inside)
     more = linearised(pose, shown, np.full(len(shown), 1.0 / sigma_px))

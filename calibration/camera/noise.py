@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 from scipy.stats import f
 
-from calibration.camera.adjustment import Scene, adjusted, with_prior
+from calibration.camera.adjustment import BoardScene, adjusted, with_prior
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
 from noise_model.arrays import Bool, Float64
@@ -32,16 +32,16 @@ FALSE_ALARM = 0.01
 MEDIAN_EFFICIENCY = 0.48
 """Variance of the mean over that of the median, of squares of two normal numbers: ln(2)²."""
 
-MOST_PRIOR_DOF = 1e6
-LEAST_SIGMA_PX = 1e-9
+MAX_PRIOR_DOF = 1e6
+MIN_SIGMA_PX = 1e-9
 """Corners without noise occur in tests alone; their weights stay finite."""
 
-LEAST_CORNERS = 6
+MIN_CORNERS = 6
 """An image with fewer corners left tells nothing beyond its pose."""
 
 
 @dataclass(frozen=True)
-class Noise:
+class CornerNoise:
     """The corners' noise.
 
     Parameters
@@ -60,25 +60,25 @@ class Noise:
         return np.asarray(1.0 / self.sigma_px[seen.view])
 
 
-def robust(scene: Scene, seen: Sightings) -> Scene:
+def robust(scene: BoardScene, seen: Sightings) -> BoardScene:
     """Return the scene that explains most corners: the maximum likelihood of Student's t.
 
     Each round weighs a corner by (t + 2) / (t + r²/s²), and takes s from the weighted squares.
     """
     square = np.sum(scene.residuals(seen) ** 2, axis=1)
-    scale = max(float(np.median(square)) / (2.0 * math.log(2.0)), LEAST_SIGMA_PX**2)
+    scale = max(float(np.median(square)) / (2.0 * math.log(2.0)), MIN_SIGMA_PX**2)
     for _ in range(ROBUST_ROUNDS):
         weight = (TAIL + 2.0) / (TAIL + square / scale)
         scene = adjusted(scene, seen, np.sqrt(weight / scale))
         square = np.sum(scene.residuals(seen) ** 2, axis=1)
         before = scale
-        scale = max(float(np.mean(weight * square)) / 2.0, LEAST_SIGMA_PX**2)
+        scale = max(float(np.mean(weight * square)) / 2.0, MIN_SIGMA_PX**2)
         if abs(scale / before - 1.0) < SETTLED:
             break
     return scene
 
 
-def noise_of_most(scene: Scene, seen: Sightings) -> Noise:
+def noise_of_most(scene: BoardScene, seen: Sightings) -> CornerNoise:
     """Return the noise of each image from the median of its squares: some wrong corners hardly move it.
 
     The squares of a corner's residual are chi² of two degrees of freedom.
@@ -86,10 +86,10 @@ def noise_of_most(scene: Scene, seen: Sightings) -> Noise:
     square = np.sum(scene.residuals(seen) ** 2, axis=1) / _free_share(scene, seen)
     medians = np.array([np.median(square[part]) for part in seen.slices]) / (2.0 * math.log(2.0))
     variance, prior_dof = moderated(medians, _dof_of_medians(seen))
-    return Noise(np.sqrt(np.maximum(variance, LEAST_SIGMA_PX**2)), prior_dof)
+    return CornerNoise(np.sqrt(np.maximum(variance, MIN_SIGMA_PX**2)), prior_dof)
 
 
-def wrong_corners(scene: Scene, seen: Sightings) -> Bool:
+def wrong_corners(scene: BoardScene, seen: Sightings) -> Bool:
     """Return which corners (N,) no noise of their image explains, at a scene that most corners agree on.
 
     Squares of residuals over twice the image's variance are F of two degrees of freedom and of those that the
@@ -102,7 +102,7 @@ def wrong_corners(scene: Scene, seen: Sightings) -> Bool:
     return np.asarray(square > limit[seen.view])
 
 
-def _free_share(scene: Scene, seen: Sightings) -> float:
+def _free_share(scene: BoardScene, seen: Sightings) -> float:
     """Return the share of the corners' coordinates that the fit does not spend."""
     spent = len(scene.lens.values) + 2 + 6 * len(seen.names)
     return max(1.0 - spent / (2.0 * len(seen)), 0.25)
@@ -112,13 +112,13 @@ def _dof_of_medians(seen: Sightings) -> Float64:
     return np.asarray(MEDIAN_EFFICIENCY * 2.0 * seen.counts, dtype=np.float64)
 
 
-def fitted(scene: Scene, seen: Sightings, print_sigma_mm: float = 0.0) -> tuple[Scene, Noise]:
+def fitted(scene: BoardScene, seen: Sightings, print_sigma_mm: float = 0.0) -> tuple[BoardScene, CornerNoise]:
     """Return the scene of maximum likelihood and the noise, each image with its own sigma.
 
     A sum of squares is divided by the corners' coordinates less what the image spends on its pose and on what
     is shared: 2 N_i - 6 - tr(S_i S^-1).
     """
-    noise = Noise(np.ones(len(seen.names)), 0.0)
+    noise = CornerNoise(np.ones(len(seen.names)), 0.0)
     for _ in range(NOISE_ROUNDS):
         weight = noise.weight(seen)
         scene = adjusted(scene, seen, weight, print_sigma_mm=print_sigma_mm)
@@ -129,13 +129,13 @@ def fitted(scene: Scene, seen: Sightings, print_sigma_mm: float = 0.0) -> tuple[
         square = np.sum(scene.residuals(seen) ** 2, axis=1)
         variance = np.array([square[part].sum() for part in seen.slices]) / free
         variance, prior_dof = moderated(variance, free)
-        before, noise = noise, Noise(np.sqrt(np.maximum(variance, LEAST_SIGMA_PX**2)), prior_dof)
+        before, noise = noise, CornerNoise(np.sqrt(np.maximum(variance, MIN_SIGMA_PX**2)), prior_dof)
         if np.allclose(noise.sigma_px, before.sigma_px, rtol=SETTLED):
             break
     return adjusted(scene, seen, noise.weight(seen), print_sigma_mm=print_sigma_mm), noise
 
 
-def corner_sigmas_px(scene: Scene, seen: Sightings, spent: float = 0.0) -> Float64:
+def corner_sigmas_px(scene: BoardScene, seen: Sightings, spent: float = 0.0) -> Float64:
     """Return 1 sigma of a corner in each image (V,), px, where the lens is held.
 
     Of the coordinates each image spends 6 on its pose, and `spent` on what all share.
@@ -143,7 +143,7 @@ def corner_sigmas_px(scene: Scene, seen: Sightings, spent: float = 0.0) -> Float
     square = np.sum(scene.residuals(seen) ** 2, axis=1)
     free = np.maximum(2.0 * seen.counts - 6.0 - spent, 1.0)
     variance, _ = moderated(np.array([square[part].sum() for part in seen.slices]) / free, free)
-    return np.asarray(np.sqrt(np.maximum(variance, LEAST_SIGMA_PX**2)))
+    return np.asarray(np.sqrt(np.maximum(variance, MIN_SIGMA_PX**2)))
 
 
 def moderated(variance: Float64, dof: Float64) -> tuple[Float64, float]:
@@ -168,8 +168,8 @@ def moderated(variance: Float64, dof: Float64) -> tuple[Float64, float]:
     shifted = np.log(variance) - digamma(0.5 * dof) + np.log(0.5 * dof)
     mean = float(shifted.mean())
     excess = float(shifted.var(ddof=1) - polygamma(1, 0.5 * dof).mean())
-    prior_dof = MOST_PRIOR_DOF
-    if excess > float(polygamma(1, 0.5 * MOST_PRIOR_DOF)):
-        prior_dof = 2.0 * float(brentq(lambda half: polygamma(1, half) - excess, 1e-3, 0.5 * MOST_PRIOR_DOF))
+    prior_dof = MAX_PRIOR_DOF
+    if excess > float(polygamma(1, 0.5 * MAX_PRIOR_DOF)):
+        prior_dof = 2.0 * float(brentq(lambda half: polygamma(1, half) - excess, 1e-3, 0.5 * MAX_PRIOR_DOF))
     prior = math.exp(mean + float(digamma(0.5 * prior_dof)) - math.log(0.5 * prior_dof))
     return np.asarray((prior_dof * prior + dof * variance) / (prior_dof + dof)), prior_dof

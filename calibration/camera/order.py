@@ -21,9 +21,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.camera.adjustment import Scene, adjusted, with_prior
+from calibration.camera.adjustment import BoardScene, adjusted, with_prior
 from calibration.camera.lens import ORDERS, TILT
-from calibration.camera.noise import Noise
+from calibration.camera.noise import CornerNoise
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
 from noise_model.arrays import Float64
@@ -51,7 +51,7 @@ class Held:
     name: str
     loss: Float64
     log_evidence: float
-    scene: Scene
+    scene: BoardScene
 
     @property
     def mean(self) -> float:
@@ -65,9 +65,9 @@ class Held:
 
 
 def held_out_errors(
-    scene: Scene,
+    scene: BoardScene,
     seen: Sightings,
-    noise: Noise,
+    noise: CornerNoise,
     orders: Sequence[str],
     *,
     tilted: bool,
@@ -115,7 +115,7 @@ def leanest_within_error(held: list[Held]) -> Held:
     return best
 
 
-def _held(name: str, whole: Scene, seen: Sightings, noise: Noise) -> Held:
+def _held(name: str, whole: BoardScene, seen: Sightings, noise: CornerNoise) -> Held:
     weight = noise.weight(seen)
     equations = with_prior(whole, seen, weight)
     parts, pulls, information = equations.information_of_views(), equations.pulls(), equations.information()

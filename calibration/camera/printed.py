@@ -16,9 +16,9 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
-from calibration.boards.board import Board, Kind
-from calibration.camera.adjustment import Scene, linearised, prior_precision, values_of
-from calibration.camera.noise import Noise
+from calibration.boards.board import Board, BoardKind
+from calibration.camera.adjustment import BoardScene, linearised, prior_precision, values_of
+from calibration.camera.noise import CornerNoise
 from calibration.camera.sightings import Sightings
 
 FALSE_ALARM = 1e-3
@@ -27,7 +27,7 @@ FALSE_ALARM = 1e-3
 UNSEEN = 1e-9
 """Information below this share of the largest is none."""
 
-LEAST_SHARE, MOST_SHARE = 1e-6, 0.1
+MIN_SHARE, MAX_SHARE = 1e-6, 0.1
 """1 sigma of a print over the squares' side, at least and at most."""
 
 
@@ -36,10 +36,10 @@ def are_ends_told(board: Board) -> bool:
 
     Half a turn leaves a chessboard as it is unless one of its sides is odd and the other even.
     """
-    return board.kind is Kind.CHARUCO or (board.columns + board.rows) % 2 == 1
+    return board.kind is BoardKind.CHARUCO or (board.columns + board.rows) % 2 == 1
 
 
-def print_sigma_mm(scene: Scene, seen: Sightings, noise: Noise) -> float:
+def print_sigma_mm(scene: BoardScene, seen: Sightings, noise: CornerNoise) -> float:
     """Return 1 sigma of the corners' places on the board, along each axis, mm; 0 where noise explains all.
 
     Parameters
@@ -77,5 +77,5 @@ def print_sigma_mm(scene: Scene, seen: Sightings, noise: Noise) -> float:
         return float(np.sum(np.log(variance) + places**2 / variance))
 
     side = seen.board.square_mm
-    bounds = np.log(LEAST_SHARE * side), np.log(MOST_SHARE * side)
+    bounds = np.log(MIN_SHARE * side), np.log(MAX_SHARE * side)
     return float(np.exp(minimize_scalar(cost, bounds=bounds, method="bounded").x))

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from calibration.camera.adjustment import Scene, with_prior
+from calibration.camera.adjustment import BoardScene, with_prior
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
 from noise_model.arrays import Float64
@@ -24,7 +24,7 @@ FALSE_ALARM = 0.01
 """The probability that images without a common error are taken to have one."""
 
 
-def scatter_between_images(scene: Scene, seen: Sightings, weight: Float64) -> float:
+def scatter_between_images(scene: BoardScene, seen: Sightings, weight: Float64) -> float:
     """Return by what factor the covariance of lens and warp is too small, 1 if noise explains all.
 
     Parameters

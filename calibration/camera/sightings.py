@@ -12,7 +12,7 @@ from noise_model.arrays import Bool, Float64, Int64
 
 
 @dataclass(frozen=True)
-class View:
+class BoardView:
     """The corners that one image shows: their numbers on the board (n,), and where they are (n, 2), px."""
 
     name: str
@@ -45,7 +45,7 @@ class Sightings:
     points_px: Float64
 
     @classmethod
-    def of(cls, board: Board, views: Sequence[View]) -> Sightings:
+    def of(cls, board: Board, views: Sequence[BoardView]) -> Sightings:
         """Join the corners of images."""
         counts = [len(view.corners) for view in views]
         return cls(

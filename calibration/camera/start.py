@@ -11,7 +11,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from calibration.camera.adjustment import Scene, adjusted
+from calibration.camera.adjustment import BoardScene, adjusted
 from calibration.camera.lens import Lens
 from calibration.camera.sightings import Sightings
 from noise_model.arrays import Float64
@@ -20,7 +20,7 @@ FOCALS_OVER_WIDTH = np.geomspace(0.4, 20.0, 24)
 """Focal lengths that are tried, over the image's longer side: fields of view from 103 down to 3 deg."""
 
 
-def first_scene(width: int, height: int, seen: Sightings) -> Scene:
+def first_scene(width: int, height: int, seen: Sightings) -> BoardScene:
     """Return a scene to start from: a lens without distortion, a flat board, and its poses.
 
     Parameters
@@ -37,12 +37,12 @@ def first_scene(width: int, height: int, seen: Sightings) -> Scene:
     """
     lenses = [Lens.simple(width, height, focal) for focal in FOCALS_OVER_WIDTH * max(width, height)]
     exact = np.zeros((len(seen.board.points_mm), 2))
-    scenes = [Scene(lens, np.zeros(2), _poses(lens, seen), exact) for lens in lenses]
+    scenes = [BoardScene(lens, np.zeros(2), _poses(lens, seen), exact) for lens in lenses]
     misfits = [float(np.median(_squares(scene, seen))) for scene in scenes]
     return scenes[int(np.argmin(misfits))]
 
 
-def with_better_poses(scene: Scene, seen: Sightings) -> Scene:
+def with_better_poses(scene: BoardScene, seen: Sightings) -> BoardScene:
     """Return the scene with each board's pose taken anew, where that explains its corners better.
 
     A board that is seen from far looks much the same when it leans the other way. The adjustment does not
@@ -74,7 +74,7 @@ def _poses(lens: Lens, seen: Sightings, mirrored: bool = False) -> Float64:
     return T
 
 
-def _squares(scene: Scene, seen: Sightings) -> Float64:
+def _squares(scene: BoardScene, seen: Sightings) -> Float64:
     """Return the mean square of each image's residuals (V,), px²."""
     squares = np.sum(scene.residuals(seen) ** 2, axis=1)
     return np.asarray([squares[part].mean() for part in seen.slices])

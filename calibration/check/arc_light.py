@@ -48,7 +48,7 @@ MIN_LN_RANGE = 0.1
 
 
 @dataclass(frozen=True)
-class Known:
+class ValueWithSigma:
     """A value and its 1 sigma; NaN where the frames do not tell it."""
 
     value: float
@@ -74,7 +74,7 @@ class ArcFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class ArcLight:
+class ArcLightCheck:
     """The arc's light beside the expected one, over all frames.
 
     `level` is the median output over the expected one, `unsteady` its scatter from frame to frame, relative.
@@ -84,19 +84,19 @@ class ArcLight:
     """
 
     frames: tuple[ArcFrame, ...]
-    level: Known
-    unsteady: Known
-    exposure_power: Known
-    current_power: Known
-    shape: Known
-    spread: Known
+    level: ValueWithSigma
+    unsteady: ValueWithSigma
+    exposure_power: ValueWithSigma
+    current_power: ValueWithSigma
+    shape: ValueWithSigma
+    spread: ValueWithSigma
 
 
 QUANTITIES = ("level", "unsteady", "exposure_power", "current_power", "shape", "spread")
-"""The quantities of `ArcLight`, in their order."""
+"""The quantities of `ArcLightCheck`, in their order."""
 
 
-def compare_arc(setup: Setup, frames: Sequence[tuple[Frame, Float64]], seam: SeamLine) -> ArcLight:
+def compare_arc(setup: Setup, frames: Sequence[tuple[Frame, Float64]], seam: SeamLine) -> ArcLightCheck:
     """Compare the arc's light in frames, each with T_base_tool (4, 4), with what a setup expects at a seam.
 
     Raises ValueError if the setup states no arc or no metal, and where no frame shows enough of its light.
@@ -112,12 +112,12 @@ def compare_arc(setup: Setup, frames: Sequence[tuple[Frame, Float64]], seam: Sea
         _compared(geometry, rays, frames, seam._replace(slope_z=seam.slope_z + WANDER_MM[1] / away_mm)),
     ]
 
-    def with_wander(name: str) -> Known:
-        known: Known = getattr(here, name)
+    def with_wander(name: str) -> ValueWithSigma:
+        known: ValueWithSigma = getattr(here, name)
         changes = [getattr(other, name).value - known.value for other in others]
-        return Known(known.value, math.hypot(known.sigma, *changes))
+        return ValueWithSigma(known.value, math.hypot(known.sigma, *changes))
 
-    return ArcLight(here.frames, *map(with_wander, QUANTITIES))
+    return ArcLightCheck(here.frames, *map(with_wander, QUANTITIES))
 
 
 def _torch_mm(true: Setup, T_base_tool: Float64) -> float:
@@ -127,7 +127,7 @@ def _torch_mm(true: Setup, T_base_tool: Float64) -> float:
 
 def _compared(
     geometry: SensorGeometry, rays: Rays, frames: Sequence[tuple[Frame, Float64]], seam: SeamLine
-) -> ArcLight:
+) -> ArcLightCheck:
     seen = [_seen(geometry, rays, frame, T_base_tool, seam) for frame, T_base_tool in frames]
     seen = [frame for frame in seen if len(frame.charge_e) >= MIN_PIXELS]
     if not seen:
@@ -143,7 +143,7 @@ def _seen(
     return ArcFrame(frame, seen.uv_px, seen.charge_e, seen.noise_e, seen.map_e, math.nan, np.empty(0))
 
 
-def _fitted(true: Setup, seen: Sequence[ArcFrame]) -> ArcLight:
+def _fitted(true: Setup, seen: Sequence[ArcFrame]) -> ArcLightCheck:
     """Fit the frames' levels, the black level's offset and the share that is spread."""
     n = len(seen)
     starts = [max(float(np.median(f.charge_e / f.map_e)), 1e-3) for f in seen]
@@ -174,43 +174,45 @@ def _fitted(true: Setup, seen: Sequence[ArcFrame]) -> ArcLight:
     )
     level = float(np.median(levels))
     exposure_power, current_power, scatter = _powers([f.frame for f in seen], x[:n], sigmas[:n])
-    return ArcLight(
+    return ArcLightCheck(
         frames,
-        Known(level, level * float(np.median(sigmas[:n]))),
+        ValueWithSigma(level, level * float(np.median(sigmas[:n]))),
         scatter,
         exposure_power,
         current_power,
         _shape(frames),
-        Known(float(x[n + 1]), float(sigmas[n + 1])),
+        ValueWithSigma(float(x[n + 1]), float(sigmas[n + 1])),
     )
 
 
-def _shape(frames: Sequence[ArcFrame]) -> Known:
+def _shape(frames: Sequence[ArcFrame]) -> ValueWithSigma:
     """Return the map's relative error, RMS by a robust measure, the noise taken off."""
     off = np.concatenate([f.off for f in frames])
     noise = np.concatenate([f.noise_e / (f.level * f.map_e) for f in frames])
     bright = noise < MAX_NOISE
     if bright.sum() < MIN_PIXELS:
-        return Known(math.nan, math.nan)
+        return ValueWithSigma(math.nan, math.nan)
     rms = sigma_of(off[bright])
     noise_rms = float(np.sqrt(np.mean(noise[bright] ** 2)))
-    return Known(math.sqrt(max(rms**2 - noise_rms**2, 0.0)), rms / math.sqrt(2.0 * bright.sum()))
+    return ValueWithSigma(math.sqrt(max(rms**2 - noise_rms**2, 0.0)), rms / math.sqrt(2.0 * bright.sum()))
 
 
-def _powers(frames: Sequence[Frame], ln_levels: Float64, sigmas: Float64) -> tuple[Known, Known, Known]:
+def _powers(
+    frames: Sequence[Frame], ln_levels: Float64, sigmas: Float64
+) -> tuple[ValueWithSigma, ValueWithSigma, ValueWithSigma]:
     """Return with which powers of exposure and current levels (n,) go, and their scatter beyond that."""
     ln = np.log([[frame.exposure_s, frame.current_a] for frame in frames])
     varies = np.isfinite(ln).all(axis=0) & (np.ptp(ln, axis=0) > MIN_LN_RANGE)
     columns = [np.ones(len(frames)), *(ln[:, k] - ln[:, k].mean() for k in np.flatnonzero(varies))]
     A = np.column_stack(columns)
     freedom = len(frames) - A.shape[1]
-    known = [Known(math.nan, math.nan)] * 2
+    known = [ValueWithSigma(math.nan, math.nan)] * 2
     if freedom < 1 or np.linalg.matrix_rank(A) < A.shape[1]:
-        return known[0], known[1], Known(math.nan, math.nan)
+        return known[0], known[1], ValueWithSigma(math.nan, math.nan)
     x, *_ = np.linalg.lstsq(A, ln_levels, rcond=None)
     scatter = float(np.sqrt(np.sum((ln_levels - A @ x) ** 2) / freedom))
     size = math.hypot(scatter, float(np.median(sigmas)))
     x_sigmas = size * np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
     for place, k in enumerate(np.flatnonzero(varies), start=1):
-        known[k] = Known(float(x[place]), float(x_sigmas[place]))
-    return known[0], known[1], Known(scatter, size / math.sqrt(2.0 * freedom))
+        known[k] = ValueWithSigma(float(x[place]), float(x_sigmas[place]))
+    return known[0], known[1], ValueWithSigma(scatter, size / math.sqrt(2.0 * freedom))

@@ -218,7 +218,7 @@ def locate_stripes(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
 
 
 def _located(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
-    problem = _Problem.of(setup, sights)
+    problem = _StripePlaceProblem.of(setup, sights)
     coarse = problem.coarse_place()
     as_stated = problem.explained_by(AS_STATED, coarse, {})
     causes = sorted(
@@ -282,7 +282,7 @@ class SeamBends:
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _StripePlaceProblem:
     """Points (n, 2) of all frames with T_joint_tool (n, 4, 4), their 1 sigma (n,), px, across the stripe."""
 
     setup: Setup
@@ -295,7 +295,7 @@ class _Problem:
     bends: SeamBends
 
     @classmethod
-    def of(cls, setup: Setup, sights: Sequence[StripeSight]) -> _Problem:
+    def of(cls, setup: Setup, sights: Sequence[StripeSight]) -> _StripePlaceProblem:
         true = apply_setup_effects(setup)
         points, transforms, sigmas = [], [], []
         for sight in sights:

@@ -77,7 +77,7 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class State:
+class GaugeState:
     """What is estimated.
 
     Parameters
@@ -106,7 +106,7 @@ class State:
         first = first / np.linalg.norm(first)
         return np.stack([first, np.cross(n, first)])
 
-    def moved(self, step: Float64) -> State:
+    def moved(self, step: Float64) -> GaugeState:
         """Return the state after a step (9,) of all unknowns."""
         n = self.plane[:3] + step[:2] @ self.leans
         n = n / np.linalg.norm(n)
@@ -115,11 +115,11 @@ class State:
         T[:3, :3] = T[:3, :3] @ Rotation.from_rotvec(step[3:6]).as_matrix()
         T[:3, 3] += self.T_base_gauge[:3, 1] * step[6] + self.T_base_gauge[:3, 2] * step[7]
         plane = np.array([*n, place - n @ self.centre_mm])
-        return State(plane, T, self.centre_mm, self.size_mm + float(step[8]))
+        return GaugeState(plane, T, self.centre_mm, self.size_mm + float(step[8]))
 
 
 @dataclass(frozen=True)
-class Problem:
+class GaugeProblem:
     """Sightings of a gauge, and the camera's pose in the tool."""
 
     gauge: Gauge
@@ -152,14 +152,14 @@ class Problem:
         """On which face each point (N,) is."""
         return np.concatenate([sighting.faces for sighting in self.sightings])
 
-    def points_base(self, state: State, rays: Float64 | None = None) -> Float64:
+    def points_base(self, state: GaugeState, rays: Float64 | None = None) -> Float64:
         """Return where the rays (N, 3) of all images meet the sheet (N, 3), mm, base frame."""
         T = self.T_tool_camera
         directions = (self._rays if rays is None else rays) @ T[:3, :3].T
         points = points_on_plane(state.plane, T[:3, 3], directions)
         return transform_each(self._T_base_tool, points)
 
-    def distances(self, state: State, rays: Float64 | None = None) -> Float64:
+    def distances(self, state: GaugeState, rays: Float64 | None = None) -> Float64:
         """Return how far all points are off their faces (N,), mm."""
         normals, offsets = self.gauge.faces
         T = state.T_base_gauge
@@ -167,7 +167,7 @@ class Problem:
         along = np.sum(in_gauge * normals[self.faces], axis=1)
         return np.asarray(along - offsets[self.faces] * state.size_mm)
 
-    def slopes(self, state: State) -> Float64:
+    def slopes(self, state: GaugeState) -> Float64:
         """Return the distances' derivatives (N, 9) by the unknowns."""
         columns = []
         for n, size in enumerate(STEPS):
@@ -177,7 +177,7 @@ class Problem:
             columns.append((ahead - behind) / (2.0 * size))
         return np.column_stack(columns)
 
-    def parts(self, state: State) -> list[tuple[Float64, Float64, Float64]]:
+    def parts(self, state: GaugeState) -> list[tuple[Float64, Float64, Float64]]:
         """Return what each image's covariance (n, n) is made of: rays, mm², robot and form for 1 mm."""
         shifted = self.distances(state, self._rays + RAY_STEP * self._across)
         D = (shifted - self.distances(state)) / RAY_STEP
@@ -190,14 +190,14 @@ class Problem:
             made.append((by_rays, N[part] @ N[part].T, (piece[:, np.newaxis] == piece).astype(np.float64)))
         return made
 
-    def covariances(self, state: State, noise_mm: Float64) -> list[Float64]:
+    def covariances(self, state: GaugeState, noise_mm: Float64) -> list[Float64]:
         """Return the covariance of each image's distances (n, n), mm², for 1 sigma (2,) of robot and form."""
         robot, form = noise_mm**2
         return [rays + robot * by_robot + form * by_form for rays, by_robot, by_form in self.parts(state)]
 
 
 @dataclass(frozen=True)
-class Fit:
+class GaugeFit:
     """The least squares' answer.
 
     Parameters
@@ -215,7 +215,7 @@ class Fit:
         How many distances each has.
     """
 
-    state: State
+    state: GaugeState
     information: Float64
     noise_mm: Float64
     squares: Float64
@@ -241,11 +241,11 @@ def inverse(information: Float64) -> Float64:
 
 
 def fit(
-    problem: Problem,
-    start: State,
+    problem: GaugeProblem,
+    start: GaugeState,
     noise_mm: Float64,
     prior: Float64 | None = None,
-) -> Fit:
+) -> GaugeFit:
     """Fit sheet and gauge for stated errors of robot and form.
 
     Parameters
@@ -285,7 +285,7 @@ def fit(
             break
     H, _, squares = _normal(problem, state, noise_mm, n)
     counts = np.array([len(sighting.rays) for sighting in problem.sightings])
-    return Fit(state, H + np.diag(known), noise_mm, squares, counts)
+    return GaugeFit(state, H + np.diag(known), noise_mm, squares, counts)
 
 
 def _known(prior: Float64 | None) -> Float64:
@@ -295,7 +295,9 @@ def _known(prior: Float64 | None) -> Float64:
     return np.asarray((sigma if prior is None else np.minimum(sigma, prior)) ** -2.0)
 
 
-def _normal(problem: Problem, state: State, noise_mm: Float64, n: int) -> tuple[Float64, Float64, Float64]:
+def _normal(
+    problem: GaugeProblem, state: GaugeState, noise_mm: Float64, n: int
+) -> tuple[Float64, Float64, Float64]:
     H, g, squares = np.zeros((n, n)), np.zeros(n), []
     off, slopes = problem.distances(state), problem.slopes(state)
     for part, C in zip(problem.slices, problem.covariances(state, noise_mm), strict=True):
@@ -307,7 +309,7 @@ def _normal(problem: Problem, state: State, noise_mm: Float64, n: int) -> tuple[
     return H, g, np.array(squares)
 
 
-def fit_with_noise(problem: Problem, start: State, prior: Float64 | None = None) -> Fit:
+def fit_with_noise(problem: GaugeProblem, start: GaugeState, prior: Float64 | None = None) -> GaugeFit:
     """Fit sheet and gauge, and how large the robot's error and the form's are; see `fit`."""
     noise_mm = np.array(START_MM)
     fitted = fit(problem, start, noise_mm, prior)
@@ -319,7 +321,7 @@ def fit_with_noise(problem: Problem, start: State, prior: Float64 | None = None)
     return fitted
 
 
-def _likeliest_noise(problem: Problem, fitted: Fit, prior: Float64 | None) -> Float64:
+def _likeliest_noise(problem: GaugeProblem, fitted: GaugeFit, prior: Float64 | None) -> Float64:
     """Return 1 sigma of robot and form (2,), mm, of the largest restricted likelihood."""
     known = np.diag(_known(prior))
     off, slopes = problem.distances(fitted.state), problem.slopes(fitted.state)

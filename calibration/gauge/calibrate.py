@@ -13,34 +13,42 @@ from scipy.stats import chi2
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.lens import Lens
 from calibration.few_values import wider_by_few
-from calibration.gauge.adjustment import SHEET, SIZE, Fit, Problem, State, fit_with_noise, inverse
+from calibration.gauge.adjustment import (
+    SHEET,
+    SIZE,
+    GaugeFit,
+    GaugeProblem,
+    GaugeState,
+    fit_with_noise,
+    inverse,
+)
 from calibration.gauge.shape import Gauge, Shape
-from calibration.gauge.sightings import Posed, place_gauge
+from calibration.gauge.sightings import PosedPieces, place_gauge
 from noise_model.arrays import Float64
 from noise_model.transforms import transform
 
-LEAST_IMAGES = 4
+MIN_IMAGES = 4
 """Fewer images determine no sheet and leave nothing to judge it by."""
 
-MOST_LEAN_DEG, MOST_PLACE_MM = 0.5, 0.2
+MAX_LEAN_DEG, MAX_PLACE_MM = 0.5, 0.2
 """1 sigma of the sheet's leans and place: beyond it the sheet is as good as unknown."""
 
 FALSE_ALARM = 0.001
 """The probability that a set without a wrong image loses one."""
 
-LEAST_FREEDOM = 2
+MIN_FREEDOM = 2
 """Degrees of freedom of the errors' size, at least."""
 
 SIZE_SIGMA_MM = 0.01
 """1 sigma of a gauge's size: a ground one is better, a milled one as good."""
 
-MOST_FORM_MM = 0.1
+MAX_FORM_MM = 0.1
 """Pieces of the stripe that lie farther off the gauge's faces, 1 sigma, are of another gauge."""
 
 FEW_IMAGES = 3
 """Fewer images say nothing of the errors: those that are usual count."""
 
-MOST_WRONG = 0.3
+MAX_OUTLIER_SHARE = 0.3
 """The largest share of images that is left out."""
 
 HELD = 1e-9
@@ -67,8 +75,8 @@ class GaugeCalibration:
         The images that were left out, and why.
     """
 
-    problem: Problem
-    fitted: Fit
+    problem: GaugeProblem
+    fitted: GaugeFit
     left_out: dict[str, str]
 
     @property
@@ -118,8 +126,8 @@ class GaugeCheck:
         The images that show no such gauge, and why.
     """
 
-    problem: Problem
-    fitted: Fit
+    problem: GaugeProblem
+    fitted: GaugeFit
     size_mm: float
     sigma_mm: float
     left_out: dict[str, str]
@@ -137,11 +145,16 @@ def _wider(gauge: Gauge, images: int) -> float:
     and gauge take some of that.
     """
     freedom = 2 * images - 7 if gauge.shape is Shape.V else images - 4
-    return wider_by_few(max(freedom, LEAST_FREEDOM))
+    return wider_by_few(max(freedom, MIN_FREEDOM))
 
 
 def calibrate_gauge(
-    shown: Sequence[Posed], gauge: Gauge, lens: Lens, T_tool_camera: Float64, plane: Float64, up: Float64
+    shown: Sequence[PosedPieces],
+    gauge: Gauge,
+    lens: Lens,
+    T_tool_camera: Float64,
+    plane: Float64,
+    up: Float64,
 ) -> GaugeCalibration:
     """Find the sheet from stripes on a gauge that stands still in base.
 
@@ -172,11 +185,11 @@ def calibrate_gauge(
     """
     start, sightings, left_out = place_gauge(shown, gauge, lens, T_tool_camera, plane, up)
     _check_count(len(sightings), left_out)
-    problem = Problem(gauge, T_tool_camera, tuple(sightings))
+    problem = GaugeProblem(gauge, T_tool_camera, tuple(sightings))
     known = np.full(SIZE + 1, np.inf)
     known[SIZE] = SIZE_SIGMA_MM
     fitted = fit_with_noise(problem, start, known)
-    while len(sightings) > LEAST_IMAGES and len(left_out) < MOST_WRONG * len(shown):
+    while len(sightings) > MIN_IMAGES and len(left_out) < MAX_OUTLIER_SHARE * len(shown):
         worst = int(np.argmax(fitted.squares / fitted.counts))
         rest = replace(problem, sightings=(*sightings[:worst], *sightings[worst + 1 :]))
         without = fit_with_noise(rest, start, known)
@@ -189,7 +202,7 @@ def calibrate_gauge(
         problem, fitted = rest, without
     result = GaugeCalibration(problem, fitted, left_out)
     form_mm = float(fitted.noise_mm[1])
-    if form_mm > MOST_FORM_MM:
+    if form_mm > MAX_FORM_MM:
         raise UndeterminedError(
             f"the stripe's pieces lie {form_mm:.2f} mm off the faces of {gauge}, 1 σ: it is another gauge, "
             "or camera and lens are not as the setup has them"
@@ -200,7 +213,7 @@ def calibrate_gauge(
     return result
 
 
-def _is_wrong(problem: Problem, image: int, without: Fit) -> bool:
+def _is_wrong(problem: GaugeProblem, image: int, without: GaugeFit) -> bool:
     """Say whether an image is farther off a fit without it than noise and that fit's own errors explain."""
     part = problem.slices[image]
     d, J = problem.distances(without.state)[part], problem.slopes(without.state)[part]
@@ -210,11 +223,11 @@ def _is_wrong(problem: Problem, image: int, without: Fit) -> bool:
 
 
 def _check_count(images: int, left_out: dict[str, str]) -> None:
-    if images >= LEAST_IMAGES:
+    if images >= MIN_IMAGES:
         return
     why = f": {next(iter(left_out))} {next(iter(left_out.values()))}" if left_out else ""
     raise UndeterminedError(
-        f"{images} image{'s show' if images != 1 else ' shows'} the gauge{why}: {LEAST_IMAGES} at least are "
+        f"{images} image{'s show' if images != 1 else ' shows'} the gauge{why}: {MIN_IMAGES} at least are "
         "needed, and 12 are good; one is enough for --check"
     )
 
@@ -222,10 +235,10 @@ def _check_count(images: int, left_out: dict[str, str]) -> None:
 def _excess(information: Float64) -> Float64:
     """Return by how much the sheet's sigmas (3,) are over what is allowed: two leans, and the place."""
     sigma = np.sqrt(np.diag(inverse(information)))[SHEET]
-    return np.array([*(sigma[:2] / math.radians(MOST_LEAN_DEG)), sigma[2] / MOST_PLACE_MM])
+    return np.array([*(sigma[:2] / math.radians(MAX_LEAN_DEG)), sigma[2] / MAX_PLACE_MM])
 
 
-def missing_motion(problem: Problem, fitted: Fit) -> str | None:
+def missing_motion(problem: GaugeProblem, fitted: GaugeFit) -> str | None:
     """Return which motion is missing where the sheet is not determined; None where it is.
 
     Each motion is tried: the one counts by whose images the sheet would be known best.
@@ -233,7 +246,7 @@ def missing_motion(problem: Problem, fitted: Fit) -> str | None:
     excess = _excess(fitted.information)
     if excess.max() <= 1.0:
         return None
-    sigma = excess * [MOST_LEAN_DEG, MOST_LEAN_DEG, MOST_PLACE_MM]
+    sigma = excess * [MAX_LEAN_DEG, MAX_LEAN_DEG, MAX_PLACE_MM]
     information, wanted = fitted.information, []
     for _ in range(2):
         gains = {
@@ -257,7 +270,7 @@ def _about(value: float, unit: str) -> str:
     return f"{value:.2g}{unit}" if value < 90.0 else "nothing"
 
 
-def _motions(problem: Problem, state: State) -> dict[str, tuple[Float64, Float64]]:
+def _motions(problem: GaugeProblem, state: GaugeState) -> dict[str, tuple[Float64, Float64]]:
     """Return motions of the tool by name, each with two poses (4, 4), about the stripe's middle."""
     T = problem.sightings[0].T_base_tool
     middle = T[:3, :3] @ state.centre_mm + T[:3, 3]
@@ -282,7 +295,7 @@ def _motions(problem: Problem, state: State) -> dict[str, tuple[Float64, Float64
     }
 
 
-def _information(problem: Problem, fitted: Fit, T_base_tool: Float64) -> Float64:
+def _information(problem: GaugeProblem, fitted: GaugeFit, T_base_tool: Float64) -> Float64:
     """Return what an image at a pose would add: its stripe as wide and as noisy as those that there are."""
     state, like = fitted.state, problem.sightings[0]
     to_camera = np.asarray(np.linalg.inv(T_base_tool @ problem.T_tool_camera), dtype=np.float64)
@@ -311,7 +324,12 @@ def _information(problem: Problem, fitted: Fit, T_base_tool: Float64) -> Float64
 
 
 def check_gauge(
-    shown: Sequence[Posed], gauge: Gauge, lens: Lens, T_tool_camera: Float64, plane: Float64, up: Float64
+    shown: Sequence[PosedPieces],
+    gauge: Gauge,
+    lens: Lens,
+    T_tool_camera: Float64,
+    plane: Float64,
+    up: Float64,
 ) -> GaugeCheck:
     """Measure a gauge's size by a sheet as stated.
 
@@ -336,7 +354,7 @@ def check_gauge(
     if not sightings:
         name, reason = next(iter(left_out.items()))
         raise UndeterminedError(f"no image shows the gauge: {name} {reason}")
-    problem = Problem(gauge, T_tool_camera, tuple(sightings))
+    problem = GaugeProblem(gauge, T_tool_camera, tuple(sightings))
     held = np.array([*[HELD] * 3, TILT_SIGMA, TILT_SIGMA, *[np.inf] * 4])
     fitted = fit_with_noise(problem, start, held)
     sigma = math.sqrt(float(fitted.covariance[SIZE, SIZE]))
@@ -346,7 +364,7 @@ def check_gauge(
 
 
 def check_each(
-    shown: Sequence[Posed], gauge: Gauge, lens: Lens, T_tool_camera: Float64, plane: Float64
+    shown: Sequence[PosedPieces], gauge: Gauge, lens: Lens, T_tool_camera: Float64, plane: Float64
 ) -> list[GaugeCheck]:
     """Measure a gauge's size in each image alone: nothing is known of the robot, but that it stands upright.
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from calibration.camera.lens import Lens
-from calibration.gauge.adjustment import Sighting, State
+from calibration.gauge.adjustment import GaugeState, Sighting
 from calibration.gauge.shape import EDGE, Gauge, Shape
 from calibration.gauge.stripe_pieces import Piece, Pieces
 from calibration.laser.plane import foot_on, points_on_plane
@@ -23,18 +23,18 @@ EDGE_SIGMA_MM = 0.2
 EDGE_SIGMA_PX = 0.5
 """The same in the image: an end is known to a scan line."""
 
-MOST_OFF = 0.35
+MAX_SIZE_ERROR = 0.35
 """A size that is measured farther than that share off the stated one is of another thing."""
 
 SLOPE_RATIOS = (0.8, 1.6)
 """A V looks that much wider or narrower than it is at most: wider where the stripe crosses it aslant."""
 
-LEAST_ANGLE_DEG = 5.0
+MIN_ANGLE_DEG = 5.0
 """Two lines in space that are less apart in direction do not tell the gauge's top."""
 
 
 @dataclass(frozen=True)
-class Posed:
+class PosedPieces:
     """An image's pieces and the robot's pose (4, 4), mm, at which it was taken."""
 
     name: str
@@ -42,7 +42,9 @@ class Posed:
     T_base_tool: Float64
 
 
-def ends_in_base(each: Posed, piece: Piece, lens: Lens, T_tool_camera: Float64, plane: Float64) -> Float64:
+def ends_in_base(
+    each: PosedPieces, piece: Piece, lens: Lens, T_tool_camera: Float64, plane: Float64
+) -> Float64:
     """Return where a piece begins and ends (2, 3), mm, base frame, for a sheet in the tool frame."""
     rays = _on_line(piece, lens, each.pieces.along_rows)
     return transform(each.T_base_tool, _on_sheet(rays, T_tool_camera, plane))
@@ -62,8 +64,13 @@ def _on_sheet(rays: Float64, T_tool_camera: Float64, plane: Float64) -> Float64:
 
 
 def place_gauge(
-    shown: Sequence[Posed], gauge: Gauge, lens: Lens, T_tool_camera: Float64, plane: Float64, up: Float64
-) -> tuple[State, list[Sighting], dict[str, str]]:
+    shown: Sequence[PosedPieces],
+    gauge: Gauge,
+    lens: Lens,
+    T_tool_camera: Float64,
+    plane: Float64,
+    up: Float64,
+) -> tuple[GaugeState, list[Sighting], dict[str, str]]:
     """Tell pieces' faces and the gauge's place by the sheet as stated.
 
     Parameters
@@ -91,7 +98,7 @@ def place_gauge(
         The others, and why.
     """
     left_out: dict[str, str] = {}
-    kept: list[tuple[Posed, int]] = []
+    kept: list[tuple[PosedPieces, int]] = []
     all_ends: list[Float64] = []
     sides: list[Float64] = []
     for each in shown:
@@ -108,7 +115,7 @@ def place_gauge(
         all_ends.append(np.stack(sorted_ends))
         sides.append(across)
     if not kept:
-        return State(plane, np.eye(4), np.zeros(3), gauge.size_mm), [], left_out
+        return GaugeState(plane, np.eye(4), np.zeros(3), gauge.size_mm), [], left_out
     z = _top(all_ends, gauge, up)
     edges = np.stack([_edge_of(ends, gauge) for ends in all_ends])
     y = np.mean([side / np.linalg.norm(side) for side in sides], axis=0)
@@ -123,7 +130,7 @@ def place_gauge(
     )
     centre = foot_on(plane, points.mean(axis=0))
     sightings = [_sighting(each, order, gauge, lens, T_tool_camera, plane) for each, order in kept]
-    return State(plane, T, centre, gauge.size_mm), sightings, left_out
+    return GaugeState(plane, T, centre, gauge.size_mm), sightings, left_out
 
 
 def _order(gauge: Gauge, ends: Sequence[Float64], up: Float64) -> tuple[str, int]:
@@ -132,12 +139,12 @@ def _order(gauge: Gauge, ends: Sequence[Float64], up: Float64) -> tuple[str, int
     if gauge.shape is Shape.STEP:
         # At the step itself: a gauge that leans makes heights differ elsewhere.
         drop = float(heights[0][1] - heights[1][0])
-        if not abs(abs(drop) / gauge.size_mm - 1.0) < MOST_OFF:
+        if not abs(abs(drop) / gauge.size_mm - 1.0) < MAX_SIZE_ERROR:
             return f"shows a step of {abs(drop):.2f} mm, the gauge's has {gauge.size_mm:g} mm", 1
         return "", 1 if drop > 0.0 else -1
     root = 0.5 * float(heights[1][1] + heights[2][0])
     depth = 0.5 * float(heights[0][1] + heights[3][0]) - root
-    if not abs(depth / gauge.size_mm - 1.0) < MOST_OFF:
+    if not abs(depth / gauge.size_mm - 1.0) < MAX_SIZE_ERROR:
         return f"shows a V {depth:.2f} mm deep, the gauge's has {gauge.size_mm:g} mm", 1
     mouth = ends[3][0] - ends[0][1]
     slope = 0.5 * float(np.linalg.norm(mouth - (mouth @ up) * up)) / depth
@@ -160,7 +167,7 @@ def _top(all_ends: Sequence[Float64], gauge: Gauge, up: Float64) -> Float64:
     directions = np.array([ends[n][1] - ends[n][0] for ends in all_ends for n in flat])
     directions = directions / np.linalg.norm(directions, axis=1)[:, np.newaxis]
     # The normal is square to all of them; where they are alike, it is `up` as far as it can be.
-    M = directions.T @ directions / len(directions) + np.radians(LEAST_ANGLE_DEG) ** 2 * (
+    M = directions.T @ directions / len(directions) + np.radians(MIN_ANGLE_DEG) ** 2 * (
         np.eye(3) - np.outer(up, up)
     )
     z = np.linalg.eigh(M)[1][:, 0]
@@ -168,7 +175,7 @@ def _top(all_ends: Sequence[Float64], gauge: Gauge, up: Float64) -> Float64:
 
 
 def _sighting(
-    each: Posed, order: int, gauge: Gauge, lens: Lens, T_tool_camera: Float64, plane: Float64
+    each: PosedPieces, order: int, gauge: Gauge, lens: Lens, T_tool_camera: Float64, plane: Float64
 ) -> Sighting:
     pieces = each.pieces.pieces[::order]
     rays = [piece.line.rays for piece in pieces]

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from calibration.camera.lens import Lens
-from calibration.laser.image_line import ImageLine, fit_line
+from calibration.laser.image_line import LaserLineFit, fit_line
 from calibration.laser.stripe import LaserLight, likeliest_path
 from noise_model.arrays import Float64, Integers
 from noise_model.robust import spread
@@ -24,13 +24,13 @@ NOISE_FLOOR_DN = 0.5
 KNOTS = 120
 """The path is cut into so many groups: pieces begin and end with them."""
 
-LEAST_PIECE = 0.06
+MIN_PIECE_SHARE = 0.06
 """A piece has that share of the path at least."""
 
-TRIM_SCALES, LEAST_TRIM_PX = 2.0, 2.0
+TRIM_SCALES, MIN_TRIM_PX = 2.0, 2.0
 """At a corner so many of the stripe's sigmas are left out: it is round there, and blurred."""
 
-LEAST_LINES = 12
+MIN_LINES = 12
 """A piece of fewer scan lines tells no line."""
 
 
@@ -49,7 +49,7 @@ class Piece:
     """
 
     points_px: Float64
-    line: ImageLine
+    line: LaserLineFit
     first: Float64
     last: Float64
 
@@ -99,17 +99,17 @@ def stripe_pieces(image_dn: Integers, lens: Lens, count: int) -> Pieces | str:
         What is missing where the stripe has not so many.
     """
     path = likeliest_path(laser_light_alone(image_dn))
-    if path is None or len(path.points_px) < count * LEAST_LINES:
+    if path is None or len(path.points_px) < count * MIN_LINES:
         return "shows no stripe"
     column = 0 if path.along_rows else 1
     scan, place = path.points_px[:, column], path.points_px[:, 1 - column]
     cuts = _cuts(scan, place, count)
-    trim = max(TRIM_SCALES * path.scale_px, LEAST_TRIM_PX)
+    trim = max(TRIM_SCALES * path.scale_px, MIN_TRIM_PX)
     pieces = []
     for low, high in zip([0, *cuts], [*cuts, len(scan)], strict=True):
         points = path.points_px[low:high]
         inner = points[(points[:, column] >= scan[low] + trim) & (points[:, column] <= scan[high - 1] - trim)]
-        if len(inner) < LEAST_LINES:
+        if len(inner) < MIN_LINES:
             return f"shows a stripe of fewer than {count} pieces"
         line = fit_line(lens.rays(inner), path.along_rows)
         pieces.append(Piece(inner[line.kept], line, points[0], points[-1]))
@@ -136,7 +136,7 @@ def _middle(piece: Piece, column: int) -> float:
     return float(np.median(piece.points_px[:, column]))
 
 
-def _beside(line: ImageLine, rays: Float64, column: int) -> Float64:
+def _beside(line: LaserLineFit, rays: Float64, column: int) -> Float64:
     """Return how far rays (n, 3) are beside a line, along the scan lines (n,)."""
     a, b = line.rays
     share = (rays[:, column] - a[column]) / (b[column] - a[column])
@@ -148,7 +148,7 @@ def _cuts(scan: Float64, place: Float64, count: int) -> Sequence[int]:
     groups = np.array_split(np.arange(len(scan)), min(KNOTS, len(scan)))
     t = np.array([np.median(scan[group]) for group in groups])
     y = np.array([np.median(place[group]) for group in groups])
-    n, least = len(t), max(2, int(LEAST_PIECE * len(t)))
+    n, least = len(t), max(2, int(MIN_PIECE_SHARE * len(t)))
     cost = np.full((n + 1, n + 1), np.inf)
     for low in range(n - least + 1):
         for high in range(low + least, n + 1):

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi, chi2, t
 
-from calibration.camera.adjustment import Scene, adjusted
+from calibration.camera.adjustment import BoardScene, adjusted
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.known_lens import check_corners
 from calibration.camera.sightings import Sightings
 from calibration.hand_eye_boards.chain import Chain
-from calibration.hand_eye_boards.consistent import Agreement, consistent
+from calibration.hand_eye_boards.consistent import PoseConsistency, consistent
 from calibration.hand_eye_boards.enough import (
     InconsistentError,
     check_count,
@@ -22,7 +22,7 @@ from calibration.hand_eye_boards.enough import (
     check_turns,
     turns_deg,
 )
-from calibration.hand_eye_boards.refine import Boards, Refined, robot_errors, with_warp
+from calibration.hand_eye_boards.refine import Boards, Refinement, robot_errors, with_warp
 from calibration.hand_eye_boards.start import first_chain, renumbered
 from calibration.threads import one_thread
 from noise_model.arrays import Bool, Float64
@@ -30,10 +30,10 @@ from noise_model.arrays import Bool, Float64
 PARAMETERS = ("rot_x_deg", "rot_y_deg", "rot_z_deg", "move_x_mm", "move_y_mm", "move_z_mm")
 """A small motion of the camera in its own frame, as `noise_model.transforms.moved` applies it."""
 
-MOST_LEFT_OUT = 0.4
+MAX_OUTLIER_SHARE = 0.4
 """The share of poses that may contradict the rest: of more nobody knows which are right."""
 
-MOST_ROBOT_DEG, MOST_ROBOT_MM = 1.0, 5.0
+MAX_ROBOT_DEG, MAX_ROBOT_MM = 1.0, 5.0
 """1 sigma of the robot's error that no robot has: the poses mean something else."""
 
 FAR_START = 3.0
@@ -45,10 +45,10 @@ MEDIAN_OF_THREE = float(chi.median(3))
 SAME_BOARD = 1e-3
 """The probability that a board's pose is refused whose corners fit it as well as the best one."""
 
-MOST_SCALE_SIGMAS = 4.0
+MAX_SCALE_SIGMAS = 4.0
 """A board's scale that the robot's motions contradict by more is named."""
 
-MOST_SCALE_ERROR = 0.01
+MAX_SCALE_ERROR = 0.01
 """A board that is so much larger or smaller for sure was measured wrong, or the robot's unit is another."""
 
 UNITS = np.array([math.degrees(1.0)] * 3 + [1.0] * 3)
@@ -72,7 +72,7 @@ class HandEyeCalibration:
         The poses that were left out, and why.
     """
 
-    refined: Refined
+    refined: Refinement
     lens_covariance: Float64
     off_deg: Float64
     off_mm: Float64
@@ -163,11 +163,11 @@ class HandEyeCalibration:
     @property
     def is_scale_off(self) -> bool:
         """Whether the robot's motions contradict the board's size."""
-        return abs(self.scale - 1.0) > MOST_SCALE_SIGMAS * self.scale_sigma
+        return abs(self.scale - 1.0) > MAX_SCALE_SIGMAS * self.scale_sigma
 
 
 def calibrate_hand_eye(
-    scene: Scene,
+    scene: BoardScene,
     seen: Sightings,
     T_base_tool: Float64,
     *,
@@ -280,12 +280,12 @@ def _root(covariance: Float64) -> Float64:
     return np.asarray(directions * np.sqrt(np.maximum(variance, 0.0)))
 
 
-def _check_agreement(agreement: Agreement) -> None:
+def _check_agreement(agreement: PoseConsistency) -> None:
     """Raise InconsistentError if too many poses contradict the rest, or the noise is no robot's."""
     count, kept = len(agreement.distance), len(agreement.kept)
     sigma = agreement.result.solution.sigma
     deg, mm = math.degrees(sigma[0]), float(sigma[1])
-    if count - kept > MOST_LEFT_OUT * count:
+    if count - kept > MAX_OUTLIER_SHARE * count:
         raise InconsistentError(f"only {kept} of {count} poses agree with what the camera sees")
     _check_robot(deg, mm)
 
@@ -300,23 +300,23 @@ def _check_start(chain: Chain, T_camera_board: Float64) -> None:
 
 def _check_robot(deg: float, mm: float, wider: float = 1.0) -> None:
     """Raise InconsistentError if the robot's error, 1 sigma, is so many times larger than any robot's."""
-    if deg > wider * MOST_ROBOT_DEG or mm > wider * MOST_ROBOT_MM:
+    if deg > wider * MAX_ROBOT_DEG or mm > wider * MAX_ROBOT_MM:
         raise InconsistentError(
             f"the robot's poses are {mm:.2g} mm and {deg:.2g} deg off what the camera sees (1 sigma, "
-            f"{MOST_ROBOT_MM:g} mm and {MOST_ROBOT_DEG:g} deg are the most)"
+            f"{MAX_ROBOT_MM:g} mm and {MAX_ROBOT_DEG:g} deg are the most)"
         )
 
 
 def _check_scale(scale: float, sigma: float) -> None:
     """Raise InconsistentError if the robot moves in another unit than the board."""
-    if abs(scale - 1.0) > max(MOST_SCALE_SIGMAS * sigma, MOST_SCALE_ERROR):
+    if abs(scale - 1.0) > max(MAX_SCALE_SIGMAS * sigma, MAX_SCALE_ERROR):
         raise InconsistentError(
             f"the robot's motions make the board {max(scale, 0.0):.3g} times as large as stated (1 sigma is "
             f"{sigma:.1g})"
         )
 
 
-def _left_out(agreement: Agreement, names: tuple[str, ...]) -> dict[str, str]:
+def _left_out(agreement: PoseConsistency, names: tuple[str, ...]) -> dict[str, str]:
     left_out = {}
     for n, name in enumerate(names):
         if n not in agreement.kept:
@@ -329,7 +329,7 @@ def _left_out(agreement: Agreement, names: tuple[str, ...]) -> dict[str, str]:
     return left_out
 
 
-def _scale(result: Refined) -> tuple[float, float]:
+def _scale(result: Refinement) -> tuple[float, float]:
     """Return the board's size over that stated, as the robot's motions tell it, and its 1 sigma.
 
     A board of 1 + q times the size stands as much farther away than it seems: e has a part -q t, with t

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.stats import f
 
 from calibration.hand_eye_boards.chain import Chain
-from calibration.hand_eye_boards.enough import LEAST_POSES
-from calibration.hand_eye_boards.refine import UNKNOWNS, Boards, Refined, pose_errors, refined
+from calibration.hand_eye_boards.enough import MIN_POSES
+from calibration.hand_eye_boards.refine import UNKNOWNS, Boards, Refinement, pose_errors, refined
 from noise_model.arrays import Float64
 
 FALSE_ALARM = 0.01
@@ -25,13 +25,13 @@ MOTION = 6
 
 
 @dataclass(frozen=True)
-class Agreement:
+class PoseConsistency:
     """The poses that agree, and how far all are off.
 
     Parameters
     ----------
     kept : list of int
-        The poses that agree, `LEAST_POSES` at least.
+        The poses that agree, `MIN_POSES` at least.
     result : Refined
         What they make.
     distance : array (V,)
@@ -41,12 +41,12 @@ class Agreement:
     """
 
     kept: list[int]
-    result: Refined
+    result: Refinement
     distance: Float64
     robot_error: Float64
 
 
-def consistent(chain: Chain, boards: Boards, lens_root: Float64, off_px: Float64) -> Agreement:
+def consistent(chain: Chain, boards: Boards, lens_root: Float64, off_px: Float64) -> PoseConsistency:
     """Return the poses that agree, and what they make.
 
     Parameters
@@ -71,7 +71,7 @@ def consistent(chain: Chain, boards: Boards, lens_root: Float64, off_px: Float64
         If those that agree do not determine camera and board.
     """
     count = len(off_px)
-    half = max(count // 2 + 1, LEAST_POSES)
+    half = max(count // 2 + 1, MIN_POSES)
     kept = sorted(np.argsort(off_px)[:half].tolist())
     sigma: Float64 | None = None
     for _ in range(MAX_ROUNDS):
@@ -84,13 +84,15 @@ def consistent(chain: Chain, boards: Boards, lens_root: Float64, off_px: Float64
         limit = float(f.isf(FALSE_ALARM / count, MOTION, freedom))
         wider = max(float(np.median(agreement.distance) / f.median(MOTION, freedom)), 1.0)
         agree = np.flatnonzero(agreement.distance < wider * limit).tolist()
-        if len(agree) < LEAST_POSES or agree == kept:
+        if len(agree) < MIN_POSES or agree == kept:
             break
         kept = agree
     return agreement
 
 
-def _judged(kept: list[int], result: Refined, whole: Chain, boards: Boards, lens_root: Float64) -> Agreement:
+def _judged(
+    kept: list[int], result: Refinement, whole: Chain, boards: Boards, lens_root: Float64
+) -> PoseConsistency:
     errors, _, _ = pose_errors(whole, boards, lens_root)
     V, H = errors.covariance(result.solution.sigma), errors.per_unknown
     spread = H @ result.solution.covariance @ H.transpose(0, 2, 1)
@@ -103,4 +105,4 @@ def _judged(kept: list[int], result: Refined, whole: Chain, boards: Boards, lens
     )[:, :, 0]
     distance = np.sum(errors.error * solved, axis=1) / MOTION
     robot_error = np.linalg.solve(errors.per_robot, errors.error[:, :, np.newaxis])[:, :, 0]
-    return Agreement(kept, result, np.asarray(distance), np.asarray(robot_error))
+    return PoseConsistency(kept, result, np.asarray(distance), np.asarray(robot_error))

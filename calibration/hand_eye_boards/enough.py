@@ -12,13 +12,13 @@ from calibration.hand_eye_boards.chain import Chain
 from calibration.rigid import inverse
 from noise_model.arrays import Float64
 
-LEAST_POSES = 5
+MIN_POSES = 5
 """Poses: three determine the camera, two more say how large the robot's noise is."""
 
-LEAST_TURN_DEG = 1.0
+MIN_TURN_DEG = 1.0
 """The RMS turn about an axis, deg: below it, robots' errors of rotation pass for a motion."""
 
-MOST_SIGMA_MM, MOST_SIGMA_DEG = 2.0, 0.5
+MAX_SIGMA_MM, MAX_SIGMA_DEG = 2.0, 0.5
 """1 sigma of the camera's place and turn along their worst axes: beyond it they are as good as unknown."""
 
 AXES = "xyz"
@@ -37,11 +37,11 @@ def turns_deg(chain: Chain) -> Float64:
 
 def check_count(poses: int, left_out: int) -> None:
     """Raise UndeterminedError if there are too few poses."""
-    if poses < LEAST_POSES:
+    if poses < MIN_POSES:
         others = f" ({left_out} left out)" if left_out else ""
         raise UndeterminedError(
             f"{poses} image{'s' if poses != 1 else ''} of the board with a pose of the robot{others}: "
-            f"{LEAST_POSES} at least are needed, and 15 are good; take more, the robot turned {ADVICE} about "
+            f"{MIN_POSES} at least are needed, and 15 are good; take more, the robot turned {ADVICE} about "
             "another axis in each"
         )
 
@@ -51,12 +51,12 @@ def check_turns(chain: Chain) -> None:
     holder = holder_name(chain)
     turns = turns_deg(chain)
     _, size, axes = np.linalg.svd(turns / math.sqrt(len(turns)))
-    if size[0] < LEAST_TURN_DEG:
+    if size[0] < MIN_TURN_DEG:
         raise UndeterminedError(
             f"the robot does not turn between the images ({size[0]:.2g} deg RMS), and the camera's place is "
             f"unknown: add poses turned {ADVICE} about two axes of the {holder}, such as x and y"
         )
-    if size[1] < LEAST_TURN_DEG:
+    if size[1] < MIN_TURN_DEG:
         raise UndeterminedError(
             f"the robot turns about one axis alone, {axis_words(axes[0])} of the {holder}, and the camera's "
             f"place along it is unknown: add poses turned {ADVICE} about {_others(axes[0])} of the {holder}"
@@ -68,8 +68,8 @@ def check_sigmas(chain: Chain, covariance: Float64) -> None:
     R, holder = chain.T_holder_camera[:3, :3], holder_name(chain)
     turn, place = covariance[:3, :3], covariance[3:, 3:]
     for matrix, most, scale, what, unit in (
-        (place, MOST_SIGMA_MM, 1.0, "place along", "mm"),
-        (turn, MOST_SIGMA_DEG, math.degrees(1.0), "turn about", "deg"),
+        (place, MAX_SIGMA_MM, 1.0, "place along", "mm"),
+        (turn, MAX_SIGMA_DEG, math.degrees(1.0), "turn about", "deg"),
     ):
         variance, directions = np.linalg.eigh(matrix)
         sigma = scale * math.sqrt(max(float(variance[-1]), 0.0))

@@ -19,12 +19,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.camera.adjustment import WARP, Scene, adjusted, linearised
+from calibration.camera.adjustment import WARP, BoardScene, adjusted, linearised
 from calibration.camera.noise import corner_sigmas_px
 from calibration.camera.normal_equations import NormalEquations
 from calibration.camera.sightings import Sightings
 from calibration.hand_eye_boards.chain import Chain
-from calibration.hand_eye_boards.variances import PoseErrors, Solution, robot_sigma, solve
+from calibration.hand_eye_boards.variances import PoseErrors, VarianceSolution, robot_sigma, solve
 from calibration.rigid import inverse, motions, twists
 from noise_model.arrays import Float64
 
@@ -42,7 +42,7 @@ UNKNOWNS = 12
 class Boards:
     """Lens, warp and boards' poses, the corners, and 1 sigma of a corner in each image (V,), px."""
 
-    scene: Scene
+    scene: BoardScene
     seen: Sightings
     sigma_px: Float64
 
@@ -57,7 +57,7 @@ class Boards:
 
 
 @dataclass(frozen=True)
-class Refined:
+class Refinement:
     """The result of a refinement.
 
     Parameters
@@ -74,7 +74,7 @@ class Refined:
 
     chain: Chain
     boards: Boards
-    solution: Solution
+    solution: VarianceSolution
     errors: PoseErrors
 
     @property
@@ -89,7 +89,7 @@ def robot_errors(chain: Chain, T_camera_board: Float64) -> Float64:
     return np.asarray(np.linalg.solve(chain.per_robot_error(), eta[:, :, np.newaxis])[:, :, 0])
 
 
-def with_warp(scene: Scene, seen: Sightings) -> Boards:
+def with_warp(scene: BoardScene, seen: Sightings) -> Boards:
     """Return boards fitted each by itself, with the warp that all share, and their corners' noise."""
     n, ones = len(scene.lens.values), np.ones(len(seen))
     for _ in range(WARP_ROUNDS):
@@ -137,7 +137,7 @@ def pose_errors(
     return errors, equations, eta
 
 
-def refined(chain: Chain, boards: Boards, lens_root: Float64, sigma: Float64 | None = None) -> Refined:
+def refined(chain: Chain, boards: Boards, lens_root: Float64, sigma: Float64 | None = None) -> Refinement:
     """Return camera, board, warp, boards' poses and the robot's noise of the largest likelihood.
 
     Parameters
@@ -169,7 +169,7 @@ def refined(chain: Chain, boards: Boards, lens_root: Float64, sigma: Float64 | N
         if (np.abs(solution.step) <= SETTLED_SIGMAS * np.sqrt(np.diag(solution.covariance))).all():
             break
     errors, _, _ = pose_errors(chain, boards, lens_root)
-    return Refined(chain, boards, solve(errors, solution.sigma), errors)
+    return Refinement(chain, boards, solve(errors, solution.sigma), errors)
 
 
 def _stepped(
@@ -178,7 +178,7 @@ def _stepped(
     equations: NormalEquations,
     eta: Float64,
     errors: PoseErrors,
-    solution: Solution,
+    solution: VarianceSolution,
 ) -> tuple[Chain, Boards]:
     step, warp = solution.step[:UNKNOWNS], solution.step[UNKNOWNS:]
     spread = errors.covariance(solution.sigma) - errors.by_corners

@@ -90,7 +90,7 @@ class PoseErrors:
 
 
 @dataclass(frozen=True)
-class Solution:
+class VarianceSolution:
     """The unknowns at the robot's sigma.
 
     Parameters
@@ -161,7 +161,7 @@ def robot_sigma(errors: PoseErrors, start: Float64 | None = None) -> Float64:
     return np.asarray(np.exp(result.x))
 
 
-def solve(errors: PoseErrors, sigma: Float64) -> Solution:
+def solve(errors: PoseErrors, sigma: Float64) -> VarianceSolution:
     """Return the unknowns by generalised least squares at the robot's sigma (2,), rad and mm.
 
     Raises numpy.linalg.LinAlgError if they are not determined.
@@ -182,7 +182,7 @@ def solve(errors: PoseErrors, sigma: Float64) -> Solution:
     sigma_covariance = scaled_inverse(0.5 * information)
     spread = np.einsum("kl,klmn->mn", sigma_covariance, twice - both)
     covariance = C + 2.0 * C @ spread @ C
-    return Solution(
+    return VarianceSolution(
         sigma,
         step,
         0.5 * (covariance + covariance.T),

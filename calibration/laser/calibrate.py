@@ -9,23 +9,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from calibration.camera.adjustment import Scene, adjusted, linearised
+from calibration.camera.adjustment import BoardScene, adjusted, linearised
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.known_lens import check_corners
 from calibration.camera.lens import Lens
 from calibration.camera.noise import corner_sigmas_px
 from calibration.camera.sightings import Sightings
 from calibration.laser.bow import Bow, bow_of
-from calibration.laser.image_line import ImageLine, fit_line
-from calibration.laser.plane import LEAST_PAIRS, BoardLine, PlaneFit, consistent, fit_plane
-from calibration.laser.stripe import Stripe
+from calibration.laser.image_line import LaserLineFit, fit_line
+from calibration.laser.plane import MIN_PAIRS, BoardLine, PlaneFit, consistent, fit_plane
+from calibration.laser.stripe import BoardStripe
 from calibration.threads import one_thread
 from noise_model.arrays import Float64
 
-MOST_TILT_SIGMA_DEG = 0.5
+MAX_TILT_SIGMA_DEG = 0.5
 """1 sigma of the sheet's lean: beyond it, a part 10 mm off the boards is 0.09 mm off and more."""
 
-LEAST_SPREAD = 10.0
+MIN_SPREAD = 10.0
 """The stripes' scatter from one line over what noise alone makes of it: below it, the sheet follows noise."""
 
 FALSE_ALARM = 0.01
@@ -71,7 +71,7 @@ class LaserCalibration:
     lens_covariance: Float64
     scatter: float
     names: tuple[str, ...]
-    stripes: tuple[Stripe, ...]
+    stripes: tuple[BoardStripe, ...]
     lines: tuple[BoardLine, ...]
     points_mm: tuple[Float64, ...]
     corner_sigma_px: Float64
@@ -126,9 +126,9 @@ class LaserCalibration:
 
 
 def calibrate_laser(
-    scene: Scene,
+    scene: BoardScene,
     seen: Sightings,
-    stripes: Mapping[str, Stripe],
+    stripes: Mapping[str, BoardStripe],
     lens_covariance: Float64 | None = None,
 ) -> LaserCalibration:
     """Find the laser sheet's plane from stripes on boards whose poses are known.
@@ -167,8 +167,8 @@ def calibrate_laser(
         except np.linalg.LinAlgError:
             raise UndeterminedError(_on_one_line(0.0)) from None
         scatter = _scatter(fit)
-        is_loose = math.degrees(fit.tilt_sigma * math.sqrt(scatter)) > MOST_TILT_SIGMA_DEG
-        if is_loose or fit.spread_mm < LEAST_SPREAD * fit.spread_noise_mm:
+        is_loose = math.degrees(fit.tilt_sigma * math.sqrt(scatter)) > MAX_TILT_SIGMA_DEG
+        if is_loose or fit.spread_mm < MIN_SPREAD * fit.spread_noise_mm:
             raise UndeterminedError(_on_one_line(fit.spread_mm))
         left_out = {
             name: "its stripe does not lie in the plane of the others: the board moved between its images, "
@@ -204,7 +204,9 @@ def calibrate_laser(
     )
 
 
-def _board_lines(scene: Scene, seen: Sightings, stripes: Sequence[Stripe]) -> tuple[list[BoardLine], Float64]:
+def _board_lines(
+    scene: BoardScene, seen: Sightings, stripes: Sequence[BoardStripe]
+) -> tuple[list[BoardLine], Float64]:
     """Return the stripes' lines on their boards, and 1 sigma of a corner in each image."""
     sigma_px = corner_sigmas_px(scene, seen)
     motion = linearised(scene, seen, 1.0 / sigma_px[seen.view]).motion
@@ -215,14 +217,14 @@ def _board_lines(scene: Scene, seen: Sightings, stripes: Sequence[Stripe]) -> tu
     return lines, sigma_px
 
 
-def _image_line(lens: Lens, stripe: Stripe) -> ImageLine:
+def _image_line(lens: Lens, stripe: BoardStripe) -> LaserLineFit:
     return fit_line(lens.rays(stripe.points_px), stripe.along_rows)
 
 
 def _per_lens(
-    scene: Scene,
+    scene: BoardScene,
     seen: Sightings,
-    stripes: Sequence[Stripe],
+    stripes: Sequence[BoardStripe],
     lens_covariance: Float64,
     plane: Float64,
 ) -> Float64:
@@ -252,9 +254,9 @@ def _scatter(fit: PlaneFit) -> float:
 
 
 def _check_count(pairs: int) -> None:
-    if pairs < LEAST_PAIRS:
+    if pairs < MIN_PAIRS:
         raise UndeterminedError(
-            f"{pairs} pair{'s show' if pairs != 1 else ' shows'} board and stripe: {LEAST_PAIRS} at least "
+            f"{pairs} pair{'s show' if pairs != 1 else ' shows'} board and stripe: {MIN_PAIRS} at least "
             "are needed, and 8 are good; take more, with the board at other distances"
         )
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.laser.stripe import LaserLight, Stripe
+from calibration.laser.stripe import BoardStripe, LaserLight
 from noise_model.arrays import Bool, Float64, Int64, Integers
 
 REACH = 4.0
@@ -20,13 +20,13 @@ REACH = 4.0
 STEPS, LONGEST = 12, 0.5
 """Gauss-Newton's steps for a line's width, and the longest, of place over sigma and of ln sigma."""
 
-LEAST_SHOWN = 8.0
+MIN_SNR = 8.0
 """The stripe's width is taken where its light is so many sigmas."""
 
-MOST_ASIDE = 1.0
+MAX_OFFSET_SIGMAS = 1.0
 """A line whose maximum is that many of its sigmas off the stripe's curve shows something else."""
 
-MOST_FACTOR = 4.0
+MAX_WIDTH_RATIO = 4.0
 """A line that is so many times wider or narrower than what was looked for shows something else."""
 
 FULL = 0.98
@@ -78,7 +78,7 @@ class CrossSections:
 
 
 def cross_sections(
-    seen: LaserLight, off_dn: Integers | Float64, on_dn: Integers, stripe: Stripe, black_dn: float = 0.0
+    seen: LaserLight, off_dn: Integers | Float64, on_dn: Integers, stripe: BoardStripe, black_dn: float = 0.0
 ) -> CrossSections | None:
     """Measure a stripe's light across it.
 
@@ -133,7 +133,7 @@ def cross_sections(
     return CrossSections(scan, curve, stripe.along_rows, aside, width, amount, amount_sigma)
 
 
-def placed(stripe: Stripe, sections: CrossSections) -> Stripe:
+def placed(stripe: BoardStripe, sections: CrossSections) -> BoardStripe:
     """Return a stripe whose points are where its cross-sections are, as far as these are told."""
     column = 0 if stripe.along_rows else 1
     scan, place = stripe.points_px[:, column], stripe.points_px[:, 1 - column].copy()
@@ -150,7 +150,7 @@ def _last_code(image: Integers) -> float:
     return float(2 ** max(8, int(image.max()).bit_length()) - 1)
 
 
-def _curve(stripe: Stripe, inside: Bool) -> tuple[Int64, Float64]:
+def _curve(stripe: BoardStripe, inside: Bool) -> tuple[Int64, Float64]:
     """Return scan lines (n,) that show the board, and the stripe's place in each by its parabola."""
     column = 0 if stripe.along_rows else 1
     course = np.polynomial.Polynomial.fit(stripe.points_px[:, column], stripe.points_px[:, 1 - column], 2)
@@ -181,8 +181,8 @@ def _widths(
         step = np.linalg.solve(H, g[:, :, np.newaxis])[:, :, 0] * scale
         place += width[:, 0] * step[:, 1].clip(-LONGEST, LONGEST)
         ln_width += step[:, 2].clip(-LONGEST, LONGEST)
-        ln_width = ln_width.clip(*(np.log(start_px) + np.log(MOST_FACTOR) * np.array([-1.0, 1.0])))
+        ln_width = ln_width.clip(*(np.log(start_px) + np.log(MAX_WIDTH_RATIO) * np.array([-1.0, 1.0])))
     width_px = np.exp(ln_width)
-    is_clear = (amount >= LEAST_SHOWN * sigma) & (np.abs(place) <= MOST_ASIDE * width_px)
-    is_clear &= np.abs(ln_width - np.log(start_px)) < 0.999 * np.log(MOST_FACTOR)
+    is_clear = (amount >= MIN_SNR * sigma) & (np.abs(place) <= MAX_OFFSET_SIGMAS * width_px)
+    is_clear &= np.abs(ln_width - np.log(start_px)) < 0.999 * np.log(MAX_WIDTH_RATIO)
     return np.where(is_clear, place, np.nan), np.where(is_clear, width_px, np.nan)

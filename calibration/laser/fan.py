@@ -19,22 +19,22 @@ from calibration.laser.cross_sections import CrossSections
 from noise_model.arrays import Float64
 from noise_model.robust import sigma_of
 
-MOST_NOISE = 0.2
+MAX_NOISE = 0.2
 """Scan lines whose light is known worse, of the stripe's, tell nothing: dark squares."""
 
 LEVEL_LINES = 15
 """The light before an end is the median of so many lines."""
 
-DARK_LINES, MOST_DARK = 5, 0.25
+DARK_LINES, MAX_DARK = 5, 0.25
 """Next to an end so many lines show less light than that share of what is before it."""
 
-MOST_GAP = 3
+MAX_GAP = 3
 """So many more lines may lie between the last lit and the last of these, at most."""
 
-LEAST_ENDS = 2
+MIN_ENDS = 2
 """Ends on one side: two make a line."""
 
-MOST_REL_SIGMA = 0.1
+MAX_REL_SIGMA = 0.1
 """1 sigma of the difference of the sides' slopes over it: beyond it the origin is as good as unknown."""
 
 FAR_SIGMAS = 7.0
@@ -95,17 +95,17 @@ def _end(sections: CrossSections, sign: int) -> float | Missing:
     middle = float(np.median(sections.scan[lit]))
     level = float(np.median(sections.amount[lit]))
     outward = sign * (sections.scan - middle) >= 0.0
-    tells = outward & (sections.amount_sigma < MOST_NOISE * level)
+    tells = outward & (sections.amount_sigma < MAX_NOISE * level)
     scan, amount = sections.scan[tells][::sign], sections.amount[tells][::sign]
     n = _last_lit(amount, level)
     level = float(np.median(amount[max(0, n - LEVEL_LINES) : n])) if n else level
     n = _last_lit(amount, level)
     if n == 0 or n > len(amount) - DARK_LINES:
         last = int(sections.scan[outward][::sign][-1])
-        return Missing.SQUARE if len(scan) and abs(int(scan[-1]) - last) > MOST_GAP else Missing.BOARD
-    if abs(int(scan[n + DARK_LINES - 1]) - int(scan[n - 1])) > DARK_LINES + MOST_GAP:
+        return Missing.SQUARE if len(scan) and abs(int(scan[-1]) - last) > MAX_GAP else Missing.BOARD
+    if abs(int(scan[n + DARK_LINES - 1]) - int(scan[n - 1])) > DARK_LINES + MAX_GAP:
         return Missing.SQUARE
-    if float(np.mean(amount[n : n + DARK_LINES])) > MOST_DARK * level:
+    if float(np.mean(amount[n : n + DARK_LINES])) > MAX_DARK * level:
         return Missing.BOARD
     return 0.5 * float(scan[n - 1] + scan[n])
 
@@ -139,10 +139,10 @@ def fit_fan(sides: Sequence[Float64], quantized_mm: float) -> Fan | str:
     most = FAR_SIGMAS * max(scale, QUANTIZED * quantized_mm)
     sides = [side[each <= most] for side, each in zip(sides, off, strict=True)]
     few = [len(side) for side in sides]
-    if min(few) < LEAST_ENDS or sum(few) < 2 * LEAST_ENDS + 1:
+    if min(few) < MIN_ENDS or sum(few) < 2 * MIN_ENDS + 1:
         return (
             f"{few[0]} and {few[1]} ends of the stripe are seen on its two sides, "
-            f"{LEAST_ENDS} and {LEAST_ENDS + 1} are the least: add pairs in which both ends lie on the "
+            f"{MIN_ENDS} and {MIN_ENDS + 1} are the least: add pairs in which both ends lie on the "
             "board, in light squares"
         )
     freedom = sum(few) - 4
@@ -156,7 +156,7 @@ def fit_fan(sides: Sequence[Float64], quantized_mm: float) -> Fan | str:
     P = np.zeros((4, 4))
     P[:2, :2], P[2:, 2:] = variance * fits[0][1], variance * fits[1][1]
     opening = k2 - k1
-    if not abs(opening) * MOST_REL_SIGMA > math.sqrt(P[1, 1] + P[3, 3]):
+    if not abs(opening) * MAX_REL_SIGMA > math.sqrt(P[1, 1] + P[3, 3]):
         return (
             "the stripes' ends are at too equal depths to tell where the fan's sides meet: add pairs with "
             "the board nearer to the laser and farther away"
@@ -183,7 +183,7 @@ def _off_most(side: Float64, quantized_mm: float) -> Float64:
     a, s = side.T
     first, second = np.triu_indices(len(a), 1)
     apart = np.abs(a[second] - a[first]) > quantized_mm
-    if len(a) <= LEAST_ENDS + 1 or not apart.any():
+    if len(a) <= MIN_ENDS + 1 or not apart.any():
         return np.zeros(len(a))
     slope = float(np.median((s[second] - s[first])[apart] / (a[second] - a[first])[apart]))
     off = s - slope * a

@@ -22,17 +22,17 @@ ROUNDS, SETTLED = 50, 1e-4
 FAR_SIGMAS = 5.0
 """A point that many sigmas off the line is none of it."""
 
-MOST_LAG = 0.2
+MAX_LAG_SHARE = 0.2
 """The autocorrelation is summed up to this share of the stripe's lines at most."""
 
-LEAST_SIGMA = 1e-9
+MIN_SIGMA = 1e-9
 """Stripes without noise occur in tests alone."""
 
-LEAST_FREE = 2.0
+MIN_FREEDOM = 2.0
 
 
 @dataclass(frozen=True)
-class ImageLine:
+class LaserLineFit:
     """A stripe's straight line.
 
     Parameters
@@ -59,7 +59,7 @@ class ImageLine:
     independent: float
 
 
-def fit_line(rays: Float64, along_rows: bool) -> ImageLine:
+def fit_line(rays: Float64, along_rows: bool) -> LaserLineFit:
     """Fit a line to a stripe's rays.
 
     Parameters
@@ -82,9 +82,9 @@ def fit_line(rays: Float64, along_rows: bool) -> ImageLine:
     for _ in range(ROUNDS):
         off = y - level - slope * t
         if not np.isfinite(scale):
-            scale = max(sigma_of(off), LEAST_SIGMA)
+            scale = max(sigma_of(off), MIN_SIGMA)
         weight = (TAIL + 1.0) / (TAIL + (off / scale) ** 2)
-        before, scale = scale, max(float(np.sqrt(np.mean(weight * off**2))), LEAST_SIGMA)
+        before, scale = scale, max(float(np.sqrt(np.mean(weight * off**2))), MIN_SIGMA)
         middle = float(np.average(t, weights=weight))
         slope = float(np.sum(weight * (t - middle) * y) / np.sum(weight * (t - middle) ** 2))
         level = float(np.average(y, weights=weight) - slope * middle)
@@ -101,14 +101,14 @@ def fit_line(rays: Float64, along_rows: bool) -> ImageLine:
     meat = design.T @ (pull[:, np.newaxis] ** 2 * design)
     together = lines_together(pull)
     independent = len(t) / together
-    free = max(independent - 2.0, LEAST_FREE)
+    free = max(independent - 2.0, MIN_FREEDOM)
     covariance = bread @ meat @ bread * together * independent / free
     ends = np.array([[1.0, -1.0], [1.0, 1.0]])
     along = middle + spread * np.array([-1.0, 1.0])
     place = level + slope * along
     pair = (along, place) if along_rows else (place, along)
     across = np.array([0.0, 1.0, 0.0]) if along_rows else np.array([1.0, 0.0, 0.0])
-    return ImageLine(
+    return LaserLineFit(
         np.column_stack([*pair, np.ones(2)]),
         across,
         ends @ covariance @ ends.T,
@@ -132,7 +132,7 @@ def lines_together(pull: Float64) -> float:
     if not power > 0.0:
         return 1.0
     total, noise = 1.0, 1.0 / np.sqrt(n)
-    for lag in range(1, max(int(MOST_LAG * n), 2)):
+    for lag in range(1, max(int(MAX_LAG_SHARE * n), 2)):
         r = float(centred[lag:] @ centred[:-lag]) / power
         if r <= noise:
             break

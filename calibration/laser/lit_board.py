@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calibration.boards.board import Board, Kind
+from calibration.boards.board import Board, BoardKind
 from calibration.camera.lens import Lens
 from calibration.laser.plane import points_on_board
 from calibration.laser.stripe import LaserLight, board_area
@@ -24,7 +24,7 @@ SAMPLES = 3
 ROUNDS, TRIM_SIGMAS = 8, 3.0
 """Rounds by which room light is fitted, and beyond how many sigmas a pixel does not count in them."""
 
-MOST_PIXELS = 40_000
+MAX_PIXELS = 40_000
 """Room light is fitted to about so many pixels."""
 
 RIDGE = 1e-9
@@ -70,7 +70,7 @@ def board_shading(
 def _printed(board: Board, places_mm: Float64, is_legacy: bool) -> Float64:
     """Return how light a board is at places (n, 2), mm, from its first inner corner."""
     cell = places_mm / board.square_mm
-    if board.kind is Kind.CHESSBOARD:
+    if board.kind is BoardKind.CHESSBOARD:
         return np.asarray(np.floor(cell).sum(axis=1) % 2.0)
     drawn = _charuco(board, is_legacy)
     index = np.floor((cell + 1.0) * CELL_PX).astype(np.int64)
@@ -140,7 +140,7 @@ def lit_board(
         What is left, with its noise: more along the squares' edges.
     """
     # Boards of an even number of rows begin with another colour since OpenCV 4.6.
-    ways = (False, True) if board.kind is Kind.CHARUCO else (False,)
+    ways = (False, True) if board.kind is BoardKind.CHARUCO else (False,)
     drawings = (
         board_shading(board, lens, T_camera_board, blur_px, is_legacy=is_legacy) for is_legacy in ways
     )
@@ -173,7 +173,7 @@ def _without_board(image_dn: Integers, shading: Float64) -> LitBoard:
 
 def _fitted(A: Float64, value: Float64, at_edge: Bool) -> Float64:
     """Return the coefficients (m,) of A (n, m) that leave least of most values (n,)."""
-    step = max(1, len(value) // MOST_PIXELS)
+    step = max(1, len(value) // MAX_PIXELS)
     A, value, at_edge = A[::step], value[::step], at_edge[::step]
     kept = np.ones(len(value), dtype=bool)
     coefficients = np.zeros(A.shape[1])

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f
 
-from calibration.laser.image_line import ImageLine
+from calibration.laser.image_line import LaserLineFit
 from noise_model.arrays import Float64
 
 ROUNDS, SETTLED = 30, 1e-10
@@ -26,10 +26,10 @@ ROUNDS, SETTLED = 30, 1e-10
 FALSE_ALARM = 0.01
 """The probability that a set without a wrong pair loses one."""
 
-MOST_WRONG = 0.3
+MAX_OUTLIER_SHARE = 0.3
 """The largest share of pairs that is left out one by one: beyond it nothing tells which are wrong."""
 
-LEAST_PAIRS = 3
+MIN_PAIRS = 3
 """Two lines make a plane; the third one says whether it is one."""
 
 
@@ -47,7 +47,7 @@ class BoardLine:
         The covariance of its small motion in the camera frame: a rotation, rad, then a translation, mm.
     """
 
-    line: ImageLine
+    line: LaserLineFit
     T_camera_board: Float64
     pose_covariance: Float64
 
@@ -177,7 +177,7 @@ def consistent(lines: Sequence[BoardLine]) -> list[int]:
     alarm is shared among the lines.
     """
     kept = list(range(len(lines)))
-    while len(kept) > LEAST_PAIRS + 1 and len(lines) - len(kept) < int(MOST_WRONG * len(lines)):
+    while len(kept) > MIN_PAIRS + 1 and len(lines) - len(kept) < int(MAX_OUTLIER_SHARE * len(lines)):
         whole = float(fit_plane([lines[n] for n in kept]).squares.sum())
         without = []
         for n in kept:

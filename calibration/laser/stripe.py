@@ -30,16 +30,16 @@ SURROUND = 2.5
 ALONG_PX = 1.0
 """The matched filter's sigma along the stripe."""
 
-LEAST_SCORE = 6.0
+MIN_SCORE = 6.0
 """A scan line shows the stripe where the matched filter's output is so many of its sigmas."""
 
-LEAST_LINES = 20
+MIN_LINES = 20
 """Fewer scan lines with a stripe tell no direction."""
 
 REACH = 3.0
 """How far light counts about the stripe, in sigmas."""
 
-MOST_STEPS, SETTLED_PX = 60, 1e-4
+MAX_STEPS, SETTLED_PX = 60, 1e-4
 """Steps of the centroid at most, and the one that is the last."""
 
 MARGIN = 0.9
@@ -60,10 +60,10 @@ TRIALS, SEED = 500, 1
 BEND_PX = 3.0
 """How far a lens may bend a line within the board."""
 
-TRIM_ROUNDS, TRIM_SIGMAS, LEAST_TRIM_PX = 8, 4.0, 0.3
+TRIM_ROUNDS, TRIM_SIGMAS, MIN_TRIM_PX = 8, 4.0, 0.3
 """Places that many sigmas off the stripe's curve, and so many px, are no stripe's."""
 
-GAP_LINES, LEAST_PIECE, LEAST_SHARE = 10, 0.2, 0.08
+GAP_LINES, MIN_PIECE_SHARE, MIN_SHARE = 10, 0.2, 0.08
 """Pieces of a stripe are so many lines apart. A smaller share of the longest, or of all, is a scrap."""
 
 GAIN_CAP = 60.0
@@ -74,7 +74,7 @@ NOISE_FLOOR_DN = 0.3
 
 
 @dataclass(frozen=True)
-class Stripe:
+class BoardStripe:
     """A stripe in an image.
 
     Parameters
@@ -151,7 +151,7 @@ def laser_light(off_dn: Integers, on_dn: Integers, area: Bool) -> LaserLight:
     return LaserLight(light, noise, area)
 
 
-def find_stripe(seen: LaserLight) -> Stripe | None:
+def find_stripe(seen: LaserLight) -> BoardStripe | None:
     """Find the stripe on a board.
 
     Parameters
@@ -175,7 +175,7 @@ def find_stripe(seen: LaserLight) -> Stripe | None:
     return replace(stripe, points_px=stripe.points_px + np.array([columns[0], rows[0]]))
 
 
-def likeliest_path(seen: LaserLight) -> Stripe | None:
+def likeliest_path(seen: LaserLight) -> BoardStripe | None:
     """Find the stripe whatever its course, corners and steps included.
 
     Parameters
@@ -201,16 +201,16 @@ class _Track:
     scale_px: float
 
 
-def _clearer(track: Callable[[Float32, Float32, Bool], _Track], seen: LaserLight) -> Stripe | None:
+def _clearer(track: Callable[[Float32, Float32, Bool], _Track], seen: LaserLight) -> BoardStripe | None:
     """Return the stripe along the direction in which it is tracked more clearly; None without one."""
     light, noise, area = seen.light_dn, seen.noise_dn, seen.area
     both = [track(np.ascontiguousarray(light.T), noise.T, area.T), track(light, noise, area)]
     along_rows = both[0].clearness >= both[1].clearness
     best = both[0] if along_rows else both[1]
-    if len(best.scan) < LEAST_LINES:
+    if len(best.scan) < MIN_LINES:
         return None
     pair = [best.scan, best.places] if along_rows else [best.places, best.scan]
-    return Stripe(np.column_stack(pair), along_rows, best.scale_px)
+    return BoardStripe(np.column_stack(pair), along_rows, best.scale_px)
 
 
 def _likely(score: Float32) -> tuple[Int64, Int64]:
@@ -218,7 +218,7 @@ def _likely(score: Float32) -> tuple[Int64, Int64]:
     choice = np.empty(len(score), dtype=np.int64)
     best_path(score, JUMP_COST, choice)
     scan = np.flatnonzero(choice >= 0)
-    scan = scan[score[scan, choice[scan]] >= LEAST_SCORE]
+    scan = scan[score[scan, choice[scan]] >= MIN_SCORE]
     return scan, choice[scan]
 
 
@@ -227,16 +227,16 @@ def _along(lines: Float32, noise: Float32, inside: Bool) -> _Track:
     score, sigma = _matched(lines, noise, inside)
     nothing = _Track(0.0, np.empty(0, dtype=np.int64), np.empty(0), sigma)
     scan, place = _likely(score)
-    if len(scan) < LEAST_LINES:
+    if len(scan) < MIN_LINES:
         return nothing
     agreed = _agreed(scan, place, score[scan, place], BEND_PX + 2.0 * sigma)
-    if agreed.sum() < LEAST_LINES:
+    if agreed.sum() < MIN_LINES:
         return nothing
     # A bent line: twice, as the first time only those near a straight one count.
     for _ in range(2):
         course = np.polynomial.Polynomial.fit(scan[agreed], place[agreed], 2)
         agreed = np.abs(place - course(scan)) <= 2.0 * sigma + 1.0
-        if agreed.sum() < LEAST_LINES:
+        if agreed.sum() < MIN_LINES:
             return nothing
     near = np.arange(scan[agreed].min(), scan[agreed].max() + 1)
     start = course(near)
@@ -245,7 +245,7 @@ def _along(lines: Float32, noise: Float32, inside: Bool) -> _Track:
     settled &= (places > reach) & (places < lines.shape[1] - 1 - reach)
     near, places, start = near[settled], places[settled], start[settled]
     clear = score[near, places.round().astype(np.int64)]
-    kept = (clear >= LEAST_SCORE) & (np.abs(places - start) <= 2.0 * sigma + 1.0)
+    kept = (clear >= MIN_SCORE) & (np.abs(places - start) <= 2.0 * sigma + 1.0)
     kept = _on_one_curve(near, places, kept)
     return _Track(float(np.minimum(0.5 * clear[kept] ** 2, GAIN_CAP).sum()), near[kept], places[kept], sigma)
 
@@ -266,10 +266,10 @@ def _on_one_curve(scan: Int64, places: Float64, clear: Bool) -> Bool:
     """Return which of the clear places (n,) lie on the parabola of most: a board's edges cross it."""
     kept = _without_scraps(scan, clear)
     for _ in range(TRIM_ROUNDS):
-        if kept.sum() < LEAST_LINES:
+        if kept.sum() < MIN_LINES:
             return kept
         off = places - np.polynomial.Polynomial.fit(scan[kept], places[kept], 2)(scan)
-        near = np.abs(off) <= max(TRIM_SIGMAS * spread(off[kept]), LEAST_TRIM_PX)
+        near = np.abs(off) <= max(TRIM_SIGMAS * spread(off[kept]), MIN_TRIM_PX)
         kept = _without_scraps(scan, clear & near)
     return kept
 
@@ -280,7 +280,7 @@ def _without_scraps(scan: Int64, kept: Bool) -> Bool:
     piece = np.cumsum(np.diff(scan[where], prepend=scan[where[:1]]) > GAP_LINES)
     counts = np.bincount(piece)
     long = np.zeros(len(kept), dtype=bool)
-    least = max(LEAST_PIECE * counts.max(initial=0), LEAST_SHARE * len(where))
+    least = max(MIN_PIECE_SHARE * counts.max(initial=0), MIN_SHARE * len(where))
     long[where[counts[piece] >= least]] = True
     return long
 
@@ -306,7 +306,7 @@ def _agreed(scan: Int64, place: Int64, score: Float32, within_px: float) -> Bool
     """Return which places (n,) agree on the line that has most of the evidence."""
     rng = np.random.default_rng(SEED)
     first, second = rng.integers(0, len(scan), (2, TRIALS))
-    apart = np.abs(scan[first] - scan[second]) >= min(LEAST_LINES, len(scan) // 2)
+    apart = np.abs(scan[first] - scan[second]) >= min(MIN_LINES, len(scan) // 2)
     first, second = first[apart], second[apart]
     slope = (place[second] - place[first]) / (scan[second] - scan[first])
     level = place[first] - slope * scan[first]
@@ -323,7 +323,7 @@ def _centroids(lines: Float32, start_px: Float64, sigma_px: float) -> tuple[Floa
     light = np.take_along_axis(lines, offsets.clip(0, lines.shape[1] - 1), axis=1)
     place = start_px.copy()
     step = np.full(len(place), np.inf)
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         weight = light * np.exp(-0.5 * ((offsets - place[:, np.newaxis]) / sigma_px) ** 2)
         total = weight.sum(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -20,16 +20,16 @@ from calibration.laser.image_line import lines_together
 from noise_model.arrays import Float64
 from noise_model.robust import spread
 
-LEAST_LINES = 15
+MIN_LINES = 15
 """Fewer scan lines tell no width."""
 
-LEAST_OVER_BLUR = 0.25
+MIN_VARIANCE_OVER_BLUR = 0.25
 """The stripe's variance less the blur's, of the stripe's: below it the stated blur makes the width."""
 
 FALSE_ALARM = 0.01
 """The probability that a law that holds is taken not to."""
 
-MOST_BEYOND = 0.5
+MAX_EXTRAPOLATION = 0.5
 """A law that is not the model's is followed beyond the boards by that share of their range at most."""
 
 SURE_SIGMAS = 4.0
@@ -111,11 +111,11 @@ def width_of_pair(width_px: Float64, per_px_mm: Float64, blur_px: float) -> tupl
         None where too few lines tell it, or where the blur makes the stripe.
     """
     known = np.isfinite(width_px)
-    if known.sum() < LEAST_LINES:
+    if known.sum() < MIN_LINES:
         return None
     square = (per_px_mm[known] * width_px[known]) ** 2 - (per_px_mm[known] * blur_px) ** 2
     variance = float(np.median(square))
-    if variance < LEAST_OVER_BLUR * float(np.median((per_px_mm[known] * width_px[known]) ** 2)):
+    if variance < MIN_VARIANCE_OVER_BLUR * float(np.median((per_px_mm[known] * width_px[known]) ** 2)):
         return None
     scatter = spread(square)
     independent = len(square) / lines_together(
@@ -163,7 +163,7 @@ def fit_width(pairs: Mapping[float, tuple[float, float]], height_mm: float) -> W
         value = math.sqrt(max(value, 1e-12))
         value_error = 0.5 * value_error / value
     beyond = max(float(depth.min()) - height_mm, height_mm - float(depth.max()), 0.0)
-    is_near = law is Law.MODEL or beyond <= MOST_BEYOND * float(np.ptp(depth))
+    is_near = law is Law.MODEL or beyond <= MAX_EXTRAPOLATION * float(np.ptp(depth))
     at_height = (value, value_error) if is_near and value > SURE_SIGMAS * value_error else None
     waist = _waist(coefficients, covariance) if law is Law.WAIST else None
     return Width(

@@ -49,7 +49,7 @@ KEYS = ("gain_e_per_dn", "black_level_dn", "read_noise_e", "full_well_e", "gamma
 
 
 @dataclass(frozen=True)
-class Estimate:
+class IntervalEstimate:
     """A value, its 1 sigma, its 95 % interval, and its unit."""
 
     value: float
@@ -68,7 +68,7 @@ class SensorCalibration:
     of the fit per degree of freedom.
     """
 
-    estimates: dict[str, Estimate]
+    estimates: dict[str, IntervalEstimate]
     covariance: Float64
     fit: PhotonTransferFit
     levels: LevelStatistics
@@ -76,7 +76,7 @@ class SensorCalibration:
     top_dn: float
     well_is_seen: bool
 
-    def __getitem__(self, name: str) -> Estimate:
+    def __getitem__(self, name: str) -> IntervalEstimate:
         return self.estimates[name]
 
     @property
@@ -176,7 +176,7 @@ def _check_levels(dark: Sequence[Level], lit: Sequence[Level], usable: Sequence[
 
 def _estimates(
     fit: PhotonTransferFit, levels: LevelStatistics, top_dn: float, top_sigma_dn: float
-) -> tuple[dict[str, Estimate], Float64]:
+) -> tuple[dict[str, IntervalEstimate], Float64]:
     """Return the estimates and the covariance of `KEYS`."""
     x, sensor = fit.values, fit.sensor
     scale = fit.chi2 if fit.p_value < MISFIT_P else 1.0
@@ -201,18 +201,18 @@ def _estimates(
     ):
         half = student_t(0.95, freedom)
         sigma = math.sqrt(max(float(variance), 0.0))
-        estimates[name] = Estimate(value, sigma, value - half * sigma, value + half * sigma, unit)
+        estimates[name] = IntervalEstimate(value, sigma, value - half * sigma, value + half * sigma, unit)
     for name, n, unit in (("dsnu_e", 4, "e-"), ("prnu_rel", 5, "")):
         estimates[name] = _root(float(x[n]), math.sqrt(float(covariance[n, n])), unit)
     tau, freedom = fit.linearity_rel, fit.linearity_freedom
     low, high = (tau * math.sqrt(freedom / chi2_distribution.ppf(p, freedom)) for p in (0.975, 0.025))
-    estimates["linearity_rel"] = Estimate(tau, tau / math.sqrt(2.0 * freedom), low, high, "")
+    estimates["linearity_rel"] = IntervalEstimate(tau, tau / math.sqrt(2.0 * freedom), low, high, "")
     return estimates, keys
 
 
-def _root(variance: float, sigma: float, unit: str) -> Estimate:
+def _root(variance: float, sigma: float, unit: str) -> IntervalEstimate:
     """Return a standard deviation of a variance and its sigma; one that is not seen is 0."""
     half = student_t(0.95, math.inf)
     low, high = (math.sqrt(max(variance + sign * half * sigma, 0.0)) for sign in (-1.0, 1.0))
     root = math.sqrt(max(variance, 0.0))
-    return Estimate(root, min(0.5 * sigma / max(root, 1e-12), math.sqrt(sigma)), low, high, unit)
+    return IntervalEstimate(root, min(0.5 * sigma / max(root, 1e-12), math.sqrt(sigma)), low, high, unit)

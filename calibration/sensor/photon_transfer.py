@@ -24,7 +24,7 @@ from scipy.special import gammaln
 from scipy.stats import chi2 as chi2_distribution
 
 from calibration.sensor.levels import LevelStatistics
-from calibration.sensor.response_model import Pattern, Predicted, predict
+from calibration.sensor.response_model import Pattern, ResponsePrediction, predict
 from noise_model.arrays import Bool, Float64
 from noise_model.instrument.sensor import Sensor
 
@@ -64,7 +64,7 @@ class PhotonTransferFit:
     covariance: Float64
     freedoms: Float64
     charge_e: Float64
-    predicted: Predicted
+    predicted: ResponsePrediction
     linearity_rel: float
     linearity_freedom: float
     departures: Float64
@@ -99,7 +99,7 @@ class PhotonTransferProblem:
             float(x[2]),
         )
 
-    def predict_at(self, x: Float64) -> Predicted:
+    def predict_at(self, x: Float64) -> ResponsePrediction:
         """Return what levels read at parameters (p,)."""
         levels = self.levels
         pattern = Pattern(float(x[4]), float(x[5]), levels.shading_rel)
@@ -248,7 +248,7 @@ def _linearity(
     return max(math.sqrt(square / freedom), MIN_LINEARITY), freedom
 
 
-def _scores(problem: PhotonTransferProblem, x: Float64, here: Predicted) -> tuple[Float64, Float64]:
+def _scores(problem: PhotonTransferProblem, x: Float64, here: ResponsePrediction) -> tuple[Float64, Float64]:
     """Return the gradient (p,) of the likelihood's logarithm and its information (p, p)."""
     levels, n_shared = problem.levels, len(NAMES)
     n, frames = levels.n_pixels, levels.n_frames
@@ -292,12 +292,12 @@ def _scores(problem: PhotonTransferProblem, x: Float64, here: Predicted) -> tupl
     return gradient, information
 
 
-def _spatial(predicted: Predicted, frames: Float64) -> Float64:
+def _spatial(predicted: ResponsePrediction, frames: Float64) -> Float64:
     return np.asarray(predicted.pattern_dn2 + np.diag(predicted.variance_dn2 / frames))
 
 
 def _pattern_slopes(
-    problem: PhotonTransferProblem, x: Float64, here: Predicted, ln_slope: Float64
+    problem: PhotonTransferProblem, x: Float64, here: ResponsePrediction, ln_slope: Float64
 ) -> Float64:
     """Return by how much row s of the pattern (s, s) grows with the logarithm of level s's charge."""
     charge = problem.charges_at(x)
@@ -307,7 +307,11 @@ def _pattern_slopes(
 
 
 def _chi2(
-    problem: PhotonTransferProblem, predicted: Predicted, departures: Float64, tau: float, n_free: int
+    problem: PhotonTransferProblem,
+    predicted: ResponsePrediction,
+    departures: Float64,
+    tau: float,
+    n_free: int,
 ) -> tuple[float, float]:
     """Return chi2 of means, variances and the line per degree of freedom, and how likely a larger one is."""
     levels = problem.levels

@@ -42,7 +42,7 @@ class Pattern(NamedTuple):
     shading_rel: float
 
 
-class Predicted(NamedTuple):
+class ResponsePrediction(NamedTuple):
     """Means (s,), DN, variances in time (s,), DN^2, the slope (s,), DN/e-, and the pattern (s, s), DN^2.
 
     `variance_of_variance` (s,), DN^4, is that of one pixel's variance over two frames or more.
@@ -55,7 +55,7 @@ class Predicted(NamedTuple):
     variance_of_variance: Float64
 
 
-def predict(charge_e: Float64, n_frames: Float64, pattern: Pattern, sensor: Sensor) -> Predicted:
+def predict(charge_e: Float64, n_frames: Float64, pattern: Pattern, sensor: Sensor) -> ResponsePrediction:
     """Return what levels of mean charge (s,) read, each over `n_frames` (s,)."""
     dark, response = max(pattern.dark_e2, 0.0), max(pattern.response_rel2, 0.0)
     noise_e = np.sqrt(charge_e + sensor.read_noise_e**2)
@@ -67,7 +67,7 @@ def predict(charge_e: Float64, n_frames: Float64, pattern: Pattern, sensor: Sens
         averaged[:, which] = _averaged(charge_e[which], spread_e[which], n_frames[which], sensor, nodes)
     mean, variance, slope, variance_of_variance, bent, uneven = averaged
     pattern_dn2 = pattern.dark_e2 + pattern.response_rel2 * np.outer(charge_e, charge_e)
-    return Predicted(
+    return ResponsePrediction(
         mean,
         variance,
         slope,
@@ -79,8 +79,7 @@ def predict(charge_e: Float64, n_frames: Float64, pattern: Pattern, sensor: Sens
 def _averaged(
     charge_e: Float64, spread_e: Float64, n_frames: Float64, sensor: Sensor, nodes: tuple[Float64, Float64]
 ) -> tuple[Float64, ...]:
-    """Return what pixels spread about a charge (s,) read: see `Predicted`, and by how much both are not
-    alike.
+    """Return what pixels spread about a charge (s,) read: see `ResponsePrediction`.
 
     The last two are the variance over the pixels of their means beyond the slope's, and of their variances.
     """

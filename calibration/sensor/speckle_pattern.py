@@ -97,7 +97,7 @@ def fit_speckle_pattern(seen: StillStatistics) -> SpecklePattern | None:
         ]
     )
     blocks = np.array_split(parts, N_BLOCKS, axis=1)
-    kept = _Kept.along(len(is_level) + 1)
+    kept = _GrainVariance.along(len(is_level) + 1)
     whole = kept.contrast_and_grain(parts.mean(axis=1))
     without = [
         kept.contrast_and_grain(
@@ -123,7 +123,7 @@ def fit_speckle_pattern(seen: StillStatistics) -> SpecklePattern | None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Kept:
+class _GrainVariance:
     """What a smooth stripe leaves at grains (g,), px, of the variance, and the neighbours' share of that."""
 
     grains_px: Float64
@@ -131,7 +131,7 @@ class _Kept:
     beside: Float64
 
     @classmethod
-    def along(cls, n_lines: int) -> _Kept:
+    def along(cls, n_lines: int) -> _GrainVariance:
         """Return it for a stripe of so many lines, its ends included."""
         grains = np.geomspace(*GRAINS_PX, N_GRAINS)
         # Of longer stripes the ends hardly matter.

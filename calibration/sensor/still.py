@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from calibration.sensor.code_moments import code_moments
-from calibration.sensor.flat_fields import MIN_DARK_SIGMA_DN, Estimate
+from calibration.sensor.flat_fields import MIN_DARK_SIGMA_DN, IntervalEstimate
 from calibration.sensor.speckle_pattern import SpecklePattern, fit_speckle_pattern
 from calibration.sensor.still_frames import StillStatistics, still_statistics
 from noise_model.arrays import Bool, Float64, Integers
@@ -61,7 +61,7 @@ class StillCalibration:
     stripe shows too little of it.
     """
 
-    estimates: dict[str, Estimate]
+    estimates: dict[str, IntervalEstimate]
     covariance: Float64
     sensor: Sensor
     statistics: StillStatistics
@@ -72,7 +72,7 @@ class StillCalibration:
     is_read_noise_hidden: bool
     speckle: SpecklePattern | None
 
-    def __getitem__(self, name: str) -> Estimate:
+    def __getitem__(self, name: str) -> IntervalEstimate:
         return self.estimates[name]
 
 
@@ -106,7 +106,7 @@ def calibrate_still(frames_dn: Sequence[Integers], stated: Sensor) -> StillCalib
         covariance[2, 2] += (MAX_HIDDEN_DN * gain) ** 2 / 12.0
     half = student_t(0.95, math.inf)
     estimates = {
-        name: Estimate(value, s, value - half * s, value + half * s, unit)
+        name: IntervalEstimate(value, s, value - half * s, value + half * s, unit)
         for name, value, s, unit in zip(
             KEYS,
             (gain, black, read),

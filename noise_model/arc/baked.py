@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.patch_borders import MAX_BORDERS, seen_strip
-from noise_model.arc.quadrature import Rule, gauss_nodes
+from noise_model.arc.quadrature import DiscRule, gauss_nodes
 from noise_model.arc.ray import ArcKernel
 from noise_model.arc.scratch import Scratch, scratch
 from noise_model.arc.table import (
@@ -251,7 +251,7 @@ class Nominal(NamedTuple):
                 y_high + aside_mm + BEYOND_MM,
             ),
             material=self.material,
-            rule=Rule(gauss_nodes(), *self.nodes),
+            rule=DiscRule(gauss_nodes(), *self.nodes),
         )
 
 

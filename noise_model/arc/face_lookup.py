@@ -18,7 +18,7 @@ from noise_model.surface.faces import Strip
 from noise_model.surface.ray_casting import first_hit
 
 
-class Sight(NamedTuple):
+class VisibleFaces(NamedTuple):
     """A plain section's faces that the eye sees: `faces` (n + 1,) between sorted `slopes` (n,), dy/-dz."""
 
     slopes: Float64
@@ -26,7 +26,7 @@ class Sight(NamedTuple):
 
 
 @kernel(allocates=True)
-def sight(k: ArcKernel) -> Sight:
+def sight(k: ArcKernel) -> VisibleFaces:
     """Return what is seen of a scene, its corrugation left out."""
     slopes, n = np.empty(k.vertices.shape[0]), 0
     for i in range(k.vertices.shape[0]):
@@ -45,7 +45,7 @@ def sight(k: ArcKernel) -> Sight:
         low = slopes[max(i - 1, 0)] - (1.0 if i == 0 else 0.0)
         high = slopes[min(i, n - 1)] + (1.0 if i == n else 0.0)
         _, faces[i] = first_hit(k.eye, (0.0, 0.5 * (low + high), -1.0), k.vertices, np.zeros(3))
-    return Sight(slopes[:n].copy(), faces)
+    return VisibleFaces(slopes[:n].copy(), faces)
 
 
 @kernel(inline=True)
@@ -58,7 +58,7 @@ def meet_plane(k: ArcKernel, x: float, y: float, on: Strip) -> tuple[Point, bool
 
 
 @kernel(inline=True)
-def face_seen(k: ArcKernel, seen: Sight, x: float, y: float) -> int:
+def face_seen(k: ArcKernel, seen: VisibleFaces, x: float, y: float) -> int:
     """Return the face that a ray (x, y, 1) of the camera meets, `ray_casting.MISS` for none.
 
     Rays that are listed nowhere, level ones or those through an edge itself, are followed.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from noise_model.arc.quadrature import EXP_LIMIT, MAX_NODES_Q, Patch, Rule, more_nodes
+from noise_model.arc.quadrature import EXP_LIMIT, MAX_NODES_Q, DiscRule, Patch, more_nodes
 from noise_model.arc.slices import (
     AZIMUTH_X,
     AZIMUTH_Y,
@@ -20,7 +20,7 @@ from noise_model.arc.slices import (
     NEAR_HIGH,
     NEAR_LOW,
     WEIGHT,
-    Sheets,
+    SlicedSheets,
     lay,
     open_ends,
     open_range,
@@ -46,7 +46,9 @@ SHUT_ENDS = 2
 
 
 @kernel(inline=True)
-def _sum_round(patch: Patch, material: LobeNumbers, rule: Rule, low: int, high: int, room: Float32) -> float:
+def _sum_round(
+    patch: Patch, material: LobeNumbers, rule: DiscRule, low: int, high: int, room: Float32
+) -> float:
     """Return the sum of f_r cos(theta_i) dt d(phi) over slices, for a round Gaussian lobe.
 
     Each goes between the sines that begin at `low` and `high` in the room. See `quadrature._sum_round`.
@@ -88,7 +90,9 @@ def _sum_round(patch: Patch, material: LobeNumbers, rule: Rule, low: int, high: 
 
 
 @kernel
-def _sum_any(patch: Patch, material: LobeNumbers, rule: Rule, low: int, high: int, room: Float32) -> float:
+def _sum_any(
+    patch: Patch, material: LobeNumbers, rule: DiscRule, low: int, high: int, room: Float32
+) -> float:
     """Return the same for a lobe of any shape."""
     _, normal, omega_r = patch
     rules, n, n_q = rule
@@ -120,9 +124,9 @@ def _light_between(
     radius: float,
     planes: Float64,
     n_planes: int,
-    sheets: Sheets,
+    sheets: SlicedSheets,
     material: LobeNumbers,
-    rule: Rule,
+    rule: DiscRule,
     room: Float32,
 ) -> float:
     """Return `lap_light` between two offsets; the `rule` has so many slices, and nodes up each."""
@@ -166,9 +170,9 @@ def lap_light(
     radius: float,
     planes: Float64,
     n_planes: int,
-    sheets: Sheets,
+    sheets: SlicedSheets,
     material: LobeNumbers,
-    rule: Rule,
+    rule: DiscRule,
     room: Float32,
 ) -> float:
     """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees.
@@ -201,7 +205,7 @@ def lap_light(
             n_planes=n_planes,
             sheets=sheets,
             material=material,
-            rule=Rule(rules, n, n_q),
+            rule=DiscRule(rules, n, n_q),
             room=room,
         )
     return light

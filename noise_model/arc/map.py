@@ -20,7 +20,7 @@ from noise_model.arc.baked import NOTHING_BAKED, BakedLight, bake, place_baked, 
 from noise_model.arc.bicubic import node_rules
 from noise_model.arc.fill import CELL as CELL
 from noise_model.arc.fill import MIXED, fill_band, fill_pixels
-from noise_model.arc.quadrature import Rule, gauss_nodes
+from noise_model.arc.quadrature import DiscRule, gauss_nodes
 from noise_model.arc.ray import ArcKernel as ArcKernel
 from noise_model.arc.ray import follow, light_at
 from noise_model.arc.scene import Scene, Scenes
@@ -106,7 +106,7 @@ class ArcKernels(NamedTuple):
     horizons: Float64
     metal_cuts: Bool
     material: LobeNumbers
-    rule: Rule
+    rule: DiscRule
 
 
 @kernel(allocates=True)
@@ -158,7 +158,7 @@ def arc_kernels(setup: Setup, scenes: Scenes, x_ranges_mm: Float64) -> ArcKernel
         horizons=horizons,
         metal_cuts=np.array(cuts),
         material=lobe_numbers(setup.material),
-        rule=Rule(gauss_nodes(), NODES_P, NODES_Q),
+        rule=DiscRule(gauss_nodes(), NODES_P, NODES_Q),
     )
 
 
@@ -177,7 +177,7 @@ def arc_kernel(
         setup.arc.radius_mm,
         setup.arc.radiance_e * level,
         lobe_numbers(setup.material),
-        Rule(gauss_nodes(), *nodes),
+        DiscRule(gauss_nodes(), *nodes),
     )
     return made
 
@@ -204,7 +204,7 @@ def horizon_of(scene: Scene, radius: float) -> Horizon:
 
 @kernel(allocates=True)
 def kernel_of(
-    scene: Scene, horizon: Horizon, radius: float, radiance_e: float, material: LobeNumbers, rule: Rule
+    scene: Scene, horizon: Horizon, radius: float, radiance_e: float, material: LobeNumbers, rule: DiscRule
 ) -> ArcKernel:
     """Return `arc_kernel`'s numbers of a scene whose camera stands above the surface."""
     T, foot, center = scene.T_joint_camera, scene.footprint_mm, scene.center_mm

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from noise_model.arc.face_lookup import Sight
+from noise_model.arc.face_lookup import VisibleFaces
 from noise_model.arc.node_rays import along, places_on_plane, tell_places
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.ray import ArcKernel
@@ -22,7 +22,7 @@ LEVEL = 1e-6
 
 
 @kernel(fastmath=REDUCTION)
-def write_faces(k: ArcKernel, seen: Sight, rays: Record) -> bool:
+def write_faces(k: ArcKernel, seen: VisibleFaces, rays: Record) -> bool:
     """Write which faces of a plain section rays meet, `ray_casting.MISS` for none.
 
     False if one of them is level. See `face_lookup.face_seen`: a ray through an edge may meet either face.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from noise_model.arc.face_lookup import Sight, face_seen, meet_plane
+from noise_model.arc.face_lookup import VisibleFaces, face_seen, meet_plane
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.ray import ArcKernel, follow
 from noise_model.arc.scratch import Record
@@ -123,7 +123,7 @@ def tell_places(k: ArcKernel, first: int, n: int, room: Record) -> None:
 
 
 @kernel
-def places_on_rays(k: ArcKernel, seen: Sight, xy: Float32, n: int, room: Record) -> None:
+def places_on_rays(k: ArcKernel, seen: VisibleFaces, xy: Float32, n: int, room: Record) -> None:
     """Write which faces the rays of the first n pixels meet and where, x and s.
 
     `ray_casting.MISS` and NaN for a ray that looks past the workpiece.

@@ -256,7 +256,7 @@ class Hiding(NamedTuple):
     n_ledges: int
 
 
-class Rule(NamedTuple):
+class DiscRule(NamedTuple):
     """`n_p` nodes across the disc and `n_q` up a chord, of `rules` (`gauss_nodes`)."""
 
     rules: Float64
@@ -271,7 +271,7 @@ def arc_light(
     radius: float,
     hiding: Hiding,
     material: LobeNumbers,
-    rule: Rule,
+    rule: DiscRule,
     room: Any,
 ) -> float:
     """Return integral f_r cos(theta_i) d(omega) over the part of the luminous half-sphere that P sees."""
@@ -335,7 +335,7 @@ def _integrate(
     n_breaks: int,
     hiding: Hiding,
     material: LobeNumbers,
-    rule: Rule,
+    rule: DiscRule,
     room: Any,
 ) -> float:
     """Return the integral over p and q, without d(omega)'s tan(beta)^2, piece by piece between `breaks`.

@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 from noise_model.arc.lap_light import lap_light
-from noise_model.arc.quadrature import Hiding, Patch, Rule, arc_light
+from noise_model.arc.quadrature import DiscRule, Hiding, Patch, arc_light
 from noise_model.arc.scratch import Record, Scratch
-from noise_model.arc.slices import Sheets
+from noise_model.arc.slices import SlicedSheets
 from noise_model.arrays import Float64, Point, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
@@ -45,7 +45,7 @@ class ArcKernel(NamedTuple):
     metal_cuts: bool
     reach: tuple[float, float, float, float]
     material: LobeNumbers
-    rule: Rule
+    rule: DiscRule
 
 
 @kernel(inline=True)
@@ -78,7 +78,7 @@ def _light_on_lap(k: ArcKernel, patch: Patch, face: int, room: Record) -> float:
     edge_hides = (face == 2 and (curve != 0.0 or center[1] - radius < edge_y + k.bend[1])) or (
         face == 0 and (curve != 0.0 or center[1] + radius > edge_y + k.bend[1])
     )
-    sheets = Sheets(
+    sheets = SlicedSheets(
         corrugation_of(k.corrugation),
         (edge_y, slope, curve, vertices[1, 1] - vertices[2, 1]),
         crest_x,

@@ -20,7 +20,7 @@ from noise_model.surface.joint import (
     BentSeam,
     SeamLine,
     SeamSegments,
-    Section,
+    SurfaceSection,
     line_frame,
     nearest_segment,
     section,
@@ -45,7 +45,7 @@ class Scene(NamedTuple):
     T_joint_tool: Float64
     T_joint_camera: Float64
     center_mm: Float64
-    shape: Section
+    shape: SurfaceSection
     bend: tuple[float, float]
     footprint_mm: Float64
     below_surface: bool
@@ -67,7 +67,7 @@ class Scenes:
     T_joint_tool: Float64
     T_joint_camera: Float64
     center_mm: Float64
-    shape: Section
+    shape: SurfaceSection
     bend: Float64
     footprint_mm: Float64
     below_surface: Bool
@@ -108,7 +108,7 @@ class SceneSource(NamedTuple):
     """
 
     segments: SeamSegments
-    shape: Section
+    shape: SurfaceSection
     ahead_mm: Float64
     T_tool_camera: Float64
     rim_rays: Float64

@@ -74,7 +74,7 @@ Edge = tuple[float, float, float, float]
 and its height over the lower sheet."""
 
 
-class Sheets(NamedTuple):
+class SlicedSheets(NamedTuple):
     """A lap's sheets, as a point P sees them on its way to the arc.
 
     At the station `crest_x` the upper sheet may hide more than at its `edge`. `edge_hides` says whether the
@@ -121,7 +121,7 @@ def _over_edge(P: Point, edge_y: float) -> float:
 
 
 @kernel(inline=True)
-def _crossings(over: float, x: Lanes, y: Lanes, sheets: Sheets) -> tuple[Lanes, Lanes]:
+def _crossings(over: float, x: Lanes, y: Lanes, sheets: SlicedSheets) -> tuple[Lanes, Lanes]:
     """Return the ways, mm, on which slices cross the upper sheet's edge, and cross it again; FAR for never.
 
     P stands `over` beyond the edge; see `visibility.first_crossings`.
@@ -163,7 +163,7 @@ def _cut(
     up: float,
     lift: Lanes,
     asked: Mask,
-    sheets: Sheets,
+    sheets: SlicedSheets,
 ) -> Lanes:
     """Return the slope at which the arc's near side rises out of a sheet, -FAR where it does all the way.
 
@@ -209,7 +209,7 @@ def _past_edge(
     ahead: Lanes,
     rho: Lanes,
     up: float,
-    sheets: Sheets,
+    sheets: SlicedSheets,
 ) -> tuple[Lanes, Lanes, Lanes, Mask]:
     """Return what is seen of the arc in slices that may cross the upper sheet's edge, at two ways.
 
@@ -273,7 +273,7 @@ def lay(
     n: int,
     planes: Float64,
     n_planes: int,
-    sheets: Sheets,
+    sheets: SlicedSheets,
     room: Float32,
 ) -> tuple[bool, bool, bool]:
     """Lay n slices between two offsets, and write what of the arc is open there.
@@ -436,7 +436,7 @@ def upright_range(
 
 
 @kernel(inline=True)
-def parting_offset(P: Point, center: Point, radius: float, sheets: Sheets) -> float:
+def parting_offset(P: Point, center: Point, radius: float, sheets: SlicedSheets) -> float:
     """Return the offset of the slice on one side of which the edge begins to hide, or to leave open.
 
     A slice y = (slope + m) x meets the edge, `over` mm to the right of P, at stations x with

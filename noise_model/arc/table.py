@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.face_lookup import Sight, sight
+from noise_model.arc.face_lookup import VisibleFaces, sight
 from noise_model.arc.patch_borders import MAX_BORDERS, borders_across, borders_along, seen_strip
 from noise_model.arc.ray import ArcKernel, light_at
 from noise_model.arc.scratch import Scratch
@@ -83,7 +83,7 @@ class FaceTable(NamedTuple):
     to_powers: Float64
     rel: float
     floor_e: float
-    seen: Sight
+    seen: VisibleFaces
 
 
 Patches = tuple[Float64, Float64, Int32, Int32]

@@ -49,7 +49,7 @@ def digest(*parts: object) -> str:
 def kernel_key(kernel: Any, arguments: tuple[Any, ...], target: tuple[Any, ...]) -> str:
     """Return the key of a kernel for types of arguments and a CPU, without that of the kernels it calls."""
     described = tuple(map(describe_type, arguments))
-    return digest(_Described().kernel(kernel), described, target, _compiler())
+    return digest(_Description().kernel(kernel), described, target, _compiler())
 
 
 def entry_key(kernel: Any, *parts: object) -> str:
@@ -59,7 +59,7 @@ def entry_key(kernel: Any, *parts: object) -> str:
 
 def describe_function(function: FunctionType) -> tuple[object, ...]:
     """Return the content of a function in plain values."""
-    return _Described().function(function)
+    return _Description().function(function)
 
 
 def find_kernel(module: str, name: str) -> Any:
@@ -80,12 +80,12 @@ def describe_type(type_: Any) -> tuple[object, ...]:
     if isinstance(type_, types.BaseTuple):
         return "tuple", *map(describe_type, type_)
     if isinstance(type_, types.Dispatcher):
-        return _Described().value(type_.dispatcher, ())
+        return _Description().value(type_.dispatcher, ())
     module = type(type_).__module__
     return str(type_), () if _is_foreign(module) else _source(module)
 
 
-class _Described:
+class _Description:
     """Python's values in nested tuples of plain ones; what refers to itself is described once."""
 
     def __init__(self) -> None:

@@ -11,7 +11,7 @@ from noise_model.arrays import Float64
 
 
 @dataclass(frozen=True)
-class Line:
+class SpectralLine:
     """A spectral line: wavelength in air, statistical weight g_k, transition probability A_ki, upper level.
 
     `E_k_per_cm` is the upper level's energy as a wavenumber, 1/cm.
@@ -24,20 +24,20 @@ class Line:
 
 
 AR_I = (
-    Line(687.1289, 3, 2.78e6, 118651.3950),
-    Line(687.9582, 5, 1.8e5, 120619.0162),
-    Line(688.8174, 5, 2.5e5, 120600.8905),
-    Line(693.7664, 1, 3.08e6, 118512.197),
-    Line(695.1478, 5, 2.2e5, 120619.0162),
-    Line(696.0250, 5, 2.4e5, 120600.8905),
-    Line(696.5431, 3, 6.39e6, 107496.4166),
-    Line(703.0251, 5, 2.67e6, 119683.0821),
-    Line(706.7218, 5, 3.80e6, 107289.7001),
-    Line(706.8736, 3, 2.0e6, 119760.1725),
-    Line(710.7478, 5, 4.5e5, 119683.0821),
-    Line(712.5820, 3, 6.0e5, 121161.3135),
-    Line(714.7042, 3, 6.25e5, 107131.7086),
-    Line(715.8839, 1, 2.1e6, 121096.605),
+    SpectralLine(687.1289, 3, 2.78e6, 118651.3950),
+    SpectralLine(687.9582, 5, 1.8e5, 120619.0162),
+    SpectralLine(688.8174, 5, 2.5e5, 120600.8905),
+    SpectralLine(693.7664, 1, 3.08e6, 118512.197),
+    SpectralLine(695.1478, 5, 2.2e5, 120619.0162),
+    SpectralLine(696.0250, 5, 2.4e5, 120600.8905),
+    SpectralLine(696.5431, 3, 6.39e6, 107496.4166),
+    SpectralLine(703.0251, 5, 2.67e6, 119683.0821),
+    SpectralLine(706.7218, 5, 3.80e6, 107289.7001),
+    SpectralLine(706.8736, 3, 2.0e6, 119760.1725),
+    SpectralLine(710.7478, 5, 4.5e5, 119683.0821),
+    SpectralLine(712.5820, 3, 6.0e5, 121161.3135),
+    SpectralLine(714.7042, 3, 6.25e5, 107131.7086),
+    SpectralLine(715.8839, 1, 2.1e6, 121096.605),
 )
 """Every Ar I line that was observed between 680 and 720 nm and has a transition probability.
 
@@ -49,7 +49,7 @@ REFERENCE_NM = 696.5431
 """The line that all weights refer to: the strongest one near a 690 nm filter's edge."""
 
 
-def line_weights(lines: tuple[Line, ...], temperature_k: float) -> Float64:
+def line_weights(lines: tuple[SpectralLine, ...], temperature_k: float) -> Float64:
     """Return the lines' radiances (N,) relative to that of Ar I 696.54 nm.
 
     An optically thin plasma in local thermal equilibrium emits g_k A_ki exp(-E_k / kT) / lambda (Griem,
@@ -64,7 +64,7 @@ def line_weights(lines: tuple[Line, ...], temperature_k: float) -> Float64:
     return np.array([_emission(line, reference, temperature_k) for line in lines])
 
 
-def _emission(line: Line, reference: Line, temperature_k: float) -> float:
+def _emission(line: SpectralLine, reference: SpectralLine, temperature_k: float) -> float:
     E_per_m = 100.0 * (line.E_k_per_cm - reference.E_k_per_cm)
     boltzmann = np.exp(-constants.h * constants.c * E_per_m / (constants.k * temperature_k))
     strength = line.g_k * line.A_ki_per_s / line.wavelength_nm

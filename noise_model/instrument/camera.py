@@ -166,10 +166,10 @@ class Camera:
         )
         xy = np.asarray(undistorted, dtype=np.float64)[:, 0]
         # OpenCV's fixed points come near slowly, or never, where the distortion is strong.
-        far = np.flatnonzero(~(self._misses_px(xy, points[:, 0]) <= MOST_MISS_PX))
+        far = np.flatnonzero(~(self._misses_px(xy, points[:, 0]) <= MAX_MISS_PX))
         if len(far):
             by_newton = undistorted_rays(points[far, 0], self.matrix, np.asarray(self.distortion))
-            is_hit = self._misses_px(by_newton, points[far, 0]) <= MOST_MISS_PX
+            is_hit = self._misses_px(by_newton, points[far, 0]) <= MAX_MISS_PX
             xy[far[is_hit]] = by_newton[is_hit]
         return xy
 
@@ -267,7 +267,7 @@ UNDISTORT_STEPS, UNDISTORTED = 20, 1e-12
 LONGEST_STEP = 0.3
 """The longest step from a pixel's ray, slope: where the lens folds the steps would have no end."""
 
-MOST_MISS_PX = 1e-7
+MAX_MISS_PX = 1e-7
 """A ray that is seen farther than this from its image point is sought anew."""
 
 

@@ -139,7 +139,7 @@ def electrons_per_dn(electrons: npt.ArrayLike, sensor: Sensor) -> Float64:
     return np.asarray(sensor.gain_e_per_dn / (sensor.gamma * slope) * share ** (1.0 - sensor.gamma))
 
 
-class Response(NamedTuple):
+class SensorResponse(NamedTuple):
     """A sensor's noise and response as the kernels take them; see `Sensor`."""
 
     gain_e_per_dn: float
@@ -149,7 +149,7 @@ class Response(NamedTuple):
     bend: float
 
     @classmethod
-    def of(cls, sensor: Sensor) -> Response:
+    def of(cls, sensor: Sensor) -> SensorResponse:
         """Gather a sensor."""
         numbers = (
             sensor.gain_e_per_dn,
@@ -162,7 +162,7 @@ class Response(NamedTuple):
 
 
 @kernel
-def dark_part_e2(mean_e: float, response: Response) -> float:
+def dark_part_e2(mean_e: float, response: SensorResponse) -> float:
     """Return what of `variance_e2` is not the light's, at one charge."""
     r = response
     share = max(abs(mean_e), max(r.read_noise_e, 1.0)) / r.full_well_e

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy import constants
 
 from noise_model.arrays import Bool, Float64
-from noise_model.instrument.argon import AR_I, REFERENCE_NM, Line, line_weights
+from noise_model.instrument.argon import AR_I, REFERENCE_NM, SpectralLine, line_weights
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
@@ -189,7 +189,7 @@ class ArcSpectrum:
     continuum_temperature_k: float = 12_000.0
     excitation_temperature_k: float = 12_000.0
     line_width_nm: float = 20.0
-    lines: tuple[Line, ...] = AR_I
+    lines: tuple[SpectralLine, ...] = AR_I
 
     def __post_init__(self) -> None:
         for name in ("continuum_temperature_k", "excitation_temperature_k"):

@@ -13,7 +13,7 @@ from noise_model.interreflection.nodes import (
     OMEGA,
     WEIGHT,
     Focus,
-    Rules,
+    GaussRules,
     look_around,
     room,
 )
@@ -27,7 +27,7 @@ ORDERS = 6
 
 
 def gather_first(
-    k: Place, seen: Lattice, camera: Float64, focus: Focus, of_laser: bool, fine: Rules
+    k: Place, seen: Lattice, camera: Float64, focus: Focus, of_laser: bool, fine: GaussRules
 ) -> Float64:
     """Return what points of a lattice (n, 1) send to the camera of once-bounced light, source's output 1."""
     nodes, sent = np.empty((room(k, fine), COLUMNS)), np.zeros((len(seen.faces), 1))
@@ -52,7 +52,7 @@ def _gather_first(
     camera: Float64,
     focus: Focus,
     of_laser: bool,
-    fine: Rules,
+    fine: GaussRules,
     scratch: Scratch,
     nodes: Float64,
     sent: Float64,
@@ -104,7 +104,7 @@ def _back(node: Float64) -> Point:
 
 
 def arriving(
-    k: Place, passing: Lattice, focus: Focus, of_laser: bool, coarse: Rules
+    k: Place, passing: Lattice, focus: Focus, of_laser: bool, coarse: GaussRules
 ) -> tuple[Int64, Float64, Float64]:
     """Return from where how much light comes to the points of a lattice.
 
@@ -156,7 +156,7 @@ def _look_from_each(
     passing: Lattice,
     focus: Focus,
     of_laser: bool,
-    coarse: Rules,
+    coarse: GaussRules,
     scratch: Scratch,
     most: int,
     done: int,
@@ -281,7 +281,7 @@ def gather_further(
     camera: Float64,
     focus: Focus,
     passing: Lattice,
-    coarse: Rules,
+    coarse: GaussRules,
     start: Int64,
     omega: Float64,
     irradiance: Float64,
@@ -312,7 +312,7 @@ def _gather_further(
     camera: Float64,
     focus: Focus,
     passing: Lattice,
-    coarse: Rules,
+    coarse: GaussRules,
     start: Int64,
     omega: Float64,
     irradiance: Float64,

@@ -27,7 +27,7 @@ from noise_model.arrays import Bool, Float32, Float64, Int32
 from noise_model.interreflection.bounces import ORDERS, arriving, gather_first, gather_further
 from noise_model.interreflection.first_bounce import Place, place
 from noise_model.interreflection.lattice import Lattice, interpolate, lattice, stations
-from noise_model.interreflection.nodes import Focus, Rules, rules, stripe_at
+from noise_model.interreflection.nodes import Focus, GaussRules, rules, stripe_at
 from noise_model.stripe import stripe_reference
 from noise_model.surface.brdf import Material
 from noise_model.surface.faces import strip
@@ -218,7 +218,7 @@ def _counts(k: Place, grain: Grain) -> list[int]:
     return [grain.across[face in (0, n_faces - 1)] for face in range(n_faces)]
 
 
-def _first_rules(material: Material) -> Rules:
+def _first_rules(material: Material) -> GaussRules:
     """Return the nodes for the once-bounced light, no farther apart than the lobe is wide."""
     c2 = material.c2 * math.exp(abs(material.lobe.anisotropy))
     # A half vector's angle alpha of 1 / sqrt(2 c2) is twice as much of the direction's.

@@ -37,7 +37,7 @@ MIN_SLOPE = 0.05
 """A sheet that meets a line of the surface at a smaller slope than this makes no stripe across it."""
 
 
-class Rules(NamedTuple):
+class GaussRules(NamedTuple):
     """Gauss-Legendre nodes and weights on [0, 1]: per piece of phi, psi, x, y, and of the stripe's width.
 
     With `closely` psi is cut into pieces of 30 degrees, and x, y and psi about the brightest place.
@@ -51,13 +51,13 @@ class Rules(NamedTuple):
     closely: bool
 
 
-def rules(phi: int, psi: int, x: int, y: int, across: int, closely: bool) -> Rules:
+def rules(phi: int, psi: int, x: int, y: int, across: int, closely: bool) -> GaussRules:
     """Return the rules with so many nodes each."""
 
     def gauss(n: int) -> Rule:
         return gauss_nodes()[2, n, :n], gauss_nodes()[3, n, :n]
 
-    return Rules(gauss(phi), gauss(psi), gauss(x), gauss(y), gauss(across), closely)
+    return GaussRules(gauss(phi), gauss(psi), gauss(x), gauss(y), gauss(across), closely)
 
 
 class Focus(NamedTuple):
@@ -68,7 +68,7 @@ class Focus(NamedTuple):
     extent: float
 
 
-def room(k: Place, rules: Rules) -> int:
+def room(k: Place, rules: GaussRules) -> int:
     """Return how many nodes of one surface point there may be at most."""
     n_faces = k.vertices.shape[0] - 1
     n_psi = max((PSI_KNOTS + 1) * rules.psi[0].shape[0], 3 * rules.across[0].shape[0])
@@ -174,7 +174,7 @@ def _from_strip(
     face: int,
     focus: Focus,
     of_stripe: bool,
-    rules: Rules,
+    rules: GaussRules,
     scratch: Scratch,
     nodes: Float64,
     count: int,
@@ -244,7 +244,7 @@ def _from_sheet(
     on: int,
     face: int,
     focus: Focus,
-    rules: Rules,
+    rules: GaussRules,
     scratch: Scratch,
     nodes: Float64,
     count: int,
@@ -312,7 +312,7 @@ def _from_stripe_on_sheet(
     P: Float64,
     normal: Float64,
     face: int,
-    rules: Rules,
+    rules: GaussRules,
     scratch: Scratch,
     nodes: Float64,
     count: int,
@@ -362,7 +362,7 @@ def look_around(
     on: int,
     focus: Focus,
     of_stripe: bool,
-    rules: Rules,
+    rules: GaussRules,
     scratch: Scratch,
     nodes: Float64,
 ) -> int:

@@ -42,7 +42,7 @@ FILTER_SHIFT = "filter_shift"
 
 
 @dataclass(frozen=True, eq=False)
-class StripeLight:
+class SampledStripe:
     """The stripe as sampled by n rays of the laser's fan, joint frame, mm.
 
     `points`, `normals` (n, 3); `moves` (n, 3) how a point goes along the laser plane for 1 px of stripe
@@ -75,7 +75,7 @@ def stripe_level_e(setup: Setup) -> float:
     return setup.laser.peak_e / stripe_reference(setup)
 
 
-def stripe_light(setup: Setup, T_base_tool: Float64, level_e: float) -> StripeLight:
+def stripe_light(setup: Setup, T_base_tool: Float64, level_e: float) -> SampledStripe:
     """Return the light along the stripe within `REACH_MM` of the nominal seam at a pose.
 
     `level_e` is the setup's `stripe_level_e`. Raises ValueError for a camera below the surface and a laser
@@ -87,7 +87,7 @@ def stripe_light(setup: Setup, T_base_tool: Float64, level_e: float) -> StripeLi
         raise ValueError("the laser does not meet the joint at this pose")
     looks = _look(setup, scene, points, normals)
     stripe, arc = _light_at(setup, scene, looks, level_e * _stripe(setup, scene, points, normals, looks))
-    return StripeLight(
+    return SampledStripe(
         points=points,
         normals=normals,
         moves=looks.moves,
@@ -147,7 +147,7 @@ def _fan(setup: Setup, scene: Scene) -> tuple[Float64, Float64, Float64]:
 
 
 class _Looks(NamedTuple):
-    """How the camera sees the points: image points (n, 2), and see `StripeLight`."""
+    """How the camera sees the points: image points (n, 2), and see `SampledStripe`."""
 
     image: Float64
     position_axis: int

@@ -21,7 +21,7 @@ from noise_model.plan.cramer_rao import (
     stripe_sigmas,
 )
 from noise_model.plan.design import design_of, gains_over_effects, magnification
-from noise_model.plan.light import ARC_PLACES, HALF_WINDOW_SIGMAS, StripeLight
+from noise_model.plan.light import ARC_PLACES, HALF_WINDOW_SIGMAS, SampledStripe
 from noise_model.setup import Setup
 from noise_model.setup_keys import DIMENSIONS
 from noise_model.stripe import stripe_depth_mm
@@ -87,7 +87,7 @@ class ExpectedPixels:
 
 @dataclass(frozen=True, eq=False)
 class LineBounds:
-    """The rays of a `StripeLight` as read: per ray (n,).
+    """The rays of a `SampledStripe` as read: per ray (n,).
 
     `sigma_px` the bound of the stripe's position, NaN where it cannot be read; `readable`; `saturated`;
     `arc_over_stripe` at the stripe's centre, NaN where unseen.
@@ -170,7 +170,7 @@ def saturation_e(sensor: Sensor) -> float:
 
 
 def expected_pixels(
-    light: StripeLight, setup: Setup, around: Surroundings, optics: Filter | FilterCurve | None = None
+    light: SampledStripe, setup: Setup, around: Surroundings, optics: Filter | FilterCurve | None = None
 ) -> ExpectedPixels:
     """Return the expected pixels of a light behind a filter, the setup's own if none is given."""
     gains = gains_over_effects(setup, optics or setup.stated_filter, around.spectrum, light.theta)
@@ -179,7 +179,7 @@ def expected_pixels(
 
 
 def line_bounds(
-    light: StripeLight, pixels: ExpectedPixels, sensor: Sensor, floor_px: float, exposure: float = 1.0
+    light: SampledStripe, pixels: ExpectedPixels, sensor: Sensor, floor_px: float, exposure: float = 1.0
 ) -> LineBounds:
     """Return how well each ray's scan lines can be read at an exposure over the setup's.
 
@@ -199,7 +199,7 @@ def line_bounds(
     return LineBounds(sigma, readable, saturated, ratio)
 
 
-def seam_noise(light: StripeLight, bounds: LineBounds, joint: Joint) -> SeamNoise:
+def seam_noise(light: SampledStripe, bounds: LineBounds, joint: Joint) -> SeamNoise:
     """Return what the scan lines make of the seam point."""
     lines = float(light.lines.sum())
     if not lines > 0.0:
@@ -245,7 +245,7 @@ class _Edge(NamedTuple):
     lower_side: float
 
 
-def _edge_sigma_mm(light: StripeLight, read: Bool, unread: Bool, joint: Joint) -> float:
+def _edge_sigma_mm(light: SampledStripe, read: Bool, unread: Bool, joint: Joint) -> float:
     """Return what a section's upright edges tell of y; rays of no upright side are `read` or `unread`."""
     vertices = section(joint).vertices
     uprights = [
@@ -257,7 +257,7 @@ def _edge_sigma_mm(light: StripeLight, read: Bool, unread: Bool, joint: Joint) -
     return information**-0.5 if information > 0.0 else math.inf
 
 
-def _one_edge_sigma_mm(light: StripeLight, read: Bool, unread: Bool, edge: _Edge) -> float:
+def _one_edge_sigma_mm(light: SampledStripe, read: Bool, unread: Bool, edge: _Edge) -> float:
     """Return what an upright edge tells of its own place.
 
     It lies between two scan lines, which by shares of either side's stripe say where. Lines between
@@ -278,7 +278,7 @@ def _one_edge_sigma_mm(light: StripeLight, read: Bool, unread: Bool, edge: _Edge
     return sampled_edge_sigma_mm((1.0 + float(light.lines[between].sum())) * mm_per_line)
 
 
-def _seen_side_mm(light: StripeLight, edge: _Edge, rim_mm: float) -> float:
+def _seen_side_mm(light: SampledStripe, edge: _Edge, rim_mm: float) -> float:
     """Return how much of the lower side, mm, an edge's upright side stands before, lit and seen, else 0.
 
     Its light may count as either side's stripe.

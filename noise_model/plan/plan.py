@@ -14,8 +14,8 @@ from noise_model.plan.design import SensorDesign, design_of, filter_of, passes_l
 from noise_model.plan.noise import Surroundings
 from noise_model.plan.path import PathNoise, noise_along, nominal_path, recorded_path, search_path
 from noise_model.plan.remedies import Cure, find_cures
-from noise_model.plan.rules import Rules, try_rules
-from noise_model.plan.search import Candidate, SearchSpace, judge, pareto, refine, search
+from noise_model.plan.rules import DesignRules, try_rules
+from noise_model.plan.search import DesignCandidate, SearchSpace, judge, pareto, refine, search
 from noise_model.setup import Setup
 
 Range = tuple[float, float]
@@ -87,7 +87,7 @@ class NoiseMap:
 
     tilts_deg: tuple[float, ...]
     azimuths_deg: tuple[float, ...]
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[DesignCandidate, ...]
 
     def grid(self, name: str) -> Float64:
         """Return one of the numbers of all candidates (t, a)."""
@@ -104,11 +104,11 @@ class Plan:
     """
 
     setup: Setup
-    own: Candidate
-    judged: tuple[Candidate, ...]
-    front: tuple[Candidate, ...]
+    own: DesignCandidate
+    judged: tuple[DesignCandidate, ...]
+    front: tuple[DesignCandidate, ...]
     noise_map: NoiseMap
-    rules: Rules
+    rules: DesignRules
     along: PathNoise
     cures: tuple[Cure, ...]
     limit_mm: float

@@ -12,7 +12,7 @@ from noise_model.arrays import Float64
 from noise_model.plan.design import SensorDesign, design_of
 from noise_model.plan.noise import Surroundings
 from noise_model.plan.path import PathNoise, blind_stretches, leaned
-from noise_model.plan.search import Candidate, Progress, judge
+from noise_model.plan.search import DesignCandidate, Progress, judge
 from noise_model.setup import Setup
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert
@@ -34,10 +34,10 @@ class Cure:
 
     first: int
     last: int
-    exposed: Candidate
+    exposed: DesignCandidate
     lean_deg: tuple[float, float]
-    leaned: Candidate
-    moved: Candidate
+    leaned: DesignCandidate
+    moved: DesignCandidate
 
 
 def find_cure(
@@ -53,7 +53,9 @@ def find_cure(
     own = design_of(setup)
     poses = _poses(along, stretch)
 
-    def worst(design: SensorDesign, lean: tuple[float, float], most_exposure_s: float | None) -> Candidate:
+    def worst(
+        design: SensorDesign, lean: tuple[float, float], most_exposure_s: float | None
+    ) -> DesignCandidate:
         turned = np.array([leaned(T_base_tool, *lean) for T_base_tool in poses])
         return judge(setup, design, turned, around, None, most_exposure_s)[0]
 

@@ -17,7 +17,7 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.plan.design import SensorDesign, design_of
 from noise_model.plan.noise import Surroundings
-from noise_model.plan.search import Candidate, judge
+from noise_model.plan.search import DesignCandidate, judge
 from noise_model.setup import Setup
 
 TILTS_DEG = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
@@ -30,7 +30,7 @@ MATTERS = 1.1
 """A ratio nearer to 1 than this is no difference."""
 
 
-class Outcome(Enum):
+class RuleOutcome(Enum):
     """What a rule comes to; the value is how it is said."""
 
     HOLDS = "holds"
@@ -40,7 +40,7 @@ class Outcome(Enum):
 
 
 @dataclass(frozen=True)
-class Rule:
+class DesignRule:
     """A rule as tried: the varied angle of each of `tried` (deg), and the outcomes for light and seam.
 
     `light_ratio` is the arc's light over the stripe's where the rule is broken, at `broken_deg`, over that
@@ -49,19 +49,19 @@ class Rule:
     """
 
     angles_deg: tuple[float, ...]
-    tried: tuple[Candidate, ...]
+    tried: tuple[DesignCandidate, ...]
     broken_deg: float
     kept_deg: float
     light_ratio: float
     seam_ratio: float
 
     @property
-    def light(self) -> Outcome:
+    def light(self) -> RuleOutcome:
         """Whether keeping the rule lowers the arc's light over the stripe's."""
         return _outcome(self.light_ratio)
 
     @property
-    def seam(self) -> Outcome:
+    def seam(self) -> RuleOutcome:
         """Whether keeping the rule lowers the seam's sigma."""
         return _outcome(self.seam_ratio)
 
@@ -73,24 +73,24 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Rules:
+class DesignRules:
     """The rules on a user's own material and joint, `own` the user's design as it is.
 
     `tilt` with the laser's sheet as it stands; `head` with the whole head tilted, so that the sheet leans and
     the triangulation angle stays; `azimuth` at the user's tilt.
     """
 
-    own: Candidate
-    tilt: Rule
-    head: Rule
-    azimuth: Rule
+    own: DesignCandidate
+    tilt: DesignRule
+    head: DesignRule
+    azimuth: DesignRule
 
 
-def try_rules(setup: Setup, poses: Float64, around: Surroundings, most_exposure_s: float) -> Rules:
+def try_rules(setup: Setup, poses: Float64, around: Surroundings, most_exposure_s: float) -> DesignRules:
     """Try both rules at poses T_base_tool (n, 4, 4)."""
     own = design_of(setup)
 
-    def tried(designs: Sequence[SensorDesign]) -> tuple[Candidate, ...]:
+    def tried(designs: Sequence[SensorDesign]) -> tuple[DesignCandidate, ...]:
         return tuple(judge(setup, d, poses, around, None, most_exposure_s)[0] for d in designs)
 
     tilted = tried([replace(own, tilt_deg=t) for t in TILTS_DEG])
@@ -98,7 +98,7 @@ def try_rules(setup: Setup, poses: Float64, around: Surroundings, most_exposure_
     turned = tried([replace(own, azimuth_deg=a) for a in AZIMUTHS_DEG])
     ahead = abs(own.azimuth_deg) <= 90.0
     head = tried([design for _, design in heads])
-    return Rules(
+    return DesignRules(
         own=judge(setup, own, poses, around)[0],
         tilt=_rule(TILTS_DEG, tilted, (TILTS_DEG[-1], TILTS_DEG[0])),
         head=_rule([t for t, _ in heads], head, (TILTS_DEG[-1], TILTS_DEG[0])),
@@ -127,15 +127,17 @@ def head_tilted(own: SensorDesign, tilt_deg: float) -> SensorDesign | None:
     return replace(own, tilt_deg=tilt_deg, lean_deg=lean_deg) if abs(lean_deg) < 75.0 else None
 
 
-def _rule(angles_deg: Sequence[float], tried: tuple[Candidate, ...], ends: tuple[float, float]) -> Rule:
+def _rule(
+    angles_deg: Sequence[float], tried: tuple[DesignCandidate, ...], ends: tuple[float, float]
+) -> DesignRule:
     """Compare the angles nearest to where the rule is broken and kept, `ends`, that show the seam."""
     seen = [(angle, c) for angle, c in zip(angles_deg, tried, strict=True) if math.isfinite(c.sigma_mm)]
     if not seen:
-        return Rule(tuple(angles_deg), tried, *[math.nan] * 4)
+        return DesignRule(tuple(angles_deg), tried, *[math.nan] * 4)
     (broken_deg, broken), (kept_deg, kept) = (min(seen, key=lambda pair: abs(pair[0] - end)) for end in ends)
     if broken_deg == kept_deg:
-        return Rule(tuple(angles_deg), tried, *[math.nan] * 4)
-    return Rule(
+        return DesignRule(tuple(angles_deg), tried, *[math.nan] * 4)
+    return DesignRule(
         tuple(angles_deg),
         tried,
         broken_deg,
@@ -150,9 +152,9 @@ def _ratio(broken: float, kept: float) -> float:
     return 1.0 if broken == kept == 0.0 else broken / kept if kept > 0.0 else math.inf
 
 
-def _outcome(ratio: float) -> Outcome:
+def _outcome(ratio: float) -> RuleOutcome:
     if math.isnan(ratio):
-        return Outcome.UNKNOWN
+        return RuleOutcome.UNKNOWN
     if ratio > MATTERS:
-        return Outcome.HOLDS
-    return Outcome.FAILS if ratio < 1.0 / MATTERS else Outcome.INDIFFERENT
+        return RuleOutcome.HOLDS
+    return RuleOutcome.FAILS if ratio < 1.0 / MATTERS else RuleOutcome.INDIFFERENT

@@ -18,7 +18,7 @@ from noise_model.plan.design import (
     passes_laser,
     with_design,
 )
-from noise_model.plan.light import StripeLight, stripe_level_e, stripe_light
+from noise_model.plan.light import SampledStripe, stripe_level_e, stripe_light
 from noise_model.plan.noise import (
     BLIND,
     ExpectedPixels,
@@ -43,7 +43,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Candidate:
+class DesignCandidate:
     """A design and what it shows along the path.
 
     `sigma_mm`, `sigma_y_mm`, `sigma_z_mm` are 95th percentiles, infinite where more stations than that leave
@@ -96,7 +96,7 @@ def judge(
     around: Surroundings,
     filters_nm: Sequence[float] | None = None,
     most_exposure_s: float | None = None,
-) -> list[Candidate]:
+) -> list[DesignCandidate]:
     """Judge a design at poses T_base_tool (n, 4, 4), once for each filter, its own if none is given.
 
     With `most_exposure_s` each takes the longest exposure up to it that saturates nothing expected, else the
@@ -141,7 +141,7 @@ def judge(
     return made
 
 
-def summarise(design: SensorDesign, noise: Sequence[SeamNoise]) -> Candidate:
+def summarise(design: SensorDesign, noise: Sequence[SeamNoise]) -> DesignCandidate:
     """Return what a design's stations come to."""
     columns = {
         name: np.array([getattr(station, name) for station in noise])
@@ -153,7 +153,7 @@ def summarise(design: SensorDesign, noise: Sequence[SeamNoise]) -> Candidate:
         if name.endswith("_mm")
     }
     read = {name: _percentile_of_known(columns[name]) for name in ("sigma_px", "arc_over_stripe")}
-    return Candidate(
+    return DesignCandidate(
         design=design,
         **seam,
         **read,
@@ -164,7 +164,7 @@ def summarise(design: SensorDesign, noise: Sequence[SeamNoise]) -> Candidate:
 
 def search(
     setup: Setup, space: SearchSpace, poses: Float64, around: Surroundings, progress: Progress | None = None
-) -> list[Candidate]:
+) -> list[DesignCandidate]:
     """Judge every design of a space."""
     designs = space.poses(design_of(setup))
     judged = []
@@ -176,8 +176,8 @@ def search(
 
 
 def refine(
-    setup: Setup, start: Candidate, space: SearchSpace, poses: Float64, around: Surroundings
-) -> Candidate:
+    setup: Setup, start: DesignCandidate, space: SearchSpace, poses: Float64, around: Surroundings
+) -> DesignCandidate:
     """Look half a step of tilt and azimuth to every side of a design and return the best."""
     tilts, azimuths = (
         [v - 0.5 * step, v, v + 0.5 * step]
@@ -200,7 +200,7 @@ def refine(
     return best
 
 
-def pareto(candidates: Sequence[Candidate]) -> list[Candidate]:
+def pareto(candidates: Sequence[DesignCandidate]) -> list[DesignCandidate]:
     """Return the designs that no other beats, by rising sigma.
 
     One beats another that is no worse in all of the seam's sigma, the preview (short: the path errs less
@@ -214,7 +214,7 @@ def pareto(candidates: Sequence[Candidate]) -> list[Candidate]:
     return [c for c in dict.fromkeys(known) if not any(_beats(other, c) for other in known)]
 
 
-def _beats(candidate: Candidate, other: Candidate) -> bool:
+def _beats(candidate: DesignCandidate, other: DesignCandidate) -> bool:
     a, b = candidate.design, other.design
     if a.preview_mm > b.preview_mm or a.stand_off_mm < b.stand_off_mm:
         return False
@@ -223,7 +223,7 @@ def _beats(candidate: Candidate, other: Candidate) -> bool:
     return candidate.sigma_mm < other.sigma_mm
 
 
-def _light(setup: Setup, T_base_tool: Float64, level_e: float) -> StripeLight | None:
+def _light(setup: Setup, T_base_tool: Float64, level_e: float) -> SampledStripe | None:
     try:
         return stripe_light(setup, T_base_tool, level_e)
     except ValueError:

@@ -113,7 +113,7 @@ class Joint:
         return self.type == "corrugation"
 
 
-class Section(NamedTuple):
+class SurfaceSection(NamedTuple):
     """The surface's shape for the kernels.
 
     `vertices` is (n, 2) float64, the polyline's (y, z) in mm from y = -REACH to +REACH;
@@ -124,7 +124,7 @@ class Section(NamedTuple):
     corrugation: Float64
 
 
-def section(joint: Joint) -> Section:
+def section(joint: Joint) -> SurfaceSection:
     """Return a joint's cross-section as RECORDING.md draws it, seam point at y = 0.
 
     Beyond that format: `half_v` has an upright side at y < 0 and a bevelled one, `bevel_angle_deg` from
@@ -137,7 +137,7 @@ def section(joint: Joint) -> Section:
 
 
 @lru_cache
-def _draw(joint_type: str, dimensions: tuple[tuple[str, float], ...]) -> Section:
+def _draw(joint_type: str, dimensions: tuple[tuple[str, float], ...]) -> SurfaceSection:
     """Draw the cross-section of a type of joint: every look at a pose asks for it."""
     size = dict(dimensions)
     corrugation = np.zeros(3)
@@ -148,7 +148,7 @@ def _draw(joint_type: str, dimensions: tuple[tuple[str, float], ...]) -> Section
     inner = [corner for i, corner in enumerate(inner) if i == 0 or corner != inner[i - 1]]
     rise = REACH_MM * _plate_slope(joint_type, size)
     right_end, left_end = (-REACH_MM, inner[0][1] + rise), (REACH_MM, inner[-1][1] + rise)
-    return Section(np.array([right_end, *inner, left_end], dtype=np.float64), corrugation)
+    return SurfaceSection(np.array([right_end, *inner, left_end], dtype=np.float64), corrugation)
 
 
 Corners = list[tuple[float, float]]

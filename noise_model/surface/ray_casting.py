@@ -10,7 +10,7 @@ import numpy.typing as npt
 from noise_model.arrays import Bool, Float64, Int32, Integers, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.faces import face_normal, ridge
-from noise_model.surface.joint import Section, corrugation_height
+from noise_model.surface.joint import SurfaceSection, corrugation_height
 
 MISS = -1
 """The face of a ray that looks past the workpiece."""
@@ -153,13 +153,13 @@ def trace(
         normals[i, 0], normals[i, 1], normals[i, 2] = nx, ny, nz
 
 
-def surface_height(points: Float64, shape: Section) -> Float64:
+def surface_height(points: Float64, shape: SurfaceSection) -> Float64:
     """Return the surface's height (mm) over or under points (..., 3) of the joint frame."""
     plain = np.interp(points[..., 1], shape.vertices[:, 0], shape.vertices[:, 1])
     return np.asarray(plain + corrugation_height(points[..., 0], shape.corrugation))
 
 
-def is_open(points: Float64, targets: Float64, shape: Section, steps: int = 4000) -> Bool:
+def is_open(points: Float64, targets: Float64, shape: SurfaceSection, steps: int = 4000) -> Bool:
     """Say for each pair whether the straight way from a point (n, 3) to a target (n, 3) is free.
 
     The plain twin of the half-spaces: it walks the way in small steps and looks whether it runs below the

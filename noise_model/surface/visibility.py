@@ -18,7 +18,7 @@ from noise_model.arrays import Float64, Int64, Vector
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import COUNT, N_LANES, greater, least, load, spread, where
 from noise_model.surface.faces import ridge, strip
-from noise_model.surface.joint import MAX_CHORDS, Section
+from noise_model.surface.joint import MAX_CHORDS, SurfaceSection
 from noise_model.surface.wave import corrugation_of, from_crest, wave
 
 Bend = tuple[float, float]
@@ -418,7 +418,7 @@ def _write_horizons(
 
 
 def horizons_of_scenes(
-    shape: Section, x_ranges_mm: Float64, centers: Float64, radius: float, everywhere: bool
+    shape: SurfaceSection, x_ranges_mm: Float64, centers: Float64, radius: float, everywhere: bool
 ) -> tuple[Float64, Float64]:
     """Return the starts (s,), mm, and the (s, 2, n, 2) horizon tables of several scenes, else empty ones.
 

@@ -186,14 +186,14 @@ def estimate_lag(
     columns = np.ones((len(seen.times_s), 1))
     if nuisances is not None:
         columns = np.column_stack([columns, nuisances])
-    problem = _Problem(
+    problem = _LagProblem(
         commanded, seen.times_s[is_told], seen.values_mm[is_told], columns[is_told], between, first_order
     )
     return _estimated(problem, limits)
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _LagProblem:
     commanded: Motion
     times_s: Float64
     seen_mm: Float64
@@ -258,7 +258,7 @@ class _Problem:
         return np.column_stack([*columns, self.response(dead_time_s, time_constant_s), self.columns])
 
 
-def _estimated(problem: _Problem, limits: LagLimits) -> Lag:
+def _estimated(problem: _LagProblem, limits: LagLimits) -> Lag:
     starts = _grid(problem, limits)
     _, dead_s, constant_s = min(starts)
     bounds = ([0.0, 0.0], [limits.longest_s] * 2) if problem.first_order else ([0.0], [limits.longest_s])
@@ -293,7 +293,7 @@ def _estimated(problem: _Problem, limits: LagLimits) -> Lag:
     return Lag(lag_s, sigma_s, dead_s, constant_s, float(best[0]), math.sqrt(variance))
 
 
-def _grid(problem: _Problem, limits: LagLimits) -> list[tuple[float, float, float]]:
+def _grid(problem: _LagProblem, limits: LagLimits) -> list[tuple[float, float, float]]:
     """Return the sum of squares, dead time and time constant over a grid; a negative gain is none."""
     constants_s = (
         [c for c in GRID_TIME_CONSTANTS_S if c <= limits.longest_s] if problem.first_order else [0.0]

@@ -21,7 +21,7 @@ from robot_io.poses.plausibility_limits import PlausibilityLimits
 from robot_io.poses.pose_questions import (
     Implausibility,
     KeptPose,
-    PoseSeen,
+    PoseArrival,
     against_the_last,
     against_the_program,
     against_the_seam,
@@ -105,7 +105,7 @@ class Plausibility:
 
 
 def update(
-    state: Plausibility, seen: PoseSeen, limits: PlausibilityLimits, path: NominalPath | None = None
+    state: Plausibility, seen: PoseArrival, limits: PlausibilityLimits, path: NominalPath | None = None
 ) -> Plausibility:
     """Return the state after one more sample.
 

@@ -46,7 +46,7 @@ class Implausibility(Enum):
 
 
 @dataclass(frozen=True)
-class PoseSeen:
+class PoseArrival:
     """A sample and what was known when it came.
 
     Parameters
@@ -186,7 +186,7 @@ def _moved_mm(first: KeptPose, newest: KeptPose) -> float:
 
 
 def against_the_program(
-    seen: PoseSeen, newest: KeptPose, limits: PlausibilityLimits
+    seen: PoseArrival, newest: KeptPose, limits: PlausibilityLimits
 ) -> Implausibility | None:
     """Hold a sample against the programmed one of the same time, where there is one."""
     programmed = seen.programmed

@@ -115,7 +115,7 @@ class ObservedFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class ObservedRecording:
     """A recording's frames, and its seam as the tracker found it by `seam_observations`.
 
     `setup` is as stated, `binned` the same with a camera of `bin_px` wide bins. `is_metal_fitted` says that
@@ -155,23 +155,23 @@ class Observed:
             *self.seam_observations.in_joint(known), self.seam_observations.variances_mm2
         )
 
-    def of_metal(self, change: Callable[[Setup], Setup]) -> Observed:
+    def of_metal(self, change: Callable[[Setup], Setup]) -> ObservedRecording:
         """Return the same of another metal, which no setup states; `change` puts it in place."""
         setup, binned = change(self.setup), change(self.binned)
         return replace(self, setup=setup, binned=binned, is_metal_fitted=True)
 
-    def with_read_noise(self, ratio: float) -> Observed:
+    def with_read_noise(self, ratio: float) -> ObservedRecording:
         """Return the same with the stated read noise times a ratio."""
         sensor = replace(self.setup.sensor, read_noise_e=ratio * self.setup.sensor.read_noise_e)
         return replace(self, setup=replace(self.setup, sensor=sensor))
 
-    def subset(self, chosen: Bool) -> Observed:
+    def subset(self, chosen: Bool) -> ObservedRecording:
         """Return a recording of some of the frames (n_frames,)."""
         frames = [frame for frame, is_in in zip(self.frames, chosen, strict=True) if is_in]
         return replace(self, frames=tuple(replace(f, position=n) for n, f in enumerate(frames)))
 
 
-def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> Observed:
+def observe(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> ObservedRecording:
     """Gather a recording's frames for the diagnosis; those without a pose are left out.
 
     The seam is taken where the tracker finds it, frame by frame along its history. Raises ValueError if no
@@ -191,7 +191,7 @@ def observe_along(
     poses: Sequence[Callable[[float], Float64]],
     seam_observations: SeamObservations,
     first_s: float,
-) -> Observed:
+) -> ObservedRecording:
     """Gather frames with their poses along a seam that was seen; the recording began at `first_s`."""
     true = apply_setup_effects(setup)
     stations_mm = [
@@ -207,7 +207,7 @@ def observe_along(
     binned = replace(setup, camera=binned_camera(setup.camera, bin_px))
     usable = [_usable(frame.image_dn, setup, bin_px) for frame in posed]
     transfer = photon_transfer([frame.image_dn for frame in posed], usable, bin_px)
-    return Observed(
+    return ObservedRecording(
         setup,
         binned,
         bin_px,

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from noise_model.arrays import Bool
-from sim_to_real.data.binned import Observed
+from sim_to_real.data.binned import ObservedRecording
 
 SAME_CONDITION_REL = 0.05
 """Exposures and currents that differ by a smaller share are the same: measured ones scatter."""
 
 
-def held_out(observed: Observed, share: float) -> Bool:
+def held_out(observed: ObservedRecording, share: float) -> Bool:
     """Return the frames (n_frames,) that are held out: about a share of each stratum, evenly over time.
 
     At least one frame of each condition, exposure and current included, is left to be fitted. If the share is
@@ -38,7 +38,7 @@ def held_out(observed: Observed, share: float) -> Bool:
     return held
 
 
-def _strata(observed: Observed) -> list[list[int]]:
+def _strata(observed: ObservedRecording) -> list[list[int]]:
     """Return the positions of the frames of each stratum, in time."""
     strata = defaultdict(list)
     for frame in observed.frames:
@@ -46,7 +46,7 @@ def _strata(observed: Observed) -> list[list[int]]:
     return [strata[name] for name in sorted(strata)]
 
 
-def _conditions(observed: Observed) -> list[tuple[str, int, int]]:
+def _conditions(observed: ObservedRecording) -> list[tuple[str, int, int]]:
     """Return each frame's stratum, and the numbers of its exposure's and current's groups.
 
     Values that differ by less than `SAME_CONDITION_REL` from the next belong to one group.

@@ -13,9 +13,9 @@ from noise_model.effects import Effects, apply_setup_effects
 from noise_model.forward import Prediction, Renderer, predict
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
-from sim_to_real.data.binned import FLOOR_DN, FLOOR_REL, Observed, ObservedFrame
+from sim_to_real.data.binned import FLOOR_DN, FLOOR_REL, ObservedFrame, ObservedRecording
 from sim_to_real.data.blocks import dilated, in_blocks, near_face_edges
-from sim_to_real.diagnosis import Gap, Predicted
+from sim_to_real.diagnosis import Gap, HeldOutPrediction
 from sim_to_real.fit.gauss_newton import FLICKER, Refit
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.nuisances import apply_levels, apply_nuisances
@@ -47,12 +47,12 @@ INTERVAL_PERCENT = 2.5, 97.5
 
 
 def predict_holdout(
-    holdout: Observed,
+    holdout: ObservedRecording,
     model: LinearizedModel,
     before: tuple[Refit, Effects],
     after: tuple[Refit, Effects],
     on_frame: Callable[[float], None],
-) -> Predicted:
+) -> HeldOutPrediction:
     """Return held-out frames as two fits predict them, each with random effects besides.
 
     If both have the same random effects, both variances are the second prediction's, the better one: the gap
@@ -72,7 +72,7 @@ def predict_holdout(
     counts = [counts for _, _, counts in predictions]
     variance_after = _variances([second for _, second, _ in predictions], counts)
     same_random = before[1] == after[1]
-    return Predicted(
+    return HeldOutPrediction(
         np.array([frame.index for frame in holdout.frames]),
         np.array([frame.image_dn for frame in holdout.frames]),
         np.array([first.mean_dn for first, _, _ in predictions], dtype=np.float32),
@@ -166,7 +166,9 @@ def _valid_pixels(
     return ~bad & ~dilated(frame.image_dn >= saturation_dn(setup.sensor), 3)
 
 
-def measure_gap(predicted: Predicted, setup: Setup, seam_mm: tuple[float, float], seed: int = 0) -> Gap:
+def measure_gap(
+    predicted: HeldOutPrediction, setup: Setup, seam_mm: tuple[float, float], seed: int = 0
+) -> Gap:
     """Measure the gap, sqrt(mean r^2 - 1) of the pixels that count, with its interval by a block bootstrap.
 
     `seam_mm` is passed on: how far the seam point moves before and after.
@@ -218,7 +220,7 @@ def _closed(before: float, after: float, floor: float) -> float:
     return (before - after) / (before - floor) if before > floor else np.nan
 
 
-def excess_map(predicted: Predicted) -> Float32:
+def excess_map(predicted: HeldOutPrediction) -> Float32:
     """Return by how many sigmas the residual exceeds its noise (H, W), smoothed; its sign is the mean's."""
     counts = np.isfinite(predicted.variance)
     sigma = np.sqrt(np.where(counts, predicted.variance, 1.0))

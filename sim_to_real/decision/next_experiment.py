@@ -24,8 +24,8 @@ from noise_model.setup import Setup
 from noise_model.transforms import moved
 from sim_to_real.data.binned import (
     STRIPE_RIM_BINS,
-    Observed,
     ObservedFrame,
+    ObservedRecording,
     bins_that_count,
     stated_layers,
     variances_dn2,
@@ -33,7 +33,7 @@ from sim_to_real.data.binned import (
 from sim_to_real.data.blocks import dilated
 from sim_to_real.decision.experiments import MENU, N_MORE, WITNESS, Experiment
 from sim_to_real.diagnosis import Next
-from sim_to_real.evidence.error_model import ErrorModel, Linearized
+from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import FRAME_LEVEL, Refit, refit_there
@@ -67,7 +67,7 @@ def planned_frame(experiment: Experiment, frame: ObservedFrame, setup: Setup) ->
     return replace(frame, condition=condition, pose_at=pose_at)
 
 
-def is_recorded(experiment: Experiment, observed: Observed) -> bool:
+def is_recorded(experiment: Experiment, observed: ObservedRecording) -> bool:
     """Say whether a recording holds frames of an experiment; of one that moves the tool it never does."""
     setup = observed.setup
     if any(experiment.turn_deg) or any(experiment.move_mm) or experiment.speed != 1.0:
@@ -148,7 +148,7 @@ class _Forecast:
 def _forecast(planned: LinearizedModel, hypothesis: Hypothesis, errors: ErrorModel) -> _Forecast:
     fitted = hypothesis.refit
     ahead = refit_there(planned, fitted, steps=0)
-    seen = Linearized.of(fitted).columns.changes
+    seen = LinearHypothesis.of(fitted).columns.changes
     information = errors.metric.products(seen, seen) + np.eye(seen.shape[1])
     # A frame's own level is new in each frame: nothing has been seen of it.
     shared, own = ~_of_one_frame(fitted), _of_one_frame(ahead)
@@ -197,7 +197,7 @@ def _planned(model: LinearizedModel) -> LinearizedModel:
     return LinearizedModel(replace(observed, frames=frames))
 
 
-def _with_bins_of_pose(frame: ObservedFrame, observed: Observed) -> ObservedFrame:
+def _with_bins_of_pose(frame: ObservedFrame, observed: ObservedRecording) -> ObservedFrame:
     """Return a frame with the bins that count from its own pose."""
     setup, binned = observed.setup, observed.binned
     stations_mm, layers = stated_layers(setup, binned, frame.T_base_tool_in(setup), observed.seam)

@@ -20,7 +20,7 @@ from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import REGISTRY
 from noise_model.effects.effect import Stage
 from noise_model.setup_keys import Tolerance
-from sim_to_real.data.binned import Observed
+from sim_to_real.data.binned import ObservedRecording
 from sim_to_real.evidence.coordinates import (
     FreeTerms,
     form_functions,
@@ -56,7 +56,7 @@ MIN_STEP_SIGMAS = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class SizeColumns:
     """What one prior sigma of each of some sizes changes (n, k), and the `sides` (k,) that sizes have.
 
     See `metric.log_evidence` for sides.
@@ -66,20 +66,22 @@ class Columns:
     sides: Float64
 
     @classmethod
-    def free(cls, changes: Float32) -> Columns:
+    def free(cls, changes: Float32) -> SizeColumns:
         """Return columns of unbounded sizes."""
         return cls(changes, np.zeros(changes.shape[1]))
 
     @classmethod
-    def along_probes(cls, score: ScoreTest) -> Columns:
+    def along_probes(cls, score: ScoreTest) -> SizeColumns:
         """Return what one prior sigma of each of an effect's probe points changes."""
         low, high = np.array(score.step_limits()).T
         changes = np.asarray(score.signature / probe_sigmas(score), dtype=np.float32)
         return cls(changes, 1.0 * (low == 0.0) - 1.0 * (high == 0.0))
 
-    def beside(self, others: Columns) -> Columns:
+    def beside(self, others: SizeColumns) -> SizeColumns:
         """Return both, side by side."""
-        return Columns(np.hstack([self.changes, others.changes]), np.concatenate([self.sides, others.sides]))
+        return SizeColumns(
+            np.hstack([self.changes, others.changes]), np.concatenate([self.sides, others.sides])
+        )
 
 
 def probe_sigmas(score: ScoreTest) -> Float64:
@@ -91,19 +93,21 @@ def probe_sigmas(score: ScoreTest) -> Float64:
 
 
 @dataclass(frozen=True, eq=False)
-class Linearized:
+class LinearHypothesis:
     """A hypothesis about its fit: residuals (n,) at its priors' means, and what its sizes change."""
 
     residuals: Float64
-    columns: Columns
+    columns: SizeColumns
 
     @classmethod
-    def of(cls, fitted: Refit) -> Linearized:
+    def of(cls, fitted: Refit) -> LinearHypothesis:
         """Return a fit's linear form."""
         return cls._about(fitted, fitted.residuals, fitted.jacobian, np.ones(len(fitted.x), dtype=np.bool_))
 
     @classmethod
-    def without(cls, fitted: Refit, name: str | None, residuals: Float64, by_nuisance: Float64) -> Linearized:
+    def without(
+        cls, fitted: Refit, name: str | None, residuals: Float64, by_nuisance: Float64
+    ) -> LinearHypothesis:
         """Return the same without one of a fit's effects, or without any.
 
         `residuals` (n,) are those of it, at the fit's other parameters, and `by_nuisance` (n, m) what
@@ -116,19 +120,19 @@ class Linearized:
             kept[block] = name is not None and effect != name
         return cls._about(fitted, residuals, jacobian, kept)
 
-    def beside(self, *further: Columns) -> Linearized:
+    def beside(self, *further: SizeColumns) -> LinearHypothesis:
         """Return a hypothesis with further columns."""
-        return Linearized(self.residuals, functools.reduce(Columns.beside, further, self.columns))
+        return LinearHypothesis(self.residuals, functools.reduce(SizeColumns.beside, further, self.columns))
 
     @classmethod
-    def _about(cls, fitted: Refit, residuals: Float64, jacobian: Float64, kept: Bool) -> Linearized:
+    def _about(cls, fitted: Refit, residuals: Float64, jacobian: Float64, kept: Bool) -> LinearHypothesis:
         """Return the linear form with those parameters that are kept (p,); derivatives are (n, p)."""
         quadratic, parameters = fitted.quadratic, itertools.compress(fitted.quadratic.parameters, kept)
         starts, sigmas = quadratic.prior_starts[kept], quadratic.prior_sigmas[kept]
         J = jacobian[:, kept]
         at_start = residuals + J @ (starts - fitted.x[kept])
         sides = np.array([1.0 * (p.lower == p.start) - 1.0 * (p.upper == p.start) for p in parameters])
-        return cls(at_start, Columns(np.asarray(J * sigmas, dtype=np.float32), sides))
+        return cls(at_start, SizeColumns(np.asarray(J * sigmas, dtype=np.float32), sides))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,14 +156,15 @@ class ErrorModel:
         """Return the errors about a fit without effects; `scores` hold what each effect does to the bins."""
         terms, forms = free_terms(covariates), form_functions(covariates)
         effects = [
-            np.hstack([Columns.along_probes(family).changes for family in score.families]) for score in scores
+            np.hstack([SizeColumns.along_probes(family).changes for family in score.families])
+            for score in scores
         ]
         floor = [
             smooth_error(covariates, policy),
             sampling_error(model, covariates, start),
             *(tolerated(score, model.observed.setup.tolerance) for score in scores),
         ]
-        at_start = Linearized.of(start)
+        at_start = LinearHypothesis.of(start)
         every = np.hstack([at_start.columns.changes, *floor, *terms.columns, *effects], dtype=np.float32)
         weights = robust_weights(at_start.residuals, compressed(every), policy.tail_dof)
         floor += [
@@ -169,7 +174,7 @@ class ErrorModel:
         metric = Metric.of(np.hstack(floor, dtype=np.float32), weights)
         return cls(metric, terms, forms, texture(covariates))
 
-    def log_evidence(self, hypothesis: Linearized, *further: Columns) -> float:
+    def log_evidence(self, hypothesis: LinearHypothesis, *further: SizeColumns) -> float:
         """Return ln Z, nats, of a hypothesis, with further columns."""
         every = hypothesis.beside(*further)
         return self.metric.log_evidence(every.residuals, every.columns.changes, every.columns.sides)
@@ -182,15 +187,15 @@ class ErrorModel:
     @functools.cached_property
     def free_blocks(self) -> Blocks:
         """The blocks that free terms are made of."""
-        return self.blocks([Columns.free(columns) for columns in self.free_terms.columns])
+        return self.blocks([SizeColumns.free(columns) for columns in self.free_terms.columns])
 
-    def blocks(self, blocks: Sequence[Columns]) -> Blocks:
+    def blocks(self, blocks: Sequence[SizeColumns]) -> Blocks:
         """Return blocks of columns that hypotheses may have: `table` tells their evidence."""
         none = np.zeros((len(self.metric.root_weights), 0), dtype=np.float32)
         seen = self.metric.seen(np.hstack([none, *(block.changes for block in blocks)]))
         return Blocks(tuple(block.sides for block in blocks), seen, seen.products(seen))
 
-    def table(self, hypothesis: Linearized, blocks: Blocks) -> EvidenceTable:
+    def table(self, hypothesis: LinearHypothesis, blocks: Blocks) -> EvidenceTable:
         """Return what gives the evidence of a hypothesis with any of some blocks of columns."""
         columns, residuals = hypothesis.columns, hypothesis.residuals
         own = self.metric.seen(np.column_stack([columns.changes, residuals]))
@@ -206,14 +211,14 @@ class ErrorModel:
         ends = np.cumsum([0, *(len(of_block) for of_block in sides)])
         return EvidenceTable(table, np.concatenate(sides), ends, len(residuals))
 
-    def form_errors(self, effect: str, change: Float64 | Float32) -> list[Columns]:
+    def form_errors(self, effect: str, change: Float64 | Float32) -> list[SizeColumns]:
         """Return the errors that an effect's form may have; `change` (n,) is what the effect does.
 
         They are functions of one coordinate each, the last of all coordinates together.
         """
         return [_form_error(effect, functions, change) for functions in self._form_functions(effect)]
 
-    def form_error(self, effect: str, change: Float64 | Float32) -> Columns:
+    def form_error(self, effect: str, change: Float64 | Float32) -> SizeColumns:
         """Return the last of `form_errors`, that of all coordinates together."""
         return _form_error(effect, self._form_functions(effect)[-1], change)
 
@@ -241,7 +246,7 @@ class ErrorModel:
         per_bin = [np.einsum("nk,nk->n", columns, columns) for columns in self.free_terms.columns]
         return [math.sqrt(float(np.mean(squares))) for squares in per_bin]
 
-    def log_evidence_off(self, hypothesis: Linearized, forms: Sequence[Sequence[Columns]]) -> float:
+    def log_evidence_off(self, hypothesis: LinearHypothesis, forms: Sequence[Sequence[SizeColumns]]) -> float:
         """Return ln Z, nats, of a hypothesis with effects whose `forms` are off, each by any of its errors.
 
         All are equally probable: those of one effect, beside the last one of each other effect.
@@ -259,9 +264,9 @@ class ErrorModel:
         return float(logsumexp(sorted(nats)) - math.log(len(nats)))
 
 
-def _form_error(effect: str, functions: Float32, change: Float64 | Float32) -> Columns:
+def _form_error(effect: str, functions: Float32, change: Float64 | Float32) -> SizeColumns:
     share = np.float32(REGISTRY[effect].form_rel)
-    return Columns.free(np.asarray(share * functions * change[:, np.newaxis], dtype=np.float32))
+    return SizeColumns.free(np.asarray(share * functions * change[:, np.newaxis], dtype=np.float32))
 
 
 def compared_bins(model: LinearizedModel, covariates: Covariates, before: Refit, policy: Policy) -> Int64:
@@ -279,7 +284,7 @@ def compared_bins(model: LinearizedModel, covariates: Covariates, before: Refit,
     return np.sort(np.concatenate(chosen))
 
 
-def _is_open(observed: Observed, name: str) -> bool:
+def _is_open(observed: ObservedRecording, name: str) -> bool:
     """Say whether an effect is but another value of what no setup states: the metal that the stripe shows."""
     return observed.is_metal_fitted and "material" in REGISTRY[name].needs
 
@@ -300,7 +305,7 @@ def tolerated(score: ScoreTest, tolerance: Tolerance) -> Float32:
         return np.zeros((len(score.signature), 0), dtype=np.float32)
     within = {"deg": tolerance.hand_eye_deg, "mm": tolerance.hand_eye_mm}
     sizes = [within[parameter.unit] / parameter.prior_sigma for parameter in REGISTRY[HAND_EYE].parameters]
-    per_sigma = Columns.along_probes(score).changes
+    per_sigma = SizeColumns.along_probes(score).changes
     moved = np.argmax(np.abs(score.steps), axis=1)
     return np.asarray(per_sigma * np.array(sizes)[moved], dtype=np.float32)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from noise_model.arrays import Float64, Int64
-from sim_to_real.evidence.metric import Seen, log_evidence, rescaled
+from sim_to_real.evidence.metric import WeightedColumns, log_evidence, rescaled
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,7 +16,7 @@ class Blocks:
     """Blocks of columns side by side as the metric sees them: their `sides`, and `products` (k, k)."""
 
     sides: tuple[Float64, ...]
-    seen: Seen
+    seen: WeightedColumns
     products: Float64
 
 

@@ -21,7 +21,7 @@ from noise_model.arrays import Bool, Float32, Float64, Int64
 from sim_to_real.data.binned import STRATA
 from sim_to_real.diagnosis import Curve, Where
 from sim_to_real.evidence.coordinates import ADDED_DN, hats_2d
-from sim_to_real.evidence.error_model import Columns, ErrorModel, Linearized
+from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis, SizeColumns
 from sim_to_real.evidence.evidence_table import EvidenceTable, Sizes
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.covariates import UNITS, Covariates
@@ -57,7 +57,7 @@ PATTERNS = dict(row="row", column="column", radial="radius", mirrored=MIRRORED, 
 
 
 @dataclass(frozen=True, eq=False)
-class Family:
+class FunctionFamily:
     """All free functions of a covariate in a `form`, one of `FORMS`.
 
     `changes` (n, k) is what a unit of each coefficient changes in bins, in sigmas. They have `n_values`
@@ -79,13 +79,15 @@ class FreeFunction:
     `nats` is its evidence over the hypothesis `alone`, `sizes` holds its coefficients.
     """
 
-    family: Family
+    family: FunctionFamily
     nats: float
     sizes: Sizes
     alone: Sizes
 
     @classmethod
-    def likeliest(cls, table: EvidenceTable, families: Sequence[Family], policy: Policy) -> FreeFunction:
+    def likeliest(
+        cls, table: EvidenceTable, families: Sequence[FunctionFamily], policy: Policy
+    ) -> FreeFunction:
         """Return the likeliest of a covariate's functions, whose families are the blocks of a table."""
         alone = table.sizes()
         fitted = [
@@ -114,16 +116,16 @@ class FreeFunctions:
     def of(
         cls,
         errors: ErrorModel,
-        families: Mapping[str, Sequence[Family]],
-        none: Linearized,
-        named: Linearized,
+        families: Mapping[str, Sequence[FunctionFamily]],
+        none: LinearHypothesis,
+        named: LinearHypothesis,
         policy: Policy,
     ) -> FreeFunctions:
         """Return the functions beside `none`, no gap, and `named`, which is `none` if nothing is named."""
         hypotheses = [none] if named is none else [none, named]
         beside: list[dict[str, FreeFunction]] = [{} for _ in hypotheses]
         for name, of_forms in families.items():
-            blocks = errors.blocks([Columns.free(family.changes) for family in of_forms])
+            blocks = errors.blocks([SizeColumns.free(family.changes) for family in of_forms])
             for functions, hypothesis in zip(beside, hypotheses, strict=True):
                 functions[name] = FreeFunction.likeliest(errors.table(hypothesis, blocks), of_forms, policy)
         return cls(beside[0], beside[-1])
@@ -192,7 +194,7 @@ class FreeFunctions:
         return f"{name} {best.family.form}", float(np.clip(closed, 0.0, 1.0))
 
 
-def all_families(covariates: Covariates, compared: Int64) -> dict[str, list[Family]]:
+def all_families(covariates: Covariates, compared: Int64) -> dict[str, list[FunctionFamily]]:
     """Return the functions of each covariate in all forms, in those bins (n,) of all that are compared."""
     bins = covariates.subset(compared)
     over_image = (
@@ -201,14 +203,15 @@ def all_families(covariates: Covariates, compared: Int64) -> dict[str, list[Fami
     ghost = (_mirrored(covariates) / covariates.sigma_dn)[compared, np.newaxis]
     nowhere = len(ghost), np.zeros(0), np.zeros((0, 0))
     families = {name: of_covariate(name, bins) for name in UNITS}
-    families[MIRRORED] = [Family("adds", ghost, *nowhere)]
+    families[MIRRORED] = [FunctionFamily("adds", ghost, *nowhere)]
     families[OVER_IMAGE] = [
-        Family(form, over_image * light_dn(bins)[:, np.newaxis], *nowhere) for form, light_dn in FORMS.items()
+        FunctionFamily(form, over_image * light_dn(bins)[:, np.newaxis], *nowhere)
+        for form, light_dn in FORMS.items()
     ]
     return {name: of_forms for name, of_forms in families.items() if of_forms}
 
 
-def of_covariate(name: str, bins: Covariates) -> list[Family]:
+def of_covariate(name: str, bins: Covariates) -> list[FunctionFamily]:
     """Return the functions of a covariate in each form that acts at two values of it or more."""
     families = []
     for form, light_dn in FORMS.items():
@@ -227,7 +230,7 @@ def of_covariate(name: str, bins: Covariates) -> list[Family]:
         functions = np.zeros((len(lit), at_bins.shape[1]), dtype=np.float32)
         functions[lit] = at_bins
         n_values = len(np.unique(x))
-        families.append(Family(form, functions * per_bin[:, np.newaxis], n_values, places, at_places))
+        families.append(FunctionFamily(form, functions * per_bin[:, np.newaxis], n_values, places, at_places))
     return families
 
 

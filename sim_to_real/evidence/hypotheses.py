@@ -20,7 +20,7 @@ from scipy.special import logsumexp
 
 from noise_model.arrays import Float64
 from noise_model.effects.effect import Stage
-from sim_to_real.evidence.error_model import Linearized
+from sim_to_real.evidence.error_model import LinearHypothesis
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import Refit
 
@@ -29,7 +29,7 @@ Term: TypeAlias = tuple[Stage | None, str]
 
 
 @dataclass(frozen=True)
-class Unknown:
+class UnknownCause:
     """An unknown cause: the log evidence, nats, of each free term, by stage and name."""
 
     terms: Mapping[Term, float]
@@ -70,9 +70,9 @@ class Hypothesis:
     refit: Refit
     exact: float
     off: float
-    neutral: Linearized
+    neutral: LinearHypothesis
     fewer: Mapping[frozenset[str], float]
-    beside: Unknown | None = None
+    beside: UnknownCause | None = None
     changes: Mapping[str, Float64] = field(default_factory=dict)
 
     @property
@@ -95,7 +95,7 @@ class Posterior:
 
     none: Hypothesis
     hypotheses: tuple[Hypothesis, ...]
-    unknown: Unknown
+    unknown: UnknownCause
     p_none: float
     p: tuple[float, ...]
     p_beside: tuple[float, ...]
@@ -111,7 +111,7 @@ class Posterior:
         cls,
         none: Hypothesis,
         hypotheses: Sequence[Hypothesis],
-        unknown: Unknown,
+        unknown: UnknownCause,
         n_effects: int,
         policy: Policy,
     ) -> Posterior:

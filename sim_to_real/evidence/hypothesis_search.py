@@ -18,9 +18,9 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Effects, Stage
 from sim_to_real.evidence.coordinates import IN_EACH_FRAME
-from sim_to_real.evidence.error_model import Columns, ErrorModel, Linearized
+from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis, SizeColumns
 from sim_to_real.evidence.evidence_table import EvidenceTable
-from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Term, Unknown
+from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Term, UnknownCause
 from sim_to_real.evidence.looks import Looks, PairLook
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import FLICKER, LEVEL_SIGMA, Refit, refit, refit_there
@@ -84,7 +84,7 @@ class HypothesisSearch:
 
     def hypothesis(self, fitted: Refit) -> Hypothesis:
         """Return a fit with its evidence, and with that of fewer effects about the same nuisances."""
-        linear = Linearized.of(fitted)
+        linear = LinearHypothesis.of(fitted)
         exact = self.errors.log_evidence(linear)
         if not fitted.ids:
             return Hypothesis(fitted, exact, exact, linear, {})
@@ -101,7 +101,7 @@ class HypothesisSearch:
         off = self.errors.log_evidence_off(linear, forms) if forms else exact
         return Hypothesis(fitted, exact, off, none, fewer, changes=changes)
 
-    def _without(self, fitted: Refit, name: str | None) -> tuple[Linearized, Float64]:
+    def _without(self, fitted: Refit, name: str | None) -> tuple[LinearHypothesis, Float64]:
         """Return a fit without one of its effects, or without any, and what that changes (n,)."""
         effects = {other: values for other, values in fitted.effects.items() if name not in (None, other)}
         lights = self.model.lights(fitted.nuisance, effects, trend_among(fitted.trend, effects))
@@ -111,7 +111,7 @@ class HypothesisSearch:
             frames = self.model.observed.frames
             lights = [self.model.extrapolated(*parts) for parts in zip(frames, lights, by, strict=True)]
         residuals = self.model.residuals(lights)
-        without = Linearized.without(fitted, name, residuals, self.model.nuisance_columns(lights))
+        without = LinearHypothesis.without(fitted, name, residuals, self.model.nuisance_columns(lights))
         return without, fitted.residuals - residuals
 
     def none(self, before: Hypothesis, others: Iterable[Hypothesis]) -> Hypothesis:
@@ -149,7 +149,7 @@ class HypothesisSearch:
 
     def _in_full(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return a hypothesis with an unknown cause beside its effects, and more of their forms' errors."""
-        linear = Linearized.of(hypothesis.refit)
+        linear = LinearHypothesis.of(hypothesis.refit)
         forms = [self.errors.form_error(name, change) for name, change in hypothesis.changes.items()]
         tables = self._table(linear), self._table(linear.beside(*forms))
         exact, off = map(self._free_terms, tables)
@@ -165,7 +165,7 @@ class HypothesisSearch:
             hypothesis = replace(hypothesis, off=float(np.logaddexp(hypothesis.off, nats)) - math.log(2.0))
         return replace(hypothesis, beside=self.unknown([mean]))
 
-    def _table(self, linear: Linearized) -> EvidenceTable:
+    def _table(self, linear: LinearHypothesis) -> EvidenceTable:
         return self.errors.table(linear, self.errors.free_blocks)
 
     def _free_terms(self, table: EvidenceTable) -> TermEvidence:
@@ -177,12 +177,12 @@ class HypothesisSearch:
             for term in self.errors.free_terms.terms
         }
 
-    def unknown(self, beside: Sequence[TermEvidence]) -> Unknown:
+    def unknown(self, beside: Sequence[TermEvidence]) -> UnknownCause:
         """Return an unknown cause: each free term about whichever nuisances make it likeliest.
 
         A level of the arc in each frame is no unknown cause where a flickering arc is a candidate.
         """
-        return Unknown(
+        return UnknownCause(
             {
                 term: nats
                 for term, nats in likeliest(beside).items()
@@ -353,7 +353,9 @@ class HypothesisSearch:
         if not self._may_flicker or FLICKER in best.ids:
             return []
         levels = self.errors.free_terms.columns_of(Stage.SOURCE, IN_EACH_FRAME)
-        look = self.errors.log_evidence(Linearized.of(best.refit), Columns.free(LEVEL_SIGMA * levels))
+        look = self.errors.log_evidence(
+            LinearHypothesis.of(best.refit), SizeColumns.free(LEVEL_SIGMA * levels)
+        )
         if look - best.exact < needed:
             return []
         both = {**STARTS_OF_STAND_INS[FLICKER][0], **best.refit.effects}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim_to_real.diagnosis import Verdict
+from sim_to_real.diagnosis import DiagnosisVerdict
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
 from sim_to_real.evidence.policy import Policy
 
@@ -16,7 +16,7 @@ class Judgement:
     `ambiguous` holds the effects of the hypotheses that share the posterior where none is named.
     """
 
-    verdict: Verdict
+    verdict: DiagnosisVerdict
     leader: Hypothesis
     named: tuple[str, ...]
     ambiguous: tuple[tuple[str, ...], ...]
@@ -31,16 +31,16 @@ def judge(posterior: Posterior, policy: Policy) -> Judgement:
     """
     of_effects = sum(posterior.p)
     if posterior.p_none >= max(of_effects, posterior.p_unknown):
-        return Judgement(Verdict.NO_GAP, posterior.none, (), ())
+        return Judgement(DiagnosisVerdict.NO_GAP, posterior.none, (), ())
     if posterior.p_unknown > of_effects or not posterior.hypotheses:
-        return Judgement(Verdict.UNKNOWN, posterior.none, (), ())
+        return Judgement(DiagnosisVerdict.UNKNOWN, posterior.none, (), ())
     weighed = list(zip(posterior.hypotheses, posterior.p, strict=True))
     likely = [hypothesis for hypothesis, p in weighed if p >= policy.possible * of_effects]
     sure = [name for name, p in posterior.of_effects.items() if p >= policy.named * of_effects]
     if sure or len(weighed) < 2:
         leader = next((h for h in likely if set(h.ids) == set(sure)), posterior.hypotheses[0])
-        return Judgement(Verdict.EFFECTS, leader, tuple(sure or leader.ids), ())
+        return Judgement(DiagnosisVerdict.EFFECTS, leader, tuple(sure or leader.ids), ())
     # Where the next ones are many and none of them likely, the first of these stands for them.
     undecided = likely if len(likely) > 1 else posterior.hypotheses[:2]
     members = tuple(dict.fromkeys(name for hypothesis in undecided for name in hypothesis.ids))
-    return Judgement(Verdict.AMBIGUOUS, posterior.hypotheses[0], (), (members,))
+    return Judgement(DiagnosisVerdict.AMBIGUOUS, posterior.hypotheses[0], (), (members,))

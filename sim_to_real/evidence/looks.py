@@ -15,7 +15,7 @@ import numpy as np
 
 from noise_model.arrays import Float64
 from noise_model.effects import Effects, Values
-from sim_to_real.evidence.error_model import Columns, ErrorModel, Linearized, probe_sigmas
+from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis, SizeColumns, probe_sigmas
 from sim_to_real.evidence.evidence_table import Blocks, EvidenceTable
 from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.search.score_test import ScoreTest
@@ -82,8 +82,8 @@ class Looks:
         return family.id, family.parameters_along(np.clip(sizes / probe_sigmas(family), low, high))
 
     @cached_property
-    def _at_start(self) -> Linearized:
-        return Linearized.of(self.start)
+    def _at_start(self) -> LinearHypothesis:
+        return LinearHypothesis.of(self.start)
 
     @cached_property
     def _families(self) -> list[ScoreTest]:
@@ -91,8 +91,8 @@ class Looks:
         return [family for score in self.scores for family in score.families]
 
     @cached_property
-    def _columns(self) -> list[Columns]:
-        return [Columns.along_probes(family) for family in self._families]
+    def _columns(self) -> list[SizeColumns]:
+        return [SizeColumns.along_probes(family) for family in self._families]
 
     @cached_property
     def _blocks(self) -> Blocks:
@@ -118,7 +118,7 @@ class Looks:
 
         `exact` is the fit's own evidence.
         """
-        table = self.errors.table(Linearized.of(fitted), self._blocks)
+        table = self.errors.table(LinearHypothesis.of(fitted), self._blocks)
         gains: dict[tuple[int, ...], float] = {
             (n,): table.log_evidence(n) - exact
             for n, family in enumerate(self._families)

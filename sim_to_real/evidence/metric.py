@@ -36,13 +36,13 @@ MIN_EIGENVALUE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class WeightedColumns:
     """Columns (n, k) as a metric sees them: times the roots of its weights, and `projected` (m, k)."""
 
     weighted: Float64
     projected: Float64
 
-    def products(self, others: Seen) -> Float64:
+    def products(self, others: WeightedColumns) -> Float64:
         """Return the products (k, j) with others (n, j) in the metric."""
         # Of one array with itself BLAS computes half of the products.
         return np.asarray(self.weighted.T @ others.weighted - self.projected.T @ others.projected)
@@ -69,10 +69,10 @@ class Metric:
         root = np.linalg.cholesky(information)
         return cls(root_weights, solve_triangular(root, weighted.T, lower=True))
 
-    def seen(self, columns: Float64 | Float32) -> Seen:
+    def seen(self, columns: Float64 | Float32) -> WeightedColumns:
         """Return columns (n, k) as the metric sees them, to be multiplied with any others."""
         weighted = columns * self.root_weights[:, np.newaxis]
-        return Seen(weighted, self.projector @ weighted)
+        return WeightedColumns(weighted, self.projector @ weighted)
 
     def products(self, columns: Float64 | Float32, others: Float64 | Float32) -> Float64:
         """Return the products (k, j) of columns (n, k) with others (n, j)."""

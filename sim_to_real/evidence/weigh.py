@@ -12,8 +12,8 @@ import numpy as np
 
 from noise_model.arrays import Float64, Int64
 from noise_model.effects import REGISTRY, not_predicted
-from sim_to_real.diagnosis import Estimate
-from sim_to_real.evidence.error_model import ErrorModel, Linearized, compared_bins
+from sim_to_real.diagnosis import ParameterEstimate
+from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis, compared_bins
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
 from sim_to_real.evidence.hypothesis_search import HypothesisSearch
 from sim_to_real.evidence.policy import POLICY, Policy
@@ -35,7 +35,7 @@ MIN_SPAN_REL = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
+class WeightedHypotheses:
     """The posterior, with the effects' scores, the error model and the linear form of no gap behind it.
 
     `bins` (n,) are the places of the bins that are compared among all.
@@ -44,11 +44,11 @@ class Weighed:
     posterior: Posterior
     scores: tuple[ScoreTest, ...]
     errors: ErrorModel
-    start: Linearized
+    start: LinearHypothesis
     bins: Int64
     policy: Policy = POLICY
 
-    def without(self, refuted: Hypothesis) -> Weighed:
+    def without(self, refuted: Hypothesis) -> WeightedHypotheses:
         """Return the same without a hypothesis that other frames have refuted."""
         posterior = self.posterior
         kept = [hypothesis for hypothesis in posterior.hypotheses if hypothesis is not refuted]
@@ -69,7 +69,7 @@ class Weighed:
         return tuple(pairs)
 
     @property
-    def smallest(self) -> dict[str, Estimate]:
+    def smallest(self) -> dict[str, ParameterEstimate]:
         """The smallest magnitude of each effect whose evidence would show, if any would."""
         magnitudes = {}
         for score, block in zip(self.scores, self._blocks, strict=True):
@@ -79,7 +79,7 @@ class Weighed:
                 moved = int(np.flatnonzero(score.steps[0])[0])
                 parameter = REGISTRY[score.id].parameters[moved]
                 ratio = math.sqrt(2.0 * MIN_NATS / per_square)
-                magnitudes[score.id] = Estimate(
+                magnitudes[score.id] = ParameterEstimate(
                     abs(float(score.steps[0, moved])) * ratio, math.nan, parameter.unit
                 )
         return magnitudes
@@ -118,7 +118,7 @@ def weigh(
     without: Sequence[str],
     on_stage: Callable[[str, float], None],
     policy: Policy = POLICY,
-) -> Weighed:
+) -> WeightedHypotheses:
     """Weigh all hypotheses about what a fit without effects leaves; effects `without` are no candidates.
 
     The model's derivatives are those about that fit.
@@ -149,4 +149,4 @@ def weigh(
     posterior = Posterior.of(none, every, unknown, len(scores), policy)
     some = search.likely_in_full(posterior)
     posterior = Posterior.of(none, some, unknown, len(scores), policy)
-    return Weighed(posterior, tuple(scores), errors, Linearized.of(start), bins, policy)
+    return WeightedHypotheses(posterior, tuple(scores), errors, LinearHypothesis.of(start), bins, policy)

@@ -14,9 +14,9 @@ from noise_model.effects import apply_setup_effects
 from noise_model.instrument.camera import Rays
 from noise_model.instrument.laser import plane_in
 from noise_model.setup import Setup
-from noise_model.surface.joint import Section, corrugation_height
+from noise_model.surface.joint import SurfaceSection, corrugation_height
 from noise_model.view import View
-from sim_to_real.data.binned import STRATA, Observed, ObservedFrame
+from sim_to_real.data.binned import STRATA, ObservedFrame, ObservedRecording
 from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.nuisances import apply_nuisances
@@ -200,7 +200,7 @@ def _degrees(cosine: Float64) -> Float64:
     return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def concavity(points_mm: Float64, normals: Float64, shape: Section) -> Float64:
+def concavity(points_mm: Float64, normals: Float64, shape: SurfaceSection) -> Float64:
     """Return the share (n,) of a diffuse sky's light that other faces of a section keep from points (n, 3).
 
     1 - (sin phi_2 - sin phi_1) / 2 with phi_1, phi_2 the angles from the normal, across the seam, between
@@ -221,7 +221,7 @@ def concavity(points_mm: Float64, normals: Float64, shape: Section) -> Float64:
     return np.asarray(1.0 - 0.5 * np.maximum(high - low, 0.0))
 
 
-def _of_frame(observed: Observed, frame: ObservedFrame, true: Setup, n: int) -> dict[str, Float64]:
+def _of_frame(observed: ObservedRecording, frame: ObservedFrame, true: Setup, n: int) -> dict[str, Float64]:
     """Return what a frame's bins have in common, (n,) each."""
     arc = observed.setup.arc
     values = {
@@ -243,7 +243,7 @@ def velocity_sign(frame: ObservedFrame, true: Setup) -> float:
     return 0.0 if abs(speed) < MIN_SPEED_MM_S else float(np.sign(speed))
 
 
-def _of_image(observed: Observed, view: View) -> dict[str, Float64]:
+def _of_image(observed: ObservedRecording, view: View) -> dict[str, Float64]:
     """Return where the bins lie in the image, (n,) each."""
     # A bin's middle among the recording's own pixels.
     px = (view.uv_px.astype(np.float64) + 0.5) * observed.bin_px - 0.5

@@ -66,7 +66,7 @@ class PredictedBins:
 
 
 @dataclass(frozen=True, eq=False)
-class Rendered:
+class Rendering:
     """What a pose shows (...,), e- for the nominal exposure and output, before any effect on the image.
 
     The laser's light is rendered in `ObservedFrame.rendered`; other bins take that of the nearest. The arc's

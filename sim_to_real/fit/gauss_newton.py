@@ -109,7 +109,9 @@ def refit(
     along the tangents. If an effect must be rendered anyway, light is rendered at each step's own nuisances.
     With no `steps` the fit is that of the values given.
     """
-    problem = _Problem(model, tuple(effects), None if RENDERED_EFFECTS & set(effects) else nuisance, trend)
+    problem = _RenderProblem(
+        model, tuple(effects), None if RENDERED_EFFECTS & set(effects) else nuisance, trend
+    )
     x = problem.start(effects, nuisance)
     lights = problem.lights(x)
     r = model.residuals(lights)
@@ -209,7 +211,7 @@ def broyden_update(J: Float64, step: Float64, residual_change: Float64) -> Float
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _RenderProblem:
     model: LinearizedModel
     ids: tuple[str, ...]
     anchor: Float64 | None

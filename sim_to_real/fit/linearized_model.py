@@ -25,8 +25,8 @@ from noise_model.instrument.camera import NARROW_PX
 from noise_model.interreflection.model import BouncedLight, bounced_light
 from noise_model.setup import Setup
 from noise_model.surface.joint import BentSeam
-from sim_to_real.data.binned import Observed, ObservedFrame, on_one_face
-from sim_to_real.fit.frame_light import FrameLight, PredictedBins, Rendered, light_factor
+from sim_to_real.data.binned import ObservedFrame, ObservedRecording, on_one_face
+from sim_to_real.fit.frame_light import FrameLight, PredictedBins, Rendering, light_factor
 from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM, apply_levels, nuisances
 from sim_to_real.fit.renderings import Renderings
 from sim_to_real.fit.tangents import Tangents, tangents_at
@@ -59,7 +59,7 @@ class LinearizedModel:
     of the interpreter.
     """
 
-    def __init__(self, observed: Observed, threads: int = 1) -> None:
+    def __init__(self, observed: ObservedRecording, threads: int = 1) -> None:
         self.observed = observed
         self.nuisances = nuisances(observed)
         self.neutral = np.zeros(len(self.nuisances))
@@ -251,7 +251,7 @@ class LinearizedModel:
 
     def _passed_light(
         self, frames: Sequence[PredictedBins], true: Setup, anchor: Float64, effects: Effects
-    ) -> Iterator[tuple[Rendered, Light]]:
+    ) -> Iterator[tuple[Rendering, Light]]:
         """Yield each frame's light as it was rendered, and after effects, lens and exposure."""
         every = self.renderings.rendered(frames, true, anchor, effects)
         for bins, rendered in zip(frames, every, strict=True):

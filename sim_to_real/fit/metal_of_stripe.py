@@ -8,7 +8,7 @@ from dataclasses import replace
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from noise_model.surface.brdf import TABLE_1, Material
-from sim_to_real.data.binned import Observed
+from sim_to_real.data.binned import ObservedRecording
 from sim_to_real.fit.gauss_newton import refit
 from sim_to_real.fit.linearized_model import LinearizedModel
 
@@ -16,7 +16,7 @@ METAL_EFFECTS = ("wrong_material", "roughness_change")
 """The effects whose parameters are a metal's kappas and c2."""
 
 
-def metal_of_stripe(observed: Observed, threads: int) -> Callable[[Setup], Setup]:
+def metal_of_stripe(observed: ObservedRecording, threads: int) -> Callable[[Setup], Setup]:
     """Return what puts the metal that a recording's stripe shows in place of an unstated one.
 
     Of the paper's Table 1 the metal with which least is left is taken, and its kappas and c2 are fitted from

@@ -10,7 +10,7 @@ from noise_model.condition import Condition
 from noise_model.fit import Parameter
 from noise_model.setup import Setup
 from noise_model.transforms import moved
-from sim_to_real.data.binned import Observed
+from sim_to_real.data.binned import ObservedRecording
 
 WITHIN_SIGMAS = 4.0
 """A nuisance may be off by so many tolerances; more is a gap."""
@@ -26,7 +26,7 @@ SEAM_WITHIN_SIGMAS = 30.0
 """A seam may lie so many of its sigmas from where the tracker sees it: finding the seam is daily work."""
 
 
-def nuisances(observed: Observed) -> tuple[Parameter, ...]:
+def nuisances(observed: ObservedRecording) -> tuple[Parameter, ...]:
     """Return the parameters that are off nominal in every recording and are no gap.
 
     They are one arc level and one laser level for the whole recording, the black level and the camera's pose,

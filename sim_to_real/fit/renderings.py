@@ -20,8 +20,8 @@ from noise_model.sight import PixelRays, Sight
 from noise_model.stripe import stripe_reference
 from noise_model.surface.joint import BentSeam
 from noise_model.view import View
-from sim_to_real.data.binned import Observed, ObservedFrame
-from sim_to_real.fit.frame_light import PredictedBins, Rendered, nearest_rendered
+from sim_to_real.data.binned import ObservedFrame, ObservedRecording
+from sim_to_real.fit.frame_light import PredictedBins, Rendering, nearest_rendered
 from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM, apply_nuisances
 from tracker.seam.curve import SeamCurve
 from tracker.seam_observations import TRIANGULATION_EFFECTS
@@ -45,7 +45,7 @@ Frames = Sequence[PredictedBins]
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class BinLight:
     """What bins (n,) of some frames see, one frame after another; None for no frame.
 
     `arc` are the bins that count of frames that the arc lights, `laser` the rendered ones of those with the
@@ -59,11 +59,11 @@ class Seen:
 class Renderings:
     """The renderings of a recording's frames, the last of them kept."""
 
-    def __init__(self, observed: Observed) -> None:
+    def __init__(self, observed: ObservedRecording) -> None:
         self._observed = observed
-        self._rendered: dict[tuple[object, ...], list[Rendered]] = {}
+        self._rendered: dict[tuple[object, ...], list[Rendering]] = {}
         self._of_sources: dict[tuple[object, ...], list[Float32]] = {}
-        self._seen: dict[tuple[object, ...], Seen] = {}
+        self._seen: dict[tuple[object, ...], BinLight] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
         self._pixel_rays: dict[tuple[object, ...], tuple[tuple[Int64, ...], PixelRays]] = {}
         self._curves: dict[tuple[object, ...], SeamCurve] = {}
@@ -131,14 +131,14 @@ class Renderings:
         poses = [frame.T_base_tool_in(true) for frame in frames]
         return Sight.along(true, poses, seams, self._pixel_rays[key][1], stretch)
 
-    def rendered(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> list[Rendered]:
+    def rendered(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> list[Rendering]:
         """Return what frames show before any effect acts on the image."""
         key = _key(frames, anchor, effects)
         if key not in self._rendered:
             arc = self._arc_e(frames, true, anchor, effects)
             laser = self._laser_e(frames, true, anchor, effects)
             views = [self._view(bins, true, anchor, effects) for bins in frames]
-            self._rendered[key] = [Rendered(*parts) for parts in zip(views, arc, laser, strict=True)]
+            self._rendered[key] = [Rendering(*parts) for parts in zip(views, arc, laser, strict=True)]
         return self._rendered[key]
 
     def _view(self, bins: PredictedBins, true: Setup, anchor: Float64, effects: Effects) -> View:
@@ -226,7 +226,7 @@ class Renderings:
         everywhere.reshape(-1)[frame.bins] = kept_e
         return everywhere
 
-    def _seen_by(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> Seen:
+    def _seen_by(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> BinLight:
         """Return what bins see with some metal: another one does not change what rays meet."""
         key = _key(frames, anchor, effects, Stage.SURFACE)
         if key not in self._seen:
@@ -235,7 +235,7 @@ class Renderings:
             sight = self.sight(observed, [bins.rendered for bins in frames], true, seams)
             counts, kept = [len(bins.rendered) for bins in frames], [bins.is_kept for bins in frames]
             is_lit, has_laser = lit_by_arc(observed), lit_by_laser(observed)
-            self._seen[key] = Seen(
+            self._seen[key] = BinLight(
                 some_of(sight, np.repeat(is_lit, counts) & np.concatenate(kept)),
                 some_of(sight, np.repeat(has_laser, counts)),
             )

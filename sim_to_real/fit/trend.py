@@ -17,7 +17,7 @@ from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter
 from noise_model.setup import Setup
-from sim_to_real.data.binned import Observed, ObservedFrame
+from sim_to_real.data.binned import ObservedFrame, ObservedRecording
 
 TREND_EFFECTS = ("arc_length", "arc_deflection", "arc_radius", "hot_metal_glow", "fume")
 """The effects that change in the course of a weld."""
@@ -52,7 +52,7 @@ class Trend:
     amplitude: tuple[float, ...]
 
     @classmethod
-    def of(cls, observed: Observed, effect: str, driver: Driver) -> Trend:
+    def of(cls, observed: ObservedRecording, effect: str, driver: Driver) -> Trend:
         """Return a trend of amplitude 0 over the driver's range in a recording."""
         driven = [_driver_value(observed.setup, driver, frame) for frame in observed.frames]
         low, high = min(driven), max(driven)
@@ -79,7 +79,7 @@ class Trend:
         """Return the driver's position u in a frame, about -1 to 1."""
         return (_driver_value(setup, self.driver, frame) - self.middle) / self.half_range
 
-    def driver_positions(self, observed: Observed) -> Float64:
+    def driver_positions(self, observed: ObservedRecording) -> Float64:
         """Return u for each residual (n,)."""
         positions = [self.driver_position(observed.setup, frame) for frame in observed.frames]
         return np.repeat(positions, observed.counts)

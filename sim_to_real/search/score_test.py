@@ -20,7 +20,13 @@ from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.loss import HuberLoss
 from sim_to_real.fit.quadratic import Quadratic
-from sim_to_real.search.probe_points import FAMILIES, N_PARTS, Family, first_neutral_part, probe_points_about
+from sim_to_real.search.probe_points import (
+    FAMILIES,
+    N_PARTS,
+    ProbeFamily,
+    first_neutral_part,
+    probe_points_about,
+)
 
 MIN_STEP = 0.05
 """The shortest first step of a fit, in distances of a probe point: at neutral some effects have no slope."""
@@ -82,7 +88,7 @@ def score_effects(model: LinearizedModel, baseline: Refit, ids: Sequence[str]) -
 class _Trial:
     """A family that was predicted: `columns` (n, k) are the changes of the residuals at its probe points."""
 
-    family: Family
+    family: ProbeFamily
     columns: Float64
 
 
@@ -95,7 +101,7 @@ def _score_effect(model: LinearizedModel, baseline: Refit, r: Float64, name: str
     first = first_neutral_part(name, origin)
     if n_parts == 1 and origin != REGISTRY[name].neutral:
         # Its stated shape may be right.
-        families = (*(Family(family.probe_points) for family in families if family.shape), *families)
+        families = (*(ProbeFamily(family.probe_points) for family in families if family.shape), *families)
     trials = [_try_family(model, baseline, r, name, origin, family, first) for family in families]
     chosen: list[_Trial] = []
     best: ScoreTest | None = None
@@ -113,7 +119,13 @@ def _score_effect(model: LinearizedModel, baseline: Refit, r: Float64, name: str
 
 
 def _try_family(
-    model: LinearizedModel, baseline: Refit, r: Float64, name: str, origin: Values, family: Family, part: int
+    model: LinearizedModel,
+    baseline: Refit,
+    r: Float64,
+    name: str,
+    origin: Values,
+    family: ProbeFamily,
+    part: int,
 ) -> _Trial:
     """Predict a family's probe points about an origin, those of one part if the effect has several."""
     family_of_part = family.for_part(part)

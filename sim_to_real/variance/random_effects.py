@@ -21,7 +21,7 @@ from noise_model.effects import REGISTRY
 from noise_model.effects.compression import BLOCK_PX, compressed_variance, quantisation_steps
 from noise_model.stripe import stripe_depth_mm
 from noise_model.transforms import transform
-from sim_to_real.data.binned import Observed, ObservedFrame, variances_dn2
+from sim_to_real.data.binned import ObservedFrame, ObservedRecording, variances_dn2
 from sim_to_real.data.blocks import block_means
 from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.fit.linearized_model import LinearizedModel
@@ -143,7 +143,7 @@ def _with_more(frame: ObservedFrame, more_dn2: Float64) -> Float64:
     return np.hypot(frame.sigma_dn, np.sqrt(np.maximum(more_dn2 - frame.shown_dn2, 0.0)))
 
 
-def _within_tolerance(ratio: float, observed: Observed) -> float:
+def _within_tolerance(ratio: float, observed: ObservedRecording) -> float:
     """Return the seen read noise over the stated one, limited to its tolerance.
 
     The seen one includes the error of predicted variances, so predictions with it have the right variance.
@@ -158,7 +158,7 @@ def _share(excess: float, gap: float) -> float:
 
 
 def _coherent_excess(
-    observed: Observed,
+    observed: ObservedRecording,
     fitted: Refit,
     pixels: Sequence[HaarDetails],
     masks: Sequence[Bool],
@@ -183,7 +183,7 @@ def _read_ratio(fit: VarianceSizes, pixels: Sequence[HaarDetails]) -> tuple[floa
 
 
 def _read_noise(
-    ratio: float, error: float, fit: VarianceSizes, pixels: Sequence[HaarDetails], observed: Observed
+    ratio: float, error: float, fit: VarianceSizes, pixels: Sequence[HaarDetails], observed: ObservedRecording
 ) -> _RandomEffect:
     """Return the read noise; it is known within its tolerance, and less than stated is no gap.
 
@@ -202,7 +202,7 @@ def _read_noise(
 
 
 def _fixed_pattern(
-    fit: VarianceSizes, pixels: Sequence[HaarDetails], keeps: Sequence[Bool], observed: Observed
+    fit: VarianceSizes, pixels: Sequence[HaarDetails], keeps: Sequence[Bool], observed: ObservedRecording
 ) -> list[_RandomEffect]:
     """Return the fixed pattern, if there are enough frames in which it could recur."""
     if sum(frame.stratum != "dark" for frame in observed.frames) < MIN_LIT_FRAMES:
@@ -226,7 +226,7 @@ def _fixed_pattern(
     ]
 
 
-def _places(observed: Observed) -> list[int]:
+def _places(observed: ObservedRecording) -> list[int]:
     """Return which place of the part each frame shows (n_frames,): the same within a pixel."""
     setup = observed.setup
     first: list[Float64] = []
@@ -243,7 +243,7 @@ def _places(observed: Observed) -> list[int]:
 
 
 def _laser_speckle(
-    fit: VarianceSizes, pixels: Sequence[HaarDetails], observed: Observed
+    fit: VarianceSizes, pixels: Sequence[HaarDetails], observed: ObservedRecording
 ) -> list[_RandomEffect]:
     """Return the speckle, if there are enough frames with the laser on."""
     if sum(bool(frame.in_stripe.any()) for frame in observed.frames) < MIN_LIT_FRAMES:
@@ -265,7 +265,7 @@ def _laser_speckle(
     ]
 
 
-def _spatter(streaks: Spatter, observed: Observed) -> list[_RandomEffect]:
+def _spatter(streaks: Spatter, observed: ObservedRecording) -> list[_RandomEffect]:
     """Return the spatter, if there are enough frames with the arc on."""
     if observed.lit.sum() < MIN_LIT_FRAMES:
         return []
@@ -281,7 +281,7 @@ def _spatter(streaks: Spatter, observed: Observed) -> list[_RandomEffect]:
     ]
 
 
-def _image_compression(seen: Compression | None, observed: Observed) -> list[_RandomEffect]:
+def _image_compression(seen: Compression | None, observed: ObservedRecording) -> list[_RandomEffect]:
     """Return the compression that the frames' codes show, if they show enough."""
     if seen is None:
         return []
@@ -316,7 +316,7 @@ def _coded_dn2(quality: float, bin_px: int) -> float:
     return float(kept @ quantisation_steps(quality) ** 2 @ kept) / 12.0
 
 
-def _compressed_excess(frame: ObservedFrame, observed: Observed, quality: float) -> Float64:
+def _compressed_excess(frame: ObservedFrame, observed: ObservedRecording, quality: float) -> Float64:
     """Return what compression adds to r^2 of pixels in the bins of a frame that count (n,)."""
     image_dn, sensor = frame.image_dn.astype(np.float64), observed.setup.sensor
     stated_dn2, _ = variances_dn2(image_dn, observed.setup)
@@ -335,7 +335,7 @@ def _size_error(fit: VarianceSizes, pixels: Sequence[HaarDetails], name: str, of
     return error_rel * float(np.sum(over)) / max(float(np.sum(over**2)), 1e-12)
 
 
-def _pattern_error(fit: VarianceSizes, pixels: Sequence[HaarDetails], observed: Observed) -> float:
+def _pattern_error(fit: VarianceSizes, pixels: Sequence[HaarDetails], observed: ObservedRecording) -> float:
     """Return the error of the laser's sizes by the fixed pattern, which few bins sample."""
     stripe = np.zeros(observed.frames[0].keep.shape, dtype=bool)
     for frame in observed.frames:

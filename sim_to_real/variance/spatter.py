@@ -21,11 +21,11 @@ from noise_model.arrays import Bool, Float32, Float64
 from noise_model.effects import REGISTRY
 from noise_model.instrument.sensor import Sensor, electrons_per_dn, linearise, saturation_dn
 from noise_model.robust import sigma_of, spread
-from sim_to_real.data.binned import Observed
+from sim_to_real.data.binned import ObservedRecording
 from sim_to_real.data.blocks import dilated, in_blocks
 from sim_to_real.fit.frame_light import FrameLight
 from sim_to_real.variance.haar_details import VarianceSizes
-from sim_to_real.variance.streaks import Line, LineSearch, search_lines, transient_lines
+from sim_to_real.variance.streaks import LineSearch, StreakLine, search_lines, transient_lines
 
 CLUTTER_FRAMES = 30.0
 """The prior of lines that are no streaks: fewer than one in so many frames."""
@@ -89,7 +89,7 @@ class Streak:
     and `is_full` if it saturates.
     """
 
-    line: Line
+    line: StreakLine
     length_px: float
     seen_px2: float
     charge_e: float
@@ -99,7 +99,7 @@ class Streak:
 
 
 def spatter(
-    observed: Observed, lights: Sequence[FrameLight], sizes: VarianceSizes, more_dn2: float = 0.0
+    observed: ObservedRecording, lights: Sequence[FrameLight], sizes: VarianceSizes, more_dn2: float = 0.0
 ) -> Spatter:
     """Return the spatter that frames show, beside other random effects, see `search_lines`."""
     searched, sensor = search_lines(observed, lights, sizes, more_dn2), lights[0].sensor
@@ -118,7 +118,9 @@ def spatter(
     return Spatter(evidence - _unlikely(values), values, sigmas, hit, excess)
 
 
-def _excess(observed: Observed, sensor: Sensor, searched: Sequence[LineSearch], hit: Sequence[Bool]) -> float:
+def _excess(
+    observed: ObservedRecording, sensor: Sensor, searched: Sequence[LineSearch], hit: Sequence[Bool]
+) -> float:
     """Return what streaks add to the mean of r^2 of all pixels, with the light and noise beside them."""
     bin_px = observed.bin_px
     added = 0.0
@@ -140,7 +142,7 @@ def _from_beside(image: Float32, bins: Bool) -> Float32:
     return np.asarray(light[bins] / np.maximum(weight[bins], 1e-6), dtype=np.float32)
 
 
-def _hit(observed: Observed, streak_lines: Sequence[Line]) -> tuple[Bool, ...]:
+def _hit(observed: ObservedRecording, streak_lines: Sequence[StreakLine]) -> tuple[Bool, ...]:
     """Return the bins (h, w) of each frame that lines reach."""
     images = np.zeros((len(observed.frames), *observed.frames[0].keep.shape), dtype=np.bool_)
     for line in streak_lines:
@@ -148,7 +150,9 @@ def _hit(observed: Observed, streak_lines: Sequence[Line]) -> tuple[Bool, ...]:
     return tuple(dilated(image, DILATION_BINS) for image in images)
 
 
-def _measured(observed: Observed, sensor: Sensor, frame_search: LineSearch, line: Line) -> Streak | None:
+def _measured(
+    observed: ObservedRecording, sensor: Sensor, frame_search: LineSearch, line: StreakLine
+) -> Streak | None:
     """Measure a line in the pixels about it; None if it is no streak on a smooth background."""
     frame, setup, bin_px = observed.frames[line.position], observed.setup, observed.bin_px
     shape = np.array(frame_search.limit_dn.shape)
@@ -231,9 +235,9 @@ def _background(electrons: Float64, beside: Bool, noise_e: float) -> Float64 | N
 
 
 def _estimate(
-    observed: Observed,
+    observed: ObservedRecording,
     searched: Sequence[LineSearch],
-    streak_lines: Sequence[Line],
+    streak_lines: Sequence[StreakLine],
     streaks: Sequence[Streak],
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return the parameters of spatter and their 1 sigmas."""
@@ -279,9 +283,9 @@ def _estimate(
 
 
 def _searched_frames(
-    observed: Observed,
+    observed: ObservedRecording,
     searched: Sequence[LineSearch],
-    streak_lines: Sequence[Line],
+    streak_lines: Sequence[StreakLine],
     peaks: tuple[Sequence[Streak], Float64],
     peak_e: float,
 ) -> float:

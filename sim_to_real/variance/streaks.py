@@ -21,7 +21,7 @@ from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.instrument.sensor import linearise, respond, respond_moments, saturation_dn
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert, transform
-from sim_to_real.data.binned import FLOOR_DN, FLOOR_REL, Observed, ObservedFrame
+from sim_to_real.data.binned import FLOOR_DN, FLOOR_REL, ObservedFrame, ObservedRecording
 from sim_to_real.data.blocks import block_means, dilated
 from sim_to_real.fit.frame_light import FrameLight
 from sim_to_real.variance.haar_details import VarianceSizes
@@ -62,7 +62,7 @@ MIN_LINE_BINS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class StreakLine:
     """A line that was found: the position of its frame, its bins (k, 2), peak place, direction and response.
 
     `extent` is the length, bins, over which it has half of its response.
@@ -97,7 +97,7 @@ class LineSearch:
 
 
 def search_lines(
-    observed: Observed, lights: Sequence[FrameLight], sizes: VarianceSizes, more_dn2: float = 0.0
+    observed: ObservedRecording, lights: Sequence[FrameLight], sizes: VarianceSizes, more_dn2: float = 0.0
 ) -> list[LineSearch]:
     """Return the search for lines in each frame; `sizes` are those of the other random effects.
 
@@ -154,7 +154,9 @@ def _noise_dn(
     )
 
 
-def transient_lines(observed: Observed, searched: Sequence[LineSearch]) -> tuple[list[Line], list[Line]]:
+def transient_lines(
+    observed: ObservedRecording, searched: Sequence[LineSearch]
+) -> tuple[list[StreakLine], list[StreakLine]]:
     """Return the bright and the dark lines that only single frames have."""
     bright, dark = [], []
     for n, frame_search in enumerate(searched):
@@ -167,11 +169,11 @@ def transient_lines(observed: Observed, searched: Sequence[LineSearch]) -> tuple
     )
 
 
-def _without(candidates: Sequence[Line], dropped: Bool) -> list[Line]:
+def _without(candidates: Sequence[StreakLine], dropped: Bool) -> list[StreakLine]:
     return [line for line, drops in zip(candidates, dropped, strict=True) if not drops]
 
 
-def lines_in_frame(position: int, responses: Float32, limit_dn: Float32) -> list[Line]:
+def lines_in_frame(position: int, responses: Float32, limit_dn: Float32) -> list[StreakLine]:
     """Return the lines of one sign in a frame."""
     best = responses.max(axis=0)
     patches, _ = label(best > 0.5 * limit_dn, np.ones((3, 3)))
@@ -186,7 +188,7 @@ def lines_in_frame(position: int, responses: Float32, limit_dn: Float32) -> list
         response_dn = float(best[row, column])
         core = np.argwhere(inside & (best[window] > 0.5 * response_dn))
         lines_found.append(
-            Line(
+            StreakLine(
                 position,
                 first + np.argwhere(inside),
                 (int(row), int(column)),
@@ -199,7 +201,9 @@ def lines_in_frame(position: int, responses: Float32, limit_dn: Float32) -> list
     return lines_found
 
 
-def beside_bright(observed: Observed, dark: Sequence[Line], bright: Sequence[Line]) -> Bool:
+def beside_bright(
+    observed: ObservedRecording, dark: Sequence[StreakLine], bright: Sequence[StreakLine]
+) -> Bool:
     """Return which dark lines (n,) lie beside a bright one.
 
     On a slope of light, the darker side of a bright line has a brighter neighbour on both sides.
@@ -212,7 +216,7 @@ def beside_bright(observed: Observed, dark: Sequence[Line], bright: Sequence[Lin
 
 
 def is_persistent(
-    observed: Observed, searched: Sequence[LineSearch], candidates: Sequence[Line], dark: bool
+    observed: ObservedRecording, searched: Sequence[LineSearch], candidates: Sequence[StreakLine], dark: bool
 ) -> Bool:
     """Return which lines (n,) other frames have too, at the same place of the image or of the part."""
     lasts = np.zeros(len(candidates), dtype=bool)
@@ -248,7 +252,7 @@ def is_persistent(
     return lasts
 
 
-def _on_part(observed: Observed, candidates: Sequence[Line]) -> Float64:
+def _on_part(observed: ObservedRecording, candidates: Sequence[StreakLine]) -> Float64:
     """Return where the lines (n, 3) lie on the part's plane, mm, base frame."""
     camera, joint = observed.binned.camera, observed.setup.joint
     points = np.empty((len(candidates), 3))
@@ -262,7 +266,7 @@ def _on_part(observed: Observed, candidates: Sequence[Line]) -> Float64:
     return points
 
 
-def _seen_at(observed: Observed, frame: ObservedFrame, points: Float64) -> Int64:
+def _seen_at(observed: ObservedRecording, frame: ObservedFrame, points: Float64) -> Int64:
     """Return the bins (n, 2), row and column, in which a frame sees points (n, 3), mm, base frame."""
     T_camera_base = invert(frame.T_base_tool_in(observed.binned) @ observed.binned.camera.T_tool_camera)
     uv = observed.binned.camera.project(transform(T_camera_base, points))

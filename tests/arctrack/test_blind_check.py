@@ -20,18 +20,18 @@ from arctrack.errors import ArctrackError
 from arctrack.recording import read_recording
 from noise_model.setup import Setup
 from sim_to_real.decision.experiments import BY_NAME, Experiment
-from sim_to_real.diagnosis import Diagnosis, Next, Verdict
+from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict, Next
 from tracker.state import Frame
 from validation.blind_check import __main__ as main
 from validation.blind_check import blind_check as diagnose_check
-from validation.blind_check.blind_check import Asked, make, more, open_labels, run, scores_json
-from validation.blind_check.plan import Planned
+from validation.blind_check.blind_check import CheckPlan, make, more, open_labels, run, scores_json
+from validation.blind_check.plan import RecordingPlan
 
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
-ASKED = Asked(1, 1, "ABE", 3)
+ASKED = CheckPlan(1, 1, "ABE", 3)
 PLANNED = (
-    Planned(1, 31, "A", 7, "v_groove", ("gamma",)),
-    Planned(2, 32, "E", 8, "v_groove", ()),
+    RecordingPlan(1, 31, "A", 7, "v_groove", ("gamma",)),
+    RecordingPlan(2, 32, "E", 8, "v_groove", ()),
 )
 MARK = 201
 """The first pixel of a frame that hides gamma, for the stub to find."""
@@ -114,11 +114,11 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
         if hides and calls.fault is not None:
             raise calls.fault
         if calls.asks_for is not None and len(frames) == 4:
-            found = example(Verdict.AMBIGUOUS, setup, GAMMA)
+            found = example(DiagnosisVerdict.AMBIGUOUS, setup, GAMMA)
             return replace(found, next=Next(calls.asks_for, ("black_level", "gamma"), True))
         if "gamma" in without:
-            return example(Verdict.UNKNOWN, setup, GAMMA)
-        return example(Verdict.EFFECTS if hides else Verdict.NO_GAP, setup, GAMMA)
+            return example(DiagnosisVerdict.UNKNOWN, setup, GAMMA)
+        return example(DiagnosisVerdict.EFFECTS if hides else DiagnosisVerdict.NO_GAP, setup, GAMMA)
 
     def cosines(setup: Setup, frames: Sequence[Frame], pose_at: object) -> dict[str, float]:
         return {"fume": -0.9, "gamma": 0.3, "spatter": float("nan")}
@@ -275,7 +275,7 @@ def test_diagnosing_goes_on_where_it_was_cut_short(made: Path, calls: Calls) -> 
 
 def test_another_check_in_the_same_folder_is_refused(made: Path) -> None:
     with pytest.raises(ArctrackError, match="holds a check of draws = 1, quiet_draws = 1, tiers = ABE, seed"):
-        make(made, Asked(2, 1, "ABE", 3), 1, quiet)
+        make(made, CheckPlan(2, 1, "ABE", 3), 1, quiet)
 
 
 def test_a_failure_is_a_wrong_answer_and_says_why(made: Path, calls: Calls) -> None:

@@ -17,7 +17,7 @@ from arctrack.errors import ArctrackError
 from arctrack.recording.setup_file import read_setup_file
 from arctrack.recording.setup_model import MaterialTable
 from arctrack.simulate import true_values
-from calibration.goniometer import Response, Settings
+from calibration.goniometer import GreyResponse, Settings
 from noise_model.surface.brdf import TABLE_1
 from noise_model.transforms import invert
 
@@ -318,7 +318,7 @@ def test_distances_and_intensities_make_the_source(tmp_path: Path) -> None:
         "theta_i_deg,theta_r_deg,phi_r_deg,gray_level,distance_mm,intensity,repeat\n"
         "40,40,0,100,200,2,1\n40,40,0,102,200,2,2\n40,40,0,50,400,2,1\n"
     )
-    read = read_goniometer(file, Response())
+    read = read_goniometer(file, GreyResponse())
     np.testing.assert_allclose(read.readings.settings.source, [2 / 200**2, 2 / 400**2])
     np.testing.assert_allclose(read.readings.gray_level, [101.0, 50.0])
     assert read.lines == (2, 4)
@@ -327,13 +327,13 @@ def test_distances_and_intensities_make_the_source(tmp_path: Path) -> None:
     assert read.unknown_columns == ()
     file.write_text(file.read_text().replace(",400,", ",0,"))
     with pytest.raises(ArctrackError, match="line 4: distance_mm = 0 must be > 0"):
-        read_goniometer(file, Response())
+        read_goniometer(file, GreyResponse())
 
 
 def test_written_readings_come_back(tmp_path: Path) -> None:
     settings = Settings.in_plane([20.0, 30.5], [-10.0, 12.25])
     write_goniometer(tmp_path / "g.csv", settings, np.array([1.0, 20.0, 30.5, 254.0]))
-    read = read_goniometer(tmp_path / "g.csv", Response())
+    read = read_goniometer(tmp_path / "g.csv", GreyResponse())
     np.testing.assert_array_equal(read.readings.gray_level, [1.0, 20.0, 30.5, 254.0])
     for name in vars(settings):
         np.testing.assert_array_equal(getattr(read.readings.settings, name), getattr(settings, name))

@@ -22,7 +22,7 @@ MAKE = "python examples/make_raw_files.py /tmp/afternoon"
 CALIBRATE = (
     "arctrack calibrate all /tmp/afternoon --setup /tmp/afternoon/recording.toml --out /tmp/calibrated.toml"
 )
-MOST_MM = 0.05
+MAX_MM = 0.05
 
 
 def read(results: Path, what: str) -> Float64:
@@ -42,7 +42,7 @@ def test_raw_images_lead_to_the_seam_of_the_true_setup(scratch: Path, shared: Pa
     assert np.isfinite(true).all(axis=1).sum() == 17
     off_mm = np.sqrt(np.nanmean((found - true) ** 2, axis=0))
     assert np.isfinite(found).all(axis=1).sum() == 17
-    assert off_mm.max() < MOST_MM
+    assert off_mm.max() < MAX_MM
     calibrated = read_setup_file(scratch / "tmp" / "calibrated.toml")
     sigma_mm = np.nanmin(read(scratch / "tmp" / "replayed", "sigma"), axis=0)
     # No frame is surer than the certificate, which is sharper than the tolerance that the drawing states.

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from arctrack.cli import app
 from arctrack.cli.exit_codes import WARNED
 from arctrack.recording import read_recording
-from arctrack.setup_check.measure import Measure, Stage, Verdict, judged
+from arctrack.setup_check.measure import LightStage, Measure, SetupVerdict, judged
 from arctrack.setup_check.run import SetupCheck, check_setup
 
 RUNNER = CliRunner(env={"COLUMNS": "160", "TERM": "dumb", "NO_COLOR": "1"})
@@ -27,14 +27,14 @@ def checked(simulated: Path) -> SetupCheck:
 
 def test_a_setup_explains_what_was_simulated_with_it(checked: SetupCheck) -> None:
     assert checked.not_explained == ()
-    assert {stage for stage in Stage if checked.verdict_of(stage) is Verdict.OK} == set(Stage)
+    assert {stage for stage in LightStage if checked.verdict_of(stage) is SetupVerdict.OK} == set(LightStage)
 
 
 def test_the_arc_of_a_setup_that_is_too_dim_is_named(simulated: Path, checked: SetupCheck) -> None:
     recording = read_recording(simulated, must_fit=False)
     arc = replace(recording.setup.arc, radiance_e=0.5 * recording.setup.arc.radiance_e)
     dim = check_setup(replace(recording, setup=replace(recording.setup, arc=arc)))
-    assert dim.not_explained == (Stage.ARC,)
+    assert dim.not_explained == (LightStage.ARC,)
     assert checked.arc is not None
     assert dim.arc is not None
     assert dim.arc.level.value == pytest.approx(2.0 * checked.arc.level.value, rel=0.02)
@@ -71,16 +71,16 @@ def test_a_page_does_not_replace_the_setup(simulated: Path) -> None:
 @pytest.mark.parametrize(
     ("measured", "sigma", "verdict"),
     [
-        (1.29, 0.1, Verdict.OK),
-        (1.31, 0.1, Verdict.NOT_EXPLAINED),
-        (float("nan"), 0.1, Verdict.UNTOLD),
-        (1.31, float("nan"), Verdict.UNTOLD),
+        (1.29, 0.1, SetupVerdict.OK),
+        (1.31, 0.1, SetupVerdict.NOT_EXPLAINED),
+        (float("nan"), 0.1, SetupVerdict.UNTOLD),
+        (1.31, float("nan"), SetupVerdict.UNTOLD),
     ],
 )
-def test_three_sigmas_are_the_limit(measured: float, sigma: float, verdict: Verdict) -> None:
-    assert judged(Stage.ARC, "level", measured, 1.0, sigma, "", "").verdict is verdict
+def test_three_sigmas_are_the_limit(measured: float, sigma: float, verdict: SetupVerdict) -> None:
+    assert judged(LightStage.ARC, "level", measured, 1.0, sigma, "", "").verdict is verdict
 
 
 def test_what_is_not_known_is_left_empty() -> None:
     nan = float("nan")
-    assert Measure(Stage.ARC, "level", nan, 1.0, nan, "", Verdict.UNTOLD).shown == ("", "1", "")
+    assert Measure(LightStage.ARC, "level", nan, 1.0, nan, "", SetupVerdict.UNTOLD).shown == ("", "1", "")

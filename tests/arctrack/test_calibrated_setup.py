@@ -8,12 +8,12 @@ from arctrack.calibration_records.laser_record import moved_with_camera
 from arctrack.errors import ArctrackError
 from arctrack.nominal import nominal_setup
 from arctrack.output import write_keeping
-from arctrack.recording import Calibrated, format_setup, read_setup_file, with_calibrated
+from arctrack.recording import CalibrationValues, format_setup, read_setup_file, with_calibrated
 from noise_model.transforms import invert, moved
 
 
-def lens(**values: float) -> Calibrated:
-    return Calibrated(
+def lens(**values: float) -> CalibrationValues:
+    return CalibrationValues(
         "camera", values, ("fx", "k1"), np.array([[4.0, 0.1], [0.1, 0.01]]), "arctrack calibrate camera"
     )
 
@@ -47,7 +47,7 @@ def test_the_file_reads_back_without_a_new_warning(setup_toml: Path) -> None:
 
 
 def test_a_later_calibration_replaces_the_earlier_one_and_leaves_others(setup_toml: Path) -> None:
-    sensor = Calibrated(
+    sensor = CalibrationValues(
         "sensor", {"read_noise_e": 9.0}, ("read_noise_e",), np.array([[0.25]]), "arctrack calibrate sensor"
     )
     for found in (lens(fx=1.0e3), sensor, lens(fx=2.0e3)):
@@ -69,7 +69,7 @@ def test_comments_in_and_behind_an_earlier_calibration_stay(setup_toml: Path) ->
 def test_a_value_goes_into_effects_that_are_one_line(setup_toml: Path) -> None:
     line = "effects = {hand_eye = {move_x_mm = 0.1}} # moved"
     setup_toml.write_text(f"{line}\n{setup_toml.read_text()}")
-    late = Calibrated(
+    late = CalibrationValues(
         "effects.pose_delay", {"delay_s": 0.02}, ("delay_s",), np.eye(1), "arctrack", name="late"
     )
     setup_toml.write_text(with_calibrated(setup_toml, late))
@@ -82,7 +82,7 @@ def test_a_value_goes_into_effects_that_are_one_line(setup_toml: Path) -> None:
 @pytest.mark.parametrize("count", [5, 8, 14])
 def test_a_distortion_of_many_coefficients_reads_back(setup_toml: Path, count: int) -> None:
     values = tuple(0.01 * n for n in range(count))
-    result = Calibrated("camera", {"distortion": values}, ("k1",), np.eye(1), "a test")
+    result = CalibrationValues("camera", {"distortion": values}, ("k1",), np.eye(1), "a test")
     setup_toml.write_text(with_calibrated(setup_toml, result))
     setup = read_setup_file(setup_toml).setup
     assert setup.camera.distortion == values
@@ -91,7 +91,7 @@ def test_a_distortion_of_many_coefficients_reads_back(setup_toml: Path, count: i
 
 
 def test_a_distortion_of_another_count_is_refused(setup_toml: Path) -> None:
-    result = Calibrated("camera", {"distortion": (0.0,) * 6}, ("k1",), np.eye(1), "a test")
+    result = CalibrationValues("camera", {"distortion": (0.0,) * 6}, ("k1",), np.eye(1), "a test")
     with pytest.raises(ArctrackError, match=r"\[camera\] distortion: needs the five values"):
         with_calibrated(setup_toml, result)
 
@@ -100,7 +100,7 @@ def test_a_value_that_the_file_cannot_hold_is_refused(setup_toml: Path) -> None:
     with pytest.raises(ArctrackError, match=r"recording.toml: \[camera\] fx"):
         with_calibrated(setup_toml, lens(fx=-5.0))
     with pytest.raises(ValueError, match="covariance of 2 parameters must be 2 x 2"):
-        Calibrated("camera", {}, ("fx", "fy"), np.eye(3), "a test")
+        CalibrationValues("camera", {}, ("fx", "fy"), np.eye(3), "a test")
 
 
 def test_earlier_files_are_kept_under_rising_numbers(tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_a_calibrated_sheet_moves_with_the_camera(setup_toml: Path) -> None:
     assert moved_with_camera(stated, T_old) is None
     names = ("n_x", "n_y", "n_z", "d_mm", "origin_x_mm", "origin_y_mm", "origin_z_mm", "fan_half_angle_deg")
     root = np.random.default_rng(2).standard_normal((8, 8))
-    found = Calibrated("laser", {}, names, root @ root.T, "arctrack calibrate laser", {"pairs": 8})
+    found = CalibrationValues("laser", {}, names, root @ root.T, "arctrack calibrate laser", {"pairs": 8})
     setup_toml.write_text(with_calibrated(setup_toml, found))
     stated = read_setup_file(setup_toml)
     T_new = moved(T_old, [1.0, -2.0, 3.0], [4.0, 5.0, -6.0])

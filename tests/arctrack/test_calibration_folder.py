@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from arctrack.calibrating.folder import FILE_NAME, RawFiles, read_raw_files
+from arctrack.calibrating.folder import FILE_NAME, CalibrationSources, read_raw_files
 from arctrack.errors import ArctrackError
 
 
@@ -18,7 +18,7 @@ def folder_with(path: Path, text: str | None, *folders: str) -> Path:
     return path
 
 
-def read(path: Path, text: str | None, *folders: str) -> RawFiles:
+def read(path: Path, text: str | None, *folders: str) -> CalibrationSources:
     return read_raw_files(folder_with(path, text, *folders))
 
 

@@ -11,7 +11,7 @@ import pytest
 from mistaken import MISTAKES, edit_frames, edit_setup, edit_table, scale
 from typer.testing import CliRunner
 
-from arctrack.check.case import Case, case_of, chosen_rows
+from arctrack.check.case import CheckCase, case_of, chosen_rows
 from arctrack.check.hint import likely_mistake
 from arctrack.cli import app
 from arctrack.cli.exit_codes import BAD_INPUT, NOTHING_TRACKED
@@ -33,7 +33,7 @@ def weaving(tmp_path_factory: pytest.TempPathFactory, seen_setup: Setup) -> Path
     return simulate_recording(tmp_path_factory.mktemp("weaving") / "v", dim, plan)
 
 
-def case_from(path: Path) -> Case:
+def case_from(path: Path) -> CheckCase:
     recording = read_recording(path, must_fit=False)
     positions = chosen_rows(recording)
     case = case_of(recording, positions, list(recording.images(positions)))

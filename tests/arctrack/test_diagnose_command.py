@@ -16,19 +16,19 @@ from test_diagnosis_examples import GAMMA, GLARE, Effects, example
 from typer.testing import CliRunner, Result
 
 from arctrack import cli
-from arctrack.diagnose import Diagnosed, Job, at_once, jobs_for, without_images
+from arctrack.diagnose import DiagnosisJob, DiagnosisResult, at_once, jobs_for, without_images
 from arctrack.errors import ArctrackError
 from arctrack.recording import read_recording
 from arctrack.recording.diagnosis_files import FILES
 from arctrack.report.diagnosis import words
-from arctrack.workers import Failed, cluster, processes
+from arctrack.workers import FailedJob, cluster, processes
 from noise_model.setup import Setup
-from sim_to_real.diagnosis import Diagnosis, Verdict
+from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict
 from tracker.state import Frame
 
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
 
-Found = Callable[[Verdict, Effects], None]
+Found = Callable[[DiagnosisVerdict, Effects], None]
 
 NO_LASER = "[laser]: missing; did you misspell it as loser?"
 
@@ -39,7 +39,7 @@ def found(monkeypatch: pytest.MonkeyPatch) -> Found:
     stub = types.ModuleType("sim_to_real.diagnose")
     monkeypatch.setitem(sys.modules, "sim_to_real.diagnose", stub)
 
-    def find(verdict: Verdict, effects: Effects = GAMMA) -> None:
+    def find(verdict: DiagnosisVerdict, effects: Effects = GAMMA) -> None:
         def diagnose(
             setup: Setup,
             frames: Sequence[Frame],
@@ -59,7 +59,7 @@ def found(monkeypatch: pytest.MonkeyPatch) -> Found:
 
         stub.diagnose = diagnose
 
-    find(Verdict.EFFECTS)
+    find(DiagnosisVerdict.EFFECTS)
     return find
 
 
@@ -79,7 +79,7 @@ def refused(*arguments: object) -> str:
 
 
 def test_one_recording_on_one_screen(found: Found, recording: Path) -> None:
-    found(Verdict.EFFECTS, GAMMA | GLARE)
+    found(DiagnosisVerdict.EFFECTS, GAMMA | GLARE)
     result = run(recording)
     assert result.exit_code == 0, result.output
     assert {path.name for path in (recording / "diagnosis").iterdir()} == set(FILES)
@@ -137,18 +137,18 @@ def test_what_stays_of_the_gap_is_told_where_effects_are_left_out(
     found: Found, recording: Path, seen_setup: Setup
 ) -> None:
     """The named effect alone closes 71 % in bins, though all of it in single pixels."""
-    diagnosis = example(Verdict.EFFECTS, seen_setup)
+    diagnosis = example(DiagnosisVerdict.EFFECTS, seen_setup)
     ranking = tuple(replace(c, gap_closed=0.71) if c.id == "gamma" else c for c in diagnosis.ranking)
     line = words.withheld(replace(diagnosis, ranking=ranking), ["defocus"])
     assert line == (
         "You left defocus out: the answer is among the effects that were allowed; "
         "29 % of the gap stays in bins with gamma."
     )
-    several = example(Verdict.EFFECTS, seen_setup, GAMMA | GLARE)
+    several = example(DiagnosisVerdict.EFFECTS, seen_setup, GAMMA | GLARE)
     several = replace(several, gap=replace(several.gap, closed=0.9))
     line = words.withheld(several, ["defocus"])
     assert line.endswith("10 % of the gap stays in single pixels with gamma and veiling_glare.")
-    assert "stays" not in words.withheld(example(Verdict.UNKNOWN, seen_setup), ["defocus"])
+    assert "stays" not in words.withheld(example(DiagnosisVerdict.UNKNOWN, seen_setup), ["defocus"])
 
 
 def test_effects_are_written_into_the_setup(found: Found, recording: Path) -> None:
@@ -157,7 +157,7 @@ def test_effects_are_written_into_the_setup(found: Found, recording: Path) -> No
     old += "\n[effects.veiling_glare] # smeared\nspread = 1.0 # a guess\nhue = 3\n"
     file.write_text(old)
     file.chmod(0o640)
-    found(Verdict.EFFECTS, GAMMA | GLARE)
+    found(DiagnosisVerdict.EFFECTS, GAMMA | GLARE)
     result = run(recording, "--apply")
     assert result.exit_code == 0, result.output
     assert (
@@ -177,8 +177,8 @@ def test_effects_are_written_into_the_setup(found: Found, recording: Path) -> No
     assert [path.name for path in recording.iterdir() if "recording.toml" in path.name] == ["recording.toml"]
 
 
-@pytest.mark.parametrize("verdict", [Verdict.AMBIGUOUS, Verdict.UNKNOWN])
-def test_what_is_open_is_not_written(verdict: Verdict, found: Found, recording: Path) -> None:
+@pytest.mark.parametrize("verdict", [DiagnosisVerdict.AMBIGUOUS, DiagnosisVerdict.UNKNOWN])
+def test_what_is_open_is_not_written(verdict: DiagnosisVerdict, found: Found, recording: Path) -> None:
     found(verdict)
     before = (recording / "recording.toml").read_bytes()
     result = run(recording, "--apply")
@@ -191,7 +191,7 @@ def test_what_is_open_is_not_written(verdict: Verdict, found: Found, recording: 
 
 
 def test_without_a_gap_there_is_nothing_to_write(found: Found, recording: Path) -> None:
-    found(Verdict.NO_GAP)
+    found(DiagnosisVerdict.NO_GAP)
     result = run(recording, "--apply")
     assert result.exit_code == 0, result.output
     assert "no gap, so there is nothing to write" in result.stdout
@@ -245,9 +245,9 @@ def test_recordings_at_once_come_as_they_are_done(found: Found, simulated: Path,
     (paths[0] / "poses.csv").unlink()
     with ThreadPoolExecutor(2) as executor:
         outcomes = {outcome.job.name: outcome for outcome in at_once(jobs_for(paths), executor)}
-    assert isinstance(outcomes["a"], Failed)
+    assert isinstance(outcomes["a"], FailedJob)
     assert "poses" in outcomes["a"].problem
-    assert isinstance(outcomes["b"], Diagnosed)
+    assert isinstance(outcomes["b"], DiagnosisResult)
     assert len(pickle.dumps(outcomes["b"])) < 100_000
     assert (paths[1] / "diagnosis" / "report.json").exists()
 
@@ -269,14 +269,14 @@ def test_two_processes(simulated: Path, tmp_path: Path) -> None:
 def test_a_process_that_ends_is_one_line(tmp_path: Path) -> None:
     with processes(1) as executor:
         (outcome,) = at_once([EndsIt(tmp_path / "r", tmp_path / "d")], executor)
-    assert isinstance(outcome, Failed)
+    assert isinstance(outcome, FailedJob)
     assert outcome.foreseen
     assert outcome.problem == (
         f"{tmp_path}/r: its process ended, for want of memory perhaps; try fewer --workers"
     )
 
 
-class EndsIt(Job):
+class EndsIt(DiagnosisJob):
     """A job that ends the process which unpacks it."""
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -284,7 +284,7 @@ class EndsIt(Job):
 
 
 def test_a_diagnosis_travels_without_its_images(seen_setup: Setup) -> None:
-    diagnosis = example(Verdict.EFFECTS, seen_setup)
+    diagnosis = example(DiagnosisVerdict.EFFECTS, seen_setup)
     small = without_images(diagnosis)
     assert small.gap == diagnosis.gap
     assert small.predicted.frames.tolist() == [3, 7, 11, 15]

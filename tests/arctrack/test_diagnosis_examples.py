@@ -15,14 +15,14 @@ from noise_model.setup import Setup
 from sim_to_real.diagnosis import (
     Curve,
     Diagnosis,
-    Estimate,
+    DiagnosisVerdict,
     Gap,
-    Named,
+    HeldOutPrediction,
+    NamedEffect,
     Next,
-    Predicted,
-    Ranked,
+    ParameterEstimate,
+    RankedEffect,
     Reason,
-    Verdict,
     Where,
 )
 
@@ -33,24 +33,26 @@ DELAY = {"pose_delay": {"delay_s": 0.031}}
 Effects = Mapping[str, Mapping[str, float]]
 
 
-def example(verdict: Verdict, setup: Setup, effects: Effects = GAMMA) -> Diagnosis:
+def example(verdict: DiagnosisVerdict, setup: Setup, effects: Effects = GAMMA) -> Diagnosis:
     """Return a diagnosis whose images really show the effects, and whose gap is that of its images."""
-    really = {} if verdict is Verdict.NO_GAP else effects
-    found = {} if verdict is Verdict.UNKNOWN else really
+    really = {} if verdict is DiagnosisVerdict.NO_GAP else effects
+    found = {} if verdict is DiagnosisVerdict.UNKNOWN else really
     predicted = predicted_frames(setup, really, found)
     before = gap_of(predicted.recorded, predicted.before, predicted.variance)
     after = gap_of(predicted.recorded, predicted.after, predicted.variance_after)
-    is_gap = verdict is not Verdict.NO_GAP
+    is_gap = verdict is not DiagnosisVerdict.NO_GAP
     stage = REGISTRY[next(iter(effects))].stage.value
     named = [
-        Named(name, REGISTRY[name].stage.value, 0.997, 1.0 / len(effects), estimates(name, values))
+        NamedEffect(name, REGISTRY[name].stage.value, 0.997, 1.0 / len(effects), estimates(name, values))
         for name, values in effects.items()
     ]
     return Diagnosis(
         verdict=verdict,
-        effects=tuple(named) if verdict in (Verdict.EFFECTS, Verdict.AMBIGUOUS) else (),
+        effects=tuple(named) if verdict in (DiagnosisVerdict.EFFECTS, DiagnosisVerdict.AMBIGUOUS) else (),
         ranking=ranking(effects, verdict),
-        ambiguous_with=((next(iter(effects)), "black_level"),) if verdict is Verdict.AMBIGUOUS else (),
+        ambiguous_with=((next(iter(effects)), "black_level"),)
+        if verdict is DiagnosisVerdict.AMBIGUOUS
+        else (),
         gap=Gap(
             before,
             after,
@@ -65,20 +67,23 @@ def example(verdict: Verdict, setup: Setup, effects: Effects = GAMMA) -> Diagnos
         if is_gap
         else None,
         not_resolvable=(("wrong_material", "fume"), ("arc_length", "arc_radius")),
-        smallest={"gamma": Estimate(0.02, math.nan, ""), "arc_length": Estimate(0.3, math.nan, "mm")},
-        left_over=("half_angle times_arc", 0.62) if verdict is Verdict.UNKNOWN else None,
-        after_with=() if verdict is Verdict.NO_GAP else tuple(effects),
+        smallest={
+            "gamma": ParameterEstimate(0.02, math.nan, ""),
+            "arc_length": ParameterEstimate(0.3, math.nan, "mm"),
+        },
+        left_over=("half_angle times_arc", 0.62) if verdict is DiagnosisVerdict.UNKNOWN else None,
+        after_with=() if verdict is DiagnosisVerdict.NO_GAP else tuple(effects),
         predicted=predicted,
         reasons=reasons(next(iter(effects)), verdict),
     )
 
 
-def reasons(name: str, verdict: Verdict) -> tuple[Reason, ...]:
+def reasons(name: str, verdict: DiagnosisVerdict) -> tuple[Reason, ...]:
     """Return what was compared: an effect, an unknown cause, and no gap."""
-    if verdict is Verdict.NO_GAP:
+    if verdict is DiagnosisVerdict.NO_GAP:
         return (Reason("no gap", (), 0.0, 0.0, 0.99), Reason(name, (name,), -2.0, 0.0, 0.01))
     cause, best = "unknown: sensor, grey level", 340.0
-    nats = {name: 310.0, cause: best} if verdict is Verdict.UNKNOWN else {name: best, cause: 310.0}
+    nats = {name: 310.0, cause: best} if verdict is DiagnosisVerdict.UNKNOWN else {name: best, cause: 310.0}
     compared = [
         Reason(key, (key,) if key == name else (), value, best, float(value == best))
         for key, value in nats.items()
@@ -87,23 +92,28 @@ def reasons(name: str, verdict: Verdict) -> tuple[Reason, ...]:
     return (*compared, Reason("no gap", (), 0.0, best, 0.0))
 
 
-def estimates(name: str, values: Mapping[str, float]) -> dict[str, Estimate]:
+def estimates(name: str, values: Mapping[str, float]) -> dict[str, ParameterEstimate]:
     units = {parameter.name: parameter.unit for parameter in REGISTRY[name].parameters}
     complete = REGISTRY[name].complete(values)
-    return {key: Estimate(value, max(0.01 * abs(value), 1e-3), units[key]) for key, value in complete.items()}
+    return {
+        key: ParameterEstimate(value, max(0.01 * abs(value), 1e-3), units[key])
+        for key, value in complete.items()
+    }
 
 
-def ranking(effects: Effects, verdict: Verdict) -> tuple[Ranked, ...]:
-    closed = {Verdict.NO_GAP: 0.0, Verdict.UNKNOWN: 0.22}.get(verdict, 0.96)
+def ranking(effects: Effects, verdict: DiagnosisVerdict) -> tuple[RankedEffect, ...]:
+    closed = {DiagnosisVerdict.NO_GAP: 0.0, DiagnosisVerdict.UNKNOWN: 0.22}.get(verdict, 0.96)
     others = ("black_level", "exposure_drift", "hot_metal_glow", "fume", "vignetting", "arc_length")
-    best = [Ranked(name, 0.9 / len(effects), closed) for name in effects]
-    worse = [Ranked(name, 0.4**n / 9.0, closed * 0.8**n) for n, name in enumerate(others, 1)]
+    best = [RankedEffect(name, 0.9 / len(effects), closed) for name in effects]
+    worse = [RankedEffect(name, 0.4**n / 9.0, closed * 0.8**n) for n, name in enumerate(others, 1)]
     # Random effects are there or not, whatever else is.
-    random = [Ranked(name, p, 0.0, is_random=True) for name, p in (("read_noise", 0.95), ("spatter", 0.02))]
+    random = [
+        RankedEffect(name, p, 0.0, is_random=True) for name, p in (("read_noise", 0.95), ("spatter", 0.02))
+    ]
     return (*best, *worse, *random)
 
 
-def predicted_frames(setup: Setup, really: Effects, found: Effects) -> Predicted:
+def predicted_frames(setup: Setup, really: Effects, found: Effects) -> HeldOutPrediction:
     rng = np.random.default_rng(5)
     changed, fitted = (replace(setup, effects=checked(effects)) for effects in (really, found))
     exposure_s = setup.camera.exposure_s
@@ -117,10 +127,10 @@ def predicted_frames(setup: Setup, really: Effects, found: Effects) -> Predicted
             mean.append(frame.mean_dn)
             spread.append(np.where(frame.saturated, np.inf, frame.variance_dn2))
     arrays = (np.array(part, dtype=np.float32) for part in (before, after, variance, variance_after))
-    return Predicted(np.array([3, 7, 11, 15]), np.array(recorded), *arrays)
+    return HeldOutPrediction(np.array([3, 7, 11, 15]), np.array(recorded), *arrays)
 
 
-def where(predicted: Predicted, stage: str, is_gap: bool) -> Where:
+def where(predicted: HeldOutPrediction, stage: str, is_gap: bool) -> Where:
     r = (predicted.recorded - predicted.before) / np.sqrt(predicted.variance)
     z = r.sum(axis=0) / math.sqrt(len(r))
     z[np.isinf(predicted.variance).any(axis=0)] = np.nan
@@ -150,12 +160,12 @@ def rms(recorded: np.ndarray, mean: np.ndarray) -> float:
     return float(np.sqrt(np.mean((recorded - mean) ** 2)))
 
 
-@pytest.mark.parametrize("verdict", Verdict)
-def test_the_examples_show_what_they_say(verdict: Verdict, seen_setup: Setup) -> None:
+@pytest.mark.parametrize("verdict", DiagnosisVerdict)
+def test_the_examples_show_what_they_say(verdict: DiagnosisVerdict, seen_setup: Setup) -> None:
     gap = example(verdict, seen_setup).gap
-    if verdict is Verdict.NO_GAP:
+    if verdict is DiagnosisVerdict.NO_GAP:
         assert gap.before < 0.3
-    elif verdict is Verdict.UNKNOWN:
+    elif verdict is DiagnosisVerdict.UNKNOWN:
         assert gap.after == gap.before > 1.0
     else:
         assert gap.after < 0.3 < 1.0 < gap.before

@@ -12,14 +12,14 @@ from test_diagnosis_examples import GAMMA, GLARE, example, gap_of
 from arctrack.recording.diagnosis_files import report, write_numbers
 from noise_model.effects import Stage
 from noise_model.setup import Setup
-from sim_to_real.diagnosis import Verdict
+from sim_to_real.diagnosis import DiagnosisVerdict
 
 KEYS = ["format", "verdict", "effects", "ranking", "ambiguous_with", "gap", "where", "next", "not_resolvable"]
 MORE_KEYS = ["smallest_detectable", "left_over", "after_with", "reasons", "withheld"]
 
 
-@pytest.mark.parametrize("verdict", Verdict)
-def test_keys_and_types(verdict: Verdict, seen_setup: Setup, tmp_path: Path) -> None:
+@pytest.mark.parametrize("verdict", DiagnosisVerdict)
+def test_keys_and_types(verdict: DiagnosisVerdict, seen_setup: Setup, tmp_path: Path) -> None:
     write_numbers(example(verdict, seen_setup), tmp_path)
     content = json.loads((tmp_path / "report.json").read_text(), parse_constant=pytest.fail)
     assert list(content) == [*KEYS, *MORE_KEYS]
@@ -40,7 +40,7 @@ def test_keys_and_types(verdict: Verdict, seen_setup: Setup, tmp_path: Path) -> 
 
 
 def test_what_the_verdict_names(seen_setup: Setup) -> None:
-    content = report(example(Verdict.EFFECTS, seen_setup, GAMMA | GLARE))
+    content = report(example(DiagnosisVerdict.EFFECTS, seen_setup, GAMMA | GLARE))
     assert [effect["id"] for effect in content["effects"]] == ["gamma", "veiling_glare"]
     assert content["effects"][0] == {
         "id": "gamma",
@@ -54,27 +54,27 @@ def test_what_the_verdict_names(seen_setup: Setup) -> None:
     }
     assert list(content["next"]) == ["experiment", "separates"]
     assert content["left_over"] is None
-    ambiguous = report(example(Verdict.AMBIGUOUS, seen_setup))
+    ambiguous = report(example(DiagnosisVerdict.AMBIGUOUS, seen_setup))
     assert ambiguous["ambiguous_with"] == [["gamma", "black_level"]]
-    unknown = report(example(Verdict.UNKNOWN, seen_setup))
+    unknown = report(example(DiagnosisVerdict.UNKNOWN, seen_setup))
     assert (unknown["effects"], unknown["after_with"]) == ([], ["gamma"])
     assert unknown["left_over"] == {"covariate": "half_angle times_arc", "share": 0.62}
 
 
 def test_what_is_not_known_is_null(seen_setup: Setup) -> None:
-    content = report(example(Verdict.NO_GAP, seen_setup))
+    content = report(example(DiagnosisVerdict.NO_GAP, seen_setup))
     assert content["gap"]["closed"] is None
     assert content["gap"]["ci95"] == [None, None]
     assert content["where"]["strata"]["stripe_band"] is None
     assert content["smallest_detectable"]["arc_length"] == {"value": 0.3, "sigma": None, "unit": "mm"}
     assert content["next"] is None
-    inf = example(Verdict.EFFECTS, seen_setup)
+    inf = example(DiagnosisVerdict.EFFECTS, seen_setup)
     inf = replace(inf, gap=replace(inf.gap, seam_mm=(np.float32(0.5), math.inf)))
     assert report(inf)["gap"]["seam_mm"] == {"before": 0.5, "after": None}
 
 
 def test_anyone_can_recompute_the_gap(seen_setup: Setup, tmp_path: Path) -> None:
-    diagnosis = example(Verdict.EFFECTS, seen_setup)
+    diagnosis = example(DiagnosisVerdict.EFFECTS, seen_setup)
     write_numbers(diagnosis, tmp_path)
     with np.load(tmp_path / "predicted.npz") as held_out:
         arrays = dict(held_out)

@@ -22,7 +22,16 @@ from arctrack.report.diagnosis.page import RECOMPUTE, advice, page
 from arctrack.report.diagnosis.pictures import nice_limit, telling_frame
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
-from sim_to_real.diagnosis import NO_GAP, Estimate, Gap, Next, Ranked, Reason, ReportedTrend, Verdict
+from sim_to_real.diagnosis import (
+    NO_GAP,
+    DiagnosisVerdict,
+    Gap,
+    Next,
+    ParameterEstimate,
+    RankedEffect,
+    Reason,
+    ReportedTrend,
+)
 
 VOID = {"meta", "img", "br", "rect"}
 
@@ -66,8 +75,10 @@ def recording(simulated: Path) -> Recording:
     return read_recording(simulated)
 
 
-@pytest.mark.parametrize("verdict", Verdict)
-def test_the_page_is_self_contained(verdict: Verdict, seen_setup: Setup, recording: Recording) -> None:
+@pytest.mark.parametrize("verdict", DiagnosisVerdict)
+def test_the_page_is_self_contained(
+    verdict: DiagnosisVerdict, seen_setup: Setup, recording: Recording
+) -> None:
     html = page(example(verdict, seen_setup), recording)
     reader = read(html)
     assert reader.references
@@ -82,14 +93,16 @@ def test_the_page_is_self_contained(verdict: Verdict, seen_setup: Setup, recordi
 def test_the_page_can_be_read_at_every_width(
     seen_setup: Setup, recording: Recording, browser: Page, tmp_path: Path
 ) -> None:
-    (tmp_path / "page.html").write_text(page(example(Verdict.EFFECTS, seen_setup, GAMMA | GLARE), recording))
+    (tmp_path / "page.html").write_text(
+        page(example(DiagnosisVerdict.EFFECTS, seen_setup, GAMMA | GLARE), recording)
+    )
     browser.open(tmp_path / "page.html")
     browser.assert_readable()
 
 
 @pytest.mark.slow
 def test_effects_are_named_with_numbers_and_cure(seen_setup: Setup, recording: Recording) -> None:
-    reader = read(page(example(Verdict.EFFECTS, seen_setup, GAMMA | GLARE), recording))
+    reader = read(page(example(DiagnosisVerdict.EFFECTS, seen_setup, GAMMA | GLARE), recording))
     for text in (
         "2 effects explain the gap together: gamma (the response is not the stated power) and veiling_glare",
         "0.7400 ± 0.0074",
@@ -109,7 +122,7 @@ def test_effects_are_named_with_numbers_and_cure(seen_setup: Setup, recording: R
 
 @pytest.mark.slow
 def test_an_effect_that_changes_is_said_to(seen_setup: Setup, recording: Recording) -> None:
-    diagnosis = example(Verdict.EFFECTS, seen_setup, {"gamma": {"gamma": 0.8}})
+    diagnosis = example(DiagnosisVerdict.EFFECTS, seen_setup, {"gamma": {"gamma": 0.8}})
     trend = ReportedTrend("time", "s", 0.1, 2.3, {"gamma": (0.7, 0.9)})
     grows = replace(diagnosis, effects=(replace(diagnosis.effects[0], trend=trend),))
     said = "it changes with time, 0.10 to 2.3 s: gamma from 0.700 to 0.900"
@@ -121,7 +134,7 @@ def test_an_effect_that_changes_is_said_to(seen_setup: Setup, recording: Recordi
 
 
 def test_what_effects_leave_is_said(seen_setup: Setup) -> None:
-    found = example(Verdict.EFFECTS, seen_setup, GAMMA)
+    found = example(DiagnosisVerdict.EFFECTS, seen_setup, GAMMA)
     all_of_it = replace(found, gap=replace(found.gap, after=0.59, floor=0.3))
     assert words.headline(all_of_it).startswith("gamma explains the gap: ")
     assert words.how_far(all_of_it).endswith("of what exceeds the model's own error of 0.30 σ.")
@@ -131,14 +144,14 @@ def test_what_effects_leave_is_said(seen_setup: Setup) -> None:
 
 
 def test_a_gap_that_only_frames_held_out_show_is_said(seen_setup: Setup) -> None:
-    found = example(Verdict.UNKNOWN, seen_setup)
+    found = example(DiagnosisVerdict.UNKNOWN, seen_setup)
     assert words.headline(found).endswith("that no effect of the catalogue explains.")
     no_gap = replace(found, reasons=(Reason(NO_GAP, (), 0.0, 0.0, 0.99),))
     assert "in frames held out, though no gap is likeliest" in words.headline(no_gap)
 
 
 def test_an_effect_below_the_floor_is_told_by_its_pattern(seen_setup: Setup) -> None:
-    found = example(Verdict.EFFECTS, seen_setup, GAMMA)
+    found = example(DiagnosisVerdict.EFFECTS, seen_setup, GAMMA)
     small = replace(found, gap=replace(found.gap, before=0.2, after=0.1, floor=0.3, closed=math.nan))
     assert words.how_far(small).endswith(
         "from 0.20 σ to 0.10 σ. Both are within the model's own error of 0.30 σ, but that error hardly has "
@@ -147,7 +160,7 @@ def test_an_effect_below_the_floor_is_told_by_its_pattern(seen_setup: Setup) -> 
 
 
 def test_what_comes_nearest_is_said_though_it_is_not_named(seen_setup: Setup) -> None:
-    found = example(Verdict.UNKNOWN, seen_setup, GAMMA)
+    found = example(DiagnosisVerdict.UNKNOWN, seen_setup, GAMMA)
     nearer, farther = (
         replace(found, gap=replace(found.gap, before=3.0, after=after, floor=0.3)) for after in (1.0, 3.2)
     )
@@ -163,8 +176,12 @@ def test_what_comes_nearest_is_said_though_it_is_not_named(seen_setup: Setup) ->
 def test_no_page_says_that_no_effect_helps_above_one_that_does(
     seen_setup: Setup, recording: Recording
 ) -> None:
-    found = example(Verdict.UNKNOWN, seen_setup, GAMMA)
-    ranking = (Ranked("gamma", 0.6, 0.01), Ranked("pose_delay", 0.1, 0.07), Ranked("fume", 0.0, -0.01))
+    found = example(DiagnosisVerdict.UNKNOWN, seen_setup, GAMMA)
+    ranking = (
+        RankedEffect("gamma", 0.6, 0.01),
+        RankedEffect("pose_delay", 0.1, 0.07),
+        RankedEffect("fume", 0.0, -0.01),
+    )
     some = page(replace(found, ranking=ranking, after_with=()), recording)
     assert "The best single effect, pose_delay, closes only 7 % of it in bins." in some
     assert "<b>7 %</b><span>of the gap in bins closed by the best effect, pose_delay</span>" in some
@@ -179,7 +196,7 @@ def test_no_page_says_that_no_effect_helps_above_one_that_does(
 def test_a_seam_that_the_gap_does_not_move_is_not_said_to_be_mended(
     seen_setup: Setup, recording: Recording
 ) -> None:
-    found = example(Verdict.EFFECTS, seen_setup, GAMMA)
+    found = example(DiagnosisVerdict.EFFECTS, seen_setup, GAMMA)
     stays = replace(found, gap=replace(found.gap, seam_mm=(0.0214, 0.0211)))
     text = read(page(stays, recording)).text
     assert "The gap does not move the seam point: the tracker's seam lies 0.021 mm from" in text
@@ -188,7 +205,7 @@ def test_a_seam_that_the_gap_does_not_move_is_not_said_to_be_mended(
     same = "<b>0.021 mm</b><span>error of the seam point, before and after</span>"
     assert same in page(stays, recording)
     assert "<b>0.21 → 0.050 mm</b><span>error of the seam point</span>" in page(found, recording)
-    unknown = example(Verdict.UNKNOWN, seen_setup, GAMMA)
+    unknown = example(DiagnosisVerdict.UNKNOWN, seen_setup, GAMMA)
     assert words.seam_sentence(unknown, 0.25).endswith("the true error may be larger.")
 
 
@@ -196,7 +213,7 @@ def test_a_seam_that_the_gap_does_not_move_is_not_said_to_be_mended(
 def test_probabilities_of_one_table_are_of_effects_that_exclude_each_other(
     seen_setup: Setup, recording: Recording
 ) -> None:
-    found = example(Verdict.EFFECTS, seen_setup, GAMMA)
+    found = example(DiagnosisVerdict.EFFECTS, seen_setup, GAMMA)
     html = page(found, recording)
     tables = re.findall(r"<table>.*?</table>", html, re.DOTALL)
     (exclusive,) = (table for table in tables if "<th>effect</th><th>closes in bins</th>" in table)
@@ -214,7 +231,7 @@ def test_probabilities_of_one_table_are_of_effects_that_exclude_each_other(
 
 
 def test_what_no_quantity_explains_is_said_and_not_drawn(seen_setup: Setup, recording: Recording) -> None:
-    found = example(Verdict.UNKNOWN, seen_setup)
+    found = example(DiagnosisVerdict.UNKNOWN, seen_setup)
     none = replace(found.where, covariates=tuple(replace(c, r2=0.02) for c in found.where.covariates))
     text = words.follows(none)
     assert text == (
@@ -227,18 +244,18 @@ def test_what_no_quantity_explains_is_said_and_not_drawn(seen_setup: Setup, reco
 
 
 def test_the_likeliest_hypothesis_is_held_against_the_next(seen_setup: Setup) -> None:
-    found = example(Verdict.EFFECTS, seen_setup, GAMMA)
+    found = example(DiagnosisVerdict.EFFECTS, seen_setup, GAMMA)
     assert words.because(found) == "gamma 340 nats; next unknown: sensor, grey level 310 nats"
-    assert words.because(example(Verdict.NO_GAP, seen_setup)) == "no gap; next gamma −2.0 nats"
+    assert words.because(example(DiagnosisVerdict.NO_GAP, seen_setup)) == "no gap; next gamma −2.0 nats"
     assert words.because(replace(found, reasons=())) == ""
 
 
 @pytest.mark.slow
 def test_what_is_open_is_said(seen_setup: Setup, recording: Recording) -> None:
-    ambiguous = read(page(example(Verdict.AMBIGUOUS, seen_setup), recording))
+    ambiguous = read(page(example(DiagnosisVerdict.AMBIGUOUS, seen_setup), recording))
     assert "cannot tell what causes it: gamma (the response is not the stated power) or bl" in ambiguous.text
     assert f"If it is black_level: {ADVICE['black_level']}" in ambiguous.text
-    unknown = read(page(example(Verdict.UNKNOWN, seen_setup, GLARE), recording, ["veiling_glare"]))
+    unknown = read(page(example(DiagnosisVerdict.UNKNOWN, seen_setup, GLARE), recording, ["veiling_glare"]))
     assert "no effect of the catalogue explains" in unknown.text
     assert "Left out of the catalogue: veiling_glare" in unknown.text
     function = "a free function of angle off the mirror direction that multiplies the arc's light"
@@ -252,20 +269,20 @@ def test_what_is_open_is_said(seen_setup: Setup, recording: Recording) -> None:
     assert "By evidence" not in ambiguous.text
     for reader in (ambiguous, unknown):
         assert "--apply" not in reader.text
-    no_gap = read(page(example(Verdict.NO_GAP, seen_setup), recording))
+    no_gap = read(page(example(DiagnosisVerdict.NO_GAP, seen_setup), recording))
     assert "No gap: the recording agrees" in no_gap.text
     assert "predicted after" not in no_gap.text
 
 
 def test_a_name_is_no_markup(seen_setup: Setup, recording: Recording) -> None:
     odd = replace(recording, path=recording.path.parent / "<b> & co")
-    html = page(example(Verdict.EFFECTS, seen_setup), odd)
+    html = page(example(DiagnosisVerdict.EFFECTS, seen_setup), odd)
     assert "&lt;b&gt; &amp; co" in html
     assert "arctrack diagnose &#39;" in html
 
 
 def test_a_diagnosis_without_held_out_frames_has_a_page(seen_setup: Setup, recording: Recording) -> None:
-    diagnosis = example(Verdict.UNKNOWN, seen_setup)
+    diagnosis = example(DiagnosisVerdict.UNKNOWN, seen_setup)
     none = diagnosis.predicted.before[:0]
     empty = replace(diagnosis.predicted, frames=np.empty(0, np.int64), before=none, after=none)
     where = replace(diagnosis.where, covariates=(), z=np.full_like(diagnosis.where.z, np.nan))
@@ -276,15 +293,15 @@ def test_a_diagnosis_without_held_out_frames_has_a_page(seen_setup: Setup, recor
 @pytest.mark.slow
 def test_the_same_diagnosis_makes_the_same_page(recording: Recording) -> None:
     setup = small_setup()
-    assert page(example(Verdict.EFFECTS, setup), recording) == page(
-        example(Verdict.EFFECTS, setup), recording
+    assert page(example(DiagnosisVerdict.EFFECTS, setup), recording) == page(
+        example(DiagnosisVerdict.EFFECTS, setup), recording
     )
 
 
 def test_the_python_on_the_page_computes_the_gap(
     seen_setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    diagnosis = example(Verdict.EFFECTS, seen_setup)
+    diagnosis = example(DiagnosisVerdict.EFFECTS, seen_setup)
     write_numbers(diagnosis, tmp_path)
     monkeypatch.chdir(tmp_path)
     printed = io.StringIO()
@@ -297,7 +314,7 @@ def test_the_python_on_the_page_computes_the_gap(
 
 
 def test_the_frame_that_tells_most_is_shown(seen_setup: Setup) -> None:
-    predicted = example(Verdict.EFFECTS, seen_setup).predicted
+    predicted = example(DiagnosisVerdict.EFFECTS, seen_setup).predicted
     only_second = predicted.after.copy()
     only_second[[0, 2, 3]] = predicted.before[[0, 2, 3]]
     assert telling_frame(replace(predicted, after=only_second, variance_after=predicted.variance)) == 1
@@ -317,28 +334,30 @@ def test_there_is_advice_on_every_effect() -> None:
 @pytest.mark.parametrize(
     ("verdict", "resolves", "line"),
     [
-        (Verdict.EFFECTS, True, "Record next: dark frames. It tells gamma from fume."),
-        (Verdict.EFFECTS, False, "No other frames would tell gamma from fume. Add dark frames."),
+        (DiagnosisVerdict.EFFECTS, True, "Record next: dark frames. It tells gamma from fume."),
+        (DiagnosisVerdict.EFFECTS, False, "No other frames would tell gamma from fume. Add dark frames."),
         (
-            Verdict.UNKNOWN,
+            DiagnosisVerdict.UNKNOWN,
             False,
             "The likeliest effect, gamma, does not explain the gap. To measure that effect by itself, add "
             "dark frames.",
         ),
     ],
 )
-def test_what_to_measure_next(verdict: Verdict, resolves: bool, line: str, seen_setup: Setup) -> None:
+def test_what_to_measure_next(
+    verdict: DiagnosisVerdict, resolves: bool, line: str, seen_setup: Setup
+) -> None:
     asks = replace(example(verdict, seen_setup), next=Next("dark frames", ("gamma", "fume"), resolves))
     assert advice(asks)[-1] == line
 
 
 def test_numbers_in_words() -> None:
-    assert words.estimate(Estimate(-1.23456, 0.0123, "mm")) == "−1.235 ± 0.012 mm"
-    assert words.estimate(Estimate(30512.0, 1234.0, "e-")) == "30512 ± 1234 e-"
-    assert words.estimate(Estimate(0.5, float("nan"), "")) == "0.500"
-    assert words.estimate(Estimate(float("nan"), 0.1, "")) == "–"
-    assert words.as_factor("c2_ln", Estimate(0.5, 0.1, "")) == "× 1.65"
-    assert words.as_factor("gamma", Estimate(0.5, 0.1, "")) == ""
+    assert words.estimate(ParameterEstimate(-1.23456, 0.0123, "mm")) == "−1.235 ± 0.012 mm"
+    assert words.estimate(ParameterEstimate(30512.0, 1234.0, "e-")) == "30512 ± 1234 e-"
+    assert words.estimate(ParameterEstimate(0.5, float("nan"), "")) == "0.500"
+    assert words.estimate(ParameterEstimate(float("nan"), 0.1, "")) == "–"
+    assert words.as_factor("c2_ln", ParameterEstimate(0.5, 0.1, "")) == "× 1.65"
+    assert words.as_factor("gamma", ParameterEstimate(0.5, 0.1, "")) == ""
     assert words.number(float("inf")) == "–"
     assert [words.number(value) for value in (123.4, 18.2, -3.98, 0.0)] == ["123", "18", "−4.0", "0.0"]
     gap = Gap(4.0, 0.0, 0.2, 1.05, (1.04, 1.06), (5.0, 1.0), (0.1, 0.0))
@@ -356,7 +375,7 @@ def test_numbers_in_words() -> None:
 
 
 def test_no_gap_above_the_floor_is_not_said_to_be_below_it(seen_setup: Setup) -> None:
-    found = example(Verdict.NO_GAP, seen_setup)
+    found = example(DiagnosisVerdict.NO_GAP, seen_setup)
     above, below = (
         replace(found, gap=replace(found.gap, before=before, floor=0.22)) for before in (0.42, 0.2)
     )

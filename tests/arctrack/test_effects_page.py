@@ -20,7 +20,7 @@ from noise_model.fit import Parameter
 from noise_model.forward import Renderer
 from validation.figures import effect_pictures, effects_page
 from validation.figures.__main__ import figures
-from validation.figures.effect_pictures import Form, Shown
+from validation.figures.effect_pictures import EffectScene, Form
 
 DOCS = Path(__file__).parents[2] / "docs" / "reference"
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
@@ -38,8 +38,8 @@ MOONLIGHT = Effect(
 )
 
 
-def shown(effect_id: str) -> Shown:
-    return Shown.of(REGISTRY[effect_id], RENDERER, **SMALL)
+def shown(effect_id: str) -> EffectScene:
+    return EffectScene.of(REGISTRY[effect_id], RENDERER, **SMALL)
 
 
 def drawn(effect_id: str) -> Figure:

@@ -38,7 +38,7 @@ from tracker.stripe.band import Band
 from tracker.stripe.detection import Evidence
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.fit_band import UsualLine
-from tracker.stripe.line_fit.first_guess import Noise
+from tracker.stripe.line_fit.first_guess import PixelVariance
 from tracker.stripe.line_fit.lines import LineFits, Scans, fit_lines, fit_room
 from tracker.stripe.read import StripeReading
 from tracker.stripe.scatter import NO_SCATTER
@@ -155,7 +155,7 @@ def made(
     band = Band(charge, background, *nothing, np.zeros(charge.shape, np.bool_), lows)
     start[0] = np.nan
     lines = LineFits.empty(N_SCAN)
-    noise = Noise(1.0, dark_variance_e2, 0.0, 0.0)
+    noise = PixelVariance(1.0, dark_variance_e2, 0.0, 0.0)
     scans = Scans(charge, background, band.censored, start, expected.sigma_px, np.ones(N_SCAN), lows)
     fit_lines(scans, noise, fit_room(N_SCAN), lines)
     fits = lines.fits

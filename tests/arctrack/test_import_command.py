@@ -487,7 +487,7 @@ def test_an_interrupt_leaves_nothing(raw: Path, monkeypatch: pytest.MonkeyPatch)
     before = sorted(raw.rglob("*"))
     with pytest.raises(KeyboardInterrupt):
         run.import_recording(
-            run.RawFiles(
+            run.ImportSources(
                 [raw / "photos"], raw / "recording.toml", raw / "robot.csv", rotation="kuka", rate_hz=10.0
             ),
             raw / "out",

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from arctrack.errors import ArctrackError
-from arctrack.importing.columns import Columns, image_parser
+from arctrack.importing.columns import CsvColumns, image_parser
 from arctrack.importing.image_files import ImageSeries
 from arctrack.importing.matrix_files import read_matrices
 from arctrack.importing.pose_files import PoseFile, read_poses
@@ -455,7 +455,7 @@ def test_matrices_that_are_none(rotations: str, translations: str | None, line: 
 
 def test_the_names_of_columns_are_those_of_the_header(tmp_path: Path) -> None:
     path = written(tmp_path, "time,x\n1,2\n")
-    assert Columns(path, {}, "x").find(("time", "t")) is not None
+    assert CsvColumns(path, {}, "x").find(("time", "t")) is not None
     assert parse_units("") == UNSTATED
 
 

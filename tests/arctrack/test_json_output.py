@@ -16,8 +16,8 @@ from arctrack.cell_file.new import write_new_cell
 from arctrack.cli import app
 from arctrack.cli.doctor import _content
 from arctrack.cli.json_output import say_json
-from arctrack.doctor.budget import Budget, Part
-from arctrack.doctor.finding import Finding, State
+from arctrack.doctor.budget import Budget, LatencyPart
+from arctrack.doctor.finding import DoctorFinding, FindingState
 from arctrack.errors import ArctrackError
 
 PAGE = Path(arctrack.__file__).parents[1] / "docs" / "reference" / "json_output.md"
@@ -93,8 +93,10 @@ def test_doctor(tmp_path: Path) -> None:
     assert found["budget"] is None
     assert sum(found["counts"].values()) == len(found["findings"])
     cell, _ = write_new_cell(tmp_path / "cell", "lap", "mild_steel")
-    budget = Budget((Part("step", math.nan, math.inf, "not measured"),), 0.1)
-    with_cell = _content(cell, [Finding("clock", State.OK, "tsc")], dict.fromkeys(State, 0), budget)
+    budget = Budget((LatencyPart("step", math.nan, math.inf, "not measured"),), 0.1)
+    with_cell = _content(
+        cell, [DoctorFinding("clock", FindingState.OK, "tsc")], dict.fromkeys(FindingState, 0), budget
+    )
     assert set(paths({"format": "", **with_cell})) == documented("doctor")
 
 

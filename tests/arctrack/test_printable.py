@@ -13,7 +13,7 @@ from spoiled import Refusal, toml, toml_end
 from arctrack import cli
 from arctrack.errors import ArctrackError
 from arctrack.output import write_whole
-from arctrack.printable import LONGEST_SHOWN, MOST_NAMED, cut, first_of, printable, shown
+from arctrack.printable import LONGEST_SHOWN, MAX_REPORTED, cut, first_of, printable, shown
 from arctrack.recording import read_recording
 from arctrack.report import style
 
@@ -48,8 +48,8 @@ def test_a_value_is_cut_where_it_is_long() -> None:
 
 def test_of_many_names_the_first_are_said() -> None:
     assert first_of(["a", "b"], "more") == ["a", "b"]
-    names = [str(n) for n in range(MOST_NAMED + 5)]
-    assert first_of(names, "keys are not known") == [*names[:MOST_NAMED], "5 more keys are not known"]
+    names = [str(n) for n in range(MAX_REPORTED + 5)]
+    assert first_of(names, "keys are not known") == [*names[:MAX_REPORTED], "5 more keys are not known"]
 
 
 def test_an_error_is_fit_to_print() -> None:

@@ -21,7 +21,7 @@ from arctrack.replay import Replay, replay_recording
 from arctrack.report.explanation import words
 from arctrack.report.replay import pictures
 from arctrack.report.replay.page import frames_to_show, opening_frame
-from arctrack.report.replay.seen import Seen
+from arctrack.report.replay.seen import ReplayedFrame
 from arctrack.report.replay.view import Viewer
 from arctrack.tracking import tracker_of
 from noise_model.transforms import transform
@@ -138,7 +138,7 @@ def test_the_view_is_the_trackers_own(simulated: Path) -> None:
         assert not isinstance(frame, BadFrame)
         pose = recording.pose_at(poses, frame.timestamp_s)
         track = tracker.step(frame, pose)
-        view = viewer.view(frame, Seen(pose, track, tracker.reading, nothing, math.nan))
+        view = viewer.view(frame, ReplayedFrame(pose, track, tracker.reading, nothing, math.nan))
         assert view.grey is not None
         assert view.grey.shape == frame.image_dn.shape
         if not track.valid:

@@ -12,14 +12,14 @@ from pathlib import Path
 import pytest
 
 from arctrack.replay import ReplayOptions
-from arctrack.replays import Replayed, jobs_for, replay_job
+from arctrack.replays import ReplayResult, jobs_for, replay_job
 from tests.arctrack.test_replays_at_once import copies, rows, run
 
 OPTIONS = ReplayOptions(pictures=False)
 DEADLINE_S = 300.0
 
 
-def replayed(recording: Path, out: Path, options: ReplayOptions = OPTIONS) -> Replayed:
+def replayed(recording: Path, out: Path, options: ReplayOptions = OPTIONS) -> ReplayResult:
     (job,) = jobs_for([recording], out, None, options, resume=True)
     return replay_job(job)
 

@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 from arctrack.errors import ArctrackError
 from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
 from arctrack.recording import BadFrame, format_setup, read_recording, read_setup_file, read_truth
-from arctrack.simulate import Motion, SimulationPlan, balance, conditions, simulate_recording, true_values
+from arctrack.simulate import (
+    SimulatedMotion,
+    SimulationPlan,
+    balance,
+    conditions,
+    simulate_recording,
+    true_values,
+)
 from noise_model.effects import apply_setup_effects, checked
 from noise_model.instrument.sensor import linearise
 from noise_model.setup import Setup
@@ -187,7 +194,7 @@ def test_the_true_seam_point_lies_in_the_laser_plane_and_on_the_seam(
 ) -> None:
     setup = nominal_setup(joint_type, "mild_steel")
     plan = SimulationPlan(seam_wander_mm=wander_mm)
-    motion = Motion(setup, plan, np.random.default_rng(seed))
+    motion = SimulatedMotion(setup, plan, np.random.default_rng(seed))
     T_base_tool = motion.T_base_tool(timestamp_s)
     drawn = motion.true_seam(0.0, 600.0, -30.0)
     point_tool = motion.seam_point(T_base_tool, drawn)
@@ -299,7 +306,7 @@ def test_a_known_pose_delay_takes_the_pose_of_another_time(seen_setup: Setup, tm
 def test_the_true_seam_of_a_tilted_plate(seen_setup: Setup) -> None:
     tilted = apply_setup_effects(replace(seen_setup, effects=checked({"surface_tilt": {"roll_deg": 10.0}})))
     plan = SimulationPlan(seam_wander_mm=0.0, weave_mm=0.0, tilt_deg=0.0)
-    motion = Motion(seen_setup, plan, np.random.default_rng(0), tilted.joint)
+    motion = SimulatedMotion(seen_setup, plan, np.random.default_rng(0), tilted.joint)
     T_base_tool = motion.T_base_tool(0.0)
     point_tool = motion.seam_point(T_base_tool, motion.true_seam(0.0, 80.0, 0.0))
     depth = seen_setup.joint.dimensions["depth_mm"]

@@ -5,17 +5,17 @@ import numpy as np
 import pytest
 from camera_scenes import BOARD, LENS, SIZE, VARIED, WARP_MM, Held, project, views
 
-from calibration.boards.board import Board, Kind
+from calibration.boards.board import Board, BoardKind
 from calibration.camera.adjustment import adjusted, linearised
 from calibration.camera.calibrate import CameraCalibration, calibrate_camera, find_lens
 from calibration.camera.enough import UndeterminedError
-from calibration.camera.halves import MOST_RATIO
+from calibration.camera.halves import MAX_RATIO
 from calibration.camera.lens import ORDERS, Lens
 from calibration.camera.next_board import mean_sigma
 from calibration.camera.noise import moderated
 from calibration.camera.order import held_out_errors
 from calibration.camera.projection import Knowledge
-from calibration.camera.sightings import Sightings, View
+from calibration.camera.sightings import BoardView, Sightings
 
 pytestmark = pytest.mark.slow
 
@@ -167,7 +167,7 @@ def test_images_that_do_not_determine_the_lens_are_refused(held: tuple[Held, ...
 
 @pytest.mark.slow
 def test_halves_contradict_each_other_where_the_model_is_wrong(found: CameraCalibration) -> None:
-    assert found.ratio_of_halves < MOST_RATIO
+    assert found.ratio_of_halves < MAX_RATIO
     lean = calibrate_camera(BOARD, views(sigma_px=0.02), SIZE, orders=["none"])
     assert lean.model_error is not None
     assert "differ" in lean.model_error
@@ -206,19 +206,19 @@ def test_the_next_board_helps_as_much_as_it_says(found: CameraCalibration) -> No
     assert pose.sigma_px < 0.95 * mean_sigma(found.known, found.scene, found.distance_mm)
     # An image of that very pose, taken, makes the sigma what was said.
     points = pose.points_px + 0.1 * np.random.default_rng(5).standard_normal(pose.points_px.shape)
-    more = [*views(), View("next", np.arange(len(points)), points)]
+    more = [*views(), BoardView("next", np.arange(len(points)), points)]
     after = find_lens(BOARD, more, SIZE, orders=["k1 k2"])
     assert mean_sigma(after.known, after.scene, found.distance_mm) == pytest.approx(pose.sigma_px, rel=0.15)
 
 
-def tilted_views(lens: Lens) -> list[View]:
+def tilted_views(lens: Lens) -> list[BoardView]:
     """Return what a lens with a tilted sensor sees of the varied boards."""
     straight = find_lens(BOARD, views(sigma_px=0.0, lens={**LENS, "k2": 0.0}), SIZE, orders=["k1"])
     seen = straight.seen
     points = lens.project(replace(straight.scene, lens=lens, warp_mm=WARP_MM).points_camera(seen))
     points += 0.02 * np.random.default_rng(1).standard_normal(points.shape)
     return [
-        View(name, seen.corner[part], points[part])
+        BoardView(name, seen.corner[part], points[part])
         for name, part in zip(seen.names, seen.slices, strict=True)
     ]
 
@@ -245,7 +245,7 @@ def test_a_board_is_written_as_it_is_read(text: str) -> None:
 
 def test_a_charuco_board_counts_squares() -> None:
     board = Board.parse("charuco:8x6:5mm:3.7mm:DICT_5x5_100")
-    assert (board.kind, board.columns, board.rows, board.dictionary) == (Kind.CHARUCO, 7, 5, "5X5_100")
+    assert (board.kind, board.columns, board.rows, board.dictionary) == (BoardKind.CHARUCO, 7, 5, "5X5_100")
 
 
 @pytest.mark.parametrize(

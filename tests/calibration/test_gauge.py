@@ -9,7 +9,7 @@ from calibration.camera.enough import UndeterminedError
 from calibration.camera.lens import Lens
 from calibration.gauge.calibrate import GaugeCalibration, calibrate_gauge, check_gauge
 from calibration.gauge.shape import Gauge
-from calibration.gauge.sightings import Posed
+from calibration.gauge.sightings import PosedPieces
 from calibration.gauge.stripe_pieces import Piece, Pieces, stripe_pieces
 from calibration.laser.image_line import fit_line
 from noise_model.arrays import Float64
@@ -83,14 +83,14 @@ def stripe_on(gauge: Gauge, T_base_tool: Float64, rng: np.random.Generator) -> P
     return Pieces(tuple(pieces), along_rows=True, scale_px=3.0)
 
 
-def shown_at(motions: list[tuple[float, ...]], gauge: Gauge = V, seed: int = 1) -> list[Posed]:
+def shown_at(motions: list[tuple[float, ...]], gauge: Gauge = V, seed: int = 1) -> list[PosedPieces]:
     rng, shown = np.random.default_rng(seed), []
     for n, (higher_mm, *angles) in enumerate(motions):
         R = turned(*angles)
         T = pose(R, np.array([*rng.uniform(-2.0, 2.0, 2), higher_mm]) - R @ np.array([35.0, 0.0, 0.0]))
         stated = T.copy()
         stated[:3, 3] += ROBOT_MM * rng.standard_normal(3)
-        shown.append(Posed(f"{n}", stripe_on(gauge, T, rng), stated))
+        shown.append(PosedPieces(f"{n}", stripe_on(gauge, T, rng), stated))
     return shown
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.goniometer import Response, Settings, average, simulate
+from calibration.goniometer import GreyResponse, Settings, average, simulate
 from calibration.reading_noise import ReadingNoise, estimate_noise
 from noise_model.surface.brdf import MILD_STEEL, ZN_COATED, Material
 
@@ -18,7 +18,7 @@ def settings(*rows: tuple[float, float, float], source: float = 1.0) -> Settings
 @pytest.mark.slow
 @given(st.floats(0.2, 3.0), st.floats(0.0, 1.0), st.floats(0.0, 60.0))
 def test_the_response_comes_back(gamma: float, light: float, black_dn: float) -> None:
-    response = Response(gamma, black_dn, 255.0)
+    response = GreyResponse(gamma, black_dn, 255.0)
     # Grey levels next to black have lost what a high gamma does to a faint light.
     assert response.light(response.gray_level(np.array(light))) ** gamma == pytest.approx(
         light**gamma, abs=1e-12
@@ -26,7 +26,7 @@ def test_the_response_comes_back(gamma: float, light: float, black_dn: float) ->
 
 
 def test_gray_levels_follow_eq_20() -> None:
-    response = Response(0.45, 10.0, 210.0)
+    response = GreyResponse(0.45, 10.0, 210.0)
     np.testing.assert_allclose(
         response.gray_level(np.array([0.0, 0.5, 1.0])), [10.0, 10 + 200 * 0.5**0.45, 210]
     )
@@ -69,7 +69,7 @@ def test_a_source_at_another_distance_is_another_setting() -> None:
 
 def test_simulated_readings_have_the_stated_mean_and_noise() -> None:
     stood = Settings.in_plane([20.0, 60.0], [10.0, 60.0])
-    response, noise = Response(0.45, 10.0, 255.0), ReadingNoise(0.8, 0.02)
+    response, noise = GreyResponse(0.45, 10.0, 255.0), ReadingNoise(0.8, 0.02)
     rng = np.random.default_rng(1)
     read = average(*simulate(stood, ZN_COATED, 0.7, response, noise, 4000, rng))
     expected = response.gray_level(0.7 * stood.light(ZN_COATED))
@@ -82,7 +82,7 @@ def test_simulated_readings_have_the_stated_mean_and_noise() -> None:
 def test_simulated_readings_stay_on_the_scale() -> None:
     rng = np.random.default_rng(2)
     stood = Settings.in_plane([0.0], [0.0])
-    noise, response = ReadingNoise(200.0, 0.0), Response()
+    noise, response = ReadingNoise(200.0, 0.0), GreyResponse()
     _, gray_level = simulate(stood, Material("m", 1.0, 0.0, 1.0), 0.5, response, noise, 200, rng)
     assert (gray_level.min(), gray_level.max()) == (0.0, 255.0)
 
@@ -126,7 +126,7 @@ def test_a_reading_that_says_nothing_of_the_noise_is_left_out() -> None:
 )
 def test_a_response_that_makes_no_sense_is_refused(arguments: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Response(**arguments)
+        GreyResponse(**arguments)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from arctrack.nominal import nominal_setup
 from calibration import hand_eye
 from calibration.hand_eye import (
     MAX_ERROR_RATIO,
-    _Problem,
+    _ArcHandEyeProblem,
     _sightings,
     estimate_hand_eye,
     seam_sigma_mm,
@@ -65,8 +65,10 @@ def frames(
     return made
 
 
-def problem_of(setup: Setup, posed: list[tuple[Frame, Pose]]) -> _Problem:
-    return _Problem.of(setup, _sightings(setup, posed), [(frame, pose.T_base_tool) for frame, pose in posed])
+def problem_of(setup: Setup, posed: list[tuple[Frame, Pose]]) -> _ArcHandEyeProblem:
+    return _ArcHandEyeProblem.of(
+        setup, _sightings(setup, posed), [(frame, pose.T_base_tool) for frame, pose in posed]
+    )
 
 
 def mahalanobis2(found: Fit) -> float:
@@ -247,10 +249,10 @@ def test_frames_count_where_the_seam_is_known_under_their_stripe() -> None:
     root_px = setup.camera.project(root_camera)[0]
     n = len(seen)
     sightings = SeamObservations(np.tile(root_px, (n, 1)), np.zeros(n), np.full((n, 2), 1e-4), tuple(poses))
-    known = [T_base_tool[0, 3] for _, T_base_tool in _Problem.of(setup, sightings, posed).lit]
+    known = [T_base_tool[0, 3] for _, T_base_tool in _ArcHandEyeProblem.of(setup, sightings, posed).lit]
     assert known == [5.0, 305.0]
     with pytest.raises(ValueError, match="the joint was found near no frame with the arc on"):
-        _Problem.of(setup, sightings, posed[1:2])
+        _ArcHandEyeProblem.of(setup, sightings, posed[1:2])
 
 
 @pytest.mark.slow

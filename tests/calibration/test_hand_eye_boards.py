@@ -6,11 +6,11 @@ from camera_scenes import BOARD
 from hand_eye_scenes import HELD, ROBOT_DEG, ROBOT_MM, TRUE_LENS, Shown, board_in_camera, off, rigid, shown
 from scipy.spatial.transform import Rotation
 
-from calibration.boards.board import Board, Kind
+from calibration.boards.board import Board, BoardKind
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
-from calibration.camera.sightings import View
+from calibration.camera.sightings import BoardView
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration, calibrate_hand_eye
 from calibration.hand_eye_boards.enough import InconsistentError
 from calibration.hand_eye_boards.variances import PoseErrors, robot_sigma, solve
@@ -64,10 +64,10 @@ def test_a_pose_of_another_image_is_named() -> None:
 
 
 def test_a_board_whose_ends_are_alike_is_turned_to_fit() -> None:
-    board = Board(Kind.CHESSBOARD, 7, 5, 10.0)
+    board = Board(BoardKind.CHESSBOARD, 7, 5, 10.0)
     seen = shown(board=board)
     views = [
-        View(view.name, view.corners, view.points_px[:: -1 if n in (2, 5) else 1])
+        BoardView(view.name, view.corners, view.points_px[:: -1 if n in (2, 5) else 1])
         for n, view in enumerate(seen.views)
     ]
     result = found_camera(replace(seen, views=views), board=board)

@@ -8,7 +8,7 @@ from calibration.camera.lens import Lens
 from calibration.laser.cross_sections import CrossSections, cross_sections, placed
 from calibration.laser.fan import Fan, Missing, ends_of, fit_fan
 from calibration.laser.lit_board import LitBoard, lit_board
-from calibration.laser.stripe import Stripe, board_area, find_stripe, laser_light
+from calibration.laser.stripe import BoardStripe, board_area, find_stripe, laser_light
 from calibration.laser.width import Law, Width, fit_width
 from noise_model.arrays import Float64, UInt8
 
@@ -28,7 +28,7 @@ def lit(shown: tuple[UInt8, UInt8, Float64]) -> LitBoard:
     return lit_board(shown[1], BOARD, LENS, shown[2], 0.7)
 
 
-def off_course_px(stripe: Stripe, held: Held = HELD) -> Float64:
+def off_course_px(stripe: BoardStripe, held: Held = HELD) -> Float64:
     """Return how far a stripe's points are from where they are drawn."""
     truth = project(PINHOLE, stripe_points(held))
     course = np.polynomial.Polynomial.fit(truth[:, 1], truth[:, 0], 1)

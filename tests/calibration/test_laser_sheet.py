@@ -11,7 +11,7 @@ from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
 from calibration.laser.calibrate import LaserCalibration, calibrate_laser
 from calibration.laser.image_line import lines_together
-from calibration.laser.stripe import Stripe, board_area, find_stripe, laser_light
+from calibration.laser.stripe import BoardStripe, board_area, find_stripe, laser_light
 from noise_model.arrays import Float64
 
 LENS = Lens(*SIZE, tuple(PINHOLE), np.array([*PINHOLE.values()]))
@@ -20,7 +20,7 @@ MIDDLE = np.array([0.0, 0.0, 175.0])
 
 def found_sheet(
     boards: tuple = BOARDS,  # type: ignore[type-arg]
-    seen: dict[str, Stripe] | None = None,
+    seen: dict[str, BoardStripe] | None = None,
     corner_px: float = 0.05,
     lens: Lens = LENS,
     lens_covariance: Float64 | None = None,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from calibration.goniometer import Readings, Response, Settings, average, simulate
+from calibration.goniometer import GreyResponse, Readings, Settings, average, simulate
 from calibration.reading_noise import ReadingNoise, rounding_left
 from calibration.reflectance import Reflectance, identify_reflectance
 from calibration.reflectance_model import White
@@ -15,7 +15,7 @@ PLANE = Settings.in_plane([20.0, 40.0, 60.0], np.arange(0.0, 76.0, 5.0))
 STANDARD = Settings.in_plane([20.0, 40.0, 60.0], [0.0])
 WHITE = Material("white", 0.99 / math.pi, 0.0, 1.0)
 NOISE = ReadingNoise(0.8, 0.01)
-LINEAR, CURVED = Response(1.0, 10.0, 255.0), Response(0.45, 10.0, 255.0)
+LINEAR, CURVED = GreyResponse(1.0, 10.0, 255.0), GreyResponse(0.45, 10.0, 255.0)
 
 BOTH = pytest.mark.parametrize("material", [MILD_STEEL, ZN_COATED], ids=["steel", "zn"])
 
@@ -24,7 +24,7 @@ def read(
     stood: Settings,
     material: Material,
     seed: int | np.random.Generator,
-    response: Response = LINEAR,
+    response: GreyResponse = LINEAR,
     noise: ReadingNoise = NOISE,
     repeats: int = 20,
     scale: float = 0.88,
@@ -33,7 +33,7 @@ def read(
     return average(*simulate(stood, material, scale, response, noise, repeats, rng))
 
 
-def exact(stood: Settings, material: Material, response: Response, scale: float = 0.88) -> Readings:
+def exact(stood: Settings, material: Material, response: GreyResponse, scale: float = 0.88) -> Readings:
     return average(stood, response.gray_level(scale * stood.light(material)))
 
 
@@ -41,7 +41,7 @@ def truth_of(material: Material) -> np.ndarray:
     return np.array([material.kappa_diff, material.kappa_spec, material.c2])
 
 
-def complaint(sample: Readings, response: Response = LINEAR, **options: float) -> str:
+def complaint(sample: Readings, response: GreyResponse = LINEAR, **options: float) -> str:
     with pytest.raises(ValueError, match=r".+") as caught:
         identify_reflectance(sample, response, **options)
     return str(caught.value)
@@ -49,7 +49,7 @@ def complaint(sample: Readings, response: Response = LINEAR, **options: float) -
 
 @BOTH
 @pytest.mark.parametrize("response", [LINEAR, CURVED], ids=["linear", "gamma"])
-def test_exact_readings_return_table_1(material: Material, response: Response) -> None:
+def test_exact_readings_return_table_1(material: Material, response: GreyResponse) -> None:
     white = White(exact(STANDARD, WHITE, response), 0.99)
     found = identify_reflectance(exact(PLANE, material, response), response, white=white)
     np.testing.assert_allclose(found.values, truth_of(material), rtol=1e-6)
@@ -77,7 +77,7 @@ def test_distances_and_angles_out_of_the_plane_count(material: Material) -> None
 @BOTH
 @pytest.mark.parametrize("response", [LINEAR, CURVED], ids=["linear", "gamma"])
 def test_noisy_readings_return_table_1_with_the_stated_coverage(
-    material: Material, response: Response
+    material: Material, response: GreyResponse
 ) -> None:
     # The benchmark holds 95 % to 93.5 and 96.5 % over thousands of draws; 150 can stray to 89 % (3.4 sigma).
     rng = np.random.default_rng(3)
@@ -167,7 +167,7 @@ def test_rounding_leaves_a_twelfth_without_noise_and_nothing_with_it() -> None:
 
 
 @pytest.mark.parametrize("response", [LINEAR, CURVED], ids=["linear", "gamma"])
-def test_the_sources_unit_does_not_matter(response: Response) -> None:
+def test_the_sources_unit_does_not_matter(response: GreyResponse) -> None:
     results = []
     for unit in (1.0, 1e-9, 6e4, 1e8):
         sample = read(PLANE, MILD_STEEL, 3, response, scale=0.75)

@@ -19,7 +19,7 @@ from noise_model.arc.map import (
     arc_kernel,
 )
 from noise_model.arc.patch_borders import seen_strip
-from noise_model.arc.quadrature import Hiding, Patch, Rule, arc_light, gauss_nodes
+from noise_model.arc.quadrature import DiscRule, Hiding, Patch, arc_light, gauss_nodes
 from noise_model.arc.ray import light_at
 from noise_model.arc.scene import make_scene
 from noise_model.arc.scratch import scratch
@@ -170,7 +170,7 @@ def disc_light(P, normal, omega_r, center, material, nodes, planes=()):
     return arc_light(
         Patch(*vectors), tuple(float(c) for c in center), 3.0,
         Hiding(cuts, len(cuts), np.empty((0, 3)), 0),
-        lobe_numbers(material), Rule(gauss_nodes(), *nodes), scratch()[0],
+        lobe_numbers(material), DiscRule(gauss_nodes(), *nodes), scratch()[0],
     )  # fmt: skip
 
 

@@ -8,9 +8,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from noise_model.arc.lap_light import lap_light
-from noise_model.arc.quadrature import Patch, Rule, gauss_nodes
+from noise_model.arc.quadrature import DiscRule, Patch, gauss_nodes
 from noise_model.arc.scratch import scratch
-from noise_model.arc.slices import Sheets
+from noise_model.arc.slices import SlicedSheets
 from noise_model.surface.brdf import Lobe, Material, lobe_numbers, reflectance
 from noise_model.surface.visibility import first_crossing
 
@@ -95,7 +95,7 @@ def assert_rays_agree(way, over_mm, bend, ridge_mm, crest, horizon, flags, mater
     center[2] = way[2] + (step_mm if beside_mm < 0.0 else 0.0)
     reaches = beside_mm + RADIUS_MM > 0.0 if from_upper else beside_mm - RADIUS_MM < 0.0
     edge_hides = bool(curve != 0.0 or reaches)
-    sheets = Sheets(
+    sheets = SlicedSheets(
         (ridge_mm, 10.0, 20.0), (0.0, *bend, step_mm), P[0] + crest * way[0], edge_hides, cut, from_upper
     )
     P[2] += height_mm(P[:1], sheets)[0]
@@ -115,7 +115,7 @@ def assert_rays_agree(way, over_mm, bend, ridge_mm, crest, horizon, flags, mater
         len(planes),
         sheets,
         lobe_numbers(material),
-        Rule(gauss_nodes(), *nodes),
+        DiscRule(gauss_nodes(), *nodes),
         scratch()[0]["slices"],
     )
     want, whole = summed(P, normal, omega_r, center, planes, sheets, material)

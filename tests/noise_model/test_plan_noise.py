@@ -16,7 +16,7 @@ from noise_model.effects import checked
 from noise_model.instrument.sensor import variance_e2
 from noise_model.plan.cramer_rao import POSITION, stripe_sigmas
 from noise_model.plan.design import design_of, with_design
-from noise_model.plan.light import REACH_MM, StripeLight, stripe_level_e, stripe_light
+from noise_model.plan.light import REACH_MM, SampledStripe, stripe_level_e, stripe_light
 from noise_model.plan.noise import (
     EDGE_LINES,
     MIN_LINES,
@@ -44,16 +44,16 @@ def tool(x: float = 7.0, z: float = 1.0, tilt: tuple[float, float] = (2.0, -3.0)
     return T_base_tool
 
 
-def lit(setup: Setup, T_base_tool: Float64) -> StripeLight:
+def lit(setup: Setup, T_base_tool: Float64) -> SampledStripe:
     return stripe_light(setup, T_base_tool, stripe_level_e(setup))
 
 
-def image_points(setup: Setup, T_base_tool: Float64, light: StripeLight) -> Float64:
+def image_points(setup: Setup, T_base_tool: Float64, light: SampledStripe) -> Float64:
     scene = make_scene(setup, T_base_tool)
     return setup.camera.project(transform(invert(scene.T_joint_camera), light.points))
 
 
-def clear(light: StripeLight) -> NDArray[np.bool_]:
+def clear(light: SampledStripe) -> NDArray[np.bool_]:
     """Rays whose neighbours are seen too and lie on the same face, no step between them."""
     alike = np.ones(len(light.points), dtype=bool)
     for shift in (-2, -1, 1, 2):

@@ -26,8 +26,8 @@ from noise_model.plan.path import (
 )
 from noise_model.plan.plan import PlanOptions, make_plan, search_space
 from noise_model.plan.remedies import find_cure, find_cures
-from noise_model.plan.rules import Outcome, head_tilted, try_rules
-from noise_model.plan.search import EQUAL_SIGMA_SHARE, Candidate, judge, pareto, summarise
+from noise_model.plan.rules import RuleOutcome, head_tilted, try_rules
+from noise_model.plan.search import EQUAL_SIGMA_SHARE, DesignCandidate, judge, pareto, summarise
 from noise_model.surface.joint import Joint, corrugation_height, section
 from noise_model.transforms import invert, transform
 
@@ -38,9 +38,9 @@ SMALL = PlanOptions(
 )
 
 
-def candidate(sigma_mm: float, preview_mm: float = 35.0, stand_off_mm: float = 145.0) -> Candidate:
+def candidate(sigma_mm: float, preview_mm: float = 35.0, stand_off_mm: float = 145.0) -> DesignCandidate:
     design = replace(DESIGN, preview_mm=preview_mm, stand_off_mm=stand_off_mm)
-    return Candidate(design, sigma_mm, sigma_mm, 0.0, 0.1, 1.0, 0.0, 0.0)
+    return DesignCandidate(design, sigma_mm, sigma_mm, 0.0, 0.1, 1.0, 0.0, 0.0)
 
 
 @given(
@@ -101,7 +101,7 @@ def test_the_rules_on_plates_whose_outcome_is_known() -> None:
     poses = search_path(plan_setup("lap", "mild_steel")).T_base_tool
     steel = try_rules(plan_setup("lap", "mild_steel"), poses, SILENT, 0.005)
     # The sheet's light from above is mirrored up: the nearer the camera is to it the brighter the stripe.
-    assert steel.tilt.light is Outcome.HOLDS
+    assert steel.tilt.light is RuleOutcome.HOLDS
     assert (steel.tilt.broken_deg, steel.tilt.kept_deg) == (60.0, 10.0)
     # Without triangulation no height: the larger tilt has the smaller sigma in z.
     z = [c.sigma_z_mm for c in steel.tilt.tried]
@@ -111,14 +111,14 @@ def test_the_rules_on_plates_whose_outcome_is_known() -> None:
     # A surface without a lobe has no plane of incidence to stay out of.
     setup = plan_setup("lap", "zn_coated")
     matt = replace(setup, material=replace(setup.material, kappa_spec=0.0))
-    assert try_rules(matt, poses, SILENT, 0.005).azimuth.light is Outcome.INDIFFERENT
+    assert try_rules(matt, poses, SILENT, 0.005).azimuth.light is RuleOutcome.INDIFFERENT
 
 
 @pytest.mark.slow
 def test_steel_flanks_shine_in_the_plane_of_incidence() -> None:
     setup = plan_setup("corrugation", "mild_steel", radiance_e=3e7)
     rules = try_rules(setup, search_path(setup).T_base_tool, SILENT, 0.005)
-    assert rules.azimuth.light is Outcome.HOLDS
+    assert rules.azimuth.light is RuleOutcome.HOLDS
     assert rules.azimuth.light_ratio > 1.5
 
 

@@ -8,8 +8,8 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from noise_model.instrument.sensor import (
-    Response,
     Sensor,
+    SensorResponse,
     cut_moments,
     dark_part_e2,
     electrons_per_dn,
@@ -103,7 +103,7 @@ def test_what_is_not_the_lights_is_the_rest_of_the_variance(gamma, bend):
     sensor = dataclasses.replace(LINEAR, gamma=gamma, bend=bend)
     for mean_e in (0.0, 5.0, 700.0, 0.5 * sensor.full_well_e, 1.1 * sensor.full_well_e):
         want = float(variance_e2(mean_e, sensor)) - mean_e
-        assert dark_part_e2(mean_e, Response.of(sensor)) == pytest.approx(want, abs=1e-9 * mean_e)
+        assert dark_part_e2(mean_e, SensorResponse.of(sensor)) == pytest.approx(want, abs=1e-9 * mean_e)
 
 
 def test_coarse_steps_add_their_twelfth():

@@ -13,7 +13,7 @@ from robot_io import MotionState, PoseKind, PoseSample, RobotMode, RobotStatus, 
 from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility import Plausibility, update
 from robot_io.poses.plausibility_limits import PlausibilityLimits
-from robot_io.poses.pose_questions import Implausibility, PoseSeen
+from robot_io.poses.pose_questions import Implausibility, PoseArrival
 from robot_io.protocol.messages import RobotPoseRotation
 
 LIMITS = PlausibilityLimits()
@@ -66,21 +66,21 @@ class Robot:
     def rotation(self):
         return Rotation.from_euler("xyz", self.turned_deg, degrees=True)
 
-    def seen(self, until_s: float, change: Callable[[float, PoseSeen], PoseSeen | None] | None = None):
+    def seen(self, until_s: float, change: Callable[[float, PoseArrival], PoseArrival | None] | None = None):
         """Yield what is seen from 0 on; `change` gets the time and spoils it, None drops it."""
         rng = np.random.default_rng(self.seed)
         for n in range(round(until_s / PERIOD_S)):
             t_s = n * PERIOD_S
             jitter_s = float(np.clip(rng.normal(0.0, self.jitter_s), -0.002, 0.002)) if self.jitter_s else 0.0
             sample = on_the_bus(t_s + jitter_s, self.place(t_s), self.rotation)
-            seen = PoseSeen(sample, status(speed_mm_s=self.speed_mm_s))
+            seen = PoseArrival(sample, status(speed_mm_s=self.speed_mm_s))
             spoilt = seen if change is None else change(t_s, seen)
             if spoilt is not None:
                 yield spoilt
 
 
 def doubts(
-    run: Iterator[PoseSeen], limits: PlausibilityLimits = LIMITS, path: NominalPath | None = PATH
+    run: Iterator[PoseArrival], limits: PlausibilityLimits = LIMITS, path: NominalPath | None = PATH
 ) -> list[tuple[float, Implausibility | None]]:
     """Return the time and the doubt after each sample."""
     state = Plausibility()
@@ -91,7 +91,7 @@ def doubts(
     return found
 
 
-def moved(seen: PoseSeen, by_mm=(0.0, 0.0, 0.0), by_s=0.0) -> PoseSeen:
+def moved(seen: PoseArrival, by_mm=(0.0, 0.0, 0.0), by_s=0.0) -> PoseArrival:
     """Return what is seen of a sample that is elsewhere, or of another time."""
     sample = seen.sample
     position = tuple(x + d for x, d in zip(sample.position_base_mm, by_mm, strict=True))

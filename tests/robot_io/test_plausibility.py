@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from robot_io import MotionState, PoseKind
 from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility import Plausibility, clock_set, update
-from robot_io.poses.pose_questions import Implausibility, PoseSeen, turn_rad
+from robot_io.poses.pose_questions import Implausibility, PoseArrival, turn_rad
 from tests.robot_io.moving_robot import LIMITS, PATH, Robot, doubts, moved, on_the_bus, status
 
 FAULT_S, END_S = 2.0, 3.0
@@ -70,7 +70,7 @@ def test_false_alarms_stay_below_their_rate_at_a_far_higher_one():
         for n in range(300):
             t_s = 0.01 * n + rng.normal(0.0, 0.0003)
             place = start + np.array([0.1 * n, 40.0, 0.0])
-            state = update(state, PoseSeen(on_the_bus(t_s, place, robot.rotation), status()), limits, PATH)
+            state = update(state, PoseArrival(on_the_bus(t_s, place, robot.rotation), status()), limits, PATH)
             asked += 1
             alarms += state.doubt is Implausibility.ACCELERATION
     assert alarms <= 0.01 * asked
@@ -306,7 +306,7 @@ def test_round_a_corner_the_tool_may_look_along_either_piece():
         rotation = Rotation.from_euler("z", turned, degrees=True)
         state = update(
             state,
-            PoseSeen(on_the_bus(0.01 * n, place, rotation), status()),
+            PoseArrival(on_the_bus(0.01 * n, place, rotation), status()),
             replace(LIMITS, speed_share=0.6),
             corner,
         )
@@ -419,7 +419,7 @@ def test_which_way_the_tool_looks_is_that_of_its_rotation(q):
     travel, tilt = (math.degrees(math.acos(np.clip(R[n, n], -1.0, 1.0))) for n in (0, 2))
     if min(abs(travel - LIMITS.travel_deg), abs(tilt - LIMITS.tilt_deg)) < 0.1:
         return
-    seen = PoseSeen(on_the_bus(0.0, (10.0, 40.0, 0.0), rotation), status())
+    seen = PoseArrival(on_the_bus(0.0, (10.0, 40.0, 0.0), rotation), status())
     is_along = travel < LIMITS.travel_deg and tilt < LIMITS.tilt_deg
     doubt = update(Plausibility(), seen, LIMITS, PATH).doubt
     assert (doubt is Implausibility.AGAINST_SEAM) != is_along
@@ -437,7 +437,7 @@ def test_a_jump_is_told_beyond_what_acceleration_rounding_and_jitter_make(speed,
         x_mm = speed * 0.01 * n
         place = (x_mm, jump_mm if n == 19 else 0.0, 0.0)
         told = replace(sample, timestamp_s=0.01 * n, position_base_mm=place)
-        state = update(state, PoseSeen(told, None), limits)
+        state = update(state, PoseArrival(told, None), limits)
     assert (state.doubt is Implausibility.ACCELERATION) == is_told
 
 

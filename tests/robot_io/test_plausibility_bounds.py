@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from robot_io import MotionState
 from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility import Plausibility, update
-from robot_io.poses.pose_questions import Implausibility, PoseSeen
+from robot_io.poses.pose_questions import Implausibility, PoseArrival
 from tests.robot_io.moving_robot import LIMITS, PATH, Robot, doubts, moved, on_the_bus, status
 from tests.robot_io.test_plausibility import FAULT_S, names
 
@@ -26,7 +26,7 @@ EXACT = replace(
 
 def still(t_s, place_mm=(10.0, 40.0, 0.0), quaternion=(0.0, 0.0, 0.0, 1.0), robot=None):
     sample = on_the_bus(t_s, place_mm, Rotation.identity())
-    return PoseSeen(replace(sample, position_base_mm=place_mm, quaternion_xyzw=quaternion), robot)
+    return PoseArrival(replace(sample, position_base_mm=place_mm, quaternion_xyzw=quaternion), robot)
 
 
 def after(times_s, limits=EXACT, path=None, state=None, **seen):

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from noise_model.condition import Condition
-from sim_to_real.data.binned import STRATA, Observed, ObservedFrame, binned_camera
+from sim_to_real.data.binned import STRATA, ObservedFrame, ObservedRecording, binned_camera
 from sim_to_real.data.blocks import block_means
 from sim_to_real.fit.frame_light import FrameLight
 from sim_to_real.variance.haar_details import VarianceSizes
@@ -88,7 +88,7 @@ def recorded(rng, scattering=NOTHING, n_frames=18, with_stripe=True):
         frames.append(observed_frame(n, image, arc, laser))
         passed.append(as_passed(nominal, frames[-1], arc, laser))
     binned = replace(nominal, camera=binned_camera(nominal.camera, BIN_PX))
-    observed = Observed(nominal, binned, BIN_PX, None, None, tuple(frames))
+    observed = ObservedRecording(nominal, binned, BIN_PX, None, None, tuple(frames))
     return SimpleNamespace(observed=observed), SimpleNamespace(lights=tuple(passed))
 
 

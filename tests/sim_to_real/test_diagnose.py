@@ -11,9 +11,9 @@ from arctrack.simulate import SimulationPlan
 from noise_model.arc_source import NO_ARC
 from noise_model.effects.effect import Stage
 from noise_model.surface.brdf import UNSTATED_METAL
-from sim_to_real.diagnose import Assessed, _on_held_out, diagnose, reasons
-from sim_to_real.diagnosis import Gap, Verdict, excluded_effects
-from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Unknown
+from sim_to_real.diagnose import Assessment, _on_held_out, diagnose, reasons
+from sim_to_real.diagnosis import DiagnosisVerdict, Gap, excluded_effects
+from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
 from sim_to_real.evidence.policy import POLICY
 from tests.sim_to_real.small import EXACT, example_setup, recorded
 
@@ -33,7 +33,7 @@ def with_gamma(tmp_path_factory):
 
 def test_a_hidden_gamma_is_named_alone_with_its_value(with_gamma):
     result, _ = with_gamma
-    assert result.verdict is Verdict.EFFECTS
+    assert result.verdict is DiagnosisVerdict.EFFECTS
     assert [effect.id for effect in result.effects] == ["gamma"]
     assert result.effects[0].parameters["gamma"].value == pytest.approx(1.3, abs=0.03)
     assert result.effects[0].share == pytest.approx(1.0)
@@ -153,7 +153,7 @@ def test_what_scatters_is_named_beside_what_changes_the_mean(tmp_path):
 
 def test_no_reason_has_more_evidence_than_the_best_of_all():
     """Not even an unknown cause beside effects, which has more than these alone."""
-    unknown, haze = Unknown({(Stage.SENSOR, "rows"): 3.0}), Unknown({(Stage.OPTICS, "haze"): 27.0})
+    unknown, haze = UnknownCause({(Stage.SENSOR, "rows"): 3.0}), UnknownCause({(Stage.OPTICS, "haze"): 27.0})
     none, gamma = (
         Hypothesis(SimpleNamespace(ids=ids, trend=None), nats, nats, None, {}, beside)
         for ids, nats, beside in (
@@ -184,15 +184,15 @@ def test_no_reason_has_more_evidence_than_the_best_of_all():
 )
 def test_effects_that_enlarge_the_gap_of_frames_held_out_are_refuted(ids, before, after, is_refuted):
     gap = Gap(before, after, 0.2, 0.5, (0.4, 0.6), (1.0, 1.0), (0.1, 0.1))
-    assert Assessed(None, SimpleNamespace(ids=ids), None, None, gap).is_refuted is is_refuted
+    assert Assessment(None, SimpleNamespace(ids=ids), None, None, gap).is_refuted is is_refuted
 
 
 @pytest.mark.parametrize(
     ("verdict", "after", "expected"),
     [
-        (Verdict.NO_GAP, 0.3, Verdict.NO_GAP),
-        (Verdict.NO_GAP, 0.5, Verdict.UNKNOWN),
-        (Verdict.EFFECTS, 0.5, Verdict.EFFECTS),
+        (DiagnosisVerdict.NO_GAP, 0.3, DiagnosisVerdict.NO_GAP),
+        (DiagnosisVerdict.NO_GAP, 0.5, DiagnosisVerdict.UNKNOWN),
+        (DiagnosisVerdict.EFFECTS, 0.5, DiagnosisVerdict.EFFECTS),
     ],
 )
 def test_frames_held_out_refute_that_there_is_no_gap(verdict, after, expected):

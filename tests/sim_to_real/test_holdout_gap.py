@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim_to_real.decision.holdout_gap import measure_gap
-from sim_to_real.diagnosis import Predicted
+from sim_to_real.diagnosis import HeldOutPrediction
 from tests.sim_to_real.small import example_setup
 
 SHAPE = 160, 200
@@ -21,7 +21,7 @@ def held(n_frames, off_dn, closed, seed=3):
     def frames(image):
         return np.stack([image] * n_frames).astype(np.float32)
 
-    return Predicted(
+    return HeldOutPrediction(
         np.arange(n_frames),
         frames(light + noise + off),
         frames(light),

@@ -18,7 +18,7 @@ from rendered import CURRENT_A, EXPOSURE_S, frame_of, pose_at, small_setup
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker.seam.correction import UNSTATED, AxisCorrection, Correction
-from tracker.state import AT_ONCE, Frame, Lead, Pose, Track
+from tracker.state import AT_ONCE, Frame, OffsetLookAhead, Pose, Track
 from tracker.tracker import Tracker
 
 HERE = Path(__file__).parent
@@ -51,7 +51,7 @@ class Case:
     seam: SeamLine = SEAM
     use_arc_map: bool = True
     correction: Correction = UNSTATED
-    lead: Lead = AT_ONCE
+    lead: OffsetLookAhead = AT_ONCE
 
 
 def small(joint: str, *, upright: bool = False, **dimensions: float) -> Setup:
@@ -129,7 +129,7 @@ CASES: dict[str, Case] = {
         small("butt"),
         three("butt"),
         correction=Correction(when_lost="hold", y=AxisCorrection(gain=0.8, limit_mm=0.5)),
-        lead=Lead(0.02, 0.4),
+        lead=OffsetLookAhead(0.02, 0.4),
     ),
     "butt_closed": Case(small("butt", gap_mm=0.1), three("butt_closed")),
     "edge": Case(small("edge"), three("edge")),

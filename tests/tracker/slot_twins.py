@@ -39,7 +39,7 @@ from tracker.joint.slot import (
     ON_EDGE_MM,
     PRIOR_SIGMA,
     THICKNESS_SIGMA_MM,
-    Gap,
+    JointGap,
 )
 from tracker.stripe.edge import clear_of_an_edge, stripe_end
 from tracker.stripe.light import WINDOW_SIGMAS
@@ -219,7 +219,7 @@ class SlotTwin(NamedTuple):
 
     fit: ShapeFit
     placed_mm: float
-    gap: Gap
+    gap: JointGap
 
 
 def fitted_slot(profile: Profile, joint: Joint) -> SlotTwin | None:
@@ -254,7 +254,7 @@ def fitted_slot(profile: Profile, joint: Joint) -> SlotTwin | None:
     return SlotTwin(fit, placed, gap)
 
 
-def gap_of(lines: LinesTwin, joint: Joint, y_0: float) -> Gap | None:
+def gap_of(lines: LinesTwin, joint: Joint, y_0: float) -> JointGap | None:
     """The gap about a placed joint by the plates' ends on its either side; None where none is seen."""
     thickness, gap_mm = joint.dimensions["thickness_mm"], joint.dimensions["gap_mm"]
     # Beyond a thin sheet there is no plate either: more of that than of the sheet would outvote it.
@@ -274,7 +274,7 @@ def gap_of(lines: LinesTwin, joint: Joint, y_0: float) -> Gap | None:
         if width < lines.blurred * lines.column_mm:
             width_variance = max(width_variance, lines.column_mm**2)
         middle = 0.5 * (left.y_mm + right.y_mm)
-        return Gap(middle, 0.25 * variance, width, width_variance, *between, lines.y_per_z_at(middle))
+        return JointGap(middle, 0.25 * variance, width, width_variance, *between, lines.y_per_z_at(middle))
     if joint.type != "edge":
         return None
     outer = 0.5 * gap_mm + thickness
@@ -282,7 +282,7 @@ def gap_of(lines: LinesTwin, joint: Joint, y_0: float) -> Gap | None:
     left = lines.end(y_0 + outer - slack, y_0 + outer + slack, True)
     variance = 0.25 * (left.variance_mm2 + right.variance_mm2) + 0.5 * THICKNESS_SIGMA_MM**2
     middle, blurred_mm = 0.5 * (left.y_mm + right.y_mm), BLURRED_LINES * lines.column_mm
-    return Gap(middle, variance, 0.0, blurred_mm**2, *between, lines.y_per_z_at(middle))
+    return JointGap(middle, variance, 0.0, blurred_mm**2, *between, lines.y_per_z_at(middle))
 
 
 def plates_about(profile: Profile, y_0: float, used: Bool) -> ShapeFit | None:

@@ -13,7 +13,7 @@ from profiles import COLUMN_MM, PX_MM, fit_joint, lap, measure, only, spoil
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint
 from tracker.joint.common_mode import BIAS_SHARE, COMMON_MODE_PX
-from tracker.joint.lap import CLEAR_OF_EDGE_MM, Sheets, share_off, sheets_at
+from tracker.joint.lap import CLEAR_OF_EDGE_MM, SheetLines, share_off, sheets_at
 from tracker.joint.measured import OFF_SIGMAS
 from tracker.joint.section_fit import SIGMA_FLOOR_PX
 from tracker.joint.upright_edge import (
@@ -189,7 +189,7 @@ def test_what_lies_on_which_sheet_is_its_twin(seed: int) -> None:
     rng = np.random.default_rng(seed)
     profile = spoil(measure(lap(2.1, 0.01, -0.02), (0.3, 0.2), rng), 0.1, rng)
     y, z = profile.y_mm, profile.z_mm
-    sheets = Sheets(float(rng.uniform(-1.0, 1.0)), 0.2, 2.1, 0.01, -0.02)
+    sheets = SheetLines(float(rng.uniform(-1.0, 1.0)), 0.2, 2.1, 0.01, -0.02)
     edge = sheets.y + float(rng.normal(0.0, 0.1))
     faces = sheets_at(y, sheets)
     upper_mm, lower_mm = np.polyval([-0.02, 2.3], y - sheets.y), np.polyval([0.01, 0.2], y - sheets.y)

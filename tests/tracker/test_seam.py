@@ -30,7 +30,7 @@ from tracker.seam.locate import (
 from tracker.state import Frame, Pose
 from tracker.step import step
 from tracker.stripe.read import Work
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import TrackerMemory
 
 SEAM = SeamLine(20.0, 1.2, -0.6, 0.03, -0.02)
 
@@ -136,6 +136,6 @@ def test_a_step_refuses_what_is_no_pose(no_pose: Float64) -> None:
     geometry = SensorGeometry.of(small_setup("v_groove"))
     camera, sensor = geometry.setup.camera, geometry.setup.sensor
     frame = Frame(3, 0.1, np.zeros((camera.height, camera.width), sensor.dtype), camera.exposure_s)
-    state, track = step(geometry, TrackerState(), frame, Pose(no_pose), Work.of(geometry))
+    state, track = step(geometry, TrackerMemory(), frame, Pose(no_pose), Work.of(geometry))
     assert track.flags == flags.POSE_REFUSED.mask
     assert state.frames == 1

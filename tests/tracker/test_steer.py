@@ -23,7 +23,7 @@ from tracker.seam.gaussian_process import (
     WIDE_SIGMA_MM,
     SeamHistory,
 )
-from tracker.state import Frame, Lead, Pose, Track
+from tracker.state import Frame, OffsetLookAhead, Pose, Track
 from tracker.steer import SeamAtTorch, seam_at_torch
 from tracker.tracker import Tracker
 
@@ -421,7 +421,7 @@ def test_past_a_bend_the_torch_stands_where_its_own_segment_says(v: Setup) -> No
 def test_a_lead_asks_for_the_seam_farther_on(v: Setup) -> None:
     seen = list(walk(v, 12, SEAM, 8.0))
     plain, ahead = Tracker(v), Tracker(v)
-    lead = Lead(0.2, 8.0)
+    lead = OffsetLookAhead(0.2, 8.0)
     here = [plain.step(frame, pose) for frame, pose in seen]
     there = [ahead.step(frame, pose, lead) for frame, pose in seen]
     # A lead of one frame's way: the offset of the next frame, but for what that one measures in addition.

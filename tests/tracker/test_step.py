@@ -25,7 +25,7 @@ from tracker.state import Frame, Pose, Track
 from tracker.step import step, step_and_reading
 from tracker.stripe.read import Work
 from tracker.tracker import Tracker
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import TrackerMemory
 
 JOINTS = ("v_groove", "lap", "corrugation")
 SHARED = Path(__file__).parents[3] / "shared" / "recordings"
@@ -301,10 +301,10 @@ def test_odd_poses_never_raise(setups: dict[str, Setup]) -> None:
         good = pose_at(0.0)
         frame = frame_of(setup, good)
         geometry, work = SensorGeometry.of(setup), Work.of(SensorGeometry.of(setup))
-        learned, track = step(geometry, TrackerState(), frame, good, work)
+        learned, track = step(geometry, TrackerMemory(), frame, good, work)
         assert track.valid
         for pose in poses:
-            for state in (TrackerState(), learned):
+            for state in (TrackerMemory(), learned):
                 _, track = step(geometry, state, frame, pose, work)
                 assert track.valid or np.isnan(track.offset_y_mm) or track.flags & flags.INVALIDATING
 
@@ -339,7 +339,7 @@ def test_the_scratch_and_the_run_do_not_matter(setups: dict[str, Setup]) -> None
         setup = setups[joint]
         geometry = SensorGeometry.of(setup)
         for use_arc_map in (True, False):
-            state, clean = TrackerState(), Work.of(geometry)
+            state, clean = TrackerMemory(), Work.of(geometry)
             for frame, pose in walk(setup, 2, SHIFTED):
                 for array in arrays_of(clean):
                     array[...] = 0
@@ -512,7 +512,7 @@ def test_the_recordings_of_another_renderer_are_tracked(name: str) -> None:
 def test_a_stated_glow_stays_in_the_background_where_the_arc_is_off(joint: str, off_share: float) -> None:
     glow = {"peak_e": 30000.0, "length_mm": 15.0, "arc_off_share": off_share}
     setup = replace(small_setup(joint), effects={"hot_metal_glow": glow})
-    geometry, state, seam = SensorGeometry.of(setup), TrackerState(), SeamLine(0.0, 0.5, 0.2)
+    geometry, state, seam = SensorGeometry.of(setup), TrackerMemory(), SeamLine(0.0, 0.5, 0.2)
     for n in range(8):
         pose = pose_at(4.0 * n)
         frame = frame_of(setup, pose, seam, arc=0.0, index=n)

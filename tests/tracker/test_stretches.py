@@ -13,7 +13,7 @@ from tracker import flags
 from tracker.checks import FrameChecks
 from tracker.judge import JUMPS_TO_RELEARN, jump_limit_mm, jump_of, remember
 from tracker.seam.gaussian_process import MAX_STRETCHES, NO_HISTORY, SeamHistory, stretch_at
-from tracker.tracker_state import TrackerState
+from tracker.tracker_state import TrackerMemory
 
 seeds = st.integers(0, 2**32 - 1)
 VARIANCE_MM2 = (1e-4, 4e-4)
@@ -55,7 +55,9 @@ def test_a_station_lies_on_the_latest_stretch_that_measured_it(seed: int, k: int
     assert is_present == (i == 0)
 
 
-def remembered(places_mm: list[tuple[float, float]], state: TrackerState) -> tuple[TrackerState, list[bool]]:
+def remembered(
+    places_mm: list[tuple[float, float]], state: TrackerMemory
+) -> tuple[TrackerMemory, list[bool]]:
     """Return the state after frames that show a seam at (station, y), and which of them jumped."""
     jumped = []
     for station_mm, y_mm in places_mm:
@@ -71,7 +73,7 @@ STRAIGHT = [(1.5 * n, 0.0) for n in range(10)]
 
 def test_a_rim_that_shows_for_some_frames_moves_no_seam() -> None:
     """Two jumps to one place, then two to others, then the seam again."""
-    before, _ = remembered(STRAIGHT, TrackerState())
+    before, _ = remembered(STRAIGHT, TrackerMemory())
     state, jumped = remembered([(15.0, 3.0), (16.5, 3.0), (18.0, -3.0), (19.5, 2.0)], before)
     assert all(jumped)
     assert same(state.history, before.history)
@@ -82,7 +84,7 @@ def test_a_rim_that_shows_for_some_frames_moves_no_seam() -> None:
 
 
 def test_a_seam_that_goes_on_elsewhere_is_learned_anew() -> None:
-    before, _ = remembered(STRAIGHT, TrackerState(lost=4))
+    before, _ = remembered(STRAIGHT, TrackerMemory(lost=4))
     assert before.lost == 0
     state, jumped = remembered([(15.0 + n, 3.0) for n in range(JUMPS_TO_RELEARN)], before)
     assert all(jumped)
@@ -92,7 +94,7 @@ def test_a_seam_that_goes_on_elsewhere_is_learned_anew() -> None:
 
 
 def test_jumps_over_too_short_a_way_or_too_seldom_are_no_new_seam() -> None:
-    before, _ = remembered(STRAIGHT, TrackerState())
+    before, _ = remembered(STRAIGHT, TrackerMemory())
     state, _ = remembered([(15.0 + 0.1 * n, 3.0) for n in range(8)], before)
     assert same(state.history, before.history)
     # Every third frame of the last shows the joint there, the others show none.
@@ -115,7 +117,7 @@ def test_how_far_a_seam_may_lie_is_five_sigmas_of_the_difference(
 
 
 def test_the_latest_stretches_alone_are_remembered() -> None:
-    state = TrackerState()
+    state = TrackerMemory()
     for k in range(MAX_STRETCHES + 3):
         places = [(10.0 * k + n, 3.0 * (-1) ** k) for n in range(JUMPS_TO_RELEARN + 1)]
         state, _ = remembered(places, state)

@@ -16,7 +16,7 @@ from noise_model.kernel import kernel
 from noise_model.lanes import N_LANES, load, spread, store, where
 from tracker.stripe.fit_band import MIN_BINNED_SIGMA, bin_for, offsets_within
 from tracker.stripe.line_fit.block import CORRELATION_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
-from tracker.stripe.line_fit.first_guess import BLOCK, Noise, line_window
+from tracker.stripe.line_fit.first_guess import BLOCK, PixelVariance, line_window
 from tracker.stripe.line_fit.lines import LineFits, Scans, fit_lines, fit_room, map_edge
 from tracker.stripe.line_fit.normal_equations import (
     BEYOND,
@@ -75,7 +75,7 @@ def line_fits(
         np.ones(n) if n_lines is None else n_lines,
         np.zeros(-(-n // CELL), np.int64) if lows is None else lows,
     )
-    fit_lines(scans, Noise(1.0, DARK, map_sigma, base_sigma, speckle, speckle), fit_room(n), fits)
+    fit_lines(scans, PixelVariance(1.0, DARK, map_sigma, base_sigma, speckle, speckle), fit_room(n), fits)
     return fits
 
 

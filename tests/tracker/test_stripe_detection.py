@@ -19,9 +19,9 @@ from tracker.stripe.detection import (
     ABSENT_COST,
     CHANCE_SIGMAS,
     CLEAR_SIGMAS,
-    LEAST_FAN,
     LOBE,
     LOBE_MARGIN,
+    MIN_FAN_SHARE,
     MIN_RATIO,
     WEAK,
     evidence_ratio,
@@ -210,7 +210,7 @@ def plain_seen_share(
     end = int(np.argmax(total - np.minimum.accumulate(total)))
     lit = slice(int(np.argmin(total[: end + 1])), end)
     n_found, n_absent = holds.sum(), absent.sum()
-    if seeks_ends and holds[lit].sum() >= LEAST_FAN * expected.shown.sum():
+    if seeks_ends and holds[lit].sum() >= MIN_FAN_SHARE * expected.shown.sum():
         n_found, n_absent = holds[lit].sum(), absent[lit].sum() + n_found - holds[lit].sum()
     return n_found / (n_found + n_absent)
 

@@ -16,7 +16,7 @@ from tracker.stripe.line_fit.first_guess import (
     CORE_SIGMAS,
     MAX_PIXELS,
     PAD,
-    Noise,
+    PixelVariance,
     Rows,
     Window,
     core_of,
@@ -55,7 +55,7 @@ def guess_of(block: Block, n: int, asked: Float32, map_rel: float, base_e: float
         load(asked[5], 0),
         load(asked[5], 0),
     )
-    known = first_guess(block, n, windows, Noise(1.0, 0.0, map_rel, base_e))
+    known = first_guess(block, n, windows, PixelVariance(1.0, 0.0, map_rel, base_e))
     for k in range(len(known)):
         store(out[k], 0, known[k])
 

@@ -15,7 +15,7 @@ from test_joint_types import CASES, LINE, fit, seen
 from noise_model.surface.joint import Joint
 from tracker.joint.measured import MeasuredJoint
 from tracker.joint.type_check import (
-    Family,
+    JointFamily,
     cut_into_pieces,
     family_of,
     shown_family,
@@ -66,7 +66,7 @@ def test_a_section_shows_its_own_family(name: str) -> None:
     rng = np.random.default_rng(16)
     for _ in range(EACH):
         profile = measure(PLATE, SEAM, rng) if name == "plate" else seen(CASES[name][1](rng), SEAM, rng)
-        assert shown_family(profile.points) is (Family.FLAT if name == "plate" else SHOWN[name])
+        assert shown_family(profile.points) is (JointFamily.FLAT if name == "plate" else SHOWN[name])
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.1])
@@ -132,7 +132,7 @@ def test_a_plate_may_be_a_butt_whose_gap_is_too_narrow_to_show(gap_mm: float) ->
 
 
 def test_families_by_their_names() -> None:
-    assert SHOWN["fillet"] is SHOWN["wide fillet"] is Family.INSIDE_CORNER
-    assert SHOWN["ridge"] is Family.OUTSIDE_CORNER
-    assert SHOWN["v_groove"] is SHOWN["half_v"] is SHOWN["u_groove"] is Family.GROOVE
+    assert SHOWN["fillet"] is SHOWN["wide fillet"] is JointFamily.INSIDE_CORNER
+    assert SHOWN["ridge"] is JointFamily.OUTSIDE_CORNER
+    assert SHOWN["v_groove"] is SHOWN["half_v"] is SHOWN["u_groove"] is JointFamily.GROOVE
     assert family_of(CASES["edge"][0]) is None

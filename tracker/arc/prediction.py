@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from noise_model.arc.fill import fill_band, fill_pixels
 from noise_model.arc.map import NODES_P, NODES_Q, Horizon, kernel_of, table_of
-from noise_model.arc.quadrature import Rule
+from noise_model.arc.quadrature import DiscRule
 from noise_model.arc.scene import Scene
 from noise_model.arrays import Float32, Int64
 from noise_model.kernel import kernel
@@ -14,7 +14,7 @@ from noise_model.surface.brdf import LobeNumbers
 from tracker.geometry import MAP_FLOOR_E, MAP_TOLERANCE, ArcSource, ImageSource
 
 
-class ArcLight(NamedTuple):
+class ArcLightBuffers(NamedTuple):
     """Where the arc's light is wanted, and room for it, e-: at pixels (n,) and in a band (n_scan, depth).
 
     `pixels` are counted by scan line. For each CELL scan lines the band begins at a place of `lows`.
@@ -34,10 +34,10 @@ def predict_arc(
     scene: Scene,
     horizon: Horizon,
     output: float,
-    into: ArcLight,
+    into: ArcLightBuffers,
 ) -> None:
     """Write the arc's light of a scene, for so many times its stated output; NaN past the workpiece."""
-    rule = Rule(arc.rules, NODES_P, NODES_Q)
+    rule = DiscRule(arc.rules, NODES_P, NODES_Q)
     k = kernel_of(scene, horizon, arc.radius_mm, arc.radiance_e * output, material, rule)
     table = table_of(k, image.xy, image.n_scan, MAP_TOLERANCE, MAP_FLOOR_E, arc.to_powers, arc.baked)
     fill_pixels(k, table, image.xy, image.cos4, into.pixels, into.pixel_e)

@@ -83,7 +83,7 @@ def measured_lap(section: Section, fit: ShapeFit, y_0: float, thickness_mm: floa
     """
     p, covariance, lines = fit.parameters, fit.covariance, in_scan_order(section.points)
     z_s, step, slope_lower, slope_upper = p.tolist()
-    sheets = Sheets(y_0, z_s, step, slope_lower, slope_upper)
+    sheets = SheetLines(y_0, z_s, step, slope_lower, slope_upper)
     upright = edge_of_sheets(section, lines, sheets, thickness_mm)
     edge, beside = upright.y_mm, upright.y_mm - y_0
     if math.isnan(edge):
@@ -113,7 +113,7 @@ def measured_lap(section: Section, fit: ShapeFit, y_0: float, thickness_mm: floa
 
 
 @kernel(allocates=True)
-def edge_of_sheets(section: Section, lines: Float64, sheets: Sheets, thickness_mm: float) -> Edge:
+def edge_of_sheets(section: Section, lines: Float64, sheets: SheetLines, thickness_mm: float) -> Edge:
     """Return where the sheets' edge is, NaN where points (n,) do not lie on both beside it."""
     n, nowhere = lines[Y_MM].shape[0], Edge(math.nan, math.nan, math.nan)
     bent_mm, limits_mm = MIN_OFF_SHEET * thickness_mm, np.empty(n)
@@ -165,7 +165,7 @@ def roll_of(y_mm: Float64, z_mm: Float64) -> float:
     return median_of(slopes, n - apart)
 
 
-class Sheets(NamedTuple):
+class SheetLines(NamedTuple):
     """Two sheets' lines: the upper one before y, whose z is z + step there, and the lower one behind it."""
 
     y: float
@@ -176,7 +176,7 @@ class Sheets(NamedTuple):
 
 
 @kernel(allocates=True)
-def sheets_at(y_mm: Float64, sheets: Sheets) -> Faces:
+def sheets_at(y_mm: Float64, sheets: SheetLines) -> Faces:
     """Return both sheets carried on to places (n,): the upper one before the edge, the lower one behind."""
     faces = no_faces(y_mm.shape[0])
     for i in range(y_mm.shape[0]):
@@ -187,7 +187,7 @@ def sheets_at(y_mm: Float64, sheets: Sheets) -> Faces:
     return faces
 
 
-def share_off(lines: Float64, sheets: Sheets, edge_mm: float) -> float:
+def share_off(lines: Float64, sheets: SheetLines, edge_mm: float) -> float:
     """Return the share of the points near the edge that lie off the sheet of their side, 1 without any.
 
     Off is more than OFF_SIGMAS of their own height.

@@ -93,10 +93,10 @@ def fit_slot(
 @kernel(allocates=True)
 def find_gap(
     section: Section, stated: StatedJoint, image_dn: Integers, along_rows: bool
-) -> tuple[ShapeFit, float, Gap, float]:
+) -> tuple[ShapeFit, float, JointGap, float]:
     """Return the plates' fit, the place about which it is, the gap, its y NaN of none, and its evidence."""
     points, is_edge, gap_mm = section.points, stated.is_edge, stated.gap_mm
-    nothing, nats = Gap(math.nan, math.nan, math.nan, math.nan, 0, 0, math.nan), math.inf
+    nothing, nats = JointGap(math.nan, math.nan, math.nan, math.nan, 0, 0, math.nan), math.inf
     y_0, limit_mm = exact_median(points[Y_MM]), on_plate_mm(stated)
     fit = fit_plates(points, y_0, np.ones(points.shape[1], np.bool_))
     if not math.isfinite(fit.chi2):
@@ -140,11 +140,11 @@ def fit_closed_slot(
     fit = fit_plates(points, line_mm, beside_gap(points, stated, are_on, line_mm))
     if not math.isfinite(fit.chi2):
         return None
-    closed = Gap(line_mm, sigma_mm**2, math.nan, math.nan, 0, 0, 0.0)
+    closed = JointGap(line_mm, sigma_mm**2, math.nan, math.nan, 0, 0, 0.0)
     return as_reported(section, measured_slot(points, stated, fit, line_mm, closed, nats))
 
 
-class Gap(NamedTuple):
+class JointGap(NamedTuple):
     """Where a gap's middle is and how wide it is, mm, and their variances, mm^2; its first and last line.
 
     `y_per_z` is by how much its scan lines' y goes with the plates' height. Of a closed one no scan line
@@ -161,7 +161,7 @@ class Gap(NamedTuple):
 
 
 @kernel(allocates=True)
-def gap_about(lines: PlateLines, light: StripeLight, stated: StatedJoint, y_0: float) -> Gap:
+def gap_about(lines: PlateLines, light: StripeLight, stated: StatedJoint, y_0: float) -> JointGap:
     """Return the gap about a placed joint by the plates' ends on its either side; its y is NaN of none.
 
     An edge joint's lies amid its sheets' outer ends, if they are alike.
@@ -187,16 +187,16 @@ def gap_about(lines: PlateLines, light: StripeLight, stated: StatedJoint, y_0: f
             width_variance = max(width_variance, lines.column_mm**2)
         middle = 0.5 * (left.y_mm + right.y_mm)
         y_per_z = interpolated(middle, lines.y_mm, lines.y_per_z)
-        return Gap(middle, 0.25 * variance, width, width_variance, first, last, y_per_z)
+        return JointGap(middle, 0.25 * variance, width, width_variance, first, last, y_per_z)
     if not stated.is_edge:
-        return Gap(math.nan, math.nan, math.nan, math.nan, first, last, math.nan)
+        return JointGap(math.nan, math.nan, math.nan, math.nan, first, last, math.nan)
     outer = 0.5 * gap_mm + thickness
     right = end_between(lines, light, y_0 - outer - slack, y_0 - outer + slack, False)
     left = end_between(lines, light, y_0 + outer - slack, y_0 + outer + slack, True)
     variance = 0.25 * (left.variance_mm2 + right.variance_mm2) + 0.5 * THICKNESS_SIGMA_MM**2
     middle, blurred_mm = 0.5 * (left.y_mm + right.y_mm), BLURRED_LINES * lines.column_mm
     y_per_z = interpolated(middle, lines.y_mm, lines.y_per_z)
-    return Gap(middle, variance, 0.0, blurred_mm**2, first, last, y_per_z)
+    return JointGap(middle, variance, 0.0, blurred_mm**2, first, last, y_per_z)
 
 
 @kernel(allocates=True)
@@ -216,7 +216,7 @@ def beside_gap(points: Float64, stated: StatedJoint, are_on: Bool, y_0: float) -
 
 
 def measured_slot(
-    points: Float64, stated: StatedJoint, fit: ShapeFit, y_0: float, gap: Gap, nats: float
+    points: Float64, stated: StatedJoint, fit: ShapeFit, y_0: float, gap: JointGap, nats: float
 ) -> MeasuredJoint:
     """Return the joint of two plates, whose lines are fitted about a place, with a gap between them."""
     (z_left, down, slope_left, slope_right), thickness = fit.parameters.tolist(), stated.thickness_mm

@@ -52,7 +52,7 @@ FARTHEST = 25.0
 """What one group may add to the stated type's chi2."""
 
 
-class Family(Enum):
+class JointFamily(Enum):
     """What a profile's pieces look like."""
 
     FLAT = "a plate"
@@ -64,20 +64,20 @@ class Family(Enum):
 
 
 FAMILIES = {
-    "v_groove": Family.GROOVE,
-    "half_v": Family.GROOVE,
-    "u_groove": Family.GROOVE,
-    "lap": Family.STEP,
-    "corrugation": Family.STEP,
-    "butt": Family.SLOT,
+    "v_groove": JointFamily.GROOVE,
+    "half_v": JointFamily.GROOVE,
+    "u_groove": JointFamily.GROOVE,
+    "lap": JointFamily.STEP,
+    "corrugation": JointFamily.STEP,
+    "butt": JointFamily.SLOT,
 }
 
 
-def family_of(joint: Joint) -> Family | None:
+def family_of(joint: Joint) -> JointFamily | None:
     """Return the family of a stated joint; None for an edge, which shows no plates to tell it by."""
     if joint.type == "fillet":
         inside = joint.dimensions["included_angle_deg"] < 180.0
-        return Family.INSIDE_CORNER if inside else Family.OUTSIDE_CORNER
+        return JointFamily.INSIDE_CORNER if inside else JointFamily.OUTSIDE_CORNER
     return FAMILIES.get(joint.type)
 
 
@@ -93,13 +93,13 @@ def shows_another(section: Section, joint: Joint, measured: MeasuredJoint | None
     shown, cost = family_shown(groups)
     if shown in (None, family):
         return False
-    if family is Family.SLOT and shown is Family.FLAT:
+    if family is JointFamily.SLOT and shown is JointFamily.FLAT:
         # A gap may show nothing but missing points, and a narrow one not even those.
         return measured is None and joint.dimensions["gap_mm"] >= BLURRED_LINES * section.column_mm
     return measured is None or cost + DECIDED < stated_cost(groups, measured.corners_mm)
 
 
-def shown_family(points: Float64) -> Family | None:
+def shown_family(points: Float64) -> JointFamily | None:
     """Return the family that points' straight pieces look like, None for none known."""
     return family_shown(groups_of(points))[0]
 
@@ -170,7 +170,7 @@ def cut_into_pieces(y: Float64, z: Float64, sigma: Float64, penalty: float, ends
     return float(best[n] + penalty), count
 
 
-def family_shown(groups: Groups) -> tuple[Family | None, float]:
+def family_shown(groups: Groups) -> tuple[JointFamily | None, float]:
     """Return the family that groups look like, None for none known, and the cost of their straight pieces."""
     n = len(groups.y_mm)
     if n < GROUPS // 4:
@@ -180,7 +180,7 @@ def family_shown(groups: Groups) -> tuple[Family | None, float]:
     return _family(groups, ends[:n_pieces].tolist()), cost
 
 
-class _Line(NamedTuple):
+class _PieceLine(NamedTuple):
     """A straight line through (y, z), dz/dy its slope."""
 
     y: float
@@ -188,7 +188,7 @@ class _Line(NamedTuple):
     slope: float
 
     @classmethod
-    def through(cls, groups: Groups, first: int, end: int) -> _Line:
+    def through(cls, groups: Groups, first: int, end: int) -> _PieceLine:
         """Return the least-squares line through the groups from `first` on and before `end`."""
         y_mm, z_mm = groups.y_mm[first:end], groups.z_mm[first:end]
         y, z = float(y_mm.mean()), float(z_mm.mean())
@@ -200,36 +200,38 @@ class _Line(NamedTuple):
         return self.z + self.slope * (y - self.y)
 
 
-def _family(groups: Groups, ends: list[int]) -> Family | None:
+def _family(groups: Groups, ends: list[int]) -> JointFamily | None:
     """Return what pieces look like, None for nothing known; `ends` are exclusive."""
     if len(ends) == 1:
-        return Family.FLAT
+        return JointFamily.FLAT
     y, n = groups.y_mm, len(groups.y_mm)
     right_end, left_start = ends[0], ends[-2]
     if right_end < MIN_BEVEL_GROUPS or n - left_start < MIN_BEVEL_GROUPS:
         return None
-    right, left = _Line.through(groups, 0, right_end), _Line.through(groups, left_start, n)
+    right, left = _PieceLine.through(groups, 0, right_end), _PieceLine.through(groups, left_start, n)
     turn_deg = math.degrees(math.atan(left.slope) - math.atan(right.slope))
     if abs(turn_deg) > MIN_CORNER_DEG:
         meet = (right.at(0.0) - left.at(0.0)) / (left.slope - right.slope)
         if not y[right_end - 1] - CORNER_OFF_MM < meet < y[left_start] + CORNER_OFF_MM:
             return None
-        return Family.INSIDE_CORNER if turn_deg > 0.0 else Family.OUTSIDE_CORNER
+        return JointFamily.INSIDE_CORNER if turn_deg > 0.0 else JointFamily.OUTSIDE_CORNER
     between, z = y[right_end:left_start], groups.z_mm[right_end:left_start]
     over_right, over_left = z - right.at(between), z - left.at(between)
     if np.maximum(over_right, over_left).min(initial=math.inf) < -MIN_OPENING_MM:
-        return Family.GROOVE if _is_bevelled(groups, ends) else Family.SLOT
+        return JointFamily.GROOVE if _is_bevelled(groups, ends) else JointFamily.SLOT
     if np.minimum(over_right, over_left).max(initial=-math.inf) > MIN_OPENING_MM:
         return None
     middle = 0.5 * (y[right_end - 1] + y[left_start])
-    return Family.STEP if abs(left.at(middle) - right.at(middle)) > MIN_STEP_MM else Family.FLAT
+    return JointFamily.STEP if abs(left.at(middle) - right.at(middle)) > MIN_STEP_MM else JointFamily.FLAT
 
 
 def _is_bevelled(groups: Groups, ends: list[int]) -> bool:
     """Return True if one of the pieces between the plates' rises as a bevel does."""
     for first, end in itertools.pairwise(ends[:-1]):
         if end - first >= MIN_BEVEL_GROUPS:
-            rise_mm = _Line.through(groups, first, end).slope * (groups.y_mm[end - 1] - groups.y_mm[first])
+            rise_mm = _PieceLine.through(groups, first, end).slope * (
+                groups.y_mm[end - 1] - groups.y_mm[first]
+            )
             if abs(rise_mm) > MIN_BEVEL_RISE_MM:
                 return True
     return False

@@ -108,7 +108,7 @@ UNSTATED = Correction()
 """The correction where none is stated."""
 
 
-class Corrected(NamedTuple):
+class CorrectedOffset(NamedTuple):
     """A correction as (y, z), mm, NaN for an axis that is not enabled; both NaN once stopped."""
 
     offset_mm: tuple[float, float]
@@ -118,7 +118,7 @@ class Corrected(NamedTuple):
 
 def correct(
     correction: Correction, displacement_mm: tuple[float, float], height_mm: float = 0.0
-) -> Corrected:
+) -> CorrectedOffset:
     """Return what is sent for a seam's displacement as (y, z), mm.
 
     Each axis gets gain * displacement + bias, cut to its limit or stopped by it; a correction at its limit
@@ -128,8 +128,8 @@ def correct(
     y_mm, y_is_limited, y_stops = _sent(correction.y, displacement_mm[0], 0.0)
     z_mm, z_is_limited, z_stops = _sent(correction.z, displacement_mm[1], height_mm)
     if y_stops or z_stops:
-        return Corrected((math.nan, math.nan), False, True)
-    return Corrected((y_mm, z_mm), y_is_limited or z_is_limited, False)
+        return CorrectedOffset((math.nan, math.nan), False, True)
+    return CorrectedOffset((y_mm, z_mm), y_is_limited or z_is_limited, False)
 
 
 def _sent(axis: AxisCorrection, displacement_mm: float, drawn_mm: float) -> tuple[float, bool, bool]:

@@ -48,7 +48,7 @@ MIN_VARIANCE_MM2 = 1e-12
 """No measurement's own variance is taken for less, so that exact ones can be averaged."""
 
 
-class SeamPoint(NamedTuple):
+class SeamPrediction(NamedTuple):
     """What a history says of the seam at a station: pairs are (y, z).
 
     `displacement_mm` and `sigma_mm` are its displacement and 1 sigma, `slope` and `slope_sigma` its slope's.
@@ -132,9 +132,9 @@ class SeamHistory(NamedTuple):
         here = self.point_at(station_mm)
         return np.array(here.displacement_mm), np.array(here.sigma_mm)
 
-    def point_at(self, station_mm: float) -> SeamPoint:
+    def point_at(self, station_mm: float) -> SeamPrediction:
         """Return what the measurements say of the seam at a station."""
-        point: SeamPoint = condition(self, float(station_mm))
+        point: SeamPrediction = condition(self, float(station_mm))
         return point
 
 
@@ -178,7 +178,7 @@ N_STATES = 5
 
 
 @kernel(allocates=True)
-def condition(history: SeamHistory, station_mm: float) -> SeamPoint:
+def condition(history: SeamHistory, station_mm: float) -> SeamPrediction:
     """Return the seam at a station as a history's measurements leave it.
 
     What the measurements tell of the bend's slope, they tell of the seam's, which may be more.
@@ -230,7 +230,7 @@ def condition(history: SeamHistory, station_mm: float) -> SeamPoint:
     first_mm, last_mm = math.nan, math.nan
     if n:
         first_mm, last_mm = stations_mm[order[0]], stations_mm[order[n - 1]]
-    return SeamPoint(
+    return SeamPrediction(
         (value[0], value[1]),
         (sigma[0], sigma[1]),
         (slope[0], slope[1]),

@@ -46,7 +46,7 @@ ABSENT_COST = 3.0
 So at least three in four of these lines hold it between the ends.
 """
 
-LEAST_FAN = 1.0 / 3.0
+MIN_FAN_SHARE = 1.0 / 3.0
 """A fan that lights a smaller share of the joint's scan lines must be stated: a scratch may light as many."""
 
 
@@ -170,7 +170,7 @@ def seen_share(
     for s in range(first, end):
         n_lit += holds[s]
         n_dark += absent[s]
-    if seeks_ends and n_lit >= LEAST_FAN * n_shown:
+    if seeks_ends and n_lit >= MIN_FAN_SHARE * n_shown:
         n_found, n_absent = n_lit, n_dark + n_found - n_lit
     return n_found / (n_found + n_absent)
 

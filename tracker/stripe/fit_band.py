@@ -28,7 +28,7 @@ from tracker.state import (
 from tracker.stripe.band import Band
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.frame_scatter import N_SCRATCH, OFF, frame_scatter, own_sigma
-from tracker.stripe.line_fit.first_guess import Noise
+from tracker.stripe.line_fit.first_guess import PixelVariance
 from tracker.stripe.line_fit.lines import FitRoom, LineFits, Scans, fit_lines, fit_room
 from tracker.stripe.neighbours import count_alike, mark_pairs, misfit_sigma_px, tell_both
 from tracker.stripe.scatter import (
@@ -52,7 +52,7 @@ Sums of b pixels cost a bell's score b^2 / (48 sigma^2) of it, a third of a perc
 template's mean taken out it is less than one.
 """
 
-MOST_SCORE_LOST = 0.01
+MAX_SCORE_LOST = 0.01
 """The share of its score that a stripe may lose to a filter for another width: the path hardly feels it."""
 
 
@@ -136,7 +136,12 @@ def score_lost(factor: float) -> float:
 
 
 def fit_band(
-    band: Band, expected: ExpectedStripe, search: SearchRange, noise: Noise, learned: Float64, room: ReadRoom
+    band: Band,
+    expected: ExpectedStripe,
+    search: SearchRange,
+    noise: PixelVariance,
+    learned: Float64,
+    room: ReadRoom,
 ) -> None:
     """Find the likeliest path through a band, fit its lines and see how they scatter.
 
@@ -166,7 +171,7 @@ def _seek_path(
     charge_e: Float32,
     background_e: Float32,
     lows: Int64,
-    noise: Noise,
+    noise: PixelVariance,
     expected_px: Float64,
     is_sought: Bool,
     width_px: Float64,
@@ -205,7 +210,12 @@ def _seek_path(
 
 
 def fit_path(
-    band: Band, expected: ExpectedStripe, search: SearchRange, noise: Noise, learned: Float64, room: ReadRoom
+    band: Band,
+    expected: ExpectedStripe,
+    search: SearchRange,
+    noise: PixelVariance,
+    learned: Float64,
+    room: ReadRoom,
 ) -> None:
     """Fit the lines of a band along the path and with the widths in the room, and see how they scatter."""
     if search.reads_pairs:

@@ -22,7 +22,7 @@ from noise_model.median import exact_median, finite_median
 from tracker.stripe.band import Band
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.fit_band import ReadRoom, SearchRange, fit_band
-from tracker.stripe.line_fit.first_guess import Noise
+from tracker.stripe.line_fit.first_guess import PixelVariance
 from tracker.stripe.viterbi import TEMPLATE_SIGMAS, Pair, bell
 
 REACH_SIGMAS = 3.0
@@ -313,7 +313,7 @@ def read_without_second(
     band: Band,
     expected: ExpectedStripe,
     search: SearchRange,
-    noise: Noise,
+    noise: PixelVariance,
     learned: Float64,
     room: ReadRoom,
 ) -> SecondStripe:

@@ -23,7 +23,7 @@ from tracker.stripe.band import Band, LightLevel, at_level, median_background
 from tracker.stripe.detection import Evidence, evidence_of
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.fit_band import (
-    MOST_SCORE_LOST,
+    MAX_SCORE_LOST,
     ReadRoom,
     SearchRange,
     UsualLine,
@@ -37,7 +37,7 @@ from tracker.stripe.fit_band import (
 )
 from tracker.stripe.ghost import read_without_second
 from tracker.stripe.light import StripeLight
-from tracker.stripe.line_fit.first_guess import Noise
+from tracker.stripe.line_fit.first_guess import PixelVariance
 from tracker.stripe.scatter import N_NUMBERS, FrameScatter, Scatter, add_frame, width_factor
 
 MEDIAN_HALF_PX = 30
@@ -102,7 +102,7 @@ class StripeReading(NamedTuple):
     start_px: Float64
     tried: Float64
     fits: Float64
-    noise: Noise
+    noise: PixelVariance
     second_share: float
     told_nats: float
     scatter: Scatter
@@ -150,14 +150,14 @@ class LitBand(NamedTuple):
 
     band: Band
     light: LightLevel
-    noise: Noise
+    noise: PixelVariance
 
 
 def over_median(band: Band, dark_e2: float, base_sigma_e: float) -> LitBand:
     """Return a band over the running median of each scan line, with one variance for all pixels."""
     median_background(band.charge, MEDIAN_HALF_PX, band.background)
     scatter_e = MAD_SIGMA * float(np.median(np.abs(band.charge - band.background)))
-    noise = Noise(0.0, max(scatter_e**2, dark_e2), MEDIAN_SIGMA, base_sigma_e)
+    noise = PixelVariance(0.0, max(scatter_e**2, dark_e2), MEDIAN_SIGMA, base_sigma_e)
     return LitBand(band, LightLevel(1.0, 0.0), noise)
 
 
@@ -171,7 +171,7 @@ def over_arc_map(
     level, map_sigma = 1.0, math.hypot(MAP_SIGMA, arc_level_rel)
     if math.isfinite(arc.level):
         level, map_sigma = arc.level, MAP_SIGMA * max(1.0, arc.misfit)
-    return LitBand(band, LightLevel(level, arc.black_e), Noise(1.0, dark_e2, map_sigma, base_sigma_e))
+    return LitBand(band, LightLevel(level, arc.black_e), PixelVariance(1.0, dark_e2, map_sigma, base_sigma_e))
 
 
 def read_stripe(
@@ -200,7 +200,7 @@ def read_stripe(
         read_with = np.empty(N_NUMBERS)
         add_frame(before, 0, room.seen, read_with)
         # A stripe of another width is sought anew. Of a search no more is asked than where the joint is.
-        if score_lost(width_factor(before) / width_factor(read_with)) > MOST_SCORE_LOST:
+        if score_lost(width_factor(before) / width_factor(read_with)) > MAX_SCORE_LOST:
             fit_band(band, expected, search, noise, read_with, room)
         elif not is_searching:
             np.multiply(width_factor(read_with), expected.sigma_px, out=room.width_px)

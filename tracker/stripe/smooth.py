@@ -52,7 +52,7 @@ PRESENT = 6
 """Where the running sums count columns."""
 
 
-class _Line(NamedTuple):
+class _WindowLine(NamedTuple):
     """A line through a window: value and variance at a column, chi2; NaN of fewer than two columns."""
 
     value: float
@@ -61,21 +61,21 @@ class _Line(NamedTuple):
 
 
 @kernel
-def _line(sums: Float64, low: int, high: int, scan: float) -> _Line:
+def _line(sums: Float64, low: int, high: int, scan: float) -> _WindowLine:
     """Return the line through columns low to high - 1, from running sums (n + 1, 7), read at a column."""
     w = sums[high, 0] - sums[low, 0]
     if not w > 0.0:
-        return _Line(math.nan, math.nan, math.nan)
+        return _WindowLine(math.nan, math.nan, math.nan)
     x = (sums[high, 1] - sums[low, 1]) / w
     y = (sums[high, 3] - sums[low, 3]) / w
     xx = sums[high, 2] - sums[low, 2] - w * x * x
     # One column's spread, but for rounding.
     if not xx > 1e-6 * w:
-        return _Line(math.nan, math.nan, math.nan)
+        return _WindowLine(math.nan, math.nan, math.nan)
     xy = sums[high, 4] - sums[low, 4] - w * x * y
     yy = sums[high, 5] - sums[low, 5] - w * y * y
     slope = xy / xx
-    return _Line(y + slope * (scan - x), 1.0 / w + (scan - x) ** 2 / xx, max(yy - slope * xy, 0.0))
+    return _WindowLine(y + slope * (scan - x), 1.0 / w + (scan - x) ** 2 / xx, max(yy - slope * xy, 0.0))
 
 
 @kernel
@@ -97,7 +97,7 @@ def _running_sums(position: Float64, sigma: Float64, reference: float, sums: Flo
 
 
 @kernel
-def _is_far(y: float, variance: float, line: _Line, sigmas: float) -> bool:
+def _is_far(y: float, variance: float, line: _WindowLine, sigmas: float) -> bool:
     """Return whether a value is far off a line that knows nothing of it; never where there is no line."""
     off = abs(y - line.value)
     return off > OUTLIER_PX and off > sigmas * math.sqrt(variance + line.variance)
@@ -126,16 +126,18 @@ def _is_outlier(sums: Float64, i: int, y: float, variance: float) -> bool:
 
 
 @kernel
-def _agrees(value: float, variance: float, line: _Line) -> bool:
+def _agrees(value: float, variance: float, line: _WindowLine) -> bool:
     """Return whether a value and a line that knows nothing of it agree; never where there is no line."""
     return abs(value - line.value) <= AGREE_SIGMAS * math.sqrt(variance + line.variance)
 
 
 @kernel
-def _joined(a: _Line, b: _Line) -> _Line:
+def _joined(a: _WindowLine, b: _WindowLine) -> _WindowLine:
     """Return the mean of two values that know nothing of each other, by their variances."""
     total = a.variance + b.variance
-    return _Line((a.value * b.variance + b.value * a.variance) / total, a.variance * b.variance / total, 0.0)
+    return _WindowLine(
+        (a.value * b.variance + b.value * a.variance) / total, a.variance * b.variance / total, 0.0
+    )
 
 
 @kernel
@@ -162,7 +164,7 @@ def _find_straight(sums: Float64, chi2: Float64, is_straight: Bool) -> None:
 
 
 @kernel
-def _best(sums: Float64, is_straight: Bool, i: int, own: _Line) -> _Line:
+def _best(sums: Float64, is_straight: Bool, i: int, own: _WindowLine) -> _WindowLine:
     """Return the line through the longest straight window about a column, its own centre where there is none.
 
     The column is in the middle of the window, else a quarter off either end, and likewise in what is drawn.
@@ -202,7 +204,7 @@ class SmoothRoom(NamedTuple):
         return cls(np.empty((n + 1, PRESENT + 1)), np.empty(windows), np.empty(windows, np.bool_))
 
 
-class Smoothed(NamedTuple):
+class SmoothedStripe(NamedTuple):
     """A stripe's centres (n,) as the neighbours along it smooth them, px, and their 1 sigma (n,), px.
 
     NaN where there is no stripe, at outliers, and where a centre stays unsure.
@@ -212,10 +214,10 @@ class Smoothed(NamedTuple):
     sigma_px: Float64
 
 
-def smoothed(stripe: Stripe) -> Smoothed:
+def smoothed(stripe: Stripe) -> SmoothedStripe:
     """Return a stripe's centres, smoothed with their neighbours."""
     n = len(stripe.position_px)
-    smooth = Smoothed(np.empty(n), np.empty(n))
+    smooth = SmoothedStripe(np.empty(n), np.empty(n))
     smooth_stripe(stripe.position_px, stripe.sigma_px, stripe.beside_px, SmoothRoom.empty(n), *smooth)
     return smooth
 
@@ -252,7 +254,7 @@ def smooth_stripe(
     _find_straight(sums, chi2, is_straight)
     for i in range(n):
         if math.isfinite(smooth[i]):
-            best = _best(sums, is_straight, i, _Line(smooth[i] - reference, sigma[i] ** 2, 0.0))
+            best = _best(sums, is_straight, i, _WindowLine(smooth[i] - reference, sigma[i] ** 2, 0.0))
             smooth[i], sigma[i] = best.value + reference, math.sqrt(best.variance)
             if sigma[i] > MIN_SURE_PX:
                 smooth[i], sigma[i] = np.nan, np.nan

@@ -46,7 +46,7 @@ def make(
     """Make recordings with hidden effects and seal their labels; what is there is not made again."""
     from validation.blind_check import blind_check as engine
 
-    engine.make(out, engine.Asked(draws, quiet_draws, tiers, seed, width_px), workers, _say)
+    engine.make(out, engine.CheckPlan(draws, quiet_draws, tiers, seed, width_px), workers, _say)
     typer.echo(f"{out / engine.SEALED}: all labels are sealed; python -m validation.blind_check run {out}")
 
 

@@ -33,12 +33,12 @@ from sim_to_real.decision.experiments import BY_NAME, Experiment
 from tracker.state import Frame
 from validation.blind_check.case import FAILED, Answer, Case
 from validation.blind_check.files import LabelsFile, ResultFile, SealedFile, read_check_file
-from validation.blind_check.plan import TIERS, Planned, plan
+from validation.blind_check.plan import TIERS, RecordingPlan, plan
 from validation.blind_check.score import Scores, score
 from validation.second_renderer.world_stated import WIDTH_PX
 
 if TYPE_CHECKING:
-    from validation.second_renderer.scenario import Recorded, Scenario
+    from validation.second_renderer.scenario import MadeRecording, Scenario
 
 SEALED, LABELS = "sealed.json", "labels.json"
 RECORDINGS, LONGER, RESULTS, CACHE = "recordings", "longer", "results", "cache"
@@ -51,7 +51,7 @@ OnDone = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class Asked:
+class CheckPlan:
     """What a check is made of: recordings an effect, recordings without any, tiers, and the seed of all.
 
     Images are `width_px` wide.
@@ -63,7 +63,7 @@ class Asked:
     seed: int
     width_px: int = WIDTH_PX
 
-    def plan(self) -> tuple[Planned, ...]:
+    def plan(self) -> tuple[RecordingPlan, ...]:
         """Return the recordings to make; ArctrackError for tiers or a width that there are not."""
         if WIDTH_PX % self.width_px:
             raise ArctrackError(f"--width-px {self.width_px}: must divide {WIDTH_PX}")
@@ -105,16 +105,16 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Opened:
+class CheckScores:
     """What came of checks: what each was made of, how many recordings were planned and made, the scores."""
 
-    asked: tuple[Asked, ...]
+    asked: tuple[CheckPlan, ...]
     n_planned: int
     n_made: int
     scores: Scores
 
 
-def make(folder: Path, asked: Asked, workers: int, on_done: OnDone) -> None:
+def make(folder: Path, asked: CheckPlan, workers: int, on_done: OnDone) -> None:
     """Render the recordings of a check that are not there yet, and seal their labels.
 
     Raises ArctrackError if the folder holds another check, and if Mitsuba is missing.
@@ -159,7 +159,7 @@ def more(folder: Path, workers: int, on_done: OnDone) -> None:
     Raises ArctrackError as `open_labels`, and if Mitsuba is missing.
     """
     sealed, secret = _verified(folder)
-    planned = {f"{run.number:04d}": run for run in Asked(**secret["asked"]).plan()}
+    planned = {f"{run.number:04d}": run for run in CheckPlan(**secret["asked"]).plan()}
     runs = []
     for name, seal in sorted(sealed.items()):
         if secret["labels"][name]["label"]["effects"]:
@@ -174,18 +174,18 @@ def more(folder: Path, workers: int, on_done: OnDone) -> None:
         _keep(folder, run, result, n_done, len(runs), on_done)
 
 
-def open_labels(*folders: Path) -> Opened:
+def open_labels(*folders: Path) -> CheckScores:
     """Verify the labels of one check, or of several, and score all results together; writes nothing.
 
     Raises ArctrackError if a label is not the one that was sealed, or a result not that of this seal, and if
     two checks are of one seed: they share recordings.
     """
-    asked: list[Asked] = []
+    asked: list[CheckPlan] = []
     of_seed: dict[int, Path] = {}
     every: list[Case] = []
     for folder in folders:
         sealed, secret = _verified(folder)
-        options = Asked(**secret["asked"])
+        options = CheckPlan(**secret["asked"])
         if options.seed in of_seed:
             other = of_seed[options.seed]
             raise in_file(folder, f"is of the seed {options.seed} as is {other}: they share recordings")
@@ -195,7 +195,7 @@ def open_labels(*folders: Path) -> Opened:
         every += [replace(case, name=mark + case.name) for case in _cases(folder, sealed, secret)]
     n_planned = sum(len(options.plan()) for options in asked)
     tiers = "".join(tier for tier in TIERS if any(tier in options.tiers for options in asked))
-    return Opened(tuple(asked), n_planned, len(every), score(every, tiers))
+    return CheckScores(tuple(asked), n_planned, len(every), score(every, tiers))
 
 
 def cases(folder: Path) -> list[Case]:
@@ -213,7 +213,7 @@ def _cases(folder: Path, sealed: Mapping[str, Any], secret: Mapping[str, Any]) -
     ]
 
 
-def scores_json(opened: Opened) -> dict[str, Any]:
+def scores_json(opened: CheckScores) -> dict[str, Any]:
     """Return what scores.json holds; what is not known is null."""
     scores = opened.scores
     content: dict[str, Any] = plain(asdict(opened))
@@ -249,7 +249,7 @@ def answer_of(result: Mapping[str, Any]) -> Answer:
     )
 
 
-def _begun(folder: Path, asked: Asked) -> tuple[dict[str, Any], dict[str, Any]]:
+def _begun(folder: Path, asked: CheckPlan) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return labels and seals as far as they are there."""
     if not (folder / LABELS).exists():
         (folder / RECORDINGS).mkdir(parents=True, exist_ok=True)
@@ -278,13 +278,13 @@ def _verified(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     return sealed, secret
 
 
-def _turn_of_world(name: str, planned: Mapping[str, Planned]) -> int:
+def _turn_of_world(name: str, planned: Mapping[str, RecordingPlan]) -> int:
     """Return how many recordings with the same world come before one."""
     world = planned[name].world_seed
     return sum(other < name and recording.world_seed == world for other, recording in planned.items())
 
 
-def _render(folder: Path, named: tuple[str, Planned]) -> dict[str, Any]:
+def _render(folder: Path, named: tuple[str, RecordingPlan]) -> dict[str, Any]:
     """Make a recording, if it is not there, and return its label. The truth is not written beside it."""
     from validation.second_renderer.scenario import make
 
@@ -298,7 +298,7 @@ def _render(folder: Path, named: tuple[str, Planned]) -> dict[str, Any]:
     return scenario.labels
 
 
-def _render_longer(folder: Path, run: Run, planned: Planned, salt: str) -> None:
+def _render_longer(folder: Path, run: Run, planned: RecordingPlan, salt: str) -> None:
     """Make a recording that goes on with an experiment, if it is not there: the frames there are, and more.
 
     Raises ValueError if the label that is drawn is not the one that was sealed.
@@ -317,7 +317,7 @@ def _render_longer(folder: Path, run: Run, planned: Planned, salt: str) -> None:
     _record(path, longer, (*_frames(read_recording(folder / RECORDINGS / run.name)), *longer.frames))
 
 
-def _drawn(planned: Planned) -> Scenario:
+def _drawn(planned: RecordingPlan) -> Scenario:
     from validation.second_renderer.scenario import draw
 
     return draw(
@@ -343,7 +343,7 @@ def _renderer() -> Iterator[None]:
         ) from None
 
 
-def _record(path: Path, recorded: Recorded, frames: Iterable[Frame]) -> None:
+def _record(path: Path, recorded: MadeRecording, frames: Iterable[Frame]) -> None:
     """Write a recording with its poses, and no truth."""
     shutil.rmtree(path.with_name(path.name + UNFINISHED_SUFFIX), ignore_errors=True)
     with RecordingWriter(path, recorded.setup) as writer:
@@ -383,7 +383,7 @@ def _in_words(answer: Answer) -> str:
     return " ".join((answer.verdict, *answer.named, f"({answer.wall_s:.0f} s)"))
 
 
-def _taken(folder: Path, source: tuple[Run, Planned, str]) -> dict[str, Any]:
+def _taken(folder: Path, source: tuple[Run, RecordingPlan, str]) -> dict[str, Any]:
     """Make a recording that goes on with an experiment, and return its result; no label is diagnosed with."""
     run, planned, salt = source
     started = time.perf_counter(), time.process_time()

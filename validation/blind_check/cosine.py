@@ -14,7 +14,7 @@ import numpy as np
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY, Effects
 from noise_model.setup import Setup
-from sim_to_real.data.binned import Observed, PoseAt, observe
+from sim_to_real.data.binned import ObservedRecording, PoseAt, observe
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.search.probe_points import EXPENSIVE
 from tracker.state import Frame
@@ -36,7 +36,7 @@ def cosines(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> dict[str,
     )
 
 
-def cosines_of(observed: Observed, ids: Iterable[str]) -> dict[str, float]:
+def cosines_of(observed: ObservedRecording, ids: Iterable[str]) -> dict[str, float]:
     """Return the cosine between frames' residual and the signature of some effects, by id, see `cosines`."""
     model = LinearizedModel(observed)
     recorded_dn = np.concatenate([frame.kept_dn for frame in observed.frames])

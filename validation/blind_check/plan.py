@@ -51,7 +51,7 @@ SEEDS = 1_000_000
 
 
 @dataclass(frozen=True)
-class Planned:
+class RecordingPlan:
     """A recording that is to be made: the arguments of `scenario.draw`, and a number that tells nothing."""
 
     number: int
@@ -67,7 +67,7 @@ class Planned:
 
 def plan(
     draws: int, quiet_draws: int, tiers: str = TIERS, seed: int = 0, width_px: int = WIDTH_PX
-) -> tuple[Planned, ...]:
+) -> tuple[RecordingPlan, ...]:
     """Return what to make, by number, with images so wide.
 
     Tier A hides each effect `draws` times, C each that has another form than the catalogue's, D deals all
@@ -92,15 +92,15 @@ def plan(
 
 def _contents(
     draws: int, quiet_draws: int, tiers: str, seed: int, shuffle: np.random.Generator
-) -> Iterator[Planned]:
+) -> Iterator[RecordingPlan]:
     """Yield what to make, in the order of tiers and turns."""
     counted = itertools.count()
 
     def planned(
         turn: int, tier: str, *effects: str, form: str | None = None, is_dry: bool = False
-    ) -> Planned:
+    ) -> RecordingPlan:
         n, (world_seed, joint) = next(counted), _world(seed, turn, effects)
-        return Planned(
+        return RecordingPlan(
             number=n,
             seed=SEEDS * seed + n,
             tier=tier,

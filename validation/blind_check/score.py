@@ -57,7 +57,7 @@ class Rate:
 
 
 @dataclass(frozen=True)
-class Score:
+class BlindScore:
     """A rate, and the baseline's beside it."""
 
     id: str
@@ -108,7 +108,7 @@ class Confusion:
 class Scores:
     """All that the opened labels say. `failures` are the recordings without a diagnosis and why."""
 
-    rates: tuple[Score, ...]
+    rates: tuple[BlindScore, ...]
     figures: tuple[Figure, ...]
     by_effect: tuple[EffectScore, ...]
     confusions: tuple[Confusion, ...]
@@ -117,7 +117,7 @@ class Scores:
 
 def score(cases: Sequence[Case], tiers: str) -> Scores:
     """Return the scores of the tiers that were asked for."""
-    rates: list[Score] = []
+    rates: list[BlindScore] = []
     for tier in "AC":
         if tier in tiers:
             rates += _one_effect(tier, _of(cases, tier))
@@ -171,11 +171,11 @@ def _rate(cases: Sequence[Case], is_right: Callable[[Case], bool]) -> Rate:
     return Rate(sum(map(is_right, cases)), len(cases))
 
 
-def _score(tier: str, name: str, text: str, rate: Rate, beside: Rate) -> Score:
-    return Score(f"{name}_{tier}", tier, text, rate, beside)
+def _score(tier: str, name: str, text: str, rate: Rate, beside: Rate) -> BlindScore:
+    return BlindScore(f"{name}_{tier}", tier, text, rate, beside)
 
 
-def _one_effect(tier: str, cases: list[Case]) -> list[Score]:
+def _one_effect(tier: str, cases: list[Case]) -> list[BlindScore]:
     cosine = _rate(cases, COSINE_FIRST)
     clear = [case for case in cases if case.answer.is_clear or case.answer.verdict == FAILED]
     resolvable = [
@@ -183,7 +183,9 @@ def _one_effect(tier: str, cases: list[Case]) -> list[Score]:
     ]
     always = Rate(len(clear), len(clear))
 
-    def row(name: str, text: str, chosen: list[Case], right: Callable[[Case], bool], beside: Rate) -> Score:
+    def row(
+        name: str, text: str, chosen: list[Case], right: Callable[[Case], bool], beside: Rate
+    ) -> BlindScore:
         return _score(tier, name, text, _rate(chosen, right), beside)
 
     return [
@@ -217,7 +219,7 @@ def _one_effect(tier: str, cases: list[Case]) -> list[Score]:
     ]
 
 
-def _withheld(cases: list[Case]) -> list[Score]:
+def _withheld(cases: list[Case]) -> list[BlindScore]:
     again = [case for case in cases if case.again is not None]
     truly = [case for case in again if case.answer.alone == case.effects[0]]
     counted = [c for c in truly if c.again is not None and not c.is_unresolvable(c.again.named)]
@@ -262,7 +264,7 @@ def _withheld(cases: list[Case]) -> list[Score]:
     ]
 
 
-def _two_effects(cases: list[Case]) -> list[Score]:
+def _two_effects(cases: list[Case]) -> list[BlindScore]:
     def cosine_named(case: Case) -> set[str]:
         return {name for name, _ in case.cosines[:2]}
 
@@ -284,17 +286,17 @@ def _two_effects(cases: list[Case]) -> list[Score]:
     ]
 
 
-def _quiet(cases: list[Case]) -> list[Score]:
+def _quiet(cases: list[Case]) -> list[BlindScore]:
     always = Rate(len(cases), len(cases))
     return [
-        Score(
+        BlindScore(
             "false_alarm",
             "E",
             "false alarms: anything but no gap (less is better)",
             _rate(cases, lambda c: c.answer.verdict != "no_gap"),
             always,
         ),
-        Score(
+        BlindScore(
             "false_name",
             "E",
             "of these, an effect named (less is better)",
@@ -304,7 +306,7 @@ def _quiet(cases: list[Case]) -> list[Score]:
     ]
 
 
-def _plain_run(cases: list[Case]) -> list[Score]:
+def _plain_run(cases: list[Case]) -> list[BlindScore]:
     cosine = _rate(cases, COSINE_FIRST)
 
     row = partial(_score, "F")
@@ -331,7 +333,7 @@ def _plain_run(cases: list[Case]) -> list[Score]:
     ]
 
 
-def _next_experiment(tiers: str, cases: list[Case]) -> list[Score]:
+def _next_experiment(tiers: str, cases: list[Case]) -> list[BlindScore]:
     asked = [case for case in cases if case.answer.experiment]
     telling = [case for case in asked if case.asks_for_hidden]
     of_menu = [case for case in telling if not case.answer.asks_for_witness]
@@ -340,8 +342,8 @@ def _next_experiment(tiers: str, cases: list[Case]) -> list[Score]:
     was_open = [case for case in measured if case.answer.verdict != "effects"]
     n_neither, n_missing = len(asked) - len(telling), len(of_menu) - len(measured)
 
-    def row(name: str, text: str, rate: Rate) -> Score:
-        return Score(f"next_{name}", tiers, text, rate, Rate(0, 0))
+    def row(name: str, text: str, rate: Rate) -> BlindScore:
+        return BlindScore(f"next_{name}", tiers, text, rate, Rate(0, 0))
 
     return [
         row(

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from validation.blind_check.blind_check import Asked, Opened
+from validation.blind_check.blind_check import CheckPlan, CheckScores
 from validation.blind_check.case import VERDICTS
 from validation.blind_check.score import Confusion, Rate, Scores
 
 NONE = "–"
 
 
-def table(opened: Opened) -> str:
+def table(opened: CheckScores) -> str:
     """Return all scores, a table an effect's and what went wrong, as Markdown."""
     scores = opened.scores
     parts = [
@@ -30,7 +30,7 @@ def table(opened: Opened) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _options(asked: Asked) -> str:
+def _options(asked: CheckPlan) -> str:
     options = (f"--{name.replace('_', '-')} {value}" for name, value in vars(asked).items())
     return f"`{' '.join(options)}`"
 

@@ -12,7 +12,7 @@ from arctrack.cell.cell import Cell
 from arctrack.cell.faults.kind import DELAYED, LONGEST_S, POSES, Begin, End, FaultKind
 from arctrack.cell.faults.welding import rearm
 from arctrack.cell.robot_party import SOURCE
-from arctrack.cell.tracker_party import Camera
+from arctrack.cell.tracker_party import CameraBehaviour
 from robot_io import (
     Command,
     GateReason,
@@ -28,13 +28,13 @@ from robot_io import (
 from validation.fault_schedules import pose_faults
 
 
-def _camera(camera: Camera) -> Begin:
+def _camera(camera: CameraBehaviour) -> Begin:
     def begin(cell: Cell, rng: np.random.Generator) -> End:
         cell.tracker.ghost_mm = float(rng.choice((-1.0, 1.0)) * rng.uniform(1.5, 4.0))
         cell.tracker.camera = camera
 
         def end() -> None:
-            cell.tracker.camera = Camera.RIGHT
+            cell.tracker.camera = CameraBehaviour.RIGHT
 
         return end
 
@@ -230,14 +230,19 @@ STATUS_S = 0.05
 R = GateReason
 FAULTS: tuple[FaultKind, ...] = (
     FaultKind(
-        "camera stops", _camera(Camera.STOPPED), frozenset({R.CAMERA_STOPPED, R.CAPTURE_TOO_OLD}), 1.05
+        "camera stops",
+        _camera(CameraBehaviour.STOPPED),
+        frozenset({R.CAMERA_STOPPED, R.CAPTURE_TOO_OLD}),
+        1.05,
     ),
-    FaultKind("camera freezes", _camera(Camera.FROZEN), POSES, 0.6),
+    FaultKind("camera freezes", _camera(CameraBehaviour.FROZEN), POSES, 0.6),
     FaultKind(
-        "camera shows garbage", _camera(Camera.GARBAGE), note="the seam's measured stretch is followed"
+        "camera shows garbage",
+        _camera(CameraBehaviour.GARBAGE),
+        note="the seam's measured stretch is followed",
     ),
-    FaultKind("camera drops 10 %", _camera(Camera.DROPPING), note="offsets go on"),
-    FaultKind("camera shows a seam elsewhere", _camera(Camera.GHOST), POSES, 0.5),
+    FaultKind("camera drops 10 %", _camera(CameraBehaviour.DROPPING), note="offsets go on"),
+    FaultKind("camera shows a seam elsewhere", _camera(CameraBehaviour.GHOST), POSES, 0.5),
     FaultKind("poses stop", _poses(pose_faults.stop), POSES, 0.13),
     FaultKind("poses jump", _poses(pose_faults.jump), POSES, 0.05),
     FaultKind("poses run backwards", _poses(pose_faults.delayed(lambda t_s: 2.0 * t_s)), POSES, 0.3),

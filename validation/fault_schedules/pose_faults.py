@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from arctrack.cell.cell import Cell
-from arctrack.cell.robot_party import Spoil, Told
+from arctrack.cell.robot_party import RobotReport, Spoil
 
 CYCLE_S = 0.01
 """A robot tells a pose so often, s."""
@@ -31,7 +31,7 @@ def jump(_cell: Cell, rng: np.random.Generator, _begun_s: float) -> Spoil:
     direction = rng.normal(size=3)
     by = direction / np.linalg.norm(direction) * rng.uniform(2.0, 10.0)
 
-    def spoil(_: float, told: Told) -> Told:
+    def spoil(_: float, told: RobotReport) -> RobotReport:
         x, y, z = (np.array(told.place_mm) + by).tolist()
         return replace(told, place_mm=(x, y, z))
 
@@ -40,9 +40,9 @@ def jump(_cell: Cell, rng: np.random.Generator, _begun_s: float) -> Spoil:
 
 def freeze(_cell: Cell, _rng: np.random.Generator, _begun_s: float) -> Spoil:
     """Tell the first pose over and over, as new each time."""
-    first: list[Told] = []
+    first: list[RobotReport] = []
 
-    def spoil(_: float, told: Told) -> Told:
+    def spoil(_: float, told: RobotReport) -> RobotReport:
         first.append(told)
         return first[0]
 
@@ -55,7 +55,7 @@ def delayed(delay_s: Callable[[float], float]) -> Spoiler:
     def spoiler(cell: Cell, _rng: np.random.Generator, begun_s: float) -> Spoil:
         shadow = _Shadow(cell)
 
-        def spoil(now_s: float, told: Told) -> Told:
+        def spoil(now_s: float, told: RobotReport) -> RobotReport:
             return shadow.told(told, now_s - delay_s(now_s - begun_s))
 
         return spoil
@@ -69,7 +69,7 @@ class _Shadow:
     def __init__(self, cell: Cell) -> None:
         self._cell = cell
 
-    def told(self, told: Told, then_s: float) -> Told:
+    def told(self, told: RobotReport, then_s: float) -> RobotReport:
         robot, world = self._cell.robot.robot, self._cell.world
         back_s = robot.now_s - then_s
         phase = 2.0 * math.pi * world.weave_hz
@@ -84,10 +84,10 @@ def repeated(as_new: bool) -> Spoiler:
     """Tell each pose two or three times: as new each time, or honest about its age."""
 
     def spoiler(_cell: Cell, rng: np.random.Generator, _begun_s: float) -> Spoil:
-        kept: list[Told] = []
+        kept: list[RobotReport] = []
         times = int(rng.integers(2, 4))
 
-        def spoil(_: float, told: Told) -> Told:
+        def spoil(_: float, told: RobotReport) -> RobotReport:
             if len(kept) % times == 0:
                 kept.append(told)
             else:
@@ -107,7 +107,7 @@ def mirror_y(_cell: Cell, _rng: np.random.Generator, _begun_s: float) -> Spoil:
 def mirror_about_seam(cell: Cell, _rng: np.random.Generator, _begun_s: float) -> Spoil:
     """Tell the other side of the nominal seam."""
 
-    def spoil(_: float, told: Told) -> Told:
+    def spoil(_: float, told: RobotReport) -> RobotReport:
         x, y, z = told.place_mm
         return replace(told, place_mm=(x, 2.0 * cell.world.start_base_mm[1] - y, z))
 
@@ -117,7 +117,7 @@ def mirror_about_seam(cell: Cell, _rng: np.random.Generator, _begun_s: float) ->
 def conjugate(_cell: Cell, _rng: np.random.Generator, _begun_s: float) -> Spoil:
     """Tell the inverse rotation."""
 
-    def spoil(_: float, told: Told) -> Told:
+    def spoil(_: float, told: RobotReport) -> RobotReport:
         x, y, z, w = told.quaternion
         return replace(told, quaternion=(-x, -y, -z, w))
 
@@ -128,7 +128,7 @@ def drift(_cell: Cell, rng: np.random.Generator, begun_s: float) -> Spoil:
     """Tell a place that goes off at `DRIFT_MM_S`."""
     rate_mm_s = float(rng.choice((-1.0, 1.0)) * rng.uniform(*DRIFT_MM_S))
 
-    def spoil(now_s: float, told: Told) -> Told:
+    def spoil(now_s: float, told: RobotReport) -> RobotReport:
         x, y, z = told.place_mm
         return replace(told, place_mm=(x, y + rate_mm_s * (now_s - begun_s), z))
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from arctrack.cell.cell import TORCH_MM, USABLE, Cell, Heard
+from arctrack.cell.cell import TORCH_MM, USABLE, Cell, ReceivedOffset
 from arctrack.cell.faults.kind import LONGEST_S, FaultKind
 from arctrack.cell.world import draw_world
 from robot_io import GateLimits, GateReason, Validity
@@ -28,7 +28,7 @@ WAY_S = 0.01
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ScheduleOutcome:
     """What became of one schedule.
 
     Attributes
@@ -64,7 +64,7 @@ class Schedule:
     end_s: float
 
 
-def run_schedule(seed: int, number: int, kinds: Sequence[FaultKind] = KINDS) -> Outcome:
+def run_schedule(seed: int, number: int, kinds: Sequence[FaultKind] = KINDS) -> ScheduleOutcome:
     """Draw a schedule, run it, and judge it.
 
     Parameters
@@ -99,7 +99,7 @@ def run_schedule(seed: int, number: int, kinds: Sequence[FaultKind] = KINDS) -> 
     broken = tuple(_broken(cell, schedule, until_s))
     usable_s = [h.sent_s for h in cell.heard if begin_s <= h.sent_s < end_s and h.offset.validity in USABLE]
     went_on = bool(usable_s) and usable_s[-1] > end_s - 0.05
-    return Outcome(
+    return ScheduleOutcome(
         number=number,
         fault=kind.name,
         broken=broken,
@@ -109,7 +109,7 @@ def run_schedule(seed: int, number: int, kinds: Sequence[FaultKind] = KINDS) -> 
     )
 
 
-def run_schedules(seed: int, count: int, executor: Executor | None = None) -> Iterator[Outcome]:
+def run_schedules(seed: int, count: int, executor: Executor | None = None) -> Iterator[ScheduleOutcome]:
     """Run schedules 0 to count - 1 of a seed, several at a time where an executor is given."""
     if executor is None:
         for number in range(count):
@@ -147,18 +147,18 @@ def _limits_of(cell: Cell) -> GateLimits:
     return cell.job.limits
 
 
-def _is_beyond(heard: Heard, limits: GateLimits) -> bool:
+def _is_beyond(heard: ReceivedOffset, limits: GateLimits) -> bool:
     y_mm, z_mm = heard.offset.offset_y_mm, heard.offset.offset_z_mm
     return abs(y_mm) > limits.range_y_mm or abs(z_mm) > limits.range_z_mm
 
 
-def _is_too_old(heard: Heard, limits: GateLimits, is_slow_bus: bool) -> bool:
+def _is_too_old(heard: ReceivedOffset, limits: GateLimits, is_slow_bus: bool) -> bool:
     limit_s = limits.capture_age_s if heard.offset.validity is Validity.VALID else limits.hold_s
     known_s = heard.sent_s if is_slow_bus else heard.came_s
     return known_s - heard.true_capture_s > limit_s + WAY_S
 
 
-def _wrongly_told(cell: Cell, schedule: Schedule, usable: Sequence[Heard]) -> Iterator[str]:
+def _wrongly_told(cell: Cell, schedule: Schedule, usable: Sequence[ReceivedOffset]) -> Iterator[str]:
     kind, end_s = schedule.kind, schedule.end_s
     if math.isnan(kind.told_s):
         return

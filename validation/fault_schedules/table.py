@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 
 from validation.fault_schedules.kinds import KINDS
-from validation.fault_schedules.schedules import Outcome
+from validation.fault_schedules.schedules import ScheduleOutcome
 
 HEADER = (
     "| fault | schedules, failed | offsets end after, s | the tracker says | torch off by, mm | remark |\n"
@@ -14,13 +14,13 @@ HEADER = (
 )
 
 
-def table(outcomes: Iterable[Outcome]) -> str:
+def table(outcomes: Iterable[ScheduleOutcome]) -> str:
     """Return a Markdown table, a row for each fault.
 
     "Offsets end after" is when the last VALID or HELD offset was sent after the fault began: the median and
     the largest over its schedules. "go on" says in how many they did until its end.
     """
-    by_fault: dict[str, list[Outcome]] = {kind.name: [] for kind in KINDS}
+    by_fault: dict[str, list[ScheduleOutcome]] = {kind.name: [] for kind in KINDS}
     for outcome in outcomes:
         by_fault[outcome.fault].append(outcome)
     rows = [
@@ -32,14 +32,14 @@ def table(outcomes: Iterable[Outcome]) -> str:
     return "\n".join((HEADER, *rows))
 
 
-def failures(seed: int, outcomes: Iterable[Outcome]) -> Iterator[str]:
+def failures(seed: int, outcomes: Iterable[ScheduleOutcome]) -> Iterator[str]:
     """Yield a line for each schedule that failed: how it is run again, its fault, and what did not hold."""
     for outcome in outcomes:
         for broken in outcome.broken:
             yield f"--seed {seed} --only {outcome.number}: {outcome.fault}: {broken}"
 
 
-def _ends(rows: Sequence[Outcome]) -> str:
+def _ends(rows: Sequence[ScheduleOutcome]) -> str:
     ended = sorted(row.told_s for row in rows if math.isfinite(row.told_s))
     go_on = len(rows) - len(ended)
     parts = [f"{ended[len(ended) // 2]:.2f}, {ended[-1]:.2f}"] if ended else []
@@ -48,13 +48,13 @@ def _ends(rows: Sequence[Outcome]) -> str:
     return "; ".join(parts)
 
 
-def _said(rows: Sequence[Outcome]) -> str:
+def _said(rows: Sequence[ScheduleOutcome]) -> str:
     """Return the reasons that at least a tenth of the schedules heard."""
     reasons = sorted(set().union(*(row.reasons for row in rows)))
     often = [name for name in reasons if sum(name in row.reasons for row in rows) * 10 >= len(rows)]
     return ", ".join(often)
 
 
-def _off(rows: Sequence[Outcome]) -> str:
+def _off(rows: Sequence[ScheduleOutcome]) -> str:
     off_mm = sorted(row.torch_error_mm for row in rows)
     return f"{off_mm[len(off_mm) // 2]:.2f}, {off_mm[-1]:.2f}"

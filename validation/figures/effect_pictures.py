@@ -154,7 +154,7 @@ def _in_few_colours(picture: UInt8) -> Image.Image:
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class EffectScene:
     """The scene that an effect is shown in: the setup without and with it."""
 
     nominal: Setup
@@ -163,7 +163,7 @@ class Shown:
     renderer: Renderer
 
     @classmethod
-    def of(cls, effect: Effect, renderer: Renderer, *, width: int = 640, height: int = 480) -> Shown:
+    def of(cls, effect: Effect, renderer: Renderer, *, width: int = 640, height: int = 480) -> EffectScene:
         """Set the scene up; images of other sizes keep the field of view."""
         chosen = choice(effect.id)
         setup = balance(nominal_setup(chosen.joint, chosen.material, width=width, height=height))
@@ -205,13 +205,13 @@ class Shown:
         return image[row : row + round(share * height), column : column + round(share * width)]
 
 
-def draw(effect: Effect, shown: Shown) -> Figure:
+def draw(effect: Effect, shown: EffectScene) -> Figure:
     """Return an effect's picture, drawn for a page."""
     forms = {Form.EXPECTED: _expected, Form.SINGLE: _single, Form.IN_TURN: _in_turn}
     return forms[shown.chosen.form](effect, shown)
 
 
-def _expected(effect: Effect, shown: Shown) -> Figure:
+def _expected(effect: Effect, shown: EffectScene) -> Figure:
     before, after = shown.expected(shown.nominal), shown.expected(shown.changed)
     change = after.mean_dn - before.mean_dn
     largest = _largest(shown.part(change))
@@ -230,7 +230,7 @@ def _expected(effect: Effect, shown: Shown) -> Figure:
     return figure
 
 
-def _single(effect: Effect, shown: Shown) -> Figure:
+def _single(effect: Effect, shown: EffectScene) -> Figure:
     sigmas = [np.sqrt(shown.expected(setup).variance_dn2) for setup in (shown.nominal, shown.changed)]
     rng = np.random.default_rng(SEED)
     frames = [shown.single(setup, rng) for setup in (shown.nominal, shown.changed)]
@@ -249,7 +249,7 @@ def _single(effect: Effect, shown: Shown) -> Figure:
     return figure
 
 
-def _in_turn(effect: Effect, shown: Shown) -> Figure:
+def _in_turn(effect: Effect, shown: EffectScene) -> Figure:
     nominal, sensor = shown.expected(shown.nominal), shown.nominal.sensor
     modes = shown.expected(shown.changed).modes_e
     changed: list[Float64]
@@ -304,13 +304,13 @@ def _bare(axes: Axes, title: str) -> Axes:
     return axes
 
 
-def _frame(axes: Axes, shown: Shown, image_dn: Float64, title: str) -> None:
+def _frame(axes: Axes, shown: EffectScene, image_dn: Float64, title: str) -> None:
     sensor = shown.nominal.sensor
     signal = np.maximum(image_dn - sensor.black_level_dn, 0.0) / (sensor.max_dn - sensor.black_level_dn)
     _bare(axes, title).imshow(shown.part(np.sqrt(signal)), cmap=GREYS, vmin=0.0, vmax=1.0)
 
 
-def _difference(axes: Axes, shown: Shown, change: Float64, limit: float, title: str) -> None:
+def _difference(axes: Axes, shown: EffectScene, change: Float64, limit: float, title: str) -> None:
     _bare(axes, title).imshow(shown.part(change), cmap=CHANGE, vmin=-limit, vmax=limit)
 
 
@@ -341,7 +341,7 @@ def _signed(value: float) -> str:
     return f"{value:+.1f}".replace("-", "−")
 
 
-def _scene(shown: Shown) -> str:
+def _scene(shown: EffectScene) -> str:
     sensor, camera, share = shown.nominal.sensor, shown.nominal.camera, shown.chosen.window[2]
     scene = shown.chosen.scene
     part = f", {round(share * camera.width)} × {round(share * camera.height)} px" if share < 1.0 else ""

@@ -91,7 +91,7 @@ def write(folder: Path, registry: Mapping[str, Effect], on_picture: Callable[[Pa
     renderer = Renderer()
     for effect in registry.values():
         path = pictures / f"{effect.id}.png"
-        shown = effect_pictures.Shown.of(effect, renderer)
+        shown = effect_pictures.EffectScene.of(effect, renderer)
         effect_pictures.write(effect_pictures.draw(effect, shown), effect, path)
         on_picture(path)
     (folder / PAGE).write_text(page(registry), encoding="utf-8")

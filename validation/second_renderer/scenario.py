@@ -31,14 +31,14 @@ from validation.second_renderer.world import (
     expected_charge,
     read_out,
 )
-from validation.second_renderer.world_effect import CATALOGUE, Generator, Hidden, Moment
+from validation.second_renderer.world_effect import CATALOGUE, Generator, HiddenEffect, Moment
 from validation.second_renderer.world_light import Studio, TrueWorld
 from validation.second_renderer.world_stated import (
     CURRENT_A,
     EXPOSURE_S,
     WIDTH_PX,
-    Continued,
-    Motion,
+    ContinuedMotion,
+    WorldMotion,
     balanced,
     draw_stated,
 )
@@ -66,7 +66,7 @@ FULL_STRIPE_E = 30_000.0
 
 
 @dataclass(frozen=True)
-class Switches:
+class StatedSwitches:
     """What a frame's line in frames.csv says."""
 
     laser_on: bool
@@ -87,9 +87,9 @@ class Scenario:
     tier: str
     stated: Setup
     world: TrueWorld
-    motion: Motion | Continued
-    switches: tuple[Switches, ...]
-    effects: tuple[Hidden, ...]
+    motion: WorldMotion | ContinuedMotion
+    switches: tuple[StatedSwitches, ...]
+    effects: tuple[HiddenEffect, ...]
     n_more: int = 0
 
     @property
@@ -128,7 +128,7 @@ class Scenario:
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class MadeRecording:
     """A made recording: all that `arctrack.recording.RecordingWriter` takes, and the sealed labels.
 
     `setup` is the nominal one (`RecordingWriter(path, setup)`); `frames` go to `write_frame` as they are,
@@ -190,9 +190,9 @@ def followed_by(scenario: Scenario, experiment: Experiment) -> Scenario:
 
     The motion goes on over the same seam, effects that depend on time or on the frame's index go on as well.
     """
-    assert isinstance(scenario.motion, Motion), "one experiment follows a run"
+    assert isinstance(scenario.motion, WorldMotion), "one experiment follows a run"
     stated, from_s = scenario.stated, scenario.duration_s + POSE_TAIL_S
-    more = Switches(
+    more = StatedSwitches(
         experiment.laser_on,
         experiment.arc_on,
         experiment.current * stated.arc.current_a if experiment.arc_on else 0.0,
@@ -200,13 +200,13 @@ def followed_by(scenario: Scenario, experiment: Experiment) -> Scenario:
     )
     return replace(
         scenario,
-        motion=Continued(scenario.motion, experiment, from_s, from_s + MOVE_S),
+        motion=ContinuedMotion(scenario.motion, experiment, from_s, from_s + MOVE_S),
         switches=(*scenario.switches, *N_MORE * [more]),
         n_more=N_MORE,
     )
 
 
-def make(scenario: Scenario, cache_dir: Path | None = None, first: int = 0) -> Recorded:
+def make(scenario: Scenario, cache_dir: Path | None = None, first: int = 0) -> MadeRecording:
     """Render a scenario from a frame's index on; layers of the arc's light are kept in `cache_dir`.
 
     Equal scenarios give equal recordings, with and without what is kept. Raises ImportError where Mitsuba
@@ -229,7 +229,7 @@ def make(scenario: Scenario, cache_dir: Path | None = None, first: int = 0) -> R
             switches = vars(scenario.switches[index])
             frames.append(Frame(index, scenario.time_s(index), image_dn, **switches))
             truth.append(true_seam_tool_mm(world, T_base_tool))
-    return Recorded(scenario.stated, tuple(frames), _poses(scenario), np.array(truth), scenario.labels)
+    return MadeRecording(scenario.stated, tuple(frames), _poses(scenario), np.array(truth), scenario.labels)
 
 
 def stated_moment(scenario: Scenario, index: int) -> Moment:
@@ -312,7 +312,7 @@ def _draw_effects(
     effects: Sequence[str] | None,
     form: str | None,
     strength: float | None,
-) -> tuple[Hidden, ...]:
+) -> tuple[HiddenEffect, ...]:
     possible = [
         name for name, forms in FORMS.items() if _possible(name, stated) and (tier != "C" or len(forms) > 1)
     ]
@@ -331,7 +331,7 @@ def _draw_effects(
             raise ValueError(f"{name} has no form {of_form!r}: it has {', '.join(FORMS[name])}")
         drawn_strength = float(draw.random())
         values = FORMS[name][of_form].draw(draw, drawn_strength if strength is None else strength, stated)
-        hidden.append(Hidden(name, of_form, values))
+        hidden.append(HiddenEffect(name, of_form, values))
     return tuple(hidden)
 
 
@@ -342,20 +342,20 @@ def _possible(effect: str, stated: Setup) -> bool:
     return stated.joint.type != "flat" and stated.material.kappa_diff > stated.material.kappa_spec
 
 
-def _draw_switches(draw: Generator) -> tuple[Switches, ...]:
+def _draw_switches(draw: Generator) -> tuple[StatedSwitches, ...]:
     """Return what is on in each frame: dark and laser alone at either end, the arc in between."""
-    laser = Switches(True, False, 0.0, EXPOSURE_S)
+    laser = StatedSwitches(True, False, 0.0, EXPOSURE_S)
     ends = [replace(laser, laser_on=False), laser, replace(laser, exposure_s=SHORT_S)]
-    both = Switches(True, True, CURRENT_A, EXPOSURE_S)
+    both = StatedSwitches(True, True, CURRENT_A, EXPOSURE_S)
     alone = replace(both, laser_on=False)
     middle = 6 * [both] + 3 * [replace(both, current_a=HIGH_A)] + 3 * [replace(both, exposure_s=SHORT_S)]
     middle += 3 * [alone] + 2 * [replace(alone, current_a=HIGH_A)] + [replace(alone, exposure_s=SHORT_S)]
     return (*ends, *(middle[n] for n in draw.permutation(len(middle))), *reversed(ends))
 
 
-def _plain_switches(is_dry: bool) -> tuple[Switches, ...]:
+def _plain_switches(is_dry: bool) -> tuple[StatedSwitches, ...]:
     """Return frames with the laser, and the arc unless the run is a dry one, all alike."""
-    return N_FRAMES * (Switches(True, not is_dry, 0.0 if is_dry else CURRENT_A, EXPOSURE_S),)
+    return N_FRAMES * (StatedSwitches(True, not is_dry, 0.0 if is_dry else CURRENT_A, EXPOSURE_S),)
 
 
 def _poses(scenario: Scenario) -> tuple[tuple[float, Float64], ...]:

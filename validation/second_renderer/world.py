@@ -20,12 +20,18 @@ from validation.second_renderer import (
     world_sensor,
     world_source,
 )
-from validation.second_renderer.world_effect import Form, FrameLight, Generator, Hidden, Moment
+from validation.second_renderer.world_effect import (
+    EffectForm,
+    Generator,
+    HiddenEffect,
+    Moment,
+    WorldFrameLight,
+)
 from validation.second_renderer.world_light import Studio, TrueWorld
 from validation.second_renderer.world_optics import point_spread
 from validation.second_renderer.world_sensor import digitised, stated_response
 
-FORMS: Mapping[str, Mapping[str, Form]] = {
+FORMS: Mapping[str, Mapping[str, EffectForm]] = {
     effect: {form.name: form for form in forms}
     for stage in (world_scene, world_source, world_laser, world_medium, world_optics, world_sensor)
     for effect, forms in stage.FORMS.items()
@@ -33,7 +39,7 @@ FORMS: Mapping[str, Mapping[str, Form]] = {
 """All effects' forms by id and name, in the order in which they act within a frame."""
 
 
-def form_of(hidden: Hidden) -> Form:
+def form_of(hidden: HiddenEffect) -> EffectForm:
     """Return a hidden effect's form. Raises ValueError for an id or a form that there is not."""
     if hidden.id not in FORMS:
         raise ValueError(f"effect {hidden.id!r} is not known: there are {', '.join(FORMS)}")
@@ -42,13 +48,13 @@ def form_of(hidden: Hidden) -> Form:
     return FORMS[hidden.id][hidden.form]
 
 
-def in_order(effects: Sequence[Hidden]) -> list[tuple[Form, Hidden]]:
+def in_order(effects: Sequence[HiddenEffect]) -> list[tuple[EffectForm, HiddenEffect]]:
     """Return effects with their forms in the order in which they act."""
     formed = [(form_of(hidden), hidden) for hidden in effects]
     return sorted(formed, key=lambda pair: list(FORMS).index(pair[1].id))
 
 
-def apply_world_effects(world: TrueWorld, effects: Sequence[Hidden]) -> TrueWorld:
+def apply_world_effects(world: TrueWorld, effects: Sequence[HiddenEffect]) -> TrueWorld:
     """Return a world with the effects that change what is rendered."""
     for form, hidden in in_order(effects):
         if form.world is not None:
@@ -56,7 +62,7 @@ def apply_world_effects(world: TrueWorld, effects: Sequence[Hidden]) -> TrueWorl
     return world
 
 
-def apply_moment_effects(moment: Moment, effects: Sequence[Hidden]) -> Moment:
+def apply_moment_effects(moment: Moment, effects: Sequence[HiddenEffect]) -> Moment:
     """Return a frame's moment with the effects that change levels, exposure, arc or pose."""
     for form, hidden in in_order(effects):
         if form.moment is not None:
@@ -65,7 +71,7 @@ def apply_moment_effects(moment: Moment, effects: Sequence[Hidden]) -> Moment:
 
 
 def expected_charge(
-    studio: Studio, effects: Sequence[Hidden], moment: Moment, T_base_tool: Float64, draw: Generator
+    studio: Studio, effects: Sequence[HiddenEffect], moment: Moment, T_base_tool: Float64, draw: Generator
 ) -> Float64:
     """Return the charge (H, W), e-, that light makes on average in a frame's exposure.
 
@@ -78,7 +84,7 @@ def expected_charge(
     sight = studio.sight(T_base_tool)
     body = studio.arc_body(sight, moment.arc_shift_mm)
     dark = np.zeros(sight.shape)
-    frame = FrameLight(
+    frame = WorldFrameLight(
         studio,
         sight,
         body,
@@ -104,7 +110,7 @@ def expected_charge(
 
 
 def read_out(
-    world: TrueWorld, effects: Sequence[Hidden], moment: Moment, charge_e: Float64, draw: Generator
+    world: TrueWorld, effects: Sequence[HiddenEffect], moment: Moment, charge_e: Float64, draw: Generator
 ) -> Integers:
     """Return a frame (H, W), DN, of an expected charge: shot noise, read noise, full well, response."""
     sensor, shape = world.setup.sensor, (charge_e.shape[0], charge_e.shape[1])

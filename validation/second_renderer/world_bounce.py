@@ -19,7 +19,7 @@ from scipy.optimize import newton
 
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.transforms import invert, transform
-from validation.second_renderer.world_light import Sight, Studio, digest
+from validation.second_renderer.world_light import Studio, WorldSight, digest
 from validation.second_renderer.world_rays import GOLDEN, TILE, ArcBody
 
 STEP_PX = 10
@@ -66,7 +66,9 @@ class Bounces:
     glossy: bool = True
 
 
-def bounced_light(studio: Studio, sight: Sight, arc: ArcBody, bounces: Bounces) -> tuple[Float64, Float64]:
+def bounced_light(
+    studio: Studio, sight: WorldSight, arc: ArcBody, bounces: Bounces
+) -> tuple[Float64, Float64]:
     """Return the bounced light (H, W) of the arc at nominal current and of the laser, e-; kept on disk."""
     setup = studio.world.setup
     metal = setup.material
@@ -87,7 +89,9 @@ def bounced_light(studio: Studio, sight: Sight, arc: ArcBody, bounces: Bounces) 
     return setup.arc.radiance_e * cos4 * by_arc, laser_unit * cos4 * by_laser
 
 
-def _bounced_light(studio: Studio, sight: Sight, arc: ArcBody, bounces: Bounces) -> tuple[Float32, Float32]:
+def _bounced_light(
+    studio: Studio, sight: WorldSight, arc: ArcBody, bounces: Bounces
+) -> tuple[Float32, Float32]:
     nodes = _grid(studio, float(arc.center_mm[0]))
     faces, pixels = sight.faces.reshape(sight.shape), np.arange(sight.faces.size).reshape(sight.shape)
     coarse = slice(STEP_PX // 2, None, STEP_PX)
@@ -195,7 +199,7 @@ def _from_patches(studio: Studio, nodes: Nodes, arc: ArcBody, D: Float64) -> tup
     return D * weight / total, omega
 
 
-def _by_laser(studio: Studio, sight: Sight) -> Lit:
+def _by_laser(studio: Studio, sight: WorldSight) -> Lit:
     """Return nodes along the sheet's trace on every face, lit by it."""
     laser, surface = studio.world.setup.laser, studio.surface
     T_tool_joint = invert(sight.T_joint_tool)
@@ -252,7 +256,7 @@ def _bounced_again(studio: Studio, nodes: Nodes, lit: Lit, bounces: Bounces) -> 
 
 def _gather(
     studio: Studio,
-    sight: Sight,
+    sight: WorldSight,
     receivers: Int64,
     lit: Lit,
     nodes: Nodes,
@@ -314,7 +318,7 @@ def _exchange(studio: Studio, points: Float64, normals: Float64, nodes: Nodes) -
     return value, omega
 
 
-def _between(coarse: Float64, faces: Int64, sight: Sight) -> Float64:
+def _between(coarse: Float64, faces: Int64, sight: WorldSight) -> Float64:
     """Return a coarse image at every pixel (H, W): linear between the nodes of the pixel's own face."""
     height, width = sight.shape
     v = np.clip((np.arange(height) - STEP_PX // 2) / STEP_PX, 0.0, coarse.shape[0] - 1.0)

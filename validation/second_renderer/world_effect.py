@@ -14,7 +14,7 @@ import numpy as np
 
 from noise_model.arrays import Float64, Integers
 from noise_model.setup import Setup
-from validation.second_renderer.world_light import Sight, Studio, TrueWorld
+from validation.second_renderer.world_light import Studio, TrueWorld, WorldSight
 from validation.second_renderer.world_rays import ArcBody
 
 CATALOGUE = "catalogue"
@@ -48,14 +48,14 @@ class Moment:
 
 
 @dataclass(eq=False)
-class FrameLight:
+class WorldFrameLight:
     """The light of one frame on its way: images (H, W), e- for `camera.exposure_s`, later for the frame's.
 
     `arc` and `laser` go with their sources' output, `other` with neither. `draw` is this frame's own.
     """
 
     studio: Studio
-    sight: Sight
+    sight: WorldSight
     body: ArcBody
     moment: Moment
     draw: Generator
@@ -78,7 +78,7 @@ class FrameLight:
 
 
 @dataclass(frozen=True)
-class Form:
+class EffectForm:
     """One functional form of an effect.
 
     `draw` gives parameters for a generator, a strength from 0 (about three times what noise and tolerance
@@ -100,8 +100,8 @@ class Form:
     draw: Callable[[Generator, float, Setup], dict[str, float]]
     world: Callable[[TrueWorld, Values], TrueWorld] | None = None
     moment: Callable[[Moment, Values], Moment] | None = None
-    light: Callable[[FrameLight, Values], None] | None = None
-    image: Callable[[FrameLight, Values], None] | None = None
+    light: Callable[[WorldFrameLight, Values], None] | None = None
+    image: Callable[[WorldFrameLight, Values], None] | None = None
     charge: Callable[[Float64, TrueWorld, Values], Float64] | None = None
     noise: Callable[[Generator, tuple[int, int], float, Values], Float64] | None = None
     response: Callable[[Float64, TrueWorld, Values], Float64] | None = None
@@ -111,7 +111,7 @@ class Form:
 
 
 @dataclass(frozen=True)
-class Hidden:
+class HiddenEffect:
     """An effect that acts in a recording: its id, its form's name and its parameters."""
 
     id: str

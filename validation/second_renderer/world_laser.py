@@ -12,10 +12,10 @@ from noise_model.setup import Setup
 from noise_model.transforms import invert, transform
 from validation.second_renderer.world_effect import (
     CATALOGUE,
-    Form,
-    FrameLight,
+    EffectForm,
     Generator,
     Values,
+    WorldFrameLight,
     drawn_seed,
     magnitude,
     signed,
@@ -38,7 +38,7 @@ def _draw_fan_end(draw: Generator, strength: float, setup: Setup) -> dict[str, f
     return {"half_deg": magnitude(strength, 6.0, 3.0)}
 
 
-def _fan_deg(frame: FrameLight) -> Float64:
+def _fan_deg(frame: WorldFrameLight) -> Float64:
     """Return the fan's angle (H, W), deg, at what each pixel sees: to the left of travel is positive."""
     laser = frame.studio.world.setup.laser
     rays = transform(invert(frame.sight.T_joint_tool), frame.sight.points) - laser.origin_mm
@@ -46,15 +46,15 @@ def _fan_deg(frame: FrameLight) -> Float64:
     return np.asarray(np.nan_to_num(np.degrees(angle))).reshape(frame.sight.shape)
 
 
-def _tilted_fan(frame: FrameLight, p: Values) -> None:
+def _tilted_fan(frame: WorldFrameLight, p: Values) -> None:
     frame.laser = frame.laser * np.exp(p["slope"] * _fan_deg(frame) / 10.0)
 
 
-def _cylinder(frame: FrameLight, p: Values) -> None:
+def _cylinder(frame: WorldFrameLight, p: Values) -> None:
     frame.laser = frame.laser * np.exp(-0.5 * ((_fan_deg(frame) - p["aside_deg"]) / p["width_deg"]) ** 2)
 
 
-def _fan_end(frame: FrameLight, p: Values) -> None:
+def _fan_end(frame: WorldFrameLight, p: Values) -> None:
     # The beam's rim dims over a tenth of the half angle.
     past = (np.abs(_fan_deg(frame)) / p["half_deg"] - 0.95) / 0.1
     frame.laser = frame.laser * (0.5 + 0.5 * np.cos(math.pi * np.clip(past, 0.0, 1.0)))
@@ -96,12 +96,12 @@ def _draw_lamp(draw: Generator, strength: float, setup: Setup) -> dict[str, floa
     }
 
 
-def _sky(frame: FrameLight, p: Values) -> None:
+def _sky(frame: WorldFrameLight, p: Values) -> None:
     up = np.nan_to_num(frame.sight.normals[:, 2], nan=1.0)
     _lit_by_hall(frame, p["level_e"] * 0.5 * (1.0 + up), p["texture"], 0)
 
 
-def _lamp(frame: FrameLight, p: Values) -> None:
+def _lamp(frame: WorldFrameLight, p: Values) -> None:
     elevation, azimuth = math.radians(p["elevation_deg"]), math.radians(p["azimuth_deg"])
     flat = math.cos(elevation)
     towards = np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
@@ -111,7 +111,7 @@ def _lamp(frame: FrameLight, p: Values) -> None:
     _lit_by_hall(frame, p["level_e"] * lit, p["texture"], int(p["seed"]))
 
 
-def _lit_by_hall(frame: FrameLight, even_e: Float64, texture: float, seed: int) -> None:
+def _lit_by_hall(frame: WorldFrameLight, even_e: Float64, texture: float, seed: int) -> None:
     """Add light (n,), e-, that the metal's blotches, fixed to the part, reflect more or less of."""
     draw = np.random.default_rng(seed)
     waves = draw.standard_normal((2, N_WAVES)) * (2.0 * math.pi / 6.0)
@@ -122,16 +122,16 @@ def _lit_by_hall(frame: FrameLight, even_e: Float64, texture: float, seed: int) 
     frame.other = frame.other + seen.reshape(frame.sight.shape)
 
 
-FORMS: dict[str, tuple[Form, ...]] = {
+FORMS: dict[str, tuple[EffectForm, ...]] = {
     "uneven_fan": (
-        Form(CATALOGUE, "laser x exp(slope phi / 10 deg)", _draw_tilted_fan, light=_tilted_fan),
-        Form(
+        EffectForm(CATALOGUE, "laser x exp(slope phi / 10 deg)", _draw_tilted_fan, light=_tilted_fan),
+        EffectForm(
             "cylinder",
             "laser x exp(-(phi - aside)^2 / 2 width^2): a cylinder lens",
             _draw_cylinder,
             light=_cylinder,
         ),
-        Form(
+        EffectForm(
             "ends",
             "laser x a raised cosine that falls about half_deg from the axis",
             _draw_fan_end,
@@ -139,8 +139,10 @@ FORMS: dict[str, tuple[Form, ...]] = {
         ),
     ),
     "stripe_profile": (
-        Form(CATALOGUE, "exp(-1/2 abs(x' / (width_ratio sigma))^exponent)", _draw_profile, world=_profile),
-        Form(
+        EffectForm(
+            CATALOGUE, "exp(-1/2 abs(x' / (width_ratio sigma))^exponent)", _draw_profile, world=_profile
+        ),
+        EffectForm(
             "pedestal",
             "(1 - share) of the stated Gaussian and share of one ratio times as wide",
             _draw_pedestal,
@@ -148,14 +150,14 @@ FORMS: dict[str, tuple[Form, ...]] = {
         ),
     ),
     "ambient_light": (
-        Form(
+        EffectForm(
             CATALOGUE,
             "other + level_e cos^4 (1 + n_z) / 2 x (1 + texture blotches)",
             _draw_sky,
             light=_sky,
             in_dark=True,
         ),
-        Form(
+        EffectForm(
             "lamp",
             "other + level_e cos^4 (2/3 n.l / l_z + 1/3) x (1 + texture blotches), l towards a lamp",
             _draw_lamp,

@@ -31,7 +31,7 @@ UNDISTORT_STEPS = 60
 
 
 @dataclass(frozen=True)
-class Lens:
+class WorldLens:
     """Where a pixel's ray really goes, x_d and r_d in units of the focal length.
 
     `brown`: x_d = x_u (1 + k1 r_u^2 + k2 r_u^4) (OpenCV's radial part, added to the camera's own five);
@@ -91,12 +91,12 @@ class TrueWorld:
     T_base_joint: Float64
     departure: Departure = field(default_factory=Departure)
     lobe: LobeShape = STATED_LOBE
-    lens: Lens = field(default_factory=Lens)
+    lens: WorldLens = field(default_factory=WorldLens)
     profile: SheetProfile = field(default_factory=SheetProfile)
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class WorldSight:
     """What every pixel, (n,) of them in image order, looks at from one pose; joint frame, mm.
 
     `points` and `normals` (n, 3) are NaN and `faces` (n,) -1 past the metal; `directions` (n, 3) are unit
@@ -155,7 +155,7 @@ class Studio:
         uv = np.column_stack([image.ravel() for image in pixel_grid(camera)])
         self._xy = world.lens.rays(camera, uv)
 
-    def sight(self, T_base_tool: Float64) -> Sight:
+    def sight(self, T_base_tool: Float64) -> WorldSight:
         """Look from a pose of the tool."""
         world = self.world
         camera, joint = world.setup.camera, world.setup.joint
@@ -170,9 +170,9 @@ class Studio:
         key = digest(
             pinhole, world.lens, T_joint_camera, joint.type, sorted(joint.dimensions.items()), world.departure
         )
-        return Sight(camera, T_joint_tool, T_joint_camera[:3, 3], directions, cos4, *seen, key)
+        return WorldSight(camera, T_joint_tool, T_joint_camera[:3, 3], directions, cos4, *seen, key)
 
-    def arc_body(self, sight: Sight, shift_mm: tuple[float, float, float]) -> ArcBody:
+    def arc_body(self, sight: WorldSight, shift_mm: tuple[float, float, float]) -> ArcBody:
         """Return the arc of a pose, its centre moved by `shift_mm` in the tool's frame.
 
         On the surface it keeps its height over the metal's reference surface below it.
@@ -184,7 +184,7 @@ class Studio:
             center[2] = offset[2] + float(self.surface.lift_mm(center[0])[0])
         return ArcBody(center, arc.radius_mm)
 
-    def arc_layers(self, sight: Sight, arc: ArcBody) -> tuple[Float32, Float32]:
+    def arc_layers(self, sight: WorldSight, arc: ArcBody) -> tuple[Float32, Float32]:
         """Return D and S (H, W) of `Caster.arc_light`, 0 past the metal; kept on disk."""
         world = self.world
         c2 = world.setup.material.c2
@@ -207,7 +207,7 @@ class Studio:
         half_done.replace(path)
         return images
 
-    def _arc_layers(self, sight: Sight, arc: ArcBody) -> tuple[Float32, Float32]:
+    def _arc_layers(self, sight: WorldSight, arc: ArcBody) -> tuple[Float32, Float32]:
         u, v = (image.ravel().astype(np.int64) for image in pixel_grid(sight.camera))
         # Another turn in each pose: what is left of the sum's error is no pattern fixed to the image.
         turn = int(sight.key[:8], 16)
@@ -221,7 +221,7 @@ class Studio:
         D, S = layers.reshape(2, *sight.shape)
         return D, S
 
-    def arc_light(self, sight: Sight, arc: ArcBody) -> Float64:
+    def arc_light(self, sight: WorldSight, arc: ArcBody) -> Float64:
         """Return the arc's light (H, W), e- for `camera.exposure_s` at the nominal current."""
         D, S = self.arc_layers(sight, arc)
         setup = self.world.setup
@@ -267,7 +267,7 @@ class Studio:
         profile = self.world.profile
         return float(max(SHEET_REACH ** (2.0 / profile.exponent), SHEET_REACH * profile.pedestal_ratio))
 
-    def stripe(self, sight: Sight) -> Float64:
+    def stripe(self, sight: WorldSight) -> Float64:
         """Return the laser stripe (H, W), e- for `camera.exposure_s`: it peaks at `peak_e` on the plate."""
         met = sight.met
         lit = self.sheet(sight.points[met], sight.normals[met], sight.T_joint_tool)

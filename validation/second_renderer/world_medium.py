@@ -11,10 +11,10 @@ from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from validation.second_renderer.world_effect import (
     CATALOGUE,
-    Form,
-    FrameLight,
+    EffectForm,
     Generator,
     Values,
+    WorldFrameLight,
     direction,
     magnitude,
 )
@@ -37,15 +37,15 @@ def _draw_plume(draw: Generator, strength: float, setup: Setup) -> dict[str, flo
     return {"width_mm": draw.uniform(20.0, 45.0), **_draw_fume(draw, strength, setup)}
 
 
-def _even_fume(frame: FrameLight, p: Values) -> None:
+def _even_fume(frame: WorldFrameLight, p: Values) -> None:
     _fume(frame, p, lambda r: np.ones_like(r))
 
 
-def _plume(frame: FrameLight, p: Values) -> None:
+def _plume(frame: WorldFrameLight, p: Values) -> None:
     _fume(frame, p, lambda r: 3.0 * np.exp(-0.5 * (r / p["width_mm"]) ** 2))
 
 
-def _fume(frame: FrameLight, p: Values, density: Density) -> None:
+def _fume(frame: WorldFrameLight, p: Values, density: Density) -> None:
     """Dim and scatter by the fume along every ray.
 
     From a level pose at nominal height the airlight in the middle of the image is `airlight_share` of full
@@ -97,16 +97,16 @@ def _draw_spatter(draw: Generator, strength: float, setup: Setup) -> dict[str, f
     }
 
 
-def _straight_spatter(frame: FrameLight, p: Values) -> None:
+def _straight_spatter(frame: WorldFrameLight, p: Values) -> None:
     _spatter(frame, p, bend=0.0, peak=lambda: frame.draw.exponential(p["peak_e"]))
 
 
-def _curved_spatter(frame: FrameLight, p: Values) -> None:
+def _curved_spatter(frame: WorldFrameLight, p: Values) -> None:
     # A heavy tail of the same mean: few drops are large.
     _spatter(frame, p, bend=0.5, peak=lambda: 0.5 * p["peak_e"] * (1.0 + frame.draw.pareto(2.0)))
 
 
-def _spatter(frame: FrameLight, p: Values, bend: float, peak: Callable[[], float]) -> None:
+def _spatter(frame: WorldFrameLight, p: Values, bend: float, peak: Callable[[], float]) -> None:
     """Draw streaks as chains of dots along a line or a parabola, each dot a Gaussian."""
     if frame.moment.arc_level == 0.0:
         return
@@ -136,7 +136,7 @@ def _draw_glow(draw: Generator, strength: float, setup: Setup) -> dict[str, floa
     return {"brightest_e": magnitude(strength, 350.0, 5000.0), "length_mm": draw.uniform(7.0, 20.0)}
 
 
-def _from_arc_mm(frame: FrameLight) -> Float64:
+def _from_arc_mm(frame: WorldFrameLight) -> Float64:
     aside = frame.sight.points[:, :2] - frame.body.center_mm[:2]
     return np.asarray(np.linalg.norm(aside, axis=1)).reshape(frame.sight.shape)
 
@@ -153,7 +153,7 @@ def _nearest_mm(setup: Setup) -> float:
     return float(np.linalg.norm(aside, axis=1).min())
 
 
-def _glow(frame: FrameLight, p: Values, fall: Callable[[Float64], Float64]) -> None:
+def _glow(frame: WorldFrameLight, p: Values, fall: Callable[[Float64], Float64]) -> None:
     """Add the glow, whatever the current: `brightest_e` where the image comes nearest to the arc.
 
     That is from a level pose at nominal height: how much the metal glows does not change with the pose.
@@ -165,30 +165,30 @@ def _glow(frame: FrameLight, p: Values, fall: Callable[[Float64], Float64]) -> N
     frame.other = frame.other + p["brightest_e"] * hot * frame.sight.cos4.reshape(frame.sight.shape)
 
 
-def _exponential_glow(frame: FrameLight, p: Values) -> None:
+def _exponential_glow(frame: WorldFrameLight, p: Values) -> None:
     _glow(frame, p, lambda rho: np.exp(-rho / p["length_mm"]))
 
 
-def _disc_glow(frame: FrameLight, p: Values) -> None:
+def _disc_glow(frame: WorldFrameLight, p: Values) -> None:
     _glow(frame, p, lambda rho: np.exp(-0.5 * (rho / (1.5 * p["length_mm"])) ** 2))
 
 
-FORMS: dict[str, tuple[Form, ...]] = {
+FORMS: dict[str, tuple[EffectForm, ...]] = {
     "hot_metal_glow": (
-        Form(CATALOGUE, "exp(-rho / length_mm) about the arc", _draw_glow, light=_exponential_glow),
-        Form("disc", "a Gaussian of 1 sigma 1.5 length_mm about the arc", _draw_glow, light=_disc_glow),
+        EffectForm(CATALOGUE, "exp(-rho / length_mm) about the arc", _draw_glow, light=_exponential_glow),
+        EffectForm("disc", "a Gaussian of 1 sigma 1.5 length_mm about the arc", _draw_glow, light=_disc_glow),
     ),
     "spatter": (
-        Form(
+        EffectForm(
             CATALOGUE, "straight streaks, exponential in their peaks", _draw_spatter, light=_straight_spatter
         ),
-        Form("curved", "parabolas, their peaks of a power law", _draw_spatter, light=_curved_spatter),
+        EffectForm("curved", "parabolas, their peaks of a power law", _draw_spatter, light=_curved_spatter),
     ),
     "fume": (
-        Form(
+        EffectForm(
             CATALOGUE, "even fume: exp(-beta d); airlight ~ integral dt / r^2", _draw_fume, light=_even_fume
         ),
-        Form(
+        EffectForm(
             "plume", "the same with a Gaussian plume about the arc, 3 beta in it", _draw_plume, light=_plume
         ),
     ),

@@ -14,10 +14,10 @@ from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from validation.second_renderer.world_effect import (
     CATALOGUE,
-    Form,
-    FrameLight,
+    EffectForm,
     Generator,
     Values,
+    WorldFrameLight,
     drawn_seed,
     magnitude,
     signed,
@@ -36,7 +36,7 @@ def point_spread(image: Float64, sigma_px: float) -> Float64:
     return np.asarray(gaussian_filter(image, sigma_px, mode="nearest", truncate=6.0))
 
 
-def _half_diagonals(frame: FrameLight) -> tuple[Float64, Float64]:
+def _half_diagonals(frame: WorldFrameLight) -> tuple[Float64, Float64]:
     u, v = pixel_grid(frame.sight.camera)
     height, width = frame.sight.shape
     half = 0.5 * math.hypot(width, height)
@@ -47,7 +47,7 @@ def _draw_glare(draw: Generator, strength: float, setup: Setup) -> dict[str, flo
     return {"share": magnitude(strength, 0.02, 0.2)}
 
 
-def _even_glare(frame: FrameLight, p: Values) -> None:
+def _even_glare(frame: WorldFrameLight, p: Values) -> None:
     frame.through(lambda image: (1.0 - p["share"]) * image + p["share"] * image.mean())
 
 
@@ -55,7 +55,7 @@ def _draw_falling_glare(draw: Generator, strength: float, setup: Setup) -> dict[
     return {"share": magnitude(strength, 0.04, 0.25), "core_px": draw.uniform(20.0, 120.0)}
 
 
-def _falling_glare(frame: FrameLight, p: Values) -> None:
+def _falling_glare(frame: WorldFrameLight, p: Values) -> None:
     height, width = frame.sight.shape
     v, u = np.mgrid[1 - height : height, 1 - width : width]
     tail = 1.0 / (1.0 + (u**2 + v**2) / p["core_px"] ** 2)
@@ -72,7 +72,7 @@ def _draw_defocus(draw: Generator, strength: float, setup: Setup) -> dict[str, f
     return {"sigma_px": magnitude(strength, 1.0, 4.0)}
 
 
-def _gaussian_defocus(frame: FrameLight, p: Values) -> None:
+def _gaussian_defocus(frame: WorldFrameLight, p: Values) -> None:
     frame.through(lambda image: point_spread(image, p["sigma_px"]))
 
 
@@ -80,7 +80,7 @@ def _draw_disc(draw: Generator, strength: float, setup: Setup) -> dict[str, floa
     return {"radius_px": magnitude(strength, 2.0, 8.0)}
 
 
-def _disc_defocus(frame: FrameLight, p: Values) -> None:
+def _disc_defocus(frame: WorldFrameLight, p: Values) -> None:
     reach = math.ceil(p["radius_px"]) + 1
     v, u = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     # The rim pixel by pixel: a disc cut to whole pixels would have steps in its radius.
@@ -97,17 +97,17 @@ def _draw_vignetting(draw: Generator, strength: float, setup: Setup) -> dict[str
     return {"loss": magnitude(strength, 0.06, 0.5)}
 
 
-def _round_vignetting(frame: FrameLight, p: Values) -> None:
+def _round_vignetting(frame: WorldFrameLight, p: Values) -> None:
     frame.scale(1.0 - p["loss"] * frame.sight.radius**2)
 
 
-def _cosine_vignetting(frame: FrameLight, p: Values) -> None:
+def _cosine_vignetting(frame: WorldFrameLight, p: Values) -> None:
     cos_corner = float(np.cos(frame.sight.theta).min())
     power = math.log(1.0 - p["loss"]) / math.log(cos_corner)
     frame.scale(np.cos(frame.sight.theta) ** power)
 
 
-def _hard_vignetting(frame: FrameLight, p: Values) -> None:
+def _hard_vignetting(frame: WorldFrameLight, p: Values) -> None:
     # A stop beyond the lens cuts the corners: nothing is lost up to 0.6, then evenly more.
     frame.scale(1.0 - p["loss"] * np.clip((frame.sight.radius - 0.6) / 0.4, 0.0, 1.0))
 
@@ -122,14 +122,14 @@ def _draw_dirt(draw: Generator, strength: float, setup: Setup) -> dict[str, floa
     }
 
 
-def _smears(frame: FrameLight, p: Values) -> list[Float64]:
+def _smears(frame: WorldFrameLight, p: Values) -> list[Float64]:
     u, v = _half_diagonals(frame)
     draw = np.random.default_rng(int(p["seed"]))
     places = draw.uniform([-0.6, -0.45, 0.7], [0.6, 0.45, 1.4], (int(p["patches"]), 3))
     return [np.hypot(u - x, v - y) / (size * p["radius"]) for x, y, size in places]
 
 
-def _dirt(frame: FrameLight, p: Values, patches: list[Float64]) -> None:
+def _dirt(frame: WorldFrameLight, p: Values, patches: list[Float64]) -> None:
     passed, veil = np.ones(frame.sight.shape), np.zeros(frame.sight.shape)
     for patch in patches:
         passed *= 1.0 - p["dimming"] * patch
@@ -137,15 +137,15 @@ def _dirt(frame: FrameLight, p: Values, patches: list[Float64]) -> None:
     frame.through(lambda image: passed * image + veil * image.mean())
 
 
-def _round_dirt(frame: FrameLight, p: Values) -> None:
+def _round_dirt(frame: WorldFrameLight, p: Values) -> None:
     _dirt(frame, p, [np.exp(-0.5 * r**2) for r in _smears(frame, p)])
 
 
-def _droplets(frame: FrameLight, p: Values) -> None:
+def _droplets(frame: WorldFrameLight, p: Values) -> None:
     _dirt(frame, p, [0.5 - 0.5 * np.tanh((r - 1.0) / 0.15) for r in _smears(frame, p)])
 
 
-def _fingerprint(frame: FrameLight, p: Values) -> None:
+def _fingerprint(frame: WorldFrameLight, p: Values) -> None:
     # Ridges of a finger within a soft disc.
     _dirt(
         frame,
@@ -158,7 +158,7 @@ def _draw_shift(draw: Generator, strength: float, setup: Setup) -> dict[str, flo
     return {"share": magnitude(strength, 0.8, 3.0)}
 
 
-def _shift(frame: FrameLight, p: Values, passed: Callable[[Float64], Float64], band_nm: Float64) -> None:
+def _shift(frame: WorldFrameLight, p: Values, passed: Callable[[Float64], Float64], band_nm: Float64) -> None:
     """Let the laser's line, and a continuum like the arc's, through a passband that shifts off the axis.
 
     `passed` is the transmission at normal incidence, `band_nm` (n,) even wavelengths over all that passes.
@@ -182,7 +182,7 @@ def _black_body(wavelength_nm: Float64) -> Float64:
     return np.asarray(wavelength_nm**-5.0 / np.expm1(scale_nm / wavelength_nm))
 
 
-def _gaussian_shift(frame: FrameLight, p: Values) -> None:
+def _gaussian_shift(frame: WorldFrameLight, p: Values) -> None:
     stated = frame.studio.world.setup.stated_filter
     per_nm2 = 4.0 * math.log(2.0) / stated.fwhm_nm**2
     band_nm = stated.center_nm + stated.fwhm_nm * np.linspace(-3.0, 3.0, 601)
@@ -193,7 +193,7 @@ def _draw_edge_shift(draw: Generator, strength: float, setup: Setup) -> dict[str
     return {"share": magnitude(strength, 0.8, 3.0)}
 
 
-def _edge_shift(frame: FrameLight, p: Values) -> None:
+def _edge_shift(frame: WorldFrameLight, p: Values) -> None:
     _shift(frame, p, edge_transmission, np.linspace(EDGE_NM[0], EDGE_NM[-1], 601))
 
 
@@ -223,24 +223,26 @@ def _displaced(image: Float64, p: Values, turn_deg: float = 0.0) -> Float64:
     return np.asarray(affine_transform(image, turn, offset, order=3, mode="constant", prefilter=True))
 
 
-def _ghost(frame: FrameLight, p: Values) -> None:
+def _ghost(frame: WorldFrameLight, p: Values) -> None:
     frame.laser = frame.laser + p["share"] * np.maximum(_displaced(frame.laser, p), 0.0)
 
 
-def _blurred_ghost(frame: FrameLight, p: Values) -> None:
+def _blurred_ghost(frame: WorldFrameLight, p: Values) -> None:
     ghost = point_spread(np.maximum(_displaced(frame.laser, p, p["turn_deg"]), 0.0), p["blur_px"])
     frame.laser = frame.laser + p["share"] * ghost
 
 
-FORMS: dict[str, tuple[Form, ...]] = {
+FORMS: dict[str, tuple[EffectForm, ...]] = {
     "dirty_window": (
-        Form(CATALOGUE, "Gaussian patches that dim and scatter the mean", _draw_dirt, light=_round_dirt),
-        Form("droplets", "discs with soft edges", _draw_dirt, light=_droplets),
-        Form("fingerprint", "ridges within a soft disc", _draw_dirt, light=_fingerprint),
+        EffectForm(
+            CATALOGUE, "Gaussian patches that dim and scatter the mean", _draw_dirt, light=_round_dirt
+        ),
+        EffectForm("droplets", "discs with soft edges", _draw_dirt, light=_droplets),
+        EffectForm("fingerprint", "ridges within a soft disc", _draw_dirt, light=_fingerprint),
     ),
     "ghost_stripe": (
-        Form(CATALOGUE, "laser + share laser, moved by (right_px, down_px)", _draw_ghost, light=_ghost),
-        Form(
+        EffectForm(CATALOGUE, "laser + share laser, moved by (right_px, down_px)", _draw_ghost, light=_ghost),
+        EffectForm(
             "blurred",
             "the same turned by turn_deg and blurred by blur_px",
             _draw_blurred_ghost,
@@ -248,27 +250,29 @@ FORMS: dict[str, tuple[Form, ...]] = {
         ),
     ),
     "filter_shift": (
-        Form(
+        EffectForm(
             CATALOGUE,
             "laser x T(690 nm s) / T(690 nm), continuum x int B(l) T(l s) dl over that on axis, a Gaussian "
             "passband, share of the shift",
             _draw_shift,
             light=_gaussian_shift,
         ),
-        Form("edge", "the same with a real filter's flat top and edge", _draw_edge_shift, light=_edge_shift),
+        EffectForm(
+            "edge", "the same with a real filter's flat top and edge", _draw_edge_shift, light=_edge_shift
+        ),
     ),
     "vignetting": (
-        Form(CATALOGUE, "all x (1 - loss rho^2)", _draw_vignetting, light=_round_vignetting),
-        Form(
+        EffectForm(CATALOGUE, "all x (1 - loss rho^2)", _draw_vignetting, light=_round_vignetting),
+        EffectForm(
             "cosine", "all x cos^n(theta), 1 - loss in the corner", _draw_vignetting, light=_cosine_vignetting
         ),
-        Form(
+        EffectForm(
             "hard", "1 up to rho = 0.6, then falling evenly by loss", _draw_vignetting, light=_hard_vignetting
         ),
     ),
     "veiling_glare": (
-        Form(CATALOGUE, "(1 - share) E + share mean(E)", _draw_glare, light=_even_glare),
-        Form(
+        EffectForm(CATALOGUE, "(1 - share) E + share mean(E)", _draw_glare, light=_even_glare),
+        EffectForm(
             "falling",
             "share E convolved with 1 / (1 + r^2 / core^2)",
             _draw_falling_glare,
@@ -276,7 +280,7 @@ FORMS: dict[str, tuple[Form, ...]] = {
         ),
     ),
     "defocus": (
-        Form(CATALOGUE, "a Gaussian of sigma_px more", _draw_defocus, light=_gaussian_defocus),
-        Form("disc", "an evenly lit disc of radius_px", _draw_disc, light=_disc_defocus),
+        EffectForm(CATALOGUE, "a Gaussian of sigma_px more", _draw_defocus, light=_gaussian_defocus),
+        EffectForm("disc", "an evenly lit disc of radius_px", _draw_disc, light=_disc_defocus),
     ),
 }

@@ -12,17 +12,17 @@ from noise_model.transforms import moved
 from validation.second_renderer.world_bounce import Bounces, bounced_light
 from validation.second_renderer.world_effect import (
     CATALOGUE,
-    Form,
-    FrameLight,
+    EffectForm,
     Generator,
     Moment,
     Values,
+    WorldFrameLight,
     direction,
     drawn_seed,
     magnitude,
     signed,
 )
-from validation.second_renderer.world_light import Lens, TrueWorld
+from validation.second_renderer.world_light import TrueWorld, WorldLens
 from validation.second_renderer.world_metal import LobeShape
 
 TABLE_1 = ((0.021, 0.326), (0.495, 0.153))
@@ -90,7 +90,7 @@ def _draw_bounces(draw: Generator, strength: float, setup: Setup) -> dict[str, f
     return {"scale": magnitude(strength, 0.12, 0.45)}
 
 
-def _bounced(frame: FrameLight, bounces: Bounces) -> None:
+def _bounced(frame: WorldFrameLight, bounces: Bounces) -> None:
     arc, laser = bounced_light(frame.studio, frame.sight, frame.body, bounces)
     frame.arc = frame.arc + frame.moment.arc_level * arc
     frame.laser = frame.laser + frame.moment.laser_level * laser
@@ -171,42 +171,42 @@ def _draw_slanted_outline(draw: Generator, strength: float, setup: Setup) -> dic
     return {**_draw_outline(draw, strength, setup), "turn_deg": draw.uniform(-3.0, 3.0)}
 
 
-def _cut_plate(frame: FrameLight, p: Values) -> None:
+def _cut_plate(frame: WorldFrameLight, p: Values) -> None:
     x, y = np.nan_to_num(frame.sight.points[:, :2]).T
     beyond = p["side"] * y > p["reach_mm"] + math.tan(math.radians(p["turn_deg"])) * x
     frame.through(lambda image: np.where(beyond.reshape(image.shape), 0.0, image))
 
 
-FORMS: dict[str, tuple[Form, ...]] = {
+FORMS: dict[str, tuple[EffectForm, ...]] = {
     "wrong_material": (
-        Form(
+        EffectForm(
             CATALOGUE,
             "kappa_diff x exp(kappa_diff_ln), kappa_spec x exp(kappa_spec_ln); the stripe peaks as stated",
             _draw_material,
             world=_wrong_material,
         ),
-        Form(
+        EffectForm(
             "blend",
             "(1 - share) kappa + share kappa of Table 1's other metal",
             _draw_blend,
             world=_blended_material,
         ),
     ),
-    "roughness_change": (Form(CATALOGUE, "c2 x exp(c2_ln)", _draw_roughness, world=_roughness),),
+    "roughness_change": (EffectForm(CATALOGUE, "c2 x exp(c2_ln)", _draw_roughness, world=_roughness),),
     "brdf_tail": (
-        Form(
+        EffectForm(
             CATALOGUE,
             "(1 + tail c2 alpha^2)^(-1/tail)",
             _draw_student,
             world=lambda world, p: replace(world, lobe=replace(world.lobe, tail=p["tail"])),
         ),
-        Form(
+        EffectForm(
             "two_lobes",
             "two Gaussians, the second width_ratio as wide, of that share",
             _draw_two_lobes,
             world=lambda world, p: replace(world, lobe=LobeShape("two_lobes", p["share"], p["width_ratio"])),
         ),
-        Form(
+        EffectForm(
             "ggx",
             "a share of Trowbridge and Reitz's (1 + c2 tan^2(alpha) / 2)^-2",
             _draw_ggx,
@@ -214,7 +214,7 @@ FORMS: dict[str, tuple[Form, ...]] = {
         ),
     ),
     "rolling_marks": (
-        Form(
+        EffectForm(
             CATALOGUE,
             "c2 (e^a cos^2 psi + e^-a sin^2 psi), psi from marks at marks_deg",
             _draw_marks,
@@ -222,7 +222,7 @@ FORMS: dict[str, tuple[Form, ...]] = {
                 world, lobe=replace(world.lobe, kind="ward", a=p["anisotropy"], b=p["marks_deg"])
             ),
         ),
-        Form(
+        EffectForm(
             "slopes",
             "an elliptical Gaussian of the half vector's slopes",
             _draw_marks,
@@ -230,8 +230,8 @@ FORMS: dict[str, tuple[Form, ...]] = {
         ),
     ),
     "plate_outline": (
-        Form(CATALOGUE, "dark from reach_mm beside the seam on", _draw_outline, light=_cut_plate),
-        Form(
+        EffectForm(CATALOGUE, "dark from reach_mm beside the seam on", _draw_outline, light=_cut_plate),
+        EffectForm(
             "slanted",
             "the same, the edge turned by turn_deg to the seam",
             _draw_slanted_outline,
@@ -239,13 +239,13 @@ FORMS: dict[str, tuple[Form, ...]] = {
         ),
     ),
     "interreflection": (
-        Form(
+        EffectForm(
             CATALOGUE,
             "up to six bounces, absolute reflectance scale f_r, by the metal's lobe first",
             _draw_bounces,
             light=lambda frame, p: _bounced(frame, Bounces(p["scale"])),
         ),
-        Form(
+        EffectForm(
             "one_diffuse",
             "one bounce, even in all directions: scale kappa_diff",
             _draw_bounces,
@@ -253,31 +253,31 @@ FORMS: dict[str, tuple[Form, ...]] = {
         ),
     ),
     "hand_eye": (
-        Form(
+        EffectForm(
             CATALOGUE, "T_tool_camera turned and moved in the camera's frame", _draw_hand_eye, world=_hand_eye
         ),
     ),
     "surface_tilt": (
-        Form(CATALOGUE, "joint turned by roll and pitch at its origin", _draw_tilt, world=_tilted),
-        Form("hinge", "joint rolled about a clamp line at y = clamp_y_mm", _draw_hinge, world=_hinged),
+        EffectForm(CATALOGUE, "joint turned by roll and pitch at its origin", _draw_tilt, world=_tilted),
+        EffectForm("hinge", "joint rolled about a clamp line at y = clamp_y_mm", _draw_hinge, world=_hinged),
     ),
     "lens_distortion": (
-        Form(
+        EffectForm(
             CATALOGUE,
             "x_d = x_u (1 + k1 r_u^2 + k2 r_u^4)",
             _draw_bent_distortion,
-            world=lambda world, p: replace(world, lens=Lens("brown", p["k1"], p["k2"])),
+            world=lambda world, p: replace(world, lens=WorldLens("brown", p["k1"], p["k2"])),
         ),
-        Form(
+        EffectForm(
             "division",
             "x_u = x_d / (1 + k1 r_d^2)",
             _draw_distortion,
-            world=lambda world, p: replace(world, lens=Lens("division", p["k1"])),
+            world=lambda world, p: replace(world, lens=WorldLens("division", p["k1"])),
         ),
     ),
     "pose_delay": (
-        Form(CATALOGUE, "the pose at t is stamped t + delay_s", _draw_delay, moment=_delayed),
-        Form(
+        EffectForm(CATALOGUE, "the pose at t is stamped t + delay_s", _draw_delay, moment=_delayed),
+        EffectForm(
             "wandering",
             "t + delay_s + skew t + normal jitter",
             _draw_wandering_clock,

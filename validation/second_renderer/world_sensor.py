@@ -13,7 +13,7 @@ from noise_model.instrument.sensor import Sensor
 from noise_model.setup import Setup
 from validation.second_renderer.world_effect import (
     CATALOGUE,
-    Form,
+    EffectForm,
     Generator,
     Moment,
     Values,
@@ -150,31 +150,37 @@ def _jpeg(codes: Integers, p: Values) -> Integers:
     return np.asarray(cv2.imdecode(kept, cv2.IMREAD_UNCHANGED), dtype=codes.dtype)
 
 
-FORMS: dict[str, tuple[Form, ...]] = {
+FORMS: dict[str, tuple[EffectForm, ...]] = {
     "exposure_drift": drift_forms(
         "exposure", _scaled_exposure, settling=(0.03, 0.4), swing=(0.02, 0.2), hop=(0.03, 0.3)
     ),
     "fixed_pattern": (
-        Form(CATALOGUE, "charge x (1 + sigma_rel n), n normal", _draw_pattern, charge=_even_pattern),
-        Form("columns", "log-normal gains of pixels and columns", _draw_pattern, charge=_column_pattern),
+        EffectForm(CATALOGUE, "charge x (1 + sigma_rel n), n normal", _draw_pattern, charge=_even_pattern),
+        EffectForm(
+            "columns", "log-normal gains of pixels and columns", _draw_pattern, charge=_column_pattern
+        ),
     ),
     "blooming": (
-        Form(
+        EffectForm(
             CATALOGUE,
             "the share spill of what exceeds full well, along its column, exp(-distance / reach_px)",
             _draw_blooming,
             charge=_falling_blooming,
         ),
-        Form("leak", "a column's excess times leak, evenly all along it", _draw_leak, charge=_constant_leak),
+        EffectForm(
+            "leak", "a column's excess times leak, evenly all along it", _draw_leak, charge=_constant_leak
+        ),
     ),
     "gamma": (
-        Form(CATALOGUE, "DN ~ e^(gamma_stated x gamma)", _draw_gamma, response=_power),
-        Form("knee", "linear, beyond knee x full well with another slope", _draw_knee, response=_knee),
-        Form("s_curve", "x + bend x (1 - x) (2 x - 1), x = e / full well", _draw_s_curve, response=_s_curve),
+        EffectForm(CATALOGUE, "DN ~ e^(gamma_stated x gamma)", _draw_gamma, response=_power),
+        EffectForm("knee", "linear, beyond knee x full well with another slope", _draw_knee, response=_knee),
+        EffectForm(
+            "s_curve", "x + bend x (1 - x) (2 x - 1), x = e / full well", _draw_s_curve, response=_s_curve
+        ),
     ),
     "black_level": (
-        Form(CATALOGUE, "black level + offset_dn", _draw_black, offset=_even_black),
-        Form(
+        EffectForm(CATALOGUE, "black level + offset_dn", _draw_black, offset=_even_black),
+        EffectForm(
             "sloping",
             "an offset that changes from the top row to the bottom",
             _draw_sloping_black,
@@ -182,8 +188,8 @@ FORMS: dict[str, tuple[Form, ...]] = {
         ),
     ),
     "read_noise": (
-        Form(CATALOGUE, "Gaussian, noise_ratio x the stated", _draw_read_noise, noise=_gaussian_noise),
-        Form(
+        EffectForm(CATALOGUE, "Gaussian, noise_ratio x the stated", _draw_read_noise, noise=_gaussian_noise),
+        EffectForm(
             "heavy",
             "Student's t of 5 degrees of freedom, noise_ratio x the stated",
             _draw_read_noise,
@@ -191,6 +197,6 @@ FORMS: dict[str, tuple[Form, ...]] = {
         ),
     ),
     "image_compression": (
-        Form(CATALOGUE, "JPEG of a quality, as libjpeg writes it", _draw_jpeg, codes=_jpeg),
+        EffectForm(CATALOGUE, "JPEG of a quality, as libjpeg writes it", _draw_jpeg, codes=_jpeg),
     ),
 }

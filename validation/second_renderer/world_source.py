@@ -13,11 +13,11 @@ from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from validation.second_renderer.world_effect import (
     CATALOGUE,
-    Form,
-    FrameLight,
+    EffectForm,
     Generator,
     Moment,
     Values,
+    WorldFrameLight,
     direction,
     drawn_seed,
     magnitude,
@@ -31,7 +31,7 @@ EDGE_NM, EDGE_OD = (680.0, 685.0, 690.0, 696.0, 697.0, 710.0), (0.9, 0.05, 0.011
 ARGON_NM = 696.54
 
 
-def filter_angle_shift(frame: FrameLight, share: float = 1.0) -> Float64:
+def filter_angle_shift(frame: WorldFrameLight, share: float = 1.0) -> Float64:
     """Return lambda_0 / lambda_theta (H, W) of the stated filter, `share` of the shift."""
     index = frame.studio.world.setup.stated_filter.effective_index
     return np.asarray(1.0 / np.sqrt(1.0 - share * (np.sin(frame.sight.theta) / index) ** 2))
@@ -127,12 +127,12 @@ def _draw_argon(draw: Generator, strength: float, setup: Setup) -> dict[str, flo
     return {"on_axis": magnitude(strength, 0.06, 0.8)}
 
 
-def _argon_edge(frame: FrameLight, p: Values) -> None:
+def _argon_edge(frame: WorldFrameLight, p: Values) -> None:
     passed = edge_transmission(ARGON_NM * filter_angle_shift(frame))
     frame.arc = frame.arc * (1.0 + p["on_axis"] * passed / edge_transmission(np.array(ARGON_NM)))
 
 
-def _argon_gauss(frame: FrameLight, p: Values) -> None:
+def _argon_gauss(frame: WorldFrameLight, p: Values) -> None:
     # As the stated filter passes the line: a Gaussian of its width.
     stated = frame.studio.world.setup.stated_filter
     off_nm = ARGON_NM * filter_angle_shift(frame) - stated.center_nm
@@ -181,7 +181,7 @@ def drift_forms(
     settling: tuple[float, float],
     swing: tuple[float, float],
     hop: tuple[float, float],
-) -> tuple[Form, ...]:
+) -> tuple[EffectForm, ...]:
     """Return the forms of a drift of an output, each with its magnitudes at strengths of 0 and 1."""
 
     def form(
@@ -190,8 +190,8 @@ def drift_forms(
         draw_of: Callable[[Generator, float], dict[str, float]],
         sizes: tuple[float, float],
         factor_at: Callable[[Values, Moment], float],
-    ) -> Form:
-        return Form(
+    ) -> EffectForm:
+        return EffectForm(
             name,
             f"{what} x {factor}",
             lambda draw, strength, setup: draw_of(draw, magnitude(strength, *sizes)),
@@ -213,18 +213,18 @@ def _draw_speckle(draw: Generator, strength: float, setup: Setup) -> dict[str, f
     return {"contrast": magnitude(strength, 0.06, 0.35), "grain_px": draw.uniform(0.5, 1.5)}
 
 
-def _grains(frame: FrameLight, grain_px: float) -> Float64:
+def _grains(frame: WorldFrameLight, grain_px: float) -> Float64:
     """Return a field (H, W) of unit variance, white behind a Gaussian of 1 sigma `grain_px`."""
     field = gaussian_filter(frame.draw.standard_normal(frame.laser.shape), grain_px, mode="wrap")
     return np.asarray(field / field.std())
 
 
-def _speckle(frame: FrameLight, p: Values) -> None:
+def _speckle(frame: WorldFrameLight, p: Values) -> None:
     spread = math.sqrt(math.log1p(p["contrast"] ** 2))
     frame.laser = frame.laser * np.exp(spread * _grains(frame, p["grain_px"]) - 0.5 * spread**2)
 
 
-def _gamma_speckle(frame: FrameLight, p: Values) -> None:
+def _gamma_speckle(frame: WorldFrameLight, p: Values) -> None:
     # The sum of M independent exponentials, each the square of a complex field (Goodman, ch. 4).
     looks = max(1, round(1.0 / p["contrast"] ** 2))
     block = max(1, round(p["grain_px"]))
@@ -233,33 +233,35 @@ def _gamma_speckle(frame: FrameLight, p: Values) -> None:
     frame.laser = frame.laser * np.kron(coarse, np.ones((block, block)))[:height, :width]
 
 
-FORMS: dict[str, tuple[Form, ...]] = {
+FORMS: dict[str, tuple[EffectForm, ...]] = {
     "arc_length": (
-        Form(CATALOGUE, "center_z + height_mm", _draw_arc_length, world=_arc_length),
-        Form(
+        EffectForm(CATALOGUE, "center_z + height_mm", _draw_arc_length, world=_arc_length),
+        EffectForm(
             "rides", "center_z + share x the tool's height over the seam", _draw_arc_rides, moment=_arc_rides
         ),
     ),
     "arc_deflection": (
-        Form(CATALOGUE, "center + (x_mm, y_mm), tool's frame", _draw_deflection, world=_arc_deflection),
-        Form(
+        EffectForm(CATALOGUE, "center + (x_mm, y_mm), tool's frame", _draw_deflection, world=_arc_deflection),
+        EffectForm(
             "growing",
             "center + 2 t / T (x_mm, y_mm): blow grows along the weld",
             _draw_deflection,
             moment=_growing_deflection,
         ),
     ),
-    "arc_radius": (Form(CATALOGUE, "R x radius_ratio", _draw_radius, world=_arc_radius),),
+    "arc_radius": (EffectForm(CATALOGUE, "R x radius_ratio", _draw_radius, world=_arc_radius),),
     "arc_flicker": (
-        Form(CATALOGUE, "arc x exp(sigma_rel n), n normal in each frame", _draw_flicker, moment=_flicker),
-        Form("sine", "arc x (1 + amplitude sin(2 pi f t + phase))", _draw_wave, moment=_sine_flicker),
-        Form(
+        EffectForm(
+            CATALOGUE, "arc x exp(sigma_rel n), n normal in each frame", _draw_flicker, moment=_flicker
+        ),
+        EffectForm("sine", "arc x (1 + amplitude sin(2 pi f t + phase))", _draw_wave, moment=_sine_flicker),
+        EffectForm(
             "pulses",
             "arc x (1 +- amplitude), a square wave over the exposure",
             _draw_wave,
             moment=_pulse_flicker,
         ),
-        Form(
+        EffectForm(
             "walk",
             "ln arc is a sum of normal steps, sigma_rel / 2 each",
             _draw_flicker,
@@ -267,13 +269,13 @@ FORMS: dict[str, tuple[Form, ...]] = {
         ),
     ),
     "argon_line_leak": (
-        Form(
+        EffectForm(
             CATALOGUE,
             "arc x (1 + on_axis T(696.54 nm, theta) / T(696.54 nm, 0)), T a real filter's",
             _draw_argon,
             image=_argon_edge,
         ),
-        Form(
+        EffectForm(
             "gauss", "the same with a Gaussian passband of the stated width", _draw_argon, image=_argon_gauss
         ),
     ),
@@ -281,8 +283,10 @@ FORMS: dict[str, tuple[Form, ...]] = {
         "laser", _scaled_laser, settling=(0.08, 0.4), swing=(0.04, 0.2), hop=(0.06, 0.3)
     ),
     "laser_speckle": (
-        Form(CATALOGUE, "laser x log-normal grains of a Gaussian correlation", _draw_speckle, image=_speckle),
-        Form(
+        EffectForm(
+            CATALOGUE, "laser x log-normal grains of a Gaussian correlation", _draw_speckle, image=_speckle
+        ),
+        EffectForm(
             "gamma",
             "laser x gamma-distributed grains, square and independent",
             _draw_speckle,

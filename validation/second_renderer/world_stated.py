@@ -37,7 +37,7 @@ PREVIEW = 8
 
 
 @dataclass(frozen=True)
-class Motion:
+class WorldMotion:
     """The tool over the nominal seam along base's x: even travel, and swings of (amplitude, period_s, phase).
 
     `speed_mm_s`, `yaw_deg` and `height_mm` (the middle one) stay; `weave` in mm, `rise` in mm, `roll` and
@@ -57,7 +57,7 @@ class Motion:
         """Return the tool's height over the nominal surface below it, mm."""
         return self.height_mm + _swing(self.rise, time_s)
 
-    def straight(self) -> Motion:
+    def straight(self) -> WorldMotion:
         """Return the same without swings."""
         still = 0.0, 1.0, 0.0
         return replace(self, weave=still, rise=still, roll=still, pitch=still)
@@ -74,13 +74,13 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Continued:
+class ContinuedMotion:
     """A motion that goes on as an experiment says: `motion` until `from_s`, the experiment's from `to_s` on.
 
     In between the tool takes speed, turn and move of the experiment up smoothly.
     """
 
-    motion: Motion
+    motion: WorldMotion
     experiment: Experiment
     from_s: float
     to_s: float
@@ -110,7 +110,7 @@ class Continued:
         return min(max((time_s - self.from_s) / (self.to_s - self.from_s), 0.0), 1.0)
 
 
-def draw_stated(draw: Generator, joint: str | None, width_px: int = WIDTH_PX) -> tuple[Setup, Motion]:
+def draw_stated(draw: Generator, joint: str | None, width_px: int = WIDTH_PX) -> tuple[Setup, WorldMotion]:
     """Draw a nominal setup, its `[arc] radiance_e` still 1, and a motion; `joint` is drawn if None.
 
     Its camera has images so wide; every other one looks from beside the seam's plane, but at laps.
@@ -173,9 +173,9 @@ def _draw_camera(draw: Generator, joint_type: str) -> Camera:
     )
 
 
-def _draw_motion(draw: Generator, joint: Joint) -> Motion:
+def _draw_motion(draw: Generator, joint: Joint) -> WorldMotion:
     phases = draw.uniform(0.0, 2.0 * math.pi, 4)
-    return Motion(
+    return WorldMotion(
         joint=joint,
         speed_mm_s=draw.uniform(7.0, 9.0),
         yaw_deg=draw.uniform(-3.0, 3.0),
@@ -187,7 +187,7 @@ def _draw_motion(draw: Generator, joint: Joint) -> Motion:
     )
 
 
-def balanced(stated: Setup, motion: Motion, times_s: tuple[float, ...]) -> Setup:
+def balanced(stated: Setup, motion: WorldMotion, times_s: tuple[float, ...]) -> Setup:
     """Return the setup with the `[arc] radiance_e` that a user's aperture would give it, to three digits.
 
     `times_s` are those at which the nominal arc is looked at.

@@ -10,18 +10,18 @@ from __future__ import annotations
 
 import math
 
-from arctrack.cameras.camera_line import Wanted
+from arctrack.cameras.camera_line import CaptureRequest
 
 SLACK_S = 0.002
 """How much later or sooner than meant a frame may be exposed, s: the sum of what is named above."""
 
 
-def is_reached(wanted: Wanted, exposure_s: float, now_s: float) -> bool:
+def is_reached(wanted: CaptureRequest, exposure_s: float, now_s: float) -> bool:
     """Return whether a base phase is known, and is long enough for a frame that the host triggers."""
     return now_s < wanted.pulse_until_s and wanted.base_s >= exposure_s + 2.0 * SLACK_S
 
 
-def trigger_at_s(wanted: Wanted, exposure_s: float, due_s: float, now_s: float) -> float:
+def trigger_at_s(wanted: CaptureRequest, exposure_s: float, due_s: float, now_s: float) -> float:
     """Return when to trigger a frame that is due, s.
 
     Parameters

@@ -6,13 +6,13 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from arctrack.cameras.camera_line import Wanted
+from arctrack.cameras.camera_line import CaptureRequest
 from tracker.state import Frame
 
 LONGEST_WAIT_S = 0.05
 """So long a source waits for a frame at most before it returns, s: the laser is asked for so often."""
 
-Ask = Callable[[], Wanted]
+Ask = Callable[[], CaptureRequest]
 """Returns what the tracker wants now."""
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from arctrack.cell.cell import BRIDGE_MM, Cell
 from arctrack.cell.faults.kind import POSES, Begin, End, FaultKind
 from arctrack.cell.robot import RETRACT_MM_S
-from arctrack.cell.tracker_party import Camera
+from arctrack.cell.tracker_party import CameraBehaviour
 from arctrack.cell.world import World
 from robot_io import Command, GateReason, MotionState, RobotStatus, Switch, WeldingState
 
@@ -62,10 +62,10 @@ def _unseen(is_reset: bool) -> Begin:
     """Let the camera see no joint; a tracker that went into its fault over it is reset."""
 
     def begin(cell: Cell, _rng: np.random.Generator) -> End:
-        cell.tracker.camera = Camera.GARBAGE
+        cell.tracker.camera = CameraBehaviour.GARBAGE
 
         def end() -> None:
-            cell.tracker.camera = Camera.RIGHT
+            cell.tracker.camera = CameraBehaviour.RIGHT
             if is_reset:
                 rearm(cell, Command.RESET)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import can
 
-from arctrack.cell.bus import Frame, Listener
+from arctrack.cell.bus import BusFrame, Listener
 from arctrack.cell.scheduler import Scheduler
 
 LONGEST_WAIT_S = 0.02
@@ -84,4 +84,4 @@ class RealBus:
             self._sent.remove(key)
             return
         self.scheduler.now_s = time.monotonic() - self.scheduler.began_s
-        self._listener(Frame("other", *key, self.scheduler.now_s))
+        self._listener(BusFrame("other", *key, self.scheduler.now_s))

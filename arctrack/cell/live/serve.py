@@ -12,7 +12,7 @@ from typing import Any
 
 import can
 
-from arctrack.cell.bus import Frame
+from arctrack.cell.bus import BusFrame
 from arctrack.cell.cell import ARMED_S
 from arctrack.cell.live.camera import Shot, run_camera
 from arctrack.cell.live.real_time import RealBus, RealTimeScheduler
@@ -134,7 +134,7 @@ class Program:
         party.on_message = self._hear
         scheduler.every(0.02, self._command, 0.0007)
 
-    def _hear(self, received: Received, _frame: Frame) -> None:
+    def _hear(self, received: Received, _frame: BusFrame) -> None:
         now_s = self._scheduler.now_s
         self._use.on_message(received, now_s)
         if isinstance(received.message, TrackerHeartbeat):

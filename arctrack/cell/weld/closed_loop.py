@@ -28,7 +28,7 @@ from noise_model.surface.joint import section
 from robot_io import BusMessage, GateReason, SeamOffset, TrackerStatus, Validity
 from robot_io.clocks.lag import Lag
 from tracker import flags
-from tracker.state import Lead, Track
+from tracker.state import OffsetLookAhead, Track
 
 START_MM = 30.0
 """Where the torch begins, mm, base's x: in a valley of the nominal corrugation."""
@@ -124,7 +124,7 @@ class LoopFrame:
     reason: GateReason
     sample: Sample
     lag: Lag
-    lead: Lead
+    lead: OffsetLookAhead
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class EventResult:
 
 
 @dataclass(frozen=True)
-class LoopResult:
+class ClosedLoopResult:
     """What came of a run; errors are those after lock, mm, NaN where it never locked.
 
     Attributes
@@ -229,13 +229,13 @@ class ClosedLoop:
         self.cell.tracker.on_track = self._on_track
         self.cell.scheduler.every(SAMPLE_S, self._sample, 0.0007)
 
-    def run(self, on_frame: Callable[[int], None] | None = None) -> LoopResult:
+    def run(self, on_frame: Callable[[int], None] | None = None) -> ClosedLoopResult:
         """Run to the end, and return what came of it; `on_frame` hears the number of frames done."""
         self._on_frame = on_frame
         self.cell.run(self.duration_s)
         return self.result()
 
-    def result(self) -> LoopResult:
+    def result(self) -> ClosedLoopResult:
         """Return what came of the run so far."""
         lock_s = self.lock_s()
         locked = [sample for sample in self.samples if sample.time_s >= lock_s]
@@ -244,11 +244,11 @@ class ClosedLoop:
         offsets = OffsetCount.of(sum(valid), len(valid), reasons)
         lag = self.cell.tracker.poses.look_ahead.lag
         if not locked:
-            return LoopResult(lock_s, *(math.nan,) * 4, offsets, reasons, lag, math.nan)
+            return ClosedLoopResult(lock_s, *(math.nan,) * 4, offsets, reasons, lag, math.nan)
         off = np.array([np.subtract(sample.torch_mm, sample.seam_mm) for sample in locked])
         distance = np.hypot(off[:, 0], off[:, 1])
         rms_y_mm, rms_z_mm = np.sqrt((off**2).mean(axis=0)).tolist()
-        return LoopResult(
+        return ClosedLoopResult(
             lock_s=lock_s,
             rms_mm=float(np.sqrt((distance**2).mean())),
             max_mm=float(distance.max()),

@@ -11,7 +11,7 @@ import numpy as np
 from arctrack.cell.eye import Shown
 from arctrack.cell.robot import Robot
 from arctrack.service.frame_tracking import Capture, FrameTracking
-from arctrack.service.innovation import SeamMeasured
+from arctrack.service.innovation import SeamMeasurement
 from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64, Integers
 from noise_model.condition import Condition
@@ -130,7 +130,7 @@ class RenderedEye:
         size = (camera.height, camera.width)
         return self.rng.integers(0, 2**sensor.bits, size).astype(sensor.dtype)
 
-    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasured | None]:
+    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
         """Track a frame; of poses that are doubted nothing lasts."""
         assert shown is not None
         said = capture.robot

@@ -6,7 +6,7 @@ import numpy as np
 
 from arctrack.recording import Recording
 from arctrack.report import style
-from arctrack.report.calibration.page import CalibrationPage, Picture, Row, row_of, with_sigma
+from arctrack.report.calibration.page import CalibrationPage, PagePicture, ValueRow, row_of, with_sigma
 from arctrack.report.embedded import svg
 from calibration.arc.calibrate import KEYS, ArcCalibration, Combination
 from calibration.arc.problem import C2, RADIANCE, RADIUS, RATIO, X, Y, Z
@@ -69,7 +69,7 @@ def arc_page(result: ArcCalibration, recording: Recording) -> CalibrationPage:
         sentences=sentences,
         rows=_rows(result),
         pictures=(
-            Picture(
+            PagePicture(
                 _residuals(result),
                 "what is left, relative to the arc's light: over the image, and in each frame (68 %)",
                 "A pattern that all frames share is what the model lacks: arctrack diagnose names it.",
@@ -84,11 +84,11 @@ def arc_page(result: ArcCalibration, recording: Recording) -> CalibrationPage:
     )
 
 
-def _rows(result: ArcCalibration) -> tuple[Row, ...]:
+def _rows(result: ArcCalibration) -> tuple[ValueRow, ...]:
     rows = []
     for key, what, unit, value, sigma in zip(KEYS, WORDS, UNITS, result.values, result.sigmas, strict=True):
         if key in result.held_keys:
-            rows.append(Row(what, key, f"{value:.5g}", "", "as stated", unit))
+            rows.append(ValueRow(what, key, f"{value:.5g}", "", "as stated", unit))
             continue
         rows.append(row_of(what, key, value, sigma, unit, shown=_number))
     return tuple(rows)

@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from arctrack.report import style
-from arctrack.report.calibration.page import Picture, Row, row_of, with_sigma
+from arctrack.report.calibration.page import PagePicture, ValueRow, row_of, with_sigma
 from arctrack.report.embedded import svg
 from calibration.laser.beam import Beam
 from calibration.laser.fan import Fan, Missing
 from calibration.laser.width import Law, Width
 from noise_model.arrays import Float64
 
-SURE_SIGMAS, LEAST_TURN_DEG = 4.0, 1.0
+SURE_SIGMAS, MIN_TURN_DEG = 4.0, 1.0
 """A fan that is turned by more than either is named."""
 
-ANGLES, LEAST_IN_BIN = 24, 10
+ANGLES, MIN_IN_BIN = 24, 10
 """Parts of the fan whose median shows how even it is, and the points that make one."""
 
 
-def beam_rows(beam: Beam) -> tuple[Row, ...]:
+def beam_rows(beam: Beam) -> tuple[ValueRow, ...]:
     """Return the values that were found."""
     rows = []
     if not isinstance(beam.fan, str):
@@ -55,7 +55,7 @@ def beam_sentences(beam: Beam) -> list[str]:
 
 def _of_fan(fan: Fan) -> list[str]:
     lines = [f"The stripe's ends lie {fan.residual_mm:.2f} mm off the two sides of the fan (RMS)."]
-    if abs(fan.turn_deg) > max(SURE_SIGMAS * fan.sigma[3], LEAST_TURN_DEG):
+    if abs(fan.turn_deg) > max(SURE_SIGMAS * fan.sigma[3], MIN_TURN_DEG):
         turn, within = with_sigma(abs(fan.turn_deg), float(fan.sigma[3]))
         lines.append(
             f"The fan's middle is turned by {turn} ± {within}° in the sheet. A setup's fan is even about the "
@@ -94,12 +94,12 @@ def _of_width(width: Width) -> list[str]:
     return lines
 
 
-def beam_pictures(beam: Beam) -> tuple[Picture, ...]:
+def beam_pictures(beam: Beam) -> tuple[PagePicture, ...]:
     """Return the pictures of fan, evenness and thickness, of what there is."""
     pictures = []
     if beam.pairs:
         pictures.append(
-            Picture(
+            PagePicture(
                 _in_fan(beam),
                 "the stripes and their ends within the sheet, and how even the light is over the fan",
                 "The light is counted over the room's on the board, and over what the model has at that "
@@ -108,7 +108,7 @@ def beam_pictures(beam: Beam) -> tuple[Picture, ...]:
         )
     if not isinstance(beam.width, str):
         pictures.append(
-            Picture(
+            PagePicture(
                 _thickness(beam.width),
                 "the sheet's thickness against the depth below the origin",
                 "Bars are 1 σ of a pair. A beam is thinnest at its waist.",
@@ -149,7 +149,7 @@ def _in_fan(beam: Beam) -> str:
 def _medians(angle: Float64, level: Float64) -> tuple[Float64, Float64]:
     edges = np.linspace(angle.min(), angle.max(), ANGLES + 1)
     part = np.searchsorted(edges, angle).clip(1, ANGLES) - 1
-    full = [n for n in range(ANGLES) if (part == n).sum() >= LEAST_IN_BIN]
+    full = [n for n in range(ANGLES) if (part == n).sum() >= MIN_IN_BIN]
     middles = 0.5 * (edges[1:] + edges[:-1])
     return middles[full], np.array([np.median(level[part == n]) for n in full])
 

@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from arctrack.calibration_files.board_images import BoardImages
 from arctrack.recording import SetupFile
 from arctrack.report.calibration import camera_pictures
-from arctrack.report.calibration.page import CalibrationPage, Picture, Row, row_of, with_reasons
+from arctrack.report.calibration.page import CalibrationPage, PagePicture, ValueRow, row_of, with_reasons
 from arctrack.report.embedded import svg
 from calibration.camera.calibrate import CameraCalibration
 from calibration.camera.enough import GOOD_COVER, cover, empty_parts
-from calibration.camera.halves import MOST_RATIO
+from calibration.camera.halves import MAX_RATIO
 
 DIM = (
     "the board is dim: light it from the side with LEDs of the laser's wavelength or a halogen lamp, and "
@@ -48,7 +48,7 @@ def camera_page(result: CameraCalibration, images: BoardImages, stated: SetupFil
         f"{result.rms_px:.3f} px RMS; noise of a corner {float(result.noise.sigma_px.mean()):.3f} px.",
         f"The distortion is {result.order}. Coefficients that are not listed are 0.",
         f"Halves of the images differ {result.ratio_of_halves:.2f} times as much as noise predicts, "
-        f"{MOST_RATIO:g} at most.",
+        f"{MAX_RATIO:g} at most.",
     ]
     if result.next_board is not None:
         sentences.append(
@@ -70,7 +70,7 @@ def camera_page(result: CameraCalibration, images: BoardImages, stated: SetupFil
     )
 
 
-def camera_rows(result: CameraCalibration) -> tuple[Row, ...]:
+def camera_rows(result: CameraCalibration) -> tuple[ValueRow, ...]:
     """Return the lens' parameters and the board's warp."""
     values = [*result.scene.lens.values, *result.scene.warp_mm]
     rows = []
@@ -80,7 +80,7 @@ def camera_rows(result: CameraCalibration) -> tuple[Row, ...]:
         rows.append(row_of(MEANINGS.get(name, RADIAL), key, value, sigma, unit))
     if result.print_sigma_mm > 0.0:
         off = f"{result.print_sigma_mm:.4f}"
-        rows.append(Row("how far corners are off on the board as printed, 1 σ", "", off, "", "", "mm"))
+        rows.append(ValueRow("how far corners are off on the board as printed, 1 σ", "", off, "", "", "mm"))
     return tuple(rows)
 
 
@@ -116,7 +116,7 @@ def _wrong_corners(result: CameraCalibration) -> Iterator[str]:
         )
 
 
-def _pictures(result: CameraCalibration, images: BoardImages) -> Iterator[Picture]:
+def _pictures(result: CameraCalibration, images: BoardImages) -> Iterator[PagePicture]:
     yield _picture(camera_pictures.coverage(result, images.sample), "where corners were seen", "")
     yield _picture(
         camera_pictures.sigma_map(result),
@@ -153,5 +153,5 @@ def _pictures(result: CameraCalibration, images: BoardImages) -> Iterator[Pictur
     )
 
 
-def _picture(figure: Figure, caption: str, note: str) -> Picture:
-    return Picture(svg(figure), caption, note)
+def _picture(figure: Figure, caption: str, note: str) -> PagePicture:
+    return PagePicture(svg(figure), caption, note)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from arctrack.report import style
-from arctrack.report.calibration.page import CalibrationPage, Picture, Row
+from arctrack.report.calibration.page import CalibrationPage, PagePicture, ValueRow
 from arctrack.report.embedded import svg
 from calibration.certificate import (
     CAMERA,
@@ -90,7 +90,7 @@ def certificate_page(
         sentences=sentences,
         rows=_rows(certificate),
         pictures=(
-            Picture(
+            PagePicture(
                 _map(certificate),
                 "1 σ of the calibration over the laser sheet",
                 "The cross is the point nearest to the tool's axis.",
@@ -103,14 +103,14 @@ def certificate_page(
     )
 
 
-def _rows(certificate: Certificate) -> tuple[Row, ...]:
+def _rows(certificate: Certificate) -> tuple[ValueRow, ...]:
     n, worst = certificate.nearest_to_tool, certificate.worst
     total = certificate.across_sigma_mm[worst] ** 2
 
-    def row(what: str, sigma_mm: Float64) -> Row:
+    def row(what: str, sigma_mm: Float64) -> ValueRow:
         near, far = (f"{sigma_mm[k, LATERAL]:.3f} / {sigma_mm[k, VERTICAL]:.3f}" for k in (n, worst))
         share = (sigma_mm[worst, LATERAL] ** 2 + sigma_mm[worst, VERTICAL] ** 2) / total
-        return Row(what, "", near, far, f"{100.0 * share:.0f} %", "mm")
+        return ValueRow(what, "", near, far, f"{100.0 * share:.0f} %", "mm")
 
     shares = {source: certificate.share_sigma_mm(source) for source in certificate.shares_mm2}
     return (

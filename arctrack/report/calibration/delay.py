@@ -7,7 +7,7 @@ from matplotlib.ticker import FormatStrFormatter
 
 from arctrack.recording import Recording
 from arctrack.report import style
-from arctrack.report.calibration.page import HALF_95, CalibrationPage, Picture, row_of, with_sigma
+from arctrack.report.calibration.page import HALF_95, CalibrationPage, PagePicture, row_of, with_sigma
 from arctrack.report.embedded import svg
 from calibration.pose_delay import MAX_SIGMA_S, PoseDelay, with_delay
 
@@ -37,13 +37,13 @@ def delay_page(result: PoseDelay, recording: Recording) -> CalibrationPage:
         sentences=sentences,
         rows=(row_of("delay of the poses' clock", "delay_s", delay_ms, sigma_ms, "ms"),) if is_known else (),
         pictures=(
-            Picture(
+            PagePicture(
                 _seam(result, recording),
                 "the seam beside its nominal line: with the delay as stated, and as estimated",
                 "With the right delay the points lie on one smooth seam; with another the tool's own "
                 "motion shows.",
             ),
-            Picture(
+            PagePicture(
                 _likelihood(result),
                 "the likelihood's logarithm over the delay, 0 at its maximum",
                 f"A delay is estimated where 1 σ is below {1e3 * MAX_SIGMA_S:g} ms and no other one is as "

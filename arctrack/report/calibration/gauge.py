@@ -10,9 +10,9 @@ import numpy as np
 from arctrack.calibration_files.gauge_images import GaugeImages
 from arctrack.report import style
 from arctrack.report.calibration.laser import plane_in_words, plane_rows, turned_deg
-from arctrack.report.calibration.page import CalibrationPage, Picture, row_of, with_reasons
+from arctrack.report.calibration.page import CalibrationPage, PagePicture, row_of, with_reasons
 from arctrack.report.embedded import svg
-from calibration.gauge.adjustment import Fit, Problem
+from calibration.gauge.adjustment import GaugeFit, GaugeProblem
 from calibration.gauge.calibrate import GaugeCalibration, GaugeCheck
 from calibration.gauge.shape import Gauge, Shape
 from noise_model.arrays import Float64
@@ -76,15 +76,15 @@ def check_page(
     )
 
 
-def _pictures(problem: Problem, fitted: Fit, images: GaugeImages) -> tuple[Picture, ...]:
+def _pictures(problem: GaugeProblem, fitted: GaugeFit, images: GaugeImages) -> tuple[PagePicture, ...]:
     return (
-        Picture(_image(images), "the stripe's pieces in the first image", "At corners it is left out."),
-        Picture(
+        PagePicture(_image(images), "the stripe's pieces in the first image", "At corners it is left out."),
+        PagePicture(
             _section(problem, fitted),
             "all images' pieces across the gauge, and the gauge itself",
             "Where sheet, camera and robot are right, all lie on the gauge.",
         ),
-        Picture(
+        PagePicture(
             _off(problem, fitted), "how far the pieces' points are off the gauge's faces, image by image"
         ),
     )
@@ -112,7 +112,7 @@ def _outline(gauge: Gauge, reach_mm: float) -> Float64:
     return np.array([[-reach_mm, 0.0], [-mouth, 0.0], [0.0, -gauge.size_mm], [mouth, 0.0], [reach_mm, 0.0]])
 
 
-def _section(problem: Problem, fitted: Fit) -> str:
+def _section(problem: GaugeProblem, fitted: GaugeFit) -> str:
     figure = style.new_figure(10.5, 4.2, "")
     axes = style.plain(figure.add_subplot(), "across the gauge [mm]", "out of its top [mm]")
     T = fitted.state.T_base_gauge
@@ -127,7 +127,7 @@ def _section(problem: Problem, fitted: Fit) -> str:
     return svg(figure)
 
 
-def _off(problem: Problem, fitted: Fit) -> str:
+def _off(problem: GaugeProblem, fitted: GaugeFit) -> str:
     figure = style.new_figure(10.5, 3.6, "")
     axes = style.plain(figure.add_subplot(), "", "off the gauge [mm]")
     off = problem.distances(fitted.state)

@@ -10,7 +10,14 @@ from scipy.spatial.transform import Rotation
 from arctrack.calibration_files.hand_eye_meaning import assumption
 from arctrack.calibration_files.hand_eye_poses import PosedBoards
 from arctrack.report.calibration.hand_eye_pictures import excitation, misfits, places, robot_off
-from arctrack.report.calibration.page import EXACT_LENS, CalibrationPage, Picture, Row, row_of, with_reasons
+from arctrack.report.calibration.page import (
+    EXACT_LENS,
+    CalibrationPage,
+    PagePicture,
+    ValueRow,
+    row_of,
+    with_reasons,
+)
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration
 from noise_model.setup import Setup
 
@@ -57,22 +64,22 @@ def hand_eye_page(
         sentences=tuple(sentences),
         rows=hand_eye_rows(result, setup),
         pictures=(
-            Picture(
+            PagePicture(
                 misfits(result),
                 "how far the robot was off each pose, most likely",
                 "Both are the tool's. Lines are the mean of three axes of the estimated noise.",
             ),
-            Picture(
+            PagePicture(
                 excitation(result),
                 "how far the poses turn, and how well each part of the camera's pose is known",
                 "Bars on the right are 1 σ. A long one wants poses that turn about another axis.",
             ),
-            Picture(
+            PagePicture(
                 places(result),
                 "where the camera stood, and where it looked, in the board's frame",
                 "",
             ),
-            Picture(
+            PagePicture(
                 robot_off(result),
                 "from where the robot's pose puts ends and middle of each board, to where they are seen",
                 "This is the robot's error, seen by the camera. Grey are all corners.",
@@ -93,7 +100,7 @@ def change(result: HandEyeCalibration, setup: Setup) -> tuple[np.ndarray, np.nda
     return np.degrees(Rotation.from_matrix(turn).as_rotvec()), move
 
 
-def hand_eye_rows(result: HandEyeCalibration, setup: Setup) -> tuple[Row, ...]:
+def hand_eye_rows(result: HandEyeCalibration, setup: Setup) -> tuple[ValueRow, ...]:
     """Return place, turn, the robot's noise, and the board's size by the robot."""
     rows = []
     sigmas = np.sqrt(np.diag(result.place_covariance))
@@ -125,7 +132,7 @@ def _rotation_vector(result: HandEyeCalibration) -> tuple[np.ndarray, np.ndarray
     return vector, np.sqrt(np.diag(J @ result.covariance[:3, :3] @ J.T))
 
 
-def _row(what: str, key: str, value: float, sigma: float, half: float, unit: str) -> Row:
+def _row(what: str, key: str, value: float, sigma: float, half: float, unit: str) -> ValueRow:
     return row_of(what, key, value, sigma, unit, ends=(value - half, value + half))
 
 

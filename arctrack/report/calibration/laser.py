@@ -14,8 +14,8 @@ from arctrack.report.calibration.page import (
     EXACT_LENS,
     HALF_95,
     CalibrationPage,
-    Picture,
-    Row,
+    PagePicture,
+    ValueRow,
     row_of,
     with_reasons,
     with_sigma,
@@ -30,7 +30,7 @@ WORDS = ("normal, x", "normal, y", "normal, z", "distance, d")
 SAMPLE_PX = 800
 """The image behind the stripes is thinned to so many px."""
 
-BINS, LEAST_IN_BIN = 30, 20
+BINS, MIN_IN_BIN = 30, 20
 """Parts of the stripe whose mean shows the sheet's bow, and the points that make a mean."""
 
 
@@ -82,18 +82,18 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: S
         sentences=tuple(sentences),
         rows=(*plane_rows(plane, covariance), *beam_rows(beam)),
         pictures=(
-            Picture(
+            PagePicture(
                 _in_plane(result),
                 "the points within the plane, a colour for each pair; lines are the stripes' fitted ones",
                 "The farther the stripes lie apart, the better the sheet's lean is known.",
             ),
-            Picture(
+            PagePicture(
                 _residuals(result),
                 "how far points are off the plane, along the stripe and pair by pair",
                 "What all pairs share along the stripe is a sheet that is bent, or a lens that is not right. "
                 "Bars are 1 σ of each pair's two ends.",
             ),
-            Picture(
+            PagePicture(
                 _image(result, pairs),
                 "where stripes and corners were seen, over the first image with the laser",
                 "",
@@ -107,7 +107,7 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: S
     )
 
 
-def plane_rows(plane: Float64, covariance: Float64) -> tuple[Row, ...]:
+def plane_rows(plane: Float64, covariance: Float64) -> tuple[ValueRow, ...]:
     """Return the four numbers of a plane (4,) in the tool frame, with its covariance (4, 4)."""
     rows = []
     sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -170,7 +170,7 @@ def _residuals(result: LaserCalibration) -> str:
     where, off = np.concatenate(places), np.concatenate(result.off_mm)
     edges = np.linspace(where.min(), where.max(), BINS + 1)
     part = np.searchsorted(edges, where).clip(1, BINS) - 1
-    full = [n for n in range(BINS) if (part == n).sum() >= LEAST_IN_BIN]
+    full = [n for n in range(BINS) if (part == n).sum() >= MIN_IN_BIN]
     course.plot(
         [0.5 * (edges[n] + edges[n + 1]) for n in full],
         [off[part == n].mean() for n in full],

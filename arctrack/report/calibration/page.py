@@ -21,7 +21,7 @@ HALF_95 = 1.96
 
 
 @dataclass(frozen=True)
-class Row:
+class ValueRow:
     """A value as the page shows it: what it is, its key in the setup, value, 1 sigma, 95 % interval, unit."""
 
     what: str
@@ -33,7 +33,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Picture:
+class PagePicture:
     """A picture, what it shows in one line, and a note on how to read it."""
 
     uri: str
@@ -54,9 +54,9 @@ class CalibrationPage:
     label: str
     headline: str
     sentences: tuple[str, ...]
-    rows: tuple[Row, ...]
-    pictures: tuple[Picture, ...]
-    maps: tuple[Picture, ...]
+    rows: tuple[ValueRow, ...]
+    pictures: tuple[PagePicture, ...]
+    maps: tuple[PagePicture, ...]
     notes: tuple[str, ...]
     mark: str
     left_out: tuple[str, ...] = ()
@@ -80,7 +80,7 @@ def row_of(
     *,
     ends: tuple[float, float] | None = None,
     shown: Callable[[float, float], tuple[str, str]] = with_sigma,
-) -> Row:
+) -> ValueRow:
     """Return a value's row.
 
     Parameters
@@ -98,7 +98,7 @@ def row_of(
     """
     low, high = ends or (value - HALF_95 * sigma, value + HALF_95 * sigma)
     first, last = (shown(float(end), float(sigma))[0] for end in (low, high))
-    return Row(what, key, *shown(float(value), float(sigma)), f"{first} to {last}", unit)
+    return ValueRow(what, key, *shown(float(value), float(sigma)), f"{first} to {last}", unit)
 
 
 def with_reasons(left_out: Mapping[str, str]) -> tuple[str, ...]:

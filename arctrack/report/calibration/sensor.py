@@ -10,7 +10,7 @@ from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from scipy.ndimage import uniform_filter
 
 from arctrack.report import style
-from arctrack.report.calibration.page import CalibrationPage, Picture, Row, row_of
+from arctrack.report.calibration.page import CalibrationPage, PagePicture, ValueRow, row_of
 from arctrack.report.embedded import CHANGE, coloured, svg
 from calibration.sensor.flat_fields import SensorCalibration
 from calibration.sensor.levels import BOX_PX, Level
@@ -37,7 +37,7 @@ MAP_PX, MAP_SIGMAS = 160, 3.0
 CURVE_POINTS = 400
 
 
-def sensor_rows(result: SensorCalibration) -> tuple[Row, ...]:
+def sensor_rows(result: SensorCalibration) -> tuple[ValueRow, ...]:
     """Return the values for people, percents as such."""
     rows = []
     for name, (what, key) in WORDS.items():
@@ -77,13 +77,13 @@ def sensor_page(
         sentences=sentences,
         rows=sensor_rows(result),
         pictures=(
-            Picture(
+            PagePicture(
                 _transfer(result),
                 "photon transfer: variance from frame to frame over the mean",
                 "Points are levels, with 1 σ of a variance of so many pixels; the line is the fit. Shot "
                 "noise alone has the slope 1 for gamma 1, and 2 − 1/γ else.",
             ),
-            Picture(
+            PagePicture(
                 _residuals(result),
                 "left: variances off the fit; right: charges off the line of the exposures",
                 "Noise within ±2 σ is chance. The band on the right is ± the linearity error.",
@@ -151,7 +151,7 @@ def _residuals(result: SensorCalibration) -> str:
     return svg(figure)
 
 
-def _maps(result: SensorCalibration, levels: Sequence[Level]) -> tuple[Picture, ...]:
+def _maps(result: SensorCalibration, levels: Sequence[Level]) -> tuple[PagePicture, ...]:
     """Return the pattern in the dark and of the brightest level that counts."""
     dark = next(level for level in levels if not level.is_lit)
     kept = max(result.levels.exposure_s[result.levels.is_lit])
@@ -164,7 +164,7 @@ def _maps(result: SensorCalibration, levels: Sequence[Level]) -> tuple[Picture, 
         caption = (
             f"{level.name}, {pattern.shape[1]} × {pattern.shape[0]} px: ±{reach:.2g} {unit}, blue darker"
         )
-        pictures.append(Picture(coloured(pattern.astype(np.float32), CHANGE, -reach, reach), caption))
+        pictures.append(PagePicture(coloured(pattern.astype(np.float32), CHANGE, -reach, reach), caption))
     return tuple(pictures)
 
 

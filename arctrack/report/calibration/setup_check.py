@@ -6,14 +6,14 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from arctrack.report import style
-from arctrack.report.calibration.page import Picture
+from arctrack.report.calibration.page import PagePicture
 from arctrack.report.embedded import svg
 from arctrack.report.image import visible
 from arctrack.report.template import environment
-from arctrack.setup_check.measure import Stage, Verdict
+from arctrack.setup_check.measure import LightStage, SetupVerdict
 from arctrack.setup_check.place_measures import cause_of, first_suspect
 from arctrack.setup_check.run import SetupCheck
-from calibration.check.arc_light import ArcLight
+from calibration.check.arc_light import ArcLightCheck
 from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
@@ -23,7 +23,7 @@ from tracker.stripe.expected import expect_stripe
 
 TEMPLATE = "setup_check.html.j2"
 
-MARKS = {Verdict.OK: "no_gap", Verdict.NOT_EXPLAINED: "unknown", Verdict.UNTOLD: "ambiguous"}
+MARKS = {SetupVerdict.OK: "no_gap", SetupVerdict.NOT_EXPLAINED: "unknown", SetupVerdict.UNTOLD: "ambiguous"}
 
 MAX_SHOWN = 2
 """So many frames are shown with their stripes."""
@@ -45,12 +45,12 @@ def render(checked: SetupCheck) -> str:
                 if measure.stage is stage
             ],
         )
-        for stage in Stage
+        for stage in LightStage
     ]
     pictures = []
     if checked.sights:
         pictures.append(
-            Picture(
+            PagePicture(
                 _stripes(checked),
                 "the stripe seen and expected, over the first and the last frame looked at; brightness by √",
                 "Orange is where the setup puts the stripe at the nominal seam. Green is where it would "
@@ -59,7 +59,7 @@ def render(checked: SetupCheck) -> str:
         )
     if checked.arc is not None:
         pictures.append(
-            Picture(
+            PagePicture(
                 _arc(checked.arc),
                 "the arc's level in each frame, and the error of its map in the brightest frame",
                 "All levels alike at another height than 1 are the arc's output. A pattern over the image "
@@ -119,7 +119,7 @@ def _draw(axes: Axes, setup: Setup, T_base_tool: Float64, seam: SeamLine, colour
     axes.plot(*geometry.image_points(scan, stripe.shown_px).T, color=colour, linewidth=1.2, label=label)
 
 
-def _arc(arc: ArcLight) -> str:
+def _arc(arc: ArcLightCheck) -> str:
     figure = style.new_figure(10.5, 3.6, "")
     levels, shape = figure.subplots(1, 2)
     style.plain(levels, "frame", "level over the expected one")

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from arctrack.report import style
-from arctrack.report.calibration.page import CalibrationPage, Picture, Row, row_of, with_sigma
+from arctrack.report.calibration.page import CalibrationPage, PagePicture, ValueRow, row_of, with_sigma
 from arctrack.report.embedded import png, svg
 from arctrack.report.image import visible
-from calibration.sensor.flat_fields import Estimate
+from calibration.sensor.flat_fields import IntervalEstimate
 from calibration.sensor.still import StillCalibration
 
 WORDS = {"gain_e_per_dn": "gain", "black_level_dn": "black level", "read_noise_e": "read noise"}
@@ -30,7 +30,7 @@ def still_page(result: StillCalibration, source: str, warnings: Sequence[str]) -
             ("speckle's grain", speckle.grain_px, speckle.grain_sigma_px, "px"),
         ):
             half = speckle.half_width * sigma
-            estimate = Estimate(value, sigma, value - half, value + half, unit)
+            estimate = IntervalEstimate(value, sigma, value - half, value + half, unit)
             rows.append(_row(what, "", estimate))
     is_fine = result.unlike_rel < LARGE_UNLIKE
     headline, within = with_sigma(gain.value, gain.sigma)
@@ -60,7 +60,7 @@ def still_page(result: StillCalibration, source: str, warnings: Sequence[str]) -
         sentences=tuple(sentences),
         rows=tuple(rows),
         pictures=(
-            Picture(
+            PagePicture(
                 _transfer(result),
                 "photon transfer: variance from frame to frame over the mean, and the same over the fit",
                 "Each point is some hundred pixels or more of one brightness and one slope of the image. "
@@ -68,7 +68,9 @@ def still_page(result: StillCalibration, source: str, warnings: Sequence[str]) -
             ),
         ),
         maps=(
-            Picture(png(visible(seen.image_dn, result.sensor)), "the mean of the frames, brightness by √"),
+            PagePicture(
+                png(visible(seen.image_dn, result.sensor)), "the mean of the frames, brightness by √"
+            ),
         ),
         notes=(),
         mark="no_gap" if is_fine else "ambiguous",
@@ -76,7 +78,7 @@ def still_page(result: StillCalibration, source: str, warnings: Sequence[str]) -
     )
 
 
-def _row(what: str, key: str, estimate: Estimate) -> Row:
+def _row(what: str, key: str, estimate: IntervalEstimate) -> ValueRow:
     ends = (estimate.low, estimate.high)
     return row_of(what, key, estimate.value, estimate.sigma, estimate.unit, ends=ends)
 

@@ -18,7 +18,15 @@ from arctrack.report.diagnosis import pictures, words
 from arctrack.report.diagnosis.advice import ADVICE
 from arctrack.report.template import environment
 from noise_model.effects import REGISTRY
-from sim_to_real.diagnosis import Curve, Diagnosis, Named, Next, Ranked, Verdict, excluded_effects
+from sim_to_real.diagnosis import (
+    Curve,
+    Diagnosis,
+    DiagnosisVerdict,
+    NamedEffect,
+    Next,
+    RankedEffect,
+    excluded_effects,
+)
 
 TEMPLATE = "diagnosis.html.j2"
 
@@ -29,10 +37,10 @@ MAX_RANKED = 12
 """Effects that are listed at most; report.json has all of them."""
 
 LABELS = {
-    Verdict.NO_GAP: "no gap",
-    Verdict.EFFECTS: "gap explained",
-    Verdict.AMBIGUOUS: "ambiguous",
-    Verdict.UNKNOWN: "unknown cause",
+    DiagnosisVerdict.NO_GAP: "no gap",
+    DiagnosisVerdict.EFFECTS: "gap explained",
+    DiagnosisVerdict.AMBIGUOUS: "ambiguous",
+    DiagnosisVerdict.UNKNOWN: "unknown cause",
 }
 
 LOOK_FURTHER = (
@@ -53,7 +61,7 @@ for mean, variance in (("before", "variance"), ("after", "variance_after")):
 
 
 @dataclass(frozen=True)
-class Row:
+class EffectRow:
     """An effect in a table of the page: the share of the gap that it closes, and its probability in words."""
 
     id: str
@@ -70,7 +78,7 @@ class Ranking:
     kind: str
     closes: str
     probability: str
-    rows: list[Row]
+    rows: list[EffectRow]
 
 
 def write_page(diagnosis: Diagnosis, recording: Recording, without: Sequence[str], path: Path) -> None:
@@ -84,18 +92,18 @@ def write_page(diagnosis: Diagnosis, recording: Recording, without: Sequence[str
 def page(diagnosis: Diagnosis, recording: Recording, without: Sequence[str] = ()) -> str:
     """Return the page, which needs no other file and no network."""
     pages = environment()
-    pages.globals.update(words=words, Verdict=Verdict)
+    pages.globals.update(words=words, Verdict=DiagnosisVerdict)
     return pages.get_template(TEMPLATE).render(**_content(diagnosis, recording, without))
 
 
 def advice(diagnosis: Diagnosis) -> list[str]:
     """Return what to do now, a line each."""
     lines = []
-    if diagnosis.verdict is Verdict.EFFECTS:
+    if diagnosis.verdict is DiagnosisVerdict.EFFECTS:
         lines += [f"{effect.id}: {ADVICE[effect.id]}" for effect in diagnosis.effects]
-    if diagnosis.verdict is Verdict.AMBIGUOUS:
+    if diagnosis.verdict is DiagnosisVerdict.AMBIGUOUS:
         lines += [f"If it is {name}: {ADVICE[name]}" for name in meant(diagnosis)]
-    if diagnosis.verdict is Verdict.UNKNOWN:
+    if diagnosis.verdict is DiagnosisVerdict.UNKNOWN:
         lines.append(LOOK_FURTHER)
     if diagnosis.next is not None:
         lines.append(_to_record(diagnosis.next, diagnosis.verdict))
@@ -104,11 +112,11 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     return lines
 
 
-def _to_record(measurement: Next, verdict: Verdict) -> str:
+def _to_record(measurement: Next, verdict: DiagnosisVerdict) -> str:
     separates = words.listed(measurement.separates, "from")
     if measurement.resolves:
         return f"Record next: {measurement.experiment}. It tells {separates}."
-    if verdict is Verdict.UNKNOWN:
+    if verdict is DiagnosisVerdict.UNKNOWN:
         likeliest = f"The likeliest effect, {measurement.separates[0]}, does not explain the gap"
         return f"{likeliest}. To measure that effect by itself, add {measurement.experiment}."
     return f"No other frames would tell {separates}. Add {measurement.experiment}."
@@ -120,7 +128,7 @@ def meant(diagnosis: Diagnosis) -> list[str]:
     return list(dict.fromkeys([*(effect.id for effect in diagnosis.effects), *alike]))
 
 
-def paste(effects: Sequence[Named]) -> str:
+def paste(effects: Sequence[NamedEffect]) -> str:
     """Return the tables that name effects in recording.toml."""
     tables = []
     for effect in effects:
@@ -168,7 +176,7 @@ def _content(diagnosis: Diagnosis, recording: Recording, without: Sequence[str])
 
 def drawn_curves(diagnosis: Diagnosis) -> list[Curve]:
     """Return the covariates that explain enough of the residual for a picture; none without a gap."""
-    if diagnosis.verdict is Verdict.NO_GAP:
+    if diagnosis.verdict is DiagnosisVerdict.NO_GAP:
         return []
     curves = [curve for curve in diagnosis.where.covariates if len(curve.centers)]
     return [curve for curve in curves[:MAX_CURVES] if curve.r2 >= words.MIN_R2]
@@ -176,7 +184,7 @@ def drawn_curves(diagnosis: Diagnosis) -> list[Curve]:
 
 def _rankings(diagnosis: Diagnosis) -> list[Ranking]:
     """Return a table of exclusive effects and one of random ones, which may be there besides."""
-    if diagnosis.verdict is Verdict.NO_GAP:
+    if diagnosis.verdict is DiagnosisVerdict.NO_GAP:
         return []
     exclusive = [candidate for candidate in diagnosis.ranking if not candidate.is_random][:MAX_RANKED]
     headings = f"closes {words.IN_BINS}", words.ALONE
@@ -188,10 +196,10 @@ def _rankings(diagnosis: Diagnosis) -> list[Ranking]:
     return [table for table in tables if table.rows]
 
 
-def _rows(diagnosis: Diagnosis, candidates: Sequence[Ranked]) -> list[Row]:
+def _rows(diagnosis: Diagnosis, candidates: Sequence[RankedEffect]) -> list[EffectRow]:
     marked = meant(diagnosis)
     return [
-        Row(
+        EffectRow(
             candidate.id,
             words.summary(candidate.id),
             candidate.id in marked,

@@ -14,7 +14,7 @@ from arctrack.report.embedded import CHANGE, EXCESS, Scale, binned, coloured, pn
 from arctrack.report.image import visible
 from noise_model.arrays import Float32, Integers
 from noise_model.instrument.sensor import Sensor
-from sim_to_real.diagnosis import Curve, Predicted
+from sim_to_real.diagnosis import Curve, HeldOutPrediction
 
 FRAME_PX, MAP_PX = 640, 320
 """Pictures are shrunk to about these widths; a map's pixels are means, which show what noise hides."""
@@ -57,7 +57,7 @@ class FramePictures:
     bin_px: int
 
 
-def telling_frame(predicted: Predicted) -> int:
+def telling_frame(predicted: HeldOutPrediction) -> int:
     """Return the place, among the held-out frames, of the one whose gap shrinks most, or is largest."""
     before = _mean_square(predicted.recorded, predicted.before, predicted.variance)
     after = _mean_square(predicted.recorded, predicted.after, predicted.variance_after)
@@ -65,7 +65,7 @@ def telling_frame(predicted: Predicted) -> int:
     return int(np.argmax(shrinks if shrinks.max() > 0.0 else before))
 
 
-def frame_pictures(predicted: Predicted, place: int, sensor: Sensor) -> FramePictures:
+def frame_pictures(predicted: HeldOutPrediction, place: int, sensor: Sensor) -> FramePictures:
     """Return the pictures of the held-out frame at a place of `predicted.frames`."""
     recorded = predicted.recorded[place]
     bin_px = max(1, math.ceil(recorded.shape[1] / MAP_PX))

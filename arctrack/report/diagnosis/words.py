@@ -9,12 +9,12 @@ from noise_model.effects import REGISTRY
 from sim_to_real.diagnosis import (
     NO_GAP,
     Diagnosis,
-    Estimate,
+    DiagnosisVerdict,
     Gap,
-    Ranked,
+    ParameterEstimate,
+    RankedEffect,
     Reason,
     ReportedTrend,
-    Verdict,
     Where,
 )
 
@@ -98,15 +98,15 @@ SAME_SEAM_REL, SAME_SEAM_MM = 0.1, 0.005
 def headline(diagnosis: Diagnosis) -> str:
     """Return the verdict in one sentence."""
     gap = diagnosis.gap
-    if diagnosis.verdict is Verdict.NO_GAP:
+    if diagnosis.verdict is DiagnosisVerdict.NO_GAP:
         return "No gap: the recording agrees with the model within noise and stated tolerances."
-    if diagnosis.verdict is Verdict.EFFECTS:
+    if diagnosis.verdict is DiagnosisVerdict.EFFECTS:
         how_much = "most of the gap" if gap.is_clear_after else "the gap"
         if len(diagnosis.effects) == 1:
             return f"{diagnosis.effects[0].id} explains {how_much}: {summary(diagnosis.effects[0].id)}."
         what = listed([f"{effect.id} ({summary(effect.id)})" for effect in diagnosis.effects], "and")
         return f"{len(diagnosis.effects)} effects explain {how_much} together: {what}."
-    if diagnosis.verdict is Verdict.AMBIGUOUS:
+    if diagnosis.verdict is DiagnosisVerdict.AMBIGUOUS:
         alike = "; and ".join(_alternatives(ids) for ids in diagnosis.ambiguous_with)
         return f"There is a gap of {sigmas(gap.before)}. This recording cannot tell what causes it: {alike}."
     if diagnosis.reasons and diagnosis.reasons[0].name == NO_GAP:
@@ -122,7 +122,7 @@ def how_far(diagnosis: Diagnosis) -> str:
     """Return how large the gap in the images is and how far it shrinks, in a few sentences."""
     gap = diagnosis.gap
     own_error = f"the model's own error of {sigmas(gap.floor)}"
-    if diagnosis.verdict is Verdict.NO_GAP:
+    if diagnosis.verdict is DiagnosisVerdict.NO_GAP:
         differ = f"The images differ from the model by {sigmas(gap.before)}"
         if gap.before > gap.floor:
             return (
@@ -141,9 +141,9 @@ def how_far(diagnosis: Diagnosis) -> str:
         )
     if math.isfinite(gap.closed):
         lead = f"{lead}. In single pixels that closes {closed_share(gap)} of what exceeds {own_error}"
-    if diagnosis.verdict is Verdict.UNKNOWN:
+    if diagnosis.verdict is DiagnosisVerdict.UNKNOWN:
         return f"{lead}, too little for it to be the cause."
-    if diagnosis.verdict is Verdict.EFFECTS and gap.is_clear_after:
+    if diagnosis.verdict is DiagnosisVerdict.EFFECTS and gap.is_clear_after:
         return f"{lead}. The rest may be due to the effect's form, which the catalogue simplifies."
     return f"{lead}."
 
@@ -153,7 +153,7 @@ def withheld(diagnosis: Diagnosis, without: Sequence[str]) -> str:
     if not without:
         return ""
     line = f"You left {listed(without, 'and')} out: the answer is among the effects that were allowed"
-    if diagnosis.verdict is not Verdict.EFFECTS:
+    if diagnosis.verdict is not DiagnosisVerdict.EFFECTS:
         return f"{line}."
     named = {effect.id for effect in diagnosis.effects}
     alone = [
@@ -172,13 +172,13 @@ def shrinks(diagnosis: Diagnosis) -> bool:
     return bool(diagnosis.after_with) and diagnosis.gap.after < diagnosis.gap.before
 
 
-def best_alone(diagnosis: Diagnosis) -> Ranked | None:
+def best_alone(diagnosis: Diagnosis) -> RankedEffect | None:
     """Return the single effect that closes most of the gap; None if none closes any of it."""
     closing = [effect for effect in diagnosis.ranking if effect.gap_closed >= MIN_CLOSED]
     return max(closing, key=lambda effect: effect.gap_closed, default=None)
 
 
-def where_closed(candidate: Ranked) -> str:
+def where_closed(candidate: RankedEffect) -> str:
     """Return what an effect's share of the gap is measured in.
 
     A bin of several pixels has less noise than a pixel, so what is left weighs more there.
@@ -207,9 +207,13 @@ def seam_sentence(diagnosis: Diagnosis, bears_mm: float) -> str:
     bears = f"the {bears_mm:g} mm that the weld can bear"
     compared = f"{'less' if before_mm <= bears_mm else 'more'} than {bears}"
     seam = f"The tracker's seam lies {number(before_mm)} mm from the seam that fits all images"
-    if diagnosis.verdict is Verdict.UNKNOWN:
+    if diagnosis.verdict is DiagnosisVerdict.UNKNOWN:
         return f"{seam} best, {compared}. While the cause is unknown, the true error may be larger."
-    if diagnosis.verdict is Verdict.NO_GAP or not diagnosis.after_with or not math.isfinite(after_mm):
+    if (
+        diagnosis.verdict is DiagnosisVerdict.NO_GAP
+        or not diagnosis.after_with
+        or not math.isfinite(after_mm)
+    ):
         return f"{seam}, {compared}."
     if is_same_seam(before_mm, after_mm):
         both = f"{_lower(seam)} with and without {added(diagnosis)}"
@@ -293,12 +297,12 @@ MIN_PRESENT = 0.05
 """A random effect that is less probable is not listed."""
 
 
-def random_ranking(diagnosis: Diagnosis) -> list[Ranked]:
+def random_ranking(diagnosis: Diagnosis) -> list[RankedEffect]:
     """Return the random effects that were sought, the likeliest first."""
     return [candidate for candidate in diagnosis.ranking if candidate.is_random]
 
 
-def is_likely(candidate: Ranked) -> bool:
+def is_likely(candidate: RankedEffect) -> bool:
     """Say whether an effect is likely enough to be listed."""
     return candidate.confidence >= MIN_PRESENT
 
@@ -328,7 +332,7 @@ def probability(value: float) -> str:
     return "< 1 %" if value < 1.0 - CERTAIN_SHARE else percent(value)
 
 
-def estimate(value: Estimate) -> str:
+def estimate(value: ParameterEstimate) -> str:
     """Return value ± sigma and unit, as many digits as the sigma is worth."""
     if not math.isfinite(value.value):
         return NO_VALUE
@@ -349,7 +353,7 @@ def trend(change: ReportedTrend) -> str:
     return f"changes with {change.driver}, {ends} {change.unit}: {listed(runs, 'and')}"
 
 
-def as_factor(name: str, value: Estimate) -> str:
+def as_factor(name: str, value: ParameterEstimate) -> str:
     """Return what a logarithm means as a factor, nothing for other parameters."""
     return f"× {number(math.exp(value.value), 3)}" if name.endswith("_ln") and abs(value.value) < 50.0 else ""
 

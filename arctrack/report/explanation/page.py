@@ -28,7 +28,7 @@ MIN_GAIN = 2.0
 
 
 @dataclass(frozen=True)
-class Candidate:
+class PeakCandidate:
     """A place where the matched filter peaks, px, its score in sigmas, its gain; whether the path took it."""
 
     position_px: float
@@ -38,7 +38,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Line:
+class ScanLineView:
     """A scan line on the page: its mark in the frame, what it is, its picture and candidates."""
 
     mark: str
@@ -46,7 +46,7 @@ class Line:
     title: str
     summary: str
     uri: str
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[PeakCandidate, ...]
 
 
 def page(explanation: Explanation) -> str:
@@ -78,7 +78,7 @@ def telling_lines(stripe: StripeLook) -> list[tuple[str, int]]:
     return [(name, s) for s, name in chosen.items()]
 
 
-def candidates(explanation: Explanation, stripe: StripeLook, s: int) -> tuple[Candidate, ...]:
+def candidates(explanation: Explanation, stripe: StripeLook, s: int) -> tuple[PeakCandidate, ...]:
     """Return a scan line's likeliest candidates, the likeliest first, and the chosen one if it is no peak."""
     reading = stripe.reading
     score = reading.score[s].astype(float)
@@ -91,7 +91,7 @@ def candidates(explanation: Explanation, stripe: StripeLook, s: int) -> tuple[Ca
     taken = int(np.argmin(np.abs(places - start))) if math.isfinite(start) else None
     if taken is not None and taken not in shown:
         shown.append(taken)
-    return tuple(Candidate(float(places[i]), float(score[i]), float(gains[i]), i == taken) for i in shown)
+    return tuple(PeakCandidate(float(places[i]), float(score[i]), float(gains[i]), i == taken) for i in shown)
 
 
 def _content(explanation: Explanation) -> dict[str, Any]:
@@ -143,13 +143,15 @@ def _replay(explanation: Explanation) -> str:
     return command if explanation.use_arc_map else f"{command} --no-arc-map"
 
 
-def _lines(explanation: Explanation, stripe: StripeLook) -> list[Line]:
+def _lines(explanation: Explanation, stripe: StripeLook) -> list[ScanLineView]:
     lines = []
     for mark, (name, s) in zip("abcd", telling_lines(stripe), strict=False):
         title = f"{mark}: {words.scan_line(explanation)} {s}, {name}"
         uri = plots.line_picture(explanation, stripe, s, title)
         lines.append(
-            Line(mark, s, title, _summary(explanation, stripe, s), uri, candidates(explanation, stripe, s))
+            ScanLineView(
+                mark, s, title, _summary(explanation, stripe, s), uri, candidates(explanation, stripe, s)
+            )
         )
     return lines
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
-from arctrack.explain import Explanation, Look, StripeLook
+from arctrack.explain import Explanation, StepObservation, StripeLook
 from arctrack.explain_lines import NO_PATH, READ, UNLIT, SigmaParts, window_of
 from arctrack.report import style
 from arctrack.report.embedded import svg
@@ -149,7 +149,7 @@ def line_picture(explanation: Explanation, look: StripeLook, s: int, title: str)
     return svg(figure)
 
 
-def fitted_mean(look: Look, stripe: StripeLook, s: int) -> tuple[Float64, Float64]:
+def fitted_mean(look: StepObservation, stripe: StripeLook, s: int) -> tuple[Float64, Float64]:
     """Return positions over a line's fit window, px, and the charge that the fit expects there, e-."""
     reading, parts = stripe.reading, stripe.parts
     assert look.expected is not None
@@ -204,7 +204,7 @@ def sigma_picture(explanation: Explanation, parts: SigmaParts) -> str:
     return svg(figure)
 
 
-def profile_picture(explanation: Explanation, look: Look) -> str:
+def profile_picture(explanation: Explanation, look: StepObservation) -> str:
     """Return the profile beside the joint, the fitted section, the seam point, and what is left over."""
     profile, joint = look.profile, look.joint
     assert profile is not None
@@ -252,7 +252,7 @@ def profile_picture(explanation: Explanation, look: Look) -> str:
     return svg(figure)
 
 
-def history_picture(explanation: Explanation, look: Look) -> str:
+def history_picture(explanation: Explanation, look: StepObservation) -> str:
     """Return the seam along the path: what earlier frames put where, what this one measures, the torch."""
     history, seam, track = explanation.before.history, look.seam, explanation.track
     figure = style.new_figure(WIDTH_INCH, 4.6, "The seam's displacement from the programmed path")

@@ -14,7 +14,7 @@ from arctrack.report.replay.frame_drawer import Drawn, FrameDrawer, ToDraw
 FRAMES_WORTH_A_PROCESS = 170
 """So many frames of the page take as long to draw as a process takes to start: 1.5 s of one core."""
 
-MOST_PROCESSES = 3
+MAX_PROCESSES = 3
 """So many draw as fast as one process reads the frames, encodes the video and collects the page."""
 
 
@@ -23,7 +23,7 @@ def process_count(cores: int, frames: int) -> int:
 
     One core is for who writes what they draw. No process takes longer to start than it then draws.
     """
-    return max(0, min(cores - 1, frames // FRAMES_WORTH_A_PROCESS, MOST_PROCESSES))
+    return max(0, min(cores - 1, frames // FRAMES_WORTH_A_PROCESS, MAX_PROCESSES))
 
 
 @dataclass(frozen=True)

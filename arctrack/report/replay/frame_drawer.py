@@ -8,8 +8,8 @@ from typing import Any
 
 from arctrack.recording import Truth
 from arctrack.report.replay.overlay import picture_of
-from arctrack.report.replay.seen import Seen
-from arctrack.report.replay.view import View, Viewer
+from arctrack.report.replay.seen import ReplayedFrame
+from arctrack.report.replay.view import ReplayView, Viewer
 from arctrack.report.replay.view_json import view_json
 from noise_model.arrays import UInt8
 from noise_model.setup import Setup
@@ -22,7 +22,7 @@ class ToDraw:
     """A frame, None if it could not be read, what was seen of it, and what is to be drawn."""
 
     frame: Frame | None
-    seen: Seen
+    seen: ReplayedFrame
     in_video: bool
     on_page: bool
     exported: bool
@@ -37,7 +37,7 @@ class Drawn:
 
     picture: UInt8 | None
     shown: dict[str, Any] | None
-    view: View | None
+    view: ReplayView | None
 
 
 @dataclass(frozen=True, eq=False)

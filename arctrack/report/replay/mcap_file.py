@@ -21,8 +21,8 @@ from arctrack.report import style
 from arctrack.report.image import jpeg
 from arctrack.report.replay import mcap_schemas as schemas
 from arctrack.report.replay.numbers import numbers, on_bus
-from arctrack.report.replay.seen import Seen
-from arctrack.report.replay.view import View, chosen, stretches
+from arctrack.report.replay.seen import ReplayedFrame
+from arctrack.report.replay.view import ReplayView, chosen, stretches
 from noise_model.arrays import Float64
 from tracker.checks import Check
 from tracker.state import Frame
@@ -61,7 +61,9 @@ class McapFile:
         with writing(path):
             self._begin(self._ns(first_s))
 
-    def add(self, frame: Frame | None, seen: Seen, view: View, true_mm: Float64 | None) -> None:
+    def add(
+        self, frame: Frame | None, seen: ReplayedFrame, view: ReplayView, true_mm: Float64 | None
+    ) -> None:
         """Append a frame's messages, None if it could not be read."""
         track = seen.track
         ns = self._ns(track.timestamp_s)
@@ -136,7 +138,7 @@ class McapFile:
             self._writer.finish()
 
 
-def _track(frame: Frame | None, seen: Seen, true_mm: Float64 | None) -> dict[str, Any]:
+def _track(frame: Frame | None, seen: ReplayedFrame, true_mm: Float64 | None) -> dict[str, Any]:
     """Return a track's message; what is not known is left out, for JSON has no NaN."""
     known = {name: value for name, value in numbers(frame, seen, true_mm).items() if math.isfinite(value)}
     return {
@@ -161,7 +163,7 @@ def _check(check: Check) -> dict[str, Any]:
     }
 
 
-def _annotations(stamp: dict[str, int], view: View) -> dict[str, Any]:
+def _annotations(stamp: dict[str, int], view: ReplayView) -> dict[str, Any]:
     """Return the stripe as lines, vermillion where it is saturated, and the seam and its truth as rings."""
     width_px = 1 if view.grey is None else view.grey.shape[1]
     lines = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from arctrack.report.replay.seen import Seen
+from arctrack.report.replay.seen import ReplayedFrame
 from noise_model.arrays import Float64
 from robot_io import Validity
 from tracker.state import Frame
@@ -39,7 +39,7 @@ MEANINGS = {
 ON_BUS = {Validity.VALID: "sent", Validity.HELD: "held"}
 
 
-def numbers(frame: Frame | None, seen: Seen, true_mm: Float64 | None) -> dict[str, float]:
+def numbers(frame: Frame | None, seen: ReplayedFrame, true_mm: Float64 | None) -> dict[str, float]:
     """Return a frame's numbers by the names of `MEANINGS`, NaN where one is not known.
 
     `frame` is None where it could not be read, `true_mm` (3,) where no truth is known.
@@ -64,6 +64,6 @@ def numbers(frame: Frame | None, seen: Seen, true_mm: Float64 | None) -> dict[st
     return {name: float(value) for name, value in zip(MEANINGS, values, strict=True)}
 
 
-def on_bus(seen: Seen) -> str:
+def on_bus(seen: ReplayedFrame) -> str:
     """Return what became of a frame's offset on the bus: `sent`, `held` or `none`."""
     return ON_BUS.get(seen.offset.validity, "none")

@@ -20,7 +20,7 @@ from arctrack.recording.score import score
 from arctrack.recording.setup_file import FILE_NAME
 from arctrack.report.explanation import words
 from arctrack.report.replay.numbers import numbers, on_bus
-from arctrack.report.replay.seen import Seen
+from arctrack.report.replay.seen import ReplayedFrame
 from arctrack.report.replay.view import truth_by_frame
 from arctrack.report.template import environment
 from noise_model.arrays import Float64
@@ -78,7 +78,7 @@ class ReplayPage:
         self._shown: dict[int, dict[str, Any]] = {}
         self._comparison = RunComparison()
 
-    def add(self, frame: Frame | None, seen: Seen, shown: dict[str, Any] | None) -> None:
+    def add(self, frame: Frame | None, seen: ReplayedFrame, shown: dict[str, Any] | None) -> None:
         """Take the next frame, None if it could not be read, and its `view_json`, None if it is not shown."""
         track = seen.track
         if shown is not None:
@@ -176,7 +176,7 @@ def _run_text(run: OffsetOutcome) -> str:
     return ", ".join([*known, run.gate, *([run.pose_doubt] if run.pose_doubt else [])])
 
 
-def _columns(frame: Frame | None, seen: Seen, true_mm: Float64 | None) -> dict[str, Any]:
+def _columns(frame: Frame | None, seen: ReplayedFrame, true_mm: Float64 | None) -> dict[str, Any]:
     """Return a frame's cell of each of the page's columns; what is not known is None."""
     values = numbers(frame, seen, true_mm)
     return {

@@ -25,8 +25,8 @@ from arctrack.report.replay.frame_drawer import ToDraw
 from arctrack.report.replay.overlay import OverlayVideo
 from arctrack.report.replay.overview import Overview
 from arctrack.report.replay.page import ReplayPage, frames_to_show
-from arctrack.report.replay.seen import Seen, SeenFile
-from arctrack.report.replay.view import View, truth_by_frame
+from arctrack.report.replay.seen import ReplayedFrame, SeenFile
+from arctrack.report.replay.view import ReplayView, truth_by_frame
 from noise_model.arrays import Float64
 from tracker.state import Frame
 
@@ -37,7 +37,9 @@ EXTRAS = {REPLAY_MCAP: "mcap", REPLAY_RRD: "rerun"}
 class Export(Protocol):
     """A file that takes a replay frame by frame."""
 
-    def add(self, frame: Frame | None, seen: Seen, view: View, true_mm: Float64 | None) -> None:
+    def add(
+        self, frame: Frame | None, seen: ReplayedFrame, view: ReplayView, true_mm: Float64 | None
+    ) -> None:
         """Append a frame, None if it could not be read."""
 
 

@@ -16,8 +16,8 @@ from arctrack.recording import Recording
 from arctrack.report import style
 from arctrack.report.image import jpeg
 from arctrack.report.replay.numbers import numbers
-from arctrack.report.replay.seen import Seen
-from arctrack.report.replay.view import View, chosen, stretches
+from arctrack.report.replay.seen import ReplayedFrame
+from arctrack.report.replay.view import ReplayView, chosen, stretches
 from noise_model.arrays import Float64, UInt8
 from tracker import flags
 from tracker.state import Frame
@@ -74,7 +74,9 @@ class RrdFile:
             series = rr.SeriesLines if name.startswith("true") else rr.SeriesPoints
             self._static(place, series(colors=getrgb(colour), names=name))
 
-    def add(self, frame: Frame | None, seen: Seen, view: View, true_mm: Float64 | None) -> None:
+    def add(
+        self, frame: Frame | None, seen: ReplayedFrame, view: ReplayView, true_mm: Float64 | None
+    ) -> None:
         """Append a frame, None if it could not be read."""
         track = seen.track
         self._stream.set_time("frame", sequence=track.frame)
@@ -104,7 +106,7 @@ class RrdFile:
             level = "ERROR" if track.flags & flags.INVALIDATING else "WARN" if track.flags else "INFO"
             self._log(FLAGS, rr.TextLog(", ".join(track.flag_names) or "no flags", level=level))
 
-    def _log_profile(self, view: View) -> None:
+    def _log_profile(self, view: ReplayView) -> None:
         profile, points, section = view.profile, None, None
         if profile is not None:
             points = rr.Points3D(profile.points_mm, colors=getrgb(style.GREY), radii=0.1)

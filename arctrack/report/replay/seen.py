@@ -18,7 +18,7 @@ from tracker.state import Pose, Track
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ReplayedFrame:
     """A frame's pose and track, the look that it rests on, the offset that went to the bus.
 
     `pose` is None where it was refused or there was no frame, `reading` where no look was taken; `compute_ms`
@@ -48,7 +48,7 @@ class SeenFile:
         self.valid, self._sent = 0, 0
         self._reasons: Counter[str] = Counter()
 
-    def add(self, seen: Seen) -> None:
+    def add(self, seen: ReplayedFrame) -> None:
         """Keep what was seen of the next frame."""
         with writing(self._folder):
             pickle.dump(seen, self._file, pickle.HIGHEST_PROTOCOL)
@@ -67,8 +67,8 @@ class SeenFile:
     def __len__(self) -> int:
         return len(self.flags)
 
-    def __iter__(self) -> Iterator[Seen]:
+    def __iter__(self) -> Iterator[ReplayedFrame]:
         self._file.seek(0)
         for _ in range(len(self)):
-            seen: Seen = pickle.load(self._file)
+            seen: ReplayedFrame = pickle.load(self._file)
             yield seen

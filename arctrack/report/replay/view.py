@@ -9,7 +9,7 @@ import numpy as np
 from arctrack.explain import arc_light
 from arctrack.recording import Truth
 from arctrack.report.image import project_tool_point, visible
-from arctrack.report.replay.seen import Seen
+from arctrack.report.replay.seen import ReplayedFrame
 from noise_model.arc.map import arc_kernel
 from noise_model.arc.scene import Scene
 from noise_model.arrays import Bool, Float64, UInt8
@@ -44,7 +44,7 @@ class Profile:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class ReplayView:
     """A frame for people; image points are x, y in px.
 
     `grey` and `arc_grey` (H, W) are the frame and the light that is expected without the laser, on one scale;
@@ -69,7 +69,7 @@ class Viewer:
     def __init__(self, geometry: SensorGeometry, truth: Truth | None) -> None:
         self.geometry, self.truth_mm = geometry, truth_by_frame(truth)
 
-    def view(self, frame: Frame | None, seen: Seen, shows_arc_light: bool = True) -> View:
+    def view(self, frame: Frame | None, seen: ReplayedFrame, shows_arc_light: bool = True) -> ReplayView:
         """Return the view of a frame, None if it could not be read.
 
         The light that is expected over the whole image takes most of the time; it can be left out.
@@ -78,7 +78,7 @@ class Viewer:
         camera, sensor = geometry.setup.camera, geometry.setup.sensor
         nowhere = np.full((geometry.n_scan, 2), np.nan)
         true_mm = self.truth_mm.get(track.frame)
-        empty = View(
+        empty = ReplayView(
             grey=None if frame is None else visible(frame.image_dn, sensor),
             arc_grey=None,
             stripe_px=nowhere,

@@ -9,7 +9,7 @@ import numpy as np
 
 from arctrack.report.data_uri import uri
 from arctrack.report.image import jpeg, shrunk
-from arctrack.report.replay.view import Profile, View
+from arctrack.report.replay.view import Profile, ReplayView
 from noise_model.arrays import Float64, UInt8
 
 FRAME_PX, MAP_PX = 640, 320
@@ -19,7 +19,7 @@ MAX_LINES, MAX_POINTS = 400, 400
 """So many scan lines of the stripe, and so many points of a profile, are on the page at most."""
 
 
-def view_json(view: View) -> dict[str, Any]:
+def view_json(view: ReplayView) -> dict[str, Any]:
     """Return a view for the page: image points in tenths of a px, points in the laser plane in um."""
     step = max(1, math.ceil(len(view.stripe_px) / MAX_LINES))
     return {

@@ -50,8 +50,8 @@ from robot_io import (
     Validity,
 )
 from robot_io.poses.pose_questions import Implausibility
-from tracker.state import AT_ONCE, Lead, Track
-from tracker.tracker_state import TrackerState as SteppedState
+from tracker.state import AT_ONCE, OffsetLookAhead, Track
+from tracker.tracker_state import TrackerMemory as SteppedState
 
 RUN = "black-box"
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "v_groove"
@@ -88,7 +88,7 @@ class Run:
                 pose = replace(pose, status=PoseStatus.REFUSED)
             if n == 9:
                 self.tracking.begin()
-            lead = AT_ONCE if n < 5 else Lead(0.01 * n / 3.0, n / 7.0)
+            lead = AT_ONCE if n < 5 else OffsetLookAhead(0.01 * n / 3.0, n / 7.0)
             capture = Capture(frame.index, frame.timestamp_s, pose, None, n not in (6, 7), lead)
             track, _ = self.tracking.track(frame, capture)
             self.tracks.append(track)

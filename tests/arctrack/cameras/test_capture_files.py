@@ -19,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import noise_frames, small_setup
 
-from arctrack.cameras.camera_line import Wanted
+from arctrack.cameras.camera_line import CaptureRequest
 from arctrack.cameras.capture.device import DeviceSource
 from arctrack.cameras.capture.files import folder_source, video_source
 from arctrack.cameras.capture.luma import LumaVideo
@@ -57,7 +57,7 @@ def test_frames_of_a_video_are_those_of_the_file_in_order(tmp_path, bits):
     setup = small_setup(bits)
     given_frames = noise_frames(setup, 7)
     path = written(tmp_path / "weld.mkv", given_frames, setup)
-    frames = all_of(video_source(path, setup, False, Wanted))
+    frames = all_of(video_source(path, setup, False, CaptureRequest))
     assert [frame.index for frame in frames] == list(range(7))
     for frame, before in zip(frames, given_frames, strict=True):
         np.testing.assert_array_equal(frame.image_dn, before.image_dn)
@@ -70,7 +70,7 @@ def test_a_table_beside_a_video_states_its_times_and_what_was_lost(tmp_path):
     setup = small_setup()
     path = written(tmp_path / "weld.mkv", noise_frames(setup, 3), setup)
     (tmp_path / "weld.csv").write_text(HEAD + "4,9.1,1,1,100,0.002\n5,9.12,0,1,90,0.002\n8,9.15,1,0,,0.001\n")
-    frames = all_of(video_source(path, setup, False, Wanted))
+    frames = all_of(video_source(path, setup, False, CaptureRequest))
     assert [frame.index for frame in frames] == [0, 1, 4]
     assert [(frame.laser_on, frame.arc_on) for frame in frames] == [
         (True, True),
@@ -84,7 +84,7 @@ def test_a_table_beside_a_video_states_its_times_and_what_was_lost(tmp_path):
 def test_a_video_that_loops_goes_on_in_numbers_and_times(tmp_path):
     setup = small_setup()
     path = written(tmp_path / "weld.mkv", noise_frames(setup, 3), setup)
-    source = video_source(path, setup, True, Wanted)
+    source = video_source(path, setup, True, CaptureRequest)
     source.begin()
     frames = []
     while len(frames) < 8:
@@ -133,7 +133,7 @@ def test_a_folder_plays_its_images_by_their_numbers(tmp_path):
     for frame in frames:
         cv2.imwrite(str(folder / f"shot_{frame.index}.png"), frame.image_dn)
     (folder / "shot_4.png").write_bytes(b"torn")
-    played = all_of(folder_source(folder, setup, RATE_HZ, False, Wanted))
+    played = all_of(folder_source(folder, setup, RATE_HZ, False, CaptureRequest))
     assert [frame.index for frame in played] == [0, 1, 2, 3, 5, 6, 7, 8, 9, 10]
     np.testing.assert_array_equal(played[-1].image_dn, frames[10].image_dn)
 
@@ -142,14 +142,14 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path):
     setup = small_setup()
     path = written(tmp_path / "weld.mkv", noise_frames(setup, 2), setup)
     with pytest.raises(ArctrackError, match=r"\[camera\] width and height say 49 x 36"):
-        video_source(path, replace(setup, camera=replace(setup.camera, width=49)), False, Wanted)
+        video_source(path, replace(setup, camera=replace(setup.camera, width=49)), False, CaptureRequest)
     with pytest.raises(ArctrackError, match=r"nothing.mkv: there is no such file"):
-        video_source(tmp_path / "nothing.mkv", setup, False, Wanted)
+        video_source(tmp_path / "nothing.mkv", setup, False, CaptureRequest)
     (tmp_path / "text.mkv").write_text("no video")
     with pytest.raises(ArctrackError, match=r"text.mkv: cannot be read as a video"):
-        video_source(tmp_path / "text.mkv", setup, False, Wanted)
+        video_source(tmp_path / "text.mkv", setup, False, CaptureRequest)
     with pytest.raises(ArctrackError, match=r"is no folder"):
-        folder_source(path, setup, RATE_HZ, False, Wanted)
+        folder_source(path, setup, RATE_HZ, False, CaptureRequest)
     with pytest.raises(ArctrackError, match=r"\[camera\] name = '/dev/video97': cannot be opened"):
         DeviceSource("/dev/video97", setup, RATE_HZ)
 
@@ -256,7 +256,7 @@ def test_what_captures_ends_with_a_parent_that_is_killed(tmp_path):
 def test_a_frame_is_triggered_in_the_middle_of_the_first_base_phase(
     begin_s, period_s, share, exposure_s, due_s
 ):
-    wanted = Wanted(0.0, np.nan, begin_s, period_s, share * period_s, 2000.0)
+    wanted = CaptureRequest(0.0, np.nan, begin_s, period_s, share * period_s, 2000.0)
     at_s = trigger_at_s(wanted, exposure_s, due_s, 1000.0)
     if not is_reached(wanted, exposure_s, 1000.0):
         assert at_s == due_s

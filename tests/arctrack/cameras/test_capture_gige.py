@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arctrack.cameras.camera_line import Wanted
+from arctrack.cameras.camera_line import CaptureRequest
 from arctrack.cameras.capture.device_clock import WINDOW_S, DeviceClock
 from arctrack.cameras.capture.pulse import SLACK_S
 from arctrack.cell_file import CameraChoice, CaptureChoice
@@ -62,9 +62,9 @@ class Wants:
     """What a test wants of a camera."""
 
     def __init__(self) -> None:
-        self.wanted = Wanted()
+        self.wanted = CaptureRequest()
 
-    def __call__(self) -> Wanted:
+    def __call__(self) -> CaptureRequest:
         return self.wanted
 
 
@@ -165,7 +165,7 @@ def test_exposure_laser_and_interleave_go_with_their_frames(fake):
     dark = read_for(source, 0.4)
     assert dark
     assert not any(frame.laser_on for frame, _ in dark)
-    wants.wanted = Wanted(laser_until_s=np.inf, exposure_s=2.0 * first_s)
+    wants.wanted = CaptureRequest(laser_until_s=np.inf, exposure_s=2.0 * first_s)
     frames = [frame for frame, _ in read_for(source, 0.9)]
     lit = np.array([frame.laser_on for frame in frames])
     assert len(lit) > 15
@@ -175,7 +175,7 @@ def test_exposure_laser_and_interleave_go_with_their_frames(fake):
     assert {frame.exposure_s for frame in frames[1:]} == {2.0 * first_s}
     before, after = dark[-1][0].image_dn.mean(), frames[-1].image_dn.mean()
     assert after != pytest.approx(before, rel=0.01)
-    wants.wanted = Wanted()
+    wants.wanted = CaptureRequest()
     assert not any(frame.laser_on for frame, _ in read_for(source, 0.3))
     assert source._camera.get_string("LineSource") == "Off"
     source.close()
@@ -187,7 +187,7 @@ def test_a_base_phase_that_the_robot_tells_is_met(fake):
     source = opened(choice_of(trigger="software"), wants)
     source.begin()
     begin_s, period_s, base_s = time.monotonic(), 0.05, 0.02
-    wants.wanted = Wanted(0.0, np.nan, begin_s, period_s, base_s, np.inf)
+    wants.wanted = CaptureRequest(0.0, np.nan, begin_s, period_s, base_s, np.inf)
     commanded_s = set()
     until_s = begin_s + 1.5
     while time.monotonic() < until_s:

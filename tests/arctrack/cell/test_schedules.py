@@ -16,7 +16,7 @@ from robot_io.link.reconnecting import LinkFault
 from validation.fault_schedules import schedules
 from validation.fault_schedules.__main__ import app
 from validation.fault_schedules.kinds import KINDS
-from validation.fault_schedules.schedules import Outcome, run_schedule, run_schedules
+from validation.fault_schedules.schedules import ScheduleOutcome, run_schedule, run_schedules
 from validation.fault_schedules.table import failures, table
 
 pytestmark = pytest.mark.slow
@@ -110,8 +110,8 @@ def test_schedules_run_at_once_are_those_one_by_one():
 
 def test_the_table_says_what_became_of_each_fault():
     name = KINDS[0].name
-    told = Outcome(0, name, (), 0.02, 0.1, frozenset({"CAMERA_STOPPED"}))
-    went_on = Outcome(41, name, ("no",), math.nan, 0.3)
+    told = ScheduleOutcome(0, name, (), 0.02, 0.1, frozenset({"CAMERA_STOPPED"}))
+    went_on = ScheduleOutcome(41, name, ("no",), math.nan, 0.3)
     row = table([told, went_on]).splitlines()[2]
     assert row == f"| {name} | 2, 1 | 0.02, 0.02; go on in 1 | CAMERA_STOPPED | 0.30, 0.30 |  |"
     assert list(failures(7, [told, went_on])) == [f"--seed 7 --only 41: {name}: no"]

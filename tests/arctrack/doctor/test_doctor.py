@@ -27,9 +27,9 @@ from arctrack.cell_file.choices import BusChoice
 from arctrack.cell_file.new import write_new_cell
 from arctrack.cli import app
 from arctrack.doctor.bus import bus_findings, interface_findings, robot_finding
-from arctrack.doctor.camera import Watched, camera_findings
+from arctrack.doctor.camera import CameraReading, camera_findings
 from arctrack.doctor.clocks import clock_findings, clock_source_finding, wake_ups
-from arctrack.doctor.finding import Finding, State
+from arctrack.doctor.finding import DoctorFinding, FindingState
 from arctrack.doctor.host import (
     UNLIMITED,
     disk_finding,
@@ -55,44 +55,46 @@ def cell_with(folder: Path, **tables: dict[str, object]) -> CellFile:
     return read_cell_file(path)
 
 
-def states(findings: Iterator[Finding | Watched]) -> dict[str, State]:
-    return {finding.name: finding.state for finding in findings if isinstance(finding, Finding)}
+def states(findings: Iterator[DoctorFinding | CameraReading]) -> dict[str, FindingState]:
+    return {finding.name: finding.state for finding in findings if isinstance(finding, DoctorFinding)}
 
 
 def test_this_machines_clock_memory_and_disk_are_told(tmp_path: Path) -> None:
-    assert states(clock_findings())["monotonic clock"] is State.OK
-    assert shared_memory_finding(0).state is State.OK
-    assert shared_memory_finding(2**60).state is State.FAILED
-    assert disk_finding(tmp_path / "not" / "there").state in (State.OK, State.WARNING)
+    assert states(clock_findings())["monotonic clock"] is FindingState.OK
+    assert shared_memory_finding(0).state is FindingState.OK
+    assert shared_memory_finding(2**60).state is FindingState.FAILED
+    assert disk_finding(tmp_path / "not" / "there").state in (FindingState.OK, FindingState.WARNING)
     assert re.search(r"a run maps \d{2,} MB", own_memory_lock_finding(0, is_asked=False).text)
 
 
 @pytest.mark.parametrize(
-    ("source", "state"), [("tsc", State.OK), ("arch_sys_counter", State.OK), ("hpet", State.WARNING)]
+    ("source", "state"),
+    [("tsc", FindingState.OK), ("arch_sys_counter", FindingState.OK), ("hpet", FindingState.WARNING)],
 )
-def test_a_slow_clock_is_warned_of(source: str, state: State) -> None:
+def test_a_slow_clock_is_warned_of(source: str, state: FindingState) -> None:
     assert clock_source_finding(source).state is state
 
 
 @given(st.integers(1, 2**26), st.integers(1, 2**26))
 def test_a_receive_buffer_holds_an_image(limit: int, image_bytes: int) -> None:
     said = receive_buffer_finding(limit, image_bytes)
-    assert (said.state is State.OK) == (limit >= image_bytes)
+    assert (said.state is FindingState.OK) == (limit >= image_bytes)
     # What the cure sets is enough.
     assert (
-        said.state is State.OK or receive_buffer_finding(int(said.cure.split("=")[1]), image_bytes).cure == ""
+        said.state is FindingState.OK
+        or receive_buffer_finding(int(said.cure.split("=")[1]), image_bytes).cure == ""
     )
 
 
 def test_this_machines_receive_buffer_is_told() -> None:
-    assert own_receive_buffer_finding(1).state is State.OK
-    assert own_receive_buffer_finding(2**40).state is State.WARNING
+    assert own_receive_buffer_finding(1).state is FindingState.OK
+    assert own_receive_buffer_finding(2**40).state is FindingState.WARNING
 
 
 def test_a_governor_that_saves_power_is_warned_of() -> None:
-    assert governor_finding([]).state is State.OK
-    assert governor_finding(["performance"]).state is State.OK
-    assert governor_finding(["performance", "powersave"]).state is State.WARNING
+    assert governor_finding([]).state is FindingState.OK
+    assert governor_finding(["performance"]).state is FindingState.OK
+    assert governor_finding(["performance", "powersave"]).state is FindingState.WARNING
 
 
 @given(st.integers(0, 2**40), st.integers(1, 2**40), st.booleans(), st.booleans())
@@ -100,14 +102,14 @@ def test_memory_is_locked_where_the_limit_or_the_right_to_exceed_it_allows(
     limit: int, needed: int, may_exceed: bool, is_asked: bool
 ) -> None:
     said = memory_lock_finding(limit, may_exceed, needed, is_asked)
-    assert (said.state is State.OK) == (may_exceed or limit >= needed)
-    assert (said.state is State.FAILED) == (is_asked and not may_exceed and limit < needed)
-    assert memory_lock_finding(UNLIMITED, False, needed, is_asked).state is State.OK
+    assert (said.state is FindingState.OK) == (may_exceed or limit >= needed)
+    assert (said.state is FindingState.FAILED) == (is_asked and not may_exceed and limit < needed)
+    assert memory_lock_finding(UNLIMITED, False, needed, is_asked).state is FindingState.OK
 
 
 def test_processors_that_are_not_there_fail_and_scheduling_is_given_back() -> None:
     before = os.sched_getaffinity(0), os.sched_getscheduler(0)
-    assert states(scheduler_findings(ProcessChoice(cpus=(4095,))))["[process] cpus"] is State.FAILED
+    assert states(scheduler_findings(ProcessChoice(cpus=(4095,))))["[process] cpus"] is FindingState.FAILED
     late = wake_ups(ProcessChoice(priority=1, cpus=(min(before[0]),)), 5)
     assert 0.0 <= late.p50_ms <= late.max_ms
     assert (os.sched_getaffinity(0), os.sched_getscheduler(0)) == before
@@ -156,28 +158,28 @@ def test_a_robot_is_heard_on_a_real_bus(tmp_path: Path) -> None:
     cell = cell_with(tmp_path / "cell", bus={"interface": "udp_multicast", "channel": channel})
     with robot_on(options, channel):
         said = {finding.name: finding for finding in bus_findings(cell, **options)}
-    assert said["bus"].state is State.OK
+    assert said["bus"].state is FindingState.OK
     assert re.match(r"in 1 s RobotSync \d+", said["robot"].text)
     silent = {finding.name: finding for finding in bus_findings(cell, **options)}
-    assert silent["robot"].state is State.WARNING
+    assert silent["robot"].state is FindingState.WARNING
     assert silent["robot"].text == "heard nothing in 1 s"
 
 
 def test_frames_that_are_no_messages_are_told_from_silence() -> None:
     assert "e2e_error 3" in robot_finding({}, {"e2e_error": 3}).text
-    assert robot_finding({"RobotStatus": 1}, {"foreign": 9}).state is State.OK
+    assert robot_finding({"RobotStatus": 1}, {"foreign": 9}).state is FindingState.OK
 
 
 @pytest.mark.parametrize(
     ("bus", "name", "state"),
     [
-        ({"interface": "virtual"}, "bus", State.WARNING),
-        ({"interface": "slcan", "channel": "/dev/no-such-port"}, "serial port", State.FAILED),
-        ({"interface": "nosuch"}, "bus", State.FAILED),
+        ({"interface": "virtual"}, "bus", FindingState.WARNING),
+        ({"interface": "slcan", "channel": "/dev/no-such-port"}, "serial port", FindingState.FAILED),
+        ({"interface": "nosuch"}, "bus", FindingState.FAILED),
     ],
 )
 def test_a_bus_that_reaches_no_robot_is_said(
-    tmp_path: Path, bus: dict[str, object], name: str, state: State
+    tmp_path: Path, bus: dict[str, object], name: str, state: FindingState
 ) -> None:
     assert states(bus_findings(cell_with(tmp_path / "cell", bus=bus)))[name] is state
 
@@ -185,34 +187,36 @@ def test_a_bus_that_reaches_no_robot_is_said(
 @pytest.mark.skipif(shutil.which("ip") is None, reason="iproute2 is not installed")
 def test_an_interface_that_is_no_can_controller_is_told_by_ip(tmp_path: Path) -> None:
     cell = cell_with(tmp_path / "a", bus={"interface": "socketcan", "channel": "lo"})
-    assert states(bus_findings(cell))["bit rate"] is State.WARNING
+    assert states(bus_findings(cell))["bit rate"] is FindingState.WARNING
     cell = cell_with(tmp_path / "b", bus={"interface": "socketcan", "channel": "can9"})
-    assert states(bus_findings(cell))["interface"] is State.FAILED
+    assert states(bus_findings(cell))["interface"] is FindingState.FAILED
 
 
 @pytest.mark.parametrize(
     ("told", "name", "state"),
     [
-        ({}, "controller", State.OK),
-        ({"state": "ERROR-PASSIVE"}, "controller", State.WARNING),
-        ({"state": "BUS-OFF"}, "controller", State.FAILED),
-        ({"bittiming": {"bitrate": 250_000}}, "bit rate", State.FAILED),
-        ({"restart_ms": 0}, "restart", State.WARNING),
+        ({}, "controller", FindingState.OK),
+        ({"state": "ERROR-PASSIVE"}, "controller", FindingState.WARNING),
+        ({"state": "BUS-OFF"}, "controller", FindingState.FAILED),
+        ({"bittiming": {"bitrate": 250_000}}, "bit rate", FindingState.FAILED),
+        ({"restart_ms": 0}, "restart", FindingState.WARNING),
     ],
 )
-def test_what_ip_tells_of_a_controller_is_judged(told: dict[str, object], name: str, state: State) -> None:
+def test_what_ip_tells_of_a_controller_is_judged(
+    told: dict[str, object], name: str, state: FindingState
+) -> None:
     sound = {"state": "ERROR-ACTIVE", "restart_ms": 100, "bittiming": {"bitrate": 500_000}}
     link = {"flags": ["NOARP", "UP"], "linkinfo": {"info_kind": "can", "info_data": {**sound, **told}}}
     said = states(iter(interface_findings(link, BusChoice("socketcan", "can0", 500_000))))
     assert said.pop(name) is state
-    assert set(said.values()) == {State.OK}
+    assert set(said.values()) == {FindingState.OK}
 
 
 @pytest.mark.slow
 def test_shared_frames_are_watched(tmp_path: Path) -> None:
     name = f"doctor-{os.getpid()}"
     cell = cell_with(tmp_path / "cell", camera={"kind": "shared_memory", "name": name, "frame_rate_hz": 50.0})
-    assert states(camera_findings(cell)) == {"camera": State.FAILED}
+    assert states(camera_findings(cell)) == {"camera": FindingState.FAILED}
     camera = cell.setup.setup.camera
     image = np.zeros((camera.height, camera.width), np.uint8)
     is_over = threading.Event()
@@ -229,11 +233,11 @@ def test_shared_frames_are_watched(tmp_path: Path) -> None:
         said = list(camera_findings(cell))
         is_over.set()
         thread.join()
-    (watched,) = (seen for seen in said if isinstance(seen, Watched))
+    (watched,) = (seen for seen in said if isinstance(seen, CameraReading))
     assert 3 <= watched.frames <= 11
     assert watched.unreadable == 0
     # Ten a second come where fifty are stated.
-    assert states(iter(said))["frames"] is State.WARNING
+    assert states(iter(said))["frames"] is FindingState.WARNING
 
 
 @pytest.mark.slow

@@ -12,9 +12,16 @@ from hypothesis import strategies as st
 
 from arctrack.cell_file import read_cell_file
 from arctrack.cell_file.new import write_new_cell
-from arctrack.doctor.budget import Part, bandwidth_finding, budget_finding, budget_of, max_rows, transfer_s
-from arctrack.doctor.camera import Watched
-from arctrack.doctor.finding import State
+from arctrack.doctor.budget import (
+    LatencyPart,
+    bandwidth_finding,
+    budget_finding,
+    budget_of,
+    max_rows,
+    transfer_s,
+)
+from arctrack.doctor.camera import CameraReading
+from arctrack.doctor.finding import FindingState
 from arctrack.doctor.steps import StepTimes
 from arctrack.serve.latency import LatencyCounts, Quantiles
 from robot_io.protocol.bus_load import frame_bits, least_frame_bits, response_time_s
@@ -84,15 +91,15 @@ def test_the_parts_sum_up_to_what_is_held_against_the_gate(tmp_path: Path) -> No
     steps = StepTimes(quantiles(2.0), quantiles(7.0), 1.0)
     budget = budget_of(cell, steps, quantiles(0.1))
     assert [part.name for part in budget.parts][:2] == ["half of the exposure", "transfer"]
-    assert budget.parts[0] == Part("half of the exposure", 0.0025, 0.0025, "the setup")
+    assert budget.parts[0] == LatencyPart("half of the exposure", 0.0025, 0.0025, "the setup")
     assert budget.typical_s == pytest.approx(sum(part.typical_s for part in budget.parts))
     assert budget.at_most_s > budget.typical_s
-    assert budget_finding(budget).state is State.OK
+    assert budget_finding(budget).state is FindingState.OK
     tight = replace(budget, capture_age_s=0.5 * (budget.typical_s + budget.at_most_s))
-    assert budget_finding(tight).state is State.WARNING
+    assert budget_finding(tight).state is FindingState.WARNING
     late = replace(budget, capture_age_s=0.5 * budget.typical_s)
-    assert budget_finding(late).state is State.FAILED
-    live = budget_of(cell, steps, quantiles(0.1), Watched(25, 0, 25.0, quantiles(30.0, 40.0)))
+    assert budget_finding(late).state is FindingState.FAILED
+    live = budget_of(cell, steps, quantiles(0.1), CameraReading(25, 0, 25.0, quantiles(30.0, 40.0)))
     assert live.parts[0].at_most_s == pytest.approx(0.04)
     # A frame that comes later than any pose waits for none.
     assert next(part for part in live.parts if part.name == "wait for the pose").at_most_s == 0.0
@@ -102,13 +109,13 @@ def test_a_step_that_was_not_timed_is_not_known(tmp_path: Path) -> None:
     cell = read_cell_file(write_new_cell(tmp_path / "cell", "lap", "zn_coated")[0])
     budget = budget_of(cell, None, quantiles(0.1))
     assert math.isnan(budget.typical_s)
-    assert budget_finding(budget).state is State.WARNING
+    assert budget_finding(budget).state is FindingState.WARNING
 
 
 def test_more_rows_than_fit_are_named(tmp_path: Path) -> None:
     setup = read_cell_file(write_new_cell(tmp_path / "cell", "lap", "zn_coated")[0]).setup.setup
-    assert bandwidth_finding(setup, 25.0, is_ethernet=True).state is State.OK
+    assert bandwidth_finding(setup, 25.0, is_ethernet=True).state is FindingState.OK
     slow = bandwidth_finding(setup, 1000.0, is_ethernet=False)
-    assert slow.state is State.WARNING
+    assert slow.state is FindingState.WARNING
     assert "it carries 185 rows" in slow.cure
-    assert bandwidth_finding(setup, 1000.0, is_ethernet=True).state is State.FAILED
+    assert bandwidth_finding(setup, 1000.0, is_ethernet=True).state is FindingState.FAILED

@@ -11,7 +11,7 @@ from arctrack.cell.robot import WELDING
 from arctrack.journal import private_memory
 from arctrack.journal.journal import MIN_SLOTS, Journal, JournalReader, gap_name, slots_for
 from arctrack.journal.private_memory import private_path
-from arctrack.journal.records import Entry, GapReport, HeardPose, ProcessState, Status, View, pack
+from arctrack.journal.records import Entry, GapReport, HeardPose, ProcessState, SeenFrame, Status, pack
 from arctrack.journal.ring import RingError, RingWriter
 from robot_io import (
     Command,
@@ -29,7 +29,7 @@ from robot_io import (
 )
 from tracker.state import Frame, Pose, Track
 from tracker.step import StepInputs
-from tracker.tracker_state import TrackerState as SteppedState
+from tracker.tracker_state import TrackerMemory as SteppedState
 
 SHAPE = (6, 8)
 
@@ -86,7 +86,7 @@ def test_the_newest_view_and_status_are_told(journal):
     assert reader.newest_view() is None
     assert reader.status() is None
     for index in range(9):
-        journal.show(View(index, Track(index, 0.0, 0)))
+        journal.show(SeenFrame(index, Track(index, 0.0, 0)))
     assert reader.newest_view().position == 8
     reader.close()
 

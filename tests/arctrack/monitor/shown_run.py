@@ -14,7 +14,7 @@ from pathlib import Path
 from arctrack.cell.robot import WELDING
 from arctrack.journal.journal import MIN_SLOTS, Journal, gap_name
 from arctrack.journal.message_pipe import PipeEnd, message_pipe
-from arctrack.journal.records import Entry, GapReport, Status, View, pack
+from arctrack.journal.records import Entry, GapReport, SeenFrame, Status, pack
 from arctrack.journal.ring import RingWriter
 from arctrack.monitor.options import MonitorOptions
 from arctrack.monitor.run import run_monitor
@@ -43,7 +43,7 @@ FIRST, FRAMES = 6, 8
 TITLE = "cell.toml, shared_memory side_wall"
 TOKEN = "a token of the tests"
 
-Tracked = tuple[Entry, View]
+Tracked = tuple[Entry, SeenFrame]
 
 
 @cache
@@ -67,7 +67,7 @@ def tracked() -> Sequence[Tracked]:
         entry = Entry(
             frame, StepInputs(before, pose), replace(track, stripe=None, checks=()), offset, 7, took_ms=4.0
         )
-        view = View(
+        view = SeenFrame(
             position, replace(track, checks=()), reading.seam, reading.reach_mm, reading.arc, reading.joint
         )
         shown.append((entry, view))

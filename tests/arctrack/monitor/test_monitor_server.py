@@ -24,7 +24,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from shown_run import TITLE, TOKEN, answering_black_box, shown_run
 
 from arctrack.monitor.access import Access, is_same_origin
-from arctrack.monitor.outbox import MAX_WAITING, Kind, Outbox
+from arctrack.monitor.outbox import MAX_WAITING, MessageKind, Outbox
 from arctrack.monitor.server import SAVES_APART_S
 from arctrack.monitor.words import FAULTS, LASERS, NO_DISARM, REASONS, STATES, Indication, headline
 from robot_io import Fault, GateReason, LaserState, TrackerState
@@ -222,8 +222,8 @@ def test_clients_that_misbehave_hold_nothing_and_fill_no_log(capfd: pytest.Captu
 def test_what_waits_for_a_browser_is_little_and_the_newest() -> None:
     outbox = Outbox()
     for n in range(3 * MAX_WAITING):
-        outbox.put(Kind.POINTS, f"points {n}")
-        outbox.put(Kind.PICTURE, f"picture {n}".encode())
+        outbox.put(MessageKind.POINTS, f"points {n}")
+        outbox.put(MessageKind.PICTURE, f"picture {n}".encode())
     assert len(outbox) == MAX_WAITING
     assert outbox.dropped == 5 * MAX_WAITING
     waiting = [asyncio.run(outbox.take()) for _ in range(MAX_WAITING)]

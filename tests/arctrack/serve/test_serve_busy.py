@@ -14,7 +14,7 @@ import pytest
 
 from arctrack.cell_file import ProcessChoice
 from arctrack.doctor.clocks import processor_finding, processor_wait
-from arctrack.doctor.finding import State
+from arctrack.doctor.finding import FindingState
 from arctrack.service.processor import SCHEDSTAT, TOO_BUSY, ProcessorWait
 
 pytestmark = [
@@ -56,7 +56,7 @@ def test_who_waits_for_a_processor_is_told_so() -> None:
                 assert time.monotonic() < until_s, (wait.share, wait.waited_s, wait.ran_s)
         finally:
             os.sched_setaffinity(0, before)
-    assert finding.state is State.WARNING
+    assert finding.state is FindingState.WARNING
     assert "this machine is too busy" in str(finding)
 
 

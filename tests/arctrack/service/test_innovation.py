@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from arctrack.service.innovation import InnovationLimits, SeamInnovation, SeamMeasured, SeamMotion
+from arctrack.service.innovation import InnovationLimits, SeamInnovation, SeamMeasurement, SeamMotion
 from tracker.seam.gaussian_process import SeamHistory
 
 LIMITS = InnovationLimits()
@@ -33,7 +33,7 @@ def run(seed, error=lambda t_s: (0.0, 0.0), until_s=6.0, sigma_mm=0.05, directio
         station_mm = direction * SPEED_MM_S * t_s
         noise, off = rng.normal(0.0, sigma_mm, 2), error(t_s)
         y, z = seam_mm(station_mm)
-        measured = SeamMeasured(
+        measured = SeamMeasurement(
             station_mm, (y + noise[0] + off[0], z + noise[1] + off[1]), (sigma_mm, sigma_mm)
         )
         state = state.with_seam(measured, limits)
@@ -128,7 +128,7 @@ def test_the_filter_is_the_process_of_the_seam():
     stations = np.cumsum(rng.uniform(1.1, 6.0, 12))
     for n, station_mm in enumerate(stations):
         y, z = rng.normal(0.0, 0.3, 2)
-        measured = SeamMeasured(float(station_mm), (y, z), (0.2, 0.1))
+        measured = SeamMeasurement(float(station_mm), (y, z), (0.2, 0.1))
         if n:
             value, sigma = history.at(float(station_mm))
             expected = (np.array([y, z]) - value) / np.sqrt(sigma**2 + [0.2**2 + 1e-4, 0.1**2 + 1e-4])
@@ -143,16 +143,16 @@ def test_the_way_back_is_the_way_there_in_a_mirror():
     rng = np.random.default_rng(6)
     for n in range(15):
         pair = tuple(rng.normal(0.0, 0.1, 2))
-        there = there.with_seam(SeamMeasured(0.7 * n, pair, (0.05, 0.05)), LIMITS)
-        back = back.with_seam(SeamMeasured(-0.7 * n, pair, (0.05, 0.05)), LIMITS)
+        there = there.with_seam(SeamMeasurement(0.7 * n, pair, (0.05, 0.05)), LIMITS)
+        back = back.with_seam(SeamMeasurement(-0.7 * n, pair, (0.05, 0.05)), LIMITS)
     np.testing.assert_allclose(there.innovations, back.innovations, rtol=1e-9)
 
 
 def test_a_seam_far_on_begins_anew_and_what_is_not_known_says_nothing():
     *_, (_, state) = run(7)
-    assert state.with_seam(SeamMeasured(math.nan, (0.0, 0.0), (0.1, 0.1)), LIMITS) is state
-    assert state.with_seam(SeamMeasured(60.0, (0.0, math.nan), (0.1, 0.1)), LIMITS) is state
-    far = state.with_seam(SeamMeasured(100.0, (9.0, 9.0), (0.1, 0.1)), LIMITS)
+    assert state.with_seam(SeamMeasurement(math.nan, (0.0, 0.0), (0.1, 0.1)), LIMITS) is state
+    assert state.with_seam(SeamMeasurement(60.0, (0.0, math.nan), (0.1, 0.1)), LIMITS) is state
+    far = state.with_seam(SeamMeasurement(100.0, (9.0, 9.0), (0.1, 0.1)), LIMITS)
     assert far.innovations == ()
     assert far.motion is SeamMotion.CONSISTENT
 
@@ -179,7 +179,7 @@ def test_a_fast_weave_whose_poses_are_off_by_a_millisecond_is_no_contradiction()
                 t_s = n / RATE_HZ
                 off_mm = weave_mm * (math.sin(rate * (t_s - late_s)) - math.sin(rate * t_s))
                 y, z = seam_mm(6.5 * t_s) + rng.normal(0.0, 0.03, 2)
-                measured = SeamMeasured(6.5 * t_s, (y + off_mm, z), (0.03, 0.03))
+                measured = SeamMeasurement(6.5 * t_s, (y + off_mm, z), (0.03, 0.03))
                 speed_mm_s = math.hypot(6.5, weave_mm * rate * math.cos(rate * t_s))
                 state = state.with_seam(measured.at_speed(speed_mm_s, LIMITS), LIMITS)
                 if state.motion is SeamMotion.CONTRADICTED:

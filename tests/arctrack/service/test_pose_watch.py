@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from arctrack.cell.robot import WELDING
-from arctrack.service.innovation import InnovationLimits, SeamMeasured, SeamMotion
+from arctrack.service.innovation import InnovationLimits, SeamMeasurement, SeamMotion
 from arctrack.service.pose_watch import PoseWatch
 from robot_io import (
     Command,
@@ -127,7 +127,7 @@ def test_a_seam_that_moves_otherwise_is_contradicted():
     bus.run(1.0)
     for n in range(60):
         weave_mm = 1.5 * math.sin(0.3 * n)
-        bus.watch.see(SeamMeasured(10.0 + 0.2 * n, (weave_mm, 0.0), (0.05, 0.05)))
+        bus.watch.see(SeamMeasurement(10.0 + 0.2 * n, (weave_mm, 0.0), (0.05, 0.05)))
     assert bus.doubt is SeamMotion.CONTRADICTED
     assert bus.watch.verdict(bus.now_s) is GateReason.POSE_IMPLAUSIBLE
     bus.hear(TrackerCommand(Command.RESET, True, True, 1, None, None, Switch.ON))

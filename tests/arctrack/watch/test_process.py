@@ -10,7 +10,7 @@ import pytest
 
 from arctrack.journal import private_memory
 from arctrack.journal.journal import Journal, JournalReader
-from arctrack.journal.records import Entry, View
+from arctrack.journal.records import Entry, SeenFrame
 from arctrack.nominal import nominal_setup
 from arctrack.simulate import balance
 from arctrack.watch.process import RunWatch
@@ -27,7 +27,7 @@ RUN, RATE_HZ, DRAWN = "watched", 10.0, 12
 DIRTY = {"dirty_window": {"dimming_1": 0.8, "u_1": -0.2, "v_1": 0.1, "radius_1": 0.3}}
 
 
-def drawn(setup: Setup, nominal: Setup, seed: int) -> list[tuple[Entry, View]]:
+def drawn(setup: Setup, nominal: Setup, seed: int) -> list[tuple[Entry, SeenFrame]]:
     """Return frames along a seam, and what the tracker that knows the nominal setup makes of them."""
     rng, renderer, tracker = np.random.default_rng(seed), Renderer(), Tracker(nominal)
     made = []
@@ -42,7 +42,7 @@ def drawn(setup: Setup, nominal: Setup, seed: int) -> list[tuple[Entry, View]]:
         assert reading is not None
         entry = Entry(frame, inputs, replace(track, stripe=None, checks=()), None, 1)
         shown = replace(track, checks=())
-        made.append((entry, View(0, shown, reading.seam, reading.reach_mm, reading.arc, reading.joint)))
+        made.append((entry, SeenFrame(0, shown, reading.seam, reading.reach_mm, reading.arc, reading.joint)))
     return made
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from noise_model.transforms import moved
 from sim_to_real.decision.experiments import MENU
-from validation.second_renderer.world_stated import JOINTS, Continued, draw_stated
+from validation.second_renderer.world_stated import JOINTS, ContinuedMotion, draw_stated
 
 FROM_S, TO_S = 1.2, 1.8
 BY_KEY = {one.key: one for one in MENU}
@@ -18,7 +18,7 @@ def motion_of(joint="v_groove"):
 
 
 def continued(key, joint="v_groove"):
-    return Continued(motion_of(joint), BY_KEY[key], FROM_S, TO_S)
+    return ContinuedMotion(motion_of(joint), BY_KEY[key], FROM_S, TO_S)
 
 
 @pytest.mark.parametrize("key", BY_KEY)
@@ -53,7 +53,7 @@ def test_thrice_as_fast_is_the_same_motion_on_another_clock():
 def test_the_way_over_is_smooth(key):
     still = (0.0, 1.0, 0.0)
     even = dataclasses.replace(motion_of(), weave=still, rise=still, roll=still, pitch=still)
-    longer = Continued(even, BY_KEY[key], FROM_S, TO_S)
+    longer = ContinuedMotion(even, BY_KEY[key], FROM_S, TO_S)
     times_s = np.arange(FROM_S - 0.1, TO_S + 0.1, 0.001)
     poses = np.array([longer.T_base_tool(float(t)) for t in times_s])
     per_s = np.diff(poses, axis=0) / 0.001

@@ -13,11 +13,11 @@ from noise_model.setup import Setup
 from noise_model.surface.brdf import UNSTATED_METAL
 from sim_to_real.data.binned import observe
 from sim_to_real.diagnose import diagnose
-from sim_to_real.diagnosis import Diagnosis, Verdict
+from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict
 from sim_to_real.fit.metal_of_stripe import metal_of_stripe
 from tracker.state import Pose
-from validation.second_renderer.scenario import Recorded, Scenario, Switches, make
-from validation.second_renderer.world_effect import CATALOGUE, Hidden
+from validation.second_renderer.scenario import MadeRecording, Scenario, StatedSwitches, make
+from validation.second_renderer.world_effect import CATALOGUE, HiddenEffect
 from validation.second_renderer.world_light import TrueWorld
 from validation.second_renderer.world_stated import EXPOSURE_S, draw_stated
 
@@ -26,7 +26,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("mitsuba")]
 COARSER = 2
 """By so much the camera is coarser than the blind check's."""
 
-LASER = Switches(True, False, 0.0, EXPOSURE_S)
+LASER = StatedSwitches(True, False, 0.0, EXPOSURE_S)
 SWITCHES = (
     *2 * (replace(LASER, laser_on=False),),
     *14 * (LASER,),
@@ -43,11 +43,11 @@ HIDDEN = {
 FORMS = {"uneven_fan": "ends"}
 
 
-def recorded(joint: str, seed: int, effect: str | None) -> tuple[Scenario, Recorded]:
+def recorded(joint: str, seed: int, effect: str | None) -> tuple[Scenario, MadeRecording]:
     """Return a run that moves as the blind check's do, the laser its only light."""
     stated, motion = draw_stated(np.random.default_rng(seed), joint)
     stated = replace(stated, camera=stated.camera.coarser(COARSER))
-    hidden = () if effect is None else (Hidden(effect, FORMS.get(effect, CATALOGUE), HIDDEN[effect]),)
+    hidden = () if effect is None else (HiddenEffect(effect, FORMS.get(effect, CATALOGUE), HIDDEN[effect]),)
     scenario = Scenario(seed, "F", stated, TrueWorld(stated, np.eye(4)), motion, SWITCHES, hidden)
     return scenario, make(scenario)
 
@@ -68,7 +68,7 @@ def test_what_the_stripe_shows_is_named_whatever_else_is_stated(
     joint: str, effect: str, is_plain: bool
 ) -> None:
     diagnosis = diagnosed(joint, 6, effect, is_plain)
-    assert diagnosis.verdict is Verdict.EFFECTS
+    assert diagnosis.verdict is DiagnosisVerdict.EFFECTS
     assert [named.id for named in diagnosis.effects] == [effect]
     assert diagnosis.where.stage == REGISTRY[effect].stage.value
     assert diagnosis.gap.closed > 0.8
@@ -85,7 +85,7 @@ def test_a_camera_that_stands_elsewhere_is_named(is_plain: bool) -> None:
 @pytest.mark.parametrize(("joint", "seed"), [("v_groove", 4), ("flat", 2)])
 def test_nothing_hidden_is_no_gap_whatever_the_metal_is(joint: str, seed: int, is_plain: bool) -> None:
     diagnosis = diagnosed(joint, seed, None, is_plain)
-    assert diagnosis.verdict is Verdict.NO_GAP
+    assert diagnosis.verdict is DiagnosisVerdict.NO_GAP
     assert diagnosis.gap.before < 0.3
 
 

@@ -15,7 +15,7 @@ from validation.second_renderer.world import (
     in_order,
     read_out,
 )
-from validation.second_renderer.world_effect import CATALOGUE, Hidden
+from validation.second_renderer.world_effect import CATALOGUE, HiddenEffect
 
 pytestmark = pytest.mark.usefixtures("mitsuba")
 
@@ -38,7 +38,7 @@ def all_forms():
 
 def hidden(effect, form=CATALOGUE, strength=1.0, seed=4, setup=None):
     setup = world_of(width=80).setup if setup is None else setup
-    return Hidden(effect, form, FORMS[effect][form].draw(np.random.default_rng(seed), strength, setup))
+    return HiddenEffect(effect, form, FORMS[effect][form].draw(np.random.default_rng(seed), strength, setup))
 
 
 def test_it_has_the_catalogues_effects_and_another_form_of_most():
@@ -101,13 +101,13 @@ def test_strength_is_strength(world, plain, effect):
 def test_the_closed_forms_of_some_effects(world, plain):
     both = charge_of(world, levels=BOTH)
     np.testing.assert_allclose(both, plain["arc"] + plain["laser"], rtol=1e-6, atol=1e-3)
-    glare = charge_of(world, (Hidden("veiling_glare", CATALOGUE, {"share": 0.2}),), levels=ARC)
+    glare = charge_of(world, (HiddenEffect("veiling_glare", CATALOGUE, {"share": 0.2}),), levels=ARC)
     assert glare.mean() == pytest.approx(plain["arc"].mean(), rel=1e-3)
     assert np.ptp(glare) == pytest.approx(0.8 * np.ptp(plain["arc"]), rel=1e-3)
-    drift = Hidden("laser_power_drift", CATALOGUE, {"rate_per_s": 0.1, "settle_s": 1e6})
+    drift = HiddenEffect("laser_power_drift", CATALOGUE, {"rate_per_s": 0.1, "settle_s": 1e6})
     later = charge_of(world, (drift,), levels=LASER, time_s=2.0, T_base_tool=pose())
     np.testing.assert_allclose(later, np.exp(0.2) * plain["laser"], rtol=1e-4)
-    lossy = charge_of(world, (Hidden("vignetting", CATALOGUE, {"loss": 0.4}),), levels=ARC)
+    lossy = charge_of(world, (HiddenEffect("vignetting", CATALOGUE, {"loss": 0.4}),), levels=ARC)
     middle = np.s_[29:31, 39:41]
     np.testing.assert_allclose(lossy[middle], plain["arc"][middle], rtol=2e-3)
     assert lossy[0, 0] == pytest.approx(0.6 * plain["arc"][0, 0], rel=0.03)
@@ -117,12 +117,14 @@ def test_blooming_spills_along_saturated_columns_alone(world):
     well = world.setup.sensor.full_well_e
     charge = np.full((40, 30), 100.0)
     charge[20, 7] = well + 1.0e5
-    spilled = form_of(Hidden("blooming", CATALOGUE)).charge(charge, world, {"spill": 0.5, "reach_px": 3.0})
+    spilled = form_of(HiddenEffect("blooming", CATALOGUE)).charge(
+        charge, world, {"spill": 0.5, "reach_px": 3.0}
+    )
     beside = np.delete(spilled - charge, 7, axis=1)
     assert not beside.any()
     assert (spilled - charge)[:, 7].sum() == pytest.approx(5.0e4, rel=0.01)
     assert spilled[19, 7] > spilled[18, 7] > spilled[17, 7] > 100.0
-    leaked = form_of(Hidden("blooming", "leak")).charge(charge, world, {"leak": 0.2})
+    leaked = form_of(HiddenEffect("blooming", "leak")).charge(charge, world, {"leak": 0.2})
     np.testing.assert_allclose((leaked - charge)[:, 7], 0.2 * 1.0e5 / 40.0)
 
 
@@ -143,14 +145,14 @@ def test_noise_has_the_stated_moments_and_ends(world):
         np.random.default_rng(1),
     )
     assert (full == 104).all()
-    bent = (Hidden("gamma", CATALOGUE, {"gamma": 0.5}),)
+    bent = (HiddenEffect("gamma", CATALOGUE, {"gamma": 0.5}),)
     frame = read_out(world, bent, moment_of(), np.full((400, 500), 5100.0), np.random.default_rng(1))
     assert frame.mean() == pytest.approx(4.0 + 255.0 * 0.5, abs=0.1)
 
 
 def test_heavy_noise_has_the_variance_of_its_ratio(world):
     for form in FORMS["read_noise"]:
-        acting = (Hidden("read_noise", form, {"noise_ratio": 3.0}),)
+        acting = (HiddenEffect("read_noise", form, {"noise_ratio": 3.0}),)
         charge = np.full((600, 600), 2000.0)
         frame = read_out(world, acting, moment_of(), charge, np.random.default_rng(2)).astype(float)
         want = (2000.0 + (3.0 * 45.0) ** 2) / 80.0**2 + 1.0 / 12.0
@@ -171,12 +173,16 @@ def test_what_is_kept_on_disk_changes_nothing(world, tmp_path):
 
 
 def test_effects_act_in_the_order_of_the_stages():
-    acting = [Hidden("gamma", CATALOGUE), Hidden("fume", "plume"), Hidden("hand_eye", CATALOGUE)]
+    acting = [
+        HiddenEffect("gamma", CATALOGUE),
+        HiddenEffect("fume", "plume"),
+        HiddenEffect("hand_eye", CATALOGUE),
+    ]
     assert [one.id for _, one in in_order(acting)] == ["hand_eye", "fume", "gamma"]
 
 
 def test_unknown_effects_and_forms_are_named():
     with pytest.raises(ValueError, match="effect 'gama' is not known"):
-        form_of(Hidden("gama", CATALOGUE))
+        form_of(HiddenEffect("gama", CATALOGUE))
     with pytest.raises(ValueError, match="hand_eye has no form 'other'"):
-        form_of(Hidden("hand_eye", "other"))
+        form_of(HiddenEffect("hand_eye", "other"))

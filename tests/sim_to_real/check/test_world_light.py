@@ -18,7 +18,7 @@ from noise_model.view import View
 from validation.second_renderer.agreement import BLOCK_PX
 from validation.second_renderer.blocks import compare_blocks
 from validation.second_renderer.world_bounce import STEP_PX, Bounces, bounced_light
-from validation.second_renderer.world_light import Lens, TrueWorld
+from validation.second_renderer.world_light import TrueWorld, WorldLens
 from validation.second_renderer.world_metal import STATED_LOBE, LobeShape
 from validation.second_renderer.world_optics import point_spread
 from validation.second_renderer.world_surface import Departure
@@ -201,14 +201,14 @@ def test_a_lens_sends_rays_where_its_form_says():
     camera = setup_of().camera
     u, v = np.meshgrid([0.0, 40.0, 159.0], [0.0, 60.0, 119.0])
     uv = np.column_stack([u.ravel(), v.ravel()])
-    xy = Lens("brown", -0.5, 2.0).rays(camera, uv)
+    xy = WorldLens("brown", -0.5, 2.0).rays(camera, uv)
     rays = np.column_stack([xy, np.ones(len(xy))])
     back, _ = cv2.projectPoints(
         rays, np.zeros(3), np.zeros(3), camera.matrix, np.array([-0.5, 2.0, 0.0, 0.0])
     )
     np.testing.assert_allclose(back[:, 0], uv, atol=1e-6)
-    bent = Lens("division", 0.4).rays(camera, uv)
-    straight = Lens().rays(camera, uv)
+    bent = WorldLens("division", 0.4).rays(camera, uv)
+    straight = WorldLens().rays(camera, uv)
     r2 = np.sum(straight**2, axis=1, keepdims=True)
     np.testing.assert_allclose(bent * (1.0 + 0.4 * r2), straight, rtol=1e-12)
 

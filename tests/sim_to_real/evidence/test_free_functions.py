@@ -7,7 +7,7 @@ import pytest
 
 from noise_model.effects import REGISTRY, Stage
 from sim_to_real.evidence.coordinates import ADDED_DN, TOGETHER, form_functions, free_terms, texture
-from sim_to_real.evidence.error_model import Columns, ErrorModel, Linearized
+from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis, SizeColumns
 from sim_to_real.evidence.free_functions import (
     FORMS,
     FreeFunction,
@@ -17,7 +17,7 @@ from sim_to_real.evidence.free_functions import (
     of_covariate,
     strata_gaps,
 )
-from sim_to_real.evidence.hypotheses import Unknown
+from sim_to_real.evidence.hypotheses import UnknownCause
 from sim_to_real.evidence.metric import Metric
 from sim_to_real.evidence.policy import POLICY
 from tests.sim_to_real.planted import planted
@@ -52,8 +52,8 @@ def beside_levels(bins, residuals, *further):
     """A hypothesis whose levels of arc, laser and black may be off, with further columns."""
     levels = (0.1 * bins.arc_dn, 0.1 * bins.laser_dn, np.ones_like(bins.arc_dn), *further)
     compared = compared_of(bins)
-    columns = Columns.free(np.column_stack(levels)[compared].astype(np.float32))
-    return Linearized(residuals[compared], columns)
+    columns = SizeColumns.free(np.column_stack(levels)[compared].astype(np.float32))
+    return LinearHypothesis(residuals[compared], columns)
 
 
 def test_a_form_off_elsewhere_is_as_large_as_a_share_of_what_its_effect_does(bins):
@@ -75,7 +75,7 @@ def test_of_several_forms_each_is_as_probable(bins):
     errors, draw = errors_of(bins), np.random.default_rng(6)
     none = beside_levels(bins, noise(bins))
     first, second, third = (
-        Columns.free(draw.standard_normal((len(none.residuals), 2)).astype(np.float32)) for _ in range(3)
+        SizeColumns.free(draw.standard_normal((len(none.residuals), 2)).astype(np.float32)) for _ in range(3)
     )
     both = errors.log_evidence(none, first, second)
     assert errors.log_evidence_off(none, [[first], [second]]) == pytest.approx(both, abs=1e-6)
@@ -138,7 +138,7 @@ def test_the_covariate_of_a_gap_leads_and_its_stage_is_the_likeliest(bins, gap, 
         (term.stage, term.name): table.log_evidence(*term.blocks, size=0.1)
         for term in errors.free_terms.terms
     }
-    stages = Unknown(evidence).stages(POLICY.temperature)
+    stages = UnknownCause(evidence).stages(POLICY.temperature)
     assert max(stages, key=lambda name: stages[name]) == stage
     assert sum(stages.values()) == pytest.approx(1.0)
 
@@ -176,7 +176,7 @@ def test_bands_hold_the_true_curve(bins, name, form, size):
         gap = true(x) * light + off[0] * chosen.arc_dn + off[1] * chosen.laser_dn + off[2]
         none = beside_levels(bins, noise(bins, 100 + seed))
         none = replace(none, residuals=none.residuals + gap)
-        table = errors.table(none, errors.blocks([Columns.free(family.changes) for family in families]))
+        table = errors.table(none, errors.blocks([SizeColumns.free(family.changes) for family in families]))
         function = {name: FreeFunction.likeliest(table, families, POLICY)}
         curve = FreeFunctions(function, function).curve(name)
         if curve.form == form:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sim_to_real.evidence.error_model import Columns, ErrorModel, Linearized, probe_sigmas
+from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis, SizeColumns, probe_sigmas
 from sim_to_real.evidence.looks import START_SHARES, Looks
 from sim_to_real.evidence.metric import Metric
 from sim_to_real.search.score_test import ScoreTest
@@ -30,8 +30,8 @@ def looks():
     scores = [family("veiling_glare", 60.0 * GLARE, 0.05), family("black_level", 40.0 * OFFSET, 2.0)]
     metric = Metric(np.ones(N, dtype=np.float32), np.zeros((1, N)))
     made = Looks(start, scores, ErrorModel(metric, (), {}, np.ones((N, 1), dtype=np.float32)))
-    made.__dict__["_at_start"] = Linearized(
-        residuals, Columns.free(NUISANCE[:, np.newaxis].astype(np.float32))
+    made.__dict__["_at_start"] = LinearHypothesis(
+        residuals, SizeColumns.free(NUISANCE[:, np.newaxis].astype(np.float32))
     )
     return made
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from noise_model.effects.effect import Stage
-from sim_to_real.diagnosis import Verdict
-from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Unknown
+from sim_to_real.diagnosis import DiagnosisVerdict
+from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
 from sim_to_real.evidence.judgement import judge
 from sim_to_real.evidence.policy import Policy
 
@@ -16,12 +16,12 @@ TERM = Stage.SURFACE, "arc over the half angle"
 
 
 def hypothesis(nats, *ids, off=None, beside=None):
-    unknown = None if beside is None else Unknown({TERM: beside})
+    unknown = None if beside is None else UnknownCause({TERM: beside})
     return Hypothesis(SimpleNamespace(ids=ids), nats, nats if off is None else off, None, {}, unknown)
 
 
 def posterior(*hypotheses, none=0.0, unknown=-20.0, n_effects=10):
-    return Posterior.of(hypothesis(none), hypotheses, Unknown({TERM: unknown}), n_effects, POLICY)
+    return Posterior.of(hypothesis(none), hypotheses, UnknownCause({TERM: unknown}), n_effects, POLICY)
 
 
 def test_probabilities_add_up_to_one_likeliest_first():
@@ -56,7 +56,7 @@ def test_a_form_may_be_exact_or_off():
 
 
 def test_of_several_terms_an_unknown_cause_is_the_mean():
-    two = Unknown({TERM: 3.0, (Stage.SENSOR, "rows"): -50.0})
+    two = UnknownCause({TERM: 3.0, (Stage.SENSOR, "rows"): -50.0})
     assert two.evidence == pytest.approx(3.0 - np.log(2.0))
     assert two.likeliest == TERM
 
@@ -64,7 +64,7 @@ def test_of_several_terms_an_unknown_cause_is_the_mean():
 def test_a_stage_is_as_probable_as_all_its_terms_together():
     # What is of no stage may be likelier than all, and says nothing of the stage.
     terms = {(None, "anything"): 9.0, (Stage.SENSOR, "rows"): 3.0, (Stage.SENSOR, "grey level"): 3.0}
-    unknown = Unknown({**terms, TERM: 3.0, (Stage.OPTICS, "light over the image"): -300.0})
+    unknown = UnknownCause({**terms, TERM: 3.0, (Stage.OPTICS, "light over the image"): -300.0})
     assert unknown.likeliest == (None, "anything")
     stages = unknown.stages(2.0)
     assert list(stages) == ["sensor", "surface", "optics"]
@@ -76,24 +76,24 @@ def test_a_stage_is_as_probable_as_all_its_terms_together():
 @pytest.mark.parametrize(
     ("hypotheses", "unknown", "verdict", "named", "ambiguous"),
     [
-        ((), -20.0, Verdict.NO_GAP, (), ()),
-        ((hypothesis(1.0, "gamma"),), -20.0, Verdict.NO_GAP, (), ()),
-        ((hypothesis(20.0, "gamma"), hypothesis(3.0, "fume")), 4.0, Verdict.EFFECTS, ("gamma",), ()),
-        ((hypothesis(20.0, "gamma"),), 30.0, Verdict.UNKNOWN, (), ()),
+        ((), -20.0, DiagnosisVerdict.NO_GAP, (), ()),
+        ((hypothesis(1.0, "gamma"),), -20.0, DiagnosisVerdict.NO_GAP, (), ()),
+        ((hypothesis(20.0, "gamma"), hypothesis(3.0, "fume")), 4.0, DiagnosisVerdict.EFFECTS, ("gamma",), ()),
+        ((hypothesis(20.0, "gamma"),), 30.0, DiagnosisVerdict.UNKNOWN, (), ()),
         # An unknown cause beside a mimic explains more than the mimic alone, or does not.
-        ((hypothesis(20.0, "gamma", beside=26.0),), 4.0, Verdict.UNKNOWN, (), ()),
-        ((hypothesis(20.0, "gamma", beside=16.0),), 4.0, Verdict.EFFECTS, ("gamma",), ()),
+        ((hypothesis(20.0, "gamma", beside=26.0),), 4.0, DiagnosisVerdict.UNKNOWN, (), ()),
+        ((hypothesis(20.0, "gamma", beside=16.0),), 4.0, DiagnosisVerdict.EFFECTS, ("gamma",), ()),
         (
             (hypothesis(20.0, "gamma"), hypothesis(19.5, "fume"), hypothesis(9.0, "defocus")),
             4.0,
-            Verdict.AMBIGUOUS,
+            DiagnosisVerdict.AMBIGUOUS,
             (),
             (("gamma", "fume"),),
         ),
         (
             (hypothesis(20.0, "gamma"), hypothesis(60.0, "gamma", "fume")),
             4.0,
-            Verdict.EFFECTS,
+            DiagnosisVerdict.EFFECTS,
             ("gamma", "fume"),
             (),
         ),
@@ -112,6 +112,6 @@ def test_an_effect_that_all_likely_hypotheses_share_is_named_alone():
     """Whether fume is there too is open; gamma is there either way."""
     weighed = posterior(hypothesis(20.0, "gamma"), hypothesis(24.0, "gamma", "fume"))
     judgement = judge(weighed, POLICY)
-    assert judgement.verdict is Verdict.EFFECTS
+    assert judgement.verdict is DiagnosisVerdict.EFFECTS
     assert judgement.named == ("gamma",)
     assert judgement.leader.ids == ("gamma",)

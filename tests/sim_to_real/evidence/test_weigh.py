@@ -8,11 +8,11 @@ import pytest
 
 from noise_model.effects import REGISTRY
 from noise_model.effects.effect import Stage
-from sim_to_real.evidence.error_model import Columns, Linearized
-from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Unknown
+from sim_to_real.evidence.error_model import LinearHypothesis, SizeColumns
+from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
 from sim_to_real.evidence.metric import Metric
 from sim_to_real.evidence.policy import POLICY
-from sim_to_real.evidence.weigh import MIN_NATS, Weighed, principal_cosines, weigh
+from sim_to_real.evidence.weigh import MIN_NATS, WeightedHypotheses, principal_cosines, weigh
 from sim_to_real.fit.covariates import covariates
 from sim_to_real.fit.gauss_newton import refit
 from sim_to_real.search.score_test import ScoreTest
@@ -34,8 +34,8 @@ def weighed(nuisances, *scores):
     """What was weighed with noise of unit variance, with nuisances of a wide prior."""
     metric = Metric(np.ones(N, dtype=np.float32), np.zeros((1, N)))
     errors = SimpleNamespace(metric=metric)
-    start = Linearized(np.zeros(N), Columns.free((1e3 * nuisances).astype(np.float32)))
-    return Weighed(None, scores, errors, start, np.arange(N))
+    start = LinearHypothesis(np.zeros(N), SizeColumns.free((1e3 * nuisances).astype(np.float32)))
+    return WeightedHypotheses(None, scores, errors, start, np.arange(N))
 
 
 def test_effects_that_a_nuisance_makes_alike_are_a_pair():
@@ -63,7 +63,7 @@ def test_what_is_refuted_leaves_its_probability_to_all_others():
         Hypothesis(SimpleNamespace(ids=ids), nats, nats, None, {})
         for ids, nats in (((), 0.0), (("gamma",), 3000.0), (("fume",), 500.0))
     )
-    unknown = Unknown({(Stage.SENSOR, "rows"): 900.0})
+    unknown = UnknownCause({(Stage.SENSOR, "rows"): 900.0})
     scores = looked("gamma", A), looked("fume", B)
     posterior = Posterior.of(none, [gamma, fume], unknown, len(scores), POLICY)
     before = replace(weighed(np.zeros((N, 1)), *scores), posterior=posterior)

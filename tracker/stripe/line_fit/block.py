@@ -45,7 +45,7 @@ MIN_SIGMA_E = 1e-3
 MIN_SIGNIFICANCE = 5.0
 """A stripe counts from this amplitude over its 1 sigma."""
 
-MOST_PLACE, MOST_LN_WIDTH, LEAST_AMPLITUDE = 1.0, 0.3, 0.1
+MAX_PLACE_STEP, MAX_LN_WIDTH_STEP, MIN_AMPLITUDE_KEPT = 1.0, 0.3, 0.1
 """A step moves the place by a width at most, ln(width) by so much, and leaves this share of the amplitude."""
 
 MAX_LN_WIDTH = 1.0
@@ -73,7 +73,7 @@ class FitState(NamedTuple):
     """Where sixteen lines' fits stand between two steps, by lane.
 
     `width` is px, `off` how far its logarithm lies off the predicted one's; position, offset and slope are as
-    `Fitted` has them. `is_settled` is 1 where the last step was small.
+    `BlockFits` has them. `is_settled` is 1 where the last step was small.
     """
 
     amplitude: Lanes
@@ -85,7 +85,7 @@ class FitState(NamedTuple):
     is_settled: Lanes
 
 
-class Fitted(NamedTuple):
+class BlockFits(NamedTuple):
     """What fits say of sixteen lines, by lane, as `lines.LineFits` has it, the place from the window's start.
 
     `is_done` says where the fit came to its end, `is_stripe` where its amplitude is significant too.
@@ -102,10 +102,10 @@ class Fitted(NamedTuple):
     is_stripe: Mask
 
 
-class Round(NamedTuple):
+class StepRound(NamedTuple):
     """What a round of steps gives: fits that came to their end, where the others stand, and which go on."""
 
-    fitted: Fitted
+    fitted: BlockFits
     reached: FitState
     goes_on: Mask
 
@@ -125,16 +125,16 @@ def larger(a: Lanes, b: Lanes) -> Lanes:
 
 @kernel(fastmath=REDUCTION)
 def _exponential(x: Lanes) -> Lanes:
-    """Return exp(x) for |x| up to MOST_LN_WIDTH, 1e-7 off at most."""
+    """Return exp(x) for |x| up to MAX_LN_WIDTH_STEP, 1e-7 off at most."""
     unity = spread(1.0)
     high = spread(1.0 / 24.0) + x * (spread(1.0 / 120.0) + x * spread(1.0 / 720.0))
     return unity + x * (unity + x * (spread(0.5) + x * (spread(1.0 / 6.0) + x * high)))
 
 
 @kernel
-def _kept(mask: Mask, new: Fitted, old: Fitted) -> Fitted:
+def _kept(mask: Mask, new: BlockFits, old: BlockFits) -> BlockFits:
     """Return the new fits in the lanes of a mask, the old ones in the others."""
-    return Fitted(
+    return BlockFits(
         position=where(mask, new.position, old.position),
         sigma=where(mask, new.sigma, old.sigma),
         amplitude=where(mask, new.amplitude, old.amplitude),
@@ -149,8 +149,8 @@ def _kept(mask: Mask, new: Fitted, old: Fitted) -> Fitted:
 
 @kernel(fastmath=REDUCTION)
 def _judged(
-    ended: Fitted, used: Lanes, variances: tuple[Lanes, Lanes], level: Lanes, noise: PixelNoise
-) -> Fitted:
+    ended: BlockFits, used: Lanes, variances: tuple[Lanes, Lanes], level: Lanes, noise: PixelNoise
+) -> BlockFits:
     """Return fits that ended with their sigmas, widened by chi2, and whether a stripe is there.
 
     `ended.chi2` is the whole sum, `ended.sigma` the width, px, that the unknown place is over. `variances`
@@ -166,7 +166,7 @@ def _judged(
     grains = noise.speckle * ended.amplitude
     unspeckled = without / (without + grains * grains)
     is_significant = ended.amplitude >= spread(MIN_SIGNIFICANCE) * root(variances[0] * excess * unspeckled)
-    return Fitted(
+    return BlockFits(
         position=ended.position,
         sigma=root(variances[1] * excess) * ended.sigma,
         amplitude=ended.amplitude,
@@ -189,7 +189,7 @@ def first_state(known: LinePrior) -> FitState:
 @kernel(fastmath=REDUCTION)
 def fit_block(
     block: Block, n: int, known: LinePrior, noise: PixelNoise, reached: FitState, is_last: bool
-) -> Round:
+) -> StepRound:
     """Fit the first n pixels of sixteen lines by Gauss-Newton on the likelihood, see `lines.fit_lines`.
 
     One round of steps is taken; in the last one what is sound ends.
@@ -199,7 +199,7 @@ def fit_block(
     narrow = spread(WIDTH_SIGMA_LN**-2)
     amplitude, position, width, off, offset, slope, settled = reached
     runs, is_settled = zero < unity, settled > zero
-    fitted = Fitted(
+    fitted = BlockFits(
         position=known.start,
         sigma=zero,
         amplitude=zero,
@@ -218,9 +218,9 @@ def fit_block(
         solved = solve(normal_equations(moments, x, prior))
         chi2 = moments.chi2 + off * off * narrow
         chi2 += x.offset * x.offset * prior.offset + x.slope * x.slope * prior.slope
-        amplitude = larger(amplitude + solved.step_0, spread(LEAST_AMPLITUDE) * amplitude)
-        position += _clipped(solved.step_1, MOST_PLACE) * width
-        by_ln = _clipped(solved.step_2, MOST_LN_WIDTH)
+        amplitude = larger(amplitude + solved.step_0, spread(MIN_AMPLITUDE_KEPT) * amplitude)
+        position += _clipped(solved.step_1, MAX_PLACE_STEP) * width
+        by_ln = _clipped(solved.step_2, MAX_LN_WIDTH_STEP)
         off += by_ln
         offset += solved.step_3
         slope += solved.step_4 * inverse
@@ -234,7 +234,7 @@ def fit_block(
         if is_last and turn == ROUND_STEPS - 1:
             ends = runs
         if any_lane(ends):
-            there = Fitted(
+            there = BlockFits(
                 position=position,
                 sigma=unit,
                 amplitude=amplitude,
@@ -252,4 +252,4 @@ def fit_block(
             break
         is_settled = is_small
     settled = where(is_settled, unity, zero)
-    return Round(fitted, FitState(amplitude, position, width, off, offset, slope, settled), runs)
+    return StepRound(fitted, FitState(amplitude, position, width, off, offset, slope, settled), runs)

@@ -53,7 +53,7 @@ class Window(NamedTuple):
     speckle: Lanes
 
 
-class Noise(NamedTuple):
+class PixelVariance(NamedTuple):
     """A pixel's variance, and the background's own 1 sigma.
 
     The variance is `shot` (1, or 0 for one variance for all) times the pixel's mean plus `dark_e2`, and the
@@ -143,7 +143,7 @@ def write_block(rows: Rows, n: int, block: Block) -> None:
 
 
 @kernel(fastmath=REDUCTION)
-def first_guess(block: Block, n: int, asked: Window, noise: Noise) -> LinePrior:
+def first_guess(block: Block, n: int, asked: Window, noise: PixelVariance) -> LinePrior:
     """Return what is known of the lines whose first n pixels a block holds; NaN where a line's map is."""
     zero, unity = spread(0.0), spread(1.0)
     level, over = zero, zero

@@ -18,11 +18,11 @@ from noise_model.arc.map import CELL
 from noise_model.arrays import Bool, Float32, Float64, Int64
 from noise_model.kernel import kernel
 from noise_model.lanes import N_LANES, load, spread, store, where
-from tracker.stripe.line_fit.block import ROUNDS, FitState, Fitted, first_state, fit_block
+from tracker.stripe.line_fit.block import ROUNDS, BlockFits, FitState, first_state, fit_block
 from tracker.stripe.line_fit.first_guess import (
     MAX_PIXELS,
     PAD,
-    Noise,
+    PixelVariance,
     Rows,
     Window,
     core_of,
@@ -171,7 +171,7 @@ def _store_state(reached: FitState, state: Float32) -> None:
 
 
 @kernel
-def _write_fit(fit: Fitted, fitted: Float32) -> None:
+def _write_fit(fit: BlockFits, fitted: Float32) -> None:
     """Write what fits say, and which are done and hold a stripe."""
     store(fitted[0], 0, fit.position)
     store(fitted[1], 0, fit.sigma)
@@ -186,7 +186,7 @@ def _write_fit(fit: Fitted, fitted: Float32) -> None:
 
 @kernel
 def _fit_lanes(
-    n_lanes: int, n_pixels: int, noise: Noise, turn: int, n_left: int, room: FitRoom, lines: LineFits
+    n_lanes: int, n_pixels: int, noise: PixelVariance, turn: int, n_left: int, room: FitRoom, lines: LineFits
 ) -> int:
     """Fit the lines in the first lanes and write what their fits say; return how many lines are left now."""
     window, state = room.lanes[:N_WINDOW], room.lanes[N_WINDOW : N_WINDOW + N_STATE]
@@ -244,7 +244,9 @@ def _fit_lanes(
 
 
 @kernel
-def _fit_round(scans: Scans, noise: Noise, turn: int, n_todo: int, room: FitRoom, lines: LineFits) -> int:
+def _fit_round(
+    scans: Scans, noise: PixelVariance, turn: int, n_todo: int, room: FitRoom, lines: LineFits
+) -> int:
     """Take a round of steps on the lines to be fitted; return how many are left."""
     depth, asked = scans.charge.shape[1], room.lanes
     rows = Rows(room.windows[0], room.windows[1], room.windows[2])
@@ -287,7 +289,7 @@ def _fit_round(scans: Scans, noise: Noise, turn: int, n_todo: int, room: FitRoom
 
 
 @kernel
-def fit_lines(scans: Scans, noise: Noise, room: FitRoom, lines: LineFits) -> None:
+def fit_lines(scans: Scans, noise: PixelVariance, room: FitRoom, lines: LineFits) -> None:
     """Fit every scan line that has a start, and write what the fits say; of a pair in the first of both.
 
     How much the map changes to the neighbouring lines counts as well: an edge may cut across a line.

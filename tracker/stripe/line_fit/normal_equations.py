@@ -117,7 +117,7 @@ class Equations(NamedTuple):
     g_4: Lanes
 
 
-class Solution(NamedTuple):
+class NewtonStep(NamedTuple):
     """The step H^-1 g, what it gains, g H^-1 g, variances of amplitude and place, and where H is positive.
 
     Where it is not, the numbers mean nothing.
@@ -247,7 +247,7 @@ def normal_equations(m: Moments, x: Unknowns, prior: Prior) -> Equations:
 
 
 @kernel(fastmath=REDUCTION)
-def solve(e: Equations) -> Solution:
+def solve(e: Equations) -> NewtonStep:
     """Solve the lines' normal equations by H = L D L^T; written out, so that no number leaves its register.
 
     `c_ij` are the elements of L D, `i_j` those of 1 / D, and the variances the squares of L^-1's columns over
@@ -291,7 +291,7 @@ def solve(e: Equations) -> Solution:
     b_3 = l_21 * l_32 - l_31
     b_4 = l_21 * l_42 - l_41 - l_43 * b_3
     variance_1 = i_1 + l_21 * l_21 * i_2 + b_3 * b_3 * i_3 + b_4 * b_4 * i_4
-    return Solution(
+    return NewtonStep(
         step_0=step_0,
         step_1=step_1,
         step_2=step_2,

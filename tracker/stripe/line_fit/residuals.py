@@ -5,7 +5,7 @@ from __future__ import annotations
 from noise_model.arrays import Float32
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.lanes import N_LANES, Lanes, least, load, spread, store, where
-from tracker.stripe.line_fit.block import WINDOW_SIGMAS, Fitted, larger
+from tracker.stripe.line_fit.block import WINDOW_SIGMAS, BlockFits, larger
 from tracker.stripe.line_fit.normal_equations import COUNTS, HIDDEN, Block, PixelNoise, bells
 
 CORE_SIGMAS = 1.5
@@ -22,7 +22,7 @@ LAST_BIN = 0.5
 
 
 @kernel(fastmath=REDUCTION)
-def core_square(block: Block, n: int, fit: Fitted, width: Lanes, noise: PixelNoise) -> tuple[Lanes, Lanes]:
+def core_square(block: Block, n: int, fit: BlockFits, width: Lanes, noise: PixelNoise) -> tuple[Lanes, Lanes]:
     """Return the square of the contrast by which each line's pixels scatter about its bell, and if some hide.
 
     Within a line's core the residuals' squares are the photons' variance and the square of contrast times
@@ -52,7 +52,7 @@ def core_square(block: Block, n: int, fit: Fitted, width: Lanes, noise: PixelNoi
 
 
 @kernel(fastmath=REDUCTION)
-def _leave(block: Block, n: int, fit: Fitted) -> None:
+def _leave(block: Block, n: int, fit: BlockFits) -> None:
     """Put what each line's fit leaves of its pixels, e-, in the background's place; 0 of censored ones."""
     zero = spread(0.0)
     inverse = spread(1.0) / fit.width
@@ -84,7 +84,7 @@ def _mean_between(
 
 
 @kernel(fastmath=REDUCTION)
-def odd_parts(block: Block, n: int, fit: Fitted, n_held: Lanes, width: Lanes, odd_e: Float32) -> None:
+def odd_parts(block: Block, n: int, fit: BlockFits, n_held: Lanes, width: Lanes, odd_e: Float32) -> None:
     """Write the odd residual (N_BINS, N_LANES), e-, of each line's fit, NaN where its window is too short.
 
     A bin's value is half the difference of the means at t and -t, t the place from the centre over the
