@@ -111,10 +111,12 @@ def _signal_row(signal: Signal) -> str:
     if signal.choices and set(signal.choices) != {unknown}:
         meaning += f" {_choices(signal)}"
     bits = str(signal.start) if signal.length == 1 else f"{signal.start}–{signal.start + signal.length - 1}"
-    limits = f"{_range(signal)} {signal.unit or ''}".rstrip()
+    # Of a state the meaning lists the values, of a bit there are two.
+    is_number = signal.length > 1 and (not signal.choices or set(signal.choices) == {unknown})
+    scale = f"{signal.scale:g}" if is_number else ""
+    limits = f"{_range(signal)} {signal.unit or ''}".rstrip() if is_number else ""
     return (
-        f"| {bits} {'s' if signal.is_signed else 'u'}{signal.length} "
-        f"| `{signal.name}` | {signal.scale:g} | {limits} "
+        f"| {bits} {'s' if signal.is_signed else 'u'}{signal.length} | `{signal.name}` | {scale} | {limits} "
         f"| {'' if unknown is None else unknown} | {meaning} |"
     )
 
