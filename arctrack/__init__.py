@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from arctrack.recording import read_recording as read_recording
     from arctrack.recording import read_setup_file as read_setup_file
     from arctrack.recording import read_truth as read_truth
-    from arctrack.replay import ReplayOptions as ReplayOptions
-    from arctrack.replay import replay_recording as replay_recording
-    from arctrack.simulate import SimulationPlan as SimulationPlan
-    from arctrack.simulate import simulate_recording as simulate_recording
+    from arctrack.replay.replay import ReplayOptions as ReplayOptions
+    from arctrack.replay.replay import replay_recording as replay_recording
+    from arctrack.simulation.simulate import SimulationPlan as SimulationPlan
+    from arctrack.simulation.simulate import simulate_recording as simulate_recording
     from arctrack.version import __version__ as __version__
     from noise_model.setup import Setup as Setup
     from tracker.state import Frame as Frame
@@ -35,17 +35,17 @@ _HOME_OF = {
     "Pose": "tracker.state:Pose",
     "Recording": "arctrack.recording:Recording",
     "RecordingWriter": "arctrack.recording:RecordingWriter",
-    "ReplayOptions": "arctrack.replay:ReplayOptions",
+    "ReplayOptions": "arctrack.replay.replay:ReplayOptions",
     "Setup": "noise_model.setup:Setup",
-    "SimulationPlan": "arctrack.simulate:SimulationPlan",
+    "SimulationPlan": "arctrack.simulation.simulate:SimulationPlan",
     "Track": "tracker.state:Track",
     "Tracker": "tracker.tracker:Tracker",
     "nominal_setup": "arctrack.nominal:nominal_setup",
     "read_recording": "arctrack.recording:read_recording",
     "read_setup_file": "arctrack.recording:read_setup_file",
     "read_truth": "arctrack.recording:read_truth",
-    "replay_recording": "arctrack.replay:replay_recording",
-    "simulate_recording": "arctrack.simulate:simulate_recording",
+    "replay_recording": "arctrack.replay.replay:replay_recording",
+    "simulate_recording": "arctrack.simulation.simulate:simulate_recording",
     "__version__": "arctrack.version:__version__",
 }
 

@@ -25,7 +25,7 @@ from arctrack.recording.poses import CSV_NAME, LOG_NAMES
 from arctrack.recording.results import FILES, FINISHED_JSON, RESULTS_CSV, SUMMARY_JSON, Summary
 from arctrack.recording.run_offsets import LIVE_FOLDER, LIVE_RESULTS
 from arctrack.recording.steps import STATE_JSON, STEPS_CSV
-from arctrack.replay import ReplayOptions
+from arctrack.replay.replay import ReplayOptions
 from arctrack.version import __version__
 
 LIVE_TABLE = f"{LIVE_FOLDER}/{LIVE_RESULTS}"

@@ -47,7 +47,7 @@ def nominal_setup(joint_type: str, material_name: str, *, width: int = 640, heig
     """Return a setup to start from, for a joint and a material.
 
     `[arc] radiance_e` is 1 here: how bright the arc may be depends on aperture and filter, see
-    `arctrack.simulate.balance`.
+    `arctrack.simulation.simulate.balance`.
 
     Parameters
     ----------

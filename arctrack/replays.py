@@ -13,7 +13,7 @@ from arctrack.output import folders_for, real
 from arctrack.printable import printable
 from arctrack.recording import Recording, read_recording
 from arctrack.recording.results import Summary
-from arctrack.replay import RESULTS_FOLDER, ReplayOptions, parse_bus, replay_recording, track_alone
+from arctrack.replay.replay import RESULTS_FOLDER, ReplayOptions, parse_bus, replay_recording, track_alone
 from arctrack.workers import FailedJob
 from tracker.warm_up import WarmUp
 

@@ -18,7 +18,7 @@ from collections.abc import Callable
 import numpy as np
 
 from arctrack.nominal import nominal_setup
-from arctrack.simulate import balance
+from arctrack.simulation.simulate import balance
 from noise_model.arc.map import (
     CELL,
     NODES_P,

@@ -15,10 +15,10 @@ from swept_joint import SweptJoint
 from swept_light import Surroundings
 from swept_world import Speckle, SweptWorld
 
-from arctrack.cell.eye import Shown
-from arctrack.cell.weld.closed_loop import ClosedLoop, LoopPlan
-from arctrack.cell.weld.rendered_eye import RenderedEye
 from arctrack.nominal import DIMENSIONS
+from arctrack.simulation.cell.eye import Shown
+from arctrack.simulation.cell.weld.closed_loop import ClosedLoop, LoopPlan
+from arctrack.simulation.cell.weld.rendered_eye import RenderedEye
 from noise_model.plan.noise import expected_speckle
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert

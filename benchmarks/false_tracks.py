@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
-from arctrack.simulate import balance
+from arctrack.simulation.simulate import balance
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.forward import Renderer, draw_frame

@@ -18,11 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
+from arctrack.live.watch.gap_watch import GapPolicy, GapWatch
 from arctrack.nominal import nominal_setup
 from arctrack.recording import read_recording
 from arctrack.recording.frames import BadFrame
-from arctrack.simulate import SimulationPlan, balance, simulate_recording
-from arctrack.watch.gap_watch import GapPolicy, GapWatch
+from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
 from noise_model.arrays import Float64
 from noise_model.effects import REGISTRY
 from sim_to_real.first_look import first_look

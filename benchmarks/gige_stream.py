@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from arctrack.cell_file import CameraChoice, CaptureChoice
+from arctrack.control.cell_file import CameraChoice, CaptureChoice
+from arctrack.live.serve.captured import CapturedCamera
 from arctrack.nominal import nominal_setup
-from arctrack.serve.captured import CapturedCamera
 from tracker.state import Frame
 
 FAKE = Path(__file__).resolve().parents[1] / "tests" / "arctrack" / "cameras" / "fake_gige.py"

@@ -24,7 +24,7 @@ import numpy as np
 
 from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
 from arctrack.recording import BadFrame, read_recording, read_truth
-from arctrack.simulate import SimulationPlan, balance, simulate_recording
+from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
 from calibration.hand_eye import ARC_RADIUS_SIGMA, ARC_SIGMA_MM, REFLECTANCE_SIGMA, estimate_hand_eye
 from noise_model.arrays import Float64
 from noise_model.effects import Values

@@ -10,7 +10,7 @@ from latency_worker import APPROACH, EXPOSURE_S, PERIOD_S, STRETCH, STRETCHES
 
 from arctrack.nominal import nominal_setup
 from arctrack.recording.setup_file import format_setup
-from arctrack.simulate import SimulatedMotion, SimulationPlan, balance
+from arctrack.simulation.simulate import SimulatedMotion, SimulationPlan, balance
 from noise_model.arc.scene import make_scene
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame

@@ -33,12 +33,12 @@ import numpy as np
 import psutil
 import tomlkit
 
-from arctrack.cameras.shared_frames import SharedFramesWriter
-from arctrack.cell.live.serve import run_robot
-from arctrack.cell.robot import Robot
-from arctrack.cell.weld.closed_loop import LoopPlan, setup_of, world_of
-from arctrack.new import commented_setup
-from arctrack.serve.simulated import GROUP, INTERFACE, write_simulated_cell
+from arctrack.live.cameras.shared_frames import SharedFramesWriter
+from arctrack.live.serve.simulated import GROUP, INTERFACE, write_simulated_cell
+from arctrack.live.simulated_cell.serve import run_robot
+from arctrack.recording.new import commented_setup
+from arctrack.simulation.cell.robot import Robot
+from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of, world_of
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
 from noise_model.setup import Setup
@@ -54,7 +54,7 @@ RENDERED = 50
 TRACKER = """
     import math, sys, time
     import numpy as np
-    from arctrack.cell_file import read_cell_file
+    from arctrack.control.cell_file import read_cell_file
     from arctrack.cli.serve import serve_cell_file
     from robot_io import SeamOffset
     from tracker.warm_up import heard_compilations

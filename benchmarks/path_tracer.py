@@ -28,7 +28,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import nominal_setup
-from arctrack.simulate import balance
+from arctrack.simulation.simulate import balance
 from noise_model.arc.map import arc_frame, arc_kernel
 from noise_model.arc.scene import make_scene
 from noise_model.instrument.camera import Rays

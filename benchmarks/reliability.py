@@ -20,7 +20,7 @@ import numpy as np
 
 from arctrack.nominal import nominal_setup
 from arctrack.report import style
-from arctrack.simulate import balance, true_values
+from arctrack.simulation.simulate import balance, true_values
 from noise_model.arc.scene import make_scene
 from noise_model.condition import Condition
 from noise_model.forward import predict

@@ -24,10 +24,10 @@ from pathlib import Path
 
 from arctrack.nominal import nominal_setup
 from arctrack.recording import BadFrame, Recording, read_recording
-from arctrack.replay import ReplayOptions, replay_recording
+from arctrack.replay.recorded_tracking import RecordedTracking
+from arctrack.replay.replay import ReplayOptions, replay_recording
 from arctrack.replays import ReplayJob, ReplayResult, replay_job
-from arctrack.simulate import SimulationPlan, balance, simulate_recording
-from arctrack.tracking import RecordedTracking
+from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
 from arctrack.workers import at_once, processes
 
 OPTIONS = ReplayOptions(pictures=False)

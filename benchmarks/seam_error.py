@@ -27,7 +27,7 @@ from scipy.interpolate import CubicSpline
 
 from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
 from arctrack.recording import BadFrame, read_recording, read_truth
-from arctrack.simulate import SimulationPlan, balance, simulate_recording
+from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
 from calibration.hand_eye import estimate_hand_eye
 from noise_model.arrays import Float64
 from noise_model.setup import Setup

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from arctrack.nominal import nominal_setup
-from arctrack.simulate import balance
+from arctrack.simulation.simulate import balance
 from noise_model.arc.scene import make_scene
 from noise_model.arrays import Float64
 from noise_model.condition import Condition

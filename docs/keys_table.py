@@ -2,7 +2,7 @@
 
 from itertools import groupby
 
-from arctrack.new import KEYS
+from arctrack.recording.new import KEYS
 
 HEAD = """# The keys of a setup
 

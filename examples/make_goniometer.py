@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from arctrack.calibration_files.goniometer import write_goniometer
+from arctrack.calibrate.reflectance.goniometer import write_goniometer
 from calibration.goniometer import GreyResponse, Settings, simulate
 from calibration.reading_noise import ReadingNoise
 from noise_model.surface.brdf import MILD_STEEL, ZN_COATED, Material

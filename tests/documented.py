@@ -86,7 +86,12 @@ def run_shown(text: str, scratch: Path) -> str:
 
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
-    ["arctrack.explain", "arctrack.report.inspection", "arctrack.report.replay.page", "arctrack.simulate"]
+    [
+        "arctrack.replay.explain",
+        "arctrack.check.inspection",
+        "arctrack.replay.pages.page",
+        "arctrack.simulation.simulate",
+    ]
 )
 
 

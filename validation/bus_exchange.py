@@ -9,8 +9,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from arctrack.service.controller import Controller
-from arctrack.service.job import Job
+from arctrack.control.controller import Controller
+from arctrack.control.job import Job
 from robot_io import (
     BusMessage,
     Command,

@@ -30,7 +30,7 @@ from arctrack.cli.inputs import look_at_file
 from arctrack.errors import ArctrackError, in_file
 
 if TYPE_CHECKING:
-    from arctrack.calibration_files.goniometer import GoniometerFile
+    from arctrack.calibrate.reflectance.goniometer import GoniometerFile
     from calibration.goniometer import GreyResponse
     from calibration.reflectance import Reflectance
 
@@ -102,7 +102,7 @@ def reflectance(
     look_at_file(data)
     if white is not None:
         look_at_file(white)
-    from arctrack.calibration_files.goniometer import read_goniometer
+    from arctrack.calibrate.reflectance.goniometer import read_goniometer
     from arctrack.cli import console
     from arctrack.cli.reflectance_text import print_result, warnings
     from calibration.goniometer import GreyResponse
@@ -179,8 +179,8 @@ def _write(
     response: GreyResponse,
     out: Path,
 ) -> None:
-    from arctrack.calibration_records.reflectance_record import PICTURE, write_results
-    from arctrack.report.reflectance import draw
+    from arctrack.calibrate.reflectance.picture import draw
+    from arctrack.calibrate.reflectance.record import PICTURE, write_results
 
     write_results(result, sample, standard, out)
     try:

@@ -44,10 +44,10 @@ def calibrate_all(
     """
     look_at_setup(setup)
     check_folder(folder)
-    from arctrack.calibrating.all import calibrate_folder
-    from arctrack.calibrating.folder import read_raw_files
+    from arctrack.calibrate.all.all import calibrate_folder
+    from arctrack.calibrate.all.certificate_page import certificate_page
+    from arctrack.calibrate.all.folder import read_raw_files
     from arctrack.cli import console
-    from arctrack.report.calibration.certificate import certificate_page
 
     stated = read_setup(setup)
     target = out or stated.path

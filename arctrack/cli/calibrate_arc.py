@@ -29,6 +29,6 @@ def arc(
     values go into [arc] and [material] of the setup, their covariance beside them.
     """
     look_at_recording(recording)
-    from arctrack.calibrating.arc import arc_stage
+    from arctrack.calibrate.arc.stage import arc_stage
 
     calibrate_from_recording(arc_stage, recording, out, report, REPORT, "the values are those of the others")

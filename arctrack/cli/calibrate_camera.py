@@ -42,9 +42,9 @@ def camera(
     if setup is not None:
         look_at_setup(setup)
     pattern = board_of(board)
-    from arctrack.calibrating.camera import camera_stage
+    from arctrack.calibrate.camera.stage import camera_stage
     from arctrack.cli import console
-    from arctrack.importing.image_files import images_of
+    from arctrack.recording.importing.image_files import images_of
 
     if out is not None and setup is None:
         raise ArctrackError("--out: needs --setup, whose other values stay; `arctrack new` writes one")

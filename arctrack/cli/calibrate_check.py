@@ -12,8 +12,8 @@ from arctrack.cli.inputs import look_at_recording
 from arctrack.cli.setups import setup_path
 
 if TYPE_CHECKING:
-    from arctrack.setup_check.measure import Measure
-    from arctrack.setup_check.run import SetupCheck
+    from arctrack.calibrate.check.check_setup import SetupCheck
+    from arctrack.calibrate.check.measure import Measure
 
 REPORT = "calibrate_check.html"
 
@@ -34,13 +34,13 @@ def check(
     the recording, 1 if not, 2 for bad input.
     """
     look_at_recording(recording, setup)
+    from arctrack.calibrate.check.check_setup import check_setup
+    from arctrack.calibrate.check.page import render
     from arctrack.cli import console
     from arctrack.cli.exit_codes import WARNED
     from arctrack.output import write_whole
     from arctrack.recording import read_recording
-    from arctrack.replay import RESULTS_FOLDER
-    from arctrack.report.calibration.setup_check import render
-    from arctrack.setup_check.run import check_setup
+    from arctrack.replay.replay import RESULTS_FOLDER
 
     read = read_recording(recording, setup_path(setup), must_fit=False)
     console.warn(read.warnings)
@@ -64,8 +64,8 @@ def _print(checked: SetupCheck) -> None:
     """Print the quantities as a table, and what they say."""
     from rich.table import Table
 
+    from arctrack.calibrate.check.measure import SetupVerdict
     from arctrack.cli import console
-    from arctrack.setup_check.measure import SetupVerdict
 
     table = Table(box=None, pad_edge=False)
     for name in ("stage", "quantity"):
@@ -94,7 +94,7 @@ def _print(checked: SetupCheck) -> None:
 
 def cures(measures: tuple[Measure, ...]) -> list[str]:
     """Return what to do about quantities that are not explained, a line each."""
-    from arctrack.setup_check.measure import LightStage, SetupVerdict
+    from arctrack.calibrate.check.measure import LightStage, SetupVerdict
 
     return [
         f"{measure.name}: {measure.cure}"

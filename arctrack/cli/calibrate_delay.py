@@ -27,6 +27,6 @@ def delay(
     is 'unestimated': what motion is missing is said, nothing but the page is written, and the exit code is 2.
     """
     look_at_recording(recording)
-    from arctrack.calibrating.delay import delay_stage
+    from arctrack.calibrate.delay.stage import delay_stage
 
     calibrate_from_recording(delay_stage, recording, out, report, REPORT, "the delay is that of the others")

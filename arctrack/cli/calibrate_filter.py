@@ -31,7 +31,7 @@ def filter_curve(
 
     look_at_file(data)
     look_at_setup(setup)
-    from arctrack.calibration_files.filter import read_filter_curve
+    from arctrack.calibrate.filter_curve import read_filter_curve
     from arctrack.cli import console
     from arctrack.recording import with_filter_curve
     from arctrack.recording.setup_file import parse_setup

@@ -15,7 +15,7 @@ from arctrack.cli.setups import read_setup, setup_path, write_calibrated
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
-    from arctrack.calibration_files.robot_poses import PoseSource
+    from arctrack.calibrate.robot_poses import PoseSource
     from arctrack.recording import Recording
     from calibration.gauge.shape import Gauge
 
@@ -73,10 +73,10 @@ def gauge(
             look_at_setup(setup)
     if poses is not None:
         look_at_file(poses)
-    from arctrack.calibrating.gauge import check_stage, gauge_stage
+    from arctrack.calibrate.gauge.stage import check_stage, gauge_stage
     from arctrack.cli import console
     from arctrack.cli.exit_codes import WARNED
-    from arctrack.importing.image_files import images_of
+    from arctrack.recording.importing.image_files import images_of
 
     if not within > 0.0:
         raise ArctrackError(f"--within {within:g}: must be > 0 mm")
@@ -134,8 +134,8 @@ def _recording_of(sources: list[Path], setup: Path | None) -> Recording | None:
 
 
 def _poses_of(poses: Path | None, rotation: str | None, units: str) -> PoseSource | None:
-    from arctrack.calibration_files.robot_poses import PoseSource
-    from arctrack.importing.units import parse_units
+    from arctrack.calibrate.robot_poses import PoseSource
+    from arctrack.recording.importing.units import parse_units
 
     if poses is None:
         if rotation is not None or units:

@@ -34,11 +34,11 @@ def from_boards(
     look_at_setup(setup)
     look_at_file(poses)
     pattern = board_of(board)
-    from arctrack.calibrating.hand_eye import hand_eye_stage
-    from arctrack.calibration_files.robot_poses import PoseSource
+    from arctrack.calibrate.hand_eye.stage import hand_eye_stage
+    from arctrack.calibrate.robot_poses import PoseSource
     from arctrack.cli import console
-    from arctrack.importing.image_files import images_of
-    from arctrack.importing.units import parse_units
+    from arctrack.recording.importing.image_files import images_of
+    from arctrack.recording.importing.units import parse_units
 
     source = PoseSource(poses, translations, rotation, parse_units(units), named_columns(columns))
     stated = read_setup(setup)

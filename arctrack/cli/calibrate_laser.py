@@ -40,9 +40,9 @@ def laser(
     look_at_images(sources)
     look_at_setup(setup)
     pattern = board_of(board)
-    from arctrack.calibrating.laser import laser_stage
+    from arctrack.calibrate.laser.stage import laser_stage
     from arctrack.cli import console
-    from arctrack.importing.image_files import images_of
+    from arctrack.recording.importing.image_files import images_of
 
     stated = read_setup(setup)
     target = out or stated.path

@@ -65,7 +65,7 @@ def sensor(
 
 
 def _still_recording(source: Path, stated: SetupFile, target: Path, page_path: Path) -> None:
-    from arctrack.calibrating.sensor import still_stage
+    from arctrack.calibrate.sensor.stage import still_stage
     from arctrack.cli import console
     from arctrack.recording import read_recording
 
@@ -78,8 +78,8 @@ def _still_recording(source: Path, stated: SetupFile, target: Path, page_path: P
 
 
 def _flat_fields(source: Path, stated: SetupFile, target: Path, page_path: Path, gamma: float | None) -> None:
-    from arctrack.calibrating.sensor import flat_stage
-    from arctrack.calibration_files.flat_frames import find_flat_frames
+    from arctrack.calibrate.sensor.flat_frames import find_flat_frames
+    from arctrack.calibrate.sensor.stage import flat_stage
     from arctrack.cli import console
 
     files, vague = find_flat_frames(source)

@@ -13,9 +13,9 @@ from arctrack.errors import ArctrackError
 from arctrack.output import real, write_whole
 
 if TYPE_CHECKING:
-    from arctrack.calibrating.stage import CalibrationStage, Steps
+    from arctrack.calibrate.page import CalibrationPage
+    from arctrack.calibrate.stage import CalibrationStage, Steps
     from arctrack.recording import BadFrame, Recording
-    from arctrack.report.calibration.page import CalibrationPage
     from calibration.boards.board import Board
 
 Sources = Annotated[
@@ -129,8 +129,8 @@ def finish(page: CalibrationPage, path: Path, stages: Sequence[CalibrationPage] 
     """Print a page's headline, values and sentences; write it, with those of other calibrations below."""
     from rich.table import Table
 
+    from arctrack.calibrate.page import render
     from arctrack.cli import console
-    from arctrack.report.calibration.page import render
 
     table = Table(box=None, pad_edge=False)
     table.add_column("")

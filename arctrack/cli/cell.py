@@ -13,7 +13,7 @@ import typer
 from arctrack.cli.simulate import JointName, MaterialName
 
 if TYPE_CHECKING:
-    from arctrack.cell.weld.closed_loop import ClosedLoopResult, EventResult, LoopPlan
+    from arctrack.simulation.cell.weld.closed_loop import ClosedLoopResult, EventResult, LoopPlan
     from robot_io.clocks.lag import Lag
 
 
@@ -77,11 +77,11 @@ def run(
     Time is simulated: a run takes as long as its frames take to render. It prints how far the torch was off
     the seam, and what became of the offsets.
     """
-    from arctrack.cell.weld.closed_loop import ClosedLoop, LoopPlan
-    from arctrack.cell.weld.run_file import RUN_CSV, write_run
     from arctrack.cli import console
     from arctrack.output import make_folder
-    from arctrack.report.cell_run import RUN_PICTURE, draw_run
+    from arctrack.simulation.cell.weld.closed_loop import ClosedLoop, LoopPlan
+    from arctrack.simulation.cell.weld.run_file import RUN_CSV, write_run
+    from arctrack.simulation.cell_run_picture import RUN_PICTURE, draw_run
 
     plan = LoopPlan(
         joint=joint.value,
@@ -139,12 +139,12 @@ def serve(
     Whoever tracks is another process, such as arctrack serve: it reads frames by their name, and poses off
     the bus. The robot wants nothing of a tracker before it hears its heartbeat.
     """
-    from arctrack.cell.live.serve import REAL_TIME_PX, serve_cell
-    from arctrack.cell.weld.closed_loop import LoopPlan
     from arctrack.cli import console
     from arctrack.cli.interrupt import interruptible
-    from arctrack.replay import parse_bus
-    from arctrack.serve.simulated import write_simulated_cell
+    from arctrack.live.serve.simulated import write_simulated_cell
+    from arctrack.live.simulated_cell.serve import REAL_TIME_PX, serve_cell
+    from arctrack.replay.replay import parse_bus
+    from arctrack.simulation.cell.weld.closed_loop import LoopPlan
 
     interface, channel = parse_bus(bus)
     plan = LoopPlan(

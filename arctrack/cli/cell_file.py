@@ -14,7 +14,7 @@ from arctrack.cli.simulate import JointName, MaterialName
 from arctrack.output import check_new_folder
 
 if TYPE_CHECKING:
-    from arctrack.cell_file import CellFile, CellJob
+    from arctrack.control.cell_file import CellFile, CellJob
 
 __all__ = ["cell"]
 
@@ -27,7 +27,7 @@ def new(
 ) -> None:
     """Write a cell file that explains its keys: bus, camera, gate limits, jobs. A setup lies beside it."""
     check_new_folder(folder)
-    from arctrack.cell_file.new import write_new_cell
+    from arctrack.control.cell_file.new import write_new_cell
 
     cell_path, setup_path = write_new_cell(folder, joint.value, material.value)
     typer.echo(f"{cell_path}\n{setup_path}")
@@ -41,9 +41,9 @@ def check(file: Annotated[Path, typer.Argument(help="The cell file, cell.toml.")
     The exit code is 1 where the setup has keys that are not known, or the bus is loaded above 70 %.
     """
     look_at_cell(file)
-    from arctrack.cell_file import read_cell_file
-    from arctrack.cell_file.choices import HIGH_LOAD
     from arctrack.cli import console
+    from arctrack.control.cell_file import read_cell_file
+    from arctrack.control.cell_file.choices import HIGH_LOAD
 
     read = read_cell_file(file)
     typer.echo("\n".join(_lines(read)))

@@ -13,7 +13,7 @@ from arctrack.cli.setups import check_replaces_nothing
 from arctrack.errors import ArctrackError, in_file
 
 if TYPE_CHECKING:
-    from arctrack.check.run import CheckResult
+    from arctrack.check.check_recording import CheckResult
 
 PICTURE = "check.png"
 
@@ -38,12 +38,12 @@ def check(
     for bad input.
     """
     look_at_recording(recording, setup)
-    from arctrack.check.run import check_recording
+    from arctrack.check.check_picture import draw
+    from arctrack.check.check_recording import check_recording
     from arctrack.cli import console
     from arctrack.cli.exit_codes import NOTHING_TRACKED, WARNED
     from arctrack.recording import read_recording
-    from arctrack.replay import RESULTS_FOLDER
-    from arctrack.report.check_picture import draw
+    from arctrack.replay.replay import RESULTS_FOLDER
 
     read = read_recording(recording, setup, must_fit=False)
     picture = out or recording / RESULTS_FOLDER / PICTURE

@@ -15,7 +15,7 @@ from arctrack.errors import ArctrackError
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from arctrack.diagnose import DiagnosisJob, DiagnosisResult, OnStage, Outcome
+    from arctrack.diagnose.diagnose import DiagnosisJob, DiagnosisResult, OnStage, Outcome
 
 
 def diagnose(
@@ -46,7 +46,7 @@ def diagnose(
     look_at_recordings(recordings, setup)
     from arctrack.cli import console
     from arctrack.cli.diagnose_text import print_many, print_one
-    from arctrack.diagnose import DiagnosisResult, jobs_for
+    from arctrack.diagnose.diagnose import DiagnosisResult, jobs_for
     from arctrack.workers import FailedJob, check_choice
 
     if apply and setup is not None:
@@ -73,7 +73,7 @@ def diagnose(
 
 def _outcomes(jobs: list[DiagnosisJob], workers: int, scheduler: str | None) -> Iterator[Outcome]:
     """Yield what becomes of each recording, and show how far it is."""
-    from arctrack import diagnose as engine
+    from arctrack.diagnose import diagnose as engine
     from arctrack.workers import executor_of
 
     with _progress() as bar:
@@ -90,7 +90,7 @@ def _outcomes(jobs: list[DiagnosisJob], workers: int, scheduler: str | None) -> 
 def _apply(done: list[DiagnosisResult]) -> list[str]:
     """Write what was found into each recording; return a line for each that got nothing."""
     from arctrack.cli import console
-    from arctrack.diagnose import apply
+    from arctrack.diagnose.diagnose import apply
 
     complaints = []
     for diagnosed in done:

@@ -9,9 +9,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from arctrack.cli import console
-from arctrack.diagnose import DiagnosisResult
-from arctrack.recording.diagnosis_files import REPORT_PAGE
-from arctrack.report.diagnosis import words
+from arctrack.diagnose.diagnose import DiagnosisResult
+from arctrack.diagnose.diagnosis_files import REPORT_PAGE
+from arctrack.diagnose.pages import words
 from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict, RankedEffect
 
 MAX_RANKED = 5

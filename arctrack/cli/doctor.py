@@ -15,8 +15,8 @@ from arctrack.cli.json_output import AsJson, say_json
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from arctrack.doctor.budget import Budget
-    from arctrack.doctor.finding import DoctorFinding, FindingState
+    from arctrack.live.doctor.budget import Budget
+    from arctrack.live.doctor.finding import DoctorFinding, FindingState
 
 
 def doctor(
@@ -33,10 +33,10 @@ def doctor(
     """
     if cell is not None:
         look_at_cell(cell)
-    from arctrack.cell_file import read_cell_file
     from arctrack.cli import console
-    from arctrack.doctor.finding import FindingState
-    from arctrack.doctor.run import Examination, examine_cell, examine_machine
+    from arctrack.control.cell_file import read_cell_file
+    from arctrack.live.doctor.examine import Examination, examine_cell, examine_machine
+    from arctrack.live.doctor.finding import FindingState
 
     examination, counts = Examination(), dict.fromkeys(FindingState, 0)
     examined: list[DoctorFinding] = []

@@ -29,13 +29,13 @@ def explain(
     The frames before it are replayed, so that the tracker knows what it knew.
     """
     look_at_recording(recording, setup)
-    from arctrack import explain as engine
     from arctrack.cli import console
     from arctrack.output import make_folder, write_whole
     from arctrack.recording import read_recording
-    from arctrack.replay import RESULTS_FOLDER
-    from arctrack.report.explanation import words
-    from arctrack.report.explanation.page import page
+    from arctrack.replay import explain as engine
+    from arctrack.replay.explain_pages import words
+    from arctrack.replay.explain_pages.page import page
+    from arctrack.replay.replay import RESULTS_FOLDER
 
     read = read_recording(recording, setup)
     console.warn(read.warnings)

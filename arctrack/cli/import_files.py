@@ -12,7 +12,7 @@ from arctrack.cli.interrupt import interruptible
 from arctrack.cli.pose_options import NamedColumns, Rotation, Translations, named_columns
 from arctrack.cli.setups import setup_path
 from arctrack.errors import ArctrackError
-from arctrack.importing.colours import Bayer, Channel
+from arctrack.recording.importing.colours import Bayer, Channel
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -67,9 +67,9 @@ def import_files(
     look_at_file(poses)
     look_at_images(sources)
     from arctrack.cli import console
-    from arctrack.importing.run import ImportSources, import_recording
-    from arctrack.importing.units import parse_units
     from arctrack.printable import quoted
+    from arctrack.recording.importing.import_recording import ImportSources, import_recording
+    from arctrack.recording.importing.units import parse_units
 
     _check_range("--rate-hz", rate_hz, 1e-4, 1e5)
     _check_range("--exposure-s", exposure_s, 1e-9, 3600.0)

@@ -52,14 +52,14 @@ def look_at_setup(source: Path) -> None:
 
 def look_at_cell(path: Path) -> None:
     """Raise the ArctrackError of a cell file with a wrong key, or of the setup that it points to."""
-    from arctrack.cell_file.reader import stated_keys
+    from arctrack.control.cell_file.reader import stated_keys
 
     look_at_setup(path.parent / stated_keys(path).setup)
 
 
 def look_at_stated(path: Path) -> None:
     """Raise the ArctrackError of a cell file or a setup, whichever a path is."""
-    from arctrack.cell_file.reader import is_cell_file
+    from arctrack.control.cell_file.reader import is_cell_file
 
     (look_at_cell if is_cell_file(path) else look_at_setup)(path)
 
@@ -75,6 +75,6 @@ def look_at_file(path: Path) -> None:
 
 def look_at_images(sources: Sequence[Path]) -> None:
     """Raise the ArctrackError of folders, files and patterns that name no image."""
-    from arctrack.importing.image_files import images_of
+    from arctrack.recording.importing.image_files import images_of
 
     images_of(sources)

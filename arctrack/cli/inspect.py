@@ -29,13 +29,13 @@ def inspect(
     and the robot's path.
     """
     look_at_recording(recording)
+    from arctrack.check.inspection import draw
+    from arctrack.check.survey import survey
     from arctrack.cli import console
     from arctrack.cli.inspect_text import print_survey, survey_json
     from arctrack.output import make_folder, writing
     from arctrack.recording import read_recording
-    from arctrack.replay import RESULTS_FOLDER
-    from arctrack.report.inspection import draw
-    from arctrack.survey import survey
+    from arctrack.replay.replay import RESULTS_FOLDER
 
     read = read_recording(recording)
     console.warn(read.warnings)

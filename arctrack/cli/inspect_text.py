@@ -8,9 +8,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from arctrack.check.survey import ConditionSummary, MotionSummary, Survey
 from arctrack.printable import cut, first_of, printable
 from arctrack.recording import Recording
-from arctrack.survey import ConditionSummary, MotionSummary, Survey
 from noise_model.instrument.spectrum import Filter, FilterCurve
 from noise_model.setup import Setup
 from tracker.seam.correction import UNSTATED, AxisCorrection, Correction

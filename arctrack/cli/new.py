@@ -21,7 +21,7 @@ def new(
     The values are those of a sensor that works. Replace them by your own, add frames and poses, and replay.
     """
     check_new_folder(folder)
-    from arctrack.new import write_new
+    from arctrack.recording.new import write_new
 
     written = write_new(folder, joint.value, material.value)
     typer.echo("\n".join(str(path) for path in written))

@@ -109,7 +109,7 @@ def plan(
 
 def _content(made: Plan) -> dict[str, Any]:
     """Return a plan for programs."""
-    from arctrack.report.plan_files import designs, stations
+    from arctrack.plan.plan_files import designs, stations
 
     return {
         "limit_mm": made.limit_mm,
@@ -175,8 +175,8 @@ def _plan(source: Path, setup: Setup, options: PlanOptions, poses: list[Float64]
 
 
 def _write(made: Plan, torch_radius_mm: float, out: Path) -> None:
-    from arctrack.report.plan import draw_designs, draw_path
-    from arctrack.report.plan_files import PATH_PICTURE, PLAN_PICTURE, write_tables
+    from arctrack.plan.plan_files import PATH_PICTURE, PLAN_PICTURE, write_tables
+    from arctrack.plan.plan_pictures import draw_designs, draw_path
 
     write_tables(made, out)
     pictures = {PLAN_PICTURE: draw_designs(made, torch_radius_mm), PATH_PICTURE: draw_path(made)}

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from arctrack.calibration_files.goniometer import GoniometerFile
-from arctrack.calibration_records.reflectance_record import material_toml, scale_sentence
+from arctrack.calibrate.reflectance.goniometer import GoniometerFile
+from arctrack.calibrate.reflectance.record import material_toml, scale_sentence
 from arctrack.printable import printable
 from calibration.reflectance import Reflectance, StandardResiduals
 from calibration.reflectance_model import NAMES

@@ -94,10 +94,10 @@ def replay(
     if cell is not None:
         look_at_cell(cell)
     look_at_recordings(recordings, setup)
-    from arctrack.cell_file import read_cell_file
+    from arctrack.control.cell_file import read_cell_file
     from arctrack.recording.parquet_file import check_parquet
     from arctrack.recording.results import REPLAY_MCAP, REPLAY_RRD
-    from arctrack.replay import ReplayOptions
+    from arctrack.replay.replay import ReplayOptions
     from arctrack.replays import check_bus, jobs_for
     from arctrack.workers import check_choice, cores_each
 

@@ -22,8 +22,8 @@ from arctrack.errors import ArctrackError
 from arctrack.safe_points import ENDING
 
 if TYPE_CHECKING:
-    from arctrack.cell_file import CellFile
-    from arctrack.serve.loop import LoopResult, OnTrack
+    from arctrack.control.cell_file import CellFile
+    from arctrack.live.serve.loop import LoopResult, OnTrack
 
 
 SAVING = {signal.SIGUSR1: "asked by SIGUSR1", signal.SIGHUP: "terminal closed"}
@@ -60,7 +60,7 @@ def serve(
         raise ArctrackError("serve: give a cell file, or --simulated")
     if cell is not None:
         look_at_cell(cell)
-    from arctrack.cell_file import read_cell_file
+    from arctrack.control.cell_file import read_cell_file
 
     if cell is None:
         is_tracked = _serve_simulated(job, seconds)
@@ -83,9 +83,9 @@ def serve_cell_file(
     """Run a cell live, say when it is ready and what it came to, and return that."""
     from arctrack.cli import console
     from arctrack.cli.lines import LineQueue
-    from arctrack.serve.notify import Notifier
-    from arctrack.serve.process import schedule
-    from arctrack.serve.run import LiveRun, opened_run, run
+    from arctrack.live.serve.live_run import LiveRun, opened_run, run
+    from arctrack.live.serve.notify import Notifier
+    from arctrack.live.serve.process import schedule
 
     console.warn(cell.setup.warnings)
     notifier = Notifier()
@@ -144,12 +144,12 @@ def _serve_simulated(job: int | None, seconds: float | None) -> bool:
 
     with interruptible("serve was", "nothing was sent"), ExitStack() as opened:
         with console.progress() as bar:
-            from arctrack.cell.cell import TORCH_MM
-            from arctrack.cell.live.serve import REAL_TIME_PX
-            from arctrack.cell.weld.closed_loop import LoopPlan
-            from arctrack.cell_file import read_cell_file
             from arctrack.compiling import compiled_by_two
-            from arctrack.serve import simulated
+            from arctrack.control.cell_file import read_cell_file
+            from arctrack.live.serve import simulated
+            from arctrack.live.simulated_cell.serve import REAL_TIME_PX
+            from arctrack.simulation.cell.cell import TORCH_MM
+            from arctrack.simulation.cell.weld.closed_loop import LoopPlan
             from tracker.tracker import Tracker
 
             plan = LoopPlan(joint="lap", length_mm=LIVE_MM, rate_hz=10.0, size_px=REAL_TIME_PX)

@@ -84,9 +84,9 @@ def simulate(
     check_new_folder(out)
     if setup is not None:
         look_at_setup(setup)
-    from arctrack import simulate as engine
     from arctrack.cli import console
     from arctrack.recording.files import UNFINISHED_SUFFIX
+    from arctrack.simulation import simulate as engine
 
     plan = engine.SimulationPlan(
         frames=frames,
@@ -111,7 +111,7 @@ def simulate(
 
 def _nominal(joint: JointName, material: MaterialName, width: int, height: int) -> Setup:
     from arctrack.nominal import nominal_setup
-    from arctrack.simulate import balance
+    from arctrack.simulation.simulate import balance
 
     return balance(nominal_setup(joint.value, material.value, width=width, height=height))
 

@@ -8,7 +8,7 @@ from made import UNREADABLE, noise_frames, small_setup, write
 from spoiled import Refusal
 
 from arctrack.nominal import nominal_setup
-from arctrack.simulate import SimulationPlan, balance, simulate_recording
+from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
 from noise_model.setup import Setup
 
 

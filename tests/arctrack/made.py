@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import tomlkit
 
-from arctrack.cell_file.new import write_new_cell
+from arctrack.control.cell_file.new import write_new_cell
 from arctrack.nominal import nominal_setup
 from arctrack.recording import RecordingWriter, VideoFormat
 from noise_model.setup import Setup

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner, Result
 
 from arctrack import cli
-from arctrack.calibration_files.goniometer import read_goniometer, write_goniometer
+from arctrack.calibrate.reflectance.goniometer import read_goniometer, write_goniometer
 from arctrack.errors import ArctrackError
 from arctrack.recording.setup_file import read_setup_file
 from arctrack.recording.setup_model import MaterialTable
-from arctrack.simulate import true_values
+from arctrack.simulation.simulate import true_values
 from calibration.goniometer import GreyResponse, Settings
 from noise_model.surface.brdf import TABLE_1
 from noise_model.transforms import invert

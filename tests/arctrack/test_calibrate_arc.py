@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from arctrack.calibrating.arc import arc_stage
-from arctrack.calibrating.stage import Tell
+from arctrack.calibrate.arc.stage import arc_stage
+from arctrack.calibrate.stage import Tell
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.recording import Recording, read_recording, read_setup_file

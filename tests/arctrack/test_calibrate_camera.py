@@ -12,8 +12,8 @@ from calibrate_commands import BOARD, EXAMPLES, command
 from camera_scenes import BOARD as SCENE_BOARD
 from camera_scenes import SIZE, VARIED, Held, picture_of, views
 
-from arctrack.calibration_files.board_images import read_boards
-from arctrack.calibration_records.camera_record import calibrated_camera
+from arctrack.calibrate.camera.board_images import read_boards
+from arctrack.calibrate.camera.record import calibrated_camera
 from arctrack.recording.setup_file import read_setup_file
 from calibration.boards.board import Board
 from calibration.camera.calibrate import find_lens
@@ -125,7 +125,7 @@ def test_an_unknown_that_no_image_shows_is_a_line_of_error(
     def leave_open(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("an unknown is not seen at all")
 
-    monkeypatch.setattr("arctrack.calibrating.camera.calibrate_camera", leave_open)
+    monkeypatch.setattr("arctrack.calibrate.camera.stage.calibrate_camera", leave_open)
     result = calibrate(boards, *BOARD)
     assert result.exit_code != 0
     assert "leave a value of the lens open: add images of the board tilted" in str(result.exception)

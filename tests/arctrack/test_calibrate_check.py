@@ -9,11 +9,11 @@ import pytest
 from browser import Page
 from typer.testing import CliRunner
 
+from arctrack.calibrate.check.check_setup import SetupCheck, check_setup
+from arctrack.calibrate.check.measure import LightStage, Measure, SetupVerdict, judged
 from arctrack.cli import app
 from arctrack.cli.exit_codes import WARNED
 from arctrack.recording import read_recording
-from arctrack.setup_check.measure import LightStage, Measure, SetupVerdict, judged
-from arctrack.setup_check.run import SetupCheck, check_setup
 
 RUNNER = CliRunner(env={"COLUMNS": "160", "TERM": "dumb", "NO_COLOR": "1"})
 

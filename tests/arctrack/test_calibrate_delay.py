@@ -45,7 +45,7 @@ def test_what_is_not_known_is_not_written(tmp_path: Path, monkeypatch: pytest.Mo
         0.1,
     )
     weak = replace(known, unestimated="the motion is too weak: weave it")
-    monkeypatch.setattr("arctrack.calibrating.delay.estimate_pose_delay", lambda *_: weak)
+    monkeypatch.setattr("arctrack.calibrate.delay.stage.estimate_pose_delay", lambda *_: weak)
     out = tmp_path / "recording.toml"
     result = RUNNER.invoke(cli.app, ["calibrate", "delay", str(EXAMPLE), "--out", str(out)])
     assert isinstance(result.exception, ArctrackError)

@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from arctrack import cli
-from arctrack.calibration_files.flat_frames import find_flat_frames
+from arctrack.calibrate.sensor.flat_frames import find_flat_frames
 from arctrack.errors import ArctrackError
 from arctrack.nominal import nominal_setup
 from arctrack.recording import RecordingWriter, format_setup, read_setup_file

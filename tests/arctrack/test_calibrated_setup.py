@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arctrack.calibration_records.laser_record import moved_with_camera
+from arctrack.calibrate.laser.record import moved_with_camera
 from arctrack.errors import ArctrackError
 from arctrack.nominal import nominal_setup
 from arctrack.output import write_keeping

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from arctrack.calibrating.folder import FILE_NAME, CalibrationSources, read_raw_files
+from arctrack.calibrate.all.folder import FILE_NAME, CalibrationSources, read_raw_files
 from arctrack.errors import ArctrackError
 
 

@@ -17,7 +17,7 @@ from arctrack.cli import app
 from arctrack.cli.exit_codes import BAD_INPUT, NOTHING_TRACKED
 from arctrack.errors import ArctrackError
 from arctrack.recording.reader import read_recording
-from arctrack.simulate import SimulationPlan, simulate_recording
+from arctrack.simulation.simulate import SimulationPlan, simulate_recording
 from noise_model.setup import Setup
 
 LITTLE_SPECKLE = {"laser_speckle": {"contrast": 0.01, "grain_px": 0.5}}

@@ -172,7 +172,7 @@ def test_the_installed_way(simulated: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("error", ["ZeroDivisionError", "EOFError", "BrokenPipeError", "SyntaxError"])
 def test_a_fault_of_arctrack_has_a_code_of_its_own(error: str, tmp_path: Path) -> None:
     code = (
-        "import arctrack.doctor.run as run; from arctrack.cli import main\n"
+        "import arctrack.live.doctor.examine as run; from arctrack.cli import main\n"
         f"def fail(folder): raise {error}('two\\nlines')\n"
         "run.examine_machine = fail; main()"
     )
@@ -302,7 +302,7 @@ def test_a_killed_replay_leaves_its_rows(simulated: Path, tmp_path: Path) -> Non
     # It stops after the fifth frame, so that the kill strikes in the middle.
     code = (
         "import sys; from pathlib import Path; from arctrack.recording import read_recording; "
-        "from arctrack.replay import replay_recording; "
+        "from arctrack.replay.replay import replay_recording; "
         "replay_recording(read_recording(sys.argv[1]), Path(sys.argv[2]), "
         "on_frame=lambda n: n < 5 or (print(n, flush=True), sys.stdin.read()))"
     )

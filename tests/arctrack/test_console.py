@@ -22,7 +22,7 @@ from arctrack.cli.plan import COUNTED
 from arctrack.cli.plan_text import print_plan
 from arctrack.cli.reflow import paragraphs
 from arctrack.nominal import nominal_setup
-from arctrack.simulate import balance
+from arctrack.simulation.simulate import balance
 from noise_model.plan.plan import PlanOptions, make_plan
 
 ROOT = Path(arctrack.__file__).parents[1]

@@ -16,11 +16,11 @@ from test_diagnosis_examples import GAMMA, GLARE, Effects, example
 from typer.testing import CliRunner, Result
 
 from arctrack import cli
-from arctrack.diagnose import DiagnosisJob, DiagnosisResult, at_once, jobs_for, without_images
+from arctrack.diagnose.diagnose import DiagnosisJob, DiagnosisResult, at_once, jobs_for, without_images
+from arctrack.diagnose.diagnosis_files import FILES
+from arctrack.diagnose.pages import words
 from arctrack.errors import ArctrackError
 from arctrack.recording import read_recording
-from arctrack.recording.diagnosis_files import FILES
-from arctrack.report.diagnosis import words
 from arctrack.workers import FailedJob, cluster, processes
 from noise_model.setup import Setup
 from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from test_diagnosis_examples import GAMMA, GLARE, example, gap_of
 
-from arctrack.recording.diagnosis_files import report, write_numbers
+from arctrack.diagnose.diagnosis_files import report, write_numbers
 from noise_model.effects import Stage
 from noise_model.setup import Setup
 from sim_to_real.diagnosis import DiagnosisVerdict

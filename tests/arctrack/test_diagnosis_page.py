@@ -14,12 +14,12 @@ from browser import Page
 from made import small_setup
 from test_diagnosis_examples import GAMMA, GLARE, example
 
+from arctrack.diagnose.diagnosis_files import report, write_numbers
+from arctrack.diagnose.pages import words
+from arctrack.diagnose.pages.advice import ADVICE
+from arctrack.diagnose.pages.page import RECOMPUTE, advice, page
+from arctrack.diagnose.pages.pictures import nice_limit, telling_frame
 from arctrack.recording import Recording, read_recording
-from arctrack.recording.diagnosis_files import report, write_numbers
-from arctrack.report.diagnosis import words
-from arctrack.report.diagnosis.advice import ADVICE
-from arctrack.report.diagnosis.page import RECOMPUTE, advice, page
-from arctrack.report.diagnosis.pictures import nice_limit, telling_frame
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from sim_to_real.diagnosis import (

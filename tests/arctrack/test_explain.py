@@ -18,16 +18,16 @@ from typer.testing import CliRunner
 import arctrack
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
-from arctrack.explain import Explanation, explain
-from arctrack.explain_lines import NO_FIT, NO_PATH, ODD_WIDTH, READ, TOO_WEAK, refusals, sigma_parts
 from arctrack.nominal import nominal_setup
 from arctrack.recording import Recording, read_recording
-from arctrack.replay import ReplayOptions, replay_recording
-from arctrack.report.explanation import words
-from arctrack.report.explanation.page import page, telling_lines
-from arctrack.report.explanation.pictures import marks, path
-from arctrack.report.explanation.plots import FLOOR, PARTS
-from arctrack.simulate import SimulationPlan, simulate_recording
+from arctrack.replay.explain import Explanation, explain
+from arctrack.replay.explain_lines import NO_FIT, NO_PATH, ODD_WIDTH, READ, TOO_WEAK, refusals, sigma_parts
+from arctrack.replay.explain_pages import words
+from arctrack.replay.explain_pages.page import page, telling_lines
+from arctrack.replay.explain_pages.pictures import marks, path
+from arctrack.replay.explain_pages.plots import FLOOR, PARTS
+from arctrack.replay.replay import ReplayOptions, replay_recording
+from arctrack.simulation.simulate import SimulationPlan, simulate_recording
 from noise_model.arc.map import CELL
 from noise_model.setup import Setup
 from tracker import flags

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from arctrack.calibration_files.filter import read_filter_curve
+from arctrack.calibrate.filter_curve import read_filter_curve
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.nominal import nominal_setup

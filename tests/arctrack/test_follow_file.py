@@ -18,8 +18,8 @@ from arctrack.cli.inspect_text import correction_words
 from arctrack.errors import ArctrackError
 from arctrack.recording import format_setup, read_recording
 from arctrack.recording.setup_file import SetupFile, parse_setup
-from arctrack.replay import ReplayOptions, replay_recording
-from arctrack.simulate import SimulationPlan, simulate_recording
+from arctrack.replay.replay import ReplayOptions, replay_recording
+from arctrack.simulation.simulate import SimulationPlan, simulate_recording
 from noise_model.setup import Setup
 from robot_io import BusLogReader, SeamOffset, TrackerState, TrackerStatus, Validity
 from tracker.seam.correction import AxisCorrection, Correction

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from arctrack.replay.pages.view_json import points_json
 from arctrack.report.image import shrunk
-from arctrack.report.replay.view_json import points_json
 
 
 @pytest.mark.parametrize("bin_px", [1, 2, 3])

@@ -15,9 +15,9 @@ from spoiled import Refusal
 from typer.testing import CliRunner
 
 from arctrack.cli import app
-from arctrack.importing import run
 from arctrack.recording import BadFrame, format_setup, read_recording, read_setup_file
 from arctrack.recording.ffv1 import VideoWriter
+from arctrack.recording.importing import import_recording as run
 from noise_model.arrays import Float64, Integers
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "v_groove"

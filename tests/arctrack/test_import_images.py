@@ -16,10 +16,10 @@ from PIL import Image
 from spoiled import png
 
 from arctrack.errors import ArctrackError
-from arctrack.importing.colours import Bayer, Channel
-from arctrack.importing.grey import camera_of_sites, channel_of_laser, grey, sites
-from arctrack.importing.image_decoder import EncodedImage
-from arctrack.importing.image_files import distinct_names, find_images
+from arctrack.recording.importing.colours import Bayer, Channel
+from arctrack.recording.importing.grey import camera_of_sites, channel_of_laser, grey, sites
+from arctrack.recording.importing.image_decoder import EncodedImage
+from arctrack.recording.importing.image_files import distinct_names, find_images
 from noise_model.arrays import Integers
 
 RNG = np.random.default_rng(5)

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from arctrack.errors import ArctrackError
-from arctrack.importing.columns import CsvColumns, image_parser
-from arctrack.importing.image_files import ImageSeries
-from arctrack.importing.matrix_files import read_matrices
-from arctrack.importing.pose_files import PoseFile, read_poses
-from arctrack.importing.rotations import convention
-from arctrack.importing.units import UNSTATED, parse_units, split_unit
+from arctrack.recording.importing.columns import CsvColumns, image_parser
+from arctrack.recording.importing.image_files import ImageSeries
+from arctrack.recording.importing.matrix_files import read_matrices
+from arctrack.recording.importing.pose_files import PoseFile, read_poses
+from arctrack.recording.importing.rotations import convention
+from arctrack.recording.importing.units import UNSTATED, parse_units, split_unit
 from noise_model.arrays import Float64
 from robot_io import BusLogWriter, PoseKind, Protector, RobotPosePosition, RobotPoseRotation
 

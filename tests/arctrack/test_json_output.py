@@ -12,13 +12,13 @@ import pytest
 from typer.testing import CliRunner
 
 import arctrack
-from arctrack.cell_file.new import write_new_cell
 from arctrack.cli import app
 from arctrack.cli.doctor import _content
 from arctrack.cli.json_output import say_json
-from arctrack.doctor.budget import Budget, LatencyPart
-from arctrack.doctor.finding import DoctorFinding, FindingState
+from arctrack.control.cell_file.new import write_new_cell
 from arctrack.errors import ArctrackError
+from arctrack.live.doctor.budget import Budget, LatencyPart
+from arctrack.live.doctor.finding import DoctorFinding, FindingState
 
 PAGE = Path(arctrack.__file__).parents[1] / "docs" / "reference" / "json_output.md"
 RUNNER = CliRunner()

@@ -17,15 +17,15 @@ import numpy as np
 import pytest
 from can.interfaces.virtual import VirtualBus
 
-from arctrack import moments
+from arctrack.control.controller import Controller
+from arctrack.control.heard import TRUSTED
+from arctrack.control.job import Job
+from arctrack.control.pose_agreement import PoseAgreement
 from arctrack.errors import ArctrackError
-from arctrack.moments import PosesVerdict, RealTime, RecordingTime, assumed_command, assumed_robot
-from arctrack.pose_agreement import PoseAgreement
 from arctrack.recording import FrameRow, read_recording
-from arctrack.replay import ReplayOptions, replay_recording
-from arctrack.service.controller import Controller
-from arctrack.service.heard import TRUSTED
-from arctrack.service.job import Job
+from arctrack.replay import replay_clock as moments
+from arctrack.replay.replay import ReplayOptions, replay_recording
+from arctrack.replay.replay_clock import PosesVerdict, RealTime, RecordingTime, assumed_command, assumed_robot
 from robot_io import (
     BusLogReader,
     BusLogWriter,
@@ -354,7 +354,7 @@ def test_the_bus_is_joined_when_all_is_compiled(
 
     monkeypatch.setattr(Tracker, "warm_up", warmed_up)
     monkeypatch.setattr(Tracker, "step", step)
-    monkeypatch.setattr("arctrack.replay.Link", join)
+    monkeypatch.setattr("arctrack.replay.replay.Link", join)
     replay_recording(read_recording(simulated), tmp_path, ReplayOptions(pictures=False))
     assert happened[:3] == ["ready", "joined", "step"]
 
@@ -381,7 +381,7 @@ def test_a_replay_onto_a_bus_beyond_it_listens(
         robot.send(stopped, clock.time() + 0.45)
         return link
 
-    monkeypatch.setattr("arctrack.replay.Link", beyond)
+    monkeypatch.setattr("arctrack.replay.replay.Link", beyond)
     options = ReplayOptions(bus=f"socketcan:{channel}", pictures=False, onto_a_robot=True)
     with robot:
         done = replay_recording(recording, tmp_path / "out", options)

@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
-from arctrack.new import KEYS, RADIANCE_E, commented_setup, write_new
 from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
 from arctrack.recording import format_setup, read_recording, read_setup_file
+from arctrack.recording.new import KEYS, RADIANCE_E, commented_setup, write_new
 
 ROOT = Path(__file__).parents[2]
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})

@@ -6,7 +6,7 @@ from arctrack.errors import ArctrackError
 from arctrack.output import make_folder, write_whole
 from arctrack.recording import read_recording
 from arctrack.recording.results import ResultsWriter
-from arctrack.replay import ReplayOptions, replay_recording
+from arctrack.replay.replay import ReplayOptions, replay_recording
 
 
 def test_an_earlier_runs_files_are_gone(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from arctrack.errors import ArctrackError
-from arctrack.importing.image_decoder import EncodedImage
+from arctrack.recording.importing.image_decoder import EncodedImage
 from noise_model.arrays import Integers
 
 RNG = np.random.default_rng(7)

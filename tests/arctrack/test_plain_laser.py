@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from arctrack.cli import app
 from arctrack.nominal import nominal_setup
 from arctrack.recording import format_setup, read_recording, read_setup_file
-from arctrack.simulate import SimulationPlan, simulate_recording
+from arctrack.simulation.simulate import SimulationPlan, simulate_recording
 from noise_model.arc_source import NO_ARC
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY, checked

@@ -12,11 +12,11 @@ import pytest
 from made import results_of
 from scipy.spatial.transform import Rotation
 
-from arctrack.cell.robot import WELDING
-from arctrack.recorded_poses import RecordedPoses, seam_limits
+from arctrack.control.recorded_poses import RecordedPoses, seam_limits
+from arctrack.control.seam_measured import seam_measured
 from arctrack.recording import Recording, read_recording
-from arctrack.replay import ReplayOptions, replay_recording
-from arctrack.service.seam_measured import seam_measured
+from arctrack.replay.replay import ReplayOptions, replay_recording
+from arctrack.simulation.cell.robot import WELDING
 from noise_model.arrays import Float64
 from robot_io import (
     BusMessage,

@@ -16,8 +16,8 @@ from arctrack.errors import ArctrackError
 from arctrack.recording import Truth, read_recording
 from arctrack.recording.results import COLUMNS, FILES, FINISHED_JSON, REPLAY_MCAP, REPLAY_RRD, Latency
 from arctrack.recording.score import score
-from arctrack.replay import ReplayOptions, parse_bus, replay_recording, track_alone
-from arctrack.report.replay.pictures import exporter
+from arctrack.replay.pages.pictures import exporter
+from arctrack.replay.replay import ReplayOptions, parse_bus, replay_recording, track_alone
 from robot_io import BusLogReader, SeamOffset, Source, TrackerStatus, Validity
 from tracker.state import Track
 

@@ -25,10 +25,10 @@ from arctrack.recording.results import (
     REPLAY_PAGE,
     SUMMARY_JSON,
 )
-from arctrack.replay import ReplayOptions, replay_recording
-from arctrack.report.replay import drawing
-from arctrack.report.replay.drawing import process_count
-from arctrack.report.replay.frame_drawer import Drawn, ToDraw
+from arctrack.replay.pages import drawing
+from arctrack.replay.pages.drawing import process_count
+from arctrack.replay.pages.frame_drawer import Drawn, ToDraw
+from arctrack.replay.replay import ReplayOptions, replay_recording
 from arctrack.workers import cores_each
 
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
@@ -81,8 +81,10 @@ def test_processes_draw_what_one_draws_byte_for_byte(
     started: list[OwnProcess[ToDraw, Drawn]],
 ) -> None:
     # The page shows how long each step took.
-    monkeypatch.setattr("arctrack.tracking.time", SimpleNamespace(perf_counter_ns=lambda: 0))
-    monkeypatch.setattr("arctrack.replay.time", SimpleNamespace(monotonic=iter(range(10_000)).__next__))
+    monkeypatch.setattr("arctrack.replay.recorded_tracking.time", SimpleNamespace(perf_counter_ns=lambda: 0))
+    monkeypatch.setattr(
+        "arctrack.replay.replay.time", SimpleNamespace(monotonic=iter(range(10_000)).__next__)
+    )
     has_mcap = importlib.util.find_spec("mcap") is not None
     options = ReplayOptions(exports=(REPLAY_MCAP,) if has_mcap else ())
     drawn: dict[int, list[int]] = {1: [], 2: [], 4: []}
@@ -139,7 +141,7 @@ import os, signal, sys
 import arctrack.cli.console
 import arctrack.workers
 from arctrack.own_process import OwnProcess
-from arctrack.report.replay import drawing
+from arctrack.replay.pages import drawing
 
 # What a shell starts in the background ignores SIGINT, and so would its children.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 from scipy.spatial.transform import Rotation
 
-from arctrack.moments import assumed_command, assumed_robot
 from arctrack.recording import Recording, read_recording
+from arctrack.replay.replay_clock import assumed_command, assumed_robot
 from robot_io import (
     Command,
     Link,
@@ -156,7 +156,7 @@ import sys
 import time
 
 from arctrack.recording import read_recording
-from arctrack.replay import ReplayOptions, replay_recording
+from arctrack.replay.replay import ReplayOptions, replay_recording
 
 recording, options = read_recording(sys.argv[1]), ReplayOptions(pictures=False)
 replay_recording(recording, sys.argv[2], options)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.recording import BadFrame, read_recording
 from arctrack.recording.results import REPLAY_MCAP
-from arctrack.replay import Replay, ReplayOptions, replay_recording
+from arctrack.replay.replay import Replay, ReplayOptions, replay_recording
 from arctrack.report.image import visible
 
 mcap_reader = pytest.importorskip("mcap.reader")

@@ -17,13 +17,13 @@ from made import UNREADABLE, noise_frames, results_of, small_setup, write
 
 from arctrack.recording import BadFrame, read_recording, read_truth
 from arctrack.recording.results import REPLAY_PAGE
-from arctrack.replay import Replay, replay_recording
-from arctrack.report.explanation import words
-from arctrack.report.replay import pictures
-from arctrack.report.replay.page import frames_to_show, opening_frame
-from arctrack.report.replay.seen import ReplayedFrame
-from arctrack.report.replay.view import Viewer
-from arctrack.tracking import tracker_of
+from arctrack.replay.explain_pages import words
+from arctrack.replay.pages import pictures
+from arctrack.replay.pages.page import frames_to_show, opening_frame
+from arctrack.replay.pages.seen import ReplayedFrame
+from arctrack.replay.pages.view import Viewer
+from arctrack.replay.recorded_tracking import tracker_of
+from arctrack.replay.replay import Replay, replay_recording
 from noise_model.transforms import transform
 from robot_io import SeamOffset, Validity
 from tracker import flags

@@ -12,7 +12,7 @@ from PIL import Image
 
 from arctrack.recording import read_recording
 from arctrack.recording.results import REPLAY_RRD
-from arctrack.replay import Replay, ReplayOptions, replay_recording
+from arctrack.replay.replay import Replay, ReplayOptions, replay_recording
 
 rerun_chunk = pytest.importorskip("rerun.chunk")
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from arctrack.replay import ReplayOptions
+from arctrack.replay.replay import ReplayOptions
 from arctrack.replays import ReplayResult, jobs_for, replay_job
 from tests.arctrack.test_replays_at_once import copies, rows, run
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from arctrack.errors import ArctrackError
 from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
 from arctrack.recording import BadFrame, format_setup, read_recording, read_setup_file, read_truth
-from arctrack.simulate import (
+from arctrack.simulation.simulate import (
     SimulatedMotion,
     SimulationPlan,
     balance,

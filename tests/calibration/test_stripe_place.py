@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from arctrack.calibrate.check.place_measures import first_suspect, place_sentences, suspects
 from arctrack.nominal import nominal_setup
-from arctrack.setup_check.place_measures import first_suspect, place_sentences, suspects
 from calibration.check.stripe_place import (
     StripePlace,
     StripeSight,

@@ -17,8 +17,8 @@ from pages import ROOT, Command, steps
 
 from arctrack.nominal import nominal_setup
 from arctrack.recording import read_recording
-from arctrack.replay import ReplayOptions, replay_recording
-from arctrack.simulate import SimulationPlan, balance, simulate_recording
+from arctrack.replay.replay import ReplayOptions, replay_recording
+from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
 from noise_model.surface.brdf import TABLE_1
 
 pytestmark = pytest.mark.slow

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from arctrack.recording import pose_at, read_recording
-from arctrack.simulate import SimulationPlan, simulate_recording
+from arctrack.simulation.simulate import SimulationPlan, simulate_recording
 from sim_to_real.data.binned import observe_along
 from sim_to_real.fit.linearized_model import LinearizedModel
 from tracker.seam_observations import SeamObservations

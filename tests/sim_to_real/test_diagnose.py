@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from arctrack.nominal import nominal_setup
-from arctrack.simulate import SimulationPlan
+from arctrack.simulation.simulate import SimulationPlan
 from noise_model.arc_source import NO_ARC
 from noise_model.effects.effect import Stage
 from noise_model.surface.brdf import UNSTATED_METAL

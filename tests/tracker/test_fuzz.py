@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rendered import pose_at, rolled
 
 from arctrack.nominal import DIMENSIONS, nominal_setup
-from arctrack.simulate import balance
+from arctrack.simulation.simulate import balance
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.forward import draw_frame

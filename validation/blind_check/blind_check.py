@@ -23,10 +23,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from arctrack.diagnose.diagnosis_files import plain, report
 from arctrack.errors import ArctrackError, in_file
 from arctrack.output import real, write_whole
 from arctrack.recording import BadFrame, Recording, RecordingWriter, pose_at, read_recording
-from arctrack.recording.diagnosis_files import plain, report
 from arctrack.recording.files import UNFINISHED_SUFFIX
 from arctrack.workers import processes
 from sim_to_real.decision.experiments import BY_NAME, Experiment

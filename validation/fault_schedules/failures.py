@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from arctrack.cell.bus import BusTrouble
-from arctrack.cell.cell import Cell
-from arctrack.cell.faults.kind import DELAYED, LONGEST_S, POSES, Begin, End, FaultKind
-from arctrack.cell.faults.welding import rearm
-from arctrack.cell.robot_party import SOURCE
-from arctrack.cell.tracker_party import CameraBehaviour
+from arctrack.simulation.cell.bus import BusTrouble
+from arctrack.simulation.cell.cell import Cell
+from arctrack.simulation.cell.fault_kind import DELAYED, LONGEST_S, POSES, Begin, End, FaultKind
+from arctrack.simulation.cell.robot_party import SOURCE
+from arctrack.simulation.cell.tracker_party import CameraBehaviour
+from arctrack.simulation.cell.weld.welding_events import rearm
 from robot_io import (
     Command,
     GateReason,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from arctrack.cell.faults.kind import FaultKind
-from arctrack.cell.faults.welding import EVENTS
+from arctrack.simulation.cell.fault_kind import FaultKind
+from arctrack.simulation.cell.weld.welding_events import EVENTS
 from validation.fault_schedules.failures import FAULTS
 
 KINDS: tuple[FaultKind, ...] = (*FAULTS, *EVENTS)

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from arctrack.cell.cell import Cell
-from arctrack.cell.robot_party import RobotReport, Spoil
+from arctrack.simulation.cell.cell import Cell
+from arctrack.simulation.cell.robot_party import RobotReport, Spoil
 
 CYCLE_S = 0.01
 """A robot tells a pose so often, s."""

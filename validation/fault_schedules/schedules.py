@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from arctrack.cell.cell import TORCH_MM, USABLE, Cell, ReceivedOffset
-from arctrack.cell.faults.kind import LONGEST_S, FaultKind
-from arctrack.cell.world import draw_world
+from arctrack.simulation.cell.cell import TORCH_MM, USABLE, Cell, ReceivedOffset
+from arctrack.simulation.cell.fault_kind import LONGEST_S, FaultKind
+from arctrack.simulation.cell.world import draw_world
 from robot_io import GateLimits, GateReason, Validity
 from validation.fault_schedules.kinds import KINDS
 

@@ -21,7 +21,7 @@ from scipy.spatial import KDTree
 
 from arctrack.nominal import nominal_setup
 from arctrack.report import style
-from arctrack.simulate import balance
+from arctrack.simulation.simulate import balance
 from noise_model.arrays import Float64, UInt8
 from noise_model.condition import Condition
 from noise_model.effects import Effect, checked, pose_time_s

@@ -18,26 +18,26 @@ import pytest
 from made import playing_cell
 from pydantic import TypeAdapter
 
-from arctrack.black_box import recorder
-from arctrack.black_box.ask import BlackBoxAsker
-from arctrack.black_box.recorder import END, FaultWatch, RecorderOptions, run_recorder
-from arctrack.black_box.save import JobSetup, NothingToSaveError, save_window
-from arctrack.cell_file import read_cell_file
-from arctrack.cell_file.job_setup import job_setup_text
+from arctrack.control.cell_file import read_cell_file
+from arctrack.control.cell_file.job_setup import job_setup_text
+from arctrack.control.frame_tracking import Capture, FrameTracking
 from arctrack.errors import ArctrackError
-from arctrack.journal import private_memory
-from arctrack.journal.journal import Journal, JournalReader, slots_for
-from arctrack.journal.message_pipe import message_pipe
-from arctrack.journal.records import Status
+from arctrack.live.black_box import recorder
+from arctrack.live.black_box.ask import BlackBoxAsker
+from arctrack.live.black_box.recorder import END, FaultWatch, RecorderOptions, run_recorder
+from arctrack.live.black_box.save import JobSetup, NothingToSaveError, save_window
+from arctrack.live.journal import private_memory
+from arctrack.live.journal.journal import Journal, JournalReader, slots_for
+from arctrack.live.journal.message_pipe import message_pipe
+from arctrack.live.journal.records import Status
+from arctrack.live.serve.keeper import Keeper
+from arctrack.live.serve.live_run import cast_of, run
+from arctrack.live.serve.loop import LiveLoop
 from arctrack.recording import read_recording
 from arctrack.recording.run_offsets import OffsetOutcome, RunComparison, read_run_offsets
 from arctrack.recording.steps import read_state, write_state
-from arctrack.replay import replay_recording
-from arctrack.serve.keeper import Keeper
-from arctrack.serve.loop import LiveLoop
-from arctrack.serve.run import cast_of, run
-from arctrack.service.frame_tracking import Capture, FrameTracking
-from arctrack.tracking import RecordedTracking
+from arctrack.replay.recorded_tracking import RecordedTracking
+from arctrack.replay.replay import replay_recording
 from robot_io import (
     Fault,
     GateReason,

@@ -19,15 +19,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import noise_frames, small_setup
 
-from arctrack.cameras.camera_line import CaptureRequest
-from arctrack.cameras.capture.device import DeviceSource
-from arctrack.cameras.capture.files import folder_source, video_source
-from arctrack.cameras.capture.luma import LumaVideo
-from arctrack.cameras.capture.pulse import SLACK_S, is_reached, trigger_at_s
-from arctrack.cell_file import CameraChoice, CaptureChoice
+from arctrack.control.cell_file import CameraChoice, CaptureChoice
 from arctrack.errors import ArctrackError
+from arctrack.live.cameras.camera_line import CaptureRequest
+from arctrack.live.cameras.capture.device import DeviceSource
+from arctrack.live.cameras.capture.files import folder_source, video_source
+from arctrack.live.cameras.capture.luma import LumaVideo
+from arctrack.live.cameras.capture.pulse import SLACK_S, is_reached, trigger_at_s
+from arctrack.live.serve.captured import CapturedCamera
 from arctrack.recording.ffv1 import VideoWriter
-from arctrack.serve.captured import CapturedCamera
 
 RATE_HZ = 200.0
 PATIENCE_S = 120.0
@@ -215,8 +215,8 @@ PARENT = """
     from pathlib import Path
     sys.path.insert(0, sys.argv[2])
     from made import small_setup
-    from arctrack.cell_file import CameraChoice, CaptureChoice
-    from arctrack.serve.captured import CapturedCamera
+    from arctrack.control.cell_file import CameraChoice, CaptureChoice
+    from arctrack.live.serve.captured import CapturedCamera
 
     if __name__ == "__main__":
         choice = CameraChoice(20.0, "video", "weld.mkv", CaptureChoice(loop=True))

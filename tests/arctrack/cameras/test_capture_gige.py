@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arctrack.cameras.camera_line import CaptureRequest
-from arctrack.cameras.capture.device_clock import WINDOW_S, DeviceClock
-from arctrack.cameras.capture.pulse import SLACK_S
-from arctrack.cell_file import CameraChoice, CaptureChoice
+from arctrack.control.cell_file import CameraChoice, CaptureChoice
 from arctrack.errors import ArctrackError
-from arctrack.journal.private_memory import private_path
+from arctrack.live.cameras.camera_line import CaptureRequest
+from arctrack.live.cameras.capture.device_clock import WINDOW_S, DeviceClock
+from arctrack.live.cameras.capture.pulse import SLACK_S
+from arctrack.live.journal.private_memory import private_path
 from arctrack.nominal import nominal_setup
 
 pytestmark = pytest.mark.filterwarnings("ignore:DynamicImporter:ImportWarning")
@@ -53,7 +53,7 @@ def test_the_least_delayed_stamp_gives_the_clocks_offset():
      (1, 65_535, -1), (70_000, 140_000, 70_000), (65_405, 0, 0), (0, 0, 0)],
 )  # fmt: skip
 def test_ids_of_16_bits_go_round_without_0(before, after, step):
-    from arctrack.cameras.capture.gige import _step
+    from arctrack.live.cameras.capture.gige import _step
 
     assert _step(before, after) == step
 
@@ -78,7 +78,7 @@ def fake(request):
 
 def running_fake(request):
     pytest.importorskip("gi", reason="PyGObject is not installed", exc_type=ImportError)
-    from arctrack.cameras.capture.genicam import aravis
+    from arctrack.live.cameras.capture.genicam import aravis
 
     try:
         aravis()
@@ -106,7 +106,7 @@ def setup_of(bits: int = 8):
 
 
 def opened(choice, wants, setup=None):
-    from arctrack.cameras.capture.gige import GigeSource
+    from arctrack.live.cameras.capture.gige import GigeSource
 
     return GigeSource(choice, setup or setup_of(), wants)
 

@@ -10,15 +10,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from arctrack.cameras.shared_frames import (
+from arctrack.live.cameras.shared_frames import (
     FIELDS,
     SharedFramesError,
     SharedFramesReader,
     SharedFramesWriter,
     path_of,
 )
-from arctrack.journal import private_memory
-from arctrack.journal.ring import PAGE_BYTES, SLOT
+from arctrack.live.journal import private_memory
+from arctrack.live.journal.ring import PAGE_BYTES, SLOT
 from tracker.state import Frame
 
 
@@ -110,8 +110,8 @@ WRITER = """
     import sys, time
     from pathlib import Path
     import numpy as np
-    from arctrack.cameras.shared_frames import SharedFramesWriter
-    from arctrack.journal import private_memory
+    from arctrack.live.cameras.shared_frames import SharedFramesWriter
+    from arctrack.live.journal import private_memory
     from tracker.state import Frame
     private_memory.MEMORY = Path(sys.argv[1])
     writer = SharedFramesWriter("camera", 240, 320)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from made import small_setup
 
-from arctrack.cameras import camera_line, shared_memory
-from arctrack.cameras.camera import UnreadableFrame
-from arctrack.cameras.camera_line import PULSE_HOLD_S, line_path, read_line, remove_line
-from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesWriter
-from arctrack.cameras.shared_memory import SharedMemoryCamera
-from arctrack.journal import private_memory
+from arctrack.live.cameras import camera_line, shared_memory
+from arctrack.live.cameras.camera import UnreadableFrame
+from arctrack.live.cameras.camera_line import PULSE_HOLD_S, line_path, read_line, remove_line
+from arctrack.live.cameras.shared_frames import SharedFramesError, SharedFramesWriter
+from arctrack.live.cameras.shared_memory import SharedMemoryCamera
+from arctrack.live.journal import private_memory
 from robot_io import LaserState, RobotPulse
 from tracker.state import Frame
 

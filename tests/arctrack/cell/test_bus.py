@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from arctrack.cell.bus import Bus, BusTrouble
-from arctrack.cell.scheduler import Scheduler
+from arctrack.simulation.cell.bus import Bus, BusTrouble
+from arctrack.simulation.cell.scheduler import Scheduler
 
 DATA = bytes(range(8))
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from arctrack.cell.cell import Cell
-from arctrack.cell.faults.welding import ARC_FAULT
-from arctrack.cell.robot import CORRECTION_MM_S, Robot
-from arctrack.cell.weld.closed_loop import ClosedLoop, LoopPlan
-from arctrack.cell.world import draw_world
 from arctrack.cli import app
 from arctrack.cli.cell import _event_lines
+from arctrack.simulation.cell.cell import Cell
+from arctrack.simulation.cell.robot import CORRECTION_MM_S, Robot
+from arctrack.simulation.cell.weld.closed_loop import ClosedLoop, LoopPlan
+from arctrack.simulation.cell.weld.welding_events import ARC_FAULT
+from arctrack.simulation.cell.world import draw_world
 from robot_io import SeamOffset, Validity, WeldingState
 
 QUICK = LoopPlan(joint="lap", speed_mm_s=20.0, length_mm=64.0, rate_hz=12.5)

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesReader, path_of
-from arctrack.cell.live.real_time import RealBus, RealTimeScheduler
-from arctrack.cell.live.serve import serve_cell
-from arctrack.cell.weld.closed_loop import LoopPlan, setup_of
-from arctrack.cell_file import CameraChoice, read_cell_file
 from arctrack.cli import app
+from arctrack.control.cell_file import CameraChoice, read_cell_file
 from arctrack.errors import ArctrackError
+from arctrack.live.cameras.shared_frames import SharedFramesError, SharedFramesReader, path_of
+from arctrack.live.simulated_cell.real_time import RealBus, RealTimeScheduler
+from arctrack.live.simulated_cell.serve import serve_cell
+from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of
 from robot_io import (
     SOURCES,
     Command,
@@ -48,8 +48,8 @@ PATIENCE_S = 120.0
 
 SERVE = """
     import sys
-    from arctrack.cell.live.serve import serve_cell
-    from arctrack.cell.weld.closed_loop import LoopPlan
+    from arctrack.live.simulated_cell.serve import serve_cell
+    from arctrack.simulation.cell.weld.closed_loop import LoopPlan
     plan = LoopPlan(joint="lap", displaced_mm=3.0, weave_mm=0.0, length_mm=1000.0, rate_hz=5.0)
     frames, port = sys.argv[1], int(sys.argv[2])
     serve_cell(

@@ -7,12 +7,12 @@ from itertools import count, groupby
 
 import numpy as np
 
-from arctrack.cell.bus import Bus
-from arctrack.cell.live.serve import Program
-from arctrack.cell.robot import Robot
-from arctrack.cell.robot_party import RobotParty
-from arctrack.cell.scheduler import Scheduler
-from arctrack.cell.weld.closed_loop import LoopPlan, setup_of, world_of
+from arctrack.live.simulated_cell.serve import Program
+from arctrack.simulation.cell.bus import Bus
+from arctrack.simulation.cell.robot import Robot
+from arctrack.simulation.cell.robot_party import RobotParty
+from arctrack.simulation.cell.scheduler import Scheduler
+from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of, world_of
 from robot_io import (
     Command,
     CommandHeard,

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arctrack.cell.scheduler import Scheduler
+from arctrack.simulation.cell.scheduler import Scheduler
 
 
 @given(st.lists(st.floats(0.0, 10.0), max_size=30))

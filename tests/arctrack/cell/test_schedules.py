@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from arctrack.cell.cell import Cell
-from arctrack.cell.faults.kind import FaultKind
-from arctrack.cell.world import draw_world
+from arctrack.simulation.cell.cell import Cell
+from arctrack.simulation.cell.fault_kind import FaultKind
+from arctrack.simulation.cell.world import draw_world
 from robot_io import GateReason, Switch, Validity
 from robot_io.link.reconnecting import LinkFault
 from validation.fault_schedules import schedules

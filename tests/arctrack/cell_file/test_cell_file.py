@@ -11,7 +11,8 @@ import pytest
 import tomlkit
 from typer.testing import CliRunner
 
-from arctrack.cell_file import (
+from arctrack.cli import app
+from arctrack.control.cell_file import (
     CameraChoice,
     CellFile,
     MonitorChoice,
@@ -20,13 +21,12 @@ from arctrack.cell_file import (
     jobs_for,
     read_cell_file,
 )
-from arctrack.cell_file.new import commented_cell, write_new_cell
-from arctrack.cli import app
+from arctrack.control.cell_file.new import commented_cell, write_new_cell
+from arctrack.control.job import Job, PartLimits
+from arctrack.control.policy import ServicePolicy
 from arctrack.errors import ArctrackError
 from arctrack.recording import Recording, read_recording
-from arctrack.replay import ReplayOptions, replay_recording
-from arctrack.service.job import Job, PartLimits
-from arctrack.service.policy import ServicePolicy
+from arctrack.replay.replay import ReplayOptions, replay_recording
 from robot_io import BusLogReader, GateLimits, TrackerHeartbeat
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 

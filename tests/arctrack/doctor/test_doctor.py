@@ -21,16 +21,16 @@ from hypothesis import strategies as st
 from made import playing_cell
 from typer.testing import CliRunner
 
-from arctrack.cameras.shared_frames import SharedFramesWriter
-from arctrack.cell_file import CellFile, ProcessChoice, read_cell_file
-from arctrack.cell_file.choices import BusChoice
-from arctrack.cell_file.new import write_new_cell
 from arctrack.cli import app
-from arctrack.doctor.bus import bus_findings, interface_findings, robot_finding
-from arctrack.doctor.camera import CameraReading, camera_findings
-from arctrack.doctor.clocks import clock_findings, clock_source_finding, wake_ups
-from arctrack.doctor.finding import DoctorFinding, FindingState
-from arctrack.doctor.host import (
+from arctrack.control.cell_file import CellFile, ProcessChoice, read_cell_file
+from arctrack.control.cell_file.choices import BusChoice
+from arctrack.control.cell_file.new import write_new_cell
+from arctrack.live.cameras.shared_frames import SharedFramesWriter
+from arctrack.live.doctor.bus import bus_findings, interface_findings, robot_finding
+from arctrack.live.doctor.camera import CameraReading, camera_findings
+from arctrack.live.doctor.clocks import clock_findings, clock_source_finding, wake_ups
+from arctrack.live.doctor.finding import DoctorFinding, FindingState
+from arctrack.live.doctor.host import (
     UNLIMITED,
     disk_finding,
     governor_finding,

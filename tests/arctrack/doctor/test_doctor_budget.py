@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arctrack.cell_file import read_cell_file
-from arctrack.cell_file.new import write_new_cell
-from arctrack.doctor.budget import (
+from arctrack.control.cell_file import read_cell_file
+from arctrack.control.cell_file.new import write_new_cell
+from arctrack.live.doctor.budget import (
     LatencyPart,
     bandwidth_finding,
     budget_finding,
@@ -20,10 +20,10 @@ from arctrack.doctor.budget import (
     max_rows,
     transfer_s,
 )
-from arctrack.doctor.camera import CameraReading
-from arctrack.doctor.finding import FindingState
-from arctrack.doctor.steps import StepTimes
-from arctrack.serve.latency import LatencyCounts, Quantiles
+from arctrack.live.doctor.camera import CameraReading
+from arctrack.live.doctor.finding import FindingState
+from arctrack.live.doctor.steps import StepTimes
+from arctrack.live.serve.latency import LatencyCounts, Quantiles
 from robot_io.protocol.bus_load import frame_bits, least_frame_bits, response_time_s
 from robot_io.protocol.dbc import cycle_time_s, database
 

@@ -7,12 +7,12 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from arctrack.cell.robot import WELDING
-from arctrack.journal import private_memory
-from arctrack.journal.journal import MIN_SLOTS, Journal, JournalReader, gap_name, slots_for
-from arctrack.journal.private_memory import private_path
-from arctrack.journal.records import Entry, GapReport, HeardPose, ProcessState, SeenFrame, Status, pack
-from arctrack.journal.ring import RingError, RingWriter
+from arctrack.live.journal import private_memory
+from arctrack.live.journal.journal import MIN_SLOTS, Journal, JournalReader, gap_name, slots_for
+from arctrack.live.journal.private_memory import private_path
+from arctrack.live.journal.records import Entry, GapReport, HeardPose, ProcessState, SeenFrame, Status, pack
+from arctrack.live.journal.ring import RingError, RingWriter
+from arctrack.simulation.cell.robot import WELDING
 from robot_io import (
     Command,
     Fault,

@@ -10,13 +10,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from arctrack.cameras.camera_line import CameraLine, line_path, read_line
-from arctrack.cameras.shared_frames import SharedFramesError, SharedFramesReader, SharedFramesWriter
-from arctrack.journal import private_memory
-from arctrack.journal.journal import JournalReader, status_name
-from arctrack.journal.private_memory import open_private, private_path
-from arctrack.journal.records import pack, unpack
-from arctrack.journal.ring import RingError, RingWriter
+from arctrack.live.cameras.camera_line import CameraLine, line_path, read_line
+from arctrack.live.cameras.shared_frames import SharedFramesError, SharedFramesReader, SharedFramesWriter
+from arctrack.live.journal import private_memory
+from arctrack.live.journal.journal import JournalReader, status_name
+from arctrack.live.journal.private_memory import open_private, private_path
+from arctrack.live.journal.records import pack, unpack
+from arctrack.live.journal.ring import RingError, RingWriter
 
 OTHER = 65534
 """The user nobody, who owns no process of a tracker."""

@@ -15,12 +15,12 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from browser import Page
 
-from arctrack.cell.live.serve import REAL_TIME_PX
-from arctrack.cell.weld.closed_loop import LoopPlan, setup_of
 from arctrack.cli.cell import LIVE_MM
-from arctrack.monitor.options import MonitorOptions
-from arctrack.monitor.run import run_monitor
-from arctrack.serve.side_process import SideProcess, ended
+from arctrack.live.monitor.monitor_process import run_monitor
+from arctrack.live.monitor.options import MonitorOptions
+from arctrack.live.serve.side_process import SideProcess, ended
+from arctrack.live.simulated_cell.serve import REAL_TIME_PX
+from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of
 
 SIZE = (1280, 800)
 SHOWN_S = 40.0

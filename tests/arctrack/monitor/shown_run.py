@@ -11,15 +11,15 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from arctrack.cell.robot import WELDING
-from arctrack.journal.journal import MIN_SLOTS, Journal, gap_name
-from arctrack.journal.message_pipe import PipeEnd, message_pipe
-from arctrack.journal.records import Entry, GapReport, SeenFrame, Status, pack
-from arctrack.journal.ring import RingWriter
-from arctrack.monitor.options import MonitorOptions
-from arctrack.monitor.run import run_monitor
+from arctrack.live.journal.journal import MIN_SLOTS, Journal, gap_name
+from arctrack.live.journal.message_pipe import PipeEnd, message_pipe
+from arctrack.live.journal.records import Entry, GapReport, SeenFrame, Status, pack
+from arctrack.live.journal.ring import RingWriter
+from arctrack.live.monitor.monitor_process import run_monitor
+from arctrack.live.monitor.options import MonitorOptions
+from arctrack.live.serve.side_process import SideProcess, ended
 from arctrack.recording import Recording, read_recording
-from arctrack.serve.side_process import SideProcess, ended
+from arctrack.simulation.cell.robot import WELDING
 from robot_io import (
     Command,
     Fault,

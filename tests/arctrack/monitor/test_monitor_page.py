@@ -10,7 +10,7 @@ import pytest
 from browser import CHROMIUM, Page
 from shown_run import TITLE, TOKEN, answering_black_box, shown_run
 
-from arctrack.monitor.words import NOTHING_SENT, REASONS
+from arctrack.live.monitor.words import NOTHING_SENT, REASONS
 from robot_io import Fault, GateReason, SeamOffset, Source, TrackerState, Validity
 
 pytestmark = [

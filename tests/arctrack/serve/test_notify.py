@@ -12,8 +12,8 @@ from types import SimpleNamespace
 import pytest
 from made import playing_cell
 
-from arctrack.serve import notify
-from arctrack.serve.notify import Notifier
+from arctrack.live.serve import notify
+from arctrack.live.serve.notify import Notifier
 
 
 @pytest.fixture(params=["file", "abstract"])

@@ -21,15 +21,15 @@ import pytest
 from made import playing_cell, replace_in
 from test_serve_live import PLAN, Ear
 
+from arctrack.live.serve.simulated import GROUP, INTERFACE, SimulatedCell, write_simulated_cell
 from arctrack.recording import read_recording
-from arctrack.serve.simulated import GROUP, INTERFACE, SimulatedCell, write_simulated_cell
 from robot_io import Validity
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="POSIX terminals")]
 
 SERVE = """
     import sys
-    from arctrack.cell_file import read_cell_file
+    from arctrack.control.cell_file import read_cell_file
     from arctrack.cli.serve import serve_cell_file
     serve_cell_file(read_cell_file(sys.argv[1]), port=int(sys.argv[2]), hop_limit=0)
 """

@@ -12,10 +12,10 @@ from contextlib import contextmanager
 
 import pytest
 
-from arctrack.cell_file import ProcessChoice
-from arctrack.doctor.clocks import processor_finding, processor_wait
-from arctrack.doctor.finding import FindingState
-from arctrack.service.processor import SCHEDSTAT, TOO_BUSY, ProcessorWait
+from arctrack.control.cell_file import ProcessChoice
+from arctrack.control.processor import SCHEDSTAT, TOO_BUSY, ProcessorWait
+from arctrack.live.doctor.clocks import processor_finding, processor_wait
+from arctrack.live.doctor.finding import FindingState
 
 pytestmark = [
     pytest.mark.slow,

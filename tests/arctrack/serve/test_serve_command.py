@@ -11,13 +11,13 @@ import tomlkit
 from made import playing_cell
 from typer.testing import CliRunner
 
-from arctrack.cameras.shared_frames import SharedFramesWriter
-from arctrack.cell.weld.closed_loop import LoopPlan, setup_of
-from arctrack.cell_file.new import write_new_cell
 from arctrack.cli import app
 from arctrack.cli.exit_codes import NOTHING_TRACKED
+from arctrack.control.cell_file.new import write_new_cell
 from arctrack.errors import ArctrackError
-from arctrack.serve.simulated import write_simulated_cell
+from arctrack.live.cameras.shared_frames import SharedFramesWriter
+from arctrack.live.serve.simulated import write_simulated_cell
+from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of
 
 
 @pytest.mark.slow

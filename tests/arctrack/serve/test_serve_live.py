@@ -14,10 +14,8 @@ import can
 import pytest
 from made import replace_in, results_of
 
-from arctrack.cameras.shared_frames import SharedFramesReader
-from arctrack.cell.cell import TORCH_MM
-from arctrack.cell.weld.closed_loop import LoopPlan
-from arctrack.serve.simulated import (
+from arctrack.live.cameras.shared_frames import SharedFramesReader
+from arctrack.live.serve.simulated import (
     GROUP,
     INTERFACE,
     SimulatedCell,
@@ -25,6 +23,8 @@ from arctrack.serve.simulated import (
     torch_error,
     write_simulated_cell,
 )
+from arctrack.simulation.cell.cell import TORCH_MM
+from arctrack.simulation.cell.weld.closed_loop import LoopPlan
 from robot_io import (
     ANY_SOURCE,
     Command,
@@ -45,7 +45,7 @@ REPLAY = "import sys; from arctrack.cli import main; sys.argv[1:1] = ['replay'];
 
 TRACKER = """
     import sys
-    from arctrack.cell_file import read_cell_file
+    from arctrack.control.cell_file import read_cell_file
     from arctrack.cli import console
     from arctrack.cli.serve import serve_cell_file
     from tracker.warm_up import heard_compilations

@@ -11,27 +11,27 @@ import numpy as np
 import pytest
 from made import playing_cell
 
-from arctrack.cameras.camera import CameraTraits, UnreadableFrame
-from arctrack.cameras.recording import RecordingCamera
-from arctrack.cell.robot import WELDING
-from arctrack.cell_file import as_the_job_says, read_cell_file
-from arctrack.monitor.options import MonitorOptions
-from arctrack.monitor.status import OffsetFlow, indicated, status_content
-from arctrack.monitor.words import REASONS, Indication
+from arctrack.control.bus_poses import BusPoses
+from arctrack.control.cell_file import as_the_job_says, read_cell_file
+from arctrack.control.controller import Controller
+from arctrack.control.frame_tracking import FrameTracking
+from arctrack.control.innovation import InnovationLimits
+from arctrack.control.job import Job
+from arctrack.control.policy import ServicePolicy
+from arctrack.control.pose_watch import nominal_path
+from arctrack.control.processor import TOO_BUSY
+from arctrack.control.tracking_service import TrackingService
+from arctrack.live.cameras.camera import CameraTraits, UnreadableFrame
+from arctrack.live.cameras.recording import RecordingCamera
+from arctrack.live.monitor.options import MonitorOptions
+from arctrack.live.monitor.status import OffsetFlow, indicated, status_content
+from arctrack.live.monitor.words import REASONS, Indication
+from arctrack.live.serve.exposure import ExposureChooser
+from arctrack.live.serve.live_run import cast_of, run
+from arctrack.live.serve.loop import LiveLoop
 from arctrack.recording import read_recording
-from arctrack.replay import ReplayOptions, replay_recording
-from arctrack.serve.exposure import ExposureChooser
-from arctrack.serve.loop import LiveLoop
-from arctrack.serve.run import cast_of, run
-from arctrack.service.bus_poses import BusPoses
-from arctrack.service.controller import Controller
-from arctrack.service.frame_tracking import FrameTracking
-from arctrack.service.innovation import InnovationLimits
-from arctrack.service.job import Job
-from arctrack.service.policy import ServicePolicy
-from arctrack.service.pose_watch import nominal_path
-from arctrack.service.processor import TOO_BUSY
-from arctrack.service.tracking_service import TrackingService
+from arctrack.replay.replay import ReplayOptions, replay_recording
+from arctrack.simulation.cell.robot import WELDING
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame
 from noise_model.setup import Setup

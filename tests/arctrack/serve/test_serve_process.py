@@ -13,13 +13,13 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from arctrack.cell_file import ProcessChoice
-from arctrack.serve.latency import LatencyCounts
-from arctrack.serve.process import garbage_left, schedule
+from arctrack.control.cell_file import ProcessChoice
+from arctrack.live.serve.latency import LatencyCounts
+from arctrack.live.serve.process import garbage_left, schedule
 
 HANGS = """
     import time
-    from arctrack.serve.process import Watchdog
+    from arctrack.live.serve.process import Watchdog
     with Watchdog(1.0) as watchdog:
         ends_s = time.monotonic() + 1.5
         while time.monotonic() < ends_s:

@@ -16,10 +16,10 @@ from pathlib import Path
 import pytest
 
 from arctrack.errors import ArctrackError
-from arctrack.journal.message_pipe import PipeEnd, message_pipe
-from arctrack.serve import side_process
-from arctrack.serve.side_process import SideProcess
-from arctrack.serve.supervisor import Supervisor
+from arctrack.live.journal.message_pipe import PipeEnd, message_pipe
+from arctrack.live.serve import side_process
+from arctrack.live.serve.side_process import SideProcess
+from arctrack.live.serve.supervisor import Supervisor
 
 pytestmark = pytest.mark.slow
 
@@ -97,7 +97,7 @@ def test_what_cannot_begin_is_told_once_and_tried_ever_later(tmp_path: Path) -> 
 
 PARENT = """
     import os, sys, time
-    from arctrack.serve.side_process import SideProcess
+    from arctrack.live.serve.side_process import SideProcess
 
     def works_for_ever(told):
         told.send(os.getpid())

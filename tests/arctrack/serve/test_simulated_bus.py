@@ -10,16 +10,16 @@ import sys
 
 import pytest
 
-from arctrack.cell.live.serve import MULTICAST_CURE
-from arctrack.cell.weld.closed_loop import LoopPlan
-from arctrack.serve.simulated import GROUP, INTERFACE, SimulatedCell
+from arctrack.live.serve.simulated import GROUP, INTERFACE, SimulatedCell
+from arctrack.live.simulated_cell.serve import MULTICAST_CURE
+from arctrack.simulation.cell.weld.closed_loop import LoopPlan
 
 pytestmark = pytest.mark.slow
 
 PLAN = LoopPlan(joint="lap", length_mm=1000.0, rate_hz=10.0, size_px=(160, 120))
 SERVE = "from arctrack.cli import main; main()"
 TALK = f"""
-from arctrack.cell.live.serve import joined_bus
+from arctrack.live.simulated_cell.serve import joined_bus
 import can
 options = {{"port": 43567, "hop_limit": 0}}
 one, other = (joined_bus("{INTERFACE}", "{GROUP}", **options) for _ in range(2))

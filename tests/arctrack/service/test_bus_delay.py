@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 from test_controller import JOB, Cell, assert_refused
 
-from arctrack.service.bus_delay import BusDelay
-from arctrack.service.controller import Controller
-from arctrack.service.policy import ServicePolicy
+from arctrack.control.bus_delay import BusDelay
+from arctrack.control.controller import Controller
+from arctrack.control.policy import ServicePolicy
 from robot_io import GateReason, RobotSync, Validity
 
 DELAYED, NONE = GateReason.BUS_DELAYED, GateReason.NONE

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from arctrack.cell.robot import WELDING
-from arctrack.service.controller import ARMING, Controller
-from arctrack.service.job import Job
-from arctrack.service.policy import ServicePolicy
+from arctrack.control.controller import ARMING, Controller
+from arctrack.control.job import Job
+from arctrack.control.policy import ServicePolicy
+from arctrack.simulation.cell.robot import WELDING
 from robot_io import (
     BusMessage,
     Command,

@@ -15,9 +15,9 @@ from dataclasses import replace
 import can
 import pytest
 
-from arctrack.cell.robot import WELDING
-from arctrack.service.controller import Controller
-from arctrack.service.job import Job
+from arctrack.control.controller import Controller
+from arctrack.control.job import Job
+from arctrack.simulation.cell.robot import WELDING
 from robot_io import (
     SOURCES,
     BusMessage,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from arctrack.service.innovation import InnovationLimits, SeamInnovation, SeamMeasurement, SeamMotion
+from arctrack.control.innovation import InnovationLimits, SeamInnovation, SeamMeasurement, SeamMotion
 from tracker.seam.gaussian_process import SeamHistory
 
 LIMITS = InnovationLimits()

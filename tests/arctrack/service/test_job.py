@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from test_controller import JOB, TRACKS, WELDS, Cell, assert_refused, track
 
-from arctrack.service.controller import Controller
-from arctrack.service.job import NO_JOB, Bridging, Job, PartLimits
-from arctrack.service.part import Bridge, PartCheck, depth_mm, opening_deg
+from arctrack.control.controller import Controller
+from arctrack.control.job import NO_JOB, Bridging, Job, PartLimits
+from arctrack.control.part import Bridge, PartCheck, depth_mm, opening_deg
 from noise_model.surface.joint import Joint, section
 from robot_io import (
     Command,

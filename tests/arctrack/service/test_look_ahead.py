@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from arctrack.cell.cell import Cell
-from arctrack.cell.world import draw_world
-from arctrack.service.look_ahead import LookAhead
+from arctrack.control.look_ahead import LookAhead
+from arctrack.simulation.cell.cell import Cell
+from arctrack.simulation.cell.world import draw_world
 from robot_io import Command, PoseKind, PoseSample, SeamOffset, Switch, TrackerCommand, Validity
 from robot_io.clocks.lag import Lag, LagUnestimated, Motion, respond
 from robot_io.poses.nominal_path import NominalPath

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from arctrack.cell.robot import WELDING
-from arctrack.service.controller import Controller
-from arctrack.service.job import Job
+from arctrack.control.controller import Controller
+from arctrack.control.job import Job
+from arctrack.simulation.cell.robot import WELDING
 from robot_io import (
     BusMessage,
     Command,

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from arctrack.cell.robot import WELDING
-from arctrack.service.innovation import InnovationLimits, SeamMeasurement, SeamMotion
-from arctrack.service.pose_watch import PoseWatch
+from arctrack.control.innovation import InnovationLimits, SeamMeasurement, SeamMotion
+from arctrack.control.pose_watch import PoseWatch
+from arctrack.simulation.cell.robot import WELDING
 from robot_io import (
     Command,
     GateReason,

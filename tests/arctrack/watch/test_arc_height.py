@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from arctrack.live.watch.arc_height import ArcHeight, ArcHeightEstimator
 from arctrack.nominal import nominal_setup
-from arctrack.simulate import balance
-from arctrack.watch.arc_height import ArcHeight, ArcHeightEstimator
+from arctrack.simulation.simulate import balance
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame
 from noise_model.surface.joint import SeamLine

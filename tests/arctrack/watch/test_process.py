@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from arctrack.journal import private_memory
-from arctrack.journal.journal import Journal, JournalReader
-from arctrack.journal.records import Entry, SeenFrame
+from arctrack.live.journal import private_memory
+from arctrack.live.journal.journal import Journal, JournalReader
+from arctrack.live.journal.records import Entry, SeenFrame
+from arctrack.live.watch.process import RunWatch
 from arctrack.nominal import nominal_setup
-from arctrack.simulate import balance
-from arctrack.watch.process import RunWatch
+from arctrack.simulation.simulate import balance
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
 from noise_model.setup import Setup

@@ -1,0 +1,1 @@
+"""All calibrations that a folder of raw files allows, and their certificate."""

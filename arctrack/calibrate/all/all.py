@@ -1,0 +1,156 @@
+"""All calibrations of a folder in their order, each on what the earlier ones wrote, and the certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from arctrack.calibrate.all.certify import certificate_of, certificate_record
+from arctrack.calibrate.all.folder import CalibrationSources, by_keys
+from arctrack.calibrate.arc.stage import arc_stage
+from arctrack.calibrate.camera.stage import camera_stage
+from arctrack.calibrate.delay.stage import delay_stage
+from arctrack.calibrate.hand_eye.stage import hand_eye_stage
+from arctrack.calibrate.laser.stage import laser_stage
+from arctrack.calibrate.sensor.stage import sensor_stage
+from arctrack.calibrate.stage import CalibrationStage, Steps, Warn
+from arctrack.errors import ArctrackError
+from arctrack.recording import (
+    BadFrame,
+    CalibrationValues,
+    Recording,
+    SetupFile,
+    read_recording,
+    with_calibrated,
+)
+from arctrack.recording.setup_file import parse_setup
+from calibration.certificate import Certificate
+
+CAMERA_FIRST = "needs the camera, which was refused"
+
+
+@dataclass
+class Calibrations:
+    """What a folder's calibrations left.
+
+    Parameters
+    ----------
+    stated : SetupFile
+        The setup with all values found.
+    records : list of Calibrated
+        These values.
+    stages : dict
+        The calibrations that were done, by name.
+    refused : dict
+        Those that were not, and why; the setup keeps its own values there.
+    certificate : Certificate or None
+        What the seam's position is good for; None without a laser sheet.
+    unmeasured : dict
+        What the certificate takes as stated, and what stands for it.
+    """
+
+    stated: SetupFile
+    records: list[CalibrationValues] = field(default_factory=list)
+    stages: dict[str, CalibrationStage[Any]] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
+    certificate: Certificate | None = None
+    unmeasured: dict[str, str] = field(default_factory=dict)
+
+    def add(self, name: str, make: Callable[[], CalibrationStage[Any]]) -> None:
+        """Do a calibration, and put its values into the setup; one that is refused leaves them alone."""
+        try:
+            stage = make()
+            self.keep(*(() if stage.refusal is not None else stage.records))
+        except ArctrackError as error:
+            self.refused[name] = by_keys(name, error)
+            return
+        self.stages[name] = stage
+        if stage.refusal is not None:
+            self.refused[name] = stage.refusal
+
+    def keep(self, *records: CalibrationValues) -> None:
+        """Put values into the setup; ArctrackError, and nothing changes, where it does not take them."""
+        kept = [*self.records, *records]
+        self.stated = parse_setup(with_calibrated(self.stated.path, *kept), self.stated.path)
+        self.records = kept
+
+
+def calibrate_folder(raw: CalibrationSources, stated: SetupFile, steps: Steps, warn: Warn) -> Calibrations:
+    """Calibrate what a folder holds files for.
+
+    Parameters
+    ----------
+    raw : RawFiles
+        The folder.
+    stated : SetupFile
+        The setup to start from.
+    steps : callable
+        Begins a step of the progress.
+    warn : callable
+        Is told at once what is left out.
+
+    Returns
+    -------
+    Calibrations
+        Setup, stages, refusals and certificate.
+    """
+    result = Calibrations(stated)
+    if raw.sensor is not None:
+        sensor = raw.sensor
+        result.add("sensor", lambda: sensor_stage(sensor.source, result.stated, steps, warn, sensor.gamma))
+    if raw.camera is not None:
+        camera = raw.camera
+        result.add(
+            "camera",
+            lambda: camera_stage(
+                camera.sources, camera.board, result.stated, steps, warn, camera.orders, camera.tilted
+            ),
+        )
+    if "camera" in result.refused:
+        result.refused |= {
+            name: CAMERA_FIRST for name in ("hand_eye", "laser") if getattr(raw, name) is not None
+        }
+    else:
+        if raw.hand_eye is not None:
+            posed = raw.hand_eye
+            result.add(
+                "hand_eye",
+                lambda: hand_eye_stage(
+                    posed.sources,
+                    posed.board,
+                    result.stated,
+                    posed.poses,
+                    steps,
+                    warn,
+                    posed.is_eye_to_hand,
+                ),
+            )
+        if raw.laser is not None:
+            pairs = raw.laser
+            result.add("laser", lambda: laser_stage(pairs.sources, pairs.board, result.stated, steps, warn))
+    for name, path, make in (("delay", raw.delay, delay_stage), ("arc", raw.arc, arc_stage)):
+        if path is not None:
+            result.add(name, partial(_of_recording, make, path, result.stated, steps, warn))
+    result.certificate, result.unmeasured = certificate_of(result.stages, result.stated)
+    if result.certificate is not None and "hand_eye" in result.stages:
+        result.keep(certificate_record(result.certificate, result.stated))
+    return result
+
+
+def _of_recording(
+    make: Callable[[Recording, Steps], tuple[CalibrationStage[Any], list[BadFrame]]],
+    path: Path,
+    stated: SetupFile,
+    steps: Steps,
+    warn: Warn,
+) -> CalibrationStage[Any]:
+    """Calibrate with a recording, and the setup that the calibrations have made so far."""
+    read = replace(read_recording(path, stated.path), setup=stated.setup)
+    warn(read.warnings)
+    stage, bad_frames = make(read, steps)
+    complaint = read.complaint(bad_frames, "the values are those of the others")
+    warn([] if complaint is None else [complaint])
+    return stage

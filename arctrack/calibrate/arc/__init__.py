@@ -1,0 +1,1 @@
+"""The calibration of the arc: stage, record and page."""

@@ -1,0 +1,1 @@
+"""The calibration of the camera: images of a board, stage, record and page."""

@@ -1,0 +1,180 @@
+"""The check of a setup by a recording: looks at some frames, and judges what they show stage by stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from arctrack.calibrate.check.light_measures import arc_measures, sensor_measures, stripe_measures
+from arctrack.calibrate.check.measure import LightStage, Measure, SetupVerdict
+from arctrack.calibrate.check.place_measures import first_suspect, place_measures, place_sentences
+from arctrack.check.case import chosen_rows
+from arctrack.check.check_recording import parted, sensor_of
+from arctrack.check.look import CheckedFrame, looks_at
+from arctrack.compiling import compiled_by_two
+from arctrack.errors import in_file
+from arctrack.recording import BadFrame, Recording
+from arctrack.recording.reader import fitted
+from calibration.check.arc_light import ArcLightCheck, compare_arc
+from calibration.check.stripe_place import StripePlace, StripeSight, locate_stripes
+from noise_model.arrays import Float64
+from noise_model.evenly import evenly
+from noise_model.setup import Setup
+from noise_model.surface.joint import NOMINAL_SEAM
+from tracker.geometry import SensorGeometry
+from tracker.seam.correction import UNSTATED
+from tracker.state import Frame
+from tracker.warm_up import warm_up
+
+MAX_ARC_FRAMES = 12
+"""So many frames with the arc on are compared with the arc map."""
+
+MIN_LINES = 30
+"""A stripe that the tracker holds in fewer scan lines is taken from the bright line instead."""
+
+
+@dataclass(frozen=True, eq=False)
+class SetupCheck:
+    """What a recording says of a setup: quantities by stage, and what they come to.
+
+    `place` and `arc` are None where no frame tells of them, `untold` says why. `sights` are the stripes of
+    `looks` that were compared.
+    """
+
+    recording: Recording
+    measures: tuple[Measure, ...]
+    place: StripePlace | None
+    arc: ArcLightCheck | None
+    looks: tuple[CheckedFrame, ...]
+    sights: tuple[StripeSight, ...]
+    sentences: tuple[str, ...]
+    bad_frames: tuple[BadFrame, ...]
+
+    @property
+    def setup(self) -> Setup:
+        """The setup that was checked."""
+        return self.recording.setup
+
+    @property
+    def not_explained(self) -> tuple[LightStage, ...]:
+        """The stages at which the setup does not explain the recording."""
+        return tuple(stage for stage in LightStage if self.verdict_of(stage) is SetupVerdict.NOT_EXPLAINED)
+
+    def verdict_of(self, stage: LightStage) -> SetupVerdict:
+        """Return a stage's verdict: that of its worst quantity, and none without any that is told."""
+        verdicts = {measure.verdict for measure in self.measures if measure.stage is stage}
+        for verdict in (SetupVerdict.NOT_EXPLAINED, SetupVerdict.OK):
+            if verdict in verdicts:
+                return verdict
+        return SetupVerdict.UNTOLD
+
+    @property
+    def headline(self) -> str:
+        """What the check comes to, in a line."""
+        if not self.not_explained:
+            told = [stage.value for stage in LightStage if self.verdict_of(stage) is SetupVerdict.OK]
+            return f"the setup explains the recording: {'; '.join(told) or 'nothing could be told'}"
+        parts = []
+        for stage in self.not_explained:
+            if stage is LightStage.PLACE and self.place is not None:
+                parts.append(f"calibrate the {first_suspect(self.place)} anew")
+            else:
+                names = [
+                    m.name
+                    for m in self.measures
+                    if m.stage is stage and m.verdict is SetupVerdict.NOT_EXPLAINED
+                ]
+                parts.append(f"{stage.value}: {', '.join(names)}")
+        return f"the setup does not explain the recording: {'; '.join(parts)}"
+
+
+def check_setup(
+    recording: Recording,
+    on_frame: Callable[[int], None] | None = None,
+) -> SetupCheck:
+    """Check the setup that a recording was read with; ArctrackError where it can track no such frames."""
+    fitted(recording)
+    try:
+        geometry = SensorGeometry.of(recording.setup)
+    except ValueError as error:
+        raise in_file(recording.setup_path, str(error)) from None
+    frames, bad_frames = parted(recording.frames(chosen_rows(recording)))
+    with compiled_by_two(geometry.setup):
+        warm_up(geometry, UNSTATED)
+    looks = looks_at(recording, geometry, frames, on_frame)
+    sights = sights_of(geometry, looks)
+    place, said_of_place = _placed(recording.setup, sights)
+    arc, said_of_arc = _arc_seen(recording, place)
+    measures = sensor_measures(recording.setup, sensor_of(recording, looks), arc)
+    measures += [] if place is None else place_measures(place)
+    measures += stripe_measures(recording.setup, looks, _first(measures))
+    measures += arc_measures(recording.setup, arc, _first(measures))
+    said = (*said_of_place, *said_of_arc)
+    return SetupCheck(
+        recording=recording,
+        measures=tuple(measures),
+        place=place,
+        arc=arc,
+        looks=tuple(looks),
+        sights=sights,
+        sentences=said,
+        bad_frames=tuple(bad_frames),
+    )
+
+
+def _placed(setup: Setup, sights: Sequence[StripeSight]) -> tuple[StripePlace | None, list[str]]:
+    """Return where the stripes lie, None where nothing tells of it, and what to say of that."""
+    if not sights:
+        return None, ["Camera, laser and hand-eye are not told: no frame with the laser on shows a line."]
+    try:
+        place = locate_stripes(setup, sights)
+    except ValueError as error:
+        return None, [f"Camera, laser and hand-eye are not told: {error}."]
+    return place, place_sentences(place)
+
+
+def _arc_seen(recording: Recording, place: StripePlace | None) -> tuple[ArcLightCheck | None, list[str]]:
+    """Return the arc's light beside the expected one, None where nothing tells of it, and what to say."""
+    lit = _arc_frames(recording)
+    if not lit:
+        return None, ["The arc is not told: no frame with the arc on."]
+    setup, seam = recording.setup, NOMINAL_SEAM
+    if place is not None:
+        setup, seam = place.setup_by(place.best), place.seam_by(place.best)
+    try:
+        return compare_arc(setup, lit, seam), []
+    except ValueError as error:
+        return None, [f"The arc is not told: {error}."]
+
+
+def _first(measures: Sequence[Measure]) -> str:
+    """Return what an earlier stage asks to be set right first, nothing where all explain the recording."""
+    wrong = [
+        m for m in measures if m.verdict is SetupVerdict.NOT_EXPLAINED and m.stage is not LightStage.STRIPE
+    ]
+    return wrong[0].stage.value if wrong else ""
+
+
+def sights_of(geometry: SensorGeometry, looks: Sequence[CheckedFrame]) -> tuple[StripeSight, ...]:
+    """Return the stripes of the looks that have a pose and show a line."""
+    return tuple(_sight(geometry, look) for look in looks if look.pose is not None and len(look.line.scan))
+
+
+def _sight(geometry: SensorGeometry, look: CheckedFrame) -> StripeSight:
+    """Return the stripe as the tracker read it, or else the bright line that was found without any model."""
+    assert look.pose is not None
+    stripe = look.track.stripe
+    if stripe is None or np.isfinite(stripe.position_px).sum() < MIN_LINES:
+        return StripeSight(look.line.points_px, look.pose.T_base_tool)
+    scan = np.flatnonzero(np.isfinite(stripe.position_px))
+    points_px = geometry.image_points(scan.astype(np.float64), stripe.position_px[scan])
+    return StripeSight(points_px, look.pose.T_base_tool)
+
+
+def _arc_frames(recording: Recording) -> list[tuple[Frame, Float64]]:
+    """Return frames with the arc on, over the whole run, with their poses (4, 4)."""
+    lit = np.flatnonzero([row.arc_on and row.current_a != 0.0 for row in recording.rows])
+    frames, _ = parted(recording.frames(lit[evenly(len(lit), MAX_ARC_FRAMES)].tolist()))
+    return [(frame, pose.T_base_tool) for frame, pose in recording.posed(frames)]

@@ -1,0 +1,1 @@
+"""The calibration of the poses' delay: stage, record and page."""

@@ -1,0 +1,43 @@
+"""From a moving recording to the delay between poses and frames."""
+
+from __future__ import annotations
+
+from arctrack.calibrate.delay.page import delay_page
+from arctrack.calibrate.delay.record import delay_record
+from arctrack.calibrate.stage import CalibrationStage, Steps
+from arctrack.errors import in_file
+from arctrack.recording import BadFrame, Recording
+from calibration.pose_delay import PoseDelay, PoseTrack, estimate_pose_delay
+
+
+def delay_stage(read: Recording, steps: Steps) -> tuple[CalibrationStage[PoseDelay], list[BadFrame]]:
+    """Find the delay between poses and frames.
+
+    Parameters
+    ----------
+    read : Recording
+        A recording whose tool weaves or rises.
+    steps : callable
+        Begins a step of the progress.
+
+    Returns
+    -------
+    stage : Stage
+        The calibration; refused where the motion does not tell the delay.
+    bad_frames : list of BadFrame
+        The frames that cannot be read, and why.
+
+    Raises
+    ------
+    ArctrackError
+        Where too few frames show the seam.
+    """
+    frames, bad_frames = read.readable_frames()
+    track = PoseTrack.through(read.poses.timestamps_s, read.poses.T_base_tool)
+    try:
+        result = estimate_pose_delay(read.setup, frames, track, steps("rounds", "rounds"))
+    except ValueError as error:
+        raise in_file(read.path, str(error)) from None
+    refusal = None if result.unestimated is None else f"the delay is unestimated: {result.unestimated}"
+    records = () if refusal is not None else (delay_record(result),)
+    return CalibrationStage(result, delay_page(result, read), records, refusal), bad_frames

@@ -1,0 +1,1 @@
+"""The calibration by a gauge: its images, stage, record and page."""

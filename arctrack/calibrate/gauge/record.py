@@ -1,0 +1,47 @@
+"""The laser sheet from a gauge as recording.toml holds it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from arctrack.calibrate.laser.record import PARAMETERS, sheet_values
+from arctrack.recording import CalibrationValues
+from arctrack.recording.toml_text import rounded
+from calibration.gauge.calibrate import GaugeCalibration
+from calibration.laser.plane import foot_on
+from noise_model.setup import Setup
+
+MADE_BY = "arctrack calibrate gauge"
+
+
+def gauge_record(result: GaugeCalibration, setup: Setup) -> CalibrationValues:
+    """Return the plane as values of `[laser]`, with its covariance; the stated origin is moved into it.
+
+    Parameters
+    ----------
+    result : GaugeCalibration
+        The calibration.
+    setup : Setup
+        The setup that it belongs to.
+
+    Returns
+    -------
+    Calibrated
+        The plane, and the point of it that is nearest to the origin stated.
+    """
+    plane = result.plane
+    origin = foot_on(plane, setup.laser.origin_mm)
+    robot_mm, form_mm = result.fitted.noise_mm.tolist()
+    return CalibrationValues(
+        "laser",
+        sheet_values(plane, origin),
+        PARAMETERS,
+        np.asarray(result.covariance),
+        MADE_BY,
+        {
+            "gauge": str(result.problem.gauge),
+            "images": len(result.problem.sightings),
+            "robot_mm": rounded(robot_mm, 4),
+            "form_mm": rounded(form_mm, 4),
+        },
+    )

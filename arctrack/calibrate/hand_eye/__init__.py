@@ -1,0 +1,1 @@
+"""The camera's pose on the robot: inputs, stage, record and page."""

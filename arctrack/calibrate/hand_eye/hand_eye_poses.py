@@ -1,0 +1,124 @@
+"""Images of a board, each with the robot's pose: which belong together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from arctrack.calibrate.camera.board_images import BoardImages, read_boards
+from arctrack.calibrate.robot_poses import PoseSource, read_robot_poses
+from arctrack.calibrate.stated_camera import check_size, stated_lens
+from arctrack.errors import in_file
+from arctrack.recording import SetupFile
+from arctrack.recording.importing.image_files import distinct_names, find_images
+from arctrack.recording.importing.pose_files import PoseFile
+from calibration.boards.board import Board
+from calibration.camera.adjustment import BoardScene
+from calibration.camera.known_lens import board_poses
+from calibration.camera.sightings import Sightings
+from noise_model.arrays import Float64, Int64
+
+
+@dataclass
+class PosedBoards:
+    """Images of a board with the robot's poses.
+
+    Parameters
+    ----------
+    boards : BoardImages
+        All boards that are seen.
+    scene : Scene
+        The poses of those whose robot's pose is known.
+    seen : Sightings
+        Their corners.
+    T_base_tool : array (V, 4, 4)
+        The robot's poses, mm.
+    lens_covariance : array (n, n) or None
+        That of the lens' parameters, as the setup keeps it; None where it keeps none.
+    poses : PoseFile
+        The poses as they were read.
+    rows : array (V,)
+        Which of them each image has.
+    T_controllertool_tool : array (4, 4)
+        The tool in the controller's tool, mm.
+    left_out : dict
+        Images that are not used, and why.
+    warnings : list of str
+        What looks wrong.
+    """
+
+    boards: BoardImages
+    scene: BoardScene
+    seen: Sightings
+    T_base_tool: Float64
+    lens_covariance: Float64 | None
+    poses: PoseFile
+    rows: Int64
+    T_controllertool_tool: Float64
+    left_out: dict[str, str] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+def read_posed_boards(
+    sources: Sequence[Path],
+    board: Board,
+    stated: SetupFile,
+    source: PoseSource,
+    progress: Callable[[int, int], None] | None = None,
+) -> PosedBoards:
+    """Find a board in images, and the robot's pose of each.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        Folders of images, images, and patterns.
+    board : Board
+        The board.
+    stated : SetupFile
+        The setup, whose camera is calibrated.
+    source : PoseSource
+        The robot's poses.
+    progress : callable, optional
+        Told how many images are done, and of how many.
+
+    Returns
+    -------
+    PosedBoards
+        Boards and poses.
+
+    Raises
+    ------
+    ArctrackError
+        Where images or poses cannot be read, do not belong together, or are of another size than the camera.
+    """
+    series = find_images(sources)
+    poses = read_robot_poses(source, series, stated)
+    names = distinct_names(series.paths)
+    image_of = {names[path]: n for n, path in enumerate(series.paths)}
+    boards = read_boards(sources, board, progress)
+    check_size(boards.size, stated)
+    left_out = dict(boards.left_out)
+    views = []
+    for view in boards.views:
+        if poses.has(image_of[view.name]):
+            views.append(view)
+        else:
+            left_out[view.name] = f"has no pose in {source.path.name}"
+    if not views:
+        raise in_file(source.path, "has a pose of no image that shows the board")
+    lens, covariance = stated_lens(stated)
+    rows = poses.rows[[image_of[view.name] for view in views]]
+    scene, seen = board_poses(board, views, lens)
+    return PosedBoards(
+        boards=boards,
+        scene=scene,
+        seen=seen,
+        T_base_tool=poses.at(rows),
+        lens_covariance=covariance,
+        poses=poses.file,
+        rows=rows,
+        T_controllertool_tool=poses.T_controllertool_tool,
+        left_out=left_out,
+        warnings=[*boards.warnings, *poses.file.warnings, *poses.file.notes],
+    )

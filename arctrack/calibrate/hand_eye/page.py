@@ -1,0 +1,156 @@
+"""calibrate_hand_eye.html: the camera's pose on a robot in words and pictures."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from arctrack.calibrate.hand_eye.hand_eye_meaning import assumption
+from arctrack.calibrate.hand_eye.hand_eye_poses import PosedBoards
+from arctrack.calibrate.hand_eye.pictures import excitation, misfits, places, robot_off
+from arctrack.calibrate.page import EXACT_LENS, CalibrationPage, PagePicture, ValueRow, row_of, with_reasons
+from calibration.hand_eye_boards.calibrate import HandEyeCalibration
+from noise_model.setup import Setup
+
+AXES = "xyz"
+
+STEP_DEG = 1e-4
+"""Step of the derivatives of a rotation vector."""
+
+
+def hand_eye_page(
+    result: HandEyeCalibration, posed: PosedBoards, setup: Setup, *, moves_sheet: bool
+) -> CalibrationPage:
+    """Return what the page holds; `moves_sheet` says that a calibrated laser sheet goes with the camera."""
+    x, y, z = result.T_holder_camera[:3, 3]
+    sigma_mm = math.sqrt(float(np.trace(result.place_covariance)))
+    count = len(result.names) + len(result.left_out) + len(posed.left_out)
+    turns = ", ".join(f"{turn:.0f}" for turn in result.turns_deg)
+    holder = "robot's base" if result.is_eye_to_hand else "tool"
+    sentences = [
+        f"{len(result.names)} of {count} images and poses are used. The camera's place is known to "
+        f"{sigma_mm:.3f} mm, 1 σ of its three axes together.",
+        f"The robot's own error is {result.robot_mm:.3f} ± {result.robot_sigma[1]:.3f} mm and "
+        f"{result.robot_deg:.4f} ± {result.robot_sigma[0]:.4f}° about each axis (1 σ). A corner's noise is "
+        f"{result.corner_sigma_px:.3f} px.",
+        f"The poses turn by {turns}° RMS about x, y and z of the {holder}. A turn about one axis tells the "
+        "camera's place along the other two.",
+    ]
+    sentences.append(assumption(result))
+    if result.is_eye_to_hand:
+        sentences.append(
+            "The camera's pose in base is kept in [calibration.camera_in_base]. "
+            "[camera.pose_in_tool] stays as it was."
+        )
+    else:
+        turn_deg, move_mm = change(result, setup)
+        sentences.append(
+            f"The camera is turned by {np.linalg.norm(turn_deg):.2f}° and moved by "
+            f"{np.linalg.norm(move_mm):.2f} mm against the pose stated before."
+        )
+    return CalibrationPage(
+        title="arctrack calibrates the camera's pose",
+        label="camera in base" if result.is_eye_to_hand else "camera in the tool",
+        headline=f"[{x:.3f}, {y:.3f}, {z:.3f}] mm in the {holder}",
+        sentences=tuple(sentences),
+        rows=hand_eye_rows(result, setup),
+        pictures=(
+            PagePicture(
+                misfits(result),
+                "how far the robot was off each pose, most likely",
+                "Both are the tool's. Lines are the mean of three axes of the estimated noise.",
+            ),
+            PagePicture(
+                excitation(result),
+                "how far the poses turn, and how well each part of the camera's pose is known",
+                "Bars on the right are 1 σ. A long one wants poses that turn about another axis.",
+            ),
+            PagePicture(
+                places(result),
+                "where the camera stood, and where it looked, in the board's frame",
+                "",
+            ),
+            PagePicture(
+                robot_off(result),
+                "from where the robot's pose puts ends and middle of each board, to where they are seen",
+                "This is the robot's error, seen by the camera. Grey are all corners.",
+            ),
+        ),
+        maps=(),
+        notes=tuple(_notes(result, posed, moves_sheet)),
+        mark="ambiguous" if result.left_out or result.is_scale_off else "no_gap",
+        left_out=with_reasons(posed.left_out | result.left_out),
+    )
+
+
+def change(result: HandEyeCalibration, setup: Setup) -> tuple[np.ndarray, np.ndarray]:
+    """Return by how much the camera is turned (3,), deg, and moved (3,), mm, in its own frame."""
+    stated = setup.camera.T_tool_camera
+    turn = stated[:3, :3].T @ result.T_holder_camera[:3, :3]
+    move = stated[:3, :3].T @ (result.T_holder_camera[:3, 3] - stated[:3, 3])
+    return np.degrees(Rotation.from_matrix(turn).as_rotvec()), move
+
+
+def hand_eye_rows(result: HandEyeCalibration, setup: Setup) -> tuple[ValueRow, ...]:
+    """Return place, turn, the robot's noise, and the board's size by the robot."""
+    rows = []
+    sigmas = np.sqrt(np.diag(result.place_covariance))
+    wider = float(np.max(result.half_interval() / result.sigma))
+    for axis, value, sigma in zip(AXES, result.T_holder_camera[:3, 3], sigmas, strict=True):
+        rows.append(_row(f"place, {axis}", f"translation_mm, {axis}", value, sigma, wider * sigma, "mm"))
+    turns, turn_sigmas, halves = change(result, setup)[0], result.sigma[:3], result.half_interval()[:3]
+    words = "turn about the camera's {}, against before"
+    if result.is_eye_to_hand:
+        turns, turn_sigmas = _rotation_vector(result)
+        words, halves = "rotation vector, {}", wider * turn_sigmas
+    for axis, value, sigma, half in zip(AXES, turns, turn_sigmas, halves, strict=True):
+        rows.append(_row(words.format(axis), "quaternion_xyzw", value, sigma, half, "deg"))
+    for what, key, value, sigma, unit in (
+        ("robot's place, each axis", "robot_sigma_mm", result.robot_mm, result.robot_sigma[1], "mm"),
+        ("robot's turn, each axis", "robot_sigma_deg", result.robot_deg, result.robot_sigma[0], "deg"),
+        ("board's size by the robot", "", result.scale, result.scale_sigma, "of that stated"),
+    ):
+        rows.append(row_of(what, key, value, sigma, unit))
+    return tuple(rows)
+
+
+def _rotation_vector(result: HandEyeCalibration) -> tuple[np.ndarray, np.ndarray]:
+    """Return the camera's rotation vector (3,) and its sigmas (3,), deg."""
+    turn = Rotation.from_matrix(result.T_holder_camera[:3, :3])
+    vector = turn.as_rotvec(degrees=True)
+    steps = Rotation.from_rotvec(STEP_DEG * np.eye(3), degrees=True)
+    J = ((turn * steps).as_rotvec(degrees=True) - vector).T / STEP_DEG
+    return vector, np.sqrt(np.diag(J @ result.covariance[:3, :3] @ J.T))
+
+
+def _row(what: str, key: str, value: float, sigma: float, half: float, unit: str) -> ValueRow:
+    return row_of(what, key, value, sigma, unit, ends=(value - half, value + half))
+
+
+def _notes(result: HandEyeCalibration, posed: PosedBoards, moves_sheet: bool) -> list[str]:
+    notes = [
+        "The lens is held as the setup states it. Its error is in these sigmas, and so is an error of the "
+        "camera's place that undoes it: the two together see better than either."
+    ]
+    if posed.lens_covariance is None:
+        notes = [EXACT_LENS]
+    if not result.is_eye_to_hand:
+        deg, mm = float(result.sigma[:3].max()), float(result.sigma[3:].max())
+        notes.append(
+            "A track's sigmas go by hand_eye_deg and hand_eye_mm of [tolerance], which stay as they were: "
+            f"this calibration knows {deg:.2g}° and {mm:.2g} mm along the worst axes."
+        )
+        notes.append(
+            "The laser sheet was calibrated before, in the camera's frame. It moves with the camera."
+            if moves_sheet
+            else "The laser's plane in the tool stays as it was stated. `arctrack calibrate laser` puts it "
+            "where this pose of the camera sees it."
+        )
+    if result.is_scale_off:
+        notes.append(
+            f"The robot's motions make the board {result.scale:.4f} ± {result.scale_sigma:.4f} times as "
+            "large as stated: measure its squares, or calibrate the camera anew."
+        )
+    return notes

@@ -1,0 +1,93 @@
+"""From board images and the robot's poses to the camera's pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from arctrack.calibrate.hand_eye.hand_eye_meaning import other_meanings
+from arctrack.calibrate.hand_eye.hand_eye_poses import read_posed_boards
+from arctrack.calibrate.hand_eye.page import hand_eye_page
+from arctrack.calibrate.hand_eye.record import hand_eye_record
+from arctrack.calibrate.laser.record import moved_with_camera
+from arctrack.calibrate.robot_poses import PoseSource, read_robot_poses
+from arctrack.calibrate.stage import CalibrationStage, Steps, Warn, left_out
+from arctrack.errors import in_file
+from arctrack.recording import SetupFile
+from arctrack.recording.importing.image_files import find_images
+from calibration.boards.board import Board
+from calibration.camera.enough import UndeterminedError
+from calibration.hand_eye_boards.calibrate import HandEyeCalibration, calibrate_hand_eye
+from calibration.hand_eye_boards.enough import InconsistentError
+from noise_model.arrays import Float64
+
+CHECK = (
+    "check how rotations are written (--rotation), units, which pose is of which image, and the squares' side"
+)
+
+
+def hand_eye_stage(
+    sources: Sequence[Path],
+    board: Board,
+    stated: SetupFile,
+    source: PoseSource,
+    steps: Steps,
+    warn: Warn,
+    is_eye_to_hand: bool = False,
+) -> CalibrationStage[HandEyeCalibration]:
+    """Find the camera's pose in the tool, or in base.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        Folders of images, images, and patterns.
+    board : Board
+        The board.
+    stated : SetupFile
+        The setup, whose camera is calibrated.
+    source : PoseSource
+        The robot's poses.
+    steps : callable
+        Begins a step of the progress.
+    warn : callable
+        Is told at once which images are left out.
+    is_eye_to_hand : bool
+        The camera stands still, and the robot carries the board.
+
+    Returns
+    -------
+    Stage
+        The calibration.
+
+    Raises
+    ------
+    ArctrackError
+        Where the poses do not determine the camera, with the motion that is missing, or contradict the
+        boards.
+    """
+    posed = read_posed_boards(sources, board, stated, source, steps("looking for the board", "images"))
+    warn(posed.warnings)
+    warn(left_out(posed.left_out))
+    try:
+        result = calibrate_hand_eye(
+            posed.scene,
+            posed.seen,
+            posed.T_base_tool,
+            is_eye_to_hand=is_eye_to_hand,
+            lens_covariance=posed.lens_covariance,
+            progress=steps("fitting the camera's pose", "steps"),
+        )
+    except UndeterminedError as error:
+        # Readings that fit are named: numbers alone do not say which convention they follow.
+        def reread(other: PoseSource) -> Float64:
+            return read_robot_poses(other, find_images(sources), stated).at(posed.rows)
+
+        meanings = other_meanings(posed, source, reread, is_eye_to_hand=is_eye_to_hand)
+        fits = f"the poses fit the boards if they are read otherwise: {'; or '.join(meanings)}"
+        if isinstance(error, InconsistentError):
+            raise in_file(source.path, f"{error}: {fits if meanings else CHECK}") from None
+        raise in_file(source.path, fits if meanings else str(error)) from None
+    warn(left_out(result.left_out))
+    sheet = None if is_eye_to_hand else moved_with_camera(stated, result.T_holder_camera)
+    page = hand_eye_page(result, posed, stated.setup, moves_sheet=sheet is not None)
+    return CalibrationStage(result, page, (hand_eye_record(result), *([] if sheet is None else [sheet])))

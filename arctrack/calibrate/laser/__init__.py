@@ -1,0 +1,1 @@
+"""The calibration of the laser: pairs of images, stage, record and page."""

@@ -1,0 +1,213 @@
+"""calibrate_laser.html: the laser sheet's plane in words and pictures."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from arctrack.calibrate.laser.beam_page import beam_pictures, beam_rows, beam_sentences
+from arctrack.calibrate.laser.laser_pairs import LaserPairs
+from arctrack.calibrate.laser.record import PARAMETERS
+from arctrack.calibrate.page import (
+    EXACT_LENS,
+    HALF_95,
+    CalibrationPage,
+    PagePicture,
+    ValueRow,
+    row_of,
+    with_reasons,
+    with_sigma,
+)
+from arctrack.report import style
+from arctrack.report.embedded import svg
+from calibration.laser.beam import Beam
+from calibration.laser.calibrate import LaserCalibration
+from noise_model.arrays import Float64
+from noise_model.setup import Setup
+
+WORDS = ("normal, x", "normal, y", "normal, z", "distance, d")
+SAMPLE_PX = 800
+"""The image behind the stripes is thinned to so many px."""
+
+BINS, MIN_IN_BIN = 30, 20
+"""Parts of the stripe whose mean shows the sheet's bow, and the points that make a mean."""
+
+
+def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: Setup) -> CalibrationPage:
+    """Return what the page holds."""
+    points = np.concatenate(result.points_mm)
+    middle = points.mean(axis=0, keepdims=True)
+    sigma_mm = float(result.distance_sigma_mm(middle)[0])
+    row = np.append(middle, 1.0)
+    pairs_mm = math.sqrt(result.scatter * float(row @ result.fit.covariance @ row))
+    depth = points[:, 2]
+    tilt_deg = math.degrees(result.fit.tilt_sigma * math.sqrt(result.scatter))
+    plane, covariance = result.in_tool(setup.camera.T_tool_camera, setup.laser.plane)
+    sentences = [
+        f"{len(result.names)} pairs, {len(points)} points from {depth.min():.0f} to {depth.max():.0f} mm of "
+        f"depth lie {result.rms_mm:.3f} mm off the plane (RMS).",
+        f"Along its normal the plane is known to {sigma_mm:.3f} mm amid the points, 1 σ: {pairs_mm:.3f} mm "
+        f"from the pairs, the rest from the lens. Its lean about the stripes is known to {tilt_deg:.3f}°.",
+        f"It is turned by {turned_deg(plane, setup):.2f}° against the plane stated before.",
+    ]
+    bow = result.bow
+    if bow.is_sure:
+        size, within = with_sigma(abs(bow.bow_mm), bow.sigma_mm)
+        sentences.append(
+            f"The sheet is bent: {bow.half_mm:.0f} mm to either side its ends lie {size} ± {within} mm off "
+            "its middle. A plane does not hold that."
+        )
+    if result.scatter > 1.0:
+        sentences.append(
+            f"Pairs differ {math.sqrt(result.scatter):.1f} times as much as their noise predicts, and sigmas "
+            "are as much wider."
+        )
+    sentences += beam_sentences(beam)
+    notes = [
+        "The plane in the tool frame rests on the setup's pose of the camera, which counts as exact here."
+    ]
+    if pairs.lens_covariance is None:
+        notes.append(EXACT_LENS)
+    if pairs.lit:
+        most = 100.0 * max(pairs.lit.values())
+        notes.append(
+            f"{len(pairs.lit)} images show board and stripe at once. The board's own picture is taken off "
+            f"them, and up to {most:.1f} % of its contrast is left (1 σ)."
+        )
+    return CalibrationPage(
+        title="arctrack calibrates the laser sheet",
+        label="laser plane",
+        headline=plane_in_words(plane),
+        sentences=tuple(sentences),
+        rows=(*plane_rows(plane, covariance), *beam_rows(beam)),
+        pictures=(
+            PagePicture(
+                _in_plane(result),
+                "the points within the plane, a colour for each pair; lines are the stripes' fitted ones",
+                "The farther the stripes lie apart, the better the sheet's lean is known.",
+            ),
+            PagePicture(
+                _residuals(result),
+                "how far points are off the plane, along the stripe and pair by pair",
+                "What all pairs share along the stripe is a sheet that is bent, or a lens that is not right. "
+                "Bars are 1 σ of each pair's two ends.",
+            ),
+            PagePicture(
+                _image(result, pairs),
+                "where stripes and corners were seen, over the first image with the laser",
+                "",
+            ),
+            *beam_pictures(beam),
+        ),
+        maps=(),
+        notes=tuple(notes),
+        mark="no_gap" if result.scatter == 1.0 else "ambiguous",
+        left_out=with_reasons(pairs.left_out | result.left_out),
+    )
+
+
+def plane_rows(plane: Float64, covariance: Float64) -> tuple[ValueRow, ...]:
+    """Return the four numbers of a plane (4,) in the tool frame, with its covariance (4, 4)."""
+    rows = []
+    sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    for what, name, value, sigma in zip(WORDS, PARAMETERS, plane.tolist(), sigmas.tolist(), strict=True):
+        low, high = value - HALF_95 * sigma, value + HALF_95 * sigma
+        unit = "mm" if name == "d_mm" else ""
+        if not unit:
+            # A unit vector's component ends at 1.
+            low, high = (min(max(end, -1.0), 1.0) for end in (low, high))
+        rows.append(row_of(what, f"plane_in_tool, {name}", value, sigma, unit, ends=(low, high)))
+    return tuple(rows)
+
+
+def plane_in_words(plane: Float64) -> str:
+    """Return a plane (4,) of the tool frame as a headline."""
+    n_x, n_y, n_z, d = plane
+    return f"[{n_x:.5f}, {n_y:.5f}, {n_z:.5f}, {d:.3f}] in the tool frame"
+
+
+def turned_deg(plane: Float64, setup: Setup) -> float:
+    """Return by how much a plane (4,) is turned against the one that a setup states, deg."""
+    return math.degrees(math.acos(np.clip(plane[:3] @ setup.laser.plane[:3], -1.0, 1.0)))
+
+
+def _axes_of(result: LaserCalibration) -> tuple[Float64, Float64]:
+    """Return the mean direction of the stripes (3,), and that square to it within the plane (3,)."""
+    normal = result.plane[:3]
+    directions: list[Float64] = []
+    for line in result.lines:
+        ends = line.points(line.line.rays)
+        along = ends[1] - ends[0]
+        directions.append(along * np.sign(along @ (directions[0] if directions else along)))
+    along = np.mean(directions, axis=0)
+    along = along - (along @ normal) * normal
+    along = along / np.linalg.norm(along)
+    across = np.cross(normal, along)
+    return along, across * np.sign(across[2] or 1.0)
+
+
+def _in_plane(result: LaserCalibration) -> str:
+    figure = style.new_figure(10.5, 4.2, "")
+    axes = style.plain(figure.add_subplot(), "along the stripes [mm]", "across them, away [mm]")
+    along, across = _axes_of(result)
+    for points, line in zip(result.points_mm, result.lines, strict=True):
+        (drawn,) = axes.plot(points @ along, points @ across, ".", markersize=2, rasterized=True)
+        ends = line.points(line.line.rays)
+        axes.plot(ends @ along, ends @ across, "-", color=drawn.get_color(), linewidth=1.0)
+    axes.set_aspect("equal", adjustable="datalim")
+    return svg(figure)
+
+
+def _residuals(result: LaserCalibration) -> str:
+    figure = style.new_figure(10.5, 4.2, "")
+    course, pairs = figure.subplots(1, 2)
+    along, _ = _axes_of(result)
+    style.plain(course, "along the stripe [mm]", "mm", "off the plane")
+    places = [points @ along for points in result.points_mm]
+    for place, off in zip(places, result.off_mm, strict=True):
+        course.plot(place, off, ".", markersize=2, alpha=0.6, rasterized=True)
+    where, off = np.concatenate(places), np.concatenate(result.off_mm)
+    edges = np.linspace(where.min(), where.max(), BINS + 1)
+    part = np.searchsorted(edges, where).clip(1, BINS) - 1
+    full = [n for n in range(BINS) if (part == n).sum() >= MIN_IN_BIN]
+    course.plot(
+        [0.5 * (edges[n] + edges[n + 1]) for n in full],
+        [off[part == n].mean() for n in full],
+        "-",
+        color=style.BLACK,
+        linewidth=1.5,
+        label="mean of all pairs",
+    )
+    course.legend(fontsize=8)
+    style.plain(pairs, "pair", "mm", "the fitted line's two ends off the plane")
+    normal, d = result.plane[:3], result.plane[3]
+    for n, line in enumerate(result.lines):
+        ends = line.points(line.line.rays) @ normal + d
+        sigma = np.sqrt(result.scatter * np.diag(line.covariance(normal)))
+        pairs.errorbar([n - 0.12, n + 0.12], ends, sigma, fmt="o", color=style.BLUE, markersize=4)
+    pairs.axhline(0.0, color=style.BLACK, linewidth=0.8)
+    pairs.set_xticks(range(len(result.names)), result.names, rotation=90, fontsize=7)
+    return svg(figure)
+
+
+def _image(result: LaserCalibration, pairs: LaserPairs) -> str:
+    lens = pairs.scene.lens
+    figure = style.new_figure(7.0, 0.5 + 7.0 * lens.height / lens.width, "")
+    axes = style.plain(figure.add_subplot(), "column [px]", "row [px]")
+    if pairs.sample is not None:
+        low, high = np.percentile(pairs.sample, [1.0, 99.5])
+        step = -(-max(pairs.sample.shape) // SAMPLE_PX)
+        axes.imshow(
+            pairs.sample[::step, ::step],
+            cmap="gray",
+            vmin=low,
+            vmax=max(high, low + 1.0),
+            extent=(-0.5, lens.width - 0.5, lens.height - 0.5, -0.5),
+        )
+    axes.plot(*pairs.seen.points_px.T, ".", color=style.SKY, markersize=1.5, alpha=0.5, rasterized=True)
+    for stripe in result.stripes:
+        axes.plot(*stripe.points_px.T, ".", markersize=1.5, rasterized=True)
+    axes.grid(visible=False)
+    style.over_image(axes, lens.width, lens.height)
+    return svg(figure)

@@ -1,0 +1,61 @@
+"""From board images without and with the laser to the laser sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from arctrack.calibrate.laser.laser_pairs import read_pairs
+from arctrack.calibrate.laser.page import laser_page
+from arctrack.calibrate.laser.record import laser_record
+from arctrack.calibrate.stage import CalibrationStage, Steps, Warn, left_out
+from arctrack.errors import in_file
+from arctrack.recording import SetupFile
+from calibration.boards.board import Board
+from calibration.camera.enough import UndeterminedError
+from calibration.laser.beam import beam_of
+from calibration.laser.calibrate import LaserCalibration, calibrate_laser
+
+
+def laser_stage(
+    sources: Sequence[Path],
+    board: Board,
+    stated: SetupFile,
+    steps: Steps,
+    warn: Warn,
+) -> CalibrationStage[LaserCalibration]:
+    """Find the laser sheet in images of a board.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        Folders of images, images, and patterns.
+    board : Board
+        The board.
+    stated : SetupFile
+        The setup, whose camera is calibrated.
+    steps : callable
+        Begins a step of the progress.
+    warn : callable
+        Is told at once which images are left out.
+
+    Returns
+    -------
+    Stage
+        The calibration.
+
+    Raises
+    ------
+    ArctrackError
+        Where the images do not determine the sheet; it says which are missing.
+    """
+    pairs = read_pairs(sources, board, stated, steps("looking for board and stripe", "images"))
+    warn(left_out(pairs.left_out))
+    try:
+        result = calibrate_laser(pairs.scene, pairs.seen, pairs.stripes, pairs.lens_covariance)
+    except UndeterminedError as error:
+        raise in_file(sources[0], str(error)) from None
+    warn(left_out(result.left_out))
+    beam = beam_of(result, pairs.sections, pairs.scene.lens, stated.setup.camera, stated.setup.laser)
+    page = laser_page(result, pairs, beam, stated.setup)
+    return CalibrationStage(result, page, (laser_record(result, beam, stated.setup),))

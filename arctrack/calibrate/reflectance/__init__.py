@@ -1,0 +1,1 @@
+"""The reflectance of a metal: goniometer readings, record and picture."""

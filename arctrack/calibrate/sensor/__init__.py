@@ -1,0 +1,1 @@
+"""The calibration of the sensor: its frames, stage, record and pages."""

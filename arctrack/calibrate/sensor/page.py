@@ -1,0 +1,174 @@
+"""calibrate_sensor.html: the photon transfer of flat and dark frames in words and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
+from scipy.ndimage import uniform_filter
+
+from arctrack.calibrate.page import CalibrationPage, PagePicture, ValueRow, row_of
+from arctrack.report import style
+from arctrack.report.embedded import CHANGE, coloured, svg
+from calibration.sensor.flat_fields import SensorCalibration
+from calibration.sensor.levels import BOX_PX, Level
+from noise_model.arrays import Float64
+
+WORDS = {
+    "gain_e_per_dn": ("gain", "gain_e_per_dn"),
+    "black_level_dn": ("black level", "black_level_dn"),
+    "read_noise_e": ("read noise", "read_noise_e"),
+    "full_well_e": ("full well", "full_well_e"),
+    "gamma": ("gamma", "gamma"),
+    "dsnu_e": ("dark signal non-uniformity, DSNU", ""),
+    "prnu_rel": ("photo response non-uniformity, PRNU", ""),
+    "linearity_rel": ("linearity error, levels off the exposures' line", ""),
+}
+"""What each value is, and its key in [sensor]."""
+
+PERCENTS = ("prnu_rel", "linearity_rel")
+"""Values that people read in %."""
+
+MAP_PX, MAP_SIGMAS = 160, 3.0
+"""A pattern's picture shows so many pixels a side, and so many of its sigmas."""
+
+CURVE_POINTS = 400
+
+
+def sensor_rows(result: SensorCalibration) -> tuple[ValueRow, ...]:
+    """Return the values for people, percents as such."""
+    rows = []
+    for name, (what, key) in WORDS.items():
+        estimate = result[name]
+        factor, unit = (100.0, "%") if name in PERCENTS else (1.0, estimate.unit)
+        ends = (factor * estimate.low, factor * estimate.high)
+        row = row_of(what, key, factor * estimate.value, factor * estimate.sigma, unit, ends=ends)
+        rows.append(replace(row, sigma="held", interval="") if estimate.sigma == 0.0 else row)
+    return tuple(rows)
+
+
+def sensor_page(
+    result: SensorCalibration, levels: Sequence[Level], source: str, warnings: Sequence[str]
+) -> CalibrationPage:
+    """Return what the page holds."""
+    gain, read = result["gain_e_per_dn"], result["read_noise_e"]
+    well = "is seen" if result.well_is_seen else "is not seen: the charge at the last code stands for it"
+    kept = result.levels
+    fits = result.chi2_is_likely
+    sentences = (
+        f"{int(kept.is_lit.sum())} exposures below saturation, {kept.n_pixels} pixels each about the "
+        f"image's middle; {kept.n_defects} defect pixels are left out.",
+        f"The full well {well}.",
+        f"χ² of means and variances is {result.chi2:.2f} per degree of freedom"
+        + (
+            ": the model explains the frames."
+            if fits
+            else ": more than chance; the sigmas are scaled by its root."
+        ),
+    )
+    return CalibrationPage(
+        title=f"arctrack calibrates the sensor of {source}",
+        label="sensor",
+        headline=(
+            f"{gain.value:.4g} ± {gain.sigma:.2g} e-/DN, read noise {read.value:.3g} ± {read.sigma:.2g} e-"
+        ),
+        sentences=sentences,
+        rows=sensor_rows(result),
+        pictures=(
+            PagePicture(
+                _transfer(result),
+                "photon transfer: variance from frame to frame over the mean",
+                "Points are levels, with 1 σ of a variance of so many pixels; the line is the fit. Shot "
+                "noise alone has the slope 1 for gamma 1, and 2 − 1/γ else.",
+            ),
+            PagePicture(
+                _residuals(result),
+                "left: variances off the fit; right: charges off the line of the exposures",
+                "Noise within ±2 σ is chance. The band on the right is ± the linearity error.",
+            ),
+        ),
+        maps=_maps(result, levels),
+        notes=(),
+        mark="no_gap" if fits else "ambiguous",
+        left_out=(*(f"{name}: is saturated" for name in result.left_out), *warnings),
+    )
+
+
+def _transfer(result: SensorCalibration) -> str:
+    figure = style.new_figure(10.5, 4.6, "")
+    axes = figure.add_subplot()
+    style.plain(axes, "mean over black [DN]", "variance in time [DN²]")
+    kept, fit = result.levels, result.fit
+    black = result["black_level_dn"].value
+    lit = kept.is_lit
+    sigma = np.sqrt(fit.predicted.variance_of_variance / kept.n_pixels)
+    over_black = kept.mean_dn - black
+    axes.errorbar(
+        over_black[lit],
+        kept.variance_dn2[lit],
+        sigma[lit],
+        fmt="o",
+        color=style.BLUE,
+        markersize=4,
+        label="flat",
+    )
+    charge = np.geomspace(0.2 * fit.charge_e[lit].min(), result["full_well_e"].value, CURVE_POINTS)
+    mean, variance = result.curve(charge)
+    axes.plot(mean - black, variance, color=style.VERMILLION, linewidth=1.2, label="fit")
+    axes.axhline(
+        float(kept.variance_dn2[~lit].mean()),
+        color=style.GREY,
+        linewidth=1.0,
+        dashes=(5, 3),
+        label="dark frames",
+    )
+    axes.axvline(result.top_dn - black, color=style.BLACK, linewidth=0.8, dashes=(2, 2), label="saturation")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FormatStrFormatter("%g"))
+        axis.set_minor_formatter(NullFormatter())
+    axes.set_ylim(0.5 * kept.variance_dn2.min(), 3.0 * kept.variance_dn2.max())
+    axes.legend(fontsize=8)
+    return svg(figure)
+
+
+def _residuals(result: SensorCalibration) -> str:
+    figure = style.new_figure(10.5, 3.4, "")
+    noise, line = figure.subplots(1, 2)
+    kept, fit = result.levels, result.fit
+    sigma = np.sqrt(fit.predicted.variance_of_variance / kept.n_pixels)
+    style.plain(noise, "charge [e-]", "σ", "variance − fit")
+    noise.axhspan(-2.0, 2.0, color=style.GREY, alpha=0.12, lw=0)
+    noise.plot(fit.charge_e, (kept.variance_dn2 - fit.predicted.variance_dn2) / sigma, "o", color=style.BLUE)
+    style.plain(line, "exposure [ms]", "%", "charge over that of the exposures' line − 1")
+    tau = 100.0 * result["linearity_rel"].value
+    line.axhspan(-tau, tau, color=style.GREY, alpha=0.15, lw=0)
+    line.plot(1e3 * kept.exposure_s[kept.is_lit], 100.0 * fit.departures, "o", color=style.BLUE)
+    return svg(figure)
+
+
+def _maps(result: SensorCalibration, levels: Sequence[Level]) -> tuple[PagePicture, ...]:
+    """Return the pattern in the dark and of the brightest level that counts."""
+    dark = next(level for level in levels if not level.is_lit)
+    kept = max(result.levels.exposure_s[result.levels.is_lit])
+    bright = next(level for level in levels if level.is_lit and level.exposure_s == kept)
+    light = float(bright.mean_dn.mean()) - result["black_level_dn"].value
+    pictures = []
+    for level, scale, unit in ((dark, 1.0, "DN"), (bright, 100.0 / light, "% of the light")):
+        pattern = scale * _middle(level)
+        reach = MAP_SIGMAS * float(pattern.std())
+        caption = (
+            f"{level.name}, {pattern.shape[1]} × {pattern.shape[0]} px: ±{reach:.2g} {unit}, blue darker"
+        )
+        pictures.append(PagePicture(coloured(pattern.astype(np.float32), CHANGE, -reach, reach), caption))
+    return tuple(pictures)
+
+
+def _middle(level: Level) -> Float64:
+    pattern = level.mean_dn - uniform_filter(level.mean_dn, BOX_PX)
+    rows, columns = (slice(max((n - MAP_PX) // 2, 0), (n + MAP_PX) // 2) for n in pattern.shape)
+    return np.asarray(pattern[rows, columns], dtype=np.float64)

@@ -1,0 +1,48 @@
+"""What every calibration leaves, and how it says how far it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from arctrack.calibrate.page import CalibrationPage
+from arctrack.recording import CalibrationValues
+
+Tell = Callable[[int, int], None]
+"""Is told how much is done, and of how much."""
+
+Steps = Callable[[str, str], Tell]
+"""Begins a step, by what is done and what is counted; what it returns is told how far the step is."""
+
+Warn = Callable[[Iterable[str]], None]
+"""Is told at once what a user should know, a line each."""
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class CalibrationStage(Generic[Result]):
+    """A calibration that was done.
+
+    Parameters
+    ----------
+    result : Result
+        What was found.
+    page : CalibrationPage
+        What its page holds.
+    records : tuple of Calibrated
+        The values for the setup.
+    refusal : str, optional
+        Why the values must not go into a setup.
+    """
+
+    result: Result
+    page: CalibrationPage
+    records: tuple[CalibrationValues, ...]
+    refusal: str | None = None
+
+
+def left_out(reasons: Mapping[str, str]) -> Iterator[str]:
+    """Say what of an input is not used, and why, a line each."""
+    return (f"{name}: left out: {reason}" for name, reason in reasons.items())

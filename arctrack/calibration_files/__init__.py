@@ -1,1 +1,0 @@
-"""Raw measurements that calibrations read: boards, gauges, poses, flat frames, goniometer, filter curves."""

@@ -1,1 +1,0 @@
-"""What calibrations write: values for a setup with their covariance, and the records beside them."""

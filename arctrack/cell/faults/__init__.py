@@ -1,1 +1,0 @@
-"""What goes wrong in a cell, and what happens in welding."""

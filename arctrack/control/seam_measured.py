@@ -1,0 +1,49 @@
+"""Where a track and its pose put the seam that was seen: what the watch over the poses is shown."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from arctrack.control.innovation import SeamMeasurement
+from noise_model.setup import Setup
+from noise_model.surface.joint import seam_frame
+from noise_model.transforms import invert, transform
+from tracker.seam.locate import seam_displacement
+from tracker.state import Pose, Track
+
+
+def seam_measured(
+    setup: Setup, track: Track, pose: Pose | None, hand_eye_variance_mm2: tuple[float, float]
+) -> SeamMeasurement | None:
+    """Return where a track's pose puts the seam that it saw; None where it saw none.
+
+    Its sigma leaves the hand-eye tolerance out. That error turns with the tool, and is the same from frame to
+    frame.
+
+    Parameters
+    ----------
+    setup : Setup
+        The nominal setup.
+    track : Track
+        The frame's result.
+    pose : Pose or None
+        The tool's pose at the capture.
+    hand_eye_variance_mm2 : tuple (2,)
+        What the tolerance has added to the variances of the track's (y, z), mm^2.
+    """
+    if pose is None or not math.isfinite(track.seam_tool_mm[1]):
+        return None
+    seam_tool = np.array(track.seam_tool_mm)
+    seam_base = transform(pose.T_base_tool, seam_tool)
+    T_joint_tool = invert(seam_frame(setup.joint, seam_base)) @ pose.T_base_tool
+    station_mm, displacement = seam_displacement(setup, T_joint_tool, seam_tool)
+    y_mm, z_mm = displacement.tolist()
+    sigma_y_mm, sigma_z_mm = (
+        math.sqrt(max(0.0, sigma_mm**2 - of_hand_eye))
+        for sigma_mm, of_hand_eye in zip(
+            (track.sigma_y_mm, track.sigma_z_mm), hand_eye_variance_mm2, strict=True
+        )
+    )
+    return SeamMeasurement(station_mm, (y_mm, z_mm), (sigma_y_mm, sigma_z_mm))

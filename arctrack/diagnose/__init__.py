@@ -1,0 +1,1 @@
+"""Recordings compared with the model, and the pages that say what differs."""

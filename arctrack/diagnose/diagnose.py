@@ -1,0 +1,178 @@
+"""Recordings diagnosed: read, compared with the model, written down; one at a time or many at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from arctrack import workers
+from arctrack.diagnose.diagnosis_files import FILES, REPORT_PAGE, write_numbers
+from arctrack.errors import ArctrackError, in_file
+from arctrack.output import folders_for, make_folder, real, write_whole
+from arctrack.printable import printable
+from arctrack.recording import pose_at, read_recording
+from arctrack.recording.setup_file import FILE_NAME, with_effects
+from arctrack.workers import FailedJob
+from noise_model.effects import REGISTRY
+from noise_model.setup import Setup
+from noise_model.spelling import cure_for
+from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict, HeldOutPrediction, NamedEffect
+
+DIAGNOSIS_FOLDER = "diagnosis"
+
+THREADS = 2
+"""Threads of a recording that is diagnosed alone: beside other processes one is best."""
+
+OnStage = Callable[[str, float], None]
+"""Hears what a diagnosis does now, and which share of it is done."""
+
+
+@dataclass(frozen=True)
+class DiagnosisJob:
+    """One recording to diagnose: where its files go, another setup than its own, effects left out."""
+
+    recording: Path
+    folder: Path
+    setup_path: Path | None = None
+    without: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The recording's name, fit to print."""
+        return printable(real(self.recording).name)
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosisResult:
+    """A recording after its diagnosis, which comes without its images: those are in the folder.
+
+    `setup` is the one that the recording was held against; `complaint` is one line on frames that could not
+    be read, None if all could.
+    """
+
+    job: DiagnosisJob
+    setup: Setup
+    diagnosis: Diagnosis
+    warnings: tuple[str, ...]
+    complaint: str | None
+
+
+Outcome = DiagnosisResult | FailedJob[DiagnosisJob]
+
+
+def jobs_for(
+    recordings: Sequence[Path],
+    out: Path | None = None,
+    setup_path: Path | None = None,
+    without: Sequence[str] = (),
+) -> list[DiagnosisJob]:
+    """Return what there is to do; ArctrackError for an unknown effect and for folders that would be shared.
+
+    Paths come out absolute: a process elsewhere has its own working directory.
+    """
+    _check_effects(without)
+    setup = None if setup_path is None else setup_path.absolute()
+    paths = [recording.absolute() for recording in recordings]
+    where = None if out is None else out.absolute()
+    folders = folders_for(paths, where, DIAGNOSIS_FOLDER, "its diagnosis would replace another")
+    return [
+        DiagnosisJob(path, folder, setup, tuple(without)) for path, folder in zip(paths, folders, strict=True)
+    ]
+
+
+def diagnose_recording(
+    job: DiagnosisJob, on_stage: OnStage | None = None, threads: int = THREADS
+) -> DiagnosisResult:
+    """Diagnose a recording and write report.json, where.npz, predicted.npz and report.html.
+
+    So many `threads` predict frames at once. Raises ArctrackError for what the user can mend.
+    """
+    from arctrack.diagnose.pages.page import write_page
+    from sim_to_real.diagnose import diagnose
+
+    recording = read_recording(job.recording, job.setup_path)
+    make_folder(job.folder, FILES)
+    frames, bad_frames = recording.readable_frames()
+    poses = recording.pose_buffer()
+    try:
+        # The clock's delay is the diagnosis' to find: poses are those of the time it asks for.
+        result = diagnose(
+            recording.setup,
+            frames,
+            lambda timestamp_s: pose_at(poses, timestamp_s),
+            without=job.without,
+            on_stage=on_stage,
+            threads=threads,
+        )
+    except ValueError as error:
+        raise in_file(job.recording, str(error)) from error
+    # Numbers first: whatever happens to the page, the work is not lost.
+    write_numbers(result, job.folder, job.without)
+    write_page(result, recording, job.without, job.folder / REPORT_PAGE)
+    return DiagnosisResult(
+        job,
+        recording.setup,
+        without_images(result),
+        recording.warnings,
+        recording.complaint(bad_frames, "the diagnosis is that of the others"),
+    )
+
+
+def in_turn(jobs: Iterable[DiagnosisJob], on_stage: Callable[[DiagnosisJob], OnStage]) -> Iterator[Outcome]:
+    """Diagnose recordings one after another in this process; one that fails does not stop the others."""
+    for job in jobs:
+        try:
+            yield diagnose_recording(job, on_stage(job))
+        except Exception as error:
+            yield FailedJob(job, error)
+
+
+def at_once(jobs: Iterable[DiagnosisJob], executor: Executor) -> Iterator[Outcome]:
+    """Diagnose recordings wherever an executor runs them, and yield each as it comes."""
+    return workers.at_once(partial(diagnose_recording, threads=1), jobs, executor)
+
+
+def apply(diagnosed: DiagnosisResult) -> str:
+    """Write the effects that a verdict names into the recording's recording.toml; return a note of it.
+
+    The file is replaced at once, or not at all. ArctrackError, and nothing is written, if the verdict is
+    that the recording cannot say which effect it is, or that none fits.
+    """
+    job, diagnosis = diagnosed.job, diagnosed.diagnosis
+    path = job.recording / FILE_NAME
+    if diagnosis.verdict is DiagnosisVerdict.NO_GAP:
+        return f"{path}: no gap, so there is nothing to write"
+    if diagnosis.verdict is not DiagnosisVerdict.EFFECTS or not diagnosis.effects:
+        raise in_file(
+            path,
+            f"nothing was written: --apply writes effects that a verdict names, this one is "
+            f"{diagnosis.verdict.value!r}",
+        )
+    write_whole(path, with_effects(path, diagnosis.effects))
+    return f"{path}: wrote {', '.join(map(_table, diagnosis.effects))}"
+
+
+def without_images(diagnosis: Diagnosis) -> Diagnosis:
+    """Return a diagnosis that is small enough to hand from process to process."""
+    none = np.empty((0, 0, 0), dtype=np.float32)
+    predicted = HeldOutPrediction(
+        diagnosis.predicted.frames, np.empty((0, 0, 0), dtype=np.uint8), none, none, none, none
+    )
+    where = replace(diagnosis.where, z=np.empty((0, 0), dtype=np.float32))
+    return replace(diagnosis, where=where, predicted=predicted)
+
+
+def _check_effects(ids: Iterable[str]) -> None:
+    for name in ids:
+        if name not in REGISTRY:
+            raise ArctrackError(f"--without {name}: there is no such effect; {cure_for(name, REGISTRY)}")
+
+
+def _table(effect: NamedEffect) -> str:
+    values = ", ".join(f"{name} = {estimate.value:.6g}" for name, estimate in effect.parameters.items())
+    return f"[effects.{effect.id}] {values}"

@@ -1,0 +1,217 @@
+"""The process that keeps a live run's black box: it saves the latest frames on a fault, or on request."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+
+import numpy as np
+
+from arctrack.errors import ArctrackError
+from arctrack.live.black_box.save import JobSetup, NothingToSaveError, save_window
+from arctrack.live.journal.journal import JournalReader, remove_dead_journal
+from arctrack.live.journal.message_pipe import PipeEnd
+from arctrack.live.journal.records import Status
+from arctrack.live.journal.ring import RingError
+from arctrack.offset_count import COMMANDED
+from robot_io import Fault, Validity
+
+LOOK_S = 0.05
+"""So often the run's status is looked at: half as long as it is written."""
+
+AFTERMATH_S = 2.0
+"""So long after a fault the window ends: what followed is of interest too. The journal has room for it."""
+
+MIN_BETWEEN_S, MAX_FAULTS_SAVED = 60.0, 20
+"""A fault that comes again fills no disk: so long between two, so many in a run. Requests are not counted."""
+
+TRY_S = 10.0
+"""So often it is tried whether the folder can be written, s: three times before a fault's frames are gone."""
+
+END = "end"
+"""What is told to a recorder whose run has ended as it should."""
+
+
+@dataclass(frozen=True)
+class RecorderOptions:
+    """What a black box keeps, and where it goes.
+
+    Parameters
+    ----------
+    run : str
+        The run's name.
+    folder : Path
+        Where recordings go.
+    kept_s : float
+        How far back they reach, s.
+    rate_hz : float
+        The frames' rate, by which their video is played.
+    jobs : mapping of int to JobSetup
+        The jobs' setups.
+    saves_faults : bool
+        Whether faults are saved too, and not requests alone.
+    """
+
+    run: str
+    folder: Path
+    kept_s: float
+    rate_hz: float
+    jobs: Mapping[int, JobSetup]
+    saves_faults: bool = True
+
+
+class FaultWatch:
+    """Says when a run's status shows a fault that nobody commanded."""
+
+    def __init__(self) -> None:
+        self._was_valid = False
+        self._fault = Fault.NONE
+
+    def look(self, status: Status) -> str | None:
+        """Take the newest status, and return why its frames are to be saved; None while they are not."""
+        before, self._fault = self._fault, status.fault
+        was_valid = self._was_valid
+        offset = status.offset
+        self._was_valid = offset is not None and offset.validity is Validity.VALID
+        if status.fault is not Fault.NONE:
+            return f"fault_{status.fault.name.lower()}" if before is Fault.NONE else None
+        is_refused = offset is not None and offset.validity is Validity.REFUSED
+        if was_valid and is_refused and status.reason not in COMMANDED:
+            return f"refused_{status.reason.name.lower()}"
+        return None
+
+
+def folder_problem(folder: Path, needed_bytes: int) -> str:
+    """Return why a black box of some bytes could not be written into a folder; empty where it could."""
+    # What is not there yet is made once something is saved.
+    nearest = next((path for path in (folder, *folder.parents) if path.exists()), folder)
+    try:
+        with tempfile.TemporaryFile(dir=nearest) as file:
+            file.write(bytes(1))
+            file.flush()
+        free_bytes = shutil.disk_usage(nearest).free
+    except OSError as error:
+        return f"{folder}: cannot be written: {error.strerror}"
+    if free_bytes < needed_bytes:
+        sizes = f"{free_bytes / 1e6:.0f} MB free, a black box takes up to {needed_bytes / 1e6:.0f} MB"
+        return f"{folder}: {sizes}"
+    return ""
+
+
+def run_recorder(options: RecorderOptions, told: Connection, *asked: PipeEnd) -> None:
+    """Keep a run's black box until its other end says so, or is gone.
+
+    Over `told` it says that it is ready, then what keeps it from saving, and "" once nothing does. Each
+    connection of `asked` may send {"save": reason}; that is answered by {"saved": path} or {"error": text}.
+    Where the run's process ends without a word, its last frames are saved.
+    """
+    reader = JournalReader(options.run)
+    told.send([])
+    recorder = _Recorder(options, reader, told)
+    open_ends: list[Connection | PipeEnd] = [told, *asked]
+    while True:
+        ends = {end.fileno(): end for end in open_ends}
+        for number in wait(ends, LOOK_S):
+            assert isinstance(number, int)
+            end = ends[number]
+            try:
+                message = end.recv()
+            except (EOFError, OSError):
+                open_ends.remove(end)
+                if end is told:
+                    if options.saves_faults:
+                        recorder.save_last("run_ended_by_itself")
+                    remove_dead_journal(options.run)
+                    return
+                continue
+            if message == END:
+                recorder.finish()
+                told.close()
+                return
+            answer = recorder.save(str(message["save"]))
+            with suppress(OSError):
+                end.send(answer)
+        recorder.try_folder()
+        if options.saves_faults:
+            recorder.look()
+
+
+class _Recorder:
+    def __init__(self, options: RecorderOptions, reader: JournalReader, told: Connection) -> None:
+        self._options, self._reader, self._told = options, reader, told
+        self._watch = FaultWatch()
+        self._due: tuple[float, str] | None = None
+        self._forgotten_s = self._saved_s = float("-inf")
+        self._faults_saved = 0
+        self._tried_s, self._problem = float("-inf"), ""
+
+    def try_folder(self) -> None:
+        """Say whether a black box could be written now, where it is time to try."""
+        now_s = time.monotonic()
+        if now_s - self._tried_s >= TRY_S:
+            self._tried_s = now_s
+            setup = next(iter(self._options.jobs.values())).setup
+            image_bytes = setup.camera.height * setup.camera.width * np.dtype(setup.sensor.dtype).itemsize
+            needed_bytes = round(self._options.kept_s * self._options.rate_hz * image_bytes)
+            self._tell(folder_problem(self._options.folder, needed_bytes))
+
+    def look(self) -> None:
+        """Look at the run's status, and save what a fault has left once its aftermath is over."""
+        status = self._reader.status()
+        reason = None if status is None else self._watch.look(status)
+        now_s = time.monotonic()
+        is_rare = now_s - self._saved_s > MIN_BETWEEN_S and self._faults_saved < MAX_FAULTS_SAVED
+        if reason is not None and self._due is None and is_rare:
+            self._due = (now_s + AFTERMATH_S, reason)
+            self._forgotten_s = now_s + self._options.kept_s
+        if self._due is not None and now_s >= self._due[0]:
+            self.finish()
+
+    def finish(self) -> None:
+        """Save what waits for its aftermath; where it cannot be written, again while its frames are there."""
+        if self._due is None:
+            return
+        _, reason = self._due
+        answer, now_s = self.save(reason), time.monotonic()
+        if "saved" in answer:
+            self._faults_saved += 1
+        else:
+            self._tell(f"{reason} is not saved: {answer['error']}")
+        is_over = "saved" in answer or now_s + TRY_S > self._forgotten_s
+        self._due = None if is_over else (now_s + TRY_S, reason)
+        self._tried_s = now_s
+
+    def save_last(self, reason: str) -> None:
+        """Save the window of a run that is gone."""
+        self._due = (0.0, reason)
+        self.finish()
+
+    def save(self, reason: str) -> dict[str, str]:
+        """Save the window, and return what the one who asked is told."""
+        options = self._options
+        name = "".join(letter if letter.isalnum() else "_" for letter in reason)[:60]
+        path = options.folder / f"{time.strftime('%Y-%m-%dT%H-%M-%S')}_{name}"
+        self._saved_s = time.monotonic()
+        try:
+            save_window(self._reader, options.kept_s, dict(options.jobs), options.rate_hz, path, reason)
+        except (NothingToSaveError, ArctrackError, OSError, RingError) as error:
+            return {"error": str(error)}
+        return {"saved": str(path)}
+
+    def _tell(self, problem: str) -> None:
+        """Say what keeps a black box from being written; on stderr where the run has ended."""
+        if problem == self._problem:
+            return
+        self._problem = problem
+        try:
+            self._told.send(problem)
+        except OSError:
+            with suppress(OSError):
+                print(f"arctrack: warning: black box: {problem}", file=sys.stderr, flush=True)

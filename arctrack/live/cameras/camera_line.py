@@ -1,0 +1,147 @@
+"""What a tracker wants of a camera, from one process to another through memory that they share.
+
+The line holds how long the laser is on, the exposure that is wanted, and when the arc is at its base current.
+Laser and pulse hold until a time. Who drives the line says so again and again: a driver that dies, or stops,
+lets the time run out, and the laser goes off by itself.
+"""
+
+from __future__ import annotations
+
+import math
+import mmap
+import os
+import struct
+import time
+import zlib
+from contextlib import suppress
+from dataclasses import astuple, dataclass, replace
+from pathlib import Path
+
+from arctrack.live.journal.private_memory import open_private, private_path
+from arctrack.live.journal.ring import LOOKS
+from robot_io import RobotPulse
+
+HOLD_S = 0.3
+"""So long the laser stays on after it was switched on last: as long as the longest look at a frame, twice."""
+
+PULSE_HOLD_S = 0.35
+"""So long a pulse holds after the robot told it last: three cycles and a half, two may be lost."""
+
+_WANTED, _CHECKSUM = struct.Struct("<6d"), struct.Struct("<I")
+_BYTES = _WANTED.size + _CHECKSUM.size
+
+
+@dataclass(frozen=True)
+class CaptureRequest:
+    """What a tracker wants; times are of the host's monotonic clock.
+
+    Attributes
+    ----------
+    laser_until_s : float
+        The laser is on until then, s.
+    exposure_s : float
+        The exposure, s; NaN for the camera's own.
+    base_begin_s : float
+        When a base phase of the pulsed arc began, s; NaN where no pulse is known.
+    period_s : float
+        The pulse's period, s.
+    base_s : float
+        How long each base phase lasts, s.
+    pulse_until_s : float
+        What is known of the pulse holds until then, s.
+    """
+
+    laser_until_s: float = 0.0
+    exposure_s: float = math.nan
+    base_begin_s: float = math.nan
+    period_s: float = math.nan
+    base_s: float = math.nan
+    pulse_until_s: float = 0.0
+
+
+WIRED_ON = CaptureRequest(laser_until_s=math.inf)
+"""What is wanted of a camera whose line nobody ever drove: its laser is on for good."""
+
+
+def line_path(name: str) -> Path:
+    """Return where the line of a camera's name lies."""
+    return private_path(f"line-{name}")
+
+
+class CameraLine:
+    """Drives the line of a camera; the laser is off at first.
+
+    Parameters
+    ----------
+    name : str
+        The name of the camera's frames.
+    """
+
+    def __init__(self, name: str) -> None:
+        path = line_path(name)
+        new = path.with_name(f"{path.name}.{os.getpid()}")
+        new.unlink(missing_ok=True)
+        file = open_private(new, os.O_RDWR | os.O_CREAT)
+        try:
+            os.posix_fallocate(file, 0, _BYTES)
+            self._memory = mmap.mmap(file, _BYTES)
+        finally:
+            os.close(file)
+        self._write(CaptureRequest())
+        # A camera finds a line that is whole, and never one that is not there.
+        new.rename(path)
+
+    def switch_laser(self, is_on: bool) -> None:
+        """Switch the laser; on lasts for HOLD_S."""
+        self._write(replace(self._wanted, laser_until_s=time.monotonic() + HOLD_S if is_on else 0.0))
+
+    def want_exposure(self, exposure_s: float) -> None:
+        """Ask for an exposure, s, from the next frame on."""
+        self._write(replace(self._wanted, exposure_s=exposure_s))
+
+    def tell_pulse(self, pulse: RobotPulse, came_at_s: float) -> None:
+        """Tell the arc's pulse as the robot said it at a monotonic time, s; none where it says unknown."""
+        if not pulse.period_us or not pulse.base_us or not math.isfinite(pulse.begin_age_ms):
+            self._write(replace(self._wanted, pulse_until_s=0.0))
+            return
+        self._write(
+            replace(
+                self._wanted,
+                base_begin_s=came_at_s - pulse.begin_age_ms / 1000.0,
+                period_s=pulse.period_us / 1e6,
+                base_s=pulse.base_us / 1e6,
+                pulse_until_s=came_at_s + PULSE_HOLD_S,
+            )
+        )
+
+    def close(self) -> None:
+        """Switch the laser off for good."""
+        if not self._memory.closed:
+            self.switch_laser(False)
+            self._memory.close()
+
+    def _write(self, wanted: CaptureRequest) -> None:
+        self._wanted = wanted
+        packed = _WANTED.pack(*astuple(wanted))
+        self._memory[:] = packed + _CHECKSUM.pack(zlib.crc32(packed))
+
+
+def read_line(name: str) -> CaptureRequest:
+    """Return what is wanted of a camera; `WIRED_ON` where nobody ever drove its line."""
+    for _ in range(LOOKS):
+        try:
+            file = open_private(line_path(name), os.O_RDONLY)
+        except FileNotFoundError:
+            return WIRED_ON
+        with os.fdopen(file, "rb") as line:
+            held = line.read()
+        packed, checksum = held[: _WANTED.size], held[_WANTED.size :]
+        if len(held) == _BYTES and checksum == _CHECKSUM.pack(zlib.crc32(packed)):
+            return CaptureRequest(*_WANTED.unpack(packed))
+    return CaptureRequest()
+
+
+def remove_line(name: str) -> None:
+    """Remove a line, as the camera does that begins or ends."""
+    with suppress(FileNotFoundError):
+        line_path(name).unlink()

@@ -1,0 +1,166 @@
+"""A video, or a folder of images, as a source: each frame comes once its exposure would be over."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from itertools import count, repeat
+from pathlib import Path
+
+import numpy as np
+
+from arctrack.errors import ArctrackError, in_file
+from arctrack.live.cameras.capture.luma import LumaVideo
+from arctrack.live.cameras.capture.source import Ask, wait_until
+from arctrack.recording.importing.image_decoder import EncodedImage
+from arctrack.recording.importing.image_files import find_images
+from arctrack.recording.tables import FrameRow, read_frame_rows
+from noise_model.arrays import Integers
+from noise_model.setup import Setup
+from tracker.state import NAN, Frame, frame_misfit
+
+Images = Callable[[], Iterator[Integers | None]]
+"""Yields the images from the first on, None for one that cannot be read."""
+
+
+def sidecar_of(path: Path) -> Path:
+    """Return where the times of a video, or of a folder of images, lie: its name with .csv."""
+    return path.parent / f"{path.stem if path.is_file() else path.name}.csv"
+
+
+class FileSource:
+    """Plays images at their times, or at a rate, from the moment at which it begins.
+
+    Parameters
+    ----------
+    path : Path
+        The video, or the folder.
+    images : callable
+        Yields the images.
+    rate_hz : float
+        Frames a second, where no table states their times.
+    exposure_s : float
+        Their exposure, s, where no table states it.
+    is_looped : bool
+        Whether the first frame follows the last one.
+    """
+
+    def __init__(
+        self, path: Path, images: Images, rate_hz: float, exposure_s: float, is_looped: bool
+    ) -> None:
+        table = sidecar_of(path)
+        self._images, self._is_looped = images, is_looped
+        self._rows = read_frame_rows(table)[0] if table.exists() else ()
+        self._rate_hz, self._exposure_s = rate_hz, exposure_s
+        self._began_s = math.nan
+        self._played = self._frames()
+        self._next = next(self._played, None)
+        if self._next is None:
+            raise in_file(path, "holds no frame")
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the last frame was read."""
+        return self._next is None
+
+    def begin(self) -> None:
+        """Let the first frame's exposure begin now."""
+        self._began_s = time.monotonic()
+
+    def read(self) -> Frame | None:
+        """Return the next frame once its time has come; None before, and for one that is damaged."""
+        if self._next is None:
+            return None
+        row, image_dn = self._next
+        captured_s = self._began_s + row.timestamp_s
+        if not wait_until(captured_s + row.exposure_s / 2.0):
+            return None
+        # The next one is decoded now: when its time has come there is none for it.
+        self._next = next(self._played, None)
+        if image_dn is None:
+            return None
+        return Frame(row.index, captured_s, image_dn, row.exposure_s, row.current_a, row.laser_on, row.arc_on)
+
+    def close(self) -> None:
+        """Play no more."""
+        self._next = None
+
+    def _frames(self) -> Iterator[tuple[FrameRow, Integers | None]]:
+        """Yield frames, and their rows with times from the beginning on."""
+        index, begins_s = 0, 0.0
+        for _ in repeat(None) if self._is_looped else (None,):
+            ends_s, taken = begins_s, 0
+            for row, image_dn in zip(self._own_rows(), self._images(), strict=False):
+                captured_s = begins_s + row.timestamp_s
+                shown = FrameRow(
+                    index + row.index, captured_s, row.laser_on, row.arc_on, row.current_a, row.exposure_s
+                )
+                yield shown, image_dn
+                period_s = captured_s - ends_s if taken else 1.0 / self._rate_hz
+                ends_s, taken = captured_s, row.index + 1
+            if taken == 0:
+                return
+            index, begins_s = index + taken, ends_s + period_s - self._first_s
+
+    @property
+    def _first_s(self) -> float:
+        return self._rows[0].exposure_s / 2.0 if self._rows else self._exposure_s / 2.0
+
+    def _own_rows(self) -> Iterator[FrameRow]:
+        """Yield the rows of the table from number 0 on, else as many as are asked for."""
+        if self._rows:
+            first = self._rows[0]
+            shift_s = self._first_s - first.timestamp_s
+            for row in self._rows:
+                yield FrameRow(
+                    row.index - first.index,
+                    row.timestamp_s + shift_s,
+                    row.laser_on,
+                    row.arc_on,
+                    row.current_a,
+                    row.exposure_s,
+                )
+            return
+        for n in count():
+            yield FrameRow(n, self._first_s + n / self._rate_hz, True, True, NAN, self._exposure_s)
+
+
+def video_source(path: Path, setup: Setup, is_looped: bool, _ask: Ask) -> FileSource:
+    """Return a video as a source; ArctrackError if it cannot be read, or does not fit the setup."""
+    video = LumaVideo(path)
+    problem = frame_misfit(video.shape, video.dtype, setup)
+    if problem is not None:
+        raise in_file(path, problem)
+    if not video.rate_hz > 0.0 and not sidecar_of(path).exists():
+        raise in_file(path, f"states no frame rate: put the times into {sidecar_of(path).name} beside it")
+    return FileSource(path, video.frames, video.rate_hz or 1.0, setup.camera.exposure_s, is_looped)
+
+
+def folder_source(path: Path, setup: Setup, rate_hz: float, is_looped: bool, _ask: Ask) -> FileSource:
+    """Return a folder of images as a source, by their numbers.
+
+    Raises ArctrackError if there is none, or if the first does not fit the setup.
+    """
+    if not path.is_dir():
+        raise in_file(path, "is no folder; state the folder of the images")
+    paths = find_images([path]).paths
+    first = EncodedImage(paths[0]).pixels()
+    problem = frame_misfit(first.shape, first.dtype, setup)
+    if problem is not None:
+        raise in_file(paths[0], problem)
+
+    def images() -> Iterator[Integers | None]:
+        for pixels in map(_pixels_of, paths):
+            fits = pixels is not None and frame_misfit(pixels.shape, pixels.dtype, setup) is None
+            yield pixels if fits else None
+
+    return FileSource(path, images, rate_hz, setup.camera.exposure_s, is_looped)
+
+
+def _pixels_of(path: Path) -> Integers | None:
+    """Return an image's pixels, None where it was damaged since."""
+    try:
+        return np.ascontiguousarray(EncodedImage(path).pixels())
+    except ArctrackError:
+        return None

@@ -1,0 +1,46 @@
+"""When to trigger a camera for the base phase of a pulsed arc, where its light is least.
+
+The robot tells when a base phase began, the period, and how long the phase lasts. A frame is to lie within
+it: its middle in the phase's middle. What the host can err by, SLACK_S, must fit on both sides: the age on
+the bus is rounded to 0.1 ms, the message waits some 0.5 ms for others, a sleep ends up to 0.2 ms late, and
+the command to trigger is up to 1 ms on its way.
+"""
+
+from __future__ import annotations
+
+import math
+
+from arctrack.live.cameras.camera_line import CaptureRequest
+
+SLACK_S = 0.002
+"""How much later or sooner than meant a frame may be exposed, s: the sum of what is named above."""
+
+
+def is_reached(wanted: CaptureRequest, exposure_s: float, now_s: float) -> bool:
+    """Return whether a base phase is known, and is long enough for a frame that the host triggers."""
+    return now_s < wanted.pulse_until_s and wanted.base_s >= exposure_s + 2.0 * SLACK_S
+
+
+def trigger_at_s(wanted: CaptureRequest, exposure_s: float, due_s: float, now_s: float) -> float:
+    """Return when to trigger a frame that is due, s.
+
+    Parameters
+    ----------
+    wanted : Wanted
+        What is known of the pulse.
+    exposure_s : float
+        The exposure, s.
+    due_s : float
+        When the frame is due, s: it comes then, or in the first base phase after.
+    now_s : float
+        The time, s.
+
+    Returns
+    -------
+    float
+        When its exposure is to begin, s; `due_s` where no base phase is known that it fits in.
+    """
+    if not is_reached(wanted, exposure_s, now_s):
+        return due_s
+    begin_s = wanted.base_begin_s + (wanted.base_s - exposure_s) / 2.0
+    return begin_s + wanted.period_s * math.ceil((due_s - begin_s) / wanted.period_s)

@@ -1,0 +1,84 @@
+"""A recording as a camera: each frame comes when its time has come, on the recording's own clock."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+from arctrack.live.cameras.camera import PLAYED, UnreadableFrame
+from arctrack.recording import BadFrame, Recording
+from arctrack.recording.exposed import exposed_s
+from robot_io import LaserState, RobotPulse
+from tracker.state import Frame
+
+
+class RecordingCamera:
+    """Plays a recording at its pace. Its clock is the recording's, and begins with the first frame.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+    monotonic_s : callable
+        The clock that its pace is measured by, s.
+    """
+
+    traits = PLAYED
+
+    def __init__(self, recording: Recording, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+        self._monotonic_s = monotonic_s
+        self._first_s = exposed_s(recording.rows[0])
+        self._began_s = math.nan
+        self._frames = zip(recording.rows, recording.frames(), strict=True)
+        self._next = next(self._frames, None)
+        self._dropped = 0
+
+    @property
+    def dropped(self) -> int:
+        """How many frames came due while nobody asked, before a newer one."""
+        return self._dropped
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the last frame was handed out."""
+        return self._next is None
+
+    def begin(self) -> None:
+        """Let the recording begin now."""
+        self._began_s = self._monotonic_s()
+
+    def now_s(self) -> float:
+        """Return the time on the recording's clock, s; it stands until it begins."""
+        if math.isnan(self._began_s):
+            return self._first_s
+        return self._first_s + (self._monotonic_s() - self._began_s)
+
+    def newest(self) -> Frame | UnreadableFrame | None:
+        """Return the newest frame whose exposure is over, None where it was handed out before."""
+        due = None
+        while self._next is not None and exposed_s(self._next[0]) <= self.now_s():
+            self._dropped += due is not None
+            due = self._next
+            # It is decoded now: when its time has come there is none for it.
+            self._next = next(self._frames, None)
+        if due is None:
+            return None
+        row, frame = due
+        if isinstance(frame, BadFrame):
+            return UnreadableFrame(row.index, row.timestamp_s, frame.message)
+        return frame
+
+    def switch_laser(self, is_on: bool) -> LaserState:
+        """Do nothing: what the laser did is recorded."""
+        return LaserState.UNKNOWN
+
+    def want_exposure(self, exposure_s: float) -> None:
+        """Do nothing: exposures are recorded."""
+
+    def tell_pulse(self, pulse: RobotPulse, came_at_s: float) -> None:
+        """Do nothing: when frames were taken is recorded."""
+
+    def close(self) -> None:
+        """Play no more."""
+        self._next = None

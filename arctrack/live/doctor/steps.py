@@ -1,0 +1,108 @@
+"""How long the tracker takes for a frame here, on frames drawn of the setup itself."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from arctrack.live.serve.latency import LatencyCounts, Quantiles
+from noise_model.condition import Condition
+from noise_model.forward import draw_frame
+from noise_model.surface.joint import seam_frame
+from tracker.state import Frame, Pose
+from tracker.tracker import Tracker
+from tracker.tracker_state import TrackerMemory
+
+FRAMES = 8
+SPACING_MM = 1.0
+
+OnDone = Callable[[int], None]
+"""Hears how many frames and steps are done."""
+
+
+class NotCompiledError(Exception):
+    """A function that a step may need is not on disk."""
+
+
+@dataclass(frozen=True)
+class StepTimes:
+    """What steps took.
+
+    Parameters
+    ----------
+    tracked, searched : Quantiles
+        A step whose seam is known, and the first step of a new tracker.
+    valid_share : float
+        The share of the drawn frames that are tracked validly.
+    """
+
+    tracked: Quantiles
+    searched: Quantiles
+    valid_share: float
+
+
+def require_compiled(tracker: Tracker) -> None:
+    """Load all that a step may need; NotCompiledError for what would have to be compiled."""
+
+    def refuse(function: str, *_: object) -> None:
+        raise NotCompiledError(function)
+
+    tracker.warm_up(refuse)
+
+
+def time_steps(tracker: Tracker, steps: int, on_done: OnDone) -> StepTimes:
+    """Draw frames along the nominal seam, and time the tracker on them.
+
+    Parameters
+    ----------
+    tracker : Tracker
+        The tracker, warm; its state is not touched.
+    steps : int
+        How many steps are timed.
+    on_done : callable
+        Hears how many frames were drawn and steps taken so far.
+    """
+    shown = []
+    for index, pose in enumerate(_poses(tracker)):
+        shown.append((_frame(tracker, index, pose), pose))
+        on_done(index + 1)
+    before = tracker.state
+    tracked, searched, valid = LatencyCounts(), LatencyCounts(), 0
+    try:
+        for n in range(steps):
+            frame, pose = shown[n % FRAMES]
+            is_first = n % FRAMES == 0
+            if is_first:
+                tracker.state = TrackerMemory()
+            began_s = time.perf_counter()
+            track = tracker.step(frame, pose)
+            (searched if is_first else tracked).add(time.perf_counter() - began_s)
+            valid += track.valid
+            on_done(FRAMES + n + 1)
+    finally:
+        tracker.state = before
+    return StepTimes(tracked.quantiles(), searched.quantiles(), valid / steps)
+
+
+def _poses(tracker: Tracker) -> list[Pose]:
+    """Return poses of a torch upright over the middle of the nominal seam's first segment."""
+    joint = tracker.geometry.setup.joint
+    start, end = np.asarray(joint.seam_in_base_mm, dtype=np.float64)[:2]
+    direction = (end - start) / np.linalg.norm(end - start)
+    poses = []
+    for n in range(FRAMES):
+        point_base_mm = 0.5 * (start + end) + SPACING_MM * n * direction
+        T_base_tool = seam_frame(joint, point_base_mm)
+        T_base_tool[:3, 3] = point_base_mm
+        poses.append(Pose(T_base_tool))
+    return poses
+
+
+def _frame(tracker: Tracker, index: int, pose: Pose) -> Frame:
+    setup = tracker.geometry.setup
+    exposure_s = setup.camera.exposure_s
+    image = draw_frame(setup, pose.T_base_tool, Condition(1.0, 1.0, exposure_s), np.random.default_rng(index))
+    return Frame(index, 0.04 * index, image, exposure_s, setup.arc.current_a)

@@ -1,0 +1,84 @@
+"""The process of a monitor page."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+from multiprocessing.connection import Connection
+
+import cv2
+from aiohttp import web
+
+from arctrack.live.journal.journal import JournalReader
+from arctrack.live.journal.message_pipe import PipeEnd
+from arctrack.live.journal.ring import RingError
+from arctrack.live.monitor.access import Access
+from arctrack.live.monitor.feed import Feed
+from arctrack.live.monitor.options import MonitorOptions
+from arctrack.live.monitor.saver import Saver
+from arctrack.live.monitor.server import Server
+
+CLOSED_S = 1.0
+"""So long requests may take to end, s."""
+
+
+def run_monitor(options: MonitorOptions, told: Connection, black_box: PipeEnd | None = None) -> None:
+    """Serve a run's page until its other end is closed.
+
+    Over `told` it says at which address the page is, or 'error: ' and why there is none.
+
+    Parameters
+    ----------
+    options : MonitorOptions
+        What is known of the run.
+    told : Connection
+        To whoever started the process.
+    black_box : PipeEnd, optional
+        To the black box: it is sent {"save": reason}, and answers {"saved": path} or {"error": text}.
+    """
+    cv2.setNumThreads(1)
+    try:
+        reader = JournalReader(options.journal)
+    except RingError as error:
+        told.send(f"error: {error}")
+        return
+    asyncio.run(_serve(options, reader, told, Saver(black_box)))
+
+
+async def _serve(options: MonitorOptions, reader: JournalReader, told: Connection, saver: Saver) -> None:
+    feed = Feed(reader, options, saver.is_there)
+    server = Server(feed, Access(options.host, options.token), saver)
+    runner = web.AppRunner(server.app(), access_log=None, shutdown_timeout=CLOSED_S)
+    await runner.setup()
+    try:
+        await web.TCPSite(runner, options.host, options.port).start()
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        told.send(
+            f"error: [monitor] host = {options.host!r}, port = {options.port}: {reason}; state another, or 0"
+        )
+        await runner.cleanup()
+        return
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    loop.add_reader(told.fileno(), ended.set)
+    told.send(_address(options.host, runner.addresses[0][1]))
+    feeding = asyncio.create_task(feed.run())
+    assert runner.server is not None
+    sweeping = asyncio.create_task(server.connections.sweep(runner.server))
+    ending = asyncio.create_task(ended.wait())
+    await asyncio.wait((feeding, ending), return_when=asyncio.FIRST_COMPLETED)
+    loop.remove_reader(told.fileno())
+    sweeping.cancel()
+    await runner.cleanup()
+    if feeding.done():
+        # It has failed, and says why.
+        feeding.result()
+    feeding.cancel()
+
+
+def _address(host: str, port: int) -> str:
+    """Return where the page is."""
+    name = socket.gethostname() if host in ("0.0.0.0", "::") else host
+    return f"http://[{name}]:{port}/" if ":" in name else f"http://{name}:{port}/"

@@ -1,0 +1,122 @@
+"""The exposure of the frames to come, chosen from what the last ones show and what the arc map predicts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from arctrack.control.frame_tracking import FrameTracking
+from noise_model.arc.map import arc_kernel
+from noise_model.arc.scene import make_scene
+from noise_model.arrays import Float64
+from noise_model.plan.exposure import POLICY, better_exposure_s, expected_sigma_px, ladder_s
+from tracker.observation import expected_output
+from tracker.state import Frame, Track
+from tracker.stripe.expected import expect_stripe
+from tracker.stripe.read import arc_map_of
+
+EVERY_S = 0.25
+"""So often an exposure is chosen, s: a robot at 10 mm/s goes 2.5 mm meanwhile."""
+
+LOST_S = 1.0
+"""After so long without a stripe the setup's exposure is taken again, s."""
+
+LINES = 32
+"""So many scan lines stand for all: a choice takes half a millisecond."""
+
+MIN_LINES = 8
+"""Of fewer lines nothing is chosen."""
+
+ALONG_MM = 0.5
+"""So far the tool may go during an exposure, mm: what a frame shows of the seam is the mean over it."""
+
+FRAME_SHARE = 0.9
+"""So much of a frame's period the exposure may take: the rest is read-out."""
+
+
+@dataclass(frozen=True)
+class _TimedPose:
+    """A pose, and when it was that of a frame, s."""
+
+    at_s: float
+    T_base_tool: Float64
+
+
+class ExposureChooser:
+    """Says which exposure is best, some times a second.
+
+    Parameters
+    ----------
+    range_s : tuple (2,)
+        The least and the largest exposure, s.
+    frame_rate_hz : float
+        The camera's frames a second.
+    """
+
+    def __init__(self, range_s: tuple[float, float], frame_rate_hz: float) -> None:
+        self._least_s = range_s[0]
+        self._most_s = min(range_s[1], FRAME_SHARE / frame_rate_hz)
+        self._chosen_at_s = self._read_at_s = -math.inf
+        self._seen: _TimedPose | None = None
+
+    def choose(
+        self, tracking: FrameTracking, frame: Frame, track: Track, T_base_tool: Float64 | None
+    ) -> float | None:
+        """Take a frame that was tracked, and return the exposure to take from now on, s; None for no change.
+
+        The background is that of the arc map at the pose to come, by the arc's level in this frame.
+        """
+        before, self._seen = self._seen, None
+        if T_base_tool is None:
+            return None
+        self._seen = _TimedPose(frame.timestamp_s, T_base_tool)
+        if track.stripe is not None:
+            self._read_at_s = frame.timestamp_s
+        elif frame.laser_on and frame.timestamp_s - self._read_at_s > LOST_S:
+            return tracking.tracker.geometry.setup.camera.exposure_s
+        if before is None or track.stripe is None or frame.timestamp_s - self._chosen_at_s < EVERY_S:
+            return None
+        self._chosen_at_s = frame.timestamp_s
+        return self._better_s(tracking, frame, track, before, self._seen)
+
+    def _better_s(
+        self, tracking: FrameTracking, frame: Frame, track: Track, before: _TimedPose, now: _TimedPose
+    ) -> float | None:
+        geometry, reading, stripe = tracking.tracker.geometry, tracking.tracker.reading, track.stripe
+        took_s = now.at_s - before.at_s
+        if reading is None or stripe is None or not 0.0 < took_s < 1.0:
+            return None
+        level = reading.arc.level if reading.arc.is_on else 0.0
+        velocity_mm_s = (now.T_base_tool[:3, 3] - before.T_base_tool[:3, 3]) / took_s
+        T_to_come = now.T_base_tool.copy()
+        T_to_come[:3, 3] += 0.5 * EVERY_S * velocity_mm_s
+        scene = make_scene(geometry.setup, T_to_come, reading.seam)
+        here, there = expect_stripe(geometry, reading.scene), expect_stripe(geometry, scene)
+        if here is None or there is None or not math.isfinite(level):
+            return None
+        moved_px = there.position_px - here.position_px
+        known = np.isfinite(stripe.position_px + moved_px) & (stripe.amplitude_e > 0.0)
+        lines = np.flatnonzero(known)[:: max(1, int(known.sum()) // LINES)]
+        if len(lines) < MIN_LINES:
+            return None
+        place_px = np.clip(np.rint(stripe.position_px[lines] + moved_px[lines]), 0, geometry.n_pos - 1)
+        kernel = arc_kernel(geometry.setup, scene, expected_output(geometry.setup, frame))
+        light_e = arc_map_of(geometry, kernel).at(lines * geometry.n_pos + place_px.astype(np.int64))
+        rungs_s = ladder_s(self._least_s, max(self._least_s, self._longest_s(velocity_mm_s)))
+        sigma_px = expected_sigma_px(
+            np.append(rungs_s, frame.exposure_s),
+            stripe.amplitude_e[lines] / frame.exposure_s,
+            there.sigma_px[lines],
+            level * np.nan_to_num(light_e).astype(np.float64) / frame.exposure_s,
+            geometry.setup.sensor,
+            float(np.median(np.abs(moved_px[lines]))) / (0.5 * EVERY_S),
+            POLICY.map_share,
+        )
+        chosen_s = better_exposure_s(frame.exposure_s, rungs_s, sigma_px)
+        return None if chosen_s == frame.exposure_s else chosen_s
+
+    def _longest_s(self, velocity_mm_s: Float64) -> float:
+        speed_mm_s = float(np.linalg.norm(velocity_mm_s))
+        return min(self._most_s, ALONG_MM / speed_mm_s) if speed_mm_s > 0.0 else self._most_s

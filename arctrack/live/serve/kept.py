@@ -1,0 +1,151 @@
+"""What a live run keeps of itself, and the processes that read it: black box, watch and page."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from arctrack.control.cell_file import CellFile
+from arctrack.control.cell_file.job_setup import job_setup_text
+from arctrack.errors import ArctrackError, in_file
+from arctrack.live.black_box.ask import BlackBoxAsker
+from arctrack.live.black_box.recorder import END, RecorderOptions, run_recorder
+from arctrack.live.black_box.save import JobSetup
+from arctrack.live.journal.journal import Journal, slots_for
+from arctrack.live.journal.message_pipe import PipeEnd, message_pipe
+from arctrack.live.journal.ring import RingError, remove_dead_rings
+from arctrack.live.monitor.monitor_process import run_monitor
+from arctrack.live.monitor.options import MonitorOptions, options_of
+from arctrack.live.serve.keeper import Keeper
+from arctrack.live.serve.side_process import SideProcess
+from arctrack.live.serve.supervisor import Supervisor
+from arctrack.live.watch.process import WatchOptions, run_watch
+from noise_model.setup import Setup
+
+WRITES_S = 60.0
+"""How long the black box may take to write what it holds, s."""
+
+PAGE_NICENESS, BLACK_BOX_NICENESS, WATCH_NICENESS = 10, 10, 15
+"""By how much each yields to the loop and to whoever publishes frames: what a person waits for goes first."""
+
+
+@dataclass(frozen=True)
+class JournalProcesses:
+    """What writes a run's journal, and what reads it.
+
+    Attributes
+    ----------
+    keeper : Keeper
+        Writes it.
+    black_box : BlackBoxAsker or None
+        Asks the black box, where there is one.
+    page : str or None
+        Where the page is.
+    warnings : tuple of str
+        What is missing, one line each.
+    """
+
+    keeper: Keeper
+    black_box: BlackBoxAsker | None
+    page: str | None
+    warnings: tuple[str, ...]
+
+
+@contextmanager
+def kept(
+    cell: CellFile, setups: Mapping[int, Setup], supervisor: Supervisor, is_simulated: bool = False
+) -> Iterator[JournalProcesses | None]:
+    """Keep a run's journal, with the processes that a cell file asks for.
+
+    Parameters
+    ----------
+    cell : CellFile
+        The cell.
+    setups : mapping of int to Setup
+        The setup of each job that may be tracked.
+    supervisor : Supervisor
+        Starts the processes again that end.
+    is_simulated : bool
+        Whether robot and camera are simulated.
+
+    Yields
+    ------
+    Kept or None
+        What was started; None where nobody would read a journal.
+
+    Raises
+    ------
+    ArctrackError
+        If there is no room for the journal.
+    """
+    kept_s = cell.black_box.seconds
+    if kept_s == 0.0 and not cell.monitor.enabled:
+        yield None
+        return
+    run, setup = f"{os.getpid()}", cell.setup.setup
+    slots = slots_for(kept_s, cell.camera.frame_rate_hz)
+    with ExitStack() as opened:
+        try:
+            remove_dead_rings()
+            journal = Journal(run, (setup.camera.height, setup.camera.width), setup.sensor.dtype, slots)
+        except RingError as error:
+            raise in_file(cell.path, f"[black_box] seconds = {kept_s:g}: {error}; choose fewer") from None
+        opened.callback(journal.close)
+        watching = SideProcess("watch", run_watch, (WatchOptions(run, setups),), niceness=WATCH_NICENESS)
+        started = [opened.enter_context(supervisor.running(watching))]
+        black_box, box_end = message_pipe()
+        page_end, asked_end = message_pipe()
+        if kept_s:
+            # A simulated cell's faults are this machine's load; nobody wants their files.
+            options = _recorder_options(cell, run, setups, saves_faults=not is_simulated)
+            recording = SideProcess(
+                "black box",
+                run_recorder,
+                (options,),
+                (box_end, asked_end),
+                BLACK_BOX_NICENESS,
+                lost={"error": "its process ended before all was saved; ask again"},
+                ends_s=WRITES_S,
+            )
+            started.append(opened.enter_context(supervisor.running(recording, END)))
+        page: str | None = None
+        warnings: tuple[str, ...] = ()
+        if cell.monitor.enabled:
+            pipes = (page_end,) if kept_s else ()
+            page, warnings = _page(opened, supervisor, options_of(cell, run, is_simulated), pipes, cell.path)
+        for process in started:
+            process.wait_ready()
+        yield JournalProcesses(
+            Keeper(journal, supervisor.states), BlackBoxAsker(black_box) if kept_s else None, page, warnings
+        )
+
+
+def _recorder_options(
+    cell: CellFile, run: str, setups: Mapping[int, Setup], saves_faults: bool
+) -> RecorderOptions:
+    jobs = {number: JobSetup(setup, job_setup_text(cell, number)) for number, setup in setups.items()}
+    folder = cell.path.parent / cell.black_box.folder
+    return RecorderOptions(run, folder, cell.black_box.seconds, cell.camera.frame_rate_hz, jobs, saves_faults)
+
+
+def _page(
+    opened: ExitStack,
+    supervisor: Supervisor,
+    options: MonitorOptions,
+    pipes: tuple[PipeEnd, ...],
+    cell_path: Path,
+) -> tuple[str | None, tuple[str, ...]]:
+    """Start the page, and return where it is, and what is wrong: a run goes on without it."""
+    process = SideProcess("page", run_monitor, (options,), pipes, PAGE_NICENESS)
+    opened.enter_context(supervisor.running(process))
+    try:
+        address = str(process.wait_ready())
+    except ArctrackError as error:
+        return None, (f"{cell_path}: {error}; there is no page",)
+    # Browsers look there: the next one is at the same port.
+    process.arguments = (replace(options, port=urlsplit(address).port or options.port),)
+    return address, ()

@@ -1,0 +1,261 @@
+"""A live run of a cell file: what it needs is built and warmed up, then the loop has the process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from arctrack.compiling import compiled_by_two
+from arctrack.control.bus_poses import BusPoses
+from arctrack.control.cell_file import CellFile, as_the_job_says, jobs_for
+from arctrack.control.controller import Controller
+from arctrack.control.frame_tracking import FrameTracking
+from arctrack.control.heard import TRUSTED
+from arctrack.control.look_ahead import NOTHING_YET, LagEstimator
+from arctrack.control.pose_watch import nominal_path
+from arctrack.control.recorded_poses import seam_limits
+from arctrack.control.tracking_service import TrackingService
+from arctrack.errors import ArctrackError, in_file
+from arctrack.live.cameras.camera import CameraProtocol
+from arctrack.live.cameras.recording import RecordingCamera
+from arctrack.live.cameras.shared_frames import SharedFramesError
+from arctrack.live.cameras.shared_memory import SharedMemoryCamera
+from arctrack.live.journal.message_pipe import message_pipe
+from arctrack.live.serve.captured import CapturedCamera
+from arctrack.live.serve.exposure import ExposureChooser
+from arctrack.live.serve.keeper import Keeper
+from arctrack.live.serve.kept import JournalProcesses, kept
+from arctrack.live.serve.lag_process import LagAsker, estimate_lags
+from arctrack.live.serve.loop import LiveLoop, LoopResult, OnTrack, Service
+from arctrack.live.serve.notify import Notifier
+from arctrack.live.serve.played_poses import PlayedPoses
+from arctrack.live.serve.process import Watchdog, garbage_left
+from arctrack.live.serve.side_process import SideProcess
+from arctrack.live.serve.supervisor import Supervisor, Tell
+from arctrack.recording import Recording, read_recording
+from noise_model.effects import pose_time_s
+from noise_model.setup import Setup
+from noise_model.transforms import invert
+from robot_io import Link, LinkError, Source
+from tracker.seam.correction import Correction
+
+LAG_NICENESS = 5
+"""By how much the estimate of the robot's lag yields: nobody waits for it."""
+
+
+@dataclass(frozen=True)
+class RunParts:
+    """Who plays in a run: a camera, and what answers its frames by the robot's job number."""
+
+    camera: CameraProtocol
+    services: dict[int, Service]
+    trackings: dict[int, FrameTracking]
+    source: Source
+
+
+@dataclass(frozen=True)
+class LiveRun:
+    """A loop that is ready to run, and what is beside it; None where the cell asks for nothing."""
+
+    loop: LiveLoop
+    beside: JournalProcesses | None
+
+
+@contextmanager
+def opened_run(
+    cell: CellFile,
+    tell: Tell,
+    job_number: int | None = None,
+    on_track: OnTrack | None = None,
+    is_simulated: bool = False,
+    **bus_options: Any,
+) -> Iterator[LiveRun]:
+    """Build a cell's loop and what is beside it, warm it up, and open its bus last.
+
+    Parameters
+    ----------
+    cell : CellFile
+        The cell.
+    tell : callable
+        Hears what happens to the run's other processes, in another thread.
+    job_number : int, optional
+        Which of the jobs a recording's seam is; by default the only one. A live robot names its job itself.
+    on_track : callable, optional
+        Hears each track, and what was sent of it.
+    is_simulated : bool
+        Whether robot and camera are simulated, and the page says so.
+    **bus_options
+        What else python-can needs.
+
+    Yields
+    ------
+    LiveRun
+        The run; nothing was sent yet.
+
+    Raises
+    ------
+    ArctrackError
+        If the cell file states no camera, or camera or bus cannot be opened.
+    """
+    with ExitStack() as opened:
+        supervisor = Supervisor(tell)
+        lag_end, its_end = message_pipe()
+        estimating = SideProcess("lag", estimate_lags, (), (its_end,), LAG_NICENESS, lost=NOTHING_YET)
+        lag = opened.enter_context(supervisor.running(estimating))
+        cast = cast_of(cell, job_number, LagAsker(lag_end))
+        opened.callback(cast.camera.close)
+        if isinstance(cast.camera, CapturedCamera):
+            opened.enter_context(supervisor.running(cast.camera.process))
+        setups = {number: tracking.tracker.geometry.setup for number, tracking in cast.trackings.items()}
+        beside = opened.enter_context(kept(cell, setups, supervisor, is_simulated))
+        for tracking in cast.trackings.values():
+            with compiled_by_two(tracking.tracker.geometry.setup):
+                tracking.tracker.warm_up()
+        lag.wait_ready()
+        opened.enter_context(supervisor.started())
+        # On a bus where it is heard, a tracker must not wait for anything.
+        try:
+            link = Link(
+                cell.bus.interface,
+                cell.bus.channel,
+                bitrate_bit_s=cell.bus.bit_rate_bit_s,
+                source=cast.source,
+                trusted=TRUSTED,
+                **bus_options,
+            )
+        except LinkError as error:
+            raise in_file(cell.path, f"[bus] {error}") from error
+        opened.callback(link.close)
+        keeper = None if beside is None else beside.keeper
+        if keeper is not None:
+            _let_hear(keeper, cast)
+        loop = LiveLoop(
+            cast.camera, link, cast.services, cast.source, on_track, keeper, exposure=_chooser(cell)
+        )
+        yield LiveRun(loop, beside)
+
+
+def _let_hear(keeper: Keeper, cast: RunParts) -> None:
+    """Let what writes the journal hear each step and each pose."""
+    for number, service in cast.services.items():
+        cast.trackings[number].on_step = keeper.on_step
+        if isinstance(service.poses, BusPoses):
+            service.poses.on_sample = keeper.on_pose
+
+
+def run(
+    loop: LiveLoop, goes_on: Callable[[], bool], watchdog_s: float, notifier: Notifier | None = None
+) -> LoopResult:
+    """Let a loop have this process until it does not go on; its last offset is REFUSED.
+
+    Parameters
+    ----------
+    loop : LiveLoop
+        The loop.
+    goes_on : callable
+        Says whether to go on: asked some hundred times a second.
+    watchdog_s : float
+        How long a turn may take before the process is ended, s.
+    notifier : Notifier, optional
+        What the service manager is told by.
+
+    Returns
+    -------
+    LoopResult
+        What the run came to.
+    """
+    with garbage_left(), Watchdog(watchdog_s) as watchdog:
+        loop.camera.begin()
+        try:
+            while goes_on() and not loop.is_over:
+                loop.turn()
+                watchdog.feed()
+                if notifier is not None:
+                    notifier.goes_on()
+        finally:
+            loop.close()
+    return loop.result()
+
+
+def _chooser(cell: CellFile) -> ExposureChooser | None:
+    range_s = cell.camera.capture.exposure_range_s
+    return None if range_s is None else ExposureChooser(range_s, cell.camera.frame_rate_hz)
+
+
+def cast_of(
+    cell: CellFile, job_number: int | None = None, lag_estimator: LagEstimator | None = None
+) -> RunParts:
+    """Return a cell file's camera, and what answers its frames; see `BusPoses` of the estimator.
+
+    Raises ArctrackError if the file states none, if it cannot be opened, or if a job's stripe is not in view.
+    """
+    camera = cell.camera
+    if camera.kind is None or camera.name is None:
+        raise in_file(
+            cell.path, "[camera] kind: missing; state kind and name, such as shared_memory and cell"
+        )
+    if camera.kind == "recording":
+        recording = read_recording(cell.path.parent / camera.name, cell.setup.path)
+        return _played(cell, as_the_job_says(recording, cell, job_number), job_number)
+    if job_number is not None:
+        raise ArctrackError(f"--job {job_number}: a live robot names its job itself; leave it out")
+    return _live(cell, camera.name, lag_estimator)
+
+
+def _live(cell: CellFile, frames: str, lag_estimator: LagEstimator | None) -> RunParts:
+    """Return the camera of a name, and what answers a live robot."""
+    setup_file = cell.setup
+    jobs = {number: job.to_job(setup_file.setup, cell.limits) for number, job in cell.jobs.items()}
+    controller = Controller(jobs, Source.LIVE, cell.policy)
+    T_tool_controllertool = setup_file.T_tool_controllertool
+    T_controllertool_tool = np.eye(4) if T_tool_controllertool is None else invert(T_tool_controllertool)
+    services: dict[int, Service] = {}
+    trackings: dict[int, FrameTracking] = {}
+    for number, job in cell.jobs.items():
+        setup = job.setup_for(setup_file.setup)
+        poses = BusPoses(
+            nominal_path(setup.joint),
+            cell.plausibility,
+            seam_limits(cell.camera.frame_rate_hz),
+            cell.policy,
+            T_controllertool_tool,
+            pose_time_s(setup, 0.0),
+            lag_estimator=lag_estimator,
+        )
+        trackings[number] = _tracking(cell, setup, job.correction)
+        services[number] = TrackingService(controller, poses, trackings[number])
+    if cell.camera.kind != "shared_memory":
+        camera: SharedMemoryCamera = CapturedCamera(cell.camera, cell.path, setup_file.setup)
+        return RunParts(camera, services, trackings, Source.LIVE)
+    try:
+        camera = SharedMemoryCamera(frames, setup_file.setup)
+    except SharedFramesError as error:
+        raise in_file(
+            cell.path, f"[camera] name: {error}; start what publishes them first, as the same user"
+        ) from None
+    return RunParts(camera, services, trackings, Source.LIVE)
+
+
+def _played(cell: CellFile, recording: Recording, job_number: int | None) -> RunParts:
+    """Return a recording as camera, and what answers its frames as one of a cell's jobs."""
+    number, jobs = jobs_for(recording, cell, job_number)
+    assert number is not None
+    controller = Controller(jobs, Source.REPLAY, cell.policy)
+    poses = PlayedPoses(recording, cell.plausibility, cell.policy)
+    tracking = _tracking(cell, recording.setup, recording.correction)
+    poses.on_begin = tracking.begin
+    if recording.steps is not None:
+        tracking.tracker.state = recording.steps.state
+    services: dict[int, Service] = {number: TrackingService(controller, poses, tracking)}
+    return RunParts(RecordingCamera(recording), services, {number: tracking}, Source.REPLAY)
+
+
+def _tracking(cell: CellFile, setup: Setup, correction: Correction) -> FrameTracking:
+    try:
+        return FrameTracking(setup, correction)
+    except ValueError as error:
+        raise in_file(cell.setup.path, str(error)) from error

@@ -1,0 +1,113 @@
+"""The process of a live run: how it is scheduled, its memory, its garbage, and its watchdog."""
+
+from __future__ import annotations
+
+import ctypes
+import faulthandler
+import gc
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from arctrack.control.cell_file import ProcessChoice
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+
+STDERR = 2
+"""The stream of errors itself, whatever Python writes to instead."""
+
+REARMED_S = 0.1
+"""So often the watchdog is set anew: that takes a tenth of a millisecond."""
+
+
+def schedule(choice: ProcessChoice) -> tuple[list[str], list[str]]:
+    """Schedule this process as a cell file says.
+
+    Parameters
+    ----------
+    choice : ProcessChoice
+        What is asked for.
+
+    Returns
+    -------
+    done : list of str
+        What was set, one line each.
+    refused : list of str
+        What the machine does not allow, one line each with its cure.
+    """
+    done: list[str] = []
+    refused: list[str] = []
+
+    def attempt(what: str, cure: str, action: Callable[[], None]) -> None:
+        try:
+            action()
+        except OSError as error:
+            refused.append(f"[process] {what}: {error.strerror}; {cure}")
+        else:
+            done.append(f"[process] {what}: set")
+
+    cpus, priority = choice.cpus, choice.priority
+    if cpus is not None:
+        there = f"this machine lets it choose of {sorted(os.sched_getaffinity(0))}"
+        attempt(f"cpus = {list(cpus)}", there, lambda: os.sched_setaffinity(0, cpus))
+    if priority is not None:
+        attempt(
+            f"priority = {priority}",
+            "give the user an rtprio in /etc/security/limits.conf",
+            lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority)),
+        )
+    if choice.lock_memory:
+        attempt("lock_memory = true", "give the user a memlock in /etc/security/limits.conf", _lock_memory)
+    return done, refused
+
+
+def _lock_memory() -> None:
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
+
+
+@contextmanager
+def garbage_left() -> Iterator[None]:
+    """Collect no garbage meanwhile: what is there stays, and a collection would hold a frame up."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+class Watchdog:
+    """Ends this process, with a trace of where it hung, once it is not fed for some time.
+
+    It is a thread of the interpreter's C code: it bites even where Python's own threads hang. The robot's
+    time-outs end what was VALID, and the laser goes off by itself.
+
+    Parameters
+    ----------
+    limit_s : float
+        How long it may go without being fed, s.
+    """
+
+    def __init__(self, limit_s: float) -> None:
+        self._limit_s = limit_s
+        self._fed_s = float("-inf")
+
+    def __enter__(self) -> Watchdog:
+        self.feed()
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        faulthandler.cancel_dump_traceback_later()
+
+    def feed(self) -> None:
+        """Say that the process goes on."""
+        now_s = time.monotonic()
+        if now_s - self._fed_s > REARMED_S:
+            self._fed_s = now_s
+            faulthandler.dump_traceback_later(self._limit_s, exit=True, file=STDERR)

@@ -1,0 +1,200 @@
+"""The simulated cell beside a live run: its cell file, its process, and how far its torch is off the seam."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import socket
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import numpy as np
+import tomlkit
+
+from arctrack.control.cell_file.new import commented_cell, write_cell
+from arctrack.errors import ArctrackError
+from arctrack.live.simulated_cell.serve import joined_bus, serve_cell
+from arctrack.recording.new import commented_setup
+from arctrack.safe_points import leave_signals_to_parent
+from arctrack.simulation.cell.cell import TORCH_MM
+from arctrack.simulation.cell.robot import Robot
+from arctrack.simulation.cell.weld.closed_loop import SETTLED_TIME_CONSTANTS, LoopPlan, setup_of, world_of
+from robot_io import BusMessage, GateReason, SeamOffset, TrackerStatus, Validity
+from tracker import flags
+from tracker.state import Track
+
+INTERFACE, GROUP = "udp_multicast", "239.74.163.2"
+ENDS_S = 10.0
+"""How long robot and camera may take to end, s."""
+
+Samples = list[tuple[float, float]]
+"""By the machine's monotonic time, s, how far the torch was off the seam, mm; NaN while it locks on anew."""
+
+LOCKING_MM = 80.0
+"""So far a further part's seam is followed before the torch is judged: the first part's lock takes 50 mm."""
+
+
+@dataclass(frozen=True)
+class TorchError:
+    """How far the torch was off the seam from the lock on, mm, and how long that was watched, s."""
+
+    rms_mm: float
+    max_mm: float
+    watched_s: float
+
+    @property
+    def is_on_seam(self) -> bool:
+        """Whether the torch never was farther off than a run with faults may leave it."""
+        return self.max_mm <= TORCH_MM
+
+
+@dataclass
+class Lock:
+    """Hears a run's tracks, and notes from when on its torch follows: see `ClosedLoop.lock_s`.
+
+    Parameters
+    ----------
+    plan : LoopPlan
+        What is welded.
+
+    Attributes
+    ----------
+    at_s : float
+        The machine's monotonic time, s; infinite before the lock.
+    """
+
+    plan: LoopPlan
+    at_s: float = math.inf
+
+    def __post_init__(self) -> None:
+        world = world_of(self.plan, setup_of(self.plan))
+        self._follows_s = world.latency_s + SETTLED_TIME_CONSTANTS * world.time_constant_s
+
+    def on_track(self, track: Track, messages: list[BusMessage]) -> None:
+        """Take a track, and what was sent of it."""
+        is_valid = any(isinstance(m, SeamOffset) and m.validity is Validity.VALID for m in messages)
+        is_free = any(isinstance(m, TrackerStatus) and m.gate_reason is GateReason.NONE for m in messages)
+        is_measured = not track.flags & flags.OFFSET_EXTRAPOLATED.mask
+        if math.isinf(self.at_s) and is_valid and is_free and is_measured:
+            self.at_s = track.timestamp_s + self._follows_s
+
+
+class SimulatedCell:
+    """A robot and its camera, as processes beside this one.
+
+    Parameters
+    ----------
+    plan : LoopPlan
+        What is welded.
+    frames : str
+        The name of its frames.
+    meanwhile : callable, optional
+        What is done while they get ready.
+
+    Attributes
+    ----------
+    bus_options : dict
+        What python-can needs beside interface and channel: nobody else hears this bus.
+    """
+
+    def __init__(self, plan: LoopPlan, frames: str, meanwhile: Callable[[], None] = lambda: None) -> None:
+        self._meanwhile = meanwhile
+        self.bus_options = {"port": _free_port(), "hop_limit": 0}
+        spawn = multiprocessing.get_context("spawn")
+        self._told, self._other_end = spawn.Pipe()
+        self._process = spawn.Process(target=_run, args=(plan, frames, self.bus_options, self._other_end))
+
+    def __enter__(self) -> SimulatedCell:
+        # At once: the process takes a while to start.
+        joined_bus(INTERFACE, GROUP, **self.bus_options).shutdown()
+        self._process.start()
+        self._other_end.close()
+        try:
+            self._meanwhile()
+            self._receive()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        # It ends once nobody listens.
+        self._told.close()
+        self._process.join(ENDS_S)
+        if self._process.is_alive():
+            self._process.kill()
+
+    @property
+    def listening(self) -> str:
+        """The command that prints what is on its bus."""
+        return f"python -m can.logger -i {INTERFACE} -c {GROUP} --bus-kwargs port={self.bus_options['port']}"
+
+    def end(self) -> Samples:
+        """End it, and return how far its torch was off the seam."""
+        with suppress(OSError):
+            self._told.send(True)
+        return self._receive()
+
+    def _receive(self) -> Samples:
+        try:
+            answer = self._told.recv()
+        except (EOFError, ConnectionResetError):
+            raise ArctrackError("the simulated cell ended by itself") from None
+        if isinstance(answer, str):
+            raise ArctrackError(answer)
+        return list(answer)
+
+
+def write_simulated_cell(
+    folder: Path, plan: LoopPlan, interface: str, channel: str, frames: str, black_box: Path | None = None
+) -> Path:
+    """Write the cell file of a simulated cell and its setup into a new folder, and return the cell file.
+
+    Its black box goes into a folder that is named, by default into one beside the file.
+
+    Raises ArctrackError if the folder holds anything, or if it cannot be written.
+    """
+    document = tomlkit.parse(commented_cell())
+    document["bus"].update({"interface": interface, "channel": channel})
+    document["camera"].update({"frame_rate_hz": plan.rate_hz, "kind": "shared_memory", "name": frames})
+    if black_box is not None:
+        document["black_box"]["folder"] = str(black_box)
+    return write_cell(folder, tomlkit.dumps(document), commented_setup(setup_of(plan)))[0]
+
+
+def torch_error(samples: Samples, from_s: float, to_s: float) -> TorchError | None:
+    """Return how far the torch was off the seam from one time to another, s; None if nothing was seen."""
+    off_mm = np.array([off for time_s, off in samples if from_s <= time_s <= to_s and not math.isnan(off)])
+    if len(off_mm) == 0:
+        return None
+    return TorchError(float(np.sqrt((off_mm**2).mean())), float(off_mm.max()), to_s - from_s)
+
+
+def _run(plan: LoopPlan, frames: str, bus_options: dict[str, int], told: Connection) -> None:
+    """Run robot and camera until the other end says so, or is closed."""
+    leave_signals_to_parent()
+    samples: Samples = []
+
+    def goes_on(robot: Robot) -> bool:
+        off_mm = robot.offset_mm - np.array(robot.world.seam_mm(robot.station_mm))
+        is_locking = robot.parts > 0 and robot.station_mm < LOCKING_MM
+        samples.append((time.monotonic(), math.nan if is_locking else math.hypot(*off_mm)))
+        return not told.poll()
+
+    try:
+        serve_cell(plan, INTERFACE, GROUP, frames, goes_on, lambda: told.send([]), **bus_options)
+        told.send(samples)
+    except ArctrackError as error:
+        told.send(str(error))
+    except BrokenPipeError:
+        return
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        return int(free.getsockname()[1])

@@ -1,0 +1,104 @@
+"""The camera of a live cell, a process of its own: it renders from where the robot was, and publishes."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+
+import numpy as np
+
+from arctrack.live.cameras.camera_line import read_line, remove_line
+from arctrack.live.cameras.shared_frames import SharedFramesError, SharedFramesWriter
+from arctrack.safe_points import leave_signals_to_parent
+from arctrack.simulation.cell.robot import Robot
+from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of, world_of
+from arctrack.simulation.cell.weld.rendered_eye import RenderedEye
+from robot_io import RobotStatus, Switch
+from tracker.state import Frame
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Where the robot is at a capture, and what it does.
+
+    Attributes
+    ----------
+    captured_s : float
+        When, s, on the machine's monotonic clock.
+    station_mm, weave_s : float
+        How far it is along the path, and in its weave.
+    offset_mm : tuple (2,)
+        The offset (y, z) that it has reached, mm.
+    status : RobotStatus
+        What it does.
+    """
+
+    captured_s: float
+    station_mm: float
+    weave_s: float
+    offset_mm: tuple[float, float]
+    status: RobotStatus
+
+    @classmethod
+    def of(cls, robot: Robot, captured_s: float) -> Shot:
+        """Return a robot's at a time."""
+        y_mm, z_mm = robot.offset_mm.tolist()
+        return cls(captured_s, robot.station_mm, robot.weave_s, (y_mm, z_mm), robot.status)
+
+
+def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
+    """Publish a frame for each shot that comes, the newest where several wait, until the other end is closed.
+
+    The laser is on unless a tracker drives its line (`arctrack.live.cameras.camera_line`) and lets it be
+    off; the exposure is the setup's unless it says another. Once the camera is ready, its kernels
+    compiled, it says so over the same connection.
+    """
+    # Whoever runs the robot ends this process by closing its end.
+    leave_signals_to_parent()
+    setup = setup_of(plan)
+    camera = setup.camera
+    robot = Robot(world_of(plan, setup))
+    eye = RenderedEye(robot, setup, setup, np.random.default_rng([plan.seed, 1]))
+    eye.look(0.0)
+    # Before there are frames: a tracker takes the line once it finds them.
+    remove_line(name)
+    try:
+        with SharedFramesWriter(name, camera.height, camera.width, setup.sensor.dtype) as frames:
+            shots.send(True)
+            _publish(shots, eye, frames, name)
+    except SharedFramesError as error:
+        shots.send(str(error))
+    finally:
+        remove_line(name)
+
+
+def _publish(shots: Connection, eye: RenderedEye, frames: SharedFramesWriter, name: str) -> None:
+    """Publish until the other end is closed."""
+    robot, index = eye.robot, 0
+    while True:
+        try:
+            shot = shots.recv()
+            while shots.poll():
+                shot = shots.recv()
+        except (EOFError, ConnectionResetError):
+            return
+        robot.station_mm, robot.weave_s = shot.station_mm, shot.weave_s
+        robot.offset_mm, robot.status = np.array(shot.offset_mm), shot.status
+        wanted = read_line(name)
+        eye.is_laser_on, eye.exposure_s = time.monotonic() < wanted.laser_until_s, wanted.exposure_s
+        image_dn = eye.look(0.0)
+        assert image_dn is not None
+        frames.publish(
+            Frame(
+                index=index,
+                timestamp_s=shot.captured_s,
+                image_dn=image_dn,
+                exposure_s=eye.setup.camera.exposure_s if math.isnan(eye.exposure_s) else eye.exposure_s,
+                current_a=shot.status.current_a,
+                laser_on=eye.is_laser_on,
+                arc_on=shot.status.arc is Switch.ON,
+            )
+        )
+        index += 1

@@ -1,0 +1,178 @@
+"""A robot in real time on a real bus, and its camera beside it: who tracks is another process."""
+
+from __future__ import annotations
+
+import errno
+import math
+import multiprocessing
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import can
+
+from arctrack.errors import ArctrackError
+from arctrack.live.simulated_cell.camera import Shot, run_camera
+from arctrack.live.simulated_cell.real_time import RealBus, RealTimeScheduler
+from arctrack.simulation.cell.bus import BusFrame
+from arctrack.simulation.cell.cell import ARMED_S
+from arctrack.simulation.cell.robot import Robot
+from arctrack.simulation.cell.robot_party import RobotParty
+from arctrack.simulation.cell.scheduler import Scheduler
+from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of, world_of
+from robot_io import Command, OffsetUse, Received, TrackerHeartbeat
+
+REAL_TIME_PX = (320, 240)
+"""An image that is rendered in some 25 ms: its offset is not too old for the gate."""
+
+CAMERA_ENDS_S = 5.0
+"""How long the camera may take to end, s."""
+
+SILENT_S = 0.5
+"""A tracker that was not heard for so long is gone."""
+
+NO_ROUTE = (errno.ENODEV, errno.ENETUNREACH)
+MULTICAST_CURE = (
+    "no network of this machine or container carries multicast. Connect one, or as root: "
+    "ip link set lo up; ip route add 224.0.0.0/4 dev lo"
+)
+
+MAX_PART_MM = 1500.0
+"""No part is longer: coordinates on the bus reach to 1638 mm."""
+
+
+def joined_bus(interface: str, channel: str, **bus_options: Any) -> can.BusABC:
+    """Return a bus that was joined; ArctrackError, with the cure where one is known, if it cannot be."""
+    try:
+        return can.Bus(channel, interface=interface, **bus_options)
+    except (can.CanError, OSError, ValueError) as error:
+        cause = error.__cause__
+        if interface == "udp_multicast" and isinstance(cause, OSError) and cause.errno in NO_ROUTE:
+            raise ArctrackError(f"--bus {interface}:{channel}: {cause.strerror}; {MULTICAST_CURE}") from None
+        raise ArctrackError(f"--bus {interface}:{channel}: {error}") from None
+
+
+def serve_cell(
+    plan: LoopPlan,
+    interface: str,
+    channel: str,
+    frames: str,
+    goes_on: Callable[[Robot], bool],
+    on_ready: Callable[[], None] | None = None,
+    **bus_options: Any,
+) -> None:
+    """Run robot and camera until it does not go on.
+
+    Parameters
+    ----------
+    plan : LoopPlan
+        What is welded; the tracker's part of it says nothing here.
+    interface, channel : str
+        python-can's, such as udp_multicast and 239.74.163.2.
+    frames : str
+        The name under which frames are published (`arctrack.live.cameras.shared_frames`).
+    goes_on : callable
+        Takes the robot, and says whether it goes on: asked some fifty times a second.
+    on_ready : callable, optional
+        Hears that the camera is ready: rendering is compiled, frames will come.
+    **bus_options
+        What else python-can needs.
+
+    Raises
+    ------
+    ArctrackError
+        If the bus cannot be joined, or the camera ends by itself.
+    """
+    spawn = multiprocessing.get_context("spawn")
+    shots, camera_end = spawn.Pipe()
+    camera = spawn.Process(target=run_camera, args=(camera_end, plan, frames), daemon=True)
+    can_bus = joined_bus(interface, channel, **bus_options)
+    camera.start()
+    camera_end.close()
+    try:
+        try:
+            said = shots.recv()
+        except EOFError:
+            raise ArctrackError(f"--frames {frames}: the camera ended by itself") from None
+        if isinstance(said, str):
+            raise ArctrackError(f"--frames {frames}: {said}")
+        if on_ready is not None:
+            on_ready()
+        run_robot(plan, can_bus, shots.send, lambda robot: goes_on(robot) and camera.is_alive())
+        if not camera.is_alive():
+            raise ArctrackError(f"--frames {frames}: the camera ended")
+    finally:
+        shots.close()
+        camera.join(CAMERA_ENDS_S)
+        if camera.is_alive():
+            camera.kill()
+        can_bus.shutdown()
+
+
+class Program:
+    """What the robot's program wants of the tracker: nothing before it hears one, and none that fell silent.
+
+    TRACK comes ARMED_S after a tracker's first heartbeat, once DISARM is acknowledged. At a part's end it is
+    disarmed; when that is acknowledged the next part is there, and all begins again.
+
+    Parameters
+    ----------
+    party : RobotParty
+        The robot.
+    scheduler : Scheduler
+        When.
+    part_mm : float
+        How long a part is, mm.
+    """
+
+    def __init__(self, party: RobotParty, scheduler: Scheduler, part_mm: float) -> None:
+        self._robot, self._scheduler, self._part_mm = party.robot, scheduler, part_mm
+        self._beat_s = self._since_s = -math.inf
+        self._is_ended = self._is_disarmed = False
+        self._use = OffsetUse()
+        party.on_message = self._hear
+        scheduler.every(0.02, self._command, 0.0007)
+
+    def _hear(self, received: Received, _frame: BusFrame) -> None:
+        now_s = self._scheduler.now_s
+        self._use.on_message(received, now_s)
+        if isinstance(received.message, TrackerHeartbeat):
+            if now_s - self._beat_s > SILENT_S:
+                self._since_s = now_s
+            self._beat_s = now_s
+
+    def _command(self) -> None:
+        now_s = self._scheduler.now_s
+        said = self._robot.command
+        is_silent = now_s - self._beat_s > SILENT_S
+        if said.command is Command.DISARM:
+            self._is_disarmed |= self._use.is_disarm_heard(said.request_number, now_s)
+        if self._is_ended and (self._is_disarmed or is_silent):
+            self._robot.begin_again()
+            self._since_s, self._is_ended = now_s, False
+        self._is_ended |= self._robot.station_mm >= self._part_mm
+        may_track = self._is_disarmed and now_s - self._since_s >= ARMED_S
+        if may_track and not (is_silent or self._is_ended):
+            self._robot.command = replace(said, command=Command.TRACK)
+        elif said.command is not Command.DISARM:
+            self._is_disarmed, number = False, (said.request_number + 1) % 256
+            self._robot.command = replace(said, command=Command.DISARM, request_number=number)
+
+
+def run_robot(
+    plan: LoopPlan, can_bus: can.BusABC, shoot: Callable[[Shot], None], goes_on: Callable[[Robot], bool]
+) -> None:
+    """Be the robot on a bus until it does not go on; `shoot` hears where it is at each capture."""
+    scheduler = RealTimeScheduler()
+    bus = RealBus(can_bus, scheduler)
+    party = RobotParty(Robot(world_of(plan, setup_of(plan))), bus, scheduler)
+    robot = party.robot
+    Program(party, scheduler, min(plan.length_mm, MAX_PART_MM))
+
+    def capture() -> None:
+        robot.advance(scheduler.now_s)
+        shoot(Shot.of(robot, time.monotonic()))
+
+    scheduler.every(1.0 / plan.rate_hz, capture, 0.0037)
+    scheduler.run_while(lambda: goes_on(robot), bus.listen)

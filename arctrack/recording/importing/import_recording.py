@@ -1,0 +1,258 @@
+"""A recording made of raw files: all of it, or nothing."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from arctrack.errors import ArctrackError
+from arctrack.recording import BadFrame, Recording, RecordingWriter, read_recording, read_setup_file
+from arctrack.recording.files import UNFINISHED_SUFFIX
+from arctrack.recording.importing.colours import Bayer, Channel
+from arctrack.recording.importing.columns import CsvColumns, check_all_named
+from arctrack.recording.importing.conditions import (
+    KNOWN_NAMES,
+    NO_TABLE,
+    FrameConditions,
+    doubts,
+    frame_rows,
+    frame_times,
+    read_frame_table,
+)
+from arctrack.recording.importing.grey_frames import GreyFrames, grey_frames
+from arctrack.recording.importing.image_files import ImageSeries, check_decimals, find_images
+from arctrack.recording.importing.name_times import times_in_names
+from arctrack.recording.importing.pose_files import PoseFile, known_names, read_poses
+from arctrack.recording.importing.units import UNSTATED, Units
+from arctrack.recording.poses import can_channel
+from arctrack.recording.reader import fitted
+from arctrack.recording.tables import FrameRow
+from arctrack.recording.time_sources import TimeSource
+from noise_model.arrays import Float64
+from tracker.state import Frame
+
+OnFrame = Callable[[str, int, int], None]
+"""Is told what is done, how far, and of how many frames."""
+
+LONE_PERIOD_S = 1.0
+"""How long before a single image its pose is repeated."""
+
+
+@dataclass(frozen=True)
+class ImportSources:
+    """What an import is made of, and how it reads.
+
+    Attributes
+    ----------
+    sources : sequence of Path
+        Images, folders of them, patterns, or one video.
+    setup : Path
+        A recording.toml.
+    poses : Path
+        The robot's poses: a CSV file, or rotations.
+    translations : Path, optional
+        The places that belong to rotations.
+    frames : Path, optional
+        A CSV file of the images' times and conditions.
+    rotation : str, optional
+        How rotations are written, by name.
+    units : Units
+        Those that the user states.
+    columns : mapping of str to str
+        What a column is, and its header.
+    rate_hz : float, optional
+        Images a second.
+    times_in_names : bool
+        Whether names hold times.
+    current_a, exposure_s : float, optional
+        The welding current and the exposure of all images, A and s.
+    channel : Channel, optional
+        The colour that becomes grey; by default the laser's.
+    bayer : Bayer, optional
+        The mosaic that the images are of.
+    """
+
+    sources: Sequence[Path]
+    setup: Path
+    poses: Path
+    translations: Path | None = None
+    frames: Path | None = None
+    rotation: str | None = None
+    units: Units = UNSTATED
+    columns: Mapping[str, str] = field(default_factory=dict)
+    rate_hz: float | None = None
+    times_in_names: bool = False
+    current_a: float | None = None
+    exposure_s: float | None = None
+    channel: Channel | None = None
+    bayer: Bayer | None = None
+
+
+@dataclass(frozen=True)
+class ImportResult:
+    """A recording that was made: `notes` say how each part was read, `warnings` what looks wrong."""
+
+    recording: Recording
+    notes: Mapping[str, str]
+    warnings: tuple[str, ...]
+
+
+def import_recording(
+    raw: ImportSources, out: Path, on_frame: OnFrame = lambda what, done, total: None
+) -> ImportResult:
+    """Make a recording of raw files.
+
+    Parameters
+    ----------
+    raw : RawFiles
+        What to read, and how.
+    out : Path
+        The recording's folder, which must not exist yet.
+    on_frame : callable
+        Is told what is done, how far, and of how many frames.
+
+    Returns
+    -------
+    Imported
+        The recording as the reader has it, and what to tell of it.
+
+    Raises
+    ------
+    ArctrackError
+        For a file that cannot be read, and for what nothing states: units, times, the way a rotation is
+        written. It names the file and the cure. No recording is left then, nor a part of one.
+    """
+    stated = read_setup_file(raw.setup)
+    series = find_images(raw.sources)
+    names = None
+    if raw.times_in_names:
+        names = times_in_names(series.paths, raw.units)
+        order = np.argsort(names.values, kind="stable")
+        series, names = series.in_order(order.tolist()), replace(names, values=names.values[order])
+    else:
+        check_decimals(series)
+    frame_columns = None if raw.frames is None else CsvColumns(raw.frames, raw.columns, ",".join(KNOWN_NAMES))
+    table = NO_TABLE if frame_columns is None else read_frame_table(frame_columns, raw.units, series)
+    times_of_table = None
+    if table.times_s is not None and raw.frames is not None:
+        times_of_table = TimeSource(f"the times of {raw.frames.name}", table.times_s)
+    is_timed = times_of_table is not None or names is not None or raw.rate_hz is not None
+    poses, pose_columns = read_poses(
+        raw.poses,
+        raw.translations,
+        raw.rotation,
+        raw.units,
+        raw.columns,
+        series,
+        is_timed,
+        can_channel=can_channel(stated.robot),
+    )
+    tables = [*pose_columns, *([] if frame_columns is None else [frame_columns])]
+    check_all_named(raw.columns, dict.fromkeys((*known_names(raw.rotation), *KNOWN_NAMES)), tables)
+    source = frame_times(series, times_of_table, names, raw.rate_hz, poses)
+    times = source.values
+    conditions = FrameConditions(frame_columns, raw.current_a, raw.exposure_s)
+    rows, assumed = frame_rows(series, times, table, conditions, stated.setup.camera.exposure_s)
+    images = grey_frames(series, stated, raw.channel, raw.bayer)
+    _write(out, images, rows, _timed(poses, times), on_frame)
+    recording, misfits = _read_back(out, on_frame)
+    notes = {
+        "images": "; ".join((_span(series), *series.notes, *table.notes)),
+        "grey": images.note,
+        "times": f"{source.name}: {times[0]:.6g} to {times[-1]:.6g} s",
+        "conditions": _conditions_note(assumed, raw.frames),
+        "poses": "; ".join((_pose_note(poses), *poses.notes)),
+    }
+    told = doubts(series, source, poses, images.taken_s)
+    return ImportResult(
+        recording, notes, (*series.warnings, *images.warnings, *poses.warnings, *told, *misfits)
+    )
+
+
+def _write(
+    out: Path,
+    images: GreyFrames,
+    rows: Sequence[FrameRow],
+    poses: tuple[Float64, Float64],
+    on_frame: OnFrame,
+) -> None:
+    """Write a recording; of one that fails, or is broken off, nothing stays."""
+    with RecordingWriter(out, images.setup, toml=images.toml) as writer:
+        try:
+            for done, (image_dn, row) in enumerate(zip(images, rows, strict=True), 1):
+                writer.write_frame(
+                    Frame(
+                        row.index,
+                        row.timestamp_s,
+                        image_dn,
+                        row.exposure_s,
+                        row.current_a,
+                        row.laser_on,
+                        row.arc_on,
+                    )
+                )
+                on_frame("importing", done, len(rows))
+            for timestamp_s, T_base_tool in zip(*poses, strict=True):
+                writer.write_pose(float(timestamp_s), T_base_tool)
+        except BaseException:
+            shutil.rmtree(out.with_name(out.name + UNFINISHED_SUFFIX), ignore_errors=True)
+            raise
+
+
+def _timed(poses: PoseFile, times: Float64) -> tuple[Float64, Float64]:
+    """Return the poses with their times, or else those of the images at the images' times.
+
+    An image needs a pose before its own. Where the first pose is the first image's own, it is repeated one
+    period earlier; nothing asks for what lies between the two.
+    """
+    if poses.times_s is None:
+        T_base_tool, poses_s = poses.T_base_tool[poses.rows], times
+    else:
+        T_base_tool, poses_s = poses.T_base_tool, poses.times_s
+    if poses_s[0] != times[0]:
+        return poses_s, T_base_tool
+    period_s = float(np.median(np.diff(poses_s))) if len(poses_s) > 1 else LONE_PERIOD_S
+    return np.concatenate([poses_s[:1] - period_s, poses_s]), np.concatenate([T_base_tool[:1], T_base_tool])
+
+
+def _read_back(out: Path, on_frame: OnFrame) -> tuple[Recording, list[str]]:
+    """Return the recording as the reader has it, and what keeps it from being tracked.
+
+    Raises ArctrackError if it is none, or if a frame cannot be read; the folder is then taken away.
+    """
+    try:
+        recording = read_recording(out, must_fit=False)
+        for done, frame in enumerate(recording.frames(), 1):
+            if isinstance(frame, BadFrame):
+                raise ArctrackError(frame.message)
+            on_frame("reading back", done, len(recording.rows))
+    except BaseException:
+        shutil.rmtree(out, ignore_errors=True)
+        raise
+    try:
+        return fitted(recording), []
+    except ArctrackError as error:
+        return recording, [str(error)]
+
+
+def _span(series: ImageSeries) -> str:
+    first, last = series.paths[0].name, series.paths[-1].name
+    return f"{len(series)}, {first}" + (f" to {last}" if len(series) > 1 else "")
+
+
+def _conditions_note(assumed: Sequence[str], frames: Path | None) -> str:
+    in_all = f"{', '.join(assumed)} in all" if assumed else ""
+    by_table = f"as {frames} states" if frames is not None else ""
+    return "; ".join(filter(None, (in_all, by_table)))
+
+
+def _pose_note(poses: PoseFile) -> str:
+    count = len(poses.T_base_tool)
+    each = "with times" if poses.times_s is not None else "one an image, the first of them twice"
+    travel_mm = poses.T_base_tool[-1, :3, 3] - poses.T_base_tool[0, :3, 3]
+    return f"{count} in {poses.units}, {each}; from first to last {math.hypot(*travel_mm):.1f} mm"

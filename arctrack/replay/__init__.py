@@ -1,0 +1,1 @@
+"""A recording through tracker and controller, and the pages that show it."""

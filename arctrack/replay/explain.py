@@ -1,0 +1,269 @@
+"""One frame of a recording, explained: what the tracker's step did with it, and all that this rests on.
+
+The frames before it go through the same step, so the seam's history is the one that the replay had. The look
+that counts is then taken once more, for what the step does not keep: nothing is random, so it gives the same
+numbers bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from arctrack.errors import ArctrackError, in_file
+from arctrack.recording import BadFrame, Recording
+from arctrack.replay.explain_lines import Refusals, SigmaParts, refusals, sigma_parts
+from arctrack.replay.recorded_tracking import RecordedTracking
+from noise_model.arc.map import ArcKernel, arc_frame, arc_kernel
+from noise_model.arc.scene import Scene, make_scene
+from noise_model.arrays import Float32, Float64
+from noise_model.instrument.sensor import variance_e2
+from tracker import flags
+from tracker.arc.level import MAP_SIGMA, ArcLevel
+from tracker.arc.transmission import Transmission
+from tracker.checks import FrameChecks
+from tracker.geometry import SensorGeometry
+from tracker.joint import MeasuredJoint, fit_section
+from tracker.judge import jump_limit_mm
+from tracker.observation import (
+    FrameInput,
+    Reading,
+    expected_output,
+    observe,
+    observed_section,
+)
+from tracker.profile import Section
+from tracker.seam.locate import locate
+from tracker.state import Frame, Pose, Track
+from tracker.step import step_and_reading
+from tracker.stripe.expected import ExpectedStripe
+from tracker.stripe.read import StripeReading, Work
+from tracker.tracker_state import TrackerMemory
+
+
+@dataclass(frozen=True, eq=False)
+class ArcImage:
+    """The arc's light as predicted for a frame, at the level that was found in it; images (H, W).
+
+    `mean_e` is NaN where a pixel looks past the workpiece, `whitened` is frame less prediction in sigmas of
+    pixel noise and of the map's stated uncertainty, NaN for saturated pixels too.
+    """
+
+    mean_e: Float32
+    whitened: Float32
+
+
+@dataclass(frozen=True, eq=False)
+class StripeLook:
+    """How the stripe was read, why some scan lines hold none, and what the others' sigma is made of."""
+
+    reading: StripeReading
+    refusals: Refusals
+    parts: SigmaParts
+
+
+@dataclass(frozen=True, eq=False)
+class SeamLook:
+    """A measured seam beside the earlier ones, displacements (2,) as (y, z) from the programmed path, mm."""
+
+    station_mm: float
+    displacement_mm: Float64
+    variance_mm2: Float64
+    expected_mm: Float64
+    expected_sigma_mm: Float64
+    limit_mm: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class StepObservation:
+    """What the step saw in a frame; None where it did not get that far.
+
+    `reach_px` is how far about the expected stripe it was searched, `torch_station_mm` where the torch stands
+    along the path. `joint` is the one that the step took, else what the profile shows. `seam` is None where
+    it took none.
+    """
+
+    reading: Reading
+    reach_px: float
+    torch_station_mm: float
+    expected: ExpectedStripe | None = None
+    arc: ArcImage | None = None
+    stripe: StripeLook | None = None
+    profile: Section | None = None
+    joint: MeasuredJoint | None = None
+    seam: SeamLook | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A frame's track, the tracker's states before and after it, and the look; None if none was taken."""
+
+    recording: Recording
+    geometry: SensorGeometry
+    frame: Frame
+    pose: Pose | None
+    use_arc_map: bool
+    before: TrackerMemory
+    after: TrackerMemory
+    track: Track
+    look: StepObservation | None
+
+
+def explain(
+    recording: Recording,
+    index: int,
+    use_arc_map: bool = True,
+    on_frame: Callable[[int], None] | None = None,
+) -> Explanation:
+    """Replay a recording up to the frame of an index and explain it; `on_frame` hears the frames done.
+
+    Raises ArctrackError if the recording has no such frame, or if it cannot be read.
+    """
+    position = position_of(recording, index)
+    tracking = RecordedTracking(recording, use_arc_map)
+    for n, earlier in enumerate(recording.frames(range(position))):
+        if not isinstance(earlier, BadFrame):
+            tracking.step(earlier)
+        if on_frame is not None:
+            on_frame(n + 1)
+    (frame,) = recording.frames([position])
+    if isinstance(frame, BadFrame):
+        raise ArctrackError(f"{frame.message}: there is nothing to explain; choose another frame")
+    inputs = tracking.inputs_for(frame)
+    pose, before = inputs.pose, inputs.state
+    tracker, geometry = tracking.tracker, tracking.tracker.geometry
+    after, track, reading = step_and_reading(
+        geometry,
+        before,
+        frame,
+        pose,
+        work=Work.of(geometry),
+        use_arc_map=use_arc_map,
+        correction=tracker.correction,
+        lead=inputs.lead,
+    )
+    look = None
+    if pose is not None and reading is not None:
+        # A frame that contradicts the arc map was read as if no arc were said to burn.
+        as_read = replace(frame, arc_on=frame.arc_on and reading.arc.is_on)
+        given = FrameInput(
+            geometry=geometry,
+            state=before,
+            frame=as_read,
+            T_base_tool=pose.T_base_tool,
+            is_extrapolated=pose.extrapolated,
+            work=Work.of(geometry),
+            use_arc_map=use_arc_map,
+            correction=tracker.correction,
+            lead=inputs.lead,
+        )
+        look = _look(given, reading)
+    if on_frame is not None:
+        on_frame(position + 1)
+    return Explanation(
+        recording=recording,
+        geometry=geometry,
+        frame=frame,
+        pose=pose,
+        use_arc_map=use_arc_map,
+        before=before,
+        after=after,
+        track=track,
+        look=look,
+    )
+
+
+def position_of(recording: Recording, index: int) -> int:
+    """Return the position of the frame with an index; ArctrackError if there is none."""
+    for position, row in enumerate(recording.rows):
+        if row.index == index:
+            return position
+    first, last = recording.rows[0].index, recording.rows[-1].index
+    nearest = min((row.index for row in recording.rows), key=lambda known: abs(known - index))
+    problem = f"has no frame {index}; its frames run from {first} to {last}, and {nearest} is the nearest"
+    raise in_file(recording.path, problem)
+
+
+def _look(given: FrameInput, reading: Reading) -> StepObservation:
+    """Take a reading apart, as far as the step went."""
+    geometry, use_arc_map = given.geometry, given.use_arc_map
+    scene, aim = reading.scene, reading.aim(use_arc_map)
+    nominal_scene = make_scene(geometry.setup, given.T_base_tool)
+    reach_px = geometry.reach_px(reading.reach_mm)
+    look = StepObservation(reading, reach_px, float(nominal_scene.T_joint_tool[0, 3]))
+    # A search looks more than once, and each look writes over what the one before had read.
+    seen = observe(given, FrameChecks(), aim)
+    if seen.expected is None:
+        return look
+    expected, stripe = seen.expected, seen.stripe
+    arc = _arc_image(geometry, scene, seen.transmission, reading.arc, given.frame)
+    look = replace(look, expected=expected, arc=arc)
+    if stripe is None:
+        return look
+    section = observed_section(geometry, aim, seen)
+    look = replace(look, stripe=StripeLook(stripe, refusals(stripe, expected), sigma_parts(stripe, expected)))
+    if len(section.y_mm) < 2:
+        return look
+    look = replace(look, profile=section)
+    if reading.flags & flags.STRIPE_LOST.mask:
+        return look
+    if reading.joint is None:
+        fitted = fit_section(section, geometry.setup.joint, given.frame.image_dn, geometry.along_rows)
+        return replace(look, joint=fitted)
+    return replace(
+        look,
+        joint=reading.joint,
+        seam=_seam_look(geometry, given.state, nominal_scene, scene, reading.joint),
+    )
+
+
+def arc_light(
+    geometry: SensorGeometry, kernel: ArcKernel, transmission: Transmission | None, arc: ArcLevel
+) -> tuple[Float32, Float32]:
+    """Return the arc's light at its level, and all that is in the image without the laser, e-.
+
+    Both are by scan line, (n_scan, n_pos); an unknown level counts as 1. NaN past the workpiece.
+    """
+    shape = (geometry.n_scan, geometry.n_pos)
+    level = arc.level if math.isfinite(arc.level) else 1.0
+    arc_e = arc_frame(kernel, geometry.xy, geometry.cos4, shape)
+    other_e = np.zeros_like(arc_e)
+    if transmission is not None:
+        through = transmission.through(np.arange(arc_e.size), arc_e.ravel())
+        arc_e, other_e = (light.reshape(shape) for light in through)
+    arc_e = np.float32(level) * arc_e
+    return arc_e, arc_e + other_e + np.float32(arc.black_e)
+
+
+def _arc_image(
+    geometry: SensorGeometry,
+    scene: Scene,
+    transmission: Transmission | None,
+    arc: ArcLevel,
+    frame: Frame,
+) -> ArcImage:
+    """Predict the arc's light over the whole image, as the tracker does it for the stripe's band."""
+    kernel = arc_kernel(geometry.setup, scene, expected_output(geometry.setup, frame))
+    arc_e, mean_e = arc_light(geometry, kernel, transmission, arc)
+    dn = frame.image_dn.T if geometry.along_rows else frame.image_dn
+    charge_e = geometry.charge_e[np.minimum(dn, len(geometry.charge_e) - 1)]
+    variance = variance_e2(mean_e, geometry.setup.sensor) + (MAP_SIGMA * arc_e) ** 2
+    whitened = np.where(dn < geometry.saturation_dn, (charge_e - mean_e) / np.sqrt(variance), np.nan)
+    images = (mean_e, whitened.astype(np.float32))
+    return ArcImage(*(image.T if geometry.along_rows else image for image in images))
+
+
+def _seam_look(
+    geometry: SensorGeometry, before: TrackerMemory, nominal_scene: Scene, scene: Scene, joint: MeasuredJoint
+) -> SeamLook:
+    """Put a measured joint beside what the earlier frames said of its place."""
+    source, T_nominal_tool = geometry.seam_source, nominal_scene.T_joint_tool
+    located = locate(source, T_nominal_tool, scene, joint.y_mm, joint.z_mm)
+    station, displacement = located.station_mm, np.array(located.displacement_mm)
+    variance = np.diag(joint.covariance_mm2)
+    expected, sigma = before.history.at(station)
+    limit = np.array(list(map(jump_limit_mm, sigma.tolist(), variance.tolist())))
+    return SeamLook(station, displacement, variance, expected, sigma, limit)

@@ -1,0 +1,202 @@
+"""explain_NNNNNN.html: why one frame gave its seam, or none, on one self-contained page."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from arctrack.diagnose.pages.words import number, percent
+from arctrack.printable import quoted
+from arctrack.recording.setup_file import FILE_NAME
+from arctrack.replay.explain import Explanation, StripeLook
+from arctrack.replay.explain_lines import READ, UNLIT, SigmaParts, read_with
+from arctrack.replay.explain_pages import pictures, plots, words
+from arctrack.report.template import environment
+from tracker.joint.measured import off_section
+from tracker.stripe.viterbi import GAIN_CAP
+
+TEMPLATE = "explain.html.j2"
+
+MAX_CANDIDATES = 4
+"""Candidates of a scan line that are listed."""
+
+MIN_GAIN = 2.0
+"""Candidates that gain less are noise and not listed."""
+
+
+@dataclass(frozen=True)
+class PeakCandidate:
+    """A place where the matched filter peaks, px, its score in sigmas, its gain; whether the path took it."""
+
+    position_px: float
+    score: float
+    gain: float
+    is_chosen: bool
+
+
+@dataclass(frozen=True)
+class ScanLineView:
+    """A scan line on the page: its mark in the frame, what it is, its picture and candidates."""
+
+    mark: str
+    scan: int
+    title: str
+    summary: str
+    uri: str
+    candidates: tuple[PeakCandidate, ...]
+
+
+def page(explanation: Explanation) -> str:
+    """Return the page, which needs no other file and no network."""
+    pages = environment()
+    pages.globals.update(words=words, number=number, percent=percent)
+    return pages.get_template(TEMPLATE).render(**_content(explanation))
+
+
+def telling_lines(stripe: StripeLook) -> list[tuple[str, int]]:
+    """Return scan lines worth a look, with what they are: best, median and worst sigma, one without a stripe.
+
+    Of those without a stripe one that was fitted in vain tells more than one that the path passed over.
+    """
+    sigma = stripe.reading.stripe.sigma_px
+    read = np.flatnonzero(np.isfinite(sigma))
+    chosen: dict[int, str] = {}
+    if read.size:
+        order = read[np.argsort(sigma[read], kind="stable")]
+        for name, s in (("best", order[0]), ("median", order[len(order) // 2]), ("worst", order[-1])):
+            chosen.setdefault(int(s), f"{name} σ")
+    why = stripe.refusals.why
+    refused = np.flatnonzero((why != READ) & (why != UNLIT))
+    if refused.size:
+        fitted = refused[np.isfinite(stripe.reading.start_px[refused])]
+        among = fitted if fitted.size else refused
+        s = int(among[len(among) // 2])
+        chosen[s] = f"no stripe ({why[s]})"
+    return [(name, s) for s, name in chosen.items()]
+
+
+def candidates(explanation: Explanation, stripe: StripeLook, s: int) -> tuple[PeakCandidate, ...]:
+    """Return a scan line's likeliest candidates, the likeliest first, and the chosen one if it is no peak."""
+    reading = stripe.reading
+    score = reading.score[s].astype(float)
+    gains = np.minimum(0.5 * np.maximum(score, 0.0) ** 2, GAIN_CAP)
+    places = reading.around_px[s] + reading.offsets_px
+    around = np.concatenate([[-np.inf], score, [-np.inf]])
+    peaks = np.flatnonzero((score >= around[:-2]) & (score > around[2:]) & (gains >= MIN_GAIN))
+    shown = list(peaks[np.argsort(-score[peaks], kind="stable")][:MAX_CANDIDATES])
+    start = float(reading.start_px[s])
+    taken = int(np.argmin(np.abs(places - start))) if math.isfinite(start) else None
+    if taken is not None and taken not in shown:
+        shown.append(taken)
+    return tuple(PeakCandidate(float(places[i]), float(score[i]), float(gains[i]), i == taken) for i in shown)
+
+
+def _content(explanation: Explanation) -> dict[str, Any]:
+    look = explanation.look
+    stripe = None if look is None else look.stripe
+    lines = [] if stripe is None else _lines(explanation, stripe)
+    # Without the map one variance stands for all pixels: it has no parts.
+    has_parts = (
+        stripe is not None and explanation.use_arc_map and bool(np.isfinite(stripe.parts.stripe).any())
+    )
+    has_path = look is not None and (look.seam is not None or explanation.before.history.n > 0)
+    camera = explanation.geometry.setup.camera
+    return {
+        "explanation": explanation,
+        "track": explanation.track,
+        "look": look,
+        "label": "valid" if explanation.track.valid else "no seam to use",
+        "flags": words.raised(explanation.track.flags),
+        "places": words.places(explanation),
+        "frame": pictures.frame_picture(explanation),
+        "overlay": pictures.overlay(explanation),
+        "camera": camera,
+        "saturated": int((explanation.frame.image_dn >= explanation.geometry.saturation_dn).sum()),
+        "marks": pictures.marks(explanation, [line.scan for line in lines]),
+        "arc": pictures.arc_pictures(explanation),
+        "candidates": None if stripe is None else plots.candidates_picture(explanation, stripe),
+        "gain_cap": GAIN_CAP,
+        "lines": lines,
+        "line": words.scan_line(explanation),
+        "refused": words.refused_lines(explanation),
+        "sigmas": plots.sigma_picture(explanation, stripe.parts)
+        if stripe is not None and has_parts
+        else None,
+        "parts": _shares(stripe.parts) if stripe is not None and has_parts else [],
+        "sum_off": _sum_off(stripe) if stripe is not None and has_parts else math.nan,
+        "profile": plots.profile_picture(explanation, look) if look is not None and look.profile else None,
+        "left_out": _left_out(explanation),
+        "history": plots.history_picture(explanation, look) if look is not None and has_path else None,
+        "replay": _replay(explanation),
+    }
+
+
+def _replay(explanation: Explanation) -> str:
+    """Return the command that replays the whole recording in the same way."""
+    recording = explanation.recording
+    command = f"arctrack replay {quoted(recording.path)}"
+    if recording.setup_path != recording.path / FILE_NAME:
+        command += f" --setup {quoted(recording.setup_path)}"
+    return command if explanation.use_arc_map else f"{command} --no-arc-map"
+
+
+def _lines(explanation: Explanation, stripe: StripeLook) -> list[ScanLineView]:
+    lines = []
+    for mark, (name, s) in zip("abcd", telling_lines(stripe), strict=False):
+        title = f"{mark}: {words.scan_line(explanation)} {s}, {name}"
+        uri = plots.line_picture(explanation, stripe, s, title)
+        lines.append(
+            ScanLineView(
+                mark, s, title, _summary(explanation, stripe, s), uri, candidates(explanation, stripe, s)
+            )
+        )
+    return lines
+
+
+def _summary(explanation: Explanation, stripe: StripeLook, s: int) -> str:
+    """Return a scan line's numbers."""
+    refusals = stripe.refusals
+    if refusals.why[s] != READ:
+        measured = ""
+        if math.isfinite(refusals.height_e[s]):
+            height, ratio = refusals.height_e[s], refusals.width_ratio[s]
+            measured = f" What it found is {number(height)} e- high, {ratio:.2f} times as wide as expected."
+        return f"No stripe: {words.REFUSALS[str(refusals.why[s])]}.{measured}"
+    position, sigma, amplitude, _, chi2 = stripe.reading.fits[s, :5]
+    share = (
+        f"; the arc's share of the variance {percent(stripe.parts.arc_share[s])}"
+        if explanation.use_arc_map
+        else ""
+    )
+    pair = read_with(stripe.reading, s)
+    together = f" Read as one with line {2 * pair.start + 1 - s}." if pair.stop - pair.start > 1 else ""
+    return (
+        f"Position {position:.2f} ± {number(sigma)} px; {number(amplitude)} e- high; "
+        f"χ² {number(chi2)} per pixel{share}.{together}"
+    )
+
+
+def _shares(parts: SigmaParts) -> list[tuple[str, int]]:
+    """Return each part's mean share of the variance in percent, rounded such that they add up to 100."""
+    labels, _, values = zip(*plots.parts_with_floor(parts), strict=True)
+    shares = 100.0 * np.nanmean(np.array(values) / np.sum(values, axis=0), axis=1)
+    whole = np.floor(shares).astype(int)
+    whole[np.argsort(whole - shares, kind="stable")[: 100 - whole.sum()]] += 1
+    return list(zip(labels, whole.tolist(), strict=True))
+
+
+def _sum_off(stripe: StripeLook) -> float:
+    """Return how far the parts' sum is off the variance that the fit stated, at most, as a share of it."""
+    return float(np.nanmax(np.abs(stripe.parts.variance_px2 / stripe.reading.stripe.sigma_px**2 - 1.0)))
+
+
+def _left_out(explanation: Explanation) -> tuple[int, int] | None:
+    """Return how many of the profile's points lie off the fitted section, and how many there are."""
+    if explanation.look is None or explanation.look.joint is None:
+        return None
+    assert explanation.look.profile is not None
+    left_out = off_section(explanation.look.profile.points, explanation.look.joint)
+    return int(left_out.sum()), len(left_out)

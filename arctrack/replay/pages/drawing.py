@@ -1,0 +1,59 @@
+"""Who draws the frames of a replay: this process, or some of their own while there are cores for them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from arctrack.own_process import OwnProcess, answered
+from arctrack.recording import Recording, Truth
+from arctrack.replay.pages.frame_drawer import Drawn, FrameDrawer, ToDraw
+
+FRAMES_WORTH_A_PROCESS = 170
+"""So many frames of the page take as long to draw as a process takes to start: 1.5 s of one core."""
+
+MAX_PROCESSES = 3
+"""So many draw as fast as one process reads the frames, encodes the video and collects the page."""
+
+
+def process_count(cores: int, frames: int) -> int:
+    """Return how many processes draw so many frames on so many cores.
+
+    One core is for who writes what they draw. No process takes longer to start than it then draws.
+    """
+    return max(0, min(cores - 1, frames // FRAMES_WORTH_A_PROCESS, MAX_PROCESSES))
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What draws a replay's frames: `drawer`, in the `processes` if there are any, else in this one."""
+
+    drawer: FrameDrawer
+    processes: Sequence[OwnProcess[ToDraw, Drawn]]
+
+    def wait_ready(self) -> None:
+        """Wait until the processes have loaded what they need: they are still then until they are asked."""
+        for process in self.processes:
+            process.wait_ready()
+
+    def draw(self, to_draw: Iterable[ToDraw]) -> Iterator[tuple[ToDraw, Drawn]]:
+        """Yield frames and what was drawn of them, in their order; ArctrackError if a process has ended."""
+        return answered(self.drawer, self.processes, to_draw)
+
+
+@contextmanager
+def drawing_on(recording: Recording, truth: Truth | None, folder: Path, cores: int) -> Iterator[Drawing]:
+    """Give what draws a recording's frames on so many cores; its processes start at once, and end in the end.
+
+    The results `folder` is named where one ends by itself.
+    """
+    drawer = FrameDrawer(recording.setup, truth)
+    ended = (
+        f"{folder}: a process that drew pictures has ended, for want of memory perhaps; what was tracked and "
+        "sent is there, --no-pictures draws nothing"
+    )
+    count = process_count(cores, len(recording.rows))
+    with ExitStack() as opened:
+        yield Drawing(drawer, [opened.enter_context(OwnProcess(drawer, ended)) for _ in range(count)])

@@ -1,0 +1,248 @@
+"""replay.mcap: a replay as messages over time, for Foxglove and all else that reads MCAP."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self
+
+import numpy as np
+from mcap.writer import Writer
+from PIL.ImageColor import getrgb
+from scipy.spatial.transform import Rotation
+
+from arctrack.output import writing
+from arctrack.recording import Recording
+from arctrack.replay.pages import mcap_schemas as schemas
+from arctrack.replay.pages.numbers import numbers, on_bus
+from arctrack.replay.pages.seen import ReplayedFrame
+from arctrack.replay.pages.view import ReplayView, chosen, stretches
+from arctrack.report import style
+from arctrack.report.image import jpeg
+from noise_model.arrays import Float64
+from tracker.checks import Check
+from tracker.state import Frame
+
+LINE_STRIP, FLOAT32 = 3, 7
+"""Foxglove's numbers for a line through points, and for the type of a packed number."""
+
+M_PER_MM = 1e-3
+
+TOPICS = {
+    "/camera/image": schemas.COMPRESSED_IMAGE,
+    "/camera/arc_map": schemas.COMPRESSED_IMAGE,
+    "/camera/annotations": schemas.IMAGE_ANNOTATIONS,
+    "/camera/calibration": schemas.CAMERA_CALIBRATION,
+    "/tf": schemas.FRAME_TRANSFORM,
+    "/profile": schemas.POINT_CLOUD,
+    "/track": schemas.TRACK,
+}
+"""Each topic and its messages' schema."""
+
+
+class McapFile:
+    """Writes the file message by message; the context's end makes it whole.
+
+    MCAP counts time from 0. Where a recording begins before, all times in the file are whole seconds later,
+    as its metadata `arctrack` say. Raises ArctrackError, which names the file, where it cannot be written.
+    """
+
+    def __init__(self, path: Path, recording: Recording) -> None:
+        self._path, self._recording = path, recording
+        first_s = min(row.timestamp_s for row in recording.rows)
+        self._late_s = max(0, math.ceil(-first_s))
+        with writing(path):
+            self._file: IO[bytes] = path.open("wb")
+        self._writer = Writer(self._file)
+        with writing(path):
+            self._begin(self._ns(first_s))
+
+    def add(
+        self, frame: Frame | None, seen: ReplayedFrame, view: ReplayView, true_mm: Float64 | None
+    ) -> None:
+        """Append a frame's messages, None if it could not be read."""
+        track = seen.track
+        ns = self._ns(track.timestamp_s)
+        stamp = _stamp(ns)
+        messages: dict[str, dict[str, Any]] = {"/track": _track(frame, seen, true_mm)}
+        for topic, grey in (("/camera/image", view.grey), ("/camera/arc_map", view.arc_grey)):
+            if grey is not None:
+                messages[topic] = {
+                    "timestamp": stamp,
+                    "frame_id": "camera",
+                    "data": _base64(jpeg(grey)),
+                    "format": "jpeg",
+                }
+        if frame is not None:
+            messages["/camera/annotations"] = _annotations(stamp, view)
+        if seen.pose is not None:
+            messages["/tf"] = _transform(stamp, "base", "tool", seen.pose.T_base_tool)
+        if view.profile is not None:
+            messages["/profile"] = _cloud(stamp, view.profile.points_mm)
+        with writing(self._path):
+            for topic, message in messages.items():
+                self._send(topic, message, ns)
+
+    def _begin(self, first_ns: int) -> None:
+        recording, camera = self._recording, self._recording.setup.camera
+        self._writer.start(library="arctrack")
+        ids = {
+            schema["title"]: self._writer.register_schema(
+                schema["title"], "jsonschema", json.dumps(schema).encode()
+            )
+            for schema in TOPICS.values()
+        }
+        self._channels = {
+            topic: self._writer.register_channel(topic, "json", ids[schema["title"]])
+            for topic, schema in TOPICS.items()
+        }
+        self._writer.add_metadata(
+            "arctrack", {"recording": recording.name, "seconds_later": str(self._late_s)}
+        )
+        setup = recording.setup_path
+        self._writer.add_attachment(first_ns, first_ns, setup.name, "application/toml", setup.read_bytes())
+        stamp = _stamp(first_ns)
+        K = camera.matrix
+        calibration = {
+            "timestamp": stamp,
+            "frame_id": "camera",
+            "width": camera.width,
+            "height": camera.height,
+            "distortion_model": "plumb_bob" if len(camera.distortion) == 5 else "rational_polynomial",
+            "D": list(camera.distortion),
+            "K": K.ravel().tolist(),
+            "R": np.eye(3).ravel().tolist(),
+            "P": np.column_stack([K, np.zeros(3)]).ravel().tolist(),
+        }
+        self._send("/camera/calibration", calibration, first_ns)
+        self._send("/tf", _transform(stamp, "tool", "camera", camera.T_tool_camera), first_ns)
+
+    def _ns(self, time_s: float) -> int:
+        return round((time_s + self._late_s) * 1e9)
+
+    def _send(self, topic: str, message: dict[str, Any], ns: int) -> None:
+        text = json.dumps(message, allow_nan=False, separators=(",", ":"))
+        self._writer.add_message(self._channels[topic], ns, text.encode(), ns)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with writing(self._path), self._file:
+            self._writer.finish()
+
+
+def _track(frame: Frame | None, seen: ReplayedFrame, true_mm: Float64 | None) -> dict[str, Any]:
+    """Return a track's message; what is not known is left out, for JSON has no NaN."""
+    known = {name: value for name, value in numbers(frame, seen, true_mm).items() if math.isfinite(value)}
+    return {
+        "frame": seen.track.frame,
+        "valid": seen.track.valid,
+        "flags": list(seen.track.flag_names),
+        "bus": on_bus(seen),
+        **known,
+        "checks": [_check(check) for check in seen.track.checks],
+    }
+
+
+def _check(check: Check) -> dict[str, Any]:
+    numbers = {"value": check.value, "limit": check.limit}
+    return {
+        "question": check.question.id,
+        "words": check.question.words,
+        "demand": check.question.demand,
+        "outcome": check.outcome,
+        "flag": check.flag.name,
+        **{name: value for name, value in numbers.items() if math.isfinite(value)},
+    }
+
+
+def _annotations(stamp: dict[str, int], view: ReplayView) -> dict[str, Any]:
+    """Return the stripe as lines, vermillion where it is saturated, and the seam and its truth as rings."""
+    width_px = 1 if view.grey is None else view.grey.shape[1]
+    lines = [
+        _line(stamp, points, colour, 2.0)
+        for points, colour in (
+            (view.expected_px, style.SKY),
+            (view.stripe_px, style.ORANGE),
+            (chosen(view.stripe_px, view.saturated), style.VERMILLION),
+        )
+    ]
+    rings = [
+        {
+            "timestamp": stamp,
+            "position": _point(point),
+            "diameter": width_px / share,
+            "thickness": 2.0,
+            "fill_color": _colour(colour, 0.0),
+            "outline_color": _colour(colour),
+        }
+        for point, colour, share in ((view.seam_px, style.YELLOW, 40.0), (view.truth_px, style.GREEN, 25.0))
+        if point is not None
+    ]
+    return {"circles": rings, "points": [line for group in lines for line in group], "texts": []}
+
+
+def _line(stamp: dict[str, int], points_px: Float64, colour: str, thickness: float) -> list[dict[str, Any]]:
+    """Return a line through points (n, 2), px, broken where they are NaN."""
+    return [
+        {
+            "timestamp": stamp,
+            "type": LINE_STRIP,
+            "points": [_point(point) for point in stretch],
+            "outline_color": _colour(colour),
+            "outline_colors": [],
+            "fill_color": _colour(colour, 0.0),
+            "thickness": thickness,
+        }
+        for stretch in stretches(points_px)
+    ]
+
+
+def _point(point_px: Float64) -> dict[str, float]:
+    # Foxglove counts from the corner of the first pixel, arctrack from its middle.
+    return {"x": float(point_px[0]) + 0.5, "y": float(point_px[1]) + 0.5}
+
+
+def _colour(colour: str, opacity: float = 1.0) -> dict[str, float]:
+    return {**_named("rgb", [share / 255.0 for share in getrgb(colour)]), "a": opacity}
+
+
+def _transform(stamp: dict[str, int], parent: str, child: str, T_parent_child: Float64) -> dict[str, Any]:
+    return {
+        "timestamp": stamp,
+        "parent_frame_id": parent,
+        "child_frame_id": child,
+        "translation": _named("xyz", T_parent_child[:3, 3] * M_PER_MM),
+        "rotation": _named("xyzw", Rotation.from_matrix(T_parent_child[:3, :3]).as_quat()),
+    }
+
+
+def _cloud(stamp: dict[str, int], points_tool_mm: Float64) -> dict[str, Any]:
+    points_m = (points_tool_mm * M_PER_MM).astype("<f4")
+    return {
+        "timestamp": stamp,
+        "frame_id": "tool",
+        "pose": {"position": _named("xyz", np.zeros(3)), "orientation": _named("xyzw", np.eye(4)[3])},
+        "point_stride": 12,
+        "fields": [{"name": name, "offset": 4 * n, "type": FLOAT32} for n, name in enumerate("xyz")],
+        "data": _base64(points_m.tobytes()),
+    }
+
+
+def _named(names: str, values: Sequence[float] | Float64) -> dict[str, float]:
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+
+def _stamp(ns: int) -> dict[str, int]:
+    return {"sec": ns // 1_000_000_000, "nsec": ns % 1_000_000_000}
+
+
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode("ascii")

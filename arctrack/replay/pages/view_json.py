@@ -1,0 +1,58 @@
+"""A view as replay.html keeps it: small pictures, points as whole numbers."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from arctrack.replay.pages.view import Profile, ReplayView
+from arctrack.report.data_uri import uri
+from arctrack.report.image import jpeg, shrunk
+from noise_model.arrays import Float64, UInt8
+
+FRAME_PX, MAP_PX = 640, 320
+"""Pictures are shrunk to about these widths."""
+
+MAX_LINES, MAX_POINTS = 400, 400
+"""So many scan lines of the stripe, and so many points of a profile, are on the page at most."""
+
+
+def view_json(view: ReplayView) -> dict[str, Any]:
+    """Return a view for the page: image points in tenths of a px, points in the laser plane in um."""
+    step = max(1, math.ceil(len(view.stripe_px) / MAX_LINES))
+    return {
+        "frame": None if view.grey is None else _picture(view.grey, FRAME_PX),
+        "arc": None if view.arc_grey is None else _picture(view.arc_grey, MAP_PX),
+        "stripe": points_json(view.stripe_px[::step], 10.0),
+        "saturated": np.flatnonzero(view.saturated[::step]).tolist(),
+        "expected": points_json(view.expected_px[:: 2 * step], 10.0),
+        "seam": None if view.seam_px is None else points_json(view.seam_px[None], 10.0)[0],
+        "truth": None if view.truth_px is None else points_json(view.truth_px[None], 10.0)[0],
+        "profile": None if view.profile is None else _profile_json(view.profile),
+    }
+
+
+def _profile_json(profile: Profile) -> dict[str, Any]:
+    step = max(1, math.ceil(len(profile.points_mm) / MAX_POINTS))
+    return {
+        "points": points_json(profile.points_mm[::step, 1:], 1000.0),
+        "off": np.flatnonzero(profile.off_section[::step]).tolist(),
+        "section": points_json(profile.section_mm[:, 1:], 1000.0),
+        "expected": points_json(profile.expected_mm[:, 1:], 1000.0),
+    }
+
+
+def points_json(points: Float64, scale: float) -> list[list[int] | None]:
+    """Return points (n, 2) as whole numbers of a smaller unit, None where one is not known."""
+    known = np.isfinite(points.sum(axis=1))
+    whole = np.rint(np.where(known[:, None], points, 0.0) * scale).astype(int)
+    listed: list[list[int] | None] = whole.tolist()
+    for n in np.flatnonzero(~known):
+        listed[n] = None
+    return listed
+
+
+def _picture(grey: UInt8, width_px: int) -> str:
+    return uri("image/jpeg", jpeg(shrunk(grey, max(1, math.ceil(grey.shape[1] / width_px)))))

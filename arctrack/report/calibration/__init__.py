@@ -1,1 +1,0 @@
-"""The pages of calibrations: what was found, how well, and pictures of what it rests on."""

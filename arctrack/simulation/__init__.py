@@ -1,0 +1,1 @@
+"""Recordings that are simulated, and a simulated cell around the real controller."""

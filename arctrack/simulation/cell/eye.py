@@ -1,0 +1,30 @@
+"""What a tracker in a cell looks with: a camera, and what makes a track of its frames."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy.typing as npt
+
+from arctrack.control.frame_tracking import Capture
+from arctrack.control.innovation import SeamMeasurement
+from tracker.state import Track
+
+Shown = npt.NDArray[Any] | None
+"""What a frame shows: an image, or where a camera without a picture saw the seam; None for nothing."""
+
+
+class Eye(Protocol):
+    """A camera at the robot's tool, and the tracking behind it."""
+
+    def begin(self) -> None:
+        """Begin to track anew, as a new process does."""
+
+    def look(self, off_mm: float) -> Shown:
+        """Return what the camera sees now, of a seam that seems to lie so far to the left, mm."""
+
+    def garbage(self) -> Shown:
+        """Return what a camera that is broken shows."""
+
+    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
+        """Track a frame; the measurement of the seam is what the watch over the poses sees."""

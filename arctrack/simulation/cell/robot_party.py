@@ -1,0 +1,169 @@
+"""The robot at its place on the bus: what it sends, and what it hears of the tracker."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import can
+from scipy.spatial.transform import Rotation
+
+from arctrack.simulation.cell.bus import BusFrame, BusParty
+from arctrack.simulation.cell.robot import Robot
+from arctrack.simulation.cell.scheduler import Scheduler
+from robot_io import (
+    SOURCES,
+    BusMessage,
+    Inbox,
+    PoseKind,
+    Protector,
+    Received,
+    RobotPosePosition,
+    RobotPoseRotation,
+    RobotStatus,
+    RobotSync,
+    SeamOffset,
+    Source,
+    TrackerSyncEcho,
+    Trusted,
+    cycle_time_s,
+    message_layout,
+)
+
+Quaternion = tuple[float, float, float, float]
+Vector = tuple[float, float, float]
+
+SEND_LAG_S = 0.002
+"""From a pose's sample to the sending of its frames."""
+
+
+@dataclass(frozen=True)
+class RobotReport:
+    """A pose as the robot tells it."""
+
+    place_mm: Vector
+    quaternion: Quaternion
+    age_s: float
+
+
+Spoil = Callable[[float, RobotReport], RobotReport | None]
+"""Takes the time and what is true, and returns what is told; None for nothing."""
+
+SOURCE = Source.LIVE
+"""What is sent: as a live cell sends it. Nothing leaves the process."""
+
+
+@dataclass
+class RobotParty:
+    """Sends pose, status, command and SYNC; hears offsets and follows them.
+
+    Attributes
+    ----------
+    spoil : Spoil or None
+        What is wrong with the poses that are told.
+    said : callable or None
+        What is said instead of the status, None for nothing.
+    breaks_status : bool
+        Whether the status' CRC is wrong.
+    commands : bool
+        Whether it commands at all.
+    on_message : callable or None
+        Hears every accepted message of the tracker.
+    """
+
+    robot: Robot
+    bus: BusParty
+    scheduler: Scheduler
+    spoil: Spoil | None = None
+    said: Callable[[RobotStatus], RobotStatus | None] | None = None
+    breaks_status: bool = False
+    commands: bool = True
+    on_message: Callable[[Received, BusFrame], None] | None = None
+    inbox: Inbox = field(default_factory=lambda: Inbox(Trusted(SOURCES, SOURCES)))
+    _protector: Protector = field(default_factory=lambda: Protector(SOURCE))
+    _sequence: int = 0
+    _synced_s: float = 0.0
+    _round_trip_us: int | None = None
+
+    name = "robot"
+
+    def __post_init__(self) -> None:
+        self.bus.join(self.name, self._hear)
+        every = self.scheduler.every
+        every(_cycle_s(RobotPosePosition), self._sample, 0.0011)
+        every(_cycle_s(RobotStatus), self._send_status, 0.0027)
+        every(0.1, self._send_command, 0.0043)
+        every(_cycle_s(RobotSync), self._send_sync, 0.0059)
+        self._quaternion: Quaternion = tuple(Rotation.from_matrix(self.robot.world.R_base_tool).as_quat())
+
+    def _sample(self) -> None:
+        now_s = self.scheduler.now_s
+        self.robot.advance(now_s)
+        x, y, z = self.robot.place_mm().tolist()
+        told: RobotReport | None = RobotReport((x, y, z), self._quaternion, SEND_LAG_S)
+        if self.spoil is not None and told is not None:
+            told = self.spoil(now_s, told)
+        if told is not None:
+            pose = told
+            self.scheduler.at(now_s + SEND_LAG_S, lambda: self._send_pose(pose, now_s + SEND_LAG_S))
+
+    def _send_pose(self, told: RobotReport, due_s: float) -> None:
+        self._send(RobotPosePosition(*told.place_mm, PoseKind.ACTUAL))
+        # In real time it may be later than it was to be.
+        age_ms = 1000.0 * (told.age_s + self.scheduler.now_s - due_s)
+        self._send(RobotPoseRotation.from_quaternion(told.quaternion, age_ms if age_ms <= 30.0 else math.nan))
+
+    def _send_status(self) -> None:
+        status: RobotStatus | None = self.robot.status
+        if self.said is not None and status is not None:
+            status = self.said(status)
+        if status is None:
+            return
+        arbitration_id, data = self._protector.protect(status)
+        if self.breaks_status:
+            data = bytes([data[0] ^ 0x5A]) + data[1:]
+        self.bus.send(self.name, arbitration_id, data)
+
+    def _send_command(self) -> None:
+        if self.commands:
+            self._send(self.robot.command)
+
+    def _send_sync(self) -> None:
+        self._sequence = (self._sequence + 1) % 256
+        now_s = self.scheduler.now_s
+        self._send(RobotSync(self._sequence, round(1e6 * now_s) % 2**28, self._round_trip_us))
+        self._synced_s, self._round_trip_us = now_s, None
+
+    def _send(self, message: BusMessage) -> None:
+        self.bus.send(self.name, *self._protector.protect(message))
+
+    def _hear(self, frame: BusFrame) -> None:
+        received = self.inbox.receive(as_message(frame, self.scheduler.now_s))
+        if received is None:
+            return
+        if isinstance(received.message, SeamOffset):
+            self.robot.advance(self.scheduler.now_s)
+            self.robot.hear(received.message, self.scheduler.now_s)
+        elif isinstance(received.message, TrackerSyncEcho):
+            self._take_echo(received.message)
+        if self.on_message is not None:
+            self.on_message(received, frame)
+
+    def _take_echo(self, echo: TrackerSyncEcho) -> None:
+        if echo.sequence != self._sequence or echo.echo_delay_us is None:
+            return
+        round_trip_us = round(1e6 * (self.scheduler.now_s - self._synced_s)) - echo.echo_delay_us
+        # What a signal cannot carry is unknown: a clock was set, or the bus was slower than any.
+        self._round_trip_us = round_trip_us if 0 <= round_trip_us < 65_535 else None
+
+
+def as_message(frame: BusFrame, timestamp_s: float) -> can.Message:
+    """Return a frame as python-can has it."""
+    return can.Message(
+        timestamp=timestamp_s, arbitration_id=frame.arbitration_id, data=frame.data, is_extended_id=False
+    )
+
+
+def _cycle_s(message_type: type[BusMessage]) -> float:
+    return cycle_time_s(message_layout(message_type.__name__))

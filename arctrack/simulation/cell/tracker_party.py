@@ -1,0 +1,215 @@
+"""The tracker at its place on the bus: the real controller, behind a camera."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+
+from arctrack.control.bus_poses import BusPoses
+from arctrack.control.controller import Controller
+from arctrack.control.innovation import InnovationLimits
+from arctrack.control.job import Job
+from arctrack.control.policy import ServicePolicy
+from arctrack.control.tracking_service import TrackingService
+from arctrack.simulation.cell.bus import Bus, BusFrame
+from arctrack.simulation.cell.disk import Disk
+from arctrack.simulation.cell.eye import Eye, Shown
+from arctrack.simulation.cell.robot import Robot
+from arctrack.simulation.cell.robot_party import SOURCE, as_message
+from arctrack.simulation.cell.scheduler import Scheduler
+from robot_io import (
+    BusMessage,
+    Inbox,
+    Protector,
+    SeamGeometry,
+    SeamOffset,
+    SeamPoint,
+    Trusted,
+)
+from robot_io.link.reconnecting import LinkFault
+from robot_io.link.steady_log import SteadyLog
+from robot_io.poses.nominal_path import NominalPath
+from robot_io.poses.plausibility_limits import PlausibilityLimits
+from tracker.state import Track
+
+FRAME_PERIOD_S, EXPOSED_S, COMPUTED_S = 0.02, 0.002, 0.012
+"""The camera's period, from mid-exposure to its end, and what a track takes, s."""
+
+POLL_S = 0.01
+UNHEARD = (SeamPoint, SeamGeometry)
+"""What this robot does not listen to is not sent: it would take a fifth of the time."""
+
+
+class CameraBehaviour(Enum):
+    """What the camera does."""
+
+    RIGHT = "right"
+    STOPPED = "stopped"
+    FROZEN = "frozen"
+    GARBAGE = "garbage"
+    DROPPING = "dropping"
+    GHOST = "ghost"
+
+
+@dataclass
+class TrackerParty:
+    """Runs the controller on a clock of its own.
+
+    Attributes
+    ----------
+    eye : Eye
+        Its camera, and what tracks.
+    frame_period_s : float
+        From a frame to the next, s.
+    clock_s : float
+        How far its clock is ahead of the true time, s.
+    camera : Camera
+        What the camera does.
+    is_running : bool
+        Whether the process runs: what comes meanwhile waits in the bus' buffer.
+    queue_full : bool
+        Whether nothing that is sent goes out.
+    disk : Disk
+        What its log is written to.
+    faults : Counter of LinkFault
+        What went wrong without ending the run.
+    said : list of str
+        What it told its user.
+    poses : BusPoses
+        What the bus says of the tool.
+    service : TrackingService
+        What answers frames and messages.
+    captured : dict
+        When each frame was taken, s, by its time on the tracker's clock.
+    on_track : callable or None
+        Hears each track, and what was sent of it.
+    """
+
+    robot: Robot
+    bus: Bus
+    scheduler: Scheduler
+    rng: np.random.Generator
+    job: Job
+    eye: Eye
+    frame_period_s: float = FRAME_PERIOD_S
+    clock_s: float = 0.0
+    camera: CameraBehaviour = CameraBehaviour.RIGHT
+    is_running: bool = True
+    queue_full: bool = False
+    disk: Disk = field(default_factory=Disk)
+    faults: Counter[LinkFault] = field(default_factory=Counter)
+    said: list[str] = field(default_factory=list)
+    ghost_mm: float = 2.0
+    captured: dict[float, float] = field(default_factory=dict)
+    on_sent: Callable[[BusMessage], None] | None = None
+    on_track: Callable[[Track, list[BusMessage]], None] | None = None
+
+    name = "tracker"
+
+    def __post_init__(self) -> None:
+        self.inbox = Inbox(Trusted((SOURCE,), (SOURCE,)))
+        self.path: NominalPath = self.robot.world.path
+        self._shown: Shown = None
+        self._has_shown = False
+        self._waiting: deque[tuple[BusFrame, float]] = deque()
+        self._index = 0
+        self._log = SteadyLog(
+            Path("bus.blf"), self.faults, self.disk.open, lambda: self.scheduler.now_s, self.said.append
+        )
+        self.poses = BusPoses(self.path, PlausibilityLimits(), InnovationLimits(), ServicePolicy())
+        self._begin_bus()
+        self.bus.join(self.name, self._hear)
+        self.scheduler.every(self.frame_period_s, self._capture, 0.0037)
+        self.scheduler.every(POLL_S, self._poll, 0.0041)
+
+    def start(self) -> None:
+        """Begin as a new process."""
+        self._begin_bus()
+        self.eye.begin()
+
+    def _begin_bus(self) -> None:
+        self._protector = Protector(SOURCE)
+        self.controller = Controller(self.job, SOURCE)
+        self.poses.begin()
+        self.service = TrackingService[Shown](self.controller, self.poses, self.eye)
+        self._waiting.clear()
+
+    @property
+    def now_s(self) -> float:
+        """The time on the tracker's clock, s."""
+        return self.scheduler.now_s + self.clock_s
+
+    def resume(self) -> None:
+        """Let the process run on: first it reads what waits."""
+        self.is_running = True
+        while self._waiting:
+            frame, came_s = self._waiting.popleft()
+            self._read(frame, came_s)
+
+    def _hear(self, frame: BusFrame) -> None:
+        if self.is_running:
+            self._read(frame, self.now_s)
+        else:
+            self._waiting.append((frame, self.now_s))
+
+    def _read(self, frame: BusFrame, came_s: float) -> None:
+        now_s = self.now_s
+        message = as_message(frame, came_s)
+        self._log.write(message)
+        received = self.inbox.receive(message, max_age_s=now_s - came_s)
+        if received is None:
+            return
+        self._send(self.service.hear(received, now_s))
+
+    def _capture(self) -> None:
+        camera = self.camera
+        if camera is CameraBehaviour.STOPPED or (
+            camera is CameraBehaviour.DROPPING and self.rng.random() < 0.1
+        ):
+            return
+        true_s, captured_s = self.scheduler.now_s, self.now_s
+        self.robot.advance(true_s)
+        if camera is not CameraBehaviour.FROZEN or not self._has_shown:
+            self._shown = self.eye.look(self.ghost_mm if camera is CameraBehaviour.GHOST else 0.0)
+            self._has_shown = True
+        shown = self.eye.garbage() if camera is CameraBehaviour.GARBAGE else self._shown
+        self.scheduler.at(
+            true_s + EXPOSED_S + COMPUTED_S * self.rng.uniform(0.8, 1.2),
+            lambda: self._track(shown, true_s, captured_s),
+        )
+
+    def _track(self, shown: Shown, true_s: float, captured_s: float) -> None:
+        if not self.is_running:
+            return
+        now_s = self.now_s
+        self.captured[captured_s] = true_s
+        self._index += 1
+        tracked = self.service.track(shown, self._index, captured_s, now_s)
+        messages = self.service.answer(tracked, now_s, 1000.0 * COMPUTED_S)
+        self._send(messages)
+        if self.on_track is not None:
+            self.on_track(tracked.track, messages)
+
+    def _poll(self) -> None:
+        if self.is_running:
+            self._send(self.service.poll(self.now_s))
+
+    def _send(self, messages: list[BusMessage]) -> None:
+        for message in messages:
+            if self.queue_full:
+                self.controller.unsent(message)
+                continue
+            if isinstance(message, UNHEARD):
+                continue
+            if isinstance(message, SeamOffset):
+                self.service.sent(message, self.now_s)
+                if self.on_sent is not None:
+                    self.on_sent(message)
+            arbitration_id, data = self._protector.protect(message)
+            self.bus.send(self.name, arbitration_id, data)
+            self._log.write(as_message(BusFrame(self.name, arbitration_id, data, self.now_s), self.now_s))

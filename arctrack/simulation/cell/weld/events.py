@@ -1,0 +1,117 @@
+"""What may happen in a run with a rendered camera: some of it shows in the image alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from arctrack.simulation.cell.cell import Cell
+from arctrack.simulation.cell.fault_kind import End, FaultKind
+from arctrack.simulation.cell.weld.rendered_eye import RenderedEye
+from arctrack.simulation.cell.weld.welding_events import (
+    ARC_FAULT,
+    LONG_TACK_MM,
+    SHORT_TACK_MM,
+    SLIPPED,
+    rearm,
+    way,
+)
+from robot_io import Command, MotionState, Switch, WeldingState
+
+STRUCK_S, UNSTEADY_S = 0.5, 0.4
+"""When the arc is struck, and for how long it is unsteady then, s."""
+
+UNSTEADY_SIGMA, UNSTEADY_LEVEL = 0.7, 2.0
+"""Of an arc that begins, the log-normal output over its nominal one: sigma and median."""
+
+SLIPPED_S = 1.0
+"""After so long the robot disarms over a part that slipped, s."""
+
+TOLD_LATE_S = 0.5
+"""By how much later than it burns the arc is told of, s."""
+
+IN_VIEW_MM, OUT_OF_VIEW_MM = 15.0, 40.0
+"""How far before the sensor a tack begins, and how far aside no camera sees the seam, mm."""
+
+
+def _eye(cell: Cell) -> RenderedEye:
+    eye = cell.tracker.eye
+    assert isinstance(eye, RenderedEye)
+    return eye
+
+
+def _ignition(cell: Cell, rng: np.random.Generator) -> End:
+    """Strike the arc: bright and unsteady at first, while the robot still stands."""
+    robot, eye = cell.robot.robot, _eye(cell)
+    right = robot.status
+    robot.status = replace(
+        right,
+        welding=WeldingState.IGNITING,
+        arc=Switch.OFF,
+        motion=MotionState.STOPPED,
+        current_a=0.0,
+        travel_speed_mm_s=0.0,
+    )
+
+    def strike() -> None:
+        robot.advance(cell.scheduler.now_s)
+        robot.status = replace(robot.status, arc=Switch.ON, current_a=right.current_a)
+        eye.arc_level = lambda _: UNSTEADY_LEVEL * float(np.exp(UNSTEADY_SIGMA * rng.standard_normal()))
+
+    cell.scheduler.at(cell.scheduler.now_s + STRUCK_S, strike)
+
+    def end() -> None:
+        robot.advance(cell.scheduler.now_s)
+        robot.status, eye.arc_level = right, None
+
+    return end
+
+
+def _told_late(cell: Cell, _rng: np.random.Generator) -> End:
+    """Let the robot say that the arc is off while it burns in the image."""
+    cell.robot.said = lambda status: replace(status, arc=Switch.OFF)
+
+    def end() -> None:
+        cell.robot.said = None
+
+    return end
+
+
+def _tack(cell: Cell, length_mm: float) -> None:
+    first_mm = cell.robot.robot.station_mm + cell.world.look_ahead_mm + IN_VIEW_MM
+    _eye(cell).tacks_mm = ((first_mm, first_mm + length_mm),)
+
+
+def _short_tack(cell: Cell, _rng: np.random.Generator) -> End:
+    _tack(cell, SHORT_TACK_MM)
+    return lambda: None
+
+
+def _long_tack(cell: Cell, _rng: np.random.Generator) -> End:
+    _tack(cell, LONG_TACK_MM)
+    return lambda: rearm(cell, Command.RESET)
+
+
+def _out_of_view(cell: Cell, _rng: np.random.Generator) -> End:
+    eye = _eye(cell)
+    eye.aside_mm = OUT_OF_VIEW_MM
+
+    def end() -> None:
+        eye.aside_mm = 0.0
+        rearm(cell, Command.RESET)
+
+    return end
+
+
+LOOP_EVENTS: Mapping[str, FaultKind] = {
+    "ignition": FaultKind("ignition", _ignition, from_start=True, lasts_s=lambda _: STRUCK_S + UNSTEADY_S),
+    "arc_told_late": FaultKind("arc told late", _told_late, lasts_s=lambda _: TOLD_LATE_S),
+    "arc_fault": ARC_FAULT,
+    "tack": FaultKind("tack", _short_tack, lasts_s=way(IN_VIEW_MM + SHORT_TACK_MM)),
+    "long_tack": FaultKind("long tack", _long_tack, lasts_s=way(IN_VIEW_MM + LONG_TACK_MM)),
+    "out_of_view": FaultKind("seam out of view", _out_of_view, lasts_s=way(LONG_TACK_MM)),
+    "slip": replace(SLIPPED, lasts_s=lambda _: SLIPPED_S),
+}
+"""By the names by which the command line knows them."""

@@ -1,0 +1,165 @@
+"""A rendered camera: what the sensor sees from where the tool truly is, and the real tracker behind it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from arctrack.control.frame_tracking import Capture, FrameTracking
+from arctrack.control.innovation import SeamMeasurement
+from arctrack.simulation.cell.eye import Shown
+from arctrack.simulation.cell.robot import Robot
+from noise_model.arc.scene import make_scene
+from noise_model.arrays import Float64, Integers
+from noise_model.condition import Condition
+from noise_model.effects import apply_setup_effects, checked
+from noise_model.forward import Renderer, draw_frame
+from noise_model.instrument.sensor import saturation_dn
+from noise_model.plan.noise import expected_speckle
+from noise_model.setup import Setup
+from noise_model.surface.joint import BentSeam, Seam, SeamLine
+from robot_io import Switch
+from tracker.state import Frame, Track
+
+FAR_MM = 1e6
+"""Where there is no workpiece."""
+
+TACK_HALF_WIDTH_MM = 4.0
+"""How far a tack's bead reaches to either side of the seam, mm."""
+
+
+@dataclass
+class RenderedEye:
+    """Draws each frame by the forward model, and tracks it as a live tracker would.
+
+    The tool stands still during an exposure. The tracker knows the setup alone: where the seam truly is, and
+    what is truly there beside the setup, it does not.
+
+    Parameters
+    ----------
+    robot : Robot
+        At whose tool it is. The nominal seam of its world is that of the setup.
+    setup : Setup
+        What the tracker knows. Without `laser_speckle` the laser speckles as its optics say.
+    true_setup : Setup
+        What is truly there.
+    rng : numpy.random.Generator
+        Its noise.
+
+    Attributes
+    ----------
+    arc_level : callable or None
+        The arc's output over its nominal one by the time, s; None burns as the robot's status says.
+    tacks_mm : tuple of tuples (2,)
+        From which station of the path to which the joint is under a tack, mm.
+    is_laser_on : bool
+        Whether the laser is on.
+    exposure_s : float
+        The exposure, s; NaN for the true setup's own.
+    aside_mm : float
+        How much farther to the left the seam lies than the world says, mm: out of the camera's view.
+    """
+
+    robot: Robot
+    setup: Setup
+    true_setup: Setup
+    rng: np.random.Generator
+    arc_level: Callable[[float], float] | None = None
+    tacks_mm: tuple[tuple[float, float], ...] = ()
+    is_laser_on: bool = True
+    exposure_s: float = math.nan
+    aside_mm: float = 0.0
+    part_seed: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.part_seed = int(self.rng.integers(2**31))
+        self._renderer = Renderer(1)
+        effects = dict(self.true_setup.effects)
+        effects.setdefault("laser_speckle", expected_speckle(self.setup))
+        joint, missing = self.true_setup.joint, self.true_setup.missing
+        self._true = replace(self.true_setup, effects=checked(effects, joint, missing))
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin to track anew, as a new process does."""
+        self.tracking = FrameTracking(self.setup)
+
+    def look(self, off_mm: float) -> Shown:
+        """Return the image (H, W), DN, that the camera takes now of a seam so far to the left, mm."""
+        T_base_tool, seam = self.robot.T_base_tool(), self._seam(off_mm + self.aside_mm)
+        exposure_s = self._true.camera.exposure_s if math.isnan(self.exposure_s) else self.exposure_s
+        condition = Condition(float(self.is_laser_on), self._arc_level(), exposure_s, self.robot.now_s)
+        image_dn = draw_frame(
+            self._true,
+            T_base_tool,
+            condition,
+            self.rng,
+            seam=seam,
+            renderer=self._renderer,
+            part_seed=self.part_seed,
+        )
+        if self.tacks_mm:
+            view = self._renderer.layers(apply_setup_effects(self._true), T_base_tool, seam).view
+            self._tack(image_dn, view.surface[0])
+        return image_dn
+
+    def _tack(self, image_dn: Integers, surface_mm: Float64) -> None:
+        """Draw tacks over an image (H, W) that shows points (H, W, 3), mm, joint frame: bright, uneven beads.
+
+        They are drawn on the image alone: a bead hides joint and stripe, but casts no shadow.
+        """
+        # Past the workpiece there is no bead.
+        surface_mm = np.nan_to_num(surface_mm.reshape(*image_dn.shape, 3), nan=FAR_MM)
+        station_mm = surface_mm[..., 0] - self.robot.world.start_base_mm[0]
+        aside_mm = surface_mm[..., 1]
+        # Its rims wander, and its ripples run over the joint beneath.
+        rim_mm = TACK_HALF_WIDTH_MM + 0.8 * np.sin(1.3 * station_mm)
+        off_mm = np.abs(aside_mm - 0.8 * np.sin(0.9 * station_mm))
+        rows, columns = np.indices(image_dn.shape)
+        ripples = 0.7 + 0.2 * np.sin(0.11 * rows) + 0.1 * np.cos(0.07 * columns)
+        for first_mm, last_mm in self.tacks_mm:
+            is_bead = (first_mm < station_mm) & (station_mm < last_mm) & (off_mm < rim_mm)
+            image_dn[is_bead] = (ripples[is_bead] * saturation_dn(self.setup.sensor)).astype(image_dn.dtype)
+
+    def garbage(self) -> Shown:
+        """Return an image of noise alone."""
+        camera, sensor = self.setup.camera, self.setup.sensor
+        size = (camera.height, camera.width)
+        return self.rng.integers(0, 2**sensor.bits, size).astype(sensor.dtype)
+
+    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
+        """Track a frame; of poses that are doubted nothing lasts."""
+        assert shown is not None
+        said = capture.robot
+        frame = Frame(
+            index=capture.index,
+            timestamp_s=capture.captured_s,
+            image_dn=shown,
+            exposure_s=self.setup.camera.exposure_s,
+            current_a=self.setup.arc.current_a,
+            arc_on=said is not None and said.arc is Switch.ON,
+        )
+        return self.tracking.track(frame, capture)
+
+    def _arc_level(self) -> float:
+        if self.arc_level is not None:
+            return self.arc_level(self.robot.now_s)
+        return 1.0 if self.robot.status.arc is Switch.ON else 0.0
+
+    def _seam(self, off_mm: float) -> Seam:
+        """Return the true seam as it is seen, straight where it is."""
+        world, joint = self.robot.world, self.true_setup.joint
+
+        def line(station_mm: float) -> SeamLine:
+            # A joint's stations count from base's origin, a world's from where its path begins.
+            on_path_mm = station_mm - world.start_base_mm[0]
+            y_mm, z_mm = world.seam_mm(on_path_mm)
+            slope_y, slope_z = world.seam_slope(on_path_mm)
+            return SeamLine(station_mm, y_mm + off_mm, z_mm, slope_y, slope_z)
+
+        T_base_tool = self.robot.T_base_tool()
+        first_mm, last_mm, torch_mm = make_scene(apply_setup_effects(self._true), T_base_tool).stations_mm
+        return BentSeam.along(line, (first_mm, last_mm), torch_mm, joint.has_ridges)
