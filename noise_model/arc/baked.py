@@ -138,6 +138,21 @@ def _value_at(
 
 
 @kernel(allocates=True)
+def _table_of(
+    k: ArcKernel, margin_mm: float, rel: float, floor_e: float, to_powers: Float64
+) -> tuple[FaceTable, Float64, Float64]:
+    """Return a complete table, and what `_derive` writes of its cells (n,): NaN and 0 of more than may be."""
+    table = new_table(k, margin_mm, rel, floor_e, to_powers)
+    cells_face = _complete(k, table)
+    n = len(cells_face)
+    powers, reach_mm = np.empty((n, TERMS, NODES, NODES)), np.zeros(n)
+    powers[:] = math.nan
+    if n <= MAX_BAKED_CELLS:
+        _derive(k, table, cells_face, powers, reach_mm)
+    return table, powers, reach_mm
+
+
+@kernel(allocates=True)
 def _complete(k: ArcKernel, table: FaceTable) -> Int32:
     """Make all cells of an empty table, or some more than MAX_BAKED_CELLS; return the face (n,) of each."""
     work, cells_face = scratch(), np.empty(table.axis.shape[0], dtype=np.int32)
@@ -286,13 +301,9 @@ def _baked(nominal: Nominal) -> BakedLight:
     tables = []
     for place in range(-N_BESIDE, N_BESIDE + 1):
         k = nominal.kernel(place * STEP_MM)
-        table = new_table(k, nominal.margin_mm, nominal.rel, nominal.floor_e / BRIGHTEST, TO_POWERS)
-        cells_face = _complete(k, table)
-        if len(cells_face) > MAX_BAKED_CELLS:
+        tables.append(_table_of(k, nominal.margin_mm, nominal.rel, nominal.floor_e / BRIGHTEST, TO_POWERS))
+        if len(tables[-1][1]) > MAX_BAKED_CELLS:
             return NOTHING_BAKED
-        powers, reach_mm = np.full((len(cells_face), TERMS, NODES, NODES), np.nan), np.zeros(len(cells_face))
-        _derive(k, table, cells_face, powers, reach_mm)
-        tables.append((table, powers, reach_mm))
     n_faces, n_x = tables[0][0].roots.shape[:2]
     (c_x, c_y, c_z), eye = nominal.center, nominal.eye
     baked = _room(len(tables), n_faces, n_x, max(len(powers) for _, powers, _ in tables))._replace(
