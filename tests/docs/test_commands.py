@@ -29,11 +29,11 @@ PARSED_ONLY = {
     r"pytest ": "is run as a test of its own",
     r"python benchmarks/": "takes minutes to hours",
     r"python -m validation.blind_check ": "takes hours, and needs Mitsuba",
-    r"python -m validation.fault_schedules --count \d{3,} ": "takes minutes; tests/arctrack/cell runs each",
+    r"python -m validation.fault_schedules --count \d{3,} ": "takes minutes; tests/validation runs each",
     r".*\b(monday|tuesday)\b": "names the reader's own recordings",
     r".*\bsocketcan:": "needs CAN hardware",
-    r"arctrack cell serve ": "needs a bus that processes share; tests/arctrack/cell/test_live.py runs one",
-    r"(\.venv/bin/)?arctrack serve ": "runs until it is ended; tests/arctrack/serve runs it beside a cell",
+    r"arctrack cell serve ": "needs a bus that processes share; simulation/cell/test_live.py runs one",
+    r"(\.venv/bin/)?arctrack serve ": "runs until it is ended; tests of live/serve run it beside a cell",
     r"python -m validation.figures effects ": "takes a minute; test_effects_page.py draws each",
 }
 """Commands that are parsed and not run, as regular expressions, and why."""

@@ -15,7 +15,7 @@ from noise_model.arc.scene import make_scene
 from noise_model.instrument.camera import Rays
 from noise_model.surface.brdf import TABLE_1, Lobe, Material
 from noise_model.surface.joint import Joint
-from tests.sim_to_real.check import worlds
+from tests.validation import worlds
 from validation.figures.hemisphere import Hemisphere, irradiance_extended
 from validation.second_renderer.blocks import BLOCK_PX, compare_blocks
 from validation.second_renderer.joint_mesh import REACH_MM, joint_mesh

@@ -35,7 +35,7 @@ from robot_io import (
 from tracker.step import StepInputs
 from tracker.tracker import Tracker
 
-EXAMPLE = Path(__file__).parents[3] / "examples" / "v_groove"
+EXAMPLE = Path(__file__).parents[4] / "examples" / "v_groove"
 PERIOD_S = 0.05
 FIRST, FRAMES = 6, 8
 """The example's first frames show laser or arc alone."""

@@ -30,7 +30,7 @@ from arctrack.replay.replay import ReplayOptions, replay_recording
 from robot_io import BusLogReader, GateLimits, TrackerHeartbeat
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 LAP = {
     "type": "lap",
     "thickness_mm": 2.0,

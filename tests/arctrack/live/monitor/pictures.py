@@ -1,6 +1,6 @@
 """Makes the pictures of docs/reference/monitor.md: of `arctrack serve --simulated`, in a real browser.
 
-python tests/arctrack/monitor/pictures.py docs/reference/pictures
+python tests/arctrack/live/monitor/pictures.py docs/reference/pictures
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import tempfile
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
+sys.path.insert(0, str(Path(__file__).parents[3]))
 
 from browser import Page
 

@@ -16,7 +16,7 @@ from robot_io import MESSAGE_TYPES, BusLogWriter, GateReason, SeamOffset, Source
 from robot_io.protocol.bus_load import frame_bits, frames_per_s, load_table
 from validation.bus_exchange import exchange, exchange_table
 
-CAN_PAGE = Path(__file__).parents[3] / "docs" / "reference" / "can.md"
+CAN_PAGE = Path(__file__).parents[2] / "docs" / "reference" / "can.md"
 
 
 def part_of_page(mark: str) -> str:

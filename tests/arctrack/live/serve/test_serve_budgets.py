@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
+BENCHMARKS = Path(__file__).parents[4] / "benchmarks"
 
 RATE_HZ, SECONDS, STRETCHES, RUNS = 20.0, 8.0, 4, 2
 MIN_VALID = 0.9

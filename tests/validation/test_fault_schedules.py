@@ -159,7 +159,7 @@ def test_a_full_disk_stops_nothing_and_is_said():
 
 
 def test_the_page_has_a_row_for_each_fault():
-    page = (Path(__file__).parents[3] / "docs" / "reference" / "cell.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "cell.md").read_text()
     rows = (
         page.partition("<!-- schedules: begin -->")[2]
         .partition("<!-- schedules: end -->")[0]

@@ -31,7 +31,7 @@ from robot_io import Fault, GateReason, LaserState, TrackerState
 
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
 PATIENCE_S = 60.0
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 
 
 @pytest.fixture(scope="module")

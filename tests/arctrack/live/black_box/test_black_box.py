@@ -54,7 +54,7 @@ from tracker.state import AT_ONCE, OffsetLookAhead, Track
 from tracker.tracker_state import TrackerMemory as SteppedState
 
 RUN = "black-box"
-EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "v_groove"
+EXAMPLE = Path(__file__).resolve().parents[4] / "examples" / "v_groove"
 
 
 @pytest.fixture

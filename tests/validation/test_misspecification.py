@@ -13,7 +13,7 @@ from tests.sim_to_real.planted import planted
 from tests.sim_to_real.small import recorded
 from validation.blind_check.case import FAILED, Answer, Case
 
-sys.path.append(str(Path(__file__).parents[3] / "benchmarks"))
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 from misspecification import (
     Judged,
     Nominal,
