@@ -53,10 +53,11 @@ def step(
     use_arc_map: bool = True,
     correction: Correction = UNSTATED,
     lead: OffsetLookAhead = AT_ONCE,
-) -> tuple[TrackerMemory, Track]:
+) -> tuple[TrackerMemory, Track, Reading | None]:
     """Track one frame.
 
-    Nothing about a frame raises: what fails is NaN with a flag.
+    Nothing about a frame raises: what fails is NaN with a flag. One that contradicts the arc map and shows no
+    seam over it is read as if no arc were stated: over an even background, by its own scatter.
 
     Parameters
     ----------
@@ -83,33 +84,8 @@ def step(
         The state for the next step.
     Track
         The frame's result.
-    """
-    return step_and_reading(
-        geometry=geometry,
-        state=state,
-        frame=frame,
-        pose=pose,
-        work=work,
-        use_arc_map=use_arc_map,
-        correction=correction,
-        lead=lead,
-    )[:2]
-
-
-def step_and_reading(
-    geometry: SensorGeometry,
-    state: TrackerMemory,
-    frame: Frame,
-    pose: Pose | None,
-    work: Work,
-    use_arc_map: bool = True,
-    correction: Correction = UNSTATED,
-    lead: OffsetLookAhead = AT_ONCE,
-) -> tuple[TrackerMemory, Track, Reading | None]:
-    """Return what `step` does and the look at the frame that it rests on, None where it took none.
-
-    A frame that contradicts the arc map and shows no seam over it is read as if no arc were stated: over an
-    even background, by its own scatter.
+    Reading or None
+        The look at the frame that it rests on, None where it took none.
     """
     frame_checks = FrameChecks()
     if pose is None or not _is_readable(geometry, frame, pose):

@@ -10,7 +10,7 @@ from tracker.geometry import SensorGeometry
 from tracker.observation import Reading
 from tracker.seam.correction import UNSTATED, Correction
 from tracker.state import AT_ONCE, Frame, OffsetLookAhead, Pose, Track, frame_misfit
-from tracker.step import step_and_reading
+from tracker.step import step
 from tracker.stripe.read import Work
 from tracker.tracker_state import TrackerMemory
 from tracker.warm_up import OnCompiled, WarmUp, warm_up
@@ -63,7 +63,7 @@ class Tracker:
         Track
             The seam, the offset at the torch, their sigmas and the flags.
         """
-        self.state, track, self.reading = step_and_reading(
+        self.state, track, self.reading = step(
             geometry=self.geometry,
             state=self.state,
             frame=frame,

@@ -104,7 +104,7 @@ def warm_up(
             small = _with_larger_pixels(geometry.setup)
             work, state = Work.of(small), TrackerMemory()
             for frame, pose in _frames(small):
-                state, _ = step(small, state, frame, pose, work, use_arc_map, correction)
+                state, _, _ = step(small, state, frame, pose, work, use_arc_map, correction)
             _warm.add(kind)
         geometry.make_ready()
     if compiled:
@@ -144,7 +144,7 @@ def compile_stripe(setup: Setup) -> None:
     small = _with_larger_pixels(replace(setup, arc=replace(setup.arc, radiance_e=0.0)))
     work, state = Work.of(small), TrackerMemory()
     for frame, pose in _frames(small):
-        state, _ = step(small, state, frame, pose, work)
+        state, _, _ = step(small, state, frame, pose, work)
 
 
 def _no_light(

@@ -20,7 +20,7 @@ from tracker.geometry import SensorGeometry
 from tracker.observation import Reading
 from tracker.seam.locate import locate
 from tracker.state import Frame, Pose, Track
-from tracker.step import step_and_reading
+from tracker.step import step
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import Work
 from tracker.tracker_state import TrackerMemory
@@ -79,7 +79,7 @@ def looks_at(
     looks: list[CheckedFrame] = []
     for frame, line in zip(frames, lines, strict=True):
         pose = recording.pose_at(poses, frame.timestamp_s)
-        state, track, reading = step_and_reading(geometry, TrackerMemory(), frame, pose, work)
+        state, track, reading = step(geometry, TrackerMemory(), frame, pose, work)
         seen = stripe_seen(frame.image_dn, sensor, line)
         look = CheckedFrame(frame, pose, track, line, seen)
         if pose is not None:

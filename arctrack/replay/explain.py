@@ -38,7 +38,7 @@ from tracker.observation import (
 from tracker.profile import Section
 from tracker.seam.locate import locate
 from tracker.state import Frame, Pose, Track
-from tracker.step import step_and_reading
+from tracker.step import step
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.read import StripeReading, Work
 from tracker.tracker_state import TrackerMemory
@@ -135,7 +135,7 @@ def explain(
     inputs = tracking.inputs_for(frame)
     pose, before = inputs.pose, inputs.state
     tracker, geometry = tracking.tracker, tracking.tracker.geometry
-    after, track, reading = step_and_reading(
+    after, track, reading = step(
         geometry,
         before,
         frame,

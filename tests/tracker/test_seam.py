@@ -136,6 +136,6 @@ def test_a_step_refuses_what_is_no_pose(no_pose: Float64) -> None:
     geometry = SensorGeometry.of(small_setup("v_groove"))
     camera, sensor = geometry.setup.camera, geometry.setup.sensor
     frame = Frame(3, 0.1, np.zeros((camera.height, camera.width), sensor.dtype), camera.exposure_s)
-    state, track = step(geometry, TrackerMemory(), frame, Pose(no_pose), Work.of(geometry))
+    state, track, _ = step(geometry, TrackerMemory(), frame, Pose(no_pose), Work.of(geometry))
     assert track.flags == flags.POSE_REFUSED.mask
     assert state.frames == 1

@@ -22,7 +22,7 @@ from noise_model.surface.joint import NOMINAL_SEAM, SeamLine, section
 from tracker import flags
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose, Track
-from tracker.step import step, step_and_reading
+from tracker.step import step
 from tracker.stripe.read import Work
 from tracker.tracker import Tracker
 from tracker.tracker_state import TrackerMemory
@@ -301,11 +301,11 @@ def test_odd_poses_never_raise(setups: dict[str, Setup]) -> None:
         good = pose_at(0.0)
         frame = frame_of(setup, good)
         geometry, work = SensorGeometry.of(setup), Work.of(SensorGeometry.of(setup))
-        learned, track = step(geometry, TrackerMemory(), frame, good, work)
+        learned, track, _ = step(geometry, TrackerMemory(), frame, good, work)
         assert track.valid
         for pose in poses:
             for state in (TrackerMemory(), learned):
-                _, track = step(geometry, state, frame, pose, work)
+                _, track, _ = step(geometry, state, frame, pose, work)
                 assert track.valid or np.isnan(track.offset_y_mm) or track.flags & flags.INVALIDATING
 
 
@@ -343,11 +343,11 @@ def test_the_scratch_and_the_run_do_not_matter(setups: dict[str, Setup]) -> None
             for frame, pose in walk(setup, 2, SHIFTED):
                 for array in arrays_of(clean):
                     array[...] = 0
-                next_state, track = step(geometry, state, frame, pose, clean, use_arc_map)
+                next_state, track, _ = step(geometry, state, frame, pose, clean, use_arc_map)
                 dirty = Work.of(geometry)
                 for n, array in enumerate(arrays_of(dirty)):
                     array[...] = np.nan if array.dtype.kind == "f" and n % 2 else 100
-                _, again = step(geometry, state, frame, pose, dirty, use_arc_map)
+                _, again, _ = step(geometry, state, frame, pose, dirty, use_arc_map)
                 assert_same(track, again)
                 state = next_state
 
@@ -516,7 +516,7 @@ def test_a_stated_glow_stays_in_the_background_where_the_arc_is_off(joint: str, 
     for n in range(8):
         pose = pose_at(4.0 * n)
         frame = frame_of(setup, pose, seam, arc=0.0, index=n)
-        state, track, reading = step_and_reading(geometry, state, frame, pose, Work.of(geometry))
+        state, track, reading = step(geometry, state, frame, pose, Work.of(geometry))
         assert_seam(setup, track, pose, seam)
         assert np.isnan(track.arc_level)
         assert reading is not None
