@@ -28,11 +28,11 @@ class StepInputs:
 
     Attributes
     ----------
-    state : TrackerState
+    state : TrackerMemory
         What the step before handed on.
     pose : Pose or None
         The tool's pose at the capture, None where it was refused.
-    lead : Lead
+    lead : OffsetLookAhead
         How far ahead of the torch the offset was asked for.
     keeps_state : bool
         Whether what the step found counts for the next one: not where poses were doubted.
@@ -63,7 +63,7 @@ def step(
     ----------
     geometry : SensorGeometry
         The setup with its tables.
-    state : TrackerState
+    state : TrackerMemory
         What the step before handed on.
     frame : Frame
         A raw frame and its condition.
@@ -75,12 +75,12 @@ def step(
         False reads the stripe over a running median with one variance for all pixels, for comparison.
     correction : Correction
         What of the seam's displacement is sent.
-    lead : Lead
+    lead : OffsetLookAhead
         When, and how much farther along the seam, the correction will act.
 
     Returns
     -------
-    TrackerState
+    TrackerMemory
         The state for the next step.
     Track
         The frame's result.

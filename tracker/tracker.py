@@ -55,7 +55,7 @@ class Tracker:
             A raw frame and its condition.
         pose : Pose or None
             The tool's pose at the frame's time, None where there is none.
-        lead : Lead
+        lead : OffsetLookAhead
             When, and how much farther along the seam, the correction will act.
 
         Returns
