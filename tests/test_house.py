@@ -263,6 +263,12 @@ def test_the_order_of_folders_is_enforced(tmp_path: Path, monkeypatch: pytest.Mo
         check_no_circle("tracker")
 
 
+def test_files_say_what_they_compute() -> None:
+    vague = {"run.py", "utils.py", "helpers.py", "common.py"}
+    named = {path for room in MAY_IMPORT for path in (ROOT / room).rglob("*.py") if path.name in vague}
+    assert named == set()
+
+
 @pytest.mark.slow
 def test_no_function_is_longer_than_a_hundred_lines() -> None:
     long = [
