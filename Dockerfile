@@ -1,8 +1,9 @@
 # arctrack with GigE Vision cameras (Aravis), as a user without rights: docs/how_to/deploy.md says how to run it.
 # Debian's Python, since PyGObject and Aravis are compiled for it.
 FROM debian:12-slim AS build
+# The compiler is for autosar-e2e, which has no wheel for ARM.
 RUN apt-get update \
-    && apt-get install --yes --no-install-recommends python3-venv \
+    && apt-get install --yes --no-install-recommends g++ python3-dev python3-venv \
     && rm -rf /var/lib/apt/lists/*
 WORKDIR /source
 COPY requirements.lock .

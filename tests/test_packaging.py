@@ -1,7 +1,4 @@
-"""The wheel carries the packs; the container's image copies what is there, and installs as the pages say.
-
-Nobody builds the image here.
-"""
+"""The wheel carries the packs; the container's image copies what is there, and installs as the pages say."""
 
 from __future__ import annotations
 
@@ -16,6 +13,8 @@ from zipfile import ZipFile
 import pytest
 from test_house import MAY_IMPORT
 
+from noise_model.compiled.target import CPU_NAMES
+
 ROOT = Path(__file__).resolve().parents[1]
 LINES = (ROOT / "Dockerfile").read_text().replace("\\\n", " ").splitlines()
 STEPS = [line.split(maxsplit=1) for line in LINES if line and not line.startswith("#")]
@@ -24,6 +23,12 @@ STEPS = [line.split(maxsplit=1) for line in LINES if line and not line.startswit
 def steps(word: str) -> list[str]:
     """Return what follows an instruction, in order."""
     return [" ".join(rest.split()) for instruction, rest in STEPS if instruction == word]
+
+
+def test_there_is_a_small_pack_of_each_target() -> None:
+    packs = {file.stem: file.stat().st_size for file in (ROOT / "noise_model/compiled/packs").iterdir()}
+    assert packs.keys() == CPU_NAMES.keys()
+    assert max(packs.values()) <= 1_500_000
 
 
 @pytest.mark.slow

@@ -2,9 +2,9 @@
 
     python -m noise_model.compiled.pack
 
-From a clone, at a release: it takes minutes, and needs no cache of this user's. It builds for each target
-whose machine code this machine runs: a machine with AVX-512 for x86-64-v4 and x86-64-v3, another x86-64 for
-the latter, a 64-bit ARM for aarch64. The same sources and packages give the same bytes.
+From a clone, at a release: it takes minutes, and needs no cache of this user's. The commands run once,
+compiled for this machine. What they needed is then compiled for each other target too, and not run:
+one machine builds the packs of all. The same sources and packages give the same bytes.
 """
 
 from __future__ import annotations
@@ -17,16 +17,20 @@ import pickle
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numba
+from llvmlite import binding as llvm
+from numba.core.compiler_lock import global_compiler_lock
 
-from noise_model.compiled.content import versions
+from noise_model.compiled import numba_internals
+from noise_model.compiled.content import find_kernel, versions
 from noise_model.compiled.packed import Pack, pack_folder, write_pack
 from noise_model.compiled.store import Record, kept_records
-from noise_model.compiled.target import CPU_NAMES, host_targets
+from noise_model.compiled.target import CPU_NAMES, TRIPLES, host_targets
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = str(ROOT / "examples/v_groove")
@@ -45,14 +49,21 @@ finally:
 """A command in a process of its own, which tells the kernels that it used."""
 
 
+COMPILE = """
+import sys
+from pathlib import Path
+from noise_model.compiled.pack import compile_kept
+compile_kept(sys.argv[1], Path(sys.argv[2]))
+"""
+
+
 def main() -> None:
     """Write the packs that the command line asks for."""
     parser = argparse.ArgumentParser(prog="python -m noise_model.compiled.pack", description=__doc__)
-    parser.add_argument("--target", choices=host_targets(), action="append", help="only this one; repeat")
+    parser.add_argument("--target", choices=CPU_NAMES, action="append", help="only this one; repeat")
     parser.add_argument("--out", type=Path, default=pack_folder(), help="folder of the packs")
     asked = parser.parse_args()
-    for target in asked.target or host_targets():
-        pack = build_pack(target, works())
+    for target, pack in build_packs(asked.target or list(CPU_NAMES), works()):
         file = asked.out / f"{target}.pack"
         write_pack(file, pack)
         n_entries = sum(map(len, pack.entries.values()))
@@ -72,34 +83,66 @@ def works() -> dict[str, list[list[str]]]:
     return {**joints, "commands": [replay, *checks]}
 
 
-def build_pack(target: str, works: Mapping[str, list[list[str]]]) -> Pack:
-    """Run commands with an empty cache, and return what they compiled."""
+def build_packs(targets: Iterable[str], works: Mapping[str, list[list[str]]]) -> Iterator[tuple[str, Pack]]:
+    """Run commands with an empty cache, and yield what they compiled, for each target."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        used = {work: [_run(target, command, folder) for command in works[work]][-1] for work in works}
-        records = list(kept_records(folder / "kept"))
-    sizes: dict[str, int] = {}
-    for kernel, _, record in records:
-        sizes[kernel] = sizes.get(kernel, 0) + len(record.machine_code)
-    costs = {work: {kernel: sizes[kernel] for kernel in used[work] if kernel in sizes} for work in works}
-    return pack_of(records, costs)
+        folder, host = Path(name), host_targets()[0]
+        used = {work: [_run(command, host, folder) for command in works[work]][-1] for work in works}
+        for target in targets:
+            if target != host:
+                run_python(["-c", COMPILE, target, str(folder / host)], target, folder)
+            records = list(kept_records(folder / target))
+            sizes: dict[str, int] = {}
+            for kernel, _, record in records:
+                sizes[kernel] = sizes.get(kernel, 0) + len(record.machine_code)
+            costs = {
+                work: {kernel: sizes[kernel] for kernel in used[work] if kernel in sizes} for work in works
+            }
+            yield target, pack_of(records, costs)
 
 
-def _run(target: str, command: list[str], folder: Path) -> list[str]:
-    """Run a command for a target, and return the names of the kernels that it used."""
+def _run(command: list[str], target: str, folder: Path) -> list[str]:
+    """Run a command, and return the names of the kernels that it used."""
+    names = folder / "names.json"
+    run_python(["-c", RUN, str(names), *command], target, folder)
+    used: list[str] = json.loads(names.read_text())
+    return used
+
+
+def run_python(arguments: list[str], target: str, folder: Path) -> None:
+    """Run Python with its kernels compiled for a target, into a folder of its name."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
     environment |= {
-        "NUMBA_CACHE_DIR": str(folder / "kept"),
+        "NUMBA_CACHE_DIR": str(folder / target),
         "NUMBA_CPU_NAME": CPU_NAMES[target],
         "NUMBA_CPU_FEATURES": "",
         "ARCTRACK_PACKS": str(folder / "none"),
         "PYTHONPATH": str(ROOT),
     }
-    names = folder / "names.json"
-    arguments = [sys.executable, "-c", RUN, str(names), *command]
-    subprocess.run(arguments, cwd=folder, env=environment, check=True, stdout=subprocess.DEVNULL)
-    used: list[str] = json.loads(names.read_text())
-    return used
+    subprocess.run(
+        [sys.executable, *arguments], cwd=folder, env=environment, check=True, stdout=subprocess.DEVNULL
+    )
+
+
+def compile_kept(target: str, kept: Path) -> None:
+    """Compile the kernels and entry points that a folder keeps, for a target of another processor.
+
+    numba compiles for the machine that LLVM names, so LLVM is told the target's. This process can run none of
+    what it compiles.
+    """
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    machine = llvm.Target.from_triple(TRIPLES[target])
+    llvm.get_process_triple = lambda: machine.triple
+    llvm.Target.from_default_triple = lambda: machine
+    for _, _, record in kept_records(kept):
+        own, _, _, _, (function, *_) = pickle.loads(record.body)
+        import_module(function.modname)
+        kernel = find_kernel(function.modname, function.qualname)
+        kernel.compile(function.argtypes)
+        if own is None:
+            with global_compiler_lock:
+                numba_internals._entry(kernel, kernel.overloads[function.argtypes])
 
 
 def pack_of(records: Iterable[tuple[str, str, Record]], costs: Mapping[str, Mapping[str, int]]) -> Pack:

@@ -17,11 +17,17 @@ Strip = tuple[float, float, float, float, float]
 """Where s = 0 (y, z), s' unit direction (y, z) in the section, and the face's width, mm."""
 
 
-_V = 0.5 - 0.5 * np.cos(np.pi * (np.arange(40) + 0.5) / 40.0)
-_SERIES = np.polynomial.Chebyshev.fit(
-    _V, (0.5 + 0.5 * np.cos(np.pi * np.sqrt(_V))) / (1.0 - _V) ** 2, 7, domain=[0.0, 1.0]
+RAISED_COSINE = (
+    1.0000000000019997,
+    -0.467401100495796,
+    0.09455386667088718,
+    -0.011122585390665594,
+    0.0008664175883633607,
+    -4.834739744244467e-05,
+    2.11716280647801e-06,
+    -9.310384235279762e-08,
 )
-RAISED_COSINE = tuple(float(c) for c in _SERIES.convert(kind=np.polynomial.Polynomial).coef)
+"""The series of `raised_cosine`, from the constant up; a fit here would differ by processor."""
 
 
 @kernel(inline=True)
