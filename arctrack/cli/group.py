@@ -7,7 +7,7 @@ from typing import Any
 
 from typer.core import TyperGroup
 
-from arctrack.cli.interrupt import InterruptedCommandError
+from arctrack.cli.interrupt import InterruptedCommandError, lost_interrupts
 from arctrack.errors import ArctrackError
 
 MOVED = {
@@ -39,10 +39,15 @@ class CommandGroup(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; of one that says nothing of its own, Ctrl-C says its name."""
-        try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt:
-            name = f"{ctx.info_name} {ctx.invoked_subcommand}"
-            raise InterruptedCommandError(f"{name} interrupted; what it had finished stays") from None
-        except (EOFError, BrokenPipeError) as error:
-            raise UnexpectedEndError(error) from error
+        with lost_interrupts() as lost:
+            try:
+                return super().invoke(ctx)
+            except (InterruptedCommandError, ArctrackError):
+                raise
+            except (EOFError, BrokenPipeError) as error:
+                raise UnexpectedEndError(error) from error
+            except (KeyboardInterrupt, Exception) as error:
+                if not lost and not isinstance(error, KeyboardInterrupt):
+                    raise
+                name = f"{ctx.info_name} {ctx.invoked_subcommand}"
+                raise InterruptedCommandError(f"{name} interrupted; what it had finished stays") from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -31,6 +32,28 @@ def interruptible(what: str, kept: str) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def lost_interrupts() -> Iterator[list[BaseException | None]]:
+    """Give the list of Ctrl-C that Python drops: those that come in a callback of LLVM's, or in a finaliser.
+
+    What LLVM compiles is missing then, and numba fails over it.
+    """
+    lost: list[BaseException | None] = []
+    tell = sys.unraisablehook
+
+    def note(unraisable: sys.UnraisableHookArgs) -> None:
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):
+            lost.append(unraisable.exc_value)
+        else:
+            tell(unraisable)
+
+    sys.unraisablehook = note
+    try:
+        yield lost
+    finally:
+        sys.unraisablehook = tell
 
 
 @contextmanager

@@ -16,7 +16,7 @@ import arctrack
 from arctrack import __version__
 from arctrack.cli import app
 from arctrack.cli.crash import crash
-from arctrack.cli.exit_codes import CRASHED, READER_GONE
+from arctrack.cli.exit_codes import CRASHED, INTERRUPTED, READER_GONE
 from arctrack.errors import ArctrackError
 from arctrack.recording import read_recording
 
@@ -46,6 +46,31 @@ def test_help_has_an_example_and_loads_nothing_heavy() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
     )
     assert loaded.stdout.strip() == "[]"
+
+
+LOST_INTERRUPT = """
+import ctypes
+from arctrack.cli import app, run_app
+
+def interrupt():
+    raise KeyboardInterrupt
+
+@app.command()
+def compile():
+    ctypes.CFUNCTYPE(None)(interrupt)()
+    raise RuntimeError("no compiled object yet")
+
+run_app(app, "arctrack")
+"""
+
+
+def test_an_interrupt_in_a_callback_of_the_compiler_is_no_fault_of_arctrack() -> None:
+    """Python drops what is raised there, and numba misses what was to be compiled."""
+    command = [sys.executable, "-c", LOST_INTERRUPT, "compile"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    finished = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert finished.returncode == INTERRUPTED, finished.stderr
+    assert finished.stderr == "arctrack: arctrack compile interrupted; what it had finished stays\n"
 
 
 def test_version() -> None:
