@@ -133,7 +133,14 @@ def _children(pid: int) -> list[int]:
 @pytest.fixture
 def warming(environment: dict[str, str]) -> Iterator[tuple[subprocess.Popen[str], list[int]]]:
     """Return a first `arctrack warm`, and the two processes that have begun to compile for it."""
-    code = "import os; os.sched_getaffinity = lambda _: {0, 1}; from arctrack.cli import main; main()"
+    code = (
+        "import os, signal\n"
+        # What a shell starts in the background ignores SIGINT.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "os.sched_getaffinity = lambda _: {0, 1}\n"
+        "from arctrack.cli import main\n"
+        "main()\n"
+    )
     command = [sys.executable, "-c", code, "warm", str(ROOT / "examples" / "v_groove")]
     kept = Path(environment["NUMBA_CACHE_DIR"])
     with subprocess.Popen(

@@ -275,7 +275,7 @@ def test_without_its_package_an_export_says_how_to_get_it(
     simulated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, package: str, extra: str
 ) -> None:
     for module in list(sys.modules):
-        if module.split(".")[0] == package or module.endswith(("replay.mcap_file", "replay.rrd_file")):
+        if module.split(".")[0] == package or module.endswith((".mcap_file", ".rrd_file")):
             monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ArctrackError, match=rf"^{name}: needs .*pip install 'arctrack\[{extra}\]'$"):
