@@ -75,7 +75,7 @@ class FinishedVerdict(BaseModel):
 class ReplayRecord(BaseModel):
     """What finished.json holds: the digest of what went in, the sizes in bytes of the files that came out.
 
-    The rest is what `Replayed` says of the replay.
+    The rest is what `ReplayResult` says of the replay.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

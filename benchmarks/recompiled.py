@@ -135,7 +135,7 @@ def describe_tree() -> None:
 def described(content: Any, kernel: Any, compiler: list[Any]) -> dict[str, Any]:
     """Return a kernel's content with the records of its annotations, what it calls, and its size."""
     hints = typing.get_type_hints(kernel.py_func)
-    text = repr((content._Described().kernel(kernel), [record(hint) for hint in hints.values()], compiler))
+    text = repr((content._Description().kernel(kernel), [record(hint) for hint in hints.values()], compiler))
     options = kernel.targetoptions
     return {
         "content": content.digest(text),

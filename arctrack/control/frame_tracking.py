@@ -34,7 +34,7 @@ class Capture:
         What the robot said last; None before it was heard.
     is_trusted : bool
         Whether poses are trusted: what is measured by others must not last.
-    lead : Lead
+    lead : OffsetLookAhead
         How far ahead of the torch the offset is asked for.
     """
 
@@ -96,7 +96,7 @@ class FrameTracking:
         -------
         track : Track
             The frame's result.
-        measured : SeamMeasured or None
+        measured : SeamMeasurement or None
             Where the pose puts what was seen, None where nothing valid was.
         """
         before = self.tracker.state

@@ -234,7 +234,7 @@ class SeamInnovation:
 
         Parameters
         ----------
-        seam : SeamMeasured
+        seam : SeamMeasurement
             The measurement. One whose values are not finite says nothing.
         limits : InnovationLimits
             What the test asks.

@@ -97,7 +97,7 @@ class TrackingService(Generic[Shown]):
 
     Attributes
     ----------
-    lead : Lead
+    lead : OffsetLookAhead
         How far ahead of the torch the latest offset was asked for.
     """
 

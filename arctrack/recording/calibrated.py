@@ -77,7 +77,7 @@ def with_calibrated(path: Path, *results: CalibrationValues) -> str:
     ----------
     path : Path
         The file that is there.
-    *results : Calibrated
+    *results : CalibrationValues
         What calibrations found. An earlier `[calibration.NAME]` of the same name is replaced.
 
     Returns

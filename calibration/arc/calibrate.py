@@ -128,7 +128,7 @@ class ArcCalibration:
         What cannot be told apart, the least known first.
     pixel_sigma, flicker : float
         Texture and flicker, relative, 1 sigma.
-    problem : Problem
+    problem : ArcProblem
         The pixels, and how they are explained.
     """
 

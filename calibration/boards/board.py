@@ -40,7 +40,7 @@ class Board:
 
     Parameters
     ----------
-    kind : Kind
+    kind : BoardKind
         Plain squares, or squares with ArUco markers.
     columns, rows : int
         Inner corners along x and y.

@@ -90,7 +90,7 @@ def linearised(
 
     Parameters
     ----------
-    scene : Scene
+    scene : BoardScene
         Where.
     seen : Sightings
         The corners.
@@ -131,7 +131,7 @@ def adjusted(
 
     Parameters
     ----------
-    scene : Scene
+    scene : BoardScene
         Where to start.
     seen : Sightings
         The corners.

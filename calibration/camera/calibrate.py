@@ -65,11 +65,11 @@ class CameraCalibration:
 
     Parameters
     ----------
-    scene : Scene
+    scene : BoardScene
         Lens, board's warp and poses, of the images that are used.
     seen : Sightings
         The corners that are used.
-    noise : Noise
+    noise : CornerNoise
         The corners' noise.
     order : str
         The distortion that was chosen, one of `ORDERS`.

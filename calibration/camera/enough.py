@@ -51,7 +51,7 @@ def check_focal_length(scene: BoardScene, sigma: Float64, corner_sigma_px: float
 
     Parameters
     ----------
-    scene : Scene
+    scene : BoardScene
         The scene found.
     sigma : array (m,)
         1 sigma of its lens and warp.

@@ -67,7 +67,7 @@ def difference_of_halves(scene: BoardScene, seen: Sightings, first: Bool) -> Dif
 
     Parameters
     ----------
-    scene : Scene
+    scene : BoardScene
         The scene of all images, where both halves start.
     seen : Sightings
         The corners, without wrong ones.

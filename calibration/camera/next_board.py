@@ -62,7 +62,7 @@ def best_next_board(
     ----------
     known : Knowledge
         What is known so far.
-    scene : Scene
+    scene : BoardScene
         The scene found.
     seen : Sightings
         The corners; of a chessboard all must be in view, of markers some.

@@ -44,7 +44,7 @@ class Held:
         Each board's mean square of residuals over sigma, when held out.
     log_evidence : float
         ln Z, but for what all distortions have in common.
-    scene : Scene
+    scene : BoardScene
         The scene of all boards.
     """
 
@@ -77,11 +77,11 @@ def held_out_errors(
 
     Parameters
     ----------
-    scene : Scene
+    scene : BoardScene
         Where each starts.
     seen : Sightings
         The corners, without wrong ones.
-    noise : Noise
+    noise : CornerNoise
         Their noise, the same for all distortions.
     orders : sequence of str
         The distortions of `ORDERS` to try.

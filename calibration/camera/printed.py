@@ -44,11 +44,11 @@ def print_sigma_mm(scene: BoardScene, seen: Sightings, noise: CornerNoise) -> fl
 
     Parameters
     ----------
-    scene : Scene
+    scene : BoardScene
         The scene of least squares.
     seen : Sightings
         Its corners.
-    noise : Noise
+    noise : CornerNoise
         Their noise.
 
     Returns

@@ -29,7 +29,7 @@ def scatter_between_images(scene: BoardScene, seen: Sightings, weight: Float64) 
 
     Parameters
     ----------
-    scene : Scene
+    scene : BoardScene
         The scene of least squares.
     seen : Sightings
         Its corners.

@@ -202,7 +202,7 @@ class GaugeFit:
 
     Parameters
     ----------
-    state : State
+    state : GaugeState
         Sheet and gauge.
     information : array (m, m)
         Of the sheet's leans and place, then the gauge's, and the size where it is free; with what is known
@@ -250,9 +250,9 @@ def fit(
 
     Parameters
     ----------
-    problem : Problem
+    problem : GaugeProblem
         The sightings.
-    start : State
+    start : GaugeState
         Where to begin; the gauge's pose is known to lie near it.
     noise_mm : array (2,)
         1 sigma of the robot's error in each direction, and of the form.

@@ -67,9 +67,9 @@ class GaugeCalibration:
 
     Parameters
     ----------
-    problem : Problem
+    problem : GaugeProblem
         The images used.
-    fitted : Fit
+    fitted : GaugeFit
         Sheet and gauge.
     left_out : dict
         The images that were left out, and why.
@@ -116,9 +116,9 @@ class GaugeCheck:
 
     Parameters
     ----------
-    problem : Problem
+    problem : GaugeProblem
         The images.
-    fitted : Fit
+    fitted : GaugeFit
         The gauge, its size free, with the sheet as stated.
     size_mm, sigma_mm : float
         The size that the setup measures, and 1 sigma of that.

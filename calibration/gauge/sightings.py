@@ -90,7 +90,7 @@ def place_gauge(
 
     Returns
     -------
-    start : State
+    start : GaugeState
         Where to begin.
     sightings : list of Sighting
         The images that show the gauge.

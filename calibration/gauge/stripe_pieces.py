@@ -42,7 +42,7 @@ class Piece:
     ----------
     points_px : array (n, 2)
         Its points.
-    line : ImageLine
+    line : LaserLineFit
         Its line, in rays.
     first, last : array (2,)
         Where it begins and ends, before corners were left out, px.

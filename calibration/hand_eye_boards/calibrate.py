@@ -60,7 +60,7 @@ class HandEyeCalibration:
 
     Parameters
     ----------
-    refined : Refined
+    refined : Refinement
         Camera, board, boards' poses and the robot's noise.
     lens_covariance : array (n, n)
         The covariance of the lens' parameters as it was stated; zeros where the lens counts as exact.
@@ -179,7 +179,7 @@ def calibrate_hand_eye(
 
     Parameters
     ----------
-    scene : Scene
+    scene : BoardScene
         The lens, which is held, and the boards' poses, from `calibration.camera.known_lens.board_poses`.
     seen : Sightings
         The corners.

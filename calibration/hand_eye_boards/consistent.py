@@ -32,7 +32,7 @@ class PoseConsistency:
     ----------
     kept : list of int
         The poses that agree, `MIN_POSES` at least.
-    result : Refined
+    result : Refinement
         What they make.
     distance : array (V,)
         The mean square of each pose's error over its noise, by what those that agree say.

@@ -66,7 +66,7 @@ class Refinement:
         Camera and board.
     boards : Boards
         Warp, and the boards' poses of the largest likelihood.
-    solution : Solution
+    solution : VarianceSolution
         The covariance, and the robot's sigma.
     errors : PoseErrors
         How far boards are off their prediction.

@@ -135,7 +135,7 @@ def calibrate_laser(
 
     Parameters
     ----------
-    scene : Scene
+    scene : BoardScene
         Lens and boards, from `board_poses`.
     seen : Sightings
         The corners.

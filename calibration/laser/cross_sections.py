@@ -88,7 +88,7 @@ def cross_sections(
         The laser's light on the board.
     off_dn, on_dn : array (H, W)
         The images without and with it; what is full in the latter tells no width.
-    stripe : Stripe
+    stripe : BoardStripe
         The stripe on the board.
     black_dn : float
         The code of no light.

@@ -39,7 +39,7 @@ class BoardLine:
 
     Parameters
     ----------
-    line : ImageLine
+    line : LaserLineFit
         The line in the image.
     T_camera_board : array (4, 4)
         The board's pose, mm.

@@ -113,7 +113,7 @@ def update(
     ----------
     state : Plausibility
         The state before; `Plausibility()` for a new seam.
-    seen : PoseSeen
+    seen : PoseArrival
         The sample, and what the robot said when it came.
     limits : PlausibilityLimits
         What poses must keep to.

@@ -83,7 +83,7 @@ def calibrate_folder(raw: CalibrationSources, stated: SetupFile, steps: Steps, w
 
     Parameters
     ----------
-    raw : RawFiles
+    raw : CalibrationSources
         The folder.
     stated : SetupFile
         The setup to start from.

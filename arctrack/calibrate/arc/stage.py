@@ -41,7 +41,7 @@ def arc_stage(read: Recording, steps: Steps) -> tuple[CalibrationStage[ArcCalibr
 
     Returns
     -------
-    stage : Stage
+    stage : CalibrationStage
         The calibration; refused where nothing of it is told.
     bad_frames : list of BadFrame
         The frames that cannot be read, and why.

@@ -22,7 +22,7 @@ def delay_stage(read: Recording, steps: Steps) -> tuple[CalibrationStage[PoseDel
 
     Returns
     -------
-    stage : Stage
+    stage : CalibrationStage
         The calibration; refused where the motion does not tell the delay.
     bad_frames : list of BadFrame
         The frames that cannot be read, and why.

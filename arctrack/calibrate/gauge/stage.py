@@ -127,9 +127,9 @@ def check_stage(
 
     Returns
     -------
-    stage : Stage
+    stage : CalibrationStage
         The check; it has no values for a setup.
-    verdict : Verdict
+    verdict : GaugeVerdict
         Whether the sheet is right.
 
     Raises

@@ -28,7 +28,7 @@ class PosedBoards:
     ----------
     boards : BoardImages
         All boards that are seen.
-    scene : Scene
+    scene : BoardScene
         The poses of those whose robot's pose is known.
     seen : Sightings
         Their corners.

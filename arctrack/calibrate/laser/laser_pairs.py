@@ -52,7 +52,7 @@ class LaserPairs:
     ----------
     boards : BoardImages
         The boards, in the images without the laser.
-    scene : Scene
+    scene : BoardScene
         The boards' poses.
     seen : Sightings
         Their corners.

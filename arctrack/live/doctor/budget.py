@@ -103,7 +103,7 @@ def budget_of(
         What steps took; None leaves them out as NaN.
     late : Quantiles
         How late this machine wakes up.
-    watched : Watched, optional
+    watched : CameraReading, optional
         What the live camera gave: then the way to the loop is measured, not worked out.
     """
     way = _way(cell.setup.setup, watched)

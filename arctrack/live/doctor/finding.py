@@ -22,7 +22,7 @@ class DoctorFinding:
     ----------
     name : str
         What was looked at.
-    state : State
+    state : FindingState
         How it ended.
     text : str
         What was seen, on one line.

@@ -103,7 +103,7 @@ class LiveLoop:
 
     Parameters
     ----------
-    camera : Camera
+    camera : CameraProtocol
         Where frames come from.
     link : Link
         The bus.

@@ -109,7 +109,7 @@ def import_recording(
 
     Parameters
     ----------
-    raw : RawFiles
+    raw : ImportSources
         What to read, and how.
     out : Path
         The recording's folder, which must not exist yet.

@@ -68,7 +68,7 @@ class TrackerParty:
         From a frame to the next, s.
     clock_s : float
         How far its clock is ahead of the true time, s.
-    camera : Camera
+    camera : CameraBehaviour
         What the camera does.
     is_running : bool
         Whether the process runs: what comes meanwhile waits in the bus' buffer.

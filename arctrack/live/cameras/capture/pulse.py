@@ -26,7 +26,7 @@ def trigger_at_s(wanted: CaptureRequest, exposure_s: float, due_s: float, now_s:
 
     Parameters
     ----------
-    wanted : Wanted
+    wanted : CaptureRequest
         What is known of the pulse.
     exposure_s : float
         The exposure, s.
