@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from test_getting_ready import KERNELS
 from test_own_process import is_there, wait_until
 
 pytestmark = pytest.mark.slow
@@ -17,18 +18,8 @@ needs_proc = pytest.mark.skipif(sys.platform != "linux", reason="asks Linux whic
 
 ROOT = Path(__file__).parents[2]
 
-PARTS = """
+PARTS = f"""{KERNELS}
 import os, signal, time
-from noise_model.kernel import kernel
-@kernel
-def halved(x: float) -> float:
-    return 0.5 * x
-@kernel
-def doubled(x: float) -> float:
-    return 2.0 * x
-@kernel
-def squared(x: float) -> float:
-    return x * x
 def double() -> None:
     doubled(3.0)
 def square() -> None:
