@@ -1,5 +1,16 @@
 # arctrack with GigE Vision cameras (Aravis), as a user without rights: docs/how_to/deploy.md says how to run it.
 # Debian's Python, since PyGObject and Aravis are compiled for it.
+
+# What a clone needs beside its own environment to be tested: CONTRIBUTING.md says how to run it.
+FROM debian:12-slim AS test
+COPY .ci/system /usr/local/bin/arctrack-system
+RUN apt-get update \
+    && apt-get install --yes --no-install-recommends ca-certificates git g++ python3-dev python3-venv \
+    && arctrack-system \
+    && rm -rf /var/lib/apt/lists/* \
+    && git config --system --add safe.directory /clone
+WORKDIR /clone
+
 FROM debian:12-slim AS build
 # The compiler is for autosar-e2e, which has no wheel for ARM.
 RUN apt-get update \
@@ -23,8 +34,7 @@ RUN apt-get update \
     && apt-get install --yes --no-install-recommends python3 gir1.2-aravis-0.8 python3-gi \
     && rm -rf /var/lib/apt/lists/*
 COPY --from=build /opt/arctrack /opt/arctrack
-RUN ln -s /usr/lib/python3/dist-packages/gi /opt/arctrack/lib/python3.11/site-packages/gi \
-    && useradd --create-home --groups video,dialout arctrack \
+RUN useradd --create-home --groups video,dialout arctrack \
     && install -d -o arctrack /data
 ENV PATH=/opt/arctrack/bin:$PATH
 USER arctrack

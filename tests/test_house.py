@@ -19,6 +19,8 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
+pytestmark = pytest.mark.house
+
 ROOT = Path(__file__).resolve().parents[1]
 
 MAY_IMPORT = {

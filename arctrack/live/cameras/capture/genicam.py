@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
+from importlib.machinery import PathFinder
 from typing import Any
 
 from arctrack.control.cell_file import CameraChoice
@@ -10,15 +13,17 @@ from noise_model.setup import Setup
 
 US = 1e-6
 
-CURE = (
-    "install the packages gir1.2-aravis-0.8 and python3-gi, and let the environment see gi, "
-    "or pip install 'arctrack[gige]'"
-)
+CURE = "install the packages gir1.2-aravis-0.8 and python3-gi, or pip install 'arctrack[gige]'"
+
+DEBIAN = "/usr/lib/python3/dist-packages"
+"""Where Debian's package python3-gi lies, which a virtual environment does not see."""
 
 
 def aravis() -> tuple[Any, Any]:
     """Return Aravis and GLib; ArctrackError where they are not installed."""
     try:
+        if importlib.util.find_spec("gi") is None:
+            _import_debians_gi()
         import gi
 
         gi.require_version("Aravis", "0.8")
@@ -26,6 +31,19 @@ def aravis() -> tuple[Any, Any]:
     except (ImportError, ValueError) as error:
         raise ArctrackError(f"[camera] kind = 'gige': {error}; {CURE}") from None
     return Aravis, GLib
+
+
+def _import_debians_gi() -> None:
+    spec = PathFinder.find_spec("gi", [DEBIAN])
+    if spec is None or spec.loader is None:
+        return
+    sys.modules["gi"] = module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except ImportError:
+        # It is compiled for the Python of Debian.
+        del sys.modules["gi"]
+        raise
 
 
 def set_up(camera: Any, choice: CameraChoice, setup: Setup) -> float:

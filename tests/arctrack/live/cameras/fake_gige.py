@@ -9,10 +9,9 @@ from __future__ import annotations
 import sys
 import tempfile
 
-import gi
+from arctrack.live.cameras.capture.genicam import aravis
 
-gi.require_version("Aravis", "0.8")
-from gi.repository import Aravis  # noqa: E402
+Aravis, _ = aravis()
 
 SWITCHED = """
 <Category Name="DigitalIOControl" NameSpace="Standard"><pFeature>LineSelector</pFeature>

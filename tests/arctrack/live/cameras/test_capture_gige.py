@@ -77,7 +77,6 @@ def fake(request):
 
 
 def running_fake(request):
-    pytest.importorskip("gi", reason="PyGObject is not installed", exc_type=ImportError)
     from arctrack.live.cameras.capture.genicam import aravis
 
     try:
