@@ -233,7 +233,7 @@ def bound(world: World, held: tuple[str, ...]) -> Float64:
     problem = replace(problem, held=held)
     x = np.zeros(len(problem.names))
     sigma_e = problem.sigma_e(x, problem.light(problem.named(x)))
-    J = problem.whitened(problem.derivatives_e(x), sigma_e)
+    J = problem.derivatives(x, sigma_e)
     prior = np.array([parameter.prior_sigma for parameter in problem.parameters])
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(J.T @ J + np.diag(prior**-2.0)))[: len(ARC)]))
 

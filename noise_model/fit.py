@@ -176,14 +176,18 @@ def fit(
     huber: float = math.inf,
     max_evaluations: int = 60,
     start: Float64 | None = None,
+    derivatives: Callable[[Float64], Float64] | None = None,
+    min_gain_rel: float = 1e-8,
 ) -> Fit:
     """Fit parameters (p,) to whitened residuals (n,), a function of them.
 
     `huber` is the residual, in sigmas, beyond which it pulls no harder; inf is plain least squares. `start`
-    (p,) begins the search elsewhere than at the priors' means. Raises ValueError if there are fewer
-    residuals and priors than parameters, if a residual or a derivative is not finite, and for huber <= 0.
+    (p,) begins the search elsewhere than at the priors' means. `derivatives` gives those of the residuals
+    (n, p); without it they are numerical. A step that lowers the squares by less than `min_gain_rel` is the
+    last. Raises ValueError if there are fewer residuals and priors than parameters, if a residual or a
+    derivative is not finite, and for huber <= 0.
     """
-    problem = _FitProblem(tuple(parameters), residuals, huber)
+    problem = _FitProblem(tuple(parameters), residuals, huber, derivatives)
     x_start = problem.means if start is None else np.asarray(start, dtype=np.float64)
     n = problem.check(x_start)
     solution = least_squares(
@@ -193,6 +197,7 @@ def fit(
         bounds=([p.lower for p in problem.parameters], [p.upper for p in problem.parameters]),
         x_scale="jac",
         loss="linear" if math.isinf(huber) else problem.loss(n),
+        ftol=min_gain_rel,
         max_nfev=max_evaluations,
     )
     return _assess(problem, solution.x, n, bool(solution.success))
@@ -215,6 +220,7 @@ class _FitProblem:
     parameters: tuple[Parameter, ...]
     residuals: Callable[[Float64], Float64]
     huber: float
+    derivatives: Callable[[Float64], Float64] | None
 
     @property
     def means(self) -> Float64:
@@ -242,7 +248,12 @@ class _FitProblem:
         return np.concatenate([self.residuals(x), (x - self.means) * self.precision])
 
     def jacobian(self, x: Float64) -> Float64:
-        """Return the derivatives (n + p, p) of both by forward differences, backward at an upper bound."""
+        """Return the derivatives (n + p, p) of both."""
+        of_residuals = self._differences(x) if self.derivatives is None else self.derivatives(x)
+        return np.vstack([of_residuals, np.diag(self.precision)])
+
+    def _differences(self, x: Float64) -> Float64:
+        """Return the residuals' derivatives (n, p) by forward differences, backward at an upper bound."""
         unmoved = self.residuals(x)
         columns = []
         for i, parameter in enumerate(self.parameters):
@@ -252,7 +263,7 @@ class _FitProblem:
             columns.append((self.residuals(moved) - unmoved) / (moved[i] - x[i]))
             if not np.isfinite(columns[-1]).all():
                 raise ValueError(f"{parameter.name}: a residual's derivative is not finite at {x[i]:g}")
-        return np.vstack([np.column_stack(columns), np.diag(self.precision)])
+        return np.column_stack(columns)
 
     def loss(self, n: int) -> Callable[[Float64], Float64]:
         """Return Huber's rho, rho', rho'' (3, n + p) of squared residuals; the priors stay quadratic."""

@@ -32,11 +32,10 @@ from calibration.arc.problem import (
     Y,
     Z,
 )
-from calibration.settle import settled
 from calibration.threads import one_thread
 from noise_model.arrays import Float64
 from noise_model.evenly import evenly
-from noise_model.fit import Fit
+from noise_model.fit import Fit, fit
 from noise_model.setup import Setup
 from tracker.arc.level import HUBER
 from tracker.state import Frame
@@ -211,7 +210,7 @@ def _covariance(problem: ArcProblem, result: Fit) -> Float64:
     x = np.zeros(len(problem.names))
     x[ARC.index(RADIANCE)] = result.values[ARC.index(RADIANCE)]
     x[len(ARC) :] = result.values[len(ARC) :]
-    J = problem.whitened(problem.derivatives_e(x), problem.sigma_e(x, problem.light(problem.named(x))))
+    J = problem.derivatives(x, problem.sigma_e(x, problem.light(problem.named(x))))
     priors = np.array([parameter.prior_sigma for parameter in problem.parameters])
     stated = np.linalg.inv(J.T @ J + np.diag(priors**-2.0))[: len(ARC), : len(ARC)]
     fitted = np.asarray(result.covariance[: len(ARC), : len(ARC)])
@@ -240,23 +239,19 @@ def _fitted(problem: ArcProblem, x: Float64, progress: Callable[[int, int], None
     for done in range(SCALE_ROUNDS):
         progress(done, SCALE_ROUNDS)
         sigma_e = problem.sigma_e(x, problem.light(problem.named(x)))
-        result = settled(
+        result = fit(
             problem.parameters,
             partial(problem.residuals, sigma_e=sigma_e),
-            partial(_derivatives, problem, sigma_e),
-            x,
             HUBER,
+            start=x,
+            derivatives=partial(problem.derivatives, sigma_e=sigma_e),
+            min_gain_rel=1e-4,
         )
         x = result.values
         if done < SCALE_ROUNDS - 1:
             problem = _rescaled(problem, result, sigma_e)
     progress(SCALE_ROUNDS, SCALE_ROUNDS)
     return problem, result
-
-
-def _derivatives(problem: ArcProblem, sigma_e: Float64, x: Float64, residuals: Float64) -> Float64:
-    del residuals
-    return problem.whitened(problem.derivatives_e(x), sigma_e)
 
 
 def _with_refused(problem: ArcProblem, covariance: Float64) -> ArcProblem:

@@ -266,8 +266,8 @@ class ArcProblem:
         J_e[:, -len(self.frames) :] = (gain * light_e)[:, None] * self.frame_of
         return J_e
 
-    def whitened(self, J_e: Float64, sigma_e: Float64) -> Float64:
-        """Return the derivatives (n + 10, p) of the residuals from those of the charge (n, p), e-."""
+    def derivatives(self, x: Float64, sigma_e: Float64) -> Float64:
+        """Return the derivatives (n + 10, p) of the residuals; sigmas (n,) are held."""
         of_part = np.zeros((10, len(self.names)))
         of_part[:, len(ARC) : len(ARC) + 10] = self._whiten
-        return np.vstack([J_e / sigma_e[:, None], of_part])
+        return np.vstack([self.derivatives_e(x) / sigma_e[:, None], of_part])

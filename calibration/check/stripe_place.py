@@ -21,13 +21,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial.legendre import legval
 from scipy.spatial.transform import Rotation
+from scipy.special import huber
 
 from calibration.rigid import transform_each
-from calibration.settle import robust_cost, settled
 from calibration.threads import one_thread
 from noise_model.arrays import Float64
 from noise_model.effects import apply_setup_effects
-from noise_model.fit import Fit, Parameter
+from noise_model.fit import Fit, Parameter, fit
 from noise_model.robust import sigma_of
 from noise_model.setup import Setup
 from noise_model.stripe import stripe_runs_along_rows
@@ -334,7 +334,7 @@ class _StripePlaceProblem:
         """Return about where the part lies beside its nominal place: the best of a grid."""
         places = [{"seam_y": y, "seam_z": z} for z in COARSE_Z_MM for y in COARSE_Y_MM]
         nothing = dict.fromkeys((*PART_BLOCK, *SHAPE_BLOCK, *self.bends.names), 0.0)
-        costs = [robust_cost(self.residuals({**nothing, **place}), np.zeros(0), HUBER) for place in places]
+        costs = [_robust_cost(self.residuals({**nothing, **place})) for place in places]
         return places[int(np.argmin(costs))]
 
     def explained_by(self, name: str, *starts: Mapping[str, float]) -> Cause:
@@ -352,7 +352,7 @@ class _StripePlaceProblem:
         ln_volume = 0.5 * ln_correlation + float(np.log(result.sigmas / sigmas).sum())
         turn, move = _size(name, [values[n] for n in BLOCKS.get(name, ())])
         rms_px = sigma_of(residuals * self.sigma_px)
-        cost = robust_cost(residuals, result.values / sigmas, HUBER)
+        cost = _robust_cost(residuals) + float(np.sum((result.values / sigmas) ** 2))
         return Cause(name, ln_volume - 0.5 * cost, result, values, rms_px, turn, move)
 
     def _fitted(self, parameters: Sequence[Parameter], start: Float64) -> Fit:
@@ -361,11 +361,7 @@ class _StripePlaceProblem:
         def residuals(x: Float64) -> Float64:
             return self.residuals(dict(zip(names, x, strict=True)))
 
-        def derivatives(x: Float64, r: Float64) -> Float64:
-            steps = np.diag([parameter.step for parameter in parameters])
-            return np.column_stack([(residuals(x + step) - r) / step.sum() for step in steps])
-
-        return settled(parameters, residuals, derivatives, start, HUBER)
+        return fit(parameters, residuals, HUBER, start=start, min_gain_rel=1e-4)
 
     def _parameters(self, name: str) -> list[Parameter]:
         tolerance = self.setup.tolerance
@@ -472,6 +468,11 @@ def _binned(points_px: Float64) -> tuple[Float64, Float64]:
         scatter = float(np.median(np.abs(steps - np.median(steps)))) * 1.05 if len(steps) else 1.0
         sigmas.append(max(MIN_SIGMA_PX, scatter / math.sqrt(len(part))))
     return middles, np.array(sigmas)
+
+
+def _robust_cost(residuals: Float64) -> float:
+    """Return Huber's sum over residuals (n,)."""
+    return 2.0 * float(huber(HUBER, residuals).sum())
 
 
 def _size(name: str, block: Sequence[float]) -> tuple[float, float]:

@@ -45,6 +45,22 @@ def test_a_line_is_weighted_least_squares() -> None:
     assert (found.undetermined, found.alike, found.not_learned, found.at_bounds) == ((), (), (), ())
 
 
+def test_derivatives_that_are_told_are_not_taken_numerically() -> None:
+    y, told = np.exp(0.7 * X) + 0.01 * np.random.default_rng(3).normal(size=X.size), []
+
+    def derivatives(p: Float64) -> Float64:
+        told.append(float(p[0]))
+        return (X * np.exp(p[0] * X))[:, np.newaxis] / 0.01
+
+    rate = Parameter("rate", "", 0.0, prior_sigma=1.0)
+    for bound in (math.inf, 2.0):
+        numerical = fit([rate], lambda p: (np.exp(p[0] * X) - y) / 0.01, bound)
+        found = fit([rate], lambda p: (np.exp(p[0] * X) - y) / 0.01, bound, derivatives=derivatives)
+        assert found.values == pytest.approx(numerical.values, rel=1e-6)
+        assert found.sigmas == pytest.approx(numerical.sigmas, rel=1e-3)
+    assert told[-1] == found.values[0]
+
+
 def test_a_prior_is_one_more_reading() -> None:
     noise = np.random.default_rng(2).normal(size=X.size)
     found = line(noise, offset=0.02)
