@@ -14,16 +14,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.linalg import solve_triangular
+from scipy.optimize import least_squares, minimize
 from scipy.spatial.transform import Rotation
 
 from calibration.gauge.shape import Gauge
 from calibration.laser.plane import points_on_plane
 from calibration.rigid import transform_each
 from noise_model.arrays import Float64, Int64
-
-ROUNDS, SETTLED = 40, 1e-4
-"""Steps at most, and the last one's length in sigmas."""
 
 RAY_STEP, TURN_STEP, MOVE_STEP_MM = 1e-6, 1e-6, 1e-3
 """Steps of finite differences: of a ray's slope, of a turn, rad, of a move."""
@@ -167,15 +165,23 @@ class GaugeProblem:
         along = np.sum(in_gauge * normals[self.faces], axis=1)
         return np.asarray(along - offsets[self.faces] * state.size_mm)
 
-    def slopes(self, state: GaugeState) -> Float64:
-        """Return the distances' derivatives (N, 9) by the unknowns."""
+    def slopes(self, state: GaugeState, step: Float64 | float = 0.0) -> Float64:
+        """Return the distances' derivatives (N, 9) by the unknowns, a step (9,) away from a state."""
         columns = []
-        for n, size in enumerate(STEPS):
-            step = np.zeros(len(STEPS))
-            step[n] = size
-            ahead, behind = (self.distances(state.moved(sign * step)) for sign in (1.0, -1.0))
-            columns.append((ahead - behind) / (2.0 * size))
+        for size in np.diag(STEPS):
+            ahead, behind = (self.distances(state.moved(step + change)) for change in (size, -size))
+            columns.append((ahead - behind) / (2.0 * size.sum()))
         return np.column_stack(columns)
+
+    def whitened(self, state: GaugeState, noise_mm: Float64, numbers: Float64) -> Float64:
+        """Return numbers of all distances (N, ...) over their covariance's root at a state."""
+        C = self.covariances(state, noise_mm)
+        return np.concatenate(
+            [
+                solve_triangular(np.linalg.cholesky(of_image), numbers[part], lower=True)
+                for of_image, part in zip(C, self.slices, strict=True)
+            ]
+        )
 
     def parts(self, state: GaugeState) -> list[tuple[Float64, Float64, Float64]]:
         """Return what each image's covariance (n, n) is made of: rays, mm², robot and form for 1 mm."""
@@ -264,28 +270,25 @@ def fit(
     Fit
         The answer.
     """
-    known = _known(prior)
-    n = len(known)
-    state, moved, damping = start, np.zeros(n), 0.0
-    kept, best = (state, moved), np.inf
-    for _ in range(ROUNDS):
-        H, g, squares = _normal(problem, state, noise_mm, n)
-        loss = float(squares.sum() + moved @ (known * moved))
-        if loss > best * (1.0 + 1e-9) + 1e-9:
-            state, moved = kept
-            damping = max(10.0 * damping, 1e-3)
-            H, g, squares = _normal(problem, state, noise_mm, n)
-        else:
-            best, damping = loss, 0.1 * damping if damping > 1e-6 else 0.0
-        kept = state, moved
-        whole = H + np.diag(known)
-        step = -inverse(whole + damping * np.diag(np.diag(whole))) @ (g + known * moved)
-        state, moved = state.moved(step), moved + step
-        if damping == 0.0 and np.abs(step * np.sqrt(np.diag(whole))).max() < SETTLED:
-            break
-    H, _, squares = _normal(problem, state, noise_mm, n)
+    known = np.diag(_known(prior))
+
+    def residuals(step: Float64) -> Float64:
+        state = start.moved(step)
+        off = problem.whitened(state, noise_mm, problem.distances(state))
+        return np.append(off, np.sqrt(known) @ step)
+
+    def jacobian(step: Float64) -> Float64:
+        # The covariance's own change with the state is left aside: it is small.
+        slopes = problem.whitened(start.moved(step), noise_mm, problem.slopes(start, step))
+        return np.vstack([slopes, np.sqrt(known)])
+
+    moved = least_squares(residuals, np.zeros(len(known)), jacobian, x_scale="jac").x
+    state = start.moved(moved)
+    slopes = problem.whitened(state, noise_mm, problem.slopes(state))
+    off = residuals(moved)
+    squares = np.array([off[part] @ off[part] for part in problem.slices])
     counts = np.array([len(sighting.rays) for sighting in problem.sightings])
-    return GaugeFit(state, H + np.diag(known), noise_mm, squares, counts)
+    return GaugeFit(state, slopes.T @ slopes + known, noise_mm, squares, counts)
 
 
 def _known(prior: Float64 | None) -> Float64:
@@ -293,20 +296,6 @@ def _known(prior: Float64 | None) -> Float64:
     sigma = np.full(len(STEPS), np.inf)
     sigma[GAUGE] = GAUGE_SIGMA
     return np.asarray((sigma if prior is None else np.minimum(sigma, prior)) ** -2.0)
-
-
-def _normal(
-    problem: GaugeProblem, state: GaugeState, noise_mm: Float64, n: int
-) -> tuple[Float64, Float64, Float64]:
-    H, g, squares = np.zeros((n, n)), np.zeros(n), []
-    off, slopes = problem.distances(state), problem.slopes(state)
-    for part, C in zip(problem.slices, problem.covariances(state, noise_mm), strict=True):
-        d, J = off[part], slopes[part]
-        solved = np.linalg.solve(C, np.column_stack([J, d]))
-        H += J.T @ solved[:, :n]
-        g += J.T @ solved[:, n]
-        squares.append(float(d @ solved[:, n]))
-    return H, g, np.array(squares)
 
 
 def fit_with_noise(problem: GaugeProblem, start: GaugeState, prior: Float64 | None = None) -> GaugeFit:
