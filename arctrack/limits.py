@@ -44,9 +44,6 @@ class Limits:
         2**24, "px", "pixels of the camera", "the tracker's tables take 80 bytes a pixel: 1.3 GB"
     )
     side_px: int = _limit(16_384, "px", "width and height of the camera", "a line camera's 16k")
-    blur_px: float = _limit(
-        100.0, "px", "1 sigma of the camera's point-spread function", "at 100 px no stripe is left to find"
-    )
     png_bytes_per_px: int = _limit(
         8, "bytes", "size of a PNG, per pixel of the camera", "16 bits in four channels, not compressed"
     )
@@ -56,27 +53,6 @@ class Limits:
     video_bytes_per_byte: int = _limit(
         2, "bytes", "size of frames.mkv, per byte of raw frames", "FFV1 makes noise a tenth larger at most"
     )
-    value: float = _limit(
-        1e15, "mm, deg, e-, …", "size of a number in recording.toml", "its square and its ratios stay finite"
-    )
-    least_focal_px: float = _limit(1.0, "px", "least [camera] fx and fy", "a field of view of a half space")
-    focal_px: float = _limit(1e6, "px", "largest [camera] fx and fy", "a 1 m lens on pixels of 1 um")
-    center_px: float = _limit(1e5, "px", "size of [camera] cx and cy", "six times the longest side")
-    distortion: float = _limit(
-        1e4, "", "size of a value of [camera] distortion", "k3 of long lenses is in the thousands"
-    )
-    least_gamma: float = _limit(0.1, "", "least [sensor] gamma", "cameras show 0.4 to 2.5")
-    gamma: float = _limit(10.0, "", "largest [sensor] gamma", "cameras show 0.4 to 2.5")
-    tool_mm: float = _limit(
-        1e4, "mm", "distances of camera, laser and arc in the tool frame, a joint's dimensions", "ten metres"
-    )
-    arc_radius_mm: float = _limit(1e3, "mm", "largest [arc] radius_mm", "an arc is a few mm wide")
-    least_pitch_mm: float = _limit(1.0, "mm", "least [joint] pitch_mm", "corrugated sheets show 10 to 300")
-    black_dn: int = _limit(65_535, "DN", "size of [sensor] black_level_dn", "the codes of 16 bits")
-    current_exponent: float = _limit(
-        10.0, "", "size of [arc] current_exponent", "measured arcs show 0.8 to 2"
-    )
-    least_current_a: float = _limit(1e-3, "A", "least [arc] current_a", "ratios of currents stay finite")
     frame_number: int = _limit(999_999_999, "", "number of a frame", "nine digits of a file's name")
     time_s: float = _limit(1e11, "s", "distance of a time from 0", "Unix seconds are 1.7e9, a log holds 1e11")
     exposure_s: float = _limit(3600.0, "s", "exposure of a frame", "an hour; longer ones are in other units")
@@ -86,6 +62,12 @@ class Limits:
 
 LIMITS = Limits()
 """Those in force."""
+
+
+def source_of(limit: str) -> str:
+    """Return where a limit comes from."""
+    source: str = Limits.__dataclass_fields__[limit].metadata["source"]
+    return source
 
 
 def size_problem(width: int, height: int) -> str | None:

@@ -3,50 +3,57 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from types import UnionType
-from typing import get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic.fields import FieldInfo
 
 from arctrack.printable import cut, shown
+from arctrack.recording.schema import Key, table_in
 from noise_model.spelling import nearest
 
 
 def describe(error: ValidationError, model: type[BaseModel]) -> str:
     """Return one line that names the first wrong key, what it holds and what it should, and how many more.
 
-    `model` is what the content was validated against.
+    `model` is what the content was validated against. What it says of a key is the cure.
     """
     problems = error.errors(include_url=False)
     first = problems[0]
     if not first["loc"]:
         return first["msg"].removeprefix("Value error, ")
-    where = place(first["loc"])
+    location, field, table = _key_at(first["loc"], model)
+    where, key = place(location), None if field is None else Key("", "", field)
     if first["type"] == "missing":
-        text = f"{where}: missing{_misspelt(first, model)}"
-    elif first["type"] == "finite_number":
-        text = f"{held(where, first['input'])}: must be a finite number"
+        hint = meant_by(
+            str(location[-1]), (name for name in first["input"] if name not in table.model_fields)
+        )
+        text = f"{where}: missing{hint}"
+        if not hint and key is not None and key.meaning:
+            text += f"; state it: {key.meaning[:1].lower()}{key.meaning[1:].removesuffix('.')}"
     elif first["type"] == "literal_error":
         text = f"{where} = {shown(first['input'])}: must be {first['ctx']['expected']}"
     else:
-        text = f"{held(where, first['input'])}: {first['msg'][:1].lower()}{first['msg'][1:]}"
+        message = "must be a finite number" if first["type"] == "finite_number" else first["msg"]
+        text = f"{held(where, first['input'])}: {message[:1].lower()}{message[1:]}"
+        if key is not None and key.said("typical"):
+            text += f"; usual: {key.said('typical')}"
     more = len(problems) - 1
     return text if not more else f"{text} (and {more} more)"
 
 
-def _misspelt(missing: ErrorDetails, model: type[BaseModel]) -> str:
-    """Return a hint at the key that may stand, misspelt, for a missing one."""
-    *tables, name = map(str, missing["loc"])
-    for table in tables:
-        field = model.model_fields.get(table)
-        inner = None if field is None else field.annotation
-        if get_origin(inner) is UnionType:
-            inner = get_args(inner)[0]
-        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
-            return ""
-        model = inner
-    return meant_by(name, (key for key in missing["input"] if key not in model.model_fields))
+def _key_at(
+    location: tuple[str | int, ...], table: type[BaseModel]
+) -> tuple[tuple[str | int, ...], FieldInfo | None, type[BaseModel]]:
+    """Return a key's place without the types that pydantic tried, its field, and the table that holds it."""
+    for n, name in enumerate(location):
+        # An item of a list, and a table's free name, are no field.
+        field = table.model_fields.get(str(name))
+        inner = None if field is None else table_in(field)
+        if field is not None and (inner is None or n == len(location) - 1):
+            items = (item for item in location[n + 1 :] if isinstance(item, int))
+            return (*location[: n + 1], *items), field, table
+        table = inner or table
+    return location, None, table
 
 
 def meant_by(name: str, keys: Iterable[str]) -> str:

@@ -25,6 +25,16 @@ BAD: dict[str, tuple[Spoil, str, str]] = {
         "recording.toml",
         "[effects.wrong_material]: needs [material], which is missing; state it",
     ),
+    "no key, and what it is": (
+        toml("peak_e = ", "# "),
+        "recording.toml",
+        "[laser] peak_e: missing; state it: the stripe's peak on a flat plate at the tool's height, before ",
+    ),
+    "a channel that is none": (
+        toml_end("[robot]\ncan_channel = 1.5"),
+        "recording.toml",
+        "[robot] can_channel = 1.5: input should be a valid string",
+    ),
     "no dimension": (toml("depth_mm = 4.0\n", ""), "recording.toml", "[joint] depth_mm: missing"),
     "wrong type": (toml("bits = 8", "bits = 'eight'"), "recording.toml", "[sensor] bits = 'eight'"),
     "nan in setup": (toml("c2 = 112.0", "c2 = nan"), "recording.toml", "[material] c2 = nan"),
@@ -143,7 +153,7 @@ BAD: dict[str, tuple[Spoil, str, str]] = {
     "a gamma beyond sense": (
         toml("gamma = 1.0", "gamma = 90.0"),
         "recording.toml",
-        "[sensor] gamma = 90.0: input should be less than or equal to 10",
+        "[sensor] gamma = 90.0: input should be less than or equal to 10; usual: 1, or 0.45 with gamma on",
     ),
     "hardly a current": (
         toml("current_a = ", "current_a = 1e-300 #"),

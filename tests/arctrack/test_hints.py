@@ -56,7 +56,10 @@ HINTS: dict[str, tuple[Spoil, str]] = {
         toml("depth_mm", "dept_mm"),
         "[joint] depth_mm: missing, a v_groove needs it; did you misspell it as dept_mm?",
     ),
-    "no key like it": (toml("kappa_diff", "reflectance"), "[material] kappa_diff: missing"),
+    "no key like it": (
+        toml("kappa_diff", "reflectance"),
+        "[material] kappa_diff: missing; state it: diffuse part of the metal's reflectance",
+    ),
     "a joint": (
         toml('"v_groove"', '"vgroove"'),
         "[joint] type = 'vgroove': there is no such joint; did you mean 'v_groove'?",
@@ -211,5 +214,5 @@ def test_a_word_of_the_text_is_no_hint(recording: Path, tmp_path: Path) -> None:
     """What is there under its right name is not taken for another key, misspelt."""
     path = Path(shutil.copytree(recording, tmp_path / "r"))
     replace_in(path / "recording.toml", "kappa_diff = ", "# kappa_diff = ")
-    with pytest.raises(ArctrackError, match=r"kappa_diff: missing$"):
+    with pytest.raises(ArctrackError, match=r"kappa_diff: missing; state it: "):
         read_recording(path)

@@ -13,7 +13,9 @@ from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
 from arctrack.recording import format_setup, read_recording, read_setup_file
-from arctrack.recording.new import KEYS, RADIANCE_E, commented_setup, write_new
+from arctrack.recording.new import RADIANCE_E, commented_setup, write_new
+from arctrack.recording.schema import keys_of
+from arctrack.recording.setup_model import RecordingToml
 
 ROOT = Path(__file__).parents[2]
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
@@ -44,11 +46,22 @@ def test_each_key_has_a_comment() -> None:
             assert before.startswith("#"), line
 
 
-def test_no_key_is_described_that_no_setup_has() -> None:
+def test_each_key_that_is_needed_is_written() -> None:
     texts = [commented_setup(nominal_setup(joint, "mild_steel")) for joint in DIMENSIONS]
-    for key in KEYS:
-        line = f"\n# {key.name} = {key.optional}" if key.optional else f"\n{key.name} = "
-        assert any(line in text.split(f"[{key.table}]\n")[1] for text in texts), key
+    for key in keys_of(RecordingToml):
+        is_needed = key.field.is_required() and not key.table.startswith(("robot", "calibration"))
+        if is_needed or key.table == "joint":
+            assert any(f"\n{key.name} = " in text.split(f"[{key.table}]\n")[1] for text in texts), key
+
+
+def test_each_number_of_a_setup_says_its_unit_and_where_it_comes_from() -> None:
+    units = {"mm": "mm", "deg": "deg", "nm": "nm", "px": "px", "s": "s", "a": "A", "e": "electrons"}
+    for key in keys_of(RecordingToml):
+        if key.table.startswith(("follow", "robot", "calibration")):
+            continue
+        assert key.said("source"), key
+        unit = units.get(key.name.rpartition("_")[2])
+        assert unit is None or key.said("unit") == unit, key
 
 
 def test_an_optional_key_is_read_once_its_mark_is_gone(tmp_path: Path) -> None:

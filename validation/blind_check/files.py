@@ -12,7 +12,7 @@ from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.recording.files import UnfitFileError, read_text
 from arctrack.recording.key_errors import describe
-from arctrack.recording.setup_model import Table
+from arctrack.recording.schema import Table
 
 
 class SealTable(Table):

@@ -11,8 +11,11 @@ from pydantic import Field, FiniteFloat, create_model
 from arctrack.control.cell_file.choices import MIN_TOKEN_LETTERS, BlackBoxChoice, MonitorChoice
 from arctrack.control.job import PartLimits
 from arctrack.control.policy import ServicePolicy
+from arctrack.recording.follow_tables import FollowTable
 from arctrack.recording.key_errors import place
-from arctrack.recording.setup_model import FollowTable, JointTable, Number, Table
+from arctrack.recording.scene_tables import JointTable
+from arctrack.recording.schema import Table
+from arctrack.recording.sensor_tables import Number
 from noise_model.setup_keys import DIMENSIONS
 from noise_model.spelling import cure_for
 from robot_io import GateLimits

@@ -37,8 +37,8 @@ from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.recording.files import blamed_on, read_text
 from arctrack.recording.key_errors import describe
+from arctrack.recording.schema import Table
 from arctrack.recording.setup_file import SetupFile, read_setup_file
-from arctrack.recording.setup_model import Table
 from arctrack.recording.toml_text import parse_toml
 from robot_io import GateLimits
 from robot_io.poses.plausibility_limits import PlausibilityLimits

@@ -1,0 +1,87 @@
+"""[follow] of recording.toml and of a cell's jobs: what is sent of the seam that was measured."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from arctrack.recording.schema import Table, key
+from arctrack.recording.sensor_tables import Number
+from tracker.seam.correction import AtLimit, AxisCorrection, Correction, CorrugationPath, WhenLost
+
+
+class FollowAxisTable(Table):
+    """[follow.y] and [follow.z], every key optional; without a limit only the gate bounds the axis."""
+
+    enable: bool = key(
+        "Whether the axis is corrected",
+        default=AxisCorrection.enable,
+        example="false",
+        note="false sends it as unknown: the robot may then not correct it, as where the arc-voltage "
+        "control has the height, and the gate ignores it.",
+    )
+    gain: Number = key(
+        "The share of the displacement that is followed, above 0, at most 1", default=AxisCorrection.gain
+    )
+    bias_mm: Number = key(
+        "What is added after the gain",
+        "mm",
+        default=AxisCorrection.bias_mm,
+        note="Positive to the left of the travel, out of the workpiece.",
+    )
+    limit_mm: Number | None = key(
+        "The most that is sent to either side, bias included",
+        "mm",
+        default=None,
+        example="3.0",
+        note="Without it the gate's range alone bounds it.",
+    )
+    at_limit: AtLimit = key(
+        "What is done beyond the limit",
+        default=AxisCorrection.at_limit,
+        note='"saturate" sends the limit, flag offset_limited; "stop" stops following.',
+    )
+
+    def to_axis(self, place: str) -> AxisCorrection:
+        """Return the axis; ValueError names `place` and the key of a value that cannot be."""
+        values = {name: value for name, value in self.known.items() if value is not None}
+        try:
+            return AxisCorrection(**values)
+        except ValueError as error:
+            raise ValueError(f"[{place}] {error}") from None
+
+
+class FollowTable(Table):
+    """[follow], every key optional."""
+
+    when_lost: WhenLost = key(
+        "What is sent past the last measurement",
+        default=Correction.when_lost,
+        note='"hold" sends the last place, "extrapolate" the expected one, "stop" nothing any more.',
+    )
+    extrapolate_mm: Number = key(
+        "How far past it hold and extrapolate go", "mm", default=Correction.extrapolate_mm
+    )
+    extrapolate_sigma_mm: Number = key(
+        "The largest 1 sigma with which an offset is known, wherever the torch stands",
+        "mm",
+        default=Correction.extrapolate_sigma_mm,
+    )
+    ends_mm: Number = key(
+        "How far the joint's ends may lie from those of seam_in_base_mm",
+        "mm",
+        default=Correction.ends_mm,
+        note="Above 0 they are searched.",
+    )
+    corrugation: CorrugationPath = key(
+        "Whether the programmed path goes over a corrugation",
+        default=Correction.corrugation,
+        note='"followed" says that it is flat: z gets the sheet\'s drawn height at the torch as well, '
+        "whatever the gain; it counts towards the limit.",
+    )
+    y: FollowAxisTable = Field(default_factory=FollowAxisTable)
+    z: FollowAxisTable = Field(default_factory=FollowAxisTable)
+
+    def to_correction(self) -> Correction:
+        """Return the correction; ValueError names the table and key of a value that cannot be."""
+        axes = {"y": self.y.to_axis("follow.y"), "z": self.z.to_axis("follow.z")}
+        return Correction(**{**self.known, **axes})

@@ -1,0 +1,172 @@
+"""The one statement of each key of a file: what it is, its unit, bounds, default, and where values come from.
+
+A key is a pydantic field that `key` makes. Files to fill in, error lines and reference pages are made of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import UnionType
+from typing import Any, ClassVar, NamedTuple, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic.fields import FieldInfo
+
+from arctrack.limits import LIMITS, source_of
+
+MAX_NUMBER = 1e15
+"""The largest size of a number in a file (its square and its ratios stay finite)."""
+
+
+class Bounds(NamedTuple):
+    """What a number may be, None for no end, and why no more."""
+
+    low: float | None
+    high: float | None
+    source: str
+
+    @classmethod
+    def around_zero(cls, limit: str) -> Bounds:
+        """Return the bounds by a limit of `arctrack.limits` on a number's size."""
+        return cls(-getattr(LIMITS, limit), getattr(LIMITS, limit), source_of(limit))
+
+
+class Table(BaseModel):
+    """A table of a file: strict types, finite numbers, unknown keys kept."""
+
+    extra_keys: ClassVar[type[BaseModel] | None] = None
+    """States the keys of which the file needs some alone."""
+
+    model_config = ConfigDict(strict=True, extra="allow", allow_inf_nan=False)
+
+    @property
+    def known(self) -> dict[str, Any]:
+        """The values of its known keys."""
+        return {name: getattr(self, name) for name in type(self).model_fields}
+
+
+def key(
+    meaning: str,
+    unit: str = "",
+    typical: str = "",
+    source: str = "",
+    *,
+    default: Any = ...,
+    example: str = "",
+    note: str = "",
+    bounds: Bounds | None = None,
+    min_length: int | None = None,
+) -> Any:
+    """Return the field of a key.
+
+    `meaning` says what it is, without a full stop, `typical` what it usually is, `source` where a value comes
+    from and how to get it, `note` what else is to know. A key without `default` is needed. A file to fill in
+    shows it, or `example`, behind a #. `min_length` counts letters or items.
+    """
+    low, high, bound = Bounds(None, None, "") if bounds is None else bounds
+    words = {"unit": unit, "typical": typical, "source": source, "note": note, "example": example}
+    return Field(
+        default,
+        description=meaning,
+        ge=low,
+        le=high,
+        min_length=min_length,
+        json_schema_extra={**words, "bound": bound},
+    )
+
+
+def within(bounds: Bounds) -> Any:
+    """Return the bounds of an item of a list, for its annotation."""
+    return Field(ge=bounds.low, le=bounds.high, json_schema_extra={"bound": bounds.source})
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a file: the table that holds it, its name and its field."""
+
+    table: str
+    name: str
+    field: FieldInfo
+
+    @property
+    def meaning(self) -> str:
+        """What it is, with its unit, as a sentence; empty where nobody says."""
+        unit = self.said("unit")
+        return f"{self.field.description}{f', {unit}' if unit else ''}." if self.field.description else ""
+
+    @property
+    def default(self) -> str | None:
+        """Its value where none is stated, as a file has it; None for a key that is needed or may lack."""
+        value = self.field.default
+        if self.field.is_required() or value is None:
+            return None
+        return str(value).lower() if isinstance(value, bool) else repr(value).replace("'", '"')
+
+    @property
+    def bounds(self) -> Bounds:
+        """What it, or each item of its list, may be."""
+        for info in (self.field, *_items(self.field)):
+            low, high = (
+                next((getattr(end, name) for end in info.metadata if hasattr(end, name)), None)
+                for name in ("ge", "le")
+            )
+            if low is not None or high is not None:
+                return Bounds(low, high, _words(info).get("bound", ""))
+        return Bounds(None, None, "")
+
+    @property
+    def accepted(self) -> str:
+        """Its bounds and their source in words, empty where it has none of its own."""
+        low, high, source = self.bounds
+        if high == MAX_NUMBER or (low is None and high is None):
+            return ""
+        ends = f"{low:g} at least" if high is None else f"{high:g} at most"
+        if low is not None and high is not None:
+            ends = f"{low:g} to {high:g}"
+        return f"{ends} ({source})" if source else ends
+
+    def said(self, what: str) -> str:
+        """Return its `unit`, `typical`, `source`, `note` or `example`, as `key` took them."""
+        words: str = _words(self.field).get(what, "")
+        return words
+
+
+def keys_of(model: type[BaseModel], table: str = "") -> Iterator[Key]:
+    """Yield the keys of a table and of those in it, in the file's order; N stands for a table's free name."""
+    inner = []
+    for name, info in model.model_fields.items():
+        below = table_in(info)
+        if below is not None:
+            held = f"{name}.N" if get_origin(info.annotation) is dict else name
+            inner.append((below, f"{table}.{held}" if table else held))
+        elif info.description is not None:
+            yield Key(table, name, info)
+    if issubclass(model, Table) and model.extra_keys is not None:
+        yield from keys_of(model.extra_keys, table)
+    for below, place in inner:
+        yield from keys_of(below, place)
+
+
+def table_in(info: FieldInfo) -> type[BaseModel] | None:
+    """Return the table that a field holds, or holds several of by name; None for a plain value."""
+    held = info.annotation
+    if get_origin(held) is UnionType:
+        held = get_args(held)[0]
+    if get_origin(held) is dict:
+        held = get_args(held)[1]
+    return held if isinstance(held, type) and issubclass(held, BaseModel) else None
+
+
+def _items(field: FieldInfo) -> Iterator[FieldInfo]:
+    """Yield what is stated of the items of a field's lists."""
+    todo = [field.annotation]
+    while todo:
+        arguments = get_args(todo.pop())
+        yield from (item for item in arguments if isinstance(item, FieldInfo))
+        todo += arguments
+
+
+def _words(info: FieldInfo) -> dict[str, Any]:
+    extra = info.json_schema_extra
+    return extra if isinstance(extra, dict) else {}
