@@ -11,39 +11,25 @@ import numpy as np
 
 from arctrack.control.controller import Controller
 from arctrack.control.job import Job
+from arctrack.simulation.cell.robot import WELDING
 from robot_io import (
     BusMessage,
     Command,
-    MotionState,
     PoseKind,
     Protector,
     Received,
-    RobotMode,
     RobotPosePosition,
     RobotPoseRotation,
     RobotPulse,
-    RobotStatus,
     RobotSync,
     Switch,
     TrackerCommand,
-    WeldingState,
 )
 from tracker.state import Track
 
 FRAME_S = 0.02
 
-_STATUS = RobotStatus(
-    mode=RobotMode.AUTOMATIC,
-    motion=MotionState.MOVING,
-    welding=WeldingState.WELDING,
-    arc=Switch.ON,
-    emergency_stop=Switch.OFF,
-    correction=Switch.ON,
-    weave=Switch.OFF,
-    current_a=120.0,
-    travel_speed_mm_s=5.0,
-    path_section=3,
-)
+_STATUS = replace(WELDING, weave=Switch.OFF, travel_speed_mm_s=5.0, path_section=3)
 _COMMAND = TrackerCommand(Command.DISARM, True, True, 0, 12, None, Switch.ON)
 
 

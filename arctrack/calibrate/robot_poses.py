@@ -58,26 +58,10 @@ class RobotPoses:
 
 
 def read_robot_poses(source: PoseSource, series: ImageSeries, stated: SetupFile) -> RobotPoses:
-    """Read the robot's poses, and say which image has which.
+    """Read the robot's poses at images, of which some may lack one, in the setup's tool.
 
-    Parameters
-    ----------
-    source : PoseSource
-        The poses.
-    series : ImageSeries
-        The images; some may lack a pose.
-    stated : SetupFile
-        The setup, which says where the tool is in the controller's.
-
-    Returns
-    -------
-    RobotPoses
-        The poses.
-
-    Raises
-    ------
-    ArctrackError
-        Where they cannot be read, or are another number than the images and nothing says which is whose.
+    ArctrackError where they cannot be read, or are another number than the images and nothing says which is
+    whose.
     """
     poses, files = read_poses(
         source.path,

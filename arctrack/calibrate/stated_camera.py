@@ -25,24 +25,9 @@ def check_size(size: tuple[int, int], stated: SetupFile) -> None:
 
 
 def stated_lens(stated: SetupFile) -> tuple[Lens, Float64 | None]:
-    """Return the lens that a setup states, and the covariance of its parameters.
+    """Return the lens that a setup states, with all parameters of its calibration, and their covariance.
 
-    Parameters
-    ----------
-    stated : SetupFile
-        The setup.
-
-    Returns
-    -------
-    lens : Lens
-        The lens, with all parameters that its calibration has.
-    covariance : array (n, n) or None
-        That of the lens' parameters; None where the setup keeps none.
-
-    Raises
-    ------
-    ArctrackError
-        Where what the setup keeps is no covariance.
+    The covariance (n, n) is None where the setup keeps none; ArctrackError where what it keeps is none.
     """
     record = stated.calibrations.get("camera")
     lens = lens_of(stated.setup.camera, [] if record is None else record.parameters)

@@ -42,19 +42,7 @@ def are_ends_told(board: Board) -> bool:
 def print_sigma_mm(scene: BoardScene, seen: Sightings, noise: CornerNoise) -> float:
     """Return 1 sigma of the corners' places on the board, along each axis, mm; 0 where noise explains all.
 
-    Parameters
-    ----------
-    scene : BoardScene
-        The scene of least squares.
-    seen : Sightings
-        Its corners.
-    noise : CornerNoise
-        Their noise.
-
-    Returns
-    -------
-    float
-        The maximum of the likelihood, mm.
+    It is the maximum of the likelihood at the scene of least squares.
     """
     n = len(scene.lens.values) + 2
     prior = np.pad(prior_precision(scene), (0, scene.print_mm.size))

@@ -25,21 +25,10 @@ FALSE_ALARM = 0.01
 
 
 def scatter_between_images(scene: BoardScene, seen: Sightings, weight: Float64) -> float:
-    """Return by what factor the covariance of lens and warp is too small, 1 if noise explains all.
+    """Return the images' scatter over that which the noise predicts; 1 where that is not significant.
 
-    Parameters
-    ----------
-    scene : BoardScene
-        The scene of least squares.
-    seen : Sightings
-        Its corners.
-    weight : array (N,)
-        1 / sigma of each, 1/px.
-
-    Returns
-    -------
-    float
-        The ratio of the images' scatter to that which the noise predicts, where it is significant; else 1.
+    By this factor the covariance of lens and warp is too small. `weight` (N,) are the corners' 1 / sigma,
+    1/px.
     """
     equations = with_prior(scene, seen, weight)
     parts = equations.information_of_views()

@@ -71,31 +71,10 @@ def place_gauge(
     plane: Float64,
     up: Float64,
 ) -> tuple[GaugeState, list[Sighting], dict[str, str]]:
-    """Tell pieces' faces and the gauge's place by the sheet as stated.
+    """Tell pieces' faces and the gauge's place by the sheet as stated (4,), tool frame, mm.
 
-    Parameters
-    ----------
-    shown : sequence of Posed
-        The images.
-    gauge : Gauge
-        The gauge.
-    lens : Lens
-        The lens.
-    T_tool_camera : array (4, 4)
-        The camera's pose, mm.
-    plane : array (4,)
-        The sheet as stated, tool frame, mm.
-    up : array (3,)
-        The direction out of the gauge's top, within some degrees, base frame.
-
-    Returns
-    -------
-    start : GaugeState
-        Where to begin.
-    sightings : list of Sighting
-        The images that show the gauge.
-    left_out : dict
-        The others, and why.
+    `up` is the direction out of the gauge's top, within some degrees, base frame. Returns where to begin, the
+    images that show the gauge, and the others with why each is left out.
     """
     left_out: dict[str, str] = {}
     kept: list[tuple[PosedPieces, int]] = []

@@ -152,18 +152,7 @@ def laser_light(off_dn: Integers, on_dn: Integers, area: Bool) -> LaserLight:
 
 
 def find_stripe(seen: LaserLight) -> BoardStripe | None:
-    """Find the stripe on a board.
-
-    Parameters
-    ----------
-    seen : LaserLight
-        The laser's light.
-
-    Returns
-    -------
-    Stripe or None
-        The stripe along the direction in which it is clearer; None without one.
-    """
+    """Return the stripe on a board along the direction in which it is clearer; None without one."""
     rows, columns = (np.flatnonzero(seen.area.any(axis=axis)) for axis in (1, 0))
     if not len(rows):
         return None
@@ -176,17 +165,9 @@ def find_stripe(seen: LaserLight) -> BoardStripe | None:
 
 
 def likeliest_path(seen: LaserLight) -> BoardStripe | None:
-    """Find the stripe whatever its course, corners and steps included.
+    """Return the stripe whatever its course, corners and steps included; None without one.
 
-    Parameters
-    ----------
-    seen : LaserLight
-        The laser's light.
-
-    Returns
-    -------
-    Stripe or None
-        A point in each scan line that shows it, along the direction in which it is clearer; None without one.
+    It has a point in each scan line that shows it, along the direction in which it is clearer.
     """
     return _clearer(_path, seen)
 

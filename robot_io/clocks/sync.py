@@ -206,19 +206,9 @@ class ClockSync:
         return replace(self, exchanges=exchanges)
 
     def offset(self, now_s: float, limits: SyncLimits) -> ClockOffset:
-        """Return the tracker's clock less the robot's at the newest exchange.
+        """Return the tracker's clock less the robot's at the newest exchange, or why it is not known.
 
-        Parameters
-        ----------
-        now_s : float
-            The time, s, tracker's clock.
-        limits : SyncLimits
-            What the estimate rests on.
-
-        Returns
-        -------
-        ClockOffset
-            The offset and its bounds, or why there is none.
+        The time `now_s` is by the tracker's clock.
         """
         answered = sum(math.isfinite(e.round_trip_s) for e in self.exchanges)
         if answered < limits.min_exchanges:

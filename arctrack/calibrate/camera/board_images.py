@@ -76,26 +76,9 @@ class BoardImages:
 def read_boards(
     sources: Sequence[Path], board: Board, progress: Callable[[int, int], None] | None = None
 ) -> BoardImages:
-    """Find a board in image files.
+    """Find a board in image files, of those that have the most frequent size.
 
-    Parameters
-    ----------
-    sources : sequence of Path
-        Folders of images, images, and patterns.
-    board : Board
-        The board.
-    progress : callable, optional
-        Told how many images are done, and of how many.
-
-    Returns
-    -------
-    BoardImages
-        Corners of the images of the most frequent size.
-
-    Raises
-    ------
-    ArctrackError
-        Where there is no image, or none that can be read.
+    ArctrackError where there is no image, or none that can be read or shows the board.
     """
     paths = images_of(sources)
     names = distinct_names(paths)

@@ -31,34 +31,10 @@ def camera_stage(
     orders: Sequence[str] = tuple(ORDERS),
     tilted: bool = False,
 ) -> CalibrationStage[CameraCalibration]:
-    """Find intrinsics and distortion in images of a board.
+    """Find intrinsics and distortion, the best of some `orders`, in images of a board.
 
-    Parameters
-    ----------
-    sources : sequence of Path
-        Folders of images, images, and patterns.
-    board : Board
-        The board.
-    stated : SetupFile, optional
-        The setup that the values go into.
-    steps : callable
-        Begins a step of the progress.
-    warn : callable
-        Is told at once which images are left out.
-    orders : sequence of str
-        The distortions to choose from.
-    tilted : bool
-        Whether the sensor is tilted to the lens.
-
-    Returns
-    -------
-    Stage
-        The calibration. Where halves of the images contradict each other, it is refused.
-
-    Raises
-    ------
-    ArctrackError
-        Where the images do not determine the lens; it says which image is missing.
+    Where halves of the images contradict each other the calibration is refused. ArctrackError says which
+    image is missing where they do not determine the lens.
     """
     images = read_boards(sources, board, steps("looking for the board", "images"))
     warn(left_out(images.left_out))

@@ -80,30 +80,9 @@ def read_gauge_images(
     poses: PoseSource | None,
     progress: Callable[[int, int], None],
 ) -> GaugeImages:
-    """Find a gauge's stripe in image files.
+    """Find a gauge's stripe in image files; without the robot's poses images are looked at one by one.
 
-    Parameters
-    ----------
-    sources : sequence of Path
-        Folders of images, images, and patterns.
-    gauge : Gauge
-        The gauge.
-    stated : SetupFile
-        The setup.
-    poses : PoseSource, optional
-        The robot's poses; without them images are looked at one by one.
-    progress : callable
-        Told how many images are done, and of how many.
-
-    Returns
-    -------
-    GaugeImages
-        Stripes and poses.
-
-    Raises
-    ------
-    ArctrackError
-        Where images or poses cannot be read, or do not belong together.
+    ArctrackError where images or poses cannot be read, or do not belong together.
     """
     series = find_images(sources)
     names = distinct_names(series.paths)
@@ -129,28 +108,9 @@ def read_gauge_images(
 def read_gauge_frames(
     recording: Recording, gauge: Gauge, stated: SetupFile, progress: Callable[[int, int], None]
 ) -> GaugeImages:
-    """Find a gauge's stripe in the frames of a recording that show the laser.
+    """Find a gauge's stripe in `MAX_FRAMES` frames at most of those that show the laser alone.
 
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    gauge : Gauge
-        The gauge.
-    stated : SetupFile
-        The setup.
-    progress : callable
-        Told how many frames are done, and of how many.
-
-    Returns
-    -------
-    GaugeImages
-        Stripes and poses of `MAX_FRAMES` frames at most.
-
-    Raises
-    ------
-    ArctrackError
-        Where no frame shows the laser.
+    ArctrackError where none does.
     """
     lit = [n for n, row in enumerate(recording.rows) if row.laser_on and not row.arc_on]
     if not lit:

@@ -27,6 +27,9 @@ from calibration.gauge.calibrate import (
 )
 from calibration.gauge.shape import Gauge
 
+GaugeSource = Sequence[Path] | Recording
+"""Folders of images, images and patterns; or a recording."""
+
 NO_POSES = "the robot's poses are unknown: give them with --poses, or take a recording; --check needs none"
 
 SHEET_CURE = (
@@ -39,39 +42,17 @@ SURE = 0.5
 
 
 def gauge_stage(
-    source: Sequence[Path] | Recording,
+    source: GaugeSource,
     gauge: Gauge,
     stated: SetupFile,
     poses: PoseSource | None,
     steps: Steps,
     warn: Warn,
 ) -> CalibrationStage[GaugeCalibration]:
-    """Find the laser sheet from a gauge at several poses of the robot.
+    """Find the laser sheet from a gauge that stands still, at several poses of the robot.
 
-    Parameters
-    ----------
-    source : sequence of Path, or Recording
-        Folders of images, images, and patterns; or a recording.
-    gauge : Gauge
-        The gauge, which stands still.
-    stated : SetupFile
-        The setup, whose camera and its pose are calibrated.
-    poses : PoseSource, optional
-        The robot's poses at the images.
-    steps : callable
-        Begins a step of the progress.
-    warn : callable
-        Is told at once which images are left out.
-
-    Returns
-    -------
-    Stage
-        The calibration.
-
-    Raises
-    ------
-    ArctrackError
-        Where the poses do not determine the sheet; it names the motion that is missing.
+    The source is image files, or a recording, which has poses of its own. ArctrackError names the motion that
+    is missing where the poses do not determine the sheet.
     """
     images = _read(source, gauge, stated, poses, steps, warn)
     if not images.has_poses:
@@ -108,7 +89,7 @@ class GaugeVerdict:
 
 
 def check_stage(
-    source: Sequence[Path] | Recording,
+    source: GaugeSource,
     gauge: Gauge,
     stated: SetupFile,
     poses: PoseSource | None,
@@ -116,26 +97,10 @@ def check_stage(
     steps: Steps,
     warn: Warn,
 ) -> tuple[CalibrationStage[list[GaugeCheck]], GaugeVerdict]:
-    """Check the setup's sheet by a gauge's size.
+    """Check by a gauge's size, which may be off by `within_mm`, whether the setup's sheet is right.
 
-    Parameters
-    ----------
-    source, gauge, stated, poses, steps, warn
-        As for `gauge_stage`; poses may be unknown.
-    within_mm : float
-        How far the size may be off.
-
-    Returns
-    -------
-    stage : CalibrationStage
-        The check; it has no values for a setup.
-    verdict : GaugeVerdict
-        Whether the sheet is right.
-
-    Raises
-    ------
-    ArctrackError
-        Where no image shows the gauge, or too few to tell.
+    Poses may be unknown. The stage has no values for a setup. ArctrackError where no image shows the gauge,
+    or too few to tell.
     """
     images = _read(source, gauge, stated, poses, steps, warn)
     setup, shown = stated.setup, images.shown
@@ -204,12 +169,7 @@ def _verdict(
 
 
 def _read(
-    source: Sequence[Path] | Recording,
-    gauge: Gauge,
-    stated: SetupFile,
-    poses: PoseSource | None,
-    steps: Steps,
-    warn: Warn,
+    source: GaugeSource, gauge: Gauge, stated: SetupFile, poses: PoseSource | None, steps: Steps, warn: Warn
 ) -> GaugeImages:
     tell = steps("looking for the gauge", "images")
     if isinstance(source, Recording):
@@ -222,5 +182,5 @@ def _read(
     return images
 
 
-def _path(source: Sequence[Path] | Recording) -> Path:
+def _path(source: GaugeSource) -> Path:
     return source.path if isinstance(source, Recording) else source[0]

@@ -69,28 +69,8 @@ def read_posed_boards(
 ) -> PosedBoards:
     """Find a board in images, and the robot's pose of each.
 
-    Parameters
-    ----------
-    sources : sequence of Path
-        Folders of images, images, and patterns.
-    board : Board
-        The board.
-    stated : SetupFile
-        The setup, whose camera is calibrated.
-    source : PoseSource
-        The robot's poses.
-    progress : callable, optional
-        Told how many images are done, and of how many.
-
-    Returns
-    -------
-    PosedBoards
-        Boards and poses.
-
-    Raises
-    ------
-    ArctrackError
-        Where images or poses cannot be read, do not belong together, or are of another size than the camera.
+    ArctrackError where images or poses cannot be read, do not belong together, or are of another size than
+    the camera.
     """
     series = find_images(sources)
     poses = read_robot_poses(source, series, stated)

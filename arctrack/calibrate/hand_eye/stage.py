@@ -35,35 +35,10 @@ def hand_eye_stage(
     warn: Warn,
     is_eye_to_hand: bool = False,
 ) -> CalibrationStage[HandEyeCalibration]:
-    """Find the camera's pose in the tool, or in base.
+    """Find the camera's pose in the tool; in base if the camera stands still and the robot carries the board.
 
-    Parameters
-    ----------
-    sources : sequence of Path
-        Folders of images, images, and patterns.
-    board : Board
-        The board.
-    stated : SetupFile
-        The setup, whose camera is calibrated.
-    source : PoseSource
-        The robot's poses.
-    steps : callable
-        Begins a step of the progress.
-    warn : callable
-        Is told at once which images are left out.
-    is_eye_to_hand : bool
-        The camera stands still, and the robot carries the board.
-
-    Returns
-    -------
-    Stage
-        The calibration.
-
-    Raises
-    ------
-    ArctrackError
-        Where the poses do not determine the camera, with the motion that is missing, or contradict the
-        boards.
+    ArctrackError where the poses do not determine the camera, with the motion that is missing, or contradict
+    the boards.
     """
     posed = read_posed_boards(sources, board, stated, source, steps("looking for the board", "images"))
     warn(posed.warnings)

@@ -110,26 +110,8 @@ def read_pairs(
 ) -> LaserPairs:
     """Find boards and stripes in pairs of images, and in images that show both.
 
-    Parameters
-    ----------
-    sources : sequence of Path
-        Folders of images, images, and patterns.
-    board : Board
-        The board.
-    stated : SetupFile
-        The setup, whose camera is calibrated.
-    progress : callable, optional
-        Told how many images are done, and of how many.
-
-    Returns
-    -------
-    LaserPairs
-        Boards' poses and stripes.
-
-    Raises
-    ------
-    ArctrackError
-        Where there is no image with the laser, no board, or images of another size than the camera's.
+    ArctrackError where there is no image with the laser, no board, or images of another size than the
+    camera's.
     """
     pairs, with_both, dark = find_pairs(sources)
     with_board = [*pairs, *with_both]

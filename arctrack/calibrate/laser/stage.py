@@ -24,31 +24,7 @@ def laser_stage(
     steps: Steps,
     warn: Warn,
 ) -> CalibrationStage[LaserCalibration]:
-    """Find the laser sheet in images of a board.
-
-    Parameters
-    ----------
-    sources : sequence of Path
-        Folders of images, images, and patterns.
-    board : Board
-        The board.
-    stated : SetupFile
-        The setup, whose camera is calibrated.
-    steps : callable
-        Begins a step of the progress.
-    warn : callable
-        Is told at once which images are left out.
-
-    Returns
-    -------
-    Stage
-        The calibration.
-
-    Raises
-    ------
-    ArctrackError
-        Where the images do not determine the sheet; it says which are missing.
-    """
+    """Find the laser sheet in images of a board; ArctrackError says which images it still needs."""
     pairs = read_pairs(sources, board, stated, steps("looking for board and stripe", "images"))
     warn(left_out(pairs.left_out))
     try:

@@ -41,32 +41,9 @@ def flat_stage(
     warn: Warn,
     gamma: float | None = None,
 ) -> CalibrationStage[SensorCalibration]:
-    """Find gain, noise and response in flat and dark frames.
+    """Find gain, noise and response, or all at a stated gamma, in the files of `find_flat_frames`.
 
-    Parameters
-    ----------
-    source : Path
-        Their folder.
-    files : list of FlatFile
-        The frames, from `find_flat_frames`.
-    stated : SetupFile
-        The setup that the sensor belongs to.
-    steps : callable
-        Begins a step of the progress.
-    warn : callable
-        Is told what is lossy.
-    gamma : float, optional
-        Holds this gamma.
-
-    Returns
-    -------
-    Stage
-        The calibration.
-
-    Raises
-    ------
-    ArctrackError
-        Where the frames do not determine the values.
+    ArctrackError where the frames do not determine the values.
     """
     bits = stated.setup.sensor.bits
     try:
@@ -83,24 +60,7 @@ def flat_stage(
 def still_stage(read: Recording, steps: Steps, warn: Warn) -> CalibrationStage[StillCalibration]:
     """Find gain, read noise, black level and speckle in a recording of a still stripe.
 
-    Parameters
-    ----------
-    read : Recording
-        The recording.
-    steps : callable
-        Begins a step of the progress.
-    warn : callable
-        Is told which frames are left out.
-
-    Returns
-    -------
-    Stage
-        The calibration.
-
-    Raises
-    ------
-    ArctrackError
-        Where the frames do not determine the values.
+    ArctrackError where the frames do not determine the values.
     """
     try:
         frames, problems = read_still_frames(read, steps(read.name, "frames"))

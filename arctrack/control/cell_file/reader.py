@@ -52,20 +52,7 @@ R = TypeVar("R")
 def read_cell_file(path: Path | str) -> CellFile:
     """Read a cell file and the setup that it points to.
 
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-
-    Returns
-    -------
-    CellFile
-        What it holds.
-
-    Raises
-    ------
-    ArctrackError
-        It names the file and the key or line that is wrong. A key that is not known is wrong.
+    ArctrackError names the file and the key or line that is wrong. A key that is not known is wrong.
     """
     path = Path(path)
     model = stated_keys(path)

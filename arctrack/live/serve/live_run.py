@@ -116,7 +116,7 @@ def opened_run(
             with compiled_by_two(tracking.tracker.geometry.setup):
                 tracking.tracker.warm_up()
         lag.wait_ready()
-        opened.enter_context(supervisor.started())
+        opened.enter_context(supervisor.watching())
         # On a bus where it is heard, a tracker must not wait for anything.
         try:
             link = Link(

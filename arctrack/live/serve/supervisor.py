@@ -50,7 +50,7 @@ class Supervisor:
                 self._tell(line)
 
     @contextmanager
-    def started(self) -> Iterator[None]:
+    def watching(self) -> Iterator[None]:
         """Start again what ends meanwhile."""
         self._thread.start()
         try:

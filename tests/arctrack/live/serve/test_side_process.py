@@ -56,7 +56,7 @@ def test_a_killed_process_is_started_again_on_the_same_pipe() -> None:
     process = SideProcess("answers", answer, (), (its,), niceness=3, lost="lost")
     with supervisor.running(process):
         process.wait_ready()
-        with supervisor.started():
+        with supervisor.watching():
             ours.send("one")
             pid, question = ours.recv()
             assert (pid, question) == (process.state.pid, "one")
@@ -88,7 +88,7 @@ def test_what_cannot_begin_is_told_once_and_tried_ever_later(tmp_path: Path) -> 
     with supervisor.running(process):
         with pytest.raises(ArctrackError, match="the port is taken"):
             process.wait_ready()
-        with supervisor.started():
+        with supervisor.watching():
             assert lines.get() == "page: the port is taken; it is started again"
             assert lines.get() == "page: runs again"
             assert process.state.ends == 3

@@ -13,6 +13,7 @@ from dataclasses import replace
 import can
 import numpy as np
 import pytest
+from heartbeat import BEAT
 from typer.testing import CliRunner
 
 from arctrack.cli import app
@@ -25,19 +26,13 @@ from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of
 from robot_io import (
     SOURCES,
     Command,
-    CommandHeard,
-    Fault,
     Inbox,
-    LaserState,
     PoseAssembler,
     Protector,
-    RequestResult,
     RobotStatus,
     SeamOffset,
     Source,
     TrackerCommand,
-    TrackerHeartbeat,
-    TrackerState,
     Trusted,
     Validity,
 )
@@ -57,19 +52,6 @@ SERVE = """
         lambda: print("ready", flush=True), port=port, hop_limit=0,
     )
 """
-
-
-BEAT = TrackerHeartbeat(
-    TrackerState.DISARMED,
-    Source.LIVE,
-    LaserState.UNKNOWN,
-    Fault.NONE,
-    0,
-    RequestResult.NONE,
-    1,
-    0,
-    CommandHeard.DISARM,
-)
 
 
 class Heard:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import count, groupby
 
 import numpy as np
+from heartbeat import BEAT
 
 from arctrack.live.simulated_cell.serve import Program
 from arctrack.simulation.cell.bus import Bus
@@ -16,26 +17,10 @@ from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of, world_
 from robot_io import (
     Command,
     CommandHeard,
-    Fault,
-    LaserState,
     Protector,
-    RequestResult,
     Source,
-    TrackerHeartbeat,
-    TrackerState,
 )
 
-BEAT = TrackerHeartbeat(
-    TrackerState.DISARMED,
-    Source.LIVE,
-    LaserState.UNKNOWN,
-    Fault.NONE,
-    0,
-    RequestResult.NONE,
-    1,
-    0,
-    CommandHeard.DISARM,
-)
 PART_MM = 40.0
 
 
