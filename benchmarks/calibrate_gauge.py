@@ -25,7 +25,7 @@ from calibration.camera.enough import UndeterminedError
 from calibration.camera.lens import Lens
 from calibration.gauge.calibrate import GaugeCalibration, calibrate_gauge
 from calibration.gauge.shape import Gauge, Shape
-from calibration.gauge.sightings import PosedPieces
+from calibration.gauge.sightings import PosedPieces, StatedSensor
 from calibration.gauge.stripe_pieces import Piece, Pieces, stripe_pieces
 from calibration.laser.image_line import fit_line
 from noise_model.arrays import Float64
@@ -245,7 +245,7 @@ def judge(seed: int, tally: Tally, reasons: Counter[str]) -> None:
     lens = Lens.simple(WIDTH, HEIGHT, world.focal_px)
     shown = [posed for posed, _ in drawn]
     try:
-        result = calibrate_gauge(shown, world.gauge, lens, world.T_tool_camera, stated, UP)
+        result = calibrate_gauge(shown, world.gauge, StatedSensor(lens, world.T_tool_camera, stated), UP)
     except UndeterminedError as error:
         reasons[str(error).split(":")[0][-60:]] += 1
         return
@@ -312,7 +312,7 @@ def judge_rendered(worlds: int, seed: int) -> None:
             else:
                 shown.append(PosedPieces(f"{k}", pieces, stated))
         try:
-            result = calibrate_gauge(shown, gauge, lens, camera, make_gauge.SHEET_IN_TOOL, UP)
+            result = calibrate_gauge(shown, gauge, StatedSensor(lens, camera, make_gauge.SHEET_IN_TOOL), UP)
         except UndeterminedError as error:
             reasons[str(error)[:60]] += 1
             continue

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from calibration.camera.enough import UndeterminedError
-from calibration.camera.lens import Lens
 from calibration.few_values import wider_by_few
 from calibration.gauge.adjustment import (
     SHEET,
@@ -23,7 +22,7 @@ from calibration.gauge.adjustment import (
     inverse,
 )
 from calibration.gauge.shape import Gauge, Shape
-from calibration.gauge.sightings import PosedPieces, place_gauge
+from calibration.gauge.sightings import PosedPieces, StatedSensor, place_gauge
 from noise_model.arrays import Float64
 from noise_model.transforms import transform
 
@@ -149,43 +148,16 @@ def _wider(gauge: Gauge, images: int) -> float:
 
 
 def calibrate_gauge(
-    shown: Sequence[PosedPieces],
-    gauge: Gauge,
-    lens: Lens,
-    T_tool_camera: Float64,
-    plane: Float64,
-    up: Float64,
+    shown: Sequence[PosedPieces], gauge: Gauge, sensor: StatedSensor, up: Float64
 ) -> GaugeCalibration:
     """Find the sheet from stripes on a gauge that stands still in base.
 
-    Parameters
-    ----------
-    shown : sequence of Posed
-        Images' stripes and poses.
-    gauge : Gauge
-        The gauge.
-    lens : Lens
-        The lens.
-    T_tool_camera : array (4, 4)
-        The camera's pose in the tool, mm.
-    plane : array (4,)
-        The sheet as stated, tool frame, mm: near enough to tell the gauge's faces apart.
-    up : array (3,)
-        The direction out of the gauge's top, within some degrees, base frame.
-
-    Returns
-    -------
-    GaugeCalibration
-        The sheet.
-
-    Raises
-    ------
-    UndeterminedError
-        Where the poses do not determine it, with the motion that is missing.
+    `up` is the direction out of the gauge's top, within some degrees, base frame. UndeterminedError where the
+    poses do not determine the sheet, with the motion that is missing.
     """
-    start, sightings, left_out = place_gauge(shown, gauge, lens, T_tool_camera, plane, up)
+    start, sightings, left_out = place_gauge(shown, gauge, sensor, up)
     _check_count(len(sightings), left_out)
-    problem = GaugeProblem(gauge, T_tool_camera, tuple(sightings))
+    problem = GaugeProblem(gauge, sensor.T_tool_camera, tuple(sightings))
     known = np.full(SIZE + 1, np.inf)
     known[SIZE] = SIZE_SIGMA_MM
     fitted = fit_with_noise(problem, start, known)
@@ -323,38 +295,16 @@ def _information(problem: GaugeProblem, fitted: GaugeFit, T_base_tool: Float64) 
     return np.asarray(J.T @ np.linalg.solve(other.covariances(state, fitted.noise_mm)[0], J))
 
 
-def check_gauge(
-    shown: Sequence[PosedPieces],
-    gauge: Gauge,
-    lens: Lens,
-    T_tool_camera: Float64,
-    plane: Float64,
-    up: Float64,
-) -> GaugeCheck:
-    """Measure a gauge's size by a sheet as stated.
+def check_gauge(shown: Sequence[PosedPieces], gauge: Gauge, sensor: StatedSensor, up: Float64) -> GaugeCheck:
+    """Measure a gauge's size by a sheet as stated, in one image or more.
 
-    Parameters
-    ----------
-    shown : sequence of Posed
-        One image or more.
-    gauge, lens, T_tool_camera, plane, up
-        As for `calibrate_gauge`.
-
-    Returns
-    -------
-    GaugeCheck
-        The size measured.
-
-    Raises
-    ------
-    UndeterminedError
-        Where no image shows the gauge.
+    UndeterminedError where none shows the gauge.
     """
-    start, sightings, left_out = place_gauge(shown, gauge, lens, T_tool_camera, plane, up)
+    start, sightings, left_out = place_gauge(shown, gauge, sensor, up)
     if not sightings:
         name, reason = next(iter(left_out.items()))
         raise UndeterminedError(f"no image shows the gauge: {name} {reason}")
-    problem = GaugeProblem(gauge, T_tool_camera, tuple(sightings))
+    problem = GaugeProblem(gauge, sensor.T_tool_camera, tuple(sightings))
     held = np.array([*[HELD] * 3, TILT_SIGMA, TILT_SIGMA, *[np.inf] * 4])
     fitted = fit_with_noise(problem, start, held)
     sigma = math.sqrt(float(fitted.covariance[SIZE, SIZE]))
@@ -363,32 +313,17 @@ def check_gauge(
     return GaugeCheck(problem, fitted, fitted.state.size_mm, sigma, left_out)
 
 
-def check_each(
-    shown: Sequence[PosedPieces], gauge: Gauge, lens: Lens, T_tool_camera: Float64, plane: Float64
-) -> list[GaugeCheck]:
+def check_each(shown: Sequence[PosedPieces], gauge: Gauge, sensor: StatedSensor) -> list[GaugeCheck]:
     """Measure a gauge's size in each image alone: nothing is known of the robot, but that it stands upright.
 
-    Parameters
-    ----------
-    shown, gauge, lens, T_tool_camera, plane
-        As for `calibrate_gauge`; poses are not used.
-
-    Returns
-    -------
-    list of GaugeCheck
-        One for each image that shows the gauge.
-
-    Raises
-    ------
-    UndeterminedError
-        Where no image shows the gauge.
+    Poses are not used. UndeterminedError where no image shows the gauge.
     """
     up = np.array([0.0, 0.0, 1.0])
     checks, why = [], None
     for each in shown:
         alone = replace(each, T_base_tool=np.eye(4))
         try:
-            checks.append(check_gauge([alone], gauge, lens, T_tool_camera, plane, up))
+            checks.append(check_gauge([alone], gauge, sensor, up))
         except UndeterminedError as error:
             why = error
     if why is not None and not checks:

@@ -42,12 +42,26 @@ class PosedPieces:
     T_base_tool: Float64
 
 
-def ends_in_base(
-    each: PosedPieces, piece: Piece, lens: Lens, T_tool_camera: Float64, plane: Float64
-) -> Float64:
-    """Return where a piece begins and ends (2, 3), mm, base frame, for a sheet in the tool frame."""
-    rays = _on_line(piece, lens, each.pieces.along_rows)
-    return transform(each.T_base_tool, _on_sheet(rays, T_tool_camera, plane))
+@dataclass(frozen=True)
+class StatedSensor:
+    """Camera and sheet as a setup states them: `T_tool_camera` (4, 4), mm, and `plane` (4,), tool frame, mm.
+
+    The sheet need only be near enough to tell the gauge's faces apart.
+    """
+
+    lens: Lens
+    T_tool_camera: Float64
+    plane: Float64
+
+    def on_sheet(self, rays: Float64) -> Float64:
+        """Return where rays (n, 3) meet the sheet (n, 3), tool frame, mm."""
+        return points_on_plane(self.plane, self.T_tool_camera[:3, 3], rays @ self.T_tool_camera[:3, :3].T)
+
+
+def _ends_in_base(each: PosedPieces, piece: Piece, sensor: StatedSensor) -> Float64:
+    """Return where a piece begins and ends (2, 3), mm, base frame."""
+    rays = _on_line(piece, sensor.lens, each.pieces.along_rows)
+    return transform(each.T_base_tool, sensor.on_sheet(rays))
 
 
 def _on_line(piece: Piece, lens: Lens, along_rows: bool) -> Float64:
@@ -59,19 +73,10 @@ def _on_line(piece: Piece, lens: Lens, along_rows: bool) -> Float64:
     return np.asarray(a + share[:, np.newaxis] * (b - a))
 
 
-def _on_sheet(rays: Float64, T_tool_camera: Float64, plane: Float64) -> Float64:
-    return points_on_plane(plane, T_tool_camera[:3, 3], rays @ T_tool_camera[:3, :3].T)
-
-
 def place_gauge(
-    shown: Sequence[PosedPieces],
-    gauge: Gauge,
-    lens: Lens,
-    T_tool_camera: Float64,
-    plane: Float64,
-    up: Float64,
+    shown: Sequence[PosedPieces], gauge: Gauge, sensor: StatedSensor, up: Float64
 ) -> tuple[GaugeState, list[Sighting], dict[str, str]]:
-    """Tell pieces' faces and the gauge's place by the sheet as stated (4,), tool frame, mm.
+    """Tell pieces' faces and the gauge's place by the sheet as stated.
 
     `up` is the direction out of the gauge's top, within some degrees, base frame. Returns where to begin, the
     images that show the gauge, and the others with why each is left out.
@@ -81,7 +86,7 @@ def place_gauge(
     all_ends: list[Float64] = []
     sides: list[Float64] = []
     for each in shown:
-        ends = [ends_in_base(each, piece, lens, T_tool_camera, plane) for piece in each.pieces.pieces]
+        ends = [_ends_in_base(each, piece, sensor) for piece in each.pieces.pieces]
         reason, order = _order(gauge, ends, up)
         if reason:
             left_out[each.name] = reason
@@ -94,7 +99,7 @@ def place_gauge(
         all_ends.append(np.stack(sorted_ends))
         sides.append(across)
     if not kept:
-        return GaugeState(plane, np.eye(4), np.zeros(3), gauge.size_mm), [], left_out
+        return GaugeState(sensor.plane, np.eye(4), np.zeros(3), gauge.size_mm), [], left_out
     z = _top(all_ends, gauge, up)
     edges = np.stack([_edge_of(ends, gauge) for ends in all_ends])
     y = np.mean([side / np.linalg.norm(side) for side in sides], axis=0)
@@ -107,9 +112,9 @@ def place_gauge(
     points = np.concatenate(
         [transform(T_tb, ends.reshape(-1, 3)) for T_tb, ends in zip(in_tool, all_ends, strict=True)]
     )
-    centre = foot_on(plane, points.mean(axis=0))
-    sightings = [_sighting(each, order, gauge, lens, T_tool_camera, plane) for each, order in kept]
-    return GaugeState(plane, T, centre, gauge.size_mm), sightings, left_out
+    centre = foot_on(sensor.plane, points.mean(axis=0))
+    sightings = [_sighting(each, order, gauge, sensor) for each, order in kept]
+    return GaugeState(sensor.plane, T, centre, gauge.size_mm), sightings, left_out
 
 
 def _order(gauge: Gauge, ends: Sequence[Float64], up: Float64) -> tuple[str, int]:
@@ -153,9 +158,7 @@ def _top(all_ends: Sequence[Float64], gauge: Gauge, up: Float64) -> Float64:
     return np.asarray(z * np.sign(z @ up))
 
 
-def _sighting(
-    each: PosedPieces, order: int, gauge: Gauge, lens: Lens, T_tool_camera: Float64, plane: Float64
-) -> Sighting:
+def _sighting(each: PosedPieces, order: int, gauge: Gauge, sensor: StatedSensor) -> Sighting:
     pieces = each.pieces.pieces[::order]
     rays = [piece.line.rays for piece in pieces]
     across = [np.tile(piece.line.across, (2, 1)) for piece in pieces]
@@ -163,13 +166,13 @@ def _sighting(
     faces = [[face] * 2 for face in gauge.pieces]
     if gauge.shape is Shape.STEP:
         high = pieces[0]
-        end = _on_line(high, lens, each.pieces.along_rows)[1 if order > 0 else 0]
+        end = _on_line(high, sensor.lens, each.pieces.along_rows)[1 if order > 0 else 0]
         along = high.line.rays[1] - high.line.rays[0]
         along = along / np.linalg.norm(along)
         step = 1e-4
-        a, b = _on_sheet(np.stack([end, end + step * along]), T_tool_camera, plane)
+        a, b = sensor.on_sheet(np.stack([end, end + step * along]))
         mm_per_slope = float(np.linalg.norm(b - a)) / step
-        sigma = np.hypot(EDGE_SIGMA_MM / mm_per_slope, EDGE_SIGMA_PX / float(lens.values[0]))
+        sigma = np.hypot(EDGE_SIGMA_MM / mm_per_slope, EDGE_SIGMA_PX / float(sensor.lens.values[0]))
         rays.append(end[np.newaxis])
         across.append(along[np.newaxis])
         blocks.append(np.array([[sigma**2]]))

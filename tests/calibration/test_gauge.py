@@ -9,7 +9,7 @@ from calibration.camera.enough import UndeterminedError
 from calibration.camera.lens import Lens
 from calibration.gauge.calibrate import GaugeCalibration, calibrate_gauge, check_gauge
 from calibration.gauge.shape import Gauge
-from calibration.gauge.sightings import PosedPieces
+from calibration.gauge.sightings import PosedPieces, StatedSensor
 from calibration.gauge.stripe_pieces import Piece, Pieces, stripe_pieces
 from calibration.laser.image_line import fit_line
 from noise_model.arrays import Float64
@@ -109,7 +109,7 @@ STATED = np.array([np.cos(0.02), 0.0, np.sin(0.02), -35.5])
 @pytest.mark.slow
 @pytest.mark.parametrize("gauge", [V, STEP], ids=["V", "step"])
 def test_the_sheet_is_within_its_sigmas_and_the_robots_error_is_told(gauge: Gauge) -> None:
-    result = calibrate_gauge(shown_at(MOTIONS, gauge), gauge, LENS, T_TOOL_CAMERA, STATED, UP)
+    result = calibrate_gauge(shown_at(MOTIONS, gauge), gauge, StatedSensor(LENS, T_TOOL_CAMERA, STATED), UP)
     assert np.abs(z_of(result)).max() < 3.5
     assert result.sigma[2] < 0.2
     assert np.degrees(result.sigma[:2]).max() < 0.1
@@ -125,7 +125,7 @@ def test_a_pose_of_another_image_is_named() -> None:
     moved = shown[4].T_base_tool.copy()
     moved[:3, 3] += [0.0, 1.0, 1.0]
     shown[4] = replace(shown[4], T_base_tool=moved)
-    result = calibrate_gauge(shown, V, LENS, T_TOOL_CAMERA, STATED, UP)
+    result = calibrate_gauge(shown, V, StatedSensor(LENS, T_TOOL_CAMERA, STATED), UP)
     assert list(result.left_out) == ["4"]
     assert np.abs(z_of(result)).max() < 3.5
 
@@ -142,22 +142,24 @@ def test_a_pose_of_another_image_is_named() -> None:
 )
 def test_a_motion_that_is_missing_is_named(motions: list[tuple[float, ...]], missing: str) -> None:
     with pytest.raises(UndeterminedError, match=missing):
-        calibrate_gauge(shown_at(motions, STEP), STEP, LENS, T_TOOL_CAMERA, SHEET_IN_TOOL, UP)
+        calibrate_gauge(shown_at(motions, STEP), STEP, StatedSensor(LENS, T_TOOL_CAMERA, SHEET_IN_TOOL), UP)
 
 
 @pytest.mark.slow
 def test_one_image_checks_the_gauges_size() -> None:
     shown = shown_at([(0, 0, 0, 0)])
-    right = check_gauge(shown, V, LENS, T_TOOL_CAMERA, SHEET_IN_TOOL, UP)
+    right = check_gauge(shown, V, StatedSensor(LENS, T_TOOL_CAMERA, SHEET_IN_TOOL), UP)
     assert abs(right.off_mm) < 3.5 * right.sigma_mm < 0.2
-    wrong = check_gauge(shown, V, LENS, T_TOOL_CAMERA, np.array([np.cos(0.1), 0.0, np.sin(0.1), -35.0]), UP)
+    wrong = check_gauge(
+        shown, V, StatedSensor(LENS, T_TOOL_CAMERA, np.array([np.cos(0.1), 0.0, np.sin(0.1), -35.0])), UP
+    )
     assert abs(wrong.off_mm) > 5.0 * wrong.sigma_mm
 
 
 def test_another_gauge_is_refused() -> None:
     other = Gauge.parse("v:90deg:9mm")
     with pytest.raises(UndeterminedError, match=r"0 shows a V 5\.\d+ mm deep, the gauge's has 9 mm"):
-        check_gauge(shown_at([(0, 0, 0, 0)]), other, LENS, T_TOOL_CAMERA, SHEET_IN_TOOL, UP)
+        check_gauge(shown_at([(0, 0, 0, 0)]), other, StatedSensor(LENS, T_TOOL_CAMERA, SHEET_IN_TOOL), UP)
 
 
 @pytest.mark.slow

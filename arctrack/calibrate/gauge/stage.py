@@ -26,6 +26,7 @@ from calibration.gauge.calibrate import (
     check_gauge,
 )
 from calibration.gauge.shape import Gauge
+from calibration.gauge.sightings import StatedSensor
 
 GaugeSource = Sequence[Path] | Recording
 """Folders of images, images and patterns; or a recording."""
@@ -60,9 +61,7 @@ def gauge_stage(
     setup = stated.setup
     up = np.array(setup.joint.surface_normal_in_base)
     try:
-        result = calibrate_gauge(
-            images.shown, gauge, images.lens, setup.camera.T_tool_camera, setup.laser.plane, up
-        )
+        result = calibrate_gauge(images.shown, gauge, _sensor(stated, images), up)
     except UndeterminedError as error:
         raise in_file(_path(source), str(error)) from None
     warn(left_out(result.left_out))
@@ -104,16 +103,16 @@ def check_stage(
     """
     images = _read(source, gauge, stated, poses, steps, warn)
     setup, shown = stated.setup, images.shown
-    camera, plane = setup.camera.T_tool_camera, setup.laser.plane
+    sensor = _sensor(stated, images)
     up = np.array(setup.joint.surface_normal_in_base)
     if not shown:
         name, reason = next(iter(images.left_out.items()))
         raise in_file(_path(source), f"no image shows the gauge: {name} {reason}")
     try:
         if images.has_poses:
-            checks = [check_gauge(shown, gauge, images.lens, camera, plane, up)]
+            checks = [check_gauge(shown, gauge, sensor, up)]
         else:
-            checks = check_each(shown, gauge, images.lens, camera, plane)
+            checks = check_each(shown, gauge, sensor)
     except UndeterminedError as error:
         raise in_file(_path(source), str(error)) from None
     for check in checks:
@@ -180,6 +179,10 @@ def _read(
         images = read_gauge_images(source, gauge, stated, poses, tell)
     warn(left_out(images.left_out))
     return images
+
+
+def _sensor(stated: SetupFile, images: GaugeImages) -> StatedSensor:
+    return StatedSensor(images.lens, stated.setup.camera.T_tool_camera, stated.setup.laser.plane)
 
 
 def _path(source: GaugeSource) -> Path:
