@@ -1,8 +1,8 @@
 """Grey PNGs of 8 or 16 bits, read so that a truncated or damaged one is always noticed.
 
 Chunks and their checksums are walked before anything is decoded: OpenCV hands out what it could decode of a
-cut PNG and says nothing that a program could hear. Most of decoding is DEFLATE. ISA-L inflates three times as
-fast as the zlib in OpenCV, which decodes only what a sensor's frames are not: colours and interlaced pixels.
+cut PNG and says nothing that a program could hear. OpenCV decodes, but for grey pixels in rows of the filter
+Sub, as OpenCV itself and so arctrack writes them: ISA-L inflates these three times as fast.
 """
 
 from __future__ import annotations
@@ -16,13 +16,16 @@ import numpy as np
 import numpy.typing as npt
 from isal import isal_zlib
 
-from arctrack.recording.png_rows import unfilter
+from arctrack.recording.png_rows import SUB, undo_sub
 from noise_model.arrays import Integers
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 """Channels of a PNG's colour types; 3 looks its colours up in a palette (W3C PNG, 11.2.1)."""
+
+N_FILTERS = 5
+"""The filters of rows are 0 to 4 (W3C PNG, 9.2)."""
 
 WRONG_HEADER = "is no PNG: its header is wrong"
 
@@ -94,8 +97,9 @@ def header_of(encoded: bytes) -> PngHeader:
 
 def decode(encoded: bytes, header: PngHeader) -> Integers:
     """Decode a PNG to its raw pixels, with its `header_of`; ValueError says what is wrong with it."""
-    if header.channels == 1 and not header.is_interlaced:
-        return _decode_grey(encoded, header)
+    pixels = _decode_sub(encoded, header) if header.channels == 1 and not header.is_interlaced else None
+    if pixels is not None:
+        return pixels
     try:
         image = cv2.imdecode(np.frombuffer(encoded, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
@@ -105,8 +109,8 @@ def decode(encoded: bytes, header: PngHeader) -> Integers:
     return np.asarray(image, dtype=np.uint16 if image.dtype == np.uint16 else np.uint8)
 
 
-def _decode_grey(encoded: bytes, header: PngHeader) -> Integers:
-    """Decode a grey PNG of 8 or 16 bits, row after row: W3C PNG, 9 and 10."""
+def _decode_sub(encoded: bytes, header: PngHeader) -> Integers | None:
+    """Decode a grey PNG of 8 or 16 bits, None if rows have other filters than Sub: W3C PNG, 9 and 10."""
     pixel_bytes = header.bits // 8
     row_bytes = header.width * pixel_bytes
     size = header.height * (1 + row_bytes)
@@ -118,14 +122,15 @@ def _decode_grey(encoded: bytes, header: PngHeader) -> Integers:
     if len(inflated) < size:
         raise ValueError(f"cannot be decoded: {len(inflated)} bytes of pixels where {size} are needed")
     filtered = np.frombuffer(inflated, np.uint8).reshape(header.height, 1 + row_bytes)
-    rows = np.empty((1 + header.height, row_bytes), np.uint8)
-    rows[0] = 0
-    if not unfilter(filtered, pixel_bytes, rows):
+    filters = filtered[:, 0]
+    if filters.max() >= N_FILTERS:
         raise ValueError("cannot be decoded: a row's filter is of no known type")
-    if pixel_bytes == 1:
-        return rows[1:]
+    if (filters != SUB).any():
+        return None
+    rows = np.empty((header.height, row_bytes), np.uint8)
+    undo_sub(filtered, pixel_bytes, rows)
     # The first byte is the higher one.
-    return rows[1:].view(">u2").astype(np.uint16)
+    return rows if pixel_bytes == 1 else rows.view(">u2").astype(np.uint16)
 
 
 def encode(image_dn: Integers) -> bytes:

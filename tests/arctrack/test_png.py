@@ -10,10 +10,7 @@ import pytest
 from PIL import Image
 
 from arctrack.recording.png import SIGNATURE, decode, encode, header_of
-from arctrack.recording.png_rows import AVERAGE, NONE, PAETH, SUB, UP, unfilter
-from noise_model.arrays import Integers, UInt8
-
-FILTERS = (NONE, SUB, UP, AVERAGE, PAETH)
+from noise_model.arrays import Integers
 
 
 def chunk(name: bytes, content: bytes) -> bytes:
@@ -33,27 +30,26 @@ def decoded(encoded: bytes) -> Integers:
     return decode(encoded, header_of(encoded))
 
 
-def unfiltered(filtered: UInt8, pixel_bytes: int) -> UInt8:
-    """Undo the filters as the standard says it, byte by byte: the kernel's twin."""
-    rows = np.zeros((len(filtered) + 1, filtered.shape[1] - 1 + pixel_bytes), int)
-    for y, (of_type, *values) in enumerate(filtered.astype(int), 1):
-        for x, value in enumerate(values, pixel_bytes):
-            a, b, c = rows[y, x - pixel_bytes], rows[y - 1, x], rows[y - 1, x - pixel_bytes]
-            nearest = min((a, b, c), key=lambda neighbour: abs(a + b - c - neighbour))
-            rows[y, x] = (value + (0, a, b, (a + b) // 2, nearest)[of_type]) % 256
-    return rows[1:, pixel_bytes:].astype(np.uint8)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("row_filter", [*range(5), None])
+def test_rows_of_all_filters_are_read(dtype: type[np.integer], row_filter: int | None) -> None:
+    image = np.random.default_rng(3).integers(0, np.iinfo(dtype).max + 1, (40, 33)).astype(dtype)
+    chosen = cv2.IMWRITE_PNG_ALL_FILTERS if row_filter is None else 8 << row_filter
+    done, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_FILTER, chosen])
+    assert done
+    np.testing.assert_array_equal(decoded(encoded.tobytes()), image)
 
 
-@pytest.mark.parametrize("pixel_bytes", [1, 2])
-def test_rows_are_unfiltered_as_the_standard_says(pixel_bytes: int) -> None:
-    rng = np.random.default_rng(3)
-    filtered = rng.integers(0, 256, (40, 1 + 12 * pixel_bytes), dtype=np.uint8)
-    filtered[:, 0] = rng.permutation(np.repeat(FILTERS, 8))
-    rows = np.zeros((41, 12 * pixel_bytes), np.uint8)
-    assert unfilter(filtered, pixel_bytes, rows)
-    np.testing.assert_array_equal(rows[1:], unfiltered(filtered, pixel_bytes))
-    filtered[20, 0] = 5
-    assert not unfilter(filtered, pixel_bytes, rows)
+@pytest.mark.parametrize("shape", [(20, 30), (20, 30, 3)])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_a_cut_or_changed_file_is_told(dtype: type[np.integer], shape: tuple[int, ...]) -> None:
+    whole = encode(np.random.default_rng(4).integers(0, 200, shape).astype(dtype))
+    for length in range(1, len(whole)):
+        with pytest.raises(ValueError, match=r"^is (truncated|no PNG)"):
+            decoded(whole[:length])
+    for place in range(len(SIGNATURE), len(whole) - 12):
+        with pytest.raises(ValueError, match=r"^is (damaged|truncated)"):
+            decoded(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
