@@ -35,8 +35,6 @@ DIMENSIONS: dict[str, dict[str, float]] = {
 }
 """The dimensions, mm and deg, of the joints that a setup can be made for."""
 
-MATERIALS = tuple(TABLE_1)
-
 _AHEAD_MM, _BEHIND_MM = (95.0, 0.0, 130.0), (-20.0, 0.0, 135.0)
 _AIM_IN_TOOL_MM = (36.0, 0.0, 0.0)
 _ARC_HEIGHT_MM = {"lap": 2.0, "corrugation": 1.6, "fillet": 3.0}

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from calibration.reading_noise import ReadingNoise
 from noise_model.arrays import Float64
 from noise_model.surface.brdf import Material, reflectance
 
@@ -156,22 +155,6 @@ def average(settings: Settings, gray_level: Float64) -> Readings:
     variance = np.divide(squares, repeats - 1, out=np.full(len(mean), np.nan), where=repeats > 1)
     is_whole = bool((gray_level == np.rint(gray_level)).all())
     return Readings(settings.chosen(first[by_appearance]), mean, repeats, variance, group, is_whole)
-
-
-def simulate(
-    settings: Settings,
-    material: Material,
-    scale: float,
-    response: GreyResponse,
-    noise: ReadingNoise,
-    repeats: int,
-    rng: np.random.Generator,
-) -> tuple[Settings, Float64]:
-    """Return settings and whole grey levels (N,), `repeats` times each setting in turn, with their noise."""
-    each = settings.chosen(np.repeat(np.arange(len(settings)), repeats))
-    level = response.gray_level(scale * each.light(material))
-    noisy = level + rng.normal(size=len(each)) * np.sqrt(noise.variance(level - response.black_dn))
-    return each, np.clip(np.rint(noisy), 0.0, response.saturation_dn)
 
 
 def _direction(theta_deg: Float64, azimuth_deg: Float64) -> Float64:

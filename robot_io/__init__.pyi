@@ -45,7 +45,6 @@ from .protocol.dbc import (
     dbc_version as dbc_version,
     layout_checksum as layout_checksum,
     message_layout as message_layout,
-    messages_table as messages_table,
 )
 from .protocol.messages import (
     MESSAGE_TYPES as MESSAGE_TYPES,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import fnmatch
 import functools
 import importlib
 import pkgutil
@@ -397,6 +398,15 @@ def test_code_is_clean(command: list[str]) -> None:
         [sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_what_dead_code_leaves_out_is_there_and_unused() -> None:
+    known = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["vulture"]["ignore_names"]
+    command = [sys.executable, "-m", "vulture", "--ignore-names", "none"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    unused = re.findall(r"unused \S+ '(.*)'", done.stdout)
+    assert [name for name in known if not fnmatch.filter(unused, name)] == []
 
 
 def test_hooks_are_well_formed() -> None:

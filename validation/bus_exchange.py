@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from dataclasses import fields, replace
-from enum import IntEnum
+from dataclasses import replace
 
 import numpy as np
 
@@ -57,23 +55,6 @@ def exchange() -> Iterator[tuple[float, str, BusMessage, int, bytes]]:
             yield now_s + 0.008, "tracker", message, *tracker.protect(message)
 
 
-def exchange_table() -> str:
-    """Return the exchange as Markdown: what is new in each message, and no message without news."""
-    lines = ["| ms | from | id | bytes | message | says |", "| ---: | --- | --- | --- | --- | --- |"]
-    before: dict[int, dict[str, str]] = {}
-    for at_s, sender, message, identifier, payload in exchange():
-        values = _values(message)
-        changed = dict(values.items() - before.get(identifier, {}).items())
-        says = ", ".join(f"{name} {value}" for name, value in values.items() if name in changed)
-        before[identifier] = values
-        if says:
-            lines.append(
-                f"| {1000.0 * at_s:.0f} | {sender} | 0x{identifier:03X} | `{payload.hex(' ').upper()}` "
-                f"| `{type(message).__name__}` | {says} |"
-            )
-    return "\n".join(lines) + "\n"
-
-
 def _track(now_s: float) -> Track:
     return Track(
         0,
@@ -92,20 +73,3 @@ def _track(now_s: float) -> Track:
         arc_level=1.0,
         map_misfit=0.9,
     )
-
-
-def _values(message: BusMessage) -> dict[str, str]:
-    """Return what a message says by its signals' names, its flags only where they are set."""
-    return {
-        field.name: _value(getattr(message, field.name))
-        for field in fields(message)
-        if getattr(message, field.name) is not False
-    }
-
-
-def _value(value: float | int | IntEnum | None) -> str:
-    if isinstance(value, IntEnum):
-        return value.name
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "unknown"
-    return f"{value:g}" if isinstance(value, float) else str(int(value))

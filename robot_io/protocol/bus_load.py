@@ -11,9 +11,6 @@ from robot_io.protocol.dbc import cycle_time_s, database
 FRAME_MESSAGES = ("SeamOffset", "SeamPoint", "SeamGeometry", "TrackerStatus")
 """Those that go out with each frame of the camera."""
 
-BIT_RATES_BIT_S = (125_000, 250_000, 500_000)
-FRAME_RATES_HZ = (25, 50, 100, 200)
-
 
 def frame_bits(length: int = FRAME_LENGTH) -> int:
     """Return the most bits that a frame of the standard format takes, the space behind it included.
@@ -81,19 +78,3 @@ def frames_per_s(frame_rate_hz: float) -> float:
 def load_share(frame_rate_hz: float, bit_rate_bit_s: float) -> float:
     """Return the share of a bit rate that all messages take at most at a camera's frame rate."""
     return frame_bits() * frames_per_s(frame_rate_hz) / bit_rate_bit_s
-
-
-def load_table() -> str:
-    """Return the load as Markdown: frames a second and the share of each bit rate, by camera."""
-    rates = " | ".join(f"{bit_rate // 1000} kbit/s" for bit_rate in BIT_RATES_BIT_S)
-    lines = [
-        f"| camera, frames a second | frames on the bus a second | kbit/s | of {rates} |",
-        "| ---: " * (3 + len(BIT_RATES_BIT_S)) + "|",
-    ]
-    for frame_rate_hz in FRAME_RATES_HZ:
-        per_s = frames_per_s(frame_rate_hz)
-        shares = " | ".join(
-            f"{100.0 * load_share(frame_rate_hz, bit_rate):.0f} %" for bit_rate in BIT_RATES_BIT_S
-        )
-        lines.append(f"| {frame_rate_hz} | {per_s:.0f} | {frame_bits() * per_s / 1000.0:.1f} | {shares} |")
-    return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""The bus layout, read once from `arctrack.dbc`: data ids, cycle times, unknown codes, a table of it all."""
+"""The bus layout, read once from `arctrack.dbc`: data ids, cycle times, unknown codes."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ def layout_checksum() -> int:
         )
         lines += [
             f"{signal.name} {signal.start} {signal.length} {signal.byte_order} {signal.is_signed} "
-            f"{signal.scale:.9g} {signal.offset:.9g} {_range(signal)} {signal.unit or ''} "
-            f"{invalid_raw(signal)} {_choices(signal)}"
+            f"{signal.scale:.9g} {signal.offset:.9g} {signal_range(signal)} {signal.unit or ''} "
+            f"{invalid_raw(signal)} {signal_choices(signal)}"
             for signal in sorted(layout.signals, key=lambda s: s.start)
         ]
     return zlib.crc32("\n".join(lines).encode("utf-8")) & 0xFFFFFF
@@ -85,47 +85,13 @@ def dbc_version(source: Source = Source.LIVE) -> DbcVersion:
     return DbcVersion(major=major, minor=minor, patch=patch, layout_checksum=layout_checksum(), source=source)
 
 
-def messages_table() -> str:
-    """Return the layout as Markdown: one table of the messages, one table of signals for each message."""
-    layouts = sorted(database().messages, key=lambda m: m.frame_id)
-    lines = ["| id | message | from | cycle, ms | E2E data id |", "| --- | --- | --- | --- | --- |"]
-    lines += [
-        f"| 0x{layout.frame_id:03X} | `{layout.name}` | {', '.join(layout.senders).lower()} "
-        f"| {1000.0 * cycle_time_s(layout):g} | 0x{e2e_data_id(layout):04X} |"
-        for layout in layouts
-    ]
-    for layout in layouts:
-        lines += ["", f"### 0x{layout.frame_id:03X} `{layout.name}`", "", layout.comment or "", ""]
-        lines += [
-            "| bits | signal | scale | range | unknown | meaning |",
-            "| --- | --- | --- | --- | --- | --- |",
-        ]
-        lines += [_signal_row(signal) for signal in payload_signals(layout)]
-    return "\n".join(lines) + "\n"
-
-
-def _signal_row(signal: Signal) -> str:
-    unknown = invalid_raw(signal)
-    meaning = signal.comment or ""
-    # The code of a number that is unknown has a column of its own.
-    if signal.choices and set(signal.choices) != {unknown}:
-        meaning += f" {_choices(signal)}"
-    bits = str(signal.start) if signal.length == 1 else f"{signal.start}–{signal.start + signal.length - 1}"
-    # Of a state the meaning lists the values, of a bit there are two.
-    is_number = signal.length > 1 and (not signal.choices or set(signal.choices) == {unknown})
-    scale = f"{signal.scale:g}" if is_number else ""
-    limits = f"{_range(signal)} {signal.unit or ''}".rstrip() if is_number else ""
-    return (
-        f"| {bits} {'s' if signal.is_signed else 'u'}{signal.length} | `{signal.name}` | {scale} | {limits} "
-        f"| {'' if unknown is None else unknown} | {meaning} |"
-    )
-
-
-def _range(signal: Signal) -> str:
+def signal_range(signal: Signal) -> str:
+    """Return the range of a signal as text."""
     return f"{signal.minimum:.9g} … {signal.maximum:.9g}"
 
 
-def _choices(signal: Signal) -> str:
+def signal_choices(signal: Signal) -> str:
+    """Return the raw values that have a name, and these, as text."""
     choices: Mapping[int, str | NamedSignalValue] = signal.choices or {}
     return ", ".join(
         f"{raw} {value.name if isinstance(value, NamedSignalValue) else value}"

@@ -52,9 +52,6 @@ MENU = (
 )
 """The experiments that may be asked for."""
 
-BY_NAME: Mapping[str, Experiment] = {experiment.name: experiment for experiment in MENU}
-"""The menu by the experiments' names."""
-
 _FLAT_FIELD = "a flat field: opal glass, lit evenly at the laser's wavelength"
 _BOARD = "a calibration board, seen from several poses"
 _SIDE_VIEW = "a second camera that sees the arc from the side"

@@ -1,4 +1,3 @@
-import importlib.util
 import json
 import tomllib
 from collections.abc import Callable
@@ -12,12 +11,14 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner, Result
 
 from arctrack import cli
-from arctrack.calibrate.reflectance.goniometer import read_goniometer, write_goniometer
+from arctrack.calibrate.reflectance.goniometer import read_goniometer
 from arctrack.errors import ArctrackError
 from arctrack.recording.setup_file import read_setup_file
 from arctrack.recording.setup_model import MaterialTable
 from arctrack.simulation.simulate import true_values
 from calibration.goniometer import GreyResponse, Settings
+from examples.make_goniometer import main as make_goniometer
+from examples.make_goniometer import write_goniometer
 from noise_model.surface.brdf import TABLE_1
 from noise_model.transforms import invert
 
@@ -97,12 +98,7 @@ def test_a_hand_eye_calibration_that_gains_nothing_is_refused(tmp_path: Path) ->
 
 
 def test_examples_are_what_their_script_makes(tmp_path: Path) -> None:
-    spec = importlib.util.spec_from_file_location("make_goniometer", EXAMPLES / "make_goniometer.py")
-    assert spec is not None
-    assert spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    script.main(tmp_path)
+    make_goniometer(tmp_path)
     made = sorted(tmp_path.iterdir())
     assert len(made) == 3
     for file in made:

@@ -14,10 +14,11 @@ from typer.testing import CliRunner
 
 import noise_model.effects
 from arctrack.errors import ArctrackError
-from arctrack.nominal import DIMENSIONS, MATERIALS
+from arctrack.nominal import DIMENSIONS
 from noise_model.effects import REGISTRY, Effect, Stage
 from noise_model.fit import Parameter
 from noise_model.forward import Renderer
+from noise_model.surface.brdf import TABLE_1
 from validation.figures import effect_pictures, effects_page
 from validation.figures.__main__ import figures
 from validation.figures.effect_pictures import EffectScene, Form
@@ -86,7 +87,7 @@ def test_a_new_effect_gets_its_section_and_a_place_to_be_shown() -> None:
 def test_choices_are_places_that_there_are() -> None:
     for chosen in effect_pictures.CHOICES.values():
         assert chosen.joint in DIMENSIONS
-        assert chosen.material in MATERIALS
+        assert chosen.material in TABLE_1
         assert chosen.laser_on or chosen.arc_on
 
 

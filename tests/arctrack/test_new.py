@@ -11,17 +11,18 @@ from typer.testing import CliRunner
 
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
-from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
+from arctrack.nominal import DIMENSIONS, nominal_setup
 from arctrack.recording import format_setup, read_recording, read_setup_file
 from arctrack.recording.new import RADIANCE_E, commented_setup, write_new
 from arctrack.recording.schema import keys_of
 from arctrack.recording.setup_model import RecordingToml
+from noise_model.surface.brdf import TABLE_1
 
 ROOT = Path(__file__).parents[2]
 RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
 
 
-@pytest.mark.parametrize("material", MATERIALS)
+@pytest.mark.parametrize("material", TABLE_1)
 @pytest.mark.parametrize("joint", DIMENSIONS)
 def test_what_is_written_is_a_setup(joint: str, material: str, tmp_path: Path) -> None:
     written, *_ = write_new(tmp_path / "mine", joint, material)

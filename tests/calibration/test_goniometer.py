@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.goniometer import GreyResponse, Settings, average, simulate
+from calibration.goniometer import GreyResponse, Settings, average
 from calibration.reading_noise import ReadingNoise, estimate_noise
+from examples.make_goniometer import simulate
 from noise_model.surface.brdf import MILD_STEEL, ZN_COATED, Material
 
 

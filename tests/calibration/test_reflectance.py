@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from calibration.goniometer import GreyResponse, Readings, Settings, average, simulate
+from calibration.goniometer import GreyResponse, Readings, Settings, average
 from calibration.reading_noise import ReadingNoise, rounding_left
 from calibration.reflectance import Reflectance, identify_reflectance
 from calibration.reflectance_model import White
+from examples.make_goniometer import simulate
 from noise_model.surface.brdf import MILD_STEEL, ZN_COATED, Material
 
 PLANE = Settings.in_plane([20.0, 40.0, 60.0], np.arange(0.0, 76.0, 5.0))

@@ -4,7 +4,6 @@ import dataclasses
 import itertools
 import math
 from enum import IntEnum
-from pathlib import Path
 from typing import get_type_hints
 
 import pytest
@@ -19,14 +18,12 @@ from robot_io.protocol.dbc import (
     e2e_data_id,
     invalid_raw,
     layout_checksum,
-    messages_table,
     payload_signals,
 )
 from robot_io.protocol.messages import MESSAGE_TYPES, SeamOffset, Validity
 from robot_io.protocol.protect import SOURCES
 
 LAYOUTS = database().messages
-DOCS = Path(__file__).parents[2] / "docs" / "reference" / "can.md"
 
 
 def test_layout_and_dataclasses_name_the_same_signals():
@@ -112,14 +109,6 @@ def test_layout_changes_only_together_with_the_version():
     }
     version = dbc_version()
     assert checksums[version.major, version.minor, version.patch] == layout_checksum()
-
-
-def test_docs_show_the_layout():
-    text = DOCS.read_text(encoding="utf-8")
-    table = text.split("<!-- messages: begin -->\n")[1].split("<!-- messages: end -->")[0]
-    assert table == messages_table(), (
-        "docs/reference/can.md: put the output of robot_io.messages_table() between its marks"
-    )
 
 
 LAYOUT_1_0_0 = 0xF5A298

@@ -13,27 +13,17 @@ import cantools
 import pytest
 
 from robot_io import MESSAGE_TYPES, BusLogWriter, GateReason, SeamOffset, Source, TrackerStatus, Validity
-from robot_io.protocol.bus_load import frame_bits, frames_per_s, load_table
-from validation.bus_exchange import exchange, exchange_table
+from robot_io.protocol.bus_load import frame_bits, frames_per_s
+from validation.bus_exchange import exchange
+from validation.bus_page import with_tables
 
 CAN_PAGE = Path(__file__).parents[2] / "docs" / "reference" / "can.md"
 
 
-def part_of_page(mark: str) -> str:
-    text = CAN_PAGE.read_text(encoding="utf-8")
-    return text.split(f"<!-- {mark}: begin -->\n")[1].split(f"<!-- {mark}: end -->")[0]
-
-
-def test_the_page_shows_the_exchange() -> None:
-    assert part_of_page("exchange") == exchange_table(), (
-        "docs/reference/can.md: put validation.bus_exchange.exchange_table() between its marks"
-    )
-
-
-def test_the_page_shows_the_load() -> None:
-    assert part_of_page("load") == load_table(), (
-        "docs/reference/can.md: put the output of robot_io.protocol.bus_load.load_table() between its marks"
-    )
+def test_the_page_shows_the_tables() -> None:
+    page = CAN_PAGE.read_text(encoding="utf-8")
+    assert page == with_tables(page), "run: python -m validation.bus_page docs/reference/can.md"
+    assert page != with_tables(page.replace("SeamOffset", "SeamOffer"))
 
 
 def test_the_load_is_that_of_the_longest_frames() -> None:

@@ -10,7 +10,6 @@ from typer.testing import CliRunner
 
 from arctrack.simulation.cell.cell import Cell
 from arctrack.simulation.cell.fault_kind import FaultKind
-from arctrack.simulation.cell.world import draw_world
 from robot_io import GateReason, Switch, Validity
 from robot_io.link.reconnecting import LinkFault
 from validation.fault_schedules import schedules
@@ -18,6 +17,7 @@ from validation.fault_schedules.__main__ import app
 from validation.fault_schedules.kinds import KINDS
 from validation.fault_schedules.schedules import ScheduleOutcome, run_schedule, run_schedules
 from validation.fault_schedules.table import failures, table
+from validation.fault_schedules.worlds import draw_world
 
 pytestmark = pytest.mark.slow
 

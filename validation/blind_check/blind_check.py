@@ -29,7 +29,7 @@ from arctrack.output import real, write_whole
 from arctrack.recording import BadFrame, Recording, RecordingWriter, pose_at, read_recording
 from arctrack.recording.files import UNFINISHED_SUFFIX
 from arctrack.workers import processes
-from sim_to_real.decision.experiments import BY_NAME, Experiment
+from sim_to_real.decision.experiments import MENU, Experiment
 from tracker.state import Frame
 from validation.blind_check.case import FAILED, Answer, Case
 from validation.blind_check.files import LabelsFile, ResultFile, SealedFile, read_check_file
@@ -456,7 +456,7 @@ def _case(folder: Path, run: Run, is_again: bool, label: Mapping[str, Any]) -> C
 
 def _continued(run: Run, answer: Answer) -> Run | None:
     """Return the run with the experiment that an answer asks for, None if that is none of the menu."""
-    experiment = BY_NAME.get(answer.experiment)
+    experiment = next((known for known in MENU if known.name == answer.experiment), None)
     return None if experiment is None else replace(run, experiment=experiment)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from noise_model.effects import REGISTRY
-from sim_to_real.decision.experiments import BY_NAME
+from sim_to_real.decision.experiments import MENU
 
 FAILED = "failed"
 """Stands for the verdict of a recording without a diagnosis."""
@@ -59,7 +59,7 @@ class Answer:
     @property
     def asks_for_witness(self) -> bool:
         """Whether what is to be measured next is none of the experiments."""
-        return bool(self.experiment) and self.experiment not in BY_NAME
+        return bool(self.experiment) and all(self.experiment != known.name for known in MENU)
 
     @property
     def alone(self) -> str | None:

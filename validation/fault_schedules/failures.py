@@ -9,7 +9,7 @@ import numpy as np
 
 from arctrack.simulation.cell.bus import BusTrouble
 from arctrack.simulation.cell.cell import Cell
-from arctrack.simulation.cell.fault_kind import DELAYED, LONGEST_S, POSES, Begin, End, FaultKind
+from arctrack.simulation.cell.fault_kind import POSES, Begin, End, FaultKind
 from arctrack.simulation.cell.robot_party import SOURCE
 from arctrack.simulation.cell.tracker_party import CameraBehaviour
 from arctrack.simulation.cell.weld.welding_events import rearm
@@ -26,6 +26,11 @@ from robot_io import (
     WeldingState,
 )
 from validation.fault_schedules import pose_faults
+
+LONGEST_S = 0.9
+"""A fault lasts no longer by itself, s."""
+
+DELAYED = frozenset({GateReason.BUS_DELAYED})
 
 
 def _camera(camera: CameraBehaviour) -> Begin:

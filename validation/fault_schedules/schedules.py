@@ -12,10 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from arctrack.simulation.cell.cell import TORCH_MM, USABLE, Cell, ReceivedOffset
-from arctrack.simulation.cell.fault_kind import LONGEST_S, FaultKind
-from arctrack.simulation.cell.world import draw_world
+from arctrack.simulation.cell.fault_kind import FaultKind
 from robot_io import GateLimits, GateReason, Validity
+from validation.fault_schedules.failures import LONGEST_S
 from validation.fault_schedules.kinds import KINDS
+from validation.fault_schedules.worlds import draw_world
 
 BEGIN_S = (1.0, 1.3)
 """When a fault begins, s."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,9 +22,6 @@ TIME, REPEAT = "time_s", "repeat"
 
 SOURCE_RANGE = (1e-9, 1e9)
 """What distance and intensity may be, in whatever unit: the intensity over the distance squared is finite."""
-
-READING_INTERVAL_S = 0.2
-"""The paper's interval between the 20 readings of a setting."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,16 +64,6 @@ def read_goniometer(path: Path, response: GreyResponse) -> GoniometerFile:
         interval_s=_interval_s(column[TIME], readings.group) if TIME in column else math.nan,
         unknown_columns=tuple(name for name in table.unknown_columns if name != REPEAT),
     )
-
-
-def write_goniometer(path: Path, settings: Settings, gray_level: Float64) -> None:
-    """Write readings (N,), taken `READING_INTERVAL_S` apart, under a source at one distance."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([TIME, *NEEDED])
-        columns = (settings.theta_i_deg, settings.theta_r_deg, settings.phi_r_deg, gray_level)
-        for n, row in enumerate(zip(*columns, strict=True)):
-            writer.writerow([f"{n * READING_INTERVAL_S:.1f}", *(f"{value:g}" for value in row)])
 
 
 def _check(table: CsvTable, column: dict[str, Float64], response: GreyResponse) -> None:

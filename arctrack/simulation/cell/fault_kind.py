@@ -18,11 +18,7 @@ End = Callable[[], None]
 Begin = Callable[[Cell, np.random.Generator], End]
 """Begins a fault in a cell, with what chance decides."""
 
-LONGEST_S = 0.9
-"""A fault lasts no longer by itself, s."""
-
 POSES = frozenset({GateReason.POSE_IMPLAUSIBLE})
-DELAYED = frozenset({GateReason.BUS_DELAYED})
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ import pytest
 
 from arctrack.control.look_ahead import LookAhead
 from arctrack.simulation.cell.cell import Cell
-from arctrack.simulation.cell.world import draw_world
 from robot_io import Command, PoseKind, PoseSample, SeamOffset, Switch, TrackerCommand, Validity
 from robot_io.clocks.lag import Lag, LagUnestimated, Motion, respond
 from robot_io.poses.nominal_path import NominalPath
 from tracker.state import AT_ONCE
+from validation.fault_schedules.worlds import draw_world
 
 PATH = NominalPath(((0.0, 0.0, 0.0), (500.0, 0.0, 0.0)))
 DISARM = TrackerCommand(Command.DISARM, True, True, 0, 1, 1, Switch.ON)

@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from arctrack.simulation.cell.cell import BRIDGE_MM, Cell
-from arctrack.simulation.cell.fault_kind import POSES, Begin, End, FaultKind
+from arctrack.simulation.cell.cell import Cell
+from arctrack.simulation.cell.fault_kind import POSES, End, FaultKind
 from arctrack.simulation.cell.robot import RETRACT_MM_S
-from arctrack.simulation.cell.tracker_party import CameraBehaviour
 from arctrack.simulation.cell.world import World
 from robot_io import Command, GateReason, MotionState, RobotStatus, Switch, WeldingState
 
@@ -58,22 +57,6 @@ def _arc_fault(cell: Cell, _rng: np.random.Generator) -> End:
     return lambda: say(right)
 
 
-def _unseen(is_reset: bool) -> Begin:
-    """Let the camera see no joint; a tracker that went into its fault over it is reset."""
-
-    def begin(cell: Cell, _rng: np.random.Generator) -> End:
-        cell.tracker.camera = CameraBehaviour.GARBAGE
-
-        def end() -> None:
-            cell.tracker.camera = CameraBehaviour.RIGHT
-            if is_reset:
-                rearm(cell, Command.RESET)
-
-        return end
-
-    return begin
-
-
 def _displaced(cell: Cell, rng: np.random.Generator) -> End:
     """Let the part slip aside. The robot disarms, searches the seam anew and goes on."""
     y_mm, z_mm = cell.world.displaced_mm
@@ -98,9 +81,6 @@ def way(way_mm: float) -> Callable[[World], float]:
     return lambda world: way_mm / world.speed_mm_s
 
 
-SLOWEST_MM_S = 4.0
-"""The slowest travel that is drawn."""
-
 ARC_FAULT = FaultKind(
     "arc fault, 15 mm back, restart",
     _arc_fault,
@@ -116,23 +96,3 @@ SLIPPED = FaultKind(
     0.6,
     note="until the robot disarms, and searches the seam anew",
 )
-
-EVENTS: tuple[FaultKind, ...] = (
-    ARC_FAULT,
-    FaultKind(
-        f"a tack of {SHORT_TACK_MM:g} mm",
-        _unseen(is_reset=False),
-        lasts_s=way(SHORT_TACK_MM),
-        note="the stretch before and behind it is followed",
-    ),
-    FaultKind(
-        f"no joint for {LONG_TACK_MM:g} mm",
-        _unseen(is_reset=True),
-        frozenset({R.PART_REFUSED}),
-        BRIDGE_MM / SLOWEST_MM_S + 0.1,
-        lasts_s=way(LONG_TACK_MM),
-        note=f"a long tack, or a seam out of view: a fault after the job's {BRIDGE_MM:g} mm, until RESET",
-    ),
-    SLIPPED,
-)
-"""All of them, in the table's order."""

@@ -15,8 +15,8 @@ from arctrack.simulation.cell.cell import Cell
 from arctrack.simulation.cell.robot import CORRECTION_MM_S, Robot
 from arctrack.simulation.cell.weld.closed_loop import ClosedLoop, LoopPlan
 from arctrack.simulation.cell.weld.welding_events import ARC_FAULT
-from arctrack.simulation.cell.world import draw_world
 from robot_io import SeamOffset, Validity, WeldingState
+from validation.fault_schedules.worlds import draw_world
 
 QUICK = LoopPlan(joint="lap", speed_mm_s=20.0, length_mm=64.0, rate_hz=12.5)
 """A run of few frames that is long enough to lock."""
