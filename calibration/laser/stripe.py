@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from skimage.measure import LineModelND, ransac
 
 from calibration.boards.board import Board
 from calibration.camera.lens import Lens
@@ -55,7 +56,7 @@ BRIGHTNESSES = 4
 """The noise of the difference is told for so many parts of the board, from the darkest to the brightest."""
 
 TRIALS, SEED = 500, 1
-"""Pairs of places through which a line is laid to count who agrees with it."""
+"""Pairs of places through which RANSAC lays a line at most, and the seed of its choice."""
 
 BEND_PX = 3.0
 """How far a lens may bend a line within the board."""
@@ -210,8 +211,9 @@ def _along(lines: Float32, noise: Float32, inside: Bool) -> _Track:
     scan, place = _likely(score)
     if len(scan) < MIN_LINES:
         return nothing
-    agreed = _agreed(scan, place, score[scan, place], BEND_PX + 2.0 * sigma)
-    if agreed.sum() < MIN_LINES:
+    points, near_px = np.column_stack([scan, place]), BEND_PX + 2.0 * sigma
+    _, agreed = ransac(points, LineModelND, 2, near_px, max_trials=TRIALS, rng=SEED)  # type: ignore[no-untyped-call]
+    if agreed is None or agreed.sum() < MIN_LINES:
         return nothing
     # A bent line: twice, as the first time only those near a straight one count.
     for _ in range(2):
@@ -281,19 +283,6 @@ def _matched(lines: Float32, noise: Float32, inside: Bool) -> tuple[Float32, flo
         if shows > best[0]:
             best, best_score = (shows, sigma), score
     return best_score, best[1]
-
-
-def _agreed(scan: Int64, place: Int64, score: Float32, within_px: float) -> Bool:
-    """Return which places (n,) agree on the line that has most of the evidence."""
-    rng = np.random.default_rng(SEED)
-    first, second = rng.integers(0, len(scan), (2, TRIALS))
-    apart = np.abs(scan[first] - scan[second]) >= min(MIN_LINES, len(scan) // 2)
-    first, second = first[apart], second[apart]
-    slope = (place[second] - place[first]) / (scan[second] - scan[first])
-    level = place[first] - slope * scan[first]
-    is_near = np.abs(place - level[:, np.newaxis] - slope[:, np.newaxis] * scan) <= within_px
-    gain = np.minimum(0.5 * score.astype(np.float64) ** 2, GAIN_CAP)
-    return np.asarray(is_near[int(np.argmax(is_near @ gain))]) if len(slope) else np.zeros(len(scan), bool)
 
 
 def _centroids(lines: Float32, start_px: Float64, sigma_px: float) -> tuple[Float64, Bool]:

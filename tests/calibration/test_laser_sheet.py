@@ -11,7 +11,7 @@ from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
 from calibration.laser.calibrate import LaserCalibration, calibrate_laser
 from calibration.laser.image_line import lines_together
-from calibration.laser.stripe import BoardStripe, board_area, find_stripe, laser_light
+from calibration.laser.stripe import BoardStripe, LaserLight, board_area, find_stripe, laser_light
 from noise_model.arrays import Float64
 
 LENS = Lens(*SIZE, tuple(PINHOLE), np.array([*PINHOLE.values()]))
@@ -153,6 +153,22 @@ def test_a_stripe_is_found_in_pictures_whichever_way_it_runs(turned: bool) -> No
     assert len(points) > 150
     assert abs(np.median(off_px)) < 0.05
     assert np.sqrt(np.mean(off_px**2)) < 0.3
+
+
+@pytest.mark.parametrize(("stripe_dn", "glint_x"), [(10.0, 0), (8.0, 220)])
+def test_a_shorter_brighter_line_beside_it_is_not_the_stripe(stripe_dn: float, glint_x: int) -> None:
+    # Dark squares hide half of the stripe: a glint's lines have more light in all.
+    x, y = np.arange(320.0), np.arange(240.0)[:, np.newaxis]
+    place, glint = 120.0 + 0.1 * (x - 160.0), 60.0 + 0.3 * (x - glint_x)
+    is_glint = (x >= glint_x) & (x < glint_x + 90)
+    light = stripe_dn * (0.3 + 0.7 * (x // 24 % 2)) * np.exp(-0.5 * ((y - place) / 2.0) ** 2)
+    light += 40.0 * is_glint * np.exp(-0.5 * ((y - glint) / 1.5) ** 2)
+    light += np.random.default_rng(glint_x).normal(0.0, 2.0, light.shape)
+    noise, area = np.full(light.shape, 2.0, np.float32), np.ones(light.shape, dtype=bool)
+    stripe = find_stripe(LaserLight(light.astype(np.float32), noise, area))
+    assert stripe is not None
+    off_px = stripe.points_px[:, 1] - np.interp(stripe.points_px[:, 0], x, place)
+    assert np.abs(off_px).max() < 2.0
 
 
 @pytest.mark.slow
