@@ -71,6 +71,23 @@ def _elide_defaults(
     return stringify_signature(signature.replace(parameters=shown), show_annotation=False), None
 
 
+def _list_stated_fields(
+    _app: Sphinx, _what: str, _name: str, described: Any, _options: Any, lines: list[str]
+) -> None:
+    """Add a list of a data class's fields whose metadata states role, unit and source."""
+    fields = dataclasses.fields(described) if dataclasses.is_dataclass(described) else ()
+    stated = [(field.name, field.metadata) for field in fields if "role" in field.metadata]
+    if stated:
+        lines.append("")
+    for name, said in stated:
+        lines.append(
+            f"- ``{name}``: {', '.join(filter(None, (said['role'], said['unit'])))} ({said['source']})"
+        )
+    if stated:
+        lines.append("")
+
+
 def setup(app: Sphinx) -> None:
-    """Shorten the signatures of data classes."""
+    """Shorten the signatures of data classes, and list what their fields' metadata states."""
     app.connect("autodoc-process-signature", _elide_defaults)
+    app.connect("autodoc-process-docstring", _list_stated_fields)

@@ -1,14 +1,16 @@
-"""Prints docs/reference/setup_keys.md: `python docs/keys_table.py > docs/reference/setup_keys.md`."""
+"""Writes docs/reference/setup_keys.md and cell_keys.md: `python docs/keys_table.py`."""
 
 from collections.abc import Iterator
-from itertools import groupby
+from pathlib import Path
 
 from pydantic import BaseModel
 
-from arctrack.recording.schema import MAX_NUMBER, Key, keys_of
+from arctrack.control.cell_file.model import KEYS_OF_KIND, CellToml
+from arctrack.recording.schema import MAX_NUMBER, Key, tables_of
 from arctrack.recording.setup_model import RecordingToml
 from noise_model.setup_keys import DIMENSIONS
 
+REFERENCE = Path(__file__).parent / "reference"
 SETUP = f"""# The keys of a setup
 
 What each key of `recording.toml` is, where its value comes from, and what it usually is. `arctrack new` says
@@ -16,31 +18,47 @@ it beside each key. A key is needed unless its line says what holds without it. 
 {MAX_NUMBER:g} in size: its square and its ratios stay finite. [Recordings](recording.md#recordingtoml) has
 more on joints and on optional tables.
 """
+CELL = """# The keys of a cell file
+
+What each key of `cell.toml` is, and what holds without it. `arctrack cell new` says it beside each key.
+[The cell file](cell_file.md) has an example. N stands for a job's number. `[jobs.N.joint]` has the keys of
+[`[joint]`](setup_keys.md#joint), `[jobs.N.follow]` those of [`[follow]`](setup_keys.md#follow).
+"""
 
 
-def setup_keys() -> str:
-    """Return the page of recording.toml."""
-    return f"{SETUP}\n" + "\n".join(_sections(RecordingToml))
+def pages() -> dict[str, str]:
+    """Return the text of each page, by its name."""
+    return {
+        "setup_keys.md": "\n".join([SETUP, *_sections(RecordingToml)]),
+        "cell_keys.md": "\n".join([CELL, *_sections(CellToml)]),
+    }
 
 
 def _sections(model: type[BaseModel]) -> Iterator[str]:
-    """Yield the lines of a list for each table of a file."""
-    before: list[str] = []
-    for table, keys in groupby(keys_of(model), key=lambda key: key.table):
-        top = model.model_fields[table.split(".")[0]]
-        yield f"## [{table}]{'' if top.is_required() else ', optional'}"
-        yield ""
-        lines = [f"- `{key.name}`: {' '.join(_sentences(key))}" for key in keys]
-        yield from ["As the table before."] if lines == before else lines
-        before = lines
+    """Yield the lines of a list for each table of a file; a table of the same keys refers to the first."""
+    seen = dict[type[BaseModel], str]()
+    for place, table, keys in tables_of(model):
+        if place.startswith(("jobs.N.joint", "jobs.N.follow")):
+            continue
+        if place:
+            is_needed = model.model_fields[place.split(".")[0]].is_required()
+            yield from [f"## [{place}]", "", f"{table.__doc__}{'' if is_needed else ' Optional.'}", ""]
+        if table in seen:
+            yield f"The keys are those of [{seen[table]}]."
+        else:
+            yield from (f"- `{key.name}`: {' '.join(_sentences(key))}" for key in keys)
+        seen[table] = place
         yield ""
 
 
 def _sentences(key: Key) -> Iterator[str]:
     yield key.meaning
     types = [name for name, needed in DIMENSIONS.items() if key.table == "joint" and key.name in needed]
-    if types:
-        yield f"Of {', '.join(types)}."
+    kinds = [kind for kind, names in KEYS_OF_KIND.items() if key.table == "camera" and key.name in names]
+    if key.choices:
+        yield f"One of {', '.join(f'`{choice}`' for choice in key.choices)}."
+    if types or kinds:
+        yield f"Of {', '.join(types or kinds)}."
     elif key.default is not None:
         yield f"Unless stated `{key.default}`."
     elif not key.field.is_required():
@@ -56,4 +74,5 @@ def _sentences(key: Key) -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    print(setup_keys(), end="")
+    for name, text in pages().items():
+        (REFERENCE / name).write_text(text, encoding="utf-8")

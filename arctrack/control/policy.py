@@ -3,38 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 
-
-def _seconds(value: float, role: str, source: str) -> float:
-    seconds: float = field(default=value, metadata={"unit": "s", "role": role, "source": source})
-    return seconds
+from robot_io.stated_limit import stated
 
 
 @dataclass(frozen=True)
 class ServicePolicy:
     """The controller's times. Each field's metadata states `unit`, `role` and `source`.
-
-    Parameters
-    ----------
-    status_age_s, command_age_s : float
-        How old a RobotStatus and a TrackerCommand may be, s.
-    poses_age_s : float
-        How old the verdict on the poses may be, s.
-    camera_timeout_s : float
-        How long there may be no track, s.
-    repeat_s : float
-        The time between refusals while there is none, s.
-    round_trip_s : float
-        How long a SYNC and its echo may be on the bus, s.
-    round_trip_age_s : float
-        How old the SYNC may be that stated that last, s.
-    pose_wait_s : float
-        How long a frame may wait for the pose after it, s; 0 extrapolates at once.
-    watchdog_s : float
-        How long a turn of a live run may take before its process is ended, s.
-    sync_required : bool
-        Whether the robot must send RobotSync.
 
     Raises
     ------
@@ -42,41 +18,45 @@ class ServicePolicy:
         For a time that is not positive and finite; `pose_wait_s` may be 0.
     """
 
-    status_age_s: float = _seconds(0.2, "oldest RobotStatus", "ten periods of 20 ms")
-    command_age_s: float = _seconds(
+    status_age_s: float = stated(0.2, "s", "oldest RobotStatus", "ten periods of 20 ms")
+    command_age_s: float = stated(
         0.15,
+        "s",
         "oldest TrackerCommand, the robot's heartbeat",
         "one and a half periods: none is missed",
     )
-    poses_age_s: float = _seconds(0.1, "oldest verdict on the poses", "ten periods of 10 ms")
-    camera_timeout_s: float = _seconds(
-        0.2, "longest time without a track", "the oldest capture that the gate lets out"
+    poses_age_s: float = stated(0.1, "s", "oldest verdict on the poses", "ten periods of 10 ms")
+    camera_timeout_s: float = stated(
+        0.2, "s", "longest time without a track", "the oldest capture that the gate lets out"
     )
-    repeat_s: float = _seconds(0.1, "time between refusals without a track", "the cycle of TrackerStatus")
-    round_trip_s: float = _seconds(
-        0.02, "longest way of a SYNC and its echo", "at 10 mm/s the torch goes 0.2 mm, what a weld can bear"
-    )
-    round_trip_age_s: float = _seconds(
-        0.35, "oldest SYNC that states a round trip", "three cycles and a half: two may be lost"
-    )
-    pose_wait_s: float = _seconds(
+    repeat_s: float = stated(0.1, "s", "time between refusals without a track", "the cycle of TrackerStatus")
+    round_trip_s: float = stated(
         0.02,
-        "longest wait of a frame for the pose after it",
+        "s",
+        "longest way of a SYNC and its echo",
+        "at 10 mm/s the torch goes 0.2 mm, what a weld can bear",
+    )
+    round_trip_age_s: float = stated(
+        0.35, "s", "oldest SYNC that states a round trip", "three cycles and a half: two may be lost"
+    )
+    pose_wait_s: float = stated(
+        0.02,
+        "s",
+        "longest wait of a frame for the pose after it; 0 extrapolates at once",
         "two periods of 10 ms: one until it is sampled, one for its way; extrapolated instead, a weave of "
         "2 mm at 3 Hz is off by 0.04 mm",
     )
-    watchdog_s: float = _seconds(
+    watchdog_s: float = stated(
         2.0,
+        "s",
         "longest turn of a live run, after which its process is ended",
         "a hundred times a frame's step; the robot's own time-outs end what was VALID within 0.2 s",
     )
-    sync_required: bool = field(
-        default=False,
-        metadata={
-            "unit": "",
-            "role": "whether the robot must send RobotSync",
-            "source": "a robot may know no time of its frames; what is late on the way is then not seen",
-        },
+    sync_required: bool = stated(
+        False,
+        "",
+        "whether the robot must send RobotSync",
+        "a robot may know no time of its frames; what is late on the way is then not seen",
     )
 
     def __post_init__(self) -> None:

@@ -10,7 +10,7 @@ from tracker.seam.correction import AtLimit, AxisCorrection, Correction, Corruga
 
 
 class FollowAxisTable(Table):
-    """[follow.y] and [follow.z], every key optional; without a limit only the gate bounds the axis."""
+    """What is sent of an axis, across the seam (y) and of height (z)."""
 
     enable: bool = key(
         "Whether the axis is corrected",
@@ -51,7 +51,7 @@ class FollowAxisTable(Table):
 
 
 class FollowTable(Table):
-    """[follow], every key optional."""
+    """What is sent of the seam that was measured."""
 
     when_lost: WhenLost = key(
         "What is sent past the last measurement",

@@ -92,5 +92,13 @@ def comment(key: Key) -> Iterator[str]:
     """Yield the lines of comment above a key."""
     typical, source = key.said("typical"), key.said("source")
     meaning = f"{key.meaning} Usual: {typical}." if typical else key.meaning
-    for text in (meaning, f"From {source}" if source else key.said("note")):
-        yield from textwrap.wrap(text, COLUMNS, initial_indent="# ", subsequent_indent="# ")
+    if source:
+        yield from wrapped(meaning)
+        yield from wrapped(f"From {source}")
+    else:
+        yield from wrapped(f"{meaning} {key.said('note')}")
+
+
+def wrapped(text: str) -> list[str]:
+    """Return a text as lines of comment."""
+    return textwrap.wrap(text, COLUMNS, initial_indent="# ", subsequent_indent="# ")

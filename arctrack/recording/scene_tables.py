@@ -24,7 +24,7 @@ PointInBase = Annotated[list[InBase], Field(min_length=3, max_length=3)]
 
 
 class ArcTable(Table):
-    """[arc]."""
+    """The arc; a sensor that sees none leaves it out."""
 
     shape: str = key("The arc's shape; hemisphere is the only one", "", "hemisphere", "your choice.")
     radius_mm: float = key(
@@ -78,7 +78,7 @@ class ArcTable(Table):
 
 
 class MaterialTable(Table):
-    """[material]."""
+    """The base metal's reflectance."""
 
     name: str = key("The base metal's name", "", "mild_steel", "your choice. For your own use.")
     kappa_diff: Number = key(
@@ -129,7 +129,7 @@ class DimensionTable(Table):
 
 
 class JointTable(Table):
-    """[joint]; the dimensions are extra keys, which ones depends on the type."""
+    """The joint and its nominal seam; the type says which dimensions it has."""
 
     extra_keys = DimensionTable
 
@@ -182,7 +182,7 @@ class JointTable(Table):
 
 
 class ToleranceTable(Table):
-    """[tolerance], every key optional."""
+    """How well a careful user knows the setup, and what the weld can bear."""
 
     arc_level_rel: Number = key(
         "How well radiance_e is known: 1 sigma, relative",

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import UnionType
-from typing import Any, ClassVar, NamedTuple, get_args, get_origin
+from typing import Any, ClassVar, Literal, NamedTuple, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.fields import FieldInfo
@@ -104,6 +104,12 @@ class Key:
         return str(value).lower() if isinstance(value, bool) else repr(value).replace("'", '"')
 
     @property
+    def choices(self) -> tuple[str, ...]:
+        """The texts that it may be, where there are but some."""
+        literal = _stated_type(self.field)
+        return get_args(literal) if get_origin(literal) is Literal else ()
+
+    @property
     def bounds(self) -> Bounds:
         """What it, or each item of its list, may be."""
         for info in (self.field, *_items(self.field)):
@@ -121,9 +127,14 @@ class Key:
         low, high, source = self.bounds
         if high == MAX_NUMBER or (low is None and high is None):
             return ""
-        ends = f"{low:g} at least" if high is None else f"{high:g} at most"
-        if low is not None and high is not None:
-            ends = f"{low:g} to {high:g}"
+        first, last = (f"{end}" if isinstance(end, int) else f"{end:g}" for end in (low or 0, high or 0))
+        ends = (
+            f"{first} at least"
+            if high is None
+            else f"{last} at most"
+            if low is None
+            else f"{first} to {last}"
+        )
         return f"{ends} ({source})" if source else ends
 
     def said(self, what: str) -> str:
@@ -132,30 +143,45 @@ class Key:
         return words
 
 
-def keys_of(model: type[BaseModel], table: str = "") -> Iterator[Key]:
-    """Yield the keys of a table and of those in it, in the file's order; N stands for a table's free name."""
-    inner = []
-    for name, info in model.model_fields.items():
+def tables_of(
+    model: type[BaseModel], place: str = ""
+) -> Iterator[tuple[str, type[BaseModel], tuple[Key, ...]]]:
+    """Yield a table and those in it: place, model and own keys; N in a place stands for a free name."""
+    stated, inner = [model], []
+    if issubclass(model, Table) and model.extra_keys is not None:
+        stated.append(model.extra_keys)
+    keys = []
+    for name, info in ((name, info) for table in stated for name, info in table.model_fields.items()):
         below = table_in(info)
         if below is not None:
             held = f"{name}.N" if get_origin(info.annotation) is dict else name
-            inner.append((below, f"{table}.{held}" if table else held))
+            inner.append((below, f"{place}.{held}" if place else held))
         elif info.description is not None:
-            yield Key(table, name, info)
-    if issubclass(model, Table) and model.extra_keys is not None:
-        yield from keys_of(model.extra_keys, table)
-    for below, place in inner:
-        yield from keys_of(below, place)
+            keys.append(Key(place, name, info))
+    if keys:
+        yield place, model, tuple(keys)
+    for table, name in inner:
+        yield from tables_of(table, name)
+
+
+def keys_of(model: type[BaseModel]) -> Iterator[Key]:
+    """Yield the keys of a file, in its order."""
+    for _, _, keys in tables_of(model):
+        yield from keys
 
 
 def table_in(info: FieldInfo) -> type[BaseModel] | None:
     """Return the table that a field holds, or holds several of by name; None for a plain value."""
-    held = info.annotation
-    if get_origin(held) is UnionType:
-        held = get_args(held)[0]
+    held = _stated_type(info)
     if get_origin(held) is dict:
         held = get_args(held)[1]
     return held if isinstance(held, type) and issubclass(held, BaseModel) else None
+
+
+def _stated_type(info: FieldInfo) -> Any:
+    """Return the type of a field's value, where one is stated."""
+    held = info.annotation
+    return get_args(held)[0] if get_origin(held) in (UnionType, Union) else held
 
 
 def _items(field: FieldInfo) -> Iterator[FieldInfo]:

@@ -52,7 +52,7 @@ class RigidPoseTable(Table):
 
 
 class CameraPoseTable(RigidPoseTable):
-    """[camera.pose_in_tool]."""
+    """Where the camera stands, T_tool_camera."""
 
     translation_mm: PointInTool = key(
         "Where the camera's centre stands in the tool frame: x, y, z",
@@ -72,7 +72,7 @@ class CameraPoseTable(RigidPoseTable):
 
 
 class CameraTable(Table):
-    """[camera]."""
+    """The camera and its lens."""
 
     width: int = key(
         "The image's width",
@@ -147,7 +147,7 @@ class CameraTable(Table):
 
 
 class SensorTable(Table):
-    """[sensor]."""
+    """How charge becomes grey levels."""
 
     bits: int = key("Bits of a pixel as recorded, 8 to 16", "", "8 to 12", "the data sheet. 8 for mono8.")
     gain_e_per_dn: Number = key(
@@ -189,7 +189,7 @@ class SensorTable(Table):
 
 
 class FilterTable(Table):
-    """[filter]; a measured curve, where there is one, stands in for centre and width."""
+    """The interference filter; a measured curve, where there is one, stands in for centre and width."""
 
     center_nm: Number = key(
         "The passband's centre", "nm", "635 to 850", "the data sheet. At normal incidence."
@@ -230,7 +230,7 @@ class FilterTable(Table):
 
 
 class LaserTable(Table):
-    """[laser]."""
+    """The sheet of light."""
 
     wavelength_nm: Number = key("The laser's wavelength", "nm", "635 to 850", "the data sheet.")
     plane_in_tool: Vector4 = key(

@@ -51,7 +51,7 @@ NAMED_IN_KEYS = ("A", "nm", "px")
 
 
 class RobotTable(Table):
-    """[robot], optional: what is particular to the controller."""
+    """What is particular to the controller."""
 
     controllertool_to_tool: RigidPoseTable | None = None
     can_channel: str | int | None = key(
@@ -60,7 +60,7 @@ class RobotTable(Table):
 
 
 class CalibrationTable(Table):
-    """[calibration.NAME]: how well a calibration knows its parameters; any other key is a remark."""
+    """How well a calibration knows what it found; any other key is a remark."""
 
     parameters: list[str] = key("The keys whose values it found")
     sigma: list[Number] = key("Their 1 sigma")

@@ -13,79 +13,15 @@ import math
 from dataclasses import dataclass, fields
 from functools import lru_cache
 
+from robot_io.stated_limit import stated
+
 MAY_BE_ZERO = ("time_jitter_s", "weave_along_mm", "settle_s")
 """The limits that may be 0; all others are above it."""
 
 
 @dataclass(frozen=True)
 class PlausibilityLimits:
-    """What poses must keep to. Each limit's source stands in brackets.
-
-    Parameters
-    ----------
-    speed_mm_s : float
-        The largest speed of the tool, mm/s, weave included (ISO 10218-1's reduced speed: nothing is corrected
-        in an air move).
-    acceleration_mm_s2 : float
-        The largest acceleration, mm/s^2 (chosen: a weave of 3 mm at 6 Hz stays below; state the robot's own).
-    rotation_deg_s : float
-        The largest rate of turning, degrees/s (chosen: half a turn a second; state the robot's own).
-    false_alarm : float
-        The probability that a question takes rounding and jitter for a fault, for each sample (chosen: at 100
-        poses a second one in some 100 days).
-    position_step_mm : float
-        The bus' step of a coordinate, mm (arctrack.dbc).
-    quaternion_step : float
-        The bus' step of a quaternion's component (arctrack.dbc).
-    time_jitter_s : float
-        1 sigma of a sample's time, s (the age is rounded to 1 ms, which alone is 0.29 ms; the rest is the
-        wait for the bus).
-    gap_s : float
-        After a longer silence poses have stopped, s (stale after ten cycles, as all messages).
-    age_required : bool
-        Whether a sample must say how old it is. False only where the latency has been calibrated.
-    settle_s : float
-        How long after a change of its stated motion the robot may take to move so, s (chosen: delay of servo
-        and status, and a ramp from 0 to some 10 mm/s).
-    speed_change_share, speed_change_mm_s : float
-        Up to which share, or to how many mm/s, a stated speed is the same as before (chosen: a controller's
-        ripple; two of the bus' steps).
-    window_s : float
-        Over how long progress is asked for at most, s (chosen).
-    frozen_s : float
-        How long a moving robot's poses may stand at least before they are frozen, s (chosen: ten cycles).
-    speed_share : float
-        By which share of the stated travel speed the progress along the path may be off (chosen: robots slow
-        down at corners).
-    still_mm : float
-        How far the tool may go while the robot says that it stands, mm (chosen: brakes and servos settle).
-    weave_along_mm : float
-        How far a weave goes to and fro along the travel, mm (0: across the travel only).
-    lateral_mm, below_mm, above_mm : float
-        How far the tool may be beside, below and above the nominal seam, mm (the largest offset, and a weave;
-        the stand-off that the sensor's range leaves).
-    ends_mm : float
-        How far it may be before the seam's start and past its end, mm (chosen: run-in and run-out).
-    travel_deg, tilt_deg : float
-        The largest angle of the tool's x off the travel, and of its z off the surface's normal, degrees
-        (chosen: beyond, the sensor does not look at the seam ahead).
-    programmed_mm : float
-        How far the tool may be off the programmed pose, mm (the largest offset, and a weave).
-    programmed_deg : float
-        How far it may be turned against the programmed pose, degrees (offsets turn nothing).
-    programmed_age_s : float
-        How far apart in time the two may be to be compared, s (ten cycles).
-    follow_s : float
-        By how much the robot lags behind its program, s (chosen).
-    prove_s : float
-        How long poses must be plausible before they are trusted, s (chosen: thirty cycles).
-    rejoin_mm, rejoin_deg : float
-        After a doubt, how far the tool may be beyond where it was beside the path in the window before, mm,
-        and how far turned, degrees (chosen: the offset goes on for a while, and a turn on a curve).
-    rejoin_late_s : float
-        How far it may be behind along the travel then, s (chosen: half of 100 ms).
-    rejoin_share : float
-        By which share of the way since then the stated travel speed may mislead (chosen).
+    """What poses must keep to. Each field's metadata states `unit`, `role` and `source`.
 
     Raises
     ------
@@ -93,38 +29,126 @@ class PlausibilityLimits:
         For a limit that is not positive and finite.
     """
 
-    speed_mm_s: float = 250.0
-    acceleration_mm_s2: float = 5000.0
-    rotation_deg_s: float = 180.0
-    false_alarm: float = 1e-9
-    position_step_mm: float = 0.025
-    quaternion_step: float = 4.32e-5
-    time_jitter_s: float = 0.0005
-    gap_s: float = 0.1
-    age_required: bool = True
-    settle_s: float = 0.3
-    speed_change_share: float = 0.05
-    speed_change_mm_s: float = 0.1
-    window_s: float = 1.0
-    frozen_s: float = 0.1
-    speed_share: float = 0.5
-    still_mm: float = 0.1
-    weave_along_mm: float = 0.0
-    lateral_mm: float = 15.0
-    below_mm: float = 15.0
-    above_mm: float = 30.0
-    ends_mm: float = 50.0
-    travel_deg: float = 45.0
-    tilt_deg: float = 60.0
-    programmed_mm: float = 15.0
-    programmed_deg: float = 5.0
-    programmed_age_s: float = 0.1
-    follow_s: float = 0.2
-    prove_s: float = 0.3
-    rejoin_mm: float = 2.0
-    rejoin_deg: float = 10.0
-    rejoin_late_s: float = 0.05
-    rejoin_share: float = 0.05
+    speed_mm_s: float = stated(
+        250.0,
+        "mm/s",
+        "largest speed of the tool, weave included",
+        "ISO 10218-1's reduced speed: nothing is corrected in an air move",
+    )
+    acceleration_mm_s2: float = stated(
+        5000.0,
+        "mm/s^2",
+        "largest acceleration",
+        "chosen: a weave of 3 mm at 6 Hz stays below; state the robot's own",
+    )
+    rotation_deg_s: float = stated(
+        180.0, "deg/s", "largest rate of turning", "chosen: half a turn a second; state the robot's own"
+    )
+    false_alarm: float = stated(
+        1e-9,
+        "",
+        "probability that a question takes rounding and jitter for a fault, for each sample",
+        "chosen: at 100 poses a second one in some 100 days",
+    )
+    position_step_mm: float = stated(0.025, "mm", "the bus' step of a coordinate", "as arctrack.dbc states")
+    quaternion_step: float = stated(
+        4.32e-5, "", "the bus' step of a quaternion's component", "as arctrack.dbc states"
+    )
+    time_jitter_s: float = stated(
+        0.0005,
+        "s",
+        "1 sigma of a sample's time",
+        "the age is rounded to 1 ms, which alone is 0.29 ms; the rest is the wait for the bus",
+    )
+    gap_s: float = stated(
+        0.1, "s", "longest silence; after it poses have stopped", "stale after ten cycles, as all messages"
+    )
+    age_required: bool = stated(
+        True,
+        "",
+        "whether a sample must say how old it is",
+        "false only where the latency has been calibrated",
+    )
+    settle_s: float = stated(
+        0.3,
+        "s",
+        "longest time until the robot moves as it states, after a change of that",
+        "chosen: delay of servo and status, and a ramp from 0 to some 10 mm/s",
+    )
+    speed_change_share: float = stated(
+        0.05, "", "share up to which a stated speed is the same as before", "chosen: a controller's ripple"
+    )
+    speed_change_mm_s: float = stated(
+        0.1, "mm/s", "change up to which a stated speed is the same as before", "two of the bus' steps"
+    )
+    window_s: float = stated(1.0, "s", "longest time over which progress is asked for", "chosen")
+    frozen_s: float = stated(
+        0.1, "s", "least time that a moving robot's poses stand before they are frozen", "chosen: ten cycles"
+    )
+    speed_share: float = stated(
+        0.5,
+        "",
+        "share of the stated travel speed by which the progress along the path may be off",
+        "chosen: robots slow down at corners",
+    )
+    still_mm: float = stated(
+        0.1,
+        "mm",
+        "farthest way of the tool while the robot says that it stands",
+        "chosen: brakes and servos settle",
+    )
+    weave_along_mm: float = stated(
+        0.0, "mm", "reach of a weave to and fro along the travel", "across the travel only"
+    )
+    lateral_mm: float = stated(
+        15.0, "mm", "largest distance of the tool beside the nominal seam", "the largest offset, and a weave"
+    )
+    below_mm: float = stated(
+        15.0, "mm", "largest distance below the nominal seam", "the largest offset, and a weave"
+    )
+    above_mm: float = stated(
+        30.0, "mm", "largest distance above the nominal seam", "the stand-off that the sensor's range leaves"
+    )
+    ends_mm: float = stated(
+        50.0, "mm", "largest distance before the seam's start and past its end", "chosen: run-in and run-out"
+    )
+    travel_deg: float = stated(
+        45.0,
+        "deg",
+        "largest angle of the tool's x off the travel",
+        "chosen: beyond, the sensor does not look at the seam ahead",
+    )
+    tilt_deg: float = stated(
+        60.0, "deg", "largest angle of the tool's z off the surface's normal", "chosen, as off the travel"
+    )
+    programmed_mm: float = stated(
+        15.0, "mm", "largest distance off the programmed pose", "the largest offset, and a weave"
+    )
+    programmed_deg: float = stated(
+        5.0, "deg", "largest turn against the programmed pose", "offsets turn nothing"
+    )
+    programmed_age_s: float = stated(
+        0.1, "s", "longest time between the two poses that are compared", "ten cycles"
+    )
+    follow_s: float = stated(0.2, "s", "lag of the robot behind its program", "chosen")
+    prove_s: float = stated(
+        0.3, "s", "time for which poses must be plausible before they are trusted", "chosen: thirty cycles"
+    )
+    rejoin_mm: float = stated(
+        2.0,
+        "mm",
+        "after a doubt, farthest way beyond where the tool was beside the path in the window before",
+        "chosen: the offset goes on for a while",
+    )
+    rejoin_deg: float = stated(
+        10.0, "deg", "after a doubt, largest turn since then", "chosen: a turn on a curve"
+    )
+    rejoin_late_s: float = stated(
+        0.05, "s", "after a doubt, farthest lag along the travel", "chosen: half of 100 ms"
+    )
+    rejoin_share: float = stated(
+        0.05, "", "share of the way since then by which the stated travel speed may mislead", "chosen"
+    )
 
     def __post_init__(self) -> None:
         for name in (f.name for f in fields(self) if f.name != "age_required"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import subprocess
 import sys
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -124,7 +125,10 @@ UNDESCRIBED = {"GL08", "SS01", "PR01", "PR02", "PR03", "PR04", "PR06", "PR07", "
 
 
 def undescribed(public: str) -> list[str]:
-    """Return what numpydoc misses in a docstring; a class without parameters lists its attributes."""
+    """Return what numpydoc misses in a docstring; a class without parameters lists its attributes.
+
+    What the metadata of a record's fields states is listed on the page.
+    """
     numpydoc = importlib.import_module("numpydoc.validate")
 
     class Validator(numpydoc.Validator):  # type: ignore[misc, name-defined]
@@ -134,7 +138,9 @@ def undescribed(public: str) -> list[str]:
 
         @property
         def doc_all_parameters(self) -> dict[str, tuple[str, str]]:
-            return self.doc_parameters or self._doc_parameters(["Attributes"])
+            stated = fields(self.obj) if isinstance(self.obj, type) and is_dataclass(self.obj) else ()
+            roles = {f.name: (str(f.type), [f.metadata["role"]]) for f in stated if "role" in f.metadata}
+            return roles or self.doc_parameters or self._doc_parameters(["Attributes"])
 
     held = Validator._load_obj(public)
     if isinstance(held, type) and issubclass(held, Enum):

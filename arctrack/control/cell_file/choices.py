@@ -44,29 +44,7 @@ class BusChoice:
 
 @dataclass(frozen=True)
 class CaptureChoice:
-    """How a camera takes frames that arctrack itself captures.
-
-    Parameters
-    ----------
-    loop : bool
-        Whether a file begins again at its end.
-    rows : tuple (2,) or None
-        The first row of the sensor that is read, and how many; None for the camera's own region.
-    trigger : str
-        What begins a frame: free, software or hardware.
-    trigger_line : str or None
-        The camera's line that triggers it.
-    laser_line : str or None
-        The camera's line that the laser hangs on; None where the camera has no hold on it.
-    laser : str
-        How the line drives it: strobe, during each exposure, or switch.
-    interleave : int or None
-        Each such frame is taken without the laser; None for none.
-    exposure : str
-        Whether the exposure is fixed, the setup's, or predicted.
-    exposure_range_s : tuple (2,) or None
-        The least and the largest exposure that may be predicted, s.
-    """
+    """How a camera takes frames that arctrack captures, as [camera] states; None for what it has not."""
 
     loop: bool = False
     rows: tuple[int, int] | None = None
@@ -79,41 +57,9 @@ class CaptureChoice:
     exposure_range_s: tuple[float, float] | None = None
 
 
-KEYS_OF_KIND = {
-    "shared_memory": ("exposure", "exposure_range_s"),
-    "recording": (),
-    "video": ("loop",),
-    "folder": ("loop",),
-    "device": (),
-    "gige": (
-        "rows",
-        "trigger",
-        "trigger_line",
-        "laser_line",
-        "laser",
-        "interleave",
-        "exposure",
-        "exposure_range_s",
-    ),
-}
-"""What may be stated beside kind, name and frame_rate_hz."""
-
-
 @dataclass(frozen=True)
 class CameraChoice:
-    """The camera.
-
-    Parameters
-    ----------
-    frame_rate_hz : float
-        Its frames a second.
-    kind : str or None
-        What it is, such as shared_memory; None where nothing is run live.
-    name : str or None
-        Which one of its kind.
-    capture : CaptureChoice
-        How it takes frames.
-    """
+    """The camera, as [camera] states; kind and name are None where nothing is run live."""
 
     frame_rate_hz: float
     kind: str | None = None
@@ -123,17 +69,7 @@ class CameraChoice:
 
 @dataclass(frozen=True)
 class ProcessChoice:
-    """How the process of a live run is scheduled; None leaves a thing to the machine.
-
-    Parameters
-    ----------
-    priority : int or None
-        Its real-time priority, 1 to 99.
-    cpus : tuple of int or None
-        The processors that it may run on.
-    lock_memory : bool
-        Whether its memory is kept from being swapped out.
-    """
+    """How the process of a live run is scheduled, as [process] states; None leaves it to the machine."""
 
     priority: int | None = None
     cpus: tuple[int, ...] | None = None
@@ -142,15 +78,7 @@ class ProcessChoice:
 
 @dataclass(frozen=True)
 class BlackBoxChoice:
-    """The black box of a live run.
-
-    Parameters
-    ----------
-    seconds : float
-        How far back it reaches, s; 0 for none.
-    folder : str
-        Where its recordings go, from the cell file on.
-    """
+    """The black box of a live run, as [black_box] states."""
 
     seconds: float = 30.0
     folder: str = "black_box"
@@ -158,18 +86,7 @@ class BlackBoxChoice:
 
 @dataclass(frozen=True)
 class MonitorChoice:
-    """The monitor page of a live run.
-
-    Parameters
-    ----------
-    host : str
-        The address on which it is served.
-    port : int
-        Its port; 0 takes a free one.
-    token : str or None
-        What a browser must bring; None lets everybody on this machine look.
-    enabled : bool
-        Whether there is a page.
+    """The monitor page of a live run, as [monitor] states.
 
     Raises
     ------
@@ -203,23 +120,7 @@ def is_loopback(host: str) -> bool:
 
 @dataclass(frozen=True)
 class CellJob:
-    """A job of the cell file.
-
-    Parameters
-    ----------
-    name : str
-        What people call it.
-    joint : Joint or None
-        The joint, where it is not the setup's.
-    correction : Correction
-        How the seam is followed.
-    offsets_in_search : bool
-        Whether offsets go out while the robot commands SEARCH.
-    part : PartLimits
-        What the part must be like before the arc is lit.
-    bridge_mm : float or None
-        How far a stretch without a joint may reach, mm; None for without end.
-    """
+    """A job of the cell file, as [jobs.N] states; `joint` is None where it is the setup's."""
 
     name: str
     joint: Joint | None
@@ -272,33 +173,7 @@ class CellJob:
 
 @dataclass(frozen=True)
 class CellFile:
-    """What a cell file holds.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    setup : SetupFile
-        The facts that it points to.
-    bus : BusChoice
-        The bus.
-    camera : CameraChoice
-        The camera.
-    limits : GateLimits
-        What an offset must keep to.
-    policy : ServicePolicy
-        How long what was heard counts.
-    plausibility : PlausibilityLimits
-        What poses must keep to.
-    jobs : mapping of int to CellJob
-        The jobs, by the number by which the robot names them.
-    process : ProcessChoice
-        How a live run is scheduled.
-    monitor : MonitorChoice
-        The page of a live run.
-    black_box : BlackBoxChoice
-        What a live run keeps.
-    """
+    """What a cell file holds."""
 
     path: Path
     setup: SetupFile

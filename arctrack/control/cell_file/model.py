@@ -1,4 +1,4 @@
-"""cell.toml's keys and types; what the values must be beyond that is said by the records that they make."""
+"""cell.toml's tables; what the values must be beyond their bounds is said by the records that they make."""
 
 from __future__ import annotations
 
@@ -6,15 +6,20 @@ from collections.abc import Iterator
 from dataclasses import fields
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_hints
 
-from pydantic import Field, FiniteFloat, create_model
+from pydantic import Field, create_model
 
-from arctrack.control.cell_file.choices import MIN_TOKEN_LETTERS, BlackBoxChoice, MonitorChoice
+from arctrack.control.cell_file.choices import (
+    MIN_TOKEN_LETTERS,
+    BlackBoxChoice,
+    MonitorChoice,
+    ProcessChoice,
+)
 from arctrack.control.job import PartLimits
 from arctrack.control.policy import ServicePolicy
 from arctrack.recording.follow_tables import FollowTable
 from arctrack.recording.key_errors import place
 from arctrack.recording.scene_tables import JointTable
-from arctrack.recording.schema import Table
+from arctrack.recording.schema import Bounds, Table, key
 from arctrack.recording.sensor_tables import Number
 from noise_model.setup_keys import DIMENSIONS
 from noise_model.spelling import cure_for
@@ -26,18 +31,41 @@ FORMAT = "arctrack-cell/1"
 MAX_JOB_NUMBER = 65_534
 """The largest job number that the bus carries."""
 
+KEYS_OF_KIND = {
+    "shared_memory": ("exposure", "exposure_range_s"),
+    "recording": (),
+    "video": ("loop",),
+    "folder": ("loop",),
+    "device": (),
+    "gige": (
+        "rows",
+        "trigger",
+        "trigger_line",
+        "laser_line",
+        "laser",
+        "interleave",
+        "exposure",
+        "exposure_range_s",
+    ),
+}
+"""What may be stated in [camera] beside kind, name and frame_rate_hz."""
+
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Rows = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
-Rate = Annotated[FiniteFloat, Field(gt=0.0, le=10_000.0)]
+Rate = Annotated[float, Field(gt=0.0, le=10_000.0)]
 
 
-def _table_of(record: type) -> type[Table]:
+def _table_of(record: type, heading: str) -> type[Table]:
     """Return the table whose keys are a record's fields, each optional."""
     hints = get_type_hints(record)
-    keys: dict[str, Any] = {
-        f.name: (Number if hints[f.name] is float else hints[f.name], f.default) for f in fields(record)
-    }
-    return create_model(f"{record.__name__}Table", __base__=Table, **keys)
+    keys: dict[str, Any] = {}
+    for f in fields(record):
+        role, source = (
+            f"{text[:1].upper()}{text[1:]}" for text in (f.metadata["role"], f.metadata["source"])
+        )
+        statement = key(role, f.metadata["unit"], default=f.default, note=f"{source}.")
+        keys[f.name] = (Number if hints[f.name] is float else hints[f.name], statement)
+    return create_model(f"{record.__name__}Table", __base__=Table, __doc__=heading, **keys)
 
 
 if TYPE_CHECKING:
@@ -46,78 +74,184 @@ if TYPE_CHECKING:
     ServiceTable: TypeAlias = Table
     PlausibilityTable: TypeAlias = Table
 else:
-    GateTable = _table_of(GateLimits)
-    ServiceTable = _table_of(ServicePolicy)
-    PlausibilityTable = _table_of(PlausibilityLimits)
+    GateTable = _table_of(GateLimits, "What an offset must keep to before it is sent.")
+    ServiceTable = _table_of(ServicePolicy, "How long what was heard counts.")
+    PlausibilityTable = _table_of(
+        PlausibilityLimits,
+        "What the robot can do at most: poses that do more are doubted. State your robot's own.",
+    )
 
 
 class BusTable(Table):
-    """[bus]."""
+    """python-can's interface and channel. virtual goes to nobody: try things out with it first."""
 
-    interface: str = Field(min_length=1)
-    channel: str = Field(min_length=1)
-    bit_rate_bit_s: int = Field(default=500_000, ge=10_000, le=1_000_000)
+    interface: str = key(
+        'The interface; on a robot "socketcan", "slcan", …', example='"virtual"', min_length=1
+    )
+    channel: str = key('The channel, such as "can0", "/dev/ttyACM0"', example='"arctrack"', min_length=1)
+    bit_rate_bit_s: int = key(
+        "The bit rate", "bit/s", default=500_000, bounds=Bounds(10_000, 1_000_000, "what classic CAN has")
+    )
 
 
 class CellCameraTable(Table):
-    """[camera]."""
+    """Where frames come from: docs/reference/cameras.md has the kinds, their names and keys."""
 
-    frame_rate_hz: Rate
-    kind: Literal["shared_memory", "recording", "video", "folder", "device", "gige"] | None = None
-    name: Annotated[str, Field(min_length=1)] | None = None
-    loop: bool | None = None
-    rows: Rows | None = None
-    trigger: Literal["free", "software", "hardware"] | None = None
-    trigger_line: Annotated[str, Field(min_length=1)] | None = None
-    laser_line: Annotated[str, Field(min_length=1)] | None = None
-    laser: Literal["strobe", "switch"] | None = None
-    interleave: Annotated[int, Field(ge=2)] | None = None
-    exposure: Literal["fixed", "predicted"] | None = None
-    exposure_range_s: Range | None = None
+    frame_rate_hz: Rate = key(
+        "Frame rate",
+        "Hz",
+        example="25.0",
+        note="Four messages go out with each frame: it makes the bus' load.",
+    )
+    kind: Literal["shared_memory", "recording", "video", "folder", "device", "gige"] | None = key(
+        "Where the frames of a live run come from",
+        default=None,
+        example='"shared_memory"',
+        note='"shared_memory": another process publishes them; "recording": one is played.',
+    )
+    name: str | None = key(
+        "Which one of its kind: the frames' name, a file, a folder, a device, a camera's id or address",
+        default=None,
+        example='"cell"',
+        min_length=1,
+    )
+    loop: bool | None = key("Whether a file begins again at its end", default=None, note="Else false.")
+    rows: Rows | None = key(
+        "The first row of the sensor that is read, and how many",
+        default=None,
+        note="The setup's [camera] height must be their count.",
+    )
+    trigger: Literal["free", "software", "hardware"] | None = key(
+        "What begins a frame", default=None, note='Else "free". "software": the host triggers each frame.'
+    )
+    trigger_line: str | None = key(
+        'The camera\'s line that triggers it, for "hardware"', default=None, min_length=1
+    )
+    laser_line: str | None = key(
+        "The camera's line that drives the laser",
+        default=None,
+        note="Without it the camera has no hold on the laser.",
+        min_length=1,
+    )
+    laser: Literal["strobe", "switch"] | None = key(
+        "How that line drives it",
+        default=None,
+        note='Else "strobe": on during each exposure. "switch": on all the time, by UserOutput1.',
+    )
+    interleave: int | None = key(
+        "Each such frame is taken without the laser",
+        default=None,
+        note='It needs trigger "software" and laser_line.',
+        bounds=Bounds(2, None, "others have the stripe"),
+    )
+    exposure: Literal["fixed", "predicted"] | None = key(
+        "Whether the exposure is the setup's, or chosen for the frames to come",
+        default=None,
+        note='Else "fixed".',
+    )
+    exposure_range_s: Range | None = key(
+        'The least and the largest exposure, for "predicted"', "s", default=None
+    )
 
 
 class ProcessTable(Table):
-    """[process], every key optional."""
+    """How arctrack serve is scheduled. What the machine does not allow is said at the start."""
 
-    priority: Annotated[int, Field(ge=1, le=99)] | None = None
-    cpus: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1)] | None = None
-    lock_memory: bool = False
+    priority: int | None = key(
+        "Its real-time priority, SCHED_FIFO",
+        default=ProcessChoice.priority,
+        example="50",
+        note="It needs rtprio in /etc/security/limits.conf.",
+        bounds=Bounds(1, 99, "Linux has these"),
+    )
+    cpus: list[Annotated[int, Field(ge=0)]] | None = key(
+        "The processors that it may run on", default=ProcessChoice.cpus, example="[1]", min_length=1
+    )
+    lock_memory: bool = key(
+        "Whether its memory is kept from being swapped out, mlockall",
+        default=ProcessChoice.lock_memory,
+        example="true",
+        note="It needs memlock in /etc/security/limits.conf.",
+    )
 
 
 class MonitorTable(Table):
-    """[monitor], every key optional."""
+    """The page of a live run. Other machines reach it where host says so; then a token must be stated."""
 
-    host: str = Field(default=MonitorChoice.host, min_length=1)
-    port: int = Field(default=MonitorChoice.port, ge=0, le=65_535)
-    token: Annotated[str, Field(min_length=MIN_TOKEN_LETTERS)] | None = None
-    enabled: bool = True
+    enabled: bool = key("Whether there is a page", default=MonitorChoice.enabled)
+    host: str = key(
+        'The address on which it is served; "0.0.0.0" is each address of the machine',
+        default=MonitorChoice.host,
+        min_length=1,
+    )
+    port: int = key(
+        "Its port; 0 takes a free one, which arctrack serve says",
+        default=MonitorChoice.port,
+        bounds=Bounds(0, 65_535, "what IP has"),
+    )
+    token: str | None = key(
+        "What a browser must bring; needed wherever other machines reach the page",
+        default=MonitorChoice.token,
+        example='"sixteen letters or more"',
+        min_length=MIN_TOKEN_LETTERS,
+    )
 
 
 class BlackBoxTable(Table):
-    """[black_box], every key optional."""
+    """What a live run keeps: its latest frames go to disk on a fault, as a recording."""
 
-    seconds: Annotated[FiniteFloat, Field(ge=0.0, le=3600.0)] = BlackBoxChoice.seconds
-    folder: Annotated[str, Field(min_length=1)] = BlackBoxChoice.folder
+    seconds: float = key(
+        "How far back it reaches; 0 for nothing",
+        "s",
+        default=BlackBoxChoice.seconds,
+        bounds=Bounds(0.0, 3600.0, "an hour"),
+    )
+    folder: str = key(
+        "Where its recordings go, from this file on", default=BlackBoxChoice.folder, min_length=1
+    )
 
 
 class PartTable(Table):
-    """[jobs.N.part], every key optional."""
+    """What the part must be like before the arc is lit: the least and the largest. Else nothing is asked."""
 
-    gap_mm: Range | None = None
-    mismatch_mm: Range | None = None
-    depth_mm: Range | None = None
-    angle_deg: Range | None = None
-    looks: int = PartLimits.looks
+    gap_mm: Range | None = key("The gap, as in SeamGeometry", "mm", default=None, example="[0.0, 1.5]")
+    mismatch_mm: Range | None = key(
+        "The mismatch, as in SeamGeometry", "mm", default=None, example="[-0.8, 0.8]"
+    )
+    depth_mm: Range | None = key(
+        "The depth of a V-groove or a half V",
+        "mm",
+        default=None,
+        example="[3.5, 4.5]",
+        note="By its opening's area A, gap g and bevels l, r: A = g d + d² (tan l + tan r)/2.",
+    )
+    angle_deg: Range | None = key(
+        "The angle between a groove's faces, or between a joint's plates",
+        "deg",
+        default=None,
+        example="[55.0, 65.0]",
+    )
+    looks: int = key(
+        "How many frames in a row must agree",
+        default=PartLimits.looks,
+        note="A bad frame or two refuse no part.",
+    )
 
 
 class JobTable(Table):
-    """[jobs.N]."""
+    """A job for each number N by which the robot names one, TrackerCommand.job_number."""
 
-    name: str
+    name: str = key("What people call it", example='"first job"')
+    offsets_in_search: bool = key("Whether offsets go out while the robot commands SEARCH", default=False)
+    bridge_mm: Number | None = key(
+        "How far a stretch without a joint, such as a tack, may reach",
+        "mm",
+        default=None,
+        example="8.0",
+        note="Without it, without end.",
+    )
     joint: JointTable | None = None
     follow: FollowTable = Field(default_factory=FollowTable)
-    offsets_in_search: bool = False
-    bridge_mm: Number | None = None
     part: PartTable = Field(default_factory=PartTable)
 
 
@@ -125,16 +259,20 @@ class CellToml(Table):
     """The whole file."""
 
     format: Literal["arctrack-cell/1"]
-    setup: str = Field(min_length=1)
+    setup: str = key(
+        "The setup, the facts of the sensor and the part, beside this file",
+        example='"setup.toml"',
+        min_length=1,
+    )
     bus: BusTable
     camera: CellCameraTable
+    jobs: dict[str, JobTable] = Field(min_length=1)
     gate: GateTable = Field(default_factory=GateTable)
     service: ServiceTable = Field(default_factory=ServiceTable)
-    plausibility: PlausibilityTable = Field(default_factory=PlausibilityTable)
     process: ProcessTable = Field(default_factory=ProcessTable)
-    monitor: MonitorTable = Field(default_factory=MonitorTable)
     black_box: BlackBoxTable = Field(default_factory=BlackBoxTable)
-    jobs: dict[str, JobTable] = Field(min_length=1)
+    monitor: MonitorTable = Field(default_factory=MonitorTable)
+    plausibility: PlausibilityTable = Field(default_factory=PlausibilityTable)
 
 
 def unknown_keys(table: Table, location: tuple[str | int, ...] = ()) -> Iterator[str]:
@@ -149,6 +287,7 @@ def unknown_keys(table: Table, location: tuple[str | int, ...] = ()) -> Iterator
     for name in type(table).model_fields:
         value = getattr(table, name)
         inner = value.items() if isinstance(value, dict) else [(None, value)]
-        for key, held in inner:
+        for number, held in inner:
             if isinstance(held, Table):
-                yield from unknown_keys(held, (*location, name) if key is None else (*location, name, key))
+                below = (*location, name) if number is None else (*location, name, number)
+                yield from unknown_keys(held, below)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, TypeVar
 from pydantic import ValidationError
 
 from arctrack.control.cell_file.choices import (
-    KEYS_OF_KIND,
     BlackBoxChoice,
     BusChoice,
     CameraChoice,
@@ -23,15 +22,15 @@ from arctrack.control.cell_file.choices import (
 )
 from arctrack.control.cell_file.model import (
     FORMAT,
+    KEYS_OF_KIND,
     MAX_JOB_NUMBER,
     CellCameraTable,
     CellToml,
     JobTable,
-    MonitorTable,
-    ProcessTable,
+    PartTable,
     unknown_keys,
 )
-from arctrack.control.job import PartLimits, Range
+from arctrack.control.job import PartLimits
 from arctrack.control.policy import ServicePolicy
 from arctrack.errors import in_file
 from arctrack.limits import LIMITS
@@ -92,19 +91,19 @@ def is_cell_file(path: Path) -> bool:
 
 
 def _cell(path: Path, model: CellToml, setup: SetupFile) -> CellFile:
-    limits = _record(GateLimits, model.gate, "gate limit", "gate")
+    limits = _record(GateLimits, model.gate, "gate limit", "[gate]")
     cell = CellFile(
         path=path,
         setup=setup,
-        bus=BusChoice(model.bus.interface, model.bus.channel, model.bus.bit_rate_bit_s),
+        bus=_record(BusChoice, model.bus),
         camera=_camera(model.camera),
         limits=limits,
-        policy=_record(ServicePolicy, model.service, "service policy", "service"),
-        plausibility=_record(PlausibilityLimits, model.plausibility, "plausibility limit", "plausibility"),
+        policy=_record(ServicePolicy, model.service, "service policy", "[service]"),
+        plausibility=_record(PlausibilityLimits, model.plausibility, "plausibility limit", "[plausibility]"),
         jobs=dict(sorted((_number(key), _job(key, table)) for key, table in model.jobs.items())),
-        process=_process(model.process),
-        monitor=_monitor(model.monitor),
-        black_box=BlackBoxChoice(model.black_box.seconds, model.black_box.folder),
+        process=_record(ProcessChoice, model.process),
+        monitor=_record(MonitorChoice, model.monitor),
+        black_box=_record(BlackBoxChoice, model.black_box),
     )
     for number, job in cell.jobs.items():
         _within(str(number), partial(job.to_job, setup.setup, limits))
@@ -162,21 +161,13 @@ def _capture(table: CellCameraTable) -> CaptureChoice:
     return CaptureChoice(**stated)
 
 
-def _process(table: ProcessTable) -> ProcessChoice:
-    cpus = None if table.cpus is None else tuple(table.cpus)
-    return ProcessChoice(table.priority, cpus, table.lock_memory)
-
-
-def _monitor(table: MonitorTable) -> MonitorChoice:
-    return MonitorChoice(table.host, table.port, table.token, table.enabled)
-
-
-def _record(record: Callable[..., R], table: Table, called: str, name: str) -> R:
-    """Return the record that a table makes; ValueError names the table and the key."""
+def _record(record: Callable[..., R], table: Table, called: str = "", place: str = "") -> R:
+    """Return the record that a table makes; in a ValueError `place` stands for what the record is called."""
+    values = {name: tuple(held) if isinstance(held, list) else held for name, held in table.known.items()}
     try:
-        return record(**{key: getattr(table, key) for key in type(table).model_fields})
+        return record(**values)
     except ValueError as error:
-        raise ValueError(str(error).replace(f"{called} ", f"[{name}] ", 1)) from None
+        raise ValueError(str(error).replace(called, place, 1)) from None
 
 
 def _number(key: str) -> int:
@@ -193,26 +184,16 @@ def _job(key: str, table: JobTable) -> CellJob:
             joint=joint,
             correction=table.follow.to_correction(),
             offsets_in_search=table.offsets_in_search,
-            part=_part(table),
+            part=_part(table.part),
             bridge_mm=table.bridge_mm,
         )
 
     return _within(key, built)
 
 
-def _part(table: JobTable) -> PartLimits:
-    def limits(values: list[float] | None) -> Range | None:
-        return None if values is None else (values[0], values[1])
-
-    part = table.part
+def _part(table: PartTable) -> PartLimits:
     try:
-        return PartLimits(
-            limits(part.gap_mm),
-            limits(part.mismatch_mm),
-            limits(part.depth_mm),
-            limits(part.angle_deg),
-            part.looks,
-        )
+        return _record(PartLimits, table)
     except ValueError as error:
         raise ValueError(f"[part] {error}") from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -73,9 +74,7 @@ def test_a_new_cell_file_says_what_is_so_unless_stated(new_cell: Path) -> None:
 def test_what_stands_behind_a_mark_in_it_can_be_taken_as_it_is(new_cell: Path) -> None:
     """Each commented key is known, has a value that it may have, and what the gate has unless stated."""
     lines = [
-        line.removeprefix("# ")
-        if line.startswith(("# [", "#")) and (" = " in line or line[2:3] == "[")
-        else line
+        line.removeprefix("# ") if re.match(r"# (\[|\w+ = )", line) else line
         for line in commented_cell().splitlines()
     ]
     path = new_cell.parent / "all.toml"
