@@ -5,7 +5,7 @@
 - **Symbols** (`func_id.unique_id`, `_unique_ids`, `mangler`, `_optimize_final_module`): numba's count what a
   process compiles, and its records. Here a kernel finds what it calls in every process, and its machine code
   is the same bytes in each. numba's own functions stay hidden in a kernel: two of one name are never one.
-- **Passes** (`passes`): those for reports, closures and literals are left out: 3 %.
+- **Passes** (`passes`): those for reports, closures and literals are left out, no kernel has any: 3 %.
 - **Search** (`get_call_type`, `TargetConfig`): numba tries each implementation of `+` anew at each `+`: 10 %.
 - **Errors** (`build_excinfo_struct`): numba's machine code holds the file and line that raise.
 - **Links** (`library._linking_libraries`, `_shared_module`, `_get_module_for_linking`): numba hands a caller
@@ -16,8 +16,6 @@
   (docs/explanation/interrupts.md).
 - **Types of arguments** (`get_call_template`): numba compiles a kernel anew for each constant in a call.
 """
-
-from __future__ import annotations
 
 import pickle
 import re
@@ -53,12 +51,34 @@ NO_BITCODE = llvm.parse_assembly("")
 ENVIRONMENT = "_ZN08NumbaEnv"  # So the names begin of what machine code needs of Python.
 COUNT = re.compile(r"(?<=B19v)1\d{17}")  # numba's in symbols: as long as what `KernelLibrary` puts there.
 NEEDLESS = {"annotate_types", "inline_closure_likes", "literal_unroll", "LiteralPropagation", "with_lifting"}
-"""Passes for reports, and for closures, literals and `with`: no kernel has any."""
-FunctionIdentity._unique_ids = count(10**17)
+_search, _describe_error = BaseFunction.get_call_type, CPUCallConv.build_excinfo_struct
+_search_once = cache(lambda callee, context, types, names, _: _search(callee, context, types, dict(names)))
+
+
+def _searched(callee: Any, context: Any, types: Any, names: dict[str, Any]) -> Any:
+    return _search_once(callee, context, tuple(types), tuple(names.items()), ConfigStack.top_or_none())
+
+
+REPLACED = (
+    (FunctionIdentity, "_unique_ids", count(10**17)),
+    (BaseFunction, "get_call_type", _searched),
+    (TargetConfig, "__hash__", lambda settings: len(settings.options)),
+    (CPUCallConv, "build_excinfo_struct", lambda *given: _describe_error(*given[:3], None, given[4])),
+)
 
 
 class KernelCompiler(Compiler):  # type: ignore[misc]
-    """numba's compiler, but for the name of a kernel's symbol."""
+    """numba's compiler, but for what is REPLACED, while it compiles and holds numba's lock, and no longer."""
+
+    def _compile_core(self) -> Any:
+        numbas_own = [getattr(owner, name) for owner, name, _ in REPLACED]
+        for owner, name, value in REPLACED:
+            setattr(owner, name, value)
+        try:
+            return super()._compile_core()
+        finally:
+            for (owner, name, _), value in zip(REPLACED, numbas_own, strict=True):
+                setattr(owner, name, value)
 
     def define_pipelines(self) -> Any:
         """Return numba's own passes, but for those that no kernel needs."""
@@ -114,25 +134,6 @@ class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
             self.environments.append(_rebuild_env(numbas.globals["__name__"], numbas.consts, own_name))
         if own_ids:
             self._final_module = llvm.parse_assembly(COUNT.sub(own_id, str(self._final_module)))
-
-
-_describe_error = CPUCallConv.build_excinfo_struct
-
-
-def _describe_placeless(convention: Any, error: Any, arguments: Any, place: Any, function: Any) -> Any:
-    """Return how machine code raises an error; of a kernel's, and of numba's own, without file and line."""
-    is_kernels = any(isinstance(library, KernelLibrary) for library in convention.context._codelib_stack)
-    is_placeless = is_kernels or (place is not None and place.filename.startswith(numba.__path__[0]))
-    return _describe_error(convention, error, arguments, None if is_placeless else place, function)
-
-
-CPUCallConv.build_excinfo_struct = _describe_placeless
-_search = BaseFunction.get_call_type
-_search_once = cache(lambda callee, context, types, names, _: _search(callee, context, types, dict(names)))
-BaseFunction.get_call_type = lambda callee, context, types, names: _search_once(  # type: ignore
-    callee, context, tuple(types), tuple(names.items()), ConfigStack.top_or_none()
-)
-TargetConfig.__hash__ = lambda settings: len(settings.options)
 
 
 class KernelCache:
