@@ -247,7 +247,10 @@ def predict_light(
     lows, band_e, arc_e = NO_PIXELS, NO_BAND, np.empty(len(pixels), np.float32)
     if band is not None and aim.use_arc_map and (has_arc or geometry.has_light_effects):
         lows, band_e = band.lows, band.background
-    material, into = geometry.stripe_source.material, ArcLightBuffers(pixels, arc_e, lows, band_e)
+    material, into = (
+        geometry.stripe_source.material,
+        ArcLightBuffers(pixels, arc_e, lows, band_e, given.work.arc),
+    )
     source, horizon = geometry.arc_source, horizon_of(aim.scene, geometry.arc_source.radius_mm)
     predict_arc(source, geometry.image_source, material, aim.scene, horizon, output, into)
     transmission = transmission_of(geometry, aim.scene, given.frame)

@@ -22,7 +22,7 @@ import numpy as np
 from noise_model.arc.patch_borders import MAX_BORDERS, seen_strip
 from noise_model.arc.quadrature import DiscRule, gauss_nodes
 from noise_model.arc.ray import ArcKernel
-from noise_model.arc.scratch import Scratch, scratch
+from noise_model.arc.scratch import ArcScratch
 from noise_model.arc.table import (
     ASKED,
     NEW,
@@ -126,11 +126,11 @@ def moved(k: ArcKernel, y_mm: float, eye_mm: Point) -> ArcKernel:
 
 @kernel
 def _value_at(
-    k: ArcKernel, y_mm: float, eye_mm: Point, face: int, x: float, s: float, work: Scratch
+    k: ArcKernel, y_mm: float, eye_mm: Point, face: int, x: float, s: float, work: ArcScratch
 ) -> float:
     """Return what a cell's polynomial stands for, light times fall-off, of a scene that is `moved`."""
     there, on = moved(k, y_mm, eye_mm), seen_strip(face, k.vertices)
-    room = work[0]
+    room = work.records[0]
     faces, places, light_e = room.node_faces[:], room.node_places[:], room.node_light_e[:]
     faces[0], places[0, 0], places[0, 1], light_e[0] = face, x, s, ASKED
     integrate(there, faces, places, 1, light_e, work)
@@ -139,23 +139,23 @@ def _value_at(
 
 @kernel(allocates=True)
 def _table_of(
-    k: ArcKernel, margin_mm: float, rel: float, floor_e: float, to_powers: Float64
+    k: ArcKernel, margin_mm: float, rel: float, floor_e: float, to_powers: Float64, work: ArcScratch
 ) -> tuple[FaceTable, Float64, Float64]:
     """Return a complete table, and what `_derive` writes of its cells (n,): NaN and 0 of more than may be."""
     table = new_table(k, margin_mm, rel, floor_e, to_powers)
-    cells_face = _complete(k, table)
+    cells_face = _complete(k, table, work)
     n = len(cells_face)
     powers, reach_mm = np.empty((n, TERMS, NODES, NODES)), np.zeros(n)
     powers[:] = math.nan
     if n <= MAX_BAKED_CELLS:
-        _derive(k, table, cells_face, powers, reach_mm)
+        _derive(k, table, cells_face, powers, reach_mm, work)
     return table, powers, reach_mm
 
 
 @kernel(allocates=True)
-def _complete(k: ArcKernel, table: FaceTable) -> Int32:
+def _complete(k: ArcKernel, table: FaceTable, work: ArcScratch) -> Int32:
     """Make all cells of an empty table, or some more than MAX_BAKED_CELLS; return the face (n,) of each."""
-    work, cells_face = scratch(), np.empty(table.axis.shape[0], dtype=np.int32)
+    cells_face = np.empty(table.axis.shape[0], dtype=np.int32)
     done = 0
     for face in range(table.n_s.shape[0]):
         for i in range(table.x_borders.shape[0] - 1):
@@ -169,14 +169,16 @@ def _complete(k: ArcKernel, table: FaceTable) -> Int32:
 
 
 @kernel(allocates=True)
-def _derive(k: ArcKernel, table: FaceTable, cells_face: Int32, powers: Float64, reach_mm: Float64) -> None:
+def _derive(
+    k: ArcKernel, table: FaceTable, cells_face: Int32, powers: Float64, reach_mm: Float64, work: ArcScratch
+) -> None:
     """Write the polynomials and their derivatives (n, TERMS, NODES, NODES) of a complete table's cells.
 
     Written too is how far (n,) the camera may be off. What linear terms leave out is looked at in each cell's
     corners and its middle, with the torch STEP_MM / 2 to either side, and with the camera REACH_MM off along
     each axis.
     """
-    work, values = scratch(), np.empty((TERMS, NODES, NODES))
+    values = np.empty((TERMS, NODES, NODES))
     for cell in range(cells_face.shape[0]):
         if table.axis[cell] != SMOOTH:
             continue
@@ -298,10 +300,13 @@ def bake(k: ArcKernel, margin_mm: float, rel: float, floor_e: float) -> BakedLig
 @lru_cache(maxsize=8)
 def _baked(nominal: Nominal) -> BakedLight:
     """Return `bake`'s tables of a plain section."""
-    tables = []
+    # No slices: the edge of a plain section is straight.
+    tables, work = [], ArcScratch.of(np.array(nominal.vertices))._replace(slices=None)
     for place in range(-N_BESIDE, N_BESIDE + 1):
         k = nominal.kernel(place * STEP_MM)
-        tables.append(_table_of(k, nominal.margin_mm, nominal.rel, nominal.floor_e / BRIGHTEST, TO_POWERS))
+        tables.append(
+            _table_of(k, nominal.margin_mm, nominal.rel, nominal.floor_e / BRIGHTEST, TO_POWERS, work)
+        )
         if len(tables[-1][1]) > MAX_BAKED_CELLS:
             return NOTHING_BAKED
     n_faces, n_x = tables[0][0].roots.shape[:2]

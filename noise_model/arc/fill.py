@@ -25,7 +25,7 @@ from noise_model.arc.node_rays import (
     tell_places,
 )
 from noise_model.arc.ray import ArcKernel
-from noise_model.arc.scratch import Scratch, scratch
+from noise_model.arc.scratch import ArcScratch
 from noise_model.arc.table import FaceTable, light_at_places
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.kernel import kernel
@@ -100,9 +100,9 @@ def _fill_smooth(powers: Float64, image: Image, box: Box) -> None:
 
 
 @kernel
-def _fill_apart(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: Scratch) -> None:
+def _fill_apart(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: ArcScratch) -> None:
     """Fill what of a box of at most LARGEST pixels lies in the band, pixel by pixel."""
-    n_pos, room = image.n_pos, work[0]
+    n_pos, room = image.n_pos, work.records[0]
     pixels, light_e = room.pixels[:], room.light_e[:]
     n = 0
     for i in range(box[2]):
@@ -130,13 +130,13 @@ def _node_pixels(n_pos: int, box: Box, node_at: Int64, pixels: Int64) -> None:
 
 
 @kernel
-def _fill_mixed(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: Scratch) -> int:
+def _fill_mixed(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: ArcScratch) -> int:
     """Fill a cell of a plain section that shows several faces, or say how it has to be halved.
 
     In the scratch the nodes' pixels and which faces they meet are known; the latter are left with those that
     have coefficients.
     """
-    xy, n_pos, room = image.xy, image.n_pos, work[0]
+    xy, n_pos, room = image.xy, image.n_pos, work.records[0]
     light_e, seen, guess = room.light_e[:], room.is_filled[:], room.run_ends[:]
     powers, band_e = room.powers[:], image.band_e
     scan, pos, n_s, n_p = box
@@ -220,10 +220,10 @@ def _changes_across(faces: Int64) -> bool:
 
 @kernel
 def _holds_between_nodes(
-    k: ArcKernel, table: FaceTable, image: Image, box: Box, powers: Float64, allowed: float, work: Scratch
+    k: ArcKernel, table: FaceTable, image: Image, box: Box, powers: Float64, allowed: float, work: ArcScratch
 ) -> bool:
     """Say whether a cell's polynomial is off by no more than is allowed, e-, between nodes in its corners."""
-    n_pos, room = image.n_pos, work[0]
+    n_pos, room = image.n_pos, work.records[0]
     pixels, light_e = room.pixels[:], room.light_e[:]
     scan, pos, n_s, n_p = box
     down, on = (n_s - 1) // (2 * (N - 1)), (n_p - 1) // (2 * (N - 1))
@@ -245,9 +245,9 @@ def _holds_between_nodes(
 
 
 @kernel(inline=True)
-def _fill_cell(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: Scratch) -> int:
+def _fill_cell(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: ArcScratch) -> int:
     """Fill a cell, or say how it has to be halved."""
-    xy, cos4, rules, room = image.xy, image.cos4, image.rules, work[0]
+    xy, cos4, rules, room = image.xy, image.cos4, image.rules, work.records[0]
     light_e, faces = room.light_e[:], room.faces[:]
     seen, powers = room.is_filled[:], room.powers[0]
     _, _, n_s, n_p = box
@@ -304,6 +304,7 @@ def fill_band(
     rules: tuple[Int64, Float64],
     lows: Int64,
     band_e: Float32,
+    work: ArcScratch,
 ) -> None:
     """Fill a band (n_scan, depth), e-, by `bicubic.node_rules`. See `map.ArcMap`."""
     n_pos, ramp = cos4.shape[0] // band_e.shape[0], np.arange(LARGEST).astype(np.float32)
@@ -317,11 +318,11 @@ def fill_band(
         lows=lows,
         band_e=band_e,
     )
-    _fill_cells(k, table, image, np.empty((64, 4), dtype=np.int64), scratch())
+    _fill_cells(k, table, image, np.empty((64, 4), dtype=np.int64), work)
 
 
 @kernel
-def _fill_cells(k: ArcKernel, table: FaceTable, image: Image, stack: Int64, work: Scratch) -> None:
+def _fill_cells(k: ArcKernel, table: FaceTable, image: Image, stack: Int64, work: ArcScratch) -> None:
     """Fill the cells of a band; no array is made here, so that none is counted cell by cell.
 
     The `stack` (n, 4) holds cells still to be filled, the top one next: scan line, position, their numbers.
@@ -354,9 +355,9 @@ def _fill_cells(k: ArcKernel, table: FaceTable, image: Image, stack: Int64, work
                         waiting += 1
 
 
-@kernel(allocates=True)
+@kernel
 def fill_pixels(
-    k: ArcKernel, table: FaceTable, xy: Float32, cos4: Float32, pixels: Int64, out: Float32
+    k: ArcKernel, table: FaceTable, xy: Float32, cos4: Float32, pixels: Int64, out: Float32, work: ArcScratch
 ) -> None:
     """Write the light (n,), e-, at some pixels (n,) of the whole image; NaN past the workpiece.
 
@@ -364,8 +365,7 @@ def fill_pixels(
     """
     x_low, x_high, y_low, y_high = k.reach
     least_mm2 = CELL_WORTH * (x_high - x_low) * (y_high - y_low) / max(len(pixels), 1)
-    work = scratch()
-    room = work[0]
+    room = work.records[0]
     for first in range(0, len(pixels), LARGEST):
         n = min(LARGEST, len(pixels) - first)
         for i in range(n):

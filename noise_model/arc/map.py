@@ -24,7 +24,7 @@ from noise_model.arc.quadrature import DiscRule, gauss_nodes
 from noise_model.arc.ray import ArcKernel as ArcKernel
 from noise_model.arc.ray import follow, light_at
 from noise_model.arc.scene import Scene, Scenes
-from noise_model.arc.scratch import scratch
+from noise_model.arc.scratch import ArcScratch
 from noise_model.arc.table import TO_POWERS, FaceTable, new_table
 from noise_model.arrays import Bool, Float32, Float64, Int32, Int64
 from noise_model.kernel import kernel
@@ -230,10 +230,9 @@ def kernel_of(
 
 @kernel(allocates=True)
 def _arc_pixels(
-    k: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64, mean_e: Float32, faces: Int32
+    k: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64, mean_e: Float32, faces: Int32, work: ArcScratch
 ) -> None:
     """Fill `mean_e` and `faces` (n,) of some pixels (n,), see `arc_at`."""
-    work = scratch()
     for i in range(pixels.shape[0]):
         P, face = follow(k, xy[pixels[i], 0], xy[pixels[i], 1])
         faces[i] = face
@@ -242,10 +241,16 @@ def _arc_pixels(
 
 @kernel(allocates=True)
 def _arc_in_scenes(
-    k: ArcKernels, which: Int64, points: Float64, faces: Int32, cos4: Float32, mean_e: Float32
+    k: ArcKernels,
+    which: Int64,
+    points: Float64,
+    faces: Int32,
+    cos4: Float32,
+    mean_e: Float32,
+    work: ArcScratch,
 ) -> None:
     """Fill `mean_e` (n,), see `arc_in_scenes`."""
-    work, scene, current = scratch(), _of_scene(k, 0), 0
+    scene, current = _of_scene(k, 0), 0
     for i in range(which.shape[0]):
         if faces[i] == MISS:
             mean_e[i] = 0.0
@@ -266,7 +271,7 @@ def arc_in_scenes(kernels: ArcKernels, which: Int64, points: Float64, faces: Int
     the lens' fall-off. Before the point-spread function; 0 where a ray looks past the workpiece.
     """
     mean_e = np.empty(len(which), dtype=np.float32)
-    _arc_in_scenes(kernels, which, points, faces, cos4, mean_e)
+    _arc_in_scenes(kernels, which, points, faces, cos4, mean_e, ArcScratch.of(kernels.vertices))
     return mean_e
 
 
@@ -278,7 +283,7 @@ def arc_at(kernel: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64) -> tupl
     """
     mean_e = np.empty(len(pixels), dtype=np.float32)
     faces = np.empty(len(pixels), dtype=np.int32)
-    _arc_pixels(kernel, xy, cos4, pixels, mean_e, faces)
+    _arc_pixels(kernel, xy, cos4, pixels, mean_e, faces, ArcScratch.of(kernel.vertices))
     return mean_e, faces
 
 
@@ -351,12 +356,22 @@ class ArcMap:
     def at(self, pixels: Int64) -> Float32:
         """Return the light (n,) at some pixels (n,)."""
         mean_e = np.empty(len(pixels), dtype=np.float32)
-        fill_pixels(self.kernel, self.table, self.xy, self.cos4, pixels, mean_e)
+        work = ArcScratch.of(self.kernel.vertices)
+        fill_pixels(self.kernel, self.table, self.xy, self.cos4, pixels, mean_e, work)
         return mean_e
 
     def fill(self, lows: Int64, band_e: Float32) -> None:
         """Fill a band (n_scan, depth); CELL lines each begin at a place of `lows` (ceil(n_scan / CELL),)."""
-        fill_band(self.kernel, self.table, self.xy, self.cos4, node_rules(), lows, band_e)
+        fill_band(
+            k=self.kernel,
+            table=self.table,
+            xy=self.xy,
+            cos4=self.cos4,
+            rules=node_rules(),
+            lows=lows,
+            band_e=band_e,
+            work=ArcScratch.of(self.kernel.vertices),
+        )
 
 
 def arc_frame(

@@ -11,7 +11,7 @@ from noise_model.arc.face_lookup import VisibleFaces
 from noise_model.arc.node_rays import along, places_on_plane, tell_places
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.ray import ArcKernel
-from noise_model.arc.scratch import Record, Scratch
+from noise_model.arc.scratch import ArcScratch, Record
 from noise_model.arc.table import DEGREE, FaceTable, cell_at, light_at_places
 from noise_model.arrays import Float32, Float64
 from noise_model.kernel import REDUCTION, kernel
@@ -55,13 +55,13 @@ def write_places(k: ArcKernel, face: int, rays: Record) -> bool:
 
 
 @kernel(inline=True)
-def write_light(k: ArcKernel, table: FaceTable, face: int, work: Scratch) -> bool:
+def write_light(k: ArcKernel, table: FaceTable, face: int, work: ArcScratch) -> bool:
     """Write the light, e- without the lens' fall-off, that rays receive from their places on a face.
 
     False where one is in none of the table's cells. See `table.light_at_places`, whose numbers these are in
     single precision.
     """
-    rays = work[0]
+    rays = work.records[0]
     y_0, z_0, ty, tz, _ = seen_strip(face, k.vertices)
     x, s = load(rays.ray_places, 0), load(rays.ray_places, N_LANES)
     zero, unity = spread(0.0), spread(1.0)
@@ -103,13 +103,13 @@ def _polynomial(powers: Float64, t: Lanes, u: Lanes) -> Lanes:
 
 @kernel(inline=True)
 def light_of_face(
-    k: ArcKernel, table: FaceTable, face: int, xy: Float32, cos4: Float32, work: Scratch
+    k: ArcKernel, table: FaceTable, face: int, xy: Float32, cos4: Float32, work: ArcScratch
 ) -> None:
     """Write the light (16,), e-, that nodes receive from a plain face, seen or not; NaN where none can come.
 
     The scratch holds the nodes' pixels and rays, and takes light, faces and places.
     """
-    room = work[0]
+    room = work.records[0]
     if write_places(k, face, room):
         tell_places(k, 0, N_LANES, room)
         light_of_nodes(k, table, face, cos4, work)
@@ -119,9 +119,9 @@ def light_of_face(
 
 
 @kernel(fastmath=REDUCTION)
-def light_of_nodes(k: ArcKernel, table: FaceTable, face: int, cos4: Float32, work: Scratch) -> None:
+def light_of_nodes(k: ArcKernel, table: FaceTable, face: int, cos4: Float32, work: ArcScratch) -> None:
     """Write the light (16,), e-, that nodes receive from their places on one face, in the scratch too."""
-    room = work[0]
+    room = work.records[0]
     if not write_light(k, table, face, work):
         for i in range(N_LANES):
             room.faces[i] = face

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 from noise_model.arc.lap_light import lap_light
 from noise_model.arc.quadrature import DiscRule, Hiding, Patch, arc_light
-from noise_model.arc.scratch import Record, Scratch
+from noise_model.arc.scratch import ArcScratch, Record
 from noise_model.arc.slices import SlicedSheets
-from noise_model.arrays import Float64, Point, Vector
+from noise_model.arrays import Float32, Float64, Point, Vector
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
 from noise_model.surface.faces import face_normal
@@ -56,10 +56,10 @@ def is_beside(P: Point, center: Point, radius: float) -> bool:
 
 
 @kernel(inline=True)
-def _light_on_lap(k: ArcKernel, patch: Patch, face: int, room: Record) -> float:
+def _light_on_lap(k: ArcKernel, patch: Patch, face: int, planes: Float64, slices: Float32) -> float:
     """Return `light_at` for a lap whose edge is no straight line; the point stands beside the arc."""
     P, normal, _ = patch
-    vertices, center, radius, planes = k.vertices, k.center, k.radius, room.planes[:]
+    vertices, center, radius = k.vertices, k.center, k.radius
     n_planes, crest_x = lap_planes(
         P=P,
         normal=normal,
@@ -95,24 +95,32 @@ def _light_on_lap(k: ArcKernel, patch: Patch, face: int, room: Record) -> float:
         sheets=sheets,
         material=k.material,
         rule=k.rule,
-        room=room.slices[:],
+        room=slices,
     )
     return k.radiance_e * light
 
 
 @kernel(inline=True)
-def light_at(k: ArcKernel, P: Point, face: int, work: Scratch) -> float:
+def light_at(k: ArcKernel, P: Point, face: int, work: ArcScratch) -> float:
     """Return the arc's light, e- without the lens' fall-off, that a point of a face sends to the camera.
 
     `P` may lie on the face's plane beyond its edges.
     """
-    room = work[0]
     normal = face_normal(face, P[0], k.vertices, k.corrugation)
     rx, ry, rz = k.eye[0] - P[0], k.eye[1] - P[1], k.eye[2] - P[2]
     inverse = 1.0 / math.sqrt(rx * rx + ry * ry + rz * rz)
     patch = Patch(P, normal, (rx * inverse, ry * inverse, rz * inverse))
-    if is_curved_lap(k.vertices, k.corrugation, k.bend) and is_beside(P, k.center, k.radius):
-        return _light_on_lap(k, patch, face, room)
+    return _light_of(k, patch, face, work.records[0], work.slices)
+
+
+@kernel(inline=True)
+def _light_of(k: ArcKernel, patch: Patch, face: int, room: Record, slices: Float32 | None) -> float:
+    """Return `light_at` by the integral that the section needs."""
+    P, normal, _ = patch
+    # numba leaves out what follows where there is no room for slices.
+    if slices is not None:  # noqa: SIM102
+        if is_curved_lap(k.vertices, k.corrugation, k.bend) and is_beside(P, k.center, k.radius):
+            return _light_on_lap(k, patch, face, room.planes[:], slices)
     planes, ledges = room.planes[:], room.ledges[:]
     n_planes, n_ledges = sky_planes(
         P=P,

@@ -1,8 +1,8 @@
-"""Scratch of the arc's kernels: one record, so that a kernel takes one argument for it."""
+"""Scratch of the arc's kernels, so that a kernel takes one argument for it."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from noise_model.arc.bicubic import LARGEST, N
 from noise_model.arc.chords import MAX_PARTS, MAX_PIECES
 from noise_model.arc.quadrature import MAX_POINTS
 from noise_model.arc.slices import MAX_SLICES, N_NUMBERS
-from noise_model.kernel import kernel
+from noise_model.arrays import Float32, Float64
 from noise_model.lanes import N_LANES
 from noise_model.surface.visibility import MAX_LEDGES, MAX_PLANES
 
@@ -24,13 +24,12 @@ MAX_FACES = 40
 SCRATCH = np.dtype(
     [
         # One point's integral: nodes with their weights, the lines across the disc, the sorted crossings, the
-        # open parts of a chord, the chords with their weights; and a lap's slices.
+        # open parts of a chord, the chords with their weights.
         ("nodes", np.float64, (3, MAX_POINTS)),
         ("cuts", np.float64, (MAX_PLANES, 3)),
         ("breaks", np.float64, (MAX_PIECES,)),
         ("parts", np.float64, (MAX_PARTS, 3)),
         ("spans", np.float64, (4, MAX_PIECES)),
-        ("slices", np.float32, (N_NUMBERS * MAX_SLICES,)),
         # What hides the arc from the point, see `visibility.sky_planes`.
         ("planes", np.float64, (MAX_PLANES, 3)),
         ("ledges", np.float64, (2 * MAX_LEDGES, 3)),
@@ -62,11 +61,20 @@ SCRATCH = np.dtype(
 Record = Any
 """A record of SCRATCH."""
 
-Scratch = NDArray[Any]
-"""One record of SCRATCH (1,). Whoever makes it keeps it: a record is freed with its array."""
 
+class ArcScratch(NamedTuple):
+    """Room for the light on a section's faces.
 
-@kernel(allocates=True)
-def scratch() -> Scratch:
-    """Return new scratch."""
-    return np.empty(1, SCRATCH)
+    `records` (1,) is of SCRATCH: a record is freed with its array. `slices` is room for a lap's slices, None
+    for other sections: so a kernel holds the integral over slices only where it may be asked for.
+    """
+
+    records: NDArray[Any]
+    slices: Float32 | None
+
+    @classmethod
+    def of(cls, vertices: Float64) -> ArcScratch:
+        """Return new scratch for a section's vertices (n, 2)."""
+        may_be_lap = len(vertices) == 4 and vertices[1, 0] == vertices[2, 0]
+        slices = np.empty(N_NUMBERS * MAX_SLICES, dtype=np.float32) if may_be_lap else None
+        return cls(np.empty(1, SCRATCH), slices)

@@ -21,7 +21,7 @@ import numpy as np
 from noise_model.arc.face_lookup import VisibleFaces, sight
 from noise_model.arc.patch_borders import MAX_BORDERS, borders_across, borders_along, seen_strip
 from noise_model.arc.ray import ArcKernel, light_at
-from noise_model.arc.scratch import Scratch
+from noise_model.arc.scratch import ArcScratch
 from noise_model.arrays import Bool, Float32, Float64, Int32, Int64
 from noise_model.kernel import REDUCTION, kernel
 from noise_model.surface.faces import Strip, face_point
@@ -155,7 +155,9 @@ def fall_off(k: ArcKernel, on: Strip, x: float, s: float) -> float:
 
 
 @kernel(fastmath=REDUCTION)
-def integrate(k: ArcKernel, faces: Int64, places: Float64, n: int, light_e: Float64, work: Scratch) -> None:
+def integrate(
+    k: ArcKernel, faces: Int64, places: Float64, n: int, light_e: Float64, work: ArcScratch
+) -> None:
     """Integrate the light (n,), e- without the lens' fall-off, at those places (n, 2) where it is ASKED.
 
     One call serves many: to hand on the records takes a fifth of one point's integral.
@@ -182,12 +184,12 @@ def _is_missing(missing: int, row: int, column: int) -> bool:
 
 
 @kernel
-def make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: Scratch) -> None:
+def make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: ArcScratch) -> None:
     """Integrate the light at a new cell's missing nodes; make it a polynomial's, or halve it."""
     axis, child, middle, inverse, powers = table.axis, table.child, table.middle, table.inverse, table.powers
     on, n_cells = seen_strip(face, k.vertices), table.n_cells
     values, missing = powers[cell], axis[cell] - NEW
-    room = work[0]
+    room = work.records[0]
     faces, places, light_e = room.node_faces[:], room.node_places[:], room.node_light_e[:]
     for i in range(NODES * NODES):
         row, column = i // NODES, i % NODES
@@ -261,7 +263,7 @@ def root_cell(table: FaceTable, face: int, i: int, j: int) -> int:
 
 @kernel(inline=True)
 def cell_at(
-    k: ArcKernel, table: FaceTable, face: int, x: float, s: float, least_mm2: float, work: Scratch
+    k: ArcKernel, table: FaceTable, face: int, x: float, s: float, least_mm2: float, work: ArcScratch
 ) -> int:
     """Return the cell at a face's coordinates, made if need be.
 
@@ -288,13 +290,13 @@ def cell_at(
 
 @kernel
 def light_at_places(
-    k: ArcKernel, table: FaceTable, cos4: Float32, n: int, least_mm2: float, work: Scratch
+    k: ArcKernel, table: FaceTable, cos4: Float32, n: int, least_mm2: float, work: ArcScratch
 ) -> None:
     """Write the arc's light, e-, that the first n pixels receive from their places on faces.
 
     It is integrated where there is no cell or none of at least `least_mm2`; NaN where a place is.
     """
-    room = work[0]
+    room = work.records[0]
     pixels, faces, places, light_e = room.pixels[:], room.faces[:], room.places[:], room.light_e[:]
     middle, inverse, powers = table.middle, table.inverse, table.powers
     cell, cells_face, on, is_asked = -1, MISS, seen_strip(0, k.vertices), False

@@ -22,7 +22,7 @@ from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.quadrature import DiscRule, Hiding, Patch, arc_light, gauss_nodes
 from noise_model.arc.ray import light_at
 from noise_model.arc.scene import make_scene
-from noise_model.arc.scratch import scratch
+from noise_model.arc.scratch import SCRATCH, ArcScratch
 from noise_model.instrument.camera import Rays
 from noise_model.surface.brdf import TABLE_1, Lobe, Material, lobe_numbers, reflected
 from noise_model.surface.faces import face_normal, face_point
@@ -139,7 +139,7 @@ def test_a_lobe_narrower_than_the_arc_is_summed_as_well(tilt_deg, x_mm, lobe, gl
     for y_mm in (-1.5, 0.0, 1.0):
         P = np.array([x_mm, y_mm, 0.0])
         omega_r = (eye - P) / np.linalg.norm(eye - P)
-        got = light_at(kernel, tuple(P), 0, scratch()) / kernel.radiance_e
+        got = light_at(kernel, tuple(P), 0, ArcScratch.of(kernel.vertices)) / kernel.radiance_e
         want = scenes.arc_light(plain.joint, P, UP, omega_r, scene.center_mm, plain.arc.radius_mm, metal)
         assert got == pytest.approx(want, rel=2e-3)
 
@@ -170,7 +170,7 @@ def disc_light(P, normal, omega_r, center, material, nodes, planes=()):
     return arc_light(
         Patch(*vectors), tuple(float(c) for c in center), 3.0,
         Hiding(cuts, len(cuts), np.empty((0, 3)), 0),
-        lobe_numbers(material), DiscRule(gauss_nodes(), *nodes), scratch()[0],
+        lobe_numbers(material), DiscRule(gauss_nodes(), *nodes), np.empty(1, SCRATCH)[0],
     )  # fmt: skip
 
 
@@ -308,7 +308,7 @@ def test_an_arc_behind_walls_is_the_sum_of_what_a_walk_finds_open(joint, center_
         f_r = [reflected(kernel.material, tuple(o), (0.0, 0.0, 1.0), tuple(normal)) for o in omega_i[seen]]
         cosines = (omega_i @ normal * cos_phi)[seen]
         want = kernel.radiance_e * area * np.sum(np.array(f_r) * cosines / distance[seen] ** 2)
-        assert light_at(above, tuple(P), face, scratch()) == pytest.approx(want, rel=0.02)
+        assert light_at(above, tuple(P), face, ArcScratch.of(above.vertices)) == pytest.approx(want, rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -322,7 +322,7 @@ def test_a_laps_edge_does_not_see_the_arc_through_the_lower_sheet(center_mm, mat
     kernel = arc_kernel(setup, view)
     P, normal, radius = np.array([40.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), setup.arc.radius_mm
     omega_r = (kernel.eye - P) / np.linalg.norm(kernel.eye - P)
-    got = light_at(kernel, tuple(P), 1, scratch()) / kernel.radiance_e
+    got = light_at(kernel, tuple(P), 1, ArcScratch.of(kernel.vertices)) / kernel.radiance_e
     want = scenes.arc_light(setup.joint, P, normal, omega_r, view.center_mm, radius, setup.material)
     assert got == pytest.approx(want, rel=5e-3)
 
@@ -346,7 +346,7 @@ def test_a_fillets_far_sheet_cuts_into_the_arc_in_a_circle(at_mm, center_mm):
     face = 0 if y < 0.0 else 1
     normal = np.array(face_normal(face, x, kernel.vertices, kernel.corrugation))
     omega_r = (kernel.eye - P) / np.linalg.norm(kernel.eye - P)
-    got = light_at(kernel, tuple(P), face, scratch()) / kernel.radiance_e
+    got = light_at(kernel, tuple(P), face, ArcScratch.of(kernel.vertices)) / kernel.radiance_e
     want = scenes.arc_light(setup.joint, P, normal, omega_r, view.center_mm, radius, setup.material)
     assert got == pytest.approx(want, rel=5e-3)
 
@@ -405,7 +405,7 @@ def test_the_light_beside_a_corrugated_edge_takes_no_more_nodes(along_mm):
         on = seen_strip(face, few.vertices)
         for x, s in itertools.product(x_arc + ahead, inward * np.geomspace(0.02, 12.0, 40)):
             P = face_point(x, s, on, few.corrugation)
-            got, want = (light_at(kernel, P, face, scratch()) for kernel in (few, many))
+            got, want = (light_at(kernel, P, face, ArcScratch.of(kernel.vertices)) for kernel in (few, many))
             lit += want > QUARTER_DN_E
             assert abs(got - want) <= max(0.005 * want, QUARTER_DN_E), (face, x, s)
     assert lit > 100
@@ -420,7 +420,12 @@ def test_a_point_of_a_corrugated_edge_sees_what_its_neighbours_on_the_face_see(a
         for x in np.linspace(x_low, x_high, 40):
             # A table's outermost nodes are a nanometre from the edge.
             on_edge, at_node, beside = (
-                light_at(kernel, face_point(x, s * inward, on, kernel.corrugation), face, scratch())
+                light_at(
+                    kernel,
+                    face_point(x, s * inward, on, kernel.corrugation),
+                    face,
+                    ArcScratch.of(kernel.vertices),
+                )
                 for s in (0.0, 1e-9, 1e-6)
             )
             assert on_edge == pytest.approx(beside, rel=1e-3, abs=0.1)
@@ -639,5 +644,6 @@ def test_a_corrugated_sheet_that_stands_above_the_whole_arc_hides_what_lies_in_i
     omega_r = scene.T_joint_camera[:3, 3] - point
     omega_r /= np.linalg.norm(omega_r)
     want = scenes.arc_light(joint, point, UP, omega_r, scene.center_mm, 3.0, setup.material)
-    got = light_at(arc_kernel(setup, scene), tuple(point), 2, scratch()) / setup.arc.radiance_e
+    kernel = arc_kernel(setup, scene)
+    got = light_at(kernel, tuple(point), 2, ArcScratch.of(kernel.vertices)) / setup.arc.radiance_e
     assert got == pytest.approx(want, rel=0.04)

@@ -2,15 +2,20 @@
 
 import math
 
+import numba
 import numpy as np
 import pytest
+import scenes
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from noise_model.arc.lap_light import lap_light
+from noise_model.arc.map import arc_kernel
 from noise_model.arc.quadrature import DiscRule, Patch, gauss_nodes
-from noise_model.arc.scratch import scratch
-from noise_model.arc.slices import SlicedSheets
+from noise_model.arc.ray import _light_of, light_at
+from noise_model.arc.scene import make_scene
+from noise_model.arc.scratch import ArcScratch
+from noise_model.arc.slices import MAX_SLICES, N_NUMBERS, SlicedSheets
 from noise_model.surface.brdf import Lobe, Material, lobe_numbers, reflectance
 from noise_model.surface.visibility import first_crossing
 
@@ -116,7 +121,7 @@ def assert_rays_agree(way, over_mm, bend, ridge_mm, crest, horizon, flags, mater
         sheets,
         lobe_numbers(material),
         DiscRule(gauss_nodes(), *nodes),
-        scratch()[0]["slices"],
+        np.empty(N_NUMBERS * MAX_SLICES, dtype=np.float32),
     )
     want, whole = summed(P, normal, omega_r, center, planes, sheets, material)
     if abs(got - want) > limit * whole:
@@ -169,3 +174,15 @@ def test_slices_are_parted_at_the_tangent_of_an_edge_that_bends_away(over_mm, cu
         scene = (20.0, aside_mm, 0.5), over_mm, (0.0, curve), 2.0, 0.8, 0.0, (False, False), MATERIALS[0]
         # As few slices as in the tracker: one of them is up to 2 / 32 of the light.
         assert_rays_agree(*scene, nodes=(8, 12), limit=0.002)
+
+
+def test_the_integral_over_slices_is_in_kernels_of_laps_alone():
+    for joint in ("v_groove", "lap"):
+        setup = scenes.setup(joint)
+        kernel = arc_kernel(setup, make_scene(setup, scenes.pose((0.0, 0.0, 0.0))))
+        assert light_at(kernel, (0.0, -8.0, 0.0), 0, ArcScratch.of(kernel.vertices)) > 0.0
+    called = {
+        isinstance(types[-1], numba.types.Array): {callee.name for callee in made.library.relies_on}
+        for types, made in _light_of.overloads.items()
+    }
+    assert ("_light_on_lap" in called[True], "_light_on_lap" in called[False]) == (True, False)

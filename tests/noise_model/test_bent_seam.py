@@ -8,7 +8,7 @@ from arctrack.nominal import nominal_setup
 from noise_model.arc.map import arc_kernel
 from noise_model.arc.ray import light_at
 from noise_model.arc.scene import make_scene
-from noise_model.arc.scratch import scratch
+from noise_model.arc.scratch import ArcScratch
 from noise_model.forward import Renderer
 from noise_model.surface.faces import face_normal
 from noise_model.surface.joint import BentSeam, SeamLine, corrugation_height, section
@@ -124,7 +124,7 @@ def test_a_bent_edge_hides_the_arc_way_by_way(name, y_mm, bend_mm):
     want = light_past_bent_edges(
         setup.joint, np.array(P), normal, omega_r, view.center_mm, setup.material, slope, curve
     )
-    got = light_at(kernel, P, face, scratch()) / kernel.radiance_e
+    got = light_at(kernel, P, face, ArcScratch.of(kernel.vertices)) / kernel.radiance_e
     assert got == pytest.approx(want, rel=0.02)
 
 

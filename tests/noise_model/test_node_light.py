@@ -18,7 +18,7 @@ from noise_model.arc.node_rays import (
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.ray import follow
 from noise_model.arc.scene import make_scene
-from noise_model.arc.scratch import scratch
+from noise_model.arc.scratch import SCRATCH, ArcScratch
 from noise_model.arc.table import light_at_places
 from noise_model.instrument.camera import Rays
 from noise_model.surface.faces import across
@@ -42,9 +42,9 @@ def drawn(name, rng):
 
 def rays_of(arc_map, pixels):
     """Scratch that holds the rays of sixteen pixels."""
-    work = scratch()
-    work[0]["pixels"][:N] = pixels
-    take_rays(arc_map.xy, 0, N, work[0])
+    work = ArcScratch.of(arc_map.kernel.vertices)
+    work.records[0]["pixels"][:N] = pixels
+    take_rays(arc_map.xy, 0, N, work.records[0])
     return work
 
 
@@ -53,7 +53,7 @@ def test_nodes_meet_the_faces_that_their_rays_meet(name):
     rng, told = np.random.default_rng(1), 0
     for _ in range(60):
         arc_map, pixels = drawn(name, rng)
-        nodes = rays_of(arc_map, pixels)[0]
+        nodes = rays_of(arc_map, pixels).records[0]
         assert write_faces(arc_map.kernel, arc_map.table.seen, nodes)
         tell_faces(0, N, nodes)
         want = [face_seen(arc_map.kernel, arc_map.table.seen, *arc_map.xy[i].tolist()) for i in pixels]
@@ -68,7 +68,7 @@ def test_nodes_receive_what_each_receives(name):
     for _ in range(60):
         arc_map, pixels = drawn(name, rng)
         kernel, table, work = arc_map.kernel, arc_map.table, rays_of(arc_map, pixels)
-        nodes = work[0]
+        nodes = work.records[0]
         for face in range(len(kernel.vertices) - 1):
             if not write_places(kernel, face, nodes) or not write_light(kernel, table, face, work):
                 continue
@@ -82,7 +82,7 @@ def test_nodes_receive_what_each_receives(name):
 
 def test_rays_that_do_not_go_down_are_not_told():
     arc_map, pixels = drawn("v_groove", np.random.default_rng(3))
-    nodes = rays_of(arc_map, pixels)[0]
+    nodes = rays_of(arc_map, pixels).records[0]
     up = arc_map.kernel._replace(rotation=np.ascontiguousarray(-arc_map.kernel.rotation))
     assert not write_faces(up, arc_map.table.seen, nodes)
     assert not write_places(up, 0, nodes)
@@ -92,7 +92,7 @@ def test_nodes_meet_a_corrugated_lap_where_each_ray_does():
     rng, n_told, met = np.random.default_rng(4), 0, set()
     for _ in range(200):
         arc_map, pixels = drawn("corrugation", rng)
-        kernel, nodes = arc_map.kernel, rays_of(arc_map, pixels)[0]
+        kernel, nodes = arc_map.kernel, rays_of(arc_map, pixels).records[0]
         if not follow_to_lap(kernel, nodes):
             continue
         n_told += 1
@@ -116,7 +116,7 @@ def test_any_number_of_rays_meets_a_corrugated_lap(n):
     for _ in range(20):
         arc_map, _ = drawn("corrugation", rng)
         kernel, pixels = arc_map.kernel, rng.integers(0, arc_map.cos4.size, n)
-        room = scratch()[0]
+        room = np.empty(1, SCRATCH)[0]
         faces, places, room["pixels"][:n] = room["faces"], room["places"], pixels
         faces[:], places[:] = -7, -7.0
         places_on_rays(kernel, arc_map.table.seen, arc_map.xy, n, room)
@@ -129,7 +129,7 @@ def test_any_number_of_rays_meets_a_corrugated_lap(n):
 
 def test_rays_that_may_meet_a_ridge_twice_are_not_told():
     arc_map, pixels = drawn("corrugation", np.random.default_rng(6))
-    nodes = rays_of(arc_map, pixels)[0]
+    nodes = rays_of(arc_map, pixels).records[0]
     assert follow_to_lap(arc_map.kernel, nodes)
     steeper = arc_map.kernel._replace(corrugation=np.array([40.0, 30.0, 60.0]))
     assert not follow_to_lap(steeper, nodes)

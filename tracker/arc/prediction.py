@@ -8,6 +8,7 @@ from noise_model.arc.fill import fill_band, fill_pixels
 from noise_model.arc.map import NODES_P, NODES_Q, Horizon, kernel_of, table_of
 from noise_model.arc.quadrature import DiscRule
 from noise_model.arc.scene import Scene
+from noise_model.arc.scratch import ArcScratch
 from noise_model.arrays import Float32, Int64
 from noise_model.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
@@ -24,6 +25,7 @@ class ArcLightBuffers(NamedTuple):
     pixel_e: Float32
     lows: Int64
     band_e: Float32
+    work: ArcScratch
 
 
 @kernel(allocates=True)
@@ -40,7 +42,15 @@ def predict_arc(
     rule = DiscRule(arc.rules, NODES_P, NODES_Q)
     k = kernel_of(scene, horizon, arc.radius_mm, arc.radiance_e * output, material, rule)
     table = table_of(k, image.xy, image.n_scan, MAP_TOLERANCE, MAP_FLOOR_E, arc.to_powers, arc.baked)
-    fill_pixels(k, table, image.xy, image.cos4, into.pixels, into.pixel_e)
+    fill_pixels(k, table, image.xy, image.cos4, into.pixels, into.pixel_e, into.work)
     if into.band_e.shape[1] > 0:
-        rules = arc.node_at, arc.node_rules
-        fill_band(k, table, image.xy, image.cos4, rules, into.lows, into.band_e)
+        fill_band(
+            k=k,
+            table=table,
+            xy=image.xy,
+            cos4=image.cos4,
+            rules=(arc.node_at, arc.node_rules),
+            lows=into.lows,
+            band_e=into.band_e,
+            work=into.work,
+        )

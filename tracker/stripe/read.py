@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.map import CELL, ArcKernel, ArcMap
+from noise_model.arc.scratch import ArcScratch
 from noise_model.arrays import Float32, Float64, Int64
 from noise_model.robust import MAD_SIGMA
 from tracker.arc.level import MAP_SIGMA, ArcLevel
@@ -46,10 +47,11 @@ MEDIAN_SIGMA = 1.0
 
 
 class Work(NamedTuple):
-    """Preallocated scratch whose contents never matter: flat pixels for the widest band, rooms for lines."""
+    """Preallocated scratch for lines, the widest band's pixels, and the arc; its contents never matter."""
 
     room: ReadRoom
     pixels: Band
+    arc: ArcScratch
 
     @classmethod
     def of(cls, geometry: SensorGeometry) -> Work:
@@ -60,7 +62,8 @@ class Work(NamedTuple):
         charge, background, light, plain = np.empty((4, n), np.float32)
         censored, lows = np.empty(n, np.bool_), np.empty(-(-geometry.n_scan // CELL), np.int64)
         pixels = Band(charge, background, light, plain, censored, lows)
-        work = cls(ReadRoom.empty(geometry.n_scan, n_offsets), pixels)
+        arc = ArcScratch.of(geometry.seam_source.scene.shape.vertices)
+        work = cls(ReadRoom.empty(geometry.n_scan, n_offsets), pixels, arc)
         _write_once(work)
         return work
 
