@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -324,6 +325,35 @@ def _symbol_after(n_records: int, kept: Path, sender: Connection) -> None:
 
     first_x(np.zeros(1, [("x", "f8")]))
     sender.send(first_x.overloads[first_x.signatures[0]].fndesc.llvm_func_name)
+
+
+PARTS_OF_NUMBA = """
+import sys
+
+import numba
+
+
+def parts():
+    modules = [vars(module) for name, module in list(sys.modules.items()) if name.startswith("numba.core")]
+    classes = {part for module in modules for part in module.values() if isinstance(part, type)}
+    return {(owner, name): part for owner in classes for name, part in vars(owner).items()}
+
+
+numba.njit(lambda x: x + 1.0)(1.0)
+before = parts()
+from noise_model.kernel import kernel
+
+kernel(lambda x: x + 1.0)(1.0)
+after = parts()
+print([name for (owner, name), part in before.items() if after[owner, name] is not part])
+"""
+
+
+def test_numba_is_another_only_while_a_kernel_is_compiled(tmp_path: Path) -> None:
+    script = [sys.executable, "-c", PARTS_OF_NUMBA]
+    kept = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    run = subprocess.run(script, capture_output=True, text=True, check=True, env=kept)
+    assert run.stdout.strip() == "[]"
 
 
 def test_python_asks_once_for_a_kernel_that_two_threads_call_first_at_once() -> None:
