@@ -134,7 +134,7 @@ def _diagnosed(
     verdict = _with_random_effects(
         judgement.verdict, random, random_effects(model, before, ()) if without else random, without
     )
-    verdict = _on_held_out(verdict, gap)
+    verdict = weaken_by_held_out(verdict, gap)
     tell("locating the gap", 0.9)
     effects: tuple[NamedEffect, ...] = ()
     if verdict in (DiagnosisVerdict.EFFECTS, DiagnosisVerdict.AMBIGUOUS):
@@ -282,7 +282,7 @@ def _with_random_effects(
     return DiagnosisVerdict.UNKNOWN if set(all_random.effects) & set(without) else verdict
 
 
-def _on_held_out(verdict: DiagnosisVerdict, gap: Gap) -> DiagnosisVerdict:
+def weaken_by_held_out(verdict: DiagnosisVerdict, gap: Gap) -> DiagnosisVerdict:
     """Return the verdict, but unknown in place of no gap where frames held out show a clear one.
 
     The evidence has no bounds for nuisances: beyond them one may explain bins, and no fit takes it there.

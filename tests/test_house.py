@@ -376,6 +376,32 @@ def test_a_name_of_a_class_has_one_meaning() -> None:
     assert {name: files for name, files in homes.items() if len(files) > 1} == {}
 
 
+PRIVATE = re.compile(
+    rf"""^\s*from\ (?:{"|".join(MAY_IMPORT)})\b.*\ import\ .*\b_[a-z]
+    | setattr\((?:[\w.]+,\ )?"(?:[\w.]+\.)?_ | [.]__dict__\[""",
+    re.VERBOSE,
+)
+PRIVATE_ALL_THE_SAME = {
+    # A process that has warmed nothing up, and has warned of nothing, without starting one.
+    'monkeypatch.setattr("tracker.warm_up._warm", set())',
+    'monkeypatch.setattr(store, "_WARNED", set())',
+    # One part of the light alone.
+    "from noise_model.arc.ray import _light_of, light_at",
+    # The same light by finer rules than any that the product offers.
+    'monkeypatch.setattr(interreflection, "_first_rules", lambda _: rules(16, 6, 3, 5, 6, True))',
+}
+
+
+def test_tests_take_the_public_door() -> None:
+    wrong = [
+        f"{file.relative_to(ROOT)}: {line.strip()}"
+        for file in sorted((ROOT / "tests").rglob("*.py"))
+        for line in file.read_text().splitlines()
+        if file != Path(__file__) and PRIVATE.search(line) and line.strip() not in PRIVATE_ALL_THE_SAME
+    ]
+    assert wrong == []
+
+
 @pytest.mark.slow
 def test_bounds_are_named_min_and_max() -> None:
     wrong = [

@@ -105,7 +105,7 @@ def run(
         write_run(out / RUN_CSV, loop.frames)
         draw_run(out / RUN_PICTURE, loop, result)
     happened = loop.event_result()
-    lines = _lines(plan, result) if happened is None else _event_lines(happened)
+    lines = _lines(plan, result) if happened is None else event_lines(happened)
     console.say(*lines, f"{out / RUN_CSV}, {out / RUN_PICTURE}")
 
 
@@ -190,7 +190,7 @@ def _lines(plan: LoopPlan, result: ClosedLoopResult) -> list[str]:
     ]
 
 
-def _event_lines(happened: EventResult) -> list[str]:
+def event_lines(happened: EventResult) -> list[str]:
     """Return what became of an event in words."""
     validities = ", ".join(f"{name} {count}" for name, count in sorted(happened.validities.items()))
     reasons = ", ".join(f"{name} {count}" for name, count in sorted(happened.reasons.items()))

@@ -55,7 +55,7 @@ def doctor(
             if not as_json:
                 console.say(_line(finding))
     if as_json:
-        say_json("doctor", _content(cell, examined, counts, examination.budget))
+        say_json("doctor", json_content(cell, examined, counts, examination.budget))
     else:
         if examination.budget is not None:
             console.tables().print(_table(examination.budget))
@@ -64,7 +64,7 @@ def doctor(
         raise typer.Exit(UNFIT)
 
 
-def _content(
+def json_content(
     cell: Path | None, findings: list[DoctorFinding], counts: dict[FindingState, int], budget: Budget | None
 ) -> dict[str, Any]:
     """Return an examination for programs."""

@@ -157,7 +157,7 @@ class LookAhead:
             self._ask()
         lag = self.estimator.answer()
         if lag is not None:
-            self._judge(lag)
+            self.keep_better(lag)
 
     def lead(self) -> OffsetLookAhead:
         """Return how far to look ahead."""
@@ -166,7 +166,7 @@ class LookAhead:
         time_s = self.lag.lag_s + 0.5 * self._period_s
         return OffsetLookAhead(time_s, time_s * self._speed_mm_s())
 
-    def _judge(self, lag: Lag) -> None:
+    def keep_better(self, lag: Lag) -> None:
         """Keep the better of two estimates, the new one where they do not agree."""
         kept = self.lag
         if lag.unestimated is not None:
@@ -181,7 +181,7 @@ class LookAhead:
 
     def _ask(self) -> None:
         if len(self._commanded) < 2 or len(self._places) < self.limits.min_samples:
-            self._judge(NOTHING_YET)
+            self.keep_better(NOTHING_YET)
             return
         sent_s, offsets_mm = np.array(self._commanded).T
         self._period_s = float(np.median(np.diff(sent_s)))

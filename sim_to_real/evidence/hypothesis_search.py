@@ -215,11 +215,11 @@ class HypothesisSearch:
                 continue
             self.on_stage(f"fitting {name}", 0.2 + 0.6 * n / MAX_SINGLES)
             fitted.append(self.hypothesis(self.fit(starts[name], self.start.nuisance)))
-        settled = self._settled(self._approached(fitted), unknown)
+        settled = self._settled(self.approached(fitted), unknown)
         trends = [trend for single in settled[:MAX_TRENDS] for trend in self._with_trends(single)]
         return sorted([*self._settled(trends, unknown), *settled], key=_evidence, reverse=True)
 
-    def _approached(self, fitted: Sequence[Hypothesis]) -> list[Hypothesis]:
+    def approached(self, fitted: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return fits, of which the likeliest have come nearer if all of them are far off.
 
         Where no effect leaves less than what biases nuisances, light was not linear between start and fit. A
@@ -267,7 +267,7 @@ class HypothesisSearch:
     @cached_property
     def looks(self) -> Looks:
         """The first look, from which fits start."""
-        return Looks(self.start, self.scores, self.errors)
+        return Looks(LinearHypothesis.of(self.start), self.start.nuisance, self.scores, self.errors)
 
     @property
     def _nats_possible(self) -> float:

@@ -45,23 +45,24 @@ class PairLook:
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """What a first look shows: `scores` are the effects' at `start`, a fit without effects."""
+    """A first look from a fit without effects: its hypothesis, its nuisances (n,), the effects' scores."""
 
-    start: Refit
+    at_start: LinearHypothesis
+    nuisance: Float64
     scores: Sequence[ScoreTest]
     errors: ErrorModel
 
     @cached_property
     def none(self) -> float:
         """The evidence of no gap about the start: what looks from there gain on."""
-        return self.errors.log_evidence(self._at_start)
+        return self.errors.log_evidence(self.at_start)
 
     def evidence(self, score: ScoreTest) -> float:
         """Return the evidence along an effect's probe points, the best family's, its form exact or off."""
         likeliest = self._ranked(score)[0]
         best = self._columns[likeliest]
         form = self.errors.form_error(score.id, best.changes.sum(axis=1))
-        return max(self._exact[likeliest], self.errors.log_evidence(self._at_start, best, form))
+        return max(self._exact[likeliest], self.errors.log_evidence(self.at_start, best, form))
 
     def starts_of(self, score: ScoreTest) -> list[Effects]:
         """Return where fits of an effect may start, along its likeliest families."""
@@ -82,10 +83,6 @@ class Looks:
         return family.id, family.parameters_along(np.clip(sizes / probe_sigmas(family), low, high))
 
     @cached_property
-    def _at_start(self) -> LinearHypothesis:
-        return LinearHypothesis.of(self.start)
-
-    @cached_property
     def _families(self) -> list[ScoreTest]:
         """All effects' families, an effect's after another's."""
         return [family for score in self.scores for family in score.families]
@@ -101,7 +98,7 @@ class Looks:
     @cached_property
     def _probes(self) -> EvidenceTable:
         """The evidence of all families at the start."""
-        return self.errors.table(self._at_start, self._blocks)
+        return self.errors.table(self.at_start, self._blocks)
 
     @cached_property
     def _exact(self) -> list[float]:
@@ -140,7 +137,7 @@ class Looks:
             if self._families[pair[0]].id != self._families[pair[1]].id
         }
         return [
-            PairLook(self._starts(self._probes, *pair), self.start.nuisance)
+            PairLook(self._starts(self._probes, *pair), self.nuisance)
             for pair in self._worth_fitting(gains, needed)
         ]
 

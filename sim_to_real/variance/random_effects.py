@@ -193,7 +193,7 @@ def _read_noise(
     stated = observed.setup.effects.get("read_noise", REGISTRY["read_noise"].neutral)["noise_ratio"]
     return _RandomEffect(
         "read_noise",
-        _evidence_over_zero(more, math.hypot(error, tolerance), _prior("read_noise")),
+        evidence_over_zero(more, math.hypot(error, tolerance), _prior("read_noise")),
         {"noise_ratio": stated * ratio},
         {"noise_ratio": stated * math.hypot(error, tolerance * ratio)},
         _mean([fit.read * details.read / details.stated for details in pixels]),
@@ -217,7 +217,7 @@ def _fixed_pattern(
     return [
         _RandomEffect(
             "fixed_pattern",
-            _evidence_over_zero(sigma_rel, math.hypot(error, WHITE_ERROR_REL), _prior("fixed_pattern")),
+            evidence_over_zero(sigma_rel, math.hypot(error, WHITE_ERROR_REL), _prior("fixed_pattern")),
             {"sigma_rel": sigma_rel},
             {"sigma_rel": math.hypot(error, VARIANCE_ERROR_REL * sigma_rel)},
             _mean([sigma_rel**2 * details.light / details.stated for details in pixels]),
@@ -351,7 +351,7 @@ def _pattern_error(fit: VarianceSizes, pixels: Sequence[HaarDetails], observed: 
     return fit.light * math.sqrt(2.0 / max(int(stripe.sum()), 1)) * both / max(own, 1e-12)
 
 
-def _evidence_over_zero(size: float, error: float, prior_sigma: float) -> float:
+def evidence_over_zero(size: float, error: float, prior_sigma: float) -> float:
     """Return the evidence, nats, of a size with a half-normal prior over a size of 0.
 
     int_0^inf N(size; x, error^2) 2 N(x; 0, prior^2) dx = 2 N(size; 0, s^2) Phi(size prior / (error s)), with

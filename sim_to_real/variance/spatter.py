@@ -110,7 +110,7 @@ def spatter(
     streaks = [streak for streak in measured if streak is not None]
     hit = _hit(observed, bright_when_lit)
     n_others = len(dark) + len(bright) - len(bright_when_lit)
-    evidence = _evidence(len(streaks), int(lit.sum()), n_others, len(lit))
+    evidence = streak_evidence(len(streaks), int(lit.sum()), n_others, len(lit))
     if not streaks:
         return Spatter(evidence, {}, {}, hit, 0.0)
     values, sigmas = _estimate(observed, searched, bright_when_lit, streaks)
@@ -315,7 +315,7 @@ def _of_median(values: Float64) -> float:
     return math.sqrt(0.5 * math.pi * spread(values) ** 2 / len(values) + MOMENT_ERROR_PX**2)
 
 
-def _evidence(n: int, n_lit: int, n_others: int, n_frames: int) -> float:
+def streak_evidence(n: int, n_lit: int, n_others: int, n_frames: int) -> float:
     """Return the evidence of n streaks in lit frames for spatter over other causes of lines, nats.
 
     The rate of other lines is known from `n_others`, dark ones and those in frames without arc: it has a

@@ -220,7 +220,7 @@ def test_a_label_sealed_anew_is_found(made: Path) -> None:
         content["labels"]["0001"] = {"salt": "00", "label": label}
 
     def reseal(content: dict) -> None:
-        content["recordings"]["0001"]["sha256"] = diagnose_check._seal("00", label)
+        content["recordings"]["0001"]["sha256"] = diagnose_check.seal_of("00", label)
 
     change(made / "labels.json", relabel)
     change(made / "sealed.json", reseal)

@@ -18,7 +18,7 @@ from arctrack.cli import app
 from arctrack.recording import BadFrame, format_setup, read_recording, read_setup_file
 from arctrack.recording.ffv1 import VideoWriter
 from arctrack.recording.importing import import_recording as run
-from noise_model.arrays import Float64, Integers
+from noise_model.arrays import Integers
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "v_groove"
 RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
@@ -479,11 +479,10 @@ def test_no_times_at_all(raw: Path, refusal: Refusal) -> None:
     )
 
 
-def test_an_interrupt_leaves_nothing(raw: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def stop(*_: object) -> Float64:
+def test_an_interrupt_leaves_nothing(raw: Path) -> None:
+    def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(run, "_timed", stop)
     before = sorted(raw.rglob("*"))
     with pytest.raises(KeyboardInterrupt):
         run.import_recording(
@@ -491,5 +490,6 @@ def test_an_interrupt_leaves_nothing(raw: Path, monkeypatch: pytest.MonkeyPatch)
                 [raw / "photos"], raw / "recording.toml", raw / "robot.csv", rotation="kuka", rate_hz=10.0
             ),
             raw / "out",
+            on_frame=stop,
         )
     assert sorted(raw.rglob("*")) == before

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import arctrack
 from arctrack.cli import app
-from arctrack.cli.doctor import _content
+from arctrack.cli.doctor import json_content
 from arctrack.cli.json_output import say_json
 from arctrack.control.cell_file.new import write_new_cell
 from arctrack.errors import ArctrackError
@@ -94,7 +94,7 @@ def test_doctor(tmp_path: Path) -> None:
     assert sum(found["counts"].values()) == len(found["findings"])
     cell, _ = write_new_cell(tmp_path / "cell", "lap", "mild_steel")
     budget = Budget((LatencyPart("step", math.nan, math.inf, "not measured"),), 0.1)
-    with_cell = _content(
+    with_cell = json_content(
         cell, [DoctorFinding("clock", FindingState.OK, "tsc")], dict.fromkeys(FindingState, 0), budget
     )
     assert set(paths({"format": "", **with_cell})) == documented("doctor")

@@ -11,7 +11,7 @@ from arctrack.simulation.simulate import SimulationPlan
 from noise_model.arc_source import NO_ARC
 from noise_model.effects.effect import Stage
 from noise_model.surface.brdf import UNSTATED_METAL
-from sim_to_real.diagnose import Assessment, _on_held_out, diagnose, reasons
+from sim_to_real.diagnose import Assessment, diagnose, reasons, weaken_by_held_out
 from sim_to_real.diagnosis import DiagnosisVerdict, Gap, excluded_effects
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
 from sim_to_real.evidence.policy import POLICY
@@ -196,7 +196,10 @@ def test_effects_that_enlarge_the_gap_of_frames_held_out_are_refuted(ids, before
     ],
 )
 def test_frames_held_out_refute_that_there_is_no_gap(verdict, after, expected):
-    assert _on_held_out(verdict, Gap(after, after, 0.2, 0.0, (0.0, 0.0), (1.0, 1.0), (0.1, 0.1))) is expected
+    assert (
+        weaken_by_held_out(verdict, Gap(after, after, 0.2, 0.0, (0.0, 0.0), (1.0, 1.0), (0.1, 0.1)))
+        is expected
+    )
 
 
 def test_reasons_say_what_was_compared(with_gamma):

@@ -233,4 +233,4 @@ def test_the_evidence_is_the_ratio_of_two_integrals(size, error, prior):
         lambda x: norm.pdf(size, x, error) * 2.0 * norm.pdf(x, 0.0, prior), 0.0, 6.0, points=[max(size, 0.0)]
     )
     expected = math.log(with_it / norm.pdf(size, 0.0, error))
-    assert of_scatter._evidence_over_zero(size, error, prior) == pytest.approx(expected, rel=1e-6)
+    assert of_scatter.evidence_over_zero(size, error, prior) == pytest.approx(expected, rel=1e-6)

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from sim_to_real.evidence.error_model import ErrorModel
+from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis
 from sim_to_real.evidence.looks import Looks
 from sim_to_real.evidence.policy import POLICY
 from sim_to_real.fit.covariates import covariates
@@ -23,7 +23,7 @@ def look(path, name, planted, stated=None):
     baseline = refit(expected, {}, expected.neutral, steps=0)
     scores = score_effects(expected, baseline, [name])
     errors = ErrorModel.of(expected, covariates(expected, baseline), baseline, scores, POLICY)
-    start, *_ = Looks(baseline, scores, errors).starts_of(scores[0])
+    start, *_ = Looks(LinearHypothesis.of(baseline), baseline.nuisance, scores, errors).starts_of(scores[0])
     return scores[0], start[name]
 
 

@@ -70,7 +70,7 @@ def test_the_evidence_is_that_of_two_distributions_of_rates():
     of_spatter_rate, _ = quad(lambda r: poisson.pmf(n, n_lit * r) * expon.pdf(r, scale=mean), 0.0, 50.0)
     of_others = gamma(0.5 + n_others, scale=1.0 / (of_spatter.CLUTTER_FRAMES + n_frames))
     of_clutter, _ = quad(lambda r: poisson.pmf(n, n_lit * r) * of_others.pdf(r), 0.0, 5.0)
-    evidence = of_spatter._evidence(n, n_lit, n_others, n_frames)
+    evidence = of_spatter.streak_evidence(n, n_lit, n_others, n_frames)
     assert evidence == pytest.approx(math.log(of_spatter_rate / of_clutter), rel=1e-5)
 
 

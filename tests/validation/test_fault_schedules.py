@@ -92,14 +92,22 @@ def test_what_must_hold_can_fail():
     assert line.startswith("the torch is off by ")
 
 
-def test_offsets_beyond_their_limits_are_seen(monkeypatch):
-    limits = Cell(cell_of(1).world, np.random.default_rng(0)).job.limits
-    too_narrow = replace(limits, range_y_mm=1e-6, range_z_mm=1e-6)
-    monkeypatch.setattr(schedules, "_limits_of", lambda cell: too_narrow)
-    assert any(line.startswith("an offset out of range") for line in run_schedule(1, 0, [NOTHING]).broken)
-    too_old = replace(limits, capture_age_s=0.001, hold_s=0.001)
-    monkeypatch.setattr(schedules, "_limits_of", lambda cell: too_old)
-    assert any(line.startswith("an offset too old") for line in run_schedule(1, 0, [NOTHING]).broken)
+@pytest.mark.parametrize(
+    ("limits", "said"),
+    [
+        ({"range_y_mm": 1e-6, "range_z_mm": 1e-6}, "an offset out of range"),
+        ({"capture_age_s": 0.001, "hold_s": 0.001}, "an offset too old"),
+    ],
+)
+def test_offsets_beyond_their_limits_are_seen(limits, said):
+    def narrows_limits(cell, _):
+        # The tracker keeps those of its own job.
+        cell.job = replace(cell.job, limits=replace(cell.job.limits, **limits))
+        return lambda: None
+
+    assert any(
+        line.startswith(said) for line in run_schedule(1, 0, [replace(NOTHING, begin=narrows_limits)]).broken
+    )
 
 
 def test_schedules_run_at_once_are_those_one_by_one():

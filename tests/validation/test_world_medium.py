@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from arctrack.nominal import nominal_setup
-from validation.second_renderer.world_medium import _even_fume, _exponential_glow, fume_along
+from validation.second_renderer.world_medium import even_fume, exponential_glow, fume_along
 
 
 def test_an_even_fumes_airlight_is_the_closed_form() -> None:
@@ -42,7 +42,7 @@ def test_a_pose_nearer_to_the_arc_sees_more_of_the_same_fume() -> None:
             arc=np.zeros((1, 1)),
             scale=lambda factor: None,
         )
-        _even_fume(frame, {"extinction_per_m": 1.0, "airlight_share": 0.05})
+        even_fume(frame, {"extinction_per_m": 1.0, "airlight_share": 0.05})
         _, air = fume_along(eye, ray, length, np.zeros(3), 3.0, lambda r: np.ones_like(r))
         found.append((frame.arc.item(), air.item()))
     assert found[0][0] == pytest.approx(0.05 * setup.sensor.full_well_e)
@@ -64,7 +64,7 @@ def test_a_place_on_the_plate_glows_alike_from_every_pose() -> None:
             moment=SimpleNamespace(arc_level=1.0),
             other=np.zeros(len(points)),
         )
-        _exponential_glow(frame, {"brightest_e": 3000.0, "length_mm": 10.0})
+        exponential_glow(frame, {"brightest_e": 3000.0, "length_mm": 10.0})
         found.append(frame.other)
     np.testing.assert_allclose(found[0][1:], found[1])
     rho = np.linalg.norm(places[:, :2], axis=1)

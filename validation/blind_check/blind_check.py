@@ -127,7 +127,7 @@ def make(folder: Path, asked: CheckPlan, workers: int, on_done: OnDone) -> None:
     for (name, recording), label in _over(partial(_render, folder), missing, workers):
         salt = secrets.token_hex(16)
         secret["labels"][name] = {"salt": salt, "label": label}
-        seal = {"sha256": _seal(salt, label), "again": recording.tier == "A" and "B" in asked.tiers}
+        seal = {"sha256": seal_of(salt, label), "again": recording.tier == "A" and "B" in asked.tiers}
         sealed["recordings"][name] = seal
         _write(folder / LABELS, secret)
         _write(folder / SEALED, sealed)
@@ -273,7 +273,7 @@ def _verified(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     for name in sorted(sealed.keys() | secret["labels"].keys()):
         kept = secret["labels"].get(name)
         # A label without a seal is that of a recording whose making was cut short.
-        if name in sealed and (kept is None or _seal(**kept) != sealed[name]["sha256"]):
+        if name in sealed and (kept is None or seal_of(**kept) != sealed[name]["sha256"]):
             raise in_file(folder / LABELS, f"the label of {name} is not the one that was sealed")
     return sealed, secret
 
@@ -310,7 +310,7 @@ def _render_longer(folder: Path, run: Run, planned: RecordingPlan, salt: str) ->
     if path.exists():
         return
     scenario = _drawn(planned)
-    if _seal(salt, scenario.labels) != run.seal:
+    if seal_of(salt, scenario.labels) != run.seal:
         raise ValueError("what is drawn now is not what was sealed: the renderer has changed since")
     longer = make(followed_by(scenario, run.experiment), folder / CACHE, scenario.n_run)
     (folder / LONGER).mkdir(exist_ok=True)
@@ -490,7 +490,7 @@ def _over(
             ) from None
 
 
-def _seal(salt: str, label: Mapping[str, Any]) -> str:
+def seal_of(salt: str, label: Mapping[str, Any]) -> str:
     """Return the SHA-256 of a salt and a label."""
     return hashlib.sha256((salt + json.dumps(label, sort_keys=True)).encode()).hexdigest()
 

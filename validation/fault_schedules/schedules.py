@@ -137,15 +137,11 @@ def _broken(cell: Cell, schedule: Schedule, until_s: float) -> Iterator[str]:
         ("an offset too old", lambda h, limits: _is_too_old(h, limits, schedule.kind.is_slow_bus)),
         ("an offset of no capture", lambda h, _: math.isnan(h.true_capture_s)),
     ):
-        bad = next((h for h in usable if is_broken(h, _limits_of(cell))), None)
+        bad = next((h for h in usable if is_broken(h, cell.job.limits)), None)
         if bad is not None:
             yield f"{name} at {bad.came_s:.3f} s: {bad.offset}"
     yield from _wrongly_told(cell, schedule, usable)
     yield from _not_recovered(cell, schedule.kind, until_s)
-
-
-def _limits_of(cell: Cell) -> GateLimits:
-    return cell.job.limits
 
 
 def _is_beyond(heard: ReceivedOffset, limits: GateLimits) -> bool:

@@ -37,7 +37,8 @@ def _draw_plume(draw: Generator, strength: float, setup: Setup) -> dict[str, flo
     return {"width_mm": draw.uniform(20.0, 45.0), **_draw_fume(draw, strength, setup)}
 
 
-def _even_fume(frame: WorldFrameLight, p: Values) -> None:
+def even_fume(frame: WorldFrameLight, p: Values) -> None:
+    """Let fume that is as dense everywhere dim the light, and shine."""
     _fume(frame, p, lambda r: np.ones_like(r))
 
 
@@ -165,7 +166,8 @@ def _glow(frame: WorldFrameLight, p: Values, fall: Callable[[Float64], Float64])
     frame.other = frame.other + p["brightest_e"] * hot * frame.sight.cos4.reshape(frame.sight.shape)
 
 
-def _exponential_glow(frame: WorldFrameLight, p: Values) -> None:
+def exponential_glow(frame: WorldFrameLight, p: Values) -> None:
+    """Add hot metal's glow, which falls off exponentially about the arc."""
     _glow(frame, p, lambda rho: np.exp(-rho / p["length_mm"]))
 
 
@@ -175,7 +177,7 @@ def _disc_glow(frame: WorldFrameLight, p: Values) -> None:
 
 FORMS: dict[str, tuple[EffectForm, ...]] = {
     "hot_metal_glow": (
-        EffectForm(CATALOGUE, "exp(-rho / length_mm) about the arc", _draw_glow, light=_exponential_glow),
+        EffectForm(CATALOGUE, "exp(-rho / length_mm) about the arc", _draw_glow, light=exponential_glow),
         EffectForm("disc", "a Gaussian of 1 sigma 1.5 length_mm about the arc", _draw_glow, light=_disc_glow),
     ),
     "spatter": (
@@ -186,7 +188,7 @@ FORMS: dict[str, tuple[EffectForm, ...]] = {
     ),
     "fume": (
         EffectForm(
-            CATALOGUE, "even fume: exp(-beta d); airlight ~ integral dt / r^2", _draw_fume, light=_even_fume
+            CATALOGUE, "even fume: exp(-beta d); airlight ~ integral dt / r^2", _draw_fume, light=even_fume
         ),
         EffectForm(
             "plume", "the same with a Gaussian plume about the arc, 3 beta in it", _draw_plume, light=_plume

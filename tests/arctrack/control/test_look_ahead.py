@@ -102,7 +102,7 @@ def test_the_better_estimate_is_kept_until_another_lag_shows():
         (Lag(0.199, 0.001), Lag(0.199, 0.001)),
         (Lag(0.3, 0.01), Lag(0.3, 0.01)),
     ):
-        ahead._judge(lag)
+        ahead.keep_better(lag)
         assert repr(ahead.lag) == repr(kept)
 
 

@@ -33,10 +33,10 @@ def test_a_narrow_stripe_that_lies_elsewhere_is_come_near_to(tmp_path):
     errors = ErrorModel.of(model, covariates(model, start), start, scores, POLICY)
     search = HypothesisSearch(model, start, scores, errors, POLICY, (), lambda text, share: None)
     far = search.hypothesis(search.fit(search.looks.starts_of(scores[0]), nuisance))
-    (near,) = search._approached([far])
+    (near,) = search.approached([far])
     assert far.refit.mean_square > BIASED_MEAN_SQUARE > 3.0 * near.refit.mean_square
     assert near.exact > far.exact + 100.0
     width = near.refit.effects["stripe_profile"]["width_ratio"]
     assert abs(width - 0.5) < abs(far.refit.effects["stripe_profile"]["width_ratio"] - 0.5)
     # What is near stays.
-    assert search._approached([near]) == [near]
+    assert search.approached([near]) == [near]

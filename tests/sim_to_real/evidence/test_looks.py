@@ -1,7 +1,5 @@
 """A first look without a fit: what it foretells, and where it lets a fit start."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -26,14 +24,10 @@ def family(name, change, step, **shape):
 def looks():
     """Residuals that 0.02 of glare (from 0.05 tried) and -3 DN (from 2 DN) leave of nothing."""
     residuals = -0.4 * 60.0 * GLARE - (-1.5) * 40.0 * OFFSET
-    start = SimpleNamespace(nuisance=np.zeros(1))
+    start = LinearHypothesis(residuals, SizeColumns.free(NUISANCE[:, np.newaxis].astype(np.float32)))
     scores = [family("veiling_glare", 60.0 * GLARE, 0.05), family("black_level", 40.0 * OFFSET, 2.0)]
     metric = Metric(np.ones(N, dtype=np.float32), np.zeros((1, N)))
-    made = Looks(start, scores, ErrorModel(metric, (), {}, np.ones((N, 1), dtype=np.float32)))
-    made.__dict__["_at_start"] = LinearHypothesis(
-        residuals, SizeColumns.free(NUISANCE[:, np.newaxis].astype(np.float32))
-    )
-    return made
+    return Looks(start, np.zeros(1), scores, ErrorModel(metric, (), {}, np.ones((N, 1), dtype=np.float32)))
 
 
 def test_sigmas_say_how_far_a_probe_point_is_from_the_prior_s_middle():

@@ -199,7 +199,7 @@ class GigeSource:
 
     def _frame(self, buffer: Any) -> Frame | None:
         """Return a buffer's frame, None for one that is not whole; its number counts."""
-        step = _step(self._id, buffer.get_frame_id())
+        step = frames_between(self._id, buffer.get_frame_id())
         if step <= 0:
             # It was waited for until a later one had come, and counts as lost already; or it has no id.
             return None
@@ -245,7 +245,7 @@ def gige_source(choice: CameraChoice, setup: Setup, ask: Ask) -> GigeSource:
     return GigeSource(choice, setup, ask)
 
 
-def _step(before: int, frame_id: int) -> int:
+def frames_between(before: int, frame_id: int) -> int:
     """Return how many frames one comes after another, by their ids; 0 is none before, and no frame's id.
 
     GigE Vision gives no frame the id 0. A buffer that has it is of a frame whose id did not arrive: the next

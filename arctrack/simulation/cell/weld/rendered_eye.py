@@ -91,7 +91,7 @@ class RenderedEye:
         """Return the image (H, W), DN, that the camera takes now of a seam so far to the left, mm."""
         T_base_tool, seam = self.robot.T_base_tool(), self._seam(off_mm + self.aside_mm)
         exposure_s = self._true.camera.exposure_s if math.isnan(self.exposure_s) else self.exposure_s
-        condition = Condition(float(self.is_laser_on), self._arc_level(), exposure_s, self.robot.now_s)
+        condition = Condition(float(self.is_laser_on), self.level_now(), exposure_s, self.robot.now_s)
         image_dn = draw_frame(
             self._true,
             T_base_tool,
@@ -144,7 +144,8 @@ class RenderedEye:
         )
         return self.tracking.track(frame, capture)
 
-    def _arc_level(self) -> float:
+    def level_now(self) -> float:
+        """Return the arc's output over the expected one."""
         if self.arc_level is not None:
             return self.arc_level(self.robot.now_s)
         return 1.0 if self.robot.status.arc is Switch.ON else 0.0

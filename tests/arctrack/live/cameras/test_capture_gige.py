@@ -53,9 +53,9 @@ def test_the_least_delayed_stamp_gives_the_clocks_offset():
      (1, 65_535, -1), (70_000, 140_000, 70_000), (65_405, 0, 0), (0, 0, 0)],
 )  # fmt: skip
 def test_ids_of_16_bits_go_round_without_0(before, after, step):
-    from arctrack.live.cameras.capture.gige import _step
+    from arctrack.live.cameras.capture.gige import frames_between
 
-    assert _step(before, after) == step
+    assert frames_between(before, after) == step
 
 
 class Wants:

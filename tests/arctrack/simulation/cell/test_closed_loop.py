@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from arctrack.cli import app
-from arctrack.cli.cell import _event_lines
+from arctrack.cli.cell import event_lines
 from arctrack.simulation.cell.cell import Cell
 from arctrack.simulation.cell.robot import CORRECTION_MM_S, Robot
 from arctrack.simulation.cell.weld.closed_loop import ClosedLoop, LoopPlan
@@ -92,7 +92,7 @@ def test_an_offset_that_comes_twice_moves_the_robot_once():
 def test_nothing_is_valid_before_a_struck_arc_is_steady_and_a_tack_hides_the_joint():
     loop = ClosedLoop(replace(QUICK, event="ignition", length_mm=20.0))
     levels = []
-    loop.cell.scheduler.every(0.05, lambda: levels.append(loop.eye._arc_level()), 0.01)
+    loop.cell.scheduler.every(0.05, lambda: levels.append(loop.eye.level_now()), 0.01)
     loop.run()
     happened = loop.event_result()
     assert (happened.begin_s, happened.end_s) == (0.0, pytest.approx(0.9))
@@ -103,7 +103,7 @@ def test_nothing_is_valid_before_a_struck_arc_is_steady_and_a_tack_hides_the_joi
     assert set(levels[:10]) == {0.0}
     assert np.std(levels[10:18]) > 0.3
     assert set(levels[18:]) == {1.0}
-    assert "VALID again" in "\n".join(_event_lines(happened))
+    assert "VALID again" in "\n".join(event_lines(happened))
     eye, robot = loop.eye, loop.cell.robot.robot
     eye.rng = np.random.default_rng(1)
     plain = eye.look(0.0).astype(float)
