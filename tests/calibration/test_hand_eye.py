@@ -108,7 +108,7 @@ def test_the_expected_error_before_is_what_the_tracker_states_of_the_tolerance()
             setup.camera.T_tool_camera,
             source.plane,
             make_scene(setup, pose(0.0)).T_joint_tool,
-            point.tolist(),
+            tuple(point.tolist()),
             source.tolerance,
         )
         for pose, point in zip(sightings.poses, points_tool, strict=True)

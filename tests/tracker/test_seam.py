@@ -81,7 +81,7 @@ def test_the_hand_eye_variance_is_its_twin(joint: str) -> None:
             moves.append(scene.T_joint_tool[1:3, :3] @ (met - point))
     source = SeamSource.of(setup)
     variance = moved_variance(
-        setup.camera.T_tool_camera, source.plane, scene.T_joint_tool, point, source.tolerance
+        setup.camera.T_tool_camera, source.plane, scene.T_joint_tool, tuple(point), source.tolerance
     )
     np.testing.assert_allclose(variance, np.sum(np.square(moves), axis=0), rtol=5e-3)
 

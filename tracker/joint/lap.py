@@ -63,13 +63,11 @@ def fit_lap(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     points, thickness_mm = section.points, stated.thickness_mm
     y_mm = points[Y_MM]
     roll, y_0, z_level = placed(y_mm, points[Z_MM], section.reach_mm, stated.corners_mm, 0.25 * thickness_mm)
-    off_mm = y_mm - y_0
-    clear = np.abs(off_mm) > CLEAR_OF_EDGE_MM
-    n_behind = np.count_nonzero(off_mm > CLEAR_OF_EDGE_MM)
-    if min(np.count_nonzero(clear) - n_behind, n_behind) < MIN_POINTS:
+    before, behind = y_mm - y_0 < -CLEAR_OF_EDGE_MM, y_mm - y_0 > CLEAR_OF_EDGE_MM
+    if min(np.count_nonzero(before), np.count_nonzero(behind)) < MIN_POINTS:
         return None
     start = np.array([z_level + roll * y_0, thickness_mm, roll, roll, y_0])
-    fit = fit_points(SHEETS, points, clear, START_SIGMA_MM, PRIOR_SIGMA, start)
+    fit = fit_points(SHEETS, points, before | behind, START_SIGMA_MM, PRIOR_SIGMA, start)
     if not math.isfinite(fit.chi2):
         return None
     measured = measured_lap(section, fit, y_0, thickness_mm)
@@ -89,8 +87,9 @@ def measured_lap(section: Section, fit: ShapeFit, y_0: float, thickness_mm: floa
     if math.isnan(edge):
         return None
     z_edge = z_s + slope_lower * beside
-    between, at_edge = np.array([1.0, 0.5, 0.5 * beside, 0.5 * beside]), np.array([1.0, 0.0, beside, 0.0])
-    of_step = np.array([0.0, 1.0, -beside, beside])
+    between, at_edge, of_step = np.array(
+        [[1.0, 0.5, 0.5 * beside, 0.5 * beside], [1.0, 0.0, beside, 0.0], [0.0, 1.0, -beside, beside]]
+    )
     step_sigma = math.sqrt(of_step @ covariance @ of_step)
     step += (slope_upper - slope_lower) * beside
     plates, plate_sigmas = two_angles(p, covariance, 2, 3)
@@ -187,14 +186,19 @@ def sheets_at(y_mm: Float64, sheets: SheetLines) -> Faces:
     return faces
 
 
+@kernel
 def share_off(lines: Float64, sheets: SheetLines, edge_mm: float) -> float:
     """Return the share of the points near the edge that lie off the sheet of their side, 1 without any.
 
     Off is more than OFF_SIGMAS of their own height.
     """
-    (near,) = np.nonzero(np.abs(lines[Y_MM] - sheets.y) < NEAR_MM)
-    y = lines[Y_MM, near] - sheets.y
-    upper_mm, lower_mm = sheets.step + sheets.slope_upper * y, sheets.slope_lower * y
-    off_mm = lines[Z_MM, near] - sheets.z - np.where(y < edge_mm - sheets.y, upper_mm, lower_mm)
-    sigma_mm = np.abs(lines[DZ_MM, near]) * np.hypot(lines[SIGMA_PX, near], SIGMA_FLOOR_PX)
-    return np.count_nonzero(np.abs(off_mm) > OFF_SIGMAS * sigma_mm) / len(y) if len(y) else 1.0
+    n_near, n_off = 0, 0
+    for i in range(lines.shape[1]):
+        y = lines[Y_MM, i] - sheets.y
+        if abs(y) < NEAR_MM:
+            is_upper = y < edge_mm - sheets.y
+            sheet_mm = sheets.step + sheets.slope_upper * y if is_upper else sheets.slope_lower * y
+            sigma_mm = abs(lines[DZ_MM, i]) * math.hypot(lines[SIGMA_PX, i], SIGMA_FLOOR_PX)
+            n_near += 1
+            n_off += abs(lines[Z_MM, i] - sheets.z - sheet_mm) > OFF_SIGMAS * sigma_mm
+    return n_off / n_near if n_near > 0 else 1.0

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64, Int64
+from noise_model.arrays import Float64
 from noise_model.kernel import kernel
 from noise_model.ordering import stable_order
 from noise_model.surface.joint import SeamLine
@@ -91,31 +91,12 @@ class SeamHistory(NamedTuple):
         It takes the place of older ones that are nearer than SPACING_MM: a sensor that goes to and fro
         forgets nothing of what it does not see again.
         """
-        here_mm, noise_mm2 = (
-            np.array(tuple(displacement_mm)),
-            np.maximum(tuple(variance_mm2), MIN_VARIANCE_MM2),
+        y_mm, z_mm = displacement_mm
+        y_mm2, z_mm2 = variance_mm2
+        after: SeamHistory = _with_measurement(
+            self, float(station_mm), (float(y_mm), float(z_mm)), (float(y_mm2), float(z_mm2))
         )
-        kept: slice | Int64
-        if abs(station_mm - self.began_mm) < SPACING_MM:
-            latest_mm, latest = self.stations_mm[-1], self.displacements_mm[-1]
-            before_mm2 = np.maximum(self.variances_mm2[-1] - MODEL_SIGMA_MM**2, MIN_VARIANCE_MM2)
-            share = before_mm2 / (before_mm2 + noise_mm2)
-            here_mm, noise_mm2 = latest + share * (here_mm - latest), share * noise_mm2
-            # From where it began, not from the average: that would run along with a sensor that creeps.
-            station_mm = latest_mm + 0.5 * (share[0] + share[1]) * (station_mm - latest_mm)
-            kept, began_mm = slice(0, -1), self.began_mm
-        else:
-            kept, began_mm = slice(1 - CAPACITY, None), station_mm
-            is_near = np.abs(self.stations_mm[:-1] - station_mm) < SPACING_MM
-            # The latest stays, however near: what it is the average of began farther away.
-            if is_near.any():
-                kept = np.flatnonzero(~np.append(is_near, False))[1 - CAPACITY :]
-        return SeamHistory(
-            _with_row(self.stations_mm[kept], station_mm),
-            _with_row(self.displacements_mm[kept], here_mm),
-            _with_row(self.variances_mm2[kept], noise_mm2 + MODEL_SIGMA_MM**2),
-            began_mm,
-        )
+        return after
 
     def is_measured(self, station_mm: float) -> bool:
         """Return True if a station lies within the measured stretch."""
@@ -166,11 +147,48 @@ def stretch_at(
     return stretch, is_present
 
 
-def _with_row(rows: Float64, last: float | Float64) -> Float64:
-    """Return rows (n, ...) with one more."""
-    longer = np.empty((len(rows) + 1, *rows.shape[1:]))
-    longer[:-1], longer[-1] = rows, last
-    return longer
+@kernel(allocates=True)
+def _with_measurement(
+    history: SeamHistory,
+    station_mm: float,
+    displacement_mm: tuple[float, float],
+    variance_mm2: tuple[float, float],
+) -> SeamHistory:
+    """Return `SeamHistory.with_measurement`."""
+    stations_mm, displacements_mm, variances_mm2, began_mm = history
+    last, is_kept, n_kept = len(stations_mm) - 1, np.ones(len(stations_mm), np.bool_), len(stations_mm)
+    is_same = abs(station_mm - began_mm) < SPACING_MM
+    for i in range(last + 1):
+        # The latest stays, however near: what it is the average of began farther away.
+        if i == last if is_same else i < last and abs(stations_mm[i] - station_mm) < SPACING_MM:
+            is_kept[i] = False
+            n_kept -= 1
+    skipped = max(n_kept + 1 - CAPACITY, 0)
+    n = n_kept - skipped + 1
+    places_mm, off_mm, noise_mm2 = np.empty(n), np.empty((n, 2)), np.empty((n, 2))
+    k = -skipped
+    for i in range(last + 1):
+        if is_kept[i] and k >= 0:
+            places_mm[k] = stations_mm[i]
+            for axis in range(2):
+                off_mm[k, axis], noise_mm2[k, axis] = displacements_mm[i, axis], variances_mm2[i, axis]
+        k += is_kept[i]
+    shares = 0.0
+    for axis in range(2):
+        here_mm, here_mm2 = displacement_mm[axis], max(variance_mm2[axis], MIN_VARIANCE_MM2)
+        if is_same:
+            latest_mm = displacements_mm[last, axis]
+            before_mm2 = max(variances_mm2[last, axis] - MODEL_SIGMA_MM**2, MIN_VARIANCE_MM2)
+            share = before_mm2 / (before_mm2 + here_mm2)
+            here_mm, here_mm2 = latest_mm + share * (here_mm - latest_mm), share * here_mm2
+            shares += share
+        off_mm[n - 1, axis], noise_mm2[n - 1, axis] = here_mm, here_mm2 + MODEL_SIGMA_MM**2
+    if not is_same:
+        places_mm[n - 1] = began_mm = station_mm
+    else:
+        # From where it began, not from the average: that would run along with a sensor that creeps.
+        places_mm[n - 1] = stations_mm[last] + 0.5 * shares * (station_mm - stations_mm[last])
+    return SeamHistory(places_mm, off_mm, noise_mm2, began_mm)
 
 
 N_STATES = 5

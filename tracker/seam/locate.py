@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.scene import Scene, SceneSource
-from noise_model.arrays import Float64
+from noise_model.arrays import Float64, Vector
 from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
@@ -41,7 +41,7 @@ class SeamSource(NamedTuple):
     T_joint_base: tuple[Float64, ...]
     ends_mm: tuple[tuple[float, float], ...]
     origin_mm: Point
-    plane: Point
+    plane: tuple[float, float, float, float]
     ahead_mm: Point
     height_mm: float
     tolerance: tuple[float, float]
@@ -58,7 +58,7 @@ class SeamSource(NamedTuple):
             T_joint_base=tuple(map(invert, frames)),
             ends_mm=tuple(nominal_ends(scene.segments, k) for k in range(len(frames))),
             origin_mm=laser.origin_mm.tolist(),
-            plane=laser.plane.tolist(),
+            plane=tuple(laser.plane.tolist()),
             ahead_mm=laser.point_mm.tolist(),
             height_mm=seam_height_mm(setup.joint),
             tolerance=(math.radians(tolerance.hand_eye_deg), tolerance.hand_eye_mm),
@@ -190,15 +190,17 @@ def locate(
     px, py, pz = point = seam_point(source, scene.T_joint_tool.tolist(), corrugation, y_mm, z_mm)
     station, y, z = moved_by(T_nominal_tool.tolist(), point)
     height = source.height_mm + ridge_mm(station, corrugation)
-    moves = moved_variance(source.scene.T_tool_camera, source.plane, T_nominal_tool, point, source.tolerance)
-    return LocatedSeam((px, py, pz), station, (y, z - height), moves)
+    seam_mm, T_tool_camera = (px, py, pz), source.scene.T_tool_camera
+    moves = moved_variance(T_tool_camera, source.plane, T_nominal_tool, seam_mm, source.tolerance)
+    return LocatedSeam(seam_mm, station, (y, z - height), moves)
 
 
+@kernel
 def moved_variance(
     T_tool_camera: Float64,
-    plane_tool: Point,
+    plane_tool: tuple[float, float, float, float],
     T_joint_tool: Float64,
-    point_tool: Point,
+    point_tool: Vector,
     tolerance: tuple[float, float],
 ) -> tuple[float, float]:
     """Return the sum of a point's squared moves in y and z as the camera turns and moves about its axes.
@@ -207,25 +209,25 @@ def moved_variance(
     camera turns by a small angle about one of its axes a, d moves by its cross product with it; a move
     moves o.
     """
-    (a, b, c, o_x), (d, e, f, o_y), (g, h, k, o_z), _ = T_tool_camera.tolist()
-    _, (y_x, y_y, y_z, _), (z_x, z_y, z_z, _), _ = T_joint_tool.tolist()
-    (n_x, n_y, n_z, n_d), (turn, move_mm), (x, y, z) = plane_tool, tolerance, point_tool
-    d_x, d_y, d_z = x - o_x, y - o_y, z - o_z
-    axes, rays = ((a, d, g), (b, e, h), (c, f, k)), []
-    for i, j, m in axes:
-        turned = j * d_z - m * d_y, m * d_x - i * d_z, i * d_y - j * d_x
-        rays.append((o_x, o_y, o_z, d_x + turn * turned[0], d_y + turn * turned[1], d_z + turn * turned[2]))
-    for i, j, m in axes:
-        rays.append((o_x + move_mm * i, o_y + move_mm * j, o_z + move_mm * m, d_x, d_y, d_z))
-    variance_y = variance_z = 0.0
-    for p_x, p_y, p_z, r_x, r_y, r_z in rays:
-        off, towards = n_x * p_x + n_y * p_y + n_z * p_z + n_d, n_x * r_x + n_y * r_y + n_z * r_z
+    (n_x, n_y, n_z, n_d), (turn, move_mm), variance_y, variance_z = plane_tool, tolerance, 0.0, 0.0
+    for moved in range(6):
+        i, j, m = T_tool_camera[0, moved % 3], T_tool_camera[1, moved % 3], T_tool_camera[2, moved % 3]
+        x, y, z = T_tool_camera[0, 3], T_tool_camera[1, 3], T_tool_camera[2, 3]
+        r_x, r_y, r_z = point_tool[0] - x, point_tool[1] - y, point_tool[2] - z
+        if moved < 3:
+            turned = j * r_z - m * r_y, m * r_x - i * r_z, i * r_y - j * r_x
+            r_x, r_y, r_z = r_x + turn * turned[0], r_y + turn * turned[1], r_z + turn * turned[2]
+        else:
+            x, y, z = x + move_mm * i, y + move_mm * j, z + move_mm * m
+        off, towards = n_x * x + n_y * y + n_z * z + n_d, n_x * r_x + n_y * r_y + n_z * r_z
         if not off * towards < 0.0:
             return math.nan, math.nan
         t = -off / towards
-        off_x, off_y, off_z = p_x + t * r_x - x, p_y + t * r_y - y, p_z + t * r_z - z
-        moved_y = y_x * off_x + y_y * off_y + y_z * off_z
-        moved_z = z_x * off_x + z_y * off_y + z_z * off_z
+        off_x = x + t * r_x - point_tool[0]
+        off_y = y + t * r_y - point_tool[1]
+        off_z = z + t * r_z - point_tool[2]
+        moved_y = T_joint_tool[1, 0] * off_x + T_joint_tool[1, 1] * off_y + T_joint_tool[1, 2] * off_z
+        moved_z = T_joint_tool[2, 0] * off_x + T_joint_tool[2, 1] * off_y + T_joint_tool[2, 2] * off_z
         variance_y += moved_y * moved_y
         variance_z += moved_z * moved_z
     return variance_y, variance_z

@@ -113,9 +113,13 @@ class ReadRoom(NamedTuple):
         )
 
 
+@kernel
 def bin_for(sigma_px: Float64) -> int:
     """Return how many pixels are summed where stripes of 1 sigma (n,) px are sought: a power of two."""
-    narrowest, n = np.min(sigma_px, where=sigma_px > 0.0, initial=math.inf), 1
+    narrowest, n = math.inf, 1
+    for s in range(sigma_px.shape[0]):
+        if sigma_px[s] > 0.0:
+            narrowest = min(narrowest, sigma_px[s])
     while math.isfinite(narrowest) and 2.0 * MIN_BINNED_SIGMA * n <= narrowest:
         n *= 2
     return n

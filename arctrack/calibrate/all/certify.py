@@ -97,12 +97,12 @@ def certificate_record(certificate: Certificate, stated: SetupFile) -> Calibrati
     Calibrated
         The tolerance; its covariance is that of the seam, lateral and vertical, nearest to the tool's axis.
     """
-    setup, plane = stated.setup, stated.setup.laser.plane.tolist()
+    setup, plane = stated.setup, tuple(stated.setup.laser.plane.tolist())
     wanted = np.square(certificate.sigma_mm[:, 1:]).ravel()
     columns = [
         np.concatenate(
             [
-                moved_variance(setup.camera.T_tool_camera, plane, np.eye(4), point, unit)
+                moved_variance(setup.camera.T_tool_camera, plane, np.eye(4), tuple(point), unit)
                 for point in certificate.points_tool_mm.tolist()
             ]
         )
