@@ -152,27 +152,10 @@ def certify(
     robot: RobotNoise = EXACT_ROBOT,
     delay_sigma_mm: float = 0.0,
 ) -> Certificate:
-    """Carry the covariance of all calibrations to points on the laser sheet.
+    """Carry the covariance of all calibrations to points (n, 2), px, on the laser sheet: J cov J^T.
 
-    Parameters
-    ----------
-    known_lens : KnownLens
-        The lens.
-    sheet : KnownSheet
-        The laser sheet.
-    hand_eye : KnownHandEye
-        The camera's pose in the tool.
-    points_px : array (n, 2)
-        Where the points are seen, px.
-    robot : RobotNoise
-        By how much the tool is off the pose that the robot states.
-    delay_sigma_mm : float
-        1 sigma of the way, mm along each axis across the seam, that the tool goes in the unknown delay.
-
-    Returns
-    -------
-    Certificate
-        The points and each source's share, to first order: J cov J^T.
+    `robot` is by how much the tool is off the pose that the robot states; `delay_sigma_mm` is 1 sigma of the
+    way along each axis across the seam that the tool goes in the unknown delay.
     """
     lens, R = known_lens.lens, hand_eye.T_tool_camera[:3, :3]
     rays = lens.rays(points_px)

@@ -70,20 +70,7 @@ class Corners:
 
 
 def find_corners(image_dn: Integers, board: Board) -> Corners | None:
-    """Find a board in an image.
-
-    Parameters
-    ----------
-    image_dn : array (H, W)
-        Grey levels, 8 or 16 bits.
-    board : Board
-        The board.
-
-    Returns
-    -------
-    Corners or None
-        All corners of a chessboard, or those of a ChArUco board that can be told; None without a board.
-    """
+    """Return a board's corners in an image of 8 or 16 bits, of a ChArUco board those that can be told."""
     raw = image_dn.astype(np.float32)
     for corners, points in _found(image_dn, board):
         result = _placed(raw, board, corners, points)

@@ -86,23 +86,10 @@ class BoardScene:
 def linearised(
     scene: BoardScene, seen: Sightings, weight: Float64, *, with_print: bool = False
 ) -> NormalEquations:
-    """Return the normal equations at a scene.
+    """Return the normal equations at a scene, without what is known of lens and places beforehand.
 
-    Parameters
-    ----------
-    scene : BoardScene
-        Where.
-    seen : Sightings
-        The corners.
-    weight : array (N,)
-        1 / sigma of each corner, 1/px.
-    with_print : bool
-        Count the corners' places on the board among the unknowns, behind lens and warp.
-
-    Returns
-    -------
-    NormalEquations
-        Without what is known of lens and places beforehand.
+    `weight` (N,) is 1 / sigma of each corner, 1/px. `with_print` counts the corners' places on the board
+    among the unknowns, behind lens and warp.
     """
     points = scene.points_camera(seen)
     image, per_motion, per_lens = scene.lens.project_with_jacobian(points)
@@ -129,23 +116,8 @@ def adjusted(
 ) -> BoardScene:
     """Return the scene of least squares, with the prior on the lens' distortion.
 
-    Parameters
-    ----------
-    scene : BoardScene
-        Where to start.
-    seen : Sightings
-        The corners.
-    weight : array (N,)
-        1 / sigma of each corner, 1/px.
-    poses_only : bool
-        Hold lens and warp.
-    print_sigma_mm : float
-        1 sigma of the corners' places on the board; 0 holds them.
-
-    Returns
-    -------
-    Scene
-        The one at which no step lowers the sum of squares any more.
+    `weight` (N,) is 1 / sigma of each corner, 1/px. `poses_only` holds lens and warp; `print_sigma_mm` is 1
+    sigma of the corners' places on the board, 0 holds them.
     """
     prior = prior_precision(scene, print_sigma_mm)
     cost, damping = _cost(scene, seen, weight, prior), FIRST_DAMPING

@@ -170,30 +170,9 @@ def calibrate_camera(
 ) -> CameraCalibration:
     """Find a camera's lens from corners of a board in several images, and hold halves against each other.
 
-    Parameters
-    ----------
-    board : Board
-        The board.
-    views : sequence of View
-        The corners in each image, `MIN_CORNERS` at least.
-    size : tuple of int
-        The images' width and height, px.
-    tilted : bool
-        The sensor is tilted to the lens, after Scheimpflug.
-    orders : sequence of str
-        The distortions of `ORDERS` to choose from.
-    progress : callable, optional
-        Told how many steps are done, and of how many.
-
-    Returns
-    -------
-    CameraCalibration
-        The lens. Its `model_error` says whether to use it.
-
-    Raises
-    ------
-    UndeterminedError
-        If the images do not determine the lens; it says which image is missing.
+    `size` are the images' width and height, px; `tilted` lets the sensor be tilted to the lens, after
+    Scheimpflug; `orders` are the distortions of `ORDERS` to choose from. The result's `model_error` says
+    whether to use it. UndeterminedError names the image that is missing where they do not determine the lens.
     """
     ways = splits(len(views))
     steps = len(orders) + len(ways) + 1

@@ -49,14 +49,7 @@ def check_count(views: int, left_out: int) -> None:
 def check_focal_length(scene: BoardScene, sigma: Float64, corner_sigma_px: float) -> None:
     """Raise UndeterminedError if the boards do not tell the focal length.
 
-    Parameters
-    ----------
-    scene : BoardScene
-        The scene found.
-    sigma : array (m,)
-        1 sigma of its lens and warp.
-    corner_sigma_px : float
-        1 sigma of a corner, px.
+    `sigma` (m,) is 1 sigma of lens and warp, `corner_sigma_px` that of a corner.
     """
     worst = float(np.max(sigma[:2] / scene.lens.values[:2]))
     if worst <= MAX_FOCAL_SIGMA:

@@ -63,21 +63,10 @@ def splits(views: int) -> list[Bool]:
 
 
 def difference_of_halves(scene: BoardScene, seen: Sightings, first: Bool) -> Difference:
-    """Return how the lens of some images differs from that of the others.
+    """Return how the lens of a half of the images (V,) differs from that of the others.
 
-    Parameters
-    ----------
-    scene : BoardScene
-        The scene of all images, where both halves start.
-    seen : Sightings
-        The corners, without wrong ones.
-    first : array (V,)
-        The images of the first half.
-
-    Returns
-    -------
-    Difference
-        Over that part of the image where boards were seen.
+    Both halves start at the scene of all images, and wrong corners are left out beforehand. It is told where
+    boards were seen.
     """
     lenses, covariances = [], []
     for half in (first, ~first):

@@ -124,17 +124,10 @@ class Lens:
         return self.project_with_jacobian(points_camera)[0]
 
     def project_with_jacobian(self, points_camera: Float64) -> tuple[Float64, Float64, Float64]:
-        """Return where points (N, 3) of the camera frame, mm, are seen, and what that depends on.
+        """Return where points (N, 3) of the camera frame, mm, are seen (N, 2), px, and derivatives of that.
 
-        Returns
-        -------
-        image_px : array (N, 2)
-            The image points, px.
-        per_motion : array (N, 2, 6)
-            Their derivatives by a small motion of the points in the camera frame: a rotation vector about the
-            camera's centre, rad, then a translation, mm.
-        per_lens : array (N, 2, n)
-            Their derivatives by the lens' free parameters.
+        These are by a small motion of the points in the camera frame (N, 2, 6), a rotation vector about the
+        camera's centre, rad, then a translation, mm; and by the lens' free parameters (N, 2, n).
         """
         points = np.ascontiguousarray(points_camera, dtype=np.float64).reshape(-1, 1, 3)
         seen, derivatives = cv2.projectPoints(points, np.zeros(3), np.zeros(3), self.matrix, self.distortion)

@@ -56,25 +56,9 @@ def mean_sigma(known: Knowledge, scene: BoardScene, distance_mm: float) -> float
 def best_next_board(
     known: Knowledge, scene: BoardScene, seen: Sightings, sigma_px: float, distance_mm: float
 ) -> NextBoard | None:
-    """Return the pose among a set of candidates that helps most.
+    """Return the pose among candidates that helps most at a distance; None if none can be seen.
 
-    Parameters
-    ----------
-    known : Knowledge
-        What is known so far.
-    scene : BoardScene
-        The scene found.
-    seen : Sightings
-        The corners; of a chessboard all must be in view, of markers some.
-    sigma_px : float
-        The noise that a new image's corners will have, px.
-    distance_mm : float
-        Where the projection matters, mm from the camera.
-
-    Returns
-    -------
-    NextBoard or None
-        None if no candidate can be seen.
+    Of a chessboard all corners must be in view, of markers some. `sigma_px` is a new image's noise.
     """
     candidates = [
         candidate

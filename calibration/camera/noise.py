@@ -147,21 +147,11 @@ def corner_sigmas_px(scene: BoardScene, seen: Sightings, spent: float = 0.0) -> 
 
 
 def moderated(variance: Float64, dof: Float64) -> tuple[Float64, float]:
-    """Return variances that lean on each other as much as their scatter warrants.
+    """Return variances (V,) that lean on each other as much as their scatter warrants, and the prior's d0.
 
-    Parameters
-    ----------
-    variance : array (V,)
-        Estimates, each with
-    dof : array (V,)
-        so many degrees of freedom.
-
-    Returns
-    -------
-    variance : array (V,)
-        (d0 s0² + d v) / (d0 + d) with the prior's d0 and s0² of the log variances' mean and variance.
-    prior_dof : float
-        d0; so many that they are as good as infinite where the estimates scatter no more than they must.
+    Of estimates v with d degrees of freedom they are (d0 s0² + d v) / (d0 + d), with the prior's d0 and s0²
+    of the log variances' mean and variance. Where the estimates scatter no more than they must, d0 is as good
+    as infinite.
     """
     if len(variance) < 2 or not (variance > 0.0).all():
         return variance, 0.0

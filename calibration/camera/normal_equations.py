@@ -53,19 +53,8 @@ class NormalEquations:
     ) -> NormalEquations:
         """Sum over the corners of each image.
 
-        Parameters
-        ----------
-        slices : list of slice
-            The corners of each image.
-        per_shared, per_motion : array (N, 2, m), (N, 2, 6)
-            Derivatives of the image points over sigma.
-        residual : array (N, 2)
-            Observed less predicted image points over sigma.
-
-        Returns
-        -------
-        NormalEquations
-            Their blocks.
+        `per_shared` (N, 2, m) and `per_motion` (N, 2, 6) are derivatives of the image points over sigma,
+        `residual` (N, 2) observed less predicted ones over sigma.
         """
         m = per_shared.shape[2]
         rows = np.concatenate([per_shared, per_motion, residual[:, :, None]], axis=2)

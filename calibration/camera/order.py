@@ -73,27 +73,9 @@ def held_out_errors(
     tilted: bool,
     progress: Callable[[int], None] | None = None,
 ) -> list[Held]:
-    """Return how well each distortion predicts, the leanest first.
+    """Return how well each distortion of `orders` predicts, the leanest first.
 
-    Parameters
-    ----------
-    scene : BoardScene
-        Where each starts.
-    seen : Sightings
-        The corners, without wrong ones.
-    noise : CornerNoise
-        Their noise, the same for all distortions.
-    orders : sequence of str
-        The distortions of `ORDERS` to try.
-    tilted : bool
-        Let the sensor be tilted, too.
-    progress : callable, optional
-        Told how many distortions are done.
-
-    Returns
-    -------
-    list of Held
-        One for each distortion.
+    Each starts at the scene. The noise is the same for all, and wrong corners are left out beforehand.
     """
     held = []
     for n, name in enumerate(orders):

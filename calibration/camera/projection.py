@@ -66,21 +66,9 @@ class Knowledge:
         return scaled_inverse(self.information)
 
     def of_projection(self, lens: Lens, points_px: Float64, distance_mm: float) -> Float64:
-        """Return the covariance of where points are seen.
+        """Return the covariance (N, 2, 2), px², of where points at a depth are seen (N, 2), px.
 
-        Parameters
-        ----------
-        lens : Lens
-            The lens that was found.
-        points_px : array (N, 2)
-            Where the points are seen, px.
-        distance_mm : float
-            How far they are along z of the camera; infinite for directions alone.
-
-        Returns
-        -------
-        array (N, 2, 2)
-            Covariances, px².
+        An infinite depth is that of directions alone.
         """
         rays = lens.rays(points_px)
         is_far = not np.isfinite(distance_mm)

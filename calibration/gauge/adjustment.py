@@ -252,23 +252,10 @@ def fit(
     noise_mm: Float64,
     prior: Float64 | None = None,
 ) -> GaugeFit:
-    """Fit sheet and gauge for stated errors of robot and form.
+    """Fit sheet and gauge for 1 sigma (2,), mm, of the robot's error in each direction, and of the form.
 
-    Parameters
-    ----------
-    problem : GaugeProblem
-        The sightings.
-    start : GaugeState
-        Where to begin; the gauge's pose is known to lie near it.
-    noise_mm : array (2,)
-        1 sigma of the robot's error in each direction, and of the form.
-    prior : array (m,), optional
-        1 sigma of the unknowns beforehand, about the start; infinite where nothing is known.
-
-    Returns
-    -------
-    Fit
-        The answer.
+    The gauge's pose is known to lie near the start. `prior` (m,) is 1 sigma of the unknowns about it,
+    infinite where nothing is known.
     """
     known = np.diag(_known(prior))
 

@@ -82,21 +82,9 @@ def laser_light_alone(image_dn: Integers) -> LaserLight:
 
 
 def stripe_pieces(image_dn: Integers, lens: Lens, count: int) -> Pieces | str:
-    """Return the straight pieces of the stripe in an image.
+    """Return the `count` straight pieces of the stripe in an image, or what is missing.
 
-    Parameters
-    ----------
-    image_dn : array (H, W)
-        The image, of the laser alone or with even light.
-    lens : Lens
-        The lens.
-    count : int
-        How many pieces the gauge makes.
-
-    Returns
-    -------
-    Pieces or str
-        What is missing where the stripe has not so many.
+    The image (H, W) is of the laser alone, or with even light.
     """
     path = likeliest_path(laser_light_alone(image_dn))
     if path is None or len(path.points_px) < count * MIN_LINES:

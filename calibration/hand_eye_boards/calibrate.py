@@ -175,34 +175,12 @@ def calibrate_hand_eye(
     lens_covariance: Float64 | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> HandEyeCalibration:
-    """Find the camera's pose on a robot.
+    """Find the camera's pose in the tool, or eye to hand, where the robot carries the board, in base.
 
-    Parameters
-    ----------
-    scene : BoardScene
-        The lens, which is held, and the boards' poses, from `calibration.camera.known_lens.board_poses`.
-    seen : Sightings
-        The corners.
-    T_base_tool : array (V, 4, 4)
-        The robot's pose of each image, mm.
-    is_eye_to_hand : bool
-        The camera stands still, and the robot carries the board. Else the robot carries the camera.
-    lens_covariance : array (n, n), optional
-        The covariance of the lens' free parameters; without it the lens counts as exact.
-    progress : callable, optional
-        Told how many steps are done, and of how many.
-
-    Returns
-    -------
-    HandEyeCalibration
-        The camera in the tool, or eye to hand in base.
-
-    Raises
-    ------
-    UndeterminedError
-        If the poses do not determine the camera; it says which motion is missing.
-    InconsistentError
-        If robot and boards contradict each other.
+    The lens of the scene is held, and its poses are those of `board_poses`; without the covariance of its
+    free parameters it counts as exact. `T_base_tool` (V, 4, 4), mm, are the robot's poses. UndeterminedError
+    names the motion that is missing, InconsistentError is raised where robot and boards contradict each
+    other.
     """
     tell = progress or (lambda done, total: None)
     check_count(len(T_base_tool), 0)

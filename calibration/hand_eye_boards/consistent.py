@@ -47,28 +47,10 @@ class PoseConsistency:
 
 
 def consistent(chain: Chain, boards: Boards, lens_root: Float64, off_px: Float64) -> PoseConsistency:
-    """Return the poses that agree, and what they make.
+    """Return the poses that agree, and what they make, from a chain to start from.
 
-    Parameters
-    ----------
-    chain : Chain
-        Where to start.
-    boards : Boards
-        All boards.
-    lens_root : array (n, k)
-        A root of the lens' covariance.
-    off_px : array (V,)
-        How far each board is off what the start predicts.
-
-    Returns
-    -------
-    Agreement
-        The poses.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If those that agree do not determine camera and board.
+    `lens_root` (n, k) is a root of the lens' covariance; `off_px` (V,) is how far each board is off what the
+    start predicts. LinAlgError if those that agree do not determine camera and board.
     """
     count = len(off_px)
     half = max(count // 2 + 1, MIN_POSES)

@@ -140,26 +140,8 @@ def pose_errors(
 def refined(chain: Chain, boards: Boards, lens_root: Float64, sigma: Float64 | None = None) -> Refinement:
     """Return camera, board, warp, boards' poses and the robot's noise of the largest likelihood.
 
-    Parameters
-    ----------
-    chain : Chain
-        Where to start.
-    boards : Boards
-        The boards, from `with_warp`.
-    lens_root : array (n, k)
-        A root of the lens' covariance; (n, 0) for a lens that is exact.
-    sigma : array (2,), optional
-        Where the search for the robot's sigma starts, rad and mm.
-
-    Returns
-    -------
-    Refined
-        The result.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the poses do not determine camera and board.
+    `lens_root` is a root of the lens' covariance, (n, 0) for a lens that is exact. The search for the robot's
+    sigma, rad and mm, starts at `sigma` (2,). LinAlgError if the poses do not determine camera and board.
     """
     for _ in range(MAX_ROUNDS):
         errors, equations, eta = pose_errors(chain, boards, lens_root)

@@ -40,27 +40,10 @@ SEED = 1
 def first_chain(
     T_base_tool: Float64, T_camera_board: Float64, board: Board, lens: Lens, *, is_eye_to_hand: bool
 ) -> tuple[Chain, Float64, Float64]:
-    """Return the chain that explains the median board best.
+    """Return the chain that explains the median board best, the boards' poses, and how far each is off.
 
-    Parameters
-    ----------
-    T_base_tool, T_camera_board : array (V, 4, 4)
-        The robot's poses, and those of the boards as seen, mm.
-    board : Board
-        The board: the ends of some cannot be told.
-    lens : Lens
-        The lens.
-    is_eye_to_hand : bool
-        The camera stands still, and the robot carries the board.
-
-    Returns
-    -------
-    chain : Chain
-        Camera and board.
-    T_camera_board : array (V, 4, 4)
-        The boards' poses, each turned to the end that fits.
-    off_px : array (V,)
-        How far each board's ends are seen from where the chain puts them, RMS.
+    The poses (V, 4, 4), mm, are turned to the end that fits: the ends of some boards cannot be told. A
+    board's ends are seen off where the chain puts them by `off_px` (V,), RMS.
     """
     turns = symmetries(board)
     turned = T_camera_board[:, np.newaxis] @ turns

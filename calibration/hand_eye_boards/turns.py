@@ -14,11 +14,6 @@ def turn_mismatch_deg(T_holder_mount: Float64, T_camera_board: Float64) -> float
     Their rotation vectors are the same but for one turn, that of the camera in its holder (Park and Martin,
     Robot sensor calibration: solving AX = XB on the Euclidean group, 1994). It is fitted to all pairs, and
     then to the half that agrees best: a pose of another image spoils some of them.
-
-    Parameters
-    ----------
-    T_holder_mount, T_camera_board : array (V, 4, 4)
-        The robot's poses, as `Chain` has them, and the board's.
     """
     first, second = np.triu_indices(len(T_holder_mount), 1)
     robot, board = (

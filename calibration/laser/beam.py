@@ -86,23 +86,8 @@ def beam_of(
 ) -> Beam:
     """Find thickness, origin and angle of a sheet whose plane is known.
 
-    Parameters
-    ----------
-    result : LaserCalibration
-        The plane, and the pairs' boards.
-    sections : mapping
-        The stripe's light of each pair, by its name; pairs without one are not used.
-    lens : Lens
-        The lens.
-    camera : Camera
-        As stated: its pose in the tool and its blur count as exact.
-    laser : Laser
-        As stated: its origin is where depths are counted from.
-
-    Returns
-    -------
-    Beam
-        What the pairs tell.
+    Pairs without a stripe's light across it are not used. The camera's pose in the tool and its blur count as
+    exact; depths are counted from the stated laser's origin.
     """
     T = camera.T_tool_camera
     plane, covariance = result.in_tool(T, laser.plane)

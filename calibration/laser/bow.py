@@ -39,19 +39,9 @@ class Bow:
 
 
 def bow_of(points_mm: Sequence[Float64], off_mm: Sequence[Float64]) -> Bow:
-    """Return the bow that stripes share: a parabola is fitted to each, and their mean is taken.
+    """Return the bow that stripes share over the median one: the mean of a parabola fitted to each.
 
-    Parameters
-    ----------
-    points_mm : sequence of array (n, 3)
-        Each stripe's points.
-    off_mm : sequence of array (n,)
-        How far they lie off the plane.
-
-    Returns
-    -------
-    Bow
-        The bow over the median stripe.
+    `points_mm` are each stripe's points (n, 3), `off_mm` how far they lie off the plane (n,).
     """
     curvatures, halves = [], []
     for points, off in zip(points_mm, off_mm, strict=True):

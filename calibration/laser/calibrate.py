@@ -131,28 +131,10 @@ def calibrate_laser(
     stripes: Mapping[str, BoardStripe],
     lens_covariance: Float64 | None = None,
 ) -> LaserCalibration:
-    """Find the laser sheet's plane from stripes on boards whose poses are known.
+    """Find the laser sheet's plane in the camera frame from stripes on boards whose poses are known.
 
-    Parameters
-    ----------
-    scene : BoardScene
-        Lens and boards, from `board_poses`.
-    seen : Sightings
-        The corners.
-    stripes : mapping
-        The stripe of each view, by its name; views without one are not used.
-    lens_covariance : array (n, n), optional
-        The covariance of the lens' free parameters; without it the lens counts as exact.
-
-    Returns
-    -------
-    LaserCalibration
-        The plane in the camera frame.
-
-    Raises
-    ------
-    UndeterminedError
-        If the pairs do not determine the plane; it says which pair is missing.
+    Views without a stripe by their name are not used. Without the covariance of its free parameters the lens
+    counts as exact. UndeterminedError names the pair that is missing.
     """
     chosen = [n for n, name in enumerate(seen.names) if name in stripes]
     _check_count(len(chosen))

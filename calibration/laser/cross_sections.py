@@ -80,23 +80,10 @@ class CrossSections:
 def cross_sections(
     seen: LaserLight, off_dn: Integers | Float64, on_dn: Integers, stripe: BoardStripe, black_dn: float = 0.0
 ) -> CrossSections | None:
-    """Measure a stripe's light across it.
+    """Measure a stripe's light across it; None where too little of the board lies about the stripe.
 
-    Parameters
-    ----------
-    seen : LaserLight
-        The laser's light on the board.
-    off_dn, on_dn : array (H, W)
-        The images without and with it; what is full in the latter tells no width.
-    stripe : BoardStripe
-        The stripe on the board.
-    black_dn : float
-        The code of no light.
-
-    Returns
-    -------
-    CrossSections or None
-        None where too little of the board lies about the stripe.
+    `off_dn`, `on_dn` (H, W) are the images without and with it: what is full in the latter tells no width.
+    `black_dn` is the code of no light.
     """
     room = np.maximum(off_dn.astype(np.float64) - black_dn, 0.0)
     top = float(np.quantile(room[seen.area], 0.95))

@@ -117,19 +117,10 @@ def _last_lit(amount: Float64, level: float) -> int:
 
 
 def fit_fan(sides: Sequence[Float64], quantized_mm: float) -> Fan | str:
-    """Fit the fan's sides.
+    """Fit the fan's sides to the ends on either (n, 2), along the axis and across it, mm.
 
-    Parameters
-    ----------
-    sides : sequence of array (n, 2)
-        The ends on either side, along the axis and across it, mm.
-    quantized_mm : float
-        The distance between scan lines on the boards.
-
-    Returns
-    -------
-    Fan or str
-        What is missing, where the ends do not determine it.
+    `quantized_mm` is the distance between scan lines on the boards. Where the ends do not determine the fan,
+    what is missing is returned.
     """
     off = [_off_most(side, quantized_mm) for side in sides]
     together = np.concatenate(off)

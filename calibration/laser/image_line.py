@@ -60,19 +60,10 @@ class LaserLineFit:
 
 
 def fit_line(rays: Float64, along_rows: bool) -> LaserLineFit:
-    """Fit a line to a stripe's rays.
+    """Return the line of the largest Student's likelihood, with the covariance that the residuals show.
 
-    Parameters
-    ----------
-    rays : array (n, 3)
-        The rays of its points in the order of its scan lines, z = 1.
-    along_rows : bool
-        The stripe runs along rows: its points err along y.
-
-    Returns
-    -------
-    ImageLine
-        The maximum of Student's likelihood, with the covariance that the residuals show.
+    `rays` (n, 3) are those of a stripe's points in the order of its scan lines, z = 1. A stripe along rows
+    errs along y.
     """
     t, y = (rays[:, 0], rays[:, 1]) if along_rows else (rays[:, 1], rays[:, 0])
     slope = _slope_of_most(t, y)

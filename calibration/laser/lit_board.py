@@ -119,25 +119,9 @@ class LitBoard:
 def lit_board(
     image_dn: Integers, board: Board, lens: Lens, T_camera_board: Float64, blur_px: float
 ) -> LitBoard:
-    """Take a board's own picture off an image (H, W) of it.
+    """Take a board's own picture off an image (H, W) of both; noise is more along the squares' edges.
 
-    Parameters
-    ----------
-    image_dn : array (H, W)
-        The image of board and stripe.
-    board : Board
-        The board.
-    lens : Lens
-        The lens.
-    T_camera_board : array (4, 4)
-        The board's pose, mm.
-    blur_px : float
-        The point-spread function's sigma.
-
-    Returns
-    -------
-    LitBoard
-        What is left, with its noise: more along the squares' edges.
+    `blur_px` is the point-spread function's sigma.
     """
     # Boards of an even number of rows begin with another colour since OpenCV 4.6.
     ways = (False, True) if board.kind is BoardKind.CHARUCO else (False,)
