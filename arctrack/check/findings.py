@@ -200,7 +200,7 @@ def _stripe(valid: Sequence[CheckedFrame], exposures_fit: bool) -> Iterator[Setu
     predicted_e = _median(look.peak_e for look in looks if math.isfinite(look.seen.peak_e))
     if math.isfinite(peak_e) and math.isfinite(predicted_e):
         text = f"{peak_e:.0f} e over its background, expected {predicted_e:.0f} e"
-        cure = "do [laser] peak_e, exposure_s, [sensor] gain_e_per_dn and gamma hold?"
+        cure = "do [laser] peak_e, [camera] exposure_s, [sensor] gain_e_per_dn and gamma hold?"
         parted = exposures_fit and share <= MAX_SATURATED and _part(peak_e, predicted_e, PEAK_RATIO)
         yield SetupFinding("peak", text, f"the stripe's peak is {text}; {cure}" if parted else None)
 

@@ -33,13 +33,15 @@ def check(
 
     Measured are seam and stripe, width, peak, saturation and speckle, black level and noise, the arc's light,
     times and speeds, each beside what is stated. A stripe where frames.csv says laser_on = 0 is named, and a
-    missing line where it says 1. The picture shows the predicted stripe over two frames.
+    missing line where it says 1. Each key that a warning names is explained. The picture shows the predicted
+    stripe over two frames.
     The exit code is 0 without a warning, 1 with one or if few offsets would go out, 3 if none would, 2
     for bad input.
     """
     look_at_recording(recording, setup)
     from arctrack.check.check_picture import draw
     from arctrack.check.check_recording import check_recording
+    from arctrack.check.named_keys import named_keys
     from arctrack.cli import console
     from arctrack.cli.exit_codes import NOTHING_TRACKED, WARNED
     from arctrack.recording import read_recording
@@ -58,6 +60,7 @@ def check(
                 screen.print(f"{finding.name:12} {finding.text}", markup=False, soft_wrap=True)
     warnings = [*read.warnings, *checked.warnings]
     console.warn(warnings)
+    keys = named_keys([*warnings, checked.verdict.line, str(checked.hint)])
     try:
         picture.parent.mkdir(parents=True, exist_ok=True)
         draw(checked).savefig(picture, format=picture.suffix[1:] or "png")
@@ -66,9 +69,10 @@ def check(
     except ValueError as error:
         raise in_file(picture, f"cannot be written: {error}; give a .png or .pdf with --out") from None
     if as_json:
-        say_json("check", _content(checked, warnings, picture))
+        say_json("check", {**_content(checked, warnings, picture), "keys": keys})
     else:
-        console.say(f"picture      {picture}", *_verdict_lines(checked))
+        explained = [f"{key}: {text}" for key, text in keys.items()]
+        console.say(*explained, f"picture      {picture}", *_verdict_lines(checked))
     if checked.refusal is not None:
         raise checked.refusal
     if checked.bad_frames:

@@ -96,6 +96,13 @@ class Key:
         return f"{self.field.description}{f', {unit}' if unit else ''}." if self.field.description else ""
 
     @property
+    def explanation(self) -> str:
+        """What it is, what it usually is, and how to come to its value."""
+        typical, source = self.said("typical"), self.said("source")
+        usual, origin = typical and f"Usual: {typical}.", source and f"From {source}"
+        return " ".join(filter(None, (self.meaning, usual, origin, self.said("note"))))
+
+    @property
     def default(self) -> str | None:
         """Its value where none is stated, as a file has it; None for a key that is needed or may lack."""
         value = self.field.default

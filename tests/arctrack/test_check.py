@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from arctrack.check.case import CheckCase, case_of, chosen_rows
 from arctrack.check.hint import likely_mistake
+from arctrack.check.named_keys import named_keys
 from arctrack.cli import app
 from arctrack.cli.exit_codes import BAD_INPUT, NOTHING_TRACKED
 from arctrack.errors import ArctrackError
@@ -173,6 +174,7 @@ def set_key(table: str, key: str, factor: float) -> Callable[[Path], None]:
         (set_key("laser", "stripe_sigma_mm", 0.7), "the stripe's width is 1 sigma"),
         (set_key("laser", "peak_e", 3.0), "the stripe's peak is"),
         (set_key("sensor", "black_level_dn", 3.0), "dark pixels read"),
+        (set_key("sensor", "black_level_dn", 3.0), "[sensor] black_level_dn: The mean grey level without"),
         (set_key("sensor", "read_noise_e", 4.0), "dark pixels scatter by"),
         (set_key("arc", "radiance_e", 5.0), "the arc's light is"),
         (set_key("camera", "exposure_s", 1000.0), "recording.toml: [camera] exposure_s: exposures are"),
@@ -201,6 +203,7 @@ def set_key(table: str, key: str, factor: float) -> Callable[[Path], None]:
         "width",
         "peak",
         "black",
+        "a key that is named",
         "noise",
         "arc",
         "setup's exposure",
@@ -217,6 +220,16 @@ def test_what_parts_is_warned_of_with_numbers(
     spoil(path)
     _, said = checked(path, tmp_path / "check.raw")
     assert warning in said
+
+
+def test_the_keys_that_a_line_names_are_explained() -> None:
+    line = "do [laser] peak_e, [sensor] gain_e_per_dn and gamma hold? [camera] width, and [hall] light"
+    keys = named_keys([line, "[sensor] gamma"])
+    assert [*keys] == ["[laser] peak_e", "[sensor] gain_e_per_dn", "[sensor] gamma", "[camera] width"]
+    assert keys["[camera] width"] == (
+        "The image's width, px. Usual: 320 to 2048. From the data sheet. Of the frames that you record: a "
+        "region of interest counts, not the whole sensor."
+    )
 
 
 def laser_as(state: str, only_if: Callable[[dict[str, str]], bool]) -> Callable[[Path], None]:
