@@ -18,12 +18,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
+from arctrack.nominal import DIMENSIONS, nominal_setup
 from arctrack.simulation.simulate import balance
 from noise_model.condition import Condition
 from noise_model.effects import REGISTRY
 from noise_model.forward import Renderer, draw_frame
 from noise_model.setup import Setup
+from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import SeamLine
 from tracker.geometry import SensorGeometry
 from tracker.seam.gaussian_process import SeamHistory
@@ -84,7 +85,7 @@ def main() -> None:
     for scene in range(-(-chosen.frames // FRAMES_A_SCENE)):
         rng = np.random.default_rng([chosen.seed, scene])
         joint = joints[scene % len(joints)]
-        setup = balance(nominal_setup(joint, str(rng.choice(MATERIALS)), width=320, height=240))
+        setup = balance(nominal_setup(joint, str(rng.choice(list(TABLE_1))), width=320, height=240))
         effects = {str(rng.choice(EFFECTS)): {}} if rng.random() < 0.5 else {}
         camera = setup.camera
         off = np.eye(4)

@@ -22,13 +22,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
+from arctrack.nominal import DIMENSIONS, nominal_setup
 from arctrack.recording import BadFrame, read_recording, read_truth
 from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
 from calibration.hand_eye import ARC_RADIUS_SIGMA, ARC_SIGMA_MM, REFLECTANCE_SIGMA, estimate_hand_eye
 from noise_model.arrays import Float64
 from noise_model.effects import Values
 from noise_model.setup import Setup
+from noise_model.surface.brdf import TABLE_1
 from tracker.state import Frame, Pose
 from tracker.tracker import Tracker
 
@@ -131,7 +132,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for n, joint in enumerate(DIMENSIONS):
             for seed in range(chosen.seeds):
-                metal = list(MATERIALS)[(n + seed) % len(MATERIALS)]
+                metal = list(TABLE_1)[(n + seed) % len(TABLE_1)]
                 name = f"{joint} {metal} {seed}"
                 effects = hidden_effects(np.random.default_rng([n, seed]))
                 plan = SimulationPlan(frames=chosen.frames, seed=1000 * n + seed)

@@ -25,12 +25,13 @@ import cv2
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from arctrack.nominal import DIMENSIONS, MATERIALS, nominal_setup
+from arctrack.nominal import DIMENSIONS, nominal_setup
 from arctrack.recording import BadFrame, read_recording, read_truth
 from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
 from calibration.hand_eye import estimate_hand_eye
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
+from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert, transform
 from tracker import flags
@@ -112,7 +113,7 @@ def print_row(path: Path, setup: Setup, frames: Posed, use_arc_map: bool) -> Non
 def simulated(folder: Path, joint: str, seeds: int, speed_mm_s: float) -> Iterator[Path]:
     """Simulate recordings into a folder and yield them one by one."""
     frames = 1 + round(WAY_MM / speed_mm_s * SimulationPlan.rate_hz)
-    for metal in MATERIALS:
+    for metal in TABLE_1:
         setup = balance(nominal_setup(joint, metal))
         for seed in range(seeds):
             plan = SimulationPlan(frames=frames, travel_speed_mm_s=speed_mm_s, seed=seed, production=True)
