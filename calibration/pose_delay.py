@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
@@ -61,8 +61,8 @@ BEND_BOUNDS_MM, SCATTER_BOUNDS_MM = (1e-3, 5.0), (1e-3, 2.0)
 LN_SIGMA = 1.0
 """Bends and scatters are the tracker's own within a factor of e, 1 sigma: short seams hardly tell them."""
 
-MAX_STEPS, SETTLED = 12, 0.01
-"""Steps from the best delay of the grid, and the step, in sigmas, that ends them."""
+FINE_S = 1e-6
+"""To so much the likeliest delay is found."""
 
 MAX_TRACKINGS = 4
 """How often the recording is tracked at most: a better delay lets the tracker find more."""
@@ -293,26 +293,19 @@ class _DelayProblem:
         return factor
 
     def refined(self, delay_s: float, bends_mm: Float64, scatters_mm: Float64) -> tuple[float, float]:
-        """Return the best delay near one, by Gauss and Newton's steps, and its 1 sigma."""
-        sigma_s = math.inf
-        low, high = DELAY.lower + GRID_S, DELAY.upper - GRID_S
-        for _ in range(MAX_STEPS):
-            stations, y = self.seen(delay_s)
-            J = self._speeds(delay_s)
-            slope, information = 0.0, 0.0
-            for axis in (0, 1):
-                factor = self._factor(axis, stations, bends_mm[axis], scatters_mm[axis])
-                weighted = cho_solve(factor, J[:, axis])
-                slope += float(weighted @ y[:, axis])
-                information += float(weighted @ J[:, axis])
-            if not information > 0.0:
-                return delay_s, math.inf
-            sigma_s = 1.0 / math.sqrt(information)
-            step_s = float(np.clip(-slope / information, -GRID_S, GRID_S))
-            delay_s = float(np.clip(delay_s + step_s, low, high))
-            if abs(step_s) < SETTLED * sigma_s:
-                break
-        return delay_s, sigma_s
+        """Return the likeliest delay near one of the grid's, and its 1 sigma."""
+
+        def loss(other_s: float) -> float:
+            return -self.ln_likelihood(*self.seen(other_s), bends_mm, scatters_mm)
+
+        near_s = np.clip([delay_s - GRID_S, delay_s + GRID_S], DELAY.lower + GRID_S, DELAY.upper - GRID_S)
+        best_s = float(minimize_scalar(loss, bounds=near_s, method="bounded", options={"xatol": FINE_S}).x)
+        stations, _ = self.seen(best_s)
+        J, information = self._speeds(best_s), 0.0
+        for axis in (0, 1):
+            factor = self._factor(axis, stations, bends_mm[axis], scatters_mm[axis])
+            information += float(J[:, axis] @ cho_solve(factor, J[:, axis]))
+        return best_s, 1.0 / math.sqrt(information) if information > 0.0 else math.inf
 
     def rival(
         self,
