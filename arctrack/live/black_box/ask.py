@@ -8,14 +8,9 @@ from arctrack.live.journal.message_pipe import PipeEnd
 
 
 class BlackBoxAsker:
-    """Asks over a connection, and hears the answers when they come; nobody waits.
+    """Client of the black box process; never blocks.
 
-    While it saves, what is asked besides is passed over: requests that queue would be answered long after.
-
-    Parameters
-    ----------
-    connection : PipeEnd
-        To the black box' process.
+    A request made while a recording is being saved is dropped: a queued one would be answered long after.
     """
 
     def __init__(self, connection: PipeEnd) -> None:

@@ -41,22 +41,10 @@ END = "end"
 
 @dataclass(frozen=True)
 class RecorderOptions:
-    """What a black box keeps, and where it goes.
+    """What a black box records, and where to.
 
-    Parameters
-    ----------
-    run : str
-        The run's name.
-    folder : Path
-        Where recordings go.
-    kept_s : float
-        How far back they reach, s.
-    rate_hz : float
-        The frames' rate, by which their video is played.
-    jobs : mapping of int to JobSetup
-        The jobs' setups.
-    saves_faults : bool
-        Whether faults are saved too, and not requests alone.
+    `folder` takes the recordings, which reach back `kept_s`; their video plays at `rate_hz`. `jobs` has the
+    setups by job number. With `saves_faults` a fault saves a recording too, not a request alone.
     """
 
     run: str

@@ -11,16 +11,9 @@ from tracker.state import Frame
 
 @dataclass(frozen=True)
 class UnreadableFrame:
-    """A frame that came and cannot be used.
+    """A frame that arrived and cannot be used.
 
-    Attributes
-    ----------
-    index : int
-        The frame's number.
-    timestamp_s : float
-        The middle of its exposure, s, on the camera's clock.
-    problem : str
-        What is wrong with it.
+    `timestamp_s` is its mid-exposure on the camera's clock, `problem` says what is wrong with it.
     """
 
     index: int
@@ -30,16 +23,10 @@ class UnreadableFrame:
 
 @dataclass(frozen=True)
 class CameraTraits:
-    """What a camera knows of the light, and has a hold on.
+    """What a camera knows of the light, and controls.
 
-    Attributes
-    ----------
-    knows_arc : bool
-        Whether its frames say if the arc was on, and the current; else the robot says it.
-    switches_laser : bool
-        Whether it switches the laser.
-    interleaves : bool
-        Whether it takes frames without the laser in between, of the arc's light alone.
+    With `knows_arc` its frames carry arc state and current; otherwise the robot reports them. With
+    `interleaves` it takes laser-off frames, of the arc's light alone, in between.
     """
 
     knows_arc: bool

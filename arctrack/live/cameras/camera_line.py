@@ -33,22 +33,11 @@ _BYTES = _WANTED.size + _CHECKSUM.size
 
 @dataclass(frozen=True)
 class CaptureRequest:
-    """What a tracker wants; times are of the host's monotonic clock.
+    """What a tracker asks of a camera; times are on the host's monotonic clock.
 
-    Attributes
-    ----------
-    laser_until_s : float
-        The laser is on until then, s.
-    exposure_s : float
-        The exposure, s; NaN for the camera's own.
-    base_begin_s : float
-        When a base phase of the pulsed arc began, s; NaN where no pulse is known.
-    period_s : float
-        The pulse's period, s.
-    base_s : float
-        How long each base phase lasts, s.
-    pulse_until_s : float
-        What is known of the pulse holds until then, s.
+    The laser is on until `laser_until_s`. NaN as `exposure_s` leaves the camera its own. `base_begin_s` is
+    the begin of a base phase of the pulsed arc (NaN where no pulse is known); a base phase lasts `base_s` of
+    each `period_s`, and this is known until `pulse_until_s`.
     """
 
     laser_until_s: float = 0.0
@@ -69,13 +58,7 @@ def line_path(name: str) -> Path:
 
 
 class CameraLine:
-    """Drives the line of a camera; the laser is off at first.
-
-    Parameters
-    ----------
-    name : str
-        The name of the camera's frames.
-    """
+    """Control line of the camera whose frames have this name; the laser is off at first."""
 
     def __init__(self, name: str) -> None:
         path = line_path(name)

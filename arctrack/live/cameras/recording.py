@@ -14,14 +14,9 @@ from tracker.state import Frame
 
 
 class RecordingCamera:
-    """Plays a recording at its pace. Its clock is the recording's, and begins with the first frame.
+    """A recording played at its own pace, which `monotonic_s` measures.
 
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    monotonic_s : callable
-        The clock that its pace is measured by, s.
+    Its clock is the recording's, and begins with the first frame.
     """
 
     traits = PLAYED

@@ -52,21 +52,10 @@ def unpack_frame(fields: npt.NDArray[np.uint8], image_dn: npt.NDArray[Any]) -> F
 
 
 class SharedFramesWriter(Closing):
-    """Publishes frames under a name; who reads them makes it wait for nothing.
+    """Publisher of frames in shared memory; readers never block it.
 
-    Parameters
-    ----------
-    name : str
-        The frames' name: one writer at a time.
-    height, width : int
-        The images' size, px.
-    dtype : dtype
-        Their grey levels' type, uint8 or uint16.
-
-    Raises
-    ------
-    SharedFramesError
-        If a writer of this name is alive, or there is no room.
+    A name has one writer at a time. Grey levels are uint8 or uint16. Raises SharedFramesError if a writer of
+    this name is alive, or there is no room.
     """
 
     def __init__(self, name: str, height: int, width: int, dtype: npt.DTypeLike = np.uint8) -> None:
@@ -93,23 +82,10 @@ class SharedFramesWriter(Closing):
 
 
 class SharedFramesReader(Closing):
-    """Reads the newest frame of a name.
+    """Reader of the newest frame published under a name.
 
-    Parameters
-    ----------
-    name : str
-        The frames' name.
-
-    Attributes
-    ----------
-    missed : int
-        How many frames were taken and not read. A number that is skipped is a frame that was lost before it
-        could be published.
-
-    Raises
-    ------
-    SharedFramesError
-        If nobody publishes such frames.
+    `missed` counts frames that were published and not read; a gap in the frame numbers is a frame lost before
+    it was published. Raises SharedFramesError if nobody publishes such frames.
     """
 
     def __init__(self, name: str) -> None:

@@ -16,21 +16,10 @@ LOOK_AGAIN_S = 0.5
 
 
 class SharedMemoryCamera:
-    """The newest frame of a name; a writer that ends and begins again is found anew.
+    """The newest frame published under a name; reconnects to a writer that was restarted.
 
-    Parameters
-    ----------
-    name : str
-        The frames' name.
-    setup : Setup
-        Which frames are expected.
-    traits : CameraTraits, optional
-        What its publisher knows of the light; by default all of it.
-
-    Raises
-    ------
-    SharedFramesError
-        If nobody publishes such frames, or they do not fit the setup.
+    Without `traits` the publisher is taken to know all of the light. Raises SharedFramesError if nobody
+    publishes such frames, or they do not fit the setup.
     """
 
     def __init__(self, name: str, setup: Setup, traits: CameraTraits = SHARED) -> None:

@@ -24,16 +24,8 @@ SERIAL_LINE_S = 0.0023
 
 @dataclass(frozen=True)
 class LatencyPart:
-    """A part of the time from mid-exposure to the offset.
-
-    Parameters
-    ----------
-    name : str
-        What takes the time.
-    typical_s, at_most_s : float
-        How long in the middle, and at most, s.
-    source : str
-        Where the numbers come from.
+    """A part of the latency from mid-exposure to offset: its median, its maximum, and where the figures come
+    from.
     """
 
     name: str
@@ -76,35 +68,17 @@ def transfer_s(n_bytes: int) -> float:
 
 
 def max_rows(width: int, bytes_per_pixel: int, rate_hz: float) -> int:
-    """Return how many rows of an image gigabit Ethernet carries at a frame rate.
-
-    Parameters
-    ----------
-    width : int
-        Pixels in a row.
-    bytes_per_pixel : int
-        Bytes of a pixel.
-    rate_hz : float
-        Frames a second.
-    """
+    """Return the number of image rows that gigabit Ethernet carries at a frame rate."""
     return math.floor(POLICY.ethernet_payload_bytes_s / (rate_hz * width * bytes_per_pixel))
 
 
 def budget_of(
     cell: CellFile, steps: StepTimes | None, late: Quantiles, watched: CameraReading | None = None
 ) -> Budget:
-    """Work out the time from a frame's mid-exposure until its offset is on the bus.
+    """Return the latency budget from a frame's mid-exposure until its offset is on the bus.
 
-    Parameters
-    ----------
-    cell : CellFile
-        The cell.
-    steps : StepTimes or None
-        What steps took; None leaves them out as NaN.
-    late : Quantiles
-        How late this machine wakes up.
-    watched : CameraReading, optional
-        What the live camera gave: then the way to the loop is measured, not worked out.
+    Without `steps` their times are NaN. `late` is how late this machine wakes up. With `watched`, what the
+    live camera gave, the latency up to the loop is measured instead of computed.
     """
     way = _way(cell.setup.setup, watched)
     turn = LatencyPart(

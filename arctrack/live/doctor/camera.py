@@ -21,17 +21,7 @@ SLOW_SHARE = 0.9
 
 @dataclass(frozen=True)
 class CameraReading:
-    """What a camera gave.
-
-    Parameters
-    ----------
-    frames, unreadable : int
-        How many frames came, and how many of them cannot be used.
-    rate_hz : float
-        Frames a second.
-    age : Quantiles
-        From a frame's mid-exposure to its arrival.
-    """
+    """Frames that a camera delivered: count, unusable ones, rate, and age on arrival since mid-exposure."""
 
     frames: int
     unreadable: int

@@ -47,13 +47,7 @@ Steps = Callable[[str, int], Callable[[int], None]]
 
 @dataclass
 class Examination:
-    """What a cell's checks came to beside their findings.
-
-    Attributes
-    ----------
-    budget : Budget or None
-        How late an offset goes out.
-    """
+    """Results of a cell's checks other than findings: the latency budget, where it is known."""
 
     budget: Budget | None = None
 
@@ -78,18 +72,9 @@ def examine_machine(folder: Path) -> Iterator[DoctorFinding]:
 def examine_cell(
     cell: CellFile, steps: Steps, examination: Examination, **bus_options: Any
 ) -> Iterator[DoctorFinding]:
-    """Yield what is to be said of a machine that is to run a cell; nothing is sent, the laser stays off.
+    """Yield the findings about a machine that is to run a cell; nothing is sent, the laser stays off.
 
-    Parameters
-    ----------
-    cell : CellFile
-        The cell.
-    steps : callable
-        Shows how far it is.
-    examination : Examination
-        Takes what else there is to show.
-    **bus_options
-        What else python-can needs.
+    `steps` shows progress, `examination` takes the other results, `bus_options` go to python-can.
     """
     setup, rate_hz, choice = cell.setup.setup, cell.camera.frame_rate_hz, cell.process
     yield from machine_findings(choice)

@@ -16,19 +16,7 @@ class FindingState(Enum):
 
 @dataclass(frozen=True)
 class DoctorFinding:
-    """A check in words.
-
-    Parameters
-    ----------
-    name : str
-        What was looked at.
-    state : FindingState
-        How it ended.
-    text : str
-        What was seen, on one line.
-    cure : str
-        What to do about it; empty where it is ok.
-    """
+    """Result of one check: what was seen on one line, and the cure, empty where it is ok."""
 
     name: str
     state: FindingState

@@ -13,24 +13,8 @@ def _limit(value: float, unit: str, role: str, source: str, sensitivity: str) ->
 
 @dataclass(frozen=True)
 class DoctorPolicy:
-    """What a machine is held against. Each field's metadata states unit, role, source and sensitivity.
-
-    Parameters
-    ----------
-    clock_step_s : float
-        The largest step of the monotonic clock, s.
-    wake_up_s, wake_ups : float, int
-        How long a sleep is whose lateness is measured, s, and how many there are.
-    work_s, wait_share : float
-        How long it works to see how busy the machine is, s, and the largest share that it may wait meanwhile.
-    listen_s : float
-        How long robot and camera are waited for, s.
-    disk_free_bytes : float
-        The least room on a disk, bytes.
-    ethernet_payload_bytes_s : float
-        What a gigabit line carries of image data, bytes/s.
-    steps : int
-        How many steps of the tracker are timed.
+    """Thresholds that a machine is held against; each field's metadata states unit, role, source and
+    sensitivity.
     """
 
     clock_step_s: float = _limit(

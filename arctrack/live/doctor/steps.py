@@ -29,14 +29,9 @@ class NotCompiledError(Exception):
 
 @dataclass(frozen=True)
 class StepTimes:
-    """What steps took.
+    """Durations of tracker steps with a known seam, and of the first, searching step of a new tracker.
 
-    Parameters
-    ----------
-    tracked, searched : Quantiles
-        A step whose seam is known, and the first step of a new tracker.
-    valid_share : float
-        The share of the drawn frames that are tracked validly.
+    `valid_share` is the share of the drawn frames with a valid track.
     """
 
     tracked: Quantiles
@@ -54,16 +49,9 @@ def require_compiled(tracker: Tracker) -> None:
 
 
 def time_steps(tracker: Tracker, steps: int, on_done: OnDone) -> StepTimes:
-    """Draw frames along the nominal seam, and time the tracker on them.
+    """Draw frames along the nominal seam, and time a warm tracker on them; its state is not touched.
 
-    Parameters
-    ----------
-    tracker : Tracker
-        The tracker, warm; its state is not touched.
-    steps : int
-        How many steps are timed.
-    on_done : callable
-        Hears how many frames were drawn and steps taken so far.
+    `on_done` is called with the number of frames drawn and steps taken so far.
     """
     shown = []
     for index, pose in enumerate(_poses(tracker)):

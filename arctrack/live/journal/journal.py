@@ -81,28 +81,10 @@ def journal_bytes(kept_s: float, rate_hz: float, image_bytes: int) -> int:
 
 
 class Journal:
-    """Writes what a live run saw and did.
+    """Shared-memory journal of what a live run saw and did.
 
-    Parameters
-    ----------
-    name : str
-        The run's name.
-    shape : tuple (2,)
-        The images' height and width, px.
-    dtype : dtype
-        Their type.
-    slots : int
-        How many entries are kept, see `slots_for`.
-
-    Attributes
-    ----------
-    lost : int
-        How many entries and views did not fit.
-
-    Raises
-    ------
-    RingError
-        If there is no room in shared memory.
+    It keeps the latest `slots` entries (see `slots_for`) of images of `shape` (height, width). `lost` counts
+    entries and views that did not fit. Raises RingError if shared memory has no room.
     """
 
     def __init__(self, name: str, shape: tuple[int, int], dtype: npt.DTypeLike, slots: int) -> None:
@@ -157,18 +139,7 @@ class Journal:
 
 
 class JournalReader:
-    """Reads a live run's journal in another process.
-
-    Parameters
-    ----------
-    name : str
-        The run's name.
-
-    Raises
-    ------
-    RingError
-        If no such run is there.
-    """
+    """Reader of a live run's journal, for another process; raises RingError if there is no such run."""
 
     def __init__(self, name: str) -> None:
         self._name = name

@@ -19,13 +19,7 @@ MAX_BYTES = 2**20
 
 
 class PipeEnd:
-    """One end of a pipe; it never makes its user wait unless that asks for it.
-
-    Parameters
-    ----------
-    handle : int
-        The descriptor of a socket that makes nobody wait.
-    """
+    """One end of a pipe over a non-blocking socket; it blocks only on request."""
 
     def __init__(self, handle: int) -> None:
         self._handle = handle

@@ -21,12 +21,9 @@ ARRAY = 0
 
 
 class Packer:
-    """Packs records whose classes are found by the annotations of their fields.
+    """Binary codec of records whose classes follow from their fields' annotations.
 
-    Parameters
-    ----------
-    roots : sequence of type
-        The classes of the outermost records: dataclasses or named tuples.
+    `roots` are the outermost records' classes: dataclasses or named tuples.
     """
 
     def __init__(self, roots: Sequence[type]) -> None:

@@ -46,32 +46,12 @@ class HeardPose:
 
 @dataclass(frozen=True)
 class Entry:
-    """A frame that was tracked.
+    """A tracked frame: `frame` and `inputs` as the step took them, `track` without stripe and checks.
 
-    Attributes
-    ----------
-    frame : Frame
-        The frame as the tracker saw it.
-    inputs : StepInputs
-        What the step took beside it.
-    track : Track
-        What came of it, without stripe and checks.
-    offset : SeamOffset or None
-        The offset that went out.
-    job_number : int
-        The job whose seam it is.
-    poses : tuple of HeardPose
-        The poses that came since the entry before.
-    arrived_s, sent_s : float
-        When the loop had the frame, and when its offset went out, s; NaN where it did not.
-    took_ms : float
-        How long the step took, ms.
-    dropped : int
-        How many frames were dropped since the start.
-    gate_reason : GateReason
-        Why the offset did not go out as it was measured; NONE if it did.
-    pose_doubt : str
-        Why poses were not trusted, by the name in `results.csv`; empty where they were.
+    `poses` arrived since the entry before. `arrived_s` and `sent_s` are when the loop had the frame and sent
+    its offset, NaN where it sent none; `dropped` counts frames since the start. `gate_reason` says why the
+    offset did not go out as measured (NONE if it did), `pose_doubt` why poses were not trusted, by the name
+    in `results.csv` (empty if they were).
     """
 
     frame: Frame
@@ -90,22 +70,10 @@ class Entry:
 
 @dataclass(frozen=True)
 class SeenFrame:
-    """What was seen in a frame, for those who look: its entry's position, and more than that holds.
+    """Intermediate results of a frame, for display; `position` is that of its entry, counted from the first.
 
-    Attributes
-    ----------
-    position : int
-        Of the frame's entry, from the first.
-    track : Track
-        The track with its stripe.
-    seam : SeamLine or None
-        Where the seam was looked for; None where nothing was.
-    reach_mm : float
-        How far about it, mm.
-    arc : ArcLevel or None
-        The arc's light.
-    joint : MeasuredJoint or None
-        The joint that was fitted.
+    The seam was expected at `seam`, within `reach_mm`; `track` has its stripe. Parts that were not computed
+    are None.
     """
 
     position: int
@@ -118,18 +86,10 @@ class SeenFrame:
 
 @dataclass(frozen=True)
 class ProcessState:
-    """How a process of the run stands, beside the loop's own.
+    """State of one of the run's subprocesses.
 
-    Attributes
-    ----------
-    pid : int
-        The number of the process, or of the one that ended last.
-    is_running : bool
-        Whether it does its work.
-    ends : int
-        How often it has ended by itself; it was started again each time.
-    problem : str
-        What is wrong with it or its work; empty where nothing is.
+    `pid` is that of the one that runs, or ended last. `ends` counts the times it ended by itself and was
+    restarted. `problem` is empty where there is none.
     """
 
     pid: int
@@ -140,48 +100,16 @@ class ProcessState:
 
 @dataclass(frozen=True)
 class Status:
-    """How the run stands.
+    """State of the run.
 
-    Attributes
-    ----------
-    now_s, wall_s : float
-        The time on the frames' clock and of the day, s.
-    source : Source
-        Whether the run is live.
-    state : ServiceState
-        The state that the robot is told.
-    fault : Fault
-        What holds until RESET.
-    laser : LaserState
-        What the laser does.
-    reason : GateReason
-        Why the newest offset did not go out as measured; NONE where it did.
-    offset : SeamOffset or None
-        The newest offset that went out.
-    robot : RobotStatus or None
-        What the robot said last.
-    command : TrackerCommand or None
-        What it wants of the tracker.
-    job_number : int
-        The job whose seam is tracked.
-    frames, valid, dropped : int
-        How many frames were tracked, tracked validly, and dropped.
-    offsets, reasons : mapping of str to int
-        How many offsets went out by validity, and why not as measured.
-    faults : mapping of str to int
-        The bus' faults.
-    capture_ms, arrival_ms : tuple (3,)
-        Median, 99 % and largest time from mid-exposure and from the frame's arrival to its offset, ms.
-    frame_s : float
-        When the newest frame was taken, s; NaN before the first.
-    processor_wait : float
-        Which share of the time that the loop wants a processor it waits for one; NaN where that is not known.
-    capture_counts, arrival_counts : tuple of int
-        How many of these times were at most each of `BUCKETS_S`, and last how many there were.
-    capture_sum_s, arrival_sum_s : float
-        The sums of these times, s.
-    processes : mapping of str to ProcessState
-        The processes of the run beside the loop's own, by their names.
+    `now_s` is on the frames' clock, `wall_s` the time of day, `frame_s` the newest frame's time (NaN before
+    the first). `fault` holds until RESET. `offset` is the newest one sent and `reason` why it was not sent as
+    measured (NONE if it was); `robot` and `command` are the latest received. `offsets` counts sent offsets by
+    validity, `reasons` why they differ from the measured ones, `faults` the bus faults.
+    `capture_*` times run from mid-exposure, `arrival_*` times from the frame's arrival, until the offset was
+    sent. `*_ms` are median, 99 % and maximum; `*_counts` are cumulative by `BUCKETS_S`, with the total last.
+    `processor_wait` is the share of the time in which the loop wants a processor that it waits for one; NaN
+    if unknown.
     """
 
     now_s: float
@@ -216,20 +144,10 @@ class Status:
 class GapReport:
     """Whether the setup explains the latest frames, and what the arc looks like in them.
 
-    Attributes
-    ----------
-    time_s : float
-        When the newest frame that it rests on was taken, s.
-    is_gap : bool
-        Whether the arc map no longer explains the frames.
-    text : str
-        What that looks like, in plain words; empty where nothing is said.
-    since_wall_s : float
-        Since when it has been so, time of the day, s; NaN where there is no gap.
-    arc_level, arc_level_sigma : float
-        The arc's output over the expected one, and its 1 sigma; NaN where it is not known.
-    arc_height_mm, arc_height_sigma_mm : float
-        How high the arc's centre is above the surface, and its 1 sigma, mm; NaN where it is not known.
+    `time_s` is the time of the newest frame used. `is_gap` says that the arc map no longer explains the
+    frames, since `since_wall_s` (time of day, NaN without a gap); `text` says what that looks like.
+    `arc_level` is the arc's output over the expected one, `arc_height_mm` the height of its centre above the
+    surface; both are NaN if unknown.
     """
 
     time_s: float

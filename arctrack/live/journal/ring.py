@@ -53,25 +53,11 @@ def ring_bytes(slots: int, record_bytes: int) -> int:
 
 
 class RingWriter(Closing):
-    """Writes records under a name; who reads them makes it wait for nothing.
+    """Writer of a ring of records in shared memory; readers never block it.
 
-    Parameters
-    ----------
-    name : str
-        The records' name: one writer at a time.
-    slots : int
-        How many of the latest are kept.
-    record_bytes : int
-        How long a record may be.
-    kind : bytes
-        What the records are, 48 bytes at most: readers see it.
-
-    Raises
-    ------
-    RingError
-        If a writer of this name is alive, or there is no room.
-    PermissionError
-        If memory of this user's name is another's.
+    It keeps the latest `slots` records of up to `record_bytes`. `kind` (at most 48 bytes) tells readers what
+    they are. Raises RingError if a writer of this name is alive or there is no room, PermissionError if the
+    name's memory belongs to another user.
     """
 
     def __init__(self, name: str, slots: int, record_bytes: int, kind: bytes = b"") -> None:
@@ -131,26 +117,10 @@ class RingWriter(Closing):
 
 
 class RingReader(Closing):
-    """Reads records of a name.
+    """Reader of a ring of records in shared memory.
 
-    Parameters
-    ----------
-    name : str
-        The records' name.
-
-    Attributes
-    ----------
-    slots : int
-        How many of the latest are kept.
-    kind : bytes
-        What the records are, as their writer said it.
-
-    Raises
-    ------
-    RingError
-        If nobody writes such records.
-    PermissionError
-        If memory of this user's name is another's.
+    `slots` and `kind` are as the writer stated them. Raises RingError if nobody writes such records,
+    PermissionError if the name's memory belongs to another user.
     """
 
     def __init__(self, name: str) -> None:

@@ -20,15 +20,7 @@ PURPOSE = b"arctrack monitor page"
 
 
 class Access:
-    """Lets requests in.
-
-    Parameters
-    ----------
-    host : str
-        The address on which the page is served.
-    token : str or None
-        What must be brought, None for nothing.
-    """
+    """Access control of the page; without a `token` every request to `host` is let in."""
 
     def __init__(self, host: str, token: str | None) -> None:
         self._token = token

@@ -26,25 +26,9 @@ POINTS_PER_TICK = 2
 
 
 class Feed:
-    """What the page's process knows of a run, and the browsers that hear of it.
+    """What the page's process knows of a run, and the browsers that are told.
 
-    Parameters
-    ----------
-    reader : JournalReader
-        The run's journal.
-    options : MonitorOptions
-        What is known of the run beforehand.
-    has_black_box : bool
-        Whether the run's frames can be saved.
-
-    Attributes
-    ----------
-    status : Status or None
-        The newest status.
-    gap : GapReport or None
-        The newest gap report.
-    arc : ArcLevel or None
-        The arc in the newest view.
+    `status` and `gap` are the newest, `arc` is that of the newest view; None before the first.
     """
 
     def __init__(self, reader: JournalReader, options: MonitorOptions, has_black_box: bool) -> None:

@@ -27,13 +27,7 @@ def registry_of(feed: Feed) -> CollectorRegistry:
 
 
 class RunCollector(Collector):
-    """Gives a run's numbers as they are when they are asked for; what is not known is left out.
-
-    Parameters
-    ----------
-    feed : Feed
-        What is known of the run.
-    """
+    """Prometheus collector of a run's figures, read on each scrape; unknown ones are left out."""
 
     def __init__(self, feed: Feed) -> None:
         self._feed = feed

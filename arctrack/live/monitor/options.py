@@ -13,24 +13,9 @@ from noise_model.setup import Setup
 class MonitorOptions:
     """What a monitor page needs to know of a run.
 
-    Parameters
-    ----------
-    journal : str
-        The run's name.
-    setups : mapping of int to Setup
-        The setup of each job, by the job's number; one at least.
-    host : str
-        The address on which the page is served.
-    port : int
-        Its port; 0 takes a free one.
-    token : str or None
-        What a browser must bring; None lets everybody look who reaches the address.
-    title : str
-        What the run is, such as its cell file and its camera.
-    job_names : mapping of int to str
-        What people call the jobs.
-    is_simulated : bool
-        Whether robot and camera are simulated.
+    `journal` is the run's name, `setups` has at least one setup by job number. Port 0 takes a free one;
+    without a `token` everybody may look who reaches `host`. `title` tells the run, such as its cell file and
+    camera.
     """
 
     journal: str

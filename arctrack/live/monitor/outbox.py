@@ -27,13 +27,7 @@ COUNTS_ALONE = frozenset({MessageKind.STATUS, MessageKind.PICTURE, MessageKind.H
 
 
 class Outbox:
-    """The messages that wait for one browser.
-
-    Attributes
-    ----------
-    dropped : int
-        How many were not sent for newer ones.
-    """
+    """Messages queued for one browser; `dropped` counts those replaced by newer ones."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[MessageKind, Message]] = deque()

@@ -58,13 +58,7 @@ class MonitorPicture:
 
 
 class Painter:
-    """Paints frames for the page.
-
-    Parameters
-    ----------
-    setups : mapping of int to Setup
-        The setup of each job.
-    """
+    """Renderer of frames for the page, with the setup of each job."""
 
     def __init__(self, setups: Mapping[int, Setup]) -> None:
         self._setups = setups

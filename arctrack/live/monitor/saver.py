@@ -11,13 +11,7 @@ PATIENCE_S = 60.0
 
 
 class Saver:
-    """Asks a black box over its connection, one request at a time.
-
-    Parameters
-    ----------
-    connection : PipeEnd or None
-        To the black box; None where there is none.
-    """
+    """Client of the black box, one request at a time; without a connection there is no black box."""
 
     def __init__(self, connection: PipeEnd | None) -> None:
         self._connection = connection

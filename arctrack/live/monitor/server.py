@@ -51,17 +51,7 @@ SAVE_REASON = "monitor page"
 
 
 class Server:
-    """Answers browsers and other programs.
-
-    Parameters
-    ----------
-    feed : Feed
-        What is known of the run.
-    access : Access
-        Who may look.
-    saver : Saver
-        Asks the black box.
-    """
+    """HTTP and WebSocket server of the page."""
 
     def __init__(self, feed: Feed, access: Access, saver: Saver) -> None:
         self._feed, self._access, self._saver = feed, access, saver

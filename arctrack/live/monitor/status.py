@@ -28,13 +28,7 @@ Point = tuple[float, Number, Number, Number, Number, str, Number, Number]
 
 
 class FrameRate:
-    """Counts frames a second over the latest statuses.
-
-    Attributes
-    ----------
-    hz : float
-        The frames a second; NaN where they are not known.
-    """
+    """Frame rate over the latest statuses; `hz` is NaN where it is unknown."""
 
     def __init__(self) -> None:
         self._counts: deque[tuple[float, int]] = deque()
@@ -50,13 +44,7 @@ class FrameRate:
 
 
 class OffsetFlow:
-    """Watches whether offsets that the robot may use go out.
-
-    Attributes
-    ----------
-    age_s : float
-        How long before the newest status the last one went out, s; infinite before the first.
-    """
+    """Age of the last offset that the robot may use, s before the newest status; infinite without one."""
 
     def __init__(self) -> None:
         self._count = 0

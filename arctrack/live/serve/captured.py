@@ -24,26 +24,10 @@ ENDS_S = 10.0
 
 
 class CapturedCamera(SharedMemoryCamera):
-    """Reads what a process beside this one captures.
+    """Camera that is read by a subprocess of this one.
 
-    Parameters
-    ----------
-    choice : CameraChoice
-        Which camera.
-    cell_path : Path
-        The cell file: what it names lies beside it.
-    setup : Setup
-        Which frames are expected.
-
-    Attributes
-    ----------
-    process : SideProcess
-        What captures.
-
-    Raises
-    ------
-    ArctrackError
-        If the camera cannot be opened, or its frames do not fit the setup.
+    What the cell file names lies beside it. Raises ArctrackError if the camera cannot be opened, or its
+    frames do not fit the setup.
     """
 
     def __init__(self, choice: CameraChoice, cell_path: Path, setup: Setup) -> None:

@@ -45,15 +45,7 @@ class _TimedPose:
 
 
 class ExposureChooser:
-    """Says which exposure is best, some times a second.
-
-    Parameters
-    ----------
-    range_s : tuple (2,)
-        The least and the largest exposure, s.
-    frame_rate_hz : float
-        The camera's frames a second.
-    """
+    """Choice of the best exposure within `range_s` (least, largest), some times a second."""
 
     def __init__(self, range_s: tuple[float, float], frame_rate_hz: float) -> None:
         self._least_s = range_s[0]

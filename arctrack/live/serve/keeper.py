@@ -19,14 +19,8 @@ STATUS_S = 0.1
 
 
 class Keeper:
-    """Writes a run's journal, after an offset went out.
-
-    Parameters
-    ----------
-    journal : Journal
-        Where it writes.
-    processes : callable
-        Returns how the run's other processes stand.
+    """Writer of a run's journal, after each offset was sent; `processes` returns the states of the run's
+    subprocesses.
     """
 
     def __init__(self, journal: Journal, processes: Callable[[], Mapping[str, ProcessState]] = dict) -> None:

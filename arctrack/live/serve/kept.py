@@ -35,18 +35,10 @@ PAGE_NICENESS, BLACK_BOX_NICENESS, WATCH_NICENESS = 10, 10, 15
 
 @dataclass(frozen=True)
 class JournalProcesses:
-    """What writes a run's journal, and what reads it.
+    """Writer and readers of a run's journal.
 
-    Attributes
-    ----------
-    keeper : Keeper
-        Writes it.
-    black_box : BlackBoxAsker or None
-        Asks the black box, where there is one.
-    page : str or None
-        Where the page is.
-    warnings : tuple of str
-        What is missing, one line each.
+    `black_box` is None where there is none, `page` is the monitor's address, `warnings` name what is missing,
+    one line each.
     """
 
     keeper: Keeper
@@ -59,28 +51,11 @@ class JournalProcesses:
 def kept(
     cell: CellFile, setups: Mapping[int, Setup], supervisor: Supervisor, is_simulated: bool = False
 ) -> Iterator[JournalProcesses | None]:
-    """Keep a run's journal, with the processes that a cell file asks for.
+    """Keep a run's journal, with the processes that a cell file asks for; yields None where nobody would read
+    one.
 
-    Parameters
-    ----------
-    cell : CellFile
-        The cell.
-    setups : mapping of int to Setup
-        The setup of each job that may be tracked.
-    supervisor : Supervisor
-        Starts the processes again that end.
-    is_simulated : bool
-        Whether robot and camera are simulated.
-
-    Yields
-    ------
-    Kept or None
-        What was started; None where nobody would read a journal.
-
-    Raises
-    ------
-    ArctrackError
-        If there is no room for the journal.
+    `setups` are by job number; `supervisor` restarts processes that end. Raises ArctrackError if shared
+    memory has no room.
     """
     kept_s = cell.black_box.seconds
     if kept_s == 0.0 and not cell.monitor.enabled:

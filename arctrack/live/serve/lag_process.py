@@ -12,13 +12,7 @@ from robot_io.clocks.lag import Lag, LagLimits
 
 
 class LagAsker:
-    """Asks a process for estimates; the loop waits for none.
-
-    Parameters
-    ----------
-    connection : PipeEnd
-        To the process.
-    """
+    """Client of the process that estimates the robot's lag; never blocks."""
 
     def __init__(self, connection: PipeEnd) -> None:
         self._connection = connection

@@ -37,15 +37,7 @@ class Quantiles:
 
 
 class LatencyCounts:
-    """Counts times, and gives their quantiles to a bin's width.
-
-    Attributes
-    ----------
-    max_ms : float
-        The largest time, ms; NaN before the first.
-    sum_s : float
-        The sum of all times, s.
-    """
+    """Histogram of latencies, with quantiles to a bin's width; `max_ms` is NaN before the first."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(len(_ENDS_MS), np.int64)

@@ -74,32 +74,14 @@ def opened_run(
     is_simulated: bool = False,
     **bus_options: Any,
 ) -> Iterator[LiveRun]:
-    """Build a cell's loop and what is beside it, warm it up, and open its bus last.
+    """Build a cell's loop and its subprocesses, warm it up, and open its bus last; nothing was sent when it
+    yields.
 
-    Parameters
-    ----------
-    cell : CellFile
-        The cell.
-    tell : callable
-        Hears what happens to the run's other processes, in another thread.
-    job_number : int, optional
-        Which of the jobs a recording's seam is; by default the only one. A live robot names its job itself.
-    on_track : callable, optional
-        Hears each track, and what was sent of it.
-    is_simulated : bool
-        Whether robot and camera are simulated, and the page says so.
-    **bus_options
-        What else python-can needs.
-
-    Yields
-    ------
-    LiveRun
-        The run; nothing was sent yet.
-
-    Raises
-    ------
-    ArctrackError
-        If the cell file states no camera, or camera or bus cannot be opened.
+    `tell` is called from another thread with what happens to the subprocesses. `job_number` is the job of a
+    recording's seam, by default the only one; a live robot names its job itself. `on_track` gets each track
+    and the offset that was sent. With `is_simulated` the page says that robot and camera are simulated;
+    `bus_options` go to python-can. Raises ArctrackError if the cell file states no camera, or camera or bus
+    cannot be opened.
     """
     with ExitStack() as opened:
         supervisor = Supervisor(tell)
@@ -150,23 +132,10 @@ def _let_hear(keeper: Keeper, cast: RunParts) -> None:
 def run(
     loop: LiveLoop, goes_on: Callable[[], bool], watchdog_s: float, notifier: Notifier | None = None
 ) -> LoopResult:
-    """Let a loop have this process until it does not go on; its last offset is REFUSED.
+    """Run a loop in this process while `goes_on` (asked some hundred times a second); its last offset is
+    REFUSED.
 
-    Parameters
-    ----------
-    loop : LiveLoop
-        The loop.
-    goes_on : callable
-        Says whether to go on: asked some hundred times a second.
-    watchdog_s : float
-        How long a turn may take before the process is ended, s.
-    notifier : Notifier, optional
-        What the service manager is told by.
-
-    Returns
-    -------
-    LoopResult
-        What the run came to.
+    A turn that takes longer than `watchdog_s` ends the process. `notifier` tells the service manager.
     """
     with garbage_left(), Watchdog(watchdog_s) as watchdog:
         loop.camera.begin()

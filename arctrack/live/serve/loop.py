@@ -61,27 +61,13 @@ OnTrack = Callable[[Track, list[BusMessage]], None]
 
 @dataclass(frozen=True)
 class LoopResult:
-    """What a run came to.
+    """Totals of a run.
 
-    Attributes
-    ----------
-    frames, dropped, dark : int
-        How many frames were tracked, how many were not for a newer one, and how many were taken without the
-        laser in between.
-    valid : int
-        How many tracks are valid.
-    offsets : mapping of str to int
-        How many offsets went out, by validity.
-    reasons : mapping of str to int
-        Why the gate did not let the tracks' own offsets out.
-    capture_to_send, arrival_to_send : Quantiles
-        From a frame's mid-exposure, and from when the loop had it, to the sending of its offset.
-    delayed : int
-        How many offsets were late or refused for a delay while the machine was too busy.
-    waited_s, ran_s : float
-        How long the loop waited for a processor, and had one, s; NaN where the kernel does not tell.
-    ended_s : float
-        The machine's monotonic time at which this was so, s.
+    `dropped` frames gave way to a newer one, `dark` ones were taken without the laser. `offsets` counts sent
+    offsets by validity, `reasons` why the gate held the measured ones back. Latencies run from mid-exposure
+    and from the frame's arrival to the sent offset; `delayed` offsets were late or refused for a delay while
+    the machine was too busy. `waited_s` and `ran_s` are the loop's time waiting for and on a processor, NaN
+    where the kernel does not tell. `ended_s` is the monotonic time of these figures.
     """
 
     frames: int
@@ -99,27 +85,12 @@ class LoopResult:
 
 
 class LiveLoop:
-    """Takes frames and messages, and sends what the controller answers; the thread that makes it runs it.
+    """Loop that takes frames and messages, and sends what the controller answers; it runs in the thread that
+    makes it.
 
-    Parameters
-    ----------
-    camera : CameraProtocol
-        Where frames come from.
-    link : Link
-        The bus.
-    services : mapping of int to TrackingService
-        What answers, by the number by which the robot names its job; all have one controller. Until the
-        robot names one of them the first one tracks.
-    source : Source
-        Where frames come from. In a live run the robot's commands choose the seam; a recording has its own.
-    on_track : callable, optional
-        Hears each track, and what was sent of it.
-    keeper : Keeper, optional
-        Writes the journal.
-    on_dark : callable, optional
-        Hears each frame of the arc's light alone; it is not tracked.
-    exposure : ExposureChooser, optional
-        Chooses the exposure of the frames to come.
+    `services` are by the robot's job number and share one controller; the first one tracks until the robot
+    names a job. In a live run the robot's commands choose the seam; a recording has its own. `on_track` gets
+    each track and what was sent of it, `on_dark` each laser-off frame, which is not tracked.
     """
 
     def __init__(

@@ -12,12 +12,9 @@ FEEDS_PER_LIMIT = 2.0
 
 
 class Notifier:
-    """Sends datagrams to the socket that systemd names; where it names none, nothing is sent.
+    """Client of systemd's notification socket; sends nothing where systemd names none.
 
-    Parameters
-    ----------
-    environment : mapping of str to str, optional
-        Where NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID stand; by default the process' own.
+    `environment` (by default the process' own) has NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID.
     """
 
     def __init__(self, environment: dict[str, str] | None = None) -> None:

@@ -20,21 +20,9 @@ from tracker.state import AT_ONCE, OffsetLookAhead
 
 
 class PlayedPoses:
-    """Gives the poses that a replay gives, and the same doubts of them.
+    """Poses of a recording with the plausibility doubts that a replay has.
 
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    limits : PlausibilityLimits
-        What its poses must keep to.
-    policy : ServicePolicy
-        How long the place of the robot on the bus counts.
-
-    Attributes
-    ----------
-    on_begin : callable or None
-        Hears that the seam begins anew with the pose that is asked for, as it did when it was recorded.
+    `on_begin` is called where the recorded seam begins anew with the requested pose.
     """
 
     def __init__(self, recording: Recording, limits: PlausibilityLimits, policy: ServicePolicy) -> None:

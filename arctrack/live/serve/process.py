@@ -24,17 +24,7 @@ REARMED_S = 0.1
 def schedule(choice: ProcessChoice) -> tuple[list[str], list[str]]:
     """Schedule this process as a cell file says.
 
-    Parameters
-    ----------
-    choice : ProcessChoice
-        What is asked for.
-
-    Returns
-    -------
-    done : list of str
-        What was set, one line each.
-    refused : list of str
-        What the machine does not allow, one line each with its cure.
+    Returns what was set, and what the machine does not allow with its cure, one line each.
     """
     done: list[str] = []
     refused: list[str] = []
@@ -83,15 +73,10 @@ def garbage_left() -> Iterator[None]:
 
 
 class Watchdog:
-    """Ends this process, with a trace of where it hung, once it is not fed for some time.
+    """Watchdog that ends this process, with a stack trace, once it is not fed for `limit_s`.
 
-    It is a thread of the interpreter's C code: it bites even where Python's own threads hang. The robot's
-    time-outs end what was VALID, and the laser goes off by itself.
-
-    Parameters
-    ----------
-    limit_s : float
-        How long it may go without being fed, s.
+    It is a C thread of the interpreter, so it fires even where Python's threads hang. The robot's time-outs
+    end what was VALID, and the laser goes off by itself.
     """
 
     def __init__(self, limit_s: float) -> None:

@@ -33,28 +33,14 @@ SPAWN = multiprocessing.get_context("spawn")
 
 
 class SideProcess:
-    """A process of a run, which can be started again.
+    """A restartable subprocess of a run.
 
-    Over a connection of its own it says once that it is ready: what its users need to know, or ERROR and why
-    it cannot work. Later it may say what troubles it, and "" once nothing does. It ends when that is closed.
-
-    Parameters
-    ----------
-    name : str
-        What it is called.
-    target : callable
-        What it runs: takes the arguments, then its end of the connection, then the pipes.
-    arguments : tuple
-        What comes before its end of the connection, at its next start.
-    pipes : tuple of PipeEnd
-        Ends of pipes to others. They stay open here as well: whoever has the other ends does not notice that
-        another process has taken these over.
-    niceness : int
-        By how much it yields to other processes.
-    lost : object, optional
-        What is answered into its pipes for a process that ended with what it had been asked.
-    ends_s : float
-        How long it may take to end, s.
+    Over its own connection it reports once that it is ready, with what its users need to know, or ERROR and
+    the reason. Later it may report a problem, and "" once that is gone. It ends when the connection is
+    closed.
+    `target` takes `arguments` (those at its next start), then its end of the connection, then `pipes`. The
+    pipes' ends stay open here too, so that a restart goes unnoticed at their other ends. `lost` is answered
+    into the pipes for a process that ended with an open request. `ends_s` is the time it may take to end.
     """
 
     def __init__(

@@ -54,17 +54,9 @@ class TorchError:
 
 @dataclass
 class Lock:
-    """Hears a run's tracks, and notes from when on its torch follows: see `ClosedLoop.lock_s`.
+    """Time from which a run's torch follows the seam (see `ClosedLoop.lock_s`).
 
-    Parameters
-    ----------
-    plan : LoopPlan
-        What is welded.
-
-    Attributes
-    ----------
-    at_s : float
-        The machine's monotonic time, s; infinite before the lock.
+    `at_s` is on the machine's monotonic clock, infinite before.
     """
 
     plan: LoopPlan
@@ -84,21 +76,10 @@ class Lock:
 
 
 class SimulatedCell:
-    """A robot and its camera, as processes beside this one.
+    """Simulated robot and camera, as subprocesses of this one.
 
-    Parameters
-    ----------
-    plan : LoopPlan
-        What is welded.
-    frames : str
-        The name of its frames.
-    meanwhile : callable, optional
-        What is done while they get ready.
-
-    Attributes
-    ----------
-    bus_options : dict
-        What python-can needs beside interface and channel: nobody else hears this bus.
+    `frames` is the name of the camera's frames; `meanwhile` runs while they start. `bus_options` are
+    python-can's for a bus that nobody else hears.
     """
 
     def __init__(self, plan: LoopPlan, frames: str, meanwhile: Callable[[], None] = lambda: None) -> None:

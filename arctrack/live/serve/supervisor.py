@@ -20,13 +20,7 @@ Tell = Callable[[str], None]
 
 
 class Supervisor:
-    """Watches processes from `start` to `stop`.
-
-    Parameters
-    ----------
-    tell : callable
-        Hears what happens to them, in the supervisor's own thread.
-    """
+    """Supervisor of processes from `start` to `stop`; it calls `tell` from a thread of its own."""
 
     def __init__(self, tell: Tell) -> None:
         self._tell = tell

@@ -21,18 +21,10 @@ from tracker.state import Frame
 
 @dataclass(frozen=True)
 class Shot:
-    """Where the robot is at a capture, and what it does.
+    """State of the robot at a capture.
 
-    Attributes
-    ----------
-    captured_s : float
-        When, s, on the machine's monotonic clock.
-    station_mm, weave_s : float
-        How far it is along the path, and in its weave.
-    offset_mm : tuple (2,)
-        The offset (y, z) that it has reached, mm.
-    status : RobotStatus
-        What it does.
+    `captured_s` is on the machine's monotonic clock, `station_mm` the arc length along the path, `weave_s`
+    the time in its weave, `offset_mm` the offset (y, z) that it has reached.
     """
 
     captured_s: float

@@ -40,19 +40,9 @@ class RealTimeScheduler(Scheduler):
 
 @dataclass
 class RealBus:
-    """Carries the frames of one party over python-can; what it sent and hears again is dropped.
+    """One node's frames over python-can; echoes of its own frames are dropped.
 
-    Parameters
-    ----------
-    can_bus : can.BusABC
-        The bus.
-    scheduler : RealTimeScheduler
-        When.
-
-    Attributes
-    ----------
-    unsent : int
-        How many frames the bus did not take.
+    `unsent` counts the frames that the bus did not take.
     """
 
     can_bus: can.BusABC

@@ -62,27 +62,12 @@ def serve_cell(
     on_ready: Callable[[], None] | None = None,
     **bus_options: Any,
 ) -> None:
-    """Run robot and camera until it does not go on.
+    """Run the simulated robot and camera while `goes_on` (asked some fifty times a second).
 
-    Parameters
-    ----------
-    plan : LoopPlan
-        What is welded; the tracker's part of it says nothing here.
-    interface, channel : str
-        python-can's, such as udp_multicast and 239.74.163.2.
-    frames : str
-        The name under which frames are published (`arctrack.live.cameras.shared_frames`).
-    goes_on : callable
-        Takes the robot, and says whether it goes on: asked some fifty times a second.
-    on_ready : callable, optional
-        Hears that the camera is ready: rendering is compiled, frames will come.
-    **bus_options
-        What else python-can needs.
-
-    Raises
-    ------
-    ArctrackError
-        If the bus cannot be joined, or the camera ends by itself.
+    The plan's tracker part is not used. `interface` and `channel` are python-can's, such as udp_multicast and
+    239.74.163.2, as are `bus_options`; `frames` is the name in `arctrack.live.cameras.shared_frames`.
+    `on_ready` is called once rendering is compiled. Raises ArctrackError if the bus cannot be joined, or the
+    camera ends by itself.
     """
     spawn = multiprocessing.get_context("spawn")
     shots, camera_end = spawn.Pipe()
@@ -111,19 +96,11 @@ def serve_cell(
 
 
 class Program:
-    """What the robot's program wants of the tracker: nothing before it hears one, and none that fell silent.
+    """The robot's program: it commands nothing before it hears a tracker, nor after that fell silent.
 
-    TRACK comes ARMED_S after a tracker's first heartbeat, once DISARM is acknowledged. At a part's end it is
-    disarmed; when that is acknowledged the next part is there, and all begins again.
-
-    Parameters
-    ----------
-    party : RobotParty
-        The robot.
-    scheduler : Scheduler
-        When.
-    part_mm : float
-        How long a part is, mm.
+    TRACK comes ARMED_S after a tracker's first heartbeat, once DISARM is acknowledged. At a part's end, after
+    `part_mm`, the tracker is disarmed; once that is acknowledged the next part is there, and all begins
+    again.
     """
 
     def __init__(self, party: RobotParty, scheduler: Scheduler, part_mm: float) -> None:

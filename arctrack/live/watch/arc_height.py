@@ -57,16 +57,11 @@ MAX_STEPS, ROBUST_STEPS = 3, 4
 
 @dataclass(frozen=True)
 class ArcHeight:
-    """The arc's output and height as its light shows them; NaN where it does not.
+    """The arc's output and height as seen in its light; NaN if unknown.
 
-    Attributes
-    ----------
-    level, level_sigma : float
-        The output over the expected one, and its 1 sigma.
-    height_mm, height_sigma_mm : float
-        How far the arc's centre stands above the stated one, mm, along the tool's axis, and its 1 sigma.
-    chi2 : float
-        What is left, per pixel, over what is expected: 1 where the map is as good as stated.
+    `level` is the output over the expected one, `height_mm` the arc centre's distance above the stated one
+    along the tool's axis, each with 1 sigma. `chi2` is the residual per pixel over the expected one: 1 where
+    the map is as good as stated.
     """
 
     level: float = NAN
@@ -97,13 +92,7 @@ class ArcDeparture:
 
 
 class ArcHeightEstimator:
-    """Estimates the arc's height from frames of a setup.
-
-    Parameters
-    ----------
-    geometry : SensorGeometry
-        The setup with its tables.
-    """
+    """Estimator of the arc's height from frames of a setup."""
 
     def __init__(self, geometry: SensorGeometry) -> None:
         self.geometry = geometry
@@ -117,27 +106,11 @@ class ArcHeightEstimator:
         keep_off_px: float,
         surface_sigma_mm: float,
     ) -> ArcHeight:
-        """Estimate the arc's output and height.
+        """Estimate the arc's output and height; NaN where its light is too weak or does not determine them.
 
-        Parameters
-        ----------
-        frame : Frame
-            A frame with the arc on.
-        pose : Pose
-            The tool's pose.
-        seam : SeamLine
-            Where the seam is.
-        stripe_px : array (n_scan,) or None
-            Where the stripe is on each scan line, px, NaN where there is none; None with the laser off.
-        keep_off_px : float
-            How far from it the laser's light reaches, px.
-        surface_sigma_mm : float
-            1 sigma of the surface's height below the torch, mm: the arc stands on it.
-
-        Returns
-        -------
-        ArcHeight
-            The estimate; not known where too little of the arc's light is seen, or it says too little.
+        `stripe_px` (n_scan,) is the stripe on each scan line, px, NaN where there is none; None with the
+        laser off. The laser's light reaches `keep_off_px` from it. `surface_sigma_mm` is 1 sigma of the
+        height of the surface below the torch, on which the arc stands.
         """
         geometry = self.geometry
         if make_scene(geometry.setup, pose.T_base_tool, seam).below_surface:

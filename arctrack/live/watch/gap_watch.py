@@ -7,7 +7,7 @@ block of time so that neighbouring frames count once, is compared with what the 
 
 of the standardised blocks z is Page's test (1954, Biometrika 41, 100), the quickest for its rate of false
 alarms (Moustakides 1986, Ann. Stat. 14, 1379). It alarms above DECIDE; the change began where S last was 0.
-Neighbouring blocks are alike, r; so z is over the sigma of a long sum's blocks, s sqrt((1 + r) / (1 - r)).
+Neighbouring blocks correlate by r; so z is over the sigma of a long sum's blocks, s sqrt((1 + r) / (1 - r)).
 """
 
 from __future__ import annotations
@@ -24,29 +24,21 @@ from tracker.state import Track
 
 @dataclass(frozen=True)
 class GapPolicy:
-    """When a gap is told.
+    """When a gap is reported: a CUSUM test on blocks of mean ln(misfit).
 
-    Parameters
-    ----------
-    block_s : float
-        How long a block is, s (a texture's patches pass in half a second at 10 mm/s).
-    learn_blocks : int
-        From how many blocks without a gap the run's own level and scatter are taken at most (chosen; ten
-        minutes: what half a minute tells of them, when neighbours are alike, makes false alarms).
-    alike_blocks, max_alike : int, float
-        From how many blocks on neighbours' likeness is taken from them, and how much at most (chosen: fewer
-        do not tell it; beyond it a change could not be told from them).
-    min_frames : int
-        A block of fewer frames that tell a misfit is none.
-    prior_sigma, prior_blocks : float
-        The scatter of a block's mean ln(misfit) that is taken at first, and how many blocks that counts for:
-        few blocks do not know their own (simulated runs show 0.07 to 0.12, alike by 0.5).
-    drift, decide : float
-        In sigmas: half the shift that is to be found quickly, and the sum that alarms. With 0.5 and 12 the
-        run length without a gap is 10^6 blocks for independent ones (Siegmund 1985, Sequential Analysis,
-        Eq. 2.56), and a shift of 3 sigmas is told after five blocks.
-    explained : float
-        A misfit up to this is within what the map states, whatever the run began with.
+    - `block_s`: length of a block, s (a texture's patches pass in half a second at 10 mm/s).
+    - `learn_blocks`: largest number of gap-free blocks that the run's own level and scatter are taken from
+      (chosen: ten minutes; with correlated neighbours, what half a minute tells of them makes false alarms).
+    - `alike_blocks`, `max_alike`: number of blocks from which the correlation of neighbours is estimated, and
+      its largest value (chosen: fewer blocks do not determine it; beyond it a change could not be told from
+      correlation).
+    - `min_frames`: a block with fewer frames that determine a misfit does not count.
+    - `prior_sigma`, `prior_blocks`: prior scatter of a block's mean ln(misfit), and the number of blocks that
+      it counts for (simulated runs show 0.07 to 0.12, correlated by 0.5).
+    - `drift`, `decide`: in sigmas, half the shift to be found quickly, and the sum that alarms. With 0.5 and
+      12 the run length without a gap is 10^6 blocks for independent ones (Siegmund 1985, Sequential Analysis,
+      Eq. 2.56), and a shift of 3 sigmas is reported after five blocks.
+    - `explained`: a misfit up to this is within what the map states, whatever the run began with.
     """
 
     block_s: float = 1.0
@@ -63,21 +55,10 @@ class GapPolicy:
 
 @dataclass
 class GapWatch:
-    """Hears each track, and says whether the map still explains what is seen.
+    """Monitor of whether the map still explains the tracks.
 
-    Parameters
-    ----------
-    policy : GapPolicy
-        When a gap is told.
-
-    Attributes
-    ----------
-    is_gap : bool
-        Whether it no longer does.
-    since_s : float
-        Since when, s, on the frames' clock; NaN while it does.
-    misfit : float
-        The newest block's misfit, NaN before the first.
+    While `is_gap`, `since_s` is when it began on the frames' clock, otherwise NaN. `misfit` is the newest
+    block's, NaN before the first.
     """
 
     policy: GapPolicy = field(default_factory=GapPolicy)

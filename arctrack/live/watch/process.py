@@ -62,20 +62,7 @@ def run_watch(options: WatchOptions, told: Connection) -> None:
 
 
 class RunWatch:
-    """Watches a run by its journal.
-
-    Parameters
-    ----------
-    reader : JournalReader
-        The journal.
-    jobs : mapping of int to Setup
-        Each job's setup.
-
-    Attributes
-    ----------
-    now_s : float
-        When the newest frame that was looked at was taken, s.
-    """
+    """Watch of a run by its journal; `now_s` is the time of the newest frame that was examined."""
 
     def __init__(self, reader: JournalReader, jobs: Mapping[int, Setup]) -> None:
         self._reader, self._jobs = reader, jobs

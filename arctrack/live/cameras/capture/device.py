@@ -31,21 +31,9 @@ BELIEVED_S = 1.0
 
 
 class DeviceSource:
-    """A device that is open.
+    """An open video device, by path such as /dev/video0 or by number.
 
-    Parameters
-    ----------
-    name : str
-        Its path, such as /dev/video0, or its number.
-    setup : Setup
-        Which frames are expected.
-    rate_hz : float
-        Frames a second.
-
-    Raises
-    ------
-    ArctrackError
-        If the device cannot be opened, or its frames do not fit the setup.
+    Raises ArctrackError if it cannot be opened, or its frames do not fit the setup.
     """
 
     def __init__(self, name: str, setup: Setup, rate_hz: float) -> None:

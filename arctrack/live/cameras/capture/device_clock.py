@@ -16,13 +16,10 @@ WINDOW_S = 5.0
 
 
 class DeviceClock:
-    """Puts a device's stamps on the host's clock.
+    """Map from a device's time stamps to the host's clock.
 
-    Attributes
-    ----------
-    sigma_s : float
-        1 sigma of the offset for the delays that vary, s; infinite before the second stamp. The shortest way
-        itself, and what drifts within the window, it does not tell.
+    `sigma_s` is 1 sigma of the offset from variable delays; infinite before the second stamp. It does not
+    include the shortest transit time itself, nor drift within the window.
     """
 
     def __init__(self) -> None:

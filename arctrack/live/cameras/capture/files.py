@@ -30,20 +30,10 @@ def sidecar_of(path: Path) -> Path:
 
 
 class FileSource:
-    """Plays images at their times, or at a rate, from the moment at which it begins.
+    """A video, or a folder of images, played in real time from the moment it begins.
 
-    Parameters
-    ----------
-    path : Path
-        The video, or the folder.
-    images : callable
-        Yields the images.
-    rate_hz : float
-        Frames a second, where no table states their times.
-    exposure_s : float
-        Their exposure, s, where no table states it.
-    is_looped : bool
-        Whether the first frame follows the last one.
+    `rate_hz` and `exposure_s` hold where no table states times and exposures. A looped source begins again
+    after its last frame.
     """
 
     def __init__(

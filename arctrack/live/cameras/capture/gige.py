@@ -41,26 +41,10 @@ Since = tuple[float, float]
 
 
 class GigeSource:
-    """A camera that is open.
+    """An open GigE Vision camera.
 
-    Parameters
-    ----------
-    choice : CameraChoice
-        Which camera, and how it takes frames.
-    setup : Setup
-        Which frames are expected.
-    ask : callable
-        Returns what the tracker wants now.
-
-    Attributes
-    ----------
-    clock : DeviceClock
-        The camera's clock.
-
-    Raises
-    ------
-    ArctrackError
-        If there is no such camera, or it cannot do what is asked.
+    `ask` returns the tracker's current request. Raises ArctrackError if there is no such camera, or it cannot
+    do what is asked.
     """
 
     is_over = False

@@ -19,26 +19,11 @@ CONTAINERS = ("matroska", "webm", "mov", "mp4", "m4a", "3gp", "3g2", "mj2", "avi
 
 
 class LumaVideo:
-    """A video that is read from its beginning to its end, never elsewhere.
+    """Sequential reader of a grey video; it never seeks.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Attributes
-    ----------
-    rate_hz : float
-        The frames a second that the file states.
-    shape : tuple (2,)
-        The frames' height and width, px.
-    dtype : dtype
-        Their grey levels' type, uint8, or uint16 beyond 8 bits.
-
-    Raises
-    ------
-    ArctrackError
-        If the file cannot be read, or is neither FFV1 nor H.264 with a plane of grey.
+    `shape` is (height, width), px; `dtype` is uint8, or uint16 beyond 8 bits; `rate_hz` is the rate that the
+    file states. Raises ArctrackError if the file cannot be read, or is neither FFV1 nor H.264 with a plane of
+    grey.
     """
 
     def __init__(self, path: Path) -> None:

@@ -22,23 +22,9 @@ def is_reached(wanted: CaptureRequest, exposure_s: float, now_s: float) -> bool:
 
 
 def trigger_at_s(wanted: CaptureRequest, exposure_s: float, due_s: float, now_s: float) -> float:
-    """Return when to trigger a frame that is due, s.
+    """Return when the exposure of a due frame begins, s: in the first base phase from `due_s` on.
 
-    Parameters
-    ----------
-    wanted : CaptureRequest
-        What is known of the pulse.
-    exposure_s : float
-        The exposure, s.
-    due_s : float
-        When the frame is due, s: it comes then, or in the first base phase after.
-    now_s : float
-        The time, s.
-
-    Returns
-    -------
-    float
-        When its exposure is to begin, s; `due_s` where no base phase is known that it fits in.
+    It is `due_s` itself where no base phase is known that the exposure fits in.
     """
     if not is_reached(wanted, exposure_s, now_s):
         return due_s
