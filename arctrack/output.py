@@ -95,23 +95,9 @@ def write_whole(path: Path, text: str) -> None:
 def write_keeping(path: Path, text: str) -> Path | None:
     """Write a file in one go, and keep the one that was there under its name and the next free number.
 
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    text : str
-        What it is to hold.
-
-    Returns
-    -------
-    Path or None
-        Where the earlier file is kept, such as recording.toml.1; the largest number is the newest. None if
-        there was none, or if it held the same.
-
-    Raises
-    ------
-    ArctrackError
-        If it cannot be written; what was there is then as it was.
+    Returns where that is kept, such as recording.toml.1; the largest number is the newest. None if there was
+    none, or if it held the same. If the file cannot be written ArctrackError is raised, and what was there is
+    as it was.
     """
     kept = None
     with writing(path):

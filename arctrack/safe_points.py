@@ -37,12 +37,8 @@ def ends_at_safe_points() -> Iterator[Callable[[], None]]:
     A KeyboardInterrupt may otherwise come between any two lines: in a message that is half sent, or in a file
     that is half closed. A second signal does not wait, for the first may be held back by a disk that hangs.
     Behind the block the signal comes as if it had not been held back. In another thread than the main one
-    nothing is held back, for signals are the main one's.
-
-    Yields
-    ------
-    callable
-        Raises KeyboardInterrupt if a signal came.
+    nothing is held back, for signals are the main one's. What is yielded raises KeyboardInterrupt if a signal
+    came.
     """
     came: list[int] = []
 

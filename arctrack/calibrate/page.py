@@ -81,20 +81,9 @@ def row_of(
     ends: tuple[float, float] | None = None,
     shown: Callable[[float, float], tuple[str, str]] = with_sigma,
 ) -> ValueRow:
-    """Return a value's row.
+    """Return a value's row, with `ends` of its 95 % interval, or those of a normal law.
 
-    Parameters
-    ----------
-    what, key : str
-        What it is, and its key in the setup.
-    value, sigma : float
-        The value and its 1 sigma.
-    unit : str
-        The unit of both.
-    ends : tuple of float, optional
-        Where the 95 % interval begins and ends; default: that of a normal law.
-    shown : callable
-        Makes text of a value and its 1 sigma.
+    `shown` makes text of a value and its 1 sigma.
     """
     low, high = ends or (value - HALF_95 * sigma, value + HALF_95 * sigma)
     first, last = (shown(float(end), float(sigma))[0] for end in (low, high))

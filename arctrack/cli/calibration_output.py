@@ -81,25 +81,11 @@ def calibrate_from_recording(
     page: str,
     of_the_others: str,
 ) -> None:
-    """Calibrate with a recording, and write its page and the setup.
+    """Calibrate with a recording, and write its page and the setup, beside the recording by default.
 
-    Parameters
-    ----------
-    make : callable
-        Calibrates; its frames that cannot be read are named at the end.
-    recording : Path
-        The recording.
-    out, report : Path, optional
-        Where setup and page go; default: the recording's setup, and beside it.
-    page : str
-        The page's name where `report` states none.
-    of_the_others : str
-        What became of the frames that can be read, such as "the delay is that of the others".
-
-    Raises
-    ------
-    ArctrackError
-        Where nothing can be written, where the calibration is refused, and at last for bad frames.
+    Frames that `make` cannot read are named at the end; `of_the_others` says what became of the rest, such as
+    "the delay is that of the others". ArctrackError where nothing can be written, where the calibration is
+    refused, and at last for bad frames.
     """
     from arctrack.cli import console
     from arctrack.recording import read_recording

@@ -80,17 +80,7 @@ class PoseWatch:
     def hear(self, received: Received, now_s: float) -> PoseSample | None:
         """Take an accepted message; return the pose that it completes, at its time on the clock of `now_s`.
 
-        Parameters
-        ----------
-        received : Received
-            A message of any type.
-        now_s : float
-            The time of its reading, s.
-
-        Returns
-        -------
-        PoseSample or None
-            The sample, of where the tool is, whether it is trusted or not.
+        The sample is of where the tool is, whether it is trusted or not.
         """
         came_at_s = now_s - received.max_age_s
         if isinstance(received.message, RobotStatus):

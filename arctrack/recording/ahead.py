@@ -20,17 +20,7 @@ def read_ahead(items: Generator[Item, None, None]) -> Iterator[Iterator[Item]]:
 
     Decoders run without Python's lock, so the thread works while the tracker does. Order and values are the
     generator's. What it raises is raised behind the last item that it gave. It is closed by its own thread,
-    which ends with the block, however that ends.
-
-    Parameters
-    ----------
-    items : generator
-        What is to be taken; nobody else may use it.
-
-    Yields
-    ------
-    iterator
-        The same items.
+    which ends with the block, however that ends. Nobody else may use the generator.
     """
     # A Ctrl-C may come inside what is written in Python, such as a Semaphore, and leave its lock taken. A
     # SimpleQueue is written in C.

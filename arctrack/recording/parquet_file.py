@@ -51,26 +51,10 @@ def check_parquet(path: Path) -> None:
 
 
 def write_parquet(path: Path, replays: Iterable[ReplayedRecording]) -> int:
-    """Write the frames of all replays as one table, whole or not at all.
+    """Write the frames of all replays as one table, whole or not at all; return the number of rows.
 
-    What is empty in results.csv is null.
-
-    Parameters
-    ----------
-    path : Path
-        The file to write; one that is there is replaced.
-    replays : iterable of ReplayedRecording
-        The replays, in the order of their rows; each is a row group.
-
-    Returns
-    -------
-    int
-        The number of rows.
-
-    Raises
-    ------
-    ArctrackError
-        If a results.csv cannot be read, or the file cannot be written.
+    Each replay is a row group. What is empty in results.csv is null. ArctrackError if a results.csv cannot be
+    read, or the file cannot be written.
     """
     import pyarrow
     from pyarrow import parquet

@@ -28,18 +28,10 @@ class TimeSource:
 
 
 def contradictions(used: TimeSource, others: Sequence[TimeSource], frames: Sequence[int]) -> Iterator[str]:
-    """Yield a line on each source that contradicts the times that are used.
+    """Yield a line on each source that contradicts the times that are used, which rise.
 
-    Clocks need not begin together, and a counter's period is the one that most of its steps have.
-
-    Parameters
-    ----------
-    used : TimeSource
-        The times that rise.
-    others : sequence of TimeSource
-        What they are held against.
-    frames : sequence of int
-        The frames' numbers.
+    Clocks need not begin together, and a counter's period is the one that most of its steps have. `frames`
+    are the frames' numbers.
     """
     for other in others:
         known = np.flatnonzero(np.isfinite(other.values))

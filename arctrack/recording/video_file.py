@@ -24,19 +24,8 @@ def opened_video(
 ) -> av.container.InputContainer:
     """Open a video to be read; nothing is decoded yet.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    codecs, containers : sequence of str
-        What it may be, by FFmpeg's names.
-    needed : str
-        What is said of one that is another.
-
-    Raises
-    ------
-    ArctrackError
-        If there is no such file, or it is no video of these kinds.
+    It may be of the codecs and containers by FFmpeg's names; `needed` is said of one that is another.
+    ArctrackError if there is no such file, or it is no video of these kinds.
     """
     # Told what it is: in search of a format FFmpeg takes a script for one, and opens what that names.
     options = {"codec_whitelist": ",".join(codecs)}

@@ -79,24 +79,7 @@ class Calibrations:
 
 
 def calibrate_folder(raw: CalibrationSources, stated: SetupFile, steps: Steps, warn: Warn) -> Calibrations:
-    """Calibrate what a folder holds files for.
-
-    Parameters
-    ----------
-    raw : CalibrationSources
-        The folder.
-    stated : SetupFile
-        The setup to start from.
-    steps : callable
-        Begins a step of the progress.
-    warn : callable
-        Is told at once what is left out.
-
-    Returns
-    -------
-    Calibrations
-        Setup, stages, refusals and certificate.
-    """
+    """Calibrate what a folder holds files for, beginning with the stated setup."""
     result = Calibrations(stated)
     if raw.sensor is not None:
         sensor = raw.sensor

@@ -37,16 +37,10 @@ SOURCES = {
 def certificate_page(
     certificate: Certificate | None, unmeasured: Mapping[str, str], refused: Mapping[str, str]
 ) -> CalibrationPage:
-    """Return what the page holds.
+    """Return the certificate's page; without a certificate the laser sheet was not measured.
 
-    Parameters
-    ----------
-    certificate : Certificate or None
-        What the seam's position is good for; None where the laser sheet was not measured.
-    unmeasured : mapping
-        What the certificate takes as stated, and what stands for it.
-    refused : mapping
-        The calibrations that were refused, and why.
+    `unmeasured` is what the certificate takes as stated, and what stands for it; `refused` are calibrations,
+    and why.
     """
     notes = [f"{what}: {text}" for what, text in unmeasured.items()]
     notes += [f"{name} is refused: {why}" for name, why in refused.items()]

@@ -33,19 +33,8 @@ def certificate_of(
 ) -> tuple[Certificate | None, dict[str, str]]:
     """Return the certificate, None without a measured sheet, and what it takes as stated.
 
-    Parameters
-    ----------
-    stages : mapping
-        The calibrations that were done.
-    stated : SetupFile
-        The setup with their values.
-
-    Returns
-    -------
-    certificate : Certificate or None
-        The seam's covariance over the image.
-    unmeasured : dict
-        What was not measured, and what stands for it.
+    The setup has the values of the calibrations that were done. For each part that was not measured it is
+    told what stands for it.
     """
     if "laser" not in stages:
         return None, {}
@@ -83,19 +72,7 @@ def certificate_record(certificate: Certificate, stated: SetupFile) -> Calibrati
     A track's sigma knows of the setup's errors by `hand_eye_deg` and `hand_eye_mm` alone: turns and moves of
     the camera before a sheet that stands still. Of all pairs that leave no variance below the certificate's,
     at any of its points, lateral or vertical, that with the least sum over them is taken: a linear programme
-    in the two squares.
-
-    Parameters
-    ----------
-    certificate : Certificate
-        What the seam's position is good for.
-    stated : SetupFile
-        The setup with all calibrated values.
-
-    Returns
-    -------
-    Calibrated
-        The tolerance; its covariance is that of the seam, lateral and vertical, nearest to the tool's axis.
+    in the two squares. The record's covariance is that of the seam nearest to the tool's axis.
     """
     setup, plane = stated.setup, tuple(stated.setup.laser.plane.tolist())
     wanted = np.square(certificate.sigma_mm[:, 1:]).ravel()

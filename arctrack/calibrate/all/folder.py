@@ -138,23 +138,11 @@ class CalibrationSources:
 
 
 def read_raw_files(folder: Path) -> CalibrationSources:
-    """Return what a folder holds for each calibration.
+    """Return the places of a folder's files for each calibration; these say whether they hold anything.
 
-    Parameters
-    ----------
-    folder : Path
-        The folder. A subfolder named after a calibration holds its files: `sensor`, `camera`, `hand_eye`,
-        `laser`, `delay`, `arc`. calibration.toml says what else is to know, and may name other places.
-
-    Returns
-    -------
-    RawFiles
-        The places of the files; whether they hold anything is for the calibrations to say.
-
-    Raises
-    ------
-    ArctrackError
-        For a folder that holds none, and for a key that is wrong or missing.
+    A subfolder named after a calibration holds its files: `sensor`, `camera`, `hand_eye`, `laser`, `delay`,
+    `arc`. calibration.toml says what else is to know, and may name other places. ArctrackError for a folder
+    that holds none, and for a key that is wrong or missing.
     """
     if not folder.is_dir():
         if folder.exists():

@@ -14,18 +14,7 @@ MADE_BY = "arctrack calibrate camera"
 
 
 def calibrated_camera(result: CameraCalibration) -> CalibrationValues:
-    """Return what a calibration found as values of `[camera]`, with their covariance.
-
-    Parameters
-    ----------
-    result : CameraCalibration
-        The calibration.
-
-    Returns
-    -------
-    Calibrated
-        Image size, focal lengths, principal point and distortion.
-    """
+    """Return image size, focal lengths, principal point and distortion for `[camera]`."""
     lens = result.scene.lens
     n = len(lens.names)
     used = max((OPENCV.index(name) + 1 for name in lens.names[4:]), default=0)

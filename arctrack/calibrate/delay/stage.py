@@ -11,26 +11,10 @@ from calibration.pose_delay import PoseDelay, PoseTrack, estimate_pose_delay
 
 
 def delay_stage(read: Recording, steps: Steps) -> tuple[CalibrationStage[PoseDelay], list[BadFrame]]:
-    """Find the delay between poses and frames.
+    """Find the delay between poses and frames of a recording whose tool weaves or rises.
 
-    Parameters
-    ----------
-    read : Recording
-        A recording whose tool weaves or rises.
-    steps : callable
-        Begins a step of the progress.
-
-    Returns
-    -------
-    stage : CalibrationStage
-        The calibration; refused where the motion does not tell the delay.
-    bad_frames : list of BadFrame
-        The frames that cannot be read, and why.
-
-    Raises
-    ------
-    ArctrackError
-        Where too few frames show the seam.
+    The stage is refused where the motion does not tell the delay. Frames that cannot be read are returned
+    too. ArctrackError where too few frames show the seam.
     """
     frames, bad_frames = read.readable_frames()
     track = PoseTrack.through(read.poses.timestamps_s, read.poses.T_base_tool)

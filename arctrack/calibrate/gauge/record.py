@@ -15,20 +15,7 @@ MADE_BY = "arctrack calibrate gauge"
 
 
 def gauge_record(result: GaugeCalibration, setup: Setup) -> CalibrationValues:
-    """Return the plane as values of `[laser]`, with its covariance; the stated origin is moved into it.
-
-    Parameters
-    ----------
-    result : GaugeCalibration
-        The calibration.
-    setup : Setup
-        The setup that it belongs to.
-
-    Returns
-    -------
-    Calibrated
-        The plane, and the point of it that is nearest to the origin stated.
-    """
+    """Return the plane for `[laser]`, with its covariance, and its point nearest to the origin stated."""
     plane = result.plane
     origin = foot_on(plane, setup.laser.origin_mm)
     robot_mm, form_mm = result.fitted.noise_mm.tolist()

@@ -56,18 +56,8 @@ def other_meanings(
     """Return all readings of the poses that fit boards which they contradict as they were stated.
 
     Tried are controllers' conventions and sequences of axes, rotations transposed, left-handed axes, and
-    positions in another unit; each with the camera carried, and with it standing still.
-
-    Parameters
-    ----------
-    posed : PosedBoards
-        Boards and poses.
-    source : PoseSource
-        How the poses were said to be written.
-    reread : callable
-        Reads them otherwise.
-    is_eye_to_hand : bool
-        Whether the camera was said to stand still.
+    positions in another unit; each with the camera carried, and with it standing still. `source` says how the
+    poses were said to be written, and `reread` reads them otherwise.
     """
     readings: list[str] = []
     known = [(False, posed.poses.T_base_tool[posed.rows])]

@@ -17,20 +17,10 @@ IN_TOOL, IN_BASE = "hand_eye", "camera_in_base"
 
 
 def hand_eye_record(result: HandEyeCalibration) -> CalibrationValues:
-    """Return the pose as values of `[camera.pose_in_tool]`, with its covariance.
+    """Return translation and quaternion for `[camera.pose_in_tool]`, with their covariance.
 
-    A camera that stands still has no pose in the tool: its pose in base is kept beside its covariance.
-
-    Parameters
-    ----------
-    result : HandEyeCalibration
-        The calibration.
-
-    Returns
-    -------
-    Calibrated
-        Translation and quaternion. The covariance is that of a small motion of the camera in its own frame,
-        deg and mm.
+    This is that of a small motion of the camera in its own frame, deg and mm. A camera that stands still has
+    no pose in the tool: its pose in base is kept beside its covariance.
     """
     pose = pose_values(result.T_holder_camera)
     lens = result.refined.boards.scene.lens

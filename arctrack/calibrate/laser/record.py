@@ -21,21 +21,9 @@ FAN = (*ORIGIN, "fan_half_angle_deg")
 
 
 def laser_record(result: LaserCalibration, beam: Beam, setup: Setup) -> CalibrationValues:
-    """Return the sheet as values of `[laser]`, with their covariance.
+    """Return the sheet for `[laser]`: plane, origin, and angle and thickness that are known.
 
-    Parameters
-    ----------
-    result : LaserCalibration
-        The plane.
-    beam : Beam
-        What is known of the light within it.
-    setup : Setup
-        The setup that it belongs to: the camera's pose takes the plane to the tool frame.
-
-    Returns
-    -------
-    Calibrated
-        The plane, the origin: the one stated is moved into the plane, and angle and thickness that are known.
+    The origin stated is moved into the plane. The setup's camera pose takes the plane to the tool frame.
     """
     plane, covariance = result.in_tool(setup.camera.T_tool_camera, setup.laser.plane)
     values = sheet_values(plane, beam.origin_mm)
@@ -74,21 +62,10 @@ def sheet_values(plane: Float64, origin_mm: Float64) -> dict[str, Value]:
 
 
 def moved_with_camera(stated: SetupFile, T_tool_camera: Float64) -> CalibrationValues | None:
-    """Return a calibrated sheet in the tool where the camera's pose in it becomes another one.
+    """Return a calibrated sheet in the tool where the camera's pose in it becomes another one (4, 4), mm.
 
-    The sheet is measured in the camera's frame: camera and laser are one body.
-
-    Parameters
-    ----------
-    stated : SetupFile
-        The setup, with the pose that the sheet was taken to the tool with.
-    T_tool_camera : array (4, 4)
-        The new pose, mm.
-
-    Returns
-    -------
-    Calibrated or None
-        Plane, origin and covariance; None for a setup whose sheet was never calibrated.
+    The sheet is measured in the camera's frame: camera and laser are one body. None for a setup whose sheet
+    was never calibrated.
     """
     record = stated.calibrations.get("laser")
     if record is None or tuple(record.parameters[:4]) != PARAMETERS:

@@ -72,9 +72,9 @@ def examine_machine(folder: Path) -> Iterator[DoctorFinding]:
 def examine_cell(
     cell: CellFile, steps: Steps, examination: Examination, **bus_options: Any
 ) -> Iterator[DoctorFinding]:
-    """Yield the findings about a machine that is to run a cell; nothing is sent, the laser stays off.
+    """Yield what is to be said of a machine that is to run a cell; nothing is sent, the laser stays off.
 
-    `steps` shows progress, `examination` takes the other results, `bus_options` go to python-can.
+    `examination` takes what else there is to show; `bus_options` are python-can's.
     """
     setup, rate_hz, choice = cell.setup.setup, cell.camera.frame_rate_hz, cell.process
     yield from machine_findings(choice)

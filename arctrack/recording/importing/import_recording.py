@@ -105,27 +105,11 @@ class ImportResult:
 def import_recording(
     raw: ImportSources, out: Path, on_frame: OnFrame = lambda what, done, total: None
 ) -> ImportResult:
-    """Make a recording of raw files.
+    """Make a recording of raw files in a folder that must not exist yet.
 
-    Parameters
-    ----------
-    raw : ImportSources
-        What to read, and how.
-    out : Path
-        The recording's folder, which must not exist yet.
-    on_frame : callable
-        Is told what is done, how far, and of how many frames.
-
-    Returns
-    -------
-    Imported
-        The recording as the reader has it, and what to tell of it.
-
-    Raises
-    ------
-    ArctrackError
-        For a file that cannot be read, and for what nothing states: units, times, the way a rotation is
-        written. It names the file and the cure. No recording is left then, nor a part of one.
+    `on_frame` is told what is done, how far, and of how many frames. ArctrackError names the file that cannot
+    be read, and what nothing states: units, times, the way a rotation is written. No recording is left then,
+    nor a part of one.
     """
     stated = read_setup_file(raw.setup)
     series = find_images(raw.sources)

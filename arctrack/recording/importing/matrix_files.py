@@ -25,20 +25,9 @@ def read_matrices(rotations: Path, translations: Path | None, mm: float) -> tupl
     """Return poses (n, 4, 4), mm, and notes, of rotations and translations, or of whole poses in one file.
 
     Whole poses may stand column by column: their last row, or that no other reading makes rotations, tells.
-
-    Parameters
-    ----------
-    rotations : Path
-        Without `translations` matrices 4 x 4 or 3 x 4, else 3 x 3, row by row.
-    translations : Path, optional
-        Three numbers each.
-    mm : float
-        What a unit of length is in mm.
-
-    Raises
-    ------
-    ArctrackError
-        For a file that holds something else, a matrix that is no rotation, another number of translations.
+    Without `translations`, three numbers each, matrices are 4 x 4 or 3 x 4, else 3 x 3, row by row. A unit of
+    length is `mm`. ArctrackError for a file that holds something else, a matrix that is no rotation, another
+    number of translations.
     """
     values, width = _numbers(rotations)
     notes: tuple[str, ...] = ()
