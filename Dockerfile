@@ -36,7 +36,8 @@ RUN apt-get update \
 COPY --from=build /opt/arctrack /opt/arctrack
 RUN useradd --create-home --groups video,dialout arctrack \
     && install -d -o arctrack /data
-ENV PATH=/opt/arctrack/bin:$PATH
+# matplotlib keeps its list of fonts there: the root may be read-only.
+ENV PATH=/opt/arctrack/bin:$PATH MPLCONFIGDIR=/tmp/matplotlib
 USER arctrack
 WORKDIR /data
 ENTRYPOINT ["arctrack"]

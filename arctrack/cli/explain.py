@@ -30,6 +30,7 @@ def explain(
     """
     look_at_recording(recording, setup)
     from arctrack.cli import console
+    from arctrack.compiling import compiled_by_two
     from arctrack.output import make_folder, write_whole
     from arctrack.recording import read_recording
     from arctrack.replay import explain as engine
@@ -41,7 +42,7 @@ def explain(
     console.warn(read.warnings)
     path = out or recording / RESULTS_FOLDER / f"explain_{frame:06d}.html"
     check_replaces_nothing(path, read)
-    with console.progress() as bar:
+    with console.progress() as bar, compiled_by_two(read.setup):
         on_frame = console.track(bar, read.name, engine.position_of(read, frame) + 1)
         explanation = engine.explain(read, frame, arc_map, on_frame)
     make_folder(path.parent, ())

@@ -24,8 +24,8 @@ def warm(
 ) -> None:
     """Compile the tracker for setups, and keep the machine code on disk.
 
-    A first run takes some minutes; where all has been compiled before, it takes seconds. `replay` does the
-    same for its own setup before it reads the first frame. An update of arctrack compiles anew what has
+    A first run takes a minute or more; where all has been compiled before, it takes seconds. `replay` does
+    the same for its own setup before it reads the first frame. An update of arctrack compiles anew what has
     changed.
     """
     for path in setups or []:
