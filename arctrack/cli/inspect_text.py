@@ -122,7 +122,7 @@ def condition_table(conditions: tuple[ConditionSummary, ...]) -> Table:
         table.add_column(name, justify="right")
     for condition in conditions:
         usable = condition.sample is not None
-        table.add_row(
+        cells = (
             "on" if condition.laser_on else "off",
             "on" if condition.arc_on else "off",
             f"{condition.current_a:g}" if math.isfinite(condition.current_a) else "?",
@@ -132,6 +132,7 @@ def condition_table(conditions: tuple[ConditionSummary, ...]) -> Table:
             str(condition.brightest_dn) if usable else "",
             f"{100 * condition.saturated_share:.2f}" if usable else "",
         )
+        table.add_row(*cells)
     return table
 
 

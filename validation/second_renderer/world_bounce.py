@@ -76,10 +76,8 @@ def bounced_light(
         sight.key,
         sight.T_joint_tool,
         arc.center_mm,
-        arc.radius_mm,
         replace(setup.laser, peak_e=1.0),
-        (metal.kappa_diff, metal.kappa_spec, metal.c2),
-        studio.world.lobe,
+        (arc.radius_mm, metal.kappa_diff, metal.kappa_spec, metal.c2, studio.world.lobe),
         bounces,
         (STEP_PX, ALONG_FINE_MM, PATCHES),
     )

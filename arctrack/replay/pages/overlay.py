@@ -79,7 +79,9 @@ def caption(frame: Frame | None, track: Track, offset: SeamOffset) -> tuple[str,
 def _write_lines(canvas: UInt8, top_px: int, lines: tuple[str, str, str]) -> None:
     for n, (line, colour) in enumerate(zip(lines, (INK, INK, FAINT), strict=True)):
         corner = (8, top_px + (n + 1) * LINE_PX - 2)
-        cv2.putText(canvas, line, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
+        cv2.putText(
+            canvas, line, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, thickness=1, lineType=cv2.LINE_AA
+        )
 
 
 def _zoom(setup: Setup) -> int:
