@@ -85,7 +85,19 @@ class FrameTracking:
     def track(self, shown: Frame | None, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
         """Track a frame, None for one that cannot be read; of poses that are doubted nothing lasts.
 
-        Returned too is where the pose puts what was seen, None where nothing valid was.
+        Parameters
+        ----------
+        shown : Frame or None
+            The frame.
+        capture : Capture
+            What is known of its capture.
+
+        Returns
+        -------
+        track : Track
+            The frame's result.
+        measured : SeamMeasurement or None
+            Where the pose puts what was seen, None where nothing valid was.
         """
         before = self.tracker.state
         if shown is None:

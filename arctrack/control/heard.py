@@ -37,8 +37,14 @@ class OutageWatch:
     def hear(self, message: BusMessage, came_at_s: float, now_s: float, hold_s: float) -> bool:
         """Take a message, and return whether the one of its kind before may be more than `hold_s` older.
 
-        It came at `came_at_s` at the earliest and was read at `now_s`. After `hold_s` of silence the robot
-        still stands where it was sent.
+        Parameters
+        ----------
+        message : BusMessage
+            An accepted message of any type.
+        came_at_s, now_s : float
+            The earliest time at which it came, and that of its reading, s.
+        hold_s : float
+            The longest silence, s, after which the robot still stands where it was sent.
         """
         kind = type(message)
         if kind not in (TrackerCommand, RobotStatus):

@@ -230,7 +230,15 @@ class SeamInnovation:
         return math.fsum(y * y + z * z for y, z in self.innovations)
 
     def with_seam(self, seam: SeamMeasurement, limits: InnovationLimits) -> SeamInnovation:
-        """Return the state after one more measurement; one whose values are not finite says nothing."""
+        """Return the state after one more measurement.
+
+        Parameters
+        ----------
+        seam : SeamMeasurement
+            The measurement. One whose values are not finite says nothing.
+        limits : InnovationLimits
+            What the test asks.
+        """
         if not all(map(math.isfinite, (seam.station_mm, *seam.displacement_mm, *seam.sigma_mm))):
             return self
         if self.known is None or not abs(seam.station_mm - self.known.station_mm) <= limits.gap_mm:

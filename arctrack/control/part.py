@@ -42,7 +42,12 @@ class PartCheck:
     def seen(self, track: Track, limits: PartLimits) -> PartCheck:
         """Return the state after a frame before the arc; one without a seam says nothing.
 
-        A value that is asked and not known is out of its range.
+        Parameters
+        ----------
+        track : Track
+            The frame's result.
+        limits : PartLimits
+            What is asked. A value that is asked and not known is out of its range.
         """
         if not track.valid or not limits.asked:
             return self
@@ -95,7 +100,16 @@ class PartWatch:
     def look(self, track: Track, T_base_tool: Float64 | None, job: Job, is_arc_off: bool) -> Fault:
         """Take a frame of an armed tracker, and return what the part is refused for; NONE if nothing.
 
-        Without the pose at the capture (4, 4), mm, no way along the seam is known.
+        Parameters
+        ----------
+        track : Track
+            The frame's result.
+        T_base_tool : array (4, 4) or None
+            The pose at the capture, mm; without one no way along the seam is known.
+        job : Job
+            What is asked.
+        is_arc_off : bool
+            Whether the robot says that the arc is off.
         """
         if is_arc_off:
             self._check = self._check.seen(track, job.part)

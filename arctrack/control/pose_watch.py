@@ -80,7 +80,17 @@ class PoseWatch:
     def hear(self, received: Received, now_s: float) -> PoseSample | None:
         """Take an accepted message; return the pose that it completes, at its time on the clock of `now_s`.
 
-        The sample is of where the tool is, whether it is trusted or not.
+        Parameters
+        ----------
+        received : Received
+            A message of any type.
+        now_s : float
+            The time of its reading, s.
+
+        Returns
+        -------
+        PoseSample or None
+            The sample, of where the tool is, whether it is trusted or not.
         """
         came_at_s = now_s - received.max_age_s
         if isinstance(received.message, RobotStatus):

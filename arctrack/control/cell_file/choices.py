@@ -134,9 +134,19 @@ class CellJob:
         return setup if self.joint is None else replace(setup, joint=self.joint)
 
     def to_job(self, setup: Setup, limits: GateLimits) -> Job:
-        """Return the job as the controller takes it; the setup's joint counts where the job states none.
+        """Return the job as the controller takes it.
 
-        ValueError names the key of a depth that is asked of a joint whose depth no track tells.
+        Parameters
+        ----------
+        setup : Setup
+            The facts. Its joint counts where the job states none.
+        limits : GateLimits
+            What an offset must keep to.
+
+        Raises
+        ------
+        ValueError
+            For a depth that is asked of a joint whose depth no track tells; it names the key.
         """
         from arctrack.control.pose_watch import nominal_path
 

@@ -45,11 +45,12 @@ class NothingToSaveError(RuntimeError):
 def save_window(
     reader: JournalReader, kept_s: float, jobs: dict[int, JobSetup], rate_hz: float, path: Path, reason: str
 ) -> Path:
-    """Save the frames of the latest `kept_s`, as far as one job's seam was tracked in them.
+    """Save the latest `kept_s` of frames, as far back as one job's seam was tracked; return the recording's
+    path.
 
-    The oldest are read first, for they are written over first. They lie in a file until all are read, and are
-    compressed then. `rate_hz` is that at which the video is played. Returns the recording. NothingToSaveError
-    if no frame was tracked, ArctrackError if the recording cannot be written.
+    The oldest frames are read first, since the ring overwrites them first. They are copied to a file until
+    all are read, and then compressed as a video that plays at `rate_hz`. Raises NothingToSaveError if no
+    frame was tracked, ArctrackError if the recording cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=path.parent) as raw:

@@ -68,17 +68,17 @@ def transfer_s(n_bytes: int) -> float:
 
 
 def max_rows(width: int, bytes_per_pixel: int, rate_hz: float) -> int:
-    """Return how many rows of an image gigabit Ethernet carries at a frame rate."""
+    """Return the number of image rows that gigabit Ethernet carries at a frame rate."""
     return math.floor(POLICY.ethernet_payload_bytes_s / (rate_hz * width * bytes_per_pixel))
 
 
 def budget_of(
     cell: CellFile, steps: StepTimes | None, late: Quantiles, watched: CameraReading | None = None
 ) -> Budget:
-    """Work out the time from a frame's mid-exposure until its offset is on the bus.
+    """Return the latency budget from a frame's mid-exposure until its offset is on the bus.
 
-    Without step times these are NaN. `late` is how late this machine wakes up. With a live camera's reading
-    the way to the loop is measured, not worked out.
+    Without `steps` their times are NaN. `late` is how late this machine wakes up. With `watched`, what the
+    live camera gave, the latency up to the loop is measured instead of computed.
     """
     way = _way(cell.setup.setup, watched)
     turn = LatencyPart(

@@ -22,7 +22,7 @@ ROBOT_CURE = "check the bit rate, the terminators and whether the robot's contro
 
 
 def bus_findings(cell: CellFile, **bus_options: Any) -> Iterator[DoctorFinding]:
-    """Yield what is to be said of a cell's bus, opened with python-can's `bus_options`; nothing is sent."""
+    """Yield the findings about a cell's bus; nothing is sent. `bus_options` go to python-can."""
     bus = cell.bus
     yield judged(
         "bus load",
@@ -103,7 +103,7 @@ def _socketcan_findings(bus: BusChoice) -> Iterator[DoctorFinding]:
 
 
 def interface_findings(told: dict[str, Any], bus: BusChoice) -> Iterator[DoctorFinding]:
-    """Yield what is to be said of a CAN interface, of which `ip -details -json link show` tells `told`."""
+    """Yield the findings about a CAN interface; `told` is the output of `ip -details -json link show`."""
     up = f"ip link set {bus.channel} up type can bitrate {bus.bit_rate_bit_s} restart-ms 100"
     anew = f"ip link set {bus.channel} down && {up}"
     yield judged(

@@ -72,9 +72,9 @@ def examine_machine(folder: Path) -> Iterator[DoctorFinding]:
 def examine_cell(
     cell: CellFile, steps: Steps, examination: Examination, **bus_options: Any
 ) -> Iterator[DoctorFinding]:
-    """Yield what is to be said of a machine that is to run a cell; nothing is sent, the laser stays off.
+    """Yield the findings about a machine that is to run a cell; nothing is sent, the laser stays off.
 
-    `examination` takes what else there is to show; `bus_options` are python-can's.
+    `steps` shows progress, `examination` takes the other results, `bus_options` go to python-can.
     """
     setup, rate_hz, choice = cell.setup.setup, cell.camera.frame_rate_hz, cell.process
     yield from machine_findings(choice)

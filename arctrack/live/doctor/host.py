@@ -101,9 +101,11 @@ def _priority_finding(choice: ProcessChoice) -> DoctorFinding:
 def memory_lock_finding(
     limit_bytes: int, may_exceed: bool, needed_bytes: int, is_asked: bool
 ) -> DoctorFinding:
-    """Return whether what a run maps, used or not, may be locked into memory.
+    """Find whether the memory that a run maps may be locked.
 
-    The limit is RLIMIT_MEMLOCK, `UNLIMITED` for none; a process with CAP_IPC_LOCK may exceed it.
+    `limit_bytes` is RLIMIT_MEMLOCK, `UNLIMITED` for none; CAP_IPC_LOCK (`may_exceed`) lifts it.
+    `needed_bytes` is all that a run maps: mlockall counts it, used or not. `is_asked` says that the cell asks
+    for locking.
     """
     is_free = may_exceed or limit_bytes == UNLIMITED
     limit = "unlimited" if is_free else f"{limit_bytes / 1e6:.1f} MB"

@@ -49,9 +49,9 @@ def require_compiled(tracker: Tracker) -> None:
 
 
 def time_steps(tracker: Tracker, steps: int, on_done: OnDone) -> StepTimes:
-    """Draw frames along the nominal seam, and time a warm tracker on them, whose state is not touched.
+    """Draw frames along the nominal seam, and time a warm tracker on them; its state is not touched.
 
-    `on_done` hears how many frames were drawn and steps taken so far.
+    `on_done` is called with the number of frames drawn and steps taken so far.
     """
     shown = []
     for index, pose in enumerate(_poses(tracker)):

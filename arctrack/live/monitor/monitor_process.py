@@ -24,10 +24,10 @@ CLOSED_S = 1.0
 
 
 def run_monitor(options: MonitorOptions, told: Connection, black_box: PipeEnd | None = None) -> None:
-    """Serve a run's page until its other end is closed.
+    """Serve a run's page until the other end of `told` is closed.
 
-    Over `told` it says at which address the page is, or 'error: ' and why there is none. The black box is
-    sent {"save": reason}, and answers {"saved": path} or {"error": text}.
+    `told` is sent the page's address, or 'error: ' and the reason. `black_box` is sent {"save": reason}, and
+    answers {"saved": path} or {"error": text}.
     """
     cv2.setNumThreads(1)
     try:

@@ -93,10 +93,10 @@ class Indication(Enum):
 def indication_of(
     state: TrackerState, command: Command | None, validity: Validity | None, offset_age_s: float
 ) -> Indication:
-    """Return what is indicated.
+    """Return what the page indicates.
 
-    `command` is what the robot commanded last, however long ago, `validity` that of the newest offset;
-    `offset_age_s` is how long ago an offset that the robot may use last went out.
+    `command` is the robot's last one, however old; `validity` is the newest offset's, and `offset_age_s` the
+    age of the last offset that the robot may use.
     """
     if state in (TrackerState.FAULT, TrackerState.STARTING):
         return Indication[state.name]

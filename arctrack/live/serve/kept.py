@@ -51,9 +51,11 @@ class JournalProcesses:
 def kept(
     cell: CellFile, setups: Mapping[int, Setup], supervisor: Supervisor, is_simulated: bool = False
 ) -> Iterator[JournalProcesses | None]:
-    """Keep a run's journal, with the processes that a cell file asks for.
+    """Keep a run's journal, with the processes that a cell file asks for; yields None where nobody would read
+    one.
 
-    Yields what was started, None where nobody would read a journal. ArctrackError if there is no room for it.
+    `setups` are by job number; `supervisor` restarts processes that end. Raises ArctrackError if shared
+    memory has no room.
     """
     kept_s = cell.black_box.seconds
     if kept_s == 0.0 and not cell.monitor.enabled:

@@ -74,12 +74,14 @@ def opened_run(
     is_simulated: bool = False,
     **bus_options: Any,
 ) -> Iterator[LiveRun]:
-    """Build a cell's loop and what is beside it, warm it up, and open its bus last; nothing was sent yet.
+    """Build a cell's loop and its subprocesses, warm it up, and open its bus last; nothing was sent when it
+    yields.
 
-    `tell` hears what happens to the run's other processes, in another thread. `job_number` is the job whose
-    seam a recording shows, by default the only one; a live robot names its job itself. `on_track` hears each
-    track, and what was sent of it. `bus_options` are python-can's. ArctrackError if the cell file states no
-    camera, or camera or bus cannot be opened.
+    `tell` is called from another thread with what happens to the subprocesses. `job_number` is the job of a
+    recording's seam, by default the only one; a live robot names its job itself. `on_track` gets each track
+    and the offset that was sent. With `is_simulated` the page says that robot and camera are simulated;
+    `bus_options` go to python-can. Raises ArctrackError if the cell file states no camera, or camera or bus
+    cannot be opened.
     """
     with ExitStack() as opened:
         supervisor = Supervisor(tell)
@@ -130,10 +132,10 @@ def _let_hear(keeper: Keeper, cast: RunParts) -> None:
 def run(
     loop: LiveLoop, goes_on: Callable[[], bool], watchdog_s: float, notifier: Notifier | None = None
 ) -> LoopResult:
-    """Let a loop have this process until it does not go on; its last offset is REFUSED.
+    """Run a loop in this process while `goes_on` (asked some hundred times a second); its last offset is
+    REFUSED.
 
-    `goes_on` is asked some hundred times a second. A turn that takes longer than `watchdog_s` ends the
-    process.
+    A turn that takes longer than `watchdog_s` ends the process. `notifier` tells the service manager.
     """
     with garbage_left(), Watchdog(watchdog_s) as watchdog:
         loop.camera.begin()

@@ -24,7 +24,7 @@ REARMED_S = 0.1
 def schedule(choice: ProcessChoice) -> tuple[list[str], list[str]]:
     """Schedule this process as a cell file says.
 
-    Returns what was set, and what the machine does not allow with its cure, a line each.
+    Returns what was set, and what the machine does not allow with its cure, one line each.
     """
     done: list[str] = []
     refused: list[str] = []

@@ -62,12 +62,12 @@ def serve_cell(
     on_ready: Callable[[], None] | None = None,
     **bus_options: Any,
 ) -> None:
-    """Run robot and camera until it does not go on.
+    """Run the simulated robot and camera while `goes_on` (asked some fifty times a second).
 
-    The tracker's part of the plan says nothing here. `interface` and `channel` are python-can's, such as
-    udp_multicast and 239.74.163.2; under the name `frames` frames are published. `goes_on` is asked some
-    fifty times a second. `on_ready` hears that rendering is compiled. ArctrackError if the bus cannot be
-    joined, or the camera ends by itself.
+    The plan's tracker part is not used. `interface` and `channel` are python-can's, such as udp_multicast and
+    239.74.163.2, as are `bus_options`; `frames` is the name in `arctrack.live.cameras.shared_frames`.
+    `on_ready` is called once rendering is compiled. Raises ArctrackError if the bus cannot be joined, or the
+    camera ends by itself.
     """
     spawn = multiprocessing.get_context("spawn")
     shots, camera_end = spawn.Pipe()

@@ -106,12 +106,11 @@ class ArcHeightEstimator:
         keep_off_px: float,
         surface_sigma_mm: float,
     ) -> ArcHeight:
-        """Estimate the arc's output and height from a frame with the arc on.
+        """Estimate the arc's output and height; NaN where its light is too weak or does not determine them.
 
-        `stripe_px` (n_scan,) is where the stripe is on each scan line, NaN where there is none; None with the
+        `stripe_px` (n_scan,) is the stripe on each scan line, px, NaN where there is none; None with the
         laser off. The laser's light reaches `keep_off_px` from it. `surface_sigma_mm` is 1 sigma of the
-        surface's height below the torch, on which the arc stands. Not known where too little of the arc's
-        light is seen, or it says too little.
+        height of the surface below the torch, on which the arc stands.
         """
         geometry = self.geometry
         if make_scene(geometry.setup, pose.T_base_tool, seam).below_surface:

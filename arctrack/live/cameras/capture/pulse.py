@@ -22,10 +22,9 @@ def is_reached(wanted: CaptureRequest, exposure_s: float, now_s: float) -> bool:
 
 
 def trigger_at_s(wanted: CaptureRequest, exposure_s: float, due_s: float, now_s: float) -> float:
-    """Return when the exposure of a frame that is due is to begin, s.
+    """Return when the exposure of a due frame begins, s: in the first base phase from `due_s` on.
 
-    The frame comes then, or in the first base phase after; `due_s` where no base phase is known that it fits
-    in.
+    It is `due_s` itself where no base phase is known that the exposure fits in.
     """
     if not is_reached(wanted, exposure_s, now_s):
         return due_s
