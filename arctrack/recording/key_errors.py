@@ -8,7 +8,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from arctrack.printable import cut, shown
-from arctrack.recording.schema import Key, table_in
+from arctrack.recording.schema import Key, meaning_of, table_in
 from noise_model.spelling import nearest
 
 
@@ -22,23 +22,25 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
     if not first["loc"]:
         return first["msg"].removeprefix("Value error, ")
     location, field, table = _key_at(first["loc"], model)
-    where, key = place(location), None if field is None else Key("", "", field)
+    is_plain = field is not None and table_in(field) is None
+    where = str(location[0]) if is_plain and len(location) == 1 else place(location)
+    cure = ""
     if first["type"] == "missing":
         hint = meant_by(
             str(location[-1]), (name for name in first["input"] if name not in table.model_fields)
         )
         text = f"{where}: missing{hint}"
-        if not hint and key is not None and key.meaning:
-            text += f"; state it: {key.meaning[:1].lower()}{key.meaning[1:].removesuffix('.')}"
+        meaning = "" if hint or field is None else meaning_of(field).removesuffix(".")
+        cure = meaning and f"; state it: {meaning[:1].lower()}{meaning[1:]}"
     elif first["type"] == "literal_error":
         text = f"{where} = {shown(first['input'])}: must be {first['ctx']['expected']}"
     else:
         message = "must be a finite number" if first["type"] == "finite_number" else first["msg"]
         text = f"{held(where, first['input'])}: {message[:1].lower()}{message[1:]}"
-        if key is not None and key.said("typical"):
-            text += f"; usual: {key.said('typical')}"
+        usual = "" if field is None else Key("", "", field).said("typical")
+        cure = usual and f"; usual: {usual}"
     more = len(problems) - 1
-    return text if not more else f"{text} (and {more} more)"
+    return f"{text}{f' (and {more} more)' if more else ''}{cure}"
 
 
 def _key_at(
@@ -72,5 +74,5 @@ def place(location: tuple[str | int, ...]) -> str:
     names = [str(part) for part in location if isinstance(part, str)]
     indices = "".join(f"[{part}]" for part in location if isinstance(part, int))
     if len(names) == 1:
-        return (names[0] if names[0] in ("format", "units") else f"[{names[0]}]") + indices
+        return f"[{names[0]}]{indices}"
     return f"[{'.'.join(names[:-1])}] {names[-1]}{indices}"

@@ -50,7 +50,7 @@ class ArcTable(Table):
     )
     radiance_e: Number = key(
         "How bright the arc is to this camera",
-        "electrons",
+        "e-",
         "1e6 to 1e10",
         "a guess. Leave it, replay a recording, and multiply it by the median of `arc_level` in "
         "results.csv; or `arctrack calibrate arc`.",
@@ -132,6 +132,11 @@ class JointTable(Table):
     """The joint and its nominal seam; the type says which dimensions it has."""
 
     extra_keys = DimensionTable
+
+    @property
+    def names(self) -> set[str]:
+        """Its keys and its type's dimensions; of a type that there is not, none is unknown."""
+        return super().names | {*DIMENSIONS.get(self.type, self.model_extra or {})}
 
     type: str = key(
         "The joint: v_groove, half_v, u_groove, lap, corrugation, butt, fillet, edge or flat",
@@ -215,7 +220,7 @@ class ToleranceTable(Table):
     )
     black_level_dn: Number = key(
         "How well the black level is known: 1 sigma",
-        "grey levels",
+        "DN",
         "0.1 to 1",
         "a picture. Its drift between a cold and a warm camera.",
         default=Tolerance.black_level_dn,

@@ -45,6 +45,11 @@ class Table(BaseModel):
         """The values of its known keys."""
         return {name: getattr(self, name) for name in type(self).model_fields}
 
+    @property
+    def names(self) -> set[str]:
+        """The names that mean something in it."""
+        return {*type(self).model_fields}
+
 
 def key(
     meaning: str,
@@ -175,6 +180,31 @@ def keys_of(model: type[BaseModel]) -> Iterator[Key]:
     """Yield the keys of a file, in its order."""
     for _, _, keys in tables_of(model):
         yield from keys
+
+
+def unknown_in(table: Table, location: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], set[str]]]:
+    """Yield the place of each key of a file that means nothing, and the names that do beside it."""
+    yield from (
+        ((*location, name), table.names) for name in table.model_extra or {} if name not in table.names
+    )
+    for name, value in table.known.items():
+        inner = (
+            {(name, key): held for key, held in value.items()}
+            if isinstance(value, dict)
+            else {(name,): value}
+        )
+        for below, held in inner.items():
+            if isinstance(held, Table):
+                yield from unknown_in(held, (*location, *below))
+
+
+def meaning_of(info: FieldInfo) -> str:
+    """Return what a key is, or a table whose keys are stated, as a sentence; empty where nobody says."""
+    table = table_in(info)
+    if table is None:
+        return Key("", "", info).meaning
+    is_stated = any(field.description for field in table.model_fields.values())
+    return table.__doc__ or "" if is_stated else ""
 
 
 def table_in(info: FieldInfo) -> type[BaseModel] | None:

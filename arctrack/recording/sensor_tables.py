@@ -151,15 +151,15 @@ class SensorTable(Table):
 
     bits: int = key("Bits of a pixel as recorded, 8 to 16", "", "8 to 12", "the data sheet. 8 for mono8.")
     gain_e_per_dn: Number = key(
-        "Electrons for one grey level, at full well or for gamma 1",
-        "",
+        "Charge for one grey level, at full well or for gamma 1",
+        "e-/DN",
         "5 to 150 at 8 bits",
         "the data sheet. EMVA 1288 calls its inverse the system gain K. Check: full_well_e over the highest "
         "grey level. `arctrack calibrate sensor` measures it.",
     )
     black_level_dn: float = key(
         "The mean grey level without light",
-        "",
+        "DN",
         "1 to 20 at 8 bits",
         "a picture. The mean of a frame with the lens covered; `arctrack calibrate sensor` measures it. It "
         "must be above 0, or noise is cut off.",
@@ -167,13 +167,13 @@ class SensorTable(Table):
     )
     read_noise_e: Number = key(
         "Noise without light: 1 sigma",
-        "electrons",
+        "e-",
         "2 to 60",
         "the data sheet. EMVA 1288's temporal dark noise. `arctrack calibrate sensor` measures it.",
     )
     full_well_e: Number = key(
         "The charge at which a pixel is full",
-        "electrons",
+        "e-",
         "5000 to 100000",
         "the data sheet. EMVA 1288's saturation capacity; gain_e_per_dn times the highest grey level where "
         "that is less. `arctrack calibrate sensor` measures it on flat frames.",
@@ -256,7 +256,7 @@ class LaserTable(Table):
     )
     peak_e: Number = key(
         "The stripe's peak on a flat plate at the tool's height, before the blur, middle column",
-        "electrons",
+        "e-",
         "0.2 to 0.8 of full_well_e",
         "a picture. Arc off: the stripe's highest grey level less the black level, times gain_e_per_dn.",
     )

@@ -5,7 +5,6 @@ The physics is imported once the keys are right: it takes seconds, and a misspel
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -24,7 +23,7 @@ from arctrack.recording.scene_tables import (
     is_number,
     three,
 )
-from arctrack.recording.schema import MAX_NUMBER, Table, key
+from arctrack.recording.schema import MAX_NUMBER, Table, key, unknown_in
 from arctrack.recording.sensor_tables import (
     CameraTable,
     FilterTable,
@@ -35,7 +34,7 @@ from arctrack.recording.sensor_tables import (
 )
 from noise_model.arc_source import NO_ARC
 from noise_model.arrays import Float64
-from noise_model.setup_keys import DIMENSIONS, Tolerance
+from noise_model.setup_keys import Tolerance
 from noise_model.spelling import nearest
 
 if TYPE_CHECKING:
@@ -66,6 +65,11 @@ class CalibrationTable(Table):
     sigma: list[Number] = key("Their 1 sigma")
     covariance: list[list[Number]] = key("Their covariance, a row for each")
 
+    @property
+    def names(self) -> set[str]:
+        """All of its keys."""
+        return super().names | {*(self.model_extra or {})}
+
     def matrix(self, place: str) -> Float64:
         """Return the covariance (n, n); ValueError names `place` if it has other rows than parameters."""
         n = len(self.parameters)
@@ -80,8 +84,10 @@ class CalibrationTable(Table):
 class RecordingToml(Table):
     """The whole file."""
 
-    format: Literal["joint-tracking-recording/1"]
-    units: str
+    format: Literal["joint-tracking-recording/1"] = key("The file's format")
+    units: str = key(
+        f'The units of the whole file, "{UNITS}" or some of these', note="Other units are not converted."
+    )
     camera: CameraTable
     sensor: SensorTable
     filter: FilterTable | None = None
@@ -165,7 +171,7 @@ def unknown_keys(model: RecordingToml) -> dict[str, str | None]:
     """Return the keys that mean nothing here, as `[table] key`, each with the known key nearest to it."""
     from noise_model.effects import REGISTRY
 
-    unknown = {place(location): near for location, near in _unknown(model, ())}
+    unknown = {place(location): nearest(location[-1], known) for location, known in unknown_in(model)}
     for name, table in model.effects.items():
         if name not in REGISTRY:
             key = f"[effects.{name}]" if isinstance(table, dict) else f"[effects] {name}"
@@ -176,19 +182,3 @@ def unknown_keys(model: RecordingToml) -> dict[str, str | None]:
             f"[effects.{name}] {key}": nearest(key, parameters) for key in table if key not in parameters
         }
     return unknown
-
-
-def _unknown(
-    table: Table, location: tuple[str | int, ...]
-) -> Iterator[tuple[tuple[str | int, ...], str | None]]:
-    extras = table.model_extra or {}
-    known = {*type(table).model_fields}
-    if isinstance(table, JointTable):
-        known |= {*DIMENSIONS.get(table.type, ())}
-    for name in extras:
-        if name not in known:
-            yield (*location, name), nearest(name, known)
-    for name in type(table).model_fields:
-        value = getattr(table, name)
-        if isinstance(value, Table):
-            yield from _unknown(value, (*location, name))

@@ -13,8 +13,8 @@ from typer.testing import CliRunner, Result
 from arctrack import cli
 from arctrack.calibrate.reflectance.goniometer import read_goniometer
 from arctrack.errors import ArctrackError
+from arctrack.recording.scene_tables import MaterialTable
 from arctrack.recording.setup_file import read_setup_file
-from arctrack.recording.setup_model import MaterialTable
 from arctrack.simulation.simulate import true_values
 from calibration.goniometer import GreyResponse, Settings
 from examples.make_goniometer import main as make_goniometer

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import Field, ValidationError
 
 from arctrack.calibrate.robot_poses import PoseSource
 from arctrack.errors import ArctrackError, in_file, no_such_path
@@ -20,6 +20,7 @@ from arctrack.recording.files import blamed_on, read_text
 from arctrack.recording.importing.image_files import images_of
 from arctrack.recording.importing.units import parse_units
 from arctrack.recording.key_errors import describe, place
+from arctrack.recording.schema import Table, unknown_in
 from arctrack.recording.toml_text import parse_toml
 from calibration.boards.board import Board
 from calibration.camera.lens import ORDERS
@@ -29,11 +30,7 @@ FILE_NAME = "calibration.toml"
 BOARD_HINT = 'board = "chessboard:9x6:5mm" counts inner corners'
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(strict=True, extra="allow")
-
-
-class _Images(_Table):
+class _Images(Table):
     images: str | None = None
     board: str | None = None
 
@@ -48,20 +45,20 @@ class _HandEye(_Images):
     translations: str | None = None
     rotation: str | None = None
     units: str = ""
-    columns: dict[str, str] = {}
+    columns: dict[str, str] = Field(default_factory=dict)
     eye_to_hand: bool = False
 
 
-class _Sensor(_Table):
+class _Sensor(Table):
     images: str | None = None
     gamma: float | None = None
 
 
-class _Recording(_Table):
+class _Recording(Table):
     recording: str | None = None
 
 
-class _File(_Table):
+class _File(Table):
     board: str | None = None
     sensor: _Sensor | None = None
     camera: _Camera | None = None
@@ -161,7 +158,9 @@ def read_raw_files(folder: Path) -> CalibrationSources:
         laser=reading.board_files("laser", stated.laser),
         delay=reading.recording("delay", stated.delay),
         arc=reading.recording("arc", stated.arc),
-        unknown_keys={place(location): near for location, near in _unknown(stated, ())},
+        unknown_keys={
+            place(location): nearest(location[-1], known) for location, known in unknown_in(stated)
+        },
     )
 
 
@@ -249,13 +248,3 @@ class _Reading:
         if not path.exists() and not (may_be_pattern and any(sign in value for sign in "*?[")):
             raise in_file(self.folder / FILE_NAME, f"[{stage}] {key}: there is no {path}")
         return path
-
-
-def _unknown(table: _Table, location: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str | None]]:
-    known = [*type(table).model_fields]
-    for name in table.model_extra or {}:
-        yield (*location, name), nearest(name, known)
-    for name in known:
-        value = getattr(table, name)
-        if isinstance(value, _Table):
-            yield from _unknown(value, (*location, name))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import fields
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_hints
 
@@ -17,12 +16,9 @@ from arctrack.control.cell_file.choices import (
 from arctrack.control.job import PartLimits
 from arctrack.control.policy import ServicePolicy
 from arctrack.recording.follow_tables import FollowTable
-from arctrack.recording.key_errors import place
 from arctrack.recording.scene_tables import JointTable
 from arctrack.recording.schema import Bounds, Table, key
 from arctrack.recording.sensor_tables import Number
-from noise_model.setup_keys import DIMENSIONS
-from noise_model.spelling import cure_for
 from robot_io import GateLimits
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 
@@ -258,7 +254,7 @@ class JobTable(Table):
 class CellToml(Table):
     """The whole file."""
 
-    format: Literal["arctrack-cell/1"]
+    format: Literal["arctrack-cell/1"] = key("The file's format", example=f'"{FORMAT}"')
     setup: str = key(
         "The setup, the facts of the sensor and the part, beside this file",
         example='"setup.toml"',
@@ -273,21 +269,3 @@ class CellToml(Table):
     black_box: BlackBoxTable = Field(default_factory=BlackBoxTable)
     monitor: MonitorTable = Field(default_factory=MonitorTable)
     plausibility: PlausibilityTable = Field(default_factory=PlausibilityTable)
-
-
-def unknown_keys(table: Table, location: tuple[str | int, ...] = ()) -> Iterator[str]:
-    """Yield a line for each key that means nothing: which one it is, and which one may be meant."""
-    known = {*type(table).model_fields}
-    if isinstance(table, JointTable):
-        # Of a type that there is not, nothing is known; that is said of the type.
-        known |= {*DIMENSIONS.get(table.type, table.model_extra or {})}
-    for name in table.model_extra or {}:
-        if name not in known:
-            yield f"{place((*location, name))}: is not known; {cure_for(name, sorted(known))}"
-    for name in type(table).model_fields:
-        value = getattr(table, name)
-        inner = value.items() if isinstance(value, dict) else [(None, value)]
-        for number, held in inner:
-            if isinstance(held, Table):
-                below = (*location, name) if number is None else (*location, name, number)
-                yield from unknown_keys(held, below)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from arctrack.control.cell_file.model import FORMAT, KEYS_OF_KIND, CellToml
+from arctrack.control.cell_file.model import KEYS_OF_KIND, CellToml
 from arctrack.nominal import nominal_setup
 from arctrack.output import make_new_folder, write_whole
 from arctrack.recording.new import RADIANCE_E, comment, commented_setup, wrapped
@@ -13,10 +13,9 @@ from arctrack.recording.schema import tables_of
 
 CELL_TOML, SETUP_TOML = "cell.toml", "setup.toml"
 
-_HEAD = f"""\
+_HEAD = """\
 # The choices for a cell. The facts of its sensor and its part are in the setup.
 # What stands behind a # has the value that it shows. Take the # off to choose another.
-format = "{FORMAT}"
 """
 
 _JOINT_AND_FOLLOW = """

@@ -28,17 +28,17 @@ from arctrack.control.cell_file.model import (
     CellToml,
     JobTable,
     PartTable,
-    unknown_keys,
 )
 from arctrack.control.job import PartLimits
 from arctrack.control.policy import ServicePolicy
 from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.recording.files import blamed_on, read_text
-from arctrack.recording.key_errors import describe
-from arctrack.recording.schema import Table
+from arctrack.recording.key_errors import describe, place
+from arctrack.recording.schema import Table, unknown_in
 from arctrack.recording.setup_file import SetupFile, read_setup_file
 from arctrack.recording.toml_text import parse_toml
+from noise_model.spelling import cure_for
 from robot_io import GateLimits
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 
@@ -77,8 +77,8 @@ def stated_keys(path: Path) -> CellToml:
         raise in_file(path, describe(error, CellToml)) from None
     except ValueError as error:
         raise in_file(path, str(error)) from None
-    for line in unknown_keys(model):
-        raise in_file(path, line)
+    for location, known in unknown_in(model):
+        raise in_file(path, f"{place(location)}: is not known; {cure_for(location[-1], sorted(known))}")
     return model
 
 
