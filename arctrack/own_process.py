@@ -34,19 +34,12 @@ if sys.platform == "win32":
 
 
 class OwnProcess(Closing, Generic[Question, Answer]):
-    """A process that answers questions by a function; the end of its context ends it.
+    """A subprocess that answers requests by a function; the end of its context ends it.
 
-    It knows nothing of this program's main module, as a process of multiprocessing would: a script need not
-    guard it, and a prompt has none. It hears no Ctrl-C of a terminal. It ends if this process does, however.
-
-    Parameters
-    ----------
-    answer : callable
-        What answers; it is pickled.
-    ended : str
-        What is said if the process ends by itself.
-    stderr : int, optional
-        As `subprocess` takes it; by default this process's.
+    Unlike one of multiprocessing it does not import this program's main module: a script need not guard it,
+    and a prompt has none. It ignores a terminal's Ctrl-C, and ends however this process ends.
+    `answer` is pickled. `ended` is the error's text if the process ends by itself. `stderr` is as in
+    `subprocess`, by default this process's.
     """
 
     def __init__(self, answer: Callable[[Question], Answer], ended: str, stderr: int | None = None) -> None:

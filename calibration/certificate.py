@@ -39,16 +39,10 @@ class KnownLens:
 
 @dataclass(frozen=True)
 class KnownSheet:
-    """The laser sheet in the camera frame.
+    """Laser sheet n.X + d = 0 (4,), camera frame, mm.
 
-    Parameters
-    ----------
-    plane : array (4,)
-        n.X + d = 0, mm.
-    covariance : array (4, 4)
-        What the sheet's own measurement leaves unknown, the lens being exact.
-    per_lens : array (4, k)
-        The derivatives of the plane by the lens' parameters.
+    `covariance` (4, 4) is that of its own measurement with an exact lens; `per_lens` (4, k) are its
+    derivatives by the lens' parameters.
     """
 
     plane: Float64
@@ -58,16 +52,10 @@ class KnownSheet:
 
 @dataclass(frozen=True)
 class KnownHandEye:
-    """The camera's pose in the tool.
+    """Camera pose `T_tool_camera` (4, 4), mm.
 
-    Parameters
-    ----------
-    T_tool_camera : array (4, 4)
-        The pose, mm.
-    covariance : array (6, 6)
-        Of a turn, rad, and a move, mm, both in the camera's own frame, the lens being exact.
-    per_lens : array (6, k)
-        The derivatives of turn and move by the lens' parameters.
+    `covariance` (6, 6) is of a rotation, rad, and a translation, mm, both in the camera's own frame, with an
+    exact lens; `per_lens` (6, k) are their derivatives by the lens' parameters.
     """
 
     T_tool_camera: Float64
@@ -88,16 +76,10 @@ EXACT_ROBOT = RobotNoise(0.0, 0.0)
 
 @dataclass(frozen=True)
 class Certificate:
-    """How well the seam's position is known, at points of the laser sheet.
+    """Uncertainty of the seam's position, at points of the laser sheet.
 
-    Parameters
-    ----------
-    points_px : array (n, 2)
-        Where the points are seen, px.
-    points_tool_mm : array (n, 3)
-        The points, tool frame.
-    shares_mm2 : mapping
-        Each source's share (n, 3, 3) in their covariance, tool frame, mm^2; shares add up.
+    `points_px` (n, 2) are seen at `points_tool_mm` (n, 3), tool frame. `shares_mm2` has each source's share
+    (n, 3, 3) in their covariance, tool frame; shares add up.
     """
 
     points_px: Float64

@@ -34,14 +34,7 @@ class PoseSource:
 class RobotPoses:
     """The robot's poses at images.
 
-    Parameters
-    ----------
-    file : PoseFile
-        The poses as they were read.
-    rows : array (images,)
-        Which of them each image has.
-    T_controllertool_tool : array (4, 4)
-        The tool in the controller's tool, mm.
+    `rows` (images,) are the numbers of each image's pose in `file`; `T_controllertool_tool` (4, 4) is mm.
     """
 
     file: PoseFile

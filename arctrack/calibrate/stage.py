@@ -23,18 +23,8 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class CalibrationStage(Generic[Result]):
-    """A calibration that was done.
-
-    Parameters
-    ----------
-    result : Result
-        What was found.
-    page : CalibrationPage
-        What its page holds.
-    records : tuple of Calibrated
-        The values for the setup.
-    refusal : str, optional
-        Why the values must not go into a setup.
+    """A completed calibration: result, page, and values for the setup; `refusal` is why these must not go
+    into one.
     """
 
     result: Result

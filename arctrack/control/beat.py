@@ -21,15 +21,10 @@ _ROLLING = 256
 
 
 class Beat:
-    """Says when version and heartbeat are due; both are at first.
+    """Schedule of version and heartbeat messages; both are due at first.
 
-    A heartbeat is due at once where it says anew whether offsets count or which command is obeyed: a robot
-    that heard it late would come in on the midst of a soft start.
-
-    Parameters
-    ----------
-    source : Source
-        Where frames and poses come from.
+    A heartbeat is due at once where it changes whether offsets count or which command is obeyed: a robot that
+    heard of it late would join in the middle of a soft start.
     """
 
     def __init__(self, source: Source) -> None:

@@ -14,17 +14,10 @@ from robot_io.clocks.sync import ClockSync, SyncLimits, Unestimated
 
 
 class BusDelay:
-    """Hears each SYNC, and says whether the bus delays.
+    """Watch of the bus' delay by the echoes of SYNC messages.
 
-    Of a robot that sends no SYNC nothing is known, and nothing is asked unless the policy does. Once it has
-    sent one it must go on, and hear the echoes.
-
-    Parameters
-    ----------
-    policy : ServicePolicy
-        How long a way may take, and how long it counts.
-    limits : SyncLimits
-        What the comparison of clocks rests on.
+    A robot that sends no SYNC is not judged, unless the policy requires SYNC. Once it has sent one it must go
+    on, and hear the echoes.
     """
 
     def __init__(self, policy: ServicePolicy, limits: SyncLimits | None = None) -> None:

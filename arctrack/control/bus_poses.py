@@ -28,38 +28,15 @@ KEPT_POSES = 256
 
 
 class BusPoses:
-    """What the robot's messages say of the tool.
+    """Tool poses from the robot's messages, and whether they are trusted.
 
-    Parameters
-    ----------
-    path : NominalPath
-        The nominal seam.
-    limits : PlausibilityLimits
-        What poses must keep to.
-    seam_limits : InnovationLimits
-        What the seam in the image must keep to.
-    policy : ServicePolicy
-        How long what was heard counts.
-    T_controllertool_tool : array (4, 4), optional
-        The tool in the tool frame of the controller that sends the poses, mm; by default they are one.
-    late_s : float
-        How much later than true the controller stamps its poses, s.
-    lag_estimator : LagEstimator, optional
-        What estimates the robot's lag in real time, where an offset must not wait for it; by default it is
-        estimated at once.
-
-    Attributes
-    ----------
-    watch : PoseWatch
-        Whether poses are to be trusted.
-    look_ahead : LookAhead
-        How late the robot follows.
-    looks_ahead : bool
-        Whether offsets are asked for where the torch will be once they act.
-    doubt : Doubt or None
-        Why poses were not trusted when the verdict was asked last; None where they were.
-    on_sample : callable or None
-        Hears each pose, its time on the frames' clock, and when it was read, s.
+    `path` is the nominal seam. `T_controllertool_tool` (4, 4) is the tool in the tool frame of the controller
+    that sends the poses, mm; by default they are one. The controller stamps its poses `late_s` later than
+    true. `lag_estimator` estimates the robot's lag where an offset must not wait for it; by default it is
+    estimated at once.
+    With `looks_ahead` offsets are asked for where the torch will be once they act. `doubt` says why poses
+    were not trusted at the latest verdict (None if they were). `on_sample` gets each pose, its time on the
+    frames' clock, and when it was read, s.
     """
 
     def __init__(

@@ -20,22 +20,11 @@ from tracker.tracker_state import TrackerMemory
 
 @dataclass(frozen=True)
 class Capture:
-    """A frame's capture as the tracker knows it.
+    """Conditions of a frame's capture as the tracker knows them.
 
-    Attributes
-    ----------
-    index : int
-        The frame's number.
-    captured_s : float
-        When it was taken, s, on the tracker's clock.
-    pose : PoseAt
-        The tool's pose then; it may be refused.
-    robot : RobotStatus or None
-        What the robot said last; None before it was heard.
-    is_trusted : bool
-        Whether poses are trusted: what is measured by others must not last.
-    lead : OffsetLookAhead
-        How far ahead of the torch the offset is asked for.
+    `captured_s` is on the tracker's clock; `pose` is the tool's then, and may be refused; `robot` is the
+    latest status, None before the first. Measurements from poses that are not trusted must not last. `lead`
+    is the look-ahead of the offset.
     """
 
     index: int
@@ -57,21 +46,8 @@ class FrameStep:
 
 
 class FrameTracking:
-    """The tracker of one seam.
-
-    Parameters
-    ----------
-    setup : Setup
-        What is known of sensor and part.
-    correction : Correction
-        What of the seam's displacement is sent.
-
-    Attributes
-    ----------
-    tracker : Tracker
-        The tracker.
-    on_step : callable or None
-        Hears each step.
+    """Tracker of one seam. `correction` is the part of the seam's displacement that is sent; `on_step` gets
+    each step.
     """
 
     def __init__(self, setup: Setup, correction: Correction = UNSTATED) -> None:
@@ -83,21 +59,9 @@ class FrameTracking:
         self.tracker.state = TrackerMemory()
 
     def track(self, shown: Frame | None, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
-        """Track a frame, None for one that cannot be read; of poses that are doubted nothing lasts.
+        """Track a frame, None for an unreadable one; measurements from doubted poses do not last.
 
-        Parameters
-        ----------
-        shown : Frame or None
-            The frame.
-        capture : Capture
-            What is known of its capture.
-
-        Returns
-        -------
-        track : Track
-            The frame's result.
-        measured : SeamMeasurement or None
-            Where the pose puts what was seen, None where nothing valid was.
+        Returns the track, and the seam that was measured with the pose, None where nothing valid was.
         """
         before = self.tracker.state
         if shown is None:

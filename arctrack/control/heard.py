@@ -35,16 +35,11 @@ class OutageWatch:
         self._came_at_s: dict[type[BusMessage], float] = {}
 
     def hear(self, message: BusMessage, came_at_s: float, now_s: float, hold_s: float) -> bool:
-        """Take a message, and return whether the one of its kind before may be more than `hold_s` older.
+        """Take an accepted message, and return whether the one of its kind before may be more than `hold_s`
+        older.
 
-        Parameters
-        ----------
-        message : BusMessage
-            An accepted message of any type.
-        came_at_s, now_s : float
-            The earliest time at which it came, and that of its reading, s.
-        hold_s : float
-            The longest silence, s, after which the robot still stands where it was sent.
+        `came_at_s` is the earliest time at which it came, `now_s` that of its reading. `hold_s` is the
+        longest silence after which the robot still stands where it was sent.
         """
         kind = type(message)
         if kind not in (TrackerCommand, RobotStatus):

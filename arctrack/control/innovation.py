@@ -35,29 +35,17 @@ class SeamMotion(Enum):
 
 @dataclass(frozen=True)
 class InnovationLimits:
-    """What the test asks.
+    """Limits of the innovation test; raises ValueError for one that is not positive and finite.
 
-    Parameters
-    ----------
-    window : int
-        How many measurements it looks at (chosen: 0.4 s of 50 frames a second).
-    false_alarm : float
-        The probability that a window of right poses fails (chosen: at 50 frames a second once in some days of
-        weld, were windows apart; each shares 19 of 20 with the next).
-    sigma_floor_mm : float
-        A measurement's sigma is not taken for less, mm (speckle that neighbouring frames share).
-    most_sigmas : float
-        A single innovation counts for so many sigmas at most (chosen: one bad frame alone cannot fail it).
-    gap_mm : float
-        A station this far off the last begins anew, mm (chosen: a third of the length over which seams bend).
-    pose_time_s : float
-        1 sigma of a pose's time against its frame's, s (the age's rounding to 1 ms, and a wait for the bus of
-        up to some frames of 0.25 ms, alike over many frames).
-
-    Raises
-    ------
-    ValueError
-        For a limit that is not positive and finite.
+    - `window`: number of measurements tested together (chosen: 0.4 s of 50 frames a second).
+    - `false_alarm`: probability that a window of right poses fails (chosen: at 50 frames a second once in
+      some days of weld, were windows disjoint; each shares 19 of 20 with the next).
+    - `sigma_floor_mm`: smallest sigma of a measurement (speckle that neighbouring frames share).
+    - `most_sigmas`: cap of a single innovation (chosen: one bad frame alone cannot fail it).
+    - `gap_mm`: a station this far off the last restarts the test (chosen: a third of the length over which
+      seams bend).
+    - `pose_time_s`: 1 sigma of a pose's time against its frame's (the age's rounding to 1 ms, and a wait for
+      the bus of up to some frames of 0.25 ms, common to many frames).
     """
 
     window: int = 20
@@ -81,16 +69,10 @@ class InnovationLimits:
 
 @dataclass(frozen=True)
 class SeamMeasurement:
-    """A measurement of the seam.
+    """Measured seam at a station along the nominal line.
 
-    Parameters
-    ----------
-    station_mm : float
-        Its station along the nominal line, mm.
-    displacement_mm : tuple (2,)
-        The seam's displacement (y, z) from that line, mm, joint frame, as the pose at the capture puts it.
-    sigma_mm : tuple (2,)
-        1 sigma of each, mm, of the image alone.
+    `displacement_mm` is (y, z) from that line, joint frame, with the pose at the capture; `sigma_mm` is 1
+    sigma of each, of the image alone.
     """
 
     station_mm: float
@@ -209,13 +191,11 @@ class _SeamKnowledge:
 
 @dataclass(frozen=True)
 class SeamInnovation:
-    """The filter, the window's innovations over their sigmas as pairs (y, z), and the verdict.
+    """State of the innovation test: filter, the window's innovations over their sigmas as pairs (y, z), and
+    verdict.
 
-    Attributes
-    ----------
-    motion : SeamMotion
-        Whether the seam moves as the poses say. Once contradicted it stays so until a whole window that began
-        after that fits, and the seam is where those before the contradiction put it.
+    `motion` says whether the seam moves as the poses say. Once contradicted it stays so until a whole window
+    that began after that fits, with the seam where the measurements before the contradiction put it.
     """
 
     motion: SeamMotion = SeamMotion.UNPROVEN
@@ -230,15 +210,7 @@ class SeamInnovation:
         return math.fsum(y * y + z * z for y, z in self.innovations)
 
     def with_seam(self, seam: SeamMeasurement, limits: InnovationLimits) -> SeamInnovation:
-        """Return the state after one more measurement.
-
-        Parameters
-        ----------
-        seam : SeamMeasurement
-            The measurement. One whose values are not finite says nothing.
-        limits : InnovationLimits
-            What the test asks.
-        """
+        """Return the state after one more measurement; values that are not finite are ignored."""
         if not all(map(math.isfinite, (seam.station_mm, *seam.displacement_mm, *seam.sigma_mm))):
             return self
         if self.known is None or not abs(seam.station_mm - self.known.station_mm) <= limits.gap_mm:

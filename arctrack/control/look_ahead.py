@@ -53,15 +53,7 @@ class LagEstimator(Protocol):
 
 
 class LagNow:
-    """Estimates a lag at once.
-
-    Parameters
-    ----------
-    policy : LookAheadPolicy
-        How the weave is looked for.
-    limits : LagLimits
-        What an estimate asks.
-    """
+    """Lag estimator that blocks until its estimate is there."""
 
     def __init__(self, policy: LookAheadPolicy | None = None, limits: LagLimits | None = None) -> None:
         self._policy, self._limits = policy or LookAheadPolicy(), limits or LagLimits()
@@ -79,26 +71,11 @@ class LagNow:
 
 @dataclass
 class LookAhead:
-    """Collects what was commanded and what the tool did, and estimates the lag now and then.
+    """Commanded and executed motion, with the robot's lag estimated from it now and then.
 
     All times are on the tracker's clock. An estimate is kept until a better one comes, or one that differs:
-    the lag is the robot's own, and what tells it, such as the soft start, soon is over.
-
-    Parameters
-    ----------
-    path : NominalPath
-        The nominal seam.
-    policy : LookAheadPolicy
-        How much is collected, and how often it is looked at.
-    limits : LagLimits
-        What an estimate asks.
-    estimator : LagEstimator
-        What estimates the lag; by default it does so at once.
-
-    Attributes
-    ----------
-    lag : Lag
-        The lag that counts; its `unestimated` says why there is none.
+    the lag is the robot's own, and what determines it, such as the soft start, soon is over. While there is
+    none, `lag.unestimated` says why.
     """
 
     path: NominalPath

@@ -24,14 +24,9 @@ FAULTS = {
 
 @dataclass(frozen=True)
 class PartCheck:
-    """What the frames before the arc said of a part; a new one has seen nothing.
+    """Result of the frames of a part before the arc; a new one has none.
 
-    Attributes
-    ----------
-    passed : bool
-        Whether the part was measured, and is as it must be.
-    fault : Fault
-        What it is refused for; NONE if nothing.
+    `passed` says that the part was measured and is as required; `fault` is why it is refused, or NONE.
     """
 
     passed: bool = False
@@ -40,14 +35,9 @@ class PartCheck:
     looks: int = 0
 
     def seen(self, track: Track, limits: PartLimits) -> PartCheck:
-        """Return the state after a frame before the arc; one without a seam says nothing.
+        """Return the state after a frame before the arc; one without a seam changes nothing.
 
-        Parameters
-        ----------
-        track : Track
-            The frame's result.
-        limits : PartLimits
-            What is asked. A value that is asked and not known is out of its range.
+        A required value that is not known is out of its range.
         """
         if not track.valid or not limits.asked:
             return self
@@ -61,13 +51,7 @@ class PartCheck:
 
 @dataclass(frozen=True)
 class Bridge:
-    """How far the sensor has gone along the seam since it saw the joint last.
-
-    Attributes
-    ----------
-    bridged_mm : float
-        How far, mm.
-    """
+    """Distance that the sensor has gone along the seam since it last saw the joint."""
 
     seen_at_mm: float = math.nan
     bridged_mm: float = 0.0
@@ -100,16 +84,7 @@ class PartWatch:
     def look(self, track: Track, T_base_tool: Float64 | None, job: Job, is_arc_off: bool) -> Fault:
         """Take a frame of an armed tracker, and return what the part is refused for; NONE if nothing.
 
-        Parameters
-        ----------
-        track : Track
-            The frame's result.
-        T_base_tool : array (4, 4) or None
-            The pose at the capture, mm; without one no way along the seam is known.
-        job : Job
-            What is asked.
-        is_arc_off : bool
-            Whether the robot says that the arc is off.
+        `T_base_tool` (4, 4) is the pose at the capture, mm; without one no distance along the seam is known.
         """
         if is_arc_off:
             self._check = self._check.seen(track, job.part)

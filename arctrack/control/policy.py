@@ -68,28 +68,20 @@ class ServicePolicy:
 
 @dataclass(frozen=True)
 class LookAheadPolicy:
-    """How the lag is estimated while it runs.
+    """How the lag is estimated during a run.
 
-    Parameters
-    ----------
-    window_s : float
-        How long what was commanded and seen is kept, s (chosen: some periods of a weave, and a soft start).
-    every_s : float
-        How often the lag is estimated, s (chosen: an estimate takes a tenth of a second).
-    speed_s : float
-        Over how long the speed along the path is measured, s (chosen: the bus' rounding is then 0.02 mm/s).
-    timing_sigma_s : float
-        1 sigma of a lag that the bus' rounding of ages and computing times leave, whatever is seen, s (ages
-        are rounded to 1 ms).
-    differ_sigmas : float
-        From how many sigmas on a new estimate is of another lag than the one that is kept (chosen).
-    guessed_lags : int
-        At how many lags the offsets are told from the weave (chosen: a tenth of a second apart).
-    weave_hz : tuple (2,)
-        Between which frequencies the weave is looked for, Hz (chosen: from slow wide ones to what arms can
-        swing).
-    harmonics : int
-        How many harmonics of it are taken out (chosen: a triangle's third is a ninth).
+    - `window_s`: span of commands and motion that is kept (chosen: some periods of a weave, and a soft
+      start).
+    - `every_s`: time between estimates (chosen: an estimate takes a tenth of a second).
+    - `speed_s`: span over which the speed along the path is measured (chosen: the bus' rounding is then 0.02
+      mm/s).
+    - `timing_sigma_s`: 1 sigma of a lag from the bus' rounding of ages and from computing times (ages are
+      rounded to 1 ms).
+    - `differ_sigmas`: a new estimate this many sigmas off is of another lag than the one kept (chosen).
+    - `guessed_lags`: number of lags at which offsets are separated from the weave (chosen: a tenth of a
+      second apart).
+    - `weave_hz`: frequency range of the weave (chosen: from slow wide ones to what arms can swing).
+    - `harmonics`: number of its harmonics that are removed (chosen: a triangle's third is a ninth).
     """
 
     window_s: float = 8.0

@@ -33,15 +33,7 @@ class AgreementPolicy:
 
 
 class PoseAgreement:
-    """Holds each pose off the bus against the recording's pose at the same time.
-
-    Parameters
-    ----------
-    poses : PoseBuffer
-        The recording's poses.
-    policy : AgreementPolicy
-        How far they may be apart.
-    """
+    """Comparison of each pose off the bus with the recording's pose at the same time."""
 
     def __init__(self, poses: PoseBuffer, policy: AgreementPolicy | None = None) -> None:
         self._poses = poses

@@ -35,25 +35,13 @@ Doubt = Implausibility | SeamMotion
 
 
 class PoseWatch:
-    """Hears the bus and the seam, and says whether poses are to be trusted.
+    """Judge of whether poses are to be trusted, from the bus and the seam in the image.
 
-    Poses are plausible once they have shown enough. The seam in the image need not have: it is asked for a
-    contradiction alone.
-
-    Parameters
-    ----------
-    path : NominalPath or None
-        The nominal seam; without it less is asked.
-    limits : PlausibilityLimits
-        What poses must keep to.
-    seam_limits : InnovationLimits
-        What the seam in the image must keep to.
-    sync_limits : SyncLimits
-        What the comparison of clocks rests on.
-    status_age_s : float
-        How old a RobotStatus may be to say how the robot moves, s.
-    T_controllertool_tool : array (4, 4), optional
-        The tool in the tool frame of the controller that sends the poses, mm; by default they are one.
+    Poses are plausible once they have shown enough. The seam in the image need not have: only its
+    contradiction counts.
+    Without `path`, the nominal seam, fewer tests apply. A RobotStatus older than `status_age_s` does not say
+    how the robot moves. `T_controllertool_tool` (4, 4) is the tool in the tool frame of the controller that
+    sends the poses, mm; by default they are one.
     """
 
     def __init__(
@@ -78,19 +66,10 @@ class PoseWatch:
         self._sync = ClockSync()
 
     def hear(self, received: Received, now_s: float) -> PoseSample | None:
-        """Take an accepted message; return the pose that it completes, at its time on the clock of `now_s`.
+        """Take an accepted message of any type, read at `now_s`; return the pose that it completes, trusted
+        or not.
 
-        Parameters
-        ----------
-        received : Received
-            A message of any type.
-        now_s : float
-            The time of its reading, s.
-
-        Returns
-        -------
-        PoseSample or None
-            The sample, of where the tool is, whether it is trusted or not.
+        The sample is of the tool, at its time on the clock of `now_s`.
         """
         came_at_s = now_s - received.max_age_s
         if isinstance(received.message, RobotStatus):

@@ -40,14 +40,10 @@ DELAYS = frozenset(
 
 
 class ProcessorWait:
-    """Measures which share of the time that the calling thread wants a processor it waits for one.
+    """Share of the time in which the calling thread wants a processor that it waits for one.
 
-    Attributes
-    ----------
-    share : float
-        The latest share; NaN where the kernel does not tell.
-    waited_s, ran_s : float
-        How long the thread waited and ran since this object was made, s; NaN where the kernel does not tell.
+    `share` is the latest, `waited_s` and `ran_s` count since this object was made; NaN where the kernel does
+    not tell.
     """
 
     def __init__(self) -> None:

@@ -31,28 +31,16 @@ Two bad frames then fail no window, whatever the frame rate: each counts for 4 s
 
 
 class RecordedPoses:
-    """Holds a recording's poses against plausibility as its frames go by.
+    """Plausibility of a recording's poses as its frames go by.
 
-    A CAN log brings what the robot said: its motion, its program, its clock. `poses.csv` brings poses alone.
-    Then nothing is asked of the progress along the path, and a pose that stands still is told by the image.
-    A sample need not say how old it is: a recording's clocks are taken as they are.
-
-    Once the image has contradicted the poses, they are not trusted to the recording's end. The torch comes
-    only later to what was measured by them.
-
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    limits : PlausibilityLimits
-        What poses must keep to. How old a sample is, and how far apart two may be, is the recording's.
-
-    Attributes
-    ----------
-    doubt : Doubt or None
-        Why poses were not trusted when that was asked last; None where they were.
-    hears_robot : bool
-        Whether a RobotStatus was among what was recorded so far.
+    A CAN log has what the robot said: its motion, its program, its clock. `poses.csv` has poses alone; then
+    progress along the path is not tested, and the image tells a pose that stands still. Samples need no age:
+    a recording's clocks are taken as they are, and its own limits hold for the age of a sample and the gap
+    between two.
+    Once the image has contradicted the poses, they are not trusted to the recording's end: the torch comes
+    only later to what was measured with them.
+    `doubt` says why poses were not trusted at the latest verdict (None if they were); `hears_robot` says that
+    a RobotStatus was recorded so far.
     """
 
     def __init__(self, recording: Recording, limits: PlausibilityLimits) -> None:

@@ -19,19 +19,8 @@ def seam_measured(
 ) -> SeamMeasurement | None:
     """Return where a track's pose puts the seam that it saw; None where it saw none.
 
-    Its sigma leaves the hand-eye tolerance out. That error turns with the tool, and is the same from frame to
-    frame.
-
-    Parameters
-    ----------
-    setup : Setup
-        The nominal setup.
-    track : Track
-        The frame's result.
-    pose : Pose or None
-        The tool's pose at the capture.
-    hand_eye_variance_mm2 : tuple (2,)
-        What the tolerance has added to the variances of the track's (y, z), mm^2.
+    Its sigma leaves out the hand-eye tolerance, which turns with the tool and is common to all frames;
+    `hand_eye_variance_mm2` is that tolerance's part in the variances of the track's (y, z).
     """
     if pose is None or not math.isfinite(track.seam_tool_mm[1]):
         return None

@@ -84,21 +84,9 @@ class FramePose:
 
 
 class TrackingService(Generic[Shown]):
-    """Says what answers a message, a frame, and the passing of time. All times are on one clock.
+    """Answers to a message, a frame, and the passing of time; all times are on one clock.
 
-    Parameters
-    ----------
-    controller : Controller
-        What speaks on the bus.
-    poses : Poses
-        Where the tool is.
-    tracking : SeamTracking
-        What makes a track of a frame.
-
-    Attributes
-    ----------
-    lead : OffsetLookAhead
-        How far ahead of the torch the latest offset was asked for.
+    `lead` is the look-ahead of the latest offset.
     """
 
     def __init__(self, controller: Controller, poses: Poses, tracking: SeamTracking[Shown]) -> None:

@@ -26,29 +26,12 @@ Value = float | int | Sequence[float]
 
 @dataclass(frozen=True)
 class CalibrationValues:
-    """Values of one table of recording.toml, and how well they are known.
+    """Calibrated values of one table of recording.toml, with their covariance.
 
-    Parameters
-    ----------
-    table : str
-        The table that holds the values, such as "camera"; "camera.pose_in_tool" is one within it.
-    values : mapping
-        A key of that table to its new value: a number, or the numbers of an array.
-    parameters : tuple of str
-        What the rows of the covariance stand for, with the unit in the name where the key has none.
-    covariance : array (n, n)
-        The covariance of these parameters, in the squares of their units.
-    made_by : str
-        The command that found them.
-    about : mapping
-        What else is worth keeping of the calibration: counts, residuals, lists of numbers or names.
-    name : str
-        The calibration's name: `[calibration.NAME]`; the table's unless stated.
-
-    Raises
-    ------
-    ValueError
-        Where the covariance is not finite, or has not a row and a column for each parameter.
+    `table` is such as "camera", or "camera.pose_in_tool" for one within it; `values` maps its keys to numbers
+    or arrays. `parameters` name the rows of `covariance` (n, n), with the unit where the key has none.
+    `made_by` is the command, `about` has counts, residuals and the like. `[calibration.NAME]` is the table's
+    name unless stated. Raises ValueError where the covariance is not finite or not of that shape.
     """
 
     table: str

@@ -78,14 +78,9 @@ def number(text: str) -> float:
 
 
 class TimeParser:
-    """Makes times of numbers, or Unix seconds of dates as ISO 8601 writes them: all are of one kind.
+    """Parser of times, all numbers or all dates as ISO 8601 writes them; dates become Unix seconds.
 
-    Attributes
-    ----------
-    are_dates : bool
-        Whether the times are dates.
-    lacks_zone : bool
-        Whether a date stated no time zone; it is then taken as UTC.
+    A date without a time zone (`lacks_zone`) is taken as UTC.
     """
 
     def __init__(self) -> None:

@@ -105,18 +105,7 @@ class Recording:
         return (len(self.rows) - 1) / span_s if span_s > 0 else float("nan")
 
     def is_read_from(self, path: Path) -> bool:
-        """Return whether a path is among the files that make the recording and its setup, or would be.
-
-        Parameters
-        ----------
-        path : Path
-            A file or folder; it need not exist.
-
-        Returns
-        -------
-        bool
-            Whether writing there would change what is read.
-        """
+        """Return whether writing to a path, which need not exist, would change the recording or its setup."""
         names = (setup_file.FILE_NAME, FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES, STEPS_CSV, STATE_JSON)
         sources = [self.setup_path, self.frame_source, *(self.path / name for name in names)]
         return any(real(path).is_relative_to(real(source)) for source in sources)
@@ -179,19 +168,9 @@ class Recording:
         return frames, bad
 
     def complaint(self, bad_frames: Sequence[BadFrame], of_the_others: str) -> str | None:
-        """Return one line on frames that could not be read.
+        """Return one line on frames that could not be read; None where every frame could be.
 
-        Parameters
-        ----------
-        bad_frames : sequence of BadFrame
-            The frames that could not be read.
-        of_the_others : str
-            What became of the other frames, such as "the pose is that of the others".
-
-        Returns
-        -------
-        str or None
-            The line; None where every frame could be read.
+        `of_the_others` says what became of the other frames, such as "the pose is that of the others".
         """
         if not bad_frames:
             return None
@@ -199,18 +178,7 @@ class Recording:
         return f"{bad_frames[0].message}; {count}, {of_the_others}"
 
     def posed(self, frames: Iterable[Frame]) -> list[tuple[Frame, Pose]]:
-        """Return frames with the tool's pose at each.
-
-        Parameters
-        ----------
-        frames : iterable of Frame
-            The frames.
-
-        Returns
-        -------
-        list of (Frame, Pose)
-            Those that have a pose; the others are left out.
-        """
+        """Return frames with the tool's pose at each; those without a pose are left out."""
         asked = list(frames)
         poses = self.poses_at([frame.timestamp_s for frame in asked])
         return [(frame, pose) for frame, pose in zip(asked, poses, strict=True) if pose is not None]
@@ -249,13 +217,7 @@ class Recording:
         return poses_at(self.pose_buffer(), times_s)
 
     def pose_buffer(self) -> PoseBuffer:
-        """Return the poses in the buffer that answers as the live run would have.
-
-        Returns
-        -------
-        PoseBuffer
-            All poses of the recording.
-        """
+        """Return all poses in a buffer that answers as in the live run."""
         return pose_buffer(self.poses)
 
 

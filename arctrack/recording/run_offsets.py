@@ -70,14 +70,10 @@ NO_OUTCOME = OffsetOutcome()
 
 @dataclass
 class RunComparison:
-    """Counts the frames whose offset a replay would send otherwise than the run did.
+    """Count of frames whose offset a replay would send otherwise than the run did.
 
-    Attributes
-    ----------
-    frames : int
-        How many frames both know.
-    differences : dict of str to dict of str to int
-        Frames whose offsets differ, by what the run's gate did, then by what the replay's did.
+    `frames` are those that both have; `differences` counts by the decision of the run's gate, then by that of
+    the replay's.
     """
 
     frames: int = 0

@@ -27,21 +27,9 @@ def tracker_of(recording: Recording, use_arc_map: bool) -> Tracker:
 
 
 class RecordedTracking:
-    """Takes a recording's frames through its tracker, as a live run took them where its steps are recorded.
+    """Tracking of a recording's frames, as in the live run where its steps are recorded.
 
-    Parameters
-    ----------
-    recording : Recording
-        The recording.
-    use_arc_map : bool
-        False reads the stripe without the arc map.
-
-    Attributes
-    ----------
-    recording : Recording
-        The recording.
-    tracker : Tracker
-        The tracker.
+    Without `use_arc_map` the stripe is read without the arc map.
     """
 
     def __init__(self, recording: Recording, use_arc_map: bool) -> None:

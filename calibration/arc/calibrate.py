@@ -108,27 +108,13 @@ class Combination:
 
 @dataclass(frozen=True, eq=False)
 class ArcCalibration:
-    """What frames say of arc and metal.
+    """Arc and metal as calibrated from frames.
 
-    Parameters
-    ----------
-    setup : Setup
-        The setup with the values.
-    values, sigmas : array (8,)
-        Of `KEYS`.
-    covariance : array (8, 8)
-        Of `KEYS`, with what is refused within the stated tolerance. The kappas' sum is held: their sigmas are
-        those of their ratio.
-    fit : Fit
-        The fit behind them.
-    refused : mapping
-        A parameter of `ARC` that the frames do not tell, to its sigma, relative or mm.
-    combinations : tuple of Combination
-        What cannot be told apart, the least known first.
-    pixel_sigma, flicker : float
-        Texture and flicker, relative, 1 sigma.
-    problem : ArcProblem
-        The pixels, and how they are explained.
+    `values`, `sigmas` (8,) and `covariance` (8, 8) are of `KEYS`; a refused parameter stays within its stated
+    tolerance. The kappas' sum is held, so their sigmas are those of their ratio. `refused` maps parameters of
+    `ARC` that the frames do not determine to their sigma, relative or mm; `combinations` are those that
+    cannot be separated, the least known first. `pixel_sigma` and `flicker` are 1 sigma of texture and
+    flicker, relative.
     """
 
     setup: Setup

@@ -38,23 +38,9 @@ class BoardKind(StrEnum):
 class Board:
     """A flat board of squares; its corners are counted row by row, x along the columns, y along the rows.
 
-    Parameters
-    ----------
-    kind : BoardKind
-        Plain squares, or squares with ArUco markers.
-    columns, rows : int
-        Inner corners along x and y.
-    square_mm : float
-        The side of a square.
-    marker_mm : float
-        The side of a marker; 0 without markers.
-    dictionary : str
-        OpenCV's name of the markers' dictionary, without DICT_; empty without markers.
-
-    Raises
-    ------
-    ValueError
-        For a board that cannot be, or a dictionary that OpenCV does not have.
+    `columns` and `rows` count inner corners along x and y. `dictionary` is OpenCV's name of the ArUco
+    markers, without DICT_; without markers it is empty and `marker_mm` 0. Raises ValueError for a board that
+    cannot be, or a dictionary that OpenCV does not have.
     """
 
     kind: BoardKind

@@ -54,14 +54,8 @@ MIN_CONTRAST = 1.0
 class Corners:
     """A board's corners in an image.
 
-    Parameters
-    ----------
-    corners : array (n,)
-        Their numbers on the board.
-    points_px : array (n, 2)
-        Where they are, px, pixel centres at integers.
-    contrast_dn : float
-        How much brighter the light squares are than the dark ones, DN.
+    `corners` (n,) are their numbers on the board, `points_px` (n, 2) their positions, pixel centres at
+    integers; `contrast_dn` is the light squares' level over the dark ones'.
     """
 
     corners: Int64

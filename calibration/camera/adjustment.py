@@ -29,18 +29,11 @@ WARP = ("warp_x", "warp_y")
 
 @dataclass(frozen=True)
 class BoardScene:
-    """What explains the corners: a lens, the board's warp, and its pose in each image.
+    """Model of the corners: a lens, the board's shape, and its pose in each image.
 
-    Parameters
-    ----------
-    lens : Lens
-        The lens.
-    warp_mm : array (2,)
-        The board's rise in its middle from bending along the columns and along the rows.
-    T_camera_board : array (V, 4, 4)
-        The board's pose in each image, mm.
-    print_mm : array (columns * rows, 2)
-        How far each corner is off its place on the board, along x and y.
+    `warp_mm` (2,) is the board's rise in its middle from bending along the columns and along the rows,
+    `T_camera_board` (V, 4, 4) its poses, mm, and `print_mm` (columns * rows, 2) each corner's printing error
+    along x and y.
     """
 
     lens: Lens

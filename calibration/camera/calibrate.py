@@ -61,36 +61,14 @@ class WrongCorner:
 
 @dataclass(frozen=True)
 class CameraCalibration:
-    """A lens with all that is known of it.
+    """Calibrated lens and its uncertainty.
 
-    Parameters
-    ----------
-    scene : BoardScene
-        Lens, board's warp and poses, of the images that are used.
-    seen : Sightings
-        The corners that are used.
-    noise : CornerNoise
-        The corners' noise.
-    order : str
-        The distortion that was chosen, one of `ORDERS`.
-    held : list of Held
-        How well each distortion predicts.
-    known : Knowledge
-        What corners with that noise know.
-    scatter : float
-        By how much the covariance is larger than that, since images differ by more; 1 or more.
-    print_sigma_mm : float
-        1 sigma of the corners' places on the board as it was printed; 0 where they are as stated.
-    wrong : tuple of WrongCorner
-        Corners that were left out.
-    left_out : dict
-        Images that were left out, and why.
-    distance_mm : float
-        Where the projection is judged: the corners' median depth.
-    halves : list of Difference
-        How halves of the images differ.
-    next_board : NextBoard or None
-        The pose that is worth an image most.
+    `scene` and `seen` are of the images and corners used; `wrong` corners and `left_out` images (with
+    reasons) are not. `order` is the distortion chosen from `ORDERS`, `held` how well each one predicts.
+    `known` is the corners' information at their noise; the covariance is larger by `scatter` >= 1, since
+    images differ by more. `print_sigma_mm` is 1 sigma of the printing errors, 0 where corners are as stated.
+    The projection is judged at `distance_mm`, the corners' median depth. `halves` compares halves of the
+    images; `next_board` is the pose of the most useful further image.
     """
 
     scene: BoardScene

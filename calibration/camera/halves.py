@@ -33,16 +33,10 @@ SEED = 7
 
 @dataclass(frozen=True)
 class Difference:
-    """How two lenses of the same camera differ.
+    """Difference of two lenses of the same camera.
 
-    Parameters
-    ----------
-    points_px : array (N, 2)
-        Where in the image, px.
-    shift_px : array (N, 2)
-        The second's projection less the first's, px.
-    sigma_px : array (N,)
-        Its predicted sigma, RMS over directions, px.
+    At `points_px` (N, 2) the second's projection less the first's is `shift_px` (N, 2); `sigma_px` (N,) is
+    its predicted sigma, RMS over directions.
     """
 
     points_px: Float64

@@ -43,16 +43,10 @@ FIELD_STEPS = 400
 
 @dataclass(frozen=True)
 class Lens:
-    """A lens: the image's size and the values of its free parameters; what is not free is 0.
+    """A lens: image size and free parameters; the others are 0.
 
-    Parameters
-    ----------
-    width, height : int
-        The image's size, px.
-    names : tuple of str
-        fx, fy, cx, cy, and those of OpenCV's distortion coefficients that are free.
-    values : array (n,)
-        Their values; focal lengths and principal point in px, tilts in rad.
+    `names` are fx, fy, cx, cy, and OpenCV's free distortion coefficients; `values` (n,) are in px, tilts in
+    rad.
     """
 
     width: int

@@ -27,18 +27,10 @@ SIGNS = (1.0, -1.0)
 
 @dataclass(frozen=True)
 class NextBoard:
-    """A pose that is worth an image.
+    """Board pose `T_camera_board` (4, 4), mm, of the most useful further image.
 
-    Parameters
-    ----------
-    T_camera_board : array (4, 4)
-        The pose, mm.
-    points_px : array (N, 2)
-        Where its corners would be seen, px.
-    words : str
-        How to hold the board.
-    sigma_px : float
-        The projection's RMS sigma over the image with one more image of that pose, px.
+    `points_px` (N, 2) are its corners in the image, `words` say how to hold the board, `sigma_px` is the
+    projection's RMS sigma over the image with that image added.
     """
 
     T_camera_board: Float64

@@ -42,14 +42,9 @@ MIN_CORNERS = 6
 
 @dataclass(frozen=True)
 class CornerNoise:
-    """The corners' noise.
+    """Noise of the corners: `sigma_px` (V,) per image and axis.
 
-    Parameters
-    ----------
-    sigma_px : array (V,)
-        1 sigma of a corner in each image, along x and y alike.
-    prior_dof : float
-        With how many degrees of freedom the images together state the sigma of each.
+    `prior_dof` are the degrees of freedom with which all images together state each sigma.
     """
 
     sigma_px: Float64

@@ -21,22 +21,12 @@ from noise_model.arrays import Float64
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """The blocks of the normal equations, image by image.
+    """Blocks of the normal equations, image by image.
 
-    Parameters
-    ----------
-    shared : array (V, m, m)
-        Each image's part of A.
-    mixed : array (V, m, 6)
-        B_i.
-    motion : array (V, 6, 6)
-        D_i.
-    gradient_shared : array (V, m)
-        Each image's part of g_s.
-    gradient_motion : array (V, 6)
-        g_i.
-    precision, gradient_prior : array (m,)
-        What a normal prior adds to the diagonal of S and to the right side of S ds; 0 without one.
+    `shared` (V, m, m) are each image's part of A, `mixed` (V, m, 6) is B_i, `motion` (V, 6, 6) is D_i;
+    `gradient_shared` (V, m) are parts of g_s, `gradient_motion` (V, 6) is g_i. `precision` and
+    `gradient_prior` (m,) are what a normal prior adds to the diagonal of S and to the right side of S ds; 0
+    without one.
     """
 
     shared: Float64

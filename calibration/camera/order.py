@@ -34,18 +34,10 @@ STRONG_EVIDENCE = 3.0
 
 @dataclass(frozen=True)
 class Held:
-    """How well a distortion predicts boards that its fit did not see.
+    """Cross-validation of a distortion of `ORDERS`.
 
-    Parameters
-    ----------
-    name : str
-        The distortion, one of `ORDERS`.
-    loss : array (V,)
-        Each board's mean square of residuals over sigma, when held out.
-    log_evidence : float
-        ln Z, but for what all distortions have in common.
-    scene : BoardScene
-        The scene of all boards.
+    `loss` (V,) is each board's mean square of residuals over sigma when held out; `log_evidence` is ln Z up
+    to a constant of all distortions; `scene` is that of all boards.
     """
 
     name: str

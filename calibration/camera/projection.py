@@ -30,16 +30,10 @@ GRID = 24
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What all corners say of lens, warp and the boards' common motion.
+    """Information of all corners on lens, warp and the boards' common motion.
 
-    Parameters
-    ----------
-    information : array (m, m)
-        S, of lens and warp, and of the corners' places on the board where these are unknown.
-    mixed : array (m, 6)
-        B.
-    motion : array (6, 6)
-        A_m.
+    `information` (m, m) is S, of lens, warp and, where unknown, printing errors; `mixed` (m, 6) is B,
+    `motion` (6, 6) is A_m.
     """
 
     information: Float64

@@ -24,18 +24,8 @@ class BoardView:
 class Sightings:
     """Corners of all images.
 
-    Parameters
-    ----------
-    board : Board
-        The board.
-    names : tuple of str
-        The images' names.
-    view : array (N,)
-        Of which image each corner is; it rises.
-    corner : array (N,)
-        Its number on the board.
-    points_px : array (N, 2)
-        Where it is in the image, px.
+    `view` (N,) is each corner's image, in rising order, `corner` (N,) its number on the board, `points_px`
+    (N, 2) its position.
     """
 
     board: Board

@@ -48,22 +48,11 @@ NOISE_ROUNDS, NOISE_SETTLED = 4, 0.05
 
 @dataclass(frozen=True)
 class Sighting:
-    """What an image shows of the gauge.
+    """Points of the gauge in an image.
 
-    Parameters
-    ----------
-    name : str
-        The image.
-    T_base_tool : array (4, 4)
-        The robot's pose, mm.
-    rays : array (n, 3)
-        Rays of points, camera frame, z = 1.
-    faces : array (n,)
-        On which of the gauge's faces each is.
-    across : array (n, 3)
-        The direction in which each is uncertain.
-    covariance : array (n, n)
-        The covariance of these along it.
+    `rays` (n, 3) are in the camera frame, z = 1; `faces` (n,) are the gauge's faces that they lie on. They
+    are uncertain along `across` (n, 3), with `covariance` (n, n). `T_base_tool` (4, 4) is the robot's pose,
+    mm.
     """
 
     name: str
@@ -76,18 +65,10 @@ class Sighting:
 
 @dataclass(frozen=True)
 class GaugeState:
-    """What is estimated.
+    """Unknowns of the adjustment.
 
-    Parameters
-    ----------
-    plane : array (4,)
-        The sheet in the tool frame, mm.
-    T_base_gauge : array (4, 4)
-        The gauge's pose, mm.
-    centre_mm : array (3,)
-        The point of the tool frame about which the sheet leans: amid its points.
-    size_mm : float
-        The gauge's size.
+    `plane` (4,) is the sheet in the tool frame, mm, which tilts about `centre_mm` (3,), the middle of its
+    points; `T_base_gauge` (4, 4) is the gauge's pose, mm.
     """
 
     plane: Float64
@@ -204,21 +185,11 @@ class GaugeProblem:
 
 @dataclass(frozen=True)
 class GaugeFit:
-    """The least squares' answer.
+    """Result of the least squares.
 
-    Parameters
-    ----------
-    state : GaugeState
-        Sheet and gauge.
-    information : array (m, m)
-        Of the sheet's leans and place, then the gauge's, and the size where it is free; with what is known
-        beforehand.
-    noise_mm : array (2,)
-        1 sigma of the robot's error in each direction, and of the form of gauge and stripe.
-    squares : array (k,)
-        Each image's d' C^-1 d.
-    counts : array (k,)
-        How many distances each has.
+    `information` (m, m), priors included, is of the sheet's tilts and offset, then the gauge's, and the size
+    where it is free. `noise_mm` (2,) is 1 sigma of the robot's error in each direction, and of the form of
+    gauge and stripe. `squares` (k,) are each image's d' C^-1 d over `counts` (k,) distances.
     """
 
     state: GaugeState

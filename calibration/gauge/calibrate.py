@@ -62,17 +62,7 @@ LIFT_MM, TILT_DEG, SPIN_DEG = 10.0, 15.0, 40.0
 
 @dataclass(frozen=True)
 class GaugeCalibration:
-    """The sheet from a gauge.
-
-    Parameters
-    ----------
-    problem : GaugeProblem
-        The images used.
-    fitted : GaugeFit
-        Sheet and gauge.
-    left_out : dict
-        The images that were left out, and why.
-    """
+    """Sheet calibrated with a gauge; `left_out` maps unused images to the reason."""
 
     problem: GaugeProblem
     fitted: GaugeFit
@@ -111,18 +101,10 @@ class GaugeCalibration:
 
 @dataclass(frozen=True)
 class GaugeCheck:
-    """What a gauge says of a setup.
+    """Check of a setup with a gauge: its size free, the sheet as stated.
 
-    Parameters
-    ----------
-    problem : GaugeProblem
-        The images.
-    fitted : GaugeFit
-        The gauge, its size free, with the sheet as stated.
-    size_mm, sigma_mm : float
-        The size that the setup measures, and 1 sigma of that.
-    left_out : dict
-        The images that show no such gauge, and why.
+    `size_mm` is what the setup measures, with 1 sigma; `left_out` maps images that show no such gauge to the
+    reason.
     """
 
     problem: GaugeProblem

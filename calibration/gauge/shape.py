@@ -30,21 +30,9 @@ class Shape(StrEnum):
 class Gauge:
     """A gauge; its frame has x along the edge, y across it, z out of its top, the top at z = 0.
 
-    A step is high at y < 0 and low at y > 0. The root of a V is at y = 0.
-
-    Parameters
-    ----------
-    shape : Shape
-        A step or a V.
-    size_mm : float
-        The step's height, or the V's depth.
-    angle_deg : float
-        The angle between the V's flanks; 180 for a step.
-
-    Raises
-    ------
-    ValueError
-        For a gauge that cannot be.
+    A step is high at y < 0 and low at y > 0. The root of a V is at y = 0. `size_mm` is the step's height or
+    the V's depth, `angle_deg` the angle between the V's flanks, 180 for a step. Raises ValueError for a gauge
+    that cannot be.
     """
 
     shape: Shape

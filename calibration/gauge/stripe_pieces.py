@@ -38,14 +38,8 @@ MIN_LINES = 12
 class Piece:
     """A straight piece of the stripe.
 
-    Parameters
-    ----------
-    points_px : array (n, 2)
-        Its points.
-    line : LaserLineFit
-        Its line, in rays.
-    first, last : array (2,)
-        Where it begins and ends, before corners were left out, px.
+    `points_px` (n, 2) are its points, `line` is fitted to their rays; `first` and `last` (2,) are its ends
+    before corners were left out, px.
     """
 
     points_px: Float64
@@ -56,16 +50,8 @@ class Piece:
 
 @dataclass(frozen=True)
 class Pieces:
-    """The stripe on a gauge.
-
-    Parameters
-    ----------
-    pieces : tuple of Piece
-        In the order of the scan lines.
-    along_rows : bool
-        The stripe runs along the rows.
-    scale_px : float
-        Its sigma.
+    """The stripe on a gauge: straight pieces in the order of the scan lines; `scale_px` is the stripe's
+    sigma.
     """
 
     pieces: tuple[Piece, ...]

@@ -56,20 +56,11 @@ UNITS = np.array([math.degrees(1.0)] * 3 + [1.0] * 3)
 
 @dataclass(frozen=True)
 class HandEyeCalibration:
-    """The camera's pose with all that is known of it.
+    """Calibrated camera pose and its uncertainty.
 
-    Parameters
-    ----------
-    refined : Refinement
-        Camera, board, boards' poses and the robot's noise.
-    lens_covariance : array (n, n)
-        The covariance of the lens' parameters as it was stated; zeros where the lens counts as exact.
-    off_deg, off_mm : array (V,)
-        By how much each pose that is used is off what all say: turn and place of the tool.
-    scale, scale_sigma : float
-        The size of the board that the robot's motions tell, over that stated, and its 1 sigma.
-    left_out : dict
-        The poses that were left out, and why.
+    `lens_covariance` (n, n) is of the lens' parameters as stated, zeros for an exact lens. `off_deg` and
+    `off_mm` (V,) are the errors of each pose used against the common result. `scale` is the board's size by
+    the robot's motions over the stated one. `left_out` maps unused poses to the reason.
     """
 
     refined: Refinement

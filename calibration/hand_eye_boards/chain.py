@@ -21,16 +21,9 @@ from noise_model.arrays import Float64
 class Chain:
     """The two unknown poses between the robot's poses and the board's.
 
-    Parameters
-    ----------
-    T_base_tool : array (V, 4, 4)
-        The robot's poses as its controller reports them, mm.
-    T_holder_camera : array (4, 4)
-        The camera's pose in the tool, or in base.
-    T_mount_board : array (4, 4)
-        The board's pose in base, or in the tool.
-    is_eye_to_hand : bool
-        The camera stands still, and the robot carries the board.
+    `T_base_tool` (V, 4, 4) is as the controller reports it, mm. `T_holder_camera` (4, 4) is the camera in the
+    tool, `T_mount_board` (4, 4) the board in base; eye to hand, the camera is in base and the board in the
+    tool.
     """
 
     T_base_tool: Float64

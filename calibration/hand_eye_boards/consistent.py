@@ -26,18 +26,11 @@ MOTION = 6
 
 @dataclass(frozen=True)
 class PoseConsistency:
-    """The poses that agree, and how far all are off.
+    """Consistent poses, and the errors of all.
 
-    Parameters
-    ----------
-    kept : list of int
-        The poses that agree, `MIN_POSES` at least.
-    result : Refinement
-        What they make.
-    distance : array (V,)
-        The mean square of each pose's error over its noise, by what those that agree say.
-    robot_error : array (V, 6)
-        By what motion of the tool each pose is off, rad and mm.
+    `kept` are at least `MIN_POSES`, `result` is theirs. `distance` (V,) is the mean square of each pose's
+    error over its noise, `robot_error` (V, 6) the motion of the tool by which it is off, rad and mm, both by
+    the kept ones.
     """
 
     kept: list[int]

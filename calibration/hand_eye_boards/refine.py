@@ -58,18 +58,8 @@ class Boards:
 
 @dataclass(frozen=True)
 class Refinement:
-    """The result of a refinement.
-
-    Parameters
-    ----------
-    chain : Chain
-        Camera and board.
-    boards : Boards
-        Warp, and the boards' poses of the largest likelihood.
-    solution : VarianceSolution
-        The covariance, and the robot's sigma.
-    errors : PoseErrors
-        How far boards are off their prediction.
+    """Result of a refinement: camera and board, the boards' warp and poses of maximum likelihood,
+    covariances, and errors.
     """
 
     chain: Chain

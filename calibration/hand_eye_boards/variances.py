@@ -43,26 +43,12 @@ FIRST = np.array([math.radians(0.03), 0.1])
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """How far boards are off where the robot's poses predict them, linear in what is unknown.
+    """Errors of the boards against the robot's poses, linear in the unknowns.
 
-    Parameters
-    ----------
-    error : array (V, 6)
-        e: a small motion of the board in the camera frame, rad and mm.
-    by_corners : array (V, 6, 6)
-        D^-1: the covariance that the corners' noise makes.
-    per_robot : array (V, 6, 6)
-        M.
-    per_unknown : array (V, 6, m)
-        H.
-    known : array (m, m)
-        What the corners within each image say of the unknowns (of the board's warp).
-    pull : array (m,)
-        The right side that belongs to it.
-    per_lens : array (V, 6, n)
-        L.
-    lens_root : array (n, k)
-        A root of the covariance of l; k is 0 for a lens that is exact.
+    `error` (V, 6) is e, a small motion of the board in the camera frame, rad and mm; `by_corners` (V, 6, 6)
+    is D^-1, its covariance from the corners' noise; `per_robot` (V, 6, 6) is M, `per_unknown` (V, 6, m) H,
+    `per_lens` (V, 6, n) L. `known` (m, m) is the information within each image (of the board's warp), `pull`
+    (m,) its right side. `lens_root` (n, k) is a root of the covariance of l; k is 0 for an exact lens.
     """
 
     error: Float64
@@ -91,24 +77,12 @@ class PoseErrors:
 
 @dataclass(frozen=True)
 class VarianceSolution:
-    """The unknowns at the robot's sigma.
+    """The unknowns at the robot's sigma (2,), rad and mm.
 
-    Parameters
-    ----------
-    sigma : array (2,)
-        The robot's, rad and mm.
-    step : array (m,)
-        b.
-    covariance : array (m, m)
-        That of b, small samples counted, for a lens that is exact.
-    sigma_covariance : array (2, 2)
-        The covariance of the robot's two variances.
-    slopes : array (2, m, m)
-        By how much the covariance of b grows with each variance.
-    per_lens : array (m, n)
-        By how much b moves for the lens' errors.
-    lens_root : array (n, k)
-        A root of their covariance.
+    `step` (m,) is b; `covariance` (m, m) is its own for an exact lens, with small samples allowed for;
+    `slopes` (2, m, m) are its derivatives by the robot's two variances, whose covariance is
+    `sigma_covariance` (2, 2). `per_lens` (m, n) is the change of b by the lens' errors, `lens_root` (n, k) a
+    root of their covariance.
     """
 
     sigma: Float64

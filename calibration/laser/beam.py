@@ -53,21 +53,11 @@ class PairLight:
 
 @dataclass(frozen=True)
 class Beam:
-    """The sheet in the tool frame beyond its plane.
+    """The laser sheet in the tool frame beyond its plane.
 
-    Parameters
-    ----------
-    width : Width or str
-        Its thickness, or what is missing.
-    fan : Fan or str
-        Its origin in the sheet and its angle, or what is missing.
-    pairs : tuple of PairLight
-        Each pair's light.
-    origin_mm : array (3,)
-        The origin: the fan's, or the one stated, moved into the plane.
-    covariance : array (8, 8) or None
-        That of the plane's four numbers, the origin, and the half angle, deg; None where the origin is the
-        one stated.
+    Thickness and fan are strings that say what is missing where they are not determined. `origin_mm` (3,) is
+    the fan's, or the stated one moved into the plane. `covariance` (8, 8) is of the plane's four numbers, the
+    origin, and the half angle, deg; None with the stated origin.
     """
 
     width: Width | str

@@ -16,16 +16,9 @@ SURE_SIGMAS = 4.0
 
 @dataclass(frozen=True)
 class Bow:
-    """The sheet's bow.
+    """The sheet's bow: distance of its ends from its middle along the plane's normal.
 
-    Parameters
-    ----------
-    bow_mm : float
-        How far its ends lie off its middle, along the plane's normal.
-    sigma_mm : float
-        1 sigma of that, from how the pairs differ.
-    half_mm : float
-        From the stripe's middle to either end: half the median stripe's length.
+    `sigma_mm` follows from the scatter of pairs; `half_mm` is half the median stripe's length.
     """
 
     bow_mm: float

@@ -37,32 +37,13 @@ STEP_SIGMAS = 0.1
 
 @dataclass(frozen=True)
 class LaserCalibration:
-    """The laser sheet with all that is known of it.
+    """Calibrated laser sheet and its uncertainty.
 
-    Parameters
-    ----------
-    fit : PlaneFit
-        The plane in the camera frame, and what pairs alone say of its covariance.
-    lens : Lens
-        The lens before which the boards were seen.
-    per_lens : array (4, k)
-        The derivatives of the plane by the lens' parameters: boards' poses and stripes go with the lens.
-    lens_covariance : array (k, k)
-        The covariance of these parameters; zeros where the lens counts as exact.
-    scatter : float
-        By how much the pairs' covariance is larger than their noise makes it, 1 or more.
-    names : tuple of str
-        The pairs used, by their images without the laser.
-    stripes : tuple of Stripe
-        Their stripes, of the points that lie on a line.
-    lines : tuple of BoardLine
-        Their lines on the boards.
-    points_mm : tuple of array (n, 3)
-        The stripes' points on the boards, camera frame.
-    corner_sigma_px : array (k,)
-        1 sigma of a corner in each pair.
-    left_out : dict
-        The pairs that were left out, and why.
+    `fit` is the plane in the camera frame with the pairs' covariance, which `scatter` >= 1 scales over their
+    noise. `per_lens` (4, k) are the plane's derivatives by the lens' parameters, boards' poses and stripes
+    included; `lens_covariance` (k, k) is zeros for an exact lens. The pairs used have `names` of their images
+    without the laser, `stripes` of the points on a line, `lines` on the boards, `points_mm` (n, 3) in the
+    camera frame, and 1 sigma of a corner (k,). `left_out` maps the others to the reason.
     """
 
     fit: PlaneFit

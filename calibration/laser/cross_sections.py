@@ -41,25 +41,13 @@ DARK = 0.02
 
 @dataclass(frozen=True)
 class CrossSections:
-    """A stripe's light, scan line by scan line over the whole board.
+    """A stripe's light in each of n scan lines over the whole board.
 
-    Parameters
-    ----------
-    scan : array (n,)
-        The scan lines that lie within the board.
-    places_px : array (n,)
-        The place of the stripe's curve in each.
-    along_rows : bool
-        The stripe runs along the rows: scan lines are columns.
-    aside_px : array (n,)
-        How far beside the curve the stripe is: squares' edges do not draw it to the light side, as they do a
-        centroid. NaN where it is not told.
-    width_px : array (n,)
-        1 sigma of the stripe in the image, its blur included; NaN where it is not told.
-    amount : array (n,)
-        The laser's light over the room's.
-    amount_sigma : array (n,)
-        1 sigma of that from the image's noise; infinite on dark squares, of which stray light says too much.
+    `places_px` is the stripe's curve; `aside_px` is the stripe's displacement from it, which squares' edges
+    do not bias to the light side as they do a centroid. `width_px` is 1 sigma of the stripe in the image,
+    blur included. Both are NaN where not determined. `amount` is the laser's light over the room's; its sigma
+    from the image's noise is infinite on dark squares, where stray light dominates. With `along_rows` scan
+    lines are columns.
     """
 
     scan: Int64

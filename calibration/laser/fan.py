@@ -53,20 +53,12 @@ class Missing(StrEnum):
 
 @dataclass(frozen=True)
 class Fan:
-    """The fan in the sheet.
+    """The fan within the sheet.
 
-    Parameters
-    ----------
-    apex : array (2,)
-        Where the sides meet: along the axis and across it, from the origin stated, mm.
-    half_angle_deg : float
-        Half of the angle between the sides.
-    turn_deg : float
-        By how much their bisector is turned from the model's axis towards its side direction.
-    covariance : array (4, 4)
-        The covariance of apex (mm), half angle and turn (deg); it holds what few ends leave unsure of it.
-    residual_mm : float
-        How far the ends lie off the sides, RMS.
+    `apex` (2,) is where the sides meet, along and across the axis, from the stated origin, mm. `turn_deg` is
+    the rotation of their bisector from the model's axis towards its side direction. `covariance` (4, 4) is of
+    apex (mm), half angle and turn (deg), with few ends allowed for; `residual_mm` is the ends' RMS distance
+    from the sides.
     """
 
     apex: Float64

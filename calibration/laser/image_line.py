@@ -33,22 +33,12 @@ MIN_FREEDOM = 2.0
 
 @dataclass(frozen=True)
 class LaserLineFit:
-    """A stripe's straight line.
+    """Straight line fitted to a stripe.
 
-    Parameters
-    ----------
-    rays : array (2, 3)
-        Two of its points, one standard deviation of the stripe's points to either side of their mean; z = 1.
-    across : array (3,)
-        The direction in which these two are uncertain: that of the scan lines.
-    covariance : array (2, 2)
-        The covariance of the two along it.
-    kept : array (n,)
-        Which of the stripe's points lie on it.
-    sigma : float
-        1 sigma of a point about the line, in units of the focal length.
-    independent : float
-        How many independent points tell as much.
+    `rays` (2, 3), z = 1, are two of its points, one standard deviation of the stripe's points to either side
+    of their mean; they are uncertain along `across` (3,), that of the scan lines, with `covariance` (2, 2).
+    `kept` (n,) are the points on it, `sigma` is a point's, in units of the focal length, and `independent`
+    the effective number of points.
     """
 
     rays: Float64

@@ -96,18 +96,11 @@ def _blurred(image: Float64, area: Bool, blur_px: float) -> Float64:
 
 @dataclass(frozen=True)
 class LitBoard:
-    """The stripe on a lit board.
+    """The stripe's light on a lit board.
 
-    Parameters
-    ----------
-    light : LaserLight
-        The image less the board's own.
-    board_dn : array (H, W)
-        The board's own image as it was drawn; 0 beside it.
-    contrast_dn : float
-        How much brighter its light squares are than its dark ones.
-    rest_dn : float
-        What the drawing leaves, 1 sigma over the board without the stripe.
+    `light` is the image less `board_dn` (H, W), the rendered board, 0 outside of it. `contrast_dn` is the
+    light squares' level over the dark ones', `rest_dn` 1 sigma of the residual over the board without the
+    stripe.
     """
 
     light: LaserLight

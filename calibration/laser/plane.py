@@ -35,16 +35,10 @@ MIN_PAIRS = 3
 
 @dataclass(frozen=True)
 class BoardLine:
-    """A stripe's line on a board.
+    """A stripe's line on a board at `T_camera_board` (4, 4), mm.
 
-    Parameters
-    ----------
-    line : LaserLineFit
-        The line in the image.
-    T_camera_board : array (4, 4)
-        The board's pose, mm.
-    pose_covariance : array (6, 6)
-        The covariance of its small motion in the camera frame: a rotation, rad, then a translation, mm.
+    `pose_covariance` (6, 6) is of the board's small motion in the camera frame: a rotation, rad, then a
+    translation, mm.
     """
 
     line: LaserLineFit
@@ -73,24 +67,11 @@ class BoardLine:
 
 @dataclass(frozen=True)
 class PlaneFit:
-    """A plane n.X + d = 0 of the camera frame.
+    """A plane n.X + d = 0 of the camera frame: n of length 1, and d, mm.
 
-    Parameters
-    ----------
-    plane : array (4,)
-        n of length 1, and d, mm.
-    covariance : array (4, 4)
-        Their covariance, of rank 3.
-    tilt_sigma : float
-        1 sigma of the normal's direction where it is known least, rad.
-    loose_axis : array (3,)
-        The line's direction about which the plane is known least.
-    spread_mm : float
-        How far the lines' points scatter from one line of that direction, within the plane, RMS.
-    spread_noise_mm : float
-        How far noise alone makes them scatter so.
-    squares : array (k,)
-        Each line's d' C^-1 d.
+    `covariance` (4, 4) has rank 3. The normal is known least, with `tilt_sigma` rad, about `loose_axis` (3,),
+    a line's direction. `spread_mm` is the RMS scatter of the lines' points, within the plane, about one line
+    of that direction, and `spread_noise_mm` that from noise alone. `squares` (k,) are each line's d' C^-1 d.
     """
 
     plane: Float64

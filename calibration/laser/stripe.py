@@ -76,16 +76,9 @@ NOISE_FLOOR_DN = 0.3
 
 @dataclass(frozen=True)
 class BoardStripe:
-    """A stripe in an image.
+    """A stripe in an image: `points_px` (n, 2), one for each scan line.
 
-    Parameters
-    ----------
-    points_px : array (n, 2)
-        Where it is, a point in each scan line.
-    along_rows : bool
-        It runs along the rows: scan lines are columns.
-    scale_px : float
-        Which sigma of a stripe shows it best.
+    With `along_rows` scan lines are columns; `scale_px` is the stripe's sigma with the best contrast.
     """
 
     points_px: Float64
@@ -108,16 +101,10 @@ def board_area(board: Board, lens: Lens, T_camera_board: Float64) -> Bool:
 
 @dataclass(frozen=True)
 class LaserLight:
-    """The laser's light on a board.
+    """The laser's light on a board; arrays are (H, W).
 
-    Parameters
-    ----------
-    light_dn : array (H, W)
-        The image with it less that without, DN; 0 beside the board.
-    noise_dn : array (H, W)
-        1 sigma of that without a stripe, DN.
-    area : array (H, W)
-        Which pixels show the board.
+    `light_dn` is the image with the laser less that without, 0 outside the board, `noise_dn` its 1 sigma
+    without a stripe, `area` the board's pixels.
     """
 
     light_dn: Float32

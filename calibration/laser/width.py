@@ -58,24 +58,13 @@ class Waist:
 
 @dataclass(frozen=True)
 class Width:
-    """The sheet's thickness.
+    """The sheet's thickness over depth.
 
-    Parameters
-    ----------
-    depth_mm : array (k,)
-        How far below the laser's origin each pair's stripe is, along the tool's axis.
-    sigma_mm, error_mm : array (k,)
-        1 sigma of half the sheet's thickness there, and 1 sigma of that.
-    law : Law
-        The leanest that holds.
-    coefficients : array (m,)
-        Of sigma (the first two laws) or sigma² (a waist), over the powers of the depth.
-    covariance : array (m, m)
-        Their covariance.
-    at_height_mm : tuple or None
-        The setup's `stripe_sigma_mm`: at tool height, with 1 sigma; None where the boards are far from it.
-    waist : Waist or None
-        None where the boards do not tell one.
+    At `depth_mm` (k,) below the laser's origin, along the tool's axis, half the thickness has 1 sigma
+    `sigma_mm` (k,), which is known within `error_mm` (k,). `law` is the leanest that holds; `coefficients`
+    (m,) are of sigma (the first two laws) or sigma² (a waist) over powers of the depth. `at_height_mm` is the
+    setup's `stripe_sigma_mm` with 1 sigma, None where the boards are far from tool height; `waist` is None
+    where the boards do not determine one.
     """
 
     depth_mm: Float64

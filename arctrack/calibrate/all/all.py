@@ -34,22 +34,11 @@ CAMERA_FIRST = "needs the camera, which was refused"
 
 @dataclass
 class Calibrations:
-    """What a folder's calibrations left.
+    """Results of a folder's calibrations.
 
-    Parameters
-    ----------
-    stated : SetupFile
-        The setup with all values found.
-    records : list of Calibrated
-        These values.
-    stages : dict
-        The calibrations that were done, by name.
-    refused : dict
-        Those that were not, and why; the setup keeps its own values there.
-    certificate : Certificate or None
-        What the seam's position is good for; None without a laser sheet.
-    unmeasured : dict
-        What the certificate takes as stated, and what stands for it.
+    `stated` is the setup with all calibrated values, `records` are these values. `refused` maps calibrations
+    to the reason; the setup keeps its own values there. `certificate` is the seam's uncertainty, None without
+    a laser sheet; `unmeasured` says what it takes as stated, and from where.
     """
 
     stated: SetupFile

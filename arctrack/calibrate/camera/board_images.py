@@ -28,24 +28,12 @@ DIM_DN = 20.0
 
 @dataclass
 class BoardImages:
-    """What images show of a board.
+    """Corners of a board in images.
 
-    Attributes
-    ----------
-    size : tuple of int
-        The images' width and height, px.
-    views : list of View
-        The corners of each image that shows the board.
-    left_out : dict
-        The other images, and why each is left out.
-    contrast : list of float
-        How much brighter a view's light squares are than its dark ones, of full scale.
-    sample : array (H, W)
-        The first image with the board.
-    lossy : list of str
-        The views whose files are JPEG.
-    too_small : str
-        What to do about boards that are seen too small; empty if none is.
+    `size` is (width, height), px. `views` are of the images that show the board, `left_out` maps the others
+    to the reason. `contrast` is each view's, light squares less dark ones, over full scale. `sample` (H, W)
+    is the first image with the board; `lossy` views are JPEG files; `too_small` is the cure for boards that
+    are seen too small, or empty.
     """
 
     size: tuple[int, int]

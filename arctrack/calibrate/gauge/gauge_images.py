@@ -29,22 +29,11 @@ MAX_FRAMES = 40
 
 @dataclass
 class GaugeImages:
-    """What images show of a gauge.
+    """Stripes on a gauge in images.
 
-    Parameters
-    ----------
-    lens : Lens
-        The setup's.
-    has_poses : bool
-        Whether the robot's poses are known.
-    shown : list of Posed
-        The stripes; without poses the robot's is the unit one.
-    left_out : dict
-        Images that are not used, and why.
-    warnings : list of str
-        What looks wrong.
-    sample, sample_pieces
-        The first image with the gauge (H, W), and its stripe.
+    `shown` are those with the robot's poses; without poses the robot's is the identity. `left_out` maps
+    unused images to the reason. `sample` (H, W) is the first image with the gauge, `sample_pieces` its
+    stripe.
     """
 
     lens: Lens

@@ -70,16 +70,9 @@ def gauge_stage(
 
 @dataclass(frozen=True)
 class GaugeVerdict:
-    """What a gauge says of a setup's sheet.
+    """Verdict of a gauge on a setup's sheet, in one line.
 
-    Parameters
-    ----------
-    is_good : bool
-        Whether size and places are right.
-    line : str
-        That in a line.
-    cure : str
-        What to calibrate anew; empty where all is right.
+    `cure` names what to calibrate again; empty if all is right.
     """
 
     is_good: bool

@@ -24,28 +24,9 @@ from noise_model.arrays import Float64, Int64
 class PosedBoards:
     """Images of a board with the robot's poses.
 
-    Parameters
-    ----------
-    boards : BoardImages
-        All boards that are seen.
-    scene : BoardScene
-        The poses of those whose robot's pose is known.
-    seen : Sightings
-        Their corners.
-    T_base_tool : array (V, 4, 4)
-        The robot's poses, mm.
-    lens_covariance : array (n, n) or None
-        That of the lens' parameters, as the setup keeps it; None where it keeps none.
-    poses : PoseFile
-        The poses as they were read.
-    rows : array (V,)
-        Which of them each image has.
-    T_controllertool_tool : array (4, 4)
-        The tool in the controller's tool, mm.
-    left_out : dict
-        Images that are not used, and why.
-    warnings : list of str
-        What looks wrong.
+    `scene` and `seen` are of the boards whose robot pose is known: `T_base_tool` (V, 4, 4), mm, of which
+    `rows` (V,) are the numbers in `poses`. `lens_covariance` (n, n) is None where the setup keeps none.
+    `T_controllertool_tool` (4, 4) is mm. `left_out` maps unused images to the reason.
     """
 
     boards: BoardImages

@@ -46,28 +46,12 @@ NAMING = (
 
 @dataclass
 class LaserPairs:
-    """What pairs of images show.
+    """Boards and stripes in pairs of images.
 
-    Parameters
-    ----------
-    boards : BoardImages
-        The boards, in the images without the laser.
-    scene : BoardScene
-        The boards' poses.
-    seen : Sightings
-        Their corners.
-    lens_covariance : array (n, n) or None
-        That of the lens' parameters, as the setup keeps it; None where it keeps none.
-    stripes : dict
-        The stripe of each pair, by the name of its image without the laser, or of the one with both.
-    sections : dict
-        Its light across it, likewise.
-    lit : dict
-        Of images with both: what the drawn board leaves of its own contrast, 1 sigma.
-    left_out : dict
-        Images that are not used, and why.
-    sample : array (H, W), optional
-        The first image with a stripe.
+    `boards` are in the images without the laser, with poses in `scene`. `lens_covariance` (n, n) is None
+    where the setup keeps none. `stripes` and `sections` are by the name of the image without the laser, or of
+    the one with both; `lit` has for the latter the rendered board's residual over its contrast, 1 sigma.
+    `left_out` maps unused images to the reason; `sample` (H, W) is the first image with a stripe.
     """
 
     boards: BoardImages

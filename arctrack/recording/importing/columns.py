@@ -35,21 +35,9 @@ class Column:
 
 
 class CsvColumns:
-    """The columns of a CSV file.
+    """Columns of a CSV file; raises ArctrackError if it has no header.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    named : mapping of str to str
-        What the user calls a column, and the header that it has.
-    wanted : str
-        The columns that the file needs, for messages.
-
-    Raises
-    ------
-    ArctrackError
-        If the file has no header.
+    `named` maps the user's names of columns to their headers; messages list the `wanted` columns.
     """
 
     def __init__(self, path: Path, named: Mapping[str, str], wanted: str) -> None:

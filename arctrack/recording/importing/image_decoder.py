@@ -72,17 +72,9 @@ class ImageHeader:
 
 
 class EncodedImage:
-    """An image file whose header was read.
+    """Image file whose header was read.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Raises
-    ------
-    ArctrackError
-        For a file that is missing, too large, damaged, or no image that can be read.
+    Raises ArctrackError for a file that is missing, too large, damaged, or no image that can be read.
     """
 
     def __init__(self, path: Path) -> None:

@@ -45,36 +45,14 @@ LONE_PERIOD_S = 1.0
 
 @dataclass(frozen=True)
 class ImportSources:
-    """What an import is made of, and how it reads.
+    """Raw files of an import, and how they are read.
 
-    Attributes
-    ----------
-    sources : sequence of Path
-        Images, folders of them, patterns, or one video.
-    setup : Path
-        A recording.toml.
-    poses : Path
-        The robot's poses: a CSV file, or rotations.
-    translations : Path, optional
-        The places that belong to rotations.
-    frames : Path, optional
-        A CSV file of the images' times and conditions.
-    rotation : str, optional
-        How rotations are written, by name.
-    units : Units
-        Those that the user states.
-    columns : mapping of str to str
-        What a column is, and its header.
-    rate_hz : float, optional
-        Images a second.
-    times_in_names : bool
-        Whether names hold times.
-    current_a, exposure_s : float, optional
-        The welding current and the exposure of all images, A and s.
-    channel : Channel, optional
-        The colour that becomes grey; by default the laser's.
-    bayer : Bayer, optional
-        The mosaic that the images are of.
+    `sources` are images, folders of them, patterns, or one video; `setup` is a recording.toml. `poses` is a
+    CSV file, or holds rotations that `translations` completes and whose notation `rotation` names. `frames`
+    is a CSV file of the images' times and conditions; otherwise `rate_hz` or `times_in_names` gives the
+    times. `units` are those that the user states, `columns` maps a quantity to its header. Current and
+    exposure, A and s, hold for all images. `channel` is the colour that becomes grey, by default the laser's;
+    `bayer` is the images' mosaic.
     """
 
     sources: Sequence[Path]

@@ -29,22 +29,10 @@ class BusFrame:
 
 @dataclass
 class BusTrouble:
-    """What goes wrong with frames from some senders.
+    """Disturbance of the frames of some senders and identifiers; empty tuples mean all.
 
-    Parameters
-    ----------
-    senders : tuple of str
-        Whose frames; empty for all.
-    lost, doubled : float
-        The share of frames that never arrive, and that arrive twice.
-    flipped : float
-        The probability that a bit is flipped.
-    late_s : float
-        How much later they arrive, s.
-    shuffled_s : float
-        Up to how much later each one arrives, drawn anew, s: frames overtake each other.
-    ids : tuple of int
-        Which identifiers; empty for all.
+    `lost` and `doubled` are shares of frames, `flipped` is the probability of a bit flip. Frames arrive
+    `late_s` later, and each by up to `shuffled_s` more, drawn anew, so that they overtake each other.
     """
 
     senders: tuple[str, ...] = ()
@@ -77,19 +65,8 @@ class BusParty(Protocol):
 
 @dataclass
 class Bus:
-    """Carries each frame to all parties but its sender.
-
-    Parameters
-    ----------
-    scheduler : Scheduler
-        When.
-    rng : numpy.random.Generator
-        What chance decides.
-
-    Attributes
-    ----------
-    trouble : list of BusTrouble
-        What goes wrong at present.
+    """Simulated bus that carries each frame to all nodes but its sender; `trouble` lists the present
+    disturbances.
     """
 
     scheduler: Scheduler

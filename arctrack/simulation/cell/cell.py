@@ -42,16 +42,9 @@ TORCH_MM = 0.5
 
 @dataclass(frozen=True)
 class ReceivedOffset:
-    """An offset that reached the robot.
+    """Offset that reached the robot.
 
-    Attributes
-    ----------
-    sent_s, came_s : float
-        When it was sent and came, s.
-    true_capture_s : float
-        When the frame behind it was taken, s; NaN where it is refused.
-    offset : SeamOffset
-        The offset.
+    `true_capture_s` is the true capture time of its frame, NaN where it is refused.
     """
 
     sent_s: float
@@ -61,27 +54,11 @@ class ReceivedOffset:
 
 
 class Cell:
-    """One run of a cell.
+    """One run of a simulated cell.
 
-    Parameters
-    ----------
-    world : World
-        What is there.
-    rng : numpy.random.Generator
-        What chance decides while it runs.
-    see : callable, optional
-        Makes the eye at a robot's tool; by default one that measures the seam without a picture.
-    frame_period_s : float
-        From a frame to the next, s.
-
-    Attributes
-    ----------
-    heard : list of Heard
-        Every offset of the tracker that reached the robot.
-    reasons : list of (float, GateReason)
-        When each TrackerStatus reached it, s, and why offsets were not let through.
-    torch_error_mm : list of (float, float)
-        How far the torch was off the seam, by time.
+    `see` makes the camera at a robot's tool, by default one that measures the seam without a picture. `heard`
+    has every offset of the tracker that reached the robot; `reasons` has the time, s, and gate reason of each
+    TrackerStatus that did; `torch_error_mm` has the torch's distance from the seam by time.
     """
 
     def __init__(

@@ -10,15 +10,7 @@ from robot_io.link.bus_log import BusLogWriteError
 
 
 class Disk:
-    """Takes frames while it has room.
-
-    Attributes
-    ----------
-    is_full : bool
-        Whether it takes nothing.
-    frames : dict of str to int
-        How many frames each file holds.
-    """
+    """Simulated disk that takes frames while it has room; `frames` counts them by file."""
 
     def __init__(self) -> None:
         self.is_full = False

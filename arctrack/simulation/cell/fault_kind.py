@@ -23,30 +23,13 @@ POSES = frozenset({GateReason.POSE_IMPLAUSIBLE})
 
 @dataclass(frozen=True)
 class FaultKind:
-    """One thing that goes wrong.
+    """A kind of fault.
 
-    Parameters
-    ----------
-    name : str
-        What it is called in the table.
-    begin : callable
-        Makes it so in a cell, and returns what ends it.
-    reasons : frozenset of GateReason
-        What the tracker may say of it; empty where it need not say anything.
-    told_s : float
-        After how long nothing is VALID or HELD any more, s; NaN where offsets may go on.
-    from_start : bool
-        Whether it holds from the first frame on.
-    is_slow_bus : bool
-        Whether offsets get old on the bus itself, which the tracker cannot know.
-    lasts_s : callable, optional
-        How long it lasts in a world, s; by default a time is drawn.
-    recovery_s : float
-        How long after its end all is to be well again, s.
-    follows_mm : float
-        How far the torch follows what nothing can tell from a seam that runs off, mm, at most.
-    note : str
-        What the table says of it.
+    `begin` starts it in a cell and returns what ends it. `reasons` are those that the tracker may state,
+    empty where it need not state any. After `told_s` nothing is VALID or HELD any more, NaN where offsets may
+    go on. With `is_slow_bus` offsets age on the bus itself, which the tracker cannot know. `lasts_s` gives
+    its duration in a world, by default a drawn time; `recovery_s` after its end all is to be well again.
+    `follows_mm` is how far at most the torch follows what cannot be distinguished from a seam that runs off.
     """
 
     name: str

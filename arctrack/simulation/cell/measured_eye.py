@@ -22,14 +22,8 @@ TOLERANCE_MM = 0.25
 
 @dataclass
 class MeasuredEye:
-    """Measures where the stripe meets the seam, and has the seam's filter of the real tracker.
-
-    Parameters
-    ----------
-    robot : Robot
-        At whose tool it is.
-    rng : numpy.random.Generator
-        Its noise.
+    """Simulated sensor without images: measures where the stripe meets the seam, and has the real tracker's
+    seam filter.
     """
 
     robot: Robot

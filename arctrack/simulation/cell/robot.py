@@ -45,23 +45,10 @@ DISARMED = TrackerCommand(Command.DISARM, True, True, 0, 1, 1, Switch.ON)
 
 @dataclass
 class Robot:
-    """The manipulator's own state; `advance` brings it to a time.
+    """State of the simulated manipulator; `advance` brings it to a time.
 
-    Parameters
-    ----------
-    world : World
-        Where it works.
-
-    Attributes
-    ----------
-    status : RobotStatus
-        What it does, and says.
-    command : TrackerCommand
-        What it wants of the tracker.
-    offset_mm : array (2,)
-        The offset (y, z) that it has reached, mm.
-    parts : int
-        How many parts were there before this one.
+    `status` is what it does and says, `command` what it wants of the tracker; `offset_mm` (2,) is the offset
+    (y, z) that it has reached; `parts` counts those before this one.
     """
 
     world: World

@@ -56,20 +56,11 @@ SOURCE = Source.LIVE
 
 @dataclass
 class RobotParty:
-    """Sends pose, status, command and SYNC; hears offsets and follows them.
+    """Robot's node on the bus: sends pose, status, command and SYNC; receives offsets and follows them.
 
-    Attributes
-    ----------
-    spoil : Spoil or None
-        What is wrong with the poses that are told.
-    said : callable or None
-        What is said instead of the status, None for nothing.
-    breaks_status : bool
-        Whether the status' CRC is wrong.
-    commands : bool
-        Whether it commands at all.
-    on_message : callable or None
-        Hears every accepted message of the tracker.
+    `spoil` disturbs the poses that are sent. `said` replaces the status, with None for no message;
+    `breaks_status` makes its CRC wrong. `commands` says whether it commands at all. `on_message` gets every
+    accepted message of the tracker.
     """
 
     robot: Robot

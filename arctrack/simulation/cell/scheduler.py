@@ -9,13 +9,7 @@ Action = Callable[[], None]
 
 
 class Scheduler:
-    """A heap of actions by their times.
-
-    Attributes
-    ----------
-    now_s : float
-        The time of the action that runs, s.
-    """
+    """Event queue by time; `now_s` is the time of the running action."""
 
     def __init__(self) -> None:
         self.now_s = 0.0

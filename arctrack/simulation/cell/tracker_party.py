@@ -58,36 +58,11 @@ class CameraBehaviour(Enum):
 
 @dataclass
 class TrackerParty:
-    """Runs the controller on a clock of its own.
+    """Tracker's node on the bus: runs the controller on a clock that is `clock_s` ahead of the true time.
 
-    Attributes
-    ----------
-    eye : Eye
-        Its camera, and what tracks.
-    frame_period_s : float
-        From a frame to the next, s.
-    clock_s : float
-        How far its clock is ahead of the true time, s.
-    camera : CameraBehaviour
-        What the camera does.
-    is_running : bool
-        Whether the process runs: what comes meanwhile waits in the bus' buffer.
-    queue_full : bool
-        Whether nothing that is sent goes out.
-    disk : Disk
-        What its log is written to.
-    faults : Counter of LinkFault
-        What went wrong without ending the run.
-    said : list of str
-        What it told its user.
-    poses : BusPoses
-        What the bus says of the tool.
-    service : TrackingService
-        What answers frames and messages.
-    captured : dict
-        When each frame was taken, s, by its time on the tracker's clock.
-    on_track : callable or None
-        Hears each track, and what was sent of it.
+    While not `is_running`, messages wait in the bus' buffer; while `queue_full`, nothing goes out. `faults`
+    counts what went wrong without ending the run, `said` is what it told its user. `captured` maps times on
+    the tracker's clock to the frames' capture times, s. `on_track` gets each track and what was sent of it.
     """
 
     robot: Robot

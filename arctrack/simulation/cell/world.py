@@ -16,35 +16,18 @@ from robot_io.poses.nominal_path import NominalPath
 
 @dataclass(frozen=True)
 class World:
-    """A straight nominal seam along base's x, the true seam beside it, and a robot that travels along.
+    """A straight nominal seam along base's x, the true seam close to it, and a robot that travels along.
 
-    Parameters
-    ----------
-    start_base_mm : tuple (3,)
-        Where the nominal seam begins, mm.
-    speed_mm_s : float
-        The travel speed, mm/s.
-    weave_mm, weave_hz : float
-        The weave across, mm and Hz.
-    turned_deg : tuple (3,)
-        The tool about base's x, y and z, degrees.
-    displaced_mm : tuple (2,)
-        How far (y, z) the true seam lies off the nominal one at its start, mm.
-    slope : tuple (2,)
-        How it leaves it, mm per mm.
-    bend_mm, bend_length_mm : float
-        A bend in y on top, mm, and its wave length, mm.
-    latency_s, time_constant_s : float
-        How the robot follows an offset: dead time and first-order lag, s.
-    look_ahead_mm : float
-        How far before the torch the stripe meets the seam, mm.
-    noise_mm : float
-        1 sigma of a measurement of the seam, mm.
-    length_mm : float
-        How long the nominal seam is, mm.
-    corrugation : tuple (3,)
-        Height, width and pitch of ridges across the seam, mm, as `noise_model.surface.joint.Section` has
-        them. The programmed path goes over them.
+    - `turned_deg`: rotation of the tool about base's x, y and z.
+    - `displaced_mm`, `slope`: offset (y, z) of the true seam from the nominal one at its start, mm, and its
+      slope, mm per mm.
+    - `bend_mm`, `bend_length_mm`: amplitude of an additional bend in y, and its wave length.
+    - `weave_mm`, `weave_hz`: weave across the seam.
+    - `latency_s`, `time_constant_s`: how the robot follows an offset, dead time and first-order lag.
+    - `look_ahead_mm`: distance from the torch to where the stripe meets the seam.
+    - `noise_mm`: 1 sigma of a measurement of the seam.
+    - `corrugation`: height, width and pitch of ridges across the seam, mm, as in
+      `noise_model.surface.joint.Section`; the programmed path goes over them.
     """
 
     start_base_mm: tuple[float, float, float]

@@ -48,36 +48,15 @@ EVENT_S, AFTER_EVENT_S = 6.0, 5.0
 class LoopPlan:
     """What is welded, and how.
 
-    Parameters
-    ----------
-    joint : str
-        A joint of `arctrack.nominal.DIMENSIONS`.
-    material : str
-        A material of the paper's Table 1.
-    displaced_mm : float
-        How far the true seam lies to the left of the nominal one, mm.
-    slope : float
-        How it leaves it to the left, mm per mm.
-    bend_mm, bend_length_mm : float
-        A bend to the left on top, mm, and its wave length, mm.
-    length_mm : float
-        How far the torch goes, mm.
-    speed_mm_s : float
-        The travel speed, mm/s.
-    weave_mm, weave_hz : float
-        The weave across, mm and Hz.
-    rate_hz : float
-        Frames a second.
-    seed : int
-        The same seed gives the same run.
-    looks_ahead : bool
-        Whether the lag is estimated and offsets are asked for where the torch will be once they act.
-    event : str, optional
-        What happens on the way: a name of `loop_events.LOOP_EVENTS`.
-    exact : bool
-        Whether what is there is as the setup says; else it is off by the setup's tolerances.
-    size_px : tuple (2,)
-        The image's width and height, px; every size has the same field of view.
+    - `joint`, `material`: a joint of `arctrack.nominal.DIMENSIONS`, a material of the paper's Table 1.
+    - `displaced_mm`, `slope`: displacement of the true seam to the left of the nominal one, mm, and its
+      slope, mm per mm.
+    - `bend_mm`, `bend_length_mm`: amplitude of an additional bend to the left, and its wave length.
+    - `length_mm`: the torch's path; `weave_mm`, `weave_hz` its weave across; `rate_hz` the frame rate.
+    - `looks_ahead`: the lag is estimated, and offsets are asked for where the torch will be once they act.
+    - `event`: a name of `loop_events.LOOP_EVENTS`.
+    - `exact`: the truth is as the setup says; otherwise it is off by the setup's tolerances.
+    - `size_px`: the image's width and height; every size has the same field of view.
     """
 
     joint: str = "corrugation"
@@ -129,20 +108,11 @@ class LoopFrame:
 
 @dataclass(frozen=True)
 class EventResult:
-    """What became of an event.
+    """Consequences of an event.
 
-    Attributes
-    ----------
-    name : str
-        What happened.
-    begin_s, end_s : float
-        When, s.
-    validities, reasons : dict
-        How many frames meanwhile had each validity, and each reason but NONE.
-    torch_off_mm : float
-        How far the torch was off the seam at most, from its begin on, mm.
-    valid_again_s : float
-        How long after its end offsets were VALID and the soft start over, s; infinite if they never were.
+    `validities` and `reasons` count the frames during the event, by validity and by each reason but NONE.
+    `torch_off_mm` is the torch's largest distance from the seam from its begin on. `valid_again_s` is the
+    time from its end until offsets were VALID and the soft start over; infinite if they never were.
     """
 
     name: str
@@ -156,25 +126,13 @@ class EventResult:
 
 @dataclass(frozen=True)
 class ClosedLoopResult:
-    """What came of a run; errors are those after lock, mm, NaN where it never locked.
+    """Result of a run; errors are those after lock, NaN where it never locked.
 
-    Attributes
-    ----------
-    lock_s : float
-        From when on the torch is said to follow, s: the soft start is over, the torch stands on what was
-        measured of the seam, and the robot has had the time to follow.
-    rms_mm, max_mm : float
-        The torch's distance from the seam.
-    rms_y_mm, rms_z_mm : float
-        Its parts.
-    offsets : OffsetCount
-        The offsets sent, of those that the robot wanted.
-    reasons : dict
-        How many frames had each reason but NONE.
-    lag : Lag
-        How late the robot follows an offset, from its capture on, as it was known at the end.
-    weave_mm : float
-        The weave's amplitude as the torch made it, by least squares at the weave's frequency.
+    From `lock_s` on the torch follows: the soft start is over, the torch stands on what was measured of the
+    seam, and the robot has had the time to follow. `rms_mm` and `max_mm` are of the torch's distance from the
+    seam. `offsets` counts those sent, of those that the robot wanted; `reasons` frames by each reason but
+    NONE. `lag` is the robot's from a capture on, as estimated at the end. `weave_mm` is the executed weave's
+    amplitude, by least squares at the weave's frequency.
     """
 
     lock_s: float
@@ -190,19 +148,8 @@ class ClosedLoopResult:
 
 @dataclass
 class ClosedLoop:
-    """A run that is under way, and what it has left.
-
-    Parameters
-    ----------
-    plan : LoopPlan
-        What is welded.
-
-    Attributes
-    ----------
-    frames : list of LoopFrame
-        The tracks, and what was sent of them.
-    samples : list of Sample
-        Torch and seam every SAMPLE_S.
+    """A run under way: `frames` are the tracks and what was sent of them, `samples` torch and seam every
+    SAMPLE_S.
     """
 
     plan: LoopPlan

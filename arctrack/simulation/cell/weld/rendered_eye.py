@@ -33,34 +33,15 @@ TACK_HALF_WIDTH_MM = 4.0
 
 @dataclass
 class RenderedEye:
-    """Draws each frame by the forward model, and tracks it as a live tracker would.
+    """Simulated camera and tracker: draws each frame by the forward model, and tracks it as a live tracker
+    would.
 
-    The tool stands still during an exposure. The tracker knows the setup alone: where the seam truly is, and
-    what is truly there beside the setup, it does not.
-
-    Parameters
-    ----------
-    robot : Robot
-        At whose tool it is. The nominal seam of its world is that of the setup.
-    setup : Setup
-        What the tracker knows. Without `laser_speckle` the laser speckles as its optics say.
-    true_setup : Setup
-        What is truly there.
-    rng : numpy.random.Generator
-        Its noise.
-
-    Attributes
-    ----------
-    arc_level : callable or None
-        The arc's output over its nominal one by the time, s; None burns as the robot's status says.
-    tacks_mm : tuple of tuples (2,)
-        From which station of the path to which the joint is under a tack, mm.
-    is_laser_on : bool
-        Whether the laser is on.
-    exposure_s : float
-        The exposure, s; NaN for the true setup's own.
-    aside_mm : float
-        How much farther to the left the seam lies than the world says, mm: out of the camera's view.
+    The tool stands still during an exposure. The tracker knows `setup` alone, whose nominal seam is that of
+    the robot's world; `true_setup` and the true seam are hidden from it. Without `laser_speckle` the laser
+    speckles as its optics say.
+    `arc_level` is the arc's output over its nominal one by time, s; None burns as the robot's status says.
+    `tacks_mm` are intervals of stations under a tack. NaN as `exposure_s` is the true setup's own. `aside_mm`
+    shifts the seam farther to the left, out of the camera's view.
     """
 
     robot: Robot
