@@ -31,14 +31,11 @@ MIN_CLOSED, MAX_RIVAL_SHARE = 0.5, 0.5
 
 @dataclass(frozen=True)
 class FirstLook:
-    """What a first look shows.
+    """Quick comparison of frames with the model.
 
-    Attributes
-    ----------
-    mean_square : float
-        Of the residuals over their stated sigmas, with the nuisances fitted; about 1 without a gap.
-    closed : tuple of (str, float)
-        The effects that would close most of the gap, and the share that each leaves closed, the best first.
+    `mean_square` is of the residuals over their stated sigmas, with the nuisances fitted; about 1 without a
+    gap. `closed` are the effects that would close most of the gap, with the share that each closes, the best
+    first.
     """
 
     mean_square: float
@@ -63,26 +60,10 @@ class FirstLook:
 
 
 def first_look(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> FirstLook:
-    """Look at a recording's frames.
+    """Compare a dozen frames from different places with the model.
 
-    Parameters
-    ----------
-    setup : Setup
-        The nominal setup.
-    frames : sequence of Frame
-        A dozen frames from different places.
-    pose_at : callable
-        Gives the tool's pose at a time, None where there is none.
-
-    Returns
-    -------
-    FirstLook
-        The gap and the effects.
-
-    Raises
-    ------
-    ValueError
-        For a setup without arc, filter or metal, or if nothing in the frames can be compared.
+    `pose_at` gives the tool's pose at a time, or None. Raises ValueError for a setup without arc, filter or
+    metal, or if nothing in the frames can be compared.
     """
     setup.require("a first look", "arc", "filter", "material")
     with threadpool_limits(1, user_api="blas"):

@@ -30,20 +30,11 @@ _FAILS: Mapping[Demand, Callable[[float, float], bool]] = {
 
 @dataclass(frozen=True)
 class Question:
-    """One question that a step asks of a frame.
+    """A test that a step applies to a frame.
 
-    Attributes
-    ----------
-    id : str
-        Its name in files.
-    words : str
-        What is asked, in words.
-    demand : str
-        How the value must stand to the limit: "yes", "at_least", "at_most", "more_than" or "less_than".
-    flag : Flag
-        The flag of a value that fails.
-    unit : str
-        "mm", "share" (of 1), "lines", or "" for a plain number. A "yes" question has the values 1 and 0.
+    `id` is its name in files. `demand` relates value and limit: "yes", "at_least", "at_most", "more_than" or
+    "less_than"; a "yes" question has the values 1 and 0. `flag` is raised by a value that fails. `unit` is ""
+    for a plain number, and "share" is of 1.
     """
 
     id: str
@@ -54,18 +45,8 @@ class Question:
 
 
 class Check(NamedTuple):
-    """An answer.
-
-    Attributes
-    ----------
-    question : Question
-        What was asked.
-    value : float
-        The frame's value, in the question's unit.
-    limit : float
-        The limit, in the question's unit.
-    flag : Flag
-        The flag that failing raises.
+    """Result of a question: the frame's value and the limit, in the question's unit, and the flag that
+    failing raises.
     """
 
     question: Question

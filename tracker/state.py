@@ -143,12 +143,7 @@ class Pose:
 class OffsetLookAhead(NamedTuple):
     """How far ahead of the torch the offset is asked for: where it will be once the correction acts.
 
-    Parameters
-    ----------
-    time_s : float
-        From the capture until the correction acts, s.
-    way_mm : float
-        How far the torch goes along the seam meanwhile, mm.
+    `time_s` is from the capture until then, `way_mm` the torch's travel along the seam meanwhile.
     """
 
     time_s: float = 0.0

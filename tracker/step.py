@@ -24,18 +24,10 @@ from tracker.tracker_state import TrackerMemory
 
 @dataclass(frozen=True)
 class StepInputs:
-    """What a step took beside the frame; with the frame it gives the same track, bit for bit.
+    """Inputs of a step other than the frame; with the frame they give the same track, bit for bit.
 
-    Attributes
-    ----------
-    state : TrackerMemory
-        What the step before handed on.
-    pose : Pose or None
-        The tool's pose at the capture, None where it was refused.
-    lead : OffsetLookAhead
-        How far ahead of the torch the offset was asked for.
-    keeps_state : bool
-        Whether what the step found counts for the next one: not where poses were doubted.
+    `pose` is the tool's at the capture, None where it was refused; `lead` is the offset's look-ahead. Without
+    `keeps_state` the step's findings do not count for the next one, as where poses were doubted.
     """
 
     state: TrackerMemory
@@ -54,38 +46,14 @@ def step(
     correction: Correction = UNSTATED,
     lead: OffsetLookAhead = AT_ONCE,
 ) -> tuple[TrackerMemory, Track, Reading | None]:
-    """Track one frame.
+    """Track one frame; return the next state, the track, and the reading that it rests on, None without one.
 
     Nothing about a frame raises: what fails is NaN with a flag. One that contradicts the arc map and shows no
     seam over it is read as if no arc were stated: over an even background, by its own scatter.
-
-    Parameters
-    ----------
-    geometry : SensorGeometry
-        The setup with its tables.
-    state : TrackerMemory
-        What the step before handed on.
-    frame : Frame
-        A raw frame and its condition.
-    pose : Pose or None
-        The tool's pose at the frame's time, None where it was refused.
-    work : Work
-        Scratch, written over.
-    use_arc_map : bool
-        False reads the stripe over a running median with one variance for all pixels, for comparison.
-    correction : Correction
-        What of the seam's displacement is sent.
-    lead : OffsetLookAhead
-        When, and how much farther along the seam, the correction will act.
-
-    Returns
-    -------
-    TrackerMemory
-        The state for the next step.
-    Track
-        The frame's result.
-    Reading or None
-        The look at the frame that it rests on, None where it took none.
+    `pose` is the tool's at the frame's time, None where it was refused; `work` is scratch. Without
+    `use_arc_map` the stripe is read over a running median with one variance for all pixels, for comparison.
+    `correction` is the part of the seam's displacement that is sent, `lead` when, and how much farther along
+    the seam, it will act.
     """
     frame_checks = FrameChecks()
     if pose is None or not _is_readable(geometry, frame, pose):

@@ -33,28 +33,13 @@ class Steering(NamedTuple):
 
 
 class TrackerMemory(NamedTuple):
-    """What one step hands to the next; it can be saved with a recording.
+    """State that one step hands to the next; it can be saved with a recording.
 
-    Attributes
-    ----------
-    history : SeamHistory
-        The seam from its last jump on.
-    beyond : SeamHistory
-        What has been measured elsewhere since. It becomes the history if it goes on so.
-    behind : tuple of SeamHistory
-        The latest stretches before, the oldest first, in which the torch may still stand.
-    steering : Steering
-        What the steering remembers.
-    scatter : Scatter
-        What the stripes so far show beyond their photons' noise.
-    jumps : int
-        How many frames had their joint elsewhere, since it was last where it should be.
-    jumped_at : int
-        The number of the frame that began them.
-    lost : int
-        How many frames in a row had no joint.
-    frames : int
-        How many frames were tracked.
+    `history` is the seam since its last jump, `beyond` what was measured elsewhere since, which becomes the
+    history if it goes on; `behind` are the latest stretches before, the oldest first, in which the torch may
+    still stand. `scatter` is the stripes' scatter beyond photon noise. `jumps` counts frames with the joint
+    elsewhere since it was last where expected, the first of which has number `jumped_at`; `lost` counts the
+    latest frames in a row without a joint.
     """
 
     history: SeamHistory = NO_HISTORY

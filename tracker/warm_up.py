@@ -49,15 +49,7 @@ ASIDE_MM = 3.0
 
 @dataclass(frozen=True)
 class WarmUp:
-    """What a warm-up took.
-
-    Attributes
-    ----------
-    compiled : int
-        How many functions were compiled.
-    elapsed_s : float
-        The whole time, s.
-    """
+    """Cost of a warm-up: number of functions compiled, and the whole time."""
 
     compiled: int
     elapsed_s: float
@@ -76,25 +68,10 @@ def warm_up(
     use_arc_map: bool = True,
     on_compiled: OnCompiled | None = None,
 ) -> WarmUp:
-    """Take every path of `step` for a setup's joint and types of numbers, and derive the setup's tables.
+    """Run every path of `step` for a setup's joint and types of numbers, and derive the setup's tables.
 
-    A path that this process has taken before for a setup of the same kind is not taken again.
-
-    Parameters
-    ----------
-    geometry : SensorGeometry
-        The setup with its tables.
-    correction : Correction
-        What of the seam's displacement is sent.
-    use_arc_map : bool
-        As `step` will be given it.
-    on_compiled : callable, optional
-        Hears each function's name as its compilation begins; see `OnCompiled`.
-
-    Returns
-    -------
-    WarmUp
-        What the warm-up took.
+    A path that this process has run before for a setup of the same kind is not run again. `on_compiled` gets
+    each function's name as its compilation begins (see `OnCompiled`).
     """
     began_s = time.perf_counter()
     forecast = Forecast(geometry.setup.joint.type)
@@ -305,19 +282,10 @@ class _Picture:
 def heard_compilations(
     on_compiled: OnCompiled | None, forecast: Forecast | None = None
 ) -> Iterator[list[str]]:
-    """Give the names of the functions that numba compiles meanwhile, as they are.
+    """Yield a growing list of the functions that numba compiles within the block.
 
-    Parameters
-    ----------
-    on_compiled : callable, optional
-        Hears each function's name as its compilation begins; see `OnCompiled`.
-    forecast : Forecast, optional
-        Of what is compiled meanwhile.
-
-    Yields
-    ------
-    list of str
-        The names so far.
+    `on_compiled` gets each name as its compilation begins (see `OnCompiled`); `forecast` is of what is
+    compiled.
     """
     compiled: list[str] = []
     began_s = time.perf_counter()

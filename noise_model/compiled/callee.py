@@ -15,20 +15,11 @@ MIN_INSTRUCTIONS = 250
 
 
 class Callee(NamedTuple):
-    """A kernel that others call, and what of it their machine code relies on.
+    """A kernel that others call, and what their machine code relies on.
 
-    Attributes
-    ----------
-    module, name : str
-        What leads to it.
-    arguments : tuple
-        Types that it is compiled for.
-    symbol : str
-        Its name in machine code.
-    returns : str
-        The digest of the type of its result.
-    content : str
-        The digest of its bitcode's sources, which is optimised into its callers; of a long kernel none.
+    `module` and `name` lead to it; `arguments` are the types that it is compiled for, `symbol` is its name in
+    machine code. `returns` is the digest of its result's type, `content` that of the sources of its bitcode,
+    which is inlined into its callers; empty for a long kernel.
     """
 
     module: str

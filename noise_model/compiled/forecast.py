@@ -22,15 +22,10 @@ MUCH_S = 10.0
 
 
 class Forecast:
-    """How much of some work is compiled, and the time that the rest takes.
+    """Progress of some work's compilation, such as of a joint type, and the remaining time.
 
-    This machine tells it by what the work needed before. Where it was never done here, arctrack's last
-    release tells how much machine code each kernel is, and the pace so far how long that takes.
-
-    Parameters
-    ----------
-    work : str
-        What is to be done, such as a type of joint to be tracked.
+    It is known from what the work needed before on this machine. Where it was never done here, the last
+    release states the machine code's size of each kernel, and the pace so far gives the time.
     """
 
     def __init__(self, work: str) -> None:

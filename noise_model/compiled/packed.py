@@ -25,19 +25,12 @@ from noise_model.compiled.target import target
 
 
 class Pack(NamedTuple):
-    """What a pack holds.
+    """Content of a pack.
 
-    Attributes
-    ----------
-    made_with : list
-        Versions of what compiled it.
-    costs : dict
-        For each work, such as a joint's name, the bytes of machine code of each kernel that it needs.
-    entries : dict
-        The compiled kernels, by name and key: for relies_on and body, pickled, and machine_code of `Record`,
-        the first byte of `content` and the number of bytes.
-    content : bytes
-        All of them.
+    `made_with` are the versions of what compiled it. `costs` has, for each work such as a joint's name, the
+    bytes of machine code of each kernel that it needs. `entries` locate compiled kernels by name and key:
+    first byte in `content` and number of bytes, for the pickled relies_on and body and the machine_code of
+    `Record`.
     """
 
     made_with: list[str]
@@ -57,15 +50,11 @@ def is_found(kernel: str, key: str) -> bool:
 
 
 def compile_costs(work: str) -> Mapping[str, int]:
-    """Return how much machine code each kernel is that some work needs, bytes; the time goes with it.
+    """Return the bytes of machine code of each kernel that some work, such as a joint type, needs; time is
+    proportional.
 
-    It is known without anything compiled on this machine before, for arctrack as it was released. Nothing
-    without a pack, and where the pack itself serves: little is compiled then.
-
-    Parameters
-    ----------
-    work : str
-        A type of joint to be tracked.
+    It is known for arctrack as released, without anything compiled on this machine before. Empty without a
+    pack, and where the pack itself serves, since little is compiled then.
     """
     pack = _pack()
     return {} if pack is None or pack_serves() else pack.costs.get(work, {})

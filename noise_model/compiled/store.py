@@ -27,20 +27,10 @@ _WARNED: set[str] = set()
 
 
 class Record(NamedTuple):
-    """A compiled kernel as it is kept.
+    """A stored compiled kernel.
 
-    Attributes
-    ----------
-    relies_on : tuple
-        What its machine code relies on.
-    compile_s : float
-        CPU time that it took to compile, s.
-    body : bytes
-        numba's record of it, pickled.
-    machine_code : bytes
-        An object file.
-    bitcode : bytes
-        What LLVM writes out in callers; empty if nothing is.
+    `relies_on` is what its machine code relies on, `compile_s` is CPU time, `body` numba's pickled record,
+    `machine_code` an object file, `bitcode` what LLVM inlines into callers, or empty.
     """
 
     relies_on: tuple[Any, ...]

@@ -39,14 +39,10 @@ SATURATED_SIGMAS = 2.0
 class ExposurePolicy:
     """When the exposure is changed, and to what.
 
-    Parameters
-    ----------
-    step : float
-        The ladder's ratio (chosen: where shot noise rules, half a step is 4 % of sigma).
-    gain : float
-        By what share the expected sigma must fall for a change (chosen: more than half a step).
-    map_share : float
-        1 sigma of the predicted background, relative (the arc map's stated uncertainty is 2 to 5 %).
+    - `step`: ratio of the ladder (chosen: where shot noise dominates, half a step is 4 % of sigma).
+    - `gain`: relative decrease of the expected sigma that warrants a change (chosen: more than half a step).
+    - `map_share`: 1 sigma of the predicted background, relative (the arc map's stated uncertainty is 2 to 5
+      %).
     """
 
     step: float = 2.0**0.25
@@ -66,30 +62,11 @@ def expected_sigma_px(
     speed_px_s: float = 0.0,
     map_share: float = POLICY.map_share,
 ) -> Float64:
-    """Return how well n scan lines tell a displacement of the stripe at m exposures.
+    """Return 1 sigma of a displacement common to n scan lines, times sqrt(n), px, at m exposures.
 
-    Parameters
-    ----------
-    exposures_s : array (m,)
-        The exposures, s.
-    peak_e_per_s : array (n,)
-        The stripe's peak over its background, e-/s.
-    width_px : array (n,)
-        The stripe's 1 sigma, px.
-    background_e_per_s : array (n,)
-        The background, e-/s.
-    sensor : Sensor
-        Read noise, gain, full well and bits.
-    speed_px_s : float
-        How fast the stripe moves across itself in the image, px/s.
-    map_share : float
-        1 sigma of the predicted background, relative.
-
-    Returns
-    -------
-    array (m,)
-        1 sigma of a displacement that moves all lines alike, times sqrt(n), px; infinite where no line tells
-        anything.
+    `peak_e_per_s` (n,) is the stripe's peak over its background, `width_px` (n,) its 1 sigma,
+    `background_e_per_s` (n,) the background; `speed_px_s` is the stripe's motion across itself in the image,
+    `map_share` 1 sigma of the predicted background, relative. Infinite where no line determines it.
     """
     t = np.asarray(exposures_s, dtype=np.float64)[:, np.newaxis, np.newaxis]
     A, w0, B = (
@@ -121,18 +98,10 @@ def ladder_s(least_s: float, most_s: float, step: float = POLICY.step) -> Float6
 def better_exposure_s(
     current_s: float, rungs_s: Float64, sigma_px: Float64, policy: ExposurePolicy = POLICY
 ) -> float:
-    """Return the exposure to take next, s: the current one unless another is better by enough.
+    """Return the exposure to take next, s: the current one unless another is better by the policy's gain.
 
-    Parameters
-    ----------
-    current_s : float
-        The exposure now, s.
-    rungs_s : array (m,)
-        What may be chosen, s.
-    sigma_px : array (m + 1,)
-        The expected sigma at each, then at the current one, px.
-    policy : ExposurePolicy
-        By how much it must be better.
+    `rungs_s` (m,) are the candidates; `sigma_px` (m + 1,) is the expected sigma at each, then at the current
+    one.
     """
     best = int(np.argmin(sigma_px[:-1]))
     # Written so that where nothing tells anything, nothing changes.

@@ -316,18 +316,11 @@ def _memory(residuals: Float64) -> float:
 
 
 def respond(motion: Motion, times_s: Float64, time_constant_s: float, between: Between) -> Float64:
-    """Return a first-order response to a motion, mm: closed forms from each of its times to the next.
+    """Return a first-order response to a motion at `times_s` (n,), mm: closed forms from each of its times to
+    the next.
 
-    Parameters
-    ----------
-    motion : Motion
-        What is responded to, from rest at its first value.
-    times_s : array (n,)
-        Where the response is asked for, s.
-    time_constant_s : float
-        The time constant, s; 0 returns the motion itself.
-    between : str
-        What the motion does between its times, "held" or "straight"; after its last it stays.
+    It starts from rest at the motion's first value. A time constant of 0 returns the motion itself. `between`
+    says whether the motion is "held" or "straight" between its times; after the last it stays.
     """
     knots = _at_knots(motion, time_constant_s, between)
     return _between_knots(motion, knots, times_s, time_constant_s, between)

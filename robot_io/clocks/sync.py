@@ -41,28 +41,15 @@ class Unestimated(Enum):
 
 @dataclass(frozen=True)
 class SyncLimits:
-    """What the estimate rests on.
+    """Limits of the clock estimate; raises ValueError for one that is not positive and finite.
 
-    Parameters
-    ----------
-    window_s : float
-        How long an exchange counts, s (chosen: over it a quartz's skew is steady to 1 ppm).
-    skew : float
-        The largest skew between the two clocks (100 ppm: two quartzes of 50 ppm each).
-    resolution_s : float
-        How far a bound may be off, s (arctrack.dbc's microsecond in each of three times, and the skew over an
-        echo's delay).
-    min_exchanges : int
-        How many exchanges with a round trip are needed (chosen).
-    stale_s : float
-        How old the newest exchange may be, s (chosen: ten cycles).
-    width_s : float
-        How far apart the bounds may be, s (chosen: at 10 mm/s that is 0.05 mm of the way).
-
-    Raises
-    ------
-    ValueError
-        For a limit that is not positive and finite.
+    - `window_s`: span of the exchanges used (chosen: over it a quartz's skew is steady to 1 ppm).
+    - `skew`: largest skew between the two clocks (100 ppm: two quartzes of 50 ppm each).
+    - `resolution_s`: error of a bound (arctrack.dbc's microsecond in each of three times, and the skew over
+      an echo's delay).
+    - `min_exchanges`: exchanges with a round trip that are needed (chosen).
+    - `stale_s`: largest age of the newest exchange (chosen: ten cycles).
+    - `width_s`: largest distance of the bounds (chosen: at 10 mm/s that is 0.05 mm of travel).
     """
 
     window_s: float = 30.0
@@ -84,14 +71,8 @@ class SyncLimits:
 class Exchange:
     """One SYNC that arrived.
 
-    Parameters
-    ----------
-    robot_s : float
-        When the robot sent it, s, robot's clock.
-    arrived_s : float
-        When it was read, s, tracker's clock.
-    round_trip_s : float
-        How long it and its echo were on the bus, s; NaN where that is not known.
+    `robot_s` is its sending on the robot's clock, `arrived_s` its reading on the tracker's; `round_trip_s` is
+    the time that it and its echo were on the bus, NaN if unknown.
     """
 
     robot_s: float
@@ -103,19 +84,9 @@ class Exchange:
 class ClockOffset:
     """The tracker's clock less the robot's, at one time; all NaN where it is unestimated.
 
-    Attributes
-    ----------
-    offset_s : float
-        The middle of the bounds, s.
-    lower_s, upper_s : float
-        What it lies between for certain, s.
-    sigma_s : float
-        1 sigma of `offset_s`, s, if the least delays share in any way among both ways with the same
-        probability.
-    skew : tuple (2,)
-        The bounds of the tracker's rate over the robot's less 1.
-    unestimated : Unestimated or None
-        Why there is none.
+    `offset_s` is the middle of the certain bounds `lower_s` and `upper_s`; `sigma_s` is its 1 sigma if every
+    split of the least delays between both ways is equally probable. `skew` (2,) bounds the tracker's rate
+    over the robot's less 1. `unestimated` says why there is none.
     """
 
     offset_s: float = math.nan
@@ -128,20 +99,11 @@ class ClockOffset:
 
 @dataclass(frozen=True)
 class ClockSync:
-    """What is known of the two clocks; a new one knows nothing.
+    """State of the clock comparison; a new one knows nothing.
 
-    Parameters
-    ----------
-    exchanges : tuple of Exchange
-        Those of the last seconds, none of them from before a clock was set.
-    last_sequence : int or None
-        The number of the newest RobotSync; None before the first.
-    last_time_us : int
-        The robot's time in it, us, as it begins anew.
-    robot_s : float
-        The robot's time, s, counted on from the first RobotSync.
-    steps : int
-        How often a clock was set.
+    `exchanges` are those of the last seconds, none from before a clock was set. `last_sequence` and
+    `last_time_us` are of the newest RobotSync, whose time wraps; `robot_s` is unwrapped from the first one
+    on. `steps` counts how often a clock was set.
     """
 
     exchanges: tuple[Exchange, ...] = ()
@@ -151,21 +113,9 @@ class ClockSync:
     steps: int = 0
 
     def heard(self, sync: RobotSync, arrived_s: float, limits: SyncLimits) -> ClockSync:
-        """Return the state after a RobotSync.
+        """Return the state after a RobotSync that was read at `arrived_s`, tracker's clock.
 
-        Parameters
-        ----------
-        sync : RobotSync
-            The message. Its round trip is that of the message before it.
-        arrived_s : float
-            When it was read, s, tracker's clock.
-        limits : SyncLimits
-            What the estimate rests on.
-
-        Returns
-        -------
-        ClockSync
-            The state.
+        Its round trip is that of the message before it.
         """
         exchanges = self.exchanges
         follows = self.last_sequence is not None and (
@@ -185,19 +135,9 @@ class ClockSync:
         return state.exchanged(Exchange(state.robot_s, arrived_s), limits)
 
     def exchanged(self, exchange: Exchange, limits: SyncLimits) -> ClockSync:
-        """Return the state with one more exchange; what contradicts it is of before a clock was set.
+        """Return the state with one more exchange.
 
-        Parameters
-        ----------
-        exchange : Exchange
-            A SYNC that arrived.
-        limits : SyncLimits
-            What the estimate rests on.
-
-        Returns
-        -------
-        ClockSync
-            The state. Where the exchange contradicts those before, it holds this one alone.
+        Where it contradicts those before, a clock was set, and the state holds this one alone.
         """
         kept = tuple(e for e in self.exchanges if 0.0 < exchange.robot_s - e.robot_s <= limits.window_s)
         exchanges = (*kept, exchange)
@@ -228,19 +168,9 @@ class ClockSync:
         )
 
     def delay_s(self, now_s: float, limits: SyncLimits) -> tuple[float, float]:
-        """Return what the newest SYNC's way here took.
+        """Return bounds of the newest SYNC's transit time, s; NaN where the offset is unestimated.
 
-        Parameters
-        ----------
-        now_s : float
-            The time, s, tracker's clock.
-        limits : SyncLimits
-            What the estimate rests on.
-
-        Returns
-        -------
-        tuple (2,)
-            How long it took at least and at most, s; NaN where the offset is unestimated.
+        `now_s` is on the tracker's clock.
         """
         offset = self.offset(now_s, limits)
         if offset.unestimated is not None:

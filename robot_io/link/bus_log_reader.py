@@ -38,29 +38,16 @@ class AmbiguousChannelError(BusLogError):
 
 
 class BusLogReader:
-    """Iterates over the accepted messages of a log.
+    """Iterable of the accepted messages of a log.
 
     Live, replayed and simulated frames are accepted; `Received.source` tells them apart. A log that is cut
-    off is read up to the cut, and lines that cannot be read are left out.
-
-    Every pass over it reads the file anew, with fresh counters. Times are those that were logged: wall-clock
+    off is read up to the cut, and unreadable lines are left out.
+    Every pass reads the file again, with fresh counters. Times are those that were logged: wall-clock
     seconds, or recording seconds where the log's start is not a wall-clock time. An `.asc` file states its
     start in local time: read it in the time zone in which it was written, or use `.blf`.
-
-    Parameters
-    ----------
-    path : Path
-        The log; its suffix says its format.
-    channel : str, optional
-        The channel whose frames are read, as the log names it: `can0` in a `.log`, 1 in an `.asc` or `.blf`.
-        By default all are, unless two carry the same messages of a robot.
-
-    Attributes
-    ----------
-    skipped : Counter of SkipReason
-        How many frames were left out, by reason.
-    damage : str or None
-        What of the log cannot be read, for people.
+    The suffix of `path` says the format. `channel` is as the log names it: `can0` in a `.log`, 1 in an `.asc`
+    or `.blf`; by default all are read, unless two carry the same messages of a robot. `skipped` counts frames
+    left out by reason; `damage` describes what cannot be read.
     """
 
     def __init__(self, path: Path, channel: str | None = None) -> None:

@@ -86,14 +86,9 @@ ANY_SOURCE = Trusted(SOURCES, SOURCES)
 
 
 class Inbox:
-    """Checks and decodes frames, keeps the latest message of each type, counts what it skipped and why.
+    """Checked and decoded frames: the latest message of each type, and counts of those skipped by reason.
 
-    Parameters
-    ----------
-    trusted : Trusted
-        Whose frames are accepted.
-    max_delta_counter : int
-        How many counts a frame may be ahead of the one before.
+    A frame may be at most `max_delta_counter` counts ahead of the one before.
     """
 
     def __init__(self, trusted: Trusted = LIVE, max_delta_counter: int = MAX_DELTA_COUNTER) -> None:

@@ -14,19 +14,11 @@ LONGEST_LINE = 65_536
 
 
 class LogLines:
-    """Iterates over the lines of a text log.
+    """Iterable of the lines of a text log.
 
     They are decoded as Latin-1, which never fails: of what is read of a log, only the names of months are
-    beyond ASCII.
-
-    Attributes
-    ----------
-    number : int
-        The line that was read last, from 1.
-    is_unfinished : bool
-        Whether that line has no end.
-    unreadable : list of int
-        The lines that cannot be read.
+    beyond ASCII. `number` is the line read last, from 1; `is_unfinished` says that it has no end;
+    `unreadable` are the numbers of unreadable lines.
     """
 
     def __init__(self, file: BinaryIO) -> None:

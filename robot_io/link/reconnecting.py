@@ -64,17 +64,7 @@ class Nothing(Enum):
 class ReconnectingBus:
     """A python-can bus that never raises once it is open.
 
-    Parameters
-    ----------
-    name : str
-        What the log calls it.
-    open_bus : callable
-        Opens the bus. What it raises at first goes to the caller.
-
-    Attributes
-    ----------
-    faults : Counter of LinkFault
-        What went wrong.
+    `open_bus` opens it; what it raises the first time goes to the caller. `faults` counts what went wrong.
     """
 
     def __init__(self, name: str, open_bus: Callable[[], can.BusABC]) -> None:

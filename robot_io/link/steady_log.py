@@ -38,27 +38,11 @@ class FrameLog(Protocol):
 
 
 class SteadyLog:
-    """Writes frames to a log, and never fails for a disk once it is open.
+    """Log of frames that never fails for a disk once it is open.
 
-    After a failure it goes on in another file: behind `bus.blf` comes `bus.1.blf`.
-
-    Parameters
-    ----------
-    path : Path
-        The log.
-    faults : Counter of LinkFault
-        Where frames that are not in it are counted.
-    open_log : callable
-        Opens a file. What it raises at first goes to the caller.
-    clock : callable
-        Gives the time, s, that retries go by.
-    say : callable
-        Hears once what failed.
-
-    Raises
-    ------
-    BusLogError
-        If the log cannot be opened.
+    After a failure it continues in another file: after `bus.blf` comes `bus.1.blf`. `faults` counts frames
+    that are not in it; `clock` times the retries; `say` is told once what failed. Raises BusLogError if the
+    log cannot be opened, and what `open_log` raises the first time.
     """
 
     def __init__(

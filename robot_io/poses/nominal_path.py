@@ -14,16 +14,8 @@ Vector = tuple[float, float, float]
 class PathPlace:
     """A point in the path's own coordinates.
 
-    Attributes
-    ----------
-    station_mm : float
-        The way along the path from its start, mm; negative before it.
-    lateral_mm : float
-        To the left of the travel, mm.
-    height_mm : float
-        Out of the workpiece, mm.
-    segment : int
-        Which piece of the path is nearest.
+    `station_mm` is the arc length along the path, negative before its start; `lateral_mm` is to the left of
+    the travel, `height_mm` out of the workpiece, `segment` the nearest piece.
     """
 
     station_mm: float
@@ -44,19 +36,10 @@ class _Segment:
 
 @dataclass(frozen=True)
 class NominalPath:
-    """The nominal seam as a polyline.
+    """The nominal seam as a polyline along the travel, base frame.
 
-    Parameters
-    ----------
-    points_base_mm : tuple of tuples (3,)
-        Its points along the travel, mm, base frame; two or more.
-    normal_base : tuple (3,)
-        The surface's normal, out of the workpiece, base frame.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two points, two neighbours coincide, or the normal runs along the path.
+    `normal_base` is the surface's normal, out of the workpiece. Raises ValueError if there are fewer than two
+    points, two neighbours coincide, or the normal runs along the path.
     """
 
     points_base_mm: tuple[Vector, ...]

@@ -51,22 +51,12 @@ class _Anchor:
 
 @dataclass(frozen=True)
 class Plausibility:
-    """What is known of the poses so far; a new one trusts nothing.
+    """State of the plausibility of poses; a new one trusts nothing.
 
-    Parameters
-    ----------
-    doubt : Implausibility or None
-        Why poses are not trusted; None where they are.
-    window : tuple
-        The samples of the last second, none of them from before a jump.
-    stated : tuple of MotionState and float
-        The motion and the travel speed, mm/s, that the robot stated last.
-    steady_from_s : float
-        From when on, s, poses must show that motion.
-    clean_from_s : float
-        Since when, s, samples are without a doubt; NaN where the newest is not.
-    anchor : object or None
-        The last trusted sample before a doubt; None where poses are trusted.
+    `doubt` says why poses are not trusted, None where they are. `window` has the samples of the last second,
+    none from before a jump. `stated` is the motion and travel speed, mm/s, that the robot stated last; from
+    `steady_from_s` on poses must show it. Samples are without a doubt since `clean_from_s`, NaN where the
+    newest is not. `anchor` is the last trusted sample before a doubt, None where poses are trusted.
     """
 
     doubt: Implausibility | None = Implausibility.UNPROVEN
@@ -82,19 +72,8 @@ class Plausibility:
         return newest_speed_mm_s(self.window) if self.window else 0.0
 
     def at(self, now_s: float, limits: PlausibilityLimits) -> Implausibility | None:
-        """Return the doubt at a time: poses may have stopped since the last.
-
-        Parameters
-        ----------
-        now_s : float
-            The time, s, on the samples' clock.
-        limits : PlausibilityLimits
-            What poses must keep to.
-
-        Returns
-        -------
-        Implausibility or None
-            Why poses are not trusted then; None where they are.
+        """Return the doubt at a time on the samples' clock, None where poses are trusted: they may have
+        stopped since.
         """
         if not self.window:
             return Implausibility.UNPROVEN
@@ -107,23 +86,9 @@ class Plausibility:
 def update(
     state: Plausibility, seen: PoseArrival, limits: PlausibilityLimits, path: NominalPath | None = None
 ) -> Plausibility:
-    """Return the state after one more sample.
+    """Return the state after one more sample; its `doubt` names the first question that failed.
 
-    Parameters
-    ----------
-    state : Plausibility
-        The state before; `Plausibility()` for a new seam.
-    seen : PoseArrival
-        The sample, and what the robot said when it came.
-    limits : PlausibilityLimits
-        What poses must keep to.
-    path : NominalPath, optional
-        The nominal seam. Without it nothing is asked of the place, nor of the progress along it.
-
-    Returns
-    -------
-    Plausibility
-        The state, whose `doubt` names the first question that failed.
+    Start a new seam with `Plausibility()`. Without `path`, place and progress along it are not tested.
     """
     sample = seen.sample
     if not all(map(math.isfinite, (sample.timestamp_s, *sample.position_base_mm, *sample.quaternion_xyzw))):

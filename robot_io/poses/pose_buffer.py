@@ -147,19 +147,10 @@ class PoseBuffer:
         self.push_all([timestamp_s], pose[np.newaxis])
 
     def push_all(self, timestamps_s: Sequence[float] | Float64, T_base_tool: Float64) -> None:
-        """Add poses as matrices: `push` for each of them, in a fraction of its time.
+        """Add poses `T_base_tool` (n, 4, 4), mm, at `timestamps_s` (n,): `push` for each of them, in a
+        fraction of its time.
 
-        Parameters
-        ----------
-        timestamps_s : array (n,)
-            The poses' times, s.
-        T_base_tool : array (n, 4, 4)
-            The poses: they take points of the tool frame to base, mm.
-
-        Raises
-        ------
-        PoseError
-            As `push` does, of the first pose that it refuses; for other than a time for each pose.
+        Raises PoseError as `push` does, for the first pose that it refuses, and where the lengths differ.
         """
         if len(timestamps_s) != len(T_base_tool):
             raise PoseError(f"{len(timestamps_s)} times for {len(T_base_tool)} poses")
@@ -246,22 +237,9 @@ class PoseBuffer:
         return self.at_all((t_s,))[0]
 
     def at_all(self, times_s: Sequence[float]) -> list[PoseAt]:
-        """Return the poses at times: what `at` returns for each of them, in a fraction of its time.
+        """Return what `at` returns for each of the times, in any order, in a fraction of its time.
 
-        Parameters
-        ----------
-        times_s : sequence of float
-            The times, s, in any order.
-
-        Returns
-        -------
-        list of PoseAt
-            A pose for each time, or why there is none.
-
-        Raises
-        ------
-        ValueError
-            If a time is not finite.
+        Raises ValueError if a time is not finite.
         """
         answers = [self._answer(t_s) for t_s in times_s]
         twists = [answer for answer in answers if isinstance(answer, _Twist)]

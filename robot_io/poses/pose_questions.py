@@ -47,18 +47,11 @@ class Implausibility(Enum):
 
 @dataclass(frozen=True)
 class PoseArrival:
-    """A sample and what was known when it came.
+    """A pose sample of the tool and what was known when it came.
 
-    Parameters
-    ----------
-    sample : PoseSample
-        The sample, of where the tool is.
-    robot : RobotStatus or None
-        The robot's status; None while no fresh status has been received.
-    programmed : PoseSample or None
-        The newest sample of the programmed path, None where the robot sends none.
-    is_contradicted : bool
-        Whether the seam in the image moves otherwise than the poses say: no trust comes back meanwhile.
+    `robot` is None while no fresh status has been received. `programmed` is the newest sample of the
+    programmed path, None where the robot sends none. While the seam in the image moves otherwise than the
+    poses say (`is_contradicted`), no trust comes back.
     """
 
     sample: PoseSample

@@ -38,21 +38,8 @@ def response_time_s(name: str, frame_rate_hz: float, bit_rate_bit_s: float) -> R
     """Return the longest time from the queueing of a message until its last bit is on the bus.
 
     One frame of lower priority may just have begun. All of higher priority go first, each as often as it
-    comes meanwhile (Davis et al. 2007, Eq. 4 to 6, without jitter). Only this layout's messages count.
-
-    Parameters
-    ----------
-    name : str
-        The message.
-    frame_rate_hz : float
-        The camera's frames a second.
-    bit_rate_bit_s : float
-        The bit rate.
-
-    Raises
-    ------
-    ValueError
-        If those of higher priority leave it no room: it would wait for ever.
+    comes meanwhile (Davis et al. 2007, Eq. 4 to 6, without jitter). Only this layout's messages count. Raises
+    ValueError if those of higher priority leave it no room: it would wait for ever.
     """
     longest_s, bit_s = frame_bits() / bit_rate_bit_s, 1.0 / bit_rate_bit_s
     own = database().get_message_by_name(name)

@@ -55,21 +55,11 @@ class CheckStatus(Enum):
 
 
 class Protector:
-    """The sending side: one counter per message, from 0.
+    """Sender's protection: one counter per message, from 0.
 
     A RobotPoseRotation carries the counter of the last RobotPosePosition: by it the two halves of a pose find
     each other, and a half that failed to go out cannot put the later pairs out of step. A SeamPoint carries
-    that of the last SeamOffset.
-
-    Parameters
-    ----------
-    source : Source
-        Where what is sent comes from.
-
-    Raises
-    ------
-    ValueError
-        For a source that is not known.
+    that of the last SeamOffset. Raises ValueError for an unknown source.
     """
 
     def __init__(self, source: Source = Source.LIVE) -> None:
