@@ -9,7 +9,7 @@ import numpy as np
 from latency_worker import APPROACH, EXPOSURE_S, PERIOD_S, STRETCH, STRETCHES
 
 from arctrack.nominal import nominal_setup
-from arctrack.recording.setup_file import format_setup
+from arctrack.recording.setup_writer import format_setup
 from arctrack.simulation.simulate import SimulatedMotion, SimulationPlan, balance
 from noise_model.arc.scene import make_scene
 from noise_model.condition import Condition

@@ -119,7 +119,7 @@ def _gauge_of(text: str) -> Gauge:
 
 def _is_recording(sources: list[Path]) -> bool:
     """Return True for one recording, False for images."""
-    from arctrack.recording.setup_file import FILE_NAME
+    from arctrack.recording.setup_writer import FILE_NAME
 
     return len(sources) == 1 and (sources[0] / FILE_NAME).exists()
 

@@ -41,7 +41,7 @@ def sensor(
     noise, black level, and the speckle's contrast and grain, less sharply. Gamma and full well stay as
     stated.
     """
-    from arctrack.recording.setup_file import FILE_NAME
+    from arctrack.recording.setup_writer import FILE_NAME
 
     if not source.is_dir():
         if source.exists():

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def setup_path(source: Path) -> Path:
     """Return the recording.toml that a path names: itself, or that of a recording's folder."""
-    from arctrack.recording.setup_file import FILE_NAME
+    from arctrack.recording.setup_writer import FILE_NAME
 
     return source / FILE_NAME if source.is_dir() else source
 

@@ -16,7 +16,8 @@ from arctrack.errors import ArctrackError, in_file
 from arctrack.output import folders_for, make_folder, real, write_whole
 from arctrack.printable import printable
 from arctrack.recording import pose_at, read_recording
-from arctrack.recording.setup_file import FILE_NAME, with_effects
+from arctrack.recording.setup_file import with_effects
+from arctrack.recording.setup_writer import FILE_NAME
 from arctrack.workers import FailedJob
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup

@@ -14,8 +14,8 @@ from arctrack.recording.files import FRAMES_CSV
 from arctrack.recording.frames import FOLDER_NAME
 from arctrack.recording.poses import CSV_NAME as POSES_CSV
 from arctrack.recording.schema import Key, keys_of
-from arctrack.recording.setup_file import FILE_NAME
 from arctrack.recording.setup_model import RecordingToml
+from arctrack.recording.setup_writer import FILE_NAME
 from arctrack.recording.tables import FRAME_COLUMNS, POSE_COLUMNS
 from noise_model.setup import Setup
 

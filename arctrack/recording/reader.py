@@ -12,7 +12,7 @@ import numpy as np
 from arctrack.errors import ArctrackError, in_file
 from arctrack.output import real
 from arctrack.printable import printable
-from arctrack.recording import setup_file
+from arctrack.recording import setup_file, setup_writer
 from arctrack.recording.files import FRAMES_CSV, TRUTH_CSV, check_folder
 from arctrack.recording.frames import BadFrame, Image, check_source, read_frames, read_images
 from arctrack.recording.poses import (
@@ -106,7 +106,7 @@ class Recording:
 
     def is_read_from(self, path: Path) -> bool:
         """Return whether writing to a path, which need not exist, would change the recording or its setup."""
-        names = (setup_file.FILE_NAME, FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES, STEPS_CSV, STATE_JSON)
+        names = (setup_writer.FILE_NAME, FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES, STEPS_CSV, STATE_JSON)
         sources = [self.setup_path, self.frame_source, *(self.path / name for name in names)]
         return any(real(path).is_relative_to(real(source)) for source in sources)
 
@@ -249,7 +249,7 @@ def read_recording(
     """
     folder = Path(path)
     check_folder(folder)
-    stated = setup_file.read_setup_file(folder / setup_file.FILE_NAME if setup_path is None else setup_path)
+    stated = setup_file.read_setup_file(folder / setup_writer.FILE_NAME if setup_path is None else setup_path)
     rows, frame_warnings = read_frame_rows(folder / FRAMES_CSV)
     poses, pose_warnings = read_poses(folder, stated.T_tool_controllertool, stated.robot)
     source, source_warnings = check_source(folder, rows, stated.setup)

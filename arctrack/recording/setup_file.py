@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,17 +17,16 @@ from arctrack.limits import LIMITS
 from arctrack.printable import cut, first_of, printable
 from arctrack.recording.files import blamed_on, read_text
 from arctrack.recording.key_errors import describe
-from arctrack.recording.setup_model import FORMAT, UNITS, CalibrationTable, RecordingToml, unknown_keys
+from arctrack.recording.setup_model import CalibrationTable, RecordingToml, unknown_keys
+from arctrack.recording.setup_writer import FILE_NAME, filter_table, pose_table
 from arctrack.recording.toml_text import parse_toml, rounded
 from noise_model.arrays import Float64
 from tracker.seam.correction import Correction
 
 if TYPE_CHECKING:
-    from noise_model.instrument.spectrum import Filter, FilterCurve
+    from noise_model.instrument.spectrum import FilterCurve
     from noise_model.setup import Setup
     from sim_to_real.diagnosis import NamedEffect
-
-FILE_NAME = "recording.toml"
 
 
 @dataclass(frozen=True)
@@ -133,18 +132,6 @@ def parse_setup(text: str, path: Path) -> SetupFile:
         raise in_file(path, str(error)) from None
 
 
-def format_setup(setup: Setup) -> str:
-    """Return the text of a recording.toml that reads back as the same setup."""
-    document = tomlkit.document()
-    document["format"] = FORMAT
-    document["units"] = UNITS
-    for name, table in _tables(setup).items():
-        document[name] = table
-    if setup.effects:
-        document["effects"] = {name: dict(table) for name, table in setup.effects.items()}
-    return tomlkit.dumps(document)
-
-
 def with_camera_pose(path: Path, T_tool_camera: Float64) -> str:
     """Return a recording.toml's text with another camera pose; all else, comments included, stays."""
     read_setup_file(path)
@@ -164,24 +151,12 @@ def with_camera_keys(path: Path, keys: Mapping[str, int | float]) -> str:
     return tomlkit.dumps(document)
 
 
-def pose_table(T_a_b: Float64) -> dict[str, list[float]]:
-    """Return a pose as the file states it: translation in mm, unit quaternion x y z w with w >= 0."""
-    from scipy.spatial.transform import Rotation
-
-    # Twelve decimals: what rounding left behind the last ones does not come back the same.
-    quaternion = Rotation.from_matrix(T_a_b[:3, :3]).as_quat(canonical=True).round(12)
-    return {
-        "translation_mm": [float(value) for value in T_a_b[:3, 3]],
-        "quaternion_xyzw": [float(value) for value in quaternion],
-    }
-
-
 def with_filter_curve(path: Path, curve: FilterCurve) -> str:
     """Return a recording.toml's text with a filter's measured curve; all else, comments included, stays."""
     read_setup_file(path)
     document = tomlkit.parse(setup_text(path))
     table = document.setdefault("filter", tomlkit.table())
-    for key, value in _filter_table(curve).items():
+    for key, value in filter_table(curve).items():
         table[key] = value
     return tomlkit.dumps(document)
 
@@ -206,61 +181,3 @@ def with_effects(path: Path, effects: Sequence[NamedEffect]) -> str:
     text = tomlkit.dumps(document)
     parse_setup(text, path)
     return text
-
-
-def _filter_table(of_filter: Filter | FilterCurve | None) -> dict[str, Any]:
-    from noise_model.instrument.spectrum import FilterCurve
-
-    if of_filter is None:
-        return {}
-    table: dict[str, Any] = {
-        "center_nm": of_filter.center_nm,
-        "fwhm_nm": of_filter.fwhm_nm,
-        "effective_index": of_filter.effective_index,
-    }
-    if isinstance(of_filter, FilterCurve):
-        table["center_nm"], table["fwhm_nm"] = round(of_filter.center_nm, 3), round(of_filter.fwhm_nm, 3)
-        table["curve_wavelength_nm"] = of_filter.wavelength_nm.tolist()
-        table["curve_transmission"] = of_filter.transmission.tolist()
-    return table
-
-
-def _stated(record: Any, left_out: str = "") -> dict[str, Any]:
-    """Return a record's fields: what it has derived of them since, and keeps, is no part of a setup."""
-    return {f.name: getattr(record, f.name) for f in fields(record) if f.name != left_out}
-
-
-def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
-    joint = {
-        "type": setup.joint.type,
-        **setup.joint.dimensions,
-        "seam_in_base_mm": [list(point) for point in setup.joint.seam_in_base_mm],
-        "surface_normal_in_base": setup.joint.surface_normal_in_base,
-    }
-    tables: dict[str, dict[str, Any]] = {
-        "camera": _stated(setup.camera, "T_tool_camera"),
-        "sensor": _stated(setup.sensor, "bend"),
-        "filter": _filter_table(setup.filter),
-        "laser": {
-            name: value
-            for name, value in _stated(setup.laser, "profile_exponent").items()
-            if value is not None
-        },
-        "arc": _stated(setup.arc),
-        "material": _stated(setup.material, "lobe"),
-        "tolerance": _stated(setup.tolerance),
-        "joint": joint,
-    }
-    plain = {
-        name: {key: _plain(value) for key, value in table.items()}
-        for name, table in tables.items()
-        if name not in setup.missing
-    }
-    plain["camera"]["pose_in_tool"] = pose_table(setup.camera.T_tool_camera)
-    return plain
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return list(value)
-    return value.item() if hasattr(value, "item") else value

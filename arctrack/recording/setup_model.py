@@ -32,6 +32,7 @@ from arctrack.recording.sensor_tables import (
     RigidPoseTable,
     SensorTable,
 )
+from arctrack.recording.setup_writer import UNITS
 from noise_model.arc_source import NO_ARC
 from noise_model.arrays import Float64
 from noise_model.setup_keys import Tolerance
@@ -40,10 +41,6 @@ from noise_model.spelling import nearest
 if TYPE_CHECKING:
     from noise_model.instrument.camera import Camera
     from noise_model.setup import Setup
-
-FORMAT = "joint-tracking-recording/1"
-UNITS = "mm, s, deg, e-, DN"
-"""The units that a recording states."""
 
 NAMED_IN_KEYS = ("A", "nm", "px")
 """Units that some keys have in their names: a file may state them as well, but no others."""

@@ -17,7 +17,7 @@ from typing import Self, TextIO
 
 from arctrack.errors import in_file
 from arctrack.output import check_new_folder, write_whole, writing
-from arctrack.recording import ffv1, frames, png, setup_file, tables
+from arctrack.recording import ffv1, frames, png, setup_writer, tables
 from arctrack.recording.files import FRAMES_CSV, TRUTH_CSV, UNFINISHED_SUFFIX
 from arctrack.recording.poses import CSV_NAME as POSES_CSV
 from noise_model.arrays import Float64
@@ -85,12 +85,12 @@ class RecordingWriter:
         self._folder = self.path.with_name(self.path.name + UNFINISHED_SUFFIX)
         for folder in (self.path, self._folder):
             check_new_folder(folder)
-        text = setup_file.format_setup(setup) if toml is None else toml
+        text = setup_writer.format_setup(setup) if toml is None else toml
         with writing(self._folder):
             (self._folder / frames.FOLDER_NAME if video is None else self._folder).mkdir(
                 parents=True, exist_ok=True
             )
-        write_whole(self._folder / setup_file.FILE_NAME, text)
+        write_whole(self._folder / setup_writer.FILE_NAME, text)
         self._opened = ExitStack()
         self._tables: dict[str, TextIO] = {}
         self._video: ffv1.VideoWriter | None = None
@@ -157,7 +157,7 @@ class RecordingWriter:
         T_base_tool : array (4, 4)
             The pose: it takes points of the tool frame to base, mm.
         """
-        pose = setup_file.pose_table(T_base_tool)
+        pose = setup_writer.pose_table(T_base_tool)
         values = [f"{timestamp_s:.6f}"]
         values += [f"{value:.6f}" for value in pose["translation_mm"]]
         # Nine decimals turn by less than 1e-7 degrees.

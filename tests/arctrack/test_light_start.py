@@ -128,3 +128,21 @@ def test_what_fails_on_its_input_imports_nothing_that_computes(inputs: Path) -> 
     complaints = ran.stderr.splitlines()
     assert all(line.startswith("arctrack: error: ") for line in complaints)
     assert len(complaints) == len(given) + 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "module",
+    [
+        "tracker.pipeline",
+        "arctrack.control.controller",
+        "arctrack.control.processor",
+        "arctrack.live.serve.loop",
+        "arctrack.live.black_box.recorder",
+        "arctrack.live.cameras.capture.process",
+    ],
+)
+def test_nothing_on_a_frames_way_imports_pydantic(module: str) -> None:
+    """Schemas belong to files: they are read before the first frame."""
+    code = f"import sys, {module}; sys.exit('pydantic' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -13,7 +13,7 @@ from arctrack.calibrate.stage import CalibrationStage, Steps, Warn
 from arctrack.errors import in_file
 from arctrack.recording import Recording, SetupFile, read_recording
 from arctrack.recording.importing.grey import channel_of_laser
-from arctrack.recording.setup_file import FILE_NAME
+from arctrack.recording.setup_writer import FILE_NAME
 from calibration.sensor.flat_fields import SensorCalibration, calibrate_sensor
 from calibration.sensor.still import StillCalibration, calibrate_still
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from arctrack.diagnose.pages.words import number, percent
 from arctrack.printable import quoted
-from arctrack.recording.setup_file import FILE_NAME
+from arctrack.recording.setup_writer import FILE_NAME
 from arctrack.replay.explain import Explanation, StripeLook
 from arctrack.replay.explain_lines import READ, UNLIT, SigmaParts, read_with
 from arctrack.replay.explain_pages import pictures, plots, words

@@ -17,7 +17,7 @@ from arctrack.recording import Recording, Truth
 from arctrack.recording.results import count_flags
 from arctrack.recording.run_offsets import OffsetOutcome, RunComparison
 from arctrack.recording.score import score
-from arctrack.recording.setup_file import FILE_NAME
+from arctrack.recording.setup_writer import FILE_NAME
 from arctrack.replay.explain_pages import words
 from arctrack.replay.pages.numbers import numbers, on_bus
 from arctrack.replay.pages.seen import ReplayedFrame
