@@ -93,11 +93,11 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def write_keeping(path: Path, text: str) -> Path | None:
-    """Write a file in one go, and keep the one that was there under its name and the next free number.
+    """Write a file atomically, and keep the previous one under its name and the next free number.
 
-    Returns where that is kept, such as recording.toml.1; the largest number is the newest. None if there was
-    none, or if it held the same. If the file cannot be written ArctrackError is raised, and what was there is
-    as it was.
+    Returns where it is kept, such as recording.toml.1 (the largest number is the newest); None if there was
+    none, or if it held the same. Raises ArctrackError if the file cannot be written, and leaves the previous
+    one as it was.
     """
     kept = None
     with writing(path):

@@ -38,6 +38,7 @@ class OwnProcess(Closing, Generic[Question, Answer]):
 
     Unlike one of multiprocessing it does not import this program's main module: a script need not guard it,
     and a prompt has none. It ignores a terminal's Ctrl-C, and ends however this process ends.
+
     `answer` is pickled. `ended` is the error's text if the process ends by itself. `stderr` is as in
     `subprocess`, by default this process's.
     """

@@ -32,13 +32,11 @@ def leave_signals_to_parent() -> None:
 
 @contextmanager
 def ends_at_safe_points() -> Iterator[Callable[[], None]]:
-    """Hold what ends a run back until what runs within may end, and give what it asks then.
+    """Defer KeyboardInterrupt until the block's code calls the yielded function, or the block ends.
 
-    A KeyboardInterrupt may otherwise come between any two lines: in a message that is half sent, or in a file
-    that is half closed. A second signal does not wait, for the first may be held back by a disk that hangs.
-    Behind the block the signal comes as if it had not been held back. In another thread than the main one
-    nothing is held back, for signals are the main one's. What is yielded raises KeyboardInterrupt if a signal
-    came.
+    It may otherwise come between any two lines: in a message that is half sent, or in a file that is half
+    closed. A second signal is not deferred, for the first may be held back by a disk that hangs. In another
+    thread than the main one nothing is deferred, for signals are the main one's.
     """
     came: list[int] = []
 

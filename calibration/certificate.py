@@ -134,10 +134,11 @@ def certify(
     robot: RobotNoise = EXACT_ROBOT,
     delay_sigma_mm: float = 0.0,
 ) -> Certificate:
-    """Carry the covariance of all calibrations to points (n, 2), px, on the laser sheet: J cov J^T.
+    """Propagate the covariance of all calibrations to image points (n, 2) on the laser sheet, to first order:
+    J cov J^T.
 
-    `robot` is by how much the tool is off the pose that the robot states; `delay_sigma_mm` is 1 sigma of the
-    way along each axis across the seam that the tool goes in the unknown delay.
+    `robot` is the error of the poses that the robot states; `delay_sigma_mm` is 1 sigma of the tool's travel,
+    along each axis across the seam, in the unknown delay.
     """
     lens, R = known_lens.lens, hand_eye.T_tool_camera[:3, :3]
     rays = lens.rays(points_px)

@@ -50,6 +50,7 @@ def step(
 
     Nothing about a frame raises: what fails is NaN with a flag. One that contradicts the arc map and shows no
     seam over it is read as if no arc were stated: over an even background, by its own scatter.
+
     `pose` is the tool's at the frame's time, None where it was refused; `work` is scratch. Without
     `use_arc_map` the stripe is read over a running median with one variance for all pixels, for comparison.
     `correction` is the part of the seam's displacement that is sent, `lead` when, and how much farther along

@@ -81,9 +81,10 @@ def row_of(
     ends: tuple[float, float] | None = None,
     shown: Callable[[float, float], tuple[str, str]] = with_sigma,
 ) -> ValueRow:
-    """Return a value's row, with `ends` of its 95 % interval, or those of a normal law.
+    """Return a value's row; `key` is the value's in the setup.
 
-    `shown` makes text of a value and its 1 sigma.
+    `ends` is the 95 % interval, by default that of a normal distribution. `shown` formats a value and its 1
+    sigma.
     """
     low, high = ends or (value - HALF_95 * sigma, value + HALF_95 * sigma)
     first, last = (shown(float(end), float(sigma))[0] for end in (low, high))

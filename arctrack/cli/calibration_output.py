@@ -81,10 +81,11 @@ def calibrate_from_recording(
     page: str,
     of_the_others: str,
 ) -> None:
-    """Calibrate with a recording, and write its page and the setup, beside the recording by default.
+    """Calibrate with a recording, and write its page and the setup.
 
-    Frames that `make` cannot read are named at the end; `of_the_others` says what became of the rest, such as
-    "the delay is that of the others". ArctrackError where nothing can be written, where the calibration is
+    `make` calibrates; its unreadable frames are named at the end, with what became of the others, such as
+    "the delay is that of the others". `out` is by default the recording's setup, and `report` a file of the
+    name `page` next to it. Raises ArctrackError where nothing can be written, where the calibration is
     refused, and at last for bad frames.
     """
     from arctrack.cli import console

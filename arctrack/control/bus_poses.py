@@ -34,6 +34,7 @@ class BusPoses:
     that sends the poses, mm; by default they are one. The controller stamps its poses `late_s` later than
     true. `lag_estimator` estimates the robot's lag where an offset must not wait for it; by default it is
     estimated at once.
+
     With `looks_ahead` offsets are asked for where the torch will be once they act. `doubt` says why poses
     were not trusted at the latest verdict (None if they were). `on_sample` gets each pose, its time on the
     frames' clock, and when it was read, s.

@@ -39,6 +39,7 @@ class PoseWatch:
 
     Poses are plausible once they have shown enough. The seam in the image need not have: only its
     contradiction counts.
+
     Without `path`, the nominal seam, fewer tests apply. A RobotStatus older than `status_age_s` does not say
     how the robot moves. `T_controllertool_tool` (4, 4) is the tool in the tool frame of the controller that
     sends the poses, mm; by default they are one.

@@ -37,8 +37,10 @@ class RecordedPoses:
     progress along the path is not tested, and the image tells a pose that stands still. Samples need no age:
     a recording's clocks are taken as they are, and its own limits hold for the age of a sample and the gap
     between two.
+
     Once the image has contradicted the poses, they are not trusted to the recording's end: the torch comes
     only later to what was measured with them.
+
     `doubt` says why poses were not trusted at the latest verdict (None if they were); `hears_robot` says that
     a RobotStatus was recorded so far.
     """

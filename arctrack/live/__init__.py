@@ -1,1 +1,1 @@
-"""A live run: cameras, bus and tracker turn by turn, and the processes beside it."""
+"""Live run: cameras, bus and tracker in one loop, and its subprocesses."""

@@ -16,11 +16,11 @@ ITEMS_AHEAD = 4
 
 @contextmanager
 def read_ahead(items: Generator[Item, None, None]) -> Iterator[Iterator[Item]]:
-    """Let a thread take what a generator yields, ahead of whoever takes it within.
+    """Let a thread prefetch what a generator yields; yields an iterator over the same items.
 
-    Decoders run without Python's lock, so the thread works while the tracker does. Order and values are the
-    generator's. What it raises is raised behind the last item that it gave. It is closed by its own thread,
-    which ends with the block, however that ends. Nobody else may use the generator.
+    Decoders release Python's lock, so the thread works while the tracker does. Nobody else may use the
+    generator. What it raises is raised after the last item that it gave. Its own thread closes it, and ends
+    with the block, however that ends.
     """
     # A Ctrl-C may come inside what is written in Python, such as a Semaphore, and leave its lock taken. A
     # SimpleQueue is written in C.

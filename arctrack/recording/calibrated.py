@@ -56,8 +56,8 @@ class CalibrationValues:
 def with_calibrated(path: Path, *results: CalibrationValues) -> str:
     """Return a recording.toml's text with calibrated values; all else, comments included, stays.
 
-    An earlier `[calibration.NAME]` of the same name is replaced, and the text reads back. ArctrackError for a
-    file that cannot be read, and for a value that it could not hold.
+    An earlier `[calibration.NAME]` of the same name is replaced. Raises ArctrackError for a file that cannot
+    be read, and for a value that it could not hold.
     """
     read_setup_file(path)
     document = tomlkit.parse(setup_text(path))

@@ -51,10 +51,10 @@ def check_parquet(path: Path) -> None:
 
 
 def write_parquet(path: Path, replays: Iterable[ReplayedRecording]) -> int:
-    """Write the frames of all replays as one table, whole or not at all; return the number of rows.
+    """Write the frames of all replays as one table, whole or not at all, and return the number of rows.
 
-    Each replay is a row group. What is empty in results.csv is null. ArctrackError if a results.csv cannot be
-    read, or the file cannot be written.
+    Each replay is a row group, in this order; what is empty in results.csv is null. A file that is there is
+    replaced. Raises ArctrackError if a results.csv cannot be read, or the file cannot be written.
     """
     import pyarrow
     from pyarrow import parquet

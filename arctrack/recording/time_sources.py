@@ -28,10 +28,9 @@ class TimeSource:
 
 
 def contradictions(used: TimeSource, others: Sequence[TimeSource], frames: Sequence[int]) -> Iterator[str]:
-    """Yield a line on each source that contradicts the times that are used, which rise.
+    """Yield a line on each source that contradicts the increasing times that are used.
 
-    Clocks need not begin together, and a counter's period is the one that most of its steps have. `frames`
-    are the frames' numbers.
+    Clocks need not begin together; a counter's period is that of most of its steps.
     """
     for other in others:
         known = np.flatnonzero(np.isfinite(other.values))

@@ -22,10 +22,10 @@ def address(path: Path) -> str:
 def opened_video(
     path: Path, codecs: Sequence[str], needed: str, containers: Sequence[str]
 ) -> av.container.InputContainer:
-    """Open a video to be read; nothing is decoded yet.
+    """Open a video for reading; nothing is decoded yet.
 
-    It may be of the codecs and containers by FFmpeg's names; `needed` is said of one that is another.
-    ArctrackError if there is no such file, or it is no video of these kinds.
+    `codecs` and `containers` are FFmpeg's names of what is allowed, `needed` is the message's cure for
+    others. Raises ArctrackError if there is no such file, or it is no video of these kinds.
     """
     # Told what it is: in search of a format FFmpeg takes a script for one, and opens what that names.
     options = {"codec_whitelist": ",".join(codecs)}

@@ -64,7 +64,10 @@ class Corners:
 
 
 def find_corners(image_dn: Integers, board: Board) -> Corners | None:
-    """Return a board's corners in an image of 8 or 16 bits, of a ChArUco board those that can be told."""
+    """Find a board in an image (H, W) of 8 or 16 bits; None without a board.
+
+    Of a chessboard all corners are returned, of a ChArUco board those that can be identified.
+    """
     raw = image_dn.astype(np.float32)
     for corners, points in _found(image_dn, board):
         result = _placed(raw, board, corners, points)

@@ -79,10 +79,10 @@ class BoardScene:
 def linearised(
     scene: BoardScene, seen: Sightings, weight: Float64, *, with_print: bool = False
 ) -> NormalEquations:
-    """Return the normal equations at a scene, without what is known of lens and places beforehand.
+    """Return the normal equations at a scene, without priors of lens and printing errors.
 
-    `weight` (N,) is 1 / sigma of each corner, 1/px. `with_print` counts the corners' places on the board
-    among the unknowns, behind lens and warp.
+    `weight` (N,) is 1 / sigma of each corner, 1/px. With `with_print` the printing errors are unknowns, after
+    lens and warp.
     """
     points = scene.points_camera(seen)
     image, per_motion, per_lens = scene.lens.project_with_jacobian(points)
@@ -109,8 +109,9 @@ def adjusted(
 ) -> BoardScene:
     """Return the scene of least squares, with the prior on the lens' distortion.
 
-    `weight` (N,) is 1 / sigma of each corner, 1/px. `poses_only` holds lens and warp; `print_sigma_mm` is 1
-    sigma of the corners' places on the board, 0 holds them.
+    `scene` is the start and `weight` (N,) 1 / sigma of each corner, 1/px. `poses_only` holds lens and warp.
+    `print_sigma_mm` is 1 sigma of the printing errors; 0 holds them. Iteration ends where no step lowers the
+    sum of squares.
     """
     prior = prior_precision(scene, print_sigma_mm)
     cost, damping = _cost(scene, seen, weight, prior), FIRST_DAMPING

@@ -146,11 +146,12 @@ def calibrate_camera(
     orders: Sequence[str] = tuple(ORDERS),
     progress: Callable[[int, int], None] | None = None,
 ) -> CameraCalibration:
-    """Find a camera's lens from corners of a board in several images, and hold halves against each other.
+    """Calibrate a camera's lens from corners of a board in several images, and compare halves of them.
 
-    `size` are the images' width and height, px; `tilted` lets the sensor be tilted to the lens, after
-    Scheimpflug; `orders` are the distortions of `ORDERS` to choose from. The result's `model_error` says
-    whether to use it. UndeterminedError names the image that is missing where they do not determine the lens.
+    Each view has at least `MIN_CORNERS`; `size` is the images' width and height, px. `tilted` adds a tilt of
+    the sensor (Scheimpflug). `orders` are the distortions of `ORDERS` to choose from. `progress` is called
+    with the steps done and their number. The result's `model_error` says whether to use it. Raises
+    UndeterminedError, which names the missing image, if the images do not determine the lens.
     """
     ways = splits(len(views))
     steps = len(orders) + len(ways) + 1

@@ -47,9 +47,9 @@ def check_count(views: int, left_out: int) -> None:
 
 
 def check_focal_length(scene: BoardScene, sigma: Float64, corner_sigma_px: float) -> None:
-    """Raise UndeterminedError if the boards do not tell the focal length.
+    """Raise UndeterminedError if the boards do not determine the focal length.
 
-    `sigma` (m,) is 1 sigma of lens and warp, `corner_sigma_px` that of a corner.
+    `sigma` (m,) is of the scene's lens and warp, `corner_sigma_px` of a corner.
     """
     worst = float(np.max(sigma[:2] / scene.lens.values[:2]))
     if worst <= MAX_FOCAL_SIGMA:

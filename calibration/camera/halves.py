@@ -57,10 +57,10 @@ def splits(views: int) -> list[Bool]:
 
 
 def difference_of_halves(scene: BoardScene, seen: Sightings, first: Bool) -> Difference:
-    """Return how the lens of a half of the images (V,) differs from that of the others.
+    """Return how the lens of some images differs from that of the others, where boards were seen.
 
-    Both halves start at the scene of all images, and wrong corners are left out beforehand. It is told where
-    boards were seen.
+    Both halves start at `scene`, that of all images; `seen` has no wrong corners; `first` (V,) selects the
+    first half.
     """
     lenses, covariances = [], []
     for half in (first, ~first):

@@ -118,10 +118,11 @@ class Lens:
         return self.project_with_jacobian(points_camera)[0]
 
     def project_with_jacobian(self, points_camera: Float64) -> tuple[Float64, Float64, Float64]:
-        """Return where points (N, 3) of the camera frame, mm, are seen (N, 2), px, and derivatives of that.
+        """Project points (N, 3) of the camera frame, mm, with derivatives.
 
-        These are by a small motion of the points in the camera frame (N, 2, 6), a rotation vector about the
-        camera's centre, rad, then a translation, mm; and by the lens' free parameters (N, 2, n).
+        Returns the image points (N, 2), px, their derivatives (N, 2, 6) by a small motion of the points in
+        the camera frame (rotation vector about the camera's centre, rad, then translation, mm), and those (N,
+        2, n) by the lens' free parameters.
         """
         points = np.ascontiguousarray(points_camera, dtype=np.float64).reshape(-1, 1, 3)
         seen, derivatives = cv2.projectPoints(points, np.zeros(3), np.zeros(3), self.matrix, self.distortion)

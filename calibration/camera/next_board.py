@@ -48,9 +48,10 @@ def mean_sigma(known: Knowledge, scene: BoardScene, distance_mm: float) -> float
 def best_next_board(
     known: Knowledge, scene: BoardScene, seen: Sightings, sigma_px: float, distance_mm: float
 ) -> NextBoard | None:
-    """Return the pose among candidates that helps most at a distance; None if none can be seen.
+    """Return the candidate pose that lowers the projection's sigma most; None if none can be seen.
 
-    Of a chessboard all corners must be in view, of markers some. `sigma_px` is a new image's noise.
+    Of a chessboard all corners must be in view, of markers some. `sigma_px` is the new corners' noise,
+    `distance_mm` the distance at which the projection matters.
     """
     candidates = [
         candidate

@@ -142,11 +142,11 @@ def corner_sigmas_px(scene: BoardScene, seen: Sightings, spent: float = 0.0) -> 
 
 
 def moderated(variance: Float64, dof: Float64) -> tuple[Float64, float]:
-    """Return variances (V,) that lean on each other as much as their scatter warrants, and the prior's d0.
+    """Return variances (V,) shrunk towards each other as far as their scatter warrants, and the prior's d0.
 
-    Of estimates v with d degrees of freedom they are (d0 s0² + d v) / (d0 + d), with the prior's d0 and s0²
-    of the log variances' mean and variance. Where the estimates scatter no more than they must, d0 is as good
-    as infinite.
+    They are (d0 s0² + d v) / (d0 + d), where v has d degrees of freedom; d0 and s0² follow from mean and
+    variance of the log variances. d0 is as good as infinite where the estimates scatter no more than they
+    must.
     """
     if len(variance) < 2 or not (variance > 0.0).all():
         return variance, 0.0

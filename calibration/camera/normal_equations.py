@@ -41,10 +41,10 @@ class NormalEquations:
     def of(
         cls, slices: list[slice], per_shared: Float64, per_motion: Float64, residual: Float64
     ) -> NormalEquations:
-        """Sum over the corners of each image.
+        """Sum over the corners of each image, which `slices` selects.
 
-        `per_shared` (N, 2, m) and `per_motion` (N, 2, 6) are derivatives of the image points over sigma,
-        `residual` (N, 2) observed less predicted ones over sigma.
+        `per_shared` (N, 2, m) and `per_motion` (N, 2, 6) are derivatives of the image points, `residual` (N,
+        2) is observed less predicted, all over sigma.
         """
         m = per_shared.shape[2]
         rows = np.concatenate([per_shared, per_motion, residual[:, :, None]], axis=2)

@@ -65,9 +65,10 @@ def held_out_errors(
     tilted: bool,
     progress: Callable[[int], None] | None = None,
 ) -> list[Held]:
-    """Return how well each distortion of `orders` predicts, the leanest first.
+    """Return how well each distortion predicts boards that its fit did not see, the leanest first.
 
-    Each starts at the scene. The noise is the same for all, and wrong corners are left out beforehand.
+    All start at `scene` and share `noise`; `seen` has no wrong corners. `tilted` adds a tilt of the sensor;
+    `progress` is called with the number of distortions done.
     """
     held = []
     for n, name in enumerate(orders):

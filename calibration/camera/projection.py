@@ -60,9 +60,9 @@ class Knowledge:
         return scaled_inverse(self.information)
 
     def of_projection(self, lens: Lens, points_px: Float64, distance_mm: float) -> Float64:
-        """Return the covariance (N, 2, 2), px², of where points at a depth are seen (N, 2), px.
+        """Return the covariances (N, 2, 2) of the image points `points_px` (N, 2), px².
 
-        An infinite depth is that of directions alone.
+        `distance_mm` is along z of the camera; infinite for directions alone.
         """
         rays = lens.rays(points_px)
         is_far = not np.isfinite(distance_mm)

@@ -21,9 +21,9 @@ FOCALS_OVER_WIDTH = np.geomspace(0.4, 20.0, 24)
 
 
 def first_scene(width: int, height: int, seen: Sightings) -> BoardScene:
-    """Return a scene to start from: a lens without distortion, a flat board, and its poses.
+    """Return a start: a lens without distortion, a flat board, and its poses.
 
-    It is that of the focal length at which the median board fits best. Width and height are the images', px.
+    Its focal length is that at which the median board fits best.
     """
     lenses = [Lens.simple(width, height, focal) for focal in FOCALS_OVER_WIDTH * max(width, height)]
     exact = np.zeros((len(seen.board.points_mm), 2))

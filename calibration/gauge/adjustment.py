@@ -223,10 +223,10 @@ def fit(
     noise_mm: Float64,
     prior: Float64 | None = None,
 ) -> GaugeFit:
-    """Fit sheet and gauge for 1 sigma (2,), mm, of the robot's error in each direction, and of the form.
+    """Fit sheet and gauge for stated errors `noise_mm` (2,) of robot and form, 1 sigma.
 
-    The gauge's pose is known to lie near the start. `prior` (m,) is 1 sigma of the unknowns about it,
-    infinite where nothing is known.
+    The gauge's pose lies near `start`. `prior` (m,) is 1 sigma of the unknowns about the start; infinite
+    where nothing is known.
     """
     known = np.diag(_known(prior))
 

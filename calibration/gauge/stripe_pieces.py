@@ -68,9 +68,9 @@ def laser_light_alone(image_dn: Integers) -> LaserLight:
 
 
 def stripe_pieces(image_dn: Integers, lens: Lens, count: int) -> Pieces | str:
-    """Return the `count` straight pieces of the stripe in an image, or what is missing.
+    """Return the `count` straight pieces of the stripe in an image (H, W), or what is missing, in words.
 
-    The image (H, W) is of the laser alone, or with even light.
+    The image is of the laser alone or with even light.
     """
     path = likeliest_path(laser_light_alone(image_dn))
     if path is None or len(path.points_px) < count * MIN_LINES:

@@ -166,12 +166,14 @@ def calibrate_hand_eye(
     lens_covariance: Float64 | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> HandEyeCalibration:
-    """Find the camera's pose in the tool, or eye to hand, where the robot carries the board, in base.
+    """Calibrate the camera's pose in the tool, or eye to hand in base.
 
-    The lens of the scene is held, and its poses are those of `board_poses`; without the covariance of its
-    free parameters it counts as exact. `T_base_tool` (V, 4, 4), mm, are the robot's poses. UndeterminedError
-    names the motion that is missing, InconsistentError is raised where robot and boards contradict each
-    other.
+    `scene` has the lens, which is held, and the boards' poses from
+    `calibration.camera.known_lens.board_poses`; `T_base_tool` (V, 4, 4) are the robot's, mm. Eye to hand, the
+    camera stands still and the robot carries the board. Without `lens_covariance` (n, n) the lens counts as
+    exact. `progress` is called with the steps done and their number. Raises UndeterminedError, which names
+    the missing motion, if the poses do not determine the camera, InconsistentError if robot and boards
+    contradict each other.
     """
     tell = progress or (lambda done, total: None)
     check_count(len(T_base_tool), 0)

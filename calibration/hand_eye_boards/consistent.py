@@ -40,10 +40,10 @@ class PoseConsistency:
 
 
 def consistent(chain: Chain, boards: Boards, lens_root: Float64, off_px: Float64) -> PoseConsistency:
-    """Return the poses that agree, and what they make, from a chain to start from.
+    """Return the consistent poses, and their refinement.
 
-    `lens_root` (n, k) is a root of the lens' covariance; `off_px` (V,) is how far each board is off what the
-    start predicts. LinAlgError if those that agree do not determine camera and board.
+    `lens_root` (n, k) is a root of the lens' covariance, `off_px` (V,) each board's error against the start.
+    Raises numpy.linalg.LinAlgError if the consistent poses do not determine camera and board.
     """
     count = len(off_px)
     half = max(count // 2 + 1, MIN_POSES)

@@ -128,10 +128,11 @@ def pose_errors(
 
 
 def refined(chain: Chain, boards: Boards, lens_root: Float64, sigma: Float64 | None = None) -> Refinement:
-    """Return camera, board, warp, boards' poses and the robot's noise of the largest likelihood.
+    """Return camera, board, warp, boards' poses and the robot's noise of maximum likelihood.
 
-    `lens_root` is a root of the lens' covariance, (n, 0) for a lens that is exact. The search for the robot's
-    sigma, rad and mm, starts at `sigma` (2,). LinAlgError if the poses do not determine camera and board.
+    `boards` are from `with_warp`; `lens_root` (n, k) is a root of the lens' covariance, (n, 0) for an exact
+    lens. `sigma` (2,) starts the search for the robot's, rad and mm. Raises numpy.linalg.LinAlgError if the
+    poses do not determine camera and board.
     """
     for _ in range(MAX_ROUNDS):
         errors, equations, eta = pose_errors(chain, boards, lens_root)

@@ -40,10 +40,10 @@ SEED = 1
 def first_chain(
     T_base_tool: Float64, T_camera_board: Float64, board: Board, lens: Lens, *, is_eye_to_hand: bool
 ) -> tuple[Chain, Float64, Float64]:
-    """Return the chain that explains the median board best, the boards' poses, and how far each is off.
+    """Return the chain that explains the median board best, the boards' poses, and the errors of their ends.
 
-    The poses (V, 4, 4), mm, are turned to the end that fits: the ends of some boards cannot be told. A
-    board's ends are seen off where the chain puts them by `off_px` (V,), RMS.
+    `T_base_tool` and `T_camera_board` (V, 4, 4) are mm. The ends of some boards cannot be told apart: the
+    returned poses (V, 4, 4) are turned to the end that fits. The errors (V,) are px, RMS.
     """
     turns = symmetries(board)
     turned = T_camera_board[:, np.newaxis] @ turns

@@ -9,11 +9,12 @@ from noise_model.arrays import Float64
 
 
 def turn_mismatch_deg(T_holder_mount: Float64, T_camera_board: Float64) -> float:
-    """Return how far turns of robot and board between two images differ, deg, the median of all pairs.
+    """Return how far rotations of robot and board between two images differ, deg, the median of all pairs.
 
-    Their rotation vectors are the same but for one turn, that of the camera in its holder (Park and Martin,
+    Their rotation vectors differ by one rotation only, that of the camera in its holder (Park and Martin,
     Robot sensor calibration: solving AX = XB on the Euclidean group, 1994). It is fitted to all pairs, and
-    then to the half that agrees best: a pose of another image spoils some of them.
+    then to the half that agrees best: a pose of another image spoils some of them. `T_holder_mount` (V, 4, 4)
+    is as in `Chain`.
     """
     first, second = np.triu_indices(len(T_holder_mount), 1)
     robot, board = (

@@ -74,10 +74,10 @@ def beam_of(
     camera: Camera,
     laser: Laser,
 ) -> Beam:
-    """Find thickness, origin and angle of a sheet whose plane is known.
+    """Determine thickness, origin and angle of a sheet whose plane is known.
 
-    Pairs without a stripe's light across it are not used. The camera's pose in the tool and its blur count as
-    exact; depths are counted from the stated laser's origin.
+    `sections` has the stripe's light by pair; pairs without one are not used. The camera's pose in the tool
+    and its blur count as exact; depths are counted from the stated laser's origin.
     """
     T = camera.T_tool_camera
     plane, covariance = result.in_tool(T, laser.plane)

@@ -32,9 +32,9 @@ class Bow:
 
 
 def bow_of(points_mm: Sequence[Float64], off_mm: Sequence[Float64]) -> Bow:
-    """Return the bow that stripes share over the median one: the mean of a parabola fitted to each.
+    """Return the mean bow over the median stripe, from a parabola fitted to each stripe.
 
-    `points_mm` are each stripe's points (n, 3), `off_mm` how far they lie off the plane (n,).
+    Each stripe has points (n, 3), which lie `off_mm` (n,) off the plane.
     """
     curvatures, halves = [], []
     for points, off in zip(points_mm, off_mm, strict=True):

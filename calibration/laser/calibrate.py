@@ -112,10 +112,11 @@ def calibrate_laser(
     stripes: Mapping[str, BoardStripe],
     lens_covariance: Float64 | None = None,
 ) -> LaserCalibration:
-    """Find the laser sheet's plane in the camera frame from stripes on boards whose poses are known.
+    """Calibrate the laser sheet's plane in the camera frame from stripes on boards with known poses.
 
-    Views without a stripe by their name are not used. Without the covariance of its free parameters the lens
-    counts as exact. UndeterminedError names the pair that is missing.
+    `scene` is from `board_poses`; `stripes` is by view, and views without one are not used. Without
+    `lens_covariance` (n, n) the lens counts as exact. Raises UndeterminedError, which names the missing pair,
+    if the pairs do not determine the plane.
     """
     chosen = [n for n, name in enumerate(seen.names) if name in stripes]
     _check_count(len(chosen))

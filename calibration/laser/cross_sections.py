@@ -68,10 +68,10 @@ class CrossSections:
 def cross_sections(
     seen: LaserLight, off_dn: Integers | Float64, on_dn: Integers, stripe: BoardStripe, black_dn: float = 0.0
 ) -> CrossSections | None:
-    """Measure a stripe's light across it; None where too little of the board lies about the stripe.
+    """Measure a stripe's cross-sections; None where too little of the board lies about the stripe.
 
-    `off_dn`, `on_dn` (H, W) are the images without and with it: what is full in the latter tells no width.
-    `black_dn` is the code of no light.
+    `off_dn` and `on_dn` (H, W) are the images without and with the laser; saturated pixels of the latter
+    determine no width. `black_dn` is the code of no light.
     """
     room = np.maximum(off_dn.astype(np.float64) - black_dn, 0.0)
     top = float(np.quantile(room[seen.area], 0.95))

@@ -109,10 +109,10 @@ def _last_lit(amount: Float64, level: float) -> int:
 
 
 def fit_fan(sides: Sequence[Float64], quantized_mm: float) -> Fan | str:
-    """Fit the fan's sides to the ends on either (n, 2), along the axis and across it, mm.
+    """Fit the fan's sides to the ends (n, 2) on either side, along and across the axis, mm.
 
-    `quantized_mm` is the distance between scan lines on the boards. Where the ends do not determine the fan,
-    what is missing is returned.
+    `quantized_mm` is the distance between scan lines on the boards. Returns what is missing, in words, where
+    the ends do not determine it.
     """
     off = [_off_most(side, quantized_mm) for side in sides]
     together = np.concatenate(off)

@@ -50,10 +50,10 @@ class LaserLineFit:
 
 
 def fit_line(rays: Float64, along_rows: bool) -> LaserLineFit:
-    """Return the line of the largest Student's likelihood, with the covariance that the residuals show.
+    """Fit a line to a stripe's rays (n, 3), z = 1, in the order of its scan lines.
 
-    `rays` (n, 3) are those of a stripe's points in the order of its scan lines, z = 1. A stripe along rows
-    errs along y.
+    It is the maximum of Student's likelihood, with the covariance that the residuals show. With `along_rows`
+    the points err along y.
     """
     t, y = (rays[:, 0], rays[:, 1]) if along_rows else (rays[:, 1], rays[:, 0])
     slope = _slope_of_most(t, y)

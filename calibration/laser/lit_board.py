@@ -112,9 +112,10 @@ class LitBoard:
 def lit_board(
     image_dn: Integers, board: Board, lens: Lens, T_camera_board: Float64, blur_px: float
 ) -> LitBoard:
-    """Take a board's own picture off an image (H, W) of both; noise is more along the squares' edges.
+    """Subtract the rendered board from an image (H, W) of board and stripe.
 
-    `blur_px` is the point-spread function's sigma.
+    `T_camera_board` (4, 4) is mm, `blur_px` the point-spread function's sigma. The noise of the residual is
+    larger along the squares' edges.
     """
     # Boards of an even number of rows begin with another colour since OpenCV 4.6.
     ways = (False, True) if board.kind is BoardKind.CHARUCO else (False,)

@@ -85,9 +85,9 @@ class Width:
 def width_of_pair(width_px: Float64, per_px_mm: Float64, blur_px: float) -> tuple[float, float] | None:
     """Return 1 sigma of half the sheet's thickness on a board, mm, and 1 sigma of that.
 
-    `width_px` (n,) is the stripe's sigma in each scan line, NaN where it is not told; `per_px_mm` (n,) by how
-    much the place on the board leaves the sheet per pixel; `blur_px` the point-spread function's sigma. None
-    where too few lines tell it, or where the blur makes the stripe.
+    `width_px` (n,) is the stripe's sigma in each scan line, NaN where unknown, `per_px_mm` (n,) the distance
+    from the sheet per pixel on the board, `blur_px` the point-spread function's sigma. None where too few
+    lines determine it, or where the blur makes the stripe.
     """
     known = np.isfinite(width_px)
     if known.sum() < MIN_LINES:
@@ -106,9 +106,10 @@ def width_of_pair(width_px: Float64, per_px_mm: Float64, blur_px: float) -> tupl
 
 
 def fit_width(pairs: Mapping[float, tuple[float, float]], height_mm: float) -> Width | None:
-    """Return the thickness' law over depth, from sigma and its 1 sigma, mm, by depth below the origin, mm.
+    """Return the law of the thickness over depth, None without a pair.
 
-    The origin stands `height_mm` above the tool's. None without a pair.
+    `pairs` maps the depth below the origin, mm, to sigma and its 1 sigma, mm; the origin is `height_mm` above
+    the tool's.
     """
     if not pairs:
         return None

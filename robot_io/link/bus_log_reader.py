@@ -42,9 +42,11 @@ class BusLogReader:
 
     Live, replayed and simulated frames are accepted; `Received.source` tells them apart. A log that is cut
     off is read up to the cut, and unreadable lines are left out.
+
     Every pass reads the file again, with fresh counters. Times are those that were logged: wall-clock
     seconds, or recording seconds where the log's start is not a wall-clock time. An `.asc` file states its
     start in local time: read it in the time zone in which it was written, or use `.blf`.
+
     The suffix of `path` says the format. `channel` is as the log names it: `can0` in a `.log`, 1 in an `.asc`
     or `.blf`; by default all are read, unless two carry the same messages of a robot. `skipped` counts frames
     left out by reason; `damage` describes what cannot be read.

@@ -21,12 +21,9 @@ MAY_BE_ZERO = ("time_jitter_s", "weave_along_mm", "settle_s")
 
 @dataclass(frozen=True)
 class PlausibilityLimits:
-    """What poses must keep to. Each field's metadata states `unit`, `role` and `source`.
+    """Limits that poses must keep to; each field's metadata states `unit`, `role` and `source`.
 
-    Raises
-    ------
-    ValueError
-        For a limit that is not positive and finite.
+    Raises ValueError for a limit that is not positive and finite.
     """
 
     speed_mm_s: float = stated(

@@ -11,6 +11,7 @@ class Policy:
 
     The number of verdicts that flip where a constant is 20 % smaller or larger is measured on opened blind
     checks: docs/research/blind_check.md, `benchmarks/policy_sensitivity.py`.
+
     - `negligible`: 1 sigma of every effect's error in a recording without a gap, in sigmas of its prior.
       Chosen, with the next three, so that quiet recordings of an independent renderer have no gap.
     - `negligible_rms`: largest RMS of that over all bins, in sigmas of the bins' noise.

@@ -68,7 +68,10 @@ class Calibrations:
 
 
 def calibrate_folder(raw: CalibrationSources, stated: SetupFile, steps: Steps, warn: Warn) -> Calibrations:
-    """Calibrate what a folder holds files for, beginning with the stated setup."""
+    """Run every calibration that a folder holds files for, starting from the stated setup.
+
+    `steps` begins a step of the progress; `warn` is told at once what is left out.
+    """
     result = Calibrations(stated)
     if raw.sensor is not None:
         sensor = raw.sensor

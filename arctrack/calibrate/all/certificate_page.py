@@ -37,10 +37,10 @@ SOURCES = {
 def certificate_page(
     certificate: Certificate | None, unmeasured: Mapping[str, str], refused: Mapping[str, str]
 ) -> CalibrationPage:
-    """Return the certificate's page; without a certificate the laser sheet was not measured.
+    """Return the certificate's page.
 
-    `unmeasured` is what the certificate takes as stated, and what stands for it; `refused` are calibrations,
-    and why.
+    The certificate is None where the laser sheet was not measured. `unmeasured` says what it takes as stated,
+    `refused` why calibrations were refused.
     """
     notes = [f"{what}: {text}" for what, text in unmeasured.items()]
     notes += [f"{name} is refused: {why}" for name, why in refused.items()]

@@ -31,10 +31,10 @@ MADE_BY = "arctrack calibrate all"
 def certificate_of(
     stages: Mapping[str, CalibrationStage[Any]], stated: SetupFile
 ) -> tuple[Certificate | None, dict[str, str]]:
-    """Return the certificate, None without a measured sheet, and what it takes as stated.
+    """Return the seam's covariance over the image, None without a measured sheet, and what it takes as
+    stated.
 
-    The setup has the values of the calibrations that were done. For each part that was not measured it is
-    told what stands for it.
+    `stages` are the completed calibrations, `stated` is the setup with their values.
     """
     if "laser" not in stages:
         return None, {}
@@ -67,12 +67,13 @@ def certificate_of(
 
 
 def certificate_record(certificate: Certificate, stated: SetupFile) -> CalibrationValues:
-    """Return the tolerance of the camera's pose with which no track is surer than the certificate.
+    """Return the tolerance of the camera's pose that makes a track's sigma no smaller than the certificate's.
 
-    A track's sigma knows of the setup's errors by `hand_eye_deg` and `hand_eye_mm` alone: turns and moves of
-    the camera before a sheet that stands still. Of all pairs that leave no variance below the certificate's,
-    at any of its points, lateral or vertical, that with the least sum over them is taken: a linear programme
-    in the two squares. The record's covariance is that of the seam nearest to the tool's axis.
+    A track's sigma has the setup's errors by `hand_eye_deg` and `hand_eye_mm` alone: rotations and
+    translations of the camera relative to a fixed sheet. Of all pairs that leave no variance below the
+    certificate's, at any of its points, lateral or vertical, the one with the least sum over them is taken: a
+    linear programme in the two squares. The covariance returned is that of the seam, lateral and vertical,
+    nearest to the tool's axis.
     """
     setup, plane = stated.setup, tuple(stated.setup.laser.plane.tolist())
     wanted = np.square(certificate.sigma_mm[:, 1:]).ravel()

@@ -135,10 +135,10 @@ class CalibrationSources:
 
 
 def read_raw_files(folder: Path) -> CalibrationSources:
-    """Return the places of a folder's files for each calibration; these say whether they hold anything.
+    """Return the places of a folder's files for each calibration; whether they hold anything is not checked.
 
     A subfolder named after a calibration holds its files: `sensor`, `camera`, `hand_eye`, `laser`, `delay`,
-    `arc`. calibration.toml says what else is to know, and may name other places. ArctrackError for a folder
+    `arc`. calibration.toml has the other inputs, and may name other places. Raises ArctrackError for a folder
     that holds none, and for a key that is wrong or missing.
     """
     if not folder.is_dir():

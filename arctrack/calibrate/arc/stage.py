@@ -30,11 +30,11 @@ MAX_SLOPE, MAX_BEND_MM = 0.03, 0.3
 
 
 def arc_stage(read: Recording, steps: Steps) -> tuple[CalibrationStage[ArcCalibration], list[BadFrame]]:
-    """Calibrate arc and metal from frames with the arc on and the laser off; return unreadable ones too.
+    """Calibrate arc and metal from the frames with the arc on and the laser off.
 
-    Frames with the laser on, where the recording has some, say where the part lies. The stage is refused
-    where nothing is told. ArctrackError where no frame has the arc on and the laser off, and where the
-    stripes deny the setup.
+    Frames with the laser on, where there are some, locate the part. Returns the calibration, refused where
+    nothing is determined, and the unreadable frames. Raises ArctrackError where no frame has the arc on and
+    the laser off, and where the stripes contradict the setup.
     """
     rows = [n for n, row in enumerate(read.rows) if row.arc_on and not row.laser_on and row.current_a != 0.0]
     frames, bad_frames = parted(read.frames(rows))

@@ -14,7 +14,7 @@ MADE_BY = "arctrack calibrate camera"
 
 
 def calibrated_camera(result: CameraCalibration) -> CalibrationValues:
-    """Return image size, focal lengths, principal point and distortion for `[camera]`."""
+    """Return the calibrated values of `[camera]`, with their covariance."""
     lens = result.scene.lens
     n = len(lens.names)
     used = max((OPENCV.index(name) + 1 for name in lens.names[4:]), default=0)

@@ -11,10 +11,10 @@ from calibration.pose_delay import PoseDelay, PoseTrack, estimate_pose_delay
 
 
 def delay_stage(read: Recording, steps: Steps) -> tuple[CalibrationStage[PoseDelay], list[BadFrame]]:
-    """Find the delay between poses and frames of a recording whose tool weaves or rises.
+    """Calibrate the delay between poses and frames, from a recording whose tool weaves or rises.
 
-    The stage is refused where the motion does not tell the delay. Frames that cannot be read are returned
-    too. ArctrackError where too few frames show the seam.
+    Returns the calibration, refused where the motion does not determine the delay, and the unreadable frames.
+    Raises ArctrackError where too few frames show the seam.
     """
     frames, bad_frames = read.readable_frames()
     track = PoseTrack.through(read.poses.timestamps_s, read.poses.T_base_tool)

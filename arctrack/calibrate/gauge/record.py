@@ -15,7 +15,10 @@ MADE_BY = "arctrack calibrate gauge"
 
 
 def gauge_record(result: GaugeCalibration, setup: Setup) -> CalibrationValues:
-    """Return the plane for `[laser]`, with its covariance, and its point nearest to the origin stated."""
+    """Return the plane as values of `[laser]`, with its covariance.
+
+    The stated origin is projected onto the plane.
+    """
     plane = result.plane
     origin = foot_on(plane, setup.laser.origin_mm)
     robot_mm, form_mm = result.fitted.noise_mm.tolist()

@@ -53,11 +53,11 @@ def assumption(result: HandEyeCalibration) -> str:
 def other_meanings(
     posed: PosedBoards, source: PoseSource, reread: Reread, *, is_eye_to_hand: bool
 ) -> list[str]:
-    """Return all readings of the poses that fit boards which they contradict as they were stated.
+    """Return all other readings of the poses that fit the boards.
 
     Tried are controllers' conventions and sequences of axes, rotations transposed, left-handed axes, and
-    positions in another unit; each with the camera carried, and with it standing still. `source` says how the
-    poses were said to be written, and `reread` reads them otherwise.
+    positions in another unit; each with the camera carried, and with it standing still. `reread` parses the
+    poses of `source` in another convention.
     """
     readings: list[str] = []
     known = [(False, posed.poses.T_base_tool[posed.rows])]

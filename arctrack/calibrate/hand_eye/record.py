@@ -17,10 +17,10 @@ IN_TOOL, IN_BASE = "hand_eye", "camera_in_base"
 
 
 def hand_eye_record(result: HandEyeCalibration) -> CalibrationValues:
-    """Return translation and quaternion for `[camera.pose_in_tool]`, with their covariance.
+    """Return the pose as values of `[camera.pose_in_tool]`, with its covariance.
 
-    This is that of a small motion of the camera in its own frame, deg and mm. A camera that stands still has
-    no pose in the tool: its pose in base is kept beside its covariance.
+    The covariance is that of a small motion of the camera in its own frame, deg and mm. A camera that stands
+    still has no pose in the tool: its pose in base is kept next to its covariance.
     """
     pose = pose_values(result.T_holder_camera)
     lens = result.refined.boards.scene.lens

@@ -21,9 +21,10 @@ FAN = (*ORIGIN, "fan_half_angle_deg")
 
 
 def laser_record(result: LaserCalibration, beam: Beam, setup: Setup) -> CalibrationValues:
-    """Return the sheet for `[laser]`: plane, origin, and angle and thickness that are known.
+    """Return the sheet as values of `[laser]`, with their covariance.
 
-    The origin stated is moved into the plane. The setup's camera pose takes the plane to the tool frame.
+    The setup's camera pose takes the plane to the tool frame; the stated origin is projected onto it. Angle
+    and thickness are added where they are known.
     """
     plane, covariance = result.in_tool(setup.camera.T_tool_camera, setup.laser.plane)
     values = sheet_values(plane, beam.origin_mm)
@@ -62,10 +63,10 @@ def sheet_values(plane: Float64, origin_mm: Float64) -> dict[str, Value]:
 
 
 def moved_with_camera(stated: SetupFile, T_tool_camera: Float64) -> CalibrationValues | None:
-    """Return a calibrated sheet in the tool where the camera's pose in it becomes another one (4, 4), mm.
+    """Return a calibrated sheet in the tool where the camera's pose in it becomes `T_tool_camera` (4, 4), mm.
 
-    The sheet is measured in the camera's frame: camera and laser are one body. None for a setup whose sheet
-    was never calibrated.
+    The sheet is measured in the camera's frame: camera and laser are one body. `stated` has the pose that the
+    sheet was taken to the tool with. None for a setup whose sheet was never calibrated.
     """
     record = stated.calibrations.get("laser")
     if record is None or tuple(record.parameters[:4]) != PARAMETERS:

@@ -19,7 +19,7 @@ class BlackBoxAsker:
         self._told: list[str] = []
 
     def save(self, reason: str) -> None:
-        """Ask that the latest frames be saved, unless that is under way."""
+        """Request that the latest frames be saved, unless that is under way."""
         self._hear(0.0)
         if not self._is_asked:
             with suppress(OSError):

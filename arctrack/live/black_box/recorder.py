@@ -41,7 +41,7 @@ END = "end"
 
 @dataclass(frozen=True)
 class RecorderOptions:
-    """What a black box records, and where to.
+    """Options of a black box.
 
     `folder` takes the recordings, which reach back `kept_s`; their video plays at `rate_hz`. `jobs` has the
     setups by job number. With `saves_faults` a fault saves a recording too, not a request alone.
@@ -94,11 +94,11 @@ def folder_problem(folder: Path, needed_bytes: int) -> str:
 
 
 def run_recorder(options: RecorderOptions, told: Connection, *asked: PipeEnd) -> None:
-    """Keep a run's black box until its other end says so, or is gone.
+    """Keep a run's black box until the other end of `told` ends it, or is gone.
 
-    Over `told` it says that it is ready, then what keeps it from saving, and "" once nothing does. Each
-    connection of `asked` may send {"save": reason}; that is answered by {"saved": path} or {"error": text}.
-    Where the run's process ends without a word, its last frames are saved.
+    `told` is sent that it is ready, then what keeps it from saving, and "" once nothing does. Each connection
+    of `asked` may send {"save": reason}, and is answered {"saved": path} or {"error": text}. Where the run's
+    process ends without a message, its last frames are saved.
     """
     reader = JournalReader(options.run)
     told.send([])
@@ -141,7 +141,7 @@ class _Recorder:
         self._tried_s, self._problem = float("-inf"), ""
 
     def try_folder(self) -> None:
-        """Say whether a black box could be written now, where it is time to try."""
+        """Report whether a black box could be written now, where it is time to try."""
         now_s = time.monotonic()
         if now_s - self._tried_s >= TRY_S:
             self._tried_s = now_s
@@ -182,7 +182,7 @@ class _Recorder:
         self.finish()
 
     def save(self, reason: str) -> dict[str, str]:
-        """Save the window, and return what the one who asked is told."""
+        """Save the window, and return the answer to the request."""
         options = self._options
         name = "".join(letter if letter.isalnum() else "_" for letter in reason)[:60]
         path = options.folder / f"{time.strftime('%Y-%m-%dT%H-%M-%S')}_{name}"
@@ -194,7 +194,7 @@ class _Recorder:
         return {"saved": str(path)}
 
     def _tell(self, problem: str) -> None:
-        """Say what keeps a black box from being written; on stderr where the run has ended."""
+        """Report what keeps a black box from being written; on stderr where the run has ended."""
         if problem == self._problem:
             return
         self._problem = problem

@@ -1,4 +1,4 @@
-"""What the tracker asks of a camera, whatever kind it is."""
+"""Interface of every kind of camera."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class UnreadableFrame:
 
 @dataclass(frozen=True)
 class CameraTraits:
-    """What a camera knows of the light, and controls.
+    """Knowledge that a camera has of the light, and its control of it.
 
     With `knows_arc` its frames carry arc state and current; otherwise the robot reports them. With
     `interleaves` it takes laser-off frames, of the arc's light alone, in between.
@@ -46,15 +46,15 @@ class CameraProtocol(Protocol):
 
     @property
     def traits(self) -> CameraTraits:
-        """What it knows of the light, and has a hold on."""
+        """Knowledge of the light, and control of it."""
 
     @property
     def dropped(self) -> int:
-        """How many frames were taken since `begin` and never handed out."""
+        """Number of frames taken since `begin` and never handed out."""
 
     @property
     def is_over(self) -> bool:
-        """Whether no frame will come any more. A live camera may always begin again."""
+        """True if no frame will come any more. A live camera may always begin again."""
 
     def begin(self) -> None:
         """Let frames count from now on."""
@@ -69,7 +69,7 @@ class CameraProtocol(Protocol):
         """Switch the laser, and return what it does; UNKNOWN where the camera has no hold on it."""
 
     def want_exposure(self, exposure_s: float) -> None:
-        """Ask for an exposure, s; each frame says which one it had."""
+        """Request an exposure, s; each frame states the one it had."""
 
     def tell_pulse(self, pulse: RobotPulse, came_at_s: float) -> None:
         """Take the arc's pulse as the robot said it at a time, s: frames are best in its base phase."""

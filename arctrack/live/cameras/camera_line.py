@@ -1,8 +1,8 @@
-"""What a tracker wants of a camera, from one process to another through memory that they share.
+"""Control line of a camera: what a tracker wants of it, in memory shared by two processes.
 
-The line holds how long the laser is on, the exposure that is wanted, and when the arc is at its base current.
-Laser and pulse hold until a time. Who drives the line says so again and again: a driver that dies, or stops,
-lets the time run out, and the laser goes off by itself.
+The line holds how long the laser is on, the requested exposure, and when the arc is at its base current.
+Laser and pulse hold until a time, which the driver of the line must renew: if it dies or stops, the time runs
+out, and the laser goes off by itself.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _BYTES = _WANTED.size + _CHECKSUM.size
 
 @dataclass(frozen=True)
 class CaptureRequest:
-    """What a tracker asks of a camera; times are on the host's monotonic clock.
+    """Request of a tracker to a camera; times are on the host's monotonic clock.
 
     The laser is on until `laser_until_s`. NaN as `exposure_s` leaves the camera its own. `base_begin_s` is
     the begin of a base phase of the pulsed arc (NaN where no pulse is known); a base phase lasts `base_s` of
@@ -79,11 +79,11 @@ class CameraLine:
         self._write(replace(self._wanted, laser_until_s=time.monotonic() + HOLD_S if is_on else 0.0))
 
     def want_exposure(self, exposure_s: float) -> None:
-        """Ask for an exposure, s, from the next frame on."""
+        """Request an exposure, s, from the next frame on."""
         self._write(replace(self._wanted, exposure_s=exposure_s))
 
     def tell_pulse(self, pulse: RobotPulse, came_at_s: float) -> None:
-        """Tell the arc's pulse as the robot said it at a monotonic time, s; none where it says unknown."""
+        """Set the arc's pulse as received from the robot at a monotonic time, s; none where it is unknown."""
         if not pulse.period_us or not pulse.base_us or not math.isfinite(pulse.begin_age_ms):
             self._write(replace(self._wanted, pulse_until_s=0.0))
             return

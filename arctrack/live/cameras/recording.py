@@ -31,12 +31,12 @@ class RecordingCamera:
 
     @property
     def dropped(self) -> int:
-        """How many frames came due while nobody asked, before a newer one."""
+        """Number of frames that became due and were replaced by a newer one before a request."""
         return self._dropped
 
     @property
     def is_over(self) -> bool:
-        """Whether the last frame was handed out."""
+        """True once the last frame was handed out."""
         return self._next is None
 
     def begin(self) -> None:

@@ -115,12 +115,12 @@ class SharedFramesReader(Closing):
 
     @property
     def is_writer_alive(self) -> bool:
-        """Whether a process still publishes: what it leaves is the last that it wrote."""
+        """True while a process publishes: what it leaves is the last that it wrote."""
         return self._ring.is_writer_alive
 
     @property
     def is_newest_read(self) -> bool:
-        """Whether no frame was published since the last look."""
+        """True if no frame was published since the last read."""
         return self._ring.count == self._seen
 
     def newest(self) -> Frame | None:

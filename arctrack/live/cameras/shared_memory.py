@@ -35,7 +35,7 @@ class SharedMemoryCamera:
 
     @property
     def dropped(self) -> int:
-        """How many frames were taken since `begin` and not handed out."""
+        """Number of frames taken since `begin` and not handed out."""
         return self._dropped_before + (0 if self._reader is None else self._reader.missed)
 
     @property
@@ -45,7 +45,7 @@ class SharedMemoryCamera:
 
     @property
     def is_newest_read(self) -> bool:
-        """Whether no frame waits."""
+        """True if no frame waits."""
         return self._reader is None or self._reader.is_newest_read
 
     def begin(self) -> None:
@@ -76,11 +76,11 @@ class SharedMemoryCamera:
         return LaserState.ON if is_on else LaserState.OFF
 
     def want_exposure(self, exposure_s: float) -> None:
-        """Ask who takes the frames for an exposure, s."""
+        """Request an exposure, s, from the publisher."""
         self._line.want_exposure(exposure_s)
 
     def tell_pulse(self, pulse: RobotPulse, came_at_s: float) -> None:
-        """Tell who takes the frames of the arc's pulse, said at a time, s; it holds for some cycles."""
+        """Send the publisher the arc's pulse, received at a time, s; it holds for some cycles."""
         self._line.tell_pulse(pulse, came_at_s)
 
     def close(self) -> None:

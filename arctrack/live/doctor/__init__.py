@@ -1,1 +1,1 @@
-"""Whether a machine can run a cell live, and how late its offsets would go out."""
+"""Checks of whether a machine can run a cell live, and of the latency of its offsets."""

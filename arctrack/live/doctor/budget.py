@@ -1,4 +1,4 @@
-"""How late an offset goes out, and what a line carries: worked out from a cell file and what was measured."""
+"""Latency of an offset, and load of a camera's line, from a cell file and measurements."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def image_bytes(setup: Setup) -> int:
 
 
 def transfer_s(n_bytes: int) -> float:
-    """Return how long gigabit Ethernet takes for so many bytes of an image, s."""
+    """Return the time that gigabit Ethernet takes for `n_bytes` of an image, s."""
     return n_bytes / POLICY.ethernet_payload_bytes_s
 
 
@@ -147,7 +147,7 @@ def budget_finding(budget: Budget) -> DoctorFinding:
 
 
 def bandwidth_finding(setup: Setup, rate_hz: float, is_ethernet: bool) -> DoctorFinding:
-    """Say what part of a gigabit line a camera's images take; too much is no use where it hangs on one."""
+    """Find the share of a gigabit line that a camera's images take; too much fails on Ethernet."""
     camera, bits = setup.camera, 8 * pixel_bytes(setup)
     sent_s, rows = transfer_s(image_bytes(setup)), max_rows(camera.width, pixel_bytes(setup), rate_hz)
     return judged(
@@ -161,7 +161,7 @@ def bandwidth_finding(setup: Setup, rate_hz: float, is_ethernet: bool) -> Doctor
 
 
 def step_findings(number: int, steps: StepTimes, rate_hz: float) -> tuple[DoctorFinding, ...]:
-    """Say whether a job's steps keep up with the camera, and whether its own frames are tracked."""
+    """Find whether a job's steps keep up with the camera, and whether its own frames are tracked."""
     return (
         judged(
             f"job {number}",

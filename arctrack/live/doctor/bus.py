@@ -1,4 +1,4 @@
-"""The bus: whether it opens, how it stands, and whether a robot is heard."""
+"""Checks of the bus: whether it opens, its state, and whether a robot sends."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def bus_findings(cell: CellFile, **bus_options: Any) -> Iterator[DoctorFinding]:
 
 
 def _robot_finding(link: Link) -> DoctorFinding:
-    """Return whether a robot is heard, and what of it was not accepted."""
+    """Find whether a robot sends, and which of its messages were not accepted."""
     heard: Counter[str] = Counter()
     ends_s = time.monotonic() + POLICY.listen_s
     while time.monotonic() < ends_s:

@@ -74,7 +74,7 @@ def camera_findings(cell: CellFile) -> Iterator[DoctorFinding | CameraReading]:
 
 
 def frames_findings(watched: CameraReading, rate_hz: float) -> Iterator[DoctorFinding]:
-    """Yield what is to be said of the frames that came, where so many a second are stated."""
+    """Yield the findings about frames that came, against the stated frame rate."""
     if watched.frames == 0:
         cure = "start the camera; is it waiting for a trigger?"
         yield DoctorFinding("frames", FindingState.FAILED, f"none came in {POLICY.listen_s:g} s", cure)

@@ -27,7 +27,7 @@ READS = 2000
 
 
 def clock_source_finding(source: str | None) -> DoctorFinding:
-    """Return what is to be said of a kernel's clock source, None where it is not told."""
+    """Return the finding about a kernel's clock source, None where it is unknown."""
     if source is None:
         return DoctorFinding("clock source", FindingState.OK, "not told by this kernel")
     return judged(
@@ -81,7 +81,7 @@ def scheduled_as(choice: ProcessChoice) -> Iterator[None]:
 
 
 def wake_ups(choice: ProcessChoice, count: int = POLICY.wake_ups) -> Quantiles:
-    """Measure how much later than asked sleeps of `wake_up_s` end, scheduled as a run would be."""
+    """Measure the lateness of sleeps of `wake_up_s`, scheduled as a run would be."""
     late = LatencyCounts()
     with scheduled_as(choice):
         for _ in range(count):

@@ -1,4 +1,4 @@
-"""What a check of the machine came to."""
+"""Result of a check of the machine."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import Enum
 
 
 class FindingState(Enum):
-    """How a check ended; a live run cannot do with what failed."""
+    """State of a finding; a live run is impossible with one that failed."""
 
     OK = "ok"
     WARNING = "warning"

@@ -1,4 +1,4 @@
-"""How long the tracker takes for a frame here, on frames drawn of the setup itself."""
+"""Step times of the tracker on this machine, on frames rendered from the setup itself."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a live run hands to other processes through memory that they share: its frames, tracks and state."""
+"""Data of a live run for other processes in shared memory: its frames, tracks and state."""

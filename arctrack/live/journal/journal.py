@@ -1,8 +1,8 @@
-"""A live run's journal: what it saw and did, for the processes beside it.
+"""Journal of a live run: what it saw and did, for its subprocesses.
 
-Three rings in shared memory: entries (a frame, what its step took, what came of it) for the black box, which
-reach some time back; the newest view, for the page; the newest status. The loop writes after an offset went
-out, and waits for nobody.
+Three rings in shared memory: entries (a frame, its step's inputs, its track) for the black box, which reach
+some time back; the newest view, for the page; the newest status. The loop writes after an offset was sent,
+and never blocks.
 """
 
 from __future__ import annotations
@@ -150,12 +150,12 @@ class JournalReader:
 
     @property
     def count(self) -> int:
-        """How many entries were written so far."""
+        """Number of entries written so far."""
         return self._entries.count
 
     @property
     def is_writer_alive(self) -> bool:
-        """Whether the run's process lives: what it leaves behind can still be read."""
+        """True while the run's process lives; what it leaves behind can still be read."""
         return self._entries.is_writer_alive
 
     @property

@@ -1,7 +1,7 @@
 """Records as bytes and back, by MessagePack.
 
-Bytes become nothing but the classes that a journal's records are made of: whoever wrote them, reading them
-runs no code of theirs.
+Bytes are decoded only to the classes that a journal's records are made of, so reading them runs no code of
+whoever wrote them.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Packer:
                 self._add(hints[name])
 
     def _encoded(self, value: Any) -> Any:
-        """Return what stands for a value that MessagePack does not know: a map from its mark to its parts."""
+        """Return the substitute of a value that MessagePack lacks: a map from its mark to its parts."""
         kind = type(value)
         if kind is tuple:
             return list(value)

@@ -1,7 +1,7 @@
 """Files in memory that the processes of one user share, and nobody else reaches.
 
-They lie in a folder of the user's own. It is used only if it is this user's and nobody else may enter: a name
-that others can guess is not theirs to take. The same is asked of each file.
+They lie in a folder of the user's own, which is used only if it is this user's and nobody else may enter:
+others can guess a name, and so must not own it. The same holds for each file.
 """
 
 from __future__ import annotations

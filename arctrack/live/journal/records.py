@@ -1,4 +1,4 @@
-"""What a live run hands on: an entry for each frame, a view of the newest one, and the state of it all."""
+"""Records of a live run: an entry for each frame, a view of the newest one, and the run's status."""
 
 from __future__ import annotations
 
@@ -106,6 +106,7 @@ class Status:
     the first). `fault` holds until RESET. `offset` is the newest one sent and `reason` why it was not sent as
     measured (NONE if it was); `robot` and `command` are the latest received. `offsets` counts sent offsets by
     validity, `reasons` why they differ from the measured ones, `faults` the bus faults.
+
     `capture_*` times run from mid-exposure, `arrival_*` times from the frame's arrival, until the offset was
     sent. `*_ms` are median, 99 % and maximum; `*_counts` are cumulative by `BUCKETS_S`, with the total last.
     `processor_wait` is the share of the time in which the loop wants a processor that it waits for one; NaN
@@ -142,7 +143,7 @@ class Status:
 
 @dataclass(frozen=True)
 class GapReport:
-    """Whether the setup explains the latest frames, and what the arc looks like in them.
+    """Verdict on whether the setup explains the latest frames, and the arc's state in them.
 
     `time_s` is the time of the newest frame used. `is_gap` says that the arc map no longer explains the
     frames, since `since_wall_s` (time of day, NaN without a gap); `text` says what that looks like.

@@ -148,13 +148,13 @@ class RingReader(Closing):
 
     @property
     def count(self) -> int:
-        """How many records were written so far."""
+        """Number of records written so far."""
         (count,) = struct.unpack_from("<Q", self._memory, COUNT_AT)
         return int(count)
 
     @property
     def is_writer_alive(self) -> bool:
-        """Whether a process still writes: what it leaves is the last that it wrote."""
+        """True while a process writes: what it leaves is the last that it wrote."""
         return _is_locked(self._file)
 
     def read(self, position: int) -> UInt8 | None:
@@ -195,7 +195,7 @@ def remove_dead_rings() -> None:
 
 
 def remove_if_dead(path: Path) -> None:
-    """Remove the file of a writer that is dead; a reader may ask just now whether it is."""
+    """Remove the file of a dead writer; a reader may be testing just now whether it is."""
     for _ in range(LOOKS):
         try:
             file = open_private(path, os.O_RDWR)

@@ -1,7 +1,7 @@
-"""Who may look at a monitor page: known hosts, the page's own origin, and a token where there is one.
+"""Access control of a monitor page: known hosts, the page's own origin, and a token where there is one.
 
 A browser on this machine also shows pages of others. They must not read the run: by a name of theirs that
-leads to this machine (DNS rebinding), by a WebSocket, or by a form that is sent here.
+resolves to this machine (DNS rebinding), by a WebSocket, or by a form that is sent here.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Access:
         return await handler(request)
 
     def knows_host(self, host: str) -> bool:
-        """Say whether a request's host is this machine: an address, which no foreign name is, or its name."""
+        """Return whether a request's host is this machine: an address, or the machine's name."""
         name = (urlsplit(f"//{host}").hostname or "").lower()
         try:
             ip_address(name)
@@ -82,7 +82,7 @@ class Access:
 
 
 def is_same_origin(origin: str, host: str) -> bool:
-    """Say whether a request's origin is a page of the host that it asks."""
+    """Return whether a request's origin is a page of the requested host."""
     parts = urlsplit(origin)
     return parts.scheme in ("http", "https") and parts.netloc == host
 

@@ -1,4 +1,4 @@
-"""The connections of a monitor page: who asks nothing is let go, and an error is one line of the log."""
+"""Connections of a monitor page: idle ones are closed, and an error is one line of the log."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class Connections:
-    """Closes connections on which nothing is asked, and turns errors of the program into answers."""
+    """Middleware that closes idle connections, and turns errors of the program into answers."""
 
     def __init__(self) -> None:
         self._idle_since_s: dict[web.RequestHandler, float] = {}

@@ -1,4 +1,4 @@
-"""Reads a run's journal and makes each message once, for all browsers."""
+"""Feed of a run's journal to all browsers; each message is made once."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ POINTS_PER_TICK = 2
 
 
 class Feed:
-    """What the page's process knows of a run, and the browsers that are told.
+    """State of a run as the page's process knows it, and the browsers that it is sent to.
 
     `status` and `gap` are the newest, `arc` is that of the newest view; None before the first.
     """
@@ -51,32 +51,32 @@ class Feed:
 
     @property
     def browsers(self) -> int:
-        """How many browsers look."""
+        """Number of connected browsers."""
         return len(self._outboxes)
 
     @property
     def status_age_s(self) -> float:
-        """How long ago the run last said how it stands, s; infinite before."""
+        """Age of the run's newest status, s; infinite before the first."""
         return time.monotonic() - self._changed_s
 
     @property
     def is_alive(self) -> bool:
-        """Whether the run's process lives."""
+        """True while the run's process lives."""
         return self._reader.is_writer_alive
 
     @property
     def rate_hz(self) -> float:
-        """How many frames a second are tracked; NaN where that is not known."""
+        """Frame rate of the tracking; NaN if unknown."""
         return self._rate.hz
 
     @property
     def offset_age_s(self) -> float:
-        """How long before the status an offset that the robot may use went out, s; infinite before."""
+        """Age of the last offset that the robot may use, s before the status; infinite before the first."""
         return self._offset_flow.age_s
 
     @property
     def frame_age_s(self) -> float:
-        """How old the newest frame is, s; NaN before the first."""
+        """Age of the newest frame, s; NaN before the first."""
         if self.status is None:
             return math.nan
         return self.status.now_s - self.status.frame_s + self.status_age_s
@@ -89,7 +89,7 @@ class Feed:
             await asyncio.sleep(max(0.0, due_s - time.monotonic()))
 
     def join(self, outbox: Outbox) -> None:
-        """Let a browser hear of the run, from what is known already on."""
+        """Add a browser, and send it what is known already."""
         outbox.put(MessageKind.HELLO, self._hello())
         outbox.put(MessageKind.STATUS, self.status_text())
         for kind, message in ((MessageKind.PICTURE, self._picture), (MessageKind.HEAT, self._heat)):
@@ -98,7 +98,7 @@ class Feed:
         self._outboxes.add(outbox)
 
     def leave(self, outbox: Outbox) -> None:
-        """Let a browser hear no more."""
+        """Remove a browser."""
         self._outboxes.discard(outbox)
 
     def status_text(self) -> str:

@@ -1,4 +1,4 @@
-"""Whether a run works, for those who start it again."""
+"""Health of a run, for whatever restarts it."""
 
 from __future__ import annotations
 

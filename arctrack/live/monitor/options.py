@@ -1,4 +1,4 @@
-"""What a monitor page needs to know of a run."""
+"""Options of a monitor page."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from noise_model.setup import Setup
 
 @dataclass(frozen=True)
 class MonitorOptions:
-    """What a monitor page needs to know of a run.
+    """Options of a monitor page.
 
     `journal` is the run's name, `setups` has at least one setup by job number. Port 0 takes a free one;
     without a `token` everybody may look who reaches `host`. `title` tells the run, such as its cell file and

@@ -1,4 +1,4 @@
-"""What waits to be sent to a browser: little, and the newest of it. A slow browser holds nobody up."""
+"""Outbox of a browser: short, and the newest messages only. A slow browser blocks nobody."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Message = str | bytes
 
 
 class MessageKind(Enum):
-    """What a message tells."""
+    """Kind of a message."""
 
     HELLO = "hello"
     STATUS = "status"

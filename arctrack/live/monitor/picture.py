@@ -1,6 +1,6 @@
-"""What a browser sees of a frame: the image, what was read in it, the profile, the arc's expected light.
+"""Picture of a frame for browsers: the image, its measurements, the profile, the arc's expected light.
 
-This is the page's heavy work; it runs in a thread beside the server.
+This is the page's heavy work; it runs in a thread of its own.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class Painter:
         return struct.pack("<BxxxI", HEAT, len(header)) + header + png
 
     def _heat_e(self, geometry: SensorGeometry, spacing: int, entry: Entry, view: SeenFrame) -> Float32:
-        """Return the arc's light (n,) at every so many-th pixel, e-; NaN where none is expected."""
+        """Return the arc's light (n,) on a grid of pixels, e-; NaN where none is expected."""
         scan, position = geometry.lattice(spacing)
         reading = _reading(geometry.setup, entry, view)
         if reading is None or reading.scene.below_surface or not shows_arc(geometry.setup, entry.frame):

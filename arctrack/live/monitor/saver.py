@@ -1,4 +1,4 @@
-"""Asks the black box beside a live run to save what it holds."""
+"""Client of a live run's black box that requests recordings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Saver:
 
     @property
     def is_there(self) -> bool:
-        """Whether there is a black box."""
+        """True if there is a black box."""
         return self._connection is not None
 
     async def save(self, reason: str) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""The page's server: the page itself, its WebSocket, and what other programs ask for."""
+"""HTTP server of the page, its WebSocket, and its interface for other programs."""
 
 from __future__ import annotations
 

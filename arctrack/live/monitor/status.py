@@ -1,4 +1,4 @@
-"""How a run stands, as the page is told: numbers with what they are of, None where one is not known."""
+"""Status of a run for the page: numbers with their units, None where one is unknown."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def status_content(
     offset_age_s: float,
     point: Point | None,
 ) -> dict[str, Any]:
-    """Return how a run stands as it is told to browsers; before the first status only that it starts."""
+    """Return a run's status for browsers; before the first status only that it starts."""
     if status is None:
         starting = TrackerState.STARTING.name
         return {

@@ -1,4 +1,4 @@
-"""What a person at the cell is told of states, faults and reasons: what is so, and what helps."""
+"""Texts on states, faults and reasons for a person at the cell: what is so, and what helps."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ LASERS = {
 
 
 class Indication(Enum):
-    """What colour and shape stand for: the state, unless offsets that it promises do not go out."""
+    """Meaning of a colour and shape: the state, unless offsets that it promises are not sent."""
 
     STARTING = "starting"
     DISARMED = "disarmed"

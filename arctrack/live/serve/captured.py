@@ -1,4 +1,4 @@
-"""A camera that a process beside the loop captures: drivers and decoding never touch the loop."""
+"""Camera that a subprocess captures: drivers and decoding never touch the loop."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ class CapturedCamera(SharedMemoryCamera):
 
     @property
     def frames_path(self) -> Path:
-        """Where its frames lie in memory."""
+        """Path of its frames in memory."""
         return path_of(self._name)
 
     @property
     def is_over(self) -> bool:
-        """Whether a file has come to its end, and all of it was handed out."""
+        """True once a file has come to its end, and all of it was handed out."""
         if not self._is_ended and self._pipe.poll():
             self._is_ended = self._pipe.recv() == OVER
         return self._is_ended and self.is_newest_read

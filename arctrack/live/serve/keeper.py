@@ -1,4 +1,4 @@
-"""What a live loop writes into its journal, and how often."""
+"""Writing of a live loop's journal: what, and how often."""
 
 from __future__ import annotations
 

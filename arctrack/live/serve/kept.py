@@ -1,4 +1,4 @@
-"""What a live run keeps of itself, and the processes that read it: black box, watch and page."""
+"""Journal of a live run, and the processes that read it: black box, watch and page."""
 
 from __future__ import annotations
 
@@ -51,8 +51,7 @@ class JournalProcesses:
 def kept(
     cell: CellFile, setups: Mapping[int, Setup], supervisor: Supervisor, is_simulated: bool = False
 ) -> Iterator[JournalProcesses | None]:
-    """Keep a run's journal, with the processes that a cell file asks for; yields None where nobody would read
-    one.
+    """Keep a run's journal, with the processes that a cell file requires; yields None without readers.
 
     `setups` are by job number; `supervisor` restarts processes that end. Raises ArctrackError if shared
     memory has no room.

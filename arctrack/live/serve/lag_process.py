@@ -1,4 +1,4 @@
-"""The robot's lag, estimated in a process beside the loop: that takes as long as some frames' steps."""
+"""Estimation of the robot's lag in a subprocess: it takes as long as some frames' steps."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class LagAsker:
 
 
 def estimate_lags(told: Connection, asked: PipeEnd) -> None:
-    """Say that it is ready, and answer each `Motions` that is asked with the lag, until `told` is closed."""
+    """Report readiness, and answer each requested `Motions` with the lag, until `told` is closed."""
     policy, limits = LookAheadPolicy(), LagLimits()
     # Whoever started it may be gone before it is ready.
     try:

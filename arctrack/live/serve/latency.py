@@ -1,4 +1,4 @@
-"""How late offsets go out, counted in bins of 1 %: a shift takes no more memory than a minute."""
+"""Latencies of offsets, counted in bins of 1 %: a shift takes no more memory than a minute."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ LAG_NICENESS = 5
 
 @dataclass(frozen=True)
 class RunParts:
-    """Who plays in a run: a camera, and what answers its frames by the robot's job number."""
+    """Parts of a run: a camera, and what answers its frames by the robot's job number."""
 
     camera: CameraProtocol
     services: dict[int, Service]
@@ -59,7 +59,7 @@ class RunParts:
 
 @dataclass(frozen=True)
 class LiveRun:
-    """A loop that is ready to run, and what is beside it; None where the cell asks for nothing."""
+    """A loop that is ready to run, and its subprocesses; None where the cell requires none."""
 
     loop: LiveLoop
     beside: JournalProcesses | None
@@ -74,7 +74,7 @@ def opened_run(
     is_simulated: bool = False,
     **bus_options: Any,
 ) -> Iterator[LiveRun]:
-    """Build a cell's loop and its subprocesses, warm it up, and open its bus last; nothing was sent when it
+    """Build a cell's loop and subprocesses, warm it up, and open its bus last; nothing was sent yet when it
     yields.
 
     `tell` is called from another thread with what happens to the subprocesses. `job_number` is the job of a
@@ -122,7 +122,7 @@ def opened_run(
 
 
 def _let_hear(keeper: Keeper, cast: RunParts) -> None:
-    """Let what writes the journal hear each step and each pose."""
+    """Pass each step and each pose to the journal's writer."""
     for number, service in cast.services.items():
         cast.trackings[number].on_step = keeper.on_step
         if isinstance(service.poses, BusPoses):
@@ -132,7 +132,7 @@ def _let_hear(keeper: Keeper, cast: RunParts) -> None:
 def run(
     loop: LiveLoop, goes_on: Callable[[], bool], watchdog_s: float, notifier: Notifier | None = None
 ) -> LoopResult:
-    """Run a loop in this process while `goes_on` (asked some hundred times a second); its last offset is
+    """Run a loop in this process while `goes_on` (called some hundred times a second); its last offset is
     REFUSED.
 
     A turn that takes longer than `watchdog_s` ends the process. `notifier` tells the service manager.

@@ -1,7 +1,7 @@
-"""The loop's core: one turn takes what came, tracks the newest frame, and sends what is due.
+"""Core of the live loop: one turn takes what came, tracks the newest frame, and sends what is due.
 
 No thread, process or signal: whoever calls `turn` has the time. Frames and times are the camera's. Messages
-wait in the bus' buffer while a frame is tracked; each says how old it is when it is read.
+wait in the bus' buffer while a frame is tracked; each states its age when it is read.
 """
 
 from __future__ import annotations
@@ -124,16 +124,16 @@ class LiveLoop:
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing is left to be tracked, now or ever."""
+        """True once nothing is left to be tracked, now or ever."""
         return self.camera.is_over and self._waiting is None
 
     @property
     def warning(self) -> str | None:
-        """What the user is to be warned of, once in a run."""
+        """Warning for the user, once in a run."""
         return TOO_BUSY if self._delayed else None
 
     def turn(self, wait_s: float | None = None) -> None:
-        """Hear the bus, switch the laser, track the newest frame once its pose is there, send what is due."""
+        """Read the bus, switch the laser, track the newest frame once its pose is there, send what is due."""
         self._listen(self._wait_s() if wait_s is None else wait_s)
         now_s = self.camera.now_s()
         is_time = not 0.0 <= now_s - self._checked_s < CHECK_S

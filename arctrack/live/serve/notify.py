@@ -1,4 +1,4 @@
-"""What systemd is told of a live run: that it is ready, that it goes on, that it ends (sd_notify(3))."""
+"""Notifications of a live run to systemd: ready, alive, stopping (sd_notify(3))."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ class Notifier:
         self._fed_s = float("-inf")
 
     def ready(self, status: str) -> None:
-        """Say that the run is ready, and what it is."""
+        """Notify that the run is ready, with its description."""
         self._send(f"READY=1\nSTATUS={status}")
 
     def stopping(self) -> None:
-        """Say that the run ends."""
+        """Notify that the run ends."""
         self._send("STOPPING=1")
 
     def goes_on(self) -> None:

@@ -39,7 +39,7 @@ class PlayedPoses:
 
     @property
     def doubt(self) -> Doubt | None:
-        """Why the recorded poses were not trusted when the verdict was asked last; None where they were."""
+        """Reason for which the recorded poses were not trusted at the latest verdict, or None."""
         return self._trust.doubt
 
     def begin(self) -> None:

@@ -91,7 +91,7 @@ class Watchdog:
         faulthandler.cancel_dump_traceback_later()
 
     def feed(self) -> None:
-        """Say that the process goes on."""
+        """Reset the watchdog."""
         now_s = time.monotonic()
         if now_s - self._fed_s > REARMED_S:
             self._fed_s = now_s

@@ -38,6 +38,7 @@ class SideProcess:
     Over its own connection it reports once that it is ready, with what its users need to know, or ERROR and
     the reason. Later it may report a problem, and "" once that is gone. It ends when the connection is
     closed.
+
     `target` takes `arguments` (those at its next start), then its end of the connection, then `pipes`. The
     pipes' ends stay open here too, so that a restart goes unnoticed at their other ends. `lost` is answered
     into the pipes for a process that ended with an open request. `ends_s` is the time it may take to end.
@@ -62,7 +63,7 @@ class SideProcess:
 
     @property
     def state(self) -> ProcessState:
-        """How it stands."""
+        """State of the process."""
         return ProcessState(self._process.pid or 0, self._is_ready, self._ends, self._problem)
 
     def wait_ready(self) -> Any:
@@ -100,7 +101,7 @@ class SideProcess:
         return [self._process.sentinel, *([] if self._told.closed else [self._told])], float("inf")
 
     def look(self) -> list[str]:
-        """Hear what it says, start it again where it is time to, and return a line for each thing to tell."""
+        """Read its messages, restart it where it is time to, and return a line for each event."""
         if self._due_s < float("inf"):
             if time.monotonic() < self._due_s:
                 return []
@@ -138,7 +139,7 @@ class SideProcess:
             os.setpriority(os.PRIO_PROCESS, self.state.pid, self._niceness)
 
     def _hear(self, said: object) -> list[str]:
-        """Take a word of the process, and return what is to be told of it."""
+        """Take a message of the process, and return the lines to report."""
         if self._is_ready:
             before, self._problem = self._problem, str(said)
             return [] if self._problem == before else [f"{self.name}: {self._problem or 'works again'}"]

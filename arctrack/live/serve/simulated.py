@@ -1,4 +1,4 @@
-"""The simulated cell beside a live run: its cell file, its process, and how far its torch is off the seam."""
+"""Simulated cell of a live run: its cell file, its process, and its torch's distance from the seam."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ LOCKING_MM = 80.0
 
 @dataclass(frozen=True)
 class TorchError:
-    """How far the torch was off the seam from the lock on, mm, and how long that was watched, s."""
+    """Distances of the torch from the seam from the lock on, mm, and the time observed, s."""
 
     rms_mm: float
     max_mm: float
@@ -48,7 +48,7 @@ class TorchError:
 
     @property
     def is_on_seam(self) -> bool:
-        """Whether the torch never was farther off than a run with faults may leave it."""
+        """True if the torch never was farther off than a run with faults may leave it."""
         return self.max_mm <= TORCH_MM
 
 
@@ -135,9 +135,8 @@ def write_simulated_cell(
 ) -> Path:
     """Write the cell file of a simulated cell and its setup into a new folder, and return the cell file.
 
-    Its black box goes into a folder that is named, by default into one beside the file.
-
-    Raises ArctrackError if the folder holds anything, or if it cannot be written.
+    The default of `black_box` is a folder next to the file. Raises ArctrackError if the folder holds
+    anything, or cannot be written.
     """
     document = tomlkit.parse(commented_cell())
     document["bus"].update({"interface": interface, "channel": channel})

@@ -1,7 +1,7 @@
-"""Keeps the processes of a live run going: one that ends is told of, and started again.
+"""Supervisor of a live run's processes: one that ends is reported, and restarted.
 
-A thread does it, which sleeps until a process ends or says something. It begins before the loop's own thread
-gets its priority and its processors, and what it starts inherits neither.
+It is a thread, which sleeps until a process ends or sends something. It begins before the loop's own thread
+gets its priority and its processors, so what it starts inherits neither.
 """
 
 from __future__ import annotations

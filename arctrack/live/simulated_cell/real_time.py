@@ -27,7 +27,7 @@ class RealTimeScheduler(Scheduler):
         self.began_s = time.monotonic()
 
     def run_while(self, goes_on: Callable[[], bool], wait: Callable[[float], None]) -> None:
-        """Run as long as it goes on; `wait` waits for so many seconds at most, and hears the bus."""
+        """Run while `goes_on`; `wait` waits for at most a time, s, and reads the bus."""
         while goes_on():
             self.now_s = time.monotonic() - self.began_s
             while self._heap and self._heap[0][0] <= self.now_s:
@@ -52,7 +52,7 @@ class RealBus:
     _sent: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=KEPT_ECHOES))
 
     def join(self, party: str, listener: Listener) -> None:
-        """Let the party hear what others send."""
+        """Deliver what others send to the node."""
         self._listener = listener
 
     def send(self, sender: str, arbitration_id: int, data: bytes) -> None:
@@ -65,7 +65,7 @@ class RealBus:
         self._sent.append((arbitration_id, bytes(data)))
 
     def listen(self, wait_s: float) -> None:
-        """Hear what comes within a time, s, at most one frame after it."""
+        """Read what comes within a time, s, at most one frame after it."""
         message = self.can_bus.recv(wait_s)
         if message is None or message.is_error_frame or self._listener is None:
             return

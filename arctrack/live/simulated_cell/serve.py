@@ -1,4 +1,4 @@
-"""A robot in real time on a real bus, and its camera beside it: who tracks is another process."""
+"""Simulated robot in real time on a real bus, with its camera; the tracker is another process."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ class Program:
 def run_robot(
     plan: LoopPlan, can_bus: can.BusABC, shoot: Callable[[Shot], None], goes_on: Callable[[Robot], bool]
 ) -> None:
-    """Be the robot on a bus until it does not go on; `shoot` hears where it is at each capture."""
+    """Simulate the robot on a bus while `goes_on`; `shoot` gets its state at each capture."""
     scheduler = RealTimeScheduler()
     bus = RealBus(can_bus, scheduler)
     party = RobotParty(Robot(world_of(plan, setup_of(plan))), bus, scheduler)

@@ -1,1 +1,1 @@
-"""What runs beside a live loop: whether the map explains what is seen, and what the arc's light says."""
+"""Watch of a live run: whether the map explains the frames, and the arc's state by its light."""

@@ -76,7 +76,7 @@ NOT_KNOWN = ArcHeight()
 
 @dataclass(frozen=True)
 class ArcDeparture:
-    """By how much the arc stands higher, and beside its place, mm, and its radius over the stated one."""
+    """Displacement of the arc upwards and sideways, mm, and its radius over the stated one."""
 
     height_mm: float = 0.0
     x_mm: float = 0.0

@@ -1,4 +1,4 @@
-"""When the arc map no longer explains what is seen: a cumulative sum over each frame's misfit.
+"""Test of whether the arc map still explains the frames: a cumulative sum over each frame's misfit.
 
 A track's `map_misfit` is the residual of the arc map over its stated sigma. Its logarithm, averaged over a
 block of time so that neighbouring frames count once, is compared with what the run began with. The sum

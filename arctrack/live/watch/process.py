@@ -36,7 +36,7 @@ REPORT_BYTES = 4096
 
 @dataclass(frozen=True)
 class WatchOptions:
-    """What is watched: a run by its name, and each job's setup."""
+    """Options of the watch: a run by its name, and each job's setup."""
 
     run: str
     jobs: Mapping[int, Setup]
@@ -75,7 +75,7 @@ class RunWatch:
 
     @property
     def since_s(self) -> float:
-        """Since when the map no longer explains what is seen, s; NaN while it does."""
+        """Time since which the map no longer explains the frames, s; NaN while it does."""
         return self._watch.since_s
 
     def look(self) -> None:

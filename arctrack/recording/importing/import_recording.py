@@ -85,9 +85,9 @@ def import_recording(
 ) -> ImportResult:
     """Make a recording of raw files in a folder that must not exist yet.
 
-    `on_frame` is told what is done, how far, and of how many frames. ArctrackError names the file that cannot
-    be read, and what nothing states: units, times, the way a rotation is written. No recording is left then,
-    nor a part of one.
+    `on_frame` is called with the activity, frames done, and their total. Raises ArctrackError for a file that
+    cannot be read, and where nothing states units, times or the notation of rotations; no part of a recording
+    is left then.
     """
     stated = read_setup_file(raw.setup)
     series = find_images(raw.sources)

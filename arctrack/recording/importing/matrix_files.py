@@ -24,10 +24,10 @@ BY_COLUMNS = "the matrices stand column by column, and are read so"
 def read_matrices(rotations: Path, translations: Path | None, mm: float) -> tuple[Float64, tuple[str, ...]]:
     """Return poses (n, 4, 4), mm, and notes, of rotations and translations, or of whole poses in one file.
 
-    Whole poses may stand column by column: their last row, or that no other reading makes rotations, tells.
-    Without `translations`, three numbers each, matrices are 4 x 4 or 3 x 4, else 3 x 3, row by row. A unit of
-    length is `mm`. ArctrackError for a file that holds something else, a matrix that is no rotation, another
-    number of translations.
+    Without `translations` the matrices are 4 x 4 or 3 x 4, else 3 x 3, row by row. Whole poses may stand
+    column by column: their last row tells, or that no other reading makes rotations. `mm` is the file's unit
+    of length in mm. Raises ArctrackError for other content, a matrix that is no rotation, or another number
+    of translations.
     """
     values, width = _numbers(rotations)
     notes: tuple[str, ...] = ()

@@ -1,1 +1,1 @@
-"""Frames of real cameras, files and drivers: what runs in a process beside a live run, and publishes them."""
+"""Capture from real cameras, files and drivers: a subprocess of a live run that publishes their frames."""

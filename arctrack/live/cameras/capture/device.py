@@ -70,7 +70,7 @@ class DeviceSource:
 
     @property
     def is_over(self) -> bool:
-        """Whether it was closed."""
+        """True once it was closed."""
         return not self._capture.isOpened()
 
     def begin(self) -> None:

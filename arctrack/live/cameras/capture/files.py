@@ -51,7 +51,7 @@ class FileSource:
 
     @property
     def is_over(self) -> bool:
-        """Whether the last frame was read."""
+        """True once the last frame was read."""
         return self._next is None
 
     def begin(self) -> None:
@@ -98,7 +98,7 @@ class FileSource:
         return self._rows[0].exposure_s / 2.0 if self._rows else self._exposure_s / 2.0
 
     def _own_rows(self) -> Iterator[FrameRow]:
-        """Yield the rows of the table from number 0 on, else as many as are asked for."""
+        """Yield the table's rows from number 0 on, without a table as many as are needed."""
         if self._rows:
             first = self._rows[0]
             shift_s = self._first_s - first.timestamp_s

@@ -230,10 +230,10 @@ def gige_source(choice: CameraChoice, setup: Setup, ask: Ask) -> GigeSource:
 
 
 def frames_between(before: int, frame_id: int) -> int:
-    """Return how many frames one comes after another, by their ids; 0 is none before, and no frame's id.
+    """Return the number of frames from one id to another; 0 as `before` means none before.
 
     GigE Vision gives no frame the id 0. A buffer that has it is of a frame whose id did not arrive: the next
-    id tells that it is lost.
+    id shows that it is lost.
     """
     if frame_id == 0:
         return 0

@@ -24,11 +24,11 @@ Open = Callable[[Ask], FrameSource]
 
 
 def run_capture(open_source: Open, setup: Setup, name: str, told: Connection, loop: PipeEnd) -> None:
-    """Publish a source's frames under a name, from the first word of the loop until `told` is closed.
+    """Publish a source's frames under a name, from the first message of the loop until `told` is closed.
 
-    Over `told` it says that it is ready, or 'error: ' and why, once the source is open; to the loop 'over'
-    once it has ended. A source that fails later is opened anew, again and again. The loop's word stays in its
-    pipe: a process that takes over begins at once.
+    Once the source is open, `told` is sent that it is ready, or 'error: ' and the reason; the loop is sent
+    'over' once the source has ended. A source that fails later is reopened, again and again. The loop's
+    message stays in its pipe: a process that takes over begins at once.
     """
     remove_line(name)
     try:
@@ -80,7 +80,7 @@ def _publish(
 
 
 def _opened_again(open_source: Open, name: str, told: Connection) -> FrameSource | None:
-    """Return a source that failed and was opened anew; None once the parent is gone."""
+    """Return a failed source after reopening it; None once the parent is gone."""
     while not told.poll(OPENED_AGAIN_S):
         try:
             source = open_source(partial(read_line, name))

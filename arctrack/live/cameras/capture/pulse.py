@@ -1,9 +1,9 @@
-"""When to trigger a camera for the base phase of a pulsed arc, where its light is least.
+"""Trigger times of a camera in the base phase of a pulsed arc, where its light is least.
 
-The robot tells when a base phase began, the period, and how long the phase lasts. A frame is to lie within
-it: its middle in the phase's middle. What the host can err by, SLACK_S, must fit on both sides: the age on
-the bus is rounded to 0.1 ms, the message waits some 0.5 ms for others, a sleep ends up to 0.2 ms late, and
-the command to trigger is up to 1 ms on its way.
+The robot states when a base phase began, the period, and how long the phase lasts. A frame is centred in it.
+The host's possible error, SLACK_S, must fit on both sides: the age on the bus is rounded to 0.1 ms, the
+message waits some 0.5 ms for others, a sleep ends up to 0.2 ms late, and the trigger command takes up to 1
+ms.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a process that captures asks of a source of frames, whatever it is."""
+"""Interface of every source of frames for the capture process."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class FrameSource(Protocol):
 
     @property
     def is_over(self) -> bool:
-        """Whether no frame will come any more."""
+        """True if no frame will come any more."""
 
     def begin(self) -> None:
         """Take frames from now on."""

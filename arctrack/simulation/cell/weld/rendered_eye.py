@@ -39,6 +39,7 @@ class RenderedEye:
     The tool stands still during an exposure. The tracker knows `setup` alone, whose nominal seam is that of
     the robot's world; `true_setup` and the true seam are hidden from it. Without `laser_speckle` the laser
     speckles as its optics say.
+
     `arc_level` is the arc's output over its nominal one by time, s; None burns as the robot's status says.
     `tacks_mm` are intervals of stations under a tack. NaN as `exposure_s` is the true setup's own. `aside_mm`
     shifts the seam farther to the left, out of the camera's view.
