@@ -23,7 +23,7 @@ OnFrame = Callable[[int], None]
 
 @dataclass(frozen=True)
 class ReplayJob:
-    """One recording to replay: where its files go, another setup than its own, and how to replay.
+    """One recording to replay: folder of its files, another setup than its own, and options.
 
     `resume` takes over what an earlier run of the same finished there. `cores` are there for its pictures.
     """
@@ -49,7 +49,7 @@ class ReplayJob:
 
 @dataclass(frozen=True)
 class Listeners:
-    """What hears how far a replay is: frames, pictures, what is compiled, frames of the second replay."""
+    """Progress callbacks of a replay: frames, pictures, what is compiled, frames of the second replay."""
 
     on_frame: OnFrame | None = None
     on_drawn: OnFrame | None = None
@@ -96,7 +96,7 @@ def jobs_for(
 
 
 def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = None) -> ReplayResult:
-    """Replay a recording and write its results; `begin` gives what hears how far it is, once it is read.
+    """Replay a recording and write its results; `begin` returns the progress callbacks, once it is read.
 
     Raises ArctrackError for what the user can mend.
     """

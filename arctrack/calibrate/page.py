@@ -43,7 +43,7 @@ class PagePicture:
 
 @dataclass(frozen=True)
 class CalibrationPage:
-    """What a calibration's page holds.
+    """Content of a calibration's page.
 
     `maps` are pictures whose pixels stay sharp, side by side; `mark` is the colour of the verdict: no_gap,
     ambiguous or unknown; `left_out` names what was not used, and why;

@@ -21,7 +21,7 @@ from noise_model.transforms import invert
 
 @dataclass(frozen=True)
 class PoseSource:
-    """Where the robot's poses are and how they are written, as a user states it; see `read_poses`."""
+    """Source of the robot's poses and their notation, as a user states it; see `read_poses`."""
 
     path: Path
     translations: Path | None = None

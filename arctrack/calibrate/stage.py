@@ -1,4 +1,4 @@
-"""What every calibration leaves, and how it says how far it is."""
+"""Result of every calibration, and its progress."""
 
 from __future__ import annotations
 
@@ -34,5 +34,5 @@ class CalibrationStage(Generic[Result]):
 
 
 def left_out(reasons: Mapping[str, str]) -> Iterator[str]:
-    """Say what of an input is not used, and why, a line each."""
+    """Yield a line on each unused input, with the reason."""
     return (f"{name}: left out: {reason}" for name, reason in reasons.items())

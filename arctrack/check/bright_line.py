@@ -54,7 +54,7 @@ def no_line(along_rows: bool) -> BrightLine:
 
 
 def find_lines(images_dn: Iterable[Integers], sensor: Sensor) -> list[BrightLine]:
-    """Find the line in each image (H, W), DN: along its rows or its columns, in all of them alike."""
+    """Find the line in each image (H, W), DN: along its rows or its columns, the same for all."""
     code_e = linearise(np.arange(sensor.max_dn + 1), sensor).astype(np.float32)
     dark_e2 = float(variance_e2(0.0, sensor))
     both = [

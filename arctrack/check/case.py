@@ -1,4 +1,4 @@
-"""What a recording says of some frames, as something that a mistake can be undone in: setup, poses, lines."""
+"""Sample of a recording in which a mistake can be undone: setup, poses, lines."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class CheckCase:
 
     @property
     def fits_camera(self) -> bool:
-        """Whether the images have the size that the setup states."""
+        """True if the images have the size that the setup states."""
         return self.size_px == (self.setup.camera.width, self.setup.camera.height)
 
 
@@ -141,7 +141,7 @@ def case_of(recording: Recording, positions: Sequence[int], images: Sequence[Ima
 
 
 def _spread(positions: list[int], most: int) -> list[int]:
-    """Return at most so many of some positions, over all of them."""
+    """Return at most `most` positions, spread over all of them."""
     return [positions[n] for n in evenly(len(positions), most)]
 
 

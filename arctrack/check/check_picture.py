@@ -48,7 +48,7 @@ def draw(checked: CheckResult) -> Figure:
 
 
 def _shown(case: CheckCase) -> list[int]:
-    """Return the first frame without arc and the middle one with it; any, where all are alike."""
+    """Return the first frame without arc and the middle one with it; any, where all are the same."""
     dark = [n for n, row in enumerate(case.rows) if not row.arc_on]
     lit = [n for n, row in enumerate(case.rows) if row.arc_on]
     chosen = [*dark[:1], *lit[len(lit) // 2 :][:1]]

@@ -32,11 +32,11 @@ MAX_DARK_FRAMES = 2
 
 @dataclass(frozen=True, eq=False)
 class CheckResult:
-    """What a check came to.
+    """Result of a check.
 
     `refusal` is why a replay refuses the recording, None if it does not; `bad_frames` cannot be used. `hint`
-    says what most likely is wrong. It may be there although most frames are valid, each by itself. `case` are
-    the bright lines of the frames that were looked at, None where no image can be read.
+    is the likeliest mistake, which may exist although most frames are valid, each by itself. `case` has the
+    bright lines of the frames examined, None where no image can be read.
     """
 
     recording: Recording
@@ -50,7 +50,7 @@ class CheckResult:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to tell a user, one line each."""
+        """Warnings for the user, one line each."""
         return tuple(finding.warning for finding in self.findings if finding.warning is not None)
 
 
@@ -60,7 +60,7 @@ def check_recording(
 ) -> CheckResult:
     """Check a recording that was read without `must_fit`.
 
-    `on_frame` hears the number of frames looked at.
+    `on_frame` is called with the number of frames examined.
     """
     refusal: ArctrackError | None = None
     geometry: SensorGeometry | None = None
@@ -113,7 +113,7 @@ def check_recording(
 
 
 def _lines_finding(case: CheckCase, hint: Hint | None) -> SetupFinding:
-    """Say how well the bright lines lie on the stated joint, and what most likely is wrong if not."""
+    """Find how well the bright lines lie on the stated joint, and what most likely is wrong if not."""
     text = f"{100.0 * case.fit().share:.0f} % of the bright lines' points lie on the stated joint"
     if hint is None:
         return SetupFinding("lines", text)

@@ -1,4 +1,4 @@
-"""What was measured in some frames beside what the setup states, and a warning where they part."""
+"""Measurements in some frames against what the setup states, with a warning where they differ."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ FOCAL_RATIOS = np.arange(0.80, 1.255, 0.01)
 
 @dataclass(frozen=True)
 class SetupFinding:
-    """Something measured: its name, what was measured and is stated, and what to tell where these part."""
+    """A measured quantity: its name, what was measured and is stated, and the warning where these differ."""
 
     name: str
     text: str
@@ -61,10 +61,10 @@ def findings(
     sensor: SensorReading,
     exposures_fit: bool,
 ) -> list[SetupFinding]:
-    """Put what was measured beside what is stated; of a stripe only where a frame is valid.
+    """Compare measured and stated quantities; of a stripe only where a frame is valid.
 
-    `unlit` are frames that frames.csv says the laser is off in, looked at as if it were on. Without exposures
-    that fit no light does: then how bright things are is said without a warning.
+    `unlit` are frames in which frames.csv has the laser off, examined as if it were on. Without exposures
+    that fit no light does: then brightness is reported without a warning.
     """
     valid = [look for look in looks if look.track.valid]
     return [
@@ -79,7 +79,7 @@ def findings(
 
 
 def _images(setup: Setup, looks: Sequence[CheckedFrame]) -> Iterator[SetupFinding]:
-    """Say how bright the frames are."""
+    """Yield the brightness of the frames."""
     if not looks:
         return
     clipped = saturation_dn(setup.sensor)
@@ -98,10 +98,10 @@ def _images(setup: Setup, looks: Sequence[CheckedFrame]) -> Iterator[SetupFindin
 
 
 def _laser(looks: Sequence[CheckedFrame], unlit: Sequence[CheckedFrame]) -> Iterator[SetupFinding]:
-    """Say whether the frames show the laser where frames.csv has it on, and only there.
+    """Yield whether the frames show the laser where frames.csv has it on, and only there.
 
-    A frame with the laser off shows it where the tracker finds the stated joint in it. One with the laser on
-    is asked without arc alone, which may outshine a line, and only where other frames show that a line can be
+    A frame with the laser off shows it where the tracker finds the stated joint in it. Frames with the laser
+    on count only without arc, which may outshine a line, and only where other frames show that a line can be
     seen.
     """
     alone = [look for look in looks if not look.frame.arc_on]
@@ -129,7 +129,7 @@ def _frames(indices: Sequence[int]) -> str:
 
 
 def _seam(geometry: SensorGeometry, valid: Sequence[CheckedFrame]) -> Iterator[SetupFinding]:
-    """Say where the seam lies beside its nominal line, and how the stripe runs there."""
+    """Yield where the seam lies relative to its nominal line, and how the stripe runs there."""
     if not valid:
         return
     y_mm, z_mm = (_median(look.seam_mm[axis] for look in valid) for axis in (0, 1))
@@ -182,7 +182,7 @@ def _better_focal_px(geometry: SensorGeometry, valid: Sequence[CheckedFrame]) ->
 
 
 def _stripe(valid: Sequence[CheckedFrame], exposures_fit: bool) -> Iterator[SetupFinding]:
-    """Say how wide and how bright the stripe is, and how much of it is saturated."""
+    """Yield the stripe's width, brightness and saturated share."""
     looks = _without_arc(valid)
     sigma_px = _median(look.seen.sigma_px for look in looks)
     expected_px = _median(float(np.median(look.placed.sigma_px)) for look in looks if look.placed is not None)
@@ -206,7 +206,7 @@ def _stripe(valid: Sequence[CheckedFrame], exposures_fit: bool) -> Iterator[Setu
 
 
 def _speckle(setup: Setup, valid: Sequence[CheckedFrame]) -> Iterator[SetupFinding]:
-    """Say how much the stripe's brightness scatters along it."""
+    """Yield the scatter of the stripe's brightness along it."""
     looks = _without_arc(valid)
     contrast = _median(look.seen.contrast for look in looks)
     if math.isnan(contrast):
@@ -226,7 +226,7 @@ def _speckle(setup: Setup, valid: Sequence[CheckedFrame]) -> Iterator[SetupFindi
 
 
 def _sensor(setup: Setup, sensor: SensorReading) -> Iterator[SetupFinding]:
-    """Say how dark pixels read."""
+    """Yield the level and noise of dark pixels."""
     if math.isnan(sensor.black_dn):
         return
     where = "in frames without laser and arc" if sensor.is_dark else "off the stripe"
@@ -248,7 +248,7 @@ def _sensor(setup: Setup, sensor: SensorReading) -> Iterator[SetupFinding]:
 
 
 def _arc(setup: Setup, looks: Sequence[CheckedFrame], exposures_fit: bool) -> Iterator[SetupFinding]:
-    """Say how bright the arc is, from the frames whose light the map explains."""
+    """Yield the arc's brightness, from the frames whose light the map explains."""
     lit = [look for look in looks if look.frame.arc_on]
     if not lit:
         return
@@ -271,7 +271,7 @@ def _arc(setup: Setup, looks: Sequence[CheckedFrame], exposures_fit: bool) -> It
 
 
 def timing_findings(timing: Timing) -> Iterator[SetupFinding]:
-    """Say how often frames and poses come, how fast the tool goes, and what of times and exposures is odd."""
+    """Yield the rates of frames and poses, the tool's speed, and irregular times and exposures."""
     rates = f"frames at {timing.frame_rate_hz:.3g} Hz, poses at {timing.pose_rate_hz:.3g} Hz"
     yield SetupFinding("times", f"{rates}, the tool at {timing.speed_mm_s:.3g} mm/s")
     for warning in timing.warnings:
@@ -284,7 +284,7 @@ def _without_arc(looks: Sequence[CheckedFrame]) -> Sequence[CheckedFrame]:
 
 
 def _part(measured: float, expected: float, ratio: float) -> bool:
-    """Say whether two numbers are more than a ratio apart."""
+    """Return whether two numbers are more than a ratio apart."""
     return measured > ratio * expected or expected > ratio * measured
 
 

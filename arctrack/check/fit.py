@@ -1,7 +1,7 @@
-"""How well the bright lines of some frames lie where a setup and its poses put the laser's stripe.
+"""Match of the bright lines of some frames with the laser's stripe as a setup and its poses place it.
 
-A line's points are met with the laser plane and laid over the stated section of the joint. The true seam may
-leave its nominal line by some millimetres, but it does so alike in neighbouring frames, however the tool
+A line's points are intersected with the laser plane and compared with the stated section of the joint. The
+true seam may leave its nominal line by some millimetres, but equally in neighbouring frames, however the tool
 moves: what counts is the share of the points on a section that is displaced along a straight line.
 """
 
@@ -45,7 +45,7 @@ MAX_COST_MM = 2.0
 
 @dataclass(frozen=True)
 class Fineness:
-    """How closely is looked: the steps by which the section is moved, and how far off it a point is on it."""
+    """Resolution of the search: steps of the section's displacement, and tolerance of a point on it."""
 
     step_mm: float
     within_mm: float
@@ -78,12 +78,12 @@ class LinePoints:
     flags: int
 
     def within_mm(self, fineness: Fineness) -> float:
-        """How far from a section a point is on it."""
+        """Largest distance of a point that lies on a section."""
         return max(fineness.within_mm, fineness.within_px * self.mm_per_px)
 
     @property
     def family(self) -> JointFamily | None:
-        """What the points look like, None for nothing known."""
+        """Family of joints that the points look like, None if unknown."""
         n = len(self.y_mm)
         if n < 2:
             return None
@@ -96,9 +96,9 @@ class LinePoints:
 
 @dataclass(frozen=True, eq=False)
 class SectionMatch:
-    """How well lines lie on a section: `share` of all points, where it is displaced along a straight line.
+    """Match of lines with a section: `share` of all points, where it is displaced along a straight line.
 
-    It is 0 where the nominal line ends before most of the torch's places: there no offset goes out.
+    It is 0 where the nominal line ends before most of the torch's places: there no offset is sent.
     """
 
     share: float
@@ -133,7 +133,7 @@ def _torch_is_on_line(setup: Setup, T_base_tool: Float64) -> bool:
 
 
 def line_points(setup: Setup, sight: SightedLine) -> LinePoints:
-    """Meet a line with the laser plane and put it beside the joint, a corrugation's height taken off."""
+    """Intersect a line with the laser plane, in joint coordinates, less a corrugation's height."""
     nothing = np.empty(0)
     if not np.isfinite(sight.T_base_tool).all():
         return LinePoints(nothing, nothing, math.nan, math.nan, 0)
@@ -160,7 +160,8 @@ def line_points(setup: Setup, sight: SightedLine) -> LinePoints:
 def _off(line: LinePoints, vertices: Float64, y_mm: Float64) -> tuple[Float64, Float64]:
     """Return how far points (m,) lie above a section moved to `y_mm` (k,), and the cosine of its slope.
 
-    Both are (k, m); NaN for a point that is not beside the joint, and for all if they do not reach across it.
+    Both are (k, m); NaN for a point that is not on the joint's width, and for all if they do not reach across
+    it.
     """
     y = line.y_mm - y_mm[:, np.newaxis]
     run = np.diff(vertices[:, 0])
@@ -195,7 +196,7 @@ def _place(line: LinePoints, vertices: Float64, fineness: Fineness) -> Float64:
 
 
 def _share_on(off: Float64, cosine: Float64, z_mm: Float64, within_mm: float) -> Float64:
-    """Return which share (k,) of the points beside the joint lie on sections displaced upwards by (k,)."""
+    """Return the share (k,) of the points within the joint's width on sections displaced upwards by (k,)."""
     known = np.isfinite(off)
     distance = np.abs(np.nan_to_num(off, nan=math.inf) - z_mm[:, np.newaxis]) * cosine
     count = known.sum(axis=1)

@@ -1,4 +1,4 @@
-"""Which mistake explains best what is seen of a recording."""
+"""Likeliest mistake in a recording."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MIN_SHOWN, SHOWN_SHARE = 2, 0.3
 
 @dataclass(frozen=True)
 class Hint:
-    """What most likely is wrong, and its cure; `case` is the one without that mistake.
+    """Likeliest mistake, and its cure; `case` is the one without that mistake.
 
     `share` of the bright lines' points then lie on the joint; without a case, it is that of the frames that
     show another joint.

@@ -1,4 +1,4 @@
-"""Some frames of a recording as the tracker sees them, each by itself, beside what is in their images."""
+"""Some frames of a recording as the tracker sees them, each by itself, with what is in their images."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ class CheckedFrame:
 
     @property
     def shows_line(self) -> bool:
-        """Whether most of the scan lines hold a bright line."""
+        """True if most of the scan lines hold a bright line."""
         return self.line.share >= MIN_LINE_SHARE
 
     @property
     def course_px(self) -> float:
-        """How far the stripe that was read lies off the placed one, in the median; NaN if there is none."""
+        """Median distance of the stripe that was read from the expected one; NaN if there is none."""
         if self.placed is None or self.track.stripe is None:
             return math.nan
         off = np.abs(self.track.stripe.position_px - self.placed.position_px - self.placed.bias_px)
@@ -72,7 +72,7 @@ def looks_at(
     frames: Sequence[Frame],
     on_frame: Callable[[int], None] | None = None,
 ) -> list[CheckedFrame]:
-    """Look at some frames of a recording; `on_frame` hears the number of them done."""
+    """Examine some frames of a recording; `on_frame` is called with the number done."""
     sensor = recording.setup.sensor
     lines = find_lines([frame.image_dn for frame in frames], sensor)
     poses, work = recording.pose_buffer(), Work.of(geometry)

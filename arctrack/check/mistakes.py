@@ -27,7 +27,7 @@ TIME_UNITS = {"ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
 
 @dataclass(frozen=True)
 class Mistake:
-    """What may be wrong, its cure, and what returns a case without it, None for one that cannot have it."""
+    """A possible mistake, its cure, and what returns a case without it, None for one that cannot have it."""
 
     what: str
     cure: str
@@ -183,7 +183,7 @@ def _tool_axes(T_tool_controllertool: Float64) -> Iterator[Mistake]:
 
 
 def _tool_axes_in_words(turn: Float64) -> str:
-    """Say what is wrong with a tool's axes if arctrack's are the columns of `turn` (4, 4) among them."""
+    """Return what is wrong with a tool's axes if arctrack's are the columns of `turn` (4, 4) among them."""
     x, z = _axis(turn[:3, 0]), _axis(turn[:3, 2])
     if z == "-z":
         return f"z points into the part (its {x} is arctrack's x)"

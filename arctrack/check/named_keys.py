@@ -1,4 +1,4 @@
-"""What the keys are that a check's lines name."""
+"""Explanations of the keys that a check's lines name."""
 
 from __future__ import annotations
 

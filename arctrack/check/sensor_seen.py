@@ -1,4 +1,4 @@
-"""What a sensor is like where no light falls on it: black level and noise of its darkest frames."""
+"""Black level and noise of a sensor where no light falls on it, from its darkest frames."""
 
 from __future__ import annotations
 

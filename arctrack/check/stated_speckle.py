@@ -1,10 +1,11 @@
-"""By how much a stripe's brightness scatters from scan line to scan line where the setup states speckle.
+"""Scatter of a stripe's brightness from scan line to scan line where the setup states speckle.
 
-The field's logarithm is a Gaussian's (`noise_model.effects`): pixels x apart are alike by
+The field's logarithm is a Gaussian's (`noise_model.effects`): pixels x apart correlate by
 
     rho = (exp(s^2 exp(-x^2 / 4 grain^2)) - 1) / C^2,  s^2 = ln(1 + C^2).
 
-A bell of sigma w weighs 2 sqrt(pi) w pixels as one; so many of them over the sum of rho scatter each by C.
+A profile of sigma w averages 2 sqrt(pi) w pixels; their number over the sum of rho are independent, each with
+scatter C.
 """
 
 from __future__ import annotations

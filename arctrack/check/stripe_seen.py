@@ -1,4 +1,4 @@
-"""What a bright line is like across and along it: width, peak, saturation, speckle; without any model."""
+"""Width, peak, saturation and speckle of a bright line, without any model."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ MIN_LINES = 20
 
 @dataclass(frozen=True)
 class StripeMeasurement:
-    """A stripe as it is in the image; NaN where that cannot be told.
+    """A stripe as it is in the image; NaN where undetermined.
 
     `sigma_px` is its 1 sigma, `peak_e` its peak over the background, both of the median scan line;
-    `saturated_share` in how many of the lines a pixel is saturated: these count for nothing else. `contrast`
-    is the scatter of its brightness from line to line, relative, beyond what photons and the sensor make.
+    `saturated_share` is the share of the lines with a saturated pixel: these count for nothing else.
+    `contrast` is the relative scatter of its brightness from line to line, beyond photon and sensor noise.
     """
 
     sigma_px: float

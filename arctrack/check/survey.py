@@ -1,4 +1,4 @@
-"""What a recording holds, in words and numbers, without tracking it."""
+"""Content of a recording, in words and numbers, without tracking it."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ class ConditionSummary:
 
 @dataclass(frozen=True)
 class MotionSummary:
-    """How the robot moved, from its poses.
+    """Motion of the robot, from its poses.
 
     `jitter_s` is the standard deviation of the time between two poses, `longest_gap_s` the longest;
-    `travel_mm` is the distance from the first pose to the last, the speed that along the seam. Lateral place
-    and height are those of the tool's origin over the nominal seam line (low, high), mm; `tilt_deg` is
-    its largest angle to the surface normal.
+    `travel_mm` is the distance from the first pose to the last, the speed is along the seam. Lateral position
+    and height are those of the tool's origin over the nominal seam line (low, high), mm; `tilt_deg` is its
+    largest angle to the surface normal.
     """
 
     first_s: float
@@ -74,7 +74,7 @@ class Survey:
 
 
 def survey(recording: Recording, on_frame: Callable[[int], None] | None = None) -> Survey:
-    """Look at every frame and pose of a recording; `on_frame` hears the number of frames seen."""
+    """Survey every frame and pose of a recording; `on_frame` is called with the number of frames done."""
     tallies: dict[tuple[bool, bool, float, float], _Tally] = {}
     middles = _middles(recording.rows)
     bad_frames: list[BadFrame] = []
@@ -122,7 +122,7 @@ def motion_of(poses: PoseTable, setup: Setup) -> MotionSummary:
 
 
 class _Tally:
-    """What adds up over the frames of one condition."""
+    """Sums over the frames of one condition."""
 
     def __init__(self, row: FrameRow) -> None:
         self.row = row

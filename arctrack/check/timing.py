@@ -1,4 +1,4 @@
-"""What times, rates, speeds and exposures say by themselves, without a look at a frame."""
+"""Times, rates, speeds and exposures of a recording, without its images."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run comes to, in a line: offsets sent, valid frames, why not more, what most likely is wrong."""
+"""Verdict of a run, in a line: offsets sent, valid frames, why not more, what most likely is wrong."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ GATE_QUESTIONS: Mapping[GateReason, str] = {
 
 @dataclass(frozen=True)
 class RunVerdict:
-    """What a run comes to: its frames, those with the laser on, the valid ones, and the invalid ones' flags.
+    """Verdict of a run: its frames, those with the laser on, the valid ones, and the invalid ones' flags.
 
-    `offsets` are those that it sent, `reasons` why the gate sent no others, by name. `hint` says
-    what most likely is wrong, None where all is well or nothing known explains it.
+    `offsets` are those that it sent, `reasons` why the gate sent no others, by name. `hint` is the likeliest
+    mistake, None where all is well or nothing known explains it.
     """
 
     frames: int
@@ -58,12 +58,12 @@ class RunVerdict:
 
     @property
     def nothing_tracked(self) -> bool:
-        """Whether no frame is valid, or no offset goes out though the robot wants some."""
+        """True if no frame is valid, or no offset is sent though the robot wants some."""
         return self.valid == 0 or self.offsets.none_sent
 
     @property
     def few_tracked(self) -> bool:
-        """Whether fewer offsets go out, or fewer frames are valid, than of a sound run."""
+        """True if fewer offsets are sent, or fewer frames are valid, than in a sound run."""
         return self.nothing_tracked or is_few(self.valid, self.laser_on, self.offsets)
 
     @property
@@ -107,10 +107,10 @@ def verdict_of(
     reasons: Mapping[str, int],
     seek: Callable[[], Hint | None],
 ) -> RunVerdict:
-    """Return what the tracks of frames with the laser on, of so many in all, come to.
+    """Return the verdict on the tracks of frames with the laser on, of `frames` in all.
 
-    `reasons` of the gate for what it did not send count the robot's own commands too. `seek` finds what most
-    likely is wrong; it is asked where few frames are valid or few offsets sent.
+    `reasons` of the gate for what it did not send count the robot's own commands too. `seek` finds the
+    likeliest mistake; it is called where few frames are valid or few offsets sent.
     """
     valid = sum(track.valid for track in lit)
     counts = count_flags([track for track in lit if not track.valid])

@@ -1,4 +1,4 @@
-"""What the calibrations that leave a setup and a page have in common: options, files, table."""
+"""Common part of the calibrations that write a setup and a page: options, files, table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all commands say in the same way: warnings, progress, tables."""
+"""Output common to all commands: warnings, progress, tables."""
 
 from __future__ import annotations
 
@@ -53,9 +53,10 @@ def tables() -> Console:
 
 
 def say(*lines: str) -> None:
-    """Print lines of the result on stdout; what came from a file or a folder's name is made fit to print.
+    """Print lines of the result on stdout; text from a file or a folder's name is made printable.
 
-    At once: whoever waits for a live run to be ready may read a pipe, which is written to once much is said.
+    It is flushed at once: whoever waits for a live run to be ready may read a pipe, which is written to only
+    when its buffer is full.
     """
     for line in lines:
         write_line(printable(line), sys.stdout)
@@ -73,7 +74,7 @@ def warning_line(message: str) -> str:
 
 
 def complain(problems: Iterable[str]) -> None:
-    """Print errors on stderr, one line each; what several say alike is said once."""
+    """Print errors on stderr, one line each; equal ones are printed once."""
     for problem in dict.fromkeys(problems):
         write_line(f"arctrack: error: {printable(problem)}", sys.stderr)
 
@@ -94,7 +95,7 @@ class SpokenProgress(Progress):
         self._compiled: set[str] = set()
 
     def start(self) -> None:
-        """Begin to show how far it is, and to hear what is compiled."""
+        """Start the display of the progress and of compilations."""
         super().start()
         self._show("getting ready")
         if self.disable:
@@ -113,7 +114,7 @@ class SpokenProgress(Progress):
         super().stop()
 
     def get_ready(self, name: str) -> None:
-        """Say of what comes that it is for something, such as a joint."""
+        """Announce what follows, such as a joint."""
         self._prefix = f"{name}: "
         self._compiled.clear()
         self._remove_ready()
@@ -219,7 +220,7 @@ def steps(bar: Progress) -> Callable[[str, str], Callable[[int, int], None]]:
 
 
 def say_compiled(name: str, warm_up: WarmUp) -> None:
-    """Say on stderr what a warm-up compiled, where it had to."""
+    """Print on stderr what a warm-up compiled, where it had to."""
     if warm_up.compiled:
         from noise_model.compiled.store import kernels_are_kept
 

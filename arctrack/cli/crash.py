@@ -1,4 +1,4 @@
-"""What an error that is no user's mistake leaves behind: one line, and a file with what led to it."""
+"""Report of an error that is no user's mistake: one line, and a file with what led to it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from arctrack.printable import printable
 
 
 def crash(error: BaseException) -> NoReturn:
-    """Say in a line that arctrack itself failed and where the traceback is kept, and end the process."""
+    """Print that arctrack itself failed and where the traceback is kept, and end the process."""
     from arctrack.version import __version__
 
     lines = traceback.format_exception(error)

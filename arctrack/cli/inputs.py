@@ -1,4 +1,4 @@
-"""What a command reads, looked at before what computes is imported: that takes seconds."""
+"""Inputs of a command, checked before what computes is imported, which takes seconds."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ class InterruptedCommandError(Exception):
 
 @contextmanager
 def interruptible(what: str, kept: str) -> Iterator[None]:
-    """Say of what runs within, where Ctrl-C, SIGTERM or SIGHUP ends it, what it was and what is kept."""
+    """Print, where Ctrl-C, SIGTERM or SIGHUP ends the block, what it was and what is kept."""
     # Signals are the main thread's: in another one they end the process as before.
     is_main = threading.current_thread() is threading.main_thread()
     before = {
@@ -58,7 +58,8 @@ def lost_interrupts() -> Iterator[list[BaseException | None]]:
 
 @contextmanager
 def stoppable(*others: signal.Signals) -> Iterator[Callable[[], set[signal.Signals]]]:
-    """Give what says which signals came since it was asked last; nothing that runs within is interrupted.
+    """Yield a function that returns the signals received since its last call; nothing in the block is
+    interrupted.
 
     The signals are those that end a run, and others that are named. A run under nohup goes on without its
     terminal.

@@ -1,4 +1,4 @@
-"""The options that say where a robot's poses are and how they are written, alike for all commands."""
+"""Options of all commands for the robot's poses and their notation."""
 
 from __future__ import annotations
 

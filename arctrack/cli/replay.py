@@ -169,7 +169,7 @@ def _in_turn(jobs: list[ReplayJob]) -> Iterator[Outcome]:
 
 
 def _begin(bar: Progress, job: ReplayJob, recording: Recording) -> Listeners:
-    """Say what is doubtful about a recording, and show from now on how far its replay is."""
+    """Print the doubts about a recording, and start the display of its replay's progress."""
     from arctrack.cli import console
     from arctrack.replays import Listeners
 
@@ -186,7 +186,7 @@ def _begin(bar: Progress, job: ReplayJob, recording: Recording) -> Listeners:
 
 
 def _report(outcomes: list[Outcome], parquet: Path | None) -> None:
-    """Say what became of the recordings, and leave with the exit code of it, if that is not 0.
+    """Print the results of the recordings, and exit with their code, if that is not 0.
 
     The frames of those that did not fail go into the Parquet file, where one is wanted.
     """

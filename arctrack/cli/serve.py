@@ -139,7 +139,7 @@ def serve_cell_file(
 
 
 def _serve_simulated(job: int | None, seconds: float | None) -> bool:
-    """Run a simulated cell beside the live run, and say and return whether its torch was on the seam."""
+    """Run a simulated cell with the live run, and print and return whether its torch was on the seam."""
     from arctrack.cli import console
 
     with interruptible("serve was", "nothing was sent"), ExitStack() as opened:

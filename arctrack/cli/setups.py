@@ -1,4 +1,4 @@
-"""What the commands that read a setup, or write one, share."""
+"""Common part of the commands that read or write a setup."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ def check_can_be_replaced(out: Path, option: str = "--out") -> None:
 
 
 def write_calibrated(out: Path, setup: Path, *results: CalibrationValues) -> None:
-    """Write a setup with calibrated values; say where it is, and where the one before it is kept.
+    """Write a setup with calibrated values; print where it is, and where the previous one is kept.
 
-    `out` may be the setup itself: the earlier file stays beside it under a number.
+    `out` may be the setup itself: the previous file stays next to it under a number.
     """
     from arctrack.cli import console
     from arctrack.output import write_keeping

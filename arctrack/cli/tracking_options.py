@@ -1,4 +1,4 @@
-"""The options that say how frames are tracked, alike for all commands."""
+"""Options of all commands that track frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The options that say where many recordings are worked on at once, alike for all commands."""
+"""Options of all commands that process many recordings at once."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What speaks for the tracker on the bus: one controller for a live run, a replay and a simulation."""
+"""Tracker's side of the bus: one controller for a live run, a replay and a simulation."""

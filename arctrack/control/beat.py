@@ -1,4 +1,4 @@
-"""What a tracker says of itself at a steady beat: the layout's version and its heartbeat."""
+"""Periodic messages of a tracker: the layout's version and its heartbeat."""
 
 from __future__ import annotations
 

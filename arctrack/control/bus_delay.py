@@ -1,4 +1,4 @@
-"""Whether what goes over the bus is as fresh as it looks: told by the robot's SYNC and the tracker's echo.
+"""Detection of a delaying bus by the robot's SYNC and the tracker's echo.
 
 A frame that was late on its way bears no mark of it. A SYNC and its echo do: the robot states how long both
 took together, and the comparison of clocks how long the newest SYNC took at least.

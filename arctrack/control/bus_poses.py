@@ -60,7 +60,7 @@ class BusPoses:
         self.begin()
 
     def begin(self) -> None:
-        """Begin as a new process: nothing was heard yet."""
+        """Reset to the state of a new process."""
         self.watch = PoseWatch(
             self._path,
             self._limits,
@@ -103,7 +103,7 @@ class BusPoses:
         self.watch.see(measured)
 
     def verdict(self, now_s: float) -> GateReason:
-        """Return what the gate is told of the poses."""
+        """Return the poses' verdict for the gate."""
         self.doubt = self.watch.doubt(now_s)
         return GateReason.NONE if self.doubt is None else GateReason.POSE_IMPLAUSIBLE
 
@@ -112,7 +112,7 @@ class BusPoses:
         return self.watch.doubt(now_s) is None
 
     def lead(self, now_s: float) -> OffsetLookAhead:
-        """Return how far ahead of the torch an offset is to be asked for."""
+        """Return the look-ahead of an offset."""
         if self._lag_estimator is None:
             self.look_ahead.update(now_s)
         return self.look_ahead.lead() if self.looks_ahead else AT_ONCE

@@ -1,8 +1,8 @@
-"""What the tracker says on the bus, and when: no thread, clock or socket, so that every run can be repeated.
+"""Tracker's messages on the bus, without thread, clock or socket, so that every run can be repeated.
 
-A live run, a replay and a simulation tell the controller what came (`on_message`, `on_track`, `on_poses`) and
-what time it is (`poll`), on one clock of their own. It answers with the messages to send, in order. Nothing
-is VALID before the robot is heard, and whatever ends that is answered with REFUSED.
+A live run, a replay and a simulation pass the controller what came (`on_message`, `on_track`, `on_poses`) and
+the time (`poll`), on one clock of their own. It returns the messages to send, in order. Nothing is VALID
+before a message of the robot, and whatever ends that is answered with REFUSED.
 """
 
 from __future__ import annotations
@@ -130,16 +130,16 @@ class Controller:
 
     @property
     def state(self) -> TrackerState:
-        """The state that was told last."""
+        """State that was sent last."""
         return self._state
 
     @property
     def fault(self) -> Fault:
-        """What holds until the robot commands RESET."""
+        """Fault that holds until the robot commands RESET."""
         return self._fault
 
     def is_laser_on(self, now_s: float) -> bool:
-        """Return whether the laser may be on: commanded, by a robot that is heard, and no fault."""
+        """Return whether the laser may be on: commanded, by a robot that is not silent, and no fault."""
         command = self._fresh_command(now_s)
         return (
             command is not None
@@ -264,7 +264,7 @@ class Controller:
     def unsent(self, message: BusMessage) -> None:
         """Take back a message that did not go out.
 
-        What the robot did not hear is nothing to hold or to follow; a refusal is said again.
+        What the robot did not receive is neither held nor followed; a refusal is sent again.
         """
         if message is self._offset:
             self._last_sent = self._sent_before
@@ -303,9 +303,9 @@ class Controller:
         ]
 
     def _conditions(self, track: Track, now_s: float, is_camera_stopped: bool = False) -> Conditions:
-        """Return what holds beside an offset.
+        """Return the conditions of an offset.
 
-        A command that is missing does not forget what was sent: the robot still stands there.
+        A missing command does not forget what was sent: the robot still stands there.
         """
         heard = self._command
         command = None if heard is None else heard.message

@@ -37,7 +37,7 @@ class Capture:
 
 @dataclass(frozen=True)
 class FrameStep:
-    """A step that was taken: the frame, what the step took beside it, and what came of it."""
+    """A completed step: the frame, the step's other inputs, and its result."""
 
     frame: Frame
     inputs: StepInputs

@@ -1,4 +1,4 @@
-"""What was heard last, and how long it counts."""
+"""Latest messages of the robot, and how long they count."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ def fresh(heard: TimedMessage[M] | None, now_s: float, max_age_s: float) -> M | 
 
 
 class OutageWatch:
-    """Tells a silence of the robot's commands or status that may hide a DISARM or a correction set to OFF."""
+    """Detector of a silence of the robot's commands or status that may hide a DISARM or a correction set to
+    OFF.
+    """
 
     def __init__(self) -> None:
         self._came_at_s: dict[type[BusMessage], float] = {}

@@ -1,13 +1,13 @@
-"""Whether the seam moves as pose and seam line predict: a test of innovations.
+"""Test of innovations: whether the seam moves as pose and seam line predict.
 
 In base a seam stands still. So each measurement must be where those before it put the seam, within its sigma
 and what a seam may bend on the way: the innovation nu of a Kalman filter along the stations, with the process
-of `gaussian_process`. Of a right pose nu^2 / S is chi-squared with one degree of freedom for each axis, white
-over frames (Bar-Shalom, Li, Kirubarajan 2001, Estimation with Applications, section 5.4.2). Of a pose that is
-late by t a weave of velocity v puts v t into it, of one that is mirrored twice the weave, of one that drifts
-its slope. Their sum over a window is held against a quantile at a stated rate of false alarms.
+of `gaussian_process`. With a right pose nu^2 / S is chi-squared with one degree of freedom for each axis,
+white over frames (Bar-Shalom, Li, Kirubarajan 2001, Estimation with Applications, section 5.4.2). A pose that
+is late by t adds v t for a weave of velocity v, a mirrored one twice the weave, a drifting one its slope.
+Their sum over a window is compared with a quantile at a stated rate of false alarms.
 
-A single value counts for a few sigmas at most: a tack or a bad frame is no pose that is wrong.
+A single innovation is capped at a few sigmas: a tack or a bad frame is not a wrong pose.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ VALUE_MM2, SLOPE_MM2 = BEND_SIGMA_MM**2, (DECAY * BEND_SIGMA_MM) ** 2
 
 
 class SeamMotion(Enum):
-    """Whether the seam moves in the image as the poses say."""
+    """Agreement of the seam's motion in the image with the poses."""
 
     UNPROVEN = "too few measurements yet"
     CONSISTENT = "as pose and seam line predict"
@@ -80,9 +80,9 @@ class SeamMeasurement:
     sigma_mm: tuple[float, float]
 
     def at_speed(self, speed_mm_s: float, limits: InnovationLimits) -> SeamMeasurement:
-        """Return it with its sigma of a tool at a speed, mm/s, whose time is as unsure as the limits say.
+        """Return it with the sigma at a tool speed, mm/s, when the pose's time is uncertain by the limits.
 
-        Of a tool that weaves at v a pose that is off by t puts the seam aside by v t.
+        With a tool that weaves at v, a pose that is off by t displaces the seam by v t.
         """
         by_mm = limits.pose_time_s * speed_mm_s
         y_mm, z_mm = self.sigma_mm
@@ -166,7 +166,7 @@ class _SeamAxis:
 
 @dataclass(frozen=True)
 class _SeamKnowledge:
-    """What is known of the seam at a station."""
+    """Estimate of the seam at a station."""
 
     station_mm: float
     axes: tuple[_SeamAxis, _SeamAxis]
@@ -181,7 +181,7 @@ class _SeamKnowledge:
         return _mirrored(_mirrored(y).moved(-step_mm)), _mirrored(_mirrored(z).moved(-step_mm))
 
     def agrees(self, other: _SeamKnowledge, limits: InnovationLimits) -> bool:
-        """Say whether two that share no measurement may be of one seam."""
+        """Return whether two estimates without a common measurement may be of one seam."""
         chi2 = 0.0
         for here, there in zip(self.axes, other.moved(self.station_mm), strict=True):
             variance_mm2 = here.variance_mm2 + there.variance_mm2

@@ -1,4 +1,4 @@
-"""What is tracked, and how: a job, as the robot names it by its number."""
+"""Job: what is tracked, and how, by the robot's number."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class PartLimits:
-    """What a part must be like before the arc is lit; None asks nothing.
+    """Requirements on a part before the arc is lit; None requires nothing.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class PartLimits:
 
     @property
     def asked(self) -> bool:
-        """Whether anything is asked."""
+        """True if anything is required."""
         return any(getattr(self, name) is not None for name in PART_RANGES)
 
 
@@ -59,7 +59,7 @@ PART_RANGES = tuple(f.name for f in fields(PartLimits) if f.name != "looks")
 
 @dataclass(frozen=True)
 class Bridging:
-    """How far a stretch without a joint, such as a tack, may reach.
+    """Limits of a stretch without a joint, such as a tack.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class Bridging:
 
 @dataclass(frozen=True)
 class Job:
-    """What is tracked, and how.
+    """Job of a tracker: what is tracked, and how.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""How late the robot follows its offsets, estimated while it welds, and how far to look ahead of the torch.
+"""Look-ahead of the torch, from the robot's lag behind its offsets, estimated while it welds.
 
-An offset that is right at its capture acts a lag L later, v L farther along the seam. So it is asked for
-there. L is that of `robot_io.clocks.lag`, from the offsets at their captures' times and the tool's way beside
-the path; the weave, which is in the latter alone, is taken out at its own frequency. An offset is held until
-the next one: on average it acts half a period of the frames later still.
+An offset that is right at its capture acts a lag L later, v L farther along the seam, so it is computed for
+there. L is that of `robot_io.clocks.lag`, from the offsets at their captures' times and the tool's lateral
+motion relative to the path; the weave, which is in the latter alone, is removed at its own frequency. An
+offset is held until the next one: on average it acts half a frame period later still.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ class _Place:
 
 @dataclass(frozen=True)
 class Motions:
-    """What was commanded, and what was seen of the tool beside its path."""
+    """Commanded offsets, and the tool's measured motion relative to its path."""
 
     commanded: Motion
     seen: Motion
 
 
 class LagEstimator(Protocol):
-    """Estimates lags, at once or meanwhile."""
+    """Estimator of lags, blocking or not."""
 
     def ask(self, motions: Motions) -> None:
-        """Take what an estimate rests on. What was asked before and not answered yet goes before."""
+        """Request an estimate from motions; an unanswered earlier request comes first."""
 
     def answer(self) -> Lag | None:
-        """Return the estimate that was asked for, None while there is none; each is returned once."""
+        """Return the requested estimate, None while there is none; each is returned once."""
 
 
 class LagNow:
@@ -128,7 +128,7 @@ class LookAhead:
             self._commanded.append((captured_s, offset.offset_y_mm))
 
     def update(self, now_s: float) -> None:
-        """Have the lag estimated anew where it is time to, and take an estimate that is there."""
+        """Request a new estimate where it is time to, and take one that is there."""
         if not 0.0 <= now_s - self._estimated_s < self.policy.every_s:
             self._estimated_s = now_s
             self._ask()
@@ -186,17 +186,17 @@ class LookAhead:
 
 
 def lag_of(motions: Motions, policy: LookAheadPolicy, limits: LagLimits) -> Lag:
-    """Return the lag between what was commanded and what was seen, beside a weave."""
+    """Return the lag of the measured motion behind the commanded one, with a weave removed."""
     nuisances = _weave(motions.commanded, motions.seen, limits, policy)
     lag = estimate_lag(motions.commanded, motions.seen, limits, nuisances=nuisances)
     return replace(lag, sigma_s=math.hypot(lag.sigma_s, policy.timing_sigma_s))
 
 
 def _weave(commanded: Motion, seen: Motion, limits: LagLimits, policy: LookAheadPolicy) -> Float64:
-    """Return a drift, the weave's sines and cosines, and what its frequency is unsure by (n, m).
+    """Return a drift, the weave's sines and cosines, and the derivative by its frequency (n, m).
 
-    The rows are the times of what was seen. The frequency is that whose waves leave least, in least squares
-    beside the offsets: these at some lags at once, since the lag is not known yet.
+    The rows are the times of the measured motion. The frequency is the one of least residual, in least
+    squares together with the offsets: these at some lags at once, since the lag is not known yet.
     """
     times_s = seen.times_s - seen.times_s[0]
     length_s = max(float(times_s[-1]), 1.0)

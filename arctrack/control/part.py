@@ -1,4 +1,4 @@
-"""Whether a part is fit to be welded: asked of its joint before the arc, and of the stretches without one."""
+"""Fitness of a part to be welded: of its joint before the arc, and of the stretches without one."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Bridge:
 
 
 class PartWatch:
-    """Asks of a seam's frames whether its part is fit to be welded."""
+    """Watch of a seam's frames for whether its part is fit to be welded."""
 
     def __init__(self) -> None:
         self._check, self._bridge = PartCheck(), Bridge()
@@ -78,7 +78,7 @@ class PartWatch:
         self._check, self._bridge = PartCheck(), Bridge()
 
     def is_fit(self, job: Job) -> bool:
-        """Say whether all that a job asks before the arc was measured, and is as it must be."""
+        """Return whether all that a job requires before the arc was measured and is in range."""
         return self._check.passed or not job.part.asked
 
     def look(self, track: Track, T_base_tool: Float64 | None, job: Job, is_arc_off: bool) -> Fault:

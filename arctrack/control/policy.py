@@ -1,4 +1,4 @@
-"""How long the controller trusts what it heard last, and how often it speaks of itself."""
+"""Time-outs of the controller, and periods of its messages."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class ServicePolicy:
 
 @dataclass(frozen=True)
 class LookAheadPolicy:
-    """How the lag is estimated during a run.
+    """Policy of the lag's estimation during a run.
 
     - `window_s`: span of commands and motion that is kept (chosen: some periods of a weave, and a soft
       start).

@@ -1,4 +1,4 @@
-"""Whether the robot on the bus stands where the recording's robot stood."""
+"""Check of whether the robot on the bus stands where the recording's robot stood."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from robot_io import GateReason, PoseAssembler, PoseBuffer, PoseKind, PoseStatus
 
 @dataclass(frozen=True)
 class AgreementPolicy:
-    """How far the two may be apart. Each field's metadata states `unit`, `role` and `source`."""
+    """Largest difference of the two. Each field's metadata states `unit`, `role` and `source`."""
 
     position_mm: float = field(
         default=5.0,

@@ -1,4 +1,4 @@
-"""Whether poses are to be trusted: by themselves, by what the robot says, by the seam in the image."""
+"""Trust in poses: by themselves, by the robot's messages, and by the seam in the image."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class PoseWatch:
         return doubt
 
     def verdict(self, now_s: float) -> GateReason:
-        """Return what the gate is told."""
+        """Return the verdict for the gate."""
         return GateReason.NONE if self.doubt(now_s) is None else GateReason.POSE_IMPLAUSIBLE
 
 

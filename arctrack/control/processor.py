@@ -1,4 +1,4 @@
-"""How long a thread waits for a processor: what a busy machine takes from the loop."""
+"""Waiting time of a thread for a processor: what a busy machine takes from the loop."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class ProcessorWait:
 
     @property
     def is_too_long(self) -> bool:
-        """Whether the machine is too busy for this thread."""
+        """True if the machine is too busy for this thread."""
         return self.share > MAX_WAIT_SHARE
 
     def look(self) -> None:

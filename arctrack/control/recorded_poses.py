@@ -1,4 +1,4 @@
-"""Whether a recording's poses are to be trusted, frame by frame, by the watch of a live run."""
+"""Trust in a recording's poses, frame by frame, by the watch of a live run."""
 
 from __future__ import annotations
 
@@ -72,7 +72,8 @@ class RecordedPoses:
             self._watch.see(seam)
 
     def verdict(self, now_s: float) -> GateReason:
-        """Return what the gate is told at a time on the recording's clock, s; times rise from call to call.
+        """Return the verdict for the gate at a time on the recording's clock, s; times rise from call to
+        call.
 
         Raises ArctrackError if the log cannot be read.
         """
@@ -106,7 +107,7 @@ def seam_limits(frame_rate_hz: float) -> InnovationLimits:
 
 
 def _coming(recording: Recording) -> Iterator[Received | PoseSample]:
-    """Yield what a live run would have heard."""
+    """Yield what a live run would have received."""
     poses = recording.poses
     if poses.path.name in LOG_NAMES:
         yield from BusLogReader(poses.path, can_channel(recording.robot))

@@ -1,4 +1,4 @@
-"""Where a track and its pose put the seam that was seen: what the watch over the poses is shown."""
+"""Seam as a track and its pose place it: input of the watch over the poses."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def has(track: Track, flag: flags.Flag) -> bool:
 
 
 def proposal(track: Track, zero_mm: tuple[float, float]) -> Proposal:
-    """Return what a track proposes to send, less the displacement (y, z) that counts as nought, mm."""
+    """Return a track's proposed offset, relative to the displacement (y, z) that counts as zero, mm."""
     return Proposal(
         captured_at_s=track.timestamp_s,
         offset_y_mm=track.offset_y_mm - zero_mm[0],
@@ -50,7 +50,7 @@ def displacement(
 ) -> tuple[float, float] | None:
     """Return the seam's displacement (y, z), mm, 0 for an axis that is not enabled.
 
-    None where the track is too old, or known less well than the gate's limits ask for.
+    None where the track is too old, or its sigma exceeds the gate's limits.
     """
     is_fresh = track.valid and 0.0 <= now_s - track.timestamp_s <= limits.capture_age_s
     if not (is_fresh and track.offset_confidence >= limits.confidence):

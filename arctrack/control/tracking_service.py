@@ -28,7 +28,7 @@ Shown = TypeVar("Shown", contravariant=True)
 
 
 class Poses(Protocol):
-    """Where the tool was, and whether that is to be trusted; see `BusPoses`."""
+    """Source of tool poses, and of their trust; see `BusPoses`."""
 
     @property
     def doubt(self) -> Doubt | None:

@@ -1,4 +1,4 @@
-"""What lies where frames were looked for in vain, and what to do with it."""
+"""Hints on files that lie where frames were expected, and what to do with them."""
 
 from __future__ import annotations
 

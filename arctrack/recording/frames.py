@@ -47,7 +47,7 @@ class BadFrame:
 
     @property
     def message(self) -> str:
-        """One line for people."""
+        """Message for people, in one line."""
         return f"{self.path}: {self.problem}"
 
 

@@ -1,4 +1,4 @@
-"""Which key of a file is wrong: what pydantic found, in one line for people."""
+"""Messages on wrong keys of a file: what pydantic found, in one line for people."""
 
 from __future__ import annotations
 

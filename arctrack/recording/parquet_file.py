@@ -1,4 +1,4 @@
-"""One Parquet file of many replays' frames: the rows of their results.csv, each with its recording's name."""
+"""Parquet file of many replays' frames: the rows of their results.csv, each with its recording's name."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Grey PNGs of 8 or 16 bits, read so that a truncated or damaged one is always noticed.
+"""Reader of grey PNGs of 8 or 16 bits that always notices a truncated or damaged one.
 
-Chunks and their checksums are walked before anything is decoded: OpenCV hands out what it could decode of a
-cut PNG and says nothing that a program could hear. OpenCV decodes, but for grey pixels in rows of the filter
+Chunks and their checksums are walked before anything is decoded: OpenCV returns what it could decode of a cut
+PNG and reports nothing that a program could use. OpenCV decodes, except for grey pixels in rows of the filter
 Sub, as OpenCV itself and so arctrack writes them: ISA-L inflates these three times as fast.
 """
 
@@ -32,7 +32,7 @@ WRONG_HEADER = "is no PNG: its header is wrong"
 
 @dataclass(frozen=True)
 class PngHeader:
-    """What a PNG says of its pixels before they are decoded."""
+    """A PNG's properties of its pixels before they are decoded."""
 
     width: int
     height: int

@@ -1,4 +1,4 @@
-"""Where the robot was: poses.csv, or the pose messages of a CAN log, as T_base_tool over time."""
+"""Robot poses T_base_tool over time: poses.csv, or the pose messages of a CAN log."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def pose_at(buffer: PoseBuffer, timestamp_s: float) -> Pose | None:
 
 
 def poses_at(buffer: PoseBuffer, timestamps_s: Sequence[float]) -> list[Pose | None]:
-    """Return the pose at each time, asked for in one call; None where the buffer refuses one."""
+    """Return the pose at each time, in one call; None where the buffer refuses one."""
     return [_pose(buffered) for buffered in buffer.at_all(timestamps_s)]
 
 
@@ -169,9 +169,9 @@ def can_channel(robot: Mapping[str, Any]) -> str | None:
 
 
 def read_log(path: Path, channel: str | None) -> tuple[PoseTable, list[str]]:
-    """Return the actual poses that a CAN log holds, and warnings on what was left out.
+    """Return the actual poses in a CAN log, and warnings on what was left out.
 
-    Raises ArctrackError for a log that holds none, and for one whose robot nobody can tell.
+    Raises ArctrackError for a log without poses, and for one whose robot is ambiguous.
     """
     assembler = PoseAssembler()
     times_s: list[float] = []

@@ -95,7 +95,7 @@ class Recording:
 
     @property
     def has_truth(self) -> bool:
-        """Whether truth.csv lies beside the frames."""
+        """True if truth.csv lies next to the frames."""
         return (self.path / TRUTH_CSV).exists()
 
     @property

@@ -1,4 +1,4 @@
-"""What a replay writes as numbers: results.csv, a row a frame, and summary.json."""
+"""Numeric results of a replay: results.csv, a row a frame, and summary.json."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ COLUMNS = (
 
 
 class ResultsWriter:
-    """Writes results.csv; every row is on disk before the next frame is looked at.
+    """Writer of results.csv; every row is on disk before the next frame is processed.
 
     Raises ArctrackError if the file cannot be written.
     """

@@ -1,4 +1,4 @@
-"""What a live run sent of each frame of its black box, beside what a replay of it sends."""
+"""Comparison of the offsets that a live run sent, by its black box, with those of a replay."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ MAX_NAMED = 3
 
 @dataclass(frozen=True)
 class OffsetOutcome:
-    """What became of a frame's offset: y and z, mm, its validity, the gate's reason, the doubt of the poses.
+    """Outcome of a frame's offset: y and z, mm, its validity, the gate's reason, the doubt of the poses.
 
     The texts are those of results.csv; `gate_reason` and `pose_doubt` are empty where there was none, and all
-    three where nobody noted them.
+    three where they were not recorded.
     """
 
     offset_y_mm: float = NAN
@@ -54,7 +54,7 @@ class OffsetOutcome:
 
     @property
     def gate(self) -> str:
-        """What the gate did, and why."""
+        """Decision of the gate, with the reason."""
         return ", ".join(text for text in (self.validity, self.gate_reason) if text) or "not noted"
 
     def differs(self, other: OffsetOutcome) -> bool:

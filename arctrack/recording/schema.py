@@ -20,7 +20,7 @@ MAX_NUMBER = 1e15
 
 
 class Bounds(NamedTuple):
-    """What a number may be, None for no end, and why no more."""
+    """Bounds of a number, None for an open end, and their reason."""
 
     low: float | None
     high: float | None
@@ -96,13 +96,13 @@ class Key:
 
     @property
     def meaning(self) -> str:
-        """What it is, with its unit, as a sentence; empty where nobody says."""
+        """Description with its unit, as a sentence; empty where there is none."""
         unit = self.said("unit")
         return f"{self.field.description}{f', {unit}' if unit else ''}." if self.field.description else ""
 
     @property
     def explanation(self) -> str:
-        """What it is, what it usually is, and how to come to its value."""
+        """Description, usual value, and how to find the value."""
         typical, source = self.said("typical"), self.said("source")
         usual, origin = typical and f"Usual: {typical}.", source and f"From {source}"
         return " ".join(filter(None, (self.meaning, usual, origin, self.said("note"))))
@@ -123,7 +123,7 @@ class Key:
 
     @property
     def bounds(self) -> Bounds:
-        """What it, or each item of its list, may be."""
+        """Bounds of the value, or of each item of a list."""
         for info in (self.field, *_items(self.field)):
             low, high = (
                 next((getattr(end, name) for end in info.metadata if hasattr(end, name)), None)
@@ -183,7 +183,7 @@ def keys_of(model: type[BaseModel]) -> Iterator[Key]:
 
 
 def unknown_in(table: Table, location: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], set[str]]]:
-    """Yield the place of each key of a file that means nothing, and the names that do beside it."""
+    """Yield the place of each unknown key of a file, and the names known there."""
     yield from (
         ((*location, name), table.names) for name in table.model_extra or {} if name not in table.names
     )

@@ -14,7 +14,7 @@ from tracker.state import Track
 
 @dataclass(frozen=True)
 class ErrorSizes:
-    """How large errors are, mm: RMS, and median, 95 % quantile and maximum of their size."""
+    """Sizes of errors, mm: RMS, and median, 95 % quantile and maximum of the absolute value."""
 
     rms: float
     median: float

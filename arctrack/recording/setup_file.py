@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SetupFile:
-    """What the recording.toml at `path` says.
+    """Content of the recording.toml at `path`.
 
     `correction` is how the seam is followed; `robot` is the raw table; `T_tool_controllertool` (4, 4), mm,
     takes points of the controller's own tool frame to arctrack's, None if they are the same; `unknown_keys`
@@ -55,7 +55,7 @@ class SetupFile:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to tell a user of it, one line each."""
+        """Warnings for the user, one line each."""
         problems = []
         for key in self.unknown_keys:
             near = self.nearest_keys.get(key)

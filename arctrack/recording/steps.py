@@ -1,8 +1,8 @@
-"""What a live run's steps took beside their frames, as a recording keeps it: it replays to the same tracks.
+"""Inputs of a live run's steps other than frames, as a recording keeps them: it replays to the same tracks.
 
-steps.csv has a line a frame: the pose as the step had it, how far ahead its offset was asked for, and whether
-the seam began anew. state.json is the tracker's state before the first frame. Numbers are written so that
-they come back the same, bit for bit.
+steps.csv has a line a frame: the pose that the step had, the look-ahead of its offset, and whether the seam
+began again. state.json is the tracker's state before the first frame. Numbers are written so that they are
+read back the same, bit for bit.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ RECORDS = {
 
 @dataclass(frozen=True)
 class RecordedStep:
-    """What a step took beside its frame, but for the state; see `StepInputs`.
+    """Inputs of a step other than its frame and the state; see `StepInputs`.
 
-    `begins` says that the seam began anew before it.
+    `begins` says that the seam began again before it.
     """
 
     pose: Pose | None

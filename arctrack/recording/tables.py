@@ -32,7 +32,7 @@ TRUTH_COLUMNS = {"frame": _FRAME, **dict.fromkeys(("seam_x_mm", "seam_y_mm", "se
 
 @dataclass(frozen=True)
 class FrameRow:
-    """One line of frames.csv: `timestamp_s` is mid-exposure; `current_a` is NaN where nobody knows it."""
+    """One line of frames.csv: `timestamp_s` is mid-exposure; `current_a` is NaN where it is unknown."""
 
     index: int
     timestamp_s: float

@@ -1,4 +1,4 @@
-"""When frames were taken, by several sources at once: stamps of a video, tables, names, counters, a rate."""
+"""Capture times of frames by several sources: stamps of a video, tables, names, counters, a rate."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ SAME_FRAME = 0.5
 
 @dataclass(frozen=True)
 class TimeSource:
-    """What a source says of the time of each frame.
+    """Times of the frames by one source.
 
-    `values` (n,) are s on any clock, or the counts of a counter where `is_count`; NaN where the source says
-    nothing. `resolution_s` is what its times are rounded to.
+    `values` (n,) are s on any clock, or the counts of a counter where `is_count`; NaN where the source has
+    none. `resolution_s` is the rounding of its times.
     """
 
     name: str

@@ -14,7 +14,7 @@ _DEEP_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*\.[ \t]*{_PART}){{{LIMITS.to
 
 
 def rounded(value: float, digits: int) -> float:
-    """Return a number that is written in so many significant digits."""
+    """Return a number rounded to `digits` significant digits."""
     return float(f"{value:.{digits}g}")
 
 

@@ -21,7 +21,7 @@ _UNKNOWN = -1
 
 @dataclass(frozen=True)
 class VideoIndex:
-    """What a video says of its frames; `breaks_off` is what is wrong with its end, None if it is whole."""
+    """Index of a video's frames; `breaks_off` is what is wrong with its end, None if it is whole."""
 
     times: TimeSource
     breaks_off: str | None

@@ -1,8 +1,8 @@
-"""One frame of a recording, explained: what the tracker's step did with it, and all that this rests on.
+"""Explanation of one frame of a recording: what the tracker's step did with it, and on what grounds.
 
-The frames before it go through the same step, so the seam's history is the one that the replay had. The look
-that counts is then taken once more, for what the step does not keep: nothing is random, so it gives the same
-numbers bit for bit.
+The frames before it go through the same step, so the seam's history is the one that the replay had. The
+observation that counts is then repeated for what the step does not keep: nothing is random, so it gives the
+same numbers bit for bit.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class ArcImage:
 
 @dataclass(frozen=True, eq=False)
 class StripeLook:
-    """How the stripe was read, why some scan lines hold none, and what the others' sigma is made of."""
+    """Reading of the stripe, why some scan lines hold none, and the parts of the others' sigma."""
 
     reading: StripeReading
     refusals: Refusals
@@ -67,7 +67,7 @@ class StripeLook:
 
 @dataclass(frozen=True, eq=False)
 class SeamLook:
-    """A measured seam beside the earlier ones, displacements (2,) as (y, z) from the programmed path, mm."""
+    """A measured seam and the earlier ones, displacements (2,) as (y, z) from the programmed path, mm."""
 
     station_mm: float
     displacement_mm: Float64
@@ -79,11 +79,11 @@ class SeamLook:
 
 @dataclass(frozen=True, eq=False)
 class StepObservation:
-    """What the step saw in a frame; None where it did not get that far.
+    """Observations of the step in a frame; None where it did not get that far.
 
-    `reach_px` is how far about the expected stripe it was searched, `torch_station_mm` where the torch stands
-    along the path. `joint` is the one that the step took, else what the profile shows. `seam` is None where
-    it took none.
+    `reach_px` is the half-width of the search about the expected stripe, `torch_station_mm` the torch's
+    station along the path. `joint` is the one that the step took, otherwise what the profile shows. `seam` is
+    None where it took none.
     """
 
     reading: Reading
@@ -118,7 +118,8 @@ def explain(
     use_arc_map: bool = True,
     on_frame: Callable[[int], None] | None = None,
 ) -> Explanation:
-    """Replay a recording up to the frame of an index and explain it; `on_frame` hears the frames done.
+    """Replay a recording up to the frame of an index and explain it; `on_frame` gets the number of frames
+    done.
 
     Raises ArctrackError if the recording has no such frame, or if it cannot be read.
     """
@@ -259,7 +260,7 @@ def _arc_image(
 def _seam_look(
     geometry: SensorGeometry, before: TrackerMemory, nominal_scene: Scene, scene: Scene, joint: MeasuredJoint
 ) -> SeamLook:
-    """Put a measured joint beside what the earlier frames said of its place."""
+    """Compare a measured joint with its position by the earlier frames."""
     source, T_nominal_tool = geometry.seam_source, nominal_scene.T_joint_tool
     located = locate(source, T_nominal_tool, scene, joint.y_mm, joint.z_mm)
     station, displacement = located.station_mm, np.array(located.displacement_mm)

@@ -1,4 +1,4 @@
-"""Why each scan line holds the stripe or not, and what its sigma is made of."""
+"""Reasons for which each scan line holds the stripe or not, and the parts of its sigma."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ BACKGROUND_STEPS = 6
 
 @dataclass(frozen=True, eq=False)
 class Refusals:
-    """Why each scan line (n_scan,) holds no stripe, `READ` where it does, and what its refused fit found.
+    """Reason for which each scan line (n_scan,) holds no stripe, `READ` where it does, and its refused fit.
 
-    `height_e` and `width_ratio`, over the expected width, are NaN where no fit ran to its end.
+    `height_e` and `width_ratio`, over the expected width, are NaN where no fit converged.
     """
 
     why: npt.NDArray[np.str_]
@@ -40,7 +40,7 @@ class Refusals:
 
 @dataclass(frozen=True, eq=False)
 class SigmaParts:
-    """What the variance of each line's position is made of, px^2, (n_scan,), NaN where there is no stripe.
+    """Parts of the variance of each line's position, px^2, (n_scan,), NaN where there is no stripe.
 
     The fit is linear in the pixels about its end: with the Jacobian J, the weights W = V^-1 and the priors'
     information P its covariance C = (J'WJ + P)^-1 is C J'W V W J C + C P C, so the position's variance is a

@@ -42,7 +42,7 @@ class RecordedTracking:
             self.tracker.state = recording.steps.state
 
     def inputs_for(self, frame: Frame) -> StepInputs:
-        """Return what the step of the next frame takes beside it."""
+        """Return the other inputs of the next frame's step."""
         steps = self.recording.steps
         recorded = None if steps is None else steps.steps.get(frame.index)
         if recorded is None:
@@ -62,10 +62,10 @@ class RecordedTracking:
 
 @dataclass(frozen=True)
 class RowStep:
-    """One row of frames.csv after the tracker saw it; `took_ms` is NaN where there was no frame to step.
+    """One row of frames.csv after its step; `took_ms` is NaN where there was no frame to step.
 
-    `pose` is None where it was refused or there was no frame; `reading` is the look that the track rests on,
-    None where none was taken. `seam` is where the pose puts what was seen, None where nothing was.
+    `pose` is None where it was refused or there was no frame; `reading` is what the track rests on, None
+    where there is none. `seam` is where the pose puts what was seen, None where nothing was.
     """
 
     row: FrameRow

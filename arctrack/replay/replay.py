@@ -102,7 +102,7 @@ class ReplayOptions:
 
 @dataclass(frozen=True)
 class Replay:
-    """What came out of a replay; the tracks are without their stripes, `warnings` one line each."""
+    """Result of a replay; the tracks are without their stripes, `warnings` one line each."""
 
     recording: Recording
     folder: Path
@@ -117,7 +117,7 @@ class Replay:
 
     @property
     def complaint(self) -> str | None:
-        """One line on the frames that could not be read, None if all could."""
+        """One line on the frames that could not be read; None if all could."""
         of_the_others = f"their rows carry {flags.FRAME_UNREADABLE.name}, the others are in {self.folder}"
         return self.recording.complaint(self.bad_frames, of_the_others)
 

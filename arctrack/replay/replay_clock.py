@@ -1,4 +1,4 @@
-"""When each frame of a replay goes out, and what the robot then does."""
+"""Clock of a replay: when each frame is sent, and what the robot then does."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ POLL_S = 0.02
 
 
 class RecordingTime:
-    """Nobody in real time listens: as fast as one can, as if computing took no time.
+    """Offline clock: runs as fast as possible, computation counts as instantaneous.
 
     So the same recording sends the same on every machine. The robot is the recording's: it welds while a
-    frame's arc burns, and wants the tracker to track. A log begins at 0: where a recording begins before, its
-    log is whole seconds late.
+    frame's arc burns, and commands the tracker to track. A log begins at 0: where a recording begins before,
+    its log is whole seconds late.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class RecordingTime:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to tell a user of the log and the bus, one line each."""
+        """Warnings about the log and the bus, one line each."""
         if not self._log_is_late_s:
             return _faults(self._link)
         return (
@@ -99,11 +99,11 @@ class RecordingTime:
 
 
 class RealTime:
-    """On a bus beyond this process a frame goes out when its time has come; who sends there is heard.
+    """Real-time clock on a bus beyond this process: a frame is sent when its time has come.
 
-    The robot is the one that is heard. It must stand where the recording's robot stood, and the recording's
-    own poses must be trusted. The clock is the recording's, from the first frame on.
-    `check_interrupt` is called while it waits, and may raise.
+    The robot is the one on the bus. It must stand where the recording's robot stood, and the recording's own
+    poses must be trusted. The clock is the recording's, from the first frame on. `check_interrupt` is called
+    while it waits, and may raise.
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class RealTime:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to tell a user of the robot and the bus, one line each."""
+        """Warnings about the robot and the bus, one line each."""
         bus = f"{self._link.interface}:{self._link.channel}"
         warnings = []
         if not self._heard:

@@ -31,7 +31,7 @@ class Trial:
 
 
 def rows_to_try(recording: Recording, most: int = MAX_TRIED) -> range:
-    """Return the positions of at most so many frames in a row to track: all of a short recording."""
+    """Return the positions of at most `most` consecutive frames to track: all of a short recording."""
     rows = recording.rows
     first_lit = next((n for n, row in enumerate(rows) if row.arc_on), 0)
     first = max(0, min(first_lit - min(TRIED_BEFORE_ARC, most // 2), len(rows) - most))

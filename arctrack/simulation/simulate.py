@@ -121,7 +121,7 @@ class SimulationPlan:
 
 @dataclass(frozen=True)
 class FrameSwitches:
-    """What is on in a frame."""
+    """Light sources that are on in a frame."""
 
     laser_on: bool
     arc_on: bool
@@ -293,9 +293,9 @@ def conditions(setup: Setup, plan: SimulationPlan, rng: np.random.Generator) -> 
 
 
 class SimulatedMotion:
-    """Where the tool is at a time and where the true seam runs; phases are drawn once.
+    """Tool pose and true seam over time; phases are drawn once.
 
-    The tool follows the setup's joint, the true seam runs along `true_joint`, the same without it.
+    The tool follows the setup's joint, the true seam runs along `true_joint`, by default the same.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""What the seam's position is good for, from the calibrations that were done."""
+"""Certificate of the seam's position, from the completed calibrations."""
 
 from __future__ import annotations
 

@@ -106,9 +106,9 @@ class SensorFiles:
 
 @dataclass(frozen=True)
 class CalibrationSources:
-    """What a folder holds for each calibration, None for those it has nothing for.
+    """Inputs of each calibration in a folder, None where there are none.
 
-    `unknown_keys` are keys of calibration.toml that mean nothing, each with the known key nearest to it.
+    `unknown_keys` are unknown keys of calibration.toml, each with the known key nearest to it.
     """
 
     folder: Path
@@ -128,7 +128,7 @@ class CalibrationSources:
 
     @property
     def warnings(self) -> Iterator[str]:
-        """What to tell a user of calibration.toml, a line each."""
+        """Warnings about calibration.toml, a line each."""
         for key, near in self.unknown_keys.items():
             hint = "" if near is None else f"; did you mean {near}?"
             yield f"{self.folder / FILE_NAME}: {key} is not known and has no effect{hint}"

@@ -104,7 +104,7 @@ def _wide(name: str, sigma: float) -> str:
 
 
 def _combination(weak: Combination) -> str:
-    """Say in words what cannot be told apart."""
+    """Return in words what cannot be separated."""
     parts = sorted(weak.parts.items(), key=lambda part: -abs(part[1]))
     if len(parts) == 1:
         return f"The frames hardly tell: {NAMES[parts[0][0]]}."

@@ -1,4 +1,4 @@
-"""What the arc's calibration writes into a setup: `[arc]`, `[material]`, and their covariance."""
+"""Values of the arc's calibration for a setup: `[arc]`, `[material]`, and their covariance."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MADE_BY = "arctrack calibrate arc"
 
 
 def arc_records(result: ArcCalibration) -> tuple[CalibrationValues, ...]:
-    """Return the values that were told; what was refused stays as it is."""
+    """Return the determined values; what was refused stays as it is."""
     radius, *center, radiance, kappa_diff, kappa_spec, c2 = (float(f"{value:.8g}") for value in result.values)
     about: dict[str, float | int | str] = {
         "frames": len(result.problem.frames),

@@ -1,4 +1,4 @@
-"""From a recording with the arc on to the arc's values and its metal's."""
+"""Calibration of arc and metal from a recording with the arc on."""
 
 from __future__ import annotations
 
@@ -107,6 +107,6 @@ def _place(read: Recording) -> StripePlace | None:
 
 
 def _part(place: StripePlace) -> PartPlacement:
-    """Return what stripes say of the part beside the camera within its tolerance."""
+    """Return the part's placement by stripes, with the camera within its tolerance."""
     cause = place.as_stated
     return PartPlacement.beside(place.setup, place.middle_mm, cause.values, cause.fit)

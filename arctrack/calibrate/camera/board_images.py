@@ -46,12 +46,12 @@ class BoardImages:
 
     @property
     def is_dim(self) -> bool:
-        """Whether the boards are poorly lit."""
+        """True if the boards are poorly lit."""
         return bool(self.contrast) and float(np.median(self.contrast)) < DIM_DN / 255.0
 
     @property
     def warnings(self) -> list[str]:
-        """What makes the corners worse than the camera's."""
+        """Warnings about what degrades the corners."""
         if not self.lossy:
             return []
         others = f" and {len(self.lossy) - 1} more are" if len(self.lossy) > 1 else " is"

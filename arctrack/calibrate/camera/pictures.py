@@ -144,7 +144,7 @@ def noise(result: CameraCalibration) -> Figure:
 
 
 def halves(result: CameraCalibration) -> Figure:
-    """Return the difference of two halves beside its prediction, over the image."""
+    """Return a figure of the difference of two halves and its prediction, over the image."""
     ordered = sorted(result.halves, key=lambda difference: difference.ratio)
     middle = ordered[len(ordered) // 2]
     lens = result.scene.lens

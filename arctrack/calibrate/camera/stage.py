@@ -1,4 +1,4 @@
-"""From board images to the camera's values."""
+"""Calibration of the camera from board images."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Does a setup explain a recording, stage by stage, and what to calibrate anew."""
+"""Check of whether a setup explains a recording, by stage, and what to calibrate again."""

@@ -37,9 +37,9 @@ MIN_LINES = 30
 
 @dataclass(frozen=True, eq=False)
 class SetupCheck:
-    """What a recording says of a setup: quantities by stage, and what they come to.
+    """Check of a setup by a recording: quantities by stage, and verdicts.
 
-    `place` and `arc` are None where no frame tells of them, `untold` says why. `sights` are the stripes of
+    `place` and `arc` are None where no frame determines them, `untold` says why. `sights` are the stripes of
     `looks` that were compared.
     """
 
@@ -63,7 +63,7 @@ class SetupCheck:
         return tuple(stage for stage in LightStage if self.verdict_of(stage) is SetupVerdict.NOT_EXPLAINED)
 
     def verdict_of(self, stage: LightStage) -> SetupVerdict:
-        """Return a stage's verdict: that of its worst quantity, and none without any that is told."""
+        """Return a stage's verdict: that of its worst quantity, and none without a determined one."""
         verdicts = {measure.verdict for measure in self.measures if measure.stage is stage}
         for verdict in (SetupVerdict.NOT_EXPLAINED, SetupVerdict.OK):
             if verdict in verdicts:
@@ -72,7 +72,7 @@ class SetupCheck:
 
     @property
     def headline(self) -> str:
-        """What the check comes to, in a line."""
+        """Overall verdict, in a line."""
         if not self.not_explained:
             told = [stage.value for stage in LightStage if self.verdict_of(stage) is SetupVerdict.OK]
             return f"the setup explains the recording: {'; '.join(told) or 'nothing could be told'}"
@@ -125,7 +125,7 @@ def check_setup(
 
 
 def _placed(setup: Setup, sights: Sequence[StripeSight]) -> tuple[StripePlace | None, list[str]]:
-    """Return where the stripes lie, None where nothing tells of it, and what to say of that."""
+    """Return where the stripes lie, None where nothing determines it, and remarks."""
     if not sights:
         return None, ["Camera, laser and hand-eye are not told: no frame with the laser on shows a line."]
     try:
@@ -136,7 +136,7 @@ def _placed(setup: Setup, sights: Sequence[StripeSight]) -> tuple[StripePlace | 
 
 
 def _arc_seen(recording: Recording, place: StripePlace | None) -> tuple[ArcLightCheck | None, list[str]]:
-    """Return the arc's light beside the expected one, None where nothing tells of it, and what to say."""
+    """Return the arc's light against the expected one, None where nothing determines it, and remarks."""
     lit = _arc_frames(recording)
     if not lit:
         return None, ["The arc is not told: no frame with the arc on."]
@@ -150,7 +150,7 @@ def _arc_seen(recording: Recording, place: StripePlace | None) -> tuple[ArcLight
 
 
 def _first(measures: Sequence[Measure]) -> str:
-    """Return what an earlier stage asks to be set right first, nothing where all explain the recording."""
+    """Return what must be corrected first for an earlier stage, nothing where all explain the recording."""
     wrong = [
         m for m in measures if m.verdict is SetupVerdict.NOT_EXPLAINED and m.stage is not LightStage.STRIPE
     ]

@@ -90,9 +90,9 @@ def sensor_measures(setup: Setup, seen: SensorReading, arc: ArcLightCheck | None
 
 
 def stripe_measures(setup: Setup, looks: Sequence[CheckedFrame], first: str) -> list[Measure]:
-    """Return the stripe's: saturation, width, peak, from frames without arc where there are some.
+    """Return the stripe's saturation, width and peak, from frames without arc where there are some.
 
-    Where an earlier stage, `first`, is wrong, what departs is not told.
+    Where an earlier stage, `first`, is wrong, a departing quantity counts as undetermined.
     """
     seen = [look for look in looks if not look.frame.arc_on] or list(looks)
     share = _median(look.seen.saturated_share for look in seen)
@@ -168,7 +168,7 @@ ARC_QUANTITIES = (
 
 
 def arc_measures(setup: Setup, arc: ArcLightCheck | None, first: str) -> list[Measure]:
-    """Return the arc's quantities; where an earlier stage, `first`, is wrong, what departs is not told."""
+    """Return the arc's quantities; departing ones are undetermined where an earlier stage, `first`, fails."""
     if arc is None:
         return []
     expected = {"level": 1.0, "current_power": setup.arc.current_exponent}
@@ -197,7 +197,7 @@ def arc_measures(setup: Setup, arc: ArcLightCheck | None, first: str) -> list[Me
 
 
 def _after(measure: Measure, first: str) -> Measure:
-    """Return a quantity that departs as not told where an earlier stage is to be set right first."""
+    """Return a departing quantity as undetermined where an earlier stage must be corrected first."""
     if not first or measure.verdict is not SetupVerdict.NOT_EXPLAINED:
         return measure
     return replace(measure, verdict=SetupVerdict.UNTOLD, cure=f"first {first}, then check anew")

@@ -11,7 +11,7 @@ MAX_SIGMAS = 3.0
 
 
 class SetupVerdict(Enum):
-    """What a measured quantity says of the setup."""
+    """Verdict of a measured quantity on the setup."""
 
     OK = "ok"
     NOT_EXPLAINED = "does not explain"
@@ -60,7 +60,7 @@ def _number(value: float) -> str:
 def judged(
     stage: LightStage, name: str, measured: float, expected: float, sigma: float, unit: str, cure: str
 ) -> Measure:
-    """Return a quantity with its verdict: it cannot be told where it, or the sigma, is unknown."""
+    """Return a quantity with its verdict: undetermined where it, or the sigma, is unknown."""
     off_sigmas = abs(measured - expected) / sigma if sigma > 0.0 else math.nan
     if math.isnan(off_sigmas):
         verdict = SetupVerdict.UNTOLD

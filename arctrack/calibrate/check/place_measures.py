@@ -1,4 +1,4 @@
-"""Where the stripe lies, and which part of the setup would have to be off, as quantities and in words."""
+"""Position of the stripe, and the part of the setup that would have to be off, as quantities and in words."""
 
 from __future__ import annotations
 
@@ -63,13 +63,13 @@ def place_measures(place: StripePlace) -> list[Measure]:
 
 
 def suspects(place: StripePlace) -> tuple[str, ...]:
-    """Return what the stripes do not tell apart as the one thing that is off, most suspect first."""
+    """Return the single causes that the stripes cannot separate, the likeliest first."""
     names = {SUSPECT_OF[cause.name] for cause in place.likely}
     return tuple(name for name in SUSPECTS if name in names)
 
 
 def cause_of(place: StripePlace, suspect: str) -> Cause:
-    """Return the likeliest cause that a suspect stands for."""
+    """Return the likeliest cause of a suspect."""
     return next(cause for cause in place.causes if SUSPECT_OF[cause.name] == suspect)
 
 

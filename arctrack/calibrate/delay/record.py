@@ -1,4 +1,4 @@
-"""What the delay's calibration writes into a setup: `[effects.pose_delay]` and its sigma."""
+"""Values of the delay's calibration for a setup: `[effects.pose_delay]` and its sigma."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a moving recording to the delay between poses and frames."""
+"""Calibration of the delay between poses and frames from a recording with motion."""
 
 from __future__ import annotations
 

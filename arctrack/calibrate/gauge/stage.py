@@ -1,4 +1,4 @@
-"""From images of a gauge to the laser sheet, or to a word on whether the setup's sheet is right."""
+"""Calibration of the laser sheet from images of a gauge, or a check of the setup's sheet."""
 
 from __future__ import annotations
 

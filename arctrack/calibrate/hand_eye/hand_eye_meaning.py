@@ -1,4 +1,4 @@
-"""What the robot's poses may mean where they contradict the boards: another convention, unit, or frame."""
+"""Other readings of robot poses that contradict the boards: another convention, unit, or frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From board images and the robot's poses to the camera's pose."""
+"""Calibration of the camera's pose from board images and the robot's poses."""
 
 from __future__ import annotations
 

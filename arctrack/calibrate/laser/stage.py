@@ -1,4 +1,4 @@
-"""From board images without and with the laser to the laser sheet."""
+"""Calibration of the laser sheet from board images without and with the laser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `arctrack calibrate reflectance` leaves: a [material] table, the result in full, the residuals."""
+"""Files of `arctrack calibrate reflectance`: a [material] table, the result in full, the residuals."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def material_toml(result: Reflectance) -> str:
 
 
 def scale_sentence(result: Reflectance) -> str:
-    """Say what settled the scale of the kappas."""
+    """Return a sentence on what determined the scale of the kappas."""
     if result.absolute:
         return "kappa_diff and kappa_spec in 1/sr, by the white standard"
     total = result.material.kappa_diff + result.material.kappa_spec

@@ -74,8 +74,8 @@ def read_levels(
 ) -> tuple[list[Level], list[str]]:
     """Return the levels of flat and dark frames, and warnings, one line each.
 
-    What is lossy is left out. Raises ArctrackError for a file that cannot be read, and ValueError for a level
-    that tells nothing.
+    Lossy files are left out. Raises ArctrackError for a file that cannot be read, and ValueError for a level
+    that determines nothing.
     """
     lossy: list[Path] = []
     groups: dict[tuple[bool, float], list[Path]] = {}

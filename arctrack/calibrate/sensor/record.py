@@ -1,4 +1,4 @@
-"""What a sensor's calibration writes into a setup: `[sensor]`, and `[calibration.sensor]` beside it."""
+"""Values of a sensor's calibration for a setup: `[sensor]` and `[calibration.sensor]`."""
 
 from __future__ import annotations
 

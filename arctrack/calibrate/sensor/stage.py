@@ -1,4 +1,4 @@
-"""From flat and dark frames, or a recording of a still stripe, to the sensor's values."""
+"""Calibration of the sensor from flat and dark frames, or a recording of a still stripe."""
 
 from __future__ import annotations
 

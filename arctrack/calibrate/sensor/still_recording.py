@@ -15,7 +15,7 @@ def read_still_frames(
 ) -> tuple[list[Integers], list[str]]:
     """Return the images (H, W) of the laser alone, of the commonest exposure, and what could not be read.
 
-    `progress` hears how many were read, and of how many.
+    `progress` is called with the images read and their number.
     """
     alone = [n for n, row in enumerate(recording.rows) if row.laser_on and not row.arc_on]
     exposures = Counter(recording.rows[n].exposure_s for n in alone)

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Channel(StrEnum):
-    """What of a colour becomes the grey level."""
+    """Channel of a colour that becomes the grey level."""
 
     RED = "red"
     GREEN = "green"

@@ -1,4 +1,4 @@
-"""Columns of a user's CSV file, told by their names in any order, or named by the user."""
+"""Columns of a user's CSV file, recognised by their names in any order, or named by the user."""
 
 from __future__ import annotations
 

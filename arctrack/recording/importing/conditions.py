@@ -1,4 +1,4 @@
-"""When each image was taken, and under what light: by a table, by names, by a rate, by one value for all."""
+"""Capture time and light of each image: from a table, from names, from a rate, from one value for all."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ TAG_TICK_S = 1.0
 
 @dataclass(frozen=True)
 class FrameConditions:
-    """What is stated of the frames: a table of them, or values for all.
+    """Stated conditions of the frames: a table, or values for all.
 
     `columns` are those of the table; `current_a` is None where no arc burns; `exposure_s` is None where the
     setup's holds.

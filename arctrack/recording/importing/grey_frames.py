@@ -23,11 +23,11 @@ from tracker.state import frame_misfit
 
 @dataclass(frozen=True)
 class GreyFrames:
-    """How a series becomes grey frames, and the setup that they fit.
+    """Conversion of an image series to grey frames, and the setup that they fit.
 
-    `toml` is the text of `setup`; `size` is what an image must have, width and height; `has_colours` is that
-    of the first image; `doubts` are what to tell of images that were read, and of which, `taken_s` when their
-    tags say that they were taken; `is_converted` says that `[camera]` is no longer the stated one.
+    `toml` is the text of `setup`; `size` is the required (width, height); `has_colours` is that of the first
+    image. `doubts` are warnings by image; `taken_s` are the capture times by tags. `is_converted` says that
+    `[camera]` is no longer the stated one.
     """
 
     series: ImageSeries
@@ -43,7 +43,7 @@ class GreyFrames:
 
     @property
     def note(self) -> str:
-        """How the grey levels are made, for people."""
+        """Description of how the grey levels are made."""
         camera = self.setup.camera
         if self.bayer is None:
             why = f"the laser has {self.setup.laser.wavelength_nm:g} nm"
@@ -56,7 +56,7 @@ class GreyFrames:
 
     @property
     def warnings(self) -> list[str]:
-        """What to tell of the images that were read, a line each."""
+        """Warnings about the images that were read, a line each."""
         return [
             f"{paths[0]}: {doubt}"
             + (f"; the same holds for {len(paths) - 1} more images" if len(paths) > 1 else "")

@@ -1,7 +1,7 @@
-"""One image file to raw pixels: its header first, so that nothing too large is decoded, then all or nothing.
+"""Decoder of one image file to raw pixels: its header first, so that nothing too large is decoded.
 
-Pillow reads the header, OpenCV decodes, since it alone keeps 16 bits in colour. What a header says of the
-pixels is applied, refused, or told.
+Pillow reads the header, OpenCV decodes, since it alone keeps 16 bits in colour. What a header states of the
+pixels is applied, refused, or reported. A file is decoded completely or not at all.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ _BMP_BITS = slice(28, 30)
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What an image says of its pixels: `size` is width and height, `doubts` what to tell, a line each.
+    """An image's properties by its header: `size` is (width, height), `doubts` are warnings, a line each.
 
-    `taken_s` is when it was taken, in s since 1970 by the camera's clock, NaN if no tag says it.
+    `taken_s` is the capture time by its tags, in s since 1970 on the camera's clock; NaN without a tag.
     """
 
     size: tuple[int, int]
@@ -96,22 +96,22 @@ class EncodedImage:
 
     @property
     def has_colours(self) -> bool:
-        """Whether pixels have colours, by themselves or by a palette."""
+        """True if pixels have colours, by themselves or by a palette."""
         return self._header.has_colours
 
     @property
     def is_lossy(self) -> bool:
-        """Whether the codec has changed the noise."""
+        """True if the codec has changed the noise."""
         return self._header.is_lossy
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What to tell of the image, a line each."""
+        """Warnings about the image, a line each."""
         return self._header.doubts
 
     @property
     def taken_s(self) -> float:
-        """When its tags say that it was taken, s since 1970 by the camera's clock, NaN if they do not."""
+        """Capture time by its tags, s since 1970 on the camera's clock; NaN without them."""
         return self._header.taken_s
 
     def pixels(self) -> Integers:
@@ -237,7 +237,7 @@ def _misfit(image: Image.Image, content: bytes) -> str | None:
 
 
 def _doubts(image: Image.Image, is_lossy: bool) -> Iterator[str]:
-    """Yield what to tell of an image, a line each."""
+    """Yield warnings about an image, a line each."""
     if is_lossy:
         yield LOSSY
     info: dict[Any, Any] = image.info

@@ -1,4 +1,4 @@
-"""Which images a source names, in what order, and what their numbers are."""
+"""Images that a source names, their order, and their numbers."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ class ImageSeries:
 def find_images(sources: Sequence[Path]) -> ImageSeries:
     """Return the images of folders, files and patterns, by their numbers, or the frames of a video.
 
-    Numbers are compared as numbers: img_2 comes before img_10. Where one number alone tells the names apart,
-    it is the frame's number; else frames are counted from 0.
+    Numbers are compared as numbers: img_2 comes before img_10. Where the names differ in one number alone, it
+    is the frame's number; otherwise frames are counted from 0.
 
     Raises ArctrackError if there is none, if names differ in more than their numbers, or if two of them have
     the same number.
@@ -93,7 +93,7 @@ def images_of(sources: Sequence[Path]) -> list[Path]:
 
 
 def distinct_names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Return each file's name, with its folder's, or the whole path, where two would be alike."""
+    """Return each file's name, with its folder's, or the whole path, where two would be equal."""
     names = {path: path.name for path in paths}
     for longer in (lambda path: f"{path.parent.name}/{path.name}", str):
         counts = Counter(names.values())
@@ -145,7 +145,7 @@ def _numbers(path: Path) -> tuple[int, ...]:
 
 
 def _check_alike(paths: Sequence[Path], source: Path) -> None:
-    """Raise ArctrackError unless all names are alike but for their numbers."""
+    """Raise ArctrackError unless all names are equal except for their numbers."""
     first = paths[0]
     other = next((path for path in paths if _texts(path) != _texts(first)), None)
     if other is not None:

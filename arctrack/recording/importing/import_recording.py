@@ -167,10 +167,10 @@ def _write(
 
 
 def _timed(poses: PoseFile, times: Float64) -> tuple[Float64, Float64]:
-    """Return the poses with their times, or else those of the images at the images' times.
+    """Return the poses with their times, or otherwise those of the images at the images' times.
 
     An image needs a pose before its own. Where the first pose is the first image's own, it is repeated one
-    period earlier; nothing asks for what lies between the two.
+    period earlier; nothing needs what lies between the two.
     """
     if poses.times_s is None:
         T_base_tool, poses_s = poses.T_base_tool[poses.rows], times

@@ -27,7 +27,7 @@ MATRIX = "matrix"
 
 
 class NoRotationError(ValueError):
-    """What is wrong with the numbers of a rotation; `row`, counted from 0, says of which."""
+    """Error in the numbers of a rotation; `row`, counted from 0, is its row."""
 
     def __init__(self, row: int, problem: str) -> None:
         super().__init__(problem)
@@ -36,7 +36,7 @@ class NoRotationError(ValueError):
 
 @dataclass(frozen=True)
 class Convention:
-    """How a rotation is written.
+    """Notation of a rotation.
 
     `columns` are the names that a header may give its numbers, set by set; --column takes the first set.
     `are_angles` says whether they have a unit. `matrices` makes rotations (n, 3, 3) of numbers (n, columns),

@@ -66,7 +66,7 @@ TAGS = (
 
 @dataclass(frozen=True)
 class TiffHeader:
-    """What a TIFF says of its pixels; `bits` are those of a sample."""
+    """A TIFF's properties of its pixels; `bits` are those of a sample."""
 
     size: tuple[int, int]
     bits: int
@@ -150,7 +150,8 @@ def _check_samples(header: TiffHeader) -> None:
 def _check_palette(header: TiffHeader) -> None:
     """Raise UnfitFileError unless a table of 8 bits holds greys.
 
-    A table of colours shows levels to people. It need not rise, so that no colour of it tells the level.
+    A table of colours displays levels to people. It need not increase, so no colour of it determines the
+    level.
     """
     table = np.array(_values(header.tags, 320, 0))
     if header.bits != 8 or header.samples != 1 or table.size != 3 * 256:

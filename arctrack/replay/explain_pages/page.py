@@ -57,9 +57,9 @@ def page(explanation: Explanation) -> str:
 
 
 def telling_lines(stripe: StripeLook) -> list[tuple[str, int]]:
-    """Return scan lines worth a look, with what they are: best, median and worst sigma, one without a stripe.
+    """Return informative scan lines with their role: best, median and worst sigma, one without a stripe.
 
-    Of those without a stripe one that was fitted in vain tells more than one that the path passed over.
+    Of those without a stripe a refused fit is more informative than a line that the path passed over.
     """
     sigma = stripe.reading.stripe.sigma_px
     read = np.flatnonzero(np.isfinite(sigma))

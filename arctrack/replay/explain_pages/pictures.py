@@ -44,7 +44,7 @@ MARK_PLACES = (-3.0, 3.0, -6.0, 6.0)
 
 @dataclass(frozen=True)
 class Overlay:
-    """What is drawn over the frame, as SVG paths in its pixels; "" where there is none.
+    """Overlay of the frame, as SVG paths in its pixels; "" where there is none.
 
     `limits` are the band's, `sigma` the position ± `exaggeration` sigmas, `seam` the seam's point (x, y).
     """

@@ -205,7 +205,7 @@ def sigma_picture(explanation: Explanation, parts: SigmaParts) -> str:
 
 
 def profile_picture(explanation: Explanation, look: StepObservation) -> str:
-    """Return the profile beside the joint, the fitted section, the seam point, and what is left over."""
+    """Return the profile along the joint, the fitted section, the seam point, and the residuals."""
     profile, joint = look.profile, look.joint
     assert profile is not None
     figure = style.new_figure(

@@ -1,4 +1,4 @@
-"""A frame's explanation in words: the verdict, and what was asked of the frame, in the step's order."""
+"""A frame's explanation in words: the verdict, and the tests of the frame, in the step's order."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def offset_sentence(explanation: Explanation) -> str:
 
 
 def places(explanation: Explanation) -> list[tuple[str, str, str, str]]:
-    """Return where the seam is, told in each frame: the frame, from where y and z count, y and z in mm."""
+    """Return the seam's position in each coordinate frame: the frame, its origin, y and z in mm."""
     track, rows = explanation.track, []
     _, y, z = track.seam_tool_mm
     if math.isfinite(y):

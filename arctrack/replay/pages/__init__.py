@@ -1,1 +1,1 @@
-"""What a replay leaves for people: its video, its overview and its page."""
+"""Files of a replay for people: its video, its overview and its page."""

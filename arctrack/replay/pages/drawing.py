@@ -1,4 +1,4 @@
-"""Who draws the frames of a replay: this process, or some of their own while there are cores for them."""
+"""Processes that draw the frames of a replay: this one, or subprocesses while there are cores for them."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ MAX_PROCESSES = 3
 
 
 def process_count(cores: int, frames: int) -> int:
-    """Return how many processes draw so many frames on so many cores.
+    """Return the number of processes that draw `frames` on `cores`.
 
-    One core is for who writes what they draw. No process takes longer to start than it then draws.
+    One core is for the writer of what they draw. No process takes longer to start than it then draws.
     """
     return max(0, min(cores - 1, frames // FRAMES_WORTH_A_PROCESS, MAX_PROCESSES))
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """What draws a replay's frames: `drawer`, in the `processes` if there are any, else in this one."""
+    """Drawing of a replay's frames: `drawer`, in the `processes` if there are any, otherwise in this one."""
 
     drawer: FrameDrawer
     processes: Sequence[OwnProcess[ToDraw, Drawn]]
 
     def wait_ready(self) -> None:
-        """Wait until the processes have loaded what they need: they are still then until they are asked."""
+        """Wait until the processes have loaded what they need: they are idle then until the first request."""
         for process in self.processes:
             process.wait_ready()
 
@@ -45,7 +45,8 @@ class Drawing:
 
 @contextmanager
 def drawing_on(recording: Recording, truth: Truth | None, folder: Path, cores: int) -> Iterator[Drawing]:
-    """Give what draws a recording's frames on so many cores; its processes start at once, and end in the end.
+    """Yield the drawing of a recording's frames on `cores`; its processes start at once, and end with the
+    block.
 
     The results `folder` is named where one ends by itself.
     """

@@ -30,9 +30,9 @@ class ToDraw:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """What was drawn of a frame, None each that was not asked for.
+    """Drawn parts of a frame, None for those that were not requested.
 
-    `picture` are the planes of the video's picture, `shown` is what the page holds, `view` is for exports.
+    `picture` has the planes of the video's picture, `shown` is for the page, `view` is for exports.
     """
 
     picture: UInt8 | None
@@ -42,7 +42,7 @@ class Drawn:
 
 @dataclass(frozen=True, eq=False)
 class FrameDrawer:
-    """Draws frames of a recording, each without the others: in any order, in any process."""
+    """Renderer of single frames of a recording, in any order, in any process."""
 
     setup: Setup
     truth: Truth | None

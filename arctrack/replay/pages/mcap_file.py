@@ -45,7 +45,7 @@ TOPICS = {
 
 
 class McapFile:
-    """Writes the file message by message; the context's end makes it whole.
+    """Writer of an MCAP file, message by message; the context's end completes it.
 
     MCAP counts time from 0. Where a recording begins before, all times in the file are whole seconds later,
     as its metadata `arctrack` say. Raises ArctrackError, which names the file, where it cannot be written.

@@ -1,4 +1,4 @@
-"""All numbers of a frame by their names, for whoever shows or exports a replay."""
+"""All numbers of a frame by their names, for pages and exports."""
 
 from __future__ import annotations
 

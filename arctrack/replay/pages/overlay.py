@@ -26,7 +26,7 @@ INK, FAINT = (255, 255, 255), (160, 160, 160)
 
 
 class OverlayVideo(VideoFile):
-    """Writes the video picture by picture."""
+    """Writer of the video, picture by picture."""
 
     def __init__(self, path: Path, setup: Setup, rate_hz: float) -> None:
         rate = rate_hz if math.isfinite(rate_hz) else 10.0

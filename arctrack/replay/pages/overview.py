@@ -25,7 +25,7 @@ TIME = "time [s]"
 
 @dataclass
 class Overview:
-    """Collects what the page shows while a replay runs."""
+    """Content of the overview, collected while a replay runs."""
 
     recording: Recording
     tracks: list[Track] = field(default_factory=list)

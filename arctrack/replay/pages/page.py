@@ -66,7 +66,7 @@ def frames_to_show(frame_flags: Sequence[int], most: int = MAX_SHOWN) -> list[in
 
 
 class ReplayPage:
-    """Collects what the page shows, frame by frame."""
+    """Content of the page, collected frame by frame."""
 
     def __init__(self, recording: Recording, truth: Truth | None, use_arc_map: bool) -> None:
         self._recording, self._truth, self._use_arc_map = recording, truth, use_arc_map
@@ -160,7 +160,7 @@ class ReplayPage:
 
 
 def _check_texts(check: Check) -> tuple[str, str, str, str]:
-    """Return what was asked of a frame, its answer, what is demanded, and what that means."""
+    """Return a check's question, answer, demand, and its meaning."""
     return (
         check.question.words,
         words.value_text(check),

@@ -1,4 +1,4 @@
-"""The pictures of a replay, drawn when its last offset has gone out: whoever draws keeps no robot waiting."""
+"""Pictures of a replay, drawn after its last offset was sent, so that drawing delays no robot."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ class Export(Protocol):
 
 @dataclass(frozen=True)
 class ReplayPictures:
-    """What draws a replay into a results folder; the truth beside what was tracked, where there is one.
+    """Pictures of a replay in a results folder, with the truth and the tracks, where there is a truth.
 
-    `exports` are the files of `EXTRAS` to write. `on_drawn` hears the number of frames drawn.
+    `exports` are the files of `EXTRAS` to write. `on_drawn` is called with the number of frames drawn.
     """
 
     recording: Recording

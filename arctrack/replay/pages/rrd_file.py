@@ -47,7 +47,7 @@ LINE_PX, POINT_PX = 0.8, 4.0
 
 
 class RrdFile:
-    """Writes the file frame by frame; the context's end makes it whole.
+    """Writer of an RRD file, frame by frame; the context's end completes it.
 
     Its timelines are `frame` and `time`, s. What a frame does not have is cleared, for the viewer would go on
     showing the last.

@@ -1,4 +1,4 @@
-"""What a replay saw of each frame, kept on disk until it is drawn."""
+"""Intermediate results of each frame of a replay, kept on disk until they are drawn."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class ReplayedFrame:
 
 
 class SeenFile:
-    """Keeps what was seen in a file: the memory that a replay takes does not grow with it.
+    """File of intermediate results, so that a replay's memory does not grow with it.
 
     `flags` are those of the tracks so far, `valid` counts the valid ones. Raises ArctrackError, which names
     the file's folder, where it cannot be written.

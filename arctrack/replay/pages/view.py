@@ -1,4 +1,4 @@
-"""What a frame of a replay shows: pictures, stripe and seam in the image, profile and section in mm."""
+"""View of a replayed frame: pictures, stripe and seam in the image, profile and section in mm."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class ReplayView:
 
 
 class Viewer:
-    """Makes the views of a recording's frames, for the setup that its tracker had."""
+    """Maker of the views of a recording's frames, for the setup that its tracker had."""
 
     def __init__(self, geometry: SensorGeometry, truth: Truth | None) -> None:
         self.geometry, self.truth_mm = geometry, truth_by_frame(truth)

@@ -44,7 +44,7 @@ class BusTrouble:
     ids: tuple[int, ...] = ()
 
     def concerns(self, frame: BusFrame) -> bool:
-        """Say whether a frame is one of these."""
+        """Return whether a frame is affected."""
         return (not self.senders or frame.sender in self.senders) and (
             not self.ids or frame.arbitration_id in self.ids
         )
@@ -57,7 +57,7 @@ class BusParty(Protocol):
     """A bus as who sends and listens sees it."""
 
     def join(self, party: str, listener: Listener) -> None:
-        """Let a party hear what the others send."""
+        """Deliver what the others send to a node."""
 
     def send(self, sender: str, arbitration_id: int, data: bytes) -> None:
         """Put a frame on the bus."""
@@ -76,7 +76,7 @@ class Bus:
     _free_s: dict[str, float] = field(default_factory=dict)
 
     def join(self, party: str, listener: Listener) -> None:
-        """Let a party hear what the others send."""
+        """Deliver what the others send to a node."""
         self._listeners[party] = listener
 
     def send(self, sender: str, arbitration_id: int, data: bytes) -> None:

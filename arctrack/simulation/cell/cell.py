@@ -90,7 +90,7 @@ class Cell:
 
     @property
     def world(self) -> World:
-        """What is there now."""
+        """Present state of the world."""
         return self.robot.robot.world
 
     @world.setter

@@ -28,7 +28,7 @@ class File:
         self._disk, self._path = disk, path
 
     def require(self, timestamp_s: float) -> None:
-        """Ask nothing of a time, s."""
+        """Ignore the required time, s."""
 
     def write(self, _frame: can.Message) -> None:
         """Take a frame; BusLogWriteError on a full disk."""

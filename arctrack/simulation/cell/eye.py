@@ -1,4 +1,4 @@
-"""What a tracker in a cell looks with: a camera, and what makes a track of its frames."""
+"""Simulated sensor of a tracker in a cell: a camera, and the tracker of its frames."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Eye(Protocol):
     """A camera at the robot's tool, and the tracking behind it."""
 
     def begin(self) -> None:
-        """Begin to track anew, as a new process does."""
+        """Reset the tracker, as in a new process."""
 
     def look(self, off_mm: float) -> Shown:
         """Return what the camera sees now, of a seam that seems to lie so far to the left, mm."""

@@ -1,4 +1,4 @@
-"""What it is to go wrong in a cell: how it begins and ends, and what must be said of it."""
+"""Kinds of fault in a cell: begin, end, and the report they require."""
 
 from __future__ import annotations
 

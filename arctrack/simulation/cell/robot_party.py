@@ -1,4 +1,4 @@
-"""The robot at its place on the bus: what it sends, and what it hears of the tracker."""
+"""Robot's node on the bus: what it sends, and what it receives of the tracker."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SEND_LAG_S = 0.002
 
 @dataclass(frozen=True)
 class RobotReport:
-    """A pose as the robot tells it."""
+    """A pose as the robot reports it."""
 
     place_mm: Vector
     quaternion: Quaternion

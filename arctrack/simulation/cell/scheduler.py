@@ -1,4 +1,4 @@
-"""One clock for all: what happens, in order of its time, the same for the same seed."""
+"""Event scheduler with one clock: events in order of time, the same for the same seed."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ UNHEARD = (SeamPoint, SeamGeometry)
 
 
 class CameraBehaviour(Enum):
-    """What the camera does."""
+    """Behaviour of the camera."""
 
     RIGHT = "right"
     STOPPED = "stopped"

@@ -1,4 +1,4 @@
-"""What is really there: the seam, the programmed path, and how they were drawn."""
+"""True world: the seam, the programmed path, and their random draw."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ EVENT_S, AFTER_EVENT_S = 6.0, 5.0
 
 @dataclass(frozen=True)
 class LoopPlan:
-    """What is welded, and how.
+    """Plan of a simulated weld.
 
     - `joint`, `material`: a joint of `arctrack.nominal.DIMENSIONS`, a material of the paper's Table 1.
     - `displaced_mm`, `slope`: displacement of the true seam to the left of the nominal one, mm, and its
@@ -79,9 +79,9 @@ class LoopPlan:
 
 @dataclass(frozen=True)
 class Sample:
-    """Where the torch was, and the seam: (y, z) beside the nominal seam, mm, the weave apart.
+    """Torch and seam at a time: (y, z) relative to the nominal seam, mm, without the weave.
 
-    `across_mm` is the torch's way across with its weave.
+    `across_mm` is the torch's lateral position with its weave.
     """
 
     time_s: float
@@ -177,7 +177,7 @@ class ClosedLoop:
         self.cell.scheduler.every(SAMPLE_S, self._sample, 0.0007)
 
     def run(self, on_frame: Callable[[int], None] | None = None) -> ClosedLoopResult:
-        """Run to the end, and return what came of it; `on_frame` hears the number of frames done."""
+        """Run to the end, and return the result; `on_frame` is called with the number of frames done."""
         self._on_frame = on_frame
         self.cell.run(self.duration_s)
         return self.result()
@@ -292,7 +292,7 @@ def setup_of(plan: LoopPlan) -> Setup:
 
 
 def world_of(plan: LoopPlan, setup: Setup) -> World:
-    """Return what is there: the true seam beside the nominal one, and the robot."""
+    """Return the world of a plan: the true seam relative to the nominal one, and the robot."""
     height_mm, width_mm, pitch_mm = section(setup.joint).corrugation.tolist()
     return World(
         start_base_mm=(START_MM, 0.0, 0.0),

@@ -1,4 +1,4 @@
-"""What may happen in a run with a rendered camera: some of it shows in the image alone."""
+"""Events in a run with a rendered camera: some of them show in the image alone."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ class RenderedEye:
         self.begin()
 
     def begin(self) -> None:
-        """Begin to track anew, as a new process does."""
+        """Reset the tracker, as in a new process."""
         self.tracking = FrameTracking(self.setup)
 
     def look(self, off_mm: float) -> Shown:

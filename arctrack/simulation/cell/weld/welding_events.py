@@ -1,4 +1,4 @@
-"""What happens in welding: the arc fails and is struck again, tacks hide the joint, parts move."""
+"""Events in welding: the arc fails and is struck again, tacks hide the joint, parts move."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _arc_fault(cell: Cell, _rng: np.random.Generator) -> End:
 
 
 def _displaced(cell: Cell, rng: np.random.Generator) -> End:
-    """Let the part slip aside. The robot disarms, searches the seam anew and goes on."""
+    """Displace the part. The robot disarms, searches the seam again and goes on."""
     y_mm, z_mm = cell.world.displaced_mm
     slipped_mm = float(rng.choice((-1.0, 1.0)) * rng.uniform(1.5, 3.0))
     cell.world = replace(cell.world, displaced_mm=(y_mm + slipped_mm, z_mm))
