@@ -77,8 +77,8 @@ def test_a_new_effect_gets_its_section_and_a_place_to_be_shown() -> None:
     section = text.split("## moonlight\n", 1)[1]
     assert "An even light | from above." in section
     assert "    other += glow_e\n" in section
-    assert "- `glow_e`: −1 to 10000 e-; neutral 0, prior 1 σ 10\n" in section
-    assert "- `tint`: −∞ to ∞; neutral 0.5, prior 1 σ ∞\n" in section
+    assert "- `glow_e`: −1 to 10000 e-; 0 ± 10\n" in section
+    assert "- `tint`: −∞ to ∞; 0.5 ± ∞\n" in section
     assert "Source: this test." in section
     assert "(figures/effects/moonlight.png)" in section
     assert "[`moonlight`](#moonlight)" in text

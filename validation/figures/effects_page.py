@@ -52,9 +52,9 @@ A table of the setup says that an effect is known to act:
 {values}
 ```
 
-A parameter that is left out takes its neutral value, where its prior starts. With all of them neutral an
-effect does nothing. An unknown id or parameter is reported and ignored. A value out of its bounds is an
-error, and so is `interreflection` on a `u_groove`.
+A parameter stands with its bounds, its neutral value and its prior's 1 σ. One that is left out is neutral.
+With all of them neutral an effect does nothing. An unknown id or parameter is reported and ignored. A value
+out of its bounds is an error, and so is `interreflection` on a `u_groove`.
 
 | command | uses |
 | --- | --- |
@@ -127,7 +127,7 @@ def _section(effect: Effect) -> Iterator[str]:
 def _item(parameter: Parameter) -> str:
     bounds = f"{_number(parameter.lower)} to {_number(parameter.upper)} {parameter.unit}".rstrip()
     start, sigma = _number(parameter.start), _number(parameter.prior_sigma)
-    return f"- `{parameter.name}`: {bounds}; neutral {start}, prior 1 σ {sigma}"
+    return f"- `{parameter.name}`: {bounds}; {start} ± {sigma}"
 
 
 def _toml(effect: Effect) -> list[str]:
