@@ -223,7 +223,7 @@ def test_a_page_does_what_it_shows(page: Path, scratch: Path, shared: Path) -> N
             assert missing(output, step.shown) == [], output
         else:
             # What edits files in place is cheap, and is run on each page.
-            is_pure = step.text.startswith(("arctrack ", "python examples/make_"))
+            is_pure = step.text.startswith(("arctrack ", "python examples/make_", "python -m validation."))
             output = run_once(step.text, scratch, shared) if is_pure else run_shown(step.text, scratch)
             assert missing(output, step.shown) == [], output
     for link in links(page):

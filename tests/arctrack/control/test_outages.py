@@ -324,7 +324,7 @@ def happen(cell: Cell, event: str | int) -> None:
         cell.restart_robot()
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @example(True, ["cut", "go back", "track", 75, "join", 60])
 @example(False, ["cut", "go back", "track", 75, "join", 60])
 @example(False, ["sleep", "go back", "track", 80, "lose", "wake", 60])
