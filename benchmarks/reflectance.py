@@ -12,17 +12,23 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from calibration.goniometer import GreyResponse, Readings, Settings, average, simulate
+from calibration.goniometer import GreyResponse, Readings, Settings, average
 from calibration.reading_noise import ReadingNoise
 from calibration.reflectance import Reflectance, identify_reflectance
 from calibration.reflectance_model import NAMES, White
 from noise_model.surface.brdf import MILD_STEEL, ZN_COATED, Material
+
+sys.path.append(str(Path(__file__).parents[1] / "examples"))
+
+from make_goniometer import simulate
 
 SAMPLE = Settings.in_plane([20.0, 40.0, 60.0], np.arange(0.0, 76.0, 5.0))
 STANDARD = Settings.in_plane([20.0, 40.0, 60.0], [0.0])

@@ -6,6 +6,7 @@ import ast
 import fnmatch
 import functools
 import importlib
+import importlib.util
 import pkgutil
 import re
 import subprocess
@@ -368,6 +369,25 @@ def test_a_name_of_a_class_has_one_meaning() -> None:
                 if isinstance(node, ast.ClassDef):
                     homes.setdefault(node.name, []).append(str(file.relative_to(ROOT)))
     assert {name: files for name, files in homes.items() if len(files) > 1} == {}
+
+
+@pytest.mark.slow
+def test_names_imported_from_the_product_exist() -> None:
+    # mypy looks at the product and its validation alone.
+    wrong = []
+    for file in (
+        f for room in ("tests", "benchmarks", "examples") for f in sorted((ROOT / room).rglob("*.py"))
+    ):
+        for node in ast.walk(parsed(file.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in MAY_IMPORT:
+                module = importlib.import_module(str(node.module))
+                wrong += [
+                    f"{file.relative_to(ROOT)}:{node.lineno} {alias.name}"
+                    for alias in node.names
+                    if not hasattr(module, alias.name)
+                    and importlib.util.find_spec(f"{node.module}.{alias.name}") is None
+                ]
+    assert wrong == []
 
 
 PRIVATE = re.compile(

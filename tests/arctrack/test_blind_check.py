@@ -19,7 +19,7 @@ from arctrack import cli
 from arctrack.errors import ArctrackError
 from arctrack.recording import read_recording
 from noise_model.setup import Setup
-from sim_to_real.decision.experiments import BY_NAME, Experiment
+from sim_to_real.decision.experiments import MENU, Experiment
 from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict, Next
 from tracker.state import Frame
 from validation.blind_check import __main__ as main
@@ -362,7 +362,7 @@ def test_without_more_nothing_is_measured(asking: Path) -> None:
 
 def test_an_experiment_that_is_not_on_the_menu_is_not_measured(made: Path, calls: Calls) -> None:
     calls.asks_for = "look twice"
-    assert calls.asks_for not in BY_NAME
+    assert calls.asks_for not in {experiment.name for experiment in MENU}
     run(made, 1, quiet)
     more(made, 1, quiet)
     assert calls.continued == []
@@ -500,7 +500,7 @@ def test_what_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         ("labels.json", ("asked", "seed"), "[asked] seed: missing"),
         ("labels.json", ("labels", "0001", "salt"), "[labels.0001] salt: missing"),
         ("labels.json", ("labels", "0001", "label", "tier"), "[labels.0001.label] tier: missing"),
-        ("results/0001.json", ("sealed",), "[sealed]: missing"),
+        ("results/0001.json", ("sealed",), "sealed: missing"),
         ("results/0001.json", ("report",), "there is neither a report nor a problem"),
         ("results/0001.json", ("report", "gap", "floor"), "[report.gap] floor: missing"),
         ("results/0001.json", ("report", "next"), "[report] next: missing"),
