@@ -59,9 +59,9 @@ def _sentences(key: Key) -> Iterator[str]:
         yield f"One of {', '.join(f'`{choice}`' for choice in key.choices)}."
     if types or kinds:
         yield f"Of {', '.join(types or kinds)}."
-    elif key.default is not None:
+    if key.default is not None:
         yield f"Unless stated `{key.default}`."
-    elif not key.field.is_required():
+    elif not (types or kinds or key.field.is_required()):
         yield "Optional."
     if key.said("source"):
         yield f"From {key.said('source')}"

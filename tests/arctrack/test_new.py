@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import runpy
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 from typer.testing import CliRunner
 
 from arctrack.cli import app
+from arctrack.control.cell_file.model import CellToml
 from arctrack.errors import ArctrackError
 from arctrack.nominal import DIMENSIONS, nominal_setup
 from arctrack.recording import format_setup, read_recording, read_setup_file
 from arctrack.recording.new import RADIANCE_E, commented_setup, write_new
-from arctrack.recording.schema import keys_of
+from arctrack.recording.schema import keys_of, table_in
 from arctrack.recording.setup_model import RecordingToml
 from noise_model.surface.brdf import TABLE_1
 
@@ -54,6 +58,18 @@ def test_each_key_that_is_needed_is_written() -> None:
         if is_needed or key.table == "joint":
             above = f"[{key.table}]\n" if key.table else ""
             assert any(f"\n{key.name} = " in text.partition(above or "\n")[2] for text in texts), key
+
+
+def plain_fields(model: type[BaseModel]) -> Iterator[tuple[str, FieldInfo]]:
+    for name, info in model.model_fields.items():
+        below = table_in(info)
+        yield from [(name, info)] if below is None else plain_fields(below)
+
+
+@pytest.mark.parametrize("file", [RecordingToml, CellToml])
+def test_each_key_of_a_file_is_described(file: type[BaseModel]) -> None:
+    named = {name for name, info in plain_fields(file) if not info.description}
+    assert named <= {"effects"}, "state it by arctrack.recording.schema.key"
 
 
 def test_each_number_of_a_setup_says_its_unit_and_where_it_comes_from() -> None:

@@ -10,6 +10,7 @@ from pydantic import Field, create_model
 from arctrack.control.cell_file.choices import (
     MIN_TOKEN_LETTERS,
     BlackBoxChoice,
+    CaptureChoice,
     MonitorChoice,
     ProcessChoice,
 )
@@ -111,14 +112,14 @@ class CellCameraTable(Table):
         example='"cell"',
         min_length=1,
     )
-    loop: bool | None = key("Whether a file begins again at its end", default=None, note="Else false.")
+    loop: bool = key("Whether a file begins again at its end", default=CaptureChoice.loop)
     rows: Rows | None = key(
         "The first row of the sensor that is read, and how many",
         default=None,
         note="The setup's [camera] height must be their count.",
     )
-    trigger: Literal["free", "software", "hardware"] | None = key(
-        "What begins a frame", default=None, note='Else "free". "software": the host triggers each frame.'
+    trigger: Literal["free", "software", "hardware"] = key(
+        "What begins a frame", default=CaptureChoice.trigger, note='"software": the host triggers each frame.'
     )
     trigger_line: str | None = key(
         'The camera\'s line that triggers it, for "hardware"', default=None, min_length=1
@@ -129,21 +130,20 @@ class CellCameraTable(Table):
         note="Without it the camera has no hold on the laser.",
         min_length=1,
     )
-    laser: Literal["strobe", "switch"] | None = key(
+    laser: Literal["strobe", "switch"] = key(
         "How that line drives it",
-        default=None,
-        note='Else "strobe": on during each exposure. "switch": on all the time, by UserOutput1.',
+        default=CaptureChoice.laser,
+        note='"strobe": on during each exposure; "switch": on all the time, by UserOutput1.',
     )
     interleave: int | None = key(
-        "Each such frame is taken without the laser",
+        "N: each N-th frame is taken without the laser",
         default=None,
         note='It needs trigger "software" and laser_line.',
         bounds=Bounds(2, None, "others have the stripe"),
     )
-    exposure: Literal["fixed", "predicted"] | None = key(
+    exposure: Literal["fixed", "predicted"] = key(
         "Whether the exposure is the setup's, or chosen for the frames to come",
-        default=None,
-        note='Else "fixed".',
+        default=CaptureChoice.exposure,
     )
     exposure_range_s: Range | None = key(
         'The least and the largest exposure, for "predicted"', "s", default=None

@@ -125,9 +125,7 @@ def _camera(table: CellCameraTable) -> CameraChoice:
 def _capture(table: CellCameraTable) -> CaptureChoice:
     """Return how a camera takes frames; ValueError for a key that does not belong to its kind."""
     stated = {
-        choice.name: getattr(table, choice.name)
-        for choice in fields(CaptureChoice)
-        if getattr(table, choice.name) is not None
+        f.name: getattr(table, f.name) for f in fields(CaptureChoice) if f.name in table.model_fields_set
     }
     known = () if table.kind is None else KEYS_OF_KIND[table.kind]
     for key in stated:
@@ -142,7 +140,7 @@ def _capture(table: CellCameraTable) -> CaptureChoice:
         stated["rows"] = tuple(table.rows)
     if (table.trigger == "hardware") != (table.trigger_line is not None):
         raise ValueError("[camera] trigger_line: goes with trigger = 'hardware', and it with trigger_line")
-    if table.laser is not None and table.laser_line is None:
+    if "laser" in stated and table.laser_line is None:
         raise ValueError("[camera] laser: says how laser_line drives the laser; state laser_line too")
     if table.interleave is not None and (table.trigger != "software" or table.laser_line is None):
         raise ValueError(
