@@ -26,7 +26,6 @@ from calibration.arc.calibrate import KEYS, calibrate_arc
 from calibration.arc.problem import (
     ARC,
     C2,
-    FIELD_SIGMA,
     PART_SIGMAS,
     RADIUS,
     RATIO,
@@ -36,6 +35,7 @@ from calibration.arc.problem import (
     Y,
     Z,
 )
+from calibration.hand_eye import FIELD_SIGMA
 from noise_model.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.brdf import Material

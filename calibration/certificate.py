@@ -22,9 +22,6 @@ from noise_model.arrays import Float64
 
 CAMERA, LASER, HAND_EYE, ROBOT, DELAY = "camera", "laser", "hand-eye", "robot", "delay"
 
-STEP_SIGMAS = 0.1
-"""Steps of the lens in finite differences, in sigmas."""
-
 LATERAL, VERTICAL = 1, 2
 """Axes of the tool frame across the seam."""
 
@@ -153,7 +150,8 @@ def certify(
     )
     across = np.eye(3) - rays[:, :, np.newaxis] * normal / slope[:, np.newaxis, np.newaxis]
     per_ray = depth[:, np.newaxis, np.newaxis] * across
-    per_lens = np.einsum("nij,njk->nik", per_ray, _rays_per_lens(known_lens, points_px))
+    of_rays = known_lens.lens.derivatives(known_lens.covariance, lambda lens: lens.rays(points_px))
+    per_lens = np.einsum("nij,njk->nik", per_ray, of_rays)
     per_pose = np.concatenate(
         [-cross_matrices(points), np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2
     )
@@ -178,20 +176,3 @@ def certify(
             DELAY: delay_sigma_mm**2 * is_across * even,
         },
     )
-
-
-def _rays_per_lens(known: KnownLens, points_px: Float64) -> Float64:
-    """Return the derivatives (n, 3, k) of the pixels' rays by the lens' values, by central differences."""
-    sigma = np.sqrt(np.diag(known.covariance))
-    per_lens = np.zeros((len(points_px), 3, len(sigma)))
-    for column, one_sigma in enumerate(sigma):
-        if one_sigma == 0.0:
-            continue
-        step = np.zeros(len(sigma))
-        step[column] = STEP_SIGMAS * one_sigma
-        above, below = (
-            replace(known.lens, values=known.lens.values + sign * step).rays(points_px)
-            for sign in (1.0, -1.0)
-        )
-        per_lens[:, :, column] = (above - below) / (2.0 * step[column])
-    return per_lens

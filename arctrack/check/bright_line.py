@@ -6,18 +6,12 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
+from calibration.laser.matched_scales import SCALES_PX, smoothed_by_scale
 from noise_model.arrays import Float32, Float64, Int64, Integers
 from noise_model.instrument.sensor import Sensor, linearise, variance_e2
 from tracker.stripe.viterbi import JUMP_COST, best_path
-
-SCALES_PX = (1.5, 3.0, 6.0, 12.0)
-"""The sigmas of the lines that are looked for."""
-
-SURROUND = 2.5
-"""The mean about a line is taken with so many times its sigma."""
 
 RIM_SIGMAS = 2.0
 """So near to the image's rim no line is looked for."""
@@ -75,11 +69,7 @@ def _line_along(charge: Float32, along_rows: bool, dark_e2: float) -> BrightLine
     """Return the likeliest line along an image's rows, or its columns, of the sigma that shows most."""
     scan_lines = np.ascontiguousarray(charge.T if along_rows else charge)
     best = None
-    for sigma_px in SCALES_PX:
-        if 2.0 * SURROUND * sigma_px >= scan_lines.shape[1]:
-            continue
-        near = cv2.GaussianBlur(scan_lines, (0, 0), sigmaX=sigma_px, sigmaY=1.0)
-        wide = cv2.GaussianBlur(scan_lines, (0, 0), sigmaX=SURROUND * sigma_px, sigmaY=1.0)
+    for sigma_px, near, wide in smoothed_by_scale(scan_lines):
         # A Gaussian over two axes leaves 1 / (4 pi sigma_x sigma_y) of the variance.
         noise = (np.maximum(wide, 0.0) + dark_e2) / (4.0 * np.pi * sigma_px) + (BACKGROUND_REL * wide) ** 2
         score = ((near - wide) / np.sqrt(noise)).astype(np.float32)

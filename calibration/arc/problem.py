@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from calibration.arc.lattice import PixelSample, choose_pixels, expected_light
+from calibration.hand_eye import CAMERA, FIELD_SIGMA, FIELDS
 from noise_model.arrays import Float64
 from noise_model.effects import apply_setup_effects
 from noise_model.fit import Fit, Parameter
@@ -49,16 +50,11 @@ STATED: Mapping[str, float] = {RADIUS: 0.1, X: 0.1, Y: 0.1, Z: 0.1, RADIANCE: 0.
 
 STEPS: Mapping[str, float] = {RADIUS: 0.03, X: 0.05, Y: 0.05, Z: 0.05, RATIO: 0.03, C2: 0.03}
 
-CAMERA = ("rot_x", "rot_y", "rot_z", "move_x", "move_y", "move_z")
 CAMERA_STEPS = (0.03, 0.03, 0.03, 0.04, 0.04, 0.04)
 """Derivatives' steps of the camera's turn, deg, and move, mm."""
 
 SEAM = ("seam_y", "seam_z", "seam_slope_y", "seam_slope_z")
 SEAM_STEPS = (0.05, 0.05, 0.002, 0.002)
-
-FIELDS = ("field_u", "field_v", "field_uu", "field_uv", "field_vv")
-FIELD_SIGMA = 0.006
-"""1 sigma of what lens and filter may be off slowly over the image, relative, at its edge."""
 
 RENDERED = (RADIUS, X, Y, Z, RATIO, C2, *CAMERA, *SEAM)
 """The parameters whose derivatives are rendered."""

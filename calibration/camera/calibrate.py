@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calibration.boards.board import Board
+from calibration.boards.detect import MIN_CORNERS
 from calibration.camera.adjustment import BoardScene, with_prior
 from calibration.camera.enough import (
     UndeterminedError,
@@ -19,7 +20,7 @@ from calibration.camera.enough import (
 from calibration.camera.halves import MAX_RATIO, Difference, difference_of_halves, splits
 from calibration.camera.lens import ORDERS, TILT
 from calibration.camera.next_board import NextBoard, best_next_board
-from calibration.camera.noise import MIN_CORNERS, CornerNoise, fitted, noise_of_most, robust, wrong_corners
+from calibration.camera.noise import CornerNoise, fitted, noise_of_most, robust, wrong_corners
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.order import Held, held_out_errors, leanest_within_error
 from calibration.camera.printed import are_ends_told, print_sigma_mm
@@ -27,14 +28,12 @@ from calibration.camera.projection import Knowledge, image_grid, rms_sigma
 from calibration.camera.scatter import scatter_between_images
 from calibration.camera.sightings import BoardView, Sightings
 from calibration.camera.start import first_scene, with_better_poses
+from calibration.outliers import MAX_OUTLIER_SHARE
 from calibration.threads import one_thread
 from noise_model.arrays import Float64
 
 FIRST_ORDER = "k1 k2 p1 p2"
 """The distortion with which wrong corners are looked for, before one is chosen."""
-
-MAX_OUTLIER_SHARE = 0.3
-"""An image with a larger share of wrong corners is left out as a whole."""
 
 PRINT_ROUNDS, PRINT_SETTLED = 5, 0.02
 """The print and the noise are estimated in turn until the print's sigma changes by a smaller share."""

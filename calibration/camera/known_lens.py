@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from calibration.boards.board import Board
+from calibration.boards.detect import MIN_CORNERS
 from calibration.camera.adjustment import BoardScene, adjusted
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.lens import OPENCV, PINHOLE, Lens
-from calibration.camera.noise import MIN_CORNERS, wrong_corners
+from calibration.camera.noise import wrong_corners
 from calibration.camera.sightings import BoardView, Sightings
 from calibration.camera.start import with_better_poses
 from calibration.threads import one_thread

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -39,6 +40,10 @@ lenses that are mounted straight have.
 
 FIELD_STEPS = 400
 """Radii at which the distortion is looked at from the middle to beyond the image's corner."""
+
+
+STEP_SIGMAS = 0.1
+"""Steps of the lens in finite differences, in sigmas."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +121,14 @@ class Lens:
     def project(self, points_camera: Float64) -> Float64:
         """Return the image points (N, 2), px, of points (N, 3), mm, camera frame."""
         return self.project_with_jacobian(points_camera)[0]
+
+    def derivatives(self, covariance: Float64, made_by: Callable[[Lens], Float64]) -> Float64:
+        """Return the derivatives (..., n) of what a lens makes by its values; 0 by those that are exact."""
+        columns = []
+        for step in STEP_SIGMAS * np.diag(np.sqrt(np.diag(covariance))):
+            ahead, behind = (made_by(replace(self, values=self.values + sign * step)) for sign in (1.0, -1.0))
+            columns.append((ahead - behind) / (2.0 * (step.sum() or np.inf)))
+        return np.stack(columns, axis=-1)
 
     def project_with_jacobian(self, points_camera: Float64) -> tuple[Float64, Float64, Float64]:
         """Project points (N, 3) of the camera frame, mm, with derivatives.

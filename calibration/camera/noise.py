@@ -18,16 +18,11 @@ from scipy.stats import f
 from calibration.camera.adjustment import BoardScene, adjusted, with_prior
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
+from calibration.outliers import FALSE_ALARM, TAIL
 from noise_model.arrays import Bool, Float64
-
-TAIL = 4.0
-"""Degrees of freedom of Student's t in the robust fit: a fifth of wrong corners hardly moves it."""
 
 ROBUST_ROUNDS, NOISE_ROUNDS = 30, 4
 SETTLED = 1e-3
-
-FALSE_ALARM = 0.01
-"""The probability that a set without a wrong corner loses one."""
 
 MEDIAN_EFFICIENCY = 0.48
 """Variance of the mean over that of the median, of squares of two normal numbers: ln(2)²."""
@@ -35,9 +30,6 @@ MEDIAN_EFFICIENCY = 0.48
 MAX_PRIOR_DOF = 1e6
 MIN_SIGMA_PX = 1e-9
 """Corners without noise occur in tests alone; their weights stay finite."""
-
-MIN_CORNERS = 6
-"""An image with fewer corners left tells nothing beyond its pose."""
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,8 @@ from scipy.stats import chi2
 from calibration.camera.adjustment import BoardScene, with_prior
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
+from calibration.outliers import FALSE_ALARM
 from noise_model.arrays import Float64
-
-FALSE_ALARM = 0.01
-"""The probability that images without a common error are taken to have one."""
 
 
 def scatter_between_images(scene: BoardScene, seen: Sightings, weight: Float64) -> float:

@@ -23,6 +23,7 @@ from calibration.gauge.adjustment import (
 )
 from calibration.gauge.shape import Gauge, Shape
 from calibration.gauge.sightings import PosedPieces, StatedSensor, place_gauge
+from calibration.outliers import MAX_OUTLIER_SHARE
 from noise_model.arrays import Float64
 from noise_model.transforms import transform
 
@@ -46,9 +47,6 @@ MAX_FORM_MM = 0.1
 
 FEW_IMAGES = 3
 """Fewer images say nothing of the errors: those that are usual count."""
-
-MAX_OUTLIER_SHARE = 0.3
-"""The largest share of images that is left out."""
 
 HELD = 1e-9
 """1 sigma of what is held."""

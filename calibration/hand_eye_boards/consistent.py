@@ -15,10 +15,8 @@ from scipy.stats import f
 from calibration.hand_eye_boards.chain import Chain
 from calibration.hand_eye_boards.enough import MIN_POSES
 from calibration.hand_eye_boards.refine import UNKNOWNS, Boards, Refinement, pose_errors, refined
+from calibration.outliers import FALSE_ALARM
 from noise_model.arrays import Float64
-
-FALSE_ALARM = 0.01
-"""The probability that a set without a wrong pair loses one."""
 
 MAX_ROUNDS = 12
 MOTION = 6

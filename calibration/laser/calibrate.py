@@ -19,6 +19,7 @@ from calibration.laser.bow import Bow, bow_of
 from calibration.laser.image_line import LaserLineFit, fit_line
 from calibration.laser.plane import MIN_PAIRS, BoardLine, PlaneFit, consistent, fit_plane
 from calibration.laser.stripe import BoardStripe
+from calibration.outliers import FALSE_ALARM
 from calibration.threads import one_thread
 from noise_model.arrays import Float64
 
@@ -27,12 +28,6 @@ MAX_TILT_SIGMA_DEG = 0.5
 
 MIN_SPREAD = 10.0
 """The stripes' scatter from one line over what noise alone makes of it: below it, the sheet follows noise."""
-
-FALSE_ALARM = 0.01
-"""The probability that lines which agree are taken not to."""
-
-STEP_SIGMAS = 0.1
-"""Steps of the lens in finite differences, in sigmas."""
 
 
 @dataclass(frozen=True)
@@ -193,22 +188,13 @@ def _per_lens(
     plane: Float64,
 ) -> Float64:
     """Return the plane's derivatives (4, k) by the lens' values that are not exact, others are 0."""
-    sigma = np.sqrt(np.diag(lens_covariance))
-    columns = []
-    for n, each in enumerate(sigma):
-        if each == 0.0:
-            columns.append(np.zeros(4))
-            continue
-        ends = []
-        for sign in (1.0, -1.0):
-            values = scene.lens.values.copy()
-            values[n] += sign * STEP_SIGMAS * each
-            other = replace(scene, lens=replace(scene.lens, values=values))
-            other = adjusted(other, seen, np.ones(len(seen)), poses_only=True)
-            found_plane = fit_plane(_board_lines(other, seen, stripes)[0]).plane
-            ends.append(found_plane * np.sign(found_plane[:3] @ plane[:3]))
-        columns.append((ends[0] - ends[1]) / (2.0 * STEP_SIGMAS * each))
-    return np.column_stack(columns)
+
+    def plane_of(lens: Lens) -> Float64:
+        other = adjusted(replace(scene, lens=lens), seen, np.ones(len(seen)), poses_only=True)
+        other_plane = fit_plane(_board_lines(other, seen, stripes)[0]).plane
+        return np.asarray(other_plane * np.sign(other_plane[:3] @ plane[:3]))
+
+    return scene.lens.derivatives(lens_covariance, plane_of)
 
 
 def _scatter(fit: PlaneFit) -> float:

@@ -11,11 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.outliers import TAIL
 from noise_model.arrays import Bool, Float64
 from noise_model.robust import sigma_of
-
-TAIL = 4.0
-"""Degrees of freedom of Student's t: points off the line hardly move it."""
 
 ROUNDS, SETTLED = 50, 1e-4
 

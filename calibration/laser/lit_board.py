@@ -14,7 +14,7 @@ import numpy as np
 from calibration.boards.board import Board, BoardKind
 from calibration.camera.lens import Lens
 from calibration.laser.plane import points_on_board
-from calibration.laser.stripe import LaserLight, board_area
+from calibration.laser.stripe import NOISE_FLOOR_DN, LaserLight, board_area
 from noise_model.arrays import Bool, Float64, Integers
 from noise_model.robust import spread
 
@@ -29,9 +29,6 @@ MAX_PIXELS = 40_000
 
 RIDGE = 1e-9
 """What keeps a board of one shade from having no fit, over the trace."""
-
-NOISE_FLOOR_DN = 0.3
-"""Rounding leaves that much noise at least."""
 
 EDGE_SHARE = 0.02
 """Pixels whose blurred board changes by more than that share from light to dark per px are at an edge."""

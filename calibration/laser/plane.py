@@ -19,15 +19,10 @@ import numpy as np
 from scipy.stats import f
 
 from calibration.laser.image_line import LaserLineFit
+from calibration.outliers import FALSE_ALARM, MAX_OUTLIER_SHARE
 from noise_model.arrays import Float64
 
 ROUNDS, SETTLED = 30, 1e-10
-
-FALSE_ALARM = 0.01
-"""The probability that a set without a wrong pair loses one."""
-
-MAX_OUTLIER_SHARE = 0.3
-"""The largest share of pairs that is left out one by one: beyond it nothing tells which are wrong."""
 
 MIN_PAIRS = 3
 """Two lines make a plane; the third one says whether it is one."""

@@ -17,19 +17,11 @@ from skimage.measure import LineModelND, ransac
 
 from calibration.boards.board import Board
 from calibration.camera.lens import Lens
+from calibration.laser.matched_scales import SCALES_PX, smoothed_by_scale
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.robust import spread
 from noise_model.transforms import transform
-from tracker.stripe.viterbi import JUMP_COST, best_path
-
-SCALES_PX = (1.5, 3.0, 6.0, 12.0)
-"""The sigmas of the stripes that are looked for."""
-
-SURROUND = 2.5
-"""The mean about a stripe is taken with so many times its sigma."""
-
-ALONG_PX = 1.0
-"""The matched filter's sigma along the stripe."""
+from tracker.stripe.viterbi import GAIN_CAP, JUMP_COST, best_path
 
 MIN_SCORE = 6.0
 """A scan line shows the stripe where the matched filter's output is so many of its sigmas."""
@@ -66,9 +58,6 @@ TRIM_ROUNDS, TRIM_SIGMAS, MIN_TRIM_PX = 8, 4.0, 0.3
 
 GAP_LINES, MIN_PIECE_SHARE, MIN_SHARE = 10, 0.2, 0.08
 """Pieces of a stripe are so many lines apart. A smaller share of the longest, or of all, is a scrap."""
-
-GAIN_CAP = 60.0
-"""The most that a scan line counts, in log-likelihood, as in the tracker's path."""
 
 NOISE_FLOOR_DN = 0.3
 """Rounding of two images leaves that much noise at least."""
@@ -258,11 +247,7 @@ def _without_scraps(scan: Int64, kept: Bool) -> Bool:
 def _matched(lines: Float32, noise: Float32, inside: Bool) -> tuple[Float32, float]:
     """Return the matched filter's output in its sigmas (n, m), of the stripe's sigma that shows most."""
     best, best_score = (-np.inf, SCALES_PX[0]), np.zeros_like(lines)
-    for sigma in SCALES_PX:
-        if 2.0 * SURROUND * sigma >= lines.shape[1]:
-            continue
-        near = cv2.GaussianBlur(lines, (0, 0), sigmaX=sigma, sigmaY=ALONG_PX)
-        wide = cv2.GaussianBlur(lines, (0, 0), sigmaX=SURROUND * sigma, sigmaY=ALONG_PX)
+    for sigma, near, wide in smoothed_by_scale(lines):
         output = (near - wide) / noise
         # The output's own spread says how much noise is left, whatever a codec has made of it.
         score = np.where(inside, output / max(spread(output[inside]), 1e-6), 0.0).astype(np.float32)

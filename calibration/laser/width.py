@@ -17,6 +17,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from calibration.laser.image_line import lines_together
+from calibration.outliers import FALSE_ALARM
 from noise_model.arrays import Float64
 from noise_model.robust import spread
 
@@ -25,9 +26,6 @@ MIN_LINES = 15
 
 MIN_VARIANCE_OVER_BLUR = 0.25
 """The stripe's variance less the blur's, of the stripe's: below it the stated blur makes the width."""
-
-FALSE_ALARM = 0.01
-"""The probability that a law that holds is taken not to."""
 
 MAX_EXTRAPOLATION = 0.5
 """A law that is not the model's is followed beyond the boards by that share of their range at most."""

@@ -20,10 +20,9 @@ from arctrack.recording.importing.grey import channel_of_laser, grey
 from arctrack.recording.importing.image_decoder import EncodedImage
 from arctrack.recording.importing.image_files import distinct_names, images_of
 from calibration.boards.board import Board
-from calibration.boards.detect import WINDOW
+from calibration.boards.detect import MIN_CORNERS, WINDOW
 from calibration.camera.adjustment import BoardScene, adjusted
 from calibration.camera.known_lens import board_poses
-from calibration.camera.noise import MIN_CORNERS
 from calibration.camera.sightings import Sightings
 from calibration.laser.cross_sections import CrossSections, cross_sections, placed
 from calibration.laser.lit_board import lit_board
