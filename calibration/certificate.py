@@ -1,4 +1,4 @@
-"""What the seam's absolute position is good for: all calibrations' covariance, carried to the seam.
+"""Certificate of the seam's absolute position: the covariance of all calibrations, propagated to the seam.
 
 A seam point lies where the pixel's ray meets the laser sheet, carried to the tool frame:
 
@@ -131,8 +131,7 @@ def certify(
     robot: RobotNoise = EXACT_ROBOT,
     delay_sigma_mm: float = 0.0,
 ) -> Certificate:
-    """Propagate the covariance of all calibrations to image points (n, 2) on the laser sheet, to first order:
-    J cov J^T.
+    """Propagate the covariance of all calibrations to image points (n, 2) on the laser sheet: J cov J^T.
 
     `robot` is the error of the poses that the robot states; `delay_sigma_mm` is 1 sigma of the tool's travel,
     along each axis across the seam, in the unknown delay.

@@ -6,5 +6,5 @@ from scipy.stats import norm, t
 
 
 def wider_by_few(freedom: float) -> float:
-    """Return by how much a 95 % interval is wider for so many degrees of freedom: Student's t."""
+    """Return the factor of a 95 % interval at these degrees of freedom over the normal one: Student's t."""
     return float(t.isf(0.025, freedom) / norm.isf(0.025))

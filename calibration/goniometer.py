@@ -1,4 +1,4 @@
-"""What a goniometer measures: grey levels of a patch, lit by a small source, at stated angles.
+"""Model of a goniometer's readings: grey levels of a patch, lit by a small source, at stated angles.
 
     G = black + (saturation - black) E^gamma                       (Eq. 20)
     E = s f_r(theta_i, theta_r, phi_r) cos(theta_i) I / a^2        (Eq. 17, 18)
@@ -23,7 +23,7 @@ NORMAL = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class GreyResponse:
-    """How the sensor turns light into grey levels, DN: Eq. 20."""
+    """Response of the sensor from light to grey levels, DN: Eq. 20."""
 
     gamma: float = 1.0
     black_dn: float = 0.0
@@ -47,7 +47,7 @@ class GreyResponse:
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """Where source and camera stood, (m,) each: angles to the patch's normal and out of the incident plane.
+    """Positions of source and camera, (m,) each: angles to the patch's normal and the incident plane.
 
     phi_r = 0 is the plane of incidence on the mirror's side, where a negative theta_r is the source's own
     side. `source` is I / a^2 in any unit, one for all settings that are compared.

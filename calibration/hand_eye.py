@@ -1,17 +1,17 @@
-"""The camera's pose in the tool from the arc's own light.
+"""Calibration of the camera's pose in the tool from the arc's own light.
 
-The stripe alone cannot tell a camera that is off by a tenth of a millimetre from a part that is. The arc can:
-it burns below the tool's origin, and how its reflected light falls off over the image says where the camera
-stands beside it. The estimate is the maximum a posteriori of camera, light and seam together. What the model
-may be off by itself is fitted along, each with its own prior, so that the camera's covariance holds what it
-leaves open: the arc's place, radius and level, the metal's reflectance, a slow error of brightness over the
-image. What would have to leave its prior far behind is refused.
+The stripe alone cannot distinguish a camera that is off by a tenth of a millimetre from a part that is. The
+arc can: it burns below the tool's origin, and the fall-off of its reflected light over the image determines
+the camera's position relative to it. The estimate is the maximum a posteriori of camera, light and seam
+together. The model's own possible errors are fitted too, each with its own prior, so the camera's covariance
+includes what they leave open: the arc's position, radius and level, the metal's reflectance, a smooth error
+of brightness over the image. A result far outside its prior is refused.
 
-The seam goes with the camera: where the tracker sees it in the image stays, and each camera puts it elsewhere
-in space. Between and beyond the sightings it may run as its curve's posterior modes say.
+The seam moves with the camera: where the tracker sees it in the image stays, and each camera puts it
+elsewhere in space. Between and beyond the observations it may run as its curve's posterior modes say.
 
-Each round chooses pixels that lie off the edges of the joint's faces, takes their residuals as linear, and
-goes on to the fit's result.
+Each round chooses pixels that lie off the edges of the joint's faces, linearises their residuals, and moves
+to the fit's result.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class HandEye:
 
     @property
     def is_gain(self) -> bool:
-        """Whether the seam's expected error is clearly smaller after than before."""
+        """True if the seam's expected error is clearly smaller after than before."""
         return self.error_ratio < MAX_ERROR_RATIO
 
 
@@ -116,11 +116,11 @@ def estimate_hand_eye(
 ) -> HandEye:
     """Estimate T_tool_camera from frames and their poses, some of them with the arc on.
 
-    Frames of unknown current count where none is known. `progress` hears the rounds done and how many there
-    may be. Raises ValueError if the setup states no arc or no metal, if no frame has the arc on or none of
-    them a pixel to compare, if the joint was found in none, if the rounds do not settle, or if camera, arc or
-    metal would have to be off by more than FAR_SIGMAS of their priors or the arc's level by a factor of
-    MAX_LEVEL_FACTOR.
+    Frames of unknown current count where none is known. `progress` is called with the rounds done and their
+    largest number. Raises ValueError if the setup states no arc or no metal, if no frame has the arc on or
+    none of them a pixel to compare, if the joint was found in none, if the rounds do not converge, or if
+    camera, arc or metal would have to be off by more than FAR_SIGMAS of their priors or the arc's level by a
+    factor of MAX_LEVEL_FACTOR.
     """
     setup.require("the hand-eye estimate", "arc", "material")
     lit = [(frame, pose.T_base_tool) for frame, pose in frames if frame.arc_on and frame.current_a != 0.0]
@@ -181,7 +181,7 @@ def _sightings(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> SeamObserv
 
 @dataclass(frozen=True, eq=False)
 class _ArcHandEyeProblem:
-    """What is fitted: parameters (p,) in the order of `parameters`, to frames with the arc on.
+    """Least-squares problem: parameters (p,) in the order of `parameters`, of frames with the arc on.
 
     `curve` is the seam through the sightings as the stated camera puts them.
     """

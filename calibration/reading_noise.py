@@ -27,11 +27,11 @@ FLOOR = 1e-6
 
 @dataclass(frozen=True)
 class ReadingNoise:
-    """A reading's variance: additive_dn^2 + (relative x signal)^2, the signal in DN above black.
+    """Variance of a reading: additive_dn^2 + (relative x signal)^2, the signal in DN above black.
 
-    The additive part is the sensor's read noise and rounding; the relative one is the source's flicker,
-    which gamma leaves relative. Photon noise lies between both and is covered by their sum over a range of
-    signals; it is not a parameter of its own because scatter hardly tells three apart.
+    The additive part is the sensor's read noise and rounding; the relative one is the source's flicker, which
+    gamma leaves relative. Photon noise lies between both and is covered by their sum over a range of signals;
+    it is not a parameter of its own because scatter hardly separates three.
     """
 
     additive_dn: float
@@ -59,10 +59,10 @@ def estimate_noise(signal_dn: Float64, squares: Float64, freedom: Float64) -> Re
 def estimate_scatter(
     signal_dn: Float64, squares: Float64, freedom: Float64, shares: Float64, known_dn2: Float64
 ) -> tuple[ReadingNoise, float]:
-    """Estimate the noise as `estimate_noise` does, and beside it what differs between settings, relative.
+    """Estimate the noise as `estimate_noise` does, and the relative scatter between settings.
 
-    That adds `shares` (k,) x (between x signal)^2 to a square's mean: 0 within a setting's repeats, their
-    number where a mean's error is multiplied by it to be that of a reading. `known_dn2` (k,) is in the
+    The latter adds `shares` (k,) x (between x signal)^2 to a square's mean: 0 within a setting's repeats,
+    their number where a mean's error is multiplied by it to be that of a reading. `known_dn2` (k,) is in the
     squares besides.
     """
     used = freedom > MIN_FREEDOM

@@ -33,7 +33,7 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, eq=False)
 class StandardResiduals:
-    """How the (m,) settings of a white standard agree with the fit, as in `Reflectance`."""
+    """Residuals of the (m,) settings of a white standard, as in `Reflectance`."""
 
     predicted: Float64
     residuals: Float64

@@ -1,4 +1,4 @@
-"""What goniometer readings cannot determine, and why: one sentence for the user each."""
+"""Limits of goniometer readings: what they cannot determine, and why, one sentence each."""
 
 from __future__ import annotations
 

@@ -137,7 +137,7 @@ def readings_model(sample: Readings, response: GreyResponse, white: White | None
 def _telling(repeats: Float64, variance: Float64) -> tuple[Float64, Float64]:
     """Return repeats and variances (m,) as they are, or as of single readings if no two of them differ.
 
-    Then they are copies, or a mean that was written down again: they tell nothing of the noise.
+    Then they are copies, or a mean that was written down again: they contain no noise.
     """
     if np.nansum(variance) > 0.0:
         return repeats, variance
@@ -160,9 +160,9 @@ class ReadingsFit:
 def fit_readings(model: ReadingsModel) -> ReadingsFit:
     """Fit A_diff, A_spec, c2 and s with weights by the noise of the readings.
 
-    Repeats and residuals both tell the noise, each with its degrees of freedom (a residual has 1 - leverage),
-    so that readings without repeats need no other treatment. Signals are the model's, not the readings: a
-    weight that follows its own reading's error pulls the fit down.
+    Repeats and residuals both determine the noise, each with its degrees of freedom (a residual has 1 -
+    leverage), so readings without repeats need no other treatment. Signals are the model's, not the readings:
+    a weight that follows its own reading's error biases the fit downwards.
     """
     start = model.start()
     signal = model.gray_level - model.response.black_dn
@@ -175,11 +175,11 @@ def fit_readings(model: ReadingsModel) -> ReadingsFit:
 
 
 def fit_settings(model: ReadingsModel, fitted: ReadingsFit) -> ReadingsFit:
-    """Fit once more, with weights by what differs between settings as well.
+    """Fit once more, with weights that include the scatter between settings.
 
     A mean's variance is that of a reading over the repeats and (between x signal)^2: angles, light and
     texture change a setting's light in proportion, and no repeat makes that smaller. Without it settings that
-    were read a hundred times would decide alone. Without repeats the two cannot be told apart, nor need be.
+    were read a hundred times would decide alone. Without repeats the two cannot be separated, nor need be.
     """
     if not (model.repeats > 1).any():
         return fitted

@@ -1,4 +1,4 @@
-"""Whether goniometer settings scatter about a fit as their repeats let expect: Fisher's test."""
+"""Test of whether goniometer settings scatter about a fit as their repeats let expect (Fisher)."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class RepeatScatter:
 
     @property
     def is_unlikely(self) -> bool:
-        """Whether chance does not explain the settings' scatter."""
+        """True if chance does not explain the settings' scatter."""
         return self.p_value < UNLIKELY
 
 

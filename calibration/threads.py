@@ -1,4 +1,4 @@
-"""How many threads the calibrations' linear algebra takes."""
+"""Number of threads of the calibrations' linear algebra."""
 
 from __future__ import annotations
 

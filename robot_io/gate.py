@@ -1,9 +1,9 @@
-"""The last word before the bus: whether an offset is sent, the last one held, or the correction refused.
+"""Final gate before the bus: an offset is sent, the last one held, or the correction refused.
 
 A refusal says that nothing may be corrected at all (not armed, emergency stop, no arc …). A hold says that
-this one capture is no good: the offset sent last is repeated, until its own capture is older than `hold_s`;
+this one capture is unusable: the offset sent last is repeated, until its own capture is older than `hold_s`;
 then the hold becomes a refusal with the same reason. An offset goes through as it was measured or not at all,
-but for the soft start: from nought an axis approaches the seam at its rate limit, with a confidence of 0 and
+except for the soft start: from zero an axis approaches the seam at its rate limit, with a confidence of 0 and
 the reason SOFT_START until it is there. All limits are inclusive: a value at its limit passes.
 """
 
@@ -28,7 +28,7 @@ from robot_io.protocol.messages import (
 
 
 class Verdict(Enum):
-    """What becomes of a proposal."""
+    """Verdict on a proposal."""
 
     SEND = "send"
     HOLD = "hold"
@@ -61,7 +61,7 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Conditions:
-    """What must hold beside the offset.
+    """Conditions of an offset.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class LastSent:
 
 @dataclass(frozen=True)
 class Decision:
-    """What goes to the bus, why, and what the gate must be given the next time.
+    """Decision on a proposal: what goes to the bus, why, and the state for the next one.
 
     Attributes
     ----------
@@ -243,7 +243,7 @@ def _objection(
 
 @dataclass(frozen=True)
 class _OffsetAxis:
-    """One enabled axis of a proposal beside its limits.
+    """One enabled axis of a proposal with its limits.
 
     `sent_mm`, `measured_mm` and `elapsed_s` are of what the axis was sent last, NaN if it never was.
     """
@@ -324,9 +324,9 @@ def _send(
 
 
 def _approached(axis: _OffsetAxis, limits: GateLimits) -> float:
-    """Return the measured offset, or how near to it the rate limit lets come what was sent last.
+    """Return the measured offset, or the nearest to it that the rate limit allows from what was sent last.
 
-    An axis that was sent nothing yet is at nought, where the robot is armed.
+    An axis that was sent nothing yet is at zero, where the robot is armed.
     """
     sent_mm, elapsed_s = axis.sent_mm, axis.elapsed_s
     if math.isnan(sent_mm):

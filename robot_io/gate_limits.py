@@ -13,7 +13,7 @@ BUS_RANGE_MM = 32.767
 
 @dataclass(frozen=True)
 class GateLimits:
-    """What an offset must keep to. Each field's metadata states `unit`, `role` and `source`.
+    """Limits that an offset must keep to. Each field's metadata states `unit`, `role` and `source`.
 
     Raises
     ------

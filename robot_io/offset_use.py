@@ -1,4 +1,4 @@
-"""The robot's side of the offsets: when one may be used, as `docs/reference/can.md` asks of every robot."""
+"""Robot's use of the offsets: when one may be used, as `docs/reference/can.md` requires of every robot."""
 
 from __future__ import annotations
 

@@ -45,8 +45,9 @@ class Question:
 
 
 class Check(NamedTuple):
-    """Result of a question: the frame's value and the limit, in the question's unit, and the flag that
-    failing raises.
+    """Result of a question: the frame's value and the limit, in the question's unit.
+
+    `flag` is raised by failing.
     """
 
     question: Question

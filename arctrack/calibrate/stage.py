@@ -23,9 +23,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class CalibrationStage(Generic[Result]):
-    """A completed calibration: result, page, and values for the setup; `refusal` is why these must not go
-    into one.
-    """
+    """Completed calibration: result, page, and values for a setup; `refusal` is why these must stay out."""
 
     result: Result
     page: CalibrationPage

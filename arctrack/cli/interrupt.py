@@ -58,8 +58,7 @@ def lost_interrupts() -> Iterator[list[BaseException | None]]:
 
 @contextmanager
 def stoppable(*others: signal.Signals) -> Iterator[Callable[[], set[signal.Signals]]]:
-    """Yield a function that returns the signals received since its last call; nothing in the block is
-    interrupted.
+    """Yield a function that returns the signals since its last call; the block is not interrupted.
 
     The signals are those that end a run, and others that are named. A run under nohup goes on without its
     terminal.

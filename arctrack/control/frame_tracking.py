@@ -46,8 +46,9 @@ class FrameStep:
 
 
 class FrameTracking:
-    """Tracker of one seam. `correction` is the part of the seam's displacement that is sent; `on_step` gets
-    each step.
+    """Tracker of one seam.
+
+    `correction` is the part of the seam's displacement that is sent; `on_step` gets each step.
     """
 
     def __init__(self, setup: Setup, correction: Correction = UNSTATED) -> None:

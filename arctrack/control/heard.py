@@ -29,15 +29,13 @@ def fresh(heard: TimedMessage[M] | None, now_s: float, max_age_s: float) -> M | 
 
 
 class OutageWatch:
-    """Detector of a silence of the robot's commands or status that may hide a DISARM or a correction set to
-    OFF.
-    """
+    """Detector of silences of the robot that may hide a DISARM or a correction set to OFF."""
 
     def __init__(self) -> None:
         self._came_at_s: dict[type[BusMessage], float] = {}
 
     def hear(self, message: BusMessage, came_at_s: float, now_s: float, hold_s: float) -> bool:
-        """Take an accepted message, and return whether the one of its kind before may be more than `hold_s`
+        """Take an accepted message; return whether the previous one of its kind may be more than `hold_s`
         older.
 
         `came_at_s` is the earliest time at which it came, `now_s` that of its reading. `hold_s` is the

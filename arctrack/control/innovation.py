@@ -191,11 +191,11 @@ class _SeamKnowledge:
 
 @dataclass(frozen=True)
 class SeamInnovation:
-    """State of the innovation test: filter, the window's innovations over their sigmas as pairs (y, z), and
-    verdict.
+    """State of the innovation test.
 
-    `motion` says whether the seam moves as the poses say. Once contradicted it stays so until a whole window
-    that began after that fits, with the seam where the measurements before the contradiction put it.
+    `innovations` are the window's over their sigmas, as pairs (y, z). `motion` says whether the seam moves as
+    the poses say. Once contradicted it stays so until a whole window that began after that fits, with the
+    seam where the measurements before the contradiction put it.
     """
 
     motion: SeamMotion = SeamMotion.UNPROVEN

@@ -67,8 +67,7 @@ class PoseWatch:
         self._sync = ClockSync()
 
     def hear(self, received: Received, now_s: float) -> PoseSample | None:
-        """Take an accepted message of any type, read at `now_s`; return the pose that it completes, trusted
-        or not.
+        """Take an accepted message, read at `now_s`; return the pose that it completes, trusted or not.
 
         The sample is of the tool, at its time on the clock of `now_s`.
         """

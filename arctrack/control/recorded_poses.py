@@ -72,10 +72,9 @@ class RecordedPoses:
             self._watch.see(seam)
 
     def verdict(self, now_s: float) -> GateReason:
-        """Return the verdict for the gate at a time on the recording's clock, s; times rise from call to
-        call.
+        """Return the verdict for the gate at a time on the recording's clock, s.
 
-        Raises ArctrackError if the log cannot be read.
+        Times rise from call to call. Raises ArctrackError if the log cannot be read.
         """
         try:
             while self._next is not None and self._next.timestamp_s <= now_s:

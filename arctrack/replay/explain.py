@@ -118,8 +118,7 @@ def explain(
     use_arc_map: bool = True,
     on_frame: Callable[[int], None] | None = None,
 ) -> Explanation:
-    """Replay a recording up to the frame of an index and explain it; `on_frame` gets the number of frames
-    done.
+    """Replay a recording up to the frame of an index and explain it; `on_frame` gets the frames done.
 
     Raises ArctrackError if the recording has no such frame, or if it cannot be read.
     """

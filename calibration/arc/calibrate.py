@@ -1,10 +1,10 @@
-"""Radius, place and brightness of the arc, and its metal's reflectance, from frames of the arc's light alone.
+"""Radius, position and brightness of the arc, and its metal's reflectance, from the arc's light alone.
 
 The estimate is the maximum a posteriori of `ArcProblem`: the camera within its tolerance, the part where
-stripes put it, slow fields of brightness, a level for each frame and a black level are fitted along. Texture
-of the metal and the arc's flicker are estimated from what is left, so that the sigmas hold them. What comes
-out with too wide a sigma is refused: its stated value stays, with the stated tolerance, and all else is
-fitted anew.
+stripes place it, smooth fields of brightness, a level for each frame and a black level are fitted together.
+Texture of the metal and the arc's flicker are estimated from the residuals, so the sigmas include them. A
+parameter with too wide a sigma is refused: its stated value stays, with the stated tolerance, and all others
+are fitted again.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ KEYS_OF: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class Combination:
-    """A combination of parameters that frames hardly tell: its parts by name, and its sigma over the limit.
+    """A poorly determined combination of parameters: its parts by name, and its sigma over the limit.
 
     `parts` are those of a unit vector in the parameters over their limits.
     """
@@ -134,7 +134,7 @@ class ArcCalibration:
 
     @property
     def held_keys(self) -> tuple[str, ...]:
-        """Which of `KEYS` keep their stated values."""
+        """Those of `KEYS` that keep their stated values."""
         return tuple(key for name in self.refused for key in KEYS_OF[name])
 
     @property
@@ -154,9 +154,10 @@ def calibrate_arc(
 ) -> ArcCalibration:
     """Calibrate arc and metal from frames with the arc on and the laser off, each with T_base_tool (4, 4).
 
-    `part` says where stripes put the part; without it, it lies within what parts do about its nominal place.
-    `progress` hears the rounds done and how many there are. Raises ValueError if the setup states no arc or
-    no metal, if nothing can be compared, and if the arc's brightness is off by MAX_LEVEL_FACTOR.
+    `part` is the part's placement by stripes; without it, the part lies within the usual tolerance of its
+    nominal place. `progress` is called with the rounds done and their number. Raises ValueError if the setup
+    states no arc or no metal, if nothing can be compared, and if the arc's brightness is off by
+    MAX_LEVEL_FACTOR.
     """
     with one_thread():
         return _calibrate(setup, frames, part, progress)
@@ -189,9 +190,9 @@ def _calibrate(
 
 
 def _covariance(problem: ArcProblem, result: Fit) -> Float64:
-    """Return that of `ARC` (7, 7), at the fit or where all is as stated, whichever knows less.
+    """Return that of `ARC` (7, 7), at the fit or at the stated values, whichever has less information.
 
-    What is hardly told may come out where it seems to be told well.
+    A poorly determined parameter may come out where it seems to be well determined.
     """
     x = np.zeros(len(problem.names))
     x[ARC.index(RADIANCE)] = result.values[ARC.index(RADIANCE)]
@@ -241,10 +242,10 @@ def _fitted(problem: ArcProblem, x: Float64, progress: Callable[[int, int], None
 
 
 def _with_refused(problem: ArcProblem, covariance: Float64) -> ArcProblem:
-    """Return the problem with what the frames do not tell held at its stated value, the worst first.
+    """Return the problem with undetermined parameters held at their stated values, the worst first.
 
-    What is held has the stated tolerance for its prior: (C^-1 + h h^T (1/s^2 - 1/b^2))^-1. What else was too
-    uncertain only together with that is known then.
+    A held parameter has the stated tolerance as its prior: (C^-1 + h h^T (1/s^2 - 1/b^2))^-1. What was too
+    uncertain only together with it is then known.
     """
     covariance = covariance.copy()
     limits = np.array([LIMITS[name] for name in ARC])

@@ -69,7 +69,7 @@ SEAM_SIGMAS = (0.1, 0.1, 0.03, 0.01)
 
 @dataclass(frozen=True, eq=False)
 class PartPlacement:
-    """Where stripes put the part, and what they say of the camera with it.
+    """Placement of the part by stripes, jointly with the camera.
 
     `values` (10,) are `CAMERA` and `SEAM` about the stated camera and the nominal seam at `station_mm`, deg
     and mm; `covariance` (10, 10).
@@ -88,10 +88,10 @@ class PartPlacement:
 
     @classmethod
     def beside(cls, setup: Setup, station_mm: float, values: Mapping[str, float], fit: Fit) -> PartPlacement:
-        """Return what stripes say of the part, for each camera within its tolerance.
+        """Return the part's placement by stripes, for each camera within its tolerance.
 
-        Of the camera itself they are not believed: that the seam is straight would tell too much of it. With
-        B = C_pc C_cc^-1, the part lies at p - B c + B camera, and its own covariance is C_pp - B C_cp.
+        Their estimate of the camera itself is not used: it would rest on the assumption of a straight seam.
+        With B = C_pc C_cc^-1, the part lies at p - B c + B camera, and its own covariance is C_pp - B C_cp.
         """
         names = [parameter.name for parameter in fit.parameters]
         camera = [names.index(f"camera_{name.removeprefix('move_')}") for name in CAMERA]
@@ -109,7 +109,7 @@ class ArcProblem:
     """The pixels of all frames, and the parameters that explain them.
 
     `pixel_sigma` is the relative 1 sigma of the metal's texture and the map, `flicker` that of a frame's
-    level; `held` are of `ARC` what the frames do not tell: their stated values count.
+    level; `held` are those of `ARC` that the frames do not determine: their stated values count.
     """
 
     setup: Setup

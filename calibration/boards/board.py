@@ -28,7 +28,7 @@ _CHARUCO = re.compile(rf"charuco:{_SIZE}:{_LENGTH}:{_LENGTH}:(?:DICT_)?(\w+)", r
 
 
 class BoardKind(StrEnum):
-    """What tells the corners of a board apart."""
+    """Kind of a board, by how its corners are identified."""
 
     CHESSBOARD = "chessboard"
     CHARUCO = "charuco"
@@ -102,7 +102,7 @@ class Board:
 
     @cached_property
     def bulge(self) -> Float64:
-        """How far each corner (columns * rows, 2) rises for a warp of 1 mm along columns and along rows.
+        """Rise of each corner (columns * rows, 2) for a warp of 1 mm along columns and along rows.
 
         The warped board is z = w_x (1 - x²) + w_y (1 - y²), with x and y from -1 to 1 over it, as in mrcal.
         """

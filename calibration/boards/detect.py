@@ -1,7 +1,7 @@
-"""Where a board's corners are in an image.
+"""Detection of a board's corners in an image.
 
-OpenCV finds the board, on the image as it is, inverted, stretched and evened out: a board may be light on
-dark, dim, or unevenly lit. The corners are then placed on the raw image, whose grey levels nothing has bent.
+OpenCV finds the board, on the image as it is, inverted, stretched and equalised: a board may be light on
+dark, dim, or unevenly lit. The corners are then located on the raw image, with unchanged grey levels.
 """
 
 from __future__ import annotations

@@ -118,7 +118,7 @@ class CameraCalibration:
 
     @property
     def model_error(self) -> str | None:
-        """What to say where two halves contradict each other, None if they agree."""
+        """Error text where two halves contradict each other, None if they agree."""
         if self.ratio_of_halves <= MAX_RATIO:
             return None
         if not math.isfinite(self.ratio_of_halves):
@@ -305,9 +305,9 @@ def _check(scene: BoardScene, seen: Sightings, noise: CornerNoise) -> None:
 
 
 def _check_tilt(result: CameraCalibration) -> None:
-    """Raise UndeterminedError if the sensor's tilt is not told from the principal point.
+    """Raise UndeterminedError if the sensor's tilt cannot be separated from the principal point.
 
-    Without distortion a tilted sensor sees what one sees that is turned and shifted.
+    Without distortion a tilted sensor is equivalent to a rotated and shifted one.
     """
     variance = np.diag(result.covariance)[[result.names.index(name) for name in TILT]]
     if not ((variance > 0.0) & (variance <= MAX_TILT_SIGMA**2)).all():

@@ -102,7 +102,7 @@ def empty_parts(lens: Lens, seen: Sightings) -> str:
 
 
 def tilts_deg(scene: BoardScene) -> tuple[Float64, Float64]:
-    """Return how far each board leans about the image's horizontal and its vertical (V,), deg."""
+    """Return the tilt of each board about the image's horizontal and its vertical (V,), deg."""
     normal = scene.T_camera_board[:, :3, 2]
     toward = np.sign(normal[:, 2])
     about_x = np.degrees(np.arctan2(-normal[:, 1] * toward, np.abs(normal[:, 2])))

@@ -50,7 +50,7 @@ class Difference:
 
 
 def splits(views: int) -> list[Bool]:
-    """Return ways (V,) to split so many images in halves."""
+    """Return partitions (V,) of `views` images into halves."""
     rng = np.random.default_rng(SEED)
     alternate = np.arange(views) % 2 == 0
     return [alternate, *(rng.permutation(alternate) for _ in range(SPLITS - 1))]

@@ -103,7 +103,7 @@ class Lens:
 
     @property
     def is_invertible(self) -> bool:
-        """Whether the radial distortion grows all the way to the image's farthest corner."""
+        """True if the radial distortion increases up to the image's farthest corner."""
         k1, k2, _, _, k3, k4, k5, k6 = self.distortion[:8]
         corners = np.array([[x, y] for x in (0.0, self.width - 1.0) for y in (0.0, self.height - 1.0)])
         reach = float(np.linalg.norm((corners - self.values[2:4]) / self.values[:2], axis=1).max())

@@ -1,4 +1,4 @@
-"""Where to hold the board next: the pose that shrinks the projection's variance over the image most."""
+"""Next pose of the board: the one that lowers the projection's variance over the image most."""
 
 from __future__ import annotations
 

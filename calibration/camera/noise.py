@@ -1,7 +1,7 @@
-"""Noise of the corners, from their residuals: one sigma for each image, and the corners that are none.
+"""Noise of the corners, from their residuals: one sigma for each image, and the outliers.
 
-An image that is blurred or dark has noisier corners, so each has its own sigma. One image alone knows its
-sigma to some 7 % from a hundred corners, so that it leans on the others as much as their scatter warrants
+An image that is blurred or dark has noisier corners, so each has its own sigma. One image alone determines it
+to some 7 % from a hundred corners, so it is shrunk towards the others as far as their scatter warrants
 (Smyth, Linear models and empirical Bayes methods, 2004, section 6).
 """
 

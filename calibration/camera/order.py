@@ -1,4 +1,4 @@
-"""How much distortion the lens needs: how well the other boards predict each.
+"""Choice of the lens' distortion by cross-validation: how well the other boards predict each.
 
 Each board in turn is held out. The others give a lens, the board gets a pose under it and nothing else, and
 its residuals count. The best distortion has the least mean square of them. Taken is the leanest whose mean is
@@ -81,7 +81,7 @@ def held_out_errors(
 
 
 def leanest_within_error(held: list[Held]) -> Held:
-    """Return the leanest distortion that predicts as well as the best, or has hardly less evidence."""
+    """Return the leanest distortion that predicts as well as the best, or has little less evidence."""
     best = min(held, key=lambda each: each.mean)
     for each in held:
         worse, error = each.excess(best)

@@ -1,8 +1,8 @@
-"""How far a board's corners are off where it states them, as it was printed: from the corners' residuals.
+"""Printing errors of a board's corners, from the corners' residuals.
 
-Every image shows the same board. So corners that are off on it are off alike in all images, which the noise
-of an image's corners is not. With S and g the information on all corners' places and the pull on them, lens,
-warp and poses eliminated, and S = V diag(l) V':
+Every image shows the same board. So printing errors are common to all images, unlike the noise of an image's
+corners. With S and g the information on all corners' places and the gradient on them, lens, warp and poses
+eliminated, and S = V diag(l) V':
 
     y = V' o + V' g / l   is normal about 0 with the variance   tau² + 1 / l
 

@@ -1,4 +1,4 @@
-"""How well the lens says where a point is seen: the covariance of its projection, over the image.
+"""Uncertainty of the lens: the covariance of a point's projection, over the image.
 
 Another calibration of the same camera would find another lens, and a camera frame that is turned and moved
 a little. Only what such a motion cannot undo is an error. As in mrcal's cross-reprojection, the motion (r, t)

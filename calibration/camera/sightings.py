@@ -1,4 +1,4 @@
-"""What was seen: corners of a board in images, as flat arrays in the order of the images."""
+"""Corners of a board in images, as flat arrays in the order of the images."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ class Sightings:
 
     @property
     def counts(self) -> Int64:
-        """How many corners each image has."""
+        """Number of corners in each image."""
         return np.bincount(self.view, minlength=len(self.names))
 
     @property
     def slices(self) -> list[slice]:
-        """Where the corners of each image are."""
+        """Slice of each image's corners."""
         ends = np.cumsum(self.counts)
         return [slice(end - count, end) for end, count in zip(ends, self.counts, strict=True)]
 
@@ -67,7 +67,7 @@ class Sightings:
 
     @property
     def bulge(self) -> Float64:
-        """How far each corner (N, 2) rises for a warp of 1 mm each way."""
+        """Rise of each corner (N, 2) for a warp of 1 mm each way."""
         return self.board.bulge[self.corner]
 
     def where(self, kept: Bool) -> Sightings:

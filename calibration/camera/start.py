@@ -1,4 +1,4 @@
-"""Where the adjustment starts: a focal length from a scan, and a pose for each image.
+"""Start of the adjustment: a focal length from a scan, and a pose for each image.
 
 Zhang's closed form has no answer where boards lie parallel to the sensor, and a single board of wrong corners
 spoils it. A scan has one: the focal length at which most boards fit, by the median of their residuals.
@@ -33,10 +33,10 @@ def first_scene(width: int, height: int, seen: Sightings) -> BoardScene:
 
 
 def with_better_poses(scene: BoardScene, seen: Sightings) -> BoardScene:
-    """Return the scene with each board's pose taken anew, where that explains its corners better.
+    """Return the scene with each board's pose estimated again, where that explains its corners better.
 
-    A board that is seen from far looks much the same when it leans the other way. The adjustment does not
-    get from one to the other.
+    A distant board looks much the same when it is tilted the other way. The adjustment does not get from one
+    to the other.
     """
     ones = np.ones(len(seen))
     best, squares = scene, _squares(scene, seen)

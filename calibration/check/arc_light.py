@@ -49,7 +49,7 @@ MIN_LN_RANGE = 0.1
 
 @dataclass(frozen=True)
 class ValueWithSigma:
-    """A value and its 1 sigma; NaN where the frames do not tell it."""
+    """A value and its 1 sigma; NaN where the frames do not determine it."""
 
     value: float
     sigma: float
@@ -75,12 +75,12 @@ class ArcFrame:
 
 @dataclass(frozen=True, eq=False)
 class ArcLightCheck:
-    """The arc's light beside the expected one, over all frames.
+    """Comparison of the arc's light with the expected one, over all frames.
 
-    `level` is the median output over the expected one, `unsteady` its scatter from frame to frame, relative.
-    With `exposure_power` and `current_power` of exposure and current it goes beyond what is expected. `shape`
-    is the map's relative error, RMS by a robust measure, noise taken off; `spread` the share of a frame's
-    light that lies evenly over it. Sigmas hold the fit's own and what an unknown seam at the torch makes.
+    `level` is the median output over the expected one, `unsteady` its relative scatter from frame to frame.
+    `exposure_power` and `current_power` are its exponents of exposure and current beyond the expected.
+    `shape` is the map's relative error, robust RMS without noise; `spread` the share of a frame's light that
+    is uniform over it. Sigmas include the fit's own and that of an unknown seam at the torch.
     """
 
     frames: tuple[ArcFrame, ...]

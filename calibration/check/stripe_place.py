@@ -1,15 +1,15 @@
-"""Is the stripe where a setup puts it, and if not, which part of the setup would have to be off.
+"""Test of whether the stripe is where a setup puts it, and otherwise which part of the setup is off.
 
-A stripe's points are met with the laser plane and laid on the stated section of the joint, which may lie off
-its nominal place as parts do. What is left over is explained in turn by one part of the setup that is far
-from its stated value, all others within their tolerance:
+A stripe's points are intersected with the laser plane and compared with the stated section of the joint,
+which may lie off its nominal place as parts do. The residual is explained in turn by one part of the setup
+that is far from its stated value, all others within their tolerance:
 
     Z_k = p(points | part k off) = integral of p(points | x) p_k(x) dx,
 
 x the camera's pose, the laser's plane, the sensor's pose, the lens and the part's place, p_k a normal law
-that is wide for part k. Laplace's approximation gives ln Z_k (MacKay 2003, chapter 27). Parts whose Z_k are
-alike cannot be told apart by these poses: a plate stays in base while the tool moves, a sensor goes with the
-tool. So turned and lifted poses tell them apart, and a tool that only travels does not.
+that is wide for part k. Laplace's approximation gives ln Z_k (MacKay 2003, chapter 27). Parts with equal Z_k
+cannot be separated by these poses: a plate stays in base while the tool moves, a sensor goes with the tool.
+So rotated and lifted poses separate them, and a tool that only travels does not.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ class Cause:
 
 @dataclass(frozen=True, eq=False)
 class StripePlace:
-    """Where stripes lie beside the places that a setup expects, and what explains it.
+    """Position of stripes against the one that a setup expects, and its explanation.
 
     `off_px` is the median over all points, `off_sigma_px` the 1 sigma that tolerances and the part's place
     let expect; `rms_px` what is left where all is within them. `causes` are the likeliest first, without
@@ -174,17 +174,17 @@ class StripePlace:
 
     @property
     def gain_nats(self) -> float:
-        """How much likelier the best cause makes the stripes than the setup as stated."""
+        """Log evidence ratio of the best cause and the setup as stated."""
         return self.causes[0].ln_evidence - self.as_stated.ln_evidence
 
     @property
     def is_explained(self) -> bool:
-        """Whether the setup as stated explains the stripes."""
+        """True if the setup as stated explains the stripes."""
         return self.gain_nats < OFF_NATS
 
     @property
     def likely(self) -> tuple[Cause, ...]:
-        """The causes that cannot be told from the best one; none where the setup explains the stripes."""
+        """Causes that cannot be separated from the best one; none where the setup explains the stripes."""
         if self.is_explained:
             return ()
         best = self.causes[0].ln_evidence
@@ -192,7 +192,7 @@ class StripePlace:
 
     @property
     def best(self) -> Cause:
-        """What explains the stripes best: the setup as stated where it does."""
+        """Best explanation of the stripes: the setup as stated where it is one."""
         return self.as_stated if self.is_explained else self.causes[0]
 
     def setup_by(self, cause: Cause) -> Setup:
@@ -246,7 +246,7 @@ def _located(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
 
 @dataclass(frozen=True, eq=False)
 class SeamBends:
-    """How a seam may bend sideways: modes (m, g), mm, at `stations_mm` (g,), each with unit variance.
+    """Lateral bends of a seam: modes (m, g), mm, at `stations_mm` (g,), each with unit variance.
 
     They are the Karhunen-Loeve modes of `tracker.seam.curve`'s prior.
     """
@@ -331,7 +331,7 @@ class _StripePlaceProblem:
         )
 
     def coarse_place(self) -> dict[str, float]:
-        """Return about where the part lies beside its nominal place: the best of a grid."""
+        """Return the part's approximate place relative to its nominal one: the best of a grid."""
         places = [{"seam_y": y, "seam_z": z} for z in COARSE_Z_MM for y in COARSE_Y_MM]
         nothing = dict.fromkeys((*PART_BLOCK, *SHAPE_BLOCK, *self.bends.names), 0.0)
         costs = [_robust_cost(self.residuals({**nothing, **place})) for place in places]

@@ -78,7 +78,7 @@ class GaugeState:
 
     @property
     def leans(self) -> Float64:
-        """Two directions of the sheet (2, 3) towards which its normal leans."""
+        """Two directions of the sheet (2, 3) towards which its normal tilts."""
         n = self.plane[:3]
         first = np.array([-n[1], n[0], 0.0]) if np.hypot(n[0], n[1]) > 0.1 else np.array([1.0, 0.0, 0.0])
         first = first - (first @ n) * n
@@ -107,7 +107,7 @@ class GaugeProblem:
 
     @cached_property
     def slices(self) -> list[slice]:
-        """Where the points of each image are among all (N,)."""
+        """Slice of each image's points among all (N,)."""
         ends = np.cumsum([len(sighting.rays) for sighting in self.sightings])
         return [slice(end - len(each.rays), end) for each, end in zip(self.sightings, ends, strict=True)]
 

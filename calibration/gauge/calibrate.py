@@ -73,12 +73,12 @@ class GaugeCalibration:
 
     @property
     def sigma(self) -> Float64:
-        """1 sigma (3,) of its two leans, rad, and of its place amid the points, mm."""
+        """1 sigma (3,) of its two tilts, rad, and of its offset at the middle of the points, mm."""
         return np.asarray(np.sqrt(np.diag(self.small)))
 
     @property
     def small(self) -> Float64:
-        """The covariance (3, 3) of leans and place."""
+        """Covariance (3, 3) of tilts and offset."""
         wider = _wider(self.problem.gauge, len(self.fitted.counts))
         return np.asarray(self.fitted.covariance[SHEET, SHEET] * wider**2)
 
@@ -92,7 +92,7 @@ class GaugeCalibration:
 
     @property
     def off_mm(self) -> tuple[Float64, ...]:
-        """How far each image's points are off the gauge's faces, mm."""
+        """Distance of each image's points from the gauge's faces."""
         off = self.problem.distances(self.fitted.state)
         return tuple(off[part] for part in self.problem.slices)
 
@@ -118,10 +118,10 @@ class GaugeCheck:
 
 
 def _wider(gauge: Gauge, images: int) -> float:
-    """Return by how much sigmas are wider since few images say how large the errors are: Student's t.
+    """Return the factor of sigmas for the few images that determine the errors: Student's t.
 
-    Across a V an image tells the robot's error in two directions, across a step in its height alone. Sheet
-    and gauge take some of that.
+    Across a V an image determines the robot's error in two directions, across a step in its height alone.
+    Sheet and gauge take some of that.
     """
     freedom = 2 * images - 7 if gauge.shape is Shape.V else images - 4
     return wider_by_few(max(freedom, MIN_FREEDOM))
@@ -166,7 +166,7 @@ def calibrate_gauge(
 
 
 def _is_wrong(problem: GaugeProblem, image: int, without: GaugeFit) -> bool:
-    """Say whether an image is farther off a fit without it than noise and that fit's own errors explain."""
+    """Return whether an image is farther off a fit without it than noise and that fit's errors explain."""
     part = problem.slices[image]
     d, J = problem.distances(without.state)[part], problem.slopes(without.state)[part]
     C = problem.covariances(without.state, without.noise_mm)[image] + J @ without.covariance @ J.T
@@ -185,7 +185,7 @@ def _check_count(images: int, left_out: dict[str, str]) -> None:
 
 
 def _excess(information: Float64) -> Float64:
-    """Return by how much the sheet's sigmas (3,) are over what is allowed: two leans, and the place."""
+    """Return the ratio of the sheet's sigmas (3,) to their limits: two tilts, and the offset."""
     sigma = np.sqrt(np.diag(inverse(information)))[SHEET]
     return np.array([*(sigma[:2] / math.radians(MAX_LEAN_DEG)), sigma[2] / MAX_PLACE_MM])
 

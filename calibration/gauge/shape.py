@@ -20,7 +20,7 @@ _V = re.compile(rf"v:{_NUMBER}deg:{_NUMBER}mm", re.IGNORECASE)
 
 
 class Shape(StrEnum):
-    """What a gauge is."""
+    """Shape of a gauge."""
 
     STEP = "step"
     V = "v"

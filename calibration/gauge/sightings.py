@@ -1,4 +1,4 @@
-"""Pieces of the stripe, told which face of the gauge each lies on; and where the gauge is, at first."""
+"""Assignment of the stripe's pieces to the gauge's faces, and an initial pose of the gauge."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class PosedPieces:
 class StatedSensor:
     """Camera and sheet as a setup states them: `T_tool_camera` (4, 4), mm, and `plane` (4,), tool frame, mm.
 
-    The sheet need only be near enough to tell the gauge's faces apart.
+    The sheet need only be accurate enough to identify the gauge's faces.
     """
 
     lens: Lens
@@ -65,7 +65,7 @@ def _ends_in_base(each: PosedPieces, piece: Piece, sensor: StatedSensor) -> Floa
 
 
 def _on_line(piece: Piece, lens: Lens, along_rows: bool) -> Float64:
-    """Return the rays (2, 3) of the line's points beside the piece's ends."""
+    """Return the rays (2, 3) of the line's points next to the piece's ends."""
     ends = lens.rays(np.stack([piece.first, piece.last]))
     a, b = piece.line.rays
     column = 0 if along_rows else 1
@@ -76,10 +76,10 @@ def _on_line(piece: Piece, lens: Lens, along_rows: bool) -> Float64:
 def place_gauge(
     shown: Sequence[PosedPieces], gauge: Gauge, sensor: StatedSensor, up: Float64
 ) -> tuple[GaugeState, list[Sighting], dict[str, str]]:
-    """Tell pieces' faces and the gauge's place by the sheet as stated.
+    """Assign pieces to faces and place the gauge, with the sheet as stated.
 
-    `up` is the direction out of the gauge's top, within some degrees, base frame. Returns where to begin, the
-    images that show the gauge, and the others with why each is left out.
+    `up` is the direction out of the gauge's top, within some degrees, base frame. Returns a start, the images
+    that show the gauge, and the others with why each is left out.
     """
     left_out: dict[str, str] = {}
     kept: list[tuple[PosedPieces, int]] = []
@@ -145,7 +145,7 @@ def _edge_of(ends: Float64, gauge: Gauge) -> Float64:
 
 
 def _top(all_ends: Sequence[Float64], gauge: Gauge, up: Float64) -> Float64:
-    """Return the top's normal (3,), base frame, that fits the pieces on it and leans little from `up`."""
+    """Return the top's normal (3,), base frame, that fits the pieces on it and is closest to `up`."""
     pieces = gauge.pieces
     flat = [n for n, face in enumerate(pieces) if face == 0 or gauge.shape is Shape.STEP]
     directions = np.array([ends[n][1] - ends[n][0] for ends in all_ends for n in flat])

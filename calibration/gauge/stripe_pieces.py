@@ -50,9 +50,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Pieces:
-    """The stripe on a gauge: straight pieces in the order of the scan lines; `scale_px` is the stripe's
-    sigma.
-    """
+    """Straight pieces of the stripe on a gauge, in the order of the scan lines; `scale_px` is its sigma."""
 
     pieces: tuple[Piece, ...]
     along_rows: bool
@@ -111,7 +109,7 @@ def _middle(piece: Piece, column: int) -> float:
 
 
 def _beside(line: LaserLineFit, rays: Float64, column: int) -> Float64:
-    """Return how far rays (n, 3) are beside a line, along the scan lines (n,)."""
+    """Return the distance of rays (n, 3) from a line, along the scan lines (n,)."""
     a, b = line.rays
     share = (rays[:, column] - a[column]) / (b[column] - a[column])
     return np.asarray(rays[:, 1 - column] - a[1 - column] - share * (b - a)[1 - column])

@@ -78,7 +78,7 @@ class HandEyeCalibration:
 
     @property
     def is_eye_to_hand(self) -> bool:
-        """Whether the camera stands still and the robot carries the board."""
+        """True if the camera stands still and the robot carries the board."""
         return self.refined.chain.is_eye_to_hand
 
     @property
@@ -108,7 +108,7 @@ class HandEyeCalibration:
 
     @property
     def per_lens(self) -> Float64:
-        """By how much the camera (6, n), deg and mm, moves in its own frame for each of the lens' values."""
+        """Derivatives of the camera's pose (6, n), deg and mm, in its own frame, by the lens' values."""
         # The solution goes with the lens' error, which falls as the stated value grows.
         return np.asarray(-UNITS[:, np.newaxis] * self.refined.solution.per_lens[:6])
 
@@ -148,12 +148,12 @@ class HandEyeCalibration:
 
     @property
     def turns_deg(self) -> Float64:
-        """How far the poses turn (3,), RMS, about the holder's axes, deg."""
+        """RMS rotations of the poses (3,) about the holder's axes, deg."""
         return np.asarray(np.sqrt(np.mean(turns_deg(self.refined.chain) ** 2, axis=0)))
 
     @property
     def is_scale_off(self) -> bool:
-        """Whether the robot's motions contradict the board's size."""
+        """True if the robot's motions contradict the board's size."""
         return abs(self.scale - 1.0) > MAX_SCALE_SIGMAS * self.scale_sigma
 
 
@@ -213,7 +213,7 @@ def calibrate_hand_eye(
 
 
 def _started(chain: Chain, boards: Boards) -> tuple[Chain, Boards, Float64]:
-    """Return a chain to start from, the boards at the ends that it tells, and how far each is off it, px."""
+    """Return a starting chain, the boards turned to its ends, and the error of each, px."""
     scene, seen = boards.scene, boards.seen
     try:
         chain, T_camera_board, off_px = first_chain(
@@ -270,7 +270,7 @@ def _check_start(chain: Chain, T_camera_board: Float64) -> None:
 
 
 def _check_robot(deg: float, mm: float, wider: float = 1.0) -> None:
-    """Raise InconsistentError if the robot's error, 1 sigma, is so many times larger than any robot's."""
+    """Raise InconsistentError if the robot's error, 1 sigma, is `wider` times larger than any robot's."""
     if deg > wider * MAX_ROBOT_DEG or mm > wider * MAX_ROBOT_MM:
         raise InconsistentError(
             f"the robot's poses are {mm:.2g} mm and {deg:.2g} deg off what the camera sees (1 sigma, "
@@ -301,10 +301,10 @@ def _left_out(agreement: PoseConsistency, names: tuple[str, ...]) -> dict[str, s
 
 
 def _scale(result: Refinement) -> tuple[float, float]:
-    """Return the board's size over that stated, as the robot's motions tell it, and its 1 sigma.
+    """Return the board's size by the robot's motions over the stated one, and its 1 sigma.
 
-    A board of 1 + q times the size stands as much farther away than it seems: e has a part -q t, with t
-    the board's place in the camera. Lens and robot stay as they were estimated.
+    A board of 1 + q times the size stands as much farther away than it seems: e has a part -q t, with t the
+    board's position in the camera. Lens and robot stay as they were estimated.
     """
     errors, solution = result.errors, result.solution
     column = np.zeros((len(errors.error), 6, 1))

@@ -1,4 +1,4 @@
-"""From the robot's poses to where a camera sees the board, and what that depends on.
+"""Board pose in the camera from the robot's poses, and its derivatives.
 
 *holder* is what carries the camera: the tool (eye in hand), or base (eye to hand). *mount* is what the
 board is fixed to: base, or the tool. The robot's pose is off by a small motion xi in the tool's frame:

@@ -1,8 +1,8 @@
-"""Which poses agree: a wrong pair of image and pose is found by what the others predict.
+"""Selection of consistent poses: a wrong pair of image and pose is found by what the others predict.
 
-The half of the poses that a start explains best is refined. Then those that it predicts within its noise
-are taken in, and so on until the set stays. The better half makes the noise look smaller than it is: the
-median distance of all poses says by how much.
+The half of the poses that a start explains best is refined. Then those that it predicts within its noise are
+added, and so on until the set no longer changes. The better half makes the noise look smaller than it is: the
+median distance of all poses corrects this.
 """
 
 from __future__ import annotations

@@ -58,9 +58,7 @@ class Boards:
 
 @dataclass(frozen=True)
 class Refinement:
-    """Result of a refinement: camera and board, the boards' warp and poses of maximum likelihood,
-    covariances, and errors.
-    """
+    """Result of a refinement: camera and board, warp and poses of maximum likelihood, and errors."""
 
     chain: Chain
     boards: Boards

@@ -1,8 +1,7 @@
-"""Where the refinement starts: camera and board from a few poses each, judged by what others they explain.
+"""Start of the refinement: camera and board from a few poses each, chosen by how many others they explain.
 
-OpenCV's five methods see all poses, and Park's sees many triples of them. Of all these that one is taken
-which brings the median board nearest to where it is seen. A wrong pair of image and pose spoils but some
-of them.
+OpenCV's five methods use all poses, and Park's many triples of them. Taken is the result that brings the
+median board nearest to where it is seen. A wrong pair of image and pose spoils only some of them.
 """
 
 from __future__ import annotations

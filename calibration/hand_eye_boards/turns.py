@@ -1,4 +1,4 @@
-"""Whether robot and board turn alike between two images: it asks neither for positions nor for their unit."""
+"""Test of equal rotations of robot and board between two images, without positions and their unit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What board pairs tell of the sheet beyond its plane: where its light comes from, its angle, its thickness.
+"""Properties of the sheet beyond its plane, from board pairs: origin of the light, angle, thickness.
 
 Everything is taken to the tool frame by the setup's pose of the camera, in which the setup's model has the
 sheet's axis and its depth.

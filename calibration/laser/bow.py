@@ -27,7 +27,7 @@ class Bow:
 
     @property
     def is_sure(self) -> bool:
-        """Whether the sheet is bent beyond doubt."""
+        """True if the sheet is bent significantly."""
         return abs(self.bow_mm) > SURE_SIGMAS * self.sigma_mm
 
 

@@ -70,7 +70,7 @@ class LaserCalibration:
 
     @property
     def off_mm(self) -> tuple[Float64, ...]:
-        """How far the points of each pair are off the plane."""
+        """Distance of each pair's points from the plane."""
         return tuple(points @ self.plane[:3] + self.plane[3] for points in self.points_mm)
 
     @property
@@ -80,7 +80,7 @@ class LaserCalibration:
 
     @property
     def bow(self) -> Bow:
-        """How far the sheet is bent along the stripes."""
+        """Bow of the sheet along the stripes."""
         return bow_of(self.points_mm, self.off_mm)
 
     def in_tool(self, T_tool_camera: Float64, stated: Float64) -> tuple[Float64, Float64]:

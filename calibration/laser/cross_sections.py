@@ -59,7 +59,7 @@ class CrossSections:
     amount_sigma: Float64
 
     def points_px(self, scan: Float64 | None = None, aside_px: float = 0.0) -> Float64:
-        """Return image points (m, 2) of the curve, or beside it, at scan lines (m,); at all without any."""
+        """Return image points (m, 2) at `aside_px` from the curve, at scan lines (m,), by default at all."""
         where = self.scan.astype(np.float64) if scan is None else scan
         places = np.interp(where, self.scan, self.places_px) + aside_px
         return np.column_stack([where, places] if self.along_rows else [places, where])
@@ -109,7 +109,7 @@ def cross_sections(
 
 
 def placed(stripe: BoardStripe, sections: CrossSections) -> BoardStripe:
-    """Return a stripe whose points are where its cross-sections are, as far as these are told."""
+    """Return a stripe whose points are where its cross-sections are, as far as these are determined."""
     column = 0 if stripe.along_rows else 1
     scan, place = stripe.points_px[:, column], stripe.points_px[:, 1 - column].copy()
     row = np.searchsorted(sections.scan, scan).clip(0, len(sections.scan) - 1)

@@ -45,7 +45,7 @@ QUANTIZED = 1.0 / math.sqrt(12.0)
 
 
 class Missing(StrEnum):
-    """Why an end of the stripe is not seen."""
+    """Reason for which an end of the stripe is not seen."""
 
     BOARD = "beyond the board's edge"
     SQUARE = "in a dark square"

@@ -1,8 +1,8 @@
-"""The straight line that a stripe on a flat board is in an undistorted image, and how well it is known.
+"""Straight line of a stripe on a flat board in an undistorted image, and its uncertainty.
 
-Speckle makes neighbouring scan lines err together, so that n of them tell less than n. With the residuals'
-autocorrelation r_k along the stripe, they tell as much as n / (1 + 2 sum r_k) independent ones (Sokal, Monte
-Carlo methods in statistical mechanics, 1997, section 3); the sum ends where r_k is lost in its own noise.
+Speckle correlates the errors of neighbouring scan lines. With the residuals' autocorrelation r_k along the
+stripe, n of them count as n / (1 + 2 sum r_k) independent ones (Sokal, Monte Carlo methods in statistical
+mechanics, 1997, section 3); the sum ends where r_k is lost in its own noise.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def weight_of_information(off: Float64, scale: float) -> Float64:
 
 
 def lines_together(pull: Float64) -> float:
-    """Return how many neighbours (1 or more) tell as much as one that is independent."""
+    """Return the number of neighbours (1 or more) that count as one independent one."""
     n = len(pull)
     centred = pull - pull.mean()
     power = float(centred @ centred)

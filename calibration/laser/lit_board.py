@@ -1,7 +1,7 @@
-"""One image with both, a lit board and the stripe on it: what the board alone would show is taken off.
+"""Separation of a lit board and the stripe in one image: the board's own picture is subtracted.
 
 The board's pose says which square, and which marker, each pixel sees. Their light and dark are two smooth
-fields of room light, fitted to the pixels without what the laser lights.
+fields of room light, fitted to the pixels that the laser does not light.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ CELL_PX = 32
 def board_shading(
     board: Board, lens: Lens, T_camera_board: Float64, blur_px: float, *, is_legacy: bool = False
 ) -> Float64:
-    """Return how light a board is at each pixel (H, W), 1 for white and 0 for black; NaN beside it.
+    """Return a board's reflectance at each pixel (H, W), 1 for white and 0 for black; NaN outside of it.
 
-    A chessboard does not say which of its squares are dark: light and dark may change places.
+    The dark squares of a chessboard are unknown: light and dark may change places.
     """
     area = board_area(board, lens, T_camera_board)
     shading = np.full(area.shape, np.nan)

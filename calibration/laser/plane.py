@@ -1,4 +1,4 @@
-"""The plane through the lines that a laser sheet makes on boards: errors in all that is measured.
+"""Plane through the lines that a laser sheet makes on boards: errors in all that is measured.
 
 A line's two points P_j lie where their rays r_j meet the board m.X = c: P_j = s_j r_j, s_j = c / (m.r_j).
 Their distances from the plane are n.P_j + d. A board that turns by w and moves by t, and a line that shifts

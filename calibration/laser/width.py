@@ -1,6 +1,6 @@
-"""The sheet's thickness against depth: as the setup's model has it, a straight line, or a beam's waist.
+"""Thickness of the sheet over depth: proportional as in the setup's model, linear, or a beam's waist.
 
-A board that leans shows the stripe wider, and the lens blurs it: with g mm off the plane per pixel across the
+A tilted board shows the stripe wider, and the lens blurs it: with g mm off the plane per pixel across the
 stripe, and the point-spread function's sigma b, sigma² = g² (s² - b²). The model's sheet widens in proportion
 to the depth z below its origin, sigma = sigma_h z / h. A Gaussian beam has sigma² = w² (1 + ((z - z_0) /
 z_R)²) with w at its waist (Siegman, Lasers, 1986, section 17.1): a parabola in z.
@@ -38,7 +38,7 @@ MEDIAN_ERROR = math.sqrt(0.5 * math.pi)
 
 
 class Law(StrEnum):
-    """How the thickness goes with depth; each holds more than the one before."""
+    """Law of the thickness over depth; each includes the one before."""
 
     MODEL = "in proportion to the depth below the origin, as the setup's model has it"
     STRAIGHT = "along a straight line"
@@ -174,7 +174,7 @@ def _alone(depth: Float64, sigma: Float64, error: Float64) -> _Fit:
 
 
 def _is_better(fitted: _Fit, richer: _Fit) -> bool:
-    """Say whether a coefficient more explains more than chance: its F, of one degree of freedom."""
+    """Return whether a coefficient explains more than chance: its F, of one degree of freedom."""
     return fitted[2] - richer[2] > SURE_SIGMAS**2 * max(richer[2] / richer[3], 1.0)
 
 

@@ -61,7 +61,7 @@ class IntervalEstimate:
 
 @dataclass(frozen=True, eq=False)
 class SensorCalibration:
-    """What flat and dark frames say of a sensor.
+    """Sensor as calibrated from flat and dark frames.
 
     `estimates` by name; `covariance` is that of `KEYS`. `left_out` are levels that are saturated;
     `well_is_seen` says whether one of them shows the full well, below the last code or at it. `chi2` is that
@@ -86,7 +86,7 @@ class SensorCalibration:
 
     @property
     def chi2_is_likely(self) -> bool:
-        """Whether the model explains the frames; else the sigmas are scaled."""
+        """True if the model explains the frames; otherwise the sigmas are scaled."""
         return self.fit.p_value >= MISFIT_P
 
     def curve(self, charge_e: Float64) -> tuple[Float64, Float64]:

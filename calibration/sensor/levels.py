@@ -46,11 +46,11 @@ interpolated colours break that."""
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """What two or more frames of one exposure show.
+    """Statistics of two or more frames of one exposure.
 
     `mean_dn` and `variance_dn2` (H, W) are each pixel's mean over the frames and its variance from frame to
-    frame, the frames' own brightness taken off; `frame_means_dn` (L,) is that brightness, `histogram`
-    (2^bits) how often each code was read. `neighbour_correlation` is the noise's, of pixels side by side.
+    frame, without the frames' own brightness; `frame_means_dn` (L,) is that brightness, `histogram` (2^bits)
+    counts each code. `neighbour_correlation` is the noise's, of adjacent pixels.
     """
 
     exposure_s: float
@@ -112,7 +112,7 @@ def level_from(frames_dn: Sequence[Integers], exposure_s: float, is_lit: bool, b
 
 
 def _check_different(frames_dn: Sequence[Integers], kind: str) -> None:
-    """Raise ValueError for a frame that is there twice: noise makes no two alike, but saturation does."""
+    """Raise ValueError for a frame that is there twice: noise makes no two equal, but saturation does."""
     if len({frame.tobytes() for frame in frames_dn}) == len(frames_dn):
         return
     codes = np.bincount(frames_dn[0].ravel())

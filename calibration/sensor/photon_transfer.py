@@ -84,7 +84,7 @@ class PhotonTransferProblem:
 
     @property
     def lit(self) -> Bool:
-        """Which levels are lit (s,)."""
+        """Lit levels (s,)."""
         return self.levels.is_lit
 
     def sensor_at(self, x: Float64) -> Sensor:
@@ -112,7 +112,7 @@ class PhotonTransferProblem:
         return charge
 
     def start(self) -> Float64:
-        """Return parameters (p,) to begin with: the gamma under which shot noise tells charges best."""
+        """Return starting parameters (p,): the gamma under which shot noise fits charges best."""
         levels, dark = self.levels, ~self.lit
         black = float(np.average(levels.mean_dn[dark], weights=levels.n_frames[dark]))
         share = np.maximum(levels.mean_dn[self.lit] - black, 1e-3) / (self.top_dn - black)

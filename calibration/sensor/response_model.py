@@ -1,4 +1,4 @@
-"""What levels of even light read under a sensor: means, variances and the pixels' common pattern.
+"""Codes of levels of uniform light under a sensor: means, variances and the pixels' common pattern.
 
 A pixel's charge at level s has the mean
 

@@ -124,7 +124,7 @@ def fit_speckle_pattern(seen: StillStatistics) -> SpecklePattern | None:
 
 @dataclass(frozen=True, eq=False)
 class _GrainVariance:
-    """What a smooth stripe leaves at grains (g,), px, of the variance, and the neighbours' share of that."""
+    """Share of the variance that a smooth stripe leaves at grains (g,), px, and its neighbours' share."""
 
     grains_px: Float64
     variance: Float64
@@ -132,7 +132,7 @@ class _GrainVariance:
 
     @classmethod
     def along(cls, n_lines: int) -> _GrainVariance:
-        """Return it for a stripe of so many lines, its ends included."""
+        """Return it for a stripe of `n_lines`, its ends included."""
         grains = np.geomspace(*GRAINS_PX, N_GRAINS)
         # Of longer stripes the ends hardly matter.
         n = min(n_lines, MAX_LINES)

@@ -6,10 +6,10 @@ the variance in time is
     v = gamma^2 swing u^(2 - 1/gamma) / gain + gamma^2 u^(2 - 2/gamma) read_noise^2 / gain^2 + 1/12
         + j^2 |slope|^2 + r^2 (mean - black)^2,
 
-for gamma 1 the line of the photon transfer. j is by how much parts of the stripe shake, px, r by how much
-pixels' light flickers by itself, as a speckle that boils does. Both are fitted along, so as not to pass for
-shot noise. Gamma and full well are taken as stated: one exposure cannot tell them. Black is the level of
-the darkest pixels. If light of the hall falls there too, black lies lower and the read noise is smaller.
+for gamma 1 the line of the photon transfer. j is the shake of parts of the stripe, px, r the flicker of
+single pixels' light, as of boiling speckle. Both are fitted too, so as not to pass for shot noise. Gamma and
+full well are taken as stated: one exposure cannot determine them. Black is the level of the darkest pixels.
+If ambient light falls there too, black lies lower and the read noise is smaller.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ KEYS = ("gain_e_per_dn", "black_level_dn", "read_noise_e")
 
 @dataclass(frozen=True, eq=False)
 class StillCalibration:
-    """What still frames say of the sensor and of the speckle.
+    """Sensor and speckle as calibrated from still frames.
 
     `covariance` (3, 3) is that of `KEYS`. `fitted_dn2` (b,) are the bins' variances as fitted, `shake_px` and
-    `flicker_rel` the 1 sigma of what shakes and boils. `unlike_rel` is by how much bins lie off the model
-    beyond chance, `is_read_noise_hidden` whether rounding hides the read noise. `speckle` is None where the
-    stripe shows too little of it.
+    `flicker_rel` the 1 sigma of shaking and boiling. `unlike_rel` is the bins' error beyond chance,
+    `is_read_noise_hidden` whether rounding hides the read noise. `speckle` is None where the stripe shows too
+    little of it.
     """
 
     estimates: dict[str, IntervalEstimate]
@@ -162,11 +162,10 @@ def _counts(seen: StillStatistics, stated: Sensor, top_dn: float) -> Bool:
 def _weighted_fit(
     shapes: Float64, seen: StillStatistics, counts: Bool
 ) -> tuple[Float64, Float64, Float64, float]:
-    """Return coefficients (k,), their covariance (k, k), the fitted variances (b,), DN^2, and how unlike bins
-    are.
+    """Return coefficients (k,), their covariance (k, k), fitted variances (b,), DN^2, and excess scatter.
 
     A variance's own variance is 2 v^2 / (freedom pixels), v as fitted. Where bins scatter more than that, all
-    of them have a relative error beside it (DerSimonian and Laird 1986): bins of 10^5 pixels would decide
+    of them have an additional relative error (DerSimonian and Laird 1986): bins of 10^5 pixels would decide
     alone.
     """
     if counts.sum() <= len(shapes) + 1:

@@ -1,8 +1,8 @@
-"""Frames of a stripe that stands still, as the numbers that tell the sensor's noise and the speckle.
+"""Statistics of frames of a stripe that stands still, for the sensor's noise and the speckle.
 
-What a pixel scatters by from frame to frame is noise, once what all pixels share is taken off: the laser's
-brightness and small shifts of the whole image. Pixels are sorted by the mean of every second frame, and
-measured on the others: noise that made a pixel look bright does not count as light.
+A pixel's scatter from frame to frame is noise, once what all pixels share is removed: the laser's brightness
+and small shifts of the whole image. Pixels are sorted by the mean of every second frame, and measured on the
+others: noise that made a pixel look bright does not count as light.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ CLEAR_SIGMAS = 4.0
 
 @dataclass(frozen=True, eq=False)
 class StillStatistics:
-    """What still frames show.
+    """Statistics of still frames.
 
     For each bin (b,): `mean_dn`, `variance_dn2` in time, the mean square `gradient_dn2` of the image's slope,
     DN^2 per px^2, and `n_pixels`; a pixel's variance has `freedom` degrees of freedom. `black_dn` is the mean

@@ -50,8 +50,7 @@ def is_found(kernel: str, key: str) -> bool:
 
 
 def compile_costs(work: str) -> Mapping[str, int]:
-    """Return the bytes of machine code of each kernel that some work, such as a joint type, needs; time is
-    proportional.
+    """Return the bytes of machine code, which time follows, of each kernel that some work needs.
 
     It is known for arctrack as released, without anything compiled on this machine before. Empty without a
     pack, and where the pack itself serves, since little is compiled then.

@@ -1,4 +1,4 @@
-"""From an adapter's own clock, which counts from its start, to the wall clock."""
+"""Conversion from an adapter's own clock, which counts from its start, to the wall clock."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ RESTART_S = 1.0
 
 
 class BusClock:
-    """Finds the wall-clock times of frames that carry seconds since some start.
+    """Converter of frame times in seconds since some start to wall-clock times.
 
-    Of the frames of the last seconds the one that was read with the least delay says what the clocks are
-    apart. So a frame that waited to be read keeps its own time.
+    Of the frames of the last seconds the one that was read with the least delay determines the clocks'
+    offset. So a frame that waited to be read keeps its own time.
     """
 
     def __init__(self) -> None:

@@ -1,14 +1,13 @@
-"""How late the robot's motion follows what it was commanded, or one measure of a motion another.
+"""Lag of the robot's motion behind its command, or of one measure of a motion behind another.
 
 A commanded motion u(t) is followed with a dead time L and a first-order lag T: T dr/dt = u(t - L) - r. What
-is seen is g r(t) + c and white noise. The lag is L + T: by so much a ramp is followed too late. Under that
-noise the largest likelihood is the least sum of squares, and for a pure delay that is the peak of the
-correlation of both motions in continuous time (Knapp and Carter 1976, IEEE Trans. ASSP 24, 320). So no grid
-of samples limits it: u is held, or runs straight, between its own times, and the response to either is a
-closed form.
+is measured is g r(t) + c and white noise. The lag is L + T, the delay of a ramp. Under that noise the largest
+likelihood is the least sum of squares, and for a pure delay that is the peak of the correlation of both
+motions in continuous time (Knapp and Carter 1976, IEEE Trans. ASSP 24, 320). So no grid of samples limits it:
+u is held, or runs straight, between its own times, and the response to either is a closed form.
 
-The sigma is the Cramer-Rao bound at the estimate, widened by what the residuals remember of each other. Where
-the motion does not tell the lag, there is none.
+The sigma is the Cramer-Rao bound at the estimate, widened for the residuals' autocorrelation. Where the
+motion does not determine the lag, there is none.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ NO_TIME_CONSTANT_S = 1e-6
 
 @described
 class LagUnestimated(Enum):
-    """Why there is no lag."""
+    """Reason for which there is no lag."""
 
     TOO_FEW = "too few samples"
     TOO_STILL = "what was commanded does not show in what was seen"
@@ -48,7 +47,7 @@ class LagUnestimated(Enum):
 
 @dataclass(frozen=True)
 class LagLimits:
-    """What an estimate asks.
+    """Limits of an estimate.
 
     Parameters
     ----------
@@ -156,7 +155,7 @@ def estimate_lag(
     first_order: bool = True,
     nuisances: Float64 | None = None,
 ) -> Lag:
-    """Return how late what was seen follows what was commanded.
+    """Return the lag of a measured motion behind a commanded one.
 
     Parameters
     ----------
@@ -218,7 +217,7 @@ class _LagProblem:
 
     @cached_property
     def _seen_beside_mm(self) -> Float64:
-        """What was seen, without what nuisances can explain of it."""
+        """Measured motion less what nuisances can explain of it."""
         return np.asarray(self.seen_mm - self._basis @ (self._basis.T @ self.seen_mm))
 
     def projected(self, dead_time_s: float, time_constant_s: float) -> tuple[float, Float64]:
@@ -316,8 +315,7 @@ def _memory(residuals: Float64) -> float:
 
 
 def respond(motion: Motion, times_s: Float64, time_constant_s: float, between: Between) -> Float64:
-    """Return a first-order response to a motion at `times_s` (n,), mm: closed forms from each of its times to
-    the next.
+    """Return a first-order response to a motion at `times_s` (n,), mm, in closed form.
 
     It starts from rest at the motion's first value. A time constant of 0 returns the motion itself. `between`
     says whether the motion is "held" or "straight" between its times; after the last it stays.

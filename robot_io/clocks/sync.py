@@ -1,15 +1,15 @@
-"""The robot's clock against the tracker's, from SYNC and its echo, without the bias of arrival times.
+"""Offset of the robot's clock from the tracker's, from SYNC and its echo, without the bias of arrival times.
 
-The robot sends its time t1; the tracker reads it at t2 on its own clock, and answers; the robot says how
+The robot sends its time t1; the tracker reads it at t2 on its own clock, and answers; the robot states how
 long the exchange was on the bus, r = (t4 - t1) - (t3 - t2): the four times of NTP (RFC 5905, section 8) and
-of PTP's delay request. The offset o = t2 - t1 less the way there is what is sought. Neither way takes less
-than no time, so each exchange holds it between hard bounds, t2 - t1 - r <= o <= t2 - t1, whatever queues.
+of PTP's delay request. The offset o = t2 - t1 less the transit time is sought. No transit takes less than no
+time, so each exchange holds it between hard bounds, t2 - t1 - r <= o <= t2 - t1, whatever queues.
 
 Clocks drift: o is a line over the robot's time, with a skew of some 10 ppm. All lines between all bounds make
 a polygon of offset and skew (Moon, Skelly, Towsley 1999, INFOCOM, 227, for one way). Its ends at the present
 are exact solutions of a linear programme in two unknowns: the skew of a feasible line is bounded by pairs of
 exchanges, and the offset at the latest time grows with the skew. No average is taken, so no queue biases it;
-the one thing that no clock can tell is how the least delays share among both ways.
+only the split of the least delays between both ways is undetermined.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ TIME_BITS, SEQUENCE_BITS = 28, 8
 
 @described
 class Unestimated(Enum):
-    """Why there is no offset."""
+    """Reason for which there is no offset."""
 
     TOO_FEW = "too few exchanges with a round trip"
     STALE = "no exchange for too long"

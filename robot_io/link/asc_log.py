@@ -1,9 +1,9 @@
-"""Frames of an `.asc` as Vector's tools and python-can write it.
+"""Reader of the frames of an `.asc` as Vector's tools and python-can write it.
 
 A line holds a time, a channel, an identifier or a message's name, Rx or Tx, and the data. Lines of CAN FD
-hardware begin with `CANFD`, also where the frame is a classic one: bit 12 of the flags behind the data tells.
-Times count from the start that a date states, or from the line before where the head says
-`timestamps relative`. (Source: python-can's `can.io.asc`, which reads and writes these lines.)
+hardware begin with `CANFD`, also where the frame is a classic one: bit 12 of the flags after the data tells.
+Times count from the start that a date states, or from the line before where the head says `timestamps
+relative`. (Source: python-can's `can.io.asc`, which reads and writes these lines.)
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ _PADDING = 8
 
 
 def check_blf(file: BinaryIO) -> int | None:
-    """Walk through a BLF file's objects; return the byte from which on it is damaged, None if it is whole.
+    """Return the byte from which on a BLF file is damaged, None if all of its objects are whole.
 
     What the file's end cuts off, or what is no object, ends it: whoever wrote it was killed, or lost power.
     ValueError for an object that is too large, or too small to be one, and for a file that is no BLF.

@@ -38,7 +38,7 @@ class BusLogWriteError(BusLogError):
 
 
 class BusLogWriter:
-    """Writes frames to one log file; `close` it, or use it as a context manager."""
+    """Writer of frames to one log file; `close` it, or use it as a context manager."""
 
     def __init__(self, path: Path) -> None:
         require_suffix(path, WRITTEN_SUFFIXES)

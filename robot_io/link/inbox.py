@@ -1,4 +1,4 @@
-"""From raw frames to accepted messages: only what is ours, passes E2E and decodes gets through."""
+"""Filter from raw frames to accepted messages: only what is ours, passes E2E and decodes gets through."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STALE_PERIODS = 10
 
 
 class SkipReason(Enum):
-    """Why a frame did not become a message."""
+    """Reason for which a frame did not become a message."""
 
     FOREIGN = "foreign"
     WRONG_LENGTH = "wrong_length"
@@ -113,7 +113,7 @@ class Inbox:
         """Return the newest message of a type, or None if there is none or it is stale at `now_s`.
 
         `now_s` is on the clock of the frames' timestamps. A message from as far in the future is stale as
-        well: that clock was set back, and nothing tells how old the message is.
+        well: that clock was set back, and the message's age is unknown.
         """
         received = self._latest.get(message_type)
         stale_after_s = STALE_PERIODS * cycle_time_s(message_layout(message_type.__name__))

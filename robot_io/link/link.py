@@ -124,7 +124,7 @@ class Link:
 
     @property
     def faults(self) -> Counter[LinkFault]:
-        """What went wrong on the bus."""
+        """Counts of faults on the bus."""
         return self._bus.faults
 
     def close(self) -> None:

@@ -49,7 +49,7 @@ class LogLines:
 
     @property
     def damage(self) -> str | None:
-        """What cannot be read, for people; None if all can."""
+        """Description of what cannot be read; None if all can."""
         if not self.unreadable:
             return None
         first, count = self.unreadable[0], len(self.unreadable)

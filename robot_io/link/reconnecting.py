@@ -28,7 +28,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class LinkFault(Enum):
-    """What went wrong on a bus without ending the run.
+    """Fault of a bus that does not end the run.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class LinkFault(Enum):
 
 
 class Nothing(Enum):
-    """What is received where no frame is."""
+    """Placeholder of a frame where none is received."""
 
     QUIET = "nothing came in time"
     UNREADABLE = "something came that is no frame"
@@ -79,7 +79,7 @@ class ReconnectingBus:
 
     @property
     def is_lost(self) -> bool:
-        """Whether there is no bus at present."""
+        """True if there is no bus at present."""
         return self._bus is None
 
     def send(self, frame: can.Message) -> bool:

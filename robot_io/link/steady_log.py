@@ -22,7 +22,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class FrameLog(Protocol):
-    """One file of a log, such as a `BusLogWriter`."""
+    """Interface of one file of a log, such as a `BusLogWriter`."""
 
     def require(self, timestamp_s: float) -> None:
         """Raise BusLogError if a frame of this time, s, cannot be logged."""
@@ -60,7 +60,7 @@ class SteadyLog:
         self._log: FrameLog | None = open_log(path)
 
     def require(self, timestamp_s: float) -> None:
-        """Raise BusLogError if a frame of this time, s, can be in no log beside those before it."""
+        """Raise BusLogError if no log can hold a frame of this time, s, with those before it."""
         if self._log is not None:
             try:
                 self._log.require(timestamp_s)

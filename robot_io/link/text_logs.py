@@ -1,4 +1,4 @@
-"""Frames of text logs whose lines stand for themselves: of candump, PEAK's tools and python-can's `.csv`."""
+"""Readers of text logs with one frame a line: of candump, PEAK's tools and python-can's `.csv`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a tool is beside the nominal path: station along it, to its left, above it."""
+"""Tool position relative to the nominal path: station along it, to its left, above it."""
 
 from __future__ import annotations
 

@@ -1,13 +1,13 @@
-"""Whether the poses that arrive are those of a robot that moves as it says.
+"""Plausibility of poses: whether they are those of a robot that moves as it says.
 
-Each sample is held against the ones before it (a robot has a largest speed, acceleration and rate of
-turning), against what the robot says of its motion, against the programmed path, and against the nominal
-seam. A sample that fails a question is doubted by name. Trust comes with `prove_s` of samples without a
-doubt, and after a doubt only where the tool is again where it would be by what the robot said since: else the
-doubt stays until the caller begins with a new state, for a new seam.
+Each sample is compared with the ones before it (a robot has a largest speed, acceleration and rate of
+turning), with what the robot says of its motion, with the programmed path, and with the nominal seam. A
+sample that fails a test is doubted by name. Trust comes with `prove_s` of samples without a doubt, and after
+a doubt only where the tool is again where it would be by what the robot said since: otherwise the doubt stays
+until the caller begins with a new state, for a new seam.
 
-What poses alone cannot tell: a drift within the limits, and a delay or a flipped sign that moves the tool
-across the seam by less than they allow. `docs/explanation/plausibility.md` says what tells those.
+Poses alone cannot show a drift within the limits, nor a delay or a flipped sign that moves the tool across
+the seam by less than they allow. `docs/explanation/plausibility.md` says what shows those.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from robot_io.protocol.messages import MotionState, RobotStatus
 
 @dataclass(frozen=True)
 class _Anchor:
-    """The last trusted sample before a doubt, and the velocity and the ranges beside the path then.
+    """The last trusted sample before a doubt, with the velocity and the lateral ranges then.
 
     `is_steady` says that the robot has stated one motion since, on a clock that did not step.
     """
@@ -72,9 +72,7 @@ class Plausibility:
         return newest_speed_mm_s(self.window) if self.window else 0.0
 
     def at(self, now_s: float, limits: PlausibilityLimits) -> Implausibility | None:
-        """Return the doubt at a time on the samples' clock, None where poses are trusted: they may have
-        stopped since.
-        """
+        """Return the doubt at a time on the samples' clock, s; None where poses are trusted."""
         if not self.window:
             return Implausibility.UNPROVEN
         # Written so that a NaN, and a clock that was set back, fail.
@@ -142,9 +140,9 @@ def _with_status(
 
 
 def clock_set(state: Plausibility, now_s: float, limits: PlausibilityLimits) -> Plausibility:
-    """Return the state after someone learnt that the samples' clock was set, s on that clock.
+    """Return the state after the samples' clock was set, s on that clock.
 
-    How long ago anything was is not known then: the way since a doubt is not asked for.
+    Ages are unknown then, so the distance travelled since a doubt is not tested.
     """
     return _unsteady(state, now_s + limits.settle_s)
 

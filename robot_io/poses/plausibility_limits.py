@@ -1,10 +1,11 @@
-"""What poses must keep to, and how far the bus' rounding and the clocks' jitter reach.
+"""Limits of poses, and the errors from the bus' rounding and the clocks' jitter.
 
-The bus rounds a coordinate to steps q: an error that is even over q, of variance q^2 / 12. A sample whose
-time is off by t is off its place by v t. Both are sub-Gaussian: E exp(u e) <= exp(u^2 sigma^2 / 2) (an even
-error with its own variance: Arbel, Marchal, Nguyen 2020, ESAIM: P&S 24, 39). So for a sum n of such errors in
-three axes the chi-squared's Chernoff bound holds, P(|n|^2 > x sigma^2) <= (x/3)^(3/2) exp((3 - x) / 2), and
-what a question allows beyond a limit follows from the rate of false alarms, not from a law that is assumed.
+The bus rounds a coordinate to steps q: an error that is uniform over q, of variance q^2 / 12. A sample whose
+time is off by t is off its place by v t. Both are sub-Gaussian: E exp(u e) <= exp(u^2 sigma^2 / 2) (a
+symmetric error with its own variance: Arbel, Marchal, Nguyen 2020, ESAIM: P&S 24, 39). So for a sum n of such
+errors in three axes the chi-squared's Chernoff bound holds, P(|n|^2 > x sigma^2) <= (x/3)^(3/2) exp((3 - x) /
+2), and what a test allows beyond a limit follows from the rate of false alarms, not from an assumed
+distribution.
 """
 
 from __future__ import annotations
@@ -171,7 +172,7 @@ class PlausibilityLimits:
 
     @property
     def sigmas(self) -> float:
-        """How many sigmas of one axis the length of an error in three may reach."""
+        """Largest length of an error in three axes, in sigmas of one."""
         return noise_sigmas(self.false_alarm)
 
 

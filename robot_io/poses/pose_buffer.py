@@ -35,7 +35,7 @@ class PoseError(ValueError):
 
 
 class PoseStatus(Enum):
-    """Where a pose comes from."""
+    """Origin of a pose."""
 
     INTERPOLATED = "interpolated"
     EXTRAPOLATED = "extrapolated"
@@ -43,7 +43,7 @@ class PoseStatus(Enum):
 
 
 class PoseRefusal(Enum):
-    """Why there is no pose."""
+    """Reason for which there is no pose."""
 
     TOO_FEW_POSES = "fewer than two poses at or before this time"
     BEFORE_BUFFER = "older than the buffer reaches back"
@@ -53,7 +53,7 @@ class PoseRefusal(Enum):
 
 @dataclass(frozen=True, eq=False)
 class PoseAt:
-    """The pose at one time; a refused pose is all NaN and says why.
+    """Pose at one time; a refused pose is all NaN and says why.
 
     Attributes
     ----------
@@ -147,8 +147,7 @@ class PoseBuffer:
         self.push_all([timestamp_s], pose[np.newaxis])
 
     def push_all(self, timestamps_s: Sequence[float] | Float64, T_base_tool: Float64) -> None:
-        """Add poses `T_base_tool` (n, 4, 4), mm, at `timestamps_s` (n,): `push` for each of them, in a
-        fraction of its time.
+        """Add poses `T_base_tool` (n, 4, 4), mm, at `timestamps_s` (n,), faster than by `push`.
 
         Raises PoseError as `push` does, for the first pose that it refuses, and where the lengths differ.
         """

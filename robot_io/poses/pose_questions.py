@@ -1,6 +1,6 @@
-"""The questions that a sample of the tool's pose is asked, and the names of the doubts that they raise.
+"""Tests of a sample of the tool's pose, and the names of the doubts that they raise.
 
-Each function returns the doubt that a sample gives rise to, None where it gives none.
+Each function returns the doubt that a sample raises, None where it raises none.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SPEED_SAMPLES = 5
 
 @described
 class Implausibility(Enum):
-    """Why poses are not trusted."""
+    """Reason for which poses are not trusted."""
 
     UNPROVEN = "too few poses yet"
     AGE_UNKNOWN = "the sender does not say how old a pose is"
@@ -71,9 +71,9 @@ class KeptPose:
 
 
 def is_same_sample(window: tuple[KeptPose, ...], newest: KeptPose, limits: PlausibilityLimits) -> bool:
-    """Say whether a sample is the last one, sent again with its age: it says nothing new, and nothing wrong.
+    """Return whether a sample is the last one, sent again with its age; then it counts neither way.
 
-    Both times have the jitter of their ways over the bus.
+    Both times have the jitter of their transit over the bus.
     """
     if not window:
         return False
@@ -89,7 +89,7 @@ def is_same_sample(window: tuple[KeptPose, ...], newest: KeptPose, limits: Plaus
 def on_the_clock(
     window: tuple[KeptPose, ...], newest: KeptPose, limits: PlausibilityLimits
 ) -> tuple[Implausibility | None, tuple[KeptPose, ...]]:
-    """Hold a sample's time against the last; the window begins anew where nothing is known in between."""
+    """Compare a sample's time with the last; the window restarts where nothing is known in between."""
     if not window:
         return None, window
     elapsed_s = newest.time_s - window[-1].time_s

@@ -1,1 +1,1 @@
-"""What goes over the bus: messages, their layout, their protection, the load that they make."""
+"""Bus protocol: messages, their layout, their protection, the load that they make."""

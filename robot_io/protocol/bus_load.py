@@ -1,4 +1,4 @@
-"""How much of a bus the messages take at most, by bit rate and by the camera's frame rate."""
+"""Largest load of a bus by the messages, over bit rate and camera frame rate."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def least_frame_bits(length: int = FRAME_LENGTH) -> int:
 
 @dataclass(frozen=True)
 class ResponseTime:
-    """How long a message takes from its sender until it is on the bus, s, and of how many frames that is."""
+    """Time of a message from its sender until it is on the bus, s, and the number of frames that includes."""
 
     time_s: float
     frames: int

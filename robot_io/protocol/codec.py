@@ -29,7 +29,7 @@ class CodecError(ValueError):
 
 @dataclass(frozen=True)
 class _Field:
-    """One signal together with the Python type of its dataclass field."""
+    """One signal with the Python type of its dataclass field."""
 
     name: str
     kind: type[float | int | bool | IntEnum]

@@ -1,4 +1,4 @@
-"""What goes over the bus, as frozen dataclasses in physical units.
+"""Messages of the bus, as frozen dataclasses in physical units.
 
 The fields bear the names of the signals in `arctrack.dbc`, units included. A number that is not known is NaN,
 a count that is not known is None, a state that is not known is its enumeration's UNKNOWN: never 0.
@@ -12,7 +12,7 @@ from enum import IntEnum
 
 
 class Source(IntEnum):
-    """Where what a sender says comes from."""
+    """Origin of a sender's data."""
 
     LIVE = 0
     REPLAY = 1
@@ -21,7 +21,7 @@ class Source(IntEnum):
 
 
 class PoseKind(IntEnum):
-    """Whether a pose is where the TCP is, or where the programmed path has it."""
+    """Kind of a pose: of the TCP, or of the programmed path."""
 
     ACTUAL = 0
     PROGRAMMED = 1
@@ -37,7 +37,7 @@ class QuaternionComponent(IntEnum):
 
 
 class Validity(IntEnum):
-    """What an offset may be used for."""
+    """Validity of an offset."""
 
     VALID = 0
     HELD = 1
@@ -86,7 +86,7 @@ class Switch(IntEnum):
 
 
 class Command(IntEnum):
-    """What the robot wants of the tracker; ARM is the name that layout 1.1 has for TRACK."""
+    """Command of the robot to the tracker; ARM is the name that layout 1.1 has for TRACK."""
 
     DISARM = 0
     ARM = 1
@@ -125,7 +125,7 @@ class TrackerState(IntEnum):
 
 
 class GateReason(IntEnum):
-    """Why the gate did not let an offset through as it was measured."""
+    """Reason for which the gate did not let an offset through as it was measured."""
 
     NONE = 0
     NOT_ARMED = 1
@@ -162,7 +162,7 @@ class GateReason(IntEnum):
 
 
 class LaserState(IntEnum):
-    """What the laser does."""
+    """State of the laser."""
 
     OFF = 0
     ON = 1
@@ -172,7 +172,7 @@ class LaserState(IntEnum):
 
 
 class Fault(IntEnum):
-    """Why the tracker is in FAULT."""
+    """Reason for which the tracker is in FAULT."""
 
     NONE = 0
     OTHER_TRACKER = 1
@@ -185,7 +185,7 @@ class Fault(IntEnum):
 
 
 class RequestResult(IntEnum):
-    """What became of a request that acts once."""
+    """Result of a request that acts once."""
 
     NONE = 0
     DONE = 1
@@ -194,7 +194,7 @@ class RequestResult(IntEnum):
 
 
 class CommandHeard(IntEnum):
-    """Which command a tracker obeys; NOT_STATED is a tracker of a layout before 1.6."""
+    """Command that a tracker obeys; NOT_STATED is a tracker of a layout before 1.6."""
 
     NOT_STATED = 0
     NONE = 1
@@ -277,7 +277,7 @@ class SeamOffset(BusMessage):
 
 @dataclass(frozen=True)
 class SeamPoint(BusMessage):
-    """Where the laser saw the seam, mm in base, at the capture of the SeamOffset sent before it."""
+    """Seam point on the laser sheet, mm in base, at the capture of the SeamOffset sent before it."""
 
     x_mm: float
     y_mm: float
@@ -313,7 +313,7 @@ class RobotPulse(BusMessage):
 
 @dataclass(frozen=True)
 class RobotStatus(BusMessage):
-    """What the robot and the power source are doing."""
+    """Status of the robot and the power source."""
 
     mode: RobotMode
     motion: MotionState
@@ -329,7 +329,7 @@ class RobotStatus(BusMessage):
 
 @dataclass(frozen=True)
 class TrackerCommand(BusMessage):
-    """What the robot wants of the tracker, and its heartbeat: the latest one holds."""
+    """Command of the robot to the tracker, and its heartbeat: the latest one holds."""
 
     command: Command
     enable_y: bool
@@ -342,7 +342,7 @@ class TrackerCommand(BusMessage):
 
 @dataclass(frozen=True)
 class SeamGeometry(BusMessage):
-    """What was measured of the joint: gap ≥ 0, mismatch (left minus right), 1 σ of the seam point; all mm."""
+    """Measured joint: gap ≥ 0, mismatch (left minus right), 1 σ of the seam point; all mm."""
 
     gap_mm: float
     mismatch_mm: float
@@ -353,7 +353,7 @@ class SeamGeometry(BusMessage):
 
 @dataclass(frozen=True)
 class TrackerStatus(BusMessage):
-    """How the tracker is.
+    """Status of the tracker.
 
     `arc_level` is the arc's output over what the setup expects, `map_misfit` the 90 % quantile of the arc's
     residual over its stated uncertainty, as a share of a normal law's.
@@ -377,7 +377,7 @@ class TrackerStatus(BusMessage):
 
 @dataclass(frozen=True)
 class TrackerHeartbeat(BusMessage):
-    """That the tracker lives, and what it does."""
+    """Heartbeat of the tracker, with its state."""
 
     state: TrackerState
     source: Source
@@ -392,7 +392,7 @@ class TrackerHeartbeat(BusMessage):
 
 @dataclass(frozen=True)
 class DbcVersion(BusMessage):
-    """Which layout of the bus the tracker speaks."""
+    """Version of the bus layout that the tracker uses."""
 
     major: int
     minor: int

@@ -40,7 +40,7 @@ MAX_DELTA_COUNTER = 3
 
 
 class CheckStatus(Enum):
-    """What the check of a frame says, as AUTOSAR names it."""
+    """Result of the check of a frame, as AUTOSAR names it."""
 
     OK = "ok"
     OK_SOME_LOST = "ok_some_lost"

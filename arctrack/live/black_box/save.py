@@ -45,8 +45,7 @@ class NothingToSaveError(RuntimeError):
 def save_window(
     reader: JournalReader, kept_s: float, jobs: dict[int, JobSetup], rate_hz: float, path: Path, reason: str
 ) -> Path:
-    """Save the latest `kept_s` of frames, as far back as one job's seam was tracked; return the recording's
-    path.
+    """Save the latest `kept_s` of frames, as far back as one seam was tracked; return the recording.
 
     The oldest frames are read first, since the ring overwrites them first. They are copied to a file until
     all are read, and then compressed as a video that plays at `rate_hz`. Raises NothingToSaveError if no

@@ -24,9 +24,7 @@ SERIAL_LINE_S = 0.0023
 
 @dataclass(frozen=True)
 class LatencyPart:
-    """A part of the latency from mid-exposure to offset: its median, its maximum, and where the figures come
-    from.
-    """
+    """Part of the latency from mid-exposure to offset: median, maximum, and source of both."""
 
     name: str
     typical_s: float

@@ -13,9 +13,7 @@ def _limit(value: float, unit: str, role: str, source: str, sensitivity: str) ->
 
 @dataclass(frozen=True)
 class DoctorPolicy:
-    """Thresholds that a machine is held against; each field's metadata states unit, role, source and
-    sensitivity.
-    """
+    """Thresholds of the checks; each field's metadata states unit, role, source and sensitivity."""
 
     clock_step_s: float = _limit(
         1e-5,

@@ -19,9 +19,7 @@ STATUS_S = 0.1
 
 
 class Keeper:
-    """Writer of a run's journal, after each offset was sent; `processes` returns the states of the run's
-    subprocesses.
-    """
+    """Writer of a run's journal; `processes` returns the states of the run's subprocesses."""
 
     def __init__(self, journal: Journal, processes: Callable[[], Mapping[str, ProcessState]] = dict) -> None:
         self._journal, self._processes = journal, processes

@@ -74,8 +74,7 @@ def opened_run(
     is_simulated: bool = False,
     **bus_options: Any,
 ) -> Iterator[LiveRun]:
-    """Build a cell's loop and subprocesses, warm it up, and open its bus last; nothing was sent yet when it
-    yields.
+    """Build a cell's loop and subprocesses, warm it up, and open its bus last; nothing is sent yet.
 
     `tell` is called from another thread with what happens to the subprocesses. `job_number` is the job of a
     recording's seam, by default the only one; a live robot names its job itself. `on_track` gets each track
@@ -132,8 +131,7 @@ def _let_hear(keeper: Keeper, cast: RunParts) -> None:
 def run(
     loop: LiveLoop, goes_on: Callable[[], bool], watchdog_s: float, notifier: Notifier | None = None
 ) -> LoopResult:
-    """Run a loop in this process while `goes_on` (called some hundred times a second); its last offset is
-    REFUSED.
+    """Run a loop in this process while `goes_on`, some hundred calls a second; its last offset is REFUSED.
 
     A turn that takes longer than `watchdog_s` ends the process. `notifier` tells the service manager.
     """

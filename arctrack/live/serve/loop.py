@@ -85,8 +85,7 @@ class LoopResult:
 
 
 class LiveLoop:
-    """Loop that takes frames and messages, and sends what the controller answers; it runs in the thread that
-    makes it.
+    """Loop that takes frames and messages, and sends the controller's answers, in the thread that made it.
 
     `services` are by the robot's job number and share one controller; the first one tracks until the robot
     names a job. In a live run the robot's commands choose the seam; a recording has its own. `on_track` gets

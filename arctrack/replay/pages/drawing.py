@@ -45,8 +45,7 @@ class Drawing:
 
 @contextmanager
 def drawing_on(recording: Recording, truth: Truth | None, folder: Path, cores: int) -> Iterator[Drawing]:
-    """Yield the drawing of a recording's frames on `cores`; its processes start at once, and end with the
-    block.
+    """Yield the drawing of a recording's frames on `cores`; its processes end with the block.
 
     The results `folder` is named where one ends by itself.
     """

@@ -65,8 +65,9 @@ class BusParty(Protocol):
 
 @dataclass
 class Bus:
-    """Simulated bus that carries each frame to all nodes but its sender; `trouble` lists the present
-    disturbances.
+    """Simulated bus that carries each frame to all nodes but its sender.
+
+    `trouble` lists the present disturbances.
     """
 
     scheduler: Scheduler

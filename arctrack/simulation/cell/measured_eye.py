@@ -22,9 +22,7 @@ TOLERANCE_MM = 0.25
 
 @dataclass
 class MeasuredEye:
-    """Simulated sensor without images: measures where the stripe meets the seam, and has the real tracker's
-    seam filter.
-    """
+    """Simulated sensor without images: the stripe's crossing with the seam, and the real seam filter."""
 
     robot: Robot
     rng: np.random.Generator

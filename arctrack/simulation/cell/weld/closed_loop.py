@@ -148,9 +148,7 @@ class ClosedLoopResult:
 
 @dataclass
 class ClosedLoop:
-    """A run under way: `frames` are the tracks and what was sent of them, `samples` torch and seam every
-    SAMPLE_S.
-    """
+    """Run under way: `frames` are the tracks and what was sent, `samples` torch and seam every SAMPLE_S."""
 
     plan: LoopPlan
     frames: list[LoopFrame] = field(default_factory=list)

@@ -33,8 +33,7 @@ TACK_HALF_WIDTH_MM = 4.0
 
 @dataclass
 class RenderedEye:
-    """Simulated camera and tracker: draws each frame by the forward model, and tracks it as a live tracker
-    would.
+    """Simulated camera and tracker: renders each frame, and tracks it as a live tracker would.
 
     The tool stands still during an exposure. The tracker knows `setup` alone, whose nominal seam is that of
     the robot's world; `true_setup` and the true seam are hidden from it. Without `laser_speckle` the laser
