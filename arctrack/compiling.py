@@ -63,7 +63,7 @@ def compiled_by(parts: Sequence[Part]) -> Iterator[None]:
 
 
 def _compile(parts: Sequence[Part], on_end_of_one: Callable[[], None]) -> None:
-    """Wait until processes have compiled the parts, and tell meanwhile what they compile."""
+    """Wait until processes have compiled the parts, and report meanwhile what they compile."""
     words: SimpleQueue[tuple[bool, str] | None] = SimpleQueue()
     with suppress(OSError, Empty), ExitStack() as opened:
         for part in parts:
@@ -90,6 +90,6 @@ def _listen(process: OwnProcess[Part, None], words: SimpleQueue[tuple[bool, str]
 
 
 def _run(part: Part) -> None:
-    """Compile a part, and tell what begins (True) and what ends."""
+    """Compile a part, and report what begins (True) and what ends."""
     with heard(lambda kernel: tell((True, kernel)), lambda kernel: tell((False, kernel))):
         part()

@@ -44,7 +44,7 @@ def _nearest_path(path: Path, is_kind: Callable[[Path], bool]) -> Path | None:
         wrong = wrong.parent
     rest = path.relative_to(wrong)
     try:
-        # Names that end alike are not near for that alone, such as poses.csv and frames.csv.
+        # A common ending alone makes names not near, such as poses.csv and frames.csv.
         there = [each / rest for each in wrong.parent.iterdir() if nearest(wrong.stem, [each.stem])]
         names = {str(each): each for each in there if is_kind(each)}
     except OSError:

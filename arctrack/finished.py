@@ -1,4 +1,4 @@
-"""What says that a recording's replay came to its end, and of what: another run need not do it again."""
+"""Record of a recording's completed replay, so that another run need not repeat it."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class FinishedVerdict(BaseModel):
 
 
 class ReplayRecord(BaseModel):
-    """What finished.json holds: the digest of what went in, the sizes in bytes of the files that came out.
+    """Content of finished.json: the digest of the inputs, the sizes in bytes of the output files.
 
     The rest is what `ReplayResult` says of the replay.
     """

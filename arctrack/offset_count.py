@@ -1,4 +1,4 @@
-"""How many offsets went out, of those that the robot wanted."""
+"""Number of offsets sent, of those that the robot wanted."""
 
 from __future__ import annotations
 

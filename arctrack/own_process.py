@@ -64,13 +64,13 @@ class OwnProcess(Closing, Generic[Question, Answer]):
                 self._receive()
 
     def ask(self, questions: Sequence[Question]) -> None:
-        """Ask what is answered next."""
+        """Queue questions."""
         self._send(questions)
 
     def answers(self, on_word: Callable[[Any], None] | None = None) -> list[Answer]:
-        """Wait for the answers; raises what answering raised, or ArctrackError if the process ended.
+        """Wait for the answers; raise what answering raised, or ArctrackError if the process ended.
 
-        `on_word` hears what comes before them by `tell`.
+        `on_word` gets what `tell` sends before them.
         """
         self.wait_ready()
         while isinstance(answers := self._receive(), _Word):
@@ -139,20 +139,20 @@ def _first(
 
 
 class _WorkerError:
-    """What answering one of some questions raised."""
+    """Exception raised while answering."""
 
     def __init__(self, error: Exception) -> None:
         self.error = error
 
 
 class _Word(NamedTuple):
-    """What is told before an answer."""
+    """Message sent before an answer."""
 
     word: object
 
 
 def tell(word: object) -> None:
-    """Tell who asks something before the answer."""
+    """Send a message to the parent before the answer."""
     _send_back(_BACK[-1], _Word(word))
 
 
@@ -178,7 +178,7 @@ def serve() -> None:
 
 
 def _end_with_asker() -> None:
-    """Wait until who asks has ended, and end: nobody takes what is answered yet."""
+    """Wait until the parent has ended, and end: nobody takes the answers any more."""
     asker = select.poll()
     asker.register(0, 0)
     asker.poll()

@@ -25,7 +25,7 @@ def is_ignored(number: signal.Signals) -> bool:
 
 
 def leave_signals_to_parent() -> None:
-    """Ignore in this process what its parent is to hear."""
+    """Ignore in this process the signals that its parent handles."""
     for number in PARENTS:
         signal.signal(number, signal.SIG_IGN)
 

@@ -41,7 +41,7 @@ class FailedJob(Generic[Job]):
 
     @property
     def problem(self) -> str:
-        """One line for people."""
+        """Message for people, in one line."""
         if isinstance(self.error, ArctrackError | OSError):
             return as_line(self.error, self.job.recording)
         if isinstance(self.error, BrokenExecutor):
@@ -50,7 +50,7 @@ class FailedJob(Generic[Job]):
 
     @property
     def foreseen(self) -> bool:
-        """Whether the user can mend it; else it is a fault of arctrack's."""
+        """True if the user can mend it; otherwise it is a fault of arctrack's."""
         return isinstance(self.error, ArctrackError | BrokenExecutor | OSError)
 
 
@@ -67,18 +67,18 @@ def at_once(
 
 
 def executor_of(workers: int, scheduler: str | None) -> AbstractContextManager[Executor]:
-    """Give an executor of so many processes here, or on a Dask cluster where its `scheduler` is named."""
+    """Yield an executor of `workers` processes here, or on a Dask cluster where its `scheduler` is named."""
     return processes(workers) if scheduler is None else cluster(scheduler)
 
 
 def check_choice(workers: int, scheduler: str | None) -> None:
-    """Raise ArctrackError where both processes and a cluster are asked for."""
+    """Raise ArctrackError where both processes and a cluster are requested."""
     if scheduler is not None and workers > 1:
         raise ArctrackError("--workers and --scheduler: take one of them")
 
 
 def cores_each(workers: int, scheduler: str | None) -> int:
-    """Return how many of the cores that this process may use each of so many recordings at once has.
+    """Return the number of this process's cores for each of `workers` recordings at once.
 
     One on a cluster, whose machines this one does not know.
     """
@@ -92,7 +92,7 @@ def cores_each(workers: int, scheduler: str | None) -> int:
 
 @contextmanager
 def processes(count: int) -> Iterator[Executor]:
-    """Give an executor of so many processes on this machine; they end if this one is killed."""
+    """Yield an executor of `count` processes on this machine; they end if this one is killed."""
     # A forked process would inherit the locks of threads that it does not have.
     spawn = multiprocessing.get_context("spawn")
     executor = ProcessPoolExecutor(count, mp_context=spawn, initializer=end_with_parent)

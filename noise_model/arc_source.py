@@ -54,7 +54,7 @@ class Arc:
 
     @property
     def shines(self) -> bool:
-        """Whether there is an arc at all."""
+        """True if there is an arc at all."""
         return self.radiance_e > 0.0
 
     def __str__(self) -> str:

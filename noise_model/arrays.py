@@ -1,6 +1,6 @@
-"""Types of arrays and points, named once for all rooms, and the layout that kernels take.
+"""Types of arrays and points, named once for all packages, and the layout that kernels take.
 
-Types tell the numbers' type, not the shape.
+Types state the numbers' type, not the shape.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is on while a frame is taken."""
+"""Condition of a frame: what is on while it is taken."""
 
 from __future__ import annotations
 

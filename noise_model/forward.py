@@ -47,7 +47,7 @@ Kept = TypeVar("Kept")
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What is expected of the pixels of a frame.
+    """Expected mean and variance of the pixels of a frame.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """What a pose shows before any effect acts on the image, rendered when first asked for.
+    """Light of a pose before any effect acts on the image, rendered when first needed.
 
     `sight` are the pixels (n,), flattened. Of a bent seam each looks at its own stretch; `view` is that of
     the middle one.

@@ -1,1 +1,1 @@
-"""Where simulation and recordings part: the forward model held against what the camera saw."""
+"""Gap between simulation and recordings: the forward model compared with what the camera saw."""

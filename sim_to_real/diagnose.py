@@ -160,7 +160,7 @@ def _diagnosed(
 
 
 class Assessment(NamedTuple):
-    """A judgement on frames held out: its fit, random effects beside it, predictions, the gap."""
+    """Judgement on frames held out: its fit, random effects, predictions, the gap."""
 
     judgement: Judgement
     after: Refit
@@ -170,7 +170,7 @@ class Assessment(NamedTuple):
 
     @property
     def is_refuted(self) -> bool:
-        """Whether a clear gap becomes larger with the effects that are to explain it."""
+        """True if a clear gap becomes larger with the effects that are to explain it."""
         return bool(self.after.ids) and self.gap.is_clear_after and self.gap.after > self.gap.before
 
 

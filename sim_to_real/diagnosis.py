@@ -31,7 +31,7 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class ReportedTrend:
-    """How an effect's size changes within a recording, with a `driver` from `least` to `most`, in `unit`.
+    """Trend of an effect's size within a recording, with a `driver` from `least` to `most`, in `unit`.
 
     `values` are the parameters' values at the two ends of the driver's range.
     """
@@ -98,7 +98,7 @@ class Gap:
 
     @property
     def is_clear_after(self) -> bool:
-        """Whether a clear gap remains after."""
+        """True if a clear gap remains after."""
         return self.after > CLEAR_FLOORS * self.floor
 
 
@@ -124,7 +124,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Where:
-    """Where the gap lies.
+    """Location of the gap.
 
     `stage` is that of what is named, else the most probable of `stages`, which holds the probability that an
     unknown cause acts at each stage; `covariates` explain the largest share first; `image` holds the shares
@@ -144,7 +144,7 @@ class Where:
 
 @dataclass(frozen=True)
 class Next:
-    """The experiment that would tell effects apart, or a witness if no experiment `resolves` it."""
+    """Experiment that would separate effects, or a witness if no experiment `resolves` it."""
 
     experiment: str
     separates: tuple[str, ...]

@@ -43,12 +43,12 @@ class FirstLook:
 
     @property
     def is_gap(self) -> bool:
-        """Whether the nominal model leaves something to explain."""
+        """True if the nominal model leaves something to explain."""
         return self.mean_square > GAP_MEAN_SQUARE
 
     @property
     def likely(self) -> tuple[str, ...]:
-        """The effects that may be it: one, or all that nothing tells apart; none where none closes half."""
+        """Likely effects: one, or all that cannot be separated; none where none closes half."""
         if not self.is_gap or not self.closed or self.closed[0][1] < MIN_CLOSED:
             return ()
         remaining = 1.0 - self.closed[0][1]

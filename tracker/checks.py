@@ -1,6 +1,6 @@
-"""What a step asks of a frame: every question once, and each answer with its value, limit and outcome.
+"""Tests of a frame in a step: every question once, and each answer with its value, limit and outcome.
 
-A step raises its flags by these checks alone, so whoever explains a frame reads them off and asks nothing
+A step raises its flags by these checks alone, so an explanation of a frame reads them and tests nothing
 again.
 """
 
@@ -57,12 +57,12 @@ class Check(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether the value meets the demand."""
+        """True if the value meets the demand."""
         return not _FAILS[self.question.demand](self.value, self.limit)
 
     @property
     def outcome(self) -> Outcome:
-        """What the answer means for the frame's seam."""
+        """Consequence of the answer for the frame's seam."""
         if self.passed:
             return "passed"
         return "refused" if self.flag.invalidates else "noted"
@@ -79,7 +79,7 @@ class FrameChecks:
 
     @property
     def answers(self) -> tuple[Check, ...]:
-        """The answers in the order in which the questions were asked."""
+        """Answers in the order of the questions."""
         return tuple(self._answers)
 
     def ask(self, question: Question, value: float, limit: float, flag: Flag | None = None) -> bool:

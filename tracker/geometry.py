@@ -1,4 +1,4 @@
-"""What a setup fixes once and for all for the tracker: scan lines, rays, the charge of each code.
+"""Constants of a setup for the tracker: scan lines, rays, the charge of each code.
 
 A scan line crosses the stripe. If the stripe runs along the image's rows the scan lines are its columns,
 otherwise its rows; positions along a scan line are pixels. All kernels see the image scan line by scan line.
@@ -64,7 +64,7 @@ The level is known to the map's own 5 % over the root of their number, 0.5 %: le
 
 
 class StripeSource(NamedTuple):
-    """What a setup fixes of its stripe, as the kernels take it: laser, metal and camera.
+    """Setup of the stripe for the kernels: laser, metal and camera.
 
     `sheet` is the laser's in the tool frame, `T_tool_camera` (4, 4) mm; scan lines run as `SensorGeometry`'s.
     """
@@ -78,7 +78,7 @@ class StripeSource(NamedTuple):
 
 
 class ArcSource(NamedTuple):
-    """What a setup fixes of its arc's map, as the kernels take it.
+    """Setup of the arc's map for the kernels.
 
     `radiance_e` is the arc's at the stated current and exposure. `rules`, `to_powers`, `node_at` and
     `node_rules` are those of `arc.quadrature`, `arc.table` and `arc.fill`; `baked` is the light about the
@@ -95,7 +95,7 @@ class ArcSource(NamedTuple):
 
 
 class ImageSource(NamedTuple):
-    """What a setup fixes of its frames, as the kernels take it; see `SensorGeometry`.
+    """Setup of the frames for the kernels; see `SensorGeometry`.
 
     `level_scan` and `level_position` (n,) are `level_sample`. `black_sigma_e` is the black level's
     1 sigma.
@@ -157,19 +157,19 @@ class SensorGeometry:
         )
 
     def make_ready(self) -> None:
-        """Derive all tables that are else derived when a step first asks for them."""
+        """Derive all tables that are otherwise derived when a step first needs them."""
         for name, table in vars(type(self)).items():
             if isinstance(table, cached_property):
                 getattr(self, name)
 
     @cached_property
     def has_light_effects(self) -> bool:
-        """Whether effects of the setup act on the arc's light on its way to the pixels."""
+        """True if effects of the setup act on the arc's light on its way to the pixels."""
         return any(effect.light or effect.image for effect, _ in acting(self.setup))
 
     @cached_property
     def seam_source(self) -> SeamSource:
-        """What the setup fixes of its seam."""
+        """Setup of the seam for the kernels."""
         return SeamSource.of(self.setup)
 
     @cached_property
@@ -236,9 +236,9 @@ class SensorGeometry:
 
     @cached_property
     def pixels_per_mm(self) -> float:
-        """How far the stripe moves, px, per mm of height or of lateral place, whichever is more.
+        """Displacement of the stripe, px, per mm of height or lateral position, whichever is larger.
 
-        What is moved stays in the laser's sheet, however that leans.
+        The displaced point stays in the laser's sheet, however that is tilted.
         """
         camera = self.setup.camera
         nx, ny, nz, _ = self.setup.laser.plane
@@ -260,11 +260,11 @@ class SensorGeometry:
 
     @cached_property
     def level_sample(self) -> tuple[Int64, Int64]:
-        """Scan lines and positions (n,) of the image's pixels that tell the arc's level."""
+        """Scan lines and positions (n,) of the pixels that determine the arc's level."""
         return self.lattice(max(1, round(math.sqrt(self.n_scan * self.n_pos / LEVEL_SAMPLE))))
 
     def lattice(self, spacing_px: int) -> tuple[Int64, Int64]:
-        """Return scan lines and positions (n,) of every so many-th pixel of each row and column."""
+        """Return scan lines and positions (n,) of a grid of pixels, `spacing_px` apart."""
         scan = np.arange(spacing_px // 2, self.n_scan, spacing_px)
         position = np.arange(spacing_px // 2, self.n_pos, spacing_px)
         s, r = np.meshgrid(scan, position, indexing="ij")

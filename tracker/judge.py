@@ -1,4 +1,4 @@
-"""From a look's joint to what a step says of the seam: judged beside the earlier frames, and remembered."""
+"""Seam of a step from its joint: judged against the earlier frames, and remembered."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ The rim of a tack shows a joint for some frames, or now and then: a seam shows i
 
 
 class SeamEstimate(NamedTuple):
-    """Where a frame shows the seam: in the tool frame, mm, with 1 sigmas and confidence; NaN if it does not.
+    """Seam in a frame: in the tool frame, mm, with 1 sigmas and confidence; NaN if there is none.
 
     The sigmas of y and z, mm, take in the hand-eye tolerance.
     """

@@ -1,4 +1,4 @@
-"""One look at a frame about an expected seam: the arc's light, the stripe and the section that it shows."""
+"""Observation of a frame about an expected seam: the arc's light, the stripe and its section."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ BEYOND_REACH_MM = 1.0
 
 
 class FrameInput(NamedTuple):
-    """What a frame is tracked with: the setup's tables, the state before it, the frame and its pose.
+    """Inputs of a frame's tracking: the setup's tables, the state before it, the frame and its pose.
 
     `T_base_tool` (4, 4) is the tool's pose, mm; `work` is scratch.
     """
@@ -76,9 +76,9 @@ class FrameInput(NamedTuple):
 
 
 class Aim(NamedTuple):
-    """Where a look is taken, and how far about the seam there.
+    """Expected seam of an observation, and the half-width of the search about it.
 
-    `scatter` is what the frames before show of the stripe.
+    `scatter` is that of the stripe in the frames before.
     """
 
     scene: Scene
@@ -89,10 +89,10 @@ class Aim(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """What one look at a frame shows; None where it did not get that far.
+    """Result of one observation of a frame; None where it did not get that far.
 
-    `arc` is the light beside the laser's, `stripe` what was read of the stripe, `section` the profile of a
-    stripe that counts. What is in `stripe` beyond the stripe itself is good until the next look.
+    `arc` is the light other than the laser's, `stripe` what was read of the stripe, `section` the profile of
+    a stripe that counts. What is in `stripe` beyond the stripe itself is valid until the next observation.
     """
 
     arc: ArcLevel = UNKNOWN
@@ -103,9 +103,9 @@ class Observation(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """What the look that counts of a frame has found, within a reach about an expected seam.
+    """Result of the observation that counts of a frame, within a reach about an expected seam.
 
-    `scatter` is what the frames up to this one show of the stripe, `read_with` what the look was taken with.
+    `scatter` is that of the stripe up to this frame, `read_with` the one that was used.
     """
 
     checks: FrameChecks
@@ -175,7 +175,7 @@ def observe(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Observati
 
 
 def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> Section:
-    """Return the section that a stripe shows, whose joint is looked for a little beyond a look's reach."""
+    """Return the section of a stripe, whose joint is searched a little beyond an observation's reach."""
     assert seen.stripe is not None
     reading, source, seam_source = seen.stripe, geometry.stripe_source, geometry.seam_source
     edge = EdgeAlongSeam(seam_source.height_mm, aim.seam.slope_sigma, reading.usual.contrast)
@@ -194,7 +194,7 @@ def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> S
 
 
 def _check_light(frame_checks: FrameChecks, arc: ArcLevel, laser_on: bool) -> bool:
-    """Ask whether there is arc light and the map explains it; return True if the laser is on."""
+    """Test whether there is arc light and the map explains it; return True if the laser is on."""
     if (
         frame_checks.ask_whether(checks.ARC_ON, arc.is_on)
         and frame_checks.ask_whether(checks.ARC_LEVEL_KNOWN, not math.isnan(arc.level))
@@ -207,7 +207,7 @@ def _check_light(frame_checks: FrameChecks, arc: ArcLevel, laser_on: bool) -> bo
 def _check_stripe(
     frame_checks: FrameChecks, expected: ExpectedStripe, reading: StripeReading, seeks_ends: bool
 ) -> bool:
-    """Return True if what was read is a stripe; ask whether all of it was seen, up to ends it may show."""
+    """Return True if what was read is a stripe; test whether all of it was seen, up to ends it may show."""
     evidence, ask = reading.evidence, frame_checks.ask
     ask(checks.LINES_SATURATED, float(evidence.n_saturated), 0.0)
     frame_checks.ask_whether(checks.STRIPE_INSIDE, not evidence.leaves)

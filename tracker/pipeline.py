@@ -45,7 +45,7 @@ MIN_MARGIN_MM = 1.0
 
 
 class FrameResult(NamedTuple):
-    """What a frame gives: the state after it, the look that counts, the seam and the offset at the torch."""
+    """Result of a frame: the state after it, the observation that counts, seam and offset at the torch."""
 
     state: TrackerMemory
     reading: Reading
@@ -61,7 +61,7 @@ def track_frame(given: FrameInput, frame_checks: FrameChecks) -> FrameResult | N
     frame_checks.ask_whether(checks.POSE_BRACKETED, not given.is_extrapolated)
     if not check_pose(frame_checks, source, pose_numbers(source, given.T_base_tool)):
         return None
-    # After so many frames without a joint the earlier ones say nothing any more.
+    # After LOST_TO_FORGET frames without a joint the earlier ones count no longer.
     confirmed = state.history if state.lost < LOST_TO_FORGET else NO_HISTORY
     expected = expect_seam(source, given.T_base_tool, confirmed)
     reach_mm = _reach_mm(state, expected)
@@ -117,7 +117,7 @@ def look_and_fit(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Read
 
 
 def _reach_mm(state: TrackerMemory, expected: ExpectedSeam) -> float:
-    """Return how far about the expected seam it is looked for, mm."""
+    """Return the half-width of the search about the expected seam, mm."""
     if state.lost >= LOST_TO_SEARCH:
         return SEARCH_REACH_MM
     return min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * max(expected.sigma_mm))
@@ -154,7 +154,7 @@ def _nearer_look(given: FrameInput, wide: Reading, placed: Reading, at_joint: Re
     """
     if at_joint.joint is None and at_joint.n_held >= MIN_HELD_SHARE * placed.n_held:
         return wide
-    # The narrow look does not see as far beside the stripe.
+    # The narrow search does not reach as far from the stripe.
     at_joint.checks.take_answer(placed.checks, checks.JOINT_TYPE)
     if placed.flags & flags.TWO_STRIPES.mask:
         at_joint.checks.take_answer(placed.checks, checks.SECOND_STRIPE)
@@ -197,12 +197,12 @@ def _fit_joint(
 
 
 def _is_told(joint: MeasuredJoint | None) -> bool:
-    """Return True if a joint is told from a plate."""
+    """Return True if a joint is distinguishable from a flat plate."""
     return joint is not None and joint.evidence_nats >= MIN_EVIDENCE_NATS
 
 
 def _closed_joint(given: FrameInput, aim: Aim, seen: Observation) -> MeasuredJoint | None:
-    """Return the closed joint whose line the image shows beside the stripe, None where it shows none."""
+    """Return the closed joint whose line the image shows next to the stripe, None where it shows none."""
     geometry, section = given.geometry, seen.section
     assert section is not None
     assert seen.stripe is not None

@@ -1,7 +1,7 @@
-"""Where the tracker sees the seam in the image, and where that is in space for a given setup.
+"""Observations of the seam in the image, and their positions in space for a given setup.
 
-A wrong camera, clock or plate displaces every observation, each by its own pose. So a fit of these carries
-the seam along: a seam that a wrong camera has bent is straight again with the right one.
+A wrong camera, clock or plate displaces every observation, each by its own pose. So a fit of these includes
+the seam: a seam that a wrong camera has bent is straight again with the right one.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class SeamObservations:
         return cls(np.array(image), np.array(timestamps), np.array(variances), pose_functions)
 
     def thinned(self, most: int) -> SeamObservations:
-        """Return at most so many of the sightings, evenly chosen."""
+        """Return at most `most` of the observations, evenly chosen."""
         n = len(self.image_px)
         kept = np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.int64))
         poses = tuple(self.poses[i] for i in kept)

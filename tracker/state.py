@@ -1,4 +1,4 @@
-"""What goes into a step and what comes out of it, and the frozen state that it hands on."""
+"""Inputs and outputs of a step, and the frozen state that it hands on."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UNKNOWN: Pair = (math.nan, math.nan)
 
 
 class JointShape(NamedTuple):
-    """What a section of the joint shows beside seam point, gap and mismatch; NaN where it has none.
+    """Shape of the joint's section other than seam point, gap and mismatch; NaN where it has none.
 
     Pairs are (left, right).
 
@@ -275,7 +275,7 @@ class Track:
 
     @property
     def valid(self) -> bool:
-        """Whether the seam point may be used."""
+        """True if the seam point may be used."""
         return not self.flags & flags.INVALIDATING and math.isfinite(self.seam_tool_mm[1])
 
     def __str__(self) -> str:

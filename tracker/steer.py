@@ -1,6 +1,6 @@
-"""From the seam along the path to the offset that is proposed to the gate.
+"""Steering: the proposed offset from the seam along the path.
 
-What is asked is what is known of the seam where the torch stands, and not whether the present frame shows
+The offset depends on what is known of the seam where the torch stands, not on whether the present frame shows
 it: the torch follows the measured stretch for the whole look-ahead while the sensor is blind or past the
 joint's end. The seam is lost once the torch leaves that stretch. A frame that cannot be read and a pose that
 is refused say nothing of where the torch is: for those, and for offsets that come too late, jump or lie out
@@ -45,9 +45,9 @@ def seam_at_torch(
 ) -> SeamAtTorch:
     """Return the seam where the torch stands; `stretch_mm` are the stations of the joint's start and end.
 
-    Before the joint it is the seam at its start. Before what is measured of it the process is asked. Past
-    the last measurement the seam is lost: its last place is held, at a sigma that takes in how far the
-    process expects it to have gone since, or the process goes on, both within the correction's limits; or
+    Before the joint it is the seam at its start. Before its first measurement it is extrapolated by the
+    process. Past the last measurement the seam is lost: its last position is held, at a sigma that includes
+    the process's expected change since, or the process goes on, both within the correction's limits; or
     following stops, but not within SPACING_MM, where the joint's very end may lie. A seam that `goes_on` in
     another stretch beyond is not lost.
     """
@@ -80,7 +80,7 @@ def seam_at_torch(
 
 
 class TorchOffset(NamedTuple):
-    """What a track says of its offset and of the joint's ends; see `state.Track`."""
+    """A track's offset and ends of the joint; see `state.Track`."""
 
     offset_y_mm: float
     offset_z_mm: float
@@ -95,11 +95,10 @@ class TorchOffset(NamedTuple):
 def steer(
     frame_checks: FrameChecks, given: FrameInput, expected: ExpectedSeam, state: TrackerMemory, is_shown: bool
 ) -> tuple[Steering, TorchOffset]:
-    """Return the offset that is proposed to the gate, and what is handed on.
+    """Return the proposed offset, and the steering's next state.
 
-    `state` is with the frame's own measurement. What was asked of the frame says whether a seam that
-    `is_shown` is valid; what is asked of the torch's place is added. The torch is taken for where it will be
-    after the lead.
+    `state` includes the frame's own measurement. The frame's checks say whether a seam that `is_shown` is
+    valid; those of the torch's position are added. The torch is taken to be where it will be after the lead.
     """
     steering, correction, lead = state.steering, given.correction, given.lead
     ends, torch_mm, raised = steering.ends, expected.torch_mm + lead.way_mm, frame_checks.flags

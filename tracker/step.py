@@ -1,4 +1,4 @@
-"""One frame and one pose in, one track out, the state handed on.
+"""Step of the tracker: one frame and one pose in, one track out, the state handed on.
 
 Live service, replay, tests and diagnosis call the same `step` and get the same numbers.
 """
@@ -135,7 +135,7 @@ def _is_readable(geometry: SensorGeometry, frame: Frame, pose: Pose) -> bool:
 
 
 def _check_form(frame_checks: FrameChecks, geometry: SensorGeometry, frame: Frame, pose: Pose | None) -> None:
-    """Ask whether a frame has its form and a pose, and whether the pose has its own."""
+    """Test whether a frame has its form and a pose, and whether the pose has its own."""
     fits = frame_misfit(frame.image_dn.shape, frame.image_dn.dtype, geometry.setup) is None
     if not (
         frame_checks.ask_whether(checks.FRAME_FORMAT, fits)

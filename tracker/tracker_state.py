@@ -1,4 +1,4 @@
-"""What one step hands to the next."""
+"""State that one step hands to the next."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LOST_TO_SEARCH = 3
 
 
 class Steering(NamedTuple):
-    """What the steering hands on from frame to frame.
+    """State of the steering from frame to frame.
 
     Once stopped it stays so: a new Steering, as a new Tracker has, is the only way to start again.
     `hand_eye_variance_mm2` (y, z) is what the hand-eye tolerance leaves of the latest measurement.

@@ -233,7 +233,7 @@ def _tilted(pose: Pose) -> Iterator[Pose]:
 
 @dataclass(frozen=True)
 class _Picture:
-    """What a frame is made of, scan line by scan line: stripe and arc's light (n_scan, n_pos), e-."""
+    """Parts of a frame, scan line by scan line: stripe and arc's light (n_scan, n_pos), e-."""
 
     geometry: SensorGeometry
     expected: ExpectedStripe | None
@@ -259,9 +259,9 @@ class _Picture:
         share: float = 1.0,
         aside_px: float = 0.0,
     ) -> Integers:
-        """Return a frame (H, W) with so much of the stripe, of the arc, and of a ghost beside the stripe.
+        """Return a frame (H, W) with these factors of the stripe, the arc, and a ghost next to the stripe.
 
-        The stripe is in a share of those scan lines alone that show it, and moved aside.
+        The stripe is in a share of those scan lines alone that show it, and displaced sideways.
         """
         geometry, sensor = self.geometry, self.geometry.setup.sensor
         charge_e = arc * self.arc_e

@@ -378,7 +378,7 @@ class Controller:
         before = self._command
         self._command = TimedMessage(command, came_at_s)
         if before is not None and before.message.job_number != command.job_number:
-            # Another job's nought, and another job's seam.
+            # Another job's zero, and another job's seam.
             self._zero_mm = (0.0, 0.0)
             self._forget_offset()
             self._part.begin()

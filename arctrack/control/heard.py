@@ -35,8 +35,7 @@ class OutageWatch:
         self._came_at_s: dict[type[BusMessage], float] = {}
 
     def hear(self, message: BusMessage, came_at_s: float, now_s: float, hold_s: float) -> bool:
-        """Take an accepted message; return whether the previous one of its kind may be more than `hold_s`
-        older.
+        """Take an accepted message; return whether the last of its kind may be more than `hold_s` older.
 
         `came_at_s` is the earliest time at which it came, `now_s` that of its reading. `hold_s` is the
         longest silence after which the robot still stands where it was sent.

@@ -35,7 +35,7 @@ OnStage = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class DiagnosisJob:
-    """One recording to diagnose: where its files go, another setup than its own, effects left out."""
+    """One recording to diagnose: folder of its files, another setup than its own, effects left out."""
 
     recording: Path
     folder: Path
@@ -91,7 +91,7 @@ def diagnose_recording(
 ) -> DiagnosisResult:
     """Diagnose a recording and write report.json, where.npz, predicted.npz and report.html.
 
-    So many `threads` predict frames at once. Raises ArctrackError for what the user can mend.
+    Frames are predicted on `threads` threads. Raises ArctrackError for what the user can mend.
     """
     from arctrack.diagnose.pages.page import write_page
     from sim_to_real.diagnose import diagnose

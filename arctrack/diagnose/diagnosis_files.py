@@ -1,4 +1,4 @@
-"""What a diagnosis writes for programs: report.json, where.npz and predicted.npz."""
+"""Files of a diagnosis for programs: report.json, where.npz and predicted.npz."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def _write_predicted(predicted: HeldOutPrediction, path: Path) -> None:
 
 
 def plain(value: Any, digits: int = ALL_DIGITS) -> Any:
-    """Return JSON's own types: lists for tuples, null for what is not finite, numbers in so many digits."""
+    """Return JSON's own types: lists for tuples, null for what is not finite, rounded numbers."""
     if isinstance(value, Mapping):
         return {key: plain(item, digits) for key, item in value.items()}
     if isinstance(value, tuple | list):

@@ -259,7 +259,7 @@ def _replay(
         if interface != "virtual":
             agreement = PoseAgreement(recording.pose_buffer())
             moments = RealTime(recording.rows, link, controller, agreement, poses.verdict, check_interrupt)
-        # However it ends, the robot hears that nothing holds any longer.
+        # However it ends, the robot is told that nothing holds any longer.
         opened.callback(moments.close)
         for step in steps(tracking, recording.rows, frames):
             check_interrupt()

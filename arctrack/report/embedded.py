@@ -23,7 +23,7 @@ POINTS_PER_INCH = 200
 
 @dataclass(frozen=True)
 class Scale:
-    """A colour scale: its picture, and what its ends stand for."""
+    """Colour scale: its picture, and the values at its ends."""
 
     uri: str
     low: float

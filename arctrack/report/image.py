@@ -22,7 +22,7 @@ SEAM_BGR = (233, 180, 86)
 
 
 def visible(image_dn: npt.NDArray[np.integer | np.floating], sensor: Sensor) -> UInt8:
-    """Return a raw frame (H, W) as 8-bit grey, by the square root, which shows the noise alike everywhere."""
+    """Return a raw frame (H, W) as 8-bit grey, by the square root, under which noise is uniform."""
     signal = np.maximum(image_dn.astype(np.float32) - sensor.black_level_dn, 0.0)
     scaled = 255.0 * np.sqrt(signal / max(1.0, sensor.max_dn - sensor.black_level_dn))
     grey: UInt8 = np.clip(np.rint(scaled), 0, 255).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""How all pictures look: Okabe and Ito's colours, which the colour-blind tell apart, and plain axes."""
+"""Style of all pictures: Okabe and Ito's colours, which the colour-blind distinguish, and plain axes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _drawable(text: str) -> str:
 
 
 def over_image(axes: Axes, width: int, height: int) -> Axes:
-    """Show a whole image of so many px, the first row on top."""
+    """Show axes over a whole image of `width` x `height` px, the first row on top."""
     axes.set_xlim(-0.5, width - 0.5)
     axes.set_ylim(height - 0.5, -0.5)
     return axes

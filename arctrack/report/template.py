@@ -1,4 +1,4 @@
-"""How all pages render their templates."""
+"""Rendering of all pages' templates."""
 
 from __future__ import annotations
 

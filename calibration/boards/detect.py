@@ -120,7 +120,7 @@ def _search(picture: UInt8, board: Board, *, is_again: bool) -> tuple[Int64, Flo
         return _search_charuco(picture, board)
     size, flags = (board.columns, board.rows), cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     if is_again:
-        # A large image without a board may hold so much texture that a whole search takes a minute.
+        # A large image without a board may have enough texture for a whole search to take a minute.
         flags |= cv2.CALIB_CB_FAST_CHECK
     ok, points = cv2.findChessboardCorners(picture, size, flags=flags)
     if not ok:

@@ -236,7 +236,7 @@ def fit(
         return np.append(off, np.sqrt(known) @ step)
 
     def jacobian(step: Float64) -> Float64:
-        # The covariance's own change with the state is left aside: it is small.
+        # The covariance's own change with the state is neglected: it is small.
         slopes = problem.whitened(start.moved(step), noise_mm, problem.slopes(start, step))
         return np.vstack([slopes, np.sqrt(known)])
 

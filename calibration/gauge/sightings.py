@@ -121,7 +121,7 @@ def _order(gauge: Gauge, ends: Sequence[Float64], up: Float64) -> tuple[str, int
     """Return why an image shows no such gauge, empty where it does; 1 or -1: pieces run with y or against."""
     heights = [end @ up for end in ends]
     if gauge.shape is Shape.STEP:
-        # At the step itself: a gauge that leans makes heights differ elsewhere.
+        # At the step itself: a tilted gauge makes heights differ elsewhere.
         drop = float(heights[0][1] - heights[1][0])
         if not abs(abs(drop) / gauge.size_mm - 1.0) < MAX_SIZE_ERROR:
             return f"shows a step of {abs(drop):.2f} mm, the gauge's has {gauge.size_mm:g} mm", 1
@@ -150,7 +150,7 @@ def _top(all_ends: Sequence[Float64], gauge: Gauge, up: Float64) -> Float64:
     flat = [n for n, face in enumerate(pieces) if face == 0 or gauge.shape is Shape.STEP]
     directions = np.array([ends[n][1] - ends[n][0] for ends in all_ends for n in flat])
     directions = directions / np.linalg.norm(directions, axis=1)[:, np.newaxis]
-    # The normal is square to all of them; where they are alike, it is `up` as far as it can be.
+    # The normal is perpendicular to all of them; where they are parallel, it is as close to `up` as can be.
     M = directions.T @ directions / len(directions) + np.radians(MIN_ANGLE_DEG) ** 2 * (
         np.eye(3) - np.outer(up, up)
     )

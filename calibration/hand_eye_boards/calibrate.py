@@ -228,7 +228,7 @@ def _started(chain: Chain, boards: Boards) -> tuple[Chain, Boards, Float64]:
     _check_start(chain, T_camera_board)
     seen = renumbered(seen, scene.T_camera_board, T_camera_board)
     own = replace(scene, T_camera_board=T_camera_board)
-    # A board that is seen from far looks much the same when it leans the other way: the robot tells which.
+    # A distant board looks much the same when it is tilted the other way: the robot's poses decide.
     predicted = chain.T_camera_board
     in_front = (predicted[:, :3, :3] @ seen.board.points_mm.T)[:, 2] + predicted[:, 2, 3:4]
     is_seen = np.all(in_front > 0.0, axis=1)

@@ -131,7 +131,7 @@ def _without_board(image_dn: Integers, shading: Float64) -> LitBoard:
     drawn_board = np.where(area, shading, np.nanmean(shading))
     slopes = np.gradient(drawn_board)
     by_blur = sum(np.gradient(slope, axis=n) for n, slope in enumerate(slopes))
-    # A board that is a little beside its pose, or blurred otherwise, differs along its squares' edges.
+    # A board that is a little off its pose, or blurred otherwise, differs along its squares' edges.
     edges = np.column_stack([slope[area] for slope in (*slopes, by_blur)])
     A = np.column_stack([smooth, smooth * shade[:, np.newaxis], edges])
     at_edge = np.hypot(edges[:, 0], edges[:, 1]) > EDGE_SHARE

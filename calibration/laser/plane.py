@@ -131,7 +131,7 @@ def fit_plane(lines: Sequence[BoardLine]) -> PlaneFit:
     per_small = np.zeros((4, 3))
     per_small[:3, :2], per_small[3, :2], per_small[3, 2] = basis.T, -basis @ centre, 1.0
     variance, turn = np.linalg.eigh(small[:2, :2])
-    # The normal leans along this direction most: it turns about the one square to it.
+    # The normal tilts along this direction most: it rotates about the one perpendicular to it.
     leaning = turn[:, 1] @ basis
     within = (points - centre).reshape(-1, 3) @ leaning
     noise = np.mean([np.trace(line.covariance(leaning)) for line in lines]) / 2.0

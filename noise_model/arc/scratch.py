@@ -63,10 +63,10 @@ Record = Any
 
 
 class ArcScratch(NamedTuple):
-    """Room for the light on a section's faces.
+    """Scratch memory for the light on a section's faces.
 
-    `records` (1,) is of SCRATCH: a record is freed with its array. `slices` is room for a lap's slices, None
-    for other sections: so a kernel holds the integral over slices only where it may be asked for.
+    `records` (1,) is of SCRATCH: a record is freed with its array. `slices` is the memory of a lap's slices,
+    None for other sections: so a kernel holds the integral over slices only where it may be needed.
     """
 
     records: NDArray[Any]

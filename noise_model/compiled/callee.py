@@ -1,4 +1,4 @@
-"""What the machine code of a kernel relies on of the kernels that it calls."""
+"""Dependencies of a kernel's machine code on the kernels that it calls."""
 
 from __future__ import annotations
 
@@ -64,9 +64,9 @@ _NAMED: dict[str, Any] = {}
 
 
 def symbol_id(function: Any, arguments: tuple[Any, ...]) -> str:
-    """Return what tells a kernel's symbol from others: its module, name and types of arguments.
+    """Return the unique part of a kernel's symbol: its module, name and types of arguments.
 
-    What no name leads to, as a kernel within a function, has its content in the symbol too.
+    A kernel without a qualified name, such as one within a function, has its content in the symbol too.
     """
     module, name = function.__module__, function.__qualname__
     named_id = digest(module, name, *map(describe_type, arguments))[:16]

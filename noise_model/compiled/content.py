@@ -1,11 +1,11 @@
-"""The key of a kernel: a digest of all that its machine code depends on, but for what it calls.
+"""Key of a kernel: a digest of all that its machine code depends on, except for what it calls.
 
 That is its bytecode with constants and defaults, each global that it reads, by value, the types of its
-arguments, and what compiles it. Comments, docstrings, places in a file and names of folders are not in the
-key. So a kernel is compiled anew when it would become another, and a clone elsewhere finds it.
+arguments, and what compiles it. Comments, docstrings, line numbers and names of folders are not in the key.
+So a kernel is compiled again when it would change, and a clone elsewhere finds it.
 
-A kernel that is called is named here, no more: `noise_model.compiled.numba_internals` looks whether what it
-returns is still the same, and, if it is optimised into its callers, its own key.
+A called kernel is named here, no more: `noise_model.compiled.numba_internals` checks whether its result's
+type is still the same, and, if it is inlined into its callers, its own key.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def is_named(kernel: Any) -> bool:
 
 @cache
 def describe_type(type_: Any) -> tuple[object, ...]:
-    """Return a type of numba's in plain values; two classes of the same name are told apart."""
+    """Return a type of numba's in plain values; two classes of the same name differ."""
     if isinstance(type_, types.BaseNamedTuple):
         return *_class(type_.instance_class), *map(describe_type, type_)
     if isinstance(type_, types.BaseTuple):
@@ -204,9 +204,9 @@ def _options(kernel: Any) -> tuple[object, ...]:
 
 
 def versions() -> list[str]:
-    """Return what machine code depends on that is installed: Python and numba's packages.
+    """Return the installed versions that machine code depends on: Python and numba's packages.
 
-    numba asks which of NumPy's minor versions there is, and no more.
+    numba distinguishes NumPy's minor versions, and no more.
     """
     python = f"{platform.python_implementation()} {sys.version_info[0]}.{sys.version_info[1]}"
     numpy = ".".join(np.__version__.split(".")[:2])

@@ -1,4 +1,4 @@
-"""What Python needs to compile quickly: room for deep calls, and a garbage collector that seldom looks.
+"""Settings of Python for quick compilation: stack chunks for deep calls, and rare garbage collection.
 
 Python keeps the frames of its calls in chunks of 16 kB. A call for which a chunk has no room left takes
 another one from the operating system, and its return gives that back. numba compiles a kernel within the one

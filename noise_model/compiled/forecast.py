@@ -1,4 +1,4 @@
-"""How long compiling takes yet: by what the same work needed before, and lacks now."""
+"""Remaining time of compilation: by what the same work needed before, and lacks now."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Forecast:
         self._processes = 1
 
     def left_s(self) -> float | None:
-        """Return how long it takes yet, s; None where nothing tells."""
+        """Return the remaining time, s; None where it is unknown."""
         costs, missing = self._looked_up(), sum(self._left.values())
         if self._began_s is None:
             return missing / self._processes if self._is_known else None
@@ -58,7 +58,7 @@ class Forecast:
 
     @contextmanager
     def shared_by(self, processes: int) -> Iterator[Callable[[], None]]:
-        """Count with so many processes that compile at once; give what hears the end of one."""
+        """Count with `processes` that compile at once; yield the callback for the end of one."""
         self._processes = processes
 
         def on_end() -> None:
@@ -70,7 +70,7 @@ class Forecast:
             self._processes = 1
 
     def counts(self) -> tuple[int, int] | None:
-        """Return how many kernels are compiled, of how many; None where nothing tells."""
+        """Return the numbers of kernels compiled and in all; None where they are unknown."""
         costs = self._looked_up()
         return (len(costs) - len(self._left), len(costs)) if costs else None
 
@@ -98,7 +98,7 @@ class Forecast:
             _RUNNING.remove(self)
 
     def note_compiled(self, kernel: str) -> None:
-        """Hear that a kernel is compiled."""
+        """Note that a kernel is compiled."""
         self._left.pop(kernel, None)
 
     def keep(self) -> None:

@@ -1,4 +1,4 @@
-"""What numba compiles in this process, or another one for it, told as it happens."""
+"""Listeners to numba's compilations in this process, or in another one for it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numba.core import event
 
 @contextmanager
 def heard(on_begin: Callable[[str], None], on_end: Callable[[str], None]) -> Iterator[None]:
-    """Tell the name of each function that is compiled meanwhile, as it begins and as it ends."""
+    """Pass on the name of each function compiled within the block, at its begin and end."""
     listener = _Listener(on_begin, on_end)
     event.register("numba:compile", listener)
     _LISTENERS.append(listener)
@@ -23,7 +23,7 @@ def heard(on_begin: Callable[[str], None], on_end: Callable[[str], None]) -> Ite
 
 
 def pass_on(is_begin: bool, name: str) -> None:
-    """Tell of a function that another process compiles for this one, as it begins or ends."""
+    """Report a function that another process compiles for this one, at its begin or end."""
     for listener in tuple(_LISTENERS):
         (listener.begin if is_begin else listener.end)(name)
 

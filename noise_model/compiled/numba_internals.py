@@ -137,7 +137,7 @@ class KernelLibrary(JITCodeLibrary):  # type: ignore[misc]
 
 
 class KernelCache:
-    """What a dispatcher of numba's asks for machine code on disk."""
+    """Cache of machine code on disk, as numba's dispatcher uses it."""
 
     def __init__(self, kernel: Any) -> None:
         self.kernel, self.name = kernel, f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
@@ -253,7 +253,7 @@ def _entry(kernel: Any, result: Any) -> Any:
 
 
 class _ResultMaker(PythonAPI):  # type: ignore[misc]
-    """What an entry point calls to make a kernel's result: C functions alone."""
+    """Maker of a kernel's result in its entry point: C functions alone."""
 
     def get_env_manager(self, *environment: Any) -> Any:
         self.environment = super().get_env_manager(*environment)

@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def works() -> dict[str, list[list[str]]]:
-    """Return the commands whose kernels a pack holds; of a joint's the last one tells what it needs."""
+    """Return the commands whose kernels a pack holds; a joint's last one determines what it needs."""
     from_arctrack = "from arctrack.nominal import DIMENSIONS; print(*DIMENSIONS)"
     asked = subprocess.run([sys.executable, "-c", from_arctrack], capture_output=True, text=True, check=True)
     joints = {
@@ -127,8 +127,8 @@ def run_python(arguments: list[str], target: str, folder: Path) -> None:
 def compile_kept(target: str, kept: Path) -> None:
     """Compile the kernels and entry points that a folder keeps, for a target of another processor.
 
-    numba compiles for the machine that LLVM names, so LLVM is told the target's. This process can run none of
-    what it compiles.
+    numba compiles for the machine that LLVM names, so LLVM is given the target's. This process can run none
+    of what it compiles.
     """
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
@@ -151,7 +151,7 @@ def pack_of(records: Iterable[tuple[str, str, Record]], costs: Mapping[str, Mapp
     content: list[bytes] = []
     end = 0
     ordered = sorted(records, key=lambda named: named[:2])
-    # What is alike lies together: the compressor finds it.
+    # Similar contents lie together, for the compressor.
     for part in ("described", "machine code"):
         for kernel, key, record in ordered:
             described = [canonical(record.relies_on), canonical(pickle.loads(record.body))]

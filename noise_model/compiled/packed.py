@@ -1,8 +1,8 @@
-"""Kernels that come with arctrack, compiled: one file for each level of processor, its pack.
+"""Packs: compiled kernels that come with arctrack, one file for each level of processor.
 
 `noise_model.compiled.pack` writes it. It holds what a user's folder of kernels would, under the same keys, so
 a kernel that has changed since is not found and compiled. What is in a pack is pickled, as trusted as the
-package's sources: it lies beside them, and one that more users may write than those is left aside.
+package's sources: it lies next to them, and one that more users may write than those is left aside.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def _read_packed(kernel: str, key: str) -> Iterator[Record]:
 
 
 def pack_folder() -> Path:
-    """Return the folder of the packs: beside this file, or that of ARCTRACK_PACKS."""
+    """Return the folder of the packs: next to this file, or that of ARCTRACK_PACKS."""
     return Path(os.environ.get("ARCTRACK_PACKS") or Path(__file__).with_name("packs"))
 
 

@@ -8,7 +8,7 @@ from numba.core import event
 
 
 class _Stopwatch(event.Listener):  # type: ignore[misc]
-    """Hears of each compilation; numba's own functions within a kernel count as the kernel's."""
+    """Timer of each compilation; numba's own functions within a kernel count as the kernel's."""
 
     def __init__(self) -> None:
         # When each began that runs now, and how long the kernels within it took, s.

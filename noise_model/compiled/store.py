@@ -1,4 +1,4 @@
-"""The folder that keeps a user's compiled kernels: one for all clones, environments and processes.
+"""Store of a user's compiled kernels: one folder for all clones, environments and processes.
 
 A file is a kernel compiled for some types. Its name is made of keys, so nothing in it goes out of date: what
 changes is compiled under another name. What is kept is pickled: whoever writes it runs code as the user who
@@ -60,7 +60,7 @@ def kernels_are_kept() -> bool:
 
 
 def warn(kind: str, *what: object) -> None:
-    """Say in one line what is wrong with kept kernels, each kind once: hundreds of files may be damaged."""
+    """Print in one line what is wrong with kept kernels, each kind once: hundreds of files may be damaged."""
     if kind not in _WARNED:
         _WARNED.add(kind)
         _LOG.warning("arctrack: warning: " + " ".join(map(str, what)))

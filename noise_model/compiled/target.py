@@ -35,7 +35,7 @@ def compile_for_level() -> None:
     """
     targets = host_targets()
     if targets and numba.config.CPU_NAME is None and numba.config.CPU_FEATURES is None:
-        # numba reads its settings anew whenever one of them changes.
+        # numba reads its settings again whenever one of them changes.
         os.environ |= {"NUMBA_CPU_NAME": CPU_NAMES[targets[0]], "NUMBA_CPU_FEATURES": ""}
         numba.config.reload_config()
 

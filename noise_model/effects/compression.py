@@ -1,4 +1,4 @@
-"""What JPEG leaves of a frame: blocks of 8 x 8 pixels whose cosine transform is rounded, coarsely."""
+"""JPEG compression of a frame: blocks of 8 x 8 pixels whose cosine transform is rounded, coarsely."""
 
 from __future__ import annotations
 

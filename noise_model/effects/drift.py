@@ -1,4 +1,4 @@
-"""How an output drifts over a recording: at a rate at first and to rest, and to and fro."""
+"""Drift of an output over a recording: at a rate at first and to rest, and to and fro."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an effect is: an id, a stage, parameters, and where it acts on the way from source to pixel."""
+"""Effect: an id, a stage, parameters, and where it acts on the way from source to pixel."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ OnLight = Callable[[Light, View, Condition, Values, Draw], None]
 
 
 class Stage(Enum):
-    """Where an effect sits, in the order light takes; geometry and timing change what is rendered."""
+    """Stage of an effect, in the order light takes; geometry and timing change what is rendered."""
 
     SOURCE = "source"
     ILLUMINATION = "illumination"

@@ -143,7 +143,7 @@ def _spatter(light: Light, view: View, condition: Condition, values: Values, dra
             density * 2.0 * (peak_e * width / seen) ** 2 * second
         )
         return
-    # Streaks whose middle lies beside the image reach into it.
+    # Streaks whose middle lies outside the image reach into it.
     rim = 0.5 * length + STREAK_REACH * width
     wide, high = camera.width + 2.0 * rim, camera.height + 2.0 * rim
     light.other = light.other.copy()

@@ -141,7 +141,7 @@ class FilterCurve:
 
     @property
     def fwhm_nm(self) -> float:
-        """How far the two wavelengths lie apart where half of the peak passes."""
+        """Distance of the two wavelengths at which half of the peak passes."""
         return float(np.diff(self._half_maximum_nm)[0])
 
     @cached_property

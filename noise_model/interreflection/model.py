@@ -37,7 +37,7 @@ from noise_model.view import View
 
 @dataclass(frozen=True)
 class Grain:
-    """How closely the points lie to which light is followed.
+    """Spacing of the points to which light is followed.
 
     `across` points on a bounded face and on one that runs on, and stations `near_mm` apart where the light is
     brightest and no more than `far_mm` elsewhere, nor than `bends` pieces of a corrugation's width. There
@@ -87,7 +87,7 @@ PAD_MM = 0.05
 
 @dataclass(frozen=True, eq=False)
 class BouncedLight:
-    """The light of a view's pixels (...,) that bounced at least once, each source computed when asked for.
+    """Light of a view's pixels (...,) that bounced at least once, each source computed when needed.
 
     e- for `camera.exposure_s` at the sources' nominal output, before the point-spread function, 0 past the
     workpiece. `scale` is the absolute reflectance over the stated, relative f_r: the light is a polynomial
@@ -132,14 +132,14 @@ class BouncedLight:
 
 
 def is_followed(joint: Joint) -> bool:
-    """Say whether light is followed between a joint's faces: not between more than `MAX_FACES`."""
+    """Return whether light is followed between a joint's faces: not between more than `MAX_FACES`."""
     return len(section(joint).vertices) - 1 <= MAX_FACES
 
 
 def bounced_light(view: View, near: BouncedLight | None = None) -> BouncedLight:
     """Return the light that bounces between the faces on its way to the pixels of a view, which keeps it.
 
-    `near` is that of a view that looks nearly alike, taken for this one's.
+    `near` is that of a view with almost the same direction, used for this one's.
     """
     return view.keep(f"bounced_light, {view.coarse}", lambda: near or BouncedLight(view))
 
@@ -182,7 +182,7 @@ def _orders(view: View, focus: Focus, of_laser: bool, output_e: float) -> Float3
 
 
 def _facing(k: Place) -> Bool:
-    """Say of each face whether any part of the joint lies in front of it."""
+    """Return for each face whether any part of the joint lies in front of it."""
     if k.corrugation[0] > 0.0:
         return np.ones(len(k.vertices) - 1, dtype=np.bool_)
     along = np.diff(k.vertices, axis=0)

@@ -1,13 +1,13 @@
-"""How well a stripe and a seam can be known at best: Cramer-Rao bounds, and the speckle floor below them.
+"""Cramer-Rao bounds of a stripe and a seam, and the speckle floor below them.
 
 A scan line's pixels are a Gaussian stripe on a background,
 
     mean(x) = A exp(-1/2 ((x - x_0) / w)^2) + b_0 + b_1 x,
 
 each with its own predicted variance V: shot noise of stripe and arc light, read noise, quantisation. No
-unbiased fit of A, x_0, w, b_0 and b_1 scatters less than the inverse of the Fisher information
-sum_i J_i J_i^T / V_i, J the derivatives of the mean (Kay 1993, Fundamentals of Statistical Signal Processing,
-ch. 3). What the variance itself tells of the stripe, a share of the order 1 / V of that, is left out.
+unbiased fit of A, x_0, w, b_0 and b_1 scatters less than the inverse of the Fisher information sum_i J_i
+J_i^T / V_i, J the derivatives of the mean (Kay 1993, Fundamentals of Statistical Signal Processing, ch. 3).
+The variance's own information on the stripe, a share of the order 1 / V of that, is left out.
 """
 
 from __future__ import annotations
@@ -103,9 +103,9 @@ def seam_covariance_mm2(
     The joint is displaced as a whole by D = (0, dy, dz). On a face with unit normal n (n, 3) a line's point
     then moves by p u along the laser plane, u (n, 3) the move for 1 px of stripe centre, and stays on the
     face if n.(p u - D) = 0: the centre moves by p = n.D / n.u, and the information is the sum of the
-    gradients' outer products over sigma^2. `lines` (n,) says for how many alike scan lines each stands;
-    `edge_sigma_mm` is what an edge between two faces tells of y beside that. Lines with a sigma that is NaN
-    tell nothing. NaN where the lines leave a direction open.
+    gradients' outer products over sigma^2. `lines` (n,) is the number of equal scan lines for each;
+    `edge_sigma_mm` is the additional information on y of an edge between two faces. Lines with a sigma that
+    is NaN do not count. NaN where the lines leave a direction undetermined.
     """
     across = np.sum(normals * moves_mm, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -114,7 +114,7 @@ def seam_covariance_mm2(
     good = np.isfinite(gradient).all(axis=1) & np.isfinite(weight)
     information = (gradient[good] * weight[good, np.newaxis]).T @ gradient[good]
     information[0, 0] += edge_sigma_mm**-2
-    # A direction that no line sees, but for rounding.
+    # A direction that no line determines, up to rounding.
     if not np.linalg.det(information) > 1e-9 * np.trace(information) ** 2:
         return np.full((2, 2), np.nan)
     return np.linalg.inv(information)

@@ -1,10 +1,10 @@
-"""Sensor designs: where camera and laser stand beside the torch, and the setup that such a design makes.
+"""Sensor designs: positions of camera and laser relative to the torch, and the setup of such a design.
 
 A design is counted from the stripe's foot, the point of the laser plane on a plate at tool height straight
 ahead of the torch. The lens stays and is refocused: the image lies f (1 + m) behind it, so from nearby the
 focal length in pixels is longer, and less of a radiance arrives, as through the working f-number N (1 + m).
 The laser keeps its power and its distance to the foot. Whatever the user's setup has beyond a design's few
-numbers (the camera's roll, a point aimed at beside the foot, a sheet askew) is carried along, so that a
+numbers (the camera's roll, a point aimed at next to the foot, a skewed sheet) is carried along, so that a
 setup's own design gives that setup back.
 """
 
@@ -78,7 +78,7 @@ class SensorDesign:
 
     @property
     def triangulation_deg(self) -> float:
-        """The angle between the camera's axis and the laser's plane, deg: what heights are told by."""
+        """Triangulation angle between the camera's axis and the laser's plane, deg."""
         tilt, lean = math.radians(self.tilt_deg), math.radians(self.lean_deg)
         forward = math.sin(tilt) * math.cos(math.radians(self.azimuth_deg))
         return math.degrees(math.asin(abs(forward * math.cos(lean) - math.cos(tilt) * math.sin(lean))))
@@ -110,7 +110,7 @@ def design_of(setup: Setup) -> SensorDesign:
 
 
 def clears_torch(design: SensorDesign, torch_radius_mm: float) -> bool:
-    """Say whether the camera's axis passes an upright torch of this radius that begins at the nozzle.
+    """Return whether the camera's axis clears an upright torch of this radius that begins at the nozzle.
 
     The axis leads from the stripe's foot to the camera; below `NOZZLE_HEIGHT_MM` it may pass the electrode.
     """
@@ -134,7 +134,7 @@ def filter_of(setup: Setup, fwhm_nm: float) -> Filter | FilterCurve:
 
 
 def passes_laser(setup: Setup, fwhm_nm: float) -> bool:
-    """Say whether a filter of this width, as of `filter_of`, passes the setup's laser on its axis."""
+    """Return whether a filter of this width, as of `filter_of`, passes the setup's laser on its axis."""
     passed = transmission(filter_of(setup, fwhm_nm), setup.laser.wavelength_nm)
     return bool(passed > MIN_TRANSMISSION)
 
@@ -188,7 +188,7 @@ def with_design(setup: Setup, design: SensorDesign, spectrum: ArcSpectrum | None
         ),
         arc=replace(setup.arc, radiance_e=setup.arc.radiance_e * float(arc_gain) * brighter),
     )
-    # A sheet that leans spreads its power over 1 / cos(lean) of the plate.
+    # A tilted sheet spreads its power over 1 / cos(tilt) of the plate.
     spread = math.cos(math.radians(design.lean_deg)) / math.cos(math.radians(own.lean_deg))
     level = setup.laser.peak_e / stripe_reference(setup) * float(laser_gain) * brighter * spread
     return replace(made, laser=replace(made.laser, peak_e=level * stripe_reference(made)))

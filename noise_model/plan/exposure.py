@@ -1,4 +1,4 @@
-"""Which exposure shows a stripe's centre best: expected sigma over exposure, and the choice on a ladder.
+"""Best exposure for a stripe's centre: expected sigma over exposure, and the choice on a ladder.
 
 Per scan line the stripe gives A e-/s at its peak, the background B e-/s. With an exposure t a pixel holds
 
@@ -37,7 +37,7 @@ SATURATED_SIGMAS = 2.0
 
 @dataclass(frozen=True)
 class ExposurePolicy:
-    """When the exposure is changed, and to what.
+    """Policy of changes of the exposure.
 
     - `step`: ratio of the ladder (chosen: where shot noise dominates, half a step is 4 % of sigma).
     - `gain`: relative decrease of the expected sigma that warrants a change (chosen: more than half a step).

@@ -147,7 +147,7 @@ def _fan(setup: Setup, scene: Scene) -> tuple[Float64, Float64, Float64]:
 
 
 class _Looks(NamedTuple):
-    """How the camera sees the points: image points (n, 2), and see `SampledStripe`."""
+    """Geometry of the camera's rays to the points: image points (n, 2), and see `SampledStripe`."""
 
     image: Float64
     position_axis: int

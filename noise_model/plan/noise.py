@@ -1,4 +1,4 @@
-"""How well one pose shows the seam: each scan line's bound in its expected noise, and all together."""
+"""Expected uncertainty of the seam in one pose: each scan line's bound, and all together."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _TO_NODES = np.array([np.interp(_T, _PLACES, unit) for unit in np.eye(ARC_PLACES
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What a plan takes for granted beside the setup.
+    """Assumptions of a plan in addition to the setup.
 
     `speckle_contrast` of the laser before the pixels average it, 1 for a coherent one on a rough surface, 0
     to leave the floor out; `spectrum` of the arc.
@@ -71,7 +71,7 @@ class Surroundings:
 
 @dataclass(frozen=True, eq=False)
 class ExpectedPixels:
-    """What n rays' pixels are expected to hold at the setup's exposure, e-.
+    """Expected charge of n rays' pixels at the setup's exposure, e-.
 
     `stripe_e` (n,) the stripe's peak, `arc_e` (n, NODES) the arc's light across the window.
     """
@@ -101,7 +101,7 @@ class LineBounds:
 
 @dataclass(frozen=True)
 class SeamNoise:
-    """What one pose shows of the seam, 1 sigma: `sigma_y_mm` to the side, `sigma_z_mm` in height.
+    """Expected 1 sigma of the seam in one pose: `sigma_y_mm` to the side, `sigma_z_mm` in height.
 
     `sigma_mm` is the root of their squares' sum; all NaN where the seam cannot be told. `sigma_px` is
     the median over the scan lines within reach that can be read and `arc_over_stripe` over those that are
@@ -246,7 +246,7 @@ class _Edge(NamedTuple):
 
 
 def _edge_sigma_mm(light: SampledStripe, read: Bool, unread: Bool, joint: Joint) -> float:
-    """Return what a section's upright edges tell of y; rays of no upright side are `read` or `unread`."""
+    """Return the sigma of y from a section's upright edges; rays of other sides are `read` or `unread`."""
     vertices = section(joint).vertices
     uprights = [
         _Edge(float(y_mm), abs(float(rise)), -math.copysign(1.0, rise))
@@ -258,11 +258,11 @@ def _edge_sigma_mm(light: SampledStripe, read: Bool, unread: Bool, joint: Joint)
 
 
 def _one_edge_sigma_mm(light: SampledStripe, read: Bool, unread: Bool, edge: _Edge) -> float:
-    """Return what an upright edge tells of its own place.
+    """Return the sigma of an upright edge's own position.
 
-    It lies between two scan lines, which by shares of either side's stripe say where. Lines between
-    those that are read make that wider: there are no shares then, and it may lie anywhere there. What the
-    edge hides can be reckoned with.
+    It lies between two scan lines, whose shares of either side's stripe determine it. Lines between those
+    that are read make that wider: there are no shares then, and it may lie anywhere there. What the edge
+    hides can be computed.
     """
     y = light.points[:, 1]
     left, right = read & (y < edge.y_mm), read & (y > edge.y_mm)
@@ -284,7 +284,7 @@ def _seen_side_mm(light: SampledStripe, edge: _Edge, rim_mm: float) -> float:
     Its light may count as either side's stripe.
     """
     of_eye, of_source = (edge.lower_side * (float(P[1]) - edge.y_mm) for P in (light.eye, light.source))
-    # What stands in the side's own plane, but for rounding, neither lights nor sees it.
+    # What stands in the side's own plane, up to rounding, neither lights nor sees it.
     if min(of_eye, of_source) < IN_PLANE_MM:
         return 0.0
     return of_eye / (float(light.eye[2]) - rim_mm) * edge.step_mm

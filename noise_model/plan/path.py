@@ -46,7 +46,7 @@ class Path:
 
 @dataclass(frozen=True, eq=False)
 class PathNoise:
-    """What a setup shows of the seam along a path: one `SeamNoise` a station."""
+    """Expected uncertainty of the seam along a path: one `SeamNoise` a station."""
 
     path: Path
     noise: tuple[SeamNoise, ...]
@@ -90,7 +90,7 @@ def recorded_path(setup: Setup, poses: Sequence[Float64]) -> Path:
 def noise_along(
     setup: Setup, path: Path, around: Surroundings, on_station: Callable[[int], None] | None = None
 ) -> PathNoise:
-    """Return what a setup shows along a path; `on_station` hears how many stations are done.
+    """Return the seam's expected uncertainty along a path; `on_station` gets the number of stations done.
 
     A pose that puts the camera below the surface or the laser off the joint is blind. Raises ValueError for a
     stripe that the setup's camera cannot see on a plate.

@@ -41,7 +41,7 @@ LONGER_EXPOSURE = 2.0
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """What may be chosen, low and high; None for what fits the setup.
+    """Choices of a plan, low and high; None for what fits the setup.
 
     A torch of `torch_radius_mm`, 0 for none, must not stand in the camera's way. `azimuth_deg` is one side
     for a joint whose sides are alike, else all around. `limit_mm`: a station whose seam has a larger sigma is

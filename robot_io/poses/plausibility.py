@@ -178,7 +178,7 @@ def _proven(
     clean_from_s = newest.time_s if math.isnan(state.clean_from_s) else state.clean_from_s
     elsewhere = _elsewhere(state, newest, limits)
     if elsewhere is not None:
-        # The proof begins anew: of a tool that is elsewhere a weave alone may bring some samples near.
+        # The proof restarts: a weave alone may bring some samples of a displaced tool near.
         assert state.anchor is not None
         is_over = newest.time_s - state.anchor.kept.time_s >= limits.prove_s
         return replace(state, doubt=elsewhere if is_over else state.doubt, clean_from_s=math.nan)

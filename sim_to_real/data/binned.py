@@ -142,7 +142,7 @@ class ObservedRecording:
 
     @cached_property
     def counts(self) -> Int64:
-        """How many bins of each frame count (n_frames,)."""
+        """Number of bins of each frame that count (n_frames,)."""
         return np.array([np.count_nonzero(frame.keep) for frame in self.frames], dtype=np.int64)
 
     def seam_with(self, effects: Mapping[str, Values]) -> SeamCurve:

@@ -1,4 +1,4 @@
-"""Which frames are fitted and which are held out: every stratum on both sides, all conditions fitted."""
+"""Split into fitted and held-out frames: every stratum on both sides, all conditions fitted."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""From fits to an answer: the decision, its checks on frames held out, the next experiment."""
+"""Decision from fits, its checks on frames held out, and the next experiment."""

@@ -68,7 +68,7 @@ def planned_frame(experiment: Experiment, frame: ObservedFrame, setup: Setup) ->
 
 
 def is_recorded(experiment: Experiment, observed: ObservedRecording) -> bool:
-    """Say whether a recording holds frames of an experiment; of one that moves the tool it never does."""
+    """Return whether a recording holds frames of an experiment; of one that moves the tool it never does."""
     setup = observed.setup
     if any(experiment.turn_deg) or any(experiment.move_mm) or experiment.speed != 1.0:
         return False
@@ -128,7 +128,7 @@ def expected_certainty(nats: Float64, weights: Float64, temperature: float) -> F
 
 
 def _nats_apart(model: LinearizedModel, hypotheses: Sequence[Hypothesis], errors: ErrorModel) -> Float64:
-    """Return by how many nats each experiment tells hypothesis h, if right, from g: (h, g, n)."""
+    """Return by how many nats each experiment separates hypothesis h, if right, from g: (h, g, n)."""
     planned = _planned(model)
     forecasts = [_forecast(planned, hypothesis, errors) for hypothesis in hypotheses]
     apart = np.zeros((len(forecasts), len(forecasts), len(MENU)))
@@ -139,7 +139,7 @@ def _nats_apart(model: LinearizedModel, hypotheses: Sequence[Hypothesis], errors
 
 @dataclass(frozen=True, eq=False)
 class _Forecast:
-    """What a hypothesis expects of each planned frame, DN: means (n,), and how far they may be off (n, p)."""
+    """Prediction of each planned frame by a hypothesis, DN: means (n,), and their uncertainty (n, p)."""
 
     means_dn: tuple[Float64, ...]
     spreads_dn: tuple[Float64, ...]

@@ -1,4 +1,4 @@
-"""How far a gap moves the seam: the tracker's seam against that of a fit to all images."""
+"""Displacement of the seam by a gap: the tracker's seam against that of a fit to all images."""
 
 from __future__ import annotations
 

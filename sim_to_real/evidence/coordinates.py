@@ -231,7 +231,7 @@ def _mean_in_frame(covariates: Covariates, light_dn: Float32) -> Float32:
 
 
 def hats(values: Float32, count: int) -> Float32:
-    """Return at most so many hat functions (n, k) of values (n,): at their quantiles, or at each of few.
+    """Return at most `count` hat functions (n, k) of values (n,): at their quantiles, or at each of few.
 
     Each falls from 1 at its knot to 0 at the next ones. NaN belongs to no hat.
     """
@@ -243,7 +243,7 @@ def hats(values: Float32, count: int) -> Float32:
 
 
 def even_hats(values: Float32, count: int) -> Float32:
-    """Return so many hat functions (n, k) of values (n,), their knots as far apart from each other."""
+    """Return `count` hat functions (n, k) of values (n,), with equidistant knots."""
     known = np.isfinite(values)
     low, high = np.min(values[known], initial=np.inf), np.max(values[known], initial=-np.inf)
     return _hats_at(values, known, np.linspace(low, high, count) if low < high else np.zeros(0))

@@ -1,4 +1,4 @@
-"""What the images of a recording may be off by without a gap, and by the form of an effect.
+"""Error model of a recording's images without a gap, and of the form of an effect.
 
 Three kinds of error, each a covariance: noise, as the recording's bins have it; the model's own error, smooth
 over the image and from frame to frame, and every effect of the catalogue at a negligible size; and the error
@@ -57,7 +57,7 @@ MIN_STEP_SIGMAS = 0.05
 
 @dataclass(frozen=True, eq=False)
 class SizeColumns:
-    """What one prior sigma of each of some sizes changes (n, k), and the `sides` (k,) that sizes have.
+    """Change by one prior sigma of each of some sizes (n, k), and the `sides` (k,) that sizes have.
 
     See `metric.log_evidence` for sides.
     """
@@ -181,7 +181,7 @@ class ErrorModel:
 
     @property
     def loss(self) -> MetricLoss:
-        """What residuals cost in a fit."""
+        """Loss of residuals in a fit."""
         return MetricLoss(self.metric)
 
     @functools.cached_property
@@ -285,7 +285,7 @@ def compared_bins(model: LinearizedModel, covariates: Covariates, before: Refit,
 
 
 def _is_open(observed: ObservedRecording, name: str) -> bool:
-    """Say whether an effect is but another value of what no setup states: the metal that the stripe shows."""
+    """Return whether an effect only changes what no setup states: the metal that the stripe shows."""
     return observed.is_metal_fitted and "material" in REGISTRY[name].needs
 
 
@@ -318,7 +318,7 @@ def _fourth_differences_dn(model: LinearizedModel, start: Refit) -> Float64:
 
 
 def _is_resolved(covariates: Covariates, fourth_dn: Float64, max_ripple: float) -> bool:
-    """Say whether bins resolve the stripe: its fourth difference is no more than so much of its light."""
+    """Return whether bins resolve the stripe: its fourth difference is at most `max_ripple` of its light."""
     of_stripe = covariates.in_stripe
     ripple, light = np.square(fourth_dn[of_stripe]), np.square(covariates.laser_dn[of_stripe])
     return bool(np.sum(ripple) <= max_ripple**2 * np.sum(light))

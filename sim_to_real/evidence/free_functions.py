@@ -1,4 +1,4 @@
-"""Where the gap lies: along covariates, in patterns of the image, in strata; and what named effects leave.
+"""Location of the gap: along covariates, in patterns of the image, in strata; and what effects leave.
 
 A free function of a covariate is a cubic spline, of normal coefficients a priori. It adds to the image, or
 multiplies a source's light. Beside a linear hypothesis its posterior has a closed form: the mean is a curve,

@@ -1,4 +1,4 @@
-"""Which hypotheses are fitted: those that could still change the posterior.
+"""Search of the hypotheses to fit: those that could still change the posterior.
 
 A first look, without a fit, gives every effect's evidence along its probe points, and every pair's. Effects
 are fitted in that order until the next one is too far behind. Beside the likeliest ones, and in pairs that
@@ -271,7 +271,7 @@ class HypothesisSearch:
 
     @property
     def _nats_possible(self) -> float:
-        """What a hypothesis may be behind the likeliest one and still have a part of the posterior, nats."""
+        """Largest deficit of a hypothesis that still has a part of the posterior, nats."""
         return -self.policy.temperature * math.log(self.policy.possible) + SURPRISE_NATS
 
     def _with_trends(self, single: Hypothesis) -> list[Hypothesis]:
@@ -363,7 +363,7 @@ class HypothesisSearch:
 
     @property
     def _may_flicker(self) -> bool:
-        """Whether an arc that flickers is a candidate: of two frames none could be told from a level."""
+        """True if a flickering arc is a candidate: with two frames none could be separated from a level."""
         return int(self.model.observed.shows_arc.sum()) > 2 and FLICKER not in self.without
 
     def _alone(self, pair: Hypothesis, singles: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -116,7 +116,7 @@ class MetricLoss:
         return Quadratic(tuple(parameters), x, products[:-1, :-1], -products[:-1, -1], products[-1, -1])
 
     def is_converged(self, cost: float, gained: float) -> bool:
-        """Say whether a step that gained so much ends a fit of some cost."""
+        """Return whether a step with a gain ends a fit of some cost."""
         return gained < 2.0 * LAST_STEP_NATS
 
 

@@ -57,7 +57,7 @@ class WeightedHypotheses:
 
     @property
     def not_resolvable(self) -> tuple[tuple[str, str], ...]:
-        """The pairs of effects that this recording cannot tell apart, by what their probe points change."""
+        """Pairs of effects that this recording cannot separate, by what their probe points change."""
         seen, blocks, pairs = self._seen, self._blocks, []
         for n, m in itertools.combinations(range(len(blocks)), 2):
             cosines = principal_cosines(
@@ -86,7 +86,7 @@ class WeightedHypotheses:
 
     @property
     def _blocks(self) -> list[slice]:
-        """Where each effect's probe points are among those of all."""
+        """Slice of each effect's probe points among those of all."""
         ends = np.cumsum([0, *(score.signature.shape[1] for score in self.scores)])
         return [slice(start, end) for start, end in itertools.pairwise(ends.tolist())]
 

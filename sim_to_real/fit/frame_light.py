@@ -67,7 +67,7 @@ class PredictedBins:
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
-    """What a pose shows (...,), e- for the nominal exposure and output, before any effect on the image.
+    """Light of a pose (...,), e- for the nominal exposure and output, before any effect on the image.
 
     The laser's light is rendered in `ObservedFrame.rendered`; other bins take that of the nearest. The arc's
     is smooth but at edges: it is rendered in the bins that count, and others change from the stated light by

@@ -184,13 +184,13 @@ def refit_there(
     loss_about: LossAbout = HuberLoss.about,
     steps: int = MAX_ITERATIONS,
 ) -> Refit:
-    """Return what a fit's effects come to from there, light and derivatives rendered anew."""
+    """Return a fit of the same effects from its result, with light and derivatives rendered again."""
     there = model.anchored_at(fitted.nuisance, fitted.effects, fitted.trend)
     return refit(there, fitted.effects, fitted.nuisance, steps, fitted.trend, loss_about)
 
 
 def converged(model: LinearizedModel, fitted: Refit) -> Refit:
-    """Return a fit after light and tangents have been rendered anew at its result, until it stays."""
+    """Return a fit after light and tangents have been rendered again at its result, until it stays."""
     for _ in range(MAX_RELINEARIZATIONS):
         again = refit_there(model, fitted)
         if again.mean_square > (1.0 - MIN_IMPROVEMENT_REL) * fitted.mean_square:
@@ -202,7 +202,8 @@ def converged(model: LinearizedModel, fitted: Refit) -> Refit:
 def broyden_update(J: Float64, step: Float64, residual_change: Float64) -> Float64:
     """Return derivatives (n, p) after a step (p,) that changed the residuals by `residual_change` (n,).
 
-    Broyden's update (1965, Math. Comp. 19, 577), with parameters scaled so that all move the residuals alike.
+    Broyden's update (1965, Math. Comp. 19, 577), with parameters scaled so that all move the residuals
+    equally.
     """
     size = np.linalg.norm(J, axis=0)
     weight = np.where(size > 0.0, size, 1.0) ** 2 * step

@@ -1,4 +1,4 @@
-"""What residuals cost in a fit: Huber's loss of each, which needs no error model."""
+"""Losses of residuals in a fit: Huber's loss of each, which needs no error model."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Loss(Protocol):
         ...
 
     def is_converged(self, cost: float, gained: float) -> bool:
-        """Say whether a step that gained so much ends a fit of some cost."""
+        """Return whether a step with a gain ends a fit of some cost."""
         ...
 
 
@@ -77,7 +77,7 @@ class HuberLoss:
         return Quadratic(tuple(parameters), x, J.T @ weighted, -(weighted.T @ r), chi2, self.prior_weight)
 
     def is_converged(self, cost: float, gained: float) -> bool:
-        """Say whether a step that gained so much ends a fit of some cost."""
+        """Return whether a step with a gain ends a fit of some cost."""
         return gained < CONVERGED_REL * cost
 
 

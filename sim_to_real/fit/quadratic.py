@@ -1,4 +1,4 @@
-"""A fit's cost about its optimum as a quadratic, which is minimised without predicting anything anew.
+"""Quadratic model of a fit's cost about its optimum, which is minimised without new predictions.
 
 With r the whitened residuals, J their derivatives and W their weights, all at x_0, the cost at x is
 

@@ -1,4 +1,4 @@
-"""What poses show before any effect acts on the image: many frames in one call, and kept.
+"""Renderings of poses before any effect acts on the image: many frames in one call, and kept.
 
 What geometry, source and surface make of poses is rendered for all frames of an anchor together, and kept by
 what it depends on: what happens to the arc does not change the laser's light, nor the other way round, and
@@ -46,7 +46,7 @@ Frames = Sequence[PredictedBins]
 
 @dataclass(frozen=True, eq=False)
 class BinLight:
-    """What bins (n,) of some frames see, one frame after another; None for no frame.
+    """Light in bins (n,) of some frames, one frame after another; None for no frame.
 
     `arc` are the bins that count of frames that the arc lights, `laser` the rendered ones of those with the
     laser on.
@@ -243,12 +243,12 @@ class Renderings:
 
 
 def lit_by_arc(frames: Sequence[ObservedFrame]) -> Bool:
-    """Say which frames (f,) the arc lights."""
+    """Return which frames (f,) the arc lights."""
     return np.array([frame.condition.arc_level > 0.0 for frame in frames], dtype=np.bool_)
 
 
 def lit_by_laser(frames: Sequence[ObservedFrame]) -> Bool:
-    """Say which frames (f,) the laser lights."""
+    """Return which frames (f,) the laser lights."""
     return np.array([frame.condition.laser_level > 0.0 for frame in frames], dtype=np.bool_)
 
 

@@ -1,4 +1,4 @@
-"""Where the score test probes each effect of the catalogue: points of its parameters, in families."""
+"""Probe points of the score test for each effect of the catalogue, in families."""
 
 from __future__ import annotations
 

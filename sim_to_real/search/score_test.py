@@ -60,7 +60,7 @@ class ScoreTest:
 
     @property
     def is_seen(self) -> bool:
-        """Whether the effect changes any bin at all."""
+        """True if the effect changes any bin at all."""
         return any(score.signature.any() for score in self.families)
 
     def step_limits(self) -> list[tuple[float, float]]:

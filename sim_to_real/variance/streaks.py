@@ -1,4 +1,4 @@
-"""Streaks: bright lines in single frames, told from noise, the model's own lines and persistent ones.
+"""Streaks: bright lines in single frames that are not noise, the model's own lines or persistent.
 
 A line of the binned image is a streak if it is brighter than both its sides by more than noise and the
 model's own lines near by allow, and if no other frame has such a line at the same place of the image or of
@@ -204,7 +204,7 @@ def lines_in_frame(position: int, responses: Float32, limit_dn: Float32) -> list
 def beside_bright(
     observed: ObservedRecording, dark: Sequence[StreakLine], bright: Sequence[StreakLine]
 ) -> Bool:
-    """Return which dark lines (n,) lie beside a bright one.
+    """Return which dark lines (n,) lie next to a bright one.
 
     On a slope of light, the darker side of a bright line has a brighter neighbour on both sides.
     """

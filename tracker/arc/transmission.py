@@ -22,7 +22,7 @@ ArcLight = Callable[[Int64], Float32]
 
 @dataclass(frozen=True, eq=False)
 class Transmission:
-    """What a frame's effects make of the arc's light.
+    """Effects of a frame on the arc's light.
 
     `even` are the pixels (n,) of an even sample, by scan line, which light that spreads over the image is
     taken from, `even_arc_e` (n,) the arc's light there.

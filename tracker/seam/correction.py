@@ -1,4 +1,4 @@
-"""What of the seam's displacement is sent as a correction: axes, gain, bias and limit, as `[follow]` states.
+"""Correction sent of the seam's displacement: axes, gain, bias and limit, as `[follow]` states.
 
 The correction is an absolute displacement that replaces the one before, so its gain is no integrator's: a
 gain of 0.8 follows four fifths of the displacement, however often it is sent.
@@ -100,7 +100,7 @@ class Correction:
 
     @property
     def enabled(self) -> tuple[bool, bool]:
-        """Whether y and z are corrected."""
+        """True for each of y and z that is corrected."""
         return self.y.enable, self.z.enable
 
 

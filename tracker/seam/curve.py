@@ -69,7 +69,7 @@ class SeamCurve:
         """Return the curve between two stations that fits the seam's observations.
 
         They are displacements (n, 2) as y and z at stations (n,), with their variances (n, 2). `systematic`
-        is 1 sigma, mm and mm/mm, of what all of them are off by alike, in place and in slope.
+        is 1 sigma, mm and mm/mm, of their common error, in position and in slope.
         """
         stations = np.arange(ends_mm[0], ends_mm[1] + GRID_MM, GRID_MM)
         means, modes = [], []

@@ -1,4 +1,4 @@
-"""What a step expects of a pose before it looks: whether the joint can be seen from it, and where."""
+"""Expectation of a step from a pose: whether the joint can be seen from it, and where."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def is_rotation(T: Matrix) -> bool:
 
 
 class PoseNumbers(NamedTuple):
-    """What is asked of a pose: whether it is one, and how the sensor stands over the nominal seam, mm.
+    """Tested properties of a pose: whether it is one, and how the sensor stands over the nominal seam, mm.
 
     `height_mm` is the laser's over the workpiece, `crossing` the cosine between the sheet's normal and the
     seam, `ahead_mm` how far the laser is ahead of the torch along the seam.
@@ -54,7 +54,7 @@ class PoseNumbers(NamedTuple):
 
 
 def pose_numbers(source: SeamSource, T_base_tool: Float64) -> PoseNumbers:
-    """Return what is asked of a pose (4, 4)."""
+    """Return the tested properties of a pose (4, 4)."""
     T = T_base_tool.tolist()
     if not is_rotation(T):
         return PoseNumbers(False, math.nan, math.nan, math.nan)
@@ -70,7 +70,7 @@ def pose_numbers(source: SeamSource, T_base_tool: Float64) -> PoseNumbers:
 
 
 def check_pose(frame_checks: FrameChecks, source: SeamSource, told: PoseNumbers) -> bool:
-    """Ask of a pose whether the joint can be seen from it, up to the first answer by which it cannot."""
+    """Test whether the joint can be seen from a pose, up to the first failure."""
     ask = frame_checks.ask
     return (
         frame_checks.ask_whether(checks.POSE_RIGID, told.is_rotation)
@@ -92,7 +92,7 @@ def expected_line(
     corrugation = source.scene.shape.corrugation
     station = moved_by(T_joint_tool, source.ahead_mm)[0]
     y_mm, z_mm = condition(history, station).displacement_mm
-    # The plane may lean: the root of a groove is met elsewhere than the plate is.
+    # The plane may be tilted: it cuts the root of a groove elsewhere than the plate.
     point = seam_point(source, T_joint_tool, corrugation, y_mm, z_mm + source.height_mm)
     station = moved_by(T_joint_tool, point)[0]
     there = condition(history, station)
@@ -101,7 +101,7 @@ def expected_line(
 
 
 class ExpectedSeam(NamedTuple):
-    """What a pose and the earlier frames let a step expect.
+    """Expectation of a step from a pose and the earlier frames.
 
     `T_joint_tool` (4, 4) is of the nominal joint frame. `line` is the seam where it should meet the laser
     plane, `sigma_mm` the 1 sigma of its y and z. `torch_mm` is the torch's station, `ends_mm` are those of

@@ -1,4 +1,4 @@
-"""Where the joint starts and ends along the path: its nominal line's ends, and those that the sensor finds.
+"""Start and end of the joint along the path: its nominal line's ends, and those that the sensor finds.
 
 What the sensor reports of a joint goes from 'none' to 'found' at its start, and back at its end, with misses
 and false finds between. Each look multiplies the odds of every place where the change may have been by the
@@ -60,12 +60,12 @@ class Change(NamedTuple):
 
     @property
     def is_decided(self) -> bool:
-        """Whether the change is behind."""
+        """True once the change has happened."""
         return self.odds + self.before >= 1.0 / FALSE_ALARM
 
     @property
     def is_seen(self) -> bool:
-        """Whether the change is behind and was passed while looking."""
+        """True once the change has happened and was passed while looking."""
         return self.odds > self.before and self.is_decided
 
     def with_look(self, station_mm: float, ratio: float) -> Change:
@@ -87,7 +87,7 @@ class Change(NamedTuple):
 
 
 class JointEnds(NamedTuple):
-    """What the looks so far say of the joint's ends."""
+    """Estimate of the joint's ends by the frames so far."""
 
     start: Change = Change()
     end: Change = Change()

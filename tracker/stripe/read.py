@@ -1,4 +1,4 @@
-"""Reading the stripe: the band around its expected place, the background beside it, path and fit."""
+"""Reading of the stripe: the band around its expected place, the background, path and fit."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def arc_map_of(geometry: SensorGeometry, kernel: ArcKernel) -> ArcMap:
 
 
 class LitBand(NamedTuple):
-    """A band with what lights it beside the laser; `light` is the level to which that is to be brought."""
+    """A band with the light other than the laser's; `light` is the level to which that is scaled."""
 
     band: Band
     light: LightLevel

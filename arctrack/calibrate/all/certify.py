@@ -31,8 +31,7 @@ MADE_BY = "arctrack calibrate all"
 def certificate_of(
     stages: Mapping[str, CalibrationStage[Any]], stated: SetupFile
 ) -> tuple[Certificate | None, dict[str, str]]:
-    """Return the seam's covariance over the image, None without a measured sheet, and what it takes as
-    stated.
+    """Return the seam's covariance, None without a measured sheet, and what it takes as stated.
 
     `stages` are the completed calibrations, `stated` is the setup with their values.
     """

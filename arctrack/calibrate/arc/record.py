@@ -28,7 +28,7 @@ def arc_records(result: ArcCalibration) -> tuple[CalibrationValues, ...]:
         for table in (arc, material)
     ]
     n_arc, radiance_at = 5, KEYS.index("radiance_e")
-    # Electrons are so many that a square of them is no number that a setup holds: relative it is.
+    # A variance in e-^2 would exceed the numbers that a setup holds, so it is relative.
     scale = np.ones(len(KEYS))
     scale[radiance_at] = 1.0 / radiance
     C = result.covariance * np.outer(scale, scale)

@@ -39,8 +39,8 @@ MIN_LINES = 30
 class SetupCheck:
     """Check of a setup by a recording: quantities by stage, and verdicts.
 
-    `place` and `arc` are None where no frame determines them, `untold` says why. `sights` are the stripes of
-    `looks` that were compared.
+    `place` and `arc` are None where no frame determines them, which `sentences` explain. `sights` are the
+    stripes of `looks` that were compared.
     """
 
     recording: Recording

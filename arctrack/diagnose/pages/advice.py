@@ -1,4 +1,4 @@
-"""What to look at in the cell when a diagnosis names an effect, and where to state what was found instead."""
+"""Advice on what to inspect in the cell when a diagnosis names an effect, and where to state the result."""
 
 from __future__ import annotations
 

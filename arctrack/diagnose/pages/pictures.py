@@ -42,9 +42,9 @@ CURVE_LABELS = {
 
 @dataclass(frozen=True)
 class FramePictures:
-    """One held-out frame: recorded, predicted before and after, and what is left of it, on one scale in DN.
+    """One held-out frame: recorded, predicted before and after, and residuals, on one scale in DN.
 
-    `bin_px` is how many pixels wide the differences' are.
+    `bin_px` is the bin width of the differences.
     """
 
     frame: int

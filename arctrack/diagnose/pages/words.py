@@ -168,7 +168,7 @@ def withheld(diagnosis: Diagnosis, without: Sequence[str]) -> str:
 
 
 def shrinks(diagnosis: Diagnosis) -> bool:
-    """Say whether the effects in the predictions after make the gap smaller."""
+    """Return whether the effects in the predictions after make the gap smaller."""
     return bool(diagnosis.after_with) and diagnosis.gap.after < diagnosis.gap.before
 
 
@@ -222,7 +222,7 @@ def seam_sentence(diagnosis: Diagnosis, bears_mm: float) -> str:
 
 
 def is_same_seam(before_mm: float, after_mm: float) -> bool:
-    """Say whether two errors of the seam are the same, for all that they are worth."""
+    """Return whether two errors of the seam are practically equal."""
     return abs(before_mm - after_mm) <= max(SAME_SEAM_REL * before_mm, SAME_SEAM_MM)
 
 
@@ -303,7 +303,7 @@ def random_ranking(diagnosis: Diagnosis) -> list[RankedEffect]:
 
 
 def is_likely(candidate: RankedEffect) -> bool:
-    """Say whether an effect is likely enough to be listed."""
+    """Return whether an effect is likely enough to be listed."""
     return candidate.confidence >= MIN_PRESENT
 
 

@@ -40,7 +40,7 @@ class LagAsker:
 def estimate_lags(told: Connection, asked: PipeEnd) -> None:
     """Report readiness, and answer each requested `Motions` with the lag, until `told` is closed."""
     policy, limits = LookAheadPolicy(), LagLimits()
-    # Whoever started it may be gone before it is ready.
+    # The parent may be gone before it is ready.
     try:
         told.send([])
         while wait([told, asked.fileno()]) == [asked.fileno()]:

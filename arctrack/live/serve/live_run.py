@@ -98,7 +98,7 @@ def opened_run(
                 tracking.tracker.warm_up()
         lag.wait_ready()
         opened.enter_context(supervisor.watching())
-        # On a bus where it is heard, a tracker must not wait for anything.
+        # Once it is on the bus, a tracker must not wait for anything.
         try:
             link = Link(
                 cell.bus.interface,

@@ -20,7 +20,7 @@ Tell = Callable[[str], None]
 
 
 class Supervisor:
-    """Supervisor of processes from `start` to `stop`; it calls `tell` from a thread of its own."""
+    """Supervisor of processes within `watching`; it calls `tell` from a thread of its own."""
 
     def __init__(self, tell: Tell) -> None:
         self._tell = tell

@@ -47,7 +47,7 @@ def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
     off; the exposure is the setup's unless it says another. Once the camera is ready, its kernels
     compiled, it says so over the same connection.
     """
-    # Whoever runs the robot ends this process by closing its end.
+    # The robot's process ends this one by closing its end.
     leave_signals_to_parent()
     setup = setup_of(plan)
     camera = setup.camera
