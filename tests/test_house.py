@@ -331,6 +331,34 @@ def names_that_say_nothing(source: str) -> list[str]:
     return [f"{line} {name}" for line, name in sorted(wrong)]
 
 
+def code_lines(source: str) -> list[tuple[int, str]]:
+    """Return the lines that hold code or text, with their numbers: no imports, comments or lone brackets."""
+    imports = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Import | ast.ImportFrom)]
+    imported = {n for node in imports for n in range(node.lineno, (node.end_lineno or node.lineno) + 1)}
+    lines = [(n, line.strip()) for n, line in enumerate(source.splitlines(), 1) if n not in imported]
+    return [(n, line) for n, line in lines if not line.startswith("#") and re.search(r"\w", line)]
+
+
+def repeated(sources: dict[str, str], run: int = 6) -> list[list[str]]:
+    """Return where the same run of lines stands more than once, as FILE:LINE of each place."""
+    places: dict[tuple[str, ...], list[str]] = {}
+    for name, source in sources.items():
+        lines = code_lines(source)
+        for first in range(len(lines) - run + 1):
+            text = tuple(line for _, line in lines[first : first + run])
+            places.setdefault(text, []).append(f"{name}:{lines[first][0]}")
+    return [where for where in places.values() if len(where) > 1]
+
+
+@pytest.mark.slow
+def test_no_six_lines_stand_twice() -> None:
+    # Kernels repeat each other's arguments: these cannot be packed without cost.
+    rooms = [room for room in MAY_IMPORT if room not in ("noise_model", "tracker", "validation")]
+    files = [file for room in rooms for file in sorted((ROOT / room).rglob("*.py"))]
+    assert repeated({str(file.relative_to(ROOT)): file.read_text() for file in files}) == []
+    assert repeated({"a": "# one\n".join(f"x{n} = {n}\n" for n in range(6)) * 2}) == [["a:1", "a:12"]]
+
+
 @pytest.mark.slow
 def test_names_say_what_they_hold() -> None:
     wrong = [
