@@ -34,7 +34,7 @@ TABLES = (FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES, STEPS_CSV, STATE_JSON, LI
 """The files of a recording that are compared by content."""
 
 PACKAGES = ("arctrack", "noise_model", "robot_io", "tracker")
-"""What a replay's numbers come from."""
+"""Packages that a replay's numbers depend on."""
 
 
 class FinishedVerdict(BaseModel):

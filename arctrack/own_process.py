@@ -22,12 +22,14 @@ Question = TypeVar("Question")
 Answer = TypeVar("Answer")
 
 AT_A_TIME = 4
-"""So many questions go to a process at once: the fewer, the more often one waits to be woken by the other."""
+"""Number of questions sent to a process at once: the fewer, the more often one waits for the other to wake
+it.
+"""
 
 CODE = "import sys; sys.path[:] = {path!r}; from arctrack.own_process import serve; serve()"
 
 GROUP_OF_ITS_OWN: dict[str, Any] = {"start_new_session": True}
-"""How a process is started that a terminal's Ctrl-C does not reach."""
+"""Options that start a process beyond the reach of a terminal's Ctrl-C."""
 
 if sys.platform == "win32":
     GROUP_OF_ITS_OWN = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
@@ -157,7 +159,7 @@ def tell(word: object) -> None:
 
 
 _BACK: list[BinaryIO] = []
-"""Where answers go, in a process that gives them."""
+"""Stream of the answers, in a process that gives them."""
 
 
 def serve() -> None:

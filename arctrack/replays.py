@@ -18,7 +18,7 @@ from arctrack.workers import FailedJob
 from tracker.warm_up import WarmUp
 
 OnFrame = Callable[[int], None]
-"""Hears the number of frames done."""
+"""Callback with the number of frames done."""
 
 
 @dataclass(frozen=True)

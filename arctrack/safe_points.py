@@ -11,12 +11,12 @@ from types import FrameType
 ENDING: tuple[signal.Signals, ...] = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
-"""What ends a run: Ctrl-C, the end of a service, a terminal that is closed."""
+"""Signals that end a run: Ctrl-C, the end of a service, a terminal that is closed."""
 
 PARENTS: tuple[signal.Signals, ...] = ENDING + tuple(
     getattr(signal, name) for name in ("SIGQUIT", "SIGUSR1") if hasattr(signal, name)
 )
-"""What a terminal or a service manager sends to all processes of a run, and means for one."""
+"""Signals that a terminal or a service manager sends to all processes of a run, and means for one."""
 
 
 def is_ignored(number: signal.Signals) -> bool:

@@ -16,7 +16,7 @@ from typing import Generic, Protocol, TypeVar
 from arctrack.errors import ArctrackError, as_line
 
 CONNECT_S = 10.0
-"""How long a cluster's scheduler may take to answer."""
+"""Time-out of a cluster's scheduler."""
 
 
 class RecordingJob(Protocol):

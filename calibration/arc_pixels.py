@@ -30,10 +30,10 @@ from tracker.state import Frame
 from tracker.stripe.expected import expect_stripe
 
 ACROSS = 26
-"""So many pixels of a row of the image are compared."""
+"""Number of compared pixels in a row of the image."""
 
 KEEP_OFF_SIGMAS = 5.0
-"""How far a pixel must lie from the stripe, in the stripe's sigmas."""
+"""Least distance of a pixel from the stripe, in the stripe's sigmas."""
 
 EDGE_PX, MAX_CHANGE = 8, 0.3
 """A pixel counts if so far to each side the same face is seen and the light changes by a smaller share."""

@@ -39,10 +39,10 @@ from tracker.seam_observations import SeamObservations
 from tracker.state import Frame, Pose
 
 MAX_FRAMES, MAX_SIGHTINGS = 48, 300
-"""So many frames with the arc on are compared, and so many sightings tell the seam; of more every n-th."""
+"""Largest number of compared frames with the arc on, and of observations of the seam; of more every n-th."""
 
 PIXEL_SIGMA = 0.02
-"""What the arc's light may be off from pixel to pixel beyond its noise, relative, 1 sigma."""
+"""1 sigma of the arc's light from pixel to pixel beyond its noise, relative."""
 
 FIELD_SIGMA = 0.006
 """What the arc's light may be off slowly over the image, relative, 1 sigma of each of `FIELDS`.
@@ -60,7 +60,8 @@ MAX_KINK = 0.003
 """A pixel counts if its light's second difference over a derivative's step is a smaller share of it."""
 
 NEAR_SIGMAS, SETTLED_SIGMAS, MAX_ROUNDS = 1.0, 0.3, 20
-"""Rounds choose pixels anew, and go on, until the camera moves by no more of its sigmas."""
+"""Motion of the camera, in its sigmas, below which pixels are kept and rounds end, and their largest number.
+"""
 
 MAX_STEP_SIGMAS = 3.0
 """A round goes no further, in the priors' sigmas."""
@@ -69,10 +70,10 @@ SEAM_KNOWN_MM = 0.2
 """A frame counts if the tracked seam is known so well under its stripe, 1 sigma."""
 
 FAR_SIGMAS = 4.0
-"""What has to be further off than so many of its prior's sigmas means that something else is wrong."""
+"""Distance from a prior, in its sigmas, at which something else is wrong."""
 
 MAX_LEVEL_FACTOR = 20.0
-"""An arc by so much brighter or darker than stated means the same."""
+"""Ratio of the arc's brightness to the stated one, either way, at which something else is wrong."""
 
 MAX_ERROR_RATIO = 0.7
 """The seam's expected error after over that before from which on there is no clear gain."""

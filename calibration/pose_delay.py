@@ -47,25 +47,26 @@ A weave of 0.8 s keeps all but 0.3 % of its swing.
 """
 
 MIN_SEEN = 8
-"""Fewer frames that show the seam tell nothing."""
+"""Least number of frames that show the seam."""
 
 MAX_SIGMA_S = 0.5 * DELAY.prior_sigma
 """A delay is estimated if it is known to half of what the effect's prior leaves open."""
 
 RIVAL_NATS, RIVAL_SIGMAS, MAX_RIVALS = 3.0, 5.0, 3
-"""Another maximum so little below the best, and so far off it, leaves two answers; so many are looked at."""
+"""Deficit, nats, and distance, sigmas, of another maximum that leaves two answers; and their largest number.
+"""
 
 BEND_BOUNDS_MM, SCATTER_BOUNDS_MM = (1e-3, 5.0), (1e-3, 2.0)
-"""How far a seam may bend, and how much its points may scatter."""
+"""Bounds of a seam's bend, and of the scatter of its points."""
 
 LN_SIGMA = 1.0
-"""Bends and scatters are the tracker's own within a factor of e, 1 sigma: short seams hardly tell them."""
+"""1 sigma of ln(bend) and ln(scatter) about the tracker's own: short seams hardly determine them."""
 
 FINE_S = 1e-6
-"""To so much the likeliest delay is found."""
+"""Resolution of the likeliest delay."""
 
 MAX_TRACKINGS = 4
-"""How often the recording is tracked at most: a better delay lets the tracker find more."""
+"""Largest number of times the recording is tracked: a better delay lets the tracker find more."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ ROUNDING_DN2 = 1.0 / 12.0
 """The variance of rounding to whole numbers."""
 
 N_TERMS = 60
-"""So many Fourier terms of rounding's sawtooth hold all but 1 % of it."""
+"""Number of Fourier terms of rounding's sawtooth: they hold all but 1 % of it."""
 
 FLOOR = 1e-6
 """The least noise, in parts of the largest signal: keeps the weights of noise-free data finite."""

@@ -10,7 +10,8 @@ from calibration.scatter import RepeatScatter
 from noise_model.arrays import Bool, Float64
 
 SEEN_SIGMAS, SEEN_SETTINGS = 3.0, 3
-"""The lobe must stand this far out of the noise at so many settings: fewer could be a single bad reading."""
+"""Height of the lobe over the noise, in sigmas, and number of settings: fewer could be a single bad reading.
+"""
 
 WIDEST = 0.5
 """A 95 % interval wider than -+ this share of the value is no determination (kappa_diff: of both kappas)."""

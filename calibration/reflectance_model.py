@@ -23,10 +23,10 @@ from noise_model.fit import Fit, Parameter, fit
 from noise_model.surface.brdf import reflectance
 
 NAMES = ("kappa_diff", "kappa_spec", "c2")
-"""What is wanted."""
+"""Names of the results."""
 
 A_DIFF, A_SPEC, C2, SCALE = "s kappa_diff", "s kappa_spec", "c2", "s"
-"""What is fitted."""
+"""Names of the fitted parameters."""
 
 C2_LOWEST, C2_HIGHEST = 0.01, 1e5
 """c2 is sought between these: the lobe's 1/e half angle alpha = 1/c is 570 and 0.18 deg there."""
@@ -37,7 +37,7 @@ FAINTEST = 20.0
 N_STARTS = 36
 
 ROUNDS = 3
-"""How often noise and fit are taken in turn; the weights hardly change after the second."""
+"""Number of alternations of noise and fit; the weights hardly change after the second."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,13 +10,15 @@ from arctrack.calibrate.page import CalibrationPage
 from arctrack.recording import CalibrationValues
 
 Tell = Callable[[int, int], None]
-"""Is told how much is done, and of how much."""
+"""Callback with the amount done and its total."""
 
 Steps = Callable[[str, str], Tell]
-"""Begins a step, by what is done and what is counted; what it returns is told how far the step is."""
+"""Callback that begins a step, with the activity and the unit counted; it returns the step's progress
+callback.
+"""
 
 Warn = Callable[[Iterable[str]], None]
-"""Is told at once what a user should know, a line each."""
+"""Callback with warnings for the user, a line each."""
 
 Result = TypeVar("Result")
 

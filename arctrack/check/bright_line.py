@@ -17,7 +17,7 @@ RIM_SIGMAS = 2.0
 """So near to the image's rim no line is looked for."""
 
 BACKGROUND_REL = 0.05
-"""What of the light beside a line may look like one."""
+"""Share of the surrounding light that may look like a line."""
 
 
 @dataclass(frozen=True, eq=False)

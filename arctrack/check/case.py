@@ -22,10 +22,10 @@ from noise_model.transforms import invert
 from robot_io.poses.pose_buffer import PoseBuffer
 
 MAX_FRAMES, MAX_DARK = 10, 4
-"""So many frames with the laser on are looked at; of these so many without arc, where lines are clearest."""
+"""Number of frames used with the laser on, and of these without arc, where lines are clearest."""
 
 MAX_LASER_OFF = 6
-"""So many frames with the laser off are looked at."""
+"""Number of frames used with the laser off."""
 
 POSES_BEFORE, POSES_AFTER = 40, 3
 """The poses about a frame that its own is made of."""

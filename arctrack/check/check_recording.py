@@ -27,7 +27,7 @@ from tracker.state import Frame, Track
 from tracker.warm_up import warm_up
 
 MAX_DARK_FRAMES = 2
-"""So many frames without laser and arc tell black level and noise."""
+"""Number of frames without laser and arc that black level and noise are measured in."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,16 +26,16 @@ MAX_COURSE_PX = 1.0
 """So far a stripe may run off its expected course."""
 
 WIDTH_RATIO, PEAK_RATIO, ARC_RATIO, NOISE_RATIO = 1.15, 1.5, 2.0, 1.5
-"""What is measured may be so many times what is expected, or the other way round."""
+"""Largest ratio of a measured to the expected quantity, either way."""
 
 MAX_SATURATED, MAX_SATURATED_PIXELS = 0.25, 0.5
-"""Of a stripe's scan lines, and of a frame's pixels, such a share may be saturated."""
+"""Largest saturated share of a stripe's scan lines, and of a frame's pixels."""
 
 SPECKLE_FROM, SPECKLE_RATIO = 0.05, 1.5
-"""From this scatter of a stripe's brightness on speckle counts; stated, it may be so many times off."""
+"""Least scatter of a stripe's brightness that counts as speckle, and its largest ratio to the stated one."""
 
 BLACK_SIGMAS, BLACK_DN = 4.0, 0.3
-"""A black level may be off by so many of its tolerance's sigmas, and by what rounding leaves."""
+"""Largest error of a black level: sigmas of its tolerance, and what rounding leaves."""
 
 MIN_NOISE_DN = 0.4
 """Less noise is lost in the rounding to whole codes."""

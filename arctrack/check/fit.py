@@ -34,10 +34,10 @@ ENOUGH = 0.5
 """If fewer of the frames, or of the wanted offsets, of a run are as they should be, something is wrong."""
 
 MIN_POINTS, MAX_POINTS = 8, 240
-"""Fewer points beside the joint tell nothing of it; so many of a line are enough."""
+"""Least number of points on the joint, and number of a line's points that are used."""
 
 STEEPEST = 0.1
-"""How fast a seam leaves its nominal line at most, mm per mm."""
+"""Largest slope of a seam relative to its nominal line, mm per mm."""
 
 MAX_COST_MM = 2.0
 """A frame farther from the seam's straight line than this counts no more."""

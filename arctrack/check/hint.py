@@ -19,7 +19,7 @@ EQUAL_SHARE = 0.02
 """Shares that differ by less are the same."""
 
 MIN_SHOWN, SHOWN_SHARE = 2, 0.3
-"""In so many frames, and in such a share of them, another joint must be shown."""
+"""Least number of frames, and least share of them, that show another joint."""
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ MIN_LINE_SHARE = 0.5
 """A frame whose line is in fewer of the scan lines shows none."""
 
 MAX_PIXELS = 200
-"""At so many of the stripe's pixels its light is predicted."""
+"""Number of the stripe's pixels at which its light is predicted."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ CLIP_SIGMAS, ROUNDS = 4.0, 5
 """Differences beyond are no noise, and in how many rounds that settles."""
 
 KEEP_OFF_SCALES = 8.0
-"""So many of a line's sigmas on either side of it are not dark."""
+"""Distance of dark pixels from a line, in its sigmas."""
 
 
 @dataclass(frozen=True)

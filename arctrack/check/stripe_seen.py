@@ -15,13 +15,13 @@ from noise_model.instrument.sensor import Sensor, linearise, saturation_dn, vari
 from noise_model.robust import spread
 
 REACH_SCALES = 6.0
-"""How far across a line is looked, in the sigma that shows it best; the outer third is background."""
+"""Half-width of a line's window, in the sigma that shows it best; the outer third is background."""
 
 SMOOTH_LINES = 31
-"""Over so many scan lines a line's place and brightness are smoothed: what is left is scatter."""
+"""Window that smooths a line's position and brightness, scan lines: the residual is scatter."""
 
 MIN_LINES = 20
-"""Of fewer scan lines nothing is told."""
+"""Least number of scan lines of a measurement."""
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,13 @@ SPEEDS_MM_S = (0.1, 200.0)
 """A tool that moves at all moves neither more slowly nor faster."""
 
 MAX_STEP_MM = 2.0
-"""From pose to pose the tool may go this far: within, it is taken to go evenly."""
+"""Largest step from pose to pose within which the tool's motion is taken as uniform."""
 
 MAX_GAP_PERIODS = 4.0
 """A longer gap between two poses says nothing of the time between them."""
 
 JUMP = 20.0
-"""A step between two poses that is so many times the usual one, and longer than MAX_STEP_MM, is a jump."""
+"""Ratio of a jump to the usual step between two poses; it also is longer than MAX_STEP_MM."""
 
 MAX_EXPOSURE_RATIO = 50.0
 """A frame's exposure differs less from that of the setup."""

@@ -22,7 +22,7 @@ UNITS = {"_mm": ("m", "mm", 1000.0), "_deg": ("rad", "degrees", float(np.degrees
 TABLES = ("laser", "joint", "arc", "tolerance")
 
 MAX_TRIED = 12
-"""So many frames are tracked for each number."""
+"""Number of frames that are tracked for each number."""
 
 
 def likely_unit(recording: Recording) -> Hint | None:

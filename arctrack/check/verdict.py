@@ -17,7 +17,7 @@ from tracker import flags
 from tracker.state import Track
 
 MAX_NAMED = 3
-"""So many flags, and reasons of the gate, are named, the most frequent first."""
+"""Number of flags, and of the gate's reasons, that are named, the most frequent first."""
 
 QUESTIONS: Mapping[flags.Flag, str] = {
     flags.FRAME_UNREADABLE: "are the frames of the size and type that recording.toml states?",
@@ -30,14 +30,14 @@ QUESTIONS: Mapping[flags.Flag, str] = {
     flags.JOINT_NOT_FOUND: "does [joint] state the joint that is welded?",
     flags.SEAM_JUMP: "are the poses those of the frames' times?",
 }
-"""What to ask where no known mistake explains why frames carry a flag."""
+"""Questions to the user where no known mistake explains why frames carry a flag."""
 
 GATE_QUESTIONS: Mapping[GateReason, str] = {
     GateReason.NOT_MEASURED: "does the line of [joint] seam_in_base_mm reach along all of the path?",
     GateReason.LOW_CONFIDENCE: "are the lengths and angles of [tolerance] in mm and degrees?",
     GateReason.POSE_IMPLAUSIBLE: "are the poses those of the frames' times?",
 }
-"""What to ask where frames are valid, and the gate lets no offset out."""
+"""Questions to the user where frames are valid, and the gate lets no offset out."""
 
 
 @dataclass(frozen=True)

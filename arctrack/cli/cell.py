@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 SERVED_BUS = "udp_multicast:239.74.163.2"
-"""The bus that a live cell is on: other processes of the machine, or of its network, hear it."""
+"""Bus of a live cell: other processes of the machine, or of its network, receive it."""
 
 
 LIVE_MM = 10_000.0

@@ -11,7 +11,7 @@ from threading import Thread
 from typing import TextIO
 
 NOBODY_READS = frozenset({errno.EPIPE, errno.EIO})
-"""What is raised where a pipe's reader has ended, or a terminal was closed."""
+"""Errors where a pipe's reader has ended, or a terminal was closed."""
 
 MAX_WAITING = 64
 """Lines that wait for a held terminal or a full pipe; those that come later are dropped."""

@@ -142,7 +142,7 @@ COUNTED = {
     "path": "stations",
     "blind stretches": "stretches",
 }
-"""What each stage of a plan counts."""
+"""Units counted in each stage of a plan."""
 
 
 def _read(source: Path, recorded: bool) -> tuple[Setup, list[Float64] | None]:

@@ -30,7 +30,7 @@ SAVING = {signal.SIGUSR1: "asked by SIGUSR1", signal.SIGHUP: "terminal closed"}
 """Signals on which the black box is saved, and why."""
 
 ANSWER_S = 60.0
-"""How long an answer of the black box may take after a run, s."""
+"""Time-out of the black box's answer after a run."""
 
 
 def serve(

@@ -54,7 +54,7 @@ class PartLimits:
 
 
 PART_RANGES = tuple(f.name for f in fields(PartLimits) if f.name != "looks")
-"""What may be asked of a part."""
+"""Quantities of a part that may have a required range."""
 
 
 @dataclass(frozen=True)
@@ -117,4 +117,4 @@ class Job:
 
 
 NO_JOB = Job("unknown")
-"""What stands for the job while the robot names none that there is."""
+"""Placeholder of the job while the robot names none that exists."""

@@ -19,7 +19,7 @@ FAULTS = {
     "depth_mm": Fault.DEPTH,
     "angle_deg": Fault.ANGLE,
 }
-"""What a part is refused for, by what was asked."""
+"""Fault of a part by the required quantity."""
 
 
 @dataclass(frozen=True)

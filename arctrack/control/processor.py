@@ -36,7 +36,7 @@ DELAYS = frozenset(
         GateReason.BUS_DELAYED,
     }
 )
-"""What a busy machine makes the gate say of robot, bus and camera: whatever comes late looks like it."""
+"""Gate reasons about robot, bus and camera that a busy machine causes: whatever comes late looks like it."""
 
 
 class ProcessorWait:

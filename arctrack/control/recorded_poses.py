@@ -21,7 +21,7 @@ from robot_io.poses.plausibility_limits import PlausibilityLimits
 from robot_io.poses.pose_questions import Implausibility
 
 GAP_PERIODS = 4.0
-"""After so many periods without a pose poses have stopped, where that is longer than the limit."""
+"""Number of periods without a pose after which poses have stopped, where that is longer than the limit."""
 
 LOOK_BACK_S, MIN_LOOKS = 0.4, 10
 """The seam in the image is asked over so long, and over so many frames at least.

@@ -22,10 +22,10 @@ from tracker import flags
 from tracker.state import NAN, Track
 
 UNKNOWN_POINT = SeamPoint(NAN, NAN, NAN)
-"""Where nothing is known of the seam's place."""
+"""Unknown position of the seam."""
 
 NO_TRACK = Track(0, NAN, 0)
-"""What stands for the newest track before the first."""
+"""Placeholder of the newest track before the first."""
 
 
 def has(track: Track, flag: flags.Flag) -> bool:

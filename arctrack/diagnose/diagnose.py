@@ -27,10 +27,10 @@ from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict, HeldOutPrediction
 DIAGNOSIS_FOLDER = "diagnosis"
 
 THREADS = 2
-"""Threads of a recording that is diagnosed alone: beside other processes one is best."""
+"""Threads of a recording that is diagnosed alone; with other processes one is best."""
 
 OnStage = Callable[[str, float], None]
-"""Hears what a diagnosis does now, and which share of it is done."""
+"""Callback with a diagnosis' activity, and the share of it that is done."""
 
 
 @dataclass(frozen=True)

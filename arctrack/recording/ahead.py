@@ -11,7 +11,7 @@ from typing import TypeVar
 Item = TypeVar("Item")
 
 ITEMS_AHEAD = 4
-"""So many frames wait at most: enough to even out a slow file, and few beside a recording."""
+"""Largest number of prefetched frames: enough to even out a slow file, and few against a recording."""
 
 
 @contextmanager

@@ -30,7 +30,7 @@ _LIMITED_RANGE = 1
 """FFmpeg's AVCOL_RANGE_MPEG: black at 16 of 256."""
 
 _TICK = Fraction(1, 1000)
-"""What times in a Matroska file are rounded to, s."""
+"""Rounding of times in a Matroska file, s."""
 
 _FOOTER_BYTES = 8
 _REVERSED_BITS = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))

@@ -32,7 +32,7 @@ STEPS_CSV, STATE_JSON = "steps.csv", "state.json"
 FORMAT = "arctrack-tracker-state/1"
 
 REFUSED, MEASURED, EXTRAPOLATED = 0, 1, 2
-"""What steps.csv says of a pose."""
+"""States of a pose in steps.csv."""
 
 _ENTRIES = tuple(f"T_{row}{column}" for row in range(3) for column in range(4))
 COLUMNS = {
@@ -49,7 +49,7 @@ RECORDS = {
     record.__name__: record
     for record in (TrackerMemory, SeamHistory, Steering, JointEnds, Change, Scatter, FrameScatter)
 }
-"""What a state is made of."""
+"""Records of a state."""
 
 
 @dataclass(frozen=True)

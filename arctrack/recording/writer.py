@@ -25,7 +25,7 @@ from noise_model.setup import Setup, require_setup
 from tracker.state import Frame, frame_misfit
 
 TIME_FORMAT, VALUE_FORMAT = ".6f", ".10g"
-"""How frames.csv states times, and currents and exposures."""
+"""Formats in frames.csv of times, and of currents and exposures."""
 
 
 def as_stated(frame: Frame) -> Frame:

@@ -18,7 +18,7 @@ from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker.state import Track
 
 MAX_TRIED, TRIED_BEFORE_ARC = 240, 40
-"""So many frames in a row are tracked at most, so many of them before the first with the arc on."""
+"""Largest number of consecutive frames tracked, and of those before the first with the arc on."""
 
 
 @dataclass(frozen=True, eq=False)

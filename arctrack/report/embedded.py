@@ -18,7 +18,7 @@ CHANGE, EXCESS, SCALE_PX = "RdBu_r", "viridis", 256
 NOT_COUNTED = (0.72, 0.72, 0.72)
 
 POINTS_PER_INCH = 200
-"""How finely a drawing holds what it holds as points, where lines would be too many."""
+"""Resolution of the parts of a drawing that are kept as pixels, where lines would be too many."""
 
 
 @dataclass(frozen=True)

@@ -41,10 +41,10 @@ from tracker.arc.level import HUBER
 from tracker.state import Frame
 
 MAX_FRAMES = 24
-"""So many frames are compared; of more every n-th."""
+"""Largest number of frames compared; of more every n-th."""
 
 MIN_PIXELS = 100
-"""Fewer pixels over all frames tell nothing."""
+"""Least number of pixels over all frames."""
 
 FIRST_PIXEL_SIGMA, MIN_PIXEL_SIGMA, MAX_PIXEL_SIGMA = 0.02, 0.01, 0.3
 """1 sigma of texture and map, relative, that the rounds begin with, and that is no less and no more.
@@ -68,7 +68,7 @@ WEAK_SHARE = 0.35
 """A parameter belongs to a combination if its part of the unit vector is larger."""
 
 MAX_LEVEL_FACTOR = 50.0
-"""An arc by so much brighter or darker than stated means that something else is wrong."""
+"""Ratio of the arc's brightness to the stated one, either way, at which something else is wrong."""
 
 KEYS = (
     "radius_mm",
@@ -92,7 +92,7 @@ KEYS_OF: Mapping[str, tuple[str, ...]] = {
     RATIO: ("kappa_diff", "kappa_spec"),
     C2: ("c2",),
 }
-"""Which of `KEYS` a parameter of `ARC` stands for."""
+"""Those of `KEYS` that a parameter of `ARC` sets."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,13 +28,13 @@ from tracker.state import Frame
 from tracker.stripe.expected import expect_stripe
 
 ACROSS, BLOCK_PX = 24, 5
-"""So many pixels of a row of the image are compared, each the mean over a block of so many px a side."""
+"""Number of compared pixels in a row of the image, and side of the block that each averages."""
 
 EDGE_PX, MAX_CHANGE = 8, 0.3
 """A pixel counts if so far to each side the same face is seen and the light changes by a smaller share."""
 
 KEEP_OFF_SIGMAS = 6.0
-"""How far a pixel must lie from the stripe, in the stripe's sigmas."""
+"""Least distance of a pixel from the stripe, in the stripe's sigmas."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,13 +40,13 @@ RADIUS, X, Y, Z, RADIANCE, RATIO, C2 = (
     "ln_c2",
 )
 ARC = (RADIUS, X, Y, Z, RADIANCE, RATIO, C2)
-"""What is calibrated: radius, centre in the tool, mm, radiance, kappa_spec / kappa_diff and c2."""
+"""Calibrated parameters: radius, centre in the tool, mm, radiance, kappa_spec / kappa_diff and c2."""
 
 BROAD: Mapping[str, float] = {RADIUS: 0.4, X: 3.0, Y: 3.0, Z: 2.0, RADIANCE: 3.0, RATIO: 1.0, C2: 0.7}
 """1 sigma of what an arc and a metal may be, about the stated values: wide, so that the frames decide."""
 
 STATED: Mapping[str, float] = {RADIUS: 0.1, X: 0.1, Y: 0.1, Z: 0.1, RADIANCE: 0.1, RATIO: 0.1, C2: 0.1}
-"""1 sigma of a stated value that the frames do not tell, relative or mm."""
+"""1 sigma of a stated value that the frames do not determine, relative or mm."""
 
 STEPS: Mapping[str, float] = {RADIUS: 0.03, X: 0.05, Y: 0.05, Z: 0.05, RATIO: 0.03, C2: 0.03}
 
@@ -60,7 +60,7 @@ RENDERED = (RADIUS, X, Y, Z, RATIO, C2, *CAMERA, *SEAM)
 """The parameters whose derivatives are rendered."""
 
 PART_SIGMAS = (2.0, 2.0, 0.02, 0.02)
-"""1 sigma of where a part lies, mm sideways and in height, and along its seam, where no stripe tells."""
+"""1 sigma of a part's position, mm sideways and in height, and along its seam, without a stripe."""
 
 
 SEAM_SIGMAS = (0.1, 0.1, 0.03, 0.01)

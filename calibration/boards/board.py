@@ -16,7 +16,7 @@ FORMS = (
     "chessboard:COLUMNSxROWS:SQUAREmm (inner corners) or "
     "charuco:COLUMNSxROWS:SQUAREmm:MARKERmm:DICTIONARY (squares)"
 )
-"""How a board is written on a command line."""
+"""Notation of a board on a command line."""
 
 MIN_SIDE, MAX_SIDE = 3, 100
 """Inner corners along a side: fewer give no pose, more are no board."""

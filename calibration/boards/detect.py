@@ -26,7 +26,8 @@ SEARCHED_PX = 1200
 """A larger image is searched at a smaller scale first: squares are then no more than some 100 px wide."""
 
 MAX_ENLARGEMENT = 4.0
-"""A smaller image is searched enlarged, too, up to so many times: OpenCV finds no squares of a few pixels."""
+"""Largest factor by which a small image is enlarged for the search: OpenCV finds no squares of a few pixels.
+"""
 
 WINDOW = 0.15
 """Half the side of the window that places a corner, over the distance to its neighbour."""
@@ -35,7 +36,7 @@ FIRST_WINDOW = 0.25
 """The same, for corners that were found at a smaller scale."""
 
 MARKER_CLEARANCE = 0.9
-"""Of the gap between a corner and its next marker, how much the window may take."""
+"""Largest share of the gap between a corner and its next marker that the window takes."""
 
 MIN_WINDOW_PX = 2
 MIN_PITCH_PX = 2.0 * MIN_WINDOW_PX
@@ -44,7 +45,7 @@ MIN_PITCH_PX = 2.0 * MIN_WINDOW_PX
 SUBPIXEL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
 
 MIN_CORNERS = 6
-"""Fewer corners tell nothing beyond the board's pose."""
+"""Least number of corners that determine more than the board's pose."""
 
 MIN_CONTRAST = 1.0
 """Light squares less dark ones, over the scatter of either: less is no board."""

@@ -24,7 +24,7 @@ FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-4, 1e-9, 1e12
 EASIER, HARDER = 0.1, 10.0
 
 WARP = ("warp_x", "warp_y")
-"""What is shared beside the lens: the board's warp along its columns and rows, mm."""
+"""Shared unknowns other than the lens: the board's warp along its columns and rows, mm."""
 
 
 @dataclass(frozen=True)

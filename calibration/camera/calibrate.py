@@ -39,7 +39,7 @@ PRINT_ROUNDS, PRINT_SETTLED = 5, 0.02
 """The print and the noise are estimated in turn until the print's sigma changes by a smaller share."""
 
 MAX_NOISE = 10.0
-"""An image whose corners scatter so many times as far as those of most was moved, or its board misread."""
+"""Ratio of an image's corner noise to the usual one at which it was moved, or its board misread."""
 
 MAX_SIGMA_PX = 1.0
 """A distortion that leaves the projection less known than this, anywhere in the image, is not determined."""

@@ -17,16 +17,17 @@ MAX_FOCAL_SIGMA = 0.01
 """1 sigma of a focal length over its value: beyond it is as good as unknown."""
 
 MIN_TILT_DEG = 10.0
-"""Boards that lean less, all of them, tell little of the focal length."""
+"""Least tilt of any board that determines the focal length well."""
 
 ENOUGH_TILT_DEG = 20.0
-"""Boards that lean as much either way about both axes lack nothing: then their corners are too noisy."""
+"""Tilt of boards either way about both axes that suffices: an undetermined lens is then due to noisy corners.
+"""
 
 MIN_COVER = 0.15
 """The share of the image within the hull of all corners: below it, most of the lens is not seen."""
 
 GOOD_COVER = 0.6
-"""Below this share a user is told which parts of the image are without corners."""
+"""Share below which a user is shown the parts of the image without corners."""
 
 CELLS = (("upper", "", "lower"), ("left", "", "right"))
 

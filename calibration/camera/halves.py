@@ -25,7 +25,7 @@ SPLITS = 9
 """Ways to split the images: every second one, then drawn at random. Their median decides."""
 
 MAX_RATIO = 2.0
-"""Differences above so many predicted sigmas are a wrong model."""
+"""Largest difference that a right model explains, in predicted sigmas."""
 
 MATCH_ROUNDS = 5
 SEED = 7

@@ -21,7 +21,7 @@ MAX_RMS_PX = 2.0
 """Corners that are farther off than this, RMS, are not seen by the stated camera."""
 
 FAR_MM = 1e3
-"""Where boards stand before their poses are sought."""
+"""Initial distance of boards."""
 
 
 def lens_of(camera: Camera, free: Sequence[str] = ()) -> Lens:

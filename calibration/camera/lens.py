@@ -25,7 +25,7 @@ ORDERS: dict[str, tuple[str, ...]] = {
     "k1 k2 p1 p2 k3": ("k1", "k2", "p1", "p2", "k3"),
     "rational": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
-"""The distortions to choose from, the leanest first."""
+"""Distortions to choose from, the leanest first."""
 
 POWERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "p1": 1, "p2": 1}
 """Powers of the field's radius by which a coefficient shifts a point, as a share of that radius."""

@@ -15,10 +15,10 @@ from calibration.camera.sightings import BoardView, Sightings
 from noise_model.arrays import Float64
 
 PLACES = (0.2, 0.5, 0.8)
-"""Where in the image the board's middle may be, shares of width and height."""
+"""Candidate positions of the board's middle in the image, shares of width and height."""
 
 SIZES = (0.35, 0.55, 0.8)
-"""How much of the image's shorter side the board may span: how near it is held."""
+"""Candidate spans of the board over the image's shorter side: how near it is held."""
 
 TILTS_DEG = (0.0, 20.0, 40.0)
 ABOUT = {"the image's horizontal": (1.0, 0.0, 0.0), "the image's vertical": (0.0, 1.0, 0.0)}

@@ -32,10 +32,10 @@ from tracker.geometry import SensorGeometry
 from tracker.state import Frame
 
 SHAPE_SIGMA = 0.02
-"""What the map may be off from pixel to pixel, relative, 1 sigma, with all within its tolerance."""
+"""1 sigma of the map's error from pixel to pixel, relative, with all within its tolerance."""
 
 MIN_PIXELS = 40
-"""A frame with fewer pixels tells nothing."""
+"""Least number of pixels of a frame."""
 
 MAX_NOISE = 0.03
 """The shape is judged where a block's noise is a smaller share of the light."""

@@ -37,7 +37,7 @@ from tracker.geometry import to_laser_plane
 from tracker.seam.curve import BEND_LENGTH_MM, BEND_MM
 
 BINS_A_FRAME, MIN_IN_BIN = 16, 3
-"""A stripe is read as medians over so many parts of it, each of so many scan lines at least."""
+"""Number of parts of a stripe whose medians are taken, and least number of scan lines of each."""
 
 MIN_SIGMA_PX, MIN_SIGMA_MM = 0.2, 0.03
 """1 sigma of such a median, px, and of a section's own shape, mm, are no less.
@@ -49,7 +49,7 @@ SHAPE_PX = (0.5, 0.5, 0.5, 0.3)
 """1 sigma of what lens, sheet and plate bend all stripes by, px: Legendre's polynomials along them."""
 
 OFF_UPRIGHT_MM = 3.0
-"""A point counts so far beside an upright face: beneath it the section jumps."""
+"""Least distance of a point from an upright face: beneath it the section jumps."""
 
 MAX_OFF_MM = 60.0
 """A point farther off the joint lies on something else."""
@@ -58,7 +58,7 @@ DERIVATIVE_STEP = 0.01
 """The step of a derivative, over the prior's sigma."""
 
 GRID_MM, MAX_MODES = 2.0, 6
-"""Spacing of the stations at which a seam's bends are told, and how many of their modes are."""
+"""Spacing of the stations at which a seam's bends are computed, and number of their modes."""
 
 COARSE_Y_MM, COARSE_Z_MM = np.arange(-6.0, 7.0, 3.0), np.arange(-18.0, 18.5, 1.5)
 """Places of the part that a fit begins at, mm sideways and in height."""
@@ -67,20 +67,22 @@ FAR = 1e3
 """A residual that counts for one beyond all reach, sigmas."""
 
 HUBER = 2.0
-"""Residuals beyond so many sigmas pull no harder: upright faces, glints, what lies beside the joint."""
+"""Huber's bound of residuals, sigmas: upright faces, glints, what lies next to the joint."""
 
 PART_SIGMAS = (2.0, 2.0, 0.02, 0.02, 0.3)
 """1 sigma of how a part lies off its nominal place: sideways and in height, mm, along the seam, mm/mm, and
 turned about it, deg."""
 
 MIN_TOLERANCE = 1e-3
-"""A tolerance of 0 is taken for so much, deg and mm."""
+"""Value in place of a tolerance of 0, deg and mm."""
 
 OFF_NATS = 7.0
-"""So much likelier must the points be with one part off before the setup counts as not explaining them."""
+"""Log likelihood ratio of one part off and the setup as stated from which the latter does not explain the
+points.
+"""
 
 ALIKE_NATS = 6.0
-"""Parts whose likelihoods differ by less cannot be told apart: a plate that is bent makes odds doubtful."""
+"""Difference of log likelihoods below which parts cannot be separated: a bent plate makes odds doubtful."""
 
 PART_BLOCK = ("seam_y", "seam_z", "seam_slope_y", "seam_slope_z", "part_roll")
 CAMERA_BLOCK = ("camera_rot_x", "camera_rot_y", "camera_rot_z", "camera_x", "camera_y", "camera_z")

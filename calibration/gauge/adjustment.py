@@ -30,7 +30,7 @@ STEPS = np.array([*[TURN_STEP] * 2, MOVE_STEP_MM, *[TURN_STEP] * 3, *[MOVE_STEP_
 """Steps of all unknowns."""
 
 SHEET, GAUGE, SIZE = slice(0, 3), slice(3, 8), 8
-"""Where the sheet's two leans, rad, and its place, mm, are among the unknowns; the gauge's pose; its size."""
+"""Places among the unknowns of the sheet's two tilts, rad, and offset, mm; the gauge's pose; its size."""
 
 GAUGE_SIGMA = np.array([0.35, 0.35, 1.0, 1e3, 1e3])
 """What is known of the gauge beforehand: it lies as it was first taken to lie, within 20 deg; the edge within
@@ -40,7 +40,7 @@ START_MM, BOUNDS_MM = (0.05, 0.01), (1e-3, 2.0)
 """1 sigma of the robot's error and of the form's, at first; and how small and how large either may be."""
 
 GRID = 6
-"""So many sizes of either error are tried before the likelihood is climbed."""
+"""Number of sizes of either error that are tried before the likelihood is maximised."""
 
 NOISE_ROUNDS, NOISE_SETTLED = 4, 0.05
 """Rounds of fit and noise at most, and the last one's change of either's logarithm."""

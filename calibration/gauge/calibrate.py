@@ -31,7 +31,7 @@ MIN_IMAGES = 4
 """Fewer images determine no sheet and leave nothing to judge it by."""
 
 MAX_LEAN_DEG, MAX_PLACE_MM = 0.5, 0.2
-"""1 sigma of the sheet's leans and place: beyond it the sheet is as good as unknown."""
+"""Largest 1 sigma of the sheet's tilts and offset: beyond it the sheet is as good as unknown."""
 
 FALSE_ALARM = 0.001
 """The probability that a set without a wrong image loses one."""
@@ -52,7 +52,7 @@ HELD = 1e-9
 """1 sigma of what is held."""
 
 TILT_SIGMA = math.radians(3.0)
-"""1 sigma of how far a gauge leans from where its stripes say, rad: one image does not say all."""
+"""1 sigma of a gauge's tilt against its stripes, rad: one image does not determine all."""
 
 LIFT_MM, TILT_DEG, SPIN_DEG = 10.0, 15.0, 40.0
 """The motions that are proposed where some are missing: the stripe still crosses the gauge."""

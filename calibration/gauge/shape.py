@@ -12,7 +12,7 @@ import numpy as np
 from noise_model.arrays import Float64
 
 FORMS = "step:HEIGHTmm or v:ANGLEdeg:DEPTHmm (the angle between the flanks)"
-"""How a gauge is written on a command line."""
+"""Notation of a gauge on a command line."""
 
 _NUMBER = r"(\d+(?:\.\d+)?)"
 _STEP = re.compile(rf"step:{_NUMBER}mm", re.IGNORECASE)

@@ -22,16 +22,16 @@ NOISE_FLOOR_DN = 0.5
 """Rounding leaves that much noise at least."""
 
 KNOTS = 120
-"""The path is cut into so many groups: pieces begin and end with them."""
+"""Number of groups into which the path is cut: pieces begin and end with them."""
 
 MIN_PIECE_SHARE = 0.06
 """A piece has that share of the path at least."""
 
 TRIM_SCALES, MIN_TRIM_PX = 2.0, 2.0
-"""At a corner so many of the stripe's sigmas are left out: it is round there, and blurred."""
+"""Length left out at a corner, in the stripe's sigmas and px: it is round there, and blurred."""
 
 MIN_LINES = 12
-"""A piece of fewer scan lines tells no line."""
+"""Least number of scan lines of a piece."""
 
 
 @dataclass(frozen=True)

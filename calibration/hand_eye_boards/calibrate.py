@@ -37,7 +37,7 @@ MAX_ROBOT_DEG, MAX_ROBOT_MM = 1.0, 5.0
 """1 sigma of the robot's error that no robot has: the poses mean something else."""
 
 FAR_START = 3.0
-"""A start from which the robot is so many times farther off than any robot is not refined."""
+"""Ratio of a start's robot error to any robot's beyond which it is not refined."""
 
 MEDIAN_OF_THREE = float(chi.median(3))
 """The median length of three normal numbers."""
@@ -49,7 +49,9 @@ MAX_SCALE_SIGMAS = 4.0
 """A board's scale that the robot's motions contradict by more is named."""
 
 MAX_SCALE_ERROR = 0.01
-"""A board that is so much larger or smaller for sure was measured wrong, or the robot's unit is another."""
+"""Largest significant error of the board's size: beyond it, it was measured wrong, or the robot's unit is
+another.
+"""
 
 UNITS = np.array([math.degrees(1.0)] * 3 + [1.0] * 3)
 

@@ -38,7 +38,7 @@ LEAST, MOST = np.array([math.radians(1e-5), 1e-4]), np.array([math.radians(30.0)
 """Bounds of the robot's sigmas, rad and mm: below them, its noise is none."""
 
 FIRST = np.array([math.radians(0.03), 0.1])
-"""Where the search begins: a common robot, rad and mm."""
+"""Start of the search: a common robot, rad and mm."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from calibration.threads import one_thread
 from noise_model.arrays import Float64
 
 MAX_TILT_SIGMA_DEG = 0.5
-"""1 sigma of the sheet's lean: beyond it, a part 10 mm off the boards is 0.09 mm off and more."""
+"""Largest 1 sigma of the sheet's tilt: beyond it, a part 10 mm off the boards is 0.09 mm off and more."""
 
 MIN_SPREAD = 10.0
 """The stripes' scatter from one line over what noise alone makes of it: below it, the sheet follows noise."""

@@ -15,22 +15,22 @@ from calibration.laser.stripe import BoardStripe, LaserLight
 from noise_model.arrays import Bool, Float64, Int64, Integers
 
 REACH = 4.0
-"""How far light counts about the stripe, in sigmas."""
+"""Half-width of the stripe's window, in sigmas."""
 
 STEPS, LONGEST = 12, 0.5
 """Gauss-Newton's steps for a line's width, and the longest, of place over sigma and of ln sigma."""
 
 MIN_SNR = 8.0
-"""The stripe's width is taken where its light is so many sigmas."""
+"""Least signal-to-noise ratio at which the stripe's width is measured."""
 
 MAX_OFFSET_SIGMAS = 1.0
 """A line whose maximum is that many of its sigmas off the stripe's curve shows something else."""
 
 MAX_WIDTH_RATIO = 4.0
-"""A line that is so many times wider or narrower than what was looked for shows something else."""
+"""Ratio of a line's width to the expected one, either way, at which it is something else."""
 
 FULL = 0.98
-"""From this share of the last code on, a pixel may be saturated."""
+"""Share of the last code from which a pixel may be saturated."""
 
 LIGHT_SQUARE = 0.5
 """A light square reflects more than this share of the brightest ones' light."""

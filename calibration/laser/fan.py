@@ -20,16 +20,16 @@ from noise_model.arrays import Float64
 from noise_model.robust import sigma_of
 
 MAX_NOISE = 0.2
-"""Scan lines whose light is known worse, of the stripe's, tell nothing: dark squares."""
+"""Largest noise of a scan line's light, over the stripe's: more is of dark squares."""
 
 LEVEL_LINES = 15
-"""The light before an end is the median of so many lines."""
+"""Number of lines whose median is the light before an end."""
 
 DARK_LINES, MAX_DARK = 5, 0.25
-"""Next to an end so many lines show less light than that share of what is before it."""
+"""Number of lines next to an end that show less light, and that light's share of what is before it."""
 
 MAX_GAP = 3
-"""So many more lines may lie between the last lit and the last of these, at most."""
+"""Largest number of further lines between the last lit one and the last of these."""
 
 MIN_ENDS = 2
 """Ends on one side: two make a line."""
@@ -38,7 +38,9 @@ MAX_REL_SIGMA = 0.1
 """1 sigma of the difference of the sides' slopes over it: beyond it the origin is as good as unknown."""
 
 FAR_SIGMAS = 7.0
-"""An end that is so many sigmas off its side's line is another thing's: few ends say little of the sigma."""
+"""Distance of an end from its side's line, sigmas, at which it is something else: few ends determine the
+sigma badly.
+"""
 
 QUANTIZED = 1.0 / math.sqrt(12.0)
 """1 sigma of a place that is known to a scan line."""

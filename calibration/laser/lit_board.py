@@ -25,10 +25,10 @@ ROUNDS, TRIM_SIGMAS = 8, 3.0
 """Rounds by which room light is fitted, and beyond how many sigmas a pixel does not count in them."""
 
 MAX_PIXELS = 40_000
-"""Room light is fitted to about so many pixels."""
+"""Approximate number of pixels that room light is fitted to."""
 
 RIDGE = 1e-9
-"""What keeps a board of one shade from having no fit, over the trace."""
+"""Ridge of the fit, over the trace, for a board of one shade."""
 
 EDGE_SHARE = 0.02
 """Pixels whose blurred board changes by more than that share from light to dark per px are at an edge."""

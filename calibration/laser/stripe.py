@@ -24,19 +24,19 @@ from noise_model.transforms import transform
 from tracker.stripe.viterbi import GAIN_CAP, JUMP_COST, best_path
 
 MIN_SCORE = 6.0
-"""A scan line shows the stripe where the matched filter's output is so many of its sigmas."""
+"""Least output of the matched filter, in its sigmas, where a scan line shows the stripe."""
 
 MIN_LINES = 20
-"""Fewer scan lines with a stripe tell no direction."""
+"""Least number of scan lines with a stripe that determine a direction."""
 
 REACH = 3.0
-"""How far light counts about the stripe, in sigmas."""
+"""Half-width of the stripe's window, in sigmas."""
 
 MAX_STEPS, SETTLED_PX = 60, 1e-4
 """Steps of the centroid at most, and the one that is the last."""
 
 MARGIN = 0.9
-"""How far the board goes beyond its outer corners, in squares."""
+"""Extent of the board beyond its outer corners, in squares."""
 
 EDGE_POINTS = 10
 """Points on each side of the board's outline: a lens may bend it."""
@@ -45,19 +45,23 @@ LIGHT_ROUNDS, LIGHT_SIGMAS = 4, 3.0
 """Rounds by which room light is matched, and beyond how many sigmas a pixel does not count in them."""
 
 BRIGHTNESSES = 4
-"""The noise of the difference is told for so many parts of the board, from the darkest to the brightest."""
+"""Number of parts of the board, from the darkest to the brightest, in which the difference's noise is
+measured.
+"""
 
 TRIALS, SEED = 500, 1
 """Pairs of places through which RANSAC lays a line at most, and the seed of its choice."""
 
 BEND_PX = 3.0
-"""How far a lens may bend a line within the board."""
+"""Largest bend of a line by a lens within the board."""
 
 TRIM_ROUNDS, TRIM_SIGMAS, MIN_TRIM_PX = 8, 4.0, 0.3
-"""Places that many sigmas off the stripe's curve, and so many px, are no stripe's."""
+"""Rounds of trimming, and the distance from the stripe's curve, in sigmas and px, of a trimmed place."""
 
 GAP_LINES, MIN_PIECE_SHARE, MIN_SHARE = 10, 0.2, 0.08
-"""Pieces of a stripe are so many lines apart. A smaller share of the longest, or of all, is a scrap."""
+"""Gap of lines between pieces of a stripe, and the share of the longest, or of all, below which a piece is
+dropped.
+"""
 
 NOISE_FLOOR_DN = 0.3
 """Rounding of two images leaves that much noise at least."""

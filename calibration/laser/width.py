@@ -22,7 +22,7 @@ from noise_model.arrays import Float64
 from noise_model.robust import spread
 
 MIN_LINES = 15
-"""Fewer scan lines tell no width."""
+"""Least number of scan lines that determine a width."""
 
 MIN_VARIANCE_OVER_BLUR = 0.25
 """The stripe's variance less the blur's, of the stripe's: below it the stated blur makes the width."""

@@ -24,10 +24,10 @@ from noise_model.arrays import Float64
 from noise_model.fit import student_t
 
 MIN_LEVELS = 5
-"""So many lit levels below saturation tell gain, gamma and linearity apart."""
+"""Least number of lit levels below saturation that separate gain, gamma and linearity."""
 
 MIN_SPAN = 4.0
-"""The brightest of them has so many times the exposure of the darkest."""
+"""Least ratio of the exposures of the brightest and the darkest of them."""
 
 MAX_SATURATED_SHARE = 1e-3
 """A level of which a larger share is at the top code is left out."""
@@ -36,7 +36,7 @@ WELL_NOISE_SHARE = 0.3
 """A level whose noise has fallen below this share of the largest of shorter exposures has full wells."""
 
 MAX_SHADING_REL = 0.2
-"""The light may change over the image by so much, 1 sigma."""
+"""Largest variation of the light over the image, 1 sigma."""
 
 MIN_DARK_SIGMA_DN = 0.24
 """Dark noise below this is hidden by rounding (EMVA Standard 1288, section 6)."""

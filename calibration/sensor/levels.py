@@ -16,7 +16,7 @@ from scipy.ndimage import median_filter, uniform_filter
 from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
 
 MAX_SIDE_PX = 512
-"""So many pixels a side are used, about the image's middle, where a lens' light is most even."""
+"""Side of the square of pixels used, about the image's middle, where a lens' light is most uniform."""
 
 BOX_PX = 11
 """The side of the box whose mean is taken off: the pattern of pixels stays, the light's slow change goes."""
@@ -40,8 +40,9 @@ FLICKER_SIGMAS = 5.0
 """And by how many standard errors of their means they must differ."""
 
 MAX_NEIGHBOUR_CORRELATION = 0.05
-"""Noise of one pixel tells nothing of the next one's. A scene that moves between frames, codecs and
-interpolated colours break that."""
+"""Largest correlation of neighbouring pixels' noise. A scene that moves between frames, codecs and
+interpolated colours exceed it.
+"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,10 +41,10 @@ MAX_ROUNDS, SETTLED_SIGMAS = 60, 1e-3
 """Rounds of scoring, and the step, in sigmas, that ends them."""
 
 LOOSER = 1.05
-"""By how much tau^2 is changed to see what rests on it."""
+"""Factor by which tau^2 is changed to find its derivatives."""
 
 HELD_ROUNDS = 8
-"""So many rounds hold the linearity error: far from the maximum all is off the line."""
+"""Number of rounds that hold the linearity error: far from the maximum all is off the line."""
 
 MAX_LN_STEP = 0.3
 """The largest step of a logarithm or of gamma in a round."""

@@ -28,7 +28,7 @@ DARK_NODES = (_PLACES, _SHARES / _SHARES.sum())
 which a response with gamma bends."""
 
 MIXED_FROM_DN = 0.5
-"""Pixels that differ by so much, 1 sigma, lie everywhere between two codes: exp(-2 pi^2 / 4) is 0.7 %."""
+"""1 sigma from which pixels lie everywhere between two codes: exp(-2 pi^2 / 4) is 0.7 %."""
 
 MIN_SPREAD = 1e-3
 """The least spread over the nodes, in sigmas of the noise: the slope needs one."""

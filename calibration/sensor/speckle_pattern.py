@@ -21,10 +21,10 @@ from noise_model.arrays import Bool, Float64
 from noise_model.fit import student_t
 
 MIN_LINES = 64
-"""So many lines of an unbroken stripe tell its speckle."""
+"""Least number of lines of an unbroken stripe."""
 
 CORE_SIGMAS = 1.0
-"""Columns within so many of its sigmas from the stripe's middle count."""
+"""Half-width of the columns that count about the stripe's middle, in its sigmas."""
 
 SMOOTH_LINES = 24.0
 """The stripe's path, width and brightness change over more lines than this, 1 sigma of the smoothing."""
@@ -45,7 +45,7 @@ MIN_RATIO = 0.05
 """Pixels darker than this share of the smooth stripe are noise."""
 
 MAX_LINES = 640
-"""So many lines at most are looked at for what a smooth stripe leaves."""
+"""Largest number of lines used for the residual of a smooth stripe."""
 
 N_GRAINS = 48
 """Grains for which it is computed what a smooth stripe leaves."""
@@ -57,7 +57,7 @@ PROFILE_PX = 60
 """So far to either side the stripe's mean profile is taken."""
 
 MIN_PEAK_SIGMAS = 6.0
-"""A line holds the stripe if its peak stands so many sigmas of the noise over the dark."""
+"""Least height of a line's peak over the dark, in sigmas of the noise."""
 
 GRAINS_PX = (0.25, 10.0)
 """The grains that the model has."""

@@ -30,10 +30,10 @@ from noise_model.fit import student_t
 from noise_model.instrument.sensor import Sensor, saturation_dn
 
 MIN_BRIGHT_SIGMAS = 4.0
-"""Shot noise must show by so many sigmas of its slope: else there is too little light."""
+"""Least significance of shot noise, in sigmas of its slope: below it there is too little light."""
 
 CLEAR_OF_READ_NOISE = 6.0
-"""With a gamma, bins whose charge is less than so many read noises are left out."""
+"""Least charge of a bin with a gamma, in read noises."""
 
 MAX_HIDDEN_DN = 0.4
 """Read noise that rounding hides is anything from 0 to this (EMVA Standard 1288, section 6)."""

@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter, uniform_filter
 from noise_model.arrays import Bool, Float32, Float64, Integers
 
 MIN_FRAMES = 20
-"""So many frames of a stripe that stands still are needed."""
+"""Least number of frames of a stripe that stands still."""
 
 MAX_SWAY, MAX_BRIGHTNESS = 0.05, 0.2
 """A frame is not of a still stripe if its shift changes the light by more, RMS, or if it is so much brighter.
@@ -34,16 +34,16 @@ BRIGHT_SHARE = 0.1
 """Pixels brighter than this share of the stripe say what a frame's pixels share."""
 
 DARK_PERCENTILE = 10.0
-"""The mean that so many percent of the pixels stay below is taken for that of pixels without light."""
+"""Percentile of the pixels' means that is the mean of pixels without light."""
 
 FOOT_BOX_PX, FOOT_PX, MIN_DARK_SHARE = 5, 12, 0.01
-"""Dark pixels lie so far from light that shows in the mean over so many px a side, where enough do."""
+"""Box of the mean that shows light, distance of dark pixels from it, px, and their least share."""
 
 BOX_PX = 11
 """Dark pixels' means over such boxes say how even the dark is."""
 
 CLEAR_SIGMAS = 4.0
-"""A bin's mean keeps so many sigmas of its noise from both ends of the scale."""
+"""Distance of a bin's mean from both ends of the scale, in sigmas of its noise."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ WINDOW_S = 10.0
 """The clocks are compared over one to two of these: in that time they drift apart by a millisecond or two."""
 
 RESTART_S = 1.0
-"""A clock that goes back by more than this has begun anew; frames that are out of order go back by less."""
+"""Least step back of a restarted clock; frames that are out of order go back by less."""
 
 
 class BusClock:

@@ -27,11 +27,11 @@ from robot_io.described import described
 Float64 = npt.NDArray[np.float64]
 
 GRID_TIME_CONSTANTS_S = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4)
-"""Where the search begins; what is best between them is found after that."""
+"""Starts of the search; the best value between them is found after that."""
 
 
 NO_TIME_CONSTANT_S = 1e-6
-"""What is shorter is none."""
+"""Time constant below which there is none."""
 
 
 @described

@@ -27,7 +27,7 @@ from robot_io.protocol.messages import RobotSync
 Float64 = npt.NDArray[np.float64]
 
 TIME_BITS, SEQUENCE_BITS = 28, 8
-"""The robot's time and the sequence number begin anew after so many bits (arctrack.dbc)."""
+"""Bits after which the robot's time and the sequence number wrap (arctrack.dbc)."""
 
 
 @described

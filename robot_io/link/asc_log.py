@@ -31,7 +31,7 @@ _CLASSIC = re.compile(
 )
 _ALMOST_CLASSIC = re.compile(r"\d\S*\s+\S+\s+\S+\s+(?:Rx|Tx)\s+[dr]\b", re.IGNORECASE)
 _BEGIN = re.compile(r"date\s|base\s|//|;|(?:no\s+)?internal\s+events|begin\s+trigger|\d", re.IGNORECASE)
-"""How a log of Vector's tools can begin."""
+"""Beginnings of a log of Vector's tools."""
 
 _FD = re.compile(
     r"(?P<time>\d+\.\d+)\s+CANFD\s+(?P<channel>\d+)\s+(?P<way>Rx|Tx)(?:\s+(?P<id>\S+)(?:\s+(?P<rest>.*))?)?$",
@@ -62,8 +62,9 @@ _MONTHS = (
     "nov lis",
     "dec dez dic gru",
 )
-"""How months begin, without accents, in English, German, French, Spanish, Italian, Portuguese, Dutch,
-Scandinavian languages and Polish."""
+"""Beginnings of the months' names, without accents, in English, German, French, Spanish, Italian, Portuguese,
+Dutch, Scandinavian languages and Polish.
+"""
 
 _MONTH = {start: number for number, starts in enumerate(_MONTHS, 1) for start in starts.split()}
 

@@ -38,7 +38,7 @@ _ECHOING = ("udp_multicast",)
 _ECHOES_KEPT = 256
 
 _LOOK_UP_S = 0.02
-"""Who waits for a message looks up so often whether the link was closed: a bus does not wake who waits."""
+"""Period at which a waiting reader checks whether the link was closed: a bus does not wake it."""
 
 _FAILURES = (can.CanError, OSError, ImportError, ValueError, TypeError, NotImplementedError)
 

@@ -13,10 +13,10 @@ from enum import Enum
 import can
 
 SEND_TIMEOUT_S = 0.01
-"""How long a frame may take to go out. At 125 kbit/s one takes 1.1 ms; the next offset comes in 20 ms."""
+"""Time-out of a sent frame. At 125 kbit/s one takes 1.1 ms; the next offset comes in 20 ms."""
 
 LOST_AFTER_S = 0.2
-"""Where nothing but failures came for so long, it is the bus that is gone: ten periods of a status."""
+"""Duration of failures alone after which the bus is lost: ten periods of a status."""
 
 BACK_OFF_S = (0.1, 0.2, 0.5, 1.0, 2.0)
 """The waits before each attempt to open it again; the last one over and over."""

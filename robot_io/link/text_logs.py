@@ -28,7 +28,7 @@ _TRC_STATE = re.compile(r"\S+\s+[\d.]+\s+(?:ST|EC|ER|EV)\s")
 
 _CANDUMP_TIME = re.compile(r"\((?P<time>[\d.]+|\d{4}-\d\d-\d\d [\d:.]+)\)\s")
 _CANDUMP_WAY = re.compile(r"(?<=\s)(?:RX|TX)(?:\s+[-BE]){2}\s+")
-"""What `candump -x` puts before the identifier: the direction, bit rate switch and error state."""
+"""Fields that `candump -x` puts before the identifier: the direction, bit rate switch and error state."""
 
 
 def line_reader(suffix: str) -> LineReader:

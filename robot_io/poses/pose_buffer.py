@@ -27,7 +27,7 @@ GAP_PERIODS = 4.0
 """Two neighbouring poses further apart than this many periods say nothing about the time between them."""
 
 ROTATION_TOLERANCE = 1e-3
-"""How far a quaternion's norm may be off 1, and R Rᵀ off the identity, for what a controller rounds off."""
+"""Largest error of a quaternion's norm, and of R Rᵀ against the identity, from a controller's rounding."""
 
 
 class PoseError(ValueError):

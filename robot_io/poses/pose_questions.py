@@ -18,7 +18,7 @@ from robot_io.protocol.messages import MotionState, RobotStatus
 Quaternion = tuple[float, float, float, float]
 
 SPEED_SAMPLES = 5
-"""The speed that jitter is counted at comes from so many samples before the newest."""
+"""Number of samples before the newest that determine the speed of the jitter's effect."""
 
 
 @described

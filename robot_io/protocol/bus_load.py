@@ -9,7 +9,7 @@ from robot_io.protocol.codec import FRAME_LENGTH
 from robot_io.protocol.dbc import cycle_time_s, database
 
 FRAME_MESSAGES = ("SeamOffset", "SeamPoint", "SeamGeometry", "TrackerStatus")
-"""Those that go out with each frame of the camera."""
+"""Messages that are sent with each frame of the camera."""
 
 
 def frame_bits(length: int = FRAME_LENGTH) -> int:

@@ -32,7 +32,7 @@ def message_layout(name: str) -> Message:
 
 
 SOURCE_STEP = 0x100
-"""How far the E2E data ids of two sources are apart."""
+"""Distance of the E2E data ids of two sources."""
 
 
 @cache

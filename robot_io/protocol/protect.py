@@ -24,7 +24,7 @@ from robot_io.protocol.messages import (
 )
 
 SOURCES = (Source.LIVE, Source.REPLAY, Source.SIMULATION)
-"""Those that a frame can come from."""
+"""Sources that a frame can come from."""
 
 _COUNTED_BY: dict[type[BusMessage], type[BusMessage]] = {
     RobotPoseRotation: RobotPosePosition,

@@ -31,7 +31,7 @@ SOURCES = {
     ROBOT: ("robot's inaccuracy", "a robot that repeats better, or a slower approach"),
     DELAY: ("delay of the poses", "`arctrack calibrate delay` on a recording that weaves more"),
 }
-"""What each source is, and what lessens its share."""
+"""Sources of the covariance, with what reduces their share."""
 
 
 def certificate_page(

@@ -20,7 +20,7 @@ from noise_model.arrays import Float64
 from tracker.seam.locate import moved_variance
 
 POINTS_OF_PAIR = 25
-"""The sheet is judged at so many points of the stripe in each pair: beyond them nobody has seen it."""
+"""Number of points of the stripe in each pair at which the sheet is judged, within the range seen."""
 
 UNIT_RAD, UNIT_MM = 1e-3, 0.1
 """The turn and the move whose variances are scaled to the certificate's."""

@@ -44,7 +44,7 @@ CURES = {
 }
 
 RANGE = 0.1
-"""The colours of what is left end at so much, relative."""
+"""End of the residuals' colour scale, relative."""
 
 
 def arc_page(result: ArcCalibration, recording: Recording) -> CalibrationPage:

@@ -23,7 +23,7 @@ MOVED_PX = 0.5
 """A board whose corners lie this near those of another image, half of them, has not moved."""
 
 DIM_DN = 20.0
-"""A contrast of fewer DN of 8 bits makes noisy corners: a user is told."""
+"""Least contrast without a warning, DN of 8 bits: less makes noisy corners."""
 
 
 @dataclass

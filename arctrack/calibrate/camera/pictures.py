@@ -15,13 +15,13 @@ WIDTH_INCH = 7.0
 COLOURS = "viridis"
 
 ARROW_SHARE = 0.03
-"""How long the arrow of a residual of the 95 % quantile is, over the image's width."""
+"""Length of the arrow of a residual of the 95 % quantile, over the image's width."""
 
 PRINT_ARROW = 0.4
-"""How long the arrow of a corner is that is twice as far off as most, over the squares' side."""
+"""Length of the arrow of a corner that is twice as far off as most, over the squares' side."""
 
 SAMPLE_PX = 800
-"""The image behind the corners is thinned to so many px."""
+"""Size to which the image behind the corners is reduced, px."""
 
 SIGMA_LEVELS_PX = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 

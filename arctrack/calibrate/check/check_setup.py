@@ -29,7 +29,7 @@ from tracker.state import Frame
 from tracker.warm_up import warm_up
 
 MAX_ARC_FRAMES = 12
-"""So many frames with the arc on are compared with the arc map."""
+"""Number of frames with the arc on that are compared with the arc map."""
 
 MIN_LINES = 30
 """A stripe that the tracker holds in fewer scan lines is taken from the bright line instead."""

@@ -15,7 +15,7 @@ from calibration.check.arc_light import ArcLightCheck
 from noise_model.setup import Setup
 
 DARK_SIGMA_DN, NOISE_SIGMA_REL = 0.1, 0.1
-"""What rounding and hot pixels leave of a black level, DN, and of a noise, relative, 1 sigma."""
+"""1 sigma of a black level, DN, and of a noise, relative, from rounding and hot pixels."""
 
 MIN_NOISE_DN = 0.4
 """Less noise is lost in the rounding to whole codes."""
@@ -24,13 +24,13 @@ SATURATED_SIGMA = 0.08
 """A stripe whose scan lines are saturated to three times this share cannot be judged."""
 
 WIDTH_SIGMA_REL, PEAK_SIGMA_REL = 0.05, 0.1
-"""1 sigma of a stripe's width and of its peak on metal, relative, beside the laser's tolerance."""
+"""1 sigma of a stripe's width and of its peak on metal, relative, in addition to the laser's tolerance."""
 
 EXPOSURE_SIGMA, CURRENT_SIGMA, UNSTEADY_SIGMA, SHAPE_SIGMA, SPREAD_SIGMA = 0.03, 0.05, 0.01, 0.01, 0.007
 """1 sigma of the arc's quantities where all is as stated: powers, and relative."""
 
 MAX_POWER_SIGMA, MAX_REL_SIGMA = 0.15, 0.05
-"""With wider sigmas a power, or a relative quantity, is not told."""
+"""Largest sigma of a determined power, and of a determined relative quantity."""
 
 
 def sensor_measures(setup: Setup, seen: SensorReading, arc: ArcLightCheck | None) -> list[Measure]:
@@ -164,7 +164,7 @@ ARC_QUANTITIES = (
         "clean window and lens; arctrack diagnose: veiling_glare, or light between faces",
     ),
 )
-"""The arc's quantities: name, field of `ArcLightCheck`, largest sigma that tells it, and the cure."""
+"""The arc's quantities: name, field of `ArcLightCheck`, largest sigma when determined, and the cure."""
 
 
 def arc_measures(setup: Setup, arc: ArcLightCheck | None, first: str) -> list[Measure]:

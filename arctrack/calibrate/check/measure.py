@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 MAX_SIGMAS = 3.0
-"""What is measured may lie so many sigmas off what is expected."""
+"""Largest deviation of a measured quantity from the expected one, sigmas."""
 
 
 class SetupVerdict(Enum):

@@ -26,10 +26,10 @@ TEMPLATE = "setup_check.html.j2"
 MARKS = {SetupVerdict.OK: "no_gap", SetupVerdict.NOT_EXPLAINED: "unknown", SetupVerdict.UNTOLD: "ambiguous"}
 
 MAX_SHOWN = 2
-"""So many frames are shown with their stripes."""
+"""Number of frames shown with their stripes."""
 
 SHAPE_RANGE = 0.1
-"""The colours of the arc map's error end at so much, relative."""
+"""End of the colour scale of the arc map's error, relative."""
 
 
 def render(checked: SetupCheck) -> str:

@@ -24,7 +24,7 @@ from noise_model.arrays import Float64, Integers
 from noise_model.evenly import evenly
 
 MAX_FRAMES = 40
-"""So many frames of a recording are looked at, evenly over it."""
+"""Number of frames of a recording that are used, evenly spread."""
 
 
 @dataclass

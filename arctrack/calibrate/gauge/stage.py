@@ -39,7 +39,7 @@ SHEET_CURE = (
 )
 
 SURE = 0.5
-"""A size that is known to that share of the limit (1 sigma) tells whether it is within it."""
+"""Largest sigma of a size, over its limit, that decides whether it is within the limit."""
 
 
 def gauge_stage(

@@ -21,7 +21,7 @@ from calibration.hand_eye_boards.turns import turn_mismatch_deg
 from noise_model.arrays import Float64
 
 FITS_DEG = 1.5
-"""Robot and board turn alike where their turns differ by less, the median of all pairs of images."""
+"""Largest median difference of robot's and board's rotations between images that fit."""
 
 SEQUENCES = tuple("".join(axes) for letters in ("ZYX", "xyz") for axes in permutations(letters)) + tuple(
     f"{first}{second}{first}" for letters in ("ZYX", "xyz") for first, second in permutations(letters, 2)

@@ -13,10 +13,10 @@ from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration
 from calibration.rigid import inverse, transform_each
 
 ARROW_SHARE = 0.25
-"""How long the camera's line of sight is drawn, over its distance to the board."""
+"""Length of the camera's line of sight, over its distance to the board."""
 
 ARROW_PX_SHARE = 0.08
-"""How long the arrow of the 95 % quantile is drawn, over the image's width."""
+"""Length of the arrow of the 95 % quantile, over the image's width."""
 
 
 def misfits(result: HandEyeCalibration) -> str:

@@ -32,7 +32,7 @@ from noise_model.arrays import Float64, Integers
 from noise_model.setup import Setup
 
 LIT_SIGMAS = 3.0
-"""A corner that is so many sigmas of the stripe beside it, and half its own window, is not in its light."""
+"""Distance of an unlit corner from the stripe, sigmas, in addition to half the corner's window."""
 
 WITH, WITHOUT = ("laser", "on"), "off"
 """Words in a file's name: an image with the laser has one of the first, and not the second."""

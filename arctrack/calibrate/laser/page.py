@@ -28,7 +28,7 @@ from noise_model.setup import Setup
 
 WORDS = ("normal, x", "normal, y", "normal, z", "distance, d")
 SAMPLE_PX = 800
-"""The image behind the stripes is thinned to so many px."""
+"""Size to which the image behind the stripes is reduced, px."""
 
 BINS, MIN_IN_BIN = 30, 20
 """Parts of the stripe whose mean shows the sheet's bow, and the points that make a mean."""

@@ -21,7 +21,7 @@ SOURCE = ("distance_mm", "intensity")
 TIME, REPEAT = "time_s", "repeat"
 
 SOURCE_RANGE = (1e-9, 1e9)
-"""What distance and intensity may be, in whatever unit: the intensity over the distance squared is finite."""
+"""Range of distance and intensity in any unit: the intensity over the distance squared is finite."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,13 +26,13 @@ WORDS = {
     "prnu_rel": ("photo response non-uniformity, PRNU", ""),
     "linearity_rel": ("linearity error, levels off the exposures' line", ""),
 }
-"""What each value is, and its key in [sensor]."""
+"""Name of each value, and its key in [sensor]."""
 
 PERCENTS = ("prnu_rel", "linearity_rel")
 """Values that people read in %."""
 
 MAP_PX, MAP_SIGMAS = 160, 3.0
-"""A pattern's picture shows so many pixels a side, and so many of its sigmas."""
+"""Size of a pattern's picture, pixels a side, and its range, sigmas."""
 
 CURVE_POINTS = 400
 

@@ -37,7 +37,7 @@ CURVE_LABELS = {
     "times_laser": "laser light, recorded / predicted",
     "times_light": "light, recorded / predicted",
 }
-"""What a free function of each form is."""
+"""Meaning of a free function of each form."""
 
 
 @dataclass(frozen=True)

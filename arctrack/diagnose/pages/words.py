@@ -30,7 +30,7 @@ PLACES = {
     "geometry": "where things really are",
     "timing": "the poses' clock",
 }
-"""What a stage is."""
+"""Names of the stages."""
 
 STRATA = {
     "dark": "dark frames",
@@ -40,7 +40,7 @@ STRATA = {
     "stripe_band": "the stripe's band",
     "rest": "off the stripe",
 }
-"""What is on in a stratum."""
+"""Names of the strata, by what is on."""
 
 COVARIATES = {
     "distance": "distance from the arc",
@@ -71,10 +71,10 @@ FORMS = {
     "times_laser": "that multiplies the laser's light",
     "times_light": "that multiplies all light",
 }
-"""How a free function acts."""
+"""Action of a free function, by its form."""
 
 CERTAIN_SHARE = 0.995
-"""From here on a probability is said to be above 99 %."""
+"""Least probability that is stated as above 99 %."""
 
 MIN_R2 = 0.05
 """A covariate or pattern that explains a smaller share of the residual is not worth mentioning."""
@@ -83,13 +83,13 @@ MIN_STAGE_PROBABILITY = 0.01
 """A less probable stage is not mentioned."""
 
 MAX_FOLLOWED = 3
-"""So many covariates are named at most."""
+"""Largest number of covariates named."""
 
 IN_PIXELS, IN_BINS = "in single pixels", "in bins"
-"""What the share of a gap is measured in that effects close."""
+"""Units of the share of a gap that effects close."""
 
 MIN_CLOSED = 0.01
-"""What closes a smaller share of the gap closes nothing."""
+"""Least share of the gap that counts as closed."""
 
 SAME_SEAM_REL, SAME_SEAM_MM = 0.1, 0.005
 """Errors of the seam that differ by less than either are the same."""

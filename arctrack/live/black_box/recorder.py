@@ -30,13 +30,15 @@ AFTERMATH_S = 2.0
 """So long after a fault the window ends: what followed is of interest too. The journal has room for it."""
 
 MIN_BETWEEN_S, MAX_FAULTS_SAVED = 60.0, 20
-"""A fault that comes again fills no disk: so long between two, so many in a run. Requests are not counted."""
+"""Least time between two saved faults, and their largest number in a run: a fault that recurs fills no disk.
+Requests are not counted.
+"""
 
 TRY_S = 10.0
 """So often it is tried whether the folder can be written, s: three times before a fault's frames are gone."""
 
 END = "end"
-"""What is told to a recorder whose run has ended as it should."""
+"""Message to a recorder whose run has ended as it should."""
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from noise_model.transforms import pose_matrix
 ABOUT_JSON = "black_box.json"
 
 VERSIONS = ("arctrack", "numpy", "numba", "scipy", "opencv-contrib-python-headless")
-"""What the same tracks need the same versions of."""
+"""Packages whose same versions give the same tracks."""
 
 
 @dataclass(frozen=True)

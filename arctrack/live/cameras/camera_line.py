@@ -25,7 +25,7 @@ HOLD_S = 0.3
 """So long the laser stays on after it was switched on last: as long as the longest look at a frame, twice."""
 
 PULSE_HOLD_S = 0.35
-"""So long a pulse holds after the robot told it last: three cycles and a half, two may be lost."""
+"""Time for which a pulse holds after the robot sent it: three cycles and a half, two may be lost."""
 
 _WANTED, _CHECKSUM = struct.Struct("<6d"), struct.Struct("<I")
 _BYTES = _WANTED.size + _CHECKSUM.size
@@ -49,7 +49,7 @@ class CaptureRequest:
 
 
 WIRED_ON = CaptureRequest(laser_until_s=math.inf)
-"""What is wanted of a camera whose line nobody ever drove: its laser is on for good."""
+"""Request to a camera whose line nobody ever drove: its laser is on for good."""
 
 
 def line_path(name: str) -> Path:

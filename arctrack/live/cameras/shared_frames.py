@@ -15,7 +15,7 @@ from arctrack.live.journal.ring import RingError, RingReader, RingWriter
 from tracker.state import Frame
 
 KIND = struct.Struct("<8sII8s")
-"""What the records are: frames of a version, height, width, dtype."""
+"""Kind of the records: frames of a version, height, width, dtype."""
 
 VERSION = b"frames1"
 FIELDS = struct.Struct("<QdddBB6x")

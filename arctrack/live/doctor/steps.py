@@ -20,7 +20,7 @@ FRAMES = 8
 SPACING_MM = 1.0
 
 OnDone = Callable[[int], None]
-"""Hears how many frames and steps are done."""
+"""Callback with the number of frames and steps done."""
 
 
 class NotCompiledError(Exception):

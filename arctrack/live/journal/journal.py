@@ -33,7 +33,7 @@ ENTRY_BYTES = 96 * 1024
 """All of an entry but its image: a tracker's state has 40 kB at most, POSES 30 kB."""
 
 POSES = 128
-"""So many poses between two frames are kept."""
+"""Largest number of poses kept between two frames."""
 
 VIEW_BYTES_PER_LINE, VIEW_BYTES = 80, 64 * 1024
 """A view's stripe has seven values a scan line; the rest is small."""
@@ -41,7 +41,7 @@ VIEW_BYTES_PER_LINE, VIEW_BYTES = 80, 64 * 1024
 STATUS_BYTES = 16 * 1024
 MIN_SLOTS, FEW_SLOTS = 8, 4
 SPARE = 1.25
-"""So many times the frames that are to be kept fit: what is saved must not be written over meanwhile."""
+"""Ring size over the frames to keep: what is being saved must not be overwritten."""
 
 
 def entries_name(name: str) -> str:

@@ -28,12 +28,12 @@ from tracker.state import NAN, Frame, Track
 from tracker.step import StepInputs
 
 EIGHTH = 8
-"""Parts of a record begin at multiples of so many bytes."""
+"""Alignment of a record's parts, bytes."""
 
 NO_IMAGE = np.empty((0, 0), np.uint8)
 
 BUCKETS_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 60.0)
-"""Up to which times Prometheus is told counts, s: upper ends of bins. The gate lets out what is 0.2 s old."""
+"""Upper ends of Prometheus' bins of times. The gate lets out what is 0.2 s old."""
 
 
 @dataclass(frozen=True)

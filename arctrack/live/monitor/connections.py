@@ -14,7 +14,7 @@ ASKS_S = 10.0
 
 SWEEP_S = 1.0
 MAX_CONNECTIONS = 128
-"""So many are open at most, four a browser: beyond it those go that have asked nothing for longest."""
+"""Largest number of open connections, four a browser: beyond it the longest idle ones are closed."""
 
 _LOG = logging.getLogger(__name__)
 

@@ -22,7 +22,7 @@ TICK_S = 0.1
 
 STATUS_TICKS, HEAT_S = 2, 0.5
 POINTS_PER_TICK = 2
-"""Of more entries some are passed over: a line of three minutes shows no more."""
+"""Number of entries used a tick; others are skipped: a line of three minutes shows no more."""
 
 
 class Feed:

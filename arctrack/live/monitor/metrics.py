@@ -16,7 +16,7 @@ from arctrack.live.monitor.words import Indication
 from robot_io import TrackerState
 
 QUANTILES = ("0.5", "0.99", "1")
-"""Of `Status.capture_ms` and `arrival_ms`, in their order."""
+"""Quantiles of `Status.capture_ms` and `arrival_ms`, in their order."""
 
 
 def registry_of(feed: Feed) -> CollectorRegistry:

@@ -7,7 +7,7 @@ from collections import deque
 from enum import Enum
 
 MAX_WAITING = 32
-"""So many messages wait for a browser at most; where there are more, the oldest go."""
+"""Largest number of messages that wait for a browser; beyond it the oldest are dropped."""
 
 Message = str | bytes
 
@@ -23,7 +23,7 @@ class MessageKind(Enum):
 
 
 COUNTS_ALONE = frozenset({MessageKind.STATUS, MessageKind.PICTURE, MessageKind.HEAT})
-"""Of these the newest says all: an older one that still waits is not sent."""
+"""Kinds of which only the newest message counts: an older one that still waits is not sent."""
 
 
 class Outbox:

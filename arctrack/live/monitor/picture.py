@@ -34,13 +34,13 @@ from tracker.stripe.read import arc_map_of
 
 MAX_WIDTH_PX, JPEG_QUALITY = 960, 80
 MAX_POINTS = 320
-"""So many points of a line are sent: a screen shows no more."""
+"""Largest number of points of a line: a screen shows no more."""
 
 HEAT_CELLS = 80
-"""So many cells of the arc's light lie along the image's longer side."""
+"""Number of cells of the arc's light along the image's longer side."""
 
 HEAT_ALPHA = 190
-"""How opaque the most light is, of 255."""
+"""Opacity of the most light, of 255."""
 
 PICTURE, HEAT = 1, 2
 """The first byte of a binary message says what follows."""

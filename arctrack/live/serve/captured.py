@@ -20,7 +20,7 @@ from arctrack.live.serve.side_process import SideProcess
 from noise_model.setup import Setup
 
 ENDS_S = 10.0
-"""How long a driver may take to let go of its camera, s."""
+"""Time that a driver may take to release its camera."""
 
 
 class CapturedCamera(SharedMemoryCamera):

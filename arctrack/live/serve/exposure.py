@@ -24,16 +24,16 @@ LOST_S = 1.0
 """After so long without a stripe the setup's exposure is taken again, s."""
 
 LINES = 32
-"""So many scan lines stand for all: a choice takes half a millisecond."""
+"""Number of scan lines that represent all: a choice takes half a millisecond."""
 
 MIN_LINES = 8
-"""Of fewer lines nothing is chosen."""
+"""Least number of lines for a choice."""
 
 ALONG_MM = 0.5
 """So far the tool may go during an exposure, mm: what a frame shows of the seam is the mean over it."""
 
 FRAME_SHARE = 0.9
-"""So much of a frame's period the exposure may take: the rest is read-out."""
+"""Largest share of a frame's period that the exposure takes: the rest is read-out."""
 
 
 @dataclass(frozen=True)

@@ -27,10 +27,10 @@ from arctrack.live.watch.process import WatchOptions, run_watch
 from noise_model.setup import Setup
 
 WRITES_S = 60.0
-"""How long the black box may take to write what it holds, s."""
+"""Time that the black box may take to write what it holds."""
 
 PAGE_NICENESS, BLACK_BOX_NICENESS, WATCH_NICENESS = 10, 10, 15
-"""By how much each yields to the loop and to whoever publishes frames: what a person waits for goes first."""
+"""Niceness of each below the loop and the frames' publisher: what a person waits for goes first."""
 
 
 @dataclass(frozen=True)

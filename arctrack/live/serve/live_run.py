@@ -44,7 +44,7 @@ from robot_io import Link, LinkError, Source
 from tracker.seam.correction import Correction
 
 LAG_NICENESS = 5
-"""By how much the estimate of the robot's lag yields: nobody waits for it."""
+"""Niceness of the estimate of the robot's lag: nobody waits for it."""
 
 
 @dataclass(frozen=True)

@@ -49,14 +49,14 @@ CHECK_S = 0.001
 """So often it is looked whether something is due: the turns about a frame's arrival are shorter."""
 
 MAX_MESSAGES = 64
-"""So many messages are read in a turn at most: a robot that talks all the time must not hold a frame up."""
+"""Largest number of messages read in a turn: a robot that sends all the time must not hold a frame up."""
 
 Service = TrackingService[Frame | None]
 OnDark = Callable[[Frame], None]
-"""Hears each frame that was taken without the laser in between: the arc's light alone."""
+"""Callback with each laser-off frame: the arc's light alone."""
 
 OnTrack = Callable[[Track, list[BusMessage]], None]
-"""Hears each track, and what was sent of it."""
+"""Callback with each track, and what was sent of it."""
 
 
 @dataclass(frozen=True)

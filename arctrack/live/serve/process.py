@@ -18,7 +18,7 @@ STDERR = 2
 """The stream of errors itself, whatever Python writes to instead."""
 
 REARMED_S = 0.1
-"""So often the watchdog is set anew: that takes a tenth of a millisecond."""
+"""Period of the watchdog's reset, which takes a tenth of a millisecond."""
 
 
 def schedule(choice: ProcessChoice) -> tuple[list[str], list[str]]:

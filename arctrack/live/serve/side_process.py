@@ -17,7 +17,7 @@ from arctrack.safe_points import leave_signals_to_parent
 from arctrack.workers import end_with_parent
 
 ENDS_S = 2.0
-"""How long a process may take to end, s, unless it writes something."""
+"""Time that a process may take to end, unless it writes something."""
 
 FIRST_DELAY_S, MAX_DELAY_S = 1.0, 60.0
 """A process that ended is started again after so long; the time doubles with each end up to the second, s.
@@ -26,7 +26,7 @@ The second is also how long a process must have lived for its next delay to be t
 """
 
 ERROR = "error: "
-"""How the first word begins of a process that cannot do its work."""
+"""Prefix of the first message of a process that cannot do its work."""
 
 SPAWN = multiprocessing.get_context("spawn")
 """A fork would have the loop's own threads, locked memory and real-time priority."""

@@ -29,10 +29,11 @@ from tracker.state import Track
 
 INTERFACE, GROUP = "udp_multicast", "239.74.163.2"
 ENDS_S = 10.0
-"""How long robot and camera may take to end, s."""
+"""Time that robot and camera may take to end."""
 
 Samples = list[tuple[float, float]]
-"""By the machine's monotonic time, s, how far the torch was off the seam, mm; NaN while it locks on anew."""
+"""Distances of the torch from the seam, mm, by the machine's monotonic time, s; NaN while it locks on again.
+"""
 
 LOCKING_MM = 80.0
 """So far a further part's seam is followed before the torch is judged: the first part's lock takes 50 mm."""

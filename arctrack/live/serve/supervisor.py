@@ -16,7 +16,7 @@ from arctrack.live.journal.records import ProcessState
 from arctrack.live.serve.side_process import SPAWN, SideProcess
 
 Tell = Callable[[str], None]
-"""Hears a line for people."""
+"""Callback with a line for people."""
 
 
 class Supervisor:

@@ -27,10 +27,10 @@ REAL_TIME_PX = (320, 240)
 """An image that is rendered in some 25 ms: its offset is not too old for the gate."""
 
 CAMERA_ENDS_S = 5.0
-"""How long the camera may take to end, s."""
+"""Time that the camera may take to end."""
 
 SILENT_S = 0.5
-"""A tracker that was not heard for so long is gone."""
+"""Silence after which a tracker is gone."""
 
 NO_ROUTE = (errno.ENODEV, errno.ENETUNREACH)
 MULTICAST_CURE = (

@@ -31,7 +31,7 @@ from tracker.observation import expected_output
 from tracker.state import NAN, Frame, Pose
 
 STEP_MM = 0.5
-"""The derivative is taken over so much to either side."""
+"""Step of the derivative to either side."""
 
 BLOW_SIGMA_MM, RADIUS_SIGMA = 0.3, 0.05
 """1 sigma of where the arc stands beside its place, mm, and of its radius, relative: a steady arc's.
@@ -40,7 +40,7 @@ They are fitted along, for what they do to the light resembles what the height d
 """
 
 FORM_SHARE = 0.25
-"""The map's smooth error is alike over so much of the image's diagonal: lobes and shadows are as wide."""
+"""Correlation length of the map's smooth error, over the image's diagonal: lobes and shadows are as wide."""
 
 TEXTURE_SIGMA = 0.05
 """1 sigma of the metal's own texture from pixel to pixel, relative."""

@@ -19,14 +19,16 @@ from tracker.geometry import SensorGeometry
 
 LOOK_S = 0.2
 FRAMES_A_LOOK = 5
-"""So many tracks are taken a look: 25 a second say what 200 do, for neighbours are alike."""
+"""Number of tracks used at a time: 25 a second contain what 200 do, for neighbours correlate."""
 
 REPORT_S = 1.0
 HEIGHT_CLEAR_MM = 2.0
 """So far from the stripe the laser's light is none of the arc's."""
 
 LOOK_FRAMES, MIN_LOOK_FRAMES, AGAIN_S = 12, 6, 60.0
-"""A look at a gap takes so many frames, evenly chosen since it began, and is taken again after so long."""
+"""Number of frames, evenly chosen since a gap began, that are used, their least number, and the time until
+the next use.
+"""
 
 SETTLED_S = 5.0
 """So long after a gap began it is looked at: before, most frames are from before it."""

@@ -21,7 +21,7 @@ from noise_model.spelling import nearest
 TIME_NAMES = ("time", "timestamp", "t", "stamp")
 FRAME_NAMES = ("frame",)
 FILE_NAMES = ("file", "filename", "file_name")
-"""What a column may be called: its first name is what a user calls it in --column."""
+"""Names of a column: the first is the user's name of it in --column."""
 
 UNKNOWN_IMAGE = -1
 

@@ -44,7 +44,7 @@ SLOWEST_HZ, FASTEST_HZ = 0.01, 5000.0
 _PARSERS = (whole(1), whole(1), number_or_unknown, number)
 
 TAG_TICK_S = 1.0
-"""What DateTime of EXIF and TIFF is rounded to."""
+"""Rounding of DateTime of EXIF and TIFF."""
 
 
 @dataclass(frozen=True)

@@ -37,10 +37,10 @@ from noise_model.arrays import Float64
 from tracker.state import Frame
 
 OnFrame = Callable[[str, int, int], None]
-"""Is told what is done, how far, and of how many frames."""
+"""Callback with the activity, frames done, and their total."""
 
 LONE_PERIOD_S = 1.0
-"""How long before a single image its pose is repeated."""
+"""Time before a single image at which its pose is repeated."""
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,10 @@ from arctrack.recording.importing.units import UNSTATED, Units
 from noise_model.arrays import Float64
 
 MAX_NORM_ERROR = 0.01
-"""How far a quaternion's norm may be off 1: controllers write a few digits."""
+"""Largest error of a quaternion's norm: controllers write a few digits."""
 
 MAX_SKEW = 1e-3
-"""How far R Rᵀ may be off the identity, as `robot_io.PoseBuffer` takes it."""
+"""Largest error of R Rᵀ against the identity, as `robot_io.PoseBuffer` takes it."""
 
 MATRIX = "matrix"
 

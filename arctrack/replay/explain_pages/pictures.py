@@ -28,7 +28,7 @@ SATURATED = 255
 """The grey that stands for saturated pixels, which are drawn in a colour of their own."""
 
 RESIDUAL_SIGMAS = 5.0
-"""Where the residual's colours end."""
+"""End of the residual's colour scale, sigmas."""
 
 EXAGGERATIONS = (1, 2, 5, 10, 20, 50, 100, 200)
 BAND_SHARE, SIGMA_QUANTILE = 1.0 / 24.0, 0.9
@@ -39,7 +39,7 @@ MARK_SHARE = 0.02
 """Half the size of a scan line's mark, over the image's height."""
 
 MARK_PLACES = (-3.0, 3.0, -6.0, 6.0)
-"""How far off the stripe, in half sizes, a mark may stand: the first place that is free."""
+"""Places of a mark relative to the stripe, in half sizes: the first free one is used."""
 
 
 @dataclass(frozen=True)

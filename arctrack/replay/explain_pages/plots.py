@@ -27,10 +27,10 @@ CERTAIN_SIGMAS = math.sqrt(2.0 * GAIN_CAP)
 """A score from which on a candidate gains no more."""
 
 SHADES = 12
-"""So many shades of grey show the scores: noise stays white."""
+"""Number of shades of grey of the scores: noise stays white."""
 
 BINS = 100
-"""So many bins of scan lines the sigma's parts are drawn in."""
+"""Number of bins of scan lines in which the sigma's parts are drawn."""
 
 PARTS = {
     "stripe": ("shot noise of the stripe", style.BLUE),
@@ -40,7 +40,7 @@ PARTS = {
     "width": ("unknown width", style.SKY),
     "misfit": ("misfit (χ² above its scatter), scatter of the lines", style.BLACK),
 }
-"""What a sigma is made of, bottom to top."""
+"""Parts of a sigma, bottom to top."""
 
 FLOOR = ("floor that the joint's fit adds", style.GREEN)
 
@@ -48,7 +48,7 @@ ELLIPSE_MM = 0.4
 """The seam's ellipse is drawn about so large."""
 
 CLOSE_MM = 3.0
-"""How far about the seam point the profile is shown close by."""
+"""Half-width of the close-up of the profile about the seam point."""
 
 TIMES = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 

@@ -12,10 +12,12 @@ from arctrack.recording import Recording, Truth
 from arctrack.replay.pages.frame_drawer import Drawn, FrameDrawer, ToDraw
 
 FRAMES_WORTH_A_PROCESS = 170
-"""So many frames of the page take as long to draw as a process takes to start: 1.5 s of one core."""
+"""Number of the page's frames that take as long to draw as a process takes to start: 1.5 s of one core."""
 
 MAX_PROCESSES = 3
-"""So many draw as fast as one process reads the frames, encodes the video and collects the page."""
+"""Largest number of drawing processes: as fast as one reads the frames, encodes the video and collects the
+page.
+"""
 
 
 def process_count(cores: int, frames: int) -> int:

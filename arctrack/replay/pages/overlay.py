@@ -20,7 +20,7 @@ from tracker.state import Frame, Track
 MIN_WIDTH = 640
 LINE_PX, LINES = 20, 3
 PIXELS = "yuv420p"
-"""What every player knows; it halves both sides of its colour."""
+"""Pixel format that every player knows; it halves both sides of its colour."""
 
 INK, FAINT = (255, 255, 255), (160, 160, 160)
 

@@ -31,7 +31,7 @@ from tracker.state import Frame, Track
 TEMPLATE = "replay.html.j2"
 
 MAX_SHOWN = 240
-"""Of a longer recording only so many frames keep picture, profile and all checks on the page."""
+"""Largest number of frames with picture, profile and all checks on the page."""
 
 
 def opening_frame(frame_flags: Sequence[int]) -> int:

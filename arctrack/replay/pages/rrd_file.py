@@ -23,7 +23,7 @@ from tracker import flags
 from tracker.state import Frame
 
 TOOL, CAMERA = "base/tool", "base/tool/camera"
-"""Where tool and camera stand in the tree; lengths in space are mm."""
+"""Places of tool and camera in the tree; lengths in space are mm."""
 
 ARC_MAP, FLAGS, SETUP = "arc_map", "flags", "setup"
 

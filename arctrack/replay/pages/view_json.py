@@ -16,7 +16,7 @@ FRAME_PX, MAP_PX = 640, 320
 """Pictures are shrunk to about these widths."""
 
 MAX_LINES, MAX_POINTS = 400, 400
-"""So many scan lines of the stripe, and so many points of a profile, are on the page at most."""
+"""Largest number of the stripe's scan lines, and of a profile's points, on the page."""
 
 
 def view_json(view: ReplayView) -> dict[str, Any]:

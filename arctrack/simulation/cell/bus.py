@@ -11,7 +11,7 @@ import numpy as np
 from arctrack.simulation.cell.scheduler import Scheduler
 
 FRAME_S = 0.00027
-"""What a frame of 8 bytes takes at 500 kbit/s, stuffed: 135 bits."""
+"""Duration of a frame of 8 bytes at 500 kbit/s, stuffed: 135 bits."""
 
 FRAME_BITS = 64
 """Bits of a frame that a flip is drawn for."""

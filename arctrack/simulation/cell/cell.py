@@ -29,15 +29,15 @@ from robot_io import (
 )
 
 ARMED_S = 0.2
-"""When the robot commands TRACK."""
+"""Time at which the robot commands TRACK."""
 
 BRIDGE_MM = 20.0
-"""How far the job lets a tracker go without a joint."""
+"""Distance that the job lets a tracker go without a joint."""
 
 USABLE = (Validity.VALID, Validity.HELD)
 
 TORCH_MM = 0.5
-"""How far the torch may be off the seam at a run's end, mm."""
+"""Largest distance of the torch from the seam at a run's end."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from arctrack.control.innovation import SeamMeasurement
 from tracker.state import Track
 
 Shown = npt.NDArray[Any] | None
-"""What a frame shows: an image, or where a camera without a picture saw the seam; None for nothing."""
+"""Content of a frame: an image, or where a camera without a picture saw the seam; None for nothing."""
 
 
 class Eye(Protocol):

@@ -13,7 +13,7 @@ from arctrack.simulation.cell.world import World
 from robot_io import GateReason
 
 End = Callable[[], None]
-"""What ends a fault."""
+"""Callback that ends a fault."""
 
 Begin = Callable[[Cell, np.random.Generator], End]
 """Begins a fault in a cell, with what chance decides."""

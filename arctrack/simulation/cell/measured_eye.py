@@ -17,7 +17,7 @@ from tracker.seam.gaussian_process import SeamHistory
 from tracker.state import Track
 
 TOLERANCE_MM = 0.25
-"""What the weld bears, mm."""
+"""Tolerance of the weld."""
 
 
 @dataclass

@@ -22,7 +22,7 @@ from robot_io import (
 )
 
 RETRACT_MM_S = 20.0
-"""How fast it backs up."""
+"""Speed of backing up."""
 
 WELDING = RobotStatus(
     mode=RobotMode.AUTOMATIC,
@@ -38,7 +38,7 @@ WELDING = RobotStatus(
 )
 
 CORRECTION_MM_S = 30.0
-"""How fast a controller lets a correction of its path act, mm/s: its axes' acceleration is limited."""
+"""Largest speed of a correction in a controller: its axes' acceleration is limited."""
 
 DISARMED = TrackerCommand(Command.DISARM, True, True, 0, 1, 1, Switch.ON)
 

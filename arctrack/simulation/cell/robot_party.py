@@ -35,7 +35,7 @@ Quaternion = tuple[float, float, float, float]
 Vector = tuple[float, float, float]
 
 SEND_LAG_S = 0.002
-"""From a pose's sample to the sending of its frames."""
+"""Time from a pose's sample to the sending of its frames."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,10 @@ class RobotReport:
 
 
 Spoil = Callable[[float, RobotReport], RobotReport | None]
-"""Takes the time and what is true, and returns what is told; None for nothing."""
+"""Function of the time and the true pose that returns the pose to send; None for nothing."""
 
 SOURCE = Source.LIVE
-"""What is sent: as a live cell sends it. Nothing leaves the process."""
+"""Source of the messages, as of a live cell. Nothing leaves the process."""
 
 
 @dataclass

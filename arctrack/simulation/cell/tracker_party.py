@@ -42,7 +42,7 @@ FRAME_PERIOD_S, EXPOSED_S, COMPUTED_S = 0.02, 0.002, 0.012
 
 POLL_S = 0.01
 UNHEARD = (SeamPoint, SeamGeometry)
-"""What this robot does not listen to is not sent: it would take a fifth of the time."""
+"""Messages that this robot does not read, which are not sent: it would take a fifth of the time."""
 
 
 class CameraBehaviour(Enum):

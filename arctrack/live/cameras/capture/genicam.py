@@ -16,7 +16,7 @@ US = 1e-6
 CURE = "install the packages gir1.2-aravis-0.8 and python3-gi, or pip install 'arctrack[gige]'"
 
 DEBIAN = "/usr/lib/python3/dist-packages"
-"""Where Debian's package python3-gi lies, which a virtual environment does not see."""
+"""Folder of Debian's package python3-gi, which a virtual environment does not see."""
 
 
 def aravis() -> tuple[Any, Any]:

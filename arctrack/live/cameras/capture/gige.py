@@ -31,10 +31,10 @@ SILENT_S = 2.0
 """After so long without a frame a camera counts as lost, unless it waits for its trigger's line, s."""
 
 LOST_PERIODS = 3
-"""After so many periods a frame that was triggered comes no more."""
+"""Number of periods after which a triggered frame is lost."""
 
 SAME_EXPOSURE = 1e-3
-"""By so much, relative, an exposure may differ that the camera made of what was wanted."""
+"""Largest relative difference of the camera's exposure from the requested one."""
 
 Since = tuple[float, float]
 """A value, and from which time on, s, it holds for what begins then."""

@@ -15,10 +15,10 @@ from arctrack.live.journal.message_pipe import PipeEnd
 from noise_model.setup import Setup
 
 OPENED_AGAIN_S = 1.0
-"""After so long a source that failed is opened anew, s."""
+"""Time after which a source that failed is reopened."""
 
 OVER = "over"
-"""What is told of a source that has ended by itself."""
+"""Message that a source has ended by itself."""
 
 Open = Callable[[Ask], FrameSource]
 

@@ -13,7 +13,7 @@ import math
 from arctrack.live.cameras.camera_line import CaptureRequest
 
 SLACK_S = 0.002
-"""How much later or sooner than meant a frame may be exposed, s: the sum of what is named above."""
+"""Largest error of the time of an exposure: the sum of what is named above."""
 
 
 def is_reached(wanted: CaptureRequest, exposure_s: float, now_s: float) -> bool:

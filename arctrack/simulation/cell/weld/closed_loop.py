@@ -31,17 +31,17 @@ from tracker import flags
 from tracker.state import OffsetLookAhead, Track
 
 START_MM = 30.0
-"""Where the torch begins, mm, base's x: in a valley of the nominal corrugation."""
+"""Start of the torch, base's x: in a valley of the nominal corrugation."""
 
 SETTLED_TIME_CONSTANTS = 5.0
-"""After so many time constants a step is followed to 1 %."""
+"""Time constants after which a step is followed to 1 %."""
 
 SAMPLE_S = 0.01
 """So often the torch is measured against the seam, s."""
 
 
 EVENT_S, AFTER_EVENT_S = 6.0, 5.0
-"""When an event begins that is none of the start, and how long a run goes on after its end, s."""
+"""Begin of an event that is not of the start, and duration of a run after its end."""
 
 
 @dataclass(frozen=True)

@@ -21,19 +21,19 @@ from arctrack.simulation.cell.weld.welding_events import (
 from robot_io import Command, MotionState, Switch, WeldingState
 
 STRUCK_S, UNSTEADY_S = 0.5, 0.4
-"""When the arc is struck, and for how long it is unsteady then, s."""
+"""Time at which the arc is struck, and for which it is unsteady then."""
 
 UNSTEADY_SIGMA, UNSTEADY_LEVEL = 0.7, 2.0
-"""Of an arc that begins, the log-normal output over its nominal one: sigma and median."""
+"""Log-normal output of an arc that begins, over its nominal one: sigma and median."""
 
 SLIPPED_S = 1.0
 """After so long the robot disarms over a part that slipped, s."""
 
 TOLD_LATE_S = 0.5
-"""By how much later than it burns the arc is told of, s."""
+"""Delay with which the arc is reported."""
 
 IN_VIEW_MM, OUT_OF_VIEW_MM = 15.0, 40.0
-"""How far before the sensor a tack begins, and how far aside no camera sees the seam, mm."""
+"""Distance of a tack's begin before the sensor, and lateral distance at which no camera sees the seam."""
 
 
 def _eye(cell: Cell) -> RenderedEye:

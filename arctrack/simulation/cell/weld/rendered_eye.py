@@ -25,10 +25,10 @@ from robot_io import Switch
 from tracker.state import Frame, Track
 
 FAR_MM = 1e6
-"""Where there is no workpiece."""
+"""Position without a workpiece."""
 
 TACK_HALF_WIDTH_MM = 4.0
-"""How far a tack's bead reaches to either side of the seam, mm."""
+"""Half-width of a tack's bead."""
 
 
 @dataclass

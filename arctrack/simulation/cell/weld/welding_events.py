@@ -16,16 +16,16 @@ from robot_io import Command, GateReason, MotionState, RobotStatus, Switch, Weld
 R = GateReason
 
 STOPPED_S, IGNITION_S = 0.3, 0.3
-"""How long the robot stands after the arc failed, and until it burns again, s."""
+"""Time for which the robot stands after the arc failed, and until it burns again."""
 
 BACK_UP_MM = 15.0
-"""How far it backs up, to weld over the crater."""
+"""Distance that it backs up, to weld over the crater."""
 
 SHORT_TACK_MM, LONG_TACK_MM = 8.0, 60.0
 """One that is bridged, and one that is longer than a job lets be bridged."""
 
 REARMED_S = 0.25
-"""From DISARM or RESET until the robot commands TRACK again, s."""
+"""Time from DISARM or RESET until the robot commands TRACK again."""
 
 
 def _arc_fault(cell: Cell, _rng: np.random.Generator) -> End:
