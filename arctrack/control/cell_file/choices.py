@@ -88,10 +88,7 @@ class BlackBoxChoice:
 class MonitorChoice:
     """The monitor page of a live run, as [monitor] states.
 
-    Raises
-    ------
-    ValueError
-        For a page that other machines reach without a token; it names the key.
+    Raises ValueError, which names the key, for a page that other machines reach without a token.
     """
 
     host: str = "127.0.0.1"
@@ -134,19 +131,9 @@ class CellJob:
         return setup if self.joint is None else replace(setup, joint=self.joint)
 
     def to_job(self, setup: Setup, limits: GateLimits) -> Job:
-        """Return the job as the controller takes it.
+        """Return the job as the controller takes it; the setup's joint counts where it states none.
 
-        Parameters
-        ----------
-        setup : Setup
-            The facts. Its joint counts where the job states none.
-        limits : GateLimits
-            What an offset must keep to.
-
-        Raises
-        ------
-        ValueError
-            For a depth that is asked of a joint whose depth no track tells; it names the key.
+        Raises ValueError for a depth that is asked of a joint whose depth no track tells; it names the key.
         """
         from arctrack.control.pose_watch import nominal_path
 
