@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
@@ -55,8 +56,11 @@ def _sentences(key: Key) -> Iterator[str]:
     yield key.meaning
     types = [name for name, needed in DIMENSIONS.items() if key.table == "joint" and key.name in needed]
     kinds = [kind for kind, names in KEYS_OF_KIND.items() if key.table == "camera" and key.name in names]
-    if key.choices:
-        yield f"One of {', '.join(f'`{choice}`' for choice in key.choices)}."
+    held = key.field.annotation
+    literals = (part for part in (held, *get_args(held)) if get_origin(part) is Literal)
+    choices = [f"`{choice}`" for literal in literals for choice in get_args(literal)]
+    if choices:
+        yield f"One of {', '.join(choices)}."
     if types or kinds:
         yield f"Of {', '.join(types or kinds)}."
     if key.default is not None:
@@ -69,8 +73,17 @@ def _sentences(key: Key) -> Iterator[str]:
         yield key.said("note")
     if key.said("typical"):
         yield f"Usual: {key.said('typical')}."
-    if key.accepted:
-        yield f"Accepted: {key.accepted}."
+    low, high, source = key.bounds
+    if high != MAX_NUMBER and (low, high) != (None, None):
+        first, last = (f"{end}" if isinstance(end, int) else f"{end:g}" for end in (low or 0, high or 0))
+        ends = (
+            f"{first} at least"
+            if high is None
+            else f"{last} at most"
+            if low is None
+            else f"{first} to {last}"
+        )
+        yield f"Accepted: {ends}{f' ({source})' if source else ''}."
 
 
 if __name__ == "__main__":

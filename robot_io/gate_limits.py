@@ -28,8 +28,8 @@ class GateLimits:
     rate_y_mm_s: float = stated(
         20.0,
         "mm/s",
-        "fastest change across the seam, and approach to it after arming",
-        "twice the fastest travel: a seam that runs at 63 deg",
+        "fastest change across the seam, and approach after arming",
+        "a seam that runs at 63 deg",
     )
     rate_z_mm_s: float = stated(20.0, "mm/s", "fastest change of height", "as across the seam")
     jump_mm: float = stated(
@@ -45,14 +45,11 @@ class GateLimits:
         0.1,
         "",
         "least confidence",
-        "a hand-eye tolerance of 0.05 deg alone holds that of a perfect measurement near a half",
+        "a hand-eye tolerance of 0.05 deg alone holds that of a track near a half",
     )
     hold_s: float = stated(1.0, "s", "longest hold of the last offset", "10 mm of travel at 10 mm/s")
     sigma_y_mm: float = stated(
-        0.5,
-        "mm",
-        "largest 1 sigma across the seam",
-        "[follow] extrapolate_sigma_mm: beyond no offset is known",
+        0.5, "mm", "largest 1 sigma across the seam", "[follow] extrapolate_sigma_mm: none is known beyond"
     )
     sigma_z_mm: float = stated(0.5, "mm", "largest 1 sigma of height", "as across the seam")
     arc_required: bool = stated(

@@ -8,8 +8,6 @@ from collections.abc import Iterable
 from arctrack.recording.schema import keys_of
 from arctrack.recording.setup_model import RecordingToml
 
-NAMED = re.compile(r"\[([\w.]+)\] (\w+(?:(?:,| and|, and) \w+)*)")
-
 
 def named_keys(texts: Iterable[str]) -> dict[str, str]:
     """Return what each key of a setup is that texts name as `[table] key, key`."""
@@ -17,7 +15,7 @@ def named_keys(texts: Iterable[str]) -> dict[str, str]:
     named = (
         (table, name)
         for text in texts
-        for table, names in NAMED.findall(text)
+        for table, names in re.findall(r"\[([\w.]+)\] (\w+(?:(?:,| and|, and) \w+)*)", text)
         for name in re.split(r",? and |, ", names)
     )
     return {f"[{table}] {name}": stated[table, name] for table, name in named if (table, name) in stated}

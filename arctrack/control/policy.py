@@ -20,10 +20,7 @@ class ServicePolicy:
 
     status_age_s: float = stated(0.2, "s", "oldest RobotStatus", "ten periods of 20 ms")
     command_age_s: float = stated(
-        0.15,
-        "s",
-        "oldest TrackerCommand, the robot's heartbeat",
-        "one and a half periods: none is missed",
+        0.15, "s", "oldest TrackerCommand, the robot's heartbeat", "one and a half periods: none is missed"
     )
     poses_age_s: float = stated(0.1, "s", "oldest verdict on the poses", "ten periods of 10 ms")
     camera_timeout_s: float = stated(
@@ -31,10 +28,7 @@ class ServicePolicy:
     )
     repeat_s: float = stated(0.1, "s", "time between refusals without a track", "the cycle of TrackerStatus")
     round_trip_s: float = stated(
-        0.02,
-        "s",
-        "longest way of a SYNC and its echo",
-        "at 10 mm/s the torch goes 0.2 mm, what a weld can bear",
+        0.02, "s", "longest way of a SYNC and its echo", "at 10 mm/s the torch goes 0.2 mm"
     )
     round_trip_age_s: float = stated(
         0.35, "s", "oldest SYNC that states a round trip", "three cycles and a half: two may be lost"
@@ -53,10 +47,7 @@ class ServicePolicy:
         "a hundred times a frame's step; the robot's own time-outs end what was VALID within 0.2 s",
     )
     sync_required: bool = stated(
-        False,
-        "",
-        "whether the robot must send RobotSync",
-        "a robot may know no time of its frames; what is late on the way is then not seen",
+        False, "", "whether the robot must send RobotSync", "without it what is late on the way is not seen"
     )
 
     def __post_init__(self) -> None:

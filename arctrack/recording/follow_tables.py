@@ -10,7 +10,7 @@ from tracker.seam.correction import AtLimit, AxisCorrection, Correction, Corruga
 
 
 class FollowAxisTable(Table):
-    """What is sent of an axis, across the seam (y) and of height (z)."""
+    """What is sent of an axis, across the seam (y) and of height (z); without a limit the gate bounds it."""
 
     enable: bool = key(
         "Whether the axis is corrected",
@@ -23,17 +23,12 @@ class FollowAxisTable(Table):
         "The share of the displacement that is followed, above 0, at most 1", default=AxisCorrection.gain
     )
     bias_mm: Number = key(
-        "What is added after the gain",
+        "What is added after the gain: positive to the left, out of the part",
         "mm",
         default=AxisCorrection.bias_mm,
-        note="Positive to the left of the travel, out of the workpiece.",
     )
     limit_mm: Number | None = key(
-        "The most that is sent to either side, bias included",
-        "mm",
-        default=None,
-        example="3.0",
-        note="Without it the gate's range alone bounds it.",
+        "The most that is sent to either side, bias included", "mm", default=None, example="3.0"
     )
     at_limit: AtLimit = key(
         "What is done beyond the limit",
@@ -62,15 +57,12 @@ class FollowTable(Table):
         "How far past it hold and extrapolate go", "mm", default=Correction.extrapolate_mm
     )
     extrapolate_sigma_mm: Number = key(
-        "The largest 1 sigma with which an offset is known, wherever the torch stands",
-        "mm",
-        default=Correction.extrapolate_sigma_mm,
+        "The largest 1 sigma of a known offset", "mm", default=Correction.extrapolate_sigma_mm
     )
     ends_mm: Number = key(
-        "How far the joint's ends may lie from those of seam_in_base_mm",
+        "How far the joint's ends may lie from the seam line's, searched above 0",
         "mm",
         default=Correction.ends_mm,
-        note="Above 0 they are searched.",
     )
     corrugation: CorrugationPath = key(
         "Whether the programmed path goes over a corrugation",

@@ -19,7 +19,6 @@ from arctrack.recording.setup_writer import FILE_NAME
 from arctrack.recording.tables import FRAME_COLUMNS, POSE_COLUMNS
 from noise_model.setup import Setup
 
-COLUMNS = 100
 RADIANCE_E = 2.0e8
 """`[arc] radiance_e` of the sensor of `arctrack.nominal`: it gives light of the right order on any joint."""
 
@@ -101,4 +100,4 @@ def comment(key: Key) -> Iterator[str]:
 
 def wrapped(text: str) -> list[str]:
     """Return a text as lines of comment."""
-    return textwrap.wrap(text, COLUMNS, initial_indent="# ", subsequent_indent="# ")
+    return textwrap.wrap(text, 100, initial_indent="# ", subsequent_indent="# ")

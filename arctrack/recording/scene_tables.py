@@ -19,7 +19,7 @@ from noise_model.setup_keys import DIMENSIONS, Tolerance
 if TYPE_CHECKING:
     from noise_model.surface.joint import Joint
 
-InBase = Annotated[float, within(Bounds.around_zero("length_mm"))]
+InBase = Annotated[float, within(Bounds(-LIMITS.length_mm, LIMITS.length_mm, source_of("length_mm")))]
 PointInBase = Annotated[list[InBase], Field(min_length=3, max_length=3)]
 
 
@@ -43,10 +43,7 @@ class ArcTable(Table):
         "on the upper sheet. `arctrack calibrate arc` finds it.",
     )
     on_surface: bool = key(
-        "Whether the arc's foot stays on the part when the torch is raised",
-        "",
-        "true",
-        "your choice. true for a torch that burns on the part.",
+        "Whether the arc's foot stays on the part when the torch is raised", "", "true", "your choice."
     )
     radiance_e: Number = key(
         "How bright the arc is to this camera",
@@ -85,20 +82,17 @@ class MaterialTable(Table):
         "Diffuse part of the metal's reflectance",
         "",
         "0.02 to 0.6",
-        "a calibration. Mild steel 0.021, Zn-coated 0.495; another metal by `arctrack calibrate "
-        "reflectance`, from goniometer readings, or by `arctrack calibrate arc`.",
+        "a calibration. With kappa_spec, c2: mild steel 0.021, 0.326, 112; Zn-coated 0.495, 0.153, 8.3. "
+        "Another metal by `arctrack calibrate reflectance` or `arctrack calibrate arc`.",
     )
     kappa_spec: Number = key(
-        "Specular part of the metal's reflectance",
-        "",
-        "0.1 to 0.5",
-        "a calibration. Mild steel 0.326, Zn-coated 0.153. As kappa_diff.",
+        "Specular part of the metal's reflectance", "", "0.1 to 0.5", "a calibration. As kappa_diff."
     )
     c2: Number = key(
-        "How narrow the specular lobe is: the larger, the more like a mirror",
+        "How narrow the specular lobe is: large is like a mirror",
         "",
         "5 to 200",
-        "a calibration. Mild steel 112, Zn-coated 8.3. As kappa_diff.",
+        "a calibration. As kappa_diff.",
     )
 
 

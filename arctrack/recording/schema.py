@@ -8,12 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import UnionType
-from typing import Any, ClassVar, Literal, NamedTuple, Union, get_args, get_origin
+from typing import Any, ClassVar, NamedTuple, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.fields import FieldInfo
-
-from arctrack.limits import LIMITS, source_of
 
 MAX_NUMBER = 1e15
 """The largest size of a number in a file (its square and its ratios stay finite)."""
@@ -25,11 +23,6 @@ class Bounds(NamedTuple):
     low: float | None
     high: float | None
     source: str
-
-    @classmethod
-    def around_zero(cls, limit: str) -> Bounds:
-        """Return the bounds by a limit of `arctrack.limits` on a number's size."""
-        return cls(-getattr(LIMITS, limit), getattr(LIMITS, limit), source_of(limit))
 
 
 class Table(BaseModel):
@@ -116,12 +109,6 @@ class Key:
         return str(value).lower() if isinstance(value, bool) else repr(value).replace("'", '"')
 
     @property
-    def choices(self) -> tuple[str, ...]:
-        """The texts that it may be, where there are but some."""
-        literal = _stated_type(self.field)
-        return get_args(literal) if get_origin(literal) is Literal else ()
-
-    @property
     def bounds(self) -> Bounds:
         """Bounds of the value, or of each item of a list."""
         for info in (self.field, *_items(self.field)):
@@ -132,22 +119,6 @@ class Key:
             if low is not None or high is not None:
                 return Bounds(low, high, _words(info).get("bound", ""))
         return Bounds(None, None, "")
-
-    @property
-    def accepted(self) -> str:
-        """Its bounds and their source in words, empty where it has none of its own."""
-        low, high, source = self.bounds
-        if high == MAX_NUMBER or (low is None and high is None):
-            return ""
-        first, last = (f"{end}" if isinstance(end, int) else f"{end:g}" for end in (low or 0, high or 0))
-        ends = (
-            f"{first} at least"
-            if high is None
-            else f"{last} at most"
-            if low is None
-            else f"{first} to {last}"
-        )
-        return f"{ends} ({source})" if source else ends
 
     def said(self, what: str) -> str:
         """Return its `unit`, `typical`, `source`, `note` or `example`, as `key` took them."""

@@ -91,11 +91,7 @@ class CameraTable(Table):
         bounds=FOCAL,
     )
     fy: float = key(
-        "Focal length down the image",
-        "px",
-        "1000 to 6000",
-        "a calibration. As fx; equal to it for square pixels.",
-        bounds=FOCAL,
+        "Focal length down the image", "px", "1000 to 6000", "a calibration. As fx.", bounds=FOCAL
     )
     cx: float = key(
         "Where the optical axis meets the image, from the first pixel's centre",
@@ -116,10 +112,7 @@ class CameraTable(Table):
         "none.",
     )
     focal_length_mm: Number = key(
-        "The lens' focal length",
-        "mm",
-        "8 to 50",
-        "the data sheet. Engraved on the lens. Only planning uses it.",
+        "The lens' focal length", "mm", "8 to 50", "the data sheet. On the lens. Only planning uses it."
     )
     f_number: Number = key(
         "The aperture", "", "4 to 16", "your choice. As set on the lens. Only planning uses it."
@@ -132,16 +125,10 @@ class CameraTable(Table):
         bounds=Bounds(None, 100.0, "at 100 px no stripe is left to find"),
     )
     exposure_s: Number = key(
-        "The usual exposure",
-        "s",
-        "0.0001 to 0.02",
-        "your choice. As set on the camera; 5 ms are 0.005. frames.csv states that of each frame.",
+        "The usual exposure", "s", "0.0001 to 0.02", "your choice. frames.csv states that of each frame."
     )
     pixel_format: str = key(
-        "The pixels' format; it must be a monochrome one",
-        "",
-        "mono8, mono12",
-        "the data sheet. As set on the camera.",
+        "The pixels' format, a monochrome one", "", "mono8, mono12", "the data sheet. As set on the camera."
     )
     pose_in_tool: CameraPoseTable
 
@@ -202,10 +189,10 @@ class FilterTable(Table):
         "the data sheet. The maker's n_eff. `arctrack calibrate filter` takes a measured curve.",
     )
     curve_wavelength_nm: list[Number] | None = key(
-        "Wavelengths of a measured curve, in place of centre and width",
+        "Wavelengths of a measured curve",
         "nm",
         "",
-        "a calibration. `arctrack calibrate filter` writes it.",
+        "a calibration. `arctrack calibrate filter`.",
         default=None,
     )
     curve_transmission: list[Number] | None = key(

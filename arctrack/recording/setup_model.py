@@ -13,25 +13,11 @@ from pydantic import Field
 
 from arctrack.limits import size_problem
 from arctrack.printable import shown
+from arctrack.recording import scene_tables as scene
+from arctrack.recording import sensor_tables as sensors
 from arctrack.recording.follow_tables import FollowTable
 from arctrack.recording.key_errors import held, place
-from arctrack.recording.scene_tables import (
-    ArcTable,
-    JointTable,
-    MaterialTable,
-    ToleranceTable,
-    is_number,
-    three,
-)
 from arctrack.recording.schema import MAX_NUMBER, Table, key, unknown_in
-from arctrack.recording.sensor_tables import (
-    CameraTable,
-    FilterTable,
-    LaserTable,
-    Number,
-    RigidPoseTable,
-    SensorTable,
-)
 from arctrack.recording.setup_writer import UNITS
 from noise_model.arc_source import NO_ARC
 from noise_model.arrays import Float64
@@ -42,14 +28,11 @@ if TYPE_CHECKING:
     from noise_model.instrument.camera import Camera
     from noise_model.setup import Setup
 
-NAMED_IN_KEYS = ("A", "nm", "px")
-"""Units that some keys have in their names: a file may state them as well, but no others."""
-
 
 class RobotTable(Table):
     """What is particular to the controller."""
 
-    controllertool_to_tool: RigidPoseTable | None = None
+    controllertool_to_tool: sensors.RigidPoseTable | None = None
     can_channel: str | int | None = key(
         "The robot's channel, as a CAN log names it, where several are heard", default=None
     )
@@ -59,8 +42,8 @@ class CalibrationTable(Table):
     """How well a calibration knows what it found; any other key is a remark."""
 
     parameters: list[str] = key("The keys whose values it found")
-    sigma: list[Number] = key("Their 1 sigma")
-    covariance: list[list[Number]] = key("Their covariance, a row for each")
+    sigma: list[sensors.Number] = key("Their 1 sigma")
+    covariance: list[list[sensors.Number]] = key("Their covariance, a row for each")
 
     @property
     def names(self) -> set[str]:
@@ -85,14 +68,14 @@ class RecordingToml(Table):
     units: str = key(
         f'The units of the whole file, "{UNITS}" or some of these', note="Other units are not converted."
     )
-    camera: CameraTable
-    sensor: SensorTable
-    filter: FilterTable | None = None
-    laser: LaserTable
-    arc: ArcTable | None = None
-    material: MaterialTable | None = None
-    joint: JointTable
-    tolerance: ToleranceTable = Field(default_factory=ToleranceTable)
+    camera: sensors.CameraTable
+    sensor: sensors.SensorTable
+    filter: sensors.FilterTable | None = None
+    laser: sensors.LaserTable
+    arc: scene.ArcTable | None = None
+    material: scene.MaterialTable | None = None
+    joint: scene.JointTable
+    tolerance: scene.ToleranceTable = Field(default_factory=scene.ToleranceTable)
     follow: FollowTable = Field(default_factory=FollowTable)
     robot: RobotTable | None = None
     calibration: dict[str, CalibrationTable] = Field(default_factory=dict)
@@ -106,7 +89,8 @@ class RecordingToml(Table):
         from noise_model.setup import Setup
         from noise_model.surface.brdf import UNSTATED_METAL, Material
 
-        known = *_units(UNITS), *NAMED_IN_KEYS
+        # Some keys have units of their own in their names: a file may state these as well.
+        known = *_units(UNITS), "A", "nm", "px"
         if any(unit not in known for unit in _units(self.units)):
             raise ValueError(f"{held('units', self.units)}: must be of {UNITS}; convert the file's values")
         joint = self.joint.to_joint()
@@ -117,7 +101,7 @@ class RecordingToml(Table):
             laser=Laser(
                 wavelength_nm=self.laser.wavelength_nm,
                 plane_in_tool=(n_x, n_y, n_z, d_mm),
-                origin_in_tool_mm=three(self.laser.origin_in_tool_mm),
+                origin_in_tool_mm=scene.three(self.laser.origin_in_tool_mm),
                 stripe_sigma_mm=self.laser.stripe_sigma_mm,
                 peak_e=self.laser.peak_e,
                 fan_half_angle_deg=self.laser.fan_half_angle_deg,
@@ -142,7 +126,7 @@ class RecordingToml(Table):
                 raise ValueError(f"[effects] {name} = {shown(table)}: must be a table, [effects.{name}]")
             known[name] = {part: table[part] for part in REGISTRY[name].neutral if part in table}
             for part, value in known[name].items():
-                if not is_number(value):
+                if not scene.is_number(value):
                     where = held(f"[effects.{name}] {part}", value)
                     raise ValueError(f"{where}: must be a finite number, {MAX_NUMBER:g} at most")
         return known

@@ -28,16 +28,10 @@ class PlausibilityLimits:
     """
 
     speed_mm_s: float = stated(
-        250.0,
-        "mm/s",
-        "largest speed of the tool, weave included",
-        "ISO 10218-1's reduced speed: nothing is corrected in an air move",
+        250.0, "mm/s", "largest speed of the tool, weave included", "ISO 10218-1's reduced speed"
     )
     acceleration_mm_s2: float = stated(
-        5000.0,
-        "mm/s^2",
-        "largest acceleration",
-        "chosen: a weave of 3 mm at 6 Hz stays below; state the robot's own",
+        5000.0, "mm/s^2", "largest acceleration", "chosen: a weave of 3 mm at 6 Hz; state the robot's own"
     )
     rotation_deg_s: float = stated(
         180.0, "deg/s", "largest rate of turning", "chosen: half a turn a second; state the robot's own"
@@ -45,8 +39,8 @@ class PlausibilityLimits:
     false_alarm: float = stated(
         1e-9,
         "",
-        "probability that a question takes rounding and jitter for a fault, for each sample",
-        "chosen: at 100 poses a second one in some 100 days",
+        "rate of false alarms of a question, for each sample",
+        "chosen: one in 100 days at 100 poses a second",
     )
     position_step_mm: float = stated(0.025, "mm", "the bus' step of a coordinate", "as arctrack.dbc states")
     quaternion_step: float = stated(
@@ -56,22 +50,19 @@ class PlausibilityLimits:
         0.0005,
         "s",
         "1 sigma of a sample's time",
-        "the age is rounded to 1 ms, which alone is 0.29 ms; the rest is the wait for the bus",
+        "rounding to 1 ms makes 0.29 ms, the wait for the bus the rest",
     )
     gap_s: float = stated(
         0.1, "s", "longest silence; after it poses have stopped", "stale after ten cycles, as all messages"
     )
     age_required: bool = stated(
-        True,
-        "",
-        "whether a sample must say how old it is",
-        "false only where the latency has been calibrated",
+        True, "", "whether a sample must say how old it is", "false only where the latency is calibrated"
     )
     settle_s: float = stated(
         0.3,
         "s",
-        "longest time until the robot moves as it states, after a change of that",
-        "chosen: delay of servo and status, and a ramp from 0 to some 10 mm/s",
+        "longest time until the robot moves as it states",
+        "chosen: delay of servo and status, and a ramp",
     )
     speed_change_share: float = stated(
         0.05, "", "share up to which a stated speed is the same as before", "chosen: a controller's ripple"
@@ -86,14 +77,11 @@ class PlausibilityLimits:
     speed_share: float = stated(
         0.5,
         "",
-        "share of the stated travel speed by which the progress along the path may be off",
+        "share by which the progress may be off the stated speed",
         "chosen: robots slow down at corners",
     )
     still_mm: float = stated(
-        0.1,
-        "mm",
-        "farthest way of the tool while the robot says that it stands",
-        "chosen: brakes and servos settle",
+        0.1, "mm", "farthest way while the robot says that it stands", "chosen: brakes and servos settle"
     )
     weave_along_mm: float = stated(
         0.0, "mm", "reach of a weave to and fro along the travel", "across the travel only"
@@ -114,7 +102,7 @@ class PlausibilityLimits:
         45.0,
         "deg",
         "largest angle of the tool's x off the travel",
-        "chosen: beyond, the sensor does not look at the seam ahead",
+        "chosen: the sensor must look at the seam ahead",
     )
     tilt_deg: float = stated(
         60.0, "deg", "largest angle of the tool's z off the surface's normal", "chosen, as off the travel"
@@ -135,7 +123,7 @@ class PlausibilityLimits:
     rejoin_mm: float = stated(
         2.0,
         "mm",
-        "after a doubt, farthest way beyond where the tool was beside the path in the window before",
+        "after a doubt, farthest way off the place before it",
         "chosen: the offset goes on for a while",
     )
     rejoin_deg: float = stated(

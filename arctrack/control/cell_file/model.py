@@ -28,22 +28,13 @@ FORMAT = "arctrack-cell/1"
 MAX_JOB_NUMBER = 65_534
 """The largest job number that the bus carries."""
 
-KEYS_OF_KIND = {
+KEYS_OF_KIND: dict[str, tuple[str, ...]] = {
     "shared_memory": ("exposure", "exposure_range_s"),
     "recording": (),
     "video": ("loop",),
     "folder": ("loop",),
     "device": (),
-    "gige": (
-        "rows",
-        "trigger",
-        "trigger_line",
-        "laser_line",
-        "laser",
-        "interleave",
-        "exposure",
-        "exposure_range_s",
-    ),
+    "gige": tuple(f.name for f in fields(CaptureChoice) if f.name != "loop"),
 }
 """What may be stated in [camera] beside kind, name and frame_rate_hz."""
 
@@ -95,10 +86,7 @@ class CellCameraTable(Table):
     """Where frames come from: docs/reference/cameras.md has the kinds, their names and keys."""
 
     frame_rate_hz: Rate = key(
-        "Frame rate",
-        "Hz",
-        example="25.0",
-        note="Four messages go out with each frame: it makes the bus' load.",
+        "Frame rate", "Hz", example="25.0", note="Four messages go with each frame: the bus' load."
     )
     kind: Literal["shared_memory", "recording", "video", "folder", "device", "gige"] | None = key(
         "Where the frames of a live run come from",
@@ -114,9 +102,7 @@ class CellCameraTable(Table):
     )
     loop: bool = key("Whether a file begins again at its end", default=CaptureChoice.loop)
     rows: Rows | None = key(
-        "The first row of the sensor that is read, and how many",
-        default=None,
-        note="The setup's [camera] height must be their count.",
+        "The first row that is read, and how many", default=None, note="The setup's height is their count."
     )
     trigger: Literal["free", "software", "hardware"] = key(
         "What begins a frame", default=CaptureChoice.trigger, note='"software": the host triggers each frame.'
@@ -125,10 +111,7 @@ class CellCameraTable(Table):
         'The camera\'s line that triggers it, for "hardware"', default=None, min_length=1
     )
     laser_line: str | None = key(
-        "The camera's line that drives the laser",
-        default=None,
-        note="Without it the camera has no hold on the laser.",
-        min_length=1,
+        "The camera's line that drives the laser, else it has no hold on it", default=None, min_length=1
     )
     laser: Literal["strobe", "switch"] = key(
         "How that line drives it",
@@ -142,8 +125,7 @@ class CellCameraTable(Table):
         bounds=Bounds(2, None, "others have the stripe"),
     )
     exposure: Literal["fixed", "predicted"] = key(
-        "Whether the exposure is the setup's, or chosen for the frames to come",
-        default=CaptureChoice.exposure,
+        "Whether the exposure is the setup's, or chosen ahead", default=CaptureChoice.exposure
     )
     exposure_range_s: Range | None = key(
         'The least and the largest exposure, for "predicted"', "s", default=None
@@ -176,14 +158,10 @@ class MonitorTable(Table):
 
     enabled: bool = key("Whether there is a page", default=MonitorChoice.enabled)
     host: str = key(
-        'The address on which it is served; "0.0.0.0" is each address of the machine',
-        default=MonitorChoice.host,
-        min_length=1,
+        'The address; "0.0.0.0" is each of this machine', default=MonitorChoice.host, min_length=1
     )
     port: int = key(
-        "Its port; 0 takes a free one, which arctrack serve says",
-        default=MonitorChoice.port,
-        bounds=Bounds(0, 65_535, "what IP has"),
+        "Its port; 0 takes a free one", default=MonitorChoice.port, bounds=Bounds(0, 65_535, "what IP has")
     )
     token: str | None = key(
         "What a browser must bring; needed wherever other machines reach the page",
@@ -197,10 +175,10 @@ class BlackBoxTable(Table):
     """What a live run keeps: its latest frames go to disk on a fault, as a recording."""
 
     seconds: float = key(
-        "How far back it reaches; 0 for nothing",
+        "How far back it reaches",
         "s",
         default=BlackBoxChoice.seconds,
-        bounds=Bounds(0.0, 3600.0, "an hour"),
+        bounds=Bounds(0.0, 3600.0, "0 for none"),
     )
     folder: str = key(
         "Where its recordings go, from this file on", default=BlackBoxChoice.folder, min_length=1
@@ -222,15 +200,10 @@ class PartTable(Table):
         note="By its opening's area A, gap g and bevels l, r: A = g d + d² (tan l + tan r)/2.",
     )
     angle_deg: Range | None = key(
-        "The angle between a groove's faces, or between a joint's plates",
-        "deg",
-        default=None,
-        example="[55.0, 65.0]",
+        "The angle between a groove's faces, or plates", "deg", default=None, example="[55.0, 65.0]"
     )
     looks: int = key(
-        "How many frames in a row must agree",
-        default=PartLimits.looks,
-        note="A bad frame or two refuse no part.",
+        "How many frames in a row must agree", default=PartLimits.looks, note="A bad frame refuses no part."
     )
 
 
@@ -240,11 +213,7 @@ class JobTable(Table):
     name: str = key("What people call it", example='"first job"')
     offsets_in_search: bool = key("Whether offsets go out while the robot commands SEARCH", default=False)
     bridge_mm: Number | None = key(
-        "How far a stretch without a joint, such as a tack, may reach",
-        "mm",
-        default=None,
-        example="8.0",
-        note="Without it, without end.",
+        "How far a tack or another stretch without a joint may reach", "mm", default=None, example="8.0"
     )
     joint: JointTable | None = None
     follow: FollowTable = Field(default_factory=FollowTable)
@@ -255,11 +224,7 @@ class CellToml(Table):
     """The whole file."""
 
     format: Literal["arctrack-cell/1"] = key("The file's format", example=f'"{FORMAT}"')
-    setup: str = key(
-        "The setup, the facts of the sensor and the part, beside this file",
-        example='"setup.toml"',
-        min_length=1,
-    )
+    setup: str = key("The file of the setup, from this file on", example='"setup.toml"', min_length=1)
     bus: BusTable
     camera: CellCameraTable
     jobs: dict[str, JobTable] = Field(min_length=1)

@@ -120,7 +120,7 @@ def test_the_page_shows_a_cell_file_that_can_be_read(new_cell: Path) -> None:
         (lambda d: d["bus"].pop("channel"), "[bus] channel: missing; state it: the channel, such as "),
         (
             lambda d: d.pop("setup"),
-            "toml: setup: missing; state it: the setup, the facts of the sensor and the",
+            "toml: setup: missing; state it: the file of the setup, from this file on",
         ),
         (lambda d: d.update(setup=3), "toml: setup = 3: input should be a valid string"),
         (lambda d: d.pop("camera"), "[camera]: missing; state it: where frames come from"),
