@@ -74,28 +74,31 @@ def messages_table() -> str:
     for layout in layouts:
         lines += ["", f"### 0x{layout.frame_id:03X} `{layout.name}`", "", layout.comment or "", ""]
         lines += [
-            "| bits | signal | scale | range | unknown | meaning |",
-            "| --- | --- | --- | --- | --- | --- |",
+            "| bits | signal | values | meaning |",
+            "| --- | --- | --- | --- |",
         ]
         lines += [_signal_row(signal) for signal in payload_signals(layout)]
     return "\n".join(lines) + "\n"
 
 
 def _signal_row(signal: Signal) -> str:
-    unknown = invalid_raw(signal)
-    meaning = signal.comment or ""
-    # The code of a number that is unknown has a column of its own.
-    if signal.choices and set(signal.choices) != {unknown}:
-        meaning += f" {signal_choices(signal)}"
     bits = str(signal.start) if signal.length == 1 else f"{signal.start}–{signal.start + signal.length - 1}"
-    # Of a state the meaning lists the values, of a bit there are two.
-    is_number = signal.length > 1 and (not signal.choices or set(signal.choices) == {unknown})
-    scale = f"{signal.scale:g}" if is_number else ""
-    limits = f"{signal_range(signal)} {signal.unit or ''}".rstrip() if is_number else ""
     return (
-        f"| {bits} {'s' if signal.is_signed else 'u'}{signal.length} | `{signal.name}` | {scale} | {limits} "
-        f"| {'' if unknown is None else unknown} | {meaning} |"
+        f"| {bits} {'s' if signal.is_signed else 'u'}{signal.length} | `{signal.name}` "
+        f"| {_signal_values(signal)} | {signal.comment or ''} |"
     )
+
+
+def _signal_values(signal: Signal) -> str:
+    """Return a number's range, step and unknown code, a state's values, and nothing for a bit."""
+    unknown = invalid_raw(signal)
+    if signal.choices and set(signal.choices) != {unknown}:
+        return signal_choices(signal)
+    if signal.length == 1:
+        return ""
+    step = "" if signal.scale == 1 else f", step {signal.scale:g}"
+    code = "" if unknown is None else f"; unknown {unknown}"
+    return f"{signal_range(signal)} {signal.unit or ''}".rstrip() + step + code
 
 
 def _values(message: BusMessage) -> dict[str, str]:

@@ -9,8 +9,8 @@ from validation.fault_schedules.kinds import KINDS
 from validation.fault_schedules.schedules import ScheduleOutcome
 
 HEADER = (
-    "| fault | schedules, failed | offsets end after, s | the tracker says | torch off by, mm | remark |\n"
-    "| --- | --- | --- | --- | --- | --- |"
+    "| fault | offsets end after, s | the tracker says | torch off by, mm | remark |\n"
+    "| --- | --- | --- | --- | --- |"
 )
 
 
@@ -24,8 +24,7 @@ def table(outcomes: Iterable[ScheduleOutcome]) -> str:
     for outcome in outcomes:
         by_fault[outcome.fault].append(outcome)
     rows = [
-        f"| {kind.name} | {len(rows)}, {sum(bool(row.broken) for row in rows)} "
-        f"| {_ends(rows)} | {_said(rows)} | {_off(rows)} | {kind.note} |"
+        f"| {kind.name}{_failed(rows)} | {_ends(rows)} | {_said(rows)} | {_off(rows)} | {kind.note} |"
         for kind in KINDS
         if (rows := by_fault[kind.name])
     ]
@@ -37,6 +36,11 @@ def failures(seed: int, outcomes: Iterable[ScheduleOutcome]) -> Iterator[str]:
     for outcome in outcomes:
         for broken in outcome.broken:
             yield f"--seed {seed} --only {outcome.number}: {outcome.fault}: {broken}"
+
+
+def _failed(rows: Sequence[ScheduleOutcome]) -> str:
+    n_failed = sum(bool(row.broken) for row in rows)
+    return f", {n_failed} of {len(rows)} failed" if n_failed else ""
 
 
 def _ends(rows: Sequence[ScheduleOutcome]) -> str:
