@@ -1,4 +1,4 @@
-"""What arctrack reads at most: each limit with its unit, what it bounds and where it comes from.
+"""Limits of what arctrack reads: each with its unit, what it bounds and where it comes from.
 
 A file beyond a limit is refused in one line before its content takes memory.
 """

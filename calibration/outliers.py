@@ -1,4 +1,4 @@
-"""What counts as wrong among readings that should agree: one policy for all calibrations."""
+"""Policy of outliers among readings that should agree, for all calibrations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the kernels are compiled, and kept on disk under a key of their content."""
+"""Decorator of kernels: how they are compiled, and kept on disk under a key of their content."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole nominal setup: each part is typed beside its physics and put together here."""
+"""The whole nominal setup: each part is defined next to its physics and put together here."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from noise_model.surface.joint import Joint
 
 @dataclass(frozen=True)
 class Setup:
-    """What is known of the sensor, the light and the part before the first frame.
+    """Sensor, light and part as known before the first frame.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Setup:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Which of `arc`, `filter` and `material` nobody has stated."""
+        """Those of `arc`, `filter` and `material` that are not stated."""
         is_stated = {
             "arc": self.arc.shines,
             "filter": self.filter is not None,

@@ -24,7 +24,7 @@ DIMENSIONS: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How well a careful user knows the setup: 1 sigma each, but for `seam_mm`.
+    """Tolerances of a careful user's setup: 1 sigma each, except for `seam_mm`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What to say of a name that is not known: which of the known ones was probably meant."""
+"""Suggestion for an unknown name: which of the known ones was probably meant."""
 
 from __future__ import annotations
 

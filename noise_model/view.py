@@ -1,4 +1,4 @@
-"""What the camera looks at from one pose: pixels, rays, and lazily the surface that they meet."""
+"""View of the camera from one pose: pixels, rays, and lazily the surface that they meet."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class View:
     `setup` is what is really there, its effects on geometry and surface applied; `scene` that of the pose;
     `uv_px` (..., 2) the pixels' places as (u, v), `xy` (..., 2) their normalised rays, `cos4` (...,) the
     lens' fall-off. `is_frame` says that the pixels are a whole frame in image order; of others the first
-    `n_even` are an even sample of it, all of them if it is None. `coarse` lets what is dear and smooth, light
-    that bounces, be followed at fewer points, and the laser's not at all. `part_seed` says which part lies
-    there, by the pattern on its metal; None for another one in each frame that is drawn. `inner` are those of
-    some pixels that have their neighbours in view, and where these are, see `camera.blur_inner`.
+    `n_even` are an even sample of it, all of them if it is None. `coarse` lets what is expensive and smooth,
+    light that bounces, be followed at fewer points, and the laser's not at all. `part_seed` says which part
+    lies there, by the pattern on its metal; None for another one in each frame that is drawn. `inner` are
+    those of some pixels that have their neighbours in view, and where these are, see `camera.blur_inner`.
     """
 
     setup: Setup
@@ -53,7 +53,7 @@ class View:
     ) -> View:
         """Look from a pose; `pixels` (n,) are indices into the flattened image, all of it without them.
 
-        `rays` spares tracing the camera's rays anew; `ground` is that of `make_scene`, `coarse` as above.
+        `rays` spares tracing the camera's rays again; `ground` is that of `make_scene`, `coarse` as above.
         """
         rays = Rays.of(setup.camera) if rays is None else rays
         height, width = rays.cos4.shape
@@ -90,7 +90,7 @@ class View:
 
     @property
     def surface(self) -> tuple[Float64, Float64, Int32]:
-        """Where the rays end in the joint frame: points (..., 3), mm, unit normals (..., 3), faces (...,).
+        """Intersections of the rays, joint frame: points (..., 3), mm, unit normals (..., 3), faces (...,).
 
         NaN, NaN and `ray_casting.MISS` for a ray that looks past the workpiece.
         """
@@ -109,7 +109,7 @@ class View:
 
     @property
     def distance_mm(self) -> Float64:
-        """How far the surface is from the camera along each ray (...,), mm; NaN past the workpiece."""
+        """Distance of the surface from the camera along each ray (...,); NaN past the workpiece."""
         return self.keep("distance_mm", self._distance_mm)
 
     def _distance_mm(self) -> Float64:
@@ -122,7 +122,7 @@ class View:
     def keep(self, name: str, compute: Callable[[], Kept]) -> Kept:
         """Return what was computed under a name before, or compute and keep it.
 
-        It goes with the pose: `dataclasses.replace` of a setup that renders alike hands it on. What is kept
+        It goes with the pose: `dataclasses.replace` of a setup that renders equally hands it on. What is kept
         may depend on that setup's geometry, source, surface and filter, not on effects on the image; for
         `Sight.with_metal`, what rendering keeps depends on no metal.
         """

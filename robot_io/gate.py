@@ -141,10 +141,10 @@ class Decision:
 def decide(
     proposal: Proposal, conditions: Conditions, limits: GateLimits, last_sent: LastSent, now_s: float
 ) -> Decision:
-    """Return what becomes of a proposal.
+    """Return the decision on a proposal.
 
     An axis that is not enabled is neither checked nor sent. Enabled again, it may not jump from the offset
-    that it was sent last. Being disarmed forgets the last offset: the first offset after that is nought, and
+    that it was sent last. Being disarmed forgets the last offset: the first offset after that is zero, and
     each axis approaches the seam from there.
 
     Parameters

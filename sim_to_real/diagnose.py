@@ -187,7 +187,7 @@ class HeldOut(NamedTuple):
     tell: OnStage
 
     def assess(self, judgement: Judgement) -> Assessment:
-        """Return a judgement on these frames, its effects fitted to all bins alike, as the fit before is."""
+        """Return a judgement on these frames, its effects fitted to all bins as the fit before is."""
         fitted = judgement.leader.refit
         after = refit_there(self.model, fitted) if fitted.ids else self.before
         random = random_effects(self.model, after, self.without)
@@ -271,7 +271,7 @@ def baseline_of(
 def _with_random_effects(
     verdict: DiagnosisVerdict, random: RandomEffects, all_random: RandomEffects, without: Sequence[str]
 ) -> DiagnosisVerdict:
-    """Return the verdict with random effects: named beside others, or alone where nothing else is amiss.
+    """Return the verdict with random effects: named with others, or alone where nothing else is wrong.
 
     `all_random` are those found with nothing withheld: a gap that only a withheld one explains is unknown.
     """
@@ -328,7 +328,7 @@ def _named(
 
 
 def _free_functions(weighed: WeightedHypotheses, judgement: Judgement, of_bins: Covariates) -> FreeFunctions:
-    """Return the free functions beside no gap and beside the leading hypothesis."""
+    """Return the free functions added to no gap and to the leading hypothesis."""
     none, leader = weighed.posterior.none.neutral, judgement.leader.refit
     named = LinearHypothesis.of(leader) if leader.ids else none
     families = all_families(of_bins, weighed.bins)

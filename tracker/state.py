@@ -141,7 +141,7 @@ class Pose:
 
 
 class OffsetLookAhead(NamedTuple):
-    """How far ahead of the torch the offset is asked for: where it will be once the correction acts.
+    """Look-ahead of the offset: it is computed for where the torch will be once the correction acts.
 
     `time_s` is from the capture until then, `way_mm` the torch's travel along the seam meanwhile.
     """

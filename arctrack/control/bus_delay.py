@@ -17,7 +17,7 @@ class BusDelay:
     """Watch of the bus' delay by the echoes of SYNC messages.
 
     A robot that sends no SYNC is not judged, unless the policy requires SYNC. Once it has sent one it must go
-    on, and hear the echoes.
+    on, and receive the echoes.
     """
 
     def __init__(self, policy: ServicePolicy, limits: SyncLimits | None = None) -> None:

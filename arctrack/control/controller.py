@@ -57,12 +57,13 @@ _REFUSED = SeamOffset(NAN, NAN, NAN, NAN, Validity.REFUSED)
 
 
 class Controller:
-    """Decides what goes over the bus.
+    """Controller of the tracker's messages on the bus.
 
-    All times are on one clock, which the caller chooses. Times that run backwards make what was heard stale.
+    All times are on one clock, which the caller chooses. Times that run backwards make earlier messages
+    stale.
 
     A robot that is armed already as the controller begins must be disarmed first: it may still stand where a
-    tracker before this one sent it, and the first offset after arming is nought.
+    tracker before this one sent it, and the first offset after arming is zero.
 
     The first offset is zero after whatever may have made the robot go back to its path: a command that is
     not one of `ARMING`, another job, a correction that was not ON, or more than `hold_s` without a command or

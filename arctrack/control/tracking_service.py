@@ -66,10 +66,10 @@ class Poses(Protocol):
 
 
 class SeamTracking(Protocol[Shown]):
-    """What makes a track of a frame; see `FrameTracking`."""
+    """Tracker of frames; see `FrameTracking`."""
 
     def begin(self) -> None:
-        """Begin to track anew, as a new process does."""
+        """Reset the tracker, as in a new process."""
 
     def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
         """Track a frame; the measurement of the seam is what the watch over the poses sees."""
@@ -96,7 +96,7 @@ class TrackingService(Generic[Shown]):
 
     @property
     def robot(self) -> RobotStatus | None:
-        """What the robot said last; None before it was heard."""
+        """Latest status of the robot; None before the first."""
         return self._robot
 
     def begin(self) -> None:

@@ -1,4 +1,4 @@
-"""What a calibration found, in a recording.toml: values where they are read, their covariance beside them.
+"""Results of a calibration in a recording.toml: values where they are read, and their covariance.
 
 The values go into their table, such as `[camera]`. Their sigmas and covariance go into a table of their own,
 `[calibration.camera]`, which no reader needs.

@@ -60,7 +60,7 @@ class CsvTable:
 
     @property
     def warnings(self) -> list[str]:
-        """What to tell a user of it, one line each."""
+        """Warnings for the user, one line each."""
         problems = [f"the column {cut(name)} is not known" for name in self.unknown_columns]
         return [f"{self.path}: {problem}" for problem in first_of(problems, "columns are not known")]
 

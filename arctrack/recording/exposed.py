@@ -1,4 +1,4 @@
-"""When a recorded frame's exposure ended."""
+"""End of a recorded frame's exposure."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ UNFINISHED_SUFFIX = ".unfinished"
 
 
 class UnfitFileError(ValueError):
-    """What is wrong with a file, without its name; `line` is counted from 1, None if none is to blame."""
+    """Error in a file, without its name; `line` is counted from 1, None if none is to blame."""
 
     def __init__(self, problem: str, line: int | None = None) -> None:
         super().__init__(problem)

@@ -37,7 +37,7 @@ from tracker.state import Frame, Pose
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording, checked but for its frames, which are read one at a time.
+    """Recording, checked except for its frames, which are read one at a time.
 
     Attributes
     ----------

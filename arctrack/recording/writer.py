@@ -49,7 +49,7 @@ class VideoFormat:
 
 
 class RecordingWriter:
-    """Writes one recording.
+    """Writer of one recording.
 
     Use it as a context manager. An exception leaves the folder with the suffix `.unfinished`.
 

@@ -64,7 +64,7 @@ RESULTS_FOLDER = "results"
 
 @dataclass(frozen=True)
 class ReplayOptions:
-    """How to replay.
+    """Options of a replay.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def replay_recording(
     on_compiled: OnCompiled | None = None,
     cores: int = 1,
 ) -> Replay:
-    """Replay a recording, and write what came of it into a folder.
+    """Replay a recording, and write the results into a folder.
 
     Parameters
     ----------

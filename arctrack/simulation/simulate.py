@@ -59,7 +59,7 @@ ARC_SHARE = 0.15
 
 @dataclass(frozen=True)
 class SimulationPlan:
-    """What to simulate.
+    """Plan of a simulated recording.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ by e across, change them by
     n.r_j [m.t - s_j w.(m x r_j)] / (m.r_j)   and   s_j [n.e - n.r_j (m.e) / (m.r_j)]
 
 to first order, which with the covariances of pose and line gives that of both distances, C. The plane has the
-least sum of d' C^-1 d; C is taken anew in each round.
+least sum of d' C^-1 d; C is computed again in each round.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
   process compiles, and its records. Here a kernel finds what it calls in every process, and its machine code
   is the same bytes in each. numba's own functions stay hidden in a kernel: two of one name are never one.
 - **Passes** (`passes`): those for reports, closures and literals are left out, no kernel has any: 3 %.
-- **Search** (`get_call_type`, `TargetConfig`): numba tries each implementation of `+` anew at each `+`: 10 %.
+- **Search** (`get_call_type`, `TargetConfig`): numba tries all implementations of `+` at each `+`: 10 %.
 - **Errors** (`build_excinfo_struct`): numba's machine code holds the file and line that raise.
 - **Links** (`library._linking_libraries`, `_shared_module`, `_get_module_for_linking`): numba hands a caller
   the bitcode of all that it calls. What is long stays a call, so callers get its symbol: 25 % of the time.
@@ -14,7 +14,7 @@
   each kernel. Python calls one in ten: its entry point is compiled at its first call.
 - **Results** (`PythonAPI`): made by functions of Python numba's are slow, and Ctrl-C crashes in them
   (docs/explanation/interrupts.md).
-- **Types of arguments** (`get_call_template`): numba compiles a kernel anew for each constant in a call.
+- **Types of arguments** (`get_call_template`): numba compiles a kernel again for each constant in a call.
 """
 
 import pickle

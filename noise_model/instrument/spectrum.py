@@ -176,8 +176,8 @@ class FilterCurve:
 class ArcSpectrum:
     """The arc's radiance over wavelength: a black body and argon lines on it, up to a common factor.
 
-    `line_width_nm` is the equivalent width of Ar I 696.54 nm: how many nm of the continuum beside it carry as
-    much power as the line. Pure argon at one atmosphere in local thermal equilibrium, optically thin, with
+    `line_width_nm` is the equivalent width of Ar I 696.54 nm: how many nm of the neighbouring continuum carry
+    as much power as the line. Pure argon at one atmosphere in local thermal equilibrium, optically thin, with
     Kramers' continuum times a Biberman factor of 1.7, gives 47 nm at 10 000 K, 24 nm at 12 000 K, 10 nm at
     16 000 K; self-absorption and metal vapour lower it. It is a parameter, to be found with two filters or
     from the fall-off over the field; the default is the middle of that range on a logarithmic scale.

@@ -44,7 +44,7 @@ class PlanOptions:
     """Choices of a plan, low and high; None for what fits the setup.
 
     A torch of `torch_radius_mm`, 0 for none, must not stand in the camera's way. `azimuth_deg` is one side
-    for a joint whose sides are alike, else all around. `limit_mm`: a station whose seam has a larger sigma is
+    for a joint with equal sides, otherwise all around. `limit_mm`: a station whose seam has a larger sigma is
     blind; half of `[tolerance] seam_mm` if not given, so that 2 sigma are borne.
     """
 

@@ -1,4 +1,4 @@
-"""What helps where the sensor is blind: another exposure, the torch leaned, the camera elsewhere."""
+"""Remedies where the sensor is blind: another exposure, the torch tilted, the camera elsewhere."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LEANS_A_SIDE = 2
 
 @dataclass(frozen=True)
 class Cure:
-    """What helps a blind stretch of stations `first` to `last`, inclusive: three cures, each by itself.
+    """Remedies of a blind stretch of stations `first` to `last`, inclusive: three cures, each by itself.
 
     `exposed` is the user's design with an exposure so short that nothing saturates. `leaned` leans the torch
     about its tip by `lean_deg` (travel, work), its upper end ahead and to the left positive: the smallest
@@ -90,7 +90,7 @@ def find_cures(
 ) -> list[Cure]:
     """Return a cure for every stretch where the seam's sigma is above a limit; see `find_cure`.
 
-    Stretches of a straight seam in which the tool stands over a corrugation alike share one.
+    Stretches of a straight seam in which the tool stands over a corrugation in the same way share one.
     """
     stretches = blind_stretches(along, limit_mm)
     known: dict[tuple[float, ...], Cure] = {}
@@ -108,8 +108,9 @@ def find_cures(
 def _alike(setup: Setup, along: PathNoise, first: int, last: int) -> tuple[float, ...]:
     """Return what stretches that share a cure have in common.
 
-    It is the tool's poses at the stations tried beside the joint, places along the seam by the pitch. Bends
-    have nothing in common: where the tool stands alike, the stripe ahead of it may lie on another leg.
+    It is the tool's poses at the stations tried, relative to the joint, places along the seam by the pitch.
+    Bends have nothing in common: where the tool stands in the same way, the stripe ahead of it may lie on
+    another leg.
     """
     if len(setup.joint.seam_in_base_mm) > 2:
         return (first, last)

@@ -31,7 +31,7 @@ MATTERS = 1.1
 
 
 class RuleOutcome(Enum):
-    """What a rule comes to; the value is how it is said."""
+    """Outcome of a rule; the value is its wording."""
 
     HOLDS = "holds"
     FAILS = "does not hold"
@@ -57,12 +57,12 @@ class DesignRule:
 
     @property
     def light(self) -> RuleOutcome:
-        """Whether keeping the rule lowers the arc's light over the stripe's."""
+        """Outcome for the arc's light over the stripe's when the rule is kept."""
         return _outcome(self.light_ratio)
 
     @property
     def seam(self) -> RuleOutcome:
-        """Whether keeping the rule lowers the seam's sigma."""
+        """Outcome for the seam's sigma when the rule is kept."""
         return _outcome(self.seam_ratio)
 
     @property

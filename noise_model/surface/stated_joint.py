@@ -1,4 +1,4 @@
-"""What a setup states of its joint, as the kernels take it."""
+"""Dimensions of a setup's joint for the kernels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from noise_model.surface.joint import Joint, section
 
 
 class StatedJoint(NamedTuple):
-    """What a setup states of its joint, NaN where its type has none of it.
+    """Stated dimensions of a joint, NaN where its type has none.
 
     `corners_mm` (n, 2) are those of its section, its seam point at y = 0. `tan` is that of a bevel's angle
     from upright, or of half the angle between a fillet's plates; `gap_mm` is a groove's at its root;

@@ -1,4 +1,4 @@
-"""What a diagnosis may ask for next: experiments, which are frames taken in another way than the recording's.
+"""Experiments that a diagnosis may ask for: frames taken in another way than the recording's.
 
 Where no experiment would tell two effects apart, a witness would: an instrument that sees one effect alone.
 """

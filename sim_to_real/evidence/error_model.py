@@ -249,7 +249,7 @@ class ErrorModel:
     def log_evidence_off(self, hypothesis: LinearHypothesis, forms: Sequence[Sequence[SizeColumns]]) -> float:
         """Return ln Z, nats, of a hypothesis with effects whose `forms` are off, each by any of its errors.
 
-        All are equally probable: those of one effect, beside the last one of each other effect.
+        All are equally probable: those of one effect, with the last one of each other effect.
         """
         blocks = list(itertools.chain(*forms))
         ends = np.cumsum([len(errors) for errors in forms])

@@ -1,8 +1,8 @@
 """Location of the gap: along covariates, in patterns of the image, in strata; and what effects leave.
 
 A free function of a covariate is a cubic spline, of normal coefficients a priori. It adds to the image, or
-multiplies a source's light. Beside a linear hypothesis its posterior has a closed form: the mean is a curve,
-the covariance its band, and the evidence says how strongly the residual depends on the covariate.
+multiplies a source's light. Added to a linear hypothesis, its posterior has a closed form: the mean is a
+curve, the covariance its band, and the evidence says how strongly the residual depends on the covariate.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class FunctionFamily:
 
 @dataclass(frozen=True, eq=False)
 class FreeFunction:
-    """The likeliest free function of some covariate beside a hypothesis.
+    """The likeliest free function of some covariate, added to a hypothesis.
 
     `nats` is its evidence over the hypothesis `alone`, `sizes` holds its coefficients.
     """
@@ -105,8 +105,8 @@ class FreeFunction:
 class FreeFunctions:
     """The likeliest free function of each covariate, of row and column, and of the mirrored light.
 
-    `before` are those beside no gap, `after` those beside what is named. A covariate that has a single value,
-    or none, has no function.
+    `before` are those added to no gap, `after` those added to what is named. A covariate that has a single
+    value, or none, has no function.
     """
 
     before: Mapping[str, FreeFunction]
@@ -121,7 +121,7 @@ class FreeFunctions:
         named: LinearHypothesis,
         policy: Policy,
     ) -> FreeFunctions:
-        """Return the functions beside `none`, no gap, and `named`, which is `none` if nothing is named."""
+        """Return the functions added to `none`, no gap, and `named`, which is `none` if nothing is named."""
         hypotheses = [none] if named is none else [none, named]
         beside: list[dict[str, FreeFunction]] = [{} for _ in hypotheses]
         for name, of_forms in families.items():
@@ -250,7 +250,7 @@ def _spline(x: Float64) -> tuple[Float64, Float64, Float64]:
 
 
 def _spread(values: Float64, count: int) -> Float64:
-    """Return so many rising places over the range of values (n,), halfway between even ones and quantiles."""
+    """Return `count` places over the range of values (n,), halfway between even ones and quantiles."""
     even, shares = np.linspace(values.min(), values.max(), count), np.linspace(0.0, 1.0, count)
     return np.asarray(0.5 * (even + np.quantile(values, shares)))
 

@@ -3,8 +3,8 @@
 No gap; one effect of the catalogue, or several; an unknown cause at one of the stages. All are compared by
 one quantity. An effect's form may be off: its evidence is the mean over a form that is exact and one that is
 off by a share of what the effect does (`Effect.form_rel`). An unknown cause is any smooth function of the
-coordinates of some stage, of any of several sizes. It may act alone or beside effects. Two effects that mimic
-a third one leave much that an unknown cause beside them explains.
+coordinates of some stage, of any of several sizes. It may act alone or with effects. Two effects that mimic
+a third one leave much that an additional unknown cause explains.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ class Hypothesis:
 
     `exact` is the log evidence of the effects' own form, `off` that of a form that may be off, nats.
     `neutral` is no gap about the same nuisances, `fewer` the evidence there of these effects without one.
-    `beside` is an unknown cause beside the effects, where it was looked for. `changes` (n,) are what each
-    effect whose form may be off does.
+    `beside` is an unknown cause in addition to the effects, where it was searched. `changes` (n,) are what
+    each effect whose form may be off does.
     """
 
     refit: Refit
@@ -90,7 +90,8 @@ class Hypothesis:
 class Posterior:
     """The probabilities of no gap, of hypotheses with effects, likeliest first, and of an unknown cause.
 
-    `p_beside` are those of an unknown cause beside each hypothesis' effects, `p_alone` that of one alone.
+    `p_beside` are those of an unknown cause in addition to each hypothesis' effects, `p_alone` that of one
+    alone.
     """
 
     none: Hypothesis
@@ -103,7 +104,7 @@ class Posterior:
 
     @property
     def p_unknown(self) -> float:
-        """The probability that an unknown cause acts, alone or beside effects."""
+        """The probability that an unknown cause acts, alone or with effects."""
         return self.p_alone + sum(self.p_beside)
 
     @classmethod
@@ -148,7 +149,7 @@ class Posterior:
 
     @property
     def of_effects(self) -> dict[str, float]:
-        """The probability that each effect is there, alone or with others, and nothing unknown beside."""
+        """The probability that each effect is there, alone or with others, and nothing unknown."""
         total: dict[str, float] = {}
         for hypothesis, probability in zip(self.hypotheses, self.p, strict=True):
             for name in hypothesis.ids:

@@ -1,7 +1,7 @@
 """Search of the hypotheses to fit: those that could still change the posterior.
 
 A first look, without a fit, gives every effect's evidence along its probe points, and every pair's. Effects
-are fitted in that order until the next one is too far behind. Beside the likeliest ones, and in pairs that
+are fitted in that order until the next one is too far behind. With the likeliest ones, and in pairs that
 explain more than any single effect, further effects are fitted.
 """
 
@@ -117,7 +117,7 @@ class HypothesisSearch:
     def none(self, before: Hypothesis, others: Iterable[Hypothesis]) -> Hypothesis:
         """Return no gap, about the nuisances of whichever fit makes it likeliest.
 
-        Every fit renders light anew at its nuisances. Only about the same ones is no gap compared fairly.
+        Every fit renders light again at its nuisances. Only about the same ones is no gap compared fairly.
         """
         about = [hypothesis.neutral for hypothesis in (before, *others)]
         evidence = [self.errors.log_evidence(neutral) for neutral in about]
@@ -138,7 +138,7 @@ class HypothesisSearch:
         return self._free_terms(self._table(hypothesis.neutral))
 
     def likely_in_full(self, posterior: Posterior) -> list[Hypothesis]:
-        """Return a posterior's hypotheses, the likely ones with all that may be beside their effects.
+        """Return a posterior's hypotheses, the likely ones with all that may be added to their effects.
 
         That is an unknown cause, and errors of their forms where the effects themselves do nothing.
         """
@@ -148,7 +148,7 @@ class HypothesisSearch:
         ]
 
     def _in_full(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Return a hypothesis with an unknown cause beside its effects, and more of their forms' errors."""
+        """Return a hypothesis with an unknown cause added to its effects, and more of their forms' errors."""
         linear = LinearHypothesis.of(hypothesis.refit)
         forms = [self.errors.form_error(name, change) for name, change in hypothesis.changes.items()]
         tables = self._table(linear), self._table(linear.beside(*forms))
@@ -169,7 +169,7 @@ class HypothesisSearch:
         return self.errors.table(linear, self.errors.free_blocks)
 
     def _free_terms(self, table: EvidenceTable) -> TermEvidence:
-        """Return the evidence of each free term beside a hypothesis."""
+        """Return the evidence of each free term added to a hypothesis."""
         return {
             (term.stage, term.name): [
                 table.log_evidence(*term.blocks, size=size) for size in self.policy.free_sizes
@@ -250,7 +250,7 @@ class HypothesisSearch:
     def _settled(self, fitted: Sequence[Hypothesis], rival: float) -> list[Hypothesis]:
         """Return hypotheses, likeliest first, of which those that may be the likeliest have settled.
 
-        What a fit gains or loses when light is rendered anew is a share of how far it is off, so one that is
+        What a fit gains or loses when light is rendered again is a share of how far it is off, so one that is
         behind stays behind. The `rival` is the evidence of what need not settle.
         """
         every, settled = list(fitted), 0
@@ -317,7 +317,7 @@ class HypothesisSearch:
         return refit(self.model, best, nuisance, trend=trend, loss_about=loss.about)
 
     def settled(self, best: Hypothesis) -> Hypothesis:
-        """Return a hypothesis about its likeliest parameters, light rendered anew there until it stays."""
+        """Return a hypothesis about its likeliest parameters, light rendered again there until it stays."""
         for _ in range(MAX_ROUNDS):
             again = refit_there(self.model, best.refit, self.errors.loss.about)
             before, best = best, self.hypothesis(again)
@@ -329,7 +329,7 @@ class HypothesisSearch:
         """Return fits of the pairs of effects that explain more than any single effect does, by a first look.
 
         If two effects of similar size act together, the likeliest single effect is often a third one that
-        mimics both. So pairs are looked at on their own, and beside the likeliest single effect.
+        mimics both. So pairs are looked at on their own, and with the likeliest single effect.
         """
         if not singles:
             return []
@@ -349,7 +349,7 @@ class HypothesisSearch:
         return [*settled, *self._settled(alone, max(rival, best.evidence))]
 
     def _flicker_beside(self, best: Hypothesis, needed: float) -> list[PairLook]:
-        """Return a flickering arc beside an effect, where a first look says that it gains enough, nats."""
+        """Return a flickering arc added to an effect, where a first look says that it gains enough, nats."""
         if not self._may_flicker or FLICKER in best.ids:
             return []
         levels = self.errors.free_terms.columns_of(Stage.SOURCE, IN_EACH_FRAME)

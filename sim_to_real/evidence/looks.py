@@ -111,7 +111,7 @@ class Looks:
         return sorted(own, key=lambda n: -self._exact[n])
 
     def pairs_beside(self, fitted: Refit, exact: float, needed: float) -> list[PairLook]:
-        """Return pairs of a fit's effect and another one that gains as much as is needed beside it, nats.
+        """Return pairs of a fit's effect and another one that gains `needed` nats in addition to it.
 
         `exact` is the fit's own evidence.
         """

@@ -153,7 +153,7 @@ def rescaled(products: Float64, sides: Float64, count: int) -> tuple[float, floa
 
 
 def _at_variance(products: Float64, sides: Float64, variance: float) -> tuple[float, float]:
-    """Return ln Z, nats, with all errors' variance so many times as large, and the residuals' cost there.
+    """Return ln Z, nats, with all errors' variance scaled by `variance`, and the residuals' cost there.
 
     Bounded sizes come last. The cost is that of the stated errors, at the likeliest sizes x within their
     bounds: with R R^T the information, R^T x comes nearest to -R^-1 times what residuals are along the

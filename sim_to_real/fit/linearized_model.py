@@ -55,7 +55,7 @@ INTERREFLECTION = "interreflection"
 class LinearizedModel:
     """The model of a recording's frames, with a cache of what it has rendered.
 
-    All frames are rendered in one call, or in so many calls at once as there are `threads`: rendering lets go
+    All frames are rendered in one call, or in one call for each of `threads` at once: rendering lets go
     of the interpreter.
     """
 

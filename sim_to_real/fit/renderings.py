@@ -71,13 +71,13 @@ class Renderings:
         self._nearest_kept = [nearest_rendered(frame.keep) for frame in observed.frames]
 
     def forget_all_but(self, n_calls: int) -> None:
-        """Forget the oldest renderings but those that so many calls took, each of them `N_CACHED` times."""
+        """Forget the oldest renderings but those of `n_calls` calls, each of them `N_CACHED` times."""
         for cache in (self._rendered, self._of_sources, self._seen):
             for oldest in list(cache)[: -N_CACHED * n_calls]:
                 del cache[oldest]
 
     def setup(self, effects: Effects, nuisance: Float64) -> Setup:
-        """Return the setup of bins with nuisances (p,), and effects beside those that it states."""
+        """Return the setup of bins with nuisances (p,), and effects in addition to those that it states."""
         stated, bin_px = self._observed.binned, self._observed.bin_px
         acting = {
             name: _in_bins(REGISTRY[name], values, bin_px)

@@ -78,7 +78,7 @@ class ScoreTest:
 
 
 def score_effects(model: LinearizedModel, baseline: Refit, ids: Sequence[str]) -> list[ScoreTest]:
-    """Return the scores of effects beside a fit without any, those that leave least first."""
+    """Return the scores of effects added to a fit without any, those that leave least first."""
     r = model.residuals(model.lights(baseline.nuisance, {}))
     scores = [_score_effect(model, baseline, r, name) for name in ids]
     return sorted(scores, key=lambda score: score.residual_fraction)

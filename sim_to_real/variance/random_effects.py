@@ -55,7 +55,7 @@ class RandomEffects:
     bins' noise with them; bins hit by a streak have inf.
 
     `evidence`, `confidence` and `closed` are of all random effects that were sought, named or not. The
-    evidence of one, nats, is over its absence, with the others fitted beside it. Its confidence is the
+    evidence of one, nats, is over its absence, with the others fitted too. Its confidence is the
     probability that it is there, 1 / (1 + exp(-evidence)). Several can be there at once. `closed` is the
     share of the gap that it closes by itself: of sqrt(mean r^2 - 1) of all pixels in the bins that count.
 

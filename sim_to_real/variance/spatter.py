@@ -101,7 +101,7 @@ class Streak:
 def spatter(
     observed: ObservedRecording, lights: Sequence[FrameLight], sizes: VarianceSizes, more_dn2: float = 0.0
 ) -> Spatter:
-    """Return the spatter that frames show, beside other random effects, see `search_lines`."""
+    """Return the spatter that frames show, in addition to other random effects, see `search_lines`."""
     searched, sensor = search_lines(observed, lights, sizes, more_dn2), lights[0].sensor
     bright, dark = transient_lines(observed, searched)
     lit = observed.lit
@@ -121,7 +121,7 @@ def spatter(
 def _excess(
     observed: ObservedRecording, sensor: Sensor, searched: Sequence[LineSearch], hit: Sequence[Bool]
 ) -> float:
-    """Return what streaks add to the mean of r^2 of all pixels, with the light and noise beside them."""
+    """Return what streaks add to the mean of r^2 of all pixels, with the light and noise next to them."""
     bin_px = observed.bin_px
     added = 0.0
     for frame, frame_search, bins in zip(observed.frames, searched, hit, strict=True):
@@ -136,7 +136,7 @@ def _excess(
 
 
 def _from_beside(image: Float32, bins: Bool) -> Float32:
-    """Return the mean of an image (h, w) beside each of some bins (n,)."""
+    """Return the mean of an image (h, w) next to each of some bins (n,)."""
     others = np.float32(1.0) - bins.astype(np.float32)
     light, weight = (cv2.GaussianBlur(part, (0, 0), BESIDE_BINS) for part in (image * others, others))
     return np.asarray(light[bins] / np.maximum(weight[bins], 1e-6), dtype=np.float32)
@@ -216,7 +216,7 @@ def _moments(place: Float64, charge: Float64) -> tuple[float, float, float] | No
 
 
 def _background(electrons: Float64, beside: Bool, noise_e: float) -> Float64 | None:
-    """Return the cubic through pixels beside a streak; None if they are not smooth."""
+    """Return the cubic through pixels next to a streak; None if they are not smooth."""
     row, column = ((places - places.mean()) / max(electrons.shape) for places in np.indices(electrons.shape))
     basis = np.stack([row**n * column**m for n in range(4) for m in range(4 - n)], axis=-1)
     use = beside

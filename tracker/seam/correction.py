@@ -57,7 +57,7 @@ class AxisCorrection:
 
 @dataclass(frozen=True)
 class Correction:
-    """How the seam is followed: `[follow]` of recording.toml.
+    """Correction of the path by the seam: `[follow]` of recording.toml.
 
     Parameters
     ----------

@@ -22,7 +22,7 @@ from tracker.state import AT_ONCE, OffsetLookAhead
 class PlayedPoses:
     """Poses of a recording with the plausibility doubts that a replay has.
 
-    `on_begin` is called where the recorded seam begins anew with the requested pose.
+    `on_begin` is called where the recorded seam begins again with the requested pose.
     """
 
     def __init__(self, recording: Recording, limits: PlausibilityLimits, policy: ServicePolicy) -> None:

@@ -96,7 +96,7 @@ def serve_cell(
 
 
 class Program:
-    """The robot's program: it commands nothing before it hears a tracker, nor after that fell silent.
+    """The robot's program: it commands nothing before a tracker's first message, nor after that fell silent.
 
     TRACK comes ARMED_S after a tracker's first heartbeat, once DISARM is acknowledged. At a part's end, after
     `part_mm`, the tracker is disarmed; once that is acknowledged the next part is there, and all begins

@@ -24,7 +24,7 @@ from tracker.state import Track
 
 @dataclass(frozen=True)
 class GapPolicy:
-    """When a gap is reported: a CUSUM test on blocks of mean ln(misfit).
+    """Policy of the gap report: a CUSUM test on blocks of mean ln(misfit).
 
     - `block_s`: length of a block, s (a texture's patches pass in half a second at 10 mm/s).
     - `learn_blocks`: largest number of gap-free blocks that the run's own level and scatter are taken from

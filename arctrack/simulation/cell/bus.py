@@ -32,7 +32,7 @@ class BusTrouble:
     """Disturbance of the frames of some senders and identifiers; empty tuples mean all.
 
     `lost` and `doubled` are shares of frames, `flipped` is the probability of a bit flip. Frames arrive
-    `late_s` later, and each by up to `shuffled_s` more, drawn anew, so that they overtake each other.
+    `late_s` later, and each by up to `shuffled_s` more, drawn for each, so that they overtake each other.
     """
 
     senders: tuple[str, ...] = ()
