@@ -57,6 +57,7 @@ def test_nothing_is_sent_where_nobody_listens(tmp_path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("compiled")
 @pytest.mark.parametrize("manager", ["abstract"], indirect=True)
 def test_a_live_run_tells_that_it_is_ready_goes_on_and_ends(manager, simulated, tmp_path) -> None:
     path, listening = manager
@@ -64,7 +65,7 @@ def test_a_live_run_tells_that_it_is_ready_goes_on_and_ends(manager, simulated, 
     environment = {**os.environ, "NOTIFY_SOCKET": path, "WATCHDOG_USEC": "200000"}
     environment.pop("WATCHDOG_PID", None)
     words = [sys.executable, "-c", "import arctrack.cli; arctrack.cli.main()", "serve", str(cell)]
-    listening.settimeout(60.0)
+    listening.settimeout(600.0)
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, env=environment) as run:
         told = [listening.recv(1000).decode()]
         while told[-1] != "STOPPING=1":

@@ -25,7 +25,11 @@ from arctrack.live.serve.simulated import GROUP, INTERFACE, SimulatedCell, write
 from arctrack.recording import read_recording
 from robot_io import Validity
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform == "win32", reason="POSIX terminals")]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.usefixtures("compiled"),
+    pytest.mark.skipif(sys.platform == "win32", reason="POSIX terminals"),
+]
 
 SERVE = """
     import sys

@@ -33,7 +33,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("multicast")
+@pytest.mark.usefixtures("multicast", "compiled")
 def test_a_live_run_keeps_its_budgets(bench: Any) -> None:
     plan = bench.bench_plan("lap", RATE_HZ, (160, 120))
     for _ in range(RUNS):

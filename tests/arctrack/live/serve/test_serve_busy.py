@@ -61,6 +61,7 @@ def test_who_waits_for_a_processor_is_told_so() -> None:
 
 
 @pytest.mark.usefixtures("multicast")
+@pytest.mark.usefixtures("compiled")
 def test_a_live_run_says_that_the_machine_is_too_busy(tmp_path) -> None:
     command = [sys.executable, "-c", SERVE, "serve", "--simulated"]
     run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=tmp_path)

@@ -21,6 +21,7 @@ from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("compiled")
 def test_a_recording_is_served_at_its_pace(simulated: Path, tmp_path: Path) -> None:
     cell = playing_cell(tmp_path / "cell", simulated)
     document = tomlkit.parse(cell.read_text())
@@ -39,6 +40,7 @@ def test_a_recording_is_served_at_its_pace(simulated: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("compiled")
 def test_a_run_that_no_robot_could_follow_ends_with_3(tmp_path: Path) -> None:
     plan = LoopPlan(joint="lap", length_mm=1000.0, rate_hz=10.0, size_px=(160, 120))
     name = f"unfollowed-{os.getpid()}"

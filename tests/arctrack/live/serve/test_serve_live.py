@@ -95,6 +95,7 @@ def started(script: str, *words: str) -> subprocess.Popen:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("compiled")
 def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed(multicast, tmp_path: Path):
     name = f"serve-{os.getpid()}"
     cell = write_simulated_cell(tmp_path / "cell", PLAN, INTERFACE, GROUP, name)
