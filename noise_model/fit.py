@@ -31,7 +31,7 @@ NOT_LEARNED = 0.9
 """A parameter whose 1 sigma is more than this share of its prior's has not been learned from the data."""
 
 INDISTINGUISHABLE = 0.98
-"""Two parameters with a larger correlation cannot be told apart."""
+"""Correlation above which two parameters cannot be separated."""
 
 SINGULAR = 1e-10
 """An eigenvalue of the information, scaled to a unit diagonal, below which the data do not see a direction.

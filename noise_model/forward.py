@@ -39,7 +39,7 @@ WITHIN_PIXEL_PX: Float64 = np.array([(i + 0.5, 7 * i % 16 + 0.5) for i in range(
 """Points (16, 2) of a pixel, px off its centre, each in a row and a column of its own: a lattice rule."""
 
 REMEMBERED = 4
-"""How many poses a renderer remembers if it is not told otherwise."""
+"""Default number of poses that a renderer remembers."""
 
 
 Kept = TypeVar("Kept")

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 COEFFICIENTS = (5, 8, 14)
-"""How many of OpenCV's coefficients of distortion a camera may state."""
+"""Numbers of OpenCV's distortion coefficients that a camera may state."""
 
 DIMENSIONS: Mapping[str, tuple[str, ...]] = {
     "flat": (),

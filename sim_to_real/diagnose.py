@@ -49,7 +49,7 @@ HOLDOUT_SHARE = 0.25
 """The share of frames held out of every fit."""
 
 MAX_REASONS = 6
-"""So many hypotheses with effects are reported."""
+"""Largest number of reported hypotheses with effects."""
 
 OnStage = Callable[[str, float], None]
 

@@ -20,10 +20,10 @@ from sim_to_real.search.score_test import score_effects
 from tracker.state import Frame
 
 GAP_MEAN_SQUARE = 1.5
-"""From so large a mean square of the bins on there is something to explain: the model's floor is in them."""
+"""Mean square of the bins from which there is something to explain: the model's floor is in them."""
 
 MIN_MEAN_SQUARE = 0.6
-"""A model without a gap leaves so much at least."""
+"""Least mean square of a model without a gap."""
 
 MIN_CLOSED, MAX_RIVAL_SHARE = 0.5, 0.5
 """An effect is named where it closes half of the gap and leaves half at most of what the next one leaves."""

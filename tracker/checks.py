@@ -17,7 +17,7 @@ from tracker.flags import Flag
 Outcome = Literal["passed", "noted", "refused"]
 
 Demand = Literal["yes", "at_least", "at_most", "more_than", "less_than"]
-"""How a value stands to its limit where a check passes; a value that is NaN passes each but `yes`."""
+"""Relation of a value to its limit where a check passes; a value that is NaN passes each but `yes`."""
 
 _FAILS: Mapping[Demand, Callable[[float, float], bool]] = {
     "yes": operator.ne,

@@ -45,16 +45,16 @@ MIN_PIXELS_PER_MM = 3.2
 scatter do not get less, in pixels, where height moves the stripe little."""
 
 SEARCH_REACH_MM = 5.0
-"""How far off its nominal place the seam is first looked for."""
+"""Half-width of the first search about the seam's nominal place."""
 
 TRACK_REACH_MM = 1.0
-"""How far from its expected place it is looked for once it is known, beyond three sigmas of that place."""
+"""Half-width of the search about a known seam's expected place, beyond three sigmas of that place."""
 
 MIN_ACROSS = 0.2
 """The least cosine between the sheet's normal and the tool's x axis for a place in the sheet to follow x."""
 
 MAP_TOLERANCE, MAP_FLOOR_E = 0.01, 20.0
-"""How far the map may be off where it is read off its tables: relative, and in electrons."""
+"""Largest error of the map where it is read off its tables: relative, and in electrons."""
 
 SAMPLE, LEVEL_SAMPLE = 600, 150
 """About so many pixels are an even sample of an image, however many it has; so many tell the arc's level.

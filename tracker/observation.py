@@ -44,7 +44,8 @@ MIN_HELD_SHARE, WHOLE_SHARE = 0.2, 0.75
 """The share of the scan lines that the joint crosses which must hold a stripe, and below it is partial."""
 
 MIN_TOLD_NATS = math.log(1e2)
-"""Of two stripes the laser's must be told by so much: its reflection is read once in a hundred at most."""
+"""Least evidence that separates the laser's of two stripes: its reflection is read once in a hundred at most.
+"""
 
 ARC_OFF_SIGMAS = 5.0
 MISFIT_LIMIT = 2.0
@@ -55,7 +56,7 @@ MAX_CURRENT_A, MAX_EXPOSURE_S = 1e4, 1e2
 """No welding current and no exposure reaches these: such a number is not known."""
 
 BEYOND_REACH_MM = 1.0
-"""So much farther than a stripe is followed its joint is looked for."""
+"""Additional half-width of the search for the joint over that for the stripe."""
 
 
 class FrameInput(NamedTuple):

@@ -17,7 +17,7 @@ The torch, which comes later, is steered by it all the same.
 """
 
 LOST_TO_SEARCH = 3
-"""So many frames without a joint widen the search to what it was at first."""
+"""Number of frames without a joint after which the search is as wide as at first."""
 
 
 class Steering(NamedTuple):

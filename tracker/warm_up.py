@@ -35,16 +35,16 @@ from tracker.stripe.read import Work
 from tracker.tracker_state import LOST_TO_SEARCH, TrackerMemory
 
 STRIPE_OVER_FULL_WELL = 0.3
-"""How bright the made-up stripe is."""
+"""Brightness of the synthetic stripe."""
 
 SHORTER_SIDE_PX = 240
-"""The shorter side of a made-up image has so many pixels, or some more."""
+"""Least number of pixels of a synthetic image's shorter side."""
 
 TRACKED_FRAMES = 8
-"""So many frames in a row show the stripe in its place, 1 mm apart."""
+"""Number of consecutive frames that show the stripe in its place, 1 mm apart."""
 
 ASIDE_MM = 3.0
-"""How far a seam is off its place where it is to be searched."""
+"""Displacement of a seam that is to be searched."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from noise_model.lanes import N_LANES
 from noise_model.surface.visibility import MAX_LEDGES, MAX_PLANES
 
 MAX_TOGETHER = 25
-"""So many points a cell's polynomial has."""
+"""Largest number of points of a cell's polynomial."""
 
 MAX_FACES = 40
 """Room for the faces of a section: those of a U are most."""

@@ -11,7 +11,7 @@ from numba.core.errors import NumbaError
 from noise_model.compiled.content import describe_function, describe_type, digest, find_kernel, is_named
 
 MIN_INSTRUCTIONS = 250
-"""From so many of LLVM's instructions on a kernel is long. LLVM writes out what has some fifty."""
+"""Least number of LLVM's instructions of a long kernel. LLVM inlines what has some fifty."""
 
 
 class Callee(NamedTuple):

@@ -36,7 +36,7 @@ COMPILER = ("noise_model.compiled.callee", "noise_model.compiled.numba_internals
 """The files that decide how kernels are compiled."""
 
 NO_MATTER = ("NUMBA_CACHE", "NUMBA_COLOR", "NUMBA_CPU", "NUMBA_CUDA", "NUMBA_NUM", "NUMBA_THREADING")
-"""How the names of those settings of numba's begin that change no machine code, or are in the target."""
+"""Prefixes of those settings of numba's that change no machine code, or are in the target."""
 
 _PLAIN = (type(None), type(...), bool, int, float, complex, str, bytes)
 

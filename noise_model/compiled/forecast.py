@@ -18,7 +18,7 @@ from noise_model.compiled.packed import compile_costs, find_records, is_found, p
 from noise_model.compiled.store import Record, is_kept, read_records, write_record
 
 MUCH_S = 10.0
-"""What takes more CPU time to compile, s, two processes do sooner: they take 3 s to start and to load."""
+"""CPU time of compilation from which two processes are faster: they take 3 s to start and to load."""
 
 
 class Forecast:

@@ -46,7 +46,7 @@ try:
 finally:
     Path(names).write_text(json.dumps(sorted(kernel._cache.name for kernel in kernels_in_use())))
 """
-"""A command in a process of its own, which tells the kernels that it used."""
+"""Program of a subprocess that runs a command, and prints the kernels that it used."""
 
 
 COMPILE = """

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 MAX_BYTES = 1 << 30
-"""What is kept takes no more: all joints' kernels thirty times. What was not used longest goes first."""
+"""Largest size of the store: all joints' kernels thirty times. The longest unused are removed first."""
 
 _DIGEST_BYTES = hashlib.sha256().digest_size
 _LOG = logging.getLogger(__name__)

@@ -33,7 +33,7 @@ STEPS_AT_50 = np.array(
 """The steps of luminance, DN of 8 bits, at a quality of 50 (ITU-T T.81, table K.1)."""
 
 STEPS_WITHIN = 8
-"""So many steps to either side are summed for what rounding leaves of a coefficient's noise."""
+"""Number of steps to either side that are summed for a coefficient's noise after rounding."""
 
 OFF_STEP, SIGMA_STEP = 0.02, 0.01
 """Steps of the table of what rounding leaves: of the value's distance from a whole number, and of sigma."""

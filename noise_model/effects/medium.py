@@ -15,7 +15,7 @@ from noise_model.fit import Parameter
 from noise_model.view import View
 
 STREAK_REACH = 5.0
-"""How many widths beside a streak are drawn: it has fallen to 4e-6 there."""
+"""Half-width of a drawn streak, in its widths: it has fallen to 4e-6 there."""
 
 
 def airlight_integral(

@@ -20,7 +20,7 @@ from noise_model.stripe import stripe_runs_along_rows
 from noise_model.view import View
 
 EVEN_SPREAD = 3.0
-"""From this 1 sigma on, in half diagonals, glare is even."""
+"""1 sigma, in half diagonals, from which glare is uniform."""
 
 SPREAD_NODES = 8.0
 """Pixels to a wide Gaussian's sigma after an image is shrunk for it."""

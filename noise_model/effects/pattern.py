@@ -12,7 +12,8 @@ from noise_model.stripe import stripe_depth_mm
 from noise_model.view import View
 
 REACH = 3
-"""So many nodes to either side of a point take part: a node is one sigma of the kernel from the next."""
+"""Number of nodes to either side of a point that contribute: a node is one sigma of the kernel from the next.
+"""
 
 _GOLDEN, _ROW, _FIRST, _SECOND = (
     0x9E3779B97F4A7C15,

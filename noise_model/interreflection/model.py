@@ -79,10 +79,12 @@ Along a corrugation it is followed half a pitch far if that is more.
 """
 
 MAX_FACES = 12
-"""Of a section with more faces, as a U's rounding has, the ways between all of them are too many."""
+"""Largest number of a section's faces: a U's rounding has more, and the paths between all of them are too
+many.
+"""
 
 PAD_MM = 0.05
-"""By how much the lattice reaches past the pixels' points across a face."""
+"""Margin of the lattice around the pixels' points across a face."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from noise_model.arrays import Float64
 
 PARAMETERS = ("amplitude", "position", "width", "offset", "slope")
-"""What is unknown in a scan line: e-, px, px, e-, e-/px."""
+"""Unknowns of a scan line: e-, px, px, e-, e-/px."""
 
 POSITION, AMPLITUDE = PARAMETERS.index("position"), PARAMETERS.index("amplitude")
 

@@ -34,7 +34,7 @@ from noise_model.stripe import stripe_reference
 from noise_model.transforms import transform
 
 LARGEST_FIELD_ANGLE = 0.6
-"""Up to which angle from the axis, rad, a filter's passband is followed."""
+"""Largest angle from the axis, rad, at which a filter's passband is computed."""
 
 PROFILE_NODES = 61
 
@@ -44,7 +44,7 @@ LINE_LEAK = "argon_line_leak"
 CONTINUUM = ArcSpectrum(line_width_nm=0.0)
 
 NOZZLE_HEIGHT_MM = 10.0
-"""How high above the plate the torch's nozzle begins."""
+"""Height of the torch's nozzle above the plate."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,9 @@ NODES = np.linspace(-4.0, 4.0, 33)
 """Nodes across the stripe, in its sigmas."""
 
 SATURATED_SIGMAS = 2.0
-"""A pixel expected within so many sigmas of the top may be cut there: it is left out."""
+"""Distance of a pixel's expected value from the top, in sigmas, within which it is left out: it may be
+saturated.
+"""
 
 
 @dataclass(frozen=True)

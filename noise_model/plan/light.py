@@ -26,7 +26,7 @@ from noise_model.transforms import invert, transform
 from noise_model.view import View
 
 REACH_MM = 10.0
-"""How far beside the seam the stripe counts: beyond, a plate tells of its own flatness, not of the seam."""
+"""Half-width of the stripe about the seam: beyond, a plate determines its own flatness, not the seam."""
 
 FAN_RAYS = 81
 MARGIN_MM = 2.0

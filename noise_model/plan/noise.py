@@ -34,7 +34,7 @@ DETECT_SIGMAS = 5.0
 """A stripe fainter than this many of its amplitude's own bounds is not found among false ones."""
 
 MIN_LINES = 5.0
-"""Scan lines that must be read on either side of the seam before it can be told."""
+"""Least number of readable scan lines on either side of the seam."""
 
 EDGE_LINES = 0.1
 """No upright edge is placed better, in scan lines: it is rounded and has burrs. It is the tracker's floor."""
@@ -43,10 +43,10 @@ MIN_NORMAL_Z = 1e-6
 """A face whose normal has less than this of z is upright."""
 
 IN_PLANE_MM = 1e-6
-"""What is nearer to an upright side's plane than this stands in it."""
+"""Distance from an upright side's plane below which a point lies in it."""
 
 HEADROOM_SIGMAS = 4.0
-"""How far below saturation the longest exposure keeps the brightest expected pixel, in its own noise."""
+"""Distance from saturation of the brightest expected pixel at the longest exposure, in its own noise."""
 
 _T = np.linspace(-HALF_WINDOW_SIGMAS, HALF_WINDOW_SIGMAS, NODES)
 _PLACES = np.linspace(-HALF_WINDOW_SIGMAS, HALF_WINDOW_SIGMAS, ARC_PLACES)

@@ -20,14 +20,14 @@ from noise_model.setup import Setup
 
 Range = tuple[float, float]
 Progress = Callable[[str, int, int], None]
-"""Hears what is being done, how many of it are done, and of how many."""
+"""Callback with the activity, the number done, and its total."""
 
 ALIKE_SIDES = ("v_groove", "u_groove", "butt", "fillet", "edge")
-"""The joints that look alike from either side."""
+"""Joints that are symmetric."""
 
 TILT_STEP_DEG, AZIMUTH_STEP_DEG, PREVIEW_STEP_MM, STAND_OFF_STEP_MM = 10.0, 30.0, 15.0, 75.0
 MAP_STEPS_DEG = (5.0, 22.5)
-"""How finely a search looks, and the map of the noise over tilt and azimuth."""
+"""Steps of a search, and of the map of the noise, over tilt and azimuth."""
 
 LEFT_OUT = ("interreflection",)
 """Effects that a plan goes without: bounced light moves the seam's sigma by 0.1 % and less.

@@ -18,7 +18,7 @@ from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert
 
 LEANS_A_SIDE = 2
-"""Leans that are tried to either side, in travel and in work angle."""
+"""Number of tilts tried to either side, in travel and in work angle."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ TILTS_DEG = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 AZIMUTHS_DEG = (0.0, 30.0, 60.0, 90.0, 120.0, 150.0, 180.0)
 
 ASIDE_DEG = 60.0
-"""How far out of the plane of incidence rule two is tried: at 90 deg an upright sheet shows no height."""
+"""Angle out of the plane of incidence at which rule two is tried: at 90 deg an upright sheet shows no height.
+"""
 
 MATTERS = 1.1
 """A ratio nearer to 1 than this is no difference."""

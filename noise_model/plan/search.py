@@ -39,7 +39,7 @@ EQUAL_SIGMA_SHARE = 0.02
 """Sigmas nearer to each other than this share are no reason to prefer one."""
 
 Progress = Callable[[int, int], None]
-"""Hears how many designs are done, and of how many."""
+"""Callback with the number of designs done, and its total."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ N_MORE = 4
 """Frames of an experiment."""
 
 TILT_DEG, RAISE_MM, CURRENT, EXPOSURE, FASTER = 10.0, 2.0, 1.5, 0.5, 3.0
-"""What the experiments change: angle, height, and factors of current, exposure and speed."""
+"""Changes of the experiments: angle, height, and factors of current, exposure and speed."""
 
 
 @dataclass(frozen=True)

@@ -36,13 +36,13 @@ A second stripe is as narrow as the first: there are as many knots as stripes ha
 """
 
 ADDED_DN = 50.0
-"""What a free term of size 1 adds where it adds to the image, DN."""
+"""Amplitude of a free term of size 1 that adds to the image."""
 
 MOVED_DEG, MOVED_MM = 2.0, 2.5
-"""What a free term of size 1 turns and moves the camera by."""
+"""Rotation and translation of the camera by a free term of size 1."""
 
 TURNED_IN_FRAME_DEG, MOVED_IN_FRAME_MM = 0.3, 0.3
-"""What a free term of size 1 turns and moves the camera by in each frame, as a wrong clock does."""
+"""Rotation and translation of the camera in each frame by a free term of size 1, as by a wrong clock."""
 
 
 @dataclass(frozen=True)

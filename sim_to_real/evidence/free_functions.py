@@ -30,10 +30,10 @@ N_COEFFICIENTS, N_KNOTS_2D = 10, (6, 7)
 """Coefficients of a spline at most, and hat functions over rows and columns."""
 
 FEW_VALUES, VALUES_PER_COEFFICIENT = 5, 2
-"""Of so few values each has a coefficient, of more so many share one."""
+"""Number of values up to which each has a coefficient, and number of values that share one beyond it."""
 
 N_PLACES = 25
-"""A spline is told at so many places."""
+"""Number of places at which a spline is reported."""
 
 BAND_SIGMAS = 1.96
 """Half of a 95 % band, in sigmas."""
@@ -47,7 +47,7 @@ FORMS: Mapping[str, Callable[[Covariates], Float32]] = {
     "times_laser": lambda bins: bins.laser_dn,
     "times_light": lambda bins: bins.light_dn,
 }
-"""How a function acts: what it changes per unit (n,), DN."""
+"""Action of a function: its change per unit (n,), DN."""
 
 MIRRORED, OVER_IMAGE = "mirrored", "row, column"
 """The light at the place mirrored at the image's middle, as of a ghost; and any function over the image."""

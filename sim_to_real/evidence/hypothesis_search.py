@@ -34,22 +34,22 @@ TermEvidence: TypeAlias = Mapping[Term, Sequence[float]]
 """The evidence of each free term, nats, at each size that its columns may have."""
 
 MAX_SINGLES, MAX_TRENDS = 10, 3
-"""So many effects are fitted at most; so many of the likeliest ones are fitted as changing in time, too."""
+"""Largest number of fitted effects, and of the likeliest ones that are also fitted as changing in time."""
 
 MAX_APPROACHED, APPROACH_SHARE = 3, 0.7
-"""So many fits that are far off come nearer, as long as each step leaves no more than this share."""
+"""Number of distant fits that are continued, and the largest share that each step may leave."""
 
 MAX_ROUNDS, SETTLED_NATS = 4, 1.0
-"""Light is rendered anew at a fit so often at most, as long as the evidence gains so many nats."""
+"""Largest number of renderings at a fit, and the least gain of evidence for another one."""
 
 SURPRISE_NATS = 4.0
-"""By so many nats a fit may beat its first look even where the gap is small."""
+"""Largest gain of a fit over its first look even where the gap is small."""
 
 MUCH_SURPRISE, LITTLE_SURPRISE, FLOOR_MEAN_SQUARE = 0.7, 0.3, 1.0
 """And by this share of what the best fit gains; the second once a fit leaves no more than the floor."""
 
 MIN_IN_FULL = 3
-"""So many of the likeliest hypotheses are weighed in full, however likely they are."""
+"""Number of the likeliest hypotheses that are weighed in full, however likely they are."""
 
 MOVING = tuple(name for name, effect in REGISTRY.items() if effect.stage in (Stage.GEOMETRY, Stage.TIMING))
 """Effects that move the image: while an unknown cause of a large gap leads, all of them are fitted.
@@ -64,7 +64,7 @@ STARTS_OF_STAND_INS: Mapping[str, Sequence[Effects]] = {
     FLICKER: ({FLICKER: REGISTRY[FLICKER].neutral},),
     INTERREFLECTION: ({INTERREFLECTION: EXPENSIVE[INTERREFLECTION]},),
 }
-"""Where fits of effects without probe points start."""
+"""Starts of the fits of effects without probe points."""
 
 
 @dataclass(frozen=True, eq=False)

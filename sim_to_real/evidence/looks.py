@@ -21,13 +21,13 @@ from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.search.score_test import ScoreTest
 
 MAX_PAIRS, MAX_STARTS = 2, 3
-"""So many pairs of either kind are worth a fit at most; and so many of an effect's families."""
+"""Largest number of fitted pairs of either kind, and of an effect's families."""
 
 START_SHARES = 1.0, 0.4, 0.1
 """At these shares of the likeliest step a fit may start: at the one where least is left."""
 
 FAMILIES_IN_PAIRS = 2
-"""So many families of each effect are looked at in pairs."""
+"""Number of families of each effect that are tried in pairs."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,7 +69,7 @@ PER_BIN = (
     "part_mm",
     "tangents",
 )
-"""The arrays of `Covariates` with an entry for each bin, beside the values."""
+"""Arrays of `Covariates` with an entry for each bin, in addition to the values."""
 
 
 @dataclass(frozen=True, eq=False)

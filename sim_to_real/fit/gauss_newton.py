@@ -26,13 +26,14 @@ START_DAMPING, MIN_DAMPING, MAX_DAMPING, DAMPING_FACTOR = 1e-3, 1e-6, 1e3, 0.1
 """The damping's start and bounds, and its factor after a step that helps; else it is divided by it."""
 
 MAX_RELINEARIZATIONS, MIN_IMPROVEMENT_REL = 3, 0.1
-"""Light is rendered anew at a fit so often at most, as long as the mean square falls by this share."""
+"""Largest number of renderings at a fit, and the least relative decrease of the mean square for another one.
+"""
 
 FLICKER, LEVEL_SIGMA = "arc_flicker", 0.2
 """The effect whose realisation is fitted frame by frame, and the prior sigma of a frame's ln level."""
 
 FRAME_LEVEL = "arc_ln_"
-"""How the names of frames' own ln levels begin."""
+"""Prefix of the names of frames' own ln levels."""
 
 
 @dataclass(frozen=True, eq=False)

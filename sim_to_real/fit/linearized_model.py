@@ -40,7 +40,7 @@ MIN_CHORD_DEVIATION_MM = 0.03
 """A seam that departs less from its chord is straight."""
 
 MAX_SEAM_SIGMAS = 2.0
-"""A fitted seam's bends are believed up to so many sigmas: a gap may have bent it."""
+"""Largest bend of a fitted seam that is used, in sigmas: a gap may have bent it."""
 
 FOURTH, ONE = np.array([1.0, -4.0, 6.0, -4.0, 1.0], dtype=np.float32), np.ones(1, dtype=np.float32)
 """The taps of a fourth difference, and of none."""

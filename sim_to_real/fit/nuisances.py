@@ -13,17 +13,17 @@ from noise_model.transforms import moved
 from sim_to_real.data.binned import ObservedRecording
 
 WITHIN_SIGMAS = 4.0
-"""A nuisance may be off by so many tolerances; more is a gap."""
+"""Largest error of a nuisance, in tolerances; more is a gap."""
 
 N_LEVELS, N_CAMERA = 3, 6
 SEAM_FROM = N_LEVELS + N_CAMERA
 """The first nuisances are levels, then come those of the camera's pose and of the seam."""
 
 BIASED_MEAN_SQUARE = 10.0
-"""From this mean square of a fit without effects on the gap has biased its nuisances."""
+"""Mean square of a fit without effects from which the gap has biased its nuisances."""
 
 SEAM_WITHIN_SIGMAS = 30.0
-"""A seam may lie so many of its sigmas from where the tracker sees it: finding the seam is daily work."""
+"""Largest distance of a seam from the tracked one, in its sigmas: finding the seam is daily work."""
 
 
 def nuisances(observed: ObservedRecording) -> tuple[Parameter, ...]:

@@ -27,10 +27,10 @@ from tracker.seam.curve import SeamCurve
 from tracker.seam_observations import TRIANGULATION_EFFECTS
 
 LIT_SHARE = 1e-3
-"""Where the stated arc puts less than this share of its brightest light, it says nothing of another arc's."""
+"""Share of the stated arc's brightest light below which it does not determine another arc's."""
 
 N_CACHED = 8
-"""So many renderings of a recording's frames are kept."""
+"""Number of cached renderings of a recording's frames."""
 
 RENDERED_EFFECTS = frozenset(
     name for name, effect in REGISTRY.items() if effect.setup is not None or effect.stage is Stage.TIMING

@@ -30,7 +30,7 @@ GROUND_STEP_MM = 5e-4
 """Step of the derivatives with the place of the seam under the arc."""
 
 EDGE_SHARE, EDGE_E = 0.01, 2.0
-"""An edge is what changes a bin's light over such a step by more than this share of it and so many e-."""
+"""Least change of a bin's light over a step at an edge: relative, and in e-."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Tangents:
 
 
 Step = tuple[Sight, float]
-"""What frames see after a small step, and how long the step was."""
+"""What frames see after a small step, and the step's length."""
 
 
 class _Frames:

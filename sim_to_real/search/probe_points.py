@@ -61,7 +61,9 @@ def _ending(key: str, neutral: float, shape: Values) -> ProbeFamily:
 PLATE_GOES_ON_MM = REGISTRY["plate_outline"].neutral["left_mm"]
 
 GHOSTS_ACROSS = tuple(round(sign * 0.035 * n, 3) for n in range(1, 19) for sign in (1, -1))
-"""How far from the stripe its ghost is looked for, in half diagonals: a stripe's usual 2 sigma apart."""
+"""Distances from the stripe at which its ghost is searched, in half diagonals: a stripe's usual 2 sigma
+apart.
+"""
 
 FAMILIES: Mapping[str, tuple[ProbeFamily, ...]] = {
     "arc_length": _each({"height_mm": 0.7}, {"height_mm": -0.7}),
@@ -158,7 +160,7 @@ FAMILIES: Mapping[str, tuple[ProbeFamily, ...]] = {
 """The families of each effect that changes a frame's mean; random effects show in its scatter instead."""
 
 N_PARTS: Mapping[str, int] = {"dirty_window": len(PATCHES)}
-"""How many parts an effect of several has; they are sought one after another."""
+"""Number of parts of an effect with several; they are searched one after another."""
 
 EXPENSIVE: Mapping[str, Values] = {INTERREFLECTION: {"albedo": 0.35}}
 """Effects that take longer than all others together, tried last; and where their fit starts."""

@@ -32,7 +32,7 @@ MIN_STEP = 0.05
 """The shortest first step of a fit, in distances of a probe point: at neutral some effects have no slope."""
 
 MAX_STEP = 3.0
-"""How far a line is extrapolated, in distances of its probe point."""
+"""Largest extrapolation of a line, in distances of its probe point."""
 
 MAX_FRACTION_FURTHER_PART = 0.9
 """A further part of an effect with several, such as a patch, must leave less than this share of the cost."""

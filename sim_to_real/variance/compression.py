@@ -24,7 +24,7 @@ QUALITIES = np.arange(1.0, 99.75, 0.25)
 """The qualities that are tried."""
 
 MAX_FRAMES, MAX_COEFFICIENTS, MIN_COEFFICIENTS = 4, 16_000, 200
-"""So many frames, spread over the recording, and so many coefficients of them are looked at."""
+"""Number of frames, spread over the recording, and largest and least number of their coefficients."""
 
 ROUNDED_SIGMA = math.sqrt(1.0 / 12.0)
 """1 sigma of a coefficient, DN, whose pixels are rounded to whole DN."""
@@ -36,7 +36,7 @@ ELSEWHERE = 0.1
 """The share of compressed coefficients that lie anywhere: pixels were cut at black or white."""
 
 N_ALIKE = 4.0
-"""Coefficients of one place in the block and one multiple count as so many at most: stripes repeat."""
+"""Largest count of coefficients of one place in the block and one multiple: stripes repeat."""
 
 
 @dataclass(frozen=True)

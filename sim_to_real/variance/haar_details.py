@@ -28,7 +28,7 @@ from sim_to_real.data.blocks import DETAIL_2X2, weighted_sums_in_bins
 from sim_to_real.fit.frame_light import CHARGE_STEP_E, FrameLight
 
 CLIP_SIGMAS = 5.0
-"""Details are clipped at so many sigmas: a spark is not noise."""
+"""Clipping of details, in sigmas: a spark is not noise."""
 
 SCORING_ROUNDS = 5
 """Iterations of the weights."""

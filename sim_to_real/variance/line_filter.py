@@ -24,7 +24,7 @@ N_ANGLES = 8
 """Directions that are tried, evenly over half a turn."""
 
 LENGTH_PX, SPACING_PX = 5, 3
-"""A line's length, and how far beside it the parallels lie, pixels of the image."""
+"""Length of a line, and distance of the parallels next to it, pixels of the image."""
 
 BLUR_PX = 0.65
 """1 sigma of a line's blur: an oblique line without blur would break into beads."""

@@ -44,7 +44,7 @@ MIN_EVIDENCE_NATS = 3.0
 """The evidence over its absence from which on a random effect is named, nats."""
 
 MIN_LIT_FRAMES = 3
-"""A source's random effects are sought if so many frames show the source."""
+"""Least number of frames that show a source for its random effects to be searched."""
 
 
 @dataclass(frozen=True)

@@ -28,16 +28,16 @@ from sim_to_real.variance.haar_details import VarianceSizes
 from sim_to_real.variance.streaks import LineSearch, StreakLine, search_lines, transient_lines
 
 CLUTTER_FRAMES = 30.0
-"""The prior of lines that are no streaks: fewer than one in so many frames."""
+"""Prior of lines that are no streaks: fewer than one in this number of frames."""
 
 RIM_BINS = 3
 """Bins about a streak from which its background is taken."""
 
 BESIDE_BINS = 3.0
-"""1 sigma over which light beside a streak is averaged."""
+"""1 sigma of the average of light next to a streak."""
 
 OUTLIER_SIGMAS = 4.0
-"""Pixels beyond so many sigmas do not belong to the background."""
+"""Distance from the background, in sigmas, of pixels that do not belong to it."""
 
 MIN_ELONGATION = 4.0
 """The smallest ratio of a streak's variance along it to that across it."""
@@ -49,7 +49,7 @@ WINDOW_PX, WINDOW_ROUNDS, MAX_KEPT = 4.0, 4, 0.9
 """1 sigma of the window across a streak, its iterations, and the share of it that a streak may fill."""
 
 CLEAR_LIMIT_RATIO = 4.0
-"""Streaks of so many times their limit are clear enough for their moments to be used."""
+"""Ratio of a streak to its limit from which its moments are used."""
 
 MIN_WIDTH_PX, MOMENT_ERROR_PX = 0.5, 0.3
 """The narrowest streak, and 1 sigma of the error of moments."""

@@ -34,13 +34,13 @@ WIDE_BINS = 5
 """The width, bins, from which a bright area is no streak; the median filter of the background has it too."""
 
 MISPLACED_BINS = 3
-"""How far the model's lines may lie beside the true ones."""
+"""Largest distance of the model's lines from the true ones."""
 
 MODEL_LINE_RATIO = 1.5
-"""Lines up to so many times the model's own may be the model's error."""
+"""Ratio to the model's own lines up to which a line may be the model's error."""
 
 MIN_RECURRING_SHARE, NEAR_BINS = 0.3, 2
-"""A line recurs if another frame has this share of it within so many bins of its place."""
+"""Least share of a line in another frame that recurs, and its largest distance in bins."""
 
 MIN_RECURRING_FRAMES_SHARE, MIN_RECURRING_FRAMES = 0.3, 2
 """A line is persistent if it recurs in this share of the frames that could show it.
@@ -52,10 +52,10 @@ MIN_LIGHT_DN = 0.5
 """The least light with which a persistent line's brightness is scaled."""
 
 BESIDE_LINE_BINS = 3
-"""Within so many bins a bright line makes its surroundings look like a dark line."""
+"""Distance within which a bright line makes its surroundings look like a dark line."""
 
 MIN_RESPONSE_SIGMAS = 3.0
-"""A frame could show a line again if its response there would be so many sigmas."""
+"""Least response, in sigmas, at which a frame could show a line again."""
 
 MIN_LINE_BINS = 3
 """The fewest bins of a line."""

@@ -24,7 +24,7 @@ from tracker.state import Y_MM, Z_MM, JointShape
 SEARCH_STEP_MM = 0.2
 SEARCH_LIMIT_MM = 1.0
 PLATE_SIGMA_DEG = 2.0
-"""How far a plate may be turned from where it is stated to stand."""
+"""1 sigma of a plate's rotation from where it is stated."""
 
 MAX_TURNED_SIGMAS = 5.0
 """Plates that are turned by more are not this corner's."""

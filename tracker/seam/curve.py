@@ -34,7 +34,9 @@ N_MODES = (5, 3)
 """Modes of y and of z: a stripe would not show further ones."""
 
 STRETCH_OFF_MM, MIN_STRETCHES = 0.001, 3
-"""How far straight stretches may be off a seam where they meet, and their least number: a fit may bend it."""
+"""Largest distance of straight stretches from a seam where they meet, and their least number: a fit may bend
+it.
+"""
 
 GRID_MM = 1.0
 """Spacing of the stations at which curves are given."""

@@ -16,10 +16,10 @@ MIN_CROSSING = 0.3
 """The least cosine between the sheet's normal and the seam: below, it shows no section of the joint."""
 
 ROTATION_WITHIN = 1e-3
-"""How far a rotation's R R^T may be off the identity."""
+"""Largest error of a rotation's R R^T against the identity."""
 
 MAX_HEIGHT = 2.0
-"""How high the laser may stand over the surface, over its height above the tool's origin."""
+"""Largest height of the laser over the surface, over its height above the tool's origin."""
 
 
 def is_rotation(T: Matrix) -> bool:

@@ -26,7 +26,7 @@ from noise_model.surface.joint import SeamSegments
 from noise_model.transforms import invert, transform
 
 FOUND_SHARE, FALSE_SHARE = 0.9, 0.1
-"""How often a joint is found where there is one, at least, and where there is none, at most."""
+"""Least detection rate of a joint where there is one, and largest where there is none."""
 
 FALSE_ALARM = 1e-4
 """One over the looks between false alarms, at least, on average."""
@@ -35,7 +35,7 @@ LOOK_MM = 1.0
 """Frames nearer to the last look than this see the same spatter and the same plate: they are no new look."""
 
 DECIDE_MM = 10.0
-"""How far beyond the last place where an end may lie it is still looked for: to be sure takes some looks."""
+"""Distance of the search beyond the last place where an end may lie: a decision takes some frames."""
 
 ON_LINE_MM = 1e-6
 
