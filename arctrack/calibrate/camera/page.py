@@ -11,6 +11,8 @@ from arctrack.calibrate.camera import pictures as camera_pictures
 from arctrack.calibrate.camera.board_images import BoardImages
 from arctrack.calibrate.page import CalibrationPage, PagePicture, ValueRow, row_of, with_reasons
 from arctrack.recording import SetupFile
+from arctrack.recording.schema import keys_of
+from arctrack.recording.sensor_tables import CameraTable
 from arctrack.report.embedded import svg
 from calibration.camera.calibrate import CameraCalibration
 from calibration.camera.enough import GOOD_COVER, cover, empty_parts
@@ -21,12 +23,7 @@ DIM = (
     "expose longer; the filter holds back all other light"
 )
 
-UNITS = {"fx": "px", "fy": "px", "cx": "px", "cy": "px", "tau_x": "rad", "tau_y": "rad"}
 MEANINGS = {
-    "fx": "focal length across the image",
-    "fy": "focal length down the image",
-    "cx": "principal point, column",
-    "cy": "principal point, row",
     "p1": "tangential distortion",
     "p2": "tangential distortion",
     "tau_x": "tilt of the sensor about the image's horizontal",
@@ -73,10 +70,15 @@ def camera_page(result: CameraCalibration, images: BoardImages, stated: SetupFil
 def camera_rows(result: CameraCalibration) -> tuple[ValueRow, ...]:
     """Return the lens' parameters and the board's warp."""
     values = [*result.scene.lens.values, *result.scene.warp_mm]
+    stated = {key.name: key for key in keys_of(CameraTable)}
     rows = []
     for name, value, sigma in zip(result.names, values, result.sigma, strict=True):
-        unit = "mm" if name.endswith("_mm") else UNITS.get(name, "")
         key = "" if name.endswith("_mm") else name
+        if name in stated:
+            meaning, unit = stated[name].field.description or "", stated[name].said("unit")
+            rows.append(row_of(f"{meaning[:1].lower()}{meaning[1:]}", key, value, sigma, unit))
+            continue
+        unit = "rad" if name.startswith("tau") else "" if key else "mm"
         rows.append(row_of(MEANINGS.get(name, RADIAL), key, value, sigma, unit))
     if result.print_sigma_mm > 0.0:
         off = f"{result.print_sigma_mm:.4f}"
