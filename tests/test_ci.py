@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -33,6 +34,8 @@ def commit(folder: Path, title: str, *options: str) -> subprocess.CompletedProce
 @pytest.fixture
 def clone(tmp_path: Path) -> Path:
     """Return a clone of an empty repository, whose hooks are those of the project."""
+    if shutil.which("git") is None:
+        pytest.skip("git is not installed")
     assert run(tmp_path, "git", "init", "--quiet", "--initial-branch", "main", ".").returncode == 0
     hooks = (ROOT / ".pre-commit-config.yaml").read_text().replace(".ci/", f"{ROOT}/.ci/")
     (tmp_path / ".pre-commit-config.yaml").write_text(hooks)
