@@ -13,7 +13,7 @@ import numpy as np
 from arctrack.errors import ArctrackError
 from arctrack.limits import size_problem
 from noise_model.arc_source import Arc
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.laser import Laser
 from noise_model.instrument.sensor import Sensor

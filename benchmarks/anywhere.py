@@ -27,7 +27,7 @@ import numpy as np
 from random_scene import JOINTS, draw_scene, frames_of, joint_of
 from scene_bound import SeamBound, seam_bound
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.tracker import Tracker
 
 FALSE_SIGMAS, FALSE_MM = 5.0, 0.25

@@ -30,7 +30,7 @@ from noise_model.arc.map import (
     arc_kernel,
 )
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.compiled.arrays import Float32, Float64, Int64
 from noise_model.setup import Setup
 from tracker.geometry import SensorGeometry
 from tracker.stripe.band import FIT_SIGMAS, place

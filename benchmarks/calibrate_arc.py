@@ -36,7 +36,7 @@ from calibration.arc.problem import (
     Z,
 )
 from calibration.hand_eye import FIELD_SIGMA
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.brdf import Material
 from noise_model.surface.joint import Joint

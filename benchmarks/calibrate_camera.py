@@ -28,7 +28,7 @@ from calibration.camera.enough import UndeterminedError
 from calibration.camera.halves import MAX_RATIO, difference_of_halves, splits
 from calibration.camera.lens import ORDERS
 from calibration.camera.sightings import BoardView
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 FAMILY_ALARM = 0.0027
 """The probability that any of the parameters is called biased without being so: 3 sigma."""

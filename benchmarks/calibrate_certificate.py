@@ -24,7 +24,7 @@ from calibration.camera.lens import Lens
 from calibration.certificate import CAMERA, Certificate, KnownHandEye, KnownLens, KnownSheet, certify
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration, calibrate_hand_eye
 from calibration.laser.calibrate import LaserCalibration, calibrate_laser
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 IN_HAND_WRONG_LENS = 8
 """The kind of calibrate_hand_eye's world: in the hand, the lens off, no poses swapped."""

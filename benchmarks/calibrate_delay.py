@@ -25,7 +25,7 @@ from arctrack.nominal import nominal_setup
 from arctrack.recording import read_recording
 from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
 from calibration.pose_delay import PoseTrack, estimate_pose_delay, fit_pose_delay
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from tracker.seam_observations import SeamObservations
 

@@ -28,7 +28,7 @@ from calibration.gauge.shape import Gauge, Shape
 from calibration.gauge.sightings import PosedPieces, StatedSensor
 from calibration.gauge.stripe_pieces import Piece, Pieces, stripe_pieces
 from calibration.laser.image_line import fit_line
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 sys.path.append(str(Path(__file__).parents[1] / "examples"))
 

@@ -35,7 +35,7 @@ from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
 from calibration.camera.sightings import BoardView
 from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration, calibrate_hand_eye
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 
 METHODS = {
     "Tsai": cv2.CALIB_HAND_EYE_TSAI,

@@ -33,7 +33,7 @@ from calibration.camera.sightings import BoardView
 from calibration.laser.calibrate import LaserCalibration, calibrate_laser
 from calibration.laser.cross_sections import cross_sections, placed
 from calibration.laser.stripe import BoardStripe, board_area, find_stripe, laser_light
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 FAMILY_ALARM = 0.0027
 """The probability that chance alone puts a mean over the most: 3 sigma, shared among the numbers."""

@@ -26,7 +26,7 @@ from calibration.camera.lens import Lens
 from calibration.camera.projection import Knowledge, rms_sigma
 from calibration.camera.sightings import Sightings
 from calibration.camera.start import first_scene, with_better_poses
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 if TYPE_CHECKING:
     import mrcal

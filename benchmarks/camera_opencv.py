@@ -20,7 +20,7 @@ from scipy.stats import norm
 
 from calibration.camera.calibrate import find_lens
 from calibration.camera.enough import UndeterminedError
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 OPENCV = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 FIXED = {"k1": cv2.CALIB_FIX_K1, "k2": cv2.CALIB_FIX_K2, "k3": cv2.CALIB_FIX_K3}

@@ -22,7 +22,7 @@ from calibration.boards.detect import find_corners
 from calibration.camera.calibrate import calibrate_camera
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.sightings import BoardView
-from noise_model.arrays import UInt8
+from noise_model.compiled.arrays import UInt8
 
 BOARD = Board.parse("chessboard:9x6:4mm")
 FX_PX, K1 = 2186.0, -0.35

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 LENSES: dict[str, dict[str, float]] = {
     "none": {},

@@ -23,7 +23,7 @@ from arctrack.nominal import nominal_setup
 from arctrack.recording import read_recording
 from arctrack.recording.frames import BadFrame
 from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects import REGISTRY
 from sim_to_real.first_look import first_look
 from sim_to_real.search.probe_points import FAMILIES

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calibration.boards.board import Board
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 STEP = 1e-6
 """Relative to the unit in which a parameter is of the order of 1."""

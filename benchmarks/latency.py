@@ -35,7 +35,7 @@ from latency_cases import HEIGHTS, METALS, Case, draw_case
 from latency_peers import print_peers
 from latency_worker import COLD, SEARCH, STRETCHES, TRACK
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 ROOT = Path(__file__).resolve().parents[1]
 THIS = "this tree"

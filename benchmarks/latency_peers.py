@@ -20,7 +20,7 @@ from latency_worker import CURRENT_A, EXPOSURE_S, PERIOD_S
 from stripe_peers import PEERS, steger
 
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.forward import Renderer, draw_frame
 from tracker.geometry import TRACK_REACH_MM, SensorGeometry
 from tracker.state import Frame, Pose

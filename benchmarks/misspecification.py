@@ -52,7 +52,7 @@ from threadpoolctl import threadpool_limits
 from arctrack.output import write_whole
 from arctrack.recording import BadFrame, pose_at, read_recording
 from arctrack.workers import processes
-from noise_model.arrays import Float32, Float64
+from noise_model.compiled.arrays import Float32, Float64
 from sim_to_real.data.binned import observe, variances_dn2
 from sim_to_real.evidence.coordinates import free_terms
 from sim_to_real.evidence.error_model import (

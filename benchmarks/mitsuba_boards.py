@@ -20,7 +20,7 @@ import numpy as np
 from camera_worlds import project
 
 from calibration.boards.board import Board, BoardKind
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from validation.second_renderer.path_traced import load_mitsuba
 
 ROOM_SAMPLES = 4

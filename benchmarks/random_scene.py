@@ -13,7 +13,7 @@ from swept_light import Band, Ghost, Look, Surroundings
 from swept_world import Speckle, SweptWorld
 
 from arctrack.nominal import nominal_setup
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.setup_keys import Tolerance
 from noise_model.surface.joint import Joint

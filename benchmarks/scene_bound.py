@@ -32,7 +32,7 @@ from swept_joint import SweptJoint, outline
 from swept_light import with_ghost
 from swept_world import Speckle, SweptWorld
 
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 
 MOVED_MM, MOVED_DEG = 0.05, 0.5
 """How far the joint is moved, or a dimension changed, to either side for a derivative."""

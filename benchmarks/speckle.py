@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter1d, median_filter
 from scipy.signal import savgol_filter
 
 from arctrack.recording import BadFrame, read_recording
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
 from noise_model.instrument.sensor import linearise, saturation_dn

@@ -21,7 +21,7 @@ from stripe_peers import PEERS
 
 from arctrack.nominal import nominal_setup
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame, predict
 from noise_model.plan.cramer_rao import POSITION, stripe_sigmas

@@ -17,7 +17,7 @@ from stripe import Case, case_of, expected_of
 
 from arctrack.report import style
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
 from tracker.geometry import SensorGeometry

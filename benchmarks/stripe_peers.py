@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from skimage.filters import sato
 
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 
 
 def steger(image: Integers, width_px: float) -> Float64:

@@ -28,7 +28,7 @@ from scipy.ndimage import convolve1d, median_filter
 from stripe_peers import centroid, ridge, steger
 
 import arctrack
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from tracker.state import Frame, Pose
 from tracker.stripe.expected import expect_stripe
 from tracker.tracker import Tracker

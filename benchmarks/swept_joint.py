@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from scipy.optimize import brentq
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import Joint
 from noise_model.transforms import invert, transform

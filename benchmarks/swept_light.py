@@ -17,7 +17,7 @@ from numba import njit
 from scipy.ndimage import gaussian_filter, shift
 from swept_joint import SweptJoint, departure, normal_at
 
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 
 TILE = 512
 """Cells of the texture to each side; it repeats."""

@@ -26,7 +26,7 @@ from swept_joint import (
 )
 from swept_light import Look, Surroundings, glints, seen_metal, texture, with_ghost
 
-from noise_model.arrays import Bool, Float64, Integers
+from noise_model.compiled.arrays import Bool, Float64, Integers
 from noise_model.setup import Setup
 from noise_model.transforms import invert, transform
 

@@ -19,7 +19,7 @@ import numpy as np
 from arctrack.nominal import nominal_setup
 from arctrack.simulation.simulate import balance
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame
 from noise_model.setup import Setup

@@ -18,7 +18,7 @@ import numpy as np
 
 from calibration.camera.lens import Lens
 from calibration.rigid import cross_matrices
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 CAMERA, LASER, HAND_EYE, ROBOT, DELAY = "camera", "laser", "hand-eye", "robot", "delay"
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from calibration.arc_pixels import ArcPixels
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects import apply_setup_effects
 from noise_model.evenly import evenly
 from noise_model.fit import Fit, Parameter, fit

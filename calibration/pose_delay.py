@@ -27,7 +27,7 @@ from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
 from calibration.hand_eye import CAMERA_STEPS, with_camera
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from tracker.seam.curve import BEND_MM, POINT_SCATTER_MM, prior_covariance

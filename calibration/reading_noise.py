@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 ROUNDS = 12
 

@@ -24,7 +24,7 @@ from calibration.reading_noise import ReadingNoise
 from calibration.reflectance_limits import refuse_if_dark, refuse_if_undetermined, refuse_if_unfit
 from calibration.reflectance_model import White, fit_readings, fit_settings, readings_model
 from calibration.scatter import RepeatScatter, compare
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.fit import Fit, correlation, student_t
 from noise_model.surface.brdf import Material
 

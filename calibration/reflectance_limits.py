@@ -7,7 +7,7 @@ import numpy as np
 from calibration.goniometer import GreyResponse, Readings
 from calibration.reflectance_model import C2, NAMES, ReadingsFit, ReadingsModel
 from calibration.scatter import RepeatScatter
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 
 SEEN_SIGMAS, SEEN_SETTINGS = 3.0, 3
 """Height of the lobe over the noise, in sigmas, and number of settings: fewer could be a single bad reading.

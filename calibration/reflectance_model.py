@@ -18,7 +18,7 @@ from scipy.optimize import nnls
 
 from calibration.goniometer import NORMAL, GreyResponse, Readings
 from calibration.reading_noise import ReadingNoise, estimate_noise, estimate_scatter, rounding_left
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.fit import Fit, Parameter, fit
 from noise_model.surface.brdf import reflectance
 

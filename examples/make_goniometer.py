@@ -15,7 +15,7 @@ import numpy as np
 from arctrack.calibrate.reflectance.goniometer import NEEDED, TIME
 from calibration.goniometer import GreyResponse, Settings
 from calibration.reading_noise import ReadingNoise
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.surface.brdf import MILD_STEEL, ZN_COATED, Material
 
 SEED = 20030201

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from noise_model.arrays import Int64
+from noise_model.compiled.arrays import Int64
 
 
 def evenly(count: int, most: int) -> Int64:

@@ -16,7 +16,7 @@ import numpy as np
 
 from noise_model.arc.map import arc_at, arc_frame, arc_kernel
 from noise_model.arc.scene import Scene
-from noise_model.arrays import Bool, Float32, Float64, Int32, Int64, Integers
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int32, Int64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import acting, apply_condition_effects, apply_setup_effects
 from noise_model.effects.effect import Draw

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from noise_model.arrays import Float32, Float64
+from noise_model.compiled.arrays import Float32, Float64
 
 MAD_SIGMA = 1.4826
 """A normal law's sigma over its median absolute deviation."""

@@ -14,10 +14,10 @@ import numpy as np
 
 from noise_model.arc.map import ArcKernels, arc_in_scenes, arc_kernels
 from noise_model.arc.scene import Scenes, make_scenes
-from noise_model.arrays import Bool, Float32, Float64, Int32, Int64, Integers
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int32, Int64, Integers
+from noise_model.compiled.kernel import kernel
 from noise_model.instrument.camera import Rays, fall_off
 from noise_model.instrument.laser import sheets_of
-from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.stripe import SheetReach, light_stripe, see_sheet
 from noise_model.surface.brdf import lobe_numbers

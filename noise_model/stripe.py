@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64, Int64, Integers
+from noise_model.compiled.arrays import Bool, Float64, Int64, Integers
+from noise_model.compiled.kernel import kernel
 from noise_model.instrument.camera import fall_off
 from noise_model.instrument.laser import (
     Sheet,
@@ -19,7 +20,6 @@ from noise_model.instrument.laser import (
     sheet_of,
     sheet_reflected,
 )
-from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
 from noise_model.surface.ray_casting import way_is_open

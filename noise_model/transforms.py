@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from noise_model.arrays import Float64, Vector
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64, Vector
+from noise_model.compiled.kernel import kernel
 
 
 def pose_matrix(translation_mm: npt.ArrayLike, quaternion_xyzw: npt.ArrayLike) -> Float64:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from noise_model.arc.scene import Scene, Scenes, make_scene
-from noise_model.arrays import Float32, Float64, Int32, Int64, Integers
+from noise_model.compiled.arrays import Float32, Float64, Int32, Int64, Integers
 from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
 from noise_model.sight import Kept, Sight, kept_in

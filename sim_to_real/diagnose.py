@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from noise_model.arrays import Bool
+from noise_model.compiled.arrays import Bool
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from sim_to_real.data.binned import ObservedRecording, PoseAt, observe

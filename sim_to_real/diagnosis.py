@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from noise_model.arrays import Float32, Float64, Int64, Integers
+from noise_model.compiled.arrays import Float32, Float64, Int64, Integers
 from noise_model.effects import not_predicted
 from noise_model.setup import Setup
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.boards.board import Board, BoardKind
 from calibration.camera.sightings import BoardView
-from noise_model.arrays import Float64, UInt8
+from noise_model.compiled.arrays import Float64, UInt8
 
 BOARD = Board(BoardKind.CHESSBOARD, 7, 6, 10.0)
 SIZE = (800, 600)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from calibration.boards.board import Board
 from calibration.camera.lens import Lens
 from calibration.camera.sightings import BoardView
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 TRUE_LENS = Lens(*SIZE, tuple(LENS), np.array([*LENS.values()]))
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.camera.sightings import BoardView
 from calibration.laser.stripe import BoardStripe
-from noise_model.arrays import Float64, UInt8
+from noise_model.compiled.arrays import Float64, UInt8
 
 PINHOLE = {"fx": 1000.0, "fy": 1003.0, "cx": 410.0, "cy": 290.0}
 PLANE = np.array([np.cos(0.4), 0.0, np.sin(0.4), -175.0 * np.sin(0.4)])

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.instrument.laser import Laser
 from noise_model.setup import Setup
 from noise_model.surface.brdf import reflectance

@@ -37,12 +37,12 @@ MAY_IMPORT = {
 FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
     "noise_model": {
         "compiled": set(),
-        "surface": set(),
-        "instrument": {"surface"},
-        "arc": {"surface", "instrument"},
-        "interreflection": {"surface", "instrument", "arc"},
-        "effects": {"surface", "instrument", "interreflection"},
-        "plan": {"surface", "instrument", "arc", "effects"},
+        "surface": {"compiled"},
+        "instrument": {"compiled", "surface"},
+        "arc": {"compiled", "surface", "instrument"},
+        "interreflection": {"compiled", "surface", "instrument", "arc"},
+        "effects": {"compiled", "surface", "instrument", "interreflection"},
+        "plan": {"compiled", "surface", "instrument", "arc", "effects"},
     },
     "tracker": {
         "arc": set(),

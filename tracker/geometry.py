@@ -19,7 +19,7 @@ from noise_model.arc.map import arc_kernel, baked_light
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.scene import scene_along
 from noise_model.arc.table import TO_POWERS
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.compiled.arrays import Float32, Float64, Int64
 from noise_model.effects import acting, apply_setup_effects
 from noise_model.instrument.camera import Intrinsics, Rays
 from noise_model.instrument.laser import Sheet, sheet_in_tool

@@ -10,7 +10,7 @@ import numpy as np
 from noise_model import arc_source
 from noise_model.arc.map import CELL, arc_kernel, horizon_of
 from noise_model.arc.scene import Scene
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.compiled.arrays import Float32, Float64, Int64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker import checks

@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 from noise_model.arc.scene import laid_scene
-from noise_model.median import known_median
+from noise_model.compiled.median import known_median
 from noise_model.surface.joint import SeamLine
 from tracker import checks, flags
 from tracker.checks import FrameChecks

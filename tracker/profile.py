@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.scene import Scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.median import exact_median
+from noise_model.compiled.ordering import stable_order
 from noise_model.instrument.camera import Intrinsics, distorted, undistorted
 from noise_model.instrument.laser import plane_in
-from noise_model.kernel import kernel
-from noise_model.median import exact_median
-from noise_model.ordering import stable_order
 from noise_model.surface.faces import ridge
 from noise_model.transforms import inverted
 from tracker.geometry import StripeSource

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects import apply_setup_effects, pose_time_s
 from noise_model.setup import Setup
 from noise_model.surface.joint import seam_frame

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arrays import Bool, Float64, Integers
+from noise_model.compiled.arrays import Bool, Float64, Integers
 from noise_model.setup import Setup
 from tracker import flags
 from tracker.checks import Check

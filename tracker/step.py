@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.arrays import as_compiled_for
+from noise_model.compiled.arrays import as_compiled_for
 from tracker import checks, flags
 from tracker.checks import FrameChecks
 from tracker.geometry import SensorGeometry

@@ -16,7 +16,7 @@ import numpy as np
 
 from noise_model.arc.map import arc_frame, arc_kernel
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float32, Float64, Int64, Integers
+from noise_model.compiled.arrays import Float32, Float64, Int64, Integers
 from noise_model.compiled.forecast import Forecast
 from noise_model.compiled.heard import heard
 from noise_model.setup import Setup

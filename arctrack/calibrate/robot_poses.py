@@ -15,7 +15,7 @@ from arctrack.recording.importing.image_files import ImageSeries
 from arctrack.recording.importing.pose_files import PoseFile, known_names, read_poses
 from arctrack.recording.importing.units import Units
 from arctrack.recording.poses import can_channel
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 from noise_model.transforms import invert
 
 

@@ -11,7 +11,7 @@ from arctrack.recording import SetupFile
 from arctrack.recording.setup_model import CalibrationTable
 from calibration.camera.known_lens import lens_of
 from calibration.camera.lens import PINHOLE, Lens
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 
 def check_size(size: tuple[int, int], stated: SetupFile) -> None:

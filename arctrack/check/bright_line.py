@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.laser.matched_scales import SCALES_PX, smoothed_by_scale
-from noise_model.arrays import Float32, Float64, Int64, Integers
+from noise_model.compiled.arrays import Float32, Float64, Int64, Integers
 from noise_model.instrument.sensor import Sensor, linearise, variance_e2
 from tracker.stripe.viterbi import JUMP_COST, best_path
 

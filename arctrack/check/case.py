@@ -14,7 +14,7 @@ from arctrack.check.fit import SectionMatch, SightedLine, fit
 from arctrack.recording import FrameRow, PoseTable, Recording
 from arctrack.recording.frames import Image
 from arctrack.recording.poses import pose_at, pose_buffer
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.effects import apply_setup_effects, pose_time_s
 from noise_model.evenly import evenly
 from noise_model.setup import Setup

@@ -13,7 +13,7 @@ from arctrack.check.check_recording import CheckResult
 from arctrack.report import style
 from arctrack.report.image import visible
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 from tracker.stripe.expected import expect_stripe

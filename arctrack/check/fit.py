@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamSegments, corrugation_height, nearest_segment, seam_frame, section
 from noise_model.transforms import invert, transform

@@ -14,7 +14,7 @@ from arctrack.recording import Recording
 from arctrack.report import style
 from arctrack.report.image import visible
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from robot_io import PoseBuffer
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame

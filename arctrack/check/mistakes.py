@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from arctrack.check.case import CheckCase
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.instrument.camera import Camera
 from noise_model.transforms import invert
 

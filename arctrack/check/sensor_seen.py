@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arctrack.check.bright_line import BrightLine
-from noise_model.arrays import Bool, Float64, Integers
+from noise_model.compiled.arrays import Bool, Float64, Integers
 
 TAIL = 0.05
 """This share of the pixels at either end is left out: hot ones, dead ones, what little is lit."""

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects import checked
 from noise_model.setup import Setup
 

@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates, median_filter
 from scipy.optimize import curve_fit
 
 from arctrack.check.bright_line import BrightLine
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.instrument.sensor import Sensor, linearise, saturation_dn, variance_e2
 from noise_model.robust import spread
 

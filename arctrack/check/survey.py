@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from arctrack.recording import BadFrame, FrameRow, PoseTable, Recording
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
 from noise_model.surface.joint import seam_frame

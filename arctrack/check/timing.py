@@ -11,7 +11,7 @@ import numpy as np
 from arctrack.recording import PoseTable, Recording
 from arctrack.recording.files import FRAMES_CSV
 from arctrack.recording.poses import COVERAGE_PERIODS
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 
 SPEEDS_MM_S = (0.1, 200.0)
 """A tool that moves at all moves neither more slowly nor faster."""

@@ -14,7 +14,7 @@ from arctrack.output import write_whole
 
 if TYPE_CHECKING:
     from calibration.hand_eye import HandEye
-    from noise_model.arrays import Float64
+    from noise_model.compiled.arrays import Float64
 
 
 def from_arc(recording: Path, out: Path) -> None:

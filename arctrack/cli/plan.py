@@ -14,7 +14,7 @@ from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError, in_file
 
 if TYPE_CHECKING:
-    from noise_model.arrays import Float64
+    from noise_model.compiled.arrays import Float64
     from noise_model.plan.plan import Plan, PlanOptions
     from noise_model.setup import Setup
 

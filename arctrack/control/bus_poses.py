@@ -9,7 +9,7 @@ from arctrack.control.innovation import InnovationLimits, SeamMeasurement
 from arctrack.control.look_ahead import LagEstimator, LagNow, LookAhead
 from arctrack.control.policy import ServicePolicy
 from arctrack.control.pose_watch import Doubt, PoseWatch
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from robot_io import (
     GateReason,
     PoseAt,

@@ -19,7 +19,7 @@ from arctrack.control.job import NO_JOB, Job
 from arctrack.control.part import PartWatch
 from arctrack.control.policy import ServicePolicy
 from arctrack.control.track_messages import NO_TRACK, UNKNOWN_POINT, has
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from robot_io import (
     BusMessage,
     Command,

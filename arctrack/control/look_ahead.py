@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from arctrack.control.policy import LookAheadPolicy
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from robot_io import BusMessage, Command, PoseSample, SeamOffset, TrackerCommand, Validity
 from robot_io.clocks.lag import Lag, LagLimits, LagUnestimated, Motion, estimate_lag
 from robot_io.poses.nominal_path import NominalPath

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from arctrack.control.job import Bridging, Job, PartLimits
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.transforms import transform
 from robot_io import Fault
 from tracker.state import JointShape, Track

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from arctrack.control.innovation import InnovationLimits, SeamInnovation, SeamMeasurement, SeamMotion
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import Joint
 from robot_io import (
     Command,

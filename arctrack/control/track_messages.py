@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from robot_io import (
     GateLimits,
     GateReason,

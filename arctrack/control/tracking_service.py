@@ -12,7 +12,7 @@ from arctrack.control.controller import Controller
 from arctrack.control.frame_tracking import Capture
 from arctrack.control.innovation import SeamMeasurement
 from arctrack.control.pose_watch import Doubt
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from robot_io import (
     BusMessage,
     GateReason,

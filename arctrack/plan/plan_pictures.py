@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from arctrack.report import style
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.plan.design import clears_torch
 from noise_model.plan.plan import Plan
 from noise_model.plan.search import DesignCandidate

@@ -17,7 +17,7 @@ from tomlkit.items import Array, InlineTable
 
 from arctrack.recording.setup_file import parse_setup, read_setup_file, setup_text
 from arctrack.recording.toml_text import rounded
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 TABLE = "calibration"
 

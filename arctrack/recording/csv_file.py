@@ -25,7 +25,7 @@ from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.printable import cut, first_of, shown
 from arctrack.recording.files import UnfitFileError, blamed_on, is_utf16, not_utf8, open_file
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 from noise_model.spelling import nearest
 
 Parser = Callable[[str], float]

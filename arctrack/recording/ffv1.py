@@ -18,7 +18,7 @@ from av.video.stream import VideoStream
 from arctrack.errors import in_file
 from arctrack.recording.video_file import VideoFile, opened_video
 from arctrack.recording.video_index import VideoIndex, payloads, read_index
-from noise_model.arrays import Integers
+from noise_model.compiled.arrays import Integers
 
 CODECS, CONTAINERS = ("ffv1",), ("matroska",)
 PIXEL_FORMATS = {"gray": np.uint8, "gray16le": np.uint16}

@@ -16,7 +16,7 @@ from arctrack.recording.files import UnfitFileError, check_file, kind_of, read_b
 from arctrack.recording.frame_hints import frame_hint, number_hint, source_hint
 from arctrack.recording.tables import FrameRow
 from arctrack.recording.time_sources import TimeSource, contradictions
-from noise_model.arrays import Integers
+from noise_model.compiled.arrays import Integers
 from noise_model.setup import Setup
 from tracker.state import Frame, frame_misfit
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from isal import isal_zlib
 
 from arctrack.recording.png_rows import SUB, undo_sub
-from noise_model.arrays import Integers
+from noise_model.compiled.arrays import Integers
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 

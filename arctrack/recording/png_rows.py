@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from noise_model.arrays import UInt8
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import UInt8
+from noise_model.compiled.kernel import kernel
 
 SUB = 1
 """The filter that stores each byte less the one of the pixel before."""

@@ -14,7 +14,7 @@ from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.recording.files import UnfitFileError, check_file
 from arctrack.recording.tables import PoseTable, read_poses_csv
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import Joint, seam_frame
 from noise_model.transforms import invert, pose_matrix
 from robot_io import (

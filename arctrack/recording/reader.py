@@ -27,7 +27,7 @@ from arctrack.recording.poses import (
 )
 from arctrack.recording.steps import STATE_JSON, STEPS_CSV, RecordedSteps, read_steps
 from arctrack.recording.tables import FrameRow, PoseTable, Truth, read_frame_rows, read_truth_csv
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects import pose_time_s
 from noise_model.setup import Setup
 from robot_io import PoseBuffer

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from arctrack.recording.tables import Truth
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.state import Track
 
 

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from arctrack.limits import LIMITS, source_of
 from arctrack.recording.schema import MAX_NUMBER, Bounds, Table, key, within
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup_keys import COEFFICIENTS
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from arctrack.recording.key_errors import describe
 from arctrack.recording.setup_model import CalibrationTable, RecordingToml, unknown_keys
 from arctrack.recording.setup_writer import FILE_NAME, filter_table, pose_table
 from arctrack.recording.toml_text import parse_toml, rounded
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.seam.correction import Correction
 
 if TYPE_CHECKING:

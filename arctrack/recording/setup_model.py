@@ -20,7 +20,7 @@ from arctrack.recording.key_errors import held, place
 from arctrack.recording.schema import MAX_NUMBER, Table, key, unknown_in
 from arctrack.recording.setup_writer import UNITS
 from noise_model.arc_source import NO_ARC
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup_keys import Tolerance
 from noise_model.spelling import nearest
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import tomlkit
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 if TYPE_CHECKING:
     from noise_model.instrument.spectrum import Filter, FilterCurve

@@ -12,7 +12,7 @@ from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.printable import printable
 from arctrack.recording.csv_file import CsvTable, number, number_or_unknown, read_csv, rows_once, whole
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 from noise_model.transforms import pose_matrix
 
 _FRAME, _SWITCH = whole(LIMITS.frame_number), whole(1)

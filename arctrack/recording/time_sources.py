@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 
 SAME_FRAME = 0.5
 """Times that differ by less than this share of a period, beyond what they are rounded to, mean one frame."""

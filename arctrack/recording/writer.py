@@ -20,7 +20,7 @@ from arctrack.output import check_new_folder, write_whole, writing
 from arctrack.recording import ffv1, frames, png, setup_writer, tables
 from arctrack.recording.files import FRAMES_CSV, TRUTH_CSV, UNFINISHED_SUFFIX
 from arctrack.recording.poses import CSV_NAME as POSES_CSV
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup, require_setup
 from tracker.state import Frame, frame_misfit
 

@@ -19,7 +19,7 @@ from arctrack.replay.explain_lines import Refusals, SigmaParts, refusals, sigma_
 from arctrack.replay.recorded_tracking import RecordedTracking
 from noise_model.arc.map import ArcKernel, arc_frame, arc_kernel
 from noise_model.arc.scene import Scene, make_scene
-from noise_model.arrays import Float32, Float64
+from noise_model.compiled.arrays import Float32, Float64
 from noise_model.instrument.sensor import variance_e2
 from tracker import flags
 from tracker.arc.level import MAP_SIGMA, ArcLevel

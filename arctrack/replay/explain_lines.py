@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.arc.map import CELL
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.state import N_LINES
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.line_fit.block import CORRELATION_PX, MIN_SIGMA_E, WIDTH_SIGMA_LN, WINDOW_SIGMAS

@@ -10,7 +10,7 @@ from arctrack.control.controller import Controller
 from arctrack.control.pose_agreement import PoseAgreement
 from arctrack.recording import FrameRow
 from arctrack.recording.exposed import exposed_s
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from robot_io import (
     BusMessage,
     Command,

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from arctrack.report.data_uri import uri
-from noise_model.arrays import Float32, UInt8
+from noise_model.compiled.arrays import Float32, UInt8
 
 CHANGE, EXCESS, SCALE_PX = "RdBu_r", "viridis", 256
 NOT_COUNTED = (0.72, 0.72, 0.72)

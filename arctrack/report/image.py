@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from noise_model.arrays import Float64, UInt8
+from noise_model.compiled.arrays import Float64, UInt8
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.sensor import Sensor
 from noise_model.transforms import invert, transform

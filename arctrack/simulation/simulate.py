@@ -19,7 +19,7 @@ from arctrack.errors import ArctrackError
 from arctrack.recording import RecordingWriter, SetupFile, VideoFormat
 from arctrack.recording.setup_file import setup_text
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.effects import Values, apply_setup_effects, checked, pose_time_s
 from noise_model.forward import Renderer, draw_frame, predict

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Bool, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float64, Int64
 from noise_model.condition import Condition
 from noise_model.effects import apply_condition_effects
 from noise_model.effects.light import Light

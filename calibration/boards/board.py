@@ -10,7 +10,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 FORMS = (
     "chessboard:COLUMNSxROWS:SQUAREmm (inner corners) or "

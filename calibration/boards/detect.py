@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from calibration.boards.board import Board, BoardKind
-from noise_model.arrays import Float32, Float64, Int64, Integers, UInt8
+from noise_model.compiled.arrays import Float32, Float64, Int64, Integers, UInt8
 
 STRETCHED = (0.5, 99.5)
 """Percentiles of the grey levels that become black and white: a glint or a dead pixel sets none of them."""

@@ -14,7 +14,7 @@ from calibration.camera.lens import Lens
 from calibration.camera.normal_equations import NormalEquations
 from calibration.camera.sightings import Sightings
 from calibration.rigid import motions, transform_each
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 MAX_ROUNDS = 100
 SETTLED = 1e-9

@@ -30,7 +30,7 @@ from calibration.camera.sightings import BoardView, Sightings
 from calibration.camera.start import first_scene, with_better_poses
 from calibration.outliers import MAX_OUTLIER_SHARE
 from calibration.threads import one_thread
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 FIRST_ORDER = "k1 k2 p1 p2"
 """The distortion with which wrong corners are looked for, before one is chosen."""

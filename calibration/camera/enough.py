@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 from calibration.camera.adjustment import BoardScene
 from calibration.camera.lens import Lens
 from calibration.camera.sightings import Sightings
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 MIN_VIEWS = 6
 """Images: two halves of three each determine a lens by themselves."""

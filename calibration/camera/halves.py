@@ -19,7 +19,7 @@ from calibration.camera.noise import fitted
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.projection import image_grid
 from calibration.camera.sightings import Sightings
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 
 SPLITS = 9
 """Ways to split the images: every second one, then drawn at random. Their median decides."""

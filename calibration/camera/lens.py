@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.instrument.camera import undistorted_rays
 
 PINHOLE = ("fx", "fy", "cx", "cy")

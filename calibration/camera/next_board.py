@@ -12,7 +12,7 @@ from calibration.boards.board import BoardKind
 from calibration.camera.adjustment import BoardScene, linearised
 from calibration.camera.projection import Knowledge, image_grid, rms_sigma
 from calibration.camera.sightings import BoardView, Sightings
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 PLACES = (0.2, 0.5, 0.8)
 """Candidate positions of the board's middle in the image, shares of width and height."""

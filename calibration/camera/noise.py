@@ -19,7 +19,7 @@ from calibration.camera.adjustment import BoardScene, adjusted, with_prior
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
 from calibration.outliers import FALSE_ALARM, TAIL
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 
 ROBUST_ROUNDS, NOISE_ROUNDS = 30, 4
 SETTLED = 1e-3

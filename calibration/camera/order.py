@@ -26,7 +26,7 @@ from calibration.camera.lens import ORDERS, TILT
 from calibration.camera.noise import CornerNoise
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 STRONG_EVIDENCE = 3.0
 """ln of the odds at which evidence is strong (Kass and Raftery, Bayes factors, 1995, section 3.2)."""

@@ -22,7 +22,7 @@ import numpy as np
 
 from calibration.camera.lens import Lens
 from calibration.camera.normal_equations import NormalEquations, scaled_inverse
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 GRID = 24
 """Points across the longer side of the image at which the projection is judged."""

@@ -19,7 +19,7 @@ from calibration.camera.adjustment import BoardScene, with_prior
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
 from calibration.outliers import FALSE_ALARM
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 
 def scatter_between_images(scene: BoardScene, seen: Sightings, weight: Float64) -> float:

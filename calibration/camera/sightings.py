@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.boards.board import Board
-from noise_model.arrays import Bool, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float64, Int64
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 from calibration.camera.adjustment import BoardScene, adjusted
 from calibration.camera.lens import Lens
 from calibration.camera.sightings import Sightings
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 FOCALS_OVER_WIDTH = np.geomspace(0.4, 20.0, 24)
 """Focal lengths that are tried, over the image's longer side: fields of view from 103 down to 3 deg."""

@@ -20,7 +20,7 @@ import numpy as np
 
 from calibration.arc.lattice import choose_pixels
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 from noise_model.fit import Parameter, fit
 from noise_model.instrument.camera import Rays
 from noise_model.robust import sigma_of

@@ -25,7 +25,7 @@ from scipy.special import huber
 
 from calibration.rigid import transform_each
 from calibration.threads import one_thread
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects import apply_setup_effects
 from noise_model.fit import Fit, Parameter, fit
 from noise_model.robust import sigma_of

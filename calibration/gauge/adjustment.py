@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from calibration.gauge.shape import Gauge
 from calibration.laser.plane import points_on_plane
 from calibration.rigid import transform_each
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 
 RAY_STEP, TURN_STEP, MOVE_STEP_MM = 1e-6, 1e-6, 1e-3
 """Steps of finite differences: of a ray's slope, of a turn, rad, of a move."""

@@ -24,7 +24,7 @@ from calibration.gauge.adjustment import (
 from calibration.gauge.shape import Gauge, Shape
 from calibration.gauge.sightings import PosedPieces, StatedSensor, place_gauge
 from calibration.outliers import MAX_OUTLIER_SHARE
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.transforms import transform
 
 MIN_IMAGES = 4

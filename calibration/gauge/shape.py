@@ -9,7 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 FORMS = "step:HEIGHTmm or v:ANGLEdeg:DEPTHmm (the angle between the flanks)"
 """Notation of a gauge on a command line."""

@@ -14,7 +14,7 @@ from calibration.gauge.adjustment import GaugeState, Sighting
 from calibration.gauge.shape import EDGE, Gauge, Shape
 from calibration.gauge.stripe_pieces import Piece, Pieces
 from calibration.laser.plane import foot_on, points_on_plane
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.transforms import transform
 
 EDGE_SIGMA_MM = 0.2

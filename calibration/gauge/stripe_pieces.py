@@ -12,7 +12,7 @@ import numpy as np
 from calibration.camera.lens import Lens
 from calibration.laser.image_line import LaserLineFit, fit_line
 from calibration.laser.stripe import LaserLight, likeliest_path
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.robust import spread
 
 BACKGROUND_PX = 41

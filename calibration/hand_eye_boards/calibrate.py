@@ -25,7 +25,7 @@ from calibration.hand_eye_boards.enough import (
 from calibration.hand_eye_boards.refine import Boards, Refinement, robot_errors, with_warp
 from calibration.hand_eye_boards.start import first_chain, renumbered
 from calibration.threads import one_thread
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 
 PARAMETERS = ("rot_x_deg", "rot_y_deg", "rot_z_deg", "move_x_mm", "move_y_mm", "move_z_mm")
 """A small motion of the camera in its own frame, as `noise_model.transforms.moved` applies it."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.rigid import adjoints, inverse, motions
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from calibration.hand_eye_boards.chain import Chain
 from calibration.hand_eye_boards.enough import MIN_POSES
 from calibration.hand_eye_boards.refine import UNKNOWNS, Boards, Refinement, pose_errors, refined
 from calibration.outliers import FALSE_ALARM
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 MAX_ROUNDS = 12
 MOTION = 6

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from calibration.camera.enough import UndeterminedError
 from calibration.hand_eye_boards.chain import Chain
 from calibration.rigid import inverse
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 MIN_POSES = 5
 """Poses: three determine the camera, two more say how large the robot's noise is."""

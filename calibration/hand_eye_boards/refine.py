@@ -26,7 +26,7 @@ from calibration.camera.sightings import Sightings
 from calibration.hand_eye_boards.chain import Chain
 from calibration.hand_eye_boards.variances import PoseErrors, VarianceSolution, robot_sigma, solve
 from calibration.rigid import inverse, motions, twists
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 MAX_ROUNDS, SETTLED_SIGMAS = 20, 1e-3
 """Rounds at most; one that moves nothing by more of its sigmas is the last."""

@@ -19,7 +19,7 @@ from calibration.camera.printed import are_ends_told
 from calibration.camera.sightings import Sightings
 from calibration.hand_eye_boards.chain import Chain
 from calibration.rigid import inverse, mean_pose
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.transforms import transform
 
 METHODS = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 
 def turn_mismatch_deg(T_holder_mount: Float64, T_camera_board: Float64) -> float:

@@ -30,7 +30,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from calibration.camera.normal_equations import scaled_inverse
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 TURN, PLACE = slice(0, 3), slice(3, 6)
 

@@ -17,7 +17,7 @@ from calibration.laser.cross_sections import CrossSections
 from calibration.laser.fan import Fan, Missing, ends_of, fit_fan
 from calibration.laser.plane import BoardLine, foot_on
 from calibration.laser.width import Width, fit_width, width_of_pair
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.laser import Laser
 from noise_model.transforms import transform

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 SURE_SIGMAS = 4.0
 """A bow of fewer sigmas may be chance: pairs are few, and so the sigma is rough."""

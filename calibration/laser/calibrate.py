@@ -21,7 +21,7 @@ from calibration.laser.plane import MIN_PAIRS, BoardLine, PlaneFit, consistent, 
 from calibration.laser.stripe import BoardStripe
 from calibration.outliers import FALSE_ALARM
 from calibration.threads import one_thread
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 MAX_TILT_SIGMA_DEG = 0.5
 """Largest 1 sigma of the sheet's tilt: beyond it, a part 10 mm off the boards is 0.09 mm off and more."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.laser.stripe import BoardStripe, LaserLight
-from noise_model.arrays import Bool, Float64, Int64, Integers
+from noise_model.compiled.arrays import Bool, Float64, Int64, Integers
 
 REACH = 4.0
 """Half-width of the stripe's window, in sigmas."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from calibration.few_values import wider_by_few
 from calibration.laser.cross_sections import CrossSections
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.robust import sigma_of
 
 MAX_NOISE = 0.2

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.outliers import TAIL
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.robust import sigma_of
 
 ROUNDS, SETTLED = 50, 1e-4

@@ -15,7 +15,7 @@ from calibration.boards.board import Board, BoardKind
 from calibration.camera.lens import Lens
 from calibration.laser.plane import points_on_board
 from calibration.laser.stripe import NOISE_FLOOR_DN, LaserLight, board_area
-from noise_model.arrays import Bool, Float64, Integers
+from noise_model.compiled.arrays import Bool, Float64, Integers
 from noise_model.robust import spread
 
 SAMPLES = 3

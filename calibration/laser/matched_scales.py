@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from noise_model.arrays import Float32
+from noise_model.compiled.arrays import Float32
 
 SCALES_PX = (1.5, 3.0, 6.0, 12.0)
 """The sigmas of the lines that are looked for."""

@@ -20,7 +20,7 @@ from scipy.stats import f
 
 from calibration.laser.image_line import LaserLineFit
 from calibration.outliers import FALSE_ALARM, MAX_OUTLIER_SHARE
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 ROUNDS, SETTLED = 30, 1e-10
 

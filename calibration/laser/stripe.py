@@ -18,7 +18,7 @@ from skimage.measure import LineModelND, ransac
 from calibration.boards.board import Board
 from calibration.camera.lens import Lens
 from calibration.laser.matched_scales import SCALES_PX, smoothed_by_scale
-from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.robust import spread
 from noise_model.transforms import transform
 from tracker.stripe.viterbi import GAIN_CAP, JUMP_COST, best_path

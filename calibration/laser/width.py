@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from calibration.laser.image_line import lines_together
 from calibration.outliers import FALSE_ALARM
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.robust import spread
 
 MIN_LINES = 15

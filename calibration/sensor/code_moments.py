@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.instrument.sensor import Sensor, linearise, respond, saturation_dn
 
 REACH_SIGMAS = 7.0

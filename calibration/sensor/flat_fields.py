@@ -20,7 +20,7 @@ from calibration.sensor.photon_transfer import (
     fit_photon_transfer,
 )
 from calibration.sensor.response_model import Pattern, predict
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.fit import student_t
 
 MIN_LEVELS = 5

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter, uniform_filter
 
-from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64, Integers
 
 MAX_SIDE_PX = 512
 """Side of the square of pixels used, about the image's middle, where a lens' light is most uniform."""

@@ -25,7 +25,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from calibration.sensor.levels import LevelStatistics
 from calibration.sensor.response_model import Pattern, ResponsePrediction, predict
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.instrument.sensor import Sensor
 
 NAMES = ("black_level_dn", "ln_gain", "gamma", "read_noise_e2", "dark_e2", "response_rel2")

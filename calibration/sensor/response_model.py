@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.sensor.code_moments import code_moments
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.instrument.sensor import Sensor, respond
 
 _PLACES, _SHARES = np.polynomial.hermite_e.hermegauss(7)

@@ -25,7 +25,7 @@ from calibration.sensor.code_moments import code_moments
 from calibration.sensor.flat_fields import MIN_DARK_SIGMA_DN, IntervalEstimate
 from calibration.sensor.speckle_pattern import SpecklePattern, fit_speckle_pattern
 from calibration.sensor.still_frames import StillStatistics, still_statistics
-from noise_model.arrays import Bool, Float64, Integers
+from noise_model.compiled.arrays import Bool, Float64, Integers
 from noise_model.fit import student_t
 from noise_model.instrument.sensor import Sensor, saturation_dn
 

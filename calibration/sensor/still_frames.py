@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter, uniform_filter
 
-from noise_model.arrays import Bool, Float32, Float64, Integers
+from noise_model.compiled.arrays import Bool, Float32, Float64, Integers
 
 MIN_FRAMES = 20
 """Least number of frames of a stripe that stands still."""

@@ -39,8 +39,8 @@ from noise_model.arc.table import (
     root_cell,
     table_within,
 )
-from noise_model.arrays import Float64, Int32, Point
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64, Int32, Point
+from noise_model.compiled.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
 
 STEP_MM, N_BESIDE = 0.2, 10

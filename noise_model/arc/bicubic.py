@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from noise_model.arrays import Float32, Float64, Int64
-from noise_model.kernel import kernel
-from noise_model.lanes import N_LANES, load, spread, store
+from noise_model.compiled.arrays import Float32, Float64, Int64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.lanes import N_LANES, load, spread, store
 
 LARGEST = 64
 """The largest cell, px."""

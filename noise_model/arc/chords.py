@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 
-from noise_model.arrays import Float64, Vector
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64, Vector
+from noise_model.compiled.kernel import kernel
 from noise_model.surface.visibility import MAX_LEDGES
 
 MAX_NODES_P = 32

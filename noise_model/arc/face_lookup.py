@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.ray import ArcKernel, direction, follow
-from noise_model.arrays import Float64, Int64, Point
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64, Int64, Point
+from noise_model.compiled.kernel import kernel
 from noise_model.surface.faces import Strip
 from noise_model.surface.ray_casting import first_hit
 

@@ -27,8 +27,8 @@ from noise_model.arc.node_rays import (
 from noise_model.arc.ray import ArcKernel
 from noise_model.arc.scratch import ArcScratch
 from noise_model.arc.table import FaceTable, light_at_places
-from noise_model.arrays import Float32, Float64, Int64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float32, Float64, Int64
+from noise_model.compiled.kernel import kernel
 from noise_model.surface.ray_casting import MISS
 
 MIXED, SMALLEST = 32, 8

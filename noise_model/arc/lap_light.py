@@ -27,9 +27,9 @@ from noise_model.arc.slices import (
     parting_offset,
     upright_range,
 )
-from noise_model.arrays import Float32, Float64, Point
-from noise_model.kernel import REDUCTION, kernel
-from noise_model.lanes import N_LANES, greater, lesser, load, root, spread, total
+from noise_model.compiled.arrays import Float32, Float64, Point
+from noise_model.compiled.kernel import REDUCTION, kernel
+from noise_model.compiled.lanes import N_LANES, greater, lesser, load, root, spread, total
 from noise_model.surface.brdf import LobeNumbers, reflected
 
 SLICES_PER_NODE = 4

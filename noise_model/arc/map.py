@@ -26,8 +26,8 @@ from noise_model.arc.ray import follow, light_at
 from noise_model.arc.scene import Scene, Scenes
 from noise_model.arc.scratch import ArcScratch
 from noise_model.arc.table import TO_POWERS, FaceTable, new_table
-from noise_model.arrays import Bool, Float32, Float64, Int32, Int64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int32, Int64
+from noise_model.compiled.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
 from noise_model.surface.faces import height_under

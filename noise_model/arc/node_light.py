@@ -13,9 +13,9 @@ from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.ray import ArcKernel
 from noise_model.arc.scratch import ArcScratch, Record
 from noise_model.arc.table import DEGREE, FaceTable, cell_at, light_at_places
-from noise_model.arrays import Float32, Float64
-from noise_model.kernel import REDUCTION, kernel
-from noise_model.lanes import N_LANES, Lanes, any_lane, load, spread, store, where
+from noise_model.compiled.arrays import Float32, Float64
+from noise_model.compiled.kernel import REDUCTION, kernel
+from noise_model.compiled.lanes import N_LANES, Lanes, any_lane, load, spread, store, where
 
 LEVEL = 1e-6
 """A ray that goes down by less is level."""

@@ -8,9 +8,9 @@ from noise_model.arc.face_lookup import VisibleFaces, face_seen, meet_plane
 from noise_model.arc.patch_borders import seen_strip
 from noise_model.arc.ray import ArcKernel, follow
 from noise_model.arc.scratch import Record
-from noise_model.arrays import Float32, Point
-from noise_model.kernel import REDUCTION, kernel
-from noise_model.lanes import N_LANES, Lanes, any_lane, greater, lesser, load, spread, store, where
+from noise_model.compiled.arrays import Float32, Point
+from noise_model.compiled.kernel import REDUCTION, kernel
+from noise_model.compiled.lanes import N_LANES, Lanes, any_lane, greater, lesser, load, spread, store, where
 from noise_model.surface.faces import across
 from noise_model.surface.ray_casting import MISS
 from noise_model.surface.wave import Corrugation, corrugation_of, from_crest, wave, wave_and_slope

@@ -12,8 +12,8 @@ import numpy as np
 
 from noise_model.arc.chords import insert
 from noise_model.arc.ray import ArcKernel
-from noise_model.arrays import Float64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64
+from noise_model.compiled.kernel import kernel
 from noise_model.surface.faces import Strip, strip
 from noise_model.surface.visibility import is_curved_lap
 

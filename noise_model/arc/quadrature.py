@@ -32,8 +32,8 @@ from noise_model.arc.chords import (
     ledge_crossings,
     wall_parts,
 )
-from noise_model.arrays import Float64, Point, Vector
-from noise_model.kernel import REDUCTION, kernel
+from noise_model.compiled.arrays import Float64, Point, Vector
+from noise_model.compiled.kernel import REDUCTION, kernel
 from noise_model.surface.brdf import LobeNumbers, reflected
 
 MAX_NODES_Q = 16

@@ -9,8 +9,8 @@ from noise_model.arc.lap_light import lap_light
 from noise_model.arc.quadrature import DiscRule, Hiding, Patch, arc_light
 from noise_model.arc.scratch import ArcScratch, Record
 from noise_model.arc.slices import SlicedSheets
-from noise_model.arrays import Float32, Float64, Point, Vector
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float32, Float64, Point, Vector
+from noise_model.compiled.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
 from noise_model.surface.faces import face_normal
 from noise_model.surface.ray_casting import MISS, first_hit

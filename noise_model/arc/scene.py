@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64, as_compiled_for
+from noise_model.compiled.arrays import Bool, Float64, as_compiled_for
+from noise_model.compiled.kernel import kernel
 from noise_model.instrument.camera import Camera
-from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.faces import height_under, ridge
 from noise_model.surface.joint import (

@@ -11,8 +11,8 @@ from noise_model.arc.bicubic import LARGEST, N
 from noise_model.arc.chords import MAX_PARTS, MAX_PIECES
 from noise_model.arc.quadrature import MAX_POINTS
 from noise_model.arc.slices import MAX_SLICES, N_NUMBERS
-from noise_model.arrays import Float32, Float64
-from noise_model.lanes import N_LANES
+from noise_model.compiled.arrays import Float32, Float64
+from noise_model.compiled.lanes import N_LANES
 from noise_model.surface.visibility import MAX_LEDGES, MAX_PLANES
 
 MAX_TOGETHER = 25

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float32, Float64, Point
-from noise_model.kernel import kernel
-from noise_model.lanes import (
+from noise_model.compiled.arrays import Float32, Float64, Point
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.lanes import (
     N_LANES,
     Lanes,
     Mask,

@@ -22,8 +22,8 @@ from noise_model.arc.face_lookup import VisibleFaces, sight
 from noise_model.arc.patch_borders import MAX_BORDERS, borders_across, borders_along, seen_strip
 from noise_model.arc.ray import ArcKernel, light_at
 from noise_model.arc.scratch import ArcScratch
-from noise_model.arrays import Bool, Float32, Float64, Int32, Int64
-from noise_model.kernel import REDUCTION, kernel
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int32, Int64
+from noise_model.compiled.kernel import REDUCTION, kernel
 from noise_model.surface.faces import Strip, face_point
 from noise_model.surface.ray_casting import MISS
 

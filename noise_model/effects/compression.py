@@ -9,7 +9,7 @@ from scipy.fft import dctn, idctn
 from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.instrument.sensor import Sensor
 
 BLOCK_PX = 8

@@ -8,7 +8,7 @@ from enum import Enum
 
 import numpy as np
 
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.condition import Condition
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter

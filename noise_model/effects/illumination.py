@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from noise_model.arrays import Float32
+from noise_model.compiled.arrays import Float32
 from noise_model.condition import Condition
 from noise_model.effects import drift
 from noise_model.effects.effect import ANY_SCENE, UNSTATED, Draw, Effect, Stage, Values

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from noise_model.arrays import Float32
+from noise_model.compiled.arrays import Float32
 
 
 @dataclass(eq=False)

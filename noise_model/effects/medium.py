@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.special import ndtr
 
-from noise_model.arrays import Float32, Float64
+from noise_model.compiled.arrays import Float32, Float64
 from noise_model.condition import Condition
 from noise_model.effects.effect import UNSTATED, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 from scipy.special import ndtri
 
-from noise_model.arrays import Bool, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float64, Int64
 from noise_model.stripe import stripe_depth_mm
 from noise_model.view import View
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import drift
 from noise_model.effects.compression import BEST_QUALITY, compressed, compressed_variance

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.effects.effect import ANOTHER_VALUE, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import constants
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 
 @dataclass(frozen=True)

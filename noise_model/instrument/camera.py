@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arrays import Float32, Float64, Int64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float32, Float64, Int64
+from noise_model.compiled.kernel import kernel
 from noise_model.setup_keys import COEFFICIENTS
 
 NARROW_PX = 0.65

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64, Vector
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64, Vector
+from noise_model.compiled.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers, reflected
 
 SHEET_REACH = 6.0

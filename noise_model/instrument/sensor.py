@@ -17,8 +17,8 @@ import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 
-from noise_model.arrays import Float64, Integers
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64, Integers
+from noise_model.compiled.kernel import kernel
 
 BEND_LIMIT = 0.5
 """From here on the response would no longer rise up to full well."""

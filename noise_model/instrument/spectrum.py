@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import constants
 
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.instrument.argon import AR_I, REFERENCE_NM, SpectralLine, line_weights
 
 if TYPE_CHECKING:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from noise_model.arrays import Float32, Float64, Int64, Point
+from noise_model.compiled.arrays import Float32, Float64, Int64, Point
+from noise_model.compiled.kernel import kernel
 from noise_model.interreflection.first_bounce import Place, arc_leaving, laser_leaving
 from noise_model.interreflection.lattice import Lattice, around
 from noise_model.interreflection.nodes import (
@@ -18,7 +19,6 @@ from noise_model.interreflection.nodes import (
     room,
 )
 from noise_model.interreflection.scratch import Scratch, scratch_for
-from noise_model.kernel import kernel
 from noise_model.surface.brdf import reflected
 from noise_model.surface.faces import across, strip
 

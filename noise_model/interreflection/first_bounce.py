@@ -8,9 +8,9 @@ from typing import NamedTuple
 from noise_model.arc.chords import chords, corner_p, disc, disc_lines
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.scene import Scene
-from noise_model.arrays import Float64, Point
+from noise_model.compiled.arrays import Float64, Point
+from noise_model.compiled.kernel import kernel
 from noise_model.instrument.laser import SHEET_REACH, Sheet, sheet_of, sheet_reflected
-from noise_model.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers, reflected
 from noise_model.surface.faces import ridge

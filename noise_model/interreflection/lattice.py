@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arrays import Float32, Float64, Int32, Int64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float32, Float64, Int32, Int64
+from noise_model.compiled.kernel import kernel
 from noise_model.surface.faces import across, face_point, ridge, slanted, strip
 
 GRADING = 3.0

@@ -23,7 +23,7 @@ from functools import cached_property
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64, Int32
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int32
 from noise_model.interreflection.bounces import ORDERS, arriving, gather_first, gather_further
 from noise_model.interreflection.first_bounce import Place, place
 from noise_model.interreflection.lattice import Lattice, interpolate, lattice, stations

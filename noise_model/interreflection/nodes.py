@@ -18,11 +18,11 @@ import math
 from typing import NamedTuple
 
 from noise_model.arc.quadrature import gauss_nodes
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
+from noise_model.compiled.kernel import kernel
 from noise_model.instrument.laser import depth_below
 from noise_model.interreflection.first_bounce import Place, sees
 from noise_model.interreflection.scratch import PSI_KNOTS, X_KNOTS, Y_KNOTS, Scratch
-from noise_model.kernel import kernel
 from noise_model.surface.faces import face_point, ridge, slanted, strip
 
 Rule = tuple[Float64, Float64]

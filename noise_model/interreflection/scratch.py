@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 from noise_model.interreflection.first_bounce import MAX_CHORDS, Place
 
 PSI_KNOTS, X_KNOTS, Y_KNOTS = 10, 36, 5

@@ -17,7 +17,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 PARAMETERS = ("amplitude", "position", "width", "offset", "slope")
 """Unknowns of a scan line: e-, px, px, e-, e-/px."""

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.instrument.spectrum import (
     MIN_TRANSMISSION,
     ArcSpectrum,

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.instrument.sensor import Sensor, linearise, variance_e2
 
 NODES = np.linspace(-4.0, 4.0, 33)

@@ -14,7 +14,7 @@ import numpy as np
 
 from noise_model.arc.map import arc_at, arc_kernel
 from noise_model.arc.scene import Scene, make_scene
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.condition import Condition
 from noise_model.effects.light import Light
 from noise_model.forward import pass_on

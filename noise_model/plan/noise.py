@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.instrument.sensor import Sensor, linearise, saturation_dn, variance_e2
 from noise_model.instrument.spectrum import ArcSpectrum, Filter, FilterCurve
 from noise_model.plan.cramer_rao import (

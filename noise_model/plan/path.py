@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.evenly import evenly
 from noise_model.plan.light import stripe_level_e, stripe_light
 from noise_model.plan.noise import (

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects import apply_setup_effects
 from noise_model.plan.design import SensorDesign, design_of, filter_of, passes_laser
 from noise_model.plan.noise import Surroundings

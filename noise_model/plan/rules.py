@@ -14,7 +14,7 @@ from enum import Enum
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.plan.design import SensorDesign, design_of
 from noise_model.plan.noise import Surroundings
 from noise_model.plan.search import DesignCandidate, judge

@@ -12,8 +12,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from noise_model.arrays import Float64, Vector
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64, Vector
+from noise_model.compiled.kernel import kernel
 
 
 @dataclass(frozen=True)

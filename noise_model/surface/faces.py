@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from noise_model.arrays import Float64, Point, Vector
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64, Point, Vector
+from noise_model.compiled.kernel import kernel
 
 Strip = tuple[float, float, float, float, float]
 """Where s = 0 (y, z), s' unit direction (y, z) in the section, and the face's width, mm."""

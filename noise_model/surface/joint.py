@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64, Int64, Point
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64, Int64, Point
+from noise_model.compiled.kernel import kernel
 from noise_model.setup_keys import DIMENSIONS
 from noise_model.spelling import cure_for
 from noise_model.transforms import cross

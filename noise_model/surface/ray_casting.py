@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arrays import Bool, Float64, Int32, Integers, Vector
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Bool, Float64, Int32, Integers, Vector
+from noise_model.compiled.kernel import kernel
 from noise_model.surface.faces import face_normal, ridge
 from noise_model.surface.joint import SurfaceSection, corrugation_height
 

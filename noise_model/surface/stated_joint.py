@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import Joint, section
 
 

@@ -14,9 +14,9 @@ import math
 
 import numpy as np
 
-from noise_model.arrays import Float64, Int64, Vector
-from noise_model.kernel import REDUCTION, kernel
-from noise_model.lanes import COUNT, N_LANES, greater, least, load, spread, where
+from noise_model.compiled.arrays import Float64, Int64, Vector
+from noise_model.compiled.kernel import REDUCTION, kernel
+from noise_model.compiled.lanes import COUNT, N_LANES, greater, least, load, spread, where
 from noise_model.surface.faces import ridge, strip
 from noise_model.surface.joint import MAX_CHORDS, SurfaceSection
 from noise_model.surface.wave import corrugation_of, from_crest, wave

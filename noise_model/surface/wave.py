@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from noise_model.arrays import Float64
-from noise_model.kernel import kernel
-from noise_model.lanes import Lanes, floor, greater, spread
+from noise_model.compiled.arrays import Float64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.lanes import Lanes, floor, greater, spread
 from noise_model.surface.faces import RAISED_COSINE
 
 Corrugation = tuple[float, float, float]

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import Values, apply_setup_effects, pose_time_s
 from noise_model.forward import Layers, Renderer

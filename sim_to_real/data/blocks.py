@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arrays import Bool, Float32, Float64, Integers, UInt8
+from noise_model.compiled.arrays import Bool, Float32, Float64, Integers, UInt8
 
 Kind = TypeVar("Kind", bound=np.generic)
 

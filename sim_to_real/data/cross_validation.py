@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from noise_model.arrays import Bool
+from noise_model.compiled.arrays import Bool
 from sim_to_real.data.binned import ObservedRecording
 
 SAME_CONDITION_REL = 0.05

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from noise_model.arrays import Bool, Float64, Integers
+from noise_model.compiled.arrays import Bool, Float64, Integers
 from sim_to_real.data.blocks import DETAIL_2X2, block_means, weighted_sums_in_bins
 
 N_GREY_LEVELS, MIN_BINS_PER_LEVEL = 24, 500

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from noise_model.arrays import Point
+from noise_model.compiled.arrays import Point
 
 N_MORE = 4
 """Frames of an experiment."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64, Integers
+from noise_model.compiled.arrays import Bool, Float32, Float64, Integers
 from noise_model.effects import Effects, apply_setup_effects
 from noise_model.forward import Prediction, Renderer, predict
 from noise_model.instrument.sensor import saturation_dn

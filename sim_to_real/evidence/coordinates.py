@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64
+from noise_model.compiled.arrays import Bool, Float32, Float64
 from noise_model.effects.effect import Stage
 from sim_to_real.fit.covariates import Covariates
 from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM

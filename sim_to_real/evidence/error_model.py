@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import REGISTRY
 from noise_model.effects.effect import Stage
 from noise_model.setup_keys import Tolerance

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 from sim_to_real.evidence.metric import WeightedColumns, log_evidence, rescaled
 
 

@@ -17,7 +17,7 @@ from scipy.interpolate import BSpline
 from scipy.ndimage import distance_transform_edt
 from scipy.special import logsumexp
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
 from sim_to_real.data.binned import STRATA
 from sim_to_real.diagnosis import Curve, Where
 from sim_to_real.evidence.coordinates import ADDED_DN, hats_2d

@@ -18,7 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.special import logsumexp
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects.effect import Stage
 from sim_to_real.evidence.error_model import LinearHypothesis
 from sim_to_real.evidence.policy import Policy

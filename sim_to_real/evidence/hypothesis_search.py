@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects import REGISTRY, Effects, Stage
 from sim_to_real.evidence.coordinates import IN_EACH_FRAME
 from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis, SizeColumns

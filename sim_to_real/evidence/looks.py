@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects import Effects, Values
 from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis, SizeColumns, probe_sigmas
 from sim_to_real.evidence.evidence_table import Blocks, EvidenceTable

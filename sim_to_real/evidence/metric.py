@@ -21,7 +21,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 from scipy.special import erfcx, log_ndtr
 
-from noise_model.arrays import Float32, Float64
+from noise_model.compiled.arrays import Float32, Float64
 from noise_model.fit import Parameter
 from sim_to_real.fit.quadratic import Quadratic
 

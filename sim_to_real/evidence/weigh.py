@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 from noise_model.effects import REGISTRY, not_predicted
 from sim_to_real.diagnosis import ParameterEstimate
 from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis, compared_bins

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arrays import Bool, Float32, Float64, Int32, Integers
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int32, Integers
 from noise_model.effects import apply_setup_effects
 from noise_model.instrument.camera import Rays
 from noise_model.instrument.laser import plane_in

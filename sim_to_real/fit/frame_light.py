@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
 from noise_model.instrument.camera import neighbours
 from noise_model.instrument.sensor import Sensor, respond_moments
 from noise_model.view import View

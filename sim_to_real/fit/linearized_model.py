@@ -17,7 +17,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.compiled.arrays import Float32, Float64, Int64
 from noise_model.effects import REGISTRY, Effects, apply_condition_effects, apply_setup_effects
 from noise_model.effects.light import Light
 from noise_model.forward import pass_on

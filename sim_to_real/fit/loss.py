@@ -8,7 +8,7 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.fit import Parameter
 from noise_model.robust import sigma_of
 from sim_to_real.fit.quadratic import Quadratic

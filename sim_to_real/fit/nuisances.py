@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.fit import Parameter
 from noise_model.setup import Setup

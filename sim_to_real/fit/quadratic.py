@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.fit import Parameter, within_bounds
 
 RIDGE_REL = 1e-9

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import REGISTRY, Effect, Effects, Stage, Values
 from noise_model.instrument.camera import Camera, Rays
 from noise_model.setup import Setup

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import Effects, apply_setup_effects
 from noise_model.fit import Parameter
 from noise_model.setup import Setup

@@ -13,7 +13,7 @@ from enum import Enum
 import numpy as np
 
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects import REGISTRY, Values
 from noise_model.fit import Parameter
 from noise_model.setup import Setup

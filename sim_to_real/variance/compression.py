@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from noise_model.arrays import Float64, Int64, Integers
+from noise_model.compiled.arrays import Float64, Int64, Integers
 from noise_model.effects import REGISTRY
 from noise_model.effects.compression import BLOCK_PX, block_transform, quantisation_steps
 from noise_model.instrument.sensor import Sensor, saturation_dn

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from scipy.optimize import nnls
 
-from noise_model.arrays import Bool, Float32, Float64
+from noise_model.compiled.arrays import Bool, Float32, Float64
 from noise_model.instrument.sensor import linearise, respond_moments
 from sim_to_real.data.binned import ObservedFrame
 from sim_to_real.data.blocks import DETAIL_2X2, weighted_sums_in_bins

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
-from noise_model.arrays import Float32
+from noise_model.compiled.arrays import Float32
 
 N_ANGLES = 8
 """Directions that are tried, evenly over half a turn."""

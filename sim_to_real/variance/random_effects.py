@@ -16,7 +16,7 @@ from scipy.fft import idct
 from scipy.special import expit
 from scipy.stats import norm
 
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.effects import REGISTRY
 from noise_model.effects.compression import BLOCK_PX, compressed_variance, quantisation_steps
 from noise_model.stripe import stripe_depth_mm

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from scipy.special import gammaln, xlogy
 
-from noise_model.arrays import Bool, Float32, Float64
+from noise_model.compiled.arrays import Bool, Float32, Float64
 from noise_model.effects import REGISTRY
 from noise_model.instrument.sensor import Sensor, electrons_per_dn, linearise, saturation_dn
 from noise_model.robust import sigma_of, spread

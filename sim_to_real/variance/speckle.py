@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects import REGISTRY
 from sim_to_real.data.binned import FLOOR_REL
 from sim_to_real.variance.haar_details import DETAIL_PX, VarianceSizes

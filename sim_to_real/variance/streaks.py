@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.ndimage import find_objects, label
 from scipy.stats import norm
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
 from noise_model.instrument.sensor import linearise, respond, respond_moments, saturation_dn
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert, transform

@@ -12,7 +12,7 @@ import numpy as np
 import tomlkit
 from scipy.spatial.transform import Rotation
 
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.transforms import invert, pose_matrix
 
 Table = list[dict[str, str]]

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from arctrack import cli
 from arctrack.recording import read_setup_file
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 pytestmark = pytest.mark.slow
 

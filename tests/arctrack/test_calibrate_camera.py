@@ -19,7 +19,7 @@ from calibration.boards.board import Board
 from calibration.camera.calibrate import find_lens
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.halves import Difference
-from noise_model.arrays import UInt8
+from noise_model.compiled.arrays import UInt8
 
 pytestmark = pytest.mark.slow
 

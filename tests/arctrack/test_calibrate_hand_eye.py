@@ -16,7 +16,7 @@ from arctrack.calibrate.hand_eye.record import hand_eye_record
 from arctrack.recording import read_setup_file, with_calibrated
 from calibration.camera.known_lens import board_poses
 from calibration.hand_eye_boards.calibrate import calibrate_hand_eye
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 pytestmark = pytest.mark.slow
 

@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 KERNELS = """
-from noise_model.kernel import kernel
+from noise_model.compiled.kernel import kernel
 @kernel
 def halved(x: float) -> float:
     return 0.5 * x

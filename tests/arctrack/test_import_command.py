@@ -18,7 +18,7 @@ from arctrack.cli import app
 from arctrack.recording import BadFrame, format_setup, read_recording, read_setup_file
 from arctrack.recording.ffv1 import VideoWriter
 from arctrack.recording.importing import import_recording as run
-from noise_model.arrays import Integers
+from noise_model.compiled.arrays import Integers
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "v_groove"
 RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})

@@ -20,7 +20,7 @@ from arctrack.recording.importing.colours import Bayer, Channel
 from arctrack.recording.importing.grey import camera_of_sites, channel_of_laser, grey, sites
 from arctrack.recording.importing.image_decoder import EncodedImage
 from arctrack.recording.importing.image_files import distinct_names, find_images
-from noise_model.arrays import Integers
+from noise_model.compiled.arrays import Integers
 
 RNG = np.random.default_rng(5)
 GREY8, GREY16 = RNG.integers(0, 256, (9, 14), np.uint8), RNG.integers(0, 65536, (9, 14), np.uint16)

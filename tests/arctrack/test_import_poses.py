@@ -20,7 +20,7 @@ from arctrack.recording.importing.matrix_files import read_matrices
 from arctrack.recording.importing.pose_files import PoseFile, read_poses
 from arctrack.recording.importing.rotations import convention
 from arctrack.recording.importing.units import UNSTATED, parse_units, split_unit
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from robot_io import BusLogWriter, PoseKind, Protector, RobotPosePosition, RobotPoseRotation
 
 Form = Literal["NFC", "NFD"]

@@ -14,7 +14,7 @@ from PIL import Image
 
 from arctrack.errors import ArctrackError
 from arctrack.recording.importing.image_decoder import EncodedImage
-from noise_model.arrays import Integers
+from noise_model.compiled.arrays import Integers
 
 RNG = np.random.default_rng(7)
 GREY8, GREY16 = RNG.integers(0, 256, (9, 14), np.uint8), RNG.integers(0, 65536, (9, 14), np.uint16)

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from arctrack.recording.png import SIGNATURE, decode, encode, header_of
-from noise_model.arrays import Integers
+from noise_model.compiled.arrays import Integers
 
 
 def chunk(name: bytes, content: bytes) -> bytes:

@@ -17,7 +17,7 @@ from arctrack.control.seam_measured import seam_measured
 from arctrack.recording import Recording, read_recording
 from arctrack.replay.replay import ReplayOptions, replay_recording
 from arctrack.simulation.cell.robot import WELDING
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from robot_io import (
     BusMessage,
     GateReason,

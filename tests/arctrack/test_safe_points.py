@@ -91,7 +91,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.kernel import kernel
+from noise_model.compiled.kernel import kernel
 
 
 class Point(NamedTuple):

@@ -11,7 +11,7 @@ import pytest
 from documented import run_once
 
 from arctrack.recording import Recording, read_recording, read_truth
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.instrument.sensor import electrons_per_dn, linearise, variance_e2
 from tracker.state import Frame
 

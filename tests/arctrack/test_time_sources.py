@@ -26,7 +26,7 @@ from arctrack.recording.importing.name_times import recognized_times, times_in_n
 from arctrack.recording.importing.units import UNSTATED
 from arctrack.recording.time_sources import TimeSource, contradictions
 from arctrack.recording.writer import RecordingWriter
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
 EVERY_100_MS = 0.1 * np.arange(24)

@@ -7,7 +7,7 @@ from camera_scenes import BOARD, picture
 
 from calibration.boards.board import Board
 from calibration.boards.detect import Corners, find_corners
-from noise_model.arrays import Float64, UInt8
+from noise_model.compiled.arrays import Float64, UInt8
 
 pytestmark = pytest.mark.slow
 

@@ -21,7 +21,7 @@ from calibration.certificate import (
     RobotNoise,
     certify,
 )
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 LENS = Lens(640, 480, ("fx", "fy", "cx", "cy", "k1"), np.array([2190.0, 2188.0, 321.0, 239.0, -0.3]))
 PLANE = np.array([0.05, 0.6, -0.8, 150.0])

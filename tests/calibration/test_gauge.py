@@ -12,7 +12,7 @@ from calibration.gauge.shape import Gauge
 from calibration.gauge.sightings import PosedPieces, StatedSensor
 from calibration.gauge.stripe_pieces import Piece, Pieces, stripe_pieces
 from calibration.laser.image_line import fit_line
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.transforms import invert
 
 sys.path.append(str(Path(__file__).parents[2] / "examples"))

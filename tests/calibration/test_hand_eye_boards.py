@@ -14,7 +14,7 @@ from calibration.camera.sightings import BoardView
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration, calibrate_hand_eye
 from calibration.hand_eye_boards.enough import InconsistentError
 from calibration.hand_eye_boards.variances import PoseErrors, robot_sigma, solve
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 
 def found_camera(

@@ -10,7 +10,7 @@ from calibration.laser.fan import Fan, Missing, ends_of, fit_fan
 from calibration.laser.lit_board import LitBoard, lit_board
 from calibration.laser.stripe import BoardStripe, board_area, find_stripe, laser_light
 from calibration.laser.width import Law, Width, fit_width
-from noise_model.arrays import Float64, UInt8
+from noise_model.compiled.arrays import Float64, UInt8
 
 LENS = Lens(*SIZE, tuple(PINHOLE), np.array([*PINHOLE.values()]))
 HELD = BOARDS[1]

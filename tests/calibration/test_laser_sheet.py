@@ -12,7 +12,7 @@ from calibration.camera.lens import Lens
 from calibration.laser.calibrate import LaserCalibration, calibrate_laser
 from calibration.laser.image_line import lines_together
 from calibration.laser.stripe import BoardStripe, LaserLight, board_area, find_stripe, laser_light
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 LENS = Lens(*SIZE, tuple(PINHOLE), np.array([*PINHOLE.values()]))
 MIDDLE = np.array([0.0, 0.0, 175.0])

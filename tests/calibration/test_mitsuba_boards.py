@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.boards.board import Board
 from calibration.boards.detect import find_corners
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 from camera_worlds import World, project

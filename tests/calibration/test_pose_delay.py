@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import nominal_setup
 from calibration.pose_delay import PoseDelay, PoseTrack, fit_pose_delay
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.seam_observations import SeamObservations
 
 SETUP = nominal_setup("butt", "mild_steel")

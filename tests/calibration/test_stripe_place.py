@@ -16,7 +16,7 @@ from calibration.check.stripe_place import (
     with_changes,
 )
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import moved

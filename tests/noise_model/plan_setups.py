@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from noise_model.arc_source import Arc
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.instrument.camera import Camera

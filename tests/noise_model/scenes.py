@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from noise_model.arc_source import Arc
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.laser import Laser
 from noise_model.instrument.sensor import Sensor

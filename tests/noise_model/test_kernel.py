@@ -19,15 +19,15 @@ import pytest
 from documented import FORKS
 
 from noise_model.compiled.callee import MIN_INSTRUCTIONS
-from noise_model.kernel import kernel
+from noise_model.compiled.kernel import kernel
 
 INNER = (
-    "import math\n\nfrom noise_model.kernel import kernel\n\n\n"
+    "import math\n\nfrom noise_model.compiled.kernel import kernel\n\n\n"
     "@kernel({options})\ndef inner(x):\n    y = x\n{more}    return {value} * x + 0.0 * y\n"
 )
 LONG = "".join(f"    y = math.sqrt(y * y + {n}.5)\n" for n in range(MIN_INSTRUCTIONS))
 OUTER = (
-    "from noise_model.kernel import kernel\nfrom optics_of_a_test.{module} import inner\n\n\n"
+    "from noise_model.compiled.kernel import kernel\nfrom optics_of_a_test.{module} import inner\n\n\n"
     "@kernel\ndef outer(x):\n    return inner(x) + 1.0\n"
 )
 COMPILED, COMPILED_ANEW, FOUND = (0, 2), (1, 1), (2, 0)
@@ -130,7 +130,7 @@ def test_the_machine_code_of_a_long_kernel_is_not_in_that_of_its_caller(tmp_path
 
 READS = (
     "from typing import NamedTuple\n\nimport numpy as np\n\nimport optics_of_a_test.glass as glass\n"
-    "from noise_model.kernel import kernel\n\nFACTOR, TABLE = {factor}, np.array({table})\n\n\n"
+    "from noise_model.compiled.kernel import kernel\n\nFACTOR, TABLE = {factor}, np.array({table})\n\n\n"
     "class Lens(NamedTuple):\n    {fields}: float\n\n\n"
     "@kernel\ndef outer(x{default}):\n{docstring}"
     "    lens = Lens(x, FACTOR)\n    return glass.INDEX * lens.f_mm + TABLE[1] {more}\n"
@@ -235,7 +235,8 @@ def test_a_record_that_an_update_has_moved_is_compiled_for_anew(tmp_path: Path) 
     for module in ("old", "new"):
         (package / f"{module}.py").write_text(record)
         (package / "outer.py").write_text(
-            f"from noise_model.kernel import kernel\nfrom optics_of_a_test.{module} import Lens\n\n\n"
+            "from noise_model.compiled.kernel import kernel\n"
+            f"from optics_of_a_test.{module} import Lens\n\n\n"
             "@kernel\ndef of_lens(lens):\n    return 2.0 * lens.f_mm\n\n\n"
             "def outer(x):\n    return of_lens(Lens(x))\n\n\nouter.stats = of_lens.stats\n"
         )
@@ -341,7 +342,7 @@ def parts():
 
 numba.njit(lambda x: x + 1.0)(1.0)
 before = parts()
-from noise_model.kernel import kernel
+from noise_model.compiled.kernel import kernel
 
 kernel(lambda x: x + 1.0)(1.0)
 after = parts()

@@ -7,7 +7,7 @@ from test_kernel_store import folder, forget  # noqa: F401
 
 from noise_model.compiled import forecast as forecast_module
 from noise_model.compiled.forecast import Forecast
-from noise_model.kernel import kernel
+from noise_model.compiled.kernel import kernel
 
 
 @kernel

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from noise_model.arrays import Bool, Float32
-from noise_model.kernel import kernel
-from noise_model.lanes import (
+from noise_model.compiled.arrays import Bool, Float32
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.lanes import (
     N_LANES,
     all_lanes,
     any_lane,

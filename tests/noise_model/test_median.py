@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from noise_model.median import close_up, known_median, median, median_of, numbers_for
+from noise_model.compiled.median import close_up, known_median, median, median_of, numbers_for
 
 numbers = st.floats(-1e9, 1e9)
 

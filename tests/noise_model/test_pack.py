@@ -99,7 +99,7 @@ def test_a_pack_of_other_versions_is_left_aside(tmp_path: Path) -> None:
 
 KERNELS = """
 import numpy as np
-from noise_model.kernel import REDUCTION, kernel
+from noise_model.compiled.kernel import REDUCTION, kernel
 
 @kernel(fastmath=REDUCTION)
 def mean(values):
@@ -127,7 +127,7 @@ def test_two_builds_are_the_same_bytes(tmp_path: Path) -> None:
         call = "import numpy as np; from algebra_of_a_test import solved; solved(np.eye(2), np.ones(2))"
         environment = {**os.environ, "PYTHONHASHSEED": str(n), "NUMBA_CACHE_DIR": str(folder / "kept")}
         environment["PYTHONPATH"] = os.pathsep.join((str(folder), *sys.path))
-        code = f"import noise_model.kernel; {first}{call}\n{BUILD.format(folder=str(folder))}"
+        code = f"import noise_model.compiled.kernel; {first}{call}\n{BUILD.format(folder=str(folder))}"
         subprocess.run([sys.executable, "-c", code], env=environment, check=True)
         packs.append(pack_file(folder).read_bytes())
     assert packs[0] == packs[1]

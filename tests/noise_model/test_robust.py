@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.robust import sigma_of, spread
 
 VALUES = arrays(np.float64, st.integers(1, 30), elements=st.floats(-1e3, 1e3))

@@ -10,7 +10,7 @@ from scipy.fft import idctn
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects.compression import quantisation_steps
 from sim_to_real.data.blocks import block_means
 from sim_to_real.variance import random_effects as of_scatter

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from profiles import Profile
 
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from tracker.joint.measured import OnFace
 from tracker.joint.upright_edge import EdgeScatter
 from tracker.stripe.light import NEXT_TO_NOTHING, WINDOW_SIGMAS, StripeLight

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from sheet_twin import reflected_sheet_plain
 
 from noise_model.arc.scene import Scene
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import corrugation_height
 from noise_model.transforms import invert, transform

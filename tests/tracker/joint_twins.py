@@ -9,7 +9,7 @@ import numpy as np
 from edge_twins import FacesBeside
 from profiles import Profile
 
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.surface.joint import Joint, section
 from tracker.joint import half_v
 from tracker.joint.fillet import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64, Integers
+from noise_model.compiled.arrays import Bool, Float64, Integers
 from noise_model.surface.joint import Joint
 from tracker.joint import NO_IMAGE, MeasuredJoint, fit_section
 from tracker.profile import Section, in_scan_order, points_of

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import nominal_setup
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.instrument.sensor import expose

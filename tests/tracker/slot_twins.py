@@ -10,7 +10,7 @@ from joint_twins import fit_of
 from profiles import Profile
 
 from noise_model.arc.map import CELL
-from noise_model.arrays import Bool, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float64, Int64
 from noise_model.surface.joint import Joint
 from tracker.joint.measured import OFF_SIGMAS, OnFace
 from tracker.joint.plate_lines import (

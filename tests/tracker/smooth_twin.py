@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.stripe.smooth import (
     AGREE_SIGMAS,
     LENGTHS,

@@ -9,7 +9,7 @@ from profiles import Profile
 from scipy.special import ndtr
 
 from noise_model.arc.map import CELL
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.stripe.light import StripeLight
 
 N_SCAN, DEPTH, EDGE = 64, 96, 31

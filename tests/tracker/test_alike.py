@@ -10,7 +10,7 @@ import pytest
 from profiles import PX_MM, Profile, fit_joint, groove, lap, measure
 from rendered import SEED
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from noise_model.arc.map import CELL
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 from tracker.stripe.band import LightLevel, at_level, gather, median_background, place, weigh
 
 seeds = st.integers(0, 2**32 - 1)

@@ -13,10 +13,10 @@ from scipy.stats import norm
 
 from noise_model.arc.map import CELL
 from noise_model.arc.scene import make_scene
+from noise_model.compiled.median import numbers_for
 from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.instrument.sensor import expose
-from noise_model.median import numbers_for
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine, seam_height_mm
 from tracker.seam.locate import seam_point_tool

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rendered import small_setup
 
 from noise_model.arc.scene import Scene, make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry

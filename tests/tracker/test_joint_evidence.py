@@ -13,7 +13,7 @@ from profiles import PX_MM, Profile, fit_joint, groove, lap, measure, spoil
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import Joint
 from tracker.joint.evidence import (
     MIN_EVIDENCE_NATS,

@@ -10,7 +10,7 @@ from joint_twins import fitted_fillet, fitted_groove, fitted_half_v, root_prior
 from profiles import Profile, fit_joint, measure
 from slot_twins import fitted_slot, share_raised
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import Joint, section
 from tracker.joint.groove import PRIOR_SIGMA, beside_unseen, mixture_of, prior_of
 from tracker.profile import MIN_POINTS, in_scan_order

@@ -11,7 +11,7 @@ import profiles
 import pytest
 from profiles import fit_joint, groove, lap, measure, only
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint
 from tracker.joint.common_mode import COMMON_MODE_PX

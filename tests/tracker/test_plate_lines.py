@@ -13,7 +13,7 @@ from profiles import Profile
 from slot_twins import LinesTwin
 from stripe_ends import EDGE, N_SCAN, light_of, profile_of
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.joint.evidence import gap_evidence_nats
 from tracker.joint.measured import OnFace
 from tracker.joint.plate_lines import (

@@ -10,9 +10,9 @@ import pytest
 from rendered import pose_at, small_setup
 
 from noise_model.arc.scene import Scene, make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
+from noise_model.compiled.ordering import stable_order
 from noise_model.instrument.laser import plane_in
-from noise_model.ordering import stable_order
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry, to_laser_plane

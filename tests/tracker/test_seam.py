@@ -13,7 +13,7 @@ from rendered import pose_at, small_setup
 from scipy.spatial.transform import Rotation
 
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import SeamLine, corrugation_height
 from noise_model.transforms import invert, transform
 from tracker import flags

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from rendered import pose_at, small_setup
 
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import SeamLine, corrugation_height, seam_frame, seam_height_mm
 from noise_model.transforms import invert, inverted, moved_point, multiplied, transform
 from tracker.seam.expected import expect_seam, pose_numbers

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rendered import frame_of, pose_at, small_setup, true_seam_tool, walk
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, transform

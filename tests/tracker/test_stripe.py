@@ -11,9 +11,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from noise_model.arc.map import CELL
-from noise_model.arrays import Bool, Float32, Float64
-from noise_model.kernel import kernel
-from noise_model.lanes import N_LANES, load, spread, store, where
+from noise_model.compiled.arrays import Bool, Float32, Float64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.lanes import N_LANES, load, spread, store, where
 from tracker.stripe.fit_band import MIN_BINNED_SIGMA, bin_for, offsets_within
 from tracker.stripe.line_fit.block import CORRELATION_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
 from tracker.stripe.line_fit.first_guess import BLOCK, PixelVariance, line_window

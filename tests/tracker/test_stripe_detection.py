@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rendered import CURRENT_A, EXPOSURE_S, SEED, frame_of, pose_at, small_setup
 
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import SeamLine
 from tracker.state import Frame

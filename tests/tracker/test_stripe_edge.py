@@ -22,7 +22,7 @@ from stripe_ends import (
     profile_of,
 )
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.joint.measured import OnFace, meet_face
 from tracker.joint.plate_lines import HIDDEN, UNREAD, OnPlates, plate_lines
 from tracker.joint.upright_edge import Edge, EdgeScatter, HiddenStrip, edge_covariance, upright_edge

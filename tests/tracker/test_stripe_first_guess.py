@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from noise_model.arrays import Bool, Float32
-from noise_model.kernel import kernel
-from noise_model.lanes import N_LANES, load, store
+from noise_model.compiled.arrays import Bool, Float32
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.lanes import N_LANES, load, store
 from tracker.stripe.line_fit.block import CORRELATION_PX, MIN_SIGMA_E, WINDOW_SIGMAS
 from tracker.stripe.line_fit.first_guess import (
     CORE_MEAN,

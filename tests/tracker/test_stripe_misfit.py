@@ -12,8 +12,8 @@ from rendered import SEED
 from test_alike import CAMERA_MM, JOINTS, LASER_MM
 from test_stripe import line_fits
 
-from noise_model.arrays import Bool, Float64
-from noise_model.median import numbers_for
+from noise_model.compiled.arrays import Bool, Float64
+from noise_model.compiled.median import numbers_for
 from tracker.stripe.line_fit.block import CORRELATION_PX, WINDOW_SIGMAS
 from tracker.stripe.line_fit.first_guess import line_window
 from tracker.stripe.line_fit.residuals import LAST_BIN, N_BINS

@@ -14,7 +14,7 @@ from test_stripe import DARK, line_fits
 from test_stripe_scatter import NOTHING, shown, with_frame
 
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Bool, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float64, Int64
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
 from tracker.geometry import TRACK_REACH_MM

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float32, Float64
+from noise_model.compiled.arrays import Float32, Float64
+from noise_model.compiled.median import numbers_for
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
-from noise_model.median import numbers_for
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame
 from tracker.stripe.expected import expect_stripe

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import ndtr
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.profile import MIN_CONTRAST, MIN_HELD, STEP_LINES, STEP_SIGMAS, skewed_sigma_px
 
 N_LINES, WIDTH_PX, PSF_PX, STEP = 60, 2.2, 0.7, 30.4

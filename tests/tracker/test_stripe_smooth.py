@@ -8,7 +8,7 @@ import smooth_twin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.stripe import smooth as stripe_smooth
 from tracker.stripe.smooth import LENGTHS, MIN_DRAWN, MIN_SURE_PX
 

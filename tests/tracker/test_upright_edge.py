@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from profiles import Profile
 from stripe_ends import DEPTH, EDGE, N_SCAN, WIDTH_PX, light_of, profile_of
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.joint.measured import meet_face
 from tracker.joint.upright_edge import (
     Edge,

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import minimize
 
-from noise_model.arrays import Bool, Float64, Int64, Integers
+from noise_model.compiled.arrays import Bool, Float64, Int64, Integers
 from tracker.arc.level import HUBER, MAP_SIGMA
 from tracker.stripe.line_fit.block import CORRELATION_PX, WIDTH_SIGMA_LN, WINDOW_SIGMAS
 from tracker.stripe.line_fit.lines import EDGE_PX

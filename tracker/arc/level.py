@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float32, Float64, Int64, Integers
-from noise_model.kernel import REDUCTION, kernel
+from noise_model.compiled.arrays import Float32, Float64, Int64, Integers
+from noise_model.compiled.kernel import REDUCTION, kernel
 from tracker.arc.transmission import ArcLight, Transmission, seen_arc
 from tracker.geometry import ImageSource, SensorGeometry, dark_variance_at
 

@@ -9,8 +9,8 @@ from noise_model.arc.map import NODES_P, NODES_Q, Horizon, kernel_of, table_of
 from noise_model.arc.quadrature import DiscRule
 from noise_model.arc.scene import Scene
 from noise_model.arc.scratch import ArcScratch
-from noise_model.arrays import Float32, Int64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float32, Int64
+from noise_model.compiled.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
 from tracker.geometry import MAP_FLOOR_E, MAP_TOLERANCE, ArcSource, ImageSource
 

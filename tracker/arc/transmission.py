@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from noise_model.arc.scene import Scene
-from noise_model.arrays import Float32, Int64
+from noise_model.compiled.arrays import Float32, Int64
 from noise_model.condition import Condition
 from noise_model.effects import apply_condition_effects
 from noise_model.effects.light import Light

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from noise_model.arrays import Integers
+from noise_model.compiled.arrays import Integers
 from noise_model.surface.joint import Joint
 from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.fillet import fit_fillet

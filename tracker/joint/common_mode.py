@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from noise_model.arrays import Float64
-from noise_model.kernel import kernel
-from noise_model.median import finite_median, median_of, numbers_for
+from noise_model.compiled.arrays import Float64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.median import finite_median, median_of, numbers_for
 from tracker.joint.evidence import section_evidence_nats
 from tracker.joint.measured import MeasuredJoint
 from tracker.profile import Section

@@ -34,10 +34,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64
-from noise_model.cholesky import factorise, solve
-from noise_model.kernel import REDUCTION, kernel
-from noise_model.median import median_of, numbers_for
+from noise_model.compiled.arrays import Bool, Float32, Float64
+from noise_model.compiled.cholesky import factorise, solve
+from noise_model.compiled.kernel import REDUCTION, kernel
+from noise_model.compiled.median import median_of, numbers_for
 from noise_model.robust import MAD_SIGMA
 from tracker.joint.measured import section_at
 from tracker.joint.section_fit import BISQUARE_WIDTH, MIN_ALONG_MM

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64
-from noise_model.kernel import kernel
-from noise_model.median import median
+from noise_model.compiled.arrays import Bool, Float64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.median import median
 from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.common_mode import as_reported
 from tracker.joint.measured import (

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Bool, Float64
+from noise_model.compiled.kernel import kernel
 from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.common_mode import as_reported
 from tracker.joint.groove import weigh_root

@@ -28,10 +28,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from noise_model.arc.scene import Scene
-from noise_model.arrays import Bool, Float64, Int64, Integers
+from noise_model.compiled.arrays import Bool, Float64, Int64, Integers
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.median import exact_median
 from noise_model.instrument.laser import plane_in
-from noise_model.kernel import kernel
-from noise_model.median import exact_median
 from noise_model.robust import MAD_SIGMA
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64
-from noise_model.kernel import kernel
-from noise_model.median import median_of, numbers_for
+from noise_model.compiled.arrays import Float64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.median import median_of, numbers_for
 from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.common_mode import as_reported
 from tracker.joint.measured import (

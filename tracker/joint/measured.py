@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64
-from noise_model.kernel import kernel
-from noise_model.median import exact_median
+from noise_model.compiled.arrays import Bool, Float64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.median import exact_median
 from tracker.joint.section_fit import (
     MIN_ALONG_MM,
     SIGMA_FLOOR_PX,

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.map import CELL
-from noise_model.arrays import Bool, Float64, Integers
-from noise_model.kernel import kernel
-from noise_model.median import exact_median
-from noise_model.ordering import stable_order
+from noise_model.compiled.arrays import Bool, Float64, Integers
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.median import exact_median
+from noise_model.compiled.ordering import stable_order
 from tracker.joint.evidence import gap_evidence_nats
 from tracker.joint.measured import OnFace
 from tracker.profile import Section

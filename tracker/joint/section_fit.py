@@ -23,10 +23,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64, Int64
-from noise_model.cholesky import factorise, solve, write_inverse
-from noise_model.kernel import REDUCTION, kernel
-from noise_model.median import exact_median, median_of, numbers_for
+from noise_model.compiled.arrays import Bool, Float64, Int64
+from noise_model.compiled.cholesky import factorise, solve, write_inverse
+from noise_model.compiled.kernel import REDUCTION, kernel
+from noise_model.compiled.median import exact_median, median_of, numbers_for
 from noise_model.robust import MAD_SIGMA
 from noise_model.surface.faces import face_under, slope_across
 from tracker.joint.section_shapes import N_CORNERS, corners_of

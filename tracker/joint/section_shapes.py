@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from noise_model.arrays import Float64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64
+from noise_model.compiled.kernel import kernel
 
 GROOVE, SHEETS, HALF_GROOVE, ROUND_GROOVE, CORNER = 0, 1, 2, 3, 4
 """The shapes: a groove with two bevels and a root; two sheets with a step between them; a groove with an

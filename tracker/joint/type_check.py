@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64, Int64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64, Int64
+from noise_model.compiled.kernel import kernel
 from noise_model.surface.joint import Joint
 from tracker.joint.measured import MeasuredJoint, section_at
 from tracker.joint.plate_lines import BLURRED_LINES

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Bool, Float64
+from noise_model.compiled.kernel import kernel
 from tracker.joint.measured import OFF_SIGMAS, OnFace, meet_face
 from tracker.state import DY_MM, DZ_MM, SCAN, SIGMA_PX, Z_MM
 from tracker.stripe.edge import stripe_ends

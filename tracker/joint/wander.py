@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64
-from noise_model.kernel import REDUCTION, kernel
-from noise_model.median import median_of, numbers_for
+from noise_model.compiled.arrays import Float64
+from noise_model.compiled.kernel import REDUCTION, kernel
+from noise_model.compiled.median import median_of, numbers_for
 from noise_model.robust import MAD_SIGMA
 from tracker.joint.section_fit import BISQUARE_WIDTH
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import STRETCH_ASIDE_MM, BentSeam, SeamLine
 from tracker.seam.gaussian_process import SLOPE_SIGMA
 

@@ -21,9 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64
-from noise_model.kernel import kernel
-from noise_model.ordering import stable_order
+from noise_model.compiled.arrays import Float64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.ordering import stable_order
 from noise_model.surface.joint import SeamLine
 
 CAPACITY = 96

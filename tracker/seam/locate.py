@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.scene import Scene, SceneSource
-from noise_model.arrays import Float64, Vector
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64, Vector
+from noise_model.compiled.kernel import kernel
 from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
 from noise_model.surface.joint import nearest_segment, seam_height_mm, section

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.map import CELL
-from noise_model.arrays import Bool, Float32, Float64, Int64, Integers
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64, Integers
+from noise_model.compiled.kernel import kernel
 from tracker.geometry import ImageSource
 
 FIT_SIGMAS = 5.0

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
-from noise_model.kernel import kernel
-from noise_model.median import exact_median, finite_median
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.median import exact_median, finite_median
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.scatter import width_factor
 from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP, TEMPLATE_SIGMAS, write_template

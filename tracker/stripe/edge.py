@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64
+from noise_model.compiled.kernel import kernel
 from tracker.stripe.light import BEYOND, MIN_BEYOND, StripeLight, apart_px, line_room, line_shares
 
 CLEAR_SIGMAS = 3.0

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.scene import Scene
-from noise_model.arrays import Bool, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float64, Int64
+from noise_model.compiled.kernel import kernel
 from noise_model.instrument.camera import undistorted
 from noise_model.instrument.laser import Sheet, sheet_in
-from noise_model.kernel import kernel
 from noise_model.surface.faces import ridge, slope_across
 from noise_model.surface.joint import EDGE_STANDS_MM
 from tracker.geometry import SensorGeometry, StripeSource

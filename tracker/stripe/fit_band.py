@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
-from noise_model.kernel import kernel
-from noise_model.median import exact_median, finite_median, numbers_for
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.median import exact_median, finite_median, numbers_for
 from tracker.state import (
     AMPLITUDE_E,
     BESIDE_PX,

@@ -28,9 +28,9 @@ from __future__ import annotations
 
 import math
 
-from noise_model.arrays import Bool, Float32, Float64
-from noise_model.kernel import kernel
-from noise_model.median import close_up, finite_median, keep_finite, median_of
+from noise_model.compiled.arrays import Bool, Float32, Float64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.median import close_up, finite_median, keep_finite, median_of
 from tracker.stripe.line_fit.block import WINDOW_SIGMAS
 from tracker.stripe.neighbours import usual_of
 from tracker.stripe.scatter import (

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.map import CELL
-from noise_model.arrays import Bool, Float32, Float64, Int64
-from noise_model.kernel import REDUCTION, kernel
-from noise_model.median import exact_median, finite_median
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
+from noise_model.compiled.kernel import REDUCTION, kernel
+from noise_model.compiled.median import exact_median, finite_median
 from tracker.stripe.band import Band
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.fit_band import ReadRoom, SearchRange, fit_band

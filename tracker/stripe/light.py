@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.map import CELL
-from noise_model.arrays import Bool, Float32, Float64, Int64
-from noise_model.kernel import kernel
-from noise_model.median import exact_median
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.median import exact_median
 
 BEYOND = 6
 """So many lines on either side say how the stripe looks there, and MIN_BEYOND of them at least."""

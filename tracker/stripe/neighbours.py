@@ -33,9 +33,9 @@ import math
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
-from noise_model.kernel import kernel
-from noise_model.median import median_of
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.median import median_of
 from tracker.stripe.line_fit.block import CORRELATION_PX
 from tracker.stripe.line_fit.lines import N_FITTED, LineFits
 from tracker.stripe.line_fit.residuals import N_BINS

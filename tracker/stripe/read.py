@@ -9,7 +9,7 @@ import numpy as np
 
 from noise_model.arc.map import CELL, ArcKernel, ArcMap
 from noise_model.arc.scratch import ArcScratch
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.compiled.arrays import Float32, Float64, Int64
 from noise_model.robust import MAD_SIGMA
 from tracker.arc.level import MAP_SIGMA, ArcLevel
 from tracker.geometry import (

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Float64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64
+from noise_model.compiled.kernel import kernel
 
 LAGS = np.array([1, 2, 4, 8])
 """How many lines apart centres are compared: speckle's grains reach over a few.

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Bool, Float64
+from noise_model.compiled.kernel import kernel
 from tracker.state import Stripe
 
 LENGTHS = (4, 8, 16, 32, 64)

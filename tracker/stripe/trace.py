@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float64, Int64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.ordering import stable_order
 from noise_model.instrument.camera import Intrinsics, distorted
 from noise_model.instrument.laser import Sheet, depth_below, sheet_reflected
-from noise_model.kernel import kernel
-from noise_model.ordering import stable_order
 from noise_model.surface.brdf import LobeNumbers
 from noise_model.surface.faces import face_normal, face_under, ridge
 

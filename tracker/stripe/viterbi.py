@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from noise_model.arc.map import CELL
-from noise_model.arrays import Float32, Float64, Int64
-from noise_model.kernel import REDUCTION, kernel
+from noise_model.compiled.arrays import Float32, Float64, Int64
+from noise_model.compiled.kernel import REDUCTION, kernel
 from tracker.stripe.band import weigh
 
 Pair = tuple[float, float]

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects import REGISTRY, Effects
 from noise_model.setup import Setup
 from sim_to_real.data.binned import ObservedRecording, PoseAt, observe

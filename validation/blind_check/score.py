@@ -15,7 +15,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.effects import REGISTRY
 from validation.blind_check.case import FAILED, VERDICTS, Case, stage_of
 

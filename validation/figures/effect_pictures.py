@@ -22,7 +22,7 @@ from scipy.spatial import KDTree
 from arctrack.nominal import nominal_setup
 from arctrack.report import style
 from arctrack.simulation.simulate import balance
-from noise_model.arrays import Float64, UInt8
+from noise_model.compiled.arrays import Float64, UInt8
 from noise_model.condition import Condition
 from noise_model.effects import Effect, checked, pose_time_s
 from noise_model.forward import Prediction, Renderer, draw_frame, predict

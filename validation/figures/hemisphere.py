@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.surface.brdf import Material, Mirror, reflectance, spike_radiance
 
 TINY = 1e-300

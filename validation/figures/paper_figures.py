@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from arctrack.report import style
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from validation.figures.paper_curves import (
     DISTANCE_MM,
     NEAREST_MM,

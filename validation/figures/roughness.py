@@ -7,7 +7,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 
 class Regime(Enum):

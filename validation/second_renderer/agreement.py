@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 from noise_model.condition import Condition
 from noise_model.effects import apply_setup_effects
 from noise_model.forward import Renderer, predict

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from sim_to_real.data.blocks import in_blocks
 from validation.second_renderer.agreement import BLOCK_PX, DARK_E
 

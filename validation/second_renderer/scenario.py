@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.transforms import invert, moved, transform
 from sim_to_real.decision.experiments import N_MORE, Experiment

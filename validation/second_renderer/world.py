@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from validation.second_renderer import (
     world_laser,
     world_medium,

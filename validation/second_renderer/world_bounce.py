@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import newton
 
-from noise_model.arrays import Float32, Float64, Int64
+from noise_model.compiled.arrays import Float32, Float64, Int64
 from noise_model.transforms import invert, transform
 from validation.second_renderer.world_light import Studio, WorldSight, digest
 from validation.second_renderer.world_rays import GOLDEN, TILE, ArcBody

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.setup import Setup
 from validation.second_renderer.world_light import Studio, TrueWorld, WorldSight
 from validation.second_renderer.world_rays import ArcBody

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.transforms import invert, transform
 from validation.second_renderer.world_effect import (

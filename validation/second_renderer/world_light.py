@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
 from noise_model.instrument.camera import Camera
 from noise_model.setup import Setup
 from noise_model.transforms import invert, transform

@@ -10,7 +10,7 @@ from scipy.constants import Boltzmann, Planck, speed_of_light
 from scipy.ndimage import affine_transform, gaussian_filter
 from scipy.signal import fftconvolve
 
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from validation.second_renderer.world_effect import (
     CATALOGUE,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
 from validation.second_renderer.path_traced import load_mitsuba
 from validation.second_renderer.world_metal import LobeShape, specular
 from validation.second_renderer.world_surface import TrueSurface

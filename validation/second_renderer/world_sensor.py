@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.instrument.sensor import Sensor
 from noise_model.setup import Setup
 from validation.second_renderer.world_effect import (

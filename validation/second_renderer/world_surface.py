@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 from noise_model.surface.joint import Joint
 
 ACROSS_MM = 400.0

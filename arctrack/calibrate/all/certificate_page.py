@@ -17,7 +17,7 @@ from calibration.certificate import (
     VERTICAL,
     Certificate,
 )
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 TITLE = "arctrack certifies what the seam's absolute position is good for"
 

@@ -16,7 +16,7 @@ from calibration.certificate import Certificate, KnownHandEye, KnownLens, KnownS
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration
 from calibration.laser.calibrate import LaserCalibration
 from calibration.pose_delay import PoseDelay
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.seam.locate import moved_variance
 
 POINTS_OF_PAIR = 25

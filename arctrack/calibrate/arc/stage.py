@@ -20,7 +20,7 @@ from calibration.arc.calibrate import ArcCalibration, calibrate_arc
 from calibration.arc.problem import PartPlacement
 from calibration.check.arc_light import compare_arc
 from calibration.check.stripe_place import StripePlace, locate_stripes
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import NOMINAL_SEAM
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame

@@ -17,7 +17,7 @@ from arctrack.recording.importing.image_files import distinct_names, images_of
 from calibration.boards.board import Board, BoardKind
 from calibration.boards.detect import MIN_PITCH_PX, Corners, find_corners, small_pitch_px
 from calibration.camera.sightings import BoardView
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 
 MOVED_PX = 0.5
 """A board whose corners lie this near those of another image, half of them, has not moved."""

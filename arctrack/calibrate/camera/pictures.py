@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from arctrack.report import style
 from calibration.camera.calibrate import CameraCalibration
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 
 WIDTH_INCH = 7.0
 COLOURS = "viridis"

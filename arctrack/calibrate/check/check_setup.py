@@ -19,7 +19,7 @@ from arctrack.recording import BadFrame, Recording
 from arctrack.recording.reader import fitted
 from calibration.check.arc_light import ArcLightCheck, compare_arc
 from calibration.check.stripe_place import StripePlace, StripeSight, locate_stripes
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.evenly import evenly
 from noise_model.setup import Setup
 from noise_model.surface.joint import NOMINAL_SEAM

@@ -15,7 +15,7 @@ from arctrack.report.image import visible
 from arctrack.report.template import environment
 from calibration.check.arc_light import ArcLightCheck
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
 from tracker.geometry import SensorGeometry

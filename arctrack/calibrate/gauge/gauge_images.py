@@ -20,7 +20,7 @@ from calibration.camera.lens import Lens
 from calibration.gauge.shape import Gauge
 from calibration.gauge.sightings import PosedPieces
 from calibration.gauge.stripe_pieces import Pieces, stripe_pieces
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.evenly import evenly
 
 MAX_FRAMES = 40

@@ -15,7 +15,7 @@ from arctrack.report.embedded import svg
 from calibration.gauge.adjustment import GaugeFit, GaugeProblem
 from calibration.gauge.calibrate import GaugeCalibration, GaugeCheck
 from calibration.gauge.shape import Gauge, Shape
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 
 NOT_IN_SIGMAS = "The camera's pose in the tool and the lens count as exact here."

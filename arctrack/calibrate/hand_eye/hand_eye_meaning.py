@@ -18,7 +18,7 @@ from calibration.camera.enough import UndeterminedError
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration, calibrate_hand_eye
 from calibration.hand_eye_boards.chain import Chain
 from calibration.hand_eye_boards.turns import turn_mismatch_deg
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 FITS_DEG = 1.5
 """Largest median difference of robot's and board's rotations between images that fit."""

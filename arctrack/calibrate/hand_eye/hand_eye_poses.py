@@ -17,7 +17,7 @@ from calibration.boards.board import Board
 from calibration.camera.adjustment import BoardScene
 from calibration.camera.known_lens import board_poses
 from calibration.camera.sightings import Sightings
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 
 
 @dataclass

@@ -9,7 +9,7 @@ from arctrack.recording import CalibrationValues
 from arctrack.recording.calibrated import Value
 from arctrack.recording.toml_text import rounded
 from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 MADE_BY = "arctrack calibrate hand-eye"
 IN_TOOL, IN_BASE = "hand_eye", "camera_in_base"

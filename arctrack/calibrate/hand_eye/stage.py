@@ -19,7 +19,7 @@ from calibration.boards.board import Board
 from calibration.camera.enough import UndeterminedError
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration, calibrate_hand_eye
 from calibration.hand_eye_boards.enough import InconsistentError
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 CHECK = (
     "check how rotations are written (--rotation), units, which pose is of which image, and the squares' side"

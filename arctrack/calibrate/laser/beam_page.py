@@ -10,7 +10,7 @@ from arctrack.report.embedded import svg
 from calibration.laser.beam import Beam
 from calibration.laser.fan import Fan, Missing
 from calibration.laser.width import Law, Width
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 SURE_SIGMAS, MIN_TURN_DEG = 4.0, 1.0
 """A fan that is turned by more than either is named."""

@@ -28,7 +28,7 @@ from calibration.laser.cross_sections import CrossSections, cross_sections, plac
 from calibration.laser.lit_board import lit_board
 from calibration.laser.stripe import BoardStripe, board_area, find_stripe, laser_light
 from calibration.threads import one_thread
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.setup import Setup
 
 LIT_SIGMAS = 3.0

@@ -23,7 +23,7 @@ from arctrack.report import style
 from arctrack.report.embedded import svg
 from calibration.laser.beam import Beam
 from calibration.laser.calibrate import LaserCalibration
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 
 WORDS = ("normal, x", "normal, y", "normal, z", "distance, d")

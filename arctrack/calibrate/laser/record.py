@@ -10,7 +10,7 @@ from arctrack.recording.calibrated import Value
 from arctrack.recording.toml_text import rounded
 from calibration.laser.beam import Beam
 from calibration.laser.calibrate import LaserCalibration
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.transforms import invert, transform
 

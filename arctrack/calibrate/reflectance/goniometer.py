@@ -12,7 +12,7 @@ import numpy.typing as npt
 from arctrack.errors import in_file
 from arctrack.recording.csv_file import CsvTable, number, read_csv
 from calibration.goniometer import GreyResponse, Readings, Settings, average
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 NEEDED = ("theta_i_deg", "theta_r_deg", "phi_r_deg", "gray_level")
 SOURCE = ("distance_mm", "intensity")

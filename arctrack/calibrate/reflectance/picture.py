@@ -10,7 +10,7 @@ from arctrack.report import style
 from calibration.goniometer import GreyResponse, Readings, Settings
 from calibration.reflectance import Reflectance
 from calibration.reflectance_model import NAMES
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 
 COLOURS = (style.BLUE, style.VERMILLION, style.GREEN, style.ORANGE, style.SKY, style.BLACK)
 MARKERS = "osD^vP"

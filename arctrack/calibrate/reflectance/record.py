@@ -14,7 +14,7 @@ from arctrack.errors import in_file
 from arctrack.recording.toml_text import rounded
 from calibration.reflectance import Reflectance, StandardResiduals
 from calibration.reflectance_model import NAMES
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 MATERIAL, RESULT, RESIDUALS, PICTURE = "material.toml", "reflectance.json", "residuals.csv", "reflectance.png"
 

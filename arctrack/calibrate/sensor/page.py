@@ -14,7 +14,7 @@ from arctrack.report import style
 from arctrack.report.embedded import CHANGE, coloured, svg
 from calibration.sensor.flat_fields import SensorCalibration
 from calibration.sensor.levels import BOX_PX, Level
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 WORDS = {
     "gain_e_per_dn": ("gain", "gain_e_per_dn"),

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 
 from arctrack.recording import Recording
-from noise_model.arrays import Integers
+from noise_model.compiled.arrays import Integers
 from tracker.state import frame_misfit
 
 

@@ -12,7 +12,7 @@ from arctrack.diagnose.pages.words import percent, quantity
 from arctrack.report import style
 from arctrack.report.embedded import CHANGE, EXCESS, Scale, binned, coloured, png, scale, svg
 from arctrack.report.image import visible
-from noise_model.arrays import Float32, Integers
+from noise_model.compiled.arrays import Float32, Integers
 from noise_model.instrument.sensor import Sensor
 from sim_to_real.diagnosis import Curve, HeldOutPrediction
 

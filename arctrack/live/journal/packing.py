@@ -14,7 +14,7 @@ from typing import Any, get_args, get_type_hints
 import msgpack
 import numpy as np
 
-from noise_model.arrays import UInt8
+from noise_model.compiled.arrays import UInt8
 
 ARRAY = 0
 """The key that marks an array; a class is marked by its place in `Packer.classes`, from 1 on."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from arctrack.live.journal.packing import Packer
-from noise_model.arrays import UInt8
+from noise_model.compiled.arrays import UInt8
 from noise_model.surface.joint import SeamLine
 from robot_io import (
     Fault,

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from arctrack.closing import Closing
 from arctrack.live.journal.private_memory import memory_folder, open_private, private_path
-from noise_model.arrays import UInt8
+from noise_model.compiled.arrays import UInt8
 
 MAGIC = b"ARCRNG01"
 HEADER = struct.Struct("<8sII48sQ")

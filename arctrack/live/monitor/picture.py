@@ -21,7 +21,7 @@ from arctrack.replay.pages.seen import ReplayedFrame
 from arctrack.replay.pages.view import Profile, Viewer
 from noise_model.arc.map import arc_kernel
 from noise_model.arc.scene import Scene, make_scene
-from noise_model.arrays import Float32, Float64, UInt8
+from noise_model.compiled.arrays import Float32, Float64, UInt8
 from noise_model.setup import Setup
 from noise_model.transforms import invert, transform
 from robot_io import SeamOffset, Validity

@@ -10,7 +10,7 @@ import numpy as np
 from arctrack.control.frame_tracking import FrameTracking
 from noise_model.arc.map import arc_kernel
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.plan.exposure import POLICY, better_exposure_s, expected_sigma_px, ladder_s
 from tracker.observation import expected_output
 from tracker.state import Frame, Track

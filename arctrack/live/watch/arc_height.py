@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from noise_model.arc.map import ArcMap, arc_kernel
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker.arc.level import HUBER, MAP_SIGMA, MAX_SIGMA, MIN_BLACK_SIGMA_E, MIN_PIXELS, unlit_by_the_laser

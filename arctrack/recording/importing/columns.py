@@ -15,7 +15,7 @@ from arctrack.printable import cut
 from arctrack.recording.csv_file import CsvTable, TimeParser, read_header, whole
 from arctrack.recording.importing.image_files import ImageSeries
 from arctrack.recording.importing.units import TIME, UNITS, UNSTATED, Units, factor, split_unit, unit_of
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 from noise_model.spelling import nearest
 
 TIME_NAMES = ("time", "timestamp", "t", "stamp")

@@ -27,7 +27,7 @@ from arctrack.recording.importing.pose_files import PoseFile
 from arctrack.recording.importing.units import TIME, UNSTATED, Units, factor
 from arctrack.recording.tables import FrameRow, check_frame
 from arctrack.recording.time_sources import TimeSource, contradictions
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 
 CONDITION_NAMES = (
     ("laser_on", "laser"),

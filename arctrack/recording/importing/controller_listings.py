@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from arctrack.recording.files import UnfitFileError
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 
 _NUMBER = r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*"
 

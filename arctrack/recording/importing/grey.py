@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from arctrack.recording.importing.colours import Bayer, Channel
-from noise_model.arrays import Integers
+from noise_model.compiled.arrays import Integers
 from noise_model.setup import Setup
 
 RED_FROM_NM, GREEN_FROM_NM = 580.0, 490.0

@@ -15,7 +15,7 @@ from arctrack.recording.importing.grey import camera_of_sites, channel_of_laser,
 from arctrack.recording.importing.image_decoder import EncodedImage
 from arctrack.recording.importing.image_files import ImageSeries
 from arctrack.recording.setup_file import parse_setup, setup_text, with_camera_keys
-from noise_model.arrays import Integers
+from noise_model.compiled.arrays import Integers
 from noise_model.effects import acting
 from noise_model.setup import Setup
 from tracker.state import frame_misfit

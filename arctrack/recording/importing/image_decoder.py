@@ -26,7 +26,7 @@ from arctrack.limits import LIMITS, size_problem
 from arctrack.recording import png
 from arctrack.recording.files import UnfitFileError, read_bytes
 from arctrack.recording.importing import tiff_tags
-from noise_model.arrays import Integers
+from noise_model.compiled.arrays import Integers
 
 FORMATS = ("BMP", "JPEG", "PNG")
 LOSSY_FORMATS = ("JPEG", "MPO")

@@ -33,7 +33,7 @@ from arctrack.recording.poses import can_channel
 from arctrack.recording.reader import fitted
 from arctrack.recording.tables import FrameRow
 from arctrack.recording.time_sources import TimeSource
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.state import Frame
 
 OnFrame = Callable[[str, int, int], None]

@@ -12,7 +12,7 @@ from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.recording.files import UnfitFileError, blamed_on, read_text
 from arctrack.recording.importing.rotations import NoRotationError, rotation_matrices
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 _OPENCV_STARTS = ("%YAML", "<?xml")
 _SEPARATORS = re.compile(r"[\s,;\[\]]+")

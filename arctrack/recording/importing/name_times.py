@@ -13,7 +13,7 @@ import numpy as np
 from arctrack.errors import ArctrackError, in_file
 from arctrack.recording.importing.units import TIME, Units, factor
 from arctrack.recording.time_sources import TimeSource
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 NAME = "the times in the names"
 

@@ -38,7 +38,7 @@ from arctrack.recording.importing.rotations import (
 from arctrack.recording.importing.units import ANGLE, LENGTH, TIME, UNITS, Units, factor
 from arctrack.recording.poses import read_log
 from arctrack.recording.time_sources import TimeSource
-from noise_model.arrays import Float64, Int64
+from noise_model.compiled.arrays import Float64, Int64
 
 POSITION_NAMES = tuple(
     (axis, f"pos_{axis}", f"t{axis}", f"actual_tcp_pose_{n}") for n, axis in enumerate("xyz")

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.errors import ArctrackError
 from arctrack.recording.importing.units import UNSTATED, Units
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 
 MAX_NORM_ERROR = 0.01
 """Largest error of a quaternion's norm: controllers write a few digits."""

@@ -17,7 +17,7 @@ from arctrack.report import style
 from arctrack.report.data_uri import uri
 from arctrack.report.embedded import CHANGE, Scale, binned, coloured, scale
 from arctrack.report.image import seam_point_px, visible
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.instrument.sensor import Sensor, respond
 from tracker.geometry import SensorGeometry
 

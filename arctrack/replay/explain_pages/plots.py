@@ -16,7 +16,7 @@ from arctrack.replay.explain_pages.words import scan_line
 from arctrack.report import style
 from arctrack.report.embedded import svg
 from noise_model.arc.map import CELL
-from noise_model.arrays import Bool, Float64
+from noise_model.compiled.arrays import Bool, Float64
 from tracker.joint.measured import off_section
 from tracker.joint.section_fit import SIGMA_FLOOR_PX
 from tracker.stripe.viterbi import GAIN_CAP, OFFSET_STEP

@@ -11,7 +11,7 @@ from arctrack.replay.pages.overlay import picture_of
 from arctrack.replay.pages.seen import ReplayedFrame
 from arctrack.replay.pages.view import ReplayView, Viewer
 from arctrack.replay.pages.view_json import view_json
-from noise_model.arrays import UInt8
+from noise_model.compiled.arrays import UInt8
 from noise_model.setup import Setup
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame

@@ -23,7 +23,7 @@ from arctrack.replay.pages.seen import ReplayedFrame
 from arctrack.replay.pages.view import ReplayView, chosen, stretches
 from arctrack.report import style
 from arctrack.report.image import jpeg
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.checks import Check
 from tracker.state import Frame
 

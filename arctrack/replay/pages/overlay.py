@@ -12,7 +12,7 @@ import numpy as np
 
 from arctrack.recording.video_file import VideoFile
 from arctrack.report.image import annotate, visible
-from noise_model.arrays import UInt8
+from noise_model.compiled.arrays import UInt8
 from noise_model.setup import Setup
 from robot_io import SeamOffset, Validity
 from tracker.state import Frame, Track

@@ -23,7 +23,7 @@ from arctrack.replay.pages.numbers import numbers, on_bus
 from arctrack.replay.pages.seen import ReplayedFrame
 from arctrack.replay.pages.view import truth_by_frame
 from arctrack.report.template import environment
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker import flags
 from tracker.checks import Check
 from tracker.state import Frame, Track

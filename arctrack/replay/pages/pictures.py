@@ -27,7 +27,7 @@ from arctrack.replay.pages.overview import Overview
 from arctrack.replay.pages.page import ReplayPage, frames_to_show
 from arctrack.replay.pages.seen import ReplayedFrame, SeenFile
 from arctrack.replay.pages.view import ReplayView, truth_by_frame
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from tracker.state import Frame
 
 EXTRAS = {REPLAY_MCAP: "mcap", REPLAY_RRD: "rerun"}

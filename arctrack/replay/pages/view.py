@@ -12,7 +12,7 @@ from arctrack.replay.pages.seen import ReplayedFrame
 from arctrack.report.image import project_tool_point, visible
 from noise_model.arc.map import arc_kernel
 from noise_model.arc.scene import Scene
-from noise_model.arrays import Bool, Float64, UInt8
+from noise_model.compiled.arrays import Bool, Float64, UInt8
 from noise_model.instrument.sensor import respond
 from noise_model.surface.joint import corrugation_height
 from noise_model.transforms import invert, transform

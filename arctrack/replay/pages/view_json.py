@@ -10,7 +10,7 @@ import numpy as np
 from arctrack.replay.pages.view import Profile, ReplayView
 from arctrack.report.data_uri import uri
 from arctrack.report.image import jpeg, shrunk
-from noise_model.arrays import Float64, UInt8
+from noise_model.compiled.arrays import Float64, UInt8
 
 FRAME_PX, MAP_PX = 640, 320
 """Pictures are shrunk to about these widths."""

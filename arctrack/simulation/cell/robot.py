@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from arctrack.simulation.cell.world import World
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from robot_io import (
     Command,
     MotionState,

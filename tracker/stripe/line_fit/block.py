@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from noise_model.kernel import REDUCTION, kernel
-from noise_model.lanes import Lanes, Mask, any_lane, root, spread, where
+from noise_model.compiled.kernel import REDUCTION, kernel
+from noise_model.compiled.lanes import Lanes, Mask, any_lane, root, spread, where
 from tracker.stripe.line_fit.normal_equations import (
     Block,
     PixelNoise,

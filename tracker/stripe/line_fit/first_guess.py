@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arrays import Bool, Float32
-from noise_model.kernel import REDUCTION, kernel
-from noise_model.lanes import N_LANES, Lanes, load, root, spread, transpose, where
+from noise_model.compiled.arrays import Bool, Float32
+from noise_model.compiled.kernel import REDUCTION, kernel
+from noise_model.compiled.lanes import N_LANES, Lanes, load, root, spread, transpose, where
 from tracker.stripe.line_fit.block import CORRELATION_PX, MIN_SIGMA_E, WINDOW_SIGMAS, LinePrior, larger
 from tracker.stripe.line_fit.normal_equations import BEYOND, COUNTS, HIDDEN, Block
 

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.map import CELL
-from noise_model.arrays import Bool, Float32, Float64, Int64
-from noise_model.kernel import kernel
-from noise_model.lanes import N_LANES, load, spread, store, where
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
+from noise_model.compiled.kernel import kernel
+from noise_model.compiled.lanes import N_LANES, load, spread, store, where
 from tracker.stripe.line_fit.block import ROUNDS, BlockFits, FitState, first_state, fit_block
 from tracker.stripe.line_fit.first_guess import (
     MAX_PIXELS,

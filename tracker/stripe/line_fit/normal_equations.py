@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from noise_model.arrays import Float32
-from noise_model.kernel import REDUCTION, kernel
-from noise_model.lanes import N_LANES, Lanes, Mask, load, spread, where
+from noise_model.compiled.arrays import Float32
+from noise_model.compiled.kernel import REDUCTION, kernel
+from noise_model.compiled.lanes import N_LANES, Lanes, Mask, load, spread, where
 
 COUNTS, HIDDEN, BEYOND = 1.0, 0.0, -1.0
 """What a pixel is: it counts; it is censored and says 'at least this'; it lies beyond its line's window."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from noise_model.arrays import Float32
-from noise_model.kernel import REDUCTION, kernel
-from noise_model.lanes import N_LANES, Lanes, least, load, spread, store, where
+from noise_model.compiled.arrays import Float32
+from noise_model.compiled.kernel import REDUCTION, kernel
+from noise_model.compiled.lanes import N_LANES, Lanes, least, load, spread, store, where
 from tracker.stripe.line_fit.block import WINDOW_SIGMAS, BlockFits, larger
 from tracker.stripe.line_fit.normal_equations import COUNTS, HIDDEN, Block, PixelNoise, bells
 

@@ -16,7 +16,7 @@ from arctrack.live.cameras.capture.source import Ask, wait_until
 from arctrack.recording.importing.image_decoder import EncodedImage
 from arctrack.recording.importing.image_files import find_images
 from arctrack.recording.tables import FrameRow, read_frame_rows
-from noise_model.arrays import Integers
+from noise_model.compiled.arrays import Integers
 from noise_model.setup import Setup
 from tracker.state import NAN, Frame, frame_misfit
 

@@ -11,7 +11,7 @@ import numpy as np
 from arctrack.errors import in_file
 from arctrack.recording import ffv1
 from arctrack.recording.video_file import opened_video
-from noise_model.arrays import Integers
+from noise_model.compiled.arrays import Integers
 
 CODECS = ("ffv1", "h264")
 CONTAINERS = ("matroska", "webm", "mov", "mp4", "m4a", "3gp", "3g2", "mj2", "avi")

@@ -22,7 +22,7 @@ from arctrack.simulation.cell.weld.events import LOOP_EVENTS
 from arctrack.simulation.cell.weld.rendered_eye import RenderedEye
 from arctrack.simulation.cell.world import World
 from arctrack.simulation.simulate import balance, true_values
-from noise_model.arrays import Float64
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import section
 from robot_io import BusMessage, GateReason, SeamOffset, TrackerStatus, Validity

@@ -13,7 +13,7 @@ from arctrack.control.innovation import SeamMeasurement
 from arctrack.simulation.cell.eye import Shown
 from arctrack.simulation.cell.robot import Robot
 from noise_model.arc.scene import make_scene
-from noise_model.arrays import Float64, Integers
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import apply_setup_effects, checked
 from noise_model.forward import Renderer, draw_frame

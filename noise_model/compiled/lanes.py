@@ -21,7 +21,7 @@ from numba.core.datamodel import models
 from numba.core.extending import intrinsic, lower_builtin, register_model, type_callable
 from numba.core.types import Array, Type, boolean, float32, int32, intp, void
 
-from noise_model.kernel import REDUCTION, kernel
+from noise_model.compiled.kernel import REDUCTION, kernel
 
 N_LANES = 16
 """So many float32 fill the widest registers."""

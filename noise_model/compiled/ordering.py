@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from noise_model.arrays import Float64, Int64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64, Int64
+from noise_model.compiled.kernel import kernel
 
 
 @kernel(allocates=True)

@@ -5,8 +5,8 @@ numba calls LAPACK for these, by fifteen functions of its own that take two seco
 
 from __future__ import annotations
 
-from noise_model.arrays import Float64
-from noise_model.kernel import kernel
+from noise_model.compiled.arrays import Float64
+from noise_model.compiled.kernel import kernel
 
 
 @kernel

@@ -11,10 +11,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.arrays import Float32, Float64
-from noise_model.kernel import REDUCTION, kernel
-from noise_model.lanes import N_LANES, bits_of, float_of, least, load, spread, total, where
-from noise_model.ordering import stable_order
+from noise_model.compiled.arrays import Float32, Float64
+from noise_model.compiled.kernel import REDUCTION, kernel
+from noise_model.compiled.lanes import N_LANES, bits_of, float_of, least, load, spread, total, where
+from noise_model.compiled.ordering import stable_order
 
 
 def median(values: npt.ArrayLike) -> float:
