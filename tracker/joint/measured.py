@@ -106,6 +106,7 @@ def fit_points(
     return ShapeFit(fit.parameters[:m], fit.covariance, fit.chi2, fit.weights)
 
 
+@kernel(allocates=True)
 def shift_of(
     y_mm: Float64,
     z_mm: Float64,
@@ -119,9 +120,17 @@ def shift_of(
 
     Lateral shifts are tried by steps of `step_mm` within the points' reach, see `best_shift`.
     """
-    every = max(1, len(y_mm) // PLACED_BY)
-    y, z, lifted = y_mm[::every].copy(), z_mm[::every].copy(), corners + np.array([0.0, lift_mm])
-    shifts = np.arange(max(y_mm[0], -reach_mm), min(y_mm[-1], reach_mm) + step_mm, step_mm)
+    every = max(1, y_mm.shape[0] // PLACED_BY)
+    n = (y_mm.shape[0] + every - 1) // every
+    y, z, lifted = np.empty(n), np.empty(n), corners.copy()
+    for i in range(n):
+        y[i], z[i] = y_mm[i * every], z_mm[i * every]
+    for k in range(lifted.shape[0]):
+        lifted[k, 1] += lift_mm
+    first_mm, last_mm = max(y_mm[0], -reach_mm), min(y_mm[-1], reach_mm)
+    shifts = np.empty(max(math.ceil((last_mm + step_mm - first_mm) / step_mm), 0))
+    for i in range(shifts.shape[0]):
+        shifts[i] = first_mm + i * step_mm
     shift: tuple[float, float] = best_shift(y, z, lifted, shifts, limit_mm)
     return shift
 
