@@ -14,8 +14,11 @@ from tracker.seam.gaussian_process import (
     BEND_LENGTH_MM,
     BEND_SIGMA_MM,
     CAPACITY,
+    MIN_VARIANCE_MM2,
     MODEL_SIGMA_MM,
+    NO_HISTORY,
     SLOPE_SIGMA,
+    SPACING_MM,
     WIDE_SIGMA_MM,
     SeamHistory,
 )
@@ -182,3 +185,43 @@ def test_its_sigma_is_honest() -> None:
     chi2 = np.mean(np.square(errors), axis=(0, 2))
     print(f"chi2 of the stated sigma: {chi2[0]:.3f} within, {chi2[1]:.3f} beyond the measured stretch")
     assert ((chi2 > 0.85) & (chi2 < 1.15)).all()
+
+
+def with_measurement(
+    before: SeamHistory, station_mm: float, place_mm: np.ndarray, mm2: np.ndarray
+) -> SeamHistory:
+    """Return a history with one more measurement: averaged with the latest, or in place of near ones."""
+    stations_mm, places_mm, variances_mm2, began_mm = before
+    noise_mm2 = np.maximum(mm2, MIN_VARIANCE_MM2)
+    if abs(station_mm - began_mm) < SPACING_MM:
+        kept = np.arange(before.n) < before.n - 1
+        latest_mm2 = np.maximum(variances_mm2[-1] - MODEL_SIGMA_MM**2, MIN_VARIANCE_MM2)
+        share = latest_mm2 / (latest_mm2 + noise_mm2)
+        place_mm, noise_mm2 = places_mm[-1] + share * (place_mm - places_mm[-1]), share * noise_mm2
+        station_mm = stations_mm[-1] + share.mean() * (station_mm - stations_mm[-1])
+    else:
+        began_mm, kept = station_mm, np.abs(stations_mm - station_mm) >= SPACING_MM
+        kept[-1:] = True
+        kept &= np.cumsum(kept[::-1])[::-1] < CAPACITY
+    return SeamHistory(
+        np.append(stations_mm[kept], station_mm),
+        np.vstack([places_mm[kept], place_mm]),
+        np.vstack([variances_mm2[kept], noise_mm2 + MODEL_SIGMA_MM**2]),
+        began_mm,
+    )
+
+
+@pytest.mark.parametrize("step_mm", [0.2, 0.9, 1.7])
+def test_a_history_is_its_twin_on_a_way_to_and_fro(step_mm: float) -> None:
+    rng = np.random.default_rng(3)
+    got = want = NO_HISTORY
+    for k in range(3 * CAPACITY):
+        there = (
+            40.0 * step_mm * math.sin(0.03 * k) + step_mm * k,
+            rng.normal(size=2),
+            10.0 ** rng.uniform(-14, -1, 2),
+        )
+        got, want = got.with_measurement(*there), with_measurement(want, *there)
+        for ours, twin in zip(got, want, strict=True):
+            np.testing.assert_allclose(ours, twin, rtol=1e-12, atol=1e-12)
+    assert got.n > 30
