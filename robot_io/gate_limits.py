@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
-from robot_io.stated_limit import stated
+from robot_io.stated_limit import check_limits, stated
 
 BUS_RANGE_MM = 32.767
 """The largest offset that the bus can carry, mm."""
@@ -57,10 +56,7 @@ class GateLimits:
     )
 
     def __post_init__(self) -> None:
-        for limit in (f.name for f in fields(self) if f.name != "arc_required"):
-            value = getattr(self, limit)
-            if not (value > 0.0 and math.isfinite(value)):
-                raise ValueError(f"gate limit {limit}: is {value}; it must be positive and finite")
+        check_limits(self, "gate limit")
         for limit in ("range_y_mm", "range_z_mm"):
             if getattr(self, limit) > BUS_RANGE_MM:
                 raise ValueError(f"gate limit {limit}: above {BUS_RANGE_MM} mm, which the bus cannot carry")

@@ -1,9 +1,11 @@
-"""A limit as a field of a record, with what it is and where its value comes from."""
+"""A limit as a field of a record, with what it is and where its value comes from, and the check of all."""
 
 from __future__ import annotations
 
-from dataclasses import field
-from typing import TypeVar
+import math
+from collections.abc import Collection
+from dataclasses import field, fields
+from typing import Any, TypeVar
 
 Value = TypeVar("Value", float, bool)
 
@@ -12,3 +14,17 @@ def stated(value: Value, unit: str, role: str, source: str) -> Value:
     """Return a dataclass's field with a default, whose metadata states `unit`, `role` and `source`."""
     limit: Value = field(default=value, metadata={"unit": unit, "role": role, "source": source})
     return limit
+
+
+def check_limits(limits: Any, kind: str, may_be_zero: Collection[str] = ()) -> None:
+    """Raise ValueError for a field of a dataclass that is not positive and finite; switches are left out.
+
+    `kind` names the record in the error; the fields in `may_be_zero` may be 0.
+    """
+    for limit in fields(limits):
+        if isinstance(limit.default, bool):
+            continue
+        value = getattr(limits, limit.name)
+        is_low = value < 0.0 if limit.name in may_be_zero else not value > 0.0
+        if is_low or not math.isfinite(value):
+            raise ValueError(f"{kind} {limit.name}: is {value}; it must be positive and finite")

@@ -13,12 +13,13 @@ A single innovation is capped at a few sigmas: a tack or a bad frame is not a wr
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import lru_cache
 
 from scipy.special import gammainccinv
 
+from robot_io.stated_limit import check_limits
 from tracker.seam.gaussian_process import BEND_LENGTH_MM, BEND_SIGMA_MM, MODEL_SIGMA_MM, WIDE_SIGMA_MM
 
 DECAY = math.sqrt(3.0) / BEND_LENGTH_MM
@@ -56,10 +57,7 @@ class InnovationLimits:
     pose_time_s: float = 0.001
 
     def __post_init__(self) -> None:
-        for name in (f.name for f in fields(self)):
-            value = getattr(self, name)
-            if not (value > 0 and math.isfinite(value)):
-                raise ValueError(f"innovation limit {name}: is {value}; it must be positive and finite")
+        check_limits(self, "innovation limit")
 
     @property
     def chi2(self) -> float:

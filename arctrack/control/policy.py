@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
-from robot_io.stated_limit import stated
+from robot_io.stated_limit import check_limits, stated
 
 
 @dataclass(frozen=True)
@@ -51,10 +50,7 @@ class ServicePolicy:
     )
 
     def __post_init__(self) -> None:
-        for name in (f.name for f in fields(self) if f.name != "sync_required"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and (value > 0.0 or (name == "pose_wait_s" and value == 0.0))):
-                raise ValueError(f"service policy {name}: is {value}; it must be positive and finite")
+        check_limits(self, "service policy", {"pose_wait_s"})
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ motion does not determine the lag, there is none.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
 from typing import Literal
@@ -23,6 +23,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from robot_io.described import described
+from robot_io.stated_limit import check_limits
 
 Float64 = npt.NDArray[np.float64]
 
@@ -79,10 +80,7 @@ class LagLimits:
     sigma_s: float = 0.02
 
     def __post_init__(self) -> None:
-        for name in (f.name for f in fields(self)):
-            value = getattr(self, name)
-            if not (value > 0 and math.isfinite(value)):
-                raise ValueError(f"lag limit {name}: is {value}; it must be positive and finite")
+        check_limits(self, "lag limit")
 
 
 @dataclass(frozen=True)

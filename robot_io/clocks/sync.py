@@ -15,7 +15,7 @@ only the split of the least delays between both ways is undetermined.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from robot_io.described import described
 from robot_io.protocol.messages import RobotSync
+from robot_io.stated_limit import check_limits
 
 Float64 = npt.NDArray[np.float64]
 
@@ -60,11 +61,7 @@ class SyncLimits:
     width_s: float = 0.005
 
     def __post_init__(self) -> None:
-        for name in (f.name for f in fields(self)):
-            if not (getattr(self, name) > 0.0 and math.isfinite(getattr(self, name))):
-                raise ValueError(
-                    f"sync limit {name}: is {getattr(self, name)}; it must be positive and finite"
-                )
+        check_limits(self, "sync limit")
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ distribution.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 
-from robot_io.stated_limit import stated
+from robot_io.stated_limit import check_limits, stated
 
 MAY_BE_ZERO = ("time_jitter_s", "weave_along_mm", "settle_s")
 """The limits that may be 0; all others are above it."""
@@ -137,11 +137,7 @@ class PlausibilityLimits:
     )
 
     def __post_init__(self) -> None:
-        for name in (f.name for f in fields(self) if f.name != "age_required"):
-            value = getattr(self, name)
-            is_low = value < 0.0 if name in MAY_BE_ZERO else not value > 0.0
-            if is_low or not math.isfinite(value):
-                raise ValueError(f"plausibility limit {name}: is {value}; it must be positive and finite")
+        check_limits(self, "plausibility limit", MAY_BE_ZERO)
         for name in ("false_alarm", "speed_share"):
             if not getattr(self, name) < 1.0:
                 raise ValueError(f"plausibility limit {name}: is {getattr(self, name)}; it must be below 1")
