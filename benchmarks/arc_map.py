@@ -5,8 +5,8 @@
 Errors are those against each pixel's own integral at 24 by 12 nodes, on every 7th pixel, in units of 0.5 % of
 the local light or 0.25 DN, whichever is more. Times are the least of the repeats, CPU time: `pose` is what
 scene and kernel take, `map` the filling. Beside them: brute force (each pixel's integral at the same nodes),
-one memory pass (np.copyto of the frame) and, where it is installed, Mitsuba. Last comes what each level of
-interpolation saves of the band, for a torch that stands upright at its stated height, 0.1 mm beside the seam.
+one memory pass (np.copyto of the frame) and, where it is installed, Mitsuba. Each level of interpolation is
+timed on the band, for a torch that stands upright at its stated height, 0.1 mm beside the seam.
 """
 
 from __future__ import annotations
