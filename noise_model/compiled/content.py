@@ -216,10 +216,13 @@ def versions() -> list[str]:
 @cache
 def _compiler() -> tuple[object, ...]:
     """Return what compiles: versions, numba's settings, and the files that use it."""
-    names = (name for name in os.environ if name.startswith("NUMBA_") and not name.startswith(NO_MATTER))
+    # numba takes an empty setting for none.
+    settings = sorted(
+        (name, value) for name, value in os.environ.items() if name.startswith("NUMBA_") and value
+    )
     return (
         *versions(),
-        *((name, os.environ[name]) for name in sorted(names)),
+        *(setting for setting in settings if not setting[0].startswith(NO_MATTER)),
         # Functions of Intel's library, where that is installed.
         numba.config.USING_SVML,
         *map(_source, COMPILER),

@@ -165,6 +165,25 @@ def test_kernels_have_the_same_keys_on_other_processors() -> None:
     assert found[0] == found[1]
 
 
+PRINT_KEY = """
+from noise_model.compiled.content import entry_key
+from noise_model.compiled.kernel import kernel
+print(entry_key(kernel(lambda: 1)))
+"""
+
+
+@pytest.mark.slow
+def test_an_empty_setting_of_numba_changes_no_key() -> None:
+    """With other keys no kernel of a pack is found."""
+    none = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    empty, other = {"NUMBA_OPT": "", "NUMBA_LLVM_REFPRUNE_FLAGS": ""}, {"NUMBA_OPT": "1"}
+    keys = [
+        subprocess.check_output([sys.executable, "-W", "ignore", "-c", PRINT_KEY], env={**none, **more})
+        for more in ({}, empty, other)
+    ]
+    assert keys[0] == keys[1] != keys[2]
+
+
 ELF_MACHINES = {"x86-64-v4": 62, "x86-64-v3": 62, "aarch64": 183}
 """The field e_machine of an object file, by the ELF specification's supplements."""
 
