@@ -47,7 +47,7 @@ SETTINGS = [
 BAND_MM = 1.0
 
 
-def least_ms(function: Callable[[], object], repeats: int) -> float:
+def min_ms(function: Callable[[], object], repeats: int) -> float:
     function()
     took = []
     for _ in range(repeats):
@@ -86,8 +86,8 @@ def measure(joint: str, repeats: int) -> Setup:
     depth = place(expected.position_px, geometry.n_pos, half, lows)
     band = np.empty((geometry.n_scan, depth), dtype=np.float32)
     source = np.ones_like(frame)
-    copy = least_ms(lambda: np.copyto(frame, source), 5 * repeats)
-    new = least_ms(lambda: arc_kernel(setup, make_scene(setup, T)), repeats)
+    copy = min_ms(lambda: np.copyto(frame, source), 5 * repeats)
+    new = min_ms(lambda: arc_kernel(setup, make_scene(setup, T)), repeats)
     print(f"\n{joint}, {JOINTS[joint]}: pose {new:.2f} ms; memory pass {copy:.2f} ms; band {band.shape}")
     print("  nodes  tolerance | frame, ms  / pass |  band, ms | error: median    p99    max   beyond")
     for tolerance, nodes in SETTINGS:
@@ -101,9 +101,9 @@ def measure(joint: str, repeats: int) -> Setup:
         ) -> None:
             ArcMap.of(kernel, geometry.xy, geometry.cos4, len(out), tolerance, quarter_dn).fill(lows, out)
 
-        whole = least_ms(fill, repeats)
+        whole = min_ms(fill, repeats)
         error = np.abs(frame.reshape(-1)[pixels] - want) / np.maximum(0.005 * want, quarter_dn)
-        part = least_ms(lambda fill=fill: fill(lows, band), repeats)
+        part = min_ms(lambda fill=fill: fill(lows, band), repeats)
         print(
             f"  {nodes[0]:2d}x{nodes[1]:d}   {tolerance:8.2%} | {whole:9.2f} {whole / copy:7.1f} | "
             f"{part:9.2f} | {np.nanmedian(error):13.3f} {np.nanquantile(error, 0.99):6.2f} "
@@ -111,7 +111,7 @@ def measure(joint: str, repeats: int) -> Setup:
         )
     kernel = arc_kernel(setup, scene)
     some = pixels[::10]
-    brute = least_ms(lambda: arc_at(kernel, geometry.xy, geometry.cos4, some), 2) / len(some)
+    brute = min_ms(lambda: arc_at(kernel, geometry.xy, geometry.cos4, some), 2) / len(some)
     n = NODES_P * NODES_Q
     print(
         f"  brute force {NODES_P}x{NODES_Q}: {1e6 * brute:.0f} ns a pixel, {1e6 * brute / n:.1f} ns a node "
@@ -139,12 +139,12 @@ def levels(setup: Setup, repeats: int) -> None:
         return ArcMap.of(kernel, *camera, MAP_TOLERANCE, MAP_FLOOR_E, baked)
 
     some = pixels[::50]
-    own = least_ms(lambda: arc_at(kernel, geometry.xy, geometry.cos4, some), 2) * len(pixels) / len(some)
+    own = min_ms(lambda: arc_at(kernel, geometry.xy, geometry.cos4, some), 2) * len(pixels) / len(some)
     times = {
         "each pixel's own integral": own,
-        "read off the faces' tables": least_ms(lambda: light().at(pixels), repeats),
-        "cells of the image": least_ms(lambda: light().fill(lows, band), repeats),
-        "baked tables": least_ms(lambda: light(geometry.baked_light).fill(lows, band), repeats),
+        "read off the faces' tables": min_ms(lambda: light().at(pixels), repeats),
+        "cells of the image": min_ms(lambda: light().fill(lows, band), repeats),
+        "baked tables": min_ms(lambda: light(geometry.baked_light).fill(lows, band), repeats),
     }
     print(f"  band {band.shape}: " + "; ".join(f"{level} {took:.2f} ms" for level, took in times.items()))
 

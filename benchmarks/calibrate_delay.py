@@ -188,7 +188,7 @@ def observed(world: World, draw: np.random.Generator) -> tuple[SeamObservations,
     return SeamObservations(image, world.frames_s, variances, (track.at_time,) * len(points)), track
 
 
-def least_sigma_s(world: World) -> float:
+def min_sigma_s(world: World) -> float:
     """Return Cramer and Rao's bound, 1 sigma, of a seam of known spectrum and noise of known size."""
     setup, step_s = world.setup, 1e-4
     tools = [world.tool(t) for t in world.frames_s]
@@ -236,7 +236,7 @@ def judge(worlds: int, seed: int) -> None:
     for number in range(worlds):
         draw = np.random.default_rng([seed, number])
         world = draw_world(draw)
-        bound_s = least_sigma_s(world)
+        bound_s = min_sigma_s(world)
         observations, track = observed(world, draw)
         result = fit_pose_delay(world.setup, observations, track)
         if result.unestimated is not None:

@@ -113,7 +113,7 @@ def frames(world: World, draw: np.random.Generator) -> list[tuple[float, bool, l
     return taken
 
 
-def least_sigmas(world: World) -> dict[str, float]:
+def min_sigmas(world: World) -> dict[str, float]:
     """Return Cramer and Rao's bound, 1 sigma, of normal pixels by closed formulas."""
     truth, n = world.truth, (world.side - 10) ** 2
     light = np.array([0.0, *(e * world.brightness for e in world.exposures)])
@@ -179,7 +179,7 @@ def judge(worlds: int, seed: int) -> None:
         except ValueError as error:
             refused.append(f"world {number}: {error}")
             continue
-        bound = least_sigmas(world)
+        bound = min_sigmas(world)
         chi2.append(result.chi2)
         line = result["linearity_rel"]
         linear.append(((line.value / world.light_error) ** 2, line.low <= world.light_error <= line.high))

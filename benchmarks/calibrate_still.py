@@ -101,7 +101,7 @@ def frames(world: World, draw: np.random.Generator) -> tuple[list[np.ndarray], n
     return taken, light(0.0)
 
 
-def least_sigmas(world: World, light: np.ndarray) -> dict[str, float]:
+def min_sigmas(world: World, light: np.ndarray) -> dict[str, float]:
     """Return Cramer and Rao's bounds, 1 sigma, of gain and read noise."""
     seen = light.ravel() / world.gain
     down, across = np.gradient(light / world.gain)
@@ -136,7 +136,7 @@ def judge(worlds: int, seed: int) -> None:
             pairs["contrast"] = result.speckle.contrast, result.speckle.contrast_sigma
             pairs["grain_px"] = result.speckle.grain_px, result.speckle.grain_sigma_px
             half |= dict.fromkeys(("contrast", "grain_px"), result.speckle.half_width)
-        bound = least_sigmas(world, light)
+        bound = min_sigmas(world, light)
         for name, (value, sigma) in pairs.items():
             error = value - world.truth[name]
             tally.add(name, error, sigma, abs(error) < half[name] * sigma, bound.get(name))

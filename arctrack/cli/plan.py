@@ -88,7 +88,7 @@ def plan(
             preview_mm=preview,
             stand_off_mm=stand_off,
             filters_nm=tuple(filter_nm or PlanOptions.filters_nm),
-            most_exposure_s=None if exposure_ms is None else 1e-3 * exposure_ms,
+            max_exposure_s=None if exposure_ms is None else 1e-3 * exposure_ms,
             lean_deg=lean,
             torch_radius_mm=torch_radius,
             limit_mm=limit,

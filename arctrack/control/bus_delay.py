@@ -35,12 +35,12 @@ class BusDelay:
         round_trip_s = math.nan if sync.last_round_trip_us is None else sync.last_round_trip_us * 1e-6
         if math.isfinite(round_trip_s):
             self._known_at_s = came_at_s
-        least_s, _ = self._sync.delay_s(came_at_s, self._limits)
+        min_s, _ = self._sync.delay_s(came_at_s, self._limits)
         offset = self._sync.offset(came_at_s, self._limits)
         # A NaN, which nothing is known of, is not late: how long that may last is asked elsewhere.
         self._is_late = (
             round_trip_s > self._policy.round_trip_s
-            or least_s > self._policy.round_trip_s
+            or min_s > self._policy.round_trip_s
             or offset.unestimated is Unestimated.TOO_WIDE
         )
 

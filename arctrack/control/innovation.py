@@ -42,7 +42,7 @@ class InnovationLimits:
     - `false_alarm`: probability that a window of right poses fails (chosen: at 50 frames a second once in
       some days of weld, were windows disjoint; each shares 19 of 20 with the next).
     - `sigma_floor_mm`: smallest sigma of a measurement (speckle that neighbouring frames share).
-    - `most_sigmas`: cap of a single innovation (chosen: one bad frame alone cannot fail it).
+    - `max_sigmas`: cap of a single innovation (chosen: one bad frame alone cannot fail it).
     - `gap_mm`: a station this far off the last restarts the test (chosen: a third of the length over which
       seams bend).
     - `pose_time_s`: 1 sigma of a pose's time against its frame's (the age's rounding to 1 ms, and a wait for
@@ -52,7 +52,7 @@ class InnovationLimits:
     window: int = 20
     false_alarm: float = 1e-6
     sigma_floor_mm: float = 0.03
-    most_sigmas: float = 4.0
+    max_sigmas: float = 4.0
     gap_mm: float = 20.0
     pose_time_s: float = 0.001
 
@@ -136,7 +136,7 @@ class _SeamAxis:
         )
 
     def measured(
-        self, displacement_mm: float, variance_mm2: float, most_sigmas: float = math.inf
+        self, displacement_mm: float, variance_mm2: float, max_sigmas: float = math.inf
     ) -> tuple[_SeamAxis, float]:
         """Return what is known after a measurement, and its innovation over its sigma, both cut (Huber)."""
         p00, p01, p02, p11, p12, p22 = self.covariance
@@ -144,7 +144,7 @@ class _SeamAxis:
         spread = g0 + g2 + variance_mm2
         sigma_mm = math.sqrt(spread)
         innovation = (displacement_mm - self.mean[0] - self.mean[2]) / sigma_mm
-        innovation = math.copysign(min(abs(innovation), most_sigmas), innovation)
+        innovation = math.copysign(min(abs(innovation), max_sigmas), innovation)
         share = innovation / sigma_mm
         mean = (
             self.mean[0] + g0 * share,
@@ -217,7 +217,7 @@ class SeamInnovation:
         there = self.known.moved(seam.station_mm)
         for axis, displacement_mm, sigma_mm in zip(there, seam.displacement_mm, seam.sigma_mm, strict=True):
             known, innovation = axis.measured(
-                displacement_mm, _variance_mm2(sigma_mm, limits), limits.most_sigmas
+                displacement_mm, _variance_mm2(sigma_mm, limits), limits.max_sigmas
             )
             axes.append(known)
             innovations.append(innovation)

@@ -67,7 +67,7 @@ class Bridging:
         The nominal seam: before its start and past its end no joint is missed.
     ahead_tool_mm : tuple (3,)
         Where the sensor looks at the seam, mm, tool frame.
-    most_mm : float
+    max_mm : float
         How far the sensor may go along the seam without seeing the joint, mm.
 
     Raises
@@ -78,11 +78,11 @@ class Bridging:
 
     path: NominalPath
     ahead_tool_mm: Vector
-    most_mm: float
+    max_mm: float
 
     def __post_init__(self) -> None:
-        if not self.most_mm > 0.0:
-            raise ValueError(f"bridge_mm = {self.most_mm}: must be > 0")
+        if not self.max_mm > 0.0:
+            raise ValueError(f"bridge_mm = {self.max_mm}: must be > 0")
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ class PartWatch:
             self._check = self._check.seen(track, job.part)
         if job.bridging is not None and T_base_tool is not None:
             self._bridge = self._bridge.seen(track, T_base_tool, job.bridging)
-            if self._bridge.bridged_mm > job.bridging.most_mm:
+            if self._bridge.bridged_mm > job.bridging.max_mm:
                 return Fault.BRIDGED_TOO_FAR
         return self._check.fault
 

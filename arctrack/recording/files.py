@@ -64,7 +64,7 @@ def check_folder(folder: Path) -> None:
         )
 
 
-def open_file(path: Path, most_bytes: int) -> io.BufferedReader:
+def open_file(path: Path, max_bytes: int) -> io.BufferedReader:
     """Open a regular file to read; UnfitFileError if it is of another kind or larger, OSError as `open`."""
     try:
         # Opened without waiting: a FIFO that nobody writes to would hold up the open itself.
@@ -73,36 +73,36 @@ def open_file(path: Path, most_bytes: int) -> io.BufferedReader:
         raise UnfitFileError("a NUL byte is in its name") from None
     except OSError:
         # A socket cannot be opened at all: its kind says more.
-        check_file(path, most_bytes)
+        check_file(path, max_bytes)
         raise
     try:
-        _check(os.fstat(descriptor), most_bytes)
+        _check(os.fstat(descriptor), max_bytes)
     except UnfitFileError:
         os.close(descriptor)
         raise
     return os.fdopen(descriptor, "rb")
 
 
-def check_file(path: Path, most_bytes: int) -> None:
+def check_file(path: Path, max_bytes: int) -> None:
     """Check a file that another library opens; UnfitFileError and OSError as for `open_file`."""
-    _check(os.stat(path), most_bytes)
+    _check(os.stat(path), max_bytes)
 
 
-def read_bytes(path: Path, most_bytes: int) -> bytes:
+def read_bytes(path: Path, max_bytes: int) -> bytes:
     """Return a file's content; UnfitFileError and OSError as for `open_file`."""
-    with open_file(path, most_bytes) as file:
-        content = file.read(most_bytes + 1)
-    if len(content) > most_bytes:
-        raise UnfitFileError(_too_large(len(content), most_bytes))
+    with open_file(path, max_bytes) as file:
+        content = file.read(max_bytes + 1)
+    if len(content) > max_bytes:
+        raise UnfitFileError(_too_large(len(content), max_bytes))
     return content
 
 
-def read_text(path: Path, most_bytes: int) -> str:
+def read_text(path: Path, max_bytes: int) -> str:
     """Return a UTF-8 text without its byte order mark, lines ended by a newline alone.
 
     UnfitFileError, with the line, for another encoding; else as for `open_file`.
     """
-    content = read_bytes(path, most_bytes)
+    content = read_bytes(path, max_bytes)
     if is_utf16(content):
         raise UnfitFileError("is UTF-16: save it as UTF-8")
     try:
@@ -139,13 +139,13 @@ def in_bytes(count: int) -> str:
     return f"{count} bytes"
 
 
-def _check(status: os.stat_result, most_bytes: int) -> None:
+def _check(status: os.stat_result, max_bytes: int) -> None:
     kind = kind_of(status.st_mode)
     if kind is not None:
         raise UnfitFileError(f"is a {kind}: a regular file is needed")
-    if status.st_size > most_bytes:
-        raise UnfitFileError(_too_large(status.st_size, most_bytes))
+    if status.st_size > max_bytes:
+        raise UnfitFileError(_too_large(status.st_size, max_bytes))
 
 
-def _too_large(count: int, most_bytes: int) -> str:
-    return f"has {in_bytes(count)}: {in_bytes(most_bytes)} is the most"
+def _too_large(count: int, max_bytes: int) -> str:
+    return f"has {in_bytes(count)}: {in_bytes(max_bytes)} is the most"

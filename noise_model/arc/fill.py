@@ -364,13 +364,13 @@ def fill_pixels(
     Cells that hold less of them than nodes are not worth making.
     """
     x_low, x_high, y_low, y_high = k.reach
-    least_mm2 = CELL_WORTH * (x_high - x_low) * (y_high - y_low) / max(len(pixels), 1)
+    min_mm2 = CELL_WORTH * (x_high - x_low) * (y_high - y_low) / max(len(pixels), 1)
     room = work.records[0]
     for first in range(0, len(pixels), LARGEST):
         n = min(LARGEST, len(pixels) - first)
         for i in range(n):
             room.pixels[i] = pixels[first + i]
         places_on_rays(k, table.seen, xy, n, room)
-        light_at_places(k, table, cos4, n, least_mm2, work)
+        light_at_places(k, table, cos4, n, min_mm2, work)
         for i in range(n):
             out[first + i] = room.light_e[i]

@@ -263,7 +263,7 @@ def root_cell(table: FaceTable, face: int, i: int, j: int) -> int:
 
 @kernel(inline=True)
 def cell_at(
-    k: ArcKernel, table: FaceTable, face: int, x: float, s: float, least_mm2: float, work: ArcScratch
+    k: ArcKernel, table: FaceTable, face: int, x: float, s: float, min_mm2: float, work: ArcScratch
 ) -> int:
     """Return the cell at a face's coordinates, made if need be.
 
@@ -278,7 +278,7 @@ def cell_at(
     if cell < 0:
         return -1
     while True:
-        if not table.is_ready[cell] and least_mm2 * inverse[cell, 0] * inverse[cell, 1] > 4.0:
+        if not table.is_ready[cell] and min_mm2 * inverse[cell, 0] * inverse[cell, 1] > 4.0:
             return -1
         if axis[cell] >= NEW:
             make_cell(k, table, face, cell, work)
@@ -290,11 +290,11 @@ def cell_at(
 
 @kernel
 def light_at_places(
-    k: ArcKernel, table: FaceTable, cos4: Float32, n: int, least_mm2: float, work: ArcScratch
+    k: ArcKernel, table: FaceTable, cos4: Float32, n: int, min_mm2: float, work: ArcScratch
 ) -> None:
     """Write the arc's light, e-, that the first n pixels receive from their places on faces.
 
-    It is integrated where there is no cell or none of at least `least_mm2`; NaN where a place is.
+    It is integrated where there is no cell or none of at least `min_mm2`; NaN where a place is.
     """
     room = work.records[0]
     pixels, faces, places, light_e = room.pixels[:], room.faces[:], room.places[:], room.light_e[:]
@@ -312,7 +312,7 @@ def light_at_places(
         elif cell >= 0:
             t, u = (x - middle[cell, 0]) * inverse[cell, 0], (s - middle[cell, 1]) * inverse[cell, 1]
         if not (abs(t) < 1.0 and abs(u) < 1.0):
-            cell = cell_at(k, table, face, x, s, least_mm2, work)
+            cell = cell_at(k, table, face, x, s, min_mm2, work)
         if cell >= 0:
             t, u = (x - middle[cell, 0]) * inverse[cell, 0], (s - middle[cell, 1]) * inverse[cell, 1]
             light_e[i] = _value(powers[cell], t, u) / fall_off(k, on, x, s)

@@ -91,10 +91,10 @@ def expected_sigma_px(
         return np.asarray(np.sqrt(A.shape[1] / np.maximum(information, 0.0)))
 
 
-def ladder_s(least_s: float, most_s: float, step: float = POLICY.step) -> Float64:
+def ladder_s(min_s: float, max_s: float, step: float = POLICY.step) -> Float64:
     """Return exposures from the least on, each a step longer, up to the most, s."""
-    count = 1 + max(0, math.floor(math.log(most_s / least_s) / math.log(step) + 1e-9))
-    return np.asarray(least_s * step ** np.arange(count, dtype=np.float64), dtype=np.float64)
+    count = 1 + max(0, math.floor(math.log(max_s / min_s) / math.log(step) + 1e-9))
+    return np.asarray(min_s * step ** np.arange(count, dtype=np.float64), dtype=np.float64)
 
 
 def better_exposure_s(

@@ -53,7 +53,7 @@ class PlanOptions:
     preview_mm: Range = (20.0, 50.0)
     stand_off_mm: Range = (100.0, 250.0)
     filters_nm: tuple[float, ...] = (5.0, 10.0, 20.0)
-    most_exposure_s: float | None = None
+    max_exposure_s: float | None = None
     lean_deg: float = 10.0
     torch_radius_mm: float = 12.5
     limit_mm: float | None = None
@@ -75,7 +75,7 @@ class PlanOptions:
             raise ValueError(f"lean_deg {self.lean_deg:g}: must be 0 to 45")
         if not 0.0 <= self.torch_radius_mm < math.inf:
             raise ValueError(f"torch_radius_mm {self.torch_radius_mm:g}: must be >= 0 and finite")
-        for name in ("most_exposure_s", "limit_mm"):
+        for name in ("max_exposure_s", "limit_mm"):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < math.inf:
                 raise ValueError(f"{name} {value:g}: must be > 0 and finite")
@@ -199,7 +199,7 @@ def search_space(setup: Setup, options: PlanOptions) -> SearchSpace:
         previews_mm=_steps(options.preview_mm, PREVIEW_STEP_MM),
         stand_offs_mm=_steps(options.stand_off_mm, STAND_OFF_STEP_MM),
         filters_nm=tuple(sorted(set(options.filters_nm))),
-        most_exposure_s=options.most_exposure_s or LONGER_EXPOSURE * setup.camera.exposure_s,
+        max_exposure_s=options.max_exposure_s or LONGER_EXPOSURE * setup.camera.exposure_s,
         torch_radius_mm=options.torch_radius_mm,
     )
 
@@ -219,7 +219,7 @@ def _noise_map(
     for n, tilt in enumerate(tilts):
         for azimuth in azimuths:
             design = replace(own, tilt_deg=tilt, azimuth_deg=azimuth)
-            candidates += judge(setup, design, poses, around, None, space.most_exposure_s)
+            candidates += judge(setup, design, poses, around, None, space.max_exposure_s)
         tell("map", n + 1, len(tilts))
     return NoiseMap(tilts, azimuths, tuple(candidates))
 

@@ -54,10 +54,10 @@ def find_cure(
     poses = _poses(along, stretch)
 
     def worst(
-        design: SensorDesign, lean: tuple[float, float], most_exposure_s: float | None
+        design: SensorDesign, lean: tuple[float, float], max_exposure_s: float | None
     ) -> DesignCandidate:
         turned = np.array([leaned(T_base_tool, *lean) for T_base_tool in poses])
-        return judge(setup, design, turned, around, None, most_exposure_s)[0]
+        return judge(setup, design, turned, around, None, max_exposure_s)[0]
 
     upright = (0.0, 0.0)
     angles = np.linspace(-lean_deg, lean_deg, 2 * LEANS_A_SIDE + 1)

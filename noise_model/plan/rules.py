@@ -87,12 +87,12 @@ class DesignRules:
     azimuth: DesignRule
 
 
-def try_rules(setup: Setup, poses: Float64, around: Surroundings, most_exposure_s: float) -> DesignRules:
+def try_rules(setup: Setup, poses: Float64, around: Surroundings, max_exposure_s: float) -> DesignRules:
     """Try both rules at poses T_base_tool (n, 4, 4)."""
     own = design_of(setup)
 
     def tried(designs: Sequence[SensorDesign]) -> tuple[DesignCandidate, ...]:
-        return tuple(judge(setup, d, poses, around, None, most_exposure_s)[0] for d in designs)
+        return tuple(judge(setup, d, poses, around, None, max_exposure_s)[0] for d in designs)
 
     tilted = tried([replace(own, tilt_deg=t) for t in TILTS_DEG])
     heads = [(t, design) for t in TILTS_DEG if (design := head_tilted(own, t)) is not None]

@@ -67,7 +67,7 @@ class SearchSpace:
 
     Designs whose camera would look through the torch, of `torch_radius_mm`, are left out.
     Exposures are not searched: of all that saturate no expected pixel the longest has the least noise, so
-    each design takes that one, up to `most_exposure_s`.
+    each design takes that one, up to `max_exposure_s`.
     """
 
     tilts_deg: tuple[float, ...]
@@ -75,7 +75,7 @@ class SearchSpace:
     previews_mm: tuple[float, ...]
     stand_offs_mm: tuple[float, ...]
     filters_nm: tuple[float, ...]
-    most_exposure_s: float
+    max_exposure_s: float
     torch_radius_mm: float
 
     def poses(self, own: SensorDesign) -> list[SensorDesign]:
@@ -95,11 +95,11 @@ def judge(
     poses: Float64,
     around: Surroundings,
     filters_nm: Sequence[float] | None = None,
-    most_exposure_s: float | None = None,
+    max_exposure_s: float | None = None,
 ) -> list[DesignCandidate]:
     """Judge a design at poses T_base_tool (n, 4, 4), once for each filter, its own if none is given.
 
-    With `most_exposure_s` each takes the longest exposure up to it that saturates nothing expected, else the
+    With `max_exposure_s` each takes the longest exposure up to it that saturates nothing expected, else the
     design's own. A pose that the design cannot be used at is blind, and so is a filter that the laser does
     not pass.
     """
@@ -126,9 +126,9 @@ def judge(
         optics = filter_of(setup, fwhm)
         pixels = [None if light is None else expected_pixels(light, bare, around, optics) for light in lights]
         exposure_s = design.exposure_s
-        if most_exposure_s is not None:
+        if max_exposure_s is not None:
             longest = longest_exposure(_brightest(pixels), bare.sensor)
-            exposure_s = min(most_exposure_s, longest * own.exposure_s)
+            exposure_s = min(max_exposure_s, longest * own.exposure_s)
         exposure = exposure_s / own.exposure_s
         noise = [
             BLIND
@@ -169,7 +169,7 @@ def search(
     designs = space.poses(design_of(setup))
     judged = []
     for n, design in enumerate(designs):
-        judged += judge(setup, design, poses, around, space.filters_nm, space.most_exposure_s)
+        judged += judge(setup, design, poses, around, space.filters_nm, space.max_exposure_s)
         if progress is not None:
             progress(n + 1, len(designs))
     return judged
@@ -195,7 +195,7 @@ def refine(
         design = replace(start.design, tilt_deg=tilt, azimuth_deg=azimuth)
         if not clears_torch(design, space.torch_radius_mm):
             continue
-        [judged] = judge(setup, design, poses, around, None, space.most_exposure_s)
+        [judged] = judge(setup, design, poses, around, None, space.max_exposure_s)
         best = min(best, judged, key=lambda c: c.sigma_mm)
     return best
 

@@ -21,7 +21,7 @@ def frame_bits(length: int = FRAME_LENGTH) -> int:
     return 47 + 8 * length + (34 + 8 * length - 1) // 4
 
 
-def least_frame_bits(length: int = FRAME_LENGTH) -> int:
+def min_frame_bits(length: int = FRAME_LENGTH) -> int:
     """Return the fewest bits of such a frame: none of them is a stuff bit."""
     return 47 + 8 * length
 

@@ -74,14 +74,14 @@ def with_poses(recording: Recording, change: Callable[[Float64, Float64], Float6
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("change", "least_frames"),
+    ("change", "min_frames"),
     [(frozen, 5), (y_flipped, 10), (conjugated, 3), (drifting, 15), (late, 15)],
 )
 def test_offsets_that_rest_on_wrong_poses_are_refused(
     example: Recording,
     tmp_path: Path,
     change: Callable[[Float64, Float64], Float64],
-    least_frames: int,
+    min_frames: int,
 ) -> None:
     done = replay_recording(with_poses(example, change), tmp_path, ReplayOptions(pictures=False))
     rows = results_of(tmp_path)
@@ -89,7 +89,7 @@ def test_offsets_that_rest_on_wrong_poses_are_refused(
     first = doubted.index(True)
     # The torch comes later to what was measured meanwhile: the doubt lasts.
     assert all(doubted[first:])
-    assert len(rows) - first >= least_frames
+    assert len(rows) - first >= min_frames
     assert {row["offset_y_mm"] for row in rows[first:]} == {""}
     # Without an arc they are refused in any case.
     assert done.summary.refusals["pose_implausible"] == sum(row.arc_on for row in example.rows[first:])

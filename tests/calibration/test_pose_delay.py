@@ -57,8 +57,8 @@ def test_a_weave_tells_the_delay_within_its_sigma() -> None:
     assert abs(result.delay_s - DELAY_S) < 3.5 * result.sigma_s
     # Cramer and Rao for a straight seam: noise over sideways and upward speed.
     speed = np.gradient(weaving(np.arange(0.0, 5.0, 0.01)), 0.01, axis=0)
-    least_s = NOISE_MM / np.sqrt(len(FRAMES_S) * np.mean(np.sum(speed**2, axis=1)))
-    assert 0.9 * least_s < result.sigma_s < 2.0 * least_s
+    min_s = NOISE_MM / np.sqrt(len(FRAMES_S) * np.mean(np.sum(speed**2, axis=1)))
+    assert 0.9 * min_s < result.sigma_s < 2.0 * min_s
     assert result.ln_likelihood.max() == 0.0
     assert result.delays_s[np.argmax(result.ln_likelihood)] == result.delay_s
 

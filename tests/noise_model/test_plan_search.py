@@ -328,7 +328,7 @@ def test_spaces() -> None:
     assert search_space(steel_groove(), PlanOptions()).azimuths_deg[0] == 0.0
     lap = search_space(plan_setup("lap", "mild_steel"), PlanOptions())
     assert (lap.azimuths_deg[0], lap.azimuths_deg[-1], len(lap.azimuths_deg)) == (-150.0, 180.0, 12)
-    assert lap.most_exposure_s == 0.01
+    assert lap.max_exposure_s == 0.01
     through = [d for d in lap.poses(DESIGN) if d.azimuth_deg == 180.0]
     assert all(d.tilt_deg < 30.0 or d.preview_mm > 40.0 for d in through)
     free = search_space(plan_setup("lap", "mild_steel"), PlanOptions(torch_radius_mm=0.0))
@@ -346,7 +346,7 @@ def test_spaces() -> None:
         ({"filters_nm": (5.0, math.inf)}, "filters_nm"),
         ({"filters_nm": (5.0, math.nan)}, "filters_nm"),
         ({"stand_off_mm": (math.nan, 200.0)}, "stand_off_mm nan to 200: must be finite"),
-        ({"most_exposure_s": math.nan}, "most_exposure_s"),
+        ({"max_exposure_s": math.nan}, "max_exposure_s"),
         ({"limit_mm": math.inf}, "limit_mm"),
         ({"lean_deg": 50.0}, "lean_deg"),
         ({"torch_radius_mm": -1.0}, "torch_radius_mm"),

@@ -78,8 +78,8 @@ def test_unknown_codes_are_the_extreme_ones_and_outside_the_range(layout):
         unknown = invalid_raw(signal)
         if unknown is None:
             continue
-        most_negative, all_ones = -(1 << (signal.length - 1)), (1 << signal.length) - 1
-        assert unknown == (most_negative if signal.is_signed else all_ones)
+        min_code, all_ones = -(1 << (signal.length - 1)), (1 << signal.length) - 1
+        assert unknown == (min_code if signal.is_signed else all_ones)
         if set(signal.choices) == {unknown}:
             assert not signal.minimum <= unknown * signal.scale + signal.offset <= signal.maximum
 

@@ -187,11 +187,11 @@ def test_a_message_that_came_late_is_told_by_how_much(late_s):
     state, _ = world.run(100)
     message, read_s = world.exchange(100)
     state = state.heard(message, read_s + late_s, LIMITS)
-    least_s, most_s = state.delay_s(read_s + late_s, LIMITS)
+    min_s, max_s = state.delay_s(read_s + late_s, LIMITS)
     true_s = read_s + late_s - world.tracker_s(10.0)
-    assert least_s <= true_s <= most_s
-    assert least_s > late_s - 0.001
-    assert most_s - least_s < 0.001
+    assert min_s <= true_s <= max_s
+    assert min_s > late_s - 0.001
+    assert max_s - min_s < 0.001
 
 
 def test_a_round_trip_belongs_to_the_message_before():

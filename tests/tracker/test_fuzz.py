@@ -59,33 +59,33 @@ def setups(draw: st.DrawFn) -> Setup:
     return rolled(setup) if draw(st.booleans()) else setup
 
 
-def image_dn(kind: str, shape: tuple[int, int], most_dn: int, rng: np.random.Generator) -> np.ndarray:
-    """Return an image (H, W), float64, of codes up to `most_dn`."""
+def image_dn(kind: str, shape: tuple[int, int], max_dn: int, rng: np.random.Generator) -> np.ndarray:
+    """Return an image (H, W), float64, of codes up to `max_dn`."""
     height, width = shape
-    level = rng.uniform(0.0, most_dn)
+    level = rng.uniform(0.0, max_dn)
     if kind == "noise":
-        return rng.normal(level, rng.uniform(0.5, 0.2 * most_dn), shape).clip(0.0, most_dn)
+        return rng.normal(level, rng.uniform(0.5, 0.2 * max_dn), shape).clip(0.0, max_dn)
     if kind == "random":
-        return rng.integers(0, most_dn + 1, shape).astype(float)
+        return rng.integers(0, max_dn + 1, shape).astype(float)
     if kind == "blocks":
         size = int(rng.integers(2, 17))
-        blocks = rng.integers(0, most_dn + 1, (height // size + 1, width // size + 1))
+        blocks = rng.integers(0, max_dn + 1, (height // size + 1, width // size + 1))
         return np.kron(blocks, np.ones((size, size)))[:height, :width]
     if kind == "salt":
-        return np.where(rng.random(shape) < 0.05, most_dn, 0.0)
+        return np.where(rng.random(shape) < 0.05, max_dn, 0.0)
     if kind in ("rows", "columns"):
         along, across = np.meshgrid(np.arange(width), np.arange(height))
         if kind == "columns":
             along, across = across, along
-        image = rng.normal(0.1 * level, 0.02 * most_dn, shape)
+        image = rng.normal(0.1 * level, 0.02 * max_dn, shape)
         for _ in range(rng.integers(1, 4)):
             middle = rng.uniform(0.0, max(shape)) + rng.normal(0.0, 0.3) * along
             middle += rng.uniform(0.0, 6.0) * np.abs(along - rng.uniform(0.0, max(shape))) / 8.0
             image += level * np.exp(-0.5 * ((across - middle) / rng.uniform(0.5, 6.0)) ** 2)
-        return image.clip(0.0, most_dn)
-    image = np.full(shape, {"black": 0.0, "white": most_dn}.get(kind, level))
+        return image.clip(0.0, max_dn)
+    image = np.full(shape, {"black": 0.0, "white": max_dn}.get(kind, level))
     if kind == "half":
-        image[: height // 2] = most_dn
+        image[: height // 2] = max_dn
     return image
 
 
@@ -105,17 +105,17 @@ def frames(draw: st.DrawFn, setup: Setup, pose: Pose | None) -> Frame:
     """Frames of the right kind and of a wrong type or size, under any condition."""
     shape = (setup.camera.height, setup.camera.width)
     dtype: Any = setup.sensor.dtype
-    most_dn = setup.sensor.max_dn
+    max_dn = setup.sensor.max_dn
     if not draw(st.integers(0, 9)):
         dtype = draw(st.sampled_from([np.uint8, np.uint16, np.int16, np.float32, np.bool_, ">u2"]))
     if not draw(st.integers(0, 9)):
         shape = draw(st.tuples(st.integers(0, MAX_PX), st.integers(0, MAX_PX)))
     if dtype == np.uint16 and draw(st.booleans()):
-        most_dn = 65535
+        max_dn = 65535
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     kind = draw(st.sampled_from([*KINDS, *("seen",) * len(KINDS)]))
     if kind != "seen":
-        image = image_dn(kind, shape, most_dn, rng).astype(dtype)
+        image = image_dn(kind, shape, max_dn, rng).astype(dtype)
     elif is_near(pose):
         image = seen_dn(setup, pose, rng).astype(dtype)
     else:

@@ -298,9 +298,9 @@ def end_between(
             latest = last
     before, behind = max(earliest - 1, 0), min(latest, n - 1)
     plate = before if plate_first else behind
-    most_unread = 0 if light.position_px.shape[0] == 0 else clear_of_an_edge(light)
+    max_unread = 0 if light.position_px.shape[0] == 0 else clear_of_an_edge(light)
     unread = unread_from(lines, behind, 1) if plate_first else unread_from(lines, before, -1)
-    if unread < most_unread:
+    if unread < max_unread:
         behind += unread if plate_first else 0
         before -= 0 if plate_first else unread
     low, high = lines.y_mm[max(before, 0)], lines.y_mm[min(behind, n - 1)]

@@ -157,10 +157,10 @@ def seen_share(
         return math.nan
     weak_e = WEAK * exact_median(held_e[:n_found])
     for s in range(n):
-        most_e = 0.0
+        max_e = 0.0
         for j in range(background_e.shape[1]):
-            most_e = max(most_e, math.inf if censored[s, j] else np.float64(background_e[s, j]))
-        worst_e2 = math.inf if most_e == math.inf else shot * most_e + dark_variance_e2
+            max_e = max(max_e, math.inf if censored[s, j] else np.float64(background_e[s, j]))
+        worst_e2 = math.inf if max_e == math.inf else shot * max_e + dark_variance_e2
         is_clear = weak_e * math.sqrt(0.52 * expected.sigma_px[s] / worst_e2) > CLEAR_SIGMAS
         absent[s] = expected.shown[s] and is_clear and not holds[s]
         n_absent += absent[s]

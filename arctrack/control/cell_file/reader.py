@@ -152,10 +152,10 @@ def _capture(table: CellCameraTable) -> CaptureChoice:
             "[camera] exposure_range_s: goes with exposure = 'predicted', and it with exposure_range_s"
         )
     if table.exposure_range_s is not None:
-        least_s, most_s = table.exposure_range_s
-        if not 0.0 < least_s < most_s:
+        min_s, max_s = table.exposure_range_s
+        if not 0.0 < min_s < max_s:
             raise ValueError(f"[camera] exposure_range_s = {table.exposure_range_s}: must rise from above 0")
-        stated["exposure_range_s"] = (least_s, most_s)
+        stated["exposure_range_s"] = (min_s, max_s)
     return CaptureChoice(**stated)
 
 

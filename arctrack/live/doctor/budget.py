@@ -16,7 +16,7 @@ from arctrack.live.serve.latency import Quantiles
 from arctrack.live.serve.loop import NEAR_S, TURN_S
 from noise_model.setup import Setup
 from robot_io import RobotPosePosition, cycle_time_s, message_layout
-from robot_io.protocol.bus_load import frame_bits, least_frame_bits, response_time_s
+from robot_io.protocol.bus_load import frame_bits, min_frame_bits, response_time_s
 
 SERIAL_LINE_S = 0.0023
 """A frame over a serial adapter at 115200 bit/s: 26 characters of ten bits."""
@@ -121,7 +121,7 @@ def _pose(cell: CellFile, came: tuple[LatencyPart, ...]) -> LatencyPart:
 def _bus(cell: CellFile) -> tuple[LatencyPart, ...]:
     rate, bit_rate = cell.camera.frame_rate_hz, cell.bus.bit_rate_bit_s
     answered = response_time_s("SeamOffset", rate, bit_rate)
-    least, most = least_frame_bits(), frame_bits()
+    least, most = min_frame_bits(), frame_bits()
     text = f"{answered.frames} frames at most, each of {least} to {most} bits"
     bus = LatencyPart("bus", (least + most) / 2.0 / bit_rate, answered.time_s, text)
     if cell.bus.interface != "slcan":

@@ -48,8 +48,8 @@ class ExposureChooser:
     """Choice of the best exposure within `range_s` (least, largest), some times a second."""
 
     def __init__(self, range_s: tuple[float, float], frame_rate_hz: float) -> None:
-        self._least_s = range_s[0]
-        self._most_s = min(range_s[1], FRAME_SHARE / frame_rate_hz)
+        self._min_s = range_s[0]
+        self._max_s = min(range_s[1], FRAME_SHARE / frame_rate_hz)
         self._chosen_at_s = self._read_at_s = -math.inf
         self._seen: _TimedPose | None = None
 
@@ -96,7 +96,7 @@ class ExposureChooser:
         place_px = np.clip(np.rint(stripe.position_px[lines] + moved_px[lines]), 0, geometry.n_pos - 1)
         kernel = arc_kernel(geometry.setup, scene, expected_output(geometry.setup, frame))
         light_e = arc_map_of(geometry, kernel).at(lines * geometry.n_pos + place_px.astype(np.int64))
-        rungs_s = ladder_s(self._least_s, max(self._least_s, self._longest_s(velocity_mm_s)))
+        rungs_s = ladder_s(self._min_s, max(self._min_s, self._longest_s(velocity_mm_s)))
         sigma_px = expected_sigma_px(
             np.append(rungs_s, frame.exposure_s),
             stripe.amplitude_e[lines] / frame.exposure_s,
@@ -111,4 +111,4 @@ class ExposureChooser:
 
     def _longest_s(self, velocity_mm_s: Float64) -> float:
         speed_mm_s = float(np.linalg.norm(velocity_mm_s))
-        return min(self._most_s, ALONG_MM / speed_mm_s) if speed_mm_s > 0.0 else self._most_s
+        return min(self._max_s, ALONG_MM / speed_mm_s) if speed_mm_s > 0.0 else self._max_s

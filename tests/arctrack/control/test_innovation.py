@@ -103,7 +103,7 @@ def test_one_bad_frame_is_no_wrong_pose():
 
 @pytest.mark.slow
 def test_windows_fail_no_more_often_than_stated():
-    limits = replace(LIMITS, false_alarm=0.02, sigma_floor_mm=0.001, most_sigmas=100.0)
+    limits = replace(LIMITS, false_alarm=0.02, sigma_floor_mm=0.001, max_sigmas=100.0)
     failed = windows = 0
     for seed in range(150):
         # A window that begins where the filter has learnt, and shares nothing with another.
@@ -115,7 +115,7 @@ def test_windows_fail_no_more_often_than_stated():
 
 
 def test_innovations_are_as_wide_as_they_say():
-    limits = replace(LIMITS, most_sigmas=100.0, sigma_floor_mm=0.001)
+    limits = replace(LIMITS, max_sigmas=100.0, sigma_floor_mm=0.001)
     states = [state for seed in range(8) for _, state in run(seed, limits=limits)]
     values = np.array([state.innovations[-1] for state in states if state.innovations])
     assert 0.85 < values[:, 0].std() < 1.05
@@ -132,7 +132,7 @@ def test_the_filter_is_the_process_of_the_seam():
         if n:
             value, sigma = history.at(float(station_mm))
             expected = (np.array([y, z]) - value) / np.sqrt(sigma**2 + [0.2**2 + 1e-4, 0.1**2 + 1e-4])
-        state = state.with_seam(measured, replace(LIMITS, most_sigmas=100.0, false_alarm=1e-30))
+        state = state.with_seam(measured, replace(LIMITS, max_sigmas=100.0, false_alarm=1e-30))
         if n:
             np.testing.assert_allclose(state.innovations[-1], expected, rtol=1e-6, atol=1e-9)
         history = history.with_measurement(float(station_mm), np.array([y, z]), np.array([0.2**2, 0.1**2]))

@@ -32,8 +32,8 @@ class DeviceClock:
         self._seen.append((arrived_s, apart_s))
         while arrived_s - self._seen[0][0] > WINDOW_S:
             self._seen.popleft()
-        least_s = min(apart for _, apart in self._seen)
+        min_s = min(apart for _, apart in self._seen)
         if len(self._seen) > 1:
-            excess_s = sum(apart - least_s for _, apart in self._seen) / (len(self._seen) - 1)
+            excess_s = sum(apart - min_s for _, apart in self._seen) / (len(self._seen) - 1)
             self.sigma_s = excess_s / len(self._seen)
-        return stamp_s + least_s
+        return stamp_s + min_s

@@ -121,9 +121,9 @@ def _choose_trigger(camera: Any, choice: CameraChoice) -> None:
     trigger = choice.capture.trigger
     if camera.is_frame_rate_available():
         # This ends all triggers too. A rate that is kept would hold triggered frames up.
-        least_hz, most_hz = camera.get_frame_rate_bounds()
-        wanted_hz = choice.frame_rate_hz if trigger == "free" else most_hz
-        camera.set_frame_rate(min(max(wanted_hz, least_hz), most_hz))
+        min_hz, max_hz = camera.get_frame_rate_bounds()
+        wanted_hz = choice.frame_rate_hz if trigger == "free" else max_hz
+        camera.set_frame_rate(min(max(wanted_hz, min_hz), max_hz))
     camera.clear_triggers()
     if trigger == "free":
         return

@@ -103,7 +103,7 @@ def test_the_page_shows_a_cell_file_that_can_be_read(new_cell: Path) -> None:
     assert (job.joint_type, job.correction.enabled, job.correction.y.bias_mm) == ("lap", (True, False), 0.3)
     assert job.part == PartLimits(gap_mm=(0.0, 1.2), mismatch_mm=(-0.5, 0.5))
     assert job.bridging is not None
-    assert job.bridging.most_mm == 8.0
+    assert job.bridging.max_mm == 8.0
     assert job.bridging.path.length_mm == 420.0
     assert job.bridging.ahead_tool_mm == pytest.approx((35.0, 0.0, 0.0))
 

@@ -24,7 +24,7 @@ from arctrack.live.doctor.camera import CameraReading
 from arctrack.live.doctor.finding import FindingState
 from arctrack.live.doctor.steps import StepTimes
 from arctrack.live.serve.latency import LatencyCounts, Quantiles
-from robot_io.protocol.bus_load import frame_bits, least_frame_bits, response_time_s
+from robot_io.protocol.bus_load import frame_bits, min_frame_bits, response_time_s
 from robot_io.protocol.dbc import cycle_time_s, database
 
 
@@ -38,7 +38,7 @@ def quantiles(*times_ms: float) -> Quantiles:
 def test_a_gigabit_line_carries_the_rows_that_the_page_states() -> None:
     assert max_rows(1280, 1, 200.0) == 464
     assert transfer_s(1280 * 128) == pytest.approx(1.377e-3, rel=1e-3)
-    assert (least_frame_bits(), frame_bits()) == (111, 135)
+    assert (min_frame_bits(), frame_bits()) == (111, 135)
 
 
 @given(st.integers(1, 10_000), st.sampled_from([1, 2]), st.floats(0.1, 5000.0))
