@@ -41,9 +41,6 @@ from tracker.state import Frame, Pose
 MAX_FRAMES, MAX_SIGHTINGS = 48, 300
 """Largest number of compared frames with the arc on, and of observations of the seam; of more every n-th."""
 
-PIXEL_SIGMA = 0.02
-"""1 sigma of the arc's light from pixel to pixel beyond its noise, relative."""
-
 FIELD_SIGMA = 0.006
 """What the arc's light may be off slowly over the image, relative, 1 sigma of each of `FIELDS`.
 
@@ -53,18 +50,9 @@ It is the model's floor of the diagnosis, taken as alike in all frames: vignetti
 ARC_SIGMA_MM, ARC_RADIUS_SIGMA, REFLECTANCE_SIGMA = 0.1, 0.1, 0.1
 """1 sigma of the arc's place in the tool, and, relative, of its radius, of kappa_diff and of c2."""
 
-FLICKER_SIGMA = 0.1
-"""1 sigma of a frame's arc level about that of all, relative."""
-
-MAX_KINK = 0.003
-"""A pixel counts if its light's second difference over a derivative's step is a smaller share of it."""
-
 NEAR_SIGMAS, SETTLED_SIGMAS, MAX_ROUNDS = 1.0, 0.3, 20
 """Motion of the camera, in its sigmas, below which pixels are kept and rounds end, and their largest number.
 """
-
-MAX_STEP_SIGMAS = 3.0
-"""A round goes no further, in the priors' sigmas."""
 
 SEAM_KNOWN_MM = 0.2
 """A frame counts if the tracked seam is known so well under its stripe, 1 sigma."""
@@ -233,10 +221,7 @@ class _ArcHandEyeProblem:
             *(Parameter(name, "", 0.0, REFLECTANCE_SIGMA, step=0.05) for name in ("ln_kappa_diff", "ln_c2")),
             *(Parameter(f"seam_{n}", "", 0.0, 1.0, step=0.3) for n in range(self.curve.n_modes)),
             *(Parameter(name, "", 0.0, FIELD_SIGMA, step=1e-3) for name in FIELDS),
-            *(
-                Parameter(f"ln_level_{frame.index}", "", 0.0, FLICKER_SIGMA, step=1e-3)
-                for frame, _ in self.lit
-            ),
+            *(Parameter(f"ln_level_{frame.index}", "", 0.0, 0.1, step=1e-3) for frame, _ in self.lit),
         ]
 
     @property
@@ -306,12 +291,14 @@ class _ArcHandEyeProblem:
             # An arc that is wider is brighter by a square: only what moves the view tells a kink.
             if n < 6:
                 kink_e = above_e - 2.0 * (factor * arc_e + other_e) + below_e
-                smooth &= ~(np.abs(kink_e) > MAX_KINK * factor * arc_e)
+                # A pixel counts if its light is smooth over a derivative's step.
+                smooth &= ~(np.abs(kink_e) > 0.003 * factor * arc_e)
         smooth &= np.isfinite(J_e).all(axis=1)
         J_e[:, 6], J_e[:, 7] = factor * arc_e, 1.0
         J_e[:, first_field:first_level] = (level * arc_e * fields).T
         J_e[:, first_level:] = (factor * arc_e)[:, None] * (frame_of[:, None] == np.arange(len(views)))
-        sigma_e = np.sqrt(variance_e2(mean_e, self.setup.sensor) + (PIXEL_SIGMA * (mean_e - x[7])) ** 2)
+        # Beyond its noise the light scatters by 2 % from pixel to pixel.
+        sigma_e = np.sqrt(variance_e2(mean_e, self.setup.sensor) + (0.02 * (mean_e - x[7])) ** 2)
         charge_e = np.concatenate([view.charge_e for view in views])
         residuals, J = (charge_e - mean_e) / sigma_e, -J_e / sigma_e[:, None]
         return residuals[smooth], J[smooth]
@@ -331,7 +318,8 @@ def _curve(setup: Setup, sightings: SeamObservations, stations_mm: Float64) -> S
 def _settled(problem: _ArcHandEyeProblem, progress: Callable[[int, int], None]) -> Fit:
     """Choose pixels and fit in turn until the camera settles; ValueError if it does not, or far off."""
     parameters = problem.parameters
-    reach = MAX_STEP_SIGMAS * np.array([parameter.prior_sigma for parameter in parameters])
+    # A round goes no further than 3 sigmas of the priors.
+    reach = 3.0 * np.array([parameter.prior_sigma for parameter in parameters])
     x = np.zeros(len(parameters))
     is_near = is_settled = False
     for done in range(MAX_ROUNDS):

@@ -56,15 +56,6 @@ RIVAL_NATS, RIVAL_SIGMAS, MAX_RIVALS = 3.0, 5.0, 3
 """Deficit, nats, and distance, sigmas, of another maximum that leaves two answers; and their largest number.
 """
 
-BEND_BOUNDS_MM, SCATTER_BOUNDS_MM = (1e-3, 5.0), (1e-3, 2.0)
-"""Bounds of a seam's bend, and of the scatter of its points."""
-
-LN_SIGMA = 1.0
-"""1 sigma of ln(bend) and ln(scatter) about the tracker's own: short seams hardly determine them."""
-
-FINE_S = 1e-6
-"""Resolution of the likeliest delay."""
-
 MAX_TRACKINGS = 4
 """Largest number of times the recording is tracked: a better delay lets the tracker find more."""
 
@@ -300,7 +291,7 @@ class _DelayProblem:
             return -self.ln_likelihood(*self.seen(other_s), bends_mm, scatters_mm)
 
         near_s = np.clip([delay_s - GRID_S, delay_s + GRID_S], DELAY.lower + GRID_S, DELAY.upper - GRID_S)
-        best_s = float(minimize_scalar(loss, bounds=near_s, method="bounded", options={"xatol": FINE_S}).x)
+        best_s = float(minimize_scalar(loss, bounds=near_s, method="bounded", options={"xatol": 1e-6}).x)
         stations, _ = self.seen(best_s)
         J, information = self._speeds(best_s), 0.0
         for axis in (0, 1):
@@ -345,13 +336,14 @@ class _DelayProblem:
         self, stations: Float64, displacements: Float64, bends_mm: Float64, scatters_mm: Float64
     ) -> tuple[Float64, Float64]:
         """Return the likeliest bends and scatters (2,), mm, of points as a delay puts them."""
-        bounds = [np.log(BEND_BOUNDS_MM), np.log(SCATTER_BOUNDS_MM)]
+        bounds = [np.log((1e-3, 5.0)), np.log((1e-3, 2.0))]
         best = []
         for axis in (0, 1):
             usual = np.log([BEND_MM[axis], POINT_SCATTER_MM])
 
             def loss(ln: Float64, axis: int = axis, usual: Float64 = usual) -> float:
-                pull = 0.5 * float(np.sum(((ln - usual) / LN_SIGMA) ** 2))
+                # Short seams hardly determine either: both are known to a factor of e.
+                pull = 0.5 * float(np.sum((ln - usual) ** 2))
                 return pull - self._of_axis(axis, stations, displacements, *np.exp(ln))
 
             start = np.log([bends_mm[axis], scatters_mm[axis]])

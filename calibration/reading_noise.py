@@ -15,12 +15,6 @@ ROUNDS = 12
 MIN_FREEDOM = 1e-6
 """A residual that the fit takes up whole says nothing of the noise."""
 
-ROUNDING_DN2 = 1.0 / 12.0
-"""The variance of rounding to whole numbers."""
-
-N_TERMS = 60
-"""Number of Fourier terms of rounding's sawtooth: they hold all but 1 % of it."""
-
 FLOOR = 1e-6
 """The least noise, in parts of the largest signal: keeps the weights of noise-free data finite."""
 
@@ -91,6 +85,8 @@ def rounding_left(variance_dn2: Float64) -> Float64:
     squares 1 / (2 pi^2 k^2), exp(-4 pi^2 k^2 s^2) is left, of all of them 1/12 without noise. `variance_dn2`
     (m,) is that of the whole numbers: s^2 and 1/12.
     """
-    k2 = np.arange(1.0, N_TERMS + 1.0)[:, np.newaxis] ** 2
-    smear = np.exp(-4.0 * np.pi**2 * k2 * np.maximum(variance_dn2 - ROUNDING_DN2, 0.0))
+    # Sixty terms hold all but 1 % of rounding's sawtooth.
+    k2 = np.arange(1.0, 61.0)[:, np.newaxis] ** 2
+    # Rounding alone has a variance of 1/12.
+    smear = np.exp(-4.0 * np.pi**2 * k2 * np.maximum(variance_dn2 - 1.0 / 12.0, 0.0))
     return np.asarray((smear / (2.0 * np.pi**2 * k2)).sum(axis=0))

@@ -28,8 +28,6 @@ from noise_model.compiled.arrays import Float64
 from noise_model.fit import Fit, correlation, student_t
 from noise_model.surface.brdf import Material
 
-CONFIDENCE = 0.95
-
 
 @dataclass(frozen=True, eq=False)
 class StandardResiduals:
@@ -109,7 +107,7 @@ def identify_reflectance(
     scaled = fitted.fit.scaled_by_scatter()
     values, jacobian = _in_kappas(scaled.values, total)
     covariance = jacobian @ scaled.covariance @ jacobian.T
-    half = student_t(CONFIDENCE, scaled.t_freedom) * np.sqrt(np.diag(covariance))
+    half = student_t(0.95, scaled.t_freedom) * np.sqrt(np.diag(covariance))
     m = len(sample.settings)
     scatter = compare(model, by_repeats, slice(m))
     refuse_if_undetermined(sample, model, fitted, scatter, values, half)

@@ -9,13 +9,6 @@ from calibration.reflectance_model import C2, NAMES, ReadingsFit, ReadingsModel
 from calibration.scatter import RepeatScatter
 from noise_model.compiled.arrays import Bool, Float64
 
-SEEN_SIGMAS, SEEN_SETTINGS = 3.0, 3
-"""Height of the lobe over the noise, in sigmas, and number of settings: fewer could be a single bad reading.
-"""
-
-WIDEST = 0.5
-"""A 95 % interval wider than -+ this share of the value is no determination (kappa_diff: of both kappas)."""
-
 
 def refuse_if_unfit(sample: Readings, response: GreyResponse) -> None:
     """Raise ValueError for readings that no fit can use."""
@@ -68,8 +61,9 @@ def _why_undetermined(
 ) -> str | None:
     alpha_deg = np.degrees(sample.settings.alpha)
     span = f"half angles of {alpha_deg.min():.1f} to {alpha_deg.max():.1f} deg"
-    seen = int(np.sum(_lobe_over_noise(model, fitted)[: len(alpha_deg)] > SEEN_SIGMAS))
-    if seen < SEEN_SETTINGS:
+    # Fewer than three settings could be a single bad reading.
+    seen = int(np.sum(_lobe_over_noise(model, fitted)[: len(alpha_deg)] > 3.0))
+    if seen < 3:
         return (
             f"kappa_spec and c2 are not determined: of {len(alpha_deg)} settings, with {span} to the normal, "
             f"{_at(seen)} the lobe out of the noise; add settings near the mirror direction, where it is 0"
@@ -103,7 +97,7 @@ def _lobe_over_noise(model: ReadingsModel, fitted: ReadingsFit) -> Float64:
 
 def _too_wide(values: Float64, half: Float64) -> Bool:
     size = np.array([values[0] + values[1], values[1], values[2]])
-    return np.asarray(~(half < WIDEST * size))
+    return np.asarray(~(half < 0.5 * size))
 
 
 def _listed(names: list[str]) -> str:

@@ -34,8 +34,6 @@ C2_LOWEST, C2_HIGHEST = 0.01, 1e5
 FAINTEST = 20.0
 """The setting nearest the mirror direction must see e^-20 of the lobe's peak: c2 alpha^2 up to this."""
 
-N_STARTS = 36
-
 ROUNDS = 3
 """Number of alternations of noise and fit; the weights hardly change after the second."""
 
@@ -85,7 +83,7 @@ class ReadingsModel:
         """Return the best of a range of c2 with non-negative least squares for the rest, gamma undone."""
         light = self.response.light(self.gray_level)
         best, least = np.zeros(0), math.inf
-        for c2 in np.geomspace(10.0 * C2_LOWEST, 0.1 * self.c2_highest, N_STARTS):
+        for c2 in np.geomspace(10.0 * C2_LOWEST, 0.1 * self.c2_highest, 36):
             columns = [self.diffuse, self.lobe * np.exp(-c2 * self.alpha2)]
             if self.white is not None:
                 columns.append(self.white)

@@ -10,9 +10,6 @@ from scipy.special import fdtrc
 
 from calibration.reflectance_model import ReadingsFit, ReadingsModel
 
-UNLIKELY = 0.01
-"""The p-value below which the model, or the settings, are taken to be off by more than the repeats show."""
-
 MIN_FREEDOM = 0.5
 """Settings to which a fit leaves less freedom than this say nothing of their scatter."""
 
@@ -45,7 +42,7 @@ class RepeatScatter:
     @property
     def is_unlikely(self) -> bool:
         """True if chance does not explain the settings' scatter."""
-        return self.p_value < UNLIKELY
+        return self.p_value < 0.01
 
 
 def compare(model: ReadingsModel, fitted: ReadingsFit, part: slice) -> RepeatScatter:

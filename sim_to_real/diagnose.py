@@ -45,12 +45,6 @@ from sim_to_real.fit.metal_of_stripe import metal_of_stripe
 from sim_to_real.variance.random_effects import RandomEffects, random_effects
 from tracker.state import Frame
 
-HOLDOUT_SHARE = 0.25
-"""The share of frames held out of every fit."""
-
-MAX_REASONS = 6
-"""Largest number of reported hypotheses with effects."""
-
 OnStage = Callable[[str, float], None]
 
 
@@ -100,7 +94,7 @@ def _diagnosed(
 ) -> Diagnosis:
     tell("tracking the seam", 0.0)
     observed = observe(setup, frames, pose_at)
-    holdout = held_out(observed, HOLDOUT_SHARE)
+    holdout = held_out(observed, 0.25)
     train = _comparable(observed, holdout)
     if "material" in setup.missing:
         tell("fitting the metal", 0.03)
@@ -423,7 +417,7 @@ def reasons(posterior: Posterior) -> tuple[Reason, ...]:
         Reason(NO_GAP, (), 0.0, best, posterior.p_none),
         Reason(_unknown_in_words(posterior.unknown), (), unknown - none, best, posterior.p_alone),
     ]
-    for hypothesis, p, p_beside in some[:MAX_REASONS]:
+    for hypothesis, p, p_beside in some[:6]:
         words = _in_words(hypothesis.refit)
         compared.append(Reason(words, hypothesis.ids, hypothesis.evidence - none, best, p))
         if (beside := hypothesis.beside) is not None:

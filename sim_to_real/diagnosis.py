@@ -72,9 +72,6 @@ class RankedEffect:
     is_random: bool = False
 
 
-CLEAR_FLOORS = 2.0
-"""A gap of more floors than this is clearly one."""
-
 NO_GAP = "no gap"
 """The name of that hypothesis among those that were compared."""
 
@@ -99,7 +96,7 @@ class Gap:
     @property
     def is_clear_after(self) -> bool:
         """True if a clear gap remains after."""
-        return self.after > CLEAR_FLOORS * self.floor
+        return self.after > 2.0 * self.floor
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,12 +19,6 @@ from sim_to_real.search.probe_points import FAMILIES
 from sim_to_real.search.score_test import score_effects
 from tracker.state import Frame
 
-GAP_MEAN_SQUARE = 1.5
-"""Mean square of the bins from which there is something to explain: the model's floor is in them."""
-
-MIN_MEAN_SQUARE = 0.6
-"""Least mean square of a model without a gap."""
-
 MIN_CLOSED, MAX_RIVAL_SHARE = 0.5, 0.5
 """An effect is named where it closes half of the gap and leaves half at most of what the next one leaves."""
 
@@ -44,7 +38,8 @@ class FirstLook:
     @property
     def is_gap(self) -> bool:
         """True if the nominal model leaves something to explain."""
-        return self.mean_square > GAP_MEAN_SQUARE
+        # The model's floor is in it, so it is above 1.
+        return self.mean_square > 1.5
 
     @property
     def likely(self) -> tuple[str, ...]:
@@ -70,6 +65,7 @@ def first_look(setup: Setup, frames: Sequence[Frame], pose_at: PoseAt) -> FirstL
         observed = observe(setup, frames, pose_at)
         model, baseline, _ = baseline_of(LinearizedModel(observed, 1), ())
         scores = score_effects(model, baseline, list(FAMILIES))
-    gap = max(baseline.mean_square - MIN_MEAN_SQUARE, 1e-9)
+    # A model without a gap leaves a mean square of 0.6 or more.
+    gap = max(baseline.mean_square - 0.6, 1e-9)
     closed = [(score.id, (baseline.mean_square * (1.0 - score.residual_fraction)) / gap) for score in scores]
     return FirstLook(baseline.mean_square, tuple((name, min(share, 1.0)) for name, share in closed))

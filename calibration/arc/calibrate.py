@@ -52,9 +52,6 @@ FIRST_PIXEL_SIGMA, MIN_PIXEL_SIGMA, MAX_PIXEL_SIGMA = 0.02, 0.01, 0.3
 Neighbours err alike where the model is off, by 0.5 % on an independent renderer's frames: so no less.
 """
 
-OUTLYING = 4.0
-"""Pixels farther off, in sigmas, are no texture."""
-
 FIRST_FLICKER, MIN_FLICKER = 0.1, 0.001
 """1 sigma of a frame's level that the rounds begin with, and of one frame alone; and that is no less."""
 
@@ -63,9 +60,6 @@ SCALE_ROUNDS = 3
 
 LIMITS: Mapping[str, float] = {RADIUS: 0.1, X: 0.3, Y: 0.3, Z: 0.2, RADIANCE: 0.3, RATIO: 0.2, C2: 0.15}
 """With a wider sigma, relative or mm, a value is refused: the setup's own is as good."""
-
-WEAK_SHARE = 0.35
-"""A parameter belongs to a combination if its part of the unit vector is larger."""
 
 MAX_LEVEL_FACTOR = 50.0
 """Ratio of the arc's brightness to the stated one, either way, at which something else is wrong."""
@@ -269,7 +263,8 @@ def _rescaled(problem: ArcProblem, result: Fit, sigma_e: Float64) -> ArcProblem:
     x, n_frames = result.values, len(problem.frames)
     light_e = problem.light(problem.named(x))
     n_pixels = len(light_e)
-    known = np.abs(result.residuals[:n_pixels]) < OUTLYING
+    # Pixels farther off are no texture.
+    known = np.abs(result.residuals[:n_pixels]) < 4.0
     off_e2 = (result.residuals[:n_pixels] * sigma_e)[known] ** 2
     off_e2 /= np.maximum(1.0 - result.leverage[:n_pixels][known], 0.1)
 
@@ -297,7 +292,8 @@ def _combinations(covariance: Float64) -> tuple[Combination, ...]:
         if value < 1.0:
             break
         vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
-        parts = {name: float(v) for name, v in zip(ARC, vector, strict=True) if abs(v) > WEAK_SHARE}
+        # A parameter belongs to a combination with 0.35 or more of the unit vector.
+        parts = {name: float(v) for name, v in zip(ARC, vector, strict=True) if abs(v) > 0.35}
         weak.append(Combination(parts, math.sqrt(value)))
     return tuple(weak)
 

@@ -63,10 +63,6 @@ PART_SIGMAS = (2.0, 2.0, 0.02, 0.02)
 """1 sigma of a part's position, mm sideways and in height, and along its seam, without a stripe."""
 
 
-SEAM_SIGMAS = (0.1, 0.1, 0.03, 0.01)
-"""1 sigma of what a seam seen in stripes leaves open: it need not go on straight to the torch."""
-
-
 @dataclass(frozen=True, eq=False)
 class PartPlacement:
     """Placement of the part by stripes, jointly with the camera.
@@ -98,7 +94,8 @@ class PartPlacement:
         seam = [names.index(name) for name in SEAM]
         C, x = fit.covariance, np.array([values[name] for name in names])
         B = np.linalg.solve(C[np.ix_(camera, camera)], C[np.ix_(camera, seam)]).T
-        own = C[np.ix_(seam, seam)] - B @ C[np.ix_(camera, seam)] + np.diag(np.square(SEAM_SIGMAS))
+        # The seam need not go on straight from the stripes to the torch.
+        own = C[np.ix_(seam, seam)] - B @ C[np.ix_(camera, seam)] + np.diag(np.square((0.1, 0.1, 0.03, 0.01)))
         prior = cls.unseen(setup, station_mm).covariance[:6, :6]
         covariance = np.block([[prior, prior @ B.T], [B @ prior, B @ prior @ B.T + own]])
         return cls(station_mm, np.append(np.zeros(6), x[seam] - B @ x[camera]), covariance)

@@ -16,18 +16,8 @@ import numpy as np
 from calibration.boards.board import Board, BoardKind
 from noise_model.compiled.arrays import Float32, Float64, Int64, Integers, UInt8
 
-STRETCHED = (0.5, 99.5)
-"""Percentiles of the grey levels that become black and white: a glint or a dead pixel sets none of them."""
-
-EVENED_CLIP, EVENED_TILES = 4.0, (8, 8)
-"""OpenCV's CLAHE: evens out light that changes over the image."""
-
 SEARCHED_PX = 1200
 """A larger image is searched at a smaller scale first: squares are then no more than some 100 px wide."""
-
-MAX_ENLARGEMENT = 4.0
-"""Largest factor by which a small image is enlarged for the search: OpenCV finds no squares of a few pixels.
-"""
 
 WINDOW = 0.15
 """Half the side of the window that places a corner, over the distance to its neighbour."""
@@ -89,7 +79,8 @@ def small_pitch_px(image_dn: Integers, board: Board) -> float | None:
 def _found(image_dn: Integers, board: Board) -> Iterator[tuple[Int64, Float64]]:
     """Yield corners and roughly their points (n, 2), px, each time that a scale shows the board."""
     first = min(1.0, SEARCHED_PX / max(image_dn.shape))
-    enlarged = min(MAX_ENLARGEMENT, max(1.0, SEARCHED_PX / max(image_dn.shape)))
+    # OpenCV finds no squares of a few pixels.
+    enlarged = min(4.0, max(1.0, SEARCHED_PX / max(image_dn.shape)))
     for scale in sorted({first, 1.0, enlarged}):
         for picture in _pictures(image_dn, scale):
             place = _search(picture, board, is_again=scale > first)
@@ -100,12 +91,14 @@ def _found(image_dn: Integers, board: Board) -> Iterator[tuple[Int64, Float64]]:
 
 def _pictures(image_dn: Integers, scale: float) -> Iterator[UInt8]:
     """Yield the image in 8 bits, in the ways in which boards are sought in it."""
-    low, high = np.percentile(image_dn, STRETCHED)
+    # Neither a glint nor a dead pixel sets black or white.
+    low, high = np.percentile(image_dn, (0.5, 99.5))
     if not high > low:
         return
     stretched = np.clip((image_dn - low) * (255.0 / (high - low)), 0.0, 255.0).astype(np.uint8)
     plain = image_dn if image_dn.dtype == np.uint8 else stretched
-    evened = cv2.createCLAHE(EVENED_CLIP, EVENED_TILES).apply(stretched)
+    # CLAHE evens out light that changes over the image.
+    evened = cv2.createCLAHE(4.0, (8, 8)).apply(stretched)
     for picture in (plain, stretched, evened):
         small = np.asarray(picture, dtype=np.uint8)
         if scale != 1.0:

@@ -21,8 +21,6 @@ SETTLED = 1e-9
 """A round that lowers the cost by a smaller share is the last."""
 
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-4, 1e-9, 1e12
-EASIER, HARDER = 0.1, 10.0
-
 WARP = ("warp_x", "warp_y")
 """Shared unknowns other than the lens: the board's warp along its columns and rows, mm."""
 
@@ -122,13 +120,13 @@ def adjusted(
             new_cost = np.inf if moved is None else _cost(moved, seen, weight, prior)
             if new_cost <= cost:
                 break
-            damping *= HARDER
+            damping *= 10.0
             if damping > MAX_DAMPING:
                 return scene
         if moved is None:
             return scene
         gained, scene, cost = cost - new_cost, moved, new_cost
-        damping = max(damping * EASIER, MIN_DAMPING)
+        damping = max(damping * 0.1, MIN_DAMPING)
         if gained <= SETTLED * cost:
             break
     return scene

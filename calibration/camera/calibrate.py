@@ -32,20 +32,11 @@ from calibration.outliers import MAX_OUTLIER_SHARE
 from calibration.threads import one_thread
 from noise_model.compiled.arrays import Float64
 
-FIRST_ORDER = "k1 k2 p1 p2"
-"""The distortion with which wrong corners are looked for, before one is chosen."""
-
-PRINT_ROUNDS, PRINT_SETTLED = 5, 0.02
-"""The print and the noise are estimated in turn until the print's sigma changes by a smaller share."""
-
 MAX_NOISE = 10.0
 """Ratio of an image's corner noise to the usual one at which it was moved, or its board misread."""
 
 MAX_SIGMA_PX = 1.0
 """A distortion that leaves the projection less known than this, anywhere in the image, is not determined."""
-
-MAX_TILT_SIGMA = math.radians(3.0)
-"""1 sigma of the sensor's tilt, rad: beyond it is as good as unknown."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +186,8 @@ def _lens(
     check_count(len(views), 0)
     all_seen = Sightings.of(board, views)
     start = first_scene(*size, all_seen)
-    agreed = _robust(replace(start, lens=start.lens.with_distortion(ORDERS[FIRST_ORDER])), all_seen)
+    # Wrong corners are sought with a usual distortion, before one is chosen.
+    agreed = _robust(replace(start, lens=start.lens.with_distortion(ORDERS["k1 k2 p1 p2"])), all_seen)
     kept, left_out = _views_to_keep(agreed, all_seen)
     check_count(len(kept), len(left_out))
     all_seen, agreed = all_seen.of_views(kept), agreed.of_views(kept)
@@ -283,12 +275,13 @@ def _as_printed(
     sigma_mm = 0.0
     if not are_ends_told(seen.board):
         return scene, noise, sigma_mm
-    for _ in range(PRINT_ROUNDS):
+    # Print and noise are estimated in turn until the print's sigma settles.
+    for _ in range(5):
         before, sigma_mm = sigma_mm, print_sigma_mm(scene, seen, noise)
         if sigma_mm == 0.0:
             break
         scene, noise = fitted(scene, seen, sigma_mm)
-        if abs(sigma_mm / max(before, 1e-12) - 1.0) < PRINT_SETTLED:
+        if abs(sigma_mm / max(before, 1e-12) - 1.0) < 0.02:
             break
     return scene, noise, sigma_mm
 
@@ -310,7 +303,8 @@ def _check_tilt(result: CameraCalibration) -> None:
     Without distortion a tilted sensor is equivalent to a rotated and shifted one.
     """
     variance = np.diag(result.covariance)[[result.names.index(name) for name in TILT]]
-    if not ((variance > 0.0) & (variance <= MAX_TILT_SIGMA**2)).all():
+    # Beyond 3 deg the tilt is as good as unknown.
+    if not ((variance > 0.0) & (variance <= math.radians(3.0) ** 2)).all():
         raise UndeterminedError(
             "the sensor's tilt is unknown: the lens has too little distortion to tell it from the principal "
             "point; leave --tilted, the projection is the same without"

@@ -13,19 +13,6 @@ from noise_model.compiled.arrays import Float64
 MIN_VIEWS = 6
 """Images: two halves of three each determine a lens by themselves."""
 
-MAX_FOCAL_SIGMA = 0.01
-"""1 sigma of a focal length over its value: beyond it is as good as unknown."""
-
-MIN_TILT_DEG = 10.0
-"""Least tilt of any board that determines the focal length well."""
-
-ENOUGH_TILT_DEG = 20.0
-"""Tilt of boards either way about both axes that suffices: an undetermined lens is then due to noisy corners.
-"""
-
-MIN_COVER = 0.15
-"""The share of the image within the hull of all corners: below it, most of the lens is not seen."""
-
 GOOD_COVER = 0.6
 """Share below which a user is shown the parts of the image without corners."""
 
@@ -53,16 +40,17 @@ def check_focal_length(scene: BoardScene, sigma: Float64, corner_sigma_px: float
     `sigma` (m,) is of the scene's lens and warp, `corner_sigma_px` of a corner.
     """
     worst = float(np.max(sigma[:2] / scene.lens.values[:2]))
-    if worst <= MAX_FOCAL_SIGMA:
+    if worst <= 0.01:
         return
     known = "unknown" if not worst < 1.0 else f"known to {100.0 * worst:.1f} % only"
     about_x, about_y = tilts_deg(scene)
-    if min(np.ptp(about_x), np.ptp(about_y)) >= 2.0 * ENOUGH_TILT_DEG:
+    # With 20 deg either way about both axes the boards are not to blame: the corners are noisy.
+    if min(np.ptp(about_x), np.ptp(about_y)) >= 40.0:
         raise UndeterminedError(
             f"the focal length is {known}: corners scatter by {corner_sigma_px:.2g} px, too much for their "
             "number; give sharper images, at the camera's own size and well lit, or more of them"
         )
-    if max(np.ptp(about_x), np.ptp(about_y)) < 2.0 * MIN_TILT_DEG:
+    if max(np.ptp(about_x), np.ptp(about_y)) < 20.0:
         reason = "all boards lie nearly parallel to the sensor"
         missing = "leans 20 to 40 deg about the image's horizontal in some, about its vertical in others"
     else:
@@ -77,7 +65,7 @@ def check_focal_length(scene: BoardScene, sigma: Float64, corner_sigma_px: float
 def check_cover(lens: Lens, seen: Sightings) -> None:
     """Raise UndeterminedError if the boards keep to a small part of the image."""
     share = cover(lens, seen)
-    if share < MIN_COVER:
+    if share < 0.15:
         raise UndeterminedError(
             f"the boards cover {100.0 * share:.0f} % of the image: the lens is not seen beyond; take images "
             f"with the board nearer by, so that it fills the image, and in its {empty_parts(lens, seen)}"

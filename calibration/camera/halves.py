@@ -27,7 +27,6 @@ SPLITS = 9
 MAX_RATIO = 2.0
 """Largest difference that a right model explains, in predicted sigmas."""
 
-MATCH_ROUNDS = 5
 SEED = 7
 
 
@@ -85,7 +84,7 @@ def _difference(
     points = np.concatenate([rays * depth for depth in depths_mm])
     target = np.tile(grid, (len(depths_mm), 1))
     R, t = np.eye(3), np.zeros(3)
-    for _ in range(MATCH_ROUNDS):
+    for _ in range(5):
         image, per_motion, per_lens = second.project_with_jacobian(points @ R.T + t)
         shift = image - target
         J = per_motion.reshape(-1, 6)

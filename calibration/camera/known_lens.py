@@ -17,9 +17,6 @@ from calibration.camera.start import with_better_poses
 from calibration.threads import one_thread
 from noise_model.instrument.camera import Camera
 
-MAX_RMS_PX = 2.0
-"""Corners that are farther off than this, RMS, are not seen by the stated camera."""
-
 FAR_MM = 1e3
 """Initial distance of boards."""
 
@@ -50,7 +47,7 @@ def board_poses(board: Board, views: Sequence[BoardView], lens: Lens) -> tuple[B
 def check_corners(scene: BoardScene, seen: Sightings) -> None:
     """Raise UndeterminedError for corners that are not where the stated lens sees them."""
     rms = scene.rms_px(seen)
-    if rms > MAX_RMS_PX:
+    if rms > 2.0:
         raise UndeterminedError(
             f"the boards' corners are {rms:.1f} px off where the setup's camera sees them: calibrate the "
             "camera first, `arctrack calibrate camera`; or the board's counts or squares are others"

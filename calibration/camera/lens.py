@@ -38,10 +38,6 @@ The 5660 rectilinear calibrations of lensfun's database (lensfunpy 1.18, as k1 k
 lenses that are mounted straight have.
 """
 
-FIELD_STEPS = 400
-"""Radii at which the distortion is looked at from the middle to beyond the image's corner."""
-
-
 STEP_SIGMAS = 0.1
 """Steps of the lens in finite differences, in sigmas."""
 
@@ -108,7 +104,7 @@ class Lens:
         corners = np.array([[x, y] for x in (0.0, self.width - 1.0) for y in (0.0, self.height - 1.0)])
         reach = float(np.linalg.norm((corners - self.values[2:4]) / self.values[:2], axis=1).max())
         # A distortion that does not reach the corner at twice its distance never does for a real lens.
-        r = np.linspace(0.0, 2.0 * reach, FIELD_STEPS)
+        r = np.linspace(0.0, 2.0 * reach, 400)
         above, below = (1.0 + r**2 * (a + r**2 * (b + r**2 * c)) for a, b, c in ((k1, k2, k3), (k4, k5, k6)))
         with np.errstate(divide="ignore", invalid="ignore"):
             seen = r * above / below

@@ -22,7 +22,6 @@ SIZES = (0.35, 0.55, 0.8)
 
 TILTS_DEG = (0.0, 20.0, 40.0)
 ABOUT = {"the image's horizontal": (1.0, 0.0, 0.0), "the image's vertical": (0.0, 1.0, 0.0)}
-SIGNS = (1.0, -1.0)
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,9 @@ def best_next_board(
 
 
 def _tilts() -> list[tuple[float, str]]:
-    leaning = [(sign * tilt, axis) for tilt, axis, sign in itertools.product(TILTS_DEG[1:], ABOUT, SIGNS)]
+    leaning = [
+        (sign * tilt, axis) for tilt, axis, sign in itertools.product(TILTS_DEG[1:], ABOUT, (1.0, -1.0))
+    ]
     return [(0.0, next(iter(ABOUT))), *leaning]
 
 

@@ -28,9 +28,6 @@ from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
 from noise_model.compiled.arrays import Float64
 
-STRONG_EVIDENCE = 3.0
-"""ln of the odds at which evidence is strong (Kass and Raftery, Bayes factors, 1995, section 3.2)."""
-
 
 @dataclass(frozen=True)
 class Held:
@@ -85,7 +82,8 @@ def leanest_within_error(held: list[Held]) -> Held:
     best = min(held, key=lambda each: each.mean)
     for each in held:
         worse, error = each.excess(best)
-        if worse <= error or best.log_evidence - each.log_evidence <= STRONG_EVIDENCE:
+        # Odds of e^3 are strong evidence (Kass and Raftery, Bayes factors, 1995, section 3.2).
+        if worse <= error or best.log_evidence - each.log_evidence <= 3.0:
             return each
     return best
 

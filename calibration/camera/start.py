@@ -16,16 +16,14 @@ from calibration.camera.lens import Lens
 from calibration.camera.sightings import Sightings
 from noise_model.compiled.arrays import Float64
 
-FOCALS_OVER_WIDTH = np.geomspace(0.4, 20.0, 24)
-"""Focal lengths that are tried, over the image's longer side: fields of view from 103 down to 3 deg."""
-
 
 def first_scene(width: int, height: int, seen: Sightings) -> BoardScene:
     """Return a start: a lens without distortion, a flat board, and its poses.
 
     Its focal length is that at which the median board fits best.
     """
-    lenses = [Lens.simple(width, height, focal) for focal in FOCALS_OVER_WIDTH * max(width, height)]
+    # Fields of view from 103 down to 3 deg.
+    lenses = [Lens.simple(width, height, focal) for focal in np.geomspace(0.4, 20.0, 24) * max(width, height)]
     exact = np.zeros((len(seen.board.points_mm), 2))
     scenes = [BoardScene(lens, np.zeros(2), _poses(lens, seen), exact) for lens in lenses]
     misfits = [float(np.median(_squares(scene, seen))) for scene in scenes]

@@ -43,9 +43,6 @@ MAX_NOISE = 0.03
 WANDER_MM = (1.0, 0.3)
 """1 sigma of how far the seam at the torch lies off the straight line of the stripes' seam, y and z."""
 
-MIN_LN_RANGE = 0.1
-"""Exposures or currents vary if their logarithms do by more."""
-
 
 @dataclass(frozen=True)
 class ValueWithSigma:
@@ -202,7 +199,8 @@ def _powers(
 ) -> tuple[ValueWithSigma, ValueWithSigma, ValueWithSigma]:
     """Return with which powers of exposure and current levels (n,) go, and their scatter beyond that."""
     ln = np.log([[frame.exposure_s, frame.current_a] for frame in frames])
-    varies = np.isfinite(ln).all(axis=0) & (np.ptp(ln, axis=0) > MIN_LN_RANGE)
+    # Differences below 10 % are scatter.
+    varies = np.isfinite(ln).all(axis=0) & (np.ptp(ln, axis=0) > 0.1)
     columns = [np.ones(len(frames)), *(ln[:, k] - ln[:, k].mean() for k in np.flatnonzero(varies))]
     A = np.column_stack(columns)
     freedom = len(frames) - A.shape[1]

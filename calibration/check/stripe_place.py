@@ -45,23 +45,11 @@ MIN_SIGMA_PX, MIN_SIGMA_MM = 0.2, 0.03
 On metal the mean of 64 lines still scatters by 0.15 px.
 """
 
-SHAPE_PX = (0.5, 0.5, 0.5, 0.3)
-"""1 sigma of what lens, sheet and plate bend all stripes by, px: Legendre's polynomials along them."""
-
-OFF_UPRIGHT_MM = 3.0
-"""Least distance of a point from an upright face: beneath it the section jumps."""
-
 MAX_OFF_MM = 60.0
 """A point farther off the joint lies on something else."""
 
-DERIVATIVE_STEP = 0.01
-"""The step of a derivative, over the prior's sigma."""
-
 GRID_MM, MAX_MODES = 2.0, 6
 """Spacing of the stations at which a seam's bends are computed, and number of their modes."""
-
-COARSE_Y_MM, COARSE_Z_MM = np.arange(-6.0, 7.0, 3.0), np.arange(-18.0, 18.5, 1.5)
-"""Places of the part that a fit begins at, mm sideways and in height."""
 
 FAR = 1e3
 """A residual that counts for one beyond all reach, sigmas."""
@@ -75,14 +63,6 @@ turned about it, deg."""
 
 MIN_TOLERANCE = 1e-3
 """Value in place of a tolerance of 0, deg and mm."""
-
-OFF_NATS = 7.0
-"""Log likelihood ratio of one part off and the setup as stated from which the latter does not explain the
-points.
-"""
-
-ALIKE_NATS = 6.0
-"""Difference of log likelihoods below which parts cannot be separated: a bent plate makes odds doubtful."""
 
 PART_BLOCK = ("seam_y", "seam_z", "seam_slope_y", "seam_slope_z", "part_roll")
 CAMERA_BLOCK = ("camera_rot_x", "camera_rot_y", "camera_rot_z", "camera_x", "camera_y", "camera_z")
@@ -182,7 +162,7 @@ class StripePlace:
     @property
     def is_explained(self) -> bool:
         """True if the setup as stated explains the stripes."""
-        return self.gain_nats < OFF_NATS
+        return self.gain_nats < 7.0
 
     @property
     def likely(self) -> tuple[Cause, ...]:
@@ -190,7 +170,8 @@ class StripePlace:
         if self.is_explained:
             return ()
         best = self.causes[0].ln_evidence
-        return tuple(cause for cause in self.causes if cause.ln_evidence > best - ALIKE_NATS)
+        # A bent plate makes odds doubtful: parts within 6 nats cannot be separated.
+        return tuple(cause for cause in self.causes if cause.ln_evidence > best - 6.0)
 
     @property
     def best(self) -> Cause:
@@ -318,7 +299,8 @@ class _StripePlaceProblem:
         vertices = section(true.joint).vertices
         uprights_mm = vertices[:-1][np.diff(vertices[:, 0]) == 0.0, 0]
         near_mm = np.abs(in_joint[:, 1:2] - uprights_mm).min(axis=1, initial=np.inf)
-        known &= near_mm > OFF_UPRIGHT_MM
+        # Beneath an upright face the section jumps.
+        known &= near_mm > 3.0
         if not known.any():
             raise ValueError("no stripe meets the laser plane where the joint is")
         return cls(
@@ -334,7 +316,10 @@ class _StripePlaceProblem:
 
     def coarse_place(self) -> dict[str, float]:
         """Return the part's approximate place relative to its nominal one: the best of a grid."""
-        places = [{"seam_y": y, "seam_z": z} for z in COARSE_Z_MM for y in COARSE_Y_MM]
+        # Sideways and in height, mm.
+        places = [
+            {"seam_y": y, "seam_z": z} for z in np.arange(-18.0, 18.5, 1.5) for y in np.arange(-6.0, 7.0, 3.0)
+        ]
         nothing = dict.fromkeys((*PART_BLOCK, *SHAPE_BLOCK, *self.bends.names), 0.0)
         costs = [_robust_cost(self.residuals({**nothing, **place})) for place in places]
         return places[int(np.argmin(costs))]
@@ -372,11 +357,12 @@ class _StripePlaceProblem:
             **_named(PART_BLOCK, PART_SIGMAS),
             **_named(CAMERA_BLOCK, (deg, deg, deg, mm, mm, mm)),
             **_named(LASER_BLOCK, (deg, deg, mm)),
-            **_named(SHAPE_BLOCK, SHAPE_PX),
+            # Lens, sheet and plate bend all stripes: Legendre's polynomials along them, px.
+            **_named(SHAPE_BLOCK, (0.5, 0.5, 0.5, 0.3)),
             **dict.fromkeys(self.bends.names, 1.0),
             **STALE.get(name, {}),
         }
-        return [Parameter(n, "", 0.0, sigma, step=DERIVATIVE_STEP * sigma) for n, sigma in sigmas.items()]
+        return [Parameter(n, "", 0.0, sigma, step=0.01 * sigma) for n, sigma in sigmas.items()]
 
     def residuals(self, x: Mapping[str, float]) -> Float64:
         """Return how far the stripe's points (n,) lie off their places, in their sigmas."""

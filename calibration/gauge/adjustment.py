@@ -32,10 +32,6 @@ STEPS = np.array([*[TURN_STEP] * 2, MOVE_STEP_MM, *[TURN_STEP] * 3, *[MOVE_STEP_
 SHEET, GAUGE, SIZE = slice(0, 3), slice(3, 8), 8
 """Places among the unknowns of the sheet's two tilts, rad, and offset, mm; the gauge's pose; its size."""
 
-GAUGE_SIGMA = np.array([0.35, 0.35, 1.0, 1e3, 1e3])
-"""What is known of the gauge beforehand: it lies as it was first taken to lie, within 20 deg; the edge within
-60 deg; nothing of its place, mm."""
-
 START_MM, BOUNDS_MM = (0.05, 0.01), (1e-3, 2.0)
 """1 sigma of the robot's error and of the form's, at first; and how small and how large either may be."""
 
@@ -252,7 +248,8 @@ def fit(
 def _known(prior: Float64 | None) -> Float64:
     """Return the information (m,) beforehand."""
     sigma = np.full(len(STEPS), np.inf)
-    sigma[GAUGE] = GAUGE_SIGMA
+    # The gauge lies as first placed within 20 deg, its edge within 60 deg; its place, mm, is unknown.
+    sigma[GAUGE] = [0.35, 0.35, 1.0, 1e3, 1e3]
     return np.asarray((sigma if prior is None else np.minimum(sigma, prior)) ** -2.0)
 
 

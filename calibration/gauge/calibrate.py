@@ -42,9 +42,6 @@ MIN_FREEDOM = 2
 SIZE_SIGMA_MM = 0.01
 """1 sigma of a gauge's size: a ground one is better, a milled one as good."""
 
-MAX_FORM_MM = 0.1
-"""Pieces of the stripe that lie farther off the gauge's faces, 1 sigma, are of another gauge."""
-
 FEW_IMAGES = 3
 """Fewer images say nothing of the errors: those that are usual count."""
 
@@ -154,7 +151,7 @@ def calibrate_gauge(
         problem, fitted = rest, without
     result = GaugeCalibration(problem, fitted, left_out)
     form_mm = float(fitted.noise_mm[1])
-    if form_mm > MAX_FORM_MM:
+    if form_mm > 0.1:
         raise UndeterminedError(
             f"the stripe's pieces lie {form_mm:.2f} mm off the faces of {gauge}, 1 σ: it is another gauge, "
             "or camera and lens are not as the setup has them"

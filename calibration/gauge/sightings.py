@@ -20,17 +20,11 @@ from noise_model.transforms import transform
 EDGE_SIGMA_MM = 0.2
 """1 sigma of where the stripe ends on a step's edge: edges are broken, and the stripe is as wide."""
 
-EDGE_SIGMA_PX = 0.5
-"""The same in the image: an end is known to a scan line."""
-
 MAX_SIZE_ERROR = 0.35
 """A size that is measured farther than that share off the stated one is of another thing."""
 
 SLOPE_RATIOS = (0.8, 1.6)
 """A V looks that much wider or narrower than it is at most: wider where the stripe crosses it aslant."""
-
-MIN_ANGLE_DEG = 5.0
-"""Two lines in space that are less apart in direction do not tell the gauge's top."""
 
 
 @dataclass(frozen=True)
@@ -151,9 +145,7 @@ def _top(all_ends: Sequence[Float64], gauge: Gauge, up: Float64) -> Float64:
     directions = np.array([ends[n][1] - ends[n][0] for ends in all_ends for n in flat])
     directions = directions / np.linalg.norm(directions, axis=1)[:, np.newaxis]
     # The normal is perpendicular to all of them; where they are parallel, it is as close to `up` as can be.
-    M = directions.T @ directions / len(directions) + np.radians(MIN_ANGLE_DEG) ** 2 * (
-        np.eye(3) - np.outer(up, up)
-    )
+    M = directions.T @ directions / len(directions) + np.radians(5.0) ** 2 * (np.eye(3) - np.outer(up, up))
     z = np.linalg.eigh(M)[1][:, 0]
     return np.asarray(z * np.sign(z @ up))
 
@@ -172,7 +164,8 @@ def _sighting(each: PosedPieces, order: int, gauge: Gauge, sensor: StatedSensor)
         step = 1e-4
         a, b = sensor.on_sheet(np.stack([end, end + step * along]))
         mm_per_slope = float(np.linalg.norm(b - a)) / step
-        sigma = np.hypot(EDGE_SIGMA_MM / mm_per_slope, EDGE_SIGMA_PX / float(sensor.lens.values[0]))
+        # An end is known to a scan line.
+        sigma = np.hypot(EDGE_SIGMA_MM / mm_per_slope, 0.5 / float(sensor.lens.values[0]))
         rays.append(end[np.newaxis])
         across.append(along[np.newaxis])
         blocks.append(np.array([[sigma**2]]))

@@ -21,9 +21,6 @@ BACKGROUND_PX = 41
 NOISE_FLOOR_DN = 0.5
 """Rounding leaves that much noise at least."""
 
-KNOTS = 120
-"""Number of groups into which the path is cut: pieces begin and end with them."""
-
 MIN_PIECE_SHARE = 0.06
 """A piece has that share of the path at least."""
 
@@ -117,7 +114,8 @@ def _beside(line: LaserLineFit, rays: Float64, column: int) -> Float64:
 
 def _cuts(scan: Float64, place: Float64, count: int) -> Sequence[int]:
     """Return where the path is cut into pieces whose points are nearest to lines of their own."""
-    groups = np.array_split(np.arange(len(scan)), min(KNOTS, len(scan)))
+    # Pieces begin and end with one of 120 groups.
+    groups = np.array_split(np.arange(len(scan)), min(120, len(scan)))
     t = np.array([np.median(scan[group]) for group in groups])
     y = np.array([np.median(place[group]) for group in groups])
     n, least = len(t), max(2, int(MIN_PIECE_SHARE * len(t)))

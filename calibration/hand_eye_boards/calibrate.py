@@ -42,9 +42,6 @@ FAR_START = 3.0
 MEDIAN_OF_THREE = float(chi.median(3))
 """The median length of three normal numbers."""
 
-SAME_BOARD = 1e-3
-"""The probability that a board's pose is refused whose corners fit it as well as the best one."""
-
 MAX_SCALE_SIGMAS = 4.0
 """A board's scale that the robot's motions contradict by more is named."""
 
@@ -238,7 +235,8 @@ def _started(chain: Chain, boards: Boards) -> tuple[Chain, Boards, Float64]:
     other = adjusted(other, seen, boards.weight, poses_only=True)
     squares = [np.sum(each.residuals(seen) ** 2, axis=1) * boards.weight**2 for each in (own, other)]
     excess = np.array([float((squares[1] - squares[0])[part].sum()) for part in seen.slices])
-    is_same = np.asarray(excess < chi2.isf(SAME_BOARD, 6))
+    # Of a thousand boards that fit as well as the best, one is refused.
+    is_same = np.asarray(excess < chi2.isf(1e-3, 6))
     scene = replace(scene, T_camera_board=_chosen(is_same, other.T_camera_board, T_camera_board))
     return chain, replace(boards, scene=scene, seen=seen), off_px
 

@@ -18,9 +18,6 @@ MIN_POSES = 5
 MIN_TURN_DEG = 1.0
 """The RMS turn about an axis, deg: below it, robots' errors of rotation pass for a motion."""
 
-MAX_SIGMA_MM, MAX_SIGMA_DEG = 2.0, 0.5
-"""1 sigma of the camera's place and turn along their worst axes: beyond it they are as good as unknown."""
-
 AXES = "xyz"
 ADVICE = "20 to 40 deg either way"
 
@@ -68,8 +65,8 @@ def check_sigmas(chain: Chain, covariance: Float64) -> None:
     R, holder = chain.T_holder_camera[:3, :3], holder_name(chain)
     turn, place = covariance[:3, :3], covariance[3:, 3:]
     for matrix, most, scale, what, unit in (
-        (place, MAX_SIGMA_MM, 1.0, "place along", "mm"),
-        (turn, MAX_SIGMA_DEG, math.degrees(1.0), "turn about", "deg"),
+        (place, 2.0, 1.0, "place along", "mm"),
+        (turn, 0.5, math.degrees(1.0), "turn about", "deg"),
     ):
         variance, directions = np.linalg.eigh(matrix)
         sigma = scale * math.sqrt(max(float(variance[-1]), 0.0))

@@ -31,9 +31,6 @@ from noise_model.compiled.arrays import Float64
 MAX_ROUNDS, SETTLED_SIGMAS = 20, 1e-3
 """Rounds at most; one that moves nothing by more of its sigmas is the last."""
 
-WARP_ROUNDS = 4
-"""Rounds of warp and poses with the lens held: far more than a nearly linear problem takes."""
-
 UNKNOWNS = 12
 """Camera's and board's motions come first, then the warp."""
 
@@ -80,7 +77,8 @@ def robot_errors(chain: Chain, T_camera_board: Float64) -> Float64:
 def with_warp(scene: BoardScene, seen: Sightings) -> Boards:
     """Return boards fitted each by itself, with the warp that all share, and their corners' noise."""
     n, ones = len(scene.lens.values), np.ones(len(seen))
-    for _ in range(WARP_ROUNDS):
+    # Far more rounds than a nearly linear problem takes.
+    for _ in range(4):
         whole = linearised(scene, seen, ones)
         warp = slice(n, n + len(WARP))
         part = NormalEquations(

@@ -26,9 +26,6 @@ NO_LIGHT = (
     "no pair tells the stripe's light: the sensor's gamma is not 1, or the board ends beside the stripe"
 )
 
-HALF_PX = 0.5
-"""Half the step across the stripe by which its width goes to mm."""
-
 NO_WIDTH = (
     "in no pair is the stripe's width told: it is saturated, or as narrow as the lens' blur, psf_sigma_px; "
     "take pairs with a shorter exposure, or check psf_sigma_px"
@@ -93,7 +90,7 @@ def beam_of(
         points = board.points(each.points_px())
         lights.append(_light(name, each, board, points, origin, in_sheet))
         steps.append(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-        beside = [board.points(each.points_px(aside_px=HALF_PX * way)) @ plane[:3] for way in (-1.0, 1.0)]
+        beside = [board.points(each.points_px(aside_px=0.5 * way)) @ plane[:3] for way in (-1.0, 1.0)]
         width = width_of_pair(each.width_px, np.abs(beside[1] - beside[0]), camera.psf_sigma_px)
         lit = np.isfinite(each.width_px)
         if width is not None:

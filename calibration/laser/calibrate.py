@@ -23,9 +23,6 @@ from calibration.outliers import FALSE_ALARM
 from calibration.threads import one_thread
 from noise_model.compiled.arrays import Float64
 
-MAX_TILT_SIGMA_DEG = 0.5
-"""Largest 1 sigma of the sheet's tilt: beyond it, a part 10 mm off the boards is 0.09 mm off and more."""
-
 MIN_SPREAD = 10.0
 """The stripes' scatter from one line over what noise alone makes of it: below it, the sheet follows noise."""
 
@@ -126,7 +123,8 @@ def calibrate_laser(
         except np.linalg.LinAlgError:
             raise UndeterminedError(_on_one_line(0.0)) from None
         scatter = _scatter(fit)
-        is_loose = math.degrees(fit.tilt_sigma * math.sqrt(scatter)) > MAX_TILT_SIGMA_DEG
+        # A part 10 mm off the boards would be 0.09 mm off.
+        is_loose = math.degrees(fit.tilt_sigma * math.sqrt(scatter)) > 0.5
         if is_loose or fit.spread_mm < MIN_SPREAD * fit.spread_noise_mm:
             raise UndeterminedError(_on_one_line(fit.spread_mm))
         left_out = {

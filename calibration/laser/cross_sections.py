@@ -20,20 +20,8 @@ REACH = 4.0
 STEPS, LONGEST = 12, 0.5
 """Gauss-Newton's steps for a line's width, and the longest, of place over sigma and of ln sigma."""
 
-MIN_SNR = 8.0
-"""Least signal-to-noise ratio at which the stripe's width is measured."""
-
-MAX_OFFSET_SIGMAS = 1.0
-"""A line whose maximum is that many of its sigmas off the stripe's curve shows something else."""
-
 MAX_WIDTH_RATIO = 4.0
 """Ratio of a line's width to the expected one, either way, at which it is something else."""
-
-FULL = 0.98
-"""Share of the last code from which a pixel may be saturated."""
-
-LIGHT_SQUARE = 0.5
-"""A light square reflects more than this share of the brightest ones' light."""
 
 DARK = 0.02
 """Pixels reflect this share of the brightest ones' light at least."""
@@ -77,7 +65,7 @@ def cross_sections(
     top = float(np.quantile(room[seen.area], 0.95))
     reflects = np.maximum(room / max(top, 1.0), DARK)
     images = [seen.light_dn.astype(np.float64), seen.noise_dn.astype(np.float64), reflects]
-    is_full = on_dn >= FULL * _last_code(on_dn)
+    is_full = on_dn >= 0.98 * _last_code(on_dn)
     inside = seen.area
     if stripe.along_rows:
         images, is_full, inside = [image.T for image in images], is_full.T, inside.T
@@ -103,7 +91,7 @@ def cross_sections(
     shape = room_part * np.exp(-0.5 * (offsets / typical) ** 2)
     power = np.sum((shape / noise) ** 2, axis=1)
     amount = np.sum(light * shape / noise**2, axis=1) / power
-    is_dark = np.median(room_part, axis=1) < LIGHT_SQUARE
+    is_dark = np.median(room_part, axis=1) < 0.5
     amount_sigma = np.where(is_dark, np.inf, 1.0 / np.sqrt(power))
     return CrossSections(scan, curve, stripe.along_rows, aside, width, amount, amount_sigma)
 
@@ -158,6 +146,7 @@ def _widths(
         ln_width += step[:, 2].clip(-LONGEST, LONGEST)
         ln_width = ln_width.clip(*(np.log(start_px) + np.log(MAX_WIDTH_RATIO) * np.array([-1.0, 1.0])))
     width_px = np.exp(ln_width)
-    is_clear = (amount >= MIN_SNR * sigma) & (np.abs(place) <= MAX_OFFSET_SIGMAS * width_px)
+    # A line whose maximum is off the stripe's curve by more than its sigma shows something else.
+    is_clear = (amount >= 8.0 * sigma) & (np.abs(place) <= width_px)
     is_clear &= np.abs(ln_width - np.log(start_px)) < 0.999 * np.log(MAX_WIDTH_RATIO)
     return np.where(is_clear, place, np.nan), np.where(is_clear, width_px, np.nan)

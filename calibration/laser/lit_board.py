@@ -27,9 +27,6 @@ ROUNDS, TRIM_SIGMAS = 8, 3.0
 MAX_PIXELS = 40_000
 """Approximate number of pixels that room light is fitted to."""
 
-RIDGE = 1e-9
-"""Ridge of the fit, over the trace, for a board of one shade."""
-
 EDGE_SHARE = 0.02
 """Pixels whose blurred board changes by more than that share from light to dark per px are at an edge."""
 
@@ -154,7 +151,8 @@ def _fitted(A: Float64, value: Float64, at_edge: Bool) -> Float64:
     coefficients = np.zeros(A.shape[1])
     for _ in range(ROUNDS):
         H = A[kept].T @ A[kept]
-        coefficients = np.linalg.solve(H + RIDGE * np.trace(H) * np.eye(len(H)), A[kept].T @ value[kept])
+        # The ridge serves a board of one shade.
+        coefficients = np.linalg.solve(H + 1e-9 * np.trace(H) * np.eye(len(H)), A[kept].T @ value[kept])
         rest = value - A @ coefficients
         sigma = np.where(at_edge, spread(rest[at_edge]), spread(rest[~at_edge]))
         kept = np.abs(rest) <= TRIM_SIGMAS * np.maximum(sigma, 1.0)

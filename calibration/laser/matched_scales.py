@@ -15,16 +15,13 @@ SCALES_PX = (1.5, 3.0, 6.0, 12.0)
 SURROUND = 2.5
 """The mean about a line is taken with so many times its sigma."""
 
-ALONG_PX = 1.0
-"""The sigma along the line."""
-
 
 def smoothed_by_scale(lines: Float32) -> Iterator[tuple[float, Float32, Float32]]:
     """Yield each sigma that scan lines (n, m) have room for, with the light about a line and that around."""
     for sigma in SCALES_PX:
         if 2.0 * SURROUND * sigma < lines.shape[1]:
             near, wide = (
-                np.asarray(cv2.GaussianBlur(lines, (0, 0), sigmaX=across, sigmaY=ALONG_PX), np.float32)
+                np.asarray(cv2.GaussianBlur(lines, (0, 0), sigmaX=across, sigmaY=1.0), np.float32)
                 for across in (sigma, SURROUND * sigma)
             )
             yield sigma, near, wide

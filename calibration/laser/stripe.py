@@ -38,12 +38,6 @@ MAX_STEPS, SETTLED_PX = 60, 1e-4
 MARGIN = 0.9
 """Extent of the board beyond its outer corners, in squares."""
 
-EDGE_POINTS = 10
-"""Points on each side of the board's outline: a lens may bend it."""
-
-LIGHT_ROUNDS, LIGHT_SIGMAS = 4, 3.0
-"""Rounds by which room light is matched, and beyond how many sigmas a pixel does not count in them."""
-
 BRIGHTNESSES = 4
 """Number of parts of the board, from the darkest to the brightest, in which the difference's noise is
 measured.
@@ -82,7 +76,8 @@ class BoardStripe:
 def board_area(board: Board, lens: Lens, T_camera_board: Float64) -> Bool:
     """Return which pixels (H, W) show the board, its outer squares included."""
     low, high = -MARGIN * board.square_mm, np.array([board.columns, board.rows]) - 1.0 + MARGIN
-    (x1, y1), step = high * board.square_mm, np.linspace(0.0, 1.0, EDGE_POINTS, endpoint=False)
+    # Ten points on each side: a lens may bend it.
+    (x1, y1), step = high * board.square_mm, np.linspace(0.0, 1.0, 10, endpoint=False)
     corners = np.array([[low, low, 0.0], [x1, low, 0.0], [x1, y1, 0.0], [low, y1, 0.0]])
     sides = corners[:, np.newaxis] + step[:, np.newaxis] * (np.roll(corners, -1, axis=0) - corners)[:, None]
     outline = transform(T_camera_board, sides.reshape(-1, 3))
@@ -113,13 +108,13 @@ def laser_light(off_dn: Integers, on_dn: Integers, area: Bool) -> LaserLight:
     off, on = (image[area].astype(np.float64) for image in (off_dn, on_dn))
     kept = np.ones(len(off), dtype=bool)
     gain, offset = 1.0, 0.0
-    for _ in range(LIGHT_ROUNDS):
+    for _ in range(4):
         if not np.ptp(off[kept]) > 0.0:
             break
         gain, offset = np.polyfit(off[kept], on[kept], 1)
         rest = on - gain * off - offset
         middle = float(np.median(rest))
-        kept = np.abs(rest - middle) <= LIGHT_SIGMAS * max(spread(rest), 1.0)
+        kept = np.abs(rest - middle) <= 3.0 * max(spread(rest), 1.0)
     light = np.zeros(off_dn.shape, dtype=np.float32)
     rest = on - gain * off - offset
     light[area] = rest

@@ -24,17 +24,8 @@ from noise_model.robust import spread
 MIN_LINES = 15
 """Least number of scan lines that determine a width."""
 
-MIN_VARIANCE_OVER_BLUR = 0.25
-"""The stripe's variance less the blur's, of the stripe's: below it the stated blur makes the width."""
-
-MAX_EXTRAPOLATION = 0.5
-"""A law that is not the model's is followed beyond the boards by that share of their range at most."""
-
 SURE_SIGMAS = 4.0
 """A waist whose curvature is less sure may be none."""
-
-MEDIAN_ERROR = math.sqrt(0.5 * math.pi)
-"""A median's standard error over a mean's, of normal values."""
 
 
 class Law(StrEnum):
@@ -92,13 +83,15 @@ def width_of_pair(width_px: Float64, per_px_mm: Float64, blur_px: float) -> tupl
         return None
     square = (per_px_mm[known] * width_px[known]) ** 2 - (per_px_mm[known] * blur_px) ** 2
     variance = float(np.median(square))
-    if variance < MIN_VARIANCE_OVER_BLUR * float(np.median((per_px_mm[known] * width_px[known]) ** 2)):
+    # Else the stated blur makes the width.
+    if variance < 0.25 * float(np.median((per_px_mm[known] * width_px[known]) ** 2)):
         return None
     scatter = spread(square)
     independent = len(square) / lines_together(
         square.clip(variance - 5.0 * scatter, variance + 5.0 * scatter)
     )
-    error = MEDIAN_ERROR * scatter / math.sqrt(max(independent, 1.0))
+    # A median's standard error is sqrt(pi / 2) times a mean's.
+    error = math.sqrt(0.5 * math.pi) * scatter / math.sqrt(max(independent, 1.0))
     sigma = math.sqrt(variance)
     return sigma, max(0.5 * error / sigma, 1e-6 * sigma)
 
@@ -131,7 +124,8 @@ def fit_width(pairs: Mapping[float, tuple[float, float]], height_mm: float) -> W
         value = math.sqrt(max(value, 1e-12))
         value_error = 0.5 * value_error / value
     beyond = max(float(depth.min()) - height_mm, height_mm - float(depth.max()), 0.0)
-    is_near = law is Law.MODEL or beyond <= MAX_EXTRAPOLATION * float(np.ptp(depth))
+    # Beyond the boards another law holds for half of their range.
+    is_near = law is Law.MODEL or beyond <= 0.5 * float(np.ptp(depth))
     at_height = (value, value_error) if is_near and value > SURE_SIGMAS * value_error else None
     waist = _waist(coefficients, covariance) if law is Law.WAIST else None
     return Width(

@@ -27,9 +27,6 @@ REACH_SIGMAS = 7.0
 N_STEPS = 72
 """Steps of codes over that reach: some five a sigma where codes are taken together."""
 
-FINE_DN = 0.125
-"""The step where places between two codes are mixed: it follows any noise that is measured."""
-
 
 class CodeMoments(NamedTuple):
     """Mean, DN, variance, DN^2, and fourth central moment, DN^4, of pixels' codes (...,)."""
@@ -52,7 +49,8 @@ def code_moments(mean_e: Float64, light_e: Float64, sensor: Sensor, is_mixed: Bo
     reach = REACH_SIGMAS * sigma
     low, high = (np.clip(np.rint(respond(mean + sign * reach, sensor)), 0.0, top) for sign in (-1.0, 1.0))
     span = (high - low) / N_STEPS
-    step = np.where(is_mixed[..., np.newaxis], np.maximum(FINE_DN, span), np.maximum(1.0, np.ceil(span)))
+    # A step of an eighth of a code follows any noise that is measured.
+    step = np.where(is_mixed[..., np.newaxis], np.maximum(0.125, span), np.maximum(1.0, np.ceil(span)))
     n = np.arange(1, N_STEPS + 1)
     borders = low + step * (n - 0.5)
     z = (linearise(np.minimum(borders, top), sensor) - mean) / sigma

@@ -32,12 +32,6 @@ MIN_SPAN = 4.0
 MAX_SATURATED_SHARE = 1e-3
 """A level of which a larger share is at the top code is left out."""
 
-WELL_NOISE_SHARE = 0.3
-"""A level whose noise has fallen below this share of the largest of shorter exposures has full wells."""
-
-MAX_SHADING_REL = 0.2
-"""Largest variation of the light over the image, 1 sigma."""
-
 MIN_DARK_SIGMA_DN = 0.24
 """Dark noise below this is hidden by rounding (EMVA Standard 1288, section 6)."""
 
@@ -114,7 +108,7 @@ def calibrate_sensor(levels: Sequence[Level], bits: int, gamma: float | None = N
     usable = [level for level in lit[:n_full] if level.share_from(top - 0.5) <= MAX_SATURATED_SHARE]
     _check_levels(dark, lit, usable, black)
     kept = statistics([*dark, *usable])
-    if kept.shading_rel > MAX_SHADING_REL:
+    if kept.shading_rel > 0.2:
         raise ValueError(
             f"the light changes by {100.0 * kept.shading_rel:.0f} % over the image (1 sigma): put a "
             "diffuser before the lens, or take the lens off"
@@ -133,7 +127,8 @@ def _top(lit: Sequence[Level], bits: int) -> tuple[float, int, bool]:
     last = float(2**bits - 1)
     noise = np.array([float(level.variance_dn2.mean()) for level in lit])
     for n in range(1, len(lit)):
-        fell = noise[n] < WELL_NOISE_SHARE * noise[:n].max()
+        # The noise falls where wells are full.
+        fell = noise[n] < 0.3 * noise[:n].max()
         if fell and lit[n].share_from(last) < 0.5:
             return float(np.median(lit[-1].mean_dn)), n, True
     return last, len(lit), any(level.share_from(last) > 0.5 for level in lit)

@@ -24,25 +24,8 @@ BOX_PX = 11
 MIN_SIDE_PX = 2 * BOX_PX
 """Smaller frames hold too few boxes: a box is left out along each border."""
 
-MEDIAN_PX = 5
-"""The side of the box whose median says what a defect's surroundings are."""
-
-DEFECT_SIGMAS = 6.0
-"""A pixel that departs from its surroundings by more, in dark or bright frames, is a defect and left out."""
-
-MAX_FLICKER_REL = 0.01
-"""Frames of one level that differ in brightness by more are of a light that flickers.
-
-Their difference takes off the mean, but not what the pattern of 1 % does then: a hundredth of a percent.
-"""
-
 FLICKER_SIGMAS = 5.0
 """And by how many standard errors of their means they must differ."""
-
-MAX_NEIGHBOUR_CORRELATION = 0.05
-"""Largest correlation of neighbouring pixels' noise. A scene that moves between frames, codecs and
-interpolated colours exceed it.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,13 +111,15 @@ def check_steady(level: Level, black_dn: float) -> None:
     error = float(np.sqrt(2.0 * level.variance_dn2.mean() / pixels)) + 1e-9
     spread = float(np.ptp(means))
     light = abs(float(means.mean()) - black_dn)
-    if level.is_lit and spread > max(MAX_FLICKER_REL * light, FLICKER_SIGMAS * error):
+    # Differences of frames take off the mean; of a pattern of 1 % a flicker of 1 % leaves a ten-thousandth.
+    if level.is_lit and spread > max(0.01 * light, FLICKER_SIGMAS * error):
         raise ValueError(
             f"{level.name}: one is {100.0 * spread / light:.1f} % brighter than another: the light "
             "flickers; take them anew under direct current, or with exposures of whole periods"
         )
     # Frames whose noise rounding swallows have no correlation to speak of.
-    if abs(level.neighbour_correlation) > MAX_NEIGHBOUR_CORRELATION + FLICKER_SIGMAS / np.sqrt(pixels):
+    # Moving scenes, codecs and interpolated colours correlate neighbours by more.
+    if abs(level.neighbour_correlation) > 0.05 + FLICKER_SIGMAS / np.sqrt(pixels):
         raise ValueError(
             f"{level.name}: neighbouring pixels differ alike from frame to frame (correlation "
             f"{level.neighbour_correlation:.2f}): camera or scene moved between them, or they are "
@@ -194,11 +179,11 @@ def statistics(levels: Sequence[Level]) -> LevelStatistics:
 
 def _is_good(level: Level) -> Bool:
     """Return which pixels (H, W) are no defects in one level."""
-    off = level.mean_dn - median_filter(level.mean_dn, MEDIAN_PX)
+    off = level.mean_dn - median_filter(level.mean_dn, 5)
     # The spread of the middle half: defects do not count in it, nor does a tail of rounded codes.
     low, above = np.percentile(off, [25.0, 75.0])
     noise = float(np.sqrt(np.mean(level.variance_dn2) / level.n_frames))
-    return np.asarray(np.abs(off) <= DEFECT_SIGMAS * max((above - low) / 1.349, noise, 1.0 / 12.0))
+    return np.asarray(np.abs(off) <= 6.0 * max((above - low) / 1.349, noise, 1.0 / 12.0))
 
 
 def _middle(frame: Integers) -> Integers:

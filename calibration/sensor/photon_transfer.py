@@ -31,12 +31,6 @@ from noise_model.instrument.sensor import Sensor
 NAMES = ("black_level_dn", "ln_gain", "gamma", "read_noise_e2", "dark_e2", "response_rel2")
 """The shared parameters, in their order; behind them come the logarithms of the lit levels' charges."""
 
-START_GAMMAS = np.geomspace(0.3, 2.0, 39)
-"""Gammas that are tried to begin with."""
-
-START_LINEARITY, MIN_LINEARITY = 3e-3, 1e-6
-"""The linearity error to begin with, and the least, relative."""
-
 MAX_ROUNDS, SETTLED_SIGMAS = 60, 1e-3
 """Rounds of scoring, and the step, in sigmas, that ends them."""
 
@@ -45,9 +39,6 @@ LOOSER = 1.05
 
 HELD_ROUNDS = 8
 """Number of rounds that hold the linearity error: far from the maximum all is off the line."""
-
-MAX_LN_STEP = 0.3
-"""The largest step of a logarithm or of gamma in a round."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +108,7 @@ class PhotonTransferProblem:
         black = float(np.average(levels.mean_dn[dark], weights=levels.n_frames[dark]))
         share = np.maximum(levels.mean_dn[self.lit] - black, 1e-3) / (self.top_dn - black)
         noise = np.maximum(levels.variance_dn2[self.lit] - 1.0 / 12.0, 1e-3)
-        gammas = START_GAMMAS if self.gamma is None else np.array([self.gamma])
+        gammas = np.geomspace(0.3, 2.0, 39) if self.gamma is None else np.array([self.gamma])
         best, chosen = math.inf, (1.0, 0.0)
         for gamma in gammas:
             ln_shot = np.log(gamma**2 * (share * (self.top_dn - black)) ** 2 / noise)
@@ -149,7 +140,7 @@ class PhotonTransferProblem:
 
 def fit_photon_transfer(problem: PhotonTransferProblem) -> PhotonTransferFit:
     """Return the maximum of the likelihood."""
-    x, tau = problem.start(), START_LINEARITY
+    x, tau = problem.start(), 3e-3
     n_shared = len(NAMES)
     free = np.array([n != NAMES.index("gamma") or problem.gamma is None for n in range(len(x))])
     is_settled, freedom = False, 1.0
@@ -165,7 +156,8 @@ def fit_photon_transfer(problem: PhotonTransferProblem) -> PhotonTransferFit:
         sigmas = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         size = np.abs(step) / sigmas
         is_log = np.array([False, True, True, False, False, False, *np.ones(problem.lit.sum(), dtype=bool)])
-        shrink = min(1.0, MAX_LN_STEP / float(np.abs(step[is_log]).max() + 1e-300))
+        # A round changes no logarithm, and no gamma, by more than 0.3.
+        shrink = min(1.0, 0.3 / float(np.abs(step[is_log]).max() + 1e-300))
         x = _inside(x + shrink * step, x, problem)
         before = tau
         if done >= HELD_ROUNDS:
@@ -245,7 +237,7 @@ def _linearity(
     spread = centred @ covariance[len(NAMES) :, len(NAMES) :] @ centred
     freedom = max(n - 1.0 - float(np.trace(spread)) / tau**2, 0.5)
     square = float(np.sum(_departures(problem, x) ** 2))
-    return max(math.sqrt(square / freedom), MIN_LINEARITY), freedom
+    return max(math.sqrt(square / freedom), 1e-6), freedom
 
 
 def _scores(problem: PhotonTransferProblem, x: Float64, here: ResponsePrediction) -> tuple[Float64, Float64]:

@@ -27,9 +27,6 @@ DARK_NODES = (_PLACES, _SHARES / _SHARES.sum())
 """Places and weights over which a pattern is averaged; in the dark it may be wider than the noise, within
 which a response with gamma bends."""
 
-MIXED_FROM_DN = 0.5
-"""1 sigma from which pixels lie everywhere between two codes: exp(-2 pi^2 / 4) is 0.7 %."""
-
 MIN_SPREAD = 1e-3
 """The least spread over the nodes, in sigmas of the noise: the slope needs one."""
 
@@ -86,7 +83,8 @@ def _averaged(
     places, weights = nodes
     nodes_e = charge_e[:, np.newaxis] + spread_e[:, np.newaxis] * places
     aside = 0.5 * (respond(charge_e + spread_e, sensor) - respond(charge_e - spread_e, sensor))
-    is_mixed = np.broadcast_to((aside > MIXED_FROM_DN)[:, np.newaxis], nodes_e.shape)
+    # From 0.5 DN on pixels lie everywhere between two codes: exp(-2 pi^2 / 4) is 0.7 %.
+    is_mixed = np.broadcast_to((aside > 0.5)[:, np.newaxis], nodes_e.shape)
     # A pixel's offset in the dark has no shot noise.
     light_e = np.where(charge_e[:, np.newaxis] > 0.0, nodes_e, 0.0)
     codes = code_moments(nodes_e, light_e, sensor, is_mixed)

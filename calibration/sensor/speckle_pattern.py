@@ -32,9 +32,6 @@ SMOOTH_LINES = 24.0
 PATH_LINES, NEARBY_LINES = 2.0 * SMOOTH_LINES, 4.0
 """The path is smoother than what is taken off along it: it must not follow the speckle."""
 
-MAX_OFF_PATH, MAX_OFF_SHARE = 0.5, 0.05
-"""Lines further off a smooth path, in sigmas of the stripe; with a larger share of them it has corners."""
-
 LEVEL_LINES = 4.0 * SMOOTH_LINES
 """The stripe's level is smoother still: what is taken off twice would be counted once."""
 
@@ -47,17 +44,11 @@ MIN_RATIO = 0.05
 MAX_LINES = 640
 """Largest number of lines used for the residual of a smooth stripe."""
 
-N_GRAINS = 48
-"""Grains for which it is computed what a smooth stripe leaves."""
-
 N_BLOCKS = 16
 """Blocks of lines of the jackknife: longer than any grain."""
 
 PROFILE_PX = 60
 """So far to either side the stripe's mean profile is taken."""
-
-MIN_PEAK_SIGMAS = 6.0
-"""Least height of a line's peak over the dark, in sigmas of the noise."""
 
 GRAINS_PX = (0.25, 10.0)
 """The grains that the model has."""
@@ -133,7 +124,7 @@ class _GrainVariance:
     @classmethod
     def along(cls, n_lines: int) -> _GrainVariance:
         """Return it for a stripe of `n_lines`, its ends included."""
-        grains = np.geomspace(*GRAINS_PX, N_GRAINS)
+        grains = np.geomspace(*GRAINS_PX, 48)
         # Of longer stripes the ends hardly matter.
         n = min(n_lines, MAX_LINES)
         B = np.eye(n) - gaussian_filter1d(np.eye(n), SMOOTH_LINES, axis=0)
@@ -199,7 +190,7 @@ def _path(light: Float64, noise: Float64, usable: np.ndarray) -> tuple[int, int,
     smooth = gaussian_filter1d(light, 1.0, axis=1)
     peak = smooth.argmax(axis=1)
     lines = np.arange(len(light))
-    is_stripe = smooth[lines, peak] > MIN_PEAK_SIGMAS * np.sqrt(noise[lines, peak])
+    is_stripe = smooth[lines, peak] > 6.0 * np.sqrt(noise[lines, peak])
     is_stripe &= smooth[lines, peak] > 0.2 * float(np.percentile(smooth[lines, peak], 90.0))
     steady = np.abs(np.diff(peak, prepend=peak[0])) < 40
     edges = np.flatnonzero(np.diff(np.concatenate([[0], (is_stripe & steady).astype(int), [0]])))
@@ -229,7 +220,8 @@ def _path(light: Float64, noise: Float64, usable: np.ndarray) -> tuple[int, int,
         gaussian_filter1d((part * window * (places - centre[:, np.newaxis])).sum(axis=1), NEARBY_LINES)
         / nearby
     )
-    if float(np.mean(np.abs(off) > MAX_OFF_PATH * sigma)) > MAX_OFF_SHARE:
+    # With more than 5 % of its lines off a smooth path the stripe has corners.
+    if float(np.mean(np.abs(off) > 0.5 * sigma)) > 0.05:
         return None
     return first, last, centre, np.full(last - first, sigma)
 

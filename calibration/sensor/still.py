@@ -29,17 +29,8 @@ from noise_model.compiled.arrays import Bool, Float64, Integers
 from noise_model.fit import student_t
 from noise_model.instrument.sensor import Sensor, saturation_dn
 
-MIN_BRIGHT_SIGMAS = 4.0
-"""Least significance of shot noise, in sigmas of its slope: below it there is too little light."""
-
-CLEAR_OF_READ_NOISE = 6.0
-"""Least charge of a bin with a gamma, in read noises."""
-
 MAX_HIDDEN_DN = 0.4
 """Read noise that rounding hides is anything from 0 to this (EMVA Standard 1288, section 6)."""
-
-MIN_VARIANCE_DN2 = 0.25
-"""Bins that scatter less are left out: below half a code rounding is no twelfth."""
 
 MAX_UNLIKE, CHANCE = 2.0, 0.5
 """The largest relative error of bins, and by how much chi2 per freedom may exceed 1 by chance."""
@@ -85,7 +76,7 @@ def calibrate_still(frames_dn: Sequence[Integers], stated: Sensor) -> StillCalib
     shapes = _shapes(seen, stated.gamma, top)
     x, C, fitted, unlike = _weighted_fit(shapes, seen, _counts(seen, stated, top))
     inverse_gain, sigma = float(x[0]), math.sqrt(C[0, 0])
-    if inverse_gain < MIN_BRIGHT_SIGMAS * sigma:
+    if inverse_gain < 4.0 * sigma:
         raise ValueError(
             "the stripe's shot noise does not show: too few pixels are bright and below saturation; record "
             "a wider or a longer stripe, at an exposure that leaves its peak below saturation"
@@ -152,10 +143,12 @@ def _shapes(seen: StillStatistics, gamma: float, top_dn: float) -> Float64:
 
 def _counts(seen: StillStatistics, stated: Sensor, top_dn: float) -> Bool:
     """Return which bins (b,) count: with a gamma the response bends within the noise of faint ones."""
-    counts = seen.variance_dn2 > MIN_VARIANCE_DN2
+    # Below half a code rounding is no twelfth.
+    counts = seen.variance_dn2 > 0.25
     if stated.gamma != 1.0:
         u = np.maximum(seen.mean_dn - seen.black_dn, 0.0) / (top_dn - seen.black_dn)
-        counts &= stated.full_well_e * u ** (1.0 / stated.gamma) > CLEAR_OF_READ_NOISE * stated.read_noise_e
+        # A response with gamma bends near black.
+        counts &= stated.full_well_e * u ** (1.0 / stated.gamma) > 6.0 * stated.read_noise_e
     return np.asarray(counts)
 
 

@@ -18,17 +18,8 @@ from noise_model.compiled.arrays import Bool, Float32, Float64, Integers
 MIN_FRAMES = 20
 """Least number of frames of a stripe that stands still."""
 
-MAX_SWAY, MAX_BRIGHTNESS = 0.05, 0.2
-"""A frame is not of a still stripe if its shift changes the light by more, RMS, or if it is so much brighter.
-
-0.05 is a third of a pixel where the stripe's sigma is 4 px.
-"""
-
 N_LEVELS, N_GRADIENTS, MIN_PIXELS = 20, 3, 60
 """Bins of brightness, bins of gradient within each, and the fewest pixels of a bin."""
-
-STRIPE_BLUR_PX = 3.0
-"""1 sigma of the blur that takes speckle off a stripe."""
 
 BRIGHT_SHARE = 0.1
 """Pixels brighter than this share of the stripe say what a frame's pixels share."""
@@ -133,7 +124,8 @@ def _take_common_off(stack: Float32, image: Float64) -> tuple[Float64, Float64, 
     light = image - np.percentile(image, DARK_PERCENTILE)
     is_bright = light > BRIGHT_SHARE * np.percentile(light, 99.9)
     # A camera that shakes moves all of the image, a laser its stripe under a speckle that stays.
-    smooth = gaussian_filter(np.maximum(light, 0.0), STRIPE_BLUR_PX)
+    # The blur takes speckle off the stripe.
+    smooth = gaussian_filter(np.maximum(light, 0.0), 3.0)
     slopes = np.stack(np.gradient(smooth)) * light / np.maximum(smooth, 0.1 * BRIGHT_SHARE * smooth.max())
     shapes = np.stack([light, down, across, *slopes, np.ones_like(image)])
     # Shot noise grows with the light: bright pixels count less.
@@ -160,13 +152,14 @@ def _take_common_off(stack: Float32, image: Float64) -> tuple[Float64, Float64, 
 
 def _check_still(shifts_px: Float64, sways: Float64, brightness: Float64) -> None:
     worst = int(np.argmax(sways))
-    if sways[worst] > MAX_SWAY:
+    # A third of a pixel where the stripe's sigma is 4 px.
+    if sways[worst] > 0.05:
         raise ValueError(
             f"the stripe does not stand still: in frame {worst} it is shifted by "
             f"{np.abs(shifts_px[worst]).max():.2f} px; record with tool and part at rest"
         )
     worst = int(np.argmax(np.abs(brightness)))
-    if abs(brightness[worst]) > MAX_BRIGHTNESS:
+    if abs(brightness[worst]) > 0.2:
         raise ValueError(
             f"the light is not steady: frame {worst} is {100.0 * brightness[worst]:+.0f} % off the others; "
             "record under one laser power and one exposure, the arc off"

@@ -7,9 +7,6 @@ import math
 WINDOW_S = 10.0
 """The clocks are compared over one to two of these: in that time they drift apart by a millisecond or two."""
 
-RESTART_S = 1.0
-"""Least step back of a restarted clock; frames that are out of order go back by less."""
-
 
 class BusClock:
     """Converter of frame times in seconds since some start to wall-clock times.
@@ -24,7 +21,8 @@ class BusClock:
 
     def wall_s(self, timestamp_s: float, read_at_s: float) -> float:
         """Return a frame's Unix time, s; `read_at_s` is that of its reading, of which none can be later."""
-        if timestamp_s < self._newest_s - RESTART_S:
+        # Frames out of order go back by less than a second; a restarted clock by more.
+        if timestamp_s < self._newest_s - 1.0:
             self._newest_s = timestamp_s
             self._since_s = read_at_s
             self._apart_before_s = self._apart_s = math.inf

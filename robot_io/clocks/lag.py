@@ -27,10 +27,6 @@ from robot_io.stated_limit import check_limits
 
 Float64 = npt.NDArray[np.float64]
 
-GRID_TIME_CONSTANTS_S = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4)
-"""Starts of the search; the best value between them is found after that."""
-
-
 NO_TIME_CONSTANT_S = 1e-6
 """Time constant below which there is none."""
 
@@ -292,12 +288,10 @@ def _estimated(problem: _LagProblem, limits: LagLimits) -> Lag:
 
 def _grid(problem: _LagProblem, limits: LagLimits) -> list[tuple[float, float, float]]:
     """Return the sum of squares, dead time and time constant over a grid; a negative gain is none."""
-    constants_s = (
-        [c for c in GRID_TIME_CONSTANTS_S if c <= limits.longest_s] if problem.first_order else [0.0]
-    )
+    constants_s = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4) if problem.first_order else (0.0,)
     tried = []
     for dead_s in np.arange(0.0, limits.longest_s, limits.step_s).tolist():
-        for constant_s in constants_s:
+        for constant_s in (c for c in constants_s if c <= limits.longest_s):
             gain, residuals = problem.projected(dead_s, constant_s)
             total = float(residuals @ residuals) if gain > 0.0 else math.inf
             tried.append((total, dead_s, constant_s))

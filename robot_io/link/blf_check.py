@@ -20,8 +20,6 @@ _FILE_HEADER = struct.Struct("<4sL")
 _OBJECT_HEADER = struct.Struct("<4sHHLL")
 _CONTAINER_HEADER = struct.Struct("<H6xL4x")
 _CONTAINER, _ZLIB = 10, 2
-_PADDING = 8
-"""So far behind the last object the next begins at most."""
 
 
 def check_blf(file: BinaryIO) -> int | None:
@@ -75,7 +73,7 @@ def _walk(objects: bytes) -> bytes:
     """Check the objects that lie one after another; return what continues in the next container."""
     position = 0
     while True:
-        start = objects.find(b"LOBJ", position, position + _PADDING)
+        start = objects.find(b"LOBJ", position, position + 8)
         if start < 0 or start + _OBJECT_HEADER.size > len(objects):
             return objects[position:]
         size = _OBJECT_HEADER.unpack_from(objects, start)[3]

@@ -22,9 +22,6 @@ WRITTEN_SUFFIXES = (".asc", ".blf", ".log")
 UNIX_TIME_FROM_S = 631_152_000.0
 """Times from here on (1990-01-01) are taken for wall-clock times, as python-can's BLF writer does."""
 
-_BLF_CONTAINER_BYTES = 4096
-"""A BLF file is written in containers; a small one loses little if the process is killed."""
-
 KEPT_EVERY_S = 1.0
 """A process that is killed loses no more than this of a log; a machine that stops may lose more."""
 
@@ -153,7 +150,8 @@ class BusLogWriter:
 
 
 def _blf_writer(path: Path, append: bool = False) -> can.BLFWriter:
-    return can.BLFWriter(path, append=append, max_container_size=_BLF_CONTAINER_BYTES)
+    # Small containers: little is lost if the process is killed.
+    return can.BLFWriter(path, append=append, max_container_size=4096)
 
 
 def require_suffix(path: Path, suffixes: Collection[str]) -> None:

@@ -32,11 +32,6 @@ _CURES = {
         "give a multicast address such as 239.74.163.2, and install msgpack (python-can[multicast])"
     ),
 }
-_ECHOING = ("udp_multicast",)
-"""Interfaces that hand a sender its own frames back."""
-
-_ECHOES_KEPT = 256
-
 _LOOK_UP_S = 0.02
 """Period at which a waiting reader checks whether the link was closed: a bus does not wake it."""
 
@@ -101,7 +96,7 @@ class Link:
         self._closed = Event()
         self._clock = BusClock()
         self._was_empty_at_s = time.monotonic()
-        self._echoes: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES_KEPT)
+        self._echoes: deque[tuple[int, bytes]] = deque(maxlen=256)
         if bitrate_bit_s is not None:
             bus_options["bitrate"] = bitrate_bit_s
         if interface == "virtual":
@@ -171,7 +166,8 @@ class Link:
             data=payload,
             is_rx=False,
         )
-        if self.interface in _ECHOING:
+        # Multicast hands a sender its own frames back.
+        if self.interface == "udp_multicast":
             with self._lock:
                 self._echoes.append((arbitration_id, payload))
         if not self._bus.send(frame):

@@ -12,17 +12,11 @@ from enum import Enum
 
 import can
 
-SEND_TIMEOUT_S = 0.01
-"""Time-out of a sent frame. At 125 kbit/s one takes 1.1 ms; the next offset comes in 20 ms."""
-
 LOST_AFTER_S = 0.2
 """Duration of failures alone after which the bus is lost: ten periods of a status."""
 
 BACK_OFF_S = (0.1, 0.2, 0.5, 1.0, 2.0)
 """The waits before each attempt to open it again; the last one over and over."""
-
-_BUS_OFF = 0x40
-"""The bit of an error frame's identifier by which SocketCAN says that the controller is off the bus."""
 
 _LOG = logging.getLogger(__name__)
 
@@ -87,7 +81,8 @@ class ReconnectingBus:
         bus = self._bus
         if bus is not None:
             try:
-                bus.send(frame, SEND_TIMEOUT_S)
+                # At 125 kbit/s a frame takes 1.1 ms; the next offset comes in 20 ms.
+                bus.send(frame, 0.01)
             except Exception as error:  # an interface raises what its driver does
                 self._say(LinkFault.UNSENT, error)
             else:
@@ -119,7 +114,8 @@ class ReconnectingBus:
             return Nothing.QUIET
         if frame.is_error_frame:
             self.faults[LinkFault.ERROR_FRAME] += 1
-            if frame.arbitration_id & _BUS_OFF:
+            # SocketCAN's bit for a controller that is off the bus.
+            if frame.arbitration_id & 0x40:
                 self.faults[LinkFault.BUS_OFF] += 1
                 self._lose(bus)
         return frame

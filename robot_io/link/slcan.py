@@ -11,9 +11,6 @@ from can.interfaces.slcan import slcanBus
 WRITE_TIMEOUT_S = 0.01
 """A line takes 2.3 ms at 115200 bit/s."""
 
-MAX_WAITING_BYTES = 256
-"""Ten lines, 22 ms at 115200 bit/s: what waits longer is older than the next offset."""
-
 
 class SlcanBus(slcanBus):
     """python-can's adapter with writes that end, and no old lines before new ones.
@@ -46,7 +43,8 @@ class SlcanBus(slcanBus):
             port.write_timeout = WRITE_TIMEOUT_S
         line = string.encode() + self.LINE_TERMINATOR
         try:
-            if port.out_waiting > MAX_WAITING_BYTES:
+            # Ten lines, 22 ms at 115200 bit/s: what waits longer is older than the next offset.
+            if port.out_waiting > 256:
                 self._drop_what_waits()
             if self._is_line_cut:
                 line = self.LINE_TERMINATOR + line

@@ -9,9 +9,6 @@ from robot_io.link.inbox import Received
 from robot_io.protocol.dbc import cycle_time_s, message_layout
 from robot_io.protocol.messages import PoseKind, RobotPosePosition, RobotPoseRotation
 
-PAIRING_PERIODS = 5
-"""Halves further apart than this many cycle times are not paired: after 15 the counter comes round again."""
-
 
 @dataclass(frozen=True)
 class PoseSample:
@@ -43,7 +40,8 @@ class PoseAssembler:
     """Pairs position and rotation frames by their E2E counter; a half without its other half is dropped."""
 
     def __init__(self) -> None:
-        self._window_s = PAIRING_PERIODS * cycle_time_s(message_layout(RobotPosePosition.__name__))
+        # After 15 cycles the counter comes round again.
+        self._window_s = 5 * cycle_time_s(message_layout(RobotPosePosition.__name__))
         self._position: tuple[Received, RobotPosePosition] | None = None
         self._rotation: tuple[Received, RobotPoseRotation] | None = None
 

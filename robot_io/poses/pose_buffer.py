@@ -20,9 +20,6 @@ from scipy.spatial.transform import Rotation
 
 Float64 = npt.NDArray[np.float64]
 
-PERIOD_INTERVALS = 31
-"""The nominal period is the median of this many last intervals."""
-
 GAP_PERIODS = 4.0
 """Two neighbouring poses further apart than this many periods say nothing about the time between them."""
 
@@ -255,7 +252,7 @@ class PoseBuffer:
             refusal = PoseRefusal.BEFORE_BUFFER if self._forgot else PoseRefusal.TOO_FEW_POSES
             return _refused(t_s, refusal, np.nan)
         # From poses at or before t alone: what comes later must not change the answer for t.
-        until_t_s = times_s[max(0, known - 1 - PERIOD_INTERVALS) : known].tolist()
+        until_t_s = times_s[max(0, known - 32) : known].tolist()
         period_s = median(after - before for before, after in pairwise(until_t_s))
         last = known - 1
         if known < times_s.size and times_s[known] <= t_s + period_s:

@@ -17,9 +17,6 @@ from robot_io.protocol.messages import MotionState, RobotStatus
 
 Quaternion = tuple[float, float, float, float]
 
-SPEED_SAMPLES = 5
-"""Number of samples before the newest that determine the speed of the jitter's effect."""
-
 
 @described
 class Implausibility(Enum):
@@ -234,7 +231,7 @@ def mean_velocity_mm_s(window: tuple[KeptPose, ...]) -> Vector:
 
 def newest_speed_mm_s(window: tuple[KeptPose, ...]) -> float:
     """Return the speed over the newest samples of a window, mm/s."""
-    return math.hypot(*mean_velocity_mm_s(window[-SPEED_SAMPLES:]))
+    return math.hypot(*mean_velocity_mm_s(window[-5:]))
 
 
 def turn_rad(a: Quaternion, b: Quaternion) -> float:

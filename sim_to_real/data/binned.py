@@ -27,26 +27,11 @@ from tracker.state import Frame, Pose
 PoseAt = Callable[[float], Pose | None]
 """The tool's pose as the controller stamped it for a time, None where there is none."""
 
-BINNED_WIDTH = 160
-"""About how many bins an image is wide: light and stripe are resolved, a frame is predicted in a blink."""
-
-MIN_BIN_PX = 2
-"""The smallest bins: they must show their pixels' scatter."""
-
 FLOOR_REL, FLOOR_DN = 0.006, 0.05
 """The model's floor, its own error in a bin: relative to the light, and in DN."""
 
 MAX_ARC_STEP_REL = 0.5
 """A bin counts if the arc's light changes to its neighbours by a smaller share: it is off shadow edges."""
-
-EDGE_SIDE_BINS = 5
-"""The side of the square about a bin that must be free of edges."""
-
-N_ACROSS = 27
-"""Off the stripe about so many bins count along a row, and as far apart along columns."""
-
-STRIPE_SHARE = 0.02
-"""A bin is in the stripe if the laser puts more than this share of its peak there."""
 
 STRIPE_RIM_BINS = 5
 """The side of the square by which the stripe is dilated: what blurs into it, or where it moves to."""
@@ -203,7 +188,9 @@ def observe_along(
     seam = SeamCurve.of(
         *seam_observations.in_joint(setup), seam_observations.variances_mm2, ends_mm, has_ridges
     )
-    bin_px = max(MIN_BIN_PX, round(setup.camera.width / BINNED_WIDTH))
+    # Some 160 bins across the image resolve light and stripe; bins of 2 px or more show their pixels'
+    # scatter.
+    bin_px = max(2, round(setup.camera.width / 160))
     binned = replace(setup, camera=binned_camera(setup.camera, bin_px))
     usable = [_usable(frame.image_dn, setup, bin_px) for frame in posed]
     transfer = photon_transfer([frame.image_dn for frame in posed], usable, bin_px)
@@ -357,13 +344,15 @@ def bins_that_count(setup: Setup, layers: Layers, condition: Condition, usable: 
     """Return the bins (h, w) that count, and those in the stripe."""
     keep = usable & on_one_face(layers.faces)
     thin = np.zeros_like(keep)
-    apart = max(1, round(keep.shape[1] / N_ACROSS))
+    # Off the stripe every n-th bin counts, some 27 along a row.
+    apart = max(1, round(keep.shape[1] / 27))
     thin[::apart, ::apart] = True
     if condition.arc_level > 0.0:
         keep &= _changes_slowly(layers.arc_e)
     in_stripe = np.zeros_like(keep)
     if condition.laser_level > 0.0:
-        in_stripe = layers.laser_e > STRIPE_SHARE * setup.laser.peak_e
+        # In the stripe the laser has more than 2 % of its peak.
+        in_stripe = layers.laser_e > 0.02 * setup.laser.peak_e
     rows, columns = np.indices(keep.shape)
     return keep & (thin | (in_stripe & ((rows + columns) % 2 == 0))), in_stripe
 
@@ -373,7 +362,7 @@ def on_one_face(faces: Integers) -> Bool:
 
     Nuisances move edges: one that comes into a bin would count for more than all else that they move.
     """
-    return ~near_face_edges(faces, EDGE_SIDE_BINS)
+    return ~near_face_edges(faces, 5)
 
 
 def _changes_slowly(image: Float32) -> Bool:

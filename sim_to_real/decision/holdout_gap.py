@@ -24,12 +24,6 @@ from sim_to_real.fit.trend import effects_in_frame
 EDGE_PX = 6
 """Pixels nearer to an edge of the joint or of a shadow do not count."""
 
-SHADOW_EDGE_REL = 0.1
-"""At a shadow's edge the arc's light changes by more than this share from pixel to pixel."""
-
-LEVEL_ROUNDS = 3
-"""Iterations of a frame's own level of the arc."""
-
 SMOOTH_PX = 4.0
 """1 sigma over which the map of the gap is smoothed."""
 
@@ -126,7 +120,7 @@ def _with_own_level(recorded: Integers, predict_at: Callable[[float], Prediction
     levels = []
     for block_half in (is_even, ~is_even):
         level = 1.0
-        for _ in range(LEVEL_ROUNDS):
+        for _ in range(3):
             here, there = predict_at(level), predict_at(level * (1.0 + LEVEL_STEP_REL))
             slope = (there.mean_dn - here.mean_dn)[block_half] / LEVEL_STEP_REL
             weight = np.where(here.saturated, 0.0, 1.0 / here.variance_dn2)[block_half]
@@ -159,7 +153,8 @@ def _valid_pixels(
     bad = near_face_edges(layers.faces, 2 * EDGE_PX + 1)
     if frame.condition.arc_level > 0.0:
         arc = layers.arc_e
-        steep = np.maximum(*(np.abs(np.gradient(arc, axis=axis)) for axis in (0, 1))) > SHADOW_EDGE_REL * arc
+        # At a shadow's edge the light changes by more than a tenth from pixel to pixel.
+        steep = np.maximum(*(np.abs(np.gradient(arc, axis=axis)) for axis in (0, 1))) > 0.1 * arc
         bad |= dilated(steep & (arc > 0.0), 2 * EDGE_PX + 1)
     for prediction in predicted:
         bad |= prediction.saturated

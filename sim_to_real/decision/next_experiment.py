@@ -39,14 +39,8 @@ from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import FRAME_LEVEL, Refit, refit_there
 from sim_to_real.fit.linearized_model import LinearizedModel
 
-MAX_BINS = 500
-"""Bins of one frame that count as independent: neighbours share the model's error."""
-
 RECORDED_REL = 0.1
 """A recording holds an experiment if exposure and current of a frame differ from its by a smaller share."""
-
-SATURATION_SIGMAS = 3.0
-"""A bin whose mean is fewer sigmas below saturation may hold saturated pixels."""
 
 
 def planned_frame(experiment: Experiment, frame: ObservedFrame, setup: Setup) -> ObservedFrame:
@@ -177,8 +171,10 @@ def _surprise(planned: LinearizedModel, right: _Forecast, rival: _Forecast, n: i
     mean_dn, setup = right.means_dn[n], planned.observed.setup
     noise_dn2, floor_dn2 = variances_dn2(mean_dn, setup)
     variance = noise_dn2 / planned.observed.bin_px**2 / N_MORE + floor_dn2
-    dark = mean_dn < saturation_dn(setup.sensor) - SATURATION_SIGMAS * np.sqrt(noise_dn2)
-    weight = np.where(dark, 1.0 / variance, 0.0) * min(1.0, MAX_BINS / max(len(mean_dn), 1))
+    # A bin within 3 sigmas of saturation may hold saturated pixels.
+    dark = mean_dn < saturation_dn(setup.sensor) - 3.0 * np.sqrt(noise_dn2)
+    # Neighbours share the model's error: a frame's bins count as 500 independent ones at most.
+    weight = np.where(dark, 1.0 / variance, 0.0) * min(1.0, 500 / max(len(mean_dn), 1))
     difference, J = rival.means_dn[n] - mean_dn, rival.spreads_dn[n]
     information = J.T @ (weight[:, np.newaxis] * J) + np.eye(J.shape[1])
     along = J.T @ (weight * difference)

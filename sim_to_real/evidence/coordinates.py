@@ -29,20 +29,11 @@ TOGETHER, ANYTHING = "all of these", "anything"
 PART_KNOTS = (9, 6)
 """Knots of the scene's texture along the seam and across it."""
 
-PROFILE_KNOTS, BESIDE_KNOTS = 11, 49
-"""Knots over the distance from the laser's sheet: of the stripe's profile, and of light beside the stripe.
-
-A second stripe is as narrow as the first: there are as many knots as stripes have room side by side.
-"""
-
 ADDED_DN = 50.0
 """Amplitude of a free term of size 1 that adds to the image."""
 
 MOVED_DEG, MOVED_MM = 2.0, 2.5
 """Rotation and translation of the camera by a free term of size 1."""
-
-TURNED_IN_FRAME_DEG, MOVED_IN_FRAME_MM = 0.3, 0.3
-"""Rotation and translation of the camera in each frame by a free term of size 1, as by a wrong clock."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +136,7 @@ def _bases(covariates: Covariates) -> list[_Basis]:
     mean_light = _mean_in_frame(covariates, covariates.light_dn) * per_dn
     image, distance = hats_2d(values["row"], values["column"], 5, 6), hats(values["distance"], 6)
     beside_mm = values["beside_sheet"]
-    profile = hats(np.where(covariates.in_stripe, beside_mm, np.float32(np.nan)), PROFILE_KNOTS)
+    profile = hats(np.where(covariates.in_stripe, beside_mm, np.float32(np.nan)), 11)
     laser_on = _mean_in_frame(covariates, covariates.laser_dn) > 0.0
 
     def along(name: str, count: int) -> Float32:
@@ -173,7 +164,8 @@ def _bases(covariates: Covariates) -> list[_Basis]:
         _Basis(Stage.MEDIUM, "light about the arc", distance, lit),
         _Basis(Stage.OPTICS, "light over the image", image, light),
         _Basis(Stage.OPTICS, "light over the radius", radial, light),
-        _Basis(Stage.OPTICS, "light beside the stripe", even_hats(beside_mm, BESIDE_KNOTS), laser_on * added),
+        # A ghost stripe is as narrow as the stripe: there is a knot for each place that it may have.
+        _Basis(Stage.OPTICS, "light beside the stripe", even_hats(beside_mm, 49), laser_on * added),
         _Basis(Stage.OPTICS, "mean light over the image", image, mean_light),
         _Basis(Stage.SENSOR, "grey level", along("gray_level", 9), added),
         _Basis(Stage.SENSOR, "light in each frame", in_frame, light),
@@ -211,8 +203,9 @@ def _displacements(covariates: Covariates) -> list[_Free]:
     distortion = np.column_stack([outward, 4.0 * outward * (x**2 + y**2)])
     sizes = np.array([MOVED_DEG] * 3 + [MOVED_MM] * 3, dtype=np.float32)
     in_frame = in_each_frame(covariates)
-    turned = pairwise_products(in_frame, np.float32(TURNED_IN_FRAME_DEG) * pose[:, :3])
-    shifted = pairwise_products(in_frame, np.float32(MOVED_IN_FRAME_MM) * pose[:, 3:])
+    # A free term of size 1 turns the camera by 0.3 deg and moves it by 0.3 mm, as a wrong clock does.
+    turned = pairwise_products(in_frame, np.float32(0.3) * pose[:, :3])
+    shifted = pairwise_products(in_frame, np.float32(0.3) * pose[:, 3:])
     return [
         _Free(
             Stage.GEOMETRY,

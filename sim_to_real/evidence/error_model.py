@@ -48,9 +48,6 @@ HAND_EYE = "hand_eye"
 IMAGE_KNOTS = (6, 7)
 """Knots of the model's own error over rows and columns."""
 
-BINS_SEED = 0
-"""The seed of the choice of bins."""
-
 MIN_STEP_SIGMAS = 0.05
 """The shortest probe step, in sigmas of its parameter's prior, by which a column is scaled to one sigma."""
 
@@ -275,7 +272,7 @@ def compared_bins(model: LinearizedModel, covariates: Covariates, before: Refit,
     Half of them are in the stripe, if there is one that bins resolve in a fit without effects.
     """
     with_stripe = _is_resolved(covariates, _fourth_differences_dn(model, before), policy.max_ripple)
-    draw = np.random.default_rng(BINS_SEED)
+    draw = np.random.default_rng(0)
     usable = np.isfinite(covariates.sigma_dn)
     chosen = []
     for members in (usable & ~covariates.in_stripe, usable & covariates.in_stripe & with_stripe):

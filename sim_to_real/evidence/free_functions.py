@@ -29,15 +29,6 @@ from sim_to_real.fit.covariates import UNITS, Covariates
 N_COEFFICIENTS, N_KNOTS_2D = 10, (6, 7)
 """Coefficients of a spline at most, and hat functions over rows and columns."""
 
-FEW_VALUES, VALUES_PER_COEFFICIENT = 5, 2
-"""Number of values up to which each has a coefficient, and number of values that share one beyond it."""
-
-N_PLACES = 25
-"""Number of places at which a spline is reported."""
-
-BAND_SIGMAS = 1.96
-"""Half of a 95 % band, in sigmas."""
-
 MIN_EXCESS = 0.1
 """Shares are of an excess of this share of the floor at least: the model's own error is as large."""
 
@@ -166,7 +157,8 @@ class FreeFunctions:
         # Columns change residuals: sizes cancel what the light has more than predicted.
         mean = -per_unit @ sizes.mean
         variance = np.maximum(np.sum(per_unit @ sizes.covariance * per_unit, axis=1), 0.0)
-        half_band = BAND_SIGMAS * np.sqrt(variance)
+        # The 95 % band.
+        half_band = 1.96 * np.sqrt(variance)
         return Curve(
             name=name,
             unit=UNITS[name],
@@ -240,10 +232,11 @@ def _spline(x: Float64) -> tuple[Float64, Float64, Float64]:
     They are cubic B-splines. Of few values each has a function of its own.
     """
     distinct = np.unique(x)
-    if len(distinct) <= FEW_VALUES:
+    # Each of up to 5 values has a coefficient of its own; of more, two share one.
+    if len(distinct) <= 5:
         return np.equal.outer(x, distinct).astype(np.float64), distinct, np.eye(len(distinct))
-    count = min(N_COEFFICIENTS, max(4, len(distinct) // VALUES_PER_COEFFICIENT))
-    breaks, places = _spread(x, count - 2), _spread(x, N_PLACES)
+    count = min(N_COEFFICIENTS, max(4, len(distinct) // 2))
+    breaks, places = _spread(x, count - 2), _spread(x, 25)
     knots = np.concatenate([breaks[:1].repeat(3), breaks, breaks[-1:].repeat(3)])
     at_bins, at_places = (BSpline.design_matrix(values, knots, 3).toarray() for values in (x, places))
     return at_bins, places, at_places

@@ -36,9 +36,6 @@ TermEvidence: TypeAlias = Mapping[Term, Sequence[float]]
 MAX_SINGLES, MAX_TRENDS = 10, 3
 """Largest number of fitted effects, and of the likeliest ones that are also fitted as changing in time."""
 
-MAX_APPROACHED, APPROACH_SHARE = 3, 0.7
-"""Number of distant fits that are continued, and the largest share that each step may leave."""
-
 MAX_ROUNDS, SETTLED_NATS = 4, 1.0
 """Largest number of renderings at a fit, and the least gain of evidence for another one."""
 
@@ -47,9 +44,6 @@ SURPRISE_NATS = 4.0
 
 MUCH_SURPRISE, LITTLE_SURPRISE, FLOOR_MEAN_SQUARE = 0.7, 0.3, 1.0
 """And by this share of what the best fit gains; the second once a fit leaves no more than the floor."""
-
-MIN_IN_FULL = 3
-"""Number of the likeliest hypotheses that are weighed in full, however likely they are."""
 
 MOVING = tuple(name for name, effect in REGISTRY.items() if effect.stage in (Stage.GEOMETRY, Stage.TIMING))
 """Effects that move the image: while an unknown cause of a large gap leads, all of them are fitted.
@@ -143,9 +137,8 @@ class HypothesisSearch:
         That is an unknown cause, and errors of their forms where the effects themselves do nothing.
         """
         weighed = zip(posterior.hypotheses, posterior.p, range(len(posterior.p)), strict=True)
-        return [
-            self._in_full(h) if n < MIN_IN_FULL or p >= self.policy.possible else h for h, p, n in weighed
-        ]
+        # The first three are weighed in full, however unlikely they are.
+        return [self._in_full(h) if n < 3 or p >= self.policy.possible else h for h, p, n in weighed]
 
     def _in_full(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return a hypothesis with an unknown cause added to its effects, and more of their forms' errors."""
@@ -228,10 +221,11 @@ class HypothesisSearch:
         every = sorted(fitted, key=_evidence, reverse=True)
         if any(hypothesis.refit.mean_square < BIASED_MEAN_SQUARE for hypothesis in every):
             return every
-        for n, far in enumerate(every[:MAX_APPROACHED]):
+        for n, far in enumerate(every[:3]):
             for _ in range(MAX_ROUNDS):
                 near = refit_there(self.model, far.refit, self.errors.loss.about)
-                if near.mean_square > APPROACH_SHARE * far.refit.mean_square:
+                # Continue only while a step removes 30 % of what was left.
+                if near.mean_square > 0.7 * far.refit.mean_square:
                     break
                 every[n] = far = self.hypothesis(near)
         return every

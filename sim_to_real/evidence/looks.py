@@ -26,9 +26,6 @@ MAX_PAIRS, MAX_STARTS = 2, 3
 START_SHARES = 1.0, 0.4, 0.1
 """At these shares of the likeliest step a fit may start: at the one where least is left."""
 
-FAMILIES_IN_PAIRS = 2
-"""Number of families of each effect that are tried in pairs."""
-
 
 @dataclass(frozen=True, eq=False)
 class PairLook:
@@ -129,7 +126,8 @@ class Looks:
 
     def pairs_alone(self, needed: float) -> list[PairLook]:
         """Return pairs that beat every single effect at the start by as much as is needed, nats."""
-        places = [n for score in self.scores for n in self._ranked(score)[:FAMILIES_IN_PAIRS]]
+        # Pairs are formed of each effect's two best families.
+        places = [n for score in self.scores for n in self._ranked(score)[:2]]
         alone = max(self._exact)
         gains: dict[tuple[int, ...], float] = {
             pair: self._probes.log_evidence(*pair) - alone

@@ -25,14 +25,8 @@ from noise_model.compiled.arrays import Float32, Float64
 from noise_model.fit import Parameter
 from sim_to_real.fit.quadratic import Quadratic
 
-MAX_RESCALES = 6
-"""The errors' size is adjusted to what is left so often at most."""
-
 AT_BOUND = 1e-9
 """A size this near its bound, in sigmas of its prior, is at it."""
-
-MIN_EIGENVALUE = 0.05
-"""Directions of the model's own error with a smaller variance than this, over noise, are left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,10 +85,6 @@ class Metric:
         return log_evidence(self.products(both, both), some, len(residuals))
 
 
-LAST_STEP_NATS = 0.5
-"""A step of a fit that gains fewer nats is the last."""
-
-
 @dataclass(frozen=True, eq=False)
 class MetricLoss:
     """The cost of a fit's residuals in a metric."""
@@ -117,7 +107,8 @@ class MetricLoss:
 
     def is_converged(self, cost: float, gained: float) -> bool:
         """Return whether a step with a gain ends a fit of some cost."""
-        return gained < 2.0 * LAST_STEP_NATS
+        # Half a nat: the cost is twice the nats.
+        return gained < 1.0
 
 
 def log_evidence(products: Float64, sides: Float64, count: int) -> float:
@@ -143,7 +134,7 @@ def rescaled(products: Float64, sides: Float64, count: int) -> tuple[float, floa
     sides, ordered = sides[order], np.append(order, len(order))
     products = products[np.ix_(ordered, ordered)]
     variance, nats = 1.0, -math.inf
-    for _ in range(MAX_RESCALES):
+    for _ in range(6):
         at_variance, cost = _at_variance(products, sides, variance)
         nats = max(nats, at_variance - 0.5 * count * math.log(variance))
         before, variance = variance, max(1.0, cost / max(count, 1))
@@ -199,7 +190,8 @@ def compressed(columns: Float32) -> Float32:
     if not columns.shape[1]:
         return columns
     values, vectors = np.linalg.eigh((columns.T @ columns).astype(np.float64))
-    return np.asarray(columns @ vectors[:, values > MIN_EIGENVALUE].astype(np.float32))
+    # Noise hides directions with less than 5 % of its variance.
+    return np.asarray(columns @ vectors[:, values > 0.05].astype(np.float32))
 
 
 def robust_weights(residuals: Float64 | Float32, columns: Float32, dof: float, rounds: int = 4) -> Float32:

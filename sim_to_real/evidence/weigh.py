@@ -30,9 +30,6 @@ MIN_NATS = 3.0
 ALIKE_COSINE = 0.98
 """Two effects are not resolvable if the cosine between what they change is larger."""
 
-MIN_SPAN_REL = 1e-6
-"""Directions of a span with a smaller share of the largest product are rounding."""
-
 
 @dataclass(frozen=True, eq=False)
 class WeightedHypotheses:
@@ -105,7 +102,8 @@ def principal_cosines(first: Float64, between: Float64, second: Float64) -> Floa
 
     def inverse_root(products: Float64) -> Float64:
         values, vectors = np.linalg.eigh(products)
-        seen = values > MIN_SPAN_REL * max(float(values.max(initial=0.0)), 1e-12)
+        # Smaller products are rounding.
+        seen = values > 1e-6 * max(float(values.max(initial=0.0)), 1e-12)
         return np.asarray(vectors[:, seen] / np.sqrt(values[seen]))
 
     return np.asarray(np.linalg.svd(inverse_root(first).T @ between @ inverse_root(second), compute_uv=False))

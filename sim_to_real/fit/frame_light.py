@@ -17,9 +17,6 @@ from sim_to_real.data.binned import ObservedFrame
 CHARGE_STEP_E = 1.0
 """Step of the derivative with charge."""
 
-MAX_LIGHT_FACTOR = 4.0
-"""The largest factor by which an effect can change light, over what exposure and current do."""
-
 
 @dataclass(frozen=True, eq=False)
 class PredictedBins:
@@ -122,4 +119,5 @@ def light_factor(passed_e: Float32, rendered_e: Float32, known: float) -> Float3
     factor = np.zeros_like(passed_e)
     with np.errstate(over="ignore"):
         np.divide(passed_e, rendered_e, out=factor, where=rendered_e > 0.0)
-    return np.clip(factor, np.float32(0.0), np.float32(MAX_LIGHT_FACTOR * known))
+    # No effect makes light more than four times as bright.
+    return np.clip(factor, np.float32(0.0), np.float32(4.0 * known))

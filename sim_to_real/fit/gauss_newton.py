@@ -25,10 +25,6 @@ MAX_ITERATIONS = 8
 START_DAMPING, MIN_DAMPING, MAX_DAMPING, DAMPING_FACTOR = 1e-3, 1e-6, 1e3, 0.1
 """The damping's start and bounds, and its factor after a step that helps; else it is divided by it."""
 
-MAX_RELINEARIZATIONS, MIN_IMPROVEMENT_REL = 3, 0.1
-"""Largest number of renderings at a fit, and the least relative decrease of the mean square for another one.
-"""
-
 FLICKER, LEVEL_SIGMA = "arc_flicker", 0.2
 """The effect whose realisation is fitted frame by frame, and the prior sigma of a frame's ln level."""
 
@@ -192,9 +188,10 @@ def refit_there(
 
 def converged(model: LinearizedModel, fitted: Refit) -> Refit:
     """Return a fit after light and tangents have been rendered again at its result, until it stays."""
-    for _ in range(MAX_RELINEARIZATIONS):
+    for _ in range(3):
         again = refit_there(model, fitted)
-        if again.mean_square > (1.0 - MIN_IMPROVEMENT_REL) * fitted.mean_square:
+        # Another rendering must lower the mean square by a tenth.
+        if again.mean_square > 0.9 * fitted.mean_square:
             return min(again, fitted, key=lambda fit: fit.mean_square)
         fitted = again
     return fitted

@@ -36,9 +36,6 @@ Item = TypeVar("Item")
 
 Result = TypeVar("Result")
 
-MIN_CHORD_DEVIATION_MM = 0.03
-"""A seam that departs less from its chord is straight."""
-
 MAX_SEAM_SIGMAS = 2.0
 """Largest bend of a fitted seam that is used, in sigmas: a gap may have bent it."""
 
@@ -133,7 +130,8 @@ class LinearizedModel:
         curve = self.renderings.seam_curve(effects)
         coefficients = np.clip(nuisance[SEAM_FROM:], -MAX_SEAM_SIGMAS, MAX_SEAM_SIGMAS)
         deviation_mm = curve.chord_deviation_mm(coefficients, 0.5 * (first + last), torch)
-        if deviation_mm < MIN_CHORD_DEVIATION_MM or frame.condition.arc_level == 0.0:
+        # A seam nearer to its chord counts as straight.
+        if deviation_mm < 0.03 or frame.condition.arc_level == 0.0:
             return frame.sigma_dn
         true = apply_setup_effects(self.renderings.setup(effects, nuisance))
         seam = self.renderings.seam(frame, nuisance, effects)

@@ -13,17 +13,8 @@ from noise_model.fit import Parameter
 from noise_model.robust import sigma_of
 from sim_to_real.fit.quadratic import Quadratic
 
-HUBER_SIGMAS = 3.0
-"""Huber's bound, in robust sigmas of the residuals."""
-
 N_EFFECTIVE = 200.0
 """The effective number of independent residuals: neighbours share the model's error."""
-
-MIN_PRIOR_WEIGHT = 1e-3
-"""The smallest weight of priors, where residuals are tiny."""
-
-CONVERGED_REL = 1e-3
-"""A step that lowers Huber's cost by a smaller share is the last."""
 
 
 class Loss(Protocol):
@@ -62,7 +53,7 @@ class HuberLoss:
         """Return the loss for a step from residuals (n,)."""
         bound = huber_bound(r)
         chi2 = float(huber_weights(r, bound) @ r**2)
-        return cls(bound, max(chi2 / min(len(r), N_EFFECTIVE), MIN_PRIOR_WEIGHT))
+        return cls(bound, max(chi2 / min(len(r), N_EFFECTIVE), 1e-3))
 
     def cost(self, r: Float64) -> float:
         """Return the cost of residuals (n,)."""
@@ -78,12 +69,12 @@ class HuberLoss:
 
     def is_converged(self, cost: float, gained: float) -> bool:
         """Return whether a step with a gain ends a fit of some cost."""
-        return gained < CONVERGED_REL * cost
+        return gained < 1e-3 * cost
 
 
 def huber_bound(r: Float64) -> float:
     """Return Huber's bound for residuals (n,), proportional to their own spread."""
-    return HUBER_SIGMAS * max(1.0, sigma_of(r))
+    return 3.0 * max(1.0, sigma_of(r))
 
 
 def huber_weights(r: Float64, bound: float) -> Float64:

@@ -17,9 +17,6 @@ from scipy.optimize import lsq_linear
 from noise_model.compiled.arrays import Float64
 from noise_model.fit import Parameter, within_bounds
 
-RIDGE_REL = 1e-9
-"""Relative ridge on the information's diagonal: directions that no residual constrains stay put."""
-
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
@@ -62,7 +59,8 @@ class Quadratic:
         A = self.information + np.diag(prior)
         b = self.gradient - prior * (self.x - self.prior_starts)
         scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
-        scaled = A / np.outer(scale, scale) + (RIDGE_REL + damping) * np.eye(len(b))
+        # The ridge keeps parameters in place that no residual constrains.
+        scaled = A / np.outer(scale, scale) + (1e-9 + damping) * np.eye(len(b))
         factor = np.linalg.cholesky(scaled)
         lower = np.array([parameter.lower for parameter in self.parameters]) - self.x
         upper = np.array([parameter.upper for parameter in self.parameters]) - self.x

@@ -26,9 +26,6 @@ from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM, apply_nuisances
 from tracker.seam.curve import SeamCurve
 from tracker.seam_observations import TRIANGULATION_EFFECTS
 
-LIT_SHARE = 1e-3
-"""Share of the stated arc's brightest light below which it does not determine another arc's."""
-
 N_CACHED = 8
 """Number of cached renderings of a recording's frames."""
 
@@ -220,7 +217,9 @@ class Renderings:
         if not len(kept_e):
             return stated_e
         stated_kept_e = stated_e.reshape(-1)[frame.bins]
-        is_lit = stated_kept_e > LIT_SHARE * float(stated_kept_e.max())
+        # Where the stated arc gives less than 1/1000 of its brightest light, it does not determine another
+        # arc's.
+        is_lit = stated_kept_e > 1e-3 * float(stated_kept_e.max())
         factor = np.where(is_lit, kept_e / np.where(is_lit, stated_kept_e, 1.0), 0.0)
         everywhere = np.where(is_lit[nearest], stated_e * factor[nearest], kept_e[nearest]).astype(np.float32)
         everywhere.reshape(-1)[frame.bins] = kept_e

@@ -58,8 +58,6 @@ def _ending(key: str, neutral: float, shape: Values) -> ProbeFamily:
     return ProbeFamily(({key: neutral},), shape)
 
 
-PLATE_GOES_ON_MM = REGISTRY["plate_outline"].neutral["left_mm"]
-
 GHOSTS_ACROSS = tuple(round(sign * 0.035 * n, 3) for n in range(1, 19) for sign in (1, -1))
 """Distances from the stripe at which its ghost is searched, in half diagonals: a stripe's usual 2 sigma
 apart.
@@ -116,7 +114,7 @@ FAMILIES: Mapping[str, tuple[ProbeFamily, ...]] = {
     "plate_outline": (
         *_each({"left_mm": 12.0}, {"right_mm": 12.0}),
         *(
-            _ending(other, PLATE_GOES_ON_MM, {side: reach_mm})
+            _ending(other, REGISTRY["plate_outline"].neutral["left_mm"], {side: reach_mm})
             for side, other in (("left_mm", "right_mm"), ("right_mm", "left_mm"))
             for reach_mm in (4.0, 7.0, 10.0, 12.5, 15.0, 17.5, 20.0)
         ),

@@ -34,9 +34,6 @@ MIN_STEP = 0.05
 MAX_STEP = 3.0
 """Largest extrapolation of a line, in distances of its probe point."""
 
-MAX_FRACTION_FURTHER_PART = 0.9
-"""A further part of an effect with several, such as a patch, must leave less than this share of the cost."""
-
 
 @dataclass(frozen=True, eq=False)
 class ScoreTest:
@@ -111,7 +108,8 @@ def _score_effect(model: LinearizedModel, baseline: Refit, r: Float64, name: str
         ]
         tried.sort(key=lambda pair: pair[0].residual_fraction)
         (score, trial), *others = tried
-        if best is not None and score.residual_fraction > MAX_FRACTION_FURTHER_PART * best.residual_fraction:
+        # A further part, such as a second patch, must remove a tenth of the cost.
+        if best is not None and score.residual_fraction > 0.9 * best.residual_fraction:
             break
         best, chosen = replace(score, others=tuple(other for other, _ in others)), [*chosen, trial]
     assert best is not None

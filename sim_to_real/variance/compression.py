@@ -35,9 +35,6 @@ MIN_STEP, MAX_STEP = 4.0 * ROUNDED_SIGMA, 20.0
 ELSEWHERE = 0.1
 """The share of compressed coefficients that lie anywhere: pixels were cut at black or white."""
 
-N_ALIKE = 4.0
-"""Largest count of coefficients of one place in the block and one multiple: stripes repeat."""
-
 
 @dataclass(frozen=True)
 class Compression:
@@ -105,4 +102,5 @@ def _gain_of_steps(value: Float64, place: Int64, step: Float64) -> float:
     gain = np.log((1.0 - ELSEWHERE) * near * q + ELSEWHERE)
     _, cell = np.unique(1000 * place[tells] + multiple.astype(np.int64), return_inverse=True)
     count, total = np.bincount(cell), np.bincount(cell, gain)
-    return float(np.sum(total * np.minimum(1.0, N_ALIKE / np.maximum(count, 1))))
+    # A stripe repeats its coefficients: equal ones count as 4 at most.
+    return float(np.sum(total * np.minimum(1.0, 4.0 / np.maximum(count, 1))))

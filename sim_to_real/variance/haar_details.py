@@ -30,9 +30,6 @@ from sim_to_real.fit.frame_light import CHARGE_STEP_E, FrameLight
 CLIP_SIGMAS = 5.0
 """Clipping of details, in sigmas: a spark is not noise."""
 
-SCORING_ROUNDS = 5
-"""Iterations of the weights."""
-
 MIN_VARIANCE_RATIO = 0.25
 """The smallest variance, over the stated one."""
 
@@ -145,7 +142,7 @@ def fit_sizes(details: Sequence[HaarDetails]) -> VarianceSizes:
     if pooled.large.shape[1]:
         parts.append((pooled.large**2, np.stack([pooled.read, pooled.light, none, pooled.laser], axis=1)))
     theta, least = np.zeros(4), np.array([-1.0, 0.0, 0.0, 0.0])
-    for _ in range(SCORING_ROUNDS):
+    for _ in range(5):
         # The sizes' prior is 0 +- 1: without a laser they stay there.
         A, b = np.eye(4), np.zeros(4)
         for squares, columns in parts:

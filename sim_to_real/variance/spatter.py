@@ -33,29 +33,11 @@ CLUTTER_FRAMES = 30.0
 RIM_BINS = 3
 """Bins about a streak from which its background is taken."""
 
-BESIDE_BINS = 3.0
-"""1 sigma of the average of light next to a streak."""
-
 OUTLIER_SIGMAS = 4.0
 """Distance from the background, in sigmas, of pixels that do not belong to it."""
 
-MIN_ELONGATION = 4.0
-"""The smallest ratio of a streak's variance along it to that across it."""
-
-MAX_BACKGROUND_NOISE, MIN_BACKGROUND_SHARE, MIN_BACKGROUND_PX = 1.5, 0.7, 40
-"""A smooth background: its largest scatter over noise, and the smallest share and number of its pixels."""
-
 WINDOW_PX, WINDOW_ROUNDS, MAX_KEPT = 4.0, 4, 0.9
 """1 sigma of the window across a streak, its iterations, and the share of it that a streak may fill."""
-
-CLEAR_LIMIT_RATIO = 4.0
-"""Ratio of a streak to its limit from which its moments are used."""
-
-MIN_WIDTH_PX, MOMENT_ERROR_PX = 0.5, 0.3
-"""The narrowest streak, and 1 sigma of the error of moments."""
-
-MIN_SEARCHED_FRAMES = 0.01
-"""The smallest number of frames that count as searched."""
 
 PARAMETERS = {parameter.name: parameter for parameter in REGISTRY["spatter"].parameters}
 """The catalogue's parameters of spatter."""
@@ -138,7 +120,7 @@ def _excess(
 def _from_beside(image: Float32, bins: Bool) -> Float32:
     """Return the mean of an image (h, w) next to each of some bins (n,)."""
     others = np.float32(1.0) - bins.astype(np.float32)
-    light, weight = (cv2.GaussianBlur(part, (0, 0), BESIDE_BINS) for part in (image * others, others))
+    light, weight = (cv2.GaussianBlur(part, (0, 0), 3.0) for part in (image * others, others))
     return np.asarray(light[bins] / np.maximum(weight[bins], 1e-6), dtype=np.float32)
 
 
@@ -212,7 +194,8 @@ def _moments(place: Float64, charge: Float64) -> tuple[float, float, float] | No
         window = max(WINDOW_PX**2, 2.0 * across)
     middle = float(along @ seen) / total
     lengthwise = float((along - middle) ** 2 @ seen) / total
-    return (total / integral_kept, lengthwise, across) if lengthwise > MIN_ELONGATION * across else None
+    # A streak's variance along it is at least 4 times that across it.
+    return (total / integral_kept, lengthwise, across) if lengthwise > 4.0 * across else None
 
 
 def _background(electrons: Float64, beside: Bool, noise_e: float) -> Float64 | None:
@@ -221,16 +204,14 @@ def _background(electrons: Float64, beside: Bool, noise_e: float) -> Float64 | N
     basis = np.stack([row**n * column**m for n in range(4) for m in range(4 - n)], axis=-1)
     use = beside
     for _ in range(2):
-        if use.sum() < MIN_BACKGROUND_PX:
+        if use.sum() < 40:
             return None
         fitted = basis @ np.linalg.lstsq(basis[use], electrons[use], rcond=None)[0]
         remainder = electrons - fitted
         spread_e = sigma_of(remainder[use])
         use = beside & (np.abs(remainder) < OUTLIER_SIGMAS * max(noise_e, spread_e))
-    is_smooth = (
-        float(np.std(remainder[use])) < MAX_BACKGROUND_NOISE * noise_e
-        and use.sum() > MIN_BACKGROUND_SHARE * beside.sum()
-    )
+    # A smooth background scatters by little more than noise in most of its pixels.
+    is_smooth = float(np.std(remainder[use])) < 1.5 * noise_e and use.sum() > 0.7 * beside.sum()
     return np.asarray(fitted) if is_smooth else None
 
 
@@ -243,11 +224,12 @@ def _estimate(
     """Return the parameters of spatter and their 1 sigmas."""
     whole = [s for s in streaks if s.is_whole] or list(streaks)
     # Moments of faint streaks are noisy, those of saturated ones biased.
-    clear = [s for s in whole if s.line.response_dn > CLEAR_LIMIT_RATIO * s.line.limit_dn and not s.is_full]
+    clear = [s for s in whole if s.line.response_dn > 4.0 * s.line.limit_dn and not s.is_full]
     plain = clear or [s for s in whole if not s.is_full] or whole
     length = np.array([s.length_px for s in plain])
     across = np.array([s.seen_px2 for s in plain]) - observed.setup.camera.psf_sigma_px**2
-    width_px = math.sqrt(max(float(np.median(across)), MIN_WIDTH_PX**2))
+    # No streak is narrower than half a pixel.
+    width_px = math.sqrt(max(float(np.median(across)), 0.25))
     charge_e = np.array([s.charge_e / s.length_px for s in streaks])
     peak = charge_e / (width_px * math.sqrt(2.0 * math.pi))
     # A saturated streak's peak is at least what saturates.
@@ -258,9 +240,7 @@ def _estimate(
     # The mean of an exponential distribution that is censored at both ends.
     n_seen = max(sum(not s.is_full for s in streaks), 1)
     peak_e = float(np.sum(peak - limit)) / n_seen
-    searched_frames = max(
-        _searched_frames(observed, searched, streak_lines, (streaks, peak), peak_e), MIN_SEARCHED_FRAMES
-    )
+    searched_frames = max(_searched_frames(observed, searched, streak_lines, (streaks, peak), peak_e), 0.01)
     # Cut streaks count by their seen length; an edge that one crosses may have lengthened it.
     extent = np.array([line.extent for line in streak_lines]) / float(
         np.median([s.line.extent for s in whole])
@@ -312,7 +292,8 @@ def _unlikely(values: Mapping[str, float]) -> float:
 
 def _of_median(values: Float64) -> float:
     """Return 1 sigma of the median of values (n,), at least the error of moments."""
-    return math.sqrt(0.5 * math.pi * spread(values) ** 2 / len(values) + MOMENT_ERROR_PX**2)
+    # Moments have an error of 0.3 px.
+    return math.sqrt(0.5 * math.pi * spread(values) ** 2 / len(values) + 0.09)
 
 
 def streak_evidence(n: int, n_lit: int, n_others: int, n_frames: int) -> float:

@@ -24,9 +24,6 @@ GRAINS_PX, CONTRASTS = np.geomspace(0.3, 6.0, 60), np.geomspace(2e-3, 1.0, 160)
 WHITE_ERROR_REL = 0.5 * FLOOR_REL
 """The part of the model's relative floor that may differ from pixel to pixel."""
 
-CORRELATION_ERROR_REL = 0.05
-"""1 sigma of the kept variance's relative error, for a correlation that is no Gaussian or is sampled."""
-
 SMALL_WEIGHTS = np.array([1.0, -1.0]) / math.sqrt(2.0)
 LARGE_WEIGHTS = np.array([1.0, 1.0, -1.0, -1.0]) / 2.0
 """The details' weights along a side."""
@@ -68,7 +65,8 @@ def fit_speckle(sizes: VarianceSizes, error: float, error_without: float, bin_px
     kept = np.array([[variance_kept(g, w) for w in (SMALL_WEIGHTS, LARGE_WEIGHTS)] for g in GRAINS_PX])
     predicted = CONTRASTS[:, np.newaxis, np.newaxis] ** 2 * kept
     without = _ln_normal(measured[known], np.zeros(known.sum()), of_none[np.ix_(known, known)])
-    spread = covariance + np.einsum("cgi,ij->cgij", (CORRELATION_ERROR_REL * predicted) ** 2, np.eye(2))
+    # The correlation is no exact Gaussian, and it is sampled: 5 % of the kept variance.
+    spread = covariance + np.einsum("cgi,ij->cgij", (0.05 * predicted) ** 2, np.eye(2))
     with_it = _ln_normal(measured[known], predicted[..., known], spread[..., known, :][..., known])
     prior = _ln_prior("contrast", CONTRASTS)[:, np.newaxis] + _ln_prior("grain_px", GRAINS_PX)
     joint = with_it + prior

@@ -27,38 +27,11 @@ from sim_to_real.fit.frame_light import FrameLight
 from sim_to_real.variance.haar_details import VarianceSizes
 from sim_to_real.variance.line_filter import N_ANGLES, NOISE_GAIN, line_response
 
-FALSE_ALARMS = 1e-3
-"""Lines expected from noise alone in a whole recording."""
-
 WIDE_BINS = 5
 """The width, bins, from which a bright area is no streak; the median filter of the background has it too."""
 
 MISPLACED_BINS = 3
 """Largest distance of the model's lines from the true ones."""
-
-MODEL_LINE_RATIO = 1.5
-"""Ratio to the model's own lines up to which a line may be the model's error."""
-
-MIN_RECURRING_SHARE, NEAR_BINS = 0.3, 2
-"""Least share of a line in another frame that recurs, and its largest distance in bins."""
-
-MIN_RECURRING_FRAMES_SHARE, MIN_RECURRING_FRAMES = 0.3, 2
-"""A line is persistent if it recurs in this share of the frames that could show it.
-
-It must recur in so many frames, or in all that could show it.
-"""
-
-MIN_LIGHT_DN = 0.5
-"""The least light with which a persistent line's brightness is scaled."""
-
-BESIDE_LINE_BINS = 3
-"""Distance within which a bright line makes its surroundings look like a dark line."""
-
-MIN_RESPONSE_SIGMAS = 3.0
-"""Least response, in sigmas, at which a frame could show a line again."""
-
-MIN_LINE_BINS = 3
-"""The fewest bins of a line."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +77,8 @@ def search_lines(
     `more_dn2` is the variance that compression adds to every bin.
     """
     n_trials = len(observed.frames) * observed.frames[0].keep.size * N_ANGLES
-    min_sigmas = float(norm.isf(FALSE_ALARMS / n_trials))
+    # Noise alone gives a thousandth of a line in a whole recording.
+    min_sigmas = float(norm.isf(1e-3 / n_trials))
     return [
         _searched(frame, light, sizes, more_dn2, min_sigmas, observed.bin_px)
         for frame, light in zip(observed.frames, lights, strict=True)
@@ -126,7 +100,8 @@ def _searched(
     floor_dn = np.hypot(FLOOR_REL * light_dn, FLOOR_DN)
     own = line_response(respond(frame.stated_e, sensor).astype(np.float32))
     own_lines = np.maximum(np.maximum(own.bright, own.dark).max(axis=0), 0.0)
-    own_dn = np.asarray(MODEL_LINE_RATIO * cv2.dilate(own_lines, around), dtype=np.float32)
+    # A line up to 1.5 times the model's own may be the model's error.
+    own_dn = np.asarray(1.5 * cv2.dilate(own_lines, around), dtype=np.float32)
     limit_dn = np.asarray(min_sigmas * NOISE_GAIN * np.hypot(noise_dn, floor_dn) + own_dn, dtype=np.float32)
     full = block_means(frame.image_dn >= saturation_dn(sensor), bin_px) > 0.0
     # An area that is saturated across several bins is no streak.
@@ -181,7 +156,7 @@ def lines_in_frame(position: int, responses: Float32, limit_dn: Float32) -> list
     for n, window in enumerate(find_objects(patches), 1):
         inside = patches[window] == n
         over = np.divide(best[window], limit_dn[window], out=np.zeros(inside.shape), where=inside)
-        if over.max() <= 1.0 or inside.sum() < MIN_LINE_BINS:
+        if over.max() <= 1.0 or inside.sum() < 3:
             continue
         first = np.array([window[0].start, window[1].start])
         row, column = first + np.unravel_index(int(np.argmax(over)), over.shape)
@@ -211,7 +186,8 @@ def beside_bright(
     near = np.zeros((len(observed.frames), *observed.frames[0].keep.shape), dtype=np.bool_)
     for line in bright:
         near[(line.position, *line.bins.T)] = True
-    near = np.stack([dilated(image, 2 * BESIDE_LINE_BINS + 1) for image in near])
+    # Three bins beside a bright line may look like a dark line.
+    near = np.stack([dilated(image, 7) for image in near])
     return np.array([near[(line.position, *line.bins.T)].any() for line in dark], dtype=bool)
 
 
@@ -222,7 +198,7 @@ def is_persistent(
     lasts = np.zeros(len(candidates), dtype=bool)
     if not candidates:
         return lasts
-    around = np.ones((2 * NEAR_BINS + 1,) * 2, dtype=np.uint8)
+    around = np.ones((5, 5), dtype=np.uint8)
     responses = []
     for frame_search in searched:
         best = np.stack([cv2.dilate(r, around) for r in (frame_search.dark if dark else frame_search.bright)])
@@ -239,15 +215,17 @@ def is_persistent(
             there = place if fixed is None else _seen_at(observed, frame, fixed)
             inside = np.all((there >= 0) & (there < frame_search.light_dn.shape), axis=1)
             row, column = np.where(inside[:, np.newaxis], there, 0).T
-            lighter = frame_search.light_dn[row, column] / np.maximum(light, MIN_LIGHT_DN)
-            expected = MIN_RECURRING_SHARE * response * np.clip(lighter, 0.0, 1.0)
+            lighter = frame_search.light_dn[row, column] / np.maximum(light, 0.5)
+            # It recurs with 30 % of its response, within two bins.
+            expected = 0.3 * response * np.clip(lighter, 0.0, 1.0)
             shows = inside & (position != n) & np.isfinite(frame_search.limit_dn[row, column])
             # The stripe is a line, but not in all frames.
-            shows &= expected > MIN_RESPONSE_SIGMAS * NOISE_GAIN * frame_search.noise_dn[row, column]
+            shows &= expected > 3.0 * NOISE_GAIN * frame_search.noise_dn[row, column]
             shows &= ~frame_search.stripe[row, column]
             could += shows
             does += shows & (responses[n][angle, row, column] > expected)
-        needed = np.maximum(MIN_RECURRING_FRAMES_SHARE * could, np.minimum(could, MIN_RECURRING_FRAMES))
+        # Persistent: in 30 % of the frames that could show it, and in two of them if there are two.
+        needed = np.maximum(0.3 * could, np.minimum(could, 2))
         lasts |= (could > 0) & (does >= needed)
     return lasts
 
