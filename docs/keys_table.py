@@ -1,4 +1,4 @@
-"""Writes docs/reference/setup_keys.md and cell_keys.md: `python docs/keys_table.py`."""
+"""Writes the pages of keys in docs/reference: `python docs/keys_table.py`."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -6,6 +6,7 @@ from typing import Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
+from arctrack.calibrate.all.calibration_tables import CalibrationToml
 from arctrack.control.cell_file.model import KEYS_OF_KIND, CellToml
 from arctrack.recording.schema import MAX_NUMBER, Key, tables_of
 from arctrack.recording.setup_model import RecordingToml
@@ -25,6 +26,11 @@ What each key of `cell.toml` is, and what holds without it. `arctrack cell new` 
 [The cell file](cell_file.md) has an example. N stands for a job's number. `[jobs.N.joint]` has the keys of
 [`[joint]`](setup_keys.md#joint), `[jobs.N.follow]` those of [`[follow]`](setup_keys.md#follow).
 """
+CALIBRATION = """# The keys of calibration.toml
+
+The file lies in the folder that `arctrack calibrate all` reads, and says what the raw files cannot say.
+[Calibrating all of a sensor](../how_to/calibrate_all.md) has an example. A path goes from this file on.
+"""
 
 
 def pages() -> dict[str, str]:
@@ -32,6 +38,7 @@ def pages() -> dict[str, str]:
     return {
         "setup_keys.md": "\n".join([SETUP, *_sections(RecordingToml)]),
         "cell_keys.md": "\n".join([CELL, *_sections(CellToml)]),
+        "calibration_keys.md": "\n".join([CALIBRATION, *_sections(CalibrationToml)]),
     }
 
 

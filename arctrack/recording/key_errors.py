@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from arctrack.errors import ArctrackError, in_file
 from arctrack.printable import cut, shown
 from arctrack.recording.schema import Key, meaning_of, table_in
 from noise_model.spelling import nearest
+
+
+def wrong_keys(path: Path, error: ValueError, model: type[BaseModel]) -> ArctrackError:
+    """Return the error of a file whose content is no `model`."""
+    return in_file(path, describe(error, model) if isinstance(error, ValidationError) else str(error))
 
 
 def describe(error: ValidationError, model: type[BaseModel]) -> str:

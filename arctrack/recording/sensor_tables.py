@@ -31,6 +31,7 @@ Distortions = Annotated[
 SIDE = Bounds(None, LIMITS.side_px, source_of("side_px"))
 FOCAL = Bounds(1.0, 1e6, "a field of view of a half space; a 1 m lens on pixels of 1 um")
 CENTER = Bounds(-1e5, 1e5, "six times the longest side")
+GAMMA = Bounds(0.1, 10.0, "cameras show 0.4 to 2.5")
 
 
 class RigidPoseTable(Table):
@@ -171,7 +172,7 @@ class SensorTable(Table):
         "1, or 0.45 with gamma on",
         "your choice. Switch the camera's gamma off, and state 1. `arctrack calibrate sensor` measures it "
         "on flat frames.",
-        bounds=Bounds(0.1, 10.0, "cameras show 0.4 to 2.5"),
+        bounds=GAMMA,
     )
 
 

@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tomlkit
-from pydantic import ValidationError
 from tomlkit.items import Table
 
 from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.printable import cut, first_of, printable
 from arctrack.recording.files import blamed_on, read_text
-from arctrack.recording.key_errors import describe
+from arctrack.recording.key_errors import wrong_keys
 from arctrack.recording.setup_model import CalibrationTable, RecordingToml, unknown_keys
 from arctrack.recording.setup_writer import FILE_NAME, filter_table, pose_table
 from arctrack.recording.toml_text import parse_toml, rounded
@@ -102,10 +101,8 @@ def stated_keys(text: str, path: Path) -> RecordingToml:
     try:
         model = RecordingToml.model_validate(parse_toml(text))
         model.joint.dimensions()
-    except ValidationError as error:
-        raise in_file(path, describe(error, RecordingToml)) from None
     except ValueError as error:
-        raise in_file(path, str(error)) from None
+        raise wrong_keys(path, error, RecordingToml) from None
     return model
 
 

@@ -68,7 +68,12 @@ def test_one_series_may_serve_several_calibrations(tmp_path: Path) -> None:
         (
             '[camera]\ndistortion = "k9"\nboard = "chessboard:9x6:4mm"',
             ("camera",),
-            "distortion = 'k9': must be",
+            "distortion = 'k9': must be 'none', 'k1', ",
+        ),
+        (
+            "[sensor]\ngamma = 12.0",
+            ("sensor",),
+            "[sensor] gamma = 12.0: input should be less than or equal to 10; usual: 1",
         ),
         ("[sensor]\ngamma = true", ("sensor",), "[sensor] gamma = True: input should be a valid number"),
         ("board = ", ("camera",), "is no valid TOML"),

@@ -10,17 +10,22 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import Field, ValidationError
-
+from arctrack.calibrate.all.calibration_tables import (
+    BoardImagesTable,
+    CalibrationToml,
+    CameraImagesTable,
+    FlatFramesTable,
+    PosedImagesTable,
+    RecordingTable,
+)
 from arctrack.calibrate.robot_poses import PoseSource
 from arctrack.errors import ArctrackError, in_file, no_such_path
 from arctrack.limits import LIMITS
-from arctrack.printable import shown
 from arctrack.recording.files import blamed_on, read_text
 from arctrack.recording.importing.image_files import images_of
 from arctrack.recording.importing.units import parse_units
-from arctrack.recording.key_errors import describe, place
-from arctrack.recording.schema import Table, unknown_in
+from arctrack.recording.key_errors import place, wrong_keys
+from arctrack.recording.schema import unknown_in
 from arctrack.recording.toml_text import parse_toml
 from calibration.boards.board import Board
 from calibration.camera.lens import ORDERS
@@ -28,46 +33,6 @@ from noise_model.spelling import nearest
 
 FILE_NAME = "calibration.toml"
 BOARD_HINT = 'board = "chessboard:9x6:5mm" counts inner corners'
-
-
-class _Images(Table):
-    images: str | None = None
-    board: str | None = None
-
-
-class _Camera(_Images):
-    distortion: str | None = None
-    tilted: bool = False
-
-
-class _HandEye(_Images):
-    poses: str | None = None
-    translations: str | None = None
-    rotation: str | None = None
-    units: str = ""
-    columns: dict[str, str] = Field(default_factory=dict)
-    eye_to_hand: bool = False
-
-
-class _Sensor(Table):
-    images: str | None = None
-    gamma: float | None = None
-
-
-class _Recording(Table):
-    recording: str | None = None
-
-
-class _File(Table):
-    board: str | None = None
-    sensor: _Sensor | None = None
-    camera: _Camera | None = None
-    hand_eye: _HandEye | None = None
-    laser: _Images | None = None
-    delay: _Recording | None = None
-    arc: _Recording | None = None
-
-
 STAGES = ("sensor", "camera", "hand_eye", "laser", "delay", "arc")
 """The calibrations in the order in which they build on each other."""
 
@@ -169,45 +134,40 @@ def by_keys(stage: str, error: ArctrackError) -> str:
     return re.sub(r"--(units|rotation|board)\b", rf"[{stage}] \1", str(error))
 
 
-def _stated(folder: Path) -> _File:
+def _stated(folder: Path) -> CalibrationToml:
     path = folder / FILE_NAME
     if not path.exists():
-        return _File()
+        return CalibrationToml()
     with blamed_on(path):
         text = read_text(path, LIMITS.toml_bytes)
     try:
-        return _File.model_validate(parse_toml(text))
-    except ValidationError as error:
-        raise in_file(path, describe(error, _File)) from None
+        return CalibrationToml.model_validate(parse_toml(text))
     except ValueError as error:
-        raise in_file(path, str(error)) from None
+        raise wrong_keys(path, error, CalibrationToml) from None
 
 
 @dataclass(frozen=True)
 class _Reading:
     folder: Path
-    stated: _File
+    stated: CalibrationToml
     here: set[str]
 
     def sensor(self) -> SensorFiles | None:
         if "sensor" not in self.here:
             return None
-        table = self.stated.sensor or _Sensor()
+        table = self.stated.sensor or FlatFramesTable()
         return SensorFiles(self.path("sensor", "images", table.images or "sensor"), table.gamma)
 
     def camera(self) -> CameraFiles | None:
-        table = self.stated.camera or _Camera()
+        table = self.stated.camera or CameraImagesTable()
         files = self.board_files("camera", table)
         if files is None:
             return None
         orders = tuple(ORDERS) if table.distortion is None else (table.distortion,)
-        if orders[0] not in ORDERS:
-            problem = f"[camera] distortion = {shown(table.distortion)}: must be {', '.join(ORDERS)}"
-            raise in_file(self.folder / FILE_NAME, problem)
         return CameraFiles(files.sources, files.board, orders, table.tilted)
 
     def hand_eye(self) -> PosedFiles | None:
-        table = self.stated.hand_eye or _HandEye()
+        table = self.stated.hand_eye or PosedImagesTable()
         files = self.board_files("hand_eye", table)
         if files is None:
             return None
@@ -216,16 +176,16 @@ class _Reading:
             None if table.translations is None else self.path("hand_eye", "translations", table.translations)
         )
         try:
-            units = parse_units(table.units)
+            units = parse_units(table.units or "")
         except ArctrackError as error:
             raise in_file(self.folder / FILE_NAME, by_keys("hand_eye", error)) from None
-        source = PoseSource(poses, translations, table.rotation, units, table.columns)
+        source = PoseSource(poses, translations, table.rotation, units, table.columns or {})
         return PosedFiles(files.sources, files.board, source, table.eye_to_hand)
 
-    def board_files(self, stage: str, table: _Images | None) -> BoardFiles | None:
+    def board_files(self, stage: str, table: BoardImagesTable | None) -> BoardFiles | None:
         if stage not in self.here:
             return None
-        table = table or _Images()
+        table = table or BoardImagesTable()
         pattern = table.board or self.stated.board
         file = self.folder / FILE_NAME
         if pattern is None:
@@ -238,10 +198,10 @@ class _Reading:
         images = self.path(stage, "images", table.images or stage, may_be_pattern=True)
         return BoardFiles((images,), board)
 
-    def recording(self, stage: str, table: _Recording | None) -> Path | None:
+    def recording(self, stage: str, table: RecordingTable | None) -> Path | None:
         if stage not in self.here:
             return None
-        return self.path(stage, "recording", (table or _Recording()).recording or stage)
+        return self.path(stage, "recording", (table or RecordingTable()).recording or stage)
 
     def path(self, stage: str, key: str, value: str, *, may_be_pattern: bool = False) -> Path:
         path = self.folder / value

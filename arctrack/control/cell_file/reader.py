@@ -8,8 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from pydantic import ValidationError
-
 from arctrack.control.cell_file.choices import (
     BlackBoxChoice,
     BusChoice,
@@ -34,7 +32,7 @@ from arctrack.control.policy import ServicePolicy
 from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.recording.files import blamed_on, read_text
-from arctrack.recording.key_errors import describe, place
+from arctrack.recording.key_errors import place, wrong_keys
 from arctrack.recording.schema import Table, unknown_in
 from arctrack.recording.setup_file import SetupFile, read_setup_file
 from arctrack.recording.toml_text import parse_toml
@@ -73,10 +71,8 @@ def stated_keys(path: Path) -> CellToml:
         if document.get("format") == "joint-tracking-recording/1":
             raise ValueError(f"is a setup; a cell file states format = {FORMAT!r}")
         model = CellToml.model_validate(document)
-    except ValidationError as error:
-        raise in_file(path, describe(error, CellToml)) from None
     except ValueError as error:
-        raise in_file(path, str(error)) from None
+        raise wrong_keys(path, error, CellToml) from None
     for location, known in unknown_in(model):
         raise in_file(path, f"{place(location)}: is not known; {cure_for(location[-1], sorted(known))}")
     return model
