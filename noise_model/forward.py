@@ -24,8 +24,7 @@ from noise_model.effects.light import Light
 from noise_model.instrument.camera import Rays, blur, blur_inner
 from noise_model.instrument.sensor import expose, respond_moments, saturation_dn
 from noise_model.setup import Setup
-from noise_model.sight import PixelRays, Sight
-from noise_model.stripe import SheetReach, crossed_by_borders, stripe_reference
+from noise_model.stripe import crossed_by_borders, stripe_reference
 from noise_model.surface.joint import NOMINAL_SEAM, Seam, SeamLine
 from noise_model.view import View
 
@@ -78,23 +77,24 @@ class Prediction:
 class Layers:
     """Light of a pose before any effect acts on the image, rendered when first needed.
 
-    `sight` are the pixels (n,), flattened. Of a bent seam each looks at its own stretch; `view` is that of
-    the middle one.
+    In `bent` each pixel looks at its own stretch of the seam; in `view`, which effects read, all look at the
+    middle one. Along a straight seam they are the same.
     """
 
     view: View
-    sight: Sight
+    bent: View
 
     @cached_property
     def arc_e(self) -> Float32:
         """The arc's light (...,), e- for `camera.exposure_s`, at its nominal output; 0 past the workpiece."""
-        if not self.view.is_frame:
-            return self.sight.arc_e().reshape(self.view.shape)
-        light, which = np.empty(self.view.cos4.size, dtype=np.float32), self.sight.which
-        for n in np.unique(which).tolist():
-            pixels = np.flatnonzero(which == n)
-            light[pixels] = _filled(self.view, self.sight.scenes[n], pixels)
-        return light.reshape(self.view.shape)
+        bent = self.bent
+        if not bent.is_frame:
+            return bent.arc_e()
+        light = np.empty(bent.which.size, dtype=np.float32)
+        for n in np.unique(bent.which).tolist():
+            pixels = np.flatnonzero(bent.which == n)
+            light[pixels] = _filled(bent, bent.scenes[n], pixels)
+        return light.reshape(bent.shape)
 
     @cached_property
     def laser_e(self) -> Float32:
@@ -104,24 +104,22 @@ class Layers:
         shares tell where a stripe ends. The point-spread function, which holds the pixel's aperture, comes on
         top: an edge is somewhat softer than it should be, 0.74 px for 0.7.
         """
-        setup, shape = self.view.setup, self.view.shape
+        bent, setup = self.bent, self.bent.setup
         unit_e = setup.laser.peak_e / stripe_reference(setup)
-        light = self.sight.laser_e(unit_e)
-        if not self.view.is_frame:
-            return light.reshape(shape)
-        near, shaded = self.sight.sheet
-        sheet = SheetReach(near.reshape(shape), shaded.reshape(shape))
-        across = crossed_by_borders(self.faces, sheet).reshape(-1, 2)
-        mine = np.flatnonzero(across.any(axis=1))
-        offsets_px = WITHIN_PIXEL_PX * across[mine, np.newaxis]
-        beside = self.sight.beside(mine, self.view.uv_px.reshape(-1, 1, 2)[mine] + offsets_px)
-        light[mine] = beside.laser_e(unit_e).reshape(offsets_px.shape[:2]).mean(axis=1)
-        return light.reshape(shape)
+        light = bent.laser_e(unit_e)
+        if not bent.is_frame:
+            return light
+        across = crossed_by_borders(bent.faces, bent.sheet).reshape(-1, 2)
+        crossed = np.flatnonzero(across.any(axis=1))
+        offsets_px = WITHIN_PIXEL_PX * across[crossed, np.newaxis]
+        around = bent.around(crossed, bent.rays.uv_px.reshape(-1, 1, 2)[crossed] + offsets_px)
+        light.reshape(-1)[crossed] = around.laser_e(unit_e).mean(axis=1)
+        return light
 
     @property
     def faces(self) -> Int32:
         """The face that each pixel (...,) shows, `ray_casting.MISS` past the workpiece."""
-        return self.sight.faces.reshape(self.view.shape)
+        return self.bent.faces
 
 
 def _filled(frame: View, scene: Scene, pixels: Integers) -> Float32:
@@ -130,14 +128,14 @@ def _filled(frame: View, scene: Scene, pixels: Integers) -> Float32:
     The box about them is filled.
     """
     kernel = arc_kernel(frame.setup, scene)
-    xy, cos4 = np.ascontiguousarray(frame.xy.reshape(-1, 2)), frame.cos4.reshape(-1)
-    some_e, _ = arc_at(kernel, xy, cos4, np.arange(0, frame.cos4.size, FILL_SAMPLE))
+    rays, xy, cos4 = frame.rays, frame.rays.flat.xy, frame.rays.flat.cos4
+    some_e, _ = arc_at(kernel, xy, cos4, np.arange(0, cos4.size, FILL_SAMPLE))
     floor_e = FILL_FLOOR * float(np.nan_to_num(some_e).max())
     rows, columns = np.divmod(pixels, frame.shape[1])
     first = rows.min(), columns.min()
     box = tuple(slice(low, places.max() + 1) for low, places in zip(first, (rows, columns), strict=True))
-    xy, cos4 = np.ascontiguousarray(frame.xy[box].reshape(-1, 2)), frame.cos4[box].ravel()
-    shape = frame.cos4[box].shape
+    xy, cos4 = np.ascontiguousarray(rays.xy[box].reshape(-1, 2)), rays.cos4[box].ravel()
+    shape = rays.cos4[box].shape
     filled = arc_frame(kernel, xy, cos4, (shape[0], shape[1]), FILL_TOLERANCE, floor_e)
     # A polynomial through what is dark may swing below.
     light: Float32 = np.maximum(np.nan_to_num(filled[rows - first[0], columns - first[1]]), np.float32(0.0))
@@ -191,17 +189,16 @@ def look(
 ) -> Layers:
     """Return the layers of a pose; `setup` is what is really there, `rays` are its camera's.
 
-    `stretch` (n,) says which stretch of a bent seam each pixel shows, see `Sight.along`.
+    `stretch` (n,) is each pixel's stretch of a bent seam, see `View.along`.
     """
     if isinstance(seam, SeamLine):
         view = View.of(setup, T_base_tool, seam, rays, pixels)
-        return Layers(view, view.sight)
+        return Layers(view, view)
     view = View.of(setup, T_base_tool, seam.middle, rays, pixels, ground=seam.ground)
     if stretch is None:
         # What effects ask of the middle stretch is traced once.
-        stretch = seam.stretch_at(view.sight.surface[0][:, 0])
-    every = np.arange(rays.cos4.size) if pixels is None else pixels
-    return Layers(view, Sight.along(setup, [T_base_tool], [seam], PixelRays.of(rays, [every]), stretch))
+        stretch = seam.stretch_at(view.surface[0][..., 0].ravel())
+    return Layers(view, View.along(setup, [T_base_tool], [seam], view.which, view.rays, stretch))
 
 
 def _remember(

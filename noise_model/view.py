@@ -1,44 +1,52 @@
-"""View of the camera from one pose: pixels, rays, and lazily the surface that they meet."""
+"""Pixels that look at one or several scenes: the surface that their rays meet, and the light from there.
+
+A bent seam shows a frame's pixels several scenes, and the frames of a recording show more. All of them are
+followed in one compiled call.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar, cast
 
 import numpy as np
 
-from noise_model.arc.scene import Scene, Scenes, make_scene
-from noise_model.compiled.arrays import Float32, Float64, Int32, Int64, Integers
+from noise_model.arc.map import ArcKernels, arc_in_scenes, arc_kernels
+from noise_model.arc.scene import Scene, Scenes, make_scene, make_scenes
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int32, Int64, Integers
 from noise_model.instrument.camera import Rays
+from noise_model.instrument.laser import sheets_of
 from noise_model.setup import Setup
-from noise_model.sight import Kept, Sight, kept_in
-from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
+from noise_model.stripe import SheetReach, light_stripe, see_sheet
+from noise_model.surface.brdf import lobe_numbers
+from noise_model.surface.joint import NOMINAL_SEAM, BentSeam, SeamLine
+from noise_model.surface.ray_casting import trace
+
+Cached = TypeVar("Cached")
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """The pixels (...,) that are predicted, from one pose: a whole image (H, W) or some of it, (n,).
+    """Pixels (...,), each of which looks at one of some scenes: a frame (H, W), or some pixels (n,).
 
-    `setup` is what is really there, its effects on geometry and surface applied; `scene` that of the pose;
-    `uv_px` (..., 2) the pixels' places as (u, v), `xy` (..., 2) their normalised rays, `cos4` (...,) the
-    lens' fall-off. `is_frame` says that the pixels are a whole frame in image order; of others the first
-    `n_even` are an even sample of it, all of them if it is None. `coarse` lets what is expensive and smooth,
-    light that bounces, be followed at fewer points, and the laser's not at all. `part_seed` says which part
-    lies there, by the pattern on its metal; None for another one in each frame that is drawn. `inner` are
-    those of some pixels that have their neighbours in view, and where these are, see `camera.blur_inner`.
+    `setup` is the true one, its effects on geometry and surface applied; `which` (...,) is each pixel's
+    scene. Of pixels that are no frame the first `n_even` are an even sample of it, all of them if None.
+    `coarse` lets what is expensive and smooth, light that bounces, be followed at fewer points, and the
+    laser's not at all. `part_seed` chooses the part, by the pattern on its metal; None for another one in
+    each frame that is drawn. `inner` are those of some pixels that have their neighbours in view, and where
+    these are, see `camera.blur_inner`.
     """
 
     setup: Setup
-    scene: Scene
-    uv_px: Float32
-    xy: Float32
-    cos4: Float32
-    is_frame: bool
+    scenes: Scenes
+    which: Int64
+    rays: Rays
     n_even: int | None = None
     coarse: bool = False
     part_seed: int | None = None
     inner: tuple[Int64, Int64] | None = None
-    _kept: dict[str, object] = field(default_factory=dict, repr=False)
+    _cache: dict[str, object] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -51,40 +59,83 @@ class View:
         ground: SeamLine | None = None,
         coarse: bool = False,
     ) -> View:
-        """Look from a pose; `pixels` (n,) are indices into the flattened image, all of it without them.
+        """Return the view from one pose; `pixels` (n,) are places in the flattened image, by default all.
 
         `rays` spares tracing the camera's rays again; `ground` is that of `make_scene`, `coarse` as above.
         """
         rays = Rays.of(setup.camera) if rays is None else rays
-        height, width = rays.cos4.shape
         scene = make_scene(setup, T_base_tool, seam, ground)
-        if pixels is None:
-            v, u = np.mgrid[:height, :width].astype(np.float32)
-            return cls(setup, scene, np.stack([u, v], axis=-1), rays.xy, rays.cos4, True, coarse=coarse)
-        v_of, u_of = np.divmod(pixels, width)
-        uv = np.column_stack([u_of, v_of]).astype(np.float32)
-        xy, cos4 = rays.xy.reshape(-1, 2)[pixels], rays.cos4.reshape(-1)[pixels]
-        return cls(setup, scene, uv, xy, cos4, False, coarse=coarse)
+        return cls.of_scene(setup, scene, rays if pixels is None else rays.at(pixels), coarse=coarse)
+
+    @classmethod
+    def of_scene(
+        cls, setup: Setup, scene: Scene, rays: Rays, n_even: int | None = None, coarse: bool = False
+    ) -> View:
+        """Return the view of one scene along some rays (...,)."""
+        which = np.zeros(rays.cos4.shape, dtype=np.int64)
+        return cls(setup, Scenes.of([scene]), which, rays, n_even, coarse)
+
+    @classmethod
+    def along(
+        cls,
+        setup: Setup,
+        T_base_tool: Sequence[Float64],
+        seams: Sequence[BentSeam],
+        pose: Int64,
+        rays: Rays,
+        stretch: Int64 | None = None,
+    ) -> View:
+        """Return the view from some poses at the seam of each; `pose` (...,) is each ray's, ascending.
+
+        `stretch` (...,) is each pixel's stretch of its seam, where that is not to be found anew: light is not
+        quite steady from one to the next, and a small step's difference would show it.
+        """
+        if stretch is None:
+            middles = [BentSeam((seam.middle,), seam.ground) for seam in seams]
+            points, _, _ = cls(setup, make_scenes(setup, T_base_tool, middles), pose, rays).surface
+            x_mm = np.split(points[..., 0].ravel(), np.searchsorted(pose.ravel(), range(1, len(seams))))
+            stretch = np.concatenate([seam.stretch_at(x) for seam, x in zip(seams, x_mm, strict=True)])
+        firsts = np.cumsum([0, *(len(seam.lines) for seam in seams[:-1])])
+        which = firsts[pose] + stretch.reshape(pose.shape)
+        return cls(setup, make_scenes(setup, T_base_tool, seams), which, rays)
+
+    def subset(self, chosen: Bool) -> View:
+        """Return some of its pixels (...,), as (n,)."""
+        return View(self.setup, self.scenes, self.which[chosen], self.rays.at(chosen.ravel()))
+
+    def around(self, pixels: Int64, uv_px: Float64) -> View:
+        """Return the view through places (k, m, 2) as (u, v), in the scenes of some of its pixels (k,)."""
+        which = np.broadcast_to(self.which.ravel()[pixels, np.newaxis], uv_px.shape[:2])
+        return View(self.setup, self.scenes, which, Rays.through(self.setup.camera, uv_px))
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of a view from one pose at a straight seam; the first of several."""
+        return self.scenes[0]
 
     @property
     def shape(self) -> tuple[int, ...]:
         """The pixels' shape."""
-        return self.cos4.shape
+        return self.which.shape
+
+    @property
+    def is_frame(self) -> bool:
+        """True if the pixels are a whole frame in image order."""
+        return self.which.ndim == 2
 
     @property
     def theta(self) -> Float64:
         """The field angle (...,), rad: between a pixel's ray and the optical axis."""
-        return self.keep(
-            "theta", lambda: np.arctan(np.hypot(self.xy[..., 0], self.xy[..., 1]).astype(np.float64))
-        )
+        x, y = np.moveaxis(self.rays.xy, -1, 0)
+        return self.cached("theta", lambda: np.arctan(np.hypot(x, y).astype(np.float64)))
 
     @property
     def directions(self) -> Float64:
         """The pixels' viewing directions (..., 3), unit vectors of the joint frame."""
-        return self.keep("directions", self._directions)
+        return self.cached("directions", self._directions)
 
     def _directions(self) -> Float64:
-        rays = np.concatenate([self.xy, np.ones((*self.shape, 1), dtype=np.float32)], axis=-1)
+        rays = np.concatenate([self.rays.xy, np.ones((*self.shape, 1), dtype=np.float32)], axis=-1)
         rays_joint = rays.astype(np.float64) @ self.scene.T_joint_camera[:3, :3].T
         return np.asarray(rays_joint / np.linalg.norm(rays_joint, axis=-1, keepdims=True))
 
@@ -94,36 +145,106 @@ class View:
 
         NaN, NaN and `ray_casting.MISS` for a ray that looks past the workpiece.
         """
-        points, normals, faces = self.sight.surface
+        points, normals, faces = self._hits
         return points.reshape(*self.shape, 3), normals.reshape(*self.shape, 3), faces.reshape(self.shape)
 
     @property
-    def sight(self) -> Sight:
-        """The pixels (n,), flattened, as what follows rays takes them."""
-        return self.keep("sight", self._sight)
+    def faces(self) -> Int32:
+        """The face that each pixel (...,) shows."""
+        return self.surface[2]
 
-    def _sight(self) -> Sight:
-        which = np.zeros(self.cos4.size, dtype=np.int64)
-        xy = np.ascontiguousarray(self.xy.reshape(-1, 2))
-        return Sight(self.setup, Scenes.of([self.scene]), which, xy, self.cos4.reshape(-1))
+    @property
+    def _hits(self) -> tuple[Float64, Float64, Int32]:
+        """The surface of the flattened pixels, as kernels take it."""
+        return self.cached("hits", self._traced)
+
+    def _traced(self) -> tuple[Float64, Float64, Int32]:
+        n, shape = self.which.size, self.scenes.shape
+        points, normals, faces = np.empty((n, 3)), np.empty((n, 3)), np.empty(n, dtype=np.int32)
+        trace(
+            xy=self.rays.flat.xy,
+            which=self.which.ravel(),
+            T_joint_camera=self.scenes.T_joint_camera,
+            vertices=shape.vertices,
+            corrugation=shape.corrugation,
+            points=points,
+            normals=normals,
+            faces=faces,
+        )
+        return points, normals, faces
 
     @property
     def distance_mm(self) -> Float64:
         """Distance of the surface from the camera along each ray (...,); NaN past the workpiece."""
-        return self.keep("distance_mm", self._distance_mm)
+        return self.cached("distance_mm", self._distance_mm)
 
     def _distance_mm(self) -> Float64:
         return np.asarray(np.linalg.norm(self.surface[0] - self.scene.T_joint_camera[:3, 3], axis=-1))
+
+    def arc_e(self) -> Float32:
+        """Return the arc's light (...,), e- for `camera.exposure_s`, at its nominal output.
+
+        It is 0 past the workpiece. Raises ValueError for a pose whose camera stands below the surface.
+        """
+        kernels = self.cached("arc_kernels", self._arc_kernels)
+        kernels = kernels._replace(material=lobe_numbers(self.setup.material))
+        points, _, faces = self._hits
+        light = arc_in_scenes(kernels, self.which.ravel(), points, faces, self.rays.flat.cos4)
+        return light.reshape(self.shape)
+
+    def _arc_kernels(self) -> ArcKernels:
+        x_ranges_mm = np.tile([np.inf, -np.inf], (len(self.scenes), 1))
+        np.fmin.at(x_ranges_mm[:, 0], self.which.ravel(), self._hits[0][:, 0])
+        np.fmax.at(x_ranges_mm[:, 1], self.which.ravel(), self._hits[0][:, 0])
+        # Of a scene that nothing shows all that counts is that it asks for little.
+        unseen = x_ranges_mm[:, 0] > x_ranges_mm[:, 1]
+        x_ranges_mm[unseen] = self.scenes.center_mm[unseen, :1]
+        return arc_kernels(self.setup, self.scenes, x_ranges_mm)
+
+    def laser_e(self, unit_e: float) -> Float32:
+        """Return the laser stripe (...,), e- for `camera.exposure_s`, before the point-spread function.
+
+        The sheet's irradiance times f_r towards the camera, times `unit_e`: of each pixel that at its centre.
+        """
+        points, normals, _ = self._hits
+        shape, laser, light = self.scenes.shape, self.setup.laser, np.empty(len(points))
+        light_stripe(
+            points=points,
+            normals=normals,
+            which=self.which.ravel(),
+            cameras=np.ascontiguousarray(self.scenes.T_joint_camera[:, :3, 3]),
+            sheets=sheets_of(laser, self.scenes.T_joint_tool),
+            material=lobe_numbers(self.setup.material),
+            reach=laser.reach_sigmas,
+            vertices=shape.vertices,
+            corrugation=shape.corrugation,
+            light=light,
+        )
+        return np.asarray(light.reshape(self.shape) * (self.rays.cos4 * unit_e), dtype=np.float32)
+
+    @property
+    def sheet(self) -> SheetReach:
+        """The pixels (...,) that meet the laser sheet, at their centres."""
+        return self.cached("sheet", self._sheet)
+
+    def _sheet(self) -> SheetReach:
+        n, shape, laser = self.which.size, self.scenes.shape, self.setup.laser
+        seen = SheetReach(np.empty(n, dtype=np.bool_), np.empty(n, dtype=np.bool_))
+        sheets, which = sheets_of(laser, self.scenes.T_joint_tool), self.which.ravel()
+        see_sheet(self._hits[0], which, sheets, laser.reach_sigmas, shape.vertices, shape.corrugation, seen)
+        return SheetReach(seen.near.reshape(self.shape), seen.shaded.reshape(self.shape))
 
     def mean(self, image: Float32) -> np.float32:
         """Return the frame's mean of an image (...,) of the view's pixels."""
         return np.float32(image.reshape(-1)[: self.n_even].mean(dtype=np.float64))
 
-    def keep(self, name: str, compute: Callable[[], Kept]) -> Kept:
-        """Return what was computed under a name before, or compute and keep it.
+    def cached(self, name: str, compute: Callable[[], Cached]) -> Cached:
+        """Return what was computed under a name before, or compute it.
 
-        It goes with the pose: `dataclasses.replace` of a setup that renders equally hands it on. What is kept
-        may depend on that setup's geometry, source, surface and filter, not on effects on the image; for
-        `Sight.with_metal`, what rendering keeps depends on no metal.
+        It goes with the rays' ends: `dataclasses.replace` of a setup that renders equally, or by another
+        metal, hands it on. So it may depend on that setup's geometry and source, on no effect on the image;
+        what rendering itself computes under a name depends on no metal.
         """
-        return kept_in(self._kept, name, compute)
+        if name not in self._cache:
+            self._cache[name] = compute()
+        return cast(Cached, self._cache[name])

@@ -51,7 +51,7 @@ def _laser_speckle(light: Light, view: View, condition: Condition, values: Value
 
 
 def _uneven_fan(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
-    angle_deg = view.keep("fan_angle_deg", lambda: _fan_angle_deg(view))
+    angle_deg = view.cached("fan_angle_deg", lambda: _fan_angle_deg(view))
     tens = angle_deg / np.float32(10.0)
     power = 1.0 + np.float32(values["slope"]) * tens + np.float32(values["curvature"]) * tens**2
     inside = ndtr((values["half_angle_deg"] - np.abs(angle_deg)) / FAN_EDGE_DEG)
@@ -86,7 +86,7 @@ def _ambient_light(light: Light, view: View, condition: Condition, values: Value
     normals = view.surface[1].astype(np.float32)
     facing = 1.0 + np.float32(values["from_left"]) * normals[..., 1] + 0.5 * (normals[..., 2] - 1.0)
     # What lies past the workpiece is as bright as a level plate.
-    seen = np.float32(level_e) * view.cos4 * np.maximum(np.nan_to_num(facing, nan=1.0), 0.0)
+    seen = np.float32(level_e) * view.rays.cos4 * np.maximum(np.nan_to_num(facing, nan=1.0), 0.0)
     if draw is None:
         light.variance_e2 = light.variance_e2 + (np.float32(texture) * seen) ** 2
     elif texture > 0.0:

@@ -70,10 +70,10 @@ def _fume(light: Light, view: View, condition: Condition, values: Values, draw: 
     light.scale(np.exp(-beta * _fume_depth_mm(view, gathered, 0.0)).astype(np.float32))
     if condition.arc_level > 0.0:
         # What one unit of albedo and of extinction, 1/mm, scatters into the pixels of a unit of radiance.
-        even = view.keep("fume_airlight", lambda: _airlight(view))
+        even = view.cached("fume_airlight", lambda: _airlight(view))
         # 1 / (r^2 (1 + g^2 r^2)) = 1 / r^2 - g^2 / (1 + g^2 r^2), both of the same r.
         along = even - gathered**2 * _fume_depth_mm(view, gathered, view.setup.arc.radius_mm)
-        unit = view.cos4 * (_seen_area_mm2(view) / (4.0 * math.pi) * along).astype(np.float32)
+        unit = view.rays.cos4 * (_seen_area_mm2(view) / (4.0 * math.pi) * along).astype(np.float32)
         scattered = condition.arc_level * view.setup.arc.radiance_e * values["scatter"] * beta
         light.arc = light.arc + np.float32(scattered) * unit
 
@@ -87,7 +87,7 @@ def _fume_depth_mm(view: View, gathered_per_mm: float, radius_mm: float) -> Floa
 
 
 def _air_mm(view: View) -> Float64:
-    return view.keep("air", lambda: _way_mm(view))
+    return view.cached("air", lambda: _way_mm(view))
 
 
 def _way_mm(view: View) -> Float64:
@@ -153,7 +153,7 @@ def _spatter(light: Light, view: View, condition: Condition, values: Values, dra
         across, down = (
             slice(max(0, math.floor(middle - rim)), max(0, math.ceil(middle + rim) + 1)) for middle in (u, v)
         )
-        uv = view.uv_px[down, across]
+        uv = view.rays.uv_px[down, across]
         light.other[down, across] += np.float32(peak) * _streak(uv, u, v, angle, length, width)
 
 
@@ -168,9 +168,9 @@ def _hot_metal_glow(light: Light, view: View, condition: Condition, values: Valu
     peak_e = values["peak_e"] * (1.0 if condition.arc_level > 0.0 else values["arc_off_share"])
     if peak_e == 0.0:
         return
-    rho = view.keep("rho_from_arc", lambda: _rho_mm(view))
+    rho = view.cached("rho_from_arc", lambda: _rho_mm(view))
     hot = np.exp(rho / np.float32(-values["length_mm"]))
-    light.other = light.other + np.float32(peak_e) * view.cos4 * hot
+    light.other = light.other + np.float32(peak_e) * view.rays.cos4 * hot
 
 
 def _rho_mm(view: View) -> Float32:

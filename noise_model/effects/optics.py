@@ -38,7 +38,9 @@ def half_diagonals(view: View, u_px: float, v_px: float) -> tuple[Float32, Float
     """Return the pixels' places (...,) right of and below (u, v), px, in halves of the image's diagonal."""
     camera = view.setup.camera
     half = np.float32(0.5 * math.hypot(camera.width, camera.height))
-    return (view.uv_px[..., 0] - np.float32(u_px)) / half, (view.uv_px[..., 1] - np.float32(v_px)) / half
+    return (view.rays.uv_px[..., 0] - np.float32(u_px)) / half, (
+        view.rays.uv_px[..., 1] - np.float32(v_px)
+    ) / half
 
 
 def _dirty_window(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from noise_model.compiled.arrays import Float32, Float64, Int64
+from noise_model.compiled.arrays import Bool, Float32, Float64, Int64, Integers
 from noise_model.compiled.kernel import kernel
 from noise_model.setup_keys import COEFFICIENTS
 
@@ -330,26 +330,42 @@ def fall_off(xy: Float64) -> Float64:
 
 @dataclass(frozen=True)
 class Rays:
-    """Every pixel's viewing ray in the camera frame.
+    """Viewing rays of pixels (...,) in the camera frame: of a whole image (H, W), or of some of it, (n,).
 
-    `xy` is (H, W, 2) float32: the ray is (x, y, 1), not normalised; `cos4` is (H, W) float32, the lens'
-    fall-off cos^4 of the field angle, 1 on the optical axis (Eq. 18).
+    `uv_px` (..., 2) are the pixels' places as (u, v), `xy` (..., 2) their rays (x, y, 1), not normalised;
+    `cos4` (...,) is the lens' fall-off cos^4 of the field angle, 1 on the optical axis (Eq. 18).
     """
 
+    uv_px: Float32 = field(repr=False)
     xy: Float32
     cos4: Float32 = field(repr=False)
 
     @classmethod
     def of(cls, camera: Camera) -> Rays:
-        """Trace every pixel centre of a camera."""
+        """Trace every pixel centre of a camera (H, W)."""
         v, u = np.mgrid[: camera.height, : camera.width]
-        xy = camera.normalised(np.column_stack([u.ravel(), v.ravel()]))
-        cos4 = fall_off(xy)
-        shape = (camera.height, camera.width)
+        return cls.through(camera, np.stack([u, v], axis=-1))
+
+    @classmethod
+    def through(cls, camera: Camera, uv_px: Float64 | Int64) -> Rays:
+        """Trace places (..., 2) of an image, px."""
+        xy = camera.normalised(uv_px.reshape(-1, 2))
         return cls(
-            np.ascontiguousarray(xy.reshape(*shape, 2).astype(np.float32)),
-            np.ascontiguousarray(cos4.reshape(shape).astype(np.float32)),
+            uv_px.astype(np.float32),
+            np.ascontiguousarray(xy.astype(np.float32).reshape(uv_px.shape)),
+            fall_off(xy).astype(np.float32).reshape(uv_px.shape[:-1]),
         )
+
+    def at(self, pixels: Integers | Bool) -> Rays:
+        """Return the rays (n,) of some pixels, by their places in the flattened image."""
+        flat = self.flat
+        return Rays(flat.uv_px[pixels], flat.xy[pixels], flat.cos4[pixels])
+
+    @property
+    def flat(self) -> Rays:
+        """The same rays (n,), flattened."""
+        xy = np.ascontiguousarray(self.xy.reshape(-1, 2))
+        return Rays(self.uv_px.reshape(-1, 2), xy, self.cos4.reshape(-1))
 
 
 def _narrow_taps(psf_sigma_px: float) -> Float32:

@@ -143,7 +143,7 @@ def bounced_light(view: View, near: BouncedLight | None = None) -> BouncedLight:
 
     `near` is that of a view with almost the same direction, used for this one's.
     """
-    return view.keep(f"bounced_light, {view.coarse}", lambda: near or BouncedLight(view))
+    return view.cached(f"bounced_light, {view.coarse}", lambda: near or BouncedLight(view))
 
 
 def _sum(orders_e: Float32, scale: float) -> Float32:
@@ -179,7 +179,7 @@ def _orders(view: View, focus: Focus, of_laser: bool, output_e: float) -> Float3
             seen = _seen(k, points, faces, facing, focus, grains.seen_further)
             further = gather_further(k, seen, camera, focus, passing, COARSE, *remembered)
             interpolate(seen, further, points, faces, k.vertices, k.corrugation, image[1:])
-    image *= np.float32(output_e) * view.cos4.reshape(-1)
+    image *= np.float32(output_e) * view.rays.cos4.reshape(-1)
     return np.asarray(image.reshape(ORDERS, *view.shape))
 
 

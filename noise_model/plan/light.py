@@ -18,7 +18,7 @@ from noise_model.compiled.arrays import Bool, Float64
 from noise_model.condition import Condition
 from noise_model.effects.light import Light
 from noise_model.forward import pass_on
-from noise_model.instrument.camera import fall_off
+from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
 from noise_model.stripe import reflected_sheet, stripe_reference, stripe_runs_along_rows
 from noise_model.surface.ray_casting import trace, ways_are_open
@@ -237,14 +237,11 @@ def _light_at(setup: Setup, scene: Scene, looks: _Looks, stripe_e: Float64) -> t
     t = np.linspace(-HALF_WINDOW_SIGMAS, HALF_WINDOW_SIGMAS, ARC_PLACES)
     image = np.repeat(looks.image[seen], ARC_PLACES, axis=0)
     image[:, looks.position_axis] += (looks.width_px[seen, np.newaxis] * t).ravel()
-    xy = setup.camera.normalised(image)
-    cos4 = fall_off(xy).astype(np.float32)
-    light, _ = arc_at(
-        arc_kernel(setup, scene), xy.astype(np.float32), cos4, np.arange(len(xy), dtype=np.int64)
-    )
+    rays = Rays.through(setup.camera, image)
+    light, _ = arc_at(arc_kernel(setup, scene), rays.xy, rays.cos4, np.arange(len(image), dtype=np.int64))
     laser = (stripe_e[seen, np.newaxis] * np.exp(-0.5 * t**2)).astype(np.float32)
     of_both = Light.of(np.nan_to_num(light), laser.ravel())
-    pixels = View(setup, scene, image.astype(np.float32), xy.astype(np.float32), cos4, is_frame=False)
+    pixels = View.of_scene(setup, scene, rays)
     before = replace(setup, effects={id_: v for id_, v in setup.effects.items() if id_ != FILTER_SHIFT})
     pass_on(before, of_both, pixels, Condition(1.0, 1.0, setup.camera.exposure_s))
     arc_e[seen] = (of_both.arc + of_both.other).reshape(-1, ARC_PLACES)

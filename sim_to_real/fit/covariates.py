@@ -246,7 +246,7 @@ def velocity_sign(frame: ObservedFrame, true: Setup) -> float:
 def _of_image(observed: ObservedRecording, view: View) -> dict[str, Float64]:
     """Return where the bins lie in the image, (n,) each."""
     # A bin's middle among the recording's own pixels.
-    px = (view.uv_px.astype(np.float64) + 0.5) * observed.bin_px - 0.5
+    px = (view.rays.uv_px.astype(np.float64) + 0.5) * observed.bin_px - 0.5
     camera = observed.setup.camera
     radius = np.hypot(px[:, 0] - camera.cx, px[:, 1] - camera.cy)
     return {

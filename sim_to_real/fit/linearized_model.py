@@ -120,7 +120,7 @@ class LinearizedModel:
     def _off_edges(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> Float64:
         true = apply_setup_effects(self.renderings.setup(effects, nuisance))
         seam, every = self.renderings.seam(frame, nuisance, effects), self._whole[frame.position].places
-        faces = self.renderings.sight([frame], [every], true, [seam]).faces.reshape(frame.keep.shape)
+        faces = self.renderings.view([frame], [every], true, [seam]).faces.reshape(frame.keep.shape)
         return np.where(on_one_face(faces)[frame.keep], frame.sigma_dn, np.inf)
 
     def _with_bend(
@@ -136,7 +136,7 @@ class LinearizedModel:
         true = apply_setup_effects(self.renderings.setup(effects, nuisance))
         seam = self.renderings.seam(frame, nuisance, effects)
         arc_e = [
-            self.renderings.sight(
+            self.renderings.view(
                 [frame],
                 [frame.bins],
                 true,

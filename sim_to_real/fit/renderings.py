@@ -16,7 +16,6 @@ from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import REGISTRY, Effect, Effects, Stage, Values
 from noise_model.instrument.camera import Camera, Rays
 from noise_model.setup import Setup
-from noise_model.sight import PixelRays, Sight
 from noise_model.stripe import stripe_reference
 from noise_model.surface.joint import BentSeam
 from noise_model.view import View
@@ -49,8 +48,8 @@ class BinLight:
     laser on.
     """
 
-    arc: Sight | None
-    laser: Sight | None
+    arc: View | None
+    laser: View | None
 
 
 class Renderings:
@@ -62,7 +61,7 @@ class Renderings:
         self._of_sources: dict[tuple[object, ...], list[Float32]] = {}
         self._seen: dict[tuple[object, ...], BinLight] = {}
         self._rays: dict[tuple[object, ...], Rays] = {}
-        self._pixel_rays: dict[tuple[object, ...], tuple[tuple[Int64, ...], PixelRays]] = {}
+        self._pixel_rays: dict[tuple[object, ...], tuple[tuple[Int64, ...], Int64, Rays]] = {}
         self._curves: dict[tuple[object, ...], SeamCurve] = {}
         self._seams: dict[tuple[object, ...], BentSeam] = {}
         self._nearest_kept = [nearest_rendered(frame.keep) for frame in observed.frames]
@@ -110,23 +109,26 @@ class Renderings:
             self._rays[camera.geometry] = Rays.of(camera)
         return self._rays[camera.geometry]
 
-    def sight(
+    def view(
         self,
         frames: Sequence[ObservedFrame],
         pixels: Sequence[Int64],
         true: Setup,
         seams: Sequence[BentSeam],
         stretch: Int64 | None = None,
-    ) -> Sight:
-        """Return what some bins (n,) of each frame see in a setup that is really there, see `Sight.along`."""
+    ) -> View:
+        """Return the view of some bins (n,) of each frame in the true setup, see `View.along`."""
         key = (*(id(some) for some in pixels), true.camera.geometry)
         if key not in self._pixel_rays:
             if len(self._pixel_rays) >= N_CACHED * len(self._observed.frames):
                 self._pixel_rays = {}
             # The pixels are kept with their rays: another array may not take their place.
-            self._pixel_rays[key] = tuple(pixels), PixelRays.of(self.rays_of(true.camera), pixels)
+            pose = np.repeat(np.arange(len(pixels)), [len(some) for some in pixels])
+            rays = self.rays_of(true.camera).at(np.concatenate(pixels))
+            self._pixel_rays[key] = tuple(pixels), pose, rays
+        _, pose, rays = self._pixel_rays[key]
         poses = [frame.T_base_tool_in(true) for frame in frames]
-        return Sight.along(true, poses, seams, self._pixel_rays[key][1], stretch)
+        return View.along(true, poses, seams, pose, rays, stretch)
 
     def rendered(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> list[Rendering]:
         """Return what frames show before any effect acts on the image."""
@@ -180,7 +182,7 @@ class Renderings:
             seen = self._seen_by(frames, true, anchor, effects)
             kept_e = np.zeros(0, dtype=np.float32)
             if seen.arc is not None:
-                kept_e = seen.arc.with_metal(true).arc_e()
+                kept_e = replace(seen.arc, setup=true).arc_e()
             lights, start = [], 0
             for bins in frames:
                 light = np.zeros(bins.nearest.shape, dtype=np.float32)
@@ -200,7 +202,7 @@ class Renderings:
             rendered_e = np.zeros(0, dtype=np.float32)
             if seen.laser is not None:
                 unit_e = true.laser.peak_e / stripe_reference(true)
-                rendered_e = seen.laser.with_metal(true).laser_e(unit_e)
+                rendered_e = replace(seen.laser, setup=true).laser_e(unit_e)
             lights, start = [], 0
             for bins in frames:
                 light = np.zeros(bins.nearest.shape, dtype=np.float32)
@@ -231,12 +233,12 @@ class Renderings:
         if key not in self._seen:
             observed = [bins.frame for bins in frames]
             seams = [self.seam(frame, anchor, effects) for frame in observed]
-            sight = self.sight(observed, [bins.rendered for bins in frames], true, seams)
+            view = self.view(observed, [bins.rendered for bins in frames], true, seams)
             counts, kept = [len(bins.rendered) for bins in frames], [bins.is_kept for bins in frames]
             is_lit, has_laser = lit_by_arc(observed), lit_by_laser(observed)
             self._seen[key] = BinLight(
-                some_of(sight, np.repeat(is_lit, counts) & np.concatenate(kept)),
-                some_of(sight, np.repeat(has_laser, counts)),
+                some_of(view, np.repeat(is_lit, counts) & np.concatenate(kept)),
+                some_of(view, np.repeat(has_laser, counts)),
             )
         return self._seen[key]
 
@@ -251,9 +253,9 @@ def lit_by_laser(frames: Sequence[ObservedFrame]) -> Bool:
     return np.array([frame.condition.laser_level > 0.0 for frame in frames], dtype=np.bool_)
 
 
-def some_of(sight: Sight, chosen: Bool) -> Sight | None:
-    """Return some of a sight's pixels (n,), None for none."""
-    return sight.subset(chosen) if chosen.any() else None
+def some_of(view: View, chosen: Bool) -> View | None:
+    """Return some of a view's pixels (n,), None for none."""
+    return view.subset(chosen) if chosen.any() else None
 
 
 def _key(

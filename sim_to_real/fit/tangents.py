@@ -11,9 +11,9 @@ from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import Effects, apply_setup_effects
 from noise_model.fit import Parameter
 from noise_model.setup import Setup
-from noise_model.sight import Sight
 from noise_model.stripe import stripe_reference
 from noise_model.surface.joint import BentSeam, SeamLine
+from noise_model.view import View
 from sim_to_real.data.binned import ObservedFrame
 from sim_to_real.fit.nuisances import N_CAMERA, N_LEVELS, SEAM_FROM
 from sim_to_real.fit.renderings import Renderings, lit_by_arc, lit_by_laser
@@ -48,7 +48,7 @@ class Tangents:
         return Tangents(arc_e, laser_e)
 
 
-Step = tuple[Sight, float]
+Step = tuple[View, float]
 """What frames see after a small step, and the step's length."""
 
 
@@ -67,9 +67,9 @@ class _Frames:
         # Which stretch of its frame's seam each bin shows.
         self.stretch = self.here.which - np.repeat(np.cumsum([0, *lines[:-1]]), self.counts)
 
-    def _looked(self, setup: Setup, seams: Sequence[BentSeam], stretch: Int64 | None) -> Sight:
+    def _looked(self, setup: Setup, seams: Sequence[BentSeam], stretch: Int64 | None) -> View:
         true, bins = apply_setup_effects(setup), [frame.bins for frame in self.frames]
-        return self.renderings.sight(self.frames, bins, true, seams, stretch)
+        return self.renderings.view(self.frames, bins, true, seams, stretch)
 
     def camera_steps(self, nuisances: Sequence[Parameter]) -> list[Step]:
         """Return a step along each nuisance that moves the camera."""
@@ -77,8 +77,8 @@ class _Frames:
         for j, parameter in enumerate(nuisances[N_LEVELS:SEAM_FROM], N_LEVELS):
             there = self.anchor.copy()
             there[j] += -parameter.step if self.anchor[j] > 0.0 else parameter.step
-            sight = self._looked(self.renderings.setup(self.effects, there), self.seams, self.stretch)
-            steps.append((sight, float(there[j] - self.anchor[j])))
+            view = self._looked(self.renderings.setup(self.effects, there), self.seams, self.stretch)
+            steps.append((view, float(there[j] - self.anchor[j])))
         return steps
 
     def seam_steps(self) -> list[Step]:
@@ -136,17 +136,17 @@ def tangents_at(
     steps = [*moving.camera_steps(nuisances), *moving.seam_steps()]
     # The laser does not know where the arc stands.
     further = moving.ground_steps() if is_lit.any() else []
-    arc = _slopes(moving, is_lit, Sight.arc_e, [*steps, *further])
+    arc = _slopes(moving, is_lit, View.arc_e, [*steps, *further])
     laser = _slopes(moving, lit_by_laser(frames), _laser_e, steps)
     return [Tangents(*parts) for parts in zip(arc, laser, strict=True)]
 
 
-def _laser_e(sight: Sight) -> Float32:
-    return sight.laser_e(sight.setup.laser.peak_e / stripe_reference(sight.setup))
+def _laser_e(view: View) -> Float32:
+    return view.laser_e(view.setup.laser.peak_e / stripe_reference(view.setup))
 
 
 def _slopes(
-    moving: _Frames, chosen: Bool, light: Callable[[Sight], Float32], steps: Sequence[Step]
+    moving: _Frames, chosen: Bool, light: Callable[[View], Float32], steps: Sequence[Step]
 ) -> list[Float32 | None]:
     """Return the derivatives (n_moving, n) of a source's light in each of the frames (f,) that it lights."""
     bins = np.repeat(chosen, moving.counts)
@@ -155,7 +155,7 @@ def _slopes(
             np.zeros((len(moving.anchor) - N_LEVELS, 0), dtype=np.float32) if lit else None for lit in chosen
         ]
     here_e = light(moving.here.subset(bins))
-    by_step = [_slope(here_e, light(sight.subset(bins)), length) for sight, length in steps]
+    by_step = [_slope(here_e, light(view.subset(bins)), length) for view, length in steps]
     every = np.concatenate([by_step[:N_CAMERA], moving.along_modes(chosen, by_step[N_CAMERA:])])
     parts = iter(np.split(every, np.cumsum(np.compress(chosen, moving.counts))[:-1], axis=1))
     return [np.ascontiguousarray(next(parts)) if lit else None for lit in chosen]

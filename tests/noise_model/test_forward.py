@@ -248,14 +248,15 @@ def test_a_views_stripe_is_the_sheets_light_where_it_is_near_and_not_shaded(half
     laser = dataclasses.replace(setup.laser, origin_in_tool_mm=origin, fan_half_angle_deg=half)
     setup = dataclasses.replace(setup, laser=laser)
     view = View.of(setup, scenes.pose())
-    points, normals, _ = view.sight.surface
-    seen = view.sight.sheet
-    lit = seen.near & ~seen.shaded
+    points, normals, _ = (values.reshape(view.which.size, -1) for values in view.surface)
+    near, shaded = (values.ravel() for values in view.sheet)
+    lit = near & ~shaded
     plain = np.zeros(len(points))
     plain[lit] = reflected_sheet_plain(setup, points[lit], normals[lit], view.scene.T_joint_tool)
-    light = view.sight.laser_e(1000.0)
-    np.testing.assert_allclose(light, 1000.0 * view.sight.cos4 * plain, rtol=1e-4, atol=1e-4 * light.max())
-    assert (seen.near & seen.shaded).any()
+    light = view.laser_e(1000.0)
+    wanted = 1000.0 * view.rays.cos4 * plain.reshape(view.shape)
+    np.testing.assert_allclose(light, wanted, rtol=1e-4, atol=1e-4 * light.max())
+    assert (near & shaded).any()
     assert np.count_nonzero(light > 0.1 * light.max()) > 20
 
 
@@ -315,7 +316,7 @@ def test_light_scales_and_adds():
 def test_what_only_the_image_shows_renders_nothing_anew(monkeypatch):
     """Levels, exposure, sensor, point-spread function and effects on the image reuse what was rendered."""
     rendered = []
-    for owner, name in ((forward, "arc_frame"), (forward.Sight, "laser_e")):
+    for owner, name in ((forward, "arc_frame"), (forward.View, "laser_e")):
         original = getattr(owner, name)
         monkeypatch.setattr(
             owner, name, lambda *args, original=original: rendered.append(1) or original(*args)

@@ -272,15 +272,15 @@ def leaving(k, P, normal, omega_r):
 @pytest.mark.parametrize("material", TABLE_1)
 def test_what_leaves_towards_the_camera_is_the_arc_map(joint, material):
     view = view_of(joint, material)
-    pixels = np.arange(11, view.cos4.size, 397)
+    pixels = np.arange(11, view.rays.cos4.size, 397)
     want, _ = arc_at(
-        arc_kernel(view.setup, view.scene), view.xy.reshape(-1, 2), view.cos4.reshape(-1), pixels
+        arc_kernel(view.setup, view.scene), view.rays.xy.reshape(-1, 2), view.rays.cos4.reshape(-1), pixels
     )
     k, camera = place(view.setup, view.scene), view.scene.T_joint_camera[:3, 3]
     points, normals = (values.reshape(-1, 3)[pixels] for values in view.surface[:2])
     towards = (camera - points) / np.linalg.norm(camera - points, axis=1, keepdims=True)
     got = [leaving(k, P, n, tuple(omega)) for P, n, omega in zip(points, normals, towards, strict=True)]
-    got_e = np.array(got) * view.setup.arc.radiance_e * view.cos4.reshape(-1)[pixels]
+    got_e = np.array(got) * view.setup.arc.radiance_e * view.rays.cos4.reshape(-1)[pixels]
     lit = want > 0.05 * np.nanmax(want)
     assert np.quantile(np.abs(got_e[lit] / want[lit] - 1.0), 0.8) < 0.03
 
@@ -408,7 +408,7 @@ def test_bounced_light_is_what_paths_at_random_bring(joint, faces, material, sou
     compared = 0
     for i in some_pixels(view, faces, 5, seed=7):
         want = traced(view, i, sent, 200_000, seed=int(i))
-        got = orders.reshape(len(orders), -1)[:2, i] / view.cos4.reshape(-1)[i]
+        got = orders.reshape(len(orders), -1)[:2, i] / view.rays.cos4.reshape(-1)[i]
         for order, within in enumerate((0.03, 0.35 if material == "mild_steel" else 0.1)):
             mean, error = want[order]
             # A mean that a few lucky paths make says nothing.
@@ -440,7 +440,7 @@ def test_a_recording_with_bounced_light_looks_more_like_it(index):
     assert (row["laser_on"], row["arc_on"]) == ("0", "1")
     view = View.of(setup, T_base_tool)
     share = float(row["exposure_s"]) / setup.camera.exposure_s * level(setup.arc, float(row["current_a"]))
-    images = Layers(view, view.sight).arc_e, *bounced_light(view).arc_orders_e
+    images = Layers(view, view).arc_e, *bounced_light(view).arc_orders_e
     seen = [block_means(share * blur(image, setup.camera.psf_sigma_px), 8) for image in images]
     recorded = block_means((dn - black_dn) * setup.sensor.gain_e_per_dn, 8)
     around = np.ones((3, 3), dtype=np.uint8)

@@ -13,6 +13,7 @@ from noise_model.condition import Condition
 from noise_model.effects import apply_condition_effects
 from noise_model.effects.light import Light
 from noise_model.forward import pass_on
+from noise_model.instrument.camera import Rays
 from noise_model.view import View
 from tracker.geometry import SensorGeometry
 
@@ -59,15 +60,8 @@ class Transmission:
         both = np.concatenate([self.even, pixels])
         scan, position = np.divmod(both, geometry.n_pos)
         uv = geometry.image_points(scan.astype(np.float64), position.astype(np.float64))
-        view = View(
-            geometry.setup,
-            self.scene,
-            uv.astype(np.float32),
-            geometry.xy[both],
-            geometry.cos4[both],
-            is_frame=False,
-            n_even=len(self.even),
-        )
+        rays = Rays(uv.astype(np.float32), geometry.xy[both], geometry.cos4[both])
+        view = View.of_scene(geometry.setup, self.scene, rays, n_even=len(self.even))
         before = np.concatenate([self.even_arc_e, np.nan_to_num(arc_e)])
         light = Light.of(before, np.zeros_like(before))
         pass_on(geometry.setup, light, view, self.condition)

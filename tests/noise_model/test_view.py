@@ -13,10 +13,10 @@ from noise_model.arc.scene import Scenes, make_scene
 from noise_model.forward import look
 from noise_model.instrument.camera import Rays
 from noise_model.instrument.laser import sheet_of, sheets_of
-from noise_model.sight import PixelRays, Sight
 from noise_model.surface.joint import BentSeam, SeamLine
 from noise_model.surface.ray_casting import MISS, ways_are_open
 from noise_model.transforms import invert, transform
+from noise_model.view import View
 
 POSES = (scenes.pose(), scenes.pose((7.0, -1.0, 1.0), (1.0, -2.0, 3.0)), scenes.pose((40.0, 0.5, -0.5)))
 LINES = (SeamLine(25.0, -0.8, 0.1, 0.03), SeamLine(45.0, 0.6, -0.1, -0.02, 0.01))
@@ -25,13 +25,14 @@ BENT = BentSeam(LINES, SeamLine(0.0, 0.3, 0.1))
 
 def alone(setup, poses=POSES):
     rays = Rays.of(setup.camera)
-    return [look(setup, T_base_tool, BENT, rays).sight for T_base_tool in poses]
+    return [look(setup, T_base_tool, BENT, rays, np.arange(rays.cos4.size)).bent for T_base_tool in poses]
 
 
 def together(setup):
     rays = Rays.of(setup.camera)
-    every = np.arange(rays.cos4.size)
-    return Sight.along(setup, POSES, [BENT] * len(POSES), PixelRays.of(rays, [every] * len(POSES)))
+    pixels = np.tile(np.arange(rays.cos4.size), len(POSES))
+    pose = np.repeat(np.arange(len(POSES)), rays.cos4.size)
+    return View.along(setup, POSES, [BENT] * len(POSES), pose, rays.at(pixels))
 
 
 @pytest.mark.parametrize("joint", ["v_groove", "lap", "corrugation"])
@@ -41,14 +42,14 @@ def test_many_scenes_show_what_each_of_them_shows(joint):
     assert len(every.scenes) == len(POSES) * len(LINES)
     unit_e, start = 1000.0, 0
     arc_e, laser_e, (points, _, faces) = every.arc_e(), every.laser_e(unit_e), every.surface
-    for sight in parts:
-        of_frame = slice(start, start + len(sight.cos4))
-        np.testing.assert_array_equal(laser_e[of_frame], sight.laser_e(unit_e))
-        np.testing.assert_array_equal(points[of_frame], sight.surface[0])
+    for view in parts:
+        of_frame = slice(start, start + len(view.which))
+        np.testing.assert_array_equal(laser_e[of_frame], view.laser_e(unit_e))
+        np.testing.assert_array_equal(points[of_frame], view.surface[0])
         for n in range(len(LINES)):
-            kernel = arc_kernel(setup, sight.scenes[n])
-            mean_e, shown = arc_at(kernel, sight.xy, sight.cos4, np.flatnonzero(sight.which == n))
-            here = np.flatnonzero(sight.which == n) + start
+            kernel = arc_kernel(setup, view.scenes[n])
+            mean_e, shown = arc_at(kernel, view.rays.xy, view.rays.cos4, np.flatnonzero(view.which == n))
+            here = np.flatnonzero(view.which == n) + start
             np.testing.assert_array_equal(faces[here], shown)
             np.testing.assert_allclose(arc_e[here], np.where(shown == MISS, 0.0, mean_e), rtol=1e-6)
         start = of_frame.stop
@@ -57,10 +58,10 @@ def test_many_scenes_show_what_each_of_them_shows(joint):
 
 
 def test_some_pixels_show_what_all_show():
-    (sight,) = alone(nominal_setup("lap", "mild_steel", width=48, height=36), POSES[:1])
-    chosen = np.arange(len(sight.cos4)) % 3 == 0
-    np.testing.assert_array_equal(sight.subset(chosen).arc_e(), sight.arc_e()[chosen])
-    assert sight.arc_e().any()
+    (view,) = alone(nominal_setup("lap", "mild_steel", width=48, height=36), POSES[:1])
+    chosen = np.arange(len(view.which)) % 3 == 0
+    np.testing.assert_array_equal(view.subset(chosen).arc_e(), view.arc_e()[chosen])
+    assert view.arc_e().any()
 
 
 def test_sheets_of_many_scenes_are_those_of_each():
@@ -80,19 +81,19 @@ def test_the_sheet_is_seen_where_the_tools_frame_has_it(half_angle_deg):
     laser = dataclasses.replace(
         setup.laser, origin_in_tool_mm=(35.0, -60.0, 140.0), fan_half_angle_deg=half_angle_deg
     )
-    sight = together(dataclasses.replace(setup, laser=laser))
-    points = sight.surface[0]
+    view = together(dataclasses.replace(setup, laser=laser))
+    points = view.surface[0]
     near, shaded = np.zeros((2, len(points)), dtype=bool)
-    for n in range(len(sight.scenes)):
-        scene, here = sight.scenes[n], np.flatnonzero(sight.which == n)
+    for n in range(len(view.scenes)):
+        scene, here = view.scenes[n], np.flatnonzero(view.which == n)
         in_tool = transform(invert(scene.T_joint_tool), points[here])
         sigmas = laser.reach_sigmas * laser.stripe_sigma_mm * np.abs(140.0 - in_tool[:, 2]) / 140.0
         near[here] = np.abs(in_tool @ laser.plane[:3] + laser.plane[3]) < sigmas
         origin, is_free = transform(scene.T_joint_tool, laser.origin_mm), np.zeros(len(here), dtype=bool)
         ways_are_open(points[here], origin, scene.shape.vertices, scene.shape.corrugation, is_free)
         shaded[here] = near[here] & (~is_free | (beyond_fan_mm(in_tool, laser) > 0.0))
-    np.testing.assert_array_equal(sight.sheet.near, near)
-    np.testing.assert_array_equal(sight.sheet.shaded, shaded)
+    np.testing.assert_array_equal(view.sheet.near, near)
+    np.testing.assert_array_equal(view.sheet.shaded, shaded)
     assert near.any()
     assert shaded.any()
 
@@ -100,9 +101,9 @@ def test_the_sheet_is_seen_where_the_tools_frame_has_it(half_angle_deg):
 def test_a_camera_under_the_sheet_is_refused_among_others():
     setup = nominal_setup("lap", "mild_steel", width=16, height=12)
     low = make_scene(setup, scenes.pose((0.0, 0.0, -500.0)))
-    sight = alone(setup)[0]
-    stretches = sight.scenes
+    view = alone(setup)[0]
+    stretches = view.scenes
     assert low.below_surface
     sunk = Scenes.of([stretches[n] for n in range(len(stretches) - 1)] + [low])
     with pytest.raises(ValueError, match="below the surface"):
-        dataclasses.replace(sight, scenes=sunk, _kept={}).arc_e()
+        dataclasses.replace(view, scenes=sunk, _cache={}).arc_e()
