@@ -228,7 +228,7 @@ def bound(world: World, held: tuple[str, ...]) -> Float64:
     """
     stated = replace(world.true, camera=world.stated.camera)
     problem = ArcProblem.of(
-        stated, world.frames, PartPlacement.unseen(stated, 0.0), world.texture, world.flicker
+        stated, world.frames, PartPlacement.without_stripes(stated, 0.0), world.texture, world.flicker
     )
     problem = replace(problem, held=held)
     x = np.zeros(len(problem.names))

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
 from calibration.boards.board import Board, BoardKind
-from calibration.camera.adjustment import linearised
+from calibration.camera.adjustment import linearise
 from calibration.camera.calibrate import CameraCalibration, find_lens
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.halves import MAX_RATIO, difference_of_halves, splits
@@ -177,7 +177,7 @@ def bound(world: World, found: CameraCalibration) -> Float64:
     lens = replace(found.scene.lens, values=values)
     scene = replace(found.scene, lens=lens, warp_mm=world.warp_mm, T_camera_board=T)
     weight = 1.0 / world.sigma_px[found.seen.view]
-    information = linearised(scene, found.seen, weight).information()
+    information = linearise(scene, found.seen, weight).information()
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))))
 
 
@@ -207,7 +207,9 @@ def mahalanobis(world: World, found: CameraCalibration, rng: np.random.Generator
     point = found.distance_mm * np.array([[x, y, 1.0]])
     where = project(world.lens, point)
     error = project(lens, moved(motion, point))[0] - where[0]
-    covariance = found.scatter * found.known.of_projection(found.scene.lens, where, found.distance_mm)[0]
+    covariance = (
+        found.scatter * found.known.projection_covariance(found.scene.lens, where, found.distance_mm)[0]
+    )
     return float(error @ np.linalg.solve(covariance, error))
 
 

@@ -21,7 +21,7 @@ from calibrate_camera import board_of, views_of
 from camera_worlds import World, draw_corners, draw_world
 from scipy.spatial.transform import Rotation
 
-from calibration.camera.adjustment import BoardScene, adjusted, linearised
+from calibration.camera.adjustment import BoardScene, adjust, linearise
 from calibration.camera.lens import Lens
 from calibration.camera.projection import Knowledge, rms_sigma
 from calibration.camera.sightings import Sightings
@@ -57,10 +57,10 @@ def compare(world: World, images: list[Float64]) -> Compared:
     began = time.perf_counter()
     # mrcal is run without a prior on lenses: such weights leave ours none.
     weight = np.full(len(seen), 1e3)
-    ours = adjusted(with_better_poses(adjusted(start, seen, weight), seen), seen, weight)
+    ours = adjust(with_better_poses(adjust(start, seen, weight), seen), seen, weight)
     free = 2 * len(seen) - len(ours.lens.values) - 2 - 6 * len(images)
     sigma = float(np.sqrt(np.sum(ours.residuals(seen) ** 2) / free))
-    known = Knowledge.of(linearised(ours, seen, np.full(len(seen), 1.0 / sigma)))
+    known = Knowledge.of(linearise(ours, seen, np.full(len(seen), 1.0 / sigma)))
     middle = time.perf_counter()
     theirs, model = optimised(world, images, ours)
     ended = time.perf_counter()
@@ -72,7 +72,7 @@ def compare(world: World, images: list[Float64]) -> Compared:
     moved = points + np.cross(motion[:3], points) + motion[3:]
     return Compared(
         theirs.lens.project(moved) - points_px,
-        rms_sigma(known.of_projection(ours.lens, points_px, depth)),
+        rms_sigma(known.projection_covariance(ours.lens, points_px, depth)),
         *(
             mrcal.projection_uncertainty(
                 moved, model, method=method, what="rms-stdev", observed_pixel_uncertainty=sigma
@@ -131,7 +131,7 @@ def common_motion(first: BoardScene, second: BoardScene, seen: Sightings) -> Flo
     """Return the small motion (6,) of the camera frame that brings the first's boards to the second's."""
     between = second.T_camera_board @ np.linalg.inv(first.T_camera_board)
     small = np.concatenate([Rotation.from_matrix(between[:, :3, :3]).as_rotvec(), between[:, :3, 3]], axis=1)
-    D = linearised(first, seen, np.ones(len(seen))).motion
+    D = linearise(first, seen, np.ones(len(seen))).motion
     return np.asarray(np.linalg.solve(D.sum(axis=0), np.einsum("vij,vj->i", D, small)))
 
 

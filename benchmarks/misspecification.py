@@ -59,9 +59,9 @@ from sim_to_real.evidence.error_model import (
     HAND_EYE,
     LinearHypothesis,
     compared_bins,
+    hand_eye_tolerance,
     sampling_error,
     smooth_error,
-    tolerated,
 )
 from sim_to_real.evidence.policy import POLICY
 from sim_to_real.fit.covariates import Covariates, covariates
@@ -151,7 +151,7 @@ def nominal_of(path: Path) -> tuple[Nominal, dict[str, Summary]]:
     linear = LinearHypothesis.of(fitted)
     tolerance = recording.setup.tolerance
     errors = [smooth_error(chosen, POLICY), sampling_error(model, chosen, fitted)]
-    errors += [tolerated(score, tolerance) for score in score_effects(model, fitted, [HAND_EYE])]
+    errors += [hand_eye_tolerance(score, tolerance) for score in score_effects(model, fitted, [HAND_EYE])]
     columns = np.hstack([linear.columns.changes, *errors])
     shares = noise_shares(model, fitted)
     single = (values.astype(np.float32) for values in (linear.residuals, columns, *shares))

@@ -85,8 +85,8 @@ class ArcPixels:
         here = look(setup, T_base_tool, seam, rays, pixels, stretch)
         compared = (here.faces != MISS) & (frame.image_dn[v, u] < geometry.saturation_dn)
         for dv, du in ((EDGE_PX, 0), (-EDGE_PX, 0), (0, EDGE_PX), (0, -EDGE_PX)):
-            beside = np.clip(v + dv, 0, height - 1) * width + np.clip(u + du, 0, width - 1)
-            there = look(setup, T_base_tool, seam, rays, beside)
+            neighbour = np.clip(v + dv, 0, height - 1) * width + np.clip(u + du, 0, width - 1)
+            there = look(setup, T_base_tool, seam, rays, neighbour)
             compared &= there.faces == here.faces
             compared &= np.abs(there.arc_e - here.arc_e) <= MAX_CHANGE * here.arc_e
         if frame.laser_on:

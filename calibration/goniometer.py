@@ -108,7 +108,7 @@ class Settings:
         zeros = np.zeros(theta_i.size)
         return Settings(theta_i.ravel(), theta_r.ravel(), zeros, zeros + 1.0)
 
-    def chosen(self, which: npt.NDArray[np.intp]) -> Settings:
+    def subset(self, which: npt.NDArray[np.intp]) -> Settings:
         """Return some of the settings, by their numbers (k,)."""
         return Settings(
             self.theta_i_deg[which], self.theta_r_deg[which], self.phi_r_deg[which], self.source[which]
@@ -154,7 +154,7 @@ def average(settings: Settings, gray_level: Float64) -> Readings:
     squares = np.bincount(group, (gray_level - mean[group]) ** 2)
     variance = np.divide(squares, repeats - 1, out=np.full(len(mean), np.nan), where=repeats > 1)
     is_whole = bool((gray_level == np.rint(gray_level)).all())
-    return Readings(settings.chosen(first[by_appearance]), mean, repeats, variance, group, is_whole)
+    return Readings(settings.subset(first[by_appearance]), mean, repeats, variance, group, is_whole)
 
 
 def _direction(theta_deg: Float64, azimuth_deg: Float64) -> Float64:

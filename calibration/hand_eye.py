@@ -119,7 +119,7 @@ def estimate_hand_eye(
     if not lit:
         raise ValueError("no frame has the arc on: the hand-eye estimate needs the arc's light")
     problem = _ArcHandEyeProblem.of(setup, _sightings(setup, frames), lit)
-    result = _settled(problem, progress)
+    result = _fit_in_rounds(problem, progress)
     prior = np.diag([parameter.prior_sigma**2 for parameter in result.parameters[:6]])
     fitted = problem.setup_at(result.values)
     return HandEye(
@@ -315,7 +315,7 @@ def _curve(setup: Setup, sightings: SeamObservations, stations_mm: Float64) -> S
     )
 
 
-def _settled(problem: _ArcHandEyeProblem, progress: Callable[[int, int], None]) -> Fit:
+def _fit_in_rounds(problem: _ArcHandEyeProblem, progress: Callable[[int, int], None]) -> Fit:
     """Choose pixels and fit in turn until the camera settles; ValueError if it does not, or far off."""
     parameters = problem.parameters
     # A round goes no further than 3 sigmas of the priors.

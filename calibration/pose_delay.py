@@ -80,7 +80,7 @@ class PoseTrack:
         quaternions[1:] *= np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)[:, np.newaxis]
         return cls(times_s, np.column_stack([T_base_tool[:, :3, 3], quaternions]))
 
-    def smoothed(self) -> PoseTrack:
+    def smooth(self) -> PoseTrack:
         """Return the track without the controller's jitter, at even times.
 
         A jitter that is another one from pose to pose looks like motion, and a delay would follow it.
@@ -159,7 +159,7 @@ def with_delay(setup: Setup, delay_s: float) -> Setup:
 
 def fit_pose_delay(setup: Setup, observations: SeamObservations, track: PoseTrack) -> PoseDelay:
     """Return the delay that puts seam points on one smooth seam; ValueError for fewer than `MIN_SEEN`."""
-    smooth = track.smoothed()
+    smooth = track.smooth()
     observations = replace(observations, poses=(smooth.at_time,) * len(observations.image_px))
     # A grid's step within the bounds: derivatives look to either side.
     grid = np.arange(DELAY.lower + GRID_S, DELAY.upper - 0.5 * GRID_S, GRID_S)
@@ -167,22 +167,22 @@ def fit_pose_delay(setup: Setup, observations: SeamObservations, track: PoseTrac
     delay_s = 0.0
     for _ in range(2):
         # What a delay takes out of the poses' time is left out, once a delay is known.
-        problem = _DelayProblem(setup, _covered(observations, smooth, delay_s)).with_camera_slopes(delay_s)
-        seen = [problem.seen(float(d)) for d in grid]
+        problem = _DelayProblem(setup, _with_pose(observations, smooth, delay_s)).with_camera_slopes(delay_s)
+        seen = [problem.seam_points(float(d)) for d in grid]
         for _ in range(2):
             curve = np.array([problem.ln_likelihood(*points, bends, scatters) for points in seen])
             best = int(np.argmax(curve))
             bends, scatters = problem.nuisances(*seen[best], bends, scatters)
-        delay_s, sigma_s = problem.refined(float(grid[best]), bends, scatters)
+        delay_s, sigma_s = problem.refine(float(grid[best]), bends, scatters)
     curve = np.array([problem.ln_likelihood(*points, bends, scatters) for points in seen])
-    highest = problem.ln_likelihood(*problem.seen(delay_s), bends, scatters)
+    highest = problem.ln_likelihood(*problem.seam_points(delay_s), bends, scatters)
     rival_s = problem.rival(grid, curve - highest, delay_s, sigma_s, bends, scatters)
     motion = problem.motion_mm_s(delay_s)
     place = int(np.searchsorted(grid, delay_s))
     return PoseDelay(
         delay_s=delay_s,
         sigma_s=sigma_s,
-        unestimated=_unestimated(grid, rival_s, delay_s, sigma_s, motion),
+        unestimated=_reason_unestimated(grid, rival_s, delay_s, sigma_s, motion),
         delays_s=np.insert(grid, place, delay_s),
         ln_likelihood=np.insert(curve - highest, place, 0.0),
         observations=problem.observations,
@@ -192,7 +192,7 @@ def fit_pose_delay(setup: Setup, observations: SeamObservations, track: PoseTrac
     )
 
 
-def _covered(observations: SeamObservations, track: PoseTrack, delay_s: float) -> SeamObservations:
+def _with_pose(observations: SeamObservations, track: PoseTrack, delay_s: float) -> SeamObservations:
     """Return the seam points of frames whose pose is known about a delay; ValueError for too few."""
     kept = np.flatnonzero(track.covers(observations.timestamps_s + delay_s))
     if len(kept) < MIN_SEEN:
@@ -208,7 +208,7 @@ def _covered(observations: SeamObservations, track: PoseTrack, delay_s: float) -
     )
 
 
-def _unestimated(
+def _reason_unestimated(
     grid: Float64, rival_s: float | None, delay_s: float, sigma_s: float, motion_mm_s: float
 ) -> str | None:
     """Return why a delay is not known, None where it is."""
@@ -239,7 +239,7 @@ class _DelayProblem:
     observations: SeamObservations
     camera_slopes: Float64 | None = None
 
-    def seen(self, delay_s: float) -> tuple[Float64, Float64]:
+    def seam_points(self, delay_s: float) -> tuple[Float64, Float64]:
         """Return stations (n,) and displacements (n, 2), mm, for a delay."""
         return self.observations.in_joint(with_delay(self.setup, delay_s))
 
@@ -284,15 +284,15 @@ class _DelayProblem:
         factor: tuple[Float64, bool] = cho_factor(covariance, lower=True)
         return factor
 
-    def refined(self, delay_s: float, bends_mm: Float64, scatters_mm: Float64) -> tuple[float, float]:
+    def refine(self, delay_s: float, bends_mm: Float64, scatters_mm: Float64) -> tuple[float, float]:
         """Return the likeliest delay near one of the grid's, and its 1 sigma."""
 
         def loss(other_s: float) -> float:
-            return -self.ln_likelihood(*self.seen(other_s), bends_mm, scatters_mm)
+            return -self.ln_likelihood(*self.seam_points(other_s), bends_mm, scatters_mm)
 
         near_s = np.clip([delay_s - GRID_S, delay_s + GRID_S], DELAY.lower + GRID_S, DELAY.upper - GRID_S)
         best_s = float(minimize_scalar(loss, bounds=near_s, method="bounded", options={"xatol": 1e-6}).x)
-        stations, _ = self.seen(best_s)
+        stations, _ = self.seam_points(best_s)
         J, information = self._speeds(best_s), 0.0
         for axis in (0, 1):
             factor = self._factor(axis, stations, bends_mm[axis], scatters_mm[axis])
@@ -315,12 +315,12 @@ class _DelayProblem:
         inner = curve[1:-1]
         peaks = 1 + np.flatnonzero((inner >= curve[:-2]) & (inner >= curve[2:]))
         for n in peaks[np.argsort(-curve[peaks])][:MAX_RIVALS]:
-            other_s, _ = self.refined(float(grid_s[n]), bends_mm, scatters_mm)
+            other_s, _ = self.refine(float(grid_s[n]), bends_mm, scatters_mm)
             if abs(other_s - delay_s) <= max(RIVAL_SIGMAS * sigma_s, GRID_S):
                 continue
-            below = self.ln_likelihood(*self.seen(delay_s), bends_mm, scatters_mm) - self.ln_likelihood(
-                *self.seen(other_s), bends_mm, scatters_mm
-            )
+            below = self.ln_likelihood(
+                *self.seam_points(delay_s), bends_mm, scatters_mm
+            ) - self.ln_likelihood(*self.seam_points(other_s), bends_mm, scatters_mm)
             if below < RIVAL_NATS:
                 return other_s
         return None
@@ -328,8 +328,8 @@ class _DelayProblem:
     def _speeds(self, delay_s: float) -> Float64:
         """Return by how much the displacements (n, 2), mm/s, grow with the delay."""
         step_s = 0.5 * GRID_S
-        _, later = self.seen(delay_s + step_s)
-        _, earlier = self.seen(delay_s - step_s)
+        _, later = self.seam_points(delay_s + step_s)
+        _, earlier = self.seam_points(delay_s - step_s)
         return np.asarray((later - earlier) / (2.0 * step_s))
 
     def nuisances(

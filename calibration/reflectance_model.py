@@ -82,14 +82,14 @@ class ReadingsModel:
     def start(self) -> Float64:
         """Return the best of a range of c2 with non-negative least squares for the rest, gamma undone."""
         light = self.response.light(self.gray_level)
-        best, least = np.zeros(0), math.inf
+        best, best_rest = np.zeros(0), math.inf
         for c2 in np.geomspace(10.0 * C2_LOWEST, 0.1 * self.c2_highest, 36):
             columns = [self.diffuse, self.lobe * np.exp(-c2 * self.alpha2)]
             if self.white is not None:
                 columns.append(self.white)
             parts, rest = nnls(np.column_stack(columns), light)
-            if rest < least:
-                best, least = np.insert(parts, 2, c2), rest
+            if rest < best_rest:
+                best, best_rest = np.insert(parts, 2, c2), rest
         return best
 
     def parameters(self, start: Float64) -> list[Parameter]:
@@ -112,10 +112,10 @@ def readings_model(sample: Readings, response: GreyResponse, white: White | None
     alpha2 = settings.alpha**2
     is_whole = np.full(len(settings), sample.is_whole)
     if white is None:
-        means = sample.gray_level, *_telling(sample.repeats, sample.variance), is_whole
+        means = sample.gray_level, *_informative(sample.repeats, sample.variance), is_whole
         return ReadingsModel(diffuse, lobe, alpha2, None, *means, response)
     standard = white.readings
-    repeats, variance = _telling(
+    repeats, variance = _informative(
         np.append(sample.repeats, standard.repeats), np.append(sample.variance, standard.variance)
     )
     dark, other = np.zeros(len(standard.settings)), np.zeros(len(settings))
@@ -132,7 +132,7 @@ def readings_model(sample: Readings, response: GreyResponse, white: White | None
     )
 
 
-def _telling(repeats: Float64, variance: Float64) -> tuple[Float64, Float64]:
+def _informative(repeats: Float64, variance: Float64) -> tuple[Float64, Float64]:
     """Return repeats and variances (m,) as they are, or as of single readings if no two of them differ.
 
     Then they are copies, or a mean that was written down again: they contain no noise.

@@ -42,7 +42,7 @@ def simulate(
     rng: np.random.Generator,
 ) -> tuple[Settings, Float64]:
     """Return settings and whole grey levels (N,), `repeats` times each setting in turn, with their noise."""
-    each = settings.chosen(np.repeat(np.arange(len(settings)), repeats))
+    each = settings.subset(np.repeat(np.arange(len(settings)), repeats))
     level = response.gray_level(scale * each.light(material))
     noisy = level + rng.normal(size=len(each)) * np.sqrt(noise.variance(level - response.black_dn))
     return each, np.clip(np.rint(noisy), 0.0, response.saturation_dn)

@@ -152,7 +152,7 @@ def decide(
     proposal : Proposal
         The offset that wants to go out.
     conditions : Conditions
-        What must hold beside the offset.
+        What must hold in addition to the offset.
     limits : GateLimits
         What the offset must keep to.
     last_sent : LastSent

@@ -24,9 +24,9 @@ class OffsetUse:
     """
 
     def __init__(self) -> None:
-        beat, offset = (cycle_time_s(message_layout(m.__name__)) for m in (TrackerHeartbeat, SeamOffset))
-        self._max_beat_age_s, self._max_offset_age_s = BEAT_PERIODS * beat, STALE_PERIODS * offset
-        self._beat: tuple[TrackerHeartbeat, float] | None = None
+        heartbeat, offset = (cycle_time_s(message_layout(m.__name__)) for m in (TrackerHeartbeat, SeamOffset))
+        self._max_heartbeat_age_s, self._max_offset_age_s = BEAT_PERIODS * heartbeat, STALE_PERIODS * offset
+        self._heartbeat: tuple[TrackerHeartbeat, float] | None = None
         self._follows = False
         self._offset: tuple[SeamOffset, float] | None = None
 
@@ -42,9 +42,9 @@ class OffsetUse:
         """
         message, came_at_s = received.message, now_s - received.max_age_s
         if isinstance(message, TrackerHeartbeat):
-            before = self._beat
+            before = self._heartbeat
             self._follows = before is not None and (message.rolling - before[0].rolling) % _ROLLING == 1
-            self._beat = message, came_at_s
+            self._heartbeat = message, came_at_s
         elif isinstance(message, SeamOffset):
             self._offset = message, came_at_s
 
@@ -61,17 +61,17 @@ class OffsetUse:
         SeamOffset or None
             The offset to be used, None if none counts.
         """
-        beat = self._fresh_beat(now_s)
-        if beat is None or self._offset is None:
+        heartbeat = self._fresh_heartbeat(now_s)
+        if heartbeat is None or self._offset is None:
             return None
         offset, offset_at_s = self._offset
-        if beat.state not in COUNTING:
+        if heartbeat.state not in COUNTING:
             return None
         if not 0.0 <= now_s - offset_at_s <= self._max_offset_age_s:
             return None
         return offset if offset.validity in (Validity.VALID, Validity.HELD) else None
 
-    def is_disarm_heard(self, request_number: int, now_s: float) -> bool:
+    def is_disarm_acknowledged(self, request_number: int, now_s: float) -> bool:
         """Return whether the tracker has acknowledged DISARM: only then may TRACK follow.
 
         Parameters
@@ -86,13 +86,13 @@ class OffsetUse:
         bool
             True while the heartbeat that acknowledges it is fresh.
         """
-        beat = self._fresh_beat(now_s)
-        if beat is None or beat.request_number != request_number:
+        heartbeat = self._fresh_heartbeat(now_s)
+        if heartbeat is None or heartbeat.request_number != request_number:
             return False
-        return beat.command_heard is CommandHeard.DISARM
+        return heartbeat.command_heard is CommandHeard.DISARM
 
-    def _fresh_beat(self, now_s: float) -> TrackerHeartbeat | None:
-        if self._beat is None or not self._follows:
+    def _fresh_heartbeat(self, now_s: float) -> TrackerHeartbeat | None:
+        if self._heartbeat is None or not self._follows:
             return None
-        beat, beat_at_s = self._beat
-        return beat if 0.0 <= now_s - beat_at_s <= self._max_beat_age_s else None
+        heartbeat, heartbeat_at_s = self._heartbeat
+        return heartbeat if 0.0 <= now_s - heartbeat_at_s <= self._max_heartbeat_age_s else None

@@ -13,7 +13,7 @@ from noise_model.compiled.arrays import Bool
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from sim_to_real.data.binned import ObservedRecording, PoseAt, observe
-from sim_to_real.data.cross_validation import held_out
+from sim_to_real.data.cross_validation import split_holdout
 from sim_to_real.decision.holdout_gap import excess_map, measure_gap, predict_holdout
 from sim_to_real.decision.next_experiment import next_measurement
 from sim_to_real.decision.seam_error import seam_errors_mm
@@ -39,7 +39,7 @@ from sim_to_real.evidence.judgement import Judgement, judge
 from sim_to_real.evidence.policy import POLICY, Policy
 from sim_to_real.evidence.weigh import WeightedHypotheses, weigh
 from sim_to_real.fit.covariates import Covariates, covariates
-from sim_to_real.fit.gauss_newton import Refit, converged, refit, refit_there
+from sim_to_real.fit.gauss_newton import Refit, converge, refit, refit_at
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.metal_of_stripe import metal_of_stripe
 from sim_to_real.variance.random_effects import RandomEffects, random_effects
@@ -80,10 +80,10 @@ def diagnose(
     # Many small matrices: the threads of BLAS would wait for each other longer than they compute.
     with threadpool_limits(1, user_api="blas"):
         tell = _never_falling(on_stage or _silent)
-        return _diagnosed(setup, frames, pose_at, excluded_effects(setup, without), tell, threads, policy)
+        return _diagnose(setup, frames, pose_at, excluded_effects(setup, without), tell, threads, policy)
 
 
-def _diagnosed(
+def _diagnose(
     setup: Setup,
     frames: Sequence[Frame],
     pose_at: PoseAt,
@@ -94,8 +94,8 @@ def _diagnosed(
 ) -> Diagnosis:
     tell("tracking the seam", 0.0)
     observed = observe(setup, frames, pose_at)
-    holdout = held_out(observed, 0.25)
-    train = _comparable(observed, holdout)
+    holdout = split_holdout(observed, 0.25)
+    train = _training_frames(observed, holdout)
     if "material" in setup.missing:
         tell("fitting the metal", 0.03)
         change = metal_of_stripe(train, threads)
@@ -132,9 +132,9 @@ def _diagnosed(
     tell("locating the gap", 0.9)
     effects: tuple[NamedEffect, ...] = ()
     if verdict in (DiagnosisVerdict.EFFECTS, DiagnosisVerdict.AMBIGUOUS):
-        effects = _named(judgement, after, weighed, random, random_before)
+        effects = _named_effects(judgement, after, weighed, random, random_before)
     functions = _free_functions(weighed, judgement, of_bins)
-    where = _located(functions, weighed, of_bins, before, effects, predicted)
+    where = _locate_gap(functions, weighed, of_bins, before, effects, predicted)
     tell("done", 1.0)
     return Diagnosis(
         verdict=verdict,
@@ -183,7 +183,7 @@ class HeldOut(NamedTuple):
     def assess(self, judgement: Judgement) -> Assessment:
         """Return a judgement on these frames, its effects fitted to all bins as the fit before is."""
         fitted = judgement.leader.refit
-        after = refit_there(self.model, fitted) if fitted.ids else self.before
+        after = refit_at(self.model, fitted) if fitted.ids else self.before
         random = random_effects(self.model, after, self.without)
         predicted = predict_holdout(
             self.observed,
@@ -196,7 +196,7 @@ class HeldOut(NamedTuple):
         return Assessment(judgement, after, random, predicted, measure_gap(predicted, self.setup, seam_mm))
 
 
-def _located(
+def _locate_gap(
     functions: FreeFunctions,
     weighed: WeightedHypotheses,
     of_bins: Covariates,
@@ -210,7 +210,7 @@ def _located(
     return locate(functions, of_bins, before.residuals, stage, stages, excess_map(predicted))
 
 
-def _comparable(observed: ObservedRecording, holdout: Bool) -> ObservedRecording:
+def _training_frames(observed: ObservedRecording, holdout: Bool) -> ObservedRecording:
     """Return the frames that are not held out (n_frames,); ValueError if they show nothing to compare."""
     if not holdout.any():
         raise ValueError(
@@ -254,7 +254,7 @@ def baseline_of(
     fitted = refit(model, {}, model.neutral)
     model.mask_edges(fitted.nuisance, {})
     model.widen_noise_for_bends(fitted.nuisance, {})
-    fitted = converged(model, fitted)
+    fitted = converge(model, fitted)
     random = random_effects(model, fitted, without)
     if random.effects:
         model.take_noise(random.sigmas_dn)
@@ -284,7 +284,7 @@ def weaken_by_held_out(verdict: DiagnosisVerdict, gap: Gap) -> DiagnosisVerdict:
     return DiagnosisVerdict.UNKNOWN if verdict is DiagnosisVerdict.NO_GAP and gap.is_clear_after else verdict
 
 
-def _named(
+def _named_effects(
     judgement: Judgement,
     after: Refit,
     weighed: WeightedHypotheses,
@@ -342,16 +342,16 @@ def shares(posterior: Posterior, leader: Hypothesis) -> dict[str, float]:
     if len(names) < 2:
         return dict.fromkeys(names, 1.0)
     alone = {name: single.refit.mean_square for name, (single, _) in posterior.singles.items()}
-    most, least = posterior.none.refit.mean_square, leader.refit.mean_square
-    floor = min(1.0, least)
+    before, after = posterior.none.refit.mean_square, leader.refit.mean_square
+    floor = min(1.0, after)
 
     def size(mean_square: float) -> float:
         return math.sqrt(max(mean_square - floor, 0.0))
 
     first, second = names
-    total = max(size(most) - size(least), 1e-9)
+    total = max(size(before) - size(after), 1e-9)
     # What was not fitted alone closes nothing by itself.
-    closes = [size(most) - size(min(alone.get(name, most), most)) for name in (first, second)]
+    closes = [size(before) - size(min(alone.get(name, before), before)) for name in (first, second)]
     of_first = 0.5 * (closes[0] + total - closes[1]) / total
     of_first = float(np.clip(of_first, 0.0, 1.0))
     return {first: of_first, second: 1.0 - of_first}
@@ -362,13 +362,13 @@ def _trend(after: Refit, name: str) -> ReportedTrend | None:
     trend = after.trend
     if trend is None or trend.effect != name:
         return None
-    least, most = trend.values_at_ends(after.effects[name])
+    low, high = trend.values_at_ends(after.effects[name])
     return ReportedTrend(
         trend.driver.value,
         trend.driver.unit,
         trend.middle - trend.half_range,
         trend.middle + trend.half_range,
-        {name: (least[name], most[name]) for name in least},
+        {name: (low[name], high[name]) for name in low},
     )
 
 
@@ -410,29 +410,29 @@ def ranking(weighed: WeightedHypotheses, random: RandomEffects) -> tuple[RankedE
 def reasons(posterior: Posterior) -> tuple[Reason, ...]:
     """Return no gap, an unknown cause and the likeliest hypotheses with effects, the most probable first."""
     none, unknown = posterior.none.evidence, posterior.unknown.evidence
-    some = list(zip(posterior.hypotheses, posterior.p, posterior.p_beside, strict=True))
-    beside_effects = [h.beside.evidence for h in posterior.hypotheses if h.beside is not None]
-    best = max([none, unknown, *beside_effects, *(h.evidence for h in posterior.hypotheses)]) - none
+    some = list(zip(posterior.hypotheses, posterior.p, posterior.p_with_unknown, strict=True))
+    added = [h.with_unknown.evidence for h in posterior.hypotheses if h.with_unknown is not None]
+    best = max([none, unknown, *added, *(h.evidence for h in posterior.hypotheses)]) - none
     compared = [
         Reason(NO_GAP, (), 0.0, best, posterior.p_none),
-        Reason(_unknown_in_words(posterior.unknown), (), unknown - none, best, posterior.p_alone),
+        Reason(_unknown_text(posterior.unknown), (), unknown - none, best, posterior.p_alone),
     ]
-    for hypothesis, p, p_beside in some[:6]:
-        words = _in_words(hypothesis.refit)
+    for hypothesis, p, p_with_unknown in some[:6]:
+        words = _hypothesis_text(hypothesis.refit)
         compared.append(Reason(words, hypothesis.ids, hypothesis.evidence - none, best, p))
-        if (beside := hypothesis.beside) is not None:
-            words = f"{words} beside {_unknown_in_words(beside)}"
-            compared.append(Reason(words, hypothesis.ids, beside.evidence - none, best, p_beside))
+        if (with_unknown := hypothesis.with_unknown) is not None:
+            words = f"{words} beside {_unknown_text(with_unknown)}"
+            compared.append(Reason(words, hypothesis.ids, with_unknown.evidence - none, best, p_with_unknown))
     return tuple(sorted(compared, key=lambda reason: (-reason.probability, -reason.evidence)))
 
 
-def _unknown_in_words(unknown: UnknownCause) -> str:
+def _unknown_text(unknown: UnknownCause) -> str:
     """Return an unknown cause with its likeliest stage and term."""
     stage, term = unknown.likeliest
     return f"unknown: {term}" if stage is None else f"unknown: {stage.value}, {term}"
 
 
-def _in_words(fitted: Refit) -> str:
+def _hypothesis_text(fitted: Refit) -> str:
     """Return a hypothesis' effects, and of the one that changes with what."""
     trend = fitted.trend
     changing = {} if trend is None else {trend.effect: f" that changes with {trend.driver.value}"}

@@ -9,7 +9,7 @@ import numpy as np
 from arctrack.errors import ArctrackError, in_file
 from arctrack.recording import SetupFile
 from arctrack.recording.setup_model import CalibrationTable
-from calibration.camera.known_lens import lens_of
+from calibration.camera.known_lens import lens_from_camera
 from calibration.camera.lens import PINHOLE, Lens
 from noise_model.compiled.arrays import Float64
 
@@ -30,7 +30,7 @@ def stated_lens(stated: SetupFile) -> tuple[Lens, Float64 | None]:
     The covariance (n, n) is None where the setup keeps none; ArctrackError where what it keeps is none.
     """
     record = stated.calibrations.get("camera")
-    lens = lens_of(stated.setup.camera, [] if record is None else record.parameters)
+    lens = lens_from_camera(stated.setup.camera, [] if record is None else record.parameters)
     return lens, None if record is None else _covariance(record, lens, stated.path)
 
 

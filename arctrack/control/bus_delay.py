@@ -31,7 +31,7 @@ class BusDelay:
     def hear(self, sync: RobotSync, came_at_s: float) -> None:
         """Take a SYNC that came at a time, s."""
         self._is_heard = True
-        self._sync = self._sync.heard(sync, came_at_s, self._limits)
+        self._sync = self._sync.on_sync(sync, came_at_s, self._limits)
         round_trip_s = math.nan if sync.last_round_trip_us is None else sync.last_round_trip_us * 1e-6
         if math.isfinite(round_trip_s):
             self._known_at_s = came_at_s

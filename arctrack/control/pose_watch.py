@@ -78,7 +78,7 @@ class PoseWatch:
             self._poses, self._seam = Plausibility(), SeamInnovation()
         elif isinstance(received.message, RobotSync):
             steps = self._sync.steps
-            self._sync = self._sync.heard(received.message, came_at_s, self._sync_limits)
+            self._sync = self._sync.on_sync(received.message, came_at_s, self._sync_limits)
             if self._sync.steps > steps:
                 self._poses = clock_set(self._poses, came_at_s, self._limits)
         sample = self._assembler.push(received)

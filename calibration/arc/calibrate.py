@@ -167,20 +167,20 @@ def _calibrate(
     if setup.material.kappa_diff == 0.0 or setup.material.kappa_spec == 0.0:
         raise ValueError("[material] kappa_diff, kappa_spec: both must be above 0 for a start")
     chosen = [frames[n] for n in evenly(len(frames), MAX_FRAMES)]
-    known = PartPlacement.unseen(setup, 0.0) if part is None else part
+    known = PartPlacement.without_stripes(setup, 0.0) if part is None else part
     problem = ArcProblem.of(setup, chosen, known, FIRST_PIXEL_SIGMA, FIRST_FLICKER)
     if sum(len(lattice.charge_e) for lattice in problem.frames) < MIN_PIXELS:
         raise ValueError(
             "no pixel with the arc's light is below saturation and off the joint's edges: shorten the "
             "exposure"
         )
-    problem, result = _fitted(problem, _start(problem), progress)
+    problem, result = _fit_in_rounds(problem, _start(problem), progress)
     covariance = _covariance(problem, result)
-    problem = _with_refused(problem, covariance)
+    problem = _hold_undetermined(problem, covariance)
     if problem.held:
-        problem, result = _fitted(problem, result.values, progress)
+        problem, result = _fit_in_rounds(problem, result.values, progress)
     refused = {name: math.sqrt(covariance[ARC.index(name), ARC.index(name)]) for name in problem.held}
-    return _calibrated(problem, result, refused, _combinations(covariance))
+    return _calibration(problem, result, refused, _combinations(covariance))
 
 
 def _covariance(problem: ArcProblem, result: Fit) -> Float64:
@@ -215,7 +215,9 @@ def _start(problem: ArcProblem) -> Float64:
     return x
 
 
-def _fitted(problem: ArcProblem, x: Float64, progress: Callable[[int, int], None]) -> tuple[ArcProblem, Fit]:
+def _fit_in_rounds(
+    problem: ArcProblem, x: Float64, progress: Callable[[int, int], None]
+) -> tuple[ArcProblem, Fit]:
     """Fit, and estimate texture and flicker from what is left, in turn."""
     for done in range(SCALE_ROUNDS):
         progress(done, SCALE_ROUNDS)
@@ -230,12 +232,12 @@ def _fitted(problem: ArcProblem, x: Float64, progress: Callable[[int, int], None
         )
         x = result.values
         if done < SCALE_ROUNDS - 1:
-            problem = _rescaled(problem, result, sigma_e)
+            problem = _estimate_texture_and_flicker(problem, result, sigma_e)
     progress(SCALE_ROUNDS, SCALE_ROUNDS)
     return problem, result
 
 
-def _with_refused(problem: ArcProblem, covariance: Float64) -> ArcProblem:
+def _hold_undetermined(problem: ArcProblem, covariance: Float64) -> ArcProblem:
     """Return the problem with undetermined parameters held at their stated values, the worst first.
 
     A held parameter has the stated tolerance as its prior: (C^-1 + h h^T (1/s^2 - 1/b^2))^-1. What was too
@@ -258,7 +260,7 @@ def _with_refused(problem: ArcProblem, covariance: Float64) -> ArcProblem:
         covariance -= np.outer(column, column) / (1.0 / more + covariance[worst, worst])
 
 
-def _rescaled(problem: ArcProblem, result: Fit, sigma_e: Float64) -> ArcProblem:
+def _estimate_texture_and_flicker(problem: ArcProblem, result: Fit, sigma_e: Float64) -> ArcProblem:
     """Return the problem with the texture and the flicker that a fit leaves."""
     x, n_frames = result.values, len(problem.frames)
     light_e = problem.light(problem.named(x))
@@ -298,7 +300,7 @@ def _combinations(covariance: Float64) -> tuple[Combination, ...]:
     return tuple(weak)
 
 
-def _calibrated(
+def _calibration(
     problem: ArcProblem, result: Fit, refused: Mapping[str, float], combinations: tuple[Combination, ...]
 ) -> ArcCalibration:
     held = [ARC.index(name) for name in problem.held]

@@ -76,14 +76,16 @@ class PartPlacement:
     covariance: Float64
 
     @classmethod
-    def unseen(cls, setup: Setup, station_mm: float) -> PartPlacement:
+    def without_stripes(cls, setup: Setup, station_mm: float) -> PartPlacement:
         """Return what is known without stripes: the tolerance of the camera, and how parts lie."""
         deg, mm = (max(value, 1e-4) for value in (setup.tolerance.hand_eye_deg, setup.tolerance.hand_eye_mm))
         sigmas = np.array([deg, deg, deg, mm, mm, mm, *PART_SIGMAS])
         return cls(station_mm, np.zeros(10), np.diag(sigmas**2))
 
     @classmethod
-    def beside(cls, setup: Setup, station_mm: float, values: Mapping[str, float], fit: Fit) -> PartPlacement:
+    def from_stripes(
+        cls, setup: Setup, station_mm: float, values: Mapping[str, float], fit: Fit
+    ) -> PartPlacement:
         """Return the part's placement by stripes, for each camera within its tolerance.
 
         Their estimate of the camera itself is not used: it would rest on the assumption of a straight seam.
@@ -96,7 +98,7 @@ class PartPlacement:
         B = np.linalg.solve(C[np.ix_(camera, camera)], C[np.ix_(camera, seam)]).T
         # The seam need not go on straight from the stripes to the torch.
         own = C[np.ix_(seam, seam)] - B @ C[np.ix_(camera, seam)] + np.diag(np.square((0.1, 0.1, 0.03, 0.01)))
-        prior = cls.unseen(setup, station_mm).covariance[:6, :6]
+        prior = cls.without_stripes(setup, station_mm).covariance[:6, :6]
         covariance = np.block([[prior, prior @ B.T], [B @ prior, B @ prior @ B.T + own]])
         return cls(station_mm, np.append(np.zeros(6), x[seam] - B @ x[camera]), covariance)
 

@@ -60,8 +60,8 @@ def find_corners(image_dn: Integers, board: Board) -> Corners | None:
     Of a chessboard all corners are returned, of a ChArUco board those that can be identified.
     """
     raw = image_dn.astype(np.float32)
-    for corners, points in _found(image_dn, board):
-        result = _placed(raw, board, corners, points)
+    for corners, points in _candidates(image_dn, board):
+        result = _refine_corners(raw, board, corners, points)
         if result is not None:
             return result
     return None
@@ -69,14 +69,14 @@ def find_corners(image_dn: Integers, board: Board) -> Corners | None:
 
 def small_pitch_px(image_dn: Integers, board: Board) -> float | None:
     """Return the least distance of corners, px, of a board that is seen too small; None if none is seen."""
-    for corners, points in _found(image_dn, board):
+    for corners, points in _candidates(image_dn, board):
         pitch = _pitch_px(_grid(board, corners, points))
         if pitch <= MIN_PITCH_PX:
             return pitch
     return None
 
 
-def _found(image_dn: Integers, board: Board) -> Iterator[tuple[Int64, Float64]]:
+def _candidates(image_dn: Integers, board: Board) -> Iterator[tuple[Int64, Float64]]:
     """Yield corners and roughly their points (n, 2), px, each time that a scale shows the board."""
     first = min(1.0, SEARCHED_PX / max(image_dn.shape))
     # OpenCV finds no squares of a few pixels.
@@ -145,7 +145,7 @@ def _detector(board: Board, is_legacy: bool) -> cv2.aruco.CharucoDetector:
     return detector
 
 
-def _placed(raw: Float32, board: Board, corners: Int64, points_px: Float64) -> Corners | None:
+def _refine_corners(raw: Float32, board: Board, corners: Int64, points_px: Float64) -> Corners | None:
     """Return corners placed on the raw image and in the board's order, None if they are those of no board."""
     whole = _grid(board, corners, points_px)
     grid, pitch = whole.reshape(-1, 2), _pitch_px(whole)

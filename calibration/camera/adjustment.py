@@ -54,7 +54,7 @@ class BoardScene:
         """Return the RMS distance of observed from predicted image points, px."""
         return float(np.sqrt(np.mean(np.sum(self.residuals(seen) ** 2, axis=1))))
 
-    def of_views(self, chosen: list[int]) -> BoardScene:
+    def select_views(self, chosen: list[int]) -> BoardScene:
         """Return the scene of some of the images."""
         return replace(self, T_camera_board=self.T_camera_board[chosen])
 
@@ -74,7 +74,7 @@ class BoardScene:
         )
 
 
-def linearised(
+def linearise(
     scene: BoardScene, seen: Sightings, weight: Float64, *, with_print: bool = False
 ) -> NormalEquations:
     """Return the normal equations at a scene, without priors of lens and printing errors.
@@ -97,7 +97,7 @@ def linearised(
     return NormalEquations.of(seen.slices, per_shared * w, per_motion * w, residual)
 
 
-def adjusted(
+def adjust(
     scene: BoardScene,
     seen: Sightings,
     weight: Float64,
@@ -116,7 +116,7 @@ def adjusted(
     for _ in range(MAX_ROUNDS):
         equations = _with_prior(scene, seen, weight, prior)
         while True:
-            moved = _stepped(scene, equations.damped(damping), poses_only)
+            moved = _step(scene, equations.damped(damping), poses_only)
             new_cost = np.inf if moved is None else _cost(moved, seen, weight, prior)
             if new_cost <= cost:
                 break
@@ -150,16 +150,16 @@ def with_prior(
 
 def _with_prior(scene: BoardScene, seen: Sightings, weight: Float64, prior: Float64) -> NormalEquations:
     n = len(scene.lens.values) + len(WARP)
-    equations = linearised(scene, seen, weight, with_print=len(prior) > n)
-    return equations.with_prior(prior, values_of(scene)[: len(prior)])
+    equations = linearise(scene, seen, weight, with_print=len(prior) > n)
+    return equations.with_prior(prior, shared_values(scene)[: len(prior)])
 
 
-def values_of(scene: BoardScene) -> Float64:
+def shared_values(scene: BoardScene) -> Float64:
     """Return the values of all that is shared: lens, warp and the corners' places on the board."""
     return np.concatenate([scene.lens.values, scene.warp_mm, scene.print_mm.ravel()])
 
 
-def _stepped(scene: BoardScene, equations: NormalEquations, poses_only: bool) -> BoardScene | None:
+def _step(scene: BoardScene, equations: NormalEquations, poses_only: bool) -> BoardScene | None:
     try:
         if poses_only:
             return scene.moved(np.zeros(len(scene.lens.values) + 2), equations.motion_step())
@@ -174,5 +174,5 @@ def _cost(scene: BoardScene, seen: Sightings, weight: Float64, prior: Float64) -
     if not (points[:, 2] > 0.0).all() or not (scene.lens.values[:2] > 0.0).all():
         return float("inf")
     residual = (seen.points_px - scene.lens.project(points)) * weight[:, None]
-    cost = float(np.sum(residual**2) + np.sum(prior * values_of(scene)[: len(prior)] ** 2))
+    cost = float(np.sum(residual**2) + np.sum(prior * shared_values(scene)[: len(prior)] ** 2))
     return cost if np.isfinite(cost) else float("inf")

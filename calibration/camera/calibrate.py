@@ -20,10 +20,10 @@ from calibration.camera.enough import (
 from calibration.camera.halves import MAX_RATIO, Difference, difference_of_halves, splits
 from calibration.camera.lens import ORDERS, TILT
 from calibration.camera.next_board import NextBoard, best_next_board
-from calibration.camera.noise import CornerNoise, fitted, noise_of_most, robust, wrong_corners
+from calibration.camera.noise import CornerNoise, fit_robust, fit_scene, robust_noise, wrong_corners
 from calibration.camera.normal_equations import scaled_inverse
-from calibration.camera.order import Held, held_out_errors, leanest_within_error
-from calibration.camera.printed import are_ends_told, print_sigma_mm
+from calibration.camera.order import DistortionScore, choose_distortion, cross_validate
+from calibration.camera.printed import has_distinct_ends, print_sigma_mm
 from calibration.camera.projection import Knowledge, image_grid, rms_sigma
 from calibration.camera.scatter import scatter_between_images
 from calibration.camera.sightings import BoardView, Sightings
@@ -54,7 +54,7 @@ class CameraCalibration:
     """Calibrated lens and its uncertainty.
 
     `scene` and `seen` are of the images and corners used; `wrong` corners and `left_out` images (with
-    reasons) are not. `order` is the distortion chosen from `ORDERS`, `held` how well each one predicts.
+    reasons) are not. `order` is the distortion chosen from `ORDERS`, `scores` how well each one predicts.
     `known` is the corners' information at their noise; the covariance is larger by `scatter` >= 1, since
     images differ by more. `print_sigma_mm` is 1 sigma of the printing errors, 0 where corners are as stated.
     The projection is judged at `distance_mm`, the corners' median depth. `halves` compares halves of the
@@ -65,7 +65,7 @@ class CameraCalibration:
     seen: Sightings
     noise: CornerNoise
     order: str
-    held: list[Held]
+    scores: list[DistortionScore]
     known: Knowledge
     scatter: float
     print_sigma_mm: float
@@ -99,7 +99,7 @@ class CameraCalibration:
     def sigma_map(self) -> tuple[Float64, Float64]:
         """Return points over the image (h, w, 2), px, and the projection's sigma there (h, w), px."""
         grid, shape = image_grid(self.scene.lens)
-        covariance = self.scatter * self.known.of_projection(self.scene.lens, grid, self.distance_mm)
+        covariance = self.scatter * self.known.projection_covariance(self.scene.lens, grid, self.distance_mm)
         return grid.reshape(*shape, 2), rms_sigma(covariance).reshape(shape)
 
     @property
@@ -151,7 +151,7 @@ def calibrate_camera(
             progress(done, steps)
 
     with one_thread():
-        result = _lens(board, views, size, tilted, orders, tell)
+        result = _fit_lens(board, views, size, tilted, orders, tell)
         halves = []
         for n, first in enumerate(splits(len(result.seen.names))):
             halves.append(difference_of_halves(result.scene, result.seen, first))
@@ -172,10 +172,10 @@ def find_lens(
 ) -> CameraCalibration:
     """Find a camera's lens; see `calibrate_camera`, which judges it too."""
     with one_thread():
-        return _lens(board, views, size, tilted, orders, None)
+        return _fit_lens(board, views, size, tilted, orders, None)
 
 
-def _lens(
+def _fit_lens(
     board: Board,
     views: Sequence[BoardView],
     size: tuple[int, int],
@@ -187,19 +187,21 @@ def _lens(
     all_seen = Sightings.of(board, views)
     start = first_scene(*size, all_seen)
     # Wrong corners are sought with a usual distortion, before one is chosen.
-    agreed = _robust(replace(start, lens=start.lens.with_distortion(ORDERS["k1 k2 p1 p2"])), all_seen)
+    agreed = _fit_poses_robustly(
+        replace(start, lens=start.lens.with_distortion(ORDERS["k1 k2 p1 p2"])), all_seen
+    )
     kept, left_out = _views_to_keep(agreed, all_seen)
     check_count(len(kept), len(left_out))
-    all_seen, agreed = all_seen.of_views(kept), agreed.of_views(kept)
+    all_seen, agreed = all_seen.select_views(kept), agreed.select_views(kept)
     seen = all_seen.where(~wrong_corners(agreed, all_seen))
-    scene, noise = fitted(agreed, seen)
+    scene, noise = fit_scene(agreed, seen)
     _check(scene, seen, noise)
     distance_mm = float(np.median(scene.points_camera(seen)[:, 2]))
-    held = held_out_errors(scene, seen, noise, orders, tilted=tilted, progress=progress)
-    known = [each for each in held if _is_determined(each, seen, noise, distance_mm)] or held[:1]
+    scores = cross_validate(scene, seen, noise, orders, tilted=tilted, progress=progress)
+    known = [each for each in scores if _is_determined(each, seen, noise, distance_mm)] or scores[:1]
     while True:
-        chosen = leanest_within_error(known)
-        result = _last_fit(chosen, held, all_seen, left_out, distance_mm)
+        chosen = choose_distortion(known)
+        result = _final_fit(chosen, scores, all_seen, left_out, distance_mm)
         # The last fit knows how the images scatter and how the board is printed: sigmas are wider.
         fault = _fault(result)
         if fault is None or not ORDERS[chosen.name]:
@@ -224,36 +226,40 @@ def _fault(result: CameraCalibration) -> str | None:
     return None
 
 
-def _last_fit(
-    chosen: Held, held: list[Held], all_seen: Sightings, left_out: dict[str, str], distance_mm: float
+def _final_fit(
+    chosen: DistortionScore,
+    scores: list[DistortionScore],
+    all_seen: Sightings,
+    left_out: dict[str, str],
+    distance_mm: float,
 ) -> CameraCalibration:
-    agreed = _robust(chosen.scene, all_seen)
+    agreed = _fit_poses_robustly(chosen.scene, all_seen)
     is_wrong = wrong_corners(agreed, all_seen)
     seen = all_seen.where(~is_wrong)
-    scene, noise, print_sigma = _as_printed(*fitted(agreed, seen), seen)
+    scene, noise, print_sigma = _fit_print(*fit_scene(agreed, seen), seen)
     weight = noise.weight(seen)
     return CameraCalibration(
         scene=scene,
         seen=seen,
         noise=noise,
         order=chosen.name,
-        held=held,
+        scores=scores,
         known=Knowledge.of(with_prior(scene, seen, weight, print_sigma)),
         scatter=scatter_between_images(scene, seen, weight),
         print_sigma_mm=print_sigma,
-        wrong=_named(scene, all_seen.where(is_wrong)),
+        wrong=_wrong_corner_list(scene, all_seen.where(is_wrong)),
         left_out=left_out,
         distance_mm=distance_mm,
     )
 
 
-def _robust(scene: BoardScene, seen: Sightings) -> BoardScene:
-    return robust(with_better_poses(robust(scene, seen), seen), seen)
+def _fit_poses_robustly(scene: BoardScene, seen: Sightings) -> BoardScene:
+    return fit_robust(with_better_poses(fit_robust(scene, seen), seen), seen)
 
 
 def _views_to_keep(scene: BoardScene, seen: Sightings) -> tuple[list[int], dict[str, str]]:
     is_wrong, kept, left_out = wrong_corners(scene, seen), [], {}
-    sigma_px = noise_of_most(scene, seen).sigma_px
+    sigma_px = robust_noise(scene, seen).sigma_px
     typical_px = float(np.median(sigma_px))
     for n, (name, part) in enumerate(zip(seen.names, seen.slices, strict=True)):
         bad, count = int(is_wrong[part].sum()), part.stop - part.start
@@ -268,19 +274,19 @@ def _views_to_keep(scene: BoardScene, seen: Sightings) -> tuple[list[int], dict[
     return kept, left_out
 
 
-def _as_printed(
+def _fit_print(
     scene: BoardScene, noise: CornerNoise, seen: Sightings
 ) -> tuple[BoardScene, CornerNoise, float]:
     """Return scene and noise with the corners where the print has them, and 1 sigma of that, mm."""
     sigma_mm = 0.0
-    if not are_ends_told(seen.board):
+    if not has_distinct_ends(seen.board):
         return scene, noise, sigma_mm
     # Print and noise are estimated in turn until the print's sigma settles.
     for _ in range(5):
         before, sigma_mm = sigma_mm, print_sigma_mm(scene, seen, noise)
         if sigma_mm == 0.0:
             break
-        scene, noise = fitted(scene, seen, sigma_mm)
+        scene, noise = fit_scene(scene, seen, sigma_mm)
         if abs(sigma_mm / max(before, 1e-12) - 1.0) < 0.02:
             break
     return scene, noise, sigma_mm
@@ -311,19 +317,19 @@ def _check_tilt(result: CameraCalibration) -> None:
         )
 
 
-def _is_determined(held: Held, seen: Sightings, noise: CornerNoise, distance_mm: float) -> bool:
-    lens = held.scene.lens
+def _is_determined(score: DistortionScore, seen: Sightings, noise: CornerNoise, distance_mm: float) -> bool:
+    lens = score.scene.lens
     if not lens.is_invertible:
         return False
     try:
-        known = Knowledge.of(with_prior(held.scene, seen, noise.weight(seen)))
-        variance = known.of_projection(lens, image_grid(lens)[0], distance_mm)
+        known = Knowledge.of(with_prior(score.scene, seen, noise.weight(seen)))
+        variance = known.projection_covariance(lens, image_grid(lens)[0], distance_mm)
     except np.linalg.LinAlgError:
         return False
     return bool(rms_sigma(variance).max() <= MAX_SIGMA_PX)
 
 
-def _named(scene: BoardScene, wrong: Sightings) -> tuple[WrongCorner, ...]:
+def _wrong_corner_list(scene: BoardScene, wrong: Sightings) -> tuple[WrongCorner, ...]:
     residuals = scene.residuals(wrong) if len(wrong) else np.empty((0, 2))
     return tuple(
         WrongCorner(int(view), int(corner), point, residual)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.camera.adjustment import BoardScene, with_prior
 from calibration.camera.lens import Lens
-from calibration.camera.noise import fitted
+from calibration.camera.noise import fit_scene
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.projection import image_grid
 from calibration.camera.sightings import Sightings
@@ -64,13 +64,13 @@ def difference_of_halves(scene: BoardScene, seen: Sightings, first: Bool) -> Dif
     lenses, covariances = [], []
     for half in (first, ~first):
         chosen = np.flatnonzero(half).tolist()
-        corners = seen.of_views(chosen)
-        own, noise = fitted(scene.of_views(chosen), corners)
+        corners = seen.select_views(chosen)
+        own, noise = fit_scene(scene.select_views(chosen), corners)
         equations = with_prior(own, corners, noise.weight(corners))
         lenses.append(own.lens)
         # Both halves share the prior: they differ by their corners' noise alone.
         C = scaled_inverse(equations.information())
-        covariances.append((C @ equations.information_of_views().sum(axis=0) @ C)[:-2, :-2])
+        covariances.append((C @ equations.view_information().sum(axis=0) @ C)[:-2, :-2])
     depths_mm = np.quantile(scene.points_camera(seen)[:, 2], [0.05, 0.95])
     grid, _ = image_grid(scene.lens)
     grid = grid[Delaunay(seen.points_px).find_simplex(grid) >= 0]

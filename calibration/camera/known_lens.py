@@ -8,7 +8,7 @@ import numpy as np
 
 from calibration.boards.board import Board
 from calibration.boards.detect import MIN_CORNERS
-from calibration.camera.adjustment import BoardScene, adjusted
+from calibration.camera.adjustment import BoardScene, adjust
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.lens import OPENCV, PINHOLE, Lens
 from calibration.camera.noise import wrong_corners
@@ -21,7 +21,7 @@ FAR_MM = 1e3
 """Initial distance of boards."""
 
 
-def lens_of(camera: Camera, free: Sequence[str] = ()) -> Lens:
+def lens_from_camera(camera: Camera, free: Sequence[str] = ()) -> Lens:
     """Return a stated camera's lens, with the coefficients that are not 0, or that are `free`."""
     stated = dict(zip(OPENCV, camera.distortion, strict=False))
     names = tuple(name for name in OPENCV if stated.get(name, 0.0) != 0.0 or name in free)
@@ -40,7 +40,7 @@ def board_poses(board: Board, views: Sequence[BoardView], lens: Lens) -> tuple[B
         kept = ~wrong_corners(scene, seen)
         if not kept.all() and (seen.where(kept).counts >= MIN_CORNERS).all():
             seen = seen.where(kept)
-            scene = adjusted(scene, seen, np.ones(len(seen)), poses_only=True)
+            scene = adjust(scene, seen, np.ones(len(seen)), poses_only=True)
     return scene, seen
 
 

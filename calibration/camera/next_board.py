@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from calibration.boards.board import BoardKind
-from calibration.camera.adjustment import BoardScene, linearised
+from calibration.camera.adjustment import BoardScene, linearise
 from calibration.camera.projection import Knowledge, image_grid, rms_sigma
 from calibration.camera.sightings import BoardView, Sightings
 from noise_model.compiled.arrays import Float64
@@ -41,7 +41,7 @@ class NextBoard:
 def mean_sigma(known: Knowledge, scene: BoardScene, distance_mm: float) -> float:
     """Return the projection's RMS sigma over the image, px."""
     grid, _ = image_grid(scene.lens)
-    return float(np.sqrt(np.mean(rms_sigma(known.of_projection(scene.lens, grid, distance_mm)) ** 2)))
+    return float(np.sqrt(np.mean(rms_sigma(known.projection_covariance(scene.lens, grid, distance_mm)) ** 2)))
 
 
 def best_next_board(
@@ -104,8 +104,8 @@ def _candidate(
     if not inside.all() and (board.kind is BoardKind.CHESSBOARD or inside.sum() < 0.5 * len(inside)):
         return None
     shown = blank.where(inside)
-    more = linearised(pose, shown, np.full(len(shown), 1.0 / sigma_px))
-    sigma = mean_sigma(known.with_more(more), scene, distance_mm)
+    more = linearise(pose, shown, np.full(len(shown), 1.0 / sigma_px))
+    sigma = mean_sigma(known.with_images(more), scene, distance_mm)
     return NextBoard(T, points[inside], _words(place, depth_mm, tilt), sigma)
 
 

@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 from scipy.stats import f
 
-from calibration.camera.adjustment import BoardScene, adjusted, with_prior
+from calibration.camera.adjustment import BoardScene, adjust, with_prior
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
 from calibration.outliers import FALSE_ALARM, TAIL
@@ -44,7 +44,7 @@ class CornerNoise:
         return np.asarray(1.0 / self.sigma_px[seen.view])
 
 
-def robust(scene: BoardScene, seen: Sightings) -> BoardScene:
+def fit_robust(scene: BoardScene, seen: Sightings) -> BoardScene:
     """Return the scene that explains most corners: the maximum likelihood of Student's t.
 
     Each round weighs a corner by (t + 2) / (t + r²/s²), and takes s from the weighted squares.
@@ -53,7 +53,7 @@ def robust(scene: BoardScene, seen: Sightings) -> BoardScene:
     scale = max(float(np.median(square)) / (2.0 * math.log(2.0)), MIN_SIGMA_PX**2)
     for _ in range(ROBUST_ROUNDS):
         weight = (TAIL + 2.0) / (TAIL + square / scale)
-        scene = adjusted(scene, seen, np.sqrt(weight / scale))
+        scene = adjust(scene, seen, np.sqrt(weight / scale))
         square = np.sum(scene.residuals(seen) ** 2, axis=1)
         before = scale
         scale = max(float(np.mean(weight * square)) / 2.0, MIN_SIGMA_PX**2)
@@ -62,14 +62,14 @@ def robust(scene: BoardScene, seen: Sightings) -> BoardScene:
     return scene
 
 
-def noise_of_most(scene: BoardScene, seen: Sightings) -> CornerNoise:
+def robust_noise(scene: BoardScene, seen: Sightings) -> CornerNoise:
     """Return the noise of each image from the median of its squares: some wrong corners hardly move it.
 
     The squares of a corner's residual are chi² of two degrees of freedom.
     """
     square = np.sum(scene.residuals(seen) ** 2, axis=1) / _free_share(scene, seen)
     medians = np.array([np.median(square[part]) for part in seen.slices]) / (2.0 * math.log(2.0))
-    variance, prior_dof = moderated(medians, _dof_of_medians(seen))
+    variance, prior_dof = shrink_variances(medians, _median_dof(seen))
     return CornerNoise(np.sqrt(np.maximum(variance, MIN_SIGMA_PX**2)), prior_dof)
 
 
@@ -79,8 +79,8 @@ def wrong_corners(scene: BoardScene, seen: Sightings) -> Bool:
     Squares of residuals over twice the image's variance are F of two degrees of freedom and of those that the
     variance has.
     """
-    noise = noise_of_most(scene, seen)
-    dof = noise.prior_dof + _dof_of_medians(seen)
+    noise = robust_noise(scene, seen)
+    dof = noise.prior_dof + _median_dof(seen)
     limit = 2.0 * f.isf(FALSE_ALARM / len(seen), 2.0, dof) * noise.sigma_px**2
     square = np.sum(scene.residuals(seen) ** 2, axis=1) / _free_share(scene, seen)
     return np.asarray(square > limit[seen.view])
@@ -92,12 +92,14 @@ def _free_share(scene: BoardScene, seen: Sightings) -> float:
     return max(1.0 - spent / (2.0 * len(seen)), 0.25)
 
 
-def _dof_of_medians(seen: Sightings) -> Float64:
+def _median_dof(seen: Sightings) -> Float64:
     # The variance of the mean of such squares is ln(2)², or 0.48, of that of their median.
     return np.asarray(2.0 * 0.48 * seen.counts, dtype=np.float64)
 
 
-def fitted(scene: BoardScene, seen: Sightings, print_sigma_mm: float = 0.0) -> tuple[BoardScene, CornerNoise]:
+def fit_scene(
+    scene: BoardScene, seen: Sightings, print_sigma_mm: float = 0.0
+) -> tuple[BoardScene, CornerNoise]:
     """Return the scene of maximum likelihood and the noise, each image with its own sigma.
 
     A sum of squares is divided by the corners' coordinates less what the image spends on its pose and on what
@@ -106,18 +108,18 @@ def fitted(scene: BoardScene, seen: Sightings, print_sigma_mm: float = 0.0) -> t
     noise = CornerNoise(np.ones(len(seen.names)), 0.0)
     for _ in range(NOISE_ROUNDS):
         weight = noise.weight(seen)
-        scene = adjusted(scene, seen, weight, print_sigma_mm=print_sigma_mm)
+        scene = adjust(scene, seen, weight, print_sigma_mm=print_sigma_mm)
         equations = with_prior(scene, seen, weight, print_sigma_mm)
         covariance = scaled_inverse(equations.information())
-        spent = np.einsum("vij,ji->v", equations.information_of_views(), covariance)
+        spent = np.einsum("vij,ji->v", equations.view_information(), covariance)
         free = np.maximum(2.0 * seen.counts - 6.0 - spent, 1.0)
         square = np.sum(scene.residuals(seen) ** 2, axis=1)
         variance = np.array([square[part].sum() for part in seen.slices]) / free
-        variance, prior_dof = moderated(variance, free)
+        variance, prior_dof = shrink_variances(variance, free)
         before, noise = noise, CornerNoise(np.sqrt(np.maximum(variance, MIN_SIGMA_PX**2)), prior_dof)
         if np.allclose(noise.sigma_px, before.sigma_px, rtol=SETTLED):
             break
-    return adjusted(scene, seen, noise.weight(seen), print_sigma_mm=print_sigma_mm), noise
+    return adjust(scene, seen, noise.weight(seen), print_sigma_mm=print_sigma_mm), noise
 
 
 def corner_sigmas_px(scene: BoardScene, seen: Sightings, spent: float = 0.0) -> Float64:
@@ -127,11 +129,11 @@ def corner_sigmas_px(scene: BoardScene, seen: Sightings, spent: float = 0.0) -> 
     """
     square = np.sum(scene.residuals(seen) ** 2, axis=1)
     free = np.maximum(2.0 * seen.counts - 6.0 - spent, 1.0)
-    variance, _ = moderated(np.array([square[part].sum() for part in seen.slices]) / free, free)
+    variance, _ = shrink_variances(np.array([square[part].sum() for part in seen.slices]) / free, free)
     return np.asarray(np.sqrt(np.maximum(variance, MIN_SIGMA_PX**2)))
 
 
-def moderated(variance: Float64, dof: Float64) -> tuple[Float64, float]:
+def shrink_variances(variance: Float64, dof: Float64) -> tuple[Float64, float]:
     """Return variances (V,) shrunk towards each other as far as their scatter warrants, and the prior's d0.
 
     They are (d0 s0² + d v) / (d0 + d), where v has d degrees of freedom; d0 and s0² follow from mean and

@@ -70,25 +70,25 @@ class NormalEquations:
         """
         return replace(self, precision=precision, gradient_prior=-precision * value)
 
-    def information_of_views(self) -> Float64:
+    def view_information(self) -> Float64:
         """Return each image's part (V, m, m) of S."""
         solved = np.linalg.solve(self.motion, self.mixed.transpose(0, 2, 1))
         return np.asarray(self.shared - self.mixed @ solved)
 
     def information(self) -> Float64:
         """Return S (m, m), the information on what is shared, with that of the prior."""
-        total = np.asarray(self.information_of_views().sum(axis=0))
+        total = np.asarray(self.view_information().sum(axis=0))
         total[np.diag_indices_from(total)] += self.precision
         return total
 
-    def pulls(self) -> Float64:
+    def view_gradients(self) -> Float64:
         """Return each image's part (V, m) of the right side of S ds."""
         eliminated = np.linalg.solve(self.motion, self.gradient_motion[:, :, None])
         return np.asarray(self.gradient_shared - (self.mixed @ eliminated)[:, :, 0])
 
     def pull(self) -> Float64:
         """Return the right side (m,) of S ds, with the prior's part."""
-        return np.asarray(self.pulls().sum(axis=0) + self.gradient_prior)
+        return np.asarray(self.view_gradients().sum(axis=0) + self.gradient_prior)
 
     def step(self) -> tuple[Float64, Float64]:
         """Return the step of what is shared (m,) and of each image's board (V, 6).

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.camera.adjustment import BoardScene, adjusted, with_prior
+from calibration.camera.adjustment import BoardScene, adjust, with_prior
 from calibration.camera.lens import ORDERS, TILT
 from calibration.camera.noise import CornerNoise
 from calibration.camera.normal_equations import scaled_inverse
@@ -30,7 +30,7 @@ from noise_model.compiled.arrays import Float64
 
 
 @dataclass(frozen=True)
-class Held:
+class DistortionScore:
     """Cross-validation of a distortion of `ORDERS`.
 
     `loss` (V,) is each board's mean square of residuals over sigma when held out; `log_evidence` is ln Z up
@@ -47,13 +47,13 @@ class Held:
         """The mean over boards; 1 if noise were all."""
         return float(self.loss.mean())
 
-    def excess(self, best: Held) -> tuple[float, float]:
+    def excess(self, best: DistortionScore) -> tuple[float, float]:
         """Return by how much the mean is above that of the best, and the standard error of this."""
         worse = self.loss - best.loss
         return float(worse.mean()), float(worse.std(ddof=1) / np.sqrt(len(worse)))
 
 
-def held_out_errors(
+def cross_validate(
     scene: BoardScene,
     seen: Sightings,
     noise: CornerNoise,
@@ -61,26 +61,26 @@ def held_out_errors(
     *,
     tilted: bool,
     progress: Callable[[int], None] | None = None,
-) -> list[Held]:
+) -> list[DistortionScore]:
     """Return how well each distortion predicts boards that its fit did not see, the leanest first.
 
     All start at `scene` and share `noise`; `seen` has no wrong corners. `tilted` adds a tilt of the sensor;
     `progress` is called with the number of distortions done.
     """
-    held = []
+    scores = []
     for n, name in enumerate(orders):
         lens = scene.lens.with_distortion((*ORDERS[name], *(TILT if tilted else ())))
-        whole = adjusted(replace(scene, lens=lens), seen, noise.weight(seen))
-        held.append(_held(name, whole, seen, noise))
+        whole = adjust(replace(scene, lens=lens), seen, noise.weight(seen))
+        scores.append(_score(name, whole, seen, noise))
         if progress is not None:
             progress(n + 1)
-    return held
+    return scores
 
 
-def leanest_within_error(held: list[Held]) -> Held:
+def choose_distortion(scores: list[DistortionScore]) -> DistortionScore:
     """Return the leanest distortion that predicts as well as the best, or has little less evidence."""
-    best = min(held, key=lambda each: each.mean)
-    for each in held:
+    best = min(scores, key=lambda each: each.mean)
+    for each in scores:
         worse, error = each.excess(best)
         # Odds of e^3 are strong evidence (Kass and Raftery, Bayes factors, 1995, section 3.2).
         if worse <= error or best.log_evidence - each.log_evidence <= 3.0:
@@ -88,15 +88,21 @@ def leanest_within_error(held: list[Held]) -> Held:
     return best
 
 
-def _held(name: str, whole: BoardScene, seen: Sightings, noise: CornerNoise) -> Held:
+def _score(name: str, whole: BoardScene, seen: Sightings, noise: CornerNoise) -> DistortionScore:
     weight = noise.weight(seen)
     equations = with_prior(whole, seen, weight)
-    parts, pulls, information = equations.information_of_views(), equations.pulls(), equations.information()
+    parts, gradients, information = (
+        equations.view_information(),
+        equations.view_gradients(),
+        equations.information(),
+    )
     residuals = np.sum((whole.residuals(seen) * weight[:, None]) ** 2, axis=1)
     squares = np.array([residuals[part].sum() for part in seen.slices])
-    steps = np.stack([-scaled_inverse(information - S) @ u for S, u in zip(parts, pulls, strict=True)])
-    held_out = squares - 2.0 * np.sum(pulls * steps, axis=1) + np.einsum("vi,vij,vj->v", steps, parts, steps)
+    steps = np.stack([-scaled_inverse(information - S) @ u for S, u in zip(parts, gradients, strict=True)])
+    held_out = (
+        squares - 2.0 * np.sum(gradients * steps, axis=1) + np.einsum("vi,vij,vj->v", steps, parts, steps)
+    )
     precision = whole.lens.prior_precision()
     chi2 = squares.sum() + np.sum(precision * whole.lens.values**2)
     occam = np.log(precision[precision > 0.0]).sum() - np.linalg.slogdet(information)[1]
-    return Held(name, held_out / (2.0 * seen.counts - 6.0), 0.5 * float(occam - chi2), whole)
+    return DistortionScore(name, held_out / (2.0 * seen.counts - 6.0), 0.5 * float(occam - chi2), whole)

@@ -17,7 +17,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from calibration.boards.board import Board, BoardKind
-from calibration.camera.adjustment import BoardScene, linearised, prior_precision, values_of
+from calibration.camera.adjustment import BoardScene, linearise, prior_precision, shared_values
 from calibration.camera.noise import CornerNoise
 from calibration.camera.sightings import Sightings
 
@@ -31,7 +31,7 @@ MIN_SHARE, MAX_SHARE = 1e-6, 0.1
 """1 sigma of a print over the squares' side, at least and at most."""
 
 
-def are_ends_told(board: Board) -> bool:
+def has_distinct_ends(board: Board) -> bool:
     """Return whether a corner has the same number in all images, however the board is turned.
 
     Half a turn leaves a chessboard as it is unless one of its sides is odd and the other even.
@@ -46,22 +46,22 @@ def print_sigma_mm(scene: BoardScene, seen: Sightings, noise: CornerNoise) -> fl
     """
     n = len(scene.lens.values) + 2
     prior = np.pad(prior_precision(scene), (0, scene.print_mm.size))
-    equations = linearised(scene, seen, noise.weight(seen), with_print=True).with_prior(
-        prior, values_of(scene)
+    equations = linearise(scene, seen, noise.weight(seen), with_print=True).with_prior(
+        prior, shared_values(scene)
     )
     information, pull = equations.information(), equations.pull()
     solved = np.linalg.solve(information[:n, :n], information[:n, n:])
     information = information[n:, n:] - information[n:, :n] @ solved
     pull = pull[n:] - solved.T @ pull[:n]
-    told, basis = np.linalg.eigh(0.5 * (information + information.T))
-    kept = told > UNSEEN * told.max()
-    told, basis = told[kept], basis[:, kept]
-    places = basis.T @ scene.print_mm.ravel() + (basis.T @ pull) / told
-    if chi2.sf(float(np.sum(places**2 * told)), len(told)) > FALSE_ALARM:
+    eigenvalues, basis = np.linalg.eigh(0.5 * (information + information.T))
+    kept = eigenvalues > UNSEEN * eigenvalues.max()
+    eigenvalues, basis = eigenvalues[kept], basis[:, kept]
+    places = basis.T @ scene.print_mm.ravel() + (basis.T @ pull) / eigenvalues
+    if chi2.sf(float(np.sum(places**2 * eigenvalues)), len(eigenvalues)) > FALSE_ALARM:
         return 0.0
 
     def cost(log_sigma: float) -> float:
-        variance = np.exp(2.0 * log_sigma) + 1.0 / told
+        variance = np.exp(2.0 * log_sigma) + 1.0 / eigenvalues
         return float(np.sum(np.log(variance) + places**2 / variance))
 
     side = seen.board.square_mm

@@ -45,7 +45,7 @@ class Knowledge:
         """Return what normal equations know."""
         return cls(equations.information(), equations.mixed.sum(axis=0), equations.motion.sum(axis=0))
 
-    def with_more(self, other: NormalEquations) -> Knowledge:
+    def with_images(self, other: NormalEquations) -> Knowledge:
         """Return what is known with further images, of which lens and warp alone are unknown."""
         more = Knowledge.of(other)
         rest = (0, len(self.information) - len(more.information))
@@ -59,7 +59,7 @@ class Knowledge:
         """Return S^-1 (m, m), the covariance of what is shared."""
         return scaled_inverse(self.information)
 
-    def of_projection(self, lens: Lens, points_px: Float64, distance_mm: float) -> Float64:
+    def projection_covariance(self, lens: Lens, points_px: Float64, distance_mm: float) -> Float64:
         """Return the covariances (N, 2, 2) of the image points `points_px` (N, 2), px².
 
         `distance_mm` is along z of the camera; infinite for directions alone.

@@ -29,10 +29,10 @@ def scatter_between_images(scene: BoardScene, seen: Sightings, weight: Float64) 
     1/px.
     """
     equations = with_prior(scene, seen, weight)
-    parts = equations.information_of_views()
+    parts = equations.view_information()
     covariance = scaled_inverse(equations.information())
-    pulls = equations.pulls()
+    gradients = equations.view_gradients()
     share = covariance @ parts
     expected = float(np.trace(share.sum(axis=0)) - np.einsum("vij,vji->", share, share))
-    ratio = float(np.einsum("vi,ij,vj->", pulls, covariance, pulls)) / expected
+    ratio = float(np.einsum("vi,ij,vj->", gradients, covariance, gradients)) / expected
     return ratio if chi2.sf(ratio * len(covariance), len(covariance)) < FALSE_ALARM else 1.0

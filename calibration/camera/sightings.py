@@ -74,7 +74,7 @@ class Sightings:
         """Return some of the corners; the images stay the same."""
         return replace(self, view=self.view[kept], corner=self.corner[kept], points_px=self.points_px[kept])
 
-    def of_views(self, chosen: Sequence[int] | Int64) -> Sightings:
+    def select_views(self, chosen: Sequence[int] | Int64) -> Sightings:
         """Return the corners of some images, in this order."""
         rows = [np.flatnonzero(self.view == n) for n in chosen]
         picked = np.concatenate(rows)

@@ -11,7 +11,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from calibration.camera.adjustment import BoardScene, adjusted
+from calibration.camera.adjustment import BoardScene, adjust
 from calibration.camera.lens import Lens
 from calibration.camera.sightings import Sightings
 from noise_model.compiled.arrays import Float64
@@ -40,7 +40,7 @@ def with_better_poses(scene: BoardScene, seen: Sightings) -> BoardScene:
     best, squares = scene, _squares(scene, seen)
     for mirrored in (False, True):
         posed = replace(scene, T_camera_board=_poses(scene.lens, seen, mirrored))
-        other = adjusted(posed, seen, ones, poses_only=True)
+        other = adjust(posed, seen, ones, poses_only=True)
         anew = _squares(other, seen)
         better = anew < squares
         T = np.where(better[:, None, None], other.T_camera_board, best.T_camera_board)

@@ -101,12 +101,12 @@ def compare_arc(setup: Setup, frames: Sequence[tuple[Frame, Float64]], seam: Sea
     setup.require("the check of the arc's light", "arc", "material")
     geometry = SensorGeometry.of(setup)
     rays = Rays.of(geometry.setup.camera)
-    here = _compared(geometry, rays, frames, seam)
+    here = _compare(geometry, rays, frames, seam)
     torch_mm = float(np.median([_torch_mm(geometry.setup, T_base_tool) for _, T_base_tool in frames]))
     away_mm = torch_mm - seam.station_mm
     others = [
-        _compared(geometry, rays, frames, seam._replace(slope_y=seam.slope_y + WANDER_MM[0] / away_mm)),
-        _compared(geometry, rays, frames, seam._replace(slope_z=seam.slope_z + WANDER_MM[1] / away_mm)),
+        _compare(geometry, rays, frames, seam._replace(slope_y=seam.slope_y + WANDER_MM[0] / away_mm)),
+        _compare(geometry, rays, frames, seam._replace(slope_z=seam.slope_z + WANDER_MM[1] / away_mm)),
     ]
 
     def with_wander(name: str) -> ValueWithSigma:
@@ -122,17 +122,17 @@ def _torch_mm(true: Setup, T_base_tool: Float64) -> float:
     return float(transform(make_scene(true, T_base_tool).T_joint_tool, np.zeros(3))[0])
 
 
-def _compared(
+def _compare(
     geometry: SensorGeometry, rays: Rays, frames: Sequence[tuple[Frame, Float64]], seam: SeamLine
 ) -> ArcLightCheck:
-    seen = [_seen(geometry, rays, frame, T_base_tool, seam) for frame, T_base_tool in frames]
+    seen = [_select_pixels(geometry, rays, frame, T_base_tool, seam) for frame, T_base_tool in frames]
     seen = [frame for frame in seen if len(frame.charge_e) >= MIN_PIXELS]
     if not seen:
         raise ValueError("no frame shows the arc's light below saturation, off the stripe and off edges")
-    return _fitted(geometry.setup, seen)
+    return _fit_levels(geometry.setup, seen)
 
 
-def _seen(
+def _select_pixels(
     geometry: SensorGeometry, rays: Rays, frame: Frame, T_base_tool: Float64, seam: SeamLine
 ) -> ArcFrame:
     """Return a frame's pixels that count; level and `off` are not known yet."""
@@ -140,7 +140,7 @@ def _seen(
     return ArcFrame(frame, seen.uv_px, seen.charge_e, seen.noise_e, seen.map_e, math.nan, np.empty(0))
 
 
-def _fitted(true: Setup, seen: Sequence[ArcFrame]) -> ArcLightCheck:
+def _fit_levels(true: Setup, seen: Sequence[ArcFrame]) -> ArcLightCheck:
     """Fit the frames' levels, the black level's offset and the share that is spread."""
     n = len(seen)
     starts = [max(float(np.median(f.charge_e / f.map_e)), 1e-3) for f in seen]

@@ -87,7 +87,7 @@ The first two are the hand-eye's.
 """
 
 
-def _named(names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
+def _by_name(names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
     return dict(zip(names, values, strict=True))
 
 
@@ -95,11 +95,11 @@ STALE_POSE = (1.0, 1.0, 1.0, 5.0, 5.0, 5.0)
 """1 sigma of a pose that is not as stated any more, deg and mm."""
 
 STALE: Mapping[str, Mapping[str, float]] = {
-    CAMERA: _named(CAMERA_BLOCK, STALE_POSE),
-    SENSOR: _named(SENSOR_BLOCK, STALE_POSE),
-    LASER: _named(LASER_BLOCK, (1.0, 1.0, 5.0)),
-    LENS: _named(LENS_BLOCK, (0.05,)),
-    PART: _named(PART_BLOCK, (20.0, 20.0, 0.05, 0.05, 3.0)),
+    CAMERA: _by_name(CAMERA_BLOCK, STALE_POSE),
+    SENSOR: _by_name(SENSOR_BLOCK, STALE_POSE),
+    LASER: _by_name(LASER_BLOCK, (1.0, 1.0, 5.0)),
+    LENS: _by_name(LENS_BLOCK, (0.05,)),
+    PART: _by_name(PART_BLOCK, (20.0, 20.0, 0.05, 0.05, 3.0)),
 }
 """1 sigma of what is off where a part of the setup is not as stated, in the units of its parameters."""
 
@@ -197,15 +197,15 @@ def locate_stripes(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
     Raises ValueError where no stripe meets the laser plane in front of the camera.
     """
     with one_thread():
-        return _located(setup, sights)
+        return _locate(setup, sights)
 
 
-def _located(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
+def _locate(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
     problem = _StripePlaceProblem.of(setup, sights)
     coarse = problem.coarse_place()
-    as_stated = problem.explained_by(AS_STATED, coarse, {})
+    as_stated = problem.explain(AS_STATED, coarse, {})
     causes = sorted(
-        (problem.explained_by(name, as_stated.values, coarse) for name in BLOCKS),
+        (problem.explain(name, as_stated.values, coarse) for name in BLOCKS),
         key=lambda cause: -cause.ln_evidence,
     )
     off_px, sigma_px = problem.displacement(as_stated.fit)
@@ -282,7 +282,7 @@ class _StripePlaceProblem:
         true = apply_setup_effects(setup)
         points, transforms, sigmas = [], [], []
         for sight in sights:
-            binned, sigma_px = _binned(sight.points_px)
+            binned, sigma_px = _bin_points(sight.points_px)
             ahead_base = transform(sight.T_base_tool, true.laser.point_mm)
             T_joint_tool = invert(seam_frame(true.joint, ahead_base)) @ sight.T_base_tool
             points.append(binned)
@@ -291,10 +291,10 @@ class _StripePlaceProblem:
         points_px, sigma_px = np.concatenate(points), np.concatenate(sigmas)
         T_joint_tool = np.concatenate(transforms)
         across = np.array([0.0, 1.0] if stripe_runs_along_rows(true) else [1.0, 0.0])
-        met, beside = (to_laser_plane(true, points_px + step)[0] for step in (0.0, across))
+        met, shifted = (to_laser_plane(true, points_px + step)[0] for step in (0.0, across))
         in_joint = transform_each(T_joint_tool, met)
         off_mm = _off_section(true, in_joint)
-        mm_per_px = np.abs(_off_section(true, transform_each(T_joint_tool, beside)) - off_mm)
+        mm_per_px = np.abs(_off_section(true, transform_each(T_joint_tool, shifted)) - off_mm)
         known = np.isfinite(mm_per_px) & (mm_per_px > 0.0) & (np.abs(off_mm) < MAX_OFF_MM)
         vertices = section(true.joint).vertices
         uprights_mm = vertices[:-1][np.diff(vertices[:, 0]) == 0.0, 0]
@@ -324,15 +324,15 @@ class _StripePlaceProblem:
         costs = [_robust_cost(self.residuals({**nothing, **place})) for place in places]
         return places[int(np.argmin(costs))]
 
-    def explained_by(self, name: str, *starts: Mapping[str, float]) -> Cause:
+    def explain(self, name: str, *starts: Mapping[str, float]) -> Cause:
         """Return what it takes to explain the points where one part is off, the best of some starts."""
-        return max((self._explained(name, start) for start in starts), key=lambda cause: cause.ln_evidence)
+        return max((self._explain_from(name, start) for start in starts), key=lambda cause: cause.ln_evidence)
 
-    def _explained(self, name: str, near: Mapping[str, float]) -> Cause:
+    def _explain_from(self, name: str, near: Mapping[str, float]) -> Cause:
         parameters = self._parameters(name)
         sigmas = np.array([parameter.prior_sigma for parameter in parameters])
         start = np.array([near.get(parameter.name, 0.0) for parameter in parameters])
-        result = self._fitted(parameters, start)
+        result = self._fit(parameters, start)
         values = dict(zip((parameter.name for parameter in parameters), result.values, strict=True))
         residuals = self.residuals(values)
         _, ln_correlation = np.linalg.slogdet(result.correlation)
@@ -342,7 +342,7 @@ class _StripePlaceProblem:
         cost = _robust_cost(residuals) + float(np.sum((result.values / sigmas) ** 2))
         return Cause(name, ln_volume - 0.5 * cost, result, values, rms_px, turn, move)
 
-    def _fitted(self, parameters: Sequence[Parameter], start: Float64) -> Fit:
+    def _fit(self, parameters: Sequence[Parameter], start: Float64) -> Fit:
         names = [parameter.name for parameter in parameters]
 
         def residuals(x: Float64) -> Float64:
@@ -354,11 +354,11 @@ class _StripePlaceProblem:
         tolerance = self.setup.tolerance
         deg, mm = max(tolerance.hand_eye_deg, MIN_TOLERANCE), max(tolerance.hand_eye_mm, MIN_TOLERANCE)
         sigmas = {
-            **_named(PART_BLOCK, PART_SIGMAS),
-            **_named(CAMERA_BLOCK, (deg, deg, deg, mm, mm, mm)),
-            **_named(LASER_BLOCK, (deg, deg, mm)),
+            **_by_name(PART_BLOCK, PART_SIGMAS),
+            **_by_name(CAMERA_BLOCK, (deg, deg, deg, mm, mm, mm)),
+            **_by_name(LASER_BLOCK, (deg, deg, mm)),
             # Lens, sheet and plate bend all stripes: Legendre's polynomials along them, px.
-            **_named(SHAPE_BLOCK, (0.5, 0.5, 0.5, 0.3)),
+            **_by_name(SHAPE_BLOCK, (0.5, 0.5, 0.5, 0.3)),
             **dict.fromkeys(self.bends.names, 1.0),
             **STALE.get(name, {}),
         }
@@ -368,9 +368,9 @@ class _StripePlaceProblem:
         """Return how far the stripe's points (n,) lie off their places, in their sigmas."""
         setup = with_changes(self.setup, x)
         seen_px = self.points_px + np.tensordot([x[name] for name in SHAPE_BLOCK], self.bends_px, axes=1)
-        here_mm, beside_mm = (self._off_mm(setup, seen_px + step, x) for step in (0.0, self.across))
+        here_mm, shifted_mm = (self._off_mm(setup, seen_px + step, x) for step in (0.0, self.across))
         with np.errstate(divide="ignore", invalid="ignore"):
-            off_px = here_mm / (beside_mm - here_mm)
+            off_px = here_mm / (shifted_mm - here_mm)
         return np.clip(np.nan_to_num(off_px / self.sigma_px, nan=FAR), -FAR, FAR)
 
     def _off_mm(self, setup: Setup, points_px: Float64, x: Mapping[str, float]) -> Float64:
@@ -399,21 +399,23 @@ class _StripePlaceProblem:
 def with_changes(setup: Setup, x: Mapping[str, float]) -> Setup:
     """Return a setup whose camera, laser, sensor and lens are changed by parameters, deg, mm and ln."""
     camera, laser = setup.camera, setup.laser
-    T_tool_camera = _moved(camera.T_tool_camera, x, CAMERA_BLOCK)
-    plane = _turned(laser.plane, laser.point_mm, *(x.get(name, 0.0) for name in LASER_BLOCK))
-    T_tool_moved = _moved(T_tool_camera, x, SENSOR_BLOCK)
+    T_tool_camera = _move_pose(camera.T_tool_camera, x, CAMERA_BLOCK)
+    plane = _turn_plane(laser.plane, laser.point_mm, *(x.get(name, 0.0) for name in LASER_BLOCK))
+    T_tool_moved = _move_pose(T_tool_camera, x, SENSOR_BLOCK)
     n_x, n_y, n_z, d = (plane @ T_tool_camera @ invert(T_tool_moved)).tolist()
     factor = math.exp(x.get("ln_focal", 0.0))
     camera = replace(camera, T_tool_camera=T_tool_moved, fx=factor * camera.fx, fy=factor * camera.fy)
     return replace(setup, camera=camera, laser=replace(laser, plane_in_tool=(n_x, n_y, n_z, d)))
 
 
-def _moved(T: Float64, x: Mapping[str, float], block: Sequence[str]) -> Float64:
+def _move_pose(T: Float64, x: Mapping[str, float], block: Sequence[str]) -> Float64:
     change = [x.get(name, 0.0) for name in block]
     return moved(T, change[:3], change[3:])
 
 
-def _turned(plane: Float64, point_mm: Float64, steep_deg: float, level_deg: float, off_mm: float) -> Float64:
+def _turn_plane(
+    plane: Float64, point_mm: Float64, steep_deg: float, level_deg: float, off_mm: float
+) -> Float64:
     """Return a plane (4,) turned about its steepest and its level line through a point, and moved."""
     normal = plane[:3]
     level = cross(normal, np.array([0.0, 0.0, 1.0]))
@@ -445,7 +447,7 @@ def _off_section(setup: Setup, in_joint: Float64) -> Float64:
     return np.asarray((z - plain) / np.hypot(1.0, slope[face]))
 
 
-def _binned(points_px: Float64) -> tuple[Float64, Float64]:
+def _bin_points(points_px: Float64) -> tuple[Float64, Float64]:
     """Return medians (m, 2) over parts of a stripe (n, 2) and their 1 sigma (m,), px."""
     parts = np.array_split(points_px, min(BINS_A_FRAME, max(1, len(points_px) // MIN_IN_BIN)))
     middles = np.array([np.median(part, axis=0) for part in parts])

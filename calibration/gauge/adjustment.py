@@ -150,7 +150,7 @@ class GaugeProblem:
             columns.append((ahead - behind) / (2.0 * size.sum()))
         return np.column_stack(columns)
 
-    def whitened(self, state: GaugeState, noise_mm: Float64, numbers: Float64) -> Float64:
+    def whiten(self, state: GaugeState, noise_mm: Float64, numbers: Float64) -> Float64:
         """Return numbers of all distances (N, ...) over their covariance's root at a state."""
         C = self.covariances(state, noise_mm)
         return np.concatenate(
@@ -224,28 +224,28 @@ def fit(
     The gauge's pose lies near `start`. `prior` (m,) is 1 sigma of the unknowns about the start; infinite
     where nothing is known.
     """
-    known = np.diag(_known(prior))
+    known = np.diag(_prior_information(prior))
 
     def residuals(step: Float64) -> Float64:
         state = start.moved(step)
-        off = problem.whitened(state, noise_mm, problem.distances(state))
+        off = problem.whiten(state, noise_mm, problem.distances(state))
         return np.append(off, np.sqrt(known) @ step)
 
     def jacobian(step: Float64) -> Float64:
         # The covariance's own change with the state is neglected: it is small.
-        slopes = problem.whitened(start.moved(step), noise_mm, problem.slopes(start, step))
+        slopes = problem.whiten(start.moved(step), noise_mm, problem.slopes(start, step))
         return np.vstack([slopes, np.sqrt(known)])
 
     moved = least_squares(residuals, np.zeros(len(known)), jacobian, x_scale="jac").x
     state = start.moved(moved)
-    slopes = problem.whitened(state, noise_mm, problem.slopes(state))
+    slopes = problem.whiten(state, noise_mm, problem.slopes(state))
     off = residuals(moved)
     squares = np.array([off[part] @ off[part] for part in problem.slices])
     counts = np.array([len(sighting.rays) for sighting in problem.sightings])
     return GaugeFit(state, slopes.T @ slopes + known, noise_mm, squares, counts)
 
 
-def _known(prior: Float64 | None) -> Float64:
+def _prior_information(prior: Float64 | None) -> Float64:
     """Return the information (m,) beforehand."""
     sigma = np.full(len(STEPS), np.inf)
     # The gauge lies as first placed within 20 deg, its edge within 60 deg; its place, mm, is unknown.
@@ -258,16 +258,16 @@ def fit_with_noise(problem: GaugeProblem, start: GaugeState, prior: Float64 | No
     noise_mm = np.array(START_MM)
     fitted = fit(problem, start, noise_mm, prior)
     for _ in range(NOISE_ROUNDS):
-        before, noise_mm = noise_mm, _likeliest_noise(problem, fitted, prior)
+        before, noise_mm = noise_mm, _estimate_noise(problem, fitted, prior)
         fitted = fit(problem, replace(start, plane=fitted.state.plane), noise_mm, prior)
         if np.abs(np.log(noise_mm / before)).max() < NOISE_SETTLED:
             break
     return fitted
 
 
-def _likeliest_noise(problem: GaugeProblem, fitted: GaugeFit, prior: Float64 | None) -> Float64:
+def _estimate_noise(problem: GaugeProblem, fitted: GaugeFit, prior: Float64 | None) -> Float64:
     """Return 1 sigma of robot and form (2,), mm, of the largest restricted likelihood."""
-    known = np.diag(_known(prior))
+    known = np.diag(_prior_information(prior))
     off, slopes = problem.distances(fitted.state), problem.slopes(fitted.state)
     parts = problem.parts(fitted.state)
 

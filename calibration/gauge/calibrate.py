@@ -71,12 +71,12 @@ class GaugeCalibration:
     @property
     def sigma(self) -> Float64:
         """1 sigma (3,) of its two tilts, rad, and of its offset at the middle of the points, mm."""
-        return np.asarray(np.sqrt(np.diag(self.small)))
+        return np.asarray(np.sqrt(np.diag(self.tilt_offset_covariance)))
 
     @property
-    def small(self) -> Float64:
+    def tilt_offset_covariance(self) -> Float64:
         """Covariance (3, 3) of tilts and offset."""
-        wider = _wider(self.problem.gauge, len(self.fitted.counts))
+        wider = _small_sample_factor(self.problem.gauge, len(self.fitted.counts))
         return np.asarray(self.fitted.covariance[SHEET, SHEET] * wider**2)
 
     @property
@@ -85,7 +85,7 @@ class GaugeCalibration:
         state = self.fitted.state
         per = np.zeros((4, 3))
         per[:3, :2], per[3, :2], per[3, 2] = state.leans.T, -state.leans @ state.centre_mm, 1.0
-        return np.asarray(per @ self.small @ per.T)
+        return np.asarray(per @ self.tilt_offset_covariance @ per.T)
 
     @property
     def off_mm(self) -> tuple[Float64, ...]:
@@ -114,7 +114,7 @@ class GaugeCheck:
         return self.size_mm - self.problem.gauge.size_mm
 
 
-def _wider(gauge: Gauge, images: int) -> float:
+def _small_sample_factor(gauge: Gauge, images: int) -> float:
     """Return the factor of sigmas for the few images that determine the errors: Student's t.
 
     Across a V an image determines the robot's error in two directions, across a step in its height alone.
@@ -167,7 +167,7 @@ def _is_wrong(problem: GaugeProblem, image: int, without: GaugeFit) -> bool:
     part = problem.slices[image]
     d, J = problem.distances(without.state)[part], problem.slopes(without.state)[part]
     C = problem.covariances(without.state, without.noise_mm)[image] + J @ without.covariance @ J.T
-    square = float(d @ np.linalg.solve(C, d)) / _wider(problem.gauge, len(without.counts)) ** 2
+    square = float(d @ np.linalg.solve(C, d)) / _small_sample_factor(problem.gauge, len(without.counts)) ** 2
     return square > float(chi2.isf(FALSE_ALARM / len(problem.sightings), len(d)))
 
 
@@ -208,14 +208,14 @@ def missing_motion(problem: GaugeProblem, fitted: GaugeFit) -> str | None:
         information = gains[best]
         if _excess(information).max() <= 1.0:
             break
-    leans = f"its leans are known to {_about(sigma[0], '°')} and {_about(sigma[1], '°')}"
+    leans = f"its leans are known to {_rounded(sigma[0], '°')} and {_rounded(sigma[1], '°')}"
     return (
-        f"the sheet is not determined: {leans}, its place to {_about(sigma[2], ' mm')} (1 σ). Add images for "
-        f"which you {', and '.join(wanted)}"
+        f"the sheet is not determined: {leans}, its place to {_rounded(sigma[2], ' mm')} (1 σ). Add images "
+        f"for which you {', and '.join(wanted)}"
     )
 
 
-def _about(value: float, unit: str) -> str:
+def _rounded(value: float, unit: str) -> str:
     return f"{value:.2g}{unit}" if value < 90.0 else "nothing"
 
 
@@ -286,7 +286,7 @@ def check_gauge(shown: Sequence[PosedPieces], gauge: Gauge, sensor: StatedSensor
     fitted = fit_with_noise(problem, start, held)
     sigma = math.sqrt(float(fitted.covariance[SIZE, SIZE]))
     if len(sightings) >= FEW_IMAGES:
-        sigma *= _wider(gauge, len(sightings))
+        sigma *= _small_sample_factor(gauge, len(sightings))
     return GaugeCheck(problem, fitted, fitted.state.size_mm, sigma, left_out)
 
 

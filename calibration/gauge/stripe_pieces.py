@@ -88,7 +88,7 @@ def stripe_pieces(image_dn: Integers, lens: Lens, count: int) -> Pieces | str:
 def _with_corners(pieces: Sequence[Piece], path_px: Float64, lens: Lens, column: int) -> tuple[Piece, ...]:
     """Return the pieces with ends where the path goes over from one line to the next, to a scan line."""
     rays = lens.rays(path_px)
-    off = np.stack([np.square(_beside(piece.line, rays, column)) for piece in pieces])
+    off = np.stack([np.square(_off_line_along_scan(piece.line, rays, column)) for piece in pieces])
     ends = [0]
     for n, pair in enumerate(pairwise(pieces)):
         low, high = (np.searchsorted(path_px[:, column], _middle(piece, column)) for piece in pair)
@@ -105,7 +105,7 @@ def _middle(piece: Piece, column: int) -> float:
     return float(np.median(piece.points_px[:, column]))
 
 
-def _beside(line: LaserLineFit, rays: Float64, column: int) -> Float64:
+def _off_line_along_scan(line: LaserLineFit, rays: Float64, column: int) -> Float64:
     """Return the distance of rays (n, 3) from a line, along the scan lines (n,)."""
     a, b = line.rays
     share = (rays[:, column] - a[column]) / (b[column] - a[column])
@@ -118,11 +118,11 @@ def _cuts(scan: Float64, place: Float64, count: int) -> Sequence[int]:
     groups = np.array_split(np.arange(len(scan)), min(120, len(scan)))
     t = np.array([np.median(scan[group]) for group in groups])
     y = np.array([np.median(place[group]) for group in groups])
-    n, least = len(t), max(2, int(MIN_PIECE_SHARE * len(t)))
+    n, min_groups = len(t), max(2, int(MIN_PIECE_SHARE * len(t)))
     cost = np.full((n + 1, n + 1), np.inf)
-    for low in range(n - least + 1):
-        for high in range(low + least, n + 1):
-            cost[low, high] = _off_line(t[low:high], y[low:high])
+    for low in range(n - min_groups + 1):
+        for high in range(low + min_groups, n + 1):
+            cost[low, high] = _line_misfit(t[low:high], y[low:high])
     best, back = cost[0].copy(), []
     for _ in range(count - 1):
         total = best[:, np.newaxis] + cost
@@ -135,7 +135,7 @@ def _cuts(scan: Float64, place: Float64, count: int) -> Sequence[int]:
     return cuts[::-1]
 
 
-def _off_line(t: Float64, y: Float64) -> float:
+def _line_misfit(t: Float64, y: Float64) -> float:
     """Return the sum of squares about the line of some points."""
     t, y = t - t.mean(), y - y.mean()
     slope = float(t @ y) / max(float(t @ t), 1e-12)

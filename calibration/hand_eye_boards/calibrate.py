@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi, chi2, t
 
-from calibration.camera.adjustment import BoardScene, adjusted
+from calibration.camera.adjustment import BoardScene, adjust
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.known_lens import check_corners
 from calibration.camera.sightings import Sightings
 from calibration.hand_eye_boards.chain import Chain
-from calibration.hand_eye_boards.consistent import PoseConsistency, consistent
+from calibration.hand_eye_boards.consistent import PoseConsistency, select_consistent_poses
 from calibration.hand_eye_boards.enough import (
     InconsistentError,
     check_count,
@@ -23,7 +23,7 @@ from calibration.hand_eye_boards.enough import (
     turns_deg,
 )
 from calibration.hand_eye_boards.refine import Boards, Refinement, robot_errors, with_warp
-from calibration.hand_eye_boards.start import first_chain, renumbered
+from calibration.hand_eye_boards.start import first_chain, renumber
 from calibration.threads import one_thread
 from noise_model.compiled.arrays import Bool, Float64
 
@@ -184,10 +184,10 @@ def calibrate_hand_eye(
         boards = with_warp(scene, seen)
         check_corners(boards.scene, boards.seen)
         tell(1, 4)
-        chain, boards, off_px = _started(chain, boards)
+        chain, boards, off_px = _start(chain, boards)
         tell(2, 4)
         try:
-            agreement = consistent(chain, boards, root, off_px)
+            agreement = select_consistent_poses(chain, boards, root, off_px)
         except np.linalg.LinAlgError:
             raise UndeterminedError(
                 "the poses leave the camera open: add poses in which the robot turns 20 to 40 deg either way "
@@ -211,7 +211,7 @@ def calibrate_hand_eye(
     )
 
 
-def _started(chain: Chain, boards: Boards) -> tuple[Chain, Boards, Float64]:
+def _start(chain: Chain, boards: Boards) -> tuple[Chain, Boards, Float64]:
     """Return a starting chain, the boards turned to its ends, and the error of each, px."""
     scene, seen = boards.scene, boards.seen
     try:
@@ -225,23 +225,23 @@ def _started(chain: Chain, boards: Boards) -> tuple[Chain, Boards, Float64]:
     except np.linalg.LinAlgError as error:
         raise UndeterminedError(f"the camera's pose is open: {error}") from None
     _check_start(chain, T_camera_board)
-    seen = renumbered(seen, scene.T_camera_board, T_camera_board)
+    seen = renumber(seen, scene.T_camera_board, T_camera_board)
     own = replace(scene, T_camera_board=T_camera_board)
     # A distant board looks much the same when it is tilted the other way: the robot's poses decide.
     predicted = chain.T_camera_board
     in_front = (predicted[:, :3, :3] @ seen.board.points_mm.T)[:, 2] + predicted[:, 2, 3:4]
     is_seen = np.all(in_front > 0.0, axis=1)
-    other = replace(scene, T_camera_board=_chosen(is_seen, predicted, T_camera_board))
-    other = adjusted(other, seen, boards.weight, poses_only=True)
+    other = replace(scene, T_camera_board=_choose(is_seen, predicted, T_camera_board))
+    other = adjust(other, seen, boards.weight, poses_only=True)
     squares = [np.sum(each.residuals(seen) ** 2, axis=1) * boards.weight**2 for each in (own, other)]
     excess = np.array([float((squares[1] - squares[0])[part].sum()) for part in seen.slices])
     # Of a thousand boards that fit as well as the best, one is refused.
     is_same = np.asarray(excess < chi2.isf(1e-3, 6))
-    scene = replace(scene, T_camera_board=_chosen(is_same, other.T_camera_board, T_camera_board))
+    scene = replace(scene, T_camera_board=_choose(is_same, other.T_camera_board, T_camera_board))
     return chain, replace(boards, scene=scene, seen=seen), off_px
 
 
-def _chosen(is_first: Bool, first: Float64, second: Float64) -> Float64:
+def _choose(is_first: Bool, first: Float64, second: Float64) -> Float64:
     return np.asarray(np.where(is_first[:, np.newaxis, np.newaxis], first, second))
 
 

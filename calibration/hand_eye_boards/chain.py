@@ -60,6 +60,6 @@ class Chain:
             self, T_holder_camera=self.T_holder_camera @ camera, T_mount_board=self.T_mount_board @ board
         )
 
-    def of_views(self, chosen: list[int]) -> Chain:
+    def select_views(self, chosen: list[int]) -> Chain:
         """Return the chain of some of the robot's poses."""
         return replace(self, T_base_tool=self.T_base_tool[chosen])

@@ -14,7 +14,7 @@ from scipy.stats import f
 
 from calibration.hand_eye_boards.chain import Chain
 from calibration.hand_eye_boards.enough import MIN_POSES
-from calibration.hand_eye_boards.refine import UNKNOWNS, Boards, Refinement, pose_errors, refined
+from calibration.hand_eye_boards.refine import UNKNOWNS, Boards, Refinement, pose_errors, refine
 from calibration.outliers import FALSE_ALARM
 from noise_model.compiled.arrays import Float64
 
@@ -37,7 +37,9 @@ class PoseConsistency:
     robot_error: Float64
 
 
-def consistent(chain: Chain, boards: Boards, lens_root: Float64, off_px: Float64) -> PoseConsistency:
+def select_consistent_poses(
+    chain: Chain, boards: Boards, lens_root: Float64, off_px: Float64
+) -> PoseConsistency:
     """Return the consistent poses, and their refinement.
 
     `lens_root` (n, k) is a root of the lens' covariance, `off_px` (V,) each board's error against the start.
@@ -48,9 +50,9 @@ def consistent(chain: Chain, boards: Boards, lens_root: Float64, off_px: Float64
     kept = sorted(np.argsort(off_px)[:half].tolist())
     sigma: Float64 | None = None
     for _ in range(MAX_ROUNDS):
-        result = refined(chain.of_views(kept), boards.of_views(kept), lens_root, sigma)
+        result = refine(chain.select_views(kept), boards.select_views(kept), lens_root, sigma)
         sigma = result.solution.sigma
-        agreement = _judged(
+        agreement = _assess(
             kept, result, replace(result.chain, T_base_tool=chain.T_base_tool), boards, lens_root
         )
         freedom = max(MOTION * len(kept) - UNKNOWNS - len(sigma), 2)
@@ -63,7 +65,7 @@ def consistent(chain: Chain, boards: Boards, lens_root: Float64, off_px: Float64
     return agreement
 
 
-def _judged(
+def _assess(
     kept: list[int], result: Refinement, whole: Chain, boards: Boards, lens_root: Float64
 ) -> PoseConsistency:
     errors, _, _ = pose_errors(whole, boards, lens_root)

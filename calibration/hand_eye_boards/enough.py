@@ -64,19 +64,19 @@ def check_sigmas(chain: Chain, covariance: Float64) -> None:
     """Raise UndeterminedError if the camera's pose is badly known; `covariance` (6, 6) is in rad and mm."""
     R, holder = chain.T_holder_camera[:3, :3], holder_name(chain)
     turn, place = covariance[:3, :3], covariance[3:, 3:]
-    for matrix, most, scale, what, unit in (
+    for matrix, limit, scale, what, unit in (
         (place, 2.0, 1.0, "place along", "mm"),
         (turn, 0.5, math.degrees(1.0), "turn about", "deg"),
     ):
         variance, directions = np.linalg.eigh(matrix)
         sigma = scale * math.sqrt(max(float(variance[-1]), 0.0))
-        if sigma > most:
+        if sigma > limit:
             worst = R @ directions[:, -1]
             sizes = np.sqrt(np.mean(turns_deg(chain) ** 2, axis=0))
             shown = ", ".join(f"{size:.0f}" for size in sizes)
             raise UndeterminedError(
                 f"the camera's {what} {axis_words(worst)} of the {holder} is known to {sigma:.2g} {unit} "
-                f"only (1 sigma, {most:g} is the most); the robot turns by {shown} deg RMS about x, y, z: "
+                f"only (1 sigma, {limit:g} is the most); the robot turns by {shown} deg RMS about x, y, z: "
                 f"add poses turned {ADVICE} about {_others(worst)} of the {holder}"
             )
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.camera.adjustment import WARP, BoardScene, adjusted, linearised
+from calibration.camera.adjustment import WARP, BoardScene, adjust, linearise
 from calibration.camera.noise import corner_sigmas_px
 from calibration.camera.normal_equations import NormalEquations
 from calibration.camera.sightings import Sightings
@@ -48,9 +48,9 @@ class Boards:
         """1 / sigma of each corner (N,), 1/px."""
         return np.asarray(1.0 / self.sigma_px[self.seen.view])
 
-    def of_views(self, chosen: list[int]) -> Boards:
+    def select_views(self, chosen: list[int]) -> Boards:
         """Return what some of the images say."""
-        return Boards(self.scene.of_views(chosen), self.seen.of_views(chosen), self.sigma_px[chosen])
+        return Boards(self.scene.select_views(chosen), self.seen.select_views(chosen), self.sigma_px[chosen])
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def with_warp(scene: BoardScene, seen: Sightings) -> Boards:
     n, ones = len(scene.lens.values), np.ones(len(seen))
     # Far more rounds than a nearly linear problem takes.
     for _ in range(4):
-        whole = linearised(scene, seen, ones)
+        whole = linearise(scene, seen, ones)
         warp = slice(n, n + len(WARP))
         part = NormalEquations(
             whole.shared[:, warp, warp],
@@ -90,7 +90,7 @@ def with_warp(scene: BoardScene, seen: Sightings) -> Boards:
         )
         step, motion = part.step()
         scene = scene.moved(np.concatenate([np.zeros(n), step]), motion)
-    scene = adjusted(scene, seen, ones, poses_only=True)
+    scene = adjust(scene, seen, ones, poses_only=True)
     return Boards(scene, seen, corner_sigmas_px(scene, seen, len(WARP) / len(seen.names)))
 
 
@@ -101,7 +101,7 @@ def pose_errors(
 
     `lens_root` (n, k) times its transpose is the lens' covariance.
     """
-    equations = linearised(boards.scene, boards.seen, boards.weight)
+    equations = linearise(boards.scene, boards.seen, boards.weight)
     n = len(boards.scene.lens.values)
     covariance = np.linalg.inv(equations.motion)
     per_shared = covariance @ equations.mixed.transpose(0, 2, 1)
@@ -109,7 +109,7 @@ def pose_errors(
     known = np.zeros((UNKNOWNS + len(WARP),) * 2)
     known[UNKNOWNS:, UNKNOWNS:] = equations.information()[n:, n:]
     pull = np.zeros(len(known))
-    pull[UNKNOWNS:] = equations.pulls().sum(axis=0)[n:]
+    pull[UNKNOWNS:] = equations.view_gradients().sum(axis=0)[n:]
     errors = PoseErrors(
         error=eta + np.einsum("vij,vj->vi", covariance, equations.gradient_motion),
         by_corners=np.asarray(covariance),
@@ -123,7 +123,7 @@ def pose_errors(
     return errors, equations, eta
 
 
-def refined(chain: Chain, boards: Boards, lens_root: Float64, sigma: Float64 | None = None) -> Refinement:
+def refine(chain: Chain, boards: Boards, lens_root: Float64, sigma: Float64 | None = None) -> Refinement:
     """Return camera, board, warp, boards' poses and the robot's noise of maximum likelihood.
 
     `boards` are from `with_warp`; `lens_root` (n, k) is a root of the lens' covariance, (n, 0) for an exact
@@ -134,14 +134,14 @@ def refined(chain: Chain, boards: Boards, lens_root: Float64, sigma: Float64 | N
         errors, equations, eta = pose_errors(chain, boards, lens_root)
         solution = solve(errors, robot_sigma(errors, sigma))
         sigma = solution.sigma
-        chain, boards = _stepped(chain, boards, equations, eta, errors, solution)
+        chain, boards = _step(chain, boards, equations, eta, errors, solution)
         if (np.abs(solution.step) <= SETTLED_SIGMAS * np.sqrt(np.diag(solution.covariance))).all():
             break
     errors, _, _ = pose_errors(chain, boards, lens_root)
     return Refinement(chain, boards, solve(errors, solution.sigma), errors)
 
 
-def _stepped(
+def _step(
     chain: Chain,
     boards: Boards,
     equations: NormalEquations,

@@ -15,7 +15,7 @@ import numpy as np
 
 from calibration.boards.board import Board
 from calibration.camera.lens import Lens
-from calibration.camera.printed import are_ends_told
+from calibration.camera.printed import has_distinct_ends
 from calibration.camera.sightings import Sightings
 from calibration.hand_eye_boards.chain import Chain
 from calibration.rigid import inverse, mean_pose
@@ -47,7 +47,7 @@ def first_chain(
     turns = symmetries(board)
     turned = T_camera_board[:, np.newaxis] @ turns
     ends = np.array(
-        [[x, y, 0.0, 1.0] for x, y in product(*((0.0, most) for most in board.points_mm.max(axis=0)[:2]))]
+        [[x, y, 0.0, 1.0] for x, y in product(*((0.0, side) for side in board.points_mm.max(axis=0)[:2]))]
     )
     shown = _seen(lens, turned, ends)
     best: tuple[float, Chain, Float64] | None = None
@@ -67,7 +67,7 @@ def first_chain(
 
 def symmetries(board: Board) -> Float64:
     """Return the turns (n, 4, 4) of a board that bring its corners onto each other, the identity first."""
-    if are_ends_told(board):
+    if has_distinct_ends(board):
         return np.eye(4)[np.newaxis]
     middle = 0.5 * board.points_mm.max(axis=0)
     quarters = (0, 1, 2, 3) if board.columns == board.rows else (0, 2)
@@ -78,7 +78,7 @@ def symmetries(board: Board) -> Float64:
     return turns
 
 
-def renumbered(seen: Sightings, T_camera_board: Float64, T_camera_turned: Float64) -> Sightings:
+def renumber(seen: Sightings, T_camera_board: Float64, T_camera_turned: Float64) -> Sightings:
     """Return corners with the numbers that they have after each board (V, 4, 4) is turned to another end."""
     corner = seen.corner.copy()
     points = seen.board.points_mm
@@ -123,7 +123,7 @@ def _candidates(empty: Chain, turned: Float64) -> Iterator[Chain]:
     rng = np.random.default_rng(SEED)
     for _ in range(TRIPLES):
         triple = rng.choice(count, 3, replace=False).tolist()
-        part = empty.of_views(triple)
+        part = empty.select_views(triple)
         # The first board's end is free: the board's own frame turns with it.
         for other in product((0,), range(ways), range(ways)):
             chain = opencv_chain(part, turned[triple, other], cv2.CALIB_HAND_EYE_PARK)

@@ -64,7 +64,7 @@ class Beam:
     covariance: Float64 | None
 
 
-def beam_of(
+def fit_beam(
     result: LaserCalibration,
     sections: Mapping[str, CrossSections],
     lens: Lens,
@@ -90,8 +90,8 @@ def beam_of(
         points = board.points(each.points_px())
         lights.append(_light(name, each, board, points, origin, in_sheet))
         steps.append(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-        beside = [board.points(each.points_px(aside_px=0.5 * way)) @ plane[:3] for way in (-1.0, 1.0)]
-        width = width_of_pair(each.width_px, np.abs(beside[1] - beside[0]), camera.psf_sigma_px)
+        edges = [board.points(each.points_px(aside_px=0.5 * way)) @ plane[:3] for way in (-1.0, 1.0)]
+        width = width_of_pair(each.width_px, np.abs(edges[1] - edges[0]), camera.psf_sigma_px)
         lit = np.isfinite(each.width_px)
         if width is not None:
             widths[float(origin[2] - np.median(points[lit, 2]))] = width
@@ -157,10 +157,10 @@ def _no_ends(lights: list[PairLight], sides: list[Float64]) -> str:
     n = 0 if not len(sides[0]) else 1
     reasons = [light.ends[n] for light in lights]
     where = "both sides" if not len(sides[0]) and not len(sides[1]) else f"the {('lower', 'upper')[n]} side"
-    most = max(Missing, key=reasons.count)
+    commonest = max(Missing, key=reasons.count)
     cure = (
         "take pairs on a larger board, or farther from the laser's middle, so that the stripe ends on it"
-        if most is Missing.BOARD
+        if commonest is Missing.BOARD
         else "shift the board so that the stripe's ends lie in light squares"
     )
-    return f"on {where} no pair shows where the stripe ends, which is {most}: {cure}"
+    return f"on {where} no pair shows where the stripe ends, which is {commonest}: {cure}"

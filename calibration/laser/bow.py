@@ -31,7 +31,7 @@ class Bow:
         return abs(self.bow_mm) > SURE_SIGMAS * self.sigma_mm
 
 
-def bow_of(points_mm: Sequence[Float64], off_mm: Sequence[Float64]) -> Bow:
+def fit_bow(points_mm: Sequence[Float64], off_mm: Sequence[Float64]) -> Bow:
     """Return the mean bow over the median stripe, from a parabola fitted to each stripe.
 
     Each stripe has points (n, 3), which lie `off_mm` (n,) off the plane.

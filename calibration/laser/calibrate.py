@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from calibration.camera.adjustment import BoardScene, adjusted, linearised
+from calibration.camera.adjustment import BoardScene, adjust, linearise
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.known_lens import check_corners
 from calibration.camera.lens import Lens
 from calibration.camera.noise import corner_sigmas_px
 from calibration.camera.sightings import Sightings
-from calibration.laser.bow import Bow, bow_of
+from calibration.laser.bow import Bow, fit_bow
 from calibration.laser.image_line import LaserLineFit, fit_line
 from calibration.laser.plane import MIN_PAIRS, BoardLine, PlaneFit, consistent, fit_plane
 from calibration.laser.stripe import BoardStripe
@@ -78,7 +78,7 @@ class LaserCalibration:
     @property
     def bow(self) -> Bow:
         """Bow of the sheet along the stripes."""
-        return bow_of(self.points_mm, self.off_mm)
+        return fit_bow(self.points_mm, self.off_mm)
 
     def in_tool(self, T_tool_camera: Float64, stated: Float64) -> tuple[Float64, Float64]:
         """Return plane (4,) and covariance (4, 4) in the tool frame; the camera's pose counts as exact.
@@ -112,7 +112,7 @@ def calibrate_laser(
     """
     chosen = [n for n, name in enumerate(seen.names) if name in stripes]
     _check_count(len(chosen))
-    scene, seen = scene.of_views(chosen), seen.of_views(chosen)
+    scene, seen = scene.select_views(chosen), seen.select_views(chosen)
     shown = [stripes[name] for name in seen.names]
     check_corners(scene, seen)
     with one_thread():
@@ -133,7 +133,7 @@ def calibrate_laser(
             for n, name in enumerate(seen.names)
             if n not in kept
         }
-        scene, seen = scene.of_views(kept), seen.of_views(kept)
+        scene, seen = scene.select_views(kept), seen.select_views(kept)
         shown = [shown[n] for n in kept]
         known_lens = np.zeros((len(scene.lens.values),) * 2) if lens_covariance is None else lens_covariance
         per_lens = _per_lens(scene, seen, shown, known_lens, fit.plane)
@@ -166,7 +166,7 @@ def _board_lines(
 ) -> tuple[list[BoardLine], Float64]:
     """Return the stripes' lines on their boards, and 1 sigma of a corner in each image."""
     sigma_px = corner_sigmas_px(scene, seen)
-    motion = linearised(scene, seen, 1.0 / sigma_px[seen.view]).motion
+    motion = linearise(scene, seen, 1.0 / sigma_px[seen.view]).motion
     lines = [
         BoardLine(_image_line(scene.lens, stripe), T, covariance)
         for stripe, T, covariance in zip(stripes, scene.T_camera_board, np.linalg.inv(motion), strict=True)
@@ -188,7 +188,7 @@ def _per_lens(
     """Return the plane's derivatives (4, k) by the lens' values that are not exact, others are 0."""
 
     def plane_of(lens: Lens) -> Float64:
-        other = adjusted(replace(scene, lens=lens), seen, np.ones(len(seen)), poses_only=True)
+        other = adjust(replace(scene, lens=lens), seen, np.ones(len(seen)), poses_only=True)
         other_plane = fit_plane(_board_lines(other, seen, stripes)[0]).plane
         return np.asarray(other_plane * np.sign(other_plane[:3] @ plane[:3]))
 

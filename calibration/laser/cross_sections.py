@@ -101,9 +101,9 @@ def placed(stripe: BoardStripe, sections: CrossSections) -> BoardStripe:
     column = 0 if stripe.along_rows else 1
     scan, place = stripe.points_px[:, column], stripe.points_px[:, 1 - column].copy()
     row = np.searchsorted(sections.scan, scan).clip(0, len(sections.scan) - 1)
-    told = sections.places_px[row] + sections.aside_px[row]
-    is_told = (sections.scan[row] == scan) & np.isfinite(told)
-    place[is_told] = told[is_told]
+    measured = sections.places_px[row] + sections.aside_px[row]
+    is_measured = (sections.scan[row] == scan) & np.isfinite(measured)
+    place[is_measured] = measured[is_measured]
     points = np.column_stack([scan, place] if stripe.along_rows else [place, scan])
     return replace(stripe, points_px=points)
 

@@ -116,13 +116,13 @@ def fit_fan(sides: Sequence[Float64], quantized_mm: float) -> Fan | str:
     `quantized_mm` is the distance between scan lines on the boards. Returns what is missing, in words, where
     the ends do not determine it.
     """
-    off = [_off_most(side, quantized_mm) for side in sides]
+    off = [_off_common_line(side, quantized_mm) for side in sides]
     together = np.concatenate(off)
     # What a line of n ends leaves of their scatter, on both sides together.
     share = max(1.0 - 4.0 / max(len(together), 1), 0.25)
     scale = sigma_of(together) / share if len(together) else 0.0
-    most = FAR_SIGMAS * max(scale, QUANTIZED * quantized_mm)
-    sides = [side[each <= most] for side, each in zip(sides, off, strict=True)]
+    max_off = FAR_SIGMAS * max(scale, QUANTIZED * quantized_mm)
+    sides = [side[each <= max_off] for side, each in zip(sides, off, strict=True)]
     few = [len(side) for side in sides]
     if min(few) < MIN_ENDS or sum(few) < 2 * MIN_ENDS + 1:
         return (
@@ -163,7 +163,7 @@ def fit_fan(sides: Sequence[Float64], quantized_mm: float) -> Fan | str:
     )
 
 
-def _off_most(side: Float64, quantized_mm: float) -> Float64:
+def _off_common_line(side: Float64, quantized_mm: float) -> Float64:
     """Return how far ends (n, 2) are off the line of most (n,): of the median slope, after Theil and Sen."""
     a, s = side.T
     first, second = np.triu_indices(len(a), 1)

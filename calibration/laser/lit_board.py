@@ -56,23 +56,23 @@ def board_shading(
             xy = grid[area] + [du / fx, dv / fy]
             rays = np.column_stack([xy, np.ones(len(xy))])
             points = points_on_board(T_camera_board, rays)
-            samples.append(_printed(board, (points - t) @ R[:, :2], is_legacy))
+            samples.append(_print_chessboard(board, (points - t) @ R[:, :2], is_legacy))
     shading[area] = np.mean(samples, axis=0)
-    return _blurred(shading, area, blur_px)
+    return _blur(shading, area, blur_px)
 
 
-def _printed(board: Board, places_mm: Float64, is_legacy: bool) -> Float64:
+def _print_chessboard(board: Board, places_mm: Float64, is_legacy: bool) -> Float64:
     """Return how light a board is at places (n, 2), mm, from its first inner corner."""
     cell = places_mm / board.square_mm
     if board.kind is BoardKind.CHESSBOARD:
         return np.asarray(np.floor(cell).sum(axis=1) % 2.0)
-    drawn = _charuco(board, is_legacy)
+    drawn = _print_charuco(board, is_legacy)
     index = np.floor((cell + 1.0) * CELL_PX).astype(np.int64)
     column, row = (index[:, n].clip(0, drawn.shape[1 - n] - 1) for n in (0, 1))
     return np.asarray(drawn[row, column] / 255.0)
 
 
-def _charuco(board: Board, is_legacy: bool) -> Integers:
+def _print_charuco(board: Board, is_legacy: bool) -> Integers:
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}"))
     size = board.columns + 1, board.rows + 1
     pattern = cv2.aruco.CharucoBoard(size, board.square_mm, board.marker_mm, dictionary)
@@ -80,7 +80,7 @@ def _charuco(board: Board, is_legacy: bool) -> Integers:
     return np.asarray(pattern.generateImage((size[0] * CELL_PX, size[1] * CELL_PX)))
 
 
-def _blurred(image: Float64, area: Bool, blur_px: float) -> Float64:
+def _blur(image: Float64, area: Bool, blur_px: float) -> Float64:
     if not blur_px > 0.0:
         return image
     filled = cv2.GaussianBlur(np.where(area, image, 0.0), (0, 0), blur_px)
@@ -132,7 +132,7 @@ def _without_board(image_dn: Integers, shading: Float64) -> LitBoard:
     edges = np.column_stack([slope[area] for slope in (*slopes, by_blur)])
     A = np.column_stack([smooth, smooth * shade[:, np.newaxis], edges])
     at_edge = np.hypot(edges[:, 0], edges[:, 1]) > EDGE_SHARE
-    rest = value - A @ _fitted(A, value, at_edge)
+    rest = value - A @ _fit(A, value, at_edge)
     light, noise = np.zeros(image_dn.shape, np.float32), np.ones(image_dn.shape, np.float32)
     drawn = np.zeros(image_dn.shape)
     light[area], drawn[area] = rest, value - rest
@@ -143,7 +143,7 @@ def _without_board(image_dn: Integers, shading: Float64) -> LitBoard:
     return LitBoard(LaserLight(light, noise, area), drawn, float(high - low), spread(rest))
 
 
-def _fitted(A: Float64, value: Float64, at_edge: Bool) -> Float64:
+def _fit(A: Float64, value: Float64, at_edge: Bool) -> Float64:
     """Return the coefficients (m,) of A (n, m) that leave least of most values (n,)."""
     step = max(1, len(value) // MAX_PIXELS)
     A, value, at_edge = A[::step], value[::step], at_edge[::step]

@@ -181,7 +181,7 @@ def _likely(score: Float32) -> tuple[Int64, Int64]:
 
 def _along(lines: Float32, noise: Float32, inside: Bool) -> _Track:
     """Return the straightest of the likely stripes across scan lines (n, m)."""
-    score, sigma = _matched(lines, noise, inside)
+    score, sigma = _match_filters(lines, noise, inside)
     nothing = _Track(0.0, np.empty(0, dtype=np.int64), np.empty(0), sigma)
     scan, place = _likely(score)
     if len(scan) < MIN_LINES:
@@ -210,7 +210,7 @@ def _along(lines: Float32, noise: Float32, inside: Bool) -> _Track:
 
 def _path(lines: Float32, noise: Float32, inside: Bool) -> _Track:
     """Return the likeliest path across scan lines (n, m), where it is clear."""
-    score, sigma = _matched(lines, noise, inside)
+    score, sigma = _match_filters(lines, noise, inside)
     scan, place = _likely(score)
     start = place.astype(np.float64)
     places, settled = _centroids(lines[scan], start, sigma)
@@ -238,12 +238,12 @@ def _without_scraps(scan: Int64, kept: Bool) -> Bool:
     piece = np.cumsum(np.diff(scan[where], prepend=scan[where[:1]]) > GAP_LINES)
     counts = np.bincount(piece)
     long = np.zeros(len(kept), dtype=bool)
-    least = max(MIN_PIECE_SHARE * counts.max(initial=0), MIN_SHARE * len(where))
-    long[where[counts[piece] >= least]] = True
+    min_count = max(MIN_PIECE_SHARE * counts.max(initial=0), MIN_SHARE * len(where))
+    long[where[counts[piece] >= min_count]] = True
     return long
 
 
-def _matched(lines: Float32, noise: Float32, inside: Bool) -> tuple[Float32, float]:
+def _match_filters(lines: Float32, noise: Float32, inside: Bool) -> tuple[Float32, float]:
     """Return the matched filter's output in its sigmas (n, m), of the stripe's sigma that shows most."""
     best, best_score = (-np.inf, SCALES_PX[0]), np.zeros_like(lines)
     for sigma, near, wide in smoothed_by_scale(lines):

@@ -176,16 +176,16 @@ def _waist(coefficients: Float64, covariance: Float64) -> Waist | None:
     c0, c1, c2 = coefficients.tolist()
     if not c2 > SURE_SIGMAS * math.sqrt(covariance[2, 2]):
         return None
-    least = c0 - c1**2 / (4.0 * c2)
-    if not least > 0.0:
+    waist2 = c0 - c1**2 / (4.0 * c2)
+    if not waist2 > 0.0:
         return None
-    depth, sigma = -c1 / (2.0 * c2), math.sqrt(least)
-    rayleigh = math.sqrt(least / c2)
-    by_least = np.array([1.0, -c1 / (2.0 * c2), (c1 / (2.0 * c2)) ** 2])
+    depth, sigma = -c1 / (2.0 * c2), math.sqrt(waist2)
+    rayleigh = math.sqrt(waist2 / c2)
+    by_waist2 = np.array([1.0, -c1 / (2.0 * c2), (c1 / (2.0 * c2)) ** 2])
     rows = (
         np.array([0.0, -1.0 / (2.0 * c2), c1 / (2.0 * c2**2)]),
-        by_least / (2.0 * sigma),
-        (by_least / c2 - np.array([0.0, 0.0, least / c2**2])) / (2.0 * rayleigh),
+        by_waist2 / (2.0 * sigma),
+        (by_waist2 / c2 - np.array([0.0, 0.0, waist2 / c2**2])) / (2.0 * rayleigh),
     )
     errors = [math.sqrt(float(row @ covariance @ row)) for row in rows]
     return Waist((depth, errors[0]), (sigma, errors[1]), (rayleigh, errors[2]))

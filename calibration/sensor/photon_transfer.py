@@ -187,9 +187,9 @@ def fit_photon_transfer(problem: PhotonTransferProblem) -> PhotonTransferFit:
 def _inside(x: Float64, before: Float64, problem: PhotonTransferProblem) -> Float64:
     """Return parameters (p,) no step of which goes where the model ends: half way there instead."""
     x = x.copy()
-    for n, least in ((0, None), (2, 0.1), (3, 0.0)):
-        if least is not None and x[n] <= least:
-            x[n] = 0.5 * (before[n] + least)
+    for n, lower in ((0, None), (2, 0.1), (3, 0.0)):
+        if lower is not None and x[n] <= lower:
+            x[n] = 0.5 * (before[n] + lower)
     x[0] = min(x[0], problem.top_dn - 2.0)
     return x
 

@@ -61,7 +61,7 @@ def predict(charge_e: Float64, n_frames: Float64, pattern: Pattern, sensor: Sens
     is_dark = charge_e == 0.0
     averaged = np.empty((6, len(charge_e)))
     for which, nodes in ((is_dark, DARK_NODES), (~is_dark, LIT_NODES)):
-        averaged[:, which] = _averaged(charge_e[which], spread_e[which], n_frames[which], sensor, nodes)
+        averaged[:, which] = _average(charge_e[which], spread_e[which], n_frames[which], sensor, nodes)
     mean, variance, slope, variance_of_variance, bent, uneven = averaged
     pattern_dn2 = pattern.dark_e2 + pattern.response_rel2 * np.outer(charge_e, charge_e)
     return ResponsePrediction(
@@ -73,7 +73,7 @@ def predict(charge_e: Float64, n_frames: Float64, pattern: Pattern, sensor: Sens
     )
 
 
-def _averaged(
+def _average(
     charge_e: Float64, spread_e: Float64, n_frames: Float64, sensor: Sensor, nodes: tuple[Float64, Float64]
 ) -> tuple[Float64, ...]:
     """Return what pixels spread about a charge (s,) read: see `ResponsePrediction`.

@@ -73,7 +73,7 @@ class SpecklePattern:
 
 def fit_speckle_pattern(seen: StillStatistics) -> SpecklePattern | None:
     """Return the speckle of a still stripe, None where there is too little of the stripe."""
-    straight = _straightened(seen)
+    straight = _straighten(seen)
     if straight is None:
         return None
     remainder, noise, is_level = straight
@@ -96,13 +96,13 @@ def fit_speckle_pattern(seen: StillStatistics) -> SpecklePattern | None:
         )
         for n in range(N_BLOCKS)
     ]
-    told = [pair for pair in without if pair is not None]
-    if whole is None or len(told) < N_BLOCKS:
+    fits = [pair for pair in without if pair is not None]
+    if whole is None or len(fits) < N_BLOCKS:
         return None
-    spread = np.array(told) - np.mean(told, axis=0)
+    spread = np.array(fits) - np.mean(fits, axis=0)
     sigma = np.sqrt((N_BLOCKS - 1) / N_BLOCKS * np.sum(spread**2, axis=0))
     # The jackknife's own correction of a bias that falls as one over the lines.
-    contrast, grain = N_BLOCKS * np.array(whole) - (N_BLOCKS - 1) * np.mean(told, axis=0)
+    contrast, grain = N_BLOCKS * np.array(whole) - (N_BLOCKS - 1) * np.mean(fits, axis=0)
     return SpecklePattern(
         float(contrast),
         float(sigma[0]),
@@ -119,7 +119,7 @@ class _GrainVariance:
 
     grains_px: Float64
     variance: Float64
-    beside: Float64
+    neighbour: Float64
 
     @classmethod
     def along(cls, n_lines: int) -> _GrainVariance:
@@ -130,7 +130,7 @@ class _GrainVariance:
         B = np.eye(n) - gaussian_filter1d(np.eye(n), SMOOTH_LINES, axis=0)
         lags = np.arange(-n + 1, n)
         # <(B x)_i (B x)_i+k> is the sum over lags of the correlation times a diagonal of B^T B.
-        alone, beside = (
+        alone, neighbour = (
             np.array([np.trace(product, lag) for lag in lags]) / len(rows)
             for product, rows in ((B.T @ B, B), (B[1:].T @ B[:-1], B[1:]))
         )
@@ -139,20 +139,20 @@ class _GrainVariance:
             correlation = np.exp(-(lags**2) / (4.0 * grain**2))
             variance = float(correlation @ alone)
             variances.append(variance)
-            shares.append(0.5 * (float(correlation @ beside) / variance + math.exp(-0.25 / grain**2)))
+            shares.append(0.5 * (float(correlation @ neighbour) / variance + math.exp(-0.25 / grain**2)))
         return cls(grains, np.array(variances), np.array(shares))
 
     def contrast_and_grain(self, moments: Float64) -> tuple[float, float] | None:
         """Return contrast and grain, px, of variance and neighbours' covariance (2,); None for no speckle."""
-        variance, beside = float(moments[0]), float(moments[1])
-        if not variance > 0.0 or not self.beside[0] < beside / variance < self.beside[-1]:
+        variance, neighbour = float(moments[0]), float(moments[1])
+        if not variance > 0.0 or not self.neighbour[0] < neighbour / variance < self.neighbour[-1]:
             return None
-        ln_grain = float(np.interp(beside / variance, self.beside, np.log(self.grains_px)))
+        ln_grain = float(np.interp(neighbour / variance, self.neighbour, np.log(self.grains_px)))
         whole = variance / float(np.interp(ln_grain, np.log(self.grains_px), self.variance))
         return math.sqrt(math.expm1(whole)), math.exp(ln_grain)
 
 
-def _straightened(seen: StillStatistics) -> tuple[Float64, Float64, Bool] | None:
+def _straighten(seen: StillStatistics) -> tuple[Float64, Float64, Bool] | None:
     """Return the logarithm's remainder and its noise's variance (n, m) in the stripe's core, or None."""
     light = seen.image_dn - seen.black_dn
     noise = seen.noise_dn2 / seen.n_frames

@@ -74,7 +74,7 @@ def still_statistics(frames_dn: Sequence[Integers], top_dn: float) -> StillStati
         )
     stack = np.stack(frames_dn).astype(np.float32)
     image = stack.mean(axis=0, dtype=np.float64)
-    shifts, sways, brightness = _take_common_off(stack, image)
+    shifts, sways, brightness = _subtract_common(stack, image)
     _check_still(shifts, sways, brightness)
     noise = stack.var(axis=0, ddof=1, dtype=np.float64)
     is_usable = (stack.max(axis=0) < top_dn) & (stack.min(axis=0) > 0.0)
@@ -115,7 +115,7 @@ def slope_squared(image: Float64) -> Float64:
     return np.asarray(down**2 + across**2)
 
 
-def _take_common_off(stack: Float32, image: Float64) -> tuple[Float64, Float64, Float64]:
+def _subtract_common(stack: Float32, image: Float64) -> tuple[Float64, Float64, Float64]:
     """Take off, in place, what a frame's pixels share.
 
     Return shifts (n, 2), px, what they do to the light, relative (n,), and brightness (n,).

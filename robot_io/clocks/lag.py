@@ -162,7 +162,7 @@ def estimate_lag(
     between : str
         What the command does between its times: it is "held", as offsets are, or runs "straight", as poses.
     first_order : bool
-        Whether a time constant is sought beside the dead time.
+        True to fit a time constant in addition to the dead time.
     nuisances : array (n, m), optional
         What else may be in what was seen, a column each, such as a weave's sine and cosine. A constant always
         is.
@@ -173,16 +173,16 @@ def estimate_lag(
         The lag and its sigma, or why there is none.
     """
     # Before the first command nothing is known of what was commanded, whatever the lag.
-    is_told = (seen.times_s >= commanded.times_s[0] + limits.longest_s) if len(commanded.times_s) else None
-    if is_told is None or np.count_nonzero(is_told) < limits.min_samples:
+    is_known = (seen.times_s >= commanded.times_s[0] + limits.longest_s) if len(commanded.times_s) else None
+    if is_known is None or np.count_nonzero(is_known) < limits.min_samples:
         return Lag(unestimated=LagUnestimated.TOO_FEW)
     columns = np.ones((len(seen.times_s), 1))
     if nuisances is not None:
         columns = np.column_stack([columns, nuisances])
     problem = _LagProblem(
-        commanded, seen.times_s[is_told], seen.values_mm[is_told], columns[is_told], between, first_order
+        commanded, seen.times_s[is_known], seen.values_mm[is_known], columns[is_known], between, first_order
     )
-    return _estimated(problem, limits)
+    return _estimate(problem, limits)
 
 
 @dataclass(frozen=True)
@@ -210,19 +210,19 @@ class _LagProblem:
         return np.asarray(U[:, s > s[0] * len(s) * np.finfo(float).eps])
 
     @cached_property
-    def _seen_beside_mm(self) -> Float64:
+    def _seen_without_nuisances_mm(self) -> Float64:
         """Measured motion less what nuisances can explain of it."""
         return np.asarray(self.seen_mm - self._basis @ (self._basis.T @ self.seen_mm))
 
-    def projected(self, dead_time_s: float, time_constant_s: float) -> tuple[float, Float64]:
+    def project(self, dead_time_s: float, time_constant_s: float) -> tuple[float, Float64]:
         """Return the best gain at a lag, and the residuals where the nuisances are the best as well."""
         response = self.response(dead_time_s, time_constant_s)
-        beside = response - self._basis @ (self._basis.T @ response)
-        power = float(beside @ beside)
+        without_nuisances = response - self._basis @ (self._basis.T @ response)
+        power = float(without_nuisances @ without_nuisances)
         if power <= np.finfo(float).eps * float(response @ response):
-            return 0.0, self._seen_beside_mm
-        gain = float(beside @ self._seen_beside_mm) / power
-        return gain, self._seen_beside_mm - gain * beside
+            return 0.0, self._seen_without_nuisances_mm
+        gain = float(without_nuisances @ self._seen_without_nuisances_mm) / power
+        return gain, self._seen_without_nuisances_mm - gain * without_nuisances
 
     def linear(self, dead_time_s: float, time_constant_s: float) -> tuple[Float64, Float64]:
         """Return the best gain and nuisances at a lag, and the residuals."""
@@ -234,7 +234,7 @@ class _LagProblem:
     def residuals(self, unknown: Float64) -> Float64:
         """Return the residuals where gain and nuisances are the best (variable projection)."""
         time_constant_s = float(unknown[1]) if self.first_order else 0.0
-        return self.projected(float(unknown[0]), time_constant_s)[1]
+        return self.project(float(unknown[0]), time_constant_s)[1]
 
     def jacobian(self, dead_time_s: float, time_constant_s: float) -> Float64:
         """Return the derivatives of the model by dead time, time constant if sought, gain and nuisances."""
@@ -251,7 +251,7 @@ class _LagProblem:
         return np.column_stack([*columns, self.response(dead_time_s, time_constant_s), self.columns])
 
 
-def _estimated(problem: _LagProblem, limits: LagLimits) -> Lag:
+def _estimate(problem: _LagProblem, limits: LagLimits) -> Lag:
     starts = _grid(problem, limits)
     _, dead_s, constant_s = min(starts)
     bounds = ([0.0, 0.0], [limits.longest_s] * 2) if problem.first_order else ([0.0], [limits.longest_s])
@@ -268,7 +268,7 @@ def _estimated(problem: _LagProblem, limits: LagLimits) -> Lag:
     # Its rows times themselves are the covariance: no sum of variances comes out below 0, however near to
     # each other two columns are.
     inverse = np.linalg.pinv(J)
-    noise = math.sqrt(variance * _memory(residuals))
+    noise = math.sqrt(variance * _autocorrelation_factor(residuals))
     n_lags = 2 if problem.first_order else 1
     gain_sigma = noise * float(np.linalg.norm(inverse[n_lags]))
     if not best[0] > limits.gain_sigmas * gain_sigma or np.ptp(J[:, n_lags]) == 0.0:
@@ -279,7 +279,7 @@ def _estimated(problem: _LagProblem, limits: LagLimits) -> Lag:
     lag_s = dead_s + constant_s
     if not sigma_s <= limits.sigma_s:
         return Lag(unestimated=LagUnestimated.TOO_UNSURE)
-    rival = variance * _memory(residuals) * limits.rival_chi2 + float(residuals @ residuals)
+    rival = variance * _autocorrelation_factor(residuals) * limits.rival_chi2 + float(residuals @ residuals)
     apart_s = max(5.0 * sigma_s, 3.0 * limits.step_s)
     if any(t < rival and abs(d + c - lag_s) > apart_s for t, d, c in starts):
         return Lag(unestimated=LagUnestimated.AMBIGUOUS)
@@ -292,13 +292,13 @@ def _grid(problem: _LagProblem, limits: LagLimits) -> list[tuple[float, float, f
     tried = []
     for dead_s in np.arange(0.0, limits.longest_s, limits.step_s).tolist():
         for constant_s in (c for c in constants_s if c <= limits.longest_s):
-            gain, residuals = problem.projected(dead_s, constant_s)
+            gain, residuals = problem.project(dead_s, constant_s)
             total = float(residuals @ residuals) if gain > 0.0 else math.inf
             tried.append((total, dead_s, constant_s))
     return tried
 
 
-def _memory(residuals: Float64) -> float:
+def _autocorrelation_factor(residuals: Float64) -> float:
     """Return by how much a variance grows where each residual remembers the one before it (AR 1)."""
     total = float(residuals @ residuals)
     share = float(residuals[1:] @ residuals[:-1]) / total if total > 0.0 else 0.0

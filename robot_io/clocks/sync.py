@@ -109,7 +109,7 @@ class ClockSync:
     robot_s: float = 0.0
     steps: int = 0
 
-    def heard(self, sync: RobotSync, arrived_s: float, limits: SyncLimits) -> ClockSync:
+    def on_sync(self, sync: RobotSync, arrived_s: float, limits: SyncLimits) -> ClockSync:
         """Return the state after a RobotSync that was read at `arrived_s`, tracker's clock.
 
         Its round trip is that of the message before it.

@@ -129,7 +129,7 @@ def _frame(line: str, base: int) -> can.Message | None:
     else:
         is_remote, is_fd = words[0].lower() == "r", False
         data = bytearray() if is_remote else _data(words[2:], min(8, int(words[1], 16)), base)
-    identified = _identified(match["id"], base)
+    identified = _identifier(match["id"], base)
     if identified is None:
         return None
     return can.Message(
@@ -143,7 +143,7 @@ def _frame(line: str, base: int) -> can.Message | None:
     )
 
 
-def _identified(text: str, base: int) -> tuple[int, bool] | None:
+def _identifier(text: str, base: int) -> tuple[int, bool] | None:
     """Return an identifier and whether it is extended; None for a name that is none of our messages."""
     if number := _NUMBER[base].match(text):
         return int(number["number"], base), bool(number["extended"])

@@ -52,12 +52,12 @@ def check_blf(file: BinaryIO) -> int | None:
         file.read(size % 4)
         if kind == _CONTAINER:
             try:
-                rest = _walk(rest + _unpacked(content))
+                rest = _walk(rest + _unpack(content))
             except (zlib.error, struct.error):
                 return start
 
 
-def _unpacked(content: bytes) -> bytes:
+def _unpack(content: bytes) -> bytes:
     method, _ = _CONTAINER_HEADER.unpack_from(content)
     packed = content[_CONTAINER_HEADER.size :]
     if method != _ZLIB:
@@ -83,6 +83,6 @@ def _walk(objects: bytes) -> bytes:
         position = start + size
 
 
-def _check_size(size: int, most: int, what: str) -> None:
-    if not _OBJECT_HEADER.size <= size <= most:
-        raise ValueError(f"{what} of {size} bytes: {_OBJECT_HEADER.size} to {most} are possible")
+def _check_size(size: int, max_size: int, what: str) -> None:
+    if not _OBJECT_HEADER.size <= size <= max_size:
+        raise ValueError(f"{what} of {size} bytes: {_OBJECT_HEADER.size} to {max_size} are possible")

@@ -19,7 +19,7 @@ import can
 from robot_io.clocks.bus_clock import BusClock
 from robot_io.link.bus_log import UNIX_TIME_FROM_S
 from robot_io.link.inbox import LIVE, Inbox, Received, Trusted
-from robot_io.link.reconnecting import LinkFault, Nothing, ReconnectingBus
+from robot_io.link.reconnecting import LinkFault, NoFrame, ReconnectingBus
 from robot_io.link.steady_log import SteadyLog
 from robot_io.protocol.messages import BusMessage, Source
 from robot_io.protocol.protect import Protector
@@ -207,21 +207,21 @@ class Link:
                 if self._closed.is_set():
                     return
                 received = self._next(min(remaining_s, _LOOK_UP_S))
-            if received is Nothing.QUIET and remaining_s <= _LOOK_UP_S:
+            if received is NoFrame.QUIET and remaining_s <= _LOOK_UP_S:
                 return
             if isinstance(received, Received):
                 yield received
                 deadline_s = _deadline_s(timeout_s)
 
-    def _next(self, timeout_s: float) -> Received | Nothing | None:
+    def _next(self, timeout_s: float) -> Received | NoFrame | None:
         """Return the next message, logged; None for a frame that is no message."""
         # What waits is read first: where nothing does, what comes then has not waited.
         frame = self._bus.receive(0.0)
-        if frame is Nothing.QUIET:
+        if frame is NoFrame.QUIET:
             self._was_empty_at_s = time.monotonic()
             self._keep_logs()
             frame = self._bus.receive(timeout_s)
-        if isinstance(frame, Nothing):
+        if isinstance(frame, NoFrame):
             return frame
         if self._is_echo(frame):
             return None

@@ -48,7 +48,7 @@ class LinkFault(Enum):
     UNLOGGED = "unlogged"
 
 
-class Nothing(Enum):
+class NoFrame(Enum):
     """Placeholder of a frame where none is received."""
 
     QUIET = "nothing came in time"
@@ -90,12 +90,12 @@ class ReconnectingBus:
         self.faults[LinkFault.UNSENT] += 1
         return False
 
-    def receive(self, timeout_s: float) -> can.Message | Nothing:
+    def receive(self, timeout_s: float) -> can.Message | NoFrame:
         """Return the next frame."""
         bus = self._bus
         if bus is None:
             time.sleep(timeout_s)
-            return Nothing.QUIET
+            return NoFrame.QUIET
         try:
             frame = bus.recv(timeout_s)
         except Exception as error:  # a parser raises what the line makes it raise
@@ -108,10 +108,10 @@ class ReconnectingBus:
                 self._lose(bus)
             # A bus that is gone says so at once, again and again.
             time.sleep(0.001)
-            return Nothing.UNREADABLE
+            return NoFrame.UNREADABLE
         self._fails_since_s = None
         if frame is None:
-            return Nothing.QUIET
+            return NoFrame.QUIET
         if frame.is_error_frame:
             self.faults[LinkFault.ERROR_FRAME] += 1
             # SocketCAN's bit for a controller that is off the bus.

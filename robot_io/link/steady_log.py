@@ -69,7 +69,7 @@ class SteadyLog:
 
     def write(self, frame: can.Message) -> None:
         """Write a frame, or count it as one that is left out."""
-        log = self._log or self._again()
+        log = self._log or self._retry()
         if log is not None:
             try:
                 log.write(frame)
@@ -98,7 +98,7 @@ class SteadyLog:
                 self._say(error)
         self._log = None
 
-    def _again(self) -> FrameLog | None:
+    def _retry(self) -> FrameLog | None:
         if not self._clock() - self._failed_at_s >= RETRY_S:
             return None
         try:

@@ -80,11 +80,11 @@ class NominalPath:
         if len(segments) > 1:
             nearest = min(range(len(segments)), key=lambda n: _distance_mm(segments[n], point_base_mm))
         segment = segments[nearest]
-        beside = minus(point_base_mm, segment.start)
+        offset = minus(point_base_mm, segment.start)
         return PathPlace(
-            segment.station_mm + dot(beside, segment.along),
-            dot(beside, segment.left),
-            dot(beside, segment.up),
+            segment.station_mm + dot(offset, segment.along),
+            dot(offset, segment.left),
+            dot(offset, segment.up),
             nearest,
         )
 
@@ -98,9 +98,9 @@ class NominalPath:
 
 
 def _distance_mm(segment: _Segment, point: Vector) -> float:
-    beside = minus(point, segment.start)
-    station_mm = min(max(dot(beside, segment.along), 0.0), segment.length_mm)
-    return math.dist(beside, times(station_mm, segment.along))
+    offset = minus(point, segment.start)
+    station_mm = min(max(dot(offset, segment.along), 0.0), segment.length_mm)
+    return math.dist(offset, times(station_mm, segment.along))
 
 
 def minus(a: Vector, b: Vector) -> Vector:

@@ -22,14 +22,14 @@ from robot_io.poses.pose_questions import (
     Implausibility,
     KeptPose,
     PoseArrival,
-    against_the_last,
-    against_the_program,
-    against_the_seam,
-    against_the_status,
+    check_last_pose,
+    check_program,
+    check_seam,
+    check_status,
+    check_time,
     is_same_sample,
     mean_velocity_mm_s,
     newest_speed_mm_s,
-    on_the_clock,
     turn_rad,
 )
 from robot_io.protocol.messages import MotionState, RobotStatus
@@ -96,15 +96,15 @@ def update(
     state = _with_status(state, newest.time_s, seen.robot, limits)
     if is_same_sample(state.window, newest, limits):
         return state
-    clock, window = on_the_clock(state.window, newest, limits)
+    clock, window = check_time(state.window, newest, limits)
     if clock is Implausibility.TIME_REPEATED:
-        return _doubted(state, clock)
+        return _with_doubt(state, clock)
     if clock is Implausibility.TIME_BACKWARDS:
         if window:
-            return _doubted(state, clock)
+            return _with_doubt(state, clock)
         # That clock was set back: how long ago anything was is not known.
-        state = clock_set(_doubted(state, clock), newest.time_s, limits)
-    jump = against_the_last(window, newest, limits)
+        state = clock_set(_with_doubt(state, clock), newest.time_s, limits)
+    jump = check_last_pose(window, newest, limits)
     if jump is not None:
         # What came before a jump says nothing of the way after it.
         window = ()
@@ -113,15 +113,15 @@ def update(
         clock
         or jump
         or (Implausibility.AGE_UNKNOWN if limits.age_required and math.isnan(sample.sample_age_s) else None)
-        or (None if seen.robot is None else against_the_status(state.stated, steady, newest, limits))
-        or against_the_program(seen, newest, limits)
-        or against_the_seam(newest, limits, path)
+        or (None if seen.robot is None else check_status(state.stated, steady, newest, limits))
+        or check_program(seen, newest, limits)
+        or check_seam(newest, limits, path)
     )
     if doubt is not None:
-        state = _doubted(state, doubt)
+        state = _with_doubt(state, doubt)
     first = bisect_left(window, newest.time_s - limits.window_s, key=lambda k: k.time_s)
     state = replace(state, window=(*window[first:], newest))
-    return state if doubt is not None else _proven(state, newest, limits, seen.is_contradicted)
+    return state if doubt is not None else _with_proof(state, newest, limits, seen.is_contradicted)
 
 
 def _with_status(
@@ -136,7 +136,7 @@ def _with_status(
     same_speed = stated[0] is not MotionState.MOVING or abs(stated[1] - before[1]) <= ripple_mm_s
     if stated[0] is before[0] and same_speed:
         return state
-    return _unsteady(replace(state, stated=stated), time_s + limits.settle_s)
+    return _restart_motion(replace(state, stated=stated), time_s + limits.settle_s)
 
 
 def clock_set(state: Plausibility, now_s: float, limits: PlausibilityLimits) -> Plausibility:
@@ -144,17 +144,17 @@ def clock_set(state: Plausibility, now_s: float, limits: PlausibilityLimits) -> 
 
     Ages are unknown then, so the distance travelled since a doubt is not tested.
     """
-    return _unsteady(state, now_s + limits.settle_s)
+    return _restart_motion(state, now_s + limits.settle_s)
 
 
-def _unsteady(state: Plausibility, until_s: float) -> Plausibility:
+def _restart_motion(state: Plausibility, until_s: float) -> Plausibility:
     anchor = state.anchor
     if anchor is not None:
         anchor = replace(anchor, is_steady=False)
     return replace(state, steady_from_s=until_s, anchor=anchor)
 
 
-def _doubted(state: Plausibility, doubt: Implausibility) -> Plausibility:
+def _with_doubt(state: Plausibility, doubt: Implausibility) -> Plausibility:
     anchor = state.anchor
     if state.doubt is None:
         last, places = state.window[-1], [k.place for k in state.window if k.place is not None]
@@ -169,14 +169,14 @@ def _doubted(state: Plausibility, doubt: Implausibility) -> Plausibility:
     return replace(state, doubt=doubt, clean_from_s=math.nan, anchor=anchor)
 
 
-def _proven(
+def _with_proof(
     state: Plausibility, newest: KeptPose, limits: PlausibilityLimits, is_contradicted: bool
 ) -> Plausibility:
     """Return the state after a sample without a doubt: trusted again after enough of them."""
     if state.doubt is None:
         return state
     clean_from_s = newest.time_s if math.isnan(state.clean_from_s) else state.clean_from_s
-    elsewhere = _elsewhere(state, newest, limits)
+    elsewhere = _check_rejoined(state, newest, limits)
     if elsewhere is not None:
         # The proof restarts: a weave alone may bring some samples of a displaced tool near.
         assert state.anchor is not None
@@ -187,7 +187,9 @@ def _proven(
     return replace(state, doubt=None, clean_from_s=math.nan, anchor=None)
 
 
-def _elsewhere(state: Plausibility, newest: KeptPose, limits: PlausibilityLimits) -> Implausibility | None:
+def _check_rejoined(
+    state: Plausibility, newest: KeptPose, limits: PlausibilityLimits
+) -> Implausibility | None:
     """Hold a sample against where the tool would be since the last one that was trusted."""
     anchor = state.anchor
     if anchor is None:

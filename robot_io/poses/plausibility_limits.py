@@ -87,7 +87,10 @@ class PlausibilityLimits:
         0.0, "mm", "reach of a weave to and fro along the travel", "across the travel only"
     )
     lateral_mm: float = stated(
-        15.0, "mm", "largest distance of the tool beside the nominal seam", "the largest offset, and a weave"
+        15.0,
+        "mm",
+        "largest lateral distance of the tool from the nominal seam",
+        "the largest offset, and a weave",
     )
     below_mm: float = stated(
         15.0, "mm", "largest distance below the nominal seam", "the largest offset, and a weave"

@@ -250,7 +250,7 @@ class PoseBuffer:
         known = int(times_s.searchsorted(t_s, side="right"))
         if known < 2:
             refusal = PoseRefusal.BEFORE_BUFFER if self._forgot else PoseRefusal.TOO_FEW_POSES
-            return _refused(t_s, refusal, np.nan)
+            return _refusal(t_s, refusal, np.nan)
         # From poses at or before t alone: what comes later must not change the answer for t.
         until_t_s = times_s[max(0, known - 32) : known].tolist()
         period_s = median(after - before for before, after in pairwise(until_t_s))
@@ -260,9 +260,9 @@ class PoseBuffer:
         last_s, before_s = float(times_s[last]), float(times_s[last - 1])
         beyond_s = t_s - last_s
         if beyond_s > self._max_extrapolation_periods * period_s:
-            return _refused(t_s, PoseRefusal.POSES_STOPPED, period_s)
+            return _refusal(t_s, PoseRefusal.POSES_STOPPED, period_s)
         if last_s - before_s > GAP_PERIODS * period_s and beyond_s != 0.0:
-            return _refused(t_s, PoseRefusal.GAP, period_s)
+            return _refusal(t_s, PoseRefusal.GAP, period_s)
         if beyond_s > 0.0:
             first = self._twist_start(times_s, last, period_s)
             return _Twist(first, last, t_s, PoseStatus.EXTRAPOLATED, period_s)
@@ -310,7 +310,7 @@ class PoseBuffer:
             self._forgot = True
 
 
-def _refused(t_s: float, refusal: PoseRefusal, period_s: float) -> PoseAt:
+def _refusal(t_s: float, refusal: PoseRefusal, period_s: float) -> PoseAt:
     return PoseAt(
         timestamp_s=t_s,
         status=PoseStatus.REFUSED,

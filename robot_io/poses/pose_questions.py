@@ -83,7 +83,7 @@ def is_same_sample(window: tuple[KeptPose, ...], newest: KeptPose, limits: Plaus
     )
 
 
-def on_the_clock(
+def check_time(
     window: tuple[KeptPose, ...], newest: KeptPose, limits: PlausibilityLimits
 ) -> tuple[Implausibility | None, tuple[KeptPose, ...]]:
     """Compare a sample's time with the last; the window restarts where nothing is known in between."""
@@ -99,7 +99,7 @@ def on_the_clock(
     return (Implausibility.TIME_REPEATED if elapsed_s == 0.0 else None), window
 
 
-def against_the_last(
+def check_last_pose(
     window: tuple[KeptPose, ...], newest: KeptPose, limits: PlausibilityLimits
 ) -> Implausibility | None:
     """Hold a sample against the last ones: a robot has a largest speed, rate of turning and acceleration."""
@@ -136,7 +136,7 @@ def against_the_last(
     return None
 
 
-def against_the_status(
+def check_status(
     stated: tuple[MotionState, float],
     steady: tuple[KeptPose, ...],
     newest: KeptPose,
@@ -175,9 +175,7 @@ def _moved_mm(first: KeptPose, newest: KeptPose) -> float:
     return newest.place.station_mm - first.place.station_mm
 
 
-def against_the_program(
-    seen: PoseArrival, newest: KeptPose, limits: PlausibilityLimits
-) -> Implausibility | None:
+def check_program(seen: PoseArrival, newest: KeptPose, limits: PlausibilityLimits) -> Implausibility | None:
     """Hold a sample against the programmed one of the same time, where there is one."""
     programmed = seen.programmed
     if programmed is None:
@@ -195,7 +193,7 @@ def against_the_program(
     return None
 
 
-def against_the_seam(
+def check_seam(
     newest: KeptPose, limits: PlausibilityLimits, path: NominalPath | None
 ) -> Implausibility | None:
     """Hold a sample against the nominal seam: its distance, and the way that the tool looks."""

@@ -18,7 +18,7 @@ from noise_model.forward import Layers, Renderer
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.sensor import linearise, respond_moments, saturation_dn
 from noise_model.setup import Setup
-from sim_to_real.data.blocks import block_means, dilated, near_face_edges
+from sim_to_real.data.blocks import block_means, dilate, near_face_edges
 from sim_to_real.data.photon_transfer import PhotonTransfer, photon_transfer
 from tracker.seam.curve import SeamCurve
 from tracker.seam_observations import TRIANGULATION_EFFECTS, SeamObservations
@@ -201,7 +201,7 @@ def observe_along(
         seam,
         seam_observations,
         tuple(
-            _observed(
+            _observe_frame(
                 setup,
                 binned,
                 bin_px,
@@ -257,7 +257,7 @@ def _tool(pose_at: PoseAt, frame: Frame) -> Callable[[float], Float64]:
     return T_base_tool
 
 
-def _observed(
+def _observe_frame(
     setup: Setup,
     binned: Setup,
     bin_px: int,
@@ -286,7 +286,7 @@ def _observed(
         image_dn=frame.image_dn,
         binned_dn=binned_dn,
         keep=keep,
-        rendered=keep | ~usable | dilated(in_stripe, STRIPE_RIM_BINS),
+        rendered=keep | ~usable | dilate(in_stripe, STRIPE_RIM_BINS),
         sigma_dn=sigma_dn[keep],
         in_stripe=in_stripe[keep],
         stated_e=_stated_e(setup, layers, condition),
@@ -342,7 +342,7 @@ def variances_dn2(mean_dn: Float64, setup: Setup) -> tuple[Float64, Float64]:
 
 def bins_that_count(setup: Setup, layers: Layers, condition: Condition, usable: Bool) -> tuple[Bool, Bool]:
     """Return the bins (h, w) that count, and those in the stripe."""
-    keep = usable & on_one_face(layers.faces)
+    keep = usable & shows_one_face(layers.faces)
     thin = np.zeros_like(keep)
     # Off the stripe every n-th bin counts, some 27 along a row.
     apart = max(1, round(keep.shape[1] / 27))
@@ -357,7 +357,7 @@ def bins_that_count(setup: Setup, layers: Layers, condition: Condition, usable: 
     return keep & (thin | (in_stripe & ((rows + columns) % 2 == 0))), in_stripe
 
 
-def on_one_face(faces: Integers) -> Bool:
+def shows_one_face(faces: Integers) -> Bool:
     """Return which bins (h, w) see one face of the joint, as all in the square about them do.
 
     Nuisances move edges: one that comes into a bin would count for more than all else that they move.

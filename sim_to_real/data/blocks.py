@@ -40,7 +40,7 @@ def weighted_sums_in_bins(image: Float32, weights: Float32, bin_px: int) -> Floa
     return np.ascontiguousarray(chosen).reshape(*chosen.shape[:2], n * n)
 
 
-def dilated(mask: Bool, side_px: int) -> Bool:
+def dilate(mask: Bool, side_px: int) -> Bool:
     """Return a mask (H, W) dilated by a square, an odd number of pixels wide."""
     return np.asarray(cv2.dilate(mask.astype(np.uint8), _box(side_px)) > 0)
 

@@ -14,7 +14,7 @@ SAME_CONDITION_REL = 0.05
 """Exposures and currents that differ by a smaller share are the same: measured ones scatter."""
 
 
-def held_out(observed: ObservedRecording, share: float) -> Bool:
+def split_holdout(observed: ObservedRecording, share: float) -> Bool:
     """Return the frames (n_frames,) that are held out: about a share of each stratum, evenly over time.
 
     At least one frame of each condition, exposure and current included, is left to be fitted. If the share is

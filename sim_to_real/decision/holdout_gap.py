@@ -14,7 +14,7 @@ from noise_model.forward import Prediction, Renderer, predict
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
 from sim_to_real.data.binned import FLOOR_DN, FLOOR_REL, ObservedFrame, ObservedRecording
-from sim_to_real.data.blocks import dilated, in_blocks, near_face_edges
+from sim_to_real.data.blocks import dilate, in_blocks, near_face_edges
 from sim_to_real.diagnosis import Gap, HeldOutPrediction
 from sim_to_real.fit.gauss_newton import FLICKER, Refit
 from sim_to_real.fit.linearized_model import LinearizedModel
@@ -47,7 +47,7 @@ def predict_holdout(
     after: tuple[Refit, Effects],
     on_frame: Callable[[float], None],
 ) -> HeldOutPrediction:
-    """Return held-out frames as two fits predict them, each with random effects besides.
+    """Return held-out frames as two fits predict them, each with its random effects.
 
     If both have the same random effects, both variances are the second prediction's, the better one: the gap
     before and after is then in the same sigmas.
@@ -155,10 +155,10 @@ def _valid_pixels(
         arc = layers.arc_e
         # At a shadow's edge the light changes by more than a tenth from pixel to pixel.
         steep = np.maximum(*(np.abs(np.gradient(arc, axis=axis)) for axis in (0, 1))) > 0.1 * arc
-        bad |= dilated(steep & (arc > 0.0), 2 * EDGE_PX + 1)
+        bad |= dilate(steep & (arc > 0.0), 2 * EDGE_PX + 1)
     for prediction in predicted:
         bad |= prediction.saturated
-    return ~bad & ~dilated(frame.image_dn >= saturation_dn(setup.sensor), 3)
+    return ~bad & ~dilate(frame.image_dn >= saturation_dn(setup.sensor), 3)
 
 
 def measure_gap(
@@ -182,7 +182,7 @@ def measure_gap(
     blocks = in_blocks(squares.sum(axis=1), BLOCK_PX).sum(axis=(-3, -1)).reshape(len(squares), -1)
     before, after, floor = _gaps(squares.sum(axis=(1, 2, 3)))
     draws = np.random.default_rng(seed).integers(0, blocks.shape[1], (N_BOOTSTRAP, blocks.shape[1]))
-    drawn = np.array([_closed(*_gaps(blocks[:, draw].sum(axis=1))) for draw in draws])
+    drawn = np.array([_closed_share(*_gaps(blocks[:, draw].sum(axis=1))) for draw in draws])
     # If more draws than an end leaves out have no gap above the floor, the share has no bounds.
     is_bounded = 100.0 * np.mean(np.isnan(drawn)) < INTERVAL_PERCENT[0]
     low, high = np.nanpercentile(drawn, INTERVAL_PERCENT) if is_bounded else (np.nan, np.nan)
@@ -190,7 +190,7 @@ def measure_gap(
         float(np.sqrt(np.mean((predicted.recorded - mean)[counts] ** 2)))
         for mean in (predicted.before, predicted.after)
     ]
-    closed = _closed(before, after, floor)
+    closed = _closed_share(before, after, floor)
     return Gap(before, after, floor, closed, (float(low), float(high)), (rms[0], rms[1]), seam_mm)
 
 
@@ -210,7 +210,7 @@ def _gaps(sums: Float64) -> tuple[float, float, float]:
     )
 
 
-def _closed(before: float, after: float, floor: float) -> float:
+def _closed_share(before: float, after: float, floor: float) -> float:
     """Return (before - after) / (before - floor); NaN where there is no gap above the floor."""
     return (before - after) / (before - floor) if before > floor else np.nan
 

@@ -30,13 +30,13 @@ from sim_to_real.data.binned import (
     stated_layers,
     variances_dn2,
 )
-from sim_to_real.data.blocks import dilated
+from sim_to_real.data.blocks import dilate
 from sim_to_real.decision.experiments import MENU, N_MORE, WITNESS, Experiment
 from sim_to_real.diagnosis import Next
 from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
 from sim_to_real.evidence.policy import Policy
-from sim_to_real.fit.gauss_newton import FRAME_LEVEL, Refit, refit_there
+from sim_to_real.fit.gauss_newton import FRAME_LEVEL, Refit, refit_at
 from sim_to_real.fit.linearized_model import LinearizedModel
 
 RECORDED_REL = 0.1
@@ -123,7 +123,7 @@ def expected_certainty(nats: Float64, weights: Float64, temperature: float) -> F
 
 def _nats_apart(model: LinearizedModel, hypotheses: Sequence[Hypothesis], errors: ErrorModel) -> Float64:
     """Return by how many nats each experiment separates hypothesis h, if right, from g: (h, g, n)."""
-    planned = _planned(model)
+    planned = _planned_model(model)
     forecasts = [_forecast(planned, hypothesis, errors) for hypothesis in hypotheses]
     apart = np.zeros((len(forecasts), len(forecasts), len(MENU)))
     for (h, right), (g, rival) in itertools.permutations(enumerate(forecasts), 2):
@@ -141,11 +141,11 @@ class _Forecast:
 
 def _forecast(planned: LinearizedModel, hypothesis: Hypothesis, errors: ErrorModel) -> _Forecast:
     fitted = hypothesis.refit
-    ahead = refit_there(planned, fitted, steps=0)
+    ahead = refit_at(planned, fitted, steps=0)
     seen = LinearHypothesis.of(fitted).columns.changes
     information = errors.metric.products(seen, seen) + np.eye(seen.shape[1])
     # A frame's own level is new in each frame: nothing has been seen of it.
-    shared, own = ~_of_one_frame(fitted), _of_one_frame(ahead)
+    shared, own = ~_is_frame_level(fitted), _is_frame_level(ahead)
     root = solve_triangular(np.linalg.cholesky(information), np.eye(len(information)), lower=True).T[shared]
     spread_by = np.zeros((len(own), root.shape[1] + int(own.sum())))
     spread_by[~own, : root.shape[1]] = root
@@ -158,7 +158,7 @@ def _forecast(planned: LinearizedModel, hypothesis: Hypothesis, errors: ErrorMod
     )
 
 
-def _of_one_frame(fitted: Refit) -> Bool:
+def _is_frame_level(fitted: Refit) -> Bool:
     """Return which parameters (p,) of a fit are a single frame's own."""
     return np.array([parameter.name.startswith(FRAME_LEVEL) for parameter in fitted.quadratic.parameters])
 
@@ -181,7 +181,7 @@ def _surprise(planned: LinearizedModel, right: _Forecast, rival: _Forecast, n: i
     return float(0.5 * (weight @ difference**2 - along @ np.linalg.solve(information, along)))
 
 
-def _planned(model: LinearizedModel) -> LinearizedModel:
+def _planned_model(model: LinearizedModel) -> LinearizedModel:
     """Return the model for the menu's frames, a frame for each experiment."""
     observed, template = model.observed, _template(model)
     frames = tuple(
@@ -203,7 +203,7 @@ def _with_bins_of_pose(frame: ObservedFrame, observed: ObservedRecording) -> Obs
         frame,
         stations_mm=stations_mm,
         keep=keep,
-        rendered=keep | dilated(in_stripe, STRIPE_RIM_BINS),
+        rendered=keep | dilate(in_stripe, STRIPE_RIM_BINS),
         in_stripe=in_stripe[keep],
         stated_arc_e=layers.arc_e,
         # There is no image yet: what it would show is counted in DN.

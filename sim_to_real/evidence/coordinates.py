@@ -69,7 +69,7 @@ class _Basis:
     light: Float32
 
 
-class _Free(NamedTuple):
+class _FreeColumns(NamedTuple):
     stage: Stage
     name: str
     columns: Float32
@@ -81,7 +81,7 @@ def free_terms(covariates: Covariates) -> FreeTerms:
     Those that change nothing, of the arc where none burns, are no causes.
     """
     every = [
-        _Free(basis.stage, basis.name, basis.functions * basis.light[:, np.newaxis])
+        _FreeColumns(basis.stage, basis.name, basis.functions * basis.light[:, np.newaxis])
         for basis in _bases(covariates)
     ]
     every = [
@@ -127,7 +127,7 @@ def _bases(covariates: Covariates) -> list[_Basis]:
     values, per_dn = covariates.values, 1.0 / covariates.sigma_dn
     arc, laser = covariates.arc_dn * per_dn, covariates.laser_dn * per_dn
     light, added = arc + laser, ADDED_DN * per_dn
-    in_frame = in_each_frame(covariates)
+    in_frame = frame_indicators(covariates)
     rho2 = (values["radius"] / max(float(np.max(values["radius"], initial=0.0)), 1e-9)) ** 2
     radial = np.column_stack([np.ones_like(rho2), rho2, rho2**2]).astype(np.float32)
     exposed = values["exposure"] / max(float(np.max(values["exposure"], initial=0.0)), 1e-9)
@@ -135,8 +135,8 @@ def _bases(covariates: Covariates) -> list[_Basis]:
     lit = np.where(values["current"] > 0.0, exposed, 0.0) * added
     mean_light = _mean_in_frame(covariates, covariates.light_dn) * per_dn
     image, distance = hats_2d(values["row"], values["column"], 5, 6), hats(values["distance"], 6)
-    beside_mm = values["beside_sheet"]
-    profile = hats(np.where(covariates.in_stripe, beside_mm, np.float32(np.nan)), 11)
+    off_sheet_mm = values["beside_sheet"]
+    profile = hats(np.where(covariates.in_stripe, off_sheet_mm, np.float32(np.nan)), 11)
     laser_on = _mean_in_frame(covariates, covariates.laser_dn) > 0.0
 
     def along(name: str, count: int) -> Float32:
@@ -165,7 +165,7 @@ def _bases(covariates: Covariates) -> list[_Basis]:
         _Basis(Stage.OPTICS, "light over the image", image, light),
         _Basis(Stage.OPTICS, "light over the radius", radial, light),
         # A ghost stripe is as narrow as the stripe: there is a knot for each place that it may have.
-        _Basis(Stage.OPTICS, "light beside the stripe", even_hats(beside_mm, 49), laser_on * added),
+        _Basis(Stage.OPTICS, "light beside the stripe", even_hats(off_sheet_mm, 49), laser_on * added),
         _Basis(Stage.OPTICS, "mean light over the image", image, mean_light),
         _Basis(Stage.SENSOR, "grey level", along("gray_level", 9), added),
         _Basis(Stage.SENSOR, "light in each frame", in_frame, light),
@@ -173,25 +173,27 @@ def _bases(covariates: Covariates) -> list[_Basis]:
     ]
 
 
-def _additions(covariates: Covariates) -> list[_Free]:
+def _additions(covariates: Covariates) -> list[_FreeColumns]:
     """Return what adds to the image whatever laser and arc do: a scene that the hall lights, an offset."""
     exposed, always = covariates.values["exposure"], np.ones_like(covariates.sigma_dn)
     return [
-        _Free(stage, name, np.asarray(functions * _added(covariates, size)[:, np.newaxis], np.float32))
+        _FreeColumns(
+            stage, name, np.asarray(functions * _added_light(covariates, size)[:, np.newaxis], np.float32)
+        )
         for stage, name, functions, size in (
             (Stage.ILLUMINATION, "light of the hall over the part", texture(covariates), exposed),
-            (Stage.SENSOR, "offset in each frame", in_each_frame(covariates), always),
+            (Stage.SENSOR, "offset in each frame", frame_indicators(covariates), always),
         )
     ]
 
 
-def _added(covariates: Covariates, size: Float32) -> Float32:
+def _added_light(covariates: Covariates, size: Float32) -> Float32:
     """Return what a term of size 1 adds to bins (n,), over their noise; it goes with a `size` (n,)."""
     largest = max(float(np.max(size, initial=0.0)), 1e-9)
     return np.asarray(ADDED_DN * size / largest / covariates.sigma_dn, dtype=np.float32)
 
 
-def _displacements(covariates: Covariates) -> list[_Free]:
+def _displacements(covariates: Covariates) -> list[_FreeColumns]:
     """Return the camera's pose and its lens' distortion; and the pose in each frame, as a wrong clock's."""
     pose = covariates.tangents[:, N_LEVELS:SEAM_FROM]
     values = covariates.values
@@ -202,18 +204,18 @@ def _displacements(covariates: Covariates) -> list[_Free]:
     outward = pose[:, 1] * x - pose[:, 0] * y
     distortion = np.column_stack([outward, 4.0 * outward * (x**2 + y**2)])
     sizes = np.array([MOVED_DEG] * 3 + [MOVED_MM] * 3, dtype=np.float32)
-    in_frame = in_each_frame(covariates)
+    in_frame = frame_indicators(covariates)
     # A free term of size 1 turns the camera by 0.3 deg and moves it by 0.3 mm, as a wrong clock does.
     turned = pairwise_products(in_frame, np.float32(0.3) * pose[:, :3])
     shifted = pairwise_products(in_frame, np.float32(0.3) * pose[:, 3:])
     return [
-        _Free(
+        _FreeColumns(
             Stage.GEOMETRY,
             "pose of the camera, distortion",
             np.hstack([pose * sizes, distortion]).astype(np.float32),
         ),
-        _Free(Stage.TIMING, "turn in each frame", turned),
-        _Free(Stage.TIMING, "shift in each frame", shifted),
+        _FreeColumns(Stage.TIMING, "turn in each frame", turned),
+        _FreeColumns(Stage.TIMING, "shift in each frame", shifted),
     ]
 
 
@@ -265,6 +267,6 @@ def pairwise_products(first: Float32, second: Float32) -> Float32:
     return np.asarray(product.reshape(len(product), -1))
 
 
-def in_each_frame(covariates: Covariates) -> Float32:
+def frame_indicators(covariates: Covariates) -> Float32:
     """Return for each frame (n, n_frames) whether a bin is in it."""
     return np.asarray(covariates.frame[:, np.newaxis] == np.unique(covariates.frame), dtype=np.float32)

@@ -24,16 +24,16 @@ from sim_to_real.data.binned import ObservedRecording
 from sim_to_real.evidence.coordinates import (
     FreeTerms,
     form_functions,
+    frame_indicators,
     free_terms,
     hats_2d,
-    in_each_frame,
     texture,
 )
 from sim_to_real.evidence.evidence_table import Blocks, EvidenceTable
 from sim_to_real.evidence.metric import (
     Metric,
     MetricLoss,
-    compressed,
+    compress,
     robust_weights,
 )
 from sim_to_real.evidence.policy import Policy
@@ -74,7 +74,7 @@ class SizeColumns:
         changes = np.asarray(score.signature / probe_sigmas(score), dtype=np.float32)
         return cls(changes, 1.0 * (low == 0.0) - 1.0 * (high == 0.0))
 
-    def beside(self, others: SizeColumns) -> SizeColumns:
+    def joined(self, others: SizeColumns) -> SizeColumns:
         """Return both, side by side."""
         return SizeColumns(
             np.hstack([self.changes, others.changes]), np.concatenate([self.sides, others.sides])
@@ -117,9 +117,9 @@ class LinearHypothesis:
             kept[block] = name is not None and effect != name
         return cls._about(fitted, residuals, jacobian, kept)
 
-    def beside(self, *further: SizeColumns) -> LinearHypothesis:
+    def extended(self, *further: SizeColumns) -> LinearHypothesis:
         """Return a hypothesis with further columns."""
-        return LinearHypothesis(self.residuals, functools.reduce(SizeColumns.beside, further, self.columns))
+        return LinearHypothesis(self.residuals, functools.reduce(SizeColumns.joined, further, self.columns))
 
     @classmethod
     def _about(cls, fitted: Refit, residuals: Float64, jacobian: Float64, kept: Bool) -> LinearHypothesis:
@@ -159,11 +159,11 @@ class ErrorModel:
         floor = [
             smooth_error(covariates, policy),
             sampling_error(model, covariates, start),
-            *(tolerated(score, model.observed.setup.tolerance) for score in scores),
+            *(hand_eye_tolerance(score, model.observed.setup.tolerance) for score in scores),
         ]
         at_start = LinearHypothesis.of(start)
         every = np.hstack([at_start.columns.changes, *floor, *terms.columns, *effects], dtype=np.float32)
-        weights = robust_weights(at_start.residuals, compressed(every), policy.tail_dof)
+        weights = robust_weights(at_start.residuals, compress(every), policy.tail_dof)
         floor += [
             columns if _is_open(model.observed, score.id) else _negligible(columns, policy)
             for score, columns in zip(scores, effects, strict=True)
@@ -173,7 +173,7 @@ class ErrorModel:
 
     def log_evidence(self, hypothesis: LinearHypothesis, *further: SizeColumns) -> float:
         """Return ln Z, nats, of a hypothesis, with further columns."""
-        every = hypothesis.beside(*further)
+        every = hypothesis.extended(*further)
         return self.metric.log_evidence(every.residuals, every.columns.changes, every.columns.sides)
 
     @property
@@ -189,13 +189,13 @@ class ErrorModel:
     def blocks(self, blocks: Sequence[SizeColumns]) -> Blocks:
         """Return blocks of columns that hypotheses may have: `table` tells their evidence."""
         none = np.zeros((len(self.metric.root_weights), 0), dtype=np.float32)
-        seen = self.metric.seen(np.hstack([none, *(block.changes for block in blocks)]))
+        seen = self.metric.weigh(np.hstack([none, *(block.changes for block in blocks)]))
         return Blocks(tuple(block.sides for block in blocks), seen, seen.products(seen))
 
     def table(self, hypothesis: LinearHypothesis, blocks: Blocks) -> EvidenceTable:
         """Return what gives the evidence of a hypothesis with any of some blocks of columns."""
         columns, residuals = hypothesis.columns, hypothesis.residuals
-        own = self.metric.seen(np.column_stack([columns.changes, residuals]))
+        own = self.metric.weigh(np.column_stack([columns.changes, residuals]))
         products, between = own.products(own), own.products(blocks.seen)
         table = np.block(
             [
@@ -293,7 +293,7 @@ def _negligible(columns: Float32, policy: Policy) -> Float32:
     return np.asarray(columns * sizes / math.sqrt(columns.shape[1]), dtype=np.float32)
 
 
-def tolerated(score: ScoreTest, tolerance: Tolerance) -> Float32:
+def hand_eye_tolerance(score: ScoreTest, tolerance: Tolerance) -> Float32:
     """Return what a camera's pose that is off within its tolerance changes (n, k); nothing of other effects.
 
     It moves where the tracker sees the seam, too, which the pose among the nuisances does not.
@@ -337,8 +337,8 @@ def smooth_error(covariates: Covariates, policy: Policy) -> Float32:
     sources = [covariates.arc_dn * per_dn, covariates.laser_dn * per_dn]
     rows, columns = covariates.values["row"], covariates.values["column"]
     image = hats_2d(rows, columns, *IMAGE_KNOTS)
-    in_frame = in_each_frame(covariates)
-    tilts = [_centred(rows), _centred(columns)]
+    in_frame = frame_indicators(covariates)
+    tilts = [_centre(rows), _centre(columns)]
     over_image = [policy.image_rel * image * source[:, np.newaxis] for source in sources]
     over_frames = [
         policy.frame_rel * in_frame * (tilt * source)[:, np.newaxis]
@@ -348,7 +348,7 @@ def smooth_error(covariates: Covariates, policy: Policy) -> Float32:
     return np.hstack([*over_image, *over_frames]).astype(np.float32)
 
 
-def _centred(values: Float32) -> Float32:
+def _centre(values: Float32) -> Float32:
     """Return values (n,) from -1 to 1."""
     low, high = float(np.min(values, initial=0.0)), float(np.max(values, initial=1.0))
     return np.asarray(2.0 * (values - low) / max(high - low, 1.0) - 1.0, dtype=np.float32)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from noise_model.compiled.arrays import Float64, Int64
-from sim_to_real.evidence.metric import WeightedColumns, log_evidence, rescaled
+from sim_to_real.evidence.metric import WeightedColumns, log_evidence, rescale_errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class EvidenceTable:
     def sizes(self, *chosen: int, size: float = 1.0) -> Sizes:
         """Return the sizes of some blocks, by number, after what was seen; before, their sigma is `size`."""
         products, sides = self._part(chosen, size)
-        nats, variance, cost = rescaled(products, sides, self.count)
+        nats, variance, cost = rescale_errors(products, sides, self.count)
         P = products[:-1, :-1] / variance
         covariance = np.asarray(np.linalg.inv(P + np.eye(len(P))), dtype=np.float64)
         mean = -covariance @ products[:-1, -1] / variance

@@ -114,12 +114,12 @@ class FreeFunctions:
     ) -> FreeFunctions:
         """Return the functions added to `none`, no gap, and `named`, which is `none` if nothing is named."""
         hypotheses = [none] if named is none else [none, named]
-        beside: list[dict[str, FreeFunction]] = [{} for _ in hypotheses]
+        added: list[dict[str, FreeFunction]] = [{} for _ in hypotheses]
         for name, of_forms in families.items():
             blocks = errors.blocks([SizeColumns.free(family.changes) for family in of_forms])
-            for functions, hypothesis in zip(beside, hypotheses, strict=True):
+            for functions, hypothesis in zip(added, hypotheses, strict=True):
                 functions[name] = FreeFunction.likeliest(errors.table(hypothesis, blocks), of_forms, policy)
-        return cls(beside[0], beside[-1])
+        return cls(added[0], added[-1])
 
     @cached_property
     def floor(self) -> float:
@@ -181,8 +181,8 @@ class FreeFunctions:
         if before < (1.0 + MIN_EXCESS) * self.floor:
             return None
         name, best = min(self.after.items(), key=lambda item: item[1].sizes.mean_square)
-        alone, beside = (math.sqrt(sizes.mean_square - self.floor) for sizes in (best.alone, best.sizes))
-        closed = (alone - beside) / math.sqrt(before - self.floor)
+        alone, added = (math.sqrt(sizes.mean_square - self.floor) for sizes in (best.alone, best.sizes))
+        closed = (alone - added) / math.sqrt(before - self.floor)
         return f"{name} {best.family.form}", float(np.clip(closed, 0.0, 1.0))
 
 
@@ -194,7 +194,7 @@ def all_families(covariates: Covariates, compared: Int64) -> dict[str, list[Func
     )
     ghost = (_mirrored(covariates) / covariates.sigma_dn)[compared, np.newaxis]
     nowhere = len(ghost), np.zeros(0), np.zeros((0, 0))
-    families = {name: of_covariate(name, bins) for name in UNITS}
+    families = {name: covariate_families(name, bins) for name in UNITS}
     families[MIRRORED] = [FunctionFamily("adds", ghost, *nowhere)]
     families[OVER_IMAGE] = [
         FunctionFamily(form, over_image * light_dn(bins)[:, np.newaxis], *nowhere)
@@ -203,7 +203,7 @@ def all_families(covariates: Covariates, compared: Int64) -> dict[str, list[Func
     return {name: of_forms for name, of_forms in families.items() if of_forms}
 
 
-def of_covariate(name: str, bins: Covariates) -> list[FunctionFamily]:
+def covariate_families(name: str, bins: Covariates) -> list[FunctionFamily]:
     """Return the functions of a covariate in each form that acts at two values of it or more."""
     families = []
     for form, light_dn in FORMS.items():

@@ -63,8 +63,8 @@ class Hypothesis:
 
     `exact` is the log evidence of the effects' own form, `off` that of a form that may be off, nats.
     `neutral` is no gap about the same nuisances, `fewer` the evidence there of these effects without one.
-    `beside` is an unknown cause in addition to the effects, where it was searched. `changes` (n,) are what
-    each effect whose form may be off does.
+    `with_unknown` is an unknown cause in addition to the effects, where it was searched. `changes` (n,) are
+    what each effect whose form may be off does.
     """
 
     refit: Refit
@@ -72,7 +72,7 @@ class Hypothesis:
     off: float
     neutral: LinearHypothesis
     fewer: Mapping[frozenset[str], float]
-    beside: UnknownCause | None = None
+    with_unknown: UnknownCause | None = None
     changes: Mapping[str, Float64] = field(default_factory=dict)
 
     @property
@@ -90,8 +90,8 @@ class Hypothesis:
 class Posterior:
     """The probabilities of no gap, of hypotheses with effects, likeliest first, and of an unknown cause.
 
-    `p_beside` are those of an unknown cause in addition to each hypothesis' effects, `p_alone` that of one
-    alone.
+    `p_with_unknown` are those of each hypothesis' effects with an unknown cause, `p_alone` that of such a
+    cause alone.
     """
 
     none: Hypothesis
@@ -99,13 +99,13 @@ class Posterior:
     unknown: UnknownCause
     p_none: float
     p: tuple[float, ...]
-    p_beside: tuple[float, ...]
+    p_with_unknown: tuple[float, ...]
     p_alone: float
 
     @property
     def p_unknown(self) -> float:
         """The probability that an unknown cause acts, alone or with effects."""
-        return self.p_alone + sum(self.p_beside)
+        return self.p_alone + sum(self.p_with_unknown)
 
     @classmethod
     def of(
@@ -127,12 +127,15 @@ class Posterior:
             ln_odds = policy.ln_odds_effect + (n - 1) * policy.ln_odds_further - n * math.log(n_effects)
             return nats / policy.temperature + ln_odds - math.log(forms[frozenset(hypothesis.ids)])
 
-        beside = policy.ln_odds_further + policy.ln_odds_unknown
+        ln_odds_added = policy.ln_odds_further + policy.ln_odds_unknown
         some = sorted(hypotheses, key=lambda h: weight(h, h.evidence), reverse=True)
         ln = [
             none.evidence / policy.temperature,
             *(weight(h, h.evidence) for h in some),
-            *(-math.inf if h.beside is None else weight(h, h.beside.evidence) + beside for h in some),
+            *(
+                -math.inf if h.with_unknown is None else weight(h, h.with_unknown.evidence) + ln_odds_added
+                for h in some
+            ),
             unknown.evidence / policy.temperature + policy.ln_odds_unknown,
         ]
         p_none, *p, p_alone = np.exp(np.array(ln) - logsumexp(ln)).tolist()

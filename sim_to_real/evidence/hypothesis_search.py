@@ -23,7 +23,7 @@ from sim_to_real.evidence.evidence_table import EvidenceTable
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, Term, UnknownCause
 from sim_to_real.evidence.looks import Looks, PairLook
 from sim_to_real.evidence.policy import Policy
-from sim_to_real.fit.gauss_newton import FLICKER, LEVEL_SIGMA, Refit, refit, refit_there
+from sim_to_real.fit.gauss_newton import FLICKER, LEVEL_SIGMA, Refit, refit, refit_at
 from sim_to_real.fit.linearized_model import INTERREFLECTION, LinearizedModel
 from sim_to_real.fit.nuisances import BIASED_MEAN_SQUARE
 from sim_to_real.fit.trend import MIN_DRIVER_RANGE, TREND_EFFECTS, Driver, Trend, trend_among
@@ -103,7 +103,7 @@ class HypothesisSearch:
             by = np.zeros((len(lights), fitted.n_nuisances))
             by[:, 0] = fitted.arc_ln
             frames = self.model.observed.frames
-            lights = [self.model.extrapolated(*parts) for parts in zip(frames, lights, by, strict=True)]
+            lights = [self.model.extrapolate(*parts) for parts in zip(frames, lights, by, strict=True)]
         residuals = self.model.residuals(lights)
         without = LinearHypothesis.without(fitted, name, residuals, self.model.nuisance_columns(lights))
         return without, fitted.residuals - residuals
@@ -127,7 +127,7 @@ class HypothesisSearch:
             for h in every
         ]
 
-    def free_terms_beside(self, hypothesis: Hypothesis) -> TermEvidence:
+    def free_term_evidence(self, hypothesis: Hypothesis) -> TermEvidence:
         """Return the evidence of each free term about a hypothesis' nuisances."""
         return self._free_terms(self._table(hypothesis.neutral))
 
@@ -144,7 +144,7 @@ class HypothesisSearch:
         """Return a hypothesis with an unknown cause added to its effects, and more of their forms' errors."""
         linear = LinearHypothesis.of(hypothesis.refit)
         forms = [self.errors.form_error(name, change) for name, change in hypothesis.changes.items()]
-        tables = self._table(linear), self._table(linear.beside(*forms))
+        tables = self._table(linear), self._table(linear.extended(*forms))
         exact, off = map(self._free_terms, tables)
         mean = {term: (np.logaddexp(exact[term], off[term]) - math.log(2.0)).tolist() for term in exact}
         apart = [
@@ -156,7 +156,7 @@ class HypothesisSearch:
         if apart:
             nats = float(np.logaddexp.reduce(apart)) - math.log(len(apart))
             hypothesis = replace(hypothesis, off=float(np.logaddexp(hypothesis.off, nats)) - math.log(2.0))
-        return replace(hypothesis, beside=self.unknown([mean]))
+        return replace(hypothesis, with_unknown=self.unknown([mean]))
 
     def _table(self, linear: LinearHypothesis) -> EvidenceTable:
         return self.errors.table(linear, self.errors.free_blocks)
@@ -170,7 +170,7 @@ class HypothesisSearch:
             for term in self.errors.free_terms.terms
         }
 
-    def unknown(self, beside: Sequence[TermEvidence]) -> UnknownCause:
+    def unknown(self, term_evidence: Sequence[TermEvidence]) -> UnknownCause:
         """Return an unknown cause: each free term about whichever nuisances make it likeliest.
 
         A level of the arc in each frame is no unknown cause where a flickering arc is a candidate.
@@ -178,22 +178,24 @@ class HypothesisSearch:
         return UnknownCause(
             {
                 term: nats
-                for term, nats in likeliest(beside).items()
+                for term, nats in likeliest(term_evidence).items()
                 if term != (Stage.SOURCE, IN_EACH_FRAME) or FLICKER in self.without
             }
         )
 
-    def singles(self, none: Hypothesis, beside: Sequence[TermEvidence]) -> list[Hypothesis]:
+    def singles(self, none: Hypothesis, term_evidence: Sequence[TermEvidence]) -> list[Hypothesis]:
         """Return the single effects whose fit could change the posterior, likeliest first.
 
         A fit gains on its first look by what is not linear, which is little where the gap is small.
         """
         looks = {score.id: self.looks.evidence(score) - self.looks.none for score in self.scores}
-        looks |= {name: look - none.evidence for name, look in self._stand_ins(likeliest(beside)).items()}
+        looks |= {
+            name: look - none.evidence for name, look in self._stand_ins(likeliest(term_evidence)).items()
+        }
         starts: dict[str, Sequence[Effects]] = {**STARTS_OF_STAND_INS}
         starts |= {score.id: self.looks.starts_of(score) for score in self.scores}
         fitted: list[Hypothesis] = []
-        unknown, is_large = self.unknown(beside).evidence, self.start.mean_square > BIASED_MEAN_SQUARE
+        unknown, is_large = self.unknown(term_evidence).evidence, self.start.mean_square > BIASED_MEAN_SQUARE
         # Light that bounces comes last: what others explain better than free terms near it needs no fit.
         ranked = sorted(looks.keys() - {INTERREFLECTION}, key=lambda name: (-looks[name], name))[:MAX_SINGLES]
         moving = [name for name in MOVING if name in looks and name not in ranked]
@@ -223,7 +225,7 @@ class HypothesisSearch:
             return every
         for n, far in enumerate(every[:3]):
             for _ in range(MAX_ROUNDS):
-                near = refit_there(self.model, far.refit, self.errors.loss.about)
+                near = refit_at(self.model, far.refit, self.errors.loss.about)
                 # Continue only while a step removes 30 % of what was left.
                 if near.mean_square > 0.7 * far.refit.mean_square:
                     break
@@ -313,7 +315,7 @@ class HypothesisSearch:
     def settled(self, best: Hypothesis) -> Hypothesis:
         """Return a hypothesis about its likeliest parameters, light rendered again there until it stays."""
         for _ in range(MAX_ROUNDS):
-            again = refit_there(self.model, best.refit, self.errors.loss.about)
+            again = refit_at(self.model, best.refit, self.errors.loss.about)
             before, best = best, self.hypothesis(again)
             if abs(best.exact - before.exact) < SETTLED_NATS:
                 break
@@ -328,11 +330,11 @@ class HypothesisSearch:
         if not singles:
             return []
         best, needed = singles[0], self._nats(self.policy.ln_odds_further)
-        looks = self.looks.pairs_beside(best.refit, best.exact, needed)
+        looks = self.looks.pairs_with(best.refit, best.exact, needed)
         if best.refit.mean_square > FLOOR_MEAN_SQUARE:
             known = {look.ids for look in looks}
             looks += [look for look in self.looks.pairs_alone(needed) if look.ids not in known]
-            looks += self._flicker_beside(best, needed)
+            looks += self._flicker_with(best, needed)
         fitted = []
         for look in looks:
             self.on_stage(f"fitting {' and '.join(sorted(look.ids))}", 0.8)
@@ -342,7 +344,7 @@ class HypothesisSearch:
         alone = [single for pair in settled[:1] for single in self._alone(pair, singles)]
         return [*settled, *self._settled(alone, max(rival, best.evidence))]
 
-    def _flicker_beside(self, best: Hypothesis, needed: float) -> list[PairLook]:
+    def _flicker_with(self, best: Hypothesis, needed: float) -> list[PairLook]:
         """Return a flickering arc added to an effect, where a first look says that it gains enough, nats."""
         if not self._may_flicker or FLICKER in best.ids:
             return []
@@ -374,11 +376,11 @@ class HypothesisSearch:
         ]
 
 
-def likeliest(beside: Sequence[TermEvidence]) -> dict[Term, float]:
+def likeliest(term_evidence: Sequence[TermEvidence]) -> dict[Term, float]:
     """Return the evidence of each free term, nats, about whichever nuisances make it likeliest."""
     evidence: dict[Term, float] = {}
-    for term in beside[0]:
-        of_sizes = np.max([free_terms[term] for free_terms in beside], axis=0)
+    for term in term_evidence[0]:
+        of_sizes = np.max([free_terms[term] for free_terms in term_evidence], axis=0)
         evidence[term] = float(np.logaddexp.reduce(of_sizes) - np.log(len(of_sizes)))
     return evidence
 

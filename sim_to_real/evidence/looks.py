@@ -107,7 +107,7 @@ class Looks:
         own = [n for n, family in enumerate(self._families) if family.id == score.id]
         return sorted(own, key=lambda n: -self._exact[n])
 
-    def pairs_beside(self, fitted: Refit, exact: float, needed: float) -> list[PairLook]:
+    def pairs_with(self, fitted: Refit, exact: float, needed: float) -> list[PairLook]:
         """Return pairs of a fit's effect and another one that gains `needed` nats in addition to it.
 
         `exact` is the fit's own evidence.

@@ -57,21 +57,21 @@ class Metric:
     def of(cls, floor: Float32, weights: Float32) -> Metric:
         """Return the metric of the model's own error in columns (n, m) and of weights (n,)."""
         root_weights = np.sqrt(weights.astype(np.float64))
-        weighted = compressed(floor) * root_weights[:, np.newaxis]
+        weighted = compress(floor) * root_weights[:, np.newaxis]
         information = weighted.T @ weighted
         information[np.diag_indices_from(information)] += 1.0
         root = np.linalg.cholesky(information)
         return cls(root_weights, solve_triangular(root, weighted.T, lower=True))
 
-    def seen(self, columns: Float64 | Float32) -> WeightedColumns:
+    def weigh(self, columns: Float64 | Float32) -> WeightedColumns:
         """Return columns (n, k) as the metric sees them, to be multiplied with any others."""
         weighted = columns * self.root_weights[:, np.newaxis]
         return WeightedColumns(weighted, self.projector @ weighted)
 
     def products(self, columns: Float64 | Float32, others: Float64 | Float32) -> Float64:
         """Return the products (k, j) of columns (n, k) with others (n, j)."""
-        seen = self.seen(columns)
-        return seen.products(seen if others is columns else self.seen(others))
+        seen = self.weigh(columns)
+        return seen.products(seen if others is columns else self.weigh(others))
 
     def log_evidence(
         self, residuals: Float64 | Float32, columns: Float64 | Float32, sides: Float64 | None = None
@@ -121,10 +121,10 @@ def log_evidence(products: Float64, sides: Float64, count: int) -> float:
     than the errors are. So two that leave much differ by the ratio of what they leave, as one would compare
     them who knows nothing of the errors' size.
     """
-    return rescaled(products, sides, count)[0]
+    return rescale_errors(products, sides, count)[0]
 
 
-def rescaled(products: Float64, sides: Float64, count: int) -> tuple[float, float, float]:
+def rescale_errors(products: Float64, sides: Float64, count: int) -> tuple[float, float, float]:
     """Return ln Z as `log_evidence` does, the errors' variance there over the stated one, and the cost there.
 
     The cost is that of the stated errors.
@@ -185,7 +185,7 @@ def _at_variance(products: Float64, sides: Float64, variance: float) -> tuple[fl
     return float(nats), float(cost)
 
 
-def compressed(columns: Float32) -> Float32:
+def compress(columns: Float32) -> Float32:
     """Return fewer columns F' (n, m) with F' F'^T that of columns (n, k), but for what noise hides."""
     if not columns.shape[1]:
         return columns

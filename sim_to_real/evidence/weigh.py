@@ -136,14 +136,14 @@ def weigh(
     search = HypothesisSearch(model, start, scores, errors, policy, without, on_stage)
     fits = [search.fit([{}], fit.nuisance) for fit in ([before] if start is before else [before, start])]
     without_effects = sorted((search.hypothesis(fit) for fit in fits), key=lambda h: -h.exact)
-    beside = [search.free_terms_beside(hypothesis) for hypothesis in without_effects]
-    singles = search.singles(without_effects[0], beside)
+    term_evidence = [search.free_term_evidence(hypothesis) for hypothesis in without_effects]
+    singles = search.singles(without_effects[0], term_evidence)
     # The fits may have come to nuisances about which no gap or an unknown cause is likelier.
-    beside += [search.free_terms_beside(single) for single in singles[:1]]
-    unknown = search.unknown(beside)
+    term_evidence += [search.free_term_evidence(single) for single in singles[:1]]
+    unknown = search.unknown(term_evidence)
     every = search.compared([*singles, *search.pairs(singles, unknown.evidence)])
     none = search.none(without_effects[0], [*without_effects[1:], *every])
-    unknown = search.unknown([*beside, search.free_terms_beside(none)])
+    unknown = search.unknown([*term_evidence, search.free_term_evidence(none)])
     posterior = Posterior.of(none, every, unknown, len(scores), policy)
     some = search.likely_in_full(posterior)
     posterior = Posterior.of(none, some, unknown, len(scores), policy)

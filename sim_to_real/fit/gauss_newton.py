@@ -175,7 +175,7 @@ def _parameters_by_name(effect: str, values: Float64) -> dict[str, float]:
     return dict(zip(names, values.tolist(), strict=True))
 
 
-def refit_there(
+def refit_at(
     model: LinearizedModel,
     fitted: Refit,
     loss_about: LossAbout = HuberLoss.about,
@@ -186,10 +186,10 @@ def refit_there(
     return refit(there, fitted.effects, fitted.nuisance, steps, fitted.trend, loss_about)
 
 
-def converged(model: LinearizedModel, fitted: Refit) -> Refit:
+def converge(model: LinearizedModel, fitted: Refit) -> Refit:
     """Return a fit after light and tangents have been rendered again at its result, until it stays."""
     for _ in range(3):
-        again = refit_there(model, fitted)
+        again = refit_at(model, fitted)
         # Another rendering must lower the mean square by a tenth.
         if again.mean_square > 0.9 * fitted.mean_square:
             return min(again, fitted, key=lambda fit: fit.mean_square)
@@ -286,7 +286,7 @@ class _RenderProblem:
         by = np.tile(x[:m] - anchor, (len(lights), 1))
         by[:, 0] += self.arc_ln(x)
         frames = self.model.observed.frames
-        return [self.model.extrapolated(*parts) for parts in zip(frames, lights, by, strict=True)]
+        return [self.model.extrapolate(*parts) for parts in zip(frames, lights, by, strict=True)]
 
     def jacobian(self, x: Float64, lights: list[FrameLight], r: Float64) -> Float64:
         """Return the derivatives (n, p) of the residuals r (n,) at x (p,)."""
@@ -327,5 +327,5 @@ def frame_level_columns(model: LinearizedModel, by_level: Float64) -> Float64:
 def flicker_sigma(model: LinearizedModel, arc_ln: Float64) -> float:
     """Return the relative standard deviation of the arc's output in the frames that show it."""
     lit = model.observed.lit
-    most = REGISTRY[FLICKER].parameters[0].upper
-    return min(float(np.std(np.exp(arc_ln[lit]))), most) if lit.any() else 0.0
+    upper = REGISTRY[FLICKER].parameters[0].upper
+    return min(float(np.std(np.exp(arc_ln[lit]))), upper) if lit.any() else 0.0

@@ -25,7 +25,7 @@ from noise_model.instrument.camera import NARROW_PX
 from noise_model.interreflection.model import BouncedLight, bounced_light
 from noise_model.setup import Setup
 from noise_model.surface.joint import BentSeam
-from sim_to_real.data.binned import ObservedFrame, ObservedRecording, on_one_face
+from sim_to_real.data.binned import ObservedFrame, ObservedRecording, shows_one_face
 from sim_to_real.fit.frame_light import FrameLight, PredictedBins, Rendering, light_factor
 from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM, apply_levels, nuisances
 from sim_to_real.fit.renderings import Renderings
@@ -121,7 +121,7 @@ class LinearizedModel:
         true = apply_setup_effects(self.renderings.setup(effects, nuisance))
         seam, every = self.renderings.seam(frame, nuisance, effects), self._whole[frame.position].places
         faces = self.renderings.view([frame], [every], true, [seam]).faces.reshape(frame.keep.shape)
-        return np.where(on_one_face(faces)[frame.keep], frame.sigma_dn, np.inf)
+        return np.where(shows_one_face(faces)[frame.keep], frame.sigma_dn, np.inf)
 
     def _with_bend(
         self, frame: ObservedFrame, light: FrameLight, nuisance: Float64, effects: Effects
@@ -140,9 +140,9 @@ class LinearizedModel:
                 [frame],
                 [frame.bins],
                 true,
-                [BentSeam(seam.lines, seam.ground._replace(y_mm=seam.ground.y_mm + beside))],
+                [BentSeam(seam.lines, seam.ground._replace(y_mm=seam.ground.y_mm + offset_mm))],
             ).arc_e()
-            for beside in (0.0, 2.0 * deviation_mm, -2.0 * deviation_mm)
+            for offset_mm in (0.0, 2.0 * deviation_mm, -2.0 * deviation_mm)
         ]
         spread_e = 0.5 * np.maximum(np.abs(arc_e[1] - arc_e[0]), np.abs(arc_e[2] - arc_e[0]))
         spread_dn = light.dn_per_e() * light.arc_factor * spread_e
@@ -173,7 +173,7 @@ class LinearizedModel:
             )
 
         # Here and not where frames are rendered: several of them are at work at once there.
-        self.renderings.forget_all_but(self._threads if trend is None else len(every))
+        self.renderings.trim_caches(self._threads if trend is None else len(every))
         return self._over_calls(lights_of, every, trend)
 
     def _over_calls(
@@ -216,7 +216,7 @@ class LinearizedModel:
             parts.append(J / -frame.sigma_dn[:, np.newaxis])
         return np.concatenate(parts)
 
-    def extrapolated(self, frame: ObservedFrame, light: FrameLight, by: Float64) -> FrameLight:
+    def extrapolate(self, frame: ObservedFrame, light: FrameLight, by: Float64) -> FrameLight:
         """Return a frame's light extrapolated by (p,) from the nuisances at which it was rendered."""
         if not by.any():
             return light
@@ -251,7 +251,7 @@ class LinearizedModel:
         self, frames: Sequence[PredictedBins], true: Setup, anchor: Float64, effects: Effects
     ) -> Iterator[tuple[Rendering, Light]]:
         """Yield each frame's light as it was rendered, and after effects, lens and exposure."""
-        every = self.renderings.rendered(frames, true, anchor, effects)
+        every = self.renderings.render(frames, true, anchor, effects)
         for bins, rendered in zip(frames, every, strict=True):
             condition = apply_condition_effects(true, apply_levels(bins.frame.condition, anchor))
             light = Light.of(

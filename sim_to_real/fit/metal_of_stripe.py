@@ -25,14 +25,14 @@ def metal_of_stripe(observed: ObservedRecording, threads: int) -> Callable[[Setu
     """
     fits = []
     for material in TABLE_1.values():
-        model = LinearizedModel(observed.of_metal(_of(material)), threads)
+        model = LinearizedModel(observed.of_metal(_with_material(material)), threads)
         model = model.anchored_at(model.neutral, {})
         fits.append((refit(model, {}, model.neutral), model, material))
     start, model, material = min(fits, key=lambda fit: fit[0].mean_square)
     fitted = refit(model, {name: REGISTRY[name].neutral for name in METAL_EFFECTS}, start.nuisance)
 
     def change(setup: Setup) -> Setup:
-        setup = _of(material)(setup)
+        setup = _with_material(material)(setup)
         for name in METAL_EFFECTS:
             apply = REGISTRY[name].setup
             assert apply is not None
@@ -42,5 +42,5 @@ def metal_of_stripe(observed: ObservedRecording, threads: int) -> Callable[[Setu
     return change
 
 
-def _of(material: Material) -> Callable[[Setup], Setup]:
+def _with_material(material: Material) -> Callable[[Setup], Setup]:
     return lambda setup: replace(setup, material=material)

@@ -66,7 +66,7 @@ class Renderings:
         self._seams: dict[tuple[object, ...], BentSeam] = {}
         self._nearest_kept = [nearest_rendered(frame.keep) for frame in observed.frames]
 
-    def forget_all_but(self, n_calls: int) -> None:
+    def trim_caches(self, n_calls: int) -> None:
         """Forget the oldest renderings but those of `n_calls` calls, each of them `N_CACHED` times."""
         for cache in (self._rendered, self._of_sources, self._seen):
             for oldest in list(cache)[: -N_CACHED * n_calls]:
@@ -130,7 +130,7 @@ class Renderings:
         poses = [frame.T_base_tool_in(true) for frame in frames]
         return View.along(true, poses, seams, pose, rays, stretch)
 
-    def rendered(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> list[Rendering]:
+    def render(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> list[Rendering]:
         """Return what frames show before any effect acts on the image."""
         key = _key(frames, anchor, effects)
         if key not in self._rendered:
@@ -179,7 +179,7 @@ class Renderings:
         """
         key = (*unit, Stage.ILLUMINATION, *_key(frames, anchor, effects, Stage.ILLUMINATION))
         if key not in self._of_sources:
-            seen = self._seen_by(frames, true, anchor, effects)
+            seen = self._sights_of_bins(frames, true, anchor, effects)
             kept_e = np.zeros(0, dtype=np.float32)
             if seen.arc is not None:
                 kept_e = replace(seen.arc, setup=true).arc_e()
@@ -198,7 +198,7 @@ class Renderings:
         """Return the laser's light in the bins that are predicted (...,), e-."""
         key = (Stage.SOURCE, *_key(frames, anchor, effects, Stage.SOURCE))
         if key not in self._of_sources:
-            seen = self._seen_by(frames, true, anchor, effects)
+            seen = self._sights_of_bins(frames, true, anchor, effects)
             rendered_e = np.zeros(0, dtype=np.float32)
             if seen.laser is not None:
                 unit_e = true.laser.peak_e / stripe_reference(true)
@@ -227,7 +227,7 @@ class Renderings:
         everywhere.reshape(-1)[frame.bins] = kept_e
         return everywhere
 
-    def _seen_by(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> BinLight:
+    def _sights_of_bins(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> BinLight:
         """Return what bins see with some metal: another one does not change what rays meet."""
         key = _key(frames, anchor, effects, Stage.SURFACE)
         if key not in self._seen:
@@ -237,8 +237,8 @@ class Renderings:
             counts, kept = [len(bins.rendered) for bins in frames], [bins.is_kept for bins in frames]
             is_lit, has_laser = lit_by_arc(observed), lit_by_laser(observed)
             self._seen[key] = BinLight(
-                some_of(view, np.repeat(is_lit, counts) & np.concatenate(kept)),
-                some_of(view, np.repeat(has_laser, counts)),
+                subset_or_none(view, np.repeat(is_lit, counts) & np.concatenate(kept)),
+                subset_or_none(view, np.repeat(has_laser, counts)),
             )
         return self._seen[key]
 
@@ -253,7 +253,7 @@ def lit_by_laser(frames: Sequence[ObservedFrame]) -> Bool:
     return np.array([frame.condition.laser_level > 0.0 for frame in frames], dtype=np.bool_)
 
 
-def some_of(view: View, chosen: Bool) -> View | None:
+def subset_or_none(view: View, chosen: Bool) -> View | None:
     """Return some of a view's pixels (n,), None for none."""
     return view.subset(chosen) if chosen.any() else None
 

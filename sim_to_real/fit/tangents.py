@@ -63,11 +63,11 @@ class _Frames:
         self.setup = renderings.setup(effects, anchor)
         self.counts = [len(frame.bins) for frame in frames]
         lines = [len(seam.lines) for seam in self.seams]
-        self.here = self._looked(self.setup, self.seams, None)
+        self.here = self._see(self.setup, self.seams, None)
         # Which stretch of its frame's seam each bin shows.
         self.stretch = self.here.which - np.repeat(np.cumsum([0, *lines[:-1]]), self.counts)
 
-    def _looked(self, setup: Setup, seams: Sequence[BentSeam], stretch: Int64 | None) -> View:
+    def _see(self, setup: Setup, seams: Sequence[BentSeam], stretch: Int64 | None) -> View:
         true, bins = apply_setup_effects(setup), [frame.bins for frame in self.frames]
         return self.renderings.view(self.frames, bins, true, seams, stretch)
 
@@ -77,7 +77,7 @@ class _Frames:
         for j, parameter in enumerate(nuisances[N_LEVELS:SEAM_FROM], N_LEVELS):
             there = self.anchor.copy()
             there[j] += -parameter.step if self.anchor[j] > 0.0 else parameter.step
-            view = self._looked(self.renderings.setup(self.effects, there), self.seams, self.stretch)
+            view = self._see(self.renderings.setup(self.effects, there), self.seams, self.stretch)
             steps.append((view, float(there[j] - self.anchor[j])))
         return steps
 
@@ -89,7 +89,7 @@ class _Frames:
                 replace(seam, lines=tuple(_moved(line, name, step) for line in seam.lines))
                 for seam in self.seams
             ]
-            steps.append((self._looked(self.setup, seams, self.stretch), step))
+            steps.append((self._see(self.setup, seams, self.stretch), step))
         return steps
 
     def ground_steps(self) -> list[Step]:
@@ -97,7 +97,7 @@ class _Frames:
         steps = []
         for axis in ("y_mm", "z_mm"):
             seams = [replace(seam, ground=_moved(seam.ground, axis, GROUND_STEP_MM)) for seam in self.seams]
-            steps.append((self._looked(self.setup, seams, self.stretch), GROUND_STEP_MM))
+            steps.append((self._see(self.setup, seams, self.stretch), GROUND_STEP_MM))
         return steps
 
     def along_modes(self, chosen: Bool, by_step: Sequence[Float32]) -> Float32:

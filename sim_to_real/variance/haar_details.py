@@ -141,7 +141,7 @@ def fit_sizes(details: Sequence[HaarDetails]) -> VarianceSizes:
     parts = [(pooled.small**2, np.stack([pooled.read, pooled.light, pooled.laser, none], axis=1))]
     if pooled.large.shape[1]:
         parts.append((pooled.large**2, np.stack([pooled.read, pooled.light, none, pooled.laser], axis=1)))
-    theta, least = np.zeros(4), np.array([-1.0, 0.0, 0.0, 0.0])
+    theta, lower = np.zeros(4), np.array([-1.0, 0.0, 0.0, 0.0])
     for _ in range(5):
         # The sizes' prior is 0 +- 1: without a laser they stay there.
         A, b = np.eye(4), np.zeros(4)
@@ -152,7 +152,7 @@ def fit_sizes(details: Sequence[HaarDetails]) -> VarianceSizes:
             A += (columns * weight[:, np.newaxis]).T @ columns
             b += columns.T @ (weight * (measured - pooled.stated))
         root = np.linalg.cholesky(A)
-        theta = nnls(root.T, np.linalg.solve(root, b) - root.T @ least)[0] + least
+        theta = nnls(root.T, np.linalg.solve(root, b) - root.T @ lower)[0] + lower
     read, light, small, large = (float(size) for size in theta)
     return VarianceSizes(
         read,

@@ -118,7 +118,7 @@ def random_effects(model: LinearizedModel, fitted: Refit, without: Sequence[str]
     ]
     gap = sum(max(effect.excess, 0.0) for effect in effects if effect.id not in stated)
     gap += _coherent_excess(observed, fitted, pixels, masks, of_bins)
-    sigmas_dn = [_with_more(frame, more) for frame, more in zip(frames, of_bins, strict=True)]
+    sigmas_dn = [_add_variance(frame, more) for frame, more in zip(frames, of_bins, strict=True)]
     if any(effect.id == "spatter" for effect in acting):
         sigmas_dn = [np.where(use, sigma, np.inf) for use, sigma in zip(masks, sigmas_dn, strict=True)]
     return RandomEffects(
@@ -131,11 +131,11 @@ def random_effects(model: LinearizedModel, fitted: Refit, without: Sequence[str]
         closed={effect.id: _share(effect.excess, gap) for effect in candidates},
         read_ratio=1.0
         if any(effect.id == "read_noise" for effect in acting)
-        else _within_tolerance(read[0], observed),
+        else _limit_to_tolerance(read[0], observed),
     )
 
 
-def _with_more(frame: ObservedFrame, more_dn2: Float64) -> Float64:
+def _add_variance(frame: ObservedFrame, more_dn2: Float64) -> Float64:
     """Return the noise (n,) of a frame's bins with random effects, whose variance is `more_dn2` (n,).
 
     The part that the recording has shown, and the bins' noise holds already, is not added again.
@@ -143,7 +143,7 @@ def _with_more(frame: ObservedFrame, more_dn2: Float64) -> Float64:
     return np.hypot(frame.sigma_dn, np.sqrt(np.maximum(more_dn2 - frame.shown_dn2, 0.0)))
 
 
-def _within_tolerance(ratio: float, observed: ObservedRecording) -> float:
+def _limit_to_tolerance(ratio: float, observed: ObservedRecording) -> float:
     """Return the seen read noise over the stated one, limited to its tolerance.
 
     The seen one includes the error of predicted variances, so predictions with it have the right variance.

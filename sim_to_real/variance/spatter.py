@@ -22,7 +22,7 @@ from noise_model.effects import REGISTRY
 from noise_model.instrument.sensor import Sensor, electrons_per_dn, linearise, saturation_dn
 from noise_model.robust import sigma_of, spread
 from sim_to_real.data.binned import ObservedRecording
-from sim_to_real.data.blocks import dilated, in_blocks
+from sim_to_real.data.blocks import dilate, in_blocks
 from sim_to_real.fit.frame_light import FrameLight
 from sim_to_real.variance.haar_details import VarianceSizes
 from sim_to_real.variance.streaks import LineSearch, StreakLine, search_lines, transient_lines
@@ -88,15 +88,15 @@ def spatter(
     bright, dark = transient_lines(observed, searched)
     lit = observed.lit
     bright_when_lit = [line for line in bright if lit[line.position]]
-    measured = [_measured(observed, sensor, searched[line.position], line) for line in bright_when_lit]
+    measured = [_measure(observed, sensor, searched[line.position], line) for line in bright_when_lit]
     streaks = [streak for streak in measured if streak is not None]
-    hit = _hit(observed, bright_when_lit)
+    hit = _bins_reached(observed, bright_when_lit)
     n_others = len(dark) + len(bright) - len(bright_when_lit)
     evidence = streak_evidence(len(streaks), int(lit.sum()), n_others, len(lit))
     if not streaks:
         return Spatter(evidence, {}, {}, hit, 0.0)
     values, sigmas = _estimate(observed, searched, bright_when_lit, streaks)
-    excess = _excess(observed, sensor, searched, _hit(observed, [streak.line for streak in streaks]))
+    excess = _excess(observed, sensor, searched, _bins_reached(observed, [streak.line for streak in streaks]))
     return Spatter(evidence - _unlikely(values), values, sigmas, hit, excess)
 
 
@@ -109,30 +109,32 @@ def _excess(
     for frame, frame_search, bins in zip(observed.frames, searched, hit, strict=True):
         if not bins.any():
             continue
-        beside = [_from_beside(image, bins) for image in (frame_search.light_dn, frame_search.noise_dn**2)]
+        surroundings = [
+            _surroundings(image, bins) for image in (frame_search.light_dn, frame_search.noise_dn**2)
+        ]
         image_dn = in_blocks(frame.image_dn, bin_px).transpose(0, 2, 1, 3)
-        seen_dn = beside[0] + np.float32(sensor.black_level_dn)
+        seen_dn = surroundings[0] + np.float32(sensor.black_level_dn)
         added_dn = image_dn[bins] - seen_dn[:, np.newaxis, np.newaxis]
-        added += float(np.sum(np.mean(added_dn**2, axis=(1, 2)) / (bin_px**2 * beside[1]) - 1.0))
+        added += float(np.sum(np.mean(added_dn**2, axis=(1, 2)) / (bin_px**2 * surroundings[1]) - 1.0))
     return float(added / np.size(hit))
 
 
-def _from_beside(image: Float32, bins: Bool) -> Float32:
+def _surroundings(image: Float32, bins: Bool) -> Float32:
     """Return the mean of an image (h, w) next to each of some bins (n,)."""
     others = np.float32(1.0) - bins.astype(np.float32)
     light, weight = (cv2.GaussianBlur(part, (0, 0), 3.0) for part in (image * others, others))
     return np.asarray(light[bins] / np.maximum(weight[bins], 1e-6), dtype=np.float32)
 
 
-def _hit(observed: ObservedRecording, streak_lines: Sequence[StreakLine]) -> tuple[Bool, ...]:
+def _bins_reached(observed: ObservedRecording, streak_lines: Sequence[StreakLine]) -> tuple[Bool, ...]:
     """Return the bins (h, w) of each frame that lines reach."""
     images = np.zeros((len(observed.frames), *observed.frames[0].keep.shape), dtype=np.bool_)
     for line in streak_lines:
         images[(line.position, *line.bins.T)] = True
-    return tuple(dilated(image, DILATION_BINS) for image in images)
+    return tuple(dilate(image, DILATION_BINS) for image in images)
 
 
-def _measured(
+def _measure(
     observed: ObservedRecording, sensor: Sensor, frame_search: LineSearch, line: StreakLine
 ) -> Streak | None:
     """Measure a line in the pixels about it; None if it is no streak on a smooth background."""
@@ -143,17 +145,17 @@ def _measured(
     window = slice(low[0], high[0]), slice(low[1], high[1])
     mask = np.zeros(high - low, dtype=np.bool_)
     mask[tuple((line.bins - low).T)] = True
-    support = dilated(mask, DILATION_BINS)
-    guard = dilated(support, DILATION_BINS)
+    support = dilate(mask, DILATION_BINS)
+    guard = dilate(support, DILATION_BINS)
     crop = frame.image_dn[low[0] * bin_px : high[0] * bin_px, low[1] * bin_px : high[1] * bin_px]
     smooth = ~guard & ~frame_search.stripe[window]
-    inside, beside = (np.kron(bins, np.ones((bin_px, bin_px))) > 0 for bins in (support, smooth))
+    inside, around = (np.kron(bins, np.ones((bin_px, bin_px))) > 0 for bins in (support, smooth))
     full = crop >= saturation_dn(sensor)
     electrons = linearise(crop, sensor)
     e_per_dn = float(np.median(electrons_per_dn(electrons, sensor)))
     noise_e = float(np.median(frame_search.noise_dn[window])) * bin_px * e_per_dn
-    beside &= ~full
-    background_e = _background(electrons, beside, noise_e)
+    around &= ~full
+    background_e = _background(electrons, around, noise_e)
     if background_e is None:
         return None
     moments = _moments(np.argwhere(inside).T.astype(np.float64), (electrons - background_e)[inside])
@@ -179,15 +181,15 @@ def _moments(place: Float64, charge: Float64) -> tuple[float, float, float] | No
     if total <= 0.0:
         return None
     place = place - (place @ charge / total)[:, np.newaxis]
-    beside, along = np.linalg.eigh((place * charge) @ place.T)[1].T @ place
+    lateral, along = np.linalg.eigh((place * charge) @ place.T)[1].T @ place
     across, window = 0.0, WINDOW_PX**2
     for _ in range(WINDOW_ROUNDS):
-        seen = charge * np.exp(-0.5 * beside**2 / window)
+        seen = charge * np.exp(-0.5 * lateral**2 / window)
         total = float(seen.sum())
         if total <= 0.0:
             return None
-        beside = beside - float(beside @ seen) / total
-        kept = min(float(beside**2 @ seen) / total / window, MAX_KEPT)
+        lateral = lateral - float(lateral @ seen) / total
+        kept = min(float(lateral**2 @ seen) / total / window, MAX_KEPT)
         if kept <= 0.0:
             return None
         across, integral_kept = window * kept / (1.0 - kept), math.sqrt(1.0 - kept)
@@ -198,20 +200,20 @@ def _moments(place: Float64, charge: Float64) -> tuple[float, float, float] | No
     return (total / integral_kept, lengthwise, across) if lengthwise > 4.0 * across else None
 
 
-def _background(electrons: Float64, beside: Bool, noise_e: float) -> Float64 | None:
+def _background(electrons: Float64, around: Bool, noise_e: float) -> Float64 | None:
     """Return the cubic through pixels next to a streak; None if they are not smooth."""
     row, column = ((places - places.mean()) / max(electrons.shape) for places in np.indices(electrons.shape))
     basis = np.stack([row**n * column**m for n in range(4) for m in range(4 - n)], axis=-1)
-    use = beside
+    use = around
     for _ in range(2):
         if use.sum() < 40:
             return None
         fitted = basis @ np.linalg.lstsq(basis[use], electrons[use], rcond=None)[0]
         remainder = electrons - fitted
         spread_e = sigma_of(remainder[use])
-        use = beside & (np.abs(remainder) < OUTLIER_SIGMAS * max(noise_e, spread_e))
+        use = around & (np.abs(remainder) < OUTLIER_SIGMAS * max(noise_e, spread_e))
     # A smooth background scatters by little more than noise in most of its pixels.
-    is_smooth = float(np.std(remainder[use])) < 1.5 * noise_e and use.sum() > 0.7 * beside.sum()
+    is_smooth = float(np.std(remainder[use])) < 1.5 * noise_e and use.sum() > 0.7 * around.sum()
     return np.asarray(fitted) if is_smooth else None
 
 
@@ -255,8 +257,8 @@ def _estimate(
     sigmas = {
         "rate_per_frame": math.sqrt(n) / searched_frames,
         "peak_e": peak_e / math.sqrt(n_seen),
-        "length_px": _of_median(length),
-        "width_px": _of_median(across) / (2.0 * width_px),
+        "length_px": _median_sigma(length),
+        "width_px": _median_sigma(across) / (2.0 * width_px),
     }
     bounds = {name: (PARAMETERS[name].lower, PARAMETERS[name].upper) for name in values}
     return {name: float(np.clip(value, *bounds[name])) for name, value in values.items()}, sigmas
@@ -273,7 +275,7 @@ def _searched_frames(
 
     A streak whose middle lies on another one is not told from it, so bins on streaks do not count.
     """
-    frames, hit = observed.frames, _hit(observed, streak_lines)
+    frames, hit = observed.frames, _bins_reached(observed, streak_lines)
     exposed = [frame.condition.exposure_s / observed.setup.camera.exposure_s for frame in frames]
     response_dn = np.array([s.line.response_dn / exposed[s.line.position] for s in peaks[0]])
     dn_per_e = float(np.median(response_dn / peaks[1]))
@@ -290,7 +292,7 @@ def _unlikely(values: Mapping[str, float]) -> float:
     return 0.5 * float(sum(((values[p.name] - p.start) / p.prior_sigma) ** 2 for p in usual))
 
 
-def _of_median(values: Float64) -> float:
+def _median_sigma(values: Float64) -> float:
     """Return 1 sigma of the median of values (n,), at least the error of moments."""
     # Moments have an error of 0.3 px.
     return math.sqrt(0.5 * math.pi * spread(values) ** 2 / len(values) + 0.09)

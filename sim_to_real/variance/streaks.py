@@ -22,7 +22,7 @@ from noise_model.instrument.sensor import linearise, respond, respond_moments, s
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert, transform
 from sim_to_real.data.binned import FLOOR_DN, FLOOR_REL, ObservedFrame, ObservedRecording
-from sim_to_real.data.blocks import block_means, dilated
+from sim_to_real.data.blocks import block_means, dilate
 from sim_to_real.fit.frame_light import FrameLight
 from sim_to_real.variance.haar_details import VarianceSizes
 from sim_to_real.variance.line_filter import N_ANGLES, NOISE_GAIN, line_response
@@ -80,12 +80,12 @@ def search_lines(
     # Noise alone gives a thousandth of a line in a whole recording.
     min_sigmas = float(norm.isf(1e-3 / n_trials))
     return [
-        _searched(frame, light, sizes, more_dn2, min_sigmas, observed.bin_px)
+        _search_frame(frame, light, sizes, more_dn2, min_sigmas, observed.bin_px)
         for frame, light in zip(observed.frames, lights, strict=True)
     ]
 
 
-def _searched(
+def _search_frame(
     frame: ObservedFrame,
     light: FrameLight,
     sizes: VarianceSizes,
@@ -106,10 +106,10 @@ def _searched(
     full = block_means(frame.image_dn >= saturation_dn(sensor), bin_px) > 0.0
     # An area that is saturated across several bins is no streak.
     wide = cv2.morphologyEx(full.astype(np.uint8), cv2.MORPH_OPEN, np.ones((WIDE_BINS, WIDE_BINS), np.uint8))
-    limit_dn[dilated(wide > 0, 2 * MISPLACED_BINS + 1)] = np.inf
+    limit_dn[dilate(wide > 0, 2 * MISPLACED_BINS + 1)] = np.inf
     stripe = np.zeros(frame.keep.shape, dtype=np.bool_)
     stripe[frame.keep] = frame.in_stripe
-    stripe = dilated(stripe, 2 * MISPLACED_BINS + 1)
+    stripe = dilate(stripe, 2 * MISPLACED_BINS + 1)
     responses = line_response(frame.binned_dn)
     return LineSearch(light_dn, noise_dn, own_dn, limit_dn, stripe, responses.bright, responses.dark)
 
@@ -137,14 +137,14 @@ def transient_lines(
     for n, frame_search in enumerate(searched):
         bright += lines_in_frame(n, frame_search.bright, frame_search.limit_dn)
         dark += lines_in_frame(n, frame_search.dark, frame_search.limit_dn)
-    dark = _without(dark, beside_bright(observed, dark, bright))
+    dark = _drop(dark, is_next_to_bright(observed, dark, bright))
     return (
-        _without(bright, is_persistent(observed, searched, bright, dark=False)),
-        _without(dark, is_persistent(observed, searched, dark, dark=True)),
+        _drop(bright, is_persistent(observed, searched, bright, dark=False)),
+        _drop(dark, is_persistent(observed, searched, dark, dark=True)),
     )
 
 
-def _without(candidates: Sequence[StreakLine], dropped: Bool) -> list[StreakLine]:
+def _drop(candidates: Sequence[StreakLine], dropped: Bool) -> list[StreakLine]:
     return [line for line, drops in zip(candidates, dropped, strict=True) if not drops]
 
 
@@ -176,7 +176,7 @@ def lines_in_frame(position: int, responses: Float32, limit_dn: Float32) -> list
     return lines_found
 
 
-def beside_bright(
+def is_next_to_bright(
     observed: ObservedRecording, dark: Sequence[StreakLine], bright: Sequence[StreakLine]
 ) -> Bool:
     """Return which dark lines (n,) lie next to a bright one.
@@ -187,7 +187,7 @@ def beside_bright(
     for line in bright:
         near[(line.position, *line.bins.T)] = True
     # Three bins beside a bright line may look like a dark line.
-    near = np.stack([dilated(image, 7) for image in near])
+    near = np.stack([dilate(image, 7) for image in near])
     return np.array([near[(line.position, *line.bins.T)].any() for line in dark], dtype=bool)
 
 
@@ -208,11 +208,11 @@ def is_persistent(
     place = np.array([line.place for line in candidates])
     response = np.array([line.response_dn for line in candidates])
     light = np.array([searched[line.position].light_dn[line.place] for line in candidates])
-    on_part = _on_part(observed, candidates)
+    on_part = _points_on_part(observed, candidates)
     for fixed in (None, on_part):
         could, does = np.zeros(len(candidates)), np.zeros(len(candidates))
         for n, (frame, frame_search) in enumerate(zip(observed.frames, searched, strict=True)):
-            there = place if fixed is None else _seen_at(observed, frame, fixed)
+            there = place if fixed is None else _project_to_bins(observed, frame, fixed)
             inside = np.all((there >= 0) & (there < frame_search.light_dn.shape), axis=1)
             row, column = np.where(inside[:, np.newaxis], there, 0).T
             lighter = frame_search.light_dn[row, column] / np.maximum(light, 0.5)
@@ -230,7 +230,7 @@ def is_persistent(
     return lasts
 
 
-def _on_part(observed: ObservedRecording, candidates: Sequence[StreakLine]) -> Float64:
+def _points_on_part(observed: ObservedRecording, candidates: Sequence[StreakLine]) -> Float64:
     """Return where the lines (n, 3) lie on the part's plane, mm, base frame."""
     camera, joint = observed.binned.camera, observed.setup.joint
     points = np.empty((len(candidates), 3))
@@ -244,7 +244,7 @@ def _on_part(observed: ObservedRecording, candidates: Sequence[StreakLine]) -> F
     return points
 
 
-def _seen_at(observed: ObservedRecording, frame: ObservedFrame, points: Float64) -> Int64:
+def _project_to_bins(observed: ObservedRecording, frame: ObservedFrame, points: Float64) -> Int64:
     """Return the bins (n, 2), row and column, in which a frame sees points (n, 3), mm, base frame."""
     T_camera_base = invert(frame.T_base_tool_in(observed.binned) @ observed.binned.camera.T_tool_camera)
     uv = observed.binned.camera.project(transform(T_camera_base, points))

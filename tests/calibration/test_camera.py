@@ -6,14 +6,14 @@ import pytest
 from camera_scenes import BOARD, LENS, SIZE, VARIED, WARP_MM, Held, project, views
 
 from calibration.boards.board import Board, BoardKind
-from calibration.camera.adjustment import adjusted, linearised
+from calibration.camera.adjustment import adjust, linearise
 from calibration.camera.calibrate import CameraCalibration, calibrate_camera, find_lens
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.halves import MAX_RATIO
 from calibration.camera.lens import ORDERS, Lens
 from calibration.camera.next_board import mean_sigma
-from calibration.camera.noise import moderated
-from calibration.camera.order import held_out_errors
+from calibration.camera.noise import shrink_variances
+from calibration.camera.order import cross_validate
 from calibration.camera.projection import Knowledge
 from calibration.camera.sightings import BoardView, Sightings
 
@@ -55,7 +55,7 @@ def test_the_projection_is_that_of_the_documentation() -> None:
 def test_normal_equations_are_those_of_finite_differences(found: CameraCalibration) -> None:
     seen, scene = found.seen, found.scene
     weight = np.full(len(seen), 10.0)
-    equations = linearised(scene, seen, weight)
+    equations = linearise(scene, seen, weight)
     n, step = len(scene.lens.values) + 2, 1e-6
     columns = []
     for k in range(n + 6 * len(seen.names)):
@@ -92,15 +92,15 @@ def test_sigma_of_the_projection_is_the_scatter_over_repeats() -> None:
     for seed in range(60):
         seen = Sightings.of(BOARD, views(seed=seed))
         weight = np.full(len(seen), 10.0)
-        scene = adjusted(start, seen, weight)
+        scene = adjust(start, seen, weight)
         motions = scene.T_camera_board @ np.linalg.inv(start.T_camera_board)
-        D = linearised(scene, seen, weight).motion
+        D = linearise(scene, seen, weight).motion
         small = np.column_stack([motions[:, 2, 1], motions[:, 0, 2], motions[:, 1, 0], motions[:, :3, 3]])
         turn_move = np.linalg.solve(D.sum(axis=0), np.einsum("vij,vj->i", D, small))
         moved = point + np.cross(turn_move[:3], point) + turn_move[3:]
         errors.append(scene.lens.project(moved)[0] - start.lens.project(point)[0])
-        known = Knowledge.of(linearised(scene, seen, weight))
-        stated.append(known.of_projection(scene.lens, start.lens.project(point), 180.0)[0])
+        known = Knowledge.of(linearise(scene, seen, weight))
+        stated.append(known.projection_covariance(scene.lens, start.lens.project(point), 180.0)[0])
     squares = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(stated), errors)
     # The mean of 60 chi² of 2 degrees of freedom is 2 ± 0.26.
     assert np.mean(squares) == pytest.approx(2.0, abs=0.8)
@@ -136,11 +136,11 @@ def test_variances_lean_on_each_other_as_far_as_they_scatter() -> None:
     rng = np.random.default_rng(1)
     dof = np.full(400, 20.0)
     alike = rng.chisquare(20.0, 400) / 20.0
-    shrunk, prior_dof = moderated(alike, dof)
+    shrunk, prior_dof = shrink_variances(alike, dof)
     assert prior_dof > 200.0
     assert shrunk.std() < 0.2 * alike.std()
     # Variances that are themselves scaled inverse chi² of 8 degrees of freedom.
-    _, prior_dof = moderated(alike * 8.0 / rng.chisquare(8.0, 400), dof)
+    _, prior_dof = shrink_variances(alike * 8.0 / rng.chisquare(8.0, 400), dof)
     assert prior_dof == pytest.approx(8.0, rel=0.35)
 
 
@@ -273,16 +273,16 @@ def test_held_out_errors_are_those_of_fits_without_the_board(found: CameraCalibr
     seen, noise = found.seen, found.noise
     weight = noise.weight(seen)
     lens = found.scene.lens.with_distortion(ORDERS["k1 k2 p1 p2"])
-    scene = adjusted(replace(found.scene, lens=lens), seen, weight)
-    held = held_out_errors(scene, seen, noise, ["k1 k2 p1 p2"], tilted=False)[0]
+    scene = adjust(replace(found.scene, lens=lens), seen, weight)
+    held = cross_validate(scene, seen, noise, ["k1 k2 p1 p2"], tilted=False)[0]
     for n in (0, 4, 7):
         others = [view for view in range(len(seen.names)) if view != n]
-        trained = adjusted(
-            scene.of_views(others), seen.of_views(others), 1.0 / np.repeat(noise.sigma_px[others], 42)
+        trained = adjust(
+            scene.select_views(others), seen.select_views(others), 1.0 / np.repeat(noise.sigma_px[others], 42)
         )
-        own = seen.of_views([n])
+        own = seen.select_views([n])
         start = replace(trained, T_camera_board=scene.T_camera_board[[n]])
-        posed = adjusted(start, own, np.full(42, 1.0 / noise.sigma_px[n]), poses_only=True)
+        posed = adjust(start, own, np.full(42, 1.0 / noise.sigma_px[n]), poses_only=True)
         loss = np.sum(posed.residuals(own) ** 2) / noise.sigma_px[n] ** 2 / (2.0 * 42 - 6.0)
         assert held.loss[n] == pytest.approx(loss, rel=1e-3)
 

@@ -104,9 +104,9 @@ def test_smoothing_takes_jitter_off_and_leaves_the_weave() -> None:
     T = np.tile(np.eye(4), (len(times_s), 1, 1))
     swing = 2.0 * np.sin(2.0 * np.pi * times_s)
     T[:, 1, 3] = swing + 0.02 * draw.standard_normal(len(times_s))
-    smooth = PoseTrack.through(times_s, T).smoothed()
+    smooth = PoseTrack.through(times_s, T).smooth()
     inner = slice(30, -30)
     off = smooth.numbers[inner, 1] - 2.0 * np.sin(2.0 * np.pi * smooth.times_s[inner])
     assert float(np.sqrt(np.mean(off**2))) < 0.4 * 0.02
     slow = replace(smooth, times_s=smooth.times_s[::20], numbers=smooth.numbers[::20])
-    assert slow.smoothed() is slow
+    assert slow.smooth() is slow

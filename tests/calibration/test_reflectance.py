@@ -124,8 +124,8 @@ def read_unequally(seed: int, repeats: np.ndarray) -> Readings:
     rng = np.random.default_rng([9, seed])
     uneven = dataclasses.replace(PLANE, source=PLANE.source * (1.0 + 0.03 * rng.normal(size=len(PLANE))))
     each = np.repeat(np.arange(len(PLANE)), repeats)
-    _, gray_level = simulate(uneven.chosen(each), ZN_COATED, 0.85, LINEAR, NOISE, 1, rng)
-    return average(PLANE.chosen(each), gray_level)
+    _, gray_level = simulate(uneven.subset(each), ZN_COATED, 0.85, LINEAR, NOISE, 1, rng)
+    return average(PLANE.subset(each), gray_level)
 
 
 @pytest.mark.slow

@@ -55,7 +55,7 @@ class World:
             message, read_s = self.exchange(n)
             if read_s is not None:
                 arrived_s = read_s
-                state = state.heard(message, arrived_s, LIMITS)
+                state = state.on_sync(message, arrived_s, LIMITS)
         return state, arrived_s
 
 
@@ -80,7 +80,7 @@ def test_the_truth_is_always_within_the_bounds(seed, skew, there, back, lost):
         message, read_s = world.exchange(n)
         if read_s is None:
             continue
-        state = state.heard(message, read_s, LIMITS)
+        state = state.on_sync(message, read_s, LIMITS)
         offset = state.offset(read_s, replace(LIMITS, width_s=1.0))
         if offset.unestimated is None:
             truth_s = true_offset_s(world, state, n)
@@ -168,7 +168,7 @@ def test_too_few_exchanges_tell_nothing():
 def test_without_round_trips_nothing_bounds_the_offset_from_below():
     state = ClockSync()
     for n in range(50):
-        state = state.heard(RobotSync(n, 100_000 * n, None), 0.1 * n + 0.001, LIMITS)
+        state = state.on_sync(RobotSync(n, 100_000 * n, None), 0.1 * n + 0.001, LIMITS)
     assert state.offset(4.9, LIMITS).unestimated is Unestimated.TOO_FEW
 
 
@@ -186,7 +186,7 @@ def test_a_message_that_came_late_is_told_by_how_much(late_s):
     world = World(3, skew=-40e-6)
     state, _ = world.run(100)
     message, read_s = world.exchange(100)
-    state = state.heard(message, read_s + late_s, LIMITS)
+    state = state.on_sync(message, read_s + late_s, LIMITS)
     min_s, max_s = state.delay_s(read_s + late_s, LIMITS)
     true_s = read_s + late_s - world.tracker_s(10.0)
     assert min_s <= true_s <= max_s
@@ -195,11 +195,11 @@ def test_a_message_that_came_late_is_told_by_how_much(late_s):
 
 
 def test_a_round_trip_belongs_to_the_message_before():
-    state = ClockSync().heard(RobotSync(10, 0, 999), 5.0, LIMITS)
+    state = ClockSync().on_sync(RobotSync(10, 0, 999), 5.0, LIMITS)
     assert math.isnan(state.exchanges[0].round_trip_s)
-    state = state.heard(RobotSync(12, 200_000, 999), 5.2, LIMITS)
+    state = state.on_sync(RobotSync(12, 200_000, 999), 5.2, LIMITS)
     assert math.isnan(state.exchanges[0].round_trip_s)
-    state = state.heard(RobotSync(13, 300_000, 999), 5.3, LIMITS)
+    state = state.on_sync(RobotSync(13, 300_000, 999), 5.3, LIMITS)
     assert state.exchanges[1].round_trip_s == pytest.approx(999e-6)
     assert math.isnan(state.exchanges[2].round_trip_s)
 
@@ -208,9 +208,9 @@ def test_the_robots_time_and_number_run_round():
     layout = message_layout(RobotSync.__name__)
     assert layout.get_signal_by_name("robot_time_us").length == TIME_BITS
     assert layout.get_signal_by_name("sequence").length == SEQUENCE_BITS
-    state = ClockSync().heard(RobotSync(255, 2**TIME_BITS - 50_000, None), 5.0, LIMITS)
+    state = ClockSync().on_sync(RobotSync(255, 2**TIME_BITS - 50_000, None), 5.0, LIMITS)
     before_s = state.robot_s
-    state = state.heard(RobotSync(0, 50_000, 700), 5.1, LIMITS)
+    state = state.on_sync(RobotSync(0, 50_000, 700), 5.1, LIMITS)
     assert state.robot_s - before_s == pytest.approx(0.1)
     assert state.exchanges[0].round_trip_s == pytest.approx(700e-6)
 

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from sim_to_real.data.cross_validation import held_out
+from sim_to_real.data.cross_validation import split_holdout
 
 STRATA = ["dark", "laser", "arc", "both"]
 KINDS = st.lists(st.sampled_from(STRATA), min_size=1, max_size=40)
@@ -32,7 +32,7 @@ def wanted_of(kinds, share):
 @given(KINDS, st.floats(0.05, 0.5))
 @example(["dark", "laser", "arc", "both"] * 2, 0.25)
 def test_every_kind_is_left_to_fit(kinds, share):
-    held = held_out(recording(kinds), share)
+    held = split_holdout(recording(kinds), share)
     assert {kind for kind, is_held in zip(kinds, held, strict=True) if not is_held} == set(kinds)
     for kind, wanted in wanted_of(kinds, share).items():
         of_kind = np.array(kinds) == kind
@@ -45,7 +45,7 @@ def test_every_kind_is_left_to_fit(kinds, share):
 )
 def test_every_condition_is_left_to_fit_and_as_many_are_held_as_that_allows(conditions, share):
     kinds, exposures_s = (list(values) for values in zip(*conditions, strict=True))
-    held = held_out(recording(kinds, exposures_s), share)
+    held = split_holdout(recording(kinds, exposures_s), share)
     assert {item for item, is_held in zip(conditions, held, strict=True) if not is_held} == set(conditions)
     for kind, wanted in wanted_of(kinds, share).items():
         of_kind = np.array(kinds) == kind
@@ -57,7 +57,7 @@ def test_measured_exposures_that_scatter_are_one_condition():
     kinds = ["laser", "both"] * 12
     scatters = 1.0 + 1e-3 * np.random.default_rng(0).standard_normal(24)
     exposures_s = [(SHORT if n < 8 else LONG) * values for n, values in enumerate(scatters)]
-    held = held_out(recording(kinds, exposures_s), 0.25)
+    held = split_holdout(recording(kinds, exposures_s), 0.25)
     assert [int(held[kind::2].sum()) for kind in (0, 1)] == [3, 3]
     assert not held[:8].all()
     assert not held[8:].all()

@@ -29,10 +29,7 @@ def test_derivatives_foretell_what_is_rendered_after_a_small_move(expected):
     place[N_LEVELS:SEAM_FROM] = 0.02, -0.02, 0.03, 0.03, -0.03, 0.02
     here = arc.lights(arc.neutral, {})
     followed = arc.residuals(
-        [
-            arc.extrapolated(frame, light, place)
-            for frame, light in zip(arc.observed.frames, here, strict=True)
-        ]
+        [arc.extrapolate(frame, light, place) for frame, light in zip(arc.observed.frames, here, strict=True)]
     )
     rendered, stayed = arc.residuals(arc.lights(place, {})), arc.residuals(here)
     moved, missed = np.abs(rendered - stayed), np.abs(rendered - followed)

@@ -10,7 +10,7 @@ from noise_model.forward import draw_frame
 from sim_to_real.data.binned import stated_condition
 from sim_to_real.evidence.weigh import weigh
 from sim_to_real.fit.covariates import covariates
-from sim_to_real.fit.gauss_newton import converged, refit
+from sim_to_real.fit.gauss_newton import converge, refit
 from sim_to_real.fit.trend import Driver, Trend
 from tests.sim_to_real.small import EXACT, held_against, recorded, small_recording
 
@@ -72,7 +72,7 @@ def test_an_arc_that_is_blown_ever_farther_grows_with_time(tmp_path):
     expected = blown_recording(tmp_path / "blown")
     stays = refit(expected, {"arc_deflection": {}}, expected.neutral)
     trend = Trend.of(expected.observed, "arc_deflection", Driver.TIME)
-    changes = converged(expected, refit(expected, stays.effects, stays.nuisance, trend=trend))
+    changes = converge(expected, refit(expected, stays.effects, stays.nuisance, trend=trend))
     middle = changes.effects["arc_deflection"]
     for u in (-1.0, 1.0):
         timestamp_s = trend.middle + u * trend.half_range

@@ -18,7 +18,7 @@ from noise_model.forward import Renderer, predict
 from noise_model.instrument.sensor import linearise, saturation_dn
 from noise_model.setup import Setup
 from sim_to_real.data.binned import stated_condition
-from sim_to_real.data.blocks import block_means, dilated, near_face_edges
+from sim_to_real.data.blocks import block_means, dilate, near_face_edges
 from tracker.state import Frame, Pose
 
 BLOCK_PX = 9
@@ -86,7 +86,7 @@ def _blocks(
     predicted = predict(setup, pose.T_base_tool, condition, renderer=renderer).mean_e
     _, _, faces = renderer.layers(true, pose.T_base_tool).view.surface
     recorded = linearise(frame.image_dn, true.sensor)
-    bad = near_face_edges(faces, BLOCK_PX) | dilated(frame.image_dn >= saturation_dn(true.sensor), BLOCK_PX)
+    bad = near_face_edges(faces, BLOCK_PX) | dilate(frame.image_dn >= saturation_dn(true.sensor), BLOCK_PX)
     recorded_mean, predicted_mean = block_means(recorded, BLOCK_PX), block_means(predicted, BLOCK_PX)
     good = (block_means(bad, BLOCK_PX) == 0.0) & (predicted_mean > DARK_E)
     return recorded_mean[good], predicted_mean[good]

@@ -109,4 +109,4 @@ def _place(read: Recording) -> StripePlace | None:
 def _part(place: StripePlace) -> PartPlacement:
     """Return the part's placement by stripes, with the camera within its tolerance."""
     cause = place.as_stated
-    return PartPlacement.beside(place.setup, place.middle_mm, cause.values, cause.fit)
+    return PartPlacement.from_stripes(place.setup, place.middle_mm, cause.values, cause.fit)

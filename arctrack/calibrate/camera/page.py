@@ -136,7 +136,7 @@ def _pictures(result: CameraCalibration, images: BoardImages) -> Iterator[PagePi
         "two halves of the images, each with a lens of its own",
         "Left: how far apart both see a point. Right: how far noise lets them.",
     )
-    if len(result.held) > 1:
+    if len(result.scores) > 1:
         yield _picture(
             camera_pictures.orders(result),
             "how well each distortion predicts boards that its fit did not see",

@@ -169,12 +169,12 @@ def orders(result: CameraCalibration) -> Figure:
     """Return how well each distortion predicts boards that its fit did not see."""
     figure = style.new_figure(WIDTH_INCH, 3.2, "")
     axes = style.plain(figure.subplots(), "distortion", "mean square of residuals over noise")
-    best = min(result.held, key=lambda each: each.mean)
-    places = np.arange(len(result.held))
-    errors = [each.excess(best)[1] for each in result.held]
-    colours = [style.VERMILLION if each.name == result.order else style.BLUE for each in result.held]
-    for place, each, error, colour in zip(places, result.held, errors, colours, strict=True):
+    best = min(result.scores, key=lambda each: each.mean)
+    places = np.arange(len(result.scores))
+    errors = [each.excess(best)[1] for each in result.scores]
+    colours = [style.VERMILLION if each.name == result.order else style.BLUE for each in result.scores]
+    for place, each, error, colour in zip(places, result.scores, errors, colours, strict=True):
         axes.errorbar(place, each.mean, error, fmt="o", color=colour, capsize=4)
     axes.set_yscale("log")
-    axes.set_xticks(places, [each.name for each in result.held])
+    axes.set_xticks(places, [each.name for each in result.scores])
     return figure

@@ -15,7 +15,7 @@ from arctrack.recording import BadFrame, Recording, SetupFile
 from arctrack.recording.importing.grey import channel_of_laser, grey
 from arctrack.recording.importing.image_decoder import EncodedImage
 from arctrack.recording.importing.image_files import distinct_names, find_images
-from calibration.camera.known_lens import lens_of
+from calibration.camera.known_lens import lens_from_camera
 from calibration.camera.lens import Lens
 from calibration.gauge.shape import Gauge
 from calibration.gauge.sightings import PosedPieces
@@ -123,4 +123,4 @@ def read_gauge_frames(
 
 
 def _lens(stated: SetupFile) -> Lens:
-    return lens_of(stated.setup.camera)
+    return lens_from_camera(stated.setup.camera)

@@ -21,7 +21,7 @@ from arctrack.recording.importing.image_decoder import EncodedImage
 from arctrack.recording.importing.image_files import distinct_names, images_of
 from calibration.boards.board import Board
 from calibration.boards.detect import MIN_CORNERS, WINDOW
-from calibration.camera.adjustment import BoardScene, adjusted
+from calibration.camera.adjustment import BoardScene, adjust
 from calibration.camera.known_lens import board_poses
 from calibration.camera.sightings import Sightings
 from calibration.laser.cross_sections import CrossSections, cross_sections, placed
@@ -185,5 +185,5 @@ def _without_lit_corners(pairs: LaserPairs) -> LaserPairs:
         return pairs
     with one_thread():
         rest = seen.where(kept)
-        scene = adjusted(pairs.scene, rest, np.ones(len(rest)), poses_only=True)
+        scene = adjust(pairs.scene, rest, np.ones(len(rest)), poses_only=True)
     return replace(pairs, scene=scene, seen=rest)

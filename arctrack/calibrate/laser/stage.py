@@ -13,7 +13,7 @@ from arctrack.errors import in_file
 from arctrack.recording import SetupFile
 from calibration.boards.board import Board
 from calibration.camera.enough import UndeterminedError
-from calibration.laser.beam import beam_of
+from calibration.laser.beam import fit_beam
 from calibration.laser.calibrate import LaserCalibration, calibrate_laser
 
 
@@ -32,6 +32,6 @@ def laser_stage(
     except UndeterminedError as error:
         raise in_file(sources[0], str(error)) from None
     warn(left_out(result.left_out))
-    beam = beam_of(result, pairs.sections, pairs.scene.lens, stated.setup.camera, stated.setup.laser)
+    beam = fit_beam(result, pairs.sections, pairs.scene.lens, stated.setup.camera, stated.setup.laser)
     page = laser_page(result, pairs, beam, stated.setup)
     return CalibrationStage(result, page, (laser_record(result, beam, stated.setup),))

@@ -124,7 +124,7 @@ class Program:
         said = self._robot.command
         is_silent = now_s - self._beat_s > SILENT_S
         if said.command is Command.DISARM:
-            self._is_disarmed |= self._use.is_disarm_heard(said.request_number, now_s)
+            self._is_disarmed |= self._use.is_disarm_acknowledged(said.request_number, now_s)
         if self._is_ended and (self._is_disarmed or is_silent):
             self._robot.begin_again()
             self._since_s, self._is_ended = now_s, False

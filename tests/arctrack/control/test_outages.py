@@ -110,7 +110,7 @@ class Cell:
 
     def may_track(self) -> bool:
         if self.waits_for_acknowledgement:
-            return self.use.is_disarm_heard(self.command.request_number, self.now_s)
+            return self.use.is_disarm_acknowledged(self.command.request_number, self.now_s)
         return self.disarmed_frames >= DISARM_FRAMES
 
     def step_tracker(self) -> None:
@@ -234,11 +234,11 @@ def test_a_disarm_is_acknowledged_and_a_lost_robot_is_told_from_it() -> None:
     cell.robot_is_cut = False
     cell.go_back()
     # The answer to the DISARM before is none to this one.
-    assert not cell.use.is_disarm_heard(cell.command.request_number, cell.now_s)
+    assert not cell.use.is_disarm_acknowledged(cell.command.request_number, cell.now_s)
     cell.run(10)
-    assert cell.use.is_disarm_heard(cell.command.request_number, cell.now_s)
-    assert not cell.use.is_disarm_heard(cell.command.request_number + 1, cell.now_s)
-    assert not cell.use.is_disarm_heard(cell.command.request_number, cell.now_s + 0.2)
+    assert cell.use.is_disarm_acknowledged(cell.command.request_number, cell.now_s)
+    assert not cell.use.is_disarm_acknowledged(cell.command.request_number + 1, cell.now_s)
+    assert not cell.use.is_disarm_acknowledged(cell.command.request_number, cell.now_s + 0.2)
 
 
 def test_the_robot_follows_a_soft_start_from_its_first_offset() -> None:

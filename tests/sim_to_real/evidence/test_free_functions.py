@@ -13,8 +13,8 @@ from sim_to_real.evidence.free_functions import (
     FreeFunction,
     FreeFunctions,
     all_families,
+    covariate_families,
     locate,
-    of_covariate,
     strata_gaps,
 )
 from sim_to_real.evidence.hypotheses import UnknownCause
@@ -158,7 +158,7 @@ def test_bands_hold_the_true_curve(bins, name, form, size):
     """In 95 % of all places and draws: waves of any phase and length, levels off by what they may be off."""
     errors = errors_of(bins)
     chosen = bins.subset(compared_of(bins))
-    families = of_covariate(name, chosen)
+    families = covariate_families(name, chosen)
     x = chosen.values[name].astype(np.float64)
     light = FORMS[form](chosen).astype(np.float64) / (ADDED_DN if form == "adds" else 1.0)
     # What levels do is no part of the curve: its mean, and a slope along the grey level.

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import simpson
 from scipy.stats import multivariate_normal, norm
 
-from sim_to_real.evidence.metric import Metric, compressed, log_evidence, robust_weights
+from sim_to_real.evidence.metric import Metric, compress, log_evidence, robust_weights
 
 N = 40
 
@@ -108,7 +108,7 @@ def test_of_nothing_but_residuals_the_evidence_is_their_density():
 def test_fewer_columns_have_the_same_covariance():
     floor = drawn(5, m=4)[2]
     repeated = np.hstack([floor, floor, 1e-3 * floor]).astype(np.float32)
-    compact = compressed(repeated)
+    compact = compress(repeated)
     assert compact.shape[1] == 4
     np.testing.assert_allclose(compact @ compact.T, repeated @ repeated.T, atol=1e-4)
 

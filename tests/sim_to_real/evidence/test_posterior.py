@@ -15,8 +15,8 @@ POLICY = Policy(temperature=1.0, ln_odds_effect=0.0, ln_odds_further=-2.0, ln_od
 TERM = Stage.SURFACE, "arc over the half angle"
 
 
-def hypothesis(nats, *ids, off=None, beside=None):
-    unknown = None if beside is None else UnknownCause({TERM: beside})
+def hypothesis(nats, *ids, off=None, with_unknown=None):
+    unknown = None if with_unknown is None else UnknownCause({TERM: with_unknown})
     return Hypothesis(SimpleNamespace(ids=ids), nats, nats if off is None else off, None, {}, unknown)
 
 
@@ -41,9 +41,9 @@ def test_a_further_effect_has_odds_of_its_own():
 
 
 def test_an_unknown_cause_beside_effects_has_the_odds_of_a_further_one():
-    weighed = posterior(hypothesis(5.0, "gamma", beside=9.0), hypothesis(4.0, "fume"))
-    assert weighed.p_beside == (pytest.approx(weighed.p[0] * np.exp(9.0 - 5.0 - 2.0 - 1.0)), 0.0)
-    assert weighed.p_unknown == pytest.approx(weighed.p_alone + weighed.p_beside[0])
+    weighed = posterior(hypothesis(5.0, "gamma", with_unknown=9.0), hypothesis(4.0, "fume"))
+    assert weighed.p_with_unknown == (pytest.approx(weighed.p[0] * np.exp(9.0 - 5.0 - 2.0 - 1.0)), 0.0)
+    assert weighed.p_unknown == pytest.approx(weighed.p_alone + weighed.p_with_unknown[0])
     assert weighed.p_none + sum(weighed.p) + weighed.p_unknown == pytest.approx(1.0)
     # What an unknown cause has to help does not count as the effect's.
     assert weighed.of_effects["gamma"] == weighed.p[0]
@@ -81,8 +81,8 @@ def test_a_stage_is_as_probable_as_all_its_terms_together():
         ((hypothesis(20.0, "gamma"), hypothesis(3.0, "fume")), 4.0, DiagnosisVerdict.EFFECTS, ("gamma",), ()),
         ((hypothesis(20.0, "gamma"),), 30.0, DiagnosisVerdict.UNKNOWN, (), ()),
         # An unknown cause beside a mimic explains more than the mimic alone, or does not.
-        ((hypothesis(20.0, "gamma", beside=26.0),), 4.0, DiagnosisVerdict.UNKNOWN, (), ()),
-        ((hypothesis(20.0, "gamma", beside=16.0),), 4.0, DiagnosisVerdict.EFFECTS, ("gamma",), ()),
+        ((hypothesis(20.0, "gamma", with_unknown=26.0),), 4.0, DiagnosisVerdict.UNKNOWN, (), ()),
+        ((hypothesis(20.0, "gamma", with_unknown=16.0),), 4.0, DiagnosisVerdict.EFFECTS, ("gamma",), ()),
         (
             (hypothesis(20.0, "gamma"), hypothesis(19.5, "fume"), hypothesis(9.0, "defocus")),
             4.0,
