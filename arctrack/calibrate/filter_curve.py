@@ -10,7 +10,6 @@ from arctrack.errors import in_file
 from arctrack.recording.csv_file import number, read_csv
 from noise_model.instrument.spectrum import CurveError, FilterCurve
 
-WAVELENGTH = "wavelength_nm"
 TRANSMISSION = "transmission"
 DENSITY = "optical_density"
 
@@ -24,7 +23,7 @@ def read_filter_curve(path: Path, effective_index: float) -> FilterCurve:
 
     Raises ArctrackError with the file, and the line if one is to blame.
     """
-    table = read_csv(path, {WAVELENGTH: number}, {TRANSMISSION: number, DENSITY: number})
+    table = read_csv(path, {"wavelength_nm": number}, {TRANSMISSION: number, DENSITY: number})
     given = table.columns[1:]
     if len(given) != 1:
         present = "both" if given else "neither"

@@ -38,9 +38,6 @@ calibrate = typer.Typer(
     name="calibrate", help="Find parameters of the model from measurements.", no_args_is_help=True
 )
 
-ALBEDO, TOTAL = 0.99, 1.0
-"""The white standard's reflectance, or without one what the kappas' sum is taken to be, if not stated."""
-
 EXAMPLE = (
     "Example: arctrack calibrate reflectance examples/goniometer_mild_steel.csv --gamma 0.45 --black 10 "
     "--out /tmp/steel"
@@ -118,8 +115,8 @@ def reflectance(
         sample,
         response,
         standard,
-        ALBEDO if albedo is None else albedo,
-        TOTAL if total is None else total,
+        0.99 if albedo is None else albedo,
+        1.0 if total is None else total,
         name or data.stem,
     )
     console.warn(warnings(result, sample, standard))

@@ -32,12 +32,6 @@ if TYPE_CHECKING:
 SPOKEN_EVERY_S = 5.0
 """So often a line says how far it is where no bar can be shown."""
 
-COMPILED = "functions"
-"""The unit of what is compiled."""
-
-PLAIN_WIDTH = 160
-"""Columns of a table that goes to a file or a pipe, where nobody knows a width."""
-
 
 class _Tables(Console):
     """The console for results; it ends the process like `say` where their reader has gone."""
@@ -49,7 +43,8 @@ class _Tables(Console):
 def tables() -> Console:
     """Return the console for results, on stdout."""
     console = _Tables(highlight=False)
-    return console if console.is_terminal else _Tables(highlight=False, width=PLAIN_WIDTH)
+    # Columns of a table that goes to a file or a pipe, where nobody knows a width.
+    return console if console.is_terminal else _Tables(highlight=False, width=160)
 
 
 def say(*lines: str) -> None:
@@ -134,7 +129,7 @@ class SpokenProgress(Progress):
     def _show(self, what: str, done: int = 0, needed: int | None = None, left_s: float | None = None) -> None:
         text = f"{self._prefix}{what}"
         if self._ready is None:
-            self._ready = self.add_task(text, total=None, unit=COMPILED)
+            self._ready = self.add_task(text, total=None, unit="functions")
         super().update(self._ready, description=text, completed=done, total=needed, left_s=left_s)
 
     def _remove_ready(self) -> None:

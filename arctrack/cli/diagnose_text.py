@@ -14,12 +14,6 @@ from arctrack.diagnose.diagnosis_files import REPORT_PAGE
 from arctrack.diagnose.pages import words
 from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict, RankedEffect
 
-MAX_RANKED = 5
-"""Effects that are listed here; the page has more."""
-
-MAX_PAIRS = 4
-"""Pairs that cannot be told apart here; the page has them all."""
-
 
 def print_one(done: Sequence[DiagnosisResult]) -> None:
     """Print one diagnosis: verdict, gap, parameters, ranking, what is open, what to measure next."""
@@ -100,7 +94,8 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
     if diagnosis.verdict is DiagnosisVerdict.UNKNOWN and diagnosis.left_over is not None:
         yield "left over", words.left_over(*diagnosis.left_over)
     if diagnosis.not_resolvable:
-        pairs = [" | ".join(pair) for pair in diagnosis.not_resolvable[:MAX_PAIRS]]
+        # Pairs that cannot be told apart here; the page has them all.
+        pairs = [" | ".join(pair) for pair in diagnosis.not_resolvable[:4]]
         more = len(diagnosis.not_resolvable) - len(pairs)
         yield "not told apart", "; ".join(pairs) + (f"; and {more} more pairs" if more else "")
     if diagnosis.next is not None:
@@ -113,7 +108,8 @@ def _rankings(diagnosis: Diagnosis) -> Iterator[Table]:
     exclusive = [candidate for candidate in diagnosis.ranking if not candidate.is_random]
     present = [candidate for candidate in words.random_ranking(diagnosis) if words.is_likely(candidate)]
     if exclusive:
-        yield _table("effect", words.ALONE, exclusive[:MAX_RANKED])
+        # Effects that are listed here; the page has more.
+        yield _table("effect", words.ALONE, exclusive[:5])
     if present:
         yield _table("random effect", words.PRESENT, present)
 

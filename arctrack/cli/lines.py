@@ -16,9 +16,6 @@ NOBODY_READS = frozenset({errno.EPIPE, errno.EIO})
 MAX_WAITING = 64
 """Lines that wait for a held terminal or a full pipe; those that come later are dropped."""
 
-LAST_S = 1.0
-"""Longest wait in the end for lines that are not written yet, s."""
-
 
 def write_line(line: str, stream: TextIO) -> None:
     """Write a line at once; where nobody reads any more, this one and all that come are dropped."""
@@ -58,7 +55,8 @@ class LineQueue:
         finally:
             with suppress(Full):
                 self._waiting.put_nowait(None)
-                self._thread.join(LAST_S)
+                # Longest wait in the end for lines that are not written yet, s.
+                self._thread.join(1.0)
 
     def _write(self) -> None:
         while (line := self._waiting.get()) is not None:

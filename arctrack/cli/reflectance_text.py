@@ -16,9 +16,6 @@ from arctrack.printable import printable
 from calibration.reflectance import Reflectance, StandardResiduals
 from calibration.reflectance_model import NAMES
 
-FAR_OFF = 4.0
-"""A studentised residual beyond this is named."""
-
 
 def print_result(console: Console, result: Reflectance, sample: GoniometerFile) -> None:
     """Print the table, how well the readings agree with it, and the [material] table to paste."""
@@ -64,7 +61,8 @@ def _about_the_fit(file: GoniometerFile, agreement: Reflectance | StandardResidu
             f"repeats allow{rounding}: angles, light or surface change between them, or gamma, black or "
             "the lobe's form is another; the intervals count this as if it were random"
         )
-    for i in np.flatnonzero(np.abs(agreement.studentised) > FAR_OFF):
+    # A studentised residual beyond this is named.
+    for i in np.flatnonzero(np.abs(agreement.studentised) > 4.0):
         off = agreement.studentised[i]
         yield f"{file.path}, line {file.lines[i]}: {off:+.1f} standard errors off the fit"
 

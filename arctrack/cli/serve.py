@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 SAVING = {signal.SIGUSR1: "asked by SIGUSR1", signal.SIGHUP: "terminal closed"}
 """Signals on which the black box is saved, and why."""
 
-ANSWER_S = 60.0
-"""Time-out of the black box's answer after a run."""
-
 
 def serve(
     cell: Annotated[Path | None, typer.Argument(help="The cell file, cell.toml.")] = None,
@@ -133,7 +130,8 @@ def serve_cell_file(
 
             result = run(live.loop, goes_on, cell.policy.watchdog_s, notifier)
             notifier.stopping()
-            saved = [] if black_box is None else black_box.answers(ANSWER_S)
+            # Time-out of the black box's answer after a run.
+            saved = [] if black_box is None else black_box.answers(60.0)
     console.say(*saved, *_result_lines(result))
     return result
 

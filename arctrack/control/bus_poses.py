@@ -24,8 +24,6 @@ from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker.state import AT_ONCE, OffsetLookAhead
 
-KEPT_POSES = 256
-
 
 class BusPoses:
     """Tool poses from the robot's messages, and whether they are trusted.
@@ -126,4 +124,4 @@ class BusPoses:
         self.look_ahead.sent(offset, now_s)
 
     def _forget_poses(self) -> None:
-        self._buffer, self._newest_s = PoseBuffer(KEPT_POSES), -math.inf
+        self._buffer, self._newest_s = PoseBuffer(256), -math.inf

@@ -11,12 +11,6 @@ from robot_io import GateReason
 SCHEDSTAT = Path("/proc/thread-self/schedstat")
 """Nanoseconds that the thread ran, and that it was ready but waited (Linux, scheduler/sched-stats.rst)."""
 
-LOOK_S = 0.1
-"""So often it is measured: a reading takes some hundredths of a millisecond."""
-
-WINDOW_S = 0.5
-"""The share is that of the last one to two windows, s."""
-
 MAX_WAIT_SHARE = 0.5
 """Above it the thread waits longer for a processor than it has one: what it does takes twice its time."""
 
@@ -59,11 +53,13 @@ class ProcessorWait:
     def look(self) -> None:
         """Measure, where it is time for it."""
         now_s = time.monotonic()
-        if now_s - self._looked_s < LOOK_S:
+        # A reading takes some hundredths of a millisecond.
+        if now_s - self._looked_s < 0.1:
             return
         self._looked_s = now_s
         ran_ns, waited_ns = _ran_and_waited_ns()
-        if now_s - self._window_s > WINDOW_S:
+        # The share is that of the last one to two windows, s.
+        if now_s - self._window_s > 0.5:
             self._before, self._window, self._window_s = self._window, (ran_ns, waited_ns), now_s
         self.ran_s, self.waited_s = 1e-9 * (ran_ns - self._began[0]), 1e-9 * (waited_ns - self._began[1])
         ran_ns, waited_ns = ran_ns - self._before[0], waited_ns - self._before[1]

@@ -20,9 +20,6 @@ from robot_io.clocks.sync import SyncLimits
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from robot_io.poses.pose_questions import Implausibility
 
-GAP_PERIODS = 4.0
-"""Number of periods without a pose after which poses have stopped, where that is longer than the limit."""
-
 LOOK_BACK_S, MIN_LOOKS = 0.4, 10
 """The seam in the image is asked over so long, and over so many frames at least.
 
@@ -50,12 +47,14 @@ class RecordedPoses:
         self.hears_robot = False
         self._path = recording.poses.path
         T_tool_controllertool = recording.T_tool_controllertool
+        # Number of periods without a pose after which poses have stopped, where that is longer than the
+        # limit.
         self._watch = PoseWatch(
             nominal_path(recording.setup.joint),
             replace(
                 limits,
                 age_required=False,
-                gap_s=max(limits.gap_s, GAP_PERIODS * recording.poses.period_s),
+                gap_s=max(limits.gap_s, 4.0 * recording.poses.period_s),
             ),
             seam_limits(recording.frame_rate_hz),
             SyncLimits(),

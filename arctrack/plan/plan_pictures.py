@@ -21,8 +21,6 @@ from noise_model.surface.joint import corrugation_height, seam_frame, section
 from noise_model.transforms import invert, transform
 
 COLOURS, UNKNOWN = "viridis", "#E8E8E8"
-MIN_FACTOR = 2.0
-"""A colour scale spans at least this factor, so that what is all alike looks alike."""
 
 
 def draw_designs(plan: Plan, torch_radius_mm: float) -> Figure:
@@ -81,7 +79,8 @@ def _map(
 def _scale(values: Float64) -> LogNorm:
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     middle = np.sqrt(low * high)
-    half = max(np.sqrt(high / low), np.sqrt(MIN_FACTOR))
+    # A colour scale spans at least this factor, so that what is all alike looks alike.
+    half = max(np.sqrt(high / low), np.sqrt(2.0))
     return LogNorm(middle / half, middle * half)
 
 

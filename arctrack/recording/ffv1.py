@@ -20,14 +20,7 @@ from arctrack.recording.video_file import VideoFile, opened_video
 from arctrack.recording.video_index import VideoIndex, payloads, read_index
 from noise_model.compiled.arrays import Integers
 
-CODECS, CONTAINERS = ("ffv1",), ("matroska",)
 PIXEL_FORMATS = {"gray": np.uint8, "gray16le": np.uint16}
-
-CHECKSUMS_SOUGHT_IN = 8
-"""So many packets from the first are asked whether a video carries checksums: one that is damaged may lie."""
-
-_LIMITED_RANGE = 1
-"""FFmpeg's AVCOL_RANGE_MPEG: black at 16 of 256."""
 
 _TICK = Fraction(1, 1000)
 """Rounding of times in a Matroska file, s."""
@@ -38,7 +31,7 @@ _REVERSED_BITS = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 def open_video(path: Path) -> av.container.InputContainer:
     """Open a video in a Matroska file; ArctrackError unless it is FFV1. Nothing is decoded yet."""
-    return opened_video(path, CODECS, "must be ffv1 with gray or gray16le, which is exact", CONTAINERS)
+    return opened_video(path, ("ffv1",), "must be ffv1 with gray or gray16le, which is exact", ("matroska",))
 
 
 def grey_size(path: Path) -> tuple[int, int]:
@@ -52,7 +45,8 @@ def grey_size(path: Path) -> tuple[int, int]:
             raise in_file(
                 path, f"holds {len(container.streams.video)} videos: write each to a file of its own"
             )
-        if codec.color_range == _LIMITED_RANGE:
+        # FFmpeg's AVCOL_RANGE_MPEG: black at 16 of 256.
+        if codec.color_range == 1:
             raise in_file(
                 path,
                 "its colour range is limited: black is not 0; write it with the full range, such as by "
@@ -107,7 +101,8 @@ def index_of(path: Path) -> VideoIndex:
 def carries_checksums(path: Path) -> bool:
     """Return whether a video carries checksums; without, damage within a frame may go unnoticed."""
     with open_video(path) as container:
-        packets = islice(payloads(container.demux(container.streams.video[0])), CHECKSUMS_SOUGHT_IN)
+        # The first packets vote: a damaged one may lie.
+        packets = islice(payloads(container.demux(container.streams.video[0])), 8)
         return any(checksums_hold(bytes(packet)) for packet in packets)
 
 

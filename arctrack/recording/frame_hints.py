@@ -12,11 +12,7 @@ IMPORTED = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff")
 LOSSY = (".jpg", ".jpeg", ".webp", ".heic")
 """Pictures whose codec has changed the noise that a frame is read by."""
 
-OTHER_PICTURES = (".pgm", ".raw")
 VIDEOS = {".avi", ".mkv", ".mov", ".mp4", ".m4v", ".webm", ".wmv", ".mpg", ".mpeg"}
-
-MAX_NAMES = 10_000
-"""Names in a folder that are looked at for a hint."""
 
 _LAST_NUMBER = re.compile(r"(\d+)\D*$")
 
@@ -33,7 +29,7 @@ def frame_hint(path: Path) -> str:
         return f"; {name} is there: arctrack import reads it" + (
             f", though {noise}" if suffix in LOSSY else ""
         )
-    other = next(iter(_beside(path, OTHER_PICTURES)), None)
+    other = next(iter(_beside(path, (".pgm", ".raw"))), None)
     return "" if other is None else f"; {other} is there: make a grey PNG of it, named {path.name}"
 
 
@@ -75,6 +71,7 @@ def _names(folder: Path) -> list[str]:
     """Return the first names in a folder, sorted; none if it cannot be read."""
     try:
         with os.scandir(folder) as entries:
-            return sorted(entry.name for _, entry in zip(range(MAX_NAMES), entries, strict=False))
+            # Names in a folder that are looked at for a hint.
+            return sorted(entry.name for _, entry in zip(range(10_000), entries, strict=False))
     except OSError:
         return []

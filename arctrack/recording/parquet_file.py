@@ -15,9 +15,6 @@ from arctrack.recording.results import COLUMNS, RESULTS_CSV
 if TYPE_CHECKING:
     from pyarrow import Table
 
-OF_THE_RECORDING = ("recording", "recording_path")
-"""The columns before those of results.csv."""
-
 TEXTS = (
     "flags",
     "pose_doubt",
@@ -59,7 +56,7 @@ def write_parquet(path: Path, replays: Iterable[ReplayedRecording]) -> int:
     import pyarrow
     from pyarrow import parquet
 
-    texts = [(name, pyarrow.string()) for name in OF_THE_RECORDING]
+    texts = [(name, pyarrow.string()) for name in ("recording", "recording_path")]
     schema = pyarrow.schema([*texts, *_types().items()])
     rows = 0
     with whole_file(path) as draft, parquet.ParquetWriter(draft, schema) as file:

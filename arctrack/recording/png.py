@@ -24,9 +24,6 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}
 """Channels of a PNG's colour types; 3 looks its colours up in a palette (W3C PNG, 11.2.1)."""
 
-N_FILTERS = 5
-"""The filters of rows are 0 to 4 (W3C PNG, 9.2)."""
-
 WRONG_HEADER = "is no PNG: its header is wrong"
 
 
@@ -123,7 +120,8 @@ def _decode_sub(encoded: bytes, header: PngHeader) -> Integers | None:
         raise ValueError(f"cannot be decoded: {len(inflated)} bytes of pixels where {size} are needed")
     filtered = np.frombuffer(inflated, np.uint8).reshape(header.height, 1 + row_bytes)
     filters = filtered[:, 0]
-    if filters.max() >= N_FILTERS:
+    # The filters of rows are 0 to 4 (W3C PNG, 9.2).
+    if filters.max() >= 5:
         raise ValueError("cannot be decoded: a row's filter is of no known type")
     if (filters != SUB).any():
         return None

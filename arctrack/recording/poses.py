@@ -37,15 +37,6 @@ CHANNEL_KEY = "can_channel"
 COVERAGE_PERIODS = 3.0
 """The poses may end this many of their periods before the last frame: it is extrapolated to."""
 
-MIN_TRAVEL_MM = 5.0
-"""A robot that went less far along the seam while frames were taken shows no direction of travel."""
-
-MIN_ZONE_S, MAX_ZONE_S = 1800.0, 93_600.0
-"""Clocks of two time zones differ by half an hour at least, by 26 hours at most (IANA's time zones)."""
-
-REPEATED_S = 0.05
-"""A pose of the bus that is not later than the one before, by less than this, is the same sample again."""
-
 
 def read_poses(
     recording: Path, T_tool_controllertool: Float64 | None, robot: Mapping[str, Any]
@@ -124,7 +115,8 @@ def _cure(poses: PoseTable, apart_s: float, otherwise: str) -> str:
     """Return what to do about poses and frames that lie so far apart, s."""
     if poses.damage is not None:
         return poses.damage
-    if poses.path.suffix == ".asc" and MIN_ZONE_S <= apart_s <= MAX_ZONE_S:
+    # Clocks of two time zones differ by half an hour at least, by 26 hours at most (IANA's time zones).
+    if poses.path.suffix == ".asc" and 1800.0 <= apart_s <= 93_600.0:
         return "an .asc states local time: set TZ to the time zone in which it was written"
     return otherwise
 
@@ -137,7 +129,8 @@ def runs_against_travel(poses: PoseTable, frames_s: Sequence[float], joint: Join
         float((after - before) @ seam_frame(joint, before)[:3, 0]) for before, after in pairwise(origins_mm)
     ]
     # The median holds against a jump in the poses.
-    return sum(steps_mm) < -MIN_TRAVEL_MM and float(np.median(steps_mm)) < 0.0
+    # A robot that went less far along the seam while frames were taken shows no direction of travel.
+    return sum(steps_mm) < -5.0 and float(np.median(steps_mm)) < 0.0
 
 
 def pose_buffer(poses: PoseTable) -> PoseBuffer:
@@ -185,7 +178,9 @@ def read_log(path: Path, channel: str | None) -> tuple[PoseTable, list[str]]:
             if sample is None or sample.kind is not PoseKind.ACTUAL:
                 continue
             if times_s and sample.timestamp_s <= times_s[-1]:
-                if times_s[-1] - sample.timestamp_s < REPEATED_S:
+                # A pose of the bus that is not later than the one before, by less than this, is the same
+                # sample again.
+                if times_s[-1] - sample.timestamp_s < 0.05:
                     repeated += 1
                     continue
                 raise in_file(

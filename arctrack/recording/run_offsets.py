@@ -15,15 +15,6 @@ from tracker.state import NAN
 
 LIVE_FOLDER, LIVE_RESULTS = "live", "results.csv"
 
-NOT_SENT = "not_sent"
-"""The validity of an offset that the bus did not take."""
-
-BUS_STEP_MM = 0.001
-"""The resolution of an offset on the bus, mm: closer ones are the same."""
-
-MAX_NAMED = 3
-"""Kinds of differences that a line names."""
-
 
 @dataclass(frozen=True)
 class OffsetOutcome:
@@ -47,7 +38,7 @@ class OffsetOutcome:
         return cls(
             offset.offset_y_mm,
             offset.offset_z_mm,
-            offset.validity.name.lower() if was_sent else NOT_SENT,
+            offset.validity.name.lower() if was_sent else "not_sent",
             "" if reason is GateReason.NONE else reason.name.lower(),
             "" if pose_doubt is None else pose_doubt.name.lower(),
         )
@@ -98,7 +89,7 @@ class RunComparison:
         count = sum(n for _, _, n in different)
         if count == 0:
             return f"all {self.frames} offsets are those that the run sent"
-        kinds = [f"{n} in the run {run}, here {here}" for run, here, n in different[:MAX_NAMED]]
+        kinds = [f"{n} in the run {run}, here {here}" for run, here, n in different[:3]]
         others = len(different) - len(kinds)
         kinds += [f"{others} more kinds"] if others > 0 else []
         return (
@@ -148,4 +139,5 @@ def read_run_offsets(recording: Path) -> Mapping[int, OffsetOutcome]:
 def _is_same(run_mm: float, other_mm: float) -> bool:
     if math.isnan(run_mm) or math.isnan(other_mm):
         return math.isnan(run_mm) and math.isnan(other_mm)
-    return abs(run_mm - other_mm) < BUS_STEP_MM
+    # The resolution of an offset on the bus, mm: closer ones are the same.
+    return abs(run_mm - other_mm) < 0.001

@@ -15,10 +15,6 @@ from arctrack.report.data_uri import uri
 from noise_model.compiled.arrays import Float32, UInt8
 
 CHANGE, EXCESS, SCALE_PX = "RdBu_r", "viridis", 256
-NOT_COUNTED = (0.72, 0.72, 0.72)
-
-POINTS_PER_INCH = 200
-"""Resolution of the parts of a drawing that are kept as pixels, where lines would be too many."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +38,7 @@ def binned(image: Float32, bin_px: int) -> Float32:
 
 def coloured(values: Float32, name: str, low: float, high: float) -> str:
     """Return values (H, W) in a colour map's colours, what is NaN in grey."""
-    colours = mpl.colormaps[name].with_extremes(bad=NOT_COUNTED)
+    colours = mpl.colormaps[name].with_extremes(bad=(0.72, 0.72, 0.72))
     picture = colours(Normalize(low, high)(np.ma.masked_invalid(values)), bytes=True)
     return png(np.asarray(picture)[..., :3])
 
@@ -67,5 +63,6 @@ def svg(figure: Figure) -> str:
     """
     drawn = io.BytesIO()
     with mpl.rc_context({"svg.hashsalt": "arctrack", "svg.fonttype": "none"}):
-        figure.savefig(drawn, format="svg", dpi=POINTS_PER_INCH, metadata={"Date": None})
+        # Resolution of the parts of a drawing that are kept as pixels, where lines would be too many.
+        figure.savefig(drawn, format="svg", dpi=200, metadata={"Date": None})
     return uri("image/svg+xml", drawn.getvalue())

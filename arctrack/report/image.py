@@ -15,11 +15,6 @@ from noise_model.instrument.sensor import Sensor
 from noise_model.transforms import invert, transform
 from tracker.state import Stripe, Track
 
-JPEG_QUALITY = 75
-
-STRIPE_BGR = (0, 159, 230)
-SEAM_BGR = (233, 180, 86)
-
 
 def visible(image_dn: npt.NDArray[np.integer | np.floating], sensor: Sensor) -> UInt8:
     """Return a raw frame (H, W) as 8-bit grey, by the square root, under which noise is uniform."""
@@ -39,7 +34,7 @@ def shrunk(grey: UInt8, bin_px: int) -> UInt8:
 def jpeg(grey: UInt8) -> bytes:
     """Return a grey picture (H, W) as a JPEG file."""
     file = io.BytesIO()
-    Image.fromarray(grey).save(file, format="jpeg", quality=JPEG_QUALITY, optimize=True)
+    Image.fromarray(grey).save(file, format="jpeg", quality=75, optimize=True)
     return file.getvalue()
 
 
@@ -70,10 +65,10 @@ def annotate(grey: UInt8, track: Track, camera: Camera) -> UInt8:
     if track.stripe is not None:
         x, y = np.rint(stripe_points_px(track.stripe)).astype(int).T
         inside = (x >= 0) & (x < picture.shape[1]) & (y >= 0) & (y < picture.shape[0])
-        picture[y[inside], x[inside]] = STRIPE_BGR
+        picture[y[inside], x[inside]] = (0, 159, 230)
     point = seam_point_px(track, camera)
     if point is not None:
         size = max(8, camera.width // 20)
         cross = (round(point[0]), round(point[1]))
-        cv2.drawMarker(picture, cross, SEAM_BGR, cv2.MARKER_CROSS, size, 2, cv2.LINE_AA)
+        cv2.drawMarker(picture, cross, (233, 180, 86), cv2.MARKER_CROSS, size, 2, cv2.LINE_AA)
     return np.asarray(picture, dtype=np.uint8)

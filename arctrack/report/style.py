@@ -11,12 +11,10 @@ from arctrack.printable import printable
 BLUE, VERMILLION, GREEN, ORANGE, SKY = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9"
 YELLOW, GREY, BLACK = "#F0E442", "#7F7F7F", "#000000"
 
-DOTS_PER_INCH = 110
-
 
 def new_figure(width_inch: float, height_inch: float, title: str) -> Figure:
     """Return an empty figure that arranges itself, without pyplot and its state."""
-    figure = Figure(figsize=(width_inch, height_inch), dpi=DOTS_PER_INCH, layout="constrained")
+    figure = Figure(figsize=(width_inch, height_inch), dpi=110, layout="constrained")
     lines = (_drawable(printable(line)) for line in title.splitlines())
     # A dollar in a name begins no formula.
     figure.suptitle("\n".join(lines), fontsize=12, fontweight="bold", x=0.01, ha="left", parse_math=False)

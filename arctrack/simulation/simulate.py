@@ -38,23 +38,12 @@ from noise_model.surface.joint import (
 from noise_model.transforms import invert, transform
 from tracker.state import Frame
 
-WEAVE_PERIOD_S, HEIGHT_PERIOD_S, TILT_PERIODS_S = 1.7, 2.4, (2.9, 1.9)
 MEETS_WITHIN_MM = 100.0
 """So far along the seam from the laser sheet's foot it is looked for where the two meet."""
-
-WANDER_PERIODS_MM = (100.0, 600.0)
-"""Over what length the true seam wanders sideways and in height: plates are straight, cut edges less so."""
-
-POSE_LEAD_S, POSE_TAIL_S = 0.4, 0.5
-HIGH_CURRENT, SHORT_EXPOSURE = 1.4, 0.5
-"""The second current and the second exposure, over the nominal ones."""
 
 MIN_FRAMES = 12
 RATES_HZ, SPEEDS_MM_S, WANDERS_MM, TILTS_DEG = (0.01, 1000.0), (0.0, 1000.0), (0.0, 100.0), (0.0, 45.0)
 """What a plan may ask for: times are written to the microsecond, and the tool goes forward."""
-
-ARC_SHARE = 0.15
-"""The mean arc light of a frame over full well that `balance` sets."""
 
 
 @dataclass(frozen=True)
@@ -234,7 +223,8 @@ def balance(setup: Setup) -> Setup:
     mean_e = float(predict(setup, T_base_tool, arc_alone).mean_e.mean())
     if not mean_e > 0.0:
         raise ArctrackError("[camera.pose_in_tool]: the camera sees no arc light at all")
-    radiance_e = setup.arc.radiance_e * ARC_SHARE * setup.sensor.full_well_e / mean_e
+    # The mean arc light of a frame over full well that `balance` sets.
+    radiance_e = setup.arc.radiance_e * 0.15 * setup.sensor.full_well_e / mean_e
     # Three digits: nobody knows it better, and the file stays readable.
     return replace(setup, arc=replace(setup.arc, radiance_e=float(f"{radiance_e:.3g}")))
 
@@ -276,7 +266,8 @@ def conditions(setup: Setup, plan: SimulationPlan, rng: np.random.Generator) -> 
     """
     has_arc, exposure_s = setup.arc.shines, setup.camera.exposure_s
     current_a = setup.arc.current_a if has_arc else 0.0
-    short_s, high_a = SHORT_EXPOSURE * exposure_s, HIGH_CURRENT * current_a
+    # The second current and the second exposure, over the nominal ones.
+    short_s, high_a = 0.5 * exposure_s, 1.4 * current_a
     both = FrameSwitches(True, has_arc, current_a, exposure_s)
     if plan.production:
         return [both] * plan.frames
@@ -321,16 +312,15 @@ class SimulatedMotion:
         x_mm = self._start_mm + plan.travel_speed_mm_s * timestamp_s
         low_mm, high_mm = plan.height_mm
         height_mm = 0.5 * (low_mm + high_mm)
-        height_mm += 0.5 * (high_mm - low_mm) * self._wave(timestamp_s / HEIGHT_PERIOD_S, 1)
+        height_mm += 0.5 * (high_mm - low_mm) * self._wave(timestamp_s / 2.4, 1)
         # The torch keeps its distance to a corrugated sheet.
         height_mm += float(corrugation_height(np.array(x_mm), self._corrugation))
         tilts_deg = [
-            plan.tilt_deg * self._wave(timestamp_s / period_s, 2 + n)
-            for n, period_s in enumerate(TILT_PERIODS_S)
+            plan.tilt_deg * self._wave(timestamp_s / period_s, 2 + n) for n, period_s in enumerate((2.9, 1.9))
         ]
         T_joint_tool = np.eye(4)
         T_joint_tool[:3, :3] = Rotation.from_euler("xy", tilts_deg, degrees=True).as_matrix()
-        lateral_mm = plan.weave_mm * self._wave(timestamp_s / WEAVE_PERIOD_S, 0)
+        lateral_mm = plan.weave_mm * self._wave(timestamp_s / 1.7, 0)
         T_joint_tool[:3, 3] = x_mm, lateral_mm, height_mm
         return self._T_base_joint @ T_joint_tool
 
@@ -373,7 +363,8 @@ class SimulatedMotion:
 
     def _line(self, station_mm: float) -> SeamLine:
         wander = np.array([self._plan.seam_wander_mm, 0.5 * self._plan.seam_wander_mm])
-        wave_number = 2.0 * np.pi / np.array(WANDER_PERIODS_MM)
+        # Wavelengths sideways and in height: plates are straight, cut edges less so.
+        wave_number = 2.0 * np.pi / np.array((100.0, 600.0))
         phase = wave_number * station_mm + self._phases[4:]
         place = wander * np.sin(phase)
         slope = wander * wave_number * np.cos(phase)
@@ -387,7 +378,7 @@ def _pose_times_s(plan: SimulationPlan, draw: np.random.Generator) -> list[float
     """Return the controller's times from before the first frame to after the last, jittered, rising."""
     period_s = 1.0 / plan.pose_rate_hz
     last_s = (plan.frames - 1) / plan.rate_hz
-    regular_s = np.arange(-POSE_LEAD_S, last_s + POSE_TAIL_S, period_s)
+    regular_s = np.arange(-0.4, last_s + 0.5, period_s)
     limit_s = 0.45 * period_s
     jitter_s = np.clip(plan.pose_jitter_s * draw.standard_normal(len(regular_s)), -limit_s, limit_s)
     return [float(t) for t in np.round(regular_s + jitter_s, 6)]

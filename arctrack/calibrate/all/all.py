@@ -29,8 +29,6 @@ from arctrack.recording import (
 from arctrack.recording.setup_file import parse_setup
 from calibration.certificate import Certificate
 
-CAMERA_FIRST = "needs the camera, which was refused"
-
 
 @dataclass
 class Calibrations:
@@ -86,7 +84,9 @@ def calibrate_folder(raw: CalibrationSources, stated: SetupFile, steps: Steps, w
         )
     if "camera" in result.refused:
         result.refused |= {
-            name: CAMERA_FIRST for name in ("hand_eye", "laser") if getattr(raw, name) is not None
+            name: "needs the camera, which was refused"
+            for name in ("hand_eye", "laser")
+            if getattr(raw, name) is not None
         }
     else:
         if raw.hand_eye is not None:

@@ -19,9 +19,6 @@ from calibration.pose_delay import PoseDelay
 from noise_model.compiled.arrays import Float64
 from tracker.seam.locate import moved_variance
 
-POINTS_OF_PAIR = 25
-"""Number of points of the stripe in each pair at which the sheet is judged, within the range seen."""
-
 UNIT_RAD, UNIT_MM = 1e-3, 0.1
 """The turn and the move whose variances are scaled to the certificate's."""
 
@@ -122,7 +119,7 @@ def _points_px(sheet: LaserCalibration) -> Float64:
     # Fewer points than that are taken more than once, which changes nothing.
     return np.concatenate(
         [
-            stripe.points_px[np.linspace(0, len(stripe.points_px) - 1, POINTS_OF_PAIR).round().astype(int)]
+            stripe.points_px[np.linspace(0, len(stripe.points_px) - 1, 25).round().astype(int)]
             for stripe in sheet.stripes
         ]
     )

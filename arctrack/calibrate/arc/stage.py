@@ -25,9 +25,6 @@ from noise_model.surface.joint import NOMINAL_SEAM
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame
 
-MAX_SLOPE, MAX_BEND_MM = 0.03, 0.3
-"""A seam that leaves its nominal line faster, mm/mm, or bends more, is not straight up to the torch."""
-
 
 def arc_stage(read: Recording, steps: Steps) -> tuple[CalibrationStage[ArcCalibration], list[BadFrame]]:
     """Calibrate arc and metal from the frames with the arc on and the laser off.
@@ -65,7 +62,8 @@ def _refuse_bent_seam(read: Recording, place: StripePlace | None) -> None:
         return
     slope = place.seam_by(place.as_stated).slope_y
     bend_mm = place.bends.range_mm(place.as_stated.values)
-    if abs(slope) > MAX_SLOPE or bend_mm > MAX_BEND_MM:
+    # A seam that leaves its nominal line faster, mm/mm, or bends more, mm, is not straight up to the torch.
+    if abs(slope) > 0.03 or bend_mm > 0.3:
         raise in_file(
             read.path,
             f"the seam leaves its nominal line by {slope:+.3f} mm/mm and bends by {bend_mm:.1f} mm where it "

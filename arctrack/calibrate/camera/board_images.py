@@ -19,12 +19,6 @@ from calibration.boards.detect import MIN_PITCH_PX, Corners, find_corners, small
 from calibration.camera.sightings import BoardView
 from noise_model.compiled.arrays import Float64, Integers
 
-MOVED_PX = 0.5
-"""A board whose corners lie this near those of another image, half of them, has not moved."""
-
-DIM_DN = 20.0
-"""Least contrast without a warning, DN of 8 bits: less makes noisy corners."""
-
 
 @dataclass
 class BoardImages:
@@ -47,7 +41,8 @@ class BoardImages:
     @property
     def is_dim(self) -> bool:
         """True if the boards are poorly lit."""
-        return bool(self.contrast) and float(np.median(self.contrast)) < DIM_DN / 255.0
+        # Least contrast without a warning, DN of 8 bits: less makes noisy corners.
+        return bool(self.contrast) and float(np.median(self.contrast)) < 20.0 / 255.0
 
     @property
     def warnings(self) -> list[str]:
@@ -156,7 +151,8 @@ def _is_same_place(view: BoardView, corners: Corners) -> bool:
     _, own, other = np.intersect1d(view.corners, corners.corners, return_indices=True)
     if not len(own):
         return False
-    return float(np.median(_distances(view.points_px[own], corners.points_px[other]))) < MOVED_PX
+    # A board whose corners lie this near those of another image, half of them, has not moved.
+    return float(np.median(_distances(view.points_px[own], corners.points_px[other]))) < 0.5
 
 
 def _distances(a: Float64, b: Float64) -> Float64:

@@ -31,7 +31,6 @@ MEANINGS = {
     "warp_x_mm": "the board's rise in its middle, bent along its columns",
     "warp_y_mm": "the board's rise in its middle, bent along its rows",
 }
-RADIAL = "radial distortion"
 
 
 def camera_page(result: CameraCalibration, images: BoardImages, stated: SetupFile | None) -> CalibrationPage:
@@ -79,7 +78,7 @@ def camera_rows(result: CameraCalibration) -> tuple[ValueRow, ...]:
             rows.append(row_of(f"{meaning[:1].lower()}{meaning[1:]}", key, value, sigma, unit))
             continue
         unit = "rad" if name.startswith("tau") else "" if key else "mm"
-        rows.append(row_of(MEANINGS.get(name, RADIAL), key, value, sigma, unit))
+        rows.append(row_of(MEANINGS.get(name, "radial distortion"), key, value, sigma, unit))
     if result.print_sigma_mm > 0.0:
         off = f"{result.print_sigma_mm:.4f}"
         rows.append(ValueRow("how far corners are off on the board as printed, 1 σ", "", off, "", "", "mm"))

@@ -14,15 +14,6 @@ from noise_model.compiled.arrays import Float64, Integers
 WIDTH_INCH = 7.0
 COLOURS = "viridis"
 
-ARROW_SHARE = 0.03
-"""Length of the arrow of a residual of the 95 % quantile, over the image's width."""
-
-PRINT_ARROW = 0.4
-"""Length of the arrow of a corner that is twice as far off as most, over the squares' side."""
-
-SAMPLE_PX = 800
-"""Size to which the image behind the corners is reduced, px."""
-
 SIGMA_LEVELS_PX = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 
 
@@ -41,7 +32,8 @@ def coverage(result: CameraCalibration, sample: Integers | None) -> Figure:
     figure, axes = _image_axes(result, "")
     if sample is not None:
         low, high = np.percentile(sample, [1.0, 99.5])
-        step = -(-max(sample.shape) // SAMPLE_PX)
+        # Size to which the image behind the corners is reduced, px.
+        step = -(-max(sample.shape) // 800)
         axes.imshow(
             sample[::step, ::step],
             cmap="gray",
@@ -69,7 +61,8 @@ def residuals(result: CameraCalibration) -> Figure:
     """Return the residuals as arrows over the image."""
     lens, vectors = result.scene.lens, result.scene.residuals(result.seen)
     typical = float(np.quantile(np.linalg.norm(vectors, axis=1), 0.95))
-    stretch = ARROW_SHARE * lens.width / max(typical, 1e-12)
+    # Length of the arrow of a residual of the 95 % quantile, over the image's width.
+    stretch = 0.03 * lens.width / max(typical, 1e-12)
     figure, axes = _image_axes(result, f"Residuals, drawn {stretch:.0f} times as long")
     axes.quiver(
         *result.seen.points_px.T,
@@ -122,7 +115,8 @@ def warp(result: CameraCalibration) -> Figure:
     axes.invert_yaxis()
     figure.colorbar(shown, ax=axes, label="height, away from the camera [µm]")
     if result.print_sigma_mm > 0.0:
-        stretch = PRINT_ARROW * board.square_mm / (2.0 * float(np.sqrt(np.mean(result.scene.print_mm**2))))
+        # Length of the arrow of a corner that is twice as far off as most, over the squares' side.
+        stretch = 0.4 * board.square_mm / (2.0 * float(np.sqrt(np.mean(result.scene.print_mm**2))))
         arrows = stretch * result.scene.print_mm.T
         axes.quiver(x, y, *arrows, angles="xy", scale_units="xy", scale=1.0, width=0.004)
         axes.set_title(f"arrows: where corners are off, {stretch:.0f} times as long", loc="left", fontsize=10)

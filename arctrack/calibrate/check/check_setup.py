@@ -28,12 +28,6 @@ from tracker.seam.correction import UNSTATED
 from tracker.state import Frame
 from tracker.warm_up import warm_up
 
-MAX_ARC_FRAMES = 12
-"""Number of frames with the arc on that are compared with the arc map."""
-
-MIN_LINES = 30
-"""A stripe that the tracker holds in fewer scan lines is taken from the bright line instead."""
-
 
 @dataclass(frozen=True, eq=False)
 class SetupCheck:
@@ -166,7 +160,8 @@ def _sight(geometry: SensorGeometry, look: CheckedFrame) -> StripeSight:
     """Return the stripe as the tracker read it, or else the bright line that was found without any model."""
     assert look.pose is not None
     stripe = look.track.stripe
-    if stripe is None or np.isfinite(stripe.position_px).sum() < MIN_LINES:
+    # A stripe that the tracker holds in fewer scan lines is taken from the bright line instead.
+    if stripe is None or np.isfinite(stripe.position_px).sum() < 30:
         return StripeSight(look.line.points_px, look.pose.T_base_tool)
     scan = np.flatnonzero(np.isfinite(stripe.position_px))
     points_px = geometry.image_points(scan.astype(np.float64), stripe.position_px[scan])
@@ -176,5 +171,6 @@ def _sight(geometry: SensorGeometry, look: CheckedFrame) -> StripeSight:
 def _arc_frames(recording: Recording) -> list[tuple[Frame, Float64]]:
     """Return frames with the arc on, over the whole run, with their poses (4, 4)."""
     lit = np.flatnonzero([row.arc_on and row.current_a != 0.0 for row in recording.rows])
-    frames, _ = parted(recording.frames(lit[evenly(len(lit), MAX_ARC_FRAMES)].tolist()))
+    # Number of frames with the arc on that are compared with the arc map.
+    frames, _ = parted(recording.frames(lit[evenly(len(lit), 12)].tolist()))
     return [(frame, pose.T_base_tool) for frame, pose in recording.posed(frames)]

@@ -25,9 +25,6 @@ TEMPLATE = "setup_check.html.j2"
 
 MARKS = {SetupVerdict.OK: "no_gap", SetupVerdict.NOT_EXPLAINED: "unknown", SetupVerdict.UNTOLD: "ambiguous"}
 
-MAX_SHOWN = 2
-"""Number of frames shown with their stripes."""
-
 SHAPE_RANGE = 0.1
 """End of the colour scale of the arc map's error, relative."""
 
@@ -84,7 +81,7 @@ def render(checked: SetupCheck) -> str:
 
 def _stripes(checked: SetupCheck) -> str:
     looks = [look for look in checked.looks if look.pose is not None and len(look.line.scan)]
-    shown = sorted({0, len(looks) - 1})[:MAX_SHOWN]
+    shown = sorted({0, len(looks) - 1})
     camera = checked.setup.camera
     figure = style.new_figure(10.5, 0.6 + 10.5 / len(shown) * camera.height / camera.width, "")
     cells = figure.subplots(1, len(shown), squeeze=False)[0]

@@ -23,9 +23,6 @@ from calibration.gauge.stripe_pieces import Pieces, stripe_pieces
 from noise_model.compiled.arrays import Float64, Integers
 from noise_model.evenly import evenly
 
-MAX_FRAMES = 40
-"""Number of frames of a recording that are used, evenly spread."""
-
 
 @dataclass
 class GaugeImages:
@@ -104,7 +101,8 @@ def read_gauge_frames(
     lit = [n for n, row in enumerate(recording.rows) if row.laser_on and not row.arc_on]
     if not lit:
         raise in_file(recording.path, "has no frame of the laser alone: take them with the arc off")
-    chosen = [lit[n] for n in evenly(len(lit), MAX_FRAMES)]
+    # Number of frames of a recording that are used, evenly spread.
+    chosen = [lit[n] for n in evenly(len(lit), 40)]
     images = GaugeImages(_lens(stated), has_poses=True)
     buffer = recording.pose_buffer()
     for done, frame in enumerate(recording.frames(chosen)):

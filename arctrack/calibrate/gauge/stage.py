@@ -38,9 +38,6 @@ SHEET_CURE = (
     "calibrate laser`; if the size stays off, `arctrack calibrate camera`"
 )
 
-SURE = 0.5
-"""Largest sigma of a size, over its limit, that decides whether it is within the limit."""
-
 
 def gauge_stage(
     source: GaugeSource,
@@ -111,7 +108,8 @@ def check_stage(
     for check in checks:
         warn(left_out(check.left_out))
     off_mm, sigma_mm = size_off(checks)
-    if sigma_mm > SURE * within_mm:
+    # Largest sigma of a size, over its limit, that decides whether it is within the limit.
+    if sigma_mm > 0.5 * within_mm:
         raise in_file(
             _path(source),
             f"the gauge's size is measured to {sigma_mm:.3f} mm (1 σ), too little to tell {within_mm:g} mm: "

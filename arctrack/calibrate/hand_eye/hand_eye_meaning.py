@@ -20,9 +20,6 @@ from calibration.hand_eye_boards.chain import Chain
 from calibration.hand_eye_boards.turns import turn_mismatch_deg
 from noise_model.compiled.arrays import Float64
 
-FITS_DEG = 1.5
-"""Largest median difference of robot's and board's rotations between images that fit."""
-
 SEQUENCES = tuple("".join(axes) for letters in ("ZYX", "xyz") for axes in permutations(letters)) + tuple(
     f"{first}{second}{first}" for letters in ("ZYX", "xyz") for first, second in permutations(letters, 2)
 )
@@ -66,7 +63,8 @@ def other_meanings(
         for (change, T_base_tool), is_flipped in product(_changes(turned), (False, True)):
             held = is_eye_to_hand != is_flipped
             chain = Chain(T_base_tool @ posed.T_controllertool_tool, np.eye(4), np.eye(4), held)
-            if turn_mismatch_deg(chain.T_holder_mount, posed.scene.T_camera_board) > FITS_DEG:
+            # Largest median difference of robot's and board's rotations between images that fit.
+            if turn_mismatch_deg(chain.T_holder_mount, posed.scene.T_camera_board) > 1.5:
                 continue
             for unit, mm in LENGTHS_MM.items():
                 scaled = T_base_tool.copy()

@@ -12,12 +12,6 @@ from arctrack.report.embedded import svg
 from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration
 from calibration.rigid import inverse, transform_each
 
-ARROW_SHARE = 0.25
-"""Length of the camera's line of sight, over its distance to the board."""
-
-ARROW_PX_SHARE = 0.08
-"""Length of the arrow of the 95 % quantile, over the image's width."""
-
 
 def misfits(result: HandEyeCalibration) -> str:
     """Return how far the robot is off each pose."""
@@ -60,7 +54,8 @@ def places(result: HandEyeCalibration) -> str:
     figure = style.new_figure(10.5, 4.2, "")
     T_board_camera = inverse(result.refined.boards.scene.T_camera_board)
     where, sight = T_board_camera[:, :3, 3], T_board_camera[:, :3, 2]
-    reach = ARROW_SHARE * float(np.median(np.linalg.norm(where, axis=1)))
+    # Length of the camera's line of sight, over its distance to the board.
+    reach = 0.25 * float(np.median(np.linalg.norm(where, axis=1)))
     corners = result.refined.boards.seen.board.points_mm
     for axes, (a, b) in zip(figure.subplots(1, 2), ((0, 1), (0, 2)), strict=True):
         style.plain(axes, f"board's {'xyz'[a]} [mm]", f"board's {'xyz'[b]} [mm]")
@@ -93,7 +88,8 @@ def robot_off(result: HandEyeCalibration) -> str:
     predicted = lens.project(points)
     off = seen.points_px[ends] - predicted
     longest = float(np.quantile(np.linalg.norm(off, axis=1), 0.95))
-    stretch = ARROW_PX_SHARE * lens.width / max(longest, 1e-9)
+    # Length of the arrow of the 95 % quantile, over the image's width.
+    stretch = 0.08 * lens.width / max(longest, 1e-9)
     title = f"arrows {stretch:.2g} times as long; {longest:.2g} px is the 95 % quantile"
     figure = style.new_figure(7.0, 0.7 + 7.0 * lens.height / lens.width, "")
     axes: Axes = style.plain(figure.add_subplot(), "column [px]", "row [px]", title)

@@ -12,8 +12,6 @@ from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration
 from noise_model.compiled.arrays import Float64
 
 MADE_BY = "arctrack calibrate hand-eye"
-IN_TOOL, IN_BASE = "hand_eye", "camera_in_base"
-"""The calibration's name: eye in hand and eye to hand."""
 
 
 def hand_eye_record(result: HandEyeCalibration) -> CalibrationValues:
@@ -40,10 +38,10 @@ def hand_eye_record(result: HandEyeCalibration) -> CalibrationValues:
         }
     if result.is_eye_to_hand:
         return CalibrationValues(
-            "camera", {}, PARAMETERS, result.covariance, MADE_BY, {**pose, **about}, IN_BASE
+            "camera", {}, PARAMETERS, result.covariance, MADE_BY, {**pose, **about}, "camera_in_base"
         )
     return CalibrationValues(
-        "camera.pose_in_tool", pose, PARAMETERS, result.covariance, MADE_BY, about, IN_TOOL
+        "camera.pose_in_tool", pose, PARAMETERS, result.covariance, MADE_BY, about, "hand_eye"
     )
 
 

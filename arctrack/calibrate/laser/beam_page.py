@@ -12,9 +12,6 @@ from calibration.laser.fan import Fan, Missing
 from calibration.laser.width import Law, Width
 from noise_model.compiled.arrays import Float64
 
-SURE_SIGMAS, MIN_TURN_DEG = 4.0, 1.0
-"""A fan that is turned by more than either is named."""
-
 ANGLES, MIN_IN_BIN = 24, 10
 """Parts of the fan whose median shows how even it is, and the points that make one."""
 
@@ -55,7 +52,8 @@ def beam_sentences(beam: Beam) -> list[str]:
 
 def _of_fan(fan: Fan) -> list[str]:
     lines = [f"The stripe's ends lie {fan.residual_mm:.2f} mm off the two sides of the fan (RMS)."]
-    if abs(fan.turn_deg) > max(SURE_SIGMAS * fan.sigma[3], MIN_TURN_DEG):
+    # A fan that is turned by more than either is named.
+    if abs(fan.turn_deg) > max(4.0 * fan.sigma[3], 1.0):
         turn, within = with_sigma(abs(fan.turn_deg), float(fan.sigma[3]))
         lines.append(
             f"The fan's middle is turned by {turn} ± {within}° in the sheet. A setup's fan is even about the "

@@ -31,12 +31,6 @@ from calibration.threads import one_thread
 from noise_model.compiled.arrays import Float64, Integers
 from noise_model.setup import Setup
 
-LIT_SIGMAS = 3.0
-"""Distance of an unlit corner from the stripe, sigmas, in addition to half the corner's window."""
-
-WITH, WITHOUT = ("laser", "on"), "off"
-"""Words in a file's name: an image with the laser has one of the first, and not the second."""
-
 NAMING = (
     "pairs share their numbers, and `laser` or `on` is in the name of that with the laser: board_01, "
     "laser_01; an image of both has it too"
@@ -73,7 +67,8 @@ def find_pairs(sources: Sequence[Path]) -> tuple[dict[Path, Path], list[Path], l
     for path in images_of(sources):
         number = tuple(int(digits) for digits in re.findall(r"\d+", path.stem))
         words = set(re.findall(r"[a-z]+", path.stem.lower()))
-        half = halves[WITHOUT not in words and bool(words.intersection(WITH))]
+        # Words in a file's name: an image with the laser has one of the first, and not the second.
+        half = halves["off" not in words and bool(words.intersection(("laser", "on")))]
         if number in half:
             raise in_file(path, f"has the number of {half[number].name}, and both are of one kind: {NAMING}")
         half[number] = path
@@ -175,7 +170,8 @@ def _without_lit_corners(pairs: LaserPairs) -> LaserPairs:
             square_px = (
                 pairs.scene.lens.values[0] * seen.board.square_mm / pairs.scene.T_camera_board[n, 2, 3]
             )
-            near_px = LIT_SIGMAS * stripe.scale_px + WINDOW * square_px
+            # Distance of an unlit corner from the stripe, sigmas, in addition to half the corner's window.
+            near_px = 3.0 * stripe.scale_px + WINDOW * square_px
             kept[part] = np.linalg.norm(points[:, None] - stripe.points_px, axis=2).min(axis=1) > near_px
             if kept[part].sum() < MIN_CORNERS:
                 kept[part] = True

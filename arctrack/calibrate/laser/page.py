@@ -27,9 +27,6 @@ from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 
 WORDS = ("normal, x", "normal, y", "normal, z", "distance, d")
-SAMPLE_PX = 800
-"""Size to which the image behind the stripes is reduced, px."""
-
 BINS, MIN_IN_BIN = 30, 20
 """Parts of the stripe whose mean shows the sheet's bow, and the points that make a mean."""
 
@@ -197,7 +194,8 @@ def _image(result: LaserCalibration, pairs: LaserPairs) -> str:
     axes = style.plain(figure.add_subplot(), "column [px]", "row [px]")
     if pairs.sample is not None:
         low, high = np.percentile(pairs.sample, [1.0, 99.5])
-        step = -(-max(pairs.sample.shape) // SAMPLE_PX)
+        # Size to which the image behind the stripes is reduced, px.
+        step = -(-max(pairs.sample.shape) // 800)
         axes.imshow(
             pairs.sample[::step, ::step],
             cmap="gray",

@@ -20,9 +20,6 @@ SOURCE = ("distance_mm", "intensity")
 
 TIME, REPEAT = "time_s", "repeat"
 
-SOURCE_RANGE = (1e-9, 1e9)
-"""Range of distance and intensity in any unit: the intensity over the distance squared is finite."""
-
 
 @dataclass(frozen=True, eq=False)
 class GoniometerFile:
@@ -68,7 +65,8 @@ def read_goniometer(path: Path, response: GreyResponse) -> GoniometerFile:
 
 def _check(table: CsvTable, column: dict[str, Float64], response: GreyResponse) -> None:
     gray_level = column["gray_level"]
-    least, most = SOURCE_RANGE
+    # Range of distance and intensity in any unit: the intensity over the distance squared is finite.
+    low, high = 1e-9, 1e9
     limits = [
         (
             "theta_i_deg",
@@ -84,7 +82,7 @@ def _check(table: CsvTable, column: dict[str, Float64], response: GreyResponse) 
         ),
         *((name, column[name] <= 0, "must be > 0") for name in SOURCE if name in column),
         *(
-            (name, (column[name] < least) | (column[name] > most), f"must be {least:g} to {most:g}")
+            (name, (column[name] < low) | (column[name] > high), f"must be {low:g} to {high:g}")
             for name in SOURCE
             if name in column
         ),

@@ -15,9 +15,6 @@ from noise_model.compiled.arrays import Bool, Float64
 COLOURS = (style.BLUE, style.VERMILLION, style.GREEN, style.ORANGE, style.SKY, style.BLACK)
 MARKERS = "osD^vP"
 
-MAX_CURVES = 6
-"""Curves in the upper picture: the angles of incidence and azimuths with the most settings."""
-
 Sweep = tuple[float, float]
 
 
@@ -47,7 +44,8 @@ def _sweeps(settings: Settings) -> list[Sweep]:
     pairs, counts = np.unique(
         np.column_stack([settings.theta_i_deg, settings.phi_r_deg]), axis=0, return_counts=True
     )
-    chosen = np.sort(np.argsort(-counts, kind="stable")[:MAX_CURVES])
+    # Curves in the upper picture: the angles of incidence and azimuths with the most settings.
+    chosen = np.sort(np.argsort(-counts, kind="stable")[:6])
     return [(float(theta_i), float(phi_r)) for theta_i, phi_r in pairs[chosen]]
 
 

@@ -28,13 +28,8 @@ WORDS = {
 }
 """Name of each value, and its key in [sensor]."""
 
-PERCENTS = ("prnu_rel", "linearity_rel")
-"""Values that people read in %."""
-
 MAP_PX, MAP_SIGMAS = 160, 3.0
 """Size of a pattern's picture, pixels a side, and its range, sigmas."""
-
-CURVE_POINTS = 400
 
 
 def sensor_rows(result: SensorCalibration) -> tuple[ValueRow, ...]:
@@ -42,7 +37,8 @@ def sensor_rows(result: SensorCalibration) -> tuple[ValueRow, ...]:
     rows = []
     for name, (what, key) in WORDS.items():
         estimate = result[name]
-        factor, unit = (100.0, "%") if name in PERCENTS else (1.0, estimate.unit)
+        # Values that people read in %.
+        factor, unit = (100.0, "%") if name in ("prnu_rel", "linearity_rel") else (1.0, estimate.unit)
         ends = (factor * estimate.low, factor * estimate.high)
         row = row_of(what, key, factor * estimate.value, factor * estimate.sigma, unit, ends=ends)
         rows.append(replace(row, sigma="held", interval="") if estimate.sigma == 0.0 else row)
@@ -114,7 +110,7 @@ def _transfer(result: SensorCalibration) -> str:
         markersize=4,
         label="flat",
     )
-    charge = np.geomspace(0.2 * fit.charge_e[lit].min(), result["full_well_e"].value, CURVE_POINTS)
+    charge = np.geomspace(0.2 * fit.charge_e[lit].min(), result["full_well_e"].value, 400)
     mean, variance = result.curve(charge)
     axes.plot(mean - black, variance, color=style.VERMILLION, linewidth=1.2, label="fit")
     axes.axhline(

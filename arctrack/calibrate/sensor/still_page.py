@@ -15,9 +15,6 @@ from calibration.sensor.still import StillCalibration
 
 WORDS = {"gain_e_per_dn": "gain", "black_level_dn": "black level", "read_noise_e": "read noise"}
 
-LARGE_UNLIKE = 0.1
-"""With bins that much off the model, relative, the gain is not to be relied upon: the page is orange."""
-
 
 def still_page(result: StillCalibration, source: str, warnings: Sequence[str]) -> CalibrationPage:
     """Return what the page holds."""
@@ -32,7 +29,8 @@ def still_page(result: StillCalibration, source: str, warnings: Sequence[str]) -
             half = speckle.half_width * sigma
             estimate = IntervalEstimate(value, sigma, value - half, value + half, unit)
             rows.append(_row(what, "", estimate))
-    is_fine = result.unlike_rel < LARGE_UNLIKE
+    # With bins that much off the model, relative, the gain is not to be relied upon: the page is orange.
+    is_fine = result.unlike_rel < 0.1
     headline, within = with_sigma(gain.value, gain.sigma)
     sentences = [
         f"{seen.n_frames} frames of a stripe that stands still to {np.abs(seen.shifts_px).max():.2f} px, "

@@ -30,12 +30,6 @@ from sim_to_real.diagnosis import (
 
 TEMPLATE = "diagnosis.html.j2"
 
-MAX_CURVES = 4
-"""Covariates that are drawn at most; report.json has all of them."""
-
-MAX_RANKED = 12
-"""Effects that are listed at most; report.json has all of them."""
-
 LABELS = {
     DiagnosisVerdict.NO_GAP: "no gap",
     DiagnosisVerdict.EFFECTS: "gap explained",
@@ -179,14 +173,16 @@ def drawn_curves(diagnosis: Diagnosis) -> list[Curve]:
     if diagnosis.verdict is DiagnosisVerdict.NO_GAP:
         return []
     curves = [curve for curve in diagnosis.where.covariates if len(curve.centers)]
-    return [curve for curve in curves[:MAX_CURVES] if curve.r2 >= words.MIN_R2]
+    # Covariates that are drawn at most; report.json has all of them.
+    return [curve for curve in curves[:4] if curve.r2 >= words.MIN_R2]
 
 
 def _rankings(diagnosis: Diagnosis) -> list[Ranking]:
     """Return a table of exclusive effects and one of random ones, which may be there besides."""
     if diagnosis.verdict is DiagnosisVerdict.NO_GAP:
         return []
-    exclusive = [candidate for candidate in diagnosis.ranking if not candidate.is_random][:MAX_RANKED]
+    # Effects that are listed at most; report.json has all of them.
+    exclusive = [candidate for candidate in diagnosis.ranking if not candidate.is_random][:12]
     headings = f"closes {words.IN_BINS}", words.ALONE
     random_headings = f"closes {words.IN_PIXELS}", words.PRESENT
     tables = [

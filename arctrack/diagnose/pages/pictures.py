@@ -19,18 +19,6 @@ from sim_to_real.diagnosis import Curve, HeldOutPrediction
 FRAME_PX, MAP_PX = 640, 320
 """Pictures are shrunk to about these widths; a map's pixels are means, which show what noise hides."""
 
-CLIPPED_PERCENT = 99.5
-"""The colours reach as far as this share of the pixels."""
-
-MIN_LIMIT_DN, MIN_LIMIT_SIGMAS = 1.0, 3.0
-"""The smallest values that the colours' ends stand for: what is below is no one's business."""
-
-MAX_RESIDUAL_SIGMAS = 10.0
-"""A pixel counts no more than this towards the choice of a frame: a few saturated ones are not the tale."""
-
-FEW = 3
-"""A curve of so few points is drawn as points."""
-
 CURVE_LABELS = {
     "adds": "added [DN]",
     "times_arc": "arc light, recorded / predicted",
@@ -76,7 +64,7 @@ def frame_pictures(predicted: HeldOutPrediction, place: int, sensor: Sensor) -> 
     ):
         difference = np.where(np.isfinite(variance), recorded - mean, np.nan).astype(np.float32)
         differences.append(binned(difference, bin_px))
-    limit = nice_limit(differences[0], MIN_LIMIT_DN)
+    limit = nice_limit(differences[0], 1.0)
     return FramePictures(
         frame=int(predicted.frames[place]),
         recorded=_grey(recorded, sensor),
@@ -92,7 +80,7 @@ def frame_pictures(predicted: HeldOutPrediction, place: int, sensor: Sensor) -> 
 def residual_map(z: Float32) -> tuple[str, Scale]:
     """Return the map of how far residuals (H, W) exceed their noise, in sigmas, and its scale."""
     shown = binned(z, max(1, math.ceil(z.shape[1] / MAP_PX)))
-    limit = nice_limit(shown, MIN_LIMIT_SIGMAS)
+    limit = nice_limit(shown, 3.0)
     name, low = (CHANGE, -limit) if np.nanmin(shown, initial=0.0) < 0.0 else (EXCESS, 0.0)
     return coloured(shown, name, low, limit), scale(name, low, limit)
 
@@ -104,7 +92,8 @@ def curve_picture(curve: Curve) -> str:
     neutral = 0.0 if curve.form == "adds" else 1.0
     low, mean, high = (neutral + values for values in (curve.low, curve.mean, curve.high))
     axes.axhline(neutral, color=style.BLACK, linewidth=0.8)
-    if len(curve.centers) > FEW:
+    # A curve of so few points is drawn as points.
+    if len(curve.centers) > 3:
         axes.plot(curve.centers, mean, marker="o", markersize=3, color=style.BLUE)
         axes.fill_between(curve.centers, low, high, color=style.SKY, alpha=0.45, linewidth=0)
     else:
@@ -116,14 +105,16 @@ def curve_picture(curve: Curve) -> str:
 def nice_limit(values: Float32, least: float) -> float:
     """Return where a scale ends: 1, 1.5, 2, 3, 4, 5, 6, 8 or their tenfolds, at least `least`."""
     known = np.abs(values[np.isfinite(values)])
-    reach = max(least, float(np.percentile(known, CLIPPED_PERCENT)) if known.size else least)
+    # The colours reach as far as this share of the pixels.
+    reach = max(least, float(np.percentile(known, 99.5)) if known.size else least)
     decade = 10.0 ** math.floor(math.log10(reach))
     return next(step * decade for step in (1, 1.5, 2, 3, 4, 5, 6, 8, 10, 15) if step * decade >= reach)
 
 
 def _mean_square(recorded: Integers, mean: Float32, variance: Float32) -> Float32:
     """Return each frame's mean whitened square (n,), large ones cut."""
-    square = np.minimum((recorded - mean) ** 2 / variance, MAX_RESIDUAL_SIGMAS**2)
+    # A few saturated pixels do not choose the frame: none counts for more than 10 sigmas.
+    square = np.minimum((recorded - mean) ** 2 / variance, 100.0)
     counts = np.isfinite(variance)
     return np.asarray(np.where(counts, square, 0.0).sum(axis=(1, 2)) / np.maximum(counts.sum(axis=(1, 2)), 1))
 

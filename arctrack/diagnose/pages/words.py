@@ -62,9 +62,6 @@ COVARIATES = {
 }
 """Covariates and patterns in the image whose names say too little."""
 
-PATTERNS = ("mirrored", "fixed")
-"""The patterns in the image that are no functions of a covariate."""
-
 FORMS = {
     "adds": "that adds to the image",
     "times_arc": "that multiplies the arc's light",
@@ -79,20 +76,11 @@ CERTAIN_SHARE = 0.995
 MIN_R2 = 0.05
 """A covariate or pattern that explains a smaller share of the residual is not worth mentioning."""
 
-MIN_STAGE_PROBABILITY = 0.01
-"""A less probable stage is not mentioned."""
-
-MAX_FOLLOWED = 3
-"""Largest number of covariates named."""
-
 IN_PIXELS, IN_BINS = "in single pixels", "in bins"
 """Units of the share of a gap that effects close."""
 
 MIN_CLOSED = 0.01
 """Least share of the gap that counts as closed."""
-
-SAME_SEAM_REL, SAME_SEAM_MM = 0.1, 0.005
-"""Errors of the seam that differ by less than either are the same."""
 
 
 def headline(diagnosis: Diagnosis) -> str:
@@ -223,20 +211,24 @@ def seam_sentence(diagnosis: Diagnosis, bears_mm: float) -> str:
 
 def is_same_seam(before_mm: float, after_mm: float) -> bool:
     """Return whether two errors of the seam are practically equal."""
-    return abs(before_mm - after_mm) <= max(SAME_SEAM_REL * before_mm, SAME_SEAM_MM)
+    # Errors of the seam that differ by less than either are the same.
+    return abs(before_mm - after_mm) <= max(0.1 * before_mm, 0.005)
 
 
 def stages(where: Where) -> str:
     """Return the stages at which an unknown cause may act, with their probabilities, the likeliest first."""
     ranked = sorted(where.stages.items(), key=lambda pair: -pair[1])
-    told = [pair for pair in ranked[1:] if pair[1] >= MIN_STAGE_PROBABILITY]
+    # A less probable stage is not mentioned.
+    told = [pair for pair in ranked[1:] if pair[1] >= 0.01]
     return listed([f"{name} ({probability(p)})" for name, p in (ranked[0], *told)], "and")
 
 
 def follows(where: Where) -> str:
     """Return what the residual goes with: covariates, or a pattern of the image if that explains more."""
-    told = [curve for curve in where.covariates if curve.r2 >= MIN_R2][:MAX_FOLLOWED]
-    patterns = {name: share for name, share in where.image.items() if name in PATTERNS}
+    # Largest number of covariates named.
+    told = [curve for curve in where.covariates if curve.r2 >= MIN_R2][:3]
+    # The patterns in the image that are no functions of a covariate.
+    patterns = {name: share for name, share in where.image.items() if name in ("mirrored", "fixed")}
     pattern = max(patterns, key=lambda name: patterns[name], default=None)
     text = ""
     if told:
@@ -293,9 +285,6 @@ ALONE = "it alone"
 PRESENT = "is there"
 """The heading over the probabilities of random effects: each may be there, whatever else is."""
 
-MIN_PRESENT = 0.05
-"""A random effect that is less probable is not listed."""
-
 
 def random_ranking(diagnosis: Diagnosis) -> list[RankedEffect]:
     """Return the random effects that were sought, the likeliest first."""
@@ -304,7 +293,8 @@ def random_ranking(diagnosis: Diagnosis) -> list[RankedEffect]:
 
 def is_likely(candidate: RankedEffect) -> bool:
     """Return whether an effect is likely enough to be listed."""
-    return candidate.confidence >= MIN_PRESENT
+    # A random effect that is less probable is not listed.
+    return candidate.confidence >= 0.05
 
 
 def because(diagnosis: Diagnosis) -> str:

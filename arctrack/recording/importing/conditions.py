@@ -38,13 +38,7 @@ CONDITION_NAMES = (
 KNOWN_NAMES = tuple(names[0] for names in (TIME_NAMES, FRAME_NAMES, FILE_NAMES, *CONDITION_NAMES))
 """The names that columns of a table of frames have in --column."""
 
-SLOWEST_HZ, FASTEST_HZ = 0.01, 5000.0
-"""Frame rates beyond these mean another unit of time."""
-
 _PARSERS = (whole(1), whole(1), number_or_unknown, number)
-
-TAG_TICK_S = 1.0
-"""Rounding of DateTime of EXIF and TIFF."""
 
 
 @dataclass(frozen=True)
@@ -166,13 +160,15 @@ def doubts(series: ImageSeries, used: TimeSource, poses: PoseFile, taken_s: Sequ
     if len(times) < 2:
         return []
     others = [series.times] if series.times is not None else recognized_times(series.paths)
-    others.append(TimeSource("the times in the images' tags", np.array(taken_s), TAG_TICK_S))
+    # Rounding of DateTime of EXIF and TIFF.
+    others.append(TimeSource("the times in the images' tags", np.array(taken_s), 1.0))
     others += [poses.image_times] if poses.image_times is not None else []
     if not any(source.is_count for source in others):
         others.append(TimeSource("the frames' numbers", np.array(frames, float), is_count=True))
     rate_hz = 1.0 / float(np.median(np.diff(times)))
     lines = []
-    if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
+    # Frame rates beyond these mean another unit of time.
+    if not 0.01 <= rate_hz <= 5000.0:
         lines.append(f"{used.name}: {rate_hz:.3g} frames a second; in which unit are the times?")
     where = series.video or series.paths[0].parent
     return lines + [f"{where}: {line}" for line in contradictions(used, others, frames)]

@@ -15,10 +15,6 @@ from arctrack.recording.importing.colours import Bayer, Channel
 from noise_model.compiled.arrays import Integers
 from noise_model.setup import Setup
 
-RED_FROM_NM, GREEN_FROM_NM = 580.0, 490.0
-"""Wavelengths from which red and green sites respond most: where the curves of colour sensors cross."""
-
-
 BLUE_FIRST = (Channel.BLUE, Channel.GREEN, Channel.RED)
 """The order in which OpenCV holds colours."""
 
@@ -26,9 +22,10 @@ BLUE_FIRST = (Channel.BLUE, Channel.GREEN, Channel.RED)
 def channel_of_laser(setup: Setup) -> Channel:
     """Return the colour whose sites see a setup's laser best; beyond red all colours see it, red no worse."""
     wavelength_nm = setup.laser.wavelength_nm
-    if wavelength_nm >= RED_FROM_NM:
+    # Wavelengths from which red and green sites respond most: where the curves of colour sensors cross.
+    if wavelength_nm >= 580.0:
         return Channel.RED
-    return Channel.GREEN if wavelength_nm >= GREEN_FROM_NM else Channel.BLUE
+    return Channel.GREEN if wavelength_nm >= 490.0 else Channel.BLUE
 
 
 def grey(pixels: Integers, channel: Channel) -> Integers:

@@ -20,8 +20,6 @@ from arctrack.recording.frame_hints import IMPORTED, VIDEOS
 from arctrack.recording.importing.name_times import holds_dates
 from arctrack.recording.time_sources import TimeSource
 
-VIDEO_SUFFIX = ".mkv"
-
 MAX_GAPS_NAMED = 5
 """Gaps in the numbering that are named one by one."""
 
@@ -102,7 +100,7 @@ def distinct_names(paths: Sequence[Path]) -> dict[Path, str]:
 
 
 def _frames_of(video: Path) -> ImageSeries:
-    if video.suffix.lower() != VIDEO_SUFFIX:
+    if video.suffix.lower() != ".mkv":
         raise in_file(video, "only grey FFV1 in .mkv is read; export the frames of other videos as PNG")
     from arctrack.recording import ffv1
 

@@ -39,9 +39,6 @@ from tracker.state import Frame
 OnFrame = Callable[[str, int, int], None]
 """Callback with the activity, frames done, and their total."""
 
-LONE_PERIOD_S = 1.0
-"""Time before a single image at which its pose is repeated."""
-
 
 @dataclass(frozen=True)
 class ImportSources:
@@ -178,7 +175,8 @@ def _timed(poses: PoseFile, times: Float64) -> tuple[Float64, Float64]:
         T_base_tool, poses_s = poses.T_base_tool, poses.times_s
     if poses_s[0] != times[0]:
         return poses_s, T_base_tool
-    period_s = float(np.median(np.diff(poses_s))) if len(poses_s) > 1 else LONE_PERIOD_S
+    # Time before a single image at which its pose is repeated.
+    period_s = float(np.median(np.diff(poses_s))) if len(poses_s) > 1 else 1.0
     return np.concatenate([poses_s[:1] - period_s, poses_s]), np.concatenate([T_base_tool[:1], T_base_tool])
 
 

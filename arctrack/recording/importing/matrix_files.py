@@ -14,7 +14,6 @@ from arctrack.recording.files import UnfitFileError, blamed_on, read_text
 from arctrack.recording.importing.rotations import NoRotationError, rotation_matrices
 from noise_model.compiled.arrays import Float64
 
-_OPENCV_STARTS = ("%YAML", "<?xml")
 _SEPARATORS = re.compile(r"[\s,;\[\]]+")
 _HOMOGENEOUS = (0.0, 0.0, 0.0, 1.0)
 
@@ -94,7 +93,7 @@ def _numbers(path: Path) -> tuple[Float64, int]:
     """Return the numbers of a file, flat, and how many stand in a row; ArctrackError if it has none."""
     with blamed_on(path):
         text = read_text(path, LIMITS.csv_bytes)
-        values, width = _opencv(text) if text.startswith(_OPENCV_STARTS) else _plain(text)
+        values, width = _opencv(text) if text.startswith(("%YAML", "<?xml")) else _plain(text)
         if not np.isfinite(values).all():
             raise UnfitFileError("holds a number that is not finite")
     return values, width

@@ -44,12 +44,6 @@ POSITION_NAMES = tuple(
     (axis, f"pos_{axis}", f"t{axis}", f"actual_tcp_pose_{n}") for n, axis in enumerate("xyz")
 )
 
-SMALL_REACH = 2.0
-"""Positions that reach no further from base's origin than so many of their unit, mm as stated, are m."""
-
-MAX_REACH_M = 100.0
-"""Positions said to be in m that reach further are mm: no robot's base is a hundred metres away."""
-
 MAX_TURN_RAD = 4.0 * math.pi
 """Angles said to be rad that are larger are degrees: controllers write less than two turns."""
 
@@ -298,13 +292,15 @@ def _matrices(
 def _doubts(positions_mm: Float64, unit: str, path: Path) -> list[str]:
     """Return warnings on positions that look to be of another unit; ArctrackError where they must be."""
     reach_mm = float(np.abs(positions_mm).max())
-    if unit == "m" and reach_mm > 1e3 * MAX_REACH_M:
+    # No robot's base is a hundred metres away.
+    if unit == "m" and reach_mm > 1e5:
         raise in_file(path, f"coordinates reach {reach_mm / 1e3:.4g} m: they are mm; give --units mm")
     if reach_mm > LIMITS.length_mm:
         raise in_file(
             path, f"a coordinate of {reach_mm:g} mm is beyond {LIMITS.length_mm:g} mm; in which unit?"
         )
-    if unit == "mm" and 0.0 < reach_mm <= SMALL_REACH:
+    # No robot works within 2 mm of its base's origin.
+    if unit == "mm" and 0.0 < reach_mm <= 2.0:
         return [f"{path}: coordinates stay within {reach_mm:.4g} mm of base's origin; are they m?"]
     return []
 

@@ -17,12 +17,6 @@ from arctrack.errors import ArctrackError
 from arctrack.recording.importing.units import UNSTATED, Units
 from noise_model.compiled.arrays import Float64
 
-MAX_NORM_ERROR = 0.01
-"""Largest error of a quaternion's norm: controllers write a few digits."""
-
-MAX_SKEW = 1e-3
-"""Largest error of R Rᵀ against the identity, as `robot_io.PoseBuffer` takes it."""
-
 MATRIX = "matrix"
 
 
@@ -52,7 +46,8 @@ class Convention:
 def rotation_matrices(blocks: Float64) -> Float64:
     """Return the nearest rotations of matrices (n, 3, 3); NoRotationError for the first that is none."""
     skew = np.abs(blocks @ blocks.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2))
-    for n in np.flatnonzero(skew > MAX_SKEW).tolist():
+    # Largest error of R Rᵀ against the identity, as `robot_io.PoseBuffer` takes it.
+    for n in np.flatnonzero(skew > 1e-3).tolist():
         raise NoRotationError(n, f"is no rotation: R Rᵀ is off the identity by {skew[n]:.2g}")
     for n in np.flatnonzero(np.linalg.det(blocks) < 0.0).tolist():
         raise NoRotationError(n, "is no rotation: it mirrors")
@@ -61,7 +56,8 @@ def rotation_matrices(blocks: Float64) -> Float64:
 
 def _quaternions(xyzw: Float64) -> Float64:
     norms = np.linalg.norm(xyzw, axis=1)
-    for n in np.flatnonzero(~(np.abs(norms - 1.0) <= MAX_NORM_ERROR)).tolist():
+    # Largest error of a quaternion's norm: controllers write a few digits.
+    for n in np.flatnonzero(~(np.abs(norms - 1.0) <= 0.01)).tolist():
         raise NoRotationError(n, f"the quaternion's norm is {norms[n]:.4f}, not 1: it is no rotation")
     return np.asarray(Rotation.from_quat(xyzw).as_matrix())
 

@@ -24,9 +24,6 @@ SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 WHITE_IS_ZERO, BLACK_IS_ZERO, RGB, PALETTE = 0, 1, 2, 3
 """Values of PhotometricInterpretation that are read."""
 
-LOSSY_COMPRESSIONS = (6, 7, 34712, 34887, 34892, 50001, 52546)
-"""JPEG of both kinds, JPEG 2000, LERC, DNG's JPEG, WebP and JPEG XL."""
-
 ENCODINGS = {"GrayResponseCurve": 291, "TransferFunction": 301, "ICCProfile": 34675}
 """Tags that say that levels are not proportional to light."""
 
@@ -91,12 +88,13 @@ def read_tiff_header(content: bytes) -> TiffHeader:
                 raise UnfitFileError(f"its tag {tag.name} = {value}: {tag.cure}")
         if len(set(values)) > 1:
             raise UnfitFileError(f"its tag {tag.name} = {values}: save all samples alike")
+    # JPEG of both kinds, JPEG 2000, LERC, DNG's JPEG, WebP and JPEG XL.
     header = TiffHeader(
         (_number(tags, 256, 0), _number(tags, 257, 0)),
         _number(tags, 258, 1),
         _number(tags, 277, 1),
         _number(tags, 262, BLACK_IS_ZERO),
-        _number(tags, 259, 1) in LOSSY_COMPRESSIONS,
+        _number(tags, 259, 1) in (6, 7, 34712, 34887, 34892, 50001, 52546),
         tags,
     )
     _check_one_image(tags)

@@ -13,9 +13,6 @@ from arctrack.simulation.cell.scheduler import Scheduler
 FRAME_S = 0.00027
 """Duration of a frame of 8 bytes at 500 kbit/s, stuffed: 135 bits."""
 
-FRAME_BITS = 64
-"""Bits of a frame that a flip is drawn for."""
-
 
 @dataclass(frozen=True)
 class BusFrame:
@@ -106,7 +103,8 @@ class Bus:
                 listener(frame)
 
     def _flipped(self, data: bytes, probability: float) -> bytes:
-        flips = self.rng.random(FRAME_BITS) < probability
+        # Bits of a frame that a flip is drawn for.
+        flips = self.rng.random(64) < probability
         if not flips.any():
             return data
         mask = np.packbits(flips).tobytes()

@@ -16,9 +16,6 @@ from tracker import flags
 from tracker.seam.gaussian_process import SeamHistory
 from tracker.state import Track
 
-TOLERANCE_MM = 0.25
-"""Tolerance of the weld."""
-
 
 @dataclass
 class MeasuredEye:
@@ -75,7 +72,7 @@ class MeasuredEye:
         y_mm, z_mm = displacement.tolist()
         sigma_y_mm, sigma_z_mm = sigma.tolist()
         noise_mm = self.robot.world.noise_mm
-        within = TOLERANCE_MM / math.sqrt(2.0)
+        within = 0.25 / math.sqrt(2.0)
         return Track(
             capture.index,
             capture.captured_s,

@@ -40,7 +40,6 @@ from tracker.state import Track
 FRAME_PERIOD_S, EXPOSED_S, COMPUTED_S = 0.02, 0.002, 0.012
 """The camera's period, from mid-exposure to its end, and what a track takes, s."""
 
-POLL_S = 0.01
 UNHEARD = (SeamPoint, SeamGeometry)
 """Messages that this robot does not read, which are not sent: it would take a fifth of the time."""
 
@@ -100,7 +99,7 @@ class TrackerParty:
         self._begin_bus()
         self.bus.join(self.name, self._hear)
         self.scheduler.every(self.frame_period_s, self._capture, 0.0037)
-        self.scheduler.every(POLL_S, self._poll, 0.0041)
+        self.scheduler.every(0.01, self._poll, 0.0041)
 
     def start(self) -> None:
         """Begin as a new process."""

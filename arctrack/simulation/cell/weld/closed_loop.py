@@ -36,13 +36,6 @@ START_MM = 30.0
 SETTLED_TIME_CONSTANTS = 5.0
 """Time constants after which a step is followed to 1 %."""
 
-SAMPLE_S = 0.01
-"""So often the torch is measured against the seam, s."""
-
-
-EVENT_S, AFTER_EVENT_S = 6.0, 5.0
-"""Begin of an event that is not of the start, and duration of a run after its end."""
-
 
 @dataclass(frozen=True)
 class LoopPlan:
@@ -169,10 +162,10 @@ class ClosedLoop:
         self.event_s = self._plan_event()
         self.duration_s = plan.length_mm / plan.speed_mm_s
         if self.event_s is not None:
-            self.duration_s = max(self.duration_s, self.event_s[1] + AFTER_EVENT_S)
+            self.duration_s = max(self.duration_s, self.event_s[1] + 5.0)
         self.cell.tracker.poses.looks_ahead = plan.looks_ahead
         self.cell.tracker.on_track = self._on_track
-        self.cell.scheduler.every(SAMPLE_S, self._sample, 0.0007)
+        self.cell.scheduler.every(0.01, self._sample, 0.0007)
 
     def run(self, on_frame: Callable[[int], None] | None = None) -> ClosedLoopResult:
         """Run to the end, and return the result; `on_frame` is called with the number of frames done."""
@@ -237,7 +230,7 @@ class ClosedLoop:
             return None
         kind = LOOP_EVENTS[self.plan.event]
         assert kind.lasts_s is not None
-        begin_s = 0.0 if kind.from_start else EVENT_S
+        begin_s = 0.0 if kind.from_start else 6.0
         end_s = begin_s + kind.lasts_s(self.cell.world)
         draw = np.random.default_rng([self.plan.seed, 3])
 

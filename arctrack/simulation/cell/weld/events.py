@@ -23,15 +23,6 @@ from robot_io import Command, MotionState, Switch, WeldingState
 STRUCK_S, UNSTEADY_S = 0.5, 0.4
 """Time at which the arc is struck, and for which it is unsteady then."""
 
-UNSTEADY_SIGMA, UNSTEADY_LEVEL = 0.7, 2.0
-"""Log-normal output of an arc that begins, over its nominal one: sigma and median."""
-
-SLIPPED_S = 1.0
-"""After so long the robot disarms over a part that slipped, s."""
-
-TOLD_LATE_S = 0.5
-"""Delay with which the arc is reported."""
-
 IN_VIEW_MM, OUT_OF_VIEW_MM = 15.0, 40.0
 """Distance of a tack's begin before the sensor, and lateral distance at which no camera sees the seam."""
 
@@ -58,7 +49,8 @@ def _ignition(cell: Cell, rng: np.random.Generator) -> End:
     def strike() -> None:
         robot.advance(cell.scheduler.now_s)
         robot.status = replace(robot.status, arc=Switch.ON, current_a=right.current_a)
-        eye.arc_level = lambda _: UNSTEADY_LEVEL * float(np.exp(UNSTEADY_SIGMA * rng.standard_normal()))
+        # Log-normal output of an arc that begins, over its nominal one: sigma and median.
+        eye.arc_level = lambda _: 2.0 * float(np.exp(0.7 * rng.standard_normal()))
 
     cell.scheduler.at(cell.scheduler.now_s + STRUCK_S, strike)
 
@@ -107,11 +99,12 @@ def _out_of_view(cell: Cell, _rng: np.random.Generator) -> End:
 
 LOOP_EVENTS: Mapping[str, FaultKind] = {
     "ignition": FaultKind("ignition", _ignition, from_start=True, lasts_s=lambda _: STRUCK_S + UNSTEADY_S),
-    "arc_told_late": FaultKind("arc told late", _told_late, lasts_s=lambda _: TOLD_LATE_S),
+    "arc_told_late": FaultKind("arc told late", _told_late, lasts_s=lambda _: 0.5),
     "arc_fault": ARC_FAULT,
     "tack": FaultKind("tack", _short_tack, lasts_s=way(IN_VIEW_MM + SHORT_TACK_MM)),
     "long_tack": FaultKind("long tack", _long_tack, lasts_s=way(IN_VIEW_MM + LONG_TACK_MM)),
     "out_of_view": FaultKind("seam out of view", _out_of_view, lasts_s=way(LONG_TACK_MM)),
-    "slip": replace(SLIPPED, lasts_s=lambda _: SLIPPED_S),
+    # The robot disarms a second after the part has slipped.
+    "slip": replace(SLIPPED, lasts_s=lambda _: 1.0),
 }
 """By the names by which the command line knows them."""

@@ -24,12 +24,6 @@ from noise_model.surface.joint import BentSeam, Seam, SeamLine
 from robot_io import Switch
 from tracker.state import Frame, Track
 
-FAR_MM = 1e6
-"""Position without a workpiece."""
-
-TACK_HALF_WIDTH_MM = 4.0
-"""Half-width of a tack's bead."""
-
 
 @dataclass
 class RenderedEye:
@@ -93,11 +87,13 @@ class RenderedEye:
         They are drawn on the image alone: a bead hides joint and stripe, but casts no shadow.
         """
         # Past the workpiece there is no bead.
-        surface_mm = np.nan_to_num(surface_mm.reshape(*image_dn.shape, 3), nan=FAR_MM)
+        # Position without a workpiece.
+        surface_mm = np.nan_to_num(surface_mm.reshape(*image_dn.shape, 3), nan=1e6)
         station_mm = surface_mm[..., 0] - self.robot.world.start_base_mm[0]
         aside_mm = surface_mm[..., 1]
         # Its rims wander, and its ripples run over the joint beneath.
-        rim_mm = TACK_HALF_WIDTH_MM + 0.8 * np.sin(1.3 * station_mm)
+        # Half-width of a tack's bead.
+        rim_mm = 4.0 + 0.8 * np.sin(1.3 * station_mm)
         off_mm = np.abs(aside_mm - 0.8 * np.sin(0.9 * station_mm))
         rows, columns = np.indices(image_dn.shape)
         ripples = 0.7 + 0.2 * np.sin(0.11 * rows) + 0.1 * np.cos(0.07 * columns)

@@ -24,9 +24,6 @@ BACK_UP_MM = 15.0
 SHORT_TACK_MM, LONG_TACK_MM = 8.0, 60.0
 """One that is bridged, and one that is longer than a job lets be bridged."""
 
-REARMED_S = 0.25
-"""Time from DISARM or RESET until the robot commands TRACK again."""
-
 
 def _arc_fault(cell: Cell, _rng: np.random.Generator) -> End:
     """Let the arc fail; the robot stops, backs up and strikes it again."""
@@ -73,7 +70,8 @@ def _displaced(cell: Cell, rng: np.random.Generator) -> End:
 def rearm(cell: Cell, by: Command) -> None:
     """Let the robot command RESET or DISARM, and TRACK a moment later."""
     cell.command(by, is_new_request=by is Command.RESET)
-    cell.scheduler.at(cell.scheduler.now_s + REARMED_S, lambda: cell.command(Command.TRACK))
+    # Time from DISARM or RESET until the robot commands TRACK again.
+    cell.scheduler.at(cell.scheduler.now_s + 0.25, lambda: cell.command(Command.TRACK))
 
 
 def way(way_mm: float) -> Callable[[World], float]:
