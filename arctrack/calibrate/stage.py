@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from arctrack.calibrate.page import CalibrationPage
-from arctrack.recording import CalibrationValues
+from arctrack.recording import BadFrame, CalibrationValues
 
 Tell = Callable[[int, int], None]
 """Callback with the amount done and its total."""
@@ -25,12 +25,16 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class CalibrationStage(Generic[Result]):
-    """Completed calibration: result, page, and values for a setup; `refusal` is why these must stay out."""
+    """Completed calibration: result, page, and values for a setup.
+
+    `refusal` is why the values must stay out; `bad_frames` are those of a recording that could not be read.
+    """
 
     result: Result
     page: CalibrationPage
     records: tuple[CalibrationValues, ...]
     refusal: str | None = None
+    bad_frames: Sequence[BadFrame] = ()
 
 
 def left_out(reasons: Mapping[str, str]) -> Iterator[str]:

@@ -14,12 +14,6 @@ from arctrack.cli.setups import read_setup, write_calibrated
 from arctrack.errors import ArctrackError
 from arctrack.recording.files import check_folder
 
-REPORT = "calibrate_all.html"
-
-EXAMPLE = (
-    "Example: arctrack calibrate all /tmp/afternoon --setup examples/v_groove --out /tmp/calibrated.toml"
-)
-
 
 def calibrate_all(
     folder: Annotated[
@@ -51,7 +45,7 @@ def calibrate_all(
 
     stated = read_setup(setup)
     target = out or stated.path
-    page_path = report or target.with_name(REPORT)
+    page_path = report or target.with_name("calibrate_all.html")
     raw = read_raw_files(folder)
     console.warn(raw.warnings)
     check_outputs(target, page_path, stated.path, images=raw.images)

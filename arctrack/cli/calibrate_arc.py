@@ -10,10 +10,6 @@ import typer
 from arctrack.cli.calibration_output import Out, Report, calibrate_from_recording
 from arctrack.cli.inputs import look_at_recording
 
-REPORT = "calibrate_arc.html"
-
-EXAMPLE = "Example: arctrack calibrate arc /tmp/straight --out /tmp/arc.toml"
-
 
 def arc(
     recording: Annotated[
@@ -31,4 +27,4 @@ def arc(
     look_at_recording(recording)
     from arctrack.calibrate.arc.stage import arc_stage
 
-    calibrate_from_recording(arc_stage, recording, out, report, REPORT, "the values are those of the others")
+    calibrate_from_recording("arc", arc_stage, recording, out, report)

@@ -7,13 +7,11 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.calibration_output import Out, Pattern, Report, Sources, board_of, check_outputs, finish
+from arctrack.cli.calibration_output import Out, Pattern, Report, Sources, board_of, run_calibration
 from arctrack.cli.inputs import look_at_images, look_at_setup
-from arctrack.cli.interrupt import interruptible
-from arctrack.cli.setups import read_setup, write_calibrated
+from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError
 
-REPORT = "calibrate_camera.html"
 AUTOMATIC = "auto"
 
 
@@ -43,23 +41,21 @@ def camera(
         look_at_setup(setup)
     pattern = board_of(board)
     from arctrack.calibrate.camera.stage import camera_stage
-    from arctrack.cli import console
     from arctrack.recording.importing.image_files import images_of
 
     if out is not None and setup is None:
         raise ArctrackError("--out: needs --setup, whose other values stay; `arctrack new` writes one")
     stated = None if setup is None else read_setup(setup)
-    target = None if stated is None else out or stated.path
-    page_path = report or (Path(REPORT) if target is None else target.with_name(REPORT))
-    check_outputs(target, page_path, None if stated is None else stated.path, images=images_of(sources))
     orders = _orders(distortion)
-    with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
-        stage = camera_stage(sources, pattern, stated, console.steps(bar), console.warn, orders, tilted)
-    finish(stage.page, page_path)
-    if stage.refusal is not None:
-        raise ArctrackError(f"{sources[0]}: {stage.refusal}. No setup is written; see {page_path}")
-    if stated is not None and target is not None:
-        write_calibrated(target, stated.path, *stage.records)
+    run_calibration(
+        "camera",
+        sources[0],
+        lambda steps, warn: camera_stage(sources, pattern, stated, steps, warn, orders, tilted),
+        setup=None if stated is None else stated.path,
+        out=out,
+        report=report,
+        images=images_of(sources),
+    )
 
 
 def _orders(distortion: str) -> tuple[str, ...]:

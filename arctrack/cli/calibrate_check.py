@@ -15,10 +15,6 @@ if TYPE_CHECKING:
     from arctrack.calibrate.check.check_setup import SetupCheck
     from arctrack.calibrate.check.measure import Measure
 
-REPORT = "calibrate_check.html"
-
-EXAMPLE = "Example: arctrack calibrate check examples/v_groove/recording.toml examples/v_groove"
-
 
 def check(
     setup: Annotated[Path, typer.Argument(help="A recording.toml, or a recording whose setup it is.")],
@@ -44,7 +40,7 @@ def check(
 
     read = read_recording(recording, setup_path(setup), must_fit=False)
     console.warn(read.warnings)
-    page = report or recording / RESULTS_FOLDER / REPORT
+    page = report or recording / RESULTS_FOLDER / "calibrate_check.html"
     if report is None:
         page.parent.mkdir(parents=True, exist_ok=True)
     check_outputs(None, page, read.setup_path, read)

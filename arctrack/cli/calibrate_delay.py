@@ -10,10 +10,6 @@ import typer
 from arctrack.cli.calibration_output import Out, Report, calibrate_from_recording
 from arctrack.cli.inputs import look_at_recording
 
-REPORT = "calibrate_delay.html"
-
-EXAMPLE = "Example: arctrack calibrate delay examples/v_groove --out /tmp/in_time.toml"
-
 
 def delay(
     recording: Annotated[Path, typer.Argument(help="A recording whose tool weaves or rises as it travels.")],
@@ -29,4 +25,4 @@ def delay(
     look_at_recording(recording)
     from arctrack.calibrate.delay.stage import delay_stage
 
-    calibrate_from_recording(delay_stage, recording, out, report, REPORT, "the delay is that of the others")
+    calibrate_from_recording("delay", delay_stage, recording, out, report)

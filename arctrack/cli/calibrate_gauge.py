@@ -7,26 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
+from arctrack.cli.calibration_output import Out, Report, check_outputs, finish, run_calibration
 from arctrack.cli.inputs import look_at_file, look_at_images, look_at_recording, look_at_setup
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.pose_options import Poses
-from arctrack.cli.setups import read_setup, setup_path, write_calibrated
+from arctrack.cli.setups import read_setup, setup_path
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
     from arctrack.calibrate.robot_poses import PoseSource
     from arctrack.recording import Recording
     from calibration.gauge.shape import Gauge
-
-REPORT = "calibrate_gauge.html"
-
-EXAMPLE = (
-    "Example: arctrack calibrate gauge /tmp/gauge --gauge v:90deg:5mm --poses /tmp/gauge/poses.csv "
-    "--setup examples/v_groove --out /tmp/gauge.toml\n\n"
-    "Example: arctrack calibrate gauge /tmp/gauge/gauge_00.png --gauge v:90deg:5mm --setup examples/v_groove "
-    "--check --report /tmp/gauge.html"
-)
 
 
 def gauge(
@@ -86,24 +77,26 @@ def gauge(
     if setup is None and recording is None:
         raise ArctrackError("--setup: give the recording.toml whose camera took the images")
     stated = read_setup(recording.setup_path if recording is not None else setup)  # type: ignore[arg-type]
-    target = out or stated.path
-    page_path = report or target.with_name(REPORT)
     images = [] if recording is not None else images_of(sources)
-    check_outputs(None if check else target, page_path, stated.path, recording, images)
     source = recording or sources
     given = _poses_of(poses, rotation, units)
-    with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
-        if check:
-            seen, verdict = check_stage(
-                source, shape, stated, given, within, console.steps(bar), console.warn
-            )
-        else:
-            stage = gauge_stage(source, shape, stated, given, console.steps(bar), console.warn)
     if not check:
-        finish(stage.page, page_path)
-        write_calibrated(target, stated.path, *stage.records)
+        run_calibration(
+            "gauge",
+            sources[0],
+            lambda steps, warn: gauge_stage(source, shape, stated, given, steps, warn),
+            setup=stated.path,
+            out=out,
+            report=report,
+            recording=recording,
+            images=images,
+        )
         return
-    finish(seen.page, page_path)
+    page = report or stated.path.with_name("calibrate_gauge.html")
+    check_outputs(None, page, stated.path, recording, images)
+    with interruptible("the check was", "nothing was written"), console.progress() as bar:
+        seen, verdict = check_stage(source, shape, stated, given, within, console.steps(bar), console.warn)
+    finish(seen.page, page)
     if not verdict.is_good:
         raise typer.Exit(WARNED)
 

@@ -7,15 +7,11 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.calibration_output import BOARD, Out, Report
-from arctrack.cli.pose_options import NamedColumns, Poses, Rotation, Translations
+from arctrack.cli.calibration_output import BOARD, Out, Report, board_of, run_calibration
+from arctrack.cli.inputs import look_at_file, look_at_images, look_at_setup
+from arctrack.cli.pose_options import NamedColumns, Poses, Rotation, Translations, named_columns
+from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError
-
-EXAMPLE = (
-    "Example: arctrack calibrate hand-eye /tmp/hand_eye --board chessboard:9x6:4mm "
-    "--poses /tmp/hand_eye/poses.csv --rotation kuka --setup examples/v_groove --out /tmp/hand_eye.toml\n\n"
-    "Example: arctrack calibrate hand-eye examples/v_groove --out /tmp/found.toml"
-)
 
 
 def hand_eye(
@@ -54,9 +50,6 @@ def hand_eye(
     Without --board the arc's own light says where the camera stands, within its stated tolerance. Where the
     seam's expected error is not clearly smaller after, no file is written.
     """
-    from arctrack.cli.calibrate_hand_eye_arc import from_arc
-    from arctrack.cli.calibrate_hand_eye_boards import from_boards
-
     if board is None:
         for_boards = {
             "--poses": poses is not None,
@@ -75,22 +68,32 @@ def hand_eye(
             raise ArctrackError(f"{sources[1]}: without --board one recording is read; give one")
         if out is None:
             raise ArctrackError("--out: give the file to write the setup with the pose found to")
+        from arctrack.cli.calibrate_hand_eye_arc import from_arc
+
         from_arc(sources[0], out)
         return
     if poses is None:
         raise ArctrackError("--poses: give the robot's pose of each image, as a CSV file or as matrices")
     if setup is None:
         raise ArctrackError("--setup: give the recording.toml whose camera took the images")
-    from_boards(
-        sources,
-        board,
-        setup,
-        poses=poses,
-        translations=translations,
-        rotation=rotation,
-        units=units,
-        columns=column or [],
-        is_eye_to_hand=eye_to_hand,
+    look_at_images(sources)
+    look_at_setup(setup)
+    look_at_file(poses)
+    pattern = board_of(board)
+    from arctrack.calibrate.hand_eye.stage import hand_eye_stage
+    from arctrack.calibrate.robot_poses import PoseSource
+    from arctrack.recording.importing.image_files import images_of
+    from arctrack.recording.importing.units import parse_units
+
+    source = PoseSource(poses, translations, rotation, parse_units(units), named_columns(column or []))
+    stated = read_setup(setup)
+    run_calibration(
+        "hand_eye",
+        sources[0],
+        lambda steps, warn: hand_eye_stage(sources, pattern, stated, source, steps, warn, eye_to_hand),
+        setup=stated.path,
         out=out,
         report=report,
+        images=images_of(sources),
+        poses=[file for file in (poses, translations) if file is not None],
     )

@@ -7,17 +7,9 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.calibration_output import Out, Pattern, Report, Sources, board_of, check_outputs, finish
+from arctrack.cli.calibration_output import Out, Pattern, Report, Sources, board_of, run_calibration
 from arctrack.cli.inputs import look_at_images, look_at_setup
-from arctrack.cli.interrupt import interruptible
-from arctrack.cli.setups import read_setup, write_calibrated
-
-REPORT = "calibrate_laser.html"
-
-EXAMPLE = (
-    "Example: arctrack calibrate laser /tmp/pairs --board chessboard:8x6:2.5mm --setup examples/v_groove "
-    "--out /tmp/laser.toml"
-)
+from arctrack.cli.setups import read_setup
 
 
 def laser(
@@ -41,14 +33,15 @@ def laser(
     look_at_setup(setup)
     pattern = board_of(board)
     from arctrack.calibrate.laser.stage import laser_stage
-    from arctrack.cli import console
     from arctrack.recording.importing.image_files import images_of
 
     stated = read_setup(setup)
-    target = out or stated.path
-    shown = report or target.with_name(REPORT)
-    check_outputs(target, shown, stated.path, images=images_of(sources))
-    with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
-        stage = laser_stage(sources, pattern, stated, console.steps(bar), console.warn)
-    finish(stage.page, shown)
-    write_calibrated(target, stated.path, *stage.records)
+    run_calibration(
+        "laser",
+        sources[0],
+        lambda steps, warn: laser_stage(sources, pattern, stated, steps, warn),
+        setup=stated.path,
+        out=out,
+        report=report,
+        images=images_of(sources),
+    )

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
-from arctrack.cli.setups import read_setup, write_calibrated
+from arctrack.cli.calibration_output import Out, Report, run_calibration
+from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError, no_such_path
-
-if TYPE_CHECKING:
-    from arctrack.recording import SetupFile
-
-REPORT = "calibrate_sensor.html"
-
-EXAMPLE = "Example: arctrack calibrate sensor /tmp/flats --setup examples/v_groove --out /tmp/sensor.toml"
 
 
 def sensor(
@@ -56,36 +49,17 @@ def sensor(
     if gamma is not None and not 0.1 < gamma < 10.0:
         raise ArctrackError(f"--gamma {gamma:g}: a sensor's lies between 0.1 and 10")
     stated = read_setup(source if setup is None else setup)
-    target = out or stated.path
-    page_path = report or target.with_name(REPORT)
-    if is_recording:
-        _still_recording(source, stated, target, page_path)
-    else:
-        _flat_fields(source, stated, target, page_path, gamma)
-
-
-def _still_recording(source: Path, stated: SetupFile, target: Path, page_path: Path) -> None:
-    from arctrack.calibrate.sensor.stage import still_stage
-    from arctrack.cli import console
+    from arctrack.calibrate.sensor.flat_frames import find_flat_frames
+    from arctrack.calibrate.sensor.stage import sensor_stage
     from arctrack.recording import read_recording
 
-    read = read_recording(source, stated.path, must_fit=False)
-    check_outputs(target, page_path, stated.path, read)
-    with console.progress() as bar:
-        stage = still_stage(read, console.steps(bar), console.warn)
-    finish(stage.page, page_path)
-    write_calibrated(target, stated.path, *stage.records)
-
-
-def _flat_fields(source: Path, stated: SetupFile, target: Path, page_path: Path, gamma: float | None) -> None:
-    from arctrack.calibrate.sensor.flat_frames import find_flat_frames
-    from arctrack.calibrate.sensor.stage import flat_stage
-    from arctrack.cli import console
-
-    files, vague = find_flat_frames(source)
-    check_outputs(target, page_path, stated.path, images=[file.path for file in files])
-    console.warn(vague)
-    with console.progress() as bar:
-        stage = flat_stage(source, files, stated, console.steps(bar), console.warn, gamma)
-    finish(stage.page, page_path)
-    write_calibrated(target, stated.path, *stage.records)
+    run_calibration(
+        "sensor",
+        source,
+        lambda steps, warn: sensor_stage(source, stated, steps, warn, gamma),
+        setup=stated.path,
+        out=out,
+        report=report,
+        recording=read_recording(source, stated.path, must_fit=False) if is_recording else None,
+        images=() if is_recording else [file.path for file in find_flat_frames(source)[0]],
+    )

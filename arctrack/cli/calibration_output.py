@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from arctrack.cli.interrupt import interruptible
 from arctrack.cli.setups import check_can_be_replaced, write_calibrated
 from arctrack.errors import ArctrackError
 from arctrack.output import real, write_whole
 
 if TYPE_CHECKING:
     from arctrack.calibrate.page import CalibrationPage
-    from arctrack.calibrate.stage import CalibrationStage, Steps
+    from arctrack.calibrate.stage import CalibrationStage, Steps, Warn
     from arctrack.recording import BadFrame, Recording
     from calibration.boards.board import Board
 
@@ -51,11 +52,12 @@ def check_outputs(
     stated: Path | None,
     recording: Recording | None = None,
     images: Iterable[Path] = (),
+    poses: Iterable[Path] = (),
 ) -> None:
     """Raise ArctrackError if setup or page could not be written, or would replace what is read.
 
     `setup` is the file to write, `stated` the one that is read: it may be the same, the earlier one is kept.
-    `images` are read as well.
+    `images` and the files of the robot's `poses` are read as well.
     """
     if setup is not None:
         check_can_be_replaced(setup)
@@ -67,42 +69,70 @@ def check_outputs(
         raise ArctrackError(f"{page}: is the setup's file; give --report another one")
     if recording is not None and recording.is_read_from(page):
         raise ArctrackError(f"{page}: is of the recording itself; give --report another file")
-    read = {real(path) for path in images}
+    held = {real(path): "is one of the images" for path in images}
+    held |= {real(path): "holds the robot's poses" for path in poses}
     for path, option in ((setup, "--out"), (page, "--report")):
-        if path is not None and real(path) in read:
-            raise ArctrackError(f"{path}: is one of the images; give {option} another file")
+        if path is not None and real(path) in held:
+            raise ArctrackError(f"{path}: {held[real(path)]}; give {option} another file")
+
+
+def run_calibration(
+    name: str,
+    source: Path,
+    make: Callable[[Steps, Warn], CalibrationStage[Any]],
+    *,
+    setup: Path | None,
+    out: Path | None,
+    report: Path | None,
+    recording: Recording | None = None,
+    images: Iterable[Path] = (),
+    poses: Iterable[Path] = (),
+) -> None:
+    """Make a calibration; print it, write its page, and its values into a setup.
+
+    `source` is blamed for a refusal; `recording`, or `images` and `poses`, are what it reads. `out` is by
+    default the setup, and `report` a file beside it. Without a setup there is a page alone. Raises
+    ArctrackError where nothing can be written, where the calibration is refused, and at last for frames that
+    could not be read.
+    """
+    from arctrack.cli import console
+
+    target = out or setup
+    page = report or (Path() if target is None else target.parent) / f"calibrate_{name}.html"
+    check_outputs(target, page, setup, recording, images, poses)
+    with interruptible("the calibration was", "nothing was written"), console.progress() as bar:
+        stage = make(console.steps(bar), console.warn)
+    finish(stage.page, page)
+    if stage.refusal is not None:
+        raise ArctrackError(f"{source}: {stage.refusal}. No setup is written; see {page}")
+    if target is not None and setup is not None:
+        write_calibrated(target, setup, *stage.records)
+    if recording is not None:
+        refuse_bad_frames(recording, stage.bad_frames, "the values are those of the others")
 
 
 def calibrate_from_recording(
-    make: Callable[[Recording, Steps], tuple[CalibrationStage[Any], list[BadFrame]]],
+    name: str,
+    make: Callable[[Recording, Steps], CalibrationStage[Any]],
     recording: Path,
     out: Path | None,
     report: Path | None,
-    page: str,
-    of_the_others: str,
 ) -> None:
-    """Calibrate with a recording, and write its page and the setup.
-
-    `make` calibrates; its unreadable frames are named at the end, with what became of the others, such as
-    "the delay is that of the others". `out` is by default the recording's setup, and `report` a file of the
-    name `page` next to it. Raises ArctrackError where nothing can be written, where the calibration is
-    refused, and at last for bad frames.
-    """
+    """Make a calibration of a recording, and write its values into the recording's setup."""
     from arctrack.cli import console
     from arctrack.recording import read_recording
 
     read = read_recording(recording)
     console.warn(read.warnings)
-    target = out or read.setup_path
-    page_path = report or target.with_name(page)
-    check_outputs(target, page_path, read.setup_path, read)
-    with console.progress() as bar:
-        stage, bad_frames = make(read, console.steps(bar))
-    finish(stage.page, page_path)
-    if stage.refusal is not None:
-        raise ArctrackError(f"{read.path}: {stage.refusal}")
-    write_calibrated(target, read.setup_path, *stage.records)
-    refuse_bad_frames(read, bad_frames, of_the_others)
+    run_calibration(
+        name,
+        read.path,
+        lambda steps, _: make(read, steps),
+        setup=read.setup_path,
+        out=out,
+        report=report,
+        recording=read,
+    )
 
 
 def refuse_bad_frames(read: Recording, bad_frames: Sequence[BadFrame], of_the_others: str) -> None:

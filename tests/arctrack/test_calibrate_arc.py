@@ -35,10 +35,10 @@ def with_arc(recording: Recording, **changes: object) -> Recording:
 def test_a_misstated_arc_is_found_within_its_sigmas(simulated: Path) -> None:
     read = read_recording(simulated)
     arc = read.setup.arc
-    stage, bad = arc_stage(with_arc(read, radiance_e=0.5 * arc.radiance_e), no_steps)
+    stage = arc_stage(with_arc(read, radiance_e=0.5 * arc.radiance_e), no_steps)
     result = stage.result
     truth = [arc.radius_mm, *arc.center_in_tool_mm, arc.radiance_e]
-    assert bad == []
+    assert stage.bad_frames == []
     off = (result.values[:5] - truth) / result.sigmas[:5]
     assert np.abs(off).max() < 4.0
     assert result.values[4] == pytest.approx(arc.radiance_e, rel=0.3)

@@ -19,7 +19,6 @@ from arctrack.calibrate.sensor.stage import sensor_stage
 from arctrack.calibrate.stage import CalibrationStage, Steps, Warn
 from arctrack.errors import ArctrackError
 from arctrack.recording import (
-    BadFrame,
     CalibrationValues,
     Recording,
     SetupFile,
@@ -116,7 +115,7 @@ def calibrate_folder(raw: CalibrationSources, stated: SetupFile, steps: Steps, w
 
 
 def _of_recording(
-    make: Callable[[Recording, Steps], tuple[CalibrationStage[Any], list[BadFrame]]],
+    make: Callable[[Recording, Steps], CalibrationStage[Any]],
     path: Path,
     stated: SetupFile,
     steps: Steps,
@@ -125,7 +124,7 @@ def _of_recording(
     """Calibrate with a recording, and the setup that the calibrations have made so far."""
     read = replace(read_recording(path, stated.path), setup=stated.setup)
     warn(read.warnings)
-    stage, bad_frames = make(read, steps)
-    complaint = read.complaint(bad_frames, "the values are those of the others")
+    stage = make(read, steps)
+    complaint = read.complaint(stage.bad_frames, "the values are those of the others")
     warn([] if complaint is None else [complaint])
     return stage

@@ -22,8 +22,6 @@ from tracker.seam.locate import moved_variance
 UNIT_RAD, UNIT_MM = 1e-3, 0.1
 """The turn and the move whose variances are scaled to the certificate's."""
 
-MADE_BY = "arctrack calibrate all"
-
 
 def certificate_of(
     stages: Mapping[str, CalibrationStage[Any]], stated: SetupFile
@@ -94,7 +92,7 @@ def certificate_record(certificate: Certificate, stated: SetupFile) -> Calibrati
         },
         ("seam_y_mm", "seam_z_mm"),
         near,
-        MADE_BY,
+        "arctrack calibrate all",
         name="certificate",
     )
 

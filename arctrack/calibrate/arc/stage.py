@@ -15,7 +15,7 @@ from arctrack.check.case import chosen_rows
 from arctrack.check.check_recording import parted
 from arctrack.check.look import looks_at
 from arctrack.errors import in_file
-from arctrack.recording import BadFrame, Recording
+from arctrack.recording import Recording
 from calibration.arc.calibrate import ArcCalibration, calibrate_arc
 from calibration.arc.problem import PartPlacement
 from calibration.check.arc_light import compare_arc
@@ -26,12 +26,11 @@ from tracker.geometry import SensorGeometry
 from tracker.state import Frame
 
 
-def arc_stage(read: Recording, steps: Steps) -> tuple[CalibrationStage[ArcCalibration], list[BadFrame]]:
+def arc_stage(read: Recording, steps: Steps) -> CalibrationStage[ArcCalibration]:
     """Calibrate arc and metal from the frames with the arc on and the laser off.
 
-    Frames with the laser on, where there are some, locate the part. Returns the calibration, refused where
-    nothing is determined, and the unreadable frames. Raises ArctrackError where no frame has the arc on and
-    the laser off, and where the stripes contradict the setup.
+    Frames with the laser on, where there are some, locate the part. Raises ArctrackError where no frame has
+    the arc on and the laser off, where the stripes contradict the setup, and where nothing is determined.
     """
     rows = [n for n, row in enumerate(read.rows) if row.arc_on and not row.laser_on and row.current_a != 0.0]
     frames, bad_frames = parted(read.frames(rows))
@@ -53,7 +52,7 @@ def arc_stage(read: Recording, steps: Steps) -> tuple[CalibrationStage[ArcCalibr
         result = calibrate_arc(read.setup, lit, part, steps("rounds", "rounds"))
     except ValueError as error:
         raise in_file(read.path, str(error)) from None
-    return CalibrationStage(result, arc_page(result, read), arc_records(result)), bad_frames
+    return CalibrationStage(result, arc_page(result, read), arc_records(result), bad_frames=bad_frames)
 
 
 def _refuse_bent_seam(read: Recording, place: StripePlace | None) -> None:

@@ -10,8 +10,6 @@ from calibration.camera.calibrate import CameraCalibration
 from calibration.camera.lens import OPENCV
 from noise_model.setup_keys import COEFFICIENTS
 
-MADE_BY = "arctrack calibrate camera"
-
 
 def calibrated_camera(result: CameraCalibration) -> CalibrationValues:
     """Return the calibrated values of `[camera]`, with their covariance."""
@@ -33,7 +31,7 @@ def calibrated_camera(result: CameraCalibration) -> CalibrationValues:
         },
         lens.names,
         result.covariance[:n, :n],
-        MADE_BY,
+        "arctrack calibrate camera",
         {
             "board": str(result.seen.board),
             "images": len(result.seen.names),

@@ -11,8 +11,6 @@ from calibration.gauge.calibrate import GaugeCalibration
 from calibration.laser.plane import foot_on
 from noise_model.setup import Setup
 
-MADE_BY = "arctrack calibrate gauge"
-
 
 def gauge_record(result: GaugeCalibration, setup: Setup) -> CalibrationValues:
     """Return the plane as values of `[laser]`, with its covariance.
@@ -27,7 +25,7 @@ def gauge_record(result: GaugeCalibration, setup: Setup) -> CalibrationValues:
         sheet_values(plane, origin),
         PARAMETERS,
         np.asarray(result.covariance),
-        MADE_BY,
+        "arctrack calibrate gauge",
         {
             "gauge": str(result.problem.gauge),
             "images": len(result.problem.sightings),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from arctrack.calibrate.sensor.flat_frames import FlatFile, find_flat_frames, read_levels
+from arctrack.calibrate.sensor.flat_frames import find_flat_frames, read_levels
 from arctrack.calibrate.sensor.page import sensor_page
 from arctrack.calibrate.sensor.record import flat_record, still_record
 from arctrack.calibrate.sensor.still_page import still_page
@@ -25,26 +25,16 @@ def sensor_stage(
     warn: Warn,
     gamma: float | None = None,
 ) -> CalibrationStage[SensorCalibration] | CalibrationStage[StillCalibration]:
-    """Find a sensor's values in flat and dark frames, or in a recording where the folder is one."""
+    """Find a sensor's values in flat and dark frames, or in a recording where the folder is one.
+
+    Flat and dark frames give gain, noise and response, or all at a stated gamma; a recording of a still
+    stripe gives gain, read noise, black level and speckle. ArctrackError where the frames do not determine
+    the values.
+    """
     if (source / FILE_NAME).exists():
-        return still_stage(read_recording(source, stated.path, must_fit=False), steps, warn)
+        return _still_stage(read_recording(source, stated.path, must_fit=False), steps, warn)
     files, vague = find_flat_frames(source)
     warn(vague)
-    return flat_stage(source, files, stated, steps, warn, gamma)
-
-
-def flat_stage(
-    source: Path,
-    files: list[FlatFile],
-    stated: SetupFile,
-    steps: Steps,
-    warn: Warn,
-    gamma: float | None = None,
-) -> CalibrationStage[SensorCalibration]:
-    """Find gain, noise and response, or all at a stated gamma, in the files of `find_flat_frames`.
-
-    ArctrackError where the frames do not determine the values.
-    """
     bits = stated.setup.sensor.bits
     try:
         levels, lossy = read_levels(
@@ -57,11 +47,7 @@ def flat_stage(
     return CalibrationStage(result, sensor_page(result, levels, source.name, lossy), (flat_record(result),))
 
 
-def still_stage(read: Recording, steps: Steps, warn: Warn) -> CalibrationStage[StillCalibration]:
-    """Find gain, read noise, black level and speckle in a recording of a still stripe.
-
-    ArctrackError where the frames do not determine the values.
-    """
+def _still_stage(read: Recording, steps: Steps, warn: Warn) -> CalibrationStage[StillCalibration]:
     try:
         frames, problems = read_still_frames(read, steps(read.name, "frames"))
         result = calibrate_still(frames, read.setup.sensor)
