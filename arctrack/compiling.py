@@ -15,9 +15,9 @@ from threading import Thread
 
 from arctrack.own_process import OwnProcess, tell
 from arctrack.workers import cores_each
+from noise_model.compiled.compiler_events import compiler_events, pass_on
 from noise_model.compiled.forecast import running_forecast
-from noise_model.compiled.heard import heard, pass_on
-from noise_model.compiled.store import kernels_are_kept
+from noise_model.compiled.store import kernels_are_stored
 from noise_model.setup import Setup
 from tracker.warm_up import compile_arc, compile_stripe
 
@@ -43,7 +43,7 @@ def compiled_by(parts: Sequence[Part]) -> Iterator[None]:
     """
     # One of several processes on many recordings shares the cores with the others.
     is_alone = multiprocessing.parent_process() is None
-    if not is_alone or cores_each(1, None) < len(parts) or not kernels_are_kept():
+    if not is_alone or cores_each(1, None) < len(parts) or not kernels_are_stored():
         yield
         return
     is_decided = False
@@ -58,7 +58,7 @@ def compiled_by(parts: Sequence[Part]) -> Iterator[None]:
             with forecast.shared_by(len(parts)) as on_end_of_one:
                 _compile(parts, on_end_of_one)
 
-    with heard(on_begin, lambda _kernel: None):
+    with compiler_events(on_begin, lambda _kernel: None):
         yield
 
 
@@ -91,5 +91,5 @@ def _listen(process: OwnProcess[Part, None], words: SimpleQueue[tuple[bool, str]
 
 def _run(part: Part) -> None:
     """Compile a part, and report what begins (True) and what ends."""
-    with heard(lambda kernel: tell((True, kernel)), lambda kernel: tell((False, kernel))):
+    with compiler_events(lambda kernel: tell((True, kernel)), lambda kernel: tell((False, kernel))):
         part()

@@ -57,7 +57,7 @@ TRACKER = """
     from arctrack.control.cell_file import read_cell_file
     from arctrack.cli.serve import serve_cell_file
     from robot_io import SeamOffset
-    from tracker.warm_up import heard_compilations
+    from tracker.warm_up import compilations_reported
 
     rows = np.full((int(sys.argv[4]), 3), math.nan)
     count, before = 0, None
@@ -71,7 +71,7 @@ TRACKER = """
             rows[count] = track.frame, time.monotonic() - track.timestamp_s, valid
             count += 1
 
-    with heard_compilations(None) as compiled:
+    with compilations_reported(None) as compiled:
         serve_cell_file(read_cell_file(sys.argv[1]), on_track=note, port=int(sys.argv[2]), hop_limit=0)
         print(f"compiled after ready: {len(compiled) - before}")
     np.save(sys.argv[3], rows[:count])

@@ -28,7 +28,7 @@ from noise_model.instrument.sensor import expose
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine, seam_height_mm
 from noise_model.transforms import transform
-from tracker.seam.locate import seam_point_tool
+from tracker.seam.locate import SeamSource, seam_point
 from tracker.state import Frame, Pose, Track
 from tracker.tracker import Tracker
 
@@ -77,7 +77,15 @@ def trial(rng: np.random.Generator, base: dict[str, Setup]) -> Trial:
     frame = Frame(0, 0.0, expose(mean_e, true.sensor, rng), stated.camera.exposure_s, stated.arc.current_a)
     track = Tracker(stated).step(frame, Pose(T_base_tool))
     scene = make_scene(true, T_base_tool, seam)
-    point = seam_point_tool(true, scene, 0.0, seam_height_mm(true.joint))
+    point = np.array(
+        seam_point(
+            SeamSource.of(true),
+            scene.T_joint_tool.tolist(),
+            scene.shape.corrugation,
+            0.0,
+            seam_height_mm(true.joint),
+        )
+    )
     there, here = (transform(scene.T_joint_tool, np.asarray(p)) for p in (track.seam_tool_mm, point))
     error = float(there[1] - here[1]), float(there[2] - here[2])
     return Trial(track, error, max(map(abs, error)) <= tolerance.seam_mm)

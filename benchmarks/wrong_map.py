@@ -25,7 +25,7 @@ from noise_model.forward import draw_frame
 from noise_model.setup import Setup
 from noise_model.surface.brdf import TABLE_1
 from noise_model.surface.joint import SeamLine, seam_height_mm
-from tracker.seam.locate import seam_point_tool
+from tracker.seam.locate import SeamSource, seam_point
 from tracker.state import Frame, Pose
 from tracker.tracker import Tracker
 
@@ -62,7 +62,15 @@ def drawn(setup: Setup, n: int) -> list[tuple[Frame, Pose, Float64]]:
         T_base_tool[:3, 3] = [1.5 * i, rng.uniform(-1.0, 1.0), rng.uniform(0.0, 1.0)]
         scene = make_scene(setup, T_base_tool, SEAM)
         image = draw_frame(setup, T_base_tool, Condition(1.0, 1.0, EXPOSURE_S), rng, seam=SEAM)
-        truth = seam_point_tool(setup, scene, 0.0, seam_height_mm(setup.joint))
+        truth = np.array(
+            seam_point(
+                SeamSource.of(setup),
+                scene.T_joint_tool.tolist(),
+                scene.shape.corrugation,
+                0.0,
+                seam_height_mm(setup.joint),
+            )
+        )
         frames.append((Frame(i, 0.1 * i, image, EXPOSURE_S, CURRENT_A), Pose(T_base_tool), truth))
     return frames
 

@@ -30,9 +30,6 @@ from noise_model.compiled.arrays import Bool, Float64
 NOT_LEARNED = 0.9
 """A parameter whose 1 sigma is more than this share of its prior's has not been learned from the data."""
 
-INDISTINGUISHABLE = 0.98
-"""Correlation above which two parameters cannot be separated."""
-
 SINGULAR = 1e-10
 """An eigenvalue of the information, scaled to a unit diagonal, below which the data do not see a direction.
 
@@ -81,10 +78,10 @@ class Fit:
     `chi2` of the data per degree of freedom, 1 if the whitening is right (Huber's proposal 2 if robust);
     `freedom` = n less the number of parameters that were learned: a parameter held by its prior costs none.
     `condition` is that of the information scaled to a unit diagonal, `converged` the optimiser's word.
-    `undetermined` names the parameters in a combination that neither data nor priors see, `alike` the pairs
-    that these cannot tell apart. `residuals` (n,) are those at the values, `leverage` (n,) the share, 0 to 1,
-    of each that the fit takes up: r / sqrt(1 - leverage) has unit variance. `t_freedom` is Student's, inf as
-    long as the whitening is trusted.
+    `undetermined` names the parameters in a combination that neither data nor priors see.
+    `residuals` (n,) are those at the values, `leverage` (n,) the share, 0 to 1, of each that the fit takes
+    up: r / sqrt(1 - leverage) has unit variance. `t_freedom` is Student's, inf as long as the whitening is
+    trusted.
     """
 
     parameters: tuple[Parameter, ...]
@@ -97,7 +94,6 @@ class Fit:
     condition: float
     converged: bool
     undetermined: tuple[str, ...]
-    alike: tuple[tuple[str, str], ...]
     t_freedom: float = math.inf
 
     @property
@@ -298,7 +294,6 @@ def _assess(problem: _FitProblem, x: Float64, n: int, converged: bool) -> Fit:
     inverse = (vectors / np.maximum(eigenvalues, SINGULAR)) @ vectors.T / np.outer(scale, scale)
     covariance = inverse @ (m_2 * information + P) @ inverse
     names = [p.name for p in problem.parameters]
-    pairs = np.argwhere(np.triu(np.abs(correlation(covariance)) > INDISTINGUISHABLE, 1))
     leverage = m_1 * np.einsum("ij,jk,ik->i", J, inverse, J)
     freedom = n - float(leverage.sum())
     return Fit(
@@ -312,7 +307,6 @@ def _assess(problem: _FitProblem, x: Float64, n: int, converged: bool) -> Fit:
         condition=float(eigenvalues[-1] / eigenvalues[0]) if eigenvalues[0] > 0 else math.inf,
         converged=converged,
         undetermined=tuple(name for name, is_in in zip(names, in_unseen, strict=True) if is_in),
-        alike=tuple((names[i], names[j]) for i, j in pairs),
     )
 
 

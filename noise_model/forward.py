@@ -29,7 +29,7 @@ from noise_model.surface.joint import NOMINAL_SEAM, Seam, SeamLine
 from noise_model.view import View
 
 FILL_TOLERANCE, FILL_FLOOR, FILL_SAMPLE = 3e-4, 1e-4, 101
-"""How closely a whole frame's arc map is filled: of its light, and of the brightest of every so many pixels.
+"""Tolerance of a frame's arc map: of its light, of its brightest light, and the stride that finds that.
 
 That is as closely as the pixels' own integrals are taken.
 """
@@ -41,7 +41,7 @@ REMEMBERED = 4
 """Default number of poses that a renderer remembers."""
 
 
-Kept = TypeVar("Kept")
+Cached = TypeVar("Cached")
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,11 +202,11 @@ def look(
 
 
 def _remember(
-    kept: OrderedDict[tuple[object, ...], Kept], key: tuple[object, ...], value: Kept, most: int
+    cache: OrderedDict[tuple[object, ...], Cached], key: tuple[object, ...], value: Cached, max_size: int
 ) -> None:
-    kept[key] = value
-    while len(kept) > most:
-        kept.popitem(last=False)
+    cache[key] = value
+    while len(cache) > max_size:
+        cache.popitem(last=False)
 
 
 def _rendered_with(setup: Setup) -> tuple[object, ...]:

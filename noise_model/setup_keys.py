@@ -1,4 +1,4 @@
-"""What the keys of a setup may be, apart from the physics: told before anything that computes is loaded."""
+"""Allowed keys of a setup, apart from the physics: known before anything that computes is loaded."""
 
 from __future__ import annotations
 

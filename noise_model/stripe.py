@@ -15,7 +15,7 @@ from noise_model.instrument.camera import fall_off
 from noise_model.instrument.laser import (
     Sheet,
     depth_below,
-    is_beside_fan,
+    is_outside_fan,
     sheet_at,
     sheet_of,
     sheet_reflected,
@@ -52,7 +52,7 @@ def _reflect(
 
 
 class SheetReach(NamedTuple):
-    """Which pixels (...,) lie within the sheet's reach, and which of these it does not reach."""
+    """Pixels (...,) within the sheet's reach, and those of them in its shadow."""
 
     near: Bool
     shaded: Bool
@@ -82,7 +82,7 @@ def see_sheet(
         # A point past the workpiece is NaN, and near nothing.
         seen.near[i] = abs(off) < reach * sheet.sigma * abs(depth_below(sheet, P)) / sheet.stand
         seen.shaded[i] = seen.near[i] and (
-            is_beside_fan(sheet, P) or not way_is_open(P, sheet.origin, vertices, corrugation)
+            is_outside_fan(sheet, P) or not way_is_open(P, sheet.origin, vertices, corrugation)
         )
 
 
@@ -120,7 +120,7 @@ def light_stripe(
 
 
 def crossed_by_borders(faces: Integers, sheet: SheetReach) -> Bool:
-    """Say along which axes (H, W, 2), u and v, a border of the stripe may cross the pixels of a frame.
+    """Return along which axes (H, W, 2), u and v, a border of the stripe may cross the pixels of a frame.
 
     Along an axis a neighbour shows another face or lies in the sheet's shadow, and the sheet is near one of
     the two.
@@ -207,7 +207,7 @@ def _reference(peaking: _Peaking) -> float:
 
 
 def stripe_runs_along_rows(setup: Setup) -> bool:
-    """Say whether the laser plane's trace on a plate at tool height runs along the image's rows.
+    """Return True if the laser plane's trace on a plate at tool height runs along the image's rows.
 
     Raises ValueError for a stripe behind the camera.
     """

@@ -187,7 +187,7 @@ STRIPE_WHOLE = Question(
 SECOND_STRIPE = Question(
     "second_stripe", "brightness of a second stripe over the first", "at_most", flags.TWO_STRIPES, "share"
 )
-STRIPE_TOLD = Question(
+STRIPE_CHOICE = Question(
     "stripe_told",
     "evidence that of two stripes the one that was read is the laser's, nats",
     "at_least",

@@ -25,7 +25,7 @@ MAX_OFF_MM = 3.0 * WIDE_SIGMA_MM
 
 JUMP_SIGMAS, JUMP_FLOOR_MM = 5.0, 0.3
 JUMPS_TO_RELEARN, RELEARN_MM, RELEARN_SHARE = 3, 1.5, 0.5
-"""So many jumps to one place are the seam's new place, if most frames show it there over such a way.
+"""Jumps to one place that make it the seam's new place, if most frames show it there over such a way.
 
 The rim of a tack shows a joint for some frames, or now and then: a seam shows it on and on.
 """

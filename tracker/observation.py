@@ -43,7 +43,7 @@ from tracker.tracker_state import TrackerMemory
 MIN_HELD_SHARE, WHOLE_SHARE = 0.2, 0.75
 """The share of the scan lines that the joint crosses which must hold a stripe, and below it is partial."""
 
-MIN_TOLD_NATS = math.log(1e2)
+MIN_CHOICE_NATS = math.log(1e2)
 """Least evidence that separates the laser's of two stripes: its reflection is read once in a hundred at most.
 """
 
@@ -232,7 +232,9 @@ def _check_stripe(
     ask(checks.STRIPE_WHOLE, evidence.share, WHOLE_SHARE)
     # Of what is no stripe nothing is the second.
     ask(checks.SECOND_STRIPE, reading.second_share, 0.0)
-    return not math.isfinite(reading.told_nats) or ask(checks.STRIPE_TOLD, reading.told_nats, MIN_TOLD_NATS)
+    return not math.isfinite(reading.stripe_choice_nats) or ask(
+        checks.STRIPE_CHOICE, reading.stripe_choice_nats, MIN_CHOICE_NATS
+    )
 
 
 def predict_light(

@@ -185,9 +185,9 @@ def _fit_joint(
     assert section is not None
     stated, image_dn = geometry.setup.joint, given.frame.image_dn
     joint = fit_section(section, stated, image_dn, geometry.along_rows)
-    if stated.type == "butt" and not _is_told(joint):
+    if stated.type == "butt" and not _is_distinct(joint):
         closed = _closed_joint(given, aim, seen)
-        if _is_told(closed):
+        if _is_distinct(closed):
             frame_checks.ask_whether(checks.GAP_SHOWN, False)
             joint = closed
     # A narrower look shows only what lies where the stated joint should.
@@ -196,7 +196,7 @@ def _fit_joint(
     return check_joint(frame_checks, joint, float(section.y_mm[0]), float(section.y_mm[-1]))
 
 
-def _is_told(joint: MeasuredJoint | None) -> bool:
+def _is_distinct(joint: MeasuredJoint | None) -> bool:
     """Return True if a joint is distinguishable from a flat plate."""
     return joint is not None and joint.evidence_nats >= MIN_EVIDENCE_NATS
 

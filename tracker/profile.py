@@ -1,4 +1,4 @@
-"""The measured section, and triangulation: from the stripe's lines to points beside the joint."""
+"""The measured section, and triangulation: from the stripe's lines to points of the joint frame."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ STEP_SIGMAS = 3.0
 """By so many sigmas of their scatter both means must differ: one line in 400 does so by chance."""
 
 MIN_CONTRAST = 0.02
-"""So much a stripe's brightness changes from line to line without speckle."""
+"""Change of a stripe's brightness from line to line without speckle."""
 
 _NOWHERE = np.full(3, math.nan)
 
@@ -154,7 +154,7 @@ def lines_of(stripe: Stripe, bias_px: Float64) -> Float64:
 
 
 class EdgeAlongSeam(NamedTuple):
-    """What tells how edges cross the stripe.
+    """Geometry of the edges that cross the stripe.
 
     They lie `height_mm` over the surface, and their direction is known to `slope_sigma`; the brightness of
     scan lines scatters by `contrast`.
@@ -317,7 +317,7 @@ def _triangulate(
 
 
 @kernel
-def _beside(ln_amplitude: Float64, s: int, away: int) -> tuple[float, float, int]:
+def _neighbours(ln_amplitude: Float64, s: int, away: int) -> tuple[float, float, int]:
     """Return the mean of lines (n,) beside line s, the nearest one's value, and how many hold a stripe."""
     total, nearest, count = 0.0, math.nan, 0
     for k in range(1, STEP_LINES + 1):
@@ -344,16 +344,16 @@ def skewed_sigma_px(amplitude_e: Float64, width_px: Float64, contrast: float, li
     speckle explains counts for nothing: `contrast` is that of the lines' brightness. `amplitude_e` and
     `width_px` (n,), e- and px, are NaN for lines without a stripe.
     """
-    n, least = amplitude_e.shape[0], max(contrast, MIN_CONTRAST)
+    n, scatter = amplitude_e.shape[0], max(contrast, MIN_CONTRAST)
     ln_amplitude, sigma_px = np.empty(n), np.zeros(n)
     for s in range(n):
         ln_amplitude[s] = math.log(amplitude_e[s]) if amplitude_e[s] > 0.0 else math.nan
     for s in range(n):
-        before, last, n_before = _beside(ln_amplitude, s, -1)
-        behind, first, n_behind = _beside(ln_amplitude, s, 1)
+        before, last, n_before = _neighbours(ln_amplitude, s, -1)
+        behind, first, n_behind = _neighbours(ln_amplitude, s, 1)
         if min(n_before, n_behind) < MIN_HELD or math.isnan(width_px[s]):
             continue
-        variance = least * least * (1.0 / n_before + 1.0 / n_behind)
+        variance = scatter * scatter * (1.0 / n_before + 1.0 / n_behind)
         if (behind - before) ** 2 > STEP_SIGMAS**2 * variance:
             sigma_px[s] = width_px[s] * lines * 0.5 * abs(first - last)
     return sigma_px

@@ -63,10 +63,10 @@ class SeamObservations:
         image, timestamps, variances, pose_functions = zip(*seen, strict=True)
         return cls(np.array(image), np.array(timestamps), np.array(variances), pose_functions)
 
-    def thinned(self, most: int) -> SeamObservations:
-        """Return at most `most` of the observations, evenly chosen."""
+    def thinned(self, max_count: int) -> SeamObservations:
+        """Return at most `max_count` of the observations, evenly chosen."""
         n = len(self.image_px)
-        kept = np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.int64))
+        kept = np.unique(np.linspace(0, n - 1, min(n, max_count)).round().astype(np.int64))
         poses = tuple(self.poses[i] for i in kept)
         return SeamObservations(self.image_px[kept], self.timestamps_s[kept], self.variances_mm2[kept], poses)
 

@@ -11,7 +11,7 @@ from tracker.state import Pair
 from tracker.stripe.scatter import NO_SCATTER, Scatter
 
 LOST_TO_FORGET = 10
-"""So many frames in a row without a joint, and what was measured before no longer says where to look.
+"""Number of frames in a row without a joint after which earlier measurements no longer predict the seam.
 
 The torch, which comes later, is steered by it all the same.
 """

@@ -17,8 +17,8 @@ import numpy as np
 from noise_model.arc.map import arc_frame, arc_kernel
 from noise_model.arc.scene import make_scene
 from noise_model.compiled.arrays import Float32, Float64, Int64, Integers
+from noise_model.compiled.compiler_events import compiler_events
 from noise_model.compiled.forecast import Forecast
-from noise_model.compiled.heard import heard
 from noise_model.setup import Setup
 from noise_model.surface.joint import NOMINAL_SEAM, seam_frame
 from tracker import observation
@@ -75,7 +75,7 @@ def warm_up(
     """
     began_s = time.perf_counter()
     forecast = Forecast(geometry.setup.joint.type)
-    with forecast.running(), heard_compilations(on_compiled, forecast) as compiled:
+    with forecast.running(), compilations_reported(on_compiled, forecast) as compiled:
         kind = _kind(geometry, use_arc_map)
         if kind not in _warm:
             small = _with_larger_pixels(geometry.setup)
@@ -279,7 +279,7 @@ class _Picture:
 
 
 @contextmanager
-def heard_compilations(
+def compilations_reported(
     on_compiled: OnCompiled | None, forecast: Forecast | None = None
 ) -> Iterator[list[str]]:
     """Yield a growing list of the functions that numba compiles within the block.
@@ -300,5 +300,5 @@ def heard_compilations(
         if forecast is not None:
             forecast.note_compiled(name)
 
-    with heard(on_begin, on_end):
+    with compiler_events(on_begin, on_end):
         yield compiled

@@ -98,9 +98,9 @@ class SpokenProgress(Progress):
             speaker.start()
             self._running.callback(speaker.join)
             self._running.callback(self._is_over.set)
-        from noise_model.compiled.heard import heard
+        from noise_model.compiled.compiler_events import compiler_events
 
-        self._running.enter_context(heard(self._on_begin, self._on_end))
+        self._running.enter_context(compiler_events(self._on_begin, self._on_end))
 
     def stop(self) -> None:
         """Show no more."""
@@ -217,12 +217,12 @@ def steps(bar: Progress) -> Callable[[str, str], Callable[[int, int], None]]:
 def say_compiled(name: str, warm_up: WarmUp) -> None:
     """Print on stderr what a warm-up compiled, where it had to."""
     if warm_up.compiled:
-        from noise_model.compiled.store import kernels_are_kept
-
         took = f"compiled {warm_up.compiled} functions in {warm_up.elapsed_s:.0f} s"
         kept = "the next run finds them on disk"
         not_kept = "no folder could keep them; set NUMBA_CACHE_DIR to one that only you may write"
-        print(f"arctrack: {name}: {took}; {kept if kernels_are_kept() else not_kept}", file=sys.stderr)
+        from noise_model.compiled.store import kernels_are_stored
+
+        print(f"arctrack: {name}: {took}; {kept if kernels_are_stored() else not_kept}", file=sys.stderr)
 
 
 class _Rate(ProgressColumn):

@@ -43,14 +43,14 @@ from noise_model.compiled.arrays import Float64, Int32, Point
 from noise_model.compiled.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
 
-STEP_MM, N_BESIDE = 0.2, 10
-"""How far apart the y are at which tables are made, and how many of them on either side of the seam."""
+STEP_MM, N_LATERAL = 0.2, 10
+"""Spacing of the y at which tables are made, and their number on either side of the seam."""
 
 REACH_MM = 12.0
 """The farthest that the camera may be off its nominal place, along each axis: 5 degrees of tilt at 135 mm."""
 
 LINEAR_SHARE = 0.5
-"""What linear terms may leave out of a cell's light, in shares of what its polynomial may."""
+"""Largest error of the linear terms of a cell's light, in shares of the polynomial's allowance."""
 
 BRIGHTEST = 2.0
 """The arc's output over the nominal one up to which the tables' floor in electrons holds."""
@@ -231,7 +231,7 @@ def _corner(which: int) -> Point:
 
 
 class Nominal(NamedTuple):
-    """What the light about a nominal pose depends on, as a key: an `ArcKernel`'s numbers and a table's."""
+    """Key of the light about a nominal pose: an `ArcKernel`'s numbers and a table's."""
 
     eye: Point
     center: Point
@@ -302,7 +302,7 @@ def _baked(nominal: Nominal) -> BakedLight:
     """Return `bake`'s tables of a plain section."""
     # No slices: the edge of a plain section is straight.
     tables, work = [], ArcScratch.of(np.array(nominal.vertices))._replace(slices=None)
-    for place in range(-N_BESIDE, N_BESIDE + 1):
+    for place in range(-N_LATERAL, N_LATERAL + 1):
         k = nominal.kernel(place * STEP_MM)
         tables.append(
             _table_of(k, nominal.margin_mm, nominal.rel, nominal.floor_e / BRIGHTEST, TO_POWERS, work)
@@ -360,7 +360,7 @@ NOTHING_BAKED = _room(0, 1, 1, 0)
 @kernel(inline=True)
 def place_baked(k: ArcKernel, baked: BakedLight) -> int:
     """Return which table holds a pose's light, -1 for none."""
-    place = round(k.center[1] / STEP_MM) + N_BESIDE
+    place = round(k.center[1] / STEP_MM) + N_LATERAL
     if not 0 <= place < baked.n_cells.shape[0] or k.bend[0] != 0.0 or k.bend[1] != 0.0:
         return -1
     if k.radius != baked.radius_mm or k.material != baked.material or not _is_section(k, baked):
@@ -373,7 +373,7 @@ def place_baked(k: ArcKernel, baked: BakedLight) -> int:
 
 @kernel
 def _is_section(k: ArcKernel, baked: BakedLight) -> bool:
-    """Say whether a scene's section is the one whose light is baked."""
+    """Return True if a scene's section is the one whose light is baked."""
     if k.vertices.shape[0] != baked.vertices.shape[0]:
         return False
     for i in range(k.vertices.shape[0]):
@@ -401,7 +401,7 @@ def table_from(
     patches = (baked.x_borders + x_arc, baked.s_borders[place], baked.n_s[place], baked.roots[place].copy())
     table = table_within(k, patches, rel, floor_e, to_powers)
     table.n_cells[0] = baked.n_cells[place]
-    y_off = k.center[1] - (place - N_BESIDE) * STEP_MM
+    y_off = k.center[1] - (place - N_LATERAL) * STEP_MM
     e_x, e_y, e_z = _eye_off(k, baked)
     level, off_mm = k.radiance_e / baked.radiance_e, max(abs(e_x), abs(e_y), abs(e_z))
     for cell in range(table.n_cells[0]):

@@ -18,7 +18,7 @@ N = 4
 """Nodes of a cell along each direction."""
 
 DECAY = 0.1
-"""By how much the highest coefficient of what is smooth lies below the one before."""
+"""Ratio of the highest coefficient of a smooth light to the one before."""
 
 
 @functools.lru_cache(maxsize=1)
@@ -43,7 +43,7 @@ def to_powers(
     The terms are those across the scan lines and along them.
     """
     rows, columns = rules[size[0]], rules[size[1]]
-    least = math.inf
+    minimum = math.inf
     for j in range(N):
         for a in range(N):
             powers[a, j] = (
@@ -52,7 +52,7 @@ def to_powers(
                 + rows[a, 2] * values[8 + j]
                 + rows[a, 3] * values[12 + j]
             )
-            least = min(least, values[4 * a + j])
+            minimum = min(minimum, values[4 * a + j])
     across, along = 0.0, 0.0
     for i in range(N):
         v_0, v_1, v_2, v_3 = values[4 * i], values[4 * i + 1], values[4 * i + 2], values[4 * i + 3]
@@ -70,7 +70,7 @@ def to_powers(
     # What is not known at a node is in every coefficient.
     if math.isnan(powers[0, 0]):
         return math.inf, math.inf, 0.0
-    return across, along, least
+    return across, along, minimum
 
 
 @kernel(fastmath={"contract"})

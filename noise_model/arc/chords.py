@@ -168,10 +168,10 @@ def _project(
 
 
 @kernel(inline=True)
-def sheared(axes: Axes, askew: float) -> Axes:
+def sheared(axes: Axes, shear: float) -> Axes:
     """Return axes in coordinates y - askew x."""
     wx, wy, wz, ux, uy, vx, vy, vz = axes
-    return wx, wy - askew * wx, wz, ux, uy - askew * ux, vx, vy - askew * vx, vz
+    return wx, wy - shear * wx, wz, ux, uy - shear * ux, vx, vy - shear * vx, vz
 
 
 @kernel

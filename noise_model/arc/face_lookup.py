@@ -1,4 +1,4 @@
-"""Which face of a plain section a camera's ray meets, read off a list of what is seen from the eye.
+"""Face of a plain section that a camera's ray meets, read off a list of what the eye sees.
 
 A plain section is the same at every station, so which face a ray meets first is said by its direction across
 the seam alone: between two neighbouring vertex lines, as the eye sees them, it is always the same one.

@@ -43,13 +43,13 @@ SURE = 0.5
 N_CORNERS = 4
 
 CELL = 8
-"""So many scan lines of a band share its place."""
+"""Number of scan lines of a band that share its place."""
 
 CELL_WORTH = 20.0
-"""So many integrals a cell takes, with what it was halved from."""
+"""Number of integrals of a cell, with those of the cell that it was halved from."""
 
 FILLED, HALVED_ACROSS, HALVED_ALONG = 0, 1, 2
-"""What becomes of a cell: edges and what ridges do to light run along scan lines or across them."""
+"""State of a cell: edges and what ridges do to light run along scan lines or across them."""
 
 Box = tuple[int, int, int, int]
 """A cell: its first scan line and position, and their numbers."""
@@ -144,8 +144,8 @@ def _fill_mixed(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: Ar
         if not seen[face]:
             continue
         light_of_face(k, table, face, xy, image.cos4, work)
-        across, along, least = to_powers(light_e, image.rules, (n_s, n_p), powers[face])
-        if not max(across, along) <= SHARE * max(table.rel * least, table.floor_e):
+        across, along, minimum = to_powers(light_e, image.rules, (n_s, n_p), powers[face])
+        if not max(across, along) <= SHARE * max(table.rel * minimum, table.floor_e):
             halved = _halved(n_s, n_p, across >= along)
             if halved != FILLED:
                 return halved
@@ -209,7 +209,7 @@ def _halved(n_s: int, n_p: int, is_across: bool) -> int:
 
 @kernel
 def _changes_across(faces: Int64) -> bool:
-    """Say whether a cell's nodes (16,) change their face more often from line to line than along lines."""
+    """Return True if a cell's nodes (16,) change their face more often from line to line than along lines."""
     across, along = 0, 0
     for i in range(N):
         for j in range(N - 1):
@@ -222,7 +222,7 @@ def _changes_across(faces: Int64) -> bool:
 def _holds_between_nodes(
     k: ArcKernel, table: FaceTable, image: Image, box: Box, powers: Float64, allowed: float, work: ArcScratch
 ) -> bool:
-    """Say whether a cell's polynomial is off by no more than is allowed, e-, between nodes in its corners."""
+    """Return True if a cell's polynomial is within the allowed error, e-, between nodes in its corners."""
     n_pos, room = image.n_pos, work.records[0]
     pixels, light_e = room.pixels[:], room.light_e[:]
     scan, pos, n_s, n_p = box
@@ -256,8 +256,8 @@ def _fill_cell(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: Arc
         _node_pixels(image.n_pos, box, image.node_at, room.pixels[:])
         take_rays(xy, 0, N * N, room)
         is_plain = k.corrugation[0] == 0.0
-        is_told = write_faces(k, table.seen, room) if is_plain else follow_to_lap(k, room)
-        if is_told:
+        has_faces = write_faces(k, table.seen, room) if is_plain else follow_to_lap(k, room)
+        if has_faces:
             tell_faces(0, N * N, room)
         else:
             places_on_rays(k, table.seen, xy, N * N, room)
@@ -269,15 +269,15 @@ def _fill_cell(k: ArcKernel, table: FaceTable, image: Image, box: Box, work: Arc
             if faces[i] != MISS:
                 seen[faces[i]] = True
         if is_one:
-            if is_told and is_plain:
+            if has_faces and is_plain:
                 light_of_face(k, table, faces[0], xy, cos4, work)
-            elif is_told:
+            elif has_faces:
                 tell_places(k, 0, N * N, room)
                 light_of_nodes(k, table, faces[0], cos4, work)
             else:
                 light_at_places(k, table, cos4, N * N, 0.0, work)
-            across, along, least = to_powers(light_e, rules, (n_s, n_p), powers)
-            allowed = SHARE * max(table.rel * least, table.floor_e)
+            across, along, minimum = to_powers(light_e, rules, (n_s, n_p), powers)
+            allowed = SHARE * max(table.rel * minimum, table.floor_e)
             is_smooth = max(across, along) <= allowed
             # What ridges hide has borders anywhere in a cell.
             if is_smooth and not is_plain and max(across, along) > SURE * allowed:

@@ -33,16 +33,16 @@ from noise_model.compiled.lanes import N_LANES, greater, lesser, load, root, spr
 from noise_model.surface.brdf import LobeNumbers, reflected
 
 SLICES_PER_NODE = 4
-"""So many slices there are for each of the disc's nodes across."""
+"""Number of slices for each of the disc's nodes across."""
 
 UP_SHARE = 0.5
-"""So many of the disc's nodes do up a slice."""
+"""Number of the disc's nodes up a slice."""
 
 MAX_LOOKS = 3
 """So often slices are laid into the part of the arc that is open."""
 
 SHUT_ENDS = 2
-"""So many shut slices at either end, where they lie close, are no reason to lay them anew."""
+"""Largest number of shut slices at either end, where they lie close, that are not laid anew."""
 
 
 @kernel(inline=True)

@@ -38,7 +38,7 @@ NODES_P, NODES_Q = 8, 4
 """Nodes across the arc's disc and up a chord."""
 
 TOLERANCE, FLOOR_E = 0.005, 20.0
-"""How far a filled map may be off: relative, or in electrons where that is more."""
+"""Largest error of a filled map: relative, or in electrons where that is more."""
 
 MAX_MARGIN_MM = 4.0
 """No face is continued further beyond its edges."""
@@ -52,7 +52,7 @@ def _on_half_sphere() -> Float64:
 
 
 ON_HALF_SPHERE = _on_half_sphere()
-"""Where it is seen whether metal cuts into the arc."""
+"""Directions in which metal that cuts into the arc is looked for."""
 
 CUT_MM = 1e-6
 """A point so far below the surface is below it."""
@@ -66,9 +66,9 @@ def any_below(
     vertices: Float64,
     corrugation: Float64,
 ) -> bool:
-    """Say whether a sphere's point in any of some directions (n, 3) lies below a section's surface.
+    """Return True if a sphere's point in any of some directions (n, 3) lies below a section's surface.
 
-    `center` is the sphere's, mm, joint frame. The plain twin compares with `ray_casting.surface_height`.
+    `center` is the sphere's, mm, joint frame.
     """
     for i in range(outward.shape[0]):
         x, y = center[0] + radius * outward[i, 0], center[1] + radius * outward[i, 1]
@@ -81,7 +81,7 @@ def any_below(
 def metal_cuts(
     center: tuple[float, float, float], bend: Bend, radius: float, vertices: Float64, corrugation: Float64
 ) -> bool:
-    """Say whether the sheets of a lap whose edge is not straight may cut into the luminous half-sphere."""
+    """Return True if the sheets of a lap whose edge is not straight may cut into the luminous half-sphere."""
     if not is_curved_lap(vertices, corrugation, bend):
         return False
     under = (center[0], center[1] - bend[1], center[2])

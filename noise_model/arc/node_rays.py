@@ -1,4 +1,4 @@
-"""Where rays of the camera meet the workpiece: sixteen at once on a corrugated lap."""
+"""Intersections of the camera's rays with the workpiece: sixteen at once on a corrugated lap."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MEETS_MM = 2e-5
 """So near over or under a sheet a ray has met it."""
 
 MARGIN = 1.05
-"""So much steeper than the corrugation rays are that meet each sheet once."""
+"""Slope over the corrugation's from which a ray meets each sheet once."""
 
 
 @kernel
@@ -89,8 +89,8 @@ def follow_to_lap(k: ArcKernel, rays: Record) -> bool:
     way_l, miss_l = _meet(x_0, k.eye[2] - lower, d_x, d_z, corrugation)
     if any_lane((_size(miss_u) > spread(MEETS_MM)) | (_size(miss_l) > spread(MEETS_MM))):
         return False
-    beside = k.eye[1] - edge_y
-    s_u, s_l = spread(beside) + way_u * d_y, spread(beside) + way_l * d_y
+    away = k.eye[1] - edge_y
+    s_u, s_l = spread(away) + way_u * d_y, spread(away) + way_l * d_y
     if any_lane((s_u < spread(k.vertices[0, 0] - edge_y)) | (s_l > spread(k.vertices[3, 0] - edge_y))):
         return False
     on_upper = s_u <= zero
@@ -98,7 +98,7 @@ def follow_to_lap(k: ArcKernel, rays: Record) -> bool:
     s, face = where(on_upper, s_u, s_l), where(on_upper, zero, spread(2.0))
     on_edge = (s_u > zero) & (s_l < zero)
     if any_lane(on_edge):
-        way_e = spread(-beside) / d_y
+        way_e = spread(-away) / d_y
         down = spread(upper - k.eye[2]) + wave(spread(x_0) + way_e * d_x, corrugation) - way_e * d_z
         way, s, face = where(on_edge, way_e, way), where(on_edge, down, s), where(on_edge, spread(1.0), face)
     store(rays.ray_places, 0, way * d_x)

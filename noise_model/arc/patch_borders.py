@@ -1,4 +1,4 @@
-"""Where the patches of a face's table are cut, along the station x and along the way s across the face.
+"""Borders of the patches of a face's table, along the station x and along the way s across the face.
 
 Light changes its form where a ridge or the arc begins and ends along x and, across a plain section's faces,
 at the borders of penumbrae.

@@ -43,13 +43,13 @@ MAX_POINTS = 2048
 """Room for the nodes of one point's integral; what would not fit is not summed in one go."""
 
 UNCUT_SHARE = 0.75
-"""So many of the nodes across do where nothing cuts the disc."""
+"""Share of the nodes across that suffices where nothing cuts the disc."""
 
 PIECE_FLOOR = 0.5
 """A narrow piece of the disc still gets this share of the whole disc's nodes across."""
 
 CURVED_FACTOR = 2.0
-"""So many times the nodes across where borders turn at places that are not looked for."""
+"""Factor on the nodes across where borders turn at places that are not looked for."""
 
 PIECE_BEGINS = 0.0
 """The weight of a chord that is looked at alone."""
@@ -74,14 +74,16 @@ def _outline_rule(n: int) -> tuple[Float64, Float64]:
     x, weight = np.polynomial.legendre.leggauss(64)
     u = np.sin(np.pi / 4.0 * (x + 1.0))
     weight = np.pi / 4.0 * weight * u * u
-    middle, beside = np.zeros(n // 2), np.zeros(n // 2)
+    middle, off_diagonal = np.zeros(n // 2), np.zeros(n // 2)
     before, now = np.zeros_like(u), np.full_like(u, 1.0 / np.sqrt(weight.sum()))
     for k in range(n // 2):
         middle[k] = weight @ (u * now * now)
-        after = (u - middle[k]) * now - beside[k - 1] * before
-        beside[k] = np.sqrt(weight @ (after * after))
-        before, now = now, after / beside[k]
-    nodes, vectors = np.linalg.eigh(np.diag(middle) + np.diag(beside[:-1], 1) + np.diag(beside[:-1], -1))
+        after = (u - middle[k]) * now - off_diagonal[k - 1] * before
+        off_diagonal[k] = np.sqrt(weight @ (after * after))
+        before, now = now, after / off_diagonal[k]
+    nodes, vectors = np.linalg.eigh(
+        np.diag(middle) + np.diag(off_diagonal[:-1], 1) + np.diag(off_diagonal[:-1], -1)
+    )
     p, half = np.sqrt(1.0 - nodes**2), weight.sum() * vectors[0] ** 2 / nodes
     return np.concatenate([-p, p[::-1]]), np.concatenate([half, half[::-1]])
 
@@ -244,7 +246,7 @@ class Patch(NamedTuple):
 
 
 class Hiding(NamedTuple):
-    """What hides the arc from a point.
+    """Obstacles between a point and the arc.
 
     The first `n_planes` of `planes` are the half-spaces m.omega > 0 that are open, the first `n_ledges` pairs
     of `ledges` cut into the arc (`visibility.sky_planes`).

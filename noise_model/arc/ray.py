@@ -49,8 +49,8 @@ class ArcKernel(NamedTuple):
 
 
 @kernel(inline=True)
-def is_beside(P: Point, center: Point, radius: float) -> bool:
-    """Say whether a point stands farther than the radius from the arc's axis."""
+def is_outside_radius(P: Point, center: Point, radius: float) -> bool:
+    """Return True if a point stands farther than the radius from the arc's axis."""
     x, y = center[0] - P[0], center[1] - P[1]
     return x * x + y * y > radius * radius
 
@@ -119,7 +119,7 @@ def _light_of(k: ArcKernel, patch: Patch, face: int, room: Record, slices: Float
     P, normal, _ = patch
     # numba leaves out what follows where there is no room for slices.
     if slices is not None:  # noqa: SIM102
-        if is_curved_lap(k.vertices, k.corrugation, k.bend) and is_beside(P, k.center, k.radius):
+        if is_curved_lap(k.vertices, k.corrugation, k.bend) and is_outside_radius(P, k.center, k.radius):
             return _light_on_lap(k, patch, face, room.planes[:], slices)
     planes, ledges = room.planes[:], room.ledges[:]
     n_planes, n_ledges = sky_planes(

@@ -99,7 +99,7 @@ class Scenes:
 
 
 class SceneSource(NamedTuple):
-    """What a setup fixes of its scenes, as the kernels take it.
+    """Part of all scenes that a setup fixes, as the kernels take it.
 
     `segments` are its joint's nominal seam, `shape` its section; `ahead_mm` (3,) is where the sheet is at
     tool height, tool frame: by it the seam's segment is chosen. `T_tool_camera` (4, 4) mm, `rim_rays` (9, 3)
@@ -183,17 +183,15 @@ def laid_scene(
     T_laid_ground = multiplied(T_laid_nominal, line_frame(ground))
     center_mm = _arc_center(source, T_joint_tool, along_x.slope_z, T_laid_ground, is_own_ground)
     turn = seam.slope_y - along_x.slope_y
-    beside_mm = 0.0
+    aside_mm = 0.0
     if not is_own_ground or turn != 0.0:
         slope = T_laid_ground[1, 0] / T_laid_ground[0, 0]
-        beside_mm = T_laid_ground[1, 3] + slope * (center_mm[0] - T_laid_ground[0, 3])
+        aside_mm = T_laid_ground[1, 3] + slope * (center_mm[0] - T_laid_ground[0, 3])
     footprint_mm = np.empty((2, 2))
     vertices, corrugation = source.shape
     _write_footprint(source.rim_rays, T_joint_camera, vertices, corrugation, footprint_mm)
     below = is_below(T_joint_camera[0, 3], T_joint_camera[1, 3], T_joint_camera[2, 3], vertices, corrugation)
-    return Scene(
-        T_joint_tool, T_joint_camera, center_mm, source.shape, (turn, beside_mm), footprint_mm, below
-    )
+    return Scene(T_joint_tool, T_joint_camera, center_mm, source.shape, (turn, aside_mm), footprint_mm, below)
 
 
 @kernel(allocates=True)
@@ -216,14 +214,14 @@ def _arc_center(
     center[0], center[2] = foot + slope_z * offset_z, offset_z + height
     if not is_own_ground:
         T = T_laid_ground
-        beside = T[0, 2] * (center[0] - T[0, 3]) + T[1, 2] * (center[1] - T[1, 3])
-        center[2] += T[2, 3] - beside / T[2, 2]
+        rise = T[0, 2] * (center[0] - T[0, 3]) + T[1, 2] * (center[1] - T[1, 3])
+        center[2] += T[2, 3] - rise / T[2, 2]
     return center
 
 
 @kernel
 def is_below(x: float, y: float, z: float, vertices: Float64, corrugation: Float64) -> bool:
-    """Say whether a place of the joint frame, mm, lies in or under a section."""
+    """Return True if a place of the joint frame, mm, lies in or under a section."""
     return bool(z <= height_under(x, y, vertices, corrugation))
 
 
@@ -245,7 +243,7 @@ def _write_footprint(
         d_y = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z
         d_z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z
         # A ray that does not go down meets no plate: it is followed to a slope of 1 in 10 at most.
-        least = -0.1 * math.sqrt(d_x * d_x + d_y * d_y + d_z * d_z)
+        min_descent = -0.1 * math.sqrt(d_x * d_x + d_y * d_y + d_z * d_z)
         for which in range(4):
             slope, level = 0.0, lowest if which == 0 else highest
             if which >= 2:
@@ -254,7 +252,7 @@ def _write_footprint(
                 level = vertices[edge, 1] + slope * (eye_y - vertices[edge, 0])
                 if slope == 0.0:
                     continue
-            way = (level - eye_z) / min(d_z - slope * d_y, least)
+            way = (level - eye_z) / min(d_z - slope * d_y, min_descent)
             for c in range(2):
                 coordinate = T[c, 3] + way * (d_x if c == 0 else d_y)
                 footprint[c, 0], footprint[c, 1] = (

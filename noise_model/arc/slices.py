@@ -1,4 +1,4 @@
-"""What a point of a lap whose edge is no straight line sees of the arc, slice by slice.
+"""Part of the arc that a point of a lap sees whose edge is no straight line, slice by slice.
 
 An upright plane through P, at an offset d from the arc's centre in plan, cuts the sphere in a circle of
 radius rho, rho^2 = R^2 - d^2. Its centre lies D ahead, D^2 = D_0^2 - d^2, and as high as the arc's. In it the
@@ -91,10 +91,10 @@ class SlicedSheets(NamedTuple):
 
 
 N_NUMBERS = 7
-"""So many numbers a slice has."""
+"""Number of values of a slice."""
 
 AZIMUTH_X, AZIMUTH_Y, WEIGHT, LOW, HIGH, NEAR_LOW, NEAR_HIGH = (MAX_SLICES * row for row in range(N_NUMBERS))
-"""Where in the room for slices each number begins.
+"""Start of each value in the room for slices.
 
 The azimuth's cosine and sine; d(phi); the sines of the elevations between which the arc is open; and of those
 between which it is, too, where an edge stands within the arc.
@@ -361,7 +361,7 @@ def lay(
 
 @kernel(inline=True)
 def _is_open(i: int, room: Float32) -> bool:
-    """Say whether a slice is open."""
+    """Return True if a slice is open."""
     return bool(room[HIGH + i] > room[LOW + i] or room[NEAR_HIGH + i] > room[NEAR_LOW + i])
 
 

@@ -40,7 +40,7 @@ MAX_CELLS = 6000
 """Room for the cells of all faces; where it is used up, light is integrated point by point."""
 
 SMOOTH, NONE, NEW = 2, 3, 4
-"""What a cell is that is not halved along x (0) or s (1): it holds a polynomial; it holds none; it is not
+"""State of a cell that is not halved along x (0) or s (1): it holds a polynomial; it holds none; it is not
 made yet and lacks every other node along x (4), along s (5) or all of them (6)."""
 
 SHARE = 0.5
@@ -50,7 +50,7 @@ ASKED = -1.0
 """The light of a point that is yet to be integrated."""
 
 CHECK = 0.8
-"""Where between the nodes, -1 to 1, a cell's polynomial is compared with the light."""
+"""Places between the nodes, -1 to 1, at which a cell's polynomial is compared with the light."""
 
 _V = np.vander(np.linspace(-1.0, 1.0, NODES), increasing=True)
 TO_POWERS = np.ascontiguousarray(np.linalg.inv(_V))
@@ -179,7 +179,7 @@ def _node(table: FaceTable, cell: int, t: float, u: float) -> tuple[float, float
 
 @kernel(inline=True)
 def _is_missing(missing: int, row: int, column: int) -> bool:
-    """Say whether a new cell lacks a node: every other row (0), every other column (1) or all (2)."""
+    """Return True if a new cell lacks a node: every other row (0), every other column (1) or all (2)."""
     return missing == 2 or (missing == 0 and row % 2 == 1) or (missing == 1 and column % 2 == 1)
 
 

@@ -16,7 +16,7 @@ from typing import TypeVar
 Result = TypeVar("Result")
 
 ROOM = 1 << 17
-"""How many objects the frame asks room for. Its chunk is twice as large, and calls within it use the rest."""
+"""Objects the frame asks room for. Its chunk is twice as large, and calls within it use the rest."""
 
 RARELY = (50_000, 4, 4)
 """Thresholds of `gc` while a kernel compiles. Rarer still saves no time, and takes a fifth more memory."""

@@ -15,7 +15,7 @@ from numba.extending import is_jitted
 from noise_model.compiled.content import find_kernel, is_named
 from noise_model.compiled.numba_internals import KernelCache
 from noise_model.compiled.packed import compile_costs, find_records, is_found, pack_serves
-from noise_model.compiled.store import Record, is_kept, read_records, write_record
+from noise_model.compiled.store import Record, is_stored, read_records, write_record
 
 MUCH_S = 10.0
 """CPU time of compilation from which two processes are faster: they take 3 s to start and to load."""
@@ -54,7 +54,7 @@ class Forecast:
         self._looked_up()
         if self._is_known:
             return sum(self._left.values()) >= MUCH_S
-        return not is_kept("work", "") and not pack_serves()
+        return not is_stored("work", "") and not pack_serves()
 
     @contextmanager
     def shared_by(self, processes: int) -> Iterator[Callable[[], None]]:
@@ -77,13 +77,13 @@ class Forecast:
     def _looked_up(self) -> dict[str, float]:
         """Return the costs, those that this machine knows if it does."""
         if self._costs is None:
-            self._costs, self._is_known = {}, is_kept("work", self._work)
+            self._costs, self._is_known = {}, is_stored("work", self._work)
             if self._is_known:
                 for kernel, compile_s in self._missing():
                     self._costs[kernel] = self._costs.get(kernel, 0.0) + compile_s
             elif costs := compile_costs(self._work):
                 # Of another work that was done here: what is kept of a kernel serves this one too.
-                self._costs = {kernel: cost for kernel, cost in costs.items() if not is_kept(kernel, "")}
+                self._costs = {kernel: cost for kernel, cost in costs.items() if not is_stored(kernel, "")}
                 self._began_s = time.perf_counter()
             self._left = dict(self._costs)
         return self._costs

@@ -24,7 +24,7 @@ from numba.core.types import Array, Type, boolean, float32, int32, intp, void
 from noise_model.compiled.kernel import REDUCTION, kernel
 
 N_LANES = 16
-"""So many float32 fill the widest registers."""
+"""Number of float32 in the widest registers."""
 
 _FLOATS = ir.VectorType(ir.FloatType(), N_LANES)
 _BITS = ir.VectorType(ir.IntType(1), N_LANES)
@@ -127,7 +127,7 @@ def _address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 
 def _is_line(array: Type, n_axes: int = 1) -> bool:
-    """Say whether a type is a contiguous array (n,) of float32, or of more axes."""
+    """Return True if a type is a contiguous array (n,) of float32, or of more axes."""
     return (
         isinstance(array, Array) and array.ndim == n_axes and array.layout == "C" and array.dtype == float32
     )
@@ -257,7 +257,7 @@ def greater(a: Lanes, b: Lanes) -> Lanes:
     return where(a > b, a, b)
 
 
-def _told(comparison: str, bits: int) -> Callable[..., Any]:
+def _answer(comparison: str, bits: int) -> Callable[..., Any]:
     """Return what compares a mask's answers, a bit each, with a number."""
 
     def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -269,14 +269,14 @@ def _told(comparison: str, bits: int) -> Callable[..., Any]:
 
 @_instruction
 def any_lane(_typing: Any, mask: Any) -> Any:
-    """Say whether a mask has one lane that answers yes."""
-    return boolean(mask), _told("!=", 0)
+    """Return True if any lane of a mask is set."""
+    return boolean(mask), _answer("!=", 0)
 
 
 @_instruction
 def all_lanes(_typing: Any, mask: Any) -> Any:
-    """Say whether all lanes of a mask answer yes."""
-    return boolean(mask), _told("==", 2**N_LANES - 1)
+    """Return True if all lanes of a mask are set."""
+    return boolean(mask), _answer("==", 2**N_LANES - 1)
 
 
 def _across(name: str, takes: int) -> Callable[..., Any]:

@@ -30,7 +30,7 @@ def known_median(values: npt.ArrayLike) -> float:
 
 
 BLOCK = 4 * N_LANES
-"""So many numbers are counted at a time: four sums that do not wait for each other."""
+"""Number of values that are counted at a time: four sums that do not wait for each other."""
 
 
 @kernel
@@ -55,9 +55,9 @@ def _place(value: float) -> int:
 
 
 @kernel
-def _count_up_to(values: Float32, most: float) -> float:
+def _count_up_to(values: Float32, max_value: float) -> float:
     """Return how many values (n,), n a multiple of BLOCK, are not above a limit."""
-    limit, zero, unity = spread(most), spread(0.0), spread(1.0)
+    limit, zero, unity = spread(max_value), spread(0.0), spread(1.0)
     a, b, c, d = zero, zero, zero, zero
     for i in range(0, values.shape[0], BLOCK):
         a += where(load(values, i) <= limit, unity, zero)
@@ -147,32 +147,32 @@ def exact_median(values: Float64) -> float:
             return math.nan
     if n == 0:
         return math.nan
-    rounded, alike = np.empty(numbers_for(n), np.float32), np.empty(n)
+    rounded, ties = np.empty(numbers_for(n), np.float32), np.empty(n)
     for i in range(n):
         rounded[i] = values[i]
     half = (n + 1) // 2
-    middle, n_alike = _of_rank(rounded, n, half), 0
+    middle, n_ties = _of_rank(rounded, n, half), 0
     for i in range(n):
         if rounded[i] == middle:
-            alike[n_alike] = values[i]
-            n_alike += 1
-    held, order = rounded[: numbers_for(n)], stable_order(alike[:n_alike])
-    below = min(int(_count_up_to(held, middle)), n) - n_alike
+            ties[n_ties] = values[i]
+            n_ties += 1
+    held, order = rounded[: numbers_for(n)], stable_order(ties[:n_ties])
+    below = min(int(_count_up_to(held, middle)), n) - n_ties
     rank = half - 1 - below
     if n % 2 == 1:
-        return float(alike[order[rank]])
-    if rank + 1 < n_alike:
-        return float(0.5 * (alike[order[rank]] + alike[order[rank + 1]]))
+        return float(ties[order[rank]])
+    if rank + 1 < n_ties:
+        return float(0.5 * (ties[order[rank]] + ties[order[rank + 1]]))
     next_above, upper = _least_above(held, middle), math.inf
     for i in range(n):
         if rounded[i] == next_above:
             upper = min(upper, values[i])
-    return float(0.5 * (alike[order[rank]] + upper))
+    return float(0.5 * (ties[order[rank]] + upper))
 
 
 @kernel(fastmath=REDUCTION)
 def _are_finite(values: Float32) -> bool:
-    """Say whether all values (n,) are finite: 0 times one that is not is NaN."""
+    """Return True if all values (n,) are finite: 0 times one that is not is NaN."""
     nothing = np.float32(0.0)
     for i in range(values.shape[0]):
         nothing += np.float32(0.0) * values[i]

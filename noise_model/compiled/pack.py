@@ -29,7 +29,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from noise_model.compiled import numba_internals
 from noise_model.compiled.content import find_kernel, versions
 from noise_model.compiled.packed import Pack, pack_folder, write_pack
-from noise_model.compiled.store import Record, kept_records
+from noise_model.compiled.store import Record, stored_records
 from noise_model.compiled.target import CPU_NAMES, TRIPLES, host_targets
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,8 +52,8 @@ finally:
 COMPILE = """
 import sys
 from pathlib import Path
-from noise_model.compiled.pack import compile_kept
-compile_kept(sys.argv[1], Path(sys.argv[2]))
+from noise_model.compiled.pack import compile_stored
+compile_stored(sys.argv[1], Path(sys.argv[2]))
 """
 
 
@@ -91,7 +91,7 @@ def build_packs(targets: Iterable[str], works: Mapping[str, list[list[str]]]) ->
         for target in targets:
             if target != host:
                 run_python(["-c", COMPILE, target, str(folder / host)], target, folder)
-            records = list(kept_records(folder / target))
+            records = list(stored_records(folder / target))
             sizes: dict[str, int] = {}
             for kernel, _, record in records:
                 sizes[kernel] = sizes.get(kernel, 0) + len(record.machine_code)
@@ -124,7 +124,7 @@ def run_python(arguments: list[str], target: str, folder: Path) -> None:
     )
 
 
-def compile_kept(target: str, kept: Path) -> None:
+def compile_stored(target: str, kept: Path) -> None:
     """Compile the kernels and entry points that a folder keeps, for a target of another processor.
 
     numba compiles for the machine that LLVM names, so LLVM is given the target's. This process can run none
@@ -135,7 +135,7 @@ def compile_kept(target: str, kept: Path) -> None:
     machine = llvm.Target.from_triple(TRIPLES[target])
     llvm.get_process_triple = lambda: machine.triple
     llvm.Target.from_default_triple = lambda: machine
-    for _, _, record in kept_records(kept):
+    for _, _, record in stored_records(kept):
         own, _, _, _, (function, *_) = pickle.loads(record.body)
         import_module(function.modname)
         kernel = find_kernel(function.modname, function.qualname)

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from noise_model.compiled.content import versions
-from noise_model.compiled.store import Record, is_kept, read_records, warn
+from noise_model.compiled.store import Record, is_stored, read_records, warn
 from noise_model.compiled.target import target
 
 
@@ -46,7 +46,7 @@ def find_records(kernel: str, key: str) -> Iterator[Record]:
 
 def is_found(kernel: str, key: str) -> bool:
     """Return True if something is at hand of a kernel under a key."""
-    return is_kept(kernel, key) or any(True for _ in _read_packed(kernel, key))
+    return is_stored(kernel, key) or any(True for _ in _read_packed(kernel, key))
 
 
 def compile_costs(work: str) -> Mapping[str, int]:

@@ -53,7 +53,7 @@ def kernel_folder() -> Path | None:
     return _own(folder) if chosen or folder.is_absolute() else None
 
 
-def kernels_are_kept() -> bool:
+def kernels_are_stored() -> bool:
     """Return True if the next process finds on disk what this one compiles."""
     folder = kernel_folder()
     return folder is not None and os.access(folder, os.W_OK | os.X_OK) and "lost" not in _WARNED
@@ -68,7 +68,7 @@ def warn(kind: str, *what: object) -> None:
 
 def read_records(kernel: str, key: str) -> Iterator[Record]:
     """Yield what is kept of a kernel under a key, the last used first."""
-    folder = _kept_of(kernel)
+    folder = _existing_folder_of(kernel)
     if folder is None:
         return
     try:
@@ -82,7 +82,7 @@ def read_records(kernel: str, key: str) -> Iterator[Record]:
             yield record
 
 
-def kept_records(cache: Path) -> Iterator[tuple[str, str, Record]]:
+def stored_records(cache: Path) -> Iterator[tuple[str, str, Record]]:
     """Yield the name, the key and the record of each kernel that is kept in a folder for NUMBA_CACHE_DIR."""
     for file in sorted((cache / "arctrack" / "kernels").glob("*/*")):
         record = _read(file)
@@ -90,9 +90,9 @@ def kept_records(cache: Path) -> Iterator[tuple[str, str, Record]]:
             yield file.parent.name, file.name, record
 
 
-def is_kept(kernel: str, key: str) -> bool:
+def is_stored(kernel: str, key: str) -> bool:
     """Return True if something is kept of a kernel under a key."""
-    folder = _kept_of(kernel)
+    folder = _existing_folder_of(kernel)
     with suppress(OSError):
         return folder is not None and any(name.startswith(key) for name in os.listdir(folder))
     return False
@@ -163,11 +163,11 @@ def _folder_of(kernel: str) -> Path | None:
     return None if folder is None else _own(folder / kernel)
 
 
-def _kept_of(kernel: str) -> Path | None:
+def _existing_folder_of(kernel: str) -> Path | None:
     """Return the folder of one kernel, None if nothing is kept, or others may write there."""
     folder = kernel_folder()
-    is_kept = folder is not None and (folder / kernel).is_dir()
-    return _folder_of(kernel) if is_kept else None
+    is_stored = folder is not None and (folder / kernel).is_dir()
+    return _folder_of(kernel) if is_stored else None
 
 
 def _own(folder: Path) -> Path | None:

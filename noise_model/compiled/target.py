@@ -17,7 +17,7 @@ from llvmlite import binding as llvm
 
 V3 = frozenset({"avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", "xsave"})
 V4 = V3 | {"avx512bw", "avx512cd", "avx512dq", "avx512f", "avx512vl"}
-"""What a processor of x86-64-v3, and of v4, has, in LLVM's words and by the psABI of x86-64."""
+"""Features of a processor of x86-64-v3, and of v4, in LLVM's names and by the psABI of x86-64."""
 
 CPU_NAMES = {"x86-64-v4": "x86-64-v4", "x86-64-v3": "x86-64-v3", "aarch64": "generic"}
 """LLVM's processor of each target."""

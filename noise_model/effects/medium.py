@@ -175,8 +175,8 @@ def _hot_metal_glow(light: Light, view: View, condition: Condition, values: Valu
 
 def _rho_mm(view: View) -> Float32:
     """Return the distance along the plate from the arc (...,), mm; inf past the workpiece: no glow."""
-    beside = (view.surface[0] - view.scene.center_mm)[..., :2]
-    rho = np.linalg.norm(beside, axis=-1).astype(np.float32)
+    offset = (view.surface[0] - view.scene.center_mm)[..., :2]
+    rho = np.linalg.norm(offset, axis=-1).astype(np.float32)
     return np.where(np.isnan(rho), np.float32(np.inf), rho)
 
 

@@ -31,7 +31,7 @@ SHIFT_LIMIT = 0.99
 """The largest sin(theta) / n_eff: beyond no share of the shift goes."""
 
 PATCHES = (1, 2, 3)
-"""How many patches a window has."""
+"""Numbers of a window's patches."""
 
 
 def half_diagonals(view: View, u_px: float, v_px: float) -> tuple[Float32, Float32]:

@@ -20,7 +20,7 @@ NARROW_PX = 0.65
 
 
 MONOCHROME = ("mono", "gray", "grey")
-"""How the name of a pixel format begins that has no colour: the one thing that is asked of it."""
+"""First letters of the name of a pixel format without colour."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class Camera:
 
     @cached_property
     def intrinsics(self) -> Intrinsics:
-        """What projects a point and its ray, for the kernels."""
+        """Projection of a point and its ray, for the kernels."""
         given = np.array([*self.distortion, *np.zeros(max(COEFFICIENTS) - len(self.distortion))])
         k1, k2, p1, p2, k3 = given[:5].tolist()
         k4, k5, k6, s1, s2, s3, s4, tau_x, tau_y = given[5:].tolist()

@@ -14,7 +14,7 @@ from noise_model.compiled.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers, reflected
 
 SHEET_REACH = 6.0
-"""How many sigmas of the sheet are rendered: its irradiance has fallen to 1.5e-8 there."""
+"""Half-width of the rendered sheet, in its sigmas: its irradiance has fallen to 1.5e-8 there."""
 
 
 MIN_TILT_NORM = 1e-6
@@ -105,7 +105,7 @@ class Laser:
 
     @property
     def reach_sigmas(self) -> float:
-        """How many sigmas of the sheet are rendered: `SHEET_REACH` of a Gaussian, as dim for any other."""
+        """Half-width of the rendered sheet, in sigmas: `SHEET_REACH` of a Gaussian, as dim for any other."""
         return float(SHEET_REACH ** (2.0 / self.profile_exponent))
 
     @property
@@ -254,8 +254,8 @@ def depth_below(sheet: Sheet, Q: Vector) -> float:
 
 
 @kernel(inline=True)
-def is_beside_fan(sheet: Sheet, Q: Vector) -> bool:
-    """Say whether a point below the laser's origin lies beyond the fan's end."""
+def is_outside_fan(sheet: Sheet, Q: Vector) -> bool:
+    """Return True if a point below the laser's origin lies beyond the fan's end."""
     x, y, z = Q[0] - sheet.origin[0], Q[1] - sheet.origin[1], Q[2] - sheet.origin[2]
     along: float = x * sheet.axis[0] + y * sheet.axis[1] + z * sheet.axis[2]
     across: float = x * sheet.side[0] + y * sheet.side[1] + z * sheet.side[2]
@@ -284,7 +284,7 @@ def sheet_reflected(
         return 0.0
     off = sheet.plane[0] * Q[0] + sheet.plane[1] * Q[1] + sheet.plane[2] * Q[2] + sheet.plane[3]
     off /= sheet.sigma * depth / sheet.stand
-    if abs(off) > reach or is_beside_fan(sheet, Q):
+    if abs(off) > reach or is_outside_fan(sheet, Q):
         return 0.0
     power = off * off if sheet.exponent == 2.0 else abs(off) ** sheet.exponent
     light: float = math.exp(-0.5 * power) * (sheet.stand / depth) ** 2 * cos_i * distance / depth

@@ -80,7 +80,7 @@ class Sensor:
 
     @property
     def is_linear(self) -> bool:
-        """Whether DN over black is proportional to the charge."""
+        """True if DN over black is proportional to the charge."""
         return self.gamma == 1.0 and self.bend == 0.0
 
     @property
@@ -182,16 +182,16 @@ def variance_e2(mean_e: npt.ArrayLike, sensor: Sensor) -> Float64:
 
 
 SMOOTH_FROM = 6.0
-"""How many of its sigmas a charge must lie from zero for a bent response to be smooth over its noise."""
+"""Distance of a charge from zero, in its sigmas, from which a bent response is smooth over its noise."""
 
 ENDS_WITHIN = 6.0
-"""How many sigmas from an end of the scale a reading counts as cut by it."""
+"""Distance from an end of the scale, in sigmas, within which a reading counts as cut by it."""
 
 TABLE_STEPS = (0.0625, 0.05)
 """Steps of the table of moments near zero charge: in z = mean / sigma and in ln(sigma)."""
 
 TABLE_REACH, TABLE_NODES = 7.0, 32
-"""How many sigmas of the charge that table integrates over, and the nodes between two kinks."""
+"""Half-width of that table's integrals, in sigmas of the charge, and the nodes between two kinks."""
 
 
 def respond_moments(

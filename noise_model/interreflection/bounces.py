@@ -23,7 +23,7 @@ from noise_model.surface.brdf import reflected
 from noise_model.surface.faces import across, strip
 
 ORDERS = 6
-"""How many bounces are followed."""
+"""Number of bounces that are followed."""
 
 
 def gather_first(
@@ -114,9 +114,9 @@ def arriving(
     n_points, scratch = len(passing.faces), scratch_for(k)
     # Where the nodes of each point begin, and how many of them the source strikes.
     start, struck = np.zeros(n_points + 1, dtype=np.int64), np.zeros(n_points, dtype=np.int64)
-    nodes, done, most = np.empty((0, COLUMNS)), 0, room(k, coarse)
+    nodes, done, max_nodes = np.empty((0, COLUMNS)), 0, room(k, coarse)
     while done < n_points:
-        more = np.empty((max(len(nodes), 16 * most), COLUMNS))
+        more = np.empty((max(len(nodes), 16 * max_nodes), COLUMNS))
         nodes = np.concatenate([nodes[: start[done]], more])
         done = _look_from_each(
             k=k,
@@ -125,7 +125,7 @@ def arriving(
             of_laser=of_laser,
             coarse=coarse,
             scratch=scratch,
-            most=most,
+            max_nodes=max_nodes,
             done=done,
             start=start,
             struck=struck,
@@ -158,7 +158,7 @@ def _look_from_each(
     of_laser: bool,
     coarse: GaussRules,
     scratch: Scratch,
-    most: int,
+    max_nodes: int,
     done: int,
     start: Int64,
     struck: Int64,
@@ -166,11 +166,11 @@ def _look_from_each(
 ) -> int:
     """Write the nodes of a lattice's points from point `done` on, as far as there is room; return how far.
 
-    A point has `most` nodes at most.
+    A point has `max_nodes` nodes at most.
     """
     for i in range(done, len(passing.faces)):
         P, normal, face, used = passing.points[i], passing.normals[i], passing.faces[i], start[i]
-        if used + 2 * most > nodes.shape[0]:
+        if used + 2 * max_nodes > nodes.shape[0]:
             return i
         if of_laser:
             struck[i] = look_around(

@@ -1,4 +1,4 @@
-"""What leaves a point of the joint after one reflection, and whether two points of it see each other."""
+"""Light that leaves a point of the joint after one reflection, and the sight between two points of it."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _disc_nodes(n_p: int, n_q: int) -> DiscNodes:
 
 @kernel
 def sees(P: Point, Q: Point, vertices: Float64, corrugation: Float64) -> bool:
-    """Say whether nothing stands between P and Q, neither of which lies below the surface.
+    """Return True if nothing stands between P and Q, neither of which lies below the surface.
 
     A polyline is highest over a straight way at its vertices. A corrugation is highest over it at the ends,
     at a sheet's edge, or where its bumps' convex upper halves run parallel to it, a closed form: exact.
@@ -107,7 +107,7 @@ def sees(P: Point, Q: Point, vertices: Float64, corrugation: Float64) -> bool:
 
 @kernel(inline=True)
 def below_surface(x: float, y: float, z: float, vertices: Float64, corrugation: Float64) -> bool:
-    """Say whether a point lies in the workpiece."""
+    """Return True if a point lies in the workpiece."""
     c, _ = ridge(x, corrugation)
     for k in range(vertices.shape[0] - 1):
         width = vertices[k + 1, 0] - vertices[k, 0]

@@ -15,10 +15,10 @@ GRADING = 3.0
 """The power by which a lattice is drawn together towards a corner that faces enclose."""
 
 FAR_MM = 150.0
-"""How far along the seam from the source light that bounces is followed closely."""
+"""Distance along the seam from the source within which bounced light is followed closely."""
 
 OFF_CORNER_MM = 0.003
-"""How far from a face's ends its points keep: in the corner itself the other face is not seen."""
+"""Distance of a face's points from its ends: in the corner itself the other face is not seen."""
 
 
 class Lattice(NamedTuple):
@@ -89,7 +89,7 @@ def _across(vertices: Float64, face: int, s_range: Float64, n: int) -> Float64:
 
 
 def _encloses(vertices: Float64, i: int) -> bool:
-    """Say whether the faces that meet at a vertex turn towards each other."""
+    """Return True if the faces that meet at a vertex turn towards each other."""
     if not 0 < i < len(vertices) - 1:
         return False
     before, after = vertices[i] - vertices[i - 1], vertices[i + 1] - vertices[i]

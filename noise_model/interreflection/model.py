@@ -73,7 +73,7 @@ COARSE = rules(3, 4, 2, 2, 4, False)
 """Nodes for what bounces more than once."""
 
 BEYOND_MM, BEYOND_ALONG_MM = 40.0, 15.0
-"""How far from the corner, and beyond the source and the camera's footprint, light is followed further.
+"""Reach of light that bounces further, from the corner, and beyond the source and the camera's footprint.
 
 Along a corrugation it is followed half a pitch far if that is more.
 """

@@ -31,7 +31,7 @@ OMEGA, WEIGHT, FACE, COLUMNS = 6, 9, 10, 11
 """A node's columns: Q, its normal, then the direction from P, the weight cos(theta_P) d(omega), the face."""
 
 ACROSS_SIGMA = 3.5
-"""How far across the stripe the nodes go."""
+"""Reach of the nodes across the stripe."""
 
 MIN_SLOPE = 0.05
 """A sheet that meets a line of the surface at a smaller slope than this makes no stripe across it."""
@@ -61,7 +61,7 @@ def rules(phi: int, psi: int, x: int, y: int, across: int, closely: bool) -> Gau
 
 
 class Focus(NamedTuple):
-    """Where along the joint the light is brightest and on what scale it varies there, mm."""
+    """Station of the brightest light along the joint, and the scale on which it varies there, mm."""
 
     x: float
     y: float
@@ -73,12 +73,12 @@ def room(k: Place, rules: GaussRules) -> int:
     n_faces = k.vertices.shape[0] - 1
     n_psi = max((PSI_KNOTS + 1) * rules.psi[0].shape[0], 3 * rules.across[0].shape[0])
     # Both plates that run on are looked at in two halves.
-    most: int = (n_faces + 2) * rules.phi[0].shape[0] * n_psi
+    max_nodes: int = (n_faces + 2) * rules.phi[0].shape[0] * n_psi
     if k.corrugation[0] > 0.0:
         n_y = rules.y[0].shape[0]
         n_x = (X_KNOTS + 1) * rules.x[0].shape[0]
-        most += 2 * max(n_x * (Y_KNOTS + 1) * n_y, 2 * n_y * rules.across[0].shape[0])
-    return most
+        max_nodes += 2 * max(n_x * (Y_KNOTS + 1) * n_y, 2 * n_y * rules.across[0].shape[0])
+    return max_nodes
 
 
 @kernel

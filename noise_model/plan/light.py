@@ -146,7 +146,7 @@ def _fan(setup: Setup, scene: Scene) -> tuple[Float64, Float64, Float64]:
     return points[met], normals[met], stretch[met]
 
 
-class _Looks(NamedTuple):
+class _StripeWindows(NamedTuple):
     """Geometry of the camera's rays to the points: image points (n, 2), and see `SampledStripe`."""
 
     image: Float64
@@ -159,7 +159,7 @@ class _Looks(NamedTuple):
     seen: Bool
 
 
-def _look(setup: Setup, scene: Scene, points: Float64, normals: Float64) -> _Looks:
+def _look(setup: Setup, scene: Scene, points: Float64, normals: Float64) -> _StripeWindows:
     """Project points and the three directions that matter: along the stripe, the plane and the face."""
     camera, laser = setup.camera, setup.laser
     T_camera_joint = invert(scene.T_joint_camera)
@@ -200,7 +200,7 @@ def _look(setup: Setup, scene: Scene, points: Float64, normals: Float64) -> _Loo
     seen &= np.isfinite(moves).all(axis=1) & (np.sum((eye - points) * normals, axis=1) > 0.0)
     theta = np.arctan(np.linalg.norm(camera.normalised(image), axis=1))
     lines = np.abs(np.nan_to_num(slide[:, 1 - axis]))
-    return _Looks(
+    return _StripeWindows(
         image=image,
         position_axis=axis,
         moves=moves,
@@ -212,7 +212,7 @@ def _look(setup: Setup, scene: Scene, points: Float64, normals: Float64) -> _Loo
     )
 
 
-def _stripe(setup: Setup, scene: Scene, points: Float64, normals: Float64, looks: _Looks) -> Float64:
+def _stripe(setup: Setup, scene: Scene, points: Float64, normals: Float64, looks: _StripeWindows) -> Float64:
     """Return irradiance f_r cos^4 at the stripe's peak (n,) behind the point-spread function."""
     light = reflected_sheet(setup, points, normals, scene.T_joint_tool)
     return np.asarray(light * np.cos(looks.theta) ** 4 * looks.sheet_share)
@@ -225,7 +225,9 @@ def _filter_angle(setup: Setup, theta: Float64) -> Float64:
     return np.arcsin(np.minimum(math.sqrt(share) * np.sin(theta), 1.0))
 
 
-def _light_at(setup: Setup, scene: Scene, looks: _Looks, stripe_e: Float64) -> tuple[Float64, Float64]:
+def _light_at(
+    setup: Setup, scene: Scene, looks: _StripeWindows, stripe_e: Float64
+) -> tuple[Float64, Float64]:
     """Return the stripe's peak (n,), e-, and the other light (n, ARC_PLACES), e-, across the windows.
 
     `stripe_e` (n,) is the peak before the setup's effects on the light; they are applied here, to both, but

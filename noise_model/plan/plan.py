@@ -22,7 +22,7 @@ Range = tuple[float, float]
 Progress = Callable[[str, int, int], None]
 """Callback with the activity, the number done, and its total."""
 
-ALIKE_SIDES = ("v_groove", "u_groove", "butt", "fillet", "edge")
+SYMMETRIC_JOINTS = ("v_groove", "u_groove", "butt", "fillet", "edge")
 """Joints that are symmetric."""
 
 TILT_STEP_DEG, AZIMUTH_STEP_DEG, PREVIEW_STEP_MM, STAND_OFF_STEP_MM = 10.0, 30.0, 15.0, 75.0
@@ -233,8 +233,8 @@ def _elsewhere(own: SensorDesign, space: SearchSpace) -> list[SensorDesign]:
 def _azimuths(setup: Setup, options: PlanOptions) -> Range:
     if options.azimuth_deg is not None:
         return options.azimuth_deg
-    alike = setup.joint.type in ALIKE_SIDES and setup.material.lobe.anisotropy == 0.0
-    return (0.0, 180.0) if alike else (-180.0, 180.0)
+    is_symmetric = setup.joint.type in SYMMETRIC_JOINTS and setup.material.lobe.anisotropy == 0.0
+    return (0.0, 180.0) if is_symmetric else (-180.0, 180.0)
 
 
 def _steps(limits: Range, step: float) -> tuple[float, ...]:

@@ -96,16 +96,16 @@ def find_cures(
     known: dict[tuple[float, ...], Cure] = {}
     cures = []
     for n, (first, last) in enumerate(stretches):
-        alike = _alike(setup, along, first, last)
-        if alike not in known:
-            known[alike] = find_cure(setup, along, (first, last), limit_mm, around, lean_deg, designs)
-        cures.append(replace(known[alike], first=first, last=last))
+        pose_key = _cure_key(setup, along, first, last)
+        if pose_key not in known:
+            known[pose_key] = find_cure(setup, along, (first, last), limit_mm, around, lean_deg, designs)
+        cures.append(replace(known[pose_key], first=first, last=last))
         if progress is not None:
             progress(n + 1, len(stretches))
     return cures
 
 
-def _alike(setup: Setup, along: PathNoise, first: int, last: int) -> tuple[float, ...]:
+def _cure_key(setup: Setup, along: PathNoise, first: int, last: int) -> tuple[float, ...]:
     """Return what stretches that share a cure have in common.
 
     It is the tool's poses at the stations tried, relative to the joint, places along the seam by the pitch.

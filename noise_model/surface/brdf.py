@@ -6,7 +6,6 @@ docs/explanation/paper.md lists where the printed equations and these functions 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -97,7 +96,7 @@ class Material:
 
     @property
     def relative_albedo(self) -> float:
-        """How much of the light that falls straight on it goes out, in the units of the kappas.
+        """Share of normally incident light that is reflected, in the units of the kappas.
 
         The integral of f_r cos(theta_r) over the directions out, with the lobe's shape and G.
         """
@@ -105,7 +104,7 @@ class Material:
 
 
 UNSTATED_METAL = Material("an unstated metal", 1.0, 0.0, 1.0)
-"""What stands for a metal that no setup states: it reflects evenly.
+"""Stand-in for a metal that no setup states: it reflects evenly.
 
 How bright a stripe is nobody needs it for: that is `[laser] peak_e`, whatever even metal it falls on.
 """
@@ -139,24 +138,9 @@ def _lobe_albedo(c2: float, lobe: Lobe) -> float:
     return float(2.0 * np.pi * np.mean(total * m))
 
 
-@dataclass(frozen=True)
-class Mirror:
-    """A surface so smooth that it only mirrors, with the reflectance `rho` in (0, 1]."""
-
-    name: str
-    rho: float
-
-    def __post_init__(self) -> None:
-        if not 0 < self.rho <= 1:
-            raise ValueError(f"[material] rho = {self.rho}: a mirror's reflectance lies in (0, 1]")
-
-
 MILD_STEEL = Material("mild_steel", 0.021, 0.326, 112.0)
 ZN_COATED = Material("zn_coated", 0.495, 0.153, 8.331)
 TABLE_1 = {material.name: material for material in (MILD_STEEL, ZN_COATED)}
-
-SUS304 = Mirror("sus304", 1.0)
-"""Stainless steel as the paper treats it: Eq. 6 has no reflectance, so rho is 1, relative like the kappas."""
 
 
 def geometrical_attenuation(omega_i: Float64, omega_r: Float64, normal: Float64) -> Float64:
@@ -225,25 +209,6 @@ def _marks_factor(half: Float64, normal: Float64, lobe: Lobe) -> Float64:
     length = np.linalg.norm(marks, axis=-1) * np.linalg.norm(lean, axis=-1)
     cos_psi = np.sum(marks * lean, axis=-1) / np.maximum(length, 1e-300)
     return np.asarray(np.exp(-lobe.anisotropy) + 2.0 * np.sinh(lobe.anisotropy) * cos_psi**2)
-
-
-def mirror_direction(omega: Float64, normal: Float64) -> Float64:
-    """Return the unit vectors (..., 3) that mirror `omega` about the unit normal: 2 (n.omega) n - omega."""
-    return np.asarray(2.0 * np.sum(omega * normal, axis=-1, keepdims=True) * normal - omega)
-
-
-def spike_radiance(
-    mirror: Mirror, omega_r: Float64, normal: Float64, incoming: Callable[[Float64], Float64]
-) -> Float64:
-    """Return the radiance (...,) that a mirror sends towards `omega_r` (..., 3), Eq. 6 made a BRDF.
-
-    `incoming` gives the radiance (...,) that arrives from unit directions (..., 3). With
-    f_rs = rho delta(omega_r - mirror(omega_i)) / cos(theta_i), the integral of f_rs L_i cos(theta_i) d omega
-    leaves L_r(omega_r) = rho L_i(mirror(omega_r)): an extended source seen in a mirror keeps its radiance,
-    times rho, at any distance. 0 below the surface.
-    """
-    arriving = mirror.rho * incoming(mirror_direction(omega_r, normal))
-    return np.where(np.sum(omega_r * normal, axis=-1) > 0, arriving, 0.0)
 
 
 @kernel(inline=True)

@@ -14,7 +14,7 @@ from noise_model.compiled.arrays import Float64, Point, Vector
 from noise_model.compiled.kernel import kernel
 
 Strip = tuple[float, float, float, float, float]
-"""Where s = 0 (y, z), s' unit direction (y, z) in the section, and the face's width, mm."""
+"""Origin of s (y, z), its unit direction (y, z) in the section, and the face's width, mm."""
 
 
 RAISED_COSINE = (
@@ -91,10 +91,7 @@ def slope_across(face: int, vertices: Float64) -> float:
 
 @kernel
 def height_under(x: float, y: float, vertices: Float64, corrugation: Float64) -> float:
-    """Return a section's height, mm, at a place in plan; beyond its ends that of these.
-
-    `ray_casting.surface_height` is the plain twin.
-    """
+    """Return a section's height, mm, at a place in plan; beyond its ends that of these."""
     k = face_under(y, 0, vertices)
     share = (y - vertices[k, 0]) / (vertices[k + 1, 0] - vertices[k, 0])
     plain = vertices[k, 1] + min(max(share, 0.0), 1.0) * (vertices[k + 1, 1] - vertices[k, 1])

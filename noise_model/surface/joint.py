@@ -22,16 +22,16 @@ from noise_model.spelling import cure_for
 from noise_model.transforms import cross
 
 REACH_MM = 1.0e4
-"""How far the plates run on to either side of the seam."""
+"""Width of the plates on either side of the seam."""
 
 MAY_BE_ZERO = ("root_gap_mm", "gap_mm")
 """The dimensions that may be 0; all others are above it."""
 
 EDGE_STANDS_MM = 60.0
-"""How high the two sheets of an edge joint stand over what they stand on: below what a sensor looks at."""
+"""Height of an edge joint's two sheets over what they stand on: below what a sensor looks at."""
 
 SAGITTA_MM, MAX_CHORDS = 0.01, 16
-"""How far the chords of a U's rounded root lie off it at most, up to a radius of 10 mm, and their number."""
+"""Largest error of the chords of a U's rounded root, up to a radius of 10 mm, and their number."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Joint:
 
     @property
     def has_ridges(self) -> bool:
-        """Whether ridges run across the nominal seam line; they stay so when the seam between them turns."""
+        """True if ridges run across the nominal seam line; they stay so when the seam between them turns."""
         return self.type == "corrugation"
 
 
@@ -229,7 +229,7 @@ def _plate_slope(joint_type: str, size: Size) -> float:
 
 
 class SeamLine(NamedTuple):
-    """Where the true seam runs beside its nominal line: a straight stretch about one station.
+    """Course of the true seam relative to its nominal line: a straight stretch about one station.
 
     At `station_mm` of the joint frame it lies `y_mm` to the left and `z_mm` higher, and it leaves the nominal
     direction by `slope_y` = dy/dx and `slope_z` = dz/dx, which are known to 1 sigma of `slope_sigma`.
@@ -268,10 +268,10 @@ def line_frame(line: SeamLine) -> Float64:
 NOMINAL_SEAM = SeamLine()
 
 STRETCH_TURNS, STRETCH_MM = 0.003, 2.0
-"""By what slope a bent seam turns from one straight stretch to the next, and the least length of these."""
+"""Change of slope of a bent seam from one straight stretch to the next, and the least length of these."""
 
 STRETCH_ASIDE_MM = 0.1
-"""How far to the side the next stretch may begin where ridges keep stretches from turning."""
+"""Largest lateral step to the next stretch where ridges keep stretches from turning."""
 
 GRID_MM = 1.0
 """Stations at which it is seen how much a seam turns."""
@@ -336,7 +336,7 @@ class BentSeam:
 
 
 Seam = SeamLine | BentSeam
-"""Where the true seam runs."""
+"""Course of the true seam."""
 
 
 def seam_height_mm(joint: Joint) -> float:
@@ -370,7 +370,7 @@ class SeamSegments(NamedTuple):
 def nearest_segment(segments: SeamSegments, point_base_mm: Float64) -> int:
     """Return the number of the segment nearest to a point (3,) of base."""
     _, starts, steps = segments
-    nearest, least = 0, math.inf
+    nearest, min_distance = 0, math.inf
     for k in range(starts.shape[0]):
         along, square = 0.0, 0.0
         for i in range(3):
@@ -380,8 +380,8 @@ def nearest_segment(segments: SeamSegments, point_base_mm: Float64) -> int:
         away = 0.0
         for i in range(3):
             away += (point_base_mm[i] - starts[k, i] - share * steps[k, i]) ** 2
-        if away < least:
-            nearest, least = k, away
+        if away < min_distance:
+            nearest, min_distance = k, away
     return nearest
 
 

@@ -1,4 +1,4 @@
-"""What a ray meets of the joint, and whether a straight way over it is free."""
+"""First hits of rays on the joint, and straight ways over it that are free."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy.typing as npt
 from noise_model.compiled.arrays import Bool, Float64, Int32, Integers, Vector
 from noise_model.compiled.kernel import kernel
 from noise_model.surface.faces import face_normal, ridge
-from noise_model.surface.joint import SurfaceSection, corrugation_height
 
 MISS = -1
 """The face of a ray that looks past the workpiece."""
@@ -153,29 +152,9 @@ def trace(
         normals[i, 0], normals[i, 1], normals[i, 2] = nx, ny, nz
 
 
-def surface_height(points: Float64, shape: SurfaceSection) -> Float64:
-    """Return the surface's height (mm) over or under points (..., 3) of the joint frame."""
-    plain = np.interp(points[..., 1], shape.vertices[:, 0], shape.vertices[:, 1])
-    return np.asarray(plain + corrugation_height(points[..., 0], shape.corrugation))
-
-
-def is_open(points: Float64, targets: Float64, shape: SurfaceSection, steps: int = 4000) -> Bool:
-    """Say for each pair whether the straight way from a point (n, 3) to a target (n, 3) is free.
-
-    The plain twin of the half-spaces: it walks the way in small steps and looks whether it runs below the
-    surface. The ends themselves are left out by a thousandth of a millimetre.
-    """
-    share = (np.arange(steps) + 0.5) / steps
-    free = np.ones(len(points), dtype=bool)
-    for s in share:
-        walk = points + s * (targets - points)
-        free &= walk[:, 2] > surface_height(walk, shape) - 1e-6
-    return free
-
-
 @kernel(allocates=True)
 def way_is_open(P: Float64, Q: Float64, vertices: Float64, corrugation: Float64) -> bool:
-    """Say whether the straight way from a surface point P up to a point Q, both (3,) mm, is free."""
+    """Return True if the straight way from a surface point P up to a point Q, both (3,) mm, is free."""
     for k in range(1, vertices.shape[0] - 1):
         y_k = vertices[k, 0]
         if not min(P[1], Q[1]) < y_k < max(P[1], Q[1]):

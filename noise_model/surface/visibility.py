@@ -1,4 +1,4 @@
-"""What hides the arc: kernels over a section that is drawn along the seam.
+"""Visibility of the arc: kernels over a section that is drawn along the seam.
 
 Because a section runs straight along x and a corrugation straight along y, whatever hides a part of the sky
 from a surface point does so along a plane through that point: its own tangent plane, the plane through a
@@ -22,7 +22,7 @@ from noise_model.surface.joint import MAX_CHORDS, SurfaceSection
 from noise_model.surface.wave import corrugation_of, from_crest, wave
 
 Bend = tuple[float, float]
-"""How edges leave the direction of x towards the arc: dy/dx at P, and how far to the left at the arc, mm."""
+"""Bend of edges on their way to the arc: dy/dx at P, and their offset to the left at the arc, mm."""
 
 MAX_PLANES = 12
 """Room for the half-spaces of one surface point."""
@@ -123,14 +123,14 @@ def _over_foot(
     steepest: tuple[float, int],
 ) -> tuple[float, int]:
     """Return what of `steepest` and of stations under the arc that rise to its foot at most is steepest."""
-    most, touched = steepest
-    (j, end, step), least = stations, max(most, 0.0)
+    max_slope, touched = steepest
+    (j, end, step), min_slope = stations, max(max_slope, 0.0)
     while j != end:
         slope = _slope(heights, i, j, lift)
-        if heights[j] <= foot and slope > least:
-            least, most, touched = slope, slope, j
+        if heights[j] <= foot and slope > min_slope:
+            min_slope, max_slope, touched = slope, slope, j
         j += step
-    return most, touched
+    return max_slope, touched
 
 
 @kernel
@@ -183,7 +183,7 @@ def steepest(P: Vector, sheet_z: float, center: Vector, radius: float, corrugati
 
 @kernel(inline=True)
 def is_curved_lap(vertices: Float64, corrugation: Float64, bend: Bend) -> bool:
-    """Say whether a section is a lap with no straight edge: `arc.slices` says what of the arc it hides."""
+    """Return True if a section is a lap with no straight edge: `arc.slices` has what it hides of the arc."""
     is_lap = vertices.shape[0] == 4 and vertices[1, 0] == vertices[2, 0] and vertices[1, 1] > vertices[2, 1]
     return is_lap and (corrugation[0] > 0.0 or bend[0] != 0.0 or bend[1] != 0.0)
 
@@ -191,11 +191,11 @@ def is_curved_lap(vertices: Float64, corrugation: Float64, bend: Bend) -> bool:
 @kernel(inline=True)
 def bent(P: Vector, center: Vector, radius: float, bend: Bend) -> tuple[float, float]:
     """Return slope and curve, 1/mm, of edges at P's station: the parabola that is `bend`'s under the arc."""
-    slope, beside = bend
+    slope, lateral = bend
     way = center[0] - P[0]
     if abs(way) <= radius:
         return 0.0, 0.0
-    return slope, 2.0 * (beside - slope * way) / (way * way)
+    return slope, 2.0 * (lateral - slope * way) / (way * way)
 
 
 @kernel
@@ -241,7 +241,7 @@ def tangent(P: Vector, center: Vector, radius: float, edge_y: float, bend: Bend)
 
 @kernel(inline=True)
 def _is_low_end(k: int, face: int, z: float, vertices: Float64) -> bool:
-    """Say whether vertex k is a plate's far end that hides nothing from a face's point at height z, mm.
+    """Return True if vertex k is a plate's far end that hides nothing from a face's point at height z, mm.
 
     It hides something where the plate rises towards it, as in a fillet's inside corner, or where the face
     stands on the plate, as a lap's edge does.
@@ -256,11 +256,11 @@ def _is_low_end(k: int, face: int, z: float, vertices: Float64) -> bool:
 def _own_planes(P: Vector, normal: Vector, center: Vector, radius: float, bend: Bend, planes: Float64) -> int:
     """Write the half-spaces that P's own face leaves open; return how many. The first is P's own horizon."""
     planes[0, 0], planes[0, 1], planes[0, 2] = normal[0], normal[1], normal[2]
-    beside, way = bend[1], center[0] - P[0]
-    if beside == 0.0 or abs(way) <= radius or abs(normal[1]) <= 1e-9:
+    lateral, way = bend[1], center[0] - P[0]
+    if lateral == 0.0 or abs(way) <= radius or abs(normal[1]) <= 1e-9:
         return 1
     # A face that bends stands in its own way.
-    planes[1, 0], planes[1, 1], planes[1, 2] = normal[0] - beside / way * normal[1], normal[1], normal[2]
+    planes[1, 0], planes[1, 1], planes[1, 2] = normal[0] - lateral / way * normal[1], normal[1], normal[2]
     return 2
 
 
@@ -297,16 +297,16 @@ def lap_planes(
     if corrugation[0] == 0.0 or abs(center[0] - P[0]) <= radius:
         return count, crest_x
     # Vertex 1 is the upper sheet's edge, vertex 2 its foot.
-    towards, beside, edge_y = 1.0 if center[0] > P[0] else -1.0, bend[1], vertices[1, 0]
+    towards, lateral, edge_y = 1.0 if center[0] > P[0] else -1.0, bend[1], vertices[1, 0]
     on_upper = face == 0
     if face == 1:
         # A point of the edge stands over the sheet that the tables are for.
         slope = steepest(P, vertices[2, 1], center, radius, corrugation)
     else:
         slope, crest_x = touch(horizons[0], horizon_start, P[0])
-    if not (on_upper and center[1] - beside + radius > edge_y):
+    if not (on_upper and center[1] - lateral + radius > edge_y):
         count = _add_ridge(slope, towards, normal, face, planes, count)
-    if on_upper and center[1] - beside > edge_y:
+    if on_upper and center[1] - lateral > edge_y:
         # The upper sheet hides up to its edge, beyond the edge the lower one does.
         slope, _ = touch(horizons[1], horizon_start, P[0])
         count = _add_ridge(slope, towards, normal, face, planes, count)
@@ -333,9 +333,9 @@ def sky_planes(
     that ran along x, in coordinates y - askew (x - P_x), with askew in place of the half-space's m_x.
     """
     count, n_ledges = _own_planes(P, normal, center, radius, bend, planes), 0
-    beside, way = bend[1], center[0] - P[0]
+    lateral, way = bend[1], center[0] - P[0]
     # Of all that stands on one side the steepest hides what the others do; (dy, dz) and askew of those.
-    right_dy, right_dz, right_askew, left_dy, left_dz, left_askew = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    right_dy, right_dz, right_shear, left_dy, left_dz, left_shear = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(vertices.shape[0]):
         if k in (face, face + 1) or _is_low_end(k, face, P[2], vertices):
             continue
@@ -343,7 +343,7 @@ def sky_planes(
         # A vertex no higher than the arc's foot hides nothing that stands before it, and nothing at all from
         # a point above it.
         low_vertex = z_k <= center[2] + 1e-9
-        askew, aside = tangent(P, center, radius, y_k, bend)
+        shear, aside = tangent(P, center, radius, y_k, bend)
         dy, dz = y_k + aside - P[1], z_k - P[2]
         # What lies below P's own horizon hides nothing more, and its half-space would cut the other side.
         if (low_vertex and dz <= 0.0) or dy * normal[1] + dz * normal[2] <= 1e-9:
@@ -351,32 +351,32 @@ def sky_planes(
         # By the faces' order, so that it holds on a face's plane beyond its edges too.
         side = 1.0 if k > face else -1.0
         if low_vertex:
-            if (center[1] - beside + side * radius - y_k) * side <= 0.0:
+            if (center[1] - lateral + side * radius - y_k) * side <= 0.0:
                 continue
         else:
             # The face below a higher one, on P's side.
             low = k - 1 if side > 0.0 else k
             _, _, along_y, along_z, _ = strip(low, vertices)
             n_y, n_z = -along_z, along_y
-            before = n_y * (center[1] - beside - y_k) + n_z * (center[2] - z_k)
+            before = n_y * (center[1] - lateral - y_k) + n_z * (center[2] - z_k)
             if before >= radius:
                 continue
             if before > -radius and n_ledges < MAX_LEDGES:
                 i = 2 * n_ledges
-                wall_y = y_k + beside - askew * way
-                ledges[i, 0], ledges[i, 1], ledges[i, 2] = askew, -side * dz, side * dy
+                wall_y = y_k + lateral - shear * way
+                ledges[i, 0], ledges[i, 1], ledges[i, 2] = shear, -side * dz, side * dy
                 ledges[i + 1, 0], ledges[i + 1, 1], ledges[i + 1, 2] = n_y, n_z, n_y * wall_y + n_z * z_k
                 n_ledges += 1
                 continue
         if side > 0.0 and left_dy * dz - left_dz * dy >= 0.0:
-            left_dy, left_dz, left_askew = dy, dz, askew
+            left_dy, left_dz, left_shear = dy, dz, shear
         elif side < 0.0 and right_dy * dz - right_dz * dy <= 0.0:
-            right_dy, right_dz, right_askew = dy, dz, askew
+            right_dy, right_dz, right_shear = dy, dz, shear
     if left_dy != 0.0 or left_dz != 0.0:
-        planes[count, 0], planes[count, 1], planes[count, 2] = left_askew * left_dz, -left_dz, left_dy
+        planes[count, 0], planes[count, 1], planes[count, 2] = left_shear * left_dz, -left_dz, left_dy
         count += 1
     if right_dy != 0.0 or right_dz != 0.0:
-        planes[count, 0], planes[count, 1], planes[count, 2] = -right_askew * right_dz, right_dz, -right_dy
+        planes[count, 0], planes[count, 1], planes[count, 2] = -right_shear * right_dz, right_dz, -right_dy
         count += 1
     return count, n_ledges
 

@@ -30,8 +30,8 @@ def from_crest(x: float, corrugation: Corrugation) -> float:
 def _share(x: Lanes, corrugation: Corrugation) -> Lanes:
     """Return how far stations, mm, are from the nearest crest, in half widths."""
     _, width, pitch = corrugation
-    beside = x - spread(pitch) * floor(x * spread(1.0 / pitch) + spread(0.5))
-    return beside * spread(2.0 / width)
+    offset = x - spread(pitch) * floor(x * spread(1.0 / pitch) + spread(0.5))
+    return offset * spread(2.0 / width)
 
 
 @kernel(inline=True)

@@ -27,7 +27,7 @@ from sim_to_real.search.score_test import ScoreTest, score_effects
 MIN_NATS = 3.0
 """The evidence over no gap from which on an effect shows."""
 
-ALIKE_COSINE = 0.98
+CONFOUNDED_COSINE = 0.98
 """Two effects are not resolvable if the cosine between what they change is larger."""
 
 
@@ -61,7 +61,7 @@ class WeightedHypotheses:
                 seen[blocks[n], blocks[n]], seen[blocks[n], blocks[m]], seen[blocks[m], blocks[m]]
             )
             # All of the smaller span must lie within the larger: the smallest cosine counts.
-            if len(cosines) and cosines.min() > ALIKE_COSINE:
+            if len(cosines) and cosines.min() > CONFOUNDED_COSINE:
                 pairs.append((self.scores[n].id, self.scores[m].id))
         return tuple(pairs)
 

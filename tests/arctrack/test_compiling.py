@@ -38,10 +38,10 @@ os.sched_getaffinity = lambda _: set(range(2))
 import parts
 from arctrack import compiling
 from noise_model.compiled.forecast import Forecast
-from tracker.warm_up import heard_compilations
+from tracker.warm_up import compilations_reported
 forecast, chosen = Forecast("three kernels"), [getattr(parts, name) for name in sys.argv[2:]]
 exec(sys.argv[1])
-with compiling.compiled_by(chosen), forecast.running(), heard_compilations(None, forecast) as compiled:
+with compiling.compiled_by(chosen), forecast.running(), compilations_reported(None, forecast) as compiled:
     results = [kernel(3.0) for kernel in (parts.halved, parts.doubled, parts.squared)]
 assert results == [1.5, 6.0, 9.0]
 forecast.keep()
@@ -100,7 +100,7 @@ def test_what_they_do_not_compile_is_compiled_here(
     "first",
     [
         "os.sched_getaffinity = lambda _: {0}",
-        "import arctrack.compiling as c; c.kernels_are_kept = lambda: False",
+        "import arctrack.compiling as c; c.kernels_are_stored = lambda: False",
         "c = compiling.multiprocessing; c.parent_process = c.current_process",
     ],
 )

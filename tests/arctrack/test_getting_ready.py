@@ -33,9 +33,9 @@ with console.progress() as bar:
     bar.get_ready("three")
     import three_kernels
     from noise_model.compiled.forecast import Forecast
-    from tracker.warm_up import heard_compilations
+    from tracker.warm_up import compilations_reported
     forecast = Forecast("three kernels")
-    with forecast.running(), heard_compilations(None, forecast):
+    with forecast.running(), compilations_reported(None, forecast):
         for kernel in (three_kernels.halved, three_kernels.doubled, three_kernels.squared):
             kernel(3.0)
     forecast.keep()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from noise_model.arc_source import Arc, level
-from noise_model.surface.brdf import MILD_STEEL, SUS304, TABLE_1, ZN_COATED, Material, Mirror, reflectance
+from noise_model.surface.brdf import MILD_STEEL, TABLE_1, ZN_COATED, Material, reflectance
 from validation.figures.hemisphere import (
     Hemisphere,
     PointSource,
@@ -19,6 +19,7 @@ from validation.figures.hemisphere import (
     reflected_radiance_extended,
     reflected_radiance_point,
 )
+from validation.figures.mirror import SUS304, Mirror
 
 UP = np.array([0.0, 0.0, 1.0])
 R = 2.0

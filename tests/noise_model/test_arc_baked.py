@@ -8,7 +8,7 @@ import scenes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from noise_model.arc.baked import BRIGHTEST, N_BESIDE, NOTHING_BAKED, REACH_MM, STEP_MM
+from noise_model.arc.baked import BRIGHTEST, N_LATERAL, NOTHING_BAKED, REACH_MM, STEP_MM
 from noise_model.arc.map import CELL, ArcMap, arc_at, arc_kernel, baked_light
 from noise_model.arc.scene import make_scene
 from noise_model.instrument.camera import Rays
@@ -86,7 +86,7 @@ def test_light_far_from_the_nominal_pose_is_integrated(joint):
         setup,
         make_scene(setup, scenes.pose((0, 0, 0), (0, 0, 0)), ground=SeamLine(0.0, 0.1, 0.0, 0.01, 0.0, 0.0)),
     )
-    far_mm, aside_mm = 1.01 * REACH_MM, (N_BESIDE + 0.6) * STEP_MM
+    far_mm, aside_mm = 1.01 * REACH_MM, (N_LATERAL + 0.6) * STEP_MM
     e_x, e_y, e_z = near.eye
     for kernel in (
         near._replace(eye=(e_x + far_mm, e_y, e_z)),

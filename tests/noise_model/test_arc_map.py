@@ -27,7 +27,7 @@ from noise_model.instrument.camera import Rays
 from noise_model.surface.brdf import TABLE_1, Lobe, Material, lobe_numbers, reflected
 from noise_model.surface.faces import face_normal, face_point
 from noise_model.surface.joint import Joint, SeamLine, section
-from noise_model.surface.ray_casting import MISS, is_open
+from noise_model.surface.ray_casting import MISS
 from noise_model.transforms import invert, transform
 from validation.figures.hemisphere import Hemisphere, irradiance_extended, reflected_radiance_extended
 
@@ -304,7 +304,7 @@ def test_an_arc_behind_walls_is_the_sum_of_what_a_walk_finds_open(joint, center_
         distance = np.linalg.norm(way, axis=1)
         omega_i, cos_phi = way / distance[:, np.newaxis], -np.sum(way * outward, axis=1) / distance
         seen = (omega_i @ normal > 0.0) & (cos_phi > 0.0)
-        seen[seen] = is_open(np.broadcast_to(P, way[seen].shape), on_arc[seen], shape, steps=600)
+        seen[seen] = scenes.clearance(setup.joint, P, on_arc[seen]) > 0.0
         f_r = [reflected(kernel.material, tuple(o), (0.0, 0.0, 1.0), tuple(normal)) for o in omega_i[seen]]
         cosines = (omega_i @ normal * cos_phi)[seen]
         want = kernel.radiance_e * area * np.sum(np.array(f_r) * cosines / distance[seen] ** 2)

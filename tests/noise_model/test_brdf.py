@@ -9,18 +9,15 @@ from hypothesis import strategies as st
 
 from noise_model.surface.brdf import (
     MILD_STEEL,
-    SUS304,
     TABLE_1,
     ZN_COATED,
     Lobe,
     Material,
-    Mirror,
     alpha_squared,
     geometrical_attenuation,
-    mirror_direction,
     reflectance,
-    spike_radiance,
 )
+from validation.figures.mirror import SUS304, Mirror, mirror_direction, spike_radiance
 
 NORMAL = np.array([0.0, 0.0, 1.0])
 

@@ -42,7 +42,7 @@ def test_a_line_is_weighted_least_squares() -> None:
     np.testing.assert_allclose(found.leverage, np.diag(A @ covariance @ A.T), rtol=1e-6)
     assert found.n_residuals == X.size
     assert found.converged
-    assert (found.undetermined, found.alike, found.not_learned, found.at_bounds) == ((), (), (), ())
+    assert (found.undetermined, found.not_learned, found.at_bounds) == ((), (), ())
 
 
 def test_derivatives_that_are_told_are_not_taken_numerically() -> None:
@@ -143,7 +143,6 @@ def test_two_parameters_that_do_the_same_are_undetermined_not_well_known() -> No
     parameters = [Parameter("a", "", 0.0), Parameter("b", "", 0.0), Parameter("slope", "", 0.0)]
     found = fit(parameters, lambda p: (2.0 + X - p[0] - p[1] - p[2] * X) / 0.1)
     assert found.undetermined == ("a", "b")
-    assert found.alike == (("a", "b"),)
     assert np.isinf(found.sigmas[:2]).all()
     assert found.sigma("slope") == pytest.approx(0.1 / math.sqrt(np.sum(X**2)))
     assert found.not_learned == ("a", "b")
@@ -157,7 +156,6 @@ def test_a_prior_settles_what_the_data_leave_open() -> None:
     found = fit(parameters, lambda p: (2.0 - p[0] - p[1] + 0.0 * X) / 1e-3)
     assert found.undetermined == ()
     assert found.not_learned == ("a",)
-    assert found.alike == (("a", "b"),)
     np.testing.assert_allclose(found.sigmas, 0.5, rtol=1e-3)
     assert found.correlation[0, 1] == pytest.approx(-1.0, abs=1e-3)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from noise_model.compiled import store
-from noise_model.compiled.store import Record, kernels_are_kept, read_records, write_record
+from noise_model.compiled.store import Record, kernels_are_stored, read_records, write_record
 
 RECORD = Record(("inner",), 1.5, b"machine code")
 
@@ -33,7 +33,7 @@ def test_what_is_kept_comes_back() -> None:
     write_record("optics.inner", "0123-45", RECORD)
     assert list(read_records("optics.inner", "0123")) == [RECORD]
     assert list(read_records("optics.inner", "9")) == []
-    assert kernels_are_kept()
+    assert kernels_are_stored()
 
 
 def test_what_is_damaged_is_absent_and_said_in_one_line(
@@ -56,7 +56,7 @@ def test_a_folder_that_cannot_be_written_is_said_in_one_line(
     folder.touch()
     for key in ("0-1", "0-2"):
         write_record("optics.inner", key, RECORD)
-    assert not kernels_are_kept()
+    assert not kernels_are_stored()
     assert list(read_records("optics.inner", "0")) == []
     assert caplog.messages == [
         "arctrack: warning: no folder keeps compiled kernels; "
@@ -73,7 +73,7 @@ def test_a_full_disk_is_said_in_one_line(
     monkeypatch.setattr(os, "replace", fail)
     for key in ("0-1", "0-2"):
         write_record("optics.inner", key, RECORD)
-    assert not kernels_are_kept()
+    assert not kernels_are_stored()
     assert [message.partition("(")[2] for message in caplog.messages] == [
         "No space left on device): the next run compiles anew"
     ]

@@ -13,7 +13,7 @@ from noise_model.compiled import packed as packed_module
 from noise_model.compiled.content import versions
 from noise_model.compiled.pack import COMPILE, pack_of, run_python
 from noise_model.compiled.packed import Pack, read_pack, write_pack
-from noise_model.compiled.store import kept_records
+from noise_model.compiled.store import stored_records
 from noise_model.compiled.target import CPU_NAMES, V3, V4, levels, target
 
 RELEASED = Path(packed_module.__file__).with_name("packs") / f"{target()}.pack"
@@ -27,10 +27,10 @@ BUILD = """
 from pathlib import Path
 from noise_model.compiled.pack import COMPILE, pack_of, run_python
 from noise_model.compiled.packed import write_pack
-from noise_model.compiled.store import kept_records
+from noise_model.compiled.store import stored_records
 from noise_model.compiled.target import target
 folder = Path({folder!r})
-write_pack(folder / "packs" / f"{{target()}}.pack", pack_of(kept_records(folder / "kept"), {{}}))
+write_pack(folder / "packs" / f"{{target()}}.pack", pack_of(stored_records(folder / "kept"), {{}}))
 """
 
 
@@ -193,7 +193,7 @@ def test_what_a_folder_keeps_is_compiled_for_each_target(other: str, tmp_path: P
     """For the host's it becomes the same bytes as what numba compiled to run."""
     packed(tmp_path, LONG)
     run_python(["-c", COMPILE, other, str(tmp_path / "compiled")], other, tmp_path)
-    kept, compiled = (list(kept_records(tmp_path / name)) for name in ("compiled", other))
+    kept, compiled = (list(stored_records(tmp_path / name)) for name in ("compiled", other))
     assert [kernel for kernel, *_ in compiled] == [kernel for kernel, *_ in kept]
     machines = {int.from_bytes(record.machine_code[18:20], "little") for *_, record in compiled}
     assert machines == {ELF_MACHINES[other]}
@@ -238,7 +238,7 @@ def test_machine_code_of_the_release_is_what_its_sources_become(tmp_path: Path) 
     environment["PYTHONPATH"] = os.pathsep.join(sys.path)
     code = COMPILE_SOME.format(file=str(RELEASED), every=60)
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
-    compiled = pack_of(kept_records(tmp_path), {})
+    compiled = pack_of(stored_records(tmp_path), {})
     for kernel, keys in compiled.entries.items():
         for key in keys.keys() & pack.entries.get(kernel, {}).keys():
             assert pieces(compiled, kernel, key) == pieces(pack, kernel, key), kernel

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from noise_model.surface.faces import face_normal
 from noise_model.surface.joint import corrugation_height, section
-from noise_model.surface.ray_casting import MISS, first_hit, is_open, trace, way_is_open, ways_are_open
+from noise_model.surface.ray_casting import MISS, first_hit, trace, way_is_open, ways_are_open
 from noise_model.surface.visibility import (
     HORIZON_STEP_MM,
     MAX_LEDGES,
@@ -257,9 +257,6 @@ def test_half_spaces_open_the_arc_as_a_walk_does(name, center):
         open_by_walk = (clearance > 0) & ~inside & ((on_arc - P) @ normal > 0)
         sure = np.abs(clearance) > 1e-6
         np.testing.assert_array_equal(open_by_planes[sure], open_by_walk[sure])
-        walked = is_open(np.broadcast_to(P, on_arc.shape), on_arc, shape, steps=200)
-        seen = sure & ~inside & ((on_arc - P) @ normal > 1e-3) & (np.abs(clearance) > 0.05)
-        np.testing.assert_array_equal(walked[seen], open_by_walk[seen])
         n_hidden += np.count_nonzero(~open_by_walk)
     assert n_hidden > 0
 

@@ -265,10 +265,10 @@ def gap_of(lines: LinesTwin, joint: Joint, y_0: float) -> JointGap | None:
     if lines.others_between(right.line, left.line) >= MIN_LINES:
         gap_lines = left.line - right.line - 1
         # A blurred end seems off to its own side: where one is not told, in the middle of both that cancels.
-        right_told = lines.by_shares(right, True, gap_lines)
-        left_told = lines.by_shares(left, False, gap_lines)
-        if right_told is not None and left_told is not None:
-            right, left = right_told, left_told
+        right_refined = lines.by_shares(right, True, gap_lines)
+        left_refined = lines.by_shares(left, False, gap_lines)
+        if right_refined is not None and left_refined is not None:
+            right, left = right_refined, left_refined
         width = left.y_mm - right.y_mm
         variance = width_variance = left.variance_mm2 + right.variance_mm2
         if width < lines.blurred * lines.column_mm:

@@ -16,11 +16,11 @@ N_SCAN, DEPTH, EDGE = 64, 96, 31
 WIDTH_PX, PSF_PX, DARK_E2 = 5.0, 0.8, 100.0
 
 
-def alike_from_line_to_line(rng: np.random.Generator, alike: float) -> Float64:
-    """N_SCAN numbers of variance 1, two neighbours' correlation being `alike`."""
+def correlated_lines(rng: np.random.Generator, correlation: float) -> Float64:
+    """N_SCAN numbers of variance 1, two neighbours' correlation being `correlation`."""
     numbers = rng.standard_normal(N_SCAN)
     for s in range(1, N_SCAN):
-        numbers[s] = alike * numbers[s - 1] + math.sqrt(1.0 - alike**2) * numbers[s]
+        numbers[s] = correlation * numbers[s - 1] + math.sqrt(1.0 - correlation**2) * numbers[s]
     return numbers
 
 
@@ -32,7 +32,7 @@ def light_of(
     apart_px: float = 12.0,
     peak_e: float = 3000.0,
     contrast: float = 0.0,
-    alike: float = 0.0,
+    correlation: float = 0.0,
     scatter_px: float = 0.0,
     noise: bool = True,
     flipped: bool = False,
@@ -42,7 +42,7 @@ def light_of(
     upper, lower = 40.3 + 0.1031 * (s - EDGE), 40.3 + apart_px - 0.1517 * (s - EDGE)
     moved_px = scatter_px * rng.standard_normal(N_SCAN)
     bells = (np.exp(-0.5 * ((r - (run + moved_px)[:, None]) / WIDTH_PX) ** 2) for run in (upper, lower))
-    u, v = (peak_e * np.exp(contrast * alike_from_line_to_line(rng, alike))[:, None] * bell for bell in bells)
+    u, v = (peak_e * np.exp(contrast * correlated_lines(rng, correlation))[:, None] * bell for bell in bells)
     mean = ndtr((ends - s) / PSF_PX)[:, None] * u + ndtr((s - begins) / PSF_PX)[:, None] * v + 500.0
     charge = rng.normal(mean, np.sqrt(mean + DARK_E2)) if noise else mean
     position = np.where(s < 0.5 * (ends + begins), upper, lower) + moved_px
@@ -58,7 +58,7 @@ def light_of(
         1.0,
         DARK_E2,
         contrast,
-        alike,
+        correlation,
         PSF_PX,
         0.0,
         scatter_px,

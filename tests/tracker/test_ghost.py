@@ -19,7 +19,7 @@ from noise_model.forward import predict
 from noise_model.instrument.sensor import expose
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine, seam_height_mm
-from tracker.seam.locate import seam_point_tool
+from tracker.seam.locate import SeamSource, seam_point
 from tracker.state import Frame, Pose, Track
 from tracker.stripe.ghost import (
     MIN_GHOST_LINES,
@@ -28,9 +28,9 @@ from tracker.stripe.ghost import (
     REFLECTED_SHARE,
     REFLECTED_SIGMA_LN,
     SecondStripe,
+    choose_of_two,
     second_light,
     second_place,
-    told_of_two,
 )
 from tracker.stripe.line_fit.lines import N_FITTED
 from tracker.tracker import Tracker
@@ -123,9 +123,9 @@ def ghosted(setup: Setup, pose: Pose, apart_px: int, share: float, arc: float, i
 
 
 def error_mm(setup: Setup, pose: Pose, track: Track) -> np.ndarray:
-    truth = seam_point_tool(
-        setup, make_scene(setup, pose.T_base_tool, SEAM), 0.0, seam_height_mm(setup.joint)
-    )
+    scene = make_scene(setup, pose.T_base_tool, SEAM)
+    corrugation, z_mm = scene.shape.corrugation, seam_height_mm(setup.joint)
+    truth = seam_point(SeamSource.of(setup), scene.T_joint_tool.tolist(), corrugation, 0.0, z_mm)
     return np.subtract(track.seam_tool_mm, truth)[1:]
 
 
@@ -196,7 +196,7 @@ def told(
     """What lines that are all off alike tell."""
     fits, expected_px = np.full((N_SCAN, N_FITTED), 30.0 + off_px), np.full(N_SCAN, 30.0)
     room = np.empty(numbers_for(N_SCAN), np.float32)
-    return told_of_two(fits, expected_px, apart_px, share, offsets_px, reach_px, room)
+    return choose_of_two(fits, expected_px, apart_px, share, offsets_px, reach_px, room)
 
 
 def test_no_line_of_the_brighter_one_tells_no_other_place() -> None:

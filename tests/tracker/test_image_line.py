@@ -25,7 +25,7 @@ from tracker.joint.image_line import (
     MAD_SIGMA,
     ImageLine,
     _middle,
-    columns_beside,
+    average_columns,
     read_image_line,
     sum_along,
     whiten,
@@ -210,7 +210,7 @@ def test_columns_and_their_whitening_are_numpy_s(seed: int, along_rows: bool, av
     across = image.T if along_rows else image
     path = rng.uniform(-5.0, across.shape[1] + 5.0, len(across))
     columns, offsets = np.empty((8, len(across))), np.empty(8)
-    columns_beside(across, path, 6, averaged, columns, offsets)
+    average_columns(across, path, 6, averaged, columns, offsets)
     before = [-6 - averaged * k - np.arange(averaged) for k in range(4)]
     behind = [6 + averaged * k + np.arange(averaged) for k in range(4)]
     for j, pixels in enumerate([*before[::-1], *behind]):

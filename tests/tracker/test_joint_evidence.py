@@ -21,13 +21,13 @@ from tracker.joint.evidence import (
     RUN_PRIOR,
     fit_plate,
     gap_evidence_nats,
-    lines_alike,
     loss,
+    pair_correlation,
     places_of,
     runs_of,
     section_evidence_nats,
 )
-from tracker.joint.wander import MIN_KEPT, Wander, innovations, points_alike, wander_of
+from tracker.joint.wander import MIN_CORRELATION, Wander, innovations, points_as_one, wander_of
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
 CAMERA_MM, LASER_MM = np.array([60.0, 0.0, 130.0]), np.array([0.0, 0.0, 140.0])
@@ -132,7 +132,7 @@ def test_means_of_two_lines_tell_what_the_lines_do(seed: int, left: float, wande
     off = waves + rng.standard_normal(n)
     means = off.reshape(-1, 2).mean(axis=1)
     alone, paired = wander_of(off, np.ones(n)), wander_of(means, np.full(n // 2, 2.0))
-    assert paired.kept == pytest.approx(alone.kept, abs=0.2)
+    assert paired.correlation == pytest.approx(alone.correlation, abs=0.2)
     assert paired.own + paired.wander == pytest.approx(alone.own + alone.wander, rel=0.2)
     new = innovations(means, np.arange(n // 2) * 2.0 + 0.5, np.full(n // 2, 2.0), paired)
     assert new.std() == pytest.approx(1.0, abs=0.1)
@@ -141,22 +141,22 @@ def test_means_of_two_lines_tell_what_the_lines_do(seed: int, left: float, wande
 
 @settings(deadline=None, max_examples=20)
 @given(st.floats(0.0, 12.0), st.floats(0.0, 0.6))
-def test_a_mean_of_two_lines_loses_what_both_would(off: float, alike: float) -> None:
+def test_a_mean_of_two_lines_loses_what_both_would(off: float, correlation: float) -> None:
     """Two lines lie about their mean with a variance of (1 - alike) / 2."""
-    apart = np.random.default_rng(21).standard_normal(40000) * math.sqrt(0.5 * (1.0 - alike))
-    middle = off * math.sqrt(0.5 * (1.0 + alike))
+    apart = np.random.default_rng(21).standard_normal(40000) * math.sqrt(0.5 * (1.0 - correlation))
+    middle = off * math.sqrt(0.5 * (1.0 + correlation))
     both = loss(middle + np.concatenate([apart, -apart]), np.ones(80000), 0.0) / 40000
-    assert loss(np.array([off]), np.array([2.0]), alike) == pytest.approx(both, rel=0.05, abs=0.01)
+    assert loss(np.array([off]), np.array([2.0]), correlation) == pytest.approx(both, rel=0.05, abs=0.01)
 
 
-@pytest.mark.parametrize("alike", [0.0, 0.4])
-def test_lines_that_were_read_as_one_are_as_alike_as_their_sigmas_say(alike: float) -> None:
+@pytest.mark.parametrize("correlation", [0.0, 0.4])
+def test_lines_that_were_read_as_one_are_as_alike_as_their_sigmas_say(correlation: float) -> None:
     n_lines = np.where(np.arange(90) < 60, 2.0, 1.0)
-    sigma = 0.3 * np.where(n_lines > 1.0, math.sqrt(0.5 * (1.0 + alike)), 1.0)
-    found = lines_alike(sigma, n_lines)
-    assert found.alike == pytest.approx(max(alike - MIN_KEPT, 0.0))
+    sigma = 0.3 * np.where(n_lines > 1.0, math.sqrt(0.5 * (1.0 + correlation)), 1.0)
+    found = pair_correlation(sigma, n_lines)
+    assert found.correlation == pytest.approx(max(correlation - MIN_CORRELATION, 0.0))
     assert found.share == pytest.approx(0.8)
-    assert lines_alike(sigma[60:], n_lines[60:]) == (0.0, 0.0)
+    assert pair_correlation(sigma[60:], n_lines[60:]) == (0.0, 0.0)
 
 
 def test_a_groove_in_coarse_texture_is_told_from_a_plate() -> None:
@@ -175,12 +175,12 @@ def test_residuals_that_wander_count_as_few() -> None:
     rng, r, n = np.random.default_rng(12), 0.8, 4000
     white = rng.standard_normal(n)
     wandering = lfilter([math.sqrt(1.0 - r * r)], [1.0, -r], white)
-    assert points_alike(white) == pytest.approx(1.0, abs=0.3)
-    assert points_alike(wandering) == pytest.approx((1.0 + r) / (1.0 - r), rel=0.25)
+    assert points_as_one(white) == pytest.approx(1.0, abs=0.3)
+    assert points_as_one(wandering) == pytest.approx((1.0 + r) / (1.0 - r), rel=0.25)
     # Spatter between is no neighbour of anything.
     spattered = np.where(rng.random(n) < 0.05, 50.0, wandering)
-    assert points_alike(spattered) == pytest.approx((1.0 + r) / (1.0 - r), rel=0.3)
-    assert points_alike(np.zeros(8)) == 1.0
+    assert points_as_one(spattered) == pytest.approx((1.0 + r) / (1.0 - r), rel=0.3)
+    assert points_as_one(np.zeros(8)) == 1.0
 
 
 def test_a_plate_that_coarse_texture_bends_is_no_joint() -> None:

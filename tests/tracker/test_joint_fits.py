@@ -12,7 +12,7 @@ from slot_twins import fitted_slot, share_raised
 
 from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import Joint, section
-from tracker.joint.groove import PRIOR_SIGMA, beside_unseen, mixture_of, prior_of
+from tracker.joint.groove import PRIOR_SIGMA, mixture_of, outside_hidden_bevel, prior_of
 from tracker.profile import MIN_POINTS, in_scan_order
 from tracker.state import SCAN
 
@@ -173,7 +173,7 @@ def test_what_counts_beside_an_unseen_bevel_is_its_twin(side: float) -> None:
     y, start = np.linspace(-9.0, 9.0, 181), np.zeros(9)
     start[2] = 1.4
     out, sure_mm = side * (y - 0.31), start[2] - 2.0 * PRIOR_SIGMA[2]
-    counts = beside_unseen(out, np.array([0.31, -4.0, 1.2]), sure_mm, 3.0)
+    counts = outside_hidden_bevel(out, np.array([0.31, -4.0, 1.2]), sure_mm, 3.0)
     np.testing.assert_array_equal(counts, (out + 0.6 < 1.4 - 2.0 * PRIOR_SIGMA[2]) | (out > 4.0))
     assert 0 < counts.sum() < 181
 

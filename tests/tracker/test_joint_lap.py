@@ -21,7 +21,7 @@ from tracker.joint.upright_edge import (
     edge_covariance,
     hidden_strip,
     neighbours_of_edge,
-    points_beside,
+    points_around_edge,
 )
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
@@ -199,7 +199,7 @@ def test_what_lies_on_which_sheet_is_its_twin(seed: int) -> None:
     off_upper, off_lower = np.abs(z - upper_mm), np.abs(z - lower_mm)
     near = np.abs(y - sheets.y) < 2.0
     limits_mm = np.where(near, rng.uniform(0.05, 0.6, len(y)), 0.0)
-    beside = points_beside(profile.points, faces, limits_mm)
+    beside = points_around_edge(profile.points, faces, limits_mm)
     assert beside == neighbours_of_edge(off_upper < limits_mm, off_lower < limits_mm)
     sigma = np.abs(profile.dz_mm) * np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
     off = np.where(y < edge, off_upper, off_lower) > OFF_SIGMAS * sigma

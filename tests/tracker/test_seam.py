@@ -25,7 +25,7 @@ from tracker.seam.locate import (
     confidence,
     meet_ridges,
     moved_variance,
-    seam_point_tool,
+    seam_point,
 )
 from tracker.state import Frame, Pose
 from tracker.step import step
@@ -40,7 +40,9 @@ SEAM = SeamLine(20.0, 1.2, -0.6, 0.03, -0.02)
 def test_the_seam_meets_the_sheet(joint: str, y: float, z: float, x: float) -> None:
     setup = small_setup(joint)
     scene = make_scene(setup, pose_at(x, 0.5, -0.5, (1.0, -2.0, 4.0)).T_base_tool, SEAM)
-    point = seam_point_tool(setup, scene, y, z)
+    point = np.array(
+        seam_point(SeamSource.of(setup), scene.T_joint_tool.tolist(), scene.shape.corrugation, y, z)
+    )
     plane = np.asarray(setup.laser.plane_in_tool)
     assert plane[:3] @ point + plane[3] == pytest.approx(0.0, abs=1e-8)
     station, *beside = transform(scene.T_joint_tool, point)
@@ -68,7 +70,9 @@ def test_a_sheet_that_leans_like_the_ridges_flanks_meets_the_seam_too(
 def test_the_hand_eye_variance_is_its_twin(joint: str) -> None:
     setup = small_setup(joint)
     scene = make_scene(setup, pose_at(3.0, 0.5, -0.5, (2.0, -3.0, 4.0)).T_base_tool)
-    point = seam_point_tool(setup, scene, 0.4, -0.3)
+    point = np.array(
+        seam_point(SeamSource.of(setup), scene.T_joint_tool.tolist(), scene.shape.corrugation, 0.4, -0.3)
+    )
     T_camera_tool = invert(setup.camera.T_tool_camera)
     seen = transform(T_camera_tool, point)
     moves = []

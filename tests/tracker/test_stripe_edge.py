@@ -57,12 +57,12 @@ def test_ends_without_noise_are_found_exactly(
         assert MIN_SIGMA <= found.sigma < 0.15
 
 
-@pytest.mark.parametrize(("contrast", "alike"), [(0.1, 0.0), (0.2, 0.0), (0.2, 0.8)])
-def test_their_sigma_is_honest(contrast: float, alike: float) -> None:
+@pytest.mark.parametrize(("contrast", "correlation"), [(0.1, 0.0), (0.2, 0.0), (0.2, 0.8)])
+def test_their_sigma_is_honest(contrast: float, correlation: float) -> None:
     rng, off, stated = np.random.default_rng(4), [], []
     for _ in range(200):
         true = EDGE + rng.uniform(-0.5, 0.5)
-        light = light_of(rng, true, true + 0.7, peak_e=600.0, contrast=contrast, alike=alike)
+        light = light_of(rng, true, true + 0.7, peak_e=600.0, contrast=contrast, correlation=correlation)
         for found, line in zip(stripe_ends(light, EDGE, EDGE + 1), (true, true + 0.7), strict=True):
             off.append(found.line - line)
             # The floor is for real edges.
@@ -232,7 +232,9 @@ def test_an_end_does_not_look_past_the_image() -> None:
     st.floats(0.0, 0.9),
     st.integers(0, 2**32 - 1),
 )
-def test_an_end_is_its_twin(true: float, sigma: float, contrast: float, alike: float, seed: int) -> None:
+def test_an_end_is_its_twin(
+    true: float, sigma: float, contrast: float, correlation: float, seed: int
+) -> None:
     rng, lines = np.random.default_rng(seed), np.arange(9.0)
     variance = rng.uniform(1e-4, 1e-3, 9)
     share = ndtr((true - lines) / sigma) + np.sqrt(variance) * rng.standard_normal(9)
@@ -244,20 +246,22 @@ def test_an_end_is_its_twin(true: float, sigma: float, contrast: float, alike: f
         """chi^2 and ln of the determinant by the whole covariance, with the brightness that lines share."""
         mean = ndtr((at - lines) / sigma)
         own = variance + MIN_STRIPE_SHARE**2 + (SPREAD * contrast) ** 2
-        together = alike ** np.abs(lines[:, None] - lines) + min((1 + alike) / (1 - alike) / BEYOND, 1.0)
+        together = correlation ** np.abs(lines[:, None] - lines) + min(
+            (1 + correlation) / (1 - correlation) / BEYOND, 1.0
+        )
         covariance = np.diag(own) + contrast**2 * together * np.outer(mean, mean)
         off = share - mean
         return float(off @ np.linalg.solve(covariance, off)), float(np.linalg.slogdet(covariance)[1])
 
     for at in (true, true + 0.8):
-        fit = end_misfit(share, variance, contrast, alike, sigma, at)
+        fit = end_misfit(share, variance, contrast, correlation, sigma, at)
         assert fit.misfit == pytest.approx(misfit(at), rel=1e-6)
     places = np.arange(1.0, 7.0, 0.01)
     misfits = np.array([misfit(at) for at in places])
     weights = np.exp(-0.5 * (misfits - misfits.min()))
     mean = weights @ places / weights.sum()
     deviation = math.sqrt(weights @ (places - mean) ** 2 / weights.sum())
-    end, end_sigma = fit_end(share, variance, contrast, alike, sigma, 1.0, 7.0)
+    end, end_sigma = fit_end(share, variance, contrast, correlation, sigma, 1.0, 7.0)
     assert end == pytest.approx(mean, abs=0.5 * STEP)
     excess = max(parts(end)[0] / 7.0 - math.sqrt(2.0 / 7.0), 1.0)
     assert end_sigma == pytest.approx(math.hypot(math.sqrt(excess) * deviation, MIN_SIGMA), rel=0.2)

@@ -21,9 +21,9 @@ from tracker.stripe.neighbours import (
     CHANCE,
     MIN_LINES,
     MOVED,
-    count_alike,
     mean_square_near,
     misfit_sigma_px,
+    write_centres_as_one,
 )
 
 DEPTH, N_LINES, WIDTH_PX, AMPLITUDE_E, ARC_E = 64, 30, 5.0, 3000.0, 4000.0
@@ -95,7 +95,7 @@ def test_how_many_lines_scatter_as_one_is_the_usual_number_of_their_kind() -> No
     n_lines, sigma, beside = rng.integers(1, 3, n), rng.uniform(0.1, 0.3, n), rng.uniform(0.3, 0.6, n)
     sigma[rng.random(n) < 0.2] = np.nan
     alike = np.empty(n)
-    count_alike(sigma, beside, n_lines, np.empty(numbers_for(n), np.float32), alike)
+    write_centres_as_one(sigma, beside, n_lines, np.empty(numbers_for(n), np.float32), alike)
     for together in (1, 2):
         kind = n_lines == together
         usual = np.nanmedian((beside[kind] / sigma[kind]) ** 2 / together)

@@ -49,7 +49,7 @@ from tracker.stripe.scatter import (
     FrameScatter,
     Scatter,
     add_frame,
-    brightness_alike,
+    brightness_correlation,
     brightness_plateau,
     brightness_share,
     centre_share,
@@ -227,10 +227,10 @@ def test_the_variance_that_lines_share_is_what_was_drawn(grain: float) -> None:
         by_lag, by_length, _ = shown(off, np.full(n, own), np.ones(n))
         seen.append((by_lag, by_length))
     by_lag, by_length = (np.mean(values, axis=0) for values in zip(*seen, strict=True))
-    alike = 1.0 if grain == 0.0 else float(kernel.sum() ** 2)
+    correlation = 1.0 if grain == 0.0 else float(kernel.sum() ** 2)
     assert by_lag[-1] == pytest.approx(shared**2, rel=0.1)
     # A mean over 16 lines holds some grains whole and cuts those at its ends.
-    assert by_length[-1] == pytest.approx(alike * shared**2, rel=0.3)
+    assert by_length[-1] == pytest.approx(correlation * shared**2, rel=0.3)
 
 
 def test_means_of_a_joint_that_is_searched_tell_nothing_by_themselves() -> None:
@@ -298,17 +298,17 @@ def frame(value: float) -> FrameScatter:
     return FrameScatter(*(np.full(n, value) for n in sizes), *(np.array(value) for _ in range(3)))
 
 
-@pytest.mark.parametrize("alike", [0.0, 0.5, 0.8])
-def test_neighbours_brightness_is_as_alike_as_it_was_drawn(alike: float) -> None:
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.8])
+def test_neighbours_brightness_is_as_alike_as_it_was_drawn(correlation: float) -> None:
     rng, n, contrast = np.random.default_rng(11), 4000, 0.2
     scatter = [rng.standard_normal()]
     for drawn in rng.standard_normal(n - 1):
-        scatter.append(alike * scatter[-1] + math.sqrt(1.0 - alike**2) * drawn)
+        scatter.append(correlation * scatter[-1] + math.sqrt(1.0 - correlation**2) * drawn)
     amplitude = 1000.0 * (1.0 + contrast * np.array(scatter))
     seen = shown(np.zeros(n), np.ones(n), amplitude)
     learned = with_frame(NO_SCATTER, FrameScatter(*seen, *NOTHING))
     assert math.sqrt(brightness_plateau(learned.average.numbers)) == pytest.approx(contrast, rel=0.15)
-    assert brightness_alike(learned.average.numbers) == pytest.approx(alike, abs=0.1)
+    assert brightness_correlation(learned.average.numbers) == pytest.approx(correlation, abs=0.1)
 
 
 def test_grains_that_reach_far_add_what_they_move_centres_together() -> None:

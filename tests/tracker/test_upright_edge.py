@@ -18,7 +18,7 @@ from tracker.joint.upright_edge import (
     HiddenStrip,
     change_of,
     edge_between,
-    points_beside,
+    points_around_edge,
     upright_edge,
 )
 from tracker.stripe.light import NO_LIGHT, background_off_px
@@ -42,7 +42,7 @@ def flat_faces(n: int, step_mm: float) -> Faces:
 
 def edge_of(profile: Profile, faces: Faces, limits_mm: Float64) -> Edge | None:
     points = profile.points
-    before, behind = points_beside(points, faces, limits_mm)
+    before, behind = points_around_edge(points, faces, limits_mm)
     if before < 0:
         return None
     light, strip = (NO_LIGHT if profile.light is None else profile.light), HiddenStrip(0.0, 0.0)
@@ -90,7 +90,7 @@ def test_a_change_is_its_twin(seed: int) -> None:
     )
     near = np.abs(profile.y_mm) < 1.5
     faces = Faces(heights_mm[0], slopes[0], heights_mm[1], slopes[1])
-    before, behind = points_beside(profile.points, faces, np.where(near, 0.5, 0.0))
+    before, behind = points_around_edge(profile.points, faces, np.where(near, 0.5, 0.0))
     if before < 0:
         return
     limits_mm = np.where(near, 0.5, 0.0)

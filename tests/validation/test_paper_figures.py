@@ -12,12 +12,13 @@ from noise_model.instrument.spectrum import (
     line_to_continuum,
     passed_continuum,
 )
-from noise_model.surface.brdf import MILD_STEEL, SUS304, ZN_COATED, mirror_direction, reflectance
+from noise_model.surface.brdf import MILD_STEEL, ZN_COATED, reflectance
 from validation.figures.hemisphere import (
     irradiance_extended,
     point_source_distance,
     reflected_radiance_extended,
 )
+from validation.figures.mirror import SUS304, mirror_direction
 from validation.figures.paper_curves import (
     ARC,
     DISTANCE_MM,

@@ -1,4 +1,4 @@
-"""What lights a frame beside the laser, from pixels off the stripe, robustly.
+"""Level of the light of a frame apart from the laser's, from pixels off the stripe, robustly.
 
 Where the arc is on, its output and the map's fit: an arc breathes. Where it is off, the light of the hall.
 """
@@ -40,7 +40,7 @@ AMBIENT_SIGMAS = 5.0
 """An offset of more of the black level's sigmas is light of the hall: no black level is stated so wrongly."""
 
 CHANCE = 3.5
-"""What the quantile of n pixels' noise exceeds by chance alone, over 1 / sqrt(n): 4 sigma of it."""
+"""Chance excess of the quantile of n pixels' noise, over 1 / sqrt(n): 4 sigma of it."""
 
 
 class ArcLevel(NamedTuple):
@@ -62,7 +62,7 @@ class ArcLevel(NamedTuple):
 
 
 UNKNOWN = ArcLevel(math.nan, math.nan, 0.0, math.nan)
-"""What is known of the arc before a look, and where the pixels do not tell it."""
+"""Prior of the arc's level, which stands where the pixels do not determine it."""
 
 
 class Unlit(NamedTuple):

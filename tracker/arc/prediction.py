@@ -16,7 +16,7 @@ from tracker.geometry import MAP_FLOOR_E, MAP_TOLERANCE, ArcSource, ImageSource
 
 
 class ArcLightBuffers(NamedTuple):
-    """Where the arc's light is wanted, and room for it, e-: at pixels (n,) and in a band (n_scan, depth).
+    """Pixels (n,) and band (n_scan, depth) where the arc's light is wanted, and room for it, e-.
 
     `pixels` are counted by scan line. For each CELL scan lines the band begins at a place of `lows`.
     """

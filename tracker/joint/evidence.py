@@ -41,12 +41,12 @@ from noise_model.compiled.median import median_of, numbers_for
 from noise_model.robust import MAD_SIGMA
 from tracker.joint.measured import section_at
 from tracker.joint.section_fit import BISQUARE_WIDTH, MIN_ALONG_MM
-from tracker.joint.wander import MIN_KEPT, innovations, points_alike, wander_of
+from tracker.joint.wander import MIN_CORRELATION, innovations, points_as_one, wander_of
 from tracker.state import DY_MM, DZ_MM, N_LINES, SCAN, SIGMA_PX, Y_MM, Z_MM
 from tracker.stripe.neighbours import usual_of
 
 MIN_EVIDENCE_NATS = math.log(1e3)
-"""A joint must be told from a plate by so much: chance does so in one frame of a thousand at most."""
+"""Least evidence of a joint against a plate, nats: chance reaches it in one frame of 1000 at most."""
 
 PLACE_MM = 0.5
 """Places of a section that lie so near to each other are one."""
@@ -55,7 +55,7 @@ PLATE_PARAMETERS = 4
 """A plate is a cubic: a bow, and what is left of the lens, but no corner."""
 
 FIRM = 1e-12
-"""So much of the points' weight holds each parameter of a plate at 0."""
+"""Share of the points' weight that holds each parameter of a plate at 0."""
 
 PLATE_STEPS = 8
 """Steps of the plate's fit by Tukey's weights."""
@@ -83,9 +83,9 @@ def section_evidence_nats(points: Float64, corners_mm: Float64, reach_mm: float)
     new = innovations(off, scan, n_lines, seen)
     new_of_plate = innovations(off_plate, scan, n_lines, seen)
     # A section that explains no more than the plate gains nothing. erfc is less than its exponential.
-    pairs = lines_alike(sigma_px, n_lines)
-    gain = max(loss(new_of_plate, n_lines, pairs.alike) - loss(new, n_lines, pairs.alike), 0.0)
-    x = 2.0 * gain / (points_alike(new) * (1.0 + pairs.share * pairs.alike))
+    pairs = pair_correlation(sigma_px, n_lines)
+    gain = max(loss(new_of_plate, n_lines, pairs.correlation) - loss(new, n_lines, pairs.correlation), 0.0)
+    x = 2.0 * gain / (points_as_one(new) * (1.0 + pairs.share * pairs.correlation))
     chance = math.log(1.0 + math.sqrt(2.0 * x / math.pi) * (1.0 + x / 3.0)) - 0.5 * x
     return -chance - math.log(places_of(y_mm, reach_mm, PLACE_MM))
 
@@ -194,33 +194,33 @@ def fit_plate(
 
 
 class Pairs(NamedTuple):
-    """How alike what is new in two lines is that were read as one, a correlation, and their share of all."""
+    """Correlation of the innovations of two lines that were read as one, and the share of such lines."""
 
-    alike: float
+    correlation: float
     share: float
 
 
 @kernel(allocates=True)
-def lines_alike(sigma_px: Float64, n_lines: Float64) -> Pairs:
+def pair_correlation(sigma_px: Float64, n_lines: Float64) -> Pairs:
     """Return `Pairs` of points (n,) that stand for 1 or 2 lines each, as their sigmas have it.
 
     The mean of two that are off alike by r has (1 + r) / 2 of either's variance. Of r the first line tells
-    MIN_KEPT beforehand; what is new in both is alike by the rest.
+    MIN_CORRELATION beforehand; what is new in both is correlated by the rest.
     """
     room = np.empty(numbers_for(len(sigma_px)), np.float32)
     n_pairs, pair_px = usual_of(sigma_px, n_lines, 2, room)
     n_alone, alone_px = usual_of(sigma_px, n_lines, 1, room)
     if n_pairs == 0 or n_alone == 0:
         return Pairs(0.0, 0.0)
-    alike = 2.0 * (pair_px / alone_px) ** 2 - 1.0 - MIN_KEPT
-    return Pairs(min(max(alike, 0.0), 1.0), 2.0 * n_pairs / (2.0 * n_pairs + n_alone))
+    correlation = 2.0 * (pair_px / alone_px) ** 2 - 1.0 - MIN_CORRELATION
+    return Pairs(min(max(correlation, 0.0), 1.0), 2.0 * n_pairs / (2.0 * n_pairs + n_alone))
 
 
 @kernel
-def loss(new: Float64, n_lines: Float64, alike: float) -> float:
+def loss(new: Float64, n_lines: Float64, correlation: float) -> float:
     """Return Tukey's loss of what is new in residuals (n,), sigmas, in nats.
 
-    Where two lines were read as one, `n_lines` is 2, it is what both would lose on average. `alike` by r,
+    Where two lines were read as one, `n_lines` is 2, it is what both would lose on average. Correlated by r,
     theirs lie about the root of (1 + r) / 2 of it with a variance of (1 - r) / 2, whose moments make the
     loss' terms.
     """
@@ -228,7 +228,7 @@ def loss(new: Float64, n_lines: Float64, alike: float) -> float:
     for i in range(new.shape[0]):
         square = (new[i] / BISQUARE_WIDTH) ** 2
         if n_lines[i] > 1.0:
-            m, h = 0.5 * (1.0 + alike) * square, 0.5 * (1.0 - alike) / BISQUARE_WIDTH**2
+            m, h = 0.5 * (1.0 + correlation) * square, 0.5 * (1.0 - correlation) / BISQUARE_WIDTH**2
             second, fourth = m + h, m * m + 6.0 * m * h + 3.0 * h * h
             sixth = m**3 + 15.0 * m * m * h + 45.0 * m * h * h + 15.0 * h**3
             total += 2.0 * min(3.0 * second - 3.0 * fourth + sixth, 1.0) if m < 1.0 else 2.0

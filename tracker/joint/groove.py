@@ -46,7 +46,7 @@ ROUND_PRIOR_SIGMA = np.append(PRIOR_SIGMA, 0.2)
 """The same, and that of a rounding's radius, mm."""
 
 GAP = 2
-"""Which parameter the root's gap is."""
+"""Index of the root's gap among the parameters."""
 
 MUCH_LEFT_OUT, WIDER_MM = 0.2, 1.0
 """A fit that leaves out more of a groove's points may have lost a side: points so far off are let in anew."""
@@ -73,7 +73,7 @@ CELLS_MM = np.array([EXACT_MM, *(0.5 * np.diff(GAPS))])
 """1 sigma of the gap about each of GAPS, mm."""
 
 CLOSED_AS_STATED = 0.95
-"""How probable it is, before it is seen, that a root that is stated closed is closed: tacked plates touch."""
+"""Prior probability that a root that is stated closed is closed: tacked plates touch."""
 
 
 def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
@@ -90,26 +90,28 @@ def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start)
     if not math.isfinite(fit.chi2):
         return None
-    shown = groove_shown(fit, y_mm, half_mouth_mm)
+    shown = groove_coverage(fit, y_mm, half_mouth_mm)
     if shown.left_out > MUCH_LEFT_OUT:
         wider = fit_points(shape, points, chosen, WIDER_MM, prior_sigma, start)
         if math.isfinite(wider.chi2):
-            shown_wider = groove_shown(wider, y_mm, half_mouth_mm)
+            shown_wider = groove_coverage(wider, y_mm, half_mouth_mm)
             if shown_wider.left_out < shown.left_out:
                 fit, shown = wider, shown_wider
     if shape == GROOVE and min(shown.right_bevel, shown.left_bevel) > 0.0:
         clear = np.abs(y_mm - fit.parameters[0]) >= section.mixed_mm
         fit = weigh_root(shape, points, clear, start, prior_sigma, GAP, fit)
-        shown = groove_shown(fit, y_mm, half_mouth_mm)
+        shown = groove_coverage(fit, y_mm, half_mouth_mm)
     amid_mm = (1.0 - 2.0 * END_SHARE) * (half_mouth_mm - 0.5 * stated.gap_mm)
     enough = min(MIN_POINTS, MIN_GROOVE_SHARE * amid_mm / section.column_mm)
     if min(shown.right_bevel, shown.left_bevel) < enough:
-        is_left_unseen = shown.left_bevel < shown.right_bevel
-        side, alone = (1.0, shown.right) if is_left_unseen else (-1.0, shown.left)
+        is_left_hidden = shown.left_bevel < shown.right_bevel
+        side, alone = (1.0, shown.right) if is_left_hidden else (-1.0, shown.left)
         if max(shown.right_bevel, shown.left_bevel) < enough or alone < MIN_ALONE:
             return None
         sure_mm = max(start[GAP] - SURE_SIGMAS * prior_sigma[GAP], 0.0)
-        chosen = beside_unseen(side * (y_mm - fit.parameters[0]), fit.parameters, sure_mm, half_mouth_mm)
+        chosen = outside_hidden_bevel(
+            side * (y_mm - fit.parameters[0]), fit.parameters, sure_mm, half_mouth_mm
+        )
         fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start)
         if not math.isfinite(fit.chi2):
             return None
@@ -119,8 +121,8 @@ def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     return as_reported(section, measured_groove(shape, fit, shown.left_out))
 
 
-class ShownGroove(NamedTuple):
-    """What a fit shows of a groove: the weight of the points within the mouth on either side, of those amid
+class GrooveCoverage(NamedTuple):
+    """Weights of a groove's points: of those within the mouth on either side, of those amid
     either bevel, and the share of all of them that it leaves out.
     """
 
@@ -140,17 +142,19 @@ def start_of(section: Section, stated: StatedJoint, n_parameters: int) -> Float6
     return np.array(start[:n_parameters])
 
 
-def groove_shown(fit: ShapeFit, y_mm: Float64, half_mouth_mm: float) -> ShownGroove:
+def groove_coverage(fit: ShapeFit, y_mm: Float64, half_mouth_mm: float) -> GrooveCoverage:
     """Return what a fit shows of a groove of a mouth amid points (n,)."""
     middle_mm, _, gap_mm = fit.parameters[:3].tolist()
-    return ShownGroove(*weights_within(y_mm, fit.weights, middle_mm, 0.5 * max(gap_mm, 0.0), half_mouth_mm))
+    return GrooveCoverage(
+        *weights_within(y_mm, fit.weights, middle_mm, 0.5 * max(gap_mm, 0.0), half_mouth_mm)
+    )
 
 
 @kernel
 def weights_within(
     y_mm: Float64, weights: Float64, middle_mm: float, half_gap_mm: float, half_mouth_mm: float
 ) -> tuple[float, float, float, float, float]:
-    """Return the numbers of `ShownGroove` by points (n,) and their weights.
+    """Return the numbers of `GrooveCoverage` by points (n,) and their weights.
 
     Amid is without END_SHARE of the bevel's width at either end.
     """
@@ -173,7 +177,7 @@ def weights_within(
     return right, left, right_bevel, left_bevel, out / inside if inside else 1.0
 
 
-def beside_unseen(out_mm: Float64, parameters: Float64, sure_mm: float, half_mouth_mm: float) -> Bool:
+def outside_hidden_bevel(out_mm: Float64, parameters: Float64, sure_mm: float, half_mouth_mm: float) -> Bool:
     """Return which points (n,), so far towards a bevel that is not seen, count for a groove.
 
     Priors stand in for that, in the covariance too. Where the root ends there is not known: of the root only

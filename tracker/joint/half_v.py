@@ -31,7 +31,7 @@ from tracker.joint.upright_edge import (
     edge_covariance,
     hidden_strip,
     no_faces,
-    points_beside,
+    points_around_edge,
 )
 from tracker.profile import Section, in_scan_order
 from tracker.state import DZ_MM, SIGMA_PX, Y_MM, Z_MM, JointShape
@@ -56,7 +56,7 @@ PRIOR_SIGMA = np.array([0.3, 5.0, 0.04, 0.3, 0.3, 0.03, 0.03])
 """1 sigma of the gap, the root's height, tan(bevel), both depths (mm), both plate slopes."""
 
 MEAN_HEIGHT = np.array([0.0, 1.0, 0.0, 0.0, 0.5, 0.0, 0.0])
-"""How the mean height of the faces beside the upright side goes with the parameters."""
+"""Derivatives of the mean height of the faces at the upright side with the parameters."""
 
 CLOSED_MM = 0.03
 """A root whose mean gap comes out narrower is most probably closed."""
@@ -132,7 +132,7 @@ def upright_side(
         sure_mm = math.hypot(BENT_MM, ON_FACE_SIGMAS * abs(lines[DZ_MM, i]) * lines[SIGMA_PX, i])
         is_near = abs(lines[Y_MM, i] - wall_mm) < 5.0 * CLEAR_OF_EDGE_MM
         limits_mm[i] = min(0.25 * p[DEPTH_RIGHT], sure_mm) if is_near else 0.0
-    before, behind = points_beside(lines, faces, limits_mm)
+    before, behind = points_around_edge(lines, faces, limits_mm)
     if before < 0:
         return math.nan, math.nan
     sources_mm = section.camera_mm, section.laser_mm

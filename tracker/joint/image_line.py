@@ -1,4 +1,4 @@
-"""The seam's line in the image: it shows a closed joint beside the stripe, where the profile shows nothing.
+"""The seam's line in the image: it shows a closed joint off the stripe, where the profile shows nothing.
 
 Two plates that touch leave no gap in a stripe. Their seam is a line all the same: a dark slit, a bright rim,
 both beside each other, or the border of two plates that shine unlike. It crosses the stripe. It is sought
@@ -44,7 +44,7 @@ BESIDE_MM = 12.0
 """So far along the seam its line is read on either side of the stripe."""
 
 CLEAR_SIGMAS = 6.0
-"""So many of its sigmas beside the stripe its own light ends."""
+"""Half-width of the stripe's own light, in its sigmas."""
 
 MAX_COLUMNS = 40
 """Columns that are read on either side: more are averaged into so many."""
@@ -80,10 +80,10 @@ MIN_PIECE_SIGMAS = 2.0
 """A piece in which the line stands out less does not show it."""
 
 MIN_DARK_SIGMAS = 4.0
-"""A slit that is darker by less is not told from the plates: the rim stands for it."""
+"""Least contrast of a slit that is distinct from the plates: below it the rim stands for the slit."""
 
 DARK_SHARES = 0.2, 0.6
-"""What is darker by less than the first share of what the rim is brighter is the plate's texture, by more
+"""Darkness over the rim's brightness. Below the first share it is the plate's texture, by more
 than the second it is the slit; between them it may be either."""
 
 MIN_COLUMNS_SHARE = 0.5
@@ -98,7 +98,7 @@ MIN_SIGMA = 1e-6
 
 @dataclass(frozen=True)
 class ImageLine:
-    """Where the seam's line meets the stripe: y in the joint frame, its 1 sigma, mm; its evidence, nats."""
+    """Intersection of the seam's line with the stripe: y, joint frame, and 1 sigma, mm; evidence, nats."""
 
     y_mm: float
     sigma_mm: float
@@ -165,7 +165,7 @@ def read_image_line(
     gap_lines = geometry.setup.joint.dimensions["gap_mm"] / section.column_mm
     width = max(MIN_WIDTH_LINES, 0.5 * gap_lines)
     columns, offsets_px = np.empty((2 * n_each, len(path))), np.empty(2 * n_each)
-    columns_beside(image_dn, path, guard_px, averaged, columns, offsets_px)
+    average_columns(image_dn, path, guard_px, averaged, columns, offsets_px)
     white = np.empty_like(columns)
     whiten(columns, math.ceil(MEDIAN_WIDTHS * width), white)
     n_slopes = 2 + math.ceil(abs(last_slope - first_slope) * reach_px / width)
@@ -198,18 +198,18 @@ def _expected_slopes(
     points = np.column_stack([-d / nx + along * np.cos(turn), along * np.sin(turn), np.zeros(4)])
     camera = geometry.setup.camera
     seen = geometry.scan_points(camera.project(transform(invert(scene.T_joint_camera), points)))
-    across, beside = (seen[1::2] - seen[::2]).T
+    across, spacing = (seen[1::2] - seen[::2]).T
     lean = float(np.polyfit(np.arange(len(path_px)), path_px, 1)[0])
     # In pixels from the stripe itself, which may lie askew to the scan lines.
-    beside = beside - lean * across
-    if not (np.abs(beside) > MIN_PIECES).all() or beside[0] * beside[1] < 0.0:
+    spacing = spacing - lean * across
+    if not (np.abs(spacing) > MIN_PIECES).all() or spacing[0] * spacing[1] < 0.0:
         return None
-    first, last = across / beside
-    return 0.5 * float(np.abs(beside).min()), float(first), float(last)
+    first, last = across / spacing
+    return 0.5 * float(np.abs(spacing).min()), float(first), float(last)
 
 
 @kernel(allocates=True)
-def columns_beside(
+def average_columns(
     image_dn: Integers,
     path_px: Float64,
     guard_px: int,
@@ -284,21 +284,21 @@ def sum_along(white: Float64, offsets_px: Float64, slopes: Float64, along: Float
             along[a, s] /= math.sqrt(max(counts[a, s], 1.0))
 
 
-def _energy(along: Float64, is_told: Bool, width: float) -> Float64:
+def _energy(along: Float64, is_valid: Bool, width: float) -> Float64:
     """Return the chi^2 (k, n) of an even and an odd filter over sums (k, n), 0 where they are not told."""
     half = math.ceil(4.0 * width)
     x = np.arange(-half, half + 1) / width
     bell = np.exp(-0.5 * x * x)
     even = (x**4 - 6.0 * x**2 + 3.0) * bell
     energy = np.zeros_like(along)
-    is_told = is_told & (np.arange(along.shape[1]) >= half) & (np.arange(along.shape[1])[::-1] >= half)
-    if not is_told.any():
+    is_valid = is_valid & (np.arange(along.shape[1]) >= half) & (np.arange(along.shape[1])[::-1] >= half)
+    if not is_valid.any():
         return energy
     for shape in (even, (x**3 - 3.0 * x) * bell):
         response = np.array([np.correlate(line, shape, "same") for line in along])
-        sigma = MAD_SIGMA * float(np.median(np.abs(response[is_told])))
+        sigma = MAD_SIGMA * float(np.median(np.abs(response[is_valid])))
         energy += (response / max(sigma, MIN_SIGMA)) ** 2
-    return np.where(is_told, energy, 0.0)
+    return np.where(is_valid, energy, 0.0)
 
 
 def _place(section: Section, sums: _Sums) -> ImageLine | None:
@@ -323,9 +323,9 @@ def _place(section: Section, sums: _Sums) -> ImageLine | None:
     same = math.ceil(4.0 * sums.width + 0.5 * fan)
     is_elsewhere = np.abs(np.arange(sums.energy.shape[1]) - line) > same
     rival = float(sums.energy[:, is_elsewhere].max(initial=0.0))
-    is_told = (sums.energy > 0.0).any(axis=0)
-    places = max(is_told.sum() / sums.width, 1.0) * len(sums.slopes)
-    within_share = float((within > 0.0).any(axis=0).sum() / is_told.sum())
+    is_valid = (sums.energy > 0.0).any(axis=0)
+    places = max(is_valid.sum() / sums.width, 1.0) * len(sums.slopes)
+    within_share = float((within > 0.0).any(axis=0).sum() / is_valid.sum())
     wider = max(1.0, rival / (2.0 * math.log(places)))
     evidence = 0.5 * strongest / wider - math.log(max(places * within_share, 1.0))
     if rival > MAX_RIVAL**2 * strongest:
@@ -347,14 +347,14 @@ def _crossing(sums: _Sums, slope: int, line: int) -> tuple[float, float] | None:
     section = sums.along[slope, line - half : line + half + 1]
     x = np.arange(-half, half + 1)
     middle, own_variance = _middle(section[np.abs(x) <= 2.0 * sums.width])
-    told = [
+    fitted = [
         piece
         for columns in np.array_split(np.arange(len(sums.offsets_px)), N_PIECES)
         if (piece := _piece(sums, columns, slope, line, section)) is not None
     ]
-    if len(told) < MIN_PIECES:
+    if len(fitted) < MIN_PIECES:
         return None
-    offset, shift, sigma = np.array(told).T
+    offset, shift, sigma = np.array(fitted).T
     far = float(np.abs(sums.offsets_px).max())
     t = offset / far
     # A circle of the radius R leaves its tangent by s^2 / 2 R.
@@ -384,8 +384,8 @@ def _middle(section: Float64) -> tuple[float, float]:
     if dark.max() >= max(MIN_DARK_SIGMAS, low):
         places.append(dark**2 / np.sum(dark**2))
     if not places or dark.max() < high:
-        told = bright if bright.any() else np.ones(len(section))
-        places.append(told**2 / np.sum(told**2))
+        fitted = bright if bright.any() else np.ones(len(section))
+        places.append(fitted**2 / np.sum(fitted**2))
     share = np.mean(places, axis=0)
     middle = float(share @ x)
     return middle, float(share @ (x - middle) ** 2)

@@ -30,7 +30,7 @@ from tracker.joint.upright_edge import (
     edge_covariance,
     hidden_strip,
     no_faces,
-    points_beside,
+    points_around_edge,
 )
 from tracker.profile import Section, in_scan_order
 from tracker.state import DZ_MM, SIGMA_PX, Y_MM, Z_MM, JointShape
@@ -43,14 +43,14 @@ ROLL_BY = 8
 """Points an eighth of a profile apart tell how it is rolled: few such pairs have the edge between them."""
 
 MIN_POINTS = 10
-"""So many points of either sheet must be seen clear of the edge."""
+"""Least number of points of either sheet that are seen clear of the edge."""
 
 NEAR_MM, ON_SHEET, MIN_OFF_SHEET = 2.0, 0.25, 0.03
 """Points so near to the edge are asked which sheet they lie on: off it by their noise, but by no more than
 this share of the step; and by this share at least, for no sheet is flat."""
 
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
-"""1 sigma of the lower sheet's height, the step (mm), both sheets' slopes beside the profile's own."""
+"""1 sigma of the lower sheet's height, the step (mm), both sheets' slopes relative to the profile's own."""
 
 
 def fit_lap(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
@@ -83,15 +83,15 @@ def measured_lap(section: Section, fit: ShapeFit, y_0: float, thickness_mm: floa
     z_s, step, slope_lower, slope_upper = p.tolist()
     sheets = SheetLines(y_0, z_s, step, slope_lower, slope_upper)
     upright = edge_of_sheets(section, lines, sheets, thickness_mm)
-    edge, beside = upright.y_mm, upright.y_mm - y_0
+    edge, away = upright.y_mm, upright.y_mm - y_0
     if math.isnan(edge):
         return None
-    z_edge = z_s + slope_lower * beside
+    z_edge = z_s + slope_lower * away
     between, at_edge, of_step = np.array(
-        [[1.0, 0.5, 0.5 * beside, 0.5 * beside], [1.0, 0.0, beside, 0.0], [0.0, 1.0, -beside, beside]]
+        [[1.0, 0.5, 0.5 * away, 0.5 * away], [1.0, 0.0, away, 0.0], [0.0, 1.0, -away, away]]
     )
     step_sigma = math.sqrt(of_step @ covariance @ of_step)
-    step += (slope_upper - slope_lower) * beside
+    step += (slope_upper - slope_lower) * away
     plates, plate_sigmas = two_angles(p, covariance, 2, 3)
     return MeasuredJoint(
         y_mm=edge,
@@ -120,7 +120,7 @@ def edge_of_sheets(section: Section, lines: Float64, sheets: SheetLines, thickne
         off_mm = min(OFF_SIGMAS * abs(lines[DZ_MM, i]) * lines[SIGMA_PX, i], ON_SHEET * thickness_mm)
         limits_mm[i] = max(bent_mm, off_mm) if abs(lines[Y_MM, i] - sheets.y) < NEAR_MM else 0.0
     faces = sheets_at(lines[Y_MM], sheets)
-    before, behind = points_beside(lines, faces, limits_mm)
+    before, behind = points_around_edge(lines, faces, limits_mm)
     if before < 0:
         return nowhere
     # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.

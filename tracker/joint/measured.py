@@ -1,4 +1,4 @@
-"""What a joint's fit returns, and the robust least squares that the shapes share."""
+"""Result of a joint's fit, and the robust least squares that the shapes share."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tracker.state import (
 )
 
 START_SIGMA_MM = 0.3
-"""How far off the nominal shape a point may lie at first; halved with every step of the fit."""
+"""Largest initial distance of a point from the nominal shape; halved with every step of the fit."""
 
 LEFT_OUT = 0.1
 """A point of less weight than this lies off the shape."""
@@ -44,12 +44,12 @@ MIN_UNIT_MM = 1e-6
 """No point's height is known better."""
 
 PLACED_BY = 160
-"""So many of a profile's points, evenly chosen, place a section."""
+"""Number of a profile's points, evenly chosen, that place a section."""
 
 
 SURE_SIGMAS, SURE_MM = 2.0, 1.0
-"""Where a bevel is not seen: so many sigmas of the gap from the side that is, a point is surely the root's;
-so far out, the plate's."""
+"""For a hidden bevel: distance from the visible side, in sigmas of the gap, of a point that is surely the
+root's; distance from the mouth of one that is surely the plate's."""
 
 
 _NO_CORNERS = np.empty((0, 2))
@@ -136,7 +136,7 @@ def shift_of(
 
 
 class OnFace(NamedTuple):
-    """Where points' rays meet a face: y (n,), mm, and by how much each y goes with the face's height (n,)."""
+    """Intersections of points' rays with a face: y (n,), mm, and dy by the face's height (n,)."""
 
     y_mm: Float64
     y_per_z: Float64

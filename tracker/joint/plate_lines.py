@@ -20,10 +20,10 @@ from tracker.stripe.edge import clear_of_an_edge, stripe_end
 from tracker.stripe.light import WINDOW_SIGMAS, StripeLight
 
 OUTSIDE_MM = 1.0
-"""How much of what is beyond an edge joint is looked at to place it."""
+"""Width beyond an edge joint that is used to place it."""
 
 SLACK_MM = 1.5
-"""How far an end of a plate may lie off its stated place."""
+"""Largest distance of a plate's end from its stated place."""
 
 MIN_LINES = 2
 """Scan lines that a gap must be wide to be seen."""
@@ -32,7 +32,7 @@ BLURRED_LINES = 4
 """A gap of fewer scan lines seems up to one wider than it is, for its ends blur into one; or is not seen."""
 
 UNREAD = -0.5
-"""What a scan line without a stripe says of a plate, 1 being that it is there: spatter hides one, too."""
+"""Vote of a scan line without a stripe for a plate, 1 being that it is there: spatter hides one, too."""
 
 BRIGHT_LINES, HELD_SHARE = 12, 0.5
 """Lines of either plate that say how bright its stripe is; the share of it at which a gap's lines hold it."""
@@ -41,24 +41,24 @@ DIM_SHARE = 0.25
 """A line with less of the plates' brightness holds what the optics throw into a gap, and no plate."""
 
 BESIDE_SIGMAS = 4.0
-"""So many of its sigmas beside its middle a stripe leaves its background."""
+"""Half-width of the stripe window, in stripe sigmas."""
 
 HIDDEN = 0.0
-"""What a scan line says of a plate whose stripe would run over saturated pixels."""
+"""Vote of a scan line for a plate whose stripe would run over saturated pixels."""
 
 MIN_AGREEMENT = 0.6
 """By what share of the scan lines those that show what the joint would must outnumber the others."""
 
 
 class OnPlates(NamedTuple):
-    """Which points (n,) lie on either plate's line, and where their rays meet it."""
+    """Points (n,) on either plate's line, and the intersections of their rays with it."""
 
     are_on: Bool
     face: OnFace
 
 
 class PlateEnd(NamedTuple):
-    """Where a plate ends, mm, its variance, mm^2, and the last line that shows it."""
+    """End of a plate, mm, its variance, mm^2, and the last line that shows it."""
 
     y_mm: float
     variance_mm2: float
@@ -249,7 +249,7 @@ def best_place(lines: PlateLines, plate_mm: float, gap_mm: float, ends: bool) ->
     gap = max(round(gap_mm / lines.column_mm), 0)
     outside = round(OUTSIDE_MM / lines.column_mm) if ends else 0
     n = 2 * (outside + plate) + gap
-    best, most = -1, -math.inf
+    best, highest = -1, -math.inf
     for k in range(lines.sees.shape[0] - n + 1):
         votes, agreed = 0.0, 0.0
         for i in range(n):
@@ -258,9 +258,9 @@ def best_place(lines: PlateLines, plate_mm: float, gap_mm: float, ends: bool) ->
             votes += abs(lines.sees[k + i])
             agreed += lines.sees[k + i] if is_plate else -lines.sees[k + i]
         agreement = agreed / max(votes, 1.0)
-        if agreement > most:
-            best, most = k, agreement
-    if most < MIN_AGREEMENT:
+        if agreement > highest:
+            best, highest = k, agreement
+    if highest < MIN_AGREEMENT:
         return math.nan
     first = best + n // 2 - gap // 2
     if gap > 0 and others_between(lines, first - 1, first + gap) < MIN_LINES:
@@ -288,13 +288,13 @@ def end_between(
     n, first = lines.y_mm.shape[0], 0
     while first < n and lines.y_mm[first] < low_mm:
         first += 1
-    last, votes, most, earliest, latest = first, 0.0, 0.0, first, first
+    last, votes, highest, earliest, latest = first, 0.0, 0.0, first, first
     while last < n and lines.y_mm[last] < high_mm:
         votes += lines.sees[last] if plate_first else -lines.sees[last]
         last += 1
-        if votes > most:
-            most, earliest = votes, last
-        if votes == most:
+        if votes > highest:
+            highest, earliest = votes, last
+        if votes == highest:
             latest = last
     before, behind = max(earliest - 1, 0), min(latest, n - 1)
     plate = before if plate_first else behind
@@ -325,13 +325,13 @@ def end_by_shares(
 
     Its y is NaN where they do not tell it as well, or tell what lines that were read deny.
     """
-    not_told, n = PlateEnd(math.nan, math.nan, end.line), lines.y_mm.shape[0]
+    unresolved, n = PlateEnd(math.nan, math.nan, end.line), lines.y_mm.shape[0]
     if light.position_px.shape[0] == 0:
-        return not_told
+        return unresolved
     towards = 1 if plate_first else -1
     scan, next_one = lines.away * (lines.first_scan + end.line), end.line + towards
     if 0 <= next_one < n and lines.sees[next_one] == HIDDEN:
-        return not_told
+        return unresolved
     unread = unread_from(lines, next_one, towards)
     if not 0 <= next_one + towards * unread < n:
         unread = 0
@@ -339,7 +339,7 @@ def end_by_shares(
     off = lines.away * towards * (seen_end.line - scan)
     variance, blurred = (seen_end.sigma * lines.column_mm) ** 2, clear_of_an_edge(light)
     if not (variance < end.variance_mm2 and -blurred < off < unread + blurred):
-        return not_told
+        return unresolved
     line = min(max(end.line + towards * off, 0.0), n - 1.0)
     k = min(int(line), n - 2)
     y_mm = lines.y_mm[k] + (line - k) * (lines.y_mm[k + 1] - lines.y_mm[k])
@@ -350,7 +350,7 @@ def end_by_shares(
 def hold_plates(
     lines: PlateLines, light: StripeLight, image_dn: Integers, along_rows: bool, first: int, last: int
 ) -> bool:
-    """Say whether the lines from `first` to `last` hold the plates' stripe all the same.
+    """Return True if the lines from `first` to `last` hold the plates' stripe all the same.
 
     Where a gap is expected the stripe is sought on what is below it, and not where the plates have it.
     """

@@ -34,7 +34,7 @@ from tracker.state import BESIDE_PX, DY_MM, DZ_MM, MISFIT_PX, N_LINES, SCAN, Y_M
 from tracker.stripe.line_fit.block import CORRELATION_PX
 
 SIGMA_FLOOR_PX = 0.01
-"""What a stripe centre may be off beyond its noise: the surface's own roughness, pixels unlike each other."""
+"""Error of a stripe centre beyond its noise: the surface's own roughness, pixels unlike each other."""
 
 STEP = 1e-6
 """The step of the corners' derivatives, in each parameter's unit."""
@@ -90,22 +90,22 @@ def _residuals(
 
 
 @kernel(allocates=True)
-def _scale(r: Float64, used: Bool, least: float) -> float:
-    """Return a robust sigma of residuals (n,), by their median absolute deviation, or `least` if more."""
+def _scale(r: Float64, used: Bool, min_scale: float) -> float:
+    """Return a robust sigma of residuals (n,), by their median absolute deviation, or `min_scale` if more."""
     n, beyond, count = r.shape[0], 0, 0
     for i in range(n):
         count += used[i]
-        beyond += used[i] and MAD_SIGMA * abs(r[i]) > least
+        beyond += used[i] and MAD_SIGMA * abs(r[i]) > min_scale
     # The median needs no sorting where it lies below.
     if 2 * beyond < count:
-        return least
+        return min_scale
     sizes = np.empty(count)
     count = 0
     for i in range(n):
         if used[i]:
             sizes[count] = abs(r[i])
             count += 1
-    return max(least, MAD_SIGMA * exact_median(sizes))
+    return max(min_scale, MAD_SIGMA * exact_median(sizes))
 
 
 @kernel(fastmath=REDUCTION)
@@ -356,10 +356,10 @@ def add_shared_errors(shape: int, points: Float64, sigma: Float64, fit: ShapeFit
     """
     covariance, chi2, weights = fit.covariance, fit.chi2, fit.weights
     are_common, are_misfit, n, m = False, False, points.shape[1], covariance.shape[0]
-    beside, misfit_px, scan = np.empty(n), points[MISFIT_PX], points[SCAN]
+    effective, misfit_px, scan = np.empty(n), points[MISFIT_PX], points[SCAN]
     for i in range(n):
-        beside[i] = math.sqrt(points[BESIDE_PX, i] ** 2 + SIGMA_FLOOR_PX**2 / points[N_LINES, i])
-        are_common |= beside[i] > sigma[i]
+        effective[i] = math.sqrt(points[BESIDE_PX, i] ** 2 + SIGMA_FLOOR_PX**2 / points[N_LINES, i])
+        are_common |= effective[i] > sigma[i]
         are_misfit |= misfit_px[i] > 0.0
     if not (are_common or are_misfit):
         return
@@ -367,7 +367,7 @@ def add_shared_errors(shape: int, points: Float64, sigma: Float64, fit: ShapeFit
     filling, room, before, here = np.zeros((m, m)), np.empty((m, m)), np.zeros(m), np.empty(m)
     if are_common:
         for i in range(n):
-            weight = weights[i] * ((beside[i] / sigma[i]) ** 2 - 1.0)
+            weight = weights[i] * ((effective[i] / sigma[i]) ** 2 - 1.0)
             for j in range(m):
                 for k in range(m):
                     filling[j, k] += weight * J[i, j] * J[i, k]

@@ -20,7 +20,7 @@ N_CORNERS = (6, 4, 6, 4 + 2 * CHORDS, 3)
 """The corners of each shape."""
 
 FAR_MM = 1000.0
-"""How far the outer faces reach."""
+"""Width of the outer faces."""
 
 
 @kernel

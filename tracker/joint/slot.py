@@ -52,19 +52,19 @@ PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
 """1 sigma of the left plate's height, the step to the right one (mm), both plates' slopes."""
 
 ON_BUTT_MM, ON_EDGE_MM = 1.5, 0.5
-"""What lies farther than this from either plate, or a quarter of the thickness, is not of it.
+"""Largest distance of a plate's point from its line, or a quarter of the thickness.
 
 A plate is often bent down at its end, where it was sheared.
 """
 
 BESIDE_MM = 3.0
-"""How much of a plate beside the gap is looked at to place it."""
+"""Width of a plate next to the gap that is used to place it."""
 
 NEAR_MM = 15.0
 """So near to a joint its plates are straight: farther off they may be bowed."""
 
 CLEAR_OF_GAP_MM = 0.3
-"""How far from the gap's stated ends a point must lie to be surely a plate's."""
+"""Distance from the gap's stated ends from which a point is surely a plate's."""
 
 MIN_POINTS = 8
 """Points that must be seen of either plate."""
@@ -73,7 +73,7 @@ MAX_CLOSED_MM = 1.0
 """A joint with a stated gap as wide is never closed: plates are tacked to a few tenths of a millimetre."""
 
 THICKNESS_SIGMA_MM = 0.1
-"""How far a sheet may be off its stated thickness: it moves an edge joint's seam where no gap is seen."""
+"""Tolerance of a sheet's thickness: it moves an edge joint's seam where no gap is seen."""
 
 
 def fit_slot(
@@ -109,7 +109,7 @@ def find_gap(
     if math.isnan(placed_mm):
         return fit, y_0, nothing, nats
     are_on = on_plates(points, fit, y_0, 2.0 * limit_mm).are_on
-    fit = fit_plates(points, placed_mm, beside_gap(points, stated, are_on, placed_mm))
+    fit = fit_plates(points, placed_mm, plate_points(points, stated, are_on, placed_mm))
     if not math.isfinite(fit.chi2):
         return fit, placed_mm, nothing, nats
     seen = plate_lines(section, on_plates(points, fit, placed_mm, limit_mm), is_edge, image_dn, along_rows)
@@ -137,7 +137,7 @@ def fit_closed_slot(
     if not math.isfinite(fit.chi2):
         return None
     are_on = on_plates(points, fit, line_mm, 2.0 * on_plate_mm(stated)).are_on
-    fit = fit_plates(points, line_mm, beside_gap(points, stated, are_on, line_mm))
+    fit = fit_plates(points, line_mm, plate_points(points, stated, are_on, line_mm))
     if not math.isfinite(fit.chi2):
         return None
     closed = JointGap(line_mm, sigma_mm**2, math.nan, math.nan, 0, 0, 0.0)
@@ -145,7 +145,7 @@ def fit_closed_slot(
 
 
 class JointGap(NamedTuple):
-    """Where a gap's middle is and how wide it is, mm, and their variances, mm^2; its first and last line.
+    """Middle and width of a gap, mm, their variances, mm^2, its first and last line.
 
     `y_per_z` is by how much its scan lines' y goes with the plates' height. Of a closed one no scan line
     tells how wide it is: NaN.
@@ -176,10 +176,10 @@ def gap_about(lines: PlateLines, light: StripeLight, stated: StatedJoint, y_0: f
     if others_between(lines, right.line, left.line) >= MIN_LINES:
         gap_lines = left.line - right.line - 1
         # A blurred end seems off to its own side: where one is not told, in the middle of both that cancels.
-        right_told = end_by_shares(lines, light, right, True, gap_lines)
-        left_told = end_by_shares(lines, light, left, False, gap_lines)
-        if not (math.isnan(right_told.y_mm) or math.isnan(left_told.y_mm)):
-            right, left = right_told, left_told
+        right_refined = end_by_shares(lines, light, right, True, gap_lines)
+        left_refined = end_by_shares(lines, light, left, False, gap_lines)
+        if not (math.isnan(right_refined.y_mm) or math.isnan(left_refined.y_mm)):
+            right, left = right_refined, left_refined
         width = left.y_mm - right.y_mm
         variance = left.variance_mm2 + right.variance_mm2
         width_variance = variance
@@ -200,8 +200,8 @@ def gap_about(lines: PlateLines, light: StripeLight, stated: StatedJoint, y_0: f
 
 
 @kernel(allocates=True)
-def beside_gap(points: Float64, stated: StatedJoint, are_on: Bool, y_0: float) -> Bool:
-    """Say which points (n,) place the plates beside a placed joint once more; none if either is too short."""
+def plate_points(points: Float64, stated: StatedJoint, are_on: Bool, y_0: float) -> Bool:
+    """Return the points (n,) that place the plates at a placed joint; none if either is too short."""
     n, right, left = are_on.shape[0], 0, 0
     clear = np.empty(n, np.bool_)
     for i in range(n):
@@ -292,7 +292,7 @@ def on_plate_mm(stated: StatedJoint) -> float:
 
 @kernel(allocates=True)
 def on_plates(points: Float64, plates: ShapeFit, y_0: float, limit_mm: float) -> OnPlates:
-    """Say of each point whether it lies on one of the plates' lines, and where."""
+    """Write for each point whether it lies on one of the plates' lines, and where."""
     p, n = plates.parameters, points[Y_MM].shape[0]
     are_on, height_mm, slope = np.empty(n, np.bool_), np.empty(n), np.empty(n)
     for i in range(n):

@@ -28,10 +28,10 @@ GROUPS = 120
 """About so many groups of neighbouring points, each its median, are cut into pieces."""
 
 ROUGH_MM = 0.05
-"""What a point may lie off a piece beyond its noise: types differ by more than parts do from drawings."""
+"""Distance of a point from a piece beyond its noise: types differ by more than parts do from drawings."""
 
 MIN_OPENING_MM, MIN_STEP_MM = 0.4, 0.3
-"""How deep an opening and how high a step are at least."""
+"""Least depth of an opening, and least height of a step."""
 
 MIN_CORNER_DEG, MIN_BEVEL_RISE_MM = 12.0, 0.8
 """Plates that are turned by more form a corner; a piece that rises by more between plates is a bevel."""
@@ -49,11 +49,11 @@ STATED_PARAMETERS = 10
 """As many as the shape has that has most."""
 
 FARTHEST = 25.0
-"""What one group may add to the stated type's chi2."""
+"""Cap of one group's share of the stated type's chi2."""
 
 
 class JointFamily(Enum):
-    """What a profile's pieces look like."""
+    """Features of a profile's pieces."""
 
     FLAT = "a plate"
     INSIDE_CORNER = "two plates that rise from a corner"

@@ -22,7 +22,7 @@ from tracker.stripe.edge import stripe_ends
 from tracker.stripe.light import StripeLight, apart_px, background_off_px
 
 BESIDE = 20
-"""So many points beside an edge say which y its scan lines have there."""
+"""Number of points next to an edge that determine the y of its scan lines."""
 
 
 class Faces(NamedTuple):
@@ -41,15 +41,15 @@ def no_faces(n: int) -> Faces:
 
 
 @kernel(allocates=True)
-def points_beside(lines: Float64, faces: Faces, limit_mm: Float64) -> tuple[int, int]:
+def points_around_edge(lines: Float64, faces: Faces, limit_mm: Float64) -> tuple[int, int]:
     """Return `neighbours_of_edge` of points (n,) that lie on a face within limits (n,), 0 for none."""
     n = limit_mm.shape[0]
     on_before, on_behind = np.empty(n, np.bool_), np.empty(n, np.bool_)
     for i in range(n):
         on_before[i] = abs(lines[Z_MM, i] - faces.before_mm[i]) < limit_mm[i]
         on_behind[i] = abs(lines[Z_MM, i] - faces.behind_mm[i]) < limit_mm[i]
-    beside: tuple[int, int] = neighbours_of_edge(on_before, on_behind)
-    return beside
+    neighbours: tuple[int, int] = neighbours_of_edge(on_before, on_behind)
+    return neighbours
 
 
 @kernel
@@ -59,12 +59,12 @@ def neighbours_of_edge(before: Bool, behind: Bool) -> tuple[int, int]:
     `before` and `behind` (n,) say which points lie on which side's face, in order of y. The changes that
     put most points on their own side are taken: one on the other side's face by chance is outvoted.
     """
-    n, votes, most, first, last = before.shape[0], 0, -before.shape[0], 0, 0
+    n, votes, max_votes, first, last = before.shape[0], 0, -before.shape[0], 0, 0
     for i in range(n):
         votes += int(before[i]) - int(behind[i])
-        if votes > most:
-            most, first = votes, i
-        if votes == most:
+        if votes > max_votes:
+            max_votes, first = votes, i
+        if votes == max_votes:
             last = i
     while first >= 0 and not before[first]:
         first -= 1
@@ -112,7 +112,7 @@ def change_of(
         last += 1
     n, farthest = last - first, OFF_SIGMAS * OFF_SIGMAS
     moved_px = background_off_px(light, lines[SCAN][first : last + 1], lines[SIGMA_PX][first : last + 1])
-    costs, cost, least = np.empty(n), 0.0, math.inf
+    costs, cost, min_cost = np.empty(n), 0.0, math.inf
     for k in range(n):
         i = first + k
         off_px = math.hypot(lines[SIGMA_PX, i], moved_px[k])
@@ -122,7 +122,7 @@ def change_of(
         off_behind = (lines[Z_MM, i] - faces.behind_mm[i]) / math.hypot(to_behind, bent_mm)
         cost += min(off_before**2, farthest) - min(off_behind**2, farthest)
         costs[k] = cost
-        least = min(least, cost)
+        min_cost = min(min_cost, cost)
     middle_mm = 0.5 * (on_before_mm[before] + on_behind_mm[behind])
     half_mm = 0.5 * column_mm * abs(lines[SCAN, behind] - lines[SCAN, before])
     total, square, beyond = 0.0, 0.0, 0.0
@@ -130,7 +130,7 @@ def change_of(
         i = first + k
         wide_mm = column_mm * abs(lines[SCAN][i + 1] - lines[SCAN, i])
         off_mm = 0.5 * (on_before_mm[i] + on_behind_mm[i + 1]) - middle_mm
-        weight = wide_mm * math.exp(-0.5 * (costs[k] - least))
+        weight = wide_mm * math.exp(-0.5 * (costs[k] - min_cost))
         there = weight * (off_mm * off_mm + wide_mm * wide_mm / 12.0)
         total += weight
         square += there
@@ -139,7 +139,7 @@ def change_of(
 
 
 class Edge(NamedTuple):
-    """Where an upright edge is, mm, its variance in its faces, mm^2, and how its y goes with their height."""
+    """Place of an upright edge, mm, its variance in its faces, mm^2, and dy by their height."""
 
     y_mm: float
     variance_mm2: float
@@ -169,7 +169,7 @@ def edge_covariance(edge: Edge, height_between: Float64, height_there: Float64, 
 
 
 class HiddenStrip(NamedTuple):
-    """How much of the lower side beside its foot an edge hides, mm, and its 1 sigma."""
+    """Width of the lower side that an edge hides next to its foot, mm, and its 1 sigma."""
 
     width_mm: float
     sigma_mm: float
@@ -187,7 +187,7 @@ def edge_between(
     behind: int,
     hidden: HiddenStrip,
 ) -> Edge:
-    """Return the edge between the two of some points (n,) that `points_beside` has told.
+    """Return the edge between the two of some points (n,) that `points_around_edge` has found.
 
     A face may be bent by so much; see `change_of` and `upright_edge`.
     """
@@ -268,7 +268,7 @@ def upright_edge(
 
 @kernel
 def _is_hidden(light: StripeLight, last: int, first: int) -> bool:
-    """Say whether a line between two hides its stripe under saturated pixels, a glint's."""
+    """Return True if a line between two hides its stripe under saturated pixels, a glint's."""
     for s in range(min(last, first) + 1, max(last, first)):
         for is_censored in light.censored[s]:
             if is_censored and math.isnan(light.position_px[s]):

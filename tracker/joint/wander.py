@@ -1,4 +1,4 @@
-"""How residuals of neighbouring lines go together: each one's own noise, and a wander that they share.
+"""Correlated residuals of neighbouring lines: each one's own noise, and a wander that they share.
 
 `evidence` says what for. Residuals may be those of single lines or the means of two (`stripe.neighbours`).
 """
@@ -19,30 +19,30 @@ from tracker.joint.section_fit import BISQUARE_WIDTH
 LAGS, CHANCE_SIGMAS = 8, 2.0
 """Over so many lines a wander is read; an autocorrelation of less than so many sigmas is chance."""
 
-MIN_KEPT, MAX_KEPT, OWN_SHARE = 0.1, 0.98, 0.01
-"""What is kept of a wander from line to line, at least and at most, and each line's own share of all."""
+MIN_CORRELATION, MAX_CORRELATION, OWN_SHARE = 0.1, 0.98, 0.01
+"""Bounds of a wander's correlation from line to line, and least share of each line's own noise."""
 
 MAX_LAG_SHARE = 4
 """Residuals are compared over a quarter of a profile at most."""
 
 
 class Wander(NamedTuple):
-    """Residuals' own variance, that of their wander, and the share of it that is left from line to line."""
+    """Residuals' own variance, that of their wander, and its correlation from line to line."""
 
     own: float
     wander: float
-    kept: float
+    correlation: float
 
 
 @kernel(allocates=True)
 def wander_of(off: Float64, n_lines: Float64) -> Wander:
     """Return what residuals (n,), in sigmas of a line and in order, consist of, by their autocovariances c_k.
 
-    The wander's share that is kept from one to the next is sum(c_k c_(k+1)) / sum(c_k^2) over LAGS, its
+    The wander's correlation from one to the next is sum(c_k c_(k+1)) / sum(c_k^2) over LAGS, its
     variance c_1 over that. Outliers are left out. Residuals smaller than their sigmas are taken for as large.
 
     Where `n_lines` (n,) is 2 they are means of two lines'. Times the root of 2 these have, of a line's own
-    variance v and a wander of variance q of which rho is kept from line to line,
+    variance v and a wander of variance q and correlation rho from line to line,
 
         c_0 = v + q (1 + rho),    c_k = q (1 + rho)^2 / (2 rho) rho^(2 k).
 
@@ -65,12 +65,12 @@ def wander_of(off: Float64, n_lines: Float64) -> Wander:
     for lag in range(1, LAGS + 1):
         both += c[lag] * c[lag + 1]
         squares += c[lag] * c[lag]
-    shared = min(max(max(both, 0.0) / squares, MIN_KEPT**lines), MAX_KEPT)
-    kept = shared ** (1.0 / lines)
-    of_all = 1.0 + (lines - 1.0) * kept
-    wander = c[1] / shared / (1.0 + (lines - 1.0) * ((1.0 + kept) ** 2 / (2.0 * kept) - 1.0))
+    shared = min(max(max(both, 0.0) / squares, MIN_CORRELATION**lines), MAX_CORRELATION)
+    correlation = shared ** (1.0 / lines)
+    of_all = 1.0 + (lines - 1.0) * correlation
+    wander = c[1] / shared / (1.0 + (lines - 1.0) * ((1.0 + correlation) ** 2 / (2.0 * correlation) - 1.0))
     wander, scale = min(wander, c[0] / of_all), max(1.0, 1.0 / c[0])
-    return Wander(max(c[0] - wander * of_all, OWN_SHARE * c[0]) * scale, wander * scale, kept)
+    return Wander(max(c[0] - wander * of_all, OWN_SHARE * c[0]) * scale, wander * scale, correlation)
 
 
 @kernel(fastmath=REDUCTION)
@@ -89,21 +89,21 @@ def innovations(off: Float64, scan: Float64, n_lines: Float64, seen: Wander) -> 
     They are those of scan lines `scan` (n,), or means of two about there, as `n_lines` (n,) says. A wander w
     goes on to rho w + eta. So the mean of two is (1 + rho) / 2 w + eta / 2, and half of the own variance.
     """
-    own, wander, kept = seen
+    own, wander, correlation = seen
     new, foreseen, variance = np.empty(off.shape[0]), 0.0, wander
-    of_mean, fresh = 0.5 * (1.0 + kept), (1.0 - kept * kept) * wander
+    of_mean, fresh = 0.5 * (1.0 + correlation), (1.0 - correlation * correlation) * wander
     for i in range(off.shape[0]):
         if i > 0:
             apart = abs(scan[i] - scan[i - 1]) - 0.5 * (n_lines[i] + n_lines[i - 1] - 2.0)
-            shared = kept ** max(apart, 0.0)
+            shared = correlation ** max(apart, 0.0)
             foreseen *= shared
             variance = shared * shared * variance + (1.0 - shared * shared) * wander
         if n_lines[i] > 1.0:
             total = of_mean * of_mean * variance + 0.25 * fresh + 0.5 * own
             surprise = off[i] - of_mean * foreseen
-            told = kept * of_mean * variance + 0.5 * fresh
-            foreseen = kept * foreseen + told / total * surprise
-            variance = kept * kept * variance + fresh - told * told / total
+            covariance = correlation * of_mean * variance + 0.5 * fresh
+            foreseen = correlation * foreseen + covariance / total * surprise
+            variance = correlation * correlation * variance + fresh - covariance * covariance / total
         else:
             total = variance + own
             surprise = off[i] - foreseen
@@ -114,8 +114,8 @@ def innovations(off: Float64, scan: Float64, n_lines: Float64, seen: Wander) -> 
 
 
 @kernel(allocates=True)
-def points_alike(off: Float64) -> float:
-    """Return how many neighbouring residuals (n,), in sigmas and in order, count as one; 1 at least.
+def points_as_one(off: Float64) -> float:
+    """Return the number of neighbouring residuals (n,), in order, in sigmas, that count as one; 1 at least.
 
     It is 1 + 2 sum of their autocorrelations, up to where those of two lags together are no longer above 0
     (Geyer 1992, Statistical Science 7, 473).

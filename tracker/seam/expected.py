@@ -69,16 +69,16 @@ def pose_numbers(source: SeamSource, T_base_tool: Float64) -> PoseNumbers:
     return PoseNumbers(True, height, abs(crossing), ahead_mm)
 
 
-def check_pose(frame_checks: FrameChecks, source: SeamSource, told: PoseNumbers) -> bool:
+def check_pose(frame_checks: FrameChecks, source: SeamSource, numbers: PoseNumbers) -> bool:
     """Test whether the joint can be seen from a pose, up to the first failure."""
     ask = frame_checks.ask
     return (
-        frame_checks.ask_whether(checks.POSE_RIGID, told.is_rotation)
-        and ask(checks.LASER_ABOVE, told.height_mm, 0.0)
-        and ask(checks.LASER_NEAR, told.height_mm, MAX_HEIGHT * source.origin_mm[2])
-        and ask(checks.SHEET_ACROSS, told.crossing, MIN_CROSSING)
+        frame_checks.ask_whether(checks.POSE_RIGID, numbers.is_rotation)
+        and ask(checks.LASER_ABOVE, numbers.height_mm, 0.0)
+        and ask(checks.LASER_NEAR, numbers.height_mm, MAX_HEIGHT * source.origin_mm[2])
+        and ask(checks.SHEET_ACROSS, numbers.crossing, MIN_CROSSING)
         # The sensor looks ahead. Of a line that runs against the travel, left would be taken for right.
-        and ask(checks.LASER_AHEAD, told.ahead_mm, 0.0)
+        and ask(checks.LASER_AHEAD, numbers.ahead_mm, 0.0)
     )
 
 

@@ -27,10 +27,10 @@ from noise_model.compiled.ordering import stable_order
 from noise_model.surface.joint import SeamLine
 
 CAPACITY = 96
-"""How many measurements are kept."""
+"""Largest number of measurements."""
 
 SPACING_MM = 1.0
-"""What is nearer to where the latest measurement began is averaged with it: no frame rate forgets any."""
+"""Distance to the latest measurement's start within which one is averaged with it, at any frame rate."""
 
 WIDE_SIGMA_MM = 5.0
 """s_0: how far a whole seam may lie off its programmed path."""
@@ -39,17 +39,17 @@ BEND_SIGMA_MM, BEND_LENGTH_MM = 0.5, 60.0
 """s_1 and l: how far a seam wanders about its mean, and over what length."""
 
 SLOPE_SIGMA = 0.05
-"""1 sigma of a seam's slope before it is measured: parts lie askew, and seams bow."""
+"""1 sigma of a seam's slope before it is measured: parts lie skewed, and seams bow."""
 
 MODEL_SIGMA_MM = 0.01
-"""What a measurement may be off beyond its stated noise, so that repeats do not average without end."""
+"""Error of a measurement beyond its stated noise, so that repeats do not average without end."""
 
 MIN_VARIANCE_MM2 = 1e-12
 """No measurement's own variance is taken for less, so that exact ones can be averaged."""
 
 
 class SeamPrediction(NamedTuple):
-    """What a history says of the seam at a station: pairs are (y, z).
+    """Estimate of the seam at a station from its history: pairs are (y, z).
 
     `displacement_mm` and `sigma_mm` are its displacement and 1 sigma, `slope` and `slope_sigma` its slope's.
     The history goes from `first_mm` to `last_mm`; both are NaN where it is empty.
@@ -80,7 +80,7 @@ class SeamHistory(NamedTuple):
 
     @property
     def n(self) -> int:
-        """How many measurements there are."""
+        """Number of measurements."""
         return len(self.stations_mm)
 
     def with_measurement(
@@ -243,8 +243,8 @@ def condition(history: SeamHistory, station_mm: float) -> SeamPrediction:
         value[axis] = m[3] + m[2]
         sigma[axis] = math.sqrt(max(P[3, 3] + 2.0 * P[3, 2] + P[2, 2], 0.0))
         slope[axis] = m[4]
-        told = max(1.0 / max(P[4, 4], MIN_VARIANCE_MM2) - 1.0 / (decay * BEND_SIGMA_MM) ** 2, 0.0)
-        slope_sigma[axis] = 1.0 / math.sqrt(1.0 / SLOPE_SIGMA**2 + told)
+        information = max(1.0 / max(P[4, 4], MIN_VARIANCE_MM2) - 1.0 / (decay * BEND_SIGMA_MM) ** 2, 0.0)
+        slope_sigma[axis] = 1.0 / math.sqrt(1.0 / SLOPE_SIGMA**2 + information)
     first_mm, last_mm = math.nan, math.nan
     if n:
         first_mm, last_mm = stations_mm[order[0]], stations_mm[order[n - 1]]

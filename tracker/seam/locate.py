@@ -1,4 +1,4 @@
-"""Where a seam that was seen lies, and how far the hand-eye tolerance lets it be off.
+"""Place of a seam that was seen, and its error by the hand-eye tolerance.
 
 Of some numbers Python's own are quicker than arrays: matrices are lists here.
 """
@@ -28,7 +28,7 @@ Matrix = Sequence[Sequence[float]]
 
 
 class SeamSource(NamedTuple):
-    """What a setup fixes of its seam.
+    """Part of the seam that a setup fixes.
 
     `scene` is of its scenes. `T_base_joint` and `T_joint_base` (4, 4) are of the nominal line's segments,
     `ends_mm` its ends' stations in the frame of each. `origin_mm` and `plane` are the laser's, `ahead_mm` is
@@ -99,17 +99,12 @@ def sources(source: SeamSource, scene: Scene, station_mm: float) -> tuple[Float6
     return camera_mm, laser_mm
 
 
-def seam_point_tool(setup: Setup, scene: Scene, y_mm: float, z_mm: float) -> Float64:
-    """Return the point (3,), tool frame, where the seam through (y, z) of a scene's frame meets the sheet.
-
-    `z_mm` counts from a corrugation's own height, which is added at the station that is found.
-    """
-    source = SeamSource.of(setup)
-    return np.array(seam_point(source, scene.T_joint_tool.tolist(), scene.shape.corrugation, y_mm, z_mm))
-
-
 def seam_point(source: SeamSource, T: Matrix, corrugation: Float64, y: float, z: float) -> list[float]:
-    """Return `seam_point_tool`'s point; `T` is T_joint_tool."""
+    """Return the point (3,), tool frame, where the seam through (y, z) of the joint frame meets the sheet.
+
+    `z` counts from a corrugation's own height, which is added at the station that is found. `T` is
+    T_joint_tool.
+    """
     n_x, n_y, n_z, n_d = source.plane
     (a, b, c, u), (d, e, f, v), (g, h, k, w), _ = T
     nx, ny, nz = a * n_x + b * n_y + c * n_z, d * n_x + e * n_y + f * n_z, g * n_x + h * n_y + k * n_z

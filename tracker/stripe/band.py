@@ -13,8 +13,8 @@ from noise_model.compiled.kernel import kernel
 from tracker.geometry import ImageSource
 
 FIT_SIGMAS = 5.0
-"""How many stripe sigmas of background the band holds beyond the reach of the search: the fit reads four, and
-a second stripe beside them has to be seen."""
+"""Background of the band beyond the reach of the search, in stripe sigmas: the fit reads four, and
+a second stripe next to them has to be seen."""
 
 
 _NEAR_PX = np.uint64(64)

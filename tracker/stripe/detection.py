@@ -32,7 +32,7 @@ CHANCE_SIGMAS = 4.0
 """A place that is no darker than this may be noise."""
 
 MIN_RATIO = 3.0
-"""So many times the evidence for a dark stripe must be there for a bright one."""
+"""Factor of the evidence for a bright stripe over that for a dark one."""
 
 MIN_SEEN, CLEAR_SIGMAS = 0.5, 10.0
 """In so large a share of the scan lines that would show it by so many sigmas a stripe must be found."""
@@ -41,7 +41,7 @@ WEAK = 0.25
 """There it may have this share of the light that it has in the lines that hold it, in the median."""
 
 ABSENT_COST = 3.0
-"""Where a fan's ends are sought, a line that would show the stripe and does not counts as so many that do.
+"""Weight, in lines that show the stripe, of one that would and does not, where a fan's ends are sought.
 
 So at least three in four of these lines hold it between the ends.
 """
@@ -79,7 +79,7 @@ def own_lobes(width: float) -> tuple[float, int]:
     template = np.empty(2 * half + 1, dtype=np.float32)
     write_template(width, half, template)
     reach = 2 * half + 1
-    least, worst = math.inf, 0.0
+    min_total, worst = math.inf, 0.0
     # It looks alike to either side, and a wide stripe's lobes are as smooth.
     phases = PHASES if width < SMOOTH_PX else 1
     for k in range(phases * reach + 1):
@@ -88,8 +88,8 @@ def own_lobes(width: float) -> tuple[float, int]:
             total += template[j + half] * math.exp(-0.5 * ((j - off) / width) ** 2)
         worst = max(worst, -total)
         if abs(off) <= 0.5 * OFFSET_STEP:
-            least = min(least, total)
-    return worst / least, reach
+            min_total = min(min_total, total)
+    return worst / min_total, reach
 
 
 @kernel(allocates=True)
@@ -115,10 +115,10 @@ def evidence_ratio(score: Float32, path: Int64, shown: Bool, width: float) -> fl
     for s in range(score.shape[0]):
         if path[s] < 0 and not shown[s]:
             continue
-        beside, depth = float(score[s, path[s]]) if path[s] >= 0 else typical, 0.0
+        evidence, depth = float(score[s, path[s]]) if path[s] >= 0 else typical, 0.0
         for i in range(score.shape[1]):
             is_near = path[s] < 0 or abs(i - path[s]) * OFFSET_STEP <= reach
-            if -score[s, i] > (lobe if is_near else LOBE) * beside:
+            if -score[s, i] > (lobe if is_near else LOBE) * evidence:
                 depth = max(depth, -float(score[s, i]))
         if depth > CHANCE_SIGMAS:
             dark += min(0.5 * depth * depth, GAIN_CAP)
@@ -182,13 +182,13 @@ def fan_ends(holds: Bool, absent: Bool) -> tuple[int, int]:
     They are the interval with the largest sum over the lines that hold a stripe, less ABSENT_COST for each
     line that would show it and does not (Kadane; Bentley 1984, Communications of the ACM 27, 865).
     """
-    total, lowest, lowest_at, most, first, end = 0.0, 0.0, 0, 0.0, 0, 0
+    total, lowest, lowest_at, max_rise, first, end = 0.0, 0.0, 0, 0.0, 0, 0
     for s in range(holds.shape[0]):
         total += holds[s] - ABSENT_COST * absent[s]
         if total < lowest:
             lowest, lowest_at = total, s + 1
-        if total - lowest > most:
-            most, first, end = total - lowest, lowest_at, s + 1
+        if total - lowest > max_rise:
+            max_rise, first, end = total - lowest, lowest_at, s + 1
     return first, end
 
 
@@ -196,7 +196,7 @@ def fan_ends(holds: Bool, absent: Bool) -> tuple[int, int]:
 def leaves_image(
     position_px: Float64, expected_px: Float64, sigma_px: Float64, shown: Bool, n_pos: int
 ) -> bool:
-    """Say whether the stripe runs off the image: where it was found, or is expected where it was not.
+    """Return True if the stripe runs off the image: where it was found, or is expected where it was not.
 
     That is, whether one of the `shown` places (n_scan,) lies within its sigma of the image's ends.
     """
@@ -208,7 +208,7 @@ def leaves_image(
 
 
 class Evidence(NamedTuple):
-    """What tells whether a stripe was read, and all of it.
+    """Evidence that a stripe was read, and all of it.
 
     `n_saturated` scan lines are saturated, `leaves` says whether it runs off the image, `share` is that of
     the lines which should show it and hold it, `ratio` the evidence over that for a dark one.

@@ -1,4 +1,4 @@
-"""Where a stripe ends at an upright edge, to a part of a scan line.
+"""End of a stripe at an upright edge, to a part of a scan line.
 
 The optics spread an edge over a few lines, each of which holds a share of the stripe on either side. With
 u(r) and v(r) the mean stripes of the lines beyond, moved to where they would run, the charge of a line s
@@ -26,13 +26,13 @@ from noise_model.compiled.kernel import kernel
 from tracker.stripe.light import BEYOND, MIN_BEYOND, StripeLight, apart_px, line_room, line_shares
 
 CLEAR_SIGMAS = 3.0
-"""So many sigmas of the optics a line is clear of an edge; one more may hold a stripe that seems whole."""
+"""Distance, in sigmas of the optics, at which a line is clear of an edge; one more may seem whole."""
 
 MIN_STRIPE_SHARE = 0.02
 """Shares are not trusted better: what else lights the lines about an edge."""
 
 MIN_CONTRAST = 0.03
-"""So much a stripe's brightness changes from line to line without speckle."""
+"""Change of a stripe's brightness from line to line without speckle."""
 
 LINE_SIGMA = 12.0**-0.5
 """A line of an image without any blur still is one wide."""
@@ -47,7 +47,7 @@ MIN_LINES, MAX_VARIANCE_SHARE = 3, 0.1
 """Fewer lines tell no end, nor do lines that leave more of the variance that it had before they were read."""
 
 SPREAD = 0.1
-"""What a grain of speckle in the last lines throws beyond them, over the contrast: it is no bell."""
+"""Light of a grain of speckle in the last lines beyond them, over the contrast: it is no bell."""
 
 TINY_PX = 1e-6
 """Stripes that lie so near to each other are one."""
@@ -63,7 +63,7 @@ class StripeEnd(NamedTuple):
     sigma: float
 
 
-NOT_TOLD = StripeEnd(math.nan, math.nan)
+NO_END = StripeEnd(math.nan, math.nan)
 
 
 @kernel(allocates=True)
@@ -73,20 +73,20 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
     away = 1 if first > last else -1
     n = abs(first - last) + 2 * clear - 1
     if n > MAX_LINES:
-        return NOT_TOLD, NOT_TOLD
+        return NO_END, NO_END
     shares, variances, room = np.empty((2, n)), np.empty((2, n)), line_room(light.charge_e.shape[1])
     is_seen = line_shares(
         light=light,
         last=last - away * clear,
         first=first + away * clear,
         away=away,
-        most=BEYOND,
+        max_lines=BEYOND,
         shares=shares,
         variances=variances,
         room=room,
     )
     if not is_seen:
-        return NOT_TOLD, NOT_TOLD
+        return NO_END, NO_END
     # Of a stripe that is off by its scatter the other one seems to have a share.
     apart = max(apart_px(light, last, first), light.centre_sigma_px, TINY_PX)
     more, n_seen = (light.centre_sigma_px / apart) ** 2, 0
@@ -97,7 +97,7 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
         of_other[n - 1 - i], other_variances[n - 1 - i] = shares[1, i], variances[1, i] + more
         n_seen += not math.isnan(shares[1, i])
     if n_seen == 0:
-        return NOT_TOLD, NOT_TOLD
+        return NO_END, NO_END
     # A line's centre says which stripe is the brighter there, so the end is a line off it at most.
     earliest, latest = clear - 2.0, n - clear + 1.0
     ends = _fitted(light, shares[0], variances[0], earliest, latest)
@@ -127,13 +127,13 @@ def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int, unread:
         last=last - away * clear,
         first=first,
         away=away,
-        most=deep,
+        max_lines=deep,
         shares=shares,
         variances=variances,
         room=room,
     )
     if not is_seen:
-        return NOT_TOLD
+        return NO_END
     # Beside a gap a line that holds little of the stripe shows its centre too.
     ends = _fitted(light, shares[0], variances[0], 0.0, n - 1.0)
     return StripeEnd(last - away * (clear - 1) + away * ends.line, ends.sigma)
@@ -162,7 +162,7 @@ def _fitted(
     contrast = max(light.contrast, MIN_CONTRAST)
     sigma = max(math.hypot(light.psf_sigma_px, light.sheet_lines / math.sqrt(2.0)), LINE_SIGMA)
     first, last = max(earliest - sigma, 0.0), latest + sigma
-    line, line_sigma = fit_end(shares, variances, contrast, light.alike, sigma, first, last)
+    line, line_sigma = fit_end(shares, variances, contrast, light.correlation, sigma, first, last)
     return StripeEnd(line, line_sigma)
 
 
@@ -176,25 +176,25 @@ class EndMisfit(NamedTuple):
 
 @kernel
 def end_misfit(
-    share: Float64, variance: Float64, contrast: float, alike: float, sigma: float, end: float
+    share: Float64, variance: Float64, contrast: float, correlation: float, sigma: float, end: float
 ) -> EndMisfit:
     """Return how unlike shares (n,) are those of a stripe that ends at a place.
 
     With the shares' means m a line holds m (1 + a + n) and its own error, of variance V. All lines share a:
-    whole lines are known as well as the mean of BEYOND of them is. n scatters by the contrast, `alike` is
-    its correlation from line to line. V goes with the place, so ln V counts.
+    whole lines are known as well as the mean of BEYOND of them is. n scatters by the contrast, with
+    `correlation` from line to line. V goes with the place, so ln V counts.
     """
     scatter = contrast * contrast
-    of_mean = scatter * min((1.0 + alike) / (1.0 - alike) / BEYOND, 1.0)
+    of_mean = scatter * min((1.0 + correlation) / (1.0 - correlation) / BEYOND, 1.0)
     spread_2 = MIN_STRIPE_SHARE**2 + SPREAD**2 * scatter
     whole, line = 0.0, 0.0
     P_ww, P_wl, P_ll = of_mean, 0.0, scatter
     chi2, determinant, lines = 0.0, 0.0, 0
     for i in range(share.shape[0]):
         if i > 0:
-            line *= alike
-            P_wl *= alike
-            P_ll = alike * alike * P_ll + (1.0 - alike * alike) * scatter
+            line *= correlation
+            P_wl *= correlation
+            P_ll = correlation * correlation * P_ll + (1.0 - correlation * correlation) * scatter
         if math.isnan(share[i]):
             continue
         mean = 0.5 * math.erfc((i - end) / (sigma * math.sqrt(2.0)))
@@ -217,7 +217,7 @@ def fit_end(
     share: Float64,
     variance: Float64,
     contrast: float,
-    alike: float,
+    correlation: float,
     sigma: float,
     earliest: float,
     latest: float,
@@ -228,12 +228,12 @@ def fit_end(
     before. NaN where fewer than MIN_LINES tell it, where they tell little beyond these bounds, and where they
     tell a place outside.
     """
-    best, least = math.nan, math.inf
+    best, min_misfit = math.nan, math.inf
     for k in range(-1, int((latest - earliest) / SEARCH_STEP) + 2):
         place = earliest + k * SEARCH_STEP
-        fit = end_misfit(share, variance, contrast, alike, sigma, place)
-        if fit.lines >= MIN_LINES and fit.misfit < least:
-            best, least = place, fit.misfit
+        fit = end_misfit(share, variance, contrast, correlation, sigma, place)
+        if fit.lines >= MIN_LINES and fit.misfit < min_misfit:
+            best, min_misfit = place, fit.misfit
     # Another light that ends elsewhere is not this one; one that is likeliest at a bound ends beyond it.
     if not earliest + SEARCH_STEP <= best <= latest - SEARCH_STEP:
         return math.nan, math.nan
@@ -241,8 +241,8 @@ def fit_end(
     for k in range(-HALF_STEPS, HALF_STEPS + 1):
         off = k * STEP
         if earliest <= best + off <= latest:
-            fit = end_misfit(share, variance, contrast, alike, sigma, best + off)
-            weight = math.exp(-0.5 * (fit.misfit - least))
+            fit = end_misfit(share, variance, contrast, correlation, sigma, best + off)
+            weight = math.exp(-0.5 * (fit.misfit - min_misfit))
             total += weight
             first += weight * off
             second += weight * off * off
@@ -250,7 +250,7 @@ def fit_end(
     posterior = max(second / total - mean * mean, 0.0)
     if posterior > MAX_VARIANCE_SHARE * (latest - earliest) ** 2 / 12.0:
         return math.nan, math.nan
-    fit = end_misfit(share, variance, contrast, alike, sigma, best + mean)
+    fit = end_misfit(share, variance, contrast, correlation, sigma, best + mean)
     freedom = fit.lines - 2.0
     # Only what chi2 shows beyond its own scatter widens the sigma.
     excess = max(fit.chi2 / freedom - math.sqrt(2.0 / freedom), 1.0)

@@ -1,4 +1,4 @@
-"""Where the nominal joint puts the stripe for a pose, and how wide and how lopsided it looks there."""
+"""Expected stripe of the nominal joint for a pose: its place, its width and its skewness."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FLANKS = np.array([-1.0, 0.0, 1.0])
 """Planes across the sheet, in its sigmas, that tell width and bias of a stripe on flat faces."""
 
 PLANES = np.linspace(-3.0, 3.0, 13)
-"""Where across the sheet its light is looked at, in its sigmas."""
+"""Places across the sheet at which its light is sampled, in its sigmas."""
 
 MAX_STEPS, BELL_SETTLED = 30, 1e-4
 """Gauss-Newton steps at most; one shorter than this, in the stripe's sigmas, is the last."""
@@ -125,12 +125,12 @@ def _beyond_fan_mm(source: StripeSource, scan: float, position_px: float) -> flo
     way = -on / across
     if not way > 0.0:
         return math.nan
-    beside, along = 0.0, 0.0
+    aside, along = 0.0, 0.0
     for i in range(3):
         away = T[i, 3] + way * (T[i, 0] * x + T[i, 1] * y + T[i, 2]) - origin[i]
-        beside += away * sheet.side[i]
+        aside += away * sheet.side[i]
         along += away * sheet.axis[i]
-    return abs(beside) - sheet.slope * along
+    return abs(aside) - sheet.slope * along
 
 
 @kernel(allocates=True)

@@ -30,10 +30,10 @@ from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.frame_scatter import N_SCRATCH, OFF, frame_scatter, own_sigma
 from tracker.stripe.line_fit.first_guess import PixelVariance
 from tracker.stripe.line_fit.lines import FitRoom, LineFits, Scans, fit_lines, fit_room
-from tracker.stripe.neighbours import count_alike, mark_pairs, misfit_sigma_px, tell_both
+from tracker.stripe.neighbours import mark_pairs, misfit_sigma_px, tell_both, write_centres_as_one
 from tracker.stripe.scatter import (
     N_NUMBERS,
-    brightness_alike,
+    brightness_correlation,
     brightness_plateau,
     centre_share,
     line_variance_px2,
@@ -57,7 +57,7 @@ MAX_SCORE_LOST = 0.01
 
 
 class SearchRange(NamedTuple):
-    """Where and how a stripe is sought: at `offsets_px` (n,) from its expected place, in sums of `bin_px`.
+    """Search of a stripe: at `offsets_px` (n,) from its expected place, in sums of `bin_px`.
 
     `is_searching` says whether the joint may lie far off its expected place, up to `reach_px`. Where a look
     `reads_pairs`, two lines are fitted as one where no corner lies within that reach.
@@ -304,10 +304,10 @@ def _see_scatter(
 
 
 class UsualLine(NamedTuple):
-    """The `contrast` and likeness of the lines' brightness, and the median 1 sigma of their centres, px."""
+    """Contrast and correlation of the lines' brightness, and the median 1 sigma of their centres, px."""
 
     contrast: float
-    alike: float
+    correlation: float
     centre_sigma_px: float
 
 
@@ -333,9 +333,9 @@ def write_lines(
     lines: Float64,
 ) -> None:
     """Write what the fits say of each line (N_ROWS, n_scan), with the scatter and with its neighbours."""
-    sigma_px, beside_px, own_px, alike = lines[SIGMA_PX], lines[BESIDE_PX], lines[OWN_PX], scratch[OFF]
+    sigma_px, beside_px, own_px, as_one = lines[SIGMA_PX], lines[BESIDE_PX], lines[OWN_PX], scratch[OFF]
     own_sigma(fits.fits, expected_sigma_px, n_lines, values, own_px)
-    widen(learned, own_px, n_lines, _sheet_px(fits.fits, psf_sigma_px, values, alike), sigma_px, beside_px)
+    widen(learned, own_px, n_lines, _sheet_px(fits.fits, psf_sigma_px, values, as_one), sigma_px, beside_px)
     for s in range(lines.shape[1]):
         lines[CENTRE_PX, s], lines[AMPLITUDE_E, s] = fits.fits[s, 0], fits.fits[s, 2]
         lines[WIDTH_PX, s], lines[BIAS_PX, s] = fits.fits[s, 3], bias_px[s]
@@ -343,8 +343,8 @@ def write_lines(
         # Two lines that were read as one tell their misfit once.
         if n_lines[s] > 1.0 and s % 2 == 1:
             fits.odd[s] = math.nan
-    count_alike(sigma_px, beside_px, n_lines, values, alike)
-    misfit_sigma_px(fits.odd, fits.fits, alike, lines[MISFIT_PX])
+    write_centres_as_one(sigma_px, beside_px, n_lines, values, as_one)
+    misfit_sigma_px(fits.odd, fits.fits, as_one, lines[MISFIT_PX])
 
 
 @kernel(allocates=True)
@@ -357,4 +357,4 @@ def usual_line(average: Float64, own_px: Float64) -> UsualLine:
             n += 1
     own_sigma_px = exact_median(known_px[:n])
     centre_sigma_px = math.hypot(own_sigma_px, math.sqrt(line_variance_px2(average)))
-    return UsualLine(math.sqrt(brightness_plateau(average)), brightness_alike(average), centre_sigma_px)
+    return UsualLine(math.sqrt(brightness_plateau(average)), brightness_correlation(average), centre_sigma_px)

@@ -1,4 +1,4 @@
-"""What a stripe's lines scatter by beyond their photons, as they lie beside each other in one frame.
+"""Scatter of a stripe's lines beyond their photons', as neighbours in one frame show it.
 
 Speckle and the metal's texture move a stripe's centres by more than photons do, neighbours alike, and stand
 still with the surface. Let u_i be a centre off its expected place. Where the surface runs straight, the
@@ -62,7 +62,7 @@ MIN_DIFFERENCES = 8
 """Fewer lines tell nothing."""
 
 MIN_PER_LAG, MIN_MEANS, MIN_MEANS_SEARCHING = 32, 36, 72
-"""So many differences tell something, for each line of a lag and of means.
+"""Least number of differences, for each line of a lag and of means.
 
 A joint off its expected place has four corners, each of which spoils two of the first and three of the
 second. A third of spoilt differences triples the variance that their median says. While the joint
@@ -70,7 +70,7 @@ is still searched that would hide it: a sixth costs a half.
 """
 
 MIN_PER_FAR_LAG = 24
-"""So many differences of brightness tell something, for each line of the farthest lag.
+"""Least number of differences of brightness, for each line of the farthest lag.
 
 A joint's four corners spoil two for each, a third of them at most.
 """
@@ -157,7 +157,7 @@ def frame_scatter(
 
 
 @kernel
-def _variance_of(values: Float64, share: Float64, n: int, lag: int, least: int, room: Float32) -> float:
+def _variance_of(values: Float64, share: Float64, n: int, lag: int, min_count: int, room: Float32) -> float:
     """Return the variance of the first n values by second differences: the median of d^2 / 6 over 0.455.
 
     Each value has a `share` (n,) of that variance. NaN where fewer than so many differences are known.
@@ -166,7 +166,7 @@ def _variance_of(values: Float64, share: Float64, n: int, lag: int, least: int, 
         d = values[i - lag] - 2.0 * values[i] + values[i + lag]
         room[i - lag] = d * d / (share[i - lag] + 4.0 * share[i] + share[i + lag])
     count = close_up(room, max(n - 2 * lag, 0))
-    return median_of(room, count) / MEDIAN_CHI2 if count >= least else math.nan
+    return median_of(room, count) / MEDIAN_CHI2 if count >= min_count else math.nan
 
 
 @kernel
@@ -208,9 +208,9 @@ def differences(
     typical_e = finite_median(off, values)
     for k in range(len(BRIGHTNESS_LAGS)):
         lag = BRIGHTNESS_LAGS[k]
-        least = MIN_PER_FAR_LAG * lag if k == len(BRIGHTNESS_LAGS) - 1 else MIN_DIFFERENCES
+        min_count = MIN_PER_FAR_LAG * lag if k == len(BRIGHTNESS_LAGS) - 1 else MIN_DIFFERENCES
         read = off if lag >= FAR_LAG else alone
-        seen[BRIGHTNESS + k] = _variance_of(read, share, n, lag, least, values) / typical_e**2
+        seen[BRIGHTNESS + k] = _variance_of(read, share, n, lag, min_count, values) / typical_e**2
     line, of_two = line_variance_px2(learned), centre_share(learned) * line_variance_px2(learned)
     for i in range(n):
         off[i] = fits[i, 0] - expected_px[i]
@@ -222,8 +222,8 @@ def differences(
         is_far = LAGS[k] >= FAR_LAG
         lag = times * LAGS[k] if is_far else LAGS[k]
         read = off if is_far else alone
-        least = MIN_PER_LAG * lag if is_far else MIN_DIFFERENCES
-        variance = _variance_of(read, share, n, lag, least, values)
+        min_count = MIN_PER_LAG * lag if is_far else MIN_DIFFERENCES
+        variance = _variance_of(read, share, n, lag, min_count, values)
         seen[BY_LAG + k] = variance - _own_variance_of(own_px2, n, lag, values)
     for k in range(len(LENGTHS)):
         length = times * LENGTHS[k]

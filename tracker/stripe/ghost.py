@@ -32,10 +32,10 @@ REFLECTED_SHARE, REFLECTED_SIGMA_LN = 0.4, 0.7
 """A reflection has about so much of its stripe's light, within a factor of two; it is seldom the brighter."""
 
 MAX_ROUNDS = 3
-"""So many times at most the stripe is read again without a second one's light."""
+"""Largest number of times that the stripe is read again without a second one's light."""
 
 NEAREST_SIGMAS = 3.0
-"""What stands nearer to the first, in its sigmas, is of its own shape."""
+"""Distance from the first, in its sigmas, within which light is of its own shape."""
 
 MIN_GHOST_SHARE, MIN_GHOST_LINES = 0.2, 0.6
 """A second stripe has this share of the first one's light or more, in this share of its scan lines."""
@@ -85,10 +85,10 @@ def _left_over(
 @kernel(fastmath={"contract"})
 def _lay(remainder: Float32, share: float, laid: Float32, laid_on: Float32) -> None:
     """Add what a line leaves (n,), times `share`, to the sums and to the numbers of what was added."""
-    zero, unity, most, per_e = np.float32(0.0), np.float32(1.0), np.float32(CUT), np.float32(share)
+    zero, unity, max_e, per_e = np.float32(0.0), np.float32(1.0), np.float32(CUT), np.float32(share)
     for r in range(remainder.shape[0]):
         is_seen = not math.isnan(remainder[r])
-        laid[r] += min(max(remainder[r] * per_e, -most), most) if is_seen else zero
+        laid[r] += min(max(remainder[r] * per_e, -max_e), max_e) if is_seen else zero
         laid_on[r] += unity if is_seen else zero
 
 
@@ -131,12 +131,12 @@ def _ask_lines(
     lows: Int64,
     remainder: Float32,
     apart: float,
-    least: float,
+    min_share: float,
 ) -> tuple[int, int, int, float, float]:
     """Return how many lines tell of a second stripe `apart` px away, how many see it behind and before.
 
     Returned too are the sums, behind and before, of its light over that of the stripe that is fitted. A
-    share of less than `least` tells of none.
+    share of less than `min_share` shows none.
     """
     asked, behind, ahead, by_behind, by_ahead = 0, 0, 0, 0.0, 0.0
     for s in range(0, charge.shape[0], EVERY):
@@ -144,12 +144,12 @@ def _ask_lines(
             center = fits[s, 0] - lows[s // CELL]
             _left_over(charge[s], background[s], censored[s], center, fits[s], remainder)
             after, before = _either_side(remainder, center, abs(apart), fits[s])
-            if max(after, before) > least:
+            if max(after, before) > min_share:
                 if after > before:
                     behind, by_behind = behind + 1, by_behind + after
                 else:
                     ahead, by_ahead = ahead + 1, by_ahead + before
-            asked += max(after, before) > least or (after if apart > 0.0 else before) > -math.inf
+            asked += max(after, before) > min_share or (after if apart > 0.0 else before) > -math.inf
     return asked, behind, ahead, by_behind, by_ahead
 
 
@@ -201,7 +201,7 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
         lows=lows,
         remainder=remainder,
         apart=apart,
-        least=0.5 * min(share, 1.0 / share),
+        min_share=0.5 * min(share, 1.0 / share),
     )
     if behind + ahead <= MIN_GHOST_LINES * asked:
         return 0.0, 0.0
@@ -271,7 +271,7 @@ class SecondStripe(NamedTuple):
 
 
 @kernel(allocates=True)
-def told_of_two(
+def choose_of_two(
     fits: Float64,
     expected_px: Float64,
     apart_px: float,
@@ -346,7 +346,7 @@ def read_without_second(
     second = SecondStripe(share, math.inf, False, 0, len(offsets_px))
     if not search.is_searching or share == 0.0:
         return second
-    second = told_of_two(
+    second = choose_of_two(
         room.lines.fits, expected.position_px, apart_px, share, offsets_px, reach_px, room.values
     )
     if second.is_reflection:

@@ -1,4 +1,4 @@
-"""What the light of single scan lines says of a stripe, and of another one beside it.
+"""Evidence of a stripe in the light of single scan lines, and of another one next to it.
 
 Beside an edge the arc's light changes abruptly too, and where it does is known to a line at best: what is
 taken for background may be the next line's. So a share's variance is that of its pixels' noise, times the
@@ -18,7 +18,7 @@ from noise_model.compiled.kernel import kernel
 from noise_model.compiled.median import exact_median
 
 BEYOND = 6
-"""So many lines on either side say how the stripe looks there, and MIN_BEYOND of them at least."""
+"""Number of lines on either side that determine the stripe's look there, and their least number."""
 
 MIN_BEYOND = 3
 
@@ -28,15 +28,15 @@ WINDOW_SIGMAS = 3.0
 MIN_PIXELS = 8
 
 NEXT_TO_NOTHING = 0.1
-"""What is less than this share of a sigma adds half a percent to it."""
+"""Share of a sigma below which an error adds half a percent to it."""
 
 
 class StripeLight(NamedTuple):
-    """What a stripe was read from, (n_scan, n_pos) of a band that begins at `lows` for each CELL lines.
+    """Light that a stripe was read from, (n_scan, n_pos) of a band that begins at `lows` for each CELL lines.
 
     A pixel's variance is `shot` times its light, `background_e` and the stripe's, plus `dark_variance_e2`.
     `position_px`, `width_px` (n_scan,) are the stripe's. `contrast` is by how much its
-    brightness scatters from line to line, relative, `alike` the correlation of two neighbouring lines in
+    brightness scatters from line to line, relative, `correlation` that of two neighbouring lines in
     that, `psf_sigma_px` the optics' sigma, `sheet_lines` over how many lines an edge along the seam crosses
     the sheet's sigma, `centre_sigma_px` the 1 sigma of centres.
     """
@@ -50,7 +50,7 @@ class StripeLight(NamedTuple):
     shot: float
     dark_variance_e2: float
     contrast: float
-    alike: float
+    correlation: float
     psf_sigma_px: float
     sheet_lines: float
     centre_sigma_px: float
@@ -66,7 +66,7 @@ NO_LIGHT = StripeLight(
     shot=0.0,
     dark_variance_e2=0.0,
     contrast=0.0,
-    alike=0.0,
+    correlation=0.0,
     psf_sigma_px=0.0,
     sheet_lines=0.0,
     centre_sigma_px=0.0,
@@ -81,14 +81,14 @@ def apart_px(light: StripeLight, last: int, first: int) -> float:
 
 
 @kernel
-def run_of(position_px: Float64, begins: int, away: int, most: int) -> tuple[float, float]:
+def run_of(position_px: Float64, begins: int, away: int, max_lines: int) -> tuple[float, float]:
     """Return the straight line, its value at line `begins` and slope by lines, that some positions run on.
 
-    They are BEYOND, or `most` if that is less, from `begins` on in steps of `away`; NaN where fewer than
+    They are BEYOND, or `max_lines` if that is less, from `begins` on in steps of `away`; NaN where fewer than
     MIN_BEYOND of them hold a stripe.
     """
     n, sum_x, sum_y, sum_xx, sum_xy = 0, 0.0, 0.0, 0.0, 0.0
-    for k in range(min(BEYOND, most)):
+    for k in range(min(BEYOND, max_lines)):
         s = begins + away * k
         if not 0 <= s < position_px.shape[0] or math.isnan(position_px[s]):
             continue
@@ -213,10 +213,10 @@ def write_mean_stripe(
 
     The `run` is `run_of`'s beginning, step and number of lines. Pixel 0 lies so far off their centres.
     """
-    (begins, away, most), (begin, end) = run, pixels
+    (begins, away, max_lines), (begin, end) = run, pixels
     for j in range(begin, end):
         mean_e[j], n_lines[j] = 0.0, 0.0
-    for k in range(min(BEYOND, most)):
+    for k in range(min(BEYOND, max_lines)):
         s = begins + away * k
         if not 0 <= s < light.position_px.shape[0] or math.isnan(light.position_px[s]):
             continue
@@ -241,7 +241,7 @@ def line_shares(
     last: int,
     first: int,
     away: int,
-    most: int,
+    max_lines: int,
     shares: Float64,
     variances: Float64,
     room: LineRoom,
@@ -249,11 +249,11 @@ def line_shares(
     """Write the shares (2, n) of both stripes, and their variances, of the n lines from `last` on.
 
     `away` is the step, 1 or -1, from `last`, where the first stripe is clear, to `first`, where the other is;
-    that is read from `most` lines at most. False if the first is not seen. A line that cannot be read has a
-    NaN, and so has the other stripe everywhere if it is not seen.
+    that is read from `max_lines` lines at most. False if the first is not seen. A line that cannot be read
+    has a NaN, and so has the other stripe everywhere if it is not seen.
     """
     at_last, slope_last = run_of(light.position_px, last, -away, BEYOND)
-    at_first, slope_first = run_of(light.position_px, first, away, most)
+    at_first, slope_first = run_of(light.position_px, first, away, max_lines)
     alone = math.isnan(at_first)
     width = 0.0
     for s in (last, first):
@@ -277,7 +277,7 @@ def line_shares(
         if alone:
             room.v_e[begin:end] = 0.0
         else:
-            write_mean_stripe(light, (first, away, most), pixels, low - lower, room.v_e, room.n_lines)
+            write_mean_stripe(light, (first, away, max_lines), pixels, low - lower, room.v_e, room.n_lines)
         n, w_, w_u, w_v, w_c = 0, 0.0, 0.0, 0.0, 0.0
         w_uu, w_uv, w_vv, w_uc, w_vc, w_cc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         w_d, w_ud, w_vd = 0.0, 0.0, 0.0

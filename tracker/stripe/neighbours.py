@@ -1,4 +1,4 @@
-"""What neighbouring scan lines share: two are read as one, and unexpected light moves them in common.
+"""Common errors of neighbouring scan lines: two are read as one, and unexpected light moves them in common.
 
 Far from corners and steps a stripe's centre runs straight, and two neighbouring lines tell no more than their
 mean does. The mean of their pixels is fitted as one line. Its photons' noise is a half of either line's, its
@@ -41,7 +41,7 @@ from tracker.stripe.line_fit.lines import N_FITTED, LineFits
 from tracker.stripe.line_fit.residuals import N_BINS
 
 CLEAR_SIGMAS = 3.0
-"""So many of the stripe's sigmas beside where a corner may lie no line holds light of two faces."""
+"""Distance from a possible corner, in stripe sigmas, from which no line holds light of two faces."""
 
 AGREES_LINES = 3
 """Over so many lines to either side the likeliest path follows the expected section, but for one offset."""
@@ -50,7 +50,7 @@ MAX_STEP_WIDTHS = 0.25
 """Two lines whose stripes lie farther apart than this share of their width make a wider bell."""
 
 ALONE, EVERY = 6, 48
-"""So many of every so many lines that pairs might hold are read alone: they tell how alike neighbours are."""
+"""Lines read alone, of every so many that pairs might hold: they determine the neighbours' correlation."""
 
 NOWHERE = 1 << 30
 """The line of a corner that there is not."""
@@ -58,7 +58,7 @@ NOWHERE = 1 << 30
 
 @kernel
 def _agrees(choice: Int64, first: int, last: int) -> bool:
-    """Say whether the likeliest path follows the expected stripe over some lines, and leaves out none."""
+    """Return True if the likeliest path follows the expected stripe over some lines, and leaves out none."""
     lowest, highest = choice[first], choice[first]
     for s in range(first, last + 1):
         lowest, highest = min(lowest, choice[s]), max(highest, choice[s])
@@ -147,7 +147,7 @@ def usual_of(values: Float64, n_lines: Float64, together: int, room: Float32) ->
 
 
 MOVED = 5.0
-"""By how much more than the odd residual over the amplitude a centre moves, in widths."""
+"""Shift of a centre, in widths, over the odd residual relative to the amplitude."""
 
 MIN_LINES = 6
 """A mean of fewer lines than this tells nothing from noise."""
@@ -157,11 +157,11 @@ CHANCE = 3.3
 
 
 @kernel(allocates=True)
-def mean_square_near(odd_e: Float64, half: int, alike: Float64, near_e2: Float64) -> None:
+def mean_square_near(odd_e: Float64, half: int, as_one: Float64, near_e2: Float64) -> None:
     """Write the mean square (n,), e-^2, of the odd residuals' means over lines up to `half` away.
 
     Less what the lines' own scatter gives it by chance, 0 where that explains it or too few lines are known.
-    About each line so many, `alike` (n,), scatter as one.
+    About each line `as_one` (n,) scatter as one.
     """
     n, n_bins = odd_e.shape
     total, squares, n_lines = np.empty(n_bins), np.empty(n_bins), np.empty(n_bins)
@@ -184,35 +184,35 @@ def mean_square_near(odd_e: Float64, half: int, alike: Float64, near_e2: Float64
         for k in range(n_bins):
             if n_lines[k] >= MIN_LINES:
                 mean = total[k] / n_lines[k]
-                noise = max(squares[k] / n_lines[k] - mean * mean, 0.0) / (n_lines[k] - 1.0) * alike[i]
+                noise = max(squares[k] / n_lines[k] - mean * mean, 0.0) / (n_lines[k] - 1.0) * as_one[i]
                 near += (mean * mean - CHANCE * noise) / n_bins
         near_e2[i] = max(near, 0.0)
 
 
 @kernel
-def count_alike(
-    sigma_px: Float64, beside_px: Float64, n_lines: Float64, values: Float32, alike: Float64
+def write_centres_as_one(
+    sigma_px: Float64, beside_px: Float64, n_lines: Float64, values: Float32, as_one: Float64
 ) -> None:
-    """Write how many neighbouring centres (n,) scatter as one, the usual number of lines alone or of pairs.
+    """Write the usual number of neighbouring centres (n,) that scatter as one, of lines alone or of pairs.
 
     `sigma_px` is the centres' 1 sigma, `beside_px` that with which a line counts among neighbours.
     """
     for s in range(n_lines.shape[0]):
-        alike[s] = (beside_px[s] / sigma_px[s]) ** 2 / n_lines[s]
+        as_one[s] = (beside_px[s] / sigma_px[s]) ** 2 / n_lines[s]
     for together in range(1, 3):
-        count, usual = usual_of(alike, n_lines, together, values)
+        count, usual = usual_of(as_one, n_lines, together, values)
         for s in range(n_lines.shape[0]):
             if n_lines[s] == together:
-                alike[s] = usual if count > 0 else 1.0
+                as_one[s] = usual if count > 0 else 1.0
 
 
 @kernel(allocates=True)
-def misfit_sigma_px(odd_e: Float64, fits: Float64, alike: Float64, misfit_px: Float64) -> None:
-    """Write by how much each line's centre may be off alike with its neighbours' (n,), px.
+def misfit_sigma_px(odd_e: Float64, fits: Float64, as_one: Float64, misfit_px: Float64) -> None:
+    """Write the common-mode error of each line's centre with its neighbours' (n,), px.
 
-    `odd_e` (n, N_BINS) are the lines' odd residuals, `fits` (n, 7) their fits; about each so many,
-    `alike` (n,), scatter as one. Of two lines that were read as one the second has no residuals.
+    `odd_e` (n, N_BINS) are the lines' odd residuals, `fits` (n, 7) their fits; about each
+    `as_one` (n,) scatter as one. Of two lines that were read as one the second has no residuals.
     """
-    mean_square_near(odd_e, round(0.5 * CORRELATION_PX), alike, misfit_px)
+    mean_square_near(odd_e, round(0.5 * CORRELATION_PX), as_one, misfit_px)
     for s in range(misfit_px.shape[0]):
         misfit_px[s] = MOVED * fits[s, 3] * math.sqrt(misfit_px[s]) / fits[s, 2]

@@ -89,7 +89,7 @@ class StripeReading(NamedTuple):
     to the expected places, in sums of `bin_px`; `start_px` (n_scan,) is where the likeliest path runs, NaN
     for no stripe; `tried` and `fits` (n_scan, 7) are those of `LineFits`.
     `second_share` is how bright a second stripe is over the first, 0 for none; the background has its light.
-    `told_nats` is the evidence that the other one is the reflection, infinite where none is searched.
+    `stripe_choice_nats` is the evidence that the other one is the reflection, infinite where none is sought.
     `scatter` is what the frames up to this one show of it, `learned` what this one was read with.
     `usual` is what is usual for a line, `evidence` what tells whether there is a stripe. `lines`
     (N_ROWS, n_scan) are the stripe's scan lines. Where `N_LINES` is 2, an even line and the next were read as
@@ -107,7 +107,7 @@ class StripeReading(NamedTuple):
     fits: Float64
     noise: PixelVariance
     second_share: float
-    told_nats: float
+    stripe_choice_nats: float
     scatter: Scatter
     learned: Scatter
     usual: UsualLine
@@ -128,7 +128,7 @@ def light_of(reading: StripeReading, psf_sigma_px: float, sheet_lines: float) ->
         shot=reading.noise.shot,
         dark_variance_e2=reading.noise.dark_e2,
         contrast=usual.contrast,
-        alike=usual.alike,
+        correlation=usual.correlation,
         psf_sigma_px=psf_sigma_px,
         sheet_lines=sheet_lines,
         centre_sigma_px=usual.centre_sigma_px,
@@ -259,7 +259,7 @@ def read_stripe(
         fits=room.lines.fits,
         noise=noise,
         second_share=second.share,
-        told_nats=second.nats,
+        stripe_choice_nats=second.nats,
         scatter=Scatter(FrameScatter.of(after), frames + 1),
         learned=Scatter(FrameScatter.of(read_with), max(frames, 1)),
         usual=usual_line(after, lines[OWN_PX]),

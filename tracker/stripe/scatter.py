@@ -1,4 +1,4 @@
-"""What a stripe's lines scatter by beyond their photons, learned from frame to frame.
+"""Scatter of a stripe's lines beyond their photons', learned from frame to frame.
 
 `frame_scatter` says what one frame shows; what all frames so far say is averaged before it is used: no setup
 states it.
@@ -15,7 +15,7 @@ from noise_model.compiled.arrays import Float64
 from noise_model.compiled.kernel import kernel
 
 LAGS = np.array([1, 2, 4, 8])
-"""How many lines apart centres are compared: speckle's grains reach over a few.
+"""Lags, in lines, at which centres are compared: speckle's grains reach over a few.
 
 From FAR_LAG on these, and LENGTHS, are those of a stripe of USUAL_PX at most: a wider one's lines are alike
 over more.
@@ -25,16 +25,16 @@ FAR_LAG = 4
 """Lines as far apart as this are compared where two were read as one too, nearer ones where none were."""
 
 BRIGHTNESS_LAGS = np.append(LAGS, 2 * LAGS[-1])
-"""How many lines apart their brightness is compared."""
+"""Lags, in lines, at which their brightness is compared."""
 
 SECOND_LAG, FARTHEST_LAG = 1, 8.0
-"""Where in these the lag of two lines stands, and how many lines the farthest lag of centres is."""
+"""Index of the lag of two lines in these, and the farthest lag of centres, in lines."""
 
 LENGTHS = np.array([2, 4, 8, 16])
 """Over how many lines centres are averaged."""
 
 WIDTH_SIGMAS, MIN_WIDTH_LIMIT_LN, MAX_WIDTH_LIMIT_LN = 4.0, 0.35, 0.9
-"""How far a line's ln(width) may lie off the stripe's: in sigmas of the lines' scatter, at least, at most.
+"""Limit of a line's ln(width) about the stripe's: in sigmas of the lines' scatter, at least, at most.
 
 Two faces make a line wider by a third; what is wider by more than the last is no stripe.
 """
@@ -49,8 +49,8 @@ least from 0.25 to 0.5, and by a quarter more at 1.
 MAX_LN_WIDTH = 0.45
 """A stripe that is wider or narrower than the setup says by more is another light."""
 
-MAX_ALIKE = 0.9
-"""Neighbouring lines' brightness is alike by no more: the rest is what the optics leave."""
+MAX_CORRELATION = 0.9
+"""Largest correlation of neighbouring lines' brightness: the rest is what the optics leave."""
 
 REMEMBERED = 10
 """About so many frames are averaged: the metal changes along the seam."""
@@ -62,11 +62,11 @@ BRIGHTNESS = BY_LENGTH + len(LENGTHS)
 SPECKLE = BRIGHTNESS + len(BRIGHTNESS_LAGS)
 LN_WIDTH, WIDTH_VARIANCE = SPECKLE + 1, SPECKLE + 2
 N_NUMBERS = SPECKLE + 3
-"""Where the numbers of a `FrameScatter` begin in the one array that kernels take."""
+"""Start of the values of a `FrameScatter` in the one array that kernels take."""
 
 
 class FrameScatter(NamedTuple):
-    """What one frame shows beyond photons' noise; NaN where it shows nothing.
+    """Scatter of one frame beyond photons' noise; NaN where it shows none.
 
     `by_lag` and `by_length`, px^2: the centres' variance beyond the lines' own. `brightness`, by its lags:
     the square of the amplitudes' contrast; `speckle`: that of a pixel's light about the fitted bell.
@@ -144,14 +144,14 @@ def _share_of_two(variances: Float64, plateau: float) -> float:
     3/4 (C(0) - V(L) + 1/3 C(2 L)), from the farthest of them on: lines 8 apart know nothing of each other.
     `plateau` is C(0), and lines that do not scatter know nothing of each other either.
     """
-    alike = 0.0
+    correlation = 0.0
     if not plateau > 0.0:
         return 0.5
     for k in range(2, -1, -1):
         if math.isnan(variances[k]):
             return 1.0
-        alike = min(max(0.75 * (1.0 - variances[k] / plateau + alike / 3.0), 0.0), 1.0)
-    return 0.5 * (1.0 + alike)
+        correlation = min(max(0.75 * (1.0 - variances[k] / plateau + correlation / 3.0), 0.0), 1.0)
+    return 0.5 * (1.0 + correlation)
 
 
 @kernel
@@ -177,7 +177,7 @@ def brightness_plateau(average: Float64) -> float:
 
 
 @kernel
-def brightness_alike(average: Float64) -> float:
+def brightness_correlation(average: Float64) -> float:
     """Return the correlation of two neighbouring lines' brightness, where two k apart have its k-th power.
 
     Second differences over L lines have the variance (1 - r) (3 - r) / 3, r = rho^L, over that of lines
@@ -187,7 +187,7 @@ def brightness_alike(average: Float64) -> float:
     if not plateau > 0.0 or math.isnan(near):
         return 0.0
     of_two = 2.0 - math.sqrt(1.0 + 3.0 * near / plateau)
-    return min(math.sqrt(max(float(of_two), 0.0)), MAX_ALIKE)
+    return min(math.sqrt(max(float(of_two), 0.0)), MAX_CORRELATION)
 
 
 @kernel
@@ -213,7 +213,7 @@ def pair_contrast(average: Float64) -> float:
 
 @kernel
 def _is_as_stated(average: Float64) -> bool:
-    """Say whether the lines' width is one that the stated stripe may have."""
+    """Return True if the lines' width is one that the stated stripe may have."""
     return bool(abs(average[LN_WIDTH]) <= MAX_LN_WIDTH)
 
 
@@ -274,7 +274,7 @@ def widen(
 
 
 class Scatter(NamedTuple):
-    """What the frames so far show of the scatter: the average of what `frames` of them show.
+    """Average scatter of the `frames` frames so far.
 
     Negative variances are chance.
     """
@@ -294,12 +294,12 @@ class Scatter(NamedTuple):
 
     @property
     def width_factor(self) -> float:
-        """How much wider the stripe is than the setup says."""
+        """Width of the stripe over that of the setup."""
         return width_factor(self.average.numbers)
 
     @property
     def width_limit_ln(self) -> float:
-        """How far a line's ln(width) may lie off the stripe's: farther off it is two faces, or no stripe."""
+        """Limit of a line's ln(width) about the stripe's: farther off it is two faces, or no stripe."""
         return width_limit_ln(self.average.numbers)
 
 

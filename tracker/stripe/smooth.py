@@ -29,11 +29,11 @@ MIN_DRAWN = 32
 """A line is drawn in windows from this length on: shorter ones hardly show a corner."""
 
 PIECE_CHI2 = 16.0
-"""What chance exceeds once in three thousand: chi2 of the least window about its line, and of one line
+"""Limits that chance exceeds once in 3000: chi2 of the least window about its line, and of one line
 instead of two. Either has two degrees of freedom."""
 
 AGREE_SIGMAS = 3.0
-"""What the columns to either side say of the one between them agrees within this."""
+"""Largest difference of the two sides' predictions of the column between them."""
 
 OUTLIER_SIGMAS, OUTLIER_PX = 5.0, 0.7
 """A column so far off what either side says, and off both together, is none of the stripe. A corner that the
@@ -43,13 +43,13 @@ MIN_SURE_PX = 0.67
 """A centre less sure than this is none: one in 400 of them would be more than two pixels off."""
 
 OUTLIER_REACH = 6
-"""How many columns to a side say whether one is an outlier."""
+"""Number of columns on either side that show whether one is an outlier."""
 
 MAX_MISSING = 1
 """More columns that are missing of the least window break it."""
 
 PRESENT = 6
-"""Where the running sums count columns."""
+"""Index of the running sums' number of columns."""
 
 
 class _WindowLine(NamedTuple):

@@ -1,4 +1,4 @@
-"""A laser sheet's trace over a section: where planes beside it meet the surface, and where they are seen."""
+"""A laser sheet's trace over a section: where planes parallel to it meet the surface, and are seen."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ What it leaves is some 1e-11 mm: the square of it, times the corrugation's curva
 """
 
 NEAREST_MM = 1.0
-"""What comes nearer to the camera than this is not in view."""
+"""Least distance from the camera of a point in view."""
 
 
 @kernel
@@ -122,7 +122,7 @@ def samples(vertices: Float64, middle_mm: float, low_mm: float, high_mm: float) 
 
 @kernel
 def hide_behind(y: Float64, z: Float64, source_y: float, source_z: float, seen: Bool) -> None:
-    """Say of a section's points (n,), y rising, which of them others hide from a source: they are not seen.
+    """Write which of a section's points (n,), y rising, others hide from a source.
 
     The section is swept, so what hides a point across it hides it: going away from the source, its elevation
     is that of the horizon so far or more.

@@ -1,4 +1,4 @@
-"""Where the stripe may lie along each scan line, by a matched filter, and the likeliest path through that."""
+"""Score of the stripe's place along each scan line, by a matched filter, and the likeliest path."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ Room = tuple[Float32, Float32, Float32, Float32, Float32]
 """Scratch, by turns: a template's values and their squares, a line's residuals and variances; and sums."""
 
 TEMPLATE_SIGMAS = 2.5
-"""How far the matched filter's template reaches."""
+"""Half-width of the matched filter's template."""
 
 OFFSET_STEP = 2
 """The path is sought on every second pixel, or bin of pixels; the fit starts from there."""
 
 MANY_OFFSETS = 32
-"""So many offsets and more are scored together: fewer take less time one by one."""
+"""Least number of offsets that are scored together: fewer take less time one by one."""
 
 TAPS, WHOLE = 8, 32
-"""So many of a template's values are used at a time, and so many sums a loop of the CPU's makes at once."""
+"""Number of a template's values that are used at a time, and of sums that one loop makes at once."""
 
 GAIN_CAP = 60.0
 """The most that one scan line's evidence counts in the path: a spatter streak cannot buy a detour."""
@@ -216,9 +216,9 @@ def matched_filter(
     widest = 0.0
     for s in range(width_px.shape[0]):
         widest = max(widest, width_px[s])
-    most = math.ceil(TEMPLATE_SIGMAS * widest / bin_px)
-    values = np.empty(2 * most + 1, dtype=np.float32)
-    n_taps, n_sums = TAPS * (most // TAPS + 1), WHOLE * (n_offsets // WHOLE + 1)
+    max_offset = math.ceil(TEMPLATE_SIGMAS * widest / bin_px)
+    values = np.empty(2 * max_offset + 1, dtype=np.float32)
+    n_taps, n_sums = TAPS * (max_offset // TAPS + 1), WHOLE * (n_offsets // WHOLE + 1)
     room = (
         np.empty((2, n_taps), dtype=np.float32),
         np.empty((2, n_taps), dtype=np.float32),

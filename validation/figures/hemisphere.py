@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from noise_model.compiled.arrays import Bool, Float64
-from noise_model.surface.brdf import Material, Mirror, reflectance, spike_radiance
+from noise_model.surface.brdf import Material, reflectance
+from validation.figures.mirror import Mirror, spike_radiance
 
 TINY = 1e-300
 """Keeps a division by a length of zero finite."""

@@ -16,10 +16,8 @@ import numpy.typing as npt
 from noise_model.compiled.arrays import Float64
 from noise_model.surface.brdf import (
     MILD_STEEL,
-    SUS304,
     ZN_COATED,
     Material,
-    Mirror,
     geometrical_attenuation,
     reflectance,
 )
@@ -31,6 +29,7 @@ from validation.figures.hemisphere import (
     reflected_radiance_extended,
     reflected_radiance_point,
 )
+from validation.figures.mirror import SUS304, Mirror
 
 UP = np.array([0.0, 0.0, 1.0])
 RADIUS_MM = 2.0

@@ -53,7 +53,7 @@ MAX_LN_WIDTH = 1.0
 
 
 class LinePrior(NamedTuple):
-    """What is known of sixteen lines before their fit, by lane.
+    """Input of sixteen lines' fits, by lane.
 
     `start` is where the stripe is expected, px from the window's first pixel, `n` the window's length, px,
     `width` the predicted 1 sigma, px. `amplitude` is the first guess, `level` the map's mean, e-. `offset`
@@ -70,7 +70,7 @@ class LinePrior(NamedTuple):
 
 
 class FitState(NamedTuple):
-    """Where sixteen lines' fits stand between two steps, by lane.
+    """State of sixteen lines' fits between two steps, by lane.
 
     `width` is px, `off` how far its logarithm lies off the predicted one's; position, offset and slope are as
     `BlockFits` has them. `is_settled` is 1 where the last step was small.
@@ -86,7 +86,7 @@ class FitState(NamedTuple):
 
 
 class BlockFits(NamedTuple):
-    """What fits say of sixteen lines, by lane, as `lines.LineFits` has it, the place from the window's start.
+    """Fits of sixteen lines, by lane, as `lines.LineFits` has them, the place from the window's start.
 
     `is_done` says where the fit came to its end, `is_stripe` where its amplitude is significant too.
     """
@@ -103,7 +103,7 @@ class BlockFits(NamedTuple):
 
 
 class StepRound(NamedTuple):
-    """What a round of steps gives: fits that came to their end, where the others stand, and which go on."""
+    """Result of a round of steps: fits that came to their end, the state of the others, and which go on."""
 
     fitted: BlockFits
     reached: FitState
@@ -111,10 +111,10 @@ class StepRound(NamedTuple):
 
 
 @kernel
-def _clipped(x: Lanes, most: float) -> Lanes:
+def _clipped(x: Lanes, limit: float) -> Lanes:
     """Return x between -most and most."""
-    x = where(x < spread(most), x, spread(most))
-    return where(x > spread(-most), x, spread(-most))
+    x = where(x < spread(limit), x, spread(limit))
+    return where(x > spread(-limit), x, spread(-limit))
 
 
 @kernel
@@ -132,7 +132,7 @@ def _exponential(x: Lanes) -> Lanes:
 
 
 @kernel
-def _kept(mask: Mask, new: BlockFits, old: BlockFits) -> BlockFits:
+def _merged(mask: Mask, new: BlockFits, old: BlockFits) -> BlockFits:
     """Return the new fits in the lanes of a mask, the old ones in the others."""
     return BlockFits(
         position=where(mask, new.position, old.position),
@@ -246,7 +246,7 @@ def fit_block(
                 is_stripe=runs,
             )
             variances = solved.variance_0, solved.variance_1
-            fitted = _kept(ends, _judged(there, moments.used, variances, known.level, noise), fitted)
+            fitted = _merged(ends, _judged(there, moments.used, variances, known.level, noise), fitted)
         runs = where(ends, no, runs)
         if not any_lane(runs):
             break

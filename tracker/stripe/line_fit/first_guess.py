@@ -1,4 +1,4 @@
-"""What is known of sixteen scan lines before their fit: their pixels, a lane a line, and a first guess."""
+"""Input of sixteen scan lines' fits: their pixels, a lane a line, and a first guess."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Rows(NamedTuple):
 
 
 class Window(NamedTuple):
-    """What is asked of sixteen windows, by lane.
+    """Sums over sixteen windows, by lane.
 
     `start`, `n` and `width` are `LinePrior`'s; `first` and `last` are the pixels that tell the amplitude,
     from the first to before the last; `edge` is by how much the map may be off for an edge nearby, e-. The

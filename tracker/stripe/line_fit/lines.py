@@ -40,11 +40,11 @@ N_FITTED = 7
 """A line's fit has so many numbers."""
 
 N_WINDOW, N_STATE, N_WRITTEN = len(Window._fields), len(FitState._fields), N_FITTED + 5 + N_BINS
-"""So many numbers of a lane go into its fit, tell where it stands, and come out: with three answers, and with
+"""Numbers of a lane that go into its fit, hold its state, and come out: with three answers, and with
 what the fit leaves."""
 
 EDGE_PX = 3
-"""How far off, in scan lines, the map's edges may lie: hand-eye and the seam's direction."""
+"""Error of the map's edges, in scan lines: hand-eye and the seam's direction."""
 
 
 class FitRoom(NamedTuple):
@@ -77,7 +77,7 @@ def fit_room(n_scan: int) -> FitRoom:
 
 
 class Scans(NamedTuple):
-    """What lines are fitted to.
+    """Light that lines are fitted to.
 
     `charge`, `background` (n_scan, depth) are the linearised pixels and the arc map at its level, e-, of a
     band that begins at `lows`. Each line's fit begins at `start` (n_scan,), NaN for none, with a stripe of

@@ -15,7 +15,7 @@ from noise_model.compiled.kernel import REDUCTION, kernel
 from noise_model.compiled.lanes import N_LANES, Lanes, Mask, load, spread, where
 
 COUNTS, HIDDEN, BEYOND = 1.0, 0.0, -1.0
-"""What a pixel is: it counts; it is censored and says 'at least this'; it lies beyond its line's window."""
+"""State of a pixel: it counts; it is censored, a lower bound; it lies beyond its line's window."""
 
 
 class Block(NamedTuple):
@@ -30,7 +30,7 @@ class Block(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """What is fitted, by lane: amplitude, place over width, offset, slope times width.
+    """Fitted parameters, by lane: amplitude, place over width, offset, slope times width.
 
     With ln(width) these are five numbers of alike derivatives.
     """
@@ -50,7 +50,7 @@ class PixelNoise(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """What is known of ln(width), offset and slope times width beside the pixels: 1 over their variances.
+    """Priors of ln(width), offset and slope times width: 1 over their variances.
 
     `off_width` is how far ln(width) lies off its predicted value; offset and slope are 0 +- their sigma.
     """

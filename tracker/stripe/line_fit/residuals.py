@@ -1,4 +1,4 @@
-"""What sixteen scan lines' fits leave over: how it scatters about the bell, and what of it is odd."""
+"""Residuals of sixteen scan lines' fits: their scatter about the bell, and their odd part."""
 
 from __future__ import annotations
 

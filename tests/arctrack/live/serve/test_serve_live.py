@@ -48,7 +48,7 @@ TRACKER = """
     from arctrack.control.cell_file import read_cell_file
     from arctrack.cli import console
     from arctrack.cli.serve import serve_cell_file
-    from tracker.warm_up import heard_compilations
+    from tracker.warm_up import compilations_reported
 
     say, seen = console.say, []
 
@@ -57,7 +57,7 @@ TRACKER = """
         say(*lines)
 
     console.say = noted
-    with heard_compilations(None) as compiled:
+    with compilations_reported(None) as compiled:
         serve_cell_file(read_cell_file(sys.argv[1]), port=int(sys.argv[2]), hop_limit=0)
     ready, ended = seen
     print(f"after ready: loaded {sorted(ended[0] - ready[0])}, compiled {ended[1] - ready[1]}")

@@ -10,7 +10,7 @@ from numba.core import event
 
 
 @contextmanager
-def heard(on_begin: Callable[[str], None], on_end: Callable[[str], None]) -> Iterator[None]:
+def compiler_events(on_begin: Callable[[str], None], on_end: Callable[[str], None]) -> Iterator[None]:
     """Pass on the name of each function compiled within the block, at its begin and end."""
     listener = _Listener(on_begin, on_end)
     event.register("numba:compile", listener)
