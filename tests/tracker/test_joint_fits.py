@@ -1,4 +1,4 @@
-"""The kernels that put a joint's fit together, against NumPy twins on profiles of all kinds."""
+"""A joint's fit on profiles of all kinds, which are drawn about a known seam."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_twins import fitted_fillet, fitted_groove, fitted_half_v, root_prior
 from profiles import Profile, fit_joint, measure
-from slot_twins import fitted_slot, share_raised
 
 from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import Joint, section
-from tracker.joint.groove import PRIOR_SIGMA, mixture_of, outside_hidden_bevel, prior_of
+from tracker.joint.groove import PRIOR_SIGMA, mixture_of, outside_hidden_bevel
 from tracker.profile import MIN_POINTS, in_scan_order
 from tracker.state import SCAN
 
@@ -27,11 +25,17 @@ def corners_of(joint: Joint) -> Float64:
     return corners
 
 
+def seam_of(seed: int) -> float:
+    """The y of a profile's seam, mm."""
+    return float(np.random.default_rng([seed, 1]).uniform(-2.0, 2.0))
+
+
 def some_profile(joint: Joint, seed: int) -> Profile:
     """What a sensor may see of a joint: all of it, one side or no root, with spatter, lines out of order."""
     rng = np.random.default_rng(seed)
+    seam = seam_of(seed), -4.0
     hidden_mm = (None, (0.2, rng.uniform(1.0, 6.0)), (-rng.uniform(1.0, 6.0), -0.2), (-0.6, 0.6))[seed % 4]
-    seam, sigma_px = (rng.uniform(-2.0, 2.0), -4.0), rng.uniform(0.05, 0.4)
+    sigma_px = rng.uniform(0.05, 0.4)
     profile = measure(corners_of(joint), seam, rng, sigma_px=sigma_px, hidden_mm=hidden_mm)
     n = len(profile.y_mm)
     z_mm, scan = profile.z_mm.copy(), profile.scan.copy()
@@ -62,96 +66,29 @@ A_U = Joint(
 )
 
 
-@pytest.mark.parametrize("joint", [a_v(0.0), a_v(0.3), a_v(1.2), A_U], ids=str)
-def test_a_groove_is_its_twin(joint: Joint) -> None:
-    determined = 0
-    for seed in range(40):
-        profile = some_profile(joint, seed)
-        found, twin = fit_joint(profile, joint, CAMERA_MM, LASER_MM), fitted_groove(profile, joint)
-        assert (found is None) == (twin is None), seed
-        if found is None or twin is None:
-            continue
-        determined += 1
-        np.testing.assert_allclose(
-            (found.y_mm, found.z_mm), twin.parameters[:2], atol=1e-9, err_msg=str(seed)
-        )
-        assert found.gap_mm == pytest.approx(max(twin.parameters[2], 0.0), abs=1e-9)
-        assert found.chi2 == pytest.approx(twin.chi2, rel=1e-9)
-        off_mm2 = found.covariance_mm2 - twin.covariance[:2, :2]
-        # What all centres are off alike is added: of rank 1.
-        assert off_mm2[0, 0] * off_mm2[1, 1] == pytest.approx(off_mm2[0, 1] ** 2, rel=1e-4)
-    assert determined > 20
-
-
 def a_half_v(gap_mm: float) -> Joint:
     return Joint("half_v", {"bevel_angle_deg": 45.0, "depth_mm": 4.0, "root_gap_mm": gap_mm}, LINE)
 
 
-@pytest.mark.parametrize("joint", [a_half_v(0.0), a_half_v(0.3), a_half_v(1.5)], ids=str)
-def test_a_half_v_is_its_twin(joint: Joint) -> None:
-    determined = 0
+JOINTS = [
+    *(a_v(0.0), a_v(0.3), a_v(1.2), A_U, a_half_v(0.0), a_half_v(0.3), a_half_v(1.5)),
+    *(Joint("fillet", {"included_angle_deg": angle_deg}, LINE) for angle_deg in (70.0, 120.0, 270.0)),
+]
+
+
+@pytest.mark.parametrize("joint", JOINTS, ids=str)
+def test_a_joint_lies_where_its_profile_was_drawn(joint: Joint) -> None:
+    """Of spattered and half hidden profiles too, with lines out of order or read two by two."""
+    off_sigmas = []
     for seed in range(40):
-        profile = some_profile(joint, seed)
-        found = fit_joint(profile, joint, CAMERA_MM, LASER_MM)
-        twin = fitted_half_v(profile, joint, CAMERA_MM, LASER_MM)
-        assert (found is None) == (twin is None), seed
-        if found is None or twin is None:
-            continue
-        determined += 1
-        gap, root = twin.fit.parameters[:2]
-        np.testing.assert_allclose([found.y_mm, found.z_mm], [twin.wall_mm + 0.5 * gap, root], atol=1e-9)
-        assert found.gap_mm == pytest.approx(max(gap, 0.0), abs=1e-9)
-        assert found.chi2 == pytest.approx(twin.fit.chi2, rel=1e-9)
-        assert found.unexplained == pytest.approx(twin.left_out)
-    assert determined > 20
-
-
-@pytest.mark.parametrize("angle_deg", [70.0, 120.0, 270.0])
-def test_a_fillet_is_its_twin(angle_deg: float) -> None:
-    joint, determined = Joint("fillet", {"included_angle_deg": angle_deg}, LINE), 0
-    for seed in range(40):
-        profile = some_profile(joint, seed)
-        found, twin = fit_joint(profile, joint), fitted_fillet(profile, joint)
-        assert (found is None) == (twin is None), seed
-        if found is None or twin is None:
-            continue
-        determined += 1
-        fit, left_out = twin
-        np.testing.assert_allclose([found.y_mm, found.z_mm], fit.parameters[:2], atol=1e-9)
-        assert found.chi2 == pytest.approx(fit.chi2, rel=1e-9)
-        assert found.unexplained == pytest.approx(left_out)
-    assert determined > 20
-
-
-def a_slot(joint_type: str, gap_mm: float) -> Joint:
-    return Joint(joint_type, {"gap_mm": gap_mm, "thickness_mm": 3.0}, LINE)
-
-
-@pytest.mark.parametrize("joint", [a_slot("butt", 1.0), a_slot("edge", 0.0), a_slot("edge", 0.6)], ids=str)
-def test_a_slot_is_its_twin(joint: Joint) -> None:
-    determined = 0
-    for seed in range(40):
-        profile = some_profile(joint, seed)
-        found, twin = fit_joint(profile, joint), fitted_slot(profile, joint)
-        assert (found is None) == (twin is None), seed
-        if found is None or twin is None:
-            continue
-        determined += 1
-        (z, step, slope_left, slope_right), gap = twin.fit.parameters, twin.gap
-        right_mm, left_mm = gap.y_mm + 0.5 * gap.width_mm * np.array([-1.0, 1.0]) - twin.placed_mm
-        tops = z + step + slope_right * right_mm, z + slope_left * left_mm
-        assert found.y_mm == pytest.approx(gap.y_mm, abs=1e-9)
-        assert found.gap_mm == pytest.approx(gap.width_mm, abs=1e-9)
-        assert found.z_mm == pytest.approx(0.5 * sum(tops), abs=1e-9)
-        assert found.mismatch_mm == pytest.approx(tops[1] - tops[0], abs=1e-9)
-        assert found.chi2 == pytest.approx(twin.fit.chi2, rel=1e-9)
-        assert found.unexplained == pytest.approx(share_raised(profile, twin))
-    assert determined > 20
-
-
-@pytest.mark.parametrize("stated_mm", [0.0, 0.1, 0.6])
-def test_the_prior_of_a_root_is_its_twin(stated_mm: float) -> None:
-    np.testing.assert_allclose(prior_of(stated_mm, 0.3), root_prior(stated_mm, 0.3), rtol=1e-12, atol=1e-15)
+        found = fit_joint(some_profile(joint, seed), joint, CAMERA_MM, LASER_MM)
+        if found is not None:
+            off_mm = found.y_mm - seam_of(seed)
+            off_sigmas.append(off_mm / np.sqrt(found.covariance_mm2[0, 0]))
+    print(f"{len(off_sigmas)} of 40, {np.sort(np.abs(off_sigmas))[-6:]}")
+    assert len(off_sigmas) > 20
+    assert np.median(np.abs(off_sigmas)) < 1.2
+    assert np.mean(np.abs(off_sigmas) < 4.0) >= 0.9
 
 
 def test_a_mixture_has_the_mean_and_covariance_of_its_normals() -> None:
@@ -169,7 +106,7 @@ def test_a_mixture_has_the_mean_and_covariance_of_its_normals() -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_what_counts_beside_an_unseen_bevel_is_its_twin(side: float) -> None:
+def test_points_that_count_where_a_bevel_is_hidden(side: float) -> None:
     y, start = np.linspace(-9.0, 9.0, 181), np.zeros(9)
     start[2] = 1.4
     out, sure_mm = side * (y - 0.31), start[2] - 2.0 * PRIOR_SIGMA[2]
