@@ -99,13 +99,13 @@ def write_keeping(path: Path, text: str) -> Path | None:
     none, or if it held the same. Raises ArctrackError if the file cannot be written, and leaves the previous
     one as it was.
     """
-    kept = None
+    former = None
     with writing(path):
         if path.exists() and path.read_bytes() != text.encode():
-            kept = _next_number(path)
-            shutil.copy2(path, kept)
+            former = _next_number(path)
+            shutil.copy2(path, former)
     write_whole(path, text)
-    return kept
+    return former
 
 
 def _next_number(path: Path) -> Path:

@@ -105,13 +105,13 @@ def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = 
     earlier = read_finished(job.folder, digest) if job.resume else None
     if earlier is not None:
         return _taken_over(job, recording, earlier)
-    hears = Listeners() if begin is None else begin(recording)
+    listeners = Listeners() if begin is None else begin(recording)
     done = replay_recording(
-        recording, job.folder, job.options, hears.on_frame, hears.on_drawn, cores=job.cores
+        recording, job.folder, job.options, listeners.on_frame, listeners.on_drawn, cores=job.cores
     )
     summaries = [done.summary]
     if not job.options.use_arc_map and done.recording.has_truth:
-        summaries.append(track_alone(done.recording, True, hears.on_compared))
+        summaries.append(track_alone(done.recording, True, listeners.on_compared))
     replayed = ReplayResult(
         job,
         tuple(summaries),

@@ -16,16 +16,16 @@ from swept_light import Surroundings
 from swept_world import Speckle, SweptWorld
 
 from arctrack.nominal import DIMENSIONS
-from arctrack.simulation.cell.eye import Shown
+from arctrack.simulation.cell.simulated_camera import Shown
 from arctrack.simulation.cell.weld.closed_loop import ClosedLoop, LoopPlan
-from arctrack.simulation.cell.weld.rendered_eye import RenderedEye
+from arctrack.simulation.cell.weld.rendered_camera import RenderedCamera
 from noise_model.plan.noise import expected_speckle
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert
 from robot_io import Switch
 
 
-class SweptEye(RenderedEye):
+class SweptCamera(RenderedCamera):
     """A rendered eye whose images come from a swept world; the seam may be displaced, not bent."""
 
     def __post_init__(self) -> None:
@@ -65,7 +65,7 @@ def main() -> None:
     )
     loop = ClosedLoop(plan)
     draw = np.random.default_rng([plan.seed, 4])
-    loop.cell.tracker.eye = SweptEye(loop.cell.robot.robot, loop.setup, loop.setup, draw)
+    loop.cell.tracker.camera = SweptCamera(loop.cell.robot.robot, loop.setup, loop.setup, draw)
     loop.cell.tracker.start()
     result = loop.run()
     print(f"{plan.joint}, displaced by {plan.displaced_mm:+g} mm: locked after {result.lock_s:.2f} s")

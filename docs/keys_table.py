@@ -74,12 +74,12 @@ def _sentences(key: Key) -> Iterator[str]:
         yield f"Unless stated `{key.default}`."
     elif not (types or kinds or key.field.is_required()):
         yield "Optional."
-    if key.said("source"):
-        yield f"From {key.said('source')}"
-    if key.said("note"):
-        yield key.said("note")
-    if key.said("typical"):
-        yield f"Usual: {key.said('typical')}."
+    if key.text("source"):
+        yield f"From {key.text('source')}"
+    if key.text("note"):
+        yield key.text("note")
+    if key.text("typical"):
+        yield f"Usual: {key.text('typical')}."
     low, high, source = key.bounds
     if high != MAX_NUMBER and (low, high) != (None, None):
         first, last = (f"{end}" if isinstance(end, int) else f"{end:g}" for end in (low or 0, high or 0))

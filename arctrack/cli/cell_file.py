@@ -81,7 +81,7 @@ def _of_job(read: CellFile, job: CellJob) -> str:
         parts.append(f"{name} within {within_mm:g} mm{bias}" if axis.enable else f"{name} not corrected")
     if job.bridge_mm is not None:
         parts.append(f"bridges {job.bridge_mm:g} mm")
-    asked = {
+    required = {
         "gap": (job.part.gap_mm, "mm"),
         "mismatch": (job.part.mismatch_mm, "mm"),
         "depth": (job.part.depth_mm, "mm"),
@@ -89,7 +89,7 @@ def _of_job(read: CellFile, job: CellJob) -> str:
     }
     parts += [
         f"{name} {limits[0]:g} to {limits[1]:g} {unit}"
-        for name, (limits, unit) in asked.items()
+        for name, (limits, unit) in required.items()
         if limits is not None
     ]
     return "; ".join(parts)

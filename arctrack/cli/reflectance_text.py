@@ -39,11 +39,11 @@ def warnings(result: Reflectance, sample: GoniometerFile, standard: GoniometerFi
                 "there, so that the mean is too high; raise the sensor's black level and read again"
             )
     if result.scatter.within_freedom == 0:
-        told = "no setting was read twice"
+        reason = "no setting was read twice"
         if sample.readings.repeats.max() > 1:
-            told = "all readings of a setting are identical and tell nothing of the noise"
+            reason = "all readings of a setting are identical and tell nothing of the noise"
         yield (
-            f"{sample.path}: {told}, so that the residuals alone tell the noise; "
+            f"{sample.path}: {reason}, so that the residuals alone tell the noise; "
             "the intervals then hold the truth some 93 % to 95 % of the time"
         )
     yield from _about_the_fit(sample, result)
@@ -87,8 +87,8 @@ def _table(result: Reflectance) -> Table:
 
 def _lines(result: Reflectance, sample: GoniometerFile) -> list[tuple[str, str]]:
     readings = sample.readings
-    fewest, most = int(readings.repeats.min()), int(readings.repeats.max())
-    each = f"{most}" if fewest == most else f"{fewest} to {most}"
+    min_repeats, max_repeats = int(readings.repeats.min()), int(readings.repeats.max())
+    each = f"{max_repeats}" if min_repeats == max_repeats else f"{min_repeats} to {max_repeats}"
     apart = "" if math.isnan(sample.interval_s) else f", {sample.interval_s:g} s apart"
     noise, scatter = result.noise, result.scatter
     fit = "no repeats to compare the scatter with"

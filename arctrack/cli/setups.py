@@ -61,8 +61,8 @@ def write_calibrated(out: Path, setup: Path, *results: CalibrationValues) -> Non
     from arctrack.output import write_keeping
     from arctrack.recording import with_calibrated
 
-    kept = write_keeping(out, with_calibrated(setup, *results))
-    before = "" if kept is None else f"; the one before is {kept.name}"
+    former = write_keeping(out, with_calibrated(setup, *results))
+    before = "" if former is None else f"; the one before is {former.name}"
     console.say(f"{out}: the setup with the values found{before}")
 
 

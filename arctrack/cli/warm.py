@@ -35,7 +35,7 @@ def warm(
     from arctrack.errors import in_file
     from tracker.tracker import Tracker
 
-    said: list[str] = []
+    lines: list[str] = []
     with console.progress() as bar:
         for name, setup, correction in _chosen(setups or []):
             bar.get_ready(name)
@@ -44,8 +44,8 @@ def warm(
                     done = Tracker(setup, correction=correction).warm_up()
             except ValueError as error:
                 raise in_file(Path(name), str(error)) from error
-            said.append(f"{name}: {done.compiled} functions compiled, ready after {done.elapsed_s:.1f} s")
-    console.say(*said)
+            lines.append(f"{name}: {done.compiled} functions compiled, ready after {done.elapsed_s:.1f} s")
+    console.say(*lines)
 
 
 def _chosen(paths: list[Path]) -> list[tuple[str, Setup, Correction]]:

@@ -105,15 +105,15 @@ class BusPoses:
         self.doubt = self.watch.doubt(now_s)
         return GateReason.NONE if self.doubt is None else GateReason.POSE_IMPLAUSIBLE
 
-    def may_last(self, now_s: float) -> bool:
+    def are_trusted(self, now_s: float) -> bool:
         """Return whether what is measured by the poses now may be kept: they are trusted."""
         return self.watch.doubt(now_s) is None
 
-    def lead(self, now_s: float) -> OffsetLookAhead:
+    def offset_look_ahead(self, now_s: float) -> OffsetLookAhead:
         """Return the look-ahead of an offset."""
         if self._lag_estimator is None:
             self.look_ahead.update(now_s)
-        return self.look_ahead.lead() if self.looks_ahead else AT_ONCE
+        return self.look_ahead.offset_look_ahead() if self.looks_ahead else AT_ONCE
 
     def rest(self, now_s: float) -> None:
         """Do what takes longer, while no frame waits."""

@@ -12,12 +12,12 @@ from collections import Counter
 from collections.abc import Mapping
 
 from arctrack.control import track_messages
-from arctrack.control.beat import Beat
 from arctrack.control.bus_delay import BusDelay
-from arctrack.control.heard import OutageWatch, TimedMessage, fresh
+from arctrack.control.heartbeat import HeartbeatSchedule
 from arctrack.control.job import NO_JOB, Job
 from arctrack.control.part import PartWatch
 from arctrack.control.policy import ServicePolicy
+from arctrack.control.robot_messages import OutageWatch, TimedMessage, fresh
 from arctrack.control.track_messages import NO_TRACK, UNKNOWN_POINT, has
 from noise_model.compiled.arrays import Float64
 from robot_io import (
@@ -119,7 +119,7 @@ class Controller:
         self._offset = _REFUSED
         self._refused_at_s, self._is_refusal_owed = NAN, False
         self._state = TrackerState.STARTING
-        self._beat = Beat(source)
+        self._heartbeats = HeartbeatSchedule(source)
 
     @property
     def job(self) -> Job:
@@ -274,7 +274,7 @@ class Controller:
     def close(self, now_s: float) -> list[BusMessage]:
         """Return the last messages, REFUSED first; nothing is VALID any more."""
         self._closed = True
-        self._beat.hurry()
+        self._heartbeats.hurry()
         return [*self._refuse(GateReason.SHUTTING_DOWN, now_s), *self._due(now_s)]
 
     def _follow_clock(self, now_s: float) -> None:
@@ -308,15 +308,15 @@ class Controller:
 
         A missing command does not forget what was sent: the robot still stands there.
         """
-        heard = self._command
-        command = None if heard is None else heard.message
+        newest = self._command
+        command = None if newest is None else newest.message
         fault = GateReason.NONE
         if self._closed:
             fault = GateReason.SHUTTING_DOWN
         elif self._fault is not Fault.NONE:
             is_other = self._fault is Fault.OTHER_TRACKER
             fault = GateReason.OTHER_TRACKER if is_other else GateReason.PART_REFUSED
-        elif heard is not None and self._fresh_command(now_s) is None:
+        elif newest is not None and self._fresh_command(now_s) is None:
             fault = GateReason.HEARTBEAT_LOST
         elif command is not None and self.job is NO_JOB:
             fault = GateReason.JOB_UNKNOWN
@@ -411,7 +411,7 @@ class Controller:
 
     def _due(self, now_s: float) -> list[BusMessage]:
         """Return version and heartbeat where their time has come."""
-        return self._beat.due(self._heartbeat(now_s), now_s)
+        return self._heartbeats.due(self._heartbeat(now_s), now_s)
 
     def _is_due(self, since_s: float, now_s: float) -> bool:
         return not 0.0 <= now_s - since_s < self._policy.repeat_s

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from arctrack.control.innovation import SeamMeasurement
-from arctrack.control.seam_measured import seam_measured
+from arctrack.control.seam_measurement import seam_measurement
 from noise_model.setup import Setup
 from robot_io import PoseAt, PoseStatus, RobotStatus
 from tracker import flags
@@ -23,8 +23,8 @@ class Capture:
     """Conditions of a frame's capture as the tracker knows them.
 
     `captured_s` is on the tracker's clock; `pose` is the tool's then, and may be refused; `robot` is the
-    latest status, None before the first. Measurements from poses that are not trusted must not last. `lead`
-    is the look-ahead of the offset.
+    latest status, None before the first. Measurements from poses that are not trusted must not last.
+    `look_ahead` is that of the offset.
     """
 
     index: int
@@ -32,7 +32,7 @@ class Capture:
     pose: PoseAt
     robot: RobotStatus | None
     is_trusted: bool
-    lead: OffsetLookAhead
+    look_ahead: OffsetLookAhead
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,12 @@ class FrameTracking:
         pose = None
         if capture.pose.status is not PoseStatus.REFUSED:
             pose = Pose(capture.pose.T_base_tool, capture.pose.status is PoseStatus.EXTRAPOLATED)
-        track = self.tracker.step(shown, pose, capture.lead)
+        track = self.tracker.step(shown, pose, capture.look_ahead)
         hand_eye_mm2 = self.tracker.state.steering.hand_eye_variance_mm2
         if not capture.is_trusted:
             self.tracker.state = before
         if self.on_step is not None:
-            inputs = StepInputs(before, pose, capture.lead, capture.is_trusted)
+            inputs = StepInputs(before, pose, capture.look_ahead, capture.is_trusted)
             self.on_step(FrameStep(shown, inputs, track, self.tracker.reading))
         setup = self.tracker.geometry.setup
-        return track, seam_measured(setup, track, pose, hand_eye_mm2) if track.valid else None
+        return track, seam_measurement(setup, track, pose, hand_eye_mm2) if track.valid else None

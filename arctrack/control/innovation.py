@@ -82,9 +82,9 @@ class SeamMeasurement:
 
         With a tool that weaves at v, a pose that is off by t displaces the seam by v t.
         """
-        by_mm = limits.pose_time_s * speed_mm_s
+        spread_mm = limits.pose_time_s * speed_mm_s
         y_mm, z_mm = self.sigma_mm
-        return replace(self, sigma_mm=(math.hypot(y_mm, by_mm), math.hypot(z_mm, by_mm)))
+        return replace(self, sigma_mm=(math.hypot(y_mm, spread_mm), math.hypot(z_mm, spread_mm)))
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ class PartLimits:
             raise ValueError(f"looks = {self.looks}: must be at least 1")
 
     @property
-    def asked(self) -> bool:
+    def required(self) -> bool:
         """True if anything is required."""
         return any(getattr(self, name) is not None for name in PART_RANGES)
 

@@ -136,7 +136,7 @@ class LookAhead:
         if lag is not None:
             self.keep_better(lag)
 
-    def lead(self) -> OffsetLookAhead:
+    def offset_look_ahead(self) -> OffsetLookAhead:
         """Return how far to look ahead."""
         if self.lag.unestimated is not None or len(self._commanded) < 2:
             return AT_ONCE
@@ -145,15 +145,15 @@ class LookAhead:
 
     def keep_better(self, lag: Lag) -> None:
         """Keep the better of two estimates, the new one where they do not agree."""
-        kept = self.lag
+        best_lag = self.lag
         if lag.unestimated is not None:
-            if kept.unestimated is not None:
+            if best_lag.unestimated is not None:
                 self.lag = lag
             return
-        apart = abs(lag.lag_s - kept.lag_s) > self.policy.differ_sigmas * math.hypot(
-            lag.sigma_s, kept.sigma_s
+        apart = abs(lag.lag_s - best_lag.lag_s) > self.policy.differ_sigmas * math.hypot(
+            lag.sigma_s, best_lag.sigma_s
         )
-        if kept.unestimated is not None or lag.sigma_s <= kept.sigma_s or apart:
+        if best_lag.unestimated is not None or lag.sigma_s <= best_lag.sigma_s or apart:
             self.lag = lag
 
     def _ask(self) -> None:
@@ -212,7 +212,7 @@ def _weave(commanded: Motion, seen: Motion, limits: LagLimits, policy: LookAhead
             [wave(n * phase) for n in range(1, policy.harmonics + 1) for wave in (np.sin, np.cos)]
         )
 
-    def left_over(hz: float) -> float:
+    def residual_sum(hz: float) -> float:
         columns = waves(hz)
         columns = columns - basis @ (basis.T @ columns)
         residuals = rest - columns @ np.linalg.lstsq(columns, rest, rcond=None)[0]
@@ -222,7 +222,7 @@ def _weave(commanded: Motion, seen: Motion, limits: LagLimits, policy: LookAhead
     power = np.abs(np.exp(-2.0j * math.pi * np.outer(tried_hz, times_s)) @ rest)
     coarse_hz = float(tried_hz[int(np.argmax(power))])
     within = (coarse_hz - 0.5 / length_s, coarse_hz + 0.5 / length_s)
-    hz = float(minimize_scalar(left_over, bounds=within, method="bounded", options={"xatol": 1e-5}).x)
+    hz = float(minimize_scalar(residual_sum, bounds=within, method="bounded", options={"xatol": 1e-5}).x)
     columns = waves(hz)
     amplitudes = np.linalg.lstsq(np.column_stack([basis, columns]), seen.values_mm, rcond=None)[0]
     # By the frequency a sine's derivative is t times the cosine, a cosine's -t times the sine, and n as much.

@@ -39,9 +39,9 @@ class PartCheck:
 
         A required value that is not known is out of its range.
         """
-        if not track.valid or not limits.asked:
+        if not track.valid or not limits.required:
             return self
-        latest = _wrong(track, limits)
+        latest = _fault_of(track, limits)
         looks = self.looks + 1 if latest is self.latest else 1
         state = replace(self, latest=latest, looks=looks)
         if looks < limits.looks:
@@ -79,7 +79,7 @@ class PartWatch:
 
     def is_fit(self, job: Job) -> bool:
         """Return whether all that a job requires before the arc was measured and is in range."""
-        return self._check.passed or not job.part.asked
+        return self._check.passed or not job.part.required
 
     def look(self, track: Track, T_base_tool: Float64 | None, job: Job, is_arc_off: bool) -> Fault:
         """Take a frame of an armed tracker, and return what the part is refused for; NONE if nothing.
@@ -122,7 +122,7 @@ def _bevels_deg(shape: JointShape) -> list[float]:
     return [angle_deg for angle_deg in shape.bevel_angles_deg if math.isfinite(angle_deg)]
 
 
-def _wrong(track: Track, limits: PartLimits) -> Fault:
+def _fault_of(track: Track, limits: PartLimits) -> Fault:
     measured = {
         "gap_mm": track.gap_mm,
         "mismatch_mm": track.mismatch_mm,
@@ -130,8 +130,8 @@ def _wrong(track: Track, limits: PartLimits) -> Fault:
         "angle_deg": opening_deg(track.shape),
     }
     for name, value in measured.items():
-        asked = getattr(limits, name)
+        required = getattr(limits, name)
         # Written so that a NaN fails.
-        if asked is not None and not asked[0] <= value <= asked[1]:
+        if required is not None and not required[0] <= value <= required[1]:
             return FAULTS[name]
     return Fault.NONE

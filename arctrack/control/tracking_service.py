@@ -52,10 +52,10 @@ class Poses(Protocol):
     def verdict(self, now_s: float) -> GateReason:
         """Return what the gate is told of the poses."""
 
-    def may_last(self, now_s: float) -> bool:
+    def are_trusted(self, now_s: float) -> bool:
         """Return whether what is measured by the poses now may be kept."""
 
-    def lead(self, now_s: float) -> OffsetLookAhead:
+    def offset_look_ahead(self, now_s: float) -> OffsetLookAhead:
         """Return how far ahead of the torch an offset is to be asked for."""
 
     def sent(self, offset: SeamOffset, now_s: float) -> None:
@@ -86,12 +86,12 @@ class FramePose:
 class TrackingService(Generic[Shown]):
     """Answers to a message, a frame, and the passing of time; all times are on one clock.
 
-    `lead` is the look-ahead of the latest offset.
+    `look_ahead` is the look-ahead of the latest offset.
     """
 
     def __init__(self, controller: Controller, poses: Poses, tracking: SeamTracking[Shown]) -> None:
         self.controller, self.poses, self.tracking = controller, poses, tracking
-        self.lead = AT_ONCE
+        self.look_ahead = AT_ONCE
         self._robot: RobotStatus | None = None
 
     @property
@@ -116,8 +116,10 @@ class TrackingService(Generic[Shown]):
         pose = self.poses.at(captured_s)
         is_refused = pose.status is PoseStatus.REFUSED
         if not is_refused:
-            self.lead = self.poses.lead(now_s)
-        capture = Capture(index, captured_s, pose, self._robot, self.poses.may_last(now_s), self.lead)
+            self.look_ahead = self.poses.offset_look_ahead(now_s)
+        capture = Capture(
+            index, captured_s, pose, self._robot, self.poses.are_trusted(now_s), self.look_ahead
+        )
         track, measured = self.tracking.track(shown, capture)
         if measured is not None:
             self.poses.see(measured)

@@ -68,8 +68,8 @@ def with_calibrated(path: Path, *results: CalibrationValues) -> str:
             table = table.setdefault(name, tomlkit.inline_table() if is_inline else tomlkit.table())
         for key, value in result.values.items():
             table[key] = _plain(value)
-        kept = document.setdefault(TABLE, tomlkit.table(is_super_table=True))
-        _replace(kept, result.name or result.table, _record(result))
+        records = document.setdefault(TABLE, tomlkit.table(is_super_table=True))
+        _replace(records, result.name or result.table, _record(result))
     text = tomlkit.dumps(document)
     parse_setup(text, path)
     return text

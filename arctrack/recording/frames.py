@@ -160,10 +160,10 @@ def _check_video(video: Path, rows: Sequence[FrameRow], setup: Setup) -> list[st
     if len(index) > len(rows):
         raise in_file(video, f"holds {len(index)} frames where frames.csv has {len(rows)} rows")
     warnings = [] if index.breaks_off is None else [index.breaks_off]
-    kept = rows[: len(index)]
-    stated = TimeSource("those of frames.csv", np.array([row.timestamp_s for row in kept]))
-    told = contradictions(stated, [index.times], [row.index for row in kept])
-    warnings += [f"{video}: {line}" for line in told]
+    rows_read = rows[: len(index)]
+    stated = TimeSource("those of frames.csv", np.array([row.timestamp_s for row in rows_read]))
+    problems = contradictions(stated, [index.times], [row.index for row in rows_read])
+    warnings += [f"{video}: {line}" for line in problems]
     if not ffv1.carries_checksums(video):
         what = "carries no checksums, so that damage may go unnoticed; write it with slicecrc=1"
         warnings.append(f"{video}: {what}")

@@ -44,7 +44,7 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
     else:
         message = "must be a finite number" if first["type"] == "finite_number" else first["msg"]
         text = f"{held(where, first['input'])}: {message[:1].lower()}{message[1:]}"
-        usual = "" if field is None else Key("", "", field).said("typical")
+        usual = "" if field is None else Key("", "", field).text("typical")
         cure = usual and f"; usual: {usual}"
     more = len(problems) - 1
     return f"{text}{f' (and {more} more)' if more else ''}{cure}"

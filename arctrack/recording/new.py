@@ -82,20 +82,20 @@ def commented_setup(setup: Setup) -> str:
 def _left_out(table: str, stated: Collection[str]) -> Iterator[str]:
     """Yield the keys of a table that are not stated and have an example, behind a #."""
     for key in keys_of(RecordingToml):
-        if key.table == table and key.name not in stated and key.said("example"):
+        if key.table == table and key.name not in stated and key.text("example"):
             yield from comment(key)
-            yield f"# {key.name} = {key.said('example')}"
+            yield f"# {key.name} = {key.text('example')}"
 
 
 def comment(key: Key) -> Iterator[str]:
     """Yield the lines of comment above a key."""
-    typical, source = key.said("typical"), key.said("source")
+    typical, source = key.text("typical"), key.text("source")
     meaning = f"{key.meaning} Usual: {typical}." if typical else key.meaning
     if source:
         yield from wrapped(meaning)
         yield from wrapped(f"From {source}")
     else:
-        yield from wrapped(f"{meaning} {key.said('note')}")
+        yield from wrapped(f"{meaning} {key.text('note')}")
 
 
 def wrapped(text: str) -> list[str]:

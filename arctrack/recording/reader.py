@@ -179,9 +179,9 @@ class Recording:
 
     def posed(self, frames: Iterable[Frame]) -> list[tuple[Frame, Pose]]:
         """Return frames with the tool's pose at each; those without a pose are left out."""
-        asked = list(frames)
-        poses = self.poses_at([frame.timestamp_s for frame in asked])
-        return [(frame, pose) for frame, pose in zip(asked, poses, strict=True) if pose is not None]
+        wanted = list(frames)
+        poses = self.poses_at([frame.timestamp_s for frame in wanted])
+        return [(frame, pose) for frame, pose in zip(wanted, poses, strict=True) if pose is not None]
 
     def pose_at(self, poses: PoseBuffer, timestamp_s: float) -> Pose | None:
         """Return the tool's pose at a frame's time.

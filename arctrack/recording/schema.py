@@ -90,15 +90,15 @@ class Key:
     @property
     def meaning(self) -> str:
         """Description with its unit, as a sentence; empty where there is none."""
-        unit = self.said("unit")
+        unit = self.text("unit")
         return f"{self.field.description}{f', {unit}' if unit else ''}." if self.field.description else ""
 
     @property
     def explanation(self) -> str:
         """Description, usual value, and how to find the value."""
-        typical, source = self.said("typical"), self.said("source")
+        typical, source = self.text("typical"), self.text("source")
         usual, origin = typical and f"Usual: {typical}.", source and f"From {source}"
-        return " ".join(filter(None, (self.meaning, usual, origin, self.said("note"))))
+        return " ".join(filter(None, (self.meaning, usual, origin, self.text("note"))))
 
     @property
     def default(self) -> str | None:
@@ -120,7 +120,7 @@ class Key:
                 return Bounds(low, high, _words(info).get("bound", ""))
         return Bounds(None, None, "")
 
-    def said(self, what: str) -> str:
+    def text(self, what: str) -> str:
         """Return its `unit`, `typical`, `source`, `note` or `example`, as `key` took them."""
         words: str = _words(self.field).get(what, "")
         return words

@@ -60,7 +60,7 @@ class RecordedStep:
     """
 
     pose: Pose | None
-    lead: OffsetLookAhead
+    look_ahead: OffsetLookAhead
     keeps_state: bool
     begins: bool
 
@@ -133,8 +133,8 @@ def _cells(step: StepInputs, begins: bool) -> tuple[Any, ...]:
     kind = REFUSED if pose is None else EXTRAPOLATED if pose.extrapolated else MEASURED
     # repr comes back the same.
     numbers = ["" if math.isnan(entry) else repr(float(entry)) for entry in entries]
-    lead = (repr(float(step.lead.time_s)), repr(float(step.lead.way_mm)))
-    return kind, *numbers, *lead, int(step.keeps_state), int(begins)
+    look_ahead = (repr(float(step.lead.time_s)), repr(float(step.lead.way_mm)))
+    return kind, *numbers, *look_ahead, int(step.keeps_state), int(begins)
 
 
 def _matrix(entries: list[float]) -> Any:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from arctrack.control.innovation import SeamMeasurement
-from arctrack.control.seam_measured import seam_measured
+from arctrack.control.seam_measurement import seam_measurement
 from arctrack.errors import in_file
 from arctrack.recording import BadFrame, FrameRow, Recording
 from tracker import flags
@@ -48,7 +48,7 @@ class RecordedTracking:
         if recorded is None:
             return StepInputs(self.tracker.state, self._poses[frame.index])
         state = TrackerMemory() if recorded.begins else self.tracker.state
-        return StepInputs(state, recorded.pose, recorded.lead, recorded.keeps_state)
+        return StepInputs(state, recorded.pose, recorded.look_ahead, recorded.keeps_state)
 
     def step(self, frame: Frame) -> tuple[Pose | None, Track]:
         """Track the next frame, and return its pose and its track."""
@@ -91,5 +91,5 @@ def steps(
         pose, track = tracking.step(frame)
         took_ms = (time.perf_counter_ns() - began_ns) / 1e6
         of_hand_eye = tracker.state.steering.hand_eye_variance_mm2
-        seam = seam_measured(recording.setup, track, pose, of_hand_eye)
+        seam = seam_measurement(recording.setup, track, pose, of_hand_eye)
         yield RowStep(row, frame, pose, track, tracker.reading, took_ms, seam)

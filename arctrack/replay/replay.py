@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arctrack.compiling import compiled_by_two
-from arctrack.control.cell_file import CellFile, as_the_job_says, jobs_for
+from arctrack.control.cell_file import CellFile, jobs_for, with_job
 from arctrack.control.controller import Controller
-from arctrack.control.heard import TRUSTED
 from arctrack.control.pose_agreement import PoseAgreement
 from arctrack.control.pose_watch import Doubt
 from arctrack.control.recorded_poses import RecordedPoses
+from arctrack.control.robot_messages import TRUSTED
 from arctrack.errors import ArctrackError
 from arctrack.output import make_folder
 from arctrack.printable import printable
@@ -170,7 +170,7 @@ def replay_recording(
     options = options or ReplayOptions()
     folder = recording.path / RESULTS_FOLDER if folder is None else Path(folder)
     _check_bus(options)
-    recording = as_the_job_says(recording, options.cell, options.job_number)
+    recording = with_job(recording, options.cell, options.job_number)
     # Nothing tracks by it, but nothing is sent before all that is needed in the end has been read.
     truth = read_truth(recording.path)
     make_folder(folder, ())

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 from arctrack.control.cell_file import jobs_for
 from arctrack.control.controller import Controller
-from arctrack.control.heard import TRUSTED
 from arctrack.control.recorded_poses import RecordedPoses
+from arctrack.control.robot_messages import TRUSTED
 from arctrack.offset_count import OffsetCount
 from arctrack.recording import Recording
 from arctrack.replay.recorded_tracking import RecordedTracking, steps

@@ -72,9 +72,9 @@ def _draw_error(axes: Axes, loop: ClosedLoop, result: ClosedLoopResult) -> None:
 def _draw_validity(axes: Axes, frames: Sequence[LoopFrame]) -> None:
     times_s = np.array([frame.sample.time_s for frame in frames])
     for validity, colour in VALIDITY_COLOURS.items():
-        of_it = np.array([frame.offset.validity is validity for frame in frames])
-        if of_it.any():
-            axes.plot(times_s[of_it], np.zeros(of_it.sum()), "|", color=colour, label=validity.name)
+        is_of_kind = np.array([frame.offset.validity is validity for frame in frames])
+        if is_of_kind.any():
+            axes.plot(times_s[is_of_kind], np.zeros(is_of_kind.sum()), "|", color=colour, label=validity.name)
     axes.set_yticks([])
     plain(axes, "time, s", "", "validity")
     axes.legend(loc="upper right", fontsize=8, ncols=3)

@@ -18,9 +18,9 @@ import pytest
 from can.interfaces.virtual import VirtualBus
 
 from arctrack.control.controller import Controller
-from arctrack.control.heard import TRUSTED
 from arctrack.control.job import Job
 from arctrack.control.pose_agreement import PoseAgreement
+from arctrack.control.robot_messages import TRUSTED
 from arctrack.errors import ArctrackError
 from arctrack.recording import FrameRow, read_recording
 from arctrack.replay import replay_clock as moments

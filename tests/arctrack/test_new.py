@@ -77,9 +77,9 @@ def test_each_number_of_a_setup_says_its_unit_and_where_it_comes_from() -> None:
     for key in keys_of(RecordingToml):
         if key.table.startswith(("follow", "robot", "calibration")) or not key.table:
             continue
-        assert key.said("source"), key
+        assert key.text("source"), key
         unit = units.get(key.name.rpartition("_")[2])
-        assert unit is None or unit in key.said("unit"), key
+        assert unit is None or unit in key.text("unit"), key
 
 
 def test_an_optional_key_is_read_once_its_mark_is_gone(tmp_path: Path) -> None:

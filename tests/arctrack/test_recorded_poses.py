@@ -13,7 +13,7 @@ from made import results_of
 from scipy.spatial.transform import Rotation
 
 from arctrack.control.recorded_poses import RecordedPoses, seam_limits
-from arctrack.control.seam_measured import seam_measured
+from arctrack.control.seam_measurement import seam_measurement
 from arctrack.recording import Recording, read_recording
 from arctrack.replay.replay import ReplayOptions, replay_recording
 from arctrack.simulation.cell.robot import WELDING
@@ -178,10 +178,10 @@ def test_the_image_is_asked_over_a_time_and_not_over_frames() -> None:
 def test_the_hand_eye_tolerance_is_no_scatter(example: Recording) -> None:
     pose = Pose(np.eye(4))
     track = Track(0, 0.0, 0, seam_tool_mm=(35.0, 0.5, -4.2), sigma_y_mm=0.05, sigma_z_mm=0.1)
-    seam = seam_measured(example.setup, track, pose, (0.04**2, 0.1**2))
+    seam = seam_measurement(example.setup, track, pose, (0.04**2, 0.1**2))
     assert seam is not None
     assert seam.station_mm == pytest.approx(35.0)
     assert seam.displacement_mm == pytest.approx((0.5, -0.2))
     assert seam.sigma_mm == pytest.approx((0.03, 0.0), abs=1e-9)
-    assert seam_measured(example.setup, track, None, (0.0, 0.0)) is None
-    assert seam_measured(example.setup, Track(0, 0.0, 0), pose, (0.0, 0.0)) is None
+    assert seam_measurement(example.setup, track, None, (0.0, 0.0)) is None
+    assert seam_measurement(example.setup, Track(0, 0.0, 0), pose, (0.0, 0.0)) is None

@@ -54,7 +54,7 @@ def test_a_run_is_the_same_again():
     for _ in range(2):
         cells.append(cell_of(9))
         cells[-1].run(1.5)
-    assert repr(cells[0].heard) == repr(cells[1].heard)
+    assert repr(cells[0].received) == repr(cells[1].received)
 
 
 @pytest.mark.parametrize("number", range(len(KINDS)), ids=[kind.name for kind in KINDS])
@@ -67,7 +67,7 @@ def test_each_fault_ends_as_it_must(number):
 def test_what_must_hold_can_fail():
     # The same faults, held against what is not so.
     emergency = next(kind for kind in KINDS if kind.name == "emergency stop")
-    silent = replace(NOTHING, told_s=0.1, reasons=frozenset())
+    silent = replace(NOTHING, stop_s=0.1, reasons=frozenset())
     (line,) = run_schedule(1, 0, [silent]).broken
     assert line.startswith("usable 0.1")
     (line,) = run_schedule(1, 0, [replace(emergency, reasons=frozenset({GateReason.ARC_OFF}))]).broken

@@ -10,8 +10,8 @@ import numpy as np
 from arctrack.simulation.cell.bus import BusTrouble
 from arctrack.simulation.cell.cell import Cell
 from arctrack.simulation.cell.fault_kind import POSES, Begin, End, FaultKind
-from arctrack.simulation.cell.robot_party import SOURCE
-from arctrack.simulation.cell.tracker_party import CameraBehaviour
+from arctrack.simulation.cell.robot_node import SOURCE
+from arctrack.simulation.cell.tracker_node import CameraBehaviour
 from arctrack.simulation.cell.weld.welding_events import rearm
 from robot_io import (
     Command,
@@ -33,13 +33,13 @@ LONGEST_S = 0.9
 DELAYED = frozenset({GateReason.BUS_DELAYED})
 
 
-def _camera(camera: CameraBehaviour) -> Begin:
+def _camera(behaviour: CameraBehaviour) -> Begin:
     def begin(cell: Cell, rng: np.random.Generator) -> End:
         cell.tracker.ghost_mm = float(rng.choice((-1.0, 1.0)) * rng.uniform(1.5, 4.0))
-        cell.tracker.camera = camera
+        cell.tracker.behaviour = behaviour
 
         def end() -> None:
-            cell.tracker.camera = CameraBehaviour.RIGHT
+            cell.tracker.behaviour = CameraBehaviour.RIGHT
 
         return end
 
@@ -77,13 +77,13 @@ def _said(change: Callable[[RobotStatus], RobotStatus | None]) -> Begin:
         robot.advance(cell.scheduler.now_s)
         right, told = robot.status, change(robot.status)
         if told is None:
-            cell.robot.said = lambda _: None
+            cell.robot.change_status = lambda _: None
         else:
             robot.status = told
 
         def end() -> None:
             robot.advance(cell.scheduler.now_s)
-            robot.status, cell.robot.said = right, None
+            robot.status, cell.robot.change_status = right, None
 
         return end
 
@@ -94,10 +94,10 @@ def _bad_crc(cell: Cell, _rng: np.random.Generator) -> End:
     robot = cell.robot.robot
     right = robot.status
     robot.status = replace(right, emergency_stop=Switch.ON)
-    cell.robot.breaks_status = True
+    cell.robot.spoils_crc = True
 
     def end() -> None:
-        robot.status, cell.robot.breaks_status = right, False
+        robot.status, cell.robot.spoils_crc = right, False
 
     return end
 

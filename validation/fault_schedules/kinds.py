@@ -6,7 +6,7 @@ import numpy as np
 
 from arctrack.simulation.cell.cell import BRIDGE_MM, Cell
 from arctrack.simulation.cell.fault_kind import Begin, End, FaultKind
-from arctrack.simulation.cell.tracker_party import CameraBehaviour
+from arctrack.simulation.cell.tracker_node import CameraBehaviour
 from arctrack.simulation.cell.weld.welding_events import (
     ARC_FAULT,
     LONG_TACK_MM,
@@ -24,10 +24,10 @@ def _unseen(is_reset: bool) -> Begin:
     """Let the camera see no joint; a tracker that went into its fault over it is reset."""
 
     def begin(cell: Cell, _rng: np.random.Generator) -> End:
-        cell.tracker.camera = CameraBehaviour.GARBAGE
+        cell.tracker.behaviour = CameraBehaviour.GARBAGE
 
         def end() -> None:
-            cell.tracker.camera = CameraBehaviour.RIGHT
+            cell.tracker.behaviour = CameraBehaviour.RIGHT
             if is_reset:
                 rearm(cell, Command.RESET)
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from arctrack.simulation.cell.cell import Cell
-from arctrack.simulation.cell.robot_party import RobotReport, Spoil
+from arctrack.simulation.cell.robot_node import RobotReport, Spoil
 
 CYCLE_S = 0.01
 """A robot tells a pose so often, s."""

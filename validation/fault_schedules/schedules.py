@@ -40,7 +40,7 @@ class ScheduleOutcome:
         What went wrong.
     broken : tuple of str
         What did not hold, a line each.
-    told_s : float
+    stop_s : float
         When the last offset was usable, after the fault's begin, s; NaN where offsets went on.
     torch_error_mm : float
         How far the torch was off the seam at most, from the fault's begin on, mm.
@@ -51,7 +51,7 @@ class ScheduleOutcome:
     number: int
     fault: str
     broken: tuple[str, ...]
-    told_s: float
+    stop_s: float
     torch_error_mm: float
     reasons: frozenset[str] = field(default_factory=frozenset)
 
@@ -98,13 +98,15 @@ def run_schedule(seed: int, number: int, kinds: Sequence[FaultKind] = KINDS) -> 
     until_s = end_s + kind.recovery_s
     cell.run(until_s)
     broken = tuple(_broken(cell, schedule, until_s))
-    usable_s = [h.sent_s for h in cell.heard if begin_s <= h.sent_s < end_s and h.offset.validity in USABLE]
+    usable_s = [
+        h.sent_s for h in cell.received if begin_s <= h.sent_s < end_s and h.offset.validity in USABLE
+    ]
     went_on = bool(usable_s) and usable_s[-1] > end_s - 0.05
     return ScheduleOutcome(
         number=number,
         fault=kind.name,
         broken=broken,
-        told_s=math.nan if went_on else (usable_s[-1] - begin_s if usable_s else 0.0),
+        stop_s=math.nan if went_on else (usable_s[-1] - begin_s if usable_s else 0.0),
         torch_error_mm=max(e for t_s, e in cell.torch_error_mm if t_s >= max(begin_s, 0.9)),
         reasons=frozenset(r.name for t_s, r in cell.reasons if begin_s <= t_s < end_s and r),
     )
@@ -131,7 +133,7 @@ def executor(workers: int) -> Iterator[Executor | None]:
 
 def _broken(cell: Cell, schedule: Schedule, until_s: float) -> Iterator[str]:
     """Yield what did not hold, each once."""
-    usable = [h for h in cell.heard if h.offset.validity in USABLE]
+    usable = [h for h in cell.received if h.offset.validity in USABLE]
     for name, is_broken in (
         ("an offset out of range", _is_beyond),
         ("an offset too old", lambda h, limits: _is_too_old(h, limits, schedule.kind.is_slow_bus)),
@@ -144,26 +146,26 @@ def _broken(cell: Cell, schedule: Schedule, until_s: float) -> Iterator[str]:
     yield from _not_recovered(cell, schedule.kind, until_s)
 
 
-def _is_beyond(heard: ReceivedOffset, limits: GateLimits) -> bool:
-    y_mm, z_mm = heard.offset.offset_y_mm, heard.offset.offset_z_mm
+def _is_beyond(received: ReceivedOffset, limits: GateLimits) -> bool:
+    y_mm, z_mm = received.offset.offset_y_mm, received.offset.offset_z_mm
     return abs(y_mm) > limits.range_y_mm or abs(z_mm) > limits.range_z_mm
 
 
-def _is_too_old(heard: ReceivedOffset, limits: GateLimits, is_slow_bus: bool) -> bool:
-    limit_s = limits.capture_age_s if heard.offset.validity is Validity.VALID else limits.hold_s
-    known_s = heard.sent_s if is_slow_bus else heard.came_s
-    return known_s - heard.true_capture_s > limit_s + WAY_S
+def _is_too_old(received: ReceivedOffset, limits: GateLimits, is_slow_bus: bool) -> bool:
+    limit_s = limits.capture_age_s if received.offset.validity is Validity.VALID else limits.hold_s
+    known_s = received.sent_s if is_slow_bus else received.came_s
+    return known_s - received.true_capture_s > limit_s + WAY_S
 
 
 def _wrongly_told(cell: Cell, schedule: Schedule, usable: Sequence[ReceivedOffset]) -> Iterator[str]:
     kind, end_s = schedule.kind, schedule.end_s
-    if math.isnan(kind.told_s):
+    if math.isnan(kind.stop_s):
         return
-    told_s = schedule.begin_s + kind.told_s
-    bad = next((h for h in usable if told_s < h.sent_s < end_s), None)
+    stop_s = schedule.begin_s + kind.stop_s
+    bad = next((h for h in usable if stop_s < h.sent_s < end_s), None)
     if bad is not None:
         yield f"usable {bad.sent_s - schedule.begin_s:.3f} s after the fault began: {bad.offset}"
-    wrong = {r for t_s, r in cell.reasons if told_s + WAY_S < t_s < end_s} - kind.reasons - {GateReason.NONE}
+    wrong = {r for t_s, r in cell.reasons if stop_s + WAY_S < t_s < end_s} - kind.reasons - {GateReason.NONE}
     if wrong and not kind.from_start:
         yield f"said {', '.join(sorted(r.name for r in wrong))}"
 

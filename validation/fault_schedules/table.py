@@ -44,7 +44,7 @@ def _failed(rows: Sequence[ScheduleOutcome]) -> str:
 
 
 def _ends(rows: Sequence[ScheduleOutcome]) -> str:
-    ended = sorted(row.told_s for row in rows if math.isfinite(row.told_s))
+    ended = sorted(row.stop_s for row in rows if math.isfinite(row.stop_s))
     go_on = len(rows) - len(ended)
     parts = [f"{ended[len(ended) // 2]:.2f}, {ended[-1]:.2f}"] if ended else []
     if go_on:

@@ -59,9 +59,9 @@ class Calibrations:
 
     def keep(self, *records: CalibrationValues) -> None:
         """Put values into the setup; ArctrackError, and nothing changes, where it does not take them."""
-        kept = [*self.records, *records]
-        self.stated = parse_setup(with_calibrated(self.stated.path, *kept), self.stated.path)
-        self.records = kept
+        records_before = [*self.records, *records]
+        self.stated = parse_setup(with_calibrated(self.stated.path, *records_before), self.stated.path)
+        self.records = records_before
 
 
 def calibrate_folder(raw: CalibrationSources, stated: SetupFile, steps: Steps, warn: Warn) -> Calibrations:

@@ -23,7 +23,7 @@ def arc_records(result: ArcCalibration) -> tuple[CalibrationValues, ...]:
     }
     arc: dict[str, Value] = {"radius_mm": radius, "center_in_tool_mm": center, "radiance_e": radiance}
     material: dict[str, Value] = {"kappa_diff": kappa_diff, "kappa_spec": kappa_spec, "c2": c2}
-    told = [
+    determined = [
         {key: value for key, value in table.items() if key not in result.held_keys}
         for table in (arc, material)
     ]
@@ -34,6 +34,6 @@ def arc_records(result: ArcCalibration) -> tuple[CalibrationValues, ...]:
     C = result.covariance * np.outer(scale, scale)
     names = tuple("radiance_rel" if key == "radiance_e" else key for key in KEYS)
     return (
-        CalibrationValues("arc", told[0], names[:n_arc], C[:n_arc, :n_arc], MADE_BY, about),
-        CalibrationValues("material", told[1], names[n_arc:], C[n_arc:, n_arc:], MADE_BY, about),
+        CalibrationValues("arc", determined[0], names[:n_arc], C[:n_arc, :n_arc], MADE_BY, about),
+        CalibrationValues("material", determined[1], names[n_arc:], C[n_arc:, n_arc:], MADE_BY, about),
     )

@@ -74,7 +74,7 @@ def camera_rows(result: CameraCalibration) -> tuple[ValueRow, ...]:
     for name, value, sigma in zip(result.names, values, result.sigma, strict=True):
         key = "" if name.endswith("_mm") else name
         if name in stated:
-            meaning, unit = stated[name].field.description or "", stated[name].said("unit")
+            meaning, unit = stated[name].field.description or "", stated[name].text("unit")
             rows.append(row_of(f"{meaning[:1].lower()}{meaning[1:]}", key, value, sigma, unit))
             continue
         unit = "rad" if name.startswith("tau") else "" if key else "mm"

@@ -68,8 +68,8 @@ class SetupCheck:
     def headline(self) -> str:
         """Overall verdict, in a line."""
         if not self.not_explained:
-            told = [stage.value for stage in LightStage if self.verdict_of(stage) is SetupVerdict.OK]
-            return f"the setup explains the recording: {'; '.join(told) or 'nothing could be told'}"
+            explained = [stage.value for stage in LightStage if self.verdict_of(stage) is SetupVerdict.OK]
+            return f"the setup explains the recording: {'; '.join(explained) or 'nothing could be explained'}"
         parts = []
         for stage in self.not_explained:
             if stage is LightStage.PLACE and self.place is not None:
@@ -99,13 +99,13 @@ def check_setup(
         warm_up(geometry, UNSTATED)
     looks = looks_at(recording, geometry, frames, on_frame)
     sights = sights_of(geometry, looks)
-    place, said_of_place = _placed(recording.setup, sights)
-    arc, said_of_arc = _arc_seen(recording, place)
+    place, place_sentences = _placed(recording.setup, sights)
+    arc, arc_sentences = _arc_seen(recording, place)
     measures = sensor_measures(recording.setup, sensor_of(recording, looks), arc)
     measures += [] if place is None else place_measures(place)
     measures += stripe_measures(recording.setup, looks, _first(measures))
     measures += arc_measures(recording.setup, arc, _first(measures))
-    said = (*said_of_place, *said_of_arc)
+    sentences = (*place_sentences, *arc_sentences)
     return SetupCheck(
         recording=recording,
         measures=tuple(measures),
@@ -113,7 +113,7 @@ def check_setup(
         arc=arc,
         looks=tuple(looks),
         sights=sights,
-        sentences=said,
+        sentences=sentences,
         bad_frames=tuple(bad_frames),
     )
 

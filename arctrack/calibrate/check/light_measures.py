@@ -59,13 +59,13 @@ def sensor_measures(setup: Setup, seen: SensorReading, arc: ArcLightCheck | None
     # Rounding to whole codes adds its twelfth.
     expected_dn = math.hypot(sensor.read_noise_e / sensor.gain_e_per_dn, math.sqrt(1.0 / 12.0))
     sigma_dn = expected_dn * math.hypot(tolerance.read_noise_rel, NOISE_SIGMA_REL)
-    told = sensor.is_linear and max(seen.noise_dn, expected_dn) > MIN_NOISE_DN
+    is_measurable = sensor.is_linear and max(seen.noise_dn, expected_dn) > MIN_NOISE_DN
     noise = judged(
         LightStage.SENSOR,
         f"noise {where}",
         seen.noise_dn,
         expected_dn,
-        sigma_dn if told else math.nan,
+        sigma_dn if is_measurable else math.nan,
         "DN",
         cure,
     )

@@ -75,9 +75,9 @@ def other_meanings(
                 result = _calibrated(posed, scaled, is_eye_to_hand=held)
                 if result is not None:
                     length = f"positions in {unit}" if unit != stated else ""
-                    said = " and ".join(filter(None, (words(), change, length)))
+                    meaning = " and ".join(filter(None, (words(), change, length)))
                     readings.append(
-                        " with ".join(filter(None, (said, _flipped(result) if is_flipped else "")))
+                        " with ".join(filter(None, (meaning, _flipped(result) if is_flipped else "")))
                     )
     return readings
 
@@ -159,13 +159,13 @@ def _option(
 ) -> str:
     """Return the options by which the file is read so, tried on it; plain words where none does."""
     headers = posed.poses.rotation_columns
-    kept = {key: header for key, header in source.columns.items() if header not in headers}
+    other_columns = {key: header for key, header in source.columns.items() if header not in headers}
     # A controller's listing has no columns to name.
     named = dict(zip(convention(name).columns[0], headers, strict=bool(headers)))
-    without = [f"without --column {key}" for key in source.columns if key not in kept]
+    without = [f"without --column {key}" for key in source.columns if key not in other_columns]
     for columns, units in product(({}, named), (source.units, replace(source.units, angle=unit or None))):
         try:
-            read = reread(replace(source, rotation=name, columns={**kept, **columns}, units=units))
+            read = reread(replace(source, rotation=name, columns={**other_columns, **columns}, units=units))
         except ArctrackError:
             continue
         if np.allclose(read, T_base_tool @ posed.T_controllertool_tool, atol=1e-6):

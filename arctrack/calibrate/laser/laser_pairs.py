@@ -163,7 +163,7 @@ def _add_stripe(
 def _without_lit_corners(pairs: LaserPairs) -> LaserPairs:
     """Return the pairs without corners that lie in the stripe's light, where an image shows both."""
     seen = pairs.seen
-    kept = np.ones(len(seen), dtype=bool)
+    is_unlit = np.ones(len(seen), dtype=bool)
     for n, (name, part) in enumerate(zip(seen.names, seen.slices, strict=True)):
         if name in pairs.lit and name in pairs.stripes:
             stripe, points = pairs.stripes[name], seen.points_px[part]
@@ -172,14 +172,14 @@ def _without_lit_corners(pairs: LaserPairs) -> LaserPairs:
             )
             # Distance of an unlit corner from the stripe, sigmas, in addition to half the corner's window.
             near_px = 3.0 * stripe.scale_px + WINDOW * square_px
-            kept[part] = np.linalg.norm(points[:, None] - stripe.points_px, axis=2).min(axis=1) > near_px
-            if kept[part].sum() < MIN_CORNERS:
-                kept[part] = True
+            is_unlit[part] = np.linalg.norm(points[:, None] - stripe.points_px, axis=2).min(axis=1) > near_px
+            if is_unlit[part].sum() < MIN_CORNERS:
+                is_unlit[part] = True
                 del pairs.stripes[name]
                 pairs.left_out[name] = "the stripe hides too many of the board's corners"
-    if kept.all():
+    if is_unlit.all():
         return pairs
     with one_thread():
-        rest = seen.where(kept)
+        rest = seen.where(is_unlit)
         scene = adjust(pairs.scene, rest, np.ones(len(rest)), poses_only=True)
     return replace(pairs, scene=scene, seen=rest)

@@ -62,7 +62,7 @@ def write_cell(folder: Path, cell_text: str, setup_text: str) -> tuple[Path, Pat
 
 def commented_cell() -> str:
     """Return a cell file with a comment on each key, but for the keys of one kind of camera alone."""
-    of_kinds = {name for names in KEYS_OF_KIND.values() for name in names}
+    camera_keys = {name for names in KEYS_OF_KIND.values() for name in names}
     lines = _HEAD.splitlines()
     for place, table, keys in tables_of(CellToml):
         name = place.replace("N", "1")
@@ -73,8 +73,8 @@ def commented_cell() -> str:
         if name:
             lines += ["", *wrapped(table.__doc__ or ""), f"[{name}]"]
         for key in keys:
-            if key.table == "camera" and key.name in of_kinds:
+            if key.table == "camera" and key.name in camera_keys:
                 continue
             mark = "" if key.field.is_required() else "# "
-            lines += [*comment(key), f"{mark}{key.name} = {key.said('example') or key.default}"]
+            lines += [*comment(key), f"{mark}{key.name} = {key.text('example') or key.default}"]
     return "\n".join(lines) + "\n"

@@ -96,7 +96,7 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.verdict is DiagnosisVerdict.EFFECTS:
         lines += [f"{effect.id}: {ADVICE[effect.id]}" for effect in diagnosis.effects]
     if diagnosis.verdict is DiagnosisVerdict.AMBIGUOUS:
-        lines += [f"If it is {name}: {ADVICE[name]}" for name in meant(diagnosis)]
+        lines += [f"If it is {name}: {ADVICE[name]}" for name in named_effects(diagnosis)]
     if diagnosis.verdict is DiagnosisVerdict.UNKNOWN:
         lines.append(LOOK_FURTHER)
     if diagnosis.next is not None:
@@ -116,10 +116,10 @@ def _to_record(measurement: Next, verdict: DiagnosisVerdict) -> str:
     return f"No other frames would tell {separates}. Add {measurement.experiment}."
 
 
-def meant(diagnosis: Diagnosis) -> list[str]:
+def named_effects(diagnosis: Diagnosis) -> list[str]:
     """Return the effects that the verdict is about: those that it names, and those that fit equally well."""
-    alike = (name for ids in diagnosis.ambiguous_with for name in ids)
-    return list(dict.fromkeys([*(effect.id for effect in diagnosis.effects), *alike]))
+    ambiguous = (name for ids in diagnosis.ambiguous_with for name in ids)
+    return list(dict.fromkeys([*(effect.id for effect in diagnosis.effects), *ambiguous]))
 
 
 def paste(effects: Sequence[NamedEffect]) -> str:
@@ -193,7 +193,7 @@ def _rankings(diagnosis: Diagnosis) -> list[Ranking]:
 
 
 def _rows(diagnosis: Diagnosis, candidates: Sequence[RankedEffect]) -> list[EffectRow]:
-    marked = meant(diagnosis)
+    marked = named_effects(diagnosis)
     return [
         EffectRow(
             candidate.id,

@@ -95,8 +95,8 @@ def headline(diagnosis: Diagnosis) -> str:
         what = listed([f"{effect.id} ({summary(effect.id)})" for effect in diagnosis.effects], "and")
         return f"{len(diagnosis.effects)} effects explain {how_much} together: {what}."
     if diagnosis.verdict is DiagnosisVerdict.AMBIGUOUS:
-        alike = "; and ".join(_alternatives(ids) for ids in diagnosis.ambiguous_with)
-        return f"There is a gap of {sigmas(gap.before)}. This recording cannot tell what causes it: {alike}."
+        causes = "; and ".join(_alternatives(ids) for ids in diagnosis.ambiguous_with)
+        return f"There is a gap of {sigmas(gap.before)}. This recording cannot tell what causes it: {causes}."
     if diagnosis.reasons and diagnosis.reasons[0].name == NO_GAP:
         return (
             f"There is a gap of {sigmas(gap.before)} in frames held out, though no gap is likeliest of what "
@@ -109,26 +109,26 @@ def headline(diagnosis: Diagnosis) -> str:
 def how_far(diagnosis: Diagnosis) -> str:
     """Return how large the gap in the images is and how far it shrinks, in a few sentences."""
     gap = diagnosis.gap
-    own_error = f"the model's own error of {sigmas(gap.floor)}"
+    model_error = f"the model's own error of {sigmas(gap.floor)}"
     if diagnosis.verdict is DiagnosisVerdict.NO_GAP:
         differ = f"The images differ from the model by {sigmas(gap.before)}"
         if gap.before > gap.floor:
             return (
-                f"{differ}, more than {own_error}. No effect explains the difference, and it is too small to "
-                "be told from chance."
+                f"{differ}, more than {model_error}. No effect explains the difference, and it is too "
+                "small to be told from chance."
             )
-        return f"{differ}, within {own_error}."
+        return f"{differ}, within {model_error}."
     if not shrinks(diagnosis):
-        return f"{_best_alone(diagnosis)} Without a gap the images would differ by {own_error} at most."
+        return f"{_best_alone(diagnosis)} Without a gap the images would differ by {model_error} at most."
     lead = f"With {added(diagnosis)} the gap in the images shrinks from {sigmas(gap.before)} to "
     lead += sigmas(gap.after)
     if gap.before <= gap.floor:
         return (
-            f"{lead}. Both are within {own_error}, but that error hardly has the pattern of "
+            f"{lead}. Both are within {model_error}, but that error hardly has the pattern of "
             f"{added(diagnosis)}."
         )
     if math.isfinite(gap.closed):
-        lead = f"{lead}. In single pixels that closes {closed_share(gap)} of what exceeds {own_error}"
+        lead = f"{lead}. In single pixels that closes {closed_share(gap)} of what exceeds {model_error}"
     if diagnosis.verdict is DiagnosisVerdict.UNKNOWN:
         return f"{lead}, too little for it to be the cause."
     if diagnosis.verdict is DiagnosisVerdict.EFFECTS and gap.is_clear_after:
@@ -219,25 +219,25 @@ def stages(where: Where) -> str:
     """Return the stages at which an unknown cause may act, with their probabilities, the likeliest first."""
     ranked = sorted(where.stages.items(), key=lambda pair: -pair[1])
     # A less probable stage is not mentioned.
-    told = [pair for pair in ranked[1:] if pair[1] >= 0.01]
-    return listed([f"{name} ({probability(p)})" for name, p in (ranked[0], *told)], "and")
+    named = [pair for pair in ranked[1:] if pair[1] >= 0.01]
+    return listed([f"{name} ({probability(p)})" for name, p in (ranked[0], *named)], "and")
 
 
 def follows(where: Where) -> str:
     """Return what the residual goes with: covariates, or a pattern of the image if that explains more."""
     # Largest number of covariates named.
-    told = [curve for curve in where.covariates if curve.r2 >= MIN_R2][:3]
+    named = [curve for curve in where.covariates if curve.r2 >= MIN_R2][:3]
     # The patterns in the image that are no functions of a covariate.
     patterns = {name: share for name, share in where.image.items() if name in ("mirrored", "fixed")}
     pattern = max(patterns, key=lambda name: patterns[name], default=None)
     text = ""
-    if told:
-        shares = [f"{quantity(curve.name)} ({percent(curve.r2)})" for curve in told]
+    if named:
+        shares = [f"{quantity(curve.name)} ({percent(curve.r2)})" for curve in named]
         text = f"it goes with {listed(shares, 'and')}"
     elif where.covariates:
         best = where.covariates[0]
         text = f"no single quantity explains more than {percent(best.r2)} of it"
-    strongest = max((curve.r2 for curve in told), default=0.0)
+    strongest = max((curve.r2 for curve in named), default=0.0)
     if pattern is not None and patterns[pattern] > max(MIN_R2, strongest):
         explains = f"{quantity(pattern)} explains {percent(patterns[pattern])} of it"
         return f"{text}; {explains}" if text else explains

@@ -13,7 +13,7 @@ from typing import Any
 
 from arctrack.control.cell_file import BusChoice, CellFile
 from arctrack.control.cell_file.choices import HIGH_LOAD
-from arctrack.control.heard import TRUSTED
+from arctrack.control.robot_messages import TRUSTED
 from arctrack.live.doctor.finding import DoctorFinding, FindingState, judged
 from arctrack.live.doctor.policy import POLICY
 from robot_io import Link, LinkError

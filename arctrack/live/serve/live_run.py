@@ -11,13 +11,13 @@ import numpy as np
 
 from arctrack.compiling import compiled_by_two
 from arctrack.control.bus_poses import BusPoses
-from arctrack.control.cell_file import CellFile, as_the_job_says, jobs_for
+from arctrack.control.cell_file import CellFile, jobs_for, with_job
 from arctrack.control.controller import Controller
 from arctrack.control.frame_tracking import FrameTracking
-from arctrack.control.heard import TRUSTED
 from arctrack.control.look_ahead import NOTHING_YET, LagEstimator
 from arctrack.control.pose_watch import nominal_path
 from arctrack.control.recorded_poses import seam_limits
+from arctrack.control.robot_messages import TRUSTED
 from arctrack.control.tracking_service import TrackingService
 from arctrack.errors import ArctrackError, in_file
 from arctrack.live.cameras.camera import CameraProtocol
@@ -167,7 +167,7 @@ def cast_of(
         )
     if camera.kind == "recording":
         recording = read_recording(cell.path.parent / camera.name, cell.setup.path)
-        return _played(cell, as_the_job_says(recording, cell, job_number), job_number)
+        return _played(cell, with_job(recording, cell, job_number), job_number)
     if job_number is not None:
         raise ArctrackError(f"--job {job_number}: a live robot names its job itself; leave it out")
     return _live(cell, camera.name, lag_estimator)

@@ -80,13 +80,13 @@ class PlayedPoses:
         is_fresh = 0.0 <= now_s - self._place_at_s <= self._poses_age_s
         return self._place if is_fresh else GateReason.ROBOT_ELSEWHERE
 
-    def may_last(self, now_s: float) -> bool:
+    def are_trusted(self, now_s: float) -> bool:
         """Return that it may, as in a replay, unless the run that was recorded did not keep it."""
         return self._step is None or self._step.keeps_state
 
-    def lead(self, now_s: float) -> OffsetLookAhead:
+    def offset_look_ahead(self, now_s: float) -> OffsetLookAhead:
         """Return none: the robot that was recorded follows nobody now; it may have done so then."""
-        return AT_ONCE if self._step is None else self._step.lead
+        return AT_ONCE if self._step is None else self._step.look_ahead
 
     def sent(self, offset: SeamOffset, now_s: float) -> None:
         """Do nothing: the robot that was recorded follows nobody."""

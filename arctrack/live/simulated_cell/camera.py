@@ -14,7 +14,7 @@ from arctrack.live.cameras.shared_frames import SharedFramesError, SharedFramesW
 from arctrack.safe_points import leave_signals_to_parent
 from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of, world_of
-from arctrack.simulation.cell.weld.rendered_eye import RenderedEye
+from arctrack.simulation.cell.weld.rendered_camera import RenderedCamera
 from robot_io import RobotStatus, Switch
 from tracker.state import Frame
 
@@ -52,23 +52,23 @@ def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
     setup = setup_of(plan)
     camera = setup.camera
     robot = Robot(world_of(plan, setup))
-    eye = RenderedEye(robot, setup, setup, np.random.default_rng([plan.seed, 1]))
-    eye.look(0.0)
+    sensor = RenderedCamera(robot, setup, setup, np.random.default_rng([plan.seed, 1]))
+    sensor.look(0.0)
     # Before there are frames: a tracker takes the line once it finds them.
     remove_line(name)
     try:
         with SharedFramesWriter(name, camera.height, camera.width, setup.sensor.dtype) as frames:
             shots.send(True)
-            _publish(shots, eye, frames, name)
+            _publish(shots, sensor, frames, name)
     except SharedFramesError as error:
         shots.send(str(error))
     finally:
         remove_line(name)
 
 
-def _publish(shots: Connection, eye: RenderedEye, frames: SharedFramesWriter, name: str) -> None:
+def _publish(shots: Connection, sensor: RenderedCamera, frames: SharedFramesWriter, name: str) -> None:
     """Publish until the other end is closed."""
-    robot, index = eye.robot, 0
+    robot, index = sensor.robot, 0
     while True:
         try:
             shot = shots.recv()
@@ -79,17 +79,19 @@ def _publish(shots: Connection, eye: RenderedEye, frames: SharedFramesWriter, na
         robot.station_mm, robot.weave_s = shot.station_mm, shot.weave_s
         robot.offset_mm, robot.status = np.array(shot.offset_mm), shot.status
         wanted = read_line(name)
-        eye.is_laser_on, eye.exposure_s = time.monotonic() < wanted.laser_until_s, wanted.exposure_s
-        image_dn = eye.look(0.0)
+        sensor.is_laser_on, sensor.exposure_s = time.monotonic() < wanted.laser_until_s, wanted.exposure_s
+        image_dn = sensor.look(0.0)
         assert image_dn is not None
         frames.publish(
             Frame(
                 index=index,
                 timestamp_s=shot.captured_s,
                 image_dn=image_dn,
-                exposure_s=eye.setup.camera.exposure_s if math.isnan(eye.exposure_s) else eye.exposure_s,
+                exposure_s=sensor.setup.camera.exposure_s
+                if math.isnan(sensor.exposure_s)
+                else sensor.exposure_s,
                 current_a=shot.status.current_a,
-                laser_on=eye.is_laser_on,
+                laser_on=sensor.is_laser_on,
                 arc_on=shot.status.arc is Switch.ON,
             )
         )

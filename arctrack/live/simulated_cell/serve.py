@@ -18,7 +18,7 @@ from arctrack.live.simulated_cell.real_time import RealBus, RealTimeScheduler
 from arctrack.simulation.cell.bus import BusFrame
 from arctrack.simulation.cell.cell import ARMED_S
 from arctrack.simulation.cell.robot import Robot
-from arctrack.simulation.cell.robot_party import RobotParty
+from arctrack.simulation.cell.robot_node import RobotNode
 from arctrack.simulation.cell.scheduler import Scheduler
 from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of, world_of
 from robot_io import Command, OffsetUse, Received, TrackerHeartbeat
@@ -103,7 +103,7 @@ class Program:
     again.
     """
 
-    def __init__(self, party: RobotParty, scheduler: Scheduler, part_mm: float) -> None:
+    def __init__(self, party: RobotNode, scheduler: Scheduler, part_mm: float) -> None:
         self._robot, self._scheduler, self._part_mm = party.robot, scheduler, part_mm
         self._beat_s = self._since_s = -math.inf
         self._is_ended = self._is_disarmed = False
@@ -143,7 +143,7 @@ def run_robot(
     """Simulate the robot on a bus while `goes_on`; `shoot` gets its state at each capture."""
     scheduler = RealTimeScheduler()
     bus = RealBus(can_bus, scheduler)
-    party = RobotParty(Robot(world_of(plan, setup_of(plan))), bus, scheduler)
+    party = RobotNode(Robot(world_of(plan, setup_of(plan))), bus, scheduler)
     robot = party.robot
     Program(party, scheduler, min(plan.length_mm, MAX_PART_MM))
 

@@ -137,8 +137,8 @@ def frame_times(
         )
     if len(sources) > 1:
         both = f"{sources[0].name} and {sources[1].name} both state the images' times; leave one of them"
-        told = contradictions(sources[0], sources[1:], series.indices)
-        raise ArctrackError("; ".join((both, *told)))
+        problems = contradictions(sources[0], sources[1:], series.indices)
+        raise ArctrackError("; ".join((both, *problems)))
     (source,) = sources
     times = source.values
     for n in np.flatnonzero(np.abs(times) > LIMITS.time_s):

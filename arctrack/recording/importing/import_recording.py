@@ -127,9 +127,9 @@ def import_recording(
         "conditions": _conditions_note(assumed, raw.frames),
         "poses": "; ".join((_pose_note(poses), *poses.notes)),
     }
-    told = doubts(series, source, poses, images.taken_s)
+    problems = doubts(series, source, poses, images.taken_s)
     return ImportResult(
-        recording, notes, (*series.warnings, *images.warnings, *poses.warnings, *told, *misfits)
+        recording, notes, (*series.warnings, *images.warnings, *poses.warnings, *problems, *misfits)
     )
 
 

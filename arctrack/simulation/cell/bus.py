@@ -50,10 +50,10 @@ class BusTrouble:
 Listener = Callable[[BusFrame], None]
 
 
-class BusParty(Protocol):
+class BusConnection(Protocol):
     """A bus as who sends and listens sees it."""
 
-    def join(self, party: str, listener: Listener) -> None:
+    def join(self, node: str, listener: Listener) -> None:
         """Deliver what the others send to a node."""
 
     def send(self, sender: str, arbitration_id: int, data: bytes) -> None:
@@ -73,9 +73,9 @@ class Bus:
     _listeners: dict[str, Listener] = field(default_factory=dict)
     _free_s: dict[str, float] = field(default_factory=dict)
 
-    def join(self, party: str, listener: Listener) -> None:
+    def join(self, node: str, listener: Listener) -> None:
         """Deliver what the others send to a node."""
-        self._listeners[party] = listener
+        self._listeners[node] = listener
 
     def send(self, sender: str, arbitration_id: int, data: bytes) -> None:
         """Put a frame on the bus."""
@@ -98,8 +98,8 @@ class Bus:
             self.scheduler.at(frame.sent_s + delay_s + copy * FRAME_S, lambda: self._arrive(frame))
 
     def _arrive(self, frame: BusFrame) -> None:
-        for party, listener in self._listeners.items():
-            if party != frame.sender:
+        for node, listener in self._listeners.items():
+            if node != frame.sender:
                 listener(frame)
 
     def _flipped(self, data: bytes, probability: float) -> bytes:

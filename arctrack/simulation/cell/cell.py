@@ -11,12 +11,12 @@ import numpy as np
 
 from arctrack.control.job import Bridging, Job
 from arctrack.simulation.cell.bus import Bus, BusFrame
-from arctrack.simulation.cell.eye import Eye
-from arctrack.simulation.cell.measured_eye import MeasuredEye
+from arctrack.simulation.cell.measuring_camera import MeasuringCamera
 from arctrack.simulation.cell.robot import Robot
-from arctrack.simulation.cell.robot_party import RobotParty
+from arctrack.simulation.cell.robot_node import RobotNode
 from arctrack.simulation.cell.scheduler import Scheduler
-from arctrack.simulation.cell.tracker_party import FRAME_PERIOD_S, TrackerParty
+from arctrack.simulation.cell.simulated_camera import SimulatedCamera
+from arctrack.simulation.cell.tracker_node import FRAME_PERIOD_S, TrackerNode
 from arctrack.simulation.cell.world import World
 from robot_io import (
     BusMessage,
@@ -56,16 +56,16 @@ class ReceivedOffset:
 class Cell:
     """One run of a simulated cell.
 
-    `see` makes the camera at a robot's tool, by default one that measures the seam without a picture. `heard`
-    has every offset of the tracker that reached the robot; `reasons` has the time, s, and gate reason of each
-    TrackerStatus that did; `torch_error_mm` has the torch's distance from the seam by time.
+    `make_camera` makes the camera at a robot's tool, by default one that measures the seam without a picture.
+    `received` has every offset of the tracker that reached the robot; `reasons` has the time, s, and gate
+    reason of each TrackerStatus that did; `torch_error_mm` has the torch's distance from the seam by time.
     """
 
     def __init__(
         self,
         world: World,
         rng: np.random.Generator,
-        see: Callable[[Robot], Eye] | None = None,
+        make_camera: Callable[[Robot], SimulatedCamera] | None = None,
         frame_period_s: float = FRAME_PERIOD_S,
     ) -> None:
         self.rng = rng
@@ -74,12 +74,11 @@ class Cell:
         self.job = Job("lap", poses_proven=True, bridging=bridging)
         self.scheduler = Scheduler()
         self.bus = Bus(self.scheduler, rng)
-        self.robot = RobotParty(Robot(world), self.bus, self.scheduler)
-        eye = MeasuredEye(self.robot.robot, rng) if see is None else see(self.robot.robot)
-        self.tracker = TrackerParty(
-            self.robot.robot, self.bus, self.scheduler, rng, self.job, eye, frame_period_s
-        )
-        self.heard: list[ReceivedOffset] = []
+        self.robot = RobotNode(Robot(world), self.bus, self.scheduler)
+        robot = self.robot.robot
+        camera = MeasuringCamera(robot, rng) if make_camera is None else make_camera(robot)
+        self.tracker = TrackerNode(robot, self.bus, self.scheduler, rng, self.job, camera, frame_period_s)
+        self.received: list[ReceivedOffset] = []
         self.reasons: list[tuple[float, GateReason]] = []
         self.torch_error_mm: list[tuple[float, float]] = []
         self._captured: dict[float, float] = {}
@@ -128,10 +127,10 @@ class Cell:
         now_s = self.scheduler.now_s
         if isinstance(received.message, SeamOffset):
             true_s = self._captured.get(frame.sent_s, math.nan)
-            self.heard.append(ReceivedOffset(frame.sent_s, now_s, true_s, received.message))
+            self.received.append(ReceivedOffset(frame.sent_s, now_s, true_s, received.message))
         elif isinstance(received.message, TrackerStatus):
             self.reasons.append((now_s, received.message.gate_reason))
 
     def validities(self, from_s: float, to_s: float) -> Counter[Validity]:
         """Return how often each validity reached the robot of what was sent from one time to another, s."""
-        return Counter(h.offset.validity for h in self.heard if from_s <= h.sent_s < to_s)
+        return Counter(h.offset.validity for h in self.received if from_s <= h.sent_s < to_s)

@@ -26,7 +26,7 @@ class FaultKind:
     """A kind of fault.
 
     `begin` starts it in a cell and returns what ends it. `reasons` are those that the tracker may state,
-    empty where it need not state any. After `told_s` nothing is VALID or HELD any more, NaN where offsets may
+    empty where it need not state any. After `stop_s` nothing is VALID or HELD any more, NaN where offsets may
     go on. With `is_slow_bus` offsets age on the bus itself, which the tracker cannot know. `lasts_s` gives
     its duration in a world, by default a drawn time; `recovery_s` after its end all is to be well again.
     `follows_mm` is how far at most the torch follows what cannot be distinguished from a seam that runs off.
@@ -35,7 +35,7 @@ class FaultKind:
     name: str
     begin: Begin
     reasons: frozenset[GateReason] = frozenset()
-    told_s: float = math.nan
+    stop_s: float = math.nan
     from_start: bool = False
     is_slow_bus: bool = False
     lasts_s: Callable[[World], float] | None = None

@@ -21,7 +21,7 @@ DEAD_S, CONSTANT_S, SPEED_MM_S = 0.07, 0.09, 10.0
 
 def lead_at(ahead, now_s):
     ahead.update(now_s)
-    return ahead.lead()
+    return ahead.offset_look_ahead()
 
 
 def offset(y_mm, validity=Validity.VALID, age_ms=15.0):

@@ -19,7 +19,7 @@ from arctrack.offset_count import OffsetCount
 from arctrack.simulation.cell.cell import Cell
 from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.cell.weld.events import LOOP_EVENTS
-from arctrack.simulation.cell.weld.rendered_eye import RenderedEye
+from arctrack.simulation.cell.weld.rendered_camera import RenderedCamera
 from arctrack.simulation.cell.world import World
 from arctrack.simulation.simulate import balance, true_values
 from noise_model.compiled.arrays import Float64
@@ -88,7 +88,7 @@ class Sample:
 class LoopFrame:
     """A frame of the run: its track, what was sent of it, and where the torch was then.
 
-    `lag` is how late the robot follows, as it was known then, and `lead` what was made of it.
+    `lag` is how late the robot follows, as it was known then, and `look_ahead` what was made of it.
     """
 
     track: Track
@@ -96,7 +96,7 @@ class LoopFrame:
     reason: GateReason
     sample: Sample
     lag: Lag
-    lead: OffsetLookAhead
+    look_ahead: OffsetLookAhead
 
 
 @dataclass(frozen=True)
@@ -154,11 +154,11 @@ class ClosedLoop:
         draw_true, draw_images, draw_cell = (np.random.default_rng([plan.seed, n]) for n in range(3))
         true_setup = self.setup if plan.exact else true_values(self.setup, draw_true)
 
-        def see(robot: Robot) -> RenderedEye:
-            self.eye = RenderedEye(robot, self.setup, true_setup, draw_images)
-            return self.eye
+        def make_camera(robot: Robot) -> RenderedCamera:
+            self.camera = RenderedCamera(robot, self.setup, true_setup, draw_images)
+            return self.camera
 
-        self.cell = Cell(world_of(plan, self.setup), draw_cell, see, 1.0 / plan.rate_hz)
+        self.cell = Cell(world_of(plan, self.setup), draw_cell, make_camera, 1.0 / plan.rate_hz)
         self.event_s = self._plan_event()
         self.duration_s = plan.length_mm / plan.speed_mm_s
         if self.event_s is not None:
@@ -256,8 +256,8 @@ class ClosedLoop:
         # What is kept of a run is small: its stripes are not.
         track = replace(track, stripe=None, checks=())
         tracker = self.cell.tracker
-        lag, lead = tracker.poses.look_ahead.lag, tracker.service.lead
-        frame = LoopFrame(track, offset, status.gate_reason, self._now(), lag, lead)
+        lag, look_ahead = tracker.poses.look_ahead.lag, tracker.service.look_ahead
+        frame = LoopFrame(track, offset, status.gate_reason, self._now(), lag, look_ahead)
         self.frames.append(frame)
         if self._on_frame is not None:
             self._on_frame(len(self.frames))

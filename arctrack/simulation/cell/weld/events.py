@@ -9,7 +9,7 @@ import numpy as np
 
 from arctrack.simulation.cell.cell import Cell
 from arctrack.simulation.cell.fault_kind import End, FaultKind
-from arctrack.simulation.cell.weld.rendered_eye import RenderedEye
+from arctrack.simulation.cell.weld.rendered_camera import RenderedCamera
 from arctrack.simulation.cell.weld.welding_events import (
     ARC_FAULT,
     LONG_TACK_MM,
@@ -27,15 +27,15 @@ IN_VIEW_MM, OUT_OF_VIEW_MM = 15.0, 40.0
 """Distance of a tack's begin before the sensor, and lateral distance at which no camera sees the seam."""
 
 
-def _eye(cell: Cell) -> RenderedEye:
-    eye = cell.tracker.eye
-    assert isinstance(eye, RenderedEye)
-    return eye
+def _rendered_camera(cell: Cell) -> RenderedCamera:
+    camera = cell.tracker.camera
+    assert isinstance(camera, RenderedCamera)
+    return camera
 
 
 def _ignition(cell: Cell, rng: np.random.Generator) -> End:
     """Strike the arc: bright and unsteady at first, while the robot still stands."""
-    robot, eye = cell.robot.robot, _eye(cell)
+    robot, camera = cell.robot.robot, _rendered_camera(cell)
     right = robot.status
     robot.status = replace(
         right,
@@ -50,30 +50,30 @@ def _ignition(cell: Cell, rng: np.random.Generator) -> End:
         robot.advance(cell.scheduler.now_s)
         robot.status = replace(robot.status, arc=Switch.ON, current_a=right.current_a)
         # Log-normal output of an arc that begins, over its nominal one: sigma and median.
-        eye.arc_level = lambda _: 2.0 * float(np.exp(0.7 * rng.standard_normal()))
+        camera.arc_level = lambda _: 2.0 * float(np.exp(0.7 * rng.standard_normal()))
 
     cell.scheduler.at(cell.scheduler.now_s + STRUCK_S, strike)
 
     def end() -> None:
         robot.advance(cell.scheduler.now_s)
-        robot.status, eye.arc_level = right, None
+        robot.status, camera.arc_level = right, None
 
     return end
 
 
 def _told_late(cell: Cell, _rng: np.random.Generator) -> End:
     """Let the robot say that the arc is off while it burns in the image."""
-    cell.robot.said = lambda status: replace(status, arc=Switch.OFF)
+    cell.robot.change_status = lambda status: replace(status, arc=Switch.OFF)
 
     def end() -> None:
-        cell.robot.said = None
+        cell.robot.change_status = None
 
     return end
 
 
 def _tack(cell: Cell, length_mm: float) -> None:
     first_mm = cell.robot.robot.station_mm + cell.world.look_ahead_mm + IN_VIEW_MM
-    _eye(cell).tacks_mm = ((first_mm, first_mm + length_mm),)
+    _rendered_camera(cell).tacks_mm = ((first_mm, first_mm + length_mm),)
 
 
 def _short_tack(cell: Cell, _rng: np.random.Generator) -> End:
@@ -87,11 +87,11 @@ def _long_tack(cell: Cell, _rng: np.random.Generator) -> End:
 
 
 def _out_of_view(cell: Cell, _rng: np.random.Generator) -> End:
-    eye = _eye(cell)
-    eye.aside_mm = OUT_OF_VIEW_MM
+    camera = _rendered_camera(cell)
+    camera.aside_mm = OUT_OF_VIEW_MM
 
     def end() -> None:
-        eye.aside_mm = 0.0
+        camera.aside_mm = 0.0
         rearm(cell, Command.RESET)
 
     return end

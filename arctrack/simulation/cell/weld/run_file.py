@@ -50,7 +50,7 @@ def write_run(path: Path, frames: Sequence[LoopFrame]) -> None:
                 offset.offset_z_mm,
                 frame.lag.lag_s,
                 frame.lag.sigma_s,
-                frame.lead.way_mm,
+                frame.look_ahead.way_mm,
             )
             names = (offset.validity.name, frame.reason.name, " ".join(frame.track.flag_names))
             writer.writerow([*(f"{number:.4f}" for number in numbers), *names])

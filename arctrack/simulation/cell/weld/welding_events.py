@@ -61,7 +61,7 @@ def _displaced(cell: Cell, rng: np.random.Generator) -> End:
     cell.world = replace(cell.world, displaced_mm=(y_mm + slipped_mm, z_mm))
 
     def end() -> None:
-        cell.tracker.eye.begin()
+        cell.tracker.camera.begin()
         rearm(cell, Command.DISARM)
 
     return end

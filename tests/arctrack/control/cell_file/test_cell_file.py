@@ -18,9 +18,9 @@ from arctrack.control.cell_file import (
     CellFile,
     MonitorChoice,
     ProcessChoice,
-    as_the_job_says,
     jobs_for,
     read_cell_file,
+    with_job,
 )
 from arctrack.control.cell_file.new import commented_cell, write_new_cell
 from arctrack.control.job import Job, PartLimits
@@ -285,13 +285,13 @@ def two_jobs(new_cell: Path) -> CellFile:
 def test_one_of_several_jobs_must_be_named(recording: Path, two_jobs: CellFile) -> None:
     read: Recording = read_recording(recording)
     with pytest.raises(ArctrackError, match="holds the jobs 1, 12; say --job and a number"):
-        as_the_job_says(read, two_jobs, None)
+        with_job(read, two_jobs, None)
     with pytest.raises(ArctrackError, match=r"--job 3: .*cell\.toml holds the jobs 1, 12"):
-        as_the_job_says(read, two_jobs, 3)
+        with_job(read, two_jobs, 3)
     with pytest.raises(ArctrackError, match="--job 3: a cell file holds the jobs; say --cell too"):
-        as_the_job_says(read, None, 3)
-    assert as_the_job_says(read, None, None) is read
-    chosen = as_the_job_says(read, two_jobs, 12)
+        with_job(read, None, 3)
+    assert with_job(read, None, None) is read
+    chosen = with_job(read, two_jobs, 12)
     assert chosen.correction.enabled == (True, False)
     assert chosen.setup is read.setup
     # A robot that names another job is refused: the tracker follows this one.

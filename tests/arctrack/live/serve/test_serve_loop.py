@@ -12,7 +12,7 @@ import pytest
 from made import playing_cell
 
 from arctrack.control.bus_poses import BusPoses
-from arctrack.control.cell_file import as_the_job_says, read_cell_file
+from arctrack.control.cell_file import read_cell_file, with_job
 from arctrack.control.controller import Controller
 from arctrack.control.frame_tracking import FrameTracking
 from arctrack.control.innovation import InnovationLimits
@@ -418,7 +418,7 @@ def test_a_recording_that_is_played_gives_the_tracks_of_its_replay(
 ) -> None:
     path = request.getfixturevalue(name)
     cell = read_cell_file(playing_cell(tmp_path / "cell", path))
-    recording = as_the_job_says(read_recording(path, cell.setup.path), cell, None)
+    recording = with_job(read_recording(path, cell.setup.path), cell, None)
     options = ReplayOptions(cell=cell, pictures=False)
     replayed = replay_recording(recording, tmp_path / "results", options)
     cast = cast_of(cell)

@@ -92,7 +92,7 @@ def test_an_offset_that_comes_twice_moves_the_robot_once():
 def test_nothing_is_valid_before_a_struck_arc_is_steady_and_a_tack_hides_the_joint():
     loop = ClosedLoop(replace(QUICK, event="ignition", length_mm=20.0))
     levels = []
-    loop.cell.scheduler.every(0.05, lambda: levels.append(loop.eye.level_now()), 0.01)
+    loop.cell.scheduler.every(0.05, lambda: levels.append(loop.camera.level_now()), 0.01)
     loop.run()
     happened = loop.event_result()
     assert (happened.begin_s, happened.end_s) == (0.0, pytest.approx(0.9))
@@ -104,12 +104,12 @@ def test_nothing_is_valid_before_a_struck_arc_is_steady_and_a_tack_hides_the_joi
     assert np.std(levels[10:18]) > 0.3
     assert set(levels[18:]) == {1.0}
     assert "VALID again" in "\n".join(event_lines(happened))
-    eye, robot = loop.eye, loop.cell.robot.robot
-    eye.rng = np.random.default_rng(1)
-    plain = eye.look(0.0).astype(float)
+    camera, robot = loop.camera, loop.cell.robot.robot
+    camera.rng = np.random.default_rng(1)
+    plain = camera.look(0.0).astype(float)
     first_mm = robot.station_mm + 32.0
-    eye.rng, eye.tacks_mm = np.random.default_rng(1), ((first_mm, first_mm + 6.0),)
-    hidden = eye.look(0.0) != plain
+    camera.rng, camera.tacks_mm = np.random.default_rng(1), ((first_mm, first_mm + 6.0),)
+    hidden = camera.look(0.0) != plain
     columns = np.nonzero(hidden)[1]
     assert 0.01 < hidden.mean() < 0.1
     # The stripe's middle is under it, both its ends are not.

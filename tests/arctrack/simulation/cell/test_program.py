@@ -11,7 +11,7 @@ from heartbeat import BEAT
 from arctrack.live.simulated_cell.serve import Program
 from arctrack.simulation.cell.bus import Bus
 from arctrack.simulation.cell.robot import Robot
-from arctrack.simulation.cell.robot_party import RobotParty
+from arctrack.simulation.cell.robot_node import RobotNode
 from arctrack.simulation.cell.scheduler import Scheduler
 from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of, world_of
 from robot_io import (
@@ -28,7 +28,7 @@ def test_a_part_ends_disarmed_and_the_next_one_begins_at_its_start() -> None:
     plan = LoopPlan(joint="lap", weave_mm=0.0, length_mm=200.0, size_px=(160, 120))
     scheduler = Scheduler()
     bus = Bus(scheduler, np.random.default_rng(1))
-    party = RobotParty(Robot(world_of(plan, setup_of(plan))), bus, scheduler)
+    party = RobotNode(Robot(world_of(plan, setup_of(plan))), bus, scheduler)
     robot, protector = party.robot, Protector(Source.LIVE)
     Program(party, scheduler, PART_MM)
     bus.join("tracker", lambda _frame: None)

@@ -9,8 +9,8 @@ import numpy as np
 
 from arctrack.control.frame_tracking import Capture
 from arctrack.control.innovation import SeamMeasurement
-from arctrack.simulation.cell.eye import Shown
 from arctrack.simulation.cell.robot import Robot
+from arctrack.simulation.cell.simulated_camera import Shown
 from robot_io import PoseAt, PoseStatus
 from tracker import flags
 from tracker.seam.gaussian_process import SeamHistory
@@ -18,7 +18,7 @@ from tracker.state import Track
 
 
 @dataclass
-class MeasuredEye:
+class MeasuringCamera:
     """Simulated sensor without images: the stripe's crossing with the seam, and the real seam filter."""
 
     robot: Robot
@@ -68,7 +68,7 @@ class MeasuredEye:
         return self._tracked(shown, capture, 0), measured
 
     def _tracked(self, shown: Shown, capture: Capture, flag_bits: int) -> Track:
-        displacement, sigma = self._history.at(self._torch_mm(capture.pose) + capture.lead.way_mm)
+        displacement, sigma = self._history.at(self._torch_mm(capture.pose) + capture.look_ahead.way_mm)
         y_mm, z_mm = displacement.tolist()
         sigma_y_mm, sigma_z_mm = sigma.tolist()
         noise_mm = self.robot.world.noise_mm
@@ -85,7 +85,7 @@ class MeasuredEye:
             offset_sigma_y_mm=sigma_y_mm,
             offset_sigma_z_mm=sigma_z_mm,
             offset_confidence=math.erf(within / sigma_y_mm) * math.erf(within / sigma_z_mm),
-            valid_at_s=capture.captured_s + capture.lead.time_s,
+            valid_at_s=capture.captured_s + capture.look_ahead.time_s,
         )
 
     def _torch_mm(self, pose: PoseAt) -> float:

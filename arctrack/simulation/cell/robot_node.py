@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import can
 from scipy.spatial.transform import Rotation
 
-from arctrack.simulation.cell.bus import BusFrame, BusParty
+from arctrack.simulation.cell.bus import BusConnection, BusFrame
 from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.cell.scheduler import Scheduler
 from robot_io import (
@@ -55,20 +55,20 @@ SOURCE = Source.LIVE
 
 
 @dataclass
-class RobotParty:
+class RobotNode:
     """Robot's node on the bus: sends pose, status, command and SYNC; receives offsets and follows them.
 
-    `spoil` disturbs the poses that are sent. `said` replaces the status, with None for no message;
-    `breaks_status` makes its CRC wrong. `commands` says whether it commands at all. `on_message` gets every
-    accepted message of the tracker.
+    `spoil` disturbs the poses that are sent. `change_status` replaces the status, with None for no message;
+    `spoils_crc` makes its CRC wrong. Without `commands` it commands nothing. `on_message` gets every accepted
+    message of the tracker.
     """
 
     robot: Robot
-    bus: BusParty
+    bus: BusConnection
     scheduler: Scheduler
     spoil: Spoil | None = None
-    said: Callable[[RobotStatus], RobotStatus | None] | None = None
-    breaks_status: bool = False
+    change_status: Callable[[RobotStatus], RobotStatus | None] | None = None
+    spoils_crc: bool = False
     commands: bool = True
     on_message: Callable[[Received, BusFrame], None] | None = None
     inbox: Inbox = field(default_factory=lambda: Inbox(Trusted(SOURCES, SOURCES)))
@@ -92,27 +92,29 @@ class RobotParty:
         now_s = self.scheduler.now_s
         self.robot.advance(now_s)
         x, y, z = self.robot.place_mm().tolist()
-        told: RobotReport | None = RobotReport((x, y, z), self._quaternion, SEND_LAG_S)
-        if self.spoil is not None and told is not None:
-            told = self.spoil(now_s, told)
-        if told is not None:
-            pose = told
+        report: RobotReport | None = RobotReport((x, y, z), self._quaternion, SEND_LAG_S)
+        if self.spoil is not None and report is not None:
+            report = self.spoil(now_s, report)
+        if report is not None:
+            pose = report
             self.scheduler.at(now_s + SEND_LAG_S, lambda: self._send_pose(pose, now_s + SEND_LAG_S))
 
-    def _send_pose(self, told: RobotReport, due_s: float) -> None:
-        self._send(RobotPosePosition(*told.place_mm, PoseKind.ACTUAL))
+    def _send_pose(self, report: RobotReport, due_s: float) -> None:
+        self._send(RobotPosePosition(*report.place_mm, PoseKind.ACTUAL))
         # In real time it may be later than it was to be.
-        age_ms = 1000.0 * (told.age_s + self.scheduler.now_s - due_s)
-        self._send(RobotPoseRotation.from_quaternion(told.quaternion, age_ms if age_ms <= 30.0 else math.nan))
+        age_ms = 1000.0 * (report.age_s + self.scheduler.now_s - due_s)
+        self._send(
+            RobotPoseRotation.from_quaternion(report.quaternion, age_ms if age_ms <= 30.0 else math.nan)
+        )
 
     def _send_status(self) -> None:
         status: RobotStatus | None = self.robot.status
-        if self.said is not None and status is not None:
-            status = self.said(status)
+        if self.change_status is not None and status is not None:
+            status = self.change_status(status)
         if status is None:
             return
         arbitration_id, data = self._protector.protect(status)
-        if self.breaks_status:
+        if self.spoils_crc:
             data = bytes([data[0] ^ 0x5A]) + data[1:]
         self.bus.send(self.name, arbitration_id, data)
 

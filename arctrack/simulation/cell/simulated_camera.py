@@ -14,7 +14,7 @@ Shown = npt.NDArray[Any] | None
 """Content of a frame: an image, or where a camera without a picture saw the seam; None for nothing."""
 
 
-class Eye(Protocol):
+class SimulatedCamera(Protocol):
     """A camera at the robot's tool, and the tracking behind it."""
 
     def begin(self) -> None:

@@ -21,11 +21,11 @@ class TimedMessage(Generic[M]):
     came_at_s: float
 
 
-def fresh(heard: TimedMessage[M] | None, now_s: float, max_age_s: float) -> M | None:
+def fresh(latest: TimedMessage[M] | None, now_s: float, max_age_s: float) -> M | None:
     """Return a message that is not stale; one from as far in the future is stale as well."""
-    if heard is None or not abs(now_s - heard.came_at_s) <= max_age_s:
+    if latest is None or not abs(now_s - latest.came_at_s) <= max_age_s:
         return None
-    return heard.message
+    return latest.message
 
 
 class OutageWatch:

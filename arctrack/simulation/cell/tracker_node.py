@@ -18,10 +18,10 @@ from arctrack.control.policy import ServicePolicy
 from arctrack.control.tracking_service import TrackingService
 from arctrack.simulation.cell.bus import Bus, BusFrame
 from arctrack.simulation.cell.disk import Disk
-from arctrack.simulation.cell.eye import Eye, Shown
 from arctrack.simulation.cell.robot import Robot
-from arctrack.simulation.cell.robot_party import SOURCE, as_message
+from arctrack.simulation.cell.robot_node import SOURCE, as_message
 from arctrack.simulation.cell.scheduler import Scheduler
+from arctrack.simulation.cell.simulated_camera import Shown, SimulatedCamera
 from robot_io import (
     BusMessage,
     Inbox,
@@ -56,7 +56,7 @@ class CameraBehaviour(Enum):
 
 
 @dataclass
-class TrackerParty:
+class TrackerNode:
     """Tracker's node on the bus: runs the controller on a clock that is `clock_s` ahead of the true time.
 
     While not `is_running`, messages wait in the bus' buffer; while `queue_full`, nothing goes out. `faults`
@@ -69,10 +69,10 @@ class TrackerParty:
     scheduler: Scheduler
     rng: np.random.Generator
     job: Job
-    eye: Eye
+    camera: SimulatedCamera
     frame_period_s: float = FRAME_PERIOD_S
     clock_s: float = 0.0
-    camera: CameraBehaviour = CameraBehaviour.RIGHT
+    behaviour: CameraBehaviour = CameraBehaviour.RIGHT
     is_running: bool = True
     queue_full: bool = False
     disk: Disk = field(default_factory=Disk)
@@ -104,13 +104,13 @@ class TrackerParty:
     def start(self) -> None:
         """Begin as a new process."""
         self._begin_bus()
-        self.eye.begin()
+        self.camera.begin()
 
     def _begin_bus(self) -> None:
         self._protector = Protector(SOURCE)
         self.controller = Controller(self.job, SOURCE)
         self.poses.begin()
-        self.service = TrackingService[Shown](self.controller, self.poses, self.eye)
+        self.service = TrackingService[Shown](self.controller, self.poses, self.camera)
         self._waiting.clear()
 
     @property
@@ -141,17 +141,17 @@ class TrackerParty:
         self._send(self.service.hear(received, now_s))
 
     def _capture(self) -> None:
-        camera = self.camera
-        if camera is CameraBehaviour.STOPPED or (
-            camera is CameraBehaviour.DROPPING and self.rng.random() < 0.1
+        behaviour = self.behaviour
+        if behaviour is CameraBehaviour.STOPPED or (
+            behaviour is CameraBehaviour.DROPPING and self.rng.random() < 0.1
         ):
             return
         true_s, captured_s = self.scheduler.now_s, self.now_s
         self.robot.advance(true_s)
-        if camera is not CameraBehaviour.FROZEN or not self._has_shown:
-            self._shown = self.eye.look(self.ghost_mm if camera is CameraBehaviour.GHOST else 0.0)
+        if behaviour is not CameraBehaviour.FROZEN or not self._has_shown:
+            self._shown = self.camera.look(self.ghost_mm if behaviour is CameraBehaviour.GHOST else 0.0)
             self._has_shown = True
-        shown = self.eye.garbage() if camera is CameraBehaviour.GARBAGE else self._shown
+        shown = self.camera.garbage() if behaviour is CameraBehaviour.GARBAGE else self._shown
         self.scheduler.at(
             true_s + EXPOSED_S + COMPUTED_S * self.rng.uniform(0.8, 1.2),
             lambda: self._track(shown, true_s, captured_s),

@@ -11,7 +11,7 @@ from arctrack.recording import Recording
 from arctrack.recording.reader import fitted
 
 
-def as_the_job_says(recording: Recording, cell: CellFile | None, number: int | None) -> Recording:
+def with_job(recording: Recording, cell: CellFile | None, number: int | None) -> Recording:
     """Return a recording with the joint and the correction of a cell's job; as it is where there is no cell.
 
     Raises ArctrackError for a job that there is not, and for a joint that runs against the travel.

@@ -20,7 +20,7 @@ from tracker.state import NAN
 _ROLLING = 256
 
 
-class Beat:
+class HeartbeatSchedule:
     """Schedule of version and heartbeat messages; both are due at first.
 
     A heartbeat is due at once where it changes whether offsets count or which command is obeyed: a robot that
@@ -31,7 +31,7 @@ class Beat:
         self._source = source
         self._due_at_s = {DbcVersion: NAN, TrackerHeartbeat: NAN}
         self._rolling = 0
-        self._said: tuple[bool, CommandHeard] | None = None
+        self._state_sent: tuple[bool, CommandHeard] | None = None
 
     def hurry(self) -> None:
         """Let the next heartbeat be due at once."""
@@ -39,9 +39,9 @@ class Beat:
 
     def due(self, heartbeat: TrackerHeartbeat, now_s: float) -> list[BusMessage]:
         """Return version and heartbeat where their time, s, has come; the heartbeat with its number."""
-        said = heartbeat.state in COUNTING, heartbeat.command_heard
-        if said != self._said:
-            self._said = said
+        state_sent = heartbeat.state in COUNTING, heartbeat.command_heard
+        if state_sent != self._state_sent:
+            self._state_sent = state_sent
             self.hurry()
         due: list[BusMessage] = []
         for kind, due_at_s in self._due_at_s.items():

@@ -14,7 +14,7 @@ from tracker.seam.locate import seam_displacement
 from tracker.state import Pose, Track
 
 
-def seam_measured(
+def seam_measurement(
     setup: Setup, track: Track, pose: Pose | None, hand_eye_variance_mm2: tuple[float, float]
 ) -> SeamMeasurement | None:
     """Return where a track's pose puts the seam that it saw; None where it saw none.

@@ -10,8 +10,8 @@ import numpy as np
 
 from arctrack.control.frame_tracking import Capture, FrameTracking
 from arctrack.control.innovation import SeamMeasurement
-from arctrack.simulation.cell.eye import Shown
 from arctrack.simulation.cell.robot import Robot
+from arctrack.simulation.cell.simulated_camera import Shown
 from noise_model.arc.scene import make_scene
 from noise_model.compiled.arrays import Float64, Integers
 from noise_model.condition import Condition
@@ -26,7 +26,7 @@ from tracker.state import Frame, Track
 
 
 @dataclass
-class RenderedEye:
+class RenderedCamera:
     """Simulated camera and tracker: renders each frame, and tracks it as a live tracker would.
 
     The tool stands still during an exposure. The tracker knows `setup` alone, whose nominal seam is that of
@@ -110,14 +110,14 @@ class RenderedEye:
     def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
         """Track a frame; of poses that are doubted nothing lasts."""
         assert shown is not None
-        said = capture.robot
+        robot = capture.robot
         frame = Frame(
             index=capture.index,
             timestamp_s=capture.captured_s,
             image_dn=shown,
             exposure_s=self.setup.camera.exposure_s,
             current_a=self.setup.arc.current_a,
-            arc_on=said is not None and said.arc is Switch.ON,
+            arc_on=robot is not None and robot.arc is Switch.ON,
         )
         return self.tracking.track(frame, capture)
 
