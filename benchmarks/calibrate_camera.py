@@ -23,7 +23,7 @@ from scipy.stats import chi2, norm
 
 from calibration.boards.board import Board, BoardKind
 from calibration.camera.adjustment import linearise
-from calibration.camera.calibrate import CameraCalibration, find_lens
+from calibration.camera.calibrate import CameraCalibration, fit_lens
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.halves import MAX_RATIO, difference_of_halves, splits
 from calibration.camera.lens import ORDERS
@@ -83,7 +83,7 @@ def given(worlds: int, seed: int, print_share: float = 0.0) -> None:
         images, wrong = draw_corners(rng, world, share)
         start = time.perf_counter()
         try:
-            found = find_lens(board_of(world), views_of(images), world.size, orders=[world.order])
+            found = fit_lens(board_of(world), views_of(images), world.size, orders=[world.order])
         except UndeterminedError:
             scores.refused += 1
             continue
@@ -109,7 +109,7 @@ def chosen(worlds: int, seed: int) -> None:
         images, _ = draw_corners(rng, world)
         start = time.perf_counter()
         try:
-            found = find_lens(board_of(world), views_of(images), world.size)
+            found = fit_lens(board_of(world), views_of(images), world.size)
         except UndeterminedError:
             scores.refused += 1
             continue
@@ -138,7 +138,7 @@ def tilts(seed: int) -> None:
             world = draw_world(np.random.default_rng([seed, 3]), "none", views=14)
             world.lens.update(k1=k1, tau_x=np.radians(about_x), tau_y=np.radians(about_y))
             images = [project(world.lens, world.corners_camera(view)) for view in range(14)]
-            found = find_lens(board_of(world), views_of(images), world.size, orders=["k1 k2 p1 p2 k3"])
+            found = fit_lens(board_of(world), views_of(images), world.size, orders=["k1 k2 p1 p2 k3"])
             print(f"{about_x:10.0f} {about_y:5.0f} {k1:12.2f} {found.rms_px:12.4f}")
 
 

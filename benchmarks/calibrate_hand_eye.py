@@ -29,7 +29,7 @@ from scipy.stats import norm
 
 from calibration.boards.board import Board, BoardKind
 from calibration.boards.detect import find_corners
-from calibration.camera.calibrate import find_lens
+from calibration.camera.calibrate import fit_lens
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
@@ -345,7 +345,7 @@ def judge_rendered(worlds: int, seed: int, renderer: Renderer) -> None:
             true = T_mount_board @ np.linalg.inv(T) @ np.linalg.inv(T_holder_camera)
             off = np.repeat([np.radians(RENDERED_DEG), RENDERED_MM], 3) * rng.standard_normal(6)
             poses.append(true @ np.linalg.inv(small(off)))
-        camera_found = find_lens(board, views, (lens.width, lens.height))
+        camera_found = fit_lens(board, views, (lens.width, lens.height))
         k = len(camera_found.scene.lens.names)
         for name, used, covariance in (
             ("lens as drawn", lens, None),

@@ -18,7 +18,7 @@ from calibrate_camera import board_of, bound, views_of
 from camera_worlds import LENSES, World, draw_corners, draw_world
 from scipy.stats import norm
 
-from calibration.camera.calibrate import find_lens
+from calibration.camera.calibrate import fit_lens
 from calibration.camera.enough import UndeterminedError
 from noise_model.compiled.arrays import Float64
 
@@ -57,7 +57,7 @@ def main() -> None:
             world = replace(world, warp_mm=np.zeros(2))
         images, _ = draw_corners(rng, world)
         try:
-            result = find_lens(board_of(world), views_of(images), world.size, orders=[world.order])
+            result = fit_lens(board_of(world), views_of(images), world.size, orders=[world.order])
         except UndeterminedError:
             continue
         least = dict(zip(result.names, bound(world, result), strict=True))

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.boards.board import Board, BoardKind
 from calibration.boards.detect import find_corners
-from calibration.camera.calibrate import find_lens
+from calibration.camera.calibrate import fit_lens
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.sightings import BoardView
 
@@ -119,7 +119,7 @@ def judge(
             views.append((view, BoardView(f"{view}", np.arange(len(points)), points)))
         rays.cache_clear()
         try:
-            result = find_lens(Board(BoardKind.CHESSBOARD, 8, 6, 5.0), [view for _, view in views], SIZE)
+            result = fit_lens(Board(BoardKind.CHESSBOARD, 8, 6, 5.0), [view for _, view in views], SIZE)
         except UndeterminedError:
             refused += 1
             continue

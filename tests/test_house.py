@@ -388,6 +388,89 @@ def test_a_name_that_says_nothing_is_seen(source: str, wrong: list[str]) -> None
     assert names_that_say_nothing(source) == wrong
 
 
+def own_uses(tree: ast.Module) -> set[str]:
+    """Return the names that a file reads outside of what they define, and the words of its texts."""
+    names: set[str] = set()
+    texts: list[str] = []
+
+    def walk(node: ast.AST, within: frozenset[str]) -> None:
+        if isinstance(node, (*FUNCTIONS, ast.ClassDef)):
+            within |= {node.name}
+        if isinstance(node, ast.Name) and node.id not in within:
+            names.add(node.id)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            texts.append(node.value)
+        for child in ast.iter_child_nodes(node):
+            if not (isinstance(node, ast.Expr) and isinstance(child, ast.Constant)):
+                walk(child, within)
+
+    walk(tree, frozenset())
+    return names | {word for text in texts for word in re.findall(r"\w+", text)}
+
+
+def dotted(node: ast.AST) -> str:
+    """Return the name that attributes of names make, such as a module's; empty for anything else."""
+    if isinstance(node, ast.Attribute):
+        return f"{dotted(node.value)}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else ""
+
+
+def used_by_tests_alone(sources: dict[str, str], texts: str = "") -> list[str]:
+    """Return the public functions and classes, as MODULE.NAME, that no other part of the sources uses.
+
+    Imports count by module, or by a package that hands the name on; words of `texts` count everywhere.
+    """
+    imported: dict[str, set[str]] = {}
+    for source in sources.values():
+        modules: dict[str, str] = {}
+        for node in ast.walk(parsed(source)):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                for alias in node.names:
+                    imported.setdefault(alias.name, set()).add(node.module)
+                    modules[alias.asname or alias.name] = f"{node.module}.{alias.name}"
+            elif isinstance(node, ast.Import):
+                modules |= {alias.asname or alias.name: alias.name for alias in node.names}
+        for node in ast.walk(parsed(source)):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name | ast.Attribute):
+                imported.setdefault(node.attr, set()).add(modules.get(dotted(node.value), ""))
+    everywhere = set(re.findall(r"\w+", texts))
+    unused = []
+    for module, source in sources.items():
+        tree = parsed(source)
+        uses = own_uses(tree) | everywhere
+        for node in tree.body:
+            if not isinstance(node, (*FUNCTIONS, ast.ClassDef)) or node.name.startswith("_"):
+                continue
+            takers = imported.get(node.name, set())
+            is_taken = any(f"{module}.".startswith(f"{taker}.") for taker in takers)
+            if node.name not in uses and not is_taken:
+                unused.append(f"{module}.{node.name}")
+    return unused
+
+
+@pytest.mark.slow
+def test_what_tests_and_benchmarks_alone_use_is_not_in_the_wheel() -> None:
+    product = [room for room in MAY_IMPORT if room != "validation"]
+    files = {
+        ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file.read_text()
+        for room in product
+        for file in sorted((ROOT / room).rglob("*.py"))
+    }
+    templates = [path.read_text() for path in sorted((ROOT / "arctrack").rglob("*.j2"))]
+    texts = "\n".join([*templates, (ROOT / "pyproject.toml").read_text()])
+    assert used_by_tests_alone(files, texts) == []
+
+
+def test_what_tests_alone_use_is_seen() -> None:
+    sources = {
+        "room.made": "def far(): ...\ndef make(): return make()\ndef take(): ...\ndef hand_on(): ...\n",
+        "room.other": "from room.made import take\nfrom room import hand_on, made as m\nm.far()\n",
+        "room.spoken": "def run(): ...\nPROGRAM = 'import room.spoken; run()'\n",
+    }
+    assert used_by_tests_alone(sources) == ["room.made.make"]
+    assert used_by_tests_alone(sources, texts="{{ make() }}") == []
+
+
 def test_a_name_of_a_class_has_one_meaning() -> None:
     """No class name twice, not even of a record that one file alone uses."""
     homes: dict[str, list[str]] = {}

@@ -151,7 +151,7 @@ def calibrate_camera(
             progress(done, steps)
 
     with one_thread():
-        result = _fit_lens(board, views, size, tilted, orders, tell)
+        result = fit_lens(board, views, size, tilted=tilted, orders=orders, progress=tell)
         halves = []
         for n, first in enumerate(splits(len(result.seen.names))):
             halves.append(difference_of_halves(result.scene, result.seen, first))
@@ -162,27 +162,16 @@ def calibrate_camera(
     return replace(result, halves=halves, next_board=pose)
 
 
-def find_lens(
+def fit_lens(
     board: Board,
     views: Sequence[BoardView],
     size: tuple[int, int],
     *,
     tilted: bool = False,
     orders: Sequence[str] = tuple(ORDERS),
+    progress: Callable[[int], None] | None = None,
 ) -> CameraCalibration:
-    """Find a camera's lens; see `calibrate_camera`, which judges it too."""
-    with one_thread():
-        return _fit_lens(board, views, size, tilted, orders, None)
-
-
-def _fit_lens(
-    board: Board,
-    views: Sequence[BoardView],
-    size: tuple[int, int],
-    tilted: bool,
-    orders: Sequence[str],
-    progress: Callable[[int], None] | None,
-) -> CameraCalibration:
+    """Fit a lens without comparing halves of the images; see `calibrate_camera`."""
     check_count(len(views), 0)
     all_seen = Sightings.of(board, views)
     start = first_scene(*size, all_seen)

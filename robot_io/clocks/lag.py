@@ -306,16 +306,6 @@ def _autocorrelation_factor(residuals: Float64) -> float:
     return (1.0 + share) / (1.0 - share)
 
 
-def respond(motion: Motion, times_s: Float64, time_constant_s: float, between: Between) -> Float64:
-    """Return a first-order response to a motion at `times_s` (n,), mm, in closed form.
-
-    It starts from rest at the motion's first value. A time constant of 0 returns the motion itself. `between`
-    says whether the motion is "held" or "straight" between its times; after the last it stays.
-    """
-    knots = _at_knots(motion, time_constant_s, between)
-    return _between_knots(motion, knots, times_s, time_constant_s, between)
-
-
 def _slopes(motion: Motion, between: Between) -> Float64:
     slope = np.zeros(len(motion.times_s))
     if between == "straight":

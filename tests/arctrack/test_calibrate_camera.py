@@ -16,7 +16,7 @@ from arctrack.calibrate.camera.board_images import read_boards
 from arctrack.calibrate.camera.record import calibrated_camera
 from arctrack.recording.setup_file import read_setup_file
 from calibration.boards.board import Board
-from calibration.camera.calibrate import find_lens
+from calibration.camera.calibrate import fit_lens
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.halves import Difference
 from noise_model.compiled.arrays import UInt8
@@ -90,7 +90,7 @@ def test_boards_that_do_not_tell_the_focal_length_are_refused(tmp_path: Path) ->
 @pytest.mark.slow
 @pytest.mark.parametrize(("order", "count"), [("none", 5), ("k1 k2", 5), ("rational", 8)])
 def test_as_many_coefficients_are_written_as_opencv_takes(order: str, count: int) -> None:
-    result = find_lens(SCENE_BOARD, views(), SIZE, orders=[order])
+    result = fit_lens(SCENE_BOARD, views(), SIZE, orders=[order])
     values = calibrated_camera(result).values
     assert values["distortion"] == pytest.approx(result.scene.lens.distortion[:count], rel=1e-8)
     assert not result.scene.lens.distortion[count:].any()
@@ -148,11 +148,11 @@ def test_twelve_bits_in_sixteen_are_not_dim(tmp_path: Path) -> None:
 
 def test_a_distortion_that_few_boards_do_not_tell_is_refused() -> None:
     with pytest.raises(UndeterminedError, match="the distortion rational leaves the image unknown to more"):
-        find_lens(SCENE_BOARD, views(sigma_px=0.3), SIZE, orders=["rational"])
+        fit_lens(SCENE_BOARD, views(sigma_px=0.3), SIZE, orders=["rational"])
 
 
 def test_halves_that_know_nothing_do_not_blame_the_board() -> None:
-    result = find_lens(SCENE_BOARD, views(), SIZE, orders=["k1"])
+    result = fit_lens(SCENE_BOARD, views(), SIZE, orders=["k1"])
     points = np.zeros((1, 2))
     unknown = Difference(points, points, np.array([math.nan]))
     error = replace(result, halves=[unknown]).model_error
@@ -193,7 +193,7 @@ def test_the_lens_is_the_same_at_every_size_of_the_images(
         cv2.imwrite(str(tmp_path / f"{n}.{suffix}"), resized, [cv2.IMWRITE_JPEG_QUALITY, 75])
     board = Board.parse("chessboard:9x6:4mm")
     images = read_boards([tmp_path], board)
-    result = find_lens(board, images.views, images.size)
+    result = fit_lens(board, images.views, images.size)
     lens = result.scene.lens
     found = dict(zip(lens.names, zip(lens.values, result.sigma[:-2], strict=True), strict=True))
     assert result.order == "k1"

@@ -11,8 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from diagnosis_examples import GAMMA, GLARE, Effects, example
 from made import replace_in, without_progress
-from test_diagnosis_examples import GAMMA, GLARE, Effects, example
 from typer.testing import CliRunner, Result
 
 from arctrack import cli

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_diagnosis_examples import GAMMA, GLARE, example, gap_of
+from diagnosis_examples import GAMMA, GLARE, example, gap_of
 
 from arctrack.diagnose.diagnosis_files import report, write_numbers
 from noise_model.effects import Stage
@@ -16,6 +16,17 @@ from sim_to_real.diagnosis import DiagnosisVerdict
 
 KEYS = ["format", "verdict", "effects", "ranking", "ambiguous_with", "gap", "where", "next", "not_resolvable"]
 MORE_KEYS = ["smallest_detectable", "left_over", "after_with", "reasons", "withheld"]
+
+
+@pytest.mark.parametrize("verdict", DiagnosisVerdict)
+def test_the_examples_show_what_they_say(verdict: DiagnosisVerdict, seen_setup: Setup) -> None:
+    gap = example(verdict, seen_setup).gap
+    if verdict is DiagnosisVerdict.NO_GAP:
+        assert gap.before < 0.3
+    elif verdict is DiagnosisVerdict.UNKNOWN:
+        assert gap.after == gap.before > 1.0
+    else:
+        assert gap.after < 0.3 < 1.0 < gap.before
 
 
 @pytest.mark.parametrize("verdict", DiagnosisVerdict)

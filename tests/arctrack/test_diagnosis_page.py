@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Page
+from diagnosis_examples import GAMMA, GLARE, example
 from made import small_setup
-from test_diagnosis_examples import GAMMA, GLARE, example
 
 from arctrack.diagnose.diagnosis_files import report, write_numbers
 from arctrack.diagnose.pages import words

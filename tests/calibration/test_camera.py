@@ -7,7 +7,7 @@ from camera_scenes import BOARD, LENS, SIZE, VARIED, WARP_MM, Held, project, vie
 
 from calibration.boards.board import Board, BoardKind
 from calibration.camera.adjustment import adjust, linearise
-from calibration.camera.calibrate import CameraCalibration, calibrate_camera, find_lens
+from calibration.camera.calibrate import CameraCalibration, calibrate_camera, fit_lens
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.halves import MAX_RATIO
 from calibration.camera.lens import ORDERS, Lens
@@ -40,7 +40,7 @@ def test_lens_and_warp_are_within_their_sigmas(found: CameraCalibration) -> None
 
 
 def test_without_noise_the_truth_comes_back() -> None:
-    exact = find_lens(BOARD, views(sigma_px=0.0), SIZE, orders=["k1 k2"])
+    exact = fit_lens(BOARD, views(sigma_px=0.0), SIZE, orders=["k1 k2"])
     assert [*exact.scene.lens.values, *exact.scene.warp_mm] == pytest.approx(truth(exact), rel=1e-4)
 
 
@@ -86,7 +86,7 @@ def test_normal_equations_are_those_of_finite_differences(found: CameraCalibrati
 @pytest.mark.slow
 def test_sigma_of_the_projection_is_the_scatter_over_repeats() -> None:
     """Repeated calibrations see a point as far apart as stated, once the boards bring them together."""
-    start = find_lens(BOARD, views(sigma_px=0.0), SIZE, orders=["k1 k2"]).scene
+    start = fit_lens(BOARD, views(sigma_px=0.0), SIZE, orders=["k1 k2"]).scene
     point = np.array([[-55.0, 40.0, 180.0]])
     errors, stated = [], []
     for seed in range(60):
@@ -110,7 +110,7 @@ def test_wrong_corners_are_named_and_do_no_harm(found: CameraCalibration) -> Non
     spoiled = views()
     spoiled[3].points_px[7] += [1.5, 0.0]
     spoiled[8].points_px[30] += [0.0, -40.0]
-    result = find_lens(BOARD, spoiled, SIZE, orders=["k1 k2"])
+    result = fit_lens(BOARD, spoiled, SIZE, orders=["k1 k2"])
     assert [(wrong.view, wrong.corner) for wrong in result.wrong] == [(3, 7), (8, 30)]
     assert result.wrong[1].residual_px == pytest.approx([0.0, -40.0], abs=0.5)
     assert result.scene.lens.values == pytest.approx(found.scene.lens.values, abs=0.5)
@@ -119,7 +119,7 @@ def test_wrong_corners_are_named_and_do_no_harm(found: CameraCalibration) -> Non
 def test_an_image_of_scattered_corners_is_left_out() -> None:
     spoiled = views()
     spoiled[4].points_px[::2] += np.random.default_rng(2).uniform(5.0, 9.0, spoiled[4].points_px[::2].shape)
-    result = find_lens(BOARD, spoiled, SIZE, orders=["k1 k2"])
+    result = fit_lens(BOARD, spoiled, SIZE, orders=["k1 k2"])
     assert list(result.left_out) == ["4"]
     assert len(result.seen.names) == len(VARIED) - 1
 
@@ -128,7 +128,7 @@ def test_a_noisier_image_gets_a_larger_sigma() -> None:
     blurred = views()
     rng = np.random.default_rng(3)
     blurred[2] = replace(blurred[2], points_px=blurred[2].points_px + 0.5 * rng.standard_normal((42, 2)))
-    sigma = find_lens(BOARD, blurred, SIZE, orders=["k1 k2"]).noise.sigma_px
+    sigma = fit_lens(BOARD, blurred, SIZE, orders=["k1 k2"]).noise.sigma_px
     assert sigma[2] > 3.0 * np.delete(sigma, 2).max()
 
 
@@ -162,7 +162,7 @@ def test_variances_lean_on_each_other_as_far_as_they_scatter() -> None:
 )
 def test_images_that_do_not_determine_the_lens_are_refused(held: tuple[Held, ...], why: str) -> None:
     with pytest.raises(UndeterminedError, match=why):
-        find_lens(BOARD, views(held, sigma_px=0.05), SIZE, orders=["none"])
+        fit_lens(BOARD, views(held, sigma_px=0.05), SIZE, orders=["none"])
 
 
 @pytest.mark.slow
@@ -177,7 +177,7 @@ def test_a_board_that_is_not_exact_is_taken_as_it_was_printed() -> None:
     """Corners that are off on the board are told from noise, and the lens is as good as its sigmas say."""
     offsets_mm = 0.02 * np.random.default_rng(4).standard_normal((42, 2))
     shown = views(sigma_px=0.03, print_mm=offsets_mm)
-    result = find_lens(BOARD, shown, SIZE, orders=["k1 k2"])
+    result = fit_lens(BOARD, shown, SIZE, orders=["k1 k2"])
     assert result.print_sigma_mm == pytest.approx(0.02, rel=0.25)
     # The board's own place, turn and size are not those of the print.
     flat = BOARD.points_mm[:, :2] - BOARD.points_mm[:, :2].mean(axis=0)
@@ -207,13 +207,13 @@ def test_the_next_board_helps_as_much_as_it_says(found: CameraCalibration) -> No
     # An image of that very pose, taken, makes the sigma what was said.
     points = pose.points_px + 0.1 * np.random.default_rng(5).standard_normal(pose.points_px.shape)
     more = [*views(), BoardView("next", np.arange(len(points)), points)]
-    after = find_lens(BOARD, more, SIZE, orders=["k1 k2"])
+    after = fit_lens(BOARD, more, SIZE, orders=["k1 k2"])
     assert mean_sigma(after.known, after.scene, found.distance_mm) == pytest.approx(pose.sigma_px, rel=0.15)
 
 
 def tilted_views(lens: Lens) -> list[BoardView]:
     """Return what a lens with a tilted sensor sees of the varied boards."""
-    straight = find_lens(BOARD, views(sigma_px=0.0, lens={**LENS, "k2": 0.0}), SIZE, orders=["k1"])
+    straight = fit_lens(BOARD, views(sigma_px=0.0, lens={**LENS, "k2": 0.0}), SIZE, orders=["k1"])
     seen = straight.seen
     points = lens.project(replace(straight.scene, lens=lens, warp_mm=WARP_MM).points_camera(seen))
     points += 0.02 * np.random.default_rng(1).standard_normal(points.shape)
@@ -226,7 +226,7 @@ def tilted_views(lens: Lens) -> list[BoardView]:
 def test_a_tilted_sensor_is_found_by_the_lens_distortion() -> None:
     names = ("fx", "fy", "cx", "cy", "k1", "tau_x", "tau_y")
     lens = Lens(*SIZE, names, np.array([1000.0, 1003.0, 400.0, 300.0, -0.4, 0.12, -0.05]))
-    result = find_lens(BOARD, tilted_views(lens), SIZE, tilted=True, orders=["k1"])
+    result = fit_lens(BOARD, tilted_views(lens), SIZE, tilted=True, orders=["k1"])
     z = (result.scene.lens.values - lens.values) / result.sigma[: len(names)]
     assert np.abs(z).max() < 3.5
 
@@ -235,7 +235,7 @@ def test_a_tilt_that_nothing_tells_is_refused() -> None:
     names = ("fx", "fy", "cx", "cy", "tau_x", "tau_y")
     lens = Lens(*SIZE, names, np.array([1000.0, 1003.0, 400.0, 300.0, 0.12, -0.05]))
     with pytest.raises(UndeterminedError, match="the sensor's tilt is unknown"):
-        find_lens(BOARD, tilted_views(lens), SIZE, tilted=True, orders=["none"])
+        fit_lens(BOARD, tilted_views(lens), SIZE, tilted=True, orders=["none"])
 
 
 @pytest.mark.parametrize("text", ["chessboard:9x6:5mm", "charuco:8x6:5mm:3.7mm:5X5_100"])
@@ -289,9 +289,7 @@ def test_held_out_errors_are_those_of_fits_without_the_board(found: CameraCalibr
 
 def test_terms_that_no_image_tells_stay_within_what_lenses_are() -> None:
     """Numerator and denominator of the rational distortion cannot cancel each other."""
-    lens = find_lens(
-        BOARD, views(lens={**LENS, "k1": -0.05, "k2": 0.0}), SIZE, orders=["rational"]
-    ).scene.lens
+    lens = fit_lens(BOARD, views(lens={**LENS, "k1": -0.05, "k2": 0.0}), SIZE, orders=["rational"]).scene.lens
     share = lens.values[4:] * np.sqrt(lens.prior_precision()[4:])
     assert np.abs(share).max() < 2.0
     assert lens.is_invertible
@@ -325,4 +323,4 @@ def test_what_a_lens_may_be_does_not_depend_on_the_images_size() -> None:
 
 def test_corners_that_are_too_noisy_are_blamed_where_boards_lean_enough() -> None:
     with pytest.raises(UndeterminedError, match=r"corners scatter by 2\.. px.* at the camera's own size"):
-        find_lens(BOARD, views(sigma_px=2.5), SIZE, orders=["none"])
+        fit_lens(BOARD, views(sigma_px=2.5), SIZE, orders=["none"])

@@ -2,15 +2,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
-from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
+from scipy.signal import lsim
 
-from robot_io.clocks.lag import LagLimits, LagUnestimated, Motion, estimate_lag, respond
+from robot_io.clocks.lag import LagLimits, LagUnestimated, Motion, estimate_lag
+from tests.robot_io.first_order import STEP_S, follow
 
 LIMITS = LagLimits()
 
@@ -23,7 +21,7 @@ class World:
         self.dead_s, self.constant_s = rng.uniform(0.02, 0.3), rng.uniform(0.03, 0.25)
         self.gain, self.zero_mm = rng.uniform(0.8, 1.1), rng.uniform(-5.0, 5.0)
         noise_mm = rng.uniform(0.01, 0.08) if noise_mm is None else noise_mm
-        sent_s = np.cumsum(rng.uniform(0.015, 0.025, round(seconds * 50)))
+        sent_s = STEP_S * np.round(np.cumsum(rng.uniform(0.015, 0.025, round(seconds * 50))) / STEP_S)
         # A seam with a bend and a step now and then: a tack, a soft start.
         wave = sum(
             rng.normal(0.0, spread_mm / (n + 1))
@@ -34,7 +32,7 @@ class World:
         self.commanded = Motion(sent_s, np.round(wave + steps, 3))
         seen_s = np.arange(0.0, seconds, 0.01) + 100e-6 * rng.normal(size=round(seconds / 0.01))
         seen_s = np.sort(seen_s)
-        moved = respond(self.commanded, seen_s - self.dead_s, self.constant_s, "held")
+        moved = follow(self.commanded, seen_s, self.dead_s, self.constant_s)
         self.seen = Motion(seen_s, self.gain * moved + self.zero_mm + rng.normal(0.0, noise_mm, len(seen_s)))
 
     @property
@@ -145,9 +143,7 @@ def test_what_is_too_little_or_too_far_is_named():
     )
     unsure = LagLimits(sigma_s=1e-6)
     assert estimate_lag(world.commanded, world.seen, unsure).unestimated is LagUnestimated.TOO_UNSURE
-    slow = Motion(
-        world.commanded.times_s, respond(world.commanded, world.commanded.times_s - 0.4, 0.1, "held")
-    )
+    slow = Motion(world.commanded.times_s, follow(world.commanded, world.commanded.times_s, 0.4, 0.1))
     bounded = LagLimits(longest_s=0.35)
     assert estimate_lag(world.commanded, slow, bounded).unestimated is LagUnestimated.AT_BOUND
 
@@ -167,46 +163,22 @@ def test_nuisances_that_are_one_and_the_same_leave_a_lag_or_a_reason():
         assert (lag.unestimated is None) == (lag.sigma_s >= 0.0)
 
 
-@settings(max_examples=25, deadline=None)
-@given(
-    seed=st.integers(0, 10**6), constant=st.floats(0.01, 0.5), between=st.sampled_from(["held", "straight"])
-)
-def test_the_response_solves_its_equation(seed, constant, between):
-    rng = np.random.default_rng(seed)
-    t_s = np.cumsum(rng.uniform(0.02, 0.3, 8))
-    motion = Motion(t_s, rng.normal(0.0, 1.0, 8))
-
-    def command(time_s):
-        if between == "straight":
-            return np.interp(time_s, motion.times_s, motion.values_mm)
-        return motion.values_mm[max(np.searchsorted(t_s, time_s, side="right") - 1, 0)]
-
-    asked_s = np.linspace(t_s[0], t_s[-1] + 0.5, 40)
-    r = [motion.values_mm[0]]
-    for a_s, b_s in pairwise(asked_s):
-        knots = [a_s, *t_s[(t_s > a_s) & (t_s < b_s)], b_s]
-        value = r[-1]
-        for low_s, high_s in pairwise(knots):
-            middle = command(0.5 * (low_s + high_s))
-
-            def rate(time_s, y, middle=middle):
-                return (command(time_s) if between == "straight" else middle) - y
-
-            value = solve_ivp(
-                lambda time_s, y, rate=rate: rate(time_s, y) / constant, (low_s, high_s), [value], rtol=1e-9
-            ).y[0, -1]
-        r.append(value)
-    np.testing.assert_allclose(respond(motion, asked_s, constant, between), r, atol=1e-5)
-
-
-def test_without_a_time_constant_the_response_is_the_motion():
-    motion = Motion(np.array([1.0, 2.0, 3.0]), np.array([0.0, 4.0, 2.0]))
-    asked_s = np.array([0.0, 1.0, 1.5, 2.0, 2.5, 9.0])
-    np.testing.assert_allclose(respond(motion, asked_s, 0.0, "straight"), [0.0, 0.0, 2.0, 4.0, 3.0, 2.0])
-    np.testing.assert_allclose(respond(motion, asked_s, 0.0, "held"), [0.0, 0.0, 0.0, 4.0, 4.0, 2.0])
-    np.testing.assert_allclose(
-        respond(motion, asked_s, 1e-5, "straight"), [0.0, 0.0, 2.0, 4.0, 3.0, 2.0], atol=1e-3
-    )
+@pytest.mark.parametrize("between", ["held", "straight"])
+@pytest.mark.parametrize(("dead_s", "constant_s"), [(0.12, 0.0), (0.0, 0.15), (0.2, 0.03), (0.05, 0.4)])
+def test_a_robot_without_noise_shows_its_lag_and_gain(between, dead_s, constant_s):
+    t_s = 1e-3 * np.arange(8000)
+    commanded = Motion(t_s[::50], np.random.default_rng(4).normal(size=160).cumsum())
+    place_mm = np.interp(t_s, commanded.times_s, commanded.values_mm)
+    if between == "held":
+        place_mm = np.repeat(commanded.values_mm, 50)
+    if constant_s > 0.0:
+        _, place_mm, _ = lsim(([1.0], [constant_s, 1.0]), place_mm, t_s, interp=between == "straight")
+    seen_s = t_s[1005::10]
+    seen = Motion(seen_s, 0.9 * np.interp(seen_s - dead_s, t_s, place_mm) + 2.0)
+    lag = estimate_lag(commanded, seen, LIMITS, between)
+    assert lag.unestimated is None
+    assert [lag.dead_time_s, lag.time_constant_s] == pytest.approx([dead_s, constant_s], abs=1e-3)
+    assert lag.gain == pytest.approx(0.9, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,9 @@ import pytest
 from arctrack.control.look_ahead import LookAhead
 from arctrack.simulation.cell.cell import Cell
 from robot_io import Command, PoseKind, PoseSample, SeamOffset, Switch, TrackerCommand, Validity
-from robot_io.clocks.lag import Lag, LagUnestimated, Motion, respond
+from robot_io.clocks.lag import Lag, LagUnestimated, Motion
 from robot_io.poses.nominal_path import NominalPath
+from tests.robot_io.first_order import follow
 from tracker.state import AT_ONCE
 from validation.fault_schedules.worlds import draw_world
 
@@ -38,7 +39,7 @@ def drive(ahead, seconds=4.0, weave_hz=1.7, disarmed=True, begin_s=0.0, gap_s=No
     sent_mm = np.minimum(20.0 * (sent_s - sent_s[0]), 3.0)
     before = Motion(np.concatenate([[begin_s - 5.0], sent_s]), np.concatenate([[0.0], sent_mm]))
     seen_s = begin_s + np.arange(0.0, seconds, 0.01)
-    followed = respond(before, seen_s - DEAD_S, CONSTANT_S, "held")
+    followed = follow(before, seen_s, DEAD_S, CONSTANT_S)
     rng = np.random.default_rng(2)
     y_mm = followed + 1.5 * np.sin(2.0 * np.pi * weave_hz * seen_s + 0.4) + rng.normal(0.0, 0.01, len(seen_s))
     if disarmed:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnosis_examples import GAMMA, example
 from made import level_pose, noise_frames, small_setup
-from test_diagnosis_examples import GAMMA, example
 from typer.testing import CliRunner, Result
 
 from arctrack import cli
