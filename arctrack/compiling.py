@@ -10,10 +10,10 @@ import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
-from queue import Empty, SimpleQueue
-from threading import Thread
+from multiprocessing.connection import Connection, wait
 
-from arctrack.own_process import OwnProcess, tell
+from arctrack.child_process import ChildProcess, is_child
+from arctrack.errors import ArctrackError
 from arctrack.workers import cores_each
 from noise_model.compiled.compiler_events import compiler_events, pass_on
 from noise_model.compiled.forecast import running_forecast
@@ -42,7 +42,7 @@ def compiled_by(parts: Sequence[Part]) -> Iterator[None]:
     What they leave out, for whatever reason, is compiled here.
     """
     # One of several processes on many recordings shares the cores with the others.
-    is_alone = multiprocessing.parent_process() is None
+    is_alone = not is_child() and multiprocessing.parent_process() is None
     if not is_alone or cores_each(1, None) < len(parts) or not kernels_are_stored():
         yield
         return
@@ -64,32 +64,26 @@ def compiled_by(parts: Sequence[Part]) -> Iterator[None]:
 
 def _compile(parts: Sequence[Part], on_end_of_one: Callable[[], None]) -> None:
     """Wait until processes have compiled the parts, and report meanwhile what they compile."""
-    words: SimpleQueue[tuple[bool, str] | None] = SimpleQueue()
-    with suppress(OSError, Empty), ExitStack() as opened:
-        for part in parts:
-            # What they warn of is found here again.
-            process = OwnProcess[Part, None](_run, "", stderr=subprocess.DEVNULL)
-            opened.enter_context(process).ask([part])
-            Thread(target=_listen, args=(process, words), daemon=True).start()
-        at_work = len(parts)
-        while at_work:
-            word = words.get(timeout=STALLED_S)
-            if word is None:
-                at_work -= 1
-                on_end_of_one()
-            else:
-                pass_on(*word)
+    with suppress(OSError), ExitStack() as opened:
+        # What they warn of, and what fails in them, is found here again.
+        ended, quiet = ArctrackError(""), subprocess.DEVNULL
+        started = [
+            opened.enter_context(ChildProcess(_run, (part,), ended=ended, stderr=quiet)) for part in parts
+        ]
+        at_work = {process.connection: process for process in started}
+        while at_work and (ready := wait(at_work, STALLED_S)):
+            for connection in ready:
+                assert isinstance(connection, Connection)
+                try:
+                    pass_on(*at_work[connection].receive())
+                except ArctrackError:
+                    del at_work[connection]
+                    on_end_of_one()
 
 
-def _listen(process: OwnProcess[Part, None], words: SimpleQueue[tuple[bool, str] | None]) -> None:
-    """Put what a process says into a queue, and None once it has done its part, or ended without."""
-    # What fails there fails here again, where it is told.
-    with suppress(Exception):
-        process.answers(words.put)
-    words.put(None)
-
-
-def _run(part: Part) -> None:
+def _run(part: Part, parent: Connection) -> None:
     """Compile a part, and report what begins (True) and what ends."""
-    with compiler_events(lambda kernel: tell((True, kernel)), lambda kernel: tell((False, kernel))):
+    with compiler_events(
+        lambda kernel: parent.send((True, kernel)), lambda kernel: parent.send((False, kernel))
+    ):
         part()

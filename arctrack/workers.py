@@ -1,22 +1,34 @@
-"""Work on many recordings at once: processes of this machine, or a cluster's."""
+"""Work on many recordings at once: child processes of this machine, or a cluster's."""
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import time
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ThreadPoolExecutor,
+    as_completed,
+)
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from threading import Thread
-from typing import Generic, Protocol, TypeVar
+from threading import Lock
+from typing import Any, Generic, Protocol, TypeVar, cast
 
+from arctrack.child_process import WorkerProcess
 from arctrack.errors import ArctrackError, as_line
 
 CONNECT_S = 10.0
 """Time-out of a cluster's scheduler."""
+
+ENDS_S = 10.0
+"""Time that an interrupted process may take to close its files."""
+
+ENDED = "its process ended, for want of memory perhaps; try fewer --workers"
 
 
 class RecordingJob(Protocol):
@@ -45,7 +57,7 @@ class FailedJob(Generic[Job]):
         if isinstance(self.error, ArctrackError | OSError):
             return as_line(self.error, self.job.recording)
         if isinstance(self.error, BrokenExecutor):
-            return f"{self.job.recording}: its process ended, for want of memory perhaps; try fewer --workers"
+            return f"{self.job.recording}: {self.error}"
         return f"{self.job.recording}: {type(self.error).__name__}: {self.error}"
 
     @property
@@ -84,35 +96,70 @@ def cores_each(workers: int, scheduler: str | None) -> int:
     """
     if scheduler is not None:
         return 1
-    # Not every system says which cores a process is held to.
-    held = getattr(os, "sched_getaffinity", None)
-    cores = os.cpu_count() if held is None else len(held(0))
-    return max(1, (cores or 1) // workers)
+    return max(1, len(os.sched_getaffinity(0)) // workers)
+
+
+class ProcessExecutor(ThreadPoolExecutor):
+    """Executor whose threads have child processes do what is submitted.
+
+    A process that ends by itself fails its task alone: the next one gets another process.
+    """
+
+    def __init__(self, count: int) -> None:
+        super().__init__(count)
+        self._started: list[WorkerProcess[Callable[[], Any], Any]] = []
+        self._idle: list[WorkerProcess[Callable[[], Any], Any]] = []
+        self._is_open, self._lock = True, Lock()
+
+    def submit(self, work: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """Have a process do some work."""
+        return super().submit(self._run, partial(work, *args, **kwargs))
+
+    def interrupt(self) -> None:
+        """Take no more work, interrupt what is at work, and end the processes."""
+        self.shutdown(wait=False, cancel_futures=True)
+        with self._lock:
+            self._is_open = False
+        for process in self._started:
+            process.interrupt()
+        for process in self._started:
+            process.wait(ENDS_S)
+        self.shutdown()
+        for process in self._started:
+            process.close()
+
+    def _run(self, task: Callable[[], Result]) -> Result:
+        with self._lock:
+            if not self._is_open:
+                raise CancelledError
+            if not self._idle:
+                self._idle.append(WorkerProcess(_call, BrokenExecutor(ENDED)))
+                self._started.append(self._idle[-1])
+            process = self._idle.pop()
+        process.ask([task])
+        try:
+            (result,) = process.answers()
+        except BrokenExecutor:
+            raise
+        except Exception:
+            self._idle.append(process)
+            raise
+        self._idle.append(process)
+        return cast(Result, result)
+
+
+def _call(task: Callable[[], object]) -> object:
+    return task()
 
 
 @contextmanager
 def processes(count: int) -> Iterator[Executor]:
-    """Yield an executor of `count` processes on this machine; they end if this one is killed."""
-    # A forked process would inherit the locks of threads that it does not have.
-    spawn = multiprocessing.get_context("spawn")
-    executor = ProcessPoolExecutor(count, mp_context=spawn, initializer=end_with_parent)
+    """Yield an executor of `count` child processes on this machine."""
+    executor = ProcessExecutor(count)
     try:
         yield executor
     finally:
-        executor.shutdown(cancel_futures=True)
-
-
-def end_with_parent(after_s: float = 0.0) -> None:
-    """Let this process end some time after the one that started it has: nobody takes its results then."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def end() -> None:
-        parent.join()
-        time.sleep(after_s)
-        os._exit(1)
-
-    Thread(target=end, name="ends with parent", daemon=True).start()
+        executor.interrupt()
 
 
 @contextmanager

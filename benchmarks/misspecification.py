@@ -40,7 +40,7 @@ import time
 import warnings
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -51,7 +51,6 @@ from threadpoolctl import threadpool_limits
 
 from arctrack.output import write_whole
 from arctrack.recording import BadFrame, pose_at, read_recording
-from arctrack.workers import processes
 from noise_model.compiled.arrays import Float32, Float64
 from sim_to_real.data.binned import observe, variances_dn2
 from sim_to_real.evidence.coordinates import free_terms
@@ -285,7 +284,7 @@ def test_recordings(paths: Mapping[str, Path], workers: int, out: Path) -> dict[
     """Return what is said of recordings, by their seals; those that a file does not hold yet are tested."""
     kept: dict[str, Any] = json.loads(out.read_text()) if out.exists() else {}
     missing = {seal: path for seal, path in paths.items() if seal not in kept}
-    with processes(workers) as executor:
+    with ProcessPoolExecutor(workers) as executor:
         futures = {executor.submit(tested, path): seal for seal, path in missing.items()}
         for n_done, future in enumerate(as_completed(futures), len(paths) - len(missing) + 1):
             seal, result = futures[future], future.result()

@@ -174,7 +174,7 @@ def _serve_simulated(job: int | None, seconds: float | None) -> bool:
             robot = opened.enter_context(simulated.SimulatedCell(plan, frames, warm_up))
         console.say(f"bus messages: {robot.listening}")
         result = serve_cell_file(read, job, seconds, lock.on_track, True, **robot.bus_options)
-        samples = robot.end()
+        samples = robot.stop()
     error = simulated.torch_error(samples, lock.at_s, result.ended_s)
     if error is None:
         console.say("torch: never locked onto the seam")

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from test_child_process import children, is_there, wait_until
 from test_getting_ready import KERNELS
-from test_own_process import is_there, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -50,7 +50,7 @@ print("here:", *here)
 print("heard:", *sorted({name.removeprefix("parts.") for name in compiled}))
 """
 
-NONE_STARTS = "compiling.OwnProcess = None; "
+NONE_STARTS = "compiling.ChildProcess = None; "
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def test_two_compile_all_but_what_began_and_are_heard(environment: dict[str, str
         ("fail", ""),
         ("hang", "compiling.STALLED_S = 5.0"),
         ("double", "sys.executable = '/nowhere/python'"),
-        ("double", "import arctrack.own_process as own; own.CODE = 'raise SystemExit(1)  # {path}'"),
+        ("double", "import arctrack.child_process as child; child.CODE = 'raise SystemExit(1)'"),
     ],
 )
 def test_what_they_do_not_compile_is_compiled_here(
@@ -117,10 +117,6 @@ def test_none_starts_for_little(environment: dict[str, str], tmp_path: Path) -> 
     assert again == ["here: squared", "heard: squared"]
 
 
-def _children(pid: int) -> list[int]:
-    return list(map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split()))
-
-
 @pytest.fixture
 def warming(environment: dict[str, str]) -> Iterator[tuple[subprocess.Popen[str], list[int]]]:
     """Return a first `arctrack warm`, and the two processes that have begun to compile for it."""
@@ -138,8 +134,8 @@ def warming(environment: dict[str, str]) -> Iterator[tuple[subprocess.Popen[str]
         command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:
         try:
-            wait_until(lambda: len(_children(process.pid)) == 2 and any(kept.glob("*/*/*/*")))
-            yield process, _children(process.pid)
+            wait_until(lambda: len(children(process.pid)) == 2 and any(kept.glob("*/*/*/*")))
+            yield process, children(process.pid)
         finally:
             process.kill()
 

@@ -13,8 +13,8 @@ import pytest
 from made import results_of, without_progress
 from typer.testing import CliRunner
 
+from arctrack.child_process import WorkerProcess
 from arctrack.cli import app
-from arctrack.own_process import OwnProcess
 from arctrack.recording import read_recording
 from arctrack.recording.results import (
     BUS_LOG,
@@ -35,16 +35,16 @@ RUNNER = CliRunner(env={"COLUMNS": "120", "TERM": "dumb", "NO_COLOR": "1"})
 
 
 @pytest.fixture
-def started(monkeypatch: pytest.MonkeyPatch) -> list[OwnProcess[ToDraw, Drawn]]:
+def started(monkeypatch: pytest.MonkeyPatch) -> list[WorkerProcess[ToDraw, Drawn]]:
     """Let a process be worth a frame, and return those that were started."""
-    processes: list[OwnProcess[ToDraw, Drawn]] = []
+    processes: list[WorkerProcess[ToDraw, Drawn]] = []
 
-    def start(*arguments: object) -> OwnProcess[ToDraw, Drawn]:
-        processes.append(OwnProcess(*arguments))
+    def start(*arguments: object) -> WorkerProcess[ToDraw, Drawn]:
+        processes.append(WorkerProcess(*arguments))
         return processes[-1]
 
     monkeypatch.setattr(drawing, "FRAMES_WORTH_A_PROCESS", 1)
-    monkeypatch.setattr(drawing, "OwnProcess", start)
+    monkeypatch.setattr(drawing, "WorkerProcess", start)
     return processes
 
 
@@ -78,7 +78,7 @@ def test_processes_draw_what_one_draws_byte_for_byte(
     flawed_recording: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    started: list[OwnProcess[ToDraw, Drawn]],
+    started: list[WorkerProcess[ToDraw, Drawn]],
 ) -> None:
     # The page shows how long each step took.
     monkeypatch.setattr("arctrack.replay.recorded_tracking.time", SimpleNamespace(perf_counter_ns=lambda: 0))
@@ -99,7 +99,7 @@ def test_processes_draw_what_one_draws_byte_for_byte(
 
 
 def test_no_process_is_started_where_nothing_is_drawn(
-    simulated: Path, tmp_path: Path, started: list[OwnProcess[ToDraw, Drawn]]
+    simulated: Path, tmp_path: Path, started: list[WorkerProcess[ToDraw, Drawn]]
 ) -> None:
     replay_recording(read_recording(simulated), tmp_path, ReplayOptions(pictures=False), cores=4)
     assert started == []
@@ -111,17 +111,17 @@ def test_a_drawing_process_that_is_killed_is_one_line_and_what_was_tracked_is_th
     simulated: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    started: list[OwnProcess[ToDraw, Drawn]],
+    started: list[WorkerProcess[ToDraw, Drawn]],
 ) -> None:
-    ask = OwnProcess.ask
+    ask = WorkerProcess.ask
 
-    def ask_and_kill(process: OwnProcess[ToDraw, Drawn], questions: list[ToDraw]) -> None:
+    def ask_and_kill(process: WorkerProcess[ToDraw, Drawn], questions: list[ToDraw]) -> None:
         # Before it is asked: afterwards it might answer in time.
         if questions[0].seen.track.frame == 8:
             process._process.send_signal(signal.SIGKILL if os.name == "posix" else signal.SIGTERM)
         ask(process, questions)
 
-    monkeypatch.setattr(OwnProcess, "ask", ask_and_kill)
+    monkeypatch.setattr(WorkerProcess, "ask", ask_and_kill)
     monkeypatch.setattr("arctrack.workers.cores_each", lambda *_: 3)
     result = RUNNER.invoke(app, ["replay", str(simulated), "--out", str(tmp_path)])
     assert result.exit_code == 2, result.output
@@ -140,7 +140,7 @@ INTERRUPTED = """
 import os, signal, sys
 import arctrack.cli.console
 import arctrack.workers
-from arctrack.own_process import OwnProcess
+from arctrack.child_process import WorkerProcess
 from arctrack.replay.pages import drawing
 
 # What a shell starts in the background ignores SIGINT, and so would its children.
@@ -153,7 +153,7 @@ def interrupt_at(this):
         # To all of the group, as a terminal does.
         os.killpg(0, signal.SIGINT)
 
-class Watched(OwnProcess):
+class Watched(WorkerProcess):
     def __init__(self, *arguments):
         super().__init__(*arguments)
         pids.append(self._process.pid)
@@ -165,7 +165,7 @@ class Watched(OwnProcess):
         if questions[0].seen.track.frame == 12:
             interrupt_at("drawing")
 
-drawing.OwnProcess, drawing.FRAMES_WORTH_A_PROCESS = Watched, 1
+drawing.WorkerProcess, drawing.FRAMES_WORTH_A_PROCESS = Watched, 1
 arctrack.workers.cores_each = lambda *_: 3
 arctrack.cli.console.SPOKEN_EVERY_S = 0.001
 from arctrack.cli import main

@@ -16,7 +16,7 @@ import secrets
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, as_completed
+from concurrent.futures import as_completed
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -481,13 +481,8 @@ def _over(
         return
     with processes(workers) as executor:
         futures = {executor.submit(work, item): item for item in items}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BrokenExecutor:
-            raise ArctrackError(
-                "a process ended, for want of memory perhaps; run again with fewer --workers"
-            ) from None
+        for future in as_completed(futures):
+            yield futures[future], future.result()
 
 
 def seal_of(salt: str, label: Mapping[str, Any]) -> str:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from arctrack.simulation.cell.cell import TORCH_MM, USABLE, Cell, ReceivedOffset
 from arctrack.simulation.cell.fault_kind import FaultKind
+from arctrack.workers import processes
 from robot_io import GateLimits, GateReason, Validity
 from validation.fault_schedules.failures import LONGEST_S
 from validation.fault_schedules.kinds import KINDS
@@ -118,7 +118,7 @@ def run_schedules(seed: int, count: int, executor: Executor | None = None) -> It
         for number in range(count):
             yield run_schedule(seed, number)
         return
-    yield from executor.map(run_schedule, [seed] * count, range(count), chunksize=16)
+    yield from executor.map(run_schedule, [seed] * count, range(count))
 
 
 @contextmanager
@@ -127,7 +127,7 @@ def executor(workers: int) -> Iterator[Executor | None]:
     if workers == 1:
         yield None
         return
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with processes(workers) as pool:
         yield pool
 
 

@@ -95,17 +95,17 @@ def folder_problem(folder: Path, needed_bytes: int) -> str:
     return ""
 
 
-def run_recorder(options: RecorderOptions, told: Connection, *asked: PipeEnd) -> None:
-    """Keep a run's black box until the other end of `told` ends it, or is gone.
+def run_recorder(options: RecorderOptions, parent: Connection, *asked: PipeEnd) -> None:
+    """Keep a run's black box until the parent ends it, or is gone.
 
-    `told` is sent that it is ready, then what keeps it from saving, and "" once nothing does. Each connection
-    of `asked` may send {"save": reason}, and is answered {"saved": path} or {"error": text}. Where the run's
-    process ends without a message, its last frames are saved.
+    The parent is sent that it is ready, then what keeps it from saving, and "" once nothing does. Each
+    connection of `asked` may send {"save": reason}, and is answered {"saved": path} or {"error": text}. Where
+    the run's process ends without a message, its last frames are saved.
     """
     reader = JournalReader(options.run)
-    told.send([])
-    recorder = _Recorder(options, reader, told)
-    open_ends: list[Connection | PipeEnd] = [told, *asked]
+    parent.send([])
+    recorder = _Recorder(options, reader, parent)
+    open_ends: list[Connection | PipeEnd] = [parent, *asked]
     while True:
         ends = {end.fileno(): end for end in open_ends}
         for number in wait(ends, LOOK_S):
@@ -115,7 +115,7 @@ def run_recorder(options: RecorderOptions, told: Connection, *asked: PipeEnd) ->
                 message = end.recv()
             except (EOFError, OSError):
                 open_ends.remove(end)
-                if end is told:
+                if end is parent:
                     if options.saves_faults:
                         recorder.save_last("run_ended_by_itself")
                     remove_dead_journal(options.run)
@@ -123,7 +123,7 @@ def run_recorder(options: RecorderOptions, told: Connection, *asked: PipeEnd) ->
                 continue
             if message == END:
                 recorder.finish()
-                told.close()
+                parent.close()
                 return
             answer = recorder.save(str(message["save"]))
             with suppress(OSError):
@@ -134,8 +134,8 @@ def run_recorder(options: RecorderOptions, told: Connection, *asked: PipeEnd) ->
 
 
 class _Recorder:
-    def __init__(self, options: RecorderOptions, reader: JournalReader, told: Connection) -> None:
-        self._options, self._reader, self._told = options, reader, told
+    def __init__(self, options: RecorderOptions, reader: JournalReader, parent: Connection) -> None:
+        self._options, self._reader, self._parent = options, reader, parent
         self._watch = FaultWatch()
         self._due: tuple[float, str] | None = None
         self._forgotten_s = self._saved_s = float("-inf")
@@ -201,7 +201,7 @@ class _Recorder:
             return
         self._problem = problem
         try:
-            self._told.send(problem)
+            self._parent.send(problem)
         except OSError:
             with suppress(OSError):
                 print(f"arctrack: warning: black box: {problem}", file=sys.stderr, flush=True)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import pickle
 import socket
-from multiprocessing import reduction
 from multiprocessing.connection import wait
 from typing import Any
 
@@ -19,13 +18,16 @@ MAX_BYTES = 2**20
 
 
 class PipeEnd:
-    """One end of a pipe over a non-blocking socket; it blocks only on request."""
+    """One end of a pipe over a non-blocking socket; it blocks only on request.
+
+    Pickled, it is the same descriptor: that of a child process which was passed it.
+    """
 
     def __init__(self, handle: int) -> None:
         self._handle = handle
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _received, (reduction.DupFd(self._handle),)
+        return PipeEnd, (self._handle,)
 
     def __del__(self) -> None:
         os.close(self._handle)
@@ -55,8 +57,3 @@ def message_pipe() -> tuple[PipeEnd, PipeEnd]:
     """Return both ends of a new pipe."""
     first, second = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
     return PipeEnd(first.detach()), PipeEnd(second.detach())
-
-
-def _received(handle: Any) -> PipeEnd:
-    """Return the end that a process was given."""
-    return PipeEnd(handle.detach())

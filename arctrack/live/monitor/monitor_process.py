@@ -10,6 +10,7 @@ from multiprocessing.connection import Connection
 import cv2
 from aiohttp import web
 
+from arctrack.errors import ArctrackError
 from arctrack.live.journal.journal import JournalReader
 from arctrack.live.journal.message_pipe import PipeEnd
 from arctrack.live.journal.ring import RingError
@@ -23,22 +24,21 @@ CLOSED_S = 1.0
 """So long requests may take to end, s."""
 
 
-def run_monitor(options: MonitorOptions, told: Connection, black_box: PipeEnd | None = None) -> None:
-    """Serve a run's page until the other end of `told` is closed.
+def run_monitor(options: MonitorOptions, parent: Connection, black_box: PipeEnd | None = None) -> None:
+    """Serve a run's page until the parent's connection is closed; it is sent the page's address.
 
-    `told` is sent the page's address, or 'error: ' and the reason. `black_box` is sent {"save": reason}, and
-    answers {"saved": path} or {"error": text}.
+    `black_box` is sent {"save": reason}, and answers {"saved": path} or {"error": text}. ArctrackError if
+    there is no run, or no such host or port.
     """
     cv2.setNumThreads(1)
     try:
         reader = JournalReader(options.journal)
     except RingError as error:
-        told.send(f"error: {error}")
-        return
-    asyncio.run(_serve(options, reader, told, Saver(black_box)))
+        raise ArctrackError(str(error)) from None
+    asyncio.run(_serve(options, reader, parent, Saver(black_box)))
 
 
-async def _serve(options: MonitorOptions, reader: JournalReader, told: Connection, saver: Saver) -> None:
+async def _serve(options: MonitorOptions, reader: JournalReader, parent: Connection, saver: Saver) -> None:
     feed = Feed(reader, options, saver.is_there)
     server = Server(feed, Access(options.host, options.token), saver)
     runner = web.AppRunner(server.app(), access_log=None, shutdown_timeout=CLOSED_S)
@@ -47,21 +47,20 @@ async def _serve(options: MonitorOptions, reader: JournalReader, told: Connectio
         await web.TCPSite(runner, options.host, options.port).start()
     except OSError as error:
         reason = os.strerror(error.errno) if error.errno else str(error)
-        told.send(
-            f"error: [monitor] host = {options.host!r}, port = {options.port}: {reason}; state another, or 0"
-        )
         await runner.cleanup()
-        return
+        raise ArctrackError(
+            f"[monitor] host = {options.host!r}, port = {options.port}: {reason}; state another, or 0"
+        ) from None
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
-    loop.add_reader(told.fileno(), ended.set)
-    told.send(_address(options.host, runner.addresses[0][1]))
+    loop.add_reader(parent.fileno(), ended.set)
+    parent.send(_address(options.host, runner.addresses[0][1]))
     feeding = asyncio.create_task(feed.run())
     assert runner.server is not None
     sweeping = asyncio.create_task(server.connections.sweep(runner.server))
     ending = asyncio.create_task(ended.wait())
     await asyncio.wait((feeding, ending), return_when=asyncio.FIRST_COMPLETED)
-    loop.remove_reader(told.fileno())
+    loop.remove_reader(parent.fileno())
     sweeping.cancel()
     await runner.cleanup()
     if feeding.done():

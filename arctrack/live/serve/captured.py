@@ -16,7 +16,7 @@ from arctrack.live.cameras.capture.process import OVER, Open, run_capture
 from arctrack.live.cameras.shared_frames import path_of
 from arctrack.live.cameras.shared_memory import SharedMemoryCamera
 from arctrack.live.journal.message_pipe import message_pipe
-from arctrack.live.serve.side_process import SideProcess
+from arctrack.live.serve.supervisor import SupervisedProcess
 from noise_model.setup import Setup
 
 ENDS_S = 10.0
@@ -34,7 +34,9 @@ class CapturedCamera(SharedMemoryCamera):
         opened, traits = _opening(choice, cell_path, setup)
         name = f"captured-{os.getpid()}"
         self._pipe, its_end = message_pipe()
-        self.process = SideProcess("camera", run_capture, (opened, setup, name), (its_end,), ends_s=ENDS_S)
+        self.process = SupervisedProcess(
+            "camera", run_capture, (opened, setup, name), (its_end,), ends_s=ENDS_S
+        )
         try:
             self.process.wait_ready()
             super().__init__(name, setup, traits)

@@ -21,8 +21,7 @@ from arctrack.live.journal.ring import RingError, remove_dead_rings
 from arctrack.live.monitor.monitor_process import run_monitor
 from arctrack.live.monitor.options import MonitorOptions, options_of
 from arctrack.live.serve.keeper import Keeper
-from arctrack.live.serve.side_process import SideProcess
-from arctrack.live.serve.supervisor import Supervisor
+from arctrack.live.serve.supervisor import SupervisedProcess, Supervisor
 from arctrack.live.watch.process import WatchOptions, run_watch
 from noise_model.setup import Setup
 
@@ -69,14 +68,16 @@ def kept(
         except RingError as error:
             raise in_file(cell.path, f"[black_box] seconds = {kept_s:g}: {error}; choose fewer") from None
         opened.callback(journal.close)
-        watching = SideProcess("watch", run_watch, (WatchOptions(run, setups),), niceness=WATCH_NICENESS)
+        watching = SupervisedProcess(
+            "watch", run_watch, (WatchOptions(run, setups),), niceness=WATCH_NICENESS
+        )
         started = [opened.enter_context(supervisor.running(watching))]
         black_box, box_end = message_pipe()
         page_end, asked_end = message_pipe()
         if kept_s:
             # A simulated cell's faults are this machine's load; nobody wants their files.
             options = _recorder_options(cell, run, setups, saves_faults=not is_simulated)
-            recording = SideProcess(
+            recording = SupervisedProcess(
                 "black box",
                 run_recorder,
                 (options,),
@@ -114,7 +115,7 @@ def _page(
     cell_path: Path,
 ) -> tuple[str | None, tuple[str, ...]]:
     """Start the page, and return where it is, and what is wrong: a run goes on without it."""
-    process = SideProcess("page", run_monitor, (options,), pipes, PAGE_NICENESS)
+    process = SupervisedProcess("page", run_monitor, (options,), pipes, PAGE_NICENESS)
     opened.enter_context(supervisor.running(process))
     try:
         address = str(process.wait_ready())

@@ -37,13 +37,13 @@ class LagAsker:
         return lag
 
 
-def estimate_lags(told: Connection, asked: PipeEnd) -> None:
-    """Report readiness, and answer each requested `Motions` with the lag, until `told` is closed."""
+def estimate_lags(parent: Connection, asked: PipeEnd) -> None:
+    """Report readiness, and answer each requested `Motions` with the lag, until the parent is gone."""
     policy, limits = LookAheadPolicy(), LagLimits()
     # The parent may be gone before it is ready.
     try:
-        told.send([])
-        while wait([told, asked.fileno()]) == [asked.fileno()]:
+        parent.send([])
+        while wait([parent, asked.fileno()]) == [asked.fileno()]:
             asked.send(lag_of(asked.recv(), policy, limits))
     except (EOFError, ConnectionResetError, BrokenPipeError):
         return

@@ -34,8 +34,7 @@ from arctrack.live.serve.loop import LiveLoop, LoopResult, OnTrack, Service
 from arctrack.live.serve.notify import Notifier
 from arctrack.live.serve.played_poses import PlayedPoses
 from arctrack.live.serve.process import Watchdog, garbage_left
-from arctrack.live.serve.side_process import SideProcess
-from arctrack.live.serve.supervisor import Supervisor, Tell
+from arctrack.live.serve.supervisor import SupervisedProcess, Supervisor, Tell
 from arctrack.recording import Recording, read_recording
 from noise_model.effects import pose_time_s
 from noise_model.setup import Setup
@@ -85,7 +84,7 @@ def opened_run(
     with ExitStack() as opened:
         supervisor = Supervisor(tell)
         lag_end, its_end = message_pipe()
-        estimating = SideProcess("lag", estimate_lags, (), (its_end,), LAG_NICENESS, lost=NOTHING_YET)
+        estimating = SupervisedProcess("lag", estimate_lags, (), (its_end,), LAG_NICENESS, lost=NOTHING_YET)
         lag = opened.enter_context(supervisor.running(estimating))
         cast = cast_of(cell, job_number, LagAsker(lag_end))
         opened.callback(cast.camera.close)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
 import socket
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -15,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import tomlkit
 
+from arctrack.child_process import ChildProcess
 from arctrack.control.cell_file.new import commented_cell, write_cell
 from arctrack.errors import ArctrackError
 from arctrack.live.simulated_cell.serve import joined_bus, serve_cell
 from arctrack.recording.new import commented_setup
-from arctrack.safe_points import leave_signals_to_parent
 from arctrack.simulation.cell.cell import TORCH_MM
 from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.cell.weld.closed_loop import SETTLED_TIME_CONSTANTS, LoopPlan, setup_of, world_of
@@ -76,59 +74,40 @@ class Lock:
             self.at_s = track.timestamp_s + self._follows_s
 
 
-class SimulatedCell:
-    """Simulated robot and camera, as subprocesses of this one.
+class SimulatedCell(ChildProcess):
+    """Simulated robot and camera, as a child process.
 
     `frames` is the name of the camera's frames; `meanwhile` runs while they start. `bus_options` are
     python-can's for a bus that nobody else hears.
     """
 
     def __init__(self, plan: LoopPlan, frames: str, meanwhile: Callable[[], None] = lambda: None) -> None:
-        self._meanwhile = meanwhile
         self.bus_options = {"port": _free_port(), "hop_limit": 0}
-        spawn = multiprocessing.get_context("spawn")
-        self._told, self._other_end = spawn.Pipe()
-        self._process = spawn.Process(target=_run, args=(plan, frames, self.bus_options, self._other_end))
-
-    def __enter__(self) -> SimulatedCell:
         # At once: the process takes a while to start.
         joined_bus(INTERFACE, GROUP, **self.bus_options).shutdown()
-        self._process.start()
-        self._other_end.close()
+        super().__init__(
+            _run, (plan, frames, self.bus_options), ended=ArctrackError("the simulated cell ended by itself")
+        )
         try:
-            self._meanwhile()
-            self._receive()
+            meanwhile()
+            self.receive()
         except BaseException:
-            self.__exit__()
+            self.close()
             raise
-        return self
-
-    def __exit__(self, *_exception: object) -> None:
-        # It ends once nobody listens.
-        self._told.close()
-        self._process.join(ENDS_S)
-        if self._process.is_alive():
-            self._process.kill()
 
     @property
     def listening(self) -> str:
         """The command that prints what is on its bus."""
         return f"python -m can.logger -i {INTERFACE} -c {GROUP} --bus-kwargs port={self.bus_options['port']}"
 
-    def end(self) -> Samples:
-        """End it, and return how far its torch was off the seam."""
-        with suppress(OSError):
-            self._told.send(True)
-        return self._receive()
+    def stop(self) -> Samples:
+        """Stop it, and return how far its torch was off the seam."""
+        self.send(True)
+        return list(self.receive())
 
-    def _receive(self) -> Samples:
-        try:
-            answer = self._told.recv()
-        except (EOFError, ConnectionResetError):
-            raise ArctrackError("the simulated cell ended by itself") from None
-        if isinstance(answer, str):
-            raise ArctrackError(answer)
-        return list(answer)
+    def close(self) -> None:
+        """Let it end: it does once nobody listens."""
+        self.end(ENDS_S)
 
 
 def write_simulated_cell(
@@ -155,22 +134,19 @@ def torch_error(samples: Samples, from_s: float, to_s: float) -> TorchError | No
     return TorchError(float(np.sqrt((off_mm**2).mean())), float(off_mm.max()), to_s - from_s)
 
 
-def _run(plan: LoopPlan, frames: str, bus_options: dict[str, int], told: Connection) -> None:
-    """Run robot and camera until the other end says so, or is closed."""
-    leave_signals_to_parent()
+def _run(plan: LoopPlan, frames: str, bus_options: dict[str, int], parent: Connection) -> None:
+    """Run robot and camera until the parent says so, or is gone."""
     samples: Samples = []
 
     def goes_on(robot: Robot) -> bool:
         off_mm = robot.offset_mm - np.array(robot.world.seam_mm(robot.station_mm))
         is_locking = robot.parts > 0 and robot.station_mm < LOCKING_MM
         samples.append((time.monotonic(), math.nan if is_locking else math.hypot(*off_mm)))
-        return not told.poll()
+        return not parent.poll()
 
     try:
-        serve_cell(plan, INTERFACE, GROUP, frames, goes_on, lambda: told.send([]), **bus_options)
-        told.send(samples)
-    except ArctrackError as error:
-        told.send(str(error))
+        serve_cell(plan, INTERFACE, GROUP, frames, goes_on, lambda: parent.send([]), **bus_options)
+        parent.send(samples)
     except BrokenPipeError:
         return
 

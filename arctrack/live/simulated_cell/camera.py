@@ -9,9 +9,9 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 
+from arctrack.errors import ArctrackError
 from arctrack.live.cameras.camera_line import read_line, remove_line
 from arctrack.live.cameras.shared_frames import SharedFramesError, SharedFramesWriter
-from arctrack.safe_points import leave_signals_to_parent
 from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of, world_of
 from arctrack.simulation.cell.weld.rendered_camera import RenderedCamera
@@ -40,15 +40,13 @@ class Shot:
         return cls(captured_s, robot.station_mm, robot.weave_s, (y_mm, z_mm), robot.status)
 
 
-def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
+def run_camera(plan: LoopPlan, name: str, shots: Connection) -> None:
     """Publish a frame for each shot that comes, the newest where several wait, until the other end is closed.
 
     The laser is on unless a tracker drives its line (`arctrack.live.cameras.camera_line`) and lets it be
     off; the exposure is the setup's unless it says another. Once the camera is ready, its kernels
-    compiled, it says so over the same connection.
+    compiled, it says so over the same connection. ArctrackError if its frames cannot be published.
     """
-    # The robot's process ends this one by closing its end.
-    leave_signals_to_parent()
     setup = setup_of(plan)
     camera = setup.camera
     robot = Robot(world_of(plan, setup))
@@ -61,7 +59,7 @@ def run_camera(shots: Connection, plan: LoopPlan, name: str) -> None:
             shots.send(True)
             _publish(shots, sensor, frames, name)
     except SharedFramesError as error:
-        shots.send(str(error))
+        raise ArctrackError(f"--frames {name}: {error}") from None
     finally:
         remove_line(name)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import math
-import multiprocessing
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +11,7 @@ from typing import Any
 
 import can
 
+from arctrack.child_process import ChildProcess
 from arctrack.errors import ArctrackError
 from arctrack.live.simulated_cell.camera import Shot, run_camera
 from arctrack.live.simulated_cell.real_time import RealBus, RealTimeScheduler
@@ -69,29 +69,19 @@ def serve_cell(
     `on_ready` is called once rendering is compiled. Raises ArctrackError if the bus cannot be joined, or the
     camera ends by itself.
     """
-    spawn = multiprocessing.get_context("spawn")
-    shots, camera_end = spawn.Pipe()
-    camera = spawn.Process(target=run_camera, args=(camera_end, plan, frames), daemon=True)
     can_bus = joined_bus(interface, channel, **bus_options)
-    camera.start()
-    camera_end.close()
+    camera = ChildProcess(
+        run_camera, (plan, frames), ended=ArctrackError(f"--frames {frames}: the camera ended by itself")
+    )
     try:
-        try:
-            said = shots.recv()
-        except EOFError:
-            raise ArctrackError(f"--frames {frames}: the camera ended by itself") from None
-        if isinstance(said, str):
-            raise ArctrackError(f"--frames {frames}: {said}")
+        camera.receive()
         if on_ready is not None:
             on_ready()
-        run_robot(plan, can_bus, shots.send, lambda robot: goes_on(robot) and camera.is_alive())
-        if not camera.is_alive():
+        run_robot(plan, can_bus, camera.send, lambda robot: goes_on(robot) and camera.is_alive)
+        if not camera.is_alive:
             raise ArctrackError(f"--frames {frames}: the camera ended")
     finally:
-        shots.close()
-        camera.join(CAMERA_ENDS_S)
-        if camera.is_alive():
-            camera.kill()
+        camera.end(CAMERA_ENDS_S)
         can_bus.shutdown()
 
 

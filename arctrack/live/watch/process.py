@@ -9,6 +9,7 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 
+from arctrack.errors import ArctrackError
 from arctrack.live.journal.journal import JournalReader, gap_name
 from arctrack.live.journal.records import Entry, GapReport, pack
 from arctrack.live.journal.ring import RingError, RingWriter
@@ -44,19 +45,18 @@ class WatchOptions:
     jobs: Mapping[int, Setup]
 
 
-def run_watch(options: WatchOptions, told: Connection) -> None:
-    """Watch a run until the other end is closed, and publish a `GapReport` each second."""
+def run_watch(options: WatchOptions, parent: Connection) -> None:
+    """Watch a run until the parent's connection is closed, and publish a `GapReport` each second."""
     try:
         reader = JournalReader(options.run)
         ring = RingWriter(gap_name(options.run), 4, REPORT_BYTES)
     except RingError as error:
-        told.send(f"error: {error}")
-        return
+        raise ArctrackError(str(error)) from None
     with ring:
-        told.send([])
+        parent.send([])
         watch = RunWatch(reader, options.jobs)
         reported_s = -math.inf
-        while not told.poll(LOOK_S):
+        while not parent.poll(LOOK_S):
             watch.look()
             if watch.now_s - reported_s >= REPORT_S or watch.now_s < reported_s:
                 reported_s = watch.now_s

@@ -7,7 +7,8 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from arctrack.own_process import OwnProcess, answered
+from arctrack.child_process import WorkerProcess, answered
+from arctrack.errors import ArctrackError
 from arctrack.recording import Recording, Truth
 from arctrack.replay.pages.frame_drawer import Drawn, FrameDrawer, ToDraw
 
@@ -33,7 +34,7 @@ class Drawing:
     """Drawing of a replay's frames: `drawer`, in the `processes` if there are any, otherwise in this one."""
 
     drawer: FrameDrawer
-    processes: Sequence[OwnProcess[ToDraw, Drawn]]
+    processes: Sequence[WorkerProcess[ToDraw, Drawn]]
 
     def wait_ready(self) -> None:
         """Wait until the processes have loaded what they need: they are idle then until the first request."""
@@ -52,10 +53,10 @@ def drawing_on(recording: Recording, truth: Truth | None, folder: Path, cores: i
     The results `folder` is named where one ends by itself.
     """
     drawer = FrameDrawer(recording.setup, truth)
-    ended = (
+    ended = ArctrackError(
         f"{folder}: a process that drew pictures has ended, for want of memory perhaps; what was tracked and "
         "sent is there, --no-pictures draws nothing"
     )
     count = process_count(cores, len(recording.rows))
     with ExitStack() as opened:
-        yield Drawing(drawer, [opened.enter_context(OwnProcess(drawer, ended)) for _ in range(count)])
+        yield Drawing(drawer, [opened.enter_context(WorkerProcess(drawer, ended)) for _ in range(count)])

@@ -23,12 +23,12 @@ OVER = "over"
 Open = Callable[[Ask], FrameSource]
 
 
-def run_capture(open_source: Open, setup: Setup, name: str, told: Connection, loop: PipeEnd) -> None:
-    """Publish a source's frames under a name, from the first message of the loop until `told` is closed.
+def run_capture(open_source: Open, setup: Setup, name: str, parent: Connection, loop: PipeEnd) -> None:
+    """Publish a source's frames under a name, from the loop's first message until the parent is gone.
 
-    Once the source is open, `told` is sent that it is ready, or 'error: ' and the reason; the loop is sent
-    'over' once the source has ended. A source that fails later is reopened, again and again. The loop's
-    message stays in its pipe: a process that takes over begins at once.
+    The parent is told once the source is open; the loop is sent 'over' once it has ended. A source that fails
+    later is reopened, again and again. The loop's message stays in its pipe: a process that takes over begins
+    at once. ArctrackError if the source cannot be opened, or its frames not be published.
     """
     remove_line(name)
     try:
@@ -36,13 +36,13 @@ def run_capture(open_source: Open, setup: Setup, name: str, told: Connection, lo
         try:
             camera = setup.camera
             with SharedFramesWriter(name, camera.height, camera.width, setup.sensor.dtype) as frames:
-                told.send([])
-                if wait([told, loop.fileno()]) == [loop.fileno()]:
-                    _publish(source, open_source, frames, name, told, loop)
+                parent.send([])
+                if wait([parent, loop.fileno()]) == [loop.fileno()]:
+                    _publish(source, open_source, frames, name, parent, loop)
         finally:
             source.close()
-    except (ArctrackError, SharedFramesError) as error:
-        told.send(f"error: {error}")
+    except SharedFramesError as error:
+        raise ArctrackError(str(error)) from None
     except (EOFError, ConnectionResetError, BrokenPipeError):
         return
     finally:
@@ -54,22 +54,22 @@ def _publish(
     open_source: Open,
     frames: SharedFramesWriter,
     name: str,
-    told: Connection,
+    parent: Connection,
     loop: PipeEnd,
 ) -> None:
     """Publish until the parent is gone."""
     first = latest = 0
     source.begin()
-    while not told.poll():
+    while not parent.poll():
         if source.is_over:
             loop.send(OVER)
-            told.recv()
+            parent.recv()
             return
         try:
             frame = source.read()
         except ArctrackError:
             source.close()
-            again = _opened_again(open_source, name, told)
+            again = _opened_again(open_source, name, parent)
             if again is None:
                 return
             source, first = again, latest + 1
@@ -79,9 +79,9 @@ def _publish(
             frames.publish(replace(frame, index=latest))
 
 
-def _opened_again(open_source: Open, name: str, told: Connection) -> FrameSource | None:
+def _opened_again(open_source: Open, name: str, parent: Connection) -> FrameSource | None:
     """Return a failed source after reopening it; None once the parent is gone."""
-    while not told.poll(OPENED_AGAIN_S):
+    while not parent.poll(OPENED_AGAIN_S):
         try:
             source = open_source(partial(read_line, name))
         except ArctrackError:

@@ -18,7 +18,7 @@ from browser import Page
 from arctrack.cli.cell import LIVE_MM
 from arctrack.live.monitor.monitor_process import run_monitor
 from arctrack.live.monitor.options import MonitorOptions
-from arctrack.live.serve.side_process import SideProcess, ended
+from arctrack.live.serve.supervisor import SupervisedProcess, Supervisor
 from arctrack.live.simulated_cell.serve import REAL_TIME_PX
 from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of
 
@@ -45,7 +45,7 @@ def main(folder: Path) -> None:
             is_simulated=True,
         )
         with (
-            ended(SideProcess("monitor", run_monitor, (options,))) as process,
+            Supervisor(print).running(SupervisedProcess("monitor", run_monitor, (options,))) as process,
             Page(Path(profile), *SIZE) as page,
         ):
             page.ask("Page.navigate", url=process.wait_ready())

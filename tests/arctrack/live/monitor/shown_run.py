@@ -17,7 +17,7 @@ from arctrack.live.journal.records import Entry, GapReport, SeenFrame, Status, p
 from arctrack.live.journal.ring import RingWriter
 from arctrack.live.monitor.monitor_process import run_monitor
 from arctrack.live.monitor.options import MonitorOptions
-from arctrack.live.serve.side_process import SideProcess, ended
+from arctrack.live.serve.supervisor import SupervisedProcess, Supervisor
 from arctrack.recording import Recording, read_recording
 from arctrack.simulation.cell.robot import WELDING
 from robot_io import (
@@ -182,7 +182,7 @@ def shown_run(suffix: str, black_box: PipeEnd | None = None) -> Iterator[tuple[S
     run = ShownRun(name)
     try:
         others = () if black_box is None else (black_box,)
-        with ended(SideProcess("monitor", run_monitor, (options,), others)) as page:
+        with Supervisor(print).running(SupervisedProcess("monitor", run_monitor, (options,), others)) as page:
             yield run, name, page.wait_ready()
     finally:
         run.close()

@@ -138,7 +138,7 @@ def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed
             # Nobody keeps the laser on.
             dark: list = []
             ear.listen(lambda: _is_dark(camera, dark))
-            samples = robot.end()
+            samples = robot.stop()
         _check_black_boxes(boxes)
         # It began 3 mm beside the seam, and was taken there.
         assert samples[0][1] == pytest.approx(PLAN.displaced_mm)

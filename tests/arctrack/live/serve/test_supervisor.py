@@ -7,26 +7,24 @@ import queue
 import signal
 import subprocess
 import sys
-import textwrap
-import time
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
 import pytest
+from test_child_process import is_there, wait_until
 
 from arctrack.errors import ArctrackError
 from arctrack.live.journal.message_pipe import PipeEnd, message_pipe
-from arctrack.live.serve import side_process
-from arctrack.live.serve.side_process import SideProcess
-from arctrack.live.serve.supervisor import Supervisor
+from arctrack.live.serve import supervisor as supervisor_module
+from arctrack.live.serve.supervisor import SupervisedProcess, Supervisor
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(autouse=True)
 def fast(monkeypatch):
-    monkeypatch.setattr(side_process, "FIRST_DELAY_S", 0.01)
+    monkeypatch.setattr(supervisor_module, "FIRST_DELAY_S", 0.01)
 
 
 def answer(told: Connection, asked: PipeEnd) -> None:
@@ -44,23 +42,24 @@ def answer(told: Connection, asked: PipeEnd) -> None:
 def fail(mark: Path, told: Connection) -> None:
     with mark.open("a") as file:
         file.write("tried\n")
-    told.send("error: the port is taken" if mark.read_text().count("\n") < 4 else [])
-    if mark.read_text().count("\n") >= 4:
-        wait([told])
+    if mark.read_text().count("\n") < 4:
+        raise ArctrackError("the port is taken")
+    told.send([])
+    wait([told])
 
 
 def test_a_killed_process_is_started_again_on_the_same_pipe() -> None:
     lines: queue.Queue[str] = queue.Queue()
     supervisor = Supervisor(lines.put)
     ours, its = message_pipe()
-    process = SideProcess("answers", answer, (), (its,), niceness=3, lost="lost")
+    process = SupervisedProcess("answers", answer, (), (its,), niceness=3, lost="lost")
     with supervisor.running(process):
         process.wait_ready()
         with supervisor.watching():
             ours.send("one")
             pid, question = ours.recv()
             assert (pid, question) == (process.state.pid, "one")
-            assert os.getpriority(os.PRIO_PROCESS, pid) == 3
+            assert os.getpriority(os.PRIO_PROCESS, pid) == os.getpriority(os.PRIO_PROCESS, 0) + 3
             ours.send("trouble")
             ours.recv()
             assert lines.get() == "answers: is in trouble"
@@ -84,7 +83,7 @@ def test_a_killed_process_is_started_again_on_the_same_pipe() -> None:
 def test_what_cannot_begin_is_told_once_and_tried_ever_later(tmp_path: Path) -> None:
     lines: queue.Queue[str] = queue.Queue()
     supervisor = Supervisor(lines.put)
-    process = SideProcess("page", fail, (tmp_path / "mark",))
+    process = SupervisedProcess("page", fail, (tmp_path / "mark",))
     with supervisor.running(process):
         with pytest.raises(ArctrackError, match="the port is taken"):
             process.wait_ready()
@@ -95,26 +94,31 @@ def test_what_cannot_begin_is_told_once_and_tried_ever_later(tmp_path: Path) -> 
     assert (tmp_path / "mark").read_text().count("\n") == 4
 
 
+WORK_FOR_EVER = """
+import os, time
+
+def work_for_ever(parent):
+    parent.send(os.getpid())
+    while True:
+        time.sleep(0.1)
+"""
+
 PARENT = """
-    import os, sys, time
-    from arctrack.live.serve.side_process import SideProcess
+import time
+from arctrack.live.serve.supervisor import SupervisedProcess
+from work import work_for_ever
 
-    def works_for_ever(told):
-        told.send(os.getpid())
-        while True:
-            time.sleep(0.1)
-
-    if __name__ == "__main__":
-        process = SideProcess("watch", works_for_ever)
-        print(process.wait_ready(), flush=True)
-        time.sleep(600.0)
+process = SupervisedProcess("watch", work_for_ever)
+print(process.wait_ready(), flush=True)
+time.sleep(600.0)
 """
 
 
 def test_no_process_outlives_a_run_that_is_killed(tmp_path: Path) -> None:
     """As the watch, which does not look up while it looks at a gap."""
     script = tmp_path / "parent.py"
-    script.write_text(textwrap.dedent(PARENT))
+    script.write_text(PARENT)
+    (tmp_path / "work.py").write_text(WORK_FOR_EVER)
     with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True) as parent:
         pid = int(parent.stdout.readline())
         # Neither a closed terminal nor the end of a service is for it.
@@ -123,10 +127,7 @@ def test_no_process_outlives_a_run_that_is_killed(tmp_path: Path) -> None:
         parent.send_signal(signal.SIGKILL)
         # It holds the pipe as well: that ends with it.
         assert parent.stdout.read() == ""
-    until_s = time.monotonic() + 30.0
-    while Path(f"/proc/{pid}").exists() and "Z" not in Path(f"/proc/{pid}/stat").read_text():
-        assert time.monotonic() < until_s
-        time.sleep(0.05)
+    wait_until(lambda: not is_there(pid))
 
 
 def test_a_pipe_that_nobody_reads_makes_nobody_wait() -> None:
