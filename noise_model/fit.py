@@ -27,9 +27,6 @@ from scipy.special import stdtrit
 
 from noise_model.compiled.arrays import Bool, Float64
 
-NOT_LEARNED = 0.9
-"""A parameter whose 1 sigma is more than this share of its prior's has not been learned from the data."""
-
 SINGULAR = 1e-10
 """An eigenvalue of the information, scaled to a unit diagonal, below which the data do not see a direction.
 
@@ -141,10 +138,11 @@ class Fit:
     @property
     def not_learned(self) -> tuple[str, ...]:
         """The parameters about which the data say little beyond the prior."""
+        # A parameter whose 1 sigma is more than this share of its prior's has not been learned from the data.
         return tuple(
             parameter.name
             for parameter, sigma in zip(self.parameters, self.sigmas, strict=True)
-            if not sigma < NOT_LEARNED * parameter.prior_sigma
+            if not sigma < 0.9 * parameter.prior_sigma
         )
 
     def scaled_by_scatter(self) -> Fit:

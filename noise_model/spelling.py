@@ -5,14 +5,12 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-MIN_SIMILARITY = 0.6
-"""`difflib`'s ratio from which on two names are near to each other: 1 if they are the same."""
-
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
     """Return the known name that is nearest to one, None if none is near."""
     plain = {_plain(candidate): candidate for candidate in known}
-    near = difflib.get_close_matches(_plain(name), plain, n=1, cutoff=MIN_SIMILARITY)
+    # `difflib`'s ratio from which on two names are near to each other: 1 if they are the same.
+    near = difflib.get_close_matches(_plain(name), plain, n=1, cutoff=0.6)
     return plain[near[0]] if near else None
 
 

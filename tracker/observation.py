@@ -55,9 +55,6 @@ NO_PIXELS, NO_BAND = np.empty(0, np.int64), np.empty((0, 0), np.float32)
 MAX_CURRENT_A, MAX_EXPOSURE_S = 1e4, 1e2
 """No welding current and no exposure reaches these: such a number is not known."""
 
-BEYOND_REACH_MM = 1.0
-"""Additional half-width of the search for the joint over that for the stripe."""
-
 
 class FrameInput(NamedTuple):
     """Inputs of a frame's tracking: the setup's tables, the state before it, the frame and its pose.
@@ -182,10 +179,11 @@ def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> S
     edge = EdgeAlongSeam(seam_source.height_mm, aim.seam.slope_sigma, reading.usual.contrast)
     points, column_mm, sheet_lines, mixed_lines = triangulate(source, aim.scene, reading.lines, edge)
     camera_mm, laser_mm = sources(seam_source, aim.scene, aim.seam.station_mm)
+    # Additional half-width of the search for the joint over that for the stripe.
     return Section(
         points=points,
         column_mm=column_mm,
-        reach_mm=aim.reach_mm + BEYOND_REACH_MM,
+        reach_mm=aim.reach_mm + 1.0,
         mixed_mm=column_mm * mixed_lines,
         slope_sigma=aim.seam.slope_sigma,
         light=light_of(reading, source.psf_sigma_px, sheet_lines),

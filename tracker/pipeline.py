@@ -40,9 +40,6 @@ JOINT_CHI2_LIMIT = 9.0
 UNEXPLAINED_LIMIT = 0.1
 """So large a share of the points near the seam may lie off the joint's shape: spatter, a tack weld's end."""
 
-MIN_MARGIN_MM = 1.0
-"""A seam nearer to the profile's end than this is out of view."""
-
 
 class FrameResult(NamedTuple):
     """Result of a frame: the state after it, the observation that counts, seam and offset at the torch."""
@@ -224,7 +221,8 @@ def check_joint(
     if joint is None or not frame_checks.ask(checks.JOINT_EVIDENCE, joint.evidence_nats, MIN_EVIDENCE_NATS):
         return None, math.nan
     margin_mm = min(joint.y_mm - first_mm, last_mm - joint.y_mm)
-    if not frame_checks.ask(checks.VIEW_MARGIN, margin_mm, MIN_MARGIN_MM):
+    # A seam nearer to the profile's end than this is out of view.
+    if not frame_checks.ask(checks.VIEW_MARGIN, margin_mm, 1.0):
         return None, margin_mm
     frame_checks.ask(checks.JOINT_CHI2, joint.chi2, JOINT_CHI2_LIMIT)
     frame_checks.ask(checks.JOINT_UNEXPLAINED, joint.unexplained, UNEXPLAINED_LIMIT)

@@ -34,17 +34,11 @@ from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import Work
 from tracker.tracker_state import LOST_TO_SEARCH, TrackerMemory
 
-STRIPE_OVER_FULL_WELL = 0.3
-"""Brightness of the synthetic stripe."""
-
 SHORTER_SIDE_PX = 240
 """Least number of pixels of a synthetic image's shorter side."""
 
 TRACKED_FRAMES = 8
 """Number of consecutive frames that show the stripe in its place, 1 mm apart."""
-
-ASIDE_MM = 3.0
-"""Displacement of a seam that is to be searched."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +151,8 @@ def _frames(geometry: SensorGeometry) -> Iterator[tuple[Frame, Pose | None]]:
         yield frame(_Picture.of(geometry, pose).image(rng)), pose
     shown = _Picture.of(geometry, middle)
     dark = shown.image(rng, stripe=0.0, arc=0.0)
-    aside_px = geometry.pixels_per_mm * ASIDE_MM
+    # Displacement of a seam that is to be searched.
+    aside_px = geometry.pixels_per_mm * 3.0
     for arc in (0.0, 1.0, 3.0):
         yield frame(shown.image(rng, arc=arc), arc_on=arc > 0.0), middle
         yield frame(shown.image(rng, stripe=0.0, arc=arc), laser_on=False), middle
@@ -271,7 +266,8 @@ class _Picture:
             bells = np.exp(-0.5 * (places / sigma) ** 2) + ghost * np.exp(-0.5 * (places / sigma - 5.0) ** 2)
             shown = self.expected.shown
             held = shown & (np.cumsum(shown) <= share * shown.sum())
-            charge_e = charge_e + stripe * STRIPE_OVER_FULL_WELL * sensor.full_well_e * bells * held[:, None]
+            # Brightness of the synthetic stripe.
+            charge_e = charge_e + stripe * 0.3 * sensor.full_well_e * bells * held[:, None]
         noise_e = np.sqrt(charge_e + geometry.dark_variance_e2) * rng.standard_normal(charge_e.shape)
         codes = np.searchsorted(geometry.charge_e, charge_e + noise_e)
         image = np.minimum(codes, len(geometry.charge_e) - 1).astype(sensor.dtype)

@@ -69,9 +69,6 @@ MAX_BAKED_CELLS = 400
 or its pixels are large on an edge, one takes thousands. No frame asks for most of them, and baking takes 5 to
 20 s."""
 
-SAME_MM = 1e-9
-"""Heights of the arc's centre that differ by less are one."""
-
 
 class BakedLight(NamedTuple):
     """Tables of all faces at some places beside the seam (n,), the middle one on it; n is 0 where none hold.
@@ -367,7 +364,8 @@ def place_baked(k: ArcKernel, baked: BakedLight) -> int:
         return -1
     e_x, e_y, e_z = _eye_off(k, baked)
     is_near = max(abs(e_x), abs(e_y), abs(e_z)) <= REACH_MM
-    is_as_high = abs(k.center[2] - baked.center_z_mm) <= SAME_MM
+    # Heights of the arc's centre that differ by less are one.
+    is_as_high = abs(k.center[2] - baked.center_z_mm) <= 1e-9
     return place if is_near and is_as_high and k.radiance_e <= BRIGHTEST * baked.radiance_e else -1
 
 

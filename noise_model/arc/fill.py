@@ -45,9 +45,6 @@ N_CORNERS = 4
 CELL = 8
 """Number of scan lines of a band that share its place."""
 
-CELL_WORTH = 20.0
-"""Number of integrals of a cell, with those of the cell that it was halved from."""
-
 FILLED, HALVED_ACROSS, HALVED_ALONG = 0, 1, 2
 """State of a cell: edges and what ridges do to light run along scan lines or across them."""
 
@@ -364,7 +361,8 @@ def fill_pixels(
     Cells that hold less of them than nodes are not worth making.
     """
     x_low, x_high, y_low, y_high = k.reach
-    min_mm2 = CELL_WORTH * (x_high - x_low) * (y_high - y_low) / max(len(pixels), 1)
+    # Number of integrals of a cell, with those of the cell that it was halved from.
+    min_mm2 = 20.0 * (x_high - x_low) * (y_high - y_low) / max(len(pixels), 1)
     room = work.records[0]
     for first in range(0, len(pixels), LARGEST):
         n = min(LARGEST, len(pixels) - first)

@@ -32,12 +32,6 @@ from noise_model.compiled.kernel import REDUCTION, kernel
 from noise_model.compiled.lanes import N_LANES, greater, lesser, load, root, spread, total
 from noise_model.surface.brdf import LobeNumbers, reflected
 
-SLICES_PER_NODE = 4
-"""Number of slices for each of the disc's nodes across."""
-
-UP_SHARE = 0.5
-"""Number of the disc's nodes up a slice."""
-
 MAX_LOOKS = 3
 """So often slices are laid into the part of the arc that is open."""
 
@@ -187,8 +181,10 @@ def lap_light(
     distance = math.sqrt(to_x * to_x + to_y * to_y + to_z * to_z)
     sin_b, towards = radius / distance, (to_x / distance, to_y / distance, to_z / distance)
     more = more_nodes(sin_b, sin_b / math.sqrt(1.0 - sin_b * sin_b), towards, omega_r, material)
-    n = min(MAX_SLICES, N_LANES * math.ceil(SLICES_PER_NODE * n_p * more / N_LANES - 1e-6))
-    n_q = math.ceil(min(float(MAX_NODES_Q), UP_SHARE * n_q * more) - 1e-6)
+    # Number of slices for each of the disc's nodes across.
+    n = min(MAX_SLICES, N_LANES * math.ceil(4 * n_p * more / N_LANES - 1e-6))
+    # Number of the disc's nodes up a slice.
+    n_q = math.ceil(min(float(MAX_NODES_Q), 0.5 * n_q * more) - 1e-6)
     plan = math.sqrt(to_x * to_x + to_y * to_y)
     low, high = upright_range(radius, plan, to_x / plan, to_y / plan, planes, n_planes)
     parting = parting_offset(P, center, radius, sheets) if sheets.edge_hides else math.nan

@@ -15,14 +15,8 @@ from noise_model.surface.faces import across
 from noise_model.surface.ray_casting import MISS
 from noise_model.surface.wave import Corrugation, corrugation_of, from_crest, wave, wave_and_slope
 
-NEWTON_STEPS = 8
-"""The most steps in which rays are followed to a sheet: three are usual."""
-
 MEETS_MM = 2e-5
 """So near over or under a sheet a ray has met it."""
-
-MARGIN = 1.05
-"""Slope over the corrugation's from which a ray meets each sheet once."""
 
 
 @kernel
@@ -58,7 +52,8 @@ def _meet(x_0: float, down: float, d_x: Lanes, d_z: Lanes, corrugation: Corrugat
     # Between the crests' height and the sheet's level a ray meets the sheet.
     first, last = spread(corrugation[0] - down) / d_z, spread(-down) / d_z
     way, gap = spread(0.5) * (first + last), spread(0.0)
-    for _ in range(NEWTON_STEPS):
+    # The most steps in which rays are followed to a sheet: three are usual.
+    for _ in range(8):
         height, slope = wave_and_slope(spread(x_0) + way * d_x, corrugation)
         gap = spread(down) + way * d_z - height
         if not any_lane(_size(gap) > spread(MEETS_MM)):
@@ -81,7 +76,8 @@ def follow_to_lap(k: ArcKernel, rays: Record) -> bool:
     height, width, _ = corrugation
     edge_y, upper, lower = k.vertices[1, 0], k.vertices[1, 1], k.vertices[2, 1]
     zero = spread(0.0)
-    steepest = spread(MARGIN * math.pi * height / width)
+    # Slope over the corrugation's from which a ray meets each sheet once.
+    steepest = spread(1.05 * math.pi * height / width)
     if k.eye[2] <= upper + height or any_lane(_size(d_x) * steepest + d_z >= zero):
         return False
     x_0 = from_crest(k.eye[0], corrugation)

@@ -20,9 +20,6 @@ from noise_model.surface.visibility import is_curved_lap
 PATCH_MM, CURVED_PATCH_MM = 48.0, 16.0
 """The largest patch, and the largest where borders of shadows may run across the patches, uncut."""
 
-MERGE_MM = 0.2
-"""Borders nearer to each other than this are one."""
-
 MIN_SEEN_MM = 1.0
 """A face that the camera sees less of is taken to be seen so far."""
 
@@ -43,7 +40,8 @@ def seen_strip(face: int, vertices: Float64) -> Strip:
 def _add_border(borders: Float64, n: int, place: float) -> int:
     """Put a border among the n sorted ones unless it is outside or too near to one of them."""
     for i in range(n):
-        if abs(borders[i] - place) < MERGE_MM:
+        # Borders nearer to each other than this are one.
+        if abs(borders[i] - place) < 0.2:
             return n
     return insert(borders, n, place)
 

@@ -42,23 +42,11 @@ MAX_NODES_Q = 16
 MAX_POINTS = 2048
 """Room for the nodes of one point's integral; what would not fit is not summed in one go."""
 
-UNCUT_SHARE = 0.75
-"""Share of the nodes across that suffices where nothing cuts the disc."""
-
-PIECE_FLOOR = 0.5
-"""A narrow piece of the disc still gets this share of the whole disc's nodes across."""
-
 CURVED_FACTOR = 2.0
 """Factor on the nodes across where borders turn at places that are not looked for."""
 
 PIECE_BEGINS = 0.0
 """The weight of a chord that is looked at alone."""
-
-NEAR_ARC = 0.35
-"""From this sine of the arc's half-angle on there are more nodes, the more the nearer the point."""
-
-LOBE_RADII = 2.0
-"""The nodes hold a disc of so many lobe's widths, to 0.25 %; a larger one has more in proportion."""
 
 EXP_LIMIT = 40.0
 """Beyond exp(-40) a lobe is dark."""
@@ -123,8 +111,10 @@ def disc_in_lobes(tan_b: float, towards: Vector, omega_r: Vector, material: Lobe
 @kernel(inline=True)
 def more_nodes(sin_b: float, tan_b: float, towards: Vector, omega_r: Vector, material: LobeNumbers) -> float:
     """Return how many times the nodes an arc needs that is near, or wide against the lobe; at least 1."""
-    near = 1.0 + 2.0 * max(0.0, sin_b - NEAR_ARC)
-    return max(near, disc_in_lobes(tan_b, towards, omega_r, material) / LOBE_RADII)
+    # From this sine of the arc's half-angle on there are more nodes, the more the nearer the point.
+    near = 1.0 + 2.0 * max(0.0, sin_b - 0.35)
+    # The nodes hold a disc of so many lobe's widths, to 0.25 %; a larger one has more in proportion.
+    return max(near, disc_in_lobes(tan_b, towards, omega_r, material) / 2.0)
 
 
 @kernel(fastmath=REDUCTION)
@@ -363,10 +353,12 @@ def _integrate(
         if half < 1e-9:
             continue
         share = half / p_max
-        m = math.ceil(min(float(MAX_NODES_P), n_p * more * (share + PIECE_FLOOR * (1.0 - share))))
+        # A narrow piece of the disc still gets this share of the whole disc's nodes across.
+        m = math.ceil(min(float(MAX_NODES_P), n_p * more * (share + 0.5 * (1.0 - share))))
         row = 0
         if n_breaks == 2 and n_ledges == 0:
-            row, m = 4, 2 * math.ceil(0.5 * UNCUT_SHARE * m)
+            # Share of the nodes across that suffices where nothing cuts the disc.
+            row, m = 4, 2 * math.ceil(0.5 * 0.75 * m)
         if n + m + 1 > MAX_CHORDS:
             n = _open_chords(n, arc, below, cuts, n_cuts, spans)
             total += _sum_chords(

@@ -27,9 +27,6 @@ from noise_model.surface.joint import (
 )
 from noise_model.transforms import inverted, moved_point, multiplied
 
-FOOT_STEPS = 3
-"""Each leaves a hundredth of what a sheet's tilt moves the foot of the arc by."""
-
 
 class Scene(NamedTuple):
     """Camera, arc and surface of one pose in the joint frame, as the kernels take and give them.
@@ -208,7 +205,8 @@ def _arc_center(
         return center
     offset_z, corrugation = source.arc_mm[2], source.shape.corrugation
     foot, height = center[0] - slope_z * center[2], 0.0
-    for _ in range(FOOT_STEPS if corrugation[0] > 0.0 else 0):
+    # Each leaves a hundredth of what a sheet's tilt moves the foot of the arc by.
+    for _ in range(3 if corrugation[0] > 0.0 else 0):
         height = ridge(foot, corrugation)[0]
         foot = center[0] - slope_z * (center[2] - height)
     center[0], center[2] = foot + slope_z * offset_z, offset_z + height

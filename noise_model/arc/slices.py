@@ -41,12 +41,6 @@ UPRIGHT = 1e-9
 FAR = 1e9
 """A slope, or a way in mm, beyond all others."""
 
-SKIMS_MM = 0.02
-"""An edge that leaves P's own sheet so near to P hides no more than P's own horizon."""
-
-CUT_STEPS = 4
-"""Steps of regula falsi in which it is found where a sheet cuts into the arc."""
-
 
 def _fejer_rules() -> tuple[Float32, Float32]:
     """Return Chebyshev's nodes on [-1, 1] and Fejer's weights, of 16, 32 ... MAX_SLICES nodes in a row.
@@ -180,7 +174,8 @@ def _cut(
         return spread(-FAR)
     f_low, f_high = below, above
     share = zero
-    for _ in range(CUT_STEPS):
+    # Steps of regula falsi in which it is found where a sheet cuts into the arc.
+    for _ in range(4):
         # The near side rises with the root of the way.
         share = (low * f_high - high * f_low) / (f_high - f_low)
         r = near + length * share * share
@@ -223,7 +218,8 @@ def _past_edge(
     if any_lane(meets):
         at_edge = (wave(spread(x_0) + r * x, sheets.corrugation) + spread(lift)) / r
         if sheets.from_upper:
-            at_edge = where(r > spread(SKIMS_MM), at_edge, spread(-FAR))
+            # An edge that leaves P's own sheet so near to P hides no more than P's own horizon.
+            at_edge = where(r > spread(0.02), at_edge, spread(-FAR))
         behind = greater(hidden, at_edge)
         if sheets.cut:
             begin, lower, upper = lesser(greater(r, near), end), spread(-P[2]), spread(lift)

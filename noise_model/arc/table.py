@@ -33,9 +33,6 @@ NODES = DEGREE + 1
 SMALLEST_MM = 0.3
 """A cell this small is not halved any more."""
 
-ROUGH = 4.0
-"""In a cell this small the polynomial may be off by so many times what it may elsewhere."""
-
 MAX_CELLS = 6000
 """Room for the cells of all faces; where it is used up, light is integrated point by point."""
 
@@ -220,7 +217,8 @@ def make_cell(k: ArcKernel, table: FaceTable, face: int, cell: int, work: ArcScr
     half_x, half_s = 1.0 / inverse[cell, 0], 1.0 / inverse[cell, 1]
     along = 0 if worst_x > worst_s else 1
     is_small = (half_x if along == 0 else half_s) < 0.5 * SMALLEST_MM
-    if is_smooth or (is_small and max(worst_x, worst_s) <= ROUGH * allowed):
+    # In a cell this small the polynomial may be off by so many times what it may elsewhere.
+    if is_smooth or (is_small and max(worst_x, worst_s) <= 4.0 * allowed):
         fit(values, table.to_powers, values)
         axis[cell] = SMOOTH
         return

@@ -20,12 +20,6 @@ from noise_model.stripe import stripe_depth_mm
 from noise_model.transforms import invert, transform
 from noise_model.view import View
 
-FAN_EDGE_DEG = 0.2
-"""1 sigma of the angle over which an uneven fan ends."""
-
-TEXTURE_MM = 1.0
-"""1 sigma of the grain of a scene's texture, as the level camera sees it."""
-
 GAUSSIAN = 2.0
 """The exponent of a Gaussian's profile."""
 
@@ -54,7 +48,8 @@ def _uneven_fan(light: Light, view: View, condition: Condition, values: Values, 
     angle_deg = view.cached("fan_angle_deg", lambda: _fan_angle_deg(view))
     tens = angle_deg / np.float32(10.0)
     power = 1.0 + np.float32(values["slope"]) * tens + np.float32(values["curvature"]) * tens**2
-    inside = ndtr((values["half_angle_deg"] - np.abs(angle_deg)) / FAN_EDGE_DEG)
+    # 1 sigma of the angle over which an uneven fan ends.
+    inside = ndtr((values["half_angle_deg"] - np.abs(angle_deg)) / 0.2)
     light.laser = light.laser * (np.maximum(power, 0.0) * inside).astype(np.float32)
 
 
@@ -91,7 +86,8 @@ def _ambient_light(light: Light, view: View, condition: Condition, values: Value
         light.variance_e2 = light.variance_e2 + (np.float32(texture) * seen) ** 2
     elif texture > 0.0:
         everywhere = np.ones(view.shape, dtype=np.bool_)
-        grain_px = TEXTURE_MM * view.setup.camera.fx / stripe_depth_mm(view.setup)
+        # 1 sigma of the grain of a scene's texture, as the level camera sees it.
+        grain_px = 1.0 * view.setup.camera.fx / stripe_depth_mm(view.setup)
         normal = normal_field(in_image_px(view, everywhere), grain_px, part_seed(view, draw))
         spread = math.sqrt(math.log1p(texture**2))
         seen = seen * np.exp(spread * normal - 0.5 * spread**2).reshape(view.shape).astype(np.float32)

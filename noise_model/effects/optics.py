@@ -22,13 +22,7 @@ from noise_model.view import View
 EVEN_SPREAD = 3.0
 """1 sigma, in half diagonals, from which glare is uniform."""
 
-SPREAD_NODES = 8.0
-"""Pixels to a wide Gaussian's sigma after an image is shrunk for it."""
-
 CONTINUUM = ArcSpectrum(line_width_nm=0.0)
-
-SHIFT_LIMIT = 0.99
-"""The largest sin(theta) / n_eff: beyond no share of the shift goes."""
 
 PATCHES = (1, 2, 3)
 """Numbers of a window's patches."""
@@ -64,7 +58,8 @@ def _filter_shift(light: Light, view: View, condition: Condition, values: Values
     share = values["shift_share"]
     shifted = replace(of_filter, effective_index=1.0)
     sin = math.sqrt(share) / of_filter.effective_index * np.sin(view.theta)
-    angle = np.arcsin(np.minimum(sin, SHIFT_LIMIT))
+    # The largest sin(theta) / n_eff: beyond no share of the shift goes.
+    angle = np.arcsin(np.minimum(sin, 0.99))
     laser = laser_transmission(shifted, view.setup.laser.wavelength_nm, angle)
     on_axis = passed_continuum(shifted, CONTINUUM)
     # What is neither the laser's nor the arc's glows: a continuum like the arc's.
@@ -90,7 +85,8 @@ def _defocus(setup: Setup, values: Values) -> Setup:
 
 def wide_blur(image: Float32, sigma_px: float) -> Float32:
     """Convolve an image (H, W) with a wide Gaussian, the rim reflected: shrunk, convolved and enlarged."""
-    shrink = max(1.0, sigma_px / SPREAD_NODES)
+    # Pixels to a wide Gaussian's sigma after an image is shrunk for it.
+    shrink = max(1.0, sigma_px / 8.0)
     height, width = image.shape
     size = max(1, round(width / shrink)), max(1, round(height / shrink))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)

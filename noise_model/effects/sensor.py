@@ -18,9 +18,6 @@ from noise_model.instrument.sensor import Sensor
 from noise_model.setup import Setup
 from noise_model.view import View
 
-PATTERN_SEED = 20_261
-"""One chip, one pattern: the same in every frame."""
-
 
 def _exposure_drift(condition: Condition, values: Values) -> Condition:
     factor = drift.drifted(values, condition.timestamp_s)
@@ -33,7 +30,8 @@ def _fixed_pattern(light: Light, view: View, condition: Condition, values: Value
         light.variance_e2 = light.variance_e2 + (sigma * light.total) ** 2
         return
     camera = view.setup.camera
-    pattern = np.random.default_rng(PATTERN_SEED).standard_normal((camera.height, camera.width))
+    # One chip, one pattern: the same in every frame.
+    pattern = np.random.default_rng(20_261).standard_normal((camera.height, camera.width))
     light.scale(np.maximum(1.0 + sigma * pattern, 0.0).astype(np.float32))
 
 

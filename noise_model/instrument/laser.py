@@ -17,10 +17,6 @@ SHEET_REACH = 6.0
 """Half-width of the rendered sheet, in its sigmas: its irradiance has fallen to 1.5e-8 there."""
 
 
-MIN_TILT_NORM = 1e-6
-"""A sheet whose normal is nearer to the tool's z than this never meets the plate."""
-
-
 @dataclass(frozen=True)
 class Laser:
     """A sheet of light that fans out from a point along -z of the tool frame.
@@ -68,7 +64,8 @@ class Laser:
         norm = float(np.linalg.norm(self.plane_in_tool[:3]))
         if not abs(norm - 1.0) <= 1e-3:
             raise ValueError(f"[laser] plane_in_tool: the normal's length is {norm:.4f}, not 1")
-        if np.hypot(*self.plane_in_tool[:2]) < MIN_TILT_NORM:
+        # A sheet whose normal is nearer to the tool's z than this never meets the plate.
+        if np.hypot(*self.plane_in_tool[:2]) < 1e-6:
             raise ValueError("[laser] plane_in_tool: the sheet lies parallel to the plate")
         if not (np.isfinite(self.plane_in_tool).all() and np.isfinite(self.origin_in_tool_mm).all()):
             raise ValueError("[laser] plane_in_tool, origin_in_tool_mm: must be finite")

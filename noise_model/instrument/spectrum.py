@@ -27,9 +27,6 @@ OPAQUE_DENSITY = 9.0
 END_SHARE = 0.01
 """A curve covers its band if both ends have fallen to this share of its peak."""
 
-PASSBAND_FWHM = 3.0
-"""Half the width, in FWHM, over which a Gaussian is integrated: it has fallen to 1.5e-11 there."""
-
 MIN_TRANSMISSION = 1e-6
 """A laser of which less arrives does not pass."""
 
@@ -80,7 +77,8 @@ class Filter:
 
     def edges_nm(self) -> Float64:
         """Return wavelengths between which the transmission is smooth; outside nothing passes."""
-        half = PASSBAND_FWHM * self.fwhm_nm
+        # Half the width, in FWHM, over which a Gaussian is integrated: it has fallen to 1.5e-11 there.
+        half = 3.0 * self.fwhm_nm
         return np.linspace(self.center_nm - half, self.center_nm + half, PIECES + 1)
 
 

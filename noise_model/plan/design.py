@@ -33,9 +33,6 @@ from noise_model.setup import Setup
 from noise_model.stripe import stripe_reference
 from noise_model.transforms import transform
 
-LARGEST_FIELD_ANGLE = 0.6
-"""Largest angle from the axis, rad, at which a filter's passband is computed."""
-
 PROFILE_NODES = 61
 
 LINE_LEAK = "argon_line_leak"
@@ -264,7 +261,8 @@ def filter_gains(
 def _profile(
     stated: Filter | FilterCurve, optics: Filter | FilterCurve, laser_nm: float, spectrum: ArcSpectrum
 ) -> tuple[Float64, Float64, Float64]:
-    angles = np.linspace(0.0, LARGEST_FIELD_ANGLE, PROFILE_NODES)
+    # Largest angle from the axis, rad, at which a filter's passband is computed.
+    angles = np.linspace(0.0, 0.6, PROFILE_NODES)
 
     def passed(glass: Filter | FilterCurve, theta: Float64) -> Float64:
         return passed_continuum(glass, spectrum, theta) + passed_lines(glass, spectrum, theta)

@@ -30,9 +30,6 @@ from noise_model.surface.joint import Joint, section
 NODES = 33
 """Nodes across a scan line's window: a quarter of the stripe's sigma apart, as good as an integral."""
 
-DETECT_SIGMAS = 5.0
-"""A stripe fainter than this many of its amplitude's own bounds is not found among false ones."""
-
 MIN_LINES = 5.0
 """Least number of readable scan lines on either side of the seam."""
 
@@ -44,9 +41,6 @@ MIN_NORMAL_Z = 1e-6
 
 IN_PLANE_MM = 1e-6
 """Distance from an upright side's plane below which a point lies in it."""
-
-HEADROOM_SIGMAS = 4.0
-"""Distance from saturation of the brightest expected pixel at the longest exposure, in its own noise."""
 
 _T = np.linspace(-HALF_WINDOW_SIGMAS, HALF_WINDOW_SIGMAS, NODES)
 _PLACES = np.linspace(-HALF_WINDOW_SIGMAS, HALF_WINDOW_SIGMAS, ARC_PLACES)
@@ -192,7 +186,8 @@ def line_bounds(
     sigmas = stripe_sigmas(width[:, np.newaxis] * _T, stripe, width, variance_e2(mean, sensor), spacing)
     saturated = light.seen & (mean.max(axis=1, initial=0.0) >= saturation_e(sensor))
     with np.errstate(divide="ignore", invalid="ignore"):
-        detected = stripe > DETECT_SIGMAS * sigmas[:, AMPLITUDE]
+        # A stripe fainter than this many of its amplitude's own bounds is not found among false ones.
+        detected = stripe > 5.0 * sigmas[:, AMPLITUDE]
         ratio = np.where(light.seen, pixels.arc_e[:, NODES // 2] / pixels.stripe_e, np.nan)
     readable = light.seen & detected & ~saturated
     sigma = np.where(readable, np.hypot(sigmas[:, POSITION], floor_px), np.nan)
@@ -227,7 +222,8 @@ def longest_exposure(brightest_e: float, sensor: Sensor) -> float:
     """Return the longest exposure, over that which gives `brightest_e`, that saturates nothing expected."""
     full = saturation_e(sensor)
     noise = math.sqrt(float(variance_e2(full, sensor)))
-    return max(full - HEADROOM_SIGMAS * noise, 0.1 * full) / max(brightest_e, 1e-9)
+    # Distance from saturation of the brightest expected pixel at the longest exposure, in its own noise.
+    return max(full - 4.0 * noise, 0.1 * full) / max(brightest_e, 1e-9)
 
 
 def _half_mouth_mm(joint: Joint) -> float:

@@ -35,9 +35,6 @@ LEFT_OUT = ("interreflection",)
 It takes a second a pose, where a plan looks at thousands and all else takes 5 ms.
 """
 
-LONGER_EXPOSURE = 2.0
-"""The longest exposure that is tried, over the user's, where none is given."""
-
 
 @dataclass(frozen=True)
 class PlanOptions:
@@ -192,6 +189,7 @@ def search_space(setup: Setup, options: PlanOptions) -> SearchSpace:
     """Return the designs to try."""
     azimuths = _azimuths(setup, options)
     turned = _steps(azimuths, AZIMUTH_STEP_DEG)
+    # The longest exposure that is tried, over the user's, where none is given.
     return SearchSpace(
         tilts_deg=_steps(options.tilt_deg, TILT_STEP_DEG),
         # All around, -180 is 180 once more.
@@ -199,7 +197,7 @@ def search_space(setup: Setup, options: PlanOptions) -> SearchSpace:
         previews_mm=_steps(options.preview_mm, PREVIEW_STEP_MM),
         stand_offs_mm=_steps(options.stand_off_mm, STAND_OFF_STEP_MM),
         filters_nm=tuple(sorted(set(options.filters_nm))),
-        max_exposure_s=options.max_exposure_s or LONGER_EXPOSURE * setup.camera.exposure_s,
+        max_exposure_s=options.max_exposure_s or 2.0 * setup.camera.exposure_s,
         torch_radius_mm=options.torch_radius_mm,
     )
 

@@ -17,9 +17,6 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert
 
-LEANS_A_SIDE = 2
-"""Number of tilts tried to either side, in travel and in work angle."""
-
 
 @dataclass(frozen=True)
 class Cure:
@@ -60,7 +57,8 @@ def find_cure(
         return judge(setup, design, turned, around, None, max_exposure_s)[0]
 
     upright = (0.0, 0.0)
-    angles = np.linspace(-lean_deg, lean_deg, 2 * LEANS_A_SIDE + 1)
+    # Number of tilts tried to either side, in travel and in work angle.
+    angles = np.linspace(-lean_deg, lean_deg, 2 * 2 + 1)
     leans = sorted(((float(t), float(w)) for t in angles for w in angles), key=lambda lean: math.hypot(*lean))
     best_lean, best = upright, worst(own, upright, None)
     for lean in leans[1:] if lean_deg > 0.0 else []:

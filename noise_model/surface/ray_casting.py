@@ -14,9 +14,6 @@ from noise_model.surface.faces import face_normal, ridge
 MISS = -1
 """The face of a ray that looks past the workpiece."""
 
-RIDGE_STEPS = 64
-"""In how many steps per width of a corrugation a ray that may meet it more than once is followed."""
-
 
 @kernel
 def _meet_ridge(
@@ -48,7 +45,8 @@ def _meet_ridge(
         return math.inf
     steps = 1
     if abs(d[0]) * math.pi * height / corrugation[1] >= abs(climb):
-        steps = min(4096, 1 + int(RIDGE_STEPS * abs(d[0]) * (far - near) / corrugation[1]))
+        # In how many steps per width of a corrugation a ray that may meet it more than once is followed.
+        steps = min(4096, 1 + int(64 * abs(d[0]) * (far - near) / corrugation[1]))
     c, _ = ridge(origin[0] + near * d[0], corrugation)
     gap = base + near * climb - c
     from_below = gap < 0.0 or (climb > 0.0 and base + near * climb <= 1e-9)

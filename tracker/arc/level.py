@@ -36,9 +36,6 @@ MIN_BLACK_SIGMA_E = 1e-3
 MAX_STEPS, LEVEL_SETTLED = 20, 1e-6
 """Steps of the level's fit at most, and the relative one that is the last."""
 
-AMBIENT_SIGMAS = 5.0
-"""An offset of more of the black level's sigmas is light of the hall: no black level is stated so wrongly."""
-
 CHANCE = 3.5
 """Chance excess of the quantile of n pixels' noise, over 1 / sqrt(n): 4 sigma of it."""
 
@@ -208,7 +205,8 @@ def fit_level(
     size = np.empty(len(map_e))
     start = max(0.0, quantile(charge_e, 0.5) / (quantile(map_e, 0.5) + 1e-9))
     level, sigma, black = _fit_level(map_e, charge_e, dark_e2, black_sigma_e, start, size)
-    if black > AMBIENT_SIGMAS * black_sigma_e:
+    # An offset of more of the black level's sigmas is light of the hall: no black level is stated so wrongly.
+    if black > 5.0 * black_sigma_e:
         level, sigma, black = _fit_level(map_e, charge_e, dark_e2, full_well_e, level, size)
     # Where the sheet hides the arc, its level may be anything.
     if not sigma < MAX_SIGMA * max(level, 1.0):

@@ -48,9 +48,6 @@ from tracker.stripe.neighbours import usual_of
 MIN_EVIDENCE_NATS = math.log(1e3)
 """Least evidence of a joint against a plate, nats: chance reaches it in one frame of 1000 at most."""
 
-PLACE_MM = 0.5
-"""Places of a section that lie so near to each other are one."""
-
 PLATE_PARAMETERS = 4
 """A plate is a cubic: a bow, and what is left of the lens, but no corner."""
 
@@ -87,7 +84,8 @@ def section_evidence_nats(points: Float64, corners_mm: Float64, reach_mm: float)
     gain = max(loss(new_of_plate, n_lines, pairs.correlation) - loss(new, n_lines, pairs.correlation), 0.0)
     x = 2.0 * gain / (points_as_one(new) * (1.0 + pairs.share * pairs.correlation))
     chance = math.log(1.0 + math.sqrt(2.0 * x / math.pi) * (1.0 + x / 3.0)) - 0.5 * x
-    return -chance - math.log(places_of(y_mm, reach_mm, PLACE_MM))
+    # Places of a section that lie so near to each other are one.
+    return -chance - math.log(places_of(y_mm, reach_mm, 0.5))
 
 
 @kernel

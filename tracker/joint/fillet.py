@@ -23,12 +23,6 @@ from tracker.state import Y_MM, Z_MM, JointShape
 
 SEARCH_STEP_MM = 0.2
 SEARCH_LIMIT_MM = 1.0
-PLATE_SIGMA_DEG = 2.0
-"""1 sigma of a plate's rotation from where it is stated."""
-
-MAX_TURNED_SIGMAS = 5.0
-"""Plates that are turned by more are not this corner's."""
-
 BESIDE_MM = 2.0
 """So near to the corner the points must lie on the plates."""
 
@@ -43,7 +37,8 @@ def fit_fillet(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
         y_mm, points[Z_MM], section.reach_mm, stated.corners_mm, 0.0, SEARCH_STEP_MM, SEARCH_LIMIT_MM
     )
     slope = 1.0 / stated.tan
-    plate_sigma = math.radians(PLATE_SIGMA_DEG) * (1.0 + slope**2)
+    # 1 sigma of a plate's rotation from where it is stated.
+    plate_sigma = math.radians(2.0) * (1.0 + slope**2)
     start, prior_sigma = np.array([y_0, z_0, slope, -slope]), np.array([5.0, 5.0, plate_sigma, plate_sigma])
     chosen = np.ones(len(y_mm), np.bool_)
     fit = fit_points(CORNER, points, chosen, START_SIGMA_MM, prior_sigma, start)
@@ -52,7 +47,8 @@ def fit_fillet(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     p, covariance, weights = fit.parameters, fit.covariance, fit.weights
     is_left = y_mm > p[0]
     turned = max(abs(p[2] - start[2]), abs(p[3] - start[3])) / plate_sigma
-    if turned > MAX_TURNED_SIGMAS or min(weights[is_left].sum(), weights[~is_left].sum()) < MIN_POINTS:
+    # Plates that are turned by more are not this corner's.
+    if turned > 5.0 or min(weights[is_left].sum(), weights[~is_left].sum()) < MIN_POINTS:
         return None
     plates, plate_sigmas = two_angles(p, covariance, 2, 3)
     measured = MeasuredJoint(

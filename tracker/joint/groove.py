@@ -54,9 +54,6 @@ MUCH_LEFT_OUT, WIDER_MM = 0.2, 1.0
 MIN_POINTS, MIN_ALONE = 5.0, 10.0
 """The weight of the points that must be seen on either side of a groove, and on one if it must do alone."""
 
-MIN_GROOVE_SHARE = 0.3
-"""The share of a bevel's scan lines, but no more than so many points, without which it is not seen."""
-
 END_SHARE = 0.25
 """The share of a bevel's width at either end whose points may be the root's or the plate's as well."""
 
@@ -102,7 +99,8 @@ def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
         fit = weigh_root(shape, points, clear, start, prior_sigma, GAP, fit)
         shown = groove_coverage(fit, y_mm, half_mouth_mm)
     amid_mm = (1.0 - 2.0 * END_SHARE) * (half_mouth_mm - 0.5 * stated.gap_mm)
-    enough = min(MIN_POINTS, MIN_GROOVE_SHARE * amid_mm / section.column_mm)
+    # The share of a bevel's scan lines, but no more than so many points, without which it is not seen.
+    enough = min(MIN_POINTS, 0.3 * amid_mm / section.column_mm)
     if min(shown.right_bevel, shown.left_bevel) < enough:
         is_left_hidden = shown.left_bevel < shown.right_bevel
         side, alone = (1.0, shown.right) if is_left_hidden else (-1.0, shown.left)

@@ -46,18 +46,6 @@ BESIDE_MM = 12.0
 CLEAR_SIGMAS = 6.0
 """Half-width of the stripe's own light, in its sigmas."""
 
-MAX_COLUMNS = 40
-"""Columns that are read on either side: more are averaged into so many."""
-
-MAX_TURN_DEG = 10.0
-"""The line's direction may be off the expected seam's by so much."""
-
-MIN_WIDTH_LINES = 1.5
-"""1 sigma of the narrowest line that is sought, scan lines: a slit that is blurred by lens and pixel."""
-
-MEDIAN_WIDTHS = 5.0
-"""Half the running median's length, over the line's 1 sigma."""
-
 CLIP_SIGMAS = 4.0
 """A pixel counts as no farther off: glints and spatter are bright."""
 
@@ -73,21 +61,9 @@ N_PIECES, MIN_PIECES = 12, 5
 MIN_RADIUS_MM = 100.0
 """1 sigma of a seam's curvature is that of a circle so large."""
 
-FIT_ROUNDS = 5
-"""Rounds of the parabola's fit by Tukey's weights."""
-
-MIN_PIECE_SIGMAS = 2.0
-"""A piece in which the line stands out less does not show it."""
-
-MIN_DARK_SIGMAS = 4.0
-"""Least contrast of a slit that is distinct from the plates: below it the rim stands for the slit."""
-
 DARK_SHARES = 0.2, 0.6
 """Darkness over the rim's brightness. Below the first share it is the plate's texture, by more
 than the second it is the slit; between them it may be either."""
-
-MIN_COLUMNS_SHARE = 0.5
-"""A line that leaves the image within more of its columns is not summed."""
 
 CODE_SIGMA_DN = 12.0**-0.5
 """No column scatters by less than the rounding of its codes."""
@@ -158,21 +134,25 @@ def read_image_line(
         return None
     reach_px, first_slope, last_slope = expected
     guard_px = math.ceil(CLEAR_SIGMAS * stripe_sigma_px)
-    averaged = max(1, math.ceil((reach_px - guard_px) / MAX_COLUMNS))
+    # Columns that are read on either side: more are averaged into so many.
+    averaged = max(1, math.ceil((reach_px - guard_px) / 40))
     n_each = int((reach_px - guard_px) / averaged)
     if n_each < MIN_PIECES:
         return None
     gap_lines = geometry.setup.joint.dimensions["gap_mm"] / section.column_mm
-    width = max(MIN_WIDTH_LINES, 0.5 * gap_lines)
+    # 1 sigma of the narrowest line that is sought, scan lines: a slit that is blurred by lens and pixel.
+    width = max(1.5, 0.5 * gap_lines)
     columns, offsets_px = np.empty((2 * n_each, len(path))), np.empty(2 * n_each)
     average_columns(image_dn, path, guard_px, averaged, columns, offsets_px)
     white = np.empty_like(columns)
-    whiten(columns, math.ceil(MEDIAN_WIDTHS * width), white)
+    # Half the running median's length, over the line's 1 sigma.
+    whiten(columns, math.ceil(5.0 * width), white)
     n_slopes = 2 + math.ceil(abs(last_slope - first_slope) * reach_px / width)
     slopes = np.linspace(first_slope, last_slope, n_slopes)
     along, counts = np.empty((2, n_slopes, len(path)))
     sum_along(white, offsets_px, slopes, along, counts)
-    energy = _energy(along, counts >= MIN_COLUMNS_SHARE * len(offsets_px), width)
+    # A line that leaves the image within more of its columns is not summed.
+    energy = _energy(along, counts >= 0.5 * len(offsets_px), width)
     return _place(section, _Sums(white, offsets_px, slopes, along, energy, width, section.column_mm))
 
 
@@ -193,7 +173,8 @@ def _expected_slopes(
     Slopes are scan lines a pixel of distance from the stripe. None where it is not seen to cross the stripe.
     """
     nx, _, _, d = plane_in(scene.T_joint_tool, geometry.setup.laser.plane)
-    turn = math.radians(MAX_TURN_DEG) * np.array([-1.0, -1.0, 1.0, 1.0])
+    # The line's direction may be off the expected seam's by so much.
+    turn = math.radians(10.0) * np.array([-1.0, -1.0, 1.0, 1.0])
     along = BESIDE_MM * np.array([-1.0, 1.0, -1.0, 1.0])
     points = np.column_stack([-d / nx + along * np.cos(turn), along * np.sin(turn), np.zeros(4)])
     camera = geometry.setup.camera
@@ -362,7 +343,8 @@ def _crossing(sums: _Sums, slope: int, line: int) -> tuple[float, float] | None:
     design = np.column_stack([np.ones_like(t), t, t * t])
     prior = np.diag([0.0, 0.0, bow**-2])
     weights = np.ones(len(t))
-    for _ in range(FIT_ROUNDS):
+    # Rounds of the parabola's fit by Tukey's weights.
+    for _ in range(5):
         H = (design.T * (weights / sigma**2)) @ design + prior
         p = np.linalg.solve(H, design.T @ (weights * shift / sigma**2))
         off = (shift - design @ p) / sigma
@@ -381,7 +363,8 @@ def _middle(section: Float64) -> tuple[float, float]:
     dark, bright = np.maximum(-section, 0.0), np.maximum(section, 0.0)
     low, high = (share * float(bright.max()) for share in DARK_SHARES)
     places = []
-    if dark.max() >= max(MIN_DARK_SIGMAS, low):
+    # Least contrast of a slit that is distinct from the plates: below it the rim stands for the slit.
+    if dark.max() >= max(4.0, low):
         places.append(dark**2 / np.sum(dark**2))
     if not places or dark.max() < high:
         fitted = bright if bright.any() else np.ones(len(section))
@@ -408,7 +391,8 @@ def _piece(
     expected = section * math.sqrt(len(columns) / len(sums.offsets_px))
     fit = np.correlate(light, expected, "valid")
     best = int(fit.argmax())
-    if not (0 < best < len(fit) - 1 and fit[best] >= MIN_PIECE_SIGMAS * np.linalg.norm(expected)):
+    # A piece in which the line stands out less does not show it.
+    if not (0 < best < len(fit) - 1 and fit[best] >= 2.0 * np.linalg.norm(expected)):
         return None
     before, peak, behind = fit[best - 1 : best + 2]
     shift = best - half + 0.5 * (before - behind) / (before - 2.0 * peak + behind)

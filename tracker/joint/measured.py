@@ -40,13 +40,6 @@ LEFT_OUT = 0.1
 OFF_SIGMAS = 5.0
 """A point farther than this off a sheet is not of the sheet's own surface."""
 
-MIN_UNIT_MM = 1e-6
-"""No point's height is known better."""
-
-PLACED_BY = 160
-"""Number of a profile's points, evenly chosen, that place a section."""
-
-
 SURE_SIGMAS, SURE_MM = 2.0, 1.0
 """For a hidden bevel: distance from the visible side, in sigmas of the gap, of a point that is surely the
 root's; distance from the mouth of one that is surely the plate's."""
@@ -99,7 +92,8 @@ def fit_points(
             count += 1
     if count < m + 3:
         return ShapeFit(start[:m].copy(), np.empty((m, m)), math.nan, sigma)
-    wide = start_sigma_mm / max(exact_median(moves[:count]), MIN_UNIT_MM)
+    # No point's height is known better.
+    wide = start_sigma_mm / max(exact_median(moves[:count]), 1e-6)
     fit = fit_section(shape, points, sigma, used, wide, prior_sigma, start)
     if math.isfinite(fit.chi2):
         add_shared_errors(shape, points, sigma, fit)
@@ -120,7 +114,8 @@ def shift_of(
 
     Lateral shifts are tried by steps of `step_mm` within the points' reach, see `best_shift`.
     """
-    every = max(1, y_mm.shape[0] // PLACED_BY)
+    # Number of a profile's points, evenly chosen, that place a section.
+    every = max(1, y_mm.shape[0] // 160)
     n = (y_mm.shape[0] + every - 1) // every
     y, z, lifted = np.empty(n), np.empty(n), corners.copy()
     for i in range(n):

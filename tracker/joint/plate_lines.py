@@ -37,17 +37,8 @@ UNREAD = -0.5
 BRIGHT_LINES, HELD_SHARE = 12, 0.5
 """Lines of either plate that say how bright its stripe is; the share of it at which a gap's lines hold it."""
 
-DIM_SHARE = 0.25
-"""A line with less of the plates' brightness holds what the optics throw into a gap, and no plate."""
-
-BESIDE_SIGMAS = 4.0
-"""Half-width of the stripe window, in stripe sigmas."""
-
 HIDDEN = 0.0
 """Vote of a scan line for a plate whose stripe would run over saturated pixels."""
-
-MIN_AGREEMENT = 0.6
-"""By what share of the scan lines those that show what the joint would must outnumber the others."""
 
 
 class OnPlates(NamedTuple):
@@ -196,7 +187,8 @@ def leave_out_dim(lines: PlateLines, light: StripeLight, image_dn: Integers, alo
         bright[i] = brightness(image_dn, along_rows, scan, plates.position_px[i], width_px)
     usual = exact_median(bright)
     for i in range(n):
-        if bright[i] < DIM_SHARE * usual:
+        # A line with less of the plates' brightness holds what the optics throw into a gap, and no plate.
+        if bright[i] < 0.25 * usual:
             lines.sees[int(plates.lines[i])] = UNREAD
 
 
@@ -226,7 +218,8 @@ def brightness(image_dn: Integers, along_rows: bool, scan: int, path_px: float, 
     """
     n_pos = image_dn.shape[0] if along_rows else image_dn.shape[1]
     middle = 0 if math.isnan(path_px) else int(np.rint(path_px))
-    half, far = math.ceil(width_px), math.ceil(BESIDE_SIGMAS * width_px)
+    # Half-width of the stripe window, in stripe sigmas.
+    half, far = math.ceil(width_px), math.ceil(4.0 * width_px)
     within, below, above = 0.0, 0.0, 0.0
     for v in range(middle - half, middle + half + 1):
         within += pixel(image_dn, along_rows, scan, min(max(v, 0), n_pos - 1))
@@ -260,7 +253,8 @@ def best_place(lines: PlateLines, plate_mm: float, gap_mm: float, ends: bool) ->
         agreement = agreed / max(votes, 1.0)
         if agreement > highest:
             best, highest = k, agreement
-    if highest < MIN_AGREEMENT:
+    # By what share of the scan lines those that show what the joint would must outnumber the others.
+    if highest < 0.6:
         return math.nan
     first = best + n // 2 - gap // 2
     if gap > 0 and others_between(lines, first - 1, first + gap) < MIN_LINES:

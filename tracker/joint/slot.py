@@ -63,17 +63,8 @@ BESIDE_MM = 3.0
 NEAR_MM = 15.0
 """So near to a joint its plates are straight: farther off they may be bowed."""
 
-CLEAR_OF_GAP_MM = 0.3
-"""Distance from the gap's stated ends from which a point is surely a plate's."""
-
 MIN_POINTS = 8
 """Points that must be seen of either plate."""
-
-MAX_CLOSED_MM = 1.0
-"""A joint with a stated gap as wide is never closed: plates are tacked to a few tenths of a millimetre."""
-
-THICKNESS_SIGMA_MM = 0.1
-"""Tolerance of a sheet's thickness: it moves an edge joint's seam where no gap is seen."""
 
 
 def fit_slot(
@@ -131,7 +122,8 @@ def fit_closed_slot(
     closed.
     """
     points = section.points
-    if stated.gap_mm >= MAX_CLOSED_MM:
+    # A joint with a stated gap as wide is never closed: plates are tacked to a few tenths of a millimetre.
+    if stated.gap_mm >= 1.0:
         return None
     fit = fit_plates(points, line_mm, np.abs(points[Y_MM] - line_mm) < NEAR_MM)
     if not math.isfinite(fit.chi2):
@@ -193,7 +185,8 @@ def gap_about(lines: PlateLines, light: StripeLight, stated: StatedJoint, y_0: f
     outer = 0.5 * gap_mm + thickness
     right = end_between(lines, light, y_0 - outer - slack, y_0 - outer + slack, False)
     left = end_between(lines, light, y_0 + outer - slack, y_0 + outer + slack, True)
-    variance = 0.25 * (left.variance_mm2 + right.variance_mm2) + 0.5 * THICKNESS_SIGMA_MM**2
+    # Tolerance of a sheet's thickness: it moves an edge joint's seam where no gap is seen.
+    variance = 0.25 * (left.variance_mm2 + right.variance_mm2) + 0.5 * 0.1**2
     middle, blurred_mm = 0.5 * (left.y_mm + right.y_mm), BLURRED_LINES * lines.column_mm
     y_per_z = interpolated(middle, lines.y_mm, lines.y_per_z)
     return JointGap(middle, variance, 0.0, blurred_mm**2, first, last, y_per_z)
@@ -207,7 +200,8 @@ def plate_points(points: Float64, stated: StatedJoint, are_on: Bool, y_0: float)
     for i in range(n):
         away_mm = abs(points[Y_MM, i] - y_0)
         off_mm = away_mm - 0.5 * stated.gap_mm
-        clear[i] = are_on[i] and CLEAR_OF_GAP_MM < off_mm < NEAR_MM
+        # Distance from the gap's stated ends from which a point is surely a plate's.
+        clear[i] = are_on[i] and 0.3 < off_mm < NEAR_MM
         if stated.is_edge:
             clear[i] = clear[i] and away_mm < 0.5 * stated.gap_mm + stated.thickness_mm
         left += clear[i] and points[Y_MM, i] > y_0

@@ -27,9 +27,6 @@ from tracker.state import DZ_MM, SIGMA_PX, Y_MM, Z_MM
 GROUPS = 120
 """About so many groups of neighbouring points, each its median, are cut into pieces."""
 
-ROUGH_MM = 0.05
-"""Distance of a point from a piece beyond its noise: types differ by more than parts do from drawings."""
-
 MIN_OPENING_MM, MIN_STEP_MM = 0.4, 0.3
 """Least depth of an opening, and least height of a step."""
 
@@ -41,9 +38,6 @@ MIN_BEVEL_GROUPS = 3
 
 CORNER_OFF_MM = 1.5
 """So far from where the plates' pieces end their lines may meet in a corner."""
-
-DECIDED = 30.0
-"""Another family must be better by this much of chi2: e^15 to 1."""
 
 STATED_PARAMETERS = 10
 """As many as the shape has that has most."""
@@ -96,7 +90,8 @@ def shows_another(section: Section, joint: Joint, measured: MeasuredJoint | None
     if family is JointFamily.SLOT and shown is JointFamily.FLAT:
         # A gap may show nothing but missing points, and a narrow one not even those.
         return measured is None and joint.dimensions["gap_mm"] >= BLURRED_LINES * section.column_mm
-    return measured is None or cost + DECIDED < stated_cost(groups, measured.corners_mm)
+    # Another family must be better by this much of chi2: e^15 to 1.
+    return measured is None or cost + 30.0 < stated_cost(groups, measured.corners_mm)
 
 
 def shown_family(points: Float64) -> JointFamily | None:
@@ -119,7 +114,8 @@ def groups_of(points: Float64) -> Groups:
     order = np.argsort(points[Z_MM, : n * size].reshape(n, size), axis=1, kind="stable")
     middle = points[:, order[:, (size - 1) // 2] + size * np.arange(n)]
     own_mm = np.abs(middle[DZ_MM]) * middle[SIGMA_PX]
-    return Groups(middle[Y_MM].copy(), middle[Z_MM].copy(), np.hypot(own_mm, ROUGH_MM))
+    # Distance of a point from a piece beyond its noise: types differ by more than parts do from drawings.
+    return Groups(middle[Y_MM].copy(), middle[Z_MM].copy(), np.hypot(own_mm, 0.05))
 
 
 def stated_cost(groups: Groups, corners_mm: Float64) -> float:

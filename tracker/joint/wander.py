@@ -22,9 +22,6 @@ LAGS, CHANCE_SIGMAS = 8, 2.0
 MIN_CORRELATION, MAX_CORRELATION, OWN_SHARE = 0.1, 0.98, 0.01
 """Bounds of a wander's correlation from line to line, and least share of each line's own noise."""
 
-MAX_LAG_SHARE = 4
-"""Residuals are compared over a quarter of a profile at most."""
-
 
 class Wander(NamedTuple):
     """Residuals' own variance, that of their wander, and its correlation from line to line."""
@@ -127,7 +124,8 @@ def points_as_one(off: Float64) -> float:
     if power == 0.0:
         return 1.0
     total = 0.0
-    for lag in range(1, core.shape[0] // MAX_LAG_SHARE, 2):
+    # Residuals are compared over a quarter of a profile at most.
+    for lag in range(1, core.shape[0] // 4, 2):
         pair = (_product(core, lag) + _product(core, lag + 1)) / power
         if pair <= 0.0:
             break

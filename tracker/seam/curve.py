@@ -18,9 +18,6 @@ from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import STRETCH_ASIDE_MM, BentSeam, SeamLine
 from tracker.seam.gaussian_process import SLOPE_SIGMA
 
-PRIOR_OFFSET_MM = 5.0
-"""1 sigma of a seam's offset from its nominal line."""
-
 BEND_MM, BEND_LENGTH_MM = (1.0, 0.02), 30.0
 """1 sigma of how far a seam wanders sideways and in height, and over what length; it bends without corners.
 
@@ -187,4 +184,5 @@ def prior_covariance(x_mm: Float64, other_mm: Float64, middle_mm: float, bend_mm
     """Return the prior covariance (n, m), mm^2, of the displacements at stations (n,) and (m,)."""
     apart = x_mm[:, None] - other_mm[None, :]
     slope = np.outer(x_mm - middle_mm, other_mm - middle_mm) * SLOPE_SIGMA**2
-    return np.asarray(PRIOR_OFFSET_MM**2 + slope + bend_mm**2 * np.exp(-0.5 * (apart / BEND_LENGTH_MM) ** 2))
+    # 1 sigma of a seam's offset from its nominal line.
+    return np.asarray(5.0**2 + slope + bend_mm**2 * np.exp(-0.5 * (apart / BEND_LENGTH_MM) ** 2))

@@ -52,9 +52,6 @@ SPREAD = 0.1
 TINY_PX = 1e-6
 """Stripes that lie so near to each other are one."""
 
-MAX_LINES = 128
-"""No edge is looked for between lines that lie farther apart."""
-
 
 class StripeEnd(NamedTuple):
     """An end of a stripe, in scan lines, and its 1 sigma; NaN where it cannot be told."""
@@ -72,7 +69,8 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
     clear = clear_of_an_edge(light)
     away = 1 if first > last else -1
     n = abs(first - last) + 2 * clear - 1
-    if n > MAX_LINES:
+    # No edge is looked for between lines that lie farther apart.
+    if n > 128:
         return NO_END, NO_END
     shares, variances, room = np.empty((2, n)), np.empty((2, n)), line_room(light.charge_e.shape[1])
     is_seen = line_shares(

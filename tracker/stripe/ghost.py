@@ -34,17 +34,11 @@ REFLECTED_SHARE, REFLECTED_SIGMA_LN = 0.4, 0.7
 MAX_ROUNDS = 3
 """Largest number of times that the stripe is read again without a second one's light."""
 
-NEAREST_SIGMAS = 3.0
-"""Distance from the first, in its sigmas, within which light is of its own shape."""
-
 MIN_GHOST_SHARE, MIN_GHOST_LINES = 0.2, 0.6
 """A second stripe has this share of the first one's light or more, in this share of its scan lines."""
 
 EVERY = 8
 """Every so many scan lines are asked for it."""
-
-CUT = 2.0
-"""No line's pixel counts for more than so many amplitudes of its stripe."""
 
 
 @kernel(fastmath=REDUCTION)
@@ -85,7 +79,8 @@ def _left_over(
 @kernel(fastmath={"contract"})
 def _lay(remainder: Float32, share: float, laid: Float32, laid_on: Float32) -> None:
     """Add what a line leaves (n,), times `share`, to the sums and to the numbers of what was added."""
-    zero, unity, max_e, per_e = np.float32(0.0), np.float32(1.0), np.float32(CUT), np.float32(share)
+    # No line's pixel counts for more than so many amplitudes of its stripe.
+    zero, unity, max_e, per_e = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(share)
     for r in range(remainder.shape[0]):
         is_seen = not math.isnan(remainder[r])
         laid[r] += min(max(remainder[r] * per_e, -max_e), max_e) if is_seen else zero
@@ -182,7 +177,8 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
         laid[i] = laid[i] / laid_on[i] if laid_on[i] > MIN_GHOST_LINES * n else np.float32(math.nan)
     share, apart = 0.0, 0.0
     for i in range(2 * depth + 1):
-        if abs(i - depth) >= NEAREST_SIGMAS * width and not math.isnan(laid[i]):
+        # Distance from the first, in its sigmas, within which light is of its own shape.
+        if abs(i - depth) >= 3.0 * width and not math.isnan(laid[i]):
             here = _bell_over(laid, float(i), width)
             if here > share:
                 share, apart = here, float(i - depth)

@@ -46,12 +46,6 @@ All of it would weigh a bell's flanks most, and no stripe's flanks are a bell's.
 least from 0.25 to 0.5, and by a quarter more at 1.
 """
 
-MAX_LN_WIDTH = 0.45
-"""A stripe that is wider or narrower than the setup says by more is another light."""
-
-MAX_CORRELATION = 0.9
-"""Largest correlation of neighbouring lines' brightness: the rest is what the optics leave."""
-
 REMEMBERED = 10
 """About so many frames are averaged: the metal changes along the seam."""
 
@@ -187,7 +181,8 @@ def brightness_correlation(average: Float64) -> float:
     if not plateau > 0.0 or math.isnan(near):
         return 0.0
     of_two = 2.0 - math.sqrt(1.0 + 3.0 * near / plateau)
-    return min(math.sqrt(max(float(of_two), 0.0)), MAX_CORRELATION)
+    # Largest correlation of neighbouring lines' brightness: the rest is what the optics leave.
+    return min(math.sqrt(max(float(of_two), 0.0)), 0.9)
 
 
 @kernel
@@ -214,7 +209,8 @@ def pair_contrast(average: Float64) -> float:
 @kernel
 def _is_as_stated(average: Float64) -> bool:
     """Return True if the lines' width is one that the stated stripe may have."""
-    return bool(abs(average[LN_WIDTH]) <= MAX_LN_WIDTH)
+    # A stripe that is wider or narrower than the setup says by more is another light.
+    return bool(abs(average[LN_WIDTH]) <= 0.45)
 
 
 @kernel

@@ -48,9 +48,6 @@ MIN_SIGNIFICANCE = 5.0
 MAX_PLACE_STEP, MAX_LN_WIDTH_STEP, MIN_AMPLITUDE_KEPT = 1.0, 0.3, 0.1
 """A step moves the place by a width at most, ln(width) by so much, and leaves this share of the amplitude."""
 
-MAX_LN_WIDTH = 1.0
-"""A fit whose width leaves the predicted one by a larger ln has lost its stripe."""
-
 
 class LinePrior(NamedTuple):
     """Input of sixteen lines' fits, by lane.
@@ -227,7 +224,8 @@ def fit_block(
         unit, width = width, width * _exponential(by_ln)
         is_sound = solved.is_positive & (moments.used >= spread(MIN_PIXELS))
         is_sound = is_sound & (position > zero) & (position < known.n - unity)
-        runs = runs & is_sound & (off * off <= spread(MAX_LN_WIDTH**2))
+        # A fit whose width leaves the predicted one by a larger ln has lost its stripe.
+        runs = runs & is_sound & (off * off <= spread(1.0**2))
         is_small = solved.gained < spread(LINE_SETTLED)
         # The last step may let a saturated pixel count, or no more: what they tell is asked once again.
         ends = runs & is_small & (is_settled | (moments.used == known.n))
