@@ -157,11 +157,7 @@ class Renderer:
         self._layers: OrderedDict[tuple[object, ...], Layers] = OrderedDict()
 
     def layers(
-        self,
-        setup: Setup,
-        T_base_tool: Float64,
-        seam: Seam = NOMINAL_SEAM,
-        pixels: Integers | None = None,
+        self, setup: Setup, T_base_tool: Float64, seam: Seam = NOMINAL_SEAM, pixels: Integers | None = None
     ) -> Layers:
         """Return the layers of a pose; `setup` is what is really there (`effects.apply_setup_effects`)."""
         of_pixels = None if pixels is None else np.asarray(pixels).tobytes()

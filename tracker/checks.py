@@ -134,10 +134,7 @@ LASER_NEAR = Question(
     "laser_near", "height of the laser over the workpiece", "at_most", flags.SEAM_OUT_OF_VIEW, "mm"
 )
 SHEET_ACROSS = Question(
-    "sheet_across",
-    "cosine between the laser sheet's normal and the seam",
-    "at_least",
-    flags.SEAM_OUT_OF_VIEW,
+    "sheet_across", "cosine between the laser sheet's normal and the seam", "at_least", flags.SEAM_OUT_OF_VIEW
 )
 LASER_AHEAD = Question(
     "laser_ahead", "the laser's lead over the torch along the seam", "at_least", flags.SEAM_REVERSED, "mm"
@@ -228,11 +225,7 @@ JOINT_UNEXPLAINED = Question(
     "share",
 )
 NEAR_NOMINAL = Question(
-    "near_nominal",
-    "distance of the seam from its nominal line",
-    "at_most",
-    flags.SEAM_OUT_OF_VIEW,
-    "mm",
+    "near_nominal", "distance of the seam from its nominal line", "at_most", flags.SEAM_OUT_OF_VIEW, "mm"
 )
 JUMP_Y = Question(
     "jump_y", "distance in y from where the earlier frames put the seam", "at_most", flags.SEAM_JUMP, "mm"

@@ -23,13 +23,7 @@ from noise_model.compiled.arrays import Float32, Float64, Int64
 from noise_model.effects import acting, apply_setup_effects
 from noise_model.instrument.camera import Intrinsics, Rays
 from noise_model.instrument.laser import Sheet, sheet_in_tool
-from noise_model.instrument.sensor import (
-    SensorResponse,
-    dark_part_e2,
-    linearise,
-    saturation_dn,
-    variance_e2,
-)
+from noise_model.instrument.sensor import SensorResponse, dark_part_e2, linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup, require_setup
 from noise_model.stripe import stripe_runs_along_rows
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
@@ -177,12 +171,7 @@ class SensorGeometry:
         """The setup's arc and what its map is made with."""
         arc = self.setup.arc
         return ArcSource(
-            arc.radius_mm,
-            float(arc.radiance_e),
-            gauss_nodes(),
-            TO_POWERS,
-            *node_rules(),
-            self.baked_light,
+            arc.radius_mm, float(arc.radiance_e), gauss_nodes(), TO_POWERS, *node_rules(), self.baked_light
         )
 
     @cached_property

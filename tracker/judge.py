@@ -9,13 +9,7 @@ from tracker import checks
 from tracker.checks import FrameChecks
 from tracker.observation import FrameInput, Reading
 from tracker.seam.expected import ExpectedSeam
-from tracker.seam.gaussian_process import (
-    MAX_STRETCHES,
-    NO_HISTORY,
-    WIDE_SIGMA_MM,
-    SeamHistory,
-    condition,
-)
+from tracker.seam.gaussian_process import MAX_STRETCHES, NO_HISTORY, WIDE_SIGMA_MM, SeamHistory, condition
 from tracker.seam.locate import confidence, locate
 from tracker.state import Pair
 from tracker.tracker_state import TrackerMemory

@@ -20,14 +20,7 @@ from tracker.joint.evidence import MIN_EVIDENCE_NATS
 from tracker.joint.image_line import read_image_line
 from tracker.joint.type_check import shows_another
 from tracker.judge import SeamEstimate, judge
-from tracker.observation import (
-    MIN_HELD_SHARE,
-    Aim,
-    FrameInput,
-    Observation,
-    Reading,
-    observe,
-)
+from tracker.observation import MIN_HELD_SHARE, Aim, FrameInput, Observation, Reading, observe
 from tracker.seam.expected import ExpectedSeam, check_pose, expect_seam, pose_numbers
 from tracker.seam.gaussian_process import NO_HISTORY
 from tracker.seam.locate import locate
@@ -130,11 +123,7 @@ def _aim_at_joint(given: FrameInput, expected: ExpectedSeam, aim: Aim, placed: R
     """Return the aim of the look at the joint that a wide look has placed."""
     assert placed.joint is not None
     located = locate(
-        given.geometry.seam_source,
-        expected.T_joint_tool,
-        placed.scene,
-        placed.joint.y_mm,
-        placed.joint.z_mm,
+        given.geometry.seam_source, expected.T_joint_tool, placed.scene, placed.joint.y_mm, placed.joint.z_mm
     )
     y_mm, z_mm = located.displacement_mm
     seam, scatter = aim.seam, given.state.scatter

@@ -40,10 +40,7 @@ class SeamObservations:
 
     @classmethod
     def of(
-        cls,
-        setup: Setup,
-        frames: Sequence[Frame],
-        poses: Sequence[Callable[[float], Float64]],
+        cls, setup: Setup, frames: Sequence[Frame], poses: Sequence[Callable[[float], Float64]]
     ) -> SeamObservations:
         """Track a recording twice, so that its first frames too know where the seam is."""
         tracker, true = Tracker(setup), apply_setup_effects(setup)

@@ -150,27 +150,17 @@ def _check_form(frame_checks: FrameChecks, geometry: SensorGeometry, frame: Fram
 
 def _track(frame: Frame, tracked: FrameResult) -> Track:
     """Return what a step says of a frame that it looked at."""
-    reading, offset = tracked.reading, tracked.offset
+    reading = tracked.reading
     shown = SeamEstimate() if tracked.shown is None else tracked.shown
     joint = None if tracked.shown is None else reading.joint
     return Track(
         frame.index,
         frame.timestamp_s,
         reading.flags,
-        seam_tool_mm=shown.seam_tool_mm,
-        sigma_y_mm=shown.sigma_y_mm,
-        sigma_z_mm=shown.sigma_z_mm,
-        offset_y_mm=offset.offset_y_mm,
-        offset_z_mm=offset.offset_z_mm,
-        offset_sigma_y_mm=offset.offset_sigma_y_mm,
-        offset_sigma_z_mm=offset.offset_sigma_z_mm,
-        offset_confidence=offset.offset_confidence,
-        valid_at_s=offset.valid_at_s,
+        **shown._asdict(),
+        **tracked.offset._asdict(),
         gap_mm=NAN if joint is None else joint.gap_mm,
         mismatch_mm=NAN if joint is None else joint.mismatch_mm,
-        confidence=shown.confidence,
-        joint_start_mm=offset.joint_start_mm,
-        joint_end_mm=offset.joint_end_mm,
         arc_level=reading.arc.level if reading.arc.is_on else NAN,
         map_misfit=reading.arc.misfit,
         fov_margin_mm=reading.fov_margin_mm,

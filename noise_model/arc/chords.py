@@ -123,14 +123,7 @@ def on_outline(a: float, b: float, c: float, arc: Shape, breaks: Float64, n: int
 
 
 @kernel
-def crossings(
-    cuts: Float64,
-    n_cuts: int,
-    p_max: float,
-    corner: float,
-    arc: Shape,
-    breaks: Float64,
-) -> int:
+def crossings(cuts: Float64, n_cuts: int, p_max: float, corner: float, arc: Shape, breaks: Float64) -> int:
     """Write the sorted p at which the borders of the open part cross, ends included; return how many.
 
     `cuts` (n, 3) are lines a + b p + c q = 0, `corner` is where the equator leaves the outline.

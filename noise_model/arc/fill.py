@@ -17,13 +17,7 @@ import numpy as np
 from noise_model.arc.bicubic import LARGEST, N, fill_row, to_powers
 from noise_model.arc.face_lookup import face_seen
 from noise_model.arc.node_light import light_of_face, light_of_nodes, write_faces
-from noise_model.arc.node_rays import (
-    follow_to_lap,
-    places_on_rays,
-    take_rays,
-    tell_faces,
-    tell_places,
-)
+from noise_model.arc.node_rays import follow_to_lap, places_on_rays, take_rays, tell_faces, tell_places
 from noise_model.arc.ray import ArcKernel
 from noise_model.arc.scratch import ArcScratch
 from noise_model.arc.table import FaceTable, light_at_places
@@ -306,14 +300,7 @@ def fill_band(
     """Fill a band (n_scan, depth), e-, by `bicubic.node_rules`. See `map.ArcMap`."""
     n_pos, ramp = cos4.shape[0] // band_e.shape[0], np.arange(LARGEST).astype(np.float32)
     image = Image(
-        xy=xy,
-        cos4=cos4,
-        n_pos=n_pos,
-        node_at=rules[0],
-        rules=rules[1],
-        ramp=ramp,
-        lows=lows,
-        band_e=band_e,
+        xy=xy, cos4=cos4, n_pos=n_pos, node_at=rules[0], rules=rules[1], ramp=ramp, lows=lows, band_e=band_e
     )
     _fill_cells(k, table, image, np.empty((64, 4), dtype=np.int64), work)
 

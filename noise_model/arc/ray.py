@@ -14,13 +14,7 @@ from noise_model.compiled.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers
 from noise_model.surface.faces import face_normal
 from noise_model.surface.ray_casting import MISS, first_hit
-from noise_model.surface.visibility import (
-    Bend,
-    bent,
-    is_curved_lap,
-    lap_planes,
-    sky_planes,
-)
+from noise_model.surface.visibility import Bend, bent, is_curved_lap, lap_planes, sky_planes
 from noise_model.surface.wave import corrugation_of
 
 
@@ -134,13 +128,7 @@ def _light_of(k: ArcKernel, patch: Patch, face: int, room: Record, slices: Float
         ledges=ledges,
     )
     light = arc_light(
-        patch,
-        k.center,
-        k.radius,
-        Hiding(planes, n_planes, ledges, n_ledges),
-        k.material,
-        k.rule,
-        room,
+        patch, k.center, k.radius, Hiding(planes, n_planes, ledges, n_ledges), k.material, k.rule, room
     )
     return k.radiance_e * light
 

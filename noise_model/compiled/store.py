@@ -122,10 +122,7 @@ def write_record(kernel: str, key: str, record: Record) -> None:
     """Keep a compiled kernel, where a folder may be written and has room."""
     folder = _folder_of(kernel)
     if folder is None:
-        warn(
-            "lost",
-            "no folder keeps compiled kernels; set NUMBA_CACHE_DIR to one that only you may write",
-        )
+        warn("lost", "no folder keeps compiled kernels; set NUMBA_CACHE_DIR to one that only you may write")
         return
     _make_room()
     content = pickle.dumps(tuple(record), protocol=pickle.HIGHEST_PROTOCOL)

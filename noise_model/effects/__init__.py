@@ -10,16 +10,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 
 from noise_model.condition import Condition
-from noise_model.effects import (
-    geometry,
-    illumination,
-    medium,
-    optics,
-    sensor,
-    source,
-    surface,
-    timing,
-)
+from noise_model.effects import geometry, illumination, medium, optics, sensor, source, surface, timing
 from noise_model.effects.effect import Effect, Effects, Stage, Values
 from noise_model.setup import Setup
 from noise_model.spelling import cure_for

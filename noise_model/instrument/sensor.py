@@ -151,13 +151,7 @@ class SensorResponse(NamedTuple):
     @classmethod
     def of(cls, sensor: Sensor) -> SensorResponse:
         """Gather a sensor."""
-        numbers = (
-            sensor.gain_e_per_dn,
-            sensor.read_noise_e,
-            sensor.full_well_e,
-            sensor.gamma,
-            sensor.bend,
-        )
+        numbers = (sensor.gain_e_per_dn, sensor.read_noise_e, sensor.full_well_e, sensor.gamma, sensor.bend)
         return cls(*map(float, numbers))
 
 

@@ -208,11 +208,7 @@ def _axes(design: SensorDesign) -> Float64:
     """Return a camera's axes (3, 3) in the tool for a design, the stripe along its rows."""
     tilt, azimuth = math.radians(design.tilt_deg), math.radians(design.azimuth_deg)
     z_axis = -np.array(
-        [
-            math.sin(tilt) * math.cos(azimuth),
-            math.sin(tilt) * math.sin(azimuth),
-            math.cos(tilt),
-        ]
+        [math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)]
     )
     x_axis = -np.array([0.0, 1.0, 0.0]) + z_axis[1] * z_axis
     x_axis /= np.linalg.norm(x_axis)

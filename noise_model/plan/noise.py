@@ -141,10 +141,7 @@ def expected_speckle(setup: Setup) -> dict[str, float]:
     wavelength_mm, image_f_number, pixel_mm = _speckle_optics(setup, stripe_depth_mm(setup))
     grain_px = wavelength_mm * image_f_number / pixel_mm
     contrast = pixel_contrast(wavelength_mm, image_f_number, pixel_mm) ** 2
-    return {
-        "contrast": contrast,
-        "grain_px": math.sqrt(3.0 * grain_px**2 / (4.0 * math.pi**2) + 1.0 / 12.0),
-    }
+    return {"contrast": contrast, "grain_px": math.sqrt(3.0 * grain_px**2 / (4.0 * math.pi**2) + 1.0 / 12.0)}
 
 
 def _speckle_optics(setup: Setup, stand_off_mm: float) -> tuple[float, float, float]:

@@ -203,12 +203,7 @@ def search_space(setup: Setup, options: PlanOptions) -> SearchSpace:
 
 
 def _noise_map(
-    setup: Setup,
-    space: SearchSpace,
-    around_deg: Range,
-    poses: Float64,
-    around: Surroundings,
-    tell: Progress,
+    setup: Setup, space: SearchSpace, around_deg: Range, poses: Float64, around: Surroundings, tell: Progress
 ) -> NoiseMap:
     own = design_of(setup)
     tilts = _steps((min(space.tilts_deg), max(space.tilts_deg)), MAP_STEPS_DEG[0])

@@ -233,14 +233,7 @@ LobeNumbers = tuple[float, float, float, float, float, float, float]
 def lobe_numbers(material: Material) -> LobeNumbers:
     """Gather a material for the kernels."""
     lobe = material.lobe
-    return (
-        material.kappa_diff,
-        material.kappa_spec,
-        material.c2,
-        lobe.tail,
-        lobe.anisotropy,
-        *lobe.marks,
-    )
+    return (material.kappa_diff, material.kappa_spec, material.c2, lobe.tail, lobe.anisotropy, *lobe.marks)
 
 
 @kernel(inline=True)

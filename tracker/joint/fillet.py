@@ -23,7 +23,8 @@ from tracker.state import Y_MM, Z_MM, JointShape
 
 SEARCH_STEP_MM = 0.2
 SEARCH_LIMIT_MM = 1.0
-BESIDE_MM = 2.0
+
+NEAR_CORNER_MM = 2.0
 """So near to the corner the points must lie on the plates."""
 
 MIN_POINTS = 10.0
@@ -59,7 +60,7 @@ def fit_fillet(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
         mismatch_mm=math.nan,
         chi2=fit.chi2,
         shape=JointShape(plate_angles_deg=plates, plate_sigmas_deg=plate_sigmas),
-        unexplained=share_left_out(y_mm, weights, chosen, float(p[0]), BESIDE_MM),
+        unexplained=share_left_out(y_mm, weights, chosen, float(p[0]), NEAR_CORNER_MM),
         corners_mm=section_corners(CORNER, p),
     )
     return as_reported(section, measured)

@@ -225,13 +225,7 @@ def prior_of(stated_mm: float, sigma_mm: float) -> Float64:
 
 
 def weigh_root(
-    shape: int,
-    points: Float64,
-    clear: Bool,
-    start: Float64,
-    prior_sigma: Float64,
-    gap: int,
-    fit: ShapeFit,
+    shape: int, points: Float64, clear: Bool, start: Float64, prior_sigma: Float64, gap: int, fit: ShapeFit
 ) -> ShapeFit:
     """Return a groove's fit with its root weighed, or the fit as it is where the root is wide.
 

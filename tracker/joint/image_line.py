@@ -2,7 +2,7 @@
 
 Two plates that touch leave no gap in a stripe. Their seam is a line all the same: a dark slit, a bright rim,
 both beside each other, or the border of two plates that shine unlike. It crosses the stripe. It is sought
-beside the stripe, on both sides of it and as far as `BESIDE_MM` along the seam, on straight lines of every
+beside the stripe, on both sides of it and as far as `ALONG_MM` along the seam, on straight lines of every
 place and of all directions about the seam's.
 
 Of each column beside the stripe the running median along the stripe is taken off, which takes the slow
@@ -40,7 +40,7 @@ from tracker.joint.section_fit import BISQUARE_WIDTH
 from tracker.profile import MIN_POINTS, Section, in_scan_order
 from tracker.state import SCAN, Y_MM
 
-BESIDE_MM = 12.0
+ALONG_MM = 12.0
 """So far along the seam its line is read on either side of the stripe."""
 
 CLEAR_SIGMAS = 6.0
@@ -175,7 +175,7 @@ def _expected_slopes(
     nx, _, _, d = plane_in(scene.T_joint_tool, geometry.setup.laser.plane)
     # The line's direction may be off the expected seam's by so much.
     turn = math.radians(10.0) * np.array([-1.0, -1.0, 1.0, 1.0])
-    along = BESIDE_MM * np.array([-1.0, 1.0, -1.0, 1.0])
+    along = ALONG_MM * np.array([-1.0, 1.0, -1.0, 1.0])
     points = np.column_stack([-d / nx + along * np.cos(turn), along * np.sin(turn), np.zeros(4)])
     camera = geometry.setup.camera
     seen = geometry.scan_points(camera.project(transform(invert(scene.T_joint_camera), points)))
@@ -191,12 +191,7 @@ def _expected_slopes(
 
 @kernel(allocates=True)
 def average_columns(
-    image_dn: Integers,
-    path_px: Float64,
-    guard_px: int,
-    averaged: int,
-    columns: Float64,
-    offsets_px: Float64,
+    image_dn: Integers, path_px: Float64, guard_px: int, averaged: int, columns: Float64, offsets_px: Float64
 ) -> None:
     """Write the light (2 m, n_scan) beside a stripe's path (n_scan,), DN, and how far beside it (2 m,), px.
 
@@ -288,11 +283,7 @@ def _place(section: Section, sums: _Sums) -> ImageLine | None:
     scan = points[SCAN]
     order = slice(None, None, 1 if scan[0] <= scan[-1] else -1)
     y_of_scan = np.interp(
-        np.arange(sums.energy.shape[1]),
-        scan[order],
-        points[Y_MM, order],
-        left=np.nan,
-        right=np.nan,
+        np.arange(sums.energy.shape[1]), scan[order], points[Y_MM, order], left=np.nan, right=np.nan
     )
     within = np.where(np.abs(y_of_scan) <= section.reach_mm, sums.energy, 0.0)
     slope, line = np.unravel_index(int(within.argmax()), within.shape)
@@ -339,7 +330,7 @@ def _crossing(sums: _Sums, slope: int, line: int) -> tuple[float, float] | None:
     far = float(np.abs(sums.offsets_px).max())
     t = offset / far
     # A circle of the radius R leaves its tangent by s^2 / 2 R.
-    bow = 0.5 * BESIDE_MM**2 / MIN_RADIUS_MM / sums.column_mm
+    bow = 0.5 * ALONG_MM**2 / MIN_RADIUS_MM / sums.column_mm
     design = np.column_stack([np.ones_like(t), t, t * t])
     prior = np.diag([0.0, 0.0, bow**-2])
     weights = np.ones(len(t))

@@ -19,17 +19,7 @@ from tracker.joint.section_fit import (
     fit_section,
 )
 from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
-from tracker.state import (
-    DY_MM,
-    DZ_MM,
-    N_LINES,
-    NO_SHAPE,
-    SIGMA_PX,
-    Y_MM,
-    Z_MM,
-    JointShape,
-    Pair,
-)
+from tracker.state import DY_MM, DZ_MM, N_LINES, NO_SHAPE, SIGMA_PX, Y_MM, Z_MM, JointShape, Pair
 
 START_SIGMA_MM = 0.3
 """Largest initial distance of a point from the nominal shape; halved with every step of the fit."""
@@ -70,12 +60,7 @@ class MeasuredJoint(NamedTuple):
 
 @kernel(allocates=True)
 def fit_points(
-    shape: int,
-    points: Float64,
-    used: Bool,
-    start_sigma_mm: float,
-    prior_sigma: Float64,
-    start: Float64,
+    shape: int, points: Float64, used: Bool, start_sigma_mm: float, prior_sigma: Float64, start: Float64
 ) -> ShapeFit:
     """Fit a shape of `section_fit` to a section's points, in px of stripe centre, with priors about `start`.
 

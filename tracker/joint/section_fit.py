@@ -110,14 +110,7 @@ def _scale(r: Float64, used: Bool, min_scale: float) -> float:
 
 @kernel(fastmath=REDUCTION)
 def _face_sums(
-    y: Float64,
-    r: Float64,
-    unit: Float64,
-    used: Bool,
-    y_a: float,
-    y_b: float,
-    scale: float,
-    weights: Float64,
+    y: Float64, r: Float64, unit: Float64, used: Bool, y_a: float, y_b: float, scale: float, weights: Float64
 ) -> tuple[float, float, float, float, float]:
     """Write Tukey's weights of a face's points (n,) and return its five sums.
 
@@ -167,14 +160,7 @@ def _add_faces(
         on = slice(first[k], first[k + 1])
         y_a, y_b = corners[k, 0], corners[k + 1, 0]
         aa, ab, bb, pull_a, pull_b = _face_sums(
-            y=y[on],
-            r=r[on],
-            unit=unit[on],
-            used=used[on],
-            y_a=y_a,
-            y_b=y_b,
-            scale=scale,
-            weights=weights[on],
+            y=y[on], r=r[on], unit=unit[on], used=used[on], y_a=y_a, y_b=y_b, scale=scale, weights=weights[on]
         )
         slope = slope_across(k, corners)
         for i in range(m):

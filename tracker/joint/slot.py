@@ -57,7 +57,7 @@ ON_BUTT_MM, ON_EDGE_MM = 1.5, 0.5
 A plate is often bent down at its end, where it was sheared.
 """
 
-BESIDE_MM = 3.0
+PLATE_MM = 3.0
 """Width of a plate next to the gap that is used to place it."""
 
 NEAR_MM = 15.0
@@ -94,7 +94,7 @@ def find_gap(
         return fit, y_0, nothing, nats
     lines = plate_lines(section, on_plates(points, fit, y_0, limit_mm), is_edge, image_dn, along_rows)
     seen_gap_mm = max(gap_mm, (MIN_LINES + 1) * section.column_mm)
-    placed_mm = best_place(lines, stated.thickness_mm if is_edge else BESIDE_MM, seen_gap_mm, is_edge)
+    placed_mm = best_place(lines, stated.thickness_mm if is_edge else PLATE_MM, seen_gap_mm, is_edge)
     if math.isnan(placed_mm) and is_edge:
         placed_mm = best_place(lines, stated.thickness_mm + 0.5 * gap_mm, 0.0, is_edge)
     if math.isnan(placed_mm):

@@ -12,13 +12,7 @@ from noise_model.arc.scratch import ArcScratch
 from noise_model.compiled.arrays import Float32, Float64, Int64
 from noise_model.robust import MAD_SIGMA
 from tracker.arc.level import MAP_SIGMA, ArcLevel
-from tracker.geometry import (
-    MAP_FLOOR_E,
-    MAP_TOLERANCE,
-    SEARCH_REACH_MM,
-    ImageSource,
-    SensorGeometry,
-)
+from tracker.geometry import MAP_FLOOR_E, MAP_TOLERANCE, SEARCH_REACH_MM, ImageSource, SensorGeometry
 from tracker.state import AMPLITUDE_E, BESIDE_PX, CENTRE_PX, N_ROWS, OWN_PX, SIGMA_PX, WIDTH_PX, Stripe
 from tracker.stripe.band import Band, LightLevel, at_level, median_background
 from tracker.stripe.detection import Evidence, evidence_of
@@ -138,13 +132,7 @@ def light_of(reading: StripeReading, psf_sigma_px: float, sheet_lines: float) ->
 def arc_map_of(geometry: SensorGeometry, kernel: ArcKernel) -> ArcMap:
     """Return the arc map that a frame is read with."""
     return ArcMap.of(
-        kernel,
-        geometry.xy,
-        geometry.cos4,
-        geometry.n_scan,
-        MAP_TOLERANCE,
-        MAP_FLOOR_E,
-        geometry.baked_light,
+        kernel, geometry.xy, geometry.cos4, geometry.n_scan, MAP_TOLERANCE, MAP_FLOOR_E, geometry.baked_light
     )
 
 

@@ -17,7 +17,7 @@ from noise_model.surface.faces import face_normal, face_under, ridge
 STEP_MM, MAX_STEPS_SEEN = 0.75, 160
 """In which steps the stripe is followed where the camera sees it: longer ones where these would be more."""
 
-BESIDE_MM = 1e-6
+CORNER_SIDE_MM = 1e-6
 """The stripe is looked at so near to either side of each corner."""
 
 SAME_ELEVATION = 1e-6
@@ -109,8 +109,8 @@ def samples(vertices: Float64, middle_mm: float, low_mm: float, high_mm: float) 
     for i in range(n_even):
         y[i] = middle_mm + step_mm * (first + i)
     for k in range(n_inner):
-        y[n_even + 2 * k] = vertices[k + 1, 0] - BESIDE_MM
-        y[n_even + 2 * k + 1] = vertices[k + 1, 0] + BESIDE_MM
+        y[n_even + 2 * k] = vertices[k + 1, 0] - CORNER_SIDE_MM
+        y[n_even + 2 * k + 1] = vertices[k + 1, 0] + CORNER_SIDE_MM
     order, rising = stable_order(y), np.empty(len(y))
     under, face = 0, np.empty(len(y), np.int64)
     for i in range(len(y)):
@@ -133,12 +133,12 @@ def hide_behind(y: Float64, z: Float64, source_y: float, source_z: float, seen: 
         first += 1
     horizon = -math.inf
     for i in range(first, n):
-        elevation = (z[i] - source_z) / max(y[i] - source_y, BESIDE_MM)
+        elevation = (z[i] - source_z) / max(y[i] - source_y, CORNER_SIDE_MM)
         seen[i] = seen[i] and elevation >= horizon - SAME_ELEVATION
         horizon = max(horizon, elevation)
     horizon = -math.inf
     for i in range(first - 1, -1, -1):
-        elevation = (z[i] - source_z) / max(source_y - y[i], BESIDE_MM)
+        elevation = (z[i] - source_z) / max(source_y - y[i], CORNER_SIDE_MM)
         seen[i] = seen[i] and elevation >= horizon - SAME_ELEVATION
         horizon = max(horizon, elevation)
 

@@ -267,11 +267,7 @@ def _fit_round(
             take_pair(scans.charge[both], scans.background[both], scans.censored[both], lane, rows)
         else:
             take_line(
-                scans.charge[s, low:end],
-                scans.background[s, low:end],
-                scans.censored[s, low:end],
-                lane,
-                rows,
+                scans.charge[s, low:end], scans.background[s, low:end], scans.censored[s, low:end], lane, rows
             )
         asked[0, lane], asked[1, lane], asked[2, lane] = place - low, n, width
         asked[3, lane], asked[4, lane] = core_of(place - low, width, n)
