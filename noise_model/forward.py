@@ -244,7 +244,7 @@ def predict(
     condition : Condition
         The frame's condition.
     seam : SeamLine or BentSeam
-        Where the true seam runs beside its nominal line, mm.
+        Where the true seam runs relative to its nominal line, mm.
     renderer : Renderer, optional
         Remembers what was rendered.
     pixels : array (n,), optional
@@ -294,7 +294,7 @@ def draw_frame(
     rng : numpy.random.Generator
         Where the noise comes from.
     seam : SeamLine or BentSeam
-        Where the true seam runs beside its nominal line, mm.
+        Where the true seam runs relative to its nominal line, mm.
     renderer : Renderer, optional
         Remembers what was rendered.
     part_seed : int, optional
@@ -349,7 +349,7 @@ def _light(
         np.float32(condition.arc_level) * layers.arc_e if condition.arc_level > 0.0 else dark,
         np.float32(condition.laser_level) * layers.laser_e if condition.laser_level > 0.0 else dark,
     )
-    # The remembered view may be another setup's that renders alike, with another sensor or lens.
+    # The remembered view may be another setup's that renders equally, with another sensor or lens.
     pass_on(true, light, replace(layers.view, setup=true, part_seed=part_seed), condition, rng)
     return true, light
 

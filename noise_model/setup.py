@@ -30,7 +30,7 @@ class Setup:
     joint : Joint
         The joint's type, dimensions and seam line, mm, base frame.
     filter : Filter, FilterCurve or None
-        The interference filter, nm; None where none is stated: laser and arc pass alike all the same.
+        The interference filter, nm; None where none is stated: laser and arc pass equally all the same.
     arc : Arc
         The arc's place, size and brightness, mm and e-, tool frame; `NO_ARC` where none is stated.
     material : Material

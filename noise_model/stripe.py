@@ -138,7 +138,7 @@ def stripe_reference(setup: Setup) -> float:
     """Return irradiance f_r cos^4 at the stripe's peak on a flat plate at tool height, middle column.
 
     It is that of the laser plane's own point (`stripe_point`), whether or not it lies in the image, and in
-    the fan: where f_r changes over the sheet the peak beside it is higher, by 4e-4 at the nominal setups.
+    the fan: where f_r changes over the sheet the peak next to it is higher, by 4e-4 at the nominal setups.
     Raises ValueError if no light goes from there to the camera.
     """
     pose = setup.camera.T_tool_camera.tobytes()
@@ -152,7 +152,7 @@ def stripe_point(setup: Setup) -> Float64:
     """Return where laser plane, plate at tool height and middle column meet (3,), tool frame, mm.
 
     The middle row it is where the stripe runs along columns. Its plane holds the camera and the ray of the
-    image's middle: a lens whose distortion bends the column leaves it a little beside.
+    image's middle: a lens whose distortion bends the column leaves it slightly off.
     """
     camera, laser = setup.camera, setup.laser
     middle = camera.normalised([(camera.width - 1) / 2.0, (camera.height - 1) / 2.0])[0]

@@ -57,22 +57,11 @@ Plane = tuple[float, float, float, float]
 class Section(NamedTuple):
     """The measured cross-section in the joint frame.
 
-    Attributes
-    ----------
-    points : array (N_ROWS, n)
-        The points in order of y, by rows; see `state.N_ROWS`.
-    column_mm : float
-        The spacing of scan lines in y, mm.
-    reach_mm : float
-        How far about y = 0 the seam is looked for, mm.
-    mixed_mm : float
-        Nearer to a corner than this a scan line holds light of both faces, mm.
-    slope_sigma : float
-        1 sigma of the seam's direction.
-    light : StripeLight
-        What the stripe was read from, `NO_LIGHT` where it is not at hand.
-    camera_mm, laser_mm : array (3,)
-        From where the stripe was seen and lit, joint frame, mm; NaN where that is not known.
+    `points` (N_ROWS, n) are in order of y, by the rows of `state`; `column_mm` is the spacing of scan lines
+    in y. The seam is looked for within `reach_mm` of y = 0; nearer to a corner than `mixed_mm` a scan line
+    holds light of both faces. `slope_sigma` is that of the seam's direction. `light` is what the stripe was
+    read from, `NO_LIGHT` where it is not at hand; `camera_mm` and `laser_mm` (3,) are from where it was seen
+    and lit, joint frame, NaN where that is not known.
     """
 
     points: Float64
@@ -226,7 +215,7 @@ def edge_lines(
 ) -> EdgeLines:
     """Return over how many scan lines the sheet's 1 sigma spreads an edge along the seam.
 
-    Seen from beside its plane, a sheet as thick as it is meets the edge in one line before its middle and in
+    Seen from off its plane, a sheet as thick as it is meets the edge in one line before its middle and in
     another behind. So it does where the seam runs skewed.
     """
     nx, _, nz, d = plane_joint
@@ -318,7 +307,7 @@ def _triangulate(
 
 @kernel
 def _neighbours(ln_amplitude: Float64, s: int, away: int) -> tuple[float, float, int]:
-    """Return the mean of lines (n,) beside line s, the nearest one's value, and how many hold a stripe."""
+    """Return the mean of lines (n,) next to line s, the nearest one's value, and how many hold a stripe."""
     total, nearest, count = 0.0, math.nan, 0
     for k in range(1, STEP_LINES + 1):
         line = s + away * k
@@ -335,7 +324,7 @@ def skewed_sigma_px(amplitude_e: Float64, width_px: Float64, contrast: float, li
     """Return the 1 sigma, px, by which a step of brightness that crosses the stripe moves each centre (n,).
 
     At a groove's foot, where one face shines and the next hardly does, the brightness steps within a few
-    lines, along the seam. Where the seam runs skewed through the image, a line beside the step holds more of
+    lines, along the seam. Where the seam runs skewed through the image, a line next to the step holds more of
     the bright side's light on one flank. A bell of 1 sigma w times exp(b t), t the place across it, is the
     same bell b w^2 farther. With A(s) the brightness of the lines s and a step that moves by `lines` over
     the bell's sigma, b = lines / w d(ln A)/ds, so a centre is off by w lines d(ln A)/ds.

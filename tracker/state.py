@@ -189,7 +189,7 @@ class Stripe(NamedTuple):
         Whether the stripe runs along the image's rows.
     beside_px : array (n,)
         The 1 sigma with which each centre counts among its neighbours, px. Speckle's grains reach over a few
-        lines, and make neighbours err alike. Either of two lines that were read as one counts so.
+        lines, and correlate neighbours' errors. Either of two lines that were read as one counts so.
     """
 
     position_px: Float64

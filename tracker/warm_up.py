@@ -156,7 +156,7 @@ def _frames(geometry: SensorGeometry) -> Iterator[tuple[Frame, Pose | None]]:
     for arc in (0.0, 1.0, 3.0):
         yield frame(shown.image(rng, arc=arc), arc_on=arc > 0.0), middle
         yield frame(shown.image(rng, stripe=0.0, arc=arc), laser_on=False), middle
-    # Too bright, beside a reflection of its own, in part, and as noise alone.
+    # Too bright, with a reflection of its own, in part, and as noise alone.
     yield frame(shown.image(rng, stripe=10.0)), middle
     yield frame(shown.image(rng, ghost=0.5)), middle
     yield frame(shown.image(rng, share=0.6)), middle

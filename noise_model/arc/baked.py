@@ -1,14 +1,14 @@
 """A plain section's light, integrated before any frame comes, for where the torch is expected.
 
 On a plain section everything moves along the seam with the arc. What a place of it sends to the camera
-depends on how far the arc stands beside the seam, y, and on the camera's place e from the arc's centre. At
+depends on the arc's lateral offset from the seam, y, and on the camera's place e from the arc's centre. At
 each of some y tables of all faces are made (`table`), each cell's polynomial with its derivatives:
 
     L(y, e) = L_k + (y - y_k) dL/dy + (e - e_0) . dL/de.
 
 What that leaves out is looked at where tables are made. It grows with the square of e - e_0: so each cell
 knows how far the camera may be off before it is LINEAR_SHARE of what the cell's polynomial may be off. Beyond
-that a cell is made anew for the pose, as all are on a corrugation and beside a seam that bends.
+that a cell is made anew for the pose, as all are on a corrugation and along a seam that bends.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ or its pixels are large on an edge, one takes thousands. No frame asks for most 
 
 
 class BakedLight(NamedTuple):
-    """Tables of all faces at some places beside the seam (n,), the middle one on it; n is 0 where none hold.
+    """Tables of all faces at some lateral places (n,), the middle one on it; n is 0 where none hold.
 
     `center_z_mm` is the arc's height, `eye_mm` the camera's nominal place from its centre; radius, radiance,
     `material` and `vertices` are the scene's, see `ArcKernel`. The rest are a `FaceTable`'s arrays, one table
@@ -243,7 +243,7 @@ class Nominal(NamedTuple):
     floor_e: float
 
     def kernel(self, y_mm: float) -> ArcKernel:
-        """Return the scene whose arc stands so far beside the seam, with what the camera may see there."""
+        """Return the scene whose arc has that lateral offset, with what the camera may see there."""
         x_low, x_high, y_low, y_high = self.reach
         aside_mm = y_mm - self.center[1]
         return ArcKernel(

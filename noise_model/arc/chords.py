@@ -162,7 +162,7 @@ def _project(
 
 @kernel(inline=True)
 def sheared(axes: Axes, shear: float) -> Axes:
-    """Return axes in coordinates y - askew x."""
+    """Return axes in coordinates y - shear x."""
     wx, wy, wz, ux, uy, vx, vy, vz = axes
     return wx, wy - shear * wx, wz, ux, uy - shear * ux, vx, vy - shear * vx, vz
 

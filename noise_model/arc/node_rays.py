@@ -66,10 +66,10 @@ def _meet(x_0: float, down: float, d_x: Lanes, d_z: Lanes, corrugation: Corrugat
 def follow_to_lap(k: ArcKernel, rays: Record) -> bool:
     """Write which faces of a corrugated lap rays meet, and their places; see `ray.follow`.
 
-    False where one ray is not told: it may meet a ridge twice, or looks past the workpiece. Else a ray meets
-    the upper sheet, as if that went on beyond its edge, before the lower one, and each once. It ends on the
-    upper sheet if it meets that on this side of the edge, on the lower one if it meets that beyond the edge,
-    and else on the edge itself.
+    False where one ray is not resolved: it may meet a ridge twice, or looks past the workpiece. Else a ray
+    meets the upper sheet, as if that went on beyond its edge, before the lower one, and each once. It ends on
+    the upper sheet if it meets that on this side of the edge, on the lower one if it meets that beyond the
+    edge, and else on the edge itself.
     """
     d_x, d_y, d_z = along(k, 0, rays), along(k, 1, rays), along(k, 2, rays)
     corrugation = corrugation_of(k.corrugation)

@@ -51,7 +51,7 @@ def is_outside_radius(P: Point, center: Point, radius: float) -> bool:
 
 @kernel(inline=True)
 def _light_on_lap(k: ArcKernel, patch: Patch, face: int, planes: Float64, slices: Float32) -> float:
-    """Return `light_at` for a lap whose edge is no straight line; the point stands beside the arc."""
+    """Return `light_at` for a lap whose edge is no straight line; the point stands outside the arc's disc."""
     P, normal, _ = patch
     vertices, center, radius = k.vertices, k.center, k.radius
     n_planes, crest_x = lap_planes(

@@ -133,9 +133,9 @@ def make_scene(
 ) -> Scene:
     """Put camera, arc and surface of a pose into the joint frame.
 
-    Where the true seam runs beside its nominal line, the joint frame, the section and the arc that stands on
-    it go with it; but ridges stay across the nominal line when the seam between them turns. `ground` is
-    another stretch of a bent seam, on whose surface the arc stands.
+    Where the true seam runs relative to its nominal line, the joint frame, the section and the arc that
+    stands on it go with it; but ridges stay across the nominal line when the seam between them turns.
+    `ground` is another stretch of a bent seam, on whose surface the arc stands.
     """
     return scene_along(SceneSource.of(setup), T_base_tool, seam, ground)
 

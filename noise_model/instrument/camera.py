@@ -274,19 +274,9 @@ MAX_MISS_PX = 1e-7
 def undistorted_rays(points_px: Float64, matrix: Float64, distortion: Float64) -> Float64:
     """Return the normalised coordinates of image points, by Newton's steps from the distorted places.
 
-    Parameters
-    ----------
-    points_px : array (N, 2)
-        Image points, px.
-    matrix : array (3, 3)
-        The intrinsic matrix, px.
-    distortion : array (n,)
-        OpenCV's coefficients.
-
-    Returns
-    -------
-    array (N, 2)
-        x and y of the rays (x, y, 1); where the lens folds and has no such point, anything.
+    `points_px` (N, 2) are image points, `matrix` (3, 3) is the intrinsic matrix, px, `distortion` (n,)
+    OpenCV's coefficients. x and y (N, 2) of the rays (x, y, 1); where the lens folds and has no such point,
+    anything.
     """
     rays = np.column_stack([(points_px - matrix[:2, 2]) / np.diag(matrix)[:2], np.ones(len(points_px))])
     for _ in range(UNDISTORT_STEPS):

@@ -241,7 +241,7 @@ def cut_moments(mean: Float64, variance: Float64, low: float, high: float) -> tu
 def _read_table(mean: Float64, sigma: Float64, sensor: Sensor) -> tuple[Float64, Float64]:
     """Return the unrounded DN's moments (n,) of charges near zero, linear between a table's nodes."""
     ln_sigma = np.log(sigma)
-    # Whole steps: frames whose noise is alike read the same table.
+    # Whole steps: frames with the same noise read the same table.
     first, last = (math.floor(float(end) / TABLE_STEPS[1]) for end in (ln_sigma.min(), ln_sigma.max()))
     place = np.stack([(mean / sigma + SMOOTH_FROM) / TABLE_STEPS[0], ln_sigma / TABLE_STEPS[1] - first])
     table = _table(first, last + 1, sensor)

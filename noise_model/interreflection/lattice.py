@@ -182,7 +182,7 @@ def _cubic(grid: Float64, n: int, value: float, weights: Float64) -> int:
 def around(mesh: Lattice, face: int, s: float, x: float, which: Int64, weights: Float64) -> int:
     """Write the eight points of a lattice about a place and their weights; return how many, 8, or 0 outside.
 
-    Straight along, cubic across: there light falls off fast beside a corner.
+    Straight along, cubic across: there light falls off fast next to a corner.
     """
     n = mesh.n_s[face]
     if n < 4 or not mesh.s[face, 0] - 2.0 * OFF_CORNER_MM <= s <= mesh.s[face, n - 1] + 2.0 * OFF_CORNER_MM:

@@ -106,5 +106,5 @@ def better_exposure_s(
     one.
     """
     best = int(np.argmin(sigma_px[:-1]))
-    # Written so that where nothing tells anything, nothing changes.
+    # Written so that where nothing is determined, nothing changes.
     return float(rungs_s[best]) if sigma_px[best] < (1.0 - policy.gain) * sigma_px[-1] else current_s

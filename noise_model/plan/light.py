@@ -112,7 +112,7 @@ def _fan(setup: Setup, scene: Scene) -> tuple[Float64, Float64, Float64]:
     axis, across, slope = setup.laser.fan
     down, side = R @ axis, R @ across
     origin = transform(scene.T_joint_tool, setup.laser.origin_mm)
-    # Where on a level plate the rays o + t (down + s side) come out beside the seam.
+    # Where on a level plate the rays o + t (down + s side) come out relative to the seam.
     reach = REACH_MM + MARGIN_MM
     t = -origin[2] / down[2]
     ends = np.array([-reach, reach])

@@ -97,7 +97,7 @@ class LineBounds:
 class SeamNoise:
     """Expected 1 sigma of the seam in one pose: `sigma_y_mm` to the side, `sigma_z_mm` in height.
 
-    `sigma_mm` is the root of their squares' sum; all NaN where the seam cannot be told. `sigma_px` is
+    `sigma_mm` is the root of their squares' sum; all NaN where the seam is not determined. `sigma_px` is
     the median over the scan lines within reach that can be read and `arc_over_stripe` over those that are
     seen, NaN where there is none; `blind_share` is the share of lines that cannot be read: hidden, out of the
     image, drowned or saturated, the last also alone.

@@ -1,8 +1,8 @@
 """The joint's surface: a cross-section drawn along the seam, raised by a corrugation where there is one.
 
-Joint frame J: origin on the nominal seam line beside base's origin, x along travel, y to the left of travel,
-z out of the workpiece. A section is a polyline in (y, z), its ends running on to infinity; a corrugation
-adds c(x) to every height. Surfaces hide what is behind them from either side.
+Joint frame J: origin on the nominal seam line, at the foot of base's origin, x along travel, y to the left of
+travel, z out of the workpiece. A section is a polyline in (y, z), its ends running on to infinity; a
+corrugation adds c(x) to every height. Surfaces hide what is behind them from either side.
 """
 
 from __future__ import annotations

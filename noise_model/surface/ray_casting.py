@@ -21,7 +21,7 @@ def _meet_ridge(
 ) -> float:
     """Return where a ray first meets a corrugated strip, in units of d, or inf.
 
-    Looked at is the ray's way beside the strip, between its base and its raised plane.
+    Looked at is the ray's way within the strip, between its base and its raised plane.
     """
     height = corrugation[0]
     base, climb = origin[2] - z_k - slope * (origin[1] - y_k), d[2] - slope * d[1]

@@ -224,7 +224,7 @@ def tangent(P: Vector, center: Vector, radius: float, edge_y: float, bend: Bend)
     """Return the slope dy/dx of an edge where the way from P to the arc's centre comes to it, and its place.
 
     What a `bent` edge, at `edge_y` at P's station, hides is what its tangent does where it is passed, or
-    passed most closely; that tangent runs beside `edge_y` at P's station by the second number, mm.
+    passed most closely; that tangent runs off `edge_y` at P's station by the second number, mm.
     """
     slope, curve = bent(P, center, radius, bend)
     if slope == 0.0 and curve == 0.0:
@@ -330,11 +330,11 @@ def sky_planes(
     `planes` (MAX_PLANES, 3). The first is P's own horizon. `ledges` (2 MAX_LEDGES, 3) are pairs of a
     half-space and a face (n_y, n_z, c) that cuts into the arc: what lies behind it, n_y y + n_z z < c, is
     seen in the half-space alone. Edges that `bend` are taken along their `tangent`; a ledge is written as if
-    that ran along x, in coordinates y - askew (x - P_x), with askew in place of the half-space's m_x.
+    that ran along x, in coordinates y - shear (x - P_x), with shear in place of the half-space's m_x.
     """
     count, n_ledges = _own_planes(P, normal, center, radius, bend, planes), 0
     lateral, way = bend[1], center[0] - P[0]
-    # Of all that stands on one side the steepest hides what the others do; (dy, dz) and askew of those.
+    # Of all that stands on one side the steepest hides what the others do; (dy, dz) and shear of those.
     right_dy, right_dz, right_shear, left_dy, left_dz, left_shear = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(vertices.shape[0]):
         if k in (face, face + 1) or _is_low_end(k, face, P[2], vertices):

@@ -97,7 +97,7 @@ def unlit_by_the_laser(
 def estimate_light(
     image: ImageSource, charge_e: Float64, pixels: Int64, arc_e: Float32, other_e: Float32, has_arc: bool
 ) -> ArcLevel:
-    """Return what lights a frame beside the laser, from pixels (n,) off the stripe that hold `charge_e`.
+    """Return a frame's light apart from the laser's, from pixels (n,) off the stripe that hold `charge_e`.
 
     `arc_e` (n,) is the arc's light at its expected output once it has passed effects, `other_e` (n,) is what
     else they make, empty for none.
@@ -125,7 +125,7 @@ def estimate_ambient_light(image: ImageSource, unlit: Unlit) -> ArcLevel:
 
     The offset is the median of what effects leave unexplained: the black level's, and even light of the hall.
     That light has the scene's texture. Its 1 sigma is by how much the residuals scatter, by the quantile that
-    tells the misfit, beyond what the pixels' noise makes.
+    sets the misfit, beyond what the pixels' noise makes.
     """
     e, n = unlit.charge_e, unlit.charge_e.shape[0]
     if n < MIN_PIXELS:

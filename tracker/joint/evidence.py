@@ -4,7 +4,7 @@ A shape of eight parameters can be laid into the scatter of any plate. So a join
 likelihood of its section over that of a plate without one is beyond what chance makes anywhere in the
 search. The plate may be bowed: it is the cubic that fits the same points best.
 
-Neighbours scatter alike, by speckle and by the metal's texture: their residuals are each one's own noise, of
+Neighbours are correlated, by speckle and by the metal's texture: their residuals are each one's own noise, of
 variance v, and a wander of variance q of which rho is left from line to line (an ARMA(1, 1)). Both are read
 off the autocovariances of the section's own residuals. Of either hypothesis' residuals that counts which is
 new in each, the innovation of a Kalman filter, over its sigma: texture's long waves are foreseen, and a
@@ -18,12 +18,13 @@ x with the probability
 and anywhere among N places with N P at most. The evidence is -ln of that.
 
 Two lines that were read as one (`stripe.neighbours`) speak as often as two that were not: their mean's
-innovation stands for both, that spread about it as independent lines are, or as alike as their sigma says.
+innovation stands for both, that spread about it as independent lines are, or as correlated as their sigma
+says.
 
 A gap shows by lines that hold no plate. Lines are lost by chance too, and in runs. With the rate r at which
 runs begin and the probability q that one goes on, a run of n lines or more is somewhere among N by chance
-with the probability N r q^(n - 1), at most. Few lines beside the gap tell q: where a of them went on with a
-run and b began one, Bayes' predictive probability stands for q^(n - 1), the product over j < n - 1 of
+with the probability N r q^(n - 1), at most. Few lines next to the gap determine q: where a of them went on
+with a run and b began one, Bayes' predictive probability stands for q^(n - 1), the product over j < n - 1 of
 (a + j) / (a + b + j).
 """
 
@@ -140,7 +141,7 @@ def _off_plate(t: Float64, z_mm: Float64, unit_mm: Float64, p: Float64, off: Flo
 def _units(
     t: Float64, dy_mm: Float64, dz_mm: Float64, sigma_px: Float64, slopes: Float64, unit_mm: Float64
 ) -> None:
-    """Write points' 1 sigma (n,), mm, beside a cubic whose slope is a quadratic in t (n,)."""
+    """Write points' 1 sigma (n,), mm, about a cubic whose slope is a quadratic in t (n,)."""
     for i in range(t.shape[0]):
         slope = slopes[0] + t[i] * (slopes[1] + t[i] * slopes[2])
         unit_mm[i] = max(abs(dz_mm[i] - slope * dy_mm[i]), MIN_ALONG_MM) * sigma_px[i]
@@ -158,7 +159,7 @@ def fit_plate(
 ) -> None:
     """Fit a cubic z(y) to points (n,) by Tukey's weights; write how far they lie off it, in a line's sigmas.
 
-    A point's sigma is by how much its height changes beside the cubic with 1 sigma of its stripe's centre.
+    A point's sigma is the change of its height about the cubic with 1 sigma of its stripe's centre.
     """
     n, middle, low, high = y_mm.shape[0], 0.0, math.inf, -math.inf
     for i in range(n):
@@ -202,7 +203,7 @@ class Pairs(NamedTuple):
 def pair_correlation(sigma_px: Float64, n_lines: Float64) -> Pairs:
     """Return `Pairs` of points (n,) that stand for 1 or 2 lines each, as their sigmas have it.
 
-    The mean of two that are off alike by r has (1 + r) / 2 of either's variance. Of r the first line tells
+    The mean of two with correlation r has (1 + r) / 2 of either's variance. Of r the first line tells
     MIN_CORRELATION beforehand; what is new in both is correlated by the rest.
     """
     room = np.empty(numbers_for(len(sigma_px)), np.float32)

@@ -3,7 +3,7 @@
 Of a narrow root gap and height are weighed and not picked, as the profile leaves them open.
 
 Bevels are seen well, and with them where they would meet. The seam point lies above that by gap / (2 tan) of
-a V: what the root's gap is moves it, and of a narrow root no line tells, for each that crosses it holds the
+a V: what the root's gap is moves it, and a narrow root shows in no line, for each that crosses it holds the
 light of both bevels. So the groove is fitted from each gap of a grid, lines near the root left out, and the
 answer is the fits' mean and covariance by their posterior probability (Hoeting et al. 1999, Statistical
 Science 14, 382). A gap cannot be less than none: what the prior has below counts for the closed root.
@@ -246,7 +246,7 @@ def weigh_root(
     nats = np.log(prior[held]) - losses[held] / common - 0.5 * moved**2 + 0.5 * np.log(left_open)
     mean, covariance = mixture_of(nats, parameters[held], covariances[held])
     likeliest = held[np.argmax(nats)]
-    # What is left out beside the root was left out for the light that it mixes.
+    # What is left out next to the root was left out for the light that it mixes.
     weights = np.where(clear, weights[likeliest], fit.weights)
     return ShapeFit(mean, covariance, float(chi2[likeliest]), weights)
 

@@ -41,13 +41,13 @@ CLEAR_OF_EDGE_MM = 0.3
 """Points nearer to the upright side than this wait until it is found."""
 
 ON_FACE_SIGMAS = 2.0
-"""A point beside the upright side that lies farther off a face may hold light of both.
+"""A point next to the upright side that lies farther off a face may hold light of both.
 
 One in twenty of a face's own points does, and is outvoted by its neighbours.
 """
 
 BENT_MM = 0.2
-"""So far a face may bend off its straight line beside the upright side."""
+"""So far a face may bend off its straight line next to the upright side."""
 
 GAP, ROOT, TAN, DEPTH_LEFT, DEPTH_RIGHT, SLOPE_LEFT, SLOPE_RIGHT, WALL = range(8)
 """The parameters of a half groove; where its wall is, the last, is not fitted."""
@@ -66,7 +66,7 @@ MIN_POINTS = 5.0
 
 
 def fit_half_v(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
-    """Return the half V that a section shows, None where too little lies beside its upright side.
+    """Return the half V that a section shows, None where too little lies next to its upright side.
 
     The faces are fitted clear of the upright side; that lies between the last point of the right plate and
     the first one in the groove, less what it hides there from camera or laser; then they are fitted once
@@ -128,7 +128,7 @@ def upright_side(
     wall_mm, n = start[WALL], y_mm.shape[0]
     faces, limits_mm = faces_at(lines[Y_MM], p, wall_mm), np.empty(n)
     for i in range(n):
-        # Faces may bend beside the upright side.
+        # Faces may bend next to the upright side.
         sure_mm = math.hypot(BENT_MM, ON_FACE_SIGMAS * abs(lines[DZ_MM, i]) * lines[SIGMA_PX, i])
         is_near = abs(lines[Y_MM, i] - wall_mm) < 5.0 * CLEAR_OF_EDGE_MM
         limits_mm[i] = min(0.25 * p[DEPTH_RIGHT], sure_mm) if is_near else 0.0
@@ -157,7 +157,7 @@ def upright_side(
 
 @kernel(allocates=True)
 def faces_at(y_mm: Float64, p: Float64, wall_mm: float) -> Faces:
-    """Return what lies beside an upright side, carried on to places (n,): the right plate, and the groove."""
+    """Return the faces next to an upright side, carried on to places (n,): right plate and groove."""
     faces = no_faces(y_mm.shape[0])
     for i in range(y_mm.shape[0]):
         y = y_mm[i] - wall_mm
@@ -174,7 +174,7 @@ def weight_between(y_mm: Float64, weights: Float64, first_mm: float, last_mm: fl
 
 
 def measured_half_v(fit: ShapeFit, wall: float, wall_variance: float, left_out: float) -> MeasuredJoint:
-    """Return the joint of a fit beside a given upright side, the side's own variance put in.
+    """Return the joint of a fit next to a given upright side, the side's own variance put in.
 
     As far as the profile and not the prior tells where the bevel's foot is, the gap gives way to the side.
     """

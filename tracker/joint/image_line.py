@@ -1,11 +1,11 @@
 """The seam's line in the image: it shows a closed joint off the stripe, where the profile shows nothing.
 
 Two plates that touch leave no gap in a stripe. Their seam is a line all the same: a dark slit, a bright rim,
-both beside each other, or the border of two plates that shine unlike. It crosses the stripe. It is sought
-beside the stripe, on both sides of it and as far as `ALONG_MM` along the seam, on straight lines of every
+both next to each other, or the border of two plates that shine unlike. It crosses the stripe. It is sought
+off the stripe, on both sides of it and as far as `ALONG_MM` along the seam, on straight lines of every
 place and of all directions about the seam's.
 
-Of each column beside the stripe the running median along the stripe is taken off, which takes the slow
+Of each column off the stripe the running median along the stripe is taken off, which takes the slow
 changes of brightness. What is left is divided by the column's robust scatter and summed along each straight
 line. Two filters read the sum: an even one for a slit or a rim, an odd one for both. They are a bell times
 the Hermite polynomials of the fourth and third order, which see neither slope nor bow of the brightness, as
@@ -50,9 +50,9 @@ CLIP_SIGMAS = 4.0
 """A pixel counts as no farther off: glints and spatter are bright."""
 
 MAX_RIVAL = 0.6
-"""The next strongest line's share of the strongest, in sigmas, at which neither is told to be the seam's.
+"""The next strongest line's share of the strongest, in sigmas, at which neither is taken for the seam's.
 
-On a plain plate it is above 0.8 in all frames that were looked at, beside a closed butt below 0.45.
+On a plain plate it is above 0.8 in all frames that were looked at, next to a closed butt below 0.45.
 """
 
 N_PIECES, MIN_PIECES = 12, 5
@@ -108,22 +108,11 @@ def read_image_line(
     section: Section,
     image_dn: Integers,
 ) -> ImageLine | None:
-    """Return the line that a seam leaves in the image beside its stripe; None where nothing can be read.
+    """Return the line that a seam leaves in the image off its stripe; None where nothing can be read.
 
-    Parameters
-    ----------
-    geometry : SensorGeometry
-        The setup with its tables.
-    scene : Scene
-        The look's; its x axis runs along the expected seam.
-    path_px : array (n_scan,)
-        The stripe's centre, px; NaN where it was not read.
-    stripe_sigma_px : float
-        Its 1 sigma across, px.
-    section : Section
-        What the stripe shows: which y a scan line has, and how far about 0 the seam is sought.
-    image_dn : array (n_scan, n_pos)
-        The frame by scan line.
+    `scene` is the look's, its x axis along the expected seam; `path_px` (n_scan,) the stripe's centre, NaN
+    where it was not read, `stripe_sigma_px` its 1 sigma across. `section` gives each scan line its y, and the
+    reach about 0; `image_dn` (n_scan, n_pos) is the frame by scan line.
     """
     # Of a weak stripe no line's smooth centre may be sure enough to be one.
     if min(len(section.y_mm), np.isfinite(path_px).sum()) < MIN_POINTS:
@@ -168,7 +157,7 @@ def _plates_path(path_px: Float64) -> Float64:
 def _expected_slopes(
     geometry: SensorGeometry, scene: Scene, path_px: Float64
 ) -> tuple[float, float, float] | None:
-    """Return how far beside the stripe a seam is followed, px, and between which slopes it may run.
+    """Return the distance from the stripe to which a seam is followed, px, and the range of its slopes.
 
     Slopes are scan lines a pixel of distance from the stripe. None where it is not seen to cross the stripe.
     """
@@ -181,7 +170,7 @@ def _expected_slopes(
     seen = geometry.scan_points(camera.project(transform(invert(scene.T_joint_camera), points)))
     across, spacing = (seen[1::2] - seen[::2]).T
     lean = float(np.polyfit(np.arange(len(path_px)), path_px, 1)[0])
-    # In pixels from the stripe itself, which may lie askew to the scan lines.
+    # In pixels from the stripe itself, which may lie skewed to the scan lines.
     spacing = spacing - lean * across
     if not (np.abs(spacing) > MIN_PIECES).all() or spacing[0] * spacing[1] < 0.0:
         return None
@@ -193,7 +182,7 @@ def _expected_slopes(
 def average_columns(
     image_dn: Integers, path_px: Float64, guard_px: int, averaged: int, columns: Float64, offsets_px: Float64
 ) -> None:
-    """Write the light (2 m, n_scan) beside a stripe's path (n_scan,), DN, and how far beside it (2 m,), px.
+    """Write the light (2 m, n_scan) off a stripe's path (n_scan,), DN, and its distance from it (2 m,), px.
 
     `image_dn` (n_scan, n_pos) is the frame by scan line. The first m columns lie before the stripe, the
     others behind it, each the mean of so many pixels. NaN outside the image.
@@ -261,7 +250,7 @@ def sum_along(white: Float64, offsets_px: Float64, slopes: Float64, along: Float
 
 
 def _energy(along: Float64, is_valid: Bool, width: float) -> Float64:
-    """Return the chi^2 (k, n) of an even and an odd filter over sums (k, n), 0 where they are not told."""
+    """Return the chi^2 (k, n) of an even and an odd filter over sums (k, n), 0 where they are unknown."""
     half = math.ceil(4.0 * width)
     x = np.arange(-half, half + 1) / width
     bell = np.exp(-0.5 * x * x)
@@ -278,7 +267,7 @@ def _energy(along: Float64, is_valid: Bool, width: float) -> Float64:
 
 
 def _place(section: Section, sums: _Sums) -> ImageLine | None:
-    """Return the strongest line within a section's reach, and how far it is told from what lies elsewhere."""
+    """Return the strongest line within a section's reach, and its margin over what lies elsewhere."""
     points = in_scan_order(section.points)
     scan = points[SCAN]
     order = slice(None, None, 1 if scan[0] <= scan[-1] else -1)
@@ -290,7 +279,7 @@ def _place(section: Section, sums: _Sums) -> ImageLine | None:
     strongest = float(within[slope, line])
     if strongest == 0.0:
         return None
-    # Where the line itself is summed askew it shows too.
+    # Where the line itself is summed skewed it shows too.
     fan = float(np.ptp(sums.slopes)) * float(np.abs(sums.offsets_px).max())
     same = math.ceil(4.0 * sums.width + 0.5 * fan)
     is_elsewhere = np.abs(np.arange(sums.energy.shape[1]) - line) > same
@@ -348,7 +337,7 @@ def _crossing(sums: _Sums, slope: int, line: int) -> tuple[float, float] | None:
 def _middle(section: Float64) -> tuple[float, float]:
     """Return where the seam lies in a line's section (n,), lines from its middle, and its variance.
 
-    A gap is dark. A rim that shines is one plate's, beside it: it stands for a slit that is not seen.
+    A gap is dark. A rim that shines is one plate's, next to it: it stands for a slit that is not seen.
     """
     x = np.arange(len(section)) - len(section) // 2
     dark, bright = np.maximum(-section, 0.0), np.maximum(section, 0.0)
@@ -368,7 +357,7 @@ def _middle(section: Float64) -> tuple[float, float]:
 def _piece(
     sums: _Sums, columns: Int64, slope: int, line: int, section: Float64
 ) -> tuple[float, float, float] | None:
-    """Return a piece's place beside the stripe, px, its shift off a straight line, its 1 sigma, scan lines.
+    """Return a piece's distance from the stripe, px, its shift off a straight line, its 1 sigma, scan lines.
 
     None where the piece does not show the line.
     """

@@ -54,7 +54,7 @@ PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
 
 
 def fit_lap(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
-    """Return the lap that a section shows, None where a sheet is not seen beside the edge.
+    """Return the lap that a section shows, None where a sheet is not seen next to the edge.
 
     The sheets' lines are fitted clear of the edge; then each point near it belongs to the line it lies on,
     and the edge lies between the last point of the upper and the first of the lower sheet, less what it
@@ -75,7 +75,7 @@ def fit_lap(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
 
 
 def measured_lap(section: Section, fit: ShapeFit, y_0: float, thickness_mm: float) -> MeasuredJoint | None:
-    """Return the lap of sheets that were fitted, None where they are not seen beside their edge.
+    """Return the lap of sheets that were fitted, None where they are not seen next to their edge.
 
     `y_0` is where the edge was while they were fitted.
     """
@@ -113,7 +113,7 @@ def measured_lap(section: Section, fit: ShapeFit, y_0: float, thickness_mm: floa
 
 @kernel(allocates=True)
 def edge_of_sheets(section: Section, lines: Float64, sheets: SheetLines, thickness_mm: float) -> Edge:
-    """Return where the sheets' edge is, NaN where points (n,) do not lie on both beside it."""
+    """Return where the sheets' edge is, NaN where points (n,) do not lie on both next to it."""
     n, nowhere = lines[Y_MM].shape[0], Edge(math.nan, math.nan, math.nan)
     bent_mm, limits_mm = MIN_OFF_SHEET * thickness_mm, np.empty(n)
     for i in range(n):

@@ -43,7 +43,7 @@ class MeasuredJoint(NamedTuple):
 
     `chi2` is the fit's per degree of freedom; `gap_mm` and `mismatch_mm` are NaN where the shape has none.
     `unexplained` is the share of the points near the seam that lie off the shape; `corners_mm` (n, 2) is the
-    fitted section as (y, z). `evidence_nats` is by how much it is told from a plate without a joint.
+    fitted section as (y, z). `evidence_nats` is its evidence over a plate without a joint.
     """
 
     y_mm: float
@@ -128,7 +128,7 @@ def meet_face(points: Float64, height_mm: Float64, slope: Float64) -> OnFace:
 
     A centre that is off by c px moves its point by c (dy, dz). On the face it would be at
     y - dy (z - height) / (dz - slope dy): which scan line lies where goes with the whole face's height, and
-    not with the scatter of its own centre. From beside the seam the two differ by much.
+    not with the scatter of its own centre. From the side the two differ by much.
     """
     n = height_mm.shape[0]
     met_mm, y_per_z = np.empty(n), np.empty(n)

@@ -114,7 +114,7 @@ def lines_read(section: Section, on_plates: OnPlates, beyond: bool) -> PlateLine
         line = int(places[i] - 0.5 * (n_lines[i] - 1.0))
         for k in range(int(n_lines[i])):
             sees[line + k] = 1.0 if are_on[i] else -1.0
-    # Where the plates would be seen: what lies deep in the gap looks shifted beside them.
+    # Where the plates would be seen: what lies deep in the gap looks shifted against them.
     count = n_on if n_on > 0 else n_points
     shown, face_mm, face_per_z, k = np.empty(count), np.empty(count), np.empty(count), 0
     for i in stable_order(places):
@@ -212,7 +212,7 @@ def leave_out_hidden(lines: PlateLines, light: StripeLight) -> None:
 
 @kernel
 def brightness(image_dn: Integers, along_rows: bool, scan: int, path_px: float, width_px: float) -> float:
-    """Return how much brighter a scan line is about a path than beside it, DN.
+    """Return the contrast of a scan line about a path over its surroundings, DN.
 
     `along_rows` says that scan lines are the frame's columns.
     """

@@ -13,7 +13,7 @@ A fit to points with errors of covariance V, each taken at weight w / sigma^2 as
 
 (the sandwich: Huber 1967, Proc. 5th Berkeley Symp. 1, 221). Where V reaches over few points only, along which
 J hardly changes, the sum over a point's neighbours is that of their covariance with it, so V counts as a
-diagonal: the variance with which a point counts beside others, in the place of its own.
+diagonal: the variance with which a point counts among others, in the place of its own.
 """
 
 from __future__ import annotations
@@ -336,7 +336,7 @@ def add_shared_errors(shape: int, points: Float64, sigma: Float64, fit: ShapeFit
     """Add to the covariance (m, m) of a fit what it leaves out of errors that points share.
 
     `sigma` (n,) px are the centres'. `BESIDE_PX` is the 1 sigma with which a point's
-    centre counts beside its neighbours. Unexpected light moves centres by 1 sigma `MISFIT_PX`. Two of these
+    centre counts among its neighbours. Unexpected light moves centres by 1 sigma `MISFIT_PX`. Two of these
     errors have the correlation exp(-|s - s'| / CORRELATION_PX) of their lines: a sum over all pairs is a
     running sum.
     """

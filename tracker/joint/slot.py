@@ -156,7 +156,7 @@ class JointGap(NamedTuple):
 def gap_about(lines: PlateLines, light: StripeLight, stated: StatedJoint, y_0: float) -> JointGap:
     """Return the gap about a placed joint by the plates' ends on its either side; its y is NaN of none.
 
-    An edge joint's lies amid its sheets' outer ends, if they are alike.
+    An edge joint's lies amid its sheets' outer ends, if they are equal.
     """
     thickness, gap_mm = stated.thickness_mm, stated.gap_mm
     # Beyond a thin sheet there is no plate either: more of that than of the sheet would outvote it.
@@ -167,7 +167,8 @@ def gap_about(lines: PlateLines, light: StripeLight, stated: StatedJoint, y_0: f
     first, last = right.line + 1, left.line - 1
     if others_between(lines, right.line, left.line) >= MIN_LINES:
         gap_lines = left.line - right.line - 1
-        # A blurred end seems off to its own side: where one is not told, in the middle of both that cancels.
+        # A blurred end seems off to its own side: where one is not resolved, in the middle of both that
+        # cancels.
         right_refined = end_by_shares(lines, light, right, True, gap_lines)
         left_refined = end_by_shares(lines, light, left, False, gap_lines)
         if not (math.isnan(right_refined.y_mm) or math.isnan(left_refined.y_mm)):

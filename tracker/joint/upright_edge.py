@@ -26,7 +26,7 @@ BESIDE = 20
 
 
 class Faces(NamedTuple):
-    """Both faces beside an upright edge, carried on to points (n,): their heights, mm, and slopes there."""
+    """Both faces next to an upright edge, carried on to points (n,): their heights, mm, and slopes there."""
 
     before_mm: Float64
     before_slope: Float64
@@ -36,7 +36,7 @@ class Faces(NamedTuple):
 
 @kernel(allocates=True)
 def no_faces(n: int) -> Faces:
-    """Make room for the faces beside an edge at some points."""
+    """Make room for the faces next to an edge at some points."""
     return Faces(np.empty(n), np.empty(n), np.empty(n), np.empty(n))
 
 
@@ -102,8 +102,8 @@ def change_of(
     Points with a limit (n,) count. Any place between scan lines, a column apart, is as likely beforehand. A
     face may be bent by so much, and a centre may be off by what its background makes of a line
     (`background_off_px`). A point that lies off both faces is no evidence. A change lies midway between where
-    the last ray before it meets that face (n,) and where the next one meets the other (n,): seen from beside,
-    points themselves lie aside with their own scatter.
+    the last ray before it meets that face (n,) and where the next one meets the other (n,): seen from the
+    side, points themselves lie aside with their own scatter.
     """
     first, last = before, behind
     while first > 0 and limit_mm[first - 1] > 0.0:
@@ -242,7 +242,7 @@ def upright_edge(
     ends, begins = stripe_ends(light, last, first)
     low, high = max(before - BESIDE, 0), min(behind + 1 + BESIDE, scan.shape[0])
     places, variances, n = np.empty(2), np.empty(2), 0
-    # What tells less than the two points do is no end.
+    # What is less sure than the two points is no end.
     if (ends.sigma * column_mm) ** 2 < variance_mm2:
         places[n] = _at_line(face.y_mm[low:before], scan[low:before], ends.line)
         variances[n] = (ends.sigma * column_mm) ** 2
@@ -278,9 +278,9 @@ def _is_hidden(light: StripeLight, last: int, first: int) -> bool:
 
 @kernel
 def _likeness(light: StripeLight, last: int, first: int) -> float:
-    """Return by how much the ends of two lines' stripes err alike, 0 to 1: by the overlap of their bells.
+    """Return the correlation of the errors of two lines' stripe ends, 0 to 1: by the overlap of their bells.
 
-    Of stripes that lie in each other's light what one gains the other loses, which moves both ends alike.
+    Of stripes that lie in each other's light what one gains the other loses, which moves both ends in common.
     """
     return math.exp(-0.25 * (apart_px(light, last, first) / light.width_px[first]) ** 2)
 
@@ -302,7 +302,7 @@ def _at_line(y_mm: Float64, scan: Float64, line: float) -> float:
 def hidden_strip(
     sources_mm: tuple[Float64, ...], edge_y_mm: float, edge_z_mm: float, step_mm: float, slope_sigma: float
 ) -> HiddenStrip:
-    """Return how much of the lower side beside the foot an edge hides from points (3,), mm.
+    """Return the width of the lower side that an edge hides next to its foot from points (3,), mm.
 
     The strip is what the point that hides more leaves dark. It ends below where the edge is (`edge_y_mm`,
     x = 0) by how far the point stands aside, t = (y_edge - y) / (z - z_edge) step. A ray that comes from x

@@ -1,4 +1,4 @@
-"""The band of the image around the expected stripe: its pixels as charge, the arc map beside them."""
+"""The band of the image around the expected stripe: its pixels as charge, and the arc map there."""
 
 from __future__ import annotations
 

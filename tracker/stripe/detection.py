@@ -54,7 +54,7 @@ MIN_FAN_SHARE = 1.0 / 3.0
 def path_of(offsets_px: Int64, bin_px: int, around_px: Float64, position_px: Float64) -> Int64:
     """Return the offsets' indices (n_scan,) of stripe centres (n_scan,), -1 for none and beyond the offsets.
 
-    Those are from `around_px` (n_scan,), OFFSET_STEP bins apart. A centre may lie beside the offsets where a
+    Those are from `around_px` (n_scan,), OFFSET_STEP bins apart. A centre may lie off the offsets where a
     fit has moved it: the score at the last one is its flank's.
     """
     n = position_px.shape[0]
@@ -80,7 +80,7 @@ def own_lobes(width: float) -> tuple[float, int]:
     write_template(width, half, template)
     reach = 2 * half + 1
     min_total, worst = math.inf, 0.0
-    # It looks alike to either side, and a wide stripe's lobes are as smooth.
+    # It looks the same to either side, and a wide stripe's lobes are as smooth.
     phases = PHASES if width < SMOOTH_PX else 1
     for k in range(phases * reach + 1):
         off, total = k / phases, 0.0
@@ -235,7 +235,7 @@ def evidence_of(
     learned: Float64,
     room: Float32,
 ) -> Evidence:
-    """Return what tells of stripe centres (n_scan,), read at offsets of the `score` (n_scan, n_offsets).
+    """Return the evidence of stripe centres (n_scan,), read at offsets of the `score` (n_scan, n_offsets).
 
     These are from `around_px` (n_scan,), in bins of `bin_px`. What is expected is `ExpectedStripe`'s; `room`
     (`numbers_for(n_scan)`,) is written over.

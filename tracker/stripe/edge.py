@@ -9,9 +9,9 @@ between them is
 Seen through a Gaussian of sigma_p, an edge at e leaves a_s = A Phi((e - s) / sigma_p), A near 1, and so of
 the other side. Where the edge crosses the stripe skewed, the sheet's 1 sigma spreads it over lines of its
 own: a bell cut off at t of its sigmas has the least-squares share Phi(sqrt(2) t), so half of that square
-counts. A stripe's brightness scatters by a contrast C, neighbouring lines alike: two lines k apart by rho^k.
-So a whole line may be dimmer than one that holds half, and so may its neighbours: an end is the mean of its
-posterior. The likelihood is a Kalman filter's along the lines (Kalman 1960, J. Basic Eng. 82, 35).
+counts. A stripe's brightness scatters by a contrast C, neighbouring lines in common: two lines k apart by
+rho^k. So a whole line may be dimmer than one that holds half, and so may its neighbours: an end is the mean
+of its posterior. The likelihood is a Kalman filter's along the lines (Kalman 1960, J. Basic Eng. 82, 35).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ TINY_PX = 1e-6
 
 
 class StripeEnd(NamedTuple):
-    """An end of a stripe, in scan lines, and its 1 sigma; NaN where it cannot be told."""
+    """An end of a stripe, in scan lines, and its 1 sigma; NaN where it is not determined."""
 
     line: float
     sigma: float
@@ -139,7 +139,7 @@ def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int, unread:
 
 @kernel
 def clear_of_an_edge(light: StripeLight) -> int:
-    """Return how many lines beyond a line beside an edge one is clear of it."""
+    """Return the number of lines from an edge to one that is clear of it."""
     return clear_lines(light.psf_sigma_px, light.sheet_lines)
 
 

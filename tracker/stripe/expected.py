@@ -80,7 +80,7 @@ def _lifted(vertices: Float64) -> tuple[Float64, Bool]:
     """Return a section whose deep faces are level, and which faces are deep.
 
     A face is deep throughout; a ridge's faces only end there. The seam may be off its place by more than its
-    sheets are wide: they are looked for beside it too.
+    sheets are wide: they are looked for off it too.
     """
     last = vertices.shape[0] - 1
     lifted, is_deep = vertices.copy(), np.zeros(last, dtype=np.bool_)
@@ -361,7 +361,7 @@ def _bells(
 
 @kernel
 def _take_from_same_face(sigma: Float64, bias: Float64, face: Int64, good: Bool) -> None:
-    """Replace values (n,) beside a corner, where the flanks lie on two faces, by the nearest good ones.
+    """Replace values (n,) next to a corner, where the flanks lie on two faces, by the nearest good ones.
 
     By those of its own face if that has some.
     """

@@ -1,12 +1,12 @@
 """Scatter of a stripe's lines beyond their photons', as neighbours in one frame show it.
 
-Speckle and the metal's texture move a stripe's centres by more than photons do, neighbours alike, and stand
-still with the surface. Let u_i be a centre off its expected place. Where the surface runs straight, the
+Speckle and the metal's texture move a stripe's centres by more than photons do, neighbours in common, and
+stand still with the surface. Let u_i be a centre off its expected place. Where the surface runs straight, the
 second difference of lines L apart
 
     d_i = (u_{i-L} - 2 u_i + u_{i+L}) / sqrt(6)
 
-has a line's own variance, sigma_i^2 + tau^2, once L is beyond the lines that scatter alike; offset and slope
+has a line's own variance, sigma_i^2 + tau^2, once L is beyond the correlated lines; offset and slope
 drop out. Of means over m lines it has that of the mean: m times that says with which variance a line counts
 among its neighbours. The median of d^2 over that of chi^2 with one degree of freedom, 0.455, is the variance
 whatever corners and spatter do (Allan 1966, Proc. IEEE 54, 221, for means of growing length; Rousseeuw and
@@ -87,7 +87,7 @@ def own_sigma(fits: Float64, expected_px: Float64, n_lines: Float64, room: Float
 
     `fits` (n, 7) are `LineFits`', `expected_px` (n,) the widths whose windows they read, `n_lines` (n,) with
     how many each was read. What all lines' chi2 shows beyond 1 is the same for all, a profile that is no bell
-    or speckle: the scatter tells what it does to the centres. A pair's chi2 shows more of it than a line's.
+    or speckle: the scatter shows what it does to the centres. A pair's chi2 shows more of it than a line's.
     """
     for s in range(own_px.shape[0]):
         own_px[s] = math.nan

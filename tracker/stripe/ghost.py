@@ -1,10 +1,10 @@
-"""A second stripe beside the first, its reflection in a window or in the sheet, and what its light is.
+"""A second stripe next to the first, its reflection in a window or in the sheet, and what its light is.
 
-It runs beside the first one at the same distance everywhere. So what the first one's fit leaves over is laid
+It runs next to the first one at the same distance everywhere. So what the first one's fit leaves over is laid
 on top of itself from many scan lines, each over its stripe's amplitude and from its stripe's centre on, and
 the distance is sought at which a bell of the stripe's width, over any level, explains most of it.
 
-Between two stripes, and beside them, the matched filter sees it darker than beside one, and each stands in
+Between two stripes, and next to them, the matched filter sees it darker than next to one, and each stands in
 the other's fit. With the second one's light in the background path, fit and evidence are the first one's own.
 """
 
@@ -253,7 +253,7 @@ def second_light(
 
 
 class SecondStripe(NamedTuple):
-    """A second stripe: its `share` of the brighter one's light, 0 for none, and the evidence that tells it.
+    """A second stripe: its `share` of the brighter one's light, 0 for none, and its evidence.
 
     The brighter one is read at all offsets; where it `is_reflection`, the other at `n_offsets` of them, from
     number `first` on.
@@ -276,7 +276,7 @@ def choose_of_two(
     reach_px: float,
     values: Float32,
 ) -> SecondStripe:
-    """Return by how many nats the laser's of two stripes is told, and the offsets about it if it is dimmer.
+    """Return the evidence for the laser's of two stripes, nats, and the offsets about it if it is dimmer.
 
     The brighter one's fits (n_scan, 7) lie off their expected places (n_scan,), the weaker one, of a `share`
     of its light, `apart_px` from it. Either reflection's ln(strength) is normal about ln(REFLECTED_SHARE),

@@ -106,7 +106,7 @@ def run_of(position_px: Float64, begins: int, away: int, max_lines: int) -> tupl
 
 @kernel
 def write_change(background_e: Float32, lows: Int64, s: int, begin: int, end: int, change_e: Float64) -> None:
-    """Write by how much what is beside the stripe (n_scan, n_pos) changes within line s, e-.
+    """Write the change of the light off the stripe (n_scan, n_pos) within line s, e-.
 
     It is half of what its neighbours differ by, at pixels from `begin` to `end`, and 0 at the band's rim.
     """
@@ -122,11 +122,11 @@ def write_change(background_e: Float32, lows: Int64, s: int, begin: int, end: in
 
 @kernel(allocates=True)
 def background_off_px(light: StripeLight, scan: Float64, sigma_px: Float64) -> Float64:
-    """Return by how much the centres of lines (n,) move, px, if what is beside the stripe lies a line off.
+    """Return the shift of the centres of lines (n,), px, if the light off the stripe lies a line off.
 
-    It is 0 where it would be next to nothing beside the centre's own 1 sigma (n,), and without a stripe. With
-    a bell u(r) of the stripe's sigma w and brightness A, a change d of the background moves the least-squares
-    centre by
+    It is 0 where it would be next to nothing against the centre's own 1 sigma (n,), and without a stripe.
+    With a bell u(r) of the stripe's sigma w and brightness A, a change d of the background moves the
+    least-squares centre by
 
         sum d t / (A sum t^2),   t = r / w^2 u,   sum t^2 = sqrt(pi) / (2 w).
 

@@ -9,7 +9,7 @@ the mean of two has of a line's variance C(0) the share
 
     (C(0) + C(1)) / (2 C(0)),
 
-a half where lines know nothing of each other, all of it where they are alike. Two lines' own noise is that of
+a half where lines know nothing of each other, all of it where they are equal. Two lines' own noise is that of
 their mean twice: so a pair's fit says what either line would say alone, and what is learned of lines is
 learned of pairs too.
 
@@ -89,7 +89,7 @@ def mark_pairs(
 
     That is where the surface `is_smooth` (n,), but for a few. `choice` (n,) is the offset of the likeliest
     path from the expected stripe, -1 for no stripe; `face`, `expected_px` and `width_px` (n,) are the face
-    that this lies on, its place and 1 sigma. Its corners may lie `reach_px` beside their places.
+    that this lies on, its place and 1 sigma. Its corners may lie `reach_px` off their places.
     """
     n, widest = choice.shape[0], 0.0
     for s in range(n):
@@ -150,7 +150,7 @@ MOVED = 5.0
 """Shift of a centre, in widths, over the odd residual relative to the amplitude."""
 
 MIN_LINES = 6
-"""A mean of fewer lines than this tells nothing from noise."""
+"""A mean of fewer lines than this shows nothing above noise."""
 
 CHANCE = 3.3
 """A mean of N_BINS squares of noise exceeds its expectation by this factor once in 100 (chi2 of 4)."""

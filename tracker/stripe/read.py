@@ -85,7 +85,7 @@ class StripeReading(NamedTuple):
     `second_share` is how bright a second stripe is over the first, 0 for none; the background has its light.
     `stripe_choice_nats` is the evidence that the other one is the reflection, infinite where none is sought.
     `scatter` is what the frames up to this one show of it, `learned` what this one was read with.
-    `usual` is what is usual for a line, `evidence` what tells whether there is a stripe. `lines`
+    `usual` is what is usual for a line, `evidence` that of a stripe. `lines`
     (N_ROWS, n_scan) are the stripe's scan lines. Where `N_LINES` is 2, an even line and the next were read as
     one: the fits of both are what either would say alone.
     """

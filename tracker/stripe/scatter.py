@@ -17,8 +17,8 @@ from noise_model.compiled.kernel import kernel
 LAGS = np.array([1, 2, 4, 8])
 """Lags, in lines, at which centres are compared: speckle's grains reach over a few.
 
-From FAR_LAG on these, and LENGTHS, are those of a stripe of USUAL_PX at most: a wider one's lines are alike
-over more.
+From FAR_LAG on these, and LENGTHS, are those of a stripe of USUAL_PX at most: a wider one's lines are
+correlated over more.
 """
 
 FAR_LAG = 4
@@ -108,7 +108,7 @@ def _root(variance: float) -> float:
 def _plateau(variances: Float64) -> float:
     """Return the larger of the last two that are known, the farthest lags or the longest means; 0 for none.
 
-    Lines that lie near each other scatter alike: the variance grows with their distance up to its plateau.
+    Lines that lie near each other are correlated: the variance grows with their distance up to its plateau.
     """
     largest, n = 0.0, 0
     for k in range(variances.shape[0] - 1, -1, -1):
@@ -230,7 +230,7 @@ def width_limit_ln(average: Float64) -> float:
 
 @kernel
 def _mix_one(before: float, seen: float, weight: float) -> float:
-    """Return a running average: what a frame does not tell stays, what is told first is taken whole."""
+    """Return a running average: what a frame does not show stays, what is shown first is taken whole."""
     if math.isnan(seen):
         return before
     return seen if math.isnan(before) else before + weight * (seen - before)

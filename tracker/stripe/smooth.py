@@ -7,7 +7,7 @@ must those through the halves of its halves and of its middle, down to a few col
 confidence intervals over nested windows: Goldenshluger and Nemirovski 1997, Math. Methods Statist. 6, 135;
 Katkovnik 1999, IEEE Trans. Signal Process. 47, 2567). A bend that a window's chi2 barely hides moves its
 line by several of the line's own sigmas and that of half of it by about one, so half of the window is drawn
-through; a column lies at least a quarter of the window off its ends, so beside a corner it keeps its own
+through; a column lies at least a quarter of the window off its ends, so next to a corner it keeps its own
 centre. Where a line lies is independent of the chi2 about it, so the choice does not bias the sigma.
 """
 
@@ -235,7 +235,7 @@ def smooth_stripe(
 
     `position_px`, `sigma_px` (n,) are the columns' own, NaN where there is no stripe. There, at an outlier,
     and where the centre stays less sure than MIN_SURE_PX, what is written is NaN too. `together_px` (n,)
-    is what a column counts with beside others: `sigma_px` for independent ones, more where they err alike.
+    is a column's 1 sigma among others: `sigma_px` for independent ones, more where they are correlated.
     """
     n = position_px.shape[0]
     sums, chi2, is_straight = room

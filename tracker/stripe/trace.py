@@ -51,7 +51,7 @@ def cut_and_project(
     points_px: Float64,
     light: Float64,
 ) -> None:
-    """Cut a plane `shift_mm` beside the sheet with the section at y, z (n,) and look at it.
+    """Cut a plane `shift_mm` off the sheet with the section at y, z (n,) and look at it.
 
     `face` (n,) are the faces that the points lie on. Writes the image points `points_px` (n, 2) as (scan,
     position), NaN behind the camera, and, `with_light`, the stripe's `light` there, the sheet's own Gaussian
@@ -99,7 +99,7 @@ def cut_and_project(
 def samples(vertices: Float64, middle_mm: float, low_mm: float, high_mm: float) -> tuple[Float64, Int64]:
     """Return the places y (n,), rising, at which the section is looked at, and the faces that they lie on.
 
-    They reach a step beyond what is seen of it, from `low_mm` to `high_mm`, and stand beside every corner.
+    They reach a step beyond what is seen of it, from `low_mm` to `high_mm`, and stand next to every corner.
     """
     n_inner = vertices.shape[0] - 2
     step_mm = max(STEP_MM, (high_mm - low_mm) / MAX_STEPS_SEEN)

@@ -206,7 +206,7 @@ def matched_filter(
 ) -> None:
     """Score a stripe of the expected width at offsets from its expected place, in sigmas of its amplitude.
 
-    `charge_e`, `background_e` (n_scan, depth) hold the pixels and what lights them beside the laser; see
+    `charge_e`, `background_e` (n_scan, depth) hold the pixels and what lights them apart from the laser; see
     `band.weigh` for their variance. They are summed by `bin_px`, a power of two. `around_px` (n_scan,) are
     the bins' `middles` next to the expected places, `width_px` (n_scan,) expected sigmas; `score` (n_scan,
     n_offsets). The template's mean is taken out, so a wrong level of the map scores nothing. `offsets_px` are

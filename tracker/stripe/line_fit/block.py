@@ -21,7 +21,7 @@ from tracker.stripe.line_fit.normal_equations import (
 )
 
 WINDOW_SIGMAS = 4.0
-"""The fit reads this many stripe sigmas to either side of the centre: beyond them little tells of it."""
+"""The fit reads this many stripe sigmas to either side of the centre: beyond them little depends on it."""
 
 CORRELATION_PX = 30.0
 """Over how many pixels the map's error changes: its slope's 1 sigma is the level's over this."""
@@ -158,7 +158,7 @@ def _judged(
     chi2 = ended.chi2 / freedom
     # Only what chi2 shows beyond its own scatter widens the sigmas: else chance alone would, on average.
     excess = larger(chi2 - root(spread(2.0) / freedom), spread(1.0))
-    # Where there is no stripe there is no speckle: a stripe is told from the noise without it.
+    # Where there is no stripe there is no speckle: a stripe is detected without it.
     without = larger(noise.shot * (level + ended.amplitude) + noise.dark, spread(MIN_SIGMA_E**2))
     grains = noise.speckle * ended.amplitude
     unspeckled = without / (without + grains * grains)

@@ -82,7 +82,7 @@ def line_window(start: float, width: float, depth: int) -> tuple[int, int]:
 
 @kernel
 def core_of(place: float, width: float, n: int) -> tuple[int, int]:
-    """Return from which pixel on and before which a window of n tells its stripe's amplitude at first."""
+    """Return from which pixel on and before which a window of n holds its stripe's first amplitude."""
     middle, core = round(place), int(CORE_SIGMAS * width) + 1
     return max(middle - core, 0), min(middle + core + 1, n)
 

@@ -32,7 +32,7 @@ class Block(NamedTuple):
 class Unknowns(NamedTuple):
     """Fitted parameters, by lane: amplitude, place over width, offset, slope times width.
 
-    With ln(width) these are five numbers of alike derivatives.
+    With ln(width) these are five numbers of similar derivatives.
     """
 
     amplitude: Lanes
@@ -216,7 +216,7 @@ def moments_of(block: Block, n: int, x: Unknowns, inverse_width: Lanes, noise: P
 
 @kernel(fastmath=REDUCTION)
 def normal_equations(m: Moments, x: Unknowns, prior: Prior) -> Equations:
-    """Return the normal equations that the lines' moments give, with what is known beside them.
+    """Return the normal equations that the lines' moments give, with the priors.
 
     The mean's derivatives are g, A g t - slope, A g t^2, 1 and t.
     """

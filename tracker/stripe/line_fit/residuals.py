@@ -18,7 +18,7 @@ N_BINS = 4
 """Into so many parts of a side's window a line's odd residual is averaged."""
 
 LAST_BIN = 0.5
-"""A line whose window ends before this share of its last bin tells no odd residual."""
+"""A line whose window ends before this share of its last bin shows no odd residual."""
 
 
 @kernel(fastmath=REDUCTION)
