@@ -1,6 +1,5 @@
 import importlib.util
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +7,7 @@ import can
 import pytest
 from documented import compile_kernels, make_scratch
 from hypothesis import settings
-from once import compiling_in_turn, once
+from once import once
 
 # How long an example takes depends on the machine and on what is compiled first. The same code gives the same
 # verdict; other examples than always the same are drawn with --hypothesis-profile explore.
@@ -38,8 +37,8 @@ LAST = "tests/calibration/"
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark as quick whatever is not marked slow, before `-m` chooses; begin with what compiles nothing.
 
-    The first of several workers gets it, the next ones begin to compile. Two that need the same kernel wait
-    for each other. So what needs all of them comes when others have compiled them.
+    The first of several workers gets it, the next ones begin to compile. What needs all kernels comes when
+    others have compiled them.
     """
     for item in items:
         if item.get_closest_marker("slow") is None:
@@ -61,13 +60,6 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder that all workers of this run share; see `once`."""
     folder = tmp_path_factory.getbasetemp()
     return folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _compiled_once(shared: Path) -> Iterator[None]:
-    """Compile each kernel in one of the workers."""
-    with compiling_in_turn(shared / "compiling"):
-        yield
 
 
 @pytest.fixture(scope="session")
