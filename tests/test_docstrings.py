@@ -58,3 +58,42 @@ def test_only_what_the_reference_prints_has_numpydoc_sections() -> None:
 def test_a_section_is_seen_in_a_method() -> None:
     source = 'class A:\n    def b(self):\n        """Do.\n\n        Raises\n        ------\n        """'
     assert list(names_with_sections(ast.parse(source), "m")) == ["m.A.b"]
+
+
+NO_NOUN = re.compile(
+    r"^(?:What|By how much|How (?:much|many|far|closely)|Say|So (?:many|much)|Whether|Where)\b"
+)
+"""How a docstring begins that does not say what a thing is or returns."""
+
+
+def first_lines(source: str) -> Iterator[str]:
+    for node in ast.walk(ast.parse(source)):
+        body = getattr(node, "body", None)
+        for statement in body if isinstance(body, list) else ():
+            text = getattr(getattr(statement, "value", None), "value", None)
+            if isinstance(statement, ast.Expr) and isinstance(text, str):
+                yield text.strip().partition("\n")[0]
+
+
+@pytest.mark.parametrize("room", ["noise_model", "tracker"])
+def test_first_lines_say_what_a_thing_is_or_returns(room: str) -> None:
+    files = sorted((ROOT / room).rglob("*.py"))
+    lines = [(file.name, line) for file in files for line in first_lines(file.read_text())]
+    assert len(lines) > 500
+    assert [line for line in lines if NO_NOUN.match(line[1])] == []
+
+
+PRIVATE_WORDS = re.compile(r"(?:^|_)(?:alike|askew|beside|dear|heard|nought|told)(?:_|$)", re.IGNORECASE)
+
+
+@pytest.mark.parametrize("room", ["noise_model", "tracker"])
+def test_names_are_words_of_the_field(room: str) -> None:
+    nodes = [node for file in (ROOT / room).rglob("*.py") for node in ast.walk(ast.parse(file.read_text()))]
+    names = {
+        name
+        for node in nodes
+        for name in (getattr(node, "id", None), getattr(node, "arg", None), getattr(node, "name", None))
+        if isinstance(name, str) and PRIVATE_WORDS.search(name)
+    }
+    # A column of the stripe that `import arctrack` gives.
+    assert names <= {"beside_px", "BESIDE_PX"}

@@ -21,7 +21,7 @@ from tracker.state import DY_MM, DZ_MM, SCAN, SIGMA_PX, Z_MM
 from tracker.stripe.edge import stripe_ends
 from tracker.stripe.light import StripeLight, apart_px, background_off_px
 
-BESIDE = 20
+N_AROUND = 20
 """Number of points next to an edge that determine the y of its scan lines."""
 
 
@@ -240,7 +240,7 @@ def upright_edge(
     if light.position_px.shape[0] == 0 or _is_hidden(light, last, first):
         return anywhere
     ends, begins = stripe_ends(light, last, first)
-    low, high = max(before - BESIDE, 0), min(behind + 1 + BESIDE, scan.shape[0])
+    low, high = max(before - N_AROUND, 0), min(behind + 1 + N_AROUND, scan.shape[0])
     places, variances, n = np.empty(2), np.empty(2), 0
     # What is less sure than the two points is no end.
     if (ends.sigma * column_mm) ** 2 < variance_mm2:
