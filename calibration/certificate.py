@@ -68,9 +68,6 @@ class RobotNoise:
     move_mm: float
 
 
-EXACT_ROBOT = RobotNoise(0.0, 0.0)
-
-
 @dataclass(frozen=True)
 class Certificate:
     """Uncertainty of the seam's position, at points of the laser sheet.
@@ -128,7 +125,7 @@ def certify(
     sheet: KnownSheet,
     hand_eye: KnownHandEye,
     points_px: Float64,
-    robot: RobotNoise = EXACT_ROBOT,
+    robot: RobotNoise = RobotNoise(0.0, 0.0),
     delay_sigma_mm: float = 0.0,
 ) -> Certificate:
     """Propagate the covariance of all calibrations to image points (n, 2) on the laser sheet: J cov J^T.

@@ -54,9 +54,6 @@ NEAR_SIGMAS, SETTLED_SIGMAS, MAX_ROUNDS = 1.0, 0.3, 20
 """Motion of the camera, in its sigmas, below which pixels are kept and rounds end, and their largest number.
 """
 
-SEAM_KNOWN_MM = 0.2
-"""A frame counts if the tracked seam is known so well under its stripe, 1 sigma."""
-
 FAR_SIGMAS = 4.0
 """Distance from a prior, in its sigmas, at which something else is wrong."""
 
@@ -189,9 +186,9 @@ class _ArcHandEyeProblem:
         true = apply_setup_effects(setup)
         scenes = [make_scene(true, T_base_tool) for _, T_base_tool in lit]
         curve = _curve(setup, sightings, np.array([scene.stations_mm for scene in scenes]))
+        # The seam under a frame's stripe must be known to 0.2 mm.
         is_known = [
-            curve.sigma_mm(float(transform(scene.T_joint_tool, setup.laser.point_mm)[0])).max()
-            <= SEAM_KNOWN_MM
+            curve.sigma_mm(float(transform(scene.T_joint_tool, setup.laser.point_mm)[0])).max() <= 0.2
             for scene in scenes
         ]
         if not any(is_known):

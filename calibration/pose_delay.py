@@ -40,24 +40,11 @@ DELAY = REGISTRY["pose_delay"].parameters[0]
 GRID_S = 0.02
 """Spacing of the delays that are tried first: a fortieth of a fast weave's period."""
 
-SMOOTH_S, SMOOTH_ORDER, MIN_WINDOW = 0.25, 3, 7
-"""Poses are smoothed by cubics over this time (Savitzky and Golay 1964), if that is so many poses or more.
-
-A weave of 0.8 s keeps all but 0.3 % of its swing.
-"""
-
 MIN_SEEN = 8
 """Least number of frames that show the seam."""
 
 MAX_SIGMA_S = 0.5 * DELAY.prior_sigma
 """A delay is estimated if it is known to half of what the effect's prior leaves open."""
-
-RIVAL_NATS, RIVAL_SIGMAS, MAX_RIVALS = 3.0, 5.0, 3
-"""Deficit, nats, and distance, sigmas, of another maximum that leaves two answers; and their largest number.
-"""
-
-MAX_TRACKINGS = 4
-"""Largest number of times the recording is tracked: a better delay lets the tracker find more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +73,13 @@ class PoseTrack:
         A jitter that is another one from pose to pose looks like motion, and a delay would follow it.
         """
         period_s = float(np.median(np.diff(self.times_s)))
-        window = 2 * round(0.5 * SMOOTH_S / period_s) + 1
-        if window < MIN_WINDOW or len(self.times_s) <= window:
+        # Cubics over 0.25 s (Savitzky and Golay 1964) keep all but 0.3 % of a weave of 0.8 s.
+        window = 2 * round(0.125 / period_s) + 1
+        if window < 7 or len(self.times_s) <= window:
             return self
         times_s = np.arange(self.times_s[0], self.times_s[-1], period_s)
         even = np.column_stack([np.interp(times_s, self.times_s, column) for column in self.numbers.T])
-        return PoseTrack(times_s, savgol_filter(even, window, SMOOTH_ORDER, axis=0))
+        return PoseTrack(times_s, savgol_filter(even, window, 3, axis=0))
 
     def at_time(self, time_s: float) -> Float64:
         """Return T_base_tool (4, 4), mm, at a time."""
@@ -140,15 +128,17 @@ def estimate_pose_delay(
     Raises ValueError where the seam is seen in too few frames.
     """
     delay_s = setup.effects.get("pose_delay", {}).get("delay_s", 0.0)
-    for done in range(MAX_TRACKINGS):
-        progress(done, MAX_TRACKINGS)
+    # A better delay lets the tracker find more.
+    n_rounds = 4
+    for done in range(n_rounds):
+        progress(done, n_rounds)
         here = with_delay(setup, delay_s)
         observations = SeamObservations.of(here, frames, [track.at_time] * len(frames))
         result = fit_pose_delay(here, observations, track)
         moved_s, delay_s = abs(result.delay_s - delay_s), result.delay_s
         if result.unestimated is not None or moved_s < result.sigma_s:
             break
-    progress(MAX_TRACKINGS, MAX_TRACKINGS)
+    progress(n_rounds, n_rounds)
     return result
 
 
@@ -314,14 +304,15 @@ class _DelayProblem:
         """
         inner = curve[1:-1]
         peaks = 1 + np.flatnonzero((inner >= curve[:-2]) & (inner >= curve[2:]))
-        for n in peaks[np.argsort(-curve[peaks])][:MAX_RIVALS]:
+        # The three next highest maxima: one leaves two answers within 3 nats, 5 sigmas away.
+        for n in peaks[np.argsort(-curve[peaks])][:3]:
             other_s, _ = self.refine(float(grid_s[n]), bends_mm, scatters_mm)
-            if abs(other_s - delay_s) <= max(RIVAL_SIGMAS * sigma_s, GRID_S):
+            if abs(other_s - delay_s) <= max(5.0 * sigma_s, GRID_S):
                 continue
             below = self.ln_likelihood(
                 *self.seam_points(delay_s), bends_mm, scatters_mm
             ) - self.ln_likelihood(*self.seam_points(other_s), bends_mm, scatters_mm)
-            if below < RIVAL_NATS:
+            if below < 3.0:
                 return other_s
         return None
 

@@ -6,9 +6,6 @@ from robot_io.link.inbox import STALE_PERIODS, Received
 from robot_io.protocol.dbc import cycle_time_s, message_layout
 from robot_io.protocol.messages import CommandHeard, SeamOffset, TrackerHeartbeat, TrackerState, Validity
 
-BEAT_PERIODS = 1.5
-"""A heartbeat that is later than this has been missed."""
-
 COUNTING = (TrackerState.SEARCHING, TrackerState.TRACKING, TrackerState.HOLDING)
 """The states in which a tracker's offsets count."""
 
@@ -25,7 +22,8 @@ class OffsetUse:
 
     def __init__(self) -> None:
         heartbeat, offset = (cycle_time_s(message_layout(m.__name__)) for m in (TrackerHeartbeat, SeamOffset))
-        self._max_heartbeat_age_s, self._max_offset_age_s = BEAT_PERIODS * heartbeat, STALE_PERIODS * offset
+        # A heartbeat that is later than 1.5 periods has been missed.
+        self._max_heartbeat_age_s, self._max_offset_age_s = 1.5 * heartbeat, STALE_PERIODS * offset
         self._heartbeat: tuple[TrackerHeartbeat, float] | None = None
         self._follows = False
         self._offset: tuple[SeamOffset, float] | None = None

@@ -46,17 +46,8 @@ MAX_FRAMES = 24
 MIN_PIXELS = 100
 """Least number of pixels over all frames."""
 
-FIRST_PIXEL_SIGMA, MIN_PIXEL_SIGMA, MAX_PIXEL_SIGMA = 0.02, 0.01, 0.3
-"""1 sigma of texture and map, relative, that the rounds begin with, and that is no less and no more.
-
-Neighbours err alike where the model is off, by 0.5 % on an independent renderer's frames: so no less.
-"""
-
 FIRST_FLICKER, MIN_FLICKER = 0.1, 0.001
 """1 sigma of a frame's level that the rounds begin with, and of one frame alone; and that is no less."""
-
-SCALE_ROUNDS = 3
-"""So often the fit is made, each time with the texture and the flicker that the one before left."""
 
 LIMITS: Mapping[str, float] = {RADIUS: 0.1, X: 0.3, Y: 0.3, Z: 0.2, RADIANCE: 0.3, RATIO: 0.2, C2: 0.15}
 """With a wider sigma, relative or mm, a value is refused: the setup's own is as good."""
@@ -168,7 +159,8 @@ def _calibrate(
         raise ValueError("[material] kappa_diff, kappa_spec: both must be above 0 for a start")
     chosen = [frames[n] for n in evenly(len(frames), MAX_FRAMES)]
     known = PartPlacement.without_stripes(setup, 0.0) if part is None else part
-    problem = ArcProblem.of(setup, chosen, known, FIRST_PIXEL_SIGMA, FIRST_FLICKER)
+    # The rounds begin with a texture of 2 %.
+    problem = ArcProblem.of(setup, chosen, known, 0.02, FIRST_FLICKER)
     if sum(len(lattice.charge_e) for lattice in problem.frames) < MIN_PIXELS:
         raise ValueError(
             "no pixel with the arc's light is below saturation and off the joint's edges: shorten the "
@@ -219,8 +211,10 @@ def _fit_in_rounds(
     problem: ArcProblem, x: Float64, progress: Callable[[int, int], None]
 ) -> tuple[ArcProblem, Fit]:
     """Fit, and estimate texture and flicker from what is left, in turn."""
-    for done in range(SCALE_ROUNDS):
-        progress(done, SCALE_ROUNDS)
+    # Each round has the texture and the flicker that the one before left.
+    n_rounds = 3
+    for done in range(n_rounds):
+        progress(done, n_rounds)
         sigma_e = problem.sigma_e(x, problem.light(problem.named(x)))
         result = fit(
             problem.parameters,
@@ -231,9 +225,9 @@ def _fit_in_rounds(
             min_gain_rel=1e-4,
         )
         x = result.values
-        if done < SCALE_ROUNDS - 1:
+        if done < n_rounds - 1:
             problem = _estimate_texture_and_flicker(problem, result, sigma_e)
-    progress(SCALE_ROUNDS, SCALE_ROUNDS)
+    progress(n_rounds, n_rounds)
     return problem, result
 
 
@@ -274,7 +268,8 @@ def _estimate_texture_and_flicker(problem: ArcProblem, result: Fit, sigma_e: Flo
         variance_e2 = replace(problem, pixel_sigma=math.exp(ln_sigma)).sigma_e(x, light_e)[known] ** 2
         return float(np.sum(np.log(variance_e2) + off_e2 / variance_e2))
 
-    bounds = math.log(MIN_PIXEL_SIGMA), math.log(MAX_PIXEL_SIGMA)
+    # On an independent renderer's frames the model is off by 0.5 %, neighbours by the same: 1 % at least.
+    bounds = math.log(0.01), math.log(0.3)
     pixel_sigma = math.exp(minimize_scalar(minus_ln_likelihood, bounds=bounds, method="bounded").x)
     flicker = FIRST_FLICKER
     if n_frames > 1:

@@ -16,14 +16,8 @@ import numpy as np
 from calibration.boards.board import Board, BoardKind
 from noise_model.compiled.arrays import Float32, Float64, Int64, Integers, UInt8
 
-SEARCHED_PX = 1200
-"""A larger image is searched at a smaller scale first: squares are then no more than some 100 px wide."""
-
 WINDOW = 0.15
 """Half the side of the window that places a corner, over the distance to its neighbour."""
-
-FIRST_WINDOW = 0.25
-"""The same, for corners that were found at a smaller scale."""
 
 MARKER_CLEARANCE = 0.9
 """Largest share of the gap between a corner and its next marker that the window takes."""
@@ -31,8 +25,6 @@ MARKER_CLEARANCE = 0.9
 MIN_WINDOW_PX = 2
 MIN_PITCH_PX = 2.0 * MIN_WINDOW_PX
 """Corners that are nearer to each other have their neighbours in their windows."""
-
-SUBPIXEL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
 
 MIN_CORNERS = 6
 """Least number of corners that determine more than the board's pose."""
@@ -78,9 +70,11 @@ def small_pitch_px(image_dn: Integers, board: Board) -> float | None:
 
 def _candidates(image_dn: Integers, board: Board) -> Iterator[tuple[Int64, Float64]]:
     """Yield corners and roughly their points (n, 2), px, each time that a scale shows the board."""
-    first = min(1.0, SEARCHED_PX / max(image_dn.shape))
+    # A larger image is searched at a smaller scale first: squares are then no more than some 100 px wide.
+    searched_px = 1200
+    first = min(1.0, searched_px / max(image_dn.shape))
     # OpenCV finds no squares of a few pixels.
-    enlarged = min(4.0, max(1.0, SEARCHED_PX / max(image_dn.shape)))
+    enlarged = min(4.0, max(1.0, searched_px / max(image_dn.shape)))
     for scale in sorted({first, 1.0, enlarged}):
         for picture in _pictures(image_dn, scale):
             place = _search(picture, board, is_again=scale > first)
@@ -151,14 +145,17 @@ def _refine_corners(raw: Float32, board: Board, corners: Int64, points_px: Float
     grid, pitch = whole.reshape(-1, 2), _pitch_px(whole)
     if not pitch > MIN_PITCH_PX:
         return None
-    for window in (FIRST_WINDOW, WINDOW):
+    # The first window is wider, for corners that were found at a smaller scale.
+    for window in (0.25, WINDOW):
         half = window * pitch
         if board.kind is BoardKind.CHARUCO:
             gap = 0.5 * (1.0 - board.marker_mm / board.square_mm) * pitch
             half = min(half, MARKER_CLEARANCE * gap)
         half = max(round(half), MIN_WINDOW_PX)
         start = grid[corners].astype(np.float32).reshape(-1, 1, 2)
-        grid[corners] = cv2.cornerSubPix(raw, start, (half, half), (-1, -1), SUBPIXEL)[:, 0]
+        grid[corners] = cv2.cornerSubPix(
+            raw, start, (half, half), (-1, -1), (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
+        )[:, 0]
     if _handedness(whole) < 0.0:
         if board.kind is BoardKind.CHARUCO:
             return None

@@ -24,7 +24,6 @@ from noise_model.compiled.arrays import Bool, Float64
 ROBUST_ROUNDS, NOISE_ROUNDS = 30, 4
 SETTLED = 1e-3
 
-MAX_PRIOR_DOF = 1e6
 MIN_SIGMA_PX = 1e-9
 """Corners without noise occur in tests alone; their weights stay finite."""
 
@@ -145,8 +144,9 @@ def shrink_variances(variance: Float64, dof: Float64) -> tuple[Float64, float]:
     shifted = np.log(variance) - digamma(0.5 * dof) + np.log(0.5 * dof)
     mean = float(shifted.mean())
     excess = float(shifted.var(ddof=1) - polygamma(1, 0.5 * dof).mean())
-    prior_dof = MAX_PRIOR_DOF
-    if excess > float(polygamma(1, 0.5 * MAX_PRIOR_DOF)):
-        prior_dof = 2.0 * float(brentq(lambda half: polygamma(1, half) - excess, 1e-3, 0.5 * MAX_PRIOR_DOF))
+    max_dof = 1e6
+    prior_dof = max_dof
+    if excess > float(polygamma(1, 0.5 * max_dof)):
+        prior_dof = 2.0 * float(brentq(lambda half: polygamma(1, half) - excess, 1e-3, 0.5 * max_dof))
     prior = math.exp(mean + float(digamma(0.5 * prior_dof)) - math.log(0.5 * prior_dof))
     return np.asarray((prior_dof * prior + dof * variance) / (prior_dof + dof)), prior_dof

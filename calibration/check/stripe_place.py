@@ -61,9 +61,6 @@ PART_SIGMAS = (2.0, 2.0, 0.02, 0.02, 0.3)
 """1 sigma of how a part lies off its nominal place: sideways and in height, mm, along the seam, mm/mm, and
 turned about it, deg."""
 
-MIN_TOLERANCE = 1e-3
-"""Value in place of a tolerance of 0, deg and mm."""
-
 PART_BLOCK = ("seam_y", "seam_z", "seam_slope_y", "seam_slope_z", "part_roll")
 CAMERA_BLOCK = ("camera_rot_x", "camera_rot_y", "camera_rot_z", "camera_x", "camera_y", "camera_z")
 LASER_BLOCK = ("laser_rot_1", "laser_rot_2", "laser_offset")
@@ -352,7 +349,7 @@ class _StripePlaceProblem:
 
     def _parameters(self, name: str) -> list[Parameter]:
         tolerance = self.setup.tolerance
-        deg, mm = max(tolerance.hand_eye_deg, MIN_TOLERANCE), max(tolerance.hand_eye_mm, MIN_TOLERANCE)
+        deg, mm = max(tolerance.hand_eye_deg, 1e-3), max(tolerance.hand_eye_mm, 1e-3)
         sigmas = {
             **_by_name(PART_BLOCK, PART_SIGMAS),
             **_by_name(CAMERA_BLOCK, (deg, deg, deg, mm, mm, mm)),

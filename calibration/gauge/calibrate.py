@@ -48,9 +48,6 @@ FEW_IMAGES = 3
 HELD = 1e-9
 """1 sigma of what is held."""
 
-TILT_SIGMA = math.radians(3.0)
-"""1 sigma of a gauge's tilt against its stripes, rad: one image does not determine all."""
-
 LIFT_MM, TILT_DEG, SPIN_DEG = 10.0, 15.0, 40.0
 """The motions that are proposed where some are missing: the stripe still crosses the gauge."""
 
@@ -282,7 +279,9 @@ def check_gauge(shown: Sequence[PosedPieces], gauge: Gauge, sensor: StatedSensor
         name, reason = next(iter(left_out.items()))
         raise UndeterminedError(f"no image shows the gauge: {name} {reason}")
     problem = GaugeProblem(gauge, sensor.T_tool_camera, tuple(sightings))
-    held = np.array([*[HELD] * 3, TILT_SIGMA, TILT_SIGMA, *[np.inf] * 4])
+    # One image does not determine all of a gauge's tilt against its stripes.
+    tilt = math.radians(3.0)
+    held = np.array([*[HELD] * 3, tilt, tilt, *[np.inf] * 4])
     fitted = fit_with_noise(problem, start, held)
     sigma = math.sqrt(float(fitted.covariance[SIZE, SIZE]))
     if len(sightings) >= FEW_IMAGES:

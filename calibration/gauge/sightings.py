@@ -23,9 +23,6 @@ EDGE_SIGMA_MM = 0.2
 MAX_SIZE_ERROR = 0.35
 """A size that is measured farther than that share off the stated one is of another thing."""
 
-SLOPE_RATIOS = (0.8, 1.6)
-"""A V looks that much wider or narrower than it is at most: wider where the stripe crosses it aslant."""
-
 
 @dataclass(frozen=True)
 class PosedPieces:
@@ -127,7 +124,8 @@ def _order(gauge: Gauge, ends: Sequence[Float64], up: Float64) -> tuple[str, int
     mouth = ends[3][0] - ends[0][1]
     slope = 0.5 * float(np.linalg.norm(mouth - (mouth @ up) * up)) / depth
     ratio = slope / math.tan(math.radians(0.5 * gauge.angle_deg))
-    if not SLOPE_RATIOS[0] < ratio < SLOPE_RATIOS[1]:
+    # A V looks wider where the stripe crosses it aslant.
+    if not 0.8 < ratio < 1.6:
         angle_deg = 2.0 * math.degrees(math.atan(slope))
         return f"shows a V of some {angle_deg:.0f}° across, the gauge's has {gauge.angle_deg:g}°", 1
     return "", 1

@@ -15,9 +15,6 @@ from calibration.laser.stripe import LaserLight, likeliest_path
 from noise_model.compiled.arrays import Float64, Integers
 from noise_model.robust import spread
 
-BACKGROUND_PX = 41
-"""The side of the box whose mean is what lies behind the stripe."""
-
 NOISE_FLOOR_DN = 0.5
 """Rounding leaves that much noise at least."""
 
@@ -57,7 +54,8 @@ class Pieces:
 def laser_light_alone(image_dn: Integers) -> LaserLight:
     """Return the laser's light in an image (H, W) without another of the same scene without it."""
     image = image_dn.astype(np.float32)
-    light = image - cv2.blur(image, (BACKGROUND_PX, BACKGROUND_PX), borderType=cv2.BORDER_REFLECT)
+    # The mean over a wide box is what lies behind the stripe.
+    light = image - cv2.blur(image, (41, 41), borderType=cv2.BORDER_REFLECT)
     noise = np.full(image.shape, max(spread(light), NOISE_FLOOR_DN), np.float32)
     return LaserLight(image - float(np.median(image)), noise, np.ones(image.shape, dtype=bool))
 

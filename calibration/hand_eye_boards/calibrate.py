@@ -36,19 +36,8 @@ MAX_OUTLIER_SHARE = 0.4
 MAX_ROBOT_DEG, MAX_ROBOT_MM = 1.0, 5.0
 """1 sigma of the robot's error that no robot has: the poses mean something else."""
 
-FAR_START = 3.0
-"""Ratio of a start's robot error to any robot's beyond which it is not refined."""
-
-MEDIAN_OF_THREE = float(chi.median(3))
-"""The median length of three normal numbers."""
-
 MAX_SCALE_SIGMAS = 4.0
 """A board's scale that the robot's motions contradict by more is named."""
-
-MAX_SCALE_ERROR = 0.01
-"""Largest significant error of the board's size: beyond it, it was measured wrong, or the robot's unit is
-another.
-"""
 
 UNITS = np.array([math.degrees(1.0)] * 3 + [1.0] * 3)
 
@@ -266,7 +255,10 @@ def _check_start(chain: Chain, T_camera_board: Float64) -> None:
     off = robot_errors(chain, T_camera_board)
     deg = math.degrees(float(np.median(np.linalg.norm(off[:, :3], axis=1))))
     mm = float(np.median(np.linalg.norm(off[:, 3:], axis=1)))
-    _check_robot(deg / MEDIAN_OF_THREE, mm / MEDIAN_OF_THREE, FAR_START)
+    # A start's robot error may be three times as large as any robot's.
+    # The median length of three normal numbers.
+    median = float(chi.median(3))
+    _check_robot(deg / median, mm / median, 3.0)
 
 
 def _check_robot(deg: float, mm: float, wider: float = 1.0) -> None:
@@ -280,7 +272,8 @@ def _check_robot(deg: float, mm: float, wider: float = 1.0) -> None:
 
 def _check_scale(scale: float, sigma: float) -> None:
     """Raise InconsistentError if the robot moves in another unit than the board."""
-    if abs(scale - 1.0) > max(MAX_SCALE_SIGMAS * sigma, MAX_SCALE_ERROR):
+    # Beyond 1 % the board was measured wrong, or the robot's unit is another.
+    if abs(scale - 1.0) > max(MAX_SCALE_SIGMAS * sigma, 0.01):
         raise InconsistentError(
             f"the robot's motions make the board {max(scale, 0.0):.3g} times as large as stated (1 sigma is "
             f"{sigma:.1g})"

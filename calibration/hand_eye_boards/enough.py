@@ -15,9 +15,6 @@ from noise_model.compiled.arrays import Float64
 MIN_POSES = 5
 """Poses: three determine the camera, two more say how large the robot's noise is."""
 
-MIN_TURN_DEG = 1.0
-"""The RMS turn about an axis, deg: below it, robots' errors of rotation pass for a motion."""
-
 AXES = "xyz"
 ADVICE = "20 to 40 deg either way"
 
@@ -48,12 +45,14 @@ def check_turns(chain: Chain) -> None:
     holder = holder_name(chain)
     turns = turns_deg(chain)
     _, size, axes = np.linalg.svd(turns / math.sqrt(len(turns)))
-    if size[0] < MIN_TURN_DEG:
+    # Below an RMS turn of 1 deg about an axis, the robot's errors of rotation pass for a motion.
+    min_deg = 1.0
+    if size[0] < min_deg:
         raise UndeterminedError(
             f"the robot does not turn between the images ({size[0]:.2g} deg RMS), and the camera's place is "
             f"unknown: add poses turned {ADVICE} about two axes of the {holder}, such as x and y"
         )
-    if size[1] < MIN_TURN_DEG:
+    if size[1] < min_deg:
         raise UndeterminedError(
             f"the robot turns about one axis alone, {axis_words(axes[0])} of the {holder}, and the camera's "
             f"place along it is unknown: add poses turned {ADVICE} about {_others(axes[0])} of the {holder}"

@@ -38,11 +38,6 @@ MAX_STEPS, SETTLED_PX = 60, 1e-4
 MARGIN = 0.9
 """Extent of the board beyond its outer corners, in squares."""
 
-BRIGHTNESSES = 4
-"""Number of parts of the board, from the darkest to the brightest, in which the difference's noise is
-measured.
-"""
-
 TRIALS, SEED = 500, 1
 """Pairs of places through which RANSAC lays a line at most, and the seed of its choice."""
 
@@ -119,9 +114,11 @@ def laser_light(off_dn: Integers, on_dn: Integers, area: Bool) -> LaserLight:
     rest = on - gain * off - offset
     light[area] = rest
     # Bright squares have more shot noise, and more of what a codec leaves.
-    limits = np.quantile(off, np.linspace(0.0, 1.0, BRIGHTNESSES + 1)[1:-1])
+    # The difference's noise is measured in four parts of the board, from dark to bright.
+    n_parts = 4
+    limits = np.quantile(off, np.linspace(0.0, 1.0, n_parts + 1)[1:-1])
     part = np.searchsorted(limits, off)
-    spreads = [spread(rest[part == n]) for n in range(BRIGHTNESSES)]
+    spreads = [spread(rest[part == n]) for n in range(n_parts)]
     noise = np.ones(off_dn.shape, dtype=np.float32)
     noise[area] = np.maximum(spreads, NOISE_FLOOR_DN)[part]
     return LaserLight(light, noise, area)

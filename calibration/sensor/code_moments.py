@@ -24,9 +24,6 @@ from noise_model.instrument.sensor import Sensor, linearise, respond, saturation
 REACH_SIGMAS = 7.0
 """Codes further than this from a charge's mean are never read."""
 
-N_STEPS = 72
-"""Steps of codes over that reach: some five a sigma where codes are taken together."""
-
 
 class CodeMoments(NamedTuple):
     """Mean, DN, variance, DN^2, and fourth central moment, DN^4, of pixels' codes (...,)."""
@@ -48,10 +45,12 @@ def code_moments(mean_e: Float64, light_e: Float64, sensor: Sensor, is_mixed: Bo
     top = float(saturation_dn(sensor))
     reach = REACH_SIGMAS * sigma
     low, high = (np.clip(np.rint(respond(mean + sign * reach, sensor)), 0.0, top) for sign in (-1.0, 1.0))
-    span = (high - low) / N_STEPS
+    # Some five steps a sigma where codes are taken together.
+    n_steps = 72
+    span = (high - low) / n_steps
     # A step of an eighth of a code follows any noise that is measured.
     step = np.where(is_mixed[..., np.newaxis], np.maximum(0.125, span), np.maximum(1.0, np.ceil(span)))
-    n = np.arange(1, N_STEPS + 1)
+    n = np.arange(1, n_steps + 1)
     borders = low + step * (n - 0.5)
     z = (linearise(np.minimum(borders, top), sensor) - mean) / sigma
     lopsided = light / (6.0 * sigma**3) * (z**2 - 1.0) * np.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi)

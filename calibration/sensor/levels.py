@@ -15,9 +15,6 @@ from scipy.ndimage import median_filter, uniform_filter
 
 from noise_model.compiled.arrays import Bool, Float32, Float64, Int64, Integers
 
-MAX_SIDE_PX = 512
-"""Side of the square of pixels used, about the image's middle, where a lens' light is most uniform."""
-
 BOX_PX = 11
 """The side of the box whose mean is taken off: the pattern of pixels stays, the light's slow change goes."""
 
@@ -187,9 +184,9 @@ def _is_good(level: Level) -> Bool:
 
 
 def _middle(frame: Integers) -> Integers:
-    rows, columns = (
-        slice((n - min(n, MAX_SIDE_PX)) // 2, (n + min(n, MAX_SIDE_PX)) // 2) for n in frame.shape
-    )
+    # A lens' light is most even in the middle: a square of 512 px is used.
+    side_px = 512
+    rows, columns = (slice((n - min(n, side_px)) // 2, (n + min(n, side_px)) // 2) for n in frame.shape)
     return frame[rows, columns]
 
 

@@ -37,9 +37,6 @@ MAX_ROUNDS, SETTLED_SIGMAS = 60, 1e-3
 LOOSER = 1.05
 """Factor by which tau^2 is changed to find its derivatives."""
 
-HELD_ROUNDS = 8
-"""Number of rounds that hold the linearity error: far from the maximum all is off the line."""
-
 
 @dataclass(frozen=True, eq=False)
 class PhotonTransferFit:
@@ -160,9 +157,11 @@ def fit_photon_transfer(problem: PhotonTransferProblem) -> PhotonTransferFit:
         shrink = min(1.0, 0.3 / float(np.abs(step[is_log]).max() + 1e-300))
         x = _inside(x + shrink * step, x, problem)
         before = tau
-        if done >= HELD_ROUNDS:
+        # Eight rounds hold the linearity error: far from the maximum all is off the line.
+        held_rounds = 8
+        if done >= held_rounds:
             tau, freedom = _linearity(problem, x, covariance, tau)
-        if done > HELD_ROUNDS and size[free].max() < SETTLED_SIGMAS and abs(tau - before) < 1e-3 * tau:
+        if done > held_rounds and size[free].max() < SETTLED_SIGMAS and abs(tau - before) < 1e-3 * tau:
             is_settled = True
             break
     predicted = problem.predict_at(x)

@@ -47,9 +47,6 @@ MAX_LINES = 640
 N_BLOCKS = 16
 """Blocks of lines of the jackknife: longer than any grain."""
 
-PROFILE_PX = 60
-"""So far to either side the stripe's mean profile is taken."""
-
 GRAINS_PX = (0.25, 10.0)
 """The grains that the model has."""
 
@@ -228,7 +225,8 @@ def _path(light: Float64, noise: Float64, usable: np.ndarray) -> tuple[int, int,
 
 def _mean_profile(part: Float64, centre: Float64) -> Float64:
     """Return the stripe's mean profile over `PROFILE_PX` px to either side of a path (n,)."""
-    places = np.arange(-PROFILE_PX, PROFILE_PX + 1)
+    reach_px = 60
+    places = np.arange(-reach_px, reach_px + 1)
     lines = np.broadcast_to(np.arange(len(part))[:, np.newaxis], (len(part), len(places)))
     shifted = map_coordinates(part, [lines, centre[:, np.newaxis] + places], order=1, mode="constant")
     return np.asarray(shifted.mean(axis=0))

@@ -29,9 +29,6 @@ from noise_model.compiled.arrays import Bool, Float64, Integers
 from noise_model.fit import student_t
 from noise_model.instrument.sensor import Sensor, saturation_dn
 
-MAX_HIDDEN_DN = 0.4
-"""Read noise that rounding hides is anything from 0 to this (EMVA Standard 1288, section 6)."""
-
 MAX_UNLIKE, CHANCE = 2.0, 0.5
 """The largest relative error of bins, and by how much chi2 per freedom may exceed 1 by chance."""
 
@@ -87,14 +84,16 @@ def calibrate_still(frames_dn: Sequence[Integers], stated: Sensor) -> StillCalib
     dark_sigma = math.hypot(seen.dark_sigma_dn2, _rounding_dn2(dark), unlike * seen.dark_variance_dn2)
     is_hidden = math.sqrt(seen.dark_variance_dn2) < MIN_DARK_SIGMA_DN
     if is_hidden:
-        read, slopes, dark_sigma = 0.5 * MAX_HIDDEN_DN * gain, [0.5 * MAX_HIDDEN_DN, 0.0, gain], 0.0
+        # Rounding hides read noise from 0 to this (EMVA Standard 1288, section 6).
+        hidden_dn = 0.4
+        read, slopes, dark_sigma = 0.5 * hidden_dn * gain, [0.5 * hidden_dn, 0.0, gain], 0.0
     # Gain, black and the dark variance are hardly correlated: black and gain tie in the curve's foot alone.
     gain_sigma = gain**2 * sigma
     J = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], slopes])
     own = np.diag([gain_sigma**2, seen.black_sigma_dn**2, dark_sigma**2])
     covariance = J @ own @ J.T
     if is_hidden:
-        covariance[2, 2] += (MAX_HIDDEN_DN * gain) ** 2 / 12.0
+        covariance[2, 2] += (hidden_dn * gain) ** 2 / 12.0
     half = student_t(0.95, math.inf)
     estimates = {
         name: IntervalEstimate(value, s, value - half * s, value + half * s, unit)

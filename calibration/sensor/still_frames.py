@@ -21,9 +21,6 @@ MIN_FRAMES = 20
 N_LEVELS, N_GRADIENTS, MIN_PIXELS = 20, 3, 60
 """Bins of brightness, bins of gradient within each, and the fewest pixels of a bin."""
 
-BRIGHT_SHARE = 0.1
-"""Pixels brighter than this share of the stripe say what a frame's pixels share."""
-
 DARK_PERCENTILE = 10.0
 """Percentile of the pixels' means that is the mean of pixels without light."""
 
@@ -122,11 +119,13 @@ def _subtract_common(stack: Float32, image: Float64) -> tuple[Float64, Float64, 
     """
     down, across = np.gradient(image)
     light = image - np.percentile(image, DARK_PERCENTILE)
-    is_bright = light > BRIGHT_SHARE * np.percentile(light, 99.9)
+    # Pixels brighter than a tenth of the stripe show what a frame's pixels share.
+    share = 0.1
+    is_bright = light > share * np.percentile(light, 99.9)
     # A camera that shakes moves all of the image, a laser its stripe under a speckle that stays.
     # The blur takes speckle off the stripe.
     smooth = gaussian_filter(np.maximum(light, 0.0), 3.0)
-    slopes = np.stack(np.gradient(smooth)) * light / np.maximum(smooth, 0.1 * BRIGHT_SHARE * smooth.max())
+    slopes = np.stack(np.gradient(smooth)) * light / np.maximum(smooth, 0.1 * share * smooth.max())
     shapes = np.stack([light, down, across, *slopes, np.ones_like(image)])
     # Shot noise grows with the light: bright pixels count less.
     bright = shapes[:, is_bright]

@@ -41,8 +41,6 @@ _NUMBER = {
     base: re.compile(rf"(?:0x)?(?P<number>[{digits}]+)(?P<extended>x?)$", re.IGNORECASE)
     for base, digits in ((16, "0-9a-f"), (10, "0-9"))
 }
-_FD_FLAG = 1 << 12
-
 _DATE = re.compile(
     r"(?:\S+\s+)?(?P<month>\S+)\s+(?P<day>\d{1,2})\.?\s+(?P<hour>\d{1,2}):(?P<minute>\d\d):(?P<second>\d\d)"
     r"(?:[.,](?P<fraction>\d+))?(?:\s+(?P<half>[ap])\.?m\.?)?\s+(?P<year>\d{4})$",
@@ -178,7 +176,7 @@ def _is_fd(words: list[str]) -> bool:
     """Return whether a CANFD line's frame is one of CAN FD: behind its data stand duration, bits, flags."""
     _brs, _esi, _dlc, length, *data = _fd_words(words)
     behind = data[int(length) :]
-    return len(behind) < 3 or bool(int(behind[2], 16) & _FD_FLAG)
+    return len(behind) < 3 or bool(int(behind[2], 16) & (1 << 12))
 
 
 def _start_s(date: str, lines: LogLines) -> float:

@@ -13,9 +13,6 @@ from typing import BinaryIO
 LARGEST_CONTAINER_BYTES = 2**24
 """Packed or unpacked; Vector's tools write containers of 128 KiB."""
 
-LARGEST_OBJECT_BYTES = 2**20
-"""An object of the bus holds 64 bytes of data, one of Ethernet 9000, one of text some kilobytes."""
-
 _FILE_HEADER = struct.Struct("<4sL")
 _OBJECT_HEADER = struct.Struct("<4sHHLL")
 _CONTAINER_HEADER = struct.Struct("<H6xL4x")
@@ -77,7 +74,8 @@ def _walk(objects: bytes) -> bytes:
         if start < 0 or start + _OBJECT_HEADER.size > len(objects):
             return objects[position:]
         size = _OBJECT_HEADER.unpack_from(objects, start)[3]
-        _check_size(size, LARGEST_OBJECT_BYTES, "an object in a container")
+        # An object holds some kilobytes at most: a text, or 9000 bytes of Ethernet.
+        _check_size(size, 2**20, "an object in a container")
         if start + size > len(objects):
             return objects[position:]
         position = start + size

@@ -16,9 +16,6 @@ from pathlib import Path
 
 import can
 
-WRITTEN_SUFFIXES = (".asc", ".blf", ".log")
-"""The formats that are written."""
-
 UNIX_TIME_FROM_S = 631_152_000.0
 """Times from here on (1990-01-01) are taken for wall-clock times, as python-can's BLF writer does."""
 
@@ -38,7 +35,7 @@ class BusLogWriter:
     """Writer of frames to one log file; `close` it, or use it as a context manager."""
 
     def __init__(self, path: Path) -> None:
-        require_suffix(path, WRITTEN_SUFFIXES)
+        require_suffix(path, (".asc", ".blf", ".log"))
         self.path = path
         self._start_s: float | None = None
         self._kept_at_s = time.monotonic()

@@ -13,7 +13,7 @@ import can
 from robot_io.protocol.codec import FRAME_LENGTH, CodecError, decode, message_type_of
 from robot_io.protocol.dbc import cycle_time_s, e2e_data_id, message_layout
 from robot_io.protocol.messages import BusMessage, Source
-from robot_io.protocol.protect import MAX_DELTA_COUNTER, SOURCES, Checker, CheckStatus, counter_of, source_of
+from robot_io.protocol.protect import MAX_DELTA_COUNTER, SOURCES, Checker, counter_of, source_of
 
 M = TypeVar("M", bound=BusMessage)
 
@@ -31,12 +31,6 @@ class SkipReason(Enum):
     WRONG_SEQUENCE = "wrong_sequence"
     OTHER_SOURCE = "other_source"
     UNDECODABLE = "undecodable"
-
-
-_SKIPS = {
-    CheckStatus.REPEATED: SkipReason.REPEATED,
-    CheckStatus.WRONG_SEQUENCE: SkipReason.WRONG_SEQUENCE,
-}
 
 
 @dataclass(frozen=True)
@@ -137,7 +131,7 @@ class Inbox:
             return SkipReason.OTHER_SOURCE
         status = self._checker.check(e2e_data_id(layout, source), frame.data)
         if not status.accepted:
-            return _SKIPS[status]
+            return SkipReason[status.name]
         try:
             message = decode(frame.arbitration_id, frame.data)
         except CodecError:

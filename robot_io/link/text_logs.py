@@ -19,9 +19,6 @@ LineReader = Callable[[str], can.Message | None]
 
 _CSV_HEADER = "timestamp,"
 _TRC_START = re.compile(r";\$STARTTIME=([\d.]+)$")
-_TRC_DAY_0 = datetime(1899, 12, 30, tzinfo=UTC)
-"""PEAK's start times count days from here on."""
-
 _TRC_FRAME = re.compile(r"\b(?:Rx|Tx|DT)\b")
 _TRC_STATE = re.compile(r"\S+\s+[\d.]+\s+(?:ST|EC|ER|EV)\s")
 """A state of the bus or of the device, counted or told as an event, as PEAK's tools write it since 2.0."""
@@ -87,7 +84,8 @@ class _TrcLines:
 
     def __call__(self, line: str) -> can.Message | None:
         if start := _TRC_START.match(line):
-            self._start_s = (_TRC_DAY_0 + timedelta(days=float(start[1]))).timestamp()
+            # PEAK's start times count days from 1899-12-30 on.
+            self._start_s = (datetime(1899, 12, 30, tzinfo=UTC) + timedelta(days=float(start[1]))).timestamp()
         if line.startswith(";"):
             return None
         frame = _cantools_frame(self._parser, line)

@@ -20,9 +20,6 @@ from scipy.spatial.transform import Rotation
 
 Float64 = npt.NDArray[np.float64]
 
-GAP_PERIODS = 4.0
-"""Two neighbouring poses further apart than this many periods say nothing about the time between them."""
-
 ROTATION_TOLERANCE = 1e-3
 """Largest error of a quaternion's norm, and of R Rᵀ against the identity, from a controller's rounding."""
 
@@ -261,7 +258,8 @@ class PoseBuffer:
         beyond_s = t_s - last_s
         if beyond_s > self._max_extrapolation_periods * period_s:
             return _refusal(t_s, PoseRefusal.POSES_STOPPED, period_s)
-        if last_s - before_s > GAP_PERIODS * period_s and beyond_s != 0.0:
+        # Poses further apart say nothing of the time between them.
+        if last_s - before_s > 4.0 * period_s and beyond_s != 0.0:
             return _refusal(t_s, PoseRefusal.GAP, period_s)
         if beyond_s > 0.0:
             first = self._twist_start(times_s, last, period_s)

@@ -31,17 +31,14 @@ def message_layout(name: str) -> Message:
     return database().get_message_by_name(name)
 
 
-SOURCE_STEP = 0x100
-"""Distance of the E2E data ids of two sources."""
-
-
 @cache
 def e2e_data_id(layout: Message, source: Source = Source.LIVE) -> int:
     """Return the E2E data id of a message (16 bit) from a source.
 
     The CRC covers it: a frame of another source fails the check of who listens to one.
     """
-    return int(_attribute(layout, "E2EDataId")) + SOURCE_STEP * source
+    # The ids of two sources are 0x100 apart.
+    return int(_attribute(layout, "E2EDataId")) + 0x100 * source
 
 
 @cache

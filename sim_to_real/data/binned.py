@@ -30,9 +30,6 @@ PoseAt = Callable[[float], Pose | None]
 FLOOR_REL, FLOOR_DN = 0.006, 0.05
 """The model's floor, its own error in a bin: relative to the light, and in DN."""
 
-MAX_ARC_STEP_REL = 0.5
-"""A bin counts if the arc's light changes to its neighbours by a smaller share: it is off shadow edges."""
-
 STRIPE_RIM_BINS = 5
 """The side of the square by which the stripe is dilated: what blurs into it, or where it moves to."""
 
@@ -370,6 +367,6 @@ def _changes_slowly(image: Float32) -> Bool:
     gentle = np.ones(image.shape, dtype=bool)
     for axis in (0, 1):
         for shift in (-1, 1):
-            gentle &= np.abs(np.roll(image, shift, axis=axis) - image) <= MAX_ARC_STEP_REL * image
+            gentle &= np.abs(np.roll(image, shift, axis=axis) - image) <= 0.5 * image
     gentle[[0, -1], :] = gentle[:, [0, -1]] = True
     return gentle

@@ -10,9 +10,6 @@ import numpy as np
 from noise_model.compiled.arrays import Bool
 from sim_to_real.data.binned import ObservedRecording
 
-SAME_CONDITION_REL = 0.05
-"""Exposures and currents that differ by a smaller share are the same: measured ones scatter."""
-
 
 def split_holdout(observed: ObservedRecording, share: float) -> Bool:
     """Return the frames (n_frames,) that are held out: about a share of each stratum, evenly over time.
@@ -60,7 +57,8 @@ def _condition_groups(values: Sequence[float]) -> list[int]:
     """Return the group number of each of some values, not < 0; a group's values follow each other closely."""
     levels = np.array(values, dtype=np.float64)
     order = np.argsort(levels, kind="stable")
-    is_apart = levels[order][1:] > (1.0 + SAME_CONDITION_REL) * levels[order][:-1]
+    # Measured values of one condition scatter by up to 5 %.
+    is_apart = levels[order][1:] > 1.05 * levels[order][:-1]
     group = np.zeros(len(levels), dtype=np.int64)
     group[order[1:]] = np.cumsum(is_apart)
     return list(map(int, group))

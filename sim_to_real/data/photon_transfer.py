@@ -16,9 +16,6 @@ from scipy.stats import chi2
 from noise_model.compiled.arrays import Bool, Float64, Integers
 from sim_to_real.data.blocks import DETAIL_2X2, block_means, weighted_sums_in_bins
 
-N_GREY_LEVELS, MIN_BINS_PER_LEVEL = 24, 500
-"""The number of grey levels at which noise is measured, and the fewest bins for each."""
-
 
 @dataclass(frozen=True, eq=False)
 class PhotonTransfer:
@@ -46,10 +43,12 @@ def photon_transfer(images_dn: Sequence[Integers], usable: Sequence[Bool], bin_p
             *(_of_bins(image, use, bin_px) for image, use in zip(images_dn, usable, strict=True)), strict=True
         )
     )
-    if len(level) < MIN_BINS_PER_LEVEL:
+    # A level's median takes 500 bins; there are 24 levels at most.
+    min_bins = 500
+    if len(level) < min_bins:
         return PhotonTransfer(np.empty(0), np.empty(0))
     order = np.argsort(level, kind="stable")
-    parts = np.array_split(order, min(N_GREY_LEVELS, len(level) // MIN_BINS_PER_LEVEL))
+    parts = np.array_split(order, min(24, len(level) // min_bins))
     # The median of a mean of squares of normal variables lies below its expectation.
     squares = (bin_px // 2) ** 2
     median_ratio = float(chi2.median(squares)) / squares

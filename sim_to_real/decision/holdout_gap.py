@@ -27,17 +27,11 @@ EDGE_PX = 6
 SMOOTH_PX = 4.0
 """1 sigma over which the map of the gap is smoothed."""
 
-LEVEL_STEP_REL = 0.01
-"""Step of the derivative with that level."""
-
 BLOCK_PX = 40
 """The side of the blocks that are resampled for an interval."""
 
 N_BOOTSTRAP = 400
 """Draws of the bootstrap."""
-
-INTERVAL_PERCENT = 2.5, 97.5
-"""The ends of a 95 % interval, percent of the draws."""
 
 
 def predict_holdout(
@@ -121,8 +115,9 @@ def _with_own_level(recorded: Integers, predict_at: Callable[[float], Prediction
     for block_half in (is_even, ~is_even):
         level = 1.0
         for _ in range(3):
-            here, there = predict_at(level), predict_at(level * (1.0 + LEVEL_STEP_REL))
-            slope = (there.mean_dn - here.mean_dn)[block_half] / LEVEL_STEP_REL
+            step = 0.01
+            here, there = predict_at(level), predict_at(level * (1.0 + step))
+            slope = (there.mean_dn - here.mean_dn)[block_half] / step
             weight = np.where(here.saturated, 0.0, 1.0 / here.variance_dn2)[block_half]
             gain = np.sum(weight * slope * (recorded - here.mean_dn)[block_half])
             level *= float(np.clip(1.0 + gain / max(np.sum(weight * slope**2), 1e-12), 0.5, 2.0))
@@ -184,8 +179,9 @@ def measure_gap(
     draws = np.random.default_rng(seed).integers(0, blocks.shape[1], (N_BOOTSTRAP, blocks.shape[1]))
     drawn = np.array([_closed_share(*_gaps(blocks[:, draw].sum(axis=1))) for draw in draws])
     # If more draws than an end leaves out have no gap above the floor, the share has no bounds.
-    is_bounded = 100.0 * np.mean(np.isnan(drawn)) < INTERVAL_PERCENT[0]
-    low, high = np.nanpercentile(drawn, INTERVAL_PERCENT) if is_bounded else (np.nan, np.nan)
+    ends = 2.5, 97.5
+    is_bounded = 100.0 * np.mean(np.isnan(drawn)) < ends[0]
+    low, high = np.nanpercentile(drawn, ends) if is_bounded else (np.nan, np.nan)
     rms = [
         float(np.sqrt(np.mean((predicted.recorded - mean)[counts] ** 2)))
         for mean in (predicted.before, predicted.after)

@@ -39,9 +39,6 @@ from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import FRAME_LEVEL, Refit, refit_at
 from sim_to_real.fit.linearized_model import LinearizedModel
 
-RECORDED_REL = 0.1
-"""A recording holds an experiment if exposure and current of a frame differ from its by a smaller share."""
-
 
 def planned_frame(experiment: Experiment, frame: ObservedFrame, setup: Setup) -> ObservedFrame:
     """Return the frame that an experiment would give at the time of an existing one."""
@@ -74,10 +71,8 @@ def is_recorded(experiment: Experiment, observed: ObservedRecording) -> bool:
         return (
             (condition.laser_level > 0.0) == experiment.laser_on
             and (condition.arc_level > 0.0) == arc_on
-            and math.isclose(
-                condition.exposure_s, experiment.exposure * setup.camera.exposure_s, rel_tol=RECORDED_REL
-            )
-            and (not arc_on or math.isclose(current, experiment.current, rel_tol=RECORDED_REL))
+            and math.isclose(condition.exposure_s, experiment.exposure * setup.camera.exposure_s, rel_tol=0.1)
+            and (not arc_on or math.isclose(current, experiment.current, rel_tol=0.1))
         )
 
     return any(is_like(frame.condition) for frame in observed.frames)

@@ -26,9 +26,6 @@ IN_EACH_FRAME = "arc in each frame"
 TOGETHER, ANYTHING = "all of these", "anything"
 """The free terms of all of a stage's bases, and of all bases."""
 
-PART_KNOTS = (9, 6)
-"""Knots of the scene's texture along the seam and across it."""
-
 ADDED_DN = 50.0
 """Amplitude of a free term of size 1 that adds to the image."""
 
@@ -120,7 +117,7 @@ def form_functions(covariates: Covariates) -> Mapping[Stage, tuple[Float32, ...]
 def texture(covariates: Covariates) -> Float32:
     """Return smooth functions (n, k) of the place on the part: how the scene's brightness may vary."""
     along_mm, aside_mm = covariates.part_mm.T
-    return hats_2d(along_mm, aside_mm, *PART_KNOTS)
+    return hats_2d(along_mm, aside_mm, 9, 6)
 
 
 def _bases(covariates: Covariates) -> list[_Basis]:

@@ -45,12 +45,6 @@ from sim_to_real.search.score_test import ScoreTest
 HAND_EYE = "hand_eye"
 """The effect that the setup's tolerance is about."""
 
-IMAGE_KNOTS = (6, 7)
-"""Knots of the model's own error over rows and columns."""
-
-MIN_STEP_SIGMAS = 0.05
-"""The shortest probe step, in sigmas of its parameter's prior, by which a column is scaled to one sigma."""
-
 
 @dataclass(frozen=True, eq=False)
 class SizeColumns:
@@ -86,7 +80,8 @@ def probe_sigmas(score: ScoreTest) -> Float64:
     sigmas = np.array([parameter.prior_sigma for parameter in REGISTRY[score.id].parameters])
     lengths = np.max(np.abs(score.steps) / sigmas, axis=1)
     # Where light ends is no step of a parameter: the change to its shape counts as one.
-    return np.where(lengths > 0.0, np.maximum(lengths, MIN_STEP_SIGMAS), 1.0)
+    # A column is scaled to one sigma, from a step of 0.05 sigmas or more.
+    return np.where(lengths > 0.0, np.maximum(lengths, 0.05), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,7 +331,7 @@ def smooth_error(covariates: Covariates, policy: Policy) -> Float32:
     per_dn = 1.0 / covariates.sigma_dn
     sources = [covariates.arc_dn * per_dn, covariates.laser_dn * per_dn]
     rows, columns = covariates.values["row"], covariates.values["column"]
-    image = hats_2d(rows, columns, *IMAGE_KNOTS)
+    image = hats_2d(rows, columns, 6, 7)
     in_frame = frame_indicators(covariates)
     tilts = [_centre(rows), _centre(columns)]
     over_image = [policy.image_rel * image * source[:, np.newaxis] for source in sources]

@@ -26,9 +26,6 @@ from sim_to_real.evidence.evidence_table import EvidenceTable, Sizes
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.covariates import UNITS, Covariates
 
-N_COEFFICIENTS, N_KNOTS_2D = 10, (6, 7)
-"""Coefficients of a spline at most, and hat functions over rows and columns."""
-
 MIN_EXCESS = 0.1
 """Shares are of an excess of this share of the floor at least: the model's own error is as large."""
 
@@ -189,9 +186,7 @@ class FreeFunctions:
 def all_families(covariates: Covariates, compared: Int64) -> dict[str, list[FunctionFamily]]:
     """Return the functions of each covariate in all forms, in those bins (n,) of all that are compared."""
     bins = covariates.subset(compared)
-    over_image = (
-        hats_2d(bins.values["row"], bins.values["column"], *N_KNOTS_2D) / bins.sigma_dn[:, np.newaxis]
-    )
+    over_image = hats_2d(bins.values["row"], bins.values["column"], 6, 7) / bins.sigma_dn[:, np.newaxis]
     ghost = (_mirrored(covariates) / covariates.sigma_dn)[compared, np.newaxis]
     nowhere = len(ghost), np.zeros(0), np.zeros((0, 0))
     families = {name: covariate_families(name, bins) for name in UNITS}
@@ -235,7 +230,7 @@ def _spline(x: Float64) -> tuple[Float64, Float64, Float64]:
     # Each of up to 5 values has a coefficient of its own; of more, two share one.
     if len(distinct) <= 5:
         return np.equal.outer(x, distinct).astype(np.float64), distinct, np.eye(len(distinct))
-    count = min(N_COEFFICIENTS, max(4, len(distinct) // 2))
+    count = min(10, max(4, len(distinct) // 2))
     breaks, places = _spread(x, count - 2), _spread(x, 25)
     knots = np.concatenate([breaks[:1].repeat(3), breaks, breaks[-1:].repeat(3)])
     at_bins, at_places = (BSpline.design_matrix(values, knots, 3).toarray() for values in (x, places))

@@ -33,9 +33,6 @@ from sim_to_real.search.score_test import ScoreTest
 TermEvidence: TypeAlias = Mapping[Term, Sequence[float]]
 """The evidence of each free term, nats, at each size that its columns may have."""
 
-MAX_SINGLES, MAX_TRENDS = 10, 3
-"""Largest number of fitted effects, and of the likeliest ones that are also fitted as changing in time."""
-
 MAX_ROUNDS, SETTLED_NATS = 4, 1.0
 """Largest number of renderings at a fit, and the least gain of evidence for another one."""
 
@@ -50,9 +47,6 @@ MOVING = tuple(name for name, effect in REGISTRY.items() if effect.stage in (Sta
 
 A straight line foretells little of a stripe that lies elsewhere.
 """
-
-BOUNCES = Stage.SURFACE, Stage.MEDIUM, Stage.OPTICS
-"""The stages whose free terms come near light that bounces: no fit of it is likelier than all of them."""
 
 STARTS_OF_STAND_INS: Mapping[str, Sequence[Effects]] = {
     FLICKER: ({FLICKER: REGISTRY[FLICKER].neutral},),
@@ -197,7 +191,8 @@ class HypothesisSearch:
         fitted: list[Hypothesis] = []
         unknown, is_large = self.unknown(term_evidence).evidence, self.start.mean_square > BIASED_MEAN_SQUARE
         # Light that bounces comes last: what others explain better than free terms near it needs no fit.
-        ranked = sorted(looks.keys() - {INTERREFLECTION}, key=lambda name: (-looks[name], name))[:MAX_SINGLES]
+        max_fits = 10
+        ranked = sorted(looks.keys() - {INTERREFLECTION}, key=lambda name: (-looks[name], name))[:max_fits]
         moving = [name for name in MOVING if name in looks and name not in ranked]
         for n, name in enumerate([*ranked, *moving, *(looks.keys() & {INTERREFLECTION})]):
             gained = max((hypothesis.evidence - none.evidence for hypothesis in fitted), default=0.0)
@@ -208,10 +203,10 @@ class HypothesisSearch:
             is_open = name in MOVING and is_large and gained < unknown - none.evidence
             if looks[name] < self._needed((1.0 - share) * gained) and not is_open:
                 continue
-            self.on_stage(f"fitting {name}", 0.2 + 0.6 * n / MAX_SINGLES)
+            self.on_stage(f"fitting {name}", 0.2 + 0.6 * n / max_fits)
             fitted.append(self.hypothesis(self.fit(starts[name], self.start.nuisance)))
         settled = self._settled(self.approached(fitted), unknown)
-        trends = [trend for single in settled[:MAX_TRENDS] for trend in self._with_trends(single)]
+        trends = [trend for single in settled[:3] for trend in self._with_trends(single)]
         return sorted([*self._settled(trends, unknown), *settled], key=_evidence, reverse=True)
 
     def approached(self, fitted: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -296,7 +291,11 @@ class HypothesisSearch:
             looks[FLICKER] = free[Stage.SOURCE, IN_EACH_FRAME]
         if self.model.observed.shows_arc.any() and not is_flat and INTERREFLECTION not in self.without:
             # Light that bounces is a function of several stages' coordinates: any of them may come nearest.
-            looks[INTERREFLECTION] = max(nats for (stage, _), nats in free.items() if stage in BOUNCES)
+            looks[INTERREFLECTION] = max(
+                nats
+                for (stage, _), nats in free.items()
+                if stage in (Stage.SURFACE, Stage.MEDIUM, Stage.OPTICS)
+            )
         return looks
 
     def fit(self, starts: Sequence[Effects], nuisance: Float64, trend: Trend | None = None) -> Refit:

@@ -20,9 +20,6 @@ from sim_to_real.evidence.evidence_table import Blocks, EvidenceTable
 from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.search.score_test import ScoreTest
 
-MAX_PAIRS, MAX_STARTS = 2, 3
-"""Largest number of fitted pairs of either kind, and of an effect's families."""
-
 START_SHARES = 1.0, 0.4, 0.1
 """At these shares of the likeliest step a fit may start: at the one where least is left."""
 
@@ -63,7 +60,7 @@ class Looks:
 
     def starts_of(self, score: ScoreTest) -> list[Effects]:
         """Return where fits of an effect may start, along its likeliest families."""
-        return [start for n in self._ranked(score)[:MAX_STARTS] for start in self._starts(self._probes, n)]
+        return [start for n in self._ranked(score)[:3] for start in self._starts(self._probes, n)]
 
     def _starts(self, table: EvidenceTable, *families: int) -> list[Effects]:
         """Return effects at shares of the likeliest steps along some families, by number, fitted together."""
@@ -145,4 +142,4 @@ class Looks:
         for families in sorted(gains, key=lambda families: -gains[families]):
             if gains[families] > needed:
                 best.setdefault(tuple(self._families[n].id for n in families), families)
-        return list(best.values())[:MAX_PAIRS]
+        return list(best.values())[:2]

@@ -27,9 +27,6 @@ from sim_to_real.search.score_test import ScoreTest, score_effects
 MIN_NATS = 3.0
 """The evidence over no gap from which on an effect shows."""
 
-CONFOUNDED_COSINE = 0.98
-"""Two effects are not resolvable if the cosine between what they change is larger."""
-
 
 @dataclass(frozen=True, eq=False)
 class WeightedHypotheses:
@@ -61,7 +58,7 @@ class WeightedHypotheses:
                 seen[blocks[n], blocks[n]], seen[blocks[n], blocks[m]], seen[blocks[m], blocks[m]]
             )
             # All of the smaller span must lie within the larger: the smallest cosine counts.
-            if len(cosines) and cosines.min() > CONFOUNDED_COSINE:
+            if len(cosines) and cosines.min() > 0.98:
                 pairs.append((self.scores[n].id, self.scores[m].id))
         return tuple(pairs)
 

@@ -50,9 +50,6 @@ plate's plane; phi_r = 0 on the side opposite the arc. These four are NaN while 
 `row`, `column` and `radius`, from the principal point, are in pixels of the recording.
 """
 
-VELOCITY_SPAN_S = 0.02
-"""The time over which a tool's velocity is measured."""
-
 MIN_SPEED_MM_S = 0.2
 """A tool that moves sideways more slowly counts as moving neither way."""
 
@@ -235,11 +232,12 @@ def _of_frame(observed: ObservedRecording, frame: ObservedFrame, true: Setup, n:
 
 def velocity_sign(frame: ObservedFrame, true: Setup) -> float:
     """Return 1 if the tool goes to the left of travel while a frame is taken, -1 to the right, 0 neither."""
-    before, after = (frame.T_base_tool_in(true, by * VELOCITY_SPAN_S) for by in (-0.5, 0.5))
+    span_s = 0.02
+    before, after = (frame.T_base_tool_in(true, by * span_s) for by in (-0.5, 0.5))
     step_base = after[:3, 3] - before[:3, 3]
     start, end = (np.asarray(point) for point in true.joint.seam_in_base_mm[:2])
     left_base = np.cross(true.joint.surface_normal_in_base, end - start)
-    speed = float(step_base @ left_base / np.linalg.norm(left_base)) / VELOCITY_SPAN_S
+    speed = float(step_base @ left_base / np.linalg.norm(left_base)) / span_s
     return 0.0 if abs(speed) < MIN_SPEED_MM_S else float(np.sign(speed))
 
 

@@ -36,14 +36,8 @@ Item = TypeVar("Item")
 
 Result = TypeVar("Result")
 
-MAX_SEAM_SIGMAS = 2.0
-"""Largest bend of a fitted seam that is used, in sigmas: a gap may have bent it."""
-
 FOURTH, ONE = np.array([1.0, -4.0, 6.0, -4.0, 1.0], dtype=np.float32), np.ones(1, dtype=np.float32)
 """The taps of a fourth difference, and of none."""
-
-SPREADING_EFFECTS = frozenset(name for name, effect in REGISTRY.items() if effect.spreads)
-"""The effects by which a bin's light comes from elsewhere in the image."""
 
 INTERREFLECTION = "interreflection"
 """The effect whose light takes longest to compute."""
@@ -128,7 +122,8 @@ class LinearizedModel:
     ) -> Float64:
         first, last, torch = frame.stations_mm
         curve = self.renderings.seam_curve(effects)
-        coefficients = np.clip(nuisance[SEAM_FROM:], -MAX_SEAM_SIGMAS, MAX_SEAM_SIGMAS)
+        # A gap may have bent the fitted seam further.
+        coefficients = np.clip(nuisance[SEAM_FROM:], -2.0, 2.0)
         deviation_mm = curve.chord_deviation_mm(coefficients, 0.5 * (first + last), torch)
         # A seam nearer to its chord counts as straight.
         if deviation_mm < 0.03 or frame.condition.arc_level == 0.0:
@@ -161,7 +156,7 @@ class LinearizedModel:
     def lights(self, anchor: Float64, effects: Effects, trend: Trend | None = None) -> list[FrameLight]:
         """Return the light in the bins of each frame at nuisances (p,) and effects; one may have a trend."""
         true = apply_setup_effects(self.renderings.setup(effects, anchor))
-        spreads = true.camera.psf_sigma_px >= NARROW_PX or not SPREADING_EFFECTS.isdisjoint(true.effects)
+        spreads = true.camera.psf_sigma_px >= NARROW_PX or any(REGISTRY[e].spreads for e in true.effects)
         every = self._whole if spreads else self._near
 
         def lights_of(frames: Sequence[PredictedBins]) -> list[FrameLight]:

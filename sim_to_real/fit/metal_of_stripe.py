@@ -12,9 +12,6 @@ from sim_to_real.data.binned import ObservedRecording
 from sim_to_real.fit.gauss_newton import refit
 from sim_to_real.fit.linearized_model import LinearizedModel
 
-METAL_EFFECTS = ("wrong_material", "roughness_change")
-"""The effects whose parameters are a metal's kappas and c2."""
-
 
 def metal_of_stripe(observed: ObservedRecording, threads: int) -> Callable[[Setup], Setup]:
     """Return what puts the metal that a recording's stripe shows in place of an unstated one.
@@ -29,11 +26,13 @@ def metal_of_stripe(observed: ObservedRecording, threads: int) -> Callable[[Setu
         model = model.anchored_at(model.neutral, {})
         fits.append((refit(model, {}, model.neutral), model, material))
     start, model, material = min(fits, key=lambda fit: fit[0].mean_square)
-    fitted = refit(model, {name: REGISTRY[name].neutral for name in METAL_EFFECTS}, start.nuisance)
+    # Their parameters are a metal's kappas and c2.
+    names = ("wrong_material", "roughness_change")
+    fitted = refit(model, {name: REGISTRY[name].neutral for name in names}, start.nuisance)
 
     def change(setup: Setup) -> Setup:
         setup = _with_material(material)(setup)
-        for name in METAL_EFFECTS:
+        for name in names:
             apply = REGISTRY[name].setup
             assert apply is not None
             setup = apply(setup, fitted.effects[name])

@@ -33,9 +33,6 @@ RENDERED_EFFECTS = frozenset(
 ) - {"gamma", "black_level", "read_noise", "defocus"}
 """The effects that need a new rendering."""
 
-WRONG_MATERIAL = "wrong_material"
-"""The effect that changes a metal's kappas alone."""
-
 Frames = Sequence[PredictedBins]
 """Some bins of each of some frames, all of which are rendered in one call."""
 
@@ -151,9 +148,9 @@ class Renderings:
 
         It is linear in a metal's kappas: what each of them reflects serves for all metals of the same lobe.
         """
-        if WRONG_MATERIAL not in effects:
+        if "wrong_material" not in effects:
             return self._arc_of_metal(frames, true, anchor, effects, ())
-        others = {name: values for name, values in effects.items() if name != WRONG_MATERIAL}
+        others = {name: values for name, values in effects.items() if name != "wrong_material"}
         metal = true.material
         diffuse, specular = (
             self._arc_of_metal(

@@ -26,9 +26,6 @@ Camera and seam can move so that the stripe hardly does: over 0.02 mm its curvat
 and a corrugation's fit came nearer by a quarter of the way at a time.
 """
 
-GROUND_STEP_MM = 5e-4
-"""Step of the derivatives with the place of the seam under the arc."""
-
 EDGE_SHARE, EDGE_E = 0.01, 2.0
 """Least change of a bin's light over a step at an edge: relative, and in e-."""
 
@@ -96,8 +93,9 @@ class _Frames:
         """Return steps of the place of the seam under the arc, to the left and up."""
         steps = []
         for axis in ("y_mm", "z_mm"):
-            seams = [replace(seam, ground=_moved(seam.ground, axis, GROUND_STEP_MM)) for seam in self.seams]
-            steps.append((self._see(self.setup, seams, self.stretch), GROUND_STEP_MM))
+            step_mm = 5e-4
+            seams = [replace(seam, ground=_moved(seam.ground, axis, step_mm)) for seam in self.seams]
+            steps.append((self._see(self.setup, seams, self.stretch), step_mm))
         return steps
 
     def along_modes(self, chosen: Bool, by_step: Sequence[Float32]) -> Float32:

@@ -32,9 +32,6 @@ ROUNDED_SIGMA = math.sqrt(1.0 / 12.0)
 MIN_STEP, MAX_STEP = 4.0 * ROUNDED_SIGMA, 20.0
 """A finer step shows in nothing; over a coarser one a scene's own coefficients are not spread evenly."""
 
-ELSEWHERE = 0.1
-"""The share of compressed coefficients that lie anywhere: pixels were cut at black or white."""
-
 
 @dataclass(frozen=True)
 class Compression:
@@ -99,7 +96,9 @@ def _gain_of_steps(value: Float64, place: Int64, step: Float64) -> float:
     multiple = np.rint(v / q)
     near = np.exp(-0.5 * ((v - q * multiple) / ROUNDED_SIGMA) ** 2)
     near /= math.sqrt(2.0 * math.pi) * ROUNDED_SIGMA
-    gain = np.log((1.0 - ELSEWHERE) * near * q + ELSEWHERE)
+    # Pixels cut at black or white put a tenth of the coefficients anywhere.
+    anywhere = 0.1
+    gain = np.log((1.0 - anywhere) * near * q + anywhere)
     _, cell = np.unique(1000 * place[tells] + multiple.astype(np.int64), return_inverse=True)
     count, total = np.bincount(cell), np.bincount(cell, gain)
     # A stripe repeats its coefficients: equal ones count as 4 at most.

@@ -33,9 +33,6 @@ CLIP_SIGMAS = 5.0
 MIN_VARIANCE_RATIO = 0.25
 """The smallest variance, over the stated one."""
 
-N_LIGHT_GROUPS = 10
-"""Groups of light in which the fitted variance is compared with the measured one."""
-
 DETAIL_PX = 4
 """The side of the larger details."""
 
@@ -169,9 +166,10 @@ def _relative_error(pooled: HaarDetails, part: tuple[Float64, Float64], theta: F
     squares, columns = part
     variance = np.maximum(pooled.stated + columns @ theta, MIN_VARIANCE_RATIO * pooled.stated)
     ratio = np.minimum(squares / variance[:, np.newaxis], CLIP_SIGMAS**2).mean(axis=1)
-    groups = np.array_split(ratio[np.argsort(pooled.light)], N_LIGHT_GROUPS)
+    n_groups = 10
+    groups = np.array_split(ratio[np.argsort(pooled.light)], n_groups)
     errors = np.array([np.mean(group) - 1.0 for group in groups if len(group)])
-    sampling = 2.0 * N_LIGHT_GROUPS / max(squares.size, 1)
+    sampling = 2.0 * n_groups / max(squares.size, 1)
     return math.sqrt(max(float(np.mean(errors**2)) - sampling, 0.0))
 
 

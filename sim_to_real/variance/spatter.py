@@ -30,14 +30,8 @@ from sim_to_real.variance.streaks import LineSearch, StreakLine, search_lines, t
 CLUTTER_FRAMES = 30.0
 """Prior of lines that are no streaks: fewer than one in this number of frames."""
 
-RIM_BINS = 3
-"""Bins about a streak from which its background is taken."""
-
 OUTLIER_SIGMAS = 4.0
 """Distance from the background, in sigmas, of pixels that do not belong to it."""
-
-WINDOW_PX, WINDOW_ROUNDS, MAX_KEPT = 4.0, 4, 0.9
-"""1 sigma of the window across a streak, its iterations, and the share of it that a streak may fill."""
 
 PARAMETERS = {parameter.name: parameter for parameter in REGISTRY["spatter"].parameters}
 """The catalogue's parameters of spatter."""
@@ -140,8 +134,10 @@ def _measure(
     """Measure a line in the pixels about it; None if it is no streak on a smooth background."""
     frame, setup, bin_px = observed.frames[line.position], observed.setup, observed.bin_px
     shape = np.array(frame_search.limit_dn.shape)
-    low = np.maximum(line.bins.min(axis=0) - RIM_BINS - 1, 0)
-    high = np.minimum(line.bins.max(axis=0) + RIM_BINS + 2, shape)
+    # The background is taken from three bins about a streak.
+    rim = 3
+    low = np.maximum(line.bins.min(axis=0) - rim - 1, 0)
+    high = np.minimum(line.bins.max(axis=0) + rim + 2, shape)
     window = slice(low[0], high[0]), slice(low[1], high[1])
     mask = np.zeros(high - low, dtype=np.bool_)
     mask[tuple((line.bins - low).T)] = True
@@ -182,18 +178,20 @@ def _moments(place: Float64, charge: Float64) -> tuple[float, float, float] | No
         return None
     place = place - (place @ charge / total)[:, np.newaxis]
     lateral, along = np.linalg.eigh((place * charge) @ place.T)[1].T @ place
-    across, window = 0.0, WINDOW_PX**2
-    for _ in range(WINDOW_ROUNDS):
+    # The window's 1 sigma across the streak; a streak fills 90 % of it at most.
+    sigma_px = 4.0
+    across, window = 0.0, sigma_px**2
+    for _ in range(4):
         seen = charge * np.exp(-0.5 * lateral**2 / window)
         total = float(seen.sum())
         if total <= 0.0:
             return None
         lateral = lateral - float(lateral @ seen) / total
-        kept = min(float(lateral**2 @ seen) / total / window, MAX_KEPT)
+        kept = min(float(lateral**2 @ seen) / total / window, 0.9)
         if kept <= 0.0:
             return None
         across, integral_kept = window * kept / (1.0 - kept), math.sqrt(1.0 - kept)
-        window = max(WINDOW_PX**2, 2.0 * across)
+        window = max(sigma_px**2, 2.0 * across)
     middle = float(along @ seen) / total
     lengthwise = float((along - middle) ** 2 @ seen) / total
     # A streak's variance along it is at least 4 times that across it.

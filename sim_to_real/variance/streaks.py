@@ -27,12 +27,6 @@ from sim_to_real.fit.frame_light import FrameLight
 from sim_to_real.variance.haar_details import VarianceSizes
 from sim_to_real.variance.line_filter import N_ANGLES, NOISE_GAIN, line_response
 
-WIDE_BINS = 5
-"""The width, bins, from which a bright area is no streak; the median filter of the background has it too."""
-
-MISPLACED_BINS = 3
-"""Largest distance of the model's lines from the true ones."""
-
 
 @dataclass(frozen=True, eq=False)
 class StreakLine:
@@ -93,8 +87,12 @@ def _search_frame(
     min_sigmas: float,
     bin_px: int,
 ) -> LineSearch:
-    sensor, around = light.sensor, np.ones((2 * MISPLACED_BINS + 1,) * 2, dtype=np.uint8)
-    seen_dn = np.asarray(cv2.medianBlur(frame.binned_dn, WIDE_BINS), dtype=np.float32)
+    # The model's lines may lie three bins off the true ones.
+    around_bins = 3
+    sensor, around = light.sensor, np.ones((2 * around_bins + 1,) * 2, dtype=np.uint8)
+    # A bright area of this width is no streak, and part of the background.
+    wide_bins = 5
+    seen_dn = np.asarray(cv2.medianBlur(frame.binned_dn, wide_bins), dtype=np.float32)
     light_dn = seen_dn - np.float32(sensor.black_level_dn)
     noise_dn = np.hypot(_noise_dn(frame, light, seen_dn, sizes, bin_px), np.float32(math.sqrt(more_dn2)))
     floor_dn = np.hypot(FLOOR_REL * light_dn, FLOOR_DN)
@@ -105,11 +103,11 @@ def _search_frame(
     limit_dn = np.asarray(min_sigmas * NOISE_GAIN * np.hypot(noise_dn, floor_dn) + own_dn, dtype=np.float32)
     full = block_means(frame.image_dn >= saturation_dn(sensor), bin_px) > 0.0
     # An area that is saturated across several bins is no streak.
-    wide = cv2.morphologyEx(full.astype(np.uint8), cv2.MORPH_OPEN, np.ones((WIDE_BINS, WIDE_BINS), np.uint8))
-    limit_dn[dilate(wide > 0, 2 * MISPLACED_BINS + 1)] = np.inf
+    wide = cv2.morphologyEx(full.astype(np.uint8), cv2.MORPH_OPEN, np.ones((wide_bins, wide_bins), np.uint8))
+    limit_dn[dilate(wide > 0, 2 * around_bins + 1)] = np.inf
     stripe = np.zeros(frame.keep.shape, dtype=np.bool_)
     stripe[frame.keep] = frame.in_stripe
-    stripe = dilate(stripe, 2 * MISPLACED_BINS + 1)
+    stripe = dilate(stripe, 2 * around_bins + 1)
     responses = line_response(frame.binned_dn)
     return LineSearch(light_dn, noise_dn, own_dn, limit_dn, stripe, responses.bright, responses.dark)
 
