@@ -54,7 +54,9 @@ def track_frame(given: FrameInput, frame_checks: FrameChecks) -> FrameResult | N
     # After LOST_TO_FORGET frames without a joint the earlier ones count no longer.
     confirmed = state.history if state.lost < LOST_TO_FORGET else NO_HISTORY
     expected = expect_seam(source, given.T_base_tool, confirmed)
-    reach_mm = _reach_mm(state, expected)
+    reach_mm = min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * max(expected.sigma_mm))
+    if state.lost >= LOST_TO_SEARCH:
+        reach_mm = SEARCH_REACH_MM
     aim = _aim_at(given, expected.line, reach_mm, state.scatter)
     if frame_checks.ask(checks.REACH, reach_mm, SEARCH_REACH_MM):
         reading = look_and_fit(given, frame_checks, aim)
@@ -104,13 +106,6 @@ def look_and_fit(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Read
         scatter=aim.scatter if counted is None else counted.scatter,
         read_with=aim.scatter,
     )
-
-
-def _reach_mm(state: TrackerMemory, expected: ExpectedSeam) -> float:
-    """Return the half-width of the search about the expected seam, mm."""
-    if state.lost >= LOST_TO_SEARCH:
-        return SEARCH_REACH_MM
-    return min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * max(expected.sigma_mm))
 
 
 def _aim_at(given: FrameInput, seam: SeamLine, reach_mm: float, scatter: Scatter) -> Aim:

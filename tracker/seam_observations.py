@@ -13,6 +13,7 @@ import numpy as np
 
 from noise_model.compiled.arrays import Float64
 from noise_model.effects import apply_setup_effects, pose_time_s
+from noise_model.evenly import evenly
 from noise_model.setup import Setup
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert, transform
@@ -62,8 +63,7 @@ class SeamObservations:
 
     def thinned(self, max_count: int) -> SeamObservations:
         """Return at most `max_count` of the observations, evenly chosen."""
-        n = len(self.image_px)
-        kept = np.unique(np.linspace(0, n - 1, min(n, max_count)).round().astype(np.int64))
+        kept = evenly(len(self.image_px), max_count)
         poses = tuple(self.poses[i] for i in kept)
         return SeamObservations(self.image_px[kept], self.timestamps_s[kept], self.variances_mm2[kept], poses)
 

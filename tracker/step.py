@@ -57,7 +57,8 @@ def step(
     the seam, it will act.
     """
     frame_checks = FrameChecks()
-    if pose is None or not _is_readable(geometry, frame, pose):
+    form = frame.image_dn.shape, frame.image_dn.dtype
+    if pose is None or pose.T_base_tool.shape != (4, 4) or form != geometry.frame_form:
         _check_form(frame_checks, geometry, frame, pose)
         return _refused(state, frame_checks, frame)
     frame, pose = _as_compiled_for(frame, pose)
@@ -126,12 +127,6 @@ def _as_compiled_for(frame: Frame, pose: Pose) -> tuple[Frame, Pose]:
     if not image_dn.flags.carray:
         frame = replace(frame, image_dn=np.require(image_dn, requirements=("C", "W", "A")))
     return frame, pose if T_base_tool is pose.T_base_tool else replace(pose, T_base_tool=T_base_tool)
-
-
-def _is_readable(geometry: SensorGeometry, frame: Frame, pose: Pose) -> bool:
-    """Return True if a frame and a pose have their form."""
-    image_dn = frame.image_dn
-    return pose.T_base_tool.shape == (4, 4) and (image_dn.shape, image_dn.dtype) == geometry.frame_form
 
 
 def _check_form(frame_checks: FrameChecks, geometry: SensorGeometry, frame: Frame, pose: Pose | None) -> None:

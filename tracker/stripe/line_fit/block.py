@@ -109,7 +109,7 @@ class StepRound(NamedTuple):
 
 @kernel
 def _clipped(x: Lanes, limit: float) -> Lanes:
-    """Return x between -most and most."""
+    """Return x between -limit and limit."""
     x = where(x < spread(limit), x, spread(limit))
     return where(x > spread(-limit), x, spread(-limit))
 
