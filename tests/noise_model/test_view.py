@@ -57,6 +57,18 @@ def test_many_scenes_show_what_each_of_them_shows(joint):
     assert laser_e.max() > 0.0
 
 
+def test_a_frame_shows_what_its_pixels_show_in_a_row():
+    setup = nominal_setup("lap", "mild_steel", width=48, height=36)
+    frame, row = View.of(setup, POSES[0]), View.of(setup, POSES[0], pixels=np.arange(48 * 36))
+    assert (frame.shape, row.shape) == ((36, 48), (48 * 36,))
+    assert (frame.is_frame, row.is_frame) == (True, False)
+    for of_frame, of_row in zip((*frame.surface, *frame.sheet), (*row.surface, *row.sheet), strict=True):
+        np.testing.assert_array_equal(of_frame.reshape(of_row.shape), of_row)
+    np.testing.assert_array_equal(frame.arc_e().ravel(), row.arc_e())
+    np.testing.assert_array_equal(frame.laser_e(1000.0).ravel(), row.laser_e(1000.0))
+    np.testing.assert_array_equal(frame.rays.uv_px[7, 11], (11.0, 7.0))
+
+
 def test_some_pixels_show_what_all_show():
     (view,) = alone(nominal_setup("lap", "mild_steel", width=48, height=36), POSES[:1])
     chosen = np.arange(len(view.which)) % 3 == 0
