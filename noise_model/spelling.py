@@ -15,7 +15,7 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
 
 
 def cure_for(name: str, known: Iterable[str]) -> str:
-    """Return what to do about an unknown name: `did you mean 'x'?`, or what names there are."""
+    """Return the cure of an unknown name: `did you mean 'x'?`, or the names that there are."""
     names = tuple(known)
     near = nearest(name, names)
     return f"there are {', '.join(names)}" if near is None else f"did you mean {near!r}?"

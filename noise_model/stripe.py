@@ -68,7 +68,7 @@ def see_sheet(
     corrugation: Float64,
     seen: SheetReach,
 ) -> None:
-    """Write which points (n, 3), mm, joint frame, the sheet is near up to a reach, and which it shades.
+    """Write the points (n, 3), mm, joint frame, within a reach of the sheet, and those in its shadow.
 
     `which` (n,) says to which of the `sheets` each point belongs.
     """
@@ -149,7 +149,7 @@ def stripe_reference(setup: Setup) -> float:
 
 
 def stripe_point(setup: Setup) -> Float64:
-    """Return where laser plane, plate at tool height and middle column meet (3,), tool frame, mm.
+    """Return the intersection of laser plane, plate at tool height and middle column (3,), tool frame, mm.
 
     The middle row it is where the stripe runs along columns. Its plane holds the camera and the ray of the
     image's middle: a lens whose distortion bends the column leaves it slightly off.
@@ -166,7 +166,7 @@ def stripe_point(setup: Setup) -> Float64:
 
 
 def stripe_depth_mm(setup: Setup) -> float:
-    """Return how far along the camera's axis `stripe_point` lies, mm; negative behind the camera."""
+    """Return the depth of `stripe_point` along the camera's axis, mm; negative behind the camera."""
     return float(transform(invert(setup.camera.T_tool_camera), stripe_point(setup))[2])
 
 

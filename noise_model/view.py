@@ -239,7 +239,7 @@ class View:
         return np.float32(image.reshape(-1)[: self.n_even].mean(dtype=np.float64))
 
     def cached(self, name: str, compute: Callable[[], Cached]) -> Cached:
-        """Return what was computed under a name before, or compute it.
+        """Return a value that is computed once under its name.
 
         It goes with the rays' ends: `dataclasses.replace` of a setup that renders equally, or by another
         metal, hands it on. So it may depend on that setup's geometry and source, on no effect on the image;

@@ -239,7 +239,7 @@ class SensorGeometry:
         return float(np.abs(scan_points[1:, 1] - scan_points[0, 1]).max())
 
     def reach_px(self, reach_mm: float) -> float:
-        """Return how far about its place, px, a stripe is sought that may be off by a reach, mm."""
+        """Return the half-width of the search, px, for a stripe that may be off by a reach, mm."""
         return reach_mm * max(self.pixels_per_mm, MIN_PIXELS_PER_MM)
 
     @cached_property
@@ -282,7 +282,7 @@ def dark_variance_at(image: ImageSource, charge_e: Float32 | Float64) -> float:
 
 
 def meet_laser_plane(setup: Setup, origins_tool: Float64, rays_tool: Float64) -> Float64:
-    """Return where rays (n, 3) from origins (3,) or (n, 3), mm, meet the laser plane, tool frame.
+    """Return the places of rays (n, 3) from origins (3,) or (n, 3), mm, in the laser plane, tool frame.
 
     A ray that runs away from the plane gives NaN.
     """

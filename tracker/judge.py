@@ -105,7 +105,7 @@ def _is_near(frame_checks: FrameChecks, away_mm: Pair, limit_mm: Pair) -> bool:
 def jump_of(
     history: SeamHistory, station_mm: float, displacement_mm: Pair, variance_mm2: Pair
 ) -> tuple[Pair, Pair]:
-    """Return how far a seam lies from where a history puts it, and how far it may, mm, in y and in z each."""
+    """Return the distance of a seam from where a history puts it, and its limit, mm, in y and in z each."""
     there = condition(history, station_mm)
     away_y_mm, away_z_mm = (abs(a - b) for a, b in zip(displacement_mm, there.displacement_mm, strict=True))
     limit_y_mm, limit_z_mm = map(jump_limit_mm, there.sigma_mm, variance_mm2)
@@ -113,5 +113,5 @@ def jump_of(
 
 
 def jump_limit_mm(expected_sigma_mm: float, variance_mm2: float) -> float:
-    """Return how far a seam may lie from where the earlier frames put it, mm, without being a jump."""
+    """Return the largest distance of a seam from where the earlier frames put it, mm, that is no jump."""
     return max(JUMP_SIGMAS * math.sqrt(expected_sigma_mm**2 + variance_mm2), JUMP_FLOOR_MM)

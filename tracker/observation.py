@@ -123,7 +123,7 @@ class Reading(NamedTuple):
         return self.checks.flags
 
     def aim(self, use_arc_map: bool) -> Aim:
-        """Return where the look was taken."""
+        """Return the aim of the look."""
         return Aim(self.scene, self.seam, self.reach_mm, use_arc_map, self.read_with)
 
     @property
@@ -261,7 +261,7 @@ def predict_light(
 
 
 def transmission_of(geometry: SensorGeometry, scene: Scene, frame: Frame) -> Transmission | None:
-    """Return what a frame's effects make of the arc's light, None if no effect acts on it."""
+    """Return the transmission of the arc's light through a frame's effects, None if no effect acts on it."""
     if not geometry.has_light_effects:
         return None
     output = expected_output(geometry.setup, frame)

@@ -97,7 +97,7 @@ class Frame:
 
 
 def frame_misfit(shape: tuple[int, ...], dtype: npt.DTypeLike, setup: Setup) -> str | None:
-    """Return what is wrong with an image's shape, (H, W) if right, and type for a setup; None if it fits."""
+    """Return the misfit of an image's shape, (H, W) if right, and type to a setup; None if it fits."""
     camera, sensor = setup.camera, setup.sensor
     wanted = (camera.height, camera.width)
     if len(shape) == 3:

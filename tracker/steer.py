@@ -145,5 +145,5 @@ def _confidence(weld_mm: float, variance_y_mm2: float, variance_z_mm2: float) ->
 
 
 def _where(change: Change) -> Pair:
-    """Return where a change was seen, its station and 1 sigma, mm; NaN where it was not."""
+    """Return the station of a change and its 1 sigma, mm; NaN where it was not seen."""
     return (change.station_mm, change.sigma_mm) if change.is_seen else UNKNOWN

@@ -114,7 +114,7 @@ def _as_contradicted(
 def _refused(
     state: TrackerMemory, frame_checks: FrameChecks, frame: Frame
 ) -> tuple[TrackerMemory, Track, None]:
-    """Return what a step does that took no look."""
+    """Return the result of a step that took no look."""
     if state.steering.is_stopped:
         frame_checks.ask_whether(checks.FOLLOWING, False)
     track = Track(frame.index, frame.timestamp_s, frame_checks.flags, checks=frame_checks.answers)
@@ -144,7 +144,7 @@ def _check_form(frame_checks: FrameChecks, geometry: SensorGeometry, frame: Fram
 
 
 def _track(frame: Frame, tracked: FrameResult) -> Track:
-    """Return what a step says of a frame that it looked at."""
+    """Return the track of a frame that a step looked at."""
     reading = tracked.reading
     shown = SeamEstimate() if tracked.shown is None else tracked.shown
     joint = None if tracked.shown is None else reading.joint

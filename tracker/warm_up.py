@@ -88,7 +88,7 @@ _warm: set[tuple[object, ...]] = set()
 
 
 def _kind(geometry: SensorGeometry, use_arc_map: bool) -> tuple[object, ...]:
-    """Return what of a setup decides which functions a step calls, and with which types."""
+    """Return the part of a setup that determines the functions of a step and their types."""
     setup = geometry.setup
     return (
         use_arc_map,
@@ -121,7 +121,7 @@ def compile_stripe(setup: Setup) -> None:
 def _no_light(
     given: FrameInput, aim: Aim, pixels: Int64, band: Band | None
 ) -> tuple[Float32, Float32, Transmission | None]:
-    """Return what `predict_light` returns where nothing shines."""
+    """Return the light of `predict_light` where nothing shines."""
     if band is not None:
         band.background[:] = 0.0
     return np.zeros(len(pixels), np.float32), NO_LIGHT, None

@@ -125,7 +125,7 @@ def moved(k: ArcKernel, y_mm: float, eye_mm: Point) -> ArcKernel:
 def _value_at(
     k: ArcKernel, y_mm: float, eye_mm: Point, face: int, x: float, s: float, work: ArcScratch
 ) -> float:
-    """Return what a cell's polynomial stands for, light times fall-off, of a scene that is `moved`."""
+    """Return the values of a cell's polynomial, light times fall-off, of a scene that is `moved`."""
     there, on = moved(k, y_mm, eye_mm), seen_strip(face, k.vertices)
     room = work.records[0]
     faces, places, light_e = room.node_faces[:], room.node_places[:], room.node_light_e[:]
@@ -211,7 +211,7 @@ def _derive(
 
 @kernel(inline=True)
 def _step(term: int) -> tuple[float, Point]:
-    """Return what the step of a derivative moves: the torch sideways, or the camera along an axis."""
+    """Return the step of a derivative: of the torch sideways, or of the camera along an axis."""
     way = DIFFERENCE_MM
     eye = way if term == 2 else 0.0, way if term == 3 else 0.0, way if term == 4 else 0.0
     return way if term == 1 else 0.0, eye
@@ -356,7 +356,7 @@ NOTHING_BAKED = _room(0, 1, 1, 0)
 
 @kernel(inline=True)
 def place_baked(k: ArcKernel, baked: BakedLight) -> int:
-    """Return which table holds a pose's light, -1 for none."""
+    """Return the index of the table of a pose's light, -1 for none."""
     place = round(k.center[1] / STEP_MM) + N_LATERAL
     if not 0 <= place < baked.n_cells.shape[0] or k.bend[0] != 0.0 or k.bend[1] != 0.0:
         return -1
@@ -382,7 +382,7 @@ def _is_section(k: ArcKernel, baked: BakedLight) -> bool:
 
 @kernel(inline=True)
 def _eye_off(k: ArcKernel, baked: BakedLight) -> Point:
-    """Return how far the camera is from its nominal place from the arc's centre, mm."""
+    """Return the distance of the camera from its nominal place relative to the arc's centre, mm."""
     return (
         k.eye[0] - k.center[0] - baked.eye_mm[0],
         k.eye[1] - k.center[1] - baked.eye_mm[1],

@@ -27,7 +27,7 @@ class VisibleFaces(NamedTuple):
 
 @kernel(allocates=True)
 def sight(k: ArcKernel) -> VisibleFaces:
-    """Return what is seen of a scene, its corrugation left out."""
+    """Return the visible faces of a scene, its corrugation left out."""
     slopes, n = np.empty(k.vertices.shape[0]), 0
     for i in range(k.vertices.shape[0]):
         down = k.eye[2] - k.vertices[i, 1]
@@ -50,7 +50,7 @@ def sight(k: ArcKernel) -> VisibleFaces:
 
 @kernel(inline=True)
 def meet_plane(k: ArcKernel, x: float, y: float, on: Strip) -> tuple[Point, bool]:
-    """Return where a ray (x, y, 1) of the camera meets a strip's plane, mm, and whether that is ahead."""
+    """Return the place of a camera's ray (x, y, 1) in a strip's plane, mm, and True if it is ahead."""
     y_0, z_0, ty, tz, _ = on
     d, eye = direction(k, x, y), k.eye
     t = (ty * (z_0 - eye[2]) - tz * (y_0 - eye[1])) / (ty * d[2] - tz * d[1])

@@ -65,7 +65,7 @@ class Image(NamedTuple):
 
 @kernel(inline=True)
 def _line_in_band(image: Image, box: Box, i: int) -> tuple[int, int, int]:
-    """Return where the band begins on a cell's i-th line, and which positions of the cell lie in it."""
+    """Return the band's start on a cell's i-th line, and the positions of the cell in it."""
     scan, pos, _, n_p = box
     low = image.lows[(scan + i) // CELL]
     return low, max(pos, low), min(pos + n_p, low + image.band_e.shape[1])

@@ -289,7 +289,7 @@ def arc_at(kernel: ArcKernel, xy: Float32, cos4: Float32, pixels: Int64) -> tupl
 
 @kernel
 def _margin_mm(k: ArcKernel, xy: Float32, n_scan: int) -> float:
-    """Return how far a cell of `MIXED` pixels reaches on a level face, at most MAX_MARGIN_MM.
+    """Return the reach of a cell of `MIXED` pixels on a level face, at most MAX_MARGIN_MM.
 
     By the camera's rays `xy` (n_scan n_pos, 2): so far faces go on beyond their edges.
     """
@@ -316,7 +316,7 @@ def table_of(
 
 
 def baked_light(k: ArcKernel, xy: Float32, n_scan: int, tolerance: float, floor_e: float) -> BakedLight:
-    """Return what may be baked of an `ArcMap` about a nominal pose, for the map's own tolerance."""
+    """Return an `ArcMap`'s baked light about a nominal pose, to the map's own tolerance."""
     return bake(k, _margin_mm(k, xy, n_scan), tolerance, floor_e)
 
 

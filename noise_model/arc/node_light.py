@@ -23,7 +23,7 @@ LEVEL = 1e-6
 
 @kernel(fastmath=REDUCTION)
 def write_faces(k: ArcKernel, seen: VisibleFaces, rays: Record) -> bool:
-    """Write which faces of a plain section rays meet, `ray_casting.MISS` for none.
+    """Write the faces of a plain section that rays meet, `ray_casting.MISS` for none.
 
     False if one of them is level. See `face_lookup.face_seen`: a ray through an edge may meet either face.
     """

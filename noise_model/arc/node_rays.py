@@ -44,7 +44,7 @@ def _size(a: Lanes) -> Lanes:
 
 @kernel(inline=True)
 def _meet(x_0: float, down: float, d_x: Lanes, d_z: Lanes, corrugation: Corrugation) -> tuple[Lanes, Lanes]:
-    """Return how far rays go to a corrugated sheet that goes on for ever, and by how much they miss it, mm.
+    """Return the length of rays to a corrugated sheet that goes on for ever, and their misses of it, mm.
 
     They come from `down` mm over the sheet's level, and meet it once. `x_0` is the eye's station, mm, from a
     crest.
@@ -64,7 +64,7 @@ def _meet(x_0: float, down: float, d_x: Lanes, d_z: Lanes, corrugation: Corrugat
 
 @kernel(fastmath=REDUCTION)
 def follow_to_lap(k: ArcKernel, rays: Record) -> bool:
-    """Write which faces of a corrugated lap rays meet, and their places; see `ray.follow`.
+    """Write the faces of a corrugated lap that rays meet, and their places; see `ray.follow`.
 
     False where one ray is not resolved: it may meet a ridge twice, or looks past the workpiece. Else a ray
     meets the upper sheet, as if that went on beyond its edge, before the lower one, and each once. It ends on
@@ -105,7 +105,7 @@ def follow_to_lap(k: ArcKernel, rays: Record) -> bool:
 
 @kernel
 def tell_faces(first: int, n: int, room: Record) -> None:
-    """Write which faces the first n rays meet, as those of pixels from `first` on."""
+    """Write the faces that the first n rays meet, as those of pixels from `first` on."""
     for i in range(n):
         room.faces[first + i] = int(room.ray_faces[i])
 
@@ -120,7 +120,7 @@ def tell_places(k: ArcKernel, first: int, n: int, room: Record) -> None:
 
 @kernel
 def places_on_rays(k: ArcKernel, seen: VisibleFaces, xy: Float32, n: int, room: Record) -> None:
-    """Write which faces the rays of the first n pixels meet and where, x and s.
+    """Write the faces that the rays of the first n pixels meet, and their places, x and s.
 
     `ray_casting.MISS` and NaN for a ray that looks past the workpiece.
     """
@@ -159,7 +159,7 @@ def _write_place(k: ArcKernel, P: Point, face: int, i: int, room: Record) -> Non
 
 @kernel
 def places_on_plane(k: ArcKernel, face: int, xy: Float32, n: int, room: Record) -> None:
-    """Write where the rays of the first n pixels meet a plain face's plane, x and s, seen or not.
+    """Write the places of the first n pixels' rays in a plain face's plane, x and s, seen or not.
 
     NaN where a ray runs away from it. The pixels' faces are all this one.
     """

@@ -110,7 +110,7 @@ def disc_in_lobes(tan_b: float, towards: Vector, omega_r: Vector, material: Lobe
 
 @kernel(inline=True)
 def more_nodes(sin_b: float, tan_b: float, towards: Vector, omega_r: Vector, material: LobeNumbers) -> float:
-    """Return how many times the nodes an arc needs that is near, or wide against the lobe; at least 1."""
+    """Return the factor on the nodes for an arc that is near, or wide against the lobe; at least 1."""
     # From this sine of the arc's half-angle on there are more nodes, the more the nearer the point.
     near = 1.0 + 2.0 * max(0.0, sin_b - 0.35)
     # The nodes hold a disc of so many lobe's widths, to 0.25 %; a larger one has more in proportion.

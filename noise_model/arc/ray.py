@@ -146,7 +146,7 @@ def direction(k: ArcKernel, x: float, y: float) -> Vector:
 
 @kernel
 def follow(k: ArcKernel, x: float, y: float) -> tuple[Point, int]:
-    """Return where a ray (x, y, 1) of the camera ends, joint frame, mm, and the face; MISS for none."""
+    """Return the end of a ray (x, y, 1) of the camera, joint frame, mm, and the face; MISS for none."""
     d = direction(k, x, y)
     t, face = first_hit(k.eye, d, k.vertices, k.corrugation)
     if face == MISS:

@@ -83,7 +83,7 @@ class Scenes:
         )
 
     def __len__(self) -> int:
-        """Return how many scenes there are."""
+        """Return the number of scenes."""
         return len(self.center_mm)
 
     def __getitem__(self, i: int) -> Scene:

@@ -97,7 +97,7 @@ between which it is, too, where an edge stands within the arc.
 
 @kernel(inline=True)
 def _rule_at(n: int) -> int:
-    """Return where the rule of n nodes begins."""
+    """Return the start of the rule of n nodes."""
     return n * (n // N_LANES - 1) // 2
 
 
@@ -109,7 +109,7 @@ def _sine(slope: Lanes) -> Lanes:
 
 @kernel(inline=True)
 def _over_edge(P: Point, edge_y: float) -> float:
-    """Return how far to the left of the edge P stands at its station, mm; 0 on the edge itself."""
+    """Return the distance of P to the left of the edge at its station, mm; 0 on the edge itself."""
     over = P[1] - edge_y
     return over if abs(over) > SAME_MM else 0.0
 
@@ -141,7 +141,7 @@ def _crossings(over: float, x: Lanes, y: Lanes, sheets: SlicedSheets) -> tuple[L
 
 @kernel(inline=True)
 def _circle(r: Lanes, ahead: Lanes, rho: Lanes, up: float) -> Lanes:
-    """Return how high over P, mm, the arc's near side is at a way r in a slice."""
+    """Return the height over P, mm, of the arc's near side at a way r in a slice."""
     off = ahead - r
     return spread(up) + root(greater(rho * rho - off * off, spread(0.0)))
 
@@ -206,7 +206,7 @@ def _past_edge(
     up: float,
     sheets: SlicedSheets,
 ) -> tuple[Lanes, Lanes, Lanes, Mask]:
-    """Return what is seen of the arc in slices that may cross the upper sheet's edge, at two ways.
+    """Return the visible part of the arc in slices that may cross the upper sheet's edge, at two ways.
 
     `hidden` is the slope below which all of a slice is hidden, `low` that below which P's own sheet hides the
     arc. Returned are the slope from which the arc is seen before the edge, that up to which it is, the slope
@@ -385,7 +385,7 @@ def open_range(
 
 @kernel(inline=True)
 def _slope_left(i: int, room: Float32) -> float:
-    """Return by how much a slice's slope is open, less than 0 where it is shut."""
+    """Return the open range of a slice's slope, less than 0 where it is shut."""
     low, high = room[LOW + i], room[HIGH + i]
     return float(high / math.sqrt(1.0 - high * high) - low / math.sqrt(max(1e-12, 1.0 - low * low)))
 

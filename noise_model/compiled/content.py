@@ -63,7 +63,7 @@ def describe_function(function: FunctionType) -> tuple[object, ...]:
 
 
 def find_kernel(module: str, name: str) -> Any:
-    """Return what a module that is imported has under a name, None if nothing."""
+    """Return the object of a name in an imported module, None if there is none."""
     return getattr(sys.modules.get(module), name, None)
 
 
@@ -215,7 +215,7 @@ def versions() -> list[str]:
 
 @cache
 def _compiler() -> tuple[object, ...]:
-    """Return what compiles: versions, numba's settings, and the files that use it."""
+    """Return the compiler's content: versions, numba's settings, and the files that use it."""
     # numba takes an empty setting for none.
     settings = sorted(
         (name, value) for name, value in os.environ.items() if name.startswith("NUMBA_") and value

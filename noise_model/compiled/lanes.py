@@ -85,12 +85,12 @@ def _register(
 
 
 def _arithmetic(name: str) -> Callable[[Any, Any, Any], Any]:
-    """Return what writes an instruction for floating-point numbers."""
+    """Return the builder of an instruction for floating-point numbers."""
     return lambda builder, a, b: getattr(builder, name)(a, b, flags=_FLAGS)
 
 
 def _comparison(sign: str) -> Callable[[Any, Any, Any], Any]:
-    """Return what writes a comparison that NaN never passes."""
+    """Return the builder of a comparison that NaN never passes."""
     return lambda builder, a, b: builder.fcmp_ordered(sign, a, b)
 
 
@@ -115,13 +115,13 @@ _register(operator.or_, MASK, MASK, lambda builder, a, b: builder.or_(a, b))
 
 
 def _instruction(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return what kernels call where `function` gives the types and writes LLVM's instructions."""
+    """Return the intrinsic whose `function` gives the types and writes LLVM's instructions."""
     instruction: Callable[..., Any] = intrinsic(function)
     return instruction
 
 
 def _address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    """Return where a vector begins in an array (n,) of float32."""
+    """Return the address of a vector in an array (n,) of float32."""
     array = context.make_array(signature.args[0])(context, builder, arguments[0])
     return builder.bitcast(builder.gep(array.data, [arguments[1]]), _FLOATS.as_pointer())
 
@@ -222,7 +222,7 @@ def where(_typing: Any, mask: Any, yes: Any, no: Any) -> Any:
 
 
 def _lane_by_lane(name: str) -> Callable[..., Any]:
-    """Return what writes one of LLVM's functions of a number, lane by lane."""
+    """Return the builder of one of LLVM's functions of a number, lane by lane."""
 
     def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         function = cgutils.get_or_insert_function(
@@ -258,7 +258,7 @@ def greater(a: Lanes, b: Lanes) -> Lanes:
 
 
 def _answer(comparison: str, bits: int) -> Callable[..., Any]:
-    """Return what compares a mask's answers, a bit each, with a number."""
+    """Return the builder of a comparison of a mask's bits with a number."""
 
     def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         answers = builder.bitcast(arguments[0], ir.IntType(N_LANES))
@@ -280,7 +280,7 @@ def all_lanes(_typing: Any, mask: Any) -> Any:
 
 
 def _across(name: str, takes: int) -> Callable[..., Any]:
-    """Return what writes a reduction of a vector to one number, from a start if LLVM wants one."""
+    """Return the builder of a reduction of a vector to one number, from a start if LLVM wants one."""
 
     def write(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         single = ir.FloatType()

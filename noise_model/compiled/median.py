@@ -56,7 +56,7 @@ def _place(value: float) -> int:
 
 @kernel
 def _count_up_to(values: Float32, max_value: float) -> float:
-    """Return how many values (n,), n a multiple of BLOCK, are not above a limit."""
+    """Return the number of values (n,), n a multiple of BLOCK, that are not above a limit."""
     limit, zero, unity = spread(max_value), spread(0.0), spread(1.0)
     a, b, c, d = zero, zero, zero, zero
     for i in range(0, values.shape[0], BLOCK):
@@ -96,7 +96,7 @@ def _greatest_up_to(values: Float32, limit: float) -> float:
 
 @kernel
 def _of_rank(values: Float32, n: int, rank: int) -> float:
-    """Return which of the first n values, none of them NaN, has a rank, from 1 on in rising order.
+    """Return the value of a rank among the first n, none of them NaN, from 1 on in rising order.
 
     `values` (`numbers_for(n)`,) or longer are written over behind them. All float32 stand in the order of
     their bits, so the value that has so many up to itself is found by halving, exactly, without sorting.

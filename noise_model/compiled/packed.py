@@ -107,7 +107,7 @@ def _pack() -> Pack | None:
 
 
 def read_pack(file: Path) -> Pack:
-    """Return what a pack holds; ValueError if it is damaged."""
+    """Return a pack's content; ValueError if it is damaged."""
     digest, _, compressed = file.read_bytes().partition(b"\n")
     if hashlib.sha256(compressed).hexdigest().encode() != digest:
         raise ValueError("it is damaged")

@@ -55,7 +55,7 @@ def block_transform(image_dn: Float64) -> Float64:
 
 
 def compressed(image_dn: Integers, sensor: Sensor, quality: float) -> Integers:
-    """Return what JPEG of a quality leaves of a frame (H, W), DN, in the sensor's type.
+    """Return a frame (H, W) after JPEG of a quality, DN, in the sensor's type.
 
     Each block's transform is rounded to whole steps about the middle of the codes. The rim is continued to
     whole blocks. A sensor of more than 8 bits has steps that are as much larger.

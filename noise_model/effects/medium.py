@@ -33,7 +33,7 @@ def airlight_integral(
 
 
 def _nearest(origin_mm: Float64, direction: Float64, source_mm: Float64) -> tuple[Float64, Float64]:
-    """Return where along rays (..., 3) a source is nearest, mm, and the square of its distance there."""
+    """Return the place along rays (..., 3) nearest to a source, mm, and the square of its distance there."""
     towards = source_mm - origin_mm
     t_0 = direction @ towards
     return t_0, towards @ towards - t_0**2

@@ -25,7 +25,7 @@ _GOLDEN, _ROW, _FIRST, _SECOND = (
 
 
 def part_seed(view: View, draw: np.random.Generator) -> int:
-    """Return which part a view shows; where it does not say, another one at each call."""
+    """Return the seed of a view's part; where it has none, another one at each call."""
     return int(draw.integers(2**32)) if view.part_seed is None else view.part_seed
 
 

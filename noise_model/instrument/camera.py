@@ -174,7 +174,7 @@ class Camera:
         return xy
 
     def _misses_px(self, xy: Float64, points_px: Float64) -> Float64:
-        """Return how far from image points (N, 2) rays (N, 2) are seen (N,), px."""
+        """Return the distances of image points (N, 2) from projected rays (N, 2), px."""
         seen = self.project(np.column_stack([xy, np.ones(len(xy))]))
         return np.asarray(np.abs(seen - points_px).max(axis=1))
 
@@ -236,7 +236,7 @@ def tilt_numbers(tau_x: float, tau_y: float) -> Nine:
 
 @kernel
 def distorted(x: float, y: float, lens: Intrinsics) -> tuple[float, float, float, float, float, float]:
-    """Return where the lens puts a ray (x, y, 1): X, Y, dX/dx, dX/dy, dY/dx, dY/dy.
+    """Return the distorted place of a ray (x, y, 1): X, Y, dX/dx, dX/dy, dY/dx, dY/dy.
 
     OpenCV's rational, thin prism and tilted models, before focal lengths and principal point.
     """

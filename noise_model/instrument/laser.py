@@ -244,7 +244,7 @@ def sheet_at(sheets: Sheet, n: int) -> Sheet:
 
 @kernel(inline=True)
 def depth_below(sheet: Sheet, Q: Vector) -> float:
-    """Return how far a point lies below the laser's origin along the tool's axis, mm."""
+    """Return the depth of a point below the laser's origin along the tool's axis, mm."""
     up, origin = sheet.tool_up, sheet.origin
     depth: float = (origin[0] - Q[0]) * up[0] + (origin[1] - Q[1]) * up[1] + (origin[2] - Q[2]) * up[2]
     return depth
@@ -263,7 +263,7 @@ def is_outside_fan(sheet: Sheet, Q: Vector) -> bool:
 def sheet_reflected(
     sheet: Sheet, material: LobeNumbers, Q: Vector, normal: Vector, omega_r: Vector, reach: float = math.inf
 ) -> float:
-    """Return what a point Q sends of the sheet along `omega_r`: its irradiance over the peak's, times f_r.
+    """Return the sheet's light that Q reflects along `omega_r`: its irradiance over the peak's, times f_r.
 
     The irradiance is exp(-1/2 |x' / (sigma z/h)|^p) (h/z)^2 cos(theta_i) / cos(psi): x' the distance from the
     plane, p the profile's exponent, z the depth below the origin, h the origin's height, psi the angle of the

@@ -157,7 +157,7 @@ class SensorResponse(NamedTuple):
 
 @kernel
 def dark_part_e2(mean_e: float, response: SensorResponse) -> float:
-    """Return what of `variance_e2` is not the light's, at one charge."""
+    """Return the part of `variance_e2` that is not the light's, at one charge."""
     r = response
     share = max(abs(mean_e), max(r.read_noise_e, 1.0)) / r.full_well_e
     slope = 1.0 - 2.0 * r.bend * min(share, 1.0) ** r.gamma

@@ -295,7 +295,7 @@ def passed_lines(optics: Filter | FilterCurve, spectrum: ArcSpectrum, theta: npt
 def line_to_continuum(
     optics: Filter | FilterCurve, spectrum: ArcSpectrum, theta: npt.ArrayLike = 0.0
 ) -> Float64:
-    """Return how much of lines there is behind the filter for each unit of continuum (...,)."""
+    """Return the ratio of line light to continuum behind the filter (...,)."""
     return passed_lines(optics, spectrum, theta) / passed_continuum(optics, spectrum, theta)
 
 

@@ -29,7 +29,7 @@ ORDERS = 6
 def gather_first(
     k: Place, seen: Lattice, camera: Float64, focus: Focus, of_laser: bool, fine: GaussRules
 ) -> Float64:
-    """Return what points of a lattice (n, 1) send to the camera of once-bounced light, source's output 1."""
+    """Return the once-bounced light that points of a lattice (n, 1) send to the camera, source's output 1."""
     nodes, sent = np.empty((room(k, fine), COLUMNS)), np.zeros((len(seen.faces), 1))
     _gather_first(
         k=k,
@@ -88,7 +88,7 @@ def _towards(P: Float64, Q: Float64) -> Point:
 
 @kernel
 def _leaving(k: Place, node: Float64, of_laser: bool, scratch: Scratch) -> float:
-    """Return what a node sends of the source's own light to the point that looks at it."""
+    """Return the source's own light that a node sends to the point that looks at it."""
     Q, normal, back = node[:3], node[3:OMEGA], _back(node)
     if of_laser:
         light: float = laser_leaving(k, Q, normal, back)
@@ -222,7 +222,7 @@ def _strike(
 def _count_shares(
     k: Place, passing: Lattice, start: Int64, first: Int64, scratch: Scratch, nodes: Float64
 ) -> int:
-    """Return how many directions are remembered by the points about all nodes from `first` on."""
+    """Return the number of directions remembered by the points about all nodes from `first` on."""
     count, which = 0, scratch.which
     for i in range(first.shape[0]):
         for j in range(first[i], start[i + 1]):
@@ -286,7 +286,7 @@ def gather_further(
     omega: Float64,
     irradiance: Float64,
 ) -> Float64:
-    """Return what points of a lattice (n, ORDERS - 1) send to the camera after 2, 3, … bounces."""
+    """Return the light that points of a lattice (n, ORDERS - 1) send to the camera after 2, 3, … bounces."""
     nodes, sent = np.empty((room(k, coarse), COLUMNS)), np.zeros((len(seen.faces), ORDERS - 1))
     _gather_further(
         k=k,

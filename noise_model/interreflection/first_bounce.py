@@ -143,7 +143,7 @@ def _borders(k: Place, Q: Float64, normal: Float64, borders: Float64) -> int:
 def arc_leaving(
     k: Place, Q: Float64, normal: Float64, omega_r: Point, borders: Float64, spans: Float64
 ) -> float:
-    """Return what Q sends of the arc's light along `omega_r`: integral f_r cos(theta_i) d(omega).
+    """Return the arc's light that Q reflects along `omega_r`: integral f_r cos(theta_i) d(omega).
 
     In units of the arc's radiance, over what Q sees of the luminous half, by the disc of `quadrature`.
     What hides it otherwise than along a straight border is looked up node by node. `borders` (n_vertices, 3)
@@ -214,7 +214,7 @@ def arc_leaving(
 
 @kernel
 def laser_leaving(k: Place, Q: Float64, normal: Float64, omega_r: Point) -> float:
-    """Return what Q sends of the laser's light along `omega_r`: `laser.irradiance` times f_r."""
+    """Return the laser's light that Q reflects along `omega_r`: `laser.irradiance` times f_r."""
     light: float = sheet_reflected(k.sheet, k.material, Q, normal, omega_r, SHEET_REACH)
     if light == 0.0:
         return 0.0

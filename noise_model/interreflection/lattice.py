@@ -145,7 +145,7 @@ def _place(
 
 @kernel(inline=True)
 def _left_of(grid: Float64, n: int, value: float) -> int:
-    """Return which of a grid's first n - 1 values is the last not above one; 0 if all are above."""
+    """Return the index of the last of a grid's first n - 1 values not above one; 0 if all are above."""
     low, high = 0, n - 1
     while high - low > 1:
         middle = (low + high) // 2

@@ -134,7 +134,7 @@ class BouncedLight:
 
 
 def is_followed(joint: Joint) -> bool:
-    """Return whether light is followed between a joint's faces: not between more than `MAX_FACES`."""
+    """Return True if light is followed between a joint's faces: not between more than `MAX_FACES`."""
     return len(section(joint).vertices) - 1 <= MAX_FACES
 
 

@@ -69,7 +69,7 @@ class Focus(NamedTuple):
 
 
 def room(k: Place, rules: GaussRules) -> int:
-    """Return how many nodes of one surface point there may be at most."""
+    """Return the largest number of nodes of one surface point."""
     n_faces = k.vertices.shape[0] - 1
     n_psi = max((PSI_KNOTS + 1) * rules.psi[0].shape[0], 3 * rules.across[0].shape[0])
     # Both plates that run on are looked at in two halves.

@@ -65,7 +65,7 @@ def stripe_sigmas(
 
 
 def speckle_image_sigma_mm(wavelength_mm: float, image_f_number: float, contrast: float = 1.0) -> float:
-    """Return how far speckle alone moves a stripe in the image, 1 sigma, mm: C lambda / (2 pi sin(u')).
+    """Return the 1 sigma of a stripe's place in the image by speckle alone, mm: C lambda / (2 pi sin(u')).
 
     In depth that is delta_z = C lambda / (2 pi sin(u_obs) sin(theta)): C the speckle contrast, u_obs half the
     angle under which the point sees the lens' aperture, theta the angle between laser and camera (Dorsch,

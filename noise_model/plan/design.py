@@ -107,7 +107,7 @@ def design_of(setup: Setup) -> SensorDesign:
 
 
 def clears_torch(design: SensorDesign, torch_radius_mm: float) -> bool:
-    """Return whether the camera's axis clears an upright torch of this radius that begins at the nozzle.
+    """Return True if the camera's axis clears an upright torch of this radius that begins at the nozzle.
 
     The axis leads from the stripe's foot to the camera; below `NOZZLE_HEIGHT_MM` it may pass the electrode.
     """
@@ -131,7 +131,7 @@ def filter_of(setup: Setup, fwhm_nm: float) -> Filter | FilterCurve:
 
 
 def passes_laser(setup: Setup, fwhm_nm: float) -> bool:
-    """Return whether a filter of this width, as of `filter_of`, passes the setup's laser on its axis."""
+    """Return True if a filter of this width, as of `filter_of`, passes the setup's laser on its axis."""
     passed = transmission(filter_of(setup, fwhm_nm), setup.laser.wavelength_nm)
     return bool(passed > MIN_TRANSMISSION)
 
@@ -242,7 +242,7 @@ def filter_gains(
     spectrum: ArcSpectrum,
     theta: npt.ArrayLike,
 ) -> tuple[Float64, Float64]:
-    """Return what a filter passes of laser and arc at field angles theta (...,), over what `stated` does.
+    """Return a filter's transmission of laser and arc at field angles theta (...,), over that of `stated`.
 
     theta in rad; `stated` is the filter that the setup's levels belong to, met on the axis; of the arc pass
     continuum and lines. Off the axis the passband moves to shorter wavelengths and leaves the laser behind,

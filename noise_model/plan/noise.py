@@ -192,7 +192,7 @@ def line_bounds(
 
 
 def seam_noise(light: SampledStripe, bounds: LineBounds, joint: Joint) -> SeamNoise:
-    """Return what the scan lines make of the seam point."""
+    """Return the seam point's noise from that of the scan lines."""
     lines = float(light.lines.sum())
     if not lines > 0.0:
         return BLIND
@@ -272,7 +272,7 @@ def _one_edge_sigma_mm(light: SampledStripe, read: Bool, unread: Bool, edge: _Ed
 
 
 def _seen_side_mm(light: SampledStripe, edge: _Edge, rim_mm: float) -> float:
-    """Return how much of the lower side, mm, an edge's upright side stands before, lit and seen, else 0.
+    """Return the width of the lower side, mm, that an edge's upright side hides, lit and seen, else 0.
 
     Its light may count as either side's stripe.
     """

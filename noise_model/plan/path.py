@@ -124,7 +124,7 @@ def leaned(T_base_tool: Float64, travel_deg: float, work_deg: float) -> Float64:
 
 
 def blind_stretches(along: PathNoise, limit_mm: float) -> list[tuple[int, int]]:
-    """Return where the seam's sigma is above a limit or unknown: first and last station of each stretch."""
+    """Return first and last station of each stretch where the seam's sigma is above a limit or unknown."""
     sigma = along.column("sigma_mm")
     blind = np.concatenate([[False], ~(sigma <= limit_mm), [False]])
     edges = np.flatnonzero(np.diff(blind.astype(int)))
@@ -132,7 +132,7 @@ def blind_stretches(along: PathNoise, limit_mm: float) -> list[tuple[int, int]]:
 
 
 def _segment_lengths(joint: Joint) -> Float64:
-    """Return where each segment of the seam begins, mm along it, and the whole length last."""
+    """Return the start of each segment of the seam, mm along it, and the whole length last."""
     steps = np.diff(np.asarray(joint.seam_in_base_mm), axis=0)
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
 

@@ -104,7 +104,7 @@ def find_cures(
 
 
 def _cure_key(setup: Setup, along: PathNoise, first: int, last: int) -> tuple[float, ...]:
-    """Return what stretches that share a cure have in common.
+    """Return the key of stretches that share a cure.
 
     It is the tool's poses at the stations tried, relative to the joint, places along the seam by the pitch.
     Bends have nothing in common: where the tool stands in the same way, the stripe ahead of it may lie on

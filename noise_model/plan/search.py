@@ -142,7 +142,7 @@ def judge(
 
 
 def summarise(design: SensorDesign, noise: Sequence[SeamNoise]) -> DesignCandidate:
-    """Return what a design's stations come to."""
+    """Return the summary of a design's stations."""
     columns = {
         name: np.array([getattr(station, name) for station in noise])
         for name in ("sigma_mm", "sigma_y_mm", "sigma_z_mm", "sigma_px", "arc_over_stripe")

@@ -173,7 +173,7 @@ def _half_v(size: Size) -> Corners:
 
 
 def _round_height_mm(size: Size) -> float:
-    """Return how high over a U's root the rounding goes over into the bevel."""
+    """Return the height over a U's root at which the rounding goes over into the bevel."""
     return size["root_radius_mm"] * (1.0 - math.sin(math.radians(size["bevel_angle_deg"])))
 
 
@@ -222,7 +222,7 @@ _CORNERS: Mapping[str, Callable[[Size], Corners]] = {
 
 
 def _plate_slope(joint_type: str, size: Size) -> float:
-    """Return how steeply the plates rise away from the seam: a fillet's do, or fall."""
+    """Return the slope of the plates away from the seam: a fillet's rise, or fall."""
     if joint_type != "fillet":
         return 0.0
     return 1.0 / math.tan(math.radians(size["included_angle_deg"] / 2.0))

@@ -19,7 +19,7 @@ MISS = -1
 def _meet_ridge(
     origin: Vector, d: Vector, y_k: float, width: float, z_k: float, slope: float, corrugation: Float64
 ) -> float:
-    """Return where a ray first meets a corrugated strip, in units of d, or inf.
+    """Return the distance along a ray to a corrugated strip, in units of d, or inf.
 
     Looked at is the ray's way within the strip, between its base and its raised plane.
     """
@@ -84,7 +84,7 @@ def _meet_ridge(
 
 @kernel
 def first_hit(origin: Vector, d: Vector, vertices: Float64, corrugation: Float64) -> tuple[float, int]:
-    """Return how far along a ray (joint frame, mm) the surface is met, in units of d, and on which face.
+    """Return the distance along a ray (joint frame, mm) to the surface, in units of d, and the face.
 
     The face is the number of the section's strip, MISS where the ray looks past the workpiece.
     """

@@ -122,7 +122,7 @@ def _over_foot(
     foot: float,
     steepest: tuple[float, int],
 ) -> tuple[float, int]:
-    """Return what of `steepest` and of stations under the arc that rise to its foot at most is steepest."""
+    """Return the steepest of `steepest` and of stations under the arc that rise to its foot at most."""
     max_slope, touched = steepest
     (j, end, step), min_slope = stations, max(max_slope, 0.0)
     while j != end:

@@ -28,7 +28,7 @@ def from_crest(x: float, corrugation: Corrugation) -> float:
 
 @kernel(inline=True)
 def _share(x: Lanes, corrugation: Corrugation) -> Lanes:
-    """Return how far stations, mm, are from the nearest crest, in half widths."""
+    """Return the distance of stations, mm, from the nearest crest, in half widths."""
     _, width, pitch = corrugation
     offset = x - spread(pitch) * floor(x * spread(1.0 / pitch) + spread(0.5))
     return offset * spread(2.0 / width)

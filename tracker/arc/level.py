@@ -199,7 +199,7 @@ def quantile(values: Float64, share: float) -> float:
 def fit_level(
     map_e: Float64, charge_e: Float64, dark_e2: float, black_sigma_e: float, full_well_e: float
 ) -> ArcLevel:
-    """Return what pixels (n,) tell of the arc; its level is NaN where they do not tell it."""
+    """Return the arc's level by pixels (n,); NaN where they do not determine it."""
     if len(map_e) < MIN_PIXELS or not (map_e > 0.0).any():
         return UNKNOWN
     size = np.empty(len(map_e))

@@ -52,7 +52,7 @@ class Transmission:
         return cls(geometry, scene, condition, even, np.nan_to_num(light(even)))
 
     def through(self, pixels: Int64, arc_e: Float32) -> tuple[Float32, Float32]:
-        """Return what arrives at some pixels (n,), by scan line: the arc's light and what is not the arc's.
+        """Return the light that arrives at some pixels (n,), by scan line: the arc's and all other.
 
         `arc_e` (n,) is the arc's light before, NaN where a pixel looks past the workpiece, and stays so.
         """

@@ -130,7 +130,7 @@ def _plate_sums(
 
 @kernel
 def _off_plate(t: Float64, z_mm: Float64, unit_mm: Float64, p: Float64, off: Float64, sizes: Float32) -> None:
-    """Write how far points (n,) lie off a cubic of t (n,), in their units."""
+    """Write the residuals of points (n,) from a cubic of t (n,), in their units."""
     for i in range(t.shape[0]):
         height = p[0] + t[i] * (p[1] + t[i] * (p[2] + t[i] * p[3]))
         off[i] = (z_mm[i] - height) / unit_mm[i]

@@ -141,7 +141,7 @@ def start_of(section: Section, stated: StatedJoint, n_parameters: int) -> Float6
 
 
 def groove_coverage(fit: ShapeFit, y_mm: Float64, half_mouth_mm: float) -> GrooveCoverage:
-    """Return what a fit shows of a groove of a mouth amid points (n,)."""
+    """Return the coverage of a groove of a mouth by points (n,)."""
     middle_mm, _, gap_mm = fit.parameters[:3].tolist()
     return GrooveCoverage(
         *weights_within(y_mm, fit.weights, middle_mm, 0.5 * max(gap_mm, 0.0), half_mouth_mm)
@@ -176,7 +176,7 @@ def weights_within(
 
 
 def outside_hidden_bevel(out_mm: Float64, parameters: Float64, sure_mm: float, half_mouth_mm: float) -> Bool:
-    """Return which points (n,), so far towards a bevel that is not seen, count for a groove.
+    """Return the points (n,), so far towards a bevel that is not seen, that count for a groove.
 
     Priors stand in for that, in the covariance too. Where the root ends there is not known: of the root only
     what lies well this side of it counts.

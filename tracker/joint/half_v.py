@@ -119,7 +119,7 @@ def start_of(section: Section, stated: StatedJoint) -> Float64:
 def upright_side(
     section: Section, depth_mm: float, p: Float64, covariance: Float64, start: Float64, clear: Bool
 ) -> tuple[float, float]:
-    """Return where the upright side of fitted faces is, mm, and its variance, mm^2; NaN where it is not seen.
+    """Return the place of fitted faces' upright side, mm, and its variance, mm^2; NaN where it is hidden.
 
     `p` and `covariance` are the fit's from a start. `clear` (n,) gets which points surely lie on one face
     beside it.

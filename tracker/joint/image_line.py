@@ -335,7 +335,7 @@ def _crossing(sums: _Sums, slope: int, line: int) -> tuple[float, float] | None:
 
 
 def _middle(section: Float64) -> tuple[float, float]:
-    """Return where the seam lies in a line's section (n,), lines from its middle, and its variance.
+    """Return the seam's place in a line's section (n,), lines from its middle, and its variance.
 
     A gap is dark. A rim that shines is one plate's, next to it: it stands for a slit that is not seen.
     """

@@ -113,7 +113,7 @@ def measured_lap(section: Section, fit: ShapeFit, y_0: float, thickness_mm: floa
 
 @kernel(allocates=True)
 def edge_of_sheets(section: Section, lines: Float64, sheets: SheetLines, thickness_mm: float) -> Edge:
-    """Return where the sheets' edge is, NaN where points (n,) do not lie on both next to it."""
+    """Return the place of the sheets' edge, NaN where points (n,) do not lie on both next to it."""
     n, nowhere = lines[Y_MM].shape[0], Edge(math.nan, math.nan, math.nan)
     bent_mm, limits_mm = MIN_OFF_SHEET * thickness_mm, np.empty(n)
     for i in range(n):

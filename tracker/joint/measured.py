@@ -124,7 +124,7 @@ class OnFace(NamedTuple):
 
 @kernel(allocates=True)
 def meet_face(points: Float64, height_mm: Float64, slope: Float64) -> OnFace:
-    """Return where points' rays meet a face of heights (n,), mm, and slopes (n,) at the points' own y.
+    """Return the places of points' rays on a face of heights (n,), mm, and slopes (n,) at their own y.
 
     A centre that is off by c px moves its point by c (dy, dz). On the face it would be at
     y - dy (z - height) / (dz - slope dy): which scan line lies where goes with the whole face's height, and
@@ -158,7 +158,7 @@ def section_at(corners_mm: Float64, y_mm: Float64) -> tuple[Float64, Float64]:
 
 
 def off_section(points: Float64, joint: MeasuredJoint) -> Bool:
-    """Return which points (n,) lie off a joint's section by more than `OFF_SIGMAS` of their stripe centre."""
+    """Return the points (n,) that lie off a joint's section by more than `OFF_SIGMAS` of their centre."""
     height_mm, slope = section_at(joint.corners_mm, points[Y_MM])
     moved = np.abs(points[DZ_MM] - slope * points[DY_MM]) * np.hypot(points[SIGMA_PX], SIGMA_FLOOR_PX)
     return np.asarray(np.abs(points[Z_MM] - height_mm) > OFF_SIGMAS * moved)

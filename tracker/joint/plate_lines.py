@@ -231,13 +231,13 @@ def brightness(image_dn: Integers, along_rows: bool, scan: int, path_px: float, 
 
 @kernel
 def pixel(image_dn: Integers, along_rows: bool, scan: int, position: int) -> float:
-    """Return what a frame's pixel of a scan line holds, DN."""
+    """Return the code of a frame's pixel of a scan line, DN."""
     return float(image_dn[position, scan] if along_rows else image_dn[scan, position])
 
 
 @kernel
 def best_place(lines: PlateLines, plate_mm: float, gap_mm: float, ends: bool) -> float:
-    """Return where two plates of a width with a gap between them agree best, NaN if nowhere enough."""
+    """Return the place at which two plates of a width with a gap agree best, NaN if nowhere enough."""
     plate = max(round(plate_mm / lines.column_mm), 0)
     gap = max(round(gap_mm / lines.column_mm), 0)
     outside = round(OUTSIDE_MM / lines.column_mm) if ends else 0
@@ -264,7 +264,7 @@ def best_place(lines: PlateLines, plate_mm: float, gap_mm: float, ends: bool) ->
 
 @kernel
 def others_between(lines: PlateLines, first: int, last: int) -> int:
-    """Return how many scan lines between two lines show no plate."""
+    """Return the number of scan lines between two lines that show no plate."""
     others = 0
     for line in range(first + 1, last):
         others += lines.sees[line] < 0.0
@@ -304,7 +304,7 @@ def end_between(
 
 @kernel
 def unread_from(lines: PlateLines, first: int, towards: int) -> int:
-    """Return how many lines from one on, in a direction, are unread."""
+    """Return the number of unread lines from one on, in a direction."""
     line = first
     while 0 <= line < lines.sees.shape[0] and lines.sees[line] == UNREAD:
         line += towards

@@ -70,7 +70,7 @@ def corners_and_slopes(shape: int, p: Float64, corners: Float64, moved: Float64,
 def _residuals(
     points: Float64, sigma: Float64, corners: Float64, first: Int64, r: Float64, unit: Float64
 ) -> None:
-    """Write how far each centre of points (n,) lies off its face, in its sigmas, and that unit in mm.
+    """Write the residual of each centre of points (n,) from its face, in its sigmas, and that unit in mm.
 
     `first` (k,) gets the first point, y rising, of each face, and behind the last one's last.
     """

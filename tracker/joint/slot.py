@@ -281,7 +281,7 @@ def fit_plates(points: Float64, y_0: float, used: Bool) -> ShapeFit:
 
 @kernel
 def on_plate_mm(stated: StatedJoint) -> float:
-    """Return how far off a plate's line its points may lie, mm."""
+    """Return the largest distance of a plate's points from its line, mm."""
     return min(ON_EDGE_MM if stated.is_edge else ON_BUTT_MM, 0.25 * stated.thickness_mm)
 
 

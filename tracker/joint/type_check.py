@@ -197,7 +197,7 @@ class _PieceLine(NamedTuple):
 
 
 def _family(groups: Groups, ends: list[int]) -> JointFamily | None:
-    """Return what pieces look like, None for nothing known; `ends` are exclusive."""
+    """Return the family that pieces look like, None for nothing known; `ends` are exclusive."""
     if len(ends) == 1:
         return JointFamily.FLAT
     y, n = groups.y_mm, len(groups.y_mm)

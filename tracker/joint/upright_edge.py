@@ -54,7 +54,7 @@ def points_around_edge(lines: Float64, faces: Faces, limit_mm: Float64) -> tuple
 
 @kernel
 def neighbours_of_edge(before: Bool, behind: Bool) -> tuple[int, int]:
-    """Return which point (n,) is the last before an edge and which the first behind it, -1 without either.
+    """Return the last point (n,) before an edge and the first behind it, -1 without either.
 
     `before` and `behind` (n,) say which points lie on which side's face, in order of y. The changes that
     put most points on their own side are taken: one on the other side's face by chance is outvoted.
@@ -97,7 +97,7 @@ def change_of(
     on_before_mm: Float64,
     on_behind_mm: Float64,
 ) -> EdgeScatter:
-    """Return how far off points (n,) change faces that seem to do so between two of them.
+    """Return the error of the place at which points (n,) seem to change faces.
 
     Points with a limit (n,) count. Any place between scan lines, a column apart, is as likely beforehand. A
     face may be bent by so much, and a centre may be off by what its background makes of a line

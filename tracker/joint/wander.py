@@ -33,7 +33,7 @@ class Wander(NamedTuple):
 
 @kernel(allocates=True)
 def wander_of(off: Float64, n_lines: Float64) -> Wander:
-    """Return what residuals (n,), in sigmas of a line and in order, consist of, by their autocovariances c_k.
+    """Return the parts of residuals (n,), in sigmas of a line and in order, by their autocovariances c_k.
 
     The wander's correlation from one to the next is sum(c_k c_(k+1)) / sum(c_k^2) over LAGS, its
     variance c_1 over that. Outliers are left out. Residuals smaller than their sigmas are taken for as large.
@@ -81,7 +81,7 @@ def _product(values: Float64, lag: int) -> float:
 
 @kernel(allocates=True)
 def innovations(off: Float64, scan: Float64, n_lines: Float64, seen: Wander) -> Float64:
-    """Return what is new in residuals (n,), in order, over its sigma: see `Wander`.
+    """Return the innovations of residuals (n,), in order, over their sigma: see `Wander`.
 
     They are those of scan lines `scan` (n,), or means of two about there, as `n_lines` (n,) says. A wander w
     goes on to rho w + eta. So the mean of two is (1 + rho) / 2 w + eta / 2, and half of the own variance.

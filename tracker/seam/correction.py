@@ -119,7 +119,7 @@ class CorrectedOffset(NamedTuple):
 def correct(
     correction: Correction, displacement_mm: tuple[float, float], height_mm: float = 0.0
 ) -> CorrectedOffset:
-    """Return what is sent for a seam's displacement as (y, z), mm.
+    """Return the offset that is sent for a seam's displacement as (y, z), mm.
 
     Each axis gets gain * displacement + bias, cut to its limit or stopped by it; a correction at its limit
     passes. `height_mm` is what the programmed path leaves out of the drawing, a corrugation's height: it is
@@ -133,7 +133,7 @@ def correct(
 
 
 def _sent(axis: AxisCorrection, displacement_mm: float, drawn_mm: float) -> tuple[float, bool, bool]:
-    """Return what an axis is sent, mm, whether its limit cut it, and whether that stops following."""
+    """Return an axis' offset, mm, whether its limit cut it, and whether that stops following."""
     if not axis.enable:
         return math.nan, False, False
     sent_mm = axis.gain * displacement_mm + drawn_mm + axis.bias_mm

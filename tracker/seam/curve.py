@@ -130,7 +130,7 @@ class SeamCurve:
         return BentSeam.in_stretches(self.tangents(coefficients), (first_mm, last_mm), torch_mm, count)
 
     def _stretches(self, first_mm: float, last_mm: float) -> int:
-        """Return how many stretches show the mean.
+        """Return the number of stretches that show the mean.
 
         A curve that turns evenly by t over a length l is off the tangents at the middles of n stretches by
         t l / 8 n^2 where these meet.

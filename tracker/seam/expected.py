@@ -116,7 +116,7 @@ class ExpectedSeam(NamedTuple):
 
 
 def expect_seam(source: SeamSource, T_base_tool: Float64, history: SeamHistory) -> ExpectedSeam:
-    """Return what a pose (4, 4) from which the joint can be seen and the earlier frames let a step expect."""
+    """Return the expected seam of a pose (4, 4) from which the joint can be seen, by the earlier frames."""
     T = T_base_tool.tolist()
     k = source.segment_near(moved_by(T, source.ahead_mm))
     T_joint_tool = source.T_joint_base[k] @ T_base_tool

@@ -114,7 +114,7 @@ class SeamHistory(NamedTuple):
         return np.array(here.displacement_mm), np.array(here.sigma_mm)
 
     def point_at(self, station_mm: float) -> SeamPrediction:
-        """Return what the measurements say of the seam at a station."""
+        """Return the estimate of the seam at a station."""
         point: SeamPrediction = condition(self, float(station_mm))
         return point
 

@@ -84,7 +84,7 @@ def ridge_mm(x_mm: float, corrugation: Float64) -> float:
 
 
 def sources(source: SeamSource, scene: Scene, station_mm: float) -> tuple[Float64, Float64]:
-    """Return where camera and laser stand, (3,) mm, x from a station where the tangent plane is levelled.
+    """Return the places of camera and laser, (3,) mm, x from a station where the tangent plane is levelled.
 
     That is a corrugation's.
     """
@@ -118,7 +118,7 @@ def seam_point(source: SeamSource, T: Matrix, corrugation: Float64, y: float, z:
 
 @kernel
 def meet_ridges(start: float, of_valley: float, lean: float, corrugation: Float64) -> float:
-    """Return where a sheet meets a seam over ridges, sought by Newton's steps from a start.
+    """Return the intersection of a sheet with a seam over ridges, by Newton's steps from a start.
 
     It meets the valleys' height at `of_valley`, and `lean` earlier for each mm of height. A step that leaves
     the bracket, or is more than half of the one before, halves the bracket instead (Press et al. 2007,

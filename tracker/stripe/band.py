@@ -37,7 +37,7 @@ class Band(NamedTuple):
 
 @kernel
 def place(center_px: Float64, n_pos: int, half_px: int, lows: Int64) -> int:
-    """Write where the band that holds +-half_px begins for each CELL scan lines; return its depth."""
+    """Write the start of the band that holds +-half_px for each CELL scan lines; return its depth."""
     n_scan, n, spread = center_px.shape[0], lows.shape[0], 0.0
     for i in range(n):
         lowest, highest = _ends(center_px, i * CELL, min((i + 1) * CELL, n_scan))

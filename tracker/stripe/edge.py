@@ -65,7 +65,7 @@ NO_END = StripeEnd(math.nan, math.nan)
 
 @kernel(allocates=True)
 def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, StripeEnd]:
-    """Return where the stripe that is whole in line `last` ends, and where that of line `first` begins."""
+    """Return the end of the stripe that is whole in line `last`, and the start of that of line `first`."""
     clear = clear_of_an_edge(light)
     away = 1 if first > last else -1
     n = abs(first - last) + 2 * clear - 1
@@ -109,7 +109,7 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
 
 @kernel(allocates=True)
 def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int, unread: int = 0) -> StripeEnd:
-    """Return where the stripe that is whole in line `last` ends, before a gap of some lines.
+    """Return the end of the stripe that is whole in line `last`, before a gap of some lines.
 
     What is seen deep in the gap, clear of either end or else amid it, is the other stripe; where nothing is,
     there is none. So many lines after `last` are `unread`, and may hold all of it too.
@@ -220,7 +220,7 @@ def fit_end(
     earliest: float,
     latest: float,
 ) -> tuple[float, float]:
-    """Return where shares (n,) that begin with 1 and end with 0 fall off, lines from the first, and 1 sigma.
+    """Return the place at which shares (n,) fall from 1 to 0, lines from the first, and its 1 sigma.
 
     It is the mean and the deviation of the posterior, each place between `earliest` and `latest` as likely
     before. NaN where fewer than MIN_LINES tell it, where they tell little beyond these bounds, and where they

@@ -110,7 +110,7 @@ def _endless(sheet: Sheet) -> Sheet:
 
 @kernel
 def _beyond_fan_mm(source: StripeSource, scan: float, position_px: float) -> float:
-    """Return how far beyond the fan's end the sheet is seen at a place of a scan line, mm.
+    """Return the distance beyond the fan's end at which the sheet is seen at a place of a scan line, mm.
 
     It is negative within the fan, and NaN where the sheet is not met.
     """

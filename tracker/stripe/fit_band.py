@@ -115,7 +115,7 @@ class ReadRoom(NamedTuple):
 
 @kernel
 def bin_for(sigma_px: Float64) -> int:
-    """Return how many pixels are summed where stripes of 1 sigma (n,) px are sought: a power of two."""
+    """Return the pixels of a bin in which stripes of 1 sigma (n,) px are sought: a power of two."""
     narrowest, n = math.inf, 1
     for s in range(sigma_px.shape[0]):
         if sigma_px[s] > 0.0:
@@ -332,7 +332,7 @@ def write_lines(
     scratch: Float64,
     lines: Float64,
 ) -> None:
-    """Write what the fits say of each line (N_ROWS, n_scan), with the scatter and with its neighbours."""
+    """Write the rows of each line (N_ROWS, n_scan) from the fits, the scatter and its neighbours."""
     sigma_px, beside_px, own_px, as_one = lines[SIGMA_PX], lines[BESIDE_PX], lines[OWN_PX], scratch[OFF]
     own_sigma(fits.fits, expected_sigma_px, n_lines, values, own_px)
     widen(learned, own_px, n_lines, _sheet_px(fits.fits, psf_sigma_px, values, as_one), sigma_px, beside_px)
@@ -349,7 +349,7 @@ def write_lines(
 
 @kernel(allocates=True)
 def usual_line(average: Float64, own_px: Float64) -> UsualLine:
-    """Return what scatter and lines' own 1 sigma (n,) say of a usual line read alone."""
+    """Return the usual line read alone, by the scatter and the lines' own 1 sigma (n,)."""
     known_px, n = np.empty(own_px.shape[0]), 0
     for s in range(own_px.shape[0]):
         if math.isfinite(own_px[s]):

@@ -115,7 +115,7 @@ def frame_scatter(
     scratch: Float64,
     seen: Float64,
 ) -> None:
-    """Write what one frame shows of its scatter.
+    """Write the scatter of one frame.
 
     `fits` (n, 7) are `LineFits`', NaN where there is no stripe, `expected_px` the places and `width_px`
     the widths that the setup gives, `sigma_px` (n,) the lines' own 1 sigma; `core` (n,) is

@@ -69,7 +69,7 @@ def _bell_over(values: Float32, middle: float, width: float) -> float:
 def _left_over(
     charge: Float32, background: Float32, censored: Bool, center: float, fit: Float64, remainder: Float32
 ) -> None:
-    """Write what a line's stripe about a centre leaves of its charge (depth,), NaN for censored pixels."""
+    """Write the charge (depth,) less a line's stripe about a centre, NaN for censored pixels."""
     amplitude, inverse, middle = np.float32(fit[2]), np.float32(1.0 / fit[3]), np.float32(center)
     for r in range(charge.shape[0]):
         own = amplitude * bell((np.float32(r) - middle) * inverse)
@@ -128,7 +128,7 @@ def _ask_lines(
     apart: float,
     min_share: float,
 ) -> tuple[int, int, int, float, float]:
-    """Return how many lines tell of a second stripe `apart` px away, how many see it behind and before.
+    """Return the number of lines that could show a stripe `apart` px away, and that do behind and before.
 
     Returned too are the sums, behind and before, of its light over that of the stripe that is fitted. A
     share of less than `min_share` shows none.
@@ -209,7 +209,7 @@ def second_place(charge: Float32, background: Float32, censored: Bool, fits: Flo
 
 @kernel
 def _either_side(remainder: Float32, center: float, apart_px: float, fit: Float64) -> Pair:
-    """Return how bright, over a line's own stripe, another is behind and ahead of it, -inf out of sight."""
+    """Return the brightness of another stripe behind and ahead, over a line's own, -inf out of sight."""
     behind, ahead = (
         _bell_over(remainder, center + apart_px, fit[3]),
         _bell_over(remainder, center - apart_px, fit[3]),

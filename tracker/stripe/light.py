@@ -76,7 +76,7 @@ NO_LIGHT = StripeLight(
 
 @kernel
 def apart_px(light: StripeLight, last: int, first: int) -> float:
-    """Return how far apart the stripes of two lines are, px."""
+    """Return the distance of two lines' stripes, px."""
     return float(abs(light.position_px[first] - light.position_px[last]))
 
 
@@ -144,7 +144,7 @@ def background_off_px(light: StripeLight, scan: Float64, sigma_px: Float64) -> F
 
 @kernel
 def _write_brightness(light: StripeLight, scan: Float64, brightness: Float64) -> None:
-    """Write how bright the stripe is in lines (n,), e-, by the pixel next to its centre; 0 without one."""
+    """Write the stripe's brightness in lines (n,), e-, by the pixel next to its centre; 0 without one."""
     for i in range(scan.shape[0]):
         s = int(scan[i])
         low, centre, width = light.lows[s // CELL], light.position_px[s], light.width_px[s]
@@ -159,7 +159,7 @@ def _write_brightness(light: StripeLight, scan: Float64, brightness: Float64) ->
 def _write_moved(
     light: StripeLight, scan: Float64, sigma_px: Float64, usual_e: float, change_e: Float64, moved: Float64
 ) -> None:
-    """Write what `background_off_px` returns, of stripes of a brightness."""
+    """Write the shift of `background_off_px`, of stripes of a brightness."""
     for i in range(scan.shape[0]):
         s = int(scan[i])
         low, centre, width = light.lows[s // CELL], light.position_px[s], light.width_px[s]

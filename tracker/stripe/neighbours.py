@@ -111,7 +111,7 @@ def mark_pairs(
 
 @kernel
 def tell_both(expected_px: Float64, n_lines: Float64, speckle_share: float, lines: LineFits) -> None:
-    """Write what the fits of pairs, which stand in their first lines, say of either line.
+    """Write the fits of either line of pairs, whose own stand in their first lines.
 
     Both lie where the expected stripe's slope has them about the one centre. A line alone would have its
     1 sigma times the root of 2, and the speckle of a pixel's light over the `speckle_share`.
@@ -134,7 +134,7 @@ def tell_both(expected_px: Float64, n_lines: Float64, speckle_share: float, line
 
 @kernel
 def usual_of(values: Float64, n_lines: Float64, together: int, room: Float32) -> tuple[int, float]:
-    """Return how many values (n,) are known where so many lines were read `together`, and their median.
+    """Return the number of known values (n,) where so many lines were read `together`, and their median.
 
     That is NaN where none is. `room` is scratch of `median.median_of`.
     """

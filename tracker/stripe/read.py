@@ -110,7 +110,7 @@ class StripeReading(NamedTuple):
 
 
 def light_of(reading: StripeReading, psf_sigma_px: float, sheet_lines: float) -> StripeLight:
-    """Return what shows where the stripe ends, as good as the band."""
+    """Return the light that shows the stripe's ends, valid as long as the band."""
     band, usual = reading.band, reading.usual
     return StripeLight(
         charge_e=band.charge,

@@ -76,7 +76,7 @@ class FrameScatter(NamedTuple):
 
     @classmethod
     def of(cls, numbers: Float64) -> FrameScatter:
-        """Return what an array (N_NUMBERS,) holds."""
+        """Return the scatter that an array (N_NUMBERS,) holds."""
         return cls(
             by_lag=numbers[BY_LAG:BY_LENGTH],
             by_length=numbers[BY_LENGTH:BRIGHTNESS],
@@ -119,7 +119,7 @@ def _plateau(variances: Float64) -> float:
 
 @kernel
 def line_variance_px2(average: Float64) -> float:
-    """Return by how much a line's centre scatters beyond its own variance."""
+    """Return the variance of a line's centre beyond its own."""
     return _plateau(average[BY_LAG:BY_LENGTH])
 
 
@@ -187,7 +187,7 @@ def brightness_correlation(average: Float64) -> float:
 
 @kernel
 def texture(average: Float64) -> float:
-    """Return what a texture adds to a line's variance among neighbours, over its sigma's fourth power."""
+    """Return a texture's part of a line's variance among neighbours, over its sigma's fourth power."""
     near, far = average[SPECKLE - 2], average[SPECKLE - 1]
     if not far > near:
         return 0.0
@@ -215,13 +215,13 @@ def _is_as_stated(average: Float64) -> bool:
 
 @kernel
 def width_factor(average: Float64) -> float:
-    """Return how much wider the stripe is than the setup says."""
+    """Return the stripe's width over that of the setup."""
     return math.exp(average[LN_WIDTH]) if _is_as_stated(average) else 1.0
 
 
 @kernel
 def width_limit_ln(average: Float64) -> float:
-    """Return how far a line's ln(width) may lie off the stripe's: beyond, it is two faces, or no stripe."""
+    """Return the limit of a line's ln(width) about the stripe's: beyond, it is two faces, or no stripe."""
     if not _is_as_stated(average):
         return MIN_WIDTH_LIMIT_LN
     spread = WIDTH_SIGMAS * _root(average[WIDTH_VARIANCE])

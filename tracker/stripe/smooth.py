@@ -98,7 +98,7 @@ def _running_sums(position: Float64, sigma: Float64, reference: float, sums: Flo
 
 @kernel
 def _is_far(y: float, variance: float, line: _WindowLine, sigmas: float) -> bool:
-    """Return whether a value is far off a line that knows nothing of it; never where there is no line."""
+    """Return True if a value is far off a line that knows nothing of it; never where there is no line."""
     off = abs(y - line.value)
     return off > OUTLIER_PX and off > sigmas * math.sqrt(variance + line.variance)
 
@@ -127,7 +127,7 @@ def _is_outlier(sums: Float64, i: int, y: float, variance: float) -> bool:
 
 @kernel
 def _agrees(value: float, variance: float, line: _WindowLine) -> bool:
-    """Return whether a value and a line that knows nothing of it agree; never where there is no line."""
+    """Return True if a value and a line that knows nothing of it agree; never where there is no line."""
     return abs(value - line.value) <= AGREE_SIGMAS * math.sqrt(variance + line.variance)
 
 

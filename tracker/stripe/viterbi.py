@@ -337,7 +337,7 @@ def best_path(score: Float32, jump_cost: float, choice: Int64) -> None:
 
 @kernel
 def peaks(score: Float32, choice: Int64, around_px: Float64, offsets_px: Int64, start_px: Float64) -> None:
-    """Write where the fit of each scan line starts (n_scan,), px: the peak of the score that the path is on.
+    """Write the start of each scan line's fit (n_scan,), px: the peak of the score that the path is on.
 
     The score's `offsets_px` (n,) are from `around_px` (n_scan,). The path is as content anywhere on a strong
     stripe's score. From there the way leads uphill, and between offsets along the parabola through the

@@ -178,7 +178,7 @@ def _judged(
 
 @kernel
 def first_state(known: LinePrior) -> FitState:
-    """Return where fits stand before their first step."""
+    """Return the state of fits before their first step."""
     zero = spread(0.0)
     return FitState(known.amplitude, known.start, known.width, zero, zero, zero, zero)
 

@@ -96,7 +96,7 @@ def _copy(pixels: Float32, row: Float32) -> None:
 
 @kernel
 def _kinds(censored: Bool, row: Float32) -> None:
-    """Write what a window's pixels (n,) are into a row."""
+    """Write the states of a window's pixels (n,) into a row."""
     for j in range(censored.shape[0]):
         row[j] = np.float32(HIDDEN) if censored[j] else np.float32(COUNTS)
 
@@ -144,7 +144,7 @@ def write_block(rows: Rows, n: int, block: Block) -> None:
 
 @kernel(fastmath=REDUCTION)
 def first_guess(block: Block, n: int, asked: Window, noise: PixelVariance) -> LinePrior:
-    """Return what is known of the lines whose first n pixels a block holds; NaN where a line's map is."""
+    """Return the fits' input for lines whose first n pixels a block holds; NaN where a line's map is."""
     zero, unity = spread(0.0), spread(1.0)
     level, over = zero, zero
     for j in range(n):

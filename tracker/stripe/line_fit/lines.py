@@ -119,7 +119,7 @@ class LineFits(NamedTuple):
 
 @kernel
 def map_edge(background: Float32, lows: Int64, s: int, position: float) -> float:
-    """Return how much the map changes, e-, over EDGE_PX scan lines to either side at a position."""
+    """Return the change of the map, e-, over EDGE_PX scan lines to either side at a position."""
     n_scan, depth = background.shape
     middle = background[s, min(max(int(position) - lows[s // CELL], 0), depth - 1)]
     change = 0.0
@@ -146,7 +146,7 @@ def _fill_up(n_lanes: int, n_pixels: int, window: Float32, rows: Rows) -> None:
 
 @kernel
 def _load_state(state: Float32) -> FitState:
-    """Return where the lanes' fits stand."""
+    """Return the state of the lanes' fits."""
     return FitState(
         load(state[0], 0),
         load(state[1], 0),
@@ -160,7 +160,7 @@ def _load_state(state: Float32) -> FitState:
 
 @kernel
 def _store_state(reached: FitState, state: Float32) -> None:
-    """Write where the lanes' fits stand."""
+    """Write the state of the lanes' fits."""
     store(state[0], 0, reached.amplitude)
     store(state[1], 0, reached.position)
     store(state[2], 0, reached.width)
@@ -172,7 +172,7 @@ def _store_state(reached: FitState, state: Float32) -> None:
 
 @kernel
 def _write_fit(fit: BlockFits, fitted: Float32) -> None:
-    """Write what fits say, and which are done and hold a stripe."""
+    """Write the fits, and which are done and hold a stripe."""
     store(fitted[0], 0, fit.position)
     store(fitted[1], 0, fit.sigma)
     store(fitted[2], 0, fit.amplitude)
