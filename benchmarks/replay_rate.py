@@ -23,12 +23,13 @@ from concurrent.futures import Executor
 from pathlib import Path
 
 from arctrack.nominal import nominal_setup
-from arctrack.recording import BadFrame, Recording, read_recording
-from arctrack.replay.recorded_tracking import RecordedTracking
+from arctrack.recording import Recording, read_recording
 from arctrack.replay.replay import ReplayOptions, replay_recording
 from arctrack.replays import ReplayJob, ReplayResult, replay_job
 from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
 from arctrack.workers import at_once, processes
+from tracker.state import Frame
+from tracker.tracker import Tracker
 
 OPTIONS = ReplayOptions(pictures=False)
 RATE_HZ = 50.0
@@ -42,16 +43,17 @@ def cpu_and_wall_s(work: Callable[[], object]) -> tuple[float, float]:
 
 def in_one_process(recording: Recording, out: Path, repeats: int) -> None:
     n = len(recording.rows)
-    tracked = [frame for frame in recording.frames() if not isinstance(frame, BadFrame)]
+    poses = recording.poses_at([row.timestamp_s for row in recording.rows])
+    tracked = [pair for pair in zip(recording.frames(), poses, strict=True) if isinstance(pair[0], Frame)]
 
     def decode() -> None:
         for _ in recording.frames():
             pass
 
     def steps() -> None:
-        tracking = RecordedTracking(recording, True)
-        for frame in tracked:
-            tracking.step(frame)
+        tracker = Tracker(recording.setup, True, recording.correction)
+        for frame, pose in tracked:
+            tracker.step(frame, pose)
 
     def replay() -> None:
         replay_recording(recording, out, OPTIONS)

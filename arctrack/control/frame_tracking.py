@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
 from dataclasses import dataclass
 
 from arctrack.control.innovation import SeamMeasurement
@@ -12,7 +12,7 @@ from robot_io import PoseAt, PoseStatus, RobotStatus
 from tracker import flags
 from tracker.observation import Reading
 from tracker.seam.correction import UNSTATED, Correction
-from tracker.state import Frame, OffsetLookAhead, Pose, Track
+from tracker.state import NAN, Frame, OffsetLookAhead, Pose, Track
 from tracker.step import StepInputs
 from tracker.tracker import Tracker
 from tracker.tracker_state import TrackerMemory
@@ -37,46 +37,54 @@ class Capture:
 
 @dataclass(frozen=True)
 class FrameStep:
-    """A completed step: the frame, the step's other inputs, and its result."""
+    """A completed step: the frame, the step's other inputs, and the reading that its track rests on."""
 
     frame: Frame
     inputs: StepInputs
-    track: Track
     reading: Reading | None
 
 
-class FrameTracking:
-    """Tracker of one seam.
+@dataclass(frozen=True)
+class TrackedFrame:
+    """A frame's track and what it was made of.
 
-    `correction` is the part of the seam's displacement that is sent; `on_step` gets each step.
+    `seam` is the seam as the pose puts it, None where none was measured. `took_ms` is the time from frame and
+    pose to the track. It is NaN, and `step` None, where there was no frame to step.
     """
 
-    def __init__(self, setup: Setup, correction: Correction = UNSTATED) -> None:
-        self.tracker = Tracker(setup, correction=correction)
-        self.on_step: Callable[[FrameStep], None] | None = None
+    track: Track
+    seam: SeamMeasurement | None = None
+    step: FrameStep | None = None
+    took_ms: float = NAN
+
+
+class FrameTracking:
+    """Tracker of one seam; see `Tracker` of the arguments."""
+
+    def __init__(self, setup: Setup, correction: Correction = UNSTATED, use_arc_map: bool = True) -> None:
+        self.tracker = Tracker(setup, use_arc_map, correction)
 
     def begin(self) -> None:
         """Forget the seam: another part comes."""
         self.tracker.state = TrackerMemory()
 
-    def track(self, shown: Frame | None, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
-        """Track a frame, None for an unreadable one; measurements from doubted poses do not last.
-
-        Returns the track, and the seam that was measured with the pose, None where nothing valid was.
-        """
+    def track(self, shown: Frame | None, capture: Capture) -> TrackedFrame:
+        """Track a frame, None for an unreadable one; measurements from doubted poses do not last."""
         before = self.tracker.state
         if shown is None:
             raised = flags.FRAME_UNREADABLE.mask | before.lasting_flags
-            return Track(capture.index, capture.captured_s, raised), None
+            return TrackedFrame(Track(capture.index, capture.captured_s, raised))
         pose = None
         if capture.pose.status is not PoseStatus.REFUSED:
             pose = Pose(capture.pose.T_base_tool, capture.pose.status is PoseStatus.EXTRAPOLATED)
+        began_ns = time.perf_counter_ns()
         track = self.tracker.step(shown, pose, capture.look_ahead)
+        took_ms = (time.perf_counter_ns() - began_ns) / 1e6
         hand_eye_mm2 = self.tracker.state.steering.hand_eye_variance_mm2
         if not capture.is_trusted:
             self.tracker.state = before
-        if self.on_step is not None:
-            inputs = StepInputs(before, pose, capture.look_ahead, capture.is_trusted)
-            self.on_step(FrameStep(shown, inputs, track, self.tracker.reading))
+        inputs = StepInputs(before, pose, capture.look_ahead, capture.is_trusted)
         setup = self.tracker.geometry.setup
-        return track, seam_measurement(setup, track, pose, hand_eye_mm2) if track.valid else None
+        # A seam that jumps is no valid one, but the first that wrong poses show.
+        seam = seam_measurement(setup, track, pose, hand_eye_mm2)
+        return TrackedFrame(track, seam, FrameStep(shown, inputs, self.tracker.reading), took_ms)

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from robot_io import GateReason, PoseAssembler, PoseBuffer, PoseKind, PoseStatus, Received
+from robot_io import (
+    GateReason,
+    PoseAssembler,
+    PoseAt,
+    PoseBuffer,
+    PoseKind,
+    PoseSample,
+    PoseStatus,
+    Received,
+)
+from tracker.state import NAN
 
 
 @dataclass(frozen=True)
@@ -33,31 +44,38 @@ class AgreementPolicy:
 
 
 class PoseAgreement:
-    """Comparison of each pose off the bus with the recording's pose at the same time."""
+    """Comparison of each pose off the bus with the recording's pose at the same time.
 
-    def __init__(self, poses: PoseBuffer, policy: AgreementPolicy | None = None) -> None:
-        self._poses = poses
+    A pose counts for `max_age_s` after its reading.
+    """
+
+    def __init__(self, poses: PoseBuffer, max_age_s: float, policy: AgreementPolicy | None = None) -> None:
+        self._poses, self._max_age_s = poses, max_age_s
         self._policy = policy or AgreementPolicy()
         self._assembler = PoseAssembler()
+        self._latest, self._read_at_s = GateReason.POSE_IMPLAUSIBLE, NAN
 
-    def verdict(self, received: Received, now_s: float) -> GateReason | None:
-        """Return NONE or ROBOT_ELSEWHERE of a pose that a message completes, None where it completes none.
-
-        `now_s` is the time of its reading on the recording's clock. A pose for which the recording has none
-        is elsewhere.
-        """
+    def hear(self, received: Received, now_s: float) -> None:
+        """Take a message, read at a time on the recording's clock, s."""
         sample = self._assembler.push(received)
         if sample is None or sample.kind is not PoseKind.ACTUAL:
-            return None
+            return
         sampled_at_s = now_s - received.max_age_s - (received.timestamp_s - sample.timestamp_s)
-        recorded = self._poses.at(sampled_at_s)
+        is_there = self._agrees(sample, self._poses.at(sampled_at_s))
+        self._latest, self._read_at_s = GateReason.NONE if is_there else GateReason.ROBOT_ELSEWHERE, now_s
+
+    def verdict(self, now_s: float) -> GateReason:
+        """Return NONE, ROBOT_ELSEWHERE, or POSE_IMPLAUSIBLE where no pose tells."""
+        is_fresh = 0.0 <= now_s - self._read_at_s <= self._max_age_s
+        return self._latest if is_fresh else GateReason.POSE_IMPLAUSIBLE
+
+    def _agrees(self, sample: PoseSample, recorded: PoseAt) -> bool:
+        """Return whether a robot stands where the recording's stood; not where the recording has no pose."""
         if recorded.status is PoseStatus.REFUSED:
-            return GateReason.ROBOT_ELSEWHERE
+            return False
         apart_mm = float(np.linalg.norm(recorded.T_base_tool[:3, 3] - sample.position_base_mm))
         turn = Rotation.from_quat(sample.quaternion_xyzw).inv() * Rotation.from_matrix(
             recorded.T_base_tool[:3, :3]
         )
-        agrees = (
-            apart_mm <= self._policy.position_mm and np.degrees(turn.magnitude()) <= self._policy.rotation_deg
-        )
-        return GateReason.NONE if agrees else GateReason.ROBOT_ELSEWHERE
+        turned_deg = math.degrees(turn.magnitude())
+        return apart_mm <= self._policy.position_mm and turned_deg <= self._policy.rotation_deg

@@ -1,17 +1,21 @@
-"""A tracker's answers to messages, frames and time: poses, tracker and controller as one.
+"""The way of a frame from its pose to the offset that goes out.
 
-No thread, clock or socket: a live run and the simulated cell call the same.
+Live run, replay, check and simulated cell drive the same service. They differ in when they call it, in the
+clock, and in the bus behind `send`. No thread, clock or socket is in here.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from arctrack.control.controller import Controller
-from arctrack.control.frame_tracking import Capture
+from arctrack.control.frame_tracking import Capture, TrackedFrame
 from arctrack.control.innovation import SeamMeasurement
 from arctrack.control.pose_watch import Doubt
+from arctrack.recording.run_offsets import OffsetOutcome
 from noise_model.compiled.arrays import Float64
 from robot_io import (
     BusMessage,
@@ -22,7 +26,7 @@ from robot_io import (
     RobotStatus,
     SeamOffset,
 )
-from tracker.state import AT_ONCE, OffsetLookAhead, Track
+from tracker.state import AT_ONCE, NAN, OffsetLookAhead
 
 Shown = TypeVar("Shown", contravariant=True)
 
@@ -32,10 +36,10 @@ class Poses(Protocol):
 
     @property
     def doubt(self) -> Doubt | None:
-        """Why poses were not trusted when the verdict was asked last; None where they were."""
+        """Reason for which poses were not trusted at the latest verdict; None where they were."""
 
     def begin(self) -> None:
-        """Begin as a new process."""
+        """Reset to the state of a new process."""
 
     def hear(self, received: Received, now_s: float) -> None:
         """Take an accepted message of any type, read at a time, s."""
@@ -50,13 +54,13 @@ class Poses(Protocol):
         """Take where a pose put the seam that was seen."""
 
     def verdict(self, now_s: float) -> GateReason:
-        """Return what the gate is told of the poses."""
+        """Return the poses' verdict for the gate."""
 
     def are_trusted(self, now_s: float) -> bool:
         """Return whether what is measured by the poses now may be kept."""
 
     def offset_look_ahead(self, now_s: float) -> OffsetLookAhead:
-        """Return how far ahead of the torch an offset is to be asked for."""
+        """Return the look-ahead of an offset."""
 
     def sent(self, offset: SeamOffset, now_s: float) -> None:
         """Take an offset that went out at a time, s."""
@@ -71,74 +75,129 @@ class SeamTracking(Protocol[Shown]):
     def begin(self) -> None:
         """Reset the tracker, as in a new process."""
 
-    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
-        """Track a frame; the measurement of the seam is what the watch over the poses sees."""
+    def track(self, shown: Shown, capture: Capture) -> TrackedFrame:
+        """Track a frame."""
+
+
+Tracking = TypeVar("Tracking", bound=SeamTracking[Any], covariant=True)
 
 
 @dataclass(frozen=True)
-class FramePose:
-    """A frame's track, and T_base_tool (4, 4) at its capture, mm; None where it was refused."""
+class SeamTracker(Generic[Tracking]):
+    """Poses and tracker of one seam."""
 
-    track: Track
+    poses: Poses
+    tracking: Tracking
+
+
+@dataclass(frozen=True)
+class FrameOutcome:
+    """A tracked frame, and what was sent of it.
+
+    `T_base_tool` (4, 4) is the pose at its capture, mm; None where it was refused. `offset` went out at
+    `sent_s`, NaN where the bus did not take it. `gate_reason` says why it is not as it was measured, and
+    `pose_doubt` why the poses were not trusted.
+    """
+
+    tracked: TrackedFrame
     T_base_tool: Float64 | None
+    messages: list[BusMessage]
+    offset: SeamOffset
+    sent_s: float
+    gate_reason: GateReason
+    pose_doubt: Doubt | None
+
+    def for_results(self) -> OffsetOutcome:
+        """Return what results.csv says of the offset."""
+        was_sent = math.isfinite(self.sent_s)
+        return OffsetOutcome.of(self.offset, self.gate_reason, self.pose_doubt, was_sent)
 
 
 class TrackingService(Generic[Shown]):
-    """Answers to a message, a frame, and the passing of time; all times are on one clock.
+    """Service that hears the robot, tracks frames and sends the answers; `seam` is the tracked one.
 
-    `look_ahead` is the look-ahead of the latest offset.
+    `send` puts a message on the bus, and returns whether it went out; `now_s` returns the time, s. `on_sent`
+    gets each message that went out, and when. `robot` is the latest status, None before the first, and
+    `look_ahead` that of the latest offset.
     """
 
-    def __init__(self, controller: Controller, poses: Poses, tracking: SeamTracking[Shown]) -> None:
-        self.controller, self.poses, self.tracking = controller, poses, tracking
+    def __init__(
+        self,
+        controller: Controller,
+        seam: SeamTracker[SeamTracking[Shown]],
+        send: Callable[[BusMessage], bool],
+        now_s: Callable[[], float],
+        on_sent: Callable[[BusMessage, float], None] | None = None,
+    ) -> None:
+        self.controller, self.seam = controller, seam
+        self.robot: RobotStatus | None = None
         self.look_ahead = AT_ONCE
-        self._robot: RobotStatus | None = None
+        self._put, self._now_s, self._on_sent = send, now_s, on_sent
 
-    @property
-    def robot(self) -> RobotStatus | None:
-        """Latest status of the robot; None before the first."""
-        return self._robot
+    def take_up(self, seam: SeamTracker[SeamTracking[Shown]]) -> None:
+        """Track another seam from now on, of which nothing is known."""
+        self.seam, self.look_ahead = seam, AT_ONCE
+        seam.poses.begin()
+        seam.tracking.begin()
 
-    def begin(self) -> None:
-        """Begin with another seam, of which nothing is known."""
-        self.poses.begin()
-        self.tracking.begin()
-
-    def hear(self, received: Received, now_s: float) -> list[BusMessage]:
-        """Take an accepted message, read at a time, s, and return what answers it."""
+    def hear(self, received: Received) -> None:
+        """Take an accepted message, and send what answers it."""
+        now_s = self._now_s()
         if isinstance(received.message, RobotStatus):
-            self._robot = received.message
-        self.poses.hear(received, now_s)
-        return self.controller.on_message(received, now_s)
+            self.robot = received.message
+        self.seam.poses.hear(received, now_s)
+        self._send(self.controller.on_message(received, now_s))
 
-    def track(self, shown: Shown, index: int, captured_s: float, now_s: float) -> FramePose:
-        """Track a frame, captured and looked at by these times, s; `answer` says what is sent of it."""
-        pose = self.poses.at(captured_s)
+    def track(self, shown: Shown, index: int, captured_s: float) -> FrameOutcome:
+        """Track a frame that was captured at a time, s, and send what the gate makes of it."""
+        poses, now_s = self.seam.poses, self._now_s()
+        pose = poses.at(captured_s)
         is_refused = pose.status is PoseStatus.REFUSED
         if not is_refused:
-            self.look_ahead = self.poses.offset_look_ahead(now_s)
-        capture = Capture(
-            index, captured_s, pose, self._robot, self.poses.are_trusted(now_s), self.look_ahead
+            self.look_ahead = poses.offset_look_ahead(now_s)
+        capture = Capture(index, captured_s, pose, self.robot, poses.are_trusted(now_s), self.look_ahead)
+        tracked = self.seam.tracking.track(shown, capture)
+        if tracked.seam is not None:
+            poses.see(tracked.seam)
+        now_s = self._now_s()
+        self._judge_poses(now_s)
+        T_base_tool = None if is_refused else pose.T_base_tool
+        messages = self.controller.on_track(tracked.track, now_s, T_base_tool, tracked.took_ms)
+        (offset,) = (message for message in messages if isinstance(message, SeamOffset))
+        return FrameOutcome(
+            tracked=tracked,
+            T_base_tool=T_base_tool,
+            messages=messages,
+            offset=offset,
+            sent_s=self._send(messages),
+            gate_reason=self.controller.gate_reason,
+            pose_doubt=poses.doubt,
         )
-        track, measured = self.tracking.track(shown, capture)
-        if measured is not None:
-            self.poses.see(measured)
-        return FramePose(track, None if is_refused else pose.T_base_tool)
 
-    def answer(self, tracked: FramePose, now_s: float, took_ms: float) -> list[BusMessage]:
-        """Return what is to be sent of a track at a time, s; `took_ms` is what tracking took, ms."""
+    def poll(self) -> None:
+        """Send what is due."""
+        now_s = self._now_s()
         self._judge_poses(now_s)
-        return self.controller.on_track(tracked.track, now_s, tracked.T_base_tool, took_ms)
+        self._send(self.controller.poll(now_s))
 
-    def poll(self, now_s: float) -> list[BusMessage]:
-        """Return what is due at a time, s."""
-        self._judge_poses(now_s)
-        return self.controller.poll(now_s)
-
-    def sent(self, message: BusMessage, now_s: float) -> None:
-        """Take a message that went out at a time, s."""
-        if isinstance(message, SeamOffset):
-            self.poses.sent(message, now_s)
+    def close(self) -> None:
+        """Send the last refusal."""
+        self._send(self.controller.close(self._now_s()))
 
     def _judge_poses(self, now_s: float) -> None:
-        self.controller.on_poses(self.poses.verdict(now_s), now_s)
+        self.controller.on_poses(self.seam.poses.verdict(now_s), now_s)
+
+    def _send(self, messages: Iterable[BusMessage]) -> float:
+        """Send messages, and return when the offset among them went out, s; NaN where none did."""
+        sent_s = NAN
+        for message in messages:
+            if not self._put(message):
+                self.controller.unsent(message)
+                continue
+            now_s = self._now_s()
+            if isinstance(message, SeamOffset):
+                self.seam.poses.sent(message, now_s)
+                sent_s = now_s
+            if self._on_sent is not None:
+                self._on_sent(message, now_s)
+        return sent_s

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from arctrack.control.recorded_job import recorded_job
 from arctrack.errors import ArctrackError, in_file
 from arctrack.recording import BadFrame, Recording
 from arctrack.replay.explain_lines import Refusals, SigmaParts, refusals, sigma_parts
-from arctrack.replay.recorded_tracking import RecordedTracking
+from arctrack.replay.replay_loop import replay_without_bus
 from noise_model.arc.map import ArcKernel, arc_frame, arc_kernel
 from noise_model.arc.scene import Scene, make_scene
 from noise_model.compiled.arrays import Float32, Float64
@@ -38,7 +39,6 @@ from tracker.observation import (
 from tracker.profile import Section
 from tracker.seam.locate import locate
 from tracker.state import Frame, Pose, Track
-from tracker.step import step
 from tracker.stripe.expected import ExpectedStripe
 from tracker.stripe.read import StripeReading, Work
 from tracker.tracker_state import TrackerMemory
@@ -99,7 +99,7 @@ class StepObservation:
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A frame's track, the tracker's states before and after it, and the look; None if none was taken."""
+    """A frame's track, the tracker's state before it, and the look; None if none was taken."""
 
     recording: Recording
     geometry: SensorGeometry
@@ -107,7 +107,6 @@ class Explanation:
     pose: Pose | None
     use_arc_map: bool
     before: TrackerMemory
-    after: TrackerMemory
     track: Track
     look: StepObservation | None
 
@@ -122,56 +121,42 @@ def explain(
 
     Raises ArctrackError if the recording has no such frame, or if it cannot be read.
     """
-    position = position_of(recording, index)
-    tracking = RecordedTracking(recording, use_arc_map)
-    for n, earlier in enumerate(recording.frames(range(position))):
-        if not isinstance(earlier, BadFrame):
-            tracking.step(earlier)
+    positions = range(position_of(recording, index) + 1)
+    job = recorded_job(recording, use_arc_map=use_arc_map)
+    outcomes = replay_without_bus(job, positions)
+    for position in positions:
+        _, frame, outcome = next(outcomes)
         if on_frame is not None:
-            on_frame(n + 1)
-    (frame,) = recording.frames([position])
+            on_frame(position + 1)
     if isinstance(frame, BadFrame):
         raise ArctrackError(f"{frame.message}: there is nothing to explain; choose another frame")
-    inputs = tracking.inputs_for(frame)
-    pose, before = inputs.pose, inputs.state
-    tracker, geometry = tracking.tracker, tracking.tracker.geometry
-    after, track, reading = step(
-        geometry,
-        before,
-        frame,
-        pose,
-        work=Work.of(geometry),
-        use_arc_map=use_arc_map,
-        correction=tracker.correction,
-        lead=inputs.lead,
-    )
+    step = outcome.tracked.step
+    assert step is not None
+    inputs, reading, tracker = step.inputs, step.reading, job.tracking.tracker
     look = None
-    if pose is not None and reading is not None:
+    if inputs.pose is not None and reading is not None:
         # A frame that contradicts the arc map was read as if no arc were said to burn.
         as_read = replace(frame, arc_on=frame.arc_on and reading.arc.is_on)
         given = FrameInput(
-            geometry=geometry,
-            state=before,
+            geometry=tracker.geometry,
+            state=inputs.state,
             frame=as_read,
-            T_base_tool=pose.T_base_tool,
-            is_extrapolated=pose.extrapolated,
-            work=Work.of(geometry),
+            T_base_tool=inputs.pose.T_base_tool,
+            is_extrapolated=inputs.pose.extrapolated,
+            work=Work.of(tracker.geometry),
             use_arc_map=use_arc_map,
             correction=tracker.correction,
             lead=inputs.lead,
         )
         look = _look(given, reading)
-    if on_frame is not None:
-        on_frame(position + 1)
     return Explanation(
         recording=recording,
-        geometry=geometry,
+        geometry=tracker.geometry,
         frame=frame,
-        pose=pose,
+        pose=inputs.pose,
         use_arc_map=use_arc_map,
-        before=before,
-        after=after,
-        track=track,
+        before=inputs.state,
+        track=outcome.tracked.track,
         look=look,
     )
 

@@ -1,7 +1,7 @@
 """A recording through the tracker: offsets onto the bus, results, pictures.
 
-Replay calls the same step as the live service, with poses from the same causal buffer. Results go to disk
-frame by frame; a frame that cannot be read becomes a row with its flag, and the tracking goes on.
+Replay drives the tracking service of the live run with recorded frames and poses. Results go to disk frame by
+frame; a frame that cannot be read becomes a row with its flag, and the tracking goes on.
 """
 
 from __future__ import annotations
@@ -16,12 +16,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arctrack.compiling import compiled_by_two
-from arctrack.control.cell_file import CellFile, jobs_for, with_job
-from arctrack.control.controller import Controller
-from arctrack.control.pose_agreement import PoseAgreement
+from arctrack.control.cell_file import CellFile
 from arctrack.control.pose_watch import Doubt
-from arctrack.control.recorded_poses import RecordedPoses
+from arctrack.control.recorded_job import RecordedJob, recorded_job, with_job
 from arctrack.control.robot_messages import TRUSTED
+from arctrack.control.tracking_service import TrackingService
 from arctrack.errors import ArctrackError
 from arctrack.output import make_folder
 from arctrack.printable import printable
@@ -35,12 +34,12 @@ from arctrack.recording.results import (
     Summary,
     count_flags,
 )
-from arctrack.recording.run_offsets import OffsetOutcome, RunComparison, read_run_offsets
+from arctrack.recording.run_offsets import RunComparison, read_run_offsets
 from arctrack.recording.score import score
 from arctrack.replay.pages.drawing import drawing_on
 from arctrack.replay.pages.seen import ReplayedFrame, SeenFile
-from arctrack.replay.recorded_tracking import RecordedTracking, steps
 from arctrack.replay.replay_clock import RealTime, RecordingTime
+from arctrack.replay.replay_loop import replay_frames, replay_without_bus
 from arctrack.safe_points import ends_at_safe_points
 from robot_io import (
     BusLogError,
@@ -49,16 +48,18 @@ from robot_io import (
     Source,
     Verdict,
 )
-from robot_io.poses.plausibility_limits import PlausibilityLimits
 from robot_io.poses.pose_questions import Implausibility
 from tracker import flags
-from tracker.state import Track
+from tracker.state import Frame, Track
 from tracker.warm_up import OnCompiled, WarmUp
 
 if TYPE_CHECKING:
     from arctrack.replay.pages.pictures import ReplayPictures
 
-DEFAULT_BUS = "virtual:arctrack"
+VIRTUAL = "virtual"
+"""python-can's bus inside the process, which no robot hears."""
+
+DEFAULT_BUS = f"{VIRTUAL}:arctrack"
 RESULTS_FOLDER = "results"
 
 
@@ -175,10 +176,10 @@ def replay_recording(
     truth = read_truth(recording.path)
     make_folder(folder, ())
     if not (options.pictures or options.exports):
-        tracking, warm_up = _warm(recording, options, on_compiled)
-        return _replay(tracking, truth, folder, options, warm_up, None, on_frame)
+        job, warm_up = _warm(recording, options, on_compiled)
+        return _replay(job, truth, folder, options, warm_up, None, on_frame)
     with drawing_on(recording, truth, folder, cores) as drawing:
-        tracking, warm_up = _warm(recording, options, on_compiled)
+        job, warm_up = _warm(recording, options, on_compiled)
         pictures = _load_pictures()(
             recording,
             truth,
@@ -192,26 +193,28 @@ def replay_recording(
         # From here to the last offset nobody draws: nothing slows the tracking.
         drawing.wait_ready()
         with pictures.after() as seen:
-            return _replay(tracking, truth, folder, options, warm_up, seen, on_frame)
+            return _replay(job, truth, folder, options, warm_up, seen, on_frame)
 
 
 def _warm(
     recording: Recording, options: ReplayOptions, on_compiled: OnCompiled | None
-) -> tuple[RecordedTracking, WarmUp]:
+) -> tuple[RecordedJob, WarmUp]:
     """Return a tracker that waits for no compiler, nor the recording for what decodes it.
 
     Compiling takes long: it comes before there is a bus that nobody reads meanwhile.
     """
-    tracking = RecordedTracking(recording, options.use_arc_map)
+    interface, _ = parse_bus(options.chosen_bus)
+    has_robot = interface != VIRTUAL
+    job = recorded_job(recording, options.cell, options.job_number, options.use_arc_map, has_robot)
     with compiled_by_two(recording.setup):
-        warm_up = tracking.tracker.warm_up(on_compiled)
+        warm_up = job.tracking.tracker.warm_up(on_compiled)
     # The first PNG compiles what decodes all.
     next(recording.frames(range(1)), None)
-    return tracking, warm_up
+    return job, warm_up
 
 
 def _replay(
-    tracking: RecordedTracking,
+    job: RecordedJob,
     truth: Truth | None,
     folder: Path,
     options: ReplayOptions,
@@ -220,7 +223,7 @@ def _replay(
     on_frame: Callable[[int], None] | None,
 ) -> Replay:
     """Replay onto the bus and keep what was seen, where someone draws it."""
-    recording = tracking.recording
+    recording = job.recording
     interface, channel = parse_bus(options.chosen_bus)
     bit_rate_bit_s = None if options.cell is None else options.cell.bus.bit_rate_bit_s
     tracks: list[Track] = []
@@ -248,55 +251,55 @@ def _replay(
         # Only now do an earlier run's files go: what was sent over a bus that is not there cannot be again.
         make_folder(folder, (name for name in FILES if name != BUS_LOG))
         results = opened.enter_context(ResultsWriter(folder))
-        number, jobs = jobs_for(recording, options.cell, options.job_number)
-        controller = Controller(jobs, Source.REPLAY, None if options.cell is None else options.cell.policy)
-        poses = RecordedPoses(
-            recording, PlausibilityLimits() if options.cell is None else options.cell.plausibility
+        clock: RecordingTime | RealTime = RecordingTime(recording.rows, job.number)
+        if interface != VIRTUAL:
+            clock = RealTime(recording.rows, link, check_interrupt)
+        service = TrackingService[Frame | None](
+            job.controller,
+            job.seam,
+            lambda message: link.send(message, clock.logged_at_s()),
+            clock.now_s,
         )
-        moments: RecordingTime | RealTime = RecordingTime(
-            recording.rows, link, controller, poses.verdict, number
-        )
-        if interface != "virtual":
-            agreement = PoseAgreement(recording.pose_buffer())
-            moments = RealTime(recording.rows, link, controller, agreement, poses.verdict, check_interrupt)
         # However it ends, the robot is told that nothing holds any longer.
-        opened.callback(moments.close)
-        for step in steps(tracking, recording.rows, frames):
+        opened.callback(service.close)
+        for row, frame, outcome in replay_frames(service, clock, recording.rows, frames):
             check_interrupt()
-            T_base_tool = None if step.pose is None else step.pose.T_base_tool
-            poses.see(step.seam)
-            offset = moments.publish(step.row, step.track, T_base_tool, step.took_ms)
-            outcome = OffsetOutcome.of(offset, controller.gate_reason, poses.doubt)
-            run_outcome = run_offsets.get(step.row.index)
-            if run_outcome is not None:
-                comparison.add(run_outcome, outcome)
-            results.write(step.track, outcome, step.took_ms, run_outcome)
-            doubts.append(poses.doubt)
+            tracked, sent = outcome.tracked, outcome.for_results()
+            run = run_offsets.get(row.index)
+            if run is not None:
+                comparison.add(run, sent)
+            results.write(tracked.track, sent, tracked.took_ms, run)
+            doubts.append(outcome.pose_doubt)
             if seen is not None:
-                seen.add(
-                    ReplayedFrame(
-                        step.pose, step.track, step.reading, offset, step.took_ms, outcome, run_outcome
-                    )
-                )
-            tracks.append(replace(step.track, stripe=None))
-            compute_ms.append(step.took_ms)
-            if isinstance(step.frame, BadFrame):
-                bad_frames.append(step.frame)
+                seen.add(ReplayedFrame.of(outcome, run))
+            tracks.append(replace(tracked.track, stripe=None))
+            compute_ms.append(tracked.took_ms)
+            if isinstance(frame, BadFrame):
+                bad_frames.append(frame)
             if on_frame is not None:
                 on_frame(len(tracks))
     summary = replace(
         _summary(recording, truth, options.use_arc_map, tracks, compute_ms, time.monotonic() - started_s),
-        offsets={verdict.value: controller.verdicts[verdict] for verdict in Verdict},
-        refusals={reason.name.lower(): count for reason, count in sorted(controller.reasons.items())},
+        offsets={verdict.value: job.controller.verdicts[verdict] for verdict in Verdict},
+        refusals=job.refusals,
         pose_doubts=Counter(doubt.name.lower() for doubt in doubts if doubt is not None),
-        heard_robot_status=poses.hears_robot,
+        heard_robot_status=job.poses.hears_robot,
         run_offsets=comparison if run_offsets else None,
     )
     summary.write(folder)
-    warnings = (*moments.warnings, *_pose_warnings(recording, doubts))
+    warnings = (*clock.warnings(service), *bus_faults(link), *_pose_warnings(recording, doubts))
     if comparison.differences:
         warnings = (*warnings, str(comparison))
     return Replay(recording, folder, summary, tuple(tracks), tuple(bad_frames), warnings, warm_up)
+
+
+def bus_faults(link: Link) -> tuple[str, ...]:
+    """Return a line on the faults of a bus, if there were any."""
+    faults = {fault.value: count for fault, count in link.faults.items() if count}
+    if not faults:
+        return ()
+    counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in sorted(faults.items()))
+    return (f"{link.interface}:{link.channel}: faults of the bus: {counts}",)
 
 
 def _pose_warnings(recording: Recording, doubts: Sequence[Doubt | None]) -> Iterator[str]:
@@ -318,16 +321,15 @@ def track_alone(
     truth = read_truth(recording.path)
     tracks: list[Track] = []
     compute_ms: list[float] = []
-    tracking = RecordedTracking(recording, use_arc_map)
+    job = recorded_job(recording, use_arc_map=use_arc_map)
     with compiled_by_two(recording.setup):
-        tracking.tracker.warm_up()
+        job.tracking.tracker.warm_up()
     started_s = time.monotonic()
-    with read_ahead(recording.frames()) as frames:
-        for step in steps(tracking, recording.rows, frames):
-            tracks.append(replace(step.track, stripe=None))
-            compute_ms.append(step.took_ms)
-            if on_frame is not None:
-                on_frame(len(tracks))
+    for _, _, outcome in replay_without_bus(job, range(len(recording.rows))):
+        tracks.append(replace(outcome.tracked.track, stripe=None))
+        compute_ms.append(outcome.tracked.took_ms)
+        if on_frame is not None:
+            on_frame(len(tracks))
     return _summary(recording, truth, use_arc_map, tracks, compute_ms, time.monotonic() - started_s)
 
 
@@ -344,7 +346,7 @@ def parse_bus(text: str) -> tuple[str, str]:
 def _check_bus(options: ReplayOptions) -> None:
     bus = options.chosen_bus
     interface, _ = parse_bus(bus)
-    if interface != "virtual" and not options.onto_a_robot:
+    if interface != VIRTUAL and not options.onto_a_robot:
         raise ArctrackError(
             f"--bus {bus}: a replay moves what listens there; say --onto-a-robot if that is meant"
         )

@@ -5,16 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from arctrack.control.cell_file import jobs_for
-from arctrack.control.controller import Controller
-from arctrack.control.recorded_poses import RecordedPoses
-from arctrack.control.robot_messages import TRUSTED
+from arctrack.control.recorded_job import recorded_job
 from arctrack.offset_count import OffsetCount
 from arctrack.recording import Recording
-from arctrack.replay.recorded_tracking import RecordedTracking, steps
-from arctrack.replay.replay_clock import RecordingTime
-from robot_io import Link, Source, Verdict
-from robot_io.poses.plausibility_limits import PlausibilityLimits
+from arctrack.replay.replay_loop import replay_without_bus
+from robot_io import Verdict
 from tracker.state import Track
 
 MAX_TRIED, TRIED_BEFORE_ARC = 240, 40
@@ -40,19 +35,9 @@ def rows_to_try(recording: Recording, most: int = MAX_TRIED) -> range:
 
 def try_out(recording: Recording, positions: Sequence[int]) -> Trial:
     """Track the frames at rising positions as a replay would; ArctrackError where it refuses the setup."""
-    rows = [recording.rows[n] for n in positions]
-    tracking = RecordedTracking(recording, use_arc_map=True)
-    number, jobs = jobs_for(recording, None, None)
-    controller = Controller(jobs, Source.REPLAY)
-    poses = RecordedPoses(recording, PlausibilityLimits())
-    tracks = []
-    with Link("virtual", "arctrack-check", source=Source.REPLAY, trusted=TRUSTED) as link:
-        moments = RecordingTime(rows, link, controller, poses.verdict, number)
-        for step in steps(tracking, rows, recording.frames(positions)):
-            T_base_tool = None if step.pose is None else step.pose.T_base_tool
-            poses.see(step.seam)
-            moments.publish(step.row, step.track, T_base_tool, step.took_ms)
-            tracks.append(replace(step.track, stripe=None))
-    reasons = {reason.name.lower(): count for reason, count in sorted(controller.reasons.items())}
-    offsets = OffsetCount.of(controller.verdicts[Verdict.SEND], len(rows), reasons)
-    return Trial(tuple(tracks), offsets, reasons)
+    job = recorded_job(recording)
+    tracks = tuple(
+        replace(outcome.tracked.track, stripe=None) for _, _, outcome in replay_without_bus(job, positions)
+    )
+    offsets = OffsetCount.of(job.controller.verdicts[Verdict.SEND], len(tracks), job.refusals)
+    return Trial(tracks, offsets, job.refusals)

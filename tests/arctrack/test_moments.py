@@ -7,7 +7,7 @@ import math
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,14 +18,17 @@ import pytest
 from can.interfaces.virtual import VirtualBus
 
 from arctrack.control.controller import Controller
+from arctrack.control.frame_tracking import Capture, TrackedFrame
 from arctrack.control.job import Job
 from arctrack.control.pose_agreement import PoseAgreement
+from arctrack.control.recorded_poses import RecordedPoses
 from arctrack.control.robot_messages import TRUSTED
+from arctrack.control.tracking_service import SeamTracker, TrackingService
 from arctrack.errors import ArctrackError
-from arctrack.recording import FrameRow, read_recording
+from arctrack.recording import FrameRow, Recording, read_recording
 from arctrack.replay import replay_clock as moments
-from arctrack.replay.replay import ReplayOptions, replay_recording
-from arctrack.replay.replay_clock import PosesVerdict, RealTime, RecordingTime, assumed_command, assumed_robot
+from arctrack.replay.replay import ReplayOptions, bus_faults, replay_recording
+from arctrack.replay.replay_clock import RealTime, RecordingTime, assumed_command, assumed_robot
 from robot_io import (
     BusLogReader,
     BusLogWriter,
@@ -34,7 +37,6 @@ from robot_io import (
     GateReason,
     Link,
     LinkFault,
-    PoseBuffer,
     PoseKind,
     Received,
     RobotPosePosition,
@@ -61,10 +63,6 @@ from tracker.warm_up import WarmUp
 
 CHANNELS = (f"test_moments_{n}" for n in itertools.count())
 ROWS = [FrameRow(n, 1.0 + 0.125 * n, True, True, 100.0, 0.0625) for n in range(40)]
-
-
-def no_interrupt() -> None:
-    """Nothing interrupts."""
 
 
 class Clock:
@@ -117,15 +115,28 @@ def heard(link: Link) -> list[Received]:
     return list(link.receive(0.0))
 
 
-STILL = PoseBuffer()
+TIMES_S, STILL_MM = 0.01 * np.arange(1000), np.tile(np.eye(4), (1000, 1, 1))
 """The recording's poses: the tool stands still at base's origin."""
-STILL.push_all(0.01 * np.arange(1000), np.tile(np.eye(4), (1000, 1, 1)))
 
 JOB = Job("v_groove", poses_proven=True)
 
 
-def trusted(_now_s: float) -> GateReason:
-    return GateReason.NONE
+class MadeTracking:
+    """A tracker that finds the same seam in every row."""
+
+    def begin(self) -> None:
+        """Do nothing."""
+
+    def track(self, shown: None, capture: Capture) -> TrackedFrame:
+        return TrackedFrame(track(ROWS[capture.index]), took_ms=1.0)
+
+
+@pytest.fixture(scope="module")
+def still(simulated: Path) -> Recording:
+    """Return a recording whose tool stands still."""
+    recording = read_recording(simulated)
+    poses = replace(recording.poses, timestamps_s=TIMES_S, T_base_tool=STILL_MM)
+    return replace(recording, rows=tuple(ROWS), poses=poses)
 
 
 class Robot:
@@ -145,86 +156,94 @@ class Robot:
             self.link.send(RobotPoseRotation.from_quaternion((0.0, 0.0, 0.0, 1.0), 0.0), now_s)
 
 
-def replaying(
-    channel: str, rows: list[FrameRow] = ROWS, poses_verdict: PosesVerdict = trusted
-) -> tuple[Link, Controller, RealTime]:
-    link = Link("virtual", channel, source=Source.REPLAY, trusted=TRUSTED)
-    controller = Controller(JOB, Source.REPLAY)
-    return (
-        link,
-        controller,
-        RealTime(rows, link, controller, PoseAgreement(STILL), poses_verdict, no_interrupt),
-    )
+class Replaying:
+    """A recording's rows in real time, onto a virtual bus."""
+
+    def __init__(self, still: Recording, channel: str, rows: Sequence[FrameRow] = ROWS) -> None:
+        self.link = Link("virtual", channel, source=Source.REPLAY, trusted=TRUSTED)
+        self.controller = Controller(JOB, Source.REPLAY)
+        self.clock = RealTime(rows, self.link, lambda: None)
+        seam = SeamTracker(RecordedPoses(still, has_robot=True), MadeTracking())
+        self.service = TrackingService[None](self.controller, seam, self.link.send, self.clock.now_s)
+        self._has_begun = False
+
+    def publish(self, row: FrameRow) -> SeamOffset:
+        if not self._has_begun:
+            self._has_begun = True
+            self.clock.begin(self.service)
+        self.clock.reach(row, self.service)
+        return self.service.track(None, row.index, row.timestamp_s).offset
 
 
 def offsets_of(received: Iterable[Received]) -> list[SeamOffset]:
     return [r.message for r in received if isinstance(r.message, SeamOffset)]
 
 
-def test_a_frame_goes_out_when_its_time_has_come(clock: Clock) -> None:
-    link, _, real_time = replaying(next(CHANNELS))
-    with link:
+def test_a_frame_goes_out_when_its_time_has_come(still: Recording, clock: Clock) -> None:
+    replaying = Replaying(still, next(CHANNELS))
+    with replaying.link:
         # Kernels are compiled meanwhile: the frames of that time are not to go out in a burst.
         clock.sleep(20.0)
         began_s = clock.now_s
         for row in ROWS[:3]:
-            real_time.publish(row, track(row), None, 1.0)
+            replaying.publish(row)
             assert clock.now_s == pytest.approx(began_s + row.timestamp_s - ROWS[0].timestamp_s)
 
 
-def test_what_comes_too_late_is_refused(clock: Clock) -> None:
+def test_what_comes_too_late_is_refused(still: Recording, clock: Clock) -> None:
     channel = next(CHANNELS)
-    link, controller, real_time = replaying(channel)
-    robot = Robot(channel, clock)
-    with link, robot.link:
+    replaying, robot = Replaying(still, channel), Robot(channel, clock)
+    with replaying.link, robot.link:
         robot.say(Command.DISARM)
         for row in ROWS:
             # A tenth of a second more than there is from frame to frame.
             clock.sleep(0.225)
             robot.say()
-            real_time.publish(row, track(row), None, 225.0)
+            replaying.publish(row)
         offsets = offsets_of(heard(robot.link))
     frames = [offset for offset in offsets if offset.validity is not Validity.REFUSED]
     assert [offset.capture_age_ms for offset in frames[:2]] == pytest.approx([31.25, 131.25], abs=0.5)
     assert [offset.validity for offset in frames[:3]] == [Validity.VALID, Validity.VALID, Validity.HELD]
-    assert controller.reasons == Counter({GateReason.CAPTURE_TOO_OLD: len(ROWS) - 2})
+    assert replaying.controller.reasons == Counter({GateReason.CAPTURE_TOO_OLD: len(ROWS) - 2})
     assert offsets[-1].validity is Validity.REFUSED
 
 
-def test_without_a_robot_nothing_is_valid(clock: Clock) -> None:
-    link, controller, real_time = replaying(next(CHANNELS))
-    with link:
-        offsets = [real_time.publish(row, track(row), None, 1.0) for row in ROWS[:5]]
-        (warning,) = real_time.warnings
+def test_without_a_robot_nothing_is_valid(still: Recording, clock: Clock) -> None:
+    replaying = Replaying(still, next(CHANNELS))
+    with replaying.link:
+        offsets = [replaying.publish(row) for row in ROWS[:5]]
+        (warning,) = replaying.clock.warnings(replaying.service)
     assert {offset.validity for offset in offsets} == {Validity.REFUSED}
-    assert controller.reasons == Counter({GateReason.NOT_ARMED: 5})
-    assert warning == f"virtual:{link.channel}: no RobotStatus was heard, so every offset was refused"
+    assert replaying.controller.reasons == Counter({GateReason.NOT_ARMED: 5})
+    assert (
+        warning == f"virtual:{replaying.link.channel}: no RobotStatus was heard, so every offset was refused"
+    )
 
 
-def test_the_robot_is_the_one_that_is_heard(clock: Clock) -> None:
+def test_the_robot_is_the_one_that_is_heard(still: Recording, clock: Clock) -> None:
     channel = next(CHANNELS)
-    link, controller, real_time = replaying(channel)
-    robot = Robot(channel, clock)
-    with link, robot.link:
+    replaying, robot = Replaying(still, channel), Robot(channel, clock)
+    with replaying.link, robot.link:
         robot.say(Command.DISARM)
         robot.say()
-        assert real_time.publish(ROWS[0], track(ROWS[0]), None, 1.0).validity is Validity.VALID
+        assert replaying.publish(ROWS[0]).validity is Validity.VALID
         clock.sleep(0.1)
         robot.status = replace(robot.status, emergency_stop=Switch.ON)
         robot.say()
-        assert real_time.publish(ROWS[1], track(ROWS[1]), None, 1.0).validity is Validity.REFUSED
+        assert replaying.publish(ROWS[1]).validity is Validity.REFUSED
         # It falls silent: that is no robot, and none is made up.
-        assert real_time.publish(ROWS[9], track(ROWS[9]), None, 1.0).validity is Validity.REFUSED
-        assert real_time.warnings == ()
-    assert controller.reasons == Counter({GateReason.EMERGENCY_STOP: 1, GateReason.HEARTBEAT_LOST: 1})
+        assert replaying.publish(ROWS[9]).validity is Validity.REFUSED
+        assert replaying.clock.warnings(replaying.service) == ()
+    assert replaying.controller.reasons == Counter(
+        {GateReason.EMERGENCY_STOP: 1, GateReason.HEARTBEAT_LOST: 1}
+    )
 
 
-def test_faults_of_the_bus_are_said(clock: Clock) -> None:
-    link, _, real_time = replaying(next(CHANNELS))
-    with link:
+def test_faults_of_the_bus_are_said() -> None:
+    with Link("virtual", next(CHANNELS)) as link:
         link.faults[LinkFault.UNSENT] += 3
         link.faults[LinkFault.BUS_OFF] += 1
-        _, warning = real_time.warnings
+        (warning,) = bus_faults(link)
     assert warning == f"virtual:{link.channel}: faults of the bus: 1 bus off, 3 unsent"
 
 
@@ -262,51 +281,53 @@ def test_a_replay_whose_log_fails_goes_on_and_says_so(
     ],
 )
 def test_the_robot_must_stand_where_the_recordings_robot_stood(
-    clock: Clock, x_mm: float, with_poses: bool, reason: GateReason
+    still: Recording, clock: Clock, x_mm: float, with_poses: bool, reason: GateReason
 ) -> None:
     channel = next(CHANNELS)
-    link, controller, real_time = replaying(channel)
-    robot = Robot(channel, clock)
+    replaying, robot = Replaying(still, channel), Robot(channel, clock)
     robot.x_mm = x_mm
-    with link, robot.link:
+    with replaying.link, robot.link:
         for command in (Command.DISARM, Command.TRACK):
             robot.say(command, with_poses)
-        real_time.publish(ROWS[0], track(ROWS[0]), None, 1.0)
-    assert controller.reasons == Counter({reason: 1} if reason is not GateReason.NONE else {})
+        replaying.publish(ROWS[0])
+    assert replaying.controller.reasons == Counter({reason: 1} if reason is not GateReason.NONE else {})
 
 
-def test_a_robot_is_sent_nothing_that_rests_on_poses_in_doubt(clock: Clock) -> None:
+def test_a_robot_is_sent_nothing_that_rests_on_poses_in_doubt(still: Recording, clock: Clock) -> None:
     channel = next(CHANNELS)
-    link, controller, real_time = replaying(channel, poses_verdict=lambda _: GateReason.POSE_IMPLAUSIBLE)
-    robot = Robot(channel, clock)
-    with link, robot.link:
+    ended = replace(still.poses, timestamps_s=TIMES_S[:50], T_base_tool=STILL_MM[:50])
+    replaying, robot = Replaying(replace(still, poses=ended), channel), Robot(channel, clock)
+    with replaying.link, robot.link:
         for command in (Command.DISARM, Command.TRACK):
             robot.say(command)
-        real_time.publish(ROWS[0], track(ROWS[0]), None, 1.0)
-    assert controller.reasons == Counter({GateReason.POSE_IMPLAUSIBLE: 1})
+        replaying.publish(ROWS[0])
+    assert replaying.controller.reasons == Counter({GateReason.POSE_IMPLAUSIBLE: 1})
 
 
-def test_a_robot_that_is_turned_stands_elsewhere() -> None:
+def test_a_robot_that_is_turned_stands_elsewhere(still: Recording) -> None:
     half = math.radians(3.05) / 2.0
-    agreement = PoseAgreement(STILL)
-    messages = (
-        RobotPosePosition(0.0, 0.0, 0.0, PoseKind.ACTUAL),
-        RobotPoseRotation.from_quaternion((0.0, 0.0, math.sin(half), math.cos(half)), 2.0),
-    )
-    verdicts = [agreement.verdict(Received(7.0, message, 3), 1.0) for message in messages]
-    assert verdicts == [None, GateReason.ROBOT_ELSEWHERE]
+    position = RobotPosePosition(0.0, 0.0, 0.0, PoseKind.ACTUAL)
+    turned = RobotPoseRotation.from_quaternion((0.0, 0.0, math.sin(half), math.cos(half)), 2.0)
+    level = RobotPoseRotation.from_quaternion((0.0, 0.0, 0.0, 1.0), 2.0)
+
+    def verdict(position: RobotPosePosition, rotation: RobotPoseRotation, now_s: float) -> GateReason:
+        agreement = PoseAgreement(still.pose_buffer(), 0.1)
+        for message in (position, rotation):
+            agreement.hear(Received(7.0, message, 3), now_s)
+        assert agreement.verdict(now_s + 0.11) is GateReason.POSE_IMPLAUSIBLE
+        return agreement.verdict(now_s + 0.09)
+
+    assert verdict(position, level, 1.0) is GateReason.NONE
+    assert verdict(position, turned, 1.0) is GateReason.ROBOT_ELSEWHERE
     # Where the recording has no pose, no robot can agree with it.
-    assert [agreement.verdict(Received(7.0, message, 3), 90.0) for message in messages][1] is (
-        GateReason.ROBOT_ELSEWHERE
-    )
-    programmed = replace(messages[0], kind=PoseKind.PROGRAMMED)
-    assert agreement.verdict(Received(7.0, programmed, 4), 1.0) is None
-    assert agreement.verdict(Received(7.0, messages[1], 4), 1.0) is None
+    assert verdict(position, level, 90.0) is GateReason.ROBOT_ELSEWHERE
+    programmed = replace(position, kind=PoseKind.PROGRAMMED)
+    assert verdict(programmed, level, 1.0) is GateReason.POSE_IMPLAUSIBLE
 
 
 @pytest.mark.slow
 def test_a_robot_that_talks_between_two_frames_is_heard_to_the_end(
-    tmp_path: Path, multicast: dict[str, Any]
+    still: Recording, tmp_path: Path, multicast: dict[str, Any]
 ) -> None:
     """A socket stores a few hundred messages: fewer than come before the second frame is due."""
     log = tmp_path / "bus.blf"
@@ -319,11 +340,14 @@ def test_a_robot_that_talks_between_two_frames_is_heard_to_the_end(
                 robot.send(assumed_robot(rows[next(sent) % 2]))
                 time.sleep(0.001)
 
-        real_time = RealTime(rows, tracker, Controller(JOB), PoseAgreement(STILL), trusted, no_interrupt)
-        real_time.publish(rows[0], track(rows[0]), None, 1.0)
+        real_time = RealTime(rows, tracker, lambda: None)
+        seam = SeamTracker(RecordedPoses(still), MadeTracking())
+        service = TrackingService[None](Controller(JOB), seam, tracker.send, real_time.now_s)
+        real_time.begin(service)
+        real_time.reach(rows[0], service)
         talking = threading.Thread(target=talk)
         talking.start()
-        real_time.publish(rows[1], track(rows[1]), None, 1.0)
+        real_time.reach(rows[1], service)
         enough.set()
         talking.join()
         # What came after the frame was due.
@@ -395,40 +419,50 @@ def test_a_replay_onto_a_bus_beyond_it_listens(
     assert isinstance(logged[0].message, TrackerCommand)
 
 
-def recording_time() -> tuple[Link, Controller, RecordingTime]:
-    link = Link("virtual", next(CHANNELS), source=Source.REPLAY)
+def offline(still: Recording) -> tuple[Link, TrackingService[None], Callable[[FrameRow], SeamOffset]]:
+    """Return a link, a service by the recording's time, and what publishes a row."""
+    link, clock = Link("virtual", next(CHANNELS), source=Source.REPLAY), RecordingTime(ROWS)
+    seam = SeamTracker(RecordedPoses(still), MadeTracking())
     controller = Controller(Job("v_groove"), Source.REPLAY)
-    return link, controller, RecordingTime(ROWS, link, controller, trusted)
+    service = TrackingService[None](
+        controller, seam, lambda message: link.send(message, clock.logged_at_s()), clock.now_s
+    )
+    clock.begin(service)
+
+    def publish(row: FrameRow) -> SeamOffset:
+        clock.reach(row, service)
+        return service.track(None, row.index, row.timestamp_s).offset
+
+    return link, service, publish
 
 
-def test_nobody_listens_to_virtual() -> None:
-    link, controller, by_recording = recording_time()
+def test_nobody_listens_to_virtual(still: Recording) -> None:
+    link, service, publish = offline(still)
     with (
         link,
         Link("virtual", link.channel, trusted=Trusted(tracker=(Source.REPLAY,))) as robot,
         Link("virtual", link.channel) as live,
     ):
-        offset = by_recording.publish(ROWS[0], track(ROWS[0]), None, 7.0)
+        offset = publish(ROWS[0])
         assert (offset.validity, offset.offset_y_mm) == (Validity.VALID, 0.0)
-        offset = by_recording.publish(ROWS[3], track(ROWS[3]), None, 7.0)
-        by_recording.close()
+        offset = publish(ROWS[3])
+        service.close()
         received = heard(robot)
         # Who trusts live frames alone hears nothing.
         assert heard(live) == []
         assert set(live.inbox.skipped) == {SkipReason.OTHER_SOURCE}
     assert (offset.validity, offset.offset_y_mm) == (Validity.VALID, 0.5)
-    assert controller.verdicts == Counter({Verdict.SEND: 2})
+    assert service.controller.verdicts == Counter({Verdict.SEND: 2})
     at_s = [ROWS[n].timestamp_s + ROWS[n].exposure_s / 2.0 for n in (0, 3, 3)]
     assert [r.timestamp_s for r in received if isinstance(r.message, SeamOffset)] == at_s
     assert offsets_of(received)[-1].validity is Validity.REFUSED
-    assert by_recording.warnings == ()
 
 
-def test_the_version_is_sent_again_and_again() -> None:
-    link, _, by_recording = recording_time()
+def test_the_version_is_sent_again_and_again(still: Recording) -> None:
+    link, _, publish = offline(still)
     with link, Link("virtual", link.channel, trusted=Trusted(tracker=(Source.REPLAY,))) as robot:
         for row in ROWS:
-            by_recording.publish(row, track(row), None, 1.0)
+            publish(row)
         received = heard(robot)
     counts = Counter(type(r.message) for r in received)
     # 40 frames at 8 a second.

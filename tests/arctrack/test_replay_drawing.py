@@ -81,7 +81,7 @@ def test_processes_draw_what_one_draws_byte_for_byte(
     started: list[WorkerProcess[ToDraw, Drawn]],
 ) -> None:
     # The page shows how long each step took.
-    monkeypatch.setattr("arctrack.replay.recorded_tracking.time", SimpleNamespace(perf_counter_ns=lambda: 0))
+    monkeypatch.setattr("arctrack.control.frame_tracking.time", SimpleNamespace(perf_counter_ns=lambda: 0))
     monkeypatch.setattr(
         "arctrack.replay.replay.time", SimpleNamespace(monotonic=iter(range(10_000)).__next__)
     )

@@ -22,13 +22,13 @@ from arctrack.replay.pages import pictures
 from arctrack.replay.pages.page import frames_to_show, opening_frame
 from arctrack.replay.pages.seen import ReplayedFrame
 from arctrack.replay.pages.view import Viewer
-from arctrack.replay.recorded_tracking import tracker_of
 from arctrack.replay.replay import Replay, replay_recording
 from noise_model.transforms import transform
 from robot_io import SeamOffset, Validity
 from tracker import flags
 from tracker.profile import lines_of, triangulate
 from tracker.stripe.expected import expect_stripe
+from tracker.tracker import Tracker
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +129,7 @@ def test_frames_to_show(frame_flags: list[int], most: int) -> None:
 def test_the_view_is_the_trackers_own(simulated: Path) -> None:
     """The points in the tool frame are the profile's, and the section runs through the seam point."""
     recording = read_recording(simulated)
-    tracker = tracker_of(recording, True)
+    tracker = Tracker(recording.setup, correction=recording.correction)
     viewer = Viewer(tracker.geometry, read_truth(simulated))
     poses = recording.pose_buffer()
     nothing = SeamOffset(math.nan, math.nan, 0.0, 0.0, Validity.REFUSED)

@@ -8,4 +8,3 @@ from .choices import (
     ProcessChoice as ProcessChoice,
 )
 from .reader import is_cell_file as is_cell_file, read_cell_file as read_cell_file
-from .recorded_job import with_job as with_job, jobs_for as jobs_for

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 
 from arctrack.live.cameras.camera import PLAYED, UnreadableFrame
 from arctrack.recording import BadFrame, Recording
 from arctrack.recording.exposed import exposed_s
+from arctrack.replay.replay_clock import PlaybackClock
 from robot_io import LaserState, RobotPulse
 from tracker.state import Frame
 
@@ -22,9 +22,8 @@ class RecordingCamera:
     traits = PLAYED
 
     def __init__(self, recording: Recording, monotonic_s: Callable[[], float] = time.monotonic) -> None:
-        self._monotonic_s = monotonic_s
-        self._first_s = exposed_s(recording.rows[0])
-        self._began_s = math.nan
+        clock = PlaybackClock(recording.rows[0], monotonic_s)
+        self.begin, self.now_s = clock.begin, clock.now_s
         self._frames = zip(recording.rows, recording.frames(), strict=True)
         self._next = next(self._frames, None)
         self._dropped = 0
@@ -38,16 +37,6 @@ class RecordingCamera:
     def is_over(self) -> bool:
         """True once the last frame was handed out."""
         return self._next is None
-
-    def begin(self) -> None:
-        """Let the recording begin now."""
-        self._began_s = self._monotonic_s()
-
-    def now_s(self) -> float:
-        """Return the time on the recording's clock, s; it stands until it begins."""
-        if math.isnan(self._began_s):
-            return self._first_s
-        return self._first_s + (self._monotonic_s() - self._began_s)
 
     def newest(self) -> Frame | UnreadableFrame | None:
         """Return the newest frame whose exposure is over, None where it was handed out before."""

@@ -6,11 +6,12 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from arctrack.control.frame_tracking import FrameStep
-from arctrack.control.pose_watch import Doubt
+from arctrack.control.tracking_service import FrameOutcome
 from arctrack.live.journal.journal import Journal
 from arctrack.live.journal.records import Entry, HeardPose, ProcessState, SeenFrame, Status
-from robot_io import GateReason, PoseSample, SeamOffset
+from robot_io import PoseSample
+from tracker.observation import Reading
+from tracker.state import Track
 
 VIEW_S = 0.04
 """Nobody sees more pictures a second than 25."""
@@ -23,51 +24,36 @@ class Keeper:
 
     def __init__(self, journal: Journal, processes: Callable[[], Mapping[str, ProcessState]] = dict) -> None:
         self._journal, self._processes = journal, processes
-        self._step: FrameStep | None = None
         self._shown_s = self._told_s = -math.inf
-
-    def on_step(self, step: FrameStep) -> None:
-        """Take a step that was taken."""
-        self._step = step
 
     def on_pose(self, sample: PoseSample, read_s: float) -> None:
         """Take a pose that was read at a time, s."""
         self._journal.hear(HeardPose(sample, read_s))
 
-    def on_sent(
-        self,
-        offset: SeamOffset | None,
-        job_number: int,
-        arrived_s: float,
-        sent_s: float,
-        took_ms: float,
-        dropped: int,
-        gate_reason: GateReason = GateReason.NONE,
-        pose_doubt: Doubt | None = None,
-    ) -> None:
-        """Write the step's entry: its offset went out, or none did; see `Entry`."""
-        step, self._step = self._step, None
+    def on_sent(self, outcome: FrameOutcome, job_number: int, arrived_s: float, dropped: int) -> None:
+        """Write the entry of a frame that was tracked; see `Entry`."""
+        tracked, step, doubt = outcome.tracked, outcome.tracked.step, outcome.pose_doubt
         if step is None:
-            # A frame that could not be read: there was no step.
+            # A frame that could not be read.
             return
         position = self._journal.add(
             Entry(
                 step.frame,
                 step.inputs,
-                replace(step.track, stripe=None, checks=()),
-                offset,
+                replace(tracked.track, stripe=None, checks=()),
+                outcome.offset,
                 job_number,
                 arrived_s=arrived_s,
-                sent_s=sent_s,
-                took_ms=took_ms,
+                sent_s=outcome.sent_s,
+                took_ms=tracked.took_ms,
                 dropped=dropped,
-                gate_reason=gate_reason,
-                pose_doubt="" if pose_doubt is None else pose_doubt.name.lower(),
+                gate_reason=outcome.gate_reason,
+                pose_doubt="" if doubt is None else doubt.name.lower(),
             )
         )
         if not 0.0 <= arrived_s - self._shown_s < VIEW_S:
             self._shown_s = arrived_s
-            self._journal.show(_view(position, step))
+            self._journal.show(_view(position, tracked.track, step.reading))
 
     def tell(self, now_s: float, status: Callable[[], Status]) -> None:
         """Write how the run stands, where it is time for it."""
@@ -76,8 +62,8 @@ class Keeper:
             self._journal.tell(replace(status(), processes=self._processes()))
 
 
-def _view(position: int, step: FrameStep) -> SeenFrame:
-    reading, track = step.reading, replace(step.track, checks=())
+def _view(position: int, track: Track, reading: Reading | None) -> SeenFrame:
+    track = replace(track, checks=())
     if reading is None:
         return SeenFrame(position, track)
     return SeenFrame(position, track, reading.seam, reading.reach_mm, reading.arc, reading.joint)

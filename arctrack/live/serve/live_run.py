@@ -11,14 +11,15 @@ import numpy as np
 
 from arctrack.compiling import compiled_by_two
 from arctrack.control.bus_poses import BusPoses
-from arctrack.control.cell_file import CellFile, jobs_for, with_job
+from arctrack.control.cell_file import CellFile
 from arctrack.control.controller import Controller
 from arctrack.control.frame_tracking import FrameTracking
 from arctrack.control.look_ahead import NOTHING_YET, LagEstimator
 from arctrack.control.pose_watch import nominal_path
+from arctrack.control.recorded_job import recorded_job, with_job
 from arctrack.control.recorded_poses import seam_limits
 from arctrack.control.robot_messages import TRUSTED
-from arctrack.control.tracking_service import TrackingService
+from arctrack.control.tracking_service import SeamTracker
 from arctrack.errors import ArctrackError, in_file
 from arctrack.live.cameras.camera import CameraProtocol
 from arctrack.live.cameras.recording import RecordingCamera
@@ -27,20 +28,16 @@ from arctrack.live.cameras.shared_memory import SharedMemoryCamera
 from arctrack.live.journal.message_pipe import message_pipe
 from arctrack.live.serve.captured import CapturedCamera
 from arctrack.live.serve.exposure import ExposureChooser
-from arctrack.live.serve.keeper import Keeper
 from arctrack.live.serve.kept import JournalProcesses, kept
 from arctrack.live.serve.lag_process import LagAsker, estimate_lags
-from arctrack.live.serve.loop import LiveLoop, LoopResult, OnTrack, Service
+from arctrack.live.serve.loop import LiveLoop, LiveSeam, LoopResult, OnTrack
 from arctrack.live.serve.notify import Notifier
-from arctrack.live.serve.played_poses import PlayedPoses
 from arctrack.live.serve.process import Watchdog, garbage_left
 from arctrack.live.serve.supervisor import SupervisedProcess, Supervisor, Tell
-from arctrack.recording import Recording, read_recording
+from arctrack.recording import read_recording
 from noise_model.effects import pose_time_s
-from noise_model.setup import Setup
 from noise_model.transforms import invert
 from robot_io import Link, LinkError, Source
-from tracker.seam.correction import Correction
 
 LAG_NICENESS = 5
 """Niceness of the estimate of the robot's lag: nobody waits for it."""
@@ -48,11 +45,11 @@ LAG_NICENESS = 5
 
 @dataclass(frozen=True)
 class RunParts:
-    """Parts of a run: a camera, and what answers its frames by the robot's job number."""
+    """Parts of a run: a camera, and what answers its frames, the seams by the robot's job number."""
 
     camera: CameraProtocol
-    services: dict[int, Service]
-    trackings: dict[int, FrameTracking]
+    controller: Controller
+    seams: dict[int, LiveSeam]
     source: Source
 
 
@@ -90,11 +87,12 @@ def opened_run(
         opened.callback(cast.camera.close)
         if isinstance(cast.camera, CapturedCamera):
             opened.enter_context(supervisor.running(cast.camera.process))
-        setups = {number: tracking.tracker.geometry.setup for number, tracking in cast.trackings.items()}
+        trackers = {number: seam.tracking.tracker for number, seam in cast.seams.items()}
+        setups = {number: tracker.geometry.setup for number, tracker in trackers.items()}
         beside = opened.enter_context(kept(cell, setups, supervisor, is_simulated))
-        for tracking in cast.trackings.values():
-            with compiled_by_two(tracking.tracker.geometry.setup):
-                tracking.tracker.warm_up()
+        for tracker in trackers.values():
+            with compiled_by_two(tracker.geometry.setup):
+                tracker.warm_up()
         lag.wait_ready()
         opened.enter_context(supervisor.watching())
         # Once it is on the bus, a tracker must not wait for anything.
@@ -111,20 +109,20 @@ def opened_run(
             raise in_file(cell.path, f"[bus] {error}") from error
         opened.callback(link.close)
         keeper = None if beside is None else beside.keeper
-        if keeper is not None:
-            _let_hear(keeper, cast)
+        for seam in cast.seams.values():
+            if keeper is not None and isinstance(seam.poses, BusPoses):
+                seam.poses.on_sample = keeper.on_pose
         loop = LiveLoop(
-            cast.camera, link, cast.services, cast.source, on_track, keeper, exposure=_chooser(cell)
+            cast.camera,
+            link,
+            cast.controller,
+            cast.seams,
+            cast.source,
+            on_track,
+            keeper,
+            exposure=_chooser(cell),
         )
         yield LiveRun(loop, beside)
-
-
-def _let_hear(keeper: Keeper, cast: RunParts) -> None:
-    """Pass each step and each pose to the journal's writer."""
-    for number, service in cast.services.items():
-        cast.trackings[number].on_step = keeper.on_step
-        if isinstance(service.poses, BusPoses):
-            service.poses.on_sample = keeper.on_pose
 
 
 def run(
@@ -166,7 +164,11 @@ def cast_of(
         )
     if camera.kind == "recording":
         recording = read_recording(cell.path.parent / camera.name, cell.setup.path)
-        return _played(cell, with_job(recording, cell, job_number), job_number)
+        recording = with_job(recording, cell, job_number)
+        played = recorded_job(recording, cell, job_number, has_robot=True)
+        assert played.number is not None
+        seams = {played.number: played.seam}
+        return RunParts(RecordingCamera(recording), played.controller, seams, Source.REPLAY)
     if job_number is not None:
         raise ArctrackError(f"--job {job_number}: a live robot names its job itself; leave it out")
     return _live(cell, camera.name, lag_estimator)
@@ -179,8 +181,7 @@ def _live(cell: CellFile, frames: str, lag_estimator: LagEstimator | None) -> Ru
     controller = Controller(jobs, Source.LIVE, cell.policy)
     T_tool_controllertool = setup_file.T_tool_controllertool
     T_controllertool_tool = np.eye(4) if T_tool_controllertool is None else invert(T_tool_controllertool)
-    services: dict[int, Service] = {}
-    trackings: dict[int, FrameTracking] = {}
+    seams: dict[int, LiveSeam] = {}
     for number, job in cell.jobs.items():
         setup = job.setup_for(setup_file.setup)
         poses = BusPoses(
@@ -192,36 +193,17 @@ def _live(cell: CellFile, frames: str, lag_estimator: LagEstimator | None) -> Ru
             pose_time_s(setup, 0.0),
             lag_estimator=lag_estimator,
         )
-        trackings[number] = _tracking(cell, setup, job.correction)
-        services[number] = TrackingService(controller, poses, trackings[number])
+        try:
+            seams[number] = SeamTracker(poses, FrameTracking(setup, job.correction))
+        except ValueError as error:
+            raise in_file(setup_file.path, str(error)) from error
     if cell.camera.kind != "shared_memory":
         camera: SharedMemoryCamera = CapturedCamera(cell.camera, cell.path, setup_file.setup)
-        return RunParts(camera, services, trackings, Source.LIVE)
+        return RunParts(camera, controller, seams, Source.LIVE)
     try:
         camera = SharedMemoryCamera(frames, setup_file.setup)
     except SharedFramesError as error:
         raise in_file(
             cell.path, f"[camera] name: {error}; start what publishes them first, as the same user"
         ) from None
-    return RunParts(camera, services, trackings, Source.LIVE)
-
-
-def _played(cell: CellFile, recording: Recording, job_number: int | None) -> RunParts:
-    """Return a recording as camera, and what answers its frames as one of a cell's jobs."""
-    number, jobs = jobs_for(recording, cell, job_number)
-    assert number is not None
-    controller = Controller(jobs, Source.REPLAY, cell.policy)
-    poses = PlayedPoses(recording, cell.plausibility, cell.policy)
-    tracking = _tracking(cell, recording.setup, recording.correction)
-    poses.on_begin = tracking.begin
-    if recording.steps is not None:
-        tracking.tracker.state = recording.steps.state
-    services: dict[int, Service] = {number: TrackingService(controller, poses, tracking)}
-    return RunParts(RecordingCamera(recording), services, {number: tracking}, Source.REPLAY)
-
-
-def _tracking(cell: CellFile, setup: Setup, correction: Correction) -> FrameTracking:
-    try:
-        return FrameTracking(setup, correction)
-    except ValueError as error:
-        raise in_file(cell.setup.path, str(error)) from error
+    return RunParts(camera, controller, seams, Source.LIVE)

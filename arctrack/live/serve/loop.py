@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
+from arctrack.control.controller import Controller
 from arctrack.control.frame_tracking import FrameTracking
 from arctrack.control.pose_watch import BEGINNING
 from arctrack.control.processor import DELAYS, TOO_BUSY, ProcessorWait
-from arctrack.control.tracking_service import FramePose, TrackingService
+from arctrack.control.tracking_service import FrameOutcome, SeamTracker, TrackingService
 from arctrack.live.cameras.camera import CameraProtocol, UnreadableFrame
 from arctrack.live.journal.records import Status
 from arctrack.live.serve.exposure import ExposureChooser
@@ -51,7 +52,7 @@ CHECK_S = 0.001
 MAX_MESSAGES = 64
 """Largest number of messages read in a turn: a robot that sends all the time must not hold a frame up."""
 
-Service = TrackingService[Frame | None]
+LiveSeam = SeamTracker[FrameTracking]
 OnDark = Callable[[Frame], None]
 """Callback with each laser-off frame: the arc's light alone."""
 
@@ -85,30 +86,33 @@ class LoopResult:
 
 
 class LiveLoop:
-    """Loop that takes frames and messages, and sends the controller's answers, in the thread that made it.
+    """Loop that feeds a tracking service with a camera's frames and a bus' messages, in one thread.
 
-    `services` are by the robot's job number and share one controller; the first one tracks until the robot
-    names a job. In a live run the robot's commands choose the seam; a recording has its own. `on_track` gets
-    each track and what was sent of it, `on_dark` each laser-off frame, which is not tracked.
+    `seams` are by the robot's job number; the first one is tracked until the robot names a job. In a live run
+    the robot's commands choose the seam; a recording has its own. `on_track` gets each track and what was
+    sent of it, `on_dark` each laser-off frame, which is not tracked.
     """
 
     def __init__(
         self,
         camera: CameraProtocol,
         link: Link,
-        services: Mapping[int, Service],
+        controller: Controller,
+        seams: Mapping[int, LiveSeam],
         source: Source = Source.LIVE,
         on_track: OnTrack | None = None,
         keeper: Keeper | None = None,
         on_dark: OnDark | None = None,
         exposure: ExposureChooser | None = None,
     ) -> None:
-        self.camera, self.link = camera, link
-        self._services, self._source, self._on_track = services, source, on_track
+        self.camera, self.link, self.controller = camera, link, controller
+        self._seams, self._source, self._on_track = seams, source, on_track
         self._keeper, self._on_dark = keeper, on_dark
         self._exposure = exposure
-        self._job_number, self.service = next(iter(services.items()))
-        self.controller = self.service.controller
+        self._job_number, self.seam = next(iter(seams.items()))
+        self._service = TrackingService[Frame | None](
+            controller, self.seam, link.send, camera.now_s, self._count
+        )
         self._command: TrackerCommand | None = None
         self._waiting: Frame | UnreadableFrame | None = None
         self._replaced = 0
@@ -148,18 +152,18 @@ class LiveLoop:
             now_s = self.camera.now_s()
             self._period_s, self._arrived_s = now_s - self._arrived_s, now_s
         waiting = self._waiting
-        if waiting is not None and self.service.poses.is_settled(waiting.timestamp_s, self.camera.now_s()):
+        if waiting is not None and self.seam.poses.is_settled(waiting.timestamp_s, self.camera.now_s()):
             self._waiting = None
             self._track(waiting)
         if is_time:
-            self._send(self.service.poll(self.camera.now_s()))
+            self._service.poll()
             if self._keeper is not None:
                 self._keeper.tell(self.camera.now_s(), self.status)
 
     def close(self) -> None:
         """Send the last refusal, and switch the laser off."""
         self.controller.on_laser(self.camera.switch_laser(False))
-        self._send(self.controller.close(self.camera.now_s()))
+        self._service.close()
 
     def status(self) -> Status:
         """Return how the run stands."""
@@ -173,7 +177,7 @@ class LiveLoop:
             laser=self._laser,
             reason=self._reason,
             offset=self._offset,
-            robot=self.service.robot,
+            robot=self._service.robot,
             command=self._command,
             job_number=self._job_number,
             frames=result.frames,
@@ -239,18 +243,17 @@ class LiveLoop:
             self._obey(received.message)
         if isinstance(received.message, RobotPulse):
             self.camera.tell_pulse(received.message, self.camera.now_s() - received.max_age_s)
-        self._send(self.service.hear(received, self.camera.now_s()))
+        self._service.hear(received)
 
     def _obey(self, command: TrackerCommand) -> None:
         """Take up the seam that the robot names; after DISARM and RESET another part may come."""
         before, self._command = self._command, command
-        service = None if command.job_number is None else self._services.get(command.job_number)
-        if service is not None and service is not self.service:
-            assert command.job_number is not None
-            self.service, self._job_number = service, command.job_number
-            service.begin()
+        number = command.job_number
+        if number is not None and number != self._job_number and number in self._seams:
+            self.seam, self._job_number = self._seams[number], number
+            self._service.take_up(self.seam)
         elif command.command in BEGINNING and (before is None or before.command not in BEGINNING):
-            self.service.tracking.begin()
+            self.seam.tracking.begin()
 
     def _without_dark(self, frame: Frame | UnreadableFrame | None) -> Frame | UnreadableFrame | None:
         """Return a frame unless it is one of the arc's light alone, which neither waits nor is tracked."""
@@ -263,50 +266,35 @@ class LiveLoop:
         return None
 
     def _track(self, frame: Frame | UnreadableFrame) -> None:
-        began_s = time.perf_counter()
         shown = self._lit(frame) if isinstance(frame, Frame) else None
-        tracked = self.service.track(shown, frame.index, frame.timestamp_s, self.camera.now_s())
-        took_ms = 1000.0 * (time.perf_counter() - began_s)
-        self.controller.on_dropped(self._dropped)
-        messages = self.service.answer(tracked, self.camera.now_s(), took_ms)
-        sent_s = self._send(messages)
-        if math.isfinite(sent_s):
-            self._since_capture.add(sent_s - frame.timestamp_s)
-            self._since_arrival.add(sent_s - self._arrived_s)
+        dropped = self._dropped
+        self.controller.on_dropped(dropped)
+        outcome = self._service.track(shown, frame.index, frame.timestamp_s)
+        if math.isfinite(outcome.sent_s):
+            self._since_capture.add(outcome.sent_s - frame.timestamp_s)
+            self._since_arrival.add(outcome.sent_s - self._arrived_s)
+        track = outcome.tracked.track
         self._frames += 1
         self._frame_s = frame.timestamp_s
-        self._valid += tracked.track.valid
+        self._valid += track.valid
         if self._keeper is not None:
-            offset = next((message for message in messages if isinstance(message, SeamOffset)), None)
-            self._keeper.on_sent(
-                offset,
-                self._job_number,
-                arrived_s=self._arrived_s,
-                sent_s=sent_s,
-                took_ms=took_ms,
-                dropped=self._dropped,
-                gate_reason=self.controller.gate_reason,
-                pose_doubt=self.service.poses.doubt,
-            )
+            self._keeper.on_sent(outcome, self._job_number, self._arrived_s, dropped)
         if self._on_track is not None:
-            self._on_track(tracked.track, messages)
+            self._on_track(track, outcome.messages)
         if self._exposure is not None and shown is not None:
-            self._choose_exposure(shown, tracked)
-        self.service.poses.rest(self.camera.now_s())
+            self._choose_exposure(self._exposure, shown, outcome)
+        self.seam.poses.rest(self.camera.now_s())
 
-    def _choose_exposure(self, shown: Frame, tracked: FramePose) -> None:
-        assert self._exposure is not None
-        tracking = self.service.tracking
-        if isinstance(tracking, FrameTracking):
-            wanted_s = self._exposure.choose(tracking, shown, tracked.track, tracked.T_base_tool)
-            if wanted_s is not None:
-                self.camera.want_exposure(wanted_s)
+    def _choose_exposure(self, chooser: ExposureChooser, shown: Frame, outcome: FrameOutcome) -> None:
+        wanted_s = chooser.choose(self.seam.tracking, shown, outcome.tracked.track, outcome.T_base_tool)
+        if wanted_s is not None:
+            self.camera.want_exposure(wanted_s)
 
     def _lit(self, frame: Frame) -> Frame:
         """Return a frame that says whether laser and arc were on, by the robot where its camera cannot."""
         if self.camera.traits.knows_arc:
             return frame
-        robot = self.service.robot
+        robot = self._service.robot
         lit = replace(
             frame,
             laser_on=frame.laser_on and self._laser is not LaserState.OFF,
@@ -315,22 +303,14 @@ class LiveLoop:
         )
         return as_stated(lit)
 
-    def _send(self, messages: Iterable[BusMessage]) -> float:
-        """Send messages, and return when the last offset among them went out, s."""
-        sent_s = NAN
-        for message in messages:
-            if not self.link.send(message):
-                self.controller.unsent(message)
-                continue
-            now_s = self.camera.now_s()
-            self.service.sent(message, now_s)
-            if isinstance(message, SeamOffset):
-                self._offsets[message.validity] += 1
-                self._offset, sent_s = message, now_s
-            elif isinstance(message, TrackerStatus):
-                self._reason = message.gate_reason
-                self._delayed += self._reason in DELAYS and self._processor.is_too_long
-        return sent_s
+    def _count(self, message: BusMessage, sent_s: float) -> None:
+        """Take a message that went out."""
+        if isinstance(message, SeamOffset):
+            self._offsets[message.validity] += 1
+            self._offset = message
+        elif isinstance(message, TrackerStatus):
+            self._reason = message.gate_reason
+            self._delayed += self._reason in DELAYS and self._processor.is_too_long
 
 
 def _shown(quantiles: Quantiles) -> tuple[float, float, float]:

@@ -7,8 +7,9 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Self
 
+from arctrack.control.tracking_service import FrameOutcome
 from arctrack.offset_count import OffsetCount
 from arctrack.output import writing
 from arctrack.recording.run_offsets import NO_OUTCOME, OffsetOutcome
@@ -33,6 +34,14 @@ class ReplayedFrame:
     compute_ms: float
     outcome: OffsetOutcome = NO_OUTCOME
     run: OffsetOutcome | None = None
+
+    @classmethod
+    def of(cls, outcome: FrameOutcome, run: OffsetOutcome | None) -> Self:
+        """Return what is to be drawn of a frame that was tracked and sent."""
+        tracked, step = outcome.tracked, outcome.tracked.step
+        pose, reading = (None, None) if step is None else (step.inputs.pose, step.reading)
+        sent = outcome.for_results()
+        return cls(pose, tracked.track, reading, outcome.offset, tracked.took_ms, sent, run)
 
 
 class SeenFile:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arctrack.control.frame_tracking import Capture
+from arctrack.control.frame_tracking import Capture, TrackedFrame
 from arctrack.control.innovation import SeamMeasurement
 from arctrack.simulation.cell.robot import Robot
-from arctrack.simulation.cell.simulated_camera import Shown
+from arctrack.simulation.cell.simulated_camera import COMPUTED_S, Shown
 from robot_io import PoseAt, PoseStatus
 from tracker import flags
 from tracker.seam.gaussian_process import SeamHistory
@@ -50,12 +50,13 @@ class MeasuringCamera:
         """Return nothing: no seam is seen."""
         return None
 
-    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
+    def track(self, shown: Shown, capture: Capture) -> TrackedFrame:
         """Take a measurement into the seam, and return the offset at the torch."""
         if capture.pose.status is PoseStatus.REFUSED:
-            return Track(capture.index, capture.captured_s, flags.POSE_REFUSED.mask), None
+            refused = Track(capture.index, capture.captured_s, flags.POSE_REFUSED.mask)
+            return TrackedFrame(refused, took_ms=1000.0 * COMPUTED_S)
         if shown is None:
-            return self._tracked(shown, capture, flags.JOINT_NOT_FOUND.mask), None
+            return self._tracked(shown, capture, flags.JOINT_NOT_FOUND.mask, None)
         world, T_base_tool = self.robot.world, capture.pose.T_base_tool
         x, y, z = (T_base_tool[:3, :3] @ shown + T_base_tool[:3, 3]).tolist()
         place = world.path.place((x, y, z))
@@ -65,15 +66,17 @@ class MeasuringCamera:
                 place.station_mm, np.array(displacement), np.full(2, world.noise_mm**2)
             )
         measured = SeamMeasurement(place.station_mm, displacement, (world.noise_mm, world.noise_mm))
-        return self._tracked(shown, capture, 0), measured
+        return self._tracked(shown, capture, 0, measured)
 
-    def _tracked(self, shown: Shown, capture: Capture, flag_bits: int) -> Track:
+    def _tracked(
+        self, shown: Shown, capture: Capture, flag_bits: int, measured: SeamMeasurement | None
+    ) -> TrackedFrame:
         displacement, sigma = self._history.at(self._torch_mm(capture.pose) + capture.look_ahead.way_mm)
         y_mm, z_mm = displacement.tolist()
         sigma_y_mm, sigma_z_mm = sigma.tolist()
         noise_mm = self.robot.world.noise_mm
         within = 0.25 / math.sqrt(2.0)
-        return Track(
+        track = Track(
             capture.index,
             capture.captured_s,
             flag_bits,
@@ -87,6 +90,7 @@ class MeasuringCamera:
             offset_confidence=math.erf(within / sigma_y_mm) * math.erf(within / sigma_z_mm),
             valid_at_s=capture.captured_s + capture.look_ahead.time_s,
         )
+        return TrackedFrame(track, measured, took_ms=1000.0 * COMPUTED_S)
 
     def _torch_mm(self, pose: PoseAt) -> float:
         x, y, z = pose.T_base_tool[:3, 3].tolist()

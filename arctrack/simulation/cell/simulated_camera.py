@@ -6,12 +6,14 @@ from typing import Any, Protocol
 
 import numpy.typing as npt
 
-from arctrack.control.frame_tracking import Capture
-from arctrack.control.innovation import SeamMeasurement
-from tracker.state import Track
+from arctrack.control.frame_tracking import Capture, TrackedFrame
 
 Shown = npt.NDArray[Any] | None
 """Content of a frame: an image, or where a camera without a picture saw the seam; None for nothing."""
+
+
+COMPUTED_S = 0.012
+"""Duration of a track, s: the same on every machine."""
 
 
 class SimulatedCamera(Protocol):
@@ -26,5 +28,5 @@ class SimulatedCamera(Protocol):
     def garbage(self) -> Shown:
         """Return what a camera that is broken shows."""
 
-    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
-        """Track a frame; the measurement of the seam is what the watch over the poses sees."""
+    def track(self, shown: Shown, capture: Capture) -> TrackedFrame:
+        """Track a frame."""

@@ -15,13 +15,13 @@ from arctrack.control.controller import Controller
 from arctrack.control.innovation import InnovationLimits
 from arctrack.control.job import Job
 from arctrack.control.policy import ServicePolicy
-from arctrack.control.tracking_service import TrackingService
+from arctrack.control.tracking_service import SeamTracker, TrackingService
 from arctrack.simulation.cell.bus import Bus, BusFrame
 from arctrack.simulation.cell.disk import Disk
 from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.cell.robot_node import SOURCE, as_message
 from arctrack.simulation.cell.scheduler import Scheduler
-from arctrack.simulation.cell.simulated_camera import Shown, SimulatedCamera
+from arctrack.simulation.cell.simulated_camera import COMPUTED_S, Shown, SimulatedCamera
 from robot_io import (
     BusMessage,
     Inbox,
@@ -37,8 +37,8 @@ from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from tracker.state import Track
 
-FRAME_PERIOD_S, EXPOSED_S, COMPUTED_S = 0.02, 0.002, 0.012
-"""The camera's period, from mid-exposure to its end, and what a track takes, s."""
+FRAME_PERIOD_S, EXPOSED_S = 0.02, 0.002
+"""The camera's period, and the time from mid-exposure to the end of an exposure, s."""
 
 UNHEARD = (SeamPoint, SeamGeometry)
 """Messages that this robot does not read, which are not sent: it would take a fifth of the time."""
@@ -110,7 +110,9 @@ class TrackerNode:
         self._protector = Protector(SOURCE)
         self.controller = Controller(self.job, SOURCE)
         self.poses.begin()
-        self.service = TrackingService[Shown](self.controller, self.poses, self.camera)
+        self.service = TrackingService[Shown](
+            self.controller, SeamTracker(self.poses, self.camera), self._put, lambda: self.now_s
+        )
         self._waiting.clear()
 
     @property
@@ -136,9 +138,8 @@ class TrackerNode:
         message = as_message(frame, came_s)
         self._log.write(message)
         received = self.inbox.receive(message, max_age_s=now_s - came_s)
-        if received is None:
-            return
-        self._send(self.service.hear(received, now_s))
+        if received is not None:
+            self.service.hear(received)
 
     def _capture(self) -> None:
         behaviour = self.behaviour
@@ -160,30 +161,24 @@ class TrackerNode:
     def _track(self, shown: Shown, true_s: float, captured_s: float) -> None:
         if not self.is_running:
             return
-        now_s = self.now_s
         self.captured[captured_s] = true_s
         self._index += 1
-        tracked = self.service.track(shown, self._index, captured_s, now_s)
-        messages = self.service.answer(tracked, now_s, 1000.0 * COMPUTED_S)
-        self._send(messages)
+        outcome = self.service.track(shown, self._index, captured_s)
         if self.on_track is not None:
-            self.on_track(tracked.track, messages)
+            self.on_track(outcome.tracked.track, outcome.messages)
 
     def _poll(self) -> None:
         if self.is_running:
-            self._send(self.service.poll(self.now_s))
+            self.service.poll()
 
-    def _send(self, messages: list[BusMessage]) -> None:
-        for message in messages:
-            if self.queue_full:
-                self.controller.unsent(message)
-                continue
-            if isinstance(message, UNHEARD):
-                continue
-            if isinstance(message, SeamOffset):
-                self.service.sent(message, self.now_s)
-                if self.on_sent is not None:
-                    self.on_sent(message)
-            arbitration_id, data = self._protector.protect(message)
-            self.bus.send(self.name, arbitration_id, data)
-            self._log.write(as_message(BusFrame(self.name, arbitration_id, data, self.now_s), self.now_s))
+    def _put(self, message: BusMessage) -> bool:
+        if self.queue_full:
+            return False
+        if isinstance(message, UNHEARD):
+            return True
+        if isinstance(message, SeamOffset) and self.on_sent is not None:
+            self.on_sent(message)
+        arbitration_id, data = self._protector.protect(message)
+        self.bus.send(self.name, arbitration_id, data)
+        self._log.write(as_message(BusFrame(self.name, arbitration_id, data, self.now_s), self.now_s))
+        return True

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from arctrack.control.frame_tracking import Capture, FrameTracking
-from arctrack.control.innovation import SeamMeasurement
+from arctrack.control.frame_tracking import Capture, FrameTracking, TrackedFrame
 from arctrack.simulation.cell.robot import Robot
-from arctrack.simulation.cell.simulated_camera import Shown
+from arctrack.simulation.cell.simulated_camera import COMPUTED_S, Shown
 from noise_model.arc.scene import make_scene
 from noise_model.compiled.arrays import Float64, Integers
 from noise_model.condition import Condition
@@ -22,7 +21,7 @@ from noise_model.plan.noise import expected_speckle
 from noise_model.setup import Setup
 from noise_model.surface.joint import BentSeam, Seam, SeamLine
 from robot_io import Switch
-from tracker.state import Frame, Track
+from tracker.state import Frame
 
 
 @dataclass
@@ -107,7 +106,7 @@ class RenderedCamera:
         size = (camera.height, camera.width)
         return self.rng.integers(0, 2**sensor.bits, size).astype(sensor.dtype)
 
-    def track(self, shown: Shown, capture: Capture) -> tuple[Track, SeamMeasurement | None]:
+    def track(self, shown: Shown, capture: Capture) -> TrackedFrame:
         """Track a frame; of poses that are doubted nothing lasts."""
         assert shown is not None
         robot = capture.robot
@@ -119,7 +118,7 @@ class RenderedCamera:
             current_a=self.setup.arc.current_a,
             arc_on=robot is not None and robot.arc is Switch.ON,
         )
-        return self.tracking.track(frame, capture)
+        return replace(self.tracking.track(frame, capture), took_ms=1000.0 * COMPUTED_S)
 
     def level_now(self) -> float:
         """Return the arc's output over the expected one."""

@@ -18,17 +18,24 @@ from arctrack.control.cell_file import (
     CellFile,
     MonitorChoice,
     ProcessChoice,
-    jobs_for,
     read_cell_file,
-    with_job,
 )
 from arctrack.control.cell_file.new import commented_cell, write_new_cell
-from arctrack.control.job import Job, PartLimits
+from arctrack.control.job import NO_JOB, Job, PartLimits
 from arctrack.control.policy import ServicePolicy
+from arctrack.control.recorded_job import recorded_job, with_job
 from arctrack.errors import ArctrackError
 from arctrack.recording import Recording, read_recording
 from arctrack.replay.replay import ReplayOptions, replay_recording
-from robot_io import BusLogReader, GateLimits, TrackerHeartbeat
+from robot_io import (
+    BusLogReader,
+    Command,
+    GateLimits,
+    Received,
+    Switch,
+    TrackerCommand,
+    TrackerHeartbeat,
+)
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 
 ROOT = Path(__file__).parents[4]
@@ -295,8 +302,12 @@ def test_one_of_several_jobs_must_be_named(recording: Path, two_jobs: CellFile) 
     assert chosen.correction.enabled == (True, False)
     assert chosen.setup is read.setup
     # A robot that names another job is refused: the tracker follows this one.
-    number, jobs = jobs_for(chosen, two_jobs, 12)
-    assert (number, [*jobs]) == (12, [12])
+    job = recorded_job(chosen, two_jobs, 12)
+    assert job.number == 12
+    for number in two_jobs.jobs:
+        command = TrackerCommand(Command.TRACK, True, True, 0, number, None, Switch.ON)
+        job.controller.on_message(Received(0.0, command, 0), 0.0)
+        assert (job.controller.job is NO_JOB) == (number != 12)
 
 
 @pytest.mark.slow

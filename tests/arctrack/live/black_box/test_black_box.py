@@ -21,6 +21,8 @@ from pydantic import TypeAdapter
 from arctrack.control.cell_file import read_cell_file
 from arctrack.control.cell_file.job_setup import job_setup_text
 from arctrack.control.frame_tracking import Capture, FrameTracking
+from arctrack.control.recorded_job import recorded_job
+from arctrack.control.tracking_service import FrameOutcome
 from arctrack.errors import ArctrackError
 from arctrack.live.black_box import recorder
 from arctrack.live.black_box.ask import BlackBoxAsker
@@ -33,11 +35,11 @@ from arctrack.live.journal.records import Status
 from arctrack.live.serve.keeper import Keeper
 from arctrack.live.serve.live_run import cast_of, run
 from arctrack.live.serve.loop import LiveLoop
-from arctrack.recording import read_recording
+from arctrack.recording import Recording, read_recording
 from arctrack.recording.run_offsets import OffsetOutcome, RunComparison, read_run_offsets
 from arctrack.recording.steps import read_state, write_state
-from arctrack.replay.recorded_tracking import RecordedTracking
 from arctrack.replay.replay import replay_recording
+from arctrack.replay.replay_loop import replay_without_bus
 from robot_io import (
     Fault,
     GateReason,
@@ -65,6 +67,11 @@ def memory(tmp_path, monkeypatch):
     return folder
 
 
+def replayed_tracks(saved: Recording) -> list[Track]:
+    replayed = replay_without_bus(recorded_job(saved), range(len(saved.rows)))
+    return [outcome.tracked.track for _, _, outcome in replayed]
+
+
 def told(track: Track) -> dict:
     return asdict(replace(track, stripe=None, checks=()))
 
@@ -77,7 +84,6 @@ class Run:
         self.setup = self.recording.setup
         self.tracking = FrameTracking(self.setup, self.recording.correction)
         self.keeper = Keeper(journal)
-        self.tracking.on_step = self.keeper.on_step
         self.tracks: list[Track] = []
 
     def go(self, frames: int) -> None:
@@ -90,8 +96,8 @@ class Run:
                 self.tracking.begin()
             lead = AT_ONCE if n < 5 else OffsetLookAhead(0.01 * n / 3.0, n / 7.0)
             capture = Capture(frame.index, frame.timestamp_s, pose, None, n not in (6, 7), lead)
-            track, _ = self.tracking.track(frame, capture)
-            self.tracks.append(track)
+            tracked = replace(self.tracking.track(frame, capture), took_ms=2.0)
+            self.tracks.append(tracked.track)
             offset, reason, doubt = SeamOffset(0.1 * n, 0.0, 10.0, 0.9, Validity.VALID), GateReason.NONE, None
             if n == 7:
                 offset, reason = replace(offset, validity=Validity.HELD), GateReason.CAPTURE_TOO_OLD
@@ -99,7 +105,8 @@ class Run:
                 offset = SeamOffset(math.nan, math.nan, math.nan, math.nan, Validity.REFUSED)
                 reason, doubt = GateReason.POSE_IMPLAUSIBLE, Implausibility.STOPPED
             arrived_s, sent_s = frame.timestamp_s + 0.01, math.nan if n == 10 else frame.timestamp_s + 0.02
-            self.keeper.on_sent(offset, 1, arrived_s, sent_s, 2.0, 0, reason, doubt)
+            outcome = FrameOutcome(tracked, None, [], offset, sent_s, reason, doubt)
+            self.keeper.on_sent(outcome, 1, arrived_s, 0)
 
     @property
     def jobs(self) -> dict[int, JobSetup]:
@@ -126,8 +133,7 @@ def test_a_saved_window_replays_to_the_same_tracks(memory, tmp_path, kept_s, slo
     saved = read_recording(path)
     assert count is None or len(saved.rows) == count
     assert len(saved.rows) >= 3
-    tracking = RecordedTracking(saved, True)
-    replayed = [tracking.step(frame)[1] for frame in saved.frames()]
+    replayed = replayed_tracks(saved)
     for seen, again in zip(live.tracks[-len(replayed) :], replayed, strict=True):
         np.testing.assert_equal(told(again), told(seen))
     assert sum(track.valid for track in replayed) >= 3
@@ -357,13 +363,18 @@ def test_a_recording_that_is_played_fills_the_journal(memory, tmp_path) -> None:
         RUN, (setup.camera.height, setup.camera.width), setup.sensor.dtype, slots_for(9.0, 25.0)
     )
     keeper = Keeper(journal)
-    for tracking in cast.trackings.values():
-        tracking.tracker.warm_up()
-        tracking.on_step = keeper.on_step
+    for seam in cast.seams.values():
+        seam.tracking.tracker.warm_up()
     tracks: list[Track] = []
     with Link(channel=str(tmp_path), source=Source.REPLAY) as link:
         loop = LiveLoop(
-            cast.camera, link, cast.services, Source.REPLAY, lambda track, _: tracks.append(track), keeper
+            cast.camera,
+            link,
+            cast.controller,
+            cast.seams,
+            Source.REPLAY,
+            lambda track, _: tracks.append(track),
+            keeper,
         )
         result = run(loop, lambda: True, 60.0)
     jobs = {1: JobSetup(setup, job_setup_text(cell, 1))}
@@ -373,15 +384,21 @@ def test_a_recording_that_is_played_fills_the_journal(memory, tmp_path) -> None:
     # Frames that this machine was too late for are not there; the others replay the same.
     saved = read_recording(path)
     assert [row.index for row in saved.rows] == [track.frame for track in tracks]
-    tracking = RecordedTracking(saved, True)
-    for frame, seen in zip(saved.frames(), tracks, strict=True):
-        np.testing.assert_equal(told(tracking.step(frame)[1]), told(seen))
+    for again, seen in zip(replayed_tracks(saved), tracks, strict=True):
+        np.testing.assert_equal(told(again), told(seen))
     # As a camera it gives them too.
     again: list[Track] = []
     cast = cast_of(read_cell_file(playing_cell(tmp_path / "again", path)))
     with Link(channel=str(tmp_path), source=Source.REPLAY) as link:
         run(
-            LiveLoop(cast.camera, link, cast.services, Source.REPLAY, lambda track, _: again.append(track)),
+            LiveLoop(
+                cast.camera,
+                link,
+                cast.controller,
+                cast.seams,
+                Source.REPLAY,
+                lambda track, _: again.append(track),
+            ),
             lambda: True,
             60.0,
         )

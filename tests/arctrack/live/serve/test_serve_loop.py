@@ -12,7 +12,7 @@ import pytest
 from made import playing_cell
 
 from arctrack.control.bus_poses import BusPoses
-from arctrack.control.cell_file import read_cell_file, with_job
+from arctrack.control.cell_file import read_cell_file
 from arctrack.control.controller import Controller
 from arctrack.control.frame_tracking import FrameTracking
 from arctrack.control.innovation import InnovationLimits
@@ -20,7 +20,8 @@ from arctrack.control.job import Job
 from arctrack.control.policy import ServicePolicy
 from arctrack.control.pose_watch import nominal_path
 from arctrack.control.processor import TOO_BUSY
-from arctrack.control.tracking_service import TrackingService
+from arctrack.control.recorded_job import with_job
+from arctrack.control.tracking_service import SeamTracker
 from arctrack.live.cameras.camera import CameraTraits, UnreadableFrame
 from arctrack.live.cameras.recording import RecordingCamera
 from arctrack.live.monitor.options import MonitorOptions
@@ -107,17 +108,19 @@ class Stage:
         jobs = {number: Job(setup.joint.type, poses_proven=True) for number in (1, 2)}
         controller = Controller(jobs)
         path, limits = nominal_path(setup.joint), PlausibilityLimits()
-        self.services = {
-            number: TrackingService(
-                controller,
-                BusPoses(path, limits, InnovationLimits(), ServicePolicy()),
-                FrameTracking(setup),
+        self.seams = {
+            number: SeamTracker(
+                BusPoses(path, limits, InnovationLimits(), ServicePolicy()), FrameTracking(setup)
             )
             for number in jobs
         }
         self.tracks = []
         self.loop = LiveLoop(
-            self.camera, self.link, self.services, on_track=lambda track, _: self.tracks.append(track)
+            self.camera,
+            self.link,
+            controller,
+            self.seams,
+            on_track=lambda track, _: self.tracks.append(track),
         )
         self.command = TrackerCommand(Command.DISARM, True, True, 0, 1, None, Switch.ON)
         self.steps = 0
@@ -304,7 +307,7 @@ def test_after_disarm_and_with_another_job_nothing_is_known_of_the_seam(stage: S
     stage.run(0.1)
     stage.command = replace(stage.command, command=Command.TRACK)
     stage.run(0.9)
-    first, second = stage.services[1].tracking.tracker, stage.services[2].tracking.tracker
+    first, second = stage.seams[1].tracking.tracker, stage.seams[2].tracking.tracker
     assert first.state.frames > 5
     assert second.state.frames == 0
     stage.command = replace(stage.command, command=Command.DISARM)
@@ -319,7 +322,7 @@ def test_after_disarm_and_with_another_job_nothing_is_known_of_the_seam(stage: S
     stage.command = replace(stage.command, job_number=3)
     heard = stage.run(0.3)
     assert of_type(heard, TrackerStatus)[-1].gate_reason is GateReason.JOB_UNKNOWN
-    assert stage.loop.service is stage.services[2]
+    assert stage.loop.seam is stage.seams[2]
 
 
 def test_the_newest_frame_wins_and_the_robot_hears_how_many_were_dropped(stage: Stage) -> None:
@@ -432,7 +435,7 @@ def test_a_recording_that_is_played_gives_the_tracks_of_its_replay(
     clock = Clock()
     with Link(channel=cell.bus.channel, source=cast.source) as link:
         camera = RecordingCamera(recording, clock)
-        loop = LiveLoop(camera, link, cast.services, False, on_track)
+        loop = LiveLoop(camera, link, cast.controller, cast.seams, False, on_track)
         camera.begin()
         while not loop.is_over:
             clock.now_s += 0.003
