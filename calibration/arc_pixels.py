@@ -139,7 +139,7 @@ def _off_stripe(
     u: Int64,
     v: Int64,
 ) -> Bool:
-    """Return which pixels (n,) lie off the stripe."""
+    """Return the mask (n,) of pixels off the stripe."""
     setup = geometry.setup
     station_mm = transform(make_scene(setup, T_base_tool).T_joint_tool, setup.laser.point_mm)[0]
     line = curve.tangents(coefficients)(float(station_mm))

@@ -42,7 +42,7 @@ MAX_FRAMES, MAX_SIGHTINGS = 48, 300
 """Largest number of compared frames with the arc on, and of observations of the seam; of more every n-th."""
 
 FIELD_SIGMA = 0.006
-"""What the arc's light may be off slowly over the image, relative, 1 sigma of each of `FIELDS`.
+"""Smooth relative error of the arc's light over the image, 1 sigma of each of `FIELDS`.
 
 It is the model's floor of the diagnosis, taken as alike in all frames: vignetting, the lens, the filter.
 """
@@ -157,7 +157,7 @@ def with_camera(setup: Setup, change: Float64) -> Setup:
 
 
 def _sightings(setup: Setup, frames: Sequence[tuple[Frame, Pose]]) -> SeamObservations:
-    """Return where the tracker sees the seam, evenly chosen; ValueError if it does so nowhere."""
+    """Return an even sample of the tracker's seam observations; ValueError without any."""
     poses = [lambda _, T_base_tool=pose.T_base_tool: T_base_tool for _, pose in frames]
     sightings = SeamObservations.of(setup, [frame for frame, _ in frames], poses)
     if not len(sightings.image_px):

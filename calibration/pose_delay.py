@@ -93,7 +93,7 @@ class PoseTrack:
         return T
 
     def covers(self, times_s: Float64) -> Bool:
-        """Return whether times (n,) lie between the first and the last pose."""
+        """Return the mask (n,) of times between the first and the last pose."""
         return np.asarray((times_s >= self.times_s[0]) & (times_s <= self.times_s[-1]))
 
 
@@ -201,7 +201,7 @@ def _with_pose(observations: SeamObservations, track: PoseTrack, delay_s: float)
 def _reason_unestimated(
     grid: Float64, rival_s: float | None, delay_s: float, sigma_s: float, motion_mm_s: float
 ) -> str | None:
-    """Return why a delay is not known, None where it is."""
+    """Return the reason for which a delay is not known, None where it is."""
     if not sigma_s <= MAX_SIGMA_S:
         wanted = f"some {motion_mm_s * sigma_s / MAX_SIGMA_S:.1f}" if math.isfinite(sigma_s) else "some 5"
         return (
@@ -317,7 +317,7 @@ class _DelayProblem:
         return None
 
     def _speeds(self, delay_s: float) -> Float64:
-        """Return by how much the displacements (n, 2), mm/s, grow with the delay."""
+        """Return the derivative (n, 2), mm/s, of the displacements with the delay."""
         step_s = 0.5 * GRID_S
         _, later = self.seam_points(delay_s + step_s)
         _, earlier = self.seam_points(delay_s - step_s)
@@ -344,7 +344,7 @@ class _DelayProblem:
         return chosen[:, 0], chosen[:, 1]
 
     def motion_mm_s(self, delay_s: float) -> float:
-        """Return how fast the seam points would move with the delay, across and in height, RMS."""
+        """Return the RMS speed, mm/s, of the seam points with the delay, across and in height."""
         speed = self._speeds(delay_s)
         # A tool that slides evenly to the side makes the seam slant, no more.
         return float(np.sqrt(np.mean((speed - speed.mean(axis=0)) ** 2)) * math.sqrt(2.0))

@@ -87,7 +87,7 @@ def _why_undetermined(
 
 
 def _lobe_over_noise(model: ReadingsModel, fitted: ReadingsFit) -> Float64:
-    """Return how far (m,) the lobe lifts each grey level, in its standard errors by the scatter."""
+    """Return the lobe's part (m,) of each grey level, in its standard errors by the scatter."""
     p = fitted.fit.values
     without = p.copy()
     without[1] = 0.0

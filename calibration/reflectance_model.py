@@ -93,7 +93,7 @@ class ReadingsModel:
         return best
 
     def parameters(self, start: Float64) -> list[Parameter]:
-        """Return what is fitted: light per cos(theta_i) I / a^2, which is >= 0, and c2 within its range."""
+        """Return the fitted parameters: light per cos(theta_i) I / a^2, >= 0, and c2 within its range."""
         irradiance = self.diffuse if self.white is None else self.diffuse + self.white
         step = 1e-5 * float(np.max(self.response.light(self.gray_level)) / np.max(irradiance))
         return [
@@ -198,7 +198,7 @@ def _fit(
 
 
 def _rounding(model: ReadingsModel, noise: ReadingNoise, signal: Float64) -> Float64:
-    """Return what rounding leaves in the means (m,), DN^2; without repeats the residuals hold it already."""
+    """Return the rounding's variance (m,) in the means, DN^2; 0 without repeats: the residuals hold it."""
     if not (model.repeats > 1).any():
         return np.zeros_like(signal)
     return np.where(model.is_whole, rounding_left(noise.variance(signal)), 0.0)

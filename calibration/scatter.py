@@ -46,7 +46,7 @@ class RepeatScatter:
 
 
 def compare(model: ReadingsModel, fitted: ReadingsFit, part: slice) -> RepeatScatter:
-    """Return how much some of the settings and their repeats scatter about a fit weighted by the repeats.
+    """Return the scatter of some settings, and of their repeats, about a fit weighted by the repeats.
 
     `between` is NaN where the fit leaves them no freedom, `within` for repeats that were not taken.
     """

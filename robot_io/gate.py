@@ -177,7 +177,7 @@ def decide(
 
 
 def forbidden_by(conditions: Conditions, limits: GateLimits) -> GateReason:
-    """Return what forbids every offset, whatever is measured; NONE if nothing does."""
+    """Return the reason for which no offset may be sent, whatever is measured; NONE if one may."""
     if conditions.fault is not GateReason.NONE:
         return conditions.fault
     reason = _forbidden_by_robot(conditions, limits)

@@ -13,7 +13,7 @@ _ROLLING = 256
 
 
 class OffsetUse:
-    """Says which offset a robot may use now.
+    """Selection of the offset that a robot may use now.
 
     One that counts is VALID or HELD, came in the last ten cycles, and stands on a heartbeat: the newest one
     is no later than one and a half cycles, follows the one before by one, and says that the tracker tracks.
@@ -70,7 +70,7 @@ class OffsetUse:
         return offset if offset.validity in (Validity.VALID, Validity.HELD) else None
 
     def is_disarm_acknowledged(self, request_number: int, now_s: float) -> bool:
-        """Return whether the tracker has acknowledged DISARM: only then may TRACK follow.
+        """Return True if the tracker has acknowledged DISARM: only then may TRACK follow.
 
         Parameters
         ----------

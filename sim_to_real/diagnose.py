@@ -60,8 +60,8 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose a recording's frames; `without` takes effects out of the catalogue, see `excluded_effects`.
 
-    `on_stage` is told what is being done and the share of all work that is done. Frames are predicted on so
-    many `threads`; one is best where other processes are at work. `policy` has the judgement's constants.
+    `on_stage` is called with the stage's name and the share of the work done. Frames are predicted on
+    `threads` threads; one is best where other processes run. `policy` has the judgement's constants.
 
     A setup without arc, filter or metal leaves out the effects that need them. The metal is then the one that
     the stripe shows.
@@ -204,7 +204,7 @@ def _locate_gap(
     effects: Sequence[NamedEffect],
     predicted: HeldOutPrediction,
 ) -> Where:
-    """Return where the gap lies: at the first named effect's stage, or at the unknown cause's likeliest."""
+    """Return the gap's location: the first named effect's stage, or the unknown cause's likeliest."""
     stages = weighed.posterior.unknown.stages(weighed.policy.temperature)
     stage = effects[0].stage if effects else max(stages, key=lambda name: stages[name])
     return locate(functions, of_bins, before.residuals, stage, stages, excess_map(predicted))
@@ -277,9 +277,9 @@ def _with_random_effects(
 
 
 def weaken_by_held_out(verdict: DiagnosisVerdict, gap: Gap) -> DiagnosisVerdict:
-    """Return the verdict, but unknown in place of no gap where frames held out show a clear one.
+    """Return the verdict, or unknown in place of no gap where held-out frames show a clear gap.
 
-    The evidence has no bounds for nuisances: beyond them one may explain bins, and no fit takes it there.
+    The evidence has no bounds for nuisances: it may explain bins by values that no fit reaches.
     """
     return DiagnosisVerdict.UNKNOWN if verdict is DiagnosisVerdict.NO_GAP and gap.is_clear_after else verdict
 
@@ -330,7 +330,7 @@ def _free_functions(weighed: WeightedHypotheses, judgement: Judgement, of_bins: 
 
 
 def _next(model: LinearizedModel, weighed: WeightedHypotheses, judgement: Judgement) -> Next | None:
-    """Return what to record next where effects are in question."""
+    """Return the next measurement where effects are in question."""
     if judgement.verdict not in (DiagnosisVerdict.EFFECTS, DiagnosisVerdict.AMBIGUOUS):
         return None
     return next_measurement(model, weighed.posterior, weighed.errors, weighed.policy)
@@ -358,7 +358,7 @@ def shares(posterior: Posterior, leader: Hypothesis) -> dict[str, float]:
 
 
 def _trend(after: Refit, name: str) -> ReportedTrend | None:
-    """Return how an effect changes over the recording, None if it is constant."""
+    """Return an effect's trend over the recording, None if it is constant."""
     trend = after.trend
     if trend is None or trend.effect != name:
         return None

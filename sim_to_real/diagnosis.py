@@ -60,10 +60,10 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class RankedEffect:
-    """An effect that was fitted by itself: how probable it is, and the share of the gap that it closes.
+    """An effect fitted alone, with its probability and the share of the gap that it closes.
 
-    The confidence of an effect that changes a frame's mean is the probability that it and nothing else is
-    amiss. That of an effect that `is_random` is the probability that it is there, whatever else is.
+    `confidence` is the probability that this effect alone acts; of an effect that `is_random`, that it acts,
+    whatever else does.
     """
 
     id: str
@@ -127,8 +127,8 @@ class Where:
     unknown cause acts at each stage; `covariates` explain the largest share first; `image` holds the shares
     of patterns in the image (row, column, radial, mirrored, fixed, stripe_band); `strata` the gap of dark,
     laser, arc, both frames and of the stripe's band.
-    `z` (H, W): by how many sigmas the held-out residual at each pixel exceeds its noise, negative where it is
-    darker than predicted.
+    `z` (H, W) is the excess of the held-out residual over its noise, sigmas, negative where a pixel is darker
+    than predicted.
     """
 
     stage: str
@@ -152,8 +152,8 @@ class Next:
 class Reason:
     """A hypothesis that was compared: effects, log evidence over no gap, nats, and probability.
 
-    `name` says which it is: no gap, an unknown cause with its likeliest stage and term, or effects. `best` is
-    the largest evidence of all: what separates the two.
+    `name` is no gap, an unknown cause with its likeliest stage and term, or the effects. `best` is the
+    largest evidence of all.
     """
 
     name: str

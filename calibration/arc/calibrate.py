@@ -77,7 +77,7 @@ KEYS_OF: Mapping[str, tuple[str, ...]] = {
     RATIO: ("kappa_diff", "kappa_spec"),
     C2: ("c2",),
 }
-"""Those of `KEYS` that a parameter of `ARC` sets."""
+"""The `KEYS` that each parameter of `ARC` sets."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ class ArcCalibration:
 
     @property
     def held_keys(self) -> tuple[str, ...]:
-        """Those of `KEYS` that keep their stated values."""
+        """The `KEYS` that keep their stated values."""
         return tuple(key for name in self.refused for key in KEYS_OF[name])
 
     @property
@@ -193,7 +193,7 @@ def _covariance(problem: ArcProblem, result: Fit) -> Float64:
 
 
 def _start(problem: ArcProblem) -> Float64:
-    """Return where the rounds begin (p,): all as stated, the radiance about that of the frames."""
+    """Return the start (p,): stated values, and the radiance of the frames."""
     x = np.zeros(len(problem.names))
     x[len(ARC) : len(ARC) + 10] = problem.part.values
     light_e = problem.light(problem.named(x))

@@ -105,7 +105,7 @@ def _block_means(image: Float64 | Bool, u: Int64, v: Int64) -> Float64:
 
 
 def _off_stripe(geometry: SensorGeometry, T_base_tool: Float64, seam: SeamLine, u: Int64, v: Int64) -> Bool:
-    """Return which pixels (n,) lie off the stripe."""
+    """Return the mask (n,) of pixels off the stripe."""
     stripe = expect_stripe(geometry, make_scene(geometry.setup, T_base_tool, seam))
     if stripe is None:
         return np.ones(len(u), dtype=np.bool_)

@@ -77,7 +77,7 @@ class PartPlacement:
 
     @classmethod
     def without_stripes(cls, setup: Setup, station_mm: float) -> PartPlacement:
-        """Return what is known without stripes: the tolerance of the camera, and how parts lie."""
+        """Return the prior without stripes: the camera's tolerance, and the usual scatter of parts."""
         deg, mm = (max(value, 1e-4) for value in (setup.tolerance.hand_eye_deg, setup.tolerance.hand_eye_mm))
         sigmas = np.array([deg, deg, deg, mm, mm, mm, *PART_SIGMAS])
         return cls(station_mm, np.zeros(10), np.diag(sigmas**2))
@@ -187,7 +187,7 @@ class ArcProblem:
         return replace(self.setup, arc=arc, material=metal, camera=camera)
 
     def seam_at(self, x: Mapping[str, float]) -> SeamLine:
-        """Return where the part lies."""
+        """Return the seam's line."""
         y, z, slope_y, slope_z = (x[name] for name in SEAM)
         return SeamLine(self.part.station_mm, y, z, slope_y, slope_z)
 
@@ -222,7 +222,7 @@ class ArcProblem:
         return np.asarray(np.hypot(noise_e, self.pixel_sigma * self._gain(x) * light_e))
 
     def _gain(self, x: Float64) -> Float64:
-        """Return what the light of each pixel (n,) is multiplied by."""
+        """Return the factor (n,) of each pixel's light."""
         level = math.exp(x[ARC.index(RADIANCE)]) * np.exp(self.frame_of @ x[-len(self.frames) :])
         fields = 1.0 + self.phi @ x[-len(self.frames) - len(FIELDS) : -len(self.frames)]
         return np.asarray(level * fields)

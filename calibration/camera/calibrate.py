@@ -207,7 +207,7 @@ def fit_lens(
 
 
 def _fault(result: CameraCalibration) -> str | None:
-    """Return what makes a distortion useless, None if nothing does."""
+    """Return the reason for which a distortion is useless, None if it is usable."""
     if not result.scene.lens.is_invertible:
         return "folds the image: two points of the scene are seen at the same place"
     if result.sigma_map()[1].max() > MAX_SIGMA_PX:

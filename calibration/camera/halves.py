@@ -54,7 +54,7 @@ def splits(views: int) -> list[Bool]:
 
 
 def difference_of_halves(scene: BoardScene, seen: Sightings, first: Bool) -> Difference:
-    """Return how the lens of some images differs from that of the others, where boards were seen.
+    """Return the difference between the lenses of two sets of images, where boards were seen.
 
     Both halves start at `scene`, that of all images; `seen` has no wrong corners; `first` (V,) selects the
     first half.

@@ -73,7 +73,7 @@ def robust_noise(scene: BoardScene, seen: Sightings) -> CornerNoise:
 
 
 def wrong_corners(scene: BoardScene, seen: Sightings) -> Bool:
-    """Return which corners (N,) no noise of their image explains, at a scene that most corners agree on.
+    """Return the outliers (N,) among corners, at a scene that most corners agree on.
 
     Squares of residuals over twice the image's variance are F of two degrees of freedom and of those that the
     variance has.

@@ -48,7 +48,7 @@ class DistortionScore:
         return float(self.loss.mean())
 
     def excess(self, best: DistortionScore) -> tuple[float, float]:
-        """Return by how much the mean is above that of the best, and the standard error of this."""
+        """Return the difference of the mean from that of the best, and its standard error."""
         worse = self.loss - best.loss
         return float(worse.mean()), float(worse.std(ddof=1) / np.sqrt(len(worse)))
 
@@ -62,7 +62,7 @@ def cross_validate(
     tilted: bool,
     progress: Callable[[int], None] | None = None,
 ) -> list[DistortionScore]:
-    """Return how well each distortion predicts boards that its fit did not see, the leanest first.
+    """Return the prediction error of each distortion on boards held out of its fit, the leanest first.
 
     All start at `scene` and share `noise`; `seen` has no wrong corners. `tilted` adds a tilt of the sensor;
     `progress` is called with the number of distortions done.

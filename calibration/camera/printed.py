@@ -32,7 +32,7 @@ MIN_SHARE, MAX_SHARE = 1e-6, 0.1
 
 
 def has_distinct_ends(board: Board) -> bool:
-    """Return whether a corner has the same number in all images, however the board is turned.
+    """Return True if corners are numbered alike in all images, however the board is turned.
 
     Half a turn leaves a chessboard as it is unless one of its sides is odd and the other even.
     """

@@ -42,11 +42,11 @@ class Knowledge:
 
     @classmethod
     def of(cls, equations: NormalEquations) -> Knowledge:
-        """Return what normal equations know."""
+        """Return the information in normal equations."""
         return cls(equations.information(), equations.mixed.sum(axis=0), equations.motion.sum(axis=0))
 
     def with_images(self, other: NormalEquations) -> Knowledge:
-        """Return what is known with further images, of which lens and warp alone are unknown."""
+        """Return the information with further images, whose unknowns are lens and warp alone."""
         more = Knowledge.of(other)
         rest = (0, len(self.information) - len(more.information))
         return Knowledge(

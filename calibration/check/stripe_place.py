@@ -180,7 +180,7 @@ class StripePlace:
         return with_changes(self.setup, cause.values)
 
     def seam_by(self, cause: Cause) -> SeamLine:
-        """Return where the part lies as a cause would have it."""
+        """Return the seam's line under a cause."""
         y, z, slope_y, slope_z = (cause.values[name] for name in PART_BLOCK[:4])
         about = self.middle_mm + np.array([-0.5, 0.0, 0.5]) * GRID_MM
         before, here, after = self.bends.y_mm(cause.values, about)
@@ -249,7 +249,7 @@ class SeamBends:
         return tuple(f"bend_{n}" for n in range(len(self.modes_mm)))
 
     def y_mm(self, x: Mapping[str, float], at_mm: Float64) -> Float64:
-        """Return how far to the left the seam bends at stations (n,), for coefficients by name."""
+        """Return the seam's lateral bend (n,), mm, at stations (n,), for coefficients by name."""
         y_mm = np.array([x[name] for name in self.names]) @ self.modes_mm
         return np.interp(at_mm, self.stations_mm, y_mm)
 
@@ -322,7 +322,7 @@ class _StripePlaceProblem:
         return places[int(np.argmin(costs))]
 
     def explain(self, name: str, *starts: Mapping[str, float]) -> Cause:
-        """Return what it takes to explain the points where one part is off, the best of some starts."""
+        """Return the best explanation of the points with one part off, from several starts."""
         return max((self._explain_from(name, start) for start in starts), key=lambda cause: cause.ln_evidence)
 
     def _explain_from(self, name: str, near: Mapping[str, float]) -> Cause:
@@ -362,7 +362,7 @@ class _StripePlaceProblem:
         return [Parameter(n, "", 0.0, sigma, step=0.01 * sigma) for n, sigma in sigmas.items()]
 
     def residuals(self, x: Mapping[str, float]) -> Float64:
-        """Return how far the stripe's points (n,) lie off their places, in their sigmas."""
+        """Return the residuals (n,) of the stripe's points, in their sigmas."""
         setup = with_changes(self.setup, x)
         seen_px = self.points_px + np.tensordot([x[name] for name in SHAPE_BLOCK], self.bends_px, axes=1)
         here_mm, shifted_mm = (self._off_mm(setup, seen_px + step, x) for step in (0.0, self.across))
@@ -423,7 +423,7 @@ def _turn_plane(
 
 
 def _bends(points_px: Float64, setup: Setup) -> Float64:
-    """Return how points (n, 2) move, px, with one unit of each of `SHAPE_BLOCK`: (k, n, 2)."""
+    """Return the displacement (k, n, 2), px, of points (n, 2) for one unit of each of `SHAPE_BLOCK`."""
     along_rows = stripe_runs_along_rows(setup)
     size = setup.camera.width if along_rows else setup.camera.height
     place = 2.0 * points_px[:, 0 if along_rows else 1] / size - 1.0
@@ -432,7 +432,7 @@ def _bends(points_px: Float64, setup: Setup) -> Float64:
 
 
 def _off_section(setup: Setup, in_joint: Float64) -> Float64:
-    """Return how far points (n, 3) of the joint frame lie above the joint's section, along its normal, mm."""
+    """Return the distance, mm, of points (n, 3), joint frame, above the joint's section, along its normal."""
     shape = section(setup.joint)
     vertices, y = shape.vertices, in_joint[:, 1]
     z = in_joint[:, 2] - corrugation_height(in_joint[:, 0], shape.corrugation)

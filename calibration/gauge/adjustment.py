@@ -128,14 +128,14 @@ class GaugeProblem:
         return np.concatenate([sighting.faces for sighting in self.sightings])
 
     def points_base(self, state: GaugeState, rays: Float64 | None = None) -> Float64:
-        """Return where the rays (N, 3) of all images meet the sheet (N, 3), mm, base frame."""
+        """Return the points (N, 3), mm, base frame, in which the rays (N, 3) of all images meet the sheet."""
         T = self.T_tool_camera
         directions = (self._rays if rays is None else rays) @ T[:3, :3].T
         points = points_on_plane(state.plane, T[:3, 3], directions)
         return transform_each(self._T_base_tool, points)
 
     def distances(self, state: GaugeState, rays: Float64 | None = None) -> Float64:
-        """Return how far all points are off their faces (N,), mm."""
+        """Return the distances (N,), mm, of all points from their faces."""
         normals, offsets = self.gauge.faces
         T = state.T_base_gauge
         in_gauge = (self.points_base(state, rays) - T[:3, 3]) @ T[:3, :3]
@@ -161,7 +161,7 @@ class GaugeProblem:
         )
 
     def parts(self, state: GaugeState) -> list[tuple[Float64, Float64, Float64]]:
-        """Return what each image's covariance (n, n) is made of: rays, mm², robot and form for 1 mm."""
+        """Return the terms of each image's covariance (n, n): rays, mm², robot and form for 1 mm."""
         shifted = self.distances(state, self._rays + RAY_STEP * self._across)
         D = (shifted - self.distances(state)) / RAY_STEP
         N = self.gauge.faces[0][self.faces]

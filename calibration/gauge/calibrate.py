@@ -160,7 +160,7 @@ def calibrate_gauge(
 
 
 def _is_wrong(problem: GaugeProblem, image: int, without: GaugeFit) -> bool:
-    """Return whether an image is farther off a fit without it than noise and that fit's errors explain."""
+    """Return True if an image contradicts a fit without it beyond noise and that fit's errors."""
     part = problem.slices[image]
     d, J = problem.distances(without.state)[part], problem.slopes(without.state)[part]
     C = problem.covariances(without.state, without.noise_mm)[image] + J @ without.covariance @ J.T
@@ -185,7 +185,7 @@ def _excess(information: Float64) -> Float64:
 
 
 def missing_motion(problem: GaugeProblem, fitted: GaugeFit) -> str | None:
-    """Return which motion is missing where the sheet is not determined; None where it is.
+    """Return the motion that is missing to determine the sheet; None where it is determined.
 
     Each motion is tried: the one counts by whose images the sheet would be known best.
     """
@@ -242,7 +242,7 @@ def _motions(problem: GaugeProblem, state: GaugeState) -> dict[str, tuple[Float6
 
 
 def _information(problem: GaugeProblem, fitted: GaugeFit, T_base_tool: Float64) -> Float64:
-    """Return what an image at a pose would add: its stripe as wide and as noisy as those that there are."""
+    """Return the information of an image at another pose, its stripe as wide and as noisy as the others."""
     state, like = fitted.state, problem.sightings[0]
     to_camera = np.asarray(np.linalg.inv(T_base_tool @ problem.T_tool_camera), dtype=np.float64)
     normals, offsets = problem.gauge.faces

@@ -45,12 +45,12 @@ class StatedSensor:
     plane: Float64
 
     def on_sheet(self, rays: Float64) -> Float64:
-        """Return where rays (n, 3) meet the sheet (n, 3), tool frame, mm."""
+        """Return the points (n, 3), tool frame, mm, in which rays (n, 3) meet the sheet."""
         return points_on_plane(self.plane, self.T_tool_camera[:3, 3], rays @ self.T_tool_camera[:3, :3].T)
 
 
 def _ends_in_base(each: PosedPieces, piece: Piece, sensor: StatedSensor) -> Float64:
-    """Return where a piece begins and ends (2, 3), mm, base frame."""
+    """Return the ends (2, 3) of a piece, mm, base frame."""
     rays = _on_line(piece, sensor.lens, each.pieces.along_rows)
     return transform(each.T_base_tool, sensor.on_sheet(rays))
 
@@ -109,7 +109,7 @@ def place_gauge(
 
 
 def _order(gauge: Gauge, ends: Sequence[Float64], up: Float64) -> tuple[str, int]:
-    """Return why an image shows no such gauge, empty where it does; 1 or -1: pieces run with y or against."""
+    """Return the mismatch of image and gauge, empty if none, and the pieces' order: 1 along y, else -1."""
     heights = [end @ up for end in ends]
     if gauge.shape is Shape.STEP:
         # At the step itself: a tilted gauge makes heights differ elsewhere.

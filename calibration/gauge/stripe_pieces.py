@@ -111,7 +111,7 @@ def _off_line_along_scan(line: LaserLineFit, rays: Float64, column: int) -> Floa
 
 
 def _cuts(scan: Float64, place: Float64, count: int) -> Sequence[int]:
-    """Return where the path is cut into pieces whose points are nearest to lines of their own."""
+    """Return the cuts of the path into pieces that are best fitted by a line each."""
     # Pieces begin and end with one of 120 groups.
     groups = np.array_split(np.arange(len(scan)), min(120, len(scan)))
     t = np.array([np.median(scan[group]) for group in groups])

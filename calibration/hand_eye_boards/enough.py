@@ -24,7 +24,7 @@ class InconsistentError(UndeterminedError):
 
 
 def turns_deg(chain: Chain) -> Float64:
-    """Return how the holder turns (V, 3): rotation vectors about its own axes from the mean pose, deg."""
+    """Return the holder's rotation vectors (V, 3) from the mean pose, about its own axes, deg."""
     turns = Rotation.from_matrix(inverse(chain.T_holder_mount)[:, :3, :3])
     return np.asarray(np.degrees((turns.mean().inv() * turns).as_rotvec()))
 
@@ -81,7 +81,7 @@ def check_sigmas(chain: Chain, covariance: Float64) -> None:
 
 
 def holder_name(chain: Chain) -> str:
-    """Return what carries the camera, in words."""
+    """Return the name of the camera's holder."""
     return "robot's base" if chain.is_eye_to_hand else "tool"
 
 

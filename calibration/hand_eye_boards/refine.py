@@ -49,7 +49,7 @@ class Boards:
         return np.asarray(1.0 / self.sigma_px[self.seen.view])
 
     def select_views(self, chosen: list[int]) -> Boards:
-        """Return what some of the images say."""
+        """Return the boards of some of the images."""
         return Boards(self.scene.select_views(chosen), self.seen.select_views(chosen), self.sigma_px[chosen])
 
 
@@ -97,7 +97,7 @@ def with_warp(scene: BoardScene, seen: Sightings) -> Boards:
 def pose_errors(
     chain: Chain, boards: Boards, lens_root: Float64
 ) -> tuple[PoseErrors, NormalEquations, Float64]:
-    """Return how far the boards are off their prediction, the corners' normal equations, and eta (V, 6).
+    """Return the boards' prediction errors, the corners' normal equations, and eta (V, 6).
 
     `lens_root` (n, k) times its transpose is the lens' covariance.
     """

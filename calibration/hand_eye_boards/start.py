@@ -135,7 +135,7 @@ def _some(chain: Chain | None) -> Sequence[Chain]:
 
 
 def _seen(lens: Lens, T: Float64, ends: Float64) -> Float64:
-    """Return where the ends of boards at poses (..., 4, 4) are seen without distortion, (..., 4, 2), px."""
+    """Return the image points (..., 4, 2), px, of the ends of boards at poses (..., 4, 4), undistorted."""
     points = np.einsum("...ij,nj->...ni", T[..., :3, :], ends)
     return np.asarray(lens.values[:2] * points[..., :2] / points[..., 2:].clip(1e-6))
 

@@ -9,7 +9,7 @@ from noise_model.compiled.arrays import Float64
 
 
 def turn_mismatch_deg(T_holder_mount: Float64, T_camera_board: Float64) -> float:
-    """Return how far rotations of robot and board between two images differ, deg, the median of all pairs.
+    """Return the median difference of robot and board rotations between two images, deg.
 
     Their rotation vectors differ by one rotation only, that of the camera in its holder (Park and Martin,
     Robot sensor calibration: solving AX = XB on the Euclidean group, 1994). It is fitted to all pairs, and

@@ -65,7 +65,7 @@ class PoseErrors:
         return np.asarray(self.by_corners + np.einsum("k,vkij->vij", sigma**2, self.parts()))
 
     def parts(self) -> Float64:
-        """Return what a unit of each variance of the robot adds to V (V, 2, 6, 6)."""
+        """Return the contribution (V, 2, 6, 6) to V of a unit of each of the robot's variances."""
         return np.stack(
             [columns @ columns.transpose(0, 2, 1) for columns in self._columns()],
             axis=1,

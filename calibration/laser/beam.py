@@ -121,7 +121,7 @@ class _OnBoard:
     T_tool_camera: Float64
 
     def points(self, points_px: Float64) -> Float64:
-        """Return where image points (n, 2) lie on the board (n, 3), mm, tool frame."""
+        """Return the points (n, 3) on the board, mm, tool frame, of image points (n, 2)."""
         return transform(self.T_tool_camera, self.line.points(self.lens.rays(points_px)))
 
     @property
@@ -153,7 +153,7 @@ def _light(
 
 
 def _no_ends(lights: list[PairLight], sides: list[Float64]) -> str:
-    """Return why the fan is not determined where a side has no end."""
+    """Return the reason for which a side has no end."""
     n = 0 if not len(sides[0]) else 1
     reasons = [light.ends[n] for light in lights]
     where = "both sides" if not len(sides[0]) and not len(sides[1]) else f"the {('lower', 'upper')[n]} side"

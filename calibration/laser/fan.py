@@ -105,7 +105,7 @@ def _end(sections: CrossSections, sign: int) -> float | Missing:
 
 
 def _last_lit(amount: Float64, level: float) -> int:
-    """Return how many lines are lit: light (n,) that is `level`, and then none, has the least squares."""
+    """Return the number of lit lines: the best fit of a step from `level` to 0 to the light (n,)."""
     gain = (amount - level) ** 2 - amount**2
     return int(np.argmin(np.concatenate([[0.0], np.cumsum(gain)])))
 
@@ -164,7 +164,7 @@ def fit_fan(sides: Sequence[Float64], quantized_mm: float) -> Fan | str:
 
 
 def _off_common_line(side: Float64, quantized_mm: float) -> Float64:
-    """Return how far ends (n, 2) are off the line of most (n,): of the median slope, after Theil and Sen."""
+    """Return the distances (n,) of ends (n, 2) from their Theil-Sen line."""
     a, s = side.T
     first, second = np.triu_indices(len(a), 1)
     apart = np.abs(a[second] - a[first]) > quantized_mm

@@ -62,7 +62,7 @@ def board_shading(
 
 
 def _print_chessboard(board: Board, places_mm: Float64, is_legacy: bool) -> Float64:
-    """Return how light a board is at places (n, 2), mm, from its first inner corner."""
+    """Return a board's reflectance (n,) at places (n, 2), mm, from its first inner corner."""
     cell = places_mm / board.square_mm
     if board.kind is BoardKind.CHESSBOARD:
         return np.asarray(np.floor(cell).sum(axis=1) % 2.0)

@@ -41,7 +41,7 @@ class BoardLine:
     pose_covariance: Float64
 
     def points(self, rays: Float64) -> Float64:
-        """Return where rays (n, 3) meet the board (n, 3), mm, camera frame."""
+        """Return the points (n, 3), mm, camera frame, in which rays (n, 3) meet the board."""
         return points_on_board(self.T_camera_board, rays)
 
     def covariance(self, direction: Float64) -> Float64:
@@ -84,13 +84,13 @@ class PlaneFit:
 
 
 def points_on_board(T_camera_board: Float64, rays: Float64) -> Float64:
-    """Return where rays (n, 3) meet a board's plane (n, 3), mm, camera frame."""
+    """Return the points (n, 3), mm, camera frame, in which rays (n, 3) meet a board's plane."""
     m = T_camera_board[:3, 2]
     return np.asarray(rays * ((m @ T_camera_board[:3, 3]) / (rays @ m))[:, np.newaxis])
 
 
 def points_on_plane(plane: Float64, origin: Float64, directions: Float64) -> Float64:
-    """Return where rays from one origin (3,), along directions (n, 3), meet a plane (4,): points (n, 3)."""
+    """Return the points (n, 3) where rays from an origin (3,) along directions (n, 3) meet a plane (4,)."""
     n = plane[:3]
     return np.asarray(origin - ((n @ origin + plane[3]) / (directions @ n))[:, np.newaxis] * directions)
 
@@ -147,7 +147,7 @@ def fit_plane(lines: Sequence[BoardLine]) -> PlaneFit:
 
 
 def consistent(lines: Sequence[BoardLine]) -> list[int]:
-    """Return which lines lie in one plane; the others are left out one by one, the worst first.
+    """Return the lines that lie in one plane; the others are left out one by one, the worst first.
 
     A line's squares and those of the rest about the plane without it are compared by Fisher's F. Its false
     alarm is shared among the lines.

@@ -69,7 +69,7 @@ class BoardStripe:
 
 
 def board_area(board: Board, lens: Lens, T_camera_board: Float64) -> Bool:
-    """Return which pixels (H, W) show the board, its outer squares included."""
+    """Return the mask (H, W) of the board, its outer squares included."""
     low, high = -MARGIN * board.square_mm, np.array([board.columns, board.rows]) - 1.0 + MARGIN
     # Ten points on each side: a lens may bend it.
     (x1, y1), step = high * board.square_mm, np.linspace(0.0, 1.0, 10, endpoint=False)
@@ -218,7 +218,7 @@ def _path(lines: Float32, noise: Float32, inside: Bool) -> _Track:
 
 
 def _on_one_curve(scan: Int64, places: Float64, clear: Bool) -> Bool:
-    """Return which of the clear places (n,) lie on the parabola of most: a board's edges cross it."""
+    """Return the clear places (n,) on the stripe's parabola: a board's edges cross it."""
     kept = _without_scraps(scan, clear)
     for _ in range(TRIM_ROUNDS):
         if kept.sum() < MIN_LINES:

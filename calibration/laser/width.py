@@ -168,7 +168,7 @@ def _alone(depth: Float64, sigma: Float64, error: Float64) -> _Fit:
 
 
 def _is_better(fitted: _Fit, richer: _Fit) -> bool:
-    """Return whether a coefficient explains more than chance: its F, of one degree of freedom."""
+    """Return True if a coefficient is significant by its F test, of one degree of freedom."""
     return fitted[2] - richer[2] > SURE_SIGMAS**2 * max(richer[2] / richer[3], 1.0)
 
 

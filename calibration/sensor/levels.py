@@ -22,7 +22,7 @@ MIN_SIDE_PX = 2 * BOX_PX
 """Smaller frames hold too few boxes: a box is left out along each border."""
 
 FLICKER_SIGMAS = 5.0
-"""And by how many standard errors of their means they must differ."""
+"""Significance of a difference or a correlation, in standard errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +175,7 @@ def statistics(levels: Sequence[Level]) -> LevelStatistics:
 
 
 def _is_good(level: Level) -> Bool:
-    """Return which pixels (H, W) are no defects in one level."""
+    """Return the mask (H, W) of pixels without a defect in one level."""
     off = level.mean_dn - median_filter(level.mean_dn, 5)
     # The spread of the middle half: defects do not count in it, nor does a tail of rounded codes.
     low, above = np.percentile(off, [25.0, 75.0])

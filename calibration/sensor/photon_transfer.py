@@ -88,7 +88,7 @@ class PhotonTransferProblem:
         )
 
     def predict_at(self, x: Float64) -> ResponsePrediction:
-        """Return what levels read at parameters (p,)."""
+        """Return the levels' predicted readings at parameters (p,)."""
         levels = self.levels
         pattern = Pattern(float(x[4]), float(x[5]), levels.shading_rel)
         return predict(self.charges_at(x), levels.n_frames, pattern, self.sensor_at(x))
@@ -215,7 +215,7 @@ def _inverse(information: Float64) -> Float64:
 
 
 def _departures(problem: PhotonTransferProblem, x: Float64) -> Float64:
-    """Return by how much the lit levels' charges lie off the exposures' line, logarithms (l,)."""
+    """Return the log deviations (l,) of the lit levels' charges from proportionality to exposure."""
     off = x[len(NAMES) :] - np.log(problem.levels.exposure_s[problem.lit])
     return np.asarray(off - off.mean())
 
@@ -290,7 +290,7 @@ def _spatial(predicted: ResponsePrediction, frames: Float64) -> Float64:
 def _pattern_slopes(
     problem: PhotonTransferProblem, x: Float64, here: ResponsePrediction, ln_slope: Float64
 ) -> Float64:
-    """Return by how much row s of the pattern (s, s) grows with the logarithm of level s's charge."""
+    """Return the derivatives (s, s) of the pattern's row s with the logarithm of level s's charge."""
     charge = problem.charges_at(x)
     slope = here.slope_dn_per_e
     response = np.outer(slope, slope) * x[5] * np.outer(charge, charge)

@@ -53,7 +53,7 @@ class ResponsePrediction(NamedTuple):
 
 
 def predict(charge_e: Float64, n_frames: Float64, pattern: Pattern, sensor: Sensor) -> ResponsePrediction:
-    """Return what levels of mean charge (s,) read, each over `n_frames` (s,)."""
+    """Return the predicted readings of levels of mean charge (s,), each over `n_frames` (s,)."""
     dark, response = max(pattern.dark_e2, 0.0), max(pattern.response_rel2, 0.0)
     noise_e = np.sqrt(charge_e + sensor.read_noise_e**2)
     spread_e = np.sqrt(dark + (response + pattern.shading_rel**2) * charge_e**2)
@@ -76,7 +76,7 @@ def predict(charge_e: Float64, n_frames: Float64, pattern: Pattern, sensor: Sens
 def _average(
     charge_e: Float64, spread_e: Float64, n_frames: Float64, sensor: Sensor, nodes: tuple[Float64, Float64]
 ) -> tuple[Float64, ...]:
-    """Return what pixels spread about a charge (s,) read: see `ResponsePrediction`.
+    """Return the readings of pixels spread about a charge (s,): see `ResponsePrediction`.
 
     The last two are the variance over the pixels of their means beyond the slope's, and of their variances.
     """

@@ -224,7 +224,7 @@ def _path(light: Float64, noise: Float64, usable: np.ndarray) -> tuple[int, int,
 
 
 def _mean_profile(part: Float64, centre: Float64) -> Float64:
-    """Return the stripe's mean profile over `PROFILE_PX` px to either side of a path (n,)."""
+    """Return the stripe's mean profile over 60 px to either side of a path (n,)."""
     reach_px = 60
     places = np.arange(-reach_px, reach_px + 1)
     lines = np.broadcast_to(np.arange(len(part))[:, np.newaxis], (len(part), len(places)))

@@ -141,7 +141,7 @@ def _shapes(seen: StillStatistics, gamma: float, top_dn: float) -> Float64:
 
 
 def _counts(seen: StillStatistics, stated: Sensor, top_dn: float) -> Bool:
-    """Return which bins (b,) count: with a gamma the response bends within the noise of faint ones."""
+    """Return the mask (b,) of bins that count: a response with gamma bends within the noise of faint ones."""
     # Below half a code rounding is no twelfth.
     counts = seen.variance_dn2 > 0.25
     if stated.gamma != 1.0:
@@ -187,7 +187,7 @@ def _least_squares(
 
 
 def _unlike(shapes: Float64, variance: Float64, noise: Float64, fitted: Float64, counts: Bool) -> float:
-    """Return by how much bins lie off the model beyond chance, relative: chi2 per freedom is 1 with it."""
+    """Return the model's relative error in bins, with which chi2 per degree of freedom is 1."""
 
     def excess(unlike: float) -> float:
         return _least_squares(shapes, variance, np.hypot(noise, unlike * fitted), counts)[2] - 1.0

@@ -299,7 +299,7 @@ def _grid(problem: _LagProblem, limits: LagLimits) -> list[tuple[float, float, f
 
 
 def _autocorrelation_factor(residuals: Float64) -> float:
-    """Return by how much a variance grows where each residual remembers the one before it (AR 1)."""
+    """Return the variance inflation by the residuals' autocorrelation, an AR(1) process."""
     total = float(residuals @ residuals)
     share = float(residuals[1:] @ residuals[:-1]) / total if total > 0.0 else 0.0
     share = min(max(share, 0.0), 0.95)

@@ -162,7 +162,7 @@ def _data(words: list[str], length: int, base: int) -> bytearray:
 
 
 def _fd_words(words: list[str]) -> list[str]:
-    """Return what follows the identifier of a CANFD line, without the message's name if it is there."""
+    """Return the words after the identifier of a CANFD line, without the message's name if there is one."""
     return words if words[0] in ("0", "1") else words[1:]
 
 
@@ -173,7 +173,7 @@ def _fd_data(words: list[str], base: int) -> tuple[bytearray, bool]:
 
 
 def _is_fd(words: list[str]) -> bool:
-    """Return whether a CANFD line's frame is one of CAN FD: behind its data stand duration, bits, flags."""
+    """Return True if a CANFD line's frame is one of CAN FD: duration, bits and flags follow its data."""
     _brs, _esi, _dlc, length, *data = _fd_words(words)
     behind = data[int(length) :]
     return len(behind) < 3 or bool(int(behind[2], 16) & (1 << 12))

@@ -16,7 +16,7 @@ from robot_io.link.bus_log import BusLogError, BusLogWriteError, BusLogWriter
 from robot_io.link.reconnecting import LinkFault
 
 RETRY_S = 1.0
-"""So often a log that failed is tried again: a disk that is full stays so for longer than frames apart."""
+"""Period of the retries of a failed log, s: a full disk stays full for many frames."""
 
 _LOG = logging.getLogger(__name__)
 
@@ -108,7 +108,7 @@ class SteadyLog:
         return self._log
 
     def _next_path(self) -> Path:
-        """Return where to go on: in the same file for as long as nothing was written into it."""
+        """Return the next file's path: the same as long as nothing was written into it."""
         if self._has_written:
             self._n_files, self._has_written = self._n_files + 1, False
         if not self._n_files:

@@ -29,7 +29,7 @@ _CANDUMP_WAY = re.compile(r"(?<=\s)(?:RX|TX)(?:\s+[-BE]){2}\s+")
 
 
 def line_reader(suffix: str) -> LineReader:
-    """Return what reads the lines of a `.log`, a `.trc` or a `.csv`."""
+    """Return the reader of the lines of a `.log`, a `.trc` or a `.csv`."""
     readers: dict[str, LineReader] = {".log": _CandumpLines(), ".trc": _TrcLines(), ".csv": _csv_line}
     return readers[suffix]
 

@@ -230,7 +230,7 @@ class PoseBuffer:
         return self.at_all((t_s,))[0]
 
     def at_all(self, times_s: Sequence[float]) -> list[PoseAt]:
-        """Return what `at` returns for each of the times, in any order, in a fraction of its time.
+        """Return the poses of `at` at many times, in any order, in a fraction of its time.
 
         Raises ValueError if a time is not finite.
         """
@@ -240,7 +240,7 @@ class PoseBuffer:
         return [next(moved) if isinstance(answer, _Twist) else answer for answer in answers]
 
     def _answer(self, t_s: float) -> PoseAt | _Twist:
-        """Return which two poses give that at a time, or why none do."""
+        """Return the two poses that give that at a time, or the refusal."""
         if not math.isfinite(t_s):
             raise ValueError(f"pose asked for at {t_s}: the time must be finite")
         times_s = self._times_s[self._start : self._stop]
@@ -272,7 +272,7 @@ class PoseBuffer:
         return min(apart, last - 1)
 
     def _along(self, twists: Sequence[_Twist]) -> Iterator[PoseAt]:
-        """Yield the poses to which twists lead."""
+        """Yield the poses at the ends of twists."""
         if not twists:
             return
         first, last = self._start + np.array([(twist.first, twist.last) for twist in twists]).T

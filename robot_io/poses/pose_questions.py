@@ -68,7 +68,7 @@ class KeptPose:
 
 
 def is_same_sample(window: tuple[KeptPose, ...], newest: KeptPose, limits: PlausibilityLimits) -> bool:
-    """Return whether a sample is the last one, sent again with its age; then it counts neither way.
+    """Return True if a sample is the last one sent again: then it counts neither way.
 
     Both times have the jitter of their transit over the bus.
     """

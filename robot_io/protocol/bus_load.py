@@ -55,7 +55,7 @@ def response_time_s(name: str, frame_rate_hz: float, bit_rate_bit_s: float) -> R
 
 
 def frames_per_s(frame_rate_hz: float) -> float:
-    """Return how many frames a second all messages take at a camera's frame rate, 1/s."""
+    """Return the frames per second, 1/s, of all messages at a camera's frame rate."""
     return sum(
         frame_rate_hz if layout.name in FRAME_MESSAGES else 1.0 / cycle_time_s(layout)
         for layout in database().messages

@@ -104,7 +104,7 @@ class Checker:
         self._last_counters: dict[int, int] = {}
 
     def check(self, data_id: int, frame: bytes | bytearray) -> CheckStatus:
-        """Return what CRC and counter of a frame say, and remember its counter unless the CRC is wrong."""
+        """Return the status of a frame's CRC and counter, and store the counter unless the CRC is wrong."""
         if not e2e_p11_check(bytearray(frame), data_id):
             return CheckStatus.ERROR
         counter = counter_of(frame)

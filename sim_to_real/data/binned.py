@@ -41,15 +41,14 @@ STRATA = ("dark", "laser", "arc", "both")
 class ObservedFrame:
     """One frame.
 
-    `stratum` is what is on, `condition` the stated one, `stations_mm` the first and last
-    station of the seam that are seen, and the torch's.
-    `image_dn` (H, W) is the frame, `binned_dn` (h, w) its means over bins. `keep` (h, w) are the bins that
-    count: unsaturated, off edges of joint and shadow, thinned; `kept_dn` (n,) their means,
-    `rendered` (h, w) are those, the saturated ones, whose light may overflow, and the stripe with its rim;
-    `sigma_dn` (n,) the noise of these with the model's floor, `in_stripe` (n,) whether the laser lights them.
-    `shown_dn2` (n,) is the part of that noise's square which the recording shows beyond the stated noise.
-    `stated_e` (h, w) is the light that the nominal setup puts there along the tracked seam, e-, and
-    `stated_arc_e` that of the arc, for the nominal exposure and output.
+    `stratum` names the sources that are on, `condition` the stated one, `stations_mm` the first and last seen
+    station of the seam, and the torch's. `image_dn` (H, W) is the frame, `binned_dn` (h, w) its means over
+    bins. `keep` (h, w) are the bins that count: unsaturated, off edges of joint and shadow, thinned;
+    `kept_dn` (n,) their means, `rendered` (h, w) adds the saturated ones, whose light may overflow, and the
+    stripe with its rim; `sigma_dn` (n,) the noise of these with the model's floor, `in_stripe` (n,) whether
+    the laser lights them. `shown_dn2` (n,) is the part of that variance which the recording shows beyond the
+    stated noise. `stated_e` (h, w) is the light that the nominal setup puts there along the tracked seam, e-,
+    and `stated_arc_e` that of the arc, for the nominal exposure and output.
     """
 
     position: int
@@ -100,8 +99,8 @@ class ObservedFrame:
 class ObservedRecording:
     """A recording's frames, and its seam as the tracker found it by `seam_observations`.
 
-    `setup` is as stated, `binned` the same with a camera of `bin_px` wide bins. `is_metal_fitted` says that
-    nobody stated the metal, and that it is the one which the stripe shows.
+    `setup` is as stated, `binned` the same with a camera of `bin_px` wide bins. `is_metal_fitted` is True
+    where the setup states no metal and that of the stripe was fitted.
     """
 
     setup: Setup
@@ -128,7 +127,7 @@ class ObservedRecording:
         return np.array([np.count_nonzero(frame.keep) for frame in self.frames], dtype=np.int64)
 
     def seam_with(self, effects: Mapping[str, Values]) -> SeamCurve:
-        """Return the seam as the tracker would have found it, had it known of effects."""
+        """Return the seam that a tracker with these effects in its setup would have found."""
         moving = {name: values for name, values in effects.items() if name in TRIANGULATION_EFFECTS}
         if not moving:
             return self.seam
@@ -138,12 +137,12 @@ class ObservedRecording:
         )
 
     def of_metal(self, change: Callable[[Setup], Setup]) -> ObservedRecording:
-        """Return the same of another metal, which no setup states; `change` puts it in place."""
+        """Return the recording with another metal; `change` puts it into a setup."""
         setup, binned = change(self.setup), change(self.binned)
         return replace(self, setup=setup, binned=binned, is_metal_fitted=True)
 
     def with_read_noise(self, ratio: float) -> ObservedRecording:
-        """Return the same with the stated read noise times a ratio."""
+        """Return the recording with its stated read noise times a ratio."""
         sensor = replace(self.setup.sensor, read_noise_e=ratio * self.setup.sensor.read_noise_e)
         return replace(self, setup=replace(self.setup, sensor=sensor))
 
@@ -174,7 +173,7 @@ def observe_along(
     seam_observations: SeamObservations,
     first_s: float,
 ) -> ObservedRecording:
-    """Gather frames with their poses along a seam that was seen; the recording began at `first_s`."""
+    """Gather frames with their poses along an observed seam; the recording began at `first_s`."""
     true = apply_setup_effects(setup)
     stations_mm = [
         make_scene(true, T(pose_time_s(setup, frame.timestamp_s))).stations_mm
@@ -216,7 +215,7 @@ def observe_along(
 
 
 def stated_condition(setup: Setup, frame: Frame, first_s: float) -> Condition:
-    """Return what a setup expects of a frame; an arc with a current of 0 is off, an unknown one the nominal.
+    """Return a frame's condition; an arc with a current of 0 is off, an unknown current is the nominal one.
 
     `first_s` is when the recording's first frame was taken.
     """
@@ -319,10 +318,10 @@ def _usable(image_dn: Integers, setup: Setup, bin_px: int) -> Bool:
 def _noise(
     binned_dn: Float32, setup: Setup, bin_px: int, transfer: PhotonTransfer
 ) -> tuple[Float64, Float64]:
-    """Return the noise (h, w) of bins with the model's floor, from the light that is seen.
+    """Return the noise (h, w) of bins with the model's floor, and its variance beyond the stated noise.
 
-    And what of its square is not the stated noise's. Seen, not predicted: every candidate explains the same
-    data with the same weights. Of the stated noise and that which the recording shows the larger counts.
+    It follows from the observed light, not from a prediction: all candidates explain the same data with the
+    same weights. The larger of the stated and the observed noise counts.
     """
     seen_dn = cv2.blur(binned_dn, (3, 3)).astype(np.float64)
     stated_dn2, floor_dn2 = variances_dn2(seen_dn, setup)
@@ -355,15 +354,15 @@ def bins_that_count(setup: Setup, layers: Layers, condition: Condition, usable: 
 
 
 def shows_one_face(faces: Integers) -> Bool:
-    """Return which bins (h, w) see one face of the joint, as all in the square about them do.
+    """Return the mask (h, w) of bins in whose surroundings only one face of the joint is seen.
 
-    Nuisances move edges: one that comes into a bin would count for more than all else that they move.
+    Nuisances move edges: an edge that enters a bin would outweigh all else that they change.
     """
     return ~near_face_edges(faces, 5)
 
 
 def _changes_slowly(image: Float32) -> Bool:
-    """Return where an image (h, w) changes by less than `MAX_ARC_STEP_REL` of itself to each neighbour."""
+    """Return the mask (h, w) of an image where it changes by less than half to each neighbour."""
     gentle = np.ones(image.shape, dtype=bool)
     for axis in (0, 1):
         for shift in (-1, 1):

@@ -46,7 +46,7 @@ def _strata(observed: ObservedRecording) -> list[list[int]]:
 def _conditions(observed: ObservedRecording) -> list[tuple[str, int, int]]:
     """Return each frame's stratum, and the numbers of its exposure's and current's groups.
 
-    Values that differ by less than `SAME_CONDITION_REL` from the next belong to one group.
+    Values that differ by less than 5 % from the next belong to one group.
     """
     exposure = _condition_groups([frame.condition.exposure_s for frame in observed.frames])
     arc = _condition_groups([frame.condition.arc_level for frame in observed.frames])

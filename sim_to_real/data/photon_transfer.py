@@ -1,8 +1,8 @@
 """The noise that a recording shows, level by level: its photon transfer curve.
 
-A sensor that responds otherwise than stated, or reads out with more noise, scatters otherwise too. What it
-really scatters by can be seen without knowing why: in the mixed second differences of neighbouring pixels,
-which no smooth light has (EMVA Standard 1288 takes differences of two frames, and calls the curve so).
+A sensor whose response or read noise is not as stated has another noise, too. That noise shows in the mixed
+second differences of neighbouring pixels, which vanish for smooth light. (EMVA Standard 1288 takes
+differences of two frames.)
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class PhotonTransfer:
 def photon_transfer(images_dn: Sequence[Integers], usable: Sequence[Bool], bin_px: int) -> PhotonTransfer:
     """Measure the noise of frames (H, W) in bins `bin_px` wide; those count that are `usable` (h, w).
 
-    At each level stands the median over bins of the mean square of their details: stripes' flanks and edges
+    Each level's variance is the median over bins of their details' mean square: flanks of stripes and edges
     scatter more, but are few.
     """
     level, variance = (

@@ -1,6 +1,6 @@
 """Experiments that a diagnosis may ask for: frames taken in another way than the recording's.
 
-Where no experiment would tell two effects apart, a witness would: an instrument that sees one effect alone.
+Where no experiment separates two effects, a witness does: an instrument that sees only one of them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ TILT_DEG, RAISE_MM, CURRENT, EXPOSURE, FASTER = 10.0, 2.0, 1.5, 0.5, 3.0
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment of the menu; what it does not name is as the setup states, laser and arc on.
+    """An experiment of the menu; what it does not name is as the setup states, laser and arc on.
 
     `name` is what the report asks for, `key` is short, for names of files. `exposure` and `current` are
     factors of the setup's, `speed` one of the motion's. The tool is turned by the rotation vector `turn_deg`
@@ -95,4 +95,4 @@ WITNESS: Mapping[str, str] = {
     "lens_distortion": _BOARD,
     "pose_delay": "a signal that starts frame and pose together",
 }
-"""For each effect, what would see it and nothing else."""
+"""The instrument that would see each effect, and no other."""

@@ -1,4 +1,4 @@
-"""The gap on frames held out of every fit, pixel by pixel, before and after: as anyone may recompute it."""
+"""The gap on held-out frames, pixel by pixel, before and after a fit; stored predictions suffice for it."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def measure_gap(
 ) -> Gap:
     """Measure the gap, sqrt(mean r^2 - 1) of the pixels that count, with its interval by a block bootstrap.
 
-    `seam_mm` is passed on: how far the seam point moves before and after.
+    `seam_mm`, the seam point's displacement before and after, is passed on.
     """
     counts = np.isfinite(predicted.variance)
     light_dn = predicted.after.astype(np.float64) - setup.sensor.black_level_dn
@@ -212,7 +212,7 @@ def _closed_share(before: float, after: float, floor: float) -> float:
 
 
 def excess_map(predicted: HeldOutPrediction) -> Float32:
-    """Return by how many sigmas the residual exceeds its noise (H, W), smoothed; its sign is the mean's."""
+    """Return the smoothed excess (H, W) of residuals over noise, sigmas, with the sign of their mean."""
     counts = np.isfinite(predicted.variance)
     sigma = np.sqrt(np.where(counts, predicted.variance, 1.0))
     r = np.where(counts, (predicted.recorded - predicted.before) / sigma, 0.0)

@@ -1,9 +1,8 @@
-"""The next experiment: the one after which the posterior is expected to be surest.
+"""Choice of the next experiment: the one with the largest expected certainty of the posterior.
 
-Each hypothesis that is alive predicts an experiment's frames, with the uncertainty that its parameters have
-after what was recorded. With linear Gaussian predictions the evidence that frames as one predicts them take
-from another is a closed form, and with it the posterior that is expected (Lindley 1956, Ann. Math. Stat. 27,
-986: the expected information of an experiment).
+Each probable hypothesis predicts an experiment's frames, with the posterior uncertainty of its parameters.
+For linear Gaussian predictions the evidence of one hypothesis against another has a closed form, and with it
+the expected posterior (Lindley 1956, Ann. Math. Stat. 27, 986: the expected information of an experiment).
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ def planned_frame(experiment: Experiment, frame: ObservedFrame, setup: Setup) ->
 
 
 def is_recorded(experiment: Experiment, observed: ObservedRecording) -> bool:
-    """Return whether a recording holds frames of an experiment; of one that moves the tool it never does."""
+    """Return True if a recording holds frames of an experiment; never for one that moves the tool."""
     setup = observed.setup
     if any(experiment.turn_deg) or any(experiment.move_mm) or experiment.speed != 1.0:
         return False
@@ -81,11 +80,11 @@ def is_recorded(experiment: Experiment, observed: ObservedRecording) -> bool:
 def next_measurement(
     model: LinearizedModel, posterior: Posterior, errors: ErrorModel, policy: Policy
 ) -> Next | None:
-    """Return the experiment after which the least is left open, on average; None if nothing is open now.
+    """Return the experiment with the largest expected certainty; None if there is one hypothesis alone.
 
-    Each hypothesis that is still alive predicts each experiment's frames, with its posterior's uncertainty:
-    what a rival could adapt to tells nothing. Experiments that the recording holds already are not asked for.
-    If none would leave one hypothesis `policy.named`, a witness is to be added.
+    Each probable hypothesis predicts each experiment's frames with its posterior uncertainty: a difference
+    that a rival could fit separates nothing. Recorded experiments are left out. If no experiment would raise
+    a hypothesis to `policy.named`, a witness is proposed.
     """
     alive = [
         (hypothesis, p)
@@ -108,7 +107,7 @@ def next_measurement(
 def expected_certainty(nats: Float64, weights: Float64, temperature: float) -> Float64:
     """Return exp(-entropy) of the posterior that is expected after each experiment (n,).
 
-    `nats` (h, g, n) are by how much the evidence of hypothesis h, if it is right, gains on that of g.
+    `nats` (h, g, n) is the expected log evidence of hypothesis h, if it is right, over g.
     """
     ln = np.log(weights)[np.newaxis, :, np.newaxis] - nats / temperature
     ln -= logsumexp(ln, axis=1, keepdims=True)
@@ -117,7 +116,7 @@ def expected_certainty(nats: Float64, weights: Float64, temperature: float) -> F
 
 
 def _nats_apart(model: LinearizedModel, hypotheses: Sequence[Hypothesis], errors: ErrorModel) -> Float64:
-    """Return by how many nats each experiment separates hypothesis h, if right, from g: (h, g, n)."""
+    """Return the evidence (h, g, n), nats, that experiment n gives for hypothesis h, if right, over g."""
     planned = _planned_model(model)
     forecasts = [_forecast(planned, hypothesis, errors) for hypothesis in hypotheses]
     apart = np.zeros((len(forecasts), len(forecasts), len(MENU)))
@@ -154,14 +153,14 @@ def _forecast(planned: LinearizedModel, hypothesis: Hypothesis, errors: ErrorMod
 
 
 def _is_frame_level(fitted: Refit) -> Bool:
-    """Return which parameters (p,) of a fit are a single frame's own."""
+    """Return the mask (p,) of a fit's parameters that belong to single frames."""
     return np.array([parameter.name.startswith(FRAME_LEVEL) for parameter in fitted.quadratic.parameters])
 
 
 def _surprise(planned: LinearizedModel, right: _Forecast, rival: _Forecast, n: int) -> float:
-    """Return ln of how much less likely a rival makes the n-th experiment as the right one predicts it.
+    """Return the log likelihood ratio, nats, of the right hypothesis over a rival on the n-th experiment.
 
-    Half of d^T (S + J J^T)^-1 d, with S the noise of `N_MORE` frames and the model's floor.
+    It is half of d^T (S + J J^T)^-1 d, with S the noise of `N_MORE` frames and the model's floor.
     """
     mean_dn, setup = right.means_dn[n], planned.observed.setup
     noise_dn2, floor_dn2 = variances_dn2(mean_dn, setup)

@@ -1,9 +1,8 @@
 """The coordinates in which each stage acts, as bases of smooth functions.
 
-What a stage does wrong is a simple function of its own coordinates: a sensor's of the grey level, a lens' of
-the place in the image, a metal's of the angles, a source's of time and direction. The same bases serve twice.
-Times the light, they are what an unknown cause at that stage would do. Times what an effect does, they are
-how its form may be off.
+The error of a stage is a smooth function of its own coordinates: a sensor's of the grey level, a lens' of the
+place in the image, a metal's of the angles, a source's of time and direction. Multiplied by the light, the
+bases span an unknown cause at that stage. Multiplied by an effect's change, they span the errors of its form.
 """
 
 from __future__ import annotations
@@ -73,9 +72,9 @@ class _FreeColumns(NamedTuple):
 
 
 def free_terms(covariates: Covariates) -> FreeTerms:
-    """Return the terms of an unknown cause: of bases, of displacements, of a stage's together, of all.
+    """Return the terms of an unknown cause: bases and displacements, each stage's together, and all of them.
 
-    Those that change nothing, of the arc where none burns, are no causes.
+    Terms that change nothing, as of an arc that is off, are left out.
     """
     every = [
         _FreeColumns(basis.stage, basis.name, basis.functions * basis.light[:, np.newaxis])
@@ -94,10 +93,10 @@ def free_terms(covariates: Covariates) -> FreeTerms:
 
 
 def form_functions(covariates: Covariates) -> Mapping[Stage, tuple[Float32, ...]]:
-    """Return functions (n, k) by which the form of a stage's effects may be off: of each of its coordinates.
+    """Return the errors (n, k) that the form of a stage's effects may have, in each of its coordinates.
 
-    The last ones are those of all of them together. With sizes of unit variance the sum of each has about
-    unit variance in each bin.
+    The last ones are of all coordinates together. For sizes of unit variance, each sum has about unit
+    variance in each bin.
     """
     everywhere = np.ones((len(covariates.frame), 1), dtype=np.float32)
     bases = _bases(covariates)
@@ -171,7 +170,7 @@ def _bases(covariates: Covariates) -> list[_Basis]:
 
 
 def _additions(covariates: Covariates) -> list[_FreeColumns]:
-    """Return what adds to the image whatever laser and arc do: a scene that the hall lights, an offset."""
+    """Return the terms that neither laser nor arc changes: a scene lit by the hall, an offset."""
     exposed, always = covariates.values["exposure"], np.ones_like(covariates.sigma_dn)
     return [
         _FreeColumns(
@@ -185,13 +184,13 @@ def _additions(covariates: Covariates) -> list[_FreeColumns]:
 
 
 def _added_light(covariates: Covariates, size: Float32) -> Float32:
-    """Return what a term of size 1 adds to bins (n,), over their noise; it goes with a `size` (n,)."""
+    """Return the light (n,) of an added term of size 1, proportional to `size` (n,), over the bins' noise."""
     largest = max(float(np.max(size, initial=0.0)), 1e-9)
     return np.asarray(ADDED_DN * size / largest / covariates.sigma_dn, dtype=np.float32)
 
 
 def _displacements(covariates: Covariates) -> list[_FreeColumns]:
-    """Return the camera's pose and its lens' distortion; and the pose in each frame, as a wrong clock's."""
+    """Return displacements by the camera's pose and distortion, and in each frame, as of a wrong clock."""
     pose = covariates.tangents[:, N_LEVELS:SEAM_FROM]
     values = covariates.values
     reach = max(float(np.max(np.abs(values["column"]), initial=1.0)), 1.0)
@@ -223,7 +222,8 @@ def _mean_in_frame(covariates: Covariates, light_dn: Float32) -> Float32:
 
 
 def hats(values: Float32, count: int) -> Float32:
-    """Return at most `count` hat functions (n, k) of values (n,): at their quantiles, or at each of few.
+    """Return at most `count` hat functions (n, k) of values (n,), at their quantiles, or at each of a few
+    values.
 
     Each falls from 1 at its knot to 0 at the next ones. NaN belongs to no hat.
     """

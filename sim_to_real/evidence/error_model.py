@@ -63,7 +63,7 @@ class SizeColumns:
 
     @classmethod
     def along_probes(cls, score: ScoreTest) -> SizeColumns:
-        """Return what one prior sigma of each of an effect's probe points changes."""
+        """Return the columns of one prior sigma of each of an effect's probe points."""
         low, high = np.array(score.step_limits()).T
         changes = np.asarray(score.signature / probe_sigmas(score), dtype=np.float32)
         return cls(changes, 1.0 * (low == 0.0) - 1.0 * (high == 0.0))
@@ -76,7 +76,7 @@ class SizeColumns:
 
 
 def probe_sigmas(score: ScoreTest) -> Float64:
-    """Return how far (k,) an effect's probe points are, in sigmas of their parameters' priors."""
+    """Return the distances (k,) of an effect's probe points, in sigmas of their parameters' priors."""
     sigmas = np.array([parameter.prior_sigma for parameter in REGISTRY[score.id].parameters])
     lengths = np.max(np.abs(score.steps) / sigmas, axis=1)
     # Where light ends is no step of a parameter: the change to its shape counts as one.
@@ -100,11 +100,11 @@ class LinearHypothesis:
     def without(
         cls, fitted: Refit, name: str | None, residuals: Float64, by_nuisance: Float64
     ) -> LinearHypothesis:
-        """Return the same without one of a fit's effects, or without any.
+        """Return a fit's linear form without one of its effects, or without any.
 
-        `residuals` (n,) are those of it, at the fit's other parameters, and `by_nuisance` (n, m) what
-        nuisances change of them. Along the fit's own derivatives a level of the laser could stand for light
-        that only the effect makes of it.
+        `residuals` (n,) are those without it, at the fit's other parameters, and `by_nuisance` (n, m) their
+        derivatives. The fit's own derivatives would let a level of the laser stand for light that only the
+        effect makes.
         """
         jacobian = np.hstack([by_nuisance, fitted.jacobian[:, fitted.n_nuisances :]])
         kept = np.ones(len(fitted.x), dtype=np.bool_)
@@ -188,7 +188,7 @@ class ErrorModel:
         return Blocks(tuple(block.sides for block in blocks), seen, seen.products(seen))
 
     def table(self, hypothesis: LinearHypothesis, blocks: Blocks) -> EvidenceTable:
-        """Return what gives the evidence of a hypothesis with any of some blocks of columns."""
+        """Return the table of a hypothesis' evidence with any of some blocks of columns."""
         columns, residuals = hypothesis.columns, hypothesis.residuals
         own = self.metric.weigh(np.column_stack([columns.changes, residuals]))
         products, between = own.products(own), own.products(blocks.seen)
@@ -222,8 +222,8 @@ class ErrorModel:
         """Return errors of an effect's form where the effect itself does nothing: free blocks, and sizes.
 
         A second stripe that is blurred puts light where a sharp one puts none. Each is a free function of the
-        effect's stage, by number; its size is such that its root mean square over all bins is a share of
-        that of what the effect does, `change` (n,).
+        effect's stage, by number. Its RMS over all bins is a share of that of the effect's change, `change`
+        (n,).
         """
         share, stage = REGISTRY[effect].form_rel, REGISTRY[effect].stage
         size = share * math.sqrt(float(np.mean(np.square(change))))
@@ -241,7 +241,7 @@ class ErrorModel:
     def log_evidence_off(self, hypothesis: LinearHypothesis, forms: Sequence[Sequence[SizeColumns]]) -> float:
         """Return ln Z, nats, of a hypothesis with effects whose `forms` are off, each by any of its errors.
 
-        All are equally probable: those of one effect, with the last one of each other effect.
+        All choices are equally probable: any error of one effect, with the last one of each other effect.
         """
         blocks = list(itertools.chain(*forms))
         ends = np.cumsum([len(errors) for errors in forms])
@@ -277,19 +277,19 @@ def compared_bins(model: LinearizedModel, covariates: Covariates, before: Refit,
 
 
 def _is_open(observed: ObservedRecording, name: str) -> bool:
-    """Return whether an effect only changes what no setup states: the metal that the stripe shows."""
+    """Return True if an effect changes only a metal that was fitted to the stripe."""
     return observed.is_metal_fitted and "material" in REGISTRY[name].needs
 
 
 def _negligible(columns: Float32, policy: Policy) -> Float32:
-    """Return what an effect at a negligible size changes (n, k), all of its families together."""
+    """Return the columns (n, k) of an effect of negligible size, all of its families together."""
     rms = np.sqrt(np.mean(columns**2, axis=0))
     sizes = np.minimum(policy.negligible, policy.negligible_rms / np.maximum(rms, 1e-6))
     return np.asarray(columns * sizes / math.sqrt(columns.shape[1]), dtype=np.float32)
 
 
 def hand_eye_tolerance(score: ScoreTest, tolerance: Tolerance) -> Float32:
-    """Return what a camera's pose that is off within its tolerance changes (n, k); nothing of other effects.
+    """Return the columns (n, k) of a camera pose within its tolerance; none for other effects.
 
     It moves where the tracker sees the seam, too, which the pose among the nuisances does not.
     """
@@ -310,14 +310,14 @@ def _fourth_differences_dn(model: LinearizedModel, start: Refit) -> Float64:
 
 
 def _is_resolved(covariates: Covariates, fourth_dn: Float64, max_ripple: float) -> bool:
-    """Return whether bins resolve the stripe: its fourth difference is at most `max_ripple` of its light."""
+    """Return True if bins resolve the stripe: its fourth difference is at most `max_ripple` of its light."""
     of_stripe = covariates.in_stripe
     ripple, light = np.square(fourth_dn[of_stripe]), np.square(covariates.laser_dn[of_stripe])
     return bool(np.sum(ripple) <= max_ripple**2 * np.sum(light))
 
 
 def sampling_error(model: LinearizedModel, covariates: Covariates, start: Refit) -> Float32:
-    """Return what bins do to a stripe that they hardly resolve, in all bins (n, 1).
+    """Return the sampling error (n, 1) of a stripe that bins hardly resolve.
 
     A kernel whose fourth moment is off by m is off by m / 24 of a fourth difference. Three taps of variance v
     have the fourth moment v, a Gaussian has 3 v^2, so bins are off by about v / 24.

@@ -48,9 +48,9 @@ PATTERNS = dict(row="row", column="column", radial="radius", mirrored=MIRRORED, 
 class FunctionFamily:
     """All free functions of a covariate in a `form`, one of `FORMS`.
 
-    `changes` (n, k) is what a unit of each coefficient changes in bins, in sigmas. They have `n_values`
-    distinct values of the covariate. `at_places` (m, k) gives the function at some `places` (m,) of it, about
-    what the levels of light may be off by.
+    `changes` (n, k) are the changes of bins, in sigmas, by a unit of each coefficient. The bins have
+    `n_values` distinct values of the covariate. `at_places` (m, k) gives the function at `places` (m,) of it,
+    less the part that errors of the light's levels explain.
     """
 
     form: str
@@ -141,9 +141,10 @@ class FreeFunctions:
         return float(np.clip(1.0 - unexplained, 0.0, 1.0))
 
     def curve(self, name: str) -> Curve:
-        """Return a covariate's function, with its 95 % band, about what levels may be off by.
+        """Return a covariate's function with its 95 % band, less the part that errors of levels explain.
 
-        That is its mean over bins, and its slope along the grey level. Without a function it has no places.
+        That part is its mean over bins, and its slope along the grey level. Without a function there are no
+        places.
         """
         if name not in self.before:
             none = np.zeros(0)
@@ -263,7 +264,7 @@ def locate(
     stages: Mapping[str, float],
     z: Float32,
 ) -> Where:
-    """Return where whitened residuals (n,) lie; `stage`, `stages` and `z` (H, W) are those of `Where`."""
+    """Return the location of whitened residuals (n,); `stage`, `stages` and `z` are those of `Where`."""
     curves = sorted(map(functions.curve, UNITS), key=lambda curve: -curve.r2)
     excess = residuals**2 - 1.0
     in_band = np.sum(excess[covariates.in_stripe]) / max(np.sum(excess), MIN_EXCESS * len(excess))

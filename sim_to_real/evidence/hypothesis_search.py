@@ -40,12 +40,12 @@ SURPRISE_NATS = 4.0
 """Largest gain of a fit over its first look even where the gap is small."""
 
 MUCH_SURPRISE, LITTLE_SURPRISE, FLOOR_MEAN_SQUARE = 0.7, 0.3, 1.0
-"""And by this share of what the best fit gains; the second once a fit leaves no more than the floor."""
+"""The same gain as a share of the best fit's; the smaller share once a fit leaves no more than the floor."""
 
 MOVING = tuple(name for name, effect in REGISTRY.items() if effect.stage in (Stage.GEOMETRY, Stage.TIMING))
 """Effects that move the image: while an unknown cause of a large gap leads, all of them are fitted.
 
-A straight line foretells little of a stripe that lies elsewhere.
+A linear look predicts little of a stripe that lies elsewhere.
 """
 
 STARTS_OF_STAND_INS: Mapping[str, Sequence[Effects]] = {
@@ -103,9 +103,9 @@ class HypothesisSearch:
         return without, fitted.residuals - residuals
 
     def none(self, before: Hypothesis, others: Iterable[Hypothesis]) -> Hypothesis:
-        """Return no gap, about the nuisances of whichever fit makes it likeliest.
+        """Return no gap about the nuisances of the fit that makes it likeliest.
 
-        Every fit renders light again at its nuisances. Only about the same ones is no gap compared fairly.
+        Each fit renders light anew at its nuisances: no gap must be compared at the same ones.
         """
         about = [hypothesis.neutral for hypothesis in (before, *others)]
         evidence = [self.errors.log_evidence(neutral) for neutral in about]
@@ -114,7 +114,7 @@ class HypothesisSearch:
 
     @staticmethod
     def compared(every: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return hypotheses as likely as any fit makes them: another one may know nuisances better."""
+        """Return hypotheses with their largest evidence of all fits: another fit may have better levels."""
         fewer = [(names, nats) for hypothesis in every for names, nats in hypothesis.fewer.items()]
         return [
             replace(h, exact=max([h.exact, *(nats for names, nats in fewer if names == frozenset(h.ids))]))
@@ -210,10 +210,11 @@ class HypothesisSearch:
         return sorted([*self._settled(trends, unknown), *settled], key=_evidence, reverse=True)
 
     def approached(self, fitted: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return fits, of which the likeliest have come nearer if all of them are far off.
+        """Return fits; if all are far off, the likeliest are refitted from their results.
 
-        Where no effect leaves less than what biases nuisances, light was not linear between start and fit. A
-        narrower stripe that lies elsewhere comes near in some steps, and what is missing does not.
+        Where every fit leaves a mean square that biases nuisances, light was not linear between start and
+        fit. A narrower stripe that lies elsewhere converges in some steps; a cause that the catalogue lacks
+        does not.
         """
         every = sorted(fitted, key=_evidence, reverse=True)
         if any(hypothesis.refit.mean_square < BIASED_MEAN_SQUARE for hypothesis in every):
@@ -239,10 +240,11 @@ class HypothesisSearch:
         return self.policy.temperature * (float(np.log(max(len(self.scores), 1))) - ln_odds)
 
     def _settled(self, fitted: Sequence[Hypothesis], rival: float) -> list[Hypothesis]:
-        """Return hypotheses, likeliest first, of which those that may be the likeliest have settled.
+        """Return hypotheses, likeliest first; those that may be the likeliest are rendered until they
+        converge.
 
-        What a fit gains or loses when light is rendered again is a share of how far it is off, so one that is
-        behind stays behind. The `rival` is the evidence of what need not settle.
+        A new rendering changes a fit's evidence by a share of its misfit, so a fit far behind stays behind.
+        `rival` is the evidence of a competitor that needs no convergence.
         """
         every, settled = list(fitted), 0
         while settled < len(every):
@@ -301,7 +303,7 @@ class HypothesisSearch:
     def fit(self, starts: Sequence[Effects], nuisance: Float64, trend: Trend | None = None) -> Refit:
         """Return the likeliest fit of effects from some starts, light extrapolated from the start's.
 
-        A line that is followed far from where it was taken may lead astray: a fit starts where least is left.
+        A linear extrapolation may fail far from its origin: the fit starts where the cost is smallest.
         """
         loss = self.errors.loss
 
@@ -362,9 +364,9 @@ class HypothesisSearch:
         return int(self.model.observed.shows_arc.sum()) > 2 and FLICKER not in self.without
 
     def _alone(self, pair: Hypothesis, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return those effects of a pair by themselves that were not fitted alone: one of two may suffice.
+        """Return single fits of a pair's effects that were not fitted alone: one of the two may suffice.
 
-        Without the other one it must not lose most of what the pair gains.
+        It must keep most of the pair's gain.
         """
         known = {name for single in singles for name in single.ids}
         needed = self._needed((1.0 - LITTLE_SURPRISE) * (pair.exact - self.looks.none))

@@ -1,7 +1,7 @@
 """A first look at effects and pairs, without a fit: the evidence along probe points, and where fits start.
 
-The residual is taken to go straight between no effect and each probe point, and along the derivatives with
-the nuisances. Along these lines the evidence of each effect has a closed form, and that of each pair.
+The residual is taken as linear between no effect and each probe point, and in the nuisances. Along these
+lines the evidence of each effect has a closed form, and that of each pair.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Looks:
         return max(self._exact[likeliest], self.errors.log_evidence(self.at_start, best, form))
 
     def starts_of(self, score: ScoreTest) -> list[Effects]:
-        """Return where fits of an effect may start, along its likeliest families."""
+        """Return starts for fits of an effect, along its likeliest families."""
         return [start for n in self._ranked(score)[:3] for start in self._starts(self._probes, n)]
 
     def _starts(self, table: EvidenceTable, *families: int) -> list[Effects]:
@@ -122,7 +122,7 @@ class Looks:
         ]
 
     def pairs_alone(self, needed: float) -> list[PairLook]:
-        """Return pairs that beat every single effect at the start by as much as is needed, nats."""
+        """Return pairs that gain `needed` nats over every single effect at the start."""
         # Pairs are formed of each effect's two best families.
         places = [n for score in self.scores for n in self._ranked(score)[:2]]
         alone = max(self._exact)

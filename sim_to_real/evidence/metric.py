@@ -106,7 +106,7 @@ class MetricLoss:
         return Quadratic(tuple(parameters), x, products[:-1, :-1], -products[:-1, -1], products[-1, -1])
 
     def is_converged(self, cost: float, gained: float) -> bool:
-        """Return whether a step with a gain ends a fit of some cost."""
+        """Return True if a step of this gain ends a fit of this cost."""
         # Half a nat: the cost is twice the nats.
         return gained < 1.0
 
@@ -117,9 +117,9 @@ def log_evidence(products: Float64, sides: Float64, count: int) -> float:
     `sides` (k,) are 1 for sizes that only positive values have, -1 for negative ones, 0 for both. A bounded
     size has a half-normal prior.
 
-    All errors may be larger than stated, by one factor: what a hypothesis leaves sets it, where that is more
-    than the errors are. So two that leave much differ by the ratio of what they leave, as one would compare
-    them who knows nothing of the errors' size.
+    All errors may be larger than stated by one factor, which follows from the remaining cost where that
+    exceeds the errors. So two hypotheses that leave much are compared by the ratio of what they leave, as for
+    errors of unknown size.
     """
     return rescale_errors(products, sides, count)[0]
 

@@ -219,7 +219,7 @@ def concavity(points_mm: Float64, normals: Float64, shape: SurfaceSection) -> Fl
 
 
 def _of_frame(observed: ObservedRecording, frame: ObservedFrame, true: Setup, n: int) -> dict[str, Float64]:
-    """Return what a frame's bins have in common, (n,) each."""
+    """Return the covariates (n,) that a frame's bins have in common."""
     arc = observed.setup.arc
     values = {
         "exposure": frame.condition.exposure_s,
@@ -242,7 +242,7 @@ def velocity_sign(frame: ObservedFrame, true: Setup) -> float:
 
 
 def _of_image(observed: ObservedRecording, view: View) -> dict[str, Float64]:
-    """Return where the bins lie in the image, (n,) each."""
+    """Return the covariates (n,) of the bins' places in the image."""
     # A bin's middle among the recording's own pixels.
     px = (view.rays.uv_px.astype(np.float64) + 0.5) * observed.bin_px - 0.5
     camera = observed.setup.camera

@@ -1,4 +1,4 @@
-"""The light of a frame's bins: which bins are predicted, what is rendered of them, and what effects leave."""
+"""Light of a frame's bins: the predicted bins, their rendering, and the light after effects."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ CHARGE_STEP_E = 1.0
 class PredictedBins:
     """The bins of a frame that are predicted: all of it (h, w), or those that count and about these (m,).
 
-    `places` are theirs in the flattened frame, `rendered` (r,) those of the bins that are rendered, and
-    `nearest` says which of these is nearest to each. `kept` (k,) are those that count, among all, and
-    `is_kept` (r,) says it of those rendered. `inner` is that of a `View`, None for a whole frame.
+    `places` are their indices in the flattened frame, `rendered` (r,) those of the rendered bins, `nearest`
+    the nearest rendered bin of each. `kept` (k,) are the bins that count, as indices into `places`; `is_kept`
+    (r,) is their mask among the rendered ones. `inner` is that of a `View`, None for a whole frame.
     """
 
     frame: ObservedFrame
@@ -80,8 +80,8 @@ class Rendering:
 class FrameLight:
     """The light of a frame's bins that count (n,), e-, that has passed effects, lens and exposure.
 
-    `arc_factor` and `laser_factor` (n,) are what became of one unit of the rendered light; `black_dn` comes
-    on top of the sensor's own.
+    `arc_factor` and `laser_factor` (n,) are the factors by which the rendered light has changed; `black_dn`
+    adds to the sensor's black level.
     """
 
     sensor: Sensor
@@ -114,7 +114,7 @@ def nearest_rendered(rendered: Bool) -> npt.NDArray[np.intp]:
 def light_factor(passed_e: Float32, rendered_e: Float32, known: float) -> Float32:
     """Return the factor by which rendered light (n,) has changed; 0 where none was rendered.
 
-    `known` is what exposure and level alone make of it.
+    `known` is the factor of exposure and level alone.
     """
     factor = np.zeros_like(passed_e)
     with np.errstate(over="ignore"):

@@ -2,8 +2,8 @@
 
 Frames are rendered and passed through the effects at an anchor, the nuisances of the last fit; from there the
 bins that count are continued along the nuisances: levels multiply, the black level adds, and what moves
-camera or seam by its tolerance changes light along its derivatives (`Tangents`). So a fit renders nothing but
-what an effect itself moves.
+camera or seam by its tolerance changes light along its derivatives (`Tangents`). So a fit renders only what
+an effect itself moves.
 """
 
 from __future__ import annotations
@@ -88,8 +88,8 @@ class LinearizedModel:
     def widen_noise_for_bends(self, nuisance: Float64, effects: Effects) -> None:
         """Widen the noise of bins that the arc lights past edges which the model takes to be straight.
 
-        Half-way to the torch the seam strays from the chord, as an edge does whose far end lies twice as far
-        beside. Half of what that would change is the model's 1 sigma.
+        Half-way to the torch the seam deviates from the chord, like a straight edge whose far end is off by
+        twice as much. Half of the change that this makes is the model's 1 sigma.
         """
         lights = self.lights(nuisance, effects)
         self.take_noise(

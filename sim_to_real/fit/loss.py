@@ -29,7 +29,7 @@ class Loss(Protocol):
         ...
 
     def is_converged(self, cost: float, gained: float) -> bool:
-        """Return whether a step with a gain ends a fit of some cost."""
+        """Return True if a step of this gain ends a fit of this cost."""
         ...
 
 
@@ -68,7 +68,7 @@ class HuberLoss:
         return Quadratic(tuple(parameters), x, J.T @ weighted, -(weighted.T @ r), chi2, self.prior_weight)
 
     def is_converged(self, cost: float, gained: float) -> bool:
-        """Return whether a step with a gain ends a fit of some cost."""
+        """Return True if a step of this gain ends a fit of this cost."""
         return gained < 1e-3 * cost
 
 

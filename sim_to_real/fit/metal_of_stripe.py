@@ -14,11 +14,11 @@ from sim_to_real.fit.linearized_model import LinearizedModel
 
 
 def metal_of_stripe(observed: ObservedRecording, threads: int) -> Callable[[Setup], Setup]:
-    """Return what puts the metal that a recording's stripe shows in place of an unstated one.
+    """Return the change of a setup that states the metal which a recording's stripe shows.
 
-    Of the paper's Table 1 the metal with which least is left is taken, and its kappas and c2 are fitted from
-    there with the nuisances. How bright the stripe is stays the laser's `peak_e`: kappas only say how its
-    brightness goes with the angles.
+    The best fitting metal of the paper's Table 1 is the start; its kappas and c2 are fitted with the
+    nuisances. The stripe's brightness stays the laser's `peak_e`: kappas set only its dependence on the
+    angles.
     """
     fits = []
     for material in TABLE_1.values():

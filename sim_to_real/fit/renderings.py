@@ -1,7 +1,7 @@
 """Renderings of poses before any effect acts on the image: many frames in one call, and kept.
 
-What geometry, source and surface make of poses is rendered for all frames of an anchor together, and kept by
-what it depends on: what happens to the arc does not change the laser's light, nor the other way round, and
+Geometry, source and surface are rendered for all frames of an anchor together. A cache is keyed by what each
+part depends on: what happens to the arc does not change the laser's light, nor the other way round, and
 another metal does not change what rays meet.
 """
 
@@ -128,7 +128,7 @@ class Renderings:
         return View.along(true, poses, seams, pose, rays, stretch)
 
     def render(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> list[Rendering]:
-        """Return what frames show before any effect acts on the image."""
+        """Return the renderings of frames, before any effect acts on the image."""
         key = _key(frames, anchor, effects)
         if key not in self._rendered:
             arc = self._arc_e(frames, true, anchor, effects)
@@ -172,7 +172,7 @@ class Renderings:
     ) -> list[Float32]:
         """Return the arc's light in the bins that are predicted (...,), e-.
 
-        `unit` says which part of a metal shows alone.
+        `unit` is the part of a metal that shows alone.
         """
         key = (*unit, Stage.ILLUMINATION, *_key(frames, anchor, effects, Stage.ILLUMINATION))
         if key not in self._of_sources:
@@ -225,7 +225,7 @@ class Renderings:
         return everywhere
 
     def _sights_of_bins(self, frames: Frames, true: Setup, anchor: Float64, effects: Effects) -> BinLight:
-        """Return what bins see with some metal: another one does not change what rays meet."""
+        """Return the views of lit bins; another metal does not change what rays meet."""
         key = _key(frames, anchor, effects, Stage.SURFACE)
         if key not in self._seen:
             observed = [bins.frame for bins in frames]
@@ -241,12 +241,12 @@ class Renderings:
 
 
 def lit_by_arc(frames: Sequence[ObservedFrame]) -> Bool:
-    """Return which frames (f,) the arc lights."""
+    """Return the mask (f,) of frames that the arc lights."""
     return np.array([frame.condition.arc_level > 0.0 for frame in frames], dtype=np.bool_)
 
 
 def lit_by_laser(frames: Sequence[ObservedFrame]) -> Bool:
-    """Return which frames (f,) the laser lights."""
+    """Return the mask (f,) of frames that the laser lights."""
     return np.array([frame.condition.laser_level > 0.0 for frame in frames], dtype=np.bool_)
 
 
@@ -258,7 +258,7 @@ def subset_or_none(view: View, chosen: Bool) -> View | None:
 def _key(
     frames: Frames, anchor: Float64, effects: Effects, unmoved_by: Stage | None = None
 ) -> tuple[object, ...]:
-    """Return what frames' rendering depends on; effects of a stage that does not move it are left out."""
+    """Return the cache key of frames' rendering; effects of the stage `unmoved_by` are left out."""
     rendering = tuple(
         (name, *values.items())
         for name, values in effects.items()

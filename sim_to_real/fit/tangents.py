@@ -46,7 +46,7 @@ class Tangents:
 
 
 Step = tuple[View, float]
-"""What frames see after a small step, and the step's length."""
+"""The frames' view after a small step, and the step's length."""
 
 
 class _Frames:

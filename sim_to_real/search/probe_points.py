@@ -51,9 +51,9 @@ def _patches() -> tuple[ProbeFamily, ...]:
 
 
 def _ending(key: str, neutral: float, shape: Values) -> ProbeFamily:
-    """Return a family of light that ends somewhere: between there and no end it does not go straight.
+    """Return a family of light that ends at an edge, which is not linear between that edge and none.
 
-    A fit starts from that end, whatever step along the residual's change is best.
+    A fit starts from the edge itself, whatever step fits the residual best.
     """
     return ProbeFamily(({key: neutral},), shape)
 

@@ -178,7 +178,7 @@ def with_columns(
 
 
 def _step_limits(parameters: Sequence[Parameter], start: Float64, step: Float64) -> tuple[float, float]:
-    """Return how many steps (p,) back and forth stay within the parameters' bounds and `MAX_STEP`."""
+    """Return the numbers of steps (p,), back and forth, within the parameters' bounds and `MAX_STEP`."""
     low, high = -MAX_STEP, MAX_STEP
     for parameter, value, by in zip(parameters, start, step, strict=True):
         if by != 0.0:

@@ -43,7 +43,7 @@ class Compression:
 
 
 def find_compression(images_dn: Sequence[Integers], sensor: Sensor) -> Compression | None:
-    """Return what frames (H, W), DN, show of compression; None if too little shows of their structure.
+    """Return the compression that frames (H, W), DN, show; None if they have too little structure.
 
     Sensors of more than 8 bits are stored in no JPEG: None.
     """

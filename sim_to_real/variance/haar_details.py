@@ -186,7 +186,7 @@ class FixedPattern:
 def fixed_pattern(
     details: Sequence[HaarDetails], keeps: Sequence[Bool], using: VarianceSizes, places: Sequence[int]
 ) -> FixedPattern:
-    """Return what recurs in the details of the same pixels; `keeps` (h, w) are the frames' bins.
+    """Return the pattern that recurs in the details of the same pixels; `keeps` (h, w) are the frames' bins.
 
     Frames of one of the `places` (n_frames,) show the same of the part, whose own pattern recurs too: what
     they share counts for nothing.

@@ -138,7 +138,7 @@ def random_effects(model: LinearizedModel, fitted: Refit, without: Sequence[str]
 def _add_variance(frame: ObservedFrame, more_dn2: Float64) -> Float64:
     """Return the noise (n,) of a frame's bins with random effects, whose variance is `more_dn2` (n,).
 
-    The part that the recording has shown, and the bins' noise holds already, is not added again.
+    The part that is in the bins' noise already is not added again.
     """
     return np.hypot(frame.sigma_dn, np.sqrt(np.maximum(more_dn2 - frame.shown_dn2, 0.0)))
 
@@ -164,7 +164,7 @@ def _coherent_excess(
     masks: Sequence[Bool],
     of_bins: Sequence[Float64],
 ) -> float:
-    """Return what the residuals of bins' means add to the mean of r^2 of pixels."""
+    """Return the contribution of the bins' mean residuals to the pixels' mean of r^2."""
     parts = []
     for frame, light, details, use, more in zip(
         observed.frames, fitted.lights, pixels, masks, of_bins, strict=True
@@ -227,7 +227,7 @@ def _fixed_pattern(
 
 
 def _places(observed: ObservedRecording) -> list[int]:
-    """Return which place of the part each frame shows (n_frames,): the same within a pixel."""
+    """Return the numbers (n_frames,) of the places on the part that frames show; equal within a pixel."""
     setup = observed.setup
     first: list[Float64] = []
     pixel_mm = abs(stripe_depth_mm(setup)) / setup.camera.fx
@@ -317,7 +317,7 @@ def _coded_dn2(quality: float, bin_px: int) -> float:
 
 
 def _compressed_excess(frame: ObservedFrame, observed: ObservedRecording, quality: float) -> Float64:
-    """Return what compression adds to r^2 of pixels in the bins of a frame that count (n,)."""
+    """Return the contribution (n,) of compression to r^2 of the pixels in a frame's bins that count."""
     image_dn, sensor = frame.image_dn.astype(np.float64), observed.setup.sensor
     stated_dn2, _ = variances_dn2(image_dn, observed.setup)
     compressed_dn2 = compressed_variance(image_dn, stated_dn2, sensor, quality)

@@ -97,7 +97,7 @@ def spatter(
 def _excess(
     observed: ObservedRecording, sensor: Sensor, searched: Sequence[LineSearch], hit: Sequence[Bool]
 ) -> float:
-    """Return what streaks add to the mean of r^2 of all pixels, with the light and noise next to them."""
+    """Return the contribution of streaks to all pixels' mean of r^2, by the light and noise next to them."""
     bin_px = observed.bin_px
     added = 0.0
     for frame, frame_search, bins in zip(observed.frames, searched, hit, strict=True):
@@ -271,7 +271,7 @@ def _searched_frames(
 ) -> float:
     """Return the number of lit frames that were searched: areas weighted by the share of peaks found there.
 
-    A streak whose middle lies on another one is not told from it, so bins on streaks do not count.
+    A streak whose middle lies on another one cannot be separated from it, so bins on streaks do not count.
     """
     frames, hit = observed.frames, _bins_reached(observed, streak_lines)
     exposed = [frame.condition.exposure_s / observed.setup.camera.exposure_s for frame in frames]
@@ -285,7 +285,7 @@ def _searched_frames(
 
 
 def _unlikely(values: Mapping[str, float]) -> float:
-    """Return how much less likely streaks of such a length and width are than the likeliest ones, nats."""
+    """Return the log prior ratio, nats, of the likeliest length and width to these."""
     usual = [PARAMETERS[name] for name in ("length_px", "width_px")]
     return 0.5 * float(sum(((values[p.name] - p.start) / p.prior_sigma) ** 2 for p in usual))
 

@@ -177,7 +177,7 @@ def lines_in_frame(position: int, responses: Float32, limit_dn: Float32) -> list
 def is_next_to_bright(
     observed: ObservedRecording, dark: Sequence[StreakLine], bright: Sequence[StreakLine]
 ) -> Bool:
-    """Return which dark lines (n,) lie next to a bright one.
+    """Return the mask (n,) of dark lines next to a bright one.
 
     On a slope of light, the darker side of a bright line has a brighter neighbour on both sides.
     """
@@ -192,7 +192,7 @@ def is_next_to_bright(
 def is_persistent(
     observed: ObservedRecording, searched: Sequence[LineSearch], candidates: Sequence[StreakLine], dark: bool
 ) -> Bool:
-    """Return which lines (n,) other frames have too, at the same place of the image or of the part."""
+    """Return the mask (n,) of lines that recur in other frames at the same place of image or part."""
     lasts = np.zeros(len(candidates), dtype=bool)
     if not candidates:
         return lasts
@@ -229,7 +229,7 @@ def is_persistent(
 
 
 def _points_on_part(observed: ObservedRecording, candidates: Sequence[StreakLine]) -> Float64:
-    """Return where the lines (n, 3) lie on the part's plane, mm, base frame."""
+    """Return the lines' places (n, 3) on the part's plane, mm, base frame."""
     camera, joint = observed.binned.camera, observed.setup.joint
     points = np.empty((len(candidates), 3))
     for n, line in enumerate(candidates):
