@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from arctrack.errors import ArctrackError
-from arctrack.live.black_box.save import JobSetup, NothingToSaveError, save_window
+from arctrack.live.black_box.save import JobSetup, save_window
 from arctrack.live.journal.journal import JournalReader, remove_dead_journal
 from arctrack.live.journal.message_pipe import PipeEnd
 from arctrack.live.journal.records import Status
-from arctrack.live.journal.ring import RingError
 from arctrack.offset_count import COMMANDED
 from robot_io import Fault, Validity
 
@@ -191,7 +190,7 @@ class _Recorder:
         self._saved_s = time.monotonic()
         try:
             save_window(self._reader, options.kept_s, dict(options.jobs), options.rate_hz, path, reason)
-        except (NothingToSaveError, ArctrackError, OSError, RingError) as error:
+        except (ArctrackError, OSError) as error:
             return {"error": str(error)}
         return {"saved": str(path)}
 

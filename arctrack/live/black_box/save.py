@@ -15,6 +15,7 @@ from typing import IO
 
 import numpy as np
 
+from arctrack.errors import ArctrackError
 from arctrack.live.journal.journal import JournalReader
 from arctrack.live.journal.records import NO_IMAGE, Entry, Status
 from arctrack.recording.results import ResultsWriter
@@ -38,24 +39,20 @@ class JobSetup:
     toml: str
 
 
-class NothingToSaveError(RuntimeError):
-    """No frame of the window is there."""
-
-
 def save_window(
     reader: JournalReader, kept_s: float, jobs: dict[int, JobSetup], rate_hz: float, path: Path, reason: str
 ) -> Path:
     """Save the latest `kept_s` of frames, as far back as one seam was tracked; return the recording.
 
     The oldest frames are read first, since the ring overwrites them first. They are copied to a file until
-    all are read, and then compressed as a video that plays at `rate_hz`. Raises NothingToSaveError if no
-    frame was tracked, ArctrackError if the recording cannot be written.
+    all are read, and then compressed as a video that plays at `rate_hz`. Raises ArctrackError if no frame was
+    tracked, or the recording cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=path.parent) as raw:
         entries = _read(reader, kept_s, raw)
         if not entries:
-            raise NothingToSaveError("no frame was tracked yet")
+            raise ArctrackError("no frame was tracked yet")
         job = jobs[entries[-1].job_number]
         raw.seek(0)
         with RecordingWriter(path, job.setup, video=VideoFormat(rate_hz), toml=job.toml) as recording:

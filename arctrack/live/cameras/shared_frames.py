@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arctrack.closing import Closing
+from arctrack.errors import ArctrackError
 from arctrack.live.journal.private_memory import private_path
 from arctrack.live.journal.ring import RingError, RingReader, RingWriter
 from tracker.state import Frame
@@ -24,7 +25,7 @@ FIELDS = struct.Struct("<QdddBB6x")
 SLOTS = 4
 
 
-class SharedFramesError(RuntimeError):
+class SharedFramesError(ArctrackError):
     """Frames cannot be shared, or read."""
 
 

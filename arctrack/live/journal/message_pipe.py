@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import pickle
 import socket
+from contextlib import suppress
 from multiprocessing.connection import wait
 from typing import Any
 
@@ -51,6 +52,32 @@ class PipeEnd:
         if not packed:
             raise EOFError
         return pickle.loads(packed)
+
+
+class PipeClient:
+    """Client at one end of a pipe, with one request at a time; it blocks only on request."""
+
+    def __init__(self, end: PipeEnd) -> None:
+        self._end = end
+        self._is_pending = False
+
+    def ask(self, request: object) -> None:
+        """Send a request, unless the last one is not answered yet."""
+        if not self._is_pending:
+            with suppress(OSError):
+                self._end.send(request)
+                self._is_pending = True
+
+    def answer(self, wait_s: float = 0.0) -> Any:
+        """Return the answer if it comes within a time, s, otherwise None."""
+        if not (self._is_pending and self._end.poll(wait_s)):
+            return None
+        try:
+            answer = self._end.recv()
+        except (EOFError, OSError):
+            return None
+        self._is_pending = False
+        return answer
 
 
 def message_pipe() -> tuple[PipeEnd, PipeEnd]:

@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arctrack.closing import Closing
+from arctrack.errors import ArctrackError
 from arctrack.live.journal.private_memory import memory_folder, open_private, private_path
 from noise_model.compiled.arrays import UInt8
 
@@ -43,7 +44,7 @@ LOOKS = 100
 Part = bytes | npt.NDArray[np.generic]
 
 
-class RingError(RuntimeError):
+class RingError(ArctrackError):
     """Records cannot be shared, or read."""
 
 

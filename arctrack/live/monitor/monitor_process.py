@@ -13,7 +13,6 @@ from aiohttp import web
 from arctrack.errors import ArctrackError
 from arctrack.live.journal.journal import JournalReader
 from arctrack.live.journal.message_pipe import PipeEnd
-from arctrack.live.journal.ring import RingError
 from arctrack.live.monitor.access import Access
 from arctrack.live.monitor.feed import Feed
 from arctrack.live.monitor.options import MonitorOptions
@@ -31,11 +30,7 @@ def run_monitor(options: MonitorOptions, parent: Connection, black_box: PipeEnd 
     there is no run, or no such host or port.
     """
     cv2.setNumThreads(1)
-    try:
-        reader = JournalReader(options.journal)
-    except RingError as error:
-        raise ArctrackError(str(error)) from None
-    asyncio.run(_serve(options, reader, parent, Saver(black_box)))
+    asyncio.run(_serve(options, JournalReader(options.journal), parent, Saver(black_box)))
 
 
 async def _serve(options: MonitorOptions, reader: JournalReader, parent: Connection, saver: Saver) -> None:

@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 from arctrack.control.cell_file import CellFile
 from arctrack.control.cell_file.job_setup import job_setup_text
 from arctrack.errors import ArctrackError, in_file
-from arctrack.live.black_box.ask import BlackBoxAsker
+from arctrack.live.black_box.client import BlackBoxClient
 from arctrack.live.black_box.recorder import END, RecorderOptions, run_recorder
 from arctrack.live.black_box.save import JobSetup
 from arctrack.live.journal.journal import Journal, slots_for
@@ -41,7 +41,7 @@ class JournalProcesses:
     """
 
     keeper: Keeper
-    black_box: BlackBoxAsker | None
+    black_box: BlackBoxClient | None
     page: str | None
     warnings: tuple[str, ...]
 
@@ -95,7 +95,7 @@ def kept(
         for process in started:
             process.wait_ready()
         yield JournalProcesses(
-            Keeper(journal, supervisor.states), BlackBoxAsker(black_box) if kept_s else None, page, warnings
+            Keeper(journal, supervisor.states), BlackBoxClient(black_box) if kept_s else None, page, warnings
         )
 
 

@@ -25,11 +25,11 @@ from arctrack.live.cameras.camera import CameraProtocol
 from arctrack.live.cameras.recording import RecordingCamera
 from arctrack.live.cameras.shared_frames import SharedFramesError
 from arctrack.live.cameras.shared_memory import SharedMemoryCamera
-from arctrack.live.journal.message_pipe import message_pipe
+from arctrack.live.journal.message_pipe import PipeClient, message_pipe
 from arctrack.live.serve.captured import CapturedCamera
 from arctrack.live.serve.exposure import ExposureChooser
 from arctrack.live.serve.kept import JournalProcesses, kept
-from arctrack.live.serve.lag_process import LagAsker, estimate_lags
+from arctrack.live.serve.lag_process import estimate_lags
 from arctrack.live.serve.loop import LiveLoop, LiveSeam, LoopResult, OnTrack
 from arctrack.live.serve.notify import Notifier
 from arctrack.live.serve.process import Watchdog, garbage_left
@@ -83,7 +83,7 @@ def opened_run(
         lag_end, its_end = message_pipe()
         estimating = SupervisedProcess("lag", estimate_lags, (), (its_end,), LAG_NICENESS, lost=NOTHING_YET)
         lag = opened.enter_context(supervisor.running(estimating))
-        cast = cast_of(cell, job_number, LagAsker(lag_end))
+        cast = cast_of(cell, job_number, PipeClient(lag_end))
         opened.callback(cast.camera.close)
         if isinstance(cast.camera, CapturedCamera):
             opened.enter_context(supervisor.running(cast.camera.process))

@@ -9,10 +9,9 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 
-from arctrack.errors import ArctrackError
 from arctrack.live.journal.journal import JournalReader, gap_name
 from arctrack.live.journal.records import Entry, GapReport, pack
-from arctrack.live.journal.ring import RingError, RingWriter
+from arctrack.live.journal.ring import RingWriter
 from arctrack.live.watch.arc_height import NOT_KNOWN, ArcHeight, ArcHeightEstimator
 from arctrack.live.watch.gap_watch import GapWatch
 from noise_model.setup import Setup
@@ -47,12 +46,8 @@ class WatchOptions:
 
 def run_watch(options: WatchOptions, parent: Connection) -> None:
     """Watch a run until the parent's connection is closed, and publish a `GapReport` each second."""
-    try:
-        reader = JournalReader(options.run)
-        ring = RingWriter(gap_name(options.run), 4, REPORT_BYTES)
-    except RingError as error:
-        raise ArctrackError(str(error)) from None
-    with ring:
+    reader = JournalReader(options.run)
+    with RingWriter(gap_name(options.run), 4, REPORT_BYTES) as ring:
         parent.send([])
         watch = RunWatch(reader, options.jobs)
         reported_s = -math.inf

@@ -10,7 +10,7 @@ from multiprocessing.connection import Connection, wait
 from arctrack.errors import ArctrackError
 from arctrack.live.cameras.camera_line import read_line, remove_line
 from arctrack.live.cameras.capture.source import Ask, FrameSource
-from arctrack.live.cameras.shared_frames import SharedFramesError, SharedFramesWriter
+from arctrack.live.cameras.shared_frames import SharedFramesWriter
 from arctrack.live.journal.message_pipe import PipeEnd
 from noise_model.setup import Setup
 
@@ -41,8 +41,6 @@ def run_capture(open_source: Open, setup: Setup, name: str, parent: Connection, 
                     _publish(source, open_source, frames, name, parent, loop)
         finally:
             source.close()
-    except SharedFramesError as error:
-        raise ArctrackError(str(error)) from None
     except (EOFError, ConnectionResetError, BrokenPipeError):
         return
     finally:

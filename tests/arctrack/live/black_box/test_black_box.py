@@ -25,9 +25,9 @@ from arctrack.control.recorded_job import recorded_job
 from arctrack.control.tracking_service import FrameOutcome
 from arctrack.errors import ArctrackError
 from arctrack.live.black_box import recorder
-from arctrack.live.black_box.ask import BlackBoxAsker
+from arctrack.live.black_box.client import BlackBoxClient
 from arctrack.live.black_box.recorder import END, FaultWatch, RecorderOptions, run_recorder
-from arctrack.live.black_box.save import JobSetup, NothingToSaveError, save_window
+from arctrack.live.black_box.save import JobSetup, save_window
 from arctrack.live.journal import private_memory
 from arctrack.live.journal.journal import Journal, JournalReader, slots_for
 from arctrack.live.journal.message_pipe import message_pipe
@@ -225,7 +225,7 @@ def test_the_stretches_before_are_a_list_in_a_states_file(tmp_path) -> None:
 
 def test_nothing_to_save_is_said(memory, tmp_path) -> None:
     journal = Journal(RUN, (6, 8), np.uint8, 8)
-    with pytest.raises(NothingToSaveError):
+    with pytest.raises(ArctrackError, match="no frame was tracked yet"):
         save_window(JournalReader(RUN), 30.0, {}, 25.0, tmp_path / "saved", "asked")
     journal.close()
 
@@ -268,18 +268,18 @@ def test_a_fault_is_saved_once_and_what_is_commanded_is_none() -> None:
 
 def test_a_request_during_a_save_is_covered_by_it() -> None:
     end, box = message_pipe()
-    asker = BlackBoxAsker(end)
-    assert asker.answers() == []
+    client = BlackBoxClient(end)
+    assert client.answers() == []
     for _ in range(3):
-        asker.save("asked")
+        client.save("asked")
     assert box.recv() == {"save": "asked"}
     assert not box.poll()
     box.send({"saved": "here"})
-    asker.save("again")
+    client.save("again")
     assert box.recv() == {"save": "again"}
     box.send({"error": "no frame was tracked yet"})
-    assert asker.answers() == ["black box: saved here", "black box: no frame was tracked yet"]
-    assert asker.answers() == []
+    assert client.answers() == ["black box: saved here", "black box: no frame was tracked yet"]
+    assert client.answers() == []
 
 
 @pytest.mark.slow
