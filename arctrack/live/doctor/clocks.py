@@ -19,9 +19,6 @@ from arctrack.live.serve.process import schedule
 
 CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 
-SLOW_SOURCES = ("hpet", "acpi_pm", "jiffies", "refined-jiffies")
-"""Each reading of them takes a microsecond or more, or is as coarse as a tick."""
-
 SYNCHRONISED = Path("/run/systemd/timesync/synchronized")
 READS = 2000
 
@@ -30,12 +27,13 @@ def clock_source_finding(source: str | None) -> DoctorFinding:
     """Return the finding about a kernel's clock source, None where it is unknown."""
     if source is None:
         return DoctorFinding("clock source", FindingState.OK, "not told by this kernel")
+    # A reading of these takes a microsecond or more, or is as coarse as a tick.
     return judged(
         "clock source",
         source,
         FindingState.WARNING,
         "a slow clock delays each reading; boot with clocksource=tsc where the processor's is steady",
-        source not in SLOW_SOURCES,
+        source not in ("hpet", "acpi_pm", "jiffies", "refined-jiffies"),
     )
 
 

@@ -15,9 +15,6 @@ from urllib.parse import urlsplit
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
-COOKIE_YEAR_S = 365 * 86_400
-PURPOSE = b"arctrack monitor page"
-
 
 class Access:
     """Access control of the page; without a `token` every request to `host` is let in."""
@@ -74,7 +71,7 @@ class Access:
         response.set_cookie(
             _cookie_name(request),
             _cookie_of(self._token),
-            max_age=COOKIE_YEAR_S,
+            max_age=365 * 86_400,
             httponly=True,
             samesite="Strict",
             secure=request.secure,
@@ -94,7 +91,7 @@ def _cookie_name(request: web.Request) -> str:
 
 def _cookie_of(token: str) -> str:
     """Return what a browser keeps: not the token itself, and the same after a restart."""
-    return hmac.new(token.encode(), PURPOSE, hashlib.sha256).hexdigest()
+    return hmac.new(token.encode(), b"arctrack monitor page", hashlib.sha256).hexdigest()
 
 
 def _same(brought: str, secret: str) -> bool:

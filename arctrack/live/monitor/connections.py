@@ -9,13 +9,6 @@ import time
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
-ASKS_S = 10.0
-"""A browser has sent its request after so long, s; a connection without one is half open."""
-
-SWEEP_S = 1.0
-MAX_CONNECTIONS = 128
-"""Largest number of open connections, four a browser: beyond it the longest idle ones are closed."""
-
 _LOG = logging.getLogger(__name__)
 
 
@@ -48,11 +41,13 @@ class Connections:
     async def sweep(self, server: web.Server) -> None:
         """Close what is half open, without end."""
         while True:
-            await asyncio.sleep(SWEEP_S)
+            await asyncio.sleep(1.0)
             now_s = time.monotonic()
             self._idle_since_s = {each: self._idle_since_s.get(each, now_s) for each in server.connections}
             longest = sorted(self._idle_since_s.items(), key=lambda pair: pair[1])
             for n, (connection, idle_since_s) in enumerate(longest):
-                is_too_many = n < len(longest) - MAX_CONNECTIONS and idle_since_s <= now_s
-                if (now_s - idle_since_s > ASKS_S or is_too_many) and connection.transport is not None:
+                # Four for each browser.
+                is_too_many = n < len(longest) - 128 and idle_since_s <= now_s
+                # A browser has sent its request by then: a connection without one is half open.
+                if (now_s - idle_since_s > 10.0 or is_too_many) and connection.transport is not None:
                     connection.transport.abort()

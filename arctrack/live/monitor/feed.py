@@ -17,12 +17,7 @@ from arctrack.live.monitor.picture import MonitorPicture, Painter
 from arctrack.live.monitor.status import SHOWN_S, FrameRate, OffsetFlow, Point, point_of, status_content
 from tracker.arc.level import ArcLevel
 
-TICK_S = 0.1
-"""So often the journal is read: pictures are made at most as often."""
-
 STATUS_TICKS, HEAT_S = 2, 0.5
-POINTS_PER_TICK = 2
-"""Number of entries used a tick; others are skipped: a line of three minutes shows no more."""
 
 
 class Feed:
@@ -84,7 +79,8 @@ class Feed:
     async def run(self) -> None:
         """Read the journal without end."""
         for tick in range(2**62):
-            due_s = time.monotonic() + TICK_S
+            # Pictures are made at most as often.
+            due_s = time.monotonic() + 0.1
             self._look(tick)
             await asyncio.sleep(max(0.0, due_s - time.monotonic()))
 
@@ -165,7 +161,8 @@ class Feed:
         count = self._reader.count
         positions = range(max(self._next, self._reader.first), count)
         self._next = count
-        step = max(1, -(-len(positions) // POINTS_PER_TICK))
+        # Two entries a look: a line of three minutes shows no more.
+        step = max(1, -(-len(positions) // 2))
         # Backwards, so that the newest is among them.
         entries: list[Entry | None] = [self._reader.entry(k) for k in reversed(positions[::-step])]
         return [point_of(entry) for entry in entries if entry is not None]

@@ -19,9 +19,6 @@ from arctrack.live.monitor.options import MonitorOptions
 from arctrack.live.monitor.saver import Saver
 from arctrack.live.monitor.server import Server
 
-CLOSED_S = 1.0
-"""So long requests may take to end, s."""
-
 
 def run_monitor(options: MonitorOptions, parent: Connection, black_box: PipeEnd | None = None) -> None:
     """Serve a run's page until the parent's connection is closed; it is sent the page's address.
@@ -36,7 +33,7 @@ def run_monitor(options: MonitorOptions, parent: Connection, black_box: PipeEnd 
 async def _serve(options: MonitorOptions, reader: JournalReader, parent: Connection, saver: Saver) -> None:
     feed = Feed(reader, options, saver.is_there)
     server = Server(feed, Access(options.host, options.token), saver)
-    runner = web.AppRunner(server.app(), access_log=None, shutdown_timeout=CLOSED_S)
+    runner = web.AppRunner(server.app(), access_log=None, shutdown_timeout=1.0)
     await runner.setup()
     try:
         await web.TCPSite(runner, options.host, options.port).start()

@@ -36,12 +36,6 @@ MAX_WIDTH_PX, JPEG_QUALITY = 960, 80
 MAX_POINTS = 320
 """Largest number of points of a line: a screen shows no more."""
 
-HEAT_CELLS = 80
-"""Number of cells of the arc's light along the image's longer side."""
-
-HEAT_ALPHA = 190
-"""Opacity of the most light, of 255."""
-
 PICTURE, HEAT = 1, 2
 """The first byte of a binary message says what follows."""
 
@@ -96,7 +90,8 @@ class Painter:
     def heat(self, entry: Entry, view: SeenFrame) -> bytes:
         """Return a message with the light of the arc that is expected in an entry's frame."""
         geometry = self._viewer(entry.job_number).geometry
-        spacing = max(1, round(max(geometry.n_scan, geometry.n_pos) / HEAT_CELLS))
+        # 80 cells along the image's longer side.
+        spacing = max(1, round(max(geometry.n_scan, geometry.n_pos) / 80))
         picture = _heat_picture(geometry, spacing, self._heat_e(geometry, spacing, entry, view))
         height, width = entry.frame.image_dn.shape
         reach = (picture.shape[1] * spacing / width, picture.shape[0] * spacing / height)
@@ -170,7 +165,8 @@ def _heat_picture(geometry: SensorGeometry, spacing: int, light_e: Float32) -> U
         image_e = image_e.T
     share = np.sqrt(np.clip(np.nan_to_num(image_e) / geometry.setup.sensor.full_well_e, 0.0, 1.0))
     colours = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_INFERNO)
-    return np.dstack([colours, (HEAT_ALPHA * share).astype(np.uint8)])
+    # The most light is not quite opaque.
+    return np.dstack([colours, (190 * share).astype(np.uint8)])
 
 
 def _line(points: Float64, digits: int) -> list[float | None]:

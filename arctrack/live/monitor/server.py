@@ -20,11 +20,6 @@ from arctrack.live.monitor.outbox import Outbox
 from arctrack.live.monitor.saver import Saver
 
 MAX_BROWSERS = 32
-HEARTBEAT_S = 10.0
-"""A browser that answers no ping for so long is gone."""
-
-MAX_HEARD_BYTES = 1024
-"""A browser has nothing to say over its WebSocket."""
 
 STATIC = {
     "page.html": "text/html",
@@ -46,8 +41,6 @@ HEADERS = {
 }
 SAVES_APART_S = 10.0
 """Between two saves, s: the second one still reaches back to the first, and no disk is filled in minutes."""
-
-SAVE_REASON = "monitor page"
 
 
 class Server:
@@ -91,7 +84,8 @@ class Server:
     async def _socket(self, request: web.Request) -> web.StreamResponse:
         if self._feed.browsers >= MAX_BROWSERS:
             raise web.HTTPServiceUnavailable(text=f"{MAX_BROWSERS} browsers show the page: close one")
-        socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, compress=False, max_msg_size=MAX_HEARD_BYTES)
+        # A browser has nothing to say; one that answers no ping is gone.
+        socket = web.WebSocketResponse(heartbeat=10.0, compress=False, max_msg_size=1024)
         await socket.prepare(request)
         outbox = Outbox()
         self._feed.join(outbox)
@@ -141,7 +135,7 @@ class Server:
             self._saved_s = time.monotonic()
 
     async def _save(self) -> web.Response:
-        answer = await self._saver.save(SAVE_REASON)
+        answer = await self._saver.save("monitor page")
         return web.Response(
             text=json.dumps(answer),
             content_type="application/json",

@@ -16,9 +16,6 @@ from tracker.arc.level import ArcLevel
 SHOWN_S = 180.0
 """So far back the page shows offsets and times, s."""
 
-RATE_S = 2.0
-"""Over so long frames are counted for their rate, s."""
-
 USABLE = (Validity.VALID, Validity.HELD)
 """A robot may follow these offsets alone."""
 
@@ -37,7 +34,7 @@ class FrameRate:
     def add(self, status: Status) -> None:
         """Take a status."""
         self._counts.append((status.now_s, status.frames))
-        while self._counts[-1][0] - self._counts[0][0] > RATE_S and len(self._counts) > 2:
+        while self._counts[-1][0] - self._counts[0][0] > 2.0 and len(self._counts) > 2:
             self._counts.popleft()
         (first_s, first), (last_s, last) = self._counts[0], self._counts[-1]
         self.hz = (last - first) / (last_s - first_s) if last_s > first_s else math.nan

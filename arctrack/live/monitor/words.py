@@ -7,9 +7,6 @@ from enum import Enum
 from arctrack.control.processor import DELAYS, TOO_BUSY
 from robot_io import Command, Fault, GateReason, LaserState, TrackerState, Validity
 
-OFFSETS_MISSED_S = 0.5
-"""A state counts as followed for so long after the last usable offset, s: one bad frame is no alarm."""
-
 STATES = {
     TrackerState.STARTING: "No robot has been heard yet.",
     TrackerState.DISARMED: "The tracker waits until the robot commands TRACK.",
@@ -101,7 +98,8 @@ def indication_of(
     if state in (TrackerState.FAULT, TrackerState.STARTING):
         return Indication[state.name]
     is_following = state in (TrackerState.SEARCHING, TrackerState.TRACKING, TrackerState.HOLDING)
-    if is_following and offset_age_s <= OFFSETS_MISSED_S:
+    # One bad frame is no alarm.
+    if is_following and offset_age_s <= 0.5:
         is_held = state is TrackerState.HOLDING or validity is Validity.HELD
         return Indication.HOLDING if is_held else Indication.TRACKING
     if state is TrackerState.SEARCHING and command is Command.SEARCH:

@@ -20,9 +20,6 @@ from tracker.stripe.read import arc_map_of
 EVERY_S = 0.25
 """So often an exposure is chosen, s: a robot at 10 mm/s goes 2.5 mm meanwhile."""
 
-LOST_S = 1.0
-"""After so long without a stripe the setup's exposure is taken again, s."""
-
 LINES = 32
 """Number of scan lines that represent all: a choice takes half a millisecond."""
 
@@ -31,9 +28,6 @@ MIN_LINES = 8
 
 ALONG_MM = 0.5
 """So far the tool may go during an exposure, mm: what a frame shows of the seam is the mean over it."""
-
-FRAME_SHARE = 0.9
-"""Largest share of a frame's period that the exposure takes: the rest is read-out."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +43,8 @@ class ExposureChooser:
 
     def __init__(self, range_s: tuple[float, float], frame_rate_hz: float) -> None:
         self._min_s = range_s[0]
-        self._max_s = min(range_s[1], FRAME_SHARE / frame_rate_hz)
+        # A tenth of the period is for read-out.
+        self._max_s = min(range_s[1], 0.9 / frame_rate_hz)
         self._chosen_at_s = self._read_at_s = -math.inf
         self._seen: _TimedPose | None = None
 
@@ -66,7 +61,8 @@ class ExposureChooser:
         self._seen = _TimedPose(frame.timestamp_s, T_base_tool)
         if track.stripe is not None:
             self._read_at_s = frame.timestamp_s
-        elif frame.laser_on and frame.timestamp_s - self._read_at_s > LOST_S:
+        # Where the stripe is lost, the setup's exposure is taken again.
+        elif frame.laser_on and frame.timestamp_s - self._read_at_s > 1.0:
             return tracking.tracker.geometry.setup.camera.exposure_s
         if before is None or track.stripe is None or frame.timestamp_s - self._chosen_at_s < EVERY_S:
             return None

@@ -13,9 +13,6 @@ from robot_io import PoseSample
 from tracker.observation import Reading
 from tracker.state import Track
 
-VIEW_S = 0.04
-"""Nobody sees more pictures a second than 25."""
-
 STATUS_S = 0.1
 
 
@@ -51,7 +48,8 @@ class Keeper:
                 pose_doubt="" if doubt is None else doubt.name.lower(),
             )
         )
-        if not 0.0 <= arrived_s - self._shown_s < VIEW_S:
+        # Nobody sees more pictures a second than 25.
+        if not 0.0 <= arrived_s - self._shown_s < 0.04:
             self._shown_s = arrived_s
             self._journal.show(_view(position, tracked.track, step.reading))
 

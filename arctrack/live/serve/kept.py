@@ -25,9 +25,6 @@ from arctrack.live.serve.supervisor import SupervisedProcess, Supervisor
 from arctrack.live.watch.process import WatchOptions, run_watch
 from noise_model.setup import Setup
 
-WRITES_S = 60.0
-"""Time that the black box may take to write what it holds."""
-
 PAGE_NICENESS, BLACK_BOX_NICENESS, WATCH_NICENESS = 10, 10, 15
 """Niceness of each below the loop and the frames' publisher: what a person waits for goes first."""
 
@@ -84,7 +81,8 @@ def kept(
                 (box_end, asked_end),
                 BLACK_BOX_NICENESS,
                 lost={"error": "its process ended before all was saved; ask again"},
-                ends_s=WRITES_S,
+                # It writes what it holds.
+                ends_s=60.0,
             )
             started.append(opened.enter_context(supervisor.running(recording, END)))
         page: str | None = None

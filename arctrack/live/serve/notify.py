@@ -7,9 +7,6 @@ import socket
 import time
 from contextlib import suppress
 
-FEEDS_PER_LIMIT = 2.0
-"""systemd.service(5) asks that its watchdog be fed at half of its limit."""
-
 
 class Notifier:
     """Client of systemd's notification socket; sends nothing where systemd names none.
@@ -28,7 +25,8 @@ class Notifier:
             self._path = "\0" + path[1:] if path.startswith("@") else path
         is_ours = stated.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         limit_us = stated.get("WATCHDOG_USEC", "") if is_ours else ""
-        self._feed_s = float(limit_us) * 1e-6 / FEEDS_PER_LIMIT if limit_us.isdigit() else float("inf")
+        # As systemd.service(5) asks: at half of the limit.
+        self._feed_s = float(limit_us) * 1e-6 / 2.0 if limit_us.isdigit() else float("inf")
         self._fed_s = float("-inf")
 
     def ready(self, status: str) -> None:

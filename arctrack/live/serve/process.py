@@ -14,12 +14,6 @@ from arctrack.control.cell_file import ProcessChoice
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 
-STDERR = 2
-"""The stream of errors itself, whatever Python writes to instead."""
-
-REARMED_S = 0.1
-"""Period of the watchdog's reset, which takes a tenth of a millisecond."""
-
 
 def schedule(choice: ProcessChoice) -> tuple[list[str], list[str]]:
     """Schedule this process as a cell file says.
@@ -93,6 +87,8 @@ class Watchdog:
     def feed(self) -> None:
         """Reset the watchdog."""
         now_s = time.monotonic()
-        if now_s - self._fed_s > REARMED_S:
+        # Each takes a tenth of a millisecond.
+        if now_s - self._fed_s > 0.1:
             self._fed_s = now_s
-            faulthandler.dump_traceback_later(self._limit_s, exit=True, file=STDERR)
+            # The stream of errors itself, whatever Python writes to instead.
+            faulthandler.dump_traceback_later(self._limit_s, exit=True, file=2)

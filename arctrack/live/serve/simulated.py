@@ -33,9 +33,6 @@ Samples = list[tuple[float, float]]
 """Distances of the torch from the seam, mm, by the machine's monotonic time, s; NaN while it locks on again.
 """
 
-LOCKING_MM = 80.0
-"""So far a further part's seam is followed before the torch is judged: the first part's lock takes 50 mm."""
-
 
 @dataclass(frozen=True)
 class TorchError:
@@ -140,7 +137,8 @@ def _run(plan: LoopPlan, frames: str, bus_options: dict[str, int], parent: Conne
 
     def goes_on(robot: Robot) -> bool:
         off_mm = robot.offset_mm - np.array(robot.world.seam_mm(robot.station_mm))
-        is_locking = robot.parts > 0 and robot.station_mm < LOCKING_MM
+        # The first part's lock takes 50 mm.
+        is_locking = robot.parts > 0 and robot.station_mm < 80.0
         samples.append((time.monotonic(), math.nan if is_locking else math.hypot(*off_mm)))
         return not parent.poll()
 

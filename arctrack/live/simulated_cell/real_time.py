@@ -16,8 +16,6 @@ from arctrack.simulation.cell.scheduler import Scheduler
 LONGEST_WAIT_S = 0.02
 """So often it is asked whether to go on."""
 
-KEPT_ECHOES = 512
-
 
 class RealTimeScheduler(Scheduler):
     """Does what is due once it is due; its time counts from `began_s` of the machine's monotonic clock."""
@@ -49,7 +47,7 @@ class RealBus:
     scheduler: RealTimeScheduler
     unsent: int = 0
     _listener: Listener | None = None
-    _sent: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=KEPT_ECHOES))
+    _sent: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=512))
 
     def join(self, party: str, listener: Listener) -> None:
         """Deliver what others send to the node."""

@@ -26,9 +26,6 @@ from robot_io import Command, OffsetUse, Received, TrackerHeartbeat
 REAL_TIME_PX = (320, 240)
 """An image that is rendered in some 25 ms: its offset is not too old for the gate."""
 
-CAMERA_ENDS_S = 5.0
-"""Time that the camera may take to end."""
-
 SILENT_S = 0.5
 """Silence after which a tracker is gone."""
 
@@ -37,9 +34,6 @@ MULTICAST_CURE = (
     "no network of this machine or container carries multicast. Connect one, or as root: "
     "ip link set lo up; ip route add 224.0.0.0/4 dev lo"
 )
-
-MAX_PART_MM = 1500.0
-"""No part is longer: coordinates on the bus reach to 1638 mm."""
 
 
 def joined_bus(interface: str, channel: str, **bus_options: Any) -> can.BusABC:
@@ -81,7 +75,7 @@ def serve_cell(
         if not camera.is_alive:
             raise ArctrackError(f"--frames {frames}: the camera ended")
     finally:
-        camera.end(CAMERA_ENDS_S)
+        camera.end(5.0)
         can_bus.shutdown()
 
 
@@ -135,7 +129,8 @@ def run_robot(
     bus = RealBus(can_bus, scheduler)
     party = RobotNode(Robot(world_of(plan, setup_of(plan))), bus, scheduler)
     robot = party.robot
-    Program(party, scheduler, min(plan.length_mm, MAX_PART_MM))
+    # Coordinates on the bus reach to 1638 mm.
+    Program(party, scheduler, min(plan.length_mm, 1500.0))
 
     def capture() -> None:
         robot.advance(scheduler.now_s)

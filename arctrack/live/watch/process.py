@@ -18,12 +18,6 @@ from noise_model.setup import Setup
 from tracker.geometry import SensorGeometry
 
 LOOK_S = 0.2
-FRAMES_A_LOOK = 5
-"""Number of tracks used at a time: 25 a second contain what 200 do, for neighbours correlate."""
-
-REPORT_S = 1.0
-HEIGHT_CLEAR_MM = 2.0
-"""So far from the stripe the laser's light is none of the arc's."""
 
 LOOK_FRAMES, MIN_LOOK_FRAMES, AGAIN_S = 12, 6, 60.0
 """Number of frames, evenly chosen since a gap began, that are used, their least number, and the time until
@@ -32,8 +26,6 @@ the next use.
 
 SETTLED_S = 5.0
 """So long after a gap began it is looked at: before, most frames are from before it."""
-
-REPORT_BYTES = 4096
 
 
 @dataclass(frozen=True)
@@ -47,13 +39,13 @@ class WatchOptions:
 def run_watch(options: WatchOptions, parent: Connection) -> None:
     """Watch a run until the parent's connection is closed, and publish a `GapReport` each second."""
     reader = JournalReader(options.run)
-    with RingWriter(gap_name(options.run), 4, REPORT_BYTES) as ring:
+    with RingWriter(gap_name(options.run), 4, 4096) as ring:
         parent.send([])
         watch = RunWatch(reader, options.jobs)
         reported_s = -math.inf
         while not parent.poll(LOOK_S):
             watch.look()
-            if watch.now_s - reported_s >= REPORT_S or watch.now_s < reported_s:
+            if watch.now_s - reported_s >= 1.0 or watch.now_s < reported_s:
                 reported_s = watch.now_s
                 ring.write(pack(watch.report()))
 
@@ -78,7 +70,8 @@ class RunWatch:
     def look(self) -> None:
         """Take the tracks that came, and look at a gap where there is one."""
         end = self._reader.count
-        step = max(1, (end - self._position) // FRAMES_A_LOOK)
+        # Five a look, 25 a second, contain what 200 do, for neighbours correlate.
+        step = max(1, (end - self._position) // 5)
         for position in range(self._position, end, step):
             entry = self._reader.entry(position)
             if entry is not None:
@@ -144,7 +137,8 @@ class RunWatch:
         estimator = self._estimators[entry.job_number]
         # Where a line shows no stripe, none is near.
         stripe_px = None if stripe is None else np.nan_to_num(stripe.position_px, nan=-1e9)
-        keep_off_px = estimator.geometry.reach_px(HEIGHT_CLEAR_MM)
+        # 2 mm off the stripe no light is the laser's.
+        keep_off_px = estimator.geometry.reach_px(2.0)
         surface_mm = view.track.offset_sigma_z_mm
         return estimator.estimate(entry.frame, pose, seam, stripe_px, keep_off_px, surface_mm)
 

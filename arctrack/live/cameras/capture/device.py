@@ -25,10 +25,6 @@ PIXEL_FORMATS = {8: "GREY", 10: "Y10 ", 12: "Y12 "}
 EXPOSURE_UNIT_S = 1e-4
 """V4L2_CID_EXPOSURE_ABSOLUTE counts in 100 us."""
 
-MANUAL_EXPOSURE = 1
-BELIEVED_S = 1.0
-"""A driver's time is believed if it lies so long before the arrival at most, s."""
-
 
 class DeviceSource:
     """An open video device, by path such as /dev/video0 or by number.
@@ -51,7 +47,8 @@ class DeviceSource:
             (cv2.CAP_PROP_FPS, rate_hz),
             (cv2.CAP_PROP_CONVERT_RGB, 0),
             (cv2.CAP_PROP_BUFFERSIZE, 1),
-            (cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL_EXPOSURE),
+            # V4L2_EXPOSURE_MANUAL.
+            (cv2.CAP_PROP_AUTO_EXPOSURE, 1),
             (cv2.CAP_PROP_EXPOSURE, setup.camera.exposure_s / EXPOSURE_UNIT_S),
         ):
             # What a driver does not know it leaves as it is; what counts is read back, or seen in the frame.
@@ -84,7 +81,8 @@ class DeviceSource:
         if image_dn is None:
             raise ArctrackError(f"[camera] name = {self._name!r}: gives no frame any more")
         stamped_s = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
-        is_believed = 0.0 <= arrived_s - stamped_s <= BELIEVED_S
+        # One of another clock is hardly ever within a second before the arrival.
+        is_believed = 0.0 <= arrived_s - stamped_s <= 1.0
         exposed_s = stamped_s if is_believed else arrived_s
         periods = round((exposed_s - self._before_s) * self._rate_hz) if is_believed and self._before_s else 1
         self._index, self._before_s = self._index + max(periods, 1), exposed_s

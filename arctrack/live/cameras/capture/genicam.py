@@ -15,9 +15,6 @@ US = 1e-6
 
 CURE = "install the packages gir1.2-aravis-0.8 and python3-gi, or pip install 'arctrack[gige]'"
 
-DEBIAN = "/usr/lib/python3/dist-packages"
-"""Folder of Debian's package python3-gi, which a virtual environment does not see."""
-
 
 def aravis() -> tuple[Any, Any]:
     """Return Aravis and GLib; ArctrackError where they are not installed."""
@@ -34,7 +31,8 @@ def aravis() -> tuple[Any, Any]:
 
 
 def _import_debians_gi() -> None:
-    spec = PathFinder.find_spec("gi", [DEBIAN])
+    # Debian's package python3-gi lies where a virtual environment does not look.
+    spec = PathFinder.find_spec("gi", ["/usr/lib/python3/dist-packages"])
     if spec is None or spec.loader is None:
         return
     sys.modules["gi"] = module = importlib.util.module_from_spec(spec)

@@ -23,18 +23,11 @@ from arctrack.live.cameras.capture.source import LONGEST_WAIT_S, Ask, wait_until
 from noise_model.setup import Setup
 from tracker.state import Frame
 
-BUFFERS = 16
 IDS_GO_ROUND = 65_535
 """Frame ids of 16 bits go from 1 to this."""
 
 SILENT_S = 2.0
 """After so long without a frame a camera counts as lost, unless it waits for its trigger's line, s."""
-
-LOST_PERIODS = 3
-"""Number of periods after which a triggered frame is lost."""
-
-SAME_EXPOSURE = 1e-3
-"""Largest relative difference of the camera's exposure from the requested one."""
 
 Since = tuple[float, float]
 """A value, and from which time on, s, it holds for what begins then."""
@@ -85,8 +78,8 @@ class GigeSource:
             buffer = self._stream.timeout_pop_buffer(round(1e6 * LONGEST_WAIT_S))
             if buffer is None:
                 since_s = time.monotonic() - self._triggered_s
-                # Not even one packet of it came.
-                self._is_waited_for &= since_s < self._exposure_s + LOST_PERIODS / self._choice.frame_rate_hz
+                # After three periods a triggered frame is lost: not even one packet of it came.
+                self._is_waited_for &= since_s < self._exposure_s + 3 / self._choice.frame_rate_hz
                 self._ask_whether_there()
                 return None
             self._heard_s = time.monotonic()
@@ -129,7 +122,7 @@ class GigeSource:
             retained_us = round(1e6 / self._choice.frame_rate_hz)
             stream.set_property("frame-retention", retained_us)
             stream.set_property("packet-timeout", min(stream.get_property("packet-timeout"), retained_us))
-        for _ in range(BUFFERS):
+        for _ in range(16):
             stream.push_buffer(self._Aravis.Buffer.new_allocate(self._camera.get_payload()))
         return stream
 
@@ -145,7 +138,8 @@ class GigeSource:
             self._switch(is_on)
         if self._is_waited_for:
             return
-        if wanted.exposure_s > 0.0 and abs(wanted.exposure_s / self._exposure_s - 1.0) > SAME_EXPOSURE:
+        # Cameras round exposures to their own steps.
+        if wanted.exposure_s > 0.0 and abs(wanted.exposure_s / self._exposure_s - 1.0) > 1e-3:
             self._exposure_s = genicam.set_exposure(self._camera, wanted.exposure_s)
             # A camera that runs free may have begun to prepare the next frame.
             self._exposures.append((self._exposure_s, time.monotonic() + 1.0 / self._choice.frame_rate_hz))
