@@ -235,7 +235,7 @@ def test_what_captures_ends_with_a_parent_that_is_killed(tmp_path):
     written(tmp_path / "weld.mkv", noise_frames(setup, 3), setup)
     script = tmp_path / "parent.py"
     script.write_text(textwrap.dedent(PARENT))
-    command = [sys.executable, str(script), str(tmp_path), str(Path(__file__).parents[2])]
+    command = [sys.executable, str(script), str(tmp_path), str(Path(__file__).parents[3])]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
         shared = Path(parent.stdout.readline().strip())
         assert shared.is_file()
