@@ -23,10 +23,10 @@ from arctrack.offset_count import COMMANDED
 from robot_io import Fault, Validity
 
 LOOK_S = 0.05
-"""So often the run's status is looked at: half as long as it is written."""
+"""Period of reading the run's status, s: half of that of its writing."""
 
 AFTERMATH_S = 2.0
-"""So long after a fault the window ends: what followed is of interest too. The journal has room for it."""
+"""Time from a fault to the end of its window, s: what followed is of interest too."""
 
 MIN_BETWEEN_S, MAX_FAULTS_SAVED = 60.0, 20
 """Least time between two saved faults, and their largest number in a run: a fault that recurs fills no disk.
@@ -34,7 +34,7 @@ Requests are not counted.
 """
 
 TRY_S = 10.0
-"""So often it is tried whether the folder can be written, s: three times before a fault's frames are gone."""
+"""Period of trying whether the folder can be written, s: three times before a fault's frames are gone."""
 
 END = "end"
 """Message to a recorder whose run has ended as it should."""

@@ -99,11 +99,11 @@ def _read(reader: JournalReader, kept_s: float, raw: IO[bytes]) -> list[Entry]:
 def _poses(entries: Sequence[Entry]) -> list[tuple[float, np.ndarray[tuple[int, int], np.dtype[np.float64]]]]:
     """Return the poses that the robot sent, by their times; those of the frames where it sent too few."""
     sent = {
-        round(heard.sample.timestamp_s, 6): pose_matrix(
-            heard.sample.position_base_mm, heard.sample.quaternion_xyzw
+        round(pose.sample.timestamp_s, 6): pose_matrix(
+            pose.sample.position_base_mm, pose.sample.quaternion_xyzw
         )
         for entry in entries
-        for heard in entry.poses
+        for pose in entry.poses
     }
     if len(sent) < 2:
         sent = {
@@ -128,8 +128,8 @@ def _write_live(folder: Path, entries: Sequence[Entry]) -> None:
     with (folder / "poses_read.csv").open("w", encoding="utf-8") as file:
         file.write("timestamp_s,read_s\n")
         for entry in entries:
-            for heard in entry.poses:
-                file.write(f"{heard.sample.timestamp_s:.6f},{heard.read_s:.6f}\n")
+            for pose in entry.poses:
+                file.write(f"{pose.sample.timestamp_s:.6f},{pose.read_s:.6f}\n")
 
 
 def _about(entries: Sequence[Entry], reason: str, status: Status | None) -> dict[str, object]:

@@ -22,7 +22,7 @@ from arctrack.live.journal.ring import LOOKS
 from robot_io import RobotPulse
 
 HOLD_S = 0.3
-"""So long the laser stays on after it was switched on last: as long as the longest look at a frame, twice."""
+"""Time that the laser stays on after it was last switched on, s: twice the longest step."""
 
 PULSE_HOLD_S = 0.35
 """Time for which a pulse holds after the robot sent it: three cycles and a half, two may be lost."""

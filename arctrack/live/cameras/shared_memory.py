@@ -12,7 +12,7 @@ from robot_io import LaserState, RobotPulse
 from tracker.state import Frame, frame_misfit
 
 LOOK_AGAIN_S = 0.5
-"""After so long without a frame it is asked whether their writer lives, or another one began."""
+"""Silence after which the writer is checked, s: it may be dead, or another one may have begun."""
 
 
 class SharedMemoryCamera:

@@ -53,24 +53,24 @@ def bus_findings(cell: CellFile, **bus_options: Any) -> Iterator[DoctorFinding]:
 
 def _robot_finding(link: Link) -> DoctorFinding:
     """Find whether a robot sends, and which of its messages were not accepted."""
-    heard: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     ends_s = time.monotonic() + POLICY.listen_s
     while time.monotonic() < ends_s:
         for received in link.receive(0.0):
-            heard[type(received.message).__name__] += 1
+            counts[type(received.message).__name__] += 1
         time.sleep(POLICY.wake_up_s)
-    return robot_finding(heard, {reason.value: n for reason, n in link.inbox.skipped.items()})
+    return robot_finding(counts, {reason.value: n for reason, n in link.inbox.skipped.items()})
 
 
-def robot_finding(heard: dict[str, int], skipped: dict[str, int]) -> DoctorFinding:
-    """Return what is to be said of messages by name, and of frames that were none by reason."""
+def robot_finding(counts: dict[str, int], skipped: dict[str, int]) -> DoctorFinding:
+    """Return the finding about counts of messages by name, and of other frames by reason."""
     refused = ", ".join(f"{reason} {count}" for reason, count in sorted(skipped.items()))
-    if not heard:
-        seen = f"frames that are no messages: {refused}" if refused else "nothing"
+    if not counts:
+        other = f"frames that are no messages: {refused}" if refused else "nothing"
         return DoctorFinding(
-            "robot", FindingState.WARNING, f"heard {seen} in {POLICY.listen_s:g} s", ROBOT_CURE
+            "robot", FindingState.WARNING, f"heard {other} in {POLICY.listen_s:g} s", ROBOT_CURE
         )
-    names = ", ".join(f"{name} {count}" for name, count in sorted(heard.items()))
+    names = ", ".join(f"{name} {count}" for name, count in sorted(counts.items()))
     return DoctorFinding("robot", FindingState.OK, f"in {POLICY.listen_s:g} s {names}")
 
 
@@ -87,29 +87,29 @@ def _socketcan_findings(bus: BusChoice) -> Iterator[DoctorFinding]:
     if program is None:
         yield DoctorFinding("interface", FindingState.WARNING, "its state is not told", "install iproute2")
         return
-    asked = subprocess.run(
+    shown = subprocess.run(
         [program, "-details", "-json", "link", "show", bus.channel],
         capture_output=True,
         text=True,
         check=False,
     )
-    if asked.returncode != 0:
+    if shown.returncode != 0:
         cure = f"ip link set {bus.channel} up type can bitrate {bus.bit_rate_bit_s}"
         yield DoctorFinding(
             "interface", FindingState.FAILED, f"{bus.channel} is not there", f"load its driver, then {cure}"
         )
         return
-    yield from interface_findings(json.loads(asked.stdout)[0], bus)
+    yield from interface_findings(json.loads(shown.stdout)[0], bus)
 
 
-def interface_findings(told: dict[str, Any], bus: BusChoice) -> Iterator[DoctorFinding]:
-    """Yield the findings about a CAN interface; `told` is the output of `ip -details -json link show`."""
+def interface_findings(link: dict[str, Any], bus: BusChoice) -> Iterator[DoctorFinding]:
+    """Yield the findings about a CAN interface; `link` is the output of `ip -details -json link show`."""
     up = f"ip link set {bus.channel} up type can bitrate {bus.bit_rate_bit_s} restart-ms 100"
     anew = f"ip link set {bus.channel} down && {up}"
     yield judged(
-        "interface", f"{bus.channel} {_up_or_down(told)}", FindingState.FAILED, up, "UP" in told["flags"]
+        "interface", f"{bus.channel} {_up_or_down(link)}", FindingState.FAILED, up, "UP" in link["flags"]
     )
-    info = told.get("linkinfo", {})
+    info = link.get("linkinfo", {})
     controller = info.get("info_data", {})
     if info.get("info_kind") != "can":
         kind = info.get("info_kind", "not a CAN interface")
@@ -136,5 +136,5 @@ def interface_findings(told: dict[str, Any], bus: BusChoice) -> Iterator[DoctorF
     )
 
 
-def _up_or_down(told: dict[str, Any]) -> str:
-    return "is up" if "UP" in told["flags"] else "is down"
+def _up_or_down(link: dict[str, Any]) -> str:
+    return "is up" if "UP" in link["flags"] else "is down"

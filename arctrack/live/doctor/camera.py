@@ -15,7 +15,7 @@ from arctrack.live.serve.latency import LatencyCounts, Quantiles
 from arctrack.live.serve.live_run import cast_of
 
 SLOW_SHARE = 0.9
-"""A camera that gives fewer of the frames that are stated is slow: a second's count is off by one at most."""
+"""Least share of the stated frame rate: a second's count is off by one at most."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def watch(camera: CameraProtocol, seconds: float) -> CameraReading:
 
 
 def camera_findings(cell: CellFile) -> Iterator[DoctorFinding | CameraReading]:
-    """Yield what is to be said of a cell's camera, and what it gave where it is live.
+    """Yield the findings about a cell's camera, and what it gave where it is live.
 
     What opens it is what opens it for a run, whatever its kind. Its laser is off meanwhile.
     """

@@ -1,4 +1,4 @@
-"""The machine's clock, and how late it wakes who sleeps."""
+"""Checks of the machine's clocks, and of how late a sleep ends."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def clock_source_finding(source: str | None) -> DoctorFinding:
 
 
 def clock_findings() -> Iterator[DoctorFinding]:
-    """Yield what is to be said of the clocks."""
+    """Yield the findings about the clocks."""
     try:
         source = CLOCK_SOURCE.read_text(encoding="ascii").strip()
     except OSError:
@@ -113,7 +113,7 @@ def processor_finding(wait: ProcessorWait) -> DoctorFinding:
 
 
 def wake_up_finding(late: Quantiles, choice: ProcessChoice) -> DoctorFinding:
-    """Return what is to be said of how late sleeps end: it must not add a turn to a frame's wait."""
+    """Return the finding about how late sleeps end: it must not add a turn to a frame's wait."""
     cure = "end what else runs here, or isolate a processor"
     if choice.priority is None:
         cure = f"state [process] priority, or {cure}"

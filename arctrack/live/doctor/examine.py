@@ -1,4 +1,4 @@
-"""All checks of a machine, and of a cell on it, in the order in which they are said."""
+"""All checks of a machine, and of a cell on it, in the order of their report."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Examination:
 
 
 def machine_findings(choice: ProcessChoice) -> Iterator[DoctorFinding]:
-    """Yield what is to be said of the machine, for a process that is to be scheduled so."""
+    """Yield the findings about the machine, for a process of that scheduling."""
     yield versions_finding()
     yield from clock_findings()
     yield from scheduler_findings(choice)
@@ -61,7 +61,7 @@ def machine_findings(choice: ProcessChoice) -> Iterator[DoctorFinding]:
 
 
 def examine_machine(folder: Path) -> Iterator[DoctorFinding]:
-    """Yield what is to be said of a machine without a cell."""
+    """Yield the findings about a machine without a cell."""
     choice = ProcessChoice()
     yield from machine_findings(choice)
     yield wake_up_finding(wake_ups(choice), choice)
@@ -82,11 +82,11 @@ def examine_cell(
     yield wake_up_finding(late, choice)
     times: list[StepTimes] = []
     for number in cell.jobs:
-        for said in _job_findings(cell, number, steps):
-            if isinstance(said, StepTimes):
-                times.append(said)
+        for result in _job_findings(cell, number, steps):
+            if isinstance(result, StepTimes):
+                times.append(result)
             else:
-                yield said
+                yield result
     shared_bytes = _shared_bytes(cell)
     # By now this process holds all that a run's loop does.
     yield own_memory_lock_finding(shared_bytes, choice.lock_memory)
@@ -96,11 +96,11 @@ def examine_cell(
     if cell.camera.kind == GIGE:
         yield own_receive_buffer_finding(image_bytes(setup))
     watched: CameraReading | None = None
-    for seen in camera_findings(cell):
-        if isinstance(seen, CameraReading):
-            watched = seen
+    for reading in camera_findings(cell):
+        if isinstance(reading, CameraReading):
+            watched = reading
         else:
-            yield seen
+            yield reading
     yield from bus_findings(cell, **bus_options)
     slowest = max(times, key=lambda job: job.tracked.p99_ms, default=None)
     examination.budget = budget_of(cell, slowest if len(times) == len(cell.jobs) else None, late, watched)
@@ -114,7 +114,7 @@ def _shared_bytes(cell: CellFile) -> int:
 
 
 def _job_findings(cell: CellFile, number: int, steps: Steps) -> Iterator[DoctorFinding | StepTimes]:
-    """Yield what is to be said of a job's tracker, and how long its steps took."""
+    """Yield the findings about a job's tracker, and the durations of its steps."""
     job, name = cell.jobs[number], f"job {number}"
     try:
         tracker = Tracker(job.setup_for(cell.setup.setup), correction=job.correction)

@@ -36,7 +36,7 @@ def versions_finding() -> DoctorFinding:
 
 
 def scheduler_findings(choice: ProcessChoice) -> Iterator[DoctorFinding]:
-    """Yield what is to be said of kernel, processors and real-time priority."""
+    """Yield the findings about kernel, processors and real-time priority."""
     yield kernel_finding(platform.release(), platform.version())
     yield _isolated_finding()
     governors = sorted(
@@ -71,7 +71,7 @@ def _isolated_finding() -> DoctorFinding:
 
 
 def governor_finding(governors: list[str]) -> DoctorFinding:
-    """Return what is to be said of how the processors' frequency is governed."""
+    """Return the finding about the governor of the processors' frequency."""
     if not governors:
         return DoctorFinding("frequency", FindingState.OK, "not governed by this kernel")
     return judged(

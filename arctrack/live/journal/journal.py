@@ -36,7 +36,7 @@ POSES = 128
 """Largest number of poses kept between two frames."""
 
 VIEW_BYTES_PER_LINE, VIEW_BYTES = 80, 64 * 1024
-"""A view's stripe has seven values a scan line; the rest is small."""
+"""Bytes of a view: its stripe has seven values a scan line, the rest is small."""
 
 STATUS_BYTES = 16 * 1024
 MIN_SLOTS, FEW_SLOTS = 8, 4

@@ -15,7 +15,7 @@ from multiprocessing.connection import wait
 from typing import Any
 
 MAX_BYTES = 2**20
-"""A message is shorter: Linux takes a fifth of that at most unless net.core.wmem_max says more."""
+"""Upper bound of a message: Linux takes a fifth of that unless net.core.wmem_max says more."""
 
 
 class PipeEnd:

@@ -39,7 +39,7 @@ SLOT = struct.Struct("<QII")
 COUNT_AT = HEADER.size - 8
 PAGE_BYTES = 4096
 LOOKS = 100
-"""So often a reader looks again at a slot that is written meanwhile."""
+"""Number of tries to read a slot that is written meanwhile."""
 
 Part = bytes | npt.NDArray[np.generic]
 

@@ -17,7 +17,7 @@ from aiohttp.typedefs import Handler
 
 
 class Access:
-    """Access control of the page; without a `token` every request to `host` is let in."""
+    """Access control of the page; without a `token` every request to `host` is answered."""
 
     def __init__(self, host: str, token: str | None) -> None:
         self._token = token
@@ -42,7 +42,7 @@ class Access:
             if not response.prepared:
                 self._give_cookie(request, response)
             return response
-        if not self._is_let_in(request):
+        if not self._is_authorized(request):
             raise web.HTTPUnauthorized(
                 text="A token is needed: open the page with ?token=… once, "
                 "or send the header Authorization: Bearer …",
@@ -59,7 +59,7 @@ class Access:
             return name.removesuffix(".local") in self._hosts
         return True
 
-    def _is_let_in(self, request: web.Request) -> bool:
+    def _is_authorized(self, request: web.Request) -> bool:
         assert self._token is not None
         scheme, _, brought = request.headers.get("Authorization", "").partition(" ")
         if scheme == "Bearer" and _same(brought, self._token):

@@ -17,7 +17,7 @@ class Connections:
 
     def __init__(self) -> None:
         self._idle_since_s: dict[web.RequestHandler, float] = {}
-        self._told: set[type[Exception]] = set()
+        self._logged: set[type[Exception]] = set()
         # What is wrong with a request, its client is told; its traceback is nothing for this machine's log.
         logging.getLogger("aiohttp.server").disabled = True
 
@@ -31,8 +31,8 @@ class Connections:
         except (web.HTTPException, ConnectionError):
             raise
         except Exception as error:
-            if type(error) not in self._told:
-                self._told.add(type(error))
+            if type(error) not in self._logged:
+                self._logged.add(type(error))
                 _LOG.warning("arctrack: the monitor page's answer to %s failed: %r", request.rel_url, error)
             raise web.HTTPInternalServerError(text="the page has failed at this; its log says how") from None
         finally:

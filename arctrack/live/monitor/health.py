@@ -12,8 +12,8 @@ MAX_AGE_S = 1.0
 """Older statuses and frames say that the loop, or the camera, stands."""
 
 
-def ailment(feed: Feed) -> str | None:
-    """Return what a run ails from, None where it works."""
+def health_problem(feed: Feed) -> str | None:
+    """Return why a run does not work, None where it does."""
     status = feed.status
     if status is None:
         return "the tracker has not said yet how it stands"

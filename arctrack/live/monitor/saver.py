@@ -7,7 +7,7 @@ import asyncio
 from arctrack.live.journal.message_pipe import PipeEnd
 
 PATIENCE_S = 60.0
-"""So long a black box may take to write what it holds, s."""
+"""Time-out of the black box's answer, s: it writes what it holds."""
 
 
 class Saver:

@@ -14,7 +14,7 @@ from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from arctrack.live.monitor.access import Access
 from arctrack.live.monitor.connections import Connections
 from arctrack.live.monitor.feed import Feed
-from arctrack.live.monitor.health import ailment
+from arctrack.live.monitor.health import health_problem
 from arctrack.live.monitor.metrics import registry_of
 from arctrack.live.monitor.outbox import Outbox
 from arctrack.live.monitor.saver import Saver
@@ -40,7 +40,7 @@ HEADERS = {
     "Server": "arctrack",
 }
 SAVES_APART_S = 10.0
-"""Between two saves, s: the second one still reaches back to the first, and no disk is filled in minutes."""
+"""Least time between two saves, s: the second one reaches back to the first, and no disk fills in minutes."""
 
 
 class Server:
@@ -116,7 +116,7 @@ class Server:
         )
 
     async def _health(self, _request: web.Request) -> web.Response:
-        reason = ailment(self._feed)
+        reason = health_problem(self._feed)
         content = {"healthy": reason is None, "reason": reason}
         return web.json_response(content, status=200 if reason is None else 503)
 

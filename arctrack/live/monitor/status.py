@@ -14,7 +14,7 @@ from robot_io import RobotStatus, Source, Switch, TrackerState, Validity
 from tracker.arc.level import ArcLevel
 
 SHOWN_S = 180.0
-"""So far back the page shows offsets and times, s."""
+"""Length of the page's charts, s."""
 
 USABLE = (Validity.VALID, Validity.HELD)
 """A robot may follow these offsets alone."""

@@ -18,7 +18,7 @@ from tracker.stripe.expected import expect_stripe
 from tracker.stripe.read import arc_map_of
 
 EVERY_S = 0.25
-"""So often an exposure is chosen, s: a robot at 10 mm/s goes 2.5 mm meanwhile."""
+"""Period of the choice of an exposure, s: a robot at 10 mm/s goes 2.5 mm meanwhile."""
 
 LINES = 32
 """Number of scan lines that represent all: a choice takes half a millisecond."""
@@ -27,7 +27,7 @@ MIN_LINES = 8
 """Least number of lines for a choice."""
 
 ALONG_MM = 0.5
-"""So far the tool may go during an exposure, mm: what a frame shows of the seam is the mean over it."""
+"""Largest travel of the tool during an exposure, mm: a frame shows the mean over it."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ ENDS_S = 2.0
 """Time that a process may take to end, unless it writes something."""
 
 FIRST_DELAY_S, MAX_DELAY_S = 1.0, 60.0
-"""A process that ended is started again after so long; the time doubles with each end up to the second, s.
+"""Delay before a process that ended is started again, s; it doubles with each end, up to the second.
 
 The second is also how long a process must have lived for its next delay to be the first one again.
 """

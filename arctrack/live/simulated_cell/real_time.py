@@ -14,7 +14,7 @@ from arctrack.simulation.cell.bus import BusFrame, Listener
 from arctrack.simulation.cell.scheduler import Scheduler
 
 LONGEST_WAIT_S = 0.02
-"""So often it is asked whether to go on."""
+"""Period of checking whether to go on, s."""
 
 
 class RealTimeScheduler(Scheduler):

@@ -46,7 +46,7 @@ TEXTURE_SIGMA = 0.05
 """1 sigma of the metal's own texture from pixel to pixel, relative."""
 
 MAX_HEIGHT_SIGMA_MM = 2.0
-"""A height less certain than this is not known: arcs are as long."""
+"""Largest sigma of a known height, mm: arcs are as long."""
 
 MAX_HEIGHT_MM = 8.0
 """No arc's centre stands farther off its place: the effect `arc_length` goes so far."""

@@ -25,7 +25,7 @@ the next use.
 """
 
 SETTLED_S = 5.0
-"""So long after a gap began it is looked at: before, most frames are from before it."""
+"""Time from a gap's begin to its examination, s: earlier, most frames are from before it."""
 
 
 @dataclass(frozen=True)

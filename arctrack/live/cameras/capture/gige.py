@@ -27,7 +27,7 @@ IDS_GO_ROUND = 65_535
 """Frame ids of 16 bits go from 1 to this."""
 
 SILENT_S = 2.0
-"""After so long without a frame a camera counts as lost, unless it waits for its trigger's line, s."""
+"""Silence after which a camera counts as lost, unless it waits for its trigger's line, s."""
 
 Since = tuple[float, float]
 """A value, and from which time on, s, it holds for what begins then."""

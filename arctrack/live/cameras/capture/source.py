@@ -10,7 +10,7 @@ from arctrack.live.cameras.camera_line import CaptureRequest
 from tracker.state import Frame
 
 LONGEST_WAIT_S = 0.05
-"""So long a source waits for a frame at most before it returns, s: the laser is asked for so often."""
+"""Time-out of a source's wait for a frame, s: the laser is asked for as often."""
 
 Ask = Callable[[], CaptureRequest]
 """Returns what the tracker wants now."""
