@@ -96,9 +96,10 @@ class BusPoses:
         """Return the tool's pose at a capture."""
         return self._buffer.at(captured_s + self._late_s)
 
-    def see(self, measured: SeamMeasurement) -> None:
-        """Take where a pose put the seam that was seen."""
-        self.watch.see(measured)
+    def see(self, measured: SeamMeasurement, is_valid: bool) -> None:
+        """Take where a pose put the seam that was seen; a tack's bead jumps, and is no fault of the poses."""
+        if is_valid:
+            self.watch.see(measured)
 
     def verdict(self, now_s: float) -> GateReason:
         """Return the poses' verdict for the gate."""

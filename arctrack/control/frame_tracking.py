@@ -85,6 +85,5 @@ class FrameTracking:
             self.tracker.state = before
         inputs = StepInputs(before, pose, capture.look_ahead, capture.is_trusted)
         setup = self.tracker.geometry.setup
-        # A seam that jumps is no valid one, but the first that wrong poses show.
         seam = seam_measurement(setup, track, pose, hand_eye_mm2)
         return TrackedFrame(track, seam, FrameStep(shown, inputs, self.tracker.reading), took_ms)

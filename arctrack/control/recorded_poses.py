@@ -120,8 +120,11 @@ class RecordedPoses:
         status = PoseStatus.EXTRAPOLATED if step.pose.extrapolated else PoseStatus.INTERPOLATED
         return replace(pose, status=status, T_base_tool=step.pose.T_base_tool)
 
-    def see(self, measured: SeamMeasurement) -> None:
-        """Take where a pose put the seam that was seen."""
+    def see(self, measured: SeamMeasurement, is_valid: bool) -> None:
+        """Take where a pose put the seam that was seen, valid or not.
+
+        Where no status says how the robot moves, a seam that jumps is the first that wrong poses show.
+        """
         self._watch.see(measured)
 
     def are_trusted(self, now_s: float) -> bool:

@@ -50,8 +50,8 @@ class Poses(Protocol):
     def at(self, captured_s: float) -> PoseAt:
         """Return the tool's pose at a capture."""
 
-    def see(self, measured: SeamMeasurement) -> None:
-        """Take where a pose put the seam that was seen."""
+    def see(self, measured: SeamMeasurement, is_valid: bool) -> None:
+        """Take where a pose put the seam that was seen, and whether its track is valid."""
 
     def verdict(self, now_s: float) -> GateReason:
         """Return the poses' verdict for the gate."""
@@ -158,7 +158,7 @@ class TrackingService(Generic[Shown]):
         capture = Capture(index, captured_s, pose, self.robot, poses.are_trusted(now_s), self.look_ahead)
         tracked = self.seam.tracking.track(shown, capture)
         if tracked.seam is not None:
-            poses.see(tracked.seam)
+            poses.see(tracked.seam, tracked.track.valid)
         now_s = self._now_s()
         self._judge_poses(now_s)
         T_base_tool = None if is_refused else pose.T_base_tool

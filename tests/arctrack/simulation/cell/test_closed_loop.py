@@ -119,6 +119,15 @@ def test_nothing_is_valid_before_a_struck_arc_is_steady_and_a_tack_hides_the_joi
 
 
 @pytest.mark.slow
+def test_a_tack_that_looks_like_a_seam_that_jumps_is_no_doubt_of_the_poses():
+    small = LoopPlan(joint="lap", length_mm=60.0, rate_hz=15.0, size_px=(160, 120), displaced_mm=2.0)
+    loop = ClosedLoop(replace(small, slope=0.02, bend_mm=1.0, event="tack", exact=False))
+    loop.run()
+    assert any("seam_jump" in frame.track.flag_names for frame in loop.frames)
+    assert loop.event_result().reasons == {}
+
+
+@pytest.mark.slow
 def test_an_arc_fault_moves_the_robot_back_and_it_goes_on():
     rng = np.random.default_rng(4)
     cell = Cell(draw_world(rng), rng)
