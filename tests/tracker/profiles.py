@@ -141,14 +141,14 @@ def measure(
     rng: np.random.Generator,
     *,
     sigma_px: float = 0.05,
-    alike_px: float = 0.0,
+    common_px: float = 0.0,
     noise: bool = True,
     hidden_mm: tuple[float, float] | None = None,
 ) -> Profile:
     """The points that columns see of a section put at `seam_mm`, each moved along its own ray by the noise.
 
-    A point's stated sigma is `sigma_px`, and `alike_px` the 1 sigma of what all are off by alike. The profile
-    spans REACH_MM to either side of its middle, and what lies in `hidden_mm` beside the seam is not seen.
+    A point's stated sigma is `sigma_px`, and `common_px` the 1 sigma of their common error. The profile spans
+    REACH_MM to either side of its middle, and what lies in `hidden_mm` beside the seam is not seen.
     """
     y = np.arange(-REACH_MM, REACH_MM, COLUMN_MM) + rng.uniform(0.0, COLUMN_MM)
     if hidden_mm is not None:
@@ -156,7 +156,7 @@ def measure(
         y = y[(beside < hidden_mm[0]) | (beside > hidden_mm[1])]
     z = np.interp(y - seam_mm[0], corners[:, 0], corners[:, 1]) + seam_mm[1]
     error = sigma_px * rng.normal(size=len(y)) if noise else np.zeros(len(y))
-    error += alike_px * rng.normal() if alike_px else 0.0
+    error += common_px * rng.normal() if common_px else 0.0
     y, z = y + PX_MM[0] * error, z + PX_MM[1] * error
     order = np.argsort(y, kind="stable")
     n = np.ones(len(y))

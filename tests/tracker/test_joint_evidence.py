@@ -150,7 +150,7 @@ def test_a_mean_of_two_lines_loses_what_both_would(off: float, correlation: floa
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.4])
-def test_lines_that_were_read_as_one_are_as_alike_as_their_sigmas_say(correlation: float) -> None:
+def test_lines_read_as_one_are_as_correlated_as_their_sigmas_say(correlation: float) -> None:
     n_lines = np.where(np.arange(90) < 60, 2.0, 1.0)
     sigma = 0.3 * np.where(n_lines > 1.0, math.sqrt(0.5 * (1.0 + correlation)), 1.0)
     found = pair_correlation(sigma, n_lines)

@@ -88,7 +88,7 @@ def test_its_covariance_is_honest() -> None:
     errors, scaled, chi2 = [], [], []
     for _ in range(400):
         seam = (rng.uniform(-1.0, 1.0), 0.5)
-        profile = measure(lap(2.2, 0.01, -0.01), seam, rng, sigma_px=TRUE_SIGMA_PX, alike_px=COMMON_MODE_PX)
+        profile = measure(lap(2.2, 0.01, -0.01), seam, rng, sigma_px=TRUE_SIGMA_PX, common_px=COMMON_MODE_PX)
         profile.sigma_px[:] = 0.05
         above = np.array([0.0, seam[0], 0.0])
         found = fit(profile, CAMERA_MM + above, LASER_MM + above)

@@ -27,7 +27,7 @@ def stated(gap_mm: float) -> Joint:
 
 def fit(joint: Joint, gap_mm: float, mixed_mm: float, rng: np.random.Generator) -> MeasuredJoint:
     profile = measure(
-        groove((30.0, 30.0), (4.0, 4.0), gap_mm), SEAM, rng, sigma_px=0.1, alike_px=COMMON_MODE_PX
+        groove((30.0, 30.0), (4.0, 4.0), gap_mm), SEAM, rng, sigma_px=0.1, common_px=COMMON_MODE_PX
     )
     found = fit_joint(replace(profile, mixed_mm=mixed_mm), joint, CAMERA_MM, LASER_MM)
     assert found is not None

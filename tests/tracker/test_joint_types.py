@@ -144,7 +144,7 @@ CASES = {
 
 def seen(truth: Truth, seam: tuple[float, float], rng: np.random.Generator):
     """A profile of a drawn section, seen from straight above; what lies far below is out of view."""
-    profile = measure(truth.corners, seam, rng, sigma_px=TRUE_SIGMA_PX, alike_px=COMMON_MODE_PX)
+    profile = measure(truth.corners, seam, rng, sigma_px=TRUE_SIGMA_PX, common_px=COMMON_MODE_PX)
     profile.sigma_px[:] = SIGMA_PX
     return only(profile, profile.z_mm > seam[1] - OUT_OF_VIEW_MM)
 

@@ -53,7 +53,7 @@ def test_its_covariance_is_honest() -> None:
     errors, scaled, chi2 = [], [], []
     for _ in range(120):
         profile = measure(
-            groove((30.0, 30.0), (4.2, 4.0), 1.1), seam, rng, sigma_px=TRUE_SIGMA_PX, alike_px=COMMON_MODE_PX
+            groove((30.0, 30.0), (4.2, 4.0), 1.1), seam, rng, sigma_px=TRUE_SIGMA_PX, common_px=COMMON_MODE_PX
         )
         profile = only(profile, np.ones(len(profile.y_mm), dtype=bool))
         profile.sigma_px[:] = profile.beside_px[:] = 0.05

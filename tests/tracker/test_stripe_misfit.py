@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from profiles import PX_MM, fit_joint, groove, measure
 from rendered import SEED
-from test_alike import CAMERA_MM, JOINTS, LASER_MM
+from test_correlated_points import CAMERA_MM, JOINTS, LASER_MM
 from test_stripe import line_fits
 
 from noise_model.compiled.arrays import Bool, Float64
@@ -52,21 +52,21 @@ def plain_odd_parts(
     return odd
 
 
-def near(odd: Float64, half: int, alike: float) -> Float64:
+def near(odd: Float64, half: int, as_one: float) -> Float64:
     """The kernel's mean square."""
     mean_square = np.empty(len(odd))
-    mean_square_near(odd, half, np.full(len(odd), alike), mean_square)
+    mean_square_near(odd, half, np.full(len(odd), as_one), mean_square)
     return mean_square
 
 
-def plain_mean_square_near(odd: Float64, half: int, alike: float) -> Float64:
+def plain_mean_square_near(odd: Float64, half: int, as_one: float) -> Float64:
     """The mean square beyond chance, line by line."""
     near = np.zeros(len(odd))
     for i in range(len(odd)):
         for column in odd[max(i - half, 0) : i + half + 1].T:
             known = column[np.isfinite(column)]
             if len(known) >= MIN_LINES:
-                noise = known.var(ddof=1) / len(known) * alike
+                noise = known.var(ddof=1) / len(known) * as_one
                 near[i] += (known.mean() ** 2 - CHANCE * noise) / N_BINS
     return np.maximum(near, 0.0)
 
@@ -84,22 +84,25 @@ def test_odd_residuals_are_their_twins() -> None:
     expected = plain_odd_parts(charge.astype(float), background, censored, found.fits, windows)
     np.testing.assert_allclose(found.odd, expected, rtol=1e-3, atol=0.05)
     assert 0.5 < np.isfinite(found.odd).mean() < 0.95
-    for half, alike in ((3, 1.0), (15, 2.5)):
+    for half, as_one in ((3, 1.0), (15, 2.5)):
         np.testing.assert_allclose(
-            near(found.odd, half, alike), plain_mean_square_near(found.odd, half, alike), rtol=1e-6, atol=1e-3
+            near(found.odd, half, as_one),
+            plain_mean_square_near(found.odd, half, as_one),
+            rtol=1e-6,
+            atol=1e-3,
         )
 
 
 def test_how_many_lines_scatter_as_one_is_the_usual_number_of_their_kind() -> None:
     rng, n = np.random.default_rng(SEED), 61
-    n_lines, sigma, beside = rng.integers(1, 3, n), rng.uniform(0.1, 0.3, n), rng.uniform(0.3, 0.6, n)
+    n_lines, sigma, effective = rng.integers(1, 3, n), rng.uniform(0.1, 0.3, n), rng.uniform(0.3, 0.6, n)
     sigma[rng.random(n) < 0.2] = np.nan
-    alike = np.empty(n)
-    write_centres_as_one(sigma, beside, n_lines, np.empty(numbers_for(n), np.float32), alike)
+    as_one = np.empty(n)
+    write_centres_as_one(sigma, effective, n_lines, np.empty(numbers_for(n), np.float32), as_one)
     for together in (1, 2):
         kind = n_lines == together
-        usual = np.nanmedian((beside[kind] / sigma[kind]) ** 2 / together)
-        np.testing.assert_allclose(alike[kind], usual, rtol=1e-6)
+        usual = np.nanmedian((effective[kind] / sigma[kind]) ** 2 / together)
+        np.testing.assert_allclose(as_one[kind], usual, rtol=1e-6)
 
 
 def field(covariance: str, length_px: float, rng: np.random.Generator) -> Float64:

@@ -216,7 +216,7 @@ def test_where_a_straight_stripe_lies_is_no_scatter(seed: int, offset: float, sl
 
 @pytest.mark.parametrize("grain", [0.0, 1.5])
 def test_the_variance_that_lines_share_is_what_was_drawn(grain: float) -> None:
-    """White scatter of 0.2 px and, with a grain, neighbours off alike: their correlation's sum counts."""
+    """White scatter of 0.2 px and, with a grain, neighbours off in common: their correlation's sum counts."""
     rng, seen = np.random.default_rng(4), []
     n, own, shared = 1280, 0.1, 0.2
     reach = np.arange(-8.0, 9.0)
@@ -299,7 +299,7 @@ def frame(value: float) -> FrameScatter:
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.8])
-def test_neighbours_brightness_is_as_alike_as_it_was_drawn(correlation: float) -> None:
+def test_neighbours_brightness_has_the_drawn_correlation(correlation: float) -> None:
     rng, n, contrast = np.random.default_rng(11), 4000, 0.2
     scatter = [rng.standard_normal()]
     for drawn in rng.standard_normal(n - 1):

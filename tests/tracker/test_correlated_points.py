@@ -1,4 +1,4 @@
-"""A joint's covariance where neighbouring points are off alike, against drawn traces."""
+"""A joint's covariance of correlated neighbouring points, against drawn traces."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ OWN_PX = 0.15
 """The noise of each point by itself."""
 
 
-def likeness(apart: Float64, grain_px: float) -> Float64:
+def correlation(apart: Float64, grain_px: float) -> Float64:
     """The correlation of points that far apart: white noise behind a Gaussian of 1 sigma `grain_px`."""
     return np.asarray(np.exp(-(apart**2) / (4.0 * grain_px**2)))
 
 
-def alike(grain_px: float) -> float:
+def points_as_one(grain_px: float) -> float:
     """How many points in a row are off as one: the sum of their correlation."""
-    return float(likeness(np.arange(-40.0, 41.0), grain_px).sum())
+    return float(correlation(np.arange(-40.0, 41.0), grain_px).sum())
 
 
 def traces(of: str, grain_px: float, shared_px: float, n: int):
@@ -46,16 +46,16 @@ def traces(of: str, grain_px: float, shared_px: float, n: int):
     rng = np.random.default_rng(SEED)
     exact = measure(JOINTS[of][1], (0.0, 0.0), rng, noise=False)
     here = np.arange(len(exact.y_mm), dtype=float)
-    values, vectors = np.linalg.eigh(likeness(here[:, None] - here, grain_px))
+    values, vectors = np.linalg.eigh(correlation(here[:, None] - here, grain_px))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     shared = np.where(exact.y_mm > 0.0, 2.0, 1.0) * shared_px
     sigma = np.hypot(OWN_PX, shared)
-    beside = np.sqrt(OWN_PX**2 + alike(grain_px) * shared**2)
+    effective = np.sqrt(OWN_PX**2 + points_as_one(grain_px) * shared**2)
     for _ in range(n):
         off = OWN_PX * rng.normal(size=len(here)) + shared * (root @ rng.normal(size=len(here)))
         y, z = exact.y_mm + PX_MM[0] * off, exact.z_mm + PX_MM[1] * off
         order = np.argsort(y, kind="stable")
-        yield replace(exact, y_mm=y[order], z_mm=z[order], sigma_px=sigma[order], beside_px=beside[order])
+        yield replace(exact, y_mm=y[order], z_mm=z[order], sigma_px=sigma[order], beside_px=effective[order])
 
 
 def fit(of: str, profile: Profile) -> MeasuredJoint:
@@ -67,7 +67,7 @@ def fit(of: str, profile: Profile) -> MeasuredJoint:
 @pytest.mark.slow
 @pytest.mark.parametrize(("of", "axes"), [("v_groove", (0, 1)), ("lap", (1,))])
 @pytest.mark.parametrize("grain_px", [0.5, 1.0, 2.5])
-def test_the_covariance_of_points_that_are_off_alike_is_honest(
+def test_the_covariance_of_correlated_points_is_honest(
     of: str, axes: tuple[int, ...], grain_px: float
 ) -> None:
     """A lap's lateral place is its columns' spacing, whatever their noise."""
@@ -78,9 +78,9 @@ def test_the_covariance_of_points_that_are_off_alike_is_honest(
             error = np.array([found.y_mm, found.z_mm])
             square.append(error**2 / np.diag(found.covariance_mm2))
     honest, before = (np.mean(square, axis=0)[list(axes)] for square in (scaled, alone))
-    print(f"{of}, {alike(grain_px):.1f} alike: chi2 {honest}, of points taken for independent {before}")
+    print(f"{of}, {points_as_one(grain_px):.1f} as one: chi2 {honest}, if taken for independent {before}")
     assert (np.abs(honest - 1.0) < 4.0 * math.sqrt(2.0 / 300.0)).all()
-    if alike(grain_px) > 2.0:
+    if points_as_one(grain_px) > 2.0:
         assert (before > 1.5).all()
 
 
