@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
@@ -14,6 +15,7 @@ from pydantic import BaseModel, ConfigDict
 
 import arctrack
 from arctrack.check.hint import Hint
+from arctrack.check.seam_place import UNKNOWN_PLACE, SeamPlace
 from arctrack.check.verdict import RunVerdict
 from arctrack.limits import LIMITS
 from arctrack.offset_count import OffsetCount
@@ -38,7 +40,7 @@ PACKAGES = ("arctrack", "noise_model", "robot_io", "tracker")
 
 
 class FinishedVerdict(BaseModel):
-    """A `RunVerdict`, its hint as what is wrong, the cure and the share."""
+    """A `RunVerdict`, its hint as what is wrong, the cure and the probability."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -49,6 +51,7 @@ class FinishedVerdict(BaseModel):
     hint: tuple[str, str, float] | None
     offsets: OffsetCount
     reasons: dict[str, int]
+    seam_mm: tuple[float, float] | None
 
     @classmethod
     def of(cls, verdict: RunVerdict) -> FinishedVerdict:
@@ -59,17 +62,18 @@ class FinishedVerdict(BaseModel):
             laser_on=verdict.laser_on,
             valid=verdict.valid,
             flags=dict(verdict.flags),
-            hint=None if hint is None else (hint.what, hint.cure, hint.share),
+            hint=None if hint is None else (hint.what, hint.cure, hint.probability),
             offsets=verdict.offsets,
             reasons=dict(verdict.reasons),
+            seam_mm=None if math.isnan(verdict.seam.y_mm) else (verdict.seam.y_mm, verdict.seam.z_mm),
         )
 
     def verdict(self) -> RunVerdict:
         """Return the verdict."""
         hint = None if self.hint is None else Hint(*self.hint)
-        return RunVerdict(
-            self.frames, self.laser_on, self.valid, self.flags, hint, self.offsets, self.reasons
-        )
+        counts = self.frames, self.laser_on, self.valid, self.flags
+        seam = UNKNOWN_PLACE if self.seam_mm is None else SeamPlace(*self.seam_mm)
+        return RunVerdict(*counts, hint, self.offsets, self.reasons, seam)
 
 
 class ReplayRecord(BaseModel):

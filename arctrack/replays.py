@@ -112,12 +112,14 @@ def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = 
     summaries = [done.summary]
     if not job.options.use_arc_map and done.recording.has_truth:
         summaries.append(track_alone(done.recording, True, listeners.on_compared))
+    verdict = verdict_on(done.recording, done.tracks, done.summary)
+    warnings = [*done.warnings, *filter(None, [verdict.seam_warning])]
     replayed = ReplayResult(
         job,
         tuple(summaries),
-        verdict_on(done.recording, done.tracks, done.summary),
+        verdict,
         recording.warnings,
-        tuple(f"{recording.path}: {warning}" for warning in done.warnings),
+        tuple(f"{recording.path}: {warning}" for warning in warnings),
         done.complaint,
         done.warm_up,
     )

@@ -5,21 +5,28 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
 from arctrack.check.bright_line import BrightLine, find_lines
 from arctrack.check.fit import SectionMatch, SightedLine, fit
+from arctrack.check.stripe_seen import stripe_seen
 from arctrack.recording import FrameRow, PoseTable, Recording
-from arctrack.recording.frames import Image
+from arctrack.recording.frames import Image, frame_of
 from arctrack.recording.poses import pose_at, pose_buffer
 from noise_model.compiled.arrays import Float64, Integers
 from noise_model.effects import apply_setup_effects, pose_time_s
 from noise_model.evenly import evenly
+from noise_model.instrument.sensor import Sensor
 from noise_model.setup import Setup
 from noise_model.transforms import invert
 from robot_io.poses.pose_buffer import PoseBuffer
+from tracker.geometry import SensorGeometry
+from tracker.state import Pose
+from tracker.step import step
+from tracker.stripe.read import Work
+from tracker.tracker_state import TrackerMemory
 
 MAX_FRAMES, MAX_DARK = 10, 4
 """Number of frames used with the laser on, and of these without arc, where lines are clearest."""
@@ -38,7 +45,8 @@ class CheckCase:
     """Some frames' lines, the setup that should explain them and the poses.
 
     `images_dn` (H, W) are the frames as they are and `rows` their lines of frames.csv; `points_px` is each
-    one's line, (n, 2) x y, of images of `size_px` (width, height); `frames_s` are their times, `poses` all
+    one's line, (n, 2) x y, of images of `size_px` (width, height), `sigma_px` the width of all, 1 sigma, NaN
+    if unknown; `frames_s` are their times, `poses` all
     poses over time, `T_base_tool` those at the frames, NaN where there is none.
     `T_tool_controllertool` (4, 4) is the controller's tool frame as the setup states it.
     """
@@ -48,6 +56,7 @@ class CheckCase:
     rows: tuple[FrameRow, ...]
     points_px: tuple[Float64, ...]
     size_px: tuple[int, int]
+    sigma_px: float
     frames_s: tuple[float, ...]
     poses: PoseTable
     T_base_tool: tuple[Float64, ...]
@@ -87,11 +96,33 @@ class CheckCase:
             self, frames_s=frames_s, poses=table, T_base_tool=_poses_at(table, frames_s, self.setup)
         )
 
-    def with_points(self, change: Callable[[Float64, int, int], Float64], turns: bool) -> CheckCase:
-        """Return the case with the lines' points moved, images `turns` by a quarter or not."""
+    def with_images(self, turn: Callable[[Integers], Integers]) -> CheckCase:
+        """Return the case with its images turned or mirrored, and its lines with them."""
         width, height = self.size_px
-        points = tuple(change(points, width, height) for points in self.points_px)
-        return replace(self, points_px=points, size_px=(height, width) if turns else self.size_px)
+        numbers = turn(np.arange(width * height).reshape(height, width))
+        # Where the first pixel goes, and those to its right and below it.
+        first, right, below = (np.argwhere(numbers == n)[0, ::-1] for n in (0, 1, width))
+        axes = np.stack([right - first, below - first]).astype(np.float64)
+        return replace(
+            self,
+            images_dn=tuple(np.ascontiguousarray(turn(image)) for image in self.images_dn),
+            points_px=tuple(first + points @ axes for points in self.points_px),
+            size_px=(numbers.shape[1], numbers.shape[0]),
+        )
+
+    @cached_property
+    def n_read(self) -> int:
+        """Number of frames that the tracker reads, each by itself."""
+        try:
+            geometry = SensorGeometry.of(self.setup)
+        except ValueError:
+            return 0
+        work = Work.of(geometry)
+        return sum(
+            step(geometry, TrackerMemory(), frame_of(row, image), Pose(T_base_tool), work)[1].valid
+            for row, image, T_base_tool in zip(self.rows, self.images_dn, self.T_base_tool, strict=True)
+            if np.isfinite(T_base_tool).all()
+        )
 
     @property
     def fits_camera(self) -> bool:
@@ -133,11 +164,25 @@ def case_of(recording: Recording, positions: Sequence[int], images: Sequence[Ima
         rows=tuple(row for row, _ in usable),
         points_px=tuple(line.points_px for line in lines),
         size_px=(shape[1], shape[0]),
+        sigma_px=_sigma_px(usable, lines, recording.setup.sensor),
         frames_s=frames_s,
         poses=recording.poses,
         T_base_tool=_poses_at(recording.poses, frames_s, setup),
         T_tool_controllertool=recording.T_tool_controllertool,
     )
+
+
+def _sigma_px(
+    usable: Sequence[tuple[FrameRow, Integers]], lines: Sequence[BrightLine], sensor: Sensor
+) -> float:
+    """Return the median width of the lines, 1 sigma, px, of frames without arc if there are any."""
+    seen = [
+        (row.arc_on, stripe_seen(image, sensor, line).sigma_px)
+        for (row, image), line in zip(usable, lines, strict=True)
+    ]
+    known = [(arc_on, sigma_px) for arc_on, sigma_px in seen if math.isfinite(sigma_px)]
+    dark = [sigma_px for arc_on, sigma_px in known if not arc_on]
+    return float(np.median(dark or [sigma_px for _, sigma_px in known])) if known else math.nan
 
 
 def _spread(positions: list[int], most: int) -> list[int]:

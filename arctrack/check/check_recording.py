@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from arctrack.check.case import CheckCase, case_of, chosen_rows, laser_off_rows
+from arctrack.check.explanations import WeighedCause, explanations
 from arctrack.check.findings import SetupFinding, findings, timing_findings
-from arctrack.check.fit import ENOUGH
-from arctrack.check.hint import Hint, likely_mistake
+from arctrack.check.hint import Hint, hint_of
 from arctrack.check.look import CheckedFrame, looks_at
 from arctrack.check.sensor_seen import SensorReading, sensor_seen
 from arctrack.check.timing import timing_of
@@ -20,11 +20,13 @@ from arctrack.offset_count import OffsetCount
 from arctrack.recording import BadFrame, Recording
 from arctrack.recording.reader import fitted
 from arctrack.replay.trial import Trial, rows_to_try, try_out
-from tracker.flags import JOINT_TYPE_MISMATCH
 from tracker.geometry import SensorGeometry
 from tracker.seam.correction import UNSTATED
 from tracker.state import Frame, Track
 from tracker.warm_up import warm_up
+
+MIN_PROBABILITY = 0.005
+"""A cause is not listed below this: it would be printed as 0 %."""
 
 MAX_DARK_FRAMES = 2
 """Number of frames without laser and arc that black level and noise are measured in."""
@@ -85,12 +87,13 @@ def check_recording(
     trial = _untracked(recording, tried) if refusal is not None else try_out(recording, tried)
     lit = [t for n, t in zip(tried, trial.tracks, strict=True) if recording.rows[n].laser_on]
     is_tracked = not is_few(sum(track.valid for track in lit), len(lit), trial.offsets)
-    seen = sum(look.track.valid and not look.track.flags & JOINT_TYPE_MISMATCH.mask for look in looks)
-    joint_is_seen = seen >= ENOUGH * max(len(positions), 1)
-    hint = None if case is None else likely_mistake(case, joint_is_seen)
+    ranked = [] if case is None else explanations(case)
+    hint = hint_of(ranked)
     if hint is None and not is_tracked:
         hint = likely_unit(recording)
     all_findings = list(timing_findings(timing))
+    if ranked:
+        all_findings.append(_causes_finding(ranked))
     if case is not None and case.fits_camera:
         all_findings.append(_lines_finding(case, hint if is_tracked else None))
     if geometry is not None:
@@ -119,7 +122,14 @@ def _lines_finding(case: CheckCase, hint: Hint | None) -> SetupFinding:
         return SetupFinding("lines", text)
     if hint.case is None:
         return SetupFinding("lines", text, f"{text}; most likely {hint}")
-    return SetupFinding("lines", text, f"{text}, {100.0 * hint.share:.0f} % if {hint}")
+    return SetupFinding("lines", text, f"{text}, {100.0 * hint.case.fit().share:.0f} % if {hint}")
+
+
+def _causes_finding(ranked: Sequence[WeighedCause]) -> SetupFinding:
+    """Find how probable the causes are, the likeliest first."""
+    listed = (each for each in ranked if each.probability >= MIN_PROBABILITY)
+    named = [f"{100.0 * each.probability:.0f} % {each.name}" for each in listed]
+    return SetupFinding("causes", ", ".join(named))
 
 
 def _untracked(recording: Recording, positions: Sequence[int]) -> Trial:

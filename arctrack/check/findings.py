@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from arctrack.check.fit import FINE, SightedLine, fit
-from arctrack.check.hint import FITS, GAIN
 from arctrack.check.look import CheckedFrame
+from arctrack.check.seam_place import SeamPlace
 from arctrack.check.sensor_seen import SensorReading
 from arctrack.check.stated_speckle import stated_contrast
 from arctrack.check.timing import Timing
@@ -39,9 +38,6 @@ BLACK_SIGMAS, BLACK_DN = 4.0, 0.3
 
 MIN_NOISE_DN = 0.4
 """Less noise is lost in the rounding to whole codes."""
-
-FOCAL_RATIOS = np.arange(0.80, 1.255, 0.01)
-"""Focal lengths to try, over the stated one."""
 
 
 @dataclass(frozen=True)
@@ -133,8 +129,7 @@ def _seam(geometry: SensorGeometry, valid: Sequence[CheckedFrame]) -> Iterator[S
     if not valid:
         return
     y_mm, z_mm = (_median(look.seam_mm[axis] for look in valid) for axis in (0, 1))
-    where = f"{_mm(abs(y_mm))} to the {'left' if y_mm > 0.0 else 'right'} of its nominal line, "
-    where += f"{_mm(abs(z_mm))} {'above' if z_mm > 0.0 else 'below'} it"
+    where = SeamPlace(y_mm, z_mm)
     far = max(abs(y_mm), abs(z_mm)) > FAR_MM
     cure = "correct [joint] seam_in_base_mm, or the poses' base frame"
     yield SetupFinding(
@@ -148,37 +143,9 @@ def _seam(geometry: SensorGeometry, valid: Sequence[CheckedFrame]) -> Iterator[S
     off = f"{course_px:.2g} px, {course_px / geometry.pixels_per_mm:.2g} mm,"
     warning = None
     if course_px > MAX_COURSE_PX:
-        focal_px = _better_focal_px(geometry, valid)
-        camera = geometry.setup.camera
-        cure = (
-            "do [camera] fx, fy, pose_in_tool, [laser] plane_in_tool and the dimensions in [joint] hold?"
-            if focal_px is None
-            else f"[camera] fx, fy: about {focal_px:.0f} px fit, not {camera.fx:.4g}"
-        )
+        cure = "do [camera] fx, fy, pose_in_tool, [laser] plane_in_tool and the dimensions in [joint] hold?"
         warning = f"the stripe runs {off} off the course that the setup expects at this seam; {cure}"
     yield SetupFinding("course", f"the stripe runs {off} off its expected course", warning)
-
-
-def _better_focal_px(geometry: SensorGeometry, valid: Sequence[CheckedFrame]) -> float | None:
-    """Return a focal length with which the stripes lie on the joint decidedly better, None for none."""
-    sights = []
-    for look in valid:
-        if look.track.stripe is None or look.pose is None:
-            continue
-        scan = np.flatnonzero(np.isfinite(look.track.stripe.position_px))
-        points_px = geometry.image_points(scan.astype(np.float64), look.track.stripe.position_px[scan])
-        sights.append(SightedLine(points_px, look.pose.T_base_tool))
-    camera = geometry.setup.camera
-
-    def share(ratio: float) -> float:
-        changed = replace(camera, fx=ratio * camera.fx, fy=ratio * camera.fy)
-        return fit(replace(geometry.setup, camera=changed), sights, FINE).share
-
-    shares = [share(float(ratio)) for ratio in FOCAL_RATIOS]
-    best = int(np.argmax(shares))
-    if shares[best] < max(FITS, share(1.0) + GAIN):
-        return None
-    return float(FOCAL_RATIOS[best] * camera.fx)
 
 
 def _stripe(valid: Sequence[CheckedFrame], exposures_fit: bool) -> Iterator[SetupFinding]:
@@ -292,10 +259,6 @@ def _median(values: Iterable[float]) -> float:
     """Return the median of the values that are known, NaN for none."""
     known = [value for value in values if math.isfinite(value)]
     return float(np.median(known)) if known else math.nan
-
-
-def _mm(value: float) -> str:
-    return f"{value:.1f} mm"
 
 
 def _percent(share: float) -> str:

@@ -43,17 +43,8 @@ MAX_COST_MM = 2.0
 """A frame farther from the seam's straight line than this counts no more."""
 
 
-@dataclass(frozen=True)
-class Fineness:
-    """Resolution of the search: steps of the section's displacement, and tolerance of a point on it."""
-
-    step_mm: float
-    within_mm: float
-    within_px: float
-
-
-COARSE, FINE = Fineness(0.25, 0.3, 1.5), Fineness(0.05, 0.1, 0.5)
-"""For lines that were found anywhere, and for stripes that the tracker has read."""
+STEP_MM, WITHIN_MM, WITHIN_PX = 0.25, 0.3, 1.5
+"""Steps of the section's displacement, and tolerance of a point on it: the larger of mm and px."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +68,10 @@ class LinePoints:
     mm_per_px: float
     flags: int
 
-    def within_mm(self, fineness: Fineness) -> float:
+    @property
+    def within_mm(self) -> float:
         """Largest distance of a point that lies on a section."""
-        return max(fineness.within_mm, fineness.within_px * self.mm_per_px)
+        return max(WITHIN_MM, WITHIN_PX * self.mm_per_px)
 
     @property
     def family(self) -> JointFamily | None:
@@ -105,14 +97,14 @@ class SectionMatch:
     lines: tuple[LinePoints, ...]
 
 
-def fit(setup: Setup, sights: Sequence[SightedLine], fineness: Fineness = COARSE) -> SectionMatch:
+def fit(setup: Setup, sights: Sequence[SightedLine]) -> SectionMatch:
     """Lay the lines over the setup's section."""
     vertices = section(setup.joint).vertices
     lines = [line_points(setup, sight) for sight in sights]
-    placed = [_place(line, vertices, fineness) for line in lines]
+    placed = [_place(line, vertices) for line in lines]
     straight = _straight(np.array([line.station_mm for line in lines]), np.array(placed).reshape(-1, 2))
     shares = [
-        float(_share_on(*_off(line, vertices, place[:1]), place[1:], line.within_mm(fineness))[0])
+        float(_share_on(*_off(line, vertices, place[:1]), place[1:], line.within_mm)[0])
         for line, place in zip(lines, straight, strict=True)
     ]
     on_line = [_torch_is_on_line(setup, sight.T_base_tool) for sight in sights]
@@ -175,12 +167,12 @@ def _off(line: LinePoints, vertices: Float64, y_mm: Float64) -> tuple[Float64, F
     return np.where(beside & across[:, np.newaxis], off, np.nan), 1.0 / np.hypot(1.0, slope[face])
 
 
-def _place(line: LinePoints, vertices: Float64, fineness: Fineness) -> Float64:
+def _place(line: LinePoints, vertices: Float64) -> Float64:
     """Return the displacement (y, z), mm, that puts most points on the section; NaN where none does."""
     if not len(line.y_mm):
         return np.full(2, np.nan)
-    y_mm = np.arange(-SEARCH_REACH_MM, SEARCH_REACH_MM + fineness.step_mm, fineness.step_mm)
-    within_mm = line.within_mm(fineness)
+    y_mm = np.arange(-SEARCH_REACH_MM, SEARCH_REACH_MM + STEP_MM, STEP_MM)
+    within_mm = line.within_mm
     off, cosine = _off(line, vertices, y_mm)
     n_bins = 2 * math.ceil(SEARCH_REACH_MM / within_mm)
     first_mm = -0.5 * n_bins * within_mm

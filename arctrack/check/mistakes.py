@@ -10,8 +10,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from arctrack.check.case import CheckCase
-from noise_model.compiled.arrays import Float64
+from arctrack.nominal import DIMENSIONS
+from noise_model.compiled.arrays import Float64, Integers
 from noise_model.instrument.camera import Camera
+from noise_model.surface.joint import Joint
 from noise_model.transforms import invert
 
 FOCAL_STEP, FOCAL_OVER_WIDTH = 1.04, (0.4, 12.0)
@@ -55,6 +57,20 @@ def focal_lengths(camera: Camera) -> list[Mistake]:
     return [_focal_length(camera.fx, float(ratio * camera.width)) for ratio in ratios]
 
 
+def other_joints(stated: Joint) -> list[Mistake]:
+    """Return the other types of joints as mistakes, with nominal dimensions."""
+    outside_corner = ("fillet", {"included_angle_deg": 270.0})
+    return [
+        Mistake(
+            f"[joint] type = {stated.type!r}: the stripe shows a {name}",
+            f"recording.toml: state {name} and its dimensions",
+            partial(_with_joint, joint=replace(stated, type=name, dimensions=dimensions)),
+        )
+        for name, dimensions in (*DIMENSIONS.items(), outside_corner)
+        if name != stated.type
+    ]
+
+
 def _times() -> Iterator[Mistake]:
     for unit, factor in TIME_UNITS.items():
         cure = "give timestamp_s in seconds"
@@ -87,11 +103,11 @@ def _poses() -> Iterator[Mistake]:
 
 
 def _images() -> Iterator[Mistake]:
-    def frames(what: str, move: Callable[[Float64, int, int], Float64], turns: bool) -> Mistake:
+    def frames(what: str, turn: Callable[[Integers], Integers]) -> Mistake:
         return Mistake(
             f"the frames are {what}",
             "frames: write them as [camera] and [camera.pose_in_tool] state them",
-            partial(_with_images, move=move, turns=turns),
+            partial(_with_images, turn=turn),
         )
 
     yield Mistake(
@@ -104,22 +120,13 @@ def _images() -> Iterator[Mistake]:
         "recording.toml: scale width, height, fx, fy, cx and cy to the frames' size",
         _with_scale,
     )
-    # Points are (x, y) of images of width w and height h.
-    yield frames("rotated by 180°", lambda p, w, h: np.array([w - 1.0, h - 1.0]) - p, turns=False)
-    yield frames("mirrored left to right", lambda p, w, h: _beside(w - 1.0 - p[:, 0], p[:, 1]), turns=False)
-    yield frames("mirrored top to bottom", lambda p, w, h: _beside(p[:, 0], h - 1.0 - p[:, 1]), turns=False)
-    yield frames("transposed", lambda p, w, h: _beside(p[:, 1], p[:, 0]), turns=True)
-    yield frames(
-        "rotated by 90° to the left", lambda p, w, h: _beside(h - 1.0 - p[:, 1], p[:, 0]), turns=True
-    )
-    yield frames(
-        "rotated by 90° to the right", lambda p, w, h: _beside(p[:, 1], w - 1.0 - p[:, 0]), turns=True
-    )
-    yield frames(
-        "transposed and rotated by 180°",
-        lambda p, w, h: _beside(h - 1.0 - p[:, 1], w - 1.0 - p[:, 0]),
-        turns=True,
-    )
+    yield frames("rotated by 180°", lambda image: image[::-1, ::-1])
+    yield frames("mirrored left to right", lambda image: image[:, ::-1])
+    yield frames("mirrored top to bottom", lambda image: image[::-1])
+    yield frames("transposed", lambda image: image.T)
+    yield frames("rotated by 90° to the left", lambda image: np.rot90(image, -1))
+    yield frames("rotated by 90° to the right", np.rot90)
+    yield frames("transposed and rotated by 180°", lambda image: image[::-1, ::-1].T)
 
 
 def _hand_eye() -> Iterator[Mistake]:
@@ -233,10 +240,6 @@ def _numbers(values: Float64) -> str:
     return f"[{', '.join(f'{value + 0.0:.7g}' for value in values)}]"
 
 
-def _beside(x: Float64, y: Float64) -> Float64:
-    return np.stack([x, y], axis=1)
-
-
 def _from_wxyz(T: Float64) -> Float64:
     """Return the pose (4, 4) whose quaternion w x y z was taken for x y z w."""
     w, x, y, z = Rotation.from_matrix(T[:3, :3]).as_quat()
@@ -257,11 +260,9 @@ def _from_unit(T: Float64, factor: float) -> Float64:
     return changed
 
 
-def _with_images(
-    case: CheckCase, move: Callable[[Float64, int, int], Float64], turns: bool
-) -> CheckCase | None:
-    moved = case.with_points(move, turns)
-    return moved if moved.fits_camera else None
+def _with_images(case: CheckCase, turn: Callable[[Integers], Integers]) -> CheckCase | None:
+    turned = case.with_images(turn)
+    return turned if turned.fits_camera else None
 
 
 def _with_size(case: CheckCase) -> CheckCase | None:
@@ -316,10 +317,13 @@ def _with_plane(case: CheckCase, index: int, factor: float) -> CheckCase | None:
     return case.with_setup(replace(case.setup, laser=laser))
 
 
+def _with_joint(case: CheckCase, joint: Joint) -> CheckCase:
+    return case.with_setup(replace(case.setup, joint=joint))
+
+
 def _with_normal_turned(case: CheckCase) -> CheckCase:
     x, y, z = case.setup.joint.surface_normal_in_base
-    joint = replace(case.setup.joint, surface_normal_in_base=(-x, -y, -z))
-    return case.with_setup(replace(case.setup, joint=joint))
+    return _with_joint(case, replace(case.setup.joint, surface_normal_in_base=(-x, -y, -z)))
 
 
 def _with_poses_and_seam_in_mm(case: CheckCase) -> CheckCase | None:
@@ -330,4 +334,4 @@ def _with_seam_in_mm(case: CheckCase) -> CheckCase | None:
     points = tuple((1000.0 * x, 1000.0 * y, 1000.0 * z) for x, y, z in case.setup.joint.seam_in_base_mm)
     if np.abs(points).max() > MAX_REACH_MM:
         return None
-    return case.with_setup(replace(case.setup, joint=replace(case.setup.joint, seam_in_base_mm=points)))
+    return _with_joint(case, replace(case.setup.joint, seam_in_base_mm=points))

@@ -33,8 +33,8 @@ def likely_unit(recording: Recording) -> Hint | None:
         Hint(f"{key} is in {stated}", f"recording.toml: give it in {due}", _share(recording, setup))
         for key, stated, due, setup in _in_other_units(recording.setup)
     ]
-    most = max((hint.share for hint in hints), default=0.0)
-    return either([hint for hint in hints if hint.share == most]) if most >= ENOUGH else None
+    most = max((hint.probability for hint in hints), default=0.0)
+    return either([hint for hint in hints if hint.probability == most]) if most >= ENOUGH else None
 
 
 def _share(recording: Recording, setup: Setup | None = None) -> float:

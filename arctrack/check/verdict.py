@@ -8,12 +8,14 @@ from dataclasses import dataclass
 from arctrack.check.case import case_of, chosen_rows
 from arctrack.check.fit import ENOUGH
 from arctrack.check.hint import Hint, likely_mistake
+from arctrack.check.seam_place import UNKNOWN_PLACE, SeamPlace, seam_place
 from arctrack.check.units import likely_unit
 from arctrack.offset_count import OffsetCount, faults
 from arctrack.recording import Recording
 from arctrack.recording.results import Summary, count_flags, counts_in_words
 from robot_io import GateReason
 from tracker import flags
+from tracker.geometry import SEARCH_REACH_MM
 from tracker.state import Track
 
 MAX_NAMED = 3
@@ -40,12 +42,19 @@ GATE_QUESTIONS: Mapping[GateReason, str] = {
 """Questions to the user where frames are valid, and the gate lets no offset out."""
 
 
+SEAM_QUESTION = (
+    "is the part laid in as stated, and do [laser] plane_in_tool and [camera.pose_in_tool] hold? "
+    "arctrack calibrate check says which"
+)
+"""Question to the user where the seam lies far off, and no known mistake explains that."""
+
+
 @dataclass(frozen=True)
 class RunVerdict:
     """Verdict of a run: its frames, those with the laser on, the valid ones, and the invalid ones' flags.
 
     `offsets` are those that it sent, `reasons` why the gate sent no others, by name. `hint` is the likeliest
-    mistake, None where all is well or nothing known explains it.
+    mistake, None where all is well or nothing known explains it; `seam` where the valid frames have the seam.
     """
 
     frames: int
@@ -55,6 +64,7 @@ class RunVerdict:
     hint: Hint | None
     offsets: OffsetCount
     reasons: Mapping[str, int]
+    seam: SeamPlace = UNKNOWN_PLACE
 
     @property
     def nothing_tracked(self) -> bool:
@@ -77,7 +87,17 @@ class RunVerdict:
         counts = counts_in_words(self.offsets, self.valid, self.laser_on)
         if causes:
             counts += f": {', '.join(f'{name} {count}' for name, count in causes)}"
+        if self.seam_warning is not None:
+            counts += f"; {self.seam_warning}"
         return f"{counts}; {self._what_to_do}" if self.few_tracked else counts
+
+    @property
+    def seam_warning(self) -> str | None:
+        """Warning of a seam that lies where no seam is expected, None for none."""
+        if not self.seam.is_beyond_search:
+            return None
+        cause = SEAM_QUESTION if self.hint is None else f"most likely {self.hint}"
+        return f"the seam lies {self.seam}, and is expected within {SEARCH_REACH_MM:g} mm; {cause}"
 
     @property
     def _what_to_do(self) -> str:
@@ -97,7 +117,8 @@ def is_few(valid: int, laser_on: int, offsets: OffsetCount) -> bool:
 def verdict_on(recording: Recording, tracks: Sequence[Track], summary: Summary) -> RunVerdict:
     """Return what a run over all of a recording's frames comes to."""
     lit = [track for row, track in zip(recording.rows, tracks, strict=True) if row.laser_on]
-    return verdict_of(len(tracks), lit, summary.offset_count, summary.refusals, lambda: _hint_for(recording))
+    seam, offsets = seam_place(recording, lit), summary.offset_count
+    return verdict_of(len(tracks), lit, offsets, summary.refusals, lambda: _hint_for(recording), seam)
 
 
 def verdict_of(
@@ -106,20 +127,20 @@ def verdict_of(
     offsets: OffsetCount,
     reasons: Mapping[str, int],
     seek: Callable[[], Hint | None],
+    seam: SeamPlace = UNKNOWN_PLACE,
 ) -> RunVerdict:
     """Return the verdict on the tracks of frames with the laser on, of `frames` in all.
 
     `reasons` of the gate for what it did not send count the robot's own commands too. `seek` finds the
-    likeliest mistake; it is called where few frames are valid or few offsets sent.
+    likeliest mistake; it is called where few frames are valid, few offsets sent, or the seam is far off.
     """
     valid = sum(track.valid for track in lit)
     counts = count_flags([track for track in lit if not track.valid])
     invalidating = {flag.name for flag in flags.FLAGS if flag.invalidates}
     named = sorted((name for name in counts if name in invalidating), key=lambda name: -counts[name])
-    hint = seek() if is_few(valid, len(lit), offsets) else None
-    return RunVerdict(
-        frames, len(lit), valid, {name: counts[name] for name in named}, hint, offsets, faults(reasons)
-    )
+    hint = seek() if is_few(valid, len(lit), offsets) or seam.is_beyond_search else None
+    shown = {name: counts[name] for name in named}
+    return RunVerdict(frames, len(lit), valid, shown, hint, offsets, faults(reasons), seam=seam)
 
 
 def _hint_for(recording: Recording) -> Hint | None:

@@ -117,6 +117,11 @@ def _judge(image: Image, row: FrameRow, path: Path, setup: Setup) -> Frame | Bad
     problem = image if isinstance(image, str) else _misfit(image, setup)
     if isinstance(image, str) or problem is not None:
         return BadFrame(row, path, str(problem))
+    return frame_of(row, image)
+
+
+def frame_of(row: FrameRow, image: Integers) -> Frame:
+    """Return the frame of an image (H, W) and its line of frames.csv."""
     return Frame(
         index=row.index,
         timestamp_s=row.timestamp_s,

@@ -15,8 +15,9 @@ So rotated and lifted poses separate them, and a tool that only travels does not
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.polynomial.legendre import legval
@@ -54,6 +55,9 @@ GRID_MM, MAX_MODES = 2.0, 6
 FAR = 1e3
 """A residual that counts for one beyond all reach, sigmas."""
 
+STRAY_SHARE = 0.05
+"""Share of the points that may lie on anything else: glints, tacks, what stands next to the joint."""
+
 HUBER = 2.0
 """Huber's bound of residuals, sigmas: upright faces, glints, what lies next to the joint."""
 
@@ -61,14 +65,24 @@ PART_SIGMAS = (2.0, 2.0, 0.02, 0.02, 0.3)
 """1 sigma of how a part lies off its nominal place: sideways and in height, mm, along the seam, mm/mm, and
 turned about it, deg."""
 
+DIMENSION_TOLERANCE, STALE_DIMENSION = 0.03, 0.4
+"""1 sigma of a dimension's logarithm: of a part made to its drawing, and of a wrong drawing."""
+
+OFF_NATS, ALIKE_NATS = 7.0, 6.0
+"""Log likelihood ratio from which the setup as stated does not explain the points, and below which two causes
+cannot be separated: a bent plate makes odds doubtful."""
+
 PART_BLOCK = ("seam_y", "seam_z", "seam_slope_y", "seam_slope_z", "part_roll")
 CAMERA_BLOCK = ("camera_rot_x", "camera_rot_y", "camera_rot_z", "camera_x", "camera_y", "camera_z")
 LASER_BLOCK = ("laser_rot_1", "laser_rot_2", "laser_offset")
 SENSOR_BLOCK = ("sensor_rot_x", "sensor_rot_y", "sensor_rot_z", "sensor_x", "sensor_y", "sensor_z")
 LENS_BLOCK = ("ln_focal",)
+DIMENSION = "ln_"
+"""Beginning of a dimension's name among the parameters: the logarithm of its ratio to the stated."""
 SHAPE_BLOCK = ("shape_0", "shape_1", "shape_2", "shape_3")
 
 AS_STATED, CAMERA, LASER, SENSOR, LENS, PART = "as stated", "camera", "laser", "sensor", "lens", "part"
+DIMENSIONS = "dimensions"
 
 BLOCKS: Mapping[str, tuple[str, ...]] = {
     CAMERA: CAMERA_BLOCK,
@@ -113,9 +127,10 @@ class StripeSight:
 class Cause:
     """A part of the setup that is off, as an explanation of the stripes.
 
-    `ln_evidence` is ln Z, `values` what it would take by parameter name, in deg, mm and ln, `fit` the fit
-    behind them; `rms_px` how far the stripes then lie off their places, by a robust measure. `turn_deg` and
-    `move_mm` are the turn and the move of the part in all; of the lens `turn_deg` is 0, and `move_mm` too.
+    `ln_evidence` is ln Z less that of a line which leaves its course anywhere. `values` is what it would take
+    by parameter name, in deg, mm and ln, `fit` the fit behind them; `rms_px` how far the stripes then lie off
+    their places, by a robust measure. `turn_deg` and `move_mm` are the turn and the move of the part in all,
+    0 of the lens and of dimensions.
     """
 
     name: str
@@ -159,7 +174,7 @@ class StripePlace:
     @property
     def is_explained(self) -> bool:
         """True if the setup as stated explains the stripes."""
-        return self.gain_nats < 7.0
+        return self.gain_nats < OFF_NATS
 
     @property
     def likely(self) -> tuple[Cause, ...]:
@@ -168,7 +183,7 @@ class StripePlace:
             return ()
         best = self.causes[0].ln_evidence
         # A bent plate makes odds doubtful: parts within 6 nats cannot be separated.
-        return tuple(cause for cause in self.causes if cause.ln_evidence > best - 6.0)
+        return tuple(cause for cause in self.causes if cause.ln_evidence > best - ALIKE_NATS)
 
     @property
     def best(self) -> Cause:
@@ -186,6 +201,22 @@ class StripePlace:
         before, here, after = self.bends.y_mm(cause.values, about)
         bent = float(after - before) / GRID_MM
         return SeamLine(self.middle_mm, y + float(here), z, slope_y + bent, slope_z)
+
+
+def explain_stripes(
+    setup: Setup, sights: Sequence[StripeSight], names: Sequence[str]
+) -> tuple[float, list[Cause]]:
+    """Return how far stripes lie off their nominal places, median, px, and what explains them by each name.
+
+    The later names are fitted from where the first one's fit ends.
+
+    Raises ValueError where no stripe meets the laser plane in front of the camera.
+    """
+    with one_thread():
+        problem = _StripePlaceProblem.of(setup, sights)
+        first = problem.explain(names[0], problem.coarse_place())
+        causes = [first, *(problem.explain(name, first.values) for name in names[1:])]
+        return problem.displacement(first.fit)[0], causes
 
 
 def locate_stripes(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
@@ -263,12 +294,17 @@ class SeamBends:
 
 @dataclass(frozen=True, eq=False)
 class _StripePlaceProblem:
-    """Points (n, 2) of all frames with T_joint_tool (n, 4, 4), their 1 sigma (n,), px, across the stripe."""
+    """Points (n, 2) of all frames with T_joint_tool (n, 4, 4), their 1 sigma (n,), px, across the stripe.
+
+    `course_px` is the distance of two neighbours along the stripe: so far a line may leave its course between
+    them to either side.
+    """
 
     setup: Setup
     points_px: Float64
     T_joint_tool: Float64
     sigma_px: Float64
+    course_px: float
     middle_mm: float
     bends_px: Float64
     across: Float64
@@ -293,6 +329,8 @@ class _StripePlaceProblem:
         off_mm = _off_section(true, in_joint)
         mm_per_px = np.abs(_off_section(true, transform_each(T_joint_tool, shifted)) - off_mm)
         known = np.isfinite(mm_per_px) & (mm_per_px > 0.0) & (np.abs(off_mm) < MAX_OFF_MM)
+        camera = true.camera
+        along_px = camera.width if stripe_runs_along_rows(true) else camera.height
         vertices = section(true.joint).vertices
         uprights_mm = vertices[:-1][np.diff(vertices[:, 0]) == 0.0, 0]
         near_mm = np.abs(in_joint[:, 1:2] - uprights_mm).min(axis=1, initial=np.inf)
@@ -305,6 +343,7 @@ class _StripePlaceProblem:
             points_px=points_px[known],
             T_joint_tool=T_joint_tool[known],
             sigma_px=np.hypot(sigma_px, MIN_SIGMA_MM / np.where(known, mm_per_px, 1.0))[known],
+            course_px=along_px / BINS_A_FRAME,
             middle_mm=float(np.median(in_joint[known, 0])),
             bends_px=_bends(points_px, true)[:, known],
             across=across,
@@ -318,7 +357,7 @@ class _StripePlaceProblem:
             {"seam_y": y, "seam_z": z} for z in np.arange(-18.0, 18.5, 1.5) for y in np.arange(-6.0, 7.0, 3.0)
         ]
         nothing = dict.fromkeys((*PART_BLOCK, *SHAPE_BLOCK, *self.bends.names), 0.0)
-        costs = [_robust_cost(self.residuals({**nothing, **place})) for place in places]
+        costs = [float(_robust_costs(self.residuals({**nothing, **place})).sum()) for place in places]
         return places[int(np.argmin(costs))]
 
     def explain(self, name: str, *starts: Mapping[str, float]) -> Cause:
@@ -336,8 +375,16 @@ class _StripePlaceProblem:
         ln_volume = 0.5 * ln_correlation + float(np.log(result.sigmas / sigmas).sum())
         turn, move = _size(name, [values[n] for n in BLOCKS.get(name, ())])
         rms_px = sigma_of(residuals * self.sigma_px)
-        cost = _robust_cost(residuals) + float(np.sum((result.values / sigmas) ** 2))
-        return Cause(name, ln_volume - 0.5 * cost, result, values, rms_px, turn, move)
+        ln_prior = -0.5 * float(np.sum((result.values / sigmas) ** 2))
+        return Cause(
+            name, ln_volume + ln_prior + self._ln_likelihood(residuals), result, values, rms_px, turn, move
+        )
+
+    def _ln_likelihood(self, residuals: Float64) -> float:
+        """Return the log likelihood of residuals (n,) over that of points anywhere on a line's way."""
+        ln_course = np.log(2.0 * self.course_px / (math.sqrt(2.0 * math.pi) * self.sigma_px))
+        ln_points = ln_course - 0.5 * _robust_costs(residuals)
+        return float(np.logaddexp(math.log1p(-STRAY_SHARE) + ln_points, math.log(STRAY_SHARE)).sum())
 
     def _fit(self, parameters: Sequence[Parameter], start: Float64) -> Fit:
         names = [parameter.name for parameter in parameters]
@@ -356,6 +403,10 @@ class _StripePlaceProblem:
             **_by_name(LASER_BLOCK, (deg, deg, mm)),
             # Lens, sheet and plate bend all stripes: Legendre's polynomials along them, px.
             **_by_name(SHAPE_BLOCK, (0.5, 0.5, 0.5, 0.3)),
+            **dict.fromkeys(
+                (DIMENSION + n for n, value in self.setup.joint.dimensions.items() if value > 0.0),
+                STALE_DIMENSION if name == DIMENSIONS else DIMENSION_TOLERANCE,
+            ),
             **dict.fromkeys(self.bends.names, 1.0),
             **STALE.get(name, {}),
         }
@@ -363,12 +414,27 @@ class _StripePlaceProblem:
 
     def residuals(self, x: Mapping[str, float]) -> Float64:
         """Return the residuals (n,) of the stripe's points, in their sigmas."""
-        setup = with_changes(self.setup, x)
+        try:
+            setup = self._setup_with(tuple(x.get(name, 0.0) for name in self.setup_names))
+        except ValueError:
+            # Dimensions that no joint has.
+            return np.full(len(self.points_px), FAR)
         seen_px = self.points_px + np.tensordot([x[name] for name in SHAPE_BLOCK], self.bends_px, axes=1)
         here_mm, shifted_mm = (self._off_mm(setup, seen_px + step, x) for step in (0.0, self.across))
         with np.errstate(divide="ignore", invalid="ignore"):
             off_px = here_mm / (shifted_mm - here_mm)
         return np.clip(np.nan_to_num(off_px / self.sigma_px, nan=FAR), -FAR, FAR)
+
+    @cached_property
+    def setup_names(self) -> tuple[str, ...]:
+        """Names of the parameters that change the setup."""
+        dimensions = (DIMENSION + name for name in self.setup.joint.dimensions)
+        return (*CAMERA_BLOCK, *LASER_BLOCK, *SENSOR_BLOCK, *LENS_BLOCK, *dimensions)
+
+    @cached_property
+    def _setup_with(self) -> Callable[[tuple[float, ...]], Setup]:
+        """The setup with parameters of some values; half of all derivatives ask for the one before."""
+        return lru_cache(maxsize=2)(lambda x: with_changes(self.setup, _by_name(self.setup_names, x)))
 
     def _off_mm(self, setup: Setup, points_px: Float64, x: Mapping[str, float]) -> Float64:
         in_joint = transform_each(self.T_joint_tool, to_laser_plane(setup, points_px)[0])
@@ -394,7 +460,10 @@ class _StripePlaceProblem:
 
 
 def with_changes(setup: Setup, x: Mapping[str, float]) -> Setup:
-    """Return a setup whose camera, laser, sensor and lens are changed by parameters, deg, mm and ln."""
+    """Return a setup whose camera, laser, sensor, lens and joint are changed by parameters, deg, mm and ln.
+
+    Raises ValueError for dimensions that no joint has.
+    """
     camera, laser = setup.camera, setup.laser
     T_tool_camera = _move_pose(camera.T_tool_camera, x, CAMERA_BLOCK)
     plane = _turn_plane(laser.plane, laser.point_mm, *(x.get(name, 0.0) for name in LASER_BLOCK))
@@ -402,7 +471,13 @@ def with_changes(setup: Setup, x: Mapping[str, float]) -> Setup:
     n_x, n_y, n_z, d = (plane @ T_tool_camera @ invert(T_tool_moved)).tolist()
     factor = math.exp(x.get("ln_focal", 0.0))
     camera = replace(camera, T_tool_camera=T_tool_moved, fx=factor * camera.fx, fy=factor * camera.fy)
-    return replace(setup, camera=camera, laser=replace(laser, plane_in_tool=(n_x, n_y, n_z, d)))
+    changed = replace(setup, camera=camera, laser=replace(laser, plane_in_tool=(n_x, n_y, n_z, d)))
+    ratios = {n: x[DIMENSION + n] for n in setup.joint.dimensions if x.get(DIMENSION + n)}
+    if not ratios:
+        return changed
+    stated = setup.joint.dimensions
+    dimensions = {**stated, **{n: stated[n] * math.exp(r) for n, r in ratios.items()}}
+    return replace(changed, joint=replace(setup.joint, dimensions=dimensions))
 
 
 def _move_pose(T: Float64, x: Mapping[str, float], block: Sequence[str]) -> Float64:
@@ -457,9 +532,9 @@ def _bin_points(points_px: Float64) -> tuple[Float64, Float64]:
     return middles, np.array(sigmas)
 
 
-def _robust_cost(residuals: Float64) -> float:
-    """Return Huber's sum over residuals (n,)."""
-    return 2.0 * float(huber(HUBER, residuals).sum())
+def _robust_costs(residuals: Float64) -> Float64:
+    """Return what each residual (n,) costs by Huber's rule."""
+    return np.asarray(2.0 * huber(HUBER, residuals))
 
 
 def _size(name: str, block: Sequence[float]) -> tuple[float, float]:

@@ -157,6 +157,15 @@ def _key(table: str, name: str, change: Callable[[float], float]) -> Callable[[P
     return lambda path: edit_setup(path, edit)
 
 
+def sheet_moved(path: Path) -> None:
+    """Move the laser's sheet by 3 mm."""
+
+    def edit(document: Any) -> None:
+        document["laser"]["plane_in_tool"][3] += 3.0
+
+    edit_setup(path, edit)
+
+
 def _metres(value: float) -> float:
     return 0.001 * value
 
@@ -248,8 +257,16 @@ MISTAKES: dict[str, tuple[Callable[[Path], None], str]] = {
     "depth in m": (_key("joint", "depth_mm", _metres), "[joint] depth_mm is in m"),
     "angle in rad": (_key("joint", "included_angle_deg", np.deg2rad), "[joint] included_angle_deg is in rad"),
     "laser's origin in m": (_key("laser", "origin_in_tool_mm", _metres), "[laser] origin_in_tool_mm is in m"),
-    "stripe's sigma in m": (_key("laser", "stripe_sigma_mm", _metres), "[laser] stripe_sigma_mm is in m"),
+    "stripe's sigma in m": (
+        _key("laser", "stripe_sigma_mm", _metres),
+        "[laser] stripe_sigma_mm: the stripe",
+    ),
     "tolerance in m": (_key("tolerance", "seam_mm", _metres), "[tolerance] seam_mm is in m"),
+    "sheet moved": (sheet_moved, "the whole stripe lies 9.4 px off its place: [laser]"),
+    "stripe five times as wide": (
+        _key("laser", "stripe_sigma_mm", lambda value: 0.2 * value),
+        "[laser] stripe_sigma_mm: the stripe is 1.73 px wide, 1 sigma, 0.765 px",
+    ),
     "focal length in mm": (_focal(16.2 / 2190.0), "[camera] fx, fy: about"),
 }
 """Each mistake: what spoils a recording of a V-groove, and what the hint says of it."""

@@ -3,7 +3,8 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -12,7 +13,8 @@ from mistaken import MISTAKES, edit_frames, edit_setup, edit_table, scale
 from typer.testing import CliRunner
 
 from arctrack.check.case import CheckCase, case_of, chosen_rows
-from arctrack.check.hint import likely_mistake
+from arctrack.check.explanations import WeighedCause
+from arctrack.check.hint import hint_of, likely_mistake
 from arctrack.check.named_keys import named_keys
 from arctrack.cli import app
 from arctrack.cli.exit_codes import BAD_INPUT, NOTHING_TRACKED
@@ -23,6 +25,7 @@ from noise_model.setup import Setup
 
 LITTLE_SPECKLE = {"laser_speckle": {"contrast": 0.01, "grain_px": 0.5}}
 ARE_VALID = "frames with the laser on are valid"
+SEAM_6_MM_ABOVE = [[-100.0, 0.0, 6.5], [1000.0, 0.0, 6.5]]
 SEAM_4_MM_ASIDE = [[-100.0, 4.0, 0.0], [1000.0, 4.0, 0.0]]
 
 
@@ -112,6 +115,23 @@ def test_frames_that_are_valid_and_send_nothing(weaving: Path, tmp_path: Path) -
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert (summary["frames"]["laser_on"], summary["offsets"]["wanted"]) == (11, 10)
     assert checked(path, tmp_path / "check.raw")[0] == NOTHING_TRACKED
+
+
+@pytest.mark.slow
+def test_a_seam_beyond_its_search_is_not_valid_without_a_word(weaving: Path, tmp_path: Path) -> None:
+    """Coarse pixels reach farther in height than the seam is expected; the exit code stays that of a run."""
+    path = Path(shutil.copytree(weaving, tmp_path / "r"))
+    edit_setup(path, lambda document: document["joint"].update(seam_in_base_mm=SEAM_6_MM_ABOVE))
+    code, said = replayed(path, tmp_path / "out")
+    assert code == 0, said
+    place = "the seam lies 0.1 mm to the right of its nominal line, 6.1 mm below it"
+    lies = f"{place}, and is expected within 5 mm; is the part laid in as stated"
+    said = " ".join(said.split())
+    assert said.count(lies) == 2
+    assert f"arctrack: warning: {path}: {lies}" in said
+    command = ["replay", str(path), "--no-pictures", "--resume", "--out", str(tmp_path / "out")]
+    again = CliRunner().invoke(app, command).output
+    assert " ".join(again.split()).count(lies) == 2
 
 
 @pytest.mark.slow
@@ -220,6 +240,41 @@ def test_what_parts_is_warned_of_with_numbers(
     spoil(path)
     _, said = checked(path, tmp_path / "check.raw")
     assert warning in said
+
+
+def explained(what: str, ln_posterior: float, n_read: int) -> WeighedCause:
+    """Return what explains a case of ten frames of which the tracker then reads some."""
+    case = SimpleNamespace(rows=[None] * 10, n_read=n_read)
+    return WeighedCause(what, f"mend {what}", cast("CheckCase", case), ln_posterior, 0.9)
+
+
+AS_STATED, UNKNOWN = explained("", 0.0, 0), WeighedCause("", "", None, 5.0, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("ranked", "said"),
+    [
+        ([], None),
+        ([explained("", 100.0, 10), explained("lens", 99.0, 10)], None),
+        ([explained("lens", 103.0, 10), explained("", 100.0, 8)], None),
+        ([UNKNOWN, AS_STATED], None),
+        ([explained("laser", 100.0, 10), UNKNOWN, AS_STATED], "laser; mend laser"),
+        (
+            [explained("laser", 100.0, 10), explained("part", 99.0, 10), UNKNOWN],
+            "laser; mend laser; or else part; mend part",
+        ),
+        ([explained("laser", 100.0, 0), explained("part", 99.0, 10), UNKNOWN], "part; mend part"),
+        (
+            [explained("laser", 100.0, 4), UNKNOWN],
+            "laser; with that alone mended the tracker does not read the frames: look for another mistake "
+            "too",
+        ),
+    ],
+    ids=["no case", "as stated", "nearly as stated", "unknown", "one", "two", "tried in vain", "no cure"],
+)
+def test_only_a_cure_that_lets_frames_be_read_is_named(ranked: list[WeighedCause], said: str | None) -> None:
+    hint = hint_of(ranked)
+    assert (None if hint is None else str(hint)) == said
 
 
 def test_the_keys_that_a_line_names_are_explained() -> None:

@@ -1,0 +1,224 @@
+"""What most likely is wrong in a recording: one likelihood over all causes that are known.
+
+Each cause is tried on the case: its cure is applied, and three things are measured anew. They are where the
+bright lines lie (`calibration.check.stripe_place`, Laplace's evidence), how wide the stripe is, and how many
+of the frames the tracker reads. With p the cause's prior,
+
+    ln P = ln p + ln Z(lines) + ln N(ln of the width's ratio) + ln BetaBinomial(frames read) + const.
+
+"Unknown" explains any continuous line, any width and any number of frames read alike. So it wins where no
+known cause explains the case, and nowhere else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import softmax
+from scipy.stats import betabinom, norm
+
+from arctrack.check.case import CheckCase
+from arctrack.check.mistakes import Mistake, common_mistakes, focal_lengths, other_joints
+from arctrack.check.stale_parts import MOVED_PARTS, STALE_PARTS, stale_part
+from arctrack.check.stripe_width import StripeWidth, stripe_width
+from calibration.check.stripe_place import (
+    AS_STATED,
+    DIMENSIONS,
+    LENS,
+    Cause,
+    StripeSight,
+    explain_stripes,
+    with_changes,
+)
+from noise_model.evenly import evenly
+from tracker.joint.type_check import JointFamily, family_of
+
+MAX_FITTED = 6
+"""Number of common mistakes whose evidence is computed: those that lay most of the lines on the joint."""
+
+MAX_LAID = 6
+"""Number of frames whose lines count."""
+
+MAX_TRIED = 6
+"""Number of causes whose cure the tracker tries, the likeliest by the lines first."""
+
+READ, READ_UNKNOWN = (4.0, 1.0), (1.0, 1.0)
+"""Beta law of the share of frames that the tracker reads: of a right setup, and where nothing is known."""
+
+WIDTH_SPREAD, WRONG_WIDTH_SPREAD = 0.1, 1.0
+"""1 sigma of the logarithm of measured over stated width: of a right setup, and of any other."""
+
+LN_PRIOR_STALE, LN_PRIOR_LENS, LN_PRIOR_MISTAKE, LN_PRIOR_UNKNOWN = -2.0, -5.0, -4.0, -4.0
+"""ln of the odds to a right setup: of a stale part, of a stale lens, of one mistake, of none of them."""
+
+ORDER_NATS = 0.5
+"""What a mistake in the list of the common ones is rarer than the one before it."""
+
+EQUAL_SHARE = 0.02
+"""Shares of the lines on the joint that differ by less are the same."""
+
+POOLED_NATS = 2.0
+"""Nats of evidence that count for one in a probability: neighbouring points on one plate err alike."""
+
+
+@dataclass(frozen=True, eq=False)
+class WeighedCause:
+    """A cause and its cure, both empty for none; `case` is the one without that mistake, None for "unknown".
+
+    `ln_posterior` is relative to that of the others, `seen` what was measured that shows the cause.
+    """
+
+    what: str
+    cure: str
+    case: CheckCase | None
+    ln_posterior: float
+    probability: float = math.nan
+    seen: str = ""
+
+    @property
+    def name(self) -> str:
+        """The cause in words."""
+        return self.what or ("unknown" if self.case is None else "as stated")
+
+    @property
+    def is_as_stated(self) -> bool:
+        """True for the explanation that nothing is wrong."""
+        return self.case is not None and not self.what
+
+    @property
+    def is_read(self) -> bool:
+        """True if the tracker reads most frames of the case without the mistake."""
+        return self.case is not None and 2 * self.case.n_read >= len(self.case.rows)
+
+
+def explanations(case: CheckCase) -> list[WeighedCause]:
+    """Return the explanations of a case, the likeliest first: as stated, each mistake, each part, unknown."""
+    width = stripe_width(case)
+    untried = sorted(_explained(case, width), key=lambda explanation: -explanation.ln_posterior)
+    tried = [_tried(explanation) for explanation in untried[:MAX_TRIED]]
+    n = len(case.rows)
+    unknown = LN_PRIOR_UNKNOWN + _ln_width(width.ln_ratio, WRONG_WIDTH_SPREAD) + _ln_read(0, n, READ_UNKNOWN)
+    tried.append(WeighedCause("", "", None, unknown))
+    shares = softmax([explanation.ln_posterior / POOLED_NATS for explanation in tried])
+    ranked = [replace(each, probability=float(share)) for each, share in zip(tried, shares, strict=True)]
+    return sorted(ranked, key=lambda explanation: -explanation.ln_posterior)
+
+
+def _tried(explanation: WeighedCause) -> WeighedCause:
+    assert explanation.case is not None
+    ln_read = _ln_read(explanation.case.n_read, len(explanation.case.rows), READ)
+    return replace(explanation, ln_posterior=explanation.ln_posterior + ln_read)
+
+
+def _explained(case: CheckCase, width: StripeWidth) -> Iterator[WeighedCause]:
+    """Yield what explains the lines and the width, before a cure is tried."""
+    ln_width = _ln_width(width.ln_ratio, WIDTH_SPREAD)
+    off_px, causes = _causes(case, (AS_STATED, *STALE_PARTS))
+    for cause in causes:
+        if cause.name != AS_STATED:
+            what, cure, mended = stale_part(case, cause, case.setup)
+            ln_prior = LN_PRIOR_LENS if cause.name == LENS else LN_PRIOR_STALE
+            lies = f"the whole stripe lies {abs(off_px):.1f} px off its place: "
+            seen = lies if cause.name in MOVED_PARTS else ""
+            yield WeighedCause(what, cure, mended, ln_prior + ln_width + cause.ln_evidence, seen=seen)
+            continue
+        yield WeighedCause("", "", case, ln_width + cause.ln_evidence)
+        if math.isfinite(width.ln_ratio):
+            ln_any_width = _ln_width(width.ln_ratio, WRONG_WIDTH_SPREAD)
+            yield _wrong_width(case, width, LN_PRIOR_STALE + ln_any_width + cause.ln_evidence)
+    for order, (mistake, mended) in enumerate(_on_the_joint(case)):
+        for cause in _causes(mended, (AS_STATED,))[1]:
+            ln_posterior = LN_PRIOR_MISTAKE - ORDER_NATS * order + ln_width + cause.ln_evidence
+            yield WeighedCause(mistake.what, mistake.cure, mended, ln_posterior)
+    for lens in _other_lenses(case):
+        for cause in _causes(lens, (LENS,))[1]:
+            what, cure, mended = stale_part(lens, cause, case.setup)
+            yield WeighedCause(what, cure, mended, LN_PRIOR_LENS + ln_width + cause.ln_evidence)
+    for mistake, mended in _shown_joints(case):
+        for cause in _causes(mended, (DIMENSIONS,))[1]:
+            fitted = mended.with_setup(with_changes(mended.setup, cause.values))
+            ln_posterior = LN_PRIOR_MISTAKE + ln_width + cause.ln_evidence
+            yield WeighedCause(mistake.what, mistake.cure, fitted, ln_posterior)
+
+
+def _shown_joints(case: CheckCase) -> Iterator[tuple[Mistake, CheckCase]]:
+    """Yield the other types of joints that most of the lines look like which do not look like a plate."""
+    families = Counter(line.family for line in case.fit().lines) if case.fits_camera else Counter()
+    for nothing in (None, JointFamily.FLAT, family_of(case.setup.joint)):
+        families.pop(nothing, None)
+    if not families:
+        return
+    for mistake in other_joints(case.setup.joint):
+        mended = mistake.undo(case)
+        if mended is not None and family_of(mended.setup.joint) is families.most_common(1)[0][0]:
+            yield mistake, mended
+
+
+def _causes(case: CheckCase, names: Sequence[str]) -> tuple[float, list[Cause]]:
+    """Return how far the lines lie off, px, and what explains them by each name, none where no line can."""
+    posed = [
+        StripeSight(*pair)
+        for pair in zip(case.points_px, case.T_base_tool, strict=True)
+        if len(pair[0]) and np.isfinite(pair[1]).all()
+    ]
+    posed = [posed[n] for n in evenly(len(posed), MAX_LAID)]
+    if not posed or not case.fits_camera:
+        return math.nan, []
+    try:
+        return explain_stripes(case.setup, posed, names)
+    except ValueError:
+        return math.nan, []
+
+
+def _on_the_joint(case: CheckCase) -> list[tuple[Mistake, CheckCase]]:
+    """Return the common mistakes without which most of the lines lie on the joint, the commonest first."""
+    undone = _undone(case, common_mistakes(case.T_tool_controllertool))
+    best = sorted(undone, key=lambda entry: -entry[0])[:MAX_FITTED]
+    return [(mistake, mended) for share, mistake, mended in undone if share >= best[-1][0]]
+
+
+def _other_lenses(case: CheckCase) -> list[CheckCase]:
+    """Return the case with the focal length that lays most of the lines on the joint, none for the stated."""
+    undone = _undone(case, focal_lengths(case.setup.camera))
+    most = max((share for share, _, _ in undone), default=0.0)
+    best = [mended for share, _, mended in undone if share >= most - EQUAL_SHARE]
+    return best[len(best) // 2 :][:1]
+
+
+def _undone(case: CheckCase, mistakes: Iterable[Mistake]) -> list[tuple[float, Mistake, CheckCase]]:
+    """Return each mistake without which more of the lines lie on the joint: that share, it, the case."""
+    stated = case.fit().share if case.fits_camera else 0.0
+    undone = []
+    for mistake in mistakes:
+        try:
+            mended = mistake.undo(case)
+            share = 0.0 if mended is None or not mended.fits_camera else mended.fit().share
+        except ValueError:
+            # Numbers that no setup can hold.
+            continue
+        if mended is not None and share > stated + EQUAL_SHARE:
+            undone.append((share, mistake, mended))
+    return undone
+
+
+def _wrong_width(case: CheckCase, width: StripeWidth, ln_posterior: float) -> WeighedCause:
+    mended = width.mended(case)
+    laser = mended.setup.laser
+    what = (
+        f"[laser] stripe_sigma_mm: the stripe is {width.measured_px:.3g} px wide, 1 sigma, "
+        f"{width.stated_px:.3g} px as stated"
+    )
+    cure = f"recording.toml: stripe_sigma_mm = {laser.stripe_sigma_mm:.3g} fits, or focus laser and lens"
+    return WeighedCause(what, cure, mended, ln_posterior)
+
+
+def _ln_width(ln_ratio: float, spread: float) -> float:
+    return float(norm.logpdf(ln_ratio, scale=spread)) if math.isfinite(ln_ratio) else 0.0
+
+
+def _ln_read(n_read: int, n: int, law: tuple[float, float]) -> float:
+    return float(betabinom.logpmf(n_read, n, *law))
