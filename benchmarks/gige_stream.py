@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from arctrack.control.cell_file import CameraChoice, CaptureChoice
-from arctrack.live.serve.captured import CapturedCamera
+from arctrack.live.serve.captured_camera import CapturedCamera
 from arctrack.nominal import nominal_setup
 from tracker.state import Frame
 

@@ -105,14 +105,14 @@ def serve_cell_file(
             )
             done, refused = schedule(cell.process)
         with stoppable(signal.SIGUSR1) as came:
-            beside = live.beside
-            console.warn([*refused, *(() if beside is None else beside.warnings)])
-            page = [] if beside is None or beside.page is None else [f"page: {beside.page}"]
+            journal = live.journal
+            console.warn([*refused, *(() if journal is None else journal.warnings)])
+            page = [] if journal is None or journal.page is None else [f"page: {journal.page}"]
             port = f", port {bus_options['port']}" if "port" in bus_options else ""
             ready = f"ready: {cell.camera.kind} {cell.camera.name}, bus {cell.bus}{port}"
             console.say(*done, *page, f"{ready}; Ctrl-C ends it")
             notifier.ready(ready)
-            black_box = None if beside is None else beside.black_box
+            black_box = None if journal is None else journal.black_box
             ends_s = math.inf if seconds is None else time.monotonic() + seconds
 
             is_told = False

@@ -18,9 +18,9 @@ import numpy.typing as npt
 from arctrack.live.journal.private_memory import private_path
 from arctrack.live.journal.records import (
     Entry,
+    FrameView,
     GapReport,
-    HeardPose,
-    SeenFrame,
+    ReceivedPose,
     Status,
     pack,
     pack_entry,
@@ -91,7 +91,7 @@ class Journal:
         height, width = shape
         image_bytes = height * width * np.dtype(dtype).itemsize
         self.lost = 0
-        self._poses: deque[HeardPose] = deque(maxlen=POSES)
+        self._poses: deque[ReceivedPose] = deque(maxlen=POSES)
         self._rings: list[RingWriter] = []
         try:
             self._entries = self._ring(entries_name(name), slots, ENTRY_BYTES + image_bytes)
@@ -102,11 +102,11 @@ class Journal:
             self.close()
             raise
 
-    def hear(self, pose: HeardPose) -> None:
+    def add_pose(self, pose: ReceivedPose) -> None:
         """Keep a pose for the next entry; the oldest go where there are many."""
         self._poses.append(pose)
 
-    def add(self, entry: Entry) -> int:
+    def write_entry(self, entry: Entry) -> int:
         """Write an entry with the poses since the one before, and return its position."""
         poses = tuple(self._poses)
         self._poses.clear()
@@ -116,14 +116,14 @@ class Journal:
             self.lost += 1
         return self._entries.count - 1
 
-    def show(self, view: SeenFrame) -> None:
+    def write_view(self, view: FrameView) -> None:
         """Write the newest view."""
         try:
             self._views.write(pack(view))
         except ValueError:
             self.lost += 1
 
-    def tell(self, status: Status) -> None:
+    def write_status(self, status: Status) -> None:
         """Write how the run stands."""
         self._statuses.write(pack(status))
 
@@ -168,9 +168,9 @@ class JournalReader:
         record = self._entries.read(position)
         return None if record is None else unpack_entry(record)
 
-    def newest_view(self) -> SeenFrame | None:
+    def newest_view(self) -> FrameView | None:
         """Return the newest view, None before the first."""
-        view: SeenFrame | None = _newest(self._views)
+        view: FrameView | None = _newest(self._views)
         return view
 
     def status(self) -> Status | None:

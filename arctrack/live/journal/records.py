@@ -37,7 +37,7 @@ BUCKETS_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 60.0)
 
 
 @dataclass(frozen=True)
-class HeardPose:
+class ReceivedPose:
     """A pose of the robot, its time on the frames' clock, and when it was read, s."""
 
     sample: PoseSample
@@ -59,7 +59,7 @@ class Entry:
     track: Track
     offset: SeamOffset | None
     job_number: int
-    poses: tuple[HeardPose, ...] = ()
+    poses: tuple[ReceivedPose, ...] = ()
     arrived_s: float = NAN
     sent_s: float = NAN
     took_ms: float = NAN
@@ -69,7 +69,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class SeenFrame:
+class FrameView:
     """Intermediate results of a frame, for display; `position` is that of its entry, counted from the first.
 
     The seam was expected at `seam`, within `reach_mm`; `track` has its stripe. Parts that were not computed
@@ -161,7 +161,7 @@ class GapReport:
     arc_height_sigma_mm: float = NAN
 
 
-_PACKER = Packer((Entry, SeenFrame, Status, GapReport))
+_PACKER = Packer((Entry, FrameView, Status, GapReport))
 
 
 def pack(record: object) -> bytes:

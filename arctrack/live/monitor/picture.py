@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from arctrack.live.journal.records import Entry, SeenFrame
+from arctrack.live.journal.records import Entry, FrameView
 from arctrack.replay.pages.seen import ReplayedFrame
 from arctrack.replay.pages.view import Profile, Viewer
 from noise_model.arc.map import arc_kernel
@@ -58,7 +58,7 @@ class Painter:
         self._setups = setups
         self._viewers: dict[int, Viewer] = {}
 
-    def paint(self, entry: Entry, view: SeenFrame) -> MonitorPicture:
+    def paint(self, entry: Entry, view: FrameView) -> MonitorPicture:
         """Return the picture of an entry with its view."""
         viewer = self._viewer(entry.job_number)
         reading = _reading(viewer.geometry.setup, entry, view)
@@ -87,7 +87,7 @@ class Painter:
         message = struct.pack("<BxxxI", PICTURE, len(header)) + header + jpeg
         return MonitorPicture(view.position, message, jpeg)
 
-    def heat(self, entry: Entry, view: SeenFrame) -> bytes:
+    def heat(self, entry: Entry, view: FrameView) -> bytes:
         """Return a message with the light of the arc that is expected in an entry's frame."""
         geometry = self._viewer(entry.job_number).geometry
         # 80 cells along the image's longer side.
@@ -100,7 +100,7 @@ class Painter:
         png = cv2.imencode(".png", picture)[1].tobytes()
         return struct.pack("<BxxxI", HEAT, len(header)) + header + png
 
-    def _heat_e(self, geometry: SensorGeometry, spacing: int, entry: Entry, view: SeenFrame) -> Float32:
+    def _heat_e(self, geometry: SensorGeometry, spacing: int, entry: Entry, view: FrameView) -> Float32:
         """Return the arc's light (n,) on a grid of pixels, e-; NaN where none is expected."""
         scan, position = geometry.lattice(spacing)
         reading = _reading(geometry.setup, entry, view)
@@ -118,7 +118,7 @@ class Painter:
         return self._viewers[job_number]
 
 
-def _reading(setup: Setup, entry: Entry, view: SeenFrame) -> Reading | None:
+def _reading(setup: Setup, entry: Entry, view: FrameView) -> Reading | None:
     """Return the look at a frame that its view was made of, None where none was taken."""
     pose = entry.inputs.pose
     if pose is None or view.seam is None or view.arc is None:

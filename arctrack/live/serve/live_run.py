@@ -26,9 +26,9 @@ from arctrack.live.cameras.recording import RecordingCamera
 from arctrack.live.cameras.shared_frames import SharedFramesError
 from arctrack.live.cameras.shared_memory import SharedMemoryCamera
 from arctrack.live.journal.message_pipe import PipeClient, message_pipe
-from arctrack.live.serve.captured import CapturedCamera
+from arctrack.live.serve.captured_camera import CapturedCamera
 from arctrack.live.serve.exposure import ExposureChooser
-from arctrack.live.serve.kept import JournalProcesses, kept
+from arctrack.live.serve.journal_processes import JournalProcesses, open_journal
 from arctrack.live.serve.lag_process import estimate_lags
 from arctrack.live.serve.loop import LiveLoop, LiveSeam, LoopResult, OnTrack
 from arctrack.live.serve.notify import Notifier
@@ -58,7 +58,7 @@ class LiveRun:
     """A loop that is ready to run, and its subprocesses; None where the cell requires none."""
 
     loop: LiveLoop
-    beside: JournalProcesses | None
+    journal: JournalProcesses | None
 
 
 @contextmanager
@@ -89,7 +89,7 @@ def opened_run(
             opened.enter_context(supervisor.running(cast.camera.process))
         trackers = {number: seam.tracking.tracker for number, seam in cast.seams.items()}
         setups = {number: tracker.geometry.setup for number, tracker in trackers.items()}
-        beside = opened.enter_context(kept(cell, setups, supervisor, is_simulated))
+        journal = opened.enter_context(open_journal(cell, setups, supervisor, is_simulated))
         for tracker in trackers.values():
             with compiled_by_two(tracker.geometry.setup):
                 tracker.warm_up()
@@ -108,10 +108,10 @@ def opened_run(
         except LinkError as error:
             raise in_file(cell.path, f"[bus] {error}") from error
         opened.callback(link.close)
-        keeper = None if beside is None else beside.keeper
+        journal_writer = None if journal is None else journal.writer
         for seam in cast.seams.values():
-            if keeper is not None and isinstance(seam.poses, BusPoses):
-                seam.poses.on_sample = keeper.on_pose
+            if journal_writer is not None and isinstance(seam.poses, BusPoses):
+                seam.poses.on_sample = journal_writer.on_pose
         loop = LiveLoop(
             cast.camera,
             link,
@@ -119,10 +119,10 @@ def opened_run(
             cast.seams,
             cast.source,
             on_track,
-            keeper,
+            journal_writer,
             exposure=_chooser(cell),
         )
-        yield LiveRun(loop, beside)
+        yield LiveRun(loop, journal)
 
 
 def run(

@@ -20,7 +20,7 @@ from arctrack.control.tracking_service import FrameOutcome, SeamTracker, Trackin
 from arctrack.live.cameras.camera import CameraProtocol, UnreadableFrame
 from arctrack.live.journal.records import Status
 from arctrack.live.serve.exposure import ExposureChooser
-from arctrack.live.serve.keeper import Keeper
+from arctrack.live.serve.journal_writer import JournalWriter
 from arctrack.live.serve.latency import LatencyCounts, Quantiles
 from arctrack.recording.writer import as_stated
 from robot_io import (
@@ -101,13 +101,13 @@ class LiveLoop:
         seams: Mapping[int, LiveSeam],
         source: Source = Source.LIVE,
         on_track: OnTrack | None = None,
-        keeper: Keeper | None = None,
+        journal_writer: JournalWriter | None = None,
         on_dark: OnDark | None = None,
         exposure: ExposureChooser | None = None,
     ) -> None:
         self.camera, self.link, self.controller = camera, link, controller
         self._seams, self._source, self._on_track = seams, source, on_track
-        self._keeper, self._on_dark = keeper, on_dark
+        self._journal_writer, self._on_dark = journal_writer, on_dark
         self._exposure = exposure
         self._job_number, self.seam = next(iter(seams.items()))
         self._service = TrackingService[Frame | None](
@@ -157,8 +157,8 @@ class LiveLoop:
             self._track(waiting)
         if is_time:
             self._service.poll()
-            if self._keeper is not None:
-                self._keeper.tell(self.camera.now_s(), self.status)
+            if self._journal_writer is not None:
+                self._journal_writer.write_status(self.camera.now_s(), self.status)
 
     def close(self) -> None:
         """Send the last refusal, and switch the laser off."""
@@ -277,8 +277,8 @@ class LiveLoop:
         self._frames += 1
         self._frame_s = frame.timestamp_s
         self._valid += track.valid
-        if self._keeper is not None:
-            self._keeper.on_sent(outcome, self._job_number, self._arrived_s, dropped)
+        if self._journal_writer is not None:
+            self._journal_writer.on_sent(outcome, self._job_number, self._arrived_s, dropped)
         if self._on_track is not None:
             self._on_track(track, outcome.messages)
         if self._exposure is not None and shown is not None:

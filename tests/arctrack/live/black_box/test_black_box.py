@@ -32,7 +32,7 @@ from arctrack.live.journal import private_memory
 from arctrack.live.journal.journal import Journal, JournalReader, slots_for
 from arctrack.live.journal.message_pipe import message_pipe
 from arctrack.live.journal.records import Status
-from arctrack.live.serve.keeper import Keeper
+from arctrack.live.serve.journal_writer import JournalWriter
 from arctrack.live.serve.live_run import cast_of, run
 from arctrack.live.serve.loop import LiveLoop
 from arctrack.recording import Recording, read_recording
@@ -83,7 +83,7 @@ class Run:
         self.recording = read_recording(EXAMPLE)
         self.setup = self.recording.setup
         self.tracking = FrameTracking(self.setup, self.recording.correction)
-        self.keeper = Keeper(journal)
+        self.journal_writer = JournalWriter(journal)
         self.tracks: list[Track] = []
 
     def go(self, frames: int) -> None:
@@ -106,7 +106,7 @@ class Run:
                 reason, doubt = GateReason.POSE_IMPLAUSIBLE, Implausibility.STOPPED
             arrived_s, sent_s = frame.timestamp_s + 0.01, math.nan if n == 10 else frame.timestamp_s + 0.02
             outcome = FrameOutcome(tracked, None, [], offset, sent_s, reason, doubt)
-            self.keeper.on_sent(outcome, 1, arrived_s, 0)
+            self.journal_writer.on_sent(outcome, 1, arrived_s, 0)
 
     @property
     def jobs(self) -> dict[int, JobSetup]:
@@ -144,7 +144,7 @@ def test_a_saved_window_replays_to_the_same_tracks(memory, tmp_path, kept_s, slo
 @pytest.mark.slow
 def test_a_replay_shows_what_the_run_sent_and_why_it_refused(memory, tmp_path) -> None:
     live, journal = a_run()
-    journal.tell(refused(GateReason.CAMERA_STOPPED))
+    journal.write_status(refused(GateReason.CAMERA_STOPPED))
     path = save_window(JournalReader(RUN), 30.0, live.jobs, 25.0, tmp_path / "saved", "asked")
     journal.close()
     assert json.loads((path / "black_box.json").read_text())["gate_reason"] == "camera_stopped"
@@ -304,7 +304,7 @@ def test_a_fault_that_cannot_be_saved_is_told_and_saved_once_it_can(memory, tmp_
     problem = told_end.recv()
     assert problem == f"{boxes}: cannot be written: Not a directory"
     for shown in (status(), refused(GateReason.CAMERA_STOPPED)):
-        journal.tell(shown)
+        journal.write_status(shown)
         # The recorder looks at it.
         while looks.get().offset != shown.offset:
             pass
@@ -362,7 +362,7 @@ def test_a_recording_that_is_played_fills_the_journal(memory, tmp_path) -> None:
     journal = Journal(
         RUN, (setup.camera.height, setup.camera.width), setup.sensor.dtype, slots_for(9.0, 25.0)
     )
-    keeper = Keeper(journal)
+    journal_writer = JournalWriter(journal)
     for seam in cast.seams.values():
         seam.tracking.tracker.warm_up()
     tracks: list[Track] = []
@@ -374,7 +374,7 @@ def test_a_recording_that_is_played_fills_the_journal(memory, tmp_path) -> None:
             cast.seams,
             Source.REPLAY,
             lambda track, _: tracks.append(track),
-            keeper,
+            journal_writer,
         )
         result = run(loop, lambda: True, 60.0)
     jobs = {1: JobSetup(setup, job_setup_text(cell, 1))}

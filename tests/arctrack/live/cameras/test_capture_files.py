@@ -26,7 +26,7 @@ from arctrack.live.cameras.capture.device import DeviceSource
 from arctrack.live.cameras.capture.files import folder_source, video_source
 from arctrack.live.cameras.capture.luma import LumaVideo
 from arctrack.live.cameras.capture.pulse import SLACK_S, is_reached, trigger_at_s
-from arctrack.live.serve.captured import CapturedCamera
+from arctrack.live.serve.captured_camera import CapturedCamera
 from arctrack.recording.ffv1 import VideoWriter
 
 RATE_HZ = 200.0
@@ -216,7 +216,7 @@ PARENT = """
     sys.path.insert(0, sys.argv[2])
     from made import small_setup
     from arctrack.control.cell_file import CameraChoice, CaptureChoice
-    from arctrack.live.serve.captured import CapturedCamera
+    from arctrack.live.serve.captured_camera import CapturedCamera
 
     if __name__ == "__main__":
         choice = CameraChoice(20.0, "video", "weld.mkv", CaptureChoice(loop=True))

@@ -10,7 +10,15 @@ import pytest
 from arctrack.live.journal import private_memory
 from arctrack.live.journal.journal import MIN_SLOTS, Journal, JournalReader, gap_name, slots_for
 from arctrack.live.journal.private_memory import private_path
-from arctrack.live.journal.records import Entry, GapReport, HeardPose, ProcessState, SeenFrame, Status, pack
+from arctrack.live.journal.records import (
+    Entry,
+    FrameView,
+    GapReport,
+    ProcessState,
+    ReceivedPose,
+    Status,
+    pack,
+)
 from arctrack.live.journal.ring import RingError, RingWriter
 from arctrack.simulation.cell.robot import WELDING
 from robot_io import (
@@ -56,10 +64,10 @@ def entry(index):
 
 
 def test_an_entry_comes_out_as_it_was_written(journal):
-    pose = HeardPose(PoseSample(1 / 3, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0), PoseKind.ACTUAL, 0.004), 0.5)
-    journal.hear(pose)
-    assert journal.add(entry(7)) == 0
-    assert journal.add(entry(8)) == 1
+    pose = ReceivedPose(PoseSample(1 / 3, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0), PoseKind.ACTUAL, 0.004), 0.5)
+    journal.add_pose(pose)
+    assert journal.write_entry(entry(7)) == 0
+    assert journal.write_entry(entry(8)) == 1
     reader = JournalReader("run")
     read = reader.entry(0)
     assert read.frame.timestamp_s == 7 / 3.0
@@ -73,7 +81,7 @@ def test_an_entry_comes_out_as_it_was_written(journal):
 
 def test_the_oldest_entries_go(journal):
     for index in range(20):
-        journal.add(entry(index))
+        journal.write_entry(entry(index))
     reader = JournalReader("run")
     assert (reader.count, reader.first) == (20, 20 - MIN_SLOTS)
     assert reader.entry(reader.first - 1) is None
@@ -86,7 +94,7 @@ def test_the_newest_view_and_status_are_told(journal):
     assert reader.newest_view() is None
     assert reader.status() is None
     for index in range(9):
-        journal.show(SeenFrame(index, Track(index, 0.0, 0)))
+        journal.write_view(FrameView(index, Track(index, 0.0, 0)))
     assert reader.newest_view().position == 8
     reader.close()
 
@@ -112,7 +120,7 @@ def test_a_status_comes_out_as_it_was_told(journal):
         arrival_ms=(1.0, 2.0, 3.0),
         frame_s=0.3,
     )
-    journal.tell(told)
+    journal.write_status(told)
     reader = JournalReader("run")
     np.testing.assert_equal(asdict(reader.status()), asdict(told))
     reader.close()
@@ -131,7 +139,7 @@ def test_gap_reports_are_read_while_somebody_writes_them(journal):
 
 def test_what_does_not_fit_is_counted_and_nothing_raises(journal):
     large = entry(1)
-    journal.add(Entry(large.frame, large.inputs, Track(1, 0.0, 0, stripe=np.zeros(20_000)), None, 1))
+    journal.write_entry(Entry(large.frame, large.inputs, Track(1, 0.0, 0, stripe=np.zeros(20_000)), None, 1))
     assert journal.lost == 1
     assert JournalReader("run").count == 0
 

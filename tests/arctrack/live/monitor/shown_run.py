@@ -13,7 +13,7 @@ from pathlib import Path
 
 from arctrack.live.journal.journal import MIN_SLOTS, Journal, gap_name
 from arctrack.live.journal.message_pipe import PipeEnd, message_pipe
-from arctrack.live.journal.records import Entry, GapReport, SeenFrame, Status, pack
+from arctrack.live.journal.records import Entry, FrameView, GapReport, Status, pack
 from arctrack.live.journal.ring import RingWriter
 from arctrack.live.monitor.monitor_process import run_monitor
 from arctrack.live.monitor.options import MonitorOptions
@@ -43,7 +43,7 @@ FIRST, FRAMES = 6, 8
 TITLE = "cell.toml, shared_memory side_wall"
 TOKEN = "a token of the tests"
 
-Tracked = tuple[Entry, SeenFrame]
+Tracked = tuple[Entry, FrameView]
 
 
 @cache
@@ -67,7 +67,7 @@ def tracked() -> Sequence[Tracked]:
         entry = Entry(
             frame, StepInputs(before, pose), replace(track, stripe=None, checks=()), offset, 7, took_ms=4.0
         )
-        view = SeenFrame(
+        view = FrameView(
             position, replace(track, checks=()), reading.seam, reading.reach_mm, reading.arc, reading.joint
         )
         shown.append((entry, view))
@@ -134,9 +134,9 @@ class ShownRun:
             offsets={"VALID": 11 + self.count, "REFUSED": 2},
         )
         self.status = replace(self.status, **self.changes)
-        position = self.journal.add(entry)
-        self.journal.show(replace(view, position=position))
-        self.journal.tell(self.status)
+        position = self.journal.write_entry(entry)
+        self.journal.write_view(replace(view, position=position))
+        self.journal.write_status(self.status)
 
     def report_gap(self, name: str, text: str) -> None:
         """Let a gap watch say what it sees."""

@@ -10,7 +10,7 @@ import pytest
 
 from arctrack.live.journal import private_memory
 from arctrack.live.journal.journal import Journal, JournalReader
-from arctrack.live.journal.records import Entry, SeenFrame
+from arctrack.live.journal.records import Entry, FrameView
 from arctrack.live.watch.process import RunWatch
 from arctrack.nominal import nominal_setup
 from arctrack.simulation.simulate import balance
@@ -27,7 +27,7 @@ RUN, RATE_HZ, DRAWN = "watched", 10.0, 12
 DIRTY = {"dirty_window": {"dimming_1": 0.8, "u_1": -0.2, "v_1": 0.1, "radius_1": 0.3}}
 
 
-def drawn(setup: Setup, nominal: Setup, seed: int) -> list[tuple[Entry, SeenFrame]]:
+def drawn(setup: Setup, nominal: Setup, seed: int) -> list[tuple[Entry, FrameView]]:
     """Return frames along a seam, and what the tracker that knows the nominal setup makes of them."""
     rng, renderer, tracker = np.random.default_rng(seed), Renderer(), Tracker(nominal)
     made = []
@@ -42,7 +42,7 @@ def drawn(setup: Setup, nominal: Setup, seed: int) -> list[tuple[Entry, SeenFram
         assert reading is not None
         entry = Entry(frame, inputs, replace(track, stripe=None, checks=()), None, 1)
         shown = replace(track, checks=())
-        made.append((entry, SeenFrame(0, shown, reading.seam, reading.reach_mm, reading.arc, reading.joint)))
+        made.append((entry, FrameView(0, shown, reading.seam, reading.reach_mm, reading.arc, reading.joint)))
     return made
 
 
@@ -61,8 +61,8 @@ def test_a_window_that_gets_dirty_is_told_and_named(tmp_path, monkeypatch) -> No
         entry, view = (clean if time_s < began_s else dirty)[n % DRAWN]
         frame = replace(entry.frame, index=n, timestamp_s=time_s)
         track = replace(entry.track, frame=n, timestamp_s=time_s)
-        position = journal.add(replace(entry, frame=frame, track=track))
-        journal.show(replace(view, position=position))
+        position = journal.write_entry(replace(entry, frame=frame, track=track))
+        journal.write_view(replace(view, position=position))
         if n % 2 == 1:
             watch.look()
         if n in (400, 599):

@@ -1,4 +1,4 @@
-"""Writing of a live loop's journal: what, and how often."""
+"""Writer of a live loop's journal: an entry for each step, views and statuses some times a second."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from arctrack.control.tracking_service import FrameOutcome
 from arctrack.live.journal.journal import Journal
-from arctrack.live.journal.records import Entry, HeardPose, ProcessState, SeenFrame, Status
+from arctrack.live.journal.records import Entry, FrameView, ProcessState, ReceivedPose, Status
 from robot_io import PoseSample
 from tracker.observation import Reading
 from tracker.state import Track
@@ -16,16 +16,16 @@ from tracker.state import Track
 STATUS_S = 0.1
 
 
-class Keeper:
+class JournalWriter:
     """Writer of a run's journal; `processes` returns the states of the run's subprocesses."""
 
     def __init__(self, journal: Journal, processes: Callable[[], Mapping[str, ProcessState]] = dict) -> None:
         self._journal, self._processes = journal, processes
-        self._shown_s = self._told_s = -math.inf
+        self._view_s = self._status_s = -math.inf
 
     def on_pose(self, sample: PoseSample, read_s: float) -> None:
         """Take a pose that was read at a time, s."""
-        self._journal.hear(HeardPose(sample, read_s))
+        self._journal.add_pose(ReceivedPose(sample, read_s))
 
     def on_sent(self, outcome: FrameOutcome, job_number: int, arrived_s: float, dropped: int) -> None:
         """Write the entry of a frame that was tracked; see `Entry`."""
@@ -33,7 +33,7 @@ class Keeper:
         if step is None:
             # A frame that could not be read.
             return
-        position = self._journal.add(
+        position = self._journal.write_entry(
             Entry(
                 step.frame,
                 step.inputs,
@@ -49,19 +49,19 @@ class Keeper:
             )
         )
         # Nobody sees more pictures a second than 25.
-        if not 0.0 <= arrived_s - self._shown_s < 0.04:
-            self._shown_s = arrived_s
-            self._journal.show(_view(position, tracked.track, step.reading))
+        if not 0.0 <= arrived_s - self._view_s < 0.04:
+            self._view_s = arrived_s
+            self._journal.write_view(_view(position, tracked.track, step.reading))
 
-    def tell(self, now_s: float, status: Callable[[], Status]) -> None:
+    def write_status(self, now_s: float, status: Callable[[], Status]) -> None:
         """Write how the run stands, where it is time for it."""
-        if not 0.0 <= now_s - self._told_s < STATUS_S:
-            self._told_s = now_s
-            self._journal.tell(replace(status(), processes=self._processes()))
+        if not 0.0 <= now_s - self._status_s < STATUS_S:
+            self._status_s = now_s
+            self._journal.write_status(replace(status(), processes=self._processes()))
 
 
-def _view(position: int, track: Track, reading: Reading | None) -> SeenFrame:
+def _view(position: int, track: Track, reading: Reading | None) -> FrameView:
     track = replace(track, checks=())
     if reading is None:
-        return SeenFrame(position, track)
-    return SeenFrame(position, track, reading.seam, reading.reach_mm, reading.arc, reading.joint)
+        return FrameView(position, track)
+    return FrameView(position, track, reading.seam, reading.reach_mm, reading.arc, reading.joint)

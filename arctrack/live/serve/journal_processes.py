@@ -20,7 +20,7 @@ from arctrack.live.journal.message_pipe import PipeEnd, message_pipe
 from arctrack.live.journal.ring import RingError, remove_dead_rings
 from arctrack.live.monitor.monitor_process import run_monitor
 from arctrack.live.monitor.options import MonitorOptions, options_of
-from arctrack.live.serve.keeper import Keeper
+from arctrack.live.serve.journal_writer import JournalWriter
 from arctrack.live.serve.supervisor import SupervisedProcess, Supervisor
 from arctrack.live.watch.process import WatchOptions, run_watch
 from noise_model.setup import Setup
@@ -37,14 +37,14 @@ class JournalProcesses:
     one line each.
     """
 
-    keeper: Keeper
+    writer: JournalWriter
     black_box: BlackBoxClient | None
     page: str | None
     warnings: tuple[str, ...]
 
 
 @contextmanager
-def kept(
+def open_journal(
     cell: CellFile, setups: Mapping[int, Setup], supervisor: Supervisor, is_simulated: bool = False
 ) -> Iterator[JournalProcesses | None]:
     """Keep a run's journal, with the processes that a cell file requires; yields None without readers.
@@ -93,7 +93,10 @@ def kept(
         for process in started:
             process.wait_ready()
         yield JournalProcesses(
-            Keeper(journal, supervisor.states), BlackBoxClient(black_box) if kept_s else None, page, warnings
+            JournalWriter(journal, supervisor.states),
+            BlackBoxClient(black_box) if kept_s else None,
+            page,
+            warnings,
         )
 
 
