@@ -177,7 +177,7 @@ def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> S
     assert seen.stripe is not None
     reading, source, seam_source = seen.stripe, geometry.stripe_source, geometry.seam_source
     edge = EdgeAlongSeam(seam_source.height_mm, aim.seam.slope_sigma, reading.usual.contrast)
-    points, column_mm, sheet_lines, mixed_lines = triangulate(source, aim.scene, reading.lines, edge)
+    points, column_mm, crossed, mixed_lines = triangulate(source, aim.scene, reading.lines, edge)
     camera_mm, laser_mm = sources(seam_source, aim.scene, aim.seam.station_mm)
     # Additional half-width of the search for the joint over that for the stripe.
     return Section(
@@ -186,7 +186,7 @@ def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> S
         reach_mm=aim.reach_mm + 1.0,
         mixed_mm=column_mm * mixed_lines,
         slope_sigma=aim.seam.slope_sigma,
-        light=light_of(reading, source.psf_sigma_px, sheet_lines),
+        light=light_of(reading, source.psf_sigma_px, crossed),
         camera_mm=camera_mm,
         laser_mm=laser_mm,
     )

@@ -17,6 +17,7 @@ from noise_model.instrument.laser import plane_in
 from noise_model.surface.faces import ridge
 from noise_model.transforms import inverted
 from tracker.geometry import StripeSource
+from tracker.seam.locate import meet_ridges
 from tracker.state import (
     AMPLITUDE_E,
     BESIDE_PX,
@@ -35,7 +36,7 @@ from tracker.state import (
     Stripe,
 )
 from tracker.stripe.edge import clear_lines
-from tracker.stripe.light import NO_LIGHT, StripeLight
+from tracker.stripe.light import NO_LIGHT, EdgeLines, StripeLight
 
 MIN_POINTS = 20
 """A section of fewer points shows no joint."""
@@ -158,14 +159,14 @@ _NO_EDGE = EdgeAlongSeam(0.0, 0.0, 1.0)
 
 
 class Points(NamedTuple):
-    """Points (N_ROWS, n) and their scan lines' spacing, mm; over how many lines an edge crosses the sheet.
+    """Points (N_ROWS, n) and their scan lines' spacing, mm; how an edge crosses them.
 
     Nearer to a corner than `mixed_lines` a scan line holds light of both faces.
     """
 
     points: Float64
     column_mm: float
-    sheet_lines: float
+    edge: EdgeLines
     mixed_lines: int
 
 
@@ -194,16 +195,6 @@ def triangulate(source: StripeSource, scene: Scene, lines: Float64, edge: EdgeAl
     return measured._replace(points=points, column_mm=_spacing(points))
 
 
-class EdgeLines(NamedTuple):
-    """Over how many scan lines an edge along the seam crosses the sheet's 1 sigma.
-
-    `stated` as the seam is expected to run, `possible` with how well its direction is known.
-    """
-
-    stated: float
-    possible: float
-
-
 @kernel(allocates=True)
 def edge_lines(
     lens: Intrinsics,
@@ -212,33 +203,48 @@ def edge_lines(
     plane_joint: Plane,
     sheet_sigma_mm: float,
     edge: EdgeAlongSeam,
+    corrugation: Float64,
 ) -> EdgeLines:
-    """Return over how many scan lines the sheet's 1 sigma spreads an edge along the seam.
+    """Return over how many scan lines the sheet spreads an edge along the seam.
 
     Seen from off its plane, a sheet as thick as it is meets the edge in one line before its middle and in
-    another behind. So it does where the seam runs skewed.
+    another behind. So it does where the seam runs skewed. Over ridges the edge rises by their slope c': with
+    planes next to the sheet, n.p + d = +-sigma, it meets sigma / (n_x + n_z c') before and behind.
     """
     nx, _, nz, d = plane_joint
-    x, along = -(nz * edge.height_mm + d) / nx, sheet_sigma_mm / nx
-    aside, T, z = edge.slope_sigma * along, inverted(T_joint_camera), edge.height_mm
-    stated = _line_of(lens, along_rows, T, x + along, 0.0, z)
-    stated = 0.5 * abs(stated - _line_of(lens, along_rows, T, x - along, 0.0, z))
-    turned = _line_of(lens, along_rows, T, x, aside, z)
-    turned = 0.5 * abs(turned - _line_of(lens, along_rows, T, x, -aside, z))
-    return EdgeLines(stated, math.hypot(stated, turned))
+    of_valley, T = -(nz * edge.height_mm + d) / nx, inverted(T_joint_camera)
+    x = meet_ridges(of_valley, of_valley, nz / nx, corrugation)
+    height, slope = ridge(x, corrugation)
+    along, z = sheet_sigma_mm / (nx + nz * slope), edge.height_mm + height
+    aside = edge.slope_sigma * along
+    seen = np.empty((3, 2))
+    for k in range(3):
+        x_k = x + (k - 1) * along
+        z_k = edge.height_mm + ridge(x_k, corrugation)[0]
+        seen[k] = _line_of(lens, along_rows, T, x_k, 0.0, z_k)
+    turned = _line_of(lens, along_rows, T, x, aside, z)[0] - _line_of(lens, along_rows, T, x, -aside, z)[0]
+    before, behind = seen[0] - seen[1], seen[2] - seen[1]
+    # The parabola through three places: nowhere bent where the edge runs along a scan line.
+    px = behind[1] - before[1]
+    if not px * before[1] < 0.0 < px * behind[1]:
+        return EdgeLines(0.0, 0.0, 0.5 * abs(behind[0] - before[0]), 0.5 * abs(turned))
+    bend = (behind[0] / behind[1] - before[0] / before[1]) / px
+    skew = behind[0] / behind[1] - bend * behind[1]
+    return EdgeLines(skew, bend, 0.5 * abs(behind[0] - before[0]), 0.5 * abs(turned))
 
 
 @kernel
 def _line_of(
     lens: Intrinsics, along_rows: bool, T_camera_joint: Float64, x: float, y: float, z: float
-) -> float:
-    """Return the scan line that a point of the joint frame, mm, is seen in."""
+) -> tuple[float, float]:
+    """Return the scan line, and the position in it, of a point of the joint frame, mm."""
     T = T_camera_joint
     depth = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
     a = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / depth
     b = (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / depth
     X, Y, _, _, _, _ = distorted(a, b, lens)
-    return lens.fx * X + lens.cx if along_rows else lens.fy * Y + lens.cy
+    u, v = lens.fx * X + lens.cx, lens.fy * Y + lens.cy
+    return (u, v) if along_rows else (v, u)
 
 
 @kernel(allocates=True)
@@ -260,8 +266,9 @@ def _triangulate(
     change of the ray by d' that point moves by t (d' - d (n.d') / (n.d)).
     """
     plane_joint = plane_in(T_joint_tool, plane_tool)
-    crossed = edge_lines(lens, along_rows, T_joint_camera, plane_joint, sheet_sigma_mm, edge)
-    skewed_px = skewed_sigma_px(lines[AMPLITUDE_E], lines[WIDTH_PX], edge.contrast, crossed.possible)
+    crossed = edge_lines(lens, along_rows, T_joint_camera, plane_joint, sheet_sigma_mm, edge, corrugation)
+    possible = math.hypot(crossed.stated, crossed.turned)
+    skewed_px = skewed_sigma_px(lines[AMPLITUDE_E], lines[WIDTH_PX], edge.contrast, possible)
     position_px, bias_px, n_lines = lines[CENTRE_PX], lines[BIAS_PX], lines[N_LINES]
     points, n = np.empty((N_ROWS, lines.shape[1])), 0
     R = T_joint_camera
@@ -302,7 +309,7 @@ def _triangulate(
     for row in range(N_ROWS):
         for i in range(n):
             kept[row, i] = points[row, n - 1 - i if flips else i]
-    return Points(kept, _spacing(kept), crossed.stated, clear_lines(psf_sigma_px, crossed.stated) - 1)
+    return Points(kept, _spacing(kept), crossed, clear_lines(psf_sigma_px, crossed.stated) - 1)
 
 
 @kernel

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from noise_model.arc.map import CELL
 from noise_model.compiled.arrays import Float64
-from tracker.stripe.light import StripeLight
+from tracker.stripe.light import NO_LIGHT, EdgeLines, StripeLight
 
 N_SCAN, DEPTH, EDGE = 64, 96, 31
 WIDTH_PX, PSF_PX, DARK_E2 = 5.0, 0.8, 100.0
@@ -36,14 +36,26 @@ def light_of(
     scatter_px: float = 0.0,
     noise: bool = True,
     flipped: bool = False,
+    edge: EdgeLines = NO_LIGHT.edge,
+    side_share: float = 0.0,
 ) -> StripeLight:
-    """A stripe that ends at a line and one, `apart_px` off and sloped, that begins at another."""
+    """A stripe that ends at a line and one, `apart_px` off and sloped, that begins at another.
+
+    Both end along a parabola `edge` across the stripe, of which the places are those at their own centres;
+    between them there is a share of the first.
+    """
     s, r = np.arange(N_SCAN, dtype=float), np.arange(DEPTH, dtype=float)
     upper, lower = 40.3 + 0.1031 * (s - EDGE), 40.3 + apart_px - 0.1517 * (s - EDGE)
     moved_px = scatter_px * rng.standard_normal(N_SCAN)
     bells = (np.exp(-0.5 * ((r - (run + moved_px)[:, None]) / WIDTH_PX) ** 2) for run in (upper, lower))
     u, v = (peak_e * np.exp(contrast * correlated_lines(rng, correlation))[:, None] * bell for bell in bells)
-    mean = ndtr((ends - s) / PSF_PX)[:, None] * u + ndtr((s - begins) / PSF_PX)[:, None] * v + 500.0
+    upper_px, lower_px = 40.3 + 0.1031 * (ends - EDGE), 40.3 + apart_px - 0.1517 * (begins - EDGE)
+    away = [edge.skew * (r - place) + edge.bend * (r - place) ** 2 for place in (upper_px, lower_px)]
+    before, behind = (
+        ndtr((ends + away[0] - s[:, None]) / PSF_PX),
+        ndtr((s[:, None] - begins - away[1]) / PSF_PX),
+    )
+    mean = (before + side_share * (1.0 - before - behind)) * u + behind * v + 500.0
     charge = rng.normal(mean, np.sqrt(mean + DARK_E2)) if noise else mean
     position = np.where(s < 0.5 * (ends + begins), upper, lower) + moved_px
     if flipped:
@@ -60,7 +72,7 @@ def light_of(
         contrast,
         correlation,
         PSF_PX,
-        0.0,
+        edge,
         scatter_px,
     )
 

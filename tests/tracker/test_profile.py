@@ -8,15 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rendered import pose_at, small_setup
+from scipy.optimize import brentq
 
 from noise_model.arc.scene import Scene, make_scene
 from noise_model.compiled.arrays import Float64
 from noise_model.compiled.ordering import stable_order
 from noise_model.instrument.laser import plane_in
+from noise_model.surface.faces import ridge
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry, to_laser_plane
-from tracker.profile import EdgeAlongSeam, EdgeLines, edge_lines, lines_of, skewed_sigma_px, triangulate
+from tracker.profile import EdgeAlongSeam, edge_lines, lines_of, skewed_sigma_px, triangulate
 from tracker.state import (
     AMPLITUDE_E,
     BESIDE_PX,
@@ -32,6 +34,7 @@ from tracker.state import (
     Stripe,
 )
 from tracker.stripe.edge import clear_lines
+from tracker.stripe.light import EdgeLines
 
 DISTORTION = (-0.12, 0.03, 0.001, -0.002, 0.0)
 
@@ -130,7 +133,7 @@ def test_a_stripes_points_lie_where_its_corrected_centres_meet_the_sheet(
     lines = lines_of(stripe_at(position, sigma, beside), bias)
     lines[AMPLITUDE_E], lines[WIDTH_PX], lines[MISFIT_PX] = amplitude, width, misfit
     edge = EdgeAlongSeam(-2.0, 0.03, 0.05)
-    points, _, sheet_lines, mixed_lines = triangulate(geometry.stripe_source, scene, lines, edge)
+    points, _, crossed, mixed_lines = triangulate(geometry.stripe_source, scene, lines, edge)
     own = points[SCAN].astype(int)
     np.testing.assert_array_equal(np.sort(own), np.flatnonzero(np.isfinite(position)))
     assert (np.diff(points[Y_MM]) >= 0.0).all()
@@ -138,9 +141,10 @@ def test_a_stripes_points_lie_where_its_corrected_centres_meet_the_sheet(
     there = transform(scene.T_joint_tool, to_laser_plane(geometry.setup, centres)[0])
     np.testing.assert_allclose(points[[Y_MM, Z_MM]], there[:, 1:].T, atol=1e-6)
     over = lines_over(geometry, scene, edge)
-    assert sheet_lines == over.stated
+    assert crossed == over
     assert mixed_lines == clear_lines(geometry.setup.camera.psf_sigma_px, over.stated) - 1
-    skewed = skewed_sigma_px(amplitude, width, edge.contrast, over.possible)
+    possible = math.hypot(over.stated, over.turned)
+    skewed = skewed_sigma_px(amplitude, width, edge.contrast, possible)
     assert skewed.any()
     rows = np.array([np.hypot(sigma, skewed), np.hypot(beside, skewed), bias, misfit, np.ones(n)])
     np.testing.assert_allclose(points[SIGMA_PX:], rows[:, own], rtol=1e-12)
@@ -155,6 +159,7 @@ def lines_over(geometry: SensorGeometry, scene: Scene, edge: EdgeAlongSeam) -> E
         plane_in(scene.T_joint_tool, source.sheet.plane),
         source.sheet.sigma,
         edge,
+        scene.shape.corrugation,
     )
     return found
 
@@ -184,24 +189,36 @@ def test_two_lines_read_as_one_are_one_point_between_them() -> None:
 
 
 @pytest.mark.parametrize("upright", [False, True])
-def test_an_edge_along_the_seam_crosses_the_sheet_over_lines(upright: bool) -> None:
-    """Against the camera's own projection of the edge's points a sigma to either side of the sheet."""
-    geometry, slope_sigma = distorted(upright), 0.03
+@pytest.mark.parametrize("joint", ["v_groove", "corrugation"])
+def test_an_edge_along_the_seam_crosses_the_stripe_on_a_parabola(joint: str, upright: bool) -> None:
+    """Against the camera's own projection of the edge, up to two sigmas of the sheet to either side of it."""
+    setup, slope_sigma, height_mm = small_setup(joint, upright=upright), 0.03, -2.0
+    geometry = SensorGeometry.of(replace(setup, camera=replace(setup.camera, distortion=DISTORTION)))
     scene = make_scene(geometry.setup, pose_at(11.0, 2.0, -1.0, (2.0, -1.0, 5.0)).T_base_tool)
     camera, sheet = geometry.setup.camera, geometry.stripe_source.sheet
     R, t = scene.T_joint_tool[:3, :3], scene.T_joint_tool[:3, 3]
     normal = R @ sheet.plane[:3]
-    x = -(normal[2] * -2.0 + sheet.plane[3] - normal @ t) / normal[0]
-    along = sheet.sigma / normal[0]
 
-    def line(x_mm: float, y_mm: float) -> float:
-        there = transform(invert(scene.T_joint_camera), np.array([[x_mm, y_mm, -2.0]]))
-        return float(geometry.scan_points(camera.project(there))[0, 0])
+    def on_edge(x_mm: float) -> Float64:
+        return np.array([x_mm, 0.0, height_mm + ridge(x_mm, scene.shape.corrugation)[0]])
 
-    stated = 0.5 * abs(line(x + along, 0.0) - line(x - along, 0.0))
-    turned = 0.5 * abs(line(x, slope_sigma * along) - line(x, -slope_sigma * along))
-    found = lines_over(geometry, scene, EdgeAlongSeam(-2.0, slope_sigma, 0.05))
-    assert found == pytest.approx((stated, math.hypot(stated, turned)), rel=1e-6)
+    def off_sheet(x_mm: float) -> float:
+        return float(normal @ on_edge(x_mm) + sheet.plane[3] - normal @ t)
+
+    def seen(points_mm: Float64) -> Float64:
+        there = transform(invert(scene.T_joint_camera), points_mm)
+        return geometry.scan_points(camera.project(there))
+
+    x = brentq(off_sheet, 0.0, 80.0, xtol=1e-12)
+    x_sigma = brentq(lambda there: off_sheet(there) - sheet.sigma, 0.0, 80.0, xtol=1e-12) - x
+    found = lines_over(geometry, scene, EdgeAlongSeam(height_mm, slope_sigma, 0.05))
+    middle = seen(on_edge(x)[None])[0]
+    at = seen(np.array([on_edge(x + k * x_sigma) for k in np.linspace(-2.0, 2.0, 9)])) - middle
+    np.testing.assert_allclose(at[:, 0], found.skew * at[:, 1] + found.bend * at[:, 1] ** 2, atol=0.02)
+    assert found.stated == pytest.approx(0.5 * abs(at[6, 0] - at[2, 0]), rel=0.02, abs=1e-6)
+    aside = np.array([0.0, slope_sigma * x_sigma, 0.0])
+    turned = seen(np.array([on_edge(x) + aside, on_edge(x) - aside]))[:, 0]
+    assert found.turned == pytest.approx(0.5 * abs(turned[1] - turned[0]), rel=0.01)
 
 
 @pytest.mark.parametrize("rises", [True, False])

@@ -49,6 +49,9 @@ NEAR_MM, ON_SHEET, MIN_OFF_SHEET = 2.0, 0.25, 0.03
 """Points so near to the edge are asked which sheet they lie on: off it by their noise, but by no more than
 this share of the step; and by this share at least, for no sheet is flat."""
 
+MAX_SIGMAS = 3.0
+"""A line this many times less sure than others fits no bell: its pixels tell more (`upright_edge`)."""
+
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
 """1 sigma of the lower sheet's height, the step (mm), both sheets' slopes relative to the profile's own."""
 
@@ -82,7 +85,7 @@ def measured_lap(section: Section, fit: ShapeFit, y_0: float, thickness_mm: floa
     p, covariance, lines = fit.parameters, fit.covariance, in_scan_order(section.points)
     z_s, step, slope_lower, slope_upper = p.tolist()
     sheets = SheetLines(y_0, z_s, step, slope_lower, slope_upper)
-    upright = edge_of_sheets(section, lines, sheets, thickness_mm)
+    upright = edge_of_sheets(section, certain_lines(lines, y_0), sheets, thickness_mm)
     edge, away = upright.y_mm, upright.y_mm - y_0
     if math.isnan(edge):
         return None
@@ -111,6 +114,17 @@ def measured_lap(section: Section, fit: ShapeFit, y_0: float, thickness_mm: floa
     )
 
 
+def certain_lines(lines: Float64, y_0: float) -> Float64:
+    """Return the points (N_ROWS, n) that are about as sure as most of the less sure sheet.
+
+    A line that holds light of both sheets leaves a large chi^2, which widens its sigma: so wide it would seem
+    to lie on either.
+    """
+    sigma_px, is_upper = lines[SIGMA_PX], lines[Y_MM] < y_0
+    usual_px = max(np.median(sigma_px[is_upper]), np.median(sigma_px[~is_upper]))
+    return lines.compress(sigma_px <= MAX_SIGMAS * usual_px, axis=1)
+
+
 @kernel(allocates=True)
 def edge_of_sheets(section: Section, lines: Float64, sheets: SheetLines, thickness_mm: float) -> Edge:
     """Return the place of the sheets' edge, NaN where points (n,) do not lie on both next to it."""
@@ -126,9 +140,6 @@ def edge_of_sheets(section: Section, lines: Float64, sheets: SheetLines, thickne
     # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.
     sources_mm = section.camera_mm, section.laser_mm
     hidden = hidden_strip(sources_mm, sheets.y, sheets.z + sheets.step, sheets.step, section.slope_sigma)
-    # Glare or spatter over all of the points near it: between those beyond, an edge may be anywhere.
-    if lines[Y_MM, behind] - hidden.width_mm - lines[Y_MM, before] > 2.0 * CLEAR_OF_EDGE_MM:
-        return nowhere
     edge: Edge = edge_between(
         lines,
         faces,
@@ -140,7 +151,14 @@ def edge_of_sheets(section: Section, lines: Float64, sheets: SheetLines, thickne
         behind=behind,
         hidden=hidden,
     )
-    return edge
+    # Glare or spatter over all of the points near it: between those beyond an edge may be anywhere, if the
+    # scan lines themselves do not tell.
+    between_mm, widest_mm = (
+        lines[Y_MM, behind] - hidden.width_mm - lines[Y_MM, before],
+        2.0 * CLEAR_OF_EDGE_MM,
+    )
+    is_lost = between_mm > widest_mm and 12.0 * edge.variance_mm2 > widest_mm**2
+    return nowhere if is_lost else edge
 
 
 def placed(

@@ -23,7 +23,19 @@ import numpy as np
 
 from noise_model.compiled.arrays import Float64
 from noise_model.compiled.kernel import kernel
-from tracker.stripe.light import BEYOND, MIN_BEYOND, StripeLight, apart_px, line_room, line_shares
+from tracker.stripe.light import (
+    BEYOND,
+    MIN_BEYOND,
+    NEXT_TO_NOTHING,
+    WINDOW_SIGMAS,
+    StripeLight,
+    along_edge,
+    apart_px,
+    line_room,
+    line_shares,
+    lines_aside,
+    run_of,
+)
 
 CLEAR_SIGMAS = 3.0
 """Distance, in sigmas of the optics, at which a line is clear of an edge; one more may seem whole."""
@@ -52,6 +64,15 @@ SPREAD = 0.1
 TINY_PX = 1e-6
 """Stripes that lie so near to each other are one."""
 
+SIDE_SHARE, SIDE_CORRELATION = 0.1, 0.9
+"""1 sigma of the share that the upright side between two stripes shines of them, and its correlation.
+
+Seen from beside, a side that the laser or light between the faces reaches has 0.05 to 0.2.
+"""
+
+CENTRE_STEPS = 4
+"""A stripe runs by at most a few tenths of a px a line, and so does an edge: each step leaves a tenth."""
+
 
 class StripeEnd(NamedTuple):
     """An end of a stripe, in scan lines, and its 1 sigma; NaN where it is not determined."""
@@ -66,11 +87,15 @@ NO_END = StripeEnd(math.nan, math.nan)
 @kernel(allocates=True)
 def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, StripeEnd]:
     """Return the end of the stripe that is whole in line `last`, and the start of that of line `first`."""
+    away, image, begin = 1 if first > last else -1, light, first
+    aside = lines_aside(light.edge, light.position_px[first] - light.position_px[last])
+    apart = max(apart_px(light, last, first), light.centre_sigma_px, TINY_PX)
+    light = along_edge(light, last, first, _reach(light))
+    first -= round(aside)
     clear = clear_of_an_edge(light)
-    away = 1 if first > last else -1
-    n = abs(first - last) + 2 * clear - 1
+    n = away * (first - last) + 2 * clear - 1
     # No edge is looked for between lines that lie farther apart.
-    if n > 128:
+    if not 0 < n <= 128:
         return NO_END, NO_END
     shares, variances, room = np.empty((2, n)), np.empty((2, n)), line_room(light.charge_e.shape[1])
     is_seen = line_shares(
@@ -86,7 +111,6 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
     if not is_seen:
         return NO_END, NO_END
     # Of a stripe that is off by its scatter the other one seems to have a share.
-    apart = max(apart_px(light, last, first), light.centre_sigma_px, TINY_PX)
     more, n_seen = (light.centre_sigma_px / apart) ** 2, 0
     # The other stripe is seen from its own side.
     of_other, other_variances = np.empty(n), np.empty(n)
@@ -101,9 +125,10 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
     ends = _fitted(light, shares[0], variances[0], earliest, latest)
     begins = _fitted(light, of_other, other_variances, earliest, latest)
     next_one = last - away * (clear - 1)
+    ends_at, begins_at = next_one + away * ends.line, next_one + away * (n - 1 - begins.line)
     return (
-        StripeEnd(next_one + away * ends.line, ends.sigma),
-        StripeEnd(next_one + away * (n - 1 - begins.line), begins.sigma),
+        StripeEnd(_at_centre(image, ends_at, last, last - away * clear, -away), ends.sigma),
+        StripeEnd(_at_centre(image, begins_at, last, begin + away * clear, away), begins.sigma),
     )
 
 
@@ -114,6 +139,7 @@ def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int, unread:
     What is seen deep in the gap, clear of either end or else amid it, is the other stripe; where nothing is,
     there is none. So many lines after `last` are `unread`, and may hold all of it too.
     """
+    image, light = light, along_edge(light, last, last + away * gap_lines, _reach(light))
     clear = clear_of_an_edge(light)
     # No more than half of the gap: behind it the stripe begins again.
     n = clear + min(clear + min(unread, clear), (gap_lines + 1) // 2)
@@ -134,13 +160,37 @@ def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int, unread:
         return NO_END
     # Beside a gap a line that holds little of the stripe shows its centre too.
     ends = _fitted(light, shares[0], variances[0], 0.0, n - 1.0)
-    return StripeEnd(last - away * (clear - 1) + away * ends.line, ends.sigma)
+    ends_at = last - away * (clear - 1) + away * ends.line
+    return StripeEnd(_at_centre(image, ends_at, last, last - away * clear, -away), ends.sigma)
+
+
+@kernel
+def _at_centre(light: StripeLight, line: float, along: int, of_run: int, away: int) -> float:
+    """Return the line of the image in which an edge crosses a stripe's centre.
+
+    `line` is where the edge crosses the position of the stripe of line `along`. The stripe runs through those
+    of lines from `of_run` on, in steps of `away`.
+    """
+    if light.edge.stated < NEXT_TO_NOTHING:
+        return line
+    begin_px, slope = run_of(light.position_px, of_run, away, BEYOND)
+    crossing = line
+    for _ in range(CENTRE_STEPS):
+        centre_px = begin_px + slope * (crossing - of_run)
+        crossing = line + lines_aside(light.edge, centre_px - light.position_px[along])
+    return crossing
 
 
 @kernel
 def clear_of_an_edge(light: StripeLight) -> int:
     """Return the number of lines from an edge to one that is clear of it."""
-    return clear_lines(light.psf_sigma_px, light.sheet_lines)
+    return clear_lines(light.psf_sigma_px, light.edge.stated)
+
+
+@kernel
+def _reach(light: StripeLight) -> int:
+    """Return the number of lines that are read beyond those next to an edge."""
+    return clear_of_an_edge(light) + BEYOND + math.ceil(WINDOW_SIGMAS * light.edge.stated)
 
 
 @kernel
@@ -158,7 +208,7 @@ def _fitted(
     It lies between `earliest` and `latest`, or beyond them by the blur's sigma.
     """
     contrast = max(light.contrast, MIN_CONTRAST)
-    sigma = max(math.hypot(light.psf_sigma_px, light.sheet_lines / math.sqrt(2.0)), LINE_SIGMA)
+    sigma = max(math.hypot(light.psf_sigma_px, light.edge.stated / math.sqrt(2.0)), LINE_SIGMA)
     first, last = max(earliest - sigma, 0.0), latest + sigma
     line, line_sigma = fit_end(shares, variances, contrast, light.correlation, sigma, first, last)
     return StripeEnd(line, line_sigma)
@@ -178,35 +228,51 @@ def end_misfit(
 ) -> EndMisfit:
     """Return how unlike shares (n,) are those of a stripe that ends at a place.
 
-    With the shares' means m a line holds m (1 + a + n) and its own error, of variance V. All lines share a:
-    whole lines are known as well as the mean of BEYOND of them is. n scatters by the contrast, with
-    `correlation` from line to line. V goes with the place, so ln V counts.
+    With the shares' means m a line holds m (1 + a + n) + (1 - m) g and its own error, of variance V. All
+    lines share a: whole lines are known as well as the mean of BEYOND of them is. n scatters by the contrast,
+    with a `correlation` from line to line. g is the upright side's share. V goes with the place, so ln V
+    counts.
     """
-    scatter = contrast * contrast
+    scatter, side_2 = contrast * contrast, SIDE_SHARE * SIDE_SHARE
     of_mean = scatter * min((1.0 + correlation) / (1.0 - correlation) / BEYOND, 1.0)
     spread_2 = MIN_STRIPE_SHARE**2 + SPREAD**2 * scatter
-    whole, line = 0.0, 0.0
-    P_ww, P_wl, P_ll = of_mean, 0.0, scatter
+    whole, line, side = 0.0, 0.0, 0.0
+    P_ww, P_wl, P_ws, P_ll, P_ls, P_ss = of_mean, 0.0, 0.0, scatter, 0.0, side_2
     chi2, determinant, lines = 0.0, 0.0, 0
     for i in range(share.shape[0]):
         if i > 0:
-            line *= correlation
-            P_wl *= correlation
+            line, side = correlation * line, SIDE_CORRELATION * side
+            P_wl, P_ws, P_ls = (
+                correlation * P_wl,
+                SIDE_CORRELATION * P_ws,
+                correlation * SIDE_CORRELATION * P_ls,
+            )
             P_ll = correlation * correlation * P_ll + (1.0 - correlation * correlation) * scatter
+            P_ss = (
+                SIDE_CORRELATION * SIDE_CORRELATION * P_ss
+                + (1.0 - SIDE_CORRELATION * SIDE_CORRELATION) * side_2
+            )
         if math.isnan(share[i]):
             continue
         mean = 0.5 * math.erfc((i - end) / (sigma * math.sqrt(2.0)))
-        of_whole, of_line = mean * (P_ww + P_wl), mean * (P_wl + P_ll)
-        total = mean * (of_whole + of_line) + variance[i] + spread_2
-        off = share[i] - mean * (1.0 + whole + line)
+        rest = 1.0 - mean
+        of_whole = mean * (P_ww + P_wl) + rest * P_ws
+        of_line = mean * (P_wl + P_ll) + rest * P_ls
+        of_side = mean * (P_ws + P_ls) + rest * P_ss
+        total = mean * (of_whole + of_line) + rest * of_side + variance[i] + spread_2
+        off = share[i] - mean * (1.0 + whole + line) - rest * side
         chi2 += off * off / total
         determinant += math.log(total)
         lines += 1
         whole += of_whole * off / total
         line += of_line * off / total
+        side += of_side * off / total
         P_ww -= of_whole * of_whole / total
         P_wl -= of_whole * of_line / total
+        P_ws -= of_whole * of_side / total
         P_ll -= of_line * of_line / total
+        P_ls -= of_line * of_side / total
+        P_ss -= of_side * of_side / total
     return EndMisfit(chi2 + determinant, chi2, lines)
 
 

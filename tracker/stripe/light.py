@@ -31,14 +31,27 @@ NEXT_TO_NOTHING = 0.1
 """Share of a sigma below which an error adds half a percent to it."""
 
 
+class EdgeLines(NamedTuple):
+    """How an edge along the seam crosses the stripe, in scan lines, as the seam is expected to run.
+
+    At p px across the stripe it is `skew` p + `bend` p^2 lines away. Over the sheet's sigma it moves by
+    `stated` lines, which are known to a 1 sigma of `turned`.
+    """
+
+    skew: float
+    bend: float
+    stated: float
+    turned: float
+
+
 class StripeLight(NamedTuple):
     """Light that a stripe was read from, (n_scan, n_pos) of a band that begins at `lows` for each CELL lines.
 
     A pixel's variance is `shot` times its light, `background_e` and the stripe's, plus `dark_variance_e2`.
     `position_px`, `width_px` (n_scan,) are the stripe's. `contrast` is by how much its
     brightness scatters from line to line, relative, `correlation` that of two neighbouring lines in
-    that, `psf_sigma_px` the optics' sigma, `sheet_lines` over how many lines an edge along the seam crosses
-    the sheet's sigma, `centre_sigma_px` the 1 sigma of centres.
+    that, `psf_sigma_px` the optics' sigma, `centre_sigma_px` the 1 sigma of centres.
+    `edge` is how an edge along the seam crosses it.
     """
 
     charge_e: Float32
@@ -52,7 +65,7 @@ class StripeLight(NamedTuple):
     contrast: float
     correlation: float
     psf_sigma_px: float
-    sheet_lines: float
+    edge: EdgeLines
     centre_sigma_px: float
 
 
@@ -68,7 +81,7 @@ NO_LIGHT = StripeLight(
     contrast=0.0,
     correlation=0.0,
     psf_sigma_px=0.0,
-    sheet_lines=0.0,
+    edge=EdgeLines(0.0, 0.0, 0.0, 0.0),
     centre_sigma_px=0.0,
 )
 """A stripe whose light is not at hand."""
@@ -78,6 +91,64 @@ NO_LIGHT = StripeLight(
 def apart_px(light: StripeLight, last: int, first: int) -> float:
     """Return the distance of two lines' stripes, px."""
     return float(abs(light.position_px[first] - light.position_px[last]))
+
+
+@kernel
+def lines_aside(edge: EdgeLines, across_px: float) -> float:
+    """Return by how many lines an edge is away so far across the stripe."""
+    return edge.skew * across_px + edge.bend * across_px * across_px
+
+
+@kernel(allocates=True)
+def along_edge(light: StripeLight, last: int, first: int, reach: int) -> StripeLight:
+    """Return the light between two lines, and in some beside them, in lines that run along an edge.
+
+    Line s of it holds, so far across the stripe of line `last`, what the image has in the line that
+    `lines_aside` away, interpolated between two. So an edge along the seam cuts the stripe, and the arc's
+    light beside it, at one line.
+    """
+    if light.edge.stated < NEXT_TO_NOTHING:
+        return light
+    n_scan, depth = light.charge_e.shape
+    middle_px = light.position_px[last]
+    charge_e, background_e = np.empty((n_scan, depth), np.float32), np.empty((n_scan, depth), np.float32)
+    censored, position_px = np.ones((n_scan, depth), np.bool_), np.full(n_scan, math.nan)
+    begin, end = max(min(last, first) - reach, 0), min(max(last, first) + reach + 1, n_scan)
+    for s in range(begin, end):
+        low = light.lows[s // CELL]
+        if not math.isnan(light.position_px[s]):
+            own = s - round(lines_aside(light.edge, light.position_px[s] - middle_px))
+            if 0 <= own < n_scan:
+                position_px[own] = light.position_px[s]
+        for j in range(depth):
+            line = s + lines_aside(light.edge, low + j - middle_px)
+            k = math.floor(line)
+            charge_e[s, j], background_e[s, j] = 0.0, 0.0
+            if not 0 <= k < n_scan - 1:
+                continue
+            i, i_next = low + j - light.lows[k // CELL], low + j - light.lows[(k + 1) // CELL]
+            if not (0 <= i < depth and 0 <= i_next < depth):
+                continue
+            part = line - k
+            censored[s, j] = light.censored[k, i] or light.censored[k + 1, i_next]
+            charge_e[s, j] = (1.0 - part) * light.charge_e[k, i] + part * light.charge_e[k + 1, i_next]
+            here, next_one = light.background_e[k, i], light.background_e[k + 1, i_next]
+            background_e[s, j] = (1.0 - part) * here + part * next_one
+    return StripeLight(
+        charge_e=charge_e,
+        background_e=background_e,
+        censored=censored,
+        lows=light.lows,
+        position_px=position_px,
+        width_px=light.width_px,
+        shot=light.shot,
+        dark_variance_e2=light.dark_variance_e2,
+        contrast=light.contrast,
+        correlation=light.correlation,
+        psf_sigma_px=light.psf_sigma_px,
+        edge=EdgeLines(0.0, 0.0, light.edge.turned, light.edge.turned),
+        centre_sigma_px=light.centre_sigma_px,
+    )
 
 
 @kernel

@@ -31,7 +31,7 @@ from tracker.stripe.fit_band import (
     write_lines,
 )
 from tracker.stripe.ghost import read_without_second
-from tracker.stripe.light import StripeLight
+from tracker.stripe.light import EdgeLines, StripeLight
 from tracker.stripe.line_fit.first_guess import PixelVariance
 from tracker.stripe.scatter import N_NUMBERS, FrameScatter, Scatter, add_frame, width_factor
 
@@ -109,7 +109,7 @@ class StripeReading(NamedTuple):
     lines: Float64
 
 
-def light_of(reading: StripeReading, psf_sigma_px: float, sheet_lines: float) -> StripeLight:
+def light_of(reading: StripeReading, psf_sigma_px: float, edge: EdgeLines) -> StripeLight:
     """Return the light that shows the stripe's ends, valid as long as the band."""
     band, usual = reading.band, reading.usual
     return StripeLight(
@@ -124,7 +124,7 @@ def light_of(reading: StripeReading, psf_sigma_px: float, sheet_lines: float) ->
         contrast=usual.contrast,
         correlation=usual.correlation,
         psf_sigma_px=psf_sigma_px,
-        sheet_lines=sheet_lines,
+        edge=edge,
         centre_sigma_px=usual.centre_sigma_px,
     )
 
