@@ -12,7 +12,7 @@ from arctrack.live.cameras.camera import CameraProtocol, UnreadableFrame
 from arctrack.live.doctor.finding import DoctorFinding, FindingState, judged
 from arctrack.live.doctor.policy import POLICY
 from arctrack.live.serve.latency import LatencyCounts, Quantiles
-from arctrack.live.serve.live_run import cast_of
+from arctrack.live.serve.live_run import run_parts
 
 SLOW_SHARE = 0.9
 """Least share of the stated frame rate: a second's count is off by one at most."""
@@ -58,7 +58,7 @@ def camera_findings(cell: CellFile) -> Iterator[DoctorFinding | CameraReading]:
         return
     job_number = next(iter(cell.jobs)) if kind == "recording" else None
     try:
-        camera = cast_of(cell, job_number).camera
+        camera = run_parts(cell, job_number).camera
     except ArctrackError as error:
         yield DoctorFinding("camera", FindingState.FAILED, str(error))
         return

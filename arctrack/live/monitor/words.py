@@ -54,7 +54,7 @@ REASONS = {
     GateReason.OTHER_TRACKER: "Another tracker speaks on this bus.",
     GateReason.CAMERA_STOPPED: "The camera gives no frames. Check its cable and its program.",
     GateReason.SHUTTING_DOWN: "The tracker ends.",
-    GateReason.SOFT_START: "The offset moves slowly from nought to the seam.",
+    GateReason.SOFT_START: "The offset moves slowly from zero to the seam.",
     GateReason.SEARCH_ONLY: "The robot commands SEARCH: no offset goes out.",
     GateReason.HOLD_COMMANDED: "The robot commands HOLD.",
     GateReason.JOB_UNKNOWN: "The robot names a job that the cell file does not hold.",

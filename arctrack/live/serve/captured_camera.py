@@ -26,7 +26,7 @@ ENDS_S = 10.0
 class CapturedCamera(SharedMemoryCamera):
     """Camera that is read by a subprocess of this one.
 
-    What the cell file names lies beside it. Raises ArctrackError if the camera cannot be opened, or its
+    Paths are relative to the cell file. Raises ArctrackError if the camera cannot be opened, or its
     frames do not fit the setup.
     """
 

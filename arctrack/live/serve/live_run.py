@@ -83,11 +83,11 @@ def opened_run(
         lag_end, its_end = message_pipe()
         estimating = SupervisedProcess("lag", estimate_lags, (), (its_end,), LAG_NICENESS, lost=NOTHING_YET)
         lag = opened.enter_context(supervisor.running(estimating))
-        cast = cast_of(cell, job_number, PipeClient(lag_end))
-        opened.callback(cast.camera.close)
-        if isinstance(cast.camera, CapturedCamera):
-            opened.enter_context(supervisor.running(cast.camera.process))
-        trackers = {number: seam.tracking.tracker for number, seam in cast.seams.items()}
+        parts = run_parts(cell, job_number, PipeClient(lag_end))
+        opened.callback(parts.camera.close)
+        if isinstance(parts.camera, CapturedCamera):
+            opened.enter_context(supervisor.running(parts.camera.process))
+        trackers = {number: seam.tracking.tracker for number, seam in parts.seams.items()}
         setups = {number: tracker.geometry.setup for number, tracker in trackers.items()}
         journal = opened.enter_context(open_journal(cell, setups, supervisor, is_simulated))
         for tracker in trackers.values():
@@ -101,7 +101,7 @@ def opened_run(
                 cell.bus.interface,
                 cell.bus.channel,
                 bitrate_bit_s=cell.bus.bit_rate_bit_s,
-                source=cast.source,
+                source=parts.source,
                 trusted=TRUSTED,
                 **bus_options,
             )
@@ -109,15 +109,15 @@ def opened_run(
             raise in_file(cell.path, f"[bus] {error}") from error
         opened.callback(link.close)
         journal_writer = None if journal is None else journal.writer
-        for seam in cast.seams.values():
+        for seam in parts.seams.values():
             if journal_writer is not None and isinstance(seam.poses, BusPoses):
                 seam.poses.on_sample = journal_writer.on_pose
         loop = LiveLoop(
-            cast.camera,
+            parts.camera,
             link,
-            cast.controller,
-            cast.seams,
-            cast.source,
+            parts.controller,
+            parts.seams,
+            parts.source,
             on_track,
             journal_writer,
             exposure=_chooser(cell),
@@ -150,7 +150,7 @@ def _chooser(cell: CellFile) -> ExposureChooser | None:
     return None if range_s is None else ExposureChooser(range_s, cell.camera.frame_rate_hz)
 
 
-def cast_of(
+def run_parts(
     cell: CellFile, job_number: int | None = None, lag_estimator: LagEstimator | None = None
 ) -> RunParts:
     """Return a cell file's camera, and what answers its frames; see `BusPoses` of the estimator.

@@ -49,7 +49,7 @@ class RealBus:
     _listener: Listener | None = None
     _sent: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=512))
 
-    def join(self, party: str, listener: Listener) -> None:
+    def join(self, node: str, listener: Listener) -> None:
         """Deliver what others send to the node."""
         self._listener = listener
 

@@ -87,12 +87,12 @@ class Program:
     again.
     """
 
-    def __init__(self, party: RobotNode, scheduler: Scheduler, part_mm: float) -> None:
-        self._robot, self._scheduler, self._part_mm = party.robot, scheduler, part_mm
+    def __init__(self, node: RobotNode, scheduler: Scheduler, part_mm: float) -> None:
+        self._robot, self._scheduler, self._part_mm = node.robot, scheduler, part_mm
         self._beat_s = self._since_s = -math.inf
         self._is_ended = self._is_disarmed = False
         self._use = OffsetUse()
-        party.on_message = self._hear
+        node.on_message = self._hear
         scheduler.every(0.02, self._command, 0.0007)
 
     def _hear(self, received: Received, _frame: BusFrame) -> None:
@@ -127,10 +127,10 @@ def run_robot(
     """Simulate the robot on a bus while `goes_on`; `shoot` gets its state at each capture."""
     scheduler = RealTimeScheduler()
     bus = RealBus(can_bus, scheduler)
-    party = RobotNode(Robot(world_of(plan, setup_of(plan))), bus, scheduler)
-    robot = party.robot
+    node = RobotNode(Robot(world_of(plan, setup_of(plan))), bus, scheduler)
+    robot = node.robot
     # Coordinates on the bus reach to 1638 mm.
-    Program(party, scheduler, min(plan.length_mm, 1500.0))
+    Program(node, scheduler, min(plan.length_mm, 1500.0))
 
     def capture() -> None:
         robot.advance(scheduler.now_s)

@@ -34,7 +34,7 @@ STEP_MM = 0.5
 """Step of the derivative to either side."""
 
 BLOW_SIGMA_MM, RADIUS_SIGMA = 0.3, 0.05
-"""1 sigma of where the arc stands beside its place, mm, and of its radius, relative: a steady arc's.
+"""1 sigma of the arc's place, mm, and of its radius, relative: a steady arc's.
 
 They are fitted along, for what they do to the light resembles what the height does.
 """
@@ -173,14 +173,14 @@ def _fitted(geometry: SensorGeometry, columns: Float64, charge_e: Float64, place
     map_e = columns[:, 0]
     black_sigma_e = max(geometry.image_source.black_sigma_e, MIN_BLACK_SIGMA_E)
     apart2 = ((places[:, None] - places[None]) ** 2).sum(axis=2)
-    alike = MAP_SIGMA**2 * np.exp(-0.5 * apart2 / FORM_SHARE**2)
+    map_covariance = MAP_SIGMA**2 * np.exp(-0.5 * apart2 / FORM_SHARE**2)
     dark_e2 = dark_variance_at(geometry.image_source, charge_e)
     level = max(float(np.median(charge_e) / max(float(np.median(map_e)), 1e-9)), 1e-3)
     spread, fitted, covariance, chi2 = np.ones(len(map_e)), np.zeros(6), np.eye(6), math.nan
     for _ in range(ROBUST_STEPS):
         mean_e = level * map_e
         own_e2 = (np.maximum(mean_e, 0.0) + dark_e2 + (TEXTURE_SIGMA * mean_e) ** 2) * spread
-        factor = cho_factor(np.diag(own_e2) + np.outer(mean_e, mean_e) * alike, lower=True)
+        factor = cho_factor(np.diag(own_e2) + np.outer(mean_e, mean_e) * map_covariance, lower=True)
         weighted = cho_solve(factor, columns)
         # Each counts in units of its sigma, times the output.
         prior = np.diag([0.0, 0.0, level**-2, level**-2, level**-2, black_sigma_e**-2])

@@ -29,9 +29,9 @@ class GapPolicy:
     - `block_s`: length of a block, s (a texture's patches pass in half a second at 10 mm/s).
     - `learn_blocks`: largest number of gap-free blocks that the run's own level and scatter are taken from
       (chosen: ten minutes; with correlated neighbours, what half a minute tells of them makes false alarms).
-    - `alike_blocks`, `max_alike`: number of blocks from which the correlation of neighbours is estimated, and
-      its largest value (chosen: fewer blocks do not determine it; beyond it a change could not be told from
-      correlation).
+    - `correlation_blocks`, `max_correlation`: number of blocks from which the correlation of neighbours is
+      estimated, and its largest value (chosen: fewer blocks do not determine it; beyond it a change could not
+      be told from correlation).
     - `min_frames`: a block with fewer frames that determine a misfit does not count.
     - `prior_sigma`, `prior_blocks`: prior scatter of a block's mean ln(misfit), and the number of blocks that
       it counts for (simulated runs show 0.07 to 0.12, correlated by 0.5).
@@ -43,8 +43,8 @@ class GapPolicy:
 
     block_s: float = 1.0
     learn_blocks: int = 600
-    alike_blocks: int = 30
-    max_alike: float = 0.8
+    correlation_blocks: int = 30
+    max_correlation: float = 0.8
     min_frames: int = 4
     prior_sigma: float = 0.2
     prior_blocks: int = 10
@@ -70,7 +70,7 @@ class GapWatch:
         self._block: list[float] = []
         self._block_s = -math.inf
         self._learned: list[float] = []
-        self._recent: deque[float] = deque(maxlen=self.policy.alike_blocks)
+        self._recent: deque[float] = deque(maxlen=self.policy.correlation_blocks)
         self._explained = math.log(self.policy.explained)
         self._usual, self._sigma = 0.0, self.policy.prior_sigma
         self._sum, self._rising_s = 0.0, math.nan
@@ -118,9 +118,9 @@ class GapWatch:
         off = [block - self._usual for block in self._learned]
         spread = MAD_SIGMA * statistics.median(map(abs, off))
         square = math.fsum(block * block for block in off)
-        if count >= policy.alike_blocks and square > 0.0:
+        if count >= policy.correlation_blocks and square > 0.0:
             product = math.fsum(block * other for block, other in itertools.pairwise(off))
-            alike = min(max(product / square, 0.0), policy.max_alike)
-            spread *= math.sqrt((1.0 + alike) / (1.0 - alike))
+            correlation = min(max(product / square, 0.0), policy.max_correlation)
+            spread *= math.sqrt((1.0 + correlation) / (1.0 - correlation))
         prior, weight = policy.prior_sigma, policy.prior_blocks
         self._sigma = math.sqrt((weight * prior**2 + count * spread**2) / (weight + count))

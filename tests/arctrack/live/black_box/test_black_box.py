@@ -33,7 +33,7 @@ from arctrack.live.journal.journal import Journal, JournalReader, slots_for
 from arctrack.live.journal.message_pipe import message_pipe
 from arctrack.live.journal.records import Status
 from arctrack.live.serve.journal_writer import JournalWriter
-from arctrack.live.serve.live_run import cast_of, run
+from arctrack.live.serve.live_run import run, run_parts
 from arctrack.live.serve.loop import LiveLoop
 from arctrack.recording import Recording, read_recording
 from arctrack.recording.run_offsets import OffsetOutcome, RunComparison, read_run_offsets
@@ -357,21 +357,21 @@ def test_a_run_that_dies_leaves_its_last_frames(tmp_path) -> None:
 @pytest.mark.slow
 def test_a_recording_that_is_played_fills_the_journal(memory, tmp_path) -> None:
     cell = read_cell_file(playing_cell(tmp_path / "cell", EXAMPLE))
-    cast = cast_of(cell)
+    parts = run_parts(cell)
     setup = cell.setup.setup
     journal = Journal(
         RUN, (setup.camera.height, setup.camera.width), setup.sensor.dtype, slots_for(9.0, 25.0)
     )
     journal_writer = JournalWriter(journal)
-    for seam in cast.seams.values():
+    for seam in parts.seams.values():
         seam.tracking.tracker.warm_up()
     tracks: list[Track] = []
     with Link(channel=str(tmp_path), source=Source.REPLAY) as link:
         loop = LiveLoop(
-            cast.camera,
+            parts.camera,
             link,
-            cast.controller,
-            cast.seams,
+            parts.controller,
+            parts.seams,
             Source.REPLAY,
             lambda track, _: tracks.append(track),
             journal_writer,
@@ -388,14 +388,14 @@ def test_a_recording_that_is_played_fills_the_journal(memory, tmp_path) -> None:
         np.testing.assert_equal(told(again), told(seen))
     # As a camera it gives them too.
     again: list[Track] = []
-    cast = cast_of(read_cell_file(playing_cell(tmp_path / "again", path)))
+    parts = run_parts(read_cell_file(playing_cell(tmp_path / "again", path)))
     with Link(channel=str(tmp_path), source=Source.REPLAY) as link:
         run(
             LiveLoop(
-                cast.camera,
+                parts.camera,
                 link,
-                cast.controller,
-                cast.seams,
+                parts.controller,
+                parts.seams,
                 Source.REPLAY,
                 lambda track, _: again.append(track),
             ),

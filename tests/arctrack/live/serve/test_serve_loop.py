@@ -28,7 +28,7 @@ from arctrack.live.monitor.options import MonitorOptions
 from arctrack.live.monitor.status import OffsetFlow, indicated, status_content
 from arctrack.live.monitor.words import REASONS, Indication
 from arctrack.live.serve.exposure import ExposureChooser
-from arctrack.live.serve.live_run import cast_of, run
+from arctrack.live.serve.live_run import run, run_parts
 from arctrack.live.serve.loop import LiveLoop
 from arctrack.recording import read_recording
 from arctrack.replay.replay import ReplayOptions, replay_recording
@@ -424,8 +424,8 @@ def test_a_recording_that_is_played_gives_the_tracks_of_its_replay(
     recording = with_job(read_recording(path, cell.setup.path), cell, None)
     options = ReplayOptions(cell=cell, pictures=False)
     replayed = replay_recording(recording, tmp_path / "results", options)
-    cast = cast_of(cell)
-    assert cast.source is Source.REPLAY
+    parts = run_parts(cell)
+    assert parts.source is Source.REPLAY
     tracks, offsets = [], Counter()
 
     def on_track(track, messages):
@@ -433,9 +433,9 @@ def test_a_recording_that_is_played_gives_the_tracks_of_its_replay(
         offsets.update(message.validity for message in messages if isinstance(message, SeamOffset))
 
     clock = Clock()
-    with Link(channel=cell.bus.channel, source=cast.source) as link:
+    with Link(channel=cell.bus.channel, source=parts.source) as link:
         camera = RecordingCamera(recording, clock)
-        loop = LiveLoop(camera, link, cast.controller, cast.seams, False, on_track)
+        loop = LiveLoop(camera, link, parts.controller, parts.seams, False, on_track)
         camera.begin()
         while not loop.is_over:
             clock.now_s += 0.003
