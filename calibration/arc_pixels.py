@@ -17,10 +17,10 @@ from noise_model.compiled.arrays import Bool, Float64, Int64, Integers
 from noise_model.condition import Condition
 from noise_model.effects import apply_condition_effects, apply_setup_effects
 from noise_model.effects.light import Light
-from noise_model.forward import look, pass_on
+from noise_model.forward import Layers, look, pass_on
 from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
-from noise_model.surface.joint import BentSeam
+from noise_model.surface.joint import BentSeam, SeamLine
 from noise_model.surface.ray_casting import MISS
 from noise_model.transforms import transform
 from noise_model.view import View
@@ -90,7 +90,9 @@ class ArcPixels:
             compared &= there.faces == here.faces
             compared &= np.abs(there.arc_e - here.arc_e) <= MAX_CHANGE * here.arc_e
         if frame.laser_on:
-            compared &= _off_stripe(geometry, curve, coefficients, T_base_tool, u, v)
+            station_mm = transform(make_scene(setup, T_base_tool).T_joint_tool, setup.laser.point_mm)[0]
+            line = curve.tangents(coefficients)(float(station_mm))
+            compared &= off_stripe(geometry, T_base_tool, line, (u, v), KEEP_OFF_SIGMAS)
         charge_e = geometry.charge_e[frame.image_dn[v, u]].astype(np.float64)
         place = (np.column_stack([u, v]) - 0.5 * np.array([width, height])) / (0.5 * width)
         return cls(
@@ -118,34 +120,28 @@ class ArcPixels:
         ground = tangent_at(self.torch_mm)._replace(slope_y=0.0, slope_z=0.0)
         seam = BentSeam(tuple(tangent_at(station) for station in self.stretches_mm), ground)
         seen = look(true, self.T_base_tool, seam, rays, self.pixels, self.stretch)
-        light = Light.of(seen.arc_e.copy(), np.zeros_like(seen.arc_e))
-        frame = self.frame
-        current_a = frame.current_a if math.isfinite(frame.current_a) else setup.arc.current_a
-        stated = Condition.of(
-            setup, laser_on=False, arc_on=True, current_a=current_a, exposure_s=frame.exposure_s
-        )
-        condition = apply_condition_effects(true, stated)
-        light.arc *= np.float32(condition.arc_level)
-        pass_on(true, light, seen.view, condition)
+        light = arc_light(true, self.frame, seen)
         arc_e = np.where(seen.faces == self.faces, light.arc, np.nan)[self.compared]
         return arc_e.astype(np.float64), light.other[self.compared].astype(np.float64)
 
 
-def _off_stripe(
-    geometry: SensorGeometry,
-    curve: SeamCurve,
-    coefficients: Float64,
-    T_base_tool: Float64,
-    u: Int64,
-    v: Int64,
+def arc_light(true: Setup, frame: Frame, layers: Layers) -> Light:
+    """Return the light of a frame's pixels with the laser off, after effects, lens and exposure."""
+    light = Light.of(layers.arc_e.copy(), np.zeros_like(layers.arc_e))
+    current_a = frame.current_a if math.isfinite(frame.current_a) else true.arc.current_a
+    stated = Condition.of(true, laser_on=False, arc_on=True, current_a=current_a, exposure_s=frame.exposure_s)
+    condition = apply_condition_effects(true, stated)
+    light.arc *= np.float32(condition.arc_level)
+    pass_on(true, light, layers.view, condition)
+    return light
+
+
+def off_stripe(
+    geometry: SensorGeometry, T_base_tool: Float64, seam: SeamLine, uv_px: tuple[Int64, Int64], sigmas: float
 ) -> Bool:
-    """Return the mask (n,) of pixels off the stripe."""
-    setup = geometry.setup
-    station_mm = transform(make_scene(setup, T_base_tool).T_joint_tool, setup.laser.point_mm)[0]
-    line = curve.tangents(coefficients)(float(station_mm))
-    stripe = expect_stripe(geometry, make_scene(setup, T_base_tool, line))
+    """Return the mask (n,) of pixels farther than some of its sigmas from the stripe."""
+    stripe = expect_stripe(geometry, make_scene(geometry.setup, T_base_tool, seam))
     if stripe is None:
-        return np.ones(len(u), dtype=np.bool_)
-    scan, position = (u, v) if geometry.along_rows else (v, u)
-    off_px = np.abs(position - stripe.position_px[scan])
-    return np.asarray(off_px > KEEP_OFF_SIGMAS * stripe.sigma_px[scan])
+        return np.ones(len(uv_px[0]), dtype=np.bool_)
+    scan, position = uv_px if geometry.along_rows else uv_px[::-1]
+    return np.asarray(np.abs(position - stripe.position_px[scan]) > sigmas * stripe.sigma_px[scan])

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from threadpoolctl import threadpool_limits
 
 
-def one_thread() -> AbstractContextManager[object]:
+@contextmanager
+def one_thread() -> Iterator[None]:
     """Let BLAS compute with one thread: matrices are so small that several only wait for each other."""
-    return threadpool_limits(1, user_api="blas")  # type: ignore[no-any-return]
+    with threadpool_limits(1, user_api="blas"):
+        yield

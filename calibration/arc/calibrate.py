@@ -55,19 +55,6 @@ LIMITS: Mapping[str, float] = {RADIUS: 0.1, X: 0.3, Y: 0.3, Z: 0.2, RADIANCE: 0.
 MAX_LEVEL_FACTOR = 50.0
 """Ratio of the arc's brightness to the stated one, either way, at which something else is wrong."""
 
-KEYS = (
-    "radius_mm",
-    "center_x_mm",
-    "center_y_mm",
-    "center_z_mm",
-    "radiance_e",
-    "kappa_diff",
-    "kappa_spec",
-    "c2",
-)
-"""The setup's values, in the order of `ArcCalibration.covariance`."""
-
-
 KEYS_OF: Mapping[str, tuple[str, ...]] = {
     RADIUS: ("radius_mm",),
     X: ("center_x_mm",),
@@ -77,7 +64,10 @@ KEYS_OF: Mapping[str, tuple[str, ...]] = {
     RATIO: ("kappa_diff", "kappa_spec"),
     C2: ("c2",),
 }
-"""The `KEYS` that each parameter of `ARC` sets."""
+"""The setup's values that each parameter of `ARC` sets."""
+
+KEYS = tuple(key for keys in KEYS_OF.values() for key in keys)
+"""All of them, in the order of `ArcCalibration.covariance`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +121,7 @@ class ArcCalibration:
         return np.asarray((problem.charge_e - mean_e) / (mean_e - x[problem.names.index("black")]))
 
 
+@one_thread()
 def calibrate_arc(
     setup: Setup,
     frames: Sequence[tuple[Frame, Float64]],
@@ -144,16 +135,6 @@ def calibrate_arc(
     states no arc or no metal, if nothing can be compared, and if the arc's brightness is off by
     MAX_LEVEL_FACTOR.
     """
-    with one_thread():
-        return _calibrate(setup, frames, part, progress)
-
-
-def _calibrate(
-    setup: Setup,
-    frames: Sequence[tuple[Frame, Float64]],
-    part: PartPlacement | None,
-    progress: Callable[[int, int], None],
-) -> ArcCalibration:
     setup.require("the arc's calibration", "arc", "material")
     if setup.material.kappa_diff == 0.0 or setup.material.kappa_spec == 0.0:
         raise ValueError("[material] kappa_diff, kappa_spec: both must be above 0 for a start")

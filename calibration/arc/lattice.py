@@ -6,18 +6,14 @@ What a pixel holds is the mean over a block about it: noise is no matter there.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from noise_model.arc.scene import make_scene
+from calibration.arc_pixels import EDGE_PX, MAX_CHANGE, arc_light, off_stripe
 from noise_model.compiled.arrays import Bool, Float64, Int64
-from noise_model.condition import Condition
-from noise_model.effects import apply_condition_effects
-from noise_model.effects.light import Light
-from noise_model.forward import Layers, look, pass_on
+from noise_model.forward import Layers, look
 from noise_model.instrument.camera import Rays
 from noise_model.instrument.sensor import linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup
@@ -25,13 +21,9 @@ from noise_model.surface.joint import SeamLine
 from noise_model.surface.ray_casting import MISS
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame
-from tracker.stripe.expected import expect_stripe
 
 ACROSS, BLOCK_PX = 24, 5
 """Number of compared pixels in a row of the image, and side of the block that each averages."""
-
-EDGE_PX, MAX_CHANGE = 8, 0.3
-"""A pixel counts if so far to each side the same face is seen and the light changes by a smaller share."""
 
 KEEP_OFF_SIGMAS = 6.0
 """Least distance of a pixel from the stripe, in the stripe's sigmas."""
@@ -74,7 +66,7 @@ def choose_pixels(
     use &= (np.abs(arc_e - arc_e[0]) <= MAX_CHANGE * arc_e[0]).all(axis=0)
     use &= _block_means(frame.image_dn >= saturation_dn(true.sensor), u, v) == 0.0
     if frame.laser_on:
-        use &= _off_stripe(geometry, T_base_tool, seam, u, v)
+        use &= off_stripe(geometry, T_base_tool, seam, (u, v), KEEP_OFF_SIGMAS)
     charge_e = _block_means(linearise(frame.image_dn.astype(np.float64), true.sensor), u, v)[use]
     noise_e = np.sqrt(variance_e2(np.maximum(charge_e, 0.0), true.sensor)) / BLOCK_PX
     return PixelSample(frame, T_base_tool, np.column_stack([u, v])[use], charge_e, noise_e, arc_e[0][use])
@@ -90,24 +82,9 @@ def _light(
 ) -> tuple[Float64, Layers]:
     """Return the arc's light (n,), e-, at pixels (n, 2), and their layers."""
     layers = look(true, T_base_tool, seam, rays, uv_px[:, 1] * true.camera.width + uv_px[:, 0])
-    light = Light.of(layers.arc_e.copy(), np.zeros_like(layers.arc_e))
-    current_a = frame.current_a if math.isfinite(frame.current_a) else true.arc.current_a
-    stated = Condition.of(true, laser_on=False, arc_on=True, current_a=current_a, exposure_s=frame.exposure_s)
-    condition = apply_condition_effects(true, stated)
-    light.arc *= np.float32(condition.arc_level)
-    pass_on(true, light, layers.view, condition)
-    return light.arc.astype(np.float64), layers
+    return arc_light(true, frame, layers).arc.astype(np.float64), layers
 
 
 def _block_means(image: Float64 | Bool, u: Int64, v: Int64) -> Float64:
     """Return the means of an image (H, W) over blocks about pixels (n,)."""
     return np.asarray(cv2.blur(image.astype(np.float64), (BLOCK_PX, BLOCK_PX))[v, u])
-
-
-def _off_stripe(geometry: SensorGeometry, T_base_tool: Float64, seam: SeamLine, u: Int64, v: Int64) -> Bool:
-    """Return the mask (n,) of pixels off the stripe."""
-    stripe = expect_stripe(geometry, make_scene(geometry.setup, T_base_tool, seam))
-    if stripe is None:
-        return np.ones(len(u), dtype=np.bool_)
-    scan, position = (u, v) if geometry.along_rows else (v, u)
-    return np.asarray(np.abs(position - stripe.position_px[scan]) > KEEP_OFF_SIGMAS * stripe.sigma_px[scan])

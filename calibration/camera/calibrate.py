@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from calibration.boards.board import Board
 from calibration.boards.detect import MIN_CORNERS
@@ -25,10 +26,9 @@ from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.order import DistortionScore, choose_distortion, cross_validate
 from calibration.camera.printed import has_distinct_ends, print_sigma_mm
 from calibration.camera.projection import Knowledge, image_grid, rms_sigma
-from calibration.camera.scatter import scatter_between_images
 from calibration.camera.sightings import BoardView, Sightings
 from calibration.camera.start import first_scene, with_better_poses
-from calibration.outliers import MAX_OUTLIER_SHARE
+from calibration.outliers import FALSE_ALARM, MAX_OUTLIER_SHARE
 from calibration.threads import one_thread
 from noise_model.compiled.arrays import Float64
 
@@ -234,7 +234,7 @@ def _final_fit(
         order=chosen.name,
         scores=scores,
         known=Knowledge.of(with_prior(scene, seen, weight, print_sigma)),
-        scatter=scatter_between_images(scene, seen, weight),
+        scatter=_scatter_between_images(scene, seen, weight),
         print_sigma_mm=print_sigma,
         wrong=_wrong_corner_list(scene, all_seen.where(is_wrong)),
         left_out=left_out,
@@ -326,3 +326,19 @@ def _wrong_corner_list(scene: BoardScene, wrong: Sightings) -> tuple[WrongCorner
             wrong.view, wrong.corner, wrong.points_px, residuals, strict=True
         )
     )
+
+
+def _scatter_between_images(scene: BoardScene, seen: Sightings, weight: Float64) -> float:
+    """Return the images' scatter over that which the noise predicts; 1 where that is not significant.
+
+    Corners of one image may err together: the board is not as printed, it moved, light shifts its edges. The
+    covariance of lens and warp is too small by this factor. With u_i an image's gradient on them at the
+    solution, S_i its information, and S the sum with the prior, sum u_i' S^-1 u_i is expected to be
+    sum tr(S^-1 S_i) - sum tr((S^-1 S_i)²). The ratio is roughly chi² over its m degrees of freedom.
+    """
+    equations = with_prior(scene, seen, weight)
+    covariance, gradients = scaled_inverse(equations.information()), equations.view_gradients()
+    share = covariance @ equations.view_information()
+    expected = float(np.trace(share.sum(axis=0)) - np.einsum("vij,vji->", share, share))
+    ratio = float(np.einsum("vi,ij,vj->", gradients, covariance, gradients)) / expected
+    return ratio if chi2.sf(ratio * len(covariance), len(covariance)) < FALSE_ALARM else 1.0

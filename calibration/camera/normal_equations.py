@@ -48,7 +48,8 @@ class NormalEquations:
         """
         m = per_shared.shape[2]
         rows = np.concatenate([per_shared, per_motion, residual[:, :, None]], axis=2)
-        squares = np.stack([_square(rows[part].reshape(-1, m + 7)) for part in slices])
+        blocks = [rows[part].reshape(-1, m + 7) for part in slices]
+        squares = np.stack([block.T @ block for block in blocks])
         return cls(
             squares[:, :m, :m],
             squares[:, :m, m : m + 6],
@@ -115,7 +116,3 @@ def scaled_inverse(matrix: Float64) -> Float64:
     scale = 1.0 / np.sqrt(diagonal)
     inverse = np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
     return np.asarray(0.5 * (inverse + inverse.T))
-
-
-def _square(rows: Float64) -> Float64:
-    return np.asarray(rows.T @ rows)

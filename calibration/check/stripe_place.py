@@ -203,32 +203,26 @@ class StripePlace:
         return SeamLine(self.middle_mm, y + float(here), z, slope_y + bent, slope_z)
 
 
+@one_thread()
 def explain_stripes(
     setup: Setup, sights: Sequence[StripeSight], names: Sequence[str]
 ) -> tuple[float, list[Cause]]:
-    """Return how far stripes lie off their nominal places, median, px, and what explains them by each name.
+    """Return the stripes' median distance from their nominal places, px, and the cause of each name.
 
-    The later names are fitted from where the first one's fit ends.
-
-    Raises ValueError where no stripe meets the laser plane in front of the camera.
+    The later names are fitted from where the first one's fit ends. Raises ValueError where no stripe meets the laser plane in front of the camera.
     """
-    with one_thread():
-        problem = _StripePlaceProblem.of(setup, sights)
-        first = problem.explain(names[0], problem.coarse_place())
-        causes = [first, *(problem.explain(name, first.values) for name in names[1:])]
-        return problem.displacement(first.fit)[0], causes
+    problem = _StripePlaceProblem.of(setup, sights)
+    first = problem.explain(names[0], problem.coarse_place())
+    causes = [first, *(problem.explain(name, first.values) for name in names[1:])]
+    return problem.displacement(first.fit)[0], causes
 
 
+@one_thread()
 def locate_stripes(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
     """Compare the stripes of some frames with the places that a setup expects them in.
 
     Raises ValueError where no stripe meets the laser plane in front of the camera.
     """
-    with one_thread():
-        return _locate(setup, sights)
-
-
-def _locate(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
     problem = _StripePlaceProblem.of(setup, sights)
     coarse = problem.coarse_place()
     as_stated = problem.explain(AS_STATED, coarse, {})

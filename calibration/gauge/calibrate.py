@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from calibration.camera.enough import UndeterminedError
-from calibration.few_values import wider_by_few
 from calibration.gauge.adjustment import (
     SHEET,
     SIZE,
@@ -25,6 +24,7 @@ from calibration.gauge.shape import Gauge, Shape
 from calibration.gauge.sightings import PosedPieces, StatedSensor, place_gauge
 from calibration.outliers import MAX_OUTLIER_SHARE
 from noise_model.compiled.arrays import Float64
+from noise_model.fit import student_t
 from noise_model.transforms import transform
 
 MIN_IMAGES = 4
@@ -118,7 +118,7 @@ def _small_sample_factor(gauge: Gauge, images: int) -> float:
     Sheet and gauge take some of that.
     """
     freedom = 2 * images - 7 if gauge.shape is Shape.V else images - 4
-    return wider_by_few(max(freedom, MIN_FREEDOM))
+    return student_t(0.95, max(freedom, MIN_FREEDOM)) / student_t(0.95, math.inf)
 
 
 def calibrate_gauge(

@@ -15,8 +15,7 @@ from calibration.camera.known_lens import check_corners
 from calibration.camera.lens import Lens
 from calibration.camera.noise import corner_sigmas_px
 from calibration.camera.sightings import Sightings
-from calibration.laser.bow import Bow, fit_bow
-from calibration.laser.image_line import LaserLineFit, fit_line
+from calibration.laser.image_line import fit_line
 from calibration.laser.plane import MIN_PAIRS, BoardLine, PlaneFit, consistent, fit_plane
 from calibration.laser.stripe import BoardStripe
 from calibration.outliers import FALSE_ALARM
@@ -25,6 +24,25 @@ from noise_model.compiled.arrays import Float64
 
 MIN_SPREAD = 10.0
 """The stripes' scatter from one line over what noise alone makes of it: below it, the sheet follows noise."""
+
+
+@dataclass(frozen=True)
+class Bow:
+    """The sheet's bow: distance of its ends from its middle along the plane's normal.
+
+    Line lasers draw a smile, which a plane does not describe. `sigma_mm` follows from the scatter of pairs;
+    `half_mm` is half the median stripe's length.
+    """
+
+    bow_mm: float
+    sigma_mm: float
+    half_mm: float
+
+    @property
+    def is_sure(self) -> bool:
+        """True if the sheet is bent significantly."""
+        # Pairs are few, so the sigma is rough.
+        return abs(self.bow_mm) > 4.0 * self.sigma_mm
 
 
 @dataclass(frozen=True)
@@ -78,7 +96,7 @@ class LaserCalibration:
     @property
     def bow(self) -> Bow:
         """Bow of the sheet along the stripes."""
-        return fit_bow(self.points_mm, self.off_mm)
+        return _fit_bow(self.points_mm, self.off_mm)
 
     def in_tool(self, T_tool_camera: Float64, stated: Float64) -> tuple[Float64, Float64]:
         """Return plane (4,) and covariance (4, 4) in the tool frame; the camera's pose counts as exact.
@@ -168,14 +186,10 @@ def _board_lines(
     sigma_px = corner_sigmas_px(scene, seen)
     motion = linearise(scene, seen, 1.0 / sigma_px[seen.view]).motion
     lines = [
-        BoardLine(_image_line(scene.lens, stripe), T, covariance)
+        BoardLine(fit_line(scene.lens.rays(stripe.points_px), stripe.along_rows), T, covariance)
         for stripe, T, covariance in zip(stripes, scene.T_camera_board, np.linalg.inv(motion), strict=True)
     ]
     return lines, sigma_px
-
-
-def _image_line(lens: Lens, stripe: BoardStripe) -> LaserLineFit:
-    return fit_line(lens.rays(stripe.points_px), stripe.along_rows)
 
 
 def _per_lens(
@@ -215,3 +229,19 @@ def _on_one_line(spread_mm: float) -> str:
         "is unknown: add a pair with the board nearer to the camera and one with it farther away, by a tenth "
         "of the distance or more"
     )
+
+
+def _fit_bow(points_mm: Sequence[Float64], off_mm: Sequence[Float64]) -> Bow:
+    """Return the mean bow over the median stripe, from a parabola fitted to each stripe.
+
+    Each stripe has points (n, 3), which lie `off_mm` (n,) off the plane.
+    """
+    curvatures, halves = [], []
+    for points, off in zip(points_mm, off_mm, strict=True):
+        centred = points - points.mean(axis=0)
+        along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+        curvatures.append(float(np.polyfit(along, off, 2)[0]))
+        halves.append(0.5 * float(np.ptp(along)))
+    half_mm = float(np.median(halves))
+    spread = float(np.std(curvatures, ddof=1)) / math.sqrt(len(curvatures))
+    return Bow(float(np.mean(curvatures)) * half_mm**2, spread * half_mm**2, half_mm)

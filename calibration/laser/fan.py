@@ -14,9 +14,9 @@ from enum import StrEnum
 
 import numpy as np
 
-from calibration.few_values import wider_by_few
 from calibration.laser.cross_sections import CrossSections
 from noise_model.compiled.arrays import Float64
+from noise_model.fit import student_t
 from noise_model.robust import sigma_of
 
 MAX_NOISE = 0.2
@@ -136,7 +136,7 @@ def fit_fan(sides: Sequence[Float64], quantized_mm: float) -> Fan | str:
     squares = sum(fit[2] for fit in fits)
     variance = max(squares / freedom, (QUANTIZED * quantized_mm) ** 2)
     # Few ends say little of their scatter: Student's t is wider.
-    variance *= wider_by_few(freedom) ** 2
+    variance *= (student_t(0.95, freedom) / student_t(0.95, math.inf)) ** 2
     (c1, k1), (c2, k2) = (fit[0] for fit in fits)
     P = np.zeros((4, 4))
     P[:2, :2], P[2:, 2:] = variance * fits[0][1], variance * fits[1][1]

@@ -188,30 +188,41 @@ def observe_along(
     # scatter.
     bin_px = max(2, round(setup.camera.width / 160))
     binned = replace(setup, camera=binned_camera(setup.camera, bin_px))
-    usable = [_usable(frame.image_dn, setup, bin_px) for frame in posed]
+    usable = [block_means(frame.image_dn >= saturation_dn(setup.sensor), bin_px) == 0.0 for frame in posed]
     transfer = photon_transfer([frame.image_dn for frame in posed], usable, bin_px)
-    return ObservedRecording(
-        setup,
-        binned,
-        bin_px,
-        seam,
-        seam_observations,
-        tuple(
-            _observe_frame(
-                setup,
-                binned,
-                bin_px,
-                position=position,
-                frame=frame,
-                first_s=first_s,
-                T_base_tool=T_base_tool,
-                seam=seam,
-                usable=is_usable,
-                transfer=transfer,
-            )
-            for position, (frame, T_base_tool, is_usable) in enumerate(zip(posed, poses, usable, strict=True))
-        ),
+
+    def observed(
+        position: int, frame: Frame, T_base_tool: Callable[[float], Float64], usable: Bool
+    ) -> ObservedFrame:
+        condition = stated_condition(setup, frame, first_s)
+        pose = T_base_tool(pose_time_s(setup, frame.timestamp_s))
+        stations_mm, layers = stated_layers(setup, binned, pose, seam)
+        keep, in_stripe = bins_that_count(binned, layers, condition, usable)
+        binned_dn = block_means(frame.image_dn, bin_px).astype(np.float32)
+        sigma_dn, shown_dn2 = _noise(binned_dn, setup, bin_px, transfer)
+        return ObservedFrame(
+            position=position,
+            index=frame.index,
+            timestamp_s=frame.timestamp_s,
+            stratum=STRATA[int(condition.laser_level > 0.0) + 2 * int(condition.arc_level > 0.0)],
+            condition=condition,
+            pose_at=T_base_tool,
+            stations_mm=stations_mm,
+            image_dn=frame.image_dn,
+            binned_dn=binned_dn,
+            keep=keep,
+            rendered=keep | ~usable | dilate(in_stripe, STRIPE_RIM_BINS),
+            sigma_dn=sigma_dn[keep],
+            in_stripe=in_stripe[keep],
+            stated_e=_stated_e(setup, layers, condition),
+            stated_arc_e=layers.arc_e if condition.arc_level > 0.0 else np.zeros_like(binned_dn),
+            shown_dn2=shown_dn2[keep],
+        )
+
+    frames = tuple(
+        observed(n, *of_frame) for n, of_frame in enumerate(zip(posed, poses, usable, strict=True))
     )
+    return ObservedRecording(setup, binned, bin_px, seam, seam_observations, frames)
 
 
 def stated_condition(setup: Setup, frame: Frame, first_s: float) -> Condition:
@@ -253,44 +264,6 @@ def _tool(pose_at: PoseAt, frame: Frame) -> Callable[[float], Float64]:
     return T_base_tool
 
 
-def _observe_frame(
-    setup: Setup,
-    binned: Setup,
-    bin_px: int,
-    position: int,
-    frame: Frame,
-    first_s: float,
-    T_base_tool: Callable[[float], Float64],
-    seam: SeamCurve,
-    usable: Bool,
-    transfer: PhotonTransfer,
-) -> ObservedFrame:
-    condition = stated_condition(setup, frame, first_s)
-    pose = T_base_tool(pose_time_s(setup, frame.timestamp_s))
-    stations_mm, layers = stated_layers(setup, binned, pose, seam)
-    keep, in_stripe = bins_that_count(binned, layers, condition, usable)
-    binned_dn = block_means(frame.image_dn, bin_px).astype(np.float32)
-    sigma_dn, shown_dn2 = _noise(binned_dn, setup, bin_px, transfer)
-    return ObservedFrame(
-        position=position,
-        index=frame.index,
-        timestamp_s=frame.timestamp_s,
-        stratum=STRATA[int(condition.laser_level > 0.0) + 2 * int(condition.arc_level > 0.0)],
-        condition=condition,
-        pose_at=T_base_tool,
-        stations_mm=stations_mm,
-        image_dn=frame.image_dn,
-        binned_dn=binned_dn,
-        keep=keep,
-        rendered=keep | ~usable | dilate(in_stripe, STRIPE_RIM_BINS),
-        sigma_dn=sigma_dn[keep],
-        in_stripe=in_stripe[keep],
-        stated_e=_stated_e(setup, layers, condition),
-        stated_arc_e=layers.arc_e if condition.arc_level > 0.0 else np.zeros_like(binned_dn),
-        shown_dn2=shown_dn2[keep],
-    )
-
-
 def stated_layers(
     setup: Setup, binned: Setup, T_base_tool: Float64, seam: SeamCurve
 ) -> tuple[tuple[float, float, float], Layers]:
@@ -308,11 +281,6 @@ def _stated_e(setup: Setup, layers: Layers, condition: Condition) -> Float32:
     if condition.laser_level > 0.0:
         light += np.float32(condition.laser_level) * layers.laser_e
     return np.asarray(light * np.float32(condition.exposure_s / setup.camera.exposure_s))
-
-
-def _usable(image_dn: Integers, setup: Setup, bin_px: int) -> Bool:
-    """Return the bins (h, w) none of whose pixels is saturated."""
-    return np.asarray(block_means(image_dn >= saturation_dn(setup.sensor), bin_px) == 0.0)
 
 
 def _noise(

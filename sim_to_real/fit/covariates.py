@@ -54,21 +54,6 @@ MIN_SPEED_MM_S = 0.2
 """A tool that moves sideways more slowly counts as moving neither way."""
 
 
-PER_BIN = (
-    "frame",
-    "bins",
-    "stratum",
-    "in_stripe",
-    "sigma_dn",
-    "arc_dn",
-    "laser_dn",
-    "predicted_dn",
-    "part_mm",
-    "tangents",
-)
-"""Arrays of `Covariates` with an entry for each bin, in addition to the values."""
-
-
 @dataclass(frozen=True, eq=False)
 class Covariates:
     """All bins that count (n,) of all frames, frame after frame, at one set of nuisances.
@@ -100,9 +85,9 @@ class Covariates:
 
     def subset(self, chosen: Integers) -> Covariates:
         """Return some bins alone; `chosen` are their places among all."""
-        arrays = {name: getattr(self, name)[chosen] for name in PER_BIN}
+        arrays = vars(self).keys() - {"shape", "values"}
         values = {name: of_all[chosen] for name, of_all in self.values.items()}
-        return replace(self, values=values, **arrays)
+        return replace(self, values=values, **{name: getattr(self, name)[chosen] for name in arrays})
 
     def image(self, frame: int, values: Float32) -> Float32:
         """Return the values (n,) of one frame's bins as an image (h, w), NaN where no bin counts."""

@@ -165,11 +165,6 @@ def _blocks(ids: Sequence[str], n_nuisances: int, n_frames: int) -> Iterator[tup
         start = end
 
 
-def _trend_at(trend: Trend | None, x: Float64) -> Trend | None:
-    """Return a trend with the amplitudes at the end of parameters (p,)."""
-    return None if trend is None else replace(trend, amplitude=tuple(x[-len(trend.amplitude) :].tolist()))
-
-
 def _parameters_by_name(effect: str, values: Float64) -> dict[str, float]:
     names = [parameter.name for parameter in REGISTRY[effect].parameters]
     return dict(zip(names, values.tolist(), strict=True))
@@ -271,7 +266,10 @@ class _RenderProblem:
 
     def trend_at(self, x: Float64) -> Trend | None:
         """Return the trend at parameters (p,)."""
-        return _trend_at(self.trend, x)
+        if self.trend is None:
+            return None
+        # Its amplitudes end the parameters.
+        return replace(self.trend, amplitude=tuple(x[-len(self.trend.amplitude) :].tolist()))
 
     def arc_ln(self, x: Float64) -> Float64:
         """Return the arc's ln level of each frame (n_frames,), about their mean."""

@@ -94,8 +94,8 @@ def random_effects(model: LinearizedModel, fitted: Refit, without: Sequence[str]
     pixels = [haar_details(frame, light, bin_px) for frame, light in zip(frames, fitted.lights, strict=True)]
     compression = find_compression([frame.image_dn for frame in frames], observed.setup.sensor)
     is_compressed = compression is not None and compression.evidence > MIN_EVIDENCE_NATS
-    coded_dn2 = _coded_dn2(compression.quality, bin_px) if compression and is_compressed else 0.0
-    streaks = spatter(observed, fitted.lights, fit_sizes(pixels), coded_dn2)
+    bin_dn2 = coded_dn2(compression.quality, bin_px) if compression and is_compressed else 0.0
+    streaks = spatter(observed, fitted.lights, fit_sizes(pixels), bin_dn2)
     keeps = [frame.keep & ~hit for frame, hit in zip(frames, streaks.hit, strict=True)]
     masks = [keep[frame.keep] for frame, keep in zip(frames, keeps, strict=True)]
     masked = [details.subset(use) for details, use in zip(pixels, masks, strict=True)]
@@ -290,7 +290,7 @@ def _image_compression(seen: Compression | None, observed: ObservedRecording) ->
     excess = 0.0
     if is_seen:
         excess = _mean([_compressed_excess(frame, observed, seen.quality) for frame in observed.frames])
-    coded_dn2 = _coded_dn2(seen.quality, observed.bin_px)
+    bin_dn2 = coded_dn2(seen.quality, observed.bin_px)
     return [
         _RandomEffect(
             "image_compression",
@@ -298,12 +298,12 @@ def _image_compression(seen: Compression | None, observed: ObservedRecording) ->
             {"quality": seen.quality},
             {"quality": seen.sigma},
             excess,
-            lambda details: np.full(len(details.stated), coded_dn2),
+            lambda details: np.full(len(details.stated), bin_dn2),
         )
     ]
 
 
-def _coded_dn2(quality: float, bin_px: int) -> float:
+def coded_dn2(quality: float, bin_px: int) -> float:
     """Return the variance, DN^2, that compression adds to the mean of a bin.
 
     Rounding leaves step^2 / 12 of each wave of a block, of which a bin's mean keeps a share.

@@ -222,7 +222,7 @@ def test_what_rounding_leaves_in_bins_is_that_of_each_wave(bin_px):
     rng, quality = np.random.default_rng(3), 40.0
     off = quantisation_steps(quality) * rng.uniform(-0.5, 0.5, (90, 90, 8, 8))
     image = idctn(off, axes=(2, 3), norm="ortho").swapaxes(1, 2).reshape(720, 720)
-    assert of_scatter._coded_dn2(quality, bin_px) == pytest.approx(
+    assert of_scatter.coded_dn2(quality, bin_px) == pytest.approx(
         np.var(block_means(image, bin_px)), rel=0.05
     )
 

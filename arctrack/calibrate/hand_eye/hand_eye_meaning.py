@@ -17,7 +17,7 @@ from arctrack.recording.importing.units import ANGLE, LENGTH, UNITS, factor
 from calibration.camera.enough import UndeterminedError
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration, calibrate_hand_eye
 from calibration.hand_eye_boards.chain import Chain
-from calibration.hand_eye_boards.turns import turn_mismatch_deg
+from calibration.hand_eye_boards.enough import turn_mismatch_deg
 from noise_model.compiled.arrays import Float64
 
 SEQUENCES = tuple("".join(axes) for letters in ("ZYX", "xyz") for axes in permutations(letters)) + tuple(
