@@ -42,7 +42,7 @@ def refuse_if_undetermined(
 ) -> None:
     """Raise ValueError if kappa_diff, kappa_spec or c2, `values` (3,), has too wide an interval (-+ `half`).
 
-    So it is too if the lobe shows at fewer than three settings, or the fit did not settle.
+    Raised, too, if the lobe shows at fewer than three settings, or the fit did not settle.
     """
     # A few settings may lie close to the fit by luck: their repeats say how close they can be expected to.
     why = _why_undetermined(sample, model, fitted, values, half * np.fmax(1.0, 1.0 / scatter.ratio))

@@ -66,17 +66,17 @@ class Conditions:
     Parameters
     ----------
     armed : bool
-        Whether the tracker may send offsets.
+        True while the tracker may send offsets.
     enable_y, enable_z : bool
         Which axes are corrected.
     robot : RobotStatus or None
         The robot's last status; None while no fresh status has been received.
     fault : GateReason
-        What forbids every offset, and is named before all else; NONE if nothing does.
+        Reason that forbids every offset and is named before all others; NONE if there is none.
     doubt : GateReason
-        What forbids every offset, and is named after what the robot itself says; NONE if nothing does.
+        Reason that forbids every offset and is named after the robot's own; NONE if there is none.
     hold : bool
-        Whether the robot wants the last offset to be held.
+        True if the robot wants the last offset to be held.
     """
 
     armed: bool
@@ -125,11 +125,11 @@ class Decision:
     verdict : Verdict
         The offset is sent, the last offset is held, or it is refused.
     reason : GateReason
-        Why it was not sent, or not as it was measured.
+        Reason for which it was not sent, or not as measured.
     message : SeamOffset
         Always to be sent: a refusal, too, must reach the robot.
     last_sent : LastSent
-        What the next call of `decide` is given.
+        The state for the next call of `decide`.
     """
 
     verdict: Verdict
@@ -152,9 +152,9 @@ def decide(
     proposal : Proposal
         The offset that wants to go out.
     conditions : Conditions
-        What must hold in addition to the offset.
+        The conditions beyond the offset itself.
     limits : GateLimits
-        What the offset must keep to.
+        The offset's limits.
     last_sent : LastSent
         The offset that went out last, as the last `Decision` holds it.
     now_s : float
@@ -163,7 +163,7 @@ def decide(
     Returns
     -------
     Decision
-        What goes to the bus, and why.
+        The message for the bus, and its reason.
     """
     if not conditions.armed:
         last_sent = LastSent()

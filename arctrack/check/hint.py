@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from arctrack.check.case import CheckCase
 from arctrack.check.explanations import WeighedCause, explanations
-from calibration.check.stripe_place import ALIKE_NATS, OFF_NATS
+from calibration.check.stripe_place import OFF_NATS, RIVAL_NATS
 
 MAX_NAMED = 3
 """Number of causes that a hint names."""
@@ -39,7 +39,7 @@ def hint_of(ranked: Sequence[WeighedCause]) -> Hint | None:
     if not ranked:
         return None
     best = ranked[0]
-    least = best.ln_posterior - ALIKE_NATS
+    least = best.ln_posterior - RIVAL_NATS
     likely = [each for each in ranked if each.what and each.ln_posterior > least]
     doubted = best.ln_posterior - OFF_NATS
     if not best.what or any(each.is_as_stated and each.ln_posterior > doubted for each in ranked):

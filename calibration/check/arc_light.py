@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -86,10 +86,6 @@ class ArcLightCheck:
     spread: ValueWithSigma
 
 
-QUANTITIES = ("level", "unsteady", "exposure_power", "current_power", "shape", "spread")
-"""The quantities of `ArcLightCheck`, in their order."""
-
-
 def compare_arc(setup: Setup, frames: Sequence[tuple[Frame, Float64]], seam: SeamLine) -> ArcLightCheck:
     """Compare the arc's light in frames, each with T_base_tool (4, 4), with what a setup expects at a seam.
 
@@ -112,7 +108,7 @@ def compare_arc(setup: Setup, frames: Sequence[tuple[Frame, Float64]], seam: Sea
         changes = [getattr(other, name).value - known.value for other in others]
         return ValueWithSigma(known.value, math.hypot(known.sigma, *changes))
 
-    return ArcLightCheck(here.frames, *map(with_wander, QUANTITIES))
+    return ArcLightCheck(here.frames, *(with_wander(value.name) for value in fields(here)[1:]))
 
 
 def _torch_mm(true: Setup, T_base_tool: Float64) -> float:

@@ -68,7 +68,7 @@ turned about it, deg."""
 DIMENSION_TOLERANCE, STALE_DIMENSION = 0.03, 0.4
 """1 sigma of a dimension's logarithm: of a part made to its drawing, and of a wrong drawing."""
 
-OFF_NATS, ALIKE_NATS = 7.0, 6.0
+OFF_NATS, RIVAL_NATS = 7.0, 6.0
 """Log likelihood ratio from which the setup as stated does not explain the points, and below which two causes
 cannot be separated: a bent plate makes odds doubtful."""
 
@@ -183,7 +183,7 @@ class StripePlace:
             return ()
         best = self.causes[0].ln_evidence
         # A bent plate makes odds doubtful: parts within 6 nats cannot be separated.
-        return tuple(cause for cause in self.causes if cause.ln_evidence > best - ALIKE_NATS)
+        return tuple(cause for cause in self.causes if cause.ln_evidence > best - RIVAL_NATS)
 
     @property
     def best(self) -> Cause:
@@ -209,7 +209,8 @@ def explain_stripes(
 ) -> tuple[float, list[Cause]]:
     """Return the stripes' median distance from their nominal places, px, and the cause of each name.
 
-    The later names are fitted from where the first one's fit ends. Raises ValueError where no stripe meets the laser plane in front of the camera.
+    The later names are fitted from where the first one's fit ends. Raises ValueError where no stripe meets
+    the laser plane in front of the camera.
     """
     problem = _StripePlaceProblem.of(setup, sights)
     first = problem.explain(names[0], problem.coarse_place())

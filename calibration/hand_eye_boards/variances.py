@@ -34,7 +34,7 @@ from noise_model.compiled.arrays import Float64
 
 TURN, PLACE = slice(0, 3), slice(3, 6)
 
-LEAST, MOST = np.array([math.radians(1e-5), 1e-4]), np.array([math.radians(30.0), 300.0])
+MIN_SIGMAS, MAX_SIGMAS = np.array([math.radians(1e-5), 1e-4]), np.array([math.radians(30.0), 300.0])
 """Bounds of the robot's sigmas, rad and mm: below them, its noise is none."""
 
 FIRST = np.array([math.radians(0.03), 0.1])
@@ -129,8 +129,8 @@ def robot_sigma(errors: PoseErrors, start: Float64 | None = None) -> Float64:
         likelihood = determinants + float(np.linalg.slogdet(information)[1] + squares[-1, -1]) - fitted
         return likelihood - 2.0 * float(log_sigma.sum())
 
-    bounds = list(zip(np.log(LEAST), np.log(MOST), strict=True))
-    first = np.log(FIRST if start is None else start.clip(3.0 * LEAST, MOST / 3.0))
+    bounds = list(zip(np.log(MIN_SIGMAS), np.log(MAX_SIGMAS), strict=True))
+    first = np.log(FIRST if start is None else start.clip(3.0 * MIN_SIGMAS, MAX_SIGMAS / 3.0))
     result = minimize(cost, first, method="L-BFGS-B", bounds=bounds)
     return np.asarray(np.exp(result.x))
 

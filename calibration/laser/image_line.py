@@ -20,9 +20,6 @@ ROUNDS, SETTLED = 50, 1e-4
 FAR_SIGMAS = 5.0
 """A point that many sigmas off the line is none of it."""
 
-MAX_LAG_SHARE = 0.2
-"""The autocorrelation is summed up to this share of the stripe's lines at most."""
-
 MIN_SIGMA = 1e-9
 """Stripes without noise occur in tests alone."""
 
@@ -111,7 +108,8 @@ def lines_together(pull: Float64) -> float:
     if not power > 0.0:
         return 1.0
     total, noise = 1.0, 1.0 / np.sqrt(n)
-    for lag in range(1, max(int(MAX_LAG_SHARE * n), 2)):
+    # The autocorrelation is summed over a fifth of the stripe's lines.
+    for lag in range(1, max(int(0.2 * n), 2)):
         r = float(centred[lag:] @ centred[:-lag]) / power
         if r <= noise:
             break

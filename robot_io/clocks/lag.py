@@ -56,9 +56,9 @@ class LagLimits:
     min_samples : int
         The least number of seen samples (chosen: some for each of the unknowns).
     gain_sigmas : float
-        How many sigmas the gain must be above 0 (chosen).
+        Least significance of the gain, sigmas (chosen).
     rival_chi2 : float
-        By how much in chi2 another lag must be worse (chosen: 5 sigmas).
+        Least excess of any other lag's chi2 (chosen: 5 sigmas).
     sigma_s : float
         The largest sigma, s (chosen: at 10 mm/s that is 0.2 mm).
 
@@ -122,11 +122,11 @@ class Lag:
     dead_time_s, time_constant_s : float
         The two, s; they are known less well than their sum.
     gain : float
-        What was seen over what was commanded.
+        Ratio of the measured to the commanded motion.
     noise_mm : float
         1 sigma of the residuals, mm.
     unestimated : LagUnestimated or None
-        Why there is none.
+        Reason for which there is no lag.
     """
 
     lag_s: float = math.nan
@@ -156,16 +156,16 @@ def estimate_lag(
     commanded : Motion
         The command: offsets at the times of their sending, or poses at theirs.
     seen : Motion
-        What was seen of it, on the same clock.
+        The measured motion, on the same clock.
     limits : LagLimits
-        What the estimate asks.
+        The estimate's limits.
     between : str
-        What the command does between its times: it is "held", as offsets are, or runs "straight", as poses.
+        Interpolation of the command between its times: "held", as offsets, or "straight", as poses.
     first_order : bool
         True to fit a time constant in addition to the dead time.
     nuisances : array (n, m), optional
-        What else may be in what was seen, a column each, such as a weave's sine and cosine. A constant always
-        is.
+        Further components of the measured motion, a column each, such as a weave's sine and cosine. A
+        constant is always one.
 
     Returns
     -------

@@ -19,9 +19,6 @@ import can
 UNIX_TIME_FROM_S = 631_152_000.0
 """Times from here on (1990-01-01) are taken for wall-clock times, as python-can's BLF writer does."""
 
-KEPT_EVERY_S = 1.0
-"""A process that is killed loses no more than this of a log; a machine that stops may lose more."""
-
 
 class BusLogError(ValueError):
     """A log that cannot be written or read."""
@@ -91,7 +88,8 @@ class BusLogWriter:
         Raises BusLogError if it cannot be written, as on a full disk.
         """
         now_s = time.monotonic()
-        if self._start_s is None or not now_s - self._kept_at_s >= KEPT_EVERY_S:
+        # A process that is killed loses a second of its log; a machine that stops may lose more.
+        if self._start_s is None or not now_s - self._kept_at_s >= 1.0:
             return
         self._kept_at_s = now_s
         if isinstance(self._writer, can.BLFWriter):

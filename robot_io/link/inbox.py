@@ -42,13 +42,13 @@ class Received:
     timestamp_s : float
         The frame's own time, s.
     message : BusMessage
-        What it says.
+        Its content.
     counter : int
         Its E2E counter.
     source : Source
         Where what it says comes from.
     max_age_s : float
-        How long before its reading the frame came at most, s.
+        Largest time between the frame's arrival and its reading, s.
     """
 
     timestamp_s: float

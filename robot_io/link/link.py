@@ -142,7 +142,7 @@ class Link:
         Returns
         -------
         bool
-            Whether it went out in time. If not, it is dropped.
+            True if it went out in time; otherwise it is dropped.
 
         Raises
         ------

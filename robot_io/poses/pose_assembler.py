@@ -24,9 +24,9 @@ class PoseSample:
     quaternion_xyzw : tuple (4,)
         The tool's rotation in base, as a unit quaternion x y z w.
     kind : PoseKind
-        Whether it is where the tool is, or where the programmed path has it.
+        The actual pose, or that of the programmed path.
     sample_age_s : float
-        How old the pose was when it was sent, s; NaN where the sender does not know.
+        Age of the pose when it was sent, s; NaN where the sender does not know it.
     """
 
     timestamp_s: float

@@ -56,7 +56,7 @@ class PoseAt:
     status : PoseStatus
         Interpolated, extrapolated or refused.
     refusal : PoseRefusal or None
-        Why it was refused.
+        Reason of a refusal.
     T_base_tool : array (4, 4)
         The pose: it takes points of the tool frame to base, mm.
     velocity_base_mm_s : array (3,)
@@ -92,9 +92,9 @@ class PoseBuffer:
     Parameters
     ----------
     capacity : int
-        How many poses are kept, 2 or more.
+        Number of poses kept, 2 or more.
     max_extrapolation_periods : float
-        How many nominal periods after the last pose a pose is still extrapolated.
+        Largest extrapolation beyond the last pose, in nominal periods.
 
     Raises
     ------

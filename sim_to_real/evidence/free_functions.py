@@ -40,9 +40,6 @@ FORMS: Mapping[str, Callable[[Covariates], Float32]] = {
 MIRRORED, OVER_IMAGE = "mirrored", "row, column"
 """The light at the place mirrored at the image's middle, as of a ghost; and any function over the image."""
 
-PATTERNS = dict(row="row", column="column", radial="radius", mirrored=MIRRORED, fixed=OVER_IMAGE)
-"""Patterns in the image, and the functions that stand for them."""
-
 
 @dataclass(frozen=True, eq=False)
 class FunctionFamily:
@@ -268,7 +265,8 @@ def locate(
     curves = sorted(map(functions.curve, UNITS), key=lambda curve: -curve.r2)
     excess = residuals**2 - 1.0
     in_band = np.sum(excess[covariates.in_stripe]) / max(np.sum(excess), MIN_EXCESS * len(excess))
-    image = {name: functions.r2(key) for name, key in PATTERNS.items()}
+    patterns = dict(row="row", column="column", radial="radius", mirrored=MIRRORED, fixed=OVER_IMAGE)
+    image = {name: functions.r2(key) for name, key in patterns.items()}
     image["stripe_band"] = float(np.clip(in_band, 0.0, 1.0))
     return Where(stage, stages, tuple(curves), image, strata_gaps(covariates, residuals), z)
 
