@@ -12,7 +12,6 @@ from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import Joint
 from robot_io import (
     Command,
-    GateReason,
     PoseAssembler,
     PoseKind,
     PoseSample,
@@ -112,10 +111,6 @@ class PoseWatch:
         if doubt is None and self._seam.motion is SeamMotion.CONTRADICTED:
             return SeamMotion.CONTRADICTED
         return doubt
-
-    def verdict(self, now_s: float) -> GateReason:
-        """Return the verdict for the gate."""
-        return GateReason.NONE if self.doubt(now_s) is None else GateReason.POSE_IMPLAUSIBLE
 
 
 def nominal_path(joint: Joint) -> NominalPath:

@@ -109,8 +109,13 @@ class FrameOutcome:
 
     def for_results(self) -> OffsetOutcome:
         """Return what results.csv says of the offset."""
-        was_sent = math.isfinite(self.sent_s)
-        return OffsetOutcome.of(self.offset, self.gate_reason, self.pose_doubt, was_sent)
+        return OffsetOutcome(
+            self.offset.offset_y_mm,
+            self.offset.offset_z_mm,
+            self.offset.validity.name.lower() if math.isfinite(self.sent_s) else "not_sent",
+            "" if self.gate_reason is GateReason.NONE else self.gate_reason.name.lower(),
+            "" if self.pose_doubt is None else self.pose_doubt.name.lower(),
+        )
 
 
 class TrackingService(Generic[Shown]):

@@ -6,11 +6,9 @@ import csv
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum
 from pathlib import Path
 
 from arctrack.errors import in_file
-from robot_io import GateReason, SeamOffset
 from tracker.state import NAN
 
 LIVE_FOLDER, LIVE_RESULTS = "live", "results.csv"
@@ -29,19 +27,6 @@ class OffsetOutcome:
     validity: str = ""
     gate_reason: str = ""
     pose_doubt: str = ""
-
-    @classmethod
-    def of(
-        cls, offset: SeamOffset, reason: GateReason, pose_doubt: Enum | None, was_sent: bool = True
-    ) -> OffsetOutcome:
-        """Return the outcome of an offset that went to the bus, or was to go there."""
-        return cls(
-            offset.offset_y_mm,
-            offset.offset_z_mm,
-            offset.validity.name.lower() if was_sent else "not_sent",
-            "" if reason is GateReason.NONE else reason.name.lower(),
-            "" if pose_doubt is None else pose_doubt.name.lower(),
-        )
 
     @property
     def gate(self) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import platform
 import tempfile
 import time
@@ -19,7 +18,7 @@ from arctrack.errors import ArctrackError
 from arctrack.live.journal.journal import JournalReader
 from arctrack.live.journal.records import NO_IMAGE, Entry, Status
 from arctrack.recording.results import ResultsWriter
-from arctrack.recording.run_offsets import LIVE_FOLDER, OffsetOutcome
+from arctrack.recording.run_offsets import LIVE_FOLDER
 from arctrack.recording.steps import write_steps
 from arctrack.recording.writer import RecordingWriter, VideoFormat
 from noise_model.setup import Setup
@@ -119,12 +118,7 @@ def _write_live(folder: Path, entries: Sequence[Entry]) -> None:
     folder.mkdir()
     with ResultsWriter(folder) as results:
         for entry in entries:
-            if entry.offset is not None:
-                outcome = OffsetOutcome.of(
-                    entry.offset, entry.gate_reason, None, was_sent=math.isfinite(entry.sent_s)
-                )
-                outcome = replace(outcome, pose_doubt=entry.pose_doubt)
-                results.write(entry.track, outcome, entry.took_ms)
+            results.write(entry.track, entry.outcome, entry.took_ms)
     with (folder / "poses_read.csv").open("w", encoding="utf-8") as file:
         file.write("timestamp_s,read_s\n")
         for entry in entries:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from arctrack.live.journal.packing import Packer
+from arctrack.recording.run_offsets import NO_OUTCOME, OffsetOutcome
 from noise_model.compiled.arrays import UInt8
 from noise_model.surface.joint import SeamLine
 from robot_io import (
@@ -49,23 +50,21 @@ class Entry:
     """A tracked frame: `frame` and `inputs` as the step took them, `track` without stripe and checks.
 
     `poses` arrived since the entry before. `arrived_s` and `sent_s` are when the loop had the frame and sent
-    its offset, NaN where it sent none; `dropped` counts frames since the start. `gate_reason` says why the
-    offset did not go out as measured (NONE if it did), `pose_doubt` why poses were not trusted, by the name
-    in `results.csv` (empty if they were).
+    its offset, NaN where it sent none; `dropped` counts frames since the start. `outcome` is what results.csv
+    says of the offset.
     """
 
     frame: Frame
     inputs: StepInputs
     track: Track
-    offset: SeamOffset | None
+    offset: SeamOffset
     job_number: int
     poses: tuple[ReceivedPose, ...] = ()
     arrived_s: float = NAN
     sent_s: float = NAN
     took_ms: float = NAN
     dropped: int = 0
-    gate_reason: GateReason = GateReason.NONE
-    pose_doubt: str = ""
+    outcome: OffsetOutcome = NO_OUTCOME
 
 
 @dataclass(frozen=True)

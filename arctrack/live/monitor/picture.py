@@ -24,12 +24,10 @@ from noise_model.arc.scene import Scene, make_scene
 from noise_model.compiled.arrays import Float32, Float64, UInt8
 from noise_model.setup import Setup
 from noise_model.transforms import invert, transform
-from robot_io import SeamOffset, Validity
 from tracker import flags
 from tracker.checks import FrameChecks
 from tracker.geometry import SensorGeometry
 from tracker.observation import Reading, expected_output, shows_arc
-from tracker.state import NAN
 from tracker.stripe.read import arc_map_of
 
 MAX_WIDTH_PX, JPEG_QUALITY = 960, 80
@@ -38,8 +36,6 @@ MAX_POINTS = 320
 
 PICTURE, HEAT = 1, 2
 """The first byte of a binary message says what follows."""
-
-NO_OFFSET = SeamOffset(NAN, NAN, NAN, NAN, Validity.UNKNOWN)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +58,7 @@ class Painter:
         """Return the picture of an entry with its view."""
         viewer = self._viewer(entry.job_number)
         reading = _reading(viewer.geometry.setup, entry, view)
-        seen = ReplayedFrame(entry.inputs.pose, view.track, reading, entry.offset or NO_OFFSET, entry.took_ms)
+        seen = ReplayedFrame(entry.inputs.pose, view.track, reading, entry.offset, entry.took_ms)
         shown = viewer.view(entry.frame, seen, shows_arc_light=False)
         assert shown.grey is not None
         jpeg = _jpeg(shown.grey)

@@ -29,7 +29,7 @@ class JournalWriter:
 
     def on_sent(self, outcome: FrameOutcome, job_number: int, arrived_s: float, dropped: int) -> None:
         """Write the entry of a frame that was tracked; see `Entry`."""
-        tracked, step, doubt = outcome.tracked, outcome.tracked.step, outcome.pose_doubt
+        tracked, step = outcome.tracked, outcome.tracked.step
         if step is None:
             # A frame that could not be read.
             return
@@ -44,8 +44,7 @@ class JournalWriter:
                 sent_s=outcome.sent_s,
                 took_ms=tracked.took_ms,
                 dropped=dropped,
-                gate_reason=outcome.gate_reason,
-                pose_doubt="" if doubt is None else doubt.name.lower(),
+                outcome=outcome.for_results(),
             )
         )
         # Nobody sees more pictures a second than 25.

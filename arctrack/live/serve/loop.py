@@ -53,9 +53,6 @@ MAX_MESSAGES = 64
 """Largest number of messages read in a turn: a robot that sends all the time must not hold a frame up."""
 
 LiveSeam = SeamTracker[FrameTracking]
-OnDark = Callable[[Frame], None]
-"""Callback with each laser-off frame: the arc's light alone."""
-
 OnTrack = Callable[[Track, list[BusMessage]], None]
 """Callback with each track, and what was sent of it."""
 
@@ -90,7 +87,7 @@ class LiveLoop:
 
     `seams` are by the robot's job number; the first one is tracked until the robot names a job. In a live run
     the robot's commands choose the seam; a recording has its own. `on_track` gets each track and what was
-    sent of it, `on_dark` each laser-off frame, which is not tracked.
+    sent of it.
     """
 
     def __init__(
@@ -102,12 +99,11 @@ class LiveLoop:
         source: Source = Source.LIVE,
         on_track: OnTrack | None = None,
         journal_writer: JournalWriter | None = None,
-        on_dark: OnDark | None = None,
         exposure: ExposureChooser | None = None,
     ) -> None:
         self.camera, self.link, self.controller = camera, link, controller
         self._seams, self._source, self._on_track = seams, source, on_track
-        self._journal_writer, self._on_dark = journal_writer, on_dark
+        self._journal_writer = journal_writer
         self._exposure = exposure
         self._job_number, self.seam = next(iter(seams.items()))
         self._service = TrackingService[Frame | None](
@@ -261,8 +257,6 @@ class LiveLoop:
         if not is_between or not isinstance(frame, Frame) or frame.laser_on:
             return frame
         self._dark += 1
-        if self._on_dark is not None:
-            self._on_dark(self._lit(frame))
         return None
 
     def _track(self, frame: Frame | UnreadableFrame) -> None:

@@ -42,6 +42,9 @@ from tracker.tracker_state import TrackerMemory as SteppedState
 SHAPE = (6, 8)
 
 
+OFFSET = SeamOffset(0.1, -0.2, 24.0, 0.9, Validity.VALID)
+
+
 @pytest.fixture
 def journal(tmp_path, monkeypatch):
     monkeypatch.setattr(private_memory, "MEMORY", tmp_path)
@@ -58,7 +61,7 @@ def entry(index):
         Frame(index, index / 3.0, image, 0.005),
         StepInputs(SteppedState(), pose),
         Track(index, 0.0, 0),
-        None,
+        OFFSET,
         1,
     )
 
@@ -108,7 +111,7 @@ def test_a_status_comes_out_as_it_was_told(journal):
         fault=Fault.NONE,
         laser=LaserState.ON,
         reason=GateReason.CAMERA_STOPPED,
-        offset=SeamOffset(0.1, -0.2, 24.0, 0.9, Validity.VALID),
+        offset=OFFSET,
         robot=WELDING,
         command=TrackerCommand(Command.TRACK, True, True, 0, 7, None, Switch.ON),
         job_number=7,
@@ -139,7 +142,9 @@ def test_gap_reports_are_read_while_somebody_writes_them(journal):
 
 def test_what_does_not_fit_is_counted_and_nothing_raises(journal):
     large = entry(1)
-    journal.write_entry(Entry(large.frame, large.inputs, Track(1, 0.0, 0, stripe=np.zeros(20_000)), None, 1))
+    journal.write_entry(
+        Entry(large.frame, large.inputs, Track(1, 0.0, 0, stripe=np.zeros(20_000)), OFFSET, 1)
+    )
     assert journal.lost == 1
     assert JournalReader("run").count == 0
 

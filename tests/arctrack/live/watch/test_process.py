@@ -17,6 +17,7 @@ from arctrack.simulation.simulate import balance
 from noise_model.condition import Condition
 from noise_model.forward import Renderer, draw_frame
 from noise_model.setup import Setup
+from robot_io import SeamOffset, Validity
 from tracker.state import Frame, Pose
 from tracker.step import StepInputs
 from tracker.tracker import Tracker
@@ -25,6 +26,8 @@ pytestmark = pytest.mark.slow
 
 RUN, RATE_HZ, DRAWN = "watched", 10.0, 12
 DIRTY = {"dirty_window": {"dimming_1": 0.8, "u_1": -0.2, "v_1": 0.1, "radius_1": 0.3}}
+
+OFFSET = SeamOffset(0.1, -0.2, 24.0, 0.9, Validity.VALID)
 
 
 def drawn(setup: Setup, nominal: Setup, seed: int) -> list[tuple[Entry, FrameView]]:
@@ -40,7 +43,7 @@ def drawn(setup: Setup, nominal: Setup, seed: int) -> list[tuple[Entry, FrameVie
         track = tracker.step(frame, pose)
         reading = tracker.reading
         assert reading is not None
-        entry = Entry(frame, inputs, replace(track, stripe=None, checks=()), None, 1)
+        entry = Entry(frame, inputs, replace(track, stripe=None, checks=()), OFFSET, 1)
         shown = replace(track, checks=())
         made.append((entry, FrameView(0, shown, reading.seam, reading.reach_mm, reading.arc, reading.joint)))
     return made
