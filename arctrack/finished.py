@@ -55,7 +55,7 @@ class FinishedVerdict(BaseModel):
 
     @classmethod
     def of(cls, verdict: RunVerdict) -> FinishedVerdict:
-        """Return what is kept of a verdict."""
+        """Return a verdict's record."""
         hint = verdict.hint
         return cls(
             frames=verdict.frames,
@@ -98,7 +98,7 @@ class ReplayRecord(BaseModel):
 
 
 def read_finished(folder: Path, made_of: str) -> ReplayRecord | None:
-    """Return what a folder's finished replay came to; None unless it is whole, and was made of the same."""
+    """Return the result of a folder's finished replay; None unless it is whole, and was made of the same."""
     try:
         finished = ReplayRecord.model_validate(
             json.loads(read_text(folder / FINISHED_JSON, LIMITS.toml_bytes))

@@ -65,13 +65,13 @@ LIMITS = Limits()
 
 
 def source_of(limit: str) -> str:
-    """Return where a limit comes from."""
+    """Return a limit's source."""
     source: str = Limits.__dataclass_fields__[limit].metadata["source"]
     return source
 
 
 def size_problem(width: int, height: int) -> str | None:
-    """Return what is wrong with a camera's size, None if its tables fit into memory."""
+    """Return the problem of a camera's size, None if its tables fit into memory."""
     if width > LIMITS.side_px or height > LIMITS.side_px:
         return f"{width} x {height} px: a side has {LIMITS.side_px} px at most"
     if width * height > LIMITS.image_px:

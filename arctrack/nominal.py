@@ -38,7 +38,7 @@ DIMENSIONS: dict[str, dict[str, float]] = {
 _AHEAD_MM, _BEHIND_MM = (95.0, 0.0, 130.0), (-20.0, 0.0, 135.0)
 _AIM_IN_TOOL_MM = (36.0, 0.0, 0.0)
 _ARC_HEIGHT_MM = {"lap": 2.0, "corrugation": 1.6, "fillet": 3.0}
-"""Where the arc stands on more than the reference surface: on the upper sheet, between a fillet's plates."""
+"""The arc's height above the reference surface: on the upper sheet, between a fillet's plates."""
 
 
 def nominal_setup(joint_type: str, material_name: str, *, width: int = 640, height: int = 480) -> Setup:

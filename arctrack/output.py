@@ -36,12 +36,12 @@ def make_new_folder(folder: Path) -> None:
 
 
 def real(path: Path) -> Path:
-    """Return where a path leads through all links, as far as they lead: one may point at itself."""
+    """Return a path through all links, as far as they resolve: one may point at itself."""
     return Path(os.path.realpath(path))
 
 
 def folders_for(recordings: Sequence[Path], out: Path | None, name: str, clash: str) -> list[Path]:
-    """Return where each recording's files go: into `name` in it, or `out`, where several get a folder each.
+    """Return the folder of each recording's files: `name` in it, or `out`, where several get a folder each.
 
     ArctrackError, which says the `clash`, if two recordings would share a folder.
     """

@@ -87,7 +87,7 @@ def jobs_for(
     resume: bool = False,
     cores: int = 1,
 ) -> list[ReplayJob]:
-    """Return what there is to do; ArctrackError if two recordings would share a folder of results."""
+    """Return the replays to run; ArctrackError if two recordings would share a folder of results."""
     folders = folders_for(recordings, out, RESULTS_FOLDER, "its results would replace others")
     return [
         ReplayJob(path, folder, setup_path, options or ReplayOptions(), resume, cores)

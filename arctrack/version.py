@@ -13,4 +13,4 @@ def _installed() -> str:
 
 
 __version__ = _installed()
-"""As pip knows it; `unknown` where arctrack runs from a bare tree."""
+"""The installed version; `unknown` where arctrack runs from a bare tree."""

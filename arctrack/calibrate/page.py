@@ -92,7 +92,7 @@ def row_of(
 
 
 def with_reasons(left_out: Mapping[str, str]) -> tuple[str, ...]:
-    """Return what was left out, each with why."""
+    """Return the inputs left out, each with the reason."""
     return tuple(f"{name}: {reason}" for name, reason in left_out.items())
 
 

@@ -42,7 +42,7 @@ class RobotPoses:
     T_controllertool_tool: Float64
 
     def has(self, image: int) -> bool:
-        """Return whether an image, by its position in the series, has a pose."""
+        """Return True if an image, by its position in the series, has a pose."""
         return bool(self.rows[image] != UNKNOWN_IMAGE)
 
     def at(self, rows: int | Int64) -> Float64:

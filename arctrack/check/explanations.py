@@ -1,4 +1,4 @@
-"""What most likely is wrong in a recording: one likelihood over all causes that are known.
+"""The likeliest mistake in a recording: one likelihood over all known causes.
 
 Each cause is tried on the case: its cure is applied, and three things are measured anew. They are where the
 bright lines lie (`calibration.check.stripe_place`, Laplace's evidence), how wide the stripe is, and how many
@@ -56,7 +56,7 @@ LN_PRIOR_STALE, LN_PRIOR_LENS, LN_PRIOR_MISTAKE, LN_PRIOR_UNKNOWN = -2.0, -5.0, 
 """ln of the odds to a right setup: of a stale part, of a stale lens, of one mistake, of none of them."""
 
 ORDER_NATS = 0.5
-"""What a mistake in the list of the common ones is rarer than the one before it."""
+"""Ratio of the probabilities of two mistakes that follow each other in the list of the common ones."""
 
 EQUAL_SHARE = 0.02
 """Shares of the lines on the joint that differ by less are the same."""

@@ -22,7 +22,7 @@ FAR_MM = 3.0
 """A seam farther from its nominal line, in the median, comes near to where it is not looked for."""
 
 MAX_COURSE_PX = 1.0
-"""So far a stripe may run off its expected course."""
+"""Largest distance of a stripe from its expected course."""
 
 WIDTH_RATIO, PEAK_RATIO, ARC_RATIO, NOISE_RATIO = 1.15, 1.5, 2.0, 1.5
 """Largest ratio of a measured to the expected quantity, either way."""

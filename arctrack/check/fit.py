@@ -25,7 +25,7 @@ from tracker.seam.expected import check_pose, pose_numbers
 from tracker.seam.locate import SeamSource
 
 BESIDE_MM = 4.0
-"""So far beyond the section's outer corners points count: farther out all joints are plates."""
+"""Reach beyond the section's outer corners in which points count: farther out all joints are plates."""
 
 MIN_BEYOND_MM = 2.0
 """A line that reaches less far beyond these corners shows no joint."""

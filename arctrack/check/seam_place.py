@@ -16,7 +16,7 @@ from tracker.state import Track
 
 
 class SeamPlace(NamedTuple):
-    """How far a seam lies to the left of its nominal place, and above it, mm; NaN where unknown."""
+    """Lateral and vertical distance of a seam from its nominal place, left and up, mm; NaN where unknown."""
 
     y_mm: float
     z_mm: float

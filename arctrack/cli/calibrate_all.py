@@ -29,12 +29,11 @@ def calibrate_all(
     out: Out = None,
     report: Report = None,
 ) -> None:
-    """Calibrate all that a folder holds files for, and certify what the seam's absolute position is good for.
+    """Calibrate all that a folder holds files for, and certify the seam's absolute position.
 
-    Each calibration builds on those before it: sensor, camera, hand-eye, laser, delay, arc. What is refused
-    is named and keeps its stated values; the others are done nevertheless, and the exit code is 2. The
-    certificate carries the whole covariance to the seam, in mm, and says which measurement would improve it
-    most.
+    Each calibration builds on those before it: sensor, camera, hand-eye, laser, delay, arc. One that is
+    refused keeps its stated values; the others are done nevertheless, and the exit code is 2. The certificate
+    carries the whole covariance to the seam, in mm, and names the measurement that would improve it most.
     """
     look_at_setup(setup)
     check_folder(folder)

@@ -20,9 +20,9 @@ def arc(
 ) -> None:
     """Find the arc's radius, place and brightness, and the metal's reflectance, from frames of the arc alone.
 
-    Frames with the arc on and the laser off are compared with the arc map. What they do not tell is refused
-    and keeps its stated value: which frames would tell it is said, and which values cannot be told apart. The
-    values go into [arc] and [material] of the setup, their covariance beside them.
+    It compares frames with the arc on and the laser off with the arc map. A value that they do not determine
+    keeps its stated one, and the page names the frames that would determine it. The values go into [arc] and
+    [material] of the setup, with their covariance.
     """
     look_at_recording(recording)
     from arctrack.calibrate.arc.stage import arc_stage

@@ -34,7 +34,7 @@ def camera(
     """Find the camera's focal lengths, principal point and distortion from images of a board.
 
     Each value has its sigma, and so has the projection all over the image. Images that do not determine the
-    lens are refused, and what is missing is named.
+    lens are refused, with the image that is missing.
     """
     look_at_images(sources)
     if setup is not None:

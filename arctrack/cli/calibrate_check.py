@@ -21,13 +21,13 @@ def check(
     recording: Annotated[Path, typer.Argument(help="Folder that holds a recording.")],
     report: Report = None,
 ) -> None:
-    """Say by stage whether a setup explains a recording, and what to calibrate anew if not.
+    """Check stage by stage that a setup explains a recording, and name what to calibrate anew if not.
 
-    The stages are the sensor, camera with laser and hand-eye, the stripe, and the arc. Each quantity is
-    printed as measured and as expected, with the sigma of their difference, a verdict and a cure. A stripe
-    beside its place is held against each part of the setup that may be off. Where the poses do not tell
-    them apart, all are named, and the recording that would tell. The exit code is 0 if the setup explains
-    the recording, 1 if not, 2 for bad input.
+    The stages are the sensor, camera with laser and hand-eye, the stripe, and the arc. It prints each
+    quantity as measured and as expected, with the sigma of their difference, a verdict and a cure. It
+    compares a stripe off its place with an error of each part of the setup. Where the poses do not separate
+    these, it names all of them, and a recording that would. The exit code is 0 if the setup explains the
+    recording, 1 if not, 2 for bad input.
     """
     look_at_recording(recording, setup)
     from arctrack.calibrate.check.check_setup import check_setup
@@ -89,7 +89,7 @@ def _print(checked: SetupCheck) -> None:
 
 
 def cures(measures: tuple[Measure, ...]) -> list[str]:
-    """Return what to do about quantities that are not explained, a line each."""
+    """Return the cures of quantities that are not explained, a line each."""
     from arctrack.calibrate.check.measure import LightStage, SetupVerdict
 
     return [

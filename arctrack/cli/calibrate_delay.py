@@ -20,7 +20,7 @@ def delay(
 
     With a wrong delay the tool's own weave shows in the seam. The likelihood of a smooth seam is largest at
     the right one. It goes into the effect pose_delay of the setup. Where the motion is too weak, the answer
-    is 'unestimated': what motion is missing is said, nothing but the page is written, and the exit code is 2.
+    is 'unestimated': the page names the missing motion, no setup is written, and the exit code is 2.
     """
     look_at_recording(recording)
     from arctrack.calibrate.delay.stage import delay_stage

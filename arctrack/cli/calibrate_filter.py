@@ -22,10 +22,10 @@ def filter_curve(
         float | None, typer.Option(help="The maker's n_eff for light off the axis; default: the setup's.")
     ] = None,
 ) -> None:
-    """Put a filter's measured curve into a setup and say what it passes over the field.
+    """Put a filter's measured curve into a setup and print its transmission over the field.
 
-    Printed are centre and width, what of the laser's line and of the arc's continuum passes at the image's
-    corner over what passes on the axis, and how bright the argon lines are behind it beside the continuum.
+    It prints centre and width, the transmission of the laser's line and of the arc's continuum at the image's
+    corner over that on the axis, and the argon lines' brightness behind it over that of the continuum.
     """
     import numpy as np
 

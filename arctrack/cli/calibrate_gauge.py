@@ -39,9 +39,7 @@ def gauge(
         ),
     ] = None,
     units: Annotated[str, typer.Option(help="Units that no name states, such as 'm, rad'.")] = "",
-    check: Annotated[
-        bool, typer.Option("--check", help="Only say whether the setup measures it right.")
-    ] = False,
+    check: Annotated[bool, typer.Option("--check", help="Only check the setup's sheet.")] = False,
     within: Annotated[float, typer.Option(help="With --check: how far the size may be off, mm.")] = 0.1,
     out: Out = None,
     report: Report = None,
@@ -49,11 +47,11 @@ def gauge(
     """Find the laser sheet from its stripe on a gauge at several poses of the robot, or check it from a few.
 
     The gauge stands still, and the robot looks at it from several sides: raised, tilted, turned about its z.
-    Its own place is found along, and so is the robot's inaccuracy. Poses that do not determine the sheet are
-    refused, and the motion that is missing is named.
+    Its own place is found as well, and so is the robot's inaccuracy. Poses that do not determine the sheet
+    are refused, with the motion that is missing.
 
-    With --check one image is enough: the setup's sheet measures the gauge's size, and what to calibrate anew
-    is said where it is off. Nothing but the page is written. The exit code is 1 where it is not OK.
+    With --check one image is enough: the setup's sheet measures the gauge's size, and where it is off the
+    page names what to calibrate anew. No setup is written. The exit code is 1 where it is not OK.
     """
     shape = _gauge_of(gauge)
     if _is_recording(sources):

@@ -44,11 +44,11 @@ def hand_eye(
     """Find the camera's pose in the tool: from images of a board and the robot's poses, or from the arc.
 
     With --board the board stands still, and the robot shows it to the camera from several sides. The robot's
-    own inaccuracy is estimated along. Poses that do not determine the camera are refused, and the motion that
-    is missing is named.
+    own inaccuracy is estimated as well. Poses that do not determine the camera are refused, with the motion
+    that is missing.
 
-    Without --board the arc's own light says where the camera stands, within its stated tolerance. Where the
-    seam's expected error is not clearly smaller after, no file is written.
+    Without --board the arc's own light locates the camera, within its stated tolerance. No file is written
+    where the seam's expected error would not be clearly smaller.
     """
     if board is None:
         for_boards = {

@@ -26,8 +26,8 @@ def laser(
     Two images are a pair by the numbers in their names; the one with the laser has `laser` or `on` in its
     name: board_01.png and laser_01.png, or 7_off.png and 7_on.png. The board stands still meanwhile, and at
     another distance in each pair. An image with the laser alone in its number may show the lit board as well.
-    Pairs that do not determine the plane are refused, and what is missing is named. Where the stripe ends on
-    the board in several pairs, the fan's origin and angle follow; its width says the sheet's thickness.
+    Pairs that do not determine the plane are refused, with the pairs that are missing. Where the stripe ends
+    on the board in several pairs, the fan's origin and angle follow; its width gives the sheet's thickness.
     """
     look_at_images(sources)
     look_at_setup(setup)

@@ -22,11 +22,11 @@ SERVED_BUS = "udp_multicast:239.74.163.2"
 
 
 LIVE_MM = 10_000.0
-"""How far a live robot may go: for a quarter of an hour."""
+"""Length of a live robot's path: a quarter of an hour."""
 
 
 class EventName(StrEnum):
-    """What may happen in a run."""
+    """An event of a simulated run."""
 
     IGNITION = "ignition"
     ARC_TOLD_LATE = "arc_told_late"
@@ -74,8 +74,8 @@ def run(
 ) -> None:
     """Weld in a simulated cell: a rendered camera, the tracker, the bus, and a robot that follows.
 
-    Time is simulated: a run takes as long as its frames take to render. It prints how far the torch was off
-    the seam, and what became of the offsets.
+    Time is simulated: a run takes as long as its frames take to render. It prints the torch's distance from
+    the seam, and the count of each kind of offset.
     """
     from arctrack.cli import console
     from arctrack.output import make_folder
@@ -136,8 +136,8 @@ def serve(
 ) -> None:
     """Run a simulated robot on a real bus in real time, and its rendered camera into shared memory.
 
-    Whoever tracks is another process, such as arctrack serve: it reads frames by their name, and poses off
-    the bus. The robot wants nothing of a tracker before it hears its heartbeat.
+    Another process tracks, such as arctrack serve: it reads frames by their name, and poses off the bus. The
+    robot commands nothing before a tracker's heartbeat.
     """
     from arctrack.cli import console
     from arctrack.cli.interrupt import interruptible
@@ -175,7 +175,7 @@ def serve(
 
 
 def _lines(plan: LoopPlan, result: ClosedLoopResult) -> list[str]:
-    """Return what came of a run in words."""
+    """Return a run's result in words."""
     reasons = ", ".join(f"{name} {count}" for name, count in sorted(result.reasons.items()))
     valid = f"{result.offsets}; not as measured: {reasons or 'none'}"
     if math.isinf(result.lock_s):
@@ -191,7 +191,7 @@ def _lines(plan: LoopPlan, result: ClosedLoopResult) -> list[str]:
 
 
 def event_lines(happened: EventResult) -> list[str]:
-    """Return what became of an event in words."""
+    """Return an event's outcome in words."""
     validities = ", ".join(f"{name} {count}" for name, count in sorted(happened.validities.items()))
     reasons = ", ".join(f"{name} {count}" for name, count in sorted(happened.reasons.items()))
     again = "never VALID again"

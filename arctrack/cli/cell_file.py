@@ -36,7 +36,7 @@ def new(
 
 @cell.command(epilog="Example: arctrack cell check /tmp/my_cell/cell.toml")
 def check(file: Annotated[Path, typer.Argument(help="The cell file, cell.toml.")]) -> None:
-    """Say whether a cell file and its setup are sound, what each job does, and what load the bus bears.
+    """Check a cell file and its setup; list each job and the load of the bus.
 
     The exit code is 1 where the setup has keys that are not known, or the bus is loaded above 70 %.
     """

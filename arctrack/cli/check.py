@@ -29,11 +29,11 @@ def check(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say from some frames whether a recording fits its setup, and what most likely is wrong if not.
+    """Check by some frames that a recording fits its setup, and name the most likely mistake if not.
 
-    Measured are seam and stripe, width, peak, saturation and speckle, black level and noise, the arc's light,
-    times and speeds, each beside what is stated. A stripe where frames.csv says laser_on = 0 is named, and a
-    missing line where it says 1. Each key that a warning names is explained. The picture shows the predicted
+    It compares seam and stripe, width, peak, saturation and speckle, black level and noise, the arc's light,
+    times and speeds with the stated values. It names a stripe where frames.csv says laser_on = 0, and a
+    missing line where it says 1, and explains each key that a warning names. The picture shows the predicted
     stripe over two frames.
     The exit code is 0 without a warning, 1 with one or if few offsets would go out, 3 if none would, 2
     for bad input.

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from tracker.warm_up import WarmUp
 
 SPOKEN_EVERY_S = 5.0
-"""So often a line says how far it is where no bar can be shown."""
+"""Period of the lines of progress where no bar can be shown."""
 
 
 class _Tables(Console):
@@ -158,7 +158,7 @@ class SpokenProgress(Progress):
 
 
 def how_far(task: Task) -> str:
-    """Return in words what is done, how far, how long it has taken, and about how long it takes yet."""
+    """Return a task in words: its progress, its time so far, and about the time left."""
     done, unit = [task.description], task.fields.get("unit", "")
     if task.total == 1.0:
         done.append(f"{100.0 * task.completed:.0f} %")
@@ -172,7 +172,7 @@ def how_far(task: Task) -> str:
 
 
 def _left_s(task: Task) -> float | None:
-    """Return how long it takes yet, s, as it took before on this machine, else by the pace so far."""
+    """Return the remaining time, s, by earlier runs on this machine, else by the pace so far."""
     before_s: float | None = task.fields.get("left_s")
     return task.time_remaining if before_s is None else before_s
 

@@ -45,7 +45,7 @@ def end_of_output(error: EOFError | BrokenPipeError) -> NoReturn:
 
 
 def _has_no_reader(descriptor: int) -> bool:
-    """Return whether what is written to a pipe reaches nobody any more."""
+    """Return True if a pipe's reader is gone."""
     ends = select.poll()
     ends.register(descriptor, 0)
     return bool(ends.poll(0))

@@ -24,9 +24,9 @@ def explain(
     ] = None,
     arc_map: ArcMap = True,
 ) -> None:
-    """Say why one frame gave its seam, or none: image, arc map, stripe, sigmas, profile, joint, history.
+    """Explain one frame's seam, or why it has none: image, arc map, stripe, sigmas, profile, joint, history.
 
-    The frames before it are replayed, so that the tracker knows what it knew.
+    The frames before it are replayed first: the tracker's state is that of the run.
     """
     look_at_recording(recording, setup)
     from arctrack.cli import console

@@ -60,8 +60,8 @@ def import_files(
 ) -> None:
     """Make a recording of raw files: JPEG, PNG, BMP or TIFF images, and poses as the controller writes them.
 
-    Images are taken in the order of their numbers. Units and the way that rotations are written are stated,
-    never guessed. Nothing is written over, and what fails leaves nothing.
+    Images are taken in the order of their numbers. Units and the notation of rotations are stated, never
+    guessed. Nothing is overwritten, and a failure leaves no files.
     """
     look_at_setup(setup)
     look_at_file(poses)

@@ -23,7 +23,7 @@ def inspect(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say what a recording holds: sensor, joint, conditions, poses, unknown keys; and draw it.
+    """List a recording's content, and draw it: sensor, joint, conditions, poses, unknown keys.
 
     The picture shows one frame of each condition, with the stripe where the nominal setup expects it,
     and the robot's path.

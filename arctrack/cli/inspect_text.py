@@ -35,7 +35,7 @@ def print_survey(console: Console, recording: Recording, survey: Survey) -> None
 
 
 def survey_json(recording: Recording, survey: Survey) -> dict[str, Any]:
-    """Return what a recording holds, for programs."""
+    """Return a recording's content for programs."""
     setup, rows = recording.setup, recording.rows
     conditions = [
         {name: value for name, value in vars(condition).items() if name != "sample"}
@@ -64,7 +64,7 @@ def survey_json(recording: Recording, survey: Survey) -> dict[str, Any]:
 
 
 def correction_words(correction: Correction) -> str:
-    """Return what of the correction is not as it is where nothing is stated."""
+    """Return the stated parts of the correction that differ from the default."""
     words = []
     for table, stated, unstated in (
         ("", correction, UNSTATED),
@@ -82,7 +82,7 @@ def _filter_words(of_filter: Filter | FilterCurve | None) -> str:
 
 
 def setup_lines(setup: Setup) -> list[tuple[str, str]]:
-    """Return what the nominal setup says, a line a part."""
+    """Return the nominal setup in words, a line a part."""
     return [
         ("camera", str(setup.camera)),
         ("sensor", str(setup.sensor)),
@@ -96,7 +96,7 @@ def setup_lines(setup: Setup) -> list[tuple[str, str]]:
 
 
 def motion_lines(motion: MotionSummary) -> list[tuple[str, str]]:
-    """Return how the robot moved, in two lines."""
+    """Return the robot's motion in words, in two lines."""
     return [
         (
             "poses",

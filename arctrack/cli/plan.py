@@ -68,7 +68,7 @@ def plan(
     ] = 1.0,
     as_json: AsJson = False,
 ) -> None:
-    """Search sensor designs for the least expected error of the seam; say where along the path it is blind.
+    """Search sensor designs for the least expected error of the seam; list blind stretches of the path.
 
     The error is the Cramer-Rao bound under the predicted noise of stripe and arc, with the speckle floor.
     """

@@ -115,13 +115,13 @@ def serve_cell_file(
             black_box = None if journal is None else journal.black_box
             ends_s = math.inf if seconds is None else time.monotonic() + seconds
 
-            is_told = False
+            has_warned = False
 
             def goes_on() -> bool:
-                nonlocal is_told
+                nonlocal has_warned
                 signals = came()
-                if not is_told and live.loop.warning is not None:
-                    is_told = True
+                if not has_warned and live.loop.warning is not None:
+                    has_warned = True
                     warnings.put(console.warning_line(live.loop.warning))
                 for number in signals & SAVING.keys():
                     if black_box is not None:
@@ -188,7 +188,7 @@ def _serve_simulated(job: int | None, seconds: float | None) -> bool:
 
 
 def _result_lines(result: LoopResult) -> list[str]:
-    """Return what a run came to in words."""
+    """Return a run's result in words."""
     from arctrack.offset_count import OffsetCount
 
     offsets = ", ".join(f"{name} {count}" for name, count in result.offsets.items()) or "none"

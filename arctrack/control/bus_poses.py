@@ -88,7 +88,7 @@ class BusPoses:
             self._forget_poses()
 
     def is_settled(self, captured_s: float, now_s: float) -> bool:
-        """Return whether the pose of a capture is known as well as it will be: the one after it has come."""
+        """Return True if the pose of a capture is known as well as it will be: the one after it has come."""
         stamped_s = captured_s + self._late_s
         return self._newest_s >= stamped_s or not 0.0 <= now_s - stamped_s < self._wait_s
 
@@ -107,7 +107,7 @@ class BusPoses:
         return GateReason.NONE if self.doubt is None else GateReason.POSE_IMPLAUSIBLE
 
     def are_trusted(self, now_s: float) -> bool:
-        """Return whether what is measured by the poses now may be kept: they are trusted."""
+        """Return True if the poses are trusted now: measurements by them may be kept."""
         return self.watch.doubt(now_s) is None
 
     def offset_look_ahead(self, now_s: float) -> OffsetLookAhead:

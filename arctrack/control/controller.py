@@ -140,7 +140,7 @@ class Controller:
         return self._fault
 
     def is_laser_on(self, now_s: float) -> bool:
-        """Return whether the laser may be on: commanded, by a robot that is not silent, and no fault."""
+        """Return True if the laser may be on: commanded, by a robot that is not silent, and no fault."""
         command = self._fresh_command(now_s)
         return (
             command is not None
@@ -247,7 +247,7 @@ class Controller:
         ]
 
     def poll(self, now_s: float) -> list[BusMessage]:
-        """Return what is due: version, heartbeat, and REFUSED where an offset on the bus holds no longer."""
+        """Return the messages that are due: version, heartbeat, REFUSED where an offset holds no longer."""
         self._follow_clock(now_s)
         if not self._track_at_s <= now_s:
             # It begins, or the clock was set back: from now on a camera has its time.
@@ -256,8 +256,8 @@ class Controller:
         reason = forbidden_by(self._conditions(self._track, now_s, is_camera_stopped), self.job.limits)
         refused = self._offset.validity is Validity.REFUSED
         is_repeated = is_camera_stopped and self._is_due(self._refused_at_s, now_s)
-        is_told = refused and not (is_repeated or self._is_refusal_owed)
-        if reason is GateReason.NONE or is_told:
+        is_refusal_sent = refused and not (is_repeated or self._is_refusal_owed)
+        if reason is GateReason.NONE or is_refusal_sent:
             self._state = self._state_of(self._track, None, now_s)
             return self._due(now_s)
         return [*self._refuse(reason, now_s), *self._due(now_s)]
@@ -416,7 +416,7 @@ class Controller:
     def _is_due(self, since_s: float, now_s: float) -> bool:
         return not 0.0 <= now_s - since_s < self._policy.repeat_s
 
-    def _command_heard(self, now_s: float) -> CommandHeard:
+    def _obeyed_command(self, now_s: float) -> CommandHeard:
         command = self._fresh_command(now_s)
         if command is None:
             return CommandHeard.NONE if self._command is None else CommandHeard.LOST
@@ -433,5 +433,5 @@ class Controller:
             request_result=self._request_result,
             job_number=job_number,
             rolling=0,
-            command_heard=self._command_heard(now_s),
+            command_heard=self._obeyed_command(now_s),
         )

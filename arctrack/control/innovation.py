@@ -113,7 +113,7 @@ class _SeamAxis:
         return p00 + 2.0 * p02 + p22
 
     def moved(self, distance_mm: float) -> _SeamAxis:
-        """Return what is known of a station further on."""
+        """Return the prediction for a station further on."""
         fade = math.exp(-DECAY * distance_mm)
         a, b = fade * (1.0 + DECAY * distance_mm), fade * distance_mm
         c, d = -(DECAY**2) * fade * distance_mm, fade * (1.0 - DECAY * distance_mm)
@@ -138,7 +138,7 @@ class _SeamAxis:
     def measured(
         self, displacement_mm: float, variance_mm2: float, max_sigmas: float = math.inf
     ) -> tuple[_SeamAxis, float]:
-        """Return what is known after a measurement, and its innovation over its sigma, both cut (Huber)."""
+        """Return the estimate after a measurement, and its innovation over its sigma, both cut (Huber)."""
         p00, p01, p02, p11, p12, p22 = self.covariance
         g0, g1, g2 = p00 + p02, p01 + p12, p02 + p22
         spread = g0 + g2 + variance_mm2
@@ -170,7 +170,7 @@ class _SeamKnowledge:
     axes: tuple[_SeamAxis, _SeamAxis]
 
     def moved(self, station_mm: float) -> tuple[_SeamAxis, _SeamAxis]:
-        """Return what is known of another station."""
+        """Return the prediction for another station."""
         step_mm = station_mm - self.station_mm
         y, z = self.axes
         if step_mm >= 0.0:
@@ -179,7 +179,7 @@ class _SeamKnowledge:
         return _mirrored(_mirrored(y).moved(-step_mm)), _mirrored(_mirrored(z).moved(-step_mm))
 
     def agrees(self, other: _SeamKnowledge, limits: InnovationLimits) -> bool:
-        """Return whether two estimates without a common measurement may be of one seam."""
+        """Return True if two estimates without a common measurement may be of one seam."""
         chi2 = 0.0
         for here, there in zip(self.axes, other.moved(self.station_mm), strict=True):
             variance_mm2 = here.variance_mm2 + there.variance_mm2
@@ -243,7 +243,7 @@ class SeamInnovation:
 
 
 def _begun(seam: SeamMeasurement, limits: InnovationLimits) -> _SeamKnowledge:
-    """Return what a first measurement says, of which the wide prior makes no innovation."""
+    """Return the estimate after a first measurement, of which the wide prior makes no innovation."""
     y, z = (
         _SeamAxis().measured(displacement_mm, _variance_mm2(sigma_mm, limits))[0]
         for displacement_mm, sigma_mm in zip(seam.displacement_mm, seam.sigma_mm, strict=True)

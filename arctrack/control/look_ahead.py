@@ -137,7 +137,7 @@ class LookAhead:
             self.keep_better(lag)
 
     def offset_look_ahead(self) -> OffsetLookAhead:
-        """Return how far to look ahead."""
+        """Return the look-ahead of offsets."""
         if self.lag.unestimated is not None or len(self._commanded) < 2:
             return AT_ONCE
         time_s = self.lag.lag_s + 0.5 * self._period_s

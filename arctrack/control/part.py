@@ -78,7 +78,7 @@ class PartWatch:
         self._check, self._bridge = PartCheck(), Bridge()
 
     def is_fit(self, job: Job) -> bool:
-        """Return whether all that a job requires before the arc was measured and is in range."""
+        """Return True if all that a job requires before the arc was measured and is in range."""
         return self._check.passed or not job.part.required
 
     def look(self, track: Track, T_base_tool: Float64 | None, job: Job, is_arc_off: bool) -> Fault:

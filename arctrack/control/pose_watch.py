@@ -121,7 +121,7 @@ def nominal_path(joint: Joint) -> NominalPath:
 
 
 def _of_tool(sample: PoseSample, T_controllertool_tool: Float64) -> PoseSample:
-    """Return where the tool is, from a sample of where the controller has its own tool frame."""
+    """Return the tool's pose, from a sample of the controller's own tool frame."""
     turn = Rotation.from_quat(sample.quaternion_xyzw)
     x, y, z = (np.array(sample.position_base_mm) + turn.apply(T_controllertool_tool[:3, 3])).tolist()
     qx, qy, qz, qw = (turn * Rotation.from_matrix(T_controllertool_tool[:3, :3])).as_quat().tolist()

@@ -18,7 +18,7 @@ from robot_io import Source
 
 @dataclass(frozen=True)
 class RecordedJob:
-    """What answers a recording's frames; `number` is the job's, None without a cell."""
+    """Controller that answers a recording's frames; `number` is the job's, None without a cell."""
 
     recording: Recording
     number: int | None

@@ -168,7 +168,7 @@ class RecordedPoses:
 
 
 def seam_limits(frame_rate_hz: float) -> InnovationLimits:
-    """Return what the seam in the image must keep to: the window is of time, not of frames."""
+    """Return the limits of the seam's innovation: the window is of time, not of frames."""
     limits = InnovationLimits()
     if not frame_rate_hz * LOOK_BACK_S < limits.window:
         return limits

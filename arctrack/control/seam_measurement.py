@@ -17,7 +17,7 @@ from tracker.state import Pose, Track
 def seam_measurement(
     setup: Setup, track: Track, pose: Pose | None, hand_eye_variance_mm2: tuple[float, float]
 ) -> SeamMeasurement | None:
-    """Return where a track's pose puts the seam that it saw; None where it saw none.
+    """Return the seam that a track saw, placed by its pose; None where it saw none.
 
     Its sigma leaves out the hand-eye tolerance, which turns with the tool and is common to all frames;
     `hand_eye_variance_mm2` is that tolerance's part in the variances of the track's (y, z).

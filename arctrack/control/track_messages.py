@@ -29,7 +29,7 @@ NO_TRACK = Track(0, NAN, 0)
 
 
 def has(track: Track, flag: flags.Flag) -> bool:
-    """Return whether a track carries a flag."""
+    """Return True if a track has a flag."""
     return bool(track.flags & flag.mask)
 
 
@@ -69,7 +69,7 @@ def displacement(
 
 
 def geometry(track: Track, joint: JointType) -> SeamGeometry:
-    """Return what was measured of a joint."""
+    """Return the measured geometry of a joint."""
     measured = SeamGeometry(
         gap_mm=track.gap_mm,
         mismatch_mm=track.mismatch_mm,
@@ -81,7 +81,7 @@ def geometry(track: Track, joint: JointType) -> SeamGeometry:
 
 
 def seam_point(track: Track, T_base_tool: Float64 | None) -> SeamPoint:
-    """Return where the laser saw the seam, unknown without a valid track or a pose (4, 4)."""
+    """Return the seam point under the laser, unknown without a valid track or a pose (4, 4)."""
     if not track.valid or T_base_tool is None:
         return UNKNOWN_POINT
     x_mm, y_mm, z_mm = (T_base_tool @ np.array([*track.seam_tool_mm, 1.0]))[:3]
@@ -98,7 +98,7 @@ def status(
     latency_ms: float,
     dropped: int,
 ) -> TrackerStatus:
-    """Return how the tracker is; `dropped` is how many frames it has not seen since the start."""
+    """Return the tracker's status; `dropped` counts the frames that it has not seen since the start."""
     return out_of_range_as_unknown(
         TrackerStatus(
             state=state,

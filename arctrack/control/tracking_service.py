@@ -45,7 +45,7 @@ class Poses(Protocol):
         """Take an accepted message of any type, read at a time, s."""
 
     def is_settled(self, captured_s: float, now_s: float) -> bool:
-        """Return whether the pose of a capture is known as well as it will be."""
+        """Return True if the pose of a capture is known as well as it will be."""
 
     def at(self, captured_s: float) -> PoseAt:
         """Return the tool's pose at a capture."""
@@ -57,7 +57,7 @@ class Poses(Protocol):
         """Return the poses' verdict for the gate."""
 
     def are_trusted(self, now_s: float) -> bool:
-        """Return whether what is measured by the poses now may be kept."""
+        """Return True if measurements by the poses may be kept now."""
 
     def offset_look_ahead(self, now_s: float) -> OffsetLookAhead:
         """Return the look-ahead of an offset."""

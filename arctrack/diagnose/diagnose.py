@@ -72,7 +72,7 @@ def jobs_for(
     setup_path: Path | None = None,
     without: Sequence[str] = (),
 ) -> list[DiagnosisJob]:
-    """Return what there is to do; ArctrackError for an unknown effect and for folders that would be shared.
+    """Return the diagnoses to run; ArctrackError for an unknown effect and for folders that would be shared.
 
     Paths come out absolute: a process elsewhere has its own working directory.
     """

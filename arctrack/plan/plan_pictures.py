@@ -192,7 +192,7 @@ def _coloured(figure: Figure, axes: Axes, plan: Plan) -> None:
 
 
 def _joint_x(plan: Plan) -> Float64:
-    """Return where the tool stands along x of the joint frame (n,), mm."""
+    """Return the tool's place along x of the joint frame (n,), mm."""
     T_base_joint = seam_frame(plan.setup.joint, np.asarray(plan.setup.joint.seam_in_base_mm[0]))
     return np.asarray(transform(invert(T_base_joint), plan.along.path.T_base_tool[:, :3, 3])[:, 0])
 

@@ -340,7 +340,7 @@ def _begin(file: Iterator[str], begin: list[str]) -> str:
 
 
 def _separator(head: str, row: str) -> str:
-    """Return what parts the columns of a head and of a row."""
+    """Return the separator of columns by which a head and a row agree."""
     possible = [separator for separator in _SEPARATORS if len(_cells(head, separator)) > 1]
     for separator in possible:
         if len(_cells(head, separator)) == len(_cells(row, separator)):

@@ -93,13 +93,13 @@ def _packets(path: Path) -> Iterator[_Packets]:
 
 
 def index_of(path: Path) -> VideoIndex:
-    """Return how many frames a video holds, and when they were taken, without decoding them."""
+    """Return a video's number of frames and their times, without decoding them."""
     with open_video(path) as container:
         return read_index(path, container)
 
 
 def carries_checksums(path: Path) -> bool:
-    """Return whether a video carries checksums; without, damage within a frame may go unnoticed."""
+    """Return True if a video has checksums; without them damage within a frame may go unnoticed."""
     with open_video(path) as container:
         # The first packets vote: a damaged one may lie.
         packets = islice(payloads(container.demux(container.streams.video[0])), 8)
@@ -154,7 +154,7 @@ class _Packets:
 
 
 def checksums_hold(packet: bytes) -> bool:
-    """Return whether a packet is a chain of FFV1 slices whose CRC-32s are all right (RFC 9043, 4.9).
+    """Return True if a packet is a chain of FFV1 slices whose CRC-32s are all right (RFC 9043, 4.9).
 
     libavcodec's decoder only logs a wrong one and fills the slice with something. A slice's footer is its
     size (3 bytes), an error status (1) and a CRC (4) which makes that of the whole slice 0; its bits run the

@@ -117,7 +117,7 @@ def read_text(path: Path, max_bytes: int) -> str:
 
 
 def is_utf16(start: bytes) -> bool:
-    """Return whether a file that begins so says that it is UTF-16."""
+    """Return True if a file's first bytes are a byte-order mark of UTF-16."""
     return start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
 
 
@@ -127,7 +127,7 @@ def not_utf8(error: UnicodeDecodeError, line: int) -> UnfitFileError:
 
 
 def kind_of(mode: int) -> str | None:
-    """Return what stands in a file's place, None if it is a regular file."""
+    """Return the kind of what stands in a file's place, None for a regular file."""
     return next((name for is_kind, name in KINDS if is_kind(mode)), None)
 
 

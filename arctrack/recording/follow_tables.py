@@ -10,7 +10,7 @@ from tracker.seam.correction import AtLimit, AxisCorrection, Correction, Corruga
 
 
 class FollowAxisTable(Table):
-    """What is sent of an axis, across the seam (y) and of height (z); without a limit the gate bounds it."""
+    """The correction of an axis, across the seam (y) or of height (z); without a limit the gate bounds it."""
 
     enable: bool = key(
         "Whether the axis is corrected",
@@ -46,7 +46,7 @@ class FollowAxisTable(Table):
 
 
 class FollowTable(Table):
-    """What is sent of the seam that was measured."""
+    """The correction that follows from the measured seam."""
 
     when_lost: WhenLost = key(
         "What is sent past the last measurement",

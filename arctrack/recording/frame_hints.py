@@ -18,8 +18,8 @@ _LAST_NUMBER = re.compile(r"(\d+)\D*$")
 
 
 def frame_hint(path: Path) -> str:
-    """Return what to do where a frame's PNG is missing and it lies there in another format; else nothing."""
-    for name in _beside(path, (*LOSSY, *IMPORTED)):
+    """Return the cure for a frame that lies there in another format than PNG; else nothing."""
+    for name in _other_formats(path, (*LOSSY, *IMPORTED)):
         suffix = os.path.splitext(name)[1].lower()
         noise = "its compression has changed the noise"
         if suffix == ".png":
@@ -29,12 +29,12 @@ def frame_hint(path: Path) -> str:
         return f"; {name} is there: arctrack import reads it" + (
             f", though {noise}" if suffix in LOSSY else ""
         )
-    other = next(iter(_beside(path, (".pgm", ".raw"))), None)
+    other = next(iter(_other_formats(path, (".pgm", ".raw"))), None)
     return "" if other is None else f"; {other} is there: make a grey PNG of it, named {path.name}"
 
 
 def number_hint(folder: Path, index: int) -> str:
-    """Return what to do where a frame's PNG has another name; else nothing."""
+    """Return the cure for a frame's PNG of another name; else nothing."""
     for name in _names(folder):
         stem, suffix = os.path.splitext(name)
         number = _LAST_NUMBER.search(stem)
@@ -45,7 +45,7 @@ def number_hint(folder: Path, index: int) -> str:
 
 
 def source_hint(recording: Path, index: int) -> str:
-    """Return what to do where there are neither a folder of PNGs nor a video; else nothing."""
+    """Return the cure where there are neither a folder of PNGs nor a video; else nothing."""
     names = _names(recording)
     video = next((name for name in names if os.path.splitext(name)[1].lower() in VIDEOS), None)
     if video is not None:
@@ -56,7 +56,7 @@ def source_hint(recording: Path, index: int) -> str:
     return "" if image is None else f"; {image} lies beside it: arctrack import makes a recording of images"
 
 
-def _beside(path: Path, suffixes: tuple[str, ...]) -> list[str]:
+def _other_formats(path: Path, suffixes: tuple[str, ...]) -> list[str]:
     """Return the names that a frame's file has with other suffixes, in small letters or capitals."""
     written = [letters for suffix in suffixes for letters in dict.fromkeys((suffix, suffix.upper()))]
     return [path.with_suffix(suffix).name for suffix in written if path.with_suffix(suffix).exists()]

@@ -52,7 +52,7 @@ class BadFrame:
 
 
 def png_path(folder: Path, index: int) -> Path:
-    """Return where the frame of an index lies."""
+    """Return the file, or the place in the video, of a frame by its index."""
     return folder / f"{index:06d}.png"
 
 

@@ -50,7 +50,7 @@ class PngHeader:
 
 
 def problem_of(encoded: bytes) -> str | None:
-    """Return what is wrong with a PNG's bytes, None if it is whole."""
+    """Return the problem of a PNG's bytes, None if it is whole."""
     if not encoded:
         return "is empty"
     if not encoded.startswith(SIGNATURE):

@@ -68,7 +68,7 @@ def read_poses(
 
 
 def _unread(name: str) -> str:
-    """Return what to do about a log of the bus that is not read for its name."""
+    """Return the cure for a log of the bus whose name is not read."""
     if name.lower() in LOG_NAMES:
         return f"; name {name} {name.lower()}"
     if name.lower().endswith(".gz"):
@@ -112,7 +112,7 @@ def check_coverage(poses: PoseTable, first_frame_s: float, last_frame_s: float) 
 
 
 def _cure(poses: PoseTable, apart_s: float, otherwise: str) -> str:
-    """Return what to do about poses and frames that lie so far apart, s."""
+    """Return the cure for poses and frames that lie so far apart, s."""
     if poses.damage is not None:
         return poses.damage
     # Clocks of two time zones differ by half an hour at least, by 26 hours at most (IANA's time zones).
@@ -122,7 +122,7 @@ def _cure(poses: PoseTable, apart_s: float, otherwise: str) -> str:
 
 
 def runs_against_travel(poses: PoseTable, frames_s: Sequence[float], joint: Joint) -> bool:
-    """Return whether the tool went along a joint's nominal line from its end to its start, frame by frame."""
+    """Return True if the tool went along a joint's nominal line from its end to its start, frame by frame."""
     at_frames = np.searchsorted(poses.timestamps_s, frames_s).clip(max=len(poses.timestamps_s) - 1)
     origins_mm = poses.T_base_tool[np.unique(at_frames), :3, 3]
     steps_mm = [

@@ -95,7 +95,7 @@ class Recording:
 
     @property
     def has_truth(self) -> bool:
-        """True if truth.csv lies next to the frames."""
+        """Return True if truth.csv lies next to the frames."""
         return (self.path / TRUTH_CSV).exists()
 
     @property
@@ -105,7 +105,7 @@ class Recording:
         return (len(self.rows) - 1) / span_s if span_s > 0 else float("nan")
 
     def is_read_from(self, path: Path) -> bool:
-        """Return whether writing to a path, which need not exist, would change the recording or its setup."""
+        """Return True if writing to a path, which need not exist, would change the recording or its setup."""
         names = (setup_writer.FILE_NAME, FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES, STEPS_CSV, STATE_JSON)
         sources = [self.setup_path, self.frame_source, *(self.path / name for name in names)]
         return any(real(path).is_relative_to(real(source)) for source in sources)

@@ -277,13 +277,13 @@ def _section_values(track: Track) -> Iterator[float]:
 
 
 def count_flags(tracks: Sequence[Track]) -> dict[str, int]:
-    """Return how many frames carry each flag, in the registry's order, without those that none carries."""
+    """Return the number of frames with each flag, in the registry's order; flags of no frame are left out."""
     counts = Counter(name for track in tracks for name in track.flag_names)
     return {flag.name: counts[flag.name] for flag in flags.FLAGS if counts[flag.name]}
 
 
 def counts_in_words(offsets: OffsetCount, valid: int, laser_on: int) -> str:
-    """Return what a run comes to: offsets sent and valid frames, each of how many there could be."""
+    """Return a run's result: offsets sent and valid frames, each with the number that there could be."""
     return f"{offsets}; {valid} of {laser_on} frames with the laser on are valid"
 
 

@@ -34,7 +34,7 @@ class OffsetOutcome:
         return ", ".join(text for text in (self.validity, self.gate_reason) if text) or "not noted"
 
     def differs(self, other: OffsetOutcome) -> bool:
-        """Return whether another offset is not the same for a robot."""
+        """Return True if another offset is a different one for a robot."""
         pairs = (self.offset_y_mm, other.offset_y_mm), (self.offset_z_mm, other.offset_z_mm)
         is_other = any(not _is_same(run_mm, other_mm) for run_mm, other_mm in pairs)
         return is_other or (bool(self.validity) and self.validity != other.validity)
@@ -63,7 +63,7 @@ class RunComparison:
             by_replay[replayed.gate] = by_replay.get(replayed.gate, 0) + 1
 
     def _most_common(self) -> list[tuple[str, str, int]]:
-        """Return what both gates did and the number of frames, the most frequent first."""
+        """Return the outcomes of both gates with their number of frames, the most frequent first."""
         kinds = [
             (run, here, n) for run, by_replay in self.differences.items() for here, n in by_replay.items()
         ]
@@ -94,7 +94,7 @@ class RunComparison:
 
 
 def read_run_offsets(recording: Path) -> Mapping[int, OffsetOutcome]:
-    """Return what a live run sent, by frame; nothing for a recording that is no black box.
+    """Return the offsets that a live run sent, by frame; none for a recording that is no black box.
 
     Raises ArctrackError, with the cure, where the file is there and cannot be read.
     """

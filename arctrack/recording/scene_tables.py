@@ -181,7 +181,7 @@ class JointTable(Table):
 
 
 class ToleranceTable(Table):
-    """How well a careful user knows the setup, and what the weld can bear."""
+    """The uncertainty of the stated setup, and the error that the weld can bear."""
 
     arc_level_rel: Number = key(
         "How well radiance_e is known: 1 sigma, relative",
@@ -236,7 +236,7 @@ class ToleranceTable(Table):
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a value of a file is a number of a size that can be used."""
+    """Return True if a value of a file is a number of a usable size."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MAX_NUMBER
 
 

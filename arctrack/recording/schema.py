@@ -170,7 +170,7 @@ def unknown_in(table: Table, location: tuple[str, ...] = ()) -> Iterator[tuple[t
 
 
 def meaning_of(info: FieldInfo) -> str:
-    """Return what a key is, or a table whose keys are stated, as a sentence; empty where nobody says."""
+    """Return the meaning of a key or of a table of stated keys, as a sentence; empty without one."""
     table = table_in(info)
     if table is None:
         return Key("", "", info).meaning

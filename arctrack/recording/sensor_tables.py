@@ -53,7 +53,7 @@ class RigidPoseTable(Table):
 
 
 class CameraPoseTable(RigidPoseTable):
-    """Where the camera stands, T_tool_camera."""
+    """The camera's pose, T_tool_camera."""
 
     translation_mm: PointInTool = key(
         "Where the camera's centre stands in the tool frame: x, y, z",
@@ -135,7 +135,7 @@ class CameraTable(Table):
 
 
 class SensorTable(Table):
-    """How charge becomes grey levels."""
+    """The sensor: charge to grey levels, noise, saturation."""
 
     bits: int = key("Bits of a pixel as recorded, 8 to 16", "", "8 to 12", "the data sheet. 8 for mono8.")
     gain_e_per_dn: Number = key(

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class RobotTable(Table):
-    """What is particular to the controller."""
+    """The robot's controller: its tool frame and its channel."""
 
     controllertool_to_tool: sensors.RigidPoseTable | None = None
     can_channel: str | int | None = key(
@@ -39,7 +39,7 @@ class RobotTable(Table):
 
 
 class CalibrationTable(Table):
-    """How well a calibration knows what it found; any other key is a remark."""
+    """The uncertainty of a calibration's result; any other key is a remark."""
 
     parameters: list[str] = key("The keys whose values it found")
     sigma: list[sensors.Number] = key("Their 1 sigma")

@@ -19,7 +19,7 @@ def rounded(value: float, digits: int) -> float:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return what a TOML text holds; ValueError says what is wrong with it, and where."""
+    """Return the content of a TOML text; ValueError names the problem and its line."""
     deep = _DEEP_KEY.search(text)
     if deep is not None:
         line = 1 + text.count("\n", 0, deep.start())

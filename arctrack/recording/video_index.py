@@ -51,7 +51,7 @@ def read_index(path: Path, container: av.container.InputContainer) -> VideoIndex
 
 
 def _what_breaks_off(path: Path, times_s: np.ndarray, stated_s: float) -> str | None:
-    """Return what is wrong with a video's end; `stated_s` is how long it says to be, NaN if it does not."""
+    """Return the problem of a video's end; `stated_s` is its stated duration, NaN without one."""
     size, stated = path.stat().st_size, _stated_bytes(path)
     if stated is None or 0 <= stated <= size:
         return None
@@ -64,7 +64,7 @@ def _what_breaks_off(path: Path, times_s: np.ndarray, stated_s: float) -> str | 
 
 
 def _stated_bytes(path: Path) -> int | None:
-    """Return how long a Matroska file says to be, `_UNKNOWN` if its writer did not, None if it is none."""
+    """Return a Matroska file's stated size, `_UNKNOWN` if its writer left it out, None for another file."""
     with path.open("rb") as file:
         while True:
             name = file.read(4)

@@ -24,7 +24,7 @@ from robot_io import (
 )
 
 POLL_S = 0.02
-"""So often the controller is asked what is due while a frame's time has not come."""
+"""Period at which the controller is polled while a frame's time has not come."""
 
 
 class PlaybackClock:

@@ -39,7 +39,7 @@ def jpeg(grey: UInt8) -> bytes:
 
 
 def stripe_points_px(stripe: Stripe) -> Float64:
-    """Return where the stripe was found, image points (n, 2) x y."""
+    """Return the stripe's points in the image (n, 2), x y."""
     lines = np.flatnonzero(np.isfinite(stripe.position_px))
     positions = stripe.position_px[lines]
     return np.column_stack([lines, positions] if stripe.along_rows else [positions, lines]).astype(float)

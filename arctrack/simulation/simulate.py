@@ -39,11 +39,11 @@ from noise_model.transforms import invert, transform
 from tracker.state import Frame
 
 MEETS_WITHIN_MM = 100.0
-"""So far along the seam from the laser sheet's foot it is looked for where the two meet."""
+"""Range along the seam, from the laser sheet's foot, in which their crossing is sought."""
 
 MIN_FRAMES = 12
 RATES_HZ, SPEEDS_MM_S, WANDERS_MM, TILTS_DEG = (0.01, 1000.0), (0.0, 1000.0), (0.0, 100.0), (0.0, 45.0)
-"""What a plan may ask for: times are written to the microsecond, and the tool goes forward."""
+"""Ranges of a plan: times are written to the microsecond, and the tool goes forward."""
 
 
 @dataclass(frozen=True)
@@ -230,7 +230,7 @@ def balance(setup: Setup) -> Setup:
 
 
 def true_values(setup: Setup, draw: np.random.Generator) -> Setup:
-    """Return what is really there: every value off the nominal one by a draw from its tolerance."""
+    """Return the true setup: every value off the nominal one by a draw from its tolerance."""
     tolerance = setup.tolerance
     T_camera_moved = np.eye(4)
     turn_rad = math.radians(tolerance.hand_eye_deg) * draw.standard_normal(3)
@@ -259,7 +259,7 @@ def true_values(setup: Setup, draw: np.random.Generator) -> Setup:
 
 
 def conditions(setup: Setup, plan: SimulationPlan, rng: np.random.Generator) -> list[FrameSwitches]:
-    """Return what is on in each frame; the arc in none of a setup without one.
+    """Return the light of each frame; the arc is off in all of a setup without one.
 
     For diagnosis: dark, laser alone, arc alone, both, two currents, two exposures; the frames without arc
     at either end, since an arc is struck once.
@@ -329,7 +329,7 @@ class SimulatedMotion:
         return BentSeam.along(self._line, (first_mm, last_mm), torch_mm, self._setup.joint.has_ridges)
 
     def seam_point(self, T_base_tool: Float64, seam: BentSeam) -> Float64:
-        """Return where (3,) the true seam, as it is drawn, meets the laser plane, tool frame, mm."""
+        """Return the point (3,) where the true seam meets the laser plane, tool frame, mm."""
         station_mm, _ = self._met(T_base_tool, self._line)
         drawn = seam.lines[int(seam.stretch_at(np.array(station_mm)))]
         return self._met(T_base_tool, lambda station_mm: drawn)[1]

@@ -59,7 +59,7 @@ DIFFERENCE_MM = 1e-3
 """The way over which derivatives are taken."""
 
 BEYOND_MM = 4.0
-"""So far beyond what the camera nominally sees tables reach: a tool that tilts sees other places."""
+"""Reach of the tables beyond the camera's nominal view: a tool that tilts sees other places."""
 
 TERMS = 5
 """The light itself, and its derivatives by y and by the camera's x, y and z."""

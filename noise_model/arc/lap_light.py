@@ -33,7 +33,7 @@ from noise_model.compiled.lanes import N_LANES, greater, lesser, load, root, spr
 from noise_model.surface.brdf import LobeNumbers, reflected
 
 MAX_LOOKS = 3
-"""So often slices are laid into the part of the arc that is open."""
+"""Number of times that slices are laid into the open part of the arc."""
 
 SHUT_ENDS = 2
 """Largest number of shut slices at either end, where they lie close, that are not laid anew."""

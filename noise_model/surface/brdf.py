@@ -17,7 +17,7 @@ from noise_model.compiled.kernel import kernel
 
 @dataclass(frozen=True)
 class Lobe:
-    """How a lobe departs from the paper's round Gaussian exp(-c2 alpha^2); the neutral values are that one.
+    """Departure of a lobe from the paper's round Gaussian exp(-c2 alpha^2); none at the neutral values.
 
     `tail` nu >= 0 makes it (1 + nu c2 alpha^2)^(-1/nu): the slopes follow Student's t instead of a Gaussian,
     as on many rough surfaces (Ribardiere et al. 2017, Computer Graphics Forum 36(2) 421-429), nu = 1/2 and 1

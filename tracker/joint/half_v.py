@@ -47,7 +47,7 @@ One in twenty of a face's own points does, and is outvoted by its neighbours.
 """
 
 BENT_MM = 0.2
-"""So far a face may bend off its straight line next to the upright side."""
+"""Largest departure of a face from its straight line next to the upright side."""
 
 GAP, ROOT, TAN, DEPTH_LEFT, DEPTH_RIGHT, SLOPE_LEFT, SLOPE_RIGHT, WALL = range(8)
 """The parameters of a half groove; where its wall is, the last, is not fitted."""

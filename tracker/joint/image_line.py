@@ -41,7 +41,7 @@ from tracker.profile import MIN_POINTS, Section, in_scan_order
 from tracker.state import SCAN, Y_MM
 
 ALONG_MM = 12.0
-"""So far along the seam its line is read on either side of the stripe."""
+"""Reach along the seam on either side of the stripe over which its line is read."""
 
 CLEAR_SIGMAS = 6.0
 """Half-width of the stripe's own light, in its sigmas."""

@@ -37,7 +37,7 @@ MIN_BEVEL_GROUPS = 3
 """Fewer groups than this are no bevel: two may lie on either side of an upright edge."""
 
 CORNER_OFF_MM = 1.5
-"""So far from where the plates' pieces end their lines may meet in a corner."""
+"""Largest distance of the corner of two plates' lines from the ends of their pieces."""
 
 STATED_PARAMETERS = 10
 """As many as the shape has that has most."""

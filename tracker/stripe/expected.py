@@ -33,7 +33,7 @@ EVERY = 8
 """Every so many scan lines a bell is fitted to the light of all planes: both change slowly along a face."""
 
 FAN_SLACK_MM = 2.0
-"""So far beyond the fan's end a stripe is still looked for: a surface farther off is lit farther out."""
+"""Reach beyond the fan's end of the search for a stripe: a surface farther off is lit farther out."""
 
 
 class ExpectedStripe(NamedTuple):

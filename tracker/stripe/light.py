@@ -32,7 +32,7 @@ NEXT_TO_NOTHING = 0.1
 
 
 class EdgeLines(NamedTuple):
-    """How an edge along the seam crosses the stripe, in scan lines, as the seam is expected to run.
+    """Crossing of an edge along the expected seam with the stripe, in scan lines.
 
     At p px across the stripe it is `skew` p + `bend` p^2 lines away. Over the sheet's sigma it moves by
     `stated` lines, which are known to a 1 sigma of `turned`.

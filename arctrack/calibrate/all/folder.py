@@ -130,7 +130,7 @@ def read_raw_files(folder: Path) -> CalibrationSources:
 
 
 def by_keys(stage: str, error: ArctrackError) -> str:
-    """Return what is wrong in a calibration: options of its single command are keys of calibration.toml."""
+    """Return a calibration's error with keys of calibration.toml for the options of its single command."""
     return re.sub(r"--(units|rotation|board)\b", rf"[{stage}] \1", str(error))
 
 

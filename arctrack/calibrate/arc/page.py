@@ -48,7 +48,7 @@ RANGE = 0.1
 
 
 def arc_page(result: ArcCalibration, recording: Recording) -> CalibrationPage:
-    """Return what the page holds."""
+    """Return the page's content."""
     problem = result.problem
     height, height_sigma = with_sigma(float(result.values[3]), float(result.sigmas[3]))
     refused = [

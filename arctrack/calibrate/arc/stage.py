@@ -96,7 +96,7 @@ def _refuse_other_causes(
 
 
 def _place(read: Recording) -> StripePlace | None:
-    """Return where the stripes lie, None without any."""
+    """Return the stripes' place, None without any."""
     geometry = SensorGeometry.of(read.setup)
     frames, _ = parted(read.frames(chosen_rows(read)))
     sights = sights_of(geometry, looks_at(read, geometry, frames))

@@ -40,7 +40,7 @@ class BoardImages:
 
     @property
     def is_dim(self) -> bool:
-        """True if the boards are poorly lit."""
+        """Return True if the boards are poorly lit."""
         # Least contrast without a warning, DN of 8 bits: less makes noisy corners.
         return bool(self.contrast) and float(np.median(self.contrast)) < 20.0 / 255.0
 
@@ -116,7 +116,7 @@ def _add(boards: BoardImages, name: str, image: EncodedImage, board: Board) -> N
 
 
 def reason_of(error: ArctrackError, path: Path) -> str:
-    """Return what an error says of a file, without the file's name."""
+    """Return an error's text without the name of its file."""
     return str(error).removeprefix(f"{path}: ")
 
 
@@ -160,7 +160,7 @@ def _distances(a: Float64, b: Float64) -> Float64:
 
 
 def _hint(encoded: dict[Path, EncodedImage], size: tuple[int, int], board: Board) -> str:
-    """Return what to try where no image shows the board: squares may have been counted for corners."""
+    """Return the cure where no image shows the board: squares may have been counted for corners."""
     if board.kind is BoardKind.CHARUCO:
         return "count the squares, not the corners; check the dictionary, and light the board evenly"
     if min(board.columns, board.rows) > 3:

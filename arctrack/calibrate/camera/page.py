@@ -34,7 +34,7 @@ MEANINGS = {
 
 
 def camera_page(result: CameraCalibration, images: BoardImages, stated: SetupFile | None) -> CalibrationPage:
-    """Return what the page holds; `stated` is the setup that the values go into, if any."""
+    """Return the page's content; `stated` is the setup that the values go into, if any."""
     sigma = result.sigma_map()[1]
     lens = result.scene.lens
     count = len(images.views) + len(images.left_out)

@@ -28,7 +28,7 @@ def _image_axes(result: CameraCalibration, title: str) -> tuple[Figure, Axes]:
 
 
 def coverage(result: CameraCalibration, sample: Integers | None) -> Figure:
-    """Return where corners were seen, over the first image, and where the next board belongs."""
+    """Return a figure of the corners over the first image, and of the best place of the next board."""
     figure, axes = _image_axes(result, "")
     if sample is not None:
         low, high = np.percentile(sample, [1.0, 99.5])
@@ -160,7 +160,7 @@ def halves(result: CameraCalibration) -> Figure:
 
 
 def orders(result: CameraCalibration) -> Figure:
-    """Return how well each distortion predicts boards that its fit did not see."""
+    """Return a figure of each distortion's error on boards that its fit did not see."""
     figure = style.new_figure(WIDTH_INCH, 3.2, "")
     axes = style.plain(figure.subplots(), "distortion", "mean square of residuals over noise")
     best = min(result.scores, key=lambda each: each.mean)

@@ -119,7 +119,7 @@ def check_setup(
 
 
 def _placed(setup: Setup, sights: Sequence[StripeSight]) -> tuple[StripePlace | None, list[str]]:
-    """Return where the stripes lie, None where nothing determines it, and remarks."""
+    """Return the stripes' place, None where nothing determines it, and remarks."""
     if not sights:
         return None, ["Camera, laser and hand-eye are not told: no frame with the laser on shows a line."]
     try:
@@ -144,7 +144,7 @@ def _arc_seen(recording: Recording, place: StripePlace | None) -> tuple[ArcLight
 
 
 def _first(measures: Sequence[Measure]) -> str:
-    """Return what must be corrected first for an earlier stage, nothing where all explain the recording."""
+    """Return the first correction, of the earliest stage; nothing where all explain the recording."""
     wrong = [
         m for m in measures if m.verdict is SetupVerdict.NOT_EXPLAINED and m.stage is not LightStage.STRIPE
     ]

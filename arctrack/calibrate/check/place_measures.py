@@ -8,7 +8,7 @@ from arctrack.calibrate.check.measure import MAX_SIGMAS, LightStage, Measure, Se
 from calibration.check.stripe_place import CAMERA, LASER, LENS, PART, SENSOR, Cause, StripePlace
 
 SUSPECTS = ("hand-eye", "part", "laser plane", "lens")
-"""What may be off, in the order in which it is looked at where the stripes do not tell.
+"""Possible causes, in the order in which they are tried where the stripes do not tell.
 
 A hand-eye goes stale with every other tool frame, torch or contact tip, and a part is laid in anew each time;
 laser and lens sit fixed in one housing.
@@ -79,7 +79,7 @@ def first_suspect(place: StripePlace) -> str:
 
 
 def place_sentences(place: StripePlace) -> list[str]:
-    """Return what the stripes say of camera, laser and hand-eye, and which recording would say more."""
+    """Return the stripes' verdict on camera, laser and hand-eye, and a recording that would say more."""
     frames = f"{place.n_frames} frame{'s' if place.n_frames > 1 else ''}"
     if place.is_explained:
         return [

@@ -16,7 +16,7 @@ LINEAR_NATS = 10.0
 
 
 def delay_page(result: PoseDelay, recording: Recording) -> CalibrationPage:
-    """Return what the page holds."""
+    """Return the page's content."""
     delay_ms, sigma_ms = 1e3 * result.delay_s, 1e3 * result.sigma_s
     value, sigma = with_sigma(delay_ms, sigma_ms)
     count = len(result.observations.timestamps_s)

@@ -22,7 +22,7 @@ NOT_IN_SIGMAS = "The camera's pose in the tool and the lens count as exact here.
 
 
 def gauge_page(result: GaugeCalibration, images: GaugeImages, setup: Setup) -> CalibrationPage:
-    """Return what the page of a calibration holds."""
+    """Return the content of a calibration's page."""
     lean = np.degrees(result.sigma[:2])
     robot_mm, form_mm = result.fitted.noise_mm
     moved_mm = float((result.plane - setup.laser.plane) @ [*result.fitted.state.centre_mm, 1.0])
@@ -52,7 +52,7 @@ def gauge_page(result: GaugeCalibration, images: GaugeImages, setup: Setup) -> C
 def check_page(
     checks: Sequence[GaugeCheck], images: GaugeImages, line: str, cure: str, is_good: bool
 ) -> CalibrationPage:
-    """Return what the page of a check holds; `line` is its verdict, `cure` what to do."""
+    """Return the content of a check's page; `line` is its verdict."""
     rows = []
     for check in checks:
         count = len(check.problem.sightings)

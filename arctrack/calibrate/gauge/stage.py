@@ -122,7 +122,7 @@ def check_stage(
 
 
 def size_off(checks: Sequence[GaugeCheck]) -> tuple[float, float]:
-    """Return how far the size is off, and 1 sigma of that: the weighted mean of checks, mm."""
+    """Return the size's error with its 1 sigma, mm: the weighted mean of checks."""
     weight = np.array([check.sigma_mm**-2.0 for check in checks])
     off = np.array([check.off_mm for check in checks])
     return float(weight @ off / weight.sum()), 1.0 / math.sqrt(float(weight.sum()))

@@ -35,7 +35,7 @@ Reread = Callable[[PoseSource], Float64]
 
 
 def assumption(result: HandEyeCalibration) -> str:
-    """Return what a calibration takes the poses for, and what else explains the same images.
+    """Return other meanings of the poses that explain the same images.
 
     With poses inverted, T_camera_board = X^-1 T_tool_base Y of a carried camera is the equation of one that
     stands still, X^-1 T_base_tool Y.

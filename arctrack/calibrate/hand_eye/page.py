@@ -23,7 +23,7 @@ STEP_DEG = 1e-4
 def hand_eye_page(
     result: HandEyeCalibration, posed: PosedBoards, setup: Setup, *, moves_sheet: bool
 ) -> CalibrationPage:
-    """Return what the page holds; `moves_sheet` says that a calibrated laser sheet goes with the camera."""
+    """Return the page's content; with `moves_sheet` a calibrated laser sheet moves with the camera."""
     x, y, z = result.T_holder_camera[:3, 3]
     sigma_mm = math.sqrt(float(np.trace(result.place_covariance)))
     count = len(result.names) + len(result.left_out) + len(posed.left_out)
@@ -86,7 +86,7 @@ def hand_eye_page(
 
 
 def change(result: HandEyeCalibration, setup: Setup) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much the camera is turned (3,), deg, and moved (3,), mm, in its own frame."""
+    """Return the camera's rotation (3,), deg, and translation (3,), mm, in its own frame."""
     stated = setup.camera.T_tool_camera
     turn = stated[:3, :3].T @ result.T_holder_camera[:3, :3]
     move = stated[:3, :3].T @ (result.T_holder_camera[:3, 3] - stated[:3, 3])

@@ -14,7 +14,7 @@ from calibration.rigid import inverse, transform_each
 
 
 def misfits(result: HandEyeCalibration) -> str:
-    """Return how far the robot is off each pose."""
+    """Return a figure of the robot's error at each pose."""
     figure = style.new_figure(10.5, 3.8, "")
     mean = 2.0 * math.sqrt(2.0 / math.pi)
     for axes, off, sigma, unit, title in zip(
@@ -34,7 +34,7 @@ def misfits(result: HandEyeCalibration) -> str:
 
 
 def excitation(result: HandEyeCalibration) -> str:
-    """Return how far the poses turn, and 1 sigma of the camera's turns and places."""
+    """Return a figure of the poses' rotations, and of 1 sigma of the camera's pose."""
     figure = style.new_figure(10.5, 3.2, "")
     turns, sigma_deg, sigma_mm = figure.subplots(1, 3)
     holder = "base" if result.is_eye_to_hand else "tool"
@@ -50,7 +50,7 @@ def excitation(result: HandEyeCalibration) -> str:
 
 
 def places(result: HandEyeCalibration) -> str:
-    """Return where the camera stood in the board's frame, from above and from the side."""
+    """Return a figure of the camera's places in the board's frame, from above and from the side."""
     figure = style.new_figure(10.5, 4.2, "")
     T_board_camera = inverse(result.refined.boards.scene.T_camera_board)
     where, sight = T_board_camera[:, :3, 3], T_board_camera[:, :3, 2]
@@ -78,7 +78,7 @@ def places(result: HandEyeCalibration) -> str:
 
 
 def robot_off(result: HandEyeCalibration) -> str:
-    """Return how far each board's ends are seen from where the robot's pose puts them, as arrows."""
+    """Return a figure of the boards' ends against their places by the robot's poses, as arrows."""
     boards, T = result.refined.boards, result.refined.chain.T_camera_board
     lens, seen = boards.scene.lens, boards.seen
     ends = np.array([part.start + n for part in seen.slices for n in (0, (part.stop - part.start) - 1)])

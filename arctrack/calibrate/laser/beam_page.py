@@ -36,7 +36,7 @@ def beam_rows(beam: Beam) -> tuple[ValueRow, ...]:
 
 
 def beam_sentences(beam: Beam) -> list[str]:
-    """Return what is known of the light in the sheet, and what is not, with what is missing."""
+    """Return the determined properties of the sheet's light, and the missing measurements for the others."""
     lines = []
     if isinstance(beam.fan, str):
         lines.append(f"The fan's origin and angle are not determined: {beam.fan}. They stay as stated.")

@@ -32,7 +32,7 @@ BINS, MIN_IN_BIN = 30, 20
 
 
 def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: Setup) -> CalibrationPage:
-    """Return what the page holds."""
+    """Return the page's content."""
     points = np.concatenate(result.points_mm)
     middle = points.mean(axis=0, keepdims=True)
     sigma_mm = float(result.distance_sigma_mm(middle)[0])
@@ -125,7 +125,7 @@ def plane_in_words(plane: Float64) -> str:
 
 
 def turned_deg(plane: Float64, setup: Setup) -> float:
-    """Return by how much a plane (4,) is turned against the one that a setup states, deg."""
+    """Return the angle of a plane (4,) to the one that a setup states, deg."""
     return math.degrees(math.acos(np.clip(plane[:3] @ setup.laser.plane[:3], -1.0, 1.0)))
 
 

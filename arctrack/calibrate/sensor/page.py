@@ -48,7 +48,7 @@ def sensor_rows(result: SensorCalibration) -> tuple[ValueRow, ...]:
 def sensor_page(
     result: SensorCalibration, levels: Sequence[Level], source: str, warnings: Sequence[str]
 ) -> CalibrationPage:
-    """Return what the page holds."""
+    """Return the page's content."""
     gain, read = result["gain_e_per_dn"], result["read_noise_e"]
     well = "is seen" if result.well_is_seen else "is not seen: the charge at the last code stands for it"
     kept = result.levels

@@ -17,7 +17,7 @@ WORDS = {"gain_e_per_dn": "gain", "black_level_dn": "black level", "read_noise_e
 
 
 def still_page(result: StillCalibration, source: str, warnings: Sequence[str]) -> CalibrationPage:
-    """Return what the page holds."""
+    """Return the page's content."""
     seen, gain = result.statistics, result["gain_e_per_dn"]
     rows = [_row(WORDS[name], name, estimate) for name, estimate in result.estimates.items()]
     speckle = result.speckle

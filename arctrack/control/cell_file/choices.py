@@ -1,4 +1,4 @@
-"""What is chosen for a cell: bus, camera, limits, jobs."""
+"""Choices for a cell: bus, camera, limits, jobs."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class BusChoice:
 
 @dataclass(frozen=True)
 class CaptureChoice:
-    """How a camera takes frames that arctrack captures, as [camera] states; None for what it has not."""
+    """Capture of a camera's frames by arctrack, as [camera] states it; None for what it lacks."""
 
     loop: bool = False
     rows: tuple[int, int] | None = None
@@ -69,7 +69,7 @@ class CameraChoice:
 
 @dataclass(frozen=True)
 class ProcessChoice:
-    """How the process of a live run is scheduled, as [process] states; None leaves it to the machine."""
+    """Scheduling of a live run's process, as [process] states it; None leaves it to the machine."""
 
     priority: int | None = None
     cpus: tuple[int, ...] | None = None
@@ -106,7 +106,7 @@ class MonitorChoice:
 
 
 def is_loopback(host: str) -> bool:
-    """Say whether an address is reached from its own machine alone."""
+    """Return True if an address is reached from its own machine alone."""
     if host == "localhost":
         return True
     try:
@@ -160,7 +160,7 @@ class CellJob:
 
 @dataclass(frozen=True)
 class CellFile:
-    """What a cell file holds."""
+    """Content of a cell file."""
 
     path: Path
     setup: SetupFile

@@ -36,7 +36,7 @@ KEYS_OF_KIND: dict[str, tuple[str, ...]] = {
     "device": (),
     "gige": tuple(f.name for f in fields(CaptureChoice) if f.name != "loop"),
 }
-"""What may be stated in [camera] beside kind, name and frame_rate_hz."""
+"""Keys of [camera] by its kind, in addition to kind, name and frame_rate_hz."""
 
 Range = Annotated[list[Number], Field(min_length=2, max_length=2)]
 Rows = Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=2, max_length=2)]
@@ -62,11 +62,11 @@ if TYPE_CHECKING:
     ServiceTable: TypeAlias = Table
     PlausibilityTable: TypeAlias = Table
 else:
-    GateTable = _table_of(GateLimits, "What an offset must keep to before it is sent.")
-    ServiceTable = _table_of(ServicePolicy, "How long what was heard counts.")
+    GateTable = _table_of(GateLimits, "Limits of an offset before it is sent.")
+    ServiceTable = _table_of(ServicePolicy, "Ages at which messages and frames are stale.")
     PlausibilityTable = _table_of(
         PlausibilityLimits,
-        "What the robot can do at most: poses that do more are doubted. State your robot's own.",
+        "The robot's largest motions: poses beyond them are doubted. State your robot's own.",
     )
 
 
@@ -83,7 +83,7 @@ class BusTable(Table):
 
 
 class CellCameraTable(Table):
-    """Where frames come from: docs/reference/cameras.md has the kinds, their names and keys."""
+    """The source of frames: docs/reference/cameras.md has the kinds, their names and keys."""
 
     frame_rate_hz: Rate = key(
         "Frame rate", "Hz", example="25.0", note="Four messages go with each frame: the bus' load."
@@ -133,7 +133,7 @@ class CellCameraTable(Table):
 
 
 class ProcessTable(Table):
-    """How arctrack serve is scheduled. What the machine does not allow is said at the start."""
+    """The scheduling of arctrack serve. A line at the start names what the machine does not allow."""
 
     priority: int | None = key(
         "Its real-time priority, SCHED_FIFO",
@@ -172,7 +172,7 @@ class MonitorTable(Table):
 
 
 class BlackBoxTable(Table):
-    """What a live run keeps: its latest frames go to disk on a fault, as a recording."""
+    """The black box of a live run: its latest frames go to disk on a fault, as a recording."""
 
     seconds: float = key(
         "How far back it reaches",
@@ -186,7 +186,7 @@ class BlackBoxTable(Table):
 
 
 class PartTable(Table):
-    """What the part must be like before the arc is lit: the least and the largest. Else nothing is asked."""
+    """The part's required geometry before the arc is lit, as ranges; nothing is required without them."""
 
     gap_mm: Range | None = key("The gap, as in SeamGeometry", "mm", default=None, example="[0.0, 1.5]")
     mismatch_mm: Range | None = key(

@@ -79,7 +79,7 @@ def stated_keys(path: Path) -> CellToml:
 
 
 def is_cell_file(path: Path) -> bool:
-    """Return whether a file states that it is a cell file; False for what cannot be read."""
+    """Return True if a file states that it is a cell file; False for what cannot be read."""
     try:
         return parse_toml(read_text(path, LIMITS.toml_bytes)).get("format") == FORMAT
     except (OSError, ValueError):
@@ -119,7 +119,7 @@ def _camera(table: CellCameraTable) -> CameraChoice:
 
 
 def _capture(table: CellCameraTable) -> CaptureChoice:
-    """Return how a camera takes frames; ValueError for a key that does not belong to its kind."""
+    """Return the capture of a camera's frames; ValueError for a key that does not belong to its kind."""
     stated = {
         f.name: getattr(table, f.name) for f in fields(CaptureChoice) if f.name in table.model_fields_set
     }
@@ -193,7 +193,7 @@ def _part(table: PartTable) -> PartLimits:
 
 
 def _within(key: str, build: Callable[[], R]) -> R:
-    """Return what is built of a job; ValueError names the job's own table."""
+    """Return the record built of a job; ValueError names the job's own table."""
     try:
         return build()
     except ValueError as error:

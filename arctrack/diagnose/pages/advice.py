@@ -44,4 +44,4 @@ ADVICE: Mapping[str, str] = {
     "lens_distortion": "Calibrate the lens and state [camera] distortion.",
     "pose_delay": "Bring the clocks of robot and camera together; until then keep the delay in the setup.",
 }
-"""By id, for each effect of the catalogue."""
+"""Advice by id, for each effect of the catalogue."""

@@ -91,7 +91,7 @@ def page(diagnosis: Diagnosis, recording: Recording, without: Sequence[str] = ()
 
 
 def advice(diagnosis: Diagnosis) -> list[str]:
-    """Return what to do now, a line each."""
+    """Return the next steps, a line each."""
     lines = []
     if diagnosis.verdict is DiagnosisVerdict.EFFECTS:
         lines += [f"{effect.id}: {ADVICE[effect.id]}" for effect in diagnosis.effects]

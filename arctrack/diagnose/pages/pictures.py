@@ -103,7 +103,7 @@ def curve_picture(curve: Curve) -> str:
 
 
 def nice_limit(values: Float32, least: float) -> float:
-    """Return where a scale ends: 1, 1.5, 2, 3, 4, 5, 6, 8 or their tenfolds, at least `least`."""
+    """Return a scale's end: 1, 1.5, 2, 3, 4, 5, 6, 8 or their tenfolds, at least `least`."""
     known = np.abs(values[np.isfinite(values)])
     # The colours reach as far as this share of the pixels.
     reach = max(least, float(np.percentile(known, 99.5)) if known.size else least)

@@ -107,7 +107,7 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def how_far(diagnosis: Diagnosis) -> str:
-    """Return how large the gap in the images is and how far it shrinks, in a few sentences."""
+    """Return the size of the gap in the images, and its size with the effects, in a few sentences."""
     gap = diagnosis.gap
     model_error = f"the model's own error of {sigmas(gap.floor)}"
     if diagnosis.verdict is DiagnosisVerdict.NO_GAP:
@@ -156,7 +156,7 @@ def withheld(diagnosis: Diagnosis, without: Sequence[str]) -> str:
 
 
 def shrinks(diagnosis: Diagnosis) -> bool:
-    """Return whether the effects in the predictions after make the gap smaller."""
+    """Return True if the effects in the predictions after make the gap smaller."""
     return bool(diagnosis.after_with) and diagnosis.gap.after < diagnosis.gap.before
 
 
@@ -167,7 +167,7 @@ def best_alone(diagnosis: Diagnosis) -> RankedEffect | None:
 
 
 def where_closed(candidate: RankedEffect) -> str:
-    """Return what an effect's share of the gap is measured in.
+    """Return the unit of an effect's share of the gap.
 
     A bin of several pixels has less noise than a pixel, so what is left weighs more there.
     """
@@ -188,7 +188,7 @@ def added(diagnosis: Diagnosis) -> str:
 
 
 def seam_sentence(diagnosis: Diagnosis, bears_mm: float) -> str:
-    """Return what the gap does to the seam point, of which the weld can bear `bears_mm`."""
+    """Return the gap's influence on the seam point, of which the weld can bear `bears_mm`."""
     before_mm, after_mm = diagnosis.gap.seam_mm
     if not math.isfinite(before_mm):
         return "Its influence on the seam point is not known: the tracker found no seam."
@@ -210,7 +210,7 @@ def seam_sentence(diagnosis: Diagnosis, bears_mm: float) -> str:
 
 
 def is_same_seam(before_mm: float, after_mm: float) -> bool:
-    """Return whether two errors of the seam are practically equal."""
+    """Return True if two errors of the seam are practically equal."""
     # Errors of the seam that differ by less than either are the same.
     return abs(before_mm - after_mm) <= max(0.1 * before_mm, 0.005)
 
@@ -224,7 +224,7 @@ def stages(where: Where) -> str:
 
 
 def follows(where: Where) -> str:
-    """Return what the residual goes with: covariates, or a pattern of the image if that explains more."""
+    """Return the covariates that the residual follows, or a pattern that explains more."""
     # Largest number of covariates named.
     named = [curve for curve in where.covariates if curve.r2 >= MIN_R2][:3]
     # The patterns in the image that are no functions of a covariate.
@@ -245,7 +245,7 @@ def follows(where: Where) -> str:
 
 
 def summary(effect_id: str) -> str:
-    """Return what an effect is, in words."""
+    """Return an effect in words."""
     effect = REGISTRY.get(effect_id)
     return effect_id if effect is None else effect.summary
 
@@ -292,13 +292,13 @@ def random_ranking(diagnosis: Diagnosis) -> list[RankedEffect]:
 
 
 def is_likely(candidate: RankedEffect) -> bool:
-    """Return whether an effect is likely enough to be listed."""
+    """Return True if an effect is likely enough to be listed."""
     # A random effect that is less probable is not listed.
     return candidate.confidence >= 0.05
 
 
 def because(diagnosis: Diagnosis) -> str:
-    """Return what the two likeliest hypotheses have over no gap, empty without any."""
+    """Return the evidence of the two likeliest hypotheses over no gap, empty without any."""
     if len(diagnosis.reasons) < 2:
         return ""
     best, following = diagnosis.reasons[:2]
@@ -310,7 +310,7 @@ def _over_no_gap(reason: Reason) -> str:
 
 
 def nats_behind(reason: Reason) -> str:
-    """Return how far a hypothesis is behind the one with the most evidence."""
+    """Return a hypothesis' evidence below the largest."""
     behind = reason.best - reason.evidence
     return f"{number(behind)} nats behind" if behind > 0.0 else "the most"
 
@@ -334,7 +334,7 @@ def estimate(value: ParameterEstimate) -> str:
 
 
 def trend(change: ReportedTrend) -> str:
-    """Return how an effect's parameters run over a recording."""
+    """Return the trend of an effect's parameters over a recording."""
     runs = [
         f"{name} from {number(first, 3)} to {number(last, 3)}"
         for name, (first, last) in change.values.items()
@@ -344,7 +344,7 @@ def trend(change: ReportedTrend) -> str:
 
 
 def as_factor(name: str, value: ParameterEstimate) -> str:
-    """Return what a logarithm means as a factor, nothing for other parameters."""
+    """Return a logarithm as a factor, nothing for other parameters."""
     return f"× {number(math.exp(value.value), 3)}" if name.endswith("_ln") and abs(value.value) < 50.0 else ""
 
 
@@ -362,7 +362,7 @@ def free_function(name: str) -> str:
 
 
 def left_over(name: str, share: float) -> str:
-    """Return how much of the gap a free function closes beyond the catalogue."""
+    """Return the share of the gap that a free function closes beyond the catalogue."""
     if share < MIN_CLOSED:
         return "no free function of a single quantity closes any more of it"
     return f"{free_function(name)} would close {percent(share)} more of it"

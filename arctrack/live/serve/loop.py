@@ -47,7 +47,7 @@ process that sleeps is woken late.
 """
 
 CHECK_S = 0.001
-"""So often it is looked whether something is due: the turns about a frame's arrival are shorter."""
+"""Period of the loop's turns: those about a frame's arrival are shorter."""
 
 MAX_MESSAGES = 64
 """Largest number of messages read in a turn: a robot that sends all the time must not hold a frame up."""

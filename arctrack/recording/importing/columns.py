@@ -124,7 +124,7 @@ def check_all_named(named: Mapping[str, str], known: Iterable[str], files: Seque
 
 
 def image_parser(series: ImageSeries) -> Callable[[str], float]:
-    """Return what makes an image's position in a series of its file's name, -1 of a name that is none."""
+    """Return the parser of file names: an image's position in a series, -1 for another name."""
     # macOS writes an umlaut as two characters, other systems as one.
     positions = {unicodedata.normalize("NFC", path.name): n for n, path in enumerate(series.paths)}
 

@@ -71,7 +71,7 @@ NO_TABLE = FrameTable(None, None, None, None, None, np.zeros(0, dtype=np.int64),
 
 
 def read_frame_table(columns: CsvColumns, stated: Units, series: ImageSeries) -> FrameTable:
-    """Return what a CSV file says of images.
+    """Return the conditions of images that a CSV file states.
 
     Raises ArctrackError if it says nothing, for a value that is none, a unit that nothing states, and as
     `rows_of_images`.
@@ -219,7 +219,7 @@ def frame_rows(
 
 
 def _arc(table: FrameTable, count: int, burns: bool, current_a: float) -> tuple[Float64, Float64]:
-    """Return whether the arc burns (n,), and its current (n,), A: each follows from the other if need be."""
+    """Return the arc's state (n,) and current (n,), A: each follows from the other if need be."""
     if table.arc_on is None and table.current_a is None:
         return np.full(count, float(burns)), np.full(count, current_a)
     if table.arc_on is None and table.current_a is not None:

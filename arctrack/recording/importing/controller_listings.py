@@ -42,7 +42,7 @@ _POINTS = {
     # A pose in another pose's frame is none in base.
     "ur": re.compile(r"\bp\[|\bpose_(?:trans|add)\s*\("),
 }
-"""What begins a point of a listing, whether or not its pose can be read."""
+"""The begin of a point of a listing, whether or not its pose can be read."""
 
 _NO_POINTS = {
     "abb": re.compile(r"!.*"),
@@ -52,7 +52,7 @@ _NO_POINTS = {
     ),
     "ur": re.compile(r"#.*|\bset_tcp\s*\(\s*p\[[^\]]*\]"),
 }
-"""What is no point of a path: remarks, frames of tools and bases, steps from one point to the next."""
+"""No points of a path: remarks, frames of tools and bases, steps from one point to the next."""
 
 LISTED = tuple(_POSES)
 """The controllers whose listings are read."""

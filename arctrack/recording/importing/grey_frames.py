@@ -108,7 +108,7 @@ class GreyFrames:
 def grey_frames(
     series: ImageSeries, stated: SetupFile, channel: Channel | None, bayer: Bayer | None
 ) -> GreyFrames:
-    """Return how a series becomes grey frames under a setup.
+    """Return the conversion of a series to grey frames under a setup.
 
     A setup of the whole mosaic's size becomes that of its sites; one of the sites' size stays.
 
@@ -157,7 +157,7 @@ def _check_no_effect_in_px(setup: Setup, path: Path) -> None:
 
 
 def _too_bright(image_dn: Integers, setup: Setup) -> str | None:
-    """Return what is wrong with levels that the sensor cannot give, None if it can give them.
+    """Return the problem of levels that the sensor cannot give, None if it can give them.
 
     Noise leaves no image of several levels in multiples of a shift, however dark it is.
     """

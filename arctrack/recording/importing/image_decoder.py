@@ -42,7 +42,7 @@ ENCODED = (
     " or save without the tag"
 )
 TURNED = "asks to turn the image; it is taken as the sensor stored it"
-"""What is told of an image that is read all the same."""
+"""Warnings of images that are read all the same."""
 
 MAX_BYTES = LIMITS.png_bytes_per_px * LIMITS.image_px + LIMITS.spare_bytes
 
@@ -96,12 +96,12 @@ class EncodedImage:
 
     @property
     def has_colours(self) -> bool:
-        """True if pixels have colours, by themselves or by a palette."""
+        """Return True if pixels have colours, by themselves or by a palette."""
         return self._header.has_colours
 
     @property
     def is_lossy(self) -> bool:
-        """True if the codec has changed the noise."""
+        """Return True if the codec has changed the noise."""
         return self._header.is_lossy
 
     @property
@@ -149,12 +149,12 @@ class EncodedImage:
 
 
 def _is_opaque(alpha: npt.NDArray[Any]) -> bool:
-    """Return whether alpha is full: where it is not, libtiff multiplies colours by it."""
+    """Return True if alpha is full: where it is not, libtiff multiplies colours by it."""
     return bool((alpha == np.iinfo(alpha.dtype).max).all())
 
 
 def _header(content: bytes) -> ImageHeader:
-    """Return what an image's header says; ValueError says what is wrong."""
+    """Return an image's header; ValueError names its problem."""
     if not content:
         raise UnfitFileError("is empty")
     if content.startswith(tiff_tags.SIGNATURES):
@@ -225,7 +225,7 @@ def _too_large() -> str:
 
 
 def _misfit(image: Image.Image, content: bytes) -> str | None:
-    """Return what is wrong with the kind of an image, None if it can be read."""
+    """Return the problem of an image's kind, None if it can be read."""
     if image.mode not in MODES:
         return f"holds pixels of kind {image.mode}: grey or RGB of 8 or 16 bits are needed"
     if image.format == "BMP" and int.from_bytes(content[_BMP_BITS], "little") == 16:

@@ -70,7 +70,7 @@ def find_images(sources: Sequence[Path]) -> ImageSeries:
     if len(sources) == 1 and sources[0].suffix.lower() in VIDEOS and sources[0].is_file():
         return _frames_of(sources[0])
     ordered = images_of(sources)
-    _check_alike(ordered, sources[0])
+    _check_one_pattern(ordered, sources[0])
     for before, after in pairwise(ordered):
         if _numbers(before) == _numbers(after):
             raise in_file(
@@ -142,7 +142,7 @@ def _numbers(path: Path) -> tuple[int, ...]:
     return tuple(int(digits) for digits in _DIGITS.split(path.stem)[1::2])
 
 
-def _check_alike(paths: Sequence[Path], source: Path) -> None:
+def _check_one_pattern(paths: Sequence[Path], source: Path) -> None:
     """Raise ArctrackError unless all names are equal except for their numbers."""
     first = paths[0]
     other = next((path for path in paths if _texts(path) != _texts(first)), None)

@@ -56,7 +56,7 @@ def times_in_names(paths: Sequence[Path], stated: Units) -> TimeSource:
 
 
 def holds_dates(paths: Sequence[Path]) -> bool:
-    """Return whether each name holds a date and a time of day: no count, for 230000 follows 225959."""
+    """Return True if each name holds a date and a time of day: no count, for 230000 follows 225959."""
     for form in (_DATED, _DAY_FIRST):
         times = [form.search(path.stem) for path in paths]
         if None not in times:
@@ -126,7 +126,7 @@ def _past_midnight(of_day_s: Float64) -> Float64:
 
 
 def _are_counts(parts: Sequence[tuple[str | None, ...]], whole_s: Float64) -> bool:
-    """Return whether digits behind a dash count: they rise over the second's end, or by one within it."""
+    """Return True if digits behind a dash count: they rise over the second's end, or by one within it."""
     if not all(separator in ("-", "_") for separator, _ in parts):
         return False
     counts = np.array([int(str(digits)) for _, digits in parts])
@@ -135,7 +135,7 @@ def _are_counts(parts: Sequence[tuple[str | None, ...]], whole_s: Float64) -> bo
 
 
 def _parts_of_second(parts: Sequence[tuple[str | None, ...]]) -> tuple[Float64, float]:
-    """Return what separators and digits behind the seconds add to them, s, and what that is rounded to."""
+    """Return the part of a second that separators and digits state, s, and its rounding."""
     if any(digits is None for _, digits in parts):
         return np.zeros(len(parts)), 1.0
     texts = [str(digits) for _, digits in parts]

@@ -162,7 +162,7 @@ def read_pose_table(
 
 
 def _lenient_parser(series: ImageSeries, are_files: bool) -> Parser:
-    """Return what makes an image's position of a file's name or a frame's number, -1 of what is neither."""
+    """Return the parser of file names or frame numbers: an image's position, -1 for anything else."""
     if are_files:
         return image_parser(series)
     positions = {index: n for n, index in enumerate(series.indices)}
@@ -322,7 +322,7 @@ def _check_size(times: Float64, path: Path) -> None:
 
 
 def _is_bus_log(path: Path) -> bool:
-    """Return whether a file is a CAN log by its name; a `.log` of candump begins with a parenthesis."""
+    """Return True if a file is a CAN log by its name; a `.log` of candump begins with a parenthesis."""
     suffix = path.suffix.lower()
     if suffix != ".log":
         return suffix in (".asc", ".blf", ".trc")

@@ -86,7 +86,7 @@ _REAL_BY_LETTER = tuple((w, x, y, z) for x, y, z, w in _BY_LETTER)
 _BY_NUMBER = (("q1", "q2", "q3", "q4"), ("q0", "q1", "q2", "q3"))
 _TURNS = (("rx", "ry", "rz"),)
 _RTDE_TURNS = ("actual_tcp_pose_3", "actual_tcp_pose_4", "actual_tcp_pose_5")
-"""As Universal Robots' client of RTDE names the rotation vector."""
+"""Names of the rotation vector by Universal Robots' client of RTDE."""
 
 _MM_DEG, _M_RAD = Units(length="mm", angle="deg"), Units(length="m", angle="rad")
 

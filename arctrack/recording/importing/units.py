@@ -80,5 +80,5 @@ def unit_of(kind: str, named: str | None, stated: Units, assumed: Units) -> str 
 
 
 def factor(kind: str, unit: str) -> float:
-    """Return what a unit is in mm, rad or s."""
+    """Return a unit's size in mm, rad or s."""
     return UNITS[kind][unit]

@@ -41,7 +41,7 @@ class BusTrouble:
     ids: tuple[int, ...] = ()
 
     def concerns(self, frame: BusFrame) -> bool:
-        """Return whether a frame is affected."""
+        """Return True if a frame is affected."""
         return (not self.senders or frame.sender in self.senders) and (
             not self.ids or frame.arbitration_id in self.ids
         )

@@ -132,5 +132,5 @@ class Cell:
             self.reasons.append((now_s, received.message.gate_reason))
 
     def validities(self, from_s: float, to_s: float) -> Counter[Validity]:
-        """Return how often each validity reached the robot of what was sent from one time to another, s."""
+        """Return the count of each validity of offsets sent between two times, s, that reached the robot."""
         return Counter(h.offset.validity for h in self.received if from_s <= h.sent_s < to_s)

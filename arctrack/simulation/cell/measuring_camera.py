@@ -37,7 +37,7 @@ class MeasuringCamera:
         self._history = history
 
     def look(self, off_mm: float) -> Shown:
-        """Return where the stripe meets the seam, (3,) mm, in the frame of the true tool."""
+        """Return the stripe's crossing with the seam, (3,) mm, in the frame of the true tool."""
         world = self.robot.world
         station_mm = self.robot.station_mm + world.look_ahead_mm
         y_mm, z_mm = world.seam_mm(station_mm)

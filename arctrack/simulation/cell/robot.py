@@ -88,13 +88,13 @@ class Robot:
         self._move(now_s)
 
     def place_mm(self) -> Float64:
-        """Return where the tool is in base, (3,) mm."""
+        """Return the tool's place in base, (3,) mm."""
         lateral_mm, height_mm = self.offset_mm.tolist()
         x, y, z = self.programmed_mm().tolist()
         return np.array([x, y + lateral_mm + self._weave_mm(), z + height_mm])
 
     def programmed_mm(self) -> Float64:
-        """Return where the program has the tool, (3,) mm."""
+        """Return the tool's programmed place in base, (3,) mm."""
         x, y, z = self.world.start_base_mm
         return np.array([x + self.station_mm, y, z + self.world.ridge_mm(self.station_mm)])
 

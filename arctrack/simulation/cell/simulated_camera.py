@@ -23,10 +23,10 @@ class SimulatedCamera(Protocol):
         """Reset the tracker, as in a new process."""
 
     def look(self, off_mm: float) -> Shown:
-        """Return what the camera sees now, of a seam that seems to lie so far to the left, mm."""
+        """Return the camera's present frame, of a seam that seems to lie so far to the left, mm."""
 
     def garbage(self) -> Shown:
-        """Return what a camera that is broken shows."""
+        """Return the frame of a broken camera."""
 
     def track(self, shown: Shown, capture: Capture) -> TrackedFrame:
         """Track a frame."""

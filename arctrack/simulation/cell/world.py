@@ -66,13 +66,13 @@ class World:
         )
 
     def seam_slope(self, station_mm: float) -> tuple[float, float]:
-        """Return by how much (y, z) the true seam leaves the nominal one at a station, mm per mm."""
+        """Return the slope (y, z) of the true seam against the nominal one at a station, mm per mm."""
         wave_number = 2.0 * math.pi / self.bend_length_mm
         bend_slope = self.bend_mm * wave_number * math.cos(wave_number * station_mm)
         return self.slope[0] + bend_slope, self.slope[1]
 
     def ridge_mm(self, station_mm: float) -> float:
-        """Return how high the ridges, and the programmed path over them, are at a station, mm."""
+        """Return the height of the ridges, and of the programmed path over them, at a station, mm."""
         if self.corrugation[0] == 0.0:
             return 0.0
         x_mm = self.start_base_mm[0] + station_mm

@@ -174,7 +174,7 @@ class ClosedLoop:
         return self.result()
 
     def result(self) -> ClosedLoopResult:
-        """Return what came of the run so far."""
+        """Return the result of the run so far."""
         lock_s = self.lock_s()
         locked = [sample for sample in self.samples if sample.time_s >= lock_s]
         valid = [frame.offset.validity is Validity.VALID for frame in self.frames]
@@ -199,7 +199,7 @@ class ClosedLoop:
         )
 
     def event_result(self) -> EventResult | None:
-        """Return what became of the event, None without one."""
+        """Return the event's outcome, None without one."""
         if self.event_s is None:
             return None
         begin_s, end_s = self.event_s
@@ -303,7 +303,7 @@ def world_of(plan: LoopPlan, setup: Setup) -> World:
 
 
 def _reasons(frames: list[LoopFrame]) -> dict[str, int]:
-    """Return how many frames had each reason but NONE."""
+    """Return the number of frames with each reason but NONE."""
     return dict(Counter(frame.reason.name for frame in frames if frame.reason is not GateReason.NONE))
 
 

@@ -61,7 +61,7 @@ def _ignition(cell: Cell, rng: np.random.Generator) -> End:
     return end
 
 
-def _told_late(cell: Cell, _rng: np.random.Generator) -> End:
+def _report_arc_late(cell: Cell, _rng: np.random.Generator) -> End:
     """Let the robot say that the arc is off while it burns in the image."""
     cell.robot.change_status = lambda status: replace(status, arc=Switch.OFF)
 
@@ -99,7 +99,7 @@ def _out_of_view(cell: Cell, _rng: np.random.Generator) -> End:
 
 LOOP_EVENTS: Mapping[str, FaultKind] = {
     "ignition": FaultKind("ignition", _ignition, from_start=True, lasts_s=lambda _: STRUCK_S + UNSTEADY_S),
-    "arc_told_late": FaultKind("arc told late", _told_late, lasts_s=lambda _: 0.5),
+    "arc_told_late": FaultKind("arc told late", _report_arc_late, lasts_s=lambda _: 0.5),
     "arc_fault": ARC_FAULT,
     "tack": FaultKind("tack", _short_tack, lasts_s=way(IN_VIEW_MM + SHORT_TACK_MM)),
     "long_tack": FaultKind("long tack", _long_tack, lasts_s=way(IN_VIEW_MM + LONG_TACK_MM)),
@@ -107,4 +107,4 @@ LOOP_EVENTS: Mapping[str, FaultKind] = {
     # The robot disarms a second after the part has slipped.
     "slip": replace(SLIPPED, lasts_s=lambda _: 1.0),
 }
-"""By the names by which the command line knows them."""
+"""Events by their names on the command line."""

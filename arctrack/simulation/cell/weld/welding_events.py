@@ -75,7 +75,7 @@ def rearm(cell: Cell, by: Command) -> None:
 
 
 def way(way_mm: float) -> Callable[[World], float]:
-    """Return how long the robot takes for a way, mm."""
+    """Return the robot's time for a way, mm."""
     return lambda world: way_mm / world.speed_mm_s
 
 
