@@ -527,6 +527,16 @@ def test_tests_take_the_public_door() -> None:
     assert wrong == []
 
 
+PROCESS_STARTS = re.compile(r"\b(Popen|ProcessPoolExecutor|get_context|fork|posix_spawnp?)\b|\bProcess\(")
+
+
+def test_one_file_starts_processes() -> None:
+    """What `ChildProcess` guarantees holds for all: see its docstring."""
+    files = [file for room in MAY_IMPORT for file in (ROOT / room).rglob("*.py")]
+    starting = [file for file in files if PROCESS_STARTS.search(file.read_text())]
+    assert starting == [ROOT / "arctrack" / "child_process.py"]
+
+
 @pytest.mark.slow
 def test_bounds_are_named_min_and_max() -> None:
     wrong = [
