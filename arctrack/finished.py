@@ -35,9 +35,6 @@ LIVE_TABLE = f"{LIVE_FOLDER}/{LIVE_RESULTS}"
 TABLES = (FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES, STEPS_CSV, STATE_JSON, LIVE_TABLE)
 """The files of a recording that are compared by content."""
 
-PACKAGES = ("arctrack", "noise_model", "robot_io", "tracker")
-"""Packages that a replay's numbers depend on."""
-
 
 class FinishedVerdict(BaseModel):
     """A `RunVerdict`, its hint as what is wrong, the cure and the probability."""
@@ -154,7 +151,8 @@ def source_digest() -> str:
     """Return the digest of arctrack's own sources: a version of its own for each change of them."""
     digest = hashlib.sha256()
     root = real(Path(arctrack.__file__)).parent.parent
-    for package in PACKAGES:
+    # A replay's numbers depend on these packages.
+    for package in ("arctrack", "noise_model", "robot_io", "tracker"):
         for path in sorted((root / package).rglob("*.py")):
             digest.update(
                 f"{path.relative_to(root)} {hashlib.sha256(path.read_bytes()).hexdigest()}".encode()

@@ -35,8 +35,6 @@ DIMENSIONS: dict[str, dict[str, float]] = {
 }
 """The dimensions, mm and deg, of the joints that a setup can be made for."""
 
-_AHEAD_MM, _BEHIND_MM = (95.0, 0.0, 130.0), (-20.0, 0.0, 135.0)
-_AIM_IN_TOOL_MM = (36.0, 0.0, 0.0)
 _ARC_HEIGHT_MM = {"lap": 2.0, "corrugation": 1.6, "fillet": 3.0}
 """The arc's height above the reference surface: on the upper sheet, between a fillet's plates."""
 
@@ -81,7 +79,9 @@ def nominal_setup(joint_type: str, material_name: str, *, width: int = 640, heig
         fy=focal_px,
         cx=(width - 1) / 2.0,
         cy=(height - 1) / 2.0,
-        T_tool_camera=looking_at(_BEHIND_MM if joint_type == "lap" else _AHEAD_MM, _AIM_IN_TOOL_MM),
+        T_tool_camera=looking_at(
+            (-20.0, 0.0, 135.0) if joint_type == "lap" else (95.0, 0.0, 130.0), (36.0, 0.0, 0.0)
+        ),
         focal_length_mm=16.2,
     )
     return Setup(

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 from arctrack.report.template import environment
 
-TEMPLATE = "calibration.html.j2"
-
 EXACT_LENS = (
     "The setup has no [calibration.camera]: the lens counts as exact, and the sigmas are too small. "
     "`arctrack calibrate camera` writes it."
@@ -54,11 +52,11 @@ class CalibrationPage:
     label: str
     headline: str
     sentences: tuple[str, ...]
-    rows: tuple[ValueRow, ...]
-    pictures: tuple[PagePicture, ...]
-    maps: tuple[PagePicture, ...]
-    notes: tuple[str, ...]
     mark: str
+    rows: tuple[ValueRow, ...] = ()
+    pictures: tuple[PagePicture, ...] = ()
+    maps: tuple[PagePicture, ...] = ()
+    notes: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     heads: tuple[str, str, str] = ("value", "1 σ", "95 %")
 
@@ -98,4 +96,4 @@ def with_reasons(left_out: Mapping[str, str]) -> tuple[str, ...]:
 
 def render(page: CalibrationPage, stages: Sequence[CalibrationPage] = ()) -> str:
     """Return the page's HTML, with those of other calibrations below; it needs no other file, no network."""
-    return environment().get_template(TEMPLATE).render(page=page, stages=stages)
+    return environment().get_template("calibration.html.j2").render(page=page, stages=stages)

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 Pair = tuple[float, float]
 
-FOLDER = "plan"
-
 
 def plan(
     source: Annotated[Path, typer.Argument(help="A recording, or a folder or file with a recording.toml.")],
@@ -99,7 +97,7 @@ def plan(
     made = _plan(source, setup, options, poses)
     if not as_json:
         print_plan(console.tables(), made)
-    folder = out or (source if source.is_dir() else source.parent) / FOLDER
+    folder = out or (source if source.is_dir() else source.parent) / "plan"
     _write(made, torch_radius, folder)
     if as_json:
         say_json("plan", {"source": source, **_content(made), "folder": folder})

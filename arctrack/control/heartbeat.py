@@ -17,8 +17,6 @@ from robot_io import (
 from robot_io.offset_use import COUNTING
 from tracker.state import NAN
 
-_ROLLING = 256
-
 
 class HeartbeatSchedule:
     """Schedule of version and heartbeat messages; both are due at first.
@@ -56,5 +54,5 @@ class HeartbeatSchedule:
         return due
 
     def _numbered(self, heartbeat: TrackerHeartbeat) -> TrackerHeartbeat:
-        self._rolling = (self._rolling + 1) % _ROLLING
+        self._rolling = (self._rolling + 1) % 256
         return replace(heartbeat, rolling=self._rolling)

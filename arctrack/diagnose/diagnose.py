@@ -24,8 +24,6 @@ from noise_model.setup import Setup
 from noise_model.spelling import cure_for
 from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict, HeldOutPrediction, NamedEffect
 
-DIAGNOSIS_FOLDER = "diagnosis"
-
 THREADS = 2
 """Threads of a recording that is diagnosed alone; with other processes one is best."""
 
@@ -80,7 +78,7 @@ def jobs_for(
     setup = None if setup_path is None else setup_path.absolute()
     paths = [recording.absolute() for recording in recordings]
     where = None if out is None else out.absolute()
-    folders = folders_for(paths, where, DIAGNOSIS_FOLDER, "its diagnosis would replace another")
+    folders = folders_for(paths, where, "diagnosis", "its diagnosis would replace another")
     return [
         DiagnosisJob(path, folder, setup, tuple(without)) for path, folder in zip(paths, folders, strict=True)
     ]

@@ -14,7 +14,6 @@ import numpy as np
 from arctrack.output import write_whole, writing
 from sim_to_real.diagnosis import Diagnosis, HeldOutPrediction, NamedEffect, Next, RankedEffect, Reason, Where
 
-FORMAT = "arctrack-diagnosis/1"
 REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ = "report.json", "where.npz", "predicted.npz"
 REPORT_PAGE = "report.html"
 FILES = (REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ, REPORT_PAGE)
@@ -44,7 +43,7 @@ def report(diagnosis: Diagnosis, without: Sequence[str] = ()) -> dict[str, Any]:
     """Return the content of report.json; what is not known is null."""
     gap = diagnosis.gap
     content = {
-        "format": FORMAT,
+        "format": "arctrack-diagnosis/1",
         "verdict": diagnosis.verdict.value,
         "effects": [_named(effect) for effect in diagnosis.effects],
         "ranking": [_ranked(candidate) for candidate in diagnosis.ranking],

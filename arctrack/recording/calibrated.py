@@ -19,8 +19,6 @@ from arctrack.recording.setup_file import parse_setup, read_setup_file, setup_te
 from arctrack.recording.toml_text import rounded
 from noise_model.compiled.arrays import Float64
 
-TABLE = "calibration"
-
 Value = float | int | Sequence[float]
 
 
@@ -68,7 +66,7 @@ def with_calibrated(path: Path, *results: CalibrationValues) -> str:
             table = table.setdefault(name, tomlkit.inline_table() if is_inline else tomlkit.table())
         for key, value in result.values.items():
             table[key] = _plain(value)
-        records = document.setdefault(TABLE, tomlkit.table(is_super_table=True))
+        records = document.setdefault("calibration", tomlkit.table(is_super_table=True))
         _replace(records, result.name or result.table, _record(result))
     text = tomlkit.dumps(document)
     parse_setup(text, path)

@@ -39,8 +39,6 @@ FILES = (
 )
 """Every file that a replay may write."""
 
-SUMMARY_FORMAT = "arctrack-summary/1"
-
 COLUMNS = (
     "frame",
     "timestamp_s",
@@ -225,7 +223,7 @@ class Summary:
     def to_json(self) -> dict[str, Any]:
         """Return the content of summary.json; what is not known is null."""
         content: dict[str, Any] = {
-            "format": SUMMARY_FORMAT,
+            "format": "arctrack-summary/1",
             "recording": self.recording,
             "arc_map": self.use_arc_map,
             "frames": {

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from noise_model.setup import Setup
 
 FILE_NAME = "recording.toml"
-FORMAT = "joint-tracking-recording/1"
 UNITS = "mm, s, deg, e-, DN"
 """The units that a recording states."""
 
@@ -22,7 +21,7 @@ UNITS = "mm, s, deg, e-, DN"
 def format_setup(setup: Setup) -> str:
     """Return the text of a recording.toml that reads back as the same setup."""
     document = tomlkit.document()
-    document["format"] = FORMAT
+    document["format"] = "joint-tracking-recording/1"
     document["units"] = UNITS
     for name, table in _tables(setup).items():
         document[name] = table

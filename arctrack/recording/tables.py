@@ -42,6 +42,11 @@ class FrameRow:
     exposure_s: float
 
     @property
+    def exposed_s(self) -> float:
+        """End of the exposure, s."""
+        return self.timestamp_s + self.exposure_s / 2.0
+
+    @property
     def condition(self) -> tuple[bool, bool, float, float]:
         """Laser, arc, current (-1 if unknown) and exposure: what makes frames comparable."""
         current_a = -1.0 if math.isnan(self.current_a) else self.current_a

@@ -14,7 +14,6 @@ from av.video.stream import VideoStream
 
 from arctrack.recording.time_sources import TimeSource
 
-_SEGMENT = bytes.fromhex("18538067")
 _UNKNOWN = -1
 """The element of a Matroska file that holds all frames (RFC 9559, 5.1), and a size that nobody stated."""
 
@@ -71,7 +70,7 @@ def _stated_bytes(path: Path) -> int | None:
             size = _element_size(file)
             if size is None or len(name) < 4:
                 return None
-            if name == _SEGMENT:
+            if name == bytes.fromhex("18538067"):
                 return size if size == _UNKNOWN else file.tell() + size
             file.seek(size, 1)
 

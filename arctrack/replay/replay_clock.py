@@ -9,7 +9,6 @@ from typing import Any
 
 from arctrack.control.tracking_service import TrackingService
 from arctrack.recording import FrameRow
-from arctrack.recording.exposed import exposed_s
 from robot_io import (
     BusMessage,
     Command,
@@ -31,7 +30,7 @@ class PlaybackClock:
     """The recording's clock, driven by `monotonic_s` from `begin` on; it stands at the first frame before."""
 
     def __init__(self, first: FrameRow, monotonic_s: Callable[[], float]) -> None:
-        self._first_s, self._monotonic_s = exposed_s(first), monotonic_s
+        self._first_s, self._monotonic_s = first.exposed_s, monotonic_s
         self._began_s = math.nan
 
     def begin(self) -> None:
@@ -54,7 +53,7 @@ class RecordingTime:
 
     def __init__(self, rows: Sequence[FrameRow], job_number: int | None = None) -> None:
         self._rows, self._job_number = rows, job_number
-        self._now_s = first_s = min(exposed_s(row) for row in rows)
+        self._now_s = first_s = min(row.exposed_s for row in rows)
         self._log_is_late_s = float(max(0, math.ceil(-first_s)))
 
     def now_s(self) -> float:
@@ -71,7 +70,7 @@ class RecordingTime:
 
     def reach(self, row: FrameRow, service: TrackingService[Any]) -> None:
         """Go on to a frame's end of exposure; until then the robot is not silent."""
-        before_s, exposed = self._now_s, exposed_s(row)
+        before_s, exposed = self._now_s, row.exposed_s
         n_steps = max(1, math.ceil((exposed - before_s) / service.controller.job.limits.hold_s))
         for n in range(1, n_steps + 1):
             self._now_s = exposed if n == n_steps else before_s + n * (exposed - before_s) / n_steps
@@ -117,7 +116,7 @@ class RealTime:
         while True:
             self._check_interrupt()
             # One message at a time: a robot that talks all the time must not hold the frame up.
-            remaining_s = max(0.0, exposed_s(row) - self.now_s())
+            remaining_s = max(0.0, row.exposed_s - self.now_s())
             received = next(self._link.receive(min(remaining_s, POLL_S)), None)
             if received is not None:
                 service.hear(received)

@@ -53,9 +53,6 @@ def certificate_page(
             label="certificate",
             headline=headline,
             sentences=(without,),
-            rows=(),
-            pictures=(),
-            maps=(),
             notes=tuple(notes),
             mark=mark,
         )
@@ -90,7 +87,6 @@ def certificate_page(
                 "The cross is the point nearest to the tool's axis.",
             ),
         ),
-        maps=(),
         notes=tuple(notes),
         mark=mark,
         heads=("1 σ lateral / vertical", "at the worst point", "share there"),

@@ -75,7 +75,6 @@ def arc_page(result: ArcCalibration, recording: Recording) -> CalibrationPage:
                 "A pattern that all frames share is what the model lacks: arctrack diagnose names it.",
             ),
         ),
-        maps=(),
         notes=(
             "Brightness and the kappas' sum only occur as a product: the sum stays as stated.",
             "The sigmas hold the camera's tolerance, the part's place, texture and flicker.",

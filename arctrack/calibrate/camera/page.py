@@ -59,7 +59,6 @@ def camera_page(result: CameraCalibration, images: BoardImages, stated: SetupFil
         sentences=tuple(sentences),
         rows=camera_rows(result),
         pictures=tuple(_pictures(result, images)),
-        maps=(),
         notes=tuple(camera_notes(result, stated, images.is_dim)),
         mark="unknown" if result.model_error else "no_gap",
         left_out=(*with_reasons(images.left_out | result.left_out), *_wrong_corners(result)),

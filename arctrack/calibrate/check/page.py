@@ -21,8 +21,6 @@ from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
 from tracker.geometry import SensorGeometry
 from tracker.stripe.expected import expect_stripe
 
-TEMPLATE = "setup_check.html.j2"
-
 MARKS = {SetupVerdict.OK: "no_gap", SetupVerdict.NOT_EXPLAINED: "unknown", SetupVerdict.UNTOLD: "ambiguous"}
 
 SHAPE_RANGE = 0.1
@@ -66,7 +64,7 @@ def render(checked: SetupCheck) -> str:
     mark = "unknown" if checked.not_explained else "no_gap"
     return (
         environment()
-        .get_template(TEMPLATE)
+        .get_template("setup_check.html.j2")
         .render(
             name=checked.recording.name,
             setup=str(checked.recording.setup_path),

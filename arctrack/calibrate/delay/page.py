@@ -50,7 +50,6 @@ def delay_page(result: PoseDelay, recording: Recording) -> CalibrationPage:
                 "likely.",
             ),
         ),
-        maps=(),
         notes=(
             f"About a smooth seam its points scatter by {result.scatters_mm[0]:.3f} mm sideways and "
             f"{result.scatters_mm[1]:.3f} mm in height beyond the tracker's own sigmas.",

@@ -78,7 +78,6 @@ def hand_eye_page(
                 "This is the robot's error, seen by the camera. Grey are all corners.",
             ),
         ),
-        maps=(),
         notes=tuple(_notes(result, posed, moves_sheet)),
         mark="ambiguous" if result.left_out or result.is_scale_off else "no_gap",
         left_out=with_reasons(posed.left_out | result.left_out),

@@ -97,7 +97,6 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: S
             ),
             *beam_pictures(beam),
         ),
-        maps=(),
         notes=tuple(notes),
         mark="no_gap" if result.scatter == 1.0 else "ambiguous",
         left_out=with_reasons(pairs.left_out | result.left_out),

@@ -18,8 +18,6 @@ from noise_model.compiled.arrays import Float64
 
 MATERIAL, RESULT, RESIDUALS, PICTURE = "material.toml", "reflectance.json", "residuals.csv", "reflectance.png"
 
-FORMAT = "arctrack-reflectance/1"
-
 DIGITS = 6
 
 
@@ -60,7 +58,7 @@ def write_results(
 def _json(result: Reflectance, source: GoniometerFile) -> str:
     scatter = result.scatter
     document = {
-        "format": FORMAT,
+        "format": "arctrack-reflectance/1",
         "source": str(source.path),
         "names": NAMES,
         "values": result.values.tolist(),

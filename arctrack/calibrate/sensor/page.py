@@ -86,7 +86,6 @@ def sensor_page(
             ),
         ),
         maps=_maps(result, levels),
-        notes=(),
         mark="no_gap" if fits else "ambiguous",
         left_out=(*(f"{name}: is saturated" for name in result.left_out), *warnings),
     )

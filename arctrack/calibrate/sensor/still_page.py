@@ -70,7 +70,6 @@ def still_page(result: StillCalibration, source: str, warnings: Sequence[str]) -
                 png(visible(seen.image_dn, result.sensor)), "the mean of the frames, brightness by √"
             ),
         ),
-        notes=(),
         mark="no_gap" if is_fine else "ambiguous",
         left_out=tuple(warnings),
     )

@@ -11,8 +11,6 @@ from arctrack.output import make_new_folder, write_whole
 from arctrack.recording.new import RADIANCE_E, comment, commented_setup, wrapped
 from arctrack.recording.schema import tables_of
 
-CELL_TOML, SETUP_TOML = "cell.toml", "setup.toml"
-
 _HEAD = """\
 # The choices for a cell. The facts of its sensor and its part are in the setup.
 # What stands behind a # has the value that it shows. Take the # off to choose another.
@@ -54,7 +52,7 @@ def write_cell(folder: Path, cell_text: str, setup_text: str) -> tuple[Path, Pat
     The cell file comes last, and whole: whoever waits for it may read it as soon as it is there.
     """
     make_new_folder(folder)
-    cell, setup = folder / CELL_TOML, folder / SETUP_TOML
+    cell, setup = folder / "cell.toml", folder / "setup.toml"
     write_whole(setup, setup_text)
     write_whole(cell, cell_text)
     return cell, setup

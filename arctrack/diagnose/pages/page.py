@@ -28,8 +28,6 @@ from sim_to_real.diagnosis import (
     excluded_effects,
 )
 
-TEMPLATE = "diagnosis.html.j2"
-
 LABELS = {
     DiagnosisVerdict.NO_GAP: "no gap",
     DiagnosisVerdict.EFFECTS: "gap explained",
@@ -87,7 +85,7 @@ def page(diagnosis: Diagnosis, recording: Recording, without: Sequence[str] = ()
     """Return the page, which needs no other file and no network."""
     pages = environment()
     pages.globals.update(words=words, Verdict=DiagnosisVerdict)
-    return pages.get_template(TEMPLATE).render(**_content(diagnosis, recording, without))
+    return pages.get_template("diagnosis.html.j2").render(**_content(diagnosis, recording, without))
 
 
 def advice(diagnosis: Diagnosis) -> list[str]:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 from arctrack.live.cameras.camera import PLAYED, UnreadableFrame
 from arctrack.recording import BadFrame, Recording
-from arctrack.recording.exposed import exposed_s
 from arctrack.replay.replay_clock import PlaybackClock
 from robot_io import LaserState, RobotPulse
 from tracker.state import Frame
@@ -41,7 +40,7 @@ class RecordingCamera:
     def newest(self) -> Frame | UnreadableFrame | None:
         """Return the newest frame whose exposure is over, None where it was handed out before."""
         due = None
-        while self._next is not None and exposed_s(self._next[0]) <= self.now_s():
+        while self._next is not None and self._next[0].exposed_s <= self.now_s():
             self._dropped += due is not None
             due = self._next
             # It is decoded now: when its time has come there is none for it.

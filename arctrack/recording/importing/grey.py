@@ -15,9 +15,6 @@ from arctrack.recording.importing.colours import Bayer, Channel
 from noise_model.compiled.arrays import Integers
 from noise_model.setup import Setup
 
-BLUE_FIRST = (Channel.BLUE, Channel.GREEN, Channel.RED)
-"""The order in which OpenCV holds colours."""
-
 
 def channel_of_laser(setup: Setup) -> Channel:
     """Return the colour whose sites see a setup's laser best; beyond red all colours see it, red no worse."""
@@ -37,7 +34,8 @@ def grey(pixels: Integers, channel: Channel) -> Integers:
         return pixels
     if channel is Channel.LUMINANCE:
         return np.asarray(cv2.cvtColor(pixels[..., :3], cv2.COLOR_BGR2GRAY))
-    return np.ascontiguousarray(pixels[..., BLUE_FIRST.index(channel)])
+    # The order in which OpenCV holds colours.
+    return np.ascontiguousarray(pixels[..., (Channel.BLUE, Channel.GREEN, Channel.RED).index(channel)])
 
 
 def first_site(bayer: Bayer, channel: Channel) -> tuple[int, int]:

@@ -51,8 +51,6 @@ _TAKEN_TAGS = {36867: 37521, 306: 37520}
 """EXIF's DateTimeOriginal and DateTime, each with the tag of its part of a second."""
 
 _LINEAR_GAMMA = 1.0
-_BMP_BITS = slice(28, 30)
-"""EXIF's Orientation, PNG's gAMA of light, and where a BMP states the bits of a pixel."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +226,8 @@ def _misfit(image: Image.Image, content: bytes) -> str | None:
     """Return the problem of an image's kind, None if it can be read."""
     if image.mode not in MODES:
         return f"holds pixels of kind {image.mode}: grey or RGB of 8 or 16 bits are needed"
-    if image.format == "BMP" and int.from_bytes(content[_BMP_BITS], "little") == 16:
+    # A BMP states the bits of a pixel there.
+    if image.format == "BMP" and int.from_bytes(content[28:30], "little") == 16:
         return "has 16 bits for three colours: save it with 8 bits each, or as grey"
     pages = getattr(image, "n_frames", 1)
     if pages > 1 and image.format not in LOSSY_FORMATS:

@@ -23,9 +23,6 @@ from arctrack.recording.time_sources import TimeSource
 MAX_GAPS_NAMED = 5
 """Gaps in the numbering that are named one by one."""
 
-BINARY_ENDS = (255, 65535, 2**32 - 1)
-"""The last numbers of counters of 1, 2 and 4 bytes."""
-
 _DIGITS = re.compile(r"(\d+)")
 _DECIMAL = re.compile(r"(\d+)\.(\d+)$")
 
@@ -178,7 +175,8 @@ def _unwrapped(
     That is where both its ends are among the numbers and nothing else of half its range is.
     """
     last = indices[-1]
-    is_last = str(last) == "9" * len(str(last)) or last in BINARY_ENDS
+    # The last numbers of counters of 1, 2 and 4 bytes.
+    is_last = str(last) == "9" * len(str(last)) or last in (255, 65535, 2**32 - 1)
     jumps = np.diff(indices)
     if indices[0] > 1 or not is_last or not len(jumps) or jumps.max() <= last / 2:
         return paths, indices, ()

@@ -44,9 +44,6 @@ POSITION_NAMES = tuple(
     (axis, f"pos_{axis}", f"t{axis}", f"actual_tcp_pose_{n}") for n, axis in enumerate("xyz")
 )
 
-MAX_TURN_RAD = 4.0 * math.pi
-"""Angles said to be rad that are larger are degrees: controllers write less than two turns."""
-
 
 @dataclass(frozen=True)
 class PoseFile:
@@ -307,7 +304,8 @@ def _doubts(positions_mm: Float64, unit: str, path: Path) -> list[str]:
 
 def _angle_doubts(angles: Float64, unit: str, path: Path) -> list[str]:
     largest = float(np.abs(angles).max())
-    if unit == "rad" and largest > MAX_TURN_RAD:
+    # Controllers write less than two turns.
+    if unit == "rad" and largest > 4.0 * math.pi:
         raise in_file(path, f"angles reach {largest:.4g} rad: they are degrees; give --units deg")
     if unit == "deg" and 0.0 < largest <= 2.0 * math.pi:
         return [f"{path}: angles stay within {largest:.4g} deg; are they rad?"]

@@ -85,9 +85,6 @@ _BY_LETTER = (
 _REAL_BY_LETTER = tuple((w, x, y, z) for x, y, z, w in _BY_LETTER)
 _BY_NUMBER = (("q1", "q2", "q3", "q4"), ("q0", "q1", "q2", "q3"))
 _TURNS = (("rx", "ry", "rz"),)
-_RTDE_TURNS = ("actual_tcp_pose_3", "actual_tcp_pose_4", "actual_tcp_pose_5")
-"""Names of the rotation vector by Universal Robots' client of RTDE."""
-
 _MM_DEG, _M_RAD = Units(length="mm", angle="deg"), Units(length="m", angle="rad")
 
 BY_ITS_NAMES = Convention(_BY_LETTER, False, _quaternions)
@@ -101,7 +98,10 @@ CONVENTIONS = {
     "fanuc": Convention((("w", "p", "r"),), True, _by_sequence("xyz"), _MM_DEG),
     "kuka": Convention((("a", "b", "c"),), True, _by_sequence("ZYX"), _MM_DEG),
     "staubli": Convention(_TURNS, True, _by_sequence("XYZ"), _MM_DEG),
-    "ur": Convention((*_TURNS, _RTDE_TURNS), True, _by_vector, _M_RAD),
+    # Universal Robots' client of RTDE has names of its own.
+    "ur": Convention(
+        (*_TURNS, ("actual_tcp_pose_3", "actual_tcp_pose_4", "actual_tcp_pose_5")), True, _by_vector, _M_RAD
+    ),
     "yaskawa": Convention(_TURNS, True, _by_sequence("xyz"), _MM_DEG),
 }
 """Named conventions. R takes points of the tool frame to base; primes are axes that have turned along.
