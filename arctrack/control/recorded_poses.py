@@ -36,7 +36,7 @@ from robot_io.poses.pose_questions import Implausibility
 from tracker.state import AT_ONCE, OffsetLookAhead
 
 LOOK_BACK_S, MIN_LOOKS = 0.4, 10
-"""The seam in the image is asked over so long, and over so many frames at least.
+"""Time, s, and least number of frames over which the seam in the image is held against the poses.
 
 Two bad frames then fail no window, whatever the frame rate: each counts for 4 sigmas in 2 axes at most.
 """

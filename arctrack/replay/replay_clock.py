@@ -1,4 +1,4 @@
-"""Clock of a replay: when each frame is sent, and what the robot then does."""
+"""Clocks of a replay: when each frame is tracked, and what the robot does until then."""
 
 from __future__ import annotations
 
