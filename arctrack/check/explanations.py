@@ -23,6 +23,7 @@ from scipy.stats import betabinom, norm
 
 from arctrack.check.case import CheckCase
 from arctrack.check.mistakes import Mistake, common_mistakes, focal_lengths, other_joints
+from arctrack.check.seam_place import SeamPlace
 from arctrack.check.stale_parts import MOVED_PARTS, STALE_PARTS, stale_part
 from arctrack.check.stripe_width import StripeWidth, stripe_width
 from calibration.check.stripe_place import (
@@ -52,7 +53,7 @@ READ, READ_UNKNOWN = (4.0, 1.0), (1.0, 1.0)
 WIDTH_SPREAD, WRONG_WIDTH_SPREAD = 0.1, 1.0
 """1 sigma of the logarithm of measured over stated width: of a right setup, and of any other."""
 
-LN_PRIOR_STALE, LN_PRIOR_LENS, LN_PRIOR_MISTAKE, LN_PRIOR_UNKNOWN = -2.0, -5.0, -4.0, -4.0
+LN_PRIOR_STALE, LN_PRIOR_LENS, LN_PRIOR_MISTAKE, LN_PRIOR_UNKNOWN = -2.0, -8.0, -4.0, -4.0
 """ln of the odds to a right setup: of a stale part, of a stale lens, of one mistake, of none of them."""
 
 ORDER_NATS = 0.5
@@ -125,6 +126,8 @@ def _explained(case: CheckCase, width: StripeWidth) -> Iterator[WeighedCause]:
             lies = f"the whole stripe lies {abs(off_px):.1f} px off its place: "
             seen = lies if cause.name in MOVED_PARTS else ""
             yield WeighedCause(what, cure, mended, ln_prior + ln_width + cause.ln_evidence, seen=seen)
+            continue
+        if SeamPlace(cause.values["seam_y"], cause.values["seam_z"]).is_beyond_search:
             continue
         yield WeighedCause("", "", case, ln_width + cause.ln_evidence)
         if math.isfinite(width.ln_ratio):

@@ -24,7 +24,7 @@ from calibration.check.stripe_place import (
 from noise_model.setup import Setup
 from noise_model.transforms import cross
 
-MOVED_PARTS = (LASER, SENSOR, CAMERA, PART)
+MOVED_PARTS = (PART, LASER, SENSOR, CAMERA)
 STALE_PARTS = (*MOVED_PARTS, LENS, DIMENSIONS)
 
 CURES = {

@@ -15,7 +15,7 @@ So rotated and lifted poses separate them, and a tool that only travels does not
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -209,12 +209,15 @@ def explain_stripes(
 ) -> tuple[float, list[Cause]]:
     """Return the stripes' median distance from their nominal places, px, and the cause of each name.
 
-    The later names are fitted from where the first one's fit ends. Raises ValueError where no stripe meets
-    the laser plane in front of the camera.
+    A later name is fitted from the best fit before it, and from the best of a grid. Raises ValueError where
+    no stripe meets the laser plane in front of the camera.
     """
     problem = _StripePlaceProblem.of(setup, sights)
-    first = problem.explain(names[0], problem.coarse_place())
-    causes = [first, *(problem.explain(name, first.values) for name in names[1:])]
+    first = best = problem.explain(names[0], problem.coarse_place(), {})
+    causes = [first]
+    for name in names[1:]:
+        causes.append(problem.explain(name, best.values, problem.coarse_change(name)))
+        best = max(best, causes[-1], key=lambda cause: cause.ln_evidence)
     return problem.displacement(first.fit)[0], causes
 
 
@@ -348,12 +351,25 @@ class _StripePlaceProblem:
     def coarse_place(self) -> dict[str, float]:
         """Return the part's approximate place relative to its nominal one: the best of a grid."""
         # Sideways and in height, mm.
-        places = [
+        return self._best_of(
             {"seam_y": y, "seam_z": z} for z in np.arange(-18.0, 18.5, 1.5) for y in np.arange(-6.0, 7.0, 3.0)
-        ]
+        )
+
+    def coarse_change(self, name: str) -> dict[str, float]:
+        """Return the approximate change of one part that is off: the best of a grid along each axis.
+
+        Far from it a fit may run off to a sheet that the camera sees edge on.
+        """
+        steps = np.arange(-3.0, 3.1, 0.25)
+        return self._best_of({n: sigma * k} for n, sigma in STALE.get(name, {}).items() for k in steps)
+
+    def _best_of(self, places: Iterable[dict[str, float]]) -> dict[str, float]:
         nothing = dict.fromkeys((*PART_BLOCK, *SHAPE_BLOCK, *self.bends.names), 0.0)
-        costs = [float(_robust_costs(self.residuals({**nothing, **place})).sum()) for place in places]
-        return places[int(np.argmin(costs))]
+        return min(
+            places,
+            key=lambda place: float(_robust_costs(self.residuals({**nothing, **place})).sum()),
+            default={},
+        )
 
     def explain(self, name: str, *starts: Mapping[str, float]) -> Cause:
         """Return the best explanation of the points with one part off, from several starts."""
