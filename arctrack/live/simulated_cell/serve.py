@@ -65,7 +65,10 @@ def serve_cell(
     """
     can_bus = joined_bus(interface, channel, **bus_options)
     camera = ChildProcess(
-        run_camera, (plan, frames), ended=ArctrackError(f"--frames {frames}: the camera ended by itself")
+        run_camera,
+        (plan, frames),
+        ended=ArctrackError(f"--frames {frames}: the camera ended by itself"),
+        ends_s=5.0,
     )
     try:
         camera.receive()
