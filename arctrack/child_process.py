@@ -22,8 +22,8 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from arctrack.closing import Closing
+from arctrack.end_signals import leave_signals_to_parent
 from arctrack.errors import ArctrackError
-from arctrack.safe_points import leave_signals_to_parent
 
 if TYPE_CHECKING:
     from _typeshed import HasFileno

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from arctrack.check.verdict import RunVerdict, verdict_on
 from arctrack.errors import ArctrackError
-from arctrack.finished import FinishedVerdict, ReplayRecord, made_of, read_finished, sizes
+from arctrack.finished_replay import FinishedVerdict, ReplayRecord, made_of, read_finished, sizes
 from arctrack.output import folders_for, real
 from arctrack.printable import printable
 from arctrack.recording import Recording, read_recording

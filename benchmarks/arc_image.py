@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from arctrack.recording import BadFrame, read_recording
-from calibration.hand_eye import estimate_hand_eye
+from calibration.hand_eye_arc import estimate_hand_eye
 from noise_model.setup import Setup
 from tracker.state import Frame, Pose
 from validation.second_renderer.agreement import arc_agreement

@@ -35,7 +35,7 @@ from calibration.arc.problem import (
     Y,
     Z,
 )
-from calibration.hand_eye import FIELD_SIGMA
+from calibration.hand_eye_arc import FIELD_SIGMA
 from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.brdf import Material

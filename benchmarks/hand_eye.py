@@ -25,7 +25,7 @@ import numpy as np
 from arctrack.nominal import DIMENSIONS, nominal_setup
 from arctrack.recording import BadFrame, read_recording, read_truth
 from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
-from calibration.hand_eye import ARC_RADIUS_SIGMA, ARC_SIGMA_MM, REFLECTANCE_SIGMA, estimate_hand_eye
+from calibration.hand_eye_arc import ARC_RADIUS_SIGMA, ARC_SIGMA_MM, REFLECTANCE_SIGMA, estimate_hand_eye
 from noise_model.compiled.arrays import Float64
 from noise_model.effects import Values
 from noise_model.setup import Setup

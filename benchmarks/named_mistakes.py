@@ -17,14 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from arctrack.check.case import CheckCase, case_of, chosen_rows
+from arctrack.check.check_sample import CheckCase, case_of, chosen_rows
 from arctrack.check.explanations import explanations
 from arctrack.check.hint import hint_of
 from arctrack.nominal import DIMENSIONS, nominal_setup
 from arctrack.recording import read_recording
 from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
 from calibration.check.stripe_place import with_changes
-from noise_model.evenly import evenly
+from noise_model.even_sample import evenly
 from noise_model.setup import Setup
 
 RECORDINGS, FRAMES = 8, 5

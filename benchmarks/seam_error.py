@@ -28,7 +28,7 @@ from scipy.interpolate import CubicSpline
 from arctrack.nominal import DIMENSIONS, nominal_setup
 from arctrack.recording import BadFrame, read_recording, read_truth
 from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
-from calibration.hand_eye import estimate_hand_eye
+from calibration.hand_eye_arc import estimate_hand_eye
 from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.brdf import TABLE_1

@@ -26,7 +26,7 @@ from scipy.optimize import minimize, minimize_scalar
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
-from calibration.hand_eye import CAMERA_STEPS, with_camera
+from calibration.hand_eye_arc import CAMERA_STEPS, with_camera
 from noise_model.compiled.arrays import Bool, Float64
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.goniometer import GreyResponse, Readings
+from calibration.goniometer_test import RepeatScatter, compare
 from calibration.reading_noise import ReadingNoise
 from calibration.reflectance_limits import refuse_if_dark, refuse_if_undetermined, refuse_if_unfit
 from calibration.reflectance_model import White, fit_readings, fit_settings, readings_model
-from calibration.scatter import RepeatScatter, compare
 from noise_model.compiled.arrays import Float64
 from noise_model.fit import Fit, correlation, student_t
 from noise_model.surface.brdf import Material

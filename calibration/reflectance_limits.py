@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from calibration.goniometer import GreyResponse, Readings
+from calibration.goniometer_test import RepeatScatter
 from calibration.reflectance_model import C2, NAMES, ReadingsFit, ReadingsModel
-from calibration.scatter import RepeatScatter
 from noise_model.compiled.arrays import Bool, Float64
 
 

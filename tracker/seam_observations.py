@@ -13,7 +13,7 @@ import numpy as np
 
 from noise_model.compiled.arrays import Float64
 from noise_model.effects import apply_setup_effects, pose_time_s
-from noise_model.evenly import evenly
+from noise_model.even_sample import evenly
 from noise_model.setup import Setup
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert, transform

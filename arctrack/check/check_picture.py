@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from arctrack.check.case import CheckCase
 from arctrack.check.check_recording import CheckResult
+from arctrack.check.check_sample import CheckCase
 from arctrack.report import style
 from arctrack.report.image import visible
 from noise_model.arc.scene import make_scene

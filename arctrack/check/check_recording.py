@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from arctrack.check.case import CheckCase, case_of, chosen_rows, laser_off_rows
+from arctrack.check.check_sample import CheckCase, case_of, chosen_rows, laser_off_rows
 from arctrack.check.explanations import WeighedCause, explanations
 from arctrack.check.findings import SetupFinding, findings, timing_findings
 from arctrack.check.hint import Hint, hint_of
@@ -19,7 +19,7 @@ from arctrack.errors import ArctrackError, in_file
 from arctrack.offset_count import OffsetCount
 from arctrack.recording import BadFrame, Recording
 from arctrack.recording.reader import fitted
-from arctrack.replay.trial import Trial, rows_to_try, try_out
+from arctrack.replay.tracking_trial import Trial, rows_to_try, try_out
 from tracker.geometry import SensorGeometry
 from tracker.seam.correction import UNSTATED
 from tracker.state import Frame, Track

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.special import softmax
 from scipy.stats import betabinom, norm
 
-from arctrack.check.case import CheckCase
+from arctrack.check.check_sample import CheckCase
 from arctrack.check.mistakes import Mistake, common_mistakes, focal_lengths, other_joints
 from arctrack.check.seam_place import SeamPlace
 from arctrack.check.stale_parts import MOVED_PARTS, STALE_PARTS, stale_part
@@ -35,7 +35,7 @@ from calibration.check.stripe_place import (
     explain_stripes,
     with_changes,
 )
-from noise_model.evenly import evenly
+from noise_model.even_sample import evenly
 from tracker.joint.type_check import JointFamily, family_of
 
 MAX_FITTED = 6

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from arctrack.check.case import CheckCase
+from arctrack.check.check_sample import CheckCase
 from arctrack.check.explanations import WeighedCause, explanations
 from calibration.check.stripe_place import OFF_NATS, RIVAL_NATS
 

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from arctrack.check.case import CheckCase
+from arctrack.check.check_sample import CheckCase
 from arctrack.nominal import DIMENSIONS
 from noise_model.compiled.arrays import Float64, Integers
 from noise_model.instrument.camera import Camera

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.linalg import norm
 
-from arctrack.check.case import CheckCase
+from arctrack.check.check_sample import CheckCase
 from arctrack.check.seam_place import SeamPlace
 from calibration.check.stripe_place import (
     CAMERA,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from arctrack.check.case import CheckCase
+from arctrack.check.check_sample import CheckCase
 from noise_model.arc.scene import make_scene
 from tracker.geometry import SensorGeometry
 from tracker.stripe.expected import expect_stripe

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from arctrack.check.case import case_of, chosen_rows
+from arctrack.check.check_sample import case_of, chosen_rows
 from arctrack.check.fit import ENOUGH
 from arctrack.check.hint import Hint, likely_mistake
 from arctrack.check.seam_place import UNKNOWN_PLACE, SeamPlace, seam_place

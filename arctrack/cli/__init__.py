@@ -18,13 +18,13 @@ from arctrack.cli.doctor import doctor
 from arctrack.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from arctrack.cli.explain import explain
 from arctrack.cli.group import CommandGroup, UnexpectedEndError
+from arctrack.cli.help_text import reflow
 from arctrack.cli.import_files import import_files
 from arctrack.cli.inspect import inspect
 from arctrack.cli.interrupt import InterruptedCommandError
 from arctrack.cli.lines import write_line
 from arctrack.cli.new import new
 from arctrack.cli.plan import plan
-from arctrack.cli.reflow import reflow
 from arctrack.cli.replay import replay
 from arctrack.cli.serve import serve
 from arctrack.cli.simulate import simulate

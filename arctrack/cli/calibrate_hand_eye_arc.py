@@ -13,7 +13,7 @@ from arctrack.errors import ArctrackError
 from arctrack.output import write_whole
 
 if TYPE_CHECKING:
-    from calibration.hand_eye import HandEye
+    from calibration.hand_eye_arc import HandEye
     from noise_model.compiled.arrays import Float64
 
 
@@ -27,7 +27,7 @@ def from_arc(recording: Path, out: Path) -> None:
     look_at_recording(recording)
     from arctrack.cli import console
     from arctrack.recording import read_recording, with_camera_pose
-    from calibration.hand_eye import estimate_hand_eye
+    from calibration.hand_eye_arc import estimate_hand_eye
 
     read = read_recording(recording)
     console.warn(read.warnings)

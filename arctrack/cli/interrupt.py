@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from arctrack.safe_points import ENDING, is_ignored
+from arctrack.end_signals import ENDING, is_ignored
 
 
 class InterruptedCommandError(Exception):

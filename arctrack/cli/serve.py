@@ -18,8 +18,8 @@ from arctrack.cli.cell import LIVE_MM
 from arctrack.cli.exit_codes import NOTHING_TRACKED
 from arctrack.cli.inputs import look_at_cell
 from arctrack.cli.interrupt import interruptible, stoppable
+from arctrack.end_signals import ENDING
 from arctrack.errors import ArctrackError
-from arctrack.safe_points import ENDING
 
 if TYPE_CHECKING:
     from arctrack.control.cell_file import CellFile

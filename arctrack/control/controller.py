@@ -15,7 +15,7 @@ from arctrack.control import track_messages
 from arctrack.control.bus_delay import BusDelay
 from arctrack.control.heartbeat import HeartbeatSchedule
 from arctrack.control.job import NO_JOB, Job
-from arctrack.control.part import PartWatch
+from arctrack.control.part_fitness import PartWatch
 from arctrack.control.policy import ServicePolicy
 from arctrack.control.robot_messages import OutageWatch, TimedMessage, fresh
 from arctrack.control.track_messages import NO_TRACK, UNKNOWN_POINT, has

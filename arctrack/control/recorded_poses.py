@@ -14,8 +14,8 @@ from arctrack.control.pose_agreement import PoseAgreement
 from arctrack.control.pose_watch import Doubt, PoseWatch, nominal_path
 from arctrack.errors import in_file
 from arctrack.recording import Recording
+from arctrack.recording.live_steps import RecordedStep
 from arctrack.recording.poses import LOG_NAMES, can_channel
-from arctrack.recording.steps import RecordedStep
 from noise_model.effects import pose_time_s
 from noise_model.transforms import invert
 from robot_io import (

@@ -15,6 +15,7 @@ from arctrack.printable import printable
 from arctrack.recording import setup_file, setup_writer
 from arctrack.recording.files import FRAMES_CSV, TRUTH_CSV, check_folder
 from arctrack.recording.frames import BadFrame, Image, check_source, read_frames, read_images
+from arctrack.recording.live_steps import STATE_JSON, STEPS_CSV, RecordedSteps, read_steps
 from arctrack.recording.poses import (
     CSV_NAME,
     LOG_NAMES,
@@ -25,7 +26,6 @@ from arctrack.recording.poses import (
     read_poses,
     runs_against_travel,
 )
-from arctrack.recording.steps import STATE_JSON, STEPS_CSV, RecordedSteps, read_steps
 from arctrack.recording.tables import FrameRow, PoseTable, Truth, read_frame_rows, read_truth_csv
 from noise_model.compiled.arrays import Float64
 from noise_model.effects import pose_time_s

@@ -21,6 +21,7 @@ from arctrack.control.pose_watch import Doubt
 from arctrack.control.recorded_job import RecordedJob, recorded_job, with_job
 from arctrack.control.robot_messages import TRUSTED
 from arctrack.control.tracking_service import TrackingService
+from arctrack.end_signals import ends_at_safe_points
 from arctrack.errors import ArctrackError
 from arctrack.output import make_folder
 from arctrack.printable import printable
@@ -37,10 +38,9 @@ from arctrack.recording.results import (
 from arctrack.recording.run_offsets import RunComparison, read_run_offsets
 from arctrack.recording.score import score
 from arctrack.replay.pages.drawing import drawing_on
-from arctrack.replay.pages.seen import ReplayedFrame, SeenFile
+from arctrack.replay.pages.drawing_spool import ReplayedFrame, SeenFile
 from arctrack.replay.replay_clock import RealTime, RecordingTime
 from arctrack.replay.replay_loop import replay_frames, replay_without_bus
-from arctrack.safe_points import ends_at_safe_points
 from robot_io import (
     BusLogError,
     Link,

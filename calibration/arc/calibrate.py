@@ -34,7 +34,7 @@ from calibration.arc.problem import (
 )
 from calibration.threads import one_thread
 from noise_model.compiled.arrays import Float64
-from noise_model.evenly import evenly
+from noise_model.even_sample import evenly
 from noise_model.fit import Fit, fit
 from noise_model.setup import Setup
 from tracker.arc.level import HUBER

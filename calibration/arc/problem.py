@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from calibration.arc.lattice import PixelSample, choose_pixels, expected_light
-from calibration.hand_eye import CAMERA, FIELD_SIGMA, FIELDS
+from calibration.hand_eye_arc import CAMERA, FIELD_SIGMA, FIELDS
 from noise_model.compiled.arrays import Float64
 from noise_model.effects import apply_setup_effects
 from noise_model.fit import Fit, Parameter

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from noise_model.compiled.arrays import Float64
-from noise_model.evenly import evenly
+from noise_model.even_sample import evenly
 from noise_model.plan.light import stripe_level_e, stripe_light
 from noise_model.plan.noise import (
     BLIND,

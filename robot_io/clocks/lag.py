@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from robot_io.described import described
+from robot_io.described_enum import described
 from robot_io.stated_limit import check_limits
 
 Float64 = npt.NDArray[np.float64]

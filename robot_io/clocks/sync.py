@@ -21,7 +21,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from robot_io.described import described
+from robot_io.described_enum import described
 from robot_io.protocol.messages import RobotSync
 from robot_io.stated_limit import check_limits
 

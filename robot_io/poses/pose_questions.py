@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-from robot_io.described import described
+from robot_io.described_enum import described
 from robot_io.poses.nominal_path import NominalPath, PathPlace, Vector, dot, minus, times
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from robot_io.poses.pose_assembler import PoseSample

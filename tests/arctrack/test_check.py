@@ -12,7 +12,7 @@ import pytest
 from mistaken import MISTAKES, edit_frames, edit_setup, edit_table, scale
 from typer.testing import CliRunner
 
-from arctrack.check.case import CheckCase, case_of, chosen_rows
+from arctrack.check.check_sample import CheckCase, case_of, chosen_rows
 from arctrack.check.explanations import WeighedCause
 from arctrack.check.hint import hint_of, likely_mistake
 from arctrack.check.named_keys import named_keys

@@ -18,9 +18,9 @@ from typer.testing import CliRunner
 
 import arctrack
 from arctrack.cli import app, console
+from arctrack.cli.help_text import paragraphs
 from arctrack.cli.plan import COUNTED
 from arctrack.cli.plan_text import print_plan
-from arctrack.cli.reflow import paragraphs
 from arctrack.nominal import nominal_setup
 from arctrack.simulation.simulate import balance
 from noise_model.plan.plan import PlanOptions, make_plan

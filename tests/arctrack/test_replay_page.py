@@ -19,8 +19,8 @@ from arctrack.recording import BadFrame, read_recording, read_truth
 from arctrack.recording.results import REPLAY_PAGE
 from arctrack.replay.explain_pages import words
 from arctrack.replay.pages import pictures
+from arctrack.replay.pages.drawing_spool import ReplayedFrame
 from arctrack.replay.pages.page import frames_to_show, opening_frame
-from arctrack.replay.pages.seen import ReplayedFrame
 from arctrack.replay.pages.view import Viewer
 from arctrack.replay.replay import Replay, replay_recording
 from noise_model.transforms import transform

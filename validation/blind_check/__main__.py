@@ -10,7 +10,7 @@ import typer
 
 from arctrack.cli import run_app
 from arctrack.cli.group import CommandGroup
-from arctrack.cli.reflow import reflow
+from arctrack.cli.help_text import reflow
 from arctrack.cli.worker_options import Workers
 from arctrack.errors import in_file
 

@@ -11,8 +11,8 @@ from arctrack.calibrate.check.check_setup import sights_of
 from arctrack.calibrate.check.light_measures import EXPOSURE_SIGMA, SPREAD_SIGMA
 from arctrack.calibrate.check.measure import MAX_SIGMAS
 from arctrack.calibrate.stage import CalibrationStage, Steps
-from arctrack.check.case import chosen_rows
 from arctrack.check.check_recording import parted
+from arctrack.check.check_sample import chosen_rows
 from arctrack.check.look import looks_at
 from arctrack.errors import in_file
 from arctrack.recording import Recording

@@ -10,8 +10,8 @@ import numpy as np
 from arctrack.calibrate.check.light_measures import arc_measures, sensor_measures, stripe_measures
 from arctrack.calibrate.check.measure import LightStage, Measure, SetupVerdict
 from arctrack.calibrate.check.place_measures import first_suspect, place_measures, place_sentences
-from arctrack.check.case import chosen_rows
 from arctrack.check.check_recording import parted, sensor_of
+from arctrack.check.check_sample import chosen_rows
 from arctrack.check.look import CheckedFrame, looks_at
 from arctrack.compiling import compiled_by_two
 from arctrack.errors import in_file
@@ -20,7 +20,7 @@ from arctrack.recording.reader import fitted
 from calibration.check.arc_light import ArcLightCheck, compare_arc
 from calibration.check.stripe_place import StripePlace, StripeSight, locate_stripes
 from noise_model.compiled.arrays import Float64
-from noise_model.evenly import evenly
+from noise_model.even_sample import evenly
 from noise_model.setup import Setup
 from noise_model.surface.joint import NOMINAL_SEAM
 from tracker.geometry import SensorGeometry

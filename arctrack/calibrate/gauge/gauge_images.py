@@ -21,7 +21,7 @@ from calibration.gauge.shape import Gauge
 from calibration.gauge.sightings import PosedPieces
 from calibration.gauge.stripe_pieces import Pieces, stripe_pieces
 from noise_model.compiled.arrays import Float64, Integers
-from noise_model.evenly import evenly
+from noise_model.even_sample import evenly
 
 
 @dataclass

@@ -17,9 +17,9 @@ import numpy as np
 from arctrack.errors import ArctrackError
 from arctrack.live.journal.journal import JournalReader
 from arctrack.live.journal.records import NO_IMAGE, Entry, Status
+from arctrack.recording.live_steps import write_steps
 from arctrack.recording.results import ResultsWriter
 from arctrack.recording.run_offsets import LIVE_FOLDER
-from arctrack.recording.steps import write_steps
 from arctrack.recording.writer import RecordingWriter, VideoFormat
 from noise_model.setup import Setup
 from noise_model.transforms import pose_matrix

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arctrack.live.journal.records import Entry, FrameView
-from arctrack.replay.pages.seen import ReplayedFrame
+from arctrack.replay.pages.drawing_spool import ReplayedFrame
 from arctrack.replay.pages.view import Profile, Viewer
 from noise_model.arc.map import arc_kernel
 from noise_model.arc.scene import Scene, make_scene

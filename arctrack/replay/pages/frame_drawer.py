@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Any
 
 from arctrack.recording import Truth
+from arctrack.replay.pages.drawing_spool import ReplayedFrame
 from arctrack.replay.pages.overlay import picture_of
-from arctrack.replay.pages.seen import ReplayedFrame
 from arctrack.replay.pages.view import ReplayView, Viewer
 from arctrack.replay.pages.view_json import view_json
 from noise_model.compiled.arrays import UInt8

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 from arctrack.output import writing
 from arctrack.recording import Recording
 from arctrack.replay.pages import mcap_schemas as schemas
+from arctrack.replay.pages.drawing_spool import ReplayedFrame
 from arctrack.replay.pages.numbers import numbers, on_bus
-from arctrack.replay.pages.seen import ReplayedFrame
 from arctrack.replay.pages.view import ReplayView, chosen, stretches
 from arctrack.report import style
 from arctrack.report.image import jpeg

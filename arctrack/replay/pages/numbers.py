@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from arctrack.replay.pages.seen import ReplayedFrame
+from arctrack.replay.pages.drawing_spool import ReplayedFrame
 from noise_model.compiled.arrays import Float64
 from robot_io import Validity
 from tracker.state import Frame

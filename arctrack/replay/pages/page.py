@@ -19,8 +19,8 @@ from arctrack.recording.run_offsets import OffsetOutcome, RunComparison
 from arctrack.recording.score import score
 from arctrack.recording.setup_writer import FILE_NAME
 from arctrack.replay.explain_pages import words
+from arctrack.replay.pages.drawing_spool import ReplayedFrame
 from arctrack.replay.pages.numbers import numbers, on_bus
-from arctrack.replay.pages.seen import ReplayedFrame
 from arctrack.replay.pages.view import truth_by_frame
 from arctrack.report.template import environment
 from noise_model.compiled.arrays import Float64

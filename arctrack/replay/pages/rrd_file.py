@@ -13,8 +13,8 @@ import rerun.blueprint as rrb
 from PIL.ImageColor import getrgb
 
 from arctrack.recording import Recording
+from arctrack.replay.pages.drawing_spool import ReplayedFrame
 from arctrack.replay.pages.numbers import numbers
-from arctrack.replay.pages.seen import ReplayedFrame
 from arctrack.replay.pages.view import ReplayView, chosen, stretches
 from arctrack.report import style
 from arctrack.report.image import jpeg

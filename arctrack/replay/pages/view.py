@@ -8,7 +8,7 @@ import numpy as np
 
 from arctrack.recording import Truth
 from arctrack.replay.explain import arc_light
-from arctrack.replay.pages.seen import ReplayedFrame
+from arctrack.replay.pages.drawing_spool import ReplayedFrame
 from arctrack.report.image import project_tool_point, visible
 from noise_model.arc.map import arc_kernel
 from noise_model.arc.scene import Scene

@@ -11,7 +11,7 @@ from test_controller import JOB, TRACKS, WELDS, Cell, assert_refused, track
 
 from arctrack.control.controller import Controller
 from arctrack.control.job import NO_JOB, Bridging, Job, PartLimits
-from arctrack.control.part import Bridge, PartCheck, depth_mm, opening_deg
+from arctrack.control.part_fitness import Bridge, PartCheck, depth_mm, opening_deg
 from noise_model.surface.joint import Joint, section
 from robot_io import (
     Command,

@@ -36,8 +36,8 @@ from arctrack.live.serve.journal_writer import JournalWriter
 from arctrack.live.serve.live_run import run, run_parts
 from arctrack.live.serve.loop import LiveLoop
 from arctrack.recording import Recording, read_recording
+from arctrack.recording.live_steps import read_state, write_state
 from arctrack.recording.run_offsets import OffsetOutcome, RunComparison, read_run_offsets
-from arctrack.recording.steps import read_state, write_state
 from arctrack.replay.replay import replay_recording
 from arctrack.replay.replay_loop import replay_without_bus
 from robot_io import (

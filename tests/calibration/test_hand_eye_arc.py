@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from arctrack.nominal import nominal_setup
-from calibration import hand_eye
-from calibration.hand_eye import (
+from calibration import hand_eye_arc
+from calibration.hand_eye_arc import (
     MAX_ERROR_RATIO,
     _ArcHandEyeProblem,
     _sightings,
@@ -210,7 +210,7 @@ def test_what_does_not_settle_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
     seen = frames(setup, SeamLine(45.0, 0.4, -0.2))[:3]
     stated = moved(setup.camera.T_tool_camera, 5.0 * CHANGE[:3], 5.0 * CHANGE[3:6])
     setup = replace(setup, camera=replace(setup.camera, T_tool_camera=stated))
-    monkeypatch.setattr(hand_eye, "MAX_ROUNDS", 1)
+    monkeypatch.setattr(hand_eye_arc, "MAX_ROUNDS", 1)
     with pytest.raises(ValueError, match="camera and seam do not settle in 1 rounds"):
         estimate_hand_eye(setup, seen)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from arctrack.safe_points import ENDING, ends_at_safe_points
+from arctrack.end_signals import ENDING, ends_at_safe_points
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -163,7 +163,7 @@ def test_in_another_thread_signals_stay_with_the_main_one() -> None:
 def test_sigterm_ends_a_process_that_has_no_handler_of_its_own() -> None:
     code = (
         "import signal\n"
-        "from arctrack.safe_points import ends_at_safe_points\n"
+        "from arctrack.end_signals import ends_at_safe_points\n"
         "with ends_at_safe_points():\n"
         "    signal.raise_signal(signal.SIGTERM)\n"
         "    print('closed', flush=True)\n"

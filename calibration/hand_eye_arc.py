@@ -26,7 +26,7 @@ from calibration.arc_pixels import ArcPixels
 from noise_model.arc.scene import make_scene
 from noise_model.compiled.arrays import Float64
 from noise_model.effects import apply_setup_effects
-from noise_model.evenly import evenly
+from noise_model.even_sample import evenly
 from noise_model.fit import Fit, Parameter, fit
 from noise_model.instrument.camera import Rays
 from noise_model.instrument.sensor import variance_e2

@@ -17,7 +17,7 @@ from arctrack.recording.frames import Image, frame_of
 from arctrack.recording.poses import pose_at, pose_buffer
 from noise_model.compiled.arrays import Float64, Integers
 from noise_model.effects import apply_setup_effects, pose_time_s
-from noise_model.evenly import evenly
+from noise_model.even_sample import evenly
 from noise_model.instrument.sensor import Sensor
 from noise_model.setup import Setup
 from noise_model.transforms import invert

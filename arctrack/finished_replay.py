@@ -23,10 +23,10 @@ from arctrack.output import real, write_whole
 from arctrack.recording import Recording
 from arctrack.recording.files import FRAMES_CSV, TRUTH_CSV, read_text
 from arctrack.recording.frames import png_path
+from arctrack.recording.live_steps import STATE_JSON, STEPS_CSV
 from arctrack.recording.poses import CSV_NAME, LOG_NAMES
 from arctrack.recording.results import FILES, FINISHED_JSON, RESULTS_CSV, SUMMARY_JSON, Summary
 from arctrack.recording.run_offsets import LIVE_FOLDER, LIVE_RESULTS
-from arctrack.recording.steps import STATE_JSON, STEPS_CSV
 from arctrack.replay.replay import ReplayOptions
 from arctrack.version import __version__
 
