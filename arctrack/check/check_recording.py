@@ -10,6 +10,7 @@ from arctrack.check.explanations import WeighedCause, explanations
 from arctrack.check.findings import SetupFinding, findings, timing_findings
 from arctrack.check.hint import Hint, hint_of
 from arctrack.check.look import CheckedFrame, looks_at
+from arctrack.check.seam_place import seam_place
 from arctrack.check.sensor_seen import SensorReading, sensor_seen
 from arctrack.check.timing import timing_of
 from arctrack.check.units import likely_unit
@@ -27,6 +28,9 @@ from tracker.warm_up import warm_up
 
 MIN_PROBABILITY = 0.005
 """A cause is not listed below this: it would be printed as 0 %."""
+
+MIN_ON_JOINT = 0.85
+"""Share of the bright lines' points that lie on the joint where the setup holds: glints and tacks do not."""
 
 MAX_DARK_FRAMES = 2
 """Number of frames without laser and arc that black level and noise are measured in."""
@@ -87,7 +91,9 @@ def check_recording(
     trial = _untracked(recording, tried) if refusal is not None else try_out(recording, tried)
     lit = [t for n, t in zip(tried, trial.tracks, strict=True) if recording.rows[n].laser_on]
     is_tracked = not is_few(sum(track.valid for track in lit), len(lit), trial.offsets)
-    ranked = [] if case is None else explanations(case)
+    seam = seam_place(recording, lit)
+    is_sound = is_tracked and not seam.is_beyond_search and (case is None or _lies_as_stated(case))
+    ranked = [] if case is None or is_sound else explanations(case)
     hint = hint_of(ranked)
     if hint is None and not is_tracked:
         hint = likely_unit(recording)
@@ -113,6 +119,11 @@ def check_recording(
         bad_frames=tuple(bad_frames),
         case=case,
     )
+
+
+def _lies_as_stated(case: CheckCase) -> bool:
+    """Return True if the bright lines lie on the stated joint."""
+    return case.fits_camera and case.fit().share >= MIN_ON_JOINT
 
 
 def _lines_finding(case: CheckCase, hint: Hint | None) -> SetupFinding:

@@ -130,7 +130,7 @@ def test_the_page_shows_a_cell_file_that_can_be_read(new_cell: Path) -> None:
             "toml: setup: missing; state it: the file of the setup, from this file on",
         ),
         (lambda d: d.update(setup=3), "toml: setup = 3: input should be a valid string"),
-        (lambda d: d.pop("camera"), "[camera]: missing; state it: where frames come from"),
+        (lambda d: d.pop("camera"), "[camera]: missing; state it: the source of frames"),
         (lambda d: d["bus"].update(chanel=d["bus"].pop("channel")), "did you misspell it as chanel?"),
         (lambda d: d["bus"].update(bitrate=1), "[bus] bitrate: is not known; did you mean 'bit_rate_bit_s'?"),
         (lambda d: d["bus"].update(bit_rate_bit_s=20_000), "25 frames a second take 271 % of it; choose a"),
