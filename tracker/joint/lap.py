@@ -9,7 +9,7 @@ import numpy as np
 
 from noise_model.compiled.arrays import Float64
 from noise_model.compiled.kernel import kernel
-from noise_model.compiled.median import median_of, numbers_for
+from noise_model.compiled.median import exact_median, median_of, numbers_for
 from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.common_mode import as_reported
 from tracker.joint.measured import (
@@ -85,7 +85,7 @@ def measured_lap(section: Section, fit: ShapeFit, y_0: float, thickness_mm: floa
     p, covariance, lines = fit.parameters, fit.covariance, in_scan_order(section.points)
     z_s, step, slope_lower, slope_upper = p.tolist()
     sheets = SheetLines(y_0, z_s, step, slope_lower, slope_upper)
-    upright = edge_of_sheets(section, certain_lines(lines, y_0), sheets, thickness_mm)
+    upright = edge_of_sheets(section, lines, sheets, thickness_mm)
     edge, away = upright.y_mm, upright.y_mm - y_0
     if math.isnan(edge):
         return None
@@ -114,20 +114,22 @@ def measured_lap(section: Section, fit: ShapeFit, y_0: float, thickness_mm: floa
     )
 
 
+@kernel(allocates=True)
 def certain_lines(lines: Float64, y_0: float) -> Float64:
     """Return the points (N_ROWS, n) that are about as sure as most of the less sure sheet.
 
     A line that holds light of both sheets leaves a large chi^2, which widens its sigma: so wide it would seem
     to lie on either.
     """
-    sigma_px, is_upper = lines[SIGMA_PX], lines[Y_MM] < y_0
-    usual_px = max(np.median(sigma_px[is_upper]), np.median(sigma_px[~is_upper]))
-    return lines.compress(sigma_px <= MAX_SIGMAS * usual_px, axis=1)
+    y_mm, sigma_px = lines[Y_MM], lines[SIGMA_PX]
+    usual_px = max(exact_median(sigma_px[y_mm < y_0]), exact_median(sigma_px[y_mm >= y_0]))
+    return lines[:, sigma_px <= MAX_SIGMAS * usual_px]
 
 
 @kernel(allocates=True)
-def edge_of_sheets(section: Section, lines: Float64, sheets: SheetLines, thickness_mm: float) -> Edge:
+def edge_of_sheets(section: Section, points: Float64, sheets: SheetLines, thickness_mm: float) -> Edge:
     """Return the place of the sheets' edge, NaN where points (n,) do not lie on both next to it."""
+    lines = certain_lines(points, sheets.y)
     n, nowhere = lines[Y_MM].shape[0], Edge(math.nan, math.nan, math.nan)
     bent_mm, limits_mm = MIN_OFF_SHEET * thickness_mm, np.empty(n)
     for i in range(n):

@@ -55,6 +55,9 @@ MIN_SIGMA = 0.1
 SEARCH_STEP, STEP, HALF_STEPS = 0.5, 0.1, 60
 """An end is searched in steps of so many lines; its posterior is summed in finer ones about the best."""
 
+MAX_EXCESS = 60.0
+"""Excess of -2 ln of a likelihood beyond which a place counts for nothing: a weight of e^-30."""
+
 MIN_LINES, MAX_VARIANCE_SHARE = 3, 0.1
 """Fewer lines tell no end, nor do lines that leave more of the variance that it had before they were read."""
 
@@ -199,7 +202,7 @@ def clear_lines(psf_sigma_px: float, sheet_lines: float) -> int:
     return math.ceil(CLEAR_SIGMAS * math.hypot(psf_sigma_px, sheet_lines)) + 1
 
 
-@kernel
+@kernel(allocates=True)
 def _fitted(
     light: StripeLight, shares: Float64, variances: Float64, earliest: float, latest: float
 ) -> StripeEnd:
@@ -276,7 +279,7 @@ def end_misfit(
     return EndMisfit(chi2 + determinant, chi2, lines)
 
 
-@kernel
+@kernel(allocates=True)
 def fit_end(
     share: Float64,
     variance: Float64,
@@ -293,9 +296,12 @@ def fit_end(
     tell a place outside.
     """
     best, min_misfit = math.nan, math.inf
-    for k in range(-1, int((latest - earliest) / SEARCH_STEP) + 2):
-        place = earliest + k * SEARCH_STEP
+    n_places = int((latest - earliest) / SEARCH_STEP) + 3
+    misfits = np.empty(n_places)
+    for k in range(n_places):
+        place = earliest + (k - 1) * SEARCH_STEP
         fit = end_misfit(share, variance, contrast, correlation, sigma, place)
+        misfits[k] = fit.misfit
         if fit.lines >= MIN_LINES and fit.misfit < min_misfit:
             best, min_misfit = place, fit.misfit
     # Another light that ends elsewhere is not this one; one that is likeliest at a bound ends beyond it.
@@ -305,6 +311,9 @@ def fit_end(
     for k in range(-HALF_STEPS, HALF_STEPS + 1):
         off = k * STEP
         if earliest <= best + off <= latest:
+            before = min(int((best + off - earliest) / SEARCH_STEP) + 1, n_places - 2)
+            if min(misfits[before], misfits[before + 1]) > min_misfit + MAX_EXCESS:
+                continue
             fit = end_misfit(share, variance, contrast, correlation, sigma, best + off)
             weight = math.exp(-0.5 * (fit.misfit - min_misfit))
             total += weight
