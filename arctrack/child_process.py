@@ -32,9 +32,7 @@ Question = TypeVar("Question")
 Answer = TypeVar("Answer")
 
 AT_A_TIME = 4
-"""Number of questions sent to a process at once: the fewer, the more often one waits for the other to wake
-it.
-"""
+"""Number of questions sent to a process at once: the fewer, the more often either waits to be woken."""
 
 CODE = (
     "import os, sys; os.nice({niceness}); sys.path[:] = {path!r}; "

@@ -17,6 +17,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from seam_truth import seam_in_tool
 
 from arctrack.nominal import nominal_setup
 from arctrack.report import style
@@ -26,9 +27,8 @@ from noise_model.condition import Condition
 from noise_model.forward import predict
 from noise_model.instrument.sensor import expose
 from noise_model.setup import Setup
-from noise_model.surface.joint import SeamLine, seam_height_mm
+from noise_model.surface.joint import SeamLine
 from noise_model.transforms import transform
-from tracker.seam.locate import SeamSource, seam_point
 from tracker.state import Frame, Pose, Track
 from tracker.tracker import Tracker
 
@@ -77,15 +77,7 @@ def trial(rng: np.random.Generator, base: dict[str, Setup]) -> Trial:
     frame = Frame(0, 0.0, expose(mean_e, true.sensor, rng), stated.camera.exposure_s, stated.arc.current_a)
     track = Tracker(stated).step(frame, Pose(T_base_tool))
     scene = make_scene(true, T_base_tool, seam)
-    point = np.array(
-        seam_point(
-            SeamSource.of(true),
-            scene.T_joint_tool.tolist(),
-            scene.shape.corrugation,
-            0.0,
-            seam_height_mm(true.joint),
-        )
-    )
+    point = seam_in_tool(true, scene)
     there, here = (transform(scene.T_joint_tool, np.asarray(p)) for p in (track.seam_tool_mm, point))
     error = float(there[1] - here[1]), float(there[2] - here[2])
     return Trial(track, error, max(map(abs, error)) <= tolerance.seam_mm)

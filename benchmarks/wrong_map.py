@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+from seam_truth import seam_in_tool
 
 from arctrack.nominal import nominal_setup
 from arctrack.simulation.simulate import balance
@@ -24,8 +25,7 @@ from noise_model.condition import Condition
 from noise_model.forward import draw_frame
 from noise_model.setup import Setup
 from noise_model.surface.brdf import TABLE_1
-from noise_model.surface.joint import SeamLine, seam_height_mm
-from tracker.seam.locate import SeamSource, seam_point
+from noise_model.surface.joint import SeamLine
 from tracker.state import Frame, Pose
 from tracker.tracker import Tracker
 
@@ -62,15 +62,7 @@ def drawn(setup: Setup, n: int) -> list[tuple[Frame, Pose, Float64]]:
         T_base_tool[:3, 3] = [1.5 * i, rng.uniform(-1.0, 1.0), rng.uniform(0.0, 1.0)]
         scene = make_scene(setup, T_base_tool, SEAM)
         image = draw_frame(setup, T_base_tool, Condition(1.0, 1.0, EXPOSURE_S), rng, seam=SEAM)
-        truth = np.array(
-            seam_point(
-                SeamSource.of(setup),
-                scene.T_joint_tool.tolist(),
-                scene.shape.corrugation,
-                0.0,
-                seam_height_mm(setup.joint),
-            )
-        )
+        truth = seam_in_tool(setup, scene)
         frames.append((Frame(i, 0.1 * i, image, EXPOSURE_S, CURRENT_A), Pose(T_base_tool), truth))
     return frames
 

@@ -123,17 +123,17 @@ def check_recording(
 
 def _lies_as_stated(case: CheckCase) -> bool:
     """Return True if the bright lines lie on the stated joint."""
-    return case.fits_camera and case.fit().share >= MIN_ON_JOINT
+    return case.fits_camera and case.section_match.share >= MIN_ON_JOINT
 
 
 def _lines_finding(case: CheckCase, hint: Hint | None) -> SetupFinding:
     """Find how well the bright lines lie on the stated joint, and what most likely is wrong if not."""
-    text = f"{100.0 * case.fit().share:.0f} % of the bright lines' points lie on the stated joint"
+    text = f"{100.0 * case.section_match.share:.0f} % of the bright lines' points lie on the stated joint"
     if hint is None:
         return SetupFinding("lines", text)
     if hint.case is None:
         return SetupFinding("lines", text, f"{text}; most likely {hint}")
-    return SetupFinding("lines", text, f"{text}, {100.0 * hint.case.fit().share:.0f} % if {hint}")
+    return SetupFinding("lines", text, f"{text}, {100.0 * hint.case.section_match.share:.0f} % if {hint}")
 
 
 def _causes_finding(ranked: Sequence[WeighedCause]) -> SetupFinding:

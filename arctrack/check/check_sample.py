@@ -46,9 +46,9 @@ class CheckCase:
 
     `images_dn` (H, W) are the frames as they are and `rows` their lines of frames.csv; `points_px` is each
     one's line, (n, 2) x y, of images of `size_px` (width, height), `sigma_px` the width of all, 1 sigma, NaN
-    if unknown; `frames_s` are their times, `poses` all
-    poses over time, `T_base_tool` those at the frames, NaN where there is none.
-    `T_tool_controllertool` (4, 4) is the controller's tool frame as the setup states it.
+    if unknown; `frames_s` are their times, `poses` all poses over time, `T_base_tool` those at the frames,
+    NaN where there is none. `T_tool_controllertool` (4, 4) is the controller's tool frame as the setup states
+    it.
     """
 
     setup: Setup
@@ -62,8 +62,9 @@ class CheckCase:
     T_base_tool: tuple[Float64, ...]
     T_tool_controllertool: Float64
 
-    def fit(self) -> SectionMatch:
-        """Lay the lines over the setup's section."""
+    @cached_property
+    def section_match(self) -> SectionMatch:
+        """The lines laid over the setup's section."""
         sights = [SightedLine(*pair) for pair in zip(self.points_px, self.T_base_tool, strict=True)]
         return fit(self.setup, sights)
 

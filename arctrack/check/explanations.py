@@ -150,7 +150,7 @@ def _explained(case: CheckCase, width: StripeWidth) -> Iterator[WeighedCause]:
 
 def _shown_joints(case: CheckCase) -> Iterator[tuple[Mistake, CheckCase]]:
     """Yield the other types of joints that most of the lines look like which do not look like a plate."""
-    families = Counter(line.family for line in case.fit().lines) if case.fits_camera else Counter()
+    families = Counter(line.family for line in case.section_match.lines) if case.fits_camera else Counter()
     for nothing in (None, JointFamily.FLAT, family_of(case.setup.joint)):
         families.pop(nothing, None)
     if not families:
@@ -194,12 +194,12 @@ def _other_lenses(case: CheckCase) -> list[CheckCase]:
 
 def _undone(case: CheckCase, mistakes: Iterable[Mistake]) -> list[tuple[float, Mistake, CheckCase]]:
     """Return each mistake without which more of the lines lie on the joint: that share, it, the case."""
-    stated = case.fit().share if case.fits_camera else 0.0
+    stated = case.section_match.share if case.fits_camera else 0.0
     undone = []
     for mistake in mistakes:
         try:
             mended = mistake.undo(case)
-            share = 0.0 if mended is None or not mended.fits_camera else mended.fit().share
+            share = 0.0 if mended is None or not mended.fits_camera else mended.section_match.share
         except ValueError:
             # Numbers that no setup can hold.
             continue

@@ -48,7 +48,7 @@ def case_from(path: Path) -> CheckCase:
 @pytest.mark.slow
 def test_nothing_is_wrong_with_a_sound_recording(weaving: Path) -> None:
     case = case_from(weaving)
-    assert case.fit().share > 0.9
+    assert case.section_match.share > 0.9
     assert likely_mistake(case) is None
 
 
