@@ -26,6 +26,9 @@ from tracker.state import Frame
 IDS_GO_ROUND = 65_535
 """Frame ids of 16 bits go from 1 to this."""
 
+BUFFERS = 16
+"""Frames that the stream holds until they are read."""
+
 SILENT_S = 2.0
 """Silence after which a camera counts as lost, unless it waits for its trigger's line, s."""
 
@@ -122,7 +125,7 @@ class GigeSource:
             retained_us = round(1e6 / self._choice.frame_rate_hz)
             stream.set_property("frame-retention", retained_us)
             stream.set_property("packet-timeout", min(stream.get_property("packet-timeout"), retained_us))
-        for _ in range(16):
+        for _ in range(BUFFERS):
             stream.push_buffer(self._Aravis.Buffer.new_allocate(self._camera.get_payload()))
         return stream
 

@@ -110,38 +110,35 @@ def opened(choice, wants, setup=None):
     return GigeSource(choice, setup or setup_of(), wants)
 
 
-def read_for(source, seconds):
-    until_s, frames = time.monotonic() + seconds, []
-    while time.monotonic() < until_s:
+def read_frames(source, enough):
+    """Read until so many whole frames came; yield each as it comes."""
+    while enough > 0:
         frame = source.read()
         if frame is not None:
-            frames.append((frame, time.monotonic()))
-    return frames
+            enough -= 1
+            yield frame
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fake", [0.0, 0.01], indirect=True)
 def test_every_frame_is_whole_or_counted(fake):
-    wants = Wants()
-    source = opened(choice_of(), wants)
-    begun_s = time.monotonic()
+    from arctrack.live.cameras.capture.gige import BUFFERS
+
+    source = opened(choice_of(), Wants())
     source.begin()
-    frames = read_for(source, 2.0)
-    # On a busy machine it begins, or ends, later.
-    took_s = time.monotonic() - begun_s
+    frames = [(frame, time.monotonic()) for frame in read_frames(source, 80)]
     counts = source.counts()
     source.close()
     indices = [frame.index for frame, _ in frames]
     assert all(later > sooner for sooner, later in pairwise(indices))
     taken, lost = indices[-1] + 1, indices[-1] + 1 - len(indices)
-    assert 0.6 * RATE_HZ < taken / took_s < 1.2 * RATE_HZ
-    # Aravis counted what did not come whole before the last frame; its thread may be a frame ahead.
-    not_whole = counts["n_failures"] + counts["n_missing_frames"]
-    assert lost <= not_whole <= lost + 3
-    if fake == 0.0:
-        assert lost == 0
-    else:
-        assert 0 < lost < taken / 2
+    # Aravis' thread is ahead of the reader by no more frames than it has buffers.
+    not_whole = counts["n_failures"] + counts["n_missing_frames"] + counts["n_underruns"]
+    assert lost <= not_whole <= lost + BUFFERS
+    # A busy machine loses frames of a sound camera, too.
+    assert lost < taken / 2
+    if fake > 0.0:
+        assert lost > 0
     # A frame of the fake camera is a ramp: one that is torn has a jump in it.
     for frame, _ in frames:
         assert frame.image_dn.shape == (ROWS, WIDTH)
@@ -161,21 +158,21 @@ def test_exposure_laser_and_interleave_go_with_their_frames(fake):
     source = opened(choice_of(**options), wants, setup_of(16))
     source.begin()
     first_s = source._exposure_s
-    dark = read_for(source, 0.4)
-    assert dark
-    assert not any(frame.laser_on for frame, _ in dark)
+    dark = list(read_frames(source, 10))
+    assert not any(frame.laser_on for frame in dark)
     wants.wanted = CaptureRequest(laser_until_s=np.inf, exposure_s=2.0 * first_s)
-    frames = [frame for frame, _ in read_for(source, 0.9)]
-    lit = np.array([frame.laser_on for frame in frames])
-    assert len(lit) > 15
-    dark_at = np.flatnonzero(~lit)
-    assert set(np.diff(dark_at)) == {4}
+    frames = []
+    for frame in read_frames(source, 20):
+        frames.append(frame)
+        is_driven = source._camera.get_string("LineSource") == "ExposureActive"
+        # A busy machine may lose a frame: what counts is the number of its trigger.
+        assert frame.laser_on == is_driven == (source._triggered % 4 != 0)
     # The fake camera's light goes by the logarithm of the exposure: brighter frames are those marked so.
     assert {frame.exposure_s for frame in frames[1:]} == {2.0 * first_s}
-    before, after = dark[-1][0].image_dn.mean(), frames[-1].image_dn.mean()
+    before, after = dark[-1].image_dn.mean(), frames[-1].image_dn.mean()
     assert after != pytest.approx(before, rel=0.01)
     wants.wanted = CaptureRequest()
-    assert not any(frame.laser_on for frame, _ in read_for(source, 0.3))
+    assert not any(frame.laser_on for frame in read_frames(source, 8))
     assert source._camera.get_string("LineSource") == "Off"
     source.close()
 
@@ -187,17 +184,16 @@ def test_a_base_phase_that_the_robot_tells_is_met(fake):
     source.begin()
     begin_s, period_s, base_s = time.monotonic(), 0.05, 0.02
     wants.wanted = CaptureRequest(0.0, np.nan, begin_s, period_s, base_s, np.inf)
-    commanded_s = set()
-    until_s = begin_s + 1.5
-    while time.monotonic() < until_s:
+    commanded_s = {source._triggered_s}
+    while len(commanded_s) < 20:
         source.read()
         commanded_s.add(source._triggered_s)
+    exposed_s = source._exposure_s
     source.close()
     # When the fake camera heeds a command it chooses itself, on a grid of 40 ms: what counts is the command.
     phases_s = (np.sort(list(commanded_s))[1:] - begin_s) % period_s
-    assert len(phases_s) > 5
-    exposed_s = source._exposure_s
-    assert np.median(phases_s) == pytest.approx((base_s - exposed_s) / 2.0, abs=SLACK_S)
+    # A busy machine sends commands late, none early.
+    assert phases_s.min() == pytest.approx((base_s - exposed_s) / 2.0, abs=SLACK_S)
 
 
 @pytest.mark.slow
