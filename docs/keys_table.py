@@ -10,7 +10,7 @@ from arctrack.calibrate.all.calibration_tables import CalibrationToml
 from arctrack.control.cell_file.model import KEYS_OF_KIND, CellToml
 from arctrack.recording.schema import MAX_NUMBER, Key, tables_of
 from arctrack.recording.setup_model import RecordingToml
-from noise_model.setup_keys import DIMENSIONS
+from noise_model.setup_keys import DIMENSIONS, OPTIONAL_DIMENSIONS
 
 REFERENCE = Path(__file__).parent / "reference"
 SETUP = f"""# The keys of a setup
@@ -61,7 +61,8 @@ def _sections(model: type[BaseModel]) -> Iterator[str]:
 
 def _sentences(key: Key) -> Iterator[str]:
     yield key.meaning
-    types = [name for name, needed in DIMENSIONS.items() if key.table == "joint" and key.name in needed]
+    dimensions = {name: (*needed, *OPTIONAL_DIMENSIONS.get(name, ())) for name, needed in DIMENSIONS.items()}
+    types = [name for name, names in dimensions.items() if key.table == "joint" and key.name in names]
     kinds = [kind for kind, names in KEYS_OF_KIND.items() if key.table == "camera" and key.name in names]
     held = key.field.annotation
     literals = (part for part in (held, *get_args(held)) if get_origin(part) is Literal)

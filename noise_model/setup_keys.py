@@ -21,6 +21,9 @@ DIMENSIONS: Mapping[str, tuple[str, ...]] = {
 }
 """The dimensions that each type of joint needs."""
 
+OPTIONAL_DIMENSIONS: Mapping[str, tuple[str, ...]] = {"fillet": ("gap_mm",)}
+"""The dimensions that a type of joint may have, and has none of where they are not stated."""
+
 
 @dataclass(frozen=True)
 class Tolerance:

@@ -14,7 +14,7 @@ from arctrack.recording.key_errors import held, meant_by
 from arctrack.recording.schema import MAX_NUMBER, Bounds, Key, Table, key, within
 from arctrack.recording.sensor_tables import IN_TOOL, Number, PointInTool, Vector3
 from noise_model.arc_source import Arc
-from noise_model.setup_keys import DIMENSIONS, Tolerance
+from noise_model.setup_keys import DIMENSIONS, OPTIONAL_DIMENSIONS, Tolerance
 
 if TYPE_CHECKING:
     from noise_model.surface.joint import Joint
@@ -130,7 +130,8 @@ class JointTable(Table):
     @property
     def names(self) -> set[str]:
         """Its keys and its type's dimensions; of a type that there is not, none is unknown."""
-        return super().names | {*DIMENSIONS.get(self.type, self.model_extra or {})}
+        needed = DIMENSIONS.get(self.type, self.model_extra or {})
+        return super().names | {*needed, *OPTIONAL_DIMENSIONS.get(self.type, ())}
 
     type: str = key(
         "The joint: v_groove, half_v, u_groove, lap, corrugation, butt, fillet, edge or flat",
@@ -165,11 +166,14 @@ class JointTable(Table):
     def dimensions(self) -> dict[str, float]:
         """Return the dimensions that this type of joint needs and the file gives."""
         sizes: dict[str, float] = {}
-        for name in DIMENSIONS.get(self.type, ()):
+        needed, optional = DIMENSIONS.get(self.type, ()), OPTIONAL_DIMENSIONS.get(self.type, ())
+        for name in (*needed, *optional):
             extras = self.model_extra or {}
             value = extras.get(name)
+            if value is None and name in optional:
+                continue
             if value is None:
-                hint = meant_by(name, (key for key in extras if key not in DIMENSIONS[self.type]))
+                hint = meant_by(name, (key for key in extras if key not in needed))
                 raise ValueError(f"[joint] {name}: missing, a {self.type} needs it{hint}")
             low, high, _ = Key("joint", name, DimensionTable.model_fields[name]).bounds
             if low is None or high is None or not (is_number(value) and low <= value <= high):

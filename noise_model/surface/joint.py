@@ -17,7 +17,7 @@ import numpy as np
 
 from noise_model.compiled.arrays import Float64, Int64, Point
 from noise_model.compiled.kernel import kernel
-from noise_model.setup_keys import DIMENSIONS
+from noise_model.setup_keys import DIMENSIONS, OPTIONAL_DIMENSIONS
 from noise_model.spelling import cure_for
 from noise_model.transforms import cross
 
@@ -71,6 +71,10 @@ class Joint:
         for name in DIMENSIONS[self.type]:
             if name not in self.dimensions:
                 raise ValueError(f"[joint] {name}: missing, a {self.type} needs it")
+        for name in self.dimensions.keys() & {
+            *DIMENSIONS[self.type],
+            *OPTIONAL_DIMENSIONS.get(self.type, ()),
+        }:
             minimum_is_open = name not in MAY_BE_ZERO
             value = self.dimensions[name]
             if not (value > 0 if minimum_is_open else value >= 0) or math.isinf(value):
@@ -82,6 +86,9 @@ class Joint:
             raise ValueError("[joint] included_angle_deg: must be below 360")
         if self.type == "fillet" and self.dimensions["included_angle_deg"] == 180:
             raise ValueError("[joint] included_angle_deg = 180: two plates in one plane have no corner")
+        is_outside = self.type == "fillet" and self.dimensions["included_angle_deg"] > 180
+        if is_outside and self.dimensions.get("gap_mm", 0.0) > 0:
+            raise ValueError("[joint] gap_mm: leave it out, only a fillet of less than 180 deg has a gap")
         if "bevel_angle_deg" in DIMENSIONS[self.type] and not self.dimensions["bevel_angle_deg"] < 90:
             raise ValueError("[joint] bevel_angle_deg: must be below 90")
         if self.type == "u_groove" and _round_height_mm(self.dimensions) > self.dimensions["depth_mm"]:
@@ -130,8 +137,9 @@ def section(joint: Joint) -> SurfaceSection:
     Beyond that format: `half_v` has an upright side at y < 0 and a bevelled one, `bevel_angle_deg` from
     upright; `u_groove` a flat root `root_gap_mm` wide, rounded by `root_radius_mm` up to its bevels; of both
     the seam point is the middle of the root. `edge`: two upright sheets of `thickness_mm` side by side, their
-    edges level at z = 0, the seam point the middle of the gap between them. One for all who ask: its arrays
-    are not to be written to.
+    edges level at z = 0, the seam point the middle of the gap between them. The foot of a
+    `fillet`'s plate at y < 0 stands `gap_mm` off the other plate. One for all who ask: its arrays are not to
+    be written to.
     """
     return _draw(joint.type, tuple(joint.dimensions.items()))
 
@@ -146,8 +154,9 @@ def _draw(joint_type: str, dimensions: tuple[tuple[str, float], ...]) -> Surface
     inner = _CORNERS[joint_type](size)
     # Without a gap two corners meet.
     inner = [corner for i, corner in enumerate(inner) if i == 0 or corner != inner[i - 1]]
-    rise = REACH_MM * _plate_slope(joint_type, size)
-    right_end, left_end = (-REACH_MM, inner[0][1] + rise), (REACH_MM, inner[-1][1] + rise)
+    slope, (right_y, right_z), (left_y, left_z) = _plate_slope(joint_type, size), inner[0], inner[-1]
+    right_end = -REACH_MM, right_z + slope * (REACH_MM + right_y)
+    left_end = REACH_MM, left_z + slope * (REACH_MM - left_y)
     return SurfaceSection(np.array([right_end, *inner, left_end], dtype=np.float64), corrugation)
 
 
@@ -207,13 +216,21 @@ def _lap(size: Size) -> Corners:
     return [(0.0, size["thickness_mm"]), (0.0, 0.0)]
 
 
+def _fillet(size: Size) -> Corners:
+    """Draw the foot of the plate at y < 0 over the other plate, which goes on below it."""
+    half = math.radians(size["included_angle_deg"] / 2.0)
+    gap = size.get("gap_mm", 0.0)
+    foot_y, foot_z = -0.5 * gap / math.cos(half), 0.5 * gap / math.sin(half)
+    return [(foot_y, foot_z), (foot_y, -foot_z)] if gap > 0.0 else [(0.0, 0.0)]
+
+
 _CORNERS: Mapping[str, Callable[[Size], Corners]] = {
     "flat": lambda size: [(0.0, 0.0)],
     "v_groove": _v_groove,
     "lap": _lap,
     "corrugation": _lap,
     "butt": lambda size: _slot(size, size["thickness_mm"]),
-    "fillet": lambda size: [(0.0, 0.0)],
+    "fillet": _fillet,
     "half_v": _half_v,
     "u_groove": _u_groove,
     "edge": _edge,

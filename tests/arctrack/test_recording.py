@@ -154,6 +154,16 @@ def test_what_bounces_in_a_u_is_refused(tmp_path: Path) -> None:
         parse_setup(text, tmp_path / "recording.toml")
 
 
+def test_a_fillet_may_state_a_gap(tmp_path: Path) -> None:
+    text = format_setup(nominal_setup("fillet", "mild_steel"))
+    stated = parse_setup(
+        text.replace('type = "fillet"', 'type = "fillet"\ngap_mm = 1.5'), tmp_path / "r.toml"
+    )
+    assert stated.unknown_keys == ()
+    assert stated.setup.joint.dimensions == {"included_angle_deg": 90.0, "gap_mm": 1.5}
+    assert "gap_mm" not in parse_setup(text, tmp_path / "r.toml").setup.joint.dimensions
+
+
 def test_unknown_keys_are_kept_and_reported(tmp_path: Path) -> None:
     setup = small_setup()
     path = write(tmp_path / "r", setup, noise_frames(setup, 3))

@@ -82,6 +82,17 @@ def test_a_fillets_plates_enclose_its_angle(angle_deg):
     assert (between if left[1] > 0.0 else 360.0 - between) == pytest.approx(angle_deg, abs=1e-6)
 
 
+def test_a_fillets_foot_stands_off_the_other_plate_by_its_gap():
+    size = {"included_angle_deg": 70.0, "gap_mm": 1.5}
+    right, foot, below, left = section(Joint("fillet", size, scenes.LINE)).vertices
+    along = left / np.linalg.norm(left)
+    assert foot[0] * along[1] - foot[1] * along[0] == pytest.approx(-1.5)
+    # Both plates go through the corner still.
+    for plate in ((right, foot), (left, below)):
+        assert np.cross(*(np.append(corner, 0.0) for corner in plate))[2] == pytest.approx(0.0, abs=1e-6)
+    assert foot[0] == below[0]
+
+
 def test_the_seam_is_the_root_of_a_groove_and_the_surface_of_the_others():
     heights = [seam_height_mm(joint) for joint in scenes.MORE_JOINTS.values()]
     assert list(scenes.MORE_JOINTS) == ["butt", "fillet", "ridge", "half_v", "u_groove", "edge"]
@@ -96,6 +107,8 @@ def test_the_seam_is_the_root_of_a_groove_and_the_surface_of_the_others():
         ("included_angle_deg", "fillet", {"included_angle_deg": 180.0}),
         ("included_angle_deg", "fillet", {"included_angle_deg": 360.0}),
         ("included_angle_deg", "fillet", {"included_angle_deg": 0.0}),
+        ("gap_mm", "fillet", {"gap_mm": -1.0}),
+        ("gap_mm", "ridge", {"gap_mm": 1.0}),
         ("bevel_angle_deg", "half_v", {"bevel_angle_deg": 90.0}),
         ("bevel_angle_deg", "u_groove", {"bevel_angle_deg": 0.0}),
         ("root_radius_mm", "u_groove", {"root_radius_mm": 9.0}),

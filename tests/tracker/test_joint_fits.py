@@ -91,6 +91,33 @@ def test_a_joint_lies_where_its_profile_was_drawn(joint: Joint) -> None:
     assert np.mean(np.abs(off_sigmas) < 4.0) >= 0.9
 
 
+@pytest.mark.parametrize("gap_mm", [0.0, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("is_mirrored", [False, True])
+def test_a_t_joint_lies_where_its_plates_faces_meet(gap_mm: float, is_mirrored: bool) -> None:
+    """Whichever plate stands off the other, stated or not; a gap that is none is not reported."""
+    size = {"included_angle_deg": 90.0}
+    corners = section(Joint("fillet", size | {"gap_mm": gap_mm}, LINE)).vertices
+    if is_mirrored:
+        corners = np.ascontiguousarray(corners[::-1] * [-1.0, 1.0])
+    for stated in ({}, {"gap_mm": 1.5}):
+        for seed in range(8):
+            rng = np.random.default_rng(seed)
+            profile = measure(corners, (seam_of(seed), -4.0), rng, sigma_px=0.2)
+            found = fit_joint(profile, Joint("fillet", size | stated, LINE), CAMERA_MM, LASER_MM)
+            assert found is not None
+            assert abs(found.y_mm - seam_of(seed)) < 4.0 * np.sqrt(found.covariance_mm2[0, 0])
+            assert found.unexplained < 0.1
+            if gap_mm > 0.0:
+                assert found.gap_mm == pytest.approx(gap_mm, abs=4.0 * found.shape.gap_sigma_mm)
+                assert found.shape.gap_sigma_mm < 0.15
+                # The foot's end is a corner of the section, a vertical step beside the seam.
+                assert abs(found.corners_mm[1, 0] - found.y_mm) == pytest.approx(
+                    gap_mm / np.sqrt(2.0), abs=0.3
+                )
+            else:
+                assert np.isnan(found.gap_mm) if not stated else found.gap_mm < 0.2
+
+
 def test_a_mixture_has_the_mean_and_covariance_of_its_normals() -> None:
     rng = np.random.default_rng(3)
     means, nats = rng.normal(size=(4, 3)), np.array([-3.0, -2.0, -np.inf, -2.5])
