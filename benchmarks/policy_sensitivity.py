@@ -57,7 +57,7 @@ class Told:
 
     ids: tuple[str, ...]
     evidence: float
-    beside: Told | None = None
+    with_unknown: Told | None = None
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def compared(folder: Path) -> Iterator[Compared]:
         (none,) = (told for told in every.values() if not told.ids and told is not unknown)
         beside = {rule.partition(BESIDE)[0]: told for rule, told in every.items() if BESIDE in rule}
         hypotheses = tuple(
-            replace(told, beside=beside.get(rule.partition(",")[0]))
+            replace(told, with_unknown=beside.get(rule.partition(",")[0]))
             for rule, told in every.items()
             if told.ids and BESIDE not in rule
         )
