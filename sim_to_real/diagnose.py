@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -128,11 +129,14 @@ def _diagnose(
     verdict = _with_random_effects(
         judgement.verdict, random, random_effects(model, before, ()) if without else random, without
     )
-    verdict = weaken_by_held_out(verdict, gap)
+    verdict = weaken_by_held_out(verdict, gap, policy)
     tell("locating the gap", 0.9)
     effects: tuple[NamedEffect, ...] = ()
-    if verdict in (DiagnosisVerdict.EFFECTS, DiagnosisVerdict.AMBIGUOUS):
+    if verdict is not DiagnosisVerdict.NO_GAP:
         effects = _named_effects(judgement, after, weighed, random, random_before)
+    if verdict is DiagnosisVerdict.UNKNOWN:
+        # Held-out frames say that what the bins are certain of is not all.
+        effects = tuple(replace(e, confidence=min(e.confidence, policy.open_confidence)) for e in effects)
     functions = _free_functions(weighed, judgement, of_bins)
     where = _locate_gap(functions, weighed, of_bins, before, effects, predicted)
     tell("done", 1.0)
@@ -143,7 +147,7 @@ def _diagnose(
         ambiguous_with=judgement.ambiguous,
         gap=gap,
         where=where,
-        next=_next(model, weighed, judgement),
+        next=_next(model, weighed, verdict),
         not_resolvable=weighed.not_resolvable,
         smallest=weighed.smallest,
         left_over=functions.left_over,
@@ -276,12 +280,15 @@ def _with_random_effects(
     return DiagnosisVerdict.UNKNOWN if set(all_random.effects) & set(without) else verdict
 
 
-def weaken_by_held_out(verdict: DiagnosisVerdict, gap: Gap) -> DiagnosisVerdict:
-    """Return the verdict, or unknown in place of no gap where held-out frames show a clear gap.
+def weaken_by_held_out(verdict: DiagnosisVerdict, gap: Gap, policy: Policy) -> DiagnosisVerdict:
+    """Return the verdict, or unknown where held-out frames show that what it says is not all.
 
-    The evidence has no bounds for nuisances: it may explain bins by values that no fit reaches.
+    No gap is not all where a clear gap is there: the evidence has no bounds for nuisances, and may explain
+    bins by values that no fit reaches. Effects are not all where they close less than `policy.explained`.
     """
-    return DiagnosisVerdict.UNKNOWN if verdict is DiagnosisVerdict.NO_GAP and gap.is_clear_after else verdict
+    if verdict is DiagnosisVerdict.NO_GAP:
+        return DiagnosisVerdict.UNKNOWN if gap.is_clear_after else verdict
+    return DiagnosisVerdict.UNKNOWN if gap.closed < policy.explained else verdict
 
 
 def _named_effects(
@@ -299,7 +306,7 @@ def _named_effects(
     shown = after.ids if judgement.verdict is DiagnosisVerdict.AMBIGUOUS else judgement.named
     effects = {name: values for name, values in after.effects.items() if name in shown}
     sigmas = {**after.sigmas, **random.sigmas}
-    confidence = {**random.confidence, **posterior.of_effects}
+    confidence = {**random.confidence, **posterior.of_each}
     share = _with_random_shares(shares(posterior, judgement.leader), random_before, random)
     named = [
         NamedEffect(
@@ -329,11 +336,12 @@ def _free_functions(weighed: WeightedHypotheses, judgement: Judgement, of_bins: 
     return FreeFunctions.of(weighed.errors, families, none, named, weighed.policy)
 
 
-def _next(model: LinearizedModel, weighed: WeightedHypotheses, judgement: Judgement) -> Next | None:
-    """Return the next measurement where effects are in question."""
-    if judgement.verdict not in (DiagnosisVerdict.EFFECTS, DiagnosisVerdict.AMBIGUOUS):
+def _next(model: LinearizedModel, weighed: WeightedHypotheses, verdict: DiagnosisVerdict) -> Next | None:
+    """Return the next measurement where effects are in question, or the cause is unknown."""
+    if verdict is DiagnosisVerdict.NO_GAP:
         return None
-    return next_measurement(model, weighed.posterior, weighed.errors, weighed.policy)
+    is_unknown = verdict is DiagnosisVerdict.UNKNOWN
+    return next_measurement(model, weighed.posterior, weighed.errors, weighed.policy, is_unknown)
 
 
 def shares(posterior: Posterior, leader: Hypothesis) -> dict[str, float]:

@@ -183,7 +183,8 @@ class HeldOutPrediction:
 class Diagnosis:
     """A recording's diagnosis.
 
-    `effects` are those that the verdict names, `ranking` all that were fitted, best first. `ambiguous_with`
+    `effects` are those that the verdict names, of an unknown cause those beside which something unknown
+    acts; `ranking` are all that were fitted, best first. `ambiguous_with`
     are sets of effects that explain the gap equally well, `not_resolvable` pairs that this recording cannot
     tell apart, `smallest` the smallest magnitude of each effect that would show. `left_over` is the best
     free function of a covariate and the share of the gap that it closes beyond the named effects.

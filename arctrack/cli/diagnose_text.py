@@ -88,7 +88,7 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
         values = [f"{name} = {words.estimate(value)}" for name, value in effect.parameters.items()]
         values += [words.trend(effect.trend)] if effect.trend is not None else []
         yield (
-            effect.id if diagnosis.verdict is DiagnosisVerdict.EFFECTS else f"if {effect.id}",
+            f"if {effect.id}" if diagnosis.verdict is DiagnosisVerdict.AMBIGUOUS else effect.id,
             ", ".join(values),
         )
     if diagnosis.verdict is DiagnosisVerdict.UNKNOWN and diagnosis.left_over is not None:

@@ -38,6 +38,9 @@ from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import FRAME_LEVEL, Refit, refit_at
 from sim_to_real.fit.linearized_model import LinearizedModel
 
+N_NEAREST = 3
+"""Effects between which an experiment is to decide where the cause is unknown."""
+
 
 def planned_frame(experiment: Experiment, frame: ObservedFrame, setup: Setup) -> ObservedFrame:
     """Return the frame that an experiment would give at the time of an existing one."""
@@ -78,29 +81,36 @@ def is_recorded(experiment: Experiment, observed: ObservedRecording) -> bool:
 
 
 def next_measurement(
-    model: LinearizedModel, posterior: Posterior, errors: ErrorModel, policy: Policy
+    model: LinearizedModel, posterior: Posterior, errors: ErrorModel, policy: Policy, is_unknown: bool = False
 ) -> Next | None:
-    """Return the experiment with the largest expected certainty; None if there is one hypothesis alone.
+    """Return the experiment with the largest expected certainty; None if one hypothesis alone is probable.
 
     Each probable hypothesis predicts each experiment's frames with its posterior uncertainty: a difference
-    that a rival could fit separates nothing. Recorded experiments are left out. If no experiment would raise
-    a hypothesis to `policy.named`, a witness is proposed.
+    that a rival could fit separates nothing. Where the cause is unknown, the likeliest hypotheses count, each
+    as probable as the others: none of them is the whole cause. Recorded experiments are left out. If no
+    experiment would raise a hypothesis to `policy.named`, a witness is proposed.
     """
-    alive = [
-        (hypothesis, p)
-        for hypothesis, p in zip(posterior.hypotheses, posterior.p, strict=True)
-        if p >= policy.possible * sum(posterior.p)
-    ]
-    if len({frozenset(hypothesis.ids) for hypothesis, _ in alive}) < 2:
-        return None
-    weights = np.array([p for _, p in alive]) / sum(p for _, p in alive)
+    if is_unknown:
+        distinct = {frozenset(hypothesis.ids): hypothesis for hypothesis in reversed(posterior.hypotheses)}
+        nearest = [h for h in posterior.hypotheses if distinct[frozenset(h.ids)] is h][:N_NEAREST]
+        alive = [(hypothesis, 1.0) for hypothesis in nearest]
+    else:
+        alive = [
+            (hypothesis, p)
+            for hypothesis, p in zip(posterior.hypotheses, posterior.p, strict=True)
+            if p >= policy.possible * sum(posterior.p)
+        ]
     hypotheses = [hypothesis for hypothesis, _ in alive]
-    kept = expected_certainty(_nats_apart(model, hypotheses, errors), weights, policy.temperature)
-    kept[[is_recorded(experiment, model.observed) for experiment in MENU]] = 0.0
-    best = int(np.argmax(kept))
     ids = tuple(dict.fromkeys(name for hypothesis in hypotheses for name in hypothesis.ids))
-    if kept[best] >= policy.named:
-        return Next(MENU[best].name, ids, True)
+    if len({frozenset(hypothesis.ids) for hypothesis in hypotheses}) > 1:
+        weights = np.array([p for _, p in alive]) / sum(p for _, p in alive)
+        kept = expected_certainty(_nats_apart(model, hypotheses, errors), weights, policy.temperature)
+        kept[[is_recorded(experiment, model.observed) for experiment in MENU]] = 0.0
+        best = int(np.argmax(kept))
+        if kept[best] >= policy.named:
+            return Next(MENU[best].name, ids, True)
+    elif not (is_unknown and ids):
+        return None
     return Next(f"{WITNESS[ids[0]]}, as a witness", ids, False)
 
 

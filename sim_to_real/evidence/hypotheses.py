@@ -153,8 +153,22 @@ class Posterior:
     @property
     def of_effects(self) -> dict[str, float]:
         """The probability that each effect is there, alone or with others, and nothing unknown."""
+        return self._of_each(self.p)
+
+    @property
+    def of_each(self) -> dict[str, float]:
+        """The probability that each effect is there, whatever else is."""
+        return self._of_each([sum(both) for both in zip(self.p, self.p_with_unknown, strict=True)])
+
+    @property
+    def beside_unknown(self) -> Hypothesis:
+        """The effects beside which an unknown cause most probably acts; no gap where it acts alone."""
+        every = zip((self.p_alone, *self.p_with_unknown), (self.none, *self.hypotheses), strict=True)
+        return max(every, key=lambda pair: pair[0])[1]
+
+    def _of_each(self, probabilities: Sequence[float]) -> dict[str, float]:
         total: dict[str, float] = {}
-        for hypothesis, probability in zip(self.hypotheses, self.p, strict=True):
+        for hypothesis, probability in zip(self.hypotheses, probabilities, strict=True):
             for name in hypothesis.ids:
                 total[name] = total.get(name, 0.0) + probability
         return total

@@ -13,7 +13,8 @@ from sim_to_real.evidence.policy import Policy
 class Judgement:
     """A verdict: `leader` is the hypothesis whose fit is shown, `named` its effects that are named.
 
-    `ambiguous` holds the effects of the hypotheses that share the posterior where none is named.
+    Where an unknown cause acts beside effects, they are named, too. `ambiguous` holds the effects of the
+    hypotheses that share the posterior where none is named.
     """
 
     verdict: DiagnosisVerdict
@@ -27,13 +28,15 @@ def judge(posterior: Posterior, policy: Policy) -> Judgement:
 
     What leads decides between no gap, an unknown cause and effects. Effects are named whose probability,
     given that effects are the cause, is `policy.named`; where none is, the hypotheses that are
-    `policy.possible` are a set.
+    `policy.possible` are a set. Beside an unknown cause the likeliest effects are named, none where it
+    probably acts alone.
     """
     of_effects = sum(posterior.p)
     if posterior.p_none >= max(of_effects, posterior.p_unknown):
         return Judgement(DiagnosisVerdict.NO_GAP, posterior.none, (), ())
     if posterior.p_unknown > of_effects or not posterior.hypotheses:
-        return Judgement(DiagnosisVerdict.UNKNOWN, posterior.none, (), ())
+        leader = posterior.beside_unknown
+        return Judgement(DiagnosisVerdict.UNKNOWN, leader, leader.ids, ())
     weighed = list(zip(posterior.hypotheses, posterior.p, strict=True))
     likely = [hypothesis for hypothesis, p in weighed if p >= policy.possible * of_effects]
     sure = [name for name, p in posterior.of_effects.items() if p >= policy.named * of_effects]

@@ -36,6 +36,10 @@ class Policy:
       changes. Chosen, from the model's possible error to half of the light.
     - `named`, `possible`: least probability of an effect that is named, and of one in an ambiguity set.
       Chosen: of names given at 0.9 one in ten is wrong.
+    - `explained`: least share of the gap of held-out frames that named effects close; where they close less,
+      something unknown acts beside them. On an opened check that holds for 17 of 32 wrong names of a withheld
+      cause, and for 3 of 162 right ones.
+    - `open_confidence`: largest probability of an effect that is stated beside something unknown.
     """
 
     negligible: float = 0.05
@@ -52,6 +56,8 @@ class Policy:
     free_sizes: tuple[float, ...] = (0.02, 0.1, 0.5)
     named: float = 0.9
     possible: float = 0.05
+    explained: float = 0.9
+    open_confidence: float = 0.99
 
 
 POLICY = Policy()

@@ -150,6 +150,18 @@ def test_a_gap_that_only_frames_held_out_show_is_said(seen_setup: Setup) -> None
     assert "in frames held out, though no gap is likeliest" in words.headline(no_gap)
 
 
+def test_effects_beside_something_unknown_are_said(seen_setup: Setup) -> None:
+    found = example(DiagnosisVerdict.EFFECTS, seen_setup, GAMMA)
+    gap = replace(found.gap, before=3.0, after=1.2, floor=0.3, closed=2.0 / 3.0, ci95=(0.6, 0.7))
+    beside = replace(found, verdict=DiagnosisVerdict.UNKNOWN, gap=gap)
+    assert words.headline(beside) == (
+        f"There is a gap of 3.0 σ, of gamma ({words.summary('gamma')}) and of something unknown."
+    )
+    assert "closes 67 % (60 to 70 %) of what exceeds" in words.how_far(beside)
+    assert words.how_far(beside).endswith("The rest is unknown.")
+    assert advice(beside)[0].startswith("gamma: ")
+
+
 def test_an_effect_below_the_floor_is_told_by_its_pattern(seen_setup: Setup) -> None:
     found = example(DiagnosisVerdict.EFFECTS, seen_setup, GAMMA)
     small = replace(found, gap=replace(found.gap, before=0.2, after=0.1, floor=0.3, closed=math.nan))
@@ -166,7 +178,7 @@ def test_what_comes_nearest_is_said_though_it_is_not_named(seen_setup: Setup) ->
     )
     shrinks = words.how_far(nearer)
     assert shrinks.startswith("With gamma the gap in the images shrinks from 3.0 σ to 1.0 σ.")
-    assert shrinks.endswith("too little for it to be the cause.")
+    assert shrinks.endswith("That is too little for a cause.")
     nothing = words.how_far(farther)
     assert nothing.startswith("The best single effect, gamma, closes only 22 % of it in bins.")
     assert words.how_far(replace(nearer, after_with=())) == nothing
@@ -339,8 +351,8 @@ def test_there_is_advice_on_every_effect() -> None:
         (
             DiagnosisVerdict.UNKNOWN,
             False,
-            "The likeliest effect, gamma, does not explain the gap. To measure that effect by itself, add "
-            "dark frames.",
+            "The likeliest effect, gamma, does not explain the gap by itself. To measure it, add dark "
+            "frames.",
         ),
     ],
 )

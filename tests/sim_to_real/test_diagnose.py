@@ -188,18 +188,20 @@ def test_effects_that_enlarge_the_gap_of_frames_held_out_are_refuted(ids, before
 
 
 @pytest.mark.parametrize(
-    ("verdict", "after", "expected"),
+    ("verdict", "after", "closed", "expected"),
     [
-        (DiagnosisVerdict.NO_GAP, 0.3, DiagnosisVerdict.NO_GAP),
-        (DiagnosisVerdict.NO_GAP, 0.5, DiagnosisVerdict.UNKNOWN),
-        (DiagnosisVerdict.EFFECTS, 0.5, DiagnosisVerdict.EFFECTS),
+        (DiagnosisVerdict.NO_GAP, 0.3, 0.0, DiagnosisVerdict.NO_GAP),
+        (DiagnosisVerdict.NO_GAP, 0.5, 0.0, DiagnosisVerdict.UNKNOWN),
+        (DiagnosisVerdict.EFFECTS, 0.5, 0.95, DiagnosisVerdict.EFFECTS),
+        (DiagnosisVerdict.EFFECTS, 0.5, 0.85, DiagnosisVerdict.UNKNOWN),
+        (DiagnosisVerdict.AMBIGUOUS, 0.5, 0.85, DiagnosisVerdict.UNKNOWN),
+        # No gap above the floor was there before.
+        (DiagnosisVerdict.EFFECTS, 0.1, np.nan, DiagnosisVerdict.EFFECTS),
     ],
 )
-def test_frames_held_out_refute_that_there_is_no_gap(verdict, after, expected):
-    assert (
-        weaken_by_held_out(verdict, Gap(after, after, 0.2, 0.0, (0.0, 0.0), (1.0, 1.0), (0.1, 0.1)))
-        is expected
-    )
+def test_frames_held_out_refute_what_does_not_explain_them(verdict, after, closed, expected):
+    gap = Gap(1.0, after, 0.2, closed, (0.0, 0.0), (1.0, 1.0), (0.1, 0.1))
+    assert weaken_by_held_out(verdict, gap, POLICY) is expected
 
 
 def test_reasons_say_what_was_compared(with_gamma):

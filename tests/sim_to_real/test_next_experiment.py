@@ -163,3 +163,11 @@ def test_where_nothing_is_open_nothing_is_asked_for():
     likely, other = (SimpleNamespace(ids=(name,)) for name in ("gamma", "fume"))
     sure = Posterior(None, (likely, other), None, 0.0, (0.99, 0.01), (0.0, 0.0), 0.0)
     assert next_measurement(None, sure, None, POLICY) is None
+
+
+def test_beside_something_unknown_a_witness_of_the_only_effect_is_asked_for():
+    only = Posterior(None, (SimpleNamespace(ids=("fume",)),), None, 0.0, (0.01,), (0.99,), 0.0)
+    asked = next_measurement(None, only, None, POLICY, is_unknown=True)
+    assert asked.experiment == f"{WITNESS['fume']}, as a witness"
+    assert asked.separates == ("fume",)
+    assert not asked.resolves

@@ -91,7 +91,7 @@ def page(diagnosis: Diagnosis, recording: Recording, without: Sequence[str] = ()
 def advice(diagnosis: Diagnosis) -> list[str]:
     """Return the next steps, a line each."""
     lines = []
-    if diagnosis.verdict is DiagnosisVerdict.EFFECTS:
+    if diagnosis.verdict in (DiagnosisVerdict.EFFECTS, DiagnosisVerdict.UNKNOWN):
         lines += [f"{effect.id}: {ADVICE[effect.id]}" for effect in diagnosis.effects]
     if diagnosis.verdict is DiagnosisVerdict.AMBIGUOUS:
         lines += [f"If it is {name}: {ADVICE[name]}" for name in named_effects(diagnosis)]
@@ -109,8 +109,8 @@ def _to_record(measurement: Next, verdict: DiagnosisVerdict) -> str:
     if measurement.resolves:
         return f"Record next: {measurement.experiment}. It tells {separates}."
     if verdict is DiagnosisVerdict.UNKNOWN:
-        likeliest = f"The likeliest effect, {measurement.separates[0]}, does not explain the gap"
-        return f"{likeliest}. To measure that effect by itself, add {measurement.experiment}."
+        likeliest = f"The likeliest effect, {measurement.separates[0]}, does not explain the gap by itself"
+        return f"{likeliest}. To measure it, add {measurement.experiment}."
     return f"No other frames would tell {separates}. Add {measurement.experiment}."
 
 

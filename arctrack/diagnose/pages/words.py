@@ -103,6 +103,9 @@ def headline(diagnosis: Diagnosis) -> str:
             "was compared: noise is more than stated, or a nuisance such as the arc's level is off by more "
             "than its tolerance."
         )
+    if diagnosis.effects:
+        what = listed([f"{effect.id} ({summary(effect.id)})" for effect in diagnosis.effects], "and")
+        return f"There is a gap of {sigmas(gap.before)}, of {what} and of something unknown."
     return f"There is a gap of {sigmas(gap.before)} that no effect of the catalogue explains."
 
 
@@ -130,7 +133,7 @@ def how_far(diagnosis: Diagnosis) -> str:
     if math.isfinite(gap.closed):
         lead = f"{lead}. In single pixels that closes {closed_share(gap)} of what exceeds {model_error}"
     if diagnosis.verdict is DiagnosisVerdict.UNKNOWN:
-        return f"{lead}, too little for it to be the cause."
+        return f"{lead}. {'The rest is unknown' if diagnosis.effects else 'That is too little for a cause'}."
     if diagnosis.verdict is DiagnosisVerdict.EFFECTS and gap.is_clear_after:
         return f"{lead}. The rest may be due to the effect's form, which the catalogue simplifies."
     return f"{lead}."

@@ -47,6 +47,7 @@ def test_an_unknown_cause_beside_effects_has_the_odds_of_a_further_one():
     assert weighed.p_none + sum(weighed.p) + weighed.p_unknown == pytest.approx(1.0)
     # What an unknown cause has to help does not count as the effect's.
     assert weighed.of_effects["gamma"] == weighed.p[0]
+    assert weighed.of_each["gamma"] == weighed.p[0] + weighed.p_with_unknown[0]
 
 
 def test_a_form_may_be_exact_or_off():
@@ -81,7 +82,8 @@ def test_a_stage_is_as_probable_as_all_its_terms_together():
         ((hypothesis(20.0, "gamma"), hypothesis(3.0, "fume")), 4.0, DiagnosisVerdict.EFFECTS, ("gamma",), ()),
         ((hypothesis(20.0, "gamma"),), 30.0, DiagnosisVerdict.UNKNOWN, (), ()),
         # An unknown cause beside a mimic explains more than the mimic alone, or does not.
-        ((hypothesis(20.0, "gamma", with_unknown=26.0),), 4.0, DiagnosisVerdict.UNKNOWN, (), ()),
+        ((hypothesis(20.0, "gamma", with_unknown=26.0),), 4.0, DiagnosisVerdict.UNKNOWN, ("gamma",), ()),
+        ((hypothesis(20.0, "gamma", with_unknown=26.0),), 40.0, DiagnosisVerdict.UNKNOWN, (), ()),
         ((hypothesis(20.0, "gamma", with_unknown=16.0),), 4.0, DiagnosisVerdict.EFFECTS, ("gamma",), ()),
         (
             (hypothesis(20.0, "gamma"), hypothesis(19.5, "fume"), hypothesis(9.0, "defocus")),
