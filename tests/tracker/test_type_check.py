@@ -15,12 +15,14 @@ from test_joint_types import CASES, LINE, fit, seen
 from noise_model.surface.joint import Joint
 from tracker.joint.measured import MeasuredJoint
 from tracker.joint.type_check import (
+    GROUPS,
     JointFamily,
     cut_into_pieces,
     family_of,
     shown_family,
     shows_another,
 )
+from tracker.state import Y_MM, Z_MM
 
 EACH = 12
 SEAM = 0.3, 0.1
@@ -78,6 +80,21 @@ def test_the_own_type_is_never_doubted(name: str, wrong: float) -> None:
         seam = (rng.uniform(-3.0, 3.0), rng.uniform(-1.0, 1.0))
         profile = spoil(seen(draw(rng), seam, rng), wrong, rng)
         assert not is_another_type(profile, joint, fit(profile, joint, seam))
+
+
+@pytest.mark.parametrize("slope", [-0.5, 0.5])
+def test_a_short_slope_at_an_end_is_no_plate(slope: float) -> None:
+    """A streak that crosses the stripe at the image's rim, three groups wide, makes no corner of a groove."""
+    joint, draw = CASES["v_groove"]
+    rng = np.random.default_rng(15)
+    for _ in range(EACH):
+        profile = seen(draw(rng), SEAM, rng)
+        points = profile.points
+        width = 3 * -(-points.shape[1] // GROUPS)
+        end_mm = points[Y_MM, width]
+        points[Z_MM, :width] += slope * (points[Y_MM, :width] - end_mm)
+        assert shown_family(points) is not JointFamily.OUTSIDE_CORNER
+        assert not is_another_type(profile, joint, fit(profile, joint, SEAM))
 
 
 @pytest.mark.parametrize(("stated", "shown"), list(itertools.product(SHOWN, SHOWN)))

@@ -37,7 +37,7 @@ MIN_BEVEL_GROUPS = 3
 """Fewer groups than this are no bevel: two may lie on either side of an upright edge."""
 
 CORNER_OFF_MM = 1.5
-"""Largest distance of the corner of two plates' lines from the ends of their pieces."""
+"""Largest distance of the corner of two plates' lines from the ends of their pieces, which are as long."""
 
 STATED_PARAMETERS = 10
 """As many as the shape has that has most."""
@@ -207,6 +207,9 @@ def _family(groups: Groups, ends: list[int]) -> JointFamily | None:
     right, left = _PieceLine.through(groups, 0, right_end), _PieceLine.through(groups, left_start, n)
     turn_deg = math.degrees(math.atan(left.slope) - math.atan(right.slope))
     if abs(turn_deg) > MIN_CORNER_DEG:
+        # What crosses the stripe at the image's rim makes a short piece there, and no plate.
+        if min(y[right_end - 1] - y[0], y[-1] - y[left_start]) < CORNER_OFF_MM:
+            return None
         meet = (right.at(0.0) - left.at(0.0)) / (left.slope - right.slope)
         if not y[right_end - 1] - CORNER_OFF_MM < meet < y[left_start] + CORNER_OFF_MM:
             return None
