@@ -1,15 +1,19 @@
 """The tracker anywhere: joints, views, metals, lasers, sensors at random, in a world that is not the model.
 
     python benchmarks/anywhere.py [--draws 60] [--frames 6] [--seed 1] [--joint NAME] [--workers 2]
-                                  [--bounds] [--pictures FOLDER]
+                                  [--arc drawn|on|welding] [--bounds] [--pictures FOLDER]
 
 Each draw states a setup with the true camera and dimensions. What it does not state: where the seam runs,
 speckle, the frame's noise, light of the hall, ghosts, glints, and half of the fans that end in the image. A
-scene's name says what it has of these. Some draws are plates without the joint that the setup states. Told by
-joint and by view: how many frames are valid, errors across (y) and along the normal (z), error over sigma,
-and valid frames that are wrong beyond 5 sigma and 0.25 mm. `--bounds` holds each scene's RMS against what its
-middle frame can show (`scene_bound.py`), which takes some seconds a scene. `--pictures` draws the ten worst
-frames.
+scene's name says what it has of these. Some draws are plates without the joint that the setup states.
+
+The arc burns in two scenes of five. `--arc on` has it burn in all, `--arc welding` adds to the same scenes
+streaks of spatter, glare along the seam and the stripe mirrored between the faces (`swept_welding.py`).
+
+Told by joint and by view: how many frames are valid, errors across (y) and along the normal (z), error over
+sigma, and valid frames that are wrong beyond 5 sigma and 0.25 mm. `--bounds` holds each scene's RMS against
+what its middle frame can show (`scene_bound.py`), which takes some seconds a scene. `--pictures` draws the
+ten worst frames.
 """
 
 from __future__ import annotations
@@ -19,12 +23,12 @@ import math
 from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from itertools import count, islice
+from itertools import count, islice, repeat
 from pathlib import Path
 
 import cv2
 import numpy as np
-from random_scene import JOINTS, draw_scene, frames_of, joint_of
+from random_scene import ARCS, JOINTS, draw_scene, frames_of, joint_of
 from scene_bound import SeamBound, seam_bound
 
 from noise_model.compiled.arrays import Float64
@@ -63,9 +67,9 @@ class Outcome:
         return any(abs(e) > FALSE_MM and abs(e) > FALSE_SIGMAS * s for e, s in pairs)
 
 
-def run(seed: int, n_frames: int) -> list[Outcome]:
+def run(seed: int, n_frames: int, arc: str) -> list[Outcome]:
     """Track one scene; return its frames' outcomes."""
-    scene = draw_scene(seed, n_frames)
+    scene = draw_scene(seed, n_frames, arc)
     try:
         tracker = Tracker(scene.setup)
     except ValueError as error:
@@ -81,9 +85,9 @@ def run(seed: int, n_frames: int) -> list[Outcome]:
     return outcomes
 
 
-def bound_of(seed: int, n_frames: int) -> SeamBound | None:
+def bound_of(seed: int, n_frames: int, arc: str) -> SeamBound | None:
     """Return how well the middle frame of a scene shows its seam; None of a plate."""
-    scene = draw_scene(seed, n_frames)
+    scene = draw_scene(seed, n_frames, arc)
     return None if scene.joint == "plate" else seam_bound(scene, n_frames // 2)
 
 
@@ -114,10 +118,10 @@ def bounds_table(outcomes: list[Outcome], bounds: dict[int, SeamBound]) -> None:
         )
 
 
-def draw_picture(outcome: Outcome, n_frames: int, folder: Path) -> None:
+def draw_picture(outcome: Outcome, n_frames: int, arc: str, folder: Path) -> None:
     """Draw the frame of an outcome into a folder; the scene is made again."""
     folder.mkdir(parents=True, exist_ok=True)
-    for frame, _, _ in frames_of(draw_scene(outcome.seed, n_frames)):
+    for frame, _, _ in frames_of(draw_scene(outcome.seed, n_frames, arc)):
         if frame.index == outcome.frame:
             name = f"{outcome.scene.replace(' ', '_')}_{frame.index}.png"
             cv2.imwrite(str(folder / name), frame.image_dn)
@@ -176,6 +180,7 @@ def main() -> None:
         choices=JOINTS,
         help="draw this joint alone, at its own seeds from --seed on",
     )
+    parser.add_argument("--arc", choices=ARCS, default="drawn", help="where the arc burns, and what it adds")
     parser.add_argument("--workers", type=int, default=1, help="processes at once")
     parser.add_argument("--bounds", action="store_true", help="hold RMS against what frames can show")
     parser.add_argument("--pictures", type=Path, help="draw the worst frames into this folder")
@@ -183,9 +188,10 @@ def main() -> None:
     options = parser.parse_args()
     drawn = (s for s in count(options.seed) if options.joint in (None, joint_of(s)))
     seeds = list(islice(drawn, options.draws))
+    given = repeat(options.frames), repeat(options.arc)
     outcomes: list[Outcome] = []
     with ProcessPoolExecutor(options.workers) as pool:
-        for done, tracked in enumerate(pool.map(run, seeds, [options.frames] * len(seeds)), 1):
+        for done, tracked in enumerate(pool.map(run, seeds, *given), 1):
             outcomes += tracked
             if options.verbose and tracked:
                 say(done, tracked)
@@ -197,7 +203,7 @@ def main() -> None:
     table([o for o in outcomes if o.joint == "plate"], "joint")
     if options.bounds:
         with ProcessPoolExecutor(options.workers) as pool:
-            found = pool.map(bound_of, seeds, [options.frames] * len(seeds))
+            found = pool.map(bound_of, seeds, *given)
             bounds = {seed: bound for seed, bound in zip(seeds, found, strict=True) if bound is not None}
         bounds_table(outcomes, bounds)
     false = [o for o in outcomes if o.is_false]
@@ -214,7 +220,7 @@ def main() -> None:
             f"z {o.error_mm[1]:+.3f} ({o.sigma_mm[1]:.3f}) mm {o.flags}"
         )
         if options.pictures:
-            draw_picture(o, options.frames, options.pictures)
+            draw_picture(o, options.frames, options.arc, options.pictures)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from swept_joint import SweptJoint, departure
 from swept_light import Band, Ghost, Look, Surroundings
+from swept_welding import draw_welding
 from swept_world import Speckle, SweptWorld
 
 from arctrack.nominal import nominal_setup
@@ -23,6 +24,7 @@ JOINTS = (
     "v_groove", "closed_v", "u_groove", "half_v", "lap", "corrugation", "butt", "closed_butt", "fillet",
     "plate",
 )  # fmt: skip
+ARCS = ("drawn", "on", "welding")
 VIEWS = ("ahead", "behind", "beside", "steep")
 SIZES = ((320, 240), (480, 360), (640, 480))
 STEP_MM = 0.8
@@ -107,6 +109,10 @@ class Scene:
             words.append(f"ghost={around.ghost.strength:.1f},{sum(around.ghost.shift_px):+.0f}px")
         if around.n_glints:
             words.append(f"glints={around.n_glints}")
+        if around.welding is not None:
+            welding = around.welding
+            words.append(f"streaks={welding.n_streaks:.0f} glare={welding.glare:.2f}")
+            words.append(f"mirrored={welding.mirrored:.2f}")
         return " ".join(words)
 
 
@@ -115,8 +121,11 @@ def joint_of(seed: int) -> str:
     return JOINTS[seed % len(JOINTS)]
 
 
-def draw_scene(seed: int, n_frames: int) -> Scene:
-    """Draw a scene; equal seeds give equal scenes."""
+def draw_scene(seed: int, n_frames: int, arc: str = "drawn") -> Scene:
+    """Draw a scene; equal seeds give equal scenes.
+
+    `arc` is one of `ARCS`: two in five are on as drawn, all are, or all are and add what welding adds.
+    """
     draw, more = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 2])
     joint, view = joint_of(seed), VIEWS[(seed // len(JOINTS)) % len(VIEWS)]
     stated = str(draw.choice(ON_PLATES)) if joint == "plate" else joint
@@ -131,11 +140,13 @@ def draw_scene(seed: int, n_frames: int) -> Scene:
     world = SweptJoint.of(there, bow_mm, period_mm, slope)
     contrast = 0.0 if draw.random() < 0.3 else draw.uniform(0.05, 0.6)
     speckle = Speckle(contrast, draw.uniform(0.5, 1.3))
-    arc_on = bool(draw.random() < 0.4)
+    arc_on = bool(draw.random() < 0.4) or arc != "drawn"
     poses = _draw_poses(n_frames, world, draw)
     if arc_on:
         setup = _balanced(setup, world, poses[0])
     around = _draw_surroundings(seed, joint, setup, turned, stated == "closed_butt" and not arc_on, more)
+    if arc == "welding":
+        around = replace(around, welding=draw_welding(np.random.default_rng([seed, 4])))
     fan_deg = _draw_fan(setup, turned, more) if more.random() < FAN_SHARE else None
     if more.random() < 0.5:
         setup = replace(setup, laser=replace(setup.laser, fan_half_angle_deg=fan_deg))

@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 from scipy.ndimage import gaussian_filter, shift
 from swept_joint import SweptJoint, departure, normal_at
+from swept_welding import Welding
 
 from noise_model.compiled.arrays import Float64, Integers
 
@@ -69,7 +70,7 @@ class Surroundings:
     """What else is in the picture.
 
     The metal's look; the hall's light that a level plate sends to the image's middle, e-; a ghost; so many
-    glints a frame, within `glint_reach_px` of the stripe.
+    glints a frame, within `glint_reach_px` of the stripe; and what a burning arc adds.
     """
 
     look: Look = Look()
@@ -77,6 +78,7 @@ class Surroundings:
     ghost: Ghost | None = None
     n_glints: int = 0
     glint_reach_px: float = 0.0
+    welding: Welding | None = None
 
 
 def texture(look: Look) -> Float64:

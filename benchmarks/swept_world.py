@@ -25,6 +25,7 @@ from swept_joint import (
     normal_at,
 )
 from swept_light import Look, Surroundings, glints, seen_metal, texture, with_ghost
+from swept_welding import glare, mirrored_stripe, streaks
 
 from noise_model.compiled.arrays import Bool, Float64, Integers
 from noise_model.setup import Setup
@@ -169,6 +170,11 @@ class SweptWorld:
             stripe *= self._grains(stripe.shape, draw)
             charge += stripe if around.ghost is None else with_ghost(stripe, around.ghost)
             charge += glints(stripe, around, setup.sensor.full_well_e, draw)
+        if arc_on and around.welding is not None:
+            arc_camera = transform(invert(setup.camera.T_tool_camera), np.array(setup.arc.center_in_tool_mm))
+            arc_px = setup.camera.project(arc_camera[np.newaxis])[0]
+            flying = streaks(charge.shape, around.welding.n_streaks, arc_px, draw)
+            charge += setup.laser.peak_e * gaussian_filter(flying, setup.camera.psf_sigma_px)
         sensor = setup.sensor
         noisy = draw.poisson(np.maximum(charge, 0.0)) + sensor.read_noise_e * draw.standard_normal(
             charge.shape
@@ -187,7 +193,9 @@ class SweptWorld:
         """
         setup, around = self.setup, self.around
         shape = (setup.camera.height, setup.camera.width)
-        met, faces = self._met(T_joint_tool, self.joint, everywhere=around.look != Look())
+        welding = around.welding if arc_on else None
+        everywhere = around.look != Look() or welding is not None
+        met, faces = self._met(T_joint_tool, self.joint, everywhere=everywhere)
         cos4 = ((1.0 + np.sum(self._xy**2, axis=1)) ** -2.0).reshape(shape)
         metal, light = np.ones(shape), np.zeros(shape)
         if around.look != Look():
@@ -195,11 +203,19 @@ class SweptWorld:
             light += around.hall_e * sky
         if arc_on:
             light += self.arc_light(T_joint_tool)
+        if welding is not None:
+            arc_x_mm = float(transform(T_joint_tool, np.array(setup.arc.center_in_tool_mm))[0])
+            seam = glare(
+                met, faces, self.joint.bend, arc_x_mm, welding.glare_sigma_mm, welding.glare_reach_mm
+            )
+            light += setup.laser.peak_e * welding.glare * seam.reshape(shape)
         background = gaussian_filter(light * metal * cos4, setup.camera.psf_sigma_px)
         if not laser_on:
             return background, np.zeros(shape)
         lit = self._stripe(T_joint_tool, self.joint, met, faces, self._parts)
         stripe = lit.reshape(shape) * cos4 * (setup.laser.peak_e / self._peak)
+        if welding is not None:
+            stripe += setup.laser.peak_e * welding.mirrored * self._mirrored(T_joint_tool, met, faces)
         return background, gaussian_filter(stripe * metal, self._lens_px, truncate=6.0)
 
     def _grains(self, shape: tuple[int, int], draw: np.random.Generator) -> Float64:
@@ -244,6 +260,19 @@ class SweptWorld:
             )  # fmt: skip
             image[near] += lit / len(parts)
         return image
+
+    def _mirrored(self, T_joint_tool: Float64, met: Float64, faces: Integers) -> Float64:
+        """Return the stripe's light (H, W) over its peak that one face shows mirrored in another."""
+        laser, (rays, _) = self.setup.laser, self._rays(T_joint_tool, self._xy)
+        normal = T_joint_tool[:3, :3] @ laser.plane[:3]
+        sheet = np.zeros((4, 4))
+        sheet[0, :3] = transform(T_joint_tool, laser.origin_mm)
+        sheet[1] = *normal, laser.plane[3] - normal @ T_joint_tool[:3, 3]
+        sheet[2, :3] = T_joint_tool[:3, 2]
+        sheet[3, :2] = laser.origin_in_tool_mm[2], laser.stripe_sigma_mm
+        image = np.zeros(len(rays))
+        mirrored_stripe(rays, met, faces, self.joint.corners, self.joint.bend, sheet, image)
+        return image.reshape(self._coarse.shape)
 
     def _met(self, T_joint_tool: Float64, joint: SweptJoint, everywhere: bool) -> tuple[Float64, Integers]:
         """Return where pixels' rays meet the metal (H W, 3) and the faces (H W,); NaN and -1 for none.

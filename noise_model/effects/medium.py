@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtr
@@ -12,6 +14,7 @@ from noise_model.condition import Condition
 from noise_model.effects.effect import UNSTATED, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
+from noise_model.transforms import invert, transform
 from noise_model.view import View
 
 STREAK_REACH = 5.0
@@ -125,12 +128,23 @@ def streak_moments(length_px: float, width_px: float) -> tuple[float, float]:
     return length * w * math.sqrt(2.0 * math.pi), along * w * math.sqrt(math.pi)
 
 
-def _spatter(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
-    if condition.arc_level == 0.0:
-        return
-    camera = view.setup.camera
-    rate, peak_e = values["rate_per_frame"], values["peak_e"]
-    length, width = values["length_px"], values["width_px"]
+@dataclass(frozen=True)
+class Streaks:
+    """A Poisson number of streaks a frame, uniform in place: `peak_e` is an exponential's mean.
+
+    `angle` gives the direction of a streak about (u, v), px, rad from the rows.
+    """
+
+    rate_per_frame: float
+    peak_e: float
+    length_px: float
+    width_px: float
+    angle: Callable[[float, float], float]
+
+
+def _add_streaks(light: Light, view: View, streaks: Streaks, draw: Draw) -> None:
+    camera, rate, peak_e = view.setup.camera, streaks.rate_per_frame, streaks.peak_e
+    length, width = streaks.length_px, streaks.width_px
     if draw is None:
         # The lens widens a streak and keeps its light; the mean square is that behind it.
         seen = math.hypot(width, camera.psf_sigma_px) if view.is_frame else width
@@ -149,12 +163,36 @@ def _spatter(light: Light, view: View, condition: Condition, values: Values, dra
     light.other = light.other.copy()
     for _ in range(int(draw.poisson(rate * wide * high / (camera.width * camera.height)))):
         u, v = draw.uniform(0.0, wide) - rim, draw.uniform(0.0, high) - rim
-        angle, peak = draw.uniform(0.0, math.pi), draw.exponential(peak_e)
+        angle, peak = streaks.angle(u, v), draw.exponential(peak_e)
         across, down = (
             slice(max(0, math.floor(middle - rim)), max(0, math.ceil(middle + rim) + 1)) for middle in (u, v)
         )
         uv = view.rays.uv_px[down, across]
         light.other[down, across] += np.float32(peak) * _streak(uv, u, v, angle, length, width)
+
+
+def _spatter(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    if condition.arc_level > 0.0:
+        any_way = Streaks(**values, angle=lambda u, v: 0.0 if draw is None else draw.uniform(0.0, math.pi))
+        _add_streaks(light, view, any_way, draw)
+
+
+def _spatter_streaks(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    if condition.arc_level == 0.0:
+        return
+    setup, arc_camera = view.setup, transform(invert(view.scene.T_joint_camera), view.scene.center_mm)
+    arc_u, arc_v = setup.camera.project(arc_camera[np.newaxis])[0].tolist()
+    flown_mm = 1e3 * values["speed_mm_per_ms"] * condition.exposure_s
+    # A longer exposure makes a streak longer, not brighter.
+    per_exposure = setup.camera.exposure_s / condition.exposure_s
+    from_arc = Streaks(
+        rate_per_frame=values["rate_per_frame"],
+        peak_e=values["brightness"] * setup.laser.peak_e * per_exposure,
+        length_px=max(setup.camera.fx * flown_mm / float(arc_camera[2]), values["width_px"]),
+        width_px=values["width_px"],
+        angle=lambda u, v: math.atan2(v - arc_v, u - arc_u),
+    )
+    _add_streaks(light, view, from_arc, draw)
 
 
 def _streak(uv_px: Float32, u: float, v: float, angle: float, length: float, width: float) -> Float32:
@@ -213,6 +251,25 @@ EFFECTS = (
         ),
         typical={"rate_per_frame": 8.0},
         light=_spatter,
+    ),
+    Effect(
+        id="spatter_streaks",
+        stage=Stage.MEDIUM,
+        summary="bright streaks that point away from the arc: spatter that flies while the shutter is open",
+        equation="as spatter, in the direction from the arc's image; length = fx speed exposure / depth, the "
+        "arc's, peak = brightness laser.peak_e whatever the exposure: what moves on gets no brighter",
+        source="Campbell 1909, Proc. Camb. Phil. Soc. 15, 117. Pictures of gas metal arc welding (Li et al. "
+        "2017, IEEE Trans. Ind. Electron., doi 10.1109/TIE.2017.2694399) show 3 to 30 streaks, some brighter "
+        "than the stripe, up to 10 px wide",
+        parameters=(
+            Parameter("rate_per_frame", "", 0.0, 10.0, 0.0, 200.0, 0.1),
+            Parameter("brightness", "", 1.0, 1.0, 0.0, 100.0, 0.01),
+            Parameter("speed_mm_per_ms", "mm/ms", 2.0, 1.0, 0.05, 50.0, 0.02),
+            Parameter("width_px", "px", 2.0, 1.0, 0.5, 20.0, 0.1),
+        ),
+        typical={"rate_per_frame": 12.0},
+        light=_spatter_streaks,
+        needs=("arc",),
     ),
     Effect(
         id="fume",

@@ -12,6 +12,7 @@ from noise_model.condition import Condition
 from noise_model.effects.effect import ANOTHER_VALUE, UNSTATED, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
+from noise_model.interreflection.mirrored import mirrored_stripe_e
 from noise_model.interreflection.model import bounced_light, is_followed
 from noise_model.setup import Setup
 from noise_model.stripe import stripe_reference
@@ -70,6 +71,22 @@ def _interreflection(light: Light, view: View, condition: Condition, values: Val
         light.arc = light.arc + np.float32(condition.arc_level) * bounced.arc_e(scale)
     if condition.laser_level > 0.0:
         light.laser = light.laser + np.float32(condition.laser_level) * bounced.laser_e(scale)
+
+
+def _groove_glare(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    if condition.arc_level == 0.0:
+        return
+    x_mm, y_mm = np.moveaxis(np.nan_to_num(view.surface[0][..., :2], nan=np.inf), -1, 0)
+    far = np.abs(x_mm - view.scene.center_mm[0]) / values["length_mm"]
+    shape = np.exp(-far - 0.5 * (y_mm / values["width_mm"]) ** 2).astype(np.float32)
+    light.arc = light.arc + np.float32(condition.arc_level * values["peak_e"]) * view.rays.cos4 * shape
+
+
+def _stripe_ghost(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+    if values["strength"] == 0.0 or condition.laser_level == 0.0:
+        return
+    unit_e = np.float32(condition.laser_level * values["strength"])
+    light.laser = light.laser + unit_e * view.cached("mirrored_stripe", lambda: mirrored_stripe_e(view))
 
 
 EFFECTS = (
@@ -156,6 +173,39 @@ EFFECTS = (
         typical={"albedo": 0.7},
         light=_interreflection,
         is_followed=is_followed,
+        form_rel=UNSTATED,
+        spreads=True,
+    ),
+    Effect(
+        id="groove_glare",
+        stage=Stage.SURFACE,
+        summary="the arc's reflection runs along the seam: a groove or a root that shines",
+        equation="arc += peak_e cos^4 exp(-|x - x_arc| / length_mm - y^2 / (2 width_mm^2)), x along the "
+        "seam, y across it from its middle",
+        source="pictures of gas metal arc welding: Li et al. 2017, IEEE Trans. Ind. Electron. (doi "
+        "10.1109/TIE.2017.2694399). Ground and milled faces mirror the arc at grazing angles, which no lobe "
+        "about a flat face's normal holds; the shape is that of the pictures",
+        parameters=(
+            Parameter("peak_e", "e-", 0.0, 10_000.0, 0.0, 1e7, 50.0),
+            Parameter("width_mm", "mm", 1.0, 1.0, 0.05, 20.0, 0.02),
+            Parameter("length_mm", "mm", 20.0, 10.0, 1.0, 300.0, 0.2),
+        ),
+        typical={"peak_e": 20_000.0},
+        light=_groove_glare,
+        needs=("arc",),
+        form_rel=UNSTATED,
+    ),
+    Effect(
+        id="stripe_ghost",
+        stage=Stage.SURFACE,
+        summary="the stripe mirrored between a joint's faces: seen in the opposite one, and thrown there",
+        equation="laser += strength (stripe seen along the ray mirrored in the face + stripe of the sheet "
+        "mirrored in each other face), both where their ways are free; a corrugation mirrors none",
+        source="the law of reflection; pictures of V-grooves in Li et al. 2017 (doi "
+        "10.1109/TIE.2017.2694399) show both. `interreflection` has this light by the stated lobe, smeared",
+        parameters=(Parameter("strength", "", 0.0, 0.2, 0.0, 1.0, 0.002),),
+        typical={"strength": 0.3},
+        light=_stripe_ghost,
         form_rel=UNSTATED,
         spreads=True,
     ),

@@ -29,9 +29,9 @@ CONTRACT = {
     ],
     "surface": [
         *("wrong_material", "roughness_change", "brdf_tail", "rolling_marks", "plate_outline"),
-        "interreflection",
+        *("interreflection", "groove_glare", "stripe_ghost"),
     ],
-    "medium": ["fume", "spatter", "hot_metal_glow"],
+    "medium": ["fume", "spatter", "spatter_streaks", "hot_metal_glow"],
     "optics": ["veiling_glare", "defocus", "vignetting", "dirty_window", "filter_shift", "ghost_stripe"],
     "sensor": [
         *("gamma", "black_level", "blooming", "fixed_pattern", "read_noise", "exposure_drift"),
@@ -45,6 +45,8 @@ DRIFTS = ("rate_per_s", "swing_sin", "swing_cos")
 AMPLITUDES = {
     "laser_speckle": ("contrast",),
     "spatter": ("rate_per_frame",),
+    "spatter_streaks": ("rate_per_frame",),
+    "groove_glare": ("peak_e",),
     "hot_metal_glow": ("peak_e",),
     "fume": ("extinction_per_m",),
     "blooming": ("spill",),
@@ -69,6 +71,8 @@ WHERE = {
     "read_noise": set(CONDITIONS),
     "ambient_light": set(CONDITIONS),
     "ghost_stripe": {"laser", "both"},
+    "groove_glare": {"arc", "both"},
+    "stripe_ghost": {"laser", "both"},
     "image_compression": set(CONDITIONS),
     "geometry": {"laser", "arc", "both"},
     "timing": set(),
@@ -105,7 +109,7 @@ def numbers(setup, condition, renderer=None):
 
 def test_the_contracts_effects_are_there_and_in_their_stages():
     wanted = {name: stage for stage, names in CONTRACT.items() for name in names}
-    assert len(wanted) == 36
+    assert len(wanted) == 39
     assert set(wanted) == set(REGISTRY)
     for name, effect in REGISTRY.items():
         assert effect.id == name
@@ -237,7 +241,7 @@ def test_a_small_step_changes_little_and_in_proportion(name, renderer):
     if name in ("pose_delay", "plate_outline"):
         return
     # Bright enough to bloom, on a plate without edges; on a plate nothing bounces.
-    joint = "v_groove" if name == "interreflection" else "flat"
+    joint = "v_groove" if name in ("interreflection", "stripe_ghost") else "flat"
     setup, bright = nominal(joint), Condition(1.0, 1.0, 4.0 * EXPOSURE_S, LATE_S)
     at_rest = numbers(setup, bright, renderer)
     apart = renderer_apart(name)

@@ -1,8 +1,10 @@
 """Surface and medium against formulas written out here."""
 
 import dataclasses
+import itertools
 import math
 
+import cv2
 import numpy as np
 import pytest
 import scenes
@@ -25,6 +27,7 @@ from noise_model.forward import predict
 from noise_model.instrument.spectrum import planck
 from noise_model.stripe import stripe_reference
 from noise_model.surface.brdf import Lobe, Material
+from noise_model.transforms import invert, transform
 
 ARC, LASER = CONDITIONS["arc"], CONDITIONS["laser"]
 
@@ -259,6 +262,75 @@ def test_spatter_is_the_arcs():
             predict(setup, scenes.pose(), CONDITIONS[name]).variance_dn2,
             predict(nominal(), scenes.pose(), CONDITIONS[name]).variance_dn2,
         )
+
+
+@pytest.mark.slow
+def test_spatter_streaks_point_away_from_the_arc_and_grow_with_the_exposure():
+    setup = nominal("flat", psf_sigma_px=0.0)
+    streaks = {"rate_per_frame": 0.3, "speed_mm_per_ms": 0.8, "width_px": 0.6}
+    arc_camera = transform(invert(setup.camera.T_tool_camera), np.array(setup.arc.center_in_tool_mm))
+    arc_px, px_per_mm = setup.camera.project(arc_camera[np.newaxis])[0], setup.camera.fx / arc_camera[2]
+    v, u = np.mgrid[:60, :80]
+    middles = []
+    for exposure_s, seed in itertools.product((EXPOSURE_S, 2.0 * EXPOSURE_S), range(60)):
+        condition, rng = Condition(0.0, 1.0, exposure_s), np.random.default_rng(seed)
+        light = passed(affected(setup, spatter_streaks=streaks), light_of(np.zeros((60, 80))), condition, rng)
+        weight = light.other.astype(np.float64)
+        edge = np.concatenate([weight[[0, -1]].ravel(), weight[:, [0, -1]].ravel()])
+        # One streak that lies within the image.
+        if (
+            weight.sum() < 1.0
+            or edge.max() > 1e-3 * weight.max()
+            or cv2.connectedComponents((weight > 0.05 * weight.max()).astype(np.uint8))[0] != 2
+        ):
+            continue
+        middle = np.array([np.average(u, weights=weight), np.average(v, weights=weight)])
+        size, axes = np.linalg.eigh(np.cov(np.stack([u.ravel(), v.ravel()]), aweights=weight.ravel()))
+        away = (middle - arc_px) / np.linalg.norm(middle - arc_px)
+        assert abs(axes[:, 1] @ away) > 0.999
+        flown_px = px_per_mm * 0.8 * 1e3 * exposure_s
+        assert math.sqrt(12.0 * (size[1] - 0.6**2)) == pytest.approx(flown_px, rel=0.05)
+        middles.append(middle)
+    assert len(middles) > 5
+
+
+def test_glare_runs_along_the_seam_from_the_arc():
+    setup = nominal("flat", psf_sigma_px=0.0)
+    glare = {"peak_e": 20_000.0, "width_mm": 2.0, "length_mm": 15.0}
+    got = charge(affected(setup, groove_glare=glare), ARC) - charge(setup, ARC)
+    points, _ = on_the_plate(setup.camera)
+    x, y = points[..., 0], points[..., 1]
+    expected = 20_000.0 * np.exp(-np.abs(x) / 15.0 - 0.5 * (y / 2.0) ** 2) * cos4(setup.camera)
+    np.testing.assert_allclose(got, expected, rtol=1e-3, atol=0.5)
+
+
+def test_a_stripes_ghost_is_where_the_law_of_reflection_puts_it():
+    """The stripe on a V-groove's left face, as the right one shows it, and no light where no face mirrors."""
+    setup = nominal("v_groove", width=160, height=120, psf_sigma_px=0.0)
+    camera, x_mm, depth_mm = setup.camera, setup.laser.point_mm[0], setup.joint.dimensions["depth_mm"]
+    half = math.radians(0.5 * setup.joint.dimensions["included_angle_deg"])
+    root_mm = 0.5 * setup.joint.dimensions["root_gap_mm"]
+    plain = charge(setup, LASER)
+    full, part = (
+        charge(affected(setup, stripe_ghost={"strength": share}), LASER) - plain for share in (1.0, 0.5)
+    )
+    np.testing.assert_allclose(part, 0.5 * full, rtol=1e-3, atol=0.05)
+    # The right face is that at y < 0; its normal points to the left and up.
+    corner, normal = np.array([0.0, -root_mm, -depth_mm]), np.array([0.0, math.cos(half), math.sin(half)])
+    shown = 0
+    for height_mm in np.linspace(0.2, depth_mm - 0.2, 12):
+        left = np.array([x_mm, root_mm + height_mm * math.tan(half), height_mm - depth_mm])
+        image = left - 2.0 * ((left - corner) @ normal) * normal
+        eye = camera.T_tool_camera[:3, 3]
+        met = eye + ((corner - eye) @ normal) / ((image - eye) @ normal) * (image - eye)
+        if -depth_mm + 0.2 < met[2] < -0.2:
+            u, v = camera.project(transform(invert(camera.T_tool_camera), image)[np.newaxis])[0]
+            assert full[round(v), round(u)] > 0.1 * plain.max()
+            shown += 1
+    assert shown > 2
+    level = nominal("flat", psf_sigma_px=0.0)
+    mirrors = affected(level, stripe_ghost={"strength": 1.0})
+    np.testing.assert_array_equal(charge(mirrors, LASER), charge(level, LASER))
 
 
 def test_hot_metal_glows_as_planck_says():
