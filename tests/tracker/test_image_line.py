@@ -48,11 +48,11 @@ class Bench(NamedTuple):
     sigma_px: float
     section: Section
 
-    def read(self, image: Float64) -> ImageLine | None:
+    def read(self, image: Float64, arc_is_on: bool = False) -> ImageLine | None:
         """Read a drawn image, rounded to codes."""
         codes = np.clip(np.rint(image), 0, 255).astype(np.uint8)
         by_line = codes.T if self.geometry.along_rows else codes
-        given = self.geometry, self.scene, self.path_px, self.sigma_px, self.section, by_line
+        given = self.geometry, self.scene, self.path_px, self.sigma_px, self.section, by_line, arc_is_on
         return read_image_line(*given)
 
 
@@ -127,6 +127,24 @@ def test_a_rim_beside_the_slit_does_not_pull_the_seam_to_its_plate(bench: Bench)
         rng = np.random.default_rng(n)
         line = bench.read(plate(bench, rng) + drawn(bench, 0.7, 3.0, 400.0, 6.0, rim_dn=8.0))
         assert line is not None
+        pulls.append((line.y_mm - 0.7) / line.sigma_mm)
+    assert np.mean(np.square(pulls)) < 1.5, pulls
+
+
+def test_while_an_arc_burns_a_slit_is_read_and_a_bright_streak_is_not(bench: Bench) -> None:
+    """Spatter adds light, and its streaks point away from the arc, as the seam does."""
+    pulls = []
+    for n in range(12):
+        rng = np.random.default_rng(n)
+        streak = -drawn(bench, rng.uniform(-2.0, 2.0), rng.uniform(-5.0, 5.0), 1e6, 30.0)
+        alone = bench.read(plate(bench, rng) + streak, arc_is_on=True)
+        assert alone is None or alone.evidence_nats < MIN_EVIDENCE_NATS
+        told = bench.read(plate(bench, rng) + streak)
+        assert told is not None
+        assert told.evidence_nats > MIN_EVIDENCE_NATS
+        line = bench.read(plate(bench, rng) + drawn(bench, 0.7, 3.0, 400.0, 6.0), arc_is_on=True)
+        assert line is not None
+        assert line.evidence_nats > MIN_EVIDENCE_NATS
         pulls.append((line.y_mm - 0.7) / line.sigma_mm)
     assert np.mean(np.square(pulls)) < 1.5, pulls
 

@@ -107,12 +107,14 @@ def read_image_line(
     stripe_sigma_px: float,
     section: Section,
     image_dn: Integers,
+    arc_is_on: bool,
 ) -> ImageLine | None:
     """Return the line that a seam leaves in the image off its stripe; None where nothing can be read.
 
     `scene` is the look's, its x axis along the expected seam; `path_px` (n_scan,) the stripe's centre, NaN
     where it was not read, `stripe_sigma_px` its 1 sigma across. `section` gives each scan line its y, and the
-    reach about 0; `image_dn` (n_scan, n_pos) is the frame by scan line.
+    reach about 0; `image_dn` (n_scan, n_pos) is the frame by scan line. While an arc burns a bright line may
+    be a streak of spatter, which points away from the arc as the seam does: then there must be a dark slit.
     """
     # Of a weak stripe no line's smooth centre may be sure enough to be one.
     if min(len(section.y_mm), np.isfinite(path_px).sum()) < MIN_POINTS:
@@ -142,7 +144,9 @@ def read_image_line(
     sum_along(white, offsets_px, slopes, along, counts)
     # A line that leaves the image within more of its columns is not summed.
     energy = _energy(along, counts >= 0.5 * len(offsets_px), width)
-    return _place(section, _Sums(white, offsets_px, slopes, along, energy, width, section.column_mm))
+    return _place(
+        section, _Sums(white, offsets_px, slopes, along, energy, width, section.column_mm), arc_is_on
+    )
 
 
 def _plates_path(path_px: Float64) -> Float64:
@@ -266,8 +270,11 @@ def _energy(along: Float64, is_valid: Bool, width: float) -> Float64:
     return np.where(is_valid, energy, 0.0)
 
 
-def _place(section: Section, sums: _Sums) -> ImageLine | None:
-    """Return the strongest line within a section's reach, and its margin over what lies elsewhere."""
+def _place(section: Section, sums: _Sums, arc_is_on: bool) -> ImageLine | None:
+    """Return the strongest line within a section's reach, and its margin over what lies elsewhere.
+
+    A line without a slit, of a rim alone, is no evidence while an arc burns.
+    """
     points = in_scan_order(section.points)
     scan = points[SCAN]
     order = slice(None, None, 1 if scan[0] <= scan[-1] else -1)
@@ -289,7 +296,10 @@ def _place(section: Section, sums: _Sums) -> ImageLine | None:
     within_share = float((within > 0.0).any(axis=0).sum() / is_valid.sum())
     wider = max(1.0, rival / (2.0 * math.log(places)))
     evidence = 0.5 * strongest / wider - math.log(max(places * within_share, 1.0))
-    if rival > MAX_RIVAL**2 * strongest:
+    near = math.ceil(2.0 * sums.width)
+    light = sums.along[slope, max(line - near, 0) : line + near + 1]
+    is_streak = arc_is_on and -light.min() < DARK_SHARES[1] * light.max()
+    if is_streak or rival > MAX_RIVAL**2 * strongest:
         evidence = min(evidence, 0.0)
     course = _crossing(sums, int(slope), int(line))
     if course is None:
