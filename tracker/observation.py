@@ -59,7 +59,8 @@ MAX_CURRENT_A, MAX_EXPOSURE_S = 1e4, 1e2
 class FrameInput(NamedTuple):
     """Inputs of a frame's tracking: the setup's tables, the state before it, the frame and its pose.
 
-    `T_base_tool` (4, 4) is the tool's pose, mm; `work` is scratch.
+    `T_base_tool` (4, 4) is the tool's pose, mm; `work` is scratch. `arc_burns` as the frame was told: it is
+    read without an arc too.
     """
 
     geometry: SensorGeometry
@@ -71,6 +72,7 @@ class FrameInput(NamedTuple):
     use_arc_map: bool
     correction: Correction
     lead: OffsetLookAhead
+    arc_burns: bool
 
 
 class Aim(NamedTuple):

@@ -190,7 +190,9 @@ def _closed_joint(given: FrameInput, aim: Aim, seen: Observation) -> MeasuredJoi
     image_dn = given.frame.image_dn.T if geometry.along_rows else given.frame.image_dn
     stripe_px = smoothed(seen.stripe.stripe).position_px
     stripe_sigma_px = known_median(section.light.width_px)
-    line = read_image_line(geometry, aim.scene, stripe_px, stripe_sigma_px, section, image_dn, seen.arc.is_on)
+    line = read_image_line(
+        geometry, aim.scene, stripe_px, stripe_sigma_px, section, image_dn, given.arc_burns
+    )
     return None if line is None else fit_closed_joint(section, geometry.setup.joint, line)
 
 

@@ -74,6 +74,7 @@ def step(
         use_arc_map=use_arc_map,
         correction=correction,
         lead=lead,
+        arc_burns=frame.arc_on,
     )
     tracked = track_frame(given, frame_checks)
     if tracked is None:

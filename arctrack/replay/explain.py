@@ -147,6 +147,7 @@ def explain(
             use_arc_map=use_arc_map,
             correction=tracker.correction,
             lead=inputs.lead,
+            arc_burns=frame.arc_on,
         )
         look = _look(given, reading)
     return Explanation(

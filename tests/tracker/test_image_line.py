@@ -48,11 +48,11 @@ class Bench(NamedTuple):
     sigma_px: float
     section: Section
 
-    def read(self, image: Float64, arc_is_on: bool = False) -> ImageLine | None:
+    def read(self, image: Float64, arc_burns: bool = False) -> ImageLine | None:
         """Read a drawn image, rounded to codes."""
         codes = np.clip(np.rint(image), 0, 255).astype(np.uint8)
         by_line = codes.T if self.geometry.along_rows else codes
-        given = self.geometry, self.scene, self.path_px, self.sigma_px, self.section, by_line, arc_is_on
+        given = self.geometry, self.scene, self.path_px, self.sigma_px, self.section, by_line, arc_burns
         return read_image_line(*given)
 
 
@@ -137,12 +137,12 @@ def test_while_an_arc_burns_a_slit_is_read_and_a_bright_streak_is_not(bench: Ben
     for n in range(12):
         rng = np.random.default_rng(n)
         streak = -drawn(bench, rng.uniform(-2.0, 2.0), rng.uniform(-5.0, 5.0), 1e6, 30.0)
-        alone = bench.read(plate(bench, rng) + streak, arc_is_on=True)
+        alone = bench.read(plate(bench, rng) + streak, arc_burns=True)
         assert alone is None or alone.evidence_nats < MIN_EVIDENCE_NATS
         told = bench.read(plate(bench, rng) + streak)
         assert told is not None
         assert told.evidence_nats > MIN_EVIDENCE_NATS
-        line = bench.read(plate(bench, rng) + drawn(bench, 0.7, 3.0, 400.0, 6.0), arc_is_on=True)
+        line = bench.read(plate(bench, rng) + drawn(bench, 0.7, 3.0, 400.0, 6.0), arc_burns=True)
         assert line is not None
         assert line.evidence_nats > MIN_EVIDENCE_NATS
         pulls.append((line.y_mm - 0.7) / line.sigma_mm)

@@ -107,7 +107,7 @@ def read_image_line(
     stripe_sigma_px: float,
     section: Section,
     image_dn: Integers,
-    arc_is_on: bool,
+    arc_burns: bool,
 ) -> ImageLine | None:
     """Return the line that a seam leaves in the image off its stripe; None where nothing can be read.
 
@@ -145,7 +145,7 @@ def read_image_line(
     # A line that leaves the image within more of its columns is not summed.
     energy = _energy(along, counts >= 0.5 * len(offsets_px), width)
     return _place(
-        section, _Sums(white, offsets_px, slopes, along, energy, width, section.column_mm), arc_is_on
+        section, _Sums(white, offsets_px, slopes, along, energy, width, section.column_mm), arc_burns
     )
 
 
@@ -270,10 +270,10 @@ def _energy(along: Float64, is_valid: Bool, width: float) -> Float64:
     return np.where(is_valid, energy, 0.0)
 
 
-def _place(section: Section, sums: _Sums, arc_is_on: bool) -> ImageLine | None:
+def _place(section: Section, sums: _Sums, arc_burns: bool) -> ImageLine | None:
     """Return the strongest line within a section's reach, and its margin over what lies elsewhere.
 
-    A line without a slit, of a rim alone, is no evidence while an arc burns.
+    While an arc burns a line that is brighter than it is dark is no evidence: two streaks have a gap too.
     """
     points = in_scan_order(section.points)
     scan = points[SCAN]
@@ -298,7 +298,7 @@ def _place(section: Section, sums: _Sums, arc_is_on: bool) -> ImageLine | None:
     evidence = 0.5 * strongest / wider - math.log(max(places * within_share, 1.0))
     near = math.ceil(2.0 * sums.width)
     light = sums.along[slope, max(line - near, 0) : line + near + 1]
-    is_streak = arc_is_on and -light.min() < DARK_SHARES[1] * light.max()
+    is_streak = arc_burns and -light.min() < light.max()
     if is_streak or rival > MAX_RIVAL**2 * strongest:
         evidence = min(evidence, 0.0)
     course = _crossing(sums, int(slope), int(line))
