@@ -55,6 +55,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "clocks": {"protocol"},
         "link": {"protocol", "clocks"},
         "poses": {"protocol", "link"},
+        "ports": {"protocol", "link"},
     },
     "calibration": {
         "boards": set(),

@@ -61,7 +61,9 @@ def _lines(read: CellFile) -> list[str]:
     bus, rate_hz = read.bus, read.camera.frame_rate_hz
     return [
         f"setup: {read.setup.path}, a {read.setup.setup.joint.type} in {read.setup.setup.material.name}",
-        f"bus: {bus} at {bus.bit_rate_bit_s / 1000.0:g} kbit/s; {rate_hz:g} frames of the camera "
+        f"bus: {bus}, a robot's port"
+        if bus.is_port
+        else f"bus: {bus} at {bus.bit_rate_bit_s / 1000.0:g} kbit/s; {rate_hz:g} frames of the camera "
         f"make {frames_per_s(rate_hz):.0f} frames on it a second, at most "
         f"{100.0 * read.bus_load:.0f} % of its load",
         *([] if read.camera.kind is None else [f"camera: {read.camera.kind} {read.camera.name}"]),

@@ -98,7 +98,7 @@ class ReplayOptions:
         """The bus that is meant."""
         if self.bus is not None:
             return self.bus
-        return DEFAULT_BUS if self.cell is None else str(self.cell.bus)
+        return DEFAULT_BUS if self.cell is None or self.cell.bus.is_port else str(self.cell.bus)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Event, Lock
@@ -65,6 +65,8 @@ class Link:
         Where what is sent comes from. Who trusts live frames alone takes no others.
     trusted : Trusted
         Whose frames are accepted.
+    open_bus : callable, optional
+        How the bus is opened where it is none of python-can's, such as a robot's port.
     **bus_options
         Further options of python-can's interface.
 
@@ -85,6 +87,7 @@ class Link:
         log_paths: Sequence[Path] = (),
         source: Source = Source.LIVE,
         trusted: Trusted = LIVE,
+        open_bus: Callable[[], can.BusABC] | None = None,
         **bus_options: Any,
     ) -> None:
         self.interface = interface
@@ -103,7 +106,9 @@ class Link:
             bus_options.setdefault("preserve_timestamps", True)
         with ExitStack() as opened:
             # First the bus: where there is none, no log that is there is begun anew.
-            self._bus = ReconnectingBus(f"CAN {interface}:{channel}", lambda: self._open(bus_options))
+            self._bus = ReconnectingBus(
+                f"CAN {interface}:{channel}", open_bus or (lambda: self._open(bus_options))
+            )
             opened.callback(self._bus.close)
             self._logs: list[SteadyLog] = []
             for path in log_paths:

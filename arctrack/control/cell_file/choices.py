@@ -30,13 +30,44 @@ HIGH_LOAD = 0.7
 """Above it messages of low priority wait for long, as for any bus of fixed priorities."""
 
 
+PORT_NAMES = ("tcp_json", "egm", "rsi", "rtde")
+"""Interfaces that are robots' protocols: `robot_io.ports`."""
+
+
 @dataclass(frozen=True)
 class BusChoice:
-    """The bus: python-can's interface and channel, and the bit rate, bit/s."""
+    """The bus: python-can's interface and channel, and the bit rate, bit/s; or a robot's port.
+
+    `running_word` stands for the program's word where an EGM controller sends none. Raises ValueError, which
+    names the key, for what a port cannot use.
+    """
 
     interface: str
     channel: str
     bit_rate_bit_s: int
+    running_word: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.running_word is not None and self.interface != "egm":
+            raise ValueError("[bus] running_word: is of interface egm alone; leave it out")
+        if self.is_port:
+            from robot_io.ports.port import address_of
+            from robot_io.ports.report import PortError, ProgramWord
+
+            try:
+                address_of(self.interface, self.channel)
+            except PortError as error:
+                raise ValueError(f"[bus] {error}") from None
+            try:
+                ProgramWord(self.running_word or 0)
+            except PortError as error:
+                _, _, bits = str(error).partition(": ")
+                raise ValueError(f"[bus] running_word = {self.running_word}: {bits}") from None
+
+    @property
+    def is_port(self) -> bool:
+        """True for a robot's own protocol in place of CAN."""
+        return self.interface in PORT_NAMES
 
     def __str__(self) -> str:
         return f"{self.interface}:{self.channel}"
@@ -176,7 +207,9 @@ class CellFile:
 
     @property
     def bus_load(self) -> float:
-        """The share of the bus that all messages take at most."""
+        """The share of the bus that all messages take at most; 0 of a port, which is no bus."""
+        if self.bus.is_port:
+            return 0.0
         from robot_io.protocol.bus_load import load_share
 
         return load_share(self.camera.frame_rate_hz, self.bus.bit_rate_bit_s)

@@ -71,14 +71,31 @@ else:
 
 
 class BusTable(Table):
-    """python-can's interface and channel. virtual goes to nobody: try things out with it first."""
+    """How the robot is reached: python-can's interface and channel, or a robot's own protocol.
+
+    virtual goes to nobody: try things out with it first.
+    """
 
     interface: str = key(
-        'The interface; on a robot "socketcan", "slcan", …', example='"virtual"', min_length=1
+        'The interface; on a robot "socketcan", "slcan", …, or "tcp_json", "egm", "rsi", "rtde"',
+        example='"virtual"',
+        min_length=1,
     )
-    channel: str = key('The channel, such as "can0", "/dev/ttyACM0"', example='"arctrack"', min_length=1)
+    channel: str = key(
+        'The channel, such as "can0", "/dev/ttyACM0"; of a robot\'s protocol HOST:PORT',
+        example='"arctrack"',
+        min_length=1,
+    )
     bit_rate_bit_s: int = key(
-        "The bit rate", "bit/s", default=500_000, bounds=Bounds(10_000, 1_000_000, "what classic CAN has")
+        "The bit rate of CAN",
+        "bit/s",
+        default=500_000,
+        bounds=Bounds(10_000, 1_000_000, "what classic CAN has"),
+    )
+    running_word: int | None = key(
+        "The program's word while RAPID runs, for an EGM controller that sends none (RobotWare 6)",
+        default=None,
+        bounds=Bounds(0, 2**32 - 1, "it has 32 bits"),
     )
 
 

@@ -59,8 +59,9 @@ def write_cell(folder: Path, cell_text: str, setup_text: str) -> tuple[Path, Pat
 
 
 def commented_cell() -> str:
-    """Return a cell file with a comment on each key, but for the keys of one kind of camera alone."""
-    camera_keys = {name for names in KEYS_OF_KIND.values() for name in names}
+    """Return a cell file with a comment on each key, but for those of one kind of camera or robot alone."""
+    keys_of_one = {("camera", name) for names in KEYS_OF_KIND.values() for name in names}
+    keys_of_one.add(("bus", "running_word"))
     lines = _HEAD.splitlines()
     for place, table, keys in tables_of(CellToml):
         name = place.replace("N", "1")
@@ -71,7 +72,7 @@ def commented_cell() -> str:
         if name:
             lines += ["", *wrapped(table.__doc__ or ""), f"[{name}]"]
         for key in keys:
-            if key.table == "camera" and key.name in camera_keys:
+            if (key.table, key.name) in keys_of_one:
                 continue
             mark = "" if key.field.is_required() else "# "
             lines += [*comment(key), f"{mark}{key.name} = {key.text('example') or key.default}"]

@@ -110,7 +110,7 @@ def _way(setup: Setup, watched: CameraReading | None) -> tuple[LatencyPart, ...]
 def _pose(cell: CellFile, came: tuple[LatencyPart, ...]) -> LatencyPart:
     """Return the wait for the pose after the capture: it runs while the frame is on its way."""
     period_s = cycle_time_s(message_layout(RobotPosePosition.__name__))
-    sent_s = 2 * frame_bits() / cell.bus.bit_rate_bit_s
+    sent_s = 0.0 if cell.bus.is_port else 2 * frame_bits() / cell.bus.bit_rate_bit_s
     wait_s, came_s = cell.policy.pose_wait_s, sum(part.typical_s for part in came)
     typical_s = max(0.0, min(period_s / 2.0 + sent_s, wait_s) - came_s)
     return LatencyPart(
@@ -120,6 +120,9 @@ def _pose(cell: CellFile, came: tuple[LatencyPart, ...]) -> LatencyPart:
 
 def _bus(cell: CellFile) -> tuple[LatencyPart, ...]:
     rate, bit_rate = cell.camera.frame_rate_hz, cell.bus.bit_rate_bit_s
+    if cell.bus.is_port:
+        cycle_s = cycle_time_s(message_layout(RobotPosePosition.__name__))
+        return (LatencyPart("port", cycle_s / 2.0, cycle_s, "the robot's next report, which is answered"),)
     answered = response_time_s("SeamOffset", rate, bit_rate)
     least, most = min_frame_bits(), frame_bits()
     text = f"{answered.frames} frames at most, each of {least} to {most} bits"

@@ -14,16 +14,22 @@ from typing import Any
 from arctrack.control.cell_file import BusChoice, CellFile
 from arctrack.control.cell_file.choices import HIGH_LOAD
 from arctrack.control.robot_messages import TRUSTED
+from arctrack.errors import ArctrackError
 from arctrack.live.doctor.finding import DoctorFinding, FindingState, judged
 from arctrack.live.doctor.policy import POLICY
+from arctrack.live.serve.robot_port import port_process
 from robot_io import Link, LinkError
 
 ROBOT_CURE = "check the bit rate, the terminators and whether the robot's controller runs"
+PORT_CURE = "check the cable, the addresses and whether the robot's program runs"
 
 
 def bus_findings(cell: CellFile, **bus_options: Any) -> Iterator[DoctorFinding]:
     """Yield the findings about a cell's bus; nothing is sent. `bus_options` go to python-can."""
     bus = cell.bus
+    if bus.is_port:
+        yield from _robot_port_findings(cell)
+        return
     yield judged(
         "bus load",
         f"{100.0 * cell.bus_load:.0f} % of {bus.bit_rate_bit_s / 1000.0:g} kbit/s at most",
@@ -46,12 +52,32 @@ def bus_findings(cell: CellFile, **bus_options: Any) -> Iterator[DoctorFinding]:
     except LinkError as error:
         yield DoctorFinding("bus", FindingState.FAILED, str(error))
         return
+    yield from _link_findings(bus, link, ROBOT_CURE)
+
+
+def _robot_port_findings(cell: CellFile) -> Iterator[DoctorFinding]:
+    """Yield whether a robot's port opens, and what its robot says."""
+    bus = cell.bus
+    process, open_bus = port_process(bus, cell.process)
+    try:
+        process.wait_ready()
+        link = Link(bus.interface, bus.channel, trusted=TRUSTED, open_bus=open_bus)
+        yield from _link_findings(bus, link, PORT_CURE)
+        for problem in process.look():
+            yield DoctorFinding("port", FindingState.WARNING, problem, PORT_CURE)
+    except ArctrackError as error:
+        yield DoctorFinding("bus", FindingState.FAILED, str(error))
+    finally:
+        process.end()
+
+
+def _link_findings(bus: BusChoice, link: Link, cure: str) -> Iterator[DoctorFinding]:
     with link:
         yield DoctorFinding("bus", FindingState.OK, f"{bus} opens")
-        yield _robot_finding(link)
+        yield _robot_finding(link, cure)
 
 
-def _robot_finding(link: Link) -> DoctorFinding:
+def _robot_finding(link: Link, cure: str) -> DoctorFinding:
     """Find whether a robot sends, and which of its messages were not accepted."""
     counts: Counter[str] = Counter()
     ends_s = time.monotonic() + POLICY.listen_s
@@ -59,17 +85,15 @@ def _robot_finding(link: Link) -> DoctorFinding:
         for received in link.receive(0.0):
             counts[type(received.message).__name__] += 1
         time.sleep(POLICY.wake_up_s)
-    return robot_finding(counts, {reason.value: n for reason, n in link.inbox.skipped.items()})
+    return robot_finding(counts, {reason.value: n for reason, n in link.inbox.skipped.items()}, cure)
 
 
-def robot_finding(counts: dict[str, int], skipped: dict[str, int]) -> DoctorFinding:
+def robot_finding(counts: dict[str, int], skipped: dict[str, int], cure: str = ROBOT_CURE) -> DoctorFinding:
     """Return the finding about counts of messages by name, and of other frames by reason."""
     refused = ", ".join(f"{reason} {count}" for reason, count in sorted(skipped.items()))
     if not counts:
         other = f"frames that are no messages: {refused}" if refused else "nothing"
-        return DoctorFinding(
-            "robot", FindingState.WARNING, f"heard {other} in {POLICY.listen_s:g} s", ROBOT_CURE
-        )
+        return DoctorFinding("robot", FindingState.WARNING, f"heard {other} in {POLICY.listen_s:g} s", cure)
     names = ", ".join(f"{name} {count}" for name, count in sorted(counts.items()))
     return DoctorFinding("robot", FindingState.OK, f"in {POLICY.listen_s:g} s {names}")
 

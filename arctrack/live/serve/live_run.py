@@ -33,6 +33,7 @@ from arctrack.live.serve.lag_process import estimate_lags
 from arctrack.live.serve.loop import LiveLoop, LiveSeam, LoopResult, OnTrack
 from arctrack.live.serve.notify import Notifier
 from arctrack.live.serve.process import Watchdog, garbage_left
+from arctrack.live.serve.robot_port import OpenBus, port_process
 from arctrack.live.serve.supervisor import SupervisedProcess, Supervisor, Tell
 from arctrack.recording import read_recording
 from noise_model.effects import pose_time_s
@@ -93,6 +94,7 @@ def opened_run(
         for tracker in trackers.values():
             with compiled_by_two(tracker.geometry.setup):
                 tracker.warm_up()
+        open_bus = opened.enter_context(_robot_port(cell, supervisor))
         lag.wait_ready()
         opened.enter_context(supervisor.watching())
         # Once it is on the bus, a tracker must not wait for anything.
@@ -103,6 +105,7 @@ def opened_run(
                 bitrate_bit_s=cell.bus.bit_rate_bit_s,
                 source=parts.source,
                 trusted=TRUSTED,
+                open_bus=open_bus,
                 **bus_options,
             )
         except LinkError as error:
@@ -123,6 +126,21 @@ def opened_run(
             exposure=_chooser(cell),
         )
         yield LiveRun(loop, journal)
+
+
+@contextmanager
+def _robot_port(cell: CellFile, supervisor: Supervisor) -> Iterator[OpenBus | None]:
+    """Run the port of a cell's robot meanwhile, and yield what opens its bus; None for a robot on CAN."""
+    if not cell.bus.is_port:
+        yield None
+        return
+    process, open_bus = port_process(cell.bus, cell.process)
+    with supervisor.running(process):
+        try:
+            process.wait_ready()
+        except ArctrackError as error:
+            raise in_file(cell.path, str(error)) from None
+        yield open_bus
 
 
 def run(

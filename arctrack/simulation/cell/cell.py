@@ -57,6 +57,7 @@ class Cell:
     """One run of a simulated cell.
 
     `make_camera` makes the camera at a robot's tool, by default one that measures the seam without a picture.
+    `make_node` makes the robot's node, by default one on CAN.
     `received` has every offset of the tracker that reached the robot; `reasons` has the time, s, and gate
     reason of each TrackerStatus that did; `torch_error_mm` has the torch's distance from the seam by time.
     """
@@ -67,6 +68,7 @@ class Cell:
         rng: np.random.Generator,
         make_camera: Callable[[Robot], SimulatedCamera] | None = None,
         frame_period_s: float = FRAME_PERIOD_S,
+        make_node: Callable[[Robot, Bus, Scheduler], RobotNode] = RobotNode,
     ) -> None:
         self.rng = rng
         ahead_tool_mm = (world.look_ahead_mm, 0.0, 0.0)
@@ -74,7 +76,7 @@ class Cell:
         self.job = Job("lap", poses_proven=True, bridging=bridging)
         self.scheduler = Scheduler()
         self.bus = Bus(self.scheduler, rng)
-        self.robot = RobotNode(Robot(world), self.bus, self.scheduler)
+        self.robot = make_node(Robot(world), self.bus, self.scheduler)
         robot = self.robot.robot
         camera = MeasuringCamera(robot, rng) if make_camera is None else make_camera(robot)
         self.tracker = TrackerNode(robot, self.bus, self.scheduler, rng, self.job, camera, frame_period_s)

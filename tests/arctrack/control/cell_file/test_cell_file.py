@@ -132,6 +132,18 @@ def test_the_page_shows_a_cell_file_that_can_be_read(new_cell: Path) -> None:
         (lambda d: d.update(setup=3), "toml: setup = 3: input should be a valid string"),
         (lambda d: d.pop("camera"), "[camera]: missing; state it: the source of frames"),
         (lambda d: d["bus"].update(chanel=d["bus"].pop("channel")), "did you misspell it as chanel?"),
+        (
+            lambda d: d["bus"].update(interface="rsi", channel="here:x"),
+            "[bus] channel = 'here:x': must be HOST or HOST:PORT, such as 0.0.0.0:49152",
+        ),
+        (
+            lambda d: d["bus"].update(interface="rtde", running_word=1),
+            "[bus] running_word: is of interface egm alone; leave it out",
+        ),
+        (
+            lambda d: d["bus"].update(interface="egm", channel="0.0.0.0", running_word=0x200),
+            "[bus] running_word = 512: bits 9 to 15 must be 0, bits 0 to 2 a command",
+        ),
         (lambda d: d["bus"].update(bitrate=1), "[bus] bitrate: is not known; did you mean 'bit_rate_bit_s'?"),
         (lambda d: d["bus"].update(bit_rate_bit_s=20_000), "25 frames a second take 271 % of it; choose a"),
         (lambda d: d["camera"].update(frame_rate_hz=0.0), "[camera] frame_rate_hz = 0.0: input should be gr"),
@@ -280,6 +292,18 @@ def test_the_commands_say_what_a_cell_does(tmp_path: Path, changed: Callable[[Ch
         "job 1: first job, a v_groove; y within 3 mm, bias -0.5 mm; z not corrected; bridges 8 mm; "
         "gap 0 to 1.5 mm; angle 55 to 65 deg" in done.output
     )
+
+
+def test_a_robots_port_is_no_bus_that_can_be_full(changed: Callable[[Change], Path]) -> None:
+    def by_port(document: tomlkit.TOMLDocument) -> None:
+        document["bus"].update(interface="egm", channel="0.0.0.0", bit_rate_bit_s=10_000, running_word=66_044)
+
+    path = changed(by_port)
+    done = CliRunner().invoke(app, ["cell", "check", str(path)])
+    assert done.exit_code == 0, done.output
+    assert "\nbus: egm:0.0.0.0, a robot's port\n" in done.output
+    # A replay has no robot: it does not open the port.
+    assert ReplayOptions(cell=read_cell_file(path)).chosen_bus == "virtual:arctrack"
 
 
 @pytest.fixture

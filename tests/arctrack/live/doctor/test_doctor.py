@@ -165,6 +165,29 @@ def test_a_robot_is_heard_on_a_real_bus(tmp_path: Path) -> None:
     assert silent["robot"].text == "heard nothing in 1 s"
 
 
+@pytest.mark.slow
+def test_a_robots_port_is_opened_and_what_its_robot_says_is_told(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as controller:
+        channel = f"127.0.0.1:{controller.getsockname()[1]}"
+        cell = cell_with(tmp_path / "cell", bus={"interface": "rtde", "channel": channel})
+
+        def refuse() -> None:
+            robot, _ = controller.accept()
+            with robot:
+                assert robot.recv(64) == b"\0\5V\0\2"
+                robot.sendall(b"\0\4V\0")
+
+        thread = threading.Thread(target=refuse)
+        thread.start()
+        findings = [(f.name, f.state, f.text) for f in bus_findings(cell)]
+        thread.join()
+    assert findings[:2] == [
+        ("bus", FindingState.OK, f"rtde:{channel} opens"),
+        ("robot", FindingState.WARNING, "heard nothing in 1 s"),
+    ]
+    assert any("port: the controller refuses version 2" in text for _, _, text in findings[2:])
+
+
 def test_frames_that_are_no_messages_are_told_from_silence() -> None:
     assert "e2e_error 3" in robot_finding({}, {"e2e_error": 3}).text
     assert robot_finding({"RobotStatus": 1}, {"foreign": 9}).state is FindingState.OK

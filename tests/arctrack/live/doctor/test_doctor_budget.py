@@ -105,6 +105,14 @@ def test_the_parts_sum_up_to_what_is_held_against_the_gate(tmp_path: Path) -> No
     assert next(part for part in live.parts if part.name == "wait for the pose").at_most_s == 0.0
 
 
+def test_a_robots_port_answers_the_next_report(tmp_path: Path) -> None:
+    cell = read_cell_file(write_new_cell(tmp_path / "cell", "lap", "zn_coated")[0])
+    cell = replace(cell, bus=replace(cell.bus, interface="rsi", channel="127.0.0.1"))
+    parts = {part.name: part for part in budget_of(cell, None, quantiles(0.1)).parts}
+    assert "bus" not in parts
+    assert (parts["port"].typical_s, parts["port"].at_most_s) == (0.005, 0.01)
+
+
 def test_a_step_that_was_not_timed_is_not_known(tmp_path: Path) -> None:
     cell = read_cell_file(write_new_cell(tmp_path / "cell", "lap", "zn_coated")[0])
     budget = budget_of(cell, None, quantiles(0.1))

@@ -1,0 +1,1 @@
+"""ABB's Externally Guided Motion with path correction: protobuf over UDP."""

@@ -1,0 +1,160 @@
+"""What a port hears of its robot, what it answers, and how a program says both in one word."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+from robot_io.protocol.messages import (
+    Command,
+    GateReason,
+    MotionState,
+    RobotMode,
+    RobotStatus,
+    Switch,
+    TrackerState,
+    WeldingState,
+)
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+NO_JOB_NUMBER = 0xFFFF
+"""Job of a program's word that names none."""
+
+
+class PortError(ValueError):
+    """Bytes that are no message of a port's protocol, or an address that cannot be used."""
+
+
+@dataclass(frozen=True)
+class PortReport:
+    """One message of the robot.
+
+    Parameters
+    ----------
+    stamp : int
+        The robot's own number of the message, which an answer may have to repeat.
+    robot_time_s : float
+        The robot's clock at the pose's sample, s; it rises from message to message.
+    position_base_mm : tuple (3,)
+        The tool's position, mm, base frame.
+    quaternion_xyzw : tuple (4,)
+        The tool's rotation in base, as a unit quaternion x y z w.
+    status : RobotStatus
+        State of the robot and the power source.
+    command : Command
+        The program's command to the tracker.
+    laser : Switch
+        ON where the program lets the laser be on.
+    job_number : int or None
+        The job that the program names.
+
+    Raises
+    ------
+    PortError
+        If a number is not finite, or the quaternion's norm is off 1 by more than 0.001.
+    """
+
+    stamp: int
+    robot_time_s: float
+    position_base_mm: Vector
+    quaternion_xyzw: Quaternion
+    status: RobotStatus
+    command: Command
+    laser: Switch
+    job_number: int | None
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (self.robot_time_s, *self.position_base_mm))):
+            raise PortError("a time or a coordinate is not finite")
+        if not abs(math.hypot(*self.quaternion_xyzw) - 1.0) <= 1e-3:
+            raise PortError(f"quaternion {self.quaternion_xyzw}: its norm is not 1")
+
+
+@dataclass(frozen=True)
+class PortCorrection:
+    """Answer to a report.
+
+    `y_mm` and `z_mm` are the displacement to be applied, mm in S, always finite: where `is_usable` is false
+    it stays what it was. `age_ms` is the age of the capture behind it, NaN where none counts.
+    """
+
+    y_mm: float
+    z_mm: float
+    is_usable: bool
+    age_ms: float
+    state: TrackerState
+    reason: GateReason
+
+
+class Dialect(Protocol):
+    """A vendor's protocol over one connection, without a socket or a clock."""
+
+    def greeting(self) -> bytes:
+        """Return what is sent as soon as a connection is there."""
+
+    def hear(self, data: bytes) -> tuple[list[PortReport], bytes]:
+        """Return the reports in received bytes, and what is to be sent back at once.
+
+        PortError for what is not of the protocol: a datagram is dropped, a connection closed.
+        """
+
+    def answer(self, report: PortReport, correction: PortCorrection) -> bytes:
+        """Return the answer to a report; empty for none."""
+
+
+@dataclass(frozen=True)
+class ProgramWord:
+    """State of the robot's program in 32 bits: all 0 allows nothing.
+
+    Bits 0 to 2 are the `Command`; then laser, correction, arc, moving, automatic, and emergency stop
+    released; bits 16 to 31 are the job's number. PortError for a bit or a command without a meaning.
+    """
+
+    word: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.word < 2**32 or self.word & 0xFE00 or self.word & 7 > max(Command):
+            raise PortError(f"program word {self.word:#x}: bits 9 to 15 must be 0, bits 0 to 2 a command")
+
+    @property
+    def command(self) -> Command:
+        """Command to the tracker."""
+        return Command(self.word & 7)
+
+    @property
+    def laser(self) -> Switch:
+        """ON where the laser may be on."""
+        return self._switch(3)
+
+    @property
+    def job_number(self) -> int | None:
+        """Number of the job."""
+        number = self.word >> 16
+        return None if number == NO_JOB_NUMBER else number
+
+    def status(self, is_running: bool = True, is_stopped: bool = False) -> RobotStatus:
+        """Return the robot's status.
+
+        What the controller itself says comes first: nothing moves or is corrected unless `is_running`, and
+        `is_stopped` is an emergency stop.
+        """
+        arc = self._switch(5)
+        is_moving = is_running and self._switch(6) is Switch.ON
+        return RobotStatus(
+            mode=RobotMode.AUTOMATIC if self._switch(7) is Switch.ON else RobotMode.MANUAL,
+            motion=MotionState.MOVING if is_moving else MotionState.STOPPED,
+            welding=WeldingState.WELDING if arc is Switch.ON else WeldingState.OFF,
+            arc=arc,
+            emergency_stop=Switch.ON if is_stopped or self._switch(8) is Switch.OFF else Switch.OFF,
+            correction=self._switch(4) if is_running else Switch.OFF,
+            weave=Switch.UNKNOWN,
+            current_a=math.nan,
+            travel_speed_mm_s=math.nan,
+            path_section=None,
+        )
+
+    def _switch(self, bit: int) -> Switch:
+        return Switch(self.word >> bit & 1)

@@ -1,0 +1,1 @@
+"""Universal Robots' Real-Time Data Exchange: registers over TCP."""
