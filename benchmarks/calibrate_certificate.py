@@ -62,7 +62,7 @@ def certified(hand_eye: HandEyeCalibration, laser: LaserCalibration, cancels: bo
         KnownSheet(
             laser.plane, laser.own_covariance if cancels else laser.covariance, keeps * laser.per_lens
         ),
-        KnownHandEye(hand_eye.T_holder_camera, pose * np.outer(TO_RAD, TO_RAD), per_lens),
+        KnownHandEye(hand_eye.T_holder_camera, pose * np.outer(TO_RAD, TO_RAD), np.zeros((6, 6)), per_lens),
         POINTS_PX,
     )
 

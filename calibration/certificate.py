@@ -7,6 +7,12 @@ A seam point lies where the pixel's ray meets the laser sheet, carried to the to
 Camera, sheet and hand-eye are calibrated one after the other. What the lens has wrong goes into the sheet and
 the hand-eye too, where it partly cancels. Each of these therefore comes with its derivatives by the lens'
 values, and the lens' share is carried along all three ways at once.
+
+The pose T that the robot states for a frame is not in p, so its error moves no seam in the tool frame: the
+robot's share is what its errors at the boards have made of R and t. It is in the place in base, q = T p. With
+xi the small motion of the tool by which a pose is off, a turn w and a move m,
+
+    dq = T (dp + w x p + m).
 """
 
 from __future__ import annotations
@@ -52,11 +58,13 @@ class KnownHandEye:
     """Camera pose `T_tool_camera` (4, 4), mm.
 
     `covariance` (6, 6) is of a rotation, rad, and a translation, mm, both in the camera's own frame, with an
-    exact lens; `per_lens` (6, k) are their derivatives by the lens' parameters.
+    exact lens, and `by_robot` (6, 6) the part of it that the robot's errors make; `per_lens` (6, k) are their
+    derivatives by the lens' parameters.
     """
 
     T_tool_camera: Float64
     covariance: Float64
+    by_robot: Float64
     per_lens: Float64
 
 
@@ -73,11 +81,13 @@ class Certificate:
     """Uncertainty of the seam's position, at points of the laser sheet.
 
     `points_px` (n, 2) are seen at `points_tool_mm` (n, 3), tool frame. `shares_mm2` has each source's share
-    (n, 3, 3) in their covariance, tool frame; shares add up.
+    (n, 3, 3) in their covariance, tool frame; shares add up. `pose_mm2` (n, 3, 3) comes on top in base: the
+    error of the robot's pose, along the tool's axes.
     """
 
     points_px: Float64
     points_tool_mm: Float64
+    pose_mm2: Float64
     shares_mm2: Mapping[str, Float64] = field(default_factory=dict)
 
     @property
@@ -89,6 +99,11 @@ class Certificate:
     def sigma_mm(self) -> Float64:
         """1 sigma (n, 3) along the tool's axes."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance_mm2, axis1=1, axis2=2)))
+
+    @property
+    def pose_sigma_mm(self) -> Float64:
+        """1 sigma (n, 3) that the error of the robot's pose adds in base, along the tool's axes."""
+        return np.asarray(np.sqrt(np.diagonal(self.pose_mm2, axis1=1, axis2=2)))
 
     def share_sigma_mm(self, source: str) -> Float64:
         """Return 1 sigma (n, 3) that one source alone makes."""
@@ -164,11 +179,12 @@ def certify(
     return Certificate(
         points_px,
         in_tool,
+        robot.move_mm**2 * even + robot.turn_rad**2 * (lever @ np.swapaxes(lever, 1, 2)),
         {
             CAMERA: share(per_lens, known_lens.covariance),
             LASER: share(per_plane, sheet.covariance),
-            HAND_EYE: share(per_pose, hand_eye.covariance),
-            ROBOT: robot.move_mm**2 * even + robot.turn_rad**2 * (lever @ np.swapaxes(lever, 1, 2)),
+            HAND_EYE: share(per_pose, hand_eye.covariance - hand_eye.by_robot),
+            ROBOT: share(per_pose, hand_eye.by_robot),
             DELAY: delay_sigma_mm**2 * is_across * even,
         },
     )

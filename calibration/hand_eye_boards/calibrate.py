@@ -106,6 +106,11 @@ class HandEyeCalibration:
         return np.asarray(self.refined.solution.covariance[:6, :6] * np.outer(UNITS, UNITS))
 
     @property
+    def by_robot(self) -> Float64:
+        """The robot's part (6, 6) of that covariance: what is left of it is the corners' noise."""
+        return np.asarray(self.refined.solution.by_robot[:6, :6] * np.outer(UNITS, UNITS))
+
+    @property
     def robot_deg(self) -> float:
         """1 sigma of the robot's turn about each axis, deg."""
         return math.degrees(self.refined.solution.sigma[0])

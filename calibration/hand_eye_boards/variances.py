@@ -80,14 +80,15 @@ class VarianceSolution:
     """The unknowns at the robot's sigma (2,), rad and mm.
 
     `step` (m,) is b; `covariance` (m, m) is its own for an exact lens, with small samples allowed for;
-    `slopes` (2, m, m) are its derivatives by the robot's two variances, whose covariance is
-    `sigma_covariance` (2, 2). `per_lens` (m, n) is the change of b by the lens' errors, `lens_root` (n, k) a
-    root of their covariance.
+    `by_robot` (m, m) is the robot's part of it, all but what the corners' noise makes; `slopes` (2, m, m) are
+    its derivatives by the robot's two variances, whose covariance is `sigma_covariance` (2, 2). `per_lens`
+    (m, n) is the change of b by the lens' errors, `lens_root` (n, k) a root of their covariance.
     """
 
     sigma: Float64
     step: Float64
     covariance: Float64
+    by_robot: Float64
     sigma_covariance: Float64
     slopes: Float64
     per_lens: Float64
@@ -156,12 +157,15 @@ def solve(errors: PoseErrors, sigma: Float64) -> VarianceSolution:
     sigma_covariance = scaled_inverse(0.5 * information)
     spread = np.einsum("kl,klmn->mn", sigma_covariance, twice - both)
     covariance = C + 2.0 * C @ spread @ C
+    covariance = 0.5 * (covariance + covariance.T)
+    by_corners = C @ (np.einsum("vim,vij,vjn->mn", WH, errors.by_corners, WH) + errors.known) @ C
     return VarianceSolution(
-        sigma,
-        step,
-        0.5 * (covariance + covariance.T),
-        sigma_covariance,
-        C @ inner @ C,
-        C @ np.einsum("vim,vin->mn", WH, errors.per_lens),
-        errors.lens_root,
+        sigma=sigma,
+        step=step,
+        covariance=covariance,
+        by_robot=covariance - by_corners,
+        sigma_covariance=sigma_covariance,
+        slopes=C @ inner @ C,
+        per_lens=C @ np.einsum("vim,vin->mn", WH, errors.per_lens),
+        lens_root=errors.lens_root,
     )

@@ -45,7 +45,8 @@ def known(rng: np.random.Generator) -> tuple[KnownLens, KnownSheet, KnownHandEye
         KnownSheet(PLANE, covariance([2e-4, 2e-4, 2e-4, 0.03]), 1e-5 * rng.standard_normal((4, 5))),
         KnownHandEye(
             T_tool_camera,
-            covariance([3e-4, 3e-4, 3e-4, 0.03, 0.03, 0.03]),
+            pose := covariance([3e-4, 3e-4, 3e-4, 0.03, 0.03, 0.03]),
+            0.5 * pose,
             np.vstack([1e-5 * rng.standard_normal((3, 5)), 0.01 * rng.standard_normal((3, 5))]),
         ),
     )
@@ -91,9 +92,11 @@ def test_covariances_are_those_of_samples() -> None:
 def test_the_weakest_is_the_one_whose_exactness_helps_most() -> None:
     known_lens, sheet, hand_eye = known(np.random.default_rng(4))
     nothing = replace(hand_eye, covariance=1e-6 * hand_eye.covariance, per_lens=0.0 * hand_eye.per_lens)
+    nothing = replace(nothing, by_robot=0.0 * hand_eye.by_robot)
     loose = replace(sheet, covariance=100.0 * sheet.covariance)
     assert certify(known_lens, loose, nothing, POINTS_PX).weakest == LASER
-    certificate = certify(known_lens, sheet, nothing, POINTS_PX, RobotNoise(0.0, 5.0))
+    shaky = 5.0**2 * np.diag([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+    certificate = certify(known_lens, sheet, replace(nothing, covariance=shaky, by_robot=shaky), POINTS_PX)
     assert certificate.weakest == ROBOT
     total = certificate.across_sigma_mm[certificate.worst]
     assert certificate.without(HAND_EYE) == pytest.approx(total, rel=1e-3)
@@ -117,3 +120,14 @@ def test_a_sheet_that_goes_with_the_lens_leaves_depths_alone() -> None:
     )
     moved_mm = np.sqrt(np.trace(certificate.shares_mm2[CAMERA], axis1=1, axis2=2))
     np.testing.assert_allclose(moved_mm, sigma_px * np.linalg.norm(move_per_px, axis=1), rtol=1e-4)
+
+
+def test_the_error_of_a_pose_moves_the_seam_in_base_alone() -> None:
+    """q = T p with T off by a turn about the tool's z and a move: p stays where it is."""
+    known_lens, sheet, hand_eye = known(np.random.default_rng(6))
+    exact = certify(known_lens, sheet, hand_eye, POINTS_PX)
+    certificate = certify(known_lens, sheet, hand_eye, POINTS_PX, RobotNoise(0.01, 0.2))
+    np.testing.assert_array_equal(certificate.covariance_mm2, exact.covariance_mm2)
+    x, y, z = certificate.points_tool_mm.T
+    across_mm2 = 0.2**2 + 0.01**2 * (np.array([y**2 + z**2, x**2 + z**2, x**2 + y**2]))
+    np.testing.assert_allclose(certificate.pose_sigma_mm**2, across_mm2.T)

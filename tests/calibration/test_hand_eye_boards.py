@@ -172,6 +172,8 @@ def test_the_covariance_is_that_of_dense_matrices() -> None:
         w[k, n] * H.T @ W @ a @ P @ b @ W @ H for k, a in enumerate(parts) for n, b in enumerate(parts)
     )
     assert solution.covariance == pytest.approx(C + 2.0 * C @ spread @ C, rel=1e-8)
+    by_corners = C @ H.T @ W @ whole(errors.by_corners) @ W @ H @ C
+    assert solution.by_robot == pytest.approx(solution.covariance - by_corners, rel=1e-8)
 
     def cost(sigma: Float64) -> float:
         V = whole(errors.covariance(sigma))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from arctrack.calibrate.page import CalibrationPage, PagePicture, ValueRow
 from arctrack.report import style
 from arctrack.report.embedded import svg
@@ -27,8 +29,8 @@ COVER = 2.0
 SOURCES = {
     CAMERA: ("lens", "more board images, nearer to the corners and tilted otherwise"),
     LASER: ("laser sheet", "more pairs, with the board nearer to the camera and farther away"),
-    HAND_EYE: ("camera's pose in the tool", "more robot poses, turned farther about all axes"),
-    ROBOT: ("robot's inaccuracy", "a robot that repeats better, or a slower approach"),
+    HAND_EYE: ("camera's pose, by the images", "sharper and larger boards at the robot's poses"),
+    ROBOT: ("camera's pose, by the robot", "more robot poses, turned farther about all axes"),
     DELAY: ("delay of the poses", "`arctrack calibrate delay` on a recording that weaves more"),
 }
 """Sources of the covariance, with what reduces their share."""
@@ -71,8 +73,9 @@ def certificate_page(
         f"{field[:, VERTICAL].min():.0f} to {field[:, VERTICAL].max():.0f} mm in height.",
         f"The largest share is that of the {what}. Were it exact, 1 σ across the seam at the worst point "
         f"would be {rest:.3f} mm in place of {total[worst]:.3f} mm. To get there: {cure}.",
-        "It holds for the seam point in the frame in which the robot states its poses. The tool centre "
+        "It holds for the seam point in the tool, in which a correction is given. The tool centre "
         "point's own calibration, the robot's path accuracy and the reading of a single frame come on top.",
+        *_in_base(certificate),
     )
     return CalibrationPage(
         title=TITLE,
@@ -90,6 +93,19 @@ def certificate_page(
         notes=tuple(notes),
         mark=mark,
         heads=("1 σ lateral / vertical", "at the worst point", "share there"),
+    )
+
+
+def _in_base(certificate: Certificate) -> tuple[str, ...]:
+    """Return what the robot's error adds to a seam in base coordinates; nothing where it is unknown."""
+    pose_mm = COVER * certificate.pose_sigma_mm[certificate.nearest_to_tool]
+    if not pose_mm.any():
+        return ()
+    lateral, vertical = np.hypot(pose_mm, COVER * certificate.sigma_mm[certificate.nearest_to_tool])[1:]
+    return (
+        f"In base coordinates, as of a seam that is stored, the error of the robot's pose comes on top: "
+        f"± {pose_mm[LATERAL]:.2f} mm lateral and ± {pose_mm[VERTICAL]:.2f} mm vertical, together "
+        f"± {lateral:.2f} and ± {vertical:.2f} mm.",
     )
 
 

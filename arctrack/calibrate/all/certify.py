@@ -42,7 +42,7 @@ def certificate_of(
         unmeasured["camera's pose in the tool"] = (
             f"the setup's, within its tolerance: {tolerance.hand_eye_deg:g}°, {tolerance.hand_eye_mm:g} mm"
         )
-        unmeasured["robot's inaccuracy"] = "counts as none: poses with a board tell it"
+        unmeasured["error of the robot's poses"] = "counts as none: poses with a board tell it"
     delay_mm = 0.0
     if "delay" in stages:
         delay: PoseDelay = stages["delay"].result
@@ -83,7 +83,8 @@ def certificate_record(certificate: Certificate, stated: SetupFile) -> Calibrati
     ]
     over = np.column_stack(columns)
     turn2, move2 = linprog(over.sum(axis=0), A_ub=-over, b_ub=-np.ones(len(wanted))).x
-    near = certificate.covariance_mm2[certificate.nearest_to_tool][1:, 1:]
+    n = certificate.nearest_to_tool
+    near = certificate.covariance_mm2[n][1:, 1:]
     return CalibrationValues(
         "tolerance",
         {
@@ -93,6 +94,7 @@ def certificate_record(certificate: Certificate, stated: SetupFile) -> Calibrati
         ("seam_y_mm", "seam_z_mm"),
         near,
         "arctrack calibrate all",
+        {"robot_pose_sigma_mm": [rounded(value, 3) for value in certificate.pose_sigma_mm[n, 1:].tolist()]},
         name="certificate",
     )
 
@@ -105,11 +107,13 @@ def _hand_eye(
     if "hand_eye" not in stages:
         tolerance = stated.setup.tolerance
         sigma = [math.radians(tolerance.hand_eye_deg)] * 3 + [tolerance.hand_eye_mm] * 3
-        return KnownHandEye(pose, np.diag(np.square(sigma)), np.zeros((6, n_lens))), RobotNoise(0.0, 0.0)
+        known = KnownHandEye(pose, np.diag(np.square(sigma)), np.zeros((6, 6)), np.zeros((6, n_lens)))
+        return known, RobotNoise(0.0, 0.0)
     result: HandEyeCalibration = stages["hand_eye"].result
     to_rad = np.array([math.pi / 180.0] * 3 + [1.0] * 3)
-    own = result.own_covariance * np.outer(to_rad, to_rad)
-    known = KnownHandEye(pose, own, to_rad[:, np.newaxis] * result.per_lens)
+    square = np.outer(to_rad, to_rad)
+    own, by_robot = result.own_covariance * square, result.by_robot * square
+    known = KnownHandEye(pose, own, by_robot, to_rad[:, np.newaxis] * result.per_lens)
     return known, RobotNoise(math.radians(result.robot_deg), result.robot_mm)
 
 
