@@ -12,7 +12,7 @@ from arctrack.errors import in_file
 from arctrack.recording import SetupFile
 from arctrack.recording.importing.columns import UNKNOWN_IMAGE, check_all_named
 from arctrack.recording.importing.image_files import ImageSeries
-from arctrack.recording.importing.pose_files import PoseFile, known_names, read_poses
+from arctrack.recording.importing.pose_files import JOINT_NAMES, PoseFile, known_names, read_poses
 from arctrack.recording.importing.units import Units
 from arctrack.recording.poses import can_channel
 from noise_model.compiled.arrays import Float64, Int64
@@ -65,10 +65,12 @@ def read_robot_poses(source: PoseSource, series: ImageSeries, stated: SetupFile)
         series,
         False,
         may_lack=True,
+        with_joints=True,
         can_channel=can_channel(stated.robot),
     )
     if files:
-        check_all_named(source.columns, (*known_names(source.rotation), "time", "frame", "file"), files)
+        known = (*known_names(source.rotation), *JOINT_NAMES[0], "time", "frame", "file")
+        check_all_named(source.columns, known, files)
     if poses.rows is None and len(poses.T_base_tool) != len(series):
         counts = f"{len(poses.T_base_tool)} poses for {len(series)} images"
         raise in_file(source.path, f"has {counts}: add a column file or frame that says which is whose")

@@ -23,11 +23,12 @@ from calibration.camera.lens import ORDERS, TILT
 from calibration.camera.next_board import NextBoard, best_next_board
 from calibration.camera.noise import CornerNoise, fit_robust, fit_scene, robust_noise, wrong_corners
 from calibration.camera.normal_equations import scaled_inverse
-from calibration.camera.order import DistortionScore, choose_distortion, cross_validate
+from calibration.camera.order import DistortionScore, cross_validate
 from calibration.camera.printed import has_distinct_ends, print_sigma_mm
 from calibration.camera.projection import Knowledge, image_grid, rms_sigma
 from calibration.camera.sightings import BoardView, Sightings
 from calibration.camera.start import first_scene, with_better_poses
+from calibration.held_out import choose_leanest
 from calibration.outliers import FALSE_ALARM, MAX_OUTLIER_SHARE
 from calibration.threads import one_thread
 from noise_model.compiled.arrays import Float64
@@ -189,7 +190,7 @@ def fit_lens(
     scores = cross_validate(scene, seen, noise, orders, tilted=tilted, progress=progress)
     known = [each for each in scores if _is_determined(each, seen, noise, distance_mm)] or scores[:1]
     while True:
-        chosen = choose_distortion(known)
+        chosen = choose_leanest(known)
         result = _final_fit(chosen, scores, all_seen, left_out, distance_mm)
         # The last fit knows how the images scatter and how the board is printed: sigmas are wider.
         fault = _fault(result)

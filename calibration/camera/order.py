@@ -1,10 +1,8 @@
 """Choice of the lens' distortion by cross-validation: how well the other boards predict each.
 
 Each board in turn is held out. The others give a lens, the board gets a pose under it and nothing else, and
-its residuals count. The best distortion has the least mean square of them. Taken is the leanest whose mean is
-within one standard error of the best's, of the differences from board to board (Breiman et al.,
-Classification and regression trees, 1984, section 3.4.3), or against which the best has no strong evidence.
-The evidence is the marginal likelihood under the prior on lenses, by Laplace's approximation:
+its residuals count. `held_out` chooses by them, and by the evidence: the marginal likelihood under the prior
+on lenses, by Laplace's approximation.
 
     2 ln Z = -chi² - ln |S| + sum ln precision
 
@@ -26,31 +24,17 @@ from calibration.camera.lens import ORDERS, TILT
 from calibration.camera.noise import CornerNoise
 from calibration.camera.normal_equations import scaled_inverse
 from calibration.camera.sightings import Sightings
-from noise_model.compiled.arrays import Float64
+from calibration.held_out import HeldOutScore
 
 
 @dataclass(frozen=True)
-class DistortionScore:
-    """Cross-validation of a distortion of `ORDERS`.
+class DistortionScore(HeldOutScore):
+    """Cross-validation of a distortion of `ORDERS`: losses are in sigmas; `scene` is that of all boards.
 
-    `loss` (V,) is each board's mean square of residuals over sigma when held out; `log_evidence` is ln Z up
-    to a constant of all distortions; `scene` is that of all boards.
+    The mean loss is 1 if noise were all.
     """
 
-    name: str
-    loss: Float64
-    log_evidence: float
     scene: BoardScene
-
-    @property
-    def mean(self) -> float:
-        """The mean over boards; 1 if noise were all."""
-        return float(self.loss.mean())
-
-    def excess(self, best: DistortionScore) -> tuple[float, float]:
-        """Return the difference of the mean from that of the best, and its standard error."""
-        worse = self.loss - best.loss
-        return float(worse.mean()), float(worse.std(ddof=1) / np.sqrt(len(worse)))
 
 
 def cross_validate(
@@ -75,17 +59,6 @@ def cross_validate(
         if progress is not None:
             progress(n + 1)
     return scores
-
-
-def choose_distortion(scores: list[DistortionScore]) -> DistortionScore:
-    """Return the leanest distortion that predicts as well as the best, or has little less evidence."""
-    best = min(scores, key=lambda each: each.mean)
-    for each in scores:
-        worse, error = each.excess(best)
-        # Odds of e^3 are strong evidence (Kass and Raftery, Bayes factors, 1995, section 3.2).
-        if worse <= error or best.log_evidence - each.log_evidence <= 3.0:
-            return each
-    return best
 
 
 def _score(name: str, whole: BoardScene, seen: Sightings, noise: CornerNoise) -> DistortionScore:

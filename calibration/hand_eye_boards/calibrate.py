@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +13,8 @@ from calibration.camera.adjustment import BoardScene, adjust
 from calibration.camera.enough import UndeterminedError
 from calibration.camera.known_lens import check_corners
 from calibration.camera.sightings import Sightings
-from calibration.hand_eye_boards.chain import Chain
-from calibration.hand_eye_boards.consistent import PoseConsistency, select_consistent_poses
+from calibration.hand_eye_boards.chain import POSES, Chain
+from calibration.hand_eye_boards.consistent import PoseConsistency, best_half, select_consistent_poses
 from calibration.hand_eye_boards.enough import (
     InconsistentError,
     check_count,
@@ -22,8 +22,17 @@ from calibration.hand_eye_boards.enough import (
     check_turns,
     turns_deg,
 )
+from calibration.hand_eye_boards.kinematics import joint_motions
 from calibration.hand_eye_boards.refine import Boards, Refinement, robot_errors, with_warp
+from calibration.hand_eye_boards.robot_error import (
+    NONE,
+    OFFSET_RAD,
+    RobotErrorScore,
+    repeatable_errors,
+    score_robot_errors,
+)
 from calibration.hand_eye_boards.start import first_chain, renumber
+from calibration.held_out import choose_leanest
 from calibration.threads import one_thread
 from noise_model.compiled.arrays import Bool, Float64
 
@@ -47,7 +56,9 @@ class HandEyeCalibration:
     """Calibrated camera pose and its uncertainty.
 
     `lens_covariance` (n, n) is of the lens' parameters as stated, zeros for an exact lens. `off_deg` and
-    `off_mm` (V,) are the errors of each pose used against the common result. `scale` is the board's size by
+    `off_mm` (V,) are the errors of each pose used against the common result. `robot_errors` are the models of
+    the robot's repeatable error that were tried, `robot_error` is the one taken; `joints` are the joints
+    whose offsets were tried, `no_joints` says why joint angles were of no use. `scale` is the board's size by
     the robot's motions over the stated one. `left_out` maps unused poses to the reason.
     """
 
@@ -55,6 +66,10 @@ class HandEyeCalibration:
     lens_covariance: Float64
     off_deg: Float64
     off_mm: Float64
+    robot_errors: list[RobotErrorScore]
+    robot_error: RobotErrorScore
+    joints: tuple[int, ...]
+    no_joints: str | None
     scale: float
     scale_sigma: float
     left_out: dict[str, str]
@@ -124,7 +139,7 @@ class HandEyeCalibration:
     def robot_sigma(self) -> tuple[float, float]:
         """1 sigma of both, deg and mm, by the variances' own: d sigma = d sigma² / (2 sigma)."""
         spread = np.sqrt(np.diag(self.refined.solution.sigma_covariance)) / (
-            2.0 * self.refined.solution.sigma
+            2.0 * self.refined.solution.sigma[:2]
         )
         return math.degrees(spread[0]), float(spread[1])
 
@@ -138,6 +153,14 @@ class HandEyeCalibration:
         """The RMS distance of corners from where the boards' poses put them, px."""
         boards = self.refined.boards
         return boards.scene.rms_px(boards.seen)
+
+    @property
+    def joint_offsets(self) -> tuple[Float64, Float64]:
+        """The offsets (k,) by which true angles of `joints` exceed the stated ones, and 1 sigma, deg."""
+        unit = math.degrees(OFFSET_RAD)
+        offsets = self.refined.chain.coefficients
+        variance = np.diag(self.refined.solution.total)[POSES : POSES + len(offsets)]
+        return unit * offsets, unit * np.sqrt(variance)
 
     @property
     def turns_deg(self) -> Float64:
@@ -157,6 +180,7 @@ def calibrate_hand_eye(
     *,
     is_eye_to_hand: bool = False,
     lens_covariance: Float64 | None = None,
+    joint_rad: Float64 | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> HandEyeCalibration:
     """Calibrate the camera's pose in the tool, or eye to hand in base.
@@ -164,9 +188,9 @@ def calibrate_hand_eye(
     `scene` has the lens, which is held, and the boards' poses from
     `calibration.camera.known_lens.board_poses`; `T_base_tool` (V, 4, 4) are the robot's, mm. Eye to hand, the
     camera stands still and the robot carries the board. Without `lens_covariance` (n, n) the lens counts as
-    exact. `progress` is called with the steps done and their number. Raises UndeterminedError, which names
-    the missing motion, if the poses do not determine the camera, InconsistentError if robot and boards
-    contradict each other.
+    exact. `joint_rad` (V, n) are the robot's joint angles at the poses. `progress` is called with the steps
+    done and their number. Raises UndeterminedError, which names the missing motion, if the poses do not
+    determine the camera, InconsistentError if robot and boards contradict each other.
     """
     tell = progress or (lambda done, total: None)
     check_count(len(T_base_tool), 0)
@@ -181,7 +205,19 @@ def calibrate_hand_eye(
         chain, boards, off_px = _start(chain, boards)
         tell(2, 4)
         try:
-            agreement = select_consistent_poses(chain, boards, root, off_px)
+            agreement = select_consistent_poses(chain, boards, root, best_half(off_px))
+            models, joints, no_joints = _models(T_base_tool, joint_rad)
+            scores = _scores(agreement, models, root)
+            taken = choose_leanest(scores)
+            if taken.name != NONE:
+                F = models[taken.name]
+                chain = replace(
+                    agreement.result.chain,
+                    T_base_tool=T_base_tool,
+                    per_coefficient=F,
+                    coefficients=np.zeros(F.shape[2]),
+                )
+                agreement = select_consistent_poses(chain, boards, root, agreement.kept)
         except np.linalg.LinAlgError:
             raise UndeterminedError(
                 "the poses leave the camera open: add poses in which the robot turns 20 to 40 deg either way "
@@ -195,14 +231,40 @@ def calibrate_hand_eye(
     tell(4, 4)
     off = agreement.result.robot_error
     return HandEyeCalibration(
-        agreement.result,
-        root @ root.T,
-        np.degrees(np.linalg.norm(off[:, :3], axis=1)),
-        np.linalg.norm(off[:, 3:], axis=1),
-        scale,
-        scale_sigma,
-        _left_out(agreement, seen.names),
+        refined=agreement.result,
+        lens_covariance=root @ root.T,
+        off_deg=np.degrees(np.linalg.norm(off[:, :3], axis=1)),
+        off_mm=np.linalg.norm(off[:, 3:], axis=1),
+        robot_errors=scores,
+        robot_error=taken,
+        joints=joints,
+        no_joints=no_joints,
+        scale=scale,
+        scale_sigma=scale_sigma,
+        left_out=_left_out(agreement, seen.names),
     )
+
+
+def _models(
+    T_base_tool: Float64, joint_rad: Float64 | None
+) -> tuple[dict[str, Float64], tuple[int, ...], str | None]:
+    """Return the models of a repeatable error, the joints with offsets, and why joint angles give none."""
+    joints: tuple[int, ...] = ()
+    per_joint, no_joints = None, None
+    if joint_rad is not None:
+        try:
+            joints, per_joint = joint_motions(joint_rad, T_base_tool)
+        except UndeterminedError as error:
+            no_joints = str(error)
+    return repeatable_errors(T_base_tool, per_joint), joints, no_joints
+
+
+def _scores(
+    agreement: PoseConsistency, models: Mapping[str, Float64], lens_root: Float64
+) -> list[RobotErrorScore]:
+    """Return how well each model predicts the boards of the consistent poses."""
+    of_kept = {name: F[agreement.kept] for name, F in models.items()}
+    return score_robot_errors(agreement.result.chain, agreement.result.boards, lens_root, of_kept)
 
 
 def _start(chain: Chain, boards: Boards) -> tuple[Chain, Boards, Float64]:
@@ -311,10 +373,10 @@ def _scale(result: Refinement) -> tuple[float, float]:
     rows = np.concatenate([errors.per_unknown, by_lens, column], axis=2)
     m, n = errors.per_unknown.shape[2], by_lens.shape[2]
     known = np.zeros((m + n + 1,) * 2)
-    known[:m, :m], known[range(m, m + n), range(m, m + n)] = errors.known, 1.0
+    known[:m, :m], known[range(m, m + n), range(m, m + n)] = errors.information(solution.sigma), 1.0
     WR = np.linalg.solve(errors.covariance(solution.sigma), rows)
     information = np.einsum("vim,vin->mn", rows, WR) + known
-    right = np.einsum("vim,vi->m", WR, errors.error) + np.pad(errors.pull, (0, n + 1))
+    right = np.einsum("vim,vi->m", WR, errors.whole_error) + np.pad(errors.pull, (0, n + 1))
     unit = np.zeros(m + n + 1)
     unit[-1] = 1.0
     scale = 1.0 / np.sqrt(np.diag(information))

@@ -9,12 +9,15 @@ board is fixed to: base, or the tool. The robot's pose is off by a small motion 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calibration.rigid import adjoints, inverse, motions
 from noise_model.compiled.arrays import Float64
+
+POSES = 12
+"""The motions of camera and board come first among the unknowns."""
 
 
 @dataclass(frozen=True)
@@ -23,18 +26,27 @@ class Chain:
 
     `T_base_tool` (V, 4, 4) is as the controller reports it, mm. `T_holder_camera` (4, 4) is the camera in the
     tool, `T_mount_board` (4, 4) the board in base; eye to hand, the camera is in base and the board in the
-    tool.
+    tool. A pose has a repeatable error, too: the small motion of the tool `per_coefficient` (V, 6, k) times
+    `coefficients` (k,), rad and mm.
     """
 
     T_base_tool: Float64
     T_holder_camera: Float64
     T_mount_board: Float64
     is_eye_to_hand: bool
+    per_coefficient: Float64 = field(default_factory=lambda: np.zeros((1, 6, 0)))
+    coefficients: Float64 = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def T_base_tool_corrected(self) -> Float64:
+        """The robot's poses (V, 4, 4) without their repeatable error."""
+        return np.asarray(self.T_base_tool @ motions(self.per_coefficient @ self.coefficients))
 
     @property
     def T_holder_mount(self) -> Float64:
         """The robot's pose (V, 4, 4) from what the board is fixed to, to what carries the camera."""
-        return self.T_base_tool if self.is_eye_to_hand else inverse(self.T_base_tool)
+        T = self.T_base_tool_corrected
+        return T if self.is_eye_to_hand else inverse(T)
 
     @property
     def T_camera_board(self) -> Float64:
@@ -42,24 +54,32 @@ class Chain:
         return np.asarray(inverse(self.T_holder_camera) @ self.T_holder_mount @ self.T_mount_board)
 
     def per_unknown(self) -> Float64:
-        """Return derivatives (V, 6, 12) of the board's motion in the camera by the two poses' own motions."""
+        """Return derivatives (V, 6, 12 + k) of the board's motion in the camera.
+
+        They are by the two poses' own motions, and by the coefficients of the repeatable error.
+        """
         T = self.T_camera_board
-        return np.concatenate([np.tile(-np.eye(6), (len(T), 1, 1)), adjoints(T)], axis=2)
+        by_robot = self.per_robot_error() @ self.per_coefficient
+        return np.concatenate([np.tile(-np.eye(6), (len(T), 1, 1)), adjoints(T), by_robot], axis=2)
 
     def per_robot_error(self) -> Float64:
         """Return derivatives (V, 6, 6) of the board's motion in the camera by xi."""
         T_camera_holder = inverse(self.T_holder_camera)
         if self.is_eye_to_hand:
-            return adjoints(T_camera_holder @ self.T_base_tool)
+            return adjoints(T_camera_holder @ self.T_base_tool_corrected)
         return np.tile(-adjoints(T_camera_holder[np.newaxis]), (len(self.T_base_tool), 1, 1))
 
     def moved(self, step: Float64) -> Chain:
-        """Return the chain with both poses moved in their own frames, by (12,)."""
-        camera, board = motions(step.reshape(2, 6))
+        """Return the chain with both poses moved in their own frames, and the coefficients, by (12 + k,)."""
+        camera, board = motions(step[:POSES].reshape(2, 6))
         return replace(
-            self, T_holder_camera=self.T_holder_camera @ camera, T_mount_board=self.T_mount_board @ board
+            self,
+            T_holder_camera=self.T_holder_camera @ camera,
+            T_mount_board=self.T_mount_board @ board,
+            coefficients=self.coefficients + step[POSES:],
         )
 
     def select_views(self, chosen: list[int]) -> Chain:
         """Return the chain of some of the robot's poses."""
-        return replace(self, T_base_tool=self.T_base_tool[chosen])
+        F = self.per_coefficient
+        return replace(self, T_base_tool=self.T_base_tool[chosen], per_coefficient=F[chosen] if F.size else F)

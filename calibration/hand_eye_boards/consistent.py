@@ -1,8 +1,8 @@
 """Selection of consistent poses: a wrong pair of image and pose is found by what the others predict.
 
-The half of the poses that a start explains best is refined. Then those that it predicts within its noise are
-added, and so on until the set no longer changes. The better half makes the noise look smaller than it is: the
-median distance of all poses corrects this.
+The half of the poses that a start explains best (`best_half`) is refined. Then those that it predicts within
+its noise are added, and so on until the set no longer changes. The better half makes the noise look smaller
+than it is: the median distance of all poses corrects this.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import f
 
-from calibration.hand_eye_boards.chain import Chain
+from calibration.hand_eye_boards.chain import POSES, Chain
 from calibration.hand_eye_boards.enough import MIN_POSES
-from calibration.hand_eye_boards.refine import UNKNOWNS, Boards, Refinement, pose_errors, refine
+from calibration.hand_eye_boards.refine import Boards, Refinement, pose_errors, refine
 from calibration.outliers import FALSE_ALARM
 from noise_model.compiled.arrays import Float64
 
@@ -37,25 +37,27 @@ class PoseConsistency:
     robot_error: Float64
 
 
-def select_consistent_poses(
-    chain: Chain, boards: Boards, lens_root: Float64, off_px: Float64
-) -> PoseConsistency:
-    """Return the consistent poses, and their refinement.
+def best_half(off_px: Float64) -> list[int]:
+    """Return the half of the poses that a start explains best; `off_px` (V,) is each board's error."""
+    return sorted(np.argsort(off_px)[: max(len(off_px) // 2 + 1, MIN_POSES)].tolist())
 
-    `lens_root` (n, k) is a root of the lens' covariance, `off_px` (V,) each board's error against the start.
-    Raises numpy.linalg.LinAlgError if the consistent poses do not determine camera and board.
+
+def select_consistent_poses(
+    chain: Chain, boards: Boards, lens_root: Float64, kept: list[int]
+) -> PoseConsistency:
+    """Return the consistent poses, and their refinement, beginning with those `kept`.
+
+    `lens_root` (n, k) is a root of the lens' covariance. Raises numpy.linalg.LinAlgError if the consistent
+    poses do not determine camera and board.
     """
-    count = len(off_px)
-    half = max(count // 2 + 1, MIN_POSES)
-    kept = sorted(np.argsort(off_px)[:half].tolist())
+    count = len(chain.T_base_tool)
     sigma: Float64 | None = None
     for _ in range(MAX_ROUNDS):
         result = refine(chain.select_views(kept), boards.select_views(kept), lens_root, sigma)
         sigma = result.solution.sigma
-        agreement = _assess(
-            kept, result, replace(result.chain, T_base_tool=chain.T_base_tool), boards, lens_root
-        )
-        freedom = max(MOTION * len(kept) - UNKNOWNS - len(sigma), 2)
+        whole = replace(result.chain, T_base_tool=chain.T_base_tool, per_coefficient=chain.per_coefficient)
+        agreement = _assess(kept, result, whole, boards, lens_root)
+        freedom = max(MOTION * len(kept) - POSES - len(chain.coefficients) - len(sigma), 2)
         limit = float(f.isf(FALSE_ALARM / count, MOTION, freedom))
         wider = max(float(np.median(agreement.distance) / f.median(MOTION, freedom)), 1.0)
         agree = np.flatnonzero(agreement.distance < wider * limit).tolist()

@@ -8,9 +8,9 @@ alone would move the board by D^-1 g:
 
     e = eta + D^-1 g
 
-Camera and board follow by least squares of e (`variances`). With W = (M Sigma M')^-1, and K the
-derivatives by camera and board, the boards follow by (D + W) f = g - B' dw + W (K step - eta). The lens
-is held.
+Camera, board and the coefficients of a repeatable error follow by least squares of e (`variances`). With W =
+(M Sigma M')^-1, and K the derivatives by all three, the boards follow by (D + W) f = g - B' dw + W (K step -
+eta). The lens is held.
 """
 
 from __future__ import annotations
@@ -23,16 +23,13 @@ from calibration.camera.adjustment import WARP, BoardScene, adjust, linearise
 from calibration.camera.noise import corner_sigmas_px
 from calibration.camera.normal_equations import NormalEquations
 from calibration.camera.sightings import Sightings
-from calibration.hand_eye_boards.chain import Chain
+from calibration.hand_eye_boards.chain import POSES, Chain
 from calibration.hand_eye_boards.variances import PoseErrors, VarianceSolution, robot_sigma, solve
 from calibration.rigid import inverse, motions, twists
 from noise_model.compiled.arrays import Float64
 
 MAX_ROUNDS, SETTLED_SIGMAS = 20, 1e-3
 """Rounds at most; one that moves nothing by more of its sigmas is the last."""
-
-UNKNOWNS = 12
-"""Camera's and board's motions come first, then the warp."""
 
 
 @dataclass(frozen=True)
@@ -106,10 +103,11 @@ def pose_errors(
     covariance = np.linalg.inv(equations.motion)
     per_shared = covariance @ equations.mixed.transpose(0, 2, 1)
     eta = twists(boards.scene.T_camera_board @ inverse(chain.T_camera_board))
-    known = np.zeros((UNKNOWNS + len(WARP),) * 2)
-    known[UNKNOWNS:, UNKNOWNS:] = equations.information()[n:, n:]
+    unknowns = POSES + len(chain.coefficients)
+    known = np.zeros((unknowns + len(WARP),) * 2)
+    known[unknowns:, unknowns:] = equations.information()[n:, n:]
     pull = np.zeros(len(known))
-    pull[UNKNOWNS:] = equations.view_gradients().sum(axis=0)[n:]
+    pull[unknowns:] = equations.view_gradients().sum(axis=0)[n:]
     errors = PoseErrors(
         error=eta + np.einsum("vij,vj->vi", covariance, equations.gradient_motion),
         by_corners=np.asarray(covariance),
@@ -119,6 +117,8 @@ def pose_errors(
         pull=pull,
         per_lens=np.asarray(per_shared[:, :, :n]),
         lens_root=lens_root,
+        first_coefficient=POSES,
+        coefficients=chain.coefficients,
     )
     return errors, equations, eta
 
@@ -127,12 +127,12 @@ def refine(chain: Chain, boards: Boards, lens_root: Float64, sigma: Float64 | No
     """Return camera, board, warp, boards' poses and the robot's noise of maximum likelihood.
 
     `boards` are from `with_warp`; `lens_root` (n, k) is a root of the lens' covariance, (n, 0) for an exact
-    lens. `sigma` (2,) starts the search for the robot's, rad and mm. Raises numpy.linalg.LinAlgError if the
-    poses do not determine camera and board.
+    lens. `sigma` (2,) or (3,) starts the search for the robot's, rad and mm, and the prior's. Raises
+    numpy.linalg.LinAlgError if the poses do not determine camera and board.
     """
     for _ in range(MAX_ROUNDS):
         errors, equations, eta = pose_errors(chain, boards, lens_root)
-        solution = solve(errors, robot_sigma(errors, sigma))
+        solution = solve(errors, robot_sigma(errors, sigma).sigma)
         sigma = solution.sigma
         chain, boards = _step(chain, boards, equations, eta, errors, solution)
         if (np.abs(solution.step) <= SETTLED_SIGMAS * np.sqrt(np.diag(solution.covariance))).all():
@@ -149,12 +149,12 @@ def _step(
     errors: PoseErrors,
     solution: VarianceSolution,
 ) -> tuple[Chain, Boards]:
-    step, warp = solution.step[:UNKNOWNS], solution.step[UNKNOWNS:]
+    step, warp = solution.step[: -len(WARP)], solution.step[-len(WARP) :]
     spread = errors.covariance(solution.sigma) - errors.by_corners
     W = np.linalg.inv(spread)
     mixed = equations.mixed[:, -len(WARP) :]
     pull = equations.gradient_motion - np.einsum("vmi,m->vi", mixed, warp)
-    pull = pull + np.einsum("vij,vj->vi", W, errors.per_unknown[:, :, :UNKNOWNS] @ step - eta)
+    pull = pull + np.einsum("vij,vj->vi", W, errors.per_unknown[:, :, : -len(WARP)] @ step - eta)
     motion = np.linalg.solve(equations.motion + W, pull[:, :, np.newaxis])[:, :, 0]
     scene = boards.scene
     moved = motions(motion) @ scene.T_camera_board

@@ -19,26 +19,30 @@ parameters in multilevel models, 2013); of many poses its maximum is that of L.
 The covariance of b counts that V is estimated (Kenward and Roger, Small sample inference for fixed
 effects from restricted maximum likelihood, 1997), and so do the degrees of freedom of its intervals
 (Satterthwaite).
+
+Some of b may be coefficients of a repeatable error (`robot_error`), normal about 0. The sigma of that prior
+is estimated along with the robot's.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import minimize
 
 from calibration.camera.normal_equations import scaled_inverse
-from noise_model.compiled.arrays import Float64
+from noise_model.compiled.arrays import Bool, Float64
 
 TURN, PLACE = slice(0, 3), slice(3, 6)
 
-MIN_SIGMAS, MAX_SIGMAS = np.array([math.radians(1e-5), 1e-4]), np.array([math.radians(30.0), 300.0])
-"""Bounds of the robot's sigmas, rad and mm: below them, its noise is none."""
+MIN_SIGMAS = np.array([math.radians(1e-5), 1e-4, 1e-3])
+MAX_SIGMAS = np.array([math.radians(30.0), 300.0, 1e3])
+"""Bounds of the robot's sigmas, rad and mm, and of the prior's: below them, the error is none."""
 
-FIRST = np.array([math.radians(0.03), 0.1])
-"""Start of the search: a common robot, rad and mm."""
+FIRST = np.array([math.radians(0.03), 0.1, 1.0])
+"""Start of the search: a common robot, rad and mm; coefficients are 1 for a common one."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,8 @@ class PoseErrors:
     is D^-1, its covariance from the corners' noise; `per_robot` (V, 6, 6) is M, `per_unknown` (V, 6, m) H,
     `per_lens` (V, 6, n) L. `known` (m, m) is the information within each image (of the board's warp), `pull`
     (m,) its right side. `lens_root` (n, k) is a root of the covariance of l; k is 0 for an exact lens.
+    `coefficients` are the present ones of the robot's repeatable error, `first_coefficient` is the number of
+    the first among the unknowns; they have a prior about 0.
     """
 
     error: Float64
@@ -59,10 +65,28 @@ class PoseErrors:
     pull: Float64
     per_lens: Float64
     lens_root: Float64
+    first_coefficient: int = 0
+    coefficients: Float64 = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def has_prior(self) -> Bool:
+        """True for the unknowns (m,) that are coefficients of the robot's repeatable error."""
+        place = np.arange(self.per_unknown.shape[2]) - self.first_coefficient
+        return np.asarray((place >= 0) & (place < len(self.coefficients)))
+
+    @property
+    def whole_error(self) -> Float64:
+        """The errors (V, 6) with coefficients of 0: a prior holds the whole of them, not their step."""
+        return self.error + self.per_unknown[:, :, self.has_prior] @ self.coefficients
 
     def covariance(self, sigma: Float64) -> Float64:
-        """Return V (V, 6, 6) for the robot's sigma (2,), rad and mm."""
-        return np.asarray(self.by_corners + np.einsum("k,vkij->vij", sigma**2, self.parts()))
+        """Return V (V, 6, 6) for the robot's sigma (2,) or (3,), rad and mm; the last is the prior's."""
+        return np.asarray(self.by_corners + np.einsum("k,vkij->vij", sigma[:2] ** 2, self.parts()))
+
+    def information(self, sigma: Float64) -> Float64:
+        """Return what is known (m, m) within images and, for a third sigma, by the prior."""
+        prior = np.where(self.has_prior, sigma[-1] ** -2.0, 0.0)
+        return np.asarray(self.known + np.diag(prior))
 
     def parts(self) -> Float64:
         """Return the contribution (V, 2, 6, 6) to V of a unit of each of the robot's variances."""
@@ -77,7 +101,7 @@ class PoseErrors:
 
 @dataclass(frozen=True)
 class VarianceSolution:
-    """The unknowns at the robot's sigma (2,), rad and mm.
+    """The unknowns at the robot's sigma (2,), rad and mm, or (3,) with that of the prior.
 
     `step` (m,) is b; `covariance` (m, m) is its own for an exact lens, with small samples allowed for;
     `by_robot` (m, m) is the robot's part of it, all but what the corners' noise makes; `slopes` (2, m, m) are
@@ -107,45 +131,66 @@ class VarianceSolution:
         return np.asarray(2.0 * np.diag(self.total) ** 2 / np.maximum(variance, 1e-300))
 
 
-def robot_sigma(errors: PoseErrors, start: Float64 | None = None) -> Float64:
-    """Return the robot's sigma (2,), rad and mm, of the largest penalised restricted likelihood."""
+@dataclass(frozen=True)
+class RobotLikelihood:
+    """Largest penalised restricted likelihood: the robot's `sigma` (2,) or (3,), and ln L without penalty."""
+
+    sigma: Float64
+    log_likelihood: float
+
+
+def robot_sigma(errors: PoseErrors, start: Float64 | None = None) -> RobotLikelihood:
+    """Return the robot's sigma of the largest penalised restricted likelihood, rad and mm.
+
+    Of errors with coefficients a third sigma is that of their prior.
+    """
     # The lens is marginal, too: its error must not pass for the robot's.
     by_lens = errors.per_lens @ errors.lens_root
-    rows = np.concatenate([errors.per_unknown, by_lens], axis=2)
     m, n = errors.per_unknown.shape[2], by_lens.shape[2]
     known = np.zeros((m + n, m + n))
     known[:m, :m], known[range(m, m + n), range(m, m + n)] = errors.known, 1.0
+    has_prior = errors.has_prior
+    known[:m, :m] += np.diag(has_prior.astype(float))
     pull = np.concatenate([errors.pull, np.zeros(n)])
-    parts = errors.parts()
+    parts, whole = errors.parts(), errors.whole_error[:, :, np.newaxis]
+    n_sigmas = 2 + bool(has_prior.any())
 
     def cost(log_sigma: Float64) -> float:
-        V = errors.by_corners + np.einsum("k,vkij->vij", np.exp(2.0 * log_sigma), parts)
+        sigma = np.exp(log_sigma)
+        V = errors.by_corners + np.einsum("k,vkij->vij", sigma[:2] ** 2, parts)
         lower = np.linalg.cholesky(V)
-        whitened = np.linalg.solve(lower, np.concatenate([rows, errors.error[:, :, np.newaxis]], axis=2))
+        # Coefficients in units of their sigma: the prior is that of unit normals at any sigma.
+        scaled = errors.per_unknown * np.where(has_prior, sigma[-1], 1.0)
+        whitened = np.linalg.solve(lower, np.concatenate([scaled, by_lens, whole], axis=2))
         flat = whitened.reshape(-1, m + n + 1)
         squares = flat.T @ flat
         information, right = squares[:-1, :-1] + known, squares[:-1, -1] + pull
         fitted = float(right @ np.linalg.solve(information, right))
         determinants = 2.0 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
-        likelihood = determinants + float(np.linalg.slogdet(information)[1] + squares[-1, -1]) - fitted
-        return likelihood - 2.0 * float(log_sigma.sum())
+        return determinants + float(np.linalg.slogdet(information)[1] + squares[-1, -1]) - fitted
 
-    bounds = list(zip(np.log(MIN_SIGMAS), np.log(MAX_SIGMAS), strict=True))
-    first = np.log(FIRST if start is None else start.clip(3.0 * MIN_SIGMAS, MAX_SIGMAS / 3.0))
-    result = minimize(cost, first, method="L-BFGS-B", bounds=bounds)
-    return np.asarray(np.exp(result.x))
+    least, most = MIN_SIGMAS[:n_sigmas], MAX_SIGMAS[:n_sigmas]
+    first = FIRST[:n_sigmas] if start is None else start.clip(3.0 * least, most / 3.0)
+    result = minimize(
+        lambda log_sigma: cost(log_sigma) - 2.0 * float(log_sigma[:2].sum()),
+        np.log(first),
+        method="L-BFGS-B",
+        bounds=list(zip(np.log(least), np.log(most), strict=True)),
+    )
+    return RobotLikelihood(np.exp(result.x), -0.5 * cost(result.x))
 
 
 def solve(errors: PoseErrors, sigma: Float64) -> VarianceSolution:
-    """Return the unknowns by generalised least squares at the robot's sigma (2,), rad and mm.
+    """Return the unknowns by generalised least squares at the robot's sigma, as `robot_sigma` has it.
 
     Raises numpy.linalg.LinAlgError if they are not determined.
     """
     H, parts = errors.per_unknown, errors.parts()
     W = np.linalg.inv(errors.covariance(sigma))
     WH = W @ H
-    C = scaled_inverse(np.einsum("vim,vin->mn", H, WH) + errors.known)
-    step = C @ (np.einsum("vim,vi->m", WH, errors.error) + errors.pull)
+    C = scaled_inverse(np.einsum("vim,vin->mn", H, WH) + errors.information(sigma))
+    step = C @ (np.einsum("vim,vi->m", WH, errors.whole_error) + errors.pull)
+    step[errors.has_prior] -= errors.coefficients
     # With P = W - W H C H' W, the information on the variances is tr(P V_k P V_l) / 2.
     WV = np.einsum("vij,vkjl->kvil", W, parts)
     once = np.einsum("kvij,vjm->kvim", WV, WH)

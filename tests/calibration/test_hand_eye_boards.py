@@ -184,7 +184,7 @@ def test_the_covariance_is_that_of_dense_matrices() -> None:
         likelihood = np.linalg.slogdet(V)[1] + np.linalg.slogdet(S)[1] + left @ W @ left
         return float(likelihood - 2.0 * np.log(sigma).sum())
 
-    best = robot_sigma(errors)
+    best = robot_sigma(errors).sigma
     steps = (np.array(factor) for factor in ((1.05, 1.0), (1.0, 1.05), (0.95, 1.0), (1.0, 0.95)))
     assert all(cost(best) <= cost(best * step) + 1e-6 for step in steps)
 

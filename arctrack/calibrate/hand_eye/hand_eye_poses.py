@@ -26,7 +26,8 @@ class PosedBoards:
 
     `scene` and `seen` are of the boards whose robot pose is known: `T_base_tool` (V, 4, 4), mm, of which
     `rows` (V,) are the numbers in `poses`. `lens_covariance` (n, n) is None where the setup keeps none.
-    `T_controllertool_tool` (4, 4) is mm. `left_out` maps unused images to the reason.
+    `T_controllertool_tool` (4, 4) is mm. `joint_rad` (V, joints) is None where the file has no joint angles.
+    `left_out` maps unused images to the reason.
     """
 
     boards: BoardImages
@@ -37,6 +38,7 @@ class PosedBoards:
     poses: PoseFile
     rows: Int64
     T_controllertool_tool: Float64
+    joint_rad: Float64 | None
     left_out: dict[str, str] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
@@ -80,6 +82,7 @@ def read_posed_boards(
         poses=poses.file,
         rows=rows,
         T_controllertool_tool=poses.T_controllertool_tool,
+        joint_rad=None if poses.file.joint_rad is None else poses.file.joint_rad[rows],
         left_out=left_out,
         warnings=[*boards.warnings, *poses.file.warnings, *poses.file.notes],
     )

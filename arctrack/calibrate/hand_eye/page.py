@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,9 +13,17 @@ from arctrack.calibrate.hand_eye.hand_eye_poses import PosedBoards
 from arctrack.calibrate.hand_eye.pictures import excitation, misfits, places, robot_off
 from arctrack.calibrate.page import EXACT_LENS, CalibrationPage, PagePicture, ValueRow, row_of, with_reasons
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration
+from calibration.hand_eye_boards.robot_error import JOINTS, NONE, PLACE, SAG
 from noise_model.setup import Setup
 
 AXES = "xyz"
+
+ERRORS = {
+    NONE: "no repeatable error",
+    JOINTS: "offsets of its joints",
+    SAG: "a tool that gives way as it leans",
+    PLACE: "places that are off by a linear map",
+}
 
 STEP_DEG = 1e-4
 """Step of the derivatives of a rotation vector."""
@@ -35,6 +44,7 @@ def hand_eye_page(
         f"The robot's own error is {result.robot_mm:.3f} ± {result.robot_sigma[1]:.3f} mm and "
         f"{result.robot_deg:.4f} ± {result.robot_sigma[0]:.4f}° about each axis (1 σ). A corner's noise is "
         f"{result.corner_sigma_px:.3f} px.",
+        _repeatable(result),
         f"The poses turn by {turns}° RMS about x, y and z of the {holder}. A turn about one axis tells the "
         "camera's place along the other two.",
     ]
@@ -84,6 +94,19 @@ def hand_eye_page(
     )
 
 
+def _repeatable(result: HandEyeCalibration) -> str:
+    """Return which model of the robot's repeatable error is taken, and how well each predicts a board."""
+    taken = result.robot_error
+    tried = ", ".join(f"{each.rms_mm:.2f} mm with {ERRORS[each.name]}" for each in result.robot_errors)
+    words = f"Predicted by the others, a board's corners are off by {tried} (RMS). "
+    if taken.name == NONE:
+        return words + "No repeatable error of the robot is taken: none predicts boards better beyond doubt."
+    return words + (
+        f"The robot is taken to have {ERRORS[taken.name]}: the camera's pose counts without it, and the "
+        "robot's error above is what is left."
+    )
+
+
 def change(result: HandEyeCalibration, setup: Setup) -> tuple[np.ndarray, np.ndarray]:
     """Return the camera's rotation (3,), deg, and translation (3,), mm, in its own frame."""
     stated = setup.camera.T_tool_camera
@@ -109,10 +132,18 @@ def hand_eye_rows(result: HandEyeCalibration, setup: Setup) -> tuple[ValueRow, .
     for what, key, value, sigma, unit in (
         ("robot's place, each axis", "robot_sigma_mm", result.robot_mm, result.robot_sigma[1], "mm"),
         ("robot's turn, each axis", "robot_sigma_deg", result.robot_deg, result.robot_sigma[0], "deg"),
+        *_offsets(result),
         ("board's size by the robot", "", result.scale, result.scale_sigma, "of that stated"),
     ):
         rows.append(row_of(what, key, value, sigma, unit))
     return tuple(rows)
+
+
+def _offsets(result: HandEyeCalibration) -> Iterator[tuple[str, str, float, float, str]]:
+    """Yield the parts of a row for each joint whose offset is taken."""
+    if result.robot_error.name == JOINTS:
+        for joint, offset, sigma in zip(result.joints, *result.joint_offsets, strict=True):
+            yield f"offset of joint {joint}", "joint_offsets_deg", float(offset), float(sigma), "deg"
 
 
 def _rotation_vector(result: HandEyeCalibration) -> tuple[np.ndarray, np.ndarray]:

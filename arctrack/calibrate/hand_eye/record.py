@@ -9,6 +9,7 @@ from arctrack.recording import CalibrationValues
 from arctrack.recording.calibrated import Value
 from arctrack.recording.toml_text import rounded
 from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration
+from calibration.hand_eye_boards.robot_error import JOINTS
 from noise_model.compiled.arrays import Float64
 
 MADE_BY = "arctrack calibrate hand-eye"
@@ -29,7 +30,12 @@ def hand_eye_record(result: HandEyeCalibration) -> CalibrationValues:
         "corner_sigma_px": rounded(result.corner_sigma_px, 4),
         "robot_sigma_deg": rounded(result.robot_deg, 4),
         "robot_sigma_mm": rounded(result.robot_mm, 4),
+        "robot_error": result.robot_error.name,
+        "held_out_mm": rounded(result.robot_error.rms_mm, 4),
     }
+    if result.robot_error.name == JOINTS:
+        about["joints"] = list(result.joints)
+        about["joint_offsets_deg"] = [rounded(value, 4) for value in result.joint_offsets[0].tolist()]
     if result.lens_covariance.any():
         about["lens_parameters"] = list(lens.names)
         about |= {

@@ -50,6 +50,7 @@ def hand_eye_stage(
             posed.T_base_tool,
             is_eye_to_hand=is_eye_to_hand,
             lens_covariance=posed.lens_covariance,
+            joint_rad=posed.joint_rad,
             progress=steps("fitting the camera's pose", "steps"),
         )
     except UndeterminedError as error:
@@ -62,6 +63,8 @@ def hand_eye_stage(
         if isinstance(error, InconsistentError):
             raise in_file(source.path, f"{error}: {fits if meanings else CHECK}") from None
         raise in_file(source.path, fits if meanings else str(error)) from None
+    if result.no_joints is not None:
+        warn([f"{source.path}: its joint angles are not used: {result.no_joints}"])
     warn(left_out(result.left_out))
     sheet = None if is_eye_to_hand else moved_with_camera(stated, result.T_holder_camera)
     page = hand_eye_page(result, posed, stated.setup, moves_sheet=sheet is not None)

@@ -44,6 +44,13 @@ POSITION_NAMES = tuple(
     (axis, f"pos_{axis}", f"t{axis}", f"actual_tcp_pose_{n}") for n, axis in enumerate("xyz")
 )
 
+JOINTS = range(1, 8)
+JOINT_NAMES = tuple(
+    [f"{stem}{n - 1 if stem == 'actual_q_' else n}" for n in JOINTS]
+    for stem in ("j", "q", "joint_", "joint", "axis_", "a", "rax_", "actual_q_")
+)
+"""Names of the columns of joint angles, set by set; --column takes the first."""
+
 
 @dataclass(frozen=True)
 class PoseFile:
@@ -53,7 +60,8 @@ class PoseFile:
     if the file says it or has no times, -1 for none; `units` as read, for people; `warnings` where they look
     wrong; `rotation` (n, 3) or (n, 4) the numbers of the rotation as the file has them, None of matrices;
     `image_times` what rows say of the images' times where these are from elsewhere; `rotation_columns` the
-    headers of the numbers of the rotation, none of a listing.
+    headers of the numbers of the rotation, none of a listing; `joint_rad` (n, joints) the robot's joint
+    angles, None if the file has none or they were not asked for.
     """
 
     path: Path
@@ -66,6 +74,7 @@ class PoseFile:
     rotation: Float64 | None = None
     image_times: TimeSource | None = None
     rotation_columns: tuple[str, ...] = ()
+    joint_rad: Float64 | None = None
 
 
 def known_names(rotation: str | None) -> tuple[str, ...]:
@@ -99,21 +108,24 @@ def read_pose_table(
     is_timed: bool,
     *,
     may_lack: bool = False,
+    with_joints: bool = False,
 ) -> PoseFile:
     """Return the poses of a CSV file.
 
-    Rows with times are the images' own only if these have no times from elsewhere, `is_timed`.
+    Rows with times are the images' own only if these have no times from elsewhere, `is_timed`. Joint angles
+    are read `with_joints`.
 
     Raises ArctrackError for a column that is missing, a unit that nothing states, numbers that contradict it,
     a rotation that is none, times that do not rise, and as `rows_of_images`.
     """
     place = [columns.need(names) for names in POSITION_NAMES]
     written, turn = _rotation_columns(columns, rotation)
+    joints = _joint_columns(columns, turn) if with_joints else []
     time = columns.find_time()
     frame, file = None, None
     if time is None or not is_timed:
         frame, file = columns.find(FRAME_NAMES), columns.find(FILE_NAMES)
-    parsers: dict[str, Parser] = {column.header: number for column in (*place, *turn)}
+    parsers: dict[str, Parser] = {column.header: number for column in (*place, *turn, *joints)}
     time_parser = TimeParser()
     if time is not None:
         parsers[time.header] = time_parser
@@ -141,6 +153,8 @@ def read_pose_table(
     T_base_tool, warnings = _matrices(
         columns.path, _column_values(table, place), numbers, table.lines, written, units
     )
+    joint_rad, doubts = _joint_angles(columns, joints, table, stated, written)
+    warnings += doubts
     times, rows = None, None
     if time is not None:
         times, more = times_s(columns, table, time, stated, time_parser)
@@ -154,7 +168,7 @@ def read_pose_table(
         image_times = _times_of_images(table.column(named.header), times, series, columns.path)
     spoken = ", ".join(dict.fromkeys(units))
     headers = tuple(column.header for column in turn)
-    more_of_file = tuple(notes), tuple(warnings), numbers, image_times, headers
+    more_of_file = tuple(notes), tuple(warnings), numbers, image_times, headers, joint_rad
     return PoseFile(columns.path, T_base_tool, times, rows, spoken, *more_of_file)
 
 
@@ -261,6 +275,39 @@ def _rotation_columns(columns: CsvColumns, rotation: str | None) -> tuple[Conven
     raise columns.lacks(lost)
 
 
+def _joint_columns(columns: CsvColumns, taken: list[Column]) -> list[Column]:
+    """Return the columns of joint angles in their order, none if there are none; the rotation's are `taken`.
+
+    Raises ArctrackError for a joint that lacks between others.
+    """
+    roles = JOINT_NAMES[0]
+    for names in JOINT_NAMES:
+        by_joint = [columns.find((name,), role) for name, role in zip(names, roles, strict=True)]
+        held = [column for column in by_joint if column is not None and column not in taken]
+        # Four of q1 to q4 are a quaternion; an arm has three joints at the least.
+        if len(held) < (5 if names[0] == "q1" else 3):
+            continue
+        if by_joint[: len(held)] != held:
+            raise columns.lacks(roles[by_joint.index(None)])
+        return held
+    return []
+
+
+def _joint_angles(
+    columns: CsvColumns, joints: list[Column], table: CsvTable, stated: Units, written: Convention
+) -> tuple[Float64 | None, list[str]]:
+    """Return the joint angles (n, joints), rad, None of no columns, and warnings."""
+    if not joints:
+        return None, []
+    units = {columns.unit(column, ANGLE, stated, written.units) for column in joints}
+    if len(units) > 1:
+        headers = f"{joints[0].header} to {joints[-1].header}"
+        raise in_file(columns.path, f"the columns {headers}: joint angles need one unit, deg or rad")
+    (unit,) = units
+    angles = _column_values(table, joints)
+    return angles * factor(ANGLE, unit), _angle_doubts(angles, unit, columns.path)
+
+
 def _column_values(table: CsvTable, columns: list[Column]) -> Float64:
     return np.stack([table.column(column.header) for column in columns], axis=1)
 
@@ -338,11 +385,13 @@ def read_poses(
     is_timed: bool,
     *,
     may_lack: bool = False,
+    with_joints: bool = False,
     can_channel: str | None = None,
 ) -> tuple[PoseFile, list[CsvColumns]]:
     """Return the poses of a table, a listing, matrices or a CAN log, and the columns of a table.
 
-    Where images `may_lack` a pose, their row is -1. `can_channel` is the robot's in a log.
+    Where images `may_lack` a pose, their row is -1. Joint angles of a table are read `with_joints`.
+    `can_channel` is the robot's in a log.
 
     Raises ArctrackError as `read_pose_table` and `read_matrix_poses`.
     """
@@ -361,4 +410,7 @@ def read_poses(
         raise in_file(path, f"holds no pose as {rotation} lists them: give the file that holds the points")
     wanted = ",".join((*known_names(rotation), "and a time, frame or file if there is one"))
     columns = CsvColumns(path, named, wanted)
-    return read_pose_table(columns, rotation, stated, series, is_timed, may_lack=may_lack), [columns]
+    read = read_pose_table(
+        columns, rotation, stated, series, is_timed, may_lack=may_lack, with_joints=with_joints
+    )
+    return read, [columns]
