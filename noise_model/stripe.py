@@ -16,7 +16,10 @@ from noise_model.instrument.laser import (
     Sheet,
     depth_below,
     is_outside_fan,
+    off_sheet,
+    plane_met,
     sheet_at,
+    sheet_in_tool,
     sheet_of,
     sheet_reflected,
 )
@@ -78,9 +81,10 @@ def see_sheet(
         if which[i] != current:
             current = which[i]
             sheet = sheet_at(sheets, current)
-        off = sheet.plane[0] * P[0] + sheet.plane[1] * P[1] + sheet.plane[2] * P[2] + sheet.plane[3]
         # A point past the workpiece is NaN, and near nothing.
-        seen.near[i] = abs(off) < reach * sheet.sigma * abs(depth_below(sheet, P)) / sheet.stand
+        seen.near[i] = (
+            abs(off_sheet(sheet, P)) < reach * sheet.sigma * abs(depth_below(sheet, P)) / sheet.stand
+        )
         seen.shaded[i] = seen.near[i] and (
             is_outside_fan(sheet, P) or not way_is_open(P, sheet.origin, vertices, corrugation)
         )
@@ -137,7 +141,7 @@ def crossed_by_borders(faces: Integers, sheet: SheetReach) -> Bool:
 def stripe_reference(setup: Setup) -> float:
     """Return irradiance f_r cos^4 at the stripe's peak on a flat plate at tool height, middle column.
 
-    It is that of the laser plane's own point (`stripe_point`), whether or not it lies in the image, and in
+    It is that of the laser sheet's own point (`stripe_point`), whether or not it lies in the image, and in
     the fan: where f_r changes over the sheet the peak next to it is higher, by 4e-4 at the nominal setups.
     Raises ValueError if no light goes from there to the camera.
     """
@@ -149,7 +153,7 @@ def stripe_reference(setup: Setup) -> float:
 
 
 def stripe_point(setup: Setup) -> Float64:
-    """Return the intersection of laser plane, plate at tool height and middle column (3,), tool frame, mm.
+    """Return the intersection of laser sheet, plate at tool height and middle column (3,), tool frame, mm.
 
     The middle row it is where the stripe runs along columns. Its plane holds the camera and the ray of the
     image's middle: a lens whose distortion bends the column leaves it slightly off.
@@ -162,7 +166,13 @@ def stripe_point(setup: Setup) -> Float64:
     normal = camera.T_tool_camera[:3, :3] @ normal_camera
     along = cross(laser.plane[:3], (0.0, 0.0, 1.0))
     way = normal @ (camera.T_tool_camera[:3, 3] - laser.point_mm) / (normal @ along)
-    return np.asarray(laser.point_mm + way * along)
+    point = np.asarray(laser.point_mm + way * along)
+    if laser.bow == 0.0:
+        return point
+    level = cross(normal, (0.0, 0.0, 1.0))
+    n_x, n_y, n_z, d = plane_met(sheet_in_tool(laser), point, level)
+    n = np.array([n_x, n_y, n_z])
+    return np.asarray(point - (n @ point + d) / (n @ level) * level)
 
 
 def stripe_depth_mm(setup: Setup) -> float:

@@ -31,7 +31,7 @@ def reflected_sheet_plain(setup: Setup, points: Float64, normals: Float64, T_joi
 def irradiance(points_tool: Float64, normals_tool: Float64, laser: Laser) -> Float64:
     """Return the sheet's irradiance at points (N, 3) mm with unit normals (N, 3), relative to its peak.
 
-    exp(-1/2 |x' / (sigma z/h)|^p) (h/z)^2 cos(theta_i) / cos(psi): x' the distance from the plane, p the
+    exp(-1/2 |x' / (sigma z/h)|^p) (h/z)^2 cos(theta_i) / cos(psi): x' the distance from the sheet, p the
     profile's exponent, z the depth below the origin, h the origin's height, psi the angle of the point's ray
     to the axis, theta_i its incidence. 1 on the axis at tool height for a level plate, 0 beyond the fan's
     end. Hidden points are the caller's to exclude.
@@ -44,7 +44,9 @@ def irradiance(points_tool: Float64, normals_tool: Float64, laser: Laser) -> Flo
     with np.errstate(divide="ignore", invalid="ignore"):
         cos_psi = z / distance
         cos_theta_i = np.sum(towards * normals_tool, axis=-1) / distance
-        x_prime = points_tool @ plane[:3] + plane[3]
+        side = np.cross(plane[:3], [0.0, 0.0, 1.0])
+        across = towards @ (side / np.linalg.norm(side))
+        x_prime = points_tool @ plane[:3] + plane[3] - laser.bow * across**2 / z
         sheet = np.exp(-0.5 * np.abs(x_prime / (laser.stripe_sigma_mm * z / h)) ** laser.profile_exponent)
         value = sheet * (h / z) ** 2 * cos_theta_i / cos_psi
     return np.where((z > 0) & (cos_theta_i > 0) & ~(beyond_fan_mm(points_tool, laser) > 0), value, 0.0)

@@ -20,9 +20,10 @@ from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.scene import scene_along
 from noise_model.arc.table import TO_POWERS
 from noise_model.compiled.arrays import Float32, Float64, Int64
+from noise_model.compiled.kernel import kernel
 from noise_model.effects import acting, apply_setup_effects
 from noise_model.instrument.camera import Intrinsics, Rays
-from noise_model.instrument.laser import Sheet, sheet_in_tool
+from noise_model.instrument.laser import Sheet, plane_met, sheet_in_tool
 from noise_model.instrument.sensor import SensorResponse, dark_part_e2, linearise, saturation_dn, variance_e2
 from noise_model.setup import Setup, require_setup
 from noise_model.stripe import stripe_runs_along_rows
@@ -282,21 +283,31 @@ def dark_variance_at(image: ImageSource, charge_e: Float32 | Float64) -> float:
 
 
 def meet_laser_plane(setup: Setup, origins_tool: Float64, rays_tool: Float64) -> Float64:
-    """Return the places of rays (n, 3) from origins (3,) or (n, 3), mm, in the laser plane, tool frame.
+    """Return the places of rays (n, 3) from origins (3,) or (n, 3), mm, in the laser sheet, tool frame.
 
-    A ray that runs away from the plane gives NaN.
+    A ray that runs away from the sheet gives NaN.
     """
-    plane = setup.laser.plane
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = -(origins_tool @ plane[:3] + plane[3]) / (rays_tool @ plane[:3])
-    t = np.where(t > 0.0, t, np.nan)
-    return np.asarray(origins_tool + t[:, None] * rays_tool)
+    points, rays = np.empty((len(rays_tool), 3)), np.ascontiguousarray(rays_tool)
+    origins = np.require(np.broadcast_to(origins_tool, points.shape), np.float64, ("C", "W"))
+    _meet(sheet_in_tool(setup.laser), origins, rays, points)
+    return points
+
+
+@kernel
+def _meet(sheet: Sheet, origins: Float64, rays: Float64, points: Float64) -> None:
+    """Write where rays (n, 3) from their origins (n, 3) meet the sheet, NaN where they run away from it."""
+    for i in range(rays.shape[0]):
+        o, r = origins[i], rays[i]
+        nx, ny, nz, d = plane_met(sheet, o, r)
+        t = -(o[0] * nx + o[1] * ny + o[2] * nz + d) / (r[0] * nx + r[1] * ny + r[2] * nz)
+        for k in range(3):
+            points[i, k] = o[k] + t * r[k] if t > 0.0 else math.nan
 
 
 def to_laser_plane(setup: Setup, image_points_px: Float64) -> tuple[Float64, Float64]:
-    """Return where image points (n, 2) meet the laser plane, (n, 3) mm, tool frame, and their rays (n, 3).
+    """Return where image points (n, 2) meet the laser sheet, (n, 3) mm, tool frame, and their rays (n, 3).
 
-    A ray that runs away from the plane gives NaN.
+    A ray that runs away from the sheet gives NaN.
     """
     camera = setup.camera
     xy = camera.normalised(image_points_px)

@@ -13,7 +13,7 @@ from noise_model.compiled.kernel import kernel
 from noise_model.compiled.median import exact_median
 from noise_model.compiled.ordering import stable_order
 from noise_model.instrument.camera import Intrinsics, distorted, undistorted
-from noise_model.instrument.laser import plane_in
+from noise_model.instrument.laser import Sheet, plane_met, sheet_in
 from noise_model.surface.faces import ridge
 from noise_model.transforms import inverted
 from tracker.geometry import StripeSource
@@ -51,8 +51,6 @@ MIN_CONTRAST = 0.02
 """Change of a stripe's brightness from line to line without speckle."""
 
 _NOWHERE = np.full(3, math.nan)
-
-Plane = tuple[float, float, float, float]
 
 
 class Section(NamedTuple):
@@ -182,8 +180,7 @@ def triangulate(source: StripeSource, scene: Scene, lines: Float64, edge: EdgeAl
         lens=source.lens,
         along_rows=source.along_rows,
         psf_sigma_px=source.psf_sigma_px,
-        sheet_sigma_mm=source.sheet.sigma,
-        plane_tool=source.sheet.plane,
+        sheet_tool=source.sheet,
         T_joint_tool=scene.T_joint_tool,
         T_joint_camera=scene.T_joint_camera,
         corrugation=scene.shape.corrugation,
@@ -200,8 +197,7 @@ def edge_lines(
     lens: Intrinsics,
     along_rows: bool,
     T_joint_camera: Float64,
-    plane_joint: Plane,
-    sheet_sigma_mm: float,
+    sheet_joint: Sheet,
     edge: EdgeAlongSeam,
     corrugation: Float64,
 ) -> EdgeLines:
@@ -211,11 +207,11 @@ def edge_lines(
     another behind. So it does where the seam runs skewed. Over ridges the edge rises by their slope c': with
     planes next to the sheet, n.p + d = +-sigma, it meets sigma / (n_x + n_z c') before and behind.
     """
-    nx, _, nz, d = plane_joint
+    nx, _, nz, d = plane_met(sheet_joint, (0.0, 0.0, edge.height_mm), (1.0, 0.0, 0.0))
     of_valley, T = -(nz * edge.height_mm + d) / nx, inverted(T_joint_camera)
     x = meet_ridges(of_valley, of_valley, nz / nx, corrugation)
     height, slope = ridge(x, corrugation)
-    along, z = sheet_sigma_mm / (nx + nz * slope), edge.height_mm + height
+    along, z = sheet_joint.sigma / (nx + nz * slope), edge.height_mm + height
     aside = edge.slope_sigma * along
     seen = np.empty((3, 2))
     for k in range(3):
@@ -254,26 +250,24 @@ def _triangulate(
     lens: Intrinsics,
     along_rows: bool,
     psf_sigma_px: float,
-    sheet_sigma_mm: float,
-    plane_tool: Float64,
+    sheet_tool: Sheet,
     T_joint_tool: Float64,
     T_joint_camera: Float64,
     corrugation: Float64,
 ) -> Points:
     """Return the points of scan lines as they lie in the image, in order of y on the whole.
 
-    The camera's ray d from o meets the laser plane n.p + e = 0 in o + t d, t = -(n.o + e) / n.d. With a
+    The camera's ray d from o meets the sheet, there n.p + e = 0, in o + t d, t = -(n.o + e) / n.d. With a
     change of the ray by d' that point moves by t (d' - d (n.d') / (n.d)).
     """
-    plane_joint = plane_in(T_joint_tool, plane_tool)
-    crossed = edge_lines(lens, along_rows, T_joint_camera, plane_joint, sheet_sigma_mm, edge, corrugation)
+    sheet = sheet_in(T_joint_tool, sheet_tool)
+    crossed = edge_lines(lens, along_rows, T_joint_camera, sheet, edge, corrugation)
     possible = math.hypot(crossed.stated, crossed.turned)
     skewed_px = skewed_sigma_px(lines[AMPLITUDE_E], lines[WIDTH_PX], edge.contrast, possible)
     position_px, bias_px, n_lines = lines[CENTRE_PX], lines[BIAS_PX], lines[N_LINES]
     points, n = np.empty((N_ROWS, lines.shape[1])), 0
     R = T_joint_camera
-    nx, ny, nz, e = plane_joint
-    off = nx * R[0, 3] + ny * R[1, 3] + nz * R[2, 3] + e
+    eye = R[0, 3], R[1, 3], R[2, 3]
     for s in range(len(position_px)):
         if math.isnan(position_px[s]) or (n_lines[s] > 1.0 and s % 2 == 1):
             continue
@@ -289,7 +283,8 @@ def _triangulate(
         d_z = R[2, 0] * x + R[2, 1] * y + R[2, 2]
         c_x, c_y = R[0, 0] * x_r + R[0, 1] * y_r, R[1, 0] * x_r + R[1, 1] * y_r
         c_z = R[2, 0] * x_r + R[2, 1] * y_r
-        towards = nx * d_x + ny * d_y + nz * d_z
+        nx, ny, nz, e = plane_met(sheet, eye, (d_x, d_y, d_z))
+        off, towards = nx * eye[0] + ny * eye[1] + nz * eye[2] + e, nx * d_x + ny * d_y + nz * d_z
         # A ray that runs away from the plane meets it nowhere.
         t = -off / towards if towards != 0.0 else -1.0
         if not t > 0.0:

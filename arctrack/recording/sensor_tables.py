@@ -258,3 +258,13 @@ class LaserTable(Table):
         default=None,
         example="30.0",
     )
+    bow: Number = key(
+        "The sheet's bow off its plane: bow u²/z mm along the plane's normal, u mm to either side of the "
+        "fan's axis and z mm below the origin",
+        "",
+        "-0.2 to 0.2",
+        "a calibration. `arctrack calibrate laser` fits it where the boards show one. Check: how far the "
+        "stripe's middle on a flat plate lies off the line through its ends, times the laser's height, over "
+        "the square of half its length.",
+        default=0.0,
+    )

@@ -105,6 +105,7 @@ class RecordingToml(Table):
                 stripe_sigma_mm=self.laser.stripe_sigma_mm,
                 peak_e=self.laser.peak_e,
                 fan_half_angle_deg=self.laser.fan_half_angle_deg,
+                bow=self.laser.bow,
             ),
             joint=joint,
             filter=None if self.filter is None else self.filter.to_filter(),

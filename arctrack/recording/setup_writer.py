@@ -79,7 +79,8 @@ def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
         "laser": {
             name: value
             for name, value in _stated(setup.laser, "profile_exponent").items()
-            if value is not None
+            # A plane needs no bow; a fan without an end no angle.
+            if value is not None and (name, value) != ("bow", 0.0)
         },
         "arc": _stated(setup.arc),
         "material": _stated(setup.material, "lobe"),

@@ -346,7 +346,7 @@ class SimulatedMotion:
             return transform(T_tool_joint, point_joint)
 
         def distance_mm(station_mm: float) -> float:
-            return float(plane[:3] @ point_tool(station_mm) + plane[3])
+            return float(self._setup.laser.off_mm(point_tool(station_mm)))
 
         foot_mm = transform(
             invert(T_tool_joint), np.array([-plane[3] / plane[0] if plane[0] else math.nan, 0.0, 0.0])

@@ -17,6 +17,10 @@ SHEET_REACH = 6.0
 """Half-width of the rendered sheet, in its sigmas: its irradiance has fallen to 1.5e-8 there."""
 
 
+MAX_BOW = 0.5
+"""Largest bow that is no typing error: 30 deg off its axis the fan would stand 10 deg off its plane."""
+
+
 @dataclass(frozen=True)
 class Laser:
     """A sheet of light that fans out from a point along -z of the tool frame.
@@ -37,6 +41,10 @@ class Laser:
     fan_half_angle_deg : float, optional
         Where the fan ends to either side of its axis, the steepest line in the sheet: the angle to it in the
         sheet, deg. There the light falls to 0 at once. Without it the fan is wider than any image.
+    bow : float
+        How far the sheet leaves its plane: on it n.p + d = bow u^2 / z, with u mm across the fan's axis and z
+        mm below the origin along the tool's axis. That is the cone that a line generator makes whose lens
+        is not square to its beam; 0 is the plane.
     profile_exponent : float
         How the irradiance falls off across the sheet: exp(-1/2 abs(x' / sigma)^exponent). A stated laser has
         2, a Gaussian.
@@ -54,6 +62,7 @@ class Laser:
     peak_e: float
     fan_half_angle_deg: float | None = None
     profile_exponent: float = 2.0
+    bow: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("wavelength_nm", "stripe_sigma_mm", "peak_e", "profile_exponent"):
@@ -69,6 +78,8 @@ class Laser:
             raise ValueError("[laser] plane_in_tool: the sheet lies parallel to the plate")
         if not (np.isfinite(self.plane_in_tool).all() and np.isfinite(self.origin_in_tool_mm).all()):
             raise ValueError("[laser] plane_in_tool, origin_in_tool_mm: must be finite")
+        if not abs(self.bow) <= MAX_BOW:
+            raise ValueError(f"[laser] bow = {self.bow}: must lie between -{MAX_BOW:g} and {MAX_BOW:g}")
         if self.fan_half_angle_deg is not None and not 0.0 < self.fan_half_angle_deg < 90.0:
             raise ValueError(
                 f"[laser] fan_half_angle_deg = {self.fan_half_angle_deg}: must lie between 0 and 90"
@@ -77,6 +88,7 @@ class Laser:
     def __str__(self) -> str:
         plane = " ".join(f"{value:g}" for value in self.plane_in_tool)
         fan = "" if self.fan_half_angle_deg is None else f", fan of +-{self.fan_half_angle_deg:g} deg"
+        fan += "" if self.bow == 0.0 else f", bow {self.bow:g}"
         return (
             f"{self.wavelength_nm:g} nm, plane [{plane}] in tool, stripe sigma {self.stripe_sigma_mm:g} mm, "
             f"peak {self.peak_e:g} e-{fan}"
@@ -119,6 +131,23 @@ class Laser:
         slope = math.inf if angle is None else math.tan(math.radians(angle))
         return axis, np.array([-n_y, n_x, 0.0]) / flat, slope
 
+    def off_mm(self, points_tool: Float64) -> Float64:
+        """Return the distance (n,) of points (n, 3) from the sheet along the plane's normal, mm."""
+        off = points_tool @ self.plane[:3] + self.plane[3]
+        if self.bow == 0.0:
+            return np.asarray(off)
+        depth_mm = self.origin_in_tool_mm[2] - points_tool[..., 2]
+        return np.asarray(off - self.bow * self._across_mm(points_tool) ** 2 / depth_mm)
+
+    def normals(self, points_tool: Float64) -> Float64:
+        """Return the normals (n, 3) of the planes that touch the sheet at points (n, 3), tool frame, mm."""
+        q = self._across_mm(points_tool) / (self.origin_in_tool_mm[2] - points_tool[..., 2])
+        side, up = self.fan[1], np.array([0.0, 0.0, 1.0])
+        return self.plane[:3] - self.bow * (2.0 * np.outer(q, side) + np.outer(q**2, up))
+
+    def _across_mm(self, points_tool: Float64) -> Float64:
+        return np.asarray((points_tool - self.origin_mm) @ self.fan[1])
+
 
 @lru_cache
 def _array(values: tuple[float, ...]) -> Float64:
@@ -136,7 +165,8 @@ class Sheet(NamedTuple):
 
     `plane` (4,) is n.p + d = 0 and `tool_up` (3,) the tool's z axis; `sigma` the sheet's half-thickness at
     tool height and `stand` the height of its `origin` (3,) over it. `axis`, `side` (3,) and `slope` are the
-    laser's `fan`, `exponent` its profile's. Of several poses all arrays have one more axis before.
+    laser's `fan`, `exponent` its profile's, `bow` how far it leaves the plane. Of several poses all arrays
+    have one more axis before.
     """
 
     origin: Float64
@@ -148,6 +178,7 @@ class Sheet(NamedTuple):
     side: Float64
     slope: float
     exponent: float
+    bow: float
 
 
 @kernel
@@ -182,6 +213,7 @@ def sheet_in(T_a_b: Float64, sheet_b: Sheet) -> Sheet:
         side=side,
         slope=there.slope,
         exponent=there.exponent,
+        bow=there.bow,
     )
 
 
@@ -200,6 +232,7 @@ def sheet_in_tool(laser: Laser) -> Sheet:
         side=side,
         slope=slope,
         exponent=exponent,
+        bow=laser.bow,
     )
 
 
@@ -223,6 +256,7 @@ def sheets_of(laser: Laser, T_joint_tool: Float64) -> Sheet:
         side=R @ side,
         slope=slope,
         exponent=laser.profile_exponent,
+        bow=laser.bow,
     )
 
 
@@ -239,6 +273,7 @@ def sheet_at(sheets: Sheet, n: int) -> Sheet:
         side=sheets.side[n],
         slope=sheets.slope,
         exponent=sheets.exponent,
+        bow=sheets.bow,
     )
 
 
@@ -248,6 +283,55 @@ def depth_below(sheet: Sheet, Q: Vector) -> float:
     up, origin = sheet.tool_up, sheet.origin
     depth: float = (origin[0] - Q[0]) * up[0] + (origin[1] - Q[1]) * up[1] + (origin[2] - Q[2]) * up[2]
     return depth
+
+
+@kernel(inline=True)
+def off_sheet(sheet: Sheet, Q: Vector) -> float:
+    """Return the distance of a point from the sheet along the plane's normal, mm."""
+    plane = sheet.plane
+    off: float = plane[0] * Q[0] + plane[1] * Q[1] + plane[2] * Q[2] + plane[3]
+    if sheet.bow != 0.0:
+        side, origin = sheet.side, sheet.origin
+        u = side[0] * (Q[0] - origin[0]) + side[1] * (Q[1] - origin[1]) + side[2] * (Q[2] - origin[2])
+        off -= sheet.bow * u * u / depth_below(sheet, Q)
+    return off
+
+
+@kernel
+def tangent_plane(sheet: Sheet, Q: Vector) -> tuple[float, float, float, float]:
+    """Return the plane (n_x, n_y, n_z, d) that touches the sheet on the laser's ray through a point.
+
+    With q = u / z at the point, the gradient of bow u^2 / z is bow (2 q side + q^2 up), the same along the
+    ray. At another q' the sheet lies bow (q' - q)^2 z off that plane. Without a bow it is the sheet's own.
+    """
+    plane, origin, side, up = sheet.plane, sheet.origin, sheet.side, sheet.tool_up
+    nx, ny, nz, d = plane[0], plane[1], plane[2], plane[3]
+    if sheet.bow != 0.0:
+        u = side[0] * (Q[0] - origin[0]) + side[1] * (Q[1] - origin[1]) + side[2] * (Q[2] - origin[2])
+        q = u / depth_below(sheet, Q)
+        a, b = 2.0 * sheet.bow * q, sheet.bow * q * q
+        gx, gy, gz = a * side[0] + b * up[0], a * side[1] + b * up[1], a * side[2] + b * up[2]
+        nx, ny, nz = nx - gx, ny - gy, nz - gz
+        d += gx * origin[0] + gy * origin[1] + gz * origin[2]
+    return nx, ny, nz, d
+
+
+@kernel
+def plane_met(sheet: Sheet, start: Vector, way: Vector) -> tuple[float, float, float, float]:
+    """Return the plane (n_x, n_y, n_z, d) that touches the sheet where a line from a start meets it.
+
+    The line meets the sheet where it meets that plane: two of Newton's steps from the sheet's own plane,
+    bow q^2 z off. At an angle a to the sheet the first leaves bow^3 q^4 z / sin^2 a, the second
+    bow^7 q^8 z / sin^6 a: 5e-5 mm for a bow of 0.15, 30 deg off the fan's axis, at 45 deg and 300 mm.
+    """
+    met = sheet.plane[0], sheet.plane[1], sheet.plane[2], sheet.plane[3]
+    if sheet.bow != 0.0:
+        for _ in range(2):
+            n_x, n_y, n_z, d = met
+            t = -(n_x * start[0] + n_y * start[1] + n_z * start[2] + d)
+            t /= n_x * way[0] + n_y * way[1] + n_z * way[2]
+            met = tangent_plane(sheet, (start[0] + t * way[0], start[1] + t * way[1], start[2] + t * way[2]))
+    return met
 
 
 @kernel(inline=True)
@@ -266,7 +350,7 @@ def sheet_reflected(
     """Return the sheet's light that Q reflects along `omega_r`: its irradiance over the peak's, times f_r.
 
     The irradiance is exp(-1/2 |x' / (sigma z/h)|^p) (h/z)^2 cos(theta_i) / cos(psi): x' the distance from the
-    plane, p the profile's exponent, z the depth below the origin, h the origin's height, psi the angle of the
+    sheet, p the profile's exponent, z the depth below the origin, h the origin's height, psi the angle of the
     point's ray to the tool's axis, theta_i its incidence; 1 on the axis at tool height for a level plate.
     It is 0 more than `reach` sigmas of the sheet away, and beyond the fan's end. Hidden points are the
     caller's to exclude.
@@ -279,8 +363,7 @@ def sheet_reflected(
     # A point past the workpiece is NaN, and dark.
     if not (depth > 0.0 and cos_i > 0.0):
         return 0.0
-    off = sheet.plane[0] * Q[0] + sheet.plane[1] * Q[1] + sheet.plane[2] * Q[2] + sheet.plane[3]
-    off /= sheet.sigma * depth / sheet.stand
+    off = off_sheet(sheet, Q) / (sheet.sigma * depth / sheet.stand)
     if abs(off) > reach or is_outside_fan(sheet, Q):
         return 0.0
     power = off * off if sheet.exponent == 2.0 else abs(off) ** sheet.exponent

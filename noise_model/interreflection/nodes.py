@@ -20,7 +20,7 @@ from typing import NamedTuple
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.compiled.arrays import Float64
 from noise_model.compiled.kernel import kernel
-from noise_model.instrument.laser import depth_below
+from noise_model.instrument.laser import depth_below, tangent_plane
 from noise_model.interreflection.first_bounce import Place, sees
 from noise_model.interreflection.scratch import PSI_KNOTS, X_KNOTS, Y_KNOTS, Scratch
 from noise_model.surface.faces import face_point, ridge, slanted, strip
@@ -126,19 +126,20 @@ def stripe_at(k: Place, face: int, s: float) -> tuple[float, float]:
     """
     y_0, z_0, ty, tz, _ = strip(face, k.vertices)
     y, z = y_0 + s * ty, z_0 + s * tz
-    n_x, n_z = k.sheet.plane[0], k.sheet.plane[2]
-    at_zero = k.sheet.plane[1] * y + n_z * z + k.sheet.plane[3]
+    n_x, n_y, n_z, d = k.sheet.plane[0], k.sheet.plane[1], k.sheet.plane[2], k.sheet.plane[3]
     if abs(n_x) < MIN_SLOPE:
         return math.nan, math.nan
-    x = -at_zero / n_x
+    x = -(n_y * y + n_z * z + d) / n_x
     climb = n_x
     c = 0.0
     for _ in range(12):
         c, slope = ridge(x, k.corrugation)
+        if k.sheet.bow != 0.0:
+            n_x, n_y, n_z, d = tangent_plane(k.sheet, (x, y, z + c))
         climb = n_x + n_z * slope
         if abs(climb) < MIN_SLOPE:
             return math.nan, math.nan
-        x -= (n_x * x + n_z * c + at_zero) / climb
+        x -= (n_x * x + n_z * c + (n_y * y + n_z * z + d)) / climb
     depth = depth_below(k.sheet, (x, y, z + c))
     return x, k.sheet.sigma * depth / k.sheet.stand / abs(climb)
 

@@ -123,7 +123,11 @@ def _fan(setup: Setup, scene: Scene) -> tuple[Float64, Float64, Float64]:
     T_joint_fan[0, :3, 3] = origin
     points, normals = np.empty((FAN_RAYS, 3)), np.empty((FAN_RAYS, 3))
     faces = np.empty(FAN_RAYS, dtype=np.int32)
-    rays = np.column_stack([s, np.zeros(FAN_RAYS)])
+    # As far off the plane as the sheet is, see `Laser.bow`.
+    off = np.zeros(FAN_RAYS)
+    for _ in range(3):
+        off = setup.laser.bow * s**2 / (-axis[2] - off * setup.laser.plane[2])
+    rays = np.column_stack([s, off])
     shape = scene.shape
     trace(
         xy=rays,
@@ -165,7 +169,7 @@ def _look(setup: Setup, scene: Scene, points: Float64, normals: Float64) -> _Str
     T_camera_joint = invert(scene.T_joint_camera)
     axis = 1 if stripe_runs_along_rows(setup) else 0
     R, eye = scene.T_joint_camera[:3, :3], np.ascontiguousarray(scene.T_joint_camera[:3, 3])
-    plane = scene.T_joint_tool[:3, :3] @ laser.plane[:3]
+    plane = laser.normals(transform(invert(scene.T_joint_tool), points)) @ scene.T_joint_tool[:3, :3].T
     ahead = transform(T_camera_joint, points)
     in_front = ahead[:, 2] > 1.0
     ahead[~in_front] = [0.0, 0.0, 1.0]
@@ -183,7 +187,7 @@ def _look(setup: Setup, scene: Scene, points: Float64, normals: Float64) -> _Str
         in_plane = np.cross(plane, scan_plane)
         moves = in_plane / slides(in_plane)[:, axis, np.newaxis]
         on_face = np.cross(normals, scan_plane)
-        on_face /= (on_face @ plane)[:, np.newaxis]
+        on_face /= np.sum(on_face * plane, axis=1)[:, np.newaxis]
         along = np.cross(plane, normals)
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         slide = slides(np.nan_to_num(along))

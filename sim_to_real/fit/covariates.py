@@ -12,9 +12,9 @@ import numpy.typing as npt
 from noise_model.compiled.arrays import Bool, Float32, Float64, Int32, Integers
 from noise_model.effects import apply_setup_effects
 from noise_model.instrument.camera import Rays
-from noise_model.instrument.laser import plane_in
 from noise_model.setup import Setup
 from noise_model.surface.joint import SurfaceSection, corrugation_height
+from noise_model.transforms import invert, transform
 from noise_model.view import View
 from sim_to_real.data.binned import STRATA, ObservedFrame, ObservedRecording
 from sim_to_real.fit.gauss_newton import Refit
@@ -162,7 +162,6 @@ def _of_surface(view: View) -> dict[str, Float64]:
     cos_i, cos_r = np.sum(omega_i * normals, axis=1), np.sum(omega_r * normals, axis=1)
     half = omega_i + omega_r
     cos_half = np.sum(half * normals, axis=1) / np.linalg.norm(half, axis=1)
-    *to_sheet, offset_mm = plane_in(view.scene.T_joint_tool, view.setup.laser.plane)
     # The azimuth between the view and the mirrored arc, both laid into the face.
     ahead, seen = cos_i[:, None] * normals - omega_i, omega_r - cos_r[:, None] * normals
     length = np.linalg.norm(ahead, axis=1) * np.linalg.norm(seen, axis=1)
@@ -174,7 +173,7 @@ def _of_surface(view: View) -> dict[str, Float64]:
         "phi_r": _degrees(cos_phi),
         "half_angle": _degrees(cos_half),
         "concavity": concavity(points, normals, view.scene.shape),
-        "beside_sheet": points @ np.array(to_sheet) + offset_mm,
+        "beside_sheet": view.setup.laser.off_mm(transform(invert(view.scene.T_joint_tool), points)),
     }
 
 

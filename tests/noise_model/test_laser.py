@@ -8,7 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sheet_twin import irradiance
 
-from noise_model.instrument.laser import Laser, plane_in, sheet_of, sheet_reflected
+from noise_model.instrument.laser import (
+    Laser,
+    plane_in,
+    plane_met,
+    sheet_in_tool,
+    sheet_of,
+    sheet_reflected,
+    tangent_plane,
+)
 from noise_model.surface.brdf import TABLE_1, lobe_numbers
 from noise_model.transforms import pose_matrix, transform
 
@@ -122,6 +130,8 @@ def test_dark_from_behind_and_above(point, normal):
         ("fan_half_angle_deg", 0.0),
         ("fan_half_angle_deg", 90.0),
         ("fan_half_angle_deg", math.nan),
+        ("bow", 0.6),
+        ("bow", math.nan),
     ],
 )
 def test_a_laser_that_cannot_be_names_its_key(key, value):
@@ -152,3 +162,33 @@ def test_the_point_below_the_laser_lies_on_its_plane_at_tool_height(lean_deg):
     assert point[2] == 0.0
     below = np.array([*laser.origin_in_tool_mm[:2], 0.0])
     np.testing.assert_allclose(np.cross(point - below, [*normal[:2], 0.0]), 0.0, atol=1e-12)
+
+
+BOWED = dataclasses.replace(LASER, plane_in_tool=(0.96, 0.0, 0.28, -72.8), bow=0.15)
+
+
+def test_a_bowed_sheet_is_a_cone_about_its_origin():
+    """Sideways on a plate it leaves its plane by a parabola; it holds whole rays of the laser."""
+    level = BOWED.point_mm + np.outer(np.linspace(-60.0, 60.0, 7), [0.0, 1.0, 0.0])
+    np.testing.assert_allclose(BOWED.off_mm(level), -0.15 * level[:, 1] ** 2 / 140.0, atol=1e-12)
+    on = [35.0, 0.0, 140.0] + 140.0 * np.array([0.0, 0.5, -1.0])
+    on[0] -= float(BOWED.off_mm(on)) / 0.96
+    along = BOWED.origin_mm + np.outer([0.3, 1.0, 2.0], on - BOWED.origin_mm)
+    np.testing.assert_allclose(BOWED.off_mm(along), 0.0, atol=1e-12)
+
+
+@given(st.floats(-0.5, 0.5), st.floats(-0.6, 0.6), st.floats(-30.0, 30.0), st.floats(-0.2, 0.2))
+def test_a_ray_meets_a_bowed_sheet(x, y, height_mm, bow):
+    laser = dataclasses.replace(BOWED, bow=bow)
+    sheet, eye, way = (
+        sheet_in_tool(laser),
+        np.array([-60.0, 5.0, 150.0 + height_mm]),
+        np.array([x + 0.8, y, -1.0]),
+    )
+    *normal, d = plane_met(sheet, eye, way)
+    met = eye - (normal @ eye + d) / (normal @ way) * way
+    assert float(laser.off_mm(met)) == pytest.approx(0.0, abs=1e-3)
+    touching = tangent_plane(sheet, met)
+    np.testing.assert_allclose(touching[:3], laser.normals(met[np.newaxis])[0], atol=1e-12)
+    gradient = [(laser.off_mm(met + step) - laser.off_mm(met - step)) / 2e-3 for step in 1e-3 * np.eye(3)]
+    np.testing.assert_allclose(touching[:3], gradient, atol=1e-6)

@@ -46,13 +46,15 @@ TILTED = (*DISTORTED, 0.05, -0.02, 0.01, 0.001, -0.002, 5e-4, 0.001, 0.05, -0.03
 
 
 @pytest.mark.parametrize(
-    ("upright", "distortion"), [(False, PLAIN), (True, PLAIN), (False, DISTORTED), (False, TILTED)]
+    ("upright", "distortion", "bow"),
+    [(False, PLAIN, 0.3), (True, PLAIN, 0.0), (False, DISTORTED, 0.0), (False, TILTED, -0.15)],
 )
 @pytest.mark.parametrize("joint", ["v_groove", "lap", "corrugation"])
 def test_it_lies_where_the_forward_model_draws_it(
-    joint: str, upright: bool, distortion: tuple[float, ...]
+    joint: str, upright: bool, distortion: tuple[float, ...], bow: float
 ) -> None:
     setup = small_setup(joint, upright=upright)
+    setup = replace(setup, laser=replace(setup.laser, bow=bow))
     setup = replace(setup, camera=replace(setup.camera, distortion=distortion))
     geometry = SensorGeometry.of(setup)
     assert geometry.along_rows is not upright

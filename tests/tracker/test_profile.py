@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from noise_model.arc.scene import Scene, make_scene
 from noise_model.compiled.arrays import Float64
 from noise_model.compiled.ordering import stable_order
-from noise_model.instrument.laser import plane_in
+from noise_model.instrument.laser import sheet_in
 from noise_model.surface.faces import ridge
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, transform
@@ -39,16 +39,18 @@ from tracker.stripe.light import EdgeLines
 DISTORTION = (-0.12, 0.03, 0.001, -0.002, 0.0)
 
 
-def distorted(upright: bool) -> SensorGeometry:
+def distorted(upright: bool, bow: float = 0.0) -> SensorGeometry:
     setup = small_setup("v_groove", upright=upright)
+    setup = replace(setup, laser=replace(setup.laser, bow=bow))
     return SensorGeometry.of(replace(setup, camera=replace(setup.camera, distortion=DISTORTION)))
 
 
+@pytest.mark.parametrize("bow", [0.0, 0.15])
 @pytest.mark.parametrize("upright", [False, True])
-def test_points_of_the_sheet_come_back(upright: bool) -> None:
-    geometry = distorted(upright)
-    y, z = np.meshgrid(np.linspace(-8.0, 8.0, 9), np.linspace(-5.0, 3.0, 5))
-    points_tool = np.column_stack([np.full(y.size, 35.0), y.ravel(), z.ravel()])
+def test_points_of_the_sheet_come_back(upright: bool, bow: float) -> None:
+    geometry = distorted(upright, bow)
+    y, z = (each.ravel() for each in np.meshgrid(np.linspace(-8.0, 8.0, 9), np.linspace(-5.0, 3.0, 5)))
+    points_tool = np.column_stack([35.0 + bow * y**2 / (140.0 - z), y, z])
     camera = geometry.setup.camera
     found, _ = to_laser_plane(
         geometry.setup, camera.project(transform(invert(camera.T_tool_camera), points_tool))
@@ -156,8 +158,7 @@ def lines_over(geometry: SensorGeometry, scene: Scene, edge: EdgeAlongSeam) -> E
         source.lens,
         source.along_rows,
         scene.T_joint_camera,
-        plane_in(scene.T_joint_tool, source.sheet.plane),
-        source.sheet.sigma,
+        sheet_in(scene.T_joint_tool, source.sheet),
         edge,
         scene.shape.corrugation,
     )

@@ -35,16 +35,17 @@ from tracker.tracker_state import TrackerMemory
 SEAM = SeamLine(20.0, 1.2, -0.6, 0.03, -0.02)
 
 
+@pytest.mark.parametrize("bow", [0.0, -0.15])
 @pytest.mark.parametrize("joint", ["v_groove", "corrugation"])
 @given(y=st.floats(-5.0, 5.0), z=st.floats(-3.0, 3.0), x=st.floats(-20.0, 20.0))
-def test_the_seam_meets_the_sheet(joint: str, y: float, z: float, x: float) -> None:
+def test_the_seam_meets_the_sheet(joint: str, y: float, z: float, x: float, bow: float) -> None:
     setup = small_setup(joint)
+    setup = replace(setup, laser=replace(setup.laser, bow=bow))
     scene = make_scene(setup, pose_at(x, 0.5, -0.5, (1.0, -2.0, 4.0)).T_base_tool, SEAM)
     point = np.array(
         seam_point(SeamSource.of(setup), scene.T_joint_tool.tolist(), scene.shape.corrugation, y, z)
     )
-    plane = np.asarray(setup.laser.plane_in_tool)
-    assert plane[:3] @ point + plane[3] == pytest.approx(0.0, abs=1e-8)
+    assert float(setup.laser.off_mm(point)) == pytest.approx(0.0, abs=1e-8)
     station, *beside = transform(scene.T_joint_tool, point)
     height = z + float(corrugation_height(station, scene.shape.corrugation))
     assert beside == pytest.approx([y, height], abs=1e-8)

@@ -31,7 +31,7 @@ from noise_model.arc.scene import Scene
 from noise_model.compiled.arrays import Bool, Float64, Int64, Integers
 from noise_model.compiled.kernel import kernel
 from noise_model.compiled.median import exact_median
-from noise_model.instrument.laser import plane_in
+from noise_model.instrument.laser import plane_met, sheet_in
 from noise_model.robust import MAD_SIGMA
 from noise_model.transforms import invert, transform
 from tracker.geometry import SensorGeometry
@@ -165,7 +165,8 @@ def _expected_slopes(
 
     Slopes are scan lines a pixel of distance from the stripe. None where it is not seen to cross the stripe.
     """
-    nx, _, _, d = plane_in(scene.T_joint_tool, geometry.setup.laser.plane)
+    sheet = sheet_in(scene.T_joint_tool, geometry.stripe_source.sheet)
+    nx, _, _, d = plane_met(sheet, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     # The line's direction may be off the expected seam's by so much.
     turn = math.radians(10.0) * np.array([-1.0, -1.0, 1.0, 1.0])
     along = ALONG_MM * np.array([-1.0, 1.0, -1.0, 1.0])

@@ -14,6 +14,7 @@ import numpy as np
 from noise_model.arc.scene import Scene, SceneSource
 from noise_model.compiled.arrays import Float64, Vector
 from noise_model.compiled.kernel import kernel
+from noise_model.instrument.laser import Sheet, sheet_in_tool, tangent_plane
 from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
 from noise_model.surface.joint import nearest_segment, seam_height_mm, section
@@ -25,15 +26,16 @@ MAX_STEPS, MET_MM = 80, 1e-9
 
 Point = Sequence[float]
 Matrix = Sequence[Sequence[float]]
+Plane = tuple[float, float, float, float]
 
 
 class SeamSource(NamedTuple):
     """Part of the seam that a setup fixes.
 
     `scene` is of its scenes. `T_base_joint` and `T_joint_base` (4, 4) are of the nominal line's segments,
-    `ends_mm` its ends' stations in the frame of each. `origin_mm` and `plane` are the laser's, `ahead_mm` is
-    where its sheet is at tool height, all in the tool frame. `height_mm` is the seam point's over the
-    reference surface; `tolerance` are the hand-eye's 1 sigmas, rad and mm, `weld_mm` is the weld's.
+    `ends_mm` its ends' stations in the frame of each. `origin_mm`, `plane` and `sheet` are the laser's,
+    `ahead_mm` is where its sheet is at tool height, all in the tool frame. `height_mm` is the seam point's
+    over the reference surface; `tolerance` are the hand-eye's 1 sigmas, rad and mm, `weld_mm` is the weld's.
     """
 
     scene: SceneSource
@@ -41,7 +43,8 @@ class SeamSource(NamedTuple):
     T_joint_base: tuple[Float64, ...]
     ends_mm: tuple[tuple[float, float], ...]
     origin_mm: Point
-    plane: tuple[float, float, float, float]
+    plane: Plane
+    sheet: Sheet
     ahead_mm: Point
     height_mm: float
     tolerance: tuple[float, float]
@@ -59,11 +62,19 @@ class SeamSource(NamedTuple):
             ends_mm=tuple(nominal_ends(scene.segments, k) for k in range(len(frames))),
             origin_mm=laser.origin_mm.tolist(),
             plane=tuple(laser.plane.tolist()),
+            sheet=sheet_in_tool(laser),
             ahead_mm=laser.point_mm.tolist(),
             height_mm=seam_height_mm(setup.joint),
             tolerance=(math.radians(tolerance.hand_eye_deg), tolerance.hand_eye_mm),
             weld_mm=tolerance.seam_mm,
         )
+
+    def plane_at(self, point_tool_mm: Point) -> Plane:
+        """Return the plane that touches the sheet at a point (3,) of it, tool frame."""
+        if self.sheet.bow == 0.0:
+            return self.plane
+        x, y, z = point_tool_mm
+        return tangent_plane(self.sheet, (x, y, z))
 
     def segment_near(self, point_base_mm: Point) -> int:
         """Return the number of the segment nearest to a point (3,) of base."""
@@ -105,7 +116,17 @@ def seam_point(source: SeamSource, T: Matrix, corrugation: Float64, y: float, z:
     `z` counts from a corrugation's own height, which is added at the station that is found. `T` is
     T_joint_tool.
     """
-    n_x, n_y, n_z, n_d = source.plane
+    point = _meet_plane(source, source.plane, T, corrugation, y, z)
+    # As a ray meets it, see `plane_met`.
+    for _ in range(2 if source.sheet.bow != 0.0 else 0):
+        point = _meet_plane(source, source.plane_at(point), T, corrugation, y, z)
+    return point
+
+
+def _meet_plane(
+    source: SeamSource, plane: Plane, T: Matrix, corrugation: Float64, y: float, z: float
+) -> list[float]:
+    n_x, n_y, n_z, n_d = plane
     (a, b, c, u), (d, e, f, v), (g, h, k, w), _ = T
     nx, ny, nz = a * n_x + b * n_y + c * n_z, d * n_x + e * n_y + f * n_z, g * n_x + h * n_y + k * n_z
     x = -(ny * y + nz * z + (n_d - nx * u - ny * v - nz * w)) / nx
@@ -186,7 +207,7 @@ def locate(
     station, y, z = moved_by(T_nominal_tool.tolist(), point)
     height = source.height_mm + ridge_mm(station, corrugation)
     seam_mm, T_tool_camera = (px, py, pz), source.scene.T_tool_camera
-    moves = moved_variance(T_tool_camera, source.plane, T_nominal_tool, seam_mm, source.tolerance)
+    moves = moved_variance(T_tool_camera, source.plane_at(point), T_nominal_tool, seam_mm, source.tolerance)
     return LocatedSeam(seam_mm, station, (y, z - height), moves)
 
 

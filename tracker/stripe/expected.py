@@ -11,7 +11,7 @@ from noise_model.arc.scene import Scene
 from noise_model.compiled.arrays import Bool, Float64, Int64
 from noise_model.compiled.kernel import kernel
 from noise_model.instrument.camera import undistorted
-from noise_model.instrument.laser import Sheet, sheet_in
+from noise_model.instrument.laser import Sheet, plane_met, sheet_in
 from noise_model.surface.faces import ridge, slope_across
 from noise_model.surface.joint import EDGE_STANDS_MM
 from tracker.geometry import SensorGeometry, StripeSource
@@ -94,7 +94,7 @@ def _lifted(vertices: Float64) -> tuple[Float64, Bool]:
 @kernel(allocates=True)
 def _endless(sheet: Sheet) -> Sheet:
     """Return a sheet without its fan's end: place and width go on there, and light that stops bends them."""
-    origin, plane, up, sigma, stand, axis, side, _, exponent = sheet
+    origin, plane, up, sigma, stand, axis, side, _, exponent, bow = sheet
     return Sheet(
         origin=origin,
         plane=plane,
@@ -105,6 +105,7 @@ def _endless(sheet: Sheet) -> Sheet:
         side=side,
         slope=math.inf,
         exponent=exponent,
+        bow=bow,
     )
 
 
@@ -117,17 +118,23 @@ def _beyond_fan_mm(source: StripeSource, scan: float, position_px: float) -> flo
     u, v = (scan, position_px) if source.along_rows else (position_px, scan)
     x, y, _, _, _, _ = undistorted(u, v, source.lens)
     T, sheet = source.T_tool_camera, source.sheet
-    plane, origin = sheet.plane, sheet.origin
+    eye = T[0, 3], T[1, 3], T[2, 3]
+    ray = (
+        T[0, 0] * x + T[0, 1] * y + T[0, 2],
+        T[1, 0] * x + T[1, 1] * y + T[1, 2],
+        T[2, 0] * x + T[2, 1] * y + T[2, 2],
+    )
+    plane, origin = plane_met(sheet, eye, ray), sheet.origin
     on, across = plane[3], 0.0
     for i in range(3):
-        on += plane[i] * T[i, 3]
-        across += plane[i] * (T[i, 0] * x + T[i, 1] * y + T[i, 2])
+        on += plane[i] * eye[i]
+        across += plane[i] * ray[i]
     way = -on / across
     if not way > 0.0:
         return math.nan
     aside, along = 0.0, 0.0
     for i in range(3):
-        away = T[i, 3] + way * (T[i, 0] * x + T[i, 1] * y + T[i, 2]) - origin[i]
+        away = eye[i] + way * ray[i] - origin[i]
         aside += away * sheet.side[i]
         along += away * sheet.axis[i]
     return abs(aside) - sheet.slope * along

@@ -10,7 +10,7 @@ from noise_model.compiled.arrays import Bool, Float64, Int64
 from noise_model.compiled.kernel import kernel
 from noise_model.compiled.ordering import stable_order
 from noise_model.instrument.camera import Intrinsics, distorted
-from noise_model.instrument.laser import Sheet, depth_below, sheet_reflected
+from noise_model.instrument.laser import Sheet, depth_below, off_sheet, sheet_reflected, tangent_plane
 from noise_model.surface.brdf import LobeNumbers
 from noise_model.surface.faces import face_normal, face_under, ridge
 
@@ -51,13 +51,13 @@ def cut_and_project(
     points_px: Float64,
     light: Float64,
 ) -> None:
-    """Cut a plane `shift_mm` off the sheet with the section at y, z (n,) and look at it.
+    """Cut the sheet, `shift_mm` off itself, with the section at y, z (n,) and look at it.
 
     `face` (n,) are the faces that the points lie on. Writes the image points `points_px` (n, 2) as (scan,
     position), NaN behind the camera, and, `with_light`, the stripe's `light` there, the sheet's own Gaussian
     divided out.
     """
-    nx, ny, nz, d = sheet.plane[0], sheet.plane[1], sheet.plane[2], sheet.plane[3] - shift_mm
+    nx, ny, nz, d = sheet.plane[0], sheet.plane[1], sheet.plane[2], sheet.plane[3]
     T, x = T_joint_camera, start_x
     for i in range(y.shape[0]):
         k = face[i]
@@ -65,7 +65,9 @@ def cut_and_project(
         # Newton's steps, each from where the plane met the point before.
         for _ in range(MAX_STEPS):
             height, slope = ridge(x, corrugation)
-            move = (nx * x + ny * y[i] + nz * (plain + height) + d) / (nx + nz * slope)
+            if sheet.bow != 0.0:
+                nx, ny, nz, d = tangent_plane(sheet, (x, y[i], plain + height))
+            move = (nx * x + ny * y[i] + nz * (plain + height) + (d - shift_mm)) / (nx + nz * slope)
             x -= move
             if abs(move) < MET_MM:
                 break
@@ -87,8 +89,7 @@ def cut_and_project(
             continue
         distance = math.sqrt(wx * wx + wy * wy + wz * wz)
         omega_r = (wx / distance, wy / distance, wz / distance)
-        off = nx * P[0] + ny * P[1] + nz * P[2] + sheet.plane[3]
-        off *= sheet.stand / (sheet.sigma * depth_below(sheet, P))
+        off = off_sheet(sheet, P) * sheet.stand / (sheet.sigma * depth_below(sheet, P))
         gaussian = math.exp(-0.5 * off * off)
         normal = face_normal(k, x, vertices, corrugation)
         lit = sheet_reflected(sheet, material, P, normal, omega_r)

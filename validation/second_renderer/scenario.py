@@ -253,10 +253,9 @@ def true_seam_tool_mm(world: TrueWorld, T_base_tool: Float64) -> Float64:
     """Return the true seam point (3,) in the laser plane, mm, tool frame."""
     surface = TrueSurface(world.setup.joint, world.departure)
     T_tool_joint = invert(T_base_tool) @ world.T_base_joint
-    plane = world.setup.laser.plane
 
     def over_plane(x_mm: float) -> float:
-        return float(transform(T_tool_joint, surface.seam_point(x_mm)) @ plane[:3] + plane[3])
+        return float(world.setup.laser.off_mm(transform(T_tool_joint, surface.seam_point(x_mm))))
 
     start = float(transform(invert(T_tool_joint), world.setup.laser.origin_mm)[0])
     x_mm = float(brentq(over_plane, start - 80.0, start + 80.0, xtol=1e-9))

@@ -201,7 +201,6 @@ def _by_laser(studio: Studio, sight: WorldSight) -> Lit:
     """Return nodes along the sheet's trace on every face, lit by it."""
     laser, surface = studio.world.setup.laser, studio.surface
     T_tool_joint = invert(sight.T_joint_tool)
-    plane = laser.plane
     outline = surface.outline_mm()
     origin = transform(sight.T_joint_tool, laser.origin_mm)
     parts = []
@@ -211,7 +210,7 @@ def _by_laser(studio: Studio, sight: WorldSight) -> Lit:
 
         def aside(x: Float64, corner: Float64 = yz) -> Float64:
             lifted = [x, corner[:, 0] + surface.departure.y_mm(x)[0], corner[:, 1] + surface.lift_mm(x)[0]]
-            return np.asarray(transform(T_tool_joint, np.column_stack(lifted)) @ plane[:3] + plane[3])
+            return laser.off_mm(transform(T_tool_joint, np.column_stack(lifted)))
 
         trace = np.asarray(newton(aside, np.full(len(s), origin[0]), tol=1e-6, maxiter=60))
         step = laser.stripe_sigma_mm * (SHEET_STEPS[1] - SHEET_STEPS[0])

@@ -255,8 +255,7 @@ class Studio:
         T_tool_joint = invert(T_joint_tool)
         up = laser.origin_mm - transform(T_tool_joint, points)
         normals_tool = normals @ T_tool_joint[:3, :3].T
-        plane = laser.plane
-        aside = (laser.origin_mm - up) @ plane[:3] + plane[3]
+        aside = laser.off_mm(laser.origin_mm - up)
         z = up[:, 2]
         across = aside * h / (laser.stripe_sigma_mm * z)
         lit = self.world.profile.at(across) * (h / z) ** 2 * np.sum(up * normals_tool, axis=1) / z
