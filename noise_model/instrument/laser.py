@@ -41,13 +41,13 @@ class Laser:
     fan_half_angle_deg : float, optional
         Where the fan ends to either side of its axis, the steepest line in the sheet: the angle to it in the
         sheet, deg. There the light falls to 0 at once. Without it the fan is wider than any image.
+    profile_exponent : float
+        How the irradiance falls off across the sheet: exp(-1/2 abs(x' / sigma)^exponent). A stated laser has
+        2, a Gaussian.
     bow : float
         How far the sheet leaves its plane: on it n.p + d = bow u^2 / z, with u mm across the fan's axis and z
         mm below the origin along the tool's axis. That is the cone that a line generator makes whose lens
         is not square to its beam; 0 is the plane.
-    profile_exponent : float
-        How the irradiance falls off across the sheet: exp(-1/2 abs(x' / sigma)^exponent). A stated laser has
-        2, a Gaussian.
 
     Raises
     ------
