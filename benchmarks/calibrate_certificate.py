@@ -49,7 +49,7 @@ def calibrated(robot: robots.World, sheet: sheets.World) -> tuple[HandEyeCalibra
         scene, seen, robot.T_base_tool, is_eye_to_hand=False, lens_covariance=robot.lens_covariance
     )
     scene, seen = board_poses(sheet.board, sheet.views, robot.stated_lens)
-    return hand_eye, calibrate_laser(scene, seen, sheet.stripes, robot.lens_covariance)
+    return hand_eye, calibrate_laser(scene, seen, sheet.stripes, sheet.stand, robot.lens_covariance)
 
 
 def certified(hand_eye: HandEyeCalibration, laser: LaserCalibration, cancels: bool) -> Certificate:
@@ -60,7 +60,9 @@ def certified(hand_eye: HandEyeCalibration, laser: LaserCalibration, cancels: bo
     return certify(
         KnownLens(laser.lens, laser.lens_covariance),
         KnownSheet(
-            laser.plane, laser.own_covariance if cancels else laser.covariance, keeps * laser.per_lens
+            laser.plane,
+            (laser.own_covariance if cancels else laser.covariance)[:4, :4],
+            keeps * laser.per_lens[:4],
         ),
         KnownHandEye(hand_eye.T_holder_camera, pose * np.outer(TO_RAD, TO_RAD), np.zeros((6, 6)), per_lens),
         POINTS_PX,

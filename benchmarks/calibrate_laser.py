@@ -32,6 +32,7 @@ from calibration.camera.lens import Lens
 from calibration.camera.sightings import BoardView
 from calibration.laser.calibrate import LaserCalibration, calibrate_laser
 from calibration.laser.cross_sections import cross_sections, placed
+from calibration.laser.plane import LaserStand
 from calibration.laser.stripe import BoardStripe, board_area, find_stripe, laser_light
 from noise_model.compiled.arrays import Float64
 
@@ -57,6 +58,14 @@ class World:
     views: list[BoardView]
     stripes: dict[str, BoardStripe]
     bound: Float64 | None = None
+
+    @property
+    def stand(self) -> LaserStand:
+        """A laser as far off the boards as the camera is, which looks as the camera does."""
+        normal, distance_mm = self.plane[:3], -self.plane[3] / self.plane[2]
+        ahead = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
+        ahead /= np.linalg.norm(ahead)
+        return LaserStand(np.array([0.0, 0.0, distance_mm]) - distance_mm * ahead, -ahead)
 
 
 @dataclass
@@ -98,7 +107,7 @@ def judge(worlds: int, seed: int, make: Callable[[np.random.Generator, int], Wor
         world = make(np.random.default_rng([seed, n]), n)
         scene, seen = board_poses(world.board, world.views, world.lens)
         try:
-            result = calibrate_laser(scene, seen, world.stripes, world.lens_covariance)
+            result = calibrate_laser(scene, seen, world.stripes, world.stand, world.lens_covariance)
         except UndeterminedError:
             scores.refused += 1
             continue
@@ -259,7 +268,7 @@ def add(scores: Scores, world: World, result: LaserCalibration) -> None:
     # Two small leans of the normal, and where the plane is amid the points.
     rows = np.zeros((3, 4))
     rows[:2, :3], rows[2] = basis, [*middle, 1.0]
-    error, covariance = rows @ (plane - world.plane), rows @ result.covariance @ rows.T
+    error, covariance = rows @ (plane - world.plane), rows @ result.covariance[:4, :4] @ rows.T
     for name, value in zip(NAMES, error / np.sqrt(np.diag(covariance)), strict=True):
         scores.z[name].append(float(value))
     if world.bound is not None:

@@ -10,12 +10,17 @@ from camera_scenes import BOARD, SIZE, Held, picture_of, pose, project
 from scipy.spatial.transform import Rotation
 
 from calibration.camera.sightings import BoardView
+from calibration.laser.plane import LaserStand
 from calibration.laser.stripe import BoardStripe
 from noise_model.compiled.arrays import Float64, UInt8
 
 PINHOLE = {"fx": 1000.0, "fy": 1003.0, "cx": 410.0, "cy": 290.0}
 PLANE = np.array([np.cos(0.4), 0.0, np.sin(0.4), -175.0 * np.sin(0.4)])
 """The sheet n.X + d = 0, mm, in the camera frame."""
+
+_AHEAD = np.array([-np.sin(0.4), 0.0, np.cos(0.4)])
+STAND = LaserStand(np.array([0.0, 0.0, 175.0]) - 175.0 * _AHEAD, -_AHEAD)
+"""The laser stands as far off the boards as the camera does."""
 
 SHEET_SIGMA_MM, STRIPE_DN = 0.25, 100.0
 
@@ -49,7 +54,7 @@ def views(boards: tuple[Held, ...] = BOARDS, sigma_px: float = 0.05, seed: int =
     return seen
 
 
-def stripe_points(held: Held) -> Float64:
+def stripe_points(held: Held, bow: float = 0.0) -> Float64:
     """Return 200 points (n, 3), mm, of the stripe's middle on a board, camera frame."""
     turn, move = flat_pose(held)
     m, middle = turn.apply([0.0, 0.0, 1.0]), turn.apply(BOARD.points_mm.mean(axis=0)) + move
@@ -57,16 +62,27 @@ def stripe_points(held: Held) -> Float64:
     along /= np.linalg.norm(along)
     # The point of the line that is nearest to the board's middle.
     rows, right = np.stack([PLANE[:3], m, along]), np.array([-PLANE[3], m @ middle, along @ middle])
-    return np.asarray(np.linalg.solve(rows, right) + np.linspace(-22.0, 22.0, 200)[:, np.newaxis] * along)
+    points = np.linalg.solve(rows, right) + np.linspace(-22.0, 22.0, 200)[:, np.newaxis] * along
+    # Across the line, on the board, to where the sheet is off its plane.
+    across, line = np.cross(m, along), points
+    for _ in range(5):
+        away, side = points - STAND.origin_mm, np.array([0.0, 1.0, 0.0])
+        rise = bow * (away @ side) ** 2 / -(away @ STAND.up)
+        points = line + np.outer(rise / (PLANE[:3] @ across), across)
+    return np.asarray(points)
 
 
 def stripes(
-    boards: tuple[Held, ...] = BOARDS, sigma_px: float = 0.2, wrong_share: float = 0.0, seed: int = 2
+    boards: tuple[Held, ...] = BOARDS,
+    sigma_px: float = 0.2,
+    wrong_share: float = 0.0,
+    seed: int = 2,
+    bow: float = 0.0,
 ) -> dict[str, BoardStripe]:
     """Return the stripes of boards, upright in the image; some of their points may be wrong."""
     rng, seen = np.random.default_rng(seed), {}
     for n, held in enumerate(boards):
-        image = project(PINHOLE, stripe_points(held))
+        image = project(PINHOLE, stripe_points(held, bow))
         image = image[np.argsort(image[:, 1])]
         image[:, 0] += sigma_px * rng.standard_normal(len(image))
         wrong = rng.random(len(image)) < wrong_share

@@ -53,8 +53,8 @@ class Beam:
     """The laser sheet in the tool frame beyond its plane.
 
     Thickness and fan are strings that say what is missing where they are not determined. `origin_mm` (3,) is
-    the fan's, or the stated one moved into the plane. `covariance` (8, 8) is of the plane's four numbers, the
-    origin, and the half angle, deg; None with the stated origin.
+    the fan's, or the stated one moved into the plane. `covariance` (9, 9) is of the plane's four numbers, the
+    bow, the origin, and the half angle, deg; None with the stated origin.
     """
 
     width: Width | str
@@ -71,13 +71,13 @@ def fit_beam(
     camera: Camera,
     laser: Laser,
 ) -> Beam:
-    """Determine thickness, origin and angle of a sheet whose plane is known.
+    """Determine thickness, origin and angle of a sheet whose place is known.
 
     `sections` has the stripe's light by pair; pairs without one are not used. The camera's pose in the tool
     and its blur count as exact; depths are counted from the stated laser's origin.
     """
     T = camera.T_tool_camera
-    plane, covariance = result.in_tool(T, laser.plane)
+    plane, _, covariance = result.in_tool(T, laser.plane)
     origin = foot_on(plane, laser.origin_mm)
     axis, side, _ = replace(laser, plane_in_tool=tuple(plane)).fan
     in_sheet = np.stack([axis, side])
@@ -104,11 +104,11 @@ def fit_beam(
     if isinstance(fan, str):
         return Beam(thickness, fan, tuple(lights), origin, None)
     apex = origin + fan.apex @ in_sheet
-    # Plane, origin and half angle by the plane's errors, and by those of apex and angle within it.
-    by_plane = np.vstack([np.eye(4), -np.outer(plane[:3], [*apex, 1.0]), np.zeros(4)])
-    by_fan = np.zeros((8, 3))
-    by_fan[4:7, :2], by_fan[7, 2] = in_sheet.T, 1.0
-    whole = by_plane @ covariance @ by_plane.T + by_fan @ fan.covariance[:3, :3] @ by_fan.T
+    # Sheet, origin and half angle by the sheet's errors, and by those of apex and angle within it.
+    by_sheet = np.vstack([np.eye(5), -np.outer(plane[:3], [*apex, 1.0, 0.0]), np.zeros(5)])
+    by_fan = np.zeros((9, 3))
+    by_fan[5:8, :2], by_fan[8, 2] = in_sheet.T, 1.0
+    whole = by_sheet @ covariance @ by_sheet.T + by_fan @ fan.covariance[:3, :3] @ by_fan.T
     return Beam(thickness, fan, tuple(lights), apex, whole)
 
 

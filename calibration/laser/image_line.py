@@ -1,4 +1,4 @@
-"""Straight line of a stripe on a flat board in an undistorted image, and its uncertainty.
+"""Course of a stripe on a flat board in an undistorted image, a line or a parabola, and its uncertainty.
 
 Speckle correlates the errors of neighbouring scan lines. With the residuals' autocorrelation r_k along the
 stripe, n of them count as n / (1 + 2 sum r_k) independent ones (Sokal, Monte Carlo methods in statistical
@@ -28,10 +28,11 @@ MIN_FREEDOM = 2.0
 
 @dataclass(frozen=True)
 class LaserLineFit:
-    """Straight line fitted to a stripe.
+    """Line fitted to a stripe, or parabola.
 
-    `rays` (2, 3), z = 1, are two of its points, one standard deviation of the stripe's points to either side
-    of their mean; they are uncertain along `across` (3,), that of the scan lines, with `covariance` (2, 2).
+    `rays` (k, 3), z = 1, are as many of its points as determine it, evenly to either side of their mean and
+    as far apart as the stripe's points on the whole; they are uncertain along `across` (3,), that of the scan
+    lines, with `covariance` (k, k).
     `kept` (n,) are the points on it, `sigma` is a point's, in units of the focal length, and `independent`
     the effective number of points.
     """
@@ -44,48 +45,49 @@ class LaserLineFit:
     independent: float
 
 
-def fit_line(rays: Float64, along_rows: bool) -> LaserLineFit:
-    """Fit a line to a stripe's rays (n, 3), z = 1, in the order of its scan lines.
+def fit_line(rays: Float64, along_rows: bool, degree: int = 1) -> LaserLineFit:
+    """Fit a line, or a parabola, to a stripe's rays (n, 3), z = 1, in the order of its scan lines.
 
     It is the maximum of Student's likelihood, with the covariance that the residuals show. With `along_rows`
     the points err along y.
     """
     t, y = (rays[:, 0], rays[:, 1]) if along_rows else (rays[:, 1], rays[:, 0])
     slope = _slope_of_most(t, y)
-    level = float(np.median(y - slope * t))
+    course = np.polynomial.Polynomial([np.median(y - slope * t), slope])
     scale = np.inf
     weight = np.ones(len(t))
     for _ in range(ROUNDS):
-        off = y - level - slope * t
+        off = y - course(t)
         if not np.isfinite(scale):
             scale = max(sigma_of(off), MIN_SIGMA)
         weight = (TAIL + 1.0) / (TAIL + (off / scale) ** 2)
         before, scale = scale, max(float(np.sqrt(np.mean(weight * off**2))), MIN_SIGMA)
-        middle = float(np.average(t, weights=weight))
-        slope = float(np.sum(weight * (t - middle) * y) / np.sum(weight * (t - middle) ** 2))
-        level = float(np.average(y, weights=weight) - slope * middle)
+        course = np.polynomial.Polynomial.fit(t, y, degree, w=np.sqrt(weight))
         if abs(scale / before - 1.0) < SETTLED:
             break
-    off = y - level - slope * t
+    off = y - course(t)
     kept = np.abs(off) <= FAR_SIGMAS * scale
     t, off, weight = t[kept], off[kept], weight[kept]
     middle = float(np.average(t, weights=weight))
     spread = float(np.sqrt(np.average((t - middle) ** 2, weights=weight)))
-    design = np.column_stack([np.ones(len(t)), (t - middle) / spread])
+    design = np.vander((t - middle) / spread, degree + 1, increasing=True)
     pull = weight * off
     bread = np.linalg.inv(design.T @ (weight_of_information(off, scale)[:, np.newaxis] * design))
     meat = design.T @ (pull[:, np.newaxis] ** 2 * design)
     together = lines_together(pull)
     independent = len(t) / together
-    free = max(independent - 2.0, MIN_FREEDOM)
+    free = max(independent - degree - 1.0, MIN_FREEDOM)
     covariance = bread @ meat @ bread * together * independent / free
-    ends = np.array([[1.0, -1.0], [1.0, 1.0]])
-    along = middle + spread * np.array([-1.0, 1.0])
-    place = level + slope * along
+    # Evenly spaced places with the points' standard deviation.
+    places = np.arange(degree + 1) - 0.5 * degree
+    places /= np.sqrt(np.mean(places**2))
+    ends = np.vander(places, degree + 1, increasing=True)
+    along = middle + spread * places
+    place = course(along)
     pair = (along, place) if along_rows else (place, along)
     across = np.array([0.0, 1.0, 0.0]) if along_rows else np.array([1.0, 0.0, 0.0])
     return LaserLineFit(
-        np.column_stack([*pair, np.ones(2)]),
+        np.column_stack([*pair, np.ones(degree + 1)]),
         across,
         ends @ covariance @ ends.T,
         kept,

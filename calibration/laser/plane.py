@@ -1,4 +1,4 @@
-"""Plane through the lines that a laser sheet makes on boards: errors in all that is measured.
+"""Laser sheet through the stripes on boards, a plane or a cone: errors in all that is measured.
 
 A line's two points P_j lie where their rays r_j meet the board m.X = c: P_j = s_j r_j, s_j = c / (m.r_j).
 Their distances from the plane are n.P_j + d. A board that turns by w and moves by t, and a line that shifts
@@ -8,6 +8,9 @@ by e across, change them by
 
 to first order, which with the covariances of pose and line gives that of both distances, C. The plane has the
 least sum of d' C^-1 d; C is computed again in each round.
+
+A bowed sheet is met by a board in a curve. Three of its points lie n.P_j + d - bow u_j^2 / z_j off the sheet
+(`noise_model.instrument.laser.Laser`), and the bow is one more unknown.
 """
 
 from __future__ import annotations
@@ -21,6 +24,8 @@ from scipy.stats import f
 from calibration.laser.image_line import LaserLineFit
 from calibration.outliers import FALSE_ALARM, MAX_OUTLIER_SHARE
 from noise_model.compiled.arrays import Float64
+from noise_model.instrument.laser import Laser
+from noise_model.transforms import invert, transform
 
 ROUNDS, SETTLED = 30, 1e-10
 
@@ -30,7 +35,7 @@ MIN_PAIRS = 3
 
 @dataclass(frozen=True)
 class BoardLine:
-    """A stripe's line on a board at `T_camera_board` (4, 4), mm.
+    """A stripe's course on a board at `T_camera_board` (4, 4), mm.
 
     `pose_covariance` (6, 6) is of the board's small motion in the camera frame: a rotation, rad, then a
     translation, mm.
@@ -45,13 +50,13 @@ class BoardLine:
         return points_on_board(self.T_camera_board, rays)
 
     def covariance(self, direction: Float64) -> Float64:
-        """Return the covariance (2, 2) of the line's two points along a direction, mm²."""
+        """Return the covariance (k, k) of the course's points along a direction, mm²."""
         m = self.T_camera_board[:3, 2]
         rays, across = self.line.rays, self.line.across
         s = (m @ self.T_camera_board[:3, 3]) / (rays @ m)
         per_depth = rays @ direction / (rays @ m)
         by_pose = per_depth[:, np.newaxis] * np.column_stack(
-            [-s[:, np.newaxis] * np.cross(m, rays), np.tile(m, (2, 1))]
+            [-s[:, np.newaxis] * np.cross(m, rays), np.tile(m, (len(rays), 1))]
         )
         by_line = s * (direction @ across - per_depth * (m @ across))
         return np.asarray(
@@ -61,26 +66,43 @@ class BoardLine:
 
 
 @dataclass(frozen=True)
-class PlaneFit:
-    """A plane n.X + d = 0 of the camera frame: n of length 1, and d, mm.
+class LaserStand:
+    """A laser before the camera: its origin (3,), mm, and the tool's upward axis (3,), camera frame."""
 
-    `covariance` (4, 4) has rank 3. The normal is known least, with `tilt_sigma` rad, about `loose_axis` (3,),
-    a line's direction. `spread_mm` is the RMS scatter of the lines' points, within the plane, about one line
-    of that direction, and `spread_noise_mm` that from noise alone. `squares` (k,) are each line's d' C^-1 d.
+    origin_mm: Float64
+    up: Float64
+
+    @classmethod
+    def of(cls, laser: Laser, T_tool_camera: Float64) -> LaserStand:
+        """Return that of a laser in the tool frame."""
+        return cls(transform(invert(T_tool_camera), laser.origin_mm), T_tool_camera[2, :3])
+
+    def rise_mm(self, normal: Float64, points: Float64) -> Float64:
+        """Return the distance (n,) of a sheet with a bow of 1 from its plane at points (n, 3)."""
+        side = np.cross(self.up, normal)
+        away = points - self.origin_mm
+        return np.asarray((away @ side) ** 2 / (side @ side) / -(away @ self.up))
+
+
+@dataclass(frozen=True)
+class SheetFit:
+    """A sheet of the camera frame: its plane n.X + d = 0, n of length 1 and d in mm, and its bow.
+
+    `covariance` (5, 5) of the five has rank 4, or 3 of a plane, whose bow is 0. The normal is known least,
+    with `tilt_sigma` rad, about `loose_axis` (3,), a line's direction. `spread_mm` is the RMS scatter of the
+    lines' points, within the plane, about one line of that direction, and `spread_noise_mm` that from noise
+    alone. `squares` (k,) are each line's d' C^-1 d, of `freedom` degrees in all.
     """
 
     plane: Float64
+    bow: float
     covariance: Float64
     tilt_sigma: float
     loose_axis: Float64
     spread_mm: float
     spread_noise_mm: float
     squares: Float64
-
-    @property
-    def freedom(self) -> int:
-        """Degrees of freedom of the sum of squares."""
-        return 2 * len(self.squares) - 3
+    freedom: int
 
 
 def points_on_board(T_camera_board: Float64, rays: Float64) -> Float64:
@@ -100,73 +122,81 @@ def foot_on(plane: Float64, point: Float64) -> Float64:
     return np.asarray(point - (plane[:3] @ point + plane[3]) * plane[:3])
 
 
-def fit_plane(lines: Sequence[BoardLine]) -> PlaneFit:
-    """Fit a plane to lines on boards.
+def fit_sheet(lines: Sequence[BoardLine], stand: LaserStand | None = None) -> SheetFit:
+    """Fit a plane to lines on boards, or with the laser's stand a bowed sheet to parabolas.
 
     Raises numpy.linalg.LinAlgError where they do not determine it at all.
     """
-    points = np.stack([line.points(line.line.rays) for line in lines])
-    centre = points.mean(axis=(0, 1))
-    normal = np.linalg.svd((points - centre).reshape(-1, 3))[2][2]
-    offset = 0.0
+    places = np.stack([line.points(line.line.rays) for line in lines])
+    centre = places.mean(axis=(0, 1))
+    normal = np.linalg.svd((places - centre).reshape(-1, 3))[2][2]
+    offset, bow, unknowns = 0.0, 0.0, 3 if stand is None else 4
     for _ in range(ROUNDS):
         basis = np.linalg.svd(normal[np.newaxis])[2][1:]
-        H, g, squares = np.zeros((3, 3)), np.zeros(3), []
-        for line, pair in zip(lines, points - centre, strict=True):
-            distance = pair @ normal + offset
-            J = np.column_stack([pair @ basis.T, np.ones(2)])
+        H, g, squares = np.zeros((unknowns, unknowns)), np.zeros(unknowns), []
+        for line, place in zip(lines, places, strict=True):
+            distance = (place - centre) @ normal + offset
+            J = np.column_stack([(place - centre) @ basis.T, np.ones(len(place))])
+            if stand is not None:
+                rise = stand.rise_mm(normal, place)
+                distance, J = distance - bow * rise, np.column_stack([J, -rise])
             C = line.covariance(normal)
             solved = np.linalg.solve(C, np.column_stack([J, distance]))
-            H += J.T @ solved[:, :3]
-            g += J.T @ solved[:, 3]
-            squares.append(float(distance @ solved[:, 3]))
+            H += J.T @ solved[:, :-1]
+            g += J.T @ solved[:, -1]
+            squares.append(float(distance @ solved[:, -1]))
         scale = 1.0 / np.sqrt(np.diag(H))
         small = np.linalg.inv(H * np.outer(scale, scale)) * np.outer(scale, scale)
         step = -small @ g
         length = np.sqrt(1.0 + step[:2] @ step[:2])
         normal, offset = (normal + step[:2] @ basis) / length, (offset + step[2]) / length
+        bow += float(step[3:].sum())
         if np.abs(step / np.sqrt(np.diag(small))).max() < 1e-6 or np.abs(step).max() < SETTLED:
             break
     d = offset - float(normal @ centre)
-    per_small = np.zeros((4, 3))
+    per_small = np.zeros((5, unknowns))
     per_small[:3, :2], per_small[3, :2], per_small[3, 2] = basis.T, -basis @ centre, 1.0
+    per_small[4, 3:] = 1.0
     variance, turn = np.linalg.eigh(small[:2, :2])
     # The normal tilts along this direction most: it rotates about the one perpendicular to it.
     leaning = turn[:, 1] @ basis
-    within = (points - centre).reshape(-1, 3) @ leaning
-    noise = np.mean([np.trace(line.covariance(leaning)) for line in lines]) / 2.0
-    return PlaneFit(
-        np.array([*normal, d]),
-        per_small @ small @ per_small.T,
-        float(np.sqrt(variance[1])),
-        np.cross(normal, leaning),
-        float(np.sqrt(np.mean(within**2))),
-        float(np.sqrt(noise)),
-        np.array(squares),
+    within = (places - centre).reshape(-1, 3) @ leaning
+    noise = np.mean([np.diag(line.covariance(leaning)) for line in lines])
+    return SheetFit(
+        plane=np.array([*normal, d]),
+        bow=bow,
+        covariance=per_small @ small @ per_small.T,
+        tilt_sigma=float(np.sqrt(variance[1])),
+        loose_axis=np.cross(normal, leaning),
+        spread_mm=float(np.sqrt(np.mean(within**2))),
+        spread_noise_mm=float(np.sqrt(noise)),
+        squares=np.array(squares),
+        freedom=places.shape[0] * places.shape[1] - unknowns,
     )
 
 
-def consistent(lines: Sequence[BoardLine]) -> list[int]:
-    """Return the lines that lie in one plane; the others are left out one by one, the worst first.
+def consistent(lines: Sequence[BoardLine], stand: LaserStand | None = None) -> list[int]:
+    """Return the lines that lie in one sheet; the others are left out one by one, the worst first.
 
-    A line's squares and those of the rest about the plane without it are compared by Fisher's F. Its false
+    A line's squares and those of the rest about the sheet without it are compared by Fisher's F. Its false
     alarm is shared among the lines.
     """
     kept = list(range(len(lines)))
     while len(kept) > MIN_PAIRS + 1 and len(lines) - len(kept) < int(MAX_OUTLIER_SHARE * len(lines)):
-        whole = float(fit_plane([lines[n] for n in kept]).squares.sum())
-        without = []
+        whole = fit_sheet([lines[n] for n in kept], stand)
+        total, without = float(whole.squares.sum()), []
         for n in kept:
             try:
-                without.append(float(fit_plane([lines[k] for k in kept if k != n]).squares.sum()))
+                without.append(float(fit_sheet([lines[k] for k in kept if k != n], stand).squares.sum()))
             except np.linalg.LinAlgError:
-                without.append(whole)
+                without.append(total)
         best = int(np.argmin(without))
-        freedom = 2 * (len(kept) - 1) - 3
+        each = len(lines[0].line.rays)
+        freedom = whole.freedom - each
         # A set that is as good as its noise is judged by that noise.
         rest = max(without[best] / freedom, 1.0)
-        ratio = (whole - without[best]) / 2.0 / rest
-        if ratio <= float(f.isf(FALSE_ALARM / len(kept), 2, freedom)):
+        ratio = (total - without[best]) / each / rest
+        if ratio <= float(f.isf(FALSE_ALARM / len(kept), each, freedom)):
             break
         kept.pop(best)
     return kept

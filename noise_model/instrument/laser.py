@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ import numpy as np
 from noise_model.compiled.arrays import Float64, Vector
 from noise_model.compiled.kernel import kernel
 from noise_model.surface.brdf import LobeNumbers, reflected
+from noise_model.transforms import transform
 
 SHEET_REACH = 6.0
 """Half-width of the rendered sheet, in its sigmas: its irradiance has fallen to 1.5e-8 there."""
@@ -144,6 +145,20 @@ class Laser:
         q = self._across_mm(points_tool) / (self.origin_in_tool_mm[2] - points_tool[..., 2])
         side, up = self.fan[1], np.array([0.0, 0.0, 1.0])
         return self.plane[:3] - self.bow * (2.0 * np.outer(q, side) + np.outer(q**2, up))
+
+    def in_frame(self, T_new_tool: Float64) -> Laser:
+        """Return the same sheet in another tool frame; `T_new_tool` (4, 4) is in mm.
+
+        Its fan has another steepest line there, along which its plane touches it.
+        """
+        plane, up = self.plane, T_new_tool[2, :3]
+        for _ in range(2 if self.bow != 0.0 else 0):
+            axis = (plane[:3] @ up) * plane[:3] - up
+            plane = np.array(tangent_plane(sheet_in_tool(self), self.origin_mm + axis))
+            plane /= np.linalg.norm(plane[:3])
+        n_x, n_y, n_z, d_mm = plane_in(np.ascontiguousarray(T_new_tool), plane)
+        x, y, z = transform(T_new_tool, self.origin_mm).tolist()
+        return replace(self, plane_in_tool=(n_x, n_y, n_z, d_mm), origin_in_tool_mm=(x, y, z))
 
     def _across_mm(self, points_tool: Float64) -> Float64:
         return np.asarray((points_tool - self.origin_mm) @ self.fan[1])

@@ -192,3 +192,15 @@ def test_a_ray_meets_a_bowed_sheet(x, y, height_mm, bow):
     np.testing.assert_allclose(touching[:3], laser.normals(met[np.newaxis])[0], atol=1e-12)
     gradient = [(laser.off_mm(met + step) - laser.off_mm(met - step)) / 2e-3 for step in 1e-3 * np.eye(3)]
     np.testing.assert_allclose(touching[:3], gradient, atol=1e-6)
+
+
+def test_a_bowed_sheet_stays_where_it_is_in_another_frame():
+    T = pose_matrix((4.0, -3.0, 6.0), (0.01, 0.0, 0.01, 1.0))
+    moved, y = BOWED.in_frame(T), np.linspace(-40.0, 40.0, 9)
+    points = np.column_stack([np.full(9, 75.0), y, np.zeros(9)])
+    for _ in range(3):
+        points[:, 0] -= BOWED.off_mm(points) / BOWED.normals(points)[:, 0]
+    plane_alone = dataclasses.replace(dataclasses.replace(BOWED, bow=0.0).in_frame(T), bow=BOWED.bow)
+    assert np.abs(plane_alone.off_mm(transform(T, points))).max() > 0.1
+    # A turned fan's cone is no longer even about its axis, which is of third order in the fan's angle.
+    np.testing.assert_allclose(moved.off_mm(transform(T, points)), 0.0, atol=0.03)

@@ -51,7 +51,7 @@ def certificate_of(
         unmeasured["delay of the poses"] = "counts as exact"
     certificate = certify(
         KnownLens(sheet.lens, sheet.lens_covariance),
-        KnownSheet(sheet.plane, sheet.own_covariance, sheet.per_lens),
+        KnownSheet(sheet.plane, sheet.own_covariance[:4, :4], sheet.per_lens[:4]),
         hand_eye,
         _points_px(sheet),
         robot,

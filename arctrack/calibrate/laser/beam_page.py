@@ -21,7 +21,7 @@ def beam_rows(beam: Beam) -> tuple[ValueRow, ...]:
     rows = []
     if not isinstance(beam.fan, str):
         assert beam.covariance is not None
-        sigma = np.sqrt(np.diag(beam.covariance))[4:7]
+        sigma = np.sqrt(np.diag(beam.covariance))[5:8]
         for axis, value, each in zip("xyz", beam.origin_mm, sigma, strict=True):
             rows.append(row_of(f"origin, {axis}", f"origin_in_tool_mm, {axis}", value, each, "mm"))
         rows.append(

@@ -22,7 +22,7 @@ from arctrack.calibrate.page import (
 from arctrack.report import style
 from arctrack.report.embedded import svg
 from calibration.laser.beam import Beam
-from calibration.laser.calibrate import LaserCalibration
+from calibration.laser.calibrate import LaserCalibration, off_sheet_mm
 from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 
@@ -37,24 +37,18 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: S
     middle = points.mean(axis=0, keepdims=True)
     sigma_mm = float(result.distance_sigma_mm(middle)[0])
     row = np.append(middle, 1.0)
-    pairs_mm = math.sqrt(result.scatter * float(row @ result.fit.covariance @ row))
+    pairs_mm = math.sqrt(float(row @ result.own_covariance[:4, :4] @ row))
     depth = points[:, 2]
     tilt_deg = math.degrees(result.fit.tilt_sigma * math.sqrt(result.scatter))
-    plane, covariance = result.in_tool(setup.camera.T_tool_camera, setup.laser.plane)
+    plane, bow, covariance = result.in_tool(setup.camera.T_tool_camera, setup.laser.plane)
     sentences = [
         f"{len(result.names)} pairs, {len(points)} points from {depth.min():.0f} to {depth.max():.0f} mm of "
-        f"depth lie {result.rms_mm:.3f} mm off the plane (RMS).",
+        f"depth lie {result.rms_mm:.3f} mm off the sheet (RMS).",
         f"Along its normal the plane is known to {sigma_mm:.3f} mm amid the points, 1 σ: {pairs_mm:.3f} mm "
         f"from the pairs, the rest from the lens. Its lean about the stripes is known to {tilt_deg:.3f}°.",
         f"It is turned by {turned_deg(plane, setup):.2f}° against the plane stated before.",
     ]
-    bow = result.bow
-    if bow.is_sure:
-        size, within = with_sigma(abs(bow.bow_mm), bow.sigma_mm)
-        sentences.append(
-            f"The sheet is bent: {bow.half_mm:.0f} mm to either side its ends lie {size} ± {within} mm off "
-            "its middle. A plane does not hold that."
-        )
+    sentences.append(_bow_sentence(result))
     if result.scatter > 1.0:
         sentences.append(
             f"Pairs differ {math.sqrt(result.scatter):.1f} times as much as their noise predicts, and sigmas "
@@ -77,7 +71,7 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: S
         label="laser plane",
         headline=plane_in_words(plane),
         sentences=tuple(sentences),
-        rows=(*plane_rows(plane, covariance), *beam_rows(beam)),
+        rows=(*plane_rows(plane, covariance[:4, :4]), *_bow_rows(bow, covariance[4, 4]), *beam_rows(beam)),
         pictures=(
             PagePicture(
                 _in_plane(result),
@@ -86,9 +80,9 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: S
             ),
             PagePicture(
                 _residuals(result),
-                "how far points are off the plane, along the stripe and pair by pair",
-                "What all pairs share along the stripe is a sheet that is bent, or a lens that is not right. "
-                "Bars are 1 σ of each pair's two ends.",
+                "how far points are off the sheet, along the stripe and pair by pair",
+                "What all pairs share along the stripe is a sheet that is no cone, or a lens that is not "
+                "right. Bars are 1 σ of each pair's ends.",
             ),
             PagePicture(
                 _image(result, pairs),
@@ -101,6 +95,27 @@ def laser_page(result: LaserCalibration, pairs: LaserPairs, beam: Beam, setup: S
         mark="no_gap" if result.scatter == 1.0 else "ambiguous",
         left_out=with_reasons(pairs.left_out | result.left_out),
     )
+
+
+def _bow_sentence(result: LaserCalibration) -> str:
+    """Return what the boards say of the sheet's bow."""
+    bow = result.bow
+    if bow is None:
+        return "The pairs do not tell a bowed sheet from a plane: more of them are needed."
+    size, within = with_sigma(abs(bow.value) * result.ends_mm, bow.sigma * result.ends_mm)
+    flat_mm, bowed_mm = bow.held_out_mm
+    errors = (
+        f"a board that is held out lies {bowed_mm:.3f} mm off the bowed sheet of the others, and "
+        f"{flat_mm:.3f} mm off their plane (RMS)"
+    )
+    where = f"{result.half_mm:.0f} mm to either side its ends lie {size} ± {within} mm off its middle"
+    if bow.is_taken:
+        return f"The sheet is bowed: {where}. {errors[0].upper()}{errors[1:]}."
+    return f"The sheet counts as a plane. With a bow {where}: {errors}."
+
+
+def _bow_rows(bow: float, variance: float) -> tuple[ValueRow, ...]:
+    return (row_of("bow off the plane", "bow", bow, math.sqrt(variance), ""),) if bow else ()
 
 
 def plane_rows(plane: Float64, covariance: Float64) -> tuple[ValueRow, ...]:
@@ -159,7 +174,7 @@ def _residuals(result: LaserCalibration) -> str:
     figure = style.new_figure(10.5, 4.2, "")
     course, pairs = figure.subplots(1, 2)
     along, _ = _axes_of(result)
-    style.plain(course, "along the stripe [mm]", "mm", "off the plane")
+    style.plain(course, "along the stripe [mm]", "mm", "off the sheet")
     places = [points @ along for points in result.points_mm]
     for place, off in zip(places, result.off_mm, strict=True):
         course.plot(place, off, ".", markersize=2, alpha=0.6, rasterized=True)
@@ -176,12 +191,13 @@ def _residuals(result: LaserCalibration) -> str:
         label="mean of all pairs",
     )
     course.legend(fontsize=8)
-    style.plain(pairs, "pair", "mm", "the fitted line's two ends off the plane")
-    normal, d = result.plane[:3], result.plane[3]
+    style.plain(pairs, "pair", "mm", "points of the fitted course off the sheet")
     for n, line in enumerate(result.lines):
-        ends = line.points(line.line.rays) @ normal + d
-        sigma = np.sqrt(result.scatter * np.diag(line.covariance(normal)))
-        pairs.errorbar([n - 0.12, n + 0.12], ends, sigma, fmt="o", color=style.BLUE, markersize=4)
+        ends = off_sheet_mm(result.fit, result.stand, line.points(line.line.rays))
+        sigma = np.sqrt(result.scatter * np.diag(line.covariance(result.plane[:3])))
+        pairs.errorbar(
+            n + np.linspace(-0.12, 0.12, len(ends)), ends, sigma, fmt="o", color=style.BLUE, markersize=4
+        )
     pairs.axhline(0.0, color=style.BLACK, linewidth=0.8)
     pairs.set_xticks(range(len(result.names)), result.names, rotation=90, fontsize=7)
     return svg(figure)

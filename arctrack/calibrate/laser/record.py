@@ -12,10 +12,11 @@ from calibration.laser.beam import Beam
 from calibration.laser.calibrate import LaserCalibration
 from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
-from noise_model.transforms import invert, transform
+from noise_model.transforms import invert
 
 MADE_BY = "arctrack calibrate laser"
 PARAMETERS = ("n_x", "n_y", "n_z", "d_mm")
+BOW = "bow"
 ORIGIN = ("origin_x_mm", "origin_y_mm", "origin_z_mm")
 FAN = (*ORIGIN, "fan_half_angle_deg")
 
@@ -23,23 +24,30 @@ FAN = (*ORIGIN, "fan_half_angle_deg")
 def laser_record(result: LaserCalibration, beam: Beam, setup: Setup) -> CalibrationValues:
     """Return the sheet as values of `[laser]`, with their covariance.
 
-    The setup's camera pose takes the plane to the tool frame; the stated origin is projected onto it. Angle
-    and thickness are added where they are known.
+    The setup's camera pose takes the sheet to the tool frame; the stated origin is projected onto it. Bow,
+    angle and thickness are added where they are known.
     """
-    plane, covariance = result.in_tool(setup.camera.T_tool_camera, setup.laser.plane)
-    values = sheet_values(plane, beam.origin_mm)
-    names, whole = [*PARAMETERS], np.asarray(covariance)
+    plane, bow, covariance = result.in_tool(setup.camera.T_tool_camera, setup.laser.plane)
+    values = sheet_values(plane, beam.origin_mm) | {"bow": rounded(bow, 6)}
+    names, whole = [*PARAMETERS, BOW], np.asarray(covariance)
     about: dict[str, float | int | str] = {
         "pairs": len(result.names),
         "points": sum(map(len, result.points_mm)),
         "rms_mm": rounded(result.rms_mm, 4),
-        "bow_mm": rounded(result.bow.bow_mm, 4),
     }
+    if result.bow is not None:
+        about["bow_mm"] = rounded(abs(result.bow.value) * result.ends_mm, 4)
+        about["held_out_flat_mm"], about["held_out_bowed_mm"] = (
+            rounded(each, 4) for each in result.bow.held_out_mm
+        )
     if not isinstance(beam.fan, str):
         values["fan_half_angle_deg"] = rounded(beam.fan.half_angle_deg, 6)
         about["fan_turn_deg"] = rounded(beam.fan.turn_deg, 4)
         assert beam.covariance is not None
         names, whole = [*names, *FAN], beam.covariance
+    if not bow:
+        names.remove(BOW)
+        whole = np.delete(np.delete(whole, len(PARAMETERS), 0), len(PARAMETERS), 1)
     if not isinstance(beam.width, str):
         if beam.width.at_height_mm is not None:
             sigma_mm, error_mm = beam.width.at_height_mm
@@ -78,12 +86,11 @@ def moved_with_camera(stated: SetupFile, T_tool_camera: Float64) -> CalibrationV
     if ORIGIN[0] in record.parameters:
         first = record.parameters.index(ORIGIN[0])
         whole[first : first + 3, first : first + 3] = R
-    plane = whole[:4, :4] @ stated.setup.laser.plane
-    origin = transform(T_new_old, stated.setup.laser.origin_mm)
+    laser = stated.setup.laser.in_frame(T_new_old)
     about = dict(record.model_extra or {})
     return CalibrationValues(
         "laser",
-        sheet_values(plane, origin),
+        sheet_values(laser.plane, laser.origin_mm),
         tuple(record.parameters),
         whole @ np.array(record.covariance) @ whole.T,
         str(about.pop("made_by", MADE_BY)),
