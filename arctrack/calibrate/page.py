@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from arctrack.report.template import environment
 
 EXACT_LENS = (
-    "The setup has no [calibration.camera]: the lens counts as exact, and the sigmas are too small. "
+    "The setup has no covariance of the lens: it counts as exact, and the sigmas are too small. "
     "`arctrack calibrate camera` writes it."
 )
 """A note on a setup that does not say how well its lens is known."""

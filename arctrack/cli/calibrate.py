@@ -11,9 +11,11 @@ from arctrack.cli.calibrate_arc import arc
 from arctrack.cli.calibrate_camera import camera
 from arctrack.cli.calibrate_check import check
 from arctrack.cli.calibrate_delay import delay
+from arctrack.cli.calibrate_export import export_lens
 from arctrack.cli.calibrate_filter import filter_curve
 from arctrack.cli.calibrate_gauge import gauge
 from arctrack.cli.calibrate_hand_eye import hand_eye
+from arctrack.cli.calibrate_import import import_lens
 from arctrack.cli.calibrate_laser import laser
 from arctrack.cli.calibrate_reflectance import reflectance
 from arctrack.cli.calibrate_sensor import sensor
@@ -51,6 +53,8 @@ COMMANDS: dict[str, tuple[Callable[..., None], str]] = {
     "check": (check, "examples/v_groove/recording.toml examples/v_groove"),
     "arc": (arc, "/tmp/straight --out /tmp/arc.toml"),
     "reflectance": (reflectance, REFLECTANCE_EXAMPLE),
+    "export": (export_lens, "examples/v_groove --format ros --out /tmp/camera.yaml"),
+    "import": (import_lens, "/tmp/camera.yaml --setup examples/v_groove --out /tmp/imported.toml"),
 }
 """The function of each command, and the arguments of its examples, a line each."""
 
