@@ -12,10 +12,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rendered import LASER_X_MM, SEED, frame_of, pose_at, small_setup, true_seam_tool, walk
+from rendered import (
+    CURRENT_A,
+    EXPOSURE_S,
+    LASER_X_MM,
+    SEED,
+    frame_of,
+    pose_at,
+    small_setup,
+    true_seam_tool,
+    walk,
+)
 
 from arctrack.recording import BadFrame, read_recording, read_truth
 from arctrack.recording import pose_at as recorded_pose_at
+from noise_model.condition import Condition
+from noise_model.effects import checked
+from noise_model.forward import draw_frame
 from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine, section
@@ -145,6 +158,37 @@ def test_frames_that_contradict_the_arc_map_are_read_without_it(
     # The arc's own light is no stripe.
     dark = frame_of(stated, poses[0], SHIFTED, laser=1e-9, of=true)
     assert not Tracker(stated).step(dark, poses[0]).valid
+
+
+WELDING = {
+    "spatter_streaks": {"rate_per_frame": 10.0, "brightness": 1.0},
+    "groove_glare": {"peak_e": 5_000.0},
+    "stripe_ghost": {"strength": 0.15},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("off_mm", "output", "is_told"),
+    [((0.0, 0.0, 0.0), 1.0, True), ((0.0, 0.0, 0.0), 1.0, False), ((-20.0, 8.0, 3.0), 0.1, True)],
+)
+def test_a_seam_is_read_among_streaks_whatever_is_told_of_the_arc(
+    off_mm: tuple[float, float, float], output: float, is_told: bool
+) -> None:
+    true = small_setup("v_groove")
+    center_mm = tuple(np.add(true.arc.center_in_tool_mm, off_mm).tolist())
+    arc = replace(true.arc, center_in_tool_mm=center_mm, radiance_e=output * true.arc.radiance_e)
+    tracker, welding = Tracker(replace(true, arc=arc)), replace(true, effects=checked(WELDING))
+    rng, n_valid = np.random.default_rng(SEED), 0
+    for n in range(10):
+        pose = pose_at(2.0 * n)
+        image = draw_frame(welding, pose.T_base_tool, Condition(1.0, 1.0, EXPOSURE_S), rng, seam=SHIFTED)
+        track = tracker.step(Frame(n, 0.1 * n, image, EXPOSURE_S, CURRENT_A, arc_on=is_told), pose)
+        off = np.subtract(track.seam_tool_mm, true_seam_tool(true, pose, SHIFTED))[1:]
+        sigma = np.array([track.sigma_y_mm, track.sigma_z_mm])
+        assert not track.valid or (np.abs(off) < np.maximum(0.15, 4.0 * sigma)).all(), (n, off, sigma)
+        n_valid += track.valid
+    assert n_valid >= 9
 
 
 @pytest.mark.parametrize("x_mm", [-22.0, -35.0, -10.0])
