@@ -333,3 +333,26 @@ def test_every_joint_is_simulated_and_its_nominal_values_track_it(joint: str, tm
         assert track.valid, track.flag_names
         # To a scan line and half of one where upright edges are all that tells of the seam.
         np.testing.assert_allclose(track.seam_tool_mm, truth.seam_tool_mm[frame.index], atol=0.2)
+
+
+@pytest.mark.slow
+def test_a_bowed_sheet_is_tracked_where_it_is_stated(tmp_path: Path) -> None:
+    setup = nominal_setup("lap", "mild_steel", width=320, height=240)
+    setup = replace(setup, laser=replace(setup.laser, bow=0.15))
+    plan = SimulationPlan(frames=12, production=True, exact=True, seed=3, weave_mm=10.0, seam_wander_mm=0.5)
+    path = simulate_recording(tmp_path / "bowed", setup, plan)
+    recording, truth = read_recording(path), read_truth(path)
+    assert recording.setup.laser.bow == 0.15
+    assert truth is not None
+    poses, rms_mm = recording.pose_buffer(), []
+    for bow in (0.15, 0.0):
+        tracker = Tracker(replace(recording.setup, laser=replace(recording.setup.laser, bow=bow)))
+        off = []
+        for frame in recording.frames():
+            assert not isinstance(frame, BadFrame)
+            track = tracker.step(frame, recording.pose_at(poses, frame.timestamp_s))
+            off.append(track.seam_tool_mm[2] - truth.seam_tool_mm[frame.index, 2])
+        rms_mm.append(float(np.sqrt(np.nanmean(np.square(off)))))
+    print(f"height off by {rms_mm[0]:.3f} mm with the bow, {rms_mm[1]:.3f} mm without it (RMS)")
+    assert rms_mm[0] < 0.03
+    assert rms_mm[1] > 3.0 * rms_mm[0]
