@@ -34,7 +34,8 @@ from calibration.camera.enough import UndeterminedError
 from calibration.camera.known_lens import board_poses
 from calibration.camera.lens import Lens
 from calibration.camera.sightings import BoardView
-from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration, calibrate_hand_eye
+from calibration.hand_eye_boards.calibrate import HandEyeCalibration, calibrate_hand_eye
+from noise_model.calibration_errors import POSE
 from noise_model.compiled.arrays import Float64, Integers
 
 METHODS = {
@@ -263,7 +264,7 @@ def judge(worlds: int, seed: int) -> None:
         bound = cramer_rao(world) if is_whole else np.full(6, np.nan)
         error, half = error_of(result.T_holder_camera, world), result.half_interval()
         within += (np.abs(error) < result.half_interval(1.0 - 2.0 * norm.sf(1.0))).tolist()
-        for i, name in enumerate(PARAMETERS):
+        for i, name in enumerate(POSE):
             least = float(bound[i]) if is_whole else None
             tally.add(name, error[i], result.sigma[i], bool(abs(error[i]) < half[i]), least)
         robot.append(

@@ -1,16 +1,15 @@
 """Certificate of the seam's absolute position: the covariance of all calibrations, propagated to the seam.
 
-A seam point lies where the pixel's ray meets the laser sheet, carried to the tool frame:
-
-    X = -d r / (n . r),    p = R X + t.
-
 Camera, sheet and hand-eye are calibrated one after the other. What the lens has wrong goes into the sheet and
 the hand-eye too, where it partly cancels. Each of these therefore comes with its derivatives by the lens'
 values, and the lens' share is carried along all three ways at once.
 
-The pose T that the robot states for a frame is not in p, so its error moves no seam in the tool frame: the
-robot's share is what its errors at the boards have made of R and t. It is in the place in base, q = T p. With
-xi the small motion of the tool by which a pose is off, a turn w and a move m,
+The errors are those of a setup's own values: lens, camera pose, plane in the tool frame, and the way of the
+tool in an unknown delay (`noise_model.calibration_errors`). A track's sigma follows from the same covariance.
+
+The pose T that the robot states for a frame is not in a point p of the tool frame, so its error moves no seam
+there: the robot's share is what its errors at the boards have made of the camera's pose. It is in the place
+in base, q = T p. With the small motion of the tool by which a pose is off, a turn w and a move m,
 
     dq = T (dp + w x p + m).
 """
@@ -24,7 +23,10 @@ import numpy as np
 
 from calibration.camera.lens import Lens
 from calibration.rigid import cross_matrices
+from noise_model.calibration_errors import BOW, POSE, SHEET, TOOL, CalibrationCovariance
 from noise_model.compiled.arrays import Float64
+from noise_model.setup import Setup
+from tracker.geometry import calibration_moves
 
 CAMERA, LASER, HAND_EYE, ROBOT, DELAY = "camera", "laser", "hand-eye", "robot", "delay"
 
@@ -44,8 +46,8 @@ class KnownLens:
 class KnownSheet:
     """Laser sheet n.X + d = 0 (4,), camera frame, mm.
 
-    `covariance` (4, 4) is that of its own measurement with an exact lens; `per_lens` (4, k) are its
-    derivatives by the lens' parameters.
+    `covariance` (5, 5) is that of plane and bow by their own measurement with an exact lens; `per_lens`
+    (5, k) are their derivatives by the lens' parameters.
     """
 
     plane: Float64
@@ -57,7 +59,7 @@ class KnownSheet:
 class KnownHandEye:
     """Camera pose `T_tool_camera` (4, 4), mm.
 
-    `covariance` (6, 6) is of a rotation, rad, and a translation, mm, both in the camera's own frame, with an
+    `covariance` (6, 6) is of a rotation, deg, and a translation, mm, both in the camera's own frame, with an
     exact lens, and `by_robot` (6, 6) the part of it that the robot's errors make; `per_lens` (6, k) are their
     derivatives by the lens' parameters.
     """
@@ -70,9 +72,9 @@ class KnownHandEye:
 
 @dataclass(frozen=True)
 class RobotNoise:
-    """1 sigma of the tool's pose about and along each of its axes: a turn, rad, and a move, mm."""
+    """1 sigma of the tool's pose about and along each of its axes: a turn, deg, and a move, mm."""
 
-    turn_rad: float
+    turn_deg: float
     move_mm: float
 
 
@@ -135,56 +137,66 @@ class Certificate:
         return min(self.shares_mm2, key=self.without)
 
 
-def certify(
+def covariance_shares(
     known_lens: KnownLens,
     sheet: KnownSheet,
     hand_eye: KnownHandEye,
+    delay_sigma_mm: float = 0.0,
+) -> dict[str, CalibrationCovariance]:
+    """Return each source's share in the covariance of a setup's values; shares add up.
+
+    `delay_sigma_mm` is 1 sigma of the tool's travel, along each axis across the seam, in the unknown delay.
+    """
+    R, t = hand_eye.T_tool_camera[:3, :3], hand_eye.T_tool_camera[:3, 3]
+    # n_tool = R n, d_tool = d - t.R n: the sheet is measured before the camera, and moves with it.
+    to_tool = np.eye(5)
+    to_tool[:3, :3], to_tool[3, :3] = R, -t @ R
+    normal = sheet.plane[:3]
+    with_pose = np.zeros((5, 6))
+    with_pose[:3, :3] = -R @ cross_matrices(normal[np.newaxis])[0]
+    with_pose[3] = -t @ with_pose[:3]
+    with_pose[3, 3:] = -normal
+    with_pose[:, :3] *= np.pi / 180.0
+    n_lens = len(known_lens.lens.names)
+    of_lens = np.vstack(
+        [np.eye(n_lens), hand_eye.per_lens, to_tool @ sheet.per_lens + with_pose @ hand_eye.per_lens]
+    )
+    of_pose = np.vstack([np.zeros((n_lens, 6)), np.eye(6), with_pose])
+    of_sheet = np.vstack([np.zeros((n_lens + 6, 5)), to_tool])
+    names = (*known_lens.lens.names, *POSE, *SHEET, BOW)
+
+    def share(jacobian: Float64, covariance: Float64) -> CalibrationCovariance:
+        return CalibrationCovariance.of(names, jacobian @ covariance @ jacobian.T)
+
+    return {
+        CAMERA: share(of_lens, known_lens.covariance),
+        LASER: share(of_sheet, sheet.covariance),
+        HAND_EYE: share(of_pose, hand_eye.covariance - hand_eye.by_robot),
+        ROBOT: share(of_pose, hand_eye.by_robot),
+        DELAY: CalibrationCovariance.of(TOOL[1:], delay_sigma_mm**2 * np.eye(2)),
+    }
+
+
+def certify(
+    setup: Setup,
+    shares: Mapping[str, CalibrationCovariance],
     points_px: Float64,
     robot: RobotNoise = RobotNoise(0.0, 0.0),
-    delay_sigma_mm: float = 0.0,
 ) -> Certificate:
-    """Propagate the covariance of all calibrations to image points (n, 2) on the laser sheet: J cov J^T.
+    """Propagate the covariance of all calibrations to image points (n, 2) on the laser sheet.
 
-    `robot` is the error of the poses that the robot states; `delay_sigma_mm` is 1 sigma of the tool's travel,
-    along each axis across the seam, in the unknown delay.
+    `robot` is the error of the poses that the robot states.
     """
-    lens, R = known_lens.lens, hand_eye.T_tool_camera[:3, :3]
-    rays = lens.rays(points_px)
-    normal, distance = sheet.plane[:3], sheet.plane[3]
-    slope = rays @ normal
-    depth = -distance / slope
-    points = depth[:, np.newaxis] * rays
-
-    # n.X + d = 0 holds for every ray: X dn + dd + n.dX = 0 with dX = depth dr + r ddepth.
-    per_plane = -rays[:, :, np.newaxis] * (
-        np.column_stack([points, np.ones(len(points))])[:, np.newaxis, :] / slope[:, np.newaxis, np.newaxis]
-    )
-    across = np.eye(3) - rays[:, :, np.newaxis] * normal / slope[:, np.newaxis, np.newaxis]
-    per_ray = depth[:, np.newaxis, np.newaxis] * across
-    of_rays = known_lens.lens.derivatives(known_lens.covariance, lambda lens: lens.rays(points_px))
-    per_lens = np.einsum("nij,njk->nik", per_ray, of_rays)
-    per_pose = np.concatenate(
-        [-cross_matrices(points), np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2
-    )
-    per_lens = per_lens + per_plane @ sheet.per_lens + per_pose @ hand_eye.per_lens
-
-    def share(jacobian: Float64, covariance: Float64) -> Float64:
-        turned = R @ jacobian
-        return np.asarray(turned @ covariance @ np.swapaxes(turned, 1, 2))
-
-    in_tool = points @ R.T + hand_eye.T_tool_camera[:3, 3]
-    lever = cross_matrices(in_tool)
-    even = np.broadcast_to(np.eye(3), lever.shape)
-    is_across = np.diag([0.0, 1.0, 1.0])
-    return Certificate(
-        points_px,
-        in_tool,
-        robot.move_mm**2 * even + robot.turn_rad**2 * (lever @ np.swapaxes(lever, 1, 2)),
-        {
-            CAMERA: share(per_lens, known_lens.covariance),
-            LASER: share(per_plane, sheet.covariance),
-            HAND_EYE: share(per_pose, hand_eye.covariance - hand_eye.by_robot),
-            ROBOT: share(per_pose, hand_eye.by_robot),
-            DELAY: delay_sigma_mm**2 * is_across * even,
-        },
-    )
+    joint = CalibrationCovariance.sum(shares.values())
+    points, moves_mm = calibration_moves(setup, joint, points_px)
+    # All sources by the moves of the joint errors: a track's are the same, and shares add up to them.
+    scale = np.sqrt(np.diag(joint.matrix))
+    per_value = np.linalg.pinv(joint.modes / scale) @ moves_mm / scale[:, np.newaxis]
+    shares_mm2 = {}
+    for source, covariance in shares.items():
+        known = [name in joint.names for name in covariance.names]
+        J = per_value[:, [joint.names.index(name) for name in covariance.names if name in joint.names]]
+        shares_mm2[source] = np.swapaxes(J, 1, 2) @ covariance.matrix[np.ix_(known, known)] @ J
+    lever = cross_matrices(points)
+    turned_mm2 = np.radians(robot.turn_deg) ** 2 * (lever @ np.swapaxes(lever, 1, 2))
+    return Certificate(points_px, points, robot.move_mm**2 * np.eye(3) + turned_mm2, shares_mm2)

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from noise_model.arc_source import NO_ARC, Arc
+from noise_model.calibration_errors import (
+    CalibrationCovariance,
+    camera_with_errors,
+    laser_with_errors,
+)
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.laser import Laser
 from noise_model.instrument.sensor import Sensor
@@ -39,6 +44,8 @@ class Setup:
         How well the values above are known.
     effects : mapping
         Effects that are known to act: parameters by name, by the effect's id (`noise_model.effects`).
+    calibration : CalibrationCovariance or None
+        The joint covariance of lens, camera pose and sheet; None where only tolerances are stated.
     """
 
     camera: Camera
@@ -50,6 +57,20 @@ class Setup:
     material: Material = UNSTATED_METAL
     tolerance: Tolerance = field(default_factory=Tolerance)
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    calibration: CalibrationCovariance | None = None
+
+    @property
+    def calibration_errors(self) -> CalibrationCovariance:
+        """The joint covariance of lens, camera pose and sheet, as calibrated or by the tolerance."""
+        return self.calibration or CalibrationCovariance.of_tolerance(self.tolerance)
+
+    def with_errors(self, errors: Mapping[str, float]) -> Setup:
+        """Return the setup whose camera and sheet are off by errors, by name; others are left out."""
+        return replace(
+            self,
+            camera=camera_with_errors(self.camera, errors),
+            laser=laser_with_errors(self.laser, errors),
+        )
 
     @property
     def missing(self) -> tuple[str, ...]:

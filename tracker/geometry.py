@@ -19,6 +19,7 @@ from noise_model.arc.map import arc_kernel, baked_light
 from noise_model.arc.quadrature import gauss_nodes
 from noise_model.arc.scene import scene_along
 from noise_model.arc.table import TO_POWERS
+from noise_model.calibration_errors import CalibrationCovariance, tool_displacement
 from noise_model.compiled.arrays import Float32, Float64, Int64
 from noise_model.compiled.kernel import kernel
 from noise_model.effects import acting, apply_setup_effects
@@ -30,6 +31,7 @@ from noise_model.stripe import stripe_runs_along_rows
 from noise_model.surface.brdf import LobeNumbers, lobe_numbers
 from noise_model.surface.joint import NOMINAL_SEAM
 from noise_model.transforms import invert, transform
+from tracker.seam.calibration_field import CalibrationField
 from tracker.seam.locate import SeamSource
 
 MIN_LIGHT = 0.05
@@ -50,6 +52,9 @@ MIN_ACROSS = 0.2
 
 MAP_TOLERANCE, MAP_FLOOR_E = 0.01, 20.0
 """Largest error of the map where it is read off its tables: relative, and in electrons."""
+
+FIELD_NODES = 11
+"""Columns and rows of the image at which the calibration's errors are propagated to the sheet."""
 
 SAMPLE, LEVEL_SAMPLE = 600, 150
 """About so many pixels are an even sample of an image, however many it has; so many tell the arc's level.
@@ -166,6 +171,16 @@ class SensorGeometry:
     def seam_source(self) -> SeamSource:
         """Setup of the seam for the kernels."""
         return SeamSource.of(self.setup)
+
+    @cached_property
+    def calibration_field(self) -> CalibrationField:
+        """Displacement of the seam by errors of the calibration, up to twice the working distance."""
+        camera = self.setup.camera
+        u, v = (np.linspace(0.0, size - 1.0, FIELD_NODES) for size in (camera.width, camera.height))
+        points_px = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+        points_tool, moves_mm = calibration_moves(self.setup, self.setup.calibration_errors, points_px)
+        depth_mm = float(transform(invert(camera.T_tool_camera), self.setup.laser.point_mm)[2])
+        return CalibrationField.fit(camera.T_tool_camera, points_tool, moves_mm, 2.0 * depth_mm)
 
     @cached_property
     def arc_source(self) -> ArcSource:
@@ -313,3 +328,19 @@ def to_laser_plane(setup: Setup, image_points_px: Float64) -> tuple[Float64, Flo
     xy = camera.normalised(image_points_px)
     rays_tool = np.column_stack([xy, np.ones(len(xy))]) @ camera.T_tool_camera[:3, :3].T
     return meet_laser_plane(setup, camera.T_tool_camera[:3, 3], rays_tool), rays_tool
+
+
+def calibration_moves(
+    setup: Setup, covariance: CalibrationCovariance, points_px: Float64
+) -> tuple[Float64, Float64]:
+    """Return places on the sheet of image points (n, 2), and their moves by independent errors of 1 sigma.
+
+    Places (n, 3) and moves (n, m, 3) are in the tool frame, mm.
+    """
+    here = to_laser_plane(setup, points_px)[0]
+    moves_mm = np.empty((len(here), len(covariance.modes), 3))
+    for k, sizes in enumerate(np.eye(len(covariance.modes))):
+        errors = covariance.errors(sizes)
+        there = to_laser_plane(setup.with_errors(errors), points_px)[0]
+        moves_mm[:, k] = there + tool_displacement(errors) - here
+    return here, moves_mm

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from tracker import checks
 from tracker.checks import FrameChecks
 from tracker.observation import FrameInput, Reading
@@ -28,7 +30,7 @@ The rim of a tack shows a joint for some frames, or now and then: a seam shows i
 class SeamEstimate(NamedTuple):
     """Seam in a frame: in the tool frame, mm, with 1 sigmas and confidence; NaN if there is none.
 
-    The sigmas of y and z, mm, take in the hand-eye tolerance.
+    The sigmas of y and z, mm, take in the calibration's errors.
     """
 
     seam_tool_mm: tuple[float, float, float] = (math.nan, math.nan, math.nan)
@@ -45,15 +47,17 @@ def judge(
     if joint is None:
         return _lost(before, reading), None
     located = locate(source, expected.T_joint_tool, reading.scene, joint.y_mm, joint.z_mm)
-    off_mm, (hand_eye_y, hand_eye_z) = located.displacement_mm, located.hand_eye_mm2
+    off_mm = located.displacement_mm
     if not frame_checks.ask(checks.NEAR_NOMINAL, max(abs(off_mm[0]), abs(off_mm[1])), MAX_OFF_MM):
         return _lost(before, reading), None
     variance_mm2 = float(joint.covariance_mm2[0, 0]), float(joint.covariance_mm2[1, 1])
-    steering = before.steering._replace(hand_eye_variance_mm2=located.hand_eye_mm2)
+    moves_mm = given.geometry.calibration_field.moves_mm(np.array(located.seam_tool_mm))
+    calibration_y, calibration_z = np.sum((moves_mm @ expected.T_joint_tool[1:3, :3].T) ** 2, axis=0).tolist()
+    steering = before.steering._replace(hand_eye_variance_mm2=(calibration_y, calibration_z))
     state = before._replace(steering=steering)
     state = remember(frame_checks, state, located.station_mm, off_mm, variance_mm2)
-    sigma_y_mm = math.sqrt(variance_mm2[0] + hand_eye_y)
-    sigma_z_mm = math.sqrt(variance_mm2[1] + hand_eye_z)
+    sigma_y_mm = math.sqrt(variance_mm2[0] + calibration_y)
+    sigma_z_mm = math.sqrt(variance_mm2[1] + calibration_z)
     sure = confidence(source.weld_mm, sigma_y_mm, sigma_z_mm)
     return state, SeamEstimate(located.seam_tool_mm, sigma_y_mm, sigma_z_mm, sure)
 

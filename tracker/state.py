@@ -215,8 +215,8 @@ class Track:
     seam_tool_mm : tuple (3,)
         The seam point in the laser plane, mm, tool frame.
     sigma_y_mm, sigma_z_mm : float
-        1 sigma of the seam point across the seam and along the surface normal, mm. They include the stated
-        hand-eye tolerance.
+        1 sigma of the seam point across the seam and along the surface normal, mm. They include the
+        calibration's error.
     offset_y_mm, offset_z_mm : float
         The correction at the torch, mm, joint frame: the seam's displacement from the programmed path, as
         gain, bias and limit of `Correction` change it.
@@ -224,7 +224,7 @@ class Track:
         1 sigma of the seam's displacement at the torch, mm.
     offset_confidence : float
         The probability that the displacement at the torch is known within the weld's tolerance, `seam_mm`. It
-        includes the hand-eye tolerance.
+        includes the calibration's error.
     valid_at_s : float
         The time at which the offset holds, s: that of the capture, or once the correction acts.
     gap_mm, mismatch_mm : float

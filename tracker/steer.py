@@ -119,14 +119,14 @@ def steer(
     y_mm, z_mm = sent.offset_mm
     sigma_y_mm = math.nan if math.isnan(y_mm) else seam.sigma_mm[0]
     sigma_z_mm = math.nan if math.isnan(z_mm) else seam.sigma_mm[1]
-    hand_eye_y, hand_eye_z = steering.hand_eye_variance_mm2
+    calibration_y, calibration_z = steering.hand_eye_variance_mm2
     weld_mm, timestamp_s = given.geometry.seam_source.weld_mm, float(given.frame.timestamp_s)
     offset = TorchOffset(
         offset_y_mm=y_mm,
         offset_z_mm=z_mm,
         offset_sigma_y_mm=sigma_y_mm,
         offset_sigma_z_mm=sigma_z_mm,
-        offset_confidence=_confidence(weld_mm, sigma_y_mm**2 + hand_eye_y, sigma_z_mm**2 + hand_eye_z),
+        offset_confidence=_confidence(weld_mm, sigma_y_mm**2 + calibration_y, sigma_z_mm**2 + calibration_z),
         valid_at_s=math.nan if math.isnan(y_mm) and math.isnan(z_mm) else timestamp_s + lead.time_s,
         joint_start_mm=_where(ends.start),
         joint_end_mm=_where(ends.end),

@@ -24,7 +24,8 @@ class Steering(NamedTuple):
     """State of the steering from frame to frame.
 
     Once stopped it stays so: a new Steering, as a new Tracker has, is the only way to start again.
-    `hand_eye_variance_mm2` (y, z) is what the hand-eye tolerance leaves of the latest measurement.
+    `hand_eye_variance_mm2` (y, z) is the part of the calibration's errors in the latest measurement; files of
+    earlier runs name it so.
     """
 
     ends: JointEnds = JointEnds()

@@ -10,7 +10,8 @@ from arctrack.errors import ArctrackError, in_file
 from arctrack.recording import SetupFile
 from arctrack.recording.setup_model import CalibrationTable
 from calibration.camera.known_lens import lens_from_camera
-from calibration.camera.lens import PINHOLE, Lens
+from calibration.camera.lens import Lens
+from noise_model.calibration_errors import PINHOLE
 from noise_model.compiled.arrays import Float64
 
 

@@ -80,10 +80,10 @@ class FrameTracking:
         began_ns = time.perf_counter_ns()
         track = self.tracker.step(shown, pose, capture.look_ahead)
         took_ms = (time.perf_counter_ns() - began_ns) / 1e6
-        hand_eye_mm2 = self.tracker.state.steering.hand_eye_variance_mm2
+        calibration_mm2 = self.tracker.state.steering.hand_eye_variance_mm2
         if not capture.is_trusted:
             self.tracker.state = before
         inputs = StepInputs(before, pose, capture.look_ahead, capture.is_trusted)
         setup = self.tracker.geometry.setup
-        seam = seam_measurement(setup, track, pose, hand_eye_mm2)
+        seam = seam_measurement(setup, track, pose, calibration_mm2)
         return TrackedFrame(track, seam, FrameStep(shown, inputs, self.tracker.reading), took_ms)

@@ -15,12 +15,12 @@ from tracker.state import Pose, Track
 
 
 def seam_measurement(
-    setup: Setup, track: Track, pose: Pose | None, hand_eye_variance_mm2: tuple[float, float]
+    setup: Setup, track: Track, pose: Pose | None, calibration_variance_mm2: tuple[float, float]
 ) -> SeamMeasurement | None:
     """Return the seam that a track saw, placed by its pose; None where it saw none.
 
-    Its sigma leaves out the hand-eye tolerance, which turns with the tool and is common to all frames;
-    `hand_eye_variance_mm2` is that tolerance's part in the variances of the track's (y, z).
+    Its sigma leaves out the calibration's error, which turns with the tool and is common to all frames;
+    `calibration_variance_mm2` is that error's part in the variances of the track's (y, z).
     """
     if pose is None or not math.isfinite(track.seam_tool_mm[1]):
         return None
@@ -30,9 +30,9 @@ def seam_measurement(
     station_mm, displacement = seam_displacement(setup, T_joint_tool, seam_tool)
     y_mm, z_mm = displacement.tolist()
     sigma_y_mm, sigma_z_mm = (
-        math.sqrt(max(0.0, sigma_mm**2 - of_hand_eye))
-        for sigma_mm, of_hand_eye in zip(
-            (track.sigma_y_mm, track.sigma_z_mm), hand_eye_variance_mm2, strict=True
+        math.sqrt(max(0.0, sigma_mm**2 - of_calibration))
+        for sigma_mm, of_calibration in zip(
+            (track.sigma_y_mm, track.sigma_z_mm), calibration_variance_mm2, strict=True
         )
     )
     return SeamMeasurement(station_mm, (y_mm, z_mm), (sigma_y_mm, sigma_z_mm))

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import tomlkit
-from tomlkit.items import Array, InlineTable
+from tomlkit.items import InlineTable
 
-from arctrack.recording.setup_file import parse_setup, read_setup_file, setup_text
-from arctrack.recording.toml_text import rounded
+from arctrack.recording.setup_file import end_joint_covariance, parse_setup, read_setup_file, setup_text
+from arctrack.recording.setup_writer import covariance_table
 from noise_model.compiled.arrays import Float64
 
 Value = float | int | Sequence[float]
@@ -54,8 +54,9 @@ class CalibrationValues:
 def with_calibrated(path: Path, *results: CalibrationValues) -> str:
     """Return a recording.toml's text with calibrated values; all else, comments included, stays.
 
-    An earlier `[calibration.NAME]` of the same name is replaced. Raises ArctrackError for a file that cannot
-    be read, and for a value that it could not hold.
+    An earlier `[calibration.NAME]` of the same name is replaced. A camera or a sheet that is calibrated anew
+    ends the joint covariance of the former ones. Raises ArctrackError for a file that cannot be read, and for
+    a value that it could not hold.
     """
     read_setup_file(path)
     document = tomlkit.parse(setup_text(path))
@@ -67,6 +68,8 @@ def with_calibrated(path: Path, *results: CalibrationValues) -> str:
         for key, value in result.values.items():
             table[key] = _plain(value)
         records = document.setdefault("calibration", tomlkit.table(is_super_table=True))
+        if result.values and result.table in ("camera", "camera.pose_in_tool", "laser"):
+            end_joint_covariance(document)
         _replace(records, result.name or result.table, _record(result))
     text = tomlkit.dumps(document)
     parse_setup(text, path)
@@ -86,15 +89,10 @@ def _replace(tables: MutableMapping[str, Any], name: str, record: Mapping[str, o
 
 
 def _record(result: CalibrationValues) -> dict[str, object]:
-    rows = Array([], tomlkit.items.Trivia())
-    for row in result.covariance:
-        rows.append(_plain(row))
     return {
         "made_by": result.made_by,
         **result.about,
-        "parameters": list(result.parameters),
-        "sigma": [rounded(value, 4) for value in result.sigma],
-        "covariance": rows.multiline(multiline=True),
+        **covariance_table(result.parameters, result.covariance),
     }
 
 

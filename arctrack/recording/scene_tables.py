@@ -206,7 +206,7 @@ class ToleranceTable(Table):
         "deg",
         "0.02 to 0.5",
         "a calibration. The residual of the hand-eye calibration. It limits the confidence that a track can "
-        "have.",
+        "have. `[calibration.geometry]`, which `arctrack calibrate all` writes, counts in its place.",
         default=Tolerance.hand_eye_deg,
     )
     hand_eye_mm: Number = key(

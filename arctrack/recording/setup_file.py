@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ from arctrack.printable import cut, first_of, printable
 from arctrack.recording.files import blamed_on, read_text
 from arctrack.recording.key_errors import wrong_keys
 from arctrack.recording.setup_model import CalibrationTable, RecordingToml, unknown_keys
-from arctrack.recording.setup_writer import FILE_NAME, filter_table, pose_table
+from arctrack.recording.setup_writer import CERTIFICATE, FILE_NAME, GEOMETRY, filter_table, pose_table
 from arctrack.recording.toml_text import parse_toml, rounded
 from noise_model.compiled.arrays import Float64
 from tracker.seam.correction import Correction
@@ -130,13 +130,23 @@ def parse_setup(text: str, path: Path) -> SetupFile:
 
 
 def with_camera_pose(path: Path, T_tool_camera: Float64) -> str:
-    """Return a recording.toml's text with another camera pose; all else, comments included, stays."""
+    """Return a recording.toml's text with another camera pose; all else, comments included, stays.
+
+    Only the joint covariance of the former one goes.
+    """
     read_setup_file(path)
     document = tomlkit.parse(setup_text(path))
     camera = document["camera"]
     for key, value in pose_table(T_tool_camera).items():
         camera["pose_in_tool"][key] = value
+    end_joint_covariance(document)
     return tomlkit.dumps(document)
+
+
+def end_joint_covariance(document: MutableMapping[str, Any]) -> None:
+    """Take the joint covariance and its certificate out of a recording.toml: tolerances count again."""
+    for name in (GEOMETRY, CERTIFICATE):
+        document.get("calibration", {}).pop(name, None)
 
 
 def with_camera_keys(path: Path, keys: Mapping[str, int | float]) -> str:

@@ -18,13 +18,14 @@ from arctrack.recording import sensor_tables as sensors
 from arctrack.recording.follow_tables import FollowTable
 from arctrack.recording.key_errors import held, place
 from arctrack.recording.schema import MAX_NUMBER, Table, key, unknown_in
-from arctrack.recording.setup_writer import UNITS
+from arctrack.recording.setup_writer import GEOMETRY, UNITS
 from noise_model.arc_source import NO_ARC
 from noise_model.compiled.arrays import Float64
 from noise_model.setup_keys import Tolerance
 from noise_model.spelling import nearest
 
 if TYPE_CHECKING:
+    from noise_model.calibration_errors import CalibrationCovariance
     from noise_model.instrument.camera import Camera
     from noise_model.setup import Setup
 
@@ -112,8 +113,23 @@ class RecordingToml(Table):
             arc=NO_ARC if self.arc is None else self.arc.to_arc(),
             material=UNSTATED_METAL if self.material is None else Material(**self.material.known),
             tolerance=Tolerance(**self.tolerance.known),
+            calibration=self._calibration(),
         )
         return replace(stated, effects=checked(self._known_effects(), joint, stated.missing))
+
+    def _calibration(self) -> CalibrationCovariance | None:
+        """Return the joint covariance of lens, camera pose and sheet; ValueError if it is none."""
+        from noise_model.calibration_errors import CalibrationCovariance
+
+        if GEOMETRY not in self.calibration:
+            return None
+        place = f"calibration.{GEOMETRY}"
+        table = self.calibration[GEOMETRY]
+        matrix = table.matrix(place)
+        try:
+            return CalibrationCovariance.of(table.parameters, matrix)
+        except ValueError as error:
+            raise ValueError(f"[{place}] {error}; calibrate anew, or leave the table out") from None
 
     def _known_effects(self) -> dict[str, dict[str, float]]:
         """Return the effects that are known, with their parameters that are; ValueError if they hold else."""

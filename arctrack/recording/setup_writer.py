@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import tomlkit
+from tomlkit.items import Array, Trivia
 
+from arctrack.recording.toml_text import rounded
 from noise_model.compiled.arrays import Float64
 
 if TYPE_CHECKING:
@@ -16,6 +20,11 @@ if TYPE_CHECKING:
 FILE_NAME = "recording.toml"
 UNITS = "mm, s, deg, e-, DN"
 """The units that a recording states."""
+
+GEOMETRY, CERTIFICATE = "geometry", "certificate"
+"""The tables of `[calibration]` with the joint covariance of lens, camera pose and sheet, and with the seam's
+by it at the point nearest to the tool's axis.
+"""
 
 
 def format_setup(setup: Setup) -> str:
@@ -27,6 +36,9 @@ def format_setup(setup: Setup) -> str:
         document[name] = table
     if setup.effects:
         document["effects"] = {name: dict(table) for name, table in setup.effects.items()}
+    if setup.calibration is not None:
+        names, matrix = setup.calibration.names, setup.calibration.matrix
+        document["calibration"] = {GEOMETRY: covariance_table(names, matrix)}
     return tomlkit.dumps(document)
 
 
@@ -39,6 +51,18 @@ def pose_table(T_a_b: Float64) -> dict[str, list[float]]:
     return {
         "translation_mm": [float(value) for value in T_a_b[:3, 3]],
         "quaternion_xyzw": [float(value) for value in quaternion],
+    }
+
+
+def covariance_table(parameters: Sequence[str], covariance: Float64) -> dict[str, Any]:
+    """Return the covariance (n, n) of parameters as the file states it, a row on each line."""
+    rows = Array([], Trivia())
+    for row in covariance.tolist():
+        rows.append(row)
+    return {
+        "parameters": list(parameters),
+        "sigma": [rounded(value, 4) for value in np.sqrt(np.diag(covariance)).tolist()],
+        "covariance": rows.multiline(multiline=True),
     }
 
 

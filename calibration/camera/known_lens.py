@@ -10,11 +10,12 @@ from calibration.boards.board import Board
 from calibration.boards.detect import MIN_CORNERS
 from calibration.camera.adjustment import BoardScene, adjust
 from calibration.camera.enough import UndeterminedError
-from calibration.camera.lens import OPENCV, PINHOLE, Lens
+from calibration.camera.lens import Lens
 from calibration.camera.noise import wrong_corners
 from calibration.camera.sightings import BoardView, Sightings
 from calibration.camera.start import with_better_poses
 from calibration.threads import one_thread
+from noise_model.calibration_errors import OPENCV, PINHOLE
 from noise_model.instrument.camera import Camera
 
 FAR_MM = 1e3

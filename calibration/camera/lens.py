@@ -8,12 +8,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from noise_model.calibration_errors import OPENCV, PINHOLE
 from noise_model.compiled.arrays import Float64
 from noise_model.instrument.camera import undistorted_rays
-
-PINHOLE = ("fx", "fy", "cx", "cy")
-OPENCV = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")
-"""OpenCV's distortion in its order; tau_x and tau_y, rad, tilt the sensor."""
 
 TILT = ("tau_x", "tau_y")
 

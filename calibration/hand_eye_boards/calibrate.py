@@ -36,9 +36,6 @@ from calibration.held_out import choose_leanest
 from calibration.threads import one_thread
 from noise_model.compiled.arrays import Bool, Float64
 
-PARAMETERS = ("rot_x_deg", "rot_y_deg", "rot_z_deg", "move_x_mm", "move_y_mm", "move_z_mm")
-"""A small motion of the camera in its own frame, as `noise_model.transforms.moved` applies it."""
-
 MAX_OUTLIER_SHARE = 0.4
 """The share of poses that may contradict the rest: of more nobody knows which are right."""
 

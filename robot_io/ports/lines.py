@@ -109,7 +109,7 @@ class StreamLine:
         self._address, self._make_dialect = address, make_dialect
         self._stream: socket.socket | None = None
         self._listener: socket.socket | None = None
-        self._tried_at_s = -RETRY_S
+        self._tried_at_s, self._heard_at_s = -RETRY_S, 0.0
         self.connections, self.problem = 0, "no robot is connected"
         if not connects:
             self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)

@@ -8,7 +8,16 @@ from arctrack.calibrate.laser.record import moved_with_camera
 from arctrack.errors import ArctrackError
 from arctrack.nominal import nominal_setup
 from arctrack.output import write_keeping
-from arctrack.recording import CalibrationValues, format_setup, read_setup_file, with_calibrated
+from arctrack.recording import (
+    CalibrationValues,
+    format_setup,
+    read_setup_file,
+    with_calibrated,
+    with_camera_pose,
+)
+from arctrack.recording.setup_file import parse_setup
+from noise_model.calibration_errors import CalibrationCovariance
+from noise_model.compiled.arrays import Float64
 from noise_model.transforms import invert, moved
 
 
@@ -64,6 +73,32 @@ def test_comments_in_and_behind_an_earlier_calibration_stay(setup_toml: Path) ->
     assert "# by hand\n" in again
     assert again.endswith("# the last line\n")
     assert "lot" not in tomllib.loads(again)["calibration"]["camera"]
+
+
+def joint(names: tuple[str, ...], covariance: Float64) -> CalibrationValues:
+    return CalibrationValues("camera", {}, names, covariance, "a test", name="geometry")
+
+
+def test_a_joint_covariance_reads_back_and_ends_with_what_it_is_of(setup_toml: Path) -> None:
+    names, rows = ("fx", "rot_x_deg", "d_mm"), np.array([[4.0, 0.1, 0.0], [0.1, 0.02, 0.0], [0.0, 0.0, 0.3]])
+    text = with_calibrated(setup_toml, joint(names, rows))
+    setup_toml.write_text(text)
+    setup = read_setup_file(setup_toml).setup
+    assert setup.calibration == CalibrationCovariance.of(names, rows)
+    setup_toml.write_text(format_setup(setup))
+    assert read_setup_file(setup_toml).setup.calibration == setup.calibration
+    # Of another camera nothing is known of how its errors go with the sheet's.
+    for other in (with_calibrated(setup_toml, lens(fx=2.0e3)), with_camera_pose(setup_toml, np.eye(4))):
+        assert parse_setup(other, setup_toml).setup.calibration is None
+    late = CalibrationValues("effects.pose_delay", {"delay_s": 0.02}, ("delay_s",), np.eye(1), "a test")
+    assert parse_setup(with_calibrated(setup_toml, late), setup_toml).setup.calibration is not None
+
+
+def test_what_is_no_joint_covariance_names_its_table(setup_toml: Path) -> None:
+    with pytest.raises(ArctrackError, match=r"\[calibration.geometry\] covariance: .* calibrate anew"):
+        with_calibrated(setup_toml, joint(("fx", "fy"), np.array([[1.0, 2.0], [2.0, 1.0]])))
+    with pytest.raises(ArctrackError, match=r"\[calibration.geometry\] parameters: 'fz' is none of fx"):
+        with_calibrated(setup_toml, joint(("fz",), np.eye(1)))
 
 
 def test_a_value_goes_into_effects_that_are_one_line(setup_toml: Path) -> None:

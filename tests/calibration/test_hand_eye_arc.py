@@ -26,8 +26,7 @@ from noise_model.forward import draw_frame
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, moved, transform
-from tracker.geometry import to_laser_plane
-from tracker.seam.locate import SeamSource, moved_variance
+from tracker.geometry import SensorGeometry, to_laser_plane
 from tracker.seam_observations import SeamObservations
 from tracker.state import Frame, Pose
 
@@ -102,15 +101,9 @@ def test_the_expected_error_before_is_what_the_tracker_states_of_the_tolerance()
     prior = np.diag([tolerance.hand_eye_deg**2] * 3 + [tolerance.hand_eye_mm**2] * 3)
     sigma_mm = seam_sigma_mm(setup, sightings, prior)
     points_tool, _ = to_laser_plane(setup, sightings.image_px)
-    source = SeamSource.of(setup)
+    field = SensorGeometry.of(setup).calibration_field
     variances_mm2 = [
-        moved_variance(
-            setup.camera.T_tool_camera,
-            source.plane,
-            make_scene(setup, pose(0.0)).T_joint_tool,
-            tuple(point.tolist()),
-            source.tolerance,
-        )
+        np.sum((field.moves_mm(point) @ make_scene(setup, pose(0.0)).T_joint_tool[1:3, :3].T) ** 2, axis=0)
         for pose, point in zip(sightings.poses, points_tool, strict=True)
     ]
     np.testing.assert_allclose(sigma_mm, np.sqrt(np.mean(variances_mm2, axis=0)), rtol=0.01)

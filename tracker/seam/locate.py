@@ -1,4 +1,4 @@
-"""Place of a seam that was seen, and its error by the hand-eye tolerance.
+"""Place of a seam that was seen.
 
 Of some numbers Python's own are quicker than arrays: matrices are lists here.
 """
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from noise_model.arc.scene import Scene, SceneSource
-from noise_model.compiled.arrays import Float64, Vector
+from noise_model.compiled.arrays import Float64
 from noise_model.compiled.kernel import kernel
 from noise_model.instrument.laser import Sheet, sheet_in_tool, tangent_plane
 from noise_model.setup import Setup
@@ -35,7 +35,7 @@ class SeamSource(NamedTuple):
     `scene` is of its scenes. `T_base_joint` and `T_joint_base` (4, 4) are of the nominal line's segments,
     `ends_mm` its ends' stations in the frame of each. `origin_mm`, `plane` and `sheet` are the laser's,
     `ahead_mm` is where its sheet is at tool height, all in the tool frame. `height_mm` is the seam point's
-    over the reference surface; `tolerance` are the hand-eye's 1 sigmas, rad and mm, `weld_mm` is the weld's.
+    over the reference surface; `weld_mm` is the weld's tolerance.
     """
 
     scene: SceneSource
@@ -47,13 +47,12 @@ class SeamSource(NamedTuple):
     sheet: Sheet
     ahead_mm: Point
     height_mm: float
-    tolerance: tuple[float, float]
     weld_mm: float
 
     @classmethod
     def of(cls, setup: Setup) -> SeamSource:
         """Gather a setup."""
-        laser, tolerance, scene = setup.laser, setup.tolerance, SceneSource.of(setup)
+        laser, scene = setup.laser, SceneSource.of(setup)
         frames = scene.segments.frames
         return cls(
             scene=scene,
@@ -65,8 +64,7 @@ class SeamSource(NamedTuple):
             sheet=sheet_in_tool(laser),
             ahead_mm=laser.point_mm.tolist(),
             height_mm=seam_height_mm(setup.joint),
-            tolerance=(math.radians(tolerance.hand_eye_deg), tolerance.hand_eye_mm),
-            weld_mm=tolerance.seam_mm,
+            weld_mm=setup.tolerance.seam_mm,
         )
 
     def plane_at(self, point_tool_mm: Point) -> Plane:
@@ -183,67 +181,19 @@ def confidence(weld_mm: float, sigma_y_mm: float, sigma_z_mm: float) -> float:
 
 
 class LocatedSeam(NamedTuple):
-    """A seam point: in the tool frame, mm, its station, and its displacement from the path as (y, z), mm.
-
-    `hand_eye_mm2` is the variance of its (y, z) that the stated hand-eye tolerance leaves.
-    """
+    """A seam point: in the tool frame, mm, its station, and its displacement from the path as (y, z), mm."""
 
     seam_tool_mm: tuple[float, float, float]
     station_mm: float
     displacement_mm: tuple[float, float]
-    hand_eye_mm2: tuple[float, float]
 
 
 def locate(
     source: SeamSource, T_nominal_tool: Float64, scene: Scene, y_mm: float, z_mm: float
 ) -> LocatedSeam:
-    """Return the seam point at (y, z) of a look's frame; `T_nominal_tool` is of the nominal joint frame.
-
-    Of the hand-eye each of the camera's three rotations and translations is off by its 1 sigma in turn; what
-    is seen is kept.
-    """
+    """Return the seam point at (y, z) of a look's frame; `T_nominal_tool` is of the nominal joint frame."""
     corrugation = scene.shape.corrugation
     px, py, pz = point = seam_point(source, scene.T_joint_tool.tolist(), corrugation, y_mm, z_mm)
     station, y, z = moved_by(T_nominal_tool.tolist(), point)
     height = source.height_mm + ridge_mm(station, corrugation)
-    seam_mm, T_tool_camera = (px, py, pz), source.scene.T_tool_camera
-    moves = moved_variance(T_tool_camera, source.plane_at(point), T_nominal_tool, seam_mm, source.tolerance)
-    return LocatedSeam(seam_mm, station, (y, z - height), moves)
-
-
-@kernel
-def moved_variance(
-    T_tool_camera: Float64,
-    plane_tool: tuple[float, float, float, float],
-    T_joint_tool: Float64,
-    point_tool: Vector,
-    tolerance: tuple[float, float],
-) -> tuple[float, float]:
-    """Return the sum of a point's squared moves in y and z as the camera turns and moves about its axes.
-
-    The `tolerance` is by how much, rad and mm. A ray d from o meets the plane n.p + e = 0 in o + t d. If the
-    camera turns by a small angle about one of its axes a, d moves by its cross product with it; a move
-    moves o.
-    """
-    (n_x, n_y, n_z, n_d), (turn, move_mm), variance_y, variance_z = plane_tool, tolerance, 0.0, 0.0
-    for moved in range(6):
-        i, j, m = T_tool_camera[0, moved % 3], T_tool_camera[1, moved % 3], T_tool_camera[2, moved % 3]
-        x, y, z = T_tool_camera[0, 3], T_tool_camera[1, 3], T_tool_camera[2, 3]
-        r_x, r_y, r_z = point_tool[0] - x, point_tool[1] - y, point_tool[2] - z
-        if moved < 3:
-            turned = j * r_z - m * r_y, m * r_x - i * r_z, i * r_y - j * r_x
-            r_x, r_y, r_z = r_x + turn * turned[0], r_y + turn * turned[1], r_z + turn * turned[2]
-        else:
-            x, y, z = x + move_mm * i, y + move_mm * j, z + move_mm * m
-        off, towards = n_x * x + n_y * y + n_z * z + n_d, n_x * r_x + n_y * r_y + n_z * r_z
-        if not off * towards < 0.0:
-            return math.nan, math.nan
-        t = -off / towards
-        off_x = x + t * r_x - point_tool[0]
-        off_y = y + t * r_y - point_tool[1]
-        off_z = z + t * r_z - point_tool[2]
-        moved_y = T_joint_tool[1, 0] * off_x + T_joint_tool[1, 1] * off_y + T_joint_tool[1, 2] * off_z
-        moved_z = T_joint_tool[2, 0] * off_x + T_joint_tool[2, 1] * off_y + T_joint_tool[2, 2] * off_z
-        variance_y += moved_y * moved_y
-        variance_z += moved_z * moved_z
-    return variance_y, variance_z
+    return LocatedSeam((px, py, pz), station, (y, z - height))

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from arctrack.calibrate.all.certify import certificate_of, certificate_record
+from arctrack.calibrate.all.certify import certified_geometry
 from arctrack.calibrate.all.folder import CalibrationSources, by_keys
 from arctrack.calibrate.arc.stage import arc_stage
 from arctrack.calibrate.camera.stage import camera_stage
@@ -108,9 +108,10 @@ def calibrate_folder(raw: CalibrationSources, stated: SetupFile, steps: Steps, w
     for name, path, make in (("delay", raw.delay, delay_stage), ("arc", raw.arc, arc_stage)):
         if path is not None:
             result.add(name, partial(_of_recording, make, path, result.stated, steps, warn))
-    result.certificate, result.unmeasured = certificate_of(result.stages, result.stated)
-    if result.certificate is not None and "hand_eye" in result.stages:
-        result.keep(certificate_record(result.certificate, result.stated))
+    geometry = certified_geometry(result.stages, result.stated)
+    if geometry is not None:
+        result.certificate, result.unmeasured = geometry.certificate, dict(geometry.unmeasured)
+        result.keep(*geometry.records)
     return result
 
 

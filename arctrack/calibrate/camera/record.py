@@ -7,7 +7,7 @@ import numpy as np
 from arctrack.recording import CalibrationValues
 from arctrack.recording.toml_text import rounded
 from calibration.camera.calibrate import CameraCalibration
-from calibration.camera.lens import OPENCV
+from noise_model.calibration_errors import OPENCV
 from noise_model.setup_keys import COEFFICIENTS
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from arctrack.recording.files import UnfitFileError
 from calibration.camera.fit_distortion import fit_distortion
-from calibration.camera.lens import OPENCV, PINHOLE, Lens
+from calibration.camera.lens import Lens
+from noise_model.calibration_errors import OPENCV, PINHOLE
 from noise_model.compiled.arrays import Float64
 from noise_model.setup_keys import COEFFICIENTS
 

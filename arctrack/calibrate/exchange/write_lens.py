@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from calibration.camera.lens import OPENCV
+from noise_model.calibration_errors import OPENCV
 from noise_model.instrument.camera import Camera
 
 

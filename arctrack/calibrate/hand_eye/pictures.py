@@ -9,8 +9,9 @@ from matplotlib.axes import Axes
 
 from arctrack.report import style
 from arctrack.report.embedded import svg
-from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration
+from calibration.hand_eye_boards.calibrate import HandEyeCalibration
 from calibration.rigid import inverse, transform_each
+from noise_model.calibration_errors import POSE
 
 
 def misfits(result: HandEyeCalibration) -> str:
@@ -40,8 +41,8 @@ def excitation(result: HandEyeCalibration) -> str:
     holder = "base" if result.is_eye_to_hand else "tool"
     for axes, names, values, unit, title, colour in (
         (turns, list("xyz"), result.turns_deg, "deg", f"turn about the {holder}'s axes, RMS", style.GREEN),
-        (sigma_deg, list(PARAMETERS[:3]), result.sigma[:3], "deg", "1 σ, camera's own axes", style.BLUE),
-        (sigma_mm, list(PARAMETERS[3:]), result.sigma[3:], "mm", "1 σ, camera's own axes", style.BLUE),
+        (sigma_deg, list(POSE[:3]), result.sigma[:3], "deg", "1 σ, camera's own axes", style.BLUE),
+        (sigma_mm, list(POSE[3:]), result.sigma[3:], "mm", "1 σ, camera's own axes", style.BLUE),
     ):
         style.plain(axes, "", unit, title)
         axes.bar(range(3), values, color=colour)

@@ -8,8 +8,9 @@ from scipy.spatial.transform import Rotation
 from arctrack.recording import CalibrationValues
 from arctrack.recording.calibrated import Value
 from arctrack.recording.toml_text import rounded
-from calibration.hand_eye_boards.calibrate import PARAMETERS, HandEyeCalibration
+from calibration.hand_eye_boards.calibrate import HandEyeCalibration
 from calibration.hand_eye_boards.robot_error import JOINTS
+from noise_model.calibration_errors import POSE
 from noise_model.compiled.arrays import Float64
 
 MADE_BY = "arctrack calibrate hand-eye"
@@ -40,15 +41,13 @@ def hand_eye_record(result: HandEyeCalibration) -> CalibrationValues:
         about["lens_parameters"] = list(lens.names)
         about |= {
             f"{name}_per_lens": [rounded(value, 6) for value in row]
-            for name, row in zip(PARAMETERS, result.per_lens, strict=True)
+            for name, row in zip(POSE, result.per_lens, strict=True)
         }
     if result.is_eye_to_hand:
         return CalibrationValues(
-            "camera", {}, PARAMETERS, result.covariance, MADE_BY, {**pose, **about}, "camera_in_base"
+            "camera", {}, POSE, result.covariance, MADE_BY, {**pose, **about}, "camera_in_base"
         )
-    return CalibrationValues(
-        "camera.pose_in_tool", pose, PARAMETERS, result.covariance, MADE_BY, about, "hand_eye"
-    )
+    return CalibrationValues("camera.pose_in_tool", pose, POSE, result.covariance, MADE_BY, about, "hand_eye")
 
 
 def pose_values(T_holder_camera: Float64) -> dict[str, list[float]]:
