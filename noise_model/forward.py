@@ -216,6 +216,7 @@ def _rendered_with(setup: Setup) -> tuple[object, ...]:
         setup.arc,
         setup.material,
         (joint.type, *sorted(joint.dimensions.items()), joint.seam_in_base_mm, joint.surface_normal_in_base),
+        joint.surface_normals_in_base,
         joint.station_origin_mm,
     )
 

@@ -11,8 +11,8 @@ from tracker import checks
 from tracker.checks import FrameChecks
 from tracker.observation import FrameInput, Reading
 from tracker.seam.expected import ExpectedSeam
-from tracker.seam.gaussian_process import MAX_STRETCHES, NO_HISTORY, WIDE_SIGMA_MM, SeamHistory, condition
-from tracker.seam.locate import confidence, locate
+from tracker.seam.gaussian_process import MAX_STRETCHES, NO_HISTORY, WIDE_SIGMA_MM, SeamHistory
+from tracker.seam.locate import SeamSource, confidence, locate
 from tracker.state import Pair
 from tracker.tracker_state import TrackerMemory
 
@@ -46,16 +46,20 @@ def judge(
     source, before, joint = given.geometry.seam_source, given.state, reading.joint
     if joint is None:
         return _lost(before, reading), None
-    located = locate(source, expected.T_joint_tool, reading.scene, joint.y_mm, joint.z_mm)
+    located = locate(source, given.T_base_tool, reading.scene, joint.y_mm, joint.z_mm)
     off_mm = located.displacement_mm
     if not frame_checks.ask(checks.NEAR_NOMINAL, max(abs(off_mm[0]), abs(off_mm[1])), MAX_OFF_MM):
         return _lost(before, reading), None
-    variance_mm2 = float(joint.covariance_mm2[0, 0]), float(joint.covariance_mm2[1, 1])
+    turn_mm2 = source.turn_mm(located.station_mm, expected.crossing) ** 2
+    variance_mm2 = (
+        float(joint.covariance_mm2[0, 0]) + turn_mm2,
+        float(joint.covariance_mm2[1, 1]) + turn_mm2,
+    )
     moves_mm = given.geometry.calibration_field.moves_mm(np.array(located.seam_tool_mm))
     calibration_y, calibration_z = np.sum((moves_mm @ expected.T_joint_tool[1:3, :3].T) ** 2, axis=0).tolist()
     steering = before.steering._replace(hand_eye_variance_mm2=(calibration_y, calibration_z))
     state = before._replace(steering=steering)
-    state = remember(frame_checks, state, located.station_mm, off_mm, variance_mm2)
+    state = remember(frame_checks, source, state, located.station_mm, off_mm, variance_mm2)
     sigma_y_mm = math.sqrt(variance_mm2[0] + calibration_y)
     sigma_z_mm = math.sqrt(variance_mm2[1] + calibration_z)
     sure = confidence(source.weld_mm, sigma_y_mm, sigma_z_mm)
@@ -69,6 +73,7 @@ def _lost(before: TrackerMemory, reading: Reading) -> TrackerMemory:
 
 def remember(
     frame_checks: FrameChecks,
+    source: SeamSource,
     before: TrackerMemory,
     station_mm: float,
     displacement_mm: Pair,
@@ -77,10 +82,10 @@ def remember(
     """Return the state with a seam that a frame shows, judged against the earlier frames."""
     measured = station_mm, displacement_mm, variance_mm2
     history, beyond, jumps = before.history, before.beyond, before.jumps + 1
-    if history.n == 0 or _is_near(frame_checks, *jump_of(history, *measured)):
+    if history.n == 0 or _is_near(frame_checks, *jump_of(source, history, *measured)):
         history = history.with_measurement(*measured)
         return before._replace(history=history, beyond=NO_HISTORY, jumps=0, lost=0)
-    away_mm, limit_mm = jump_of(beyond, *measured)
+    away_mm, limit_mm = jump_of(source, beyond, *measured)
     if away_mm[0] > limit_mm[0] or away_mm[1] > limit_mm[1]:
         # Nor where the last jump was: what is here and there is no seam.
         jumps, beyond = 1, NO_HISTORY
@@ -107,10 +112,10 @@ def _is_near(frame_checks: FrameChecks, away_mm: Pair, limit_mm: Pair) -> bool:
 
 
 def jump_of(
-    history: SeamHistory, station_mm: float, displacement_mm: Pair, variance_mm2: Pair
+    source: SeamSource, history: SeamHistory, station_mm: float, displacement_mm: Pair, variance_mm2: Pair
 ) -> tuple[Pair, Pair]:
     """Return the distance of a seam from where a history puts it, and its limit, mm, in y and in z each."""
-    there = condition(history, station_mm)
+    there = source.seam_at(history, station_mm)
     away_y_mm, away_z_mm = (abs(a - b) for a, b in zip(displacement_mm, there.displacement_mm, strict=True))
     limit_y_mm, limit_z_mm = map(jump_limit_mm, there.sigma_mm, variance_mm2)
     return (away_y_mm, away_z_mm), (limit_y_mm, limit_z_mm)

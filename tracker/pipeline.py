@@ -21,7 +21,7 @@ from tracker.joint.image_line import read_image_line
 from tracker.joint.type_check import shows_another
 from tracker.judge import SeamEstimate, judge
 from tracker.observation import MIN_HELD_SHARE, Aim, FrameInput, Observation, Reading, observe
-from tracker.seam.expected import ExpectedSeam, check_pose, expect_seam, pose_numbers
+from tracker.seam.expected import ExpectedSeam, check_pose, expect_seam, ground_at_torch, pose_numbers
 from tracker.seam.gaussian_process import NO_HISTORY
 from tracker.seam.locate import locate
 from tracker.steer import TorchOffset, steer
@@ -57,7 +57,7 @@ def track_frame(given: FrameInput, frame_checks: FrameChecks) -> FrameResult | N
     reach_mm = min(SEARCH_REACH_MM, TRACK_REACH_MM + 3.0 * max(expected.sigma_mm))
     if state.lost >= LOST_TO_SEARCH:
         reach_mm = SEARCH_REACH_MM
-    aim = _aim_at(given, expected.line, reach_mm, state.scatter)
+    aim = _aim_at(given, expected, expected.segment, expected.line, reach_mm, state.scatter)
     if frame_checks.ask(checks.REACH, reach_mm, SEARCH_REACH_MM):
         reading = look_and_fit(given, frame_checks, aim)
     else:
@@ -108,9 +108,15 @@ def look_and_fit(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Read
     )
 
 
-def _aim_at(given: FrameInput, seam: SeamLine, reach_mm: float, scatter: Scatter) -> Aim:
-    """Return the aim of a look at a seam."""
-    scene = laid_scene(given.geometry.seam_source.scene, given.T_base_tool, seam, seam, True)
+def _aim_at(
+    given: FrameInput, expected: ExpectedSeam, segment: int, seam: SeamLine, reach_mm: float, scatter: Scatter
+) -> Aim:
+    """Return the aim of a look at a seam, relative to a segment of the nominal line."""
+    source = given.geometry.seam_source
+    ground = ground_at_torch(source, expected, segment, seam)
+    scene = laid_scene(
+        source.scene, given.T_base_tool, segment, seam, seam if ground is None else ground, ground is None
+    )
     return Aim(scene, seam, reach_mm, given.use_arc_map, scatter)
 
 
@@ -118,13 +124,14 @@ def _aim_at_joint(given: FrameInput, expected: ExpectedSeam, aim: Aim, placed: R
     """Return the aim of the look at the joint that a wide look has placed."""
     assert placed.joint is not None
     located = locate(
-        given.geometry.seam_source, expected.T_joint_tool, placed.scene, placed.joint.y_mm, placed.joint.z_mm
+        given.geometry.seam_source, given.T_base_tool, placed.scene, placed.joint.y_mm, placed.joint.z_mm
     )
     y_mm, z_mm = located.displacement_mm
     seam, scatter = aim.seam, given.state.scatter
     there = SeamLine(located.station_mm, y_mm, z_mm, seam.slope_y, seam.slope_z, seam.slope_sigma)
     # A first frame's scatter is known from the look before.
-    return _aim_at(given, there, TRACK_REACH_MM, scatter if scatter.frames > 0 else placed.scatter)
+    scatter = scatter if scatter.frames > 0 else placed.scatter
+    return _aim_at(given, expected, located.segment, there, TRACK_REACH_MM, scatter)
 
 
 def _nearer_look(given: FrameInput, wide: Reading, placed: Reading, at_joint: Reading) -> Reading:

@@ -17,9 +17,9 @@ from tracker.checks import FrameChecks
 from tracker.observation import FrameInput
 from tracker.seam.correction import CorrectedOffset, Correction, correct
 from tracker.seam.expected import ExpectedSeam
-from tracker.seam.gaussian_process import SPACING_MM, SeamHistory, condition, stretch_at
+from tracker.seam.gaussian_process import SPACING_MM, SeamHistory, stretch_at
 from tracker.seam.joint_ends import Change
-from tracker.seam.locate import confidence, ridge_mm
+from tracker.seam.locate import SeamSource, confidence, ridge_mm
 from tracker.state import UNKNOWN, Pair
 from tracker.tracker_state import Steering, TrackerMemory
 
@@ -37,6 +37,7 @@ class SeamAtTorch(NamedTuple):
 
 def seam_at_torch(
     frame_checks: FrameChecks,
+    source: SeamSource,
     correction: Correction,
     history: SeamHistory,
     torch_mm: float,
@@ -58,7 +59,7 @@ def seam_at_torch(
     if not frame_checks.ask_whether(checks.SEAM_MEASURED, history.n > 0):
         return SeamAtTorch()
     station_mm = max(torch_mm, start_mm)
-    there = condition(history, station_mm)
+    there = source.seam_at(history, station_mm)
     displacement, sigma = there.displacement_mm, there.sigma_mm
     lost_mm = torch_mm - there.last_mm if torch_mm >= start_mm and not goes_on else 0.0
     if correction.when_lost == "stop" and not ask(
@@ -66,7 +67,7 @@ def seam_at_torch(
     ):
         return SeamAtTorch(stops_following=True)
     if correction.when_lost == "hold" and not ask(checks.SEAM_NOT_LOST, lost_mm, 0.0):
-        held = condition(history, there.last_mm).displacement_mm
+        held = source.seam_at(history, there.last_mm).displacement_mm
         gone_y_mm, gone_z_mm = displacement[0] - held[0], displacement[1] - held[1]
         sigma = math.hypot(sigma[0], gone_y_mm), math.hypot(sigma[1], gone_z_mm)
         displacement = held
@@ -101,16 +102,17 @@ def steer(
     valid; those of the torch's position are added. The torch is taken to be where it will be after the lead.
     """
     steering, correction, lead = state.steering, given.correction, given.lead
+    source = given.geometry.seam_source
     ends, torch_mm, raised = steering.ends, expected.torch_mm + lead.way_mm, frame_checks.flags
     if correction.ends_mm > 0.0 and not raised & NO_LOOK:
         is_valid = is_shown and not raised & flags.INVALIDATING
         ends = ends.with_look(expected.line.station_mm, is_valid, expected.ends_mm, correction.ends_mm)
     joint_mm = ends.stretch_mm(expected.ends_mm, correction.ends_mm)
     history, is_present = stretch_at(state.history, state.behind, max(torch_mm, joint_mm[0]))
-    seam = seam_at_torch(frame_checks, correction, history, torch_mm, joint_mm, not is_present)
+    seam = seam_at_torch(frame_checks, source, correction, history, torch_mm, joint_mm, not is_present)
     height_mm = 0.0
     if correction.corrugation == "followed":
-        height_mm = ridge_mm(torch_mm, given.geometry.seam_source.scene.shape.corrugation)
+        height_mm = ridge_mm(torch_mm, source.scene.shape.corrugation)
     sent = correct(correction, seam.displacement_mm, height_mm)
     if steering.is_stopped or seam.stops_following:
         sent = CorrectedOffset(UNKNOWN, False, True)
@@ -120,7 +122,7 @@ def steer(
     sigma_y_mm = math.nan if math.isnan(y_mm) else seam.sigma_mm[0]
     sigma_z_mm = math.nan if math.isnan(z_mm) else seam.sigma_mm[1]
     calibration_y, calibration_z = steering.hand_eye_variance_mm2
-    weld_mm, timestamp_s = given.geometry.seam_source.weld_mm, float(given.frame.timestamp_s)
+    weld_mm, timestamp_s = source.weld_mm, float(given.frame.timestamp_s)
     offset = TorchOffset(
         offset_y_mm=y_mm,
         offset_z_mm=z_mm,

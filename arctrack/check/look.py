@@ -106,8 +106,7 @@ def _with_expected(
     if reading is None or reading.joint is None:
         return look
     joint = reading.joint
-    source, T_nominal_tool = geometry.seam_source, nominal_scene.T_joint_tool
-    located = locate(source, T_nominal_tool, reading.scene, joint.y_mm, joint.z_mm)
+    located = locate(geometry.seam_source, pose.T_base_tool, reading.scene, joint.y_mm, joint.z_mm)
     seam, _ = state.history.line_at(located.station_mm)
     placed = expect_stripe(geometry, make_scene(geometry.setup, pose.T_base_tool, seam))
     look = replace(look, placed=placed, seam_mm=located.displacement_mm)

@@ -323,7 +323,11 @@ def _with_joint(case: CheckCase, joint: Joint) -> CheckCase:
 
 def _with_normal_turned(case: CheckCase) -> CheckCase:
     x, y, z = case.setup.joint.surface_normal_in_base
-    return _with_joint(case, replace(case.setup.joint, surface_normal_in_base=(-x, -y, -z)))
+    normals = case.setup.joint.surface_normals_in_base
+    if normals is not None:
+        normals = tuple((-u, -v, -w) for u, v, w in normals)
+    turned = replace(case.setup.joint, surface_normal_in_base=(-x, -y, -z), surface_normals_in_base=normals)
+    return _with_joint(case, turned)
 
 
 def _with_poses_and_seam_in_mm(case: CheckCase) -> CheckCase | None:

@@ -54,7 +54,9 @@ app.command(
     epilog="Example: arctrack import photos --setup recording.toml --poses robot.csv --rotation kuka "
     "--rate-hz 25 --out monday",
 )(import_files)
-app.command(epilog="Example: arctrack simulate /tmp/lap --joint lap --material zn_coated --seed 7")(simulate)
+app.command(
+    epilog="Example: arctrack simulate /tmp/pipe --joint fillet --path circle:60 --production --frames 4"
+)(simulate)
 app.command(epilog="Example: arctrack plan examples/v_groove --out /tmp/plan")(plan)
 app.command(epilog="Example: arctrack diagnose monday tuesday --workers 2")(diagnose)
 app.command(epilog="Example: arctrack serve --simulated --seconds 30")(serve)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from arctrack.cli.simulate import JointName, MaterialName
+from arctrack.cli.simulate import JointName, MaterialName, PathOption
 
 if TYPE_CHECKING:
     from arctrack.simulation.cell.weld.closed_loop import ClosedLoopResult, EventResult, LoopPlan
@@ -57,6 +57,7 @@ def run(
         float, typer.Option(help="How the true seam leaves the nominal one, mm per mm.", min=-0.2, max=0.2)
     ] = 0.0,
     bend_mm: Annotated[float, typer.Option(help="A bend on top, over 120 mm.", min=0, max=5)] = 0.0,
+    path: PathOption = None,
     length_mm: Annotated[float, typer.Option(help="How far the torch goes.", min=1, max=1000)] = 120.0,
     speed_mm_s: Annotated[float, typer.Option(help="Travel speed.", min=1, max=50)] = 10.0,
     weave_mm: Annotated[
@@ -97,6 +98,7 @@ def run(
         looks_ahead=not at_once,
         event=None if event is None else event.value,
         exact=not off_nominal,
+        path=path,
     )
     make_folder(out, (RUN_CSV, RUN_PICTURE))
     with console.progress() as bar:

@@ -38,6 +38,12 @@ class MaterialName(StrEnum):
     ZN_COATED = "zn_coated"
 
 
+PathOption = Annotated[
+    str | None,
+    typer.Option(help="circle:RADIUS or corner:RADIUS, mm: a seam that turns to the left, the tool with it."),
+]
+
+
 def simulate(
     out: Annotated[Path, typer.Argument(help="Folder for the recording; must not exist yet.")],
     setup: Annotated[
@@ -61,6 +67,7 @@ def simulate(
         float, typer.Option(help="How far the tool weaves to either side, at most 100.")
     ] = 1.5,
     tilt_deg: Annotated[float, typer.Option(help="How far the tool tilts, at most 45.")] = 4.0,
+    path: PathOption = None,
     seed: Annotated[int, typer.Option(help="Same seed, same recording.", min=0)] = 0,
     production: Annotated[
         bool,
@@ -99,6 +106,7 @@ def simulate(
         production=production,
         exact=exact,
         video=video,
+        path=path,
     )
     stated = None if setup is None else read_setup(setup)
     hidden = _effects(effect or [])

@@ -19,6 +19,7 @@ from functools import lru_cache
 
 from scipy.special import gammainccinv
 
+from robot_io.poses.nominal_path import Vector
 from robot_io.stated_limit import check_limits
 from tracker.seam.gaussian_process import BEND_LENGTH_MM, BEND_SIGMA_MM, MODEL_SIGMA_MM, WIDE_SIGMA_MM
 
@@ -70,19 +71,23 @@ class SeamMeasurement:
     """Measured seam at a station along the nominal line.
 
     `displacement_mm` is (y, z) from that line, joint frame, with the pose at the capture; `sigma_mm` is 1
-    sigma of each, of the image alone.
+    sigma of each, of the image alone. `axes_base` are the directions of y and z there, `lever_mm` is the
+    seam's distance from the tool's origin.
     """
 
     station_mm: float
     displacement_mm: tuple[float, float]
     sigma_mm: tuple[float, float]
+    axes_base: tuple[Vector, Vector] = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    lever_mm: float = 0.0
 
-    def at_speed(self, speed_mm_s: float, limits: InnovationLimits) -> SeamMeasurement:
-        """Return it with the sigma at a tool speed, mm/s, when the pose's time is uncertain by the limits.
+    def at_speed(self, speed_mm_s: float, turn_rad_s: float, limits: InnovationLimits) -> SeamMeasurement:
+        """Return it with the sigma of a moving tool, when the pose's time is uncertain by the limits.
 
-        With a tool that weaves at v, a pose that is off by t displaces the seam by v t.
+        With a tool that weaves at v, a pose that is off by t displaces the seam by v t; with one that turns
+        at w by w t times the lever.
         """
-        spread_mm = limits.pose_time_s * speed_mm_s
+        spread_mm = limits.pose_time_s * (speed_mm_s + turn_rad_s * self.lever_mm)
         y_mm, z_mm = self.sigma_mm
         return replace(self, sigma_mm=(math.hypot(y_mm, spread_mm), math.hypot(z_mm, spread_mm)))
 
@@ -135,6 +140,11 @@ class _SeamAxis:
             ),
         )
 
+    def turned(self, turn_rad: float) -> _SeamAxis:
+        """Return the prediction along an axis that has turned: what the part is displaced along it is new."""
+        p00, p01, p02, p11, p12, p22 = self.covariance
+        return _SeamAxis(self.mean, (p00 + (WIDE_SIGMA_MM * turn_rad) ** 2, p01, p02, p11, p12, p22))
+
     def measured(
         self, displacement_mm: float, variance_mm2: float, max_sigmas: float = math.inf
     ) -> tuple[_SeamAxis, float]:
@@ -168,11 +178,15 @@ class _SeamKnowledge:
 
     station_mm: float
     axes: tuple[_SeamAxis, _SeamAxis]
+    axes_base: tuple[Vector, Vector]
 
-    def moved(self, station_mm: float) -> tuple[_SeamAxis, _SeamAxis]:
-        """Return the prediction for another station."""
+    def moved(self, station_mm: float, axes_base: tuple[Vector, Vector]) -> tuple[_SeamAxis, _SeamAxis]:
+        """Return the prediction for another station, with the directions of y and z there."""
         step_mm = station_mm - self.station_mm
-        y, z = self.axes
+        y, z = (
+            axis.turned(math.dist(there, here))
+            for axis, here, there in zip(self.axes, self.axes_base, axes_base, strict=True)
+        )
         if step_mm >= 0.0:
             return y.moved(step_mm), z.moved(step_mm)
         # Backwards the same law holds: of a seam that runs the other way the slope changes its sign.
@@ -181,7 +195,7 @@ class _SeamKnowledge:
     def agrees(self, other: _SeamKnowledge, limits: InnovationLimits) -> bool:
         """Return True if two estimates without a common measurement may be of one seam."""
         chi2 = 0.0
-        for here, there in zip(self.axes, other.moved(self.station_mm), strict=True):
+        for here, there in zip(self.axes, other.moved(self.station_mm, self.axes_base), strict=True):
             variance_mm2 = here.variance_mm2 + there.variance_mm2
             chi2 += (here.displacement_mm - there.displacement_mm) ** 2 / variance_mm2
         return chi2 <= _chi2_quantile(2, limits.false_alarm)
@@ -214,7 +228,7 @@ class SeamInnovation:
         if self.known is None or not abs(seam.station_mm - self.known.station_mm) <= limits.gap_mm:
             return replace(self, known=_begun(seam, limits), innovations=(), past=())
         axes, innovations = [], []
-        there = self.known.moved(seam.station_mm)
+        there = self.known.moved(seam.station_mm, seam.axes_base)
         for axis, displacement_mm, sigma_mm in zip(there, seam.displacement_mm, seam.sigma_mm, strict=True):
             known, innovation = axis.measured(
                 displacement_mm, _variance_mm2(sigma_mm, limits), limits.max_sigmas
@@ -224,7 +238,7 @@ class SeamInnovation:
         window = (*self.innovations, (innovations[0], innovations[1]))[-limits.window :]
         state = replace(
             self,
-            known=_SeamKnowledge(seam.station_mm, (axes[0], axes[1])),
+            known=_SeamKnowledge(seam.station_mm, (axes[0], axes[1]), seam.axes_base),
             innovations=window,
             past=(*self.past, self.known)[-limits.window :],
         )
@@ -248,7 +262,7 @@ def _begun(seam: SeamMeasurement, limits: InnovationLimits) -> _SeamKnowledge:
         _SeamAxis().measured(displacement_mm, _variance_mm2(sigma_mm, limits))[0]
         for displacement_mm, sigma_mm in zip(seam.displacement_mm, seam.sigma_mm, strict=True)
     )
-    return _SeamKnowledge(seam.station_mm, (y, z))
+    return _SeamKnowledge(seam.station_mm, (y, z), seam.axes_base)
 
 
 def _mirrored(axis: _SeamAxis) -> _SeamAxis:

@@ -102,7 +102,7 @@ class PoseWatch:
 
     def see(self, seam: SeamMeasurement) -> None:
         """Take a measurement of the seam, as the pose at its capture puts it."""
-        moving = seam.at_speed(self._poses.speed_mm_s, self._seam_limits)
+        moving = seam.at_speed(self._poses.speed_mm_s, self._poses.turn_rad_s, self._seam_limits)
         self._seam = self._seam.with_seam(moving, self._seam_limits)
 
     def doubt(self, now_s: float) -> Doubt | None:
@@ -117,7 +117,7 @@ def nominal_path(joint: Joint) -> NominalPath:
     """Return a joint's nominal seam as the path that poses are held against."""
     points = tuple((float(x), float(y), float(z)) for x, y, z in joint.seam_in_base_mm)
     x, y, z = joint.surface_normal_in_base
-    return NominalPath(points, (float(x), float(y), float(z)))
+    return NominalPath(points, (float(x), float(y), float(z)), joint.surface_normals_in_base)
 
 
 def _of_tool(sample: PoseSample, T_controllertool_tool: Float64) -> PoseSample:

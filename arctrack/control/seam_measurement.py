@@ -26,7 +26,8 @@ def seam_measurement(
         return None
     seam_tool = np.array(track.seam_tool_mm)
     seam_base = transform(pose.T_base_tool, seam_tool)
-    T_joint_tool = invert(seam_frame(setup.joint, seam_base)) @ pose.T_base_tool
+    T_base_joint = seam_frame(setup.joint, seam_base)
+    T_joint_tool = invert(T_base_joint) @ pose.T_base_tool
     station_mm, displacement = seam_displacement(setup, T_joint_tool, seam_tool)
     y_mm, z_mm = displacement.tolist()
     sigma_y_mm, sigma_z_mm = (
@@ -35,4 +36,6 @@ def seam_measurement(
             (track.sigma_y_mm, track.sigma_z_mm), calibration_variance_mm2, strict=True
         )
     )
-    return SeamMeasurement(station_mm, (y_mm, z_mm), (sigma_y_mm, sigma_z_mm))
+    (y_x, z_x), (y_y, z_y), (y_z, z_z) = T_base_joint[:3, 1:3].tolist()
+    axes_base, lever_mm = ((y_x, y_y, y_z), (z_x, z_y, z_z)), math.hypot(*track.seam_tool_mm)
+    return SeamMeasurement(station_mm, (y_mm, z_mm), (sigma_y_mm, sigma_z_mm), axes_base, lever_mm)

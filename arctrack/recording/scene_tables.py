@@ -151,16 +151,26 @@ class JointTable(Table):
         "length 1",
         "a ruler or the drawing. [0, 0, 1] for a plate that lies flat in a base whose z is up.",
     )
+    surface_normals_in_base: list[Vector3] | None = key(
+        "The same at each point of seam_in_base_mm, where it turns along the seam, as round a pipe",
+        "",
+        "each of length 1",
+        "the drawing: of a fillet round an upright pipe half up, half away from the pipe.",
+        default=None,
+        example="[[0.0, -0.7071, 0.7071], [0.7071, 0.0, 0.7071]]",
+    )
 
     def to_joint(self) -> Joint:
         """Return the joint; ValueError names the key of a value that cannot be."""
         from noise_model.surface.joint import Joint
 
+        normals = self.surface_normals_in_base
         return Joint(
             type=self.type,
             dimensions=self.dimensions(),
             seam_in_base_mm=tuple(three(point) for point in self.seam_in_base_mm),
             surface_normal_in_base=three(self.surface_normal_in_base),
+            surface_normals_in_base=None if normals is None else tuple(map(three, normals)),
         )
 
     def dimensions(self) -> dict[str, float]:

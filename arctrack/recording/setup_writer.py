@@ -96,6 +96,8 @@ def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
         "seam_in_base_mm": [list(point) for point in setup.joint.seam_in_base_mm],
         "surface_normal_in_base": setup.joint.surface_normal_in_base,
     }
+    if setup.joint.surface_normals_in_base is not None:
+        joint["surface_normals_in_base"] = [list(normal) for normal in setup.joint.surface_normals_in_base]
     tables: dict[str, dict[str, Any]] = {
         "camera": _stated(setup.camera, "T_tool_camera"),
         "sensor": _stated(setup.sensor, "bend"),

@@ -202,7 +202,7 @@ def _look(given: FrameInput, reading: Reading) -> StepObservation:
     return replace(
         look,
         joint=reading.joint,
-        seam=_seam_look(geometry, given.state, nominal_scene, scene, reading.joint),
+        seam=_seam_look(given, scene, reading.joint),
     )
 
 
@@ -242,14 +242,13 @@ def _arc_image(
     return ArcImage(*(image.T if geometry.along_rows else image for image in images))
 
 
-def _seam_look(
-    geometry: SensorGeometry, before: TrackerMemory, nominal_scene: Scene, scene: Scene, joint: MeasuredJoint
-) -> SeamLook:
+def _seam_look(given: FrameInput, scene: Scene, joint: MeasuredJoint) -> SeamLook:
     """Compare a measured joint with its position by the earlier frames."""
-    source, T_nominal_tool = geometry.seam_source, nominal_scene.T_joint_tool
-    located = locate(source, T_nominal_tool, scene, joint.y_mm, joint.z_mm)
+    source = given.geometry.seam_source
+    located = locate(source, given.T_base_tool, scene, joint.y_mm, joint.z_mm)
     station, displacement = located.station_mm, np.array(located.displacement_mm)
     variance = np.diag(joint.covariance_mm2)
-    expected, sigma = before.history.at(station)
+    there = source.seam_at(given.state.history, station)
+    expected, sigma = np.array(there.displacement_mm), np.array(there.sigma_mm)
     limit = np.array(list(map(jump_limit_mm, sigma.tolist(), variance.tolist())))
     return SeamLook(station, displacement, variance, expected, sigma, limit)

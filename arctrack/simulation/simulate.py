@@ -1,7 +1,8 @@
 """Recordings from arctrack's own forward model: stripe, arc light, sensor noise; with their truth.
 
-The robot follows a straight nominal seam, weaves, rises and tilts within what the sensor sees. The true seam
-leaves its nominal line and bends. True values differ from the nominal ones by about the setup's tolerance.
+The robot follows a nominal seam, straight or one that turns, weaves, rises and tilts within what the sensor
+sees. The true seam leaves its nominal line and bends. True values differ from the nominal ones by about the
+setup's tolerance.
 """
 
 from __future__ import annotations
@@ -12,100 +13,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from arctrack.errors import ArctrackError
 from arctrack.recording import RecordingWriter, SetupFile, VideoFormat
 from arctrack.recording.setup_file import setup_text
-from noise_model.arc.scene import make_scene
-from noise_model.compiled.arrays import Float64
+from arctrack.simulation.programmed_path import ProgrammedPath
+from arctrack.simulation.simulated_motion import MIN_FRAMES, TurningMotion
+from arctrack.simulation.simulated_motion import SimulatedMotion as SimulatedMotion
+from arctrack.simulation.simulated_motion import SimulationPlan as SimulationPlan
 from noise_model.condition import Condition
 from noise_model.effects import Values, apply_setup_effects, checked, pose_time_s
 from noise_model.forward import Renderer, draw_frame, predict
 from noise_model.plan.noise import expected_speckle
 from noise_model.setup import Setup, require_setup
 from noise_model.stripe import check_stripe
-from noise_model.surface.joint import (
-    BentSeam,
-    Joint,
-    SeamLine,
-    corrugation_height,
-    seam_frame,
-    seam_height_mm,
-    section,
-)
-from noise_model.transforms import invert, transform
 from tracker.state import Frame
-
-MEETS_WITHIN_MM = 100.0
-"""Range along the seam, from the laser sheet's foot, in which their crossing is sought."""
-
-MIN_FRAMES = 12
-RATES_HZ, SPEEDS_MM_S, WANDERS_MM, TILTS_DEG = (0.01, 1000.0), (0.0, 1000.0), (0.0, 100.0), (0.0, 45.0)
-"""Ranges of a plan: times are written to the microsecond, and the tool goes forward."""
-
-
-@dataclass(frozen=True)
-class SimulationPlan:
-    """Plan of a simulated recording.
-
-    Parameters
-    ----------
-    frames : int
-        How many frames.
-    rate_hz : float
-        Frames a second.
-    travel_speed_mm_s : float
-        The torch's speed along the seam.
-    seed : int
-        The same seed makes the same recording.
-    seam_wander_mm : float
-        How far the true seam leaves its nominal line to the side, half of it up and down.
-    weave_mm : float
-        How far the tool swings to either side.
-    height_mm : tuple of float
-        The tool's lowest and highest height over the nominal seam.
-    tilt_deg : float
-        How far the tool tilts.
-    pose_rate_hz, pose_jitter_s : float
-        Poses a second, and 1 sigma of their times.
-    production : bool
-        True has laser and arc on in every frame.
-    exact : bool
-        True keeps the nominal values for the true ones.
-    video : bool
-        True writes one lossless video instead of PNGs.
-    """
-
-    frames: int = 24
-    rate_hz: float = 10.0
-    travel_speed_mm_s: float = 8.0
-    seed: int = 0
-    seam_wander_mm: float = 0.5
-    weave_mm: float = 1.5
-    height_mm: tuple[float, float] = (0.1, 2.5)
-    tilt_deg: float = 4.0
-    pose_rate_hz: float = 100.0
-    pose_jitter_s: float = 0.0011
-    production: bool = False
-    exact: bool = False
-    video: bool = False
-
-    def __post_init__(self) -> None:
-        least = 1 if self.production else MIN_FRAMES
-        if self.frames < least:
-            cure = "" if self.production else "; with --production a single one will do"
-            raise ArctrackError(f"--frames {self.frames}: at least {least} are needed{cure}")
-        for option, value, (low, high) in (
-            ("--fps", self.rate_hz, RATES_HZ),
-            ("--speed-mm-s", self.travel_speed_mm_s, SPEEDS_MM_S),
-            ("--seam-wander-mm", self.seam_wander_mm, WANDERS_MM),
-            ("--weave-mm", self.weave_mm, WANDERS_MM),
-            ("--tilt-deg", self.tilt_deg, TILTS_DEG),
-        ):
-            if not low <= value <= high:
-                raise ArctrackError(f"{option} {value:g}: must be from {low:g} to {high:g}")
 
 
 @dataclass(frozen=True)
@@ -154,12 +77,11 @@ def simulate_recording(
     Raises
     ------
     ArctrackError
-        If the folder exists, or if the setup's seam is not straight.
+        If the folder exists, or if neither the setup's seam is straight nor the plan names a path.
     """
     plan = plan or SimulationPlan()
     require_setup(setup)
-    if len(setup.joint.seam_in_base_mm) != 2:
-        raise ArctrackError("[joint] seam_in_base_mm: only a straight seam of two points can be simulated")
+    setup, stated, course = _with_path(setup, plan, stated)
     try:
         check_stripe(setup)
         effects = checked({**setup.effects, **(hidden_effects or {})}, setup.joint, setup.missing)
@@ -174,6 +96,12 @@ def simulate_recording(
     true_setup = setup if plan.exact else true_values(setup, draw_setup)
     true_setup = replace(true_setup, effects=effects)
     motion = SimulatedMotion(setup, plan, draw_motion, apply_setup_effects(true_setup).joint)
+    if course is not None:
+        if "surface_tilt" in effects:
+            raise ArctrackError(
+                f"--path {plan.path}: a plate that tilts (surface_tilt) needs a straight seam"
+            )
+        motion = TurningMotion(setup, plan, np.random.default_rng([plan.seed, 1]), course)
     renderer = Renderer()
     video = VideoFormat(plan.rate_hz) if plan.video else None
     toml = None if stated is None else setup_text(stated.path)
@@ -186,14 +114,14 @@ def simulate_recording(
         for n, switches in enumerate(conditions(setup, plan, draw_order)):
             timestamp_s = n / plan.rate_hz
             T_base_tool = motion.T_base_tool(pose_time_s(true_setup, timestamp_s))
-            seam = motion.true_seam(*make_scene(apply_setup_effects(true_setup), T_base_tool).stations_mm)
+            seen = motion.seen_from(true_setup, T_base_tool)
             condition = Condition.of(setup, **vars(switches), timestamp_s=timestamp_s)
             image_dn = draw_frame(
-                true_setup,
+                seen.setup,
                 T_base_tool,
                 condition,
                 draw_noise,
-                seam=seam,
+                seam=seen.seam,
                 renderer=renderer,
                 part_seed=plan.seed,
             )
@@ -205,10 +133,24 @@ def simulate_recording(
                     **vars(switches),
                 )
             )
-            writer.write_truth(n, motion.seam_point(T_base_tool, seam))
+            writer.write_truth(n, seen.point_tool)
             if on_frame is not None:
                 on_frame(n + 1)
     return Path(path)
+
+
+def _with_path(
+    setup: Setup, plan: SimulationPlan, stated: SetupFile | None
+) -> tuple[Setup, SetupFile | None, ProgrammedPath | None]:
+    """Return a setup with the seam that a plan names, its file if it still fits, and the path."""
+    if plan.path is not None:
+        course = ProgrammedPath.of(plan.path, setup)
+        return replace(setup, joint=course.taken_by(setup.joint)), None, course
+    if len(setup.joint.seam_in_base_mm) != 2:
+        raise ArctrackError(
+            "[joint] seam_in_base_mm: a straight seam of two points is simulated, or one that --path names"
+        )
+    return setup, stated, None
 
 
 def balance(setup: Setup) -> Setup:
@@ -281,97 +223,6 @@ def conditions(setup: Setup, plan: SimulationPlan, rng: np.random.Generator) -> 
     middle += [more[n % len(more)] for n in range(plan.frames - MIN_FRAMES)]
     order = rng.permutation(len(middle))
     return [*ends, *(middle[n] for n in order), *reversed(ends)]
-
-
-class SimulatedMotion:
-    """Tool pose and true seam over time; phases are drawn once.
-
-    The tool follows the setup's joint, the true seam runs along `true_joint`, by default the same.
-    """
-
-    def __init__(
-        self,
-        setup: Setup,
-        plan: SimulationPlan,
-        draw: np.random.Generator,
-        true_joint: Joint | None = None,
-    ) -> None:
-        self._setup, self._plan = setup, plan
-        start_mm = np.asarray((true_joint or setup.joint).seam_in_base_mm[0])
-        self._T_base_true = seam_frame(true_joint or setup.joint, start_mm)
-        self._phases = draw.uniform(0.0, 2.0 * np.pi, 6)
-        self._corrugation = section(setup.joint).corrugation
-        self._T_base_joint = seam_frame(setup.joint, np.asarray(setup.joint.seam_in_base_mm[0]))
-        ends_mm = transform(invert(self._T_base_joint), np.asarray(setup.joint.seam_in_base_mm))[:, 0]
-        # The path starts where base's x is 0, if the seam runs there.
-        self._start_mm = 0.0 if ends_mm[0] <= 0.0 <= ends_mm[1] else float(ends_mm[0])
-
-    def T_base_tool(self, timestamp_s: float) -> Float64:
-        """Return the tool's pose, (4, 4) mm."""
-        plan = self._plan
-        x_mm = self._start_mm + plan.travel_speed_mm_s * timestamp_s
-        low_mm, high_mm = plan.height_mm
-        height_mm = 0.5 * (low_mm + high_mm)
-        height_mm += 0.5 * (high_mm - low_mm) * self._wave(timestamp_s / 2.4, 1)
-        # The torch keeps its distance to a corrugated sheet.
-        height_mm += float(corrugation_height(np.array(x_mm), self._corrugation))
-        tilts_deg = [
-            plan.tilt_deg * self._wave(timestamp_s / period_s, 2 + n) for n, period_s in enumerate((2.9, 1.9))
-        ]
-        T_joint_tool = np.eye(4)
-        T_joint_tool[:3, :3] = Rotation.from_euler("xy", tilts_deg, degrees=True).as_matrix()
-        lateral_mm = plan.weave_mm * self._wave(timestamp_s / 1.7, 0)
-        T_joint_tool[:3, 3] = x_mm, lateral_mm, height_mm
-        return self._T_base_joint @ T_joint_tool
-
-    def true_seam(self, first_mm: float, last_mm: float, torch_mm: float) -> BentSeam:
-        """Return the true seam from one station to another, the arc where it is at the torch's."""
-        return BentSeam.along(self._line, (first_mm, last_mm), torch_mm, self._setup.joint.has_ridges)
-
-    def seam_point(self, T_base_tool: Float64, seam: BentSeam) -> Float64:
-        """Return the point (3,) where the true seam meets the laser plane, tool frame, mm."""
-        station_mm, _ = self._met(T_base_tool, self._line)
-        drawn = seam.lines[int(seam.stretch_at(np.array(station_mm)))]
-        return self._met(T_base_tool, lambda station_mm: drawn)[1]
-
-    def _met(self, T_base_tool: Float64, line_at: Callable[[float], SeamLine]) -> tuple[float, Float64]:
-        """Return the station at which a seam meets the laser plane, and where (3,), tool frame, mm."""
-        T_tool_joint = invert(T_base_tool) @ self._T_base_true
-        plane = self._setup.laser.plane
-
-        def point_tool(station_mm: float) -> Float64:
-            height_mm = seam_height_mm(self._setup.joint)
-            height_mm += float(corrugation_height(np.array(station_mm), self._corrugation))
-            point_joint = transform(line_at(station_mm).frame(), np.array([station_mm, 0.0, height_mm]))
-            return transform(T_tool_joint, point_joint)
-
-        def distance_mm(station_mm: float) -> float:
-            return float(self._setup.laser.off_mm(point_tool(station_mm)))
-
-        foot_mm = transform(
-            invert(T_tool_joint), np.array([-plane[3] / plane[0] if plane[0] else math.nan, 0.0, 0.0])
-        )[0]
-        ends_mm = foot_mm - MEETS_WITHIN_MM, foot_mm + MEETS_WITHIN_MM
-        # A sheet along the seam has no foot: NaN.
-        if not distance_mm(ends_mm[0]) * distance_mm(ends_mm[1]) <= 0.0:
-            raise ArctrackError(
-                f"[laser] plane_in_tool: the sheet does not meet the seam within {MEETS_WITHIN_MM:g} mm of "
-                "where it meets the tool's axis of travel; it hardly leans across the seam"
-            )
-        station_mm = float(brentq(distance_mm, *ends_mm, xtol=1e-9))
-        return station_mm, point_tool(station_mm)
-
-    def _line(self, station_mm: float) -> SeamLine:
-        wander = np.array([self._plan.seam_wander_mm, 0.5 * self._plan.seam_wander_mm])
-        # Wavelengths sideways and in height: plates are straight, cut edges less so.
-        wave_number = 2.0 * np.pi / np.array((100.0, 600.0))
-        phase = wave_number * station_mm + self._phases[4:]
-        place = wander * np.sin(phase)
-        slope = wander * wave_number * np.cos(phase)
-        return SeamLine(station_mm, float(place[0]), float(place[1]), float(slope[0]), float(slope[1]))
-
-    def _wave(self, turns: float, phase: int) -> float:
-        return math.sin(2.0 * math.pi * turns + float(self._phases[phase]))
 
 
 def _pose_times_s(plan: SimulationPlan, draw: np.random.Generator) -> list[float]:

@@ -21,8 +21,8 @@ from noise_model.surface.joint import (
     SeamLine,
     SeamSegments,
     SurfaceSection,
+    crossed_segment,
     line_frame,
-    nearest_segment,
     section,
 )
 from noise_model.transforms import inverted, moved_point, multiplied
@@ -98,14 +98,15 @@ class Scenes:
 class SceneSource(NamedTuple):
     """Part of all scenes that a setup fixes, as the kernels take it.
 
-    `segments` are its joint's nominal seam, `shape` its section; `ahead_mm` (3,) is where the sheet is at
-    tool height, tool frame: by it the seam's segment is chosen. `T_tool_camera` (4, 4) mm, `rim_rays` (9, 3)
-    the camera's, `arc_mm` (3,) the arc's centre, tool frame, which keeps its height `on_surface`. Where it
-    `has_ridges` they stay across the nominal line.
+    `segments` are its joint's nominal seam, `shape` its section. `sheet` (4,) is the laser's plane,
+    `ahead_mm` (3,) where that is at tool height, tool frame: by both the seam's segment is chosen.
+    `T_tool_camera` (4, 4) mm, `rim_rays` (9, 3) the camera's, `arc_mm` (3,) the arc's centre, tool frame,
+    which keeps its height `on_surface`. Where it `has_ridges` they stay across the nominal line.
     """
 
     segments: SeamSegments
     shape: SurfaceSection
+    sheet: Float64
     ahead_mm: Float64
     T_tool_camera: Float64
     rim_rays: Float64
@@ -119,6 +120,7 @@ class SceneSource(NamedTuple):
         return cls(
             segments=SeamSegments.of(setup.joint),
             shape=section(setup.joint),
+            sheet=np.array(setup.laser.plane, dtype=np.float64),
             ahead_mm=setup.laser.point_mm,
             T_tool_camera=np.require(setup.camera.T_tool_camera, np.float64, ("C", "W")),
             rim_rays=_rim_rays(*setup.camera.geometry),
@@ -157,22 +159,30 @@ def scene_along(
 ) -> Scene:
     """Return the scene of a pose along a stretch of the seam, see `make_scene`."""
     T = as_compiled_for(T_base_tool)
+    segment = crossed_segment(source.segments, T, source.sheet, source.ahead_mm)
     line = seam.as_floats()
     on = line if ground is None else ground.as_floats()
-    scene: Scene = laid_scene(source, T, line, on, ground is None)
+    scene: Scene = laid_scene(source, T, segment, line, on, ground is None)
     return scene
 
 
 @kernel(allocates=True)
 def laid_scene(
-    source: SceneSource, T_base_tool: Float64, seam: SeamLine, ground: SeamLine, is_own_ground: bool
+    source: SceneSource,
+    T_base_tool: Float64,
+    segment: int,
+    seam: SeamLine,
+    ground: SeamLine,
+    is_own_ground: bool,
 ) -> Scene:
-    """Return `scene_along`'s scene; `is_own_ground` says that the arc stands on the stretch itself."""
+    """Return the scene of a pose along a stretch, given relative to a segment of the nominal line.
+
+    `is_own_ground` says that the arc stands on the stretch itself.
+    """
     along_x = seam
     if source.has_ridges:
         along_x = SeamLine(seam.station_mm, seam.y_mm, seam.z_mm, 0.0, seam.slope_z, seam.slope_sigma)
-    nearest = nearest_segment(source.segments, moved_point(T_base_tool, source.ahead_mm))
-    T_nominal_tool = multiplied(inverted(source.segments.frames[nearest]), T_base_tool)
+    T_nominal_tool = multiplied(inverted(source.segments.frames[segment]), T_base_tool)
     T_laid_nominal = inverted(line_frame(along_x))
     T_joint_tool = multiplied(T_laid_nominal, T_nominal_tool)
     T_joint_camera = multiplied(T_joint_tool, source.T_tool_camera)

@@ -26,7 +26,12 @@ def _surface_tilt(setup: Setup, values: Values) -> Setup:
     turn_deg = [values["roll_deg"], values["pitch_deg"], 0.0]
     T_base_tilted = moved(T_base_joint, turn_deg, np.zeros(3)) @ invert(T_base_joint)
     seam = transform(T_base_tilted, np.asarray(joint.seam_in_base_mm))
-    nx, ny, nz = T_base_tilted[:3, :3] @ np.asarray(joint.surface_normal_in_base)
+    R_base_tilted = T_base_tilted[:3, :3]
+    nx, ny, nz = R_base_tilted @ np.asarray(joint.surface_normal_in_base)
+    normals = None
+    if joint.surface_normals_in_base is not None:
+        turned = np.asarray(joint.surface_normals_in_base) @ R_base_tilted.T
+        normals = tuple((float(x), float(y), float(z)) for x, y, z in turned)
     # Stations, and ridges with them, turn with the joint.
     x_0, y_0, z_0 = transform(T_base_tilted, np.asarray(joint.station_origin_mm))
     return replace(
@@ -35,6 +40,7 @@ def _surface_tilt(setup: Setup, values: Values) -> Setup:
             joint,
             seam_in_base_mm=tuple((float(x), float(y), float(z)) for x, y, z in seam),
             surface_normal_in_base=(float(nx), float(ny), float(nz)),
+            surface_normals_in_base=normals,
             station_origin_mm=(float(x_0), float(y_0), float(z_0)),
         ),
     )

@@ -50,6 +50,9 @@ class Joint:
         The surface's normal, out of the part, base frame.
     station_origin_mm : tuple (3,)
         A point of base, mm. Stations count from its foot on the seam's first segment.
+    surface_normals_in_base : tuple of tuples (3,), optional
+        The surface's normal at each point of the line, where it turns along the seam; between two points it
+        is their mean.
 
     Raises
     ------
@@ -62,6 +65,7 @@ class Joint:
     seam_in_base_mm: tuple[tuple[float, float, float], ...]
     surface_normal_in_base: tuple[float, float, float] = (0.0, 0.0, 1.0)
     station_origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    surface_normals_in_base: tuple[tuple[float, float, float], ...] | None = None
 
     def __post_init__(self) -> None:
         if self.type not in DIMENSIONS:
@@ -105,9 +109,17 @@ class Joint:
         normal = np.asarray(self.surface_normal_in_base, dtype=np.float64)
         if not abs(float(np.linalg.norm(normal)) - 1.0) <= 1e-3:
             raise ValueError("[joint] surface_normal_in_base: its length is not 1")
+        key, normals = "surface_normal_in_base", normal
+        if self.surface_normals_in_base is not None:
+            key, each = "surface_normals_in_base", np.asarray(self.surface_normals_in_base, dtype=np.float64)
+            if each.shape != points.shape:
+                raise ValueError(f"[joint] {key}: needs one normal for each point of seam_in_base_mm")
+            if not (np.abs(np.linalg.norm(each, axis=1) - 1.0) <= 1e-3).all():
+                raise ValueError(f"[joint] {key}: a length is not 1")
+            normals = each[:-1] + each[1:]
         steps = np.diff(points, axis=0)
-        if (np.linalg.norm(np.cross(steps, normal), axis=1) < 1e-3 * np.linalg.norm(steps, axis=1)).any():
-            raise ValueError("[joint] surface_normal_in_base: is parallel to the seam line")
+        if (np.linalg.norm(np.cross(steps, normals), axis=1) < 1e-3 * np.linalg.norm(steps, axis=1)).any():
+            raise ValueError(f"[joint] {key}: is parallel to the seam line")
 
     def __str__(self) -> str:
         size = ", ".join(f"{name} {value:g}" for name, value in self.dimensions.items())
@@ -380,7 +392,8 @@ class SeamSegments(NamedTuple):
     @classmethod
     def of(cls, joint: Joint) -> SeamSegments:
         """Return a joint's segments: one record for all who ask, it is not to be written to."""
-        return _segments(joint.seam_in_base_mm, joint.surface_normal_in_base, joint.station_origin_mm)
+        normals = joint.surface_normals_in_base or (joint.surface_normal_in_base,)
+        return _segments(joint.seam_in_base_mm, normals, joint.station_origin_mm)
 
 
 @kernel
@@ -402,6 +415,37 @@ def nearest_segment(segments: SeamSegments, point_base_mm: Float64) -> int:
     return nearest
 
 
+@kernel(allocates=True)
+def crossed_segment(
+    segments: SeamSegments, T_base_tool: Float64, plane_tool: Float64, ahead_mm: Float64
+) -> int:
+    """Return the number of the segment that a sheet (4,), tool frame, cuts nearest to a point (3,) of it.
+
+    Of a sheet that cuts none, it is the segment nearest to that point. On a seam that turns these differ: the
+    seam lies beside the tool's axis, and the sheet reaches it on a later segment.
+    """
+    _, starts, steps = segments
+    T, n, ahead = T_base_tool, np.zeros(3), np.zeros(3)
+    for i in range(3):
+        ahead[i] = T[i, 3]
+        for j in range(3):
+            n[i] += T[i, j] * plane_tool[j]
+            ahead[i] += T[i, j] * ahead_mm[j]
+    crossed, min_distance = -1, math.inf
+    for k in range(starts.shape[0] if starts.shape[0] > 1 else 0):
+        off, towards, away = 0.0, 0.0, 0.0
+        for i in range(3):
+            off += n[i] * (ahead[i] - starts[k, i])
+            towards += n[i] * steps[k, i]
+        share = off / towards if towards != 0.0 else -1.0
+        if 0.0 <= share <= 1.0:
+            for i in range(3):
+                away += (ahead[i] - starts[k, i] - share * steps[k, i]) ** 2
+            if away < min_distance:
+                crossed, min_distance = k, away
+    return crossed if crossed >= 0 else nearest_segment(segments, ahead)
+
+
 def seam_frame(joint: Joint, point_base_mm: Float64) -> Float64:
     """Return T_base_joint of the line segment nearest to a point of base.
 
@@ -415,18 +459,24 @@ def seam_frame(joint: Joint, point_base_mm: Float64) -> Float64:
 
 @lru_cache
 def _segments(
-    seam_in_base_mm: tuple[Point, ...], normal_in_base: Point, station_origin_mm: Point
+    seam_in_base_mm: tuple[Point, ...], normals_in_base: tuple[Point, ...], station_origin_mm: Point
 ) -> SeamSegments:
-    """Return the segments of a seam line: every look at a pose asks for them."""
+    """Return the segments of a seam line, with one normal or one for each of its points.
+
+    Every look at a pose asks for them.
+    """
     points = np.asarray(seam_in_base_mm, dtype=np.float64)
+    normals = np.broadcast_to(np.asarray(normals_in_base, dtype=np.float64), points.shape)
+    if len(normals_in_base) > 1:
+        normals = normals[:-1] + normals[1:]
     frames: list[Float64] = []
     station = 0.0
-    for start, step in zip(points[:-1], np.diff(points, axis=0), strict=True):
+    for start, step, normal in zip(points[:-1], np.diff(points, axis=0), normals, strict=False):
         length = float(np.linalg.norm(step))
         x_axis = step / length
         if not frames:
             station = (start - station_origin_mm) @ x_axis
-        y_axis = cross(normal_in_base, x_axis)
+        y_axis = cross(normal, x_axis)
         y_axis /= np.linalg.norm(y_axis)
         T_base_joint = np.eye(4)
         T_base_joint[:3, :3] = np.transpose([x_axis, y_axis, cross(x_axis, y_axis)])

@@ -38,31 +38,43 @@ class _Segment:
 class NominalPath:
     """The nominal seam as a polyline along the travel, base frame.
 
-    `normal_base` is the surface's normal, out of the workpiece. Raises ValueError if there are fewer than two
-    points, two neighbours coincide, or the normal runs along the path.
+    `normal_base` is the surface's normal, out of the workpiece. Where it turns along the path `normals_base`
+    has one for each point; a piece takes the mean of its two. Raises ValueError if there are fewer than two
+    points, two neighbours coincide, or a normal runs along the path.
     """
 
     points_base_mm: tuple[Vector, ...]
     normal_base: Vector = (0.0, 0.0, 1.0)
+    normals_base: tuple[Vector, ...] | None = None
 
     def __post_init__(self) -> None:
         if len(self.points_base_mm) < 2:
             raise ValueError("nominal path: needs at least two points")
         if not all(math.dist(a, b) > 1e-6 for a, b in pairwise(self.points_base_mm)):
             raise ValueError("nominal path: two neighbouring points coincide, or are not finite")
+        if self.normals_base is not None and len(self.normals_base) != len(self.points_base_mm):
+            raise ValueError("nominal path: needs one normal for each point")
         steps = [unit(minus(b, a)) for a, b in pairwise(self.points_base_mm)]
-        if not all(math.hypot(*cross(self.normal_base, step)) > 1e-3 for step in steps):
+        pairs = zip(self._normals, steps, strict=True)
+        if not all(math.hypot(*cross(normal, step)) > 1e-3 for normal, step in pairs):
             raise ValueError("nominal path: the surface's normal runs along it")
+
+    @property
+    def _normals(self) -> tuple[Vector, ...]:
+        """The pieces' normals."""
+        if self.normals_base is None:
+            return (self.normal_base,) * (len(self.points_base_mm) - 1)
+        return tuple(unit((a[0] + b[0], a[1] + b[1], a[2] + b[2])) for a, b in pairwise(self.normals_base))
 
     @cached_property
     def segments(self) -> tuple[_Segment, ...]:
         """The path's straight pieces."""
         pieces = []
         station_mm = 0.0
-        for start, end in pairwise(self.points_base_mm):
+        for (start, end), normal in zip(pairwise(self.points_base_mm), self._normals, strict=True):
             length_mm = math.dist(start, end)
             along = unit(minus(end, start))
-            left_side = unit(cross(self.normal_base, along))
+            left_side = unit(cross(normal, along))
             pieces.append(_Segment(start, along, left_side, cross(along, left_side), station_mm, length_mm))
             station_mm += length_mm
         return tuple(pieces)

@@ -30,6 +30,7 @@ from robot_io.poses.pose_questions import (
     is_same_sample,
     mean_velocity_mm_s,
     newest_speed_mm_s,
+    newest_turn_rad_s,
     turn_rad,
 )
 from robot_io.protocol.messages import MotionState, RobotStatus
@@ -70,6 +71,11 @@ class Plausibility:
     def speed_mm_s(self) -> float:
         """The tool's speed by the newest samples, mm/s; 0 before there are two."""
         return newest_speed_mm_s(self.window) if self.window else 0.0
+
+    @property
+    def turn_rad_s(self) -> float:
+        """The tool's rate of turning by the newest samples, rad/s; 0 before there are two."""
+        return newest_turn_rad_s(self.window) if self.window else 0.0
 
     def at(self, now_s: float, limits: PlausibilityLimits) -> Implausibility | None:
         """Return the doubt at a time on the samples' clock, s; None where poses are trusted."""

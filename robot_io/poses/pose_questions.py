@@ -232,6 +232,13 @@ def newest_speed_mm_s(window: tuple[KeptPose, ...]) -> float:
     return math.hypot(*mean_velocity_mm_s(window[-5:]))
 
 
+def newest_turn_rad_s(window: tuple[KeptPose, ...]) -> float:
+    """Return the rate of turning over the newest samples of a window, rad/s."""
+    first, last = window[-5:][0], window[-1]
+    elapsed_s = last.time_s - first.time_s
+    return turn_rad(first.quaternion, last.quaternion) / elapsed_s if elapsed_s > 0.0 else 0.0
+
+
 def turn_rad(a: Quaternion, b: Quaternion) -> float:
     """Return the angle between two rotations, rad; q and -q are the same."""
     opposite = (-b[0], -b[1], -b[2], -b[3])

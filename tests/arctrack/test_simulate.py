@@ -1,4 +1,5 @@
 import math
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -356,3 +357,45 @@ def test_a_bowed_sheet_is_tracked_where_it_is_stated(tmp_path: Path) -> None:
     print(f"height off by {rms_mm[0]:.3f} mm with the bow, {rms_mm[1]:.3f} mm without it (RMS)")
     assert rms_mm[0] < 0.03
     assert rms_mm[1] > 3.0 * rms_mm[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("joint", "radius_mm"), [("lap", 50.0), ("fillet", 100.0)])
+def test_a_circle_is_recorded_and_tracked(joint: str, radius_mm: float, tmp_path: Path) -> None:
+    """The tool turns and looks at its path: the true seam lies on the circle, in the middle of the view."""
+    setup = balance(nominal_setup(joint, "mild_steel", width=320, height=240))
+    plan = SimulationPlan(
+        frames=3, travel_speed_mm_s=60.0, production=True, exact=True, seam_wander_mm=0.0, weave_mm=0.0,
+        tilt_deg=0.0, height_mm=(0.0, 0.0), path=f"circle:{radius_mm:g}",
+    )  # fmt: skip
+    recording = read_recording(simulate_recording(tmp_path / "circle", setup, plan))
+    tracker, poses = Tracker(recording.setup), recording.pose_buffer()
+    assert (recording.setup.joint.surface_normals_in_base is not None) == (joint == "fillet")
+    truths = np.loadtxt(tmp_path / "circle" / "truth.csv", delimiter=",", skiprows=1)[:, 1:]
+    for frame, truth in zip(recording.frames(), truths, strict=True):
+        assert not isinstance(frame, BadFrame)
+        pose = recording.pose_at(poses, frame.timestamp_s)
+        assert pose is not None
+        x, y, z = transform(pose.T_base_tool, truth)
+        assert math.hypot(x, y - radius_mm) == pytest.approx(radius_mm, abs=0.02)
+        assert z == pytest.approx(0.0, abs=0.02)
+        assert truth[1] == pytest.approx(0.0, abs=0.1)
+        track = tracker.step(frame, pose)
+        assert track.valid
+        assert track.seam_tool_mm == pytest.approx(tuple(truth), abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("path", "joint", "cure"),
+    [
+        ("circle", "lap", "give circle:RADIUS or corner:RADIUS in mm, such as circle:100"),
+        ("square:10", "lap", "give circle:RADIUS or corner:RADIUS in mm"),
+        ("corner:1", "lap", "with a radius from 2 to 10000"),
+        ("circle:20", "lap", "the sensor looks 35 mm ahead; a circle of less than that turns away from it"),
+        ("corner:10", "corrugation", "ridges run across a straight seam; take another --joint"),
+    ],
+)
+def test_a_path_that_cannot_be_is_refused(path: str, joint: str, cure: str, tmp_path: Path) -> None:
+    plan = SimulationPlan(frames=1, production=True, path=path)
+    with pytest.raises(ArctrackError, match=f"--path {path}: .*{re.escape(cure)}"):
+        simulate_recording(tmp_path / "r", nominal_setup(joint, "mild_steel"), plan)

@@ -558,3 +558,14 @@ def test_a_turn_is_the_angle_between_rotations(q, angle):
     b = Rotation.from_rotvec([0.0, angle, 0.0]) * a
     for sign in (1.0, -1.0):
         assert turn_rad(tuple(a.as_quat()), tuple(sign * b.as_quat())) == pytest.approx(angle, abs=1e-6)
+
+
+def test_the_rate_of_turning_is_that_of_the_newest_samples():
+    state, rate_rad_s = Plausibility(), 0.5
+    assert state.turn_rad_s == 0.0
+    for n in range(8):
+        turned = Rotation.from_euler("z", rate_rad_s * 0.01 * n)
+        state = update(
+            state, PoseArrival(on_the_bus(0.01 * n, (0.1 * n, 40.0, 1.0), turned), None), LIMITS, PATH
+        )
+    assert state.turn_rad_s == pytest.approx(rate_rad_s, rel=0.05)

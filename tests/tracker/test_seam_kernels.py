@@ -61,8 +61,9 @@ def test_a_located_seam_lies_in_the_sheet_and_where_it_was_put(
 ) -> None:
     setup = small_setup(name)
     source = SeamSource.of(setup)
-    nominal = make_scene(setup, pose_at(10.0, 0.7, 1.0, turn_deg).T_base_tool)
-    found = locate(source, nominal.T_joint_tool, nominal, y_mm, z_mm)
+    T = pose_at(10.0, 0.7, 1.0, turn_deg).T_base_tool
+    nominal = make_scene(setup, T)
+    found = locate(source, T, nominal, y_mm, z_mm)
     point = np.array(found.seam_tool_mm)
     assert setup.laser.plane[:3] @ point + setup.laser.plane[3] == pytest.approx(0.0, abs=1e-7)
     station, y, z = transform(nominal.T_joint_tool, point)
@@ -85,7 +86,7 @@ def test_the_expected_seam_is_where_the_history_meets_the_sheet(name: str) -> No
     scene = make_scene(setup, T)
     ahead_mm = float(transform(scene.T_joint_tool, setup.laser.point_mm)[0])
     (y, z), _ = history.at(ahead_mm)
-    met = locate(source, scene.T_joint_tool, scene, float(y), float(z) + seam_height_mm(setup.joint))
+    met = locate(source, T, scene, float(y), float(z) + seam_height_mm(setup.joint))
     twin, twin_sigma_mm = history.line_at(met.station_mm)
     assert tuple(expected.line) == pytest.approx(tuple(twin))
     assert expected.sigma_mm == pytest.approx(tuple(twin_sigma_mm))

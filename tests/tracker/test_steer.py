@@ -23,12 +23,14 @@ from tracker.seam.gaussian_process import (
     WIDE_SIGMA_MM,
     SeamHistory,
 )
+from tracker.seam.locate import SeamSource
 from tracker.state import Frame, OffsetLookAhead, Pose, Track
 from tracker.steer import SeamAtTorch, seam_at_torch
 from tracker.tracker import Tracker
 
 ENDLESS = (-math.inf, math.inf)
 SEAM = SeamLine(0.0, 1.0, -0.5, 0.01, 0.004)
+SOURCE = SeamSource.of(small_setup("v_groove"))
 HOLD, EXTRAPOLATE, STOP = (Correction(when_lost=what) for what in ("hold", "extrapolate", "stop"))
 
 
@@ -65,7 +67,9 @@ def at_torch(
     correction: Correction, history: SeamHistory, torch_mm: float, stretch_mm: tuple[float, float]
 ) -> Told:
     frame_checks = FrameChecks()
-    return Told(seam_at_torch(frame_checks, correction, history, torch_mm, stretch_mm), frame_checks.flags)
+    return Told(
+        seam_at_torch(frame_checks, SOURCE, correction, history, torch_mm, stretch_mm), frame_checks.flags
+    )
 
 
 def known(seam: Told) -> bool:

@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rendered import small_setup
 
 from tracker import flags
 from tracker.checks import FrameChecks
 from tracker.judge import JUMPS_TO_RELEARN, jump_limit_mm, jump_of, remember
 from tracker.seam.gaussian_process import MAX_STRETCHES, NO_HISTORY, SeamHistory, stretch_at
+from tracker.seam.locate import SeamSource
 from tracker.tracker_state import TrackerMemory
 
 seeds = st.integers(0, 2**32 - 1)
 VARIANCE_MM2 = (1e-4, 4e-4)
+SOURCE = SeamSource.of(small_setup("v_groove"))
 
 
 def drawn_history(rng: np.random.Generator, first_mm: float, n: int) -> SeamHistory:
@@ -62,7 +65,7 @@ def remembered(
     jumped = []
     for station_mm, y_mm in places_mm:
         frame_checks = FrameChecks()
-        state = remember(frame_checks, state, station_mm, (y_mm, 0.0), VARIANCE_MM2)
+        state = remember(frame_checks, SOURCE, state, station_mm, (y_mm, 0.0), VARIANCE_MM2)
         state = state._replace(frames=state.frames + 1)
         jumped.append(bool(frame_checks.flags & flags.SEAM_JUMP.mask))
     return state, jumped
@@ -112,7 +115,7 @@ def test_how_far_a_seam_may_lie_is_five_sigmas_of_the_difference(
         max(5.0 * math.hypot(sigma_mm, variance_mm2**0.5), 0.3)
     )
     history = NO_HISTORY.with_measurement(0.0, (0.5, 0.5), VARIANCE_MM2)
-    (away_y_mm, _), _ = jump_of(history, 0.0, (y_mm, 0.0), VARIANCE_MM2)
+    (away_y_mm, _), _ = jump_of(SOURCE, history, 0.0, (y_mm, 0.0), VARIANCE_MM2)
     assert away_y_mm == abs(y_mm - history.point_at(0.0).displacement_mm[0])
 
 

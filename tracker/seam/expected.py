@@ -9,11 +9,8 @@ from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import SeamLine
 from tracker import checks
 from tracker.checks import FrameChecks
-from tracker.seam.gaussian_process import SeamHistory, condition
-from tracker.seam.locate import Matrix, SeamSource, moved_by, seam_point
-
-MIN_CROSSING = 0.3
-"""The least cosine between the sheet's normal and the seam: below, it shows no section of the joint."""
+from tracker.seam.gaussian_process import SeamHistory
+from tracker.seam.locate import MIN_CROSSING, Matrix, SeamSource, moved_by, seam_point
 
 ROTATION_WITHIN = 1e-3
 """Largest error of a rotation's R R^T against the identity."""
@@ -59,7 +56,7 @@ def pose_numbers(source: SeamSource, T_base_tool: Float64) -> PoseNumbers:
     if not is_rotation(T):
         return PoseNumbers(False, math.nan, math.nan, math.nan)
     laser_base = moved_by(T, source.origin_mm)
-    joint = source.T_base_joint[source.segment_near(laser_base)]
+    joint = source.T_base_joint[source.segment_crossed(T_base_tool)]
     (n_x, n_y, n_z, _), (way_x, way_y, way_z) = source.plane, source.ahead_mm
     height = crossing = ahead_mm = 0.0
     for (a, b, c, _), place, (along, _, up, origin) in zip(T, laser_base, joint, strict=False):
@@ -91,11 +88,11 @@ def expected_line(
     """
     corrugation = source.scene.shape.corrugation
     station = moved_by(T_joint_tool, source.ahead_mm)[0]
-    y_mm, z_mm = condition(history, station).displacement_mm
+    y_mm, z_mm = source.seam_at(history, station).displacement_mm
     # The plane may be tilted: it cuts the root of a groove elsewhere than the plate.
     point = seam_point(source, T_joint_tool, corrugation, y_mm, z_mm + source.height_mm)
     station = moved_by(T_joint_tool, point)[0]
-    there = condition(history, station)
+    there = source.seam_at(history, station)
     line = SeamLine(station, *there.displacement_mm, *there.slope, max(there.slope_sigma))
     return line, there.sigma_mm
 
@@ -103,14 +100,18 @@ def expected_line(
 class ExpectedSeam(NamedTuple):
     """Expectation of a step from a pose and the earlier frames.
 
-    `T_joint_tool` (4, 4) is of the nominal joint frame. `line` is the seam where it should meet the laser
-    plane, `sigma_mm` the 1 sigma of its y and z. `torch_mm` is the torch's station, `ends_mm` are those of
+    `segment` of the nominal line is the one that the sheet cuts, at a cosine of `crossing`; `T_joint_tool`
+    (4, 4) is of its joint frame. `line` is the seam where it should meet the laser plane, `sigma_mm` the
+    1 sigma of its y and z. The torch stands at `torch_mm` of `torch_segment`, `ends_mm` are the stations of
     the nominal line's start and end.
     """
 
+    segment: int
+    crossing: float
     T_joint_tool: Float64
     line: SeamLine
     sigma_mm: tuple[float, float]
+    torch_segment: int
     torch_mm: float
     ends_mm: tuple[float, float]
 
@@ -118,14 +119,36 @@ class ExpectedSeam(NamedTuple):
 def expect_seam(source: SeamSource, T_base_tool: Float64, history: SeamHistory) -> ExpectedSeam:
     """Return the expected seam of a pose (4, 4) from which the joint can be seen, by the earlier frames."""
     T = T_base_tool.tolist()
-    k = source.segment_near(moved_by(T, source.ahead_mm))
-    T_joint_tool = source.T_joint_base[k] @ T_base_tool
+    segment = source.segment_crossed(T_base_tool)
+    T_joint_tool = source.T_joint_base[segment] @ T_base_tool
+    n_x, n_y, n_z, _ = source.plane
+    crossing = abs(float(T_joint_tool[0, :3] @ (n_x, n_y, n_z)))
     line, sigma_mm = expected_line(source, T_joint_tool.tolist(), history)
-    return ExpectedSeam(T_joint_tool, line, sigma_mm, torch_station_mm(source, T), source.ends_mm[k])
+    return ExpectedSeam(
+        segment, crossing, T_joint_tool, line, sigma_mm, *torch_station_mm(source, T), source.ends_mm
+    )
 
 
-def torch_station_mm(source: SeamSource, T_base_tool: Matrix) -> float:
-    """Return the torch's station, mm: past a bend it may be on another segment than the sensor."""
+def torch_station_mm(source: SeamSource, T_base_tool: Matrix) -> tuple[int, float]:
+    """Return the torch's segment and station, mm: past a bend that is another one than the sensor's."""
     (_, _, _, x), (_, _, _, y), (_, _, _, z), _ = T_base_tool
-    (a, _, _, u), (b, _, _, v), (c, _, _, w), _ = source.T_base_joint[source.segment_near((x, y, z))]
-    return a * (x - u) + b * (y - v) + c * (z - w)
+    segment = source.segment_near((x, y, z))
+    (a, _, _, u), (b, _, _, v), (c, _, _, w), _ = source.T_base_joint[segment]
+    return segment, a * (x - u) + b * (y - v) + c * (z - w)
+
+
+def ground_at_torch(
+    source: SeamSource, expected: ExpectedSeam, segment: int, seam: SeamLine
+) -> SeamLine | None:
+    """Return where the seam runs under the torch relative to a segment, for the arc that stands there.
+
+    `seam` is the stretch that is looked at, relative to that segment. None where the torch stands over that
+    segment itself: the arc then stands on the same straight stretch.
+    """
+    if expected.torch_segment == segment:
+        return None
+    at_torch = moved_by(
+        source.T_base_joint[expected.torch_segment], (expected.torch_mm, seam.y_mm, seam.z_mm)
+    )
+    x, y, z = moved_by(source.T_joint_base[segment].tolist(), at_torch)
+    return SeamLine(x, y, z)

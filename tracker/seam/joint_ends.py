@@ -20,8 +20,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from noise_model.surface.joint import SeamSegments
 from noise_model.transforms import invert, transform
 
@@ -36,8 +34,6 @@ LOOK_MM = 1.0
 
 DECIDE_MM = 10.0
 """Distance of the search beyond the last place where an end may lie: a decision takes some frames."""
-
-ON_LINE_MM = 1e-6
 
 
 class Change(NamedTuple):
@@ -117,15 +113,8 @@ class JointEnds(NamedTuple):
         )
 
 
-def nominal_ends(segments: SeamSegments, k: int) -> tuple[float, float]:
-    """Return the stations, mm, of the ends of a joint's nominal line in the frame of its k-th segment.
-
-    An end that does not lie on that segment's line is infinitely far.
-    """
-    T_joint_base, ends = invert(segments.frames[k]), []
-    for segment, end, beyond_mm in ((0, 0, -math.inf), (-1, 1, math.inf)):
-        start, step = segments.starts[segment], segments.steps[segment]
-        points = transform(T_joint_base, np.stack([start, start + step]))
-        is_on_line = bool((np.abs(points[:, 1:]) < ON_LINE_MM).all())
-        ends.append(float(points[end, 0]) if is_on_line else beyond_mm)
-    return ends[0], ends[1]
+def nominal_ends(segments: SeamSegments) -> tuple[float, float]:
+    """Return the stations, mm, of the ends of a joint's nominal line; they count through all its bends."""
+    (first, last), start = segments.frames[[0, -1]], segments.starts[0]
+    end = segments.starts[-1] + segments.steps[-1]
+    return float(transform(invert(first), start)[0]), float(transform(invert(last), end)[0])

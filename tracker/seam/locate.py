@@ -17,9 +17,14 @@ from noise_model.compiled.kernel import kernel
 from noise_model.instrument.laser import Sheet, sheet_in_tool, tangent_plane
 from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
-from noise_model.surface.joint import nearest_segment, seam_height_mm, section
+from noise_model.surface.joint import crossed_segment, nearest_segment, seam_height_mm, section
 from noise_model.transforms import invert, transform
+from tracker.seam.gaussian_process import SeamHistory, SeamPrediction, condition
 from tracker.seam.joint_ends import nominal_ends
+from tracker.seam.turning_process import EDGE_MM, PLATE_MM, TurningLine, condition_turning
+
+MIN_CROSSING = 0.3
+"""The least cosine between the sheet's normal and the seam: below, it shows no section of the joint."""
 
 MAX_STEPS, MET_MM = 80, 1e-9
 """Steps by which the sheet is met along a corrugated seam at most, and how near to it is on it."""
@@ -33,7 +38,7 @@ class SeamSource(NamedTuple):
     """Part of the seam that a setup fixes.
 
     `scene` is of its scenes. `T_base_joint` and `T_joint_base` (4, 4) are of the nominal line's segments,
-    `ends_mm` its ends' stations in the frame of each. `origin_mm`, `plane` and `sheet` are the laser's,
+    `ends_mm` its ends' stations, `line` its directions. `origin_mm`, `plane` and `sheet` are the laser's,
     `ahead_mm` is where its sheet is at tool height, all in the tool frame. `height_mm` is the seam point's
     over the reference surface; `weld_mm` is the weld's tolerance.
     """
@@ -41,7 +46,8 @@ class SeamSource(NamedTuple):
     scene: SceneSource
     T_base_joint: tuple[Matrix, ...]
     T_joint_base: tuple[Float64, ...]
-    ends_mm: tuple[tuple[float, float], ...]
+    ends_mm: tuple[float, float]
+    line: TurningLine
     origin_mm: Point
     plane: Plane
     sheet: Sheet
@@ -58,7 +64,8 @@ class SeamSource(NamedTuple):
             scene=scene,
             T_base_joint=tuple(frames.tolist()),
             T_joint_base=tuple(map(invert, frames)),
-            ends_mm=tuple(nominal_ends(scene.segments, k) for k in range(len(frames))),
+            ends_mm=nominal_ends(scene.segments),
+            line=TurningLine.of(scene.segments),
             origin_mm=laser.origin_mm.tolist(),
             plane=tuple(laser.plane.tolist()),
             sheet=sheet_in_tool(laser),
@@ -74,11 +81,36 @@ class SeamSource(NamedTuple):
         x, y, z = point_tool_mm
         return tangent_plane(self.sheet, (x, y, z))
 
+    def seam_at(self, history: SeamHistory, station_mm: float) -> SeamPrediction:
+        """Return the seam at a station as a history's measurements leave it."""
+        if len(self.T_base_joint) == 1 or history.n == 0:
+            return condition(history, station_mm)
+        return condition_turning(history, self.line, station_mm)
+
+    def turn_mm(self, station_mm: float, crossing: float) -> float:
+        """Return 1 sigma of a section that is read as straight where the seam turns, mm; 0 where it does not.
+
+        `crossing` is the cosine between the sheet's normal and the seam.
+        """
+        if len(self.T_base_joint) == 1:
+            return 0.0
+        corners = self.scene.shape.vertices
+        rises = corners[0, 1] != corners[1, 1]
+        aside_mm = PLATE_MM if rises else max(float(np.abs(corners[1:-1, 0]).max()), EDGE_MM)
+        return self.line.sagitta_mm(station_mm, aside_mm, max(crossing, MIN_CROSSING))
+
     def segment_near(self, point_base_mm: Point) -> int:
         """Return the number of the segment nearest to a point (3,) of base."""
         if len(self.T_base_joint) == 1:
             return 0
         return int(nearest_segment(self.scene.segments, np.array(point_base_mm)))
+
+    def segment_crossed(self, T_base_tool: Float64) -> int:
+        """Return the number of the segment that the sheet of a pose (4, 4) cuts."""
+        if len(self.T_base_joint) == 1:
+            return 0
+        scene = self.scene
+        return int(crossed_segment(scene.segments, T_base_tool, scene.sheet, scene.ahead_mm))
 
 
 def moved_by(T: Matrix, point: Point) -> list[float]:
@@ -181,19 +213,23 @@ def confidence(weld_mm: float, sigma_y_mm: float, sigma_z_mm: float) -> float:
 
 
 class LocatedSeam(NamedTuple):
-    """A seam point: in the tool frame, mm, its station, and its displacement from the path as (y, z), mm."""
+    """A seam point: in the tool frame, mm, its station, and its displacement from the path as (y, z), mm.
+
+    `segment` is the nominal line's nearest, by which station and displacement are counted.
+    """
 
     seam_tool_mm: tuple[float, float, float]
+    segment: int
     station_mm: float
     displacement_mm: tuple[float, float]
 
 
-def locate(
-    source: SeamSource, T_nominal_tool: Float64, scene: Scene, y_mm: float, z_mm: float
-) -> LocatedSeam:
-    """Return the seam point at (y, z) of a look's frame; `T_nominal_tool` is of the nominal joint frame."""
+def locate(source: SeamSource, T_base_tool: Float64, scene: Scene, y_mm: float, z_mm: float) -> LocatedSeam:
+    """Return the seam point at (y, z) of a look's frame, seen from a pose (4, 4)."""
     corrugation = scene.shape.corrugation
     px, py, pz = point = seam_point(source, scene.T_joint_tool.tolist(), corrugation, y_mm, z_mm)
+    segment = source.segment_near(moved_by(T_base_tool.tolist(), point))
+    T_nominal_tool = source.T_joint_base[segment] @ T_base_tool
     station, y, z = moved_by(T_nominal_tool.tolist(), point)
     height = source.height_mm + ridge_mm(station, corrugation)
-    return LocatedSeam((px, py, pz), station, (y, z - height))
+    return LocatedSeam((px, py, pz), segment, station, (y, z - height))

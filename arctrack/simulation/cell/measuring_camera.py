@@ -19,7 +19,7 @@ from tracker.state import Track
 
 @dataclass
 class MeasuringCamera:
-    """Simulated sensor without images: the stripe's crossing with the seam, and the real seam filter."""
+    """Simulated sensor without images over a straight seam: its crossing, and the real seam filter."""
 
     robot: Robot
     rng: np.random.Generator
@@ -43,7 +43,7 @@ class MeasuringCamera:
         y_mm, z_mm = world.seam_mm(station_mm)
         x, y, z = world.start_base_mm
         seam_base_mm = np.array([x + station_mm, y + y_mm + off_mm, z + z_mm + world.ridge_mm(station_mm)])
-        seam_tool = world.R_base_tool.T @ (seam_base_mm - self.robot.place_mm())
+        seam_tool = world.R_seam_tool.T @ (seam_base_mm - self.robot.place_mm())
         return np.asarray(seam_tool + np.array([0.0, *self.rng.normal(0.0, world.noise_mm, 2)]))
 
     def garbage(self) -> Shown:

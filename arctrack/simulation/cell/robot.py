@@ -9,6 +9,7 @@ import numpy as np
 
 from arctrack.simulation.cell.world import World
 from noise_model.compiled.arrays import Float64
+from noise_model.transforms import transform
 from robot_io import (
     Command,
     MotionState,
@@ -89,19 +90,17 @@ class Robot:
 
     def place_mm(self) -> Float64:
         """Return the tool's place in base, (3,) mm."""
-        lateral_mm, height_mm = self.offset_mm.tolist()
-        x, y, z = self.programmed_mm().tolist()
-        return np.array([x, y + lateral_mm + self._weave_mm(), z + height_mm])
+        off_mm = np.array([0.0, self.lateral_mm(), self.offset_mm[1]])
+        return transform(self.world.T_base_seam(self.station_mm), off_mm)
 
-    def programmed_mm(self) -> Float64:
-        """Return the tool's programmed place in base, (3,) mm."""
-        x, y, z = self.world.start_base_mm
-        return np.array([x + self.station_mm, y, z + self.world.ridge_mm(self.station_mm)])
+    def lateral_mm(self) -> float:
+        """Return how far the tool is to the left of its path, with its weave, mm."""
+        return float(self.offset_mm[0]) + self._weave_mm()
 
     def T_base_tool(self) -> Float64:
         """Return the tool's pose, (4, 4) mm."""
         T = np.eye(4)
-        T[:3, :3], T[:3, 3] = self.world.R_base_tool, self.place_mm()
+        T[:3, :3], T[:3, 3] = self.world.R_base_tool(self.station_mm), self.place_mm()
         return T
 
     def _weave_mm(self) -> float:

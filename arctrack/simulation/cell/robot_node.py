@@ -86,13 +86,14 @@ class RobotNode:
         every(_cycle_s(RobotStatus), self._send_status, 0.0027)
         every(0.1, self._send_command, 0.0043)
         every(_cycle_s(RobotSync), self._send_sync, 0.0059)
-        self._quaternion: Quaternion = tuple(Rotation.from_matrix(self.robot.world.R_base_tool).as_quat())
 
     def _sample(self) -> None:
         now_s = self.scheduler.now_s
         self.robot.advance(now_s)
-        x, y, z = self.robot.place_mm().tolist()
-        report: RobotReport | None = RobotReport((x, y, z), self._quaternion, SEND_LAG_S)
+        T_base_tool = self.robot.T_base_tool()
+        x, y, z = T_base_tool[:3, 3].tolist()
+        quaternion: Quaternion = tuple(Rotation.from_matrix(T_base_tool[:3, :3]).as_quat().tolist())
+        report: RobotReport | None = RobotReport((x, y, z), quaternion, SEND_LAG_S)
         if self.spoil is not None and report is not None:
             report = self.spoil(now_s, report)
         if report is not None:

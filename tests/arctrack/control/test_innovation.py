@@ -168,6 +168,32 @@ def test_limits_must_be_positive_and_finite(name):
             InnovationLimits(**{name: bad})
 
 
+TURNED_LEGS = (((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+"""Left and up before and behind a corner to the left."""
+
+
+@pytest.mark.parametrize(
+    ("height_mm", "motion"), [(0.5, SeamMotion.CONSISTENT), (3.0, SeamMotion.CONTRADICTED)]
+)
+def test_behind_a_corner_a_displaced_part_lies_elsewhere_across_but_not_in_height(height_mm, motion):
+    """By (2, 1, 0.5) mm in base: 1 mm to the left of the first leg, 2 mm to the right of the second."""
+    state, seen = SeamInnovation(), set()
+    for leg, (y_mm, z_mm) in enumerate([(1.0, 0.5), (-2.0, height_mm)]):
+        for n in range(40):
+            station_mm = 30.0 * leg + 0.5 * n
+            measured = SeamMeasurement(station_mm, (y_mm, z_mm), (0.03, 0.03), TURNED_LEGS[leg])
+            state = state.with_seam(measured, LIMITS)
+            seen.add(state.motion)
+    assert (SeamMotion.CONTRADICTED in seen) == (motion is SeamMotion.CONTRADICTED)
+
+
+def test_a_tool_that_turns_makes_the_seam_as_unsure_as_its_lever_is_long():
+    measured = SeamMeasurement(10.0, (0.0, 0.0), (0.03, 0.04), lever_mm=35.0)
+    moving = measured.at_speed(10.0, 1.0, LIMITS)
+    spread_mm = LIMITS.pose_time_s * 45.0
+    assert moving.sigma_mm == pytest.approx((math.hypot(0.03, spread_mm), math.hypot(0.04, spread_mm)))
+
+
 def test_a_fast_weave_whose_poses_are_off_by_a_millisecond_is_no_contradiction():
     """A weave at up to 42 mm/s moves the seam by 0.04 mm in a millisecond, beyond a sharp image's sigma."""
     weave_mm, rate = 2.4, 2.0 * math.pi * 2.8
@@ -181,7 +207,7 @@ def test_a_fast_weave_whose_poses_are_off_by_a_millisecond_is_no_contradiction()
                 y, z = seam_mm(6.5 * t_s) + rng.normal(0.0, 0.03, 2)
                 measured = SeamMeasurement(6.5 * t_s, (y + off_mm, z), (0.03, 0.03))
                 speed_mm_s = math.hypot(6.5, weave_mm * rate * math.cos(rate * t_s))
-                state = state.with_seam(measured.at_speed(speed_mm_s, LIMITS), LIMITS)
+                state = state.with_seam(measured.at_speed(speed_mm_s, 0.0, LIMITS), LIMITS)
                 if state.motion is SeamMotion.CONTRADICTED:
                     break
             motions_seen.append(state.motion)

@@ -21,6 +21,7 @@ from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.cell.weld.events import LOOP_EVENTS
 from arctrack.simulation.cell.weld.rendered_camera import RenderedCamera
 from arctrack.simulation.cell.world import World
+from arctrack.simulation.programmed_path import ProgrammedPath
 from arctrack.simulation.simulate import balance, true_values
 from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
@@ -50,6 +51,8 @@ class LoopPlan:
     - `event`: a name of `loop_events.LOOP_EVENTS`.
     - `exact`: the truth is as the setup says; otherwise it is off by the setup's tolerances.
     - `size_px`: the image's width and height; every size has the same field of view.
+    - `path`: `circle:RADIUS` or `corner:RADIUS`, mm, in place of a straight seam. The part then lies
+      displaced as a whole: by `displaced_mm` to the left of the path's start, and as far along it.
     """
 
     joint: str = "corrugation"
@@ -68,6 +71,7 @@ class LoopPlan:
     event: str | None = None
     exact: bool = True
     size_px: tuple[int, int] = (640, 480)
+    path: str | None = None
 
 
 @dataclass(frozen=True)
@@ -269,15 +273,16 @@ class ClosedLoop:
         robot, world = self.cell.robot.robot, self.cell.world
         robot.advance(self.cell.scheduler.now_s)
         y_mm, z_mm = robot.offset_mm.tolist()
-        across_mm = float(robot.place_mm()[1]) - world.start_base_mm[1]
         seam_mm = world.seam_mm(robot.station_mm)
-        return Sample(robot.now_s, robot.station_mm, (y_mm, z_mm), seam_mm, across_mm)
+        return Sample(robot.now_s, robot.station_mm, (y_mm, z_mm), seam_mm, robot.lateral_mm())
 
 
 def setup_of(plan: LoopPlan) -> Setup:
     """Return the setup that the tracker knows; its seam begins where the torch does."""
     width, height = plan.size_px
     setup = balance(nominal_setup(plan.joint, plan.material, width=width, height=height))
+    if plan.path is not None:
+        return replace(setup, joint=ProgrammedPath.of(plan.path, setup).taken_by(setup.joint))
     points = ((START_MM, 0.0, 0.0), (START_MM + plan.length_mm + 100.0, 0.0, 0.0))
     return replace(setup, joint=replace(setup.joint, seam_in_base_mm=points))
 
@@ -285,7 +290,7 @@ def setup_of(plan: LoopPlan) -> Setup:
 def world_of(plan: LoopPlan, setup: Setup) -> World:
     """Return the world of a plan: the true seam relative to the nominal one, and the robot."""
     height_mm, width_mm, pitch_mm = section(setup.joint).corrugation.tolist()
-    return World(
+    straight = World(
         start_base_mm=(START_MM, 0.0, 0.0),
         speed_mm_s=plan.speed_mm_s,
         weave_mm=plan.weave_mm,
@@ -299,6 +304,15 @@ def world_of(plan: LoopPlan, setup: Setup) -> World:
         time_constant_s=0.08,
         length_mm=plan.length_mm + 100.0,
         corrugation=(height_mm, width_mm, pitch_mm),
+    )
+    if plan.path is None:
+        return straight
+    return replace(
+        straight,
+        start_base_mm=(0.0, 0.0, 0.0),
+        displaced_mm=(0.0, 0.0),
+        course=ProgrammedPath.of(plan.path, setup),
+        part_mm=(plan.displaced_mm, plan.displaced_mm, 0.0),
     )
 
 

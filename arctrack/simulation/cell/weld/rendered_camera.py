@@ -11,6 +11,7 @@ import numpy as np
 from arctrack.control.frame_tracking import Capture, FrameTracking, TrackedFrame
 from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.cell.simulated_camera import COMPUTED_S, Shown
+from arctrack.simulation.turning_seam import TurningSeam
 from noise_model.arc.scene import make_scene
 from noise_model.compiled.arrays import Float64, Integers
 from noise_model.condition import Condition
@@ -63,11 +64,12 @@ class RenderedCamera:
 
     def look(self, off_mm: float) -> Shown:
         """Return the image (H, W), DN, that the camera takes now of a seam so far to the left, mm."""
-        T_base_tool, seam = self.robot.T_base_tool(), self._seam(off_mm + self.aside_mm)
+        T_base_tool = self.robot.T_base_tool()
+        true_setup, seam = self._seen(T_base_tool, off_mm + self.aside_mm)
         exposure_s = self._true.camera.exposure_s if math.isnan(self.exposure_s) else self.exposure_s
         condition = Condition(float(self.is_laser_on), self.level_now(), exposure_s, self.robot.now_s)
         image_dn = draw_frame(
-            self._true,
+            true_setup,
             T_base_tool,
             condition,
             self.rng,
@@ -76,7 +78,7 @@ class RenderedCamera:
             part_seed=self.part_seed,
         )
         if self.tacks_mm:
-            view = self._renderer.layers(apply_setup_effects(self._true), T_base_tool, seam).view
+            view = self._renderer.layers(apply_setup_effects(true_setup), T_base_tool, seam).view
             self._tack(image_dn, view.surface[0])
         return image_dn
 
@@ -126,9 +128,20 @@ class RenderedCamera:
             return self.arc_level(self.robot.now_s)
         return 1.0 if self.robot.status.arc is Switch.ON else 0.0
 
-    def _seam(self, off_mm: float) -> Seam:
-        """Return the true seam as it is seen, straight where it is."""
+    def _seen(self, T_base_tool: Float64, off_mm: float) -> tuple[Setup, Seam]:
+        """Return the true setup and seam as they are seen from a pose (4, 4)."""
         world, joint = self.robot.world, self.true_setup.joint
+        if world.course is not None:
+
+            def displacement_mm(station_mm: float) -> tuple[float, float]:
+                y_mm, z_mm = world.along_mm(station_mm)
+                return y_mm + off_mm, z_mm
+
+            seen = TurningSeam(world.course, displacement_mm, world.part_mm).seen_from(
+                self._true, T_base_tool
+            )
+            stations_mm = make_scene(apply_setup_effects(seen.joint_setup), T_base_tool).stations_mm
+            return seen.joint_setup, BentSeam.along(seen.line_at, stations_mm[:2], stations_mm[2], False)
 
         def line(station_mm: float) -> SeamLine:
             # A joint's stations count from base's origin, a world's from where its path begins.
@@ -137,6 +150,5 @@ class RenderedCamera:
             slope_y, slope_z = world.seam_slope(on_path_mm)
             return SeamLine(station_mm, y_mm + off_mm, z_mm, slope_y, slope_z)
 
-        T_base_tool = self.robot.T_base_tool()
         first_mm, last_mm, torch_mm = make_scene(apply_setup_effects(self._true), T_base_tool).stations_mm
-        return BentSeam.along(line, (first_mm, last_mm), torch_mm, joint.has_ridges)
+        return self._true, BentSeam.along(line, (first_mm, last_mm), torch_mm, joint.has_ridges)

@@ -39,6 +39,23 @@ def test_a_torch_follows_a_displaced_seam_that_a_rendered_camera_sees():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("joint", "path", "speed_mm_s", "length_mm", "within_mm"),
+    [("lap", "circle:50", 20.0, 64.0, 0.15), ("v_groove", "corner:10", 10.0, 80.0, 0.3)],
+)
+def test_a_torch_follows_a_displaced_part_round_a_turn(joint, path, speed_mm_s, length_mm, within_mm):
+    """The part lies 1 mm to the left of the path's start and 1 mm along it; the tool turns with it."""
+    plan = replace(QUICK, joint=joint, path=path, speed_mm_s=speed_mm_s, length_mm=length_mm)
+    loop = ClosedLoop(replace(plan, displaced_mm=1.0, weave_mm=0.0, size_px=(320, 240)))
+    result = loop.run()
+    assert result.max_mm < within_mm
+    settled = [f.offset.validity for f in loop.frames if f.sample.time_s >= result.lock_s]
+    assert set(settled) == {Validity.VALID}
+    first, last = loop.cell.world.R_base_tool(0.0), loop.cell.world.R_base_tool(length_mm)
+    assert first[:, 0] @ last[:, 0] < 0.6
+
+
+@pytest.mark.slow
 def test_a_run_is_a_table_a_picture_and_some_lines(tmp_path):
     words = ["cell", "run", str(tmp_path / "out"), "--joint", "lap", "--length-mm", "3", "--fps", "20"]
     done = CliRunner().invoke(app, words)
