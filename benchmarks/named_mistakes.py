@@ -100,7 +100,7 @@ def sound_cases(folder: Path) -> list[CheckCase]:
         recording = read_recording(simulate_recording(folder / str(seed), setup, plan))
         rows = chosen_rows(recording)
         positions = [rows[n] for n in evenly(len(rows), FRAMES)]
-        case = case_of(recording, positions, list(recording.images(positions)))
+        case = case_of(recording, positions)
         assert case is not None
         cases.append(case)
     return cases

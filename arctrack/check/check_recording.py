@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from arctrack.check.check_sample import CheckCase, case_of, chosen_rows, laser_off_rows
-from arctrack.check.explanations import WeighedCause, explanations
+from arctrack.check.explanations import MIN_PROBABILITY, WeighedCause, explanations
 from arctrack.check.findings import SetupFinding, findings, timing_findings
 from arctrack.check.hint import Hint, hint_of
 from arctrack.check.look import CheckedFrame, looks_at
@@ -25,9 +25,6 @@ from tracker.geometry import SensorGeometry
 from tracker.seam.correction import UNSTATED
 from tracker.state import Frame, Track
 from tracker.warm_up import warm_up
-
-MIN_PROBABILITY = 0.005
-"""A cause is not listed below this: it would be printed as 0 %."""
 
 MIN_ON_JOINT = 0.85
 """Share of the bright lines' points that lie on the joint where the setup holds: glints and tacks do not."""
@@ -78,7 +75,7 @@ def check_recording(
     except ValueError as error:
         refusal = in_file(recording.setup_path, str(error))
     positions = chosen_rows(recording)
-    case = case_of(recording, positions, list(recording.images(positions)))
+    case = case_of(recording)
     frames, bad_frames = parted(recording.frames(positions))
     timing = timing_of(recording)
     looks, unlit = [], []

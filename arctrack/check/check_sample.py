@@ -13,8 +13,9 @@ from arctrack.check.bright_line import BrightLine, find_lines
 from arctrack.check.fit import SectionMatch, SightedLine, fit
 from arctrack.check.stripe_seen import stripe_seen
 from arctrack.recording import FrameRow, PoseTable, Recording
-from arctrack.recording.frames import Image, frame_of
+from arctrack.recording.frames import frame_of
 from arctrack.recording.poses import pose_at, pose_buffer
+from calibration.check.stripe_place import StripeSight
 from noise_model.compiled.arrays import Float64, Integers
 from noise_model.effects import apply_setup_effects, pose_time_s
 from noise_model.even_sample import evenly
@@ -67,6 +68,12 @@ class CheckCase:
         """The lines laid over the setup's section."""
         sights = [SightedLine(*pair) for pair in zip(self.points_px, self.T_base_tool, strict=True)]
         return fit(self.setup, sights)
+
+    @property
+    def stripe_sights(self) -> list[StripeSight]:
+        """The lines of the frames that have a pose."""
+        pairs = zip(self.points_px, self.T_base_tool, strict=True)
+        return [StripeSight(*pair) for pair in pairs if len(pair[0]) and np.isfinite(pair[1]).all()]
 
     def with_setup(self, setup: Setup) -> CheckCase:
         """Return the case with another setup."""
@@ -144,11 +151,15 @@ def laser_off_rows(recording: Recording) -> list[int]:
     return _spread([n for n, row in enumerate(recording.rows) if not row.laser_on], MAX_LASER_OFF)
 
 
-def case_of(recording: Recording, positions: Sequence[int], images: Sequence[Image]) -> CheckCase | None:
-    """Return the case of some frames, None where no image can be read; images of the commonest size count."""
+def case_of(recording: Recording, positions: Sequence[int] | None = None) -> CheckCase | None:
+    """Return the case of some frames, by default of `chosen_rows`, None where no image can be read.
+
+    Images of the commonest size count.
+    """
+    chosen = chosen_rows(recording) if positions is None else positions
     usable = [
         (recording.rows[n], image)
-        for n, image in zip(positions, images, strict=True)
+        for n, image in zip(chosen, recording.images(chosen), strict=True)
         if not isinstance(image, str) and image.ndim == 2
     ]
     if not usable:

@@ -17,7 +17,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
 from scipy.special import softmax
 from scipy.stats import betabinom, norm
 
@@ -30,8 +29,9 @@ from calibration.check.stripe_place import (
     AS_STATED,
     DIMENSIONS,
     LENS,
+    OFF_NATS,
+    RIVAL_NATS,
     Cause,
-    StripeSight,
     explain_stripes,
     with_changes,
 )
@@ -61,6 +61,9 @@ ORDER_NATS = 0.5
 
 EQUAL_SHARE = 0.02
 """Shares of the lines on the joint that differ by less are the same."""
+
+MIN_PROBABILITY = 0.005
+"""A cause is not listed below this: it would be printed as 0 %."""
 
 POOLED_NATS = 2.0
 """Nats of evidence that count for one in a probability: neighbouring points on one plate err alike."""
@@ -107,6 +110,20 @@ def explanations(case: CheckCase) -> list[WeighedCause]:
     shares = softmax([explanation.ln_posterior / POOLED_NATS for explanation in tried])
     ranked = [replace(each, probability=float(share)) for each, share in zip(tried, shares, strict=True)]
     return sorted(ranked, key=lambda explanation: -explanation.ln_posterior)
+
+
+def explains_as_stated(ranked: Sequence[WeighedCause]) -> bool:
+    """Return whether the setup as stated explains a case, or not much worse than the likeliest cause."""
+    least = ranked[0].ln_posterior - OFF_NATS
+    return any(each.is_as_stated and each.ln_posterior > least for each in ranked)
+
+
+def likely_causes(ranked: Sequence[WeighedCause]) -> list[WeighedCause]:
+    """Return the causes that cannot be separated from the likeliest; none where nothing known is wrong."""
+    if not ranked[0].what or explains_as_stated(ranked):
+        return []
+    least = ranked[0].ln_posterior - RIVAL_NATS
+    return [each for each in ranked if each.what and each.ln_posterior > least]
 
 
 def _tried(explanation: WeighedCause) -> WeighedCause:
@@ -163,12 +180,8 @@ def _shown_joints(case: CheckCase) -> Iterator[tuple[Mistake, CheckCase]]:
 
 def _causes(case: CheckCase, names: Sequence[str]) -> tuple[float, list[Cause]]:
     """Return how far the lines lie off, px, and what explains them by each name, none where no line can."""
-    posed = [
-        StripeSight(*pair)
-        for pair in zip(case.points_px, case.T_base_tool, strict=True)
-        if len(pair[0]) and np.isfinite(pair[1]).all()
-    ]
-    posed = [posed[n] for n in evenly(len(posed), MAX_LAID)]
+    sights = case.stripe_sights
+    posed = [sights[n] for n in evenly(len(sights), MAX_LAID)]
     if not posed or not case.fits_camera:
         return math.nan, []
     try:

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from arctrack.check.check_sample import CheckCase
-from arctrack.check.explanations import WeighedCause, explanations
-from calibration.check.stripe_place import OFF_NATS, RIVAL_NATS
+from arctrack.check.explanations import WeighedCause, explanations, likely_causes
 
 MAX_NAMED = 3
 """Number of causes that a hint names."""
@@ -36,14 +35,10 @@ def hint_of(ranked: Sequence[WeighedCause]) -> Hint | None:
 
     A cure is named only where the tracker reads the frames with it.
     """
-    if not ranked:
+    likely = likely_causes(ranked) if ranked else []
+    if not likely:
         return None
     best = ranked[0]
-    least = best.ln_posterior - RIVAL_NATS
-    likely = [each for each in ranked if each.what and each.ln_posterior > least]
-    doubted = best.ln_posterior - OFF_NATS
-    if not best.what or any(each.is_as_stated and each.ln_posterior > doubted for each in ranked):
-        return None
     mending = [each for each in likely if each.is_read]
     if not mending:
         cure = "with that alone mended the tracker does not read the frames: look for another mistake too"

@@ -29,8 +29,9 @@ STALE_PARTS = (*MOVED_PARTS, LENS, DIMENSIONS)
 
 CURES = {
     LASER: "arctrack calibrate laser measures it",
-    SENSOR: "arctrack calibrate hand-eye measures it, in the tool frame that the poses are of",
-    CAMERA: "arctrack calibrate hand-eye measures it, in the tool frame that the poses are of",
+    **dict.fromkeys(
+        (SENSOR, CAMERA), "arctrack calibrate hand-eye measures it, in the tool frame that the poses are of"
+    ),
     LENS: "recording.toml: give those of arctrack calibrate camera, in px of this image size",
     PART: "touch the plate with the tip: [joint] seam_in_base_mm, the base frame or the tool's length",
     DIMENSIONS: "recording.toml: state the dimensions that the part has",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from arctrack.check.check_sample import case_of, chosen_rows
+from arctrack.check.check_sample import case_of
 from arctrack.check.fit import ENOUGH
 from arctrack.check.hint import Hint, likely_mistake
 from arctrack.check.seam_place import UNKNOWN_PLACE, SeamPlace, seam_place
@@ -145,7 +145,6 @@ def verdict_of(
 
 def _hint_for(recording: Recording) -> Hint | None:
     """Look at some frames of a recording and return what most likely is wrong, None for nothing known."""
-    positions = chosen_rows(recording)
-    case = case_of(recording, positions, list(recording.images(positions)))
+    case = case_of(recording)
     hint = None if case is None else likely_mistake(case)
     return hint or likely_unit(recording)

@@ -52,6 +52,9 @@ MAX_OFF_MM = 60.0
 GRID_MM, MAX_MODES = 2.0, 6
 """Spacing of the stations at which a seam's bends are computed, and number of their modes."""
 
+ANNEALING = (30.0, 5.0)
+"""Factors of the points' sigma in the fits before the last one: far off, the robust fit alone gets stuck."""
+
 FAR = 1e3
 """A residual that counts for one beyond all reach, sigmas."""
 
@@ -144,11 +147,10 @@ class Cause:
 
 @dataclass(frozen=True, eq=False)
 class StripePlace:
-    """Position of stripes against the one that a setup expects, and its explanation.
+    """Position of stripes against the one that a setup expects.
 
     `off_px` is the median over all points, `off_sigma_px` the 1 sigma that tolerances and the part's place
-    let expect; `rms_px` what is left where all is within them. `causes` are the likeliest first, without
-    `AS_STATED`; `gain_nats` says by how much the first is likelier than the setup as stated.
+    let expect; `as_stated` is the fit with all within them.
     The tool was turned by up to `turned_deg` and lifted by `lifted_mm` between the frames. The part's place
     is stated about `middle_mm`, the station amid the points.
     """
@@ -157,9 +159,7 @@ class StripePlace:
 
     off_px: float
     off_sigma_px: float
-    rms_px: float
     as_stated: Cause
-    causes: tuple[Cause, ...]
     turned_deg: float
     lifted_mm: float
     n_frames: int
@@ -167,38 +167,17 @@ class StripePlace:
     bends: SeamBends
 
     @property
-    def gain_nats(self) -> float:
-        """Log evidence ratio of the best cause and the setup as stated."""
-        return self.causes[0].ln_evidence - self.as_stated.ln_evidence
+    def fitted_setup(self) -> Setup:
+        """The setup with its parts where the fit has them, within their tolerances."""
+        return with_changes(self.setup, self.as_stated.values)
 
     @property
-    def is_explained(self) -> bool:
-        """True if the setup as stated explains the stripes."""
-        return self.gain_nats < OFF_NATS
-
-    @property
-    def likely(self) -> tuple[Cause, ...]:
-        """Causes that cannot be separated from the best one; none where the setup explains the stripes."""
-        if self.is_explained:
-            return ()
-        best = self.causes[0].ln_evidence
-        # A bent plate makes odds doubtful: parts within 6 nats cannot be separated.
-        return tuple(cause for cause in self.causes if cause.ln_evidence > best - RIVAL_NATS)
-
-    @property
-    def best(self) -> Cause:
-        """Best explanation of the stripes: the setup as stated where it is one."""
-        return self.as_stated if self.is_explained else self.causes[0]
-
-    def setup_by(self, cause: Cause) -> Setup:
-        """Return the setup as a cause would have it."""
-        return with_changes(self.setup, cause.values)
-
-    def seam_by(self, cause: Cause) -> SeamLine:
-        """Return the seam's line under a cause."""
-        y, z, slope_y, slope_z = (cause.values[name] for name in PART_BLOCK[:4])
+    def seam(self) -> SeamLine:
+        """The seam's line."""
+        values = self.as_stated.values
+        y, z, slope_y, slope_z = (values[name] for name in PART_BLOCK[:4])
         about = self.middle_mm + np.array([-0.5, 0.0, 0.5]) * GRID_MM
-        before, here, after = self.bends.y_mm(cause.values, about)
+        before, here, after = self.bends.y_mm(values, about)
         bent = float(after - before) / GRID_MM
         return SeamLine(self.middle_mm, y + float(here), z, slope_y + bent, slope_z)
 
@@ -209,14 +188,15 @@ def explain_stripes(
 ) -> tuple[float, list[Cause]]:
     """Return the stripes' median distance from their nominal places, px, and the cause of each name.
 
-    A later name is fitted from the best fit before it, and from the best of a grid. Raises ValueError where
-    no stripe meets the laser plane in front of the camera.
+    A later name is fitted from the best of a grid, and, annealed, from the best fit before it and from the
+    setup as stated. Raises ValueError where no stripe meets the laser plane in front of the camera.
     """
     problem = _StripePlaceProblem.of(setup, sights)
     first = best = problem.explain(names[0], problem.coarse_place(), {})
     causes = [first]
     for name in names[1:]:
-        causes.append(problem.explain(name, best.values, problem.coarse_change(name)))
+        annealed = (problem.annealed(name, start) for start in (best.values, {}))
+        causes.append(problem.explain(name, problem.coarse_change(name), *annealed))
         best = max(best, causes[-1], key=lambda cause: cause.ln_evidence)
     return problem.displacement(first.fit)[0], causes
 
@@ -228,12 +208,7 @@ def locate_stripes(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
     Raises ValueError where no stripe meets the laser plane in front of the camera.
     """
     problem = _StripePlaceProblem.of(setup, sights)
-    coarse = problem.coarse_place()
-    as_stated = problem.explain(AS_STATED, coarse, {})
-    causes = sorted(
-        (problem.explain(name, as_stated.values, coarse) for name in BLOCKS),
-        key=lambda cause: -cause.ln_evidence,
-    )
+    as_stated = problem.explain(AS_STATED, problem.coarse_place(), {})
     off_px, sigma_px = problem.displacement(as_stated.fit)
     turns = np.array([sight.T_base_tool[:3, :3] for sight in sights])
     turned = Rotation.from_matrix(turns[0].T @ turns).magnitude()
@@ -242,9 +217,7 @@ def locate_stripes(setup: Setup, sights: Sequence[StripeSight]) -> StripePlace:
         setup=setup,
         off_px=off_px,
         off_sigma_px=sigma_px,
-        rms_px=as_stated.rms_px,
         as_stated=as_stated,
-        causes=tuple(causes),
         turned_deg=float(np.degrees(turned.max())),
         lifted_mm=float(np.ptp(heights)),
         n_frames=len(sights),
@@ -370,6 +343,15 @@ class _StripePlaceProblem:
             key=lambda place: float(_robust_costs(self.residuals({**nothing, **place})).sum()),
             default={},
         )
+
+    def annealed(self, name: str, start: Mapping[str, float]) -> Mapping[str, float]:
+        """Return the fit with one part off to points that count less and less little."""
+        for factor in ANNEALING:
+            vague = replace(self, sigma_px=factor * self.sigma_px)
+            parameters = vague._parameters(name)
+            values = vague._fit(parameters, np.array([start.get(p.name, 0.0) for p in parameters])).values
+            start = dict(zip((p.name for p in parameters), values, strict=True))
+        return start
 
     def explain(self, name: str, *starts: Mapping[str, float]) -> Cause:
         """Return the best explanation of the points with one part off, from several starts."""

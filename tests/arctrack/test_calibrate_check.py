@@ -11,9 +11,11 @@ from typer.testing import CliRunner
 
 from arctrack.calibrate.check.check_setup import SetupCheck, check_setup
 from arctrack.calibrate.check.measure import LightStage, Measure, SetupVerdict, judged
+from arctrack.check.check_recording import check_recording
 from arctrack.cli import app
 from arctrack.cli.exit_codes import WARNED
 from arctrack.recording import read_recording
+from calibration.check.stripe_place import with_changes
 
 RUNNER = CliRunner(env={"COLUMNS": "160", "TERM": "dumb", "NO_COLOR": "1"})
 
@@ -38,6 +40,18 @@ def test_the_arc_of_a_setup_that_is_too_dim_is_named(simulated: Path, checked: S
     assert checked.arc is not None
     assert dim.arc is not None
     assert dim.arc.level.value == pytest.approx(2.0 * checked.arc.level.value, rel=0.02)
+
+
+def test_a_stale_sheet_is_named_as_arctrack_check_names_it(simulated: Path) -> None:
+    recording = read_recording(simulated, must_fit=False)
+    stale = replace(recording, setup=with_changes(recording.setup, {"laser_offset": 3.0}))
+    seen = check_setup(stale)
+    assert LightStage.PLACE in seen.not_explained
+    hint = check_recording(stale).hint
+    assert hint is not None
+    assert hint.what.partition("px off its place: ")[2].startswith("[laser] plane_in_tool is")
+    assert hint.what in seen.headline
+    assert f"To do: {hint.cure}." in seen.sentences
 
 
 def test_the_command_says_what_to_do_and_writes_a_page(

@@ -40,7 +40,7 @@ def weaving(tmp_path_factory: pytest.TempPathFactory, seen_setup: Setup) -> Path
 def case_from(path: Path) -> CheckCase:
     recording = read_recording(path, must_fit=False)
     positions = chosen_rows(recording)
-    case = case_of(recording, positions, list(recording.images(positions)))
+    case = case_of(recording, positions)
     assert case is not None
     return case
 

@@ -12,7 +12,8 @@ from arctrack.calibrate.check.light_measures import EXPOSURE_SIGMA, SPREAD_SIGMA
 from arctrack.calibrate.check.measure import MAX_SIGMAS
 from arctrack.calibrate.stage import CalibrationStage, Steps
 from arctrack.check.check_recording import parted
-from arctrack.check.check_sample import chosen_rows
+from arctrack.check.check_sample import case_of, chosen_rows
+from arctrack.check.explanations import explains_as_stated, explanations
 from arctrack.check.look import looks_at
 from arctrack.errors import in_file
 from arctrack.recording import Recording
@@ -40,7 +41,8 @@ def arc_stage(read: Recording, steps: Steps) -> CalibrationStage[ArcCalibration]
             read.path, "no frame has the arc on, the laser off and a pose: record some at several heights"
         )
     place = _place(read)
-    if place is not None and not place.is_explained:
+    case = None if place is None else case_of(read)
+    if case is not None and not explains_as_stated(explanations(case)):
         raise in_file(
             read.path,
             "the stripe is not where the setup puts it: arctrack calibrate check says what is stale",
@@ -59,7 +61,7 @@ def _refuse_bent_seam(read: Recording, place: StripePlace | None) -> None:
     """Raise ArctrackError where the seam leaves its nominal line: nobody sees how it runs on to the torch."""
     if place is None or read.setup.joint.type == "flat":
         return
-    slope = place.seam_by(place.as_stated).slope_y
+    slope = place.seam.slope_y
     bend_mm = place.bends.range_mm(place.as_stated.values)
     # A seam that leaves its nominal line faster, mm/mm, or bends more, mm, is not straight up to the torch.
     if abs(slope) > 0.03 or bend_mm > 0.3:
@@ -75,7 +77,7 @@ def _refuse_other_causes(
     read: Recording, lit: Sequence[tuple[Frame, Float64]], place: StripePlace | None
 ) -> None:
     """Raise ArctrackError where sensor or optics spoil the arc's light: no arc would make up for that."""
-    seam = NOMINAL_SEAM if place is None else place.seam_by(place.as_stated)
+    seam = NOMINAL_SEAM if place is None else place.seam
     try:
         seen = compare_arc(read.setup, lit, seam)
     except ValueError as error:

@@ -9,9 +9,11 @@ import numpy as np
 
 from arctrack.calibrate.check.light_measures import arc_measures, sensor_measures, stripe_measures
 from arctrack.calibrate.check.measure import LightStage, Measure, SetupVerdict
-from arctrack.calibrate.check.place_measures import first_suspect, place_measures, place_sentences
+from arctrack.calibrate.check.place_measures import place_measures, place_sentences
 from arctrack.check.check_recording import parted, sensor_of
-from arctrack.check.check_sample import chosen_rows
+from arctrack.check.check_sample import case_of, chosen_rows
+from arctrack.check.explanations import explanations
+from arctrack.check.hint import Hint, hint_of
 from arctrack.check.look import CheckedFrame, looks_at
 from arctrack.compiling import compiled_by_two
 from arctrack.errors import in_file
@@ -33,13 +35,16 @@ from tracker.warm_up import warm_up
 class SetupCheck:
     """Check of a setup by a recording: quantities by stage, and verdicts.
 
-    `place` and `arc` are None where no frame determines them, which `sentences` explain. `sights` are the
-    stripes of `looks` that were compared.
+    `place` and `arc` are None where no frame determines them, which `sentences` explain. `hint` is the
+    likeliest mistake where the stripe is not as stated, and `mended` the stripe's place without it. `sights`
+    are the stripes of `looks` that were compared.
     """
 
     recording: Recording
     measures: tuple[Measure, ...]
     place: StripePlace | None
+    hint: Hint | None
+    mended: StripePlace | None
     arc: ArcLightCheck | None
     looks: tuple[CheckedFrame, ...]
     sights: tuple[StripeSight, ...]
@@ -73,7 +78,8 @@ class SetupCheck:
         parts = []
         for stage in self.not_explained:
             if stage is LightStage.PLACE and self.place is not None:
-                parts.append(f"calibrate the {first_suspect(self.place)} anew")
+                likely = f"most likely {self.hint.what}" if self.hint else "the stripe lies elsewhere"
+                parts.append(likely)
             else:
                 names = [
                     m.name
@@ -99,34 +105,43 @@ def check_setup(
         warm_up(geometry, UNSTATED)
     looks = looks_at(recording, geometry, frames, on_frame)
     sights = sights_of(geometry, looks)
-    place, place_sentences = _placed(recording.setup, sights)
-    arc, arc_sentences = _arc_seen(recording, place)
+    place, problem = _placed(recording.setup, sights)
+    case = None if place is None else case_of(recording)
+    ranked = [] if case is None else explanations(case)
+    hint = hint_of(ranked)
+    mended = None
+    if hint is not None and hint.case is not None:
+        mended, _ = _placed(hint.case.setup, hint.case.stripe_sights)
+    arc, arc_sentences = _arc_seen(recording, mended or place)
     measures = sensor_measures(recording.setup, sensor_of(recording, looks), arc)
-    measures += [] if place is None else place_measures(place)
+    stripe_sentences = problem
+    if place is not None and ranked:
+        measures += place_measures(place, ranked, hint)
+        stripe_sentences = place_sentences(place, ranked, hint)
     measures += stripe_measures(recording.setup, looks, _first(measures))
     measures += arc_measures(recording.setup, arc, _first(measures))
-    sentences = (*place_sentences, *arc_sentences)
     return SetupCheck(
         recording=recording,
         measures=tuple(measures),
         place=place,
+        hint=hint,
+        mended=mended,
         arc=arc,
         looks=tuple(looks),
         sights=sights,
-        sentences=sentences,
+        sentences=(*stripe_sentences, *arc_sentences),
         bad_frames=tuple(bad_frames),
     )
 
 
 def _placed(setup: Setup, sights: Sequence[StripeSight]) -> tuple[StripePlace | None, list[str]]:
-    """Return the stripes' place, None where nothing determines it, and remarks."""
+    """Return the stripes' place, None where nothing determines it, and why."""
     if not sights:
         return None, ["Camera, laser and hand-eye are not told: no frame with the laser on shows a line."]
     try:
-        place = locate_stripes(setup, sights)
+        return locate_stripes(setup, sights), []
     except ValueError as error:
         return None, [f"Camera, laser and hand-eye are not told: {error}."]
-    return place, place_sentences(place)
 
 
 def _arc_seen(recording: Recording, place: StripePlace | None) -> tuple[ArcLightCheck | None, list[str]]:
@@ -136,7 +151,7 @@ def _arc_seen(recording: Recording, place: StripePlace | None) -> tuple[ArcLight
         return None, ["The arc is not told: no frame with the arc on."]
     setup, seam = recording.setup, NOMINAL_SEAM
     if place is not None:
-        setup, seam = place.setup_by(place.best), place.seam_by(place.best)
+        setup, seam = place.fitted_setup, place.seam
     try:
         return compare_arc(setup, lit, seam), []
     except ValueError as error:

@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 
 from arctrack.calibrate.check.check_setup import SetupCheck
 from arctrack.calibrate.check.measure import LightStage, SetupVerdict
-from arctrack.calibrate.check.place_measures import cause_of, first_suspect
 from arctrack.calibrate.page import PagePicture
 from arctrack.report import style
 from arctrack.report.embedded import svg
@@ -49,7 +48,7 @@ def render(checked: SetupCheck) -> str:
                 _stripes(checked),
                 "the stripe seen and expected, over the first and the last frame looked at; brightness by √",
                 "Orange is where the setup puts the stripe at the nominal seam. Green is where it would "
-                "lie with the part, or what else explains it, set right.",
+                "lie with the part, or what else most likely is off, set right.",
             )
         )
     if checked.arc is not None:
@@ -83,7 +82,7 @@ def _stripes(checked: SetupCheck) -> str:
     camera = checked.setup.camera
     figure = style.new_figure(10.5, 0.6 + 10.5 / len(shown) * camera.height / camera.width, "")
     cells = figure.subplots(1, len(shown), squeeze=False)[0]
-    place = checked.place
+    place = checked.mended or checked.place
     for axes, n in zip(cells, shown, strict=True):
         look, sight = looks[n], checked.sights[n]
         axes.set_title(f"frame {look.frame.index}", fontsize=9, loc="left")
@@ -91,10 +90,8 @@ def _stripes(checked: SetupCheck) -> str:
         axes.plot(*sight.points_px.T, ".", color=style.SKY, markersize=2, rasterized=True, label="seen")
         _draw(axes, checked.setup, sight.T_base_tool, NOMINAL_SEAM, style.ORANGE, "expected")
         if place is not None:
-            cause = place.best if place.is_explained else cause_of(place, first_suspect(place))
-            setup, seam = place.setup_by(cause), place.seam_by(cause)
-            label = "part set right" if place.is_explained else f"if the {first_suspect(place)} is off"
-            _draw(axes, setup, sight.T_base_tool, seam, style.GREEN, label)
+            label = "part set right" if checked.mended is None else "set right"
+            _draw(axes, place.fitted_setup, sight.T_base_tool, place.seam, style.GREEN, label)
         style.over_image(axes, camera.width, camera.height)
         axes.set_axis_off()
     cells[0].legend(fontsize=8, loc="upper right")

@@ -1,109 +1,76 @@
-"""Position of the stripe, and the part of the setup that would have to be off, as quantities and in words."""
+"""Position of the stripe, and what most likely moved it, as quantities and in words."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from arctrack.calibrate.check.measure import MAX_SIGMAS, LightStage, Measure, SetupVerdict
-from calibration.check.stripe_place import CAMERA, LASER, LENS, PART, SENSOR, Cause, StripePlace
+from arctrack.check.explanations import MIN_PROBABILITY, WeighedCause, explains_as_stated, likely_causes
+from arctrack.check.hint import Hint
+from calibration.check.stripe_place import StripePlace
 
-SUSPECTS = ("hand-eye", "part", "laser plane", "lens")
-"""Possible causes, in the order in which they are tried where the stripes do not tell.
-
-A hand-eye goes stale with every other tool frame, torch or contact tip, and a part is laid in anew each time;
-laser and lens sit fixed in one housing.
-"""
-
-SUSPECT_OF = {CAMERA: "hand-eye", SENSOR: "hand-eye", PART: "part", LASER: "laser plane", LENS: "lens"}
-
-CURES = {
-    "hand-eye": "arctrack calibrate hand-eye, in the tool frame that the poses are of",
-    "part": "touch the plate with the tip: [joint] seam_in_base_mm, the base frame or the tool's length",
-    "laser plane": "arctrack calibrate laser",
-    "lens": "arctrack calibrate camera",
-}
+UNKNOWN = "nothing known explains it: compare [camera], [laser] and [joint] with the sensor and the part"
 
 
-def place_measures(place: StripePlace) -> list[Measure]:
-    """Return the stripe's place, and where it is not explained each suspect with the change that it needs."""
-    measures = [
+def place_measures(place: StripePlace, ranked: Sequence[WeighedCause], hint: Hint | None) -> list[Measure]:
+    """Return the stripe's place, and where it is not explained each cause with its probability.
+
+    `ranked` are the explanations of the recording, the likeliest first, `hint` is made of them.
+    """
+    if explains_as_stated(ranked):
+        return [_place(place, SetupVerdict.OK, "")]
+    likely = likely_causes(ranked)
+    named = SetupVerdict.UNTOLD if len(likely) > 1 else SetupVerdict.NOT_EXPLAINED
+    causes = [
         Measure(
             stage=LightStage.PLACE,
-            name="stripe off its place",
-            measured=place.off_px,
-            expected=0.0,
-            sigma=place.off_sigma_px,
-            unit="px",
-            verdict=SetupVerdict.OK if place.is_explained else SetupVerdict.NOT_EXPLAINED,
-            cure="" if place.is_explained else CURES[first_suspect(place)],
+            name=each.name,
+            measured=math.nan,
+            expected=math.nan,
+            sigma=math.nan,
+            unit="",
+            verdict=named if each in likely else SetupVerdict.OK,
+            text=f"{100.0 * each.probability:.0f} %",
         )
+        for each in ranked
+        if each.what and each.probability >= MIN_PROBABILITY
     ]
-    if place.is_explained:
-        return measures
-    likely = suspects(place)
-    for name in SUSPECTS:
-        cause = cause_of(place, name)
-        verdict = SetupVerdict.OK
-        if name in likely:
-            verdict = SetupVerdict.NOT_EXPLAINED if len(likely) == 1 else SetupVerdict.UNTOLD
-        measures.append(
-            Measure(
-                stage=LightStage.PLACE,
-                name=f"{name}, if it is that",
-                measured=math.nan,
-                expected=math.nan,
-                sigma=math.nan,
-                unit="",
-                verdict=verdict,
-                cure=CURES[name] if name in likely else "",
-                text=_change(cause),
-            )
-        )
-    return measures
+    return [_place(place, SetupVerdict.NOT_EXPLAINED, UNKNOWN if hint is None else hint.cure), *causes]
 
 
-def suspects(place: StripePlace) -> tuple[str, ...]:
-    """Return the single causes that the stripes cannot separate, the likeliest first."""
-    names = {SUSPECT_OF[cause.name] for cause in place.likely}
-    return tuple(name for name in SUSPECTS if name in names)
+def _place(place: StripePlace, verdict: SetupVerdict, cure: str) -> Measure:
+    return Measure(
+        stage=LightStage.PLACE,
+        name="stripe off its place",
+        measured=place.off_px,
+        expected=0.0,
+        sigma=place.off_sigma_px,
+        unit="px",
+        verdict=verdict,
+        cure=cure,
+    )
 
 
-def cause_of(place: StripePlace, suspect: str) -> Cause:
-    """Return the likeliest cause of a suspect."""
-    return next(cause for cause in place.causes if SUSPECT_OF[cause.name] == suspect)
-
-
-def first_suspect(place: StripePlace) -> str:
-    """Return the most suspect part of a setup that does not explain the stripes."""
-    return suspects(place)[0]
-
-
-def place_sentences(place: StripePlace) -> list[str]:
-    """Return the stripes' verdict on camera, laser and hand-eye, and a recording that would say more."""
+def place_sentences(place: StripePlace, ranked: Sequence[WeighedCause], hint: Hint | None) -> list[str]:
+    """Return what is most likely off, what to do, and a recording that would say more."""
     frames = f"{place.n_frames} frame{'s' if place.n_frames > 1 else ''}"
-    if place.is_explained:
+    if explains_as_stated(ranked):
         return [
             f"The stripe lies where the setup puts it in {frames}: {_px(place.off_px)} off. Tolerance and "
             f"the part's place let expect {place.off_sigma_px:.1f} px, 1 σ."
         ]
-    likely = suspects(place)
-    name = likely[0]
     if abs(place.off_px) > MAX_SIGMAS * place.off_sigma_px:
         lies = f"The stripe lies {_px(place.off_px)} beside its place in {frames}"
     else:
         lies = f"The stripe's course in {frames} fits no part that lies where parts do"
-    to_do = f"To do: {CURES[name]}."
-    if len(likely) == 1:
-        return [f"{lies}: the {name} is not as stated. Nothing else goes so with the poses.", to_do]
-    others = ", ".join(f"the {other}" for other in likely[1:])
+    if hint is None:
+        return [f"{lies}: {UNKNOWN}."]
+    sentences = [f"{lies}: most likely {hint.what}.", f"To do: {hint.cure}."]
+    if len(likely_causes(ranked)) == 1:
+        return sentences
     turned = f"turned by {place.turned_deg:.1f}° and lifted by {place.lifted_mm:.1f} mm"
-    return [
-        f"{lies}: most likely the {name} is stale.",
-        f"These frames do not tell that from {others}: the tool was {turned} between them. The {name} comes "
-        "first by experience.",
-        to_do,
-        WHAT_WOULD_TELL,
-    ]
+    return [*sentences, f"The tool was {turned} between these frames. {WHAT_WOULD_TELL}"]
 
 
 WHAT_WOULD_TELL = (
@@ -111,12 +78,6 @@ WHAT_WOULD_TELL = (
     "by 5° to either side about its x and y axes and lifted by 10 mm between them. A part stays in base, a "
     "sensor goes with the tool."
 )
-
-
-def _change(cause: Cause) -> str:
-    if cause.name == LENS:
-        return f"{100.0 * cause.values['ln_focal']:+.1f} % of fx, fy"
-    return f"{cause.turn_deg:.2f}° and {cause.move_mm:.1f} mm off"
 
 
 def _px(value: float) -> str:
