@@ -150,7 +150,10 @@ def nominal_of(path: Path) -> tuple[Nominal, dict[str, Summary]]:
     linear = LinearHypothesis.of(fitted)
     tolerance = recording.setup.tolerance
     errors = [smooth_error(chosen, POLICY), sampling_error(model, chosen, fitted)]
-    errors += [hand_eye_tolerance(score, tolerance) for score in score_effects(model, fitted, [HAND_EYE])]
+    errors += [
+        hand_eye_tolerance(score, recording.setup.calibration_errors)
+        for score in score_effects(model, fitted, [HAND_EYE])
+    ]
     columns = np.hstack([linear.columns.changes, *errors])
     shares = noise_shares(model, fitted)
     single = (values.astype(np.float32) for values in (linear.residuals, columns, *shares))

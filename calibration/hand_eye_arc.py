@@ -24,6 +24,7 @@ import numpy as np
 
 from calibration.arc_pixels import ArcPixels
 from noise_model.arc.scene import make_scene
+from noise_model.calibration_errors import POSE
 from noise_model.compiled.arrays import Float64
 from noise_model.effects import apply_setup_effects
 from noise_model.even_sample import evenly
@@ -205,12 +206,13 @@ class _ArcHandEyeProblem:
     def parameters(self) -> list[Parameter]:
         """The parameters: camera, light, arc, metal, seam, fields, levels of the frames."""
         tolerance, ln_level = self.setup.tolerance, math.log(MAX_LEVEL_FACTOR)
-        deg, mm = max(tolerance.hand_eye_deg, 1e-6), max(tolerance.hand_eye_mm, 1e-6)
+        sigmas = np.maximum(self.setup.calibration_errors.sigmas(POSE), 1e-6).tolist()
         black_e = max(tolerance.black_level_dn * self.setup.sensor.gain_e_per_dn, 1e-3)
-        turn_deg, move_mm = CAMERA_STEPS[0], CAMERA_STEPS[3]
         return [
-            *(Parameter(name, "deg", 0.0, deg, step=turn_deg) for name in CAMERA[:3]),
-            *(Parameter(name, "mm", 0.0, mm, step=move_mm) for name in CAMERA[3:]),
+            *(
+                Parameter(name, "deg" if name.startswith("rot") else "mm", 0.0, sigma, step=step)
+                for name, sigma, step in zip(CAMERA, sigmas, CAMERA_STEPS.tolist(), strict=True)
+            ),
             Parameter("ln_arc_level", "", 0.0, lower=-ln_level, upper=ln_level, step=1e-3),
             Parameter("black_level", "e-", 0.0, black_e, step=1.0),
             *(Parameter(name, "mm", 0.0, ARC_SIGMA_MM, step=0.05) for name in ARC),

@@ -4,10 +4,10 @@ The seam stands still. With the right delay d, the pose at t + d puts each frame
 curve; with a wrong one the tool's own motion, its weave and its rise, is seen in it. The displacements y of
 the seam points from the nominal line, sideways and in height, are normal:
 
-    y(d) ~ N(0, K(s(d)) + H P H^T + diag(v + tau^2)),
+    y(d) ~ N(0, K(s(d)) + H H^T + diag(v + tau^2)),
 
 K the prior of a smooth seam over the stations s, v the tracker's variances, tau what its points scatter by
-beyond them. P is the camera's pose's tolerance and H what it does to each point: a hand-eye error moves
+beyond them. H is what errors of the calibration, 1 sigma each, do to each point: a hand-eye error moves
 points with the tool's pose, a delay with its velocity. How far the seam bends and tau are fitted along, for
 each axis. So the seam is integrated out, and the likelihood's curvature at its maximum says how well d is
 known. Motion along a straight seam moves no point off the curve: then nothing is known, and that is the
@@ -26,7 +26,6 @@ from scipy.optimize import minimize, minimize_scalar
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
-from calibration.hand_eye_arc import CAMERA_STEPS, with_camera
 from noise_model.compiled.arrays import Bool, Float64
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
@@ -157,7 +156,7 @@ def fit_pose_delay(setup: Setup, observations: SeamObservations, track: PoseTrac
     delay_s = 0.0
     for _ in range(2):
         # What a delay takes out of the poses' time is left out, once a delay is known.
-        problem = _DelayProblem(setup, _with_pose(observations, smooth, delay_s)).with_camera_slopes(delay_s)
+        problem = _DelayProblem(setup, _with_pose(observations, smooth, delay_s)).with_moves(delay_s)
         seen = [problem.seam_points(float(d)) for d in grid]
         for _ in range(2):
             curve = np.array([problem.ln_likelihood(*points, bends, scatters) for points in seen])
@@ -223,25 +222,25 @@ def _reason_unestimated(
 
 @dataclass(frozen=True, eq=False)
 class _DelayProblem:
-    """Seam points and what moves them; `camera_slopes` (6, n, 2) is by the camera's turn and move."""
+    """Seam points and what moves them; `moves_mm` (m, n, 2) is by the calibration's independent errors."""
 
     setup: Setup
     observations: SeamObservations
-    camera_slopes: Float64 | None = None
+    moves_mm: Float64 | None = None
 
     def seam_points(self, delay_s: float) -> tuple[Float64, Float64]:
         """Return stations (n,) and displacements (n, 2), mm, for a delay."""
         return self.observations.in_joint(with_delay(self.setup, delay_s))
 
-    def with_camera_slopes(self, delay_s: float) -> _DelayProblem:
-        """Return the problem with what the camera's pose does at a delay."""
-        here = with_delay(self.setup, delay_s)
+    def with_moves(self, delay_s: float) -> _DelayProblem:
+        """Return the problem with what errors of the calibration, 1 sigma each, do at a delay."""
+        here, covariance = with_delay(self.setup, delay_s), self.setup.calibration_errors
         _, unmoved = self.observations.in_joint(here)
-        slopes = [
-            (self.observations.in_joint(with_camera(here, step))[1] - unmoved) / size
-            for step, size in zip(np.diag(CAMERA_STEPS), CAMERA_STEPS, strict=True)
+        moves = [
+            self.observations.in_joint(here.with_errors(covariance.errors(sizes)))[1] - unmoved
+            for sizes in np.eye(len(covariance.modes))
         ]
-        return replace(self, camera_slopes=np.stack(slopes))
+        return replace(self, moves_mm=np.reshape(moves, (-1, *unmoved.shape)))
 
     def ln_likelihood(
         self, stations: Float64, displacements: Float64, bends_mm: Float64, scatters_mm: Float64
@@ -264,10 +263,8 @@ class _DelayProblem:
         self, axis: int, stations: Float64, bend_mm: float, scatter_mm: float
     ) -> tuple[Float64, bool]:
         """Return Cholesky's factor of the covariance of an axis' displacements."""
-        tolerance = self.setup.tolerance
-        sigma = np.repeat([tolerance.hand_eye_deg, tolerance.hand_eye_mm], 3)
-        assert self.camera_slopes is not None
-        H = sigma[:, np.newaxis] * self.camera_slopes[..., axis]
+        assert self.moves_mm is not None
+        H = self.moves_mm[..., axis]
         middle = 0.5 * float(stations.min() + stations.max())
         covariance = prior_covariance(stations, stations, middle, bend_mm) + H.T @ H
         covariance += np.diag(self.observations.variances_mm2[:, axis] + scatter_mm**2)

@@ -95,6 +95,11 @@ class CalibrationCovariance:
         """The covariance (n, n)."""
         return np.array(self.rows).reshape(len(self.names), len(self.names))
 
+    def sigmas(self, names: Sequence[str]) -> Float64:
+        """Return 1 sigma of values (n,), 0 for exact ones."""
+        known = dict(zip(self.names, self._scale.tolist(), strict=True))
+        return np.array([known.get(name, 0.0) for name in names])
+
     @property
     def modes(self) -> Float64:
         """Independent errors (m, n) of 1 sigma each, the principal axes of the correlation."""

@@ -36,7 +36,8 @@ QUESTIONS: Mapping[flags.Flag, str] = {
 
 GATE_QUESTIONS: Mapping[GateReason, str] = {
     GateReason.NOT_MEASURED: "does the line of [joint] seam_in_base_mm reach along all of the path?",
-    GateReason.LOW_CONFIDENCE: "are the lengths and angles of [tolerance] in mm and degrees?",
+    GateReason.LOW_CONFIDENCE: "are the lengths and angles of [tolerance] in mm and degrees? With "
+    "[calibration.geometry] its certificate says how well the seam can be known",
     GateReason.POSE_IMPLAUSIBLE: "are the poses those of the frames' times?",
 }
 """Questions to the user where frames are valid, and the gate lets no offset out."""

@@ -92,6 +92,11 @@ def setup_lines(setup: Setup) -> list[tuple[str, str]]:
         ("material", str(setup.material)),
         ("joint", str(setup.joint)),
         ("tolerance", str(setup.tolerance)),
+        *(
+            []
+            if setup.calibration is None
+            else [("calibration", "camera and sheet by [calibration.geometry], in place of the hand-eye's")]
+        ),
     ]
 
 

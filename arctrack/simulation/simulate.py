@@ -172,12 +172,14 @@ def balance(setup: Setup) -> Setup:
 
 
 def true_values(setup: Setup, draw: np.random.Generator) -> Setup:
-    """Return the true setup: every value off the nominal one by a draw from its tolerance."""
-    tolerance = setup.tolerance
-    T_camera_moved = np.eye(4)
-    turn_rad = math.radians(tolerance.hand_eye_deg) * draw.standard_normal(3)
-    T_camera_moved[:3, :3] = Rotation.from_rotvec(turn_rad).as_matrix()
-    T_camera_moved[:3, 3] = tolerance.hand_eye_mm * draw.standard_normal(3)
+    """Return the true setup: every value off the nominal one by a draw from its tolerance.
+
+    Lens, camera pose and sheet are off together where a calibration says how.
+    """
+    tolerance, covariance = setup.tolerance, setup.calibration_errors
+    # One draw for each value, so that an exact one leaves the others' as they are.
+    sizes = draw.standard_normal(len(covariance.names))[: len(covariance.modes)]
+    setup = setup.with_errors(covariance.errors(sizes))
 
     def tolerances() -> float:
         # What lies beyond three is no tolerance but a gap.
@@ -186,10 +188,9 @@ def true_values(setup: Setup, draw: np.random.Generator) -> Setup:
     def near_one(tolerance_rel: float) -> float:
         return math.exp(tolerance_rel * tolerances())
 
-    camera, sensor = setup.camera, setup.sensor
+    sensor = setup.sensor
     return replace(
         setup,
-        camera=replace(camera, T_tool_camera=camera.T_tool_camera @ T_camera_moved),
         arc=replace(setup.arc, radiance_e=setup.arc.radiance_e * near_one(tolerance.arc_level_rel)),
         laser=replace(setup.laser, peak_e=setup.laser.peak_e * near_one(tolerance.laser_level_rel)),
         sensor=replace(

@@ -20,6 +20,7 @@ import numpy as np
 
 from calibration.arc.lattice import PixelSample, choose_pixels, expected_light
 from calibration.hand_eye_arc import CAMERA, FIELD_SIGMA, FIELDS
+from noise_model.calibration_errors import POSE
 from noise_model.compiled.arrays import Float64
 from noise_model.effects import apply_setup_effects
 from noise_model.fit import Fit, Parameter
@@ -78,8 +79,8 @@ class PartPlacement:
     @classmethod
     def without_stripes(cls, setup: Setup, station_mm: float) -> PartPlacement:
         """Return the prior without stripes: the camera's tolerance, and the usual scatter of parts."""
-        deg, mm = (max(value, 1e-4) for value in (setup.tolerance.hand_eye_deg, setup.tolerance.hand_eye_mm))
-        sigmas = np.array([deg, deg, deg, mm, mm, mm, *PART_SIGMAS])
+        camera = np.maximum(setup.calibration_errors.sigmas(POSE), 1e-4)
+        sigmas = np.array([*camera, *PART_SIGMAS])
         return cls(station_mm, np.zeros(10), np.diag(sigmas**2))
 
     @classmethod

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
+from noise_model.calibration_errors import CalibrationCovariance
 from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import REGISTRY
 from noise_model.effects.effect import Stage
-from noise_model.setup_keys import Tolerance
 from sim_to_real.data.binned import ObservedRecording
 from sim_to_real.evidence.coordinates import (
     FreeTerms,
@@ -154,7 +154,7 @@ class ErrorModel:
         floor = [
             smooth_error(covariates, policy),
             sampling_error(model, covariates, start),
-            *(hand_eye_tolerance(score, model.observed.setup.tolerance) for score in scores),
+            *(hand_eye_tolerance(score, model.observed.setup.calibration_errors) for score in scores),
         ]
         at_start = LinearHypothesis.of(start)
         every = np.hstack([at_start.columns.changes, *floor, *terms.columns, *effects], dtype=np.float32)
@@ -288,18 +288,19 @@ def _negligible(columns: Float32, policy: Policy) -> Float32:
     return np.asarray(columns * sizes / math.sqrt(columns.shape[1]), dtype=np.float32)
 
 
-def hand_eye_tolerance(score: ScoreTest, tolerance: Tolerance) -> Float32:
+def hand_eye_tolerance(score: ScoreTest, covariance: CalibrationCovariance) -> Float32:
     """Return the columns (n, k) of a camera pose within its tolerance; none for other effects.
 
     It moves where the tracker sees the seam, too, which the pose among the nuisances does not.
     """
     if score.id != HAND_EYE:
         return np.zeros((len(score.signature), 0), dtype=np.float32)
-    within = {"deg": tolerance.hand_eye_deg, "mm": tolerance.hand_eye_mm}
-    sizes = [within[parameter.unit] / parameter.prior_sigma for parameter in REGISTRY[HAND_EYE].parameters]
+    parameters = REGISTRY[HAND_EYE].parameters
+    within = covariance.sigmas([parameter.name for parameter in parameters])
+    sizes = within / [parameter.prior_sigma for parameter in parameters]
     per_sigma = SizeColumns.along_probes(score).changes
     moved = np.argmax(np.abs(score.steps), axis=1)
-    return np.asarray(per_sigma * np.array(sizes)[moved], dtype=np.float32)
+    return np.asarray(per_sigma * sizes[moved], dtype=np.float32)
 
 
 def _fourth_differences_dn(model: LinearizedModel, start: Refit) -> Float64:

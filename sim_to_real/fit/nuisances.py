@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from noise_model.calibration_errors import POSE
 from noise_model.compiled.arrays import Float64
 from noise_model.condition import Condition
 from noise_model.fit import Parameter
@@ -30,13 +31,13 @@ def nuisances(observed: ObservedRecording) -> tuple[Parameter, ...]:
     each within its tolerance; and the seam's departure from where the tracker sees it.
     """
     tolerance = observed.setup.tolerance
+    pose_sigmas = observed.setup.calibration_errors.sigmas(POSE).tolist()
     # Finding the seam is daily work: it may lie 30 sigmas off the tracked one.
     return (
         _nuisance("arc_level_ln", "", tolerance.arc_level_rel, 1e-3),
         _nuisance("laser_level_ln", "", tolerance.laser_level_rel, 1e-3),
         _nuisance("black_dn", "DN", tolerance.black_level_dn, 0.01),
-        *(_nuisance(f"rot_{axis}_deg", "deg", tolerance.hand_eye_deg, 3e-4) for axis in "xyz"),
-        *(_nuisance(f"move_{axis}_mm", "mm", tolerance.hand_eye_mm, 5e-4) for axis in "xyz"),
+        *map(_nuisance, POSE, ["deg"] * 3 + ["mm"] * 3, pose_sigmas, [3e-4] * 3 + [5e-4] * 3),
         *(Parameter(f"seam_{n}", "", 0.0, 1.0, -30.0, 30.0, 0.05) for n in range(observed.seam.n_modes)),
     )
 
