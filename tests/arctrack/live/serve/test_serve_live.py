@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -145,6 +146,33 @@ def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed
         assert min(off_mm for _, off_mm in samples) < 0.5
     finally:
         for process in processes:
+            process.kill()
+            process.communicate()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("compiled")
+def test_a_robot_that_turns_on_a_circle_follows_the_offsets_of_another_process(multicast, tmp_path: Path):
+    name, plan = f"circle-{os.getpid()}", replace(PLAN, path="circle:60", length_mm=200.0, displaced_mm=1.0)
+    cell = write_simulated_cell(tmp_path / "cell", plan, INTERFACE, GROUP, name)
+    process = None
+    try:
+        with (
+            SimulatedCell(plan, name) as robot,
+            can.Bus(**(multicast | robot.bus_options), ignore_config=True) as bus,
+        ):
+            ear = Ear(bus)
+            process = started(TRACKER, str(cell), str(robot.bus_options["port"]))
+            ear.listen(lambda: sum(o.validity is Validity.VALID for o in ear.offsets()) >= 20, 240.0)
+            samples = robot.stop()
+        # The part lies 1 mm to the left of the start and 1 mm along it.
+        assert samples[0][1] == pytest.approx(1.0)
+        assert min(off_mm for _, off_mm in samples) < 0.2
+        valid = [o for o in ear.offsets() if o.validity is Validity.VALID]
+        # What is to the left turns with the robot: of such a part no more than its whole displacement.
+        assert max(abs(o.offset_y_mm) for o in valid) < 2.0**0.5 + 0.3
+    finally:
+        if process is not None:
             process.kill()
             process.communicate()
 
