@@ -118,6 +118,22 @@ def test_a_t_joint_lies_where_its_plates_faces_meet(gap_mm: float, is_mirrored: 
                 assert np.isnan(found.gap_mm) if not stated else found.gap_mm < 0.2
 
 
+@pytest.mark.parametrize("radius_mm", [0.3, 0.6, 1.0])
+def test_a_laps_rounded_edge_is_as_sure_as_what_is_seen_of_it(radius_mm: float) -> None:
+    """Its foot lies somewhere below the rounding, which is neither sheet's."""
+    turn = np.linspace(0.5 * np.pi, 0.0, 12)
+    rounding = np.column_stack([radius_mm * (np.cos(turn) - 1.0), 2.0 + radius_mm * (np.sin(turn) - 1.0)])
+    corners = np.array([(-60.0, 2.0), *rounding, (0.0, 0.0), (60.0, 0.0)])
+    joint, pulls = Joint("lap", {"thickness_mm": 2.0}, LINE), []
+    for seed in range(20):
+        profile = measure(corners, (seam_of(seed), -4.0), np.random.default_rng(seed), sigma_px=0.1)
+        found = fit_joint(profile, joint, CAMERA_MM, LASER_MM)
+        if found is not None:
+            pulls.append((found.y_mm - seam_of(seed)) / np.sqrt(found.covariance_mm2[0, 0]))
+    assert np.abs(pulls).max(initial=0.0) < 3.0
+    assert len(pulls) == 20 or radius_mm == 1.0
+
+
 def test_a_mixture_has_the_mean_and_covariance_of_its_normals() -> None:
     rng = np.random.default_rng(3)
     means, nats = rng.normal(size=(4, 3)), np.array([-3.0, -2.0, -np.inf, -2.5])
