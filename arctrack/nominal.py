@@ -32,6 +32,7 @@ DIMENSIONS: dict[str, dict[str, float]] = {
     "half_v": {"bevel_angle_deg": 45.0, "depth_mm": 4.0, "root_gap_mm": 1.0},
     "u_groove": {"depth_mm": 6.0, "root_radius_mm": 3.0, "bevel_angle_deg": 20.0, "root_gap_mm": 1.0},
     "edge": {"gap_mm": 0.5, "thickness_mm": 4.0},
+    "outside_corner": {"included_angle_deg": 90.0},
 }
 """The dimensions, mm and deg, of the joints that a setup can be made for."""
 

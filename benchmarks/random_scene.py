@@ -22,7 +22,7 @@ from tracker.state import Frame, Pose
 
 JOINTS = (
     "v_groove", "closed_v", "u_groove", "half_v", "lap", "corrugation", "butt", "closed_butt", "fillet",
-    "plate",
+    "plate", "outside_corner",
 )  # fmt: skip
 ARCS = ("drawn", "on", "welding")
 VIEWS = ("ahead", "behind", "beside", "steep")
@@ -33,7 +33,7 @@ STEP_MM = 0.8
 EXACT = 1e-5
 SEAM_MM = ((-100.0, 0.0, 0.0), (1000.0, 0.0, 0.0))
 STATED_AS = {"closed_v": "v_groove", "closed_butt": "butt"}
-ON_PLATES = ("v_groove", "butt", "closed_butt", "lap", "fillet", "half_v")
+ON_PLATES = ("v_groove", "butt", "closed_butt", "lap", "fillet", "half_v", "outside_corner")
 """Joints that a setup states where there is a plate."""
 
 CLOSED_GAP_MM = 0.1
@@ -68,6 +68,7 @@ SIZE_OF: dict[str, Callable[[Draw], dict[str, float]]] = {
     "butt": lambda even: {"gap_mm": even(0.8, 2), "thickness_mm": even(2, 5)},
     "closed_butt": lambda even: {"gap_mm": CLOSED_GAP_MM, "thickness_mm": even(2, 5)},
     "fillet": lambda even: {"included_angle_deg": even(70, 110)},
+    "outside_corner": lambda even: {"included_angle_deg": even(70, 120)},
 }
 """How a joint's dimensions are drawn, mm and deg."""
 

@@ -68,6 +68,9 @@ def outline(joint: Joint) -> tuple[Float64, Float64]:
         case "fillet":
             inner = [(0.0, 0.0)]
             rise = ACROSS_MM / math.tan(math.radians(size["included_angle_deg"]) / 2.0)
+        case "outside_corner":
+            inner = [(0.0, 0.0)]
+            rise = -ACROSS_MM / math.tan(math.radians(size["included_angle_deg"]) / 2.0)
         case other:
             raise ValueError(f"[joint] type = {other!r}: this world does not draw it")
     inner = [corner for n, corner in enumerate(inner) if n == 0 or corner != inner[n - 1]]

@@ -218,6 +218,7 @@ def _rendered_with(setup: Setup) -> tuple[object, ...]:
         (joint.type, *sorted(joint.dimensions.items()), joint.seam_in_base_mm, joint.surface_normal_in_base),
         joint.surface_normals_in_base,
         joint.station_origin_mm,
+        joint.section_mm,
     )
 
 

@@ -46,6 +46,11 @@ class Setup:
         Effects that are known to act: parameters by name, by the effect's id (`noise_model.effects`).
     calibration : CalibrationCovariance or None
         The joint covariance of lens, camera pose and sheet; None where only tolerances are stated.
+
+    Raises
+    ------
+    ValueError
+        For an arc over a free joint: its light is not predicted there.
     """
 
     camera: Camera
@@ -71,6 +76,10 @@ class Setup:
             camera=camera_with_errors(self.camera, errors),
             laser=laser_with_errors(self.laser, errors),
         )
+
+    def __post_init__(self) -> None:
+        if self.joint.type == "free" and self.arc.shines:
+            raise ValueError("[arc]: leave it out, its light is not predicted on the section of a free joint")
 
     @property
     def missing(self) -> tuple[str, ...]:

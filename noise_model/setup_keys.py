@@ -18,6 +18,8 @@ DIMENSIONS: Mapping[str, tuple[str, ...]] = {
     "half_v": ("bevel_angle_deg", "depth_mm", "root_gap_mm"),
     "u_groove": ("depth_mm", "root_radius_mm", "bevel_angle_deg", "root_gap_mm"),
     "edge": ("gap_mm", "thickness_mm"),
+    "outside_corner": ("included_angle_deg",),
+    "free": (),
 }
 """The dimensions that each type of joint needs."""
 

@@ -59,14 +59,13 @@ def focal_lengths(camera: Camera) -> list[Mistake]:
 
 def other_joints(stated: Joint) -> list[Mistake]:
     """Return the other types of joints as mistakes, with nominal dimensions."""
-    outside_corner = ("fillet", {"included_angle_deg": 270.0})
     return [
         Mistake(
             f"[joint] type = {stated.type!r}: the stripe shows a {name}",
             f"recording.toml: state {name} and its dimensions",
-            partial(_with_joint, joint=replace(stated, type=name, dimensions=dimensions)),
+            partial(_with_joint, joint=replace(stated, type=name, dimensions=dimensions, section_mm=())),
         )
-        for name, dimensions in (*DIMENSIONS.items(), outside_corner)
+        for name, dimensions in DIMENSIONS.items()
         if name != stated.type
     ]
 

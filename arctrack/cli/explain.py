@@ -23,6 +23,12 @@ def explain(
         Path | None, typer.Option(help="A recording.toml to use instead of the recording's own.")
     ] = None,
     arc_map: ArcMap = True,
+    section: Annotated[
+        bool,
+        typer.Option(
+            "--section", help="Print the profile as [joint] section_mm of a free joint, and write no page."
+        ),
+    ] = False,
 ) -> None:
     """Explain one frame's seam, or why it has none: image, arc map, stripe, sigmas, profile, joint, history.
 
@@ -37,14 +43,19 @@ def explain(
     from arctrack.replay.explain_pages import words
     from arctrack.replay.explain_pages.page import page
     from arctrack.replay.replay import RESULTS_FOLDER
+    from arctrack.replay.taught_section import taught_section
 
     read = read_recording(recording, setup)
     console.warn(read.warnings)
     path = out or recording / RESULTS_FOLDER / f"explain_{frame:06d}.html"
-    check_replaces_nothing(path, read)
+    if not section:
+        check_replaces_nothing(path, read)
     with console.progress() as bar, compiled_by_two(read.setup):
         on_frame = console.track(bar, read.name, engine.position_of(read, frame) + 1)
         explanation = engine.explain(read, frame, arc_map, on_frame)
+    if section:
+        typer.echo(taught_section(explanation))
+        return
     make_folder(path.parent, ())
     write_whole(path, page(explanation))
     typer.echo(words.headline(explanation))

@@ -29,6 +29,7 @@ class JointName(StrEnum):
     HALF_V = "half_v"
     U_GROOVE = "u_groove"
     EDGE = "edge"
+    OUTSIDE_CORNER = "outside_corner"
 
 
 class MaterialName(StrEnum):

@@ -23,6 +23,9 @@ InBase = Annotated[float, within(Bounds(-LIMITS.length_mm, LIMITS.length_mm, sou
 PointInBase = Annotated[list[InBase], Field(min_length=3, max_length=3)]
 
 
+PointInSection = Annotated[list[Annotated[float, within(IN_TOOL)]], Field(min_length=2, max_length=2)]
+
+
 class ArcTable(Table):
     """The arc; a sensor that sees none leaves it out."""
 
@@ -134,7 +137,8 @@ class JointTable(Table):
         return super().names | {*needed, *OPTIONAL_DIMENSIONS.get(self.type, ())}
 
     type: str = key(
-        "The joint: v_groove, half_v, u_groove, lap, corrugation, butt, fillet, edge or flat",
+        "The joint: v_groove, half_v, u_groove, lap, corrugation, butt, fillet, edge, outside_corner, free "
+        "or flat",
         "",
         "v_groove",
         "your choice. Each type has dimensions of its own.",
@@ -160,6 +164,14 @@ class JointTable(Table):
         example="[[0.0, -0.7071, 0.7071], [0.7071, 0.0, 0.7071]]",
     )
 
+    section_mm: list[PointInSection] | None = key(
+        "Of a free joint its section: points y, z from the right of the travel to its left, the seam at 0, 0",
+        "mm",
+        "10 to 32 points",
+        "a profile that was measured: `arctrack explain --section` prints that of a frame.",
+        default=None,
+    )
+
     def to_joint(self) -> Joint:
         """Return the joint; ValueError names the key of a value that cannot be."""
         from noise_model.surface.joint import Joint
@@ -171,6 +183,7 @@ class JointTable(Table):
             seam_in_base_mm=tuple(three(point) for point in self.seam_in_base_mm),
             surface_normal_in_base=three(self.surface_normal_in_base),
             surface_normals_in_base=None if normals is None else tuple(map(three, normals)),
+            section_mm=tuple((float(y), float(z)) for y, z in self.section_mm or ()),
         )
 
     def dimensions(self) -> dict[str, float]:

@@ -93,6 +93,11 @@ def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
     joint = {
         "type": setup.joint.type,
         **setup.joint.dimensions,
+        **(
+            {"section_mm": [list(point) for point in setup.joint.section_mm]}
+            if setup.joint.section_mm
+            else {}
+        ),
         "seam_in_base_mm": [list(point) for point in setup.joint.seam_in_base_mm],
         "surface_normal_in_base": setup.joint.surface_normal_in_base,
     }

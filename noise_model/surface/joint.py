@@ -21,6 +21,9 @@ from noise_model.setup_keys import DIMENSIONS, OPTIONAL_DIMENSIONS
 from noise_model.spelling import cure_for
 from noise_model.transforms import cross
 
+MAX_SECTION_POINTS = 32
+"""Points of a taught section: the arc map has room for 40 faces (`noise_model.arc.scratch`)."""
+
 REACH_MM = 1.0e4
 """Width of the plates on either side of the seam."""
 
@@ -53,6 +56,8 @@ class Joint:
     surface_normals_in_base : tuple of tuples (3,), optional
         The surface's normal at each point of the line, where it turns along the seam; between two points it
         is their mean.
+    section_mm : tuple of tuples (2,)
+        Of a `free` joint the section as taught: points (y, z), mm, y rising, the seam point at (0, 0).
 
     Raises
     ------
@@ -66,6 +71,7 @@ class Joint:
     surface_normal_in_base: tuple[float, float, float] = (0.0, 0.0, 1.0)
     station_origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     surface_normals_in_base: tuple[tuple[float, float, float], ...] | None = None
+    section_mm: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         if self.type not in DIMENSIONS:
@@ -84,7 +90,9 @@ class Joint:
             if not (value > 0 if minimum_is_open else value >= 0) or math.isinf(value):
                 bound = "> 0" if minimum_is_open else ">= 0"
                 raise ValueError(f"[joint] {name} = {value}: must be {bound} and finite")
-        if self.type == "v_groove" and not self.dimensions["included_angle_deg"] < 180:
+        self._check_section()
+        faces = "v_groove", "outside_corner"
+        if self.type in faces and not self.dimensions["included_angle_deg"] < 180:
             raise ValueError("[joint] included_angle_deg: must be below 180")
         if self.type == "fillet" and not self.dimensions["included_angle_deg"] < 360:
             raise ValueError("[joint] included_angle_deg: must be below 360")
@@ -121,6 +129,21 @@ class Joint:
         if (np.linalg.norm(np.cross(steps, normals), axis=1) < 1e-3 * np.linalg.norm(steps, axis=1)).any():
             raise ValueError(f"[joint] {key}: is parallel to the seam line")
 
+    def _check_section(self) -> None:
+        """Raise ValueError for a free joint without a section, and for a section that cannot be."""
+        if (self.type == "free") != bool(self.section_mm):
+            cure = "missing, a free joint needs it" if self.type == "free" else "is of a free joint alone"
+            raise ValueError(f"[joint] section_mm: {cure}")
+        if not self.section_mm:
+            return
+        points = np.asarray(self.section_mm, dtype=np.float64)
+        if not 3 <= len(points) <= MAX_SECTION_POINTS:
+            raise ValueError(f"[joint] section_mm: needs 3 to {MAX_SECTION_POINTS} points y, z")
+        if not np.isfinite(points).all() or not (np.diff(points[:, 0]) > 0.0).all():
+            raise ValueError("[joint] section_mm: its points must be finite, their y rising")
+        if not points[0, 0] < 0.0 < points[-1, 0]:
+            raise ValueError("[joint] section_mm: must go from y < 0 to y > 0, the seam point is at y = 0")
+
     def __str__(self) -> str:
         size = ", ".join(f"{name} {value:g}" for name, value in self.dimensions.items())
         length_mm = np.linalg.norm(np.diff(np.asarray(self.seam_in_base_mm), axis=0), axis=1).sum()
@@ -153,14 +176,23 @@ def section(joint: Joint) -> SurfaceSection:
     `fillet`'s plate at y < 0 stands `gap_mm` off the other plate. One for all who ask: its arrays are not to
     be written to.
     """
-    return _draw(joint.type, tuple(joint.dimensions.items()))
+    return _draw(joint.type, tuple(joint.dimensions.items()), joint.section_mm)
 
 
 @lru_cache
-def _draw(joint_type: str, dimensions: tuple[tuple[str, float], ...]) -> SurfaceSection:
+def _draw(
+    joint_type: str, dimensions: tuple[tuple[str, float], ...], taught_mm: tuple[tuple[float, float], ...]
+) -> SurfaceSection:
     """Draw the cross-section of a type of joint: every look at a pose asks for it."""
     size = dict(dimensions)
     corrugation = np.zeros(3)
+    if taught_mm:
+        # Beyond its ends a taught section goes on as its end pieces do.
+        taught = np.array(taught_mm, dtype=np.float64)
+        (y, z), steps = taught[[0, -1]].T, taught[[1, -1]] - taught[[0, -2]]
+        ends_y = np.array([-REACH_MM, REACH_MM])
+        ends = np.column_stack([ends_y, z + steps[:, 1] / steps[:, 0] * (ends_y - y)])
+        return SurfaceSection(np.vstack([ends[:1], taught, ends[1:]]), corrugation)
     if joint_type == "corrugation":
         corrugation[:] = size["height_mm"], size["width_mm"], size["pitch_mm"]
     inner = _CORNERS[joint_type](size)
@@ -246,12 +278,15 @@ _CORNERS: Mapping[str, Callable[[Size], Corners]] = {
     "half_v": _half_v,
     "u_groove": _u_groove,
     "edge": _edge,
+    "outside_corner": lambda size: [(0.0, 0.0)],
 }
 """Each type's corners between its two plates, (y, z) in mm, y rising."""
 
 
 def _plate_slope(joint_type: str, size: Size) -> float:
     """Return the slope of the plates away from the seam: a fillet's rise, or fall."""
+    if joint_type == "outside_corner":
+        return -1.0 / math.tan(math.radians(size["included_angle_deg"] / 2.0))
     if joint_type != "fillet":
         return 0.0
     return 1.0 / math.tan(math.radians(size["included_angle_deg"] / 2.0))

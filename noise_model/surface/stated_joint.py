@@ -30,6 +30,9 @@ class StatedJoint(NamedTuple):
         """Return a joint as it is stated."""
         size = joint.dimensions
         angle_deg = size.get("bevel_angle_deg", 0.5 * size.get("included_angle_deg", math.nan))
+        if joint.type == "outside_corner":
+            # The angle that the plates enclose on the torch's side.
+            angle_deg = 180.0 - angle_deg
         return cls(
             section(joint).vertices,
             float(size.get("root_gap_mm", size.get("gap_mm", math.nan))),

@@ -109,6 +109,8 @@ class JointType(IntEnum):
     HALF_V = 6
     U_GROOVE = 7
     EDGE = 8
+    OUTSIDE_CORNER = 9
+    FREE = 10
     UNKNOWN = 15
 
 

@@ -91,7 +91,7 @@ def test_a_path_is_no_recording(recording: Path) -> None:
             "zigzag",
             "mild_steel",
             "there is no joint 'zigzag': there are v_groove, lap, corrugation, butt, fillet, half_v, "
-            "u_groove, edge",
+            "u_groove, edge, outside_corner",
         ),
         ("lap", "mildsteel", "there is no material 'mildsteel': did you mean 'mild_steel'?"),
     ],

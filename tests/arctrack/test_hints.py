@@ -67,7 +67,7 @@ HINTS: dict[str, tuple[Spoil, str]] = {
     "no joint like it": (
         toml('"v_groove"', '"zigzag"'),
         "there is no such joint; there are flat, v_groove, lap, corrugation, butt, fillet, half_v, "
-        "u_groove, edge",
+        "u_groove, edge, outside_corner, free",
     ),
     "jpg": (
         frames_as("{n:06d}.jpg"),

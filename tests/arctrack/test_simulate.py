@@ -319,7 +319,7 @@ def test_the_true_seam_of_a_tilted_plate(seen_setup: Setup) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("joint", ["butt", "fillet", "half_v", "u_groove", "edge"])
+@pytest.mark.parametrize("joint", ["butt", "fillet", "half_v", "u_groove", "edge", "outside_corner"])
 def test_every_joint_is_simulated_and_its_nominal_values_track_it(joint: str, tmp_path: Path) -> None:
     setup = balance(nominal_setup(joint, "zn_coated", width=320, height=240))
     plan = SimulationPlan(frames=3, production=True, exact=True, seed=4)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rendered import frame_of, pose_at, small_setup, true_seam_tool, walk
 
+from noise_model.arc_source import NO_ARC
 from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
@@ -20,10 +21,15 @@ from tracker.state import Frame
 from tracker.tracker import Tracker
 
 SEAM = SeamLine(0.0, 0.8, -0.3, 0.004, 0.001)
-NAMES = ("butt", "fillet", "ridge", "half_v", "u_groove", "edge")
+NAMES = ("butt", "fillet", "ridge", "half_v", "u_groove", "edge", "outside_corner", "free")
+BEAD_MM = tuple((n - 15.0, 2.0 * math.exp(-(((n - 18.0) / 3.0) ** 2))) for n in range(31))
 
 
 def setup_of(name: str) -> Setup:
+    if name == "free":
+        setup = small_setup("v_groove")
+        joint = replace(setup.joint, type="free", dimensions={}, section_mm=BEAD_MM)
+        return replace(setup, joint=joint, arc=NO_ARC)
     if name != "ridge":
         return small_setup(name)
     setup = small_setup("fillet")
@@ -71,6 +77,7 @@ def test_it_is_tracked_in_simulated_frames(name: str) -> None:
     [
         ("butt", (math.nan, math.nan), (0.0, 0.0), 3.0),
         ("fillet", (math.nan, math.nan), (45.0, -45.0), math.nan),
+        ("outside_corner", (math.nan, math.nan), (-45.0, 45.0), math.nan),
         ("half_v", (45.0, math.nan), (0.0, 0.0), 4.0 * 1.0 + 0.5 * 4.0**2),
         ("u_groove", (20.0, 20.0), (0.0, 0.0), U_AREA_MM2),
     ],

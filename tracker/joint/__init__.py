@@ -13,6 +13,7 @@ from noise_model.compiled.arrays import Integers
 from noise_model.surface.joint import Joint
 from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.fillet import fit_fillet
+from tracker.joint.free import fit_free
 from tracker.joint.groove import fit_groove
 from tracker.joint.half_v import fit_half_v
 from tracker.joint.image_line import ImageLine
@@ -28,6 +29,8 @@ FITS: Mapping[str, Callable[[Section, StatedJoint], MeasuredJoint | None]] = {
     "corrugation": fit_lap,
     "half_v": fit_half_v,
     "fillet": fit_fillet,
+    "outside_corner": fit_fillet,
+    "free": fit_free,
 }
 """The fit of a joint of a type, None where the section does not determine it."""
 

@@ -64,11 +64,12 @@ FAMILIES = {
     "lap": JointFamily.STEP,
     "corrugation": JointFamily.STEP,
     "butt": JointFamily.SLOT,
+    "outside_corner": JointFamily.OUTSIDE_CORNER,
 }
 
 
 def family_of(joint: Joint) -> JointFamily | None:
-    """Return the family of a stated joint; None for an edge, which shows no plates to tell it by."""
+    """Return the family of a stated joint; None for an edge and a free one: no plates tell it."""
     if joint.type == "fillet":
         inside = joint.dimensions["included_angle_deg"] < 180.0
         return JointFamily.INSIDE_CORNER if inside else JointFamily.OUTSIDE_CORNER
