@@ -82,7 +82,7 @@ def _groove_glare(light: Light, view: View, condition: Condition, values: Values
     light.arc = light.arc + np.float32(condition.arc_level * values["peak_e"]) * view.rays.cos4 * shape
 
 
-def _stripe_ghost(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
+def _mirrored_stripe(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
     if values["strength"] == 0.0 or condition.laser_level == 0.0:
         return
     unit_e = np.float32(condition.laser_level * values["strength"])
@@ -196,7 +196,7 @@ EFFECTS = (
         form_rel=UNSTATED,
     ),
     Effect(
-        id="stripe_ghost",
+        id="mirrored_stripe",
         stage=Stage.SURFACE,
         summary="the stripe mirrored between a joint's faces: seen in the opposite one, and thrown there",
         equation="laser += strength (stripe seen along the ray mirrored in the face + stripe of the sheet "
@@ -205,7 +205,7 @@ EFFECTS = (
         "10.1109/TIE.2017.2694399) show both. `interreflection` has this light by the stated lobe, smeared",
         parameters=(Parameter("strength", "", 0.0, 0.2, 0.0, 1.0, 0.002),),
         typical={"strength": 0.3},
-        light=_stripe_ghost,
+        light=_mirrored_stripe,
         form_rel=UNSTATED,
         spreads=True,
     ),

@@ -76,7 +76,7 @@ WITNESS: Mapping[str, str] = {
     "interreflection": "the same joint with one of its faces blackened",
     "fume": "the same run with the fume extraction on",
     "groove_glare": "the same joint with its faces blackened",
-    "stripe_ghost": "the same joint with one of its faces blackened",
+    "mirrored_stripe": "the same joint with one of its faces blackened",
     "spatter": "a high-speed camera beside the sensor's",
     "spatter_streaks": "a high-speed camera beside the sensor's",
     "hot_metal_glow": "frames within a second after the arc is switched off",

@@ -29,7 +29,7 @@ CONTRACT = {
     ],
     "surface": [
         *("wrong_material", "roughness_change", "brdf_tail", "rolling_marks", "plate_outline"),
-        *("interreflection", "groove_glare", "stripe_ghost"),
+        *("interreflection", "groove_glare", "mirrored_stripe"),
     ],
     "medium": ["fume", "spatter", "spatter_streaks", "hot_metal_glow"],
     "optics": ["veiling_glare", "defocus", "vignetting", "dirty_window", "filter_shift", "ghost_stripe"],
@@ -72,7 +72,7 @@ WHERE = {
     "ambient_light": set(CONDITIONS),
     "ghost_stripe": {"laser", "both"},
     "groove_glare": {"arc", "both"},
-    "stripe_ghost": {"laser", "both"},
+    "mirrored_stripe": {"laser", "both"},
     "image_compression": set(CONDITIONS),
     "geometry": {"laser", "arc", "both"},
     "timing": set(),
@@ -241,7 +241,7 @@ def test_a_small_step_changes_little_and_in_proportion(name, renderer):
     if name in ("pose_delay", "plate_outline"):
         return
     # Bright enough to bloom, on a plate without edges; on a plate nothing bounces.
-    joint = "v_groove" if name in ("interreflection", "stripe_ghost") else "flat"
+    joint = "v_groove" if name in ("interreflection", "mirrored_stripe") else "flat"
     setup, bright = nominal(joint), Condition(1.0, 1.0, 4.0 * EXPOSURE_S, LATE_S)
     at_rest = numbers(setup, bright, renderer)
     apart = renderer_apart(name)

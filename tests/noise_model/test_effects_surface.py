@@ -312,7 +312,7 @@ def test_a_stripes_ghost_is_where_the_law_of_reflection_puts_it():
     root_mm = 0.5 * setup.joint.dimensions["root_gap_mm"]
     plain = charge(setup, LASER)
     full, part = (
-        charge(affected(setup, stripe_ghost={"strength": share}), LASER) - plain for share in (1.0, 0.5)
+        charge(affected(setup, mirrored_stripe={"strength": share}), LASER) - plain for share in (1.0, 0.5)
     )
     np.testing.assert_allclose(part, 0.5 * full, rtol=1e-3, atol=0.05)
     # The right face is that at y < 0; its normal points to the left and up.
@@ -329,7 +329,7 @@ def test_a_stripes_ghost_is_where_the_law_of_reflection_puts_it():
             shown += 1
     assert shown > 2
     level = nominal("flat", psf_sigma_px=0.0)
-    mirrors = affected(level, stripe_ghost={"strength": 1.0})
+    mirrors = affected(level, mirrored_stripe={"strength": 1.0})
     np.testing.assert_array_equal(charge(mirrors, LASER), charge(level, LASER))
 
 

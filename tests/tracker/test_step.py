@@ -163,7 +163,7 @@ def test_frames_that_contradict_the_arc_map_are_read_without_it(
 WELDING = {
     "spatter_streaks": {"rate_per_frame": 10.0, "brightness": 1.0},
     "groove_glare": {"peak_e": 5_000.0},
-    "stripe_ghost": {"strength": 0.15},
+    "mirrored_stripe": {"strength": 0.15},
 }
 
 

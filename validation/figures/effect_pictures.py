@@ -104,7 +104,7 @@ CHOICES: Mapping[str, Choice] = {
     "brdf_tail": LOBE,
     "rolling_marks": LOBE,
     "groove_glare": ARC,
-    "stripe_ghost": replace(LASER, window=NEAR),
+    "mirrored_stripe": replace(LASER, window=NEAR),
     "spatter": Choice(form=Form.SINGLE),
     "spatter_streaks": Choice(form=Form.SINGLE),
     "defocus": Choice(window=NEAR),

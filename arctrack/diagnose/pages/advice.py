@@ -24,7 +24,7 @@ ADVICE: Mapping[str, str] = {
     "plate_outline": "Nothing is broken: the plate ends within the view. Keep the effect in the setup.",
     "interreflection": "Nothing is broken: shiny faces light each other. Keep the effect in the setup.",
     "groove_glare": "Nothing is broken: a groove shines from the arc. Keep the effect in the setup.",
-    "stripe_ghost": "Nothing is broken: shiny faces mirror the stripe. Keep the effect in the setup.",
+    "mirrored_stripe": "Nothing is broken: shiny faces mirror the stripe. Keep the effect in the setup.",
     "fume": "Check fume extraction and gas shielding; look through the window for haze.",
     "spatter": "Check gas flow, current and cleanliness of the metal; the frames it strikes are lost.",
     "spatter_streaks": "Check gas flow and current; a shorter exposure makes the streaks shorter.",
