@@ -32,7 +32,7 @@ SHEET = ("n_x", "n_y", "n_z", "d_mm")
 """The laser sheet's plane in the tool frame."""
 
 BOW = "bow"
-"""How far the sheet leaves its plane, see `noise_model.instrument.laser.Laser`."""
+"""The way of the sheet from its plane, see `noise_model.instrument.laser.Laser`."""
 
 TOOL = ("tool_x_mm", "tool_y_mm", "tool_z_mm")
 """A displacement of the tool in its own frame: its way in an unknown delay."""

@@ -103,7 +103,7 @@ class SimulationPlan:
 
 
 class SeenTruth(NamedTuple):
-    """What is really there from a pose: the setup and seam to render, and the seam point (3,), tool frame."""
+    """The truth at a pose: the setup and seam to render, and the seam point (3,), tool frame."""
 
     setup: Setup
     seam: BentSeam

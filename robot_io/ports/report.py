@@ -1,4 +1,4 @@
-"""What a port hears of its robot, what it answers, and how a program says both in one word."""
+"""Reports of a robot at its port, the answers to them, and the word in which a program says both."""
 
 from __future__ import annotations
 
@@ -30,31 +30,14 @@ class PortError(ValueError):
 
 @dataclass(frozen=True)
 class PortReport:
-    """One message of the robot.
+    """A message of the robot.
 
-    Parameters
-    ----------
-    stamp : int
-        The robot's own number of the message, which an answer may have to repeat.
-    robot_time_s : float
-        The robot's clock at the pose's sample, s; it rises from message to message.
-    position_base_mm : tuple (3,)
-        The tool's position, mm, base frame.
-    quaternion_xyzw : tuple (4,)
-        The tool's rotation in base, as a unit quaternion x y z w.
-    status : RobotStatus
-        State of the robot and the power source.
-    command : Command
-        The program's command to the tracker.
-    laser : Switch
-        ON where the program lets the laser be on.
-    job_number : int or None
-        The job that the program names.
+    `stamp` is the robot's own number of the message, which an answer may have to repeat. `robot_time_s` is
+    the robot's clock at the pose's sample; it rises from message to message. `position_base_mm` (3,) and
+    `quaternion_xyzw` (4,) are the tool's in base. `command` is the program's, `laser` is ON where the program
+    lets the laser be on, `job_number` the job that it names, or None.
 
-    Raises
-    ------
-    PortError
-        If a number is not finite, or the quaternion's norm is off 1 by more than 0.001.
+    Raises PortError if a number is not finite, or the quaternion's norm is off 1 by more than 0.001.
     """
 
     stamp: int

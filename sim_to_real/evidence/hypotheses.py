@@ -161,7 +161,7 @@ class Posterior:
         return self._of_each([sum(both) for both in zip(self.p, self.p_with_unknown, strict=True)])
 
     @property
-    def beside_unknown(self) -> Hypothesis:
+    def likeliest_with_unknown(self) -> Hypothesis:
         """The effects beside which an unknown cause most probably acts; no gap where it acts alone."""
         every = zip((self.p_alone, *self.p_with_unknown), (self.none, *self.hypotheses), strict=True)
         return max(every, key=lambda pair: pair[0])[1]

@@ -35,7 +35,7 @@ def judge(posterior: Posterior, policy: Policy) -> Judgement:
     if posterior.p_none >= max(of_effects, posterior.p_unknown):
         return Judgement(DiagnosisVerdict.NO_GAP, posterior.none, (), ())
     if posterior.p_unknown > of_effects or not posterior.hypotheses:
-        leader = posterior.beside_unknown
+        leader = posterior.likeliest_with_unknown
         return Judgement(DiagnosisVerdict.UNKNOWN, leader, leader.ids, ())
     weighed = list(zip(posterior.hypotheses, posterior.p, strict=True))
     likely = [hypothesis for hypothesis, p in weighed if p >= policy.possible * of_effects]

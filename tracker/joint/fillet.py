@@ -126,11 +126,11 @@ def find_foot(points: Float64, fit: ShapeFit) -> Foot:
         nats.append(np.cumsum(-side * gain[on_side]))
         places.append(side * 0.5 * (ends[1:] + ends[:-1]))
         widths.append(ends[1:] - ends[:-1])
-    place, width, told = np.concatenate(places), np.concatenate(widths), np.concatenate(nats)
+    place, width, evidence = np.concatenate(places), np.concatenate(widths), np.concatenate(nats)
     if not len(place):
         return Foot(0.0, math.nan, -math.inf)
-    most = float(told.max())
-    weights = np.exp(told - most) * width
+    most = float(evidence.max())
+    weights = np.exp(evidence - most) * width
     total = float(weights.sum())
     if total == 0.0:
         return Foot(0.0, math.nan, -math.inf)

@@ -78,8 +78,8 @@ def fit_free(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     p, information, seen, weights = laid
     chi2 = float(weights @ seen.off**2) / max(float(weights.sum()) - len(p), 1.0)
     # Points count by what they tell across: on a level stretch any section would lie.
-    told = seen.by_place[:, 0] ** 2 * seen.within
-    left_out = float(told[weights < LEFT_OUT].sum() / max(told.sum(), 1e-12))
+    lateral = seen.by_place[:, 0] ** 2 * seen.within
+    left_out = float(lateral[weights < LEFT_OUT].sum() / max(lateral.sum(), 1e-12))
     # Errors of neighbours go together: each point counts among the others by a larger sigma than its own.
     common = np.maximum((points[BESIDE_PX] / sigma_px) ** 2, 1.0)
     inverse, weighted = np.linalg.inv(information), seen.by_place * (weights * common)[:, None]

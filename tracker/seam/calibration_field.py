@@ -38,12 +38,18 @@ class CalibrationField:
     def fit(
         cls, T_tool_camera: Float64, points_tool: Float64, moves_mm: Float64, max_depth_mm: float
     ) -> CalibrationField:
-        """Fit displacements (n, m, 3) of points (n, 3), tool frame, mm, up to a depth from the camera."""
+        """Fit displacements (n, m, 3) of points (n, 3), tool frame, mm, up to a depth from the camera.
+
+        They are NaN everywhere where no point is that near.
+        """
         T_camera_tool = invert(T_tool_camera)
         seen = points_tool @ T_camera_tool[:3, :3].T + T_camera_tool[:3, 3]
         # Towards the sheet's horizon errors have no limit.
         is_met = (seen[:, 2] < max_depth_mm) & np.isfinite(moves_mm).all(axis=(1, 2))
         seen, moves_mm = seen[is_met], moves_mm[is_met]
+        if not len(seen):
+            unknown = np.full((len(_OF_X), 3 * moves_mm.shape[1]), np.nan)
+            return cls(T_camera_tool, np.zeros(2), np.ones(2), unknown)
         rays = seen[:, :2] / seen[:, 2:]
         low, high = (limit(rays, axis=0, initial=0.0) for limit in (np.min, np.max))
         middle, half = 0.5 * (low + high), 0.5 * (high - low)

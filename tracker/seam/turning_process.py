@@ -100,8 +100,8 @@ def condition_turning(history: SeamHistory, line: TurningLine, station_mm: float
     # Between two pieces' directions a mean is shorter than 1.
     prior = whole_mm2 * np.sum(here**2, axis=1) + bend_mm2
     variance = np.array([*prior, *2 * (DECAY**2 * bend_mm2,)])
-    told = np.concatenate([across[:2], of_bends[2:]])
-    variance -= np.sum(told.T * cho_solve(factor, told.T, check_finite=False), axis=0)
+    cross = np.concatenate([across[:2], of_bends[2:]])
+    variance -= np.sum(cross.T * cho_solve(factor, cross.T, check_finite=False), axis=0)
     y_mm, z_mm, slope_y, slope_z = mean.tolist()
     sigma_y, sigma_z = np.sqrt(np.maximum(variance[:2], 0.0)).tolist()
     information = 1.0 / np.maximum(variance[2:], MIN_VARIANCE_MM2) - 1.0 / (DECAY**2 * bend_mm2)

@@ -71,7 +71,7 @@ else:
 
 
 class BusTable(Table):
-    """How the robot is reached: python-can's interface and channel, or a robot's own protocol.
+    """Way to the robot: python-can's interface and channel, or a robot's own protocol.
 
     virtual goes to nobody: try things out with it first.
     """

@@ -25,7 +25,7 @@ OUTPUTS = {
     "safety_status_bits": "UINT32",
     "output_int_register_24": "INT32",
 }
-"""What the controller is asked to send, and its types."""
+"""Outputs that the controller is asked to send, and their types."""
 
 INPUTS = {
     "input_double_register_24": "DOUBLE",
@@ -33,7 +33,7 @@ INPUTS = {
     "input_int_register_24": "INT32",
     "input_int_register_25": "INT32",
 }
-"""What it gets: y and z, m; whether they count; the number of the answer."""
+"""Inputs that it gets: y and z, m; whether they count; the number of the answer."""
 
 PLAYING = 2
 """runtime_state of a program that runs."""

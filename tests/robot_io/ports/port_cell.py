@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from scipy.spatial.transform import Rotation
 from vendor_robots import ROBOTS, Said, UrRobot
 
 from arctrack.simulation.cell.bus import BusFrame
@@ -74,8 +75,9 @@ class PortNode(RobotNode):
             return
         now_s = self.scheduler.now_s
         self.robot.advance(now_s)
-        place, pose = self.robot.place_mm().tolist(), None
-        report: RobotReport | None = RobotReport(tuple(place), self._quaternion, SEND_LAG_S)
+        T_base_tool = self.robot.T_base_tool()
+        quaternion = tuple(Rotation.from_matrix(T_base_tool[:3, :3]).as_quat().tolist())
+        report: RobotReport | None = RobotReport(tuple(T_base_tool[:3, 3].tolist()), quaternion, SEND_LAG_S)
         if self.spoil is not None:
             report = self.spoil(now_s, report)
         if report is None:
