@@ -87,18 +87,20 @@ class RobotNode:
         every(0.1, self._send_command, 0.0043)
         every(_cycle_s(RobotSync), self._send_sync, 0.0059)
 
-    def _sample(self) -> None:
+    def report(self) -> RobotReport | None:
+        """Return the pose that the robot has reached, as it reports it; None for one that is lost."""
         now_s = self.scheduler.now_s
         self.robot.advance(now_s)
         T_base_tool = self.robot.T_base_tool()
         x, y, z = T_base_tool[:3, 3].tolist()
         quaternion: Quaternion = tuple(Rotation.from_matrix(T_base_tool[:3, :3]).as_quat().tolist())
-        report: RobotReport | None = RobotReport((x, y, z), quaternion, SEND_LAG_S)
-        if self.spoil is not None and report is not None:
-            report = self.spoil(now_s, report)
+        report = RobotReport((x, y, z), quaternion, SEND_LAG_S)
+        return report if self.spoil is None else self.spoil(now_s, report)
+
+    def _sample(self) -> None:
+        report, due_s = self.report(), self.scheduler.now_s + SEND_LAG_S
         if report is not None:
-            pose = report
-            self.scheduler.at(now_s + SEND_LAG_S, lambda: self._send_pose(pose, now_s + SEND_LAG_S))
+            self.scheduler.at(due_s, lambda: self._send_pose(report, due_s))
 
     def _send_pose(self, report: RobotReport, due_s: float) -> None:
         self._send(RobotPosePosition(*report.place_mm, PoseKind.ACTUAL))

@@ -6,12 +6,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from scipy.spatial.transform import Rotation
 from vendor_robots import ROBOTS, Said, UrRobot
 
 from arctrack.simulation.cell.bus import BusFrame
 from arctrack.simulation.cell.cell import Cell
-from arctrack.simulation.cell.robot_node import SEND_LAG_S, RobotNode, RobotReport, as_message
+from arctrack.simulation.cell.robot_node import RobotNode, as_message
 from robot_io import MotionState, SeamOffset, Switch, Validity
 from robot_io.ports.egm.dialect import EgmDialect
 from robot_io.ports.report import PortError
@@ -73,16 +72,10 @@ class PortNode(RobotNode):
     def _speak(self) -> None:
         if self.is_silent:
             return
-        now_s = self.scheduler.now_s
-        self.robot.advance(now_s)
-        T_base_tool = self.robot.T_base_tool()
-        quaternion = tuple(Rotation.from_matrix(T_base_tool[:3, :3]).as_quat().tolist())
-        report: RobotReport | None = RobotReport(tuple(T_base_tool[:3, 3].tolist()), quaternion, SEND_LAG_S)
-        if self.spoil is not None:
-            report = self.spoil(now_s, report)
-        if report is None:
+        pose = self.report()
+        if pose is None:
             return
-        pose, status = report, self.robot.status
+        now_s, status = self.scheduler.now_s, self.robot.status
         said = Said(
             time_s=BEGAN_S + self.clock_s + now_s,
             place_mm=pose.place_mm,

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from port_cell import DIALECTS, connected
 from vendor_robots import ROBOTS, Said, message, package, tagged, varint
 
+from arctrack.control.cell_file.choices import PORT_NAMES
 from robot_io import Command, GateReason, MotionState, RobotMode, Switch, TrackerState
 from robot_io.ports.egm.dialect import EgmDialect
 from robot_io.ports.port import PORTS, address_of
@@ -203,6 +204,10 @@ def test_rtde_counts_its_answers_and_takes_text() -> None:
     assert robot.counts == [1, 2, 3]
     stopped = robot.report(Said()).replace(struct.pack(">II", 2, 1), struct.pack(">II", 4, 1))
     assert dialect.hear(stopped)[0][0].status.correction is Switch.OFF
+
+
+def test_a_cell_file_takes_every_port():
+    assert PORTS.keys() == set(PORT_NAMES)
 
 
 def test_an_address_is_checked() -> None:
