@@ -1,7 +1,5 @@
 """Enumerations whose values say in words what their members mean."""
 
-from __future__ import annotations
-
 from enum import Enum
 from typing import TypeVar
 

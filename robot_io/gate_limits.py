@@ -1,7 +1,5 @@
 """The limits of the gate: what an offset must keep to, and why."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from robot_io.stated_limit import check_limits, stated

@@ -1,7 +1,5 @@
 """Robot's use of the offsets: when one may be used, as `docs/reference/can.md` requires of every robot."""
 
-from __future__ import annotations
-
 from robot_io.link.inbox import STALE_PERIODS, Received
 from robot_io.protocol.dbc import cycle_time_s, message_layout
 from robot_io.protocol.messages import CommandHeard, SeamOffset, TrackerHeartbeat, TrackerState, Validity

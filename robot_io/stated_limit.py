@@ -1,7 +1,5 @@
 """A limit as a field of a record, with what it is and where its value comes from, and the check of all."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 from dataclasses import field, fields

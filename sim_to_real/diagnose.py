@@ -1,7 +1,5 @@
 """The diagnosis of a recording: is there a gap, which effects cause it, how far it shrinks with them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The result of a diagnosis: is there a gap, where, what causes it, how far it shrinks, what to do next."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum

@@ -4,8 +4,6 @@ It is the diagnosis' own baseline and score test on a dozen frames. No effect is
 what it names is what to look at first. `diagnose` judges.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

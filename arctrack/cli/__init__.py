@@ -1,7 +1,5 @@
 """The command line: one thin file a command; heavy things are loaded by the command that needs them."""
 
-from __future__ import annotations
-
 import io
 import logging
 import sys

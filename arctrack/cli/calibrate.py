@@ -1,7 +1,5 @@
 """`arctrack calibrate`: parameters of the model from measurements."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import typer

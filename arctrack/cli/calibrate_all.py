@@ -1,7 +1,5 @@
 """`arctrack calibrate all`: from a folder of raw files to one setup, one report and one certificate."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`arctrack calibrate arc`: the arc's radius, place and brightness, and its metal, from the arc's light."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

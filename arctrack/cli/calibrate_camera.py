@@ -1,7 +1,5 @@
 """`arctrack calibrate camera`: intrinsics and distortion from images of a board."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

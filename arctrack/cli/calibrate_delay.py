@@ -1,7 +1,5 @@
 """`arctrack calibrate delay`: how late the poses' clock is, from a moving recording."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

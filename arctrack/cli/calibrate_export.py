@@ -1,7 +1,5 @@
 """`arctrack calibrate export`: a setup's lens for another program."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated

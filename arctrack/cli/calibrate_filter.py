@@ -1,7 +1,5 @@
 """`arctrack calibrate filter`: a filter's measured curve into a setup."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`arctrack calibrate hand-eye`: the camera's pose in the tool, from a board or from the arc's own light."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

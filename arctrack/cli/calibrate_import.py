@@ -1,7 +1,5 @@
 """`arctrack calibrate import`: a lens that another program calibrated, into a setup."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`arctrack calibrate laser`: the laser sheet from board images without and with the stripe."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

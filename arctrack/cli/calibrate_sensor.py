@@ -1,7 +1,5 @@
 """`arctrack calibrate sensor`: gain, noise and response of a sensor from flat and dark frames."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

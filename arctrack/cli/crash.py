@@ -1,7 +1,5 @@
 """Report of an error that is no user's mistake: one line, and a file with what led to it."""
 
-from __future__ import annotations
-
 import os
 import select
 import shlex

@@ -1,7 +1,5 @@
 """Diagnoses on the terminal: one on a screen, several as a table."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from rich import box

@@ -1,7 +1,5 @@
 """`arctrack explain`: one page for one frame of a recording."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

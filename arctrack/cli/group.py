@@ -1,7 +1,5 @@
 """The root of the command line: moved commands, and errors that click would end with exit code 1."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Help texts without the line breaks of their source: a terminal breaks lines where its own width ends."""
 
-from __future__ import annotations
-
 import inspect
 
 import typer

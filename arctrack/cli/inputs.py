@@ -1,7 +1,5 @@
 """Inputs of a command, checked before what computes is imported, which takes seconds."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

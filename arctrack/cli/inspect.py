@@ -1,7 +1,5 @@
 """`arctrack inspect`: what a recording holds, in words and one picture."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """A recording in words."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Results for programs: one JSON object on stdout; docs/reference/json_output.md names its keys."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Lines to a terminal, a pipe or a file."""
 
-from __future__ import annotations
-
 import errno
 import os
 from collections.abc import Iterator

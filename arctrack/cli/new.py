@@ -1,7 +1,5 @@
 """`arctrack new`: a recording to fill in."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """A plan in words: the designs worth a look, the paper's two rules, where the sensor is blind."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """Options of all commands for the robot's poses and their notation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """A reflectance in words: values with their intervals, what they rest on, what to beware of."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """The tables at the end of a replay, narrow enough for a terminal of 80 columns."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

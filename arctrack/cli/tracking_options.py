@@ -1,7 +1,5 @@
 """Options of all commands that track frames."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

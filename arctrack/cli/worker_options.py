@@ -1,7 +1,5 @@
 """Options of all commands that process many recordings at once."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

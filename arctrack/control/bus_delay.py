@@ -4,8 +4,6 @@ A frame that was late on its way bears no mark of it. A SYNC and its echo do: th
 took together, and the comparison of clocks how long the newest SYNC took at least.
 """
 
-from __future__ import annotations
-
 import math
 
 from arctrack.control.policy import ServicePolicy

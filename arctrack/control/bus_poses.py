@@ -1,7 +1,5 @@
 """Poses off the bus: where the tool was at a capture, whether that is trusted, how late the robot follows."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

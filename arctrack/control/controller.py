@@ -5,8 +5,6 @@ the time (`poll`), on one clock of their own. It returns the messages to send, i
 before a message of the robot, and whatever ends that is answered with REFUSED.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping

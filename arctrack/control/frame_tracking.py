@@ -1,7 +1,5 @@
 """A frame with what is known of its capture, through the tracker: the step of every live tracker."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Periodic messages of a tracker: the layout's version and its heartbeat."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from robot_io import (

@@ -1,7 +1,5 @@
 """Job: what is tracked, and how, by the robot's number."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, fields
 

@@ -6,8 +6,6 @@ motion relative to the path; the weave, which is in the latter alone, is removed
 offset is held until the next one: on average it acts half a frame period later still.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace

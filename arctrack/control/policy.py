@@ -1,7 +1,5 @@
 """Time-outs of the controller, and periods of its messages."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from robot_io.stated_limit import check_limits, stated

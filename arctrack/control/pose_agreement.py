@@ -1,7 +1,5 @@
 """Check of whether the robot on the bus stands where the recording's robot stood."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

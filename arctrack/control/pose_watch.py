@@ -1,7 +1,5 @@
 """Trust in poses: by themselves, by the robot's messages, and by the seam in the image."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Waiting time of a thread for a processor: what a busy machine takes from the loop."""
 
-from __future__ import annotations
-
 import math
 import time
 from pathlib import Path

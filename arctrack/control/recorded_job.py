@@ -1,7 +1,5 @@
 """A recording as a job: the controller, poses and tracker that answer its frames."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from arctrack.control.cell_file import CellFile

@@ -1,7 +1,5 @@
 """Poses of a recording, and their trust by the watch of a live run."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Latest messages of the robot, and how long they count."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 

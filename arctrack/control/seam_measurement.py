@@ -1,7 +1,5 @@
 """Seam as a track and its pose place it: input of the watch over the poses."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A track as the messages of the bus."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Live run, replay, check and simulated cell drive the same service. They differ i
 clock, and in the bus behind `send`. No thread, clock or socket is in here.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Recordings diagnosed: read, compared with the model, written down; one at a time or many at once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Files of a diagnosis for programs: report.json, where.npz and predicted.npz."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """plan.csv and path.csv: what `arctrack plan` found, for a spreadsheet or a script."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Iterable, Mapping

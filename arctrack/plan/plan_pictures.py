@@ -1,7 +1,5 @@
 """plan.png and path.png: the noise over the design space, and along the robot's path."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable

@@ -1,7 +1,5 @@
 """Frames read and decoded ahead of who takes them, in a thread of their own."""
 
-from __future__ import annotations
-
 from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager
 from queue import SimpleQueue

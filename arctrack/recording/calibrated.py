@@ -4,8 +4,6 @@ The values go into their table, such as `[camera]`. Their sigmas and covariance 
 `[calibration.camera]`, which no reader needs.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -5,8 +5,6 @@ of the head as of the first row. Numbers have decimal points, or decimal commas 
 with # or % are remarks; the last before rows of numbers is their head if it has as many cells.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -3,8 +3,6 @@
 A FIFO, a socket or a device in place of a file would keep a reader waiting for ever, or never end.
 """
 
-from __future__ import annotations
-
 import codecs
 import io
 import os

@@ -1,7 +1,5 @@
 """[follow] of recording.toml and of a cell's jobs: what is sent of the seam that was measured."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from arctrack.recording.schema import Table, key

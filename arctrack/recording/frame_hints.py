@@ -1,7 +1,5 @@
 """Hints on files that lie where frames were expected, and what to do with them."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The frames of a recording, read one at a time from PNGs or a lossless video."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Messages on wrong keys of a file: what pydantic found, in one line for people."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

@@ -5,8 +5,6 @@ began again. state.json is the tracker's state before the first frame. Numbers a
 read back the same, bit for bit.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """A recording to fill in: a setup whose every number says what it is, its unit and where it comes from."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Collection, Iterator
 from dataclasses import replace

@@ -5,8 +5,6 @@ PNG and reports nothing that a program could use. OpenCV decodes, except for gre
 Sub, as OpenCV itself and so arctrack writes them: ISA-L inflates these three times as fast.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Robot poses T_base_tool over time: poses.csv, or the pose messages of a CAN log."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise

@@ -3,8 +3,6 @@
 A key is a pydantic field that `key` makes. Files to fill in, error lines and reference pages are made of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import UnionType

@@ -1,7 +1,5 @@
 """Errors of a replay's seam points against truth.csv."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """frames.csv, poses.csv and truth.csv as typed tables, checked line by line."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

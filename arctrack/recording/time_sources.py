@@ -1,7 +1,5 @@
 """Capture times of frames by several sources: stamps of a video, tables, names, counters, a rate."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """TOML parsed within limits: a file may nest its tables so deep that no program bears it."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from typing import Any

@@ -1,7 +1,5 @@
 """Videos, whatever their codec: opened to be read, or written frame by frame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path

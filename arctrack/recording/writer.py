@@ -4,8 +4,6 @@ A recording grows in a folder named `NAME.unfinished`, line by line and frame by
 when it is closed: what was cut short keeps what it has and cannot be taken for whole.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Iterable

@@ -5,8 +5,6 @@ observation that counts is then repeated for what the step does not keep: nothin
 same numbers bit for bit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Reasons for which each scan line holds the stripe or not, and the parts of its sigma."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 

@@ -1,7 +1,5 @@
 """Clocks of a replay: when each frame is tracked, and what the robot does until then."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The frames of a recording through a tracking service, each at its time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The profile of an explained frame as the section of a free joint, its seam on the programmed line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A recording tracked without bus and files: which offsets a replay would send."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

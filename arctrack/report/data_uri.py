@@ -1,7 +1,5 @@
 """Files that lie within a page."""
 
-from __future__ import annotations
-
 import base64
 
 

@@ -1,7 +1,5 @@
 """Pictures that lie within a page, as data URIs: values in colours and their scale, drawings."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Frames as people want to see them: dark things visible, stripe and seam drawn over them."""
 
-from __future__ import annotations
-
 import io
 
 import cv2

@@ -1,7 +1,5 @@
 """Style of all pictures: Okabe and Ito's colours, which the colour-blind distinguish, and plain axes."""
 
-from __future__ import annotations
-
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font

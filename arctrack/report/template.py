@@ -1,7 +1,5 @@
 """Rendering of all pages' templates."""
 
-from __future__ import annotations
-
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 

@@ -1,7 +1,5 @@
 """Conversion from an adapter's own clock, which counts from its start, to the wall clock."""
 
-from __future__ import annotations
-
 import math
 
 WINDOW_S = 10.0

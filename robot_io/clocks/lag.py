@@ -10,8 +10,6 @@ The sigma is the Cramer-Rao bound at the estimate, widened for the residuals' au
 motion does not determine the lag, there is none.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from enum import Enum

@@ -6,8 +6,6 @@ Times count from the start that a date states, or from the line before where the
 relative`. (Source: python-can's `can.io.asc`, which reads and writes these lines.)
 """
 
-from __future__ import annotations
-
 import re
 import unicodedata
 from collections.abc import Iterator

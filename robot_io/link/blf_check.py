@@ -4,8 +4,6 @@ A file is a header and objects; those of type 10 are containers, packed by zlib,
 may run on from one container into the next (Vector's `binlog_objects.h`, as python-can reads it).
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from typing import BinaryIO

@@ -1,7 +1,5 @@
 """Logs of the bus by arctrack, python-can, candump, Vector's and PEAK's tools, read as accepted messages."""
 
-from __future__ import annotations
-
 import sqlite3
 import struct
 import zlib

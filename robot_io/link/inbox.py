@@ -1,7 +1,5 @@
 """Filter from raw frames to accepted messages: only what is ours, passes E2E and decodes gets through."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A log is cut off where its computer lost power: in the middle of a line, or in N
 systems fill what was not written.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import BinaryIO
 

@@ -1,7 +1,5 @@
 """A bus that stays: what fails is counted and dropped, and an adapter that went away is opened again."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

@@ -1,7 +1,5 @@
 """A serial CAN adapter: python-can's, but its writes end, and its frames are as old as they may be."""
 
-from __future__ import annotations
-
 import time
 from contextlib import suppress
 

@@ -1,7 +1,5 @@
 """A log that stays: what cannot be written is counted and left out; it goes on where there is room again."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections import Counter

@@ -1,7 +1,5 @@
 """Readers of text logs with one frame a line: of candump, PEAK's tools and python-can's `.csv`."""
 
-from __future__ import annotations
-
 import io
 import math
 import re

@@ -1,7 +1,5 @@
 """Sockets of a port: datagrams, a listening stream, or a stream that arctrack opens; one robot at a time."""
 
-from __future__ import annotations
-
 import socket
 import time
 from collections.abc import Callable, Iterator

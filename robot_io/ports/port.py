@@ -1,7 +1,5 @@
 """A port: a robot's line on one side, frames to and from the tracker on the other."""
 
-from __future__ import annotations
-
 import select
 import time
 from collections.abc import Callable

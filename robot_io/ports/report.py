@@ -1,7 +1,5 @@
 """Reports of a robot at its port, the answers to them, and the word in which a program says both."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Protocol

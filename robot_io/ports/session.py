@@ -5,8 +5,6 @@ and command as protected frames, waits until DISARM is acknowledged, and lets an
 So the tracker, its gate and its logs know no port from a robot on CAN.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

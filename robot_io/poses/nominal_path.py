@@ -1,7 +1,5 @@
 """Tool position relative to the nominal path: station along it, to its left, above it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

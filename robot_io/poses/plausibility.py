@@ -10,8 +10,6 @@ Poses alone cannot show a drift within the limits, nor a delay or a flipped sign
 the seam by less than they allow. `docs/explanation/plausibility.md` says what shows those.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from dataclasses import dataclass, replace

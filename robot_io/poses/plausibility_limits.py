@@ -8,8 +8,6 @@ errors in three axes the chi-squared's Chernoff bound holds, P(|n|^2 > x sigma^2
 distribution.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Whole poses from the two frames that carry them: both halves of the same pose, or nothing."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

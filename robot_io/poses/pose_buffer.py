@@ -4,8 +4,6 @@ A frame waits at most one nominal period for the pose after it. So a later pose 
 within one period of the frame's: a replay, which has every pose, then sees what the live run saw.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Each function returns the doubt that a sample raises, None where it raises none.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import Enum

@@ -1,7 +1,5 @@
 """Largest load of a bus by the messages, over bit rate and camera frame rate."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 No signal of the layout has an offset: a raw code is the value over the scale.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The bus layout, read once from `arctrack.dbc`: data ids, cycle times, unknown codes."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Mapping
 from functools import cache

@@ -5,8 +5,6 @@ Each message has a data id for each source: what a replay or a simulation sends 
 frames alone.
 """
 
-from __future__ import annotations
-
 from enum import Enum
 
 from cantools.database.can import Message

@@ -1,7 +1,5 @@
 """Blocks of pixels, and the neighbourhood of a pixel."""
 
-from __future__ import annotations
-
 from typing import TypeVar
 
 import cv2

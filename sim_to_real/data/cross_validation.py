@@ -1,7 +1,5 @@
 """Split into fitted and held-out frames: every stratum on both sides, all conditions fitted."""
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 

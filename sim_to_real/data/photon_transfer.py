@@ -5,8 +5,6 @@ second differences of neighbouring pixels, which vanish for smooth light. (EMVA 
 differences of two frames.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Where no experiment separates two effects, a witness does: an instrument that sees only one of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

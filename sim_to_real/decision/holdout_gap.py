@@ -1,7 +1,5 @@
 """The gap on held-out frames, pixel by pixel, before and after a fit; stored predictions suffice for it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ For linear Gaussian predictions the evidence of one hypothesis against another h
 the expected posterior (Lindley 1956, Ann. Math. Stat. 27, 986: the expected information of an experiment).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Displacement of the seam by a gap: the tracker's seam against that of a fit to all images."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

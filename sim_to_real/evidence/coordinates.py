@@ -5,8 +5,6 @@ place in the image, a metal's of the angles, a source's of time and direction. M
 bases span an unknown cause at that stage. Multiplied by an effect's change, they span the errors of its form.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

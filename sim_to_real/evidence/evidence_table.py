@@ -1,7 +1,5 @@
 """The evidence of a hypothesis with any of some blocks of columns, from products that are computed once."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ are fitted in that order until the next one is too far behind. With the likelies
 explain more than any single effect, further effects are fitted.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

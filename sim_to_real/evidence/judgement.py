@@ -1,7 +1,5 @@
 """The verdict from the posterior: no gap, named effects, an ambiguity set, or an unknown cause."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from sim_to_real.diagnosis import DiagnosisVerdict

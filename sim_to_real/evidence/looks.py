@@ -4,8 +4,6 @@ The residual is taken as linear between no effect and each probe point, and in t
 lines the evidence of each effect has a closed form, and that of each pair.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

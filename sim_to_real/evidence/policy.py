@@ -1,7 +1,5 @@
 """The constants of the judgement, in one record: what the model's own error is like, and the prior odds."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -1,7 +1,5 @@
 """Effects and nuisances fitted together to all frames of a recording: damped Gauss-Newton steps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The metal that no setup states, as the laser's stripe shows it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

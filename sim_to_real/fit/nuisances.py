@@ -1,7 +1,5 @@
 """The nuisances: values that are off nominal in every recording and are no gap."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

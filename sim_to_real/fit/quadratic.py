@@ -7,8 +7,6 @@ With r the whitened residuals, J their derivatives and W their weights, all at x
 and its sum with the priors' is minimised within the bounds.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

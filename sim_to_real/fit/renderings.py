@@ -5,8 +5,6 @@ part depends on: what happens to the arc does not change the laser's light, nor 
 another metal does not change what rays meet.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

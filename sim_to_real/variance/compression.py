@@ -6,8 +6,6 @@ step, where any other's remainder is even. No prediction of the frame is needed.
 the upper left corner: a picture that was cut anywhere else does not show them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -9,8 +9,6 @@ Geosci. Remote Sens. 36, 434). A slope, an edge of a face and that of a shadow a
 bright. What noise alone makes of either is no larger than the difference of two such means.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

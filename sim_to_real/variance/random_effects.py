@@ -5,8 +5,6 @@ None of them changes a frame's mean by much. The first three show in the varianc
 effect with the catalogue's priors over that of the model's own error, nats.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

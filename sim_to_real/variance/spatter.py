@@ -7,8 +7,6 @@ average, which gives the share that is missed. A streak that is cut, by the rim 
 searched, counts by the share of its length that is seen.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ u_i u_j keeps (sum_ab u_a u_b exp(-(a - b)^2 / 4 g^2))^2 of its variance. Two de
 separate the contrast from the grain.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

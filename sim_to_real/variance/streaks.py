@@ -5,8 +5,6 @@ model's own lines near by allow, and if no other frame has such a line at the sa
 the part.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A cell's setup as one of its jobs has it, as the text of a recording.toml."""
 
-from __future__ import annotations
-
 import tomlkit
 
 from arctrack.control.cell_file.choices import CellFile

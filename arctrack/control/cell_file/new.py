@@ -1,7 +1,5 @@
 """A cell file to fill in, and the setup that it points to."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Advice on what to inspect in the cell when a diagnosis names an effect, and where to state the result."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 ADVICE: Mapping[str, str] = {

@@ -1,7 +1,5 @@
 """report.html: a recording's diagnosis on one self-contained page, to be read in two minutes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The pictures of a diagnosis' page, each as a data URI: frames, differences, the map, curves."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

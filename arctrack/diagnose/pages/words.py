@@ -1,7 +1,5 @@
 """A diagnosis in words, for the terminal and for the page."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

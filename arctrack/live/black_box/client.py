@@ -1,7 +1,5 @@
 """Requests to a run's black box to save what it has."""
 
-from __future__ import annotations
-
 from arctrack.live.journal.message_pipe import PipeClient, PipeEnd
 
 

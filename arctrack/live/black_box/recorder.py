@@ -1,7 +1,5 @@
 """The process that keeps a live run's black box: it saves the latest frames on a fault, or on request."""
 
-from __future__ import annotations
-
 import shutil
 import sys
 import tempfile

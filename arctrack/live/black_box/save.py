@@ -1,7 +1,5 @@
 """A window of a run's journal as a recording: frames, poses, steps, and what the run made of them."""
 
-from __future__ import annotations
-
 import json
 import platform
 import tempfile

@@ -1,7 +1,5 @@
 """Interface of every kind of camera."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Protocol
 

@@ -5,8 +5,6 @@ Laser and pulse hold until a time, which the driver of the line must renew: if i
 out, and the laser goes off by itself.
 """
 
-from __future__ import annotations
-
 import math
 import mmap
 import os

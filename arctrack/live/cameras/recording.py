@@ -1,7 +1,5 @@
 """A recording as a camera: each frame comes when its time has come, on the recording's own clock."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

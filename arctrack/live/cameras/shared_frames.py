@@ -1,7 +1,5 @@
 """Frames from one process to others, through memory that they share (`arctrack.live.journal.ring`)."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

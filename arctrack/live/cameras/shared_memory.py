@@ -1,7 +1,5 @@
 """Frames that another process publishes in shared memory, as a camera."""
 
-from __future__ import annotations
-
 import time
 
 from arctrack.live.cameras.camera import SHARED, CameraTraits, UnreadableFrame

@@ -1,7 +1,5 @@
 """Latency of an offset, and load of a camera's line, from a cell file and measurements."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Checks of the bus: whether it opens, its state, and whether a robot sends."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess

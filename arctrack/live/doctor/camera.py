@@ -1,7 +1,5 @@
 """The camera: whether it is there, how many frames come, and how old they are when they come."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Checks of the machine's clocks, and of how late a sleep ends."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import os

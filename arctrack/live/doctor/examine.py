@@ -1,7 +1,5 @@
 """All checks of a machine, and of a cell on it, in the order of their report."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path

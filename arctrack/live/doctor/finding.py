@@ -1,7 +1,5 @@
 """Result of a check of the machine."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 

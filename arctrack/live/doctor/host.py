@@ -1,7 +1,5 @@
 """Versions, scheduler, memory and disk of the machine."""
 
-from __future__ import annotations
-
 import os
 import platform
 import resource

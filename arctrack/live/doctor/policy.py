@@ -1,7 +1,5 @@
 """The limits of the checks: each with its unit, its role, its source and what hangs on it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 

@@ -1,7 +1,5 @@
 """Step times of the tracker on this machine, on frames rendered from the setup itself."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ some time back; the newest view, for the page; the newest status. The loop write
 and never blocks.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import replace

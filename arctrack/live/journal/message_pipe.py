@@ -5,8 +5,6 @@ one takes for a message. Here each is sent and received at once or not at all (u
 pipe has no name: none but the processes that are given an end reach it.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import socket

@@ -4,8 +4,6 @@ Bytes are decoded only to the classes that a journal's records are made of, so r
 whoever wrote them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum

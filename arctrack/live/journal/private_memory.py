@@ -4,8 +4,6 @@ They lie in a folder of the user's own, which is used only if it is this user's 
 others can guess a name, and so must not own it. The same holds for each file.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import stat

@@ -1,7 +1,5 @@
 """Records of a live run: an entry for each frame, a view of the newest one, and the run's status."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any

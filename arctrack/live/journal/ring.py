@@ -8,8 +8,6 @@ The writer holds a lock on the file as long as it lives, however it dies. A file
 writer that crashed: readers say so, and the next writer takes its place.
 """
 
-from __future__ import annotations
-
 import fcntl
 import math
 import mmap

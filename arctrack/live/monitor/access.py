@@ -4,8 +4,6 @@ A browser on this machine also shows pages of others. They must not read the run
 resolves to this machine (DNS rebinding), by a WebSocket, or by a form that is sent here.
 """
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import socket

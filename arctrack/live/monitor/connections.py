@@ -1,7 +1,5 @@
 """Connections of a monitor page: idle ones are closed, and an error is one line of the log."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import time

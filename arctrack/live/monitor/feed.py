@@ -1,7 +1,5 @@
 """Feed of a run's journal to all browsers; each message is made once."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import math

@@ -1,7 +1,5 @@
 """Health of a run, for whatever restarts it."""
 
-from __future__ import annotations
-
 import math
 
 from arctrack.live.monitor.feed import Feed

@@ -1,7 +1,5 @@
 """A run's numbers for Prometheus."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 

@@ -1,7 +1,5 @@
 """The process of a monitor page."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import socket

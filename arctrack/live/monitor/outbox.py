@@ -1,7 +1,5 @@
 """Outbox of a browser: short, and the newest messages only. A slow browser blocks nobody."""
 
-from __future__ import annotations
-
 import asyncio
 from collections import deque
 from enum import Enum

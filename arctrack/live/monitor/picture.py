@@ -3,8 +3,6 @@
 This is the page's heavy work; it runs in a thread of its own.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import struct

@@ -1,7 +1,5 @@
 """Client of a live run's black box that requests recordings."""
 
-from __future__ import annotations
-
 import asyncio
 
 from arctrack.live.journal.message_pipe import PipeEnd

@@ -1,7 +1,5 @@
 """HTTP server of the page, its WebSocket, and its interface for other programs."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import math

@@ -1,7 +1,5 @@
 """Status of a run for the page: numbers with their units, None where one is unknown."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import Any

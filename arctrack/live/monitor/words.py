@@ -1,7 +1,5 @@
 """Texts on states, faults and reasons for a person at the cell: what is so, and what helps."""
 
-from __future__ import annotations
-
 from enum import Enum
 
 from arctrack.control.processor import DELAYS, TOO_BUSY

@@ -1,7 +1,5 @@
 """Camera that a subprocess captures: drivers and decoding never touch the loop."""
 
-from __future__ import annotations
-
 import os
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The exposure of the frames to come, chosen from what the last ones show and what the arc map predicts."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Journal of a live run, and the processes that read it: black box, watch and page."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager

@@ -1,7 +1,5 @@
 """Writer of a live loop's journal: an entry for each step, views and statuses some times a second."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Estimation of the robot's lag in a subprocess: it takes as long as some frames' steps."""
 
-from __future__ import annotations
-
 from multiprocessing.connection import Connection, wait
 
 from arctrack.control.look_ahead import lag_of

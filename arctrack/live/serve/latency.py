@@ -1,7 +1,5 @@
 """Latencies of offsets, counted in bins of 1 %: a shift takes no more memory than a minute."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from dataclasses import dataclass

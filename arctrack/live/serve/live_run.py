@@ -1,7 +1,5 @@
 """A live run of a cell file: what it needs is built and warmed up, then the loop has the process."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass

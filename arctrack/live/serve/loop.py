@@ -4,8 +4,6 @@ No thread, process or signal: whoever calls `turn` has the time. Frames and time
 wait in the bus' buffer while a frame is tracked; each states its age when it is read.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter

@@ -1,7 +1,5 @@
 """Notifications of a live run to systemd: ready, alive, stopping (sd_notify(3))."""
 
-from __future__ import annotations
-
 import os
 import socket
 import time

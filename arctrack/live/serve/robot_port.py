@@ -1,7 +1,5 @@
 """A robot's port as a process of its own: it answers the robot in time, whatever the tracker computes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from multiprocessing.connection import Connection

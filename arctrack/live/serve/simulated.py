@@ -1,7 +1,5 @@
 """Simulated cell of a live run: its cell file, its process, and its torch's distance from the seam."""
 
-from __future__ import annotations
-
 import math
 import socket
 import time

@@ -4,8 +4,6 @@ It is a thread, which sleeps until a process ends or sends something. It begins 
 gets its priority and its processors, so what it starts inherits neither.
 """
 
-from __future__ import annotations
-
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping

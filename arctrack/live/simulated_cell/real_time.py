@@ -1,7 +1,5 @@
 """A scheduler and a bus in real time, for the parties that the deterministic cell has."""
 
-from __future__ import annotations
-
 import heapq
 import time
 from collections import deque

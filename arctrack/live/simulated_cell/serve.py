@@ -1,7 +1,5 @@
 """Simulated robot in real time on a real bus, with its camera; the tracker is another process."""
 
-from __future__ import annotations
-
 import errno
 import math
 import time

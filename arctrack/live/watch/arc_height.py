@@ -11,8 +11,6 @@ is that of generalised least squares (Aitken 1936, Proc. R. Soc. Edinburgh 55, 4
 what a smooth error of the map makes of it: a thousand pixels do not average that away.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -10,8 +10,6 @@ alarms (Moustakides 1986, Ann. Stat. 14, 1379). It alarms above DECIDE; the chan
 Neighbouring blocks correlate by r; so z is over the sigma of a long sum's blocks, s sqrt((1 + r) / (1 - r)).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import statistics

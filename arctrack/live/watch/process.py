@@ -1,7 +1,5 @@
 """The process that watches a live run: is its map right, what does a gap look like, how high is the arc."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The colours of images, by name."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 
 

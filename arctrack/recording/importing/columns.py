@@ -1,7 +1,5 @@
 """Columns of a user's CSV file, recognised by their names in any order, or named by the user."""
 
-from __future__ import annotations
-
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Capture time and light of each image: from a table, from names, from a rate, from one value for all."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

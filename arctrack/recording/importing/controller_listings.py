@@ -6,8 +6,6 @@ rotation within a larger structure, are none. KUKA: structures of KRL, `{X 1,Y 2
 `p[x, y, z, rx, ry, rz]`. (Source: modules and listings of each controller in public repositories.)
 """
 
-from __future__ import annotations
-
 import re
 from bisect import bisect_left
 from dataclasses import dataclass

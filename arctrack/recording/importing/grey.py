@@ -6,8 +6,6 @@ Sites of one colour are taken as they are, on a grid of twice the pitch. Interpo
 the same photons in several pixels, whose noise the tracker takes as independent.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

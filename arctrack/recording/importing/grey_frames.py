@@ -1,7 +1,5 @@
 """Grey frames of images or of a video, each held against the setup; and the setup of a mosaic's sites."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -4,8 +4,6 @@ Pillow reads the header, OpenCV decodes, since it alone keeps 16 bits in colour.
 pixels is applied, refused, or reported. A file is decoded completely or not at all.
 """
 
-from __future__ import annotations
-
 import calendar
 import io
 import math

@@ -1,7 +1,5 @@
 """A recording made of raw files: all of it, or nothing."""
 
-from __future__ import annotations
-
 import math
 import shutil
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Rotations and translations from text: blocks of numbers, or OpenCV's YAML and XML."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Times that names of images carry: a date with a time of day, a time of day, or a number."""
 
-from __future__ import annotations
-
 import calendar
 import math
 import re

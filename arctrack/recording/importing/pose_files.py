@@ -1,7 +1,5 @@
 """The robot's poses from a user's files, as T_base_tool in mm."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Sources: scipy's `Rotation.from_euler` for sequences; Basler's pose formats of r
 ABB, UR); RoboDK's `robomath` (Stäubli, and all of these); Mech-Mind's table of Euler angles by brand.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Tags and their values are those of TIFF 6.0; ImageDepth is SGI's, ImageDescription holds what ImageJ states.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import struct

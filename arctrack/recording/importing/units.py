@@ -1,7 +1,5 @@
 """Units of lengths, angles and times: stated, never guessed."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

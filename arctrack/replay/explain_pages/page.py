@@ -1,7 +1,5 @@
 """explain_NNNNNN.html: why one frame gave its seam, or none, on one self-contained page."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

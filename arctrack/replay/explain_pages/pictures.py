@@ -1,7 +1,5 @@
 """The images of a frame's explanation: the frame with what is drawn over it, the arc map, the residual."""
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The drawings of a frame's explanation: candidates, scan lines, sigmas, profile, the seam along the path."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

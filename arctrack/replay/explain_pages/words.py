@@ -1,7 +1,5 @@
 """A frame's explanation in words: the verdict, and the tests of the frame, in the step's order."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

@@ -1,7 +1,5 @@
 """Processes that draw the frames of a replay: this one, or subprocesses while there are cores for them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass

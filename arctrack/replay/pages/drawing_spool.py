@@ -1,7 +1,5 @@
 """Intermediate results of each frame of a replay, kept on disk until they are drawn."""
 
-from __future__ import annotations
-
 import pickle
 from collections import Counter
 from collections.abc import Iterator

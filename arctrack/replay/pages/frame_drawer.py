@@ -1,7 +1,5 @@
 """A frame of a replay drawn: its picture in the video, what the page shows of it, its view for exports."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

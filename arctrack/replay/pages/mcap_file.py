@@ -1,7 +1,5 @@
 """replay.mcap: a replay as messages over time, for Foxglove and all else that reads MCAP."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math

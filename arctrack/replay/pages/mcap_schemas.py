@@ -4,8 +4,6 @@ The fields of the well-known ones are those of https://docs.foxglove.dev/docs/sd
 that are used are listed. Foxglove counts lengths in m.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from arctrack.replay.pages.numbers import MEANINGS

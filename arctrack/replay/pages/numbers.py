@@ -1,7 +1,5 @@
 """All numbers of a frame by their names, for pages and exports."""
 
-from __future__ import annotations
-
 import math
 
 from arctrack.replay.pages.drawing_spool import ReplayedFrame

@@ -1,7 +1,5 @@
 """overlay.mp4: every frame with what the tracker saw in it."""
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 from pathlib import Path

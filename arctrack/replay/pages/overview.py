@@ -1,7 +1,5 @@
 """overview.png: a whole replay on one page."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

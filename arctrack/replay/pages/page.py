@@ -1,7 +1,5 @@
 """replay.html: a whole replay on one self-contained page, with a slider over its frames."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

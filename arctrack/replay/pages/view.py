@@ -1,7 +1,5 @@
 """View of a replayed frame: pictures, stripe and seam in the image, profile and section in mm."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A view as replay.html keeps it: small pictures, points as whole numbers."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ An EgmSensorPathCorr cannot say that it does not count. So where no offset count
 own \CommTimeout tells the program.
 """
 
-from __future__ import annotations
-
 from robot_io.ports.egm.wire import Value, field, fields, inner, real, values, whole
 from robot_io.ports.report import PortCorrection, PortError, PortReport, ProgramWord
 

@@ -4,8 +4,6 @@ EGM has a handful of fixed messages of numbers. Their encoding (protobuf.dev/pro
 shorter than the generated classes and the runtime that would read them.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 

@@ -3,8 +3,6 @@
 Each datagram is answered with its IPOC, whatever counts: RSI stops after some answers that are missing.
 """
 
-from __future__ import annotations
-
 import math
 from xml.etree import ElementTree
 

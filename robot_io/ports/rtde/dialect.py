@@ -4,8 +4,6 @@ The robot's program states its word in an output register, and applies what it f
 A register keeps its last value, so one counts the answers: `rtde_set_watchdog` watches it.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 

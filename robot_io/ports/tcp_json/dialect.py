@@ -1,7 +1,5 @@
 """Lines of JSON: the robot's hello, then a report in each cycle and its answer."""
 
-from __future__ import annotations
-
 import json
 import math
 from enum import IntEnum

@@ -6,8 +6,6 @@ OpenCV says of which clock it is: a time that is not within a second before the 
 the time of arrival counts instead.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -6,8 +6,6 @@ The least of t - s over a window is o and the shortest way: the usual filter of 
 m the least one has mean and standard deviation m / n.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

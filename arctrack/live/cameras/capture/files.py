@@ -1,7 +1,5 @@
 """A video, or a folder of images, as a source: each frame comes once its exposure would be over."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator

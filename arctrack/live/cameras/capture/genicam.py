@@ -1,7 +1,5 @@
 """A GigE Vision camera set up by its GenICam features: region, pixels, exposure, trigger, laser."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from importlib.machinery import PathFinder

@@ -6,8 +6,6 @@ exposure is what the clock is given. How long read-out and the shortest way take
 delay that `arctrack calibrate delay` finds.
 """
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from typing import Any

@@ -1,7 +1,5 @@
 """The frames of a video file in order, grey levels as they are stored: FFV1 bit exact, H.264 its luma."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

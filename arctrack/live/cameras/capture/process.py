@@ -1,7 +1,5 @@
 """The process that captures: a source's frames into shared memory, until its parent is gone."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -6,8 +6,6 @@ message waits some 0.5 ms for others, a sleep ends up to 0.2 ms late, and the tr
 ms.
 """
 
-from __future__ import annotations
-
 import math
 
 from arctrack.live.cameras.camera_line import CaptureRequest

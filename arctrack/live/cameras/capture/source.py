@@ -1,7 +1,5 @@
 """Interface of every source of frames for the capture process."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Protocol
