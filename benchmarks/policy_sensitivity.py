@@ -28,8 +28,8 @@ import numpy as np
 from arctrack.recording import BadFrame, pose_at, read_recording
 from sim_to_real.diagnose import diagnose
 from sim_to_real.evidence.hypotheses import Posterior
-from sim_to_real.evidence.judgement import judge
 from sim_to_real.evidence.policy import POLICY, Policy
+from sim_to_real.evidence.weigh import judge
 from sim_to_real.search.probe_points import FAMILIES
 
 SHARE = 0.2

@@ -34,9 +34,8 @@ from sim_to_real.diagnosis import (
 from sim_to_real.evidence.error_model import LinearHypothesis
 from sim_to_real.evidence.free_functions import FreeFunctions, all_families, locate
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
-from sim_to_real.evidence.judgement import Judgement, judge
 from sim_to_real.evidence.policy import POLICY, Policy
-from sim_to_real.evidence.weigh import WeightedHypotheses, weigh
+from sim_to_real.evidence.weigh import Judgement, WeightedHypotheses, judge, weigh
 from sim_to_real.fit.covariates import Covariates, covariates
 from sim_to_real.fit.gauss_newton import Refit, converge, refit, refit_at
 from sim_to_real.fit.linearized_model import LinearizedModel

@@ -20,7 +20,7 @@ from arctrack.errors import ArctrackError, in_file
 from arctrack.offset_count import OffsetCount
 from arctrack.recording import BadFrame, Recording
 from arctrack.recording.reader import fitted
-from arctrack.replay.tracking_trial import Trial, rows_to_try, try_out
+from arctrack.replay.replay_loop import Trial, rows_to_try, try_out
 from tracker.geometry import SensorGeometry
 from tracker.seam.correction import UNSTATED
 from tracker.state import Frame, Track

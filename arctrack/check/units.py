@@ -12,7 +12,7 @@ from arctrack.check.hint import Hint, either
 from arctrack.errors import ArctrackError
 from arctrack.recording import Recording
 from arctrack.recording.reader import fitted
-from arctrack.replay.tracking_trial import rows_to_try, try_out
+from arctrack.replay.replay_loop import rows_to_try, try_out
 from noise_model.setup import Setup
 from tracker.geometry import SEARCH_REACH_MM
 

@@ -6,9 +6,8 @@ from typing import Annotated
 import typer
 
 from arctrack.cli.calibration_output import Out, Report, check_outputs, finish
-from arctrack.cli.inputs import look_at_setup
+from arctrack.cli.inputs import look_at_setup, read_setup, write_calibrated
 from arctrack.cli.interrupt import interruptible
-from arctrack.cli.setups import read_setup, write_calibrated
 from arctrack.errors import ArctrackError
 from arctrack.recording.files import check_folder
 

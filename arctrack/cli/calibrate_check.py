@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from arctrack.cli.calibration_output import Report, check_outputs
-from arctrack.cli.inputs import look_at_recording
-from arctrack.cli.setups import setup_path
+from arctrack.cli.inputs import look_at_recording, setup_path
 
 if TYPE_CHECKING:
     from arctrack.calibrate.check.check_setup import SetupCheck

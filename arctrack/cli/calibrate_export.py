@@ -6,8 +6,7 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.inputs import look_at_setup
-from arctrack.cli.setups import check_can_be_written, read_setup
+from arctrack.cli.inputs import check_can_be_written, look_at_setup, read_setup
 
 LensFormat = StrEnum("LensFormat", ["mrcal", "kalibr", "ros"])
 """A program that reads the file."""

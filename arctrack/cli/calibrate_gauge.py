@@ -8,10 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from arctrack.cli.calibration_output import Out, Report, check_outputs, finish, run_calibration
-from arctrack.cli.inputs import look_at_file, look_at_images, look_at_recording, look_at_setup
+from arctrack.cli.inputs import (
+    look_at_file,
+    look_at_images,
+    look_at_recording,
+    look_at_setup,
+    read_setup,
+    setup_path,
+)
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.pose_options import Poses
-from arctrack.cli.setups import read_setup, setup_path
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:

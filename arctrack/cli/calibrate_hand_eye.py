@@ -6,9 +6,8 @@ from typing import Annotated
 import typer
 
 from arctrack.cli.calibration_output import BOARD, Out, Report, board_of, run_calibration
-from arctrack.cli.inputs import look_at_file, look_at_images, look_at_setup
+from arctrack.cli.inputs import look_at_file, look_at_images, look_at_setup, read_setup
 from arctrack.cli.pose_options import NamedColumns, Poses, Rotation, Translations, named_columns
-from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError
 
 

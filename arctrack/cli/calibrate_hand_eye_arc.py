@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arctrack.cli.calibration_output import refuse_bad_frames
-from arctrack.cli.inputs import look_at_recording
-from arctrack.cli.setups import check_can_be_written, check_replaces_nothing
+from arctrack.cli.inputs import check_can_be_written, check_replaces_nothing, look_at_recording
 from arctrack.errors import ArctrackError
 from arctrack.output import write_whole
 

@@ -6,8 +6,13 @@ from typing import Annotated
 import typer
 
 from arctrack.cli.calibration_output import Out
-from arctrack.cli.inputs import look_at_file, look_at_setup
-from arctrack.cli.setups import check_can_be_replaced, read_setup, write_calibrated
+from arctrack.cli.inputs import (
+    check_can_be_replaced,
+    look_at_file,
+    look_at_setup,
+    read_setup,
+    write_calibrated,
+)
 from arctrack.errors import in_file
 from arctrack.output import real
 

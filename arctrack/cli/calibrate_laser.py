@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 
 from arctrack.cli.calibration_output import Out, Pattern, Report, Sources, board_of, run_calibration
-from arctrack.cli.inputs import look_at_images, look_at_setup
-from arctrack.cli.setups import read_setup
+from arctrack.cli.inputs import look_at_images, look_at_setup, read_setup
 
 
 def laser(

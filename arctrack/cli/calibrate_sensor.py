@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from arctrack.cli.calibration_output import Out, Report, run_calibration
-from arctrack.cli.setups import read_setup
+from arctrack.cli.inputs import read_setup
 from arctrack.errors import ArctrackError, no_such_path
 
 

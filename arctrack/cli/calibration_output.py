@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from arctrack.cli.inputs import check_can_be_replaced, write_calibrated
 from arctrack.cli.interrupt import interruptible
-from arctrack.cli.setups import check_can_be_replaced, write_calibrated
 from arctrack.errors import ArctrackError
 from arctrack.output import real, write_whole
 

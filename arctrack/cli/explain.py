@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.inputs import look_at_recording
-from arctrack.cli.setups import check_replaces_nothing
-from arctrack.cli.tracking_options import ArcMap
+from arctrack.cli.inputs import check_replaces_nothing, look_at_recording
+from arctrack.cli.worker_options import ArcMap
 
 
 def explain(
@@ -38,10 +37,10 @@ def explain(
     from arctrack.output import make_folder, write_whole
     from arctrack.recording import read_recording
     from arctrack.replay import explain as engine
+    from arctrack.replay.explain import taught_section
     from arctrack.replay.explain_pages import words
     from arctrack.replay.explain_pages.page import page
     from arctrack.replay.replay import RESULTS_FOLDER
-    from arctrack.replay.taught_section import taught_section
 
     read = read_recording(recording, setup)
     console.warn(read.warnings)

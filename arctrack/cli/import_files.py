@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from arctrack.cli.inputs import look_at_file, look_at_images, look_at_setup
+from arctrack.cli.inputs import look_at_file, look_at_images, look_at_setup, setup_path
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.pose_options import NamedColumns, Rotation, Translations, named_columns
-from arctrack.cli.setups import setup_path
 from arctrack.errors import ArctrackError
 from arctrack.recording.importing.colours import Bayer, Channel
 

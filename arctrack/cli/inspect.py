@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from arctrack.cli.inputs import look_at_recording
+from arctrack.cli.inputs import check_replaces_nothing, look_at_recording
 from arctrack.cli.json_output import AsJson, say_json
-from arctrack.cli.setups import check_replaces_nothing
 from arctrack.errors import ArctrackError, in_file
 
 PICTURE = "inspect.png"

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from arctrack.cli.inputs import look_at_setup
+from arctrack.cli.inputs import look_at_setup, read_setup
 from arctrack.cli.json_output import AsJson, say_json
-from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError, in_file
 
 if TYPE_CHECKING:

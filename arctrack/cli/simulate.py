@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from arctrack.cli.inputs import look_at_setup
+from arctrack.cli.inputs import look_at_setup, read_setup
 from arctrack.cli.interrupt import interruptible
-from arctrack.cli.setups import read_setup
 from arctrack.errors import ArctrackError
 from arctrack.output import check_new_folder
 

@@ -50,7 +50,7 @@ def warm(
 
 def _chosen(paths: list[Path]) -> list[tuple[str, Setup, Correction]]:
     """Return name, setup and correction of each path, or of each joint's nominal setup."""
-    from arctrack.cli.setups import read_setup
+    from arctrack.cli.inputs import read_setup
     from arctrack.control.cell_file import is_cell_file, read_cell_file
     from arctrack.nominal import DIMENSIONS, nominal_setup
     from tracker.seam.correction import UNSTATED

@@ -15,7 +15,7 @@ from datetime import datetime
 import can
 
 from robot_io.link.bus_log import UNIX_TIME_FROM_S, BusLogError
-from robot_io.link.log_lines import LogLines
+from robot_io.link.text_logs import LogLines
 from robot_io.protocol.dbc import database
 
 _HEAD = re.compile(r"(?:date|begin\s+triggerblock)\s+(?P<date>\S.*)", re.IGNORECASE)

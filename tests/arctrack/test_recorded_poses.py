@@ -12,8 +12,8 @@ import pytest
 from made import results_of
 from scipy.spatial.transform import Rotation
 
+from arctrack.control.frame_tracking import seam_measurement
 from arctrack.control.recorded_poses import RecordedPoses, seam_limits
-from arctrack.control.seam_measurement import seam_measurement
 from arctrack.recording import Recording, read_recording
 from arctrack.replay.replay import ReplayOptions, replay_recording
 from arctrack.simulation.cell.robot import WELDING

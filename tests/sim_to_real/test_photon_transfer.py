@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_to_real.data.photon_transfer import photon_transfer
+from sim_to_real.data.binned import photon_transfer
 
 H, W, BIN_PX = 240, 320, 4
 

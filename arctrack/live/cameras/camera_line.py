@@ -3,6 +3,10 @@
 The line holds how long the laser is on, the requested exposure, and when the arc is at its base current.
 Laser and pulse hold until a time, which the driver of the line must renew: if it dies or stops, the time runs
 out, and the laser goes off by itself.
+
+A frame is centred in a base phase of a pulsed arc, where its light is least. The host's possible error,
+SLACK_S, must fit on both sides: the age on the bus is rounded to 0.1 ms, the message waits some 0.5 ms for
+others, a sleep ends up to 0.2 ms late, and the trigger command takes up to 1 ms.
 """
 
 import math
@@ -126,3 +130,23 @@ def remove_line(name: str) -> None:
     """Remove a line, as the camera does that begins or ends."""
     with suppress(FileNotFoundError):
         line_path(name).unlink()
+
+
+SLACK_S = 0.002
+"""Largest error of the time of an exposure: the sum of what is named above."""
+
+
+def is_reached(wanted: CaptureRequest, exposure_s: float, now_s: float) -> bool:
+    """Return whether a base phase is known, and is long enough for a frame that the host triggers."""
+    return now_s < wanted.pulse_until_s and wanted.base_s >= exposure_s + 2.0 * SLACK_S
+
+
+def trigger_at_s(wanted: CaptureRequest, exposure_s: float, due_s: float, now_s: float) -> float:
+    """Return when the exposure of a due frame begins, s: in the first base phase from `due_s` on.
+
+    It is `due_s` itself where no base phase is known that the exposure fits in.
+    """
+    if not is_reached(wanted, exposure_s, now_s):
+        return due_s
+    begin_s = wanted.base_begin_s + (wanted.base_s - exposure_s) / 2.0
+    return begin_s + wanted.period_s * math.ceil((due_s - begin_s) / wanted.period_s)

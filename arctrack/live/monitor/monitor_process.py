@@ -14,8 +14,7 @@ from arctrack.live.journal.message_pipe import PipeEnd
 from arctrack.live.monitor.access import Access
 from arctrack.live.monitor.feed import Feed
 from arctrack.live.monitor.options import MonitorOptions
-from arctrack.live.monitor.saver import Saver
-from arctrack.live.monitor.server import Server
+from arctrack.live.monitor.server import Saver, Server
 
 
 def run_monitor(options: MonitorOptions, parent: Connection, black_box: PipeEnd | None = None) -> None:

@@ -2,20 +2,102 @@
 
 import asyncio
 import json
+import logging
 import math
 import time
 from importlib.resources import files
 
 from aiohttp import web
+from aiohttp.typedefs import Handler
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 
+from arctrack.live.journal.message_pipe import PipeEnd
 from arctrack.live.monitor.access import Access
-from arctrack.live.monitor.connections import Connections
-from arctrack.live.monitor.feed import Feed
-from arctrack.live.monitor.health import health_problem
+from arctrack.live.monitor.feed import Feed, Outbox
 from arctrack.live.monitor.metrics import registry_of
-from arctrack.live.monitor.outbox import Outbox
-from arctrack.live.monitor.saver import Saver
+from arctrack.live.monitor.words import headline
+from robot_io import TrackerState
+
+_LOG = logging.getLogger(__name__)
+
+
+class Connections:
+    """Middleware that closes idle connections, and turns errors of the program into answers."""
+
+    def __init__(self) -> None:
+        self._idle_since_s: dict[web.RequestHandler, float] = {}
+        self._logged: set[type[Exception]] = set()
+        # What is wrong with a request, its client is told; its traceback is nothing for this machine's log.
+        logging.getLogger("aiohttp.server").disabled = True
+
+    @web.middleware
+    async def watch(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        """Let a request be answered; an error of the program is logged once for each of its kinds."""
+        connection = request.protocol
+        self._idle_since_s[connection] = float("inf")
+        try:
+            return await handler(request)
+        except (web.HTTPException, ConnectionError):
+            raise
+        except Exception as error:
+            if type(error) not in self._logged:
+                self._logged.add(type(error))
+                _LOG.warning("arctrack: the monitor page's answer to %s failed: %r", request.rel_url, error)
+            raise web.HTTPInternalServerError(text="the page has failed at this; its log says how") from None
+        finally:
+            self._idle_since_s[connection] = time.monotonic()
+
+    async def sweep(self, server: web.Server) -> None:
+        """Close what is half open, without end."""
+        while True:
+            await asyncio.sleep(1.0)
+            now_s = time.monotonic()
+            self._idle_since_s = {each: self._idle_since_s.get(each, now_s) for each in server.connections}
+            longest = sorted(self._idle_since_s.items(), key=lambda pair: pair[1])
+            for n, (connection, idle_since_s) in enumerate(longest):
+                # Four for each browser.
+                is_too_many = n < len(longest) - 128 and idle_since_s <= now_s
+                # A browser has sent its request by then: a connection without one is half open.
+                if (now_s - idle_since_s > 10.0 or is_too_many) and connection.transport is not None:
+                    connection.transport.abort()
+
+
+PATIENCE_S = 60.0
+"""Time-out of the black box's answer, s: it writes what it holds."""
+
+
+class Saver:
+    """Client of the black box, one request at a time; without a connection there is no black box."""
+
+    def __init__(self, connection: PipeEnd | None) -> None:
+        self._connection = connection
+        self._asking = asyncio.Lock()
+
+    @property
+    def is_there(self) -> bool:
+        """True if there is a black box."""
+        return self._connection is not None
+
+    async def save(self, reason: str) -> dict[str, str]:
+        """Return the black box' answer: `saved`, a path, or `error`, why there is none."""
+        async with self._asking:
+            return await asyncio.get_running_loop().run_in_executor(None, self._ask, reason)
+
+    def _ask(self, reason: str) -> dict[str, str]:
+        if self._connection is None:
+            return {"error": "this run keeps no black box"}
+        try:
+            while self._connection.poll():
+                # An answer that nobody waited for any more.
+                self._connection.recv()
+            self._connection.send({"save": reason})
+            if not self._connection.poll(PATIENCE_S):
+                return {"error": f"the black box has not answered for {PATIENCE_S:.0f} s"}
+            answer: dict[str, str] = self._connection.recv()
+        except (EOFError, OSError):
+            return {"error": "the black box has ended"}
+        return answer
+
 
 MAX_BROWSERS = 32
 
@@ -160,3 +242,25 @@ async def _send_all(outbox: Outbox, socket: web.WebSocketResponse) -> None:
 
 async def _add_headers(_request: web.Request, response: web.StreamResponse) -> None:
     response.headers.update(HEADERS)
+
+
+MAX_AGE_S = 1.0
+"""Older statuses and frames say that the loop, or the camera, stands."""
+
+
+def health_problem(feed: Feed) -> str | None:
+    """Return why a run does not work, None where it does."""
+    status = feed.status
+    if status is None:
+        return "the tracker has not said yet how it stands"
+    if not feed.is_alive:
+        return "the tracker's process has ended"
+    if feed.status_age_s > MAX_AGE_S:
+        return f"the tracker has said nothing for {feed.status_age_s:.1f} s"
+    if status.state is TrackerState.FAULT:
+        return f"FAULT, {status.fault.name}: {headline(status.state, status.fault, status.reason)}"
+    if math.isnan(feed.frame_age_s):
+        return "no frame has come yet"
+    if feed.frame_age_s > MAX_AGE_S:
+        return f"no frame has come for {feed.frame_age_s:.1f} s"
+    return None

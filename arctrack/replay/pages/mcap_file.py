@@ -1,4 +1,8 @@
-"""replay.mcap: a replay as messages over time, for Foxglove and all else that reads MCAP."""
+"""replay.mcap: a replay as messages over time, for Foxglove and all else that reads MCAP.
+
+The messages are Foxglove's well-known ones, as JSON schemas of the fields that are used
+(https://docs.foxglove.dev/docs/sdk/schemas), and arctrack's own. Foxglove counts lengths in m.
+"""
 
 import base64
 import json
@@ -15,9 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from arctrack.output import writing
 from arctrack.recording import Recording
-from arctrack.replay.pages import mcap_schemas as schemas
 from arctrack.replay.pages.drawing_spool import ReplayedFrame
-from arctrack.replay.pages.numbers import numbers, on_bus
+from arctrack.replay.pages.numbers import MEANINGS, numbers, on_bus
 from arctrack.replay.pages.view import ReplayView, chosen, stretches
 from arctrack.report import style
 from arctrack.report.image import jpeg
@@ -25,19 +28,120 @@ from noise_model.compiled.arrays import Float64
 from tracker.checks import Check
 from tracker.state import Frame
 
+Schema = dict[str, Any]
+
+
+def _record(title: str, /, **fields: Schema) -> Schema:
+    return {"type": "object", "title": title, "properties": fields}
+
+
+def _list(items: Schema) -> Schema:
+    return {"type": "array", "items": items}
+
+
+NUMBER: Schema = {"type": "number"}
+WHOLE: Schema = {"type": "integer"}
+TEXT: Schema = {"type": "string"}
+FLAG: Schema = {"type": "boolean"}
+BYTES: Schema = {"type": "string", "contentEncoding": "base64"}
+TIME = _record("time", sec=WHOLE, nsec=WHOLE)
+POINT_2 = _record("foxglove.Point2", x=NUMBER, y=NUMBER)
+VECTOR_3 = _record("foxglove.Vector3", x=NUMBER, y=NUMBER, z=NUMBER)
+QUATERNION = _record("foxglove.Quaternion", x=NUMBER, y=NUMBER, z=NUMBER, w=NUMBER)
+COLOR = _record("foxglove.Color", r=NUMBER, g=NUMBER, b=NUMBER, a=NUMBER)
+
+COMPRESSED_IMAGE = _record("foxglove.CompressedImage", timestamp=TIME, frame_id=TEXT, data=BYTES, format=TEXT)
+CAMERA_CALIBRATION = _record(
+    "foxglove.CameraCalibration",
+    timestamp=TIME,
+    frame_id=TEXT,
+    width=WHOLE,
+    height=WHOLE,
+    distortion_model=TEXT,
+    D=_list(NUMBER),
+    K=_list(NUMBER),
+    R=_list(NUMBER),
+    P=_list(NUMBER),
+)
+FRAME_TRANSFORM = _record(
+    "foxglove.FrameTransform",
+    timestamp=TIME,
+    parent_frame_id=TEXT,
+    child_frame_id=TEXT,
+    translation=VECTOR_3,
+    rotation=QUATERNION,
+)
+POINT_CLOUD = _record(
+    "foxglove.PointCloud",
+    timestamp=TIME,
+    frame_id=TEXT,
+    pose=_record("foxglove.Pose", position=VECTOR_3, orientation=QUATERNION),
+    point_stride=WHOLE,
+    fields=_list(_record("foxglove.PackedElementField", name=TEXT, offset=WHOLE, type=WHOLE)),
+    data=BYTES,
+)
+IMAGE_ANNOTATIONS = _record(
+    "foxglove.ImageAnnotations",
+    circles=_list(
+        _record(
+            "foxglove.CircleAnnotation",
+            timestamp=TIME,
+            position=POINT_2,
+            diameter=NUMBER,
+            thickness=NUMBER,
+            fill_color=COLOR,
+            outline_color=COLOR,
+        )
+    ),
+    points=_list(
+        _record(
+            "foxglove.PointsAnnotation",
+            timestamp=TIME,
+            type=WHOLE,
+            points=_list(POINT_2),
+            outline_color=COLOR,
+            outline_colors=_list(COLOR),
+            fill_color=COLOR,
+            thickness=NUMBER,
+        )
+    ),
+    texts=_list(_record("foxglove.TextAnnotation")),
+)
+TRACK = _record(
+    "arctrack.Track",
+    frame=WHOLE,
+    valid=FLAG,
+    flags=_list(TEXT),
+    bus=TEXT | {"description": "what became of the offset on the bus: sent, held or none"},
+    **{name: NUMBER | {"description": meaning} for name, meaning in MEANINGS.items()},
+    checks=_list(
+        _record(
+            "arctrack.Check",
+            question=TEXT,
+            words=TEXT,
+            value=NUMBER,
+            demand=TEXT,
+            limit=NUMBER,
+            outcome=TEXT,
+            flag=TEXT,
+        )
+    ),
+)
+
+
 LINE_STRIP, FLOAT32 = 3, 7
 """Foxglove's numbers for a line through points, and for the type of a packed number."""
 
 M_PER_MM = 1e-3
 
 TOPICS = {
-    "/camera/image": schemas.COMPRESSED_IMAGE,
-    "/camera/arc_map": schemas.COMPRESSED_IMAGE,
-    "/camera/annotations": schemas.IMAGE_ANNOTATIONS,
-    "/camera/calibration": schemas.CAMERA_CALIBRATION,
-    "/tf": schemas.FRAME_TRANSFORM,
-    "/profile": schemas.POINT_CLOUD,
-    "/track": schemas.TRACK,
+    "/camera/image": COMPRESSED_IMAGE,
+    "/camera/arc_map": COMPRESSED_IMAGE,
+    "/camera/annotations": IMAGE_ANNOTATIONS,
+    "/camera/calibration": CAMERA_CALIBRATION,
+    "/tf": FRAME_TRANSFORM,
+    "/profile": POINT_CLOUD,
+    "/track": TRACK,
 }
 """Each topic and its messages' schema."""
 

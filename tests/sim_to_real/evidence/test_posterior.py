@@ -8,8 +8,8 @@ import pytest
 from noise_model.effects.effect import Stage
 from sim_to_real.diagnosis import DiagnosisVerdict
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
-from sim_to_real.evidence.judgement import judge
 from sim_to_real.evidence.policy import Policy
+from sim_to_real.evidence.weigh import judge
 
 POLICY = Policy(temperature=1.0, ln_odds_effect=0.0, ln_odds_further=-2.0, ln_odds_unknown=-1.0)
 TERM = Stage.SURFACE, "arc over the half angle"

@@ -14,9 +14,9 @@ import numpy as np
 
 from arctrack.control.cell_file import CameraChoice
 from arctrack.errors import ArctrackError
+from arctrack.live.cameras.camera_line import trigger_at_s
 from arctrack.live.cameras.capture import genicam
 from arctrack.live.cameras.capture.device_clock import DeviceClock
-from arctrack.live.cameras.capture.pulse import trigger_at_s
 from arctrack.live.cameras.capture.source import LONGEST_WAIT_S, Ask, wait_until
 from noise_model.setup import Setup
 from tracker.state import Frame

@@ -21,11 +21,10 @@ from made import noise_frames, small_setup
 
 from arctrack.control.cell_file import CameraChoice, CaptureChoice
 from arctrack.errors import ArctrackError
-from arctrack.live.cameras.camera_line import CaptureRequest
+from arctrack.live.cameras.camera_line import SLACK_S, CaptureRequest, is_reached, trigger_at_s
 from arctrack.live.cameras.capture.device import DeviceSource
 from arctrack.live.cameras.capture.files import folder_source, video_source
 from arctrack.live.cameras.capture.luma import LumaVideo
-from arctrack.live.cameras.capture.pulse import SLACK_S, is_reached, trigger_at_s
 from arctrack.live.serve.captured_camera import CapturedCamera
 from arctrack.recording.ffv1 import VideoWriter
 

@@ -24,7 +24,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from shown_run import TITLE, TOKEN, answering_black_box, shown_run
 
 from arctrack.live.monitor.access import Access, is_same_origin
-from arctrack.live.monitor.outbox import MAX_WAITING, MessageKind, Outbox
+from arctrack.live.monitor.feed import MAX_WAITING, MessageKind, Outbox
 from arctrack.live.monitor.server import SAVES_APART_S
 from arctrack.live.monitor.words import FAULTS, LASERS, NO_DISARM, REASONS, STATES, Indication, headline
 from robot_io import Fault, GateReason, LaserState, TrackerState
