@@ -1,7 +1,8 @@
 """The tracker anywhere: joints, views, metals, lasers, sensors at random, in a world that is not the model.
 
     python benchmarks/anywhere.py [--draws 60] [--frames 6] [--seed 1] [--joint NAME] [--workers 2]
-                                  [--arc drawn|on|welding] [--bounds] [--pictures FOLDER]
+                                  [--arc drawn|on|welding] [--path drawn|turning|circle|corner]
+                                  [--bounds] [--pictures FOLDER]
 
 Each draw states a setup with the true camera and dimensions. What it does not state: where the seam runs,
 speckle, the frame's noise, light of the hall, ghosts, glints, and half of the fans that end in the image. A
@@ -10,10 +11,13 @@ scene's name says what it has of these. Some draws are plates without the joint 
 The arc burns in two scenes of five. `--arc on` has it burn in all, `--arc welding` adds to the same scenes
 streaks of spatter, glare along the seam and the stripe mirrored between the faces (`swept_welding.py`).
 
-Told by joint and by view: how many frames are valid, errors across (y) and along the normal (z), error over
-sigma, and valid frames that are wrong beyond 5 sigma and 0.25 mm. `--bounds` holds each scene's RMS against
-what its middle frame can show (`scene_bound.py`), which takes some seconds a scene. `--pictures` draws the
-ten worst frames.
+One seam of five turns, on a circle or round the corner of a box, the tool with it (`--path turning`: all
+that have no ridges).
+
+Told by joint, view and path: how many frames are valid, errors across (y) and along the normal (z), error
+over sigma, and valid frames that are wrong beyond 5 sigma and 0.25 mm. `--bounds` holds each scene's RMS
+against what its middle frame can show (`scene_bound.py`), which takes some seconds a scene. `--pictures`
+draws the ten worst frames.
 """
 
 from __future__ import annotations
@@ -28,7 +32,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from random_scene import ARCS, JOINTS, draw_scene, frames_of, joint_of
+from random_scene import ARCS, JOINTS, PATHS, draw_scene, frames_of, joint_of
 from scene_bound import SeamBound, seam_bound
 
 from noise_model.compiled.arrays import Float64
@@ -50,6 +54,7 @@ class Outcome:
     scene: str
     joint: str
     view: str
+    path: str
     frame: int
     valid: bool
     error_mm: tuple[float, float]
@@ -67,9 +72,9 @@ class Outcome:
         return any(abs(e) > FALSE_MM and abs(e) > FALSE_SIGMAS * s for e, s in pairs)
 
 
-def run(seed: int, n_frames: int, arc: str) -> list[Outcome]:
+def run(seed: int, n_frames: int, arc: str, path: str) -> list[Outcome]:
     """Track one scene; return its frames' outcomes."""
-    scene = draw_scene(seed, n_frames, arc)
+    scene = draw_scene(seed, n_frames, arc, path)
     try:
         tracker = Tracker(scene.setup)
     except ValueError as error:
@@ -80,14 +85,14 @@ def run(seed: int, n_frames: int, arc: str) -> list[Outcome]:
         track = tracker.step(frame, pose)
         error_y, error_z = np.subtract(track.seam_tool_mm, truth)[1:].tolist()
         sigma = track.sigma_y_mm, track.sigma_z_mm
-        place = seed, scene.name, scene.joint, scene.view, frame.index
+        place = seed, scene.name, scene.joint, scene.view, scene.path, frame.index
         outcomes.append(Outcome(*place, track.valid, (error_y, error_z), sigma, ",".join(track.flag_names)))
     return outcomes
 
 
-def bound_of(seed: int, n_frames: int, arc: str) -> SeamBound | None:
+def bound_of(seed: int, n_frames: int, arc: str, path: str) -> SeamBound | None:
     """Return how well the middle frame of a scene shows its seam; None of a plate."""
-    scene = draw_scene(seed, n_frames, arc)
+    scene = draw_scene(seed, n_frames, arc, path)
     return None if scene.joint == "plate" else seam_bound(scene, n_frames // 2)
 
 
@@ -118,10 +123,10 @@ def bounds_table(outcomes: list[Outcome], bounds: dict[int, SeamBound]) -> None:
         )
 
 
-def draw_picture(outcome: Outcome, n_frames: int, arc: str, folder: Path) -> None:
+def draw_picture(outcome: Outcome, given: tuple[int, str, str], folder: Path) -> None:
     """Draw the frame of an outcome into a folder; the scene is made again."""
     folder.mkdir(parents=True, exist_ok=True)
-    for frame, _, _ in frames_of(draw_scene(outcome.seed, n_frames, arc)):
+    for frame, _, _ in frames_of(draw_scene(outcome.seed, *given)):
         if frame.index == outcome.frame:
             name = f"{outcome.scene.replace(' ', '_')}_{frame.index}.png"
             cv2.imwrite(str(folder / name), frame.image_dn)
@@ -181,6 +186,7 @@ def main() -> None:
         help="draw this joint alone, at its own seeds from --seed on",
     )
     parser.add_argument("--arc", choices=ARCS, default="drawn", help="where the arc burns, and what it adds")
+    parser.add_argument("--path", choices=PATHS, default="drawn", help="which seams turn")
     parser.add_argument("--workers", type=int, default=1, help="processes at once")
     parser.add_argument("--bounds", action="store_true", help="hold RMS against what frames can show")
     parser.add_argument("--pictures", type=Path, help="draw the worst frames into this folder")
@@ -188,10 +194,10 @@ def main() -> None:
     options = parser.parse_args()
     drawn = (s for s in count(options.seed) if options.joint in (None, joint_of(s)))
     seeds = list(islice(drawn, options.draws))
-    given = repeat(options.frames), repeat(options.arc)
+    given = options.frames, options.arc, options.path
     outcomes: list[Outcome] = []
     with ProcessPoolExecutor(options.workers) as pool:
-        for done, tracked in enumerate(pool.map(run, seeds, *given), 1):
+        for done, tracked in enumerate(pool.map(run, seeds, *map(repeat, given)), 1):
             outcomes += tracked
             if options.verbose and tracked:
                 say(done, tracked)
@@ -200,10 +206,11 @@ def main() -> None:
     told = [o for o in outcomes if o.joint != "plate"]
     table(told, "joint")
     table(told, "view")
+    table(told, "path")
     table([o for o in outcomes if o.joint == "plate"], "joint")
     if options.bounds:
         with ProcessPoolExecutor(options.workers) as pool:
-            found = pool.map(bound_of, seeds, *given)
+            found = pool.map(bound_of, seeds, *map(repeat, given))
             bounds = {seed: bound for seed, bound in zip(seeds, found, strict=True) if bound is not None}
         bounds_table(outcomes, bounds)
     false = [o for o in outcomes if o.is_false]
@@ -220,7 +227,7 @@ def main() -> None:
             f"z {o.error_mm[1]:+.3f} ({o.sigma_mm[1]:.3f}) mm {o.flags}"
         )
         if options.pictures:
-            draw_picture(o, options.frames, options.arc, options.pictures)
+            draw_picture(o, given, options.pictures)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,10 +15,12 @@ from swept_welding import draw_welding
 from swept_world import Speckle, SweptWorld
 
 from arctrack.nominal import nominal_setup
+from arctrack.simulation.programmed_path import LEAD_IN_MM, ProgrammedPath
 from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.setup_keys import Tolerance
 from noise_model.surface.joint import Joint
+from noise_model.transforms import transform
 from tracker.state import Frame, Pose
 
 JOINTS = (
@@ -25,6 +28,7 @@ JOINTS = (
     "plate", "outside_corner",
 )  # fmt: skip
 ARCS = ("drawn", "on", "welding")
+PATHS = ("drawn", "turning", "circle", "corner")
 VIEWS = ("ahead", "behind", "beside", "steep")
 SIZES = ((320, 240), (480, 360), (640, 480))
 STEP_MM = 0.8
@@ -44,6 +48,12 @@ BLUNT_MM = (0.02, 0.06)
 
 FAN_SHARE, HALL_SHARE, GHOST_SHARE, GLINTS_SHARE = 1 / 4, 1 / 3, 1 / 10, 1 / 10
 """So many scenes have a fan that ends in the image, light of the hall, a ghost, glints."""
+
+TURNING_SHARE = 1 / 5
+"""Share of the scenes whose seam turns: a circle or the corner of a box."""
+
+CIRCLES_MM, CORNERS_MM = (45.0, 300.0), (4.0, 60.0)
+"""Radii of circles and of corners. A sensor that looks 35 mm ahead sees no circle that is much smaller."""
 
 MIN_LIT_MM = 10.0
 """A fan reaches so far to either side: over any joint's own width."""
@@ -88,6 +98,7 @@ class Scene:
     around: Surroundings
     arc_on: bool
     poses: tuple[Float64, ...]
+    path: str = "straight"
 
     @property
     def name(self) -> str:
@@ -98,6 +109,8 @@ class Scene:
             f"{self.seed} {joint} {self.view} {self.setup.camera.width}px C={self.speckle.contrast:.2f}",
             f"{'arc' if self.arc_on else 'dry'} {self.setup.material.name}",
         ]
+        if self.path != "straight":
+            words.append(f"{self.path}={1.0 / self.world.bend[6]:.0f}mm")
         if fan_deg is not None:
             stated = "" if self.setup.laser.fan_half_angle_deg else "-unstated"
             words.append(f"fan={fan_deg:.1f}deg{stated}")
@@ -122,10 +135,11 @@ def joint_of(seed: int) -> str:
     return JOINTS[seed % len(JOINTS)]
 
 
-def draw_scene(seed: int, n_frames: int, arc: str = "drawn") -> Scene:
+def draw_scene(seed: int, n_frames: int, arc: str = "drawn", path: str = "drawn") -> Scene:
     """Draw a scene; equal seeds give equal scenes.
 
-    `arc` is one of `ARCS`: two in five are on as drawn, all are, or all are and add what welding adds.
+    `arc` is one of `ARCS`: two in five are on as drawn, all are, or all are and add what welding adds. `path`
+    is one of `PATHS`: one in five turns as drawn, or all do, but for seams with ridges.
     """
     draw, more = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 2])
     joint, view = joint_of(seed), VIEWS[(seed // len(JOINTS)) % len(VIEWS)]
@@ -138,11 +152,19 @@ def draw_scene(seed: int, n_frames: int, arc: str = "drawn") -> Scene:
     bow_mm, period_mm = draw.uniform(-1.5, 1.5), draw.uniform(100, 250)
     if joint == "closed_butt" and more.random() < 0.5:
         bow_mm = 0.0
-    world = SweptJoint.of(there, bow_mm, period_mm, slope)
+    turning = np.random.default_rng([seed, 5])
+    along = _draw_path(setup, path, turning)
+    world = SweptJoint.of(
+        there, bow_mm, period_mm, slope, (0.0, 0.0, 0.0, 0.0) if along is None else along.arc
+    )
+    if along is not None:
+        setup = replace(setup, joint=along.path.taken_by(setup.joint))
     contrast = 0.0 if draw.random() < 0.3 else draw.uniform(0.05, 0.6)
     speckle = Speckle(contrast, draw.uniform(0.5, 1.3))
     arc_on = bool(draw.random() < 0.4) or arc != "drawn"
     poses = _draw_poses(n_frames, world, draw)
+    if along is not None:
+        poses = _turned_poses(poses, world, along)
     if arc_on:
         setup = _balanced(setup, world, poses[0])
     around = _draw_surroundings(seed, joint, setup, turned, stated == "closed_butt" and not arc_on, more)
@@ -151,7 +173,8 @@ def draw_scene(seed: int, n_frames: int, arc: str = "drawn") -> Scene:
     fan_deg = _draw_fan(setup, turned, more) if more.random() < FAN_SHARE else None
     if more.random() < 0.5:
         setup = replace(setup, laser=replace(setup.laser, fan_half_angle_deg=fan_deg))
-    return Scene(seed, joint, view, stated, setup, fan_deg, world, speckle, around, arc_on, poses)
+    shape = "straight" if along is None else along.shape
+    return Scene(seed, joint, view, stated, setup, fan_deg, world, speckle, around, arc_on, poses, shape)
 
 
 def _draw_sensor(joint: Joint, view: str, draw: np.random.Generator) -> tuple[Setup, bool]:
@@ -195,6 +218,46 @@ def _draw_poses(n_frames: int, world: SweptJoint, draw: np.random.Generator) -> 
         T[:3, 3] = x, y_off + 0.2 * math.sin(0.9 * n), z_off + lift
         poses.append(T)
     return tuple(poses)
+
+
+class DrawnPath(NamedTuple):
+    """A path that turns: its shape, course, the torch's first station on it, mm, and the arc of its world."""
+
+    shape: str
+    path: ProgrammedPath
+    start_mm: float
+    arc: tuple[float, float, float, float]
+
+
+def _draw_path(setup: Setup, path: str, draw: np.random.Generator) -> DrawnPath | None:
+    """Draw a path that turns, None for a straight one."""
+    share, shape = draw.random(), str(draw.choice(["circle", "corner"]))
+    if setup.joint.has_ridges or (path == "drawn" and share >= TURNING_SHARE):
+        return None
+    shape = shape if path in ("drawn", "turning") else path
+    radius_mm = math.exp(draw.uniform(*np.log(CIRCLES_MM if shape == "circle" else CORNERS_MM)))
+    course = ProgrammedPath.of(f"{shape}:{radius_mm}", setup)
+    first_mm = LEAD_IN_MM if shape == "corner" else 0.0
+    turn = math.pi * (0.5 if shape == "corner" else 1.5)
+    # A corner is met by the sheet first, and left by the torch last.
+    start_mm = draw.uniform(first_mm - 45.0, first_mm + turn * radius_mm)
+    if shape == "circle":
+        start_mm = draw.uniform(20.0, 100.0)
+    arc = 1.0 / radius_mm, first_mm, first_mm + turn * radius_mm, math.radians(course.roll_deg)
+    return DrawnPath(shape, course, start_mm, arc)
+
+
+def _turned_poses(poses: tuple[Float64, ...], world: SweptJoint, along: DrawnPath) -> tuple[Float64, ...]:
+    """Return poses of a straight path on one that turns: the tool looks at its path ahead."""
+    turned = []
+    for n, T in enumerate(poses):
+        straight_mm, station_mm = float(T[0, 3]), along.start_mm + STEP_MM * n
+        lift_mm = float(departure(station_mm, world.bend)[2] - departure(straight_mm, world.bend)[2])
+        there = along.path.T_base_seam(station_mm)
+        there[:3, 3] = transform(there, np.array([0.0, T[1, 3], T[2, 3] + lift_mm]))
+        there[:3, :3] = along.path.R_base_tool(station_mm) @ T[:3, :3]
+        turned.append(there)
+    return tuple(turned)
 
 
 def _px_per_mm(setup: Setup) -> float:

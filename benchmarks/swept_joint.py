@@ -3,6 +3,10 @@
 Sections are drawn here, and rays are met by Newton's steps on each face's own equation. Joint frame, mm: x
 along the nominal seam, y to its left, z out of the metal; a station x is moved by
 y = y_amp sin(2 pi x / y_period) and z = z_slope x, and raised by a corrugation's ridges.
+
+A seam may turn: straight on, an arc to the left in the level plane, straight on again. x is then the station
+along that path, y and z count across it, turned about the travel by `roll`. Rays are met by steps that no
+surface is nearer than (Hart 1996, The Visual Computer 12, 527, sphere tracing).
 """
 
 from __future__ import annotations
@@ -32,6 +36,9 @@ MARCH_MM, MIN_MARCH_STEPS = 0.75, 4
 
 OFF_MM, SHORT = 2e-3, 1e-3
 """Shadow rays leave the metal by so much, and end that share before their source."""
+
+TRACE_SHARE, TRACE_MM, MAX_TRACE_STEPS = 0.85, 5e-4, 400
+"""Share of the way to the nearest face that a step goes, for seams wander; its least length; most steps."""
 
 
 def outline(joint: Joint) -> tuple[Float64, Float64]:
@@ -80,9 +87,11 @@ def outline(joint: Joint) -> tuple[Float64, Float64]:
 
 @dataclass(frozen=True, eq=False)
 class SweptJoint:
-    """A section's corners (n, 2), its seam point (2,), and `bend` (6,): y_amp, y_period, z_slope and ridges.
+    """A section's corners (n, 2), its seam point (2,), and `bend` (10,).
 
-    The ridges are height, width and pitch, mm.
+    That is y_amp, y_period, z_slope, ridges and arc: of the ridges height, width and pitch, mm; of the arc
+    its curvature, 1/mm, 0 for a straight seam, the stations of its start and end, mm, and the joint's roll
+    about the travel, rad.
     """
 
     corners: Float64
@@ -90,12 +99,19 @@ class SweptJoint:
     bend: Float64
 
     @classmethod
-    def of(cls, joint: Joint, y_amp_mm: float, y_period_mm: float, z_slope: float) -> SweptJoint:
+    def of(
+        cls,
+        joint: Joint,
+        y_amp_mm: float,
+        y_period_mm: float,
+        z_slope: float,
+        arc: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
+    ) -> SweptJoint:
         """Sweep a joint's section along a bent seam."""
         ridges = [joint.dimensions.get(f"{name}_mm", 0.0) for name in ("height", "width", "pitch")]
         if joint.type != "corrugation":
             ridges = [0.0, 1.0, 1.0]
-        return cls(*outline(joint), np.array([y_amp_mm, y_period_mm, z_slope, *ridges]))
+        return cls(*outline(joint), np.array([y_amp_mm, y_period_mm, z_slope, *ridges, *arc]))
 
     def seam_tool_mm(self, setup: Setup, T_joint_tool: Float64) -> Float64:
         """Return where the seam meets the laser plane (3,), mm, tool frame."""
@@ -103,11 +119,40 @@ class SweptJoint:
 
         def point(x_mm: float) -> Float64:
             aside, _, lift, _ = departure(x_mm, self.bend)
-            return transform(T_tool_joint, np.array([x_mm, self.seam[0] + aside, self.seam[1] + lift]))
+            return transform(T_tool_joint, self.base_mm(x_mm, self.seam[0] + aside, self.seam[1] + lift))
 
-        start = float(transform(T_joint_tool, setup.laser.point_mm)[0])
-        met = brentq(lambda x: float(point(x) @ plane[:3] + plane[3]), start - 60.0, start + 60.0, xtol=1e-9)
-        return point(float(met))
+        def off_mm(x_mm: float) -> float:
+            return float(point(x_mm) @ plane[:3] + plane[3])
+
+        start = float(place(transform(T_joint_tool, setup.laser.point_mm), self.bend)[0])
+        first_mm, last_mm = start - 60.0, start + 60.0
+        if self.bend[6] != 0.0:
+            # A sheet may cut a seam that turns twice: the sensor looks where it stands.
+            x_mm = np.arange(first_mm, last_mm, 0.5)
+            off = np.array([off_mm(float(each)) for each in x_mm])
+            cut = x_mm[:-1][off[:-1] * off[1:] <= 0.0]
+            if not len(cut):
+                return np.full(3, math.nan)
+            away = [np.linalg.norm(point(float(each)) - setup.laser.point_mm) for each in cut]
+            first_mm = float(cut[np.argmin(away)])
+            last_mm = first_mm + 0.5
+        return point(float(brentq(off_mm, first_mm, last_mm, xtol=1e-9)))
+
+    def base_mm(self, x_mm: float, y_mm: float, z_mm: float) -> Float64:
+        """Return the point (3,) at a station, y and z across the path."""
+        bend, start, end, roll = self.bend[6:]
+        if bend == 0.0:
+            return np.array([x_mm, y_mm, z_mm])
+        angle = bend * (min(max(x_mm, start), end) - start)
+        way = np.array([math.cos(angle), math.sin(angle), 0.0])
+        left, up = np.array([-way[1], way[0], 0.0]), np.array([0.0, 0.0, 1.0])
+        on_path = np.array([start + math.sin(angle) / bend, (1.0 - math.cos(angle)) / bend, 0.0])
+        on_path += (min(x_mm - start, 0.0) + max(x_mm - end, 0.0)) * way
+        y_axis, z_axis = (
+            math.cos(roll) * left + math.sin(roll) * up,
+            math.cos(roll) * up - math.sin(roll) * left,
+        )
+        return np.asarray(on_path + y_mm * y_axis + z_mm * z_axis)
 
 
 @njit(cache=True)
@@ -125,8 +170,44 @@ def departure(x: float, bend: Float64) -> tuple[float, float, float, float]:
 
 
 @njit(cache=True)
+def _on_path(x, y, bend):  # type: ignore[no-untyped-def]
+    """Return a point's station on a path that turns, its way left, the heading, and d station / d way."""
+    radius, start = 1.0 / bend[6], bend[7]
+    whole = bend[6] * (bend[8] - start)
+    angle = math.atan2(x - start, radius - y) % (2.0 * math.pi)
+    if angle <= whole:
+        far = math.hypot(x - start, radius - y)
+        return start + radius * angle, radius - far, angle, radius / max(far, 1e-6)
+    if angle > math.pi + 0.5 * whole:
+        return x, y, 0.0, 1.0
+    c, s = math.cos(whole), math.sin(whole)
+    u, v = x - start - radius * s, y - radius * (1.0 - c)
+    return bend[8] + c * u + s * v, c * v - s * u, whole, 1.0
+
+
+@njit(cache=True)
+def place(p, bend):  # type: ignore[no-untyped-def]
+    """Return a point's station, its y and z from the seam's section, and the gradients of these (3,) each."""
+    if bend[6] == 0.0:
+        aside, aside_slope, lift, lift_slope = departure(p[0], bend)
+        return p[0], p[1] - aside, p[2] - lift, (-aside_slope, 1.0, 0.0), (-lift_slope, 0.0, 1.0)
+    station, left, heading, pace = _on_path(p[0], p[1], bend)
+    aside, aside_slope, lift, lift_slope = departure(station, bend)
+    c, s, across, up = math.cos(heading), math.sin(heading), math.cos(bend[9]), math.sin(bend[9])
+    y, z = across * left + up * p[2] - aside, across * p[2] - up * left - lift
+    aside_slope, lift_slope = pace * aside_slope, pace * lift_slope
+    of_y = -across * s - aside_slope * c, across * c - aside_slope * s, up
+    of_z = up * s - lift_slope * c, -up * c - lift_slope * s, across
+    return station, y, z, of_y, of_z
+
+
+@njit(cache=True)
 def _level(o, d, t, k, corners, bend):  # type: ignore[no-untyped-def]
     """Return a face's equation at o + t d, its derivative by t, the place along the face, and its length."""
+    if bend[6] != 0.0:
+        _, y, z, a, b = place(o + t * d, bend)
+        y_slope, z_slope = a[0] * d[0] + a[1] * d[1] + a[2] * d[2], b[0] * d[0] + b[1] * d[1] + b[2] * d[2]
+        return _level_there(y, z, y_slope, z_slope, k, corners)[:4]
     aside, aside_slope, lift, lift_slope = departure(o[0] + t * d[0], bend)
     y, z = o[1] + t * d[1] - aside, o[2] + t * d[2] - lift
     return _level_there(y, z, d[1] - aside_slope * d[0], d[2] - lift_slope * d[0], k, corners)[:4]
@@ -221,9 +302,42 @@ def _ridged_hit(o, d, corners, bend, least, most, any_hit):  # type: ignore[no-u
 
 
 @njit(cache=True)
+def _nearest_face(y, z, corners):  # type: ignore[no-untyped-def]
+    """Return the distance of a place of the section to the nearest face, mm, and that face."""
+    nearest, face = math.inf, 0
+    for k in range(corners.shape[0] - 1):
+        dy, dz = corners[k + 1, 0] - corners[k, 0], corners[k + 1, 1] - corners[k, 1]
+        u, v = y - corners[k, 0], z - corners[k, 1]
+        share = min(max((u * dy + v * dz) / (dy * dy + dz * dz), 0.0), 1.0)
+        away = (u - share * dy) ** 2 + (v - share * dz) ** 2
+        if away < nearest:
+            nearest, face = away, k
+    return math.sqrt(nearest), face
+
+
+@njit(cache=True)
+def _turned_hit(o, d, corners, bend, least, most):  # type: ignore[no-untyped-def]
+    """Do what `first_hit` does where the seam turns."""
+    t = least
+    for _ in range(MAX_TRACE_STEPS):
+        _, y, z, _, _ = place(o + t * d, bend)
+        away, k = _nearest_face(y, z, corners)
+        if away < 4.0 * TRACE_MM:
+            met = _newton(o, d, t, k, corners, bend, least, most)
+            if not math.isnan(met) and abs(met - t) < 1.0:
+                return met, k
+        t += max(TRACE_SHARE * away, TRACE_MM)
+        if t >= most:
+            break
+    return most, -1
+
+
+@njit(cache=True)
 def first_hit(o, d, corners, bend, least, most, any_hit=False):  # type: ignore[no-untyped-def]
     """Return how far along a ray the metal is met first (any hit: met), and the face; NaN and -1."""
-    if bend[3] > 0.0:
+    if bend[6] != 0.0:
+        best, face = _turned_hit(o, d, corners, bend, least, most)
+    elif bend[3] > 0.0:
         best, face = _ridged_hit(o, d, corners, bend, least, most, any_hit)
     else:
         best, face = _straight_hit(o, d, corners, bend, least, most, any_hit)
@@ -252,11 +366,17 @@ def hit_near(o, d, place, k, corners, bend):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def normal_at(x, k, corners, bend):  # type: ignore[no-untyped-def]
-    """Return the unit normal of a face at a station, out of the metal."""
-    _, aside_slope, _, lift_slope = departure(x, bend)
+def rise_at(p, k, corners, bend):  # type: ignore[no-untyped-def]
+    """Return the gradient of a face's equation times its length, at a point (3,)."""
+    _, _, _, of_y, of_z = place(p, bend)
     dy, dz = corners[k + 1, 0] - corners[k, 0], corners[k + 1, 1] - corners[k, 1]
-    n = np.array([dz * aside_slope - dy * lift_slope, -dz, dy])
+    return np.array([dy * of_z[0] - dz * of_y[0], dy * of_z[1] - dz * of_y[1], dy * of_z[2] - dz * of_y[2]])
+
+
+@njit(cache=True)
+def normal_at(p, k, corners, bend):  # type: ignore[no-untyped-def]
+    """Return the unit normal of a face at a point (3,), out of the metal."""
+    n = rise_at(p, k, corners, bend)
     return n / math.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
 
 

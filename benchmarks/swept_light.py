@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numba import njit
 from scipy.ndimage import gaussian_filter, shift
-from swept_joint import SweptJoint, departure, normal_at
+from swept_joint import SweptJoint, normal_at, place
 from swept_welding import Welding
 
 from noise_model.compiled.arrays import Float64, Integers
@@ -126,12 +126,12 @@ def _surface(met, faces, corners, bend, places):  # type: ignore[no-untyped-def]
         k, p = faces[i], met[i]
         if k < 0:
             continue
-        aside, _, lift, _ = departure(p[0], bend)
-        places[i, 0] = p[0]
-        places[i, 1] = starts[k] + math.hypot(p[1] - aside - corners[k, 0], p[2] - lift - corners[k, 1])
-        places[i, 2] = p[1] - aside
+        station, y, z, _, _ = place(p, bend)
+        places[i, 0] = station
+        places[i, 1] = starts[k] + math.hypot(y - corners[k, 0], z - corners[k, 1])
+        places[i, 2] = y
         # Of an even sky a slope sees (1 + cos) / 2.
-        places[i, 3] = 0.5 * (1.0 + normal_at(p[0], k, corners, bend)[2])
+        places[i, 3] = 0.5 * (1.0 + normal_at(p, k, corners, bend)[2])
 
 
 def with_ghost(stripe: Float64, ghost: Ghost) -> Float64:

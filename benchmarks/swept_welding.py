@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from swept_joint import departure, first_hit, is_open, normal_at
+from swept_joint import first_hit, is_open, normal_at, place, rise_at
 
 from noise_model.compiled.arrays import Float64
 
@@ -69,8 +69,8 @@ def glare(met, faces, bend, arc_x_mm, sigma_mm, reach_mm):  # type: ignore[no-un
     light = np.zeros(len(faces))
     for i in range(len(faces)):
         if faces[i] >= 0:
-            off = (met[i, 1] - departure(met[i, 0], bend)[0]) / sigma_mm
-            light[i] = math.exp(-abs(met[i, 0] - arc_x_mm) / reach_mm - 0.5 * off * off)
+            station, y, _, _, _ = place(met[i], bend)
+            light[i] = math.exp(-abs(station - arc_x_mm) / reach_mm - 0.5 * (y / sigma_mm) * (y / sigma_mm))
     return light
 
 
@@ -89,21 +89,20 @@ def _profile(x, y, z, sheet):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def _thrown(p, n, face, corners, bend, sheet):  # type: ignore[no-untyped-def]
     """Return the light at p, on a face, of the sheet as the other faces mirror it."""
-    light, (aside, aside_slope, lift, lift_slope) = 0.0, departure(p[0], bend)
+    light, (_, y, z, _, _) = 0.0, place(p, bend)
     for k in range(corners.shape[0] - 1):
         dy, dz = corners[k + 1, 0] - corners[k, 0], corners[k + 1, 1] - corners[k, 1]
-        off = (p[2] - lift - corners[k, 1]) * dy - (p[1] - aside - corners[k, 0]) * dz
+        off = (z - corners[k, 1]) * dy - (y - corners[k, 0]) * dz
         if k == face or off <= 0.0:
             continue
-        m = dz * aside_slope - dy * lift_slope, -dz, dy
+        m = rise_at(p, k, corners, bend)
         back = 2.0 * off / (m[0] ** 2 + m[1] ** 2 + m[2] ** 2)
         lit = _profile(p[0] - back * m[0], p[1] - back * m[1], p[2] - back * m[2], sheet)
         if lit == 0.0:
             continue
-        origin, normal = sheet[0, :3].copy(), normal_at(p[0], k, corners, bend)
-        above = (origin[2] - lift - corners[k, 1]) * dy - (origin[1] - aside - corners[k, 0]) * dz
+        origin, normal = sheet[0, :3].copy(), normal_at(p, k, corners, bend)
         # The bend counts at p: the seam hardly turns over a joint's width.
-        above += (origin[0] - p[0]) * m[0]
+        above = off + (origin - p) @ m
         way = origin - 2.0 * above / math.sqrt(m[0] ** 2 + m[1] ** 2 + m[2] ** 2) * normal - p
         way /= math.sqrt(way @ way)
         t, by = first_hit(p, way, corners, bend, 1e-3, 60.0)
@@ -124,14 +123,14 @@ def mirrored_stripe(rays, met, faces, corners, bend, sheet, image):  # type: ign
         image[i] = 0.0
         if faces[i] < 0:
             continue
-        n = normal_at(met[i, 0], faces[i], corners, bend)
+        n = normal_at(met[i], faces[i], corners, bend)
         p = met[i] + 1e-4 * n
         out = rays[i] - 2.0 * (rays[i] @ n) * n
         # What goes up leaves the joint.
         t, k = first_hit(p, out, corners, bend, 1e-3, 60.0) if out[2] < 0.9 else (math.nan, -1)
         if k >= 0 and k != faces[i]:
             q = p + t * out
-            m, lit = normal_at(q[0], k, corners, bend), _profile(q[0], q[1], q[2], sheet)
+            m, lit = normal_at(q, k, corners, bend), _profile(q[0], q[1], q[2], sheet)
             if lit > 0.0 and (origin - q) @ m > 0.0 and is_open(q, m, origin, corners, bend):
                 image[i] += lit
         image[i] += _thrown(p, n, faces[i], corners, bend, sheet)

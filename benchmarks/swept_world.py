@@ -23,6 +23,7 @@ from swept_joint import (
     hit_near,
     is_open,
     normal_at,
+    place,
 )
 from swept_light import Look, Surroundings, glints, seen_metal, texture, with_ghost
 from swept_welding import glare, mirrored_stripe, streaks
@@ -63,7 +64,7 @@ def _opens(met, faces, near, corners, bend, origin, opens):  # type: ignore[no-u
     for i in range(met.shape[0]):
         opens[i] = -1
         if near[i] and faces[i] >= 0:
-            n = normal_at(met[i, 0], faces[i], corners, bend)
+            n = normal_at(met[i], faces[i], corners, bend)
             opens[i] = is_open(met[i], n, origin, corners, bend)
 
 
@@ -91,7 +92,7 @@ def _stripe(rays, eye, met, faces, opens, corners, bend, origin, plane, up, stan
         across = aside * stand / (sigma * depth)
         if abs(across) > SHEET_REACH:
             continue
-        n = normal_at(p[0], k, corners, bend)
+        n = normal_at(p, k, corners, bend)
         way = origin - p
         if abs(way @ fan[1]) > fan[2, 0] * (way @ fan[0]):
             continue
@@ -114,7 +115,7 @@ def _arc(rays, eye, corners, bend, centre, radius, metal, image):  # type: ignor
         if k < 0:
             continue
         p = eye + t * rays[i]
-        n = normal_at(p[0], k, corners, bend)
+        n = normal_at(p, k, corners, bend)
         turn = 2.0 * math.pi * ((i * 0.7548776662466927) % 1.0)
         total = 0.0
         for m in range(ARC_POINTS):
@@ -204,7 +205,9 @@ class SweptWorld:
         if arc_on:
             light += self.arc_light(T_joint_tool)
         if welding is not None:
-            arc_x_mm = float(transform(T_joint_tool, np.array(setup.arc.center_in_tool_mm))[0])
+            arc_x_mm = float(
+                place(transform(T_joint_tool, np.array(setup.arc.center_in_tool_mm)), self.joint.bend)[0]
+            )
             seam = glare(
                 met, faces, self.joint.bend, arc_x_mm, welding.glare_sigma_mm, welding.glare_reach_mm
             )
@@ -317,7 +320,9 @@ class SweptWorld:
         arc, metal = self.setup.arc, self.setup.material
         centre = transform(T_joint_tool, np.asarray(arc.center_in_tool_mm))
         if arc.on_surface:
-            centre[2] = arc.center_in_tool_mm[2] + departure(float(centre[0]), self.joint.bend)[2]
+            station, y, _, _, _ = place(centre, self.joint.bend)
+            aside, _, lift, _ = departure(station, self.joint.bend)
+            centre = self.joint.base_mm(station, y + aside, arc.center_in_tool_mm[2] + lift)
         kappas = np.array([metal.kappa_diff, metal.kappa_spec, metal.c2])
         coarse = self._coarse.ravel()
         image = np.empty(int(coarse.sum()))
@@ -333,7 +338,9 @@ class SweptWorld:
     def _stripe_on_plate(self) -> float:
         """Return the stripe's peak on a flat plate at tool height, level pose, middle column."""
         plate = SweptJoint(
-            np.array([[-ACROSS_MM, 0.0], [ACROSS_MM, 0.0]]), np.zeros(2), np.array([0, 1, 0, 0, 1, 1.0])
+            np.array([[-ACROSS_MM, 0.0], [ACROSS_MM, 0.0]]),
+            np.zeros(2),
+            np.array([0, 1, 0, 0, 1, 1, 0, 0, 0, 0.0]),
         )
         met, faces = self._met(np.eye(4), plate, everywhere=False)
         cos4 = (1.0 + np.sum(self._xy**2, axis=1)) ** -2.0
