@@ -22,7 +22,7 @@ from tracker.geometry import SEARCH_REACH_MM, SensorGeometry, dark_variance_at
 from tracker.joint.measured import MeasuredJoint
 from tracker.profile import EdgeAlongSeam, Section, triangulate
 from tracker.seam.correction import Correction
-from tracker.seam.locate import sources
+from tracker.seam.locate import sources, straightened
 from tracker.state import Frame, OffsetLookAhead, Stripe
 from tracker.stripe.band import FIT_SIGMAS, Band, LightLevel, gather_band
 from tracker.stripe.detection import MIN_RATIO, MIN_SEEN, seen_share
@@ -180,6 +180,7 @@ def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> S
     reading, source, seam_source = seen.stripe, geometry.stripe_source, geometry.seam_source
     edge = EdgeAlongSeam(seam_source.height_mm, aim.seam.slope_sigma, reading.usual.contrast)
     points, column_mm, crossed, mixed_lines = triangulate(source, aim.scene, reading.lines, edge)
+    points = straightened(seam_source, aim.scene, aim.seam.station_mm, aim.reach_mm, points)
     camera_mm, laser_mm = sources(seam_source, aim.scene, aim.seam.station_mm)
     # Additional half-width of the search for the joint over that for the stripe.
     return Section(

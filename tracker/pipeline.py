@@ -123,12 +123,15 @@ def _aim_at(
 def _aim_at_joint(given: FrameInput, expected: ExpectedSeam, aim: Aim, placed: Reading) -> Aim:
     """Return the aim of the look at the joint that a wide look has placed."""
     assert placed.joint is not None
-    located = locate(
-        given.geometry.seam_source, given.T_base_tool, placed.scene, placed.joint.y_mm, placed.joint.z_mm
-    )
-    y_mm, z_mm = located.displacement_mm
+    source = given.geometry.seam_source
+    located = locate(source, given.T_base_tool, placed.scene, placed.joint.y_mm, placed.joint.z_mm)
     seam, scatter = aim.seam, given.state.scatter
-    there = SeamLine(located.station_mm, y_mm, z_mm, seam.slope_y, seam.slope_z, seam.slope_sigma)
+    before, here = (
+        source.lean(expected.segment, seam.station_mm),
+        source.lean(located.segment, located.station_mm),
+    )
+    slopes = seam.slope_y + here[0] - before[0], seam.slope_z + here[1] - before[1]
+    there = SeamLine(located.station_mm, *located.displacement_mm, *slopes, seam.slope_sigma)
     # A first frame's scatter is known from the look before.
     scatter = scatter if scatter.frames > 0 else placed.scatter
     return _aim_at(given, expected, located.segment, there, TRACK_REACH_MM, scatter)

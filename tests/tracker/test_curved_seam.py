@@ -8,17 +8,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rendered import LASER_X_MM, small_setup
+from scipy.spatial.transform import Rotation
 
 from arctrack.control.pose_watch import nominal_path
-from noise_model.arc.scene import make_scene
+from noise_model.arc.scene import make_scene, scene_along
 from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import seam_frame
-from noise_model.transforms import transform
+from noise_model.transforms import invert, transform
 from tracker.seam.expected import expect_seam, ground_at_torch
-from tracker.seam.gaussian_process import SeamHistory, condition
-from tracker.seam.locate import SeamSource, locate
-from tracker.seam.turning_process import EDGE_MM
+from tracker.seam.gaussian_process import (
+    BEND_LENGTH_MM,
+    BEND_SIGMA_MM,
+    MODEL_SIGMA_MM,
+    WIDE_SIGMA_MM,
+    SeamHistory,
+)
+from tracker.seam.locate import SeamSource, locate, straightened
+from tracker.state import N_ROWS, Y_MM, Z_MM
 
 STEP_DEG, START = 0.5, 0.3
 LEAN = (0.0, -math.sqrt(0.5), math.sqrt(0.5))
@@ -138,12 +145,29 @@ def displaced_part(source: SeamSource, w_base: Float64, stations_mm: Float64) ->
     return history
 
 
-def test_on_a_line_that_does_not_turn_the_process_is_the_straight_one() -> None:
-    source = cornered((0.0, 0.0, 0.0), (40.0, 0.0, 0.0), (100.0, 0.0, 0.0))
-    history = displaced_part(source, np.array([0.0, 1.5, -0.4]), np.arange(20.0, 60.0, 2.0))
-    for station_mm in (0.0, 21.0, 41.3, 59.0, 75.0):
-        turning, straight = source.seam_at(history, station_mm), condition(history, station_mm)
-        np.testing.assert_allclose(np.hstack(turning), np.hstack(straight), rtol=0.0, atol=1e-6)
+def test_on_a_line_that_turns_the_process_is_that_of_all_places_at_once() -> None:
+    """Against Gaussian conditioning on every measurement by one covariance matrix."""
+    source = SeamSource.of(circular(50.0))
+    x, asked_mm = np.arange(20.0, 60.0, 2.0), np.array([0.0, 21.0, 41.3, 75.0])
+    draw, history = np.random.default_rng(1), SeamHistory()
+    seen_mm = draw.normal(0.0, 1.0, (len(x), 2))
+    for station_mm, y_z_mm in zip(x, seen_mm, strict=True):
+        history = history.with_measurement(float(station_mm), y_z_mm, (1e-2, 4e-2))
+    places = np.concatenate([x, asked_mm])
+    shown = np.concatenate(source.line.at(places).transpose(1, 0, 2))
+    r = math.sqrt(3.0) / BEND_LENGTH_MM * np.abs(places[:, None] - places)
+    bend = np.kron(np.eye(2), BEND_SIGMA_MM**2 * (1.0 + r) * np.exp(-r))
+    K = bend + WIDE_SIGMA_MM**2 * shown @ shown.T
+    n, k = len(x), len(places)
+    known = np.r_[:n, k : k + n]
+    noise = np.repeat([1e-2, 4e-2], n) + MODEL_SIGMA_MM**2
+    gain = np.linalg.solve(K[np.ix_(known, known)] + np.diag(noise), K[known]).T
+    mean, variance = gain @ seen_mm.T.ravel(), np.diag(K - gain @ K[known])
+    for i, station_mm in enumerate(asked_mm):
+        there = source.seam_at(history, float(station_mm))
+        rows = [n + i, k + n + i]
+        assert there.displacement_mm == pytest.approx(tuple(mean[rows]), abs=1e-6)
+        assert there.sigma_mm == pytest.approx(tuple(np.sqrt(variance[rows])), rel=1e-6)
 
 
 def test_a_place_behind_a_corner_tells_what_the_torch_meets_in_it() -> None:
@@ -160,10 +184,31 @@ def test_a_place_behind_a_corner_tells_what_the_torch_meets_in_it() -> None:
 
 
 @pytest.mark.parametrize("radius_mm", [50.0, 100.0])
-def test_a_section_that_is_cut_askew_is_as_sure_as_the_seam_is_straight_in_it(radius_mm: float) -> None:
-    source = SeamSource.of(circular(radius_mm))
-    way_mm = EDGE_MM * math.tan(math.radians(45.0))
-    turn_mm = source.turn_mm(0.5 * radius_mm, math.cos(math.radians(45.0)))
-    assert turn_mm == pytest.approx(way_mm**2 / (2.0 * radius_mm), rel=0.02)
-    assert source.turn_mm(0.5 * radius_mm, 1.0) == 0.0
+@pytest.mark.parametrize("turned_deg", [0.0, 15.0, 30.0])
+def test_a_section_of_a_pipe_that_is_cut_askew_is_straightened(radius_mm: float, turned_deg: float) -> None:
+    """The level plate about a pipe: each of its points is as far from the root as on its own circle."""
+    source, T_base_tool = SeamSource.of(circular(radius_mm, leans=True)), on_circle(radius_mm, START)
+    T_base_tool[:3, :3] @= Rotation.from_euler("z", turned_deg, degrees=True).as_matrix()
+    line = expect_seam(source, T_base_tool, SeamHistory()).line
+    scene = scene_along(source.scene, T_base_tool, line)
+    normal, T_joint_base = T_base_tool[:3, :3] @ source.plane[:3], scene.T_joint_tool @ invert(T_base_tool)
+    off_mm = source.plane[3] - normal @ T_base_tool[:3, 3]
+    points, across_mm, angles = np.zeros((N_ROWS, 9)), np.linspace(0.0, 8.0, 9), np.arange(0.0, 1.5, 1e-4)
+    for k, far_mm in enumerate(radius_mm + across_mm):
+        ring = np.column_stack([far_mm * np.sin(angles), radius_mm - far_mm * np.cos(angles), 0.0 * angles])
+        on_sheet = ring[np.argmin(np.abs(ring @ normal + off_mm))]
+        points[[Y_MM, Z_MM], k] = transform(T_joint_base, on_sheet)[1:]
+    shown = straightened(source, scene, line.station_mm, 5.0, points)
+    root = math.sqrt(0.5)
+    np.testing.assert_allclose(shown[Y_MM], -root * across_mm, atol=0.02)
+    np.testing.assert_allclose(shown[Z_MM], root * across_mm, atol=0.02)
+
+
+def test_a_section_is_unsure_where_the_turn_begins_not_within_it() -> None:
+    crossing = math.cos(math.radians(20.0))
+    round_all = SeamSource.of(circular(50.0))
+    assert round_all.turn_mm(70.0, crossing) == pytest.approx(0.0, abs=1e-3)
+    corner = cornered((0.0, 0.0, 0.0), (60.0, 0.0, 0.0), (60.0, 90.0, 0.0))
+    assert corner.turn_mm(57.0, crossing) > 0.1
+    assert corner.turn_mm(30.0, crossing) == 0.0
     assert SeamSource.of(small_setup("lap")).turn_mm(30.0, 0.5) == 0.0

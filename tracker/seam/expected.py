@@ -80,11 +80,11 @@ def check_pose(frame_checks: FrameChecks, source: SeamSource, numbers: PoseNumbe
 
 
 def expected_line(
-    source: SeamSource, T_joint_tool: Matrix, history: SeamHistory
+    source: SeamSource, segment: int, T_joint_tool: Matrix, history: SeamHistory
 ) -> tuple[SeamLine, tuple[float, float]]:
     """Return the seam where it should meet the laser plane, and the 1 sigma of its y and z, mm.
 
-    `T_joint_tool` is of the nominal joint frame.
+    `T_joint_tool` is of the nominal joint frame of a segment.
     """
     corrugation = source.scene.shape.corrugation
     station = moved_by(T_joint_tool, source.ahead_mm)[0]
@@ -93,7 +93,9 @@ def expected_line(
     point = seam_point(source, T_joint_tool, corrugation, y_mm, z_mm + source.height_mm)
     station = moved_by(T_joint_tool, point)[0]
     there = source.seam_at(history, station)
-    line = SeamLine(station, *there.displacement_mm, *there.slope, max(there.slope_sigma))
+    (slope_y, slope_z), (lean_y, lean_z) = there.slope, source.lean(segment, station)
+    slopes = slope_y + lean_y, slope_z + lean_z
+    line = SeamLine(station, *there.displacement_mm, *slopes, max(there.slope_sigma))
     return line, there.sigma_mm
 
 
@@ -123,7 +125,7 @@ def expect_seam(source: SeamSource, T_base_tool: Float64, history: SeamHistory) 
     T_joint_tool = source.T_joint_base[segment] @ T_base_tool
     n_x, n_y, n_z, _ = source.plane
     crossing = abs(float(T_joint_tool[0, :3] @ (n_x, n_y, n_z)))
-    line, sigma_mm = expected_line(source, T_joint_tool.tolist(), history)
+    line, sigma_mm = expected_line(source, segment, T_joint_tool.tolist(), history)
     return ExpectedSeam(
         segment, crossing, T_joint_tool, line, sigma_mm, *torch_station_mm(source, T), source.ends_mm
     )

@@ -7,6 +7,10 @@ estimate at any station from noisy measurements and its covariance are closed fo
 are many measurements, interpolates the look-ahead from sensor to torch, and says by its own sigma when the
 torch stands where nothing has been measured.
 
+The whole seam's displacement, s_0, is that of a part that lies off alike everywhere in base, a vector w. Each
+station shows it along its own left and up: where the line turns, a place behind a corner shows what no place
+before it does. So d(x) = (left, up)(x) w + b(x), w ~ N(0, s_0^2 I), with b the bends across and in height.
+
 This process is Markov in its value and slope (Hartikainen and Sarkka 2010, IEEE MLSP, 379): over a distance d
 both go by exp(-q d) [[1 + q d, d], [-q^2 d, 1 - q d]] with q = sqrt(3) / l. So a Kalman filter along the
 stations, which takes the state where the answer is asked for along with it, gives the process' own answer in
@@ -25,6 +29,7 @@ from noise_model.compiled.arrays import Float64
 from noise_model.compiled.kernel import kernel
 from noise_model.compiled.ordering import stable_order
 from noise_model.surface.joint import SeamLine
+from tracker.seam.line_directions import STRAIGHT, TURN_OVER_MM, LineDirections
 
 CAPACITY = 96
 """Largest number of measurements."""
@@ -114,8 +119,8 @@ class SeamHistory(NamedTuple):
         return np.array(here.displacement_mm), np.array(here.sigma_mm)
 
     def point_at(self, station_mm: float) -> SeamPrediction:
-        """Return the estimate of the seam at a station."""
-        point: SeamPrediction = condition(self, float(station_mm))
+        """Return the estimate of the seam at a station, of a line that does not turn."""
+        point: SeamPrediction = condition(self, STRAIGHT, float(station_mm))
         return point
 
 
@@ -191,88 +196,139 @@ def _with_measurement(
     return SeamHistory(places_mm, off_mm, noise_mm2, began_mm)
 
 
-N_STATES = 5
-"""The bend and its slope, the whole seam's displacement, and bend and slope where the answer is asked for."""
+BENDS, PART, THERE, N_STATES = 0, 4, 7, 11
+"""State: bend and slope across and in height, the part's displacement, and the bends at the asked station."""
 
 
 @kernel(allocates=True)
-def condition(history: SeamHistory, station_mm: float) -> SeamPrediction:
-    """Return the seam at a station as a history's measurements leave it.
+def condition(history: SeamHistory, line: LineDirections, station_mm: float) -> SeamPrediction:
+    """Return the seam at a station of a line as a history's measurements leave it.
 
-    What the measurements tell of the bend's slope, they tell of the seam's, which may be more.
+    What the measurements tell of the bend's slope, they tell of the seam's, which may be more. Of the
+    symmetric covariance the lower triangle is kept.
     """
     stations_mm, displacements_mm, variances_mm2, _ = history
     n = len(stations_mm)
     order = stable_order(stations_mm)
     decay = math.sqrt(3.0) / BEND_LENGTH_MM
-    gain = np.empty(N_STATES)
-    value, sigma, slope, slope_sigma = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
-    for axis in range(2):
-        m, P = np.zeros(N_STATES), np.zeros((N_STATES, N_STATES))
-        P[0, 0], P[1, 1], P[2, 2] = BEND_SIGMA_MM**2, (decay * BEND_SIGMA_MM) ** 2, WIDE_SIGMA_MM**2
-        is_passed = False
-        before = min(stations_mm[order[0]], station_mm) if n else station_mm
-        i = 0
-        while i < n or not is_passed:
-            nearest = order[min(i, n - 1)] if n else 0
-            is_query = not is_passed and (i == n or station_mm <= stations_mm[nearest])
-            here = station_mm if is_query else stations_mm[nearest]
-            moved = here - before
-            before = here
-            if moved > 0.0:
-                _predict(m, P, decay, moved)
-            if is_query:
-                is_passed = True
-                for k in range(2):
-                    m[3 + k] = m[k]
-                    for j in range(3):
-                        P[3 + k, j] = P[j, 3 + k] = P[k, j]
-                for k in range(2):
-                    for j in range(2):
-                        P[3 + k, 3 + j] = P[k, j]
-                continue
-            spread = P[0, 0] + 2.0 * P[0, 2] + P[2, 2] + variances_mm2[nearest, axis]
-            innovation = displacements_mm[nearest, axis] - m[0] - m[2]
-            for k in range(N_STATES):
-                gain[k] = P[k, 0] + P[k, 2]
-            for k in range(N_STATES):
-                m[k] += gain[k] / spread * innovation
-                for j in range(N_STATES):
-                    P[k, j] -= gain[k] * gain[j] / spread
-            i += 1
-        value[axis] = m[3] + m[2]
-        sigma[axis] = math.sqrt(max(P[3, 3] + 2.0 * P[3, 2] + P[2, 2], 0.0))
-        slope[axis] = m[4]
-        information = max(1.0 / max(P[4, 4], MIN_VARIANCE_MM2) - 1.0 / (decay * BEND_SIGMA_MM) ** 2, 0.0)
-        slope_sigma[axis] = 1.0 / math.sqrt(1.0 / SLOPE_SIGMA**2 + information)
+    gain, axes = np.empty(N_STATES), np.empty((2, 3))
+    m, P = np.zeros(N_STATES), np.zeros((N_STATES, N_STATES))
+    for i in range(0, PART, 2):
+        P[i, i], P[i + 1, i + 1] = BEND_SIGMA_MM**2, (decay * BEND_SIGMA_MM) ** 2
+    for i in range(PART, THERE):
+        P[i, i] = WIDE_SIGMA_MM**2
+    before = min(stations_mm[order[0]], station_mm) if n else station_mm
+    n_states, i = THERE, 0
+    while i < n or n_states == THERE:
+        nearest = order[min(i, n - 1)] if n else 0
+        is_query = n_states == THERE and (i == n or station_mm <= stations_mm[nearest])
+        here = station_mm if is_query else stations_mm[nearest]
+        if here > before:
+            _predict(m, P, n_states, decay, here - before)
+        before = here
+        if is_query:
+            n_states = N_STATES
+            for k in range(PART):
+                m[THERE + k] = m[k]
+                for j in range(THERE):
+                    P[THERE + k, j] = P[max(k, j), min(k, j)]
+                for j in range(k + 1):
+                    P[THERE + k, THERE + j] = P[k, j]
+            continue
+        _write_axes(line, here, axes)
+        for axis in range(2):
+            innovation = displacements_mm[nearest, axis] - m[2 * axis]
+            spread = variances_mm2[nearest, axis]
+            for k in range(n_states):
+                gain[k] = P[max(k, 2 * axis), min(k, 2 * axis)]
+                for c in range(3):
+                    gain[k] += axes[axis, c] * P[max(k, PART + c), min(k, PART + c)]
+            spread += gain[2 * axis]
+            for c in range(3):
+                spread += axes[axis, c] * gain[PART + c]
+                innovation -= axes[axis, c] * m[PART + c]
+            for k in range(n_states):
+                share = gain[k] / spread
+                m[k] += share * innovation
+                for j in range(k + 1):
+                    P[k, j] -= share * gain[j]
+        i += 1
     first_mm, last_mm = math.nan, math.nan
     if n:
         first_mm, last_mm = stations_mm[order[0]], stations_mm[order[n - 1]]
+    y_mm, sigma_y_mm, slope_y, slope_sigma_y = _answer(m, P, line, station_mm, 0)
+    z_mm, sigma_z_mm, slope_z, slope_sigma_z = _answer(m, P, line, station_mm, 1)
     return SeamPrediction(
-        (value[0], value[1]),
-        (sigma[0], sigma[1]),
-        (slope[0], slope[1]),
-        (slope_sigma[0], slope_sigma[1]),
+        (y_mm, z_mm),
+        (sigma_y_mm, sigma_z_mm),
+        (slope_y, slope_z),
+        (slope_sigma_y, slope_sigma_z),
         first_mm,
         last_mm,
     )
 
 
+@kernel(allocates=True)
+def _answer(
+    m: Float64, P: Float64, line: LineDirections, station_mm: float, axis: int
+) -> tuple[float, float, float, float]:
+    """Return displacement and its 1 sigma, slope and its 1 sigma at the asked station, of one axis."""
+    axes, turned = np.empty((2, 3)), np.empty((2, 3))
+    _write_axes(line, station_mm + TURN_OVER_MM, turned)
+    _write_axes(line, station_mm - TURN_OVER_MM, axes)
+    k = THERE + 2 * axis
+    value_mm, slope = m[k], m[k + 1]
+    for c in range(3):
+        slope += (turned[axis, c] - axes[axis, c]) / (2.0 * TURN_OVER_MM) * m[PART + c]
+    _write_axes(line, station_mm, axes)
+    variance_mm2 = P[k, k]
+    for c in range(3):
+        value_mm += axes[axis, c] * m[PART + c]
+        variance_mm2 += 2.0 * axes[axis, c] * P[k, PART + c]
+        for j in range(3):
+            variance_mm2 += axes[axis, c] * axes[axis, j] * P[PART + max(c, j), PART + min(c, j)]
+    bend_slope = math.sqrt(3.0) / BEND_LENGTH_MM * BEND_SIGMA_MM
+    information = max(1.0 / max(P[k + 1, k + 1], MIN_VARIANCE_MM2) - 1.0 / bend_slope**2, 0.0)
+    slope_sigma = 1.0 / math.sqrt(1.0 / SLOPE_SIGMA**2 + information)
+    return value_mm, math.sqrt(max(variance_mm2, 0.0)), slope, slope_sigma
+
+
 @kernel
-def _predict(m: Float64, P: Float64, decay: float, moved_mm: float) -> None:
-    """Take bend and slope on over a distance."""
+def _write_axes(line: LineDirections, station_mm: float, axes: Float64) -> None:
+    """Write left and up (2, 3) at a station of a line."""
+    stations_mm, axes_base = line
+    low, high = 0, len(stations_mm) - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if stations_mm[middle] <= station_mm:
+            low = middle
+        else:
+            high = middle
+    share = 0.0
+    if high > low:
+        share = (station_mm - stations_mm[low]) / max(stations_mm[high] - stations_mm[low], 1e-12)
+        share = min(max(share, 0.0), 1.0)
+    for axis in range(2):
+        for c in range(3):
+            axes[axis, c] = axes_base[low, axis, c] + share * (
+                axes_base[high, axis, c] - axes_base[low, axis, c]
+            )
+
+
+@kernel
+def _predict(m: Float64, P: Float64, n_states: int, decay: float, moved_mm: float) -> None:
+    """Take both bends and slopes on over a distance: P - S goes by F (P - S) F^T, S stationary."""
     fade = math.exp(-decay * moved_mm)
     a, b = fade * (1.0 + decay * moved_mm), fade * moved_mm
     c, d = -(decay**2) * fade * moved_mm, fade * (1.0 - decay * moved_mm)
-    m[0], m[1] = a * m[0] + b * m[1], c * m[0] + d * m[1]
-    for j in range(N_STATES):
-        P[0, j], P[1, j] = a * P[0, j] + b * P[1, j], c * P[0, j] + d * P[1, j]
-    for j in range(N_STATES):
-        P[j, 0], P[j, 1] = a * P[j, 0] + b * P[j, 1], c * P[j, 0] + d * P[j, 1]
-    # What the process gains is what the step takes from its stationary variance, diag(s^2, (q s)^2).
-    value, slope = BEND_SIGMA_MM**2, (decay * BEND_SIGMA_MM) ** 2
-    cross = a * c * value + b * d * slope
-    P[0, 0] += value - a**2 * value - b**2 * slope
-    P[1, 1] += slope - c**2 * value - d**2 * slope
-    P[0, 1] -= cross
-    P[1, 0] -= cross
+    value_mm2, slope2 = BEND_SIGMA_MM**2, (decay * BEND_SIGMA_MM) ** 2
+    for i in range(BENDS, PART, 2):
+        m[i], m[i + 1] = a * m[i] + b * m[i + 1], c * m[i] + d * m[i + 1]
+        for j in range(i):
+            P[i, j], P[i + 1, j] = a * P[i, j] + b * P[i + 1, j], c * P[i, j] + d * P[i + 1, j]
+        for j in range(i + 2, n_states):
+            P[j, i], P[j, i + 1] = a * P[j, i] + b * P[j, i + 1], c * P[j, i] + d * P[j, i + 1]
+        over, cross, over_slope = P[i, i] - value_mm2, P[i + 1, i], P[i + 1, i + 1] - slope2
+        P[i, i] = value_mm2 + a * a * over + 2.0 * a * b * cross + b * b * over_slope
+        P[i + 1, i] = a * c * over + (a * d + b * c) * cross + b * d * over_slope
+        P[i + 1, i + 1] = slope2 + c * c * over + 2.0 * c * d * cross + d * d * over_slope

@@ -19,9 +19,10 @@ from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
 from noise_model.surface.joint import crossed_segment, nearest_segment, seam_height_mm, section
 from noise_model.transforms import invert, transform
-from tracker.seam.gaussian_process import SeamHistory, SeamPrediction, condition
+from tracker.seam.gaussian_process import WIDE_SIGMA_MM, SeamHistory, SeamPrediction, condition
 from tracker.seam.joint_ends import nominal_ends
-from tracker.seam.turning_process import EDGE_MM, PLATE_MM, TurningLine, condition_turning
+from tracker.seam.line_directions import EDGE_MM, PLATE_MM, LineDirections
+from tracker.state import Y_MM, Z_MM
 
 MIN_CROSSING = 0.3
 """The least cosine between the sheet's normal and the seam: below, it shows no section of the joint."""
@@ -47,7 +48,7 @@ class SeamSource(NamedTuple):
     T_base_joint: tuple[Matrix, ...]
     T_joint_base: tuple[Float64, ...]
     ends_mm: tuple[float, float]
-    line: TurningLine
+    line: LineDirections
     origin_mm: Point
     plane: Plane
     sheet: Sheet
@@ -65,7 +66,7 @@ class SeamSource(NamedTuple):
             T_base_joint=tuple(frames.tolist()),
             T_joint_base=tuple(map(invert, frames)),
             ends_mm=nominal_ends(scene.segments),
-            line=TurningLine.of(scene.segments),
+            line=LineDirections.of(scene.segments),
             origin_mm=laser.origin_mm.tolist(),
             plane=tuple(laser.plane.tolist()),
             sheet=sheet_in_tool(laser),
@@ -83,21 +84,35 @@ class SeamSource(NamedTuple):
 
     def seam_at(self, history: SeamHistory, station_mm: float) -> SeamPrediction:
         """Return the seam at a station as a history's measurements leave it."""
-        if len(self.T_base_joint) == 1 or history.n == 0:
-            return condition(history, station_mm)
-        return condition_turning(history, self.line, station_mm)
+        seam: SeamPrediction = condition(history, self.line, float(station_mm))
+        return seam
 
     def turn_mm(self, station_mm: float, crossing: float) -> float:
-        """Return 1 sigma of a section that is read as straight where the seam turns, mm; 0 where it does not.
+        """Return 1 sigma of a section that is straightened by a seam's turn, mm; 0 where it turns evenly.
 
-        `crossing` is the cosine between the sheet's normal and the seam.
+        A part that lies off along the travel turns before its line or behind it. `crossing` is the cosine
+        between the sheet's normal and the seam.
         """
         if len(self.T_base_joint) == 1:
             return 0.0
-        corners = self.scene.shape.vertices
-        rises = corners[0, 1] != corners[1, 1]
-        aside_mm = PLATE_MM if rises else max(float(np.abs(corners[1:-1, 0]).max()), EDGE_MM)
-        return self.line.sagitta_mm(station_mm, aside_mm, max(crossing, MIN_CROSSING))
+        before, here, behind = (
+            self.line.sagitta_mm(station_mm + off_mm, self.aside_mm, max(crossing, MIN_CROSSING))
+            for off_mm in (-WIDE_SIGMA_MM, 0.0, WIDE_SIGMA_MM)
+        )
+        return max(abs(before - here), abs(behind - here))
+
+    @property
+    def aside_mm(self) -> float:
+        """How far from a seam that turns its joint is read."""
+        corners = self.scene.shape.vertices[1:-1, 0]
+        return max(float(np.abs(corners).max()) + EDGE_MM, PLATE_MM)
+
+    def lean(self, segment: int, station_mm: float) -> tuple[float, float]:
+        """Return the slopes dy/dx and dz/dx of a line that turns against its segment, at a station."""
+        if len(self.T_base_joint) == 1:
+            return 0.0, 0.0
+        x, y, z = self.T_joint_base[segment][:3, :3] @ self.line.forward(station_mm)
+        return float(y / x), float(z / x)
 
     def segment_near(self, point_base_mm: Point) -> int:
         """Return the number of the segment nearest to a point (3,) of base."""
@@ -210,6 +225,27 @@ def confidence(weld_mm: float, sigma_y_mm: float, sigma_z_mm: float) -> float:
         if sigma != 0.0:
             probability *= math.erf(within / sigma)
     return probability
+
+
+def straightened(
+    source: SeamSource, scene: Scene, station_mm: float, reach_mm: float, points: Float64
+) -> Float64:
+    """Return a section's points (N_ROWS, n) as on a seam that does not turn, those near the joint alone.
+
+    They lie on a scene's sheet, in its joint frame, which touches the seam at `station_mm`; the joint is
+    within `reach_mm` of it. Farther out plates of a seam that turns depend on how it leans, unknown at first.
+    """
+    if len(source.T_base_joint) == 1:
+        return points
+    R, place_mm = scene.T_joint_tool[:3, :3], scene.T_joint_tool[:3, 3]
+    n_x, n_y, n_z = normal = R @ source.plane[:3]
+    off_mm = source.plane[3] - normal @ place_mm
+    x_mm = -(n_y * points[Y_MM] + n_z * points[Z_MM] + off_mm) / n_x
+    y_z_mm = source.line.straightened(station_mm, x_mm - station_mm, points[Y_MM], points[Z_MM])
+    near = np.abs(y_z_mm[0]) <= reach_mm + source.aside_mm
+    kept = points[:, near]
+    kept[Y_MM], kept[Z_MM] = y_z_mm[:, near]
+    return kept
 
 
 class LocatedSeam(NamedTuple):
