@@ -302,19 +302,13 @@ def _send(
         offset_mm = _approached(next(axes), limits)
         is_there &= offset_mm == proposal.offset_y_mm
         sent = replace(
-            sent,
-            captured_y_at_s=captured_at_s,
-            offset_y_mm=offset_mm,
-            measured_y_mm=proposal.offset_y_mm,
+            sent, captured_y_at_s=captured_at_s, offset_y_mm=offset_mm, measured_y_mm=proposal.offset_y_mm
         )
     if conditions.enable_z:
         offset_mm = _approached(next(axes), limits)
         is_there &= offset_mm == proposal.offset_z_mm
         sent = replace(
-            sent,
-            captured_z_at_s=captured_at_s,
-            offset_z_mm=offset_mm,
-            measured_z_mm=proposal.offset_z_mm,
+            sent, captured_z_at_s=captured_at_s, offset_z_mm=offset_mm, measured_z_mm=proposal.offset_z_mm
         )
     reason = GateReason.NONE
     if not is_there:

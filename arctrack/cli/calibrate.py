@@ -24,10 +24,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], str]] = {
         camera,
         "/tmp/boards --board chessboard:9x6:4mm --setup examples/v_groove --out /tmp/camera.toml",
     ),
-    "filter": (
-        filter_curve,
-        "examples/filter_690_10.csv --setup examples/v_groove --out /tmp/filtered.toml",
-    ),
+    "filter": (filter_curve, "examples/filter_690_10.csv --setup examples/v_groove --out /tmp/filtered.toml"),
     "hand-eye": (
         hand_eye,
         "/tmp/hand_eye --board chessboard:9x6:4mm --poses /tmp/hand_eye/poses.csv --rotation kuka "

@@ -21,8 +21,7 @@ def camera(
     out: Out = None,
     report: Report = None,
     distortion: Annotated[
-        str,
-        typer.Option(help="none, k1, 'k1 k2', 'k1 k2 p1 p2', 'k1 k2 p1 p2 k3', rational; auto chooses."),
+        str, typer.Option(help="none, k1, 'k1 k2', 'k1 k2 p1 p2', 'k1 k2 p1 p2 k3', rational; auto chooses.")
     ] = AUTOMATIC,
     tilted: Annotated[
         bool, typer.Option("--tilted", help="The sensor is tilted to the lens, after Scheimpflug.")

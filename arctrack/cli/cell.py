@@ -167,12 +167,7 @@ def serve(
             console.say(f"robot on {bus}, frames as {frames!r}; Ctrl-C ends it")
 
         serve_cell(
-            plan,
-            interface,
-            channel,
-            frames,
-            lambda robot: seconds is None or robot.now_s < seconds,
-            on_ready,
+            plan, interface, channel, frames, lambda robot: seconds is None or robot.now_s < seconds, on_ready
         )
 
 

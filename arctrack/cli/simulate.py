@@ -76,8 +76,7 @@ def simulate(
         ),
     ] = False,
     exact: Annotated[
-        bool,
-        typer.Option("--exact", help="True values are the nominal ones, else drawn from the tolerance."),
+        bool, typer.Option("--exact", help="True values are the nominal ones, else drawn from the tolerance.")
     ] = False,
     video: Annotated[bool, typer.Option("--video", help="Write frames.mkv (FFV1) instead of PNGs.")] = False,
     effect: Annotated[

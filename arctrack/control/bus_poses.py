@@ -8,15 +8,7 @@ from arctrack.control.look_ahead import LagEstimator, LagNow, LookAhead
 from arctrack.control.policy import ServicePolicy
 from arctrack.control.pose_watch import Doubt, PoseWatch
 from noise_model.compiled.arrays import Float64
-from robot_io import (
-    GateReason,
-    PoseAt,
-    PoseBuffer,
-    PoseError,
-    PoseSample,
-    Received,
-    SeamOffset,
-)
+from robot_io import GateReason, PoseAt, PoseBuffer, PoseError, PoseSample, Received, SeamOffset
 from robot_io.clocks.sync import SyncLimits
 from robot_io.poses.nominal_path import NominalPath
 from robot_io.poses.plausibility_limits import PlausibilityLimits

@@ -88,10 +88,7 @@ class Controller:
     """
 
     def __init__(
-        self,
-        job: Job | Mapping[int, Job],
-        source: Source = Source.LIVE,
-        policy: ServicePolicy | None = None,
+        self, job: Job | Mapping[int, Job], source: Source = Source.LIVE, policy: ServicePolicy | None = None
     ) -> None:
         self.verdicts: Counter[Verdict] = Counter()
         self.reasons: Counter[GateReason] = Counter()
@@ -221,11 +218,7 @@ class Controller:
         self._judge_part(track, T_base_tool, now_s)
         conditions = self._conditions(track, now_s)
         decision = decide(
-            track_messages.proposal(track, self._zero_mm),
-            conditions,
-            self.job.limits,
-            self._last_sent,
-            now_s,
+            track_messages.proposal(track, self._zero_mm), conditions, self.job.limits, self._last_sent, now_s
         )
         self.gate_reason = decision.reason
         self._sent_before, self._last_sent = self._last_sent, decision.last_sent

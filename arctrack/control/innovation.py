@@ -156,11 +156,7 @@ class _SeamAxis:
         innovation = (displacement_mm - self.mean[0] - self.mean[2]) / sigma_mm
         innovation = math.copysign(min(abs(innovation), max_sigmas), innovation)
         share = innovation / sigma_mm
-        mean = (
-            self.mean[0] + g0 * share,
-            self.mean[1] + g1 * share,
-            self.mean[2] + g2 * share,
-        )
+        mean = (self.mean[0] + g0 * share, self.mean[1] + g1 * share, self.mean[2] + g2 * share)
         covariance = (
             p00 - g0 * g0 / spread,
             p01 - g0 * g1 / spread,

@@ -6,16 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from robot_io import (
-    GateReason,
-    PoseAssembler,
-    PoseAt,
-    PoseBuffer,
-    PoseKind,
-    PoseSample,
-    PoseStatus,
-    Received,
-)
+from robot_io import GateReason, PoseAssembler, PoseAt, PoseBuffer, PoseKind, PoseSample, PoseStatus, Received
 from tracker.state import NAN
 
 

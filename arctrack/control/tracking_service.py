@@ -15,15 +15,7 @@ from arctrack.control.innovation import SeamMeasurement
 from arctrack.control.pose_watch import Doubt
 from arctrack.recording.run_offsets import OffsetOutcome
 from noise_model.compiled.arrays import Float64
-from robot_io import (
-    BusMessage,
-    GateReason,
-    PoseAt,
-    PoseStatus,
-    Received,
-    RobotStatus,
-    SeamOffset,
-)
+from robot_io import BusMessage, GateReason, PoseAt, PoseStatus, Received, RobotStatus, SeamOffset
 from tracker.state import AT_ONCE, NAN, OffsetLookAhead
 
 Shown = TypeVar("Shown", contravariant=True)

@@ -96,11 +96,7 @@ class ResultsWriter:
         self._append(COLUMNS)
 
     def write(
-        self,
-        track: Track,
-        outcome: OffsetOutcome,
-        compute_ms: float = NAN,
-        run: OffsetOutcome | None = None,
+        self, track: Track, outcome: OffsetOutcome, compute_ms: float = NAN, run: OffsetOutcome | None = None
     ) -> None:
         """Append a frame's row: track, its offset on the bus, and in a replay what the run had sent."""
         run = run or NO_OUTCOME
@@ -234,11 +230,7 @@ class Summary:
                 "unreadable": self.flags.get(flags.FRAME_UNREADABLE.name, 0),
             },
             "flags": dict(self.flags),
-            "offsets": {
-                **self.offsets,
-                "wanted": self.offset_count.wanted,
-                "reasons": dict(self.refusals),
-            },
+            "offsets": {**self.offsets, "wanted": self.offset_count.wanted, "reasons": dict(self.refusals)},
             "poses": {"robot_status": self.heard_robot_status, "doubts": dict(self.pose_doubts)},
             "rate_hz": {"recorded": self.recorded_rate_hz, "replayed": self.replayed_rate_hz},
             "latency_ms": asdict(self.latency_ms),

@@ -31,10 +31,7 @@ def opened_video(
         options["format_whitelist"] = ",".join(containers)
     try:
         container = av.open(
-            address(path),
-            mode="r",
-            format=containers[0] if len(containers) == 1 else None,
-            options=options,
+            address(path), mode="r", format=containers[0] if len(containers) == 1 else None, options=options
         )
     except FileNotFoundError:
         raise in_file(path, "there is no such file") from None

@@ -69,12 +69,7 @@ class RecordingWriter:
     """
 
     def __init__(
-        self,
-        path: Path | str,
-        setup: Setup,
-        *,
-        video: VideoFormat | None = None,
-        toml: str | None = None,
+        self, path: Path | str, setup: Setup, *, video: VideoFormat | None = None, toml: str | None = None
     ) -> None:
         self.path = Path(path)
         self._setup = require_setup(setup)

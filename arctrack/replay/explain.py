@@ -30,13 +30,7 @@ from tracker.geometry import SensorGeometry
 from tracker.joint import MeasuredJoint, fit_section
 from tracker.joint.type_check import groups_of
 from tracker.judge import jump_limit_mm
-from tracker.observation import (
-    FrameInput,
-    Reading,
-    expected_output,
-    observe,
-    observed_section,
-)
+from tracker.observation import FrameInput, Reading, expected_output, observe, observed_section
 from tracker.profile import Section
 from tracker.seam.locate import locate
 from tracker.state import Frame, Pose, Track
@@ -113,10 +107,7 @@ class Explanation:
 
 
 def explain(
-    recording: Recording,
-    index: int,
-    use_arc_map: bool = True,
-    on_frame: Callable[[int], None] | None = None,
+    recording: Recording, index: int, use_arc_map: bool = True, on_frame: Callable[[int], None] | None = None
 ) -> Explanation:
     """Replay a recording up to the frame of an index and explain it; `on_frame` gets the frames done.
 
@@ -200,11 +191,7 @@ def _look(given: FrameInput, reading: Reading) -> StepObservation:
     if reading.joint is None:
         fitted = fit_section(section, geometry.setup.joint, given.frame.image_dn, geometry.along_rows)
         return replace(look, joint=fitted)
-    return replace(
-        look,
-        joint=reading.joint,
-        seam=_seam_look(given, scene, reading.joint),
-    )
+    return replace(look, joint=reading.joint, seam=_seam_look(given, scene, reading.joint))
 
 
 def arc_light(
@@ -226,11 +213,7 @@ def arc_light(
 
 
 def _arc_image(
-    geometry: SensorGeometry,
-    scene: Scene,
-    transmission: Transmission | None,
-    arc: ArcLevel,
-    frame: Frame,
+    geometry: SensorGeometry, scene: Scene, transmission: Transmission | None, arc: ArcLevel, frame: Frame
 ) -> ArcImage:
     """Predict the arc's light over the whole image, as the tracker does it for the stripe's band."""
     kernel = arc_kernel(geometry.setup, scene, expected_output(geometry.setup, frame))

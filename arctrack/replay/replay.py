@@ -27,27 +27,14 @@ from arctrack.output import make_folder
 from arctrack.printable import printable
 from arctrack.recording import BadFrame, Recording, Truth, read_truth
 from arctrack.recording.ahead import read_ahead
-from arctrack.recording.results import (
-    BUS_LOG,
-    FILES,
-    Latency,
-    ResultsWriter,
-    Summary,
-    count_flags,
-)
+from arctrack.recording.results import BUS_LOG, FILES, Latency, ResultsWriter, Summary, count_flags
 from arctrack.recording.run_offsets import RunComparison, read_run_offsets
 from arctrack.recording.score import score
 from arctrack.replay.pages.drawing import drawing_on
 from arctrack.replay.pages.drawing_spool import ReplayedFrame, SeenFile
 from arctrack.replay.replay_clock import RealTime, RecordingTime
 from arctrack.replay.replay_loop import replay_frames, replay_without_bus
-from robot_io import (
-    BusLogError,
-    Link,
-    LinkError,
-    Source,
-    Verdict,
-)
+from robot_io import BusLogError, Link, LinkError, Source, Verdict
 from robot_io.poses.pose_questions import Implausibility
 from tracker import flags
 from tracker.state import Frame, Track
@@ -255,10 +242,7 @@ def _replay(
         if interface != VIRTUAL:
             clock = RealTime(recording.rows, link, check_interrupt)
         service = TrackingService[Frame | None](
-            job.controller,
-            job.seam,
-            lambda message: link.send(message, clock.logged_at_s()),
-            clock.now_s,
+            job.controller, job.seam, lambda message: link.send(message, clock.logged_at_s()), clock.now_s
         )
         # However it ends, the robot is told that nothing holds any longer.
         opened.callback(service.close)

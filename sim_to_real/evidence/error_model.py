@@ -30,12 +30,7 @@ from sim_to_real.evidence.coordinates import (
     texture,
 )
 from sim_to_real.evidence.evidence_table import Blocks, EvidenceTable
-from sim_to_real.evidence.metric import (
-    Metric,
-    MetricLoss,
-    compress,
-    robust_weights,
-)
+from sim_to_real.evidence.metric import Metric, MetricLoss, compress, robust_weights
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.covariates import Covariates
 from sim_to_real.fit.gauss_newton import Refit

@@ -231,9 +231,4 @@ def _of_image(observed: ObservedRecording, view: View) -> dict[str, Float64]:
     px = (view.rays.uv_px.astype(np.float64) + 0.5) * observed.bin_px - 0.5
     camera = observed.setup.camera
     radius = np.hypot(px[:, 0] - camera.cx, px[:, 1] - camera.cy)
-    return {
-        "field_angle": np.degrees(view.theta),
-        "row": px[:, 1],
-        "column": px[:, 0],
-        "radius": radius,
-    }
+    return {"field_angle": np.degrees(view.theta), "row": px[:, 1], "column": px[:, 0], "radius": radius}

@@ -145,10 +145,7 @@ FAMILIES: Mapping[str, tuple[ProbeFamily, ...]] = {
     "black_level": _each({"offset_dn": 2.0}),
     "hand_eye": (
         ProbeFamily(
-            (
-                *({f"rot_{axis}_deg": 0.1} for axis in "xyz"),
-                *({f"move_{axis}_mm": 0.3} for axis in "xyz"),
-            )
+            (*({f"rot_{axis}_deg": 0.1} for axis in "xyz"), *({f"move_{axis}_mm": 0.3} for axis in "xyz"))
         ),
     ),
     "surface_tilt": (ProbeFamily(({"roll_deg": 0.5}, {"pitch_deg": 0.5})),),

@@ -217,9 +217,7 @@ class Server:
     async def _save(self) -> web.Response:
         answer = await self._saver.save("monitor page")
         return web.Response(
-            text=json.dumps(answer),
-            content_type="application/json",
-            status=200 if "saved" in answer else 500,
+            text=json.dumps(answer), content_type="application/json", status=200 if "saved" in answer else 500
         )
 
     async def _close_sockets(self, _app: web.Application) -> None:

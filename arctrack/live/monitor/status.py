@@ -99,12 +99,7 @@ def status_content(
     """Return a run's status for browsers; before the first status only that it starts."""
     if status is None:
         starting = TrackerState.STARTING.name
-        return {
-            "kind": "status",
-            "state": starting,
-            "indication": starting,
-            "reason": "The tracker starts.",
-        }
+        return {"kind": "status", "state": starting, "indication": starting, "reason": "The tracker starts."}
     indication = indicated(status, offset_age_s)
     is_simulated = options.is_simulated or status.source is Source.SIMULATION
     offset = status.offset

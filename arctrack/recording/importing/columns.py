@@ -63,8 +63,7 @@ class CsvColumns:
                 raise in_file(self.path, f"the column {cut(fitting[0].header)} occurs twice: rename one")
             both = " and ".join(cut(column.header) for column in fitting[:2])
             raise in_file(
-                self.path,
-                f"{both} may both be {role}; say which, as by --column {role}={fitting[0].header}",
+                self.path, f"{both} may both be {role}; say which, as by --column {role}={fitting[0].header}"
             )
         return fitting[0] if fitting else None
 
@@ -137,12 +136,7 @@ frame_number = whole(LIMITS.frame_number)
 
 
 def rows_of_images(
-    table: CsvTable,
-    frame: Column | None,
-    file: Column | None,
-    series: ImageSeries,
-    *,
-    may_lack: bool = False,
+    table: CsvTable, frame: Column | None, file: Column | None, series: ImageSeries, *, may_lack: bool = False
 ) -> tuple[Int64, list[str]]:
     """Return the row (n,) of a table that belongs to each image, and notes.
 

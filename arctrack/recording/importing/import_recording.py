@@ -132,11 +132,7 @@ def import_recording(
 
 
 def _write(
-    out: Path,
-    images: GreyFrames,
-    rows: Sequence[FrameRow],
-    poses: tuple[Float64, Float64],
-    on_frame: OnFrame,
+    out: Path, images: GreyFrames, rows: Sequence[FrameRow], poses: tuple[Float64, Float64], on_frame: OnFrame
 ) -> None:
     """Write a recording; of one that fails, or is broken off, nothing stays."""
     with RecordingWriter(out, images.setup, toml=images.toml) as writer:

@@ -311,12 +311,7 @@ def _column_values(table: CsvTable, columns: list[Column]) -> Float64:
 
 
 def _matrices(
-    path: Path,
-    places: Float64,
-    numbers: Float64,
-    lines: Int64,
-    written: Convention,
-    units: list[str],
+    path: Path, places: Float64, numbers: Float64, lines: Int64, written: Convention, units: list[str]
 ) -> tuple[Float64, list[str]]:
     """Return T_base_tool (n, 4, 4), mm, of numbers in three units of length and those of angles; warnings."""
     T_base_tool = np.tile(np.eye(4), (len(places), 1, 1))

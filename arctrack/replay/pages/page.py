@@ -159,12 +159,7 @@ class ReplayPage:
 
 def _check_texts(check: Check) -> tuple[str, str, str, str]:
     """Return a check's question, answer, demand, and its meaning."""
-    return (
-        check.question.words,
-        words.value_text(check),
-        words.limit_text(check),
-        words.outcome_text(check),
-    )
+    return (check.question.words, words.value_text(check), words.limit_text(check), words.outcome_text(check))
 
 
 def _run_text(run: OffsetOutcome) -> str:
