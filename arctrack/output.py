@@ -102,12 +102,9 @@ def write_keeping(path: Path, text: str) -> Path | None:
     former = None
     with writing(path):
         if path.exists() and path.read_bytes() != text.encode():
-            former = _next_number(path)
+            taken = [name.suffix[1:] for name in path.parent.glob(f"{glob.escape(path.name)}.*")]
+            number = 1 + max((int(n) for n in taken if n.isdecimal()), default=0)
+            former = path.with_name(f"{path.name}.{number}")
             shutil.copy2(path, former)
     write_whole(path, text)
     return former
-
-
-def _next_number(path: Path) -> Path:
-    taken = [name.suffix[1:] for name in path.parent.glob(f"{glob.escape(path.name)}.*")]
-    return path.with_name(f"{path.name}.{1 + max((int(n) for n in taken if n.isdecimal()), default=0)}")

@@ -28,7 +28,6 @@ from sim_to_real.diagnosis import (
     RankedEffect,
     Reason,
     ReportedTrend,
-    Where,
     excluded_effects,
 )
 from sim_to_real.evidence.error_model import LinearHypothesis
@@ -36,7 +35,7 @@ from sim_to_real.evidence.free_functions import FreeFunctions, all_families, loc
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
 from sim_to_real.evidence.policy import POLICY, Policy
 from sim_to_real.evidence.weigh import Judgement, WeightedHypotheses, judge, weigh
-from sim_to_real.fit.covariates import Covariates, covariates
+from sim_to_real.fit.covariates import covariates
 from sim_to_real.fit.gauss_newton import Refit, converge, refit, refit_at
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.metal_of_stripe import metal_of_stripe
@@ -134,8 +133,14 @@ def _diagnose(
     if verdict is DiagnosisVerdict.UNKNOWN:
         # Held-out frames say that what the bins are certain of is not all.
         effects = tuple(replace(e, confidence=min(e.confidence, policy.open_confidence)) for e in effects)
-    functions = _free_functions(weighed, judgement, of_bins)
-    where = _locate_gap(functions, weighed, of_bins, before, effects, predicted)
+    none, leader = weighed.posterior.none.neutral, judgement.leader.refit
+    named = LinearHypothesis.of(leader) if leader.ids else none
+    families = all_families(of_bins, weighed.bins)
+    functions = FreeFunctions.of(weighed.errors, families, none, named, weighed.policy)
+    stages = weighed.posterior.unknown.stages(weighed.policy.temperature)
+    stage = effects[0].stage if effects else max(stages, key=lambda name: stages[name])
+    # The gap's location: the first named effect's stage, or the unknown cause's likeliest.
+    where = locate(functions, of_bins, before.residuals, stage, stages, excess_map(predicted))
     tell("done", 1.0)
     return Diagnosis(
         verdict=verdict,
@@ -195,20 +200,6 @@ class HeldOut(NamedTuple):
         )
         seam_mm = seam_errors_mm(self.setup, self.frames, self.pose_at, self.model, after)
         return Assessment(judgement, after, random, predicted, measure_gap(predicted, self.setup, seam_mm))
-
-
-def _locate_gap(
-    functions: FreeFunctions,
-    weighed: WeightedHypotheses,
-    of_bins: Covariates,
-    before: Refit,
-    effects: Sequence[NamedEffect],
-    predicted: HeldOutPrediction,
-) -> Where:
-    """Return the gap's location: the first named effect's stage, or the unknown cause's likeliest."""
-    stages = weighed.posterior.unknown.stages(weighed.policy.temperature)
-    stage = effects[0].stage if effects else max(stages, key=lambda name: stages[name])
-    return locate(functions, of_bins, before.residuals, stage, stages, excess_map(predicted))
 
 
 def _training_frames(observed: ObservedRecording, holdout: Bool) -> ObservedRecording:
@@ -323,14 +314,6 @@ def _named_effects(
         for name, values in {**effects, **random.effects}.items()
     ]
     return tuple(sorted(named, key=lambda effect: -effect.share))
-
-
-def _free_functions(weighed: WeightedHypotheses, judgement: Judgement, of_bins: Covariates) -> FreeFunctions:
-    """Return the free functions added to no gap and to the leading hypothesis."""
-    none, leader = weighed.posterior.none.neutral, judgement.leader.refit
-    named = LinearHypothesis.of(leader) if leader.ids else none
-    families = all_families(of_bins, weighed.bins)
-    return FreeFunctions.of(weighed.errors, families, none, named, weighed.policy)
 
 
 def _next(model: LinearizedModel, weighed: WeightedHypotheses, verdict: DiagnosisVerdict) -> Next | None:

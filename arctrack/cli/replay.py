@@ -205,19 +205,15 @@ def _report(outcomes: list[Outcome], parquet: Path | None) -> None:
     complaints = [*(failure.problem for failure in failed), *(r.complaint for r in done if r.complaint)]
     console.complain(complaints)
     if parquet is not None:
-        _write_parquet(parquet, done)
+        from arctrack.recording.parquet_file import ReplayedRecording, write_parquet
+
+        tracked = [ReplayedRecording(each.job.recording, each.job.folder) for each in done]
+        rows = write_parquet(parquet, tracked)
+        console.say(f"{rows} frames of {len(done)} recordings in {parquet}")
     for failure in failed:
         if not failure.foreseen:
             raise failure.error
     _end(complaints, [replayed.verdict for replayed in done])
-
-
-def _write_parquet(path: Path, done: list[ReplayResult]) -> None:
-    from arctrack.cli import console
-    from arctrack.recording.parquet_file import ReplayedRecording, write_parquet
-
-    rows = write_parquet(path, [ReplayedRecording(each.job.recording, each.job.folder) for each in done])
-    console.say(f"{rows} frames of {len(done)} recordings in {path}")
 
 
 def _end(complaints: list[str], verdicts: list[RunVerdict]) -> None:

@@ -149,7 +149,8 @@ def check_frame(row: FrameRow, before: FrameRow | None, path: Path, line: int) -
     if row.index <= before.index:
         raise in_file(path, f"frame {row.index} does not come after {before.index}", line=line)
     if row.timestamp_s <= before.timestamp_s:
-        raise in_file(path, _backwards(row.timestamp_s, before.timestamp_s), line=line)
+        order = f"timestamp_s = {row.timestamp_s:.6f} does not come after {before.timestamp_s:.6f}"
+        raise in_file(path, f"{order}: times must rise", line=line)
 
 
 def _check_size(table: CsvTable, names: tuple[str, ...], most: float, unit: str) -> None:
@@ -158,7 +159,3 @@ def _check_size(table: CsvTable, names: tuple[str, ...], most: float, unit: str)
         for n in np.flatnonzero(np.abs(table.column(name)) > most):
             problem = f"{name} = {table.column(name)[n]:g}: is beyond {most:g} {unit}"
             raise in_file(table.path, problem, line=int(table.lines[n]))
-
-
-def _backwards(later_s: float, earlier_s: float) -> str:
-    return f"timestamp_s = {later_s:.6f} does not come after {earlier_s:.6f}: times must rise"

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from noise_model.compiled.arrays import Bool, Float64
+from noise_model.compiled.arrays import Float64
 
 SAME_FRAME = 0.5
 """Times that differ by less than this share of a period, beyond what they are rounded to, mean one frame."""
@@ -63,14 +63,10 @@ def _other_clock(
     if slope > 0.0 and (np.abs(other_s - slope * used_s - start_s) <= tolerance_s).all():
         rates = f"{1.0 / (slope * period_s):.5g} frames a second where {1.0 / period_s:.5g}"
         yield f"{contradict} by their rate, {rates}; frame {frames[first]}: {seconds}"
-    elif _lasts(off[first:]):
+    elif bool(off[first:].mean() > 0.5):
         yield f"{contradict} from frame {frames[first]} on: {seconds}"
     else:
         yield f"{contradict} in {off.sum()} of {len(off)} frames, the first frame {frames[first]}: {seconds}"
-
-
-def _lasts(off: Bool) -> bool:
-    return bool(off.mean() > 0.5)
 
 
 def _lost_frames(

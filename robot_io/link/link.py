@@ -224,7 +224,9 @@ class Link:
         frame = self._bus.receive(0.0)
         if frame is NoFrame.QUIET:
             self._was_empty_at_s = time.monotonic()
-            self._keep_logs()
+            with self._lock:
+                for log in self._logs:
+                    log.keep()
             frame = self._bus.receive(timeout_s)
         if isinstance(frame, NoFrame):
             return frame
@@ -266,11 +268,6 @@ class Link:
         with self._lock:
             for log in self._logs:
                 log.write(frame)
-
-    def _keep_logs(self) -> None:
-        with self._lock:
-            for log in self._logs:
-                log.keep()
 
     def _is_echo(self, frame: can.Message) -> bool:
         key = (frame.arbitration_id, bytes(frame.data))

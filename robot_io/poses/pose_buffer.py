@@ -260,14 +260,11 @@ class PoseBuffer:
         if last_s - before_s > 4.0 * period_s and beyond_s != 0.0:
             return _refusal(t_s, PoseRefusal.GAP, period_s)
         if beyond_s > 0.0:
-            first = self._twist_start(times_s, last, period_s)
+            # Two poses almost at once say nothing about speed: over so little time rounding looks like it.
+            apart = int(times_s.searchsorted(times_s[last] - 0.5 * period_s, side="right")) - 1
+            first = min(apart, last - 1)
             return _Twist(first, last, t_s, PoseStatus.EXTRAPOLATED, period_s)
         return _Twist(last - 1, last, t_s, PoseStatus.INTERPOLATED, period_s)
-
-    def _twist_start(self, times_s: Float64, last: int, period_s: float) -> int:
-        # Two poses almost at once say nothing about speed: over a tiny interval rounding looks like speed.
-        apart = int(times_s.searchsorted(times_s[last] - 0.5 * period_s, side="right")) - 1
-        return min(apart, last - 1)
 
     def _along(self, twists: Sequence[_Twist]) -> Iterator[PoseAt]:
         """Yield the poses at the ends of twists."""

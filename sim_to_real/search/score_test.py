@@ -146,15 +146,9 @@ def _score_families(
     points = probe_points_about(name, origin, [point for family in families for point in family.probe_points])
     steps = np.array([[point.get(key, value) - value for key, value in shaped.items()] for point in points])
     score = ScoreTest(name, 1.0, columns, shaped, steps)
-    return replace(score, residual_fraction=fraction_along(baseline, r, columns, score.step_limits()))
-
-
-def fraction_along(
-    baseline: Refit, r: Float64, columns: Float64, limits: Sequence[tuple[float, float]]
-) -> float:
-    """Return the share of the cost left at the best steps along columns (n, k) and the nuisances."""
-    quadratic = with_columns(baseline, r, columns, limits)
-    return quadratic.cost(quadratic.solve()) / quadratic.chi2
+    quadratic = with_columns(baseline, r, columns, score.step_limits())
+    # The share of the cost left at the best steps along columns (n, k) and the nuisances.
+    return replace(score, residual_fraction=quadratic.cost(quadratic.solve()) / quadratic.chi2)
 
 
 def with_columns(

@@ -42,7 +42,9 @@ def clock_findings() -> Iterator[DoctorFinding]:
     except OSError:
         source = None
     yield clock_source_finding(source)
-    step_s, read_s = monotonic_steps()
+    readings = [time.monotonic_ns() for _ in range(READS)]
+    steps = [later - earlier for earlier, later in itertools.pairwise(readings) if later > earlier]
+    step_s, read_s = 1e-9 * min(steps, default=0), 1e-9 * (readings[-1] - readings[0]) / (READS - 1)
     yield judged(
         "monotonic clock",
         f"steps of {1e9 * step_s:.0f} ns, a reading takes {1e9 * read_s:.0f} ns",
@@ -53,13 +55,6 @@ def clock_findings() -> Iterator[DoctorFinding]:
     # Internal time is monotonic: only the dates of logs and recordings hang on the wall clock.
     is_set = "set from the network" if SYNCHRONISED.exists() else "not known to be set from the network"
     yield DoctorFinding("wall clock", FindingState.OK, f"{is_set}; only dates of logs hang on it")
-
-
-def monotonic_steps() -> tuple[float, float]:
-    """Return the least step of the monotonic clock that is seen, and how long a reading takes, s."""
-    readings = [time.monotonic_ns() for _ in range(READS)]
-    steps = [later - earlier for earlier, later in itertools.pairwise(readings) if later > earlier]
-    return 1e-9 * min(steps, default=0), 1e-9 * (readings[-1] - readings[0]) / (READS - 1)
 
 
 @contextmanager

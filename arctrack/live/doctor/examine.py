@@ -85,7 +85,11 @@ def examine_cell(
                 times.append(result)
             else:
                 yield result
-    shared_bytes = _shared_bytes(cell)
+    kept_s = cell.black_box.seconds
+    # The shared memory that a run takes itself; the ring of a camera's frames is the camera's.
+    shared_bytes = (
+        journal_bytes(kept_s, cell.camera.frame_rate_hz, image_bytes(cell.setup.setup)) if kept_s else 0
+    )
     # By now this process holds all that a run's loop does.
     yield own_memory_lock_finding(shared_bytes, choice.lock_memory)
     yield shared_memory_finding(shared_bytes)
@@ -103,12 +107,6 @@ def examine_cell(
     slowest = max(times, key=lambda job: job.tracked.p99_ms, default=None)
     examination.budget = budget_of(cell, slowest if len(times) == len(cell.jobs) else None, late, watched)
     yield budget_finding(examination.budget)
-
-
-def _shared_bytes(cell: CellFile) -> int:
-    """Return the shared memory that a run takes itself; the ring of a camera's frames is the camera's."""
-    kept_s = cell.black_box.seconds
-    return journal_bytes(kept_s, cell.camera.frame_rate_hz, image_bytes(cell.setup.setup)) if kept_s else 0
 
 
 def _job_findings(cell: CellFile, number: int, steps: Steps) -> Iterator[DoctorFinding | StepTimes]:

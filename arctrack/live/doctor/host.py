@@ -35,7 +35,8 @@ def versions_finding() -> DoctorFinding:
 
 def scheduler_findings(choice: ProcessChoice) -> Iterator[DoctorFinding]:
     """Yield the findings about kernel, processors and real-time priority."""
-    yield kernel_finding(platform.release(), platform.version())
+    kind = "PREEMPT_RT" if "PREEMPT_RT" in platform.version() else "not PREEMPT_RT: see how late it wakes up"
+    yield DoctorFinding("kernel", FindingState.OK, f"{platform.release()}, {kind}")
     yield _isolated_finding()
     governors = sorted(
         {path.read_text().strip() for path in PROCESSORS.glob("cpu*/cpufreq/scaling_governor")}
@@ -51,12 +52,6 @@ def scheduler_findings(choice: ProcessChoice) -> Iterator[DoctorFinding]:
             "choose of those that this process may use",
             set(choice.cpus) <= set(there),
         )
-
-
-def kernel_finding(release: str, built: str) -> DoctorFinding:
-    """Return which kernel it is, and whether it is built for real time."""
-    kind = "PREEMPT_RT" if "PREEMPT_RT" in built else "not PREEMPT_RT: see how late it wakes up"
-    return DoctorFinding("kernel", FindingState.OK, f"{release}, {kind}")
 
 
 def _isolated_finding() -> DoctorFinding:

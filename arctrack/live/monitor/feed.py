@@ -154,7 +154,7 @@ class Feed:
             self.arc,
             self.rate_hz,
             self.offset_age_s,
-            self._last_point(),
+            self._points[-1] if self._points else None,
         )
         content |= {
             "age_s": round(min(self.status_age_s, 1e6), 3),
@@ -214,9 +214,6 @@ class Feed:
         # Backwards, so that the newest is among them.
         entries: list[Entry | None] = [self._reader.entry(k) for k in reversed(positions[::-step])]
         return [point_of(entry) for entry in entries if entry is not None]
-
-    def _last_point(self) -> Point | None:
-        return self._points[-1] if self._points else None
 
     def _hello(self) -> str:
         content = {

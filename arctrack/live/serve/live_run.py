@@ -113,6 +113,7 @@ def opened_run(
         for seam in parts.seams.values():
             if journal_writer is not None and isinstance(seam.poses, BusPoses):
                 seam.poses.on_sample = journal_writer.on_pose
+        range_s = cell.camera.capture.exposure_range_s
         loop = LiveLoop(
             parts.camera,
             link,
@@ -121,7 +122,7 @@ def opened_run(
             parts.source,
             on_track,
             journal_writer,
-            exposure=_chooser(cell),
+            exposure=None if range_s is None else ExposureChooser(range_s, cell.camera.frame_rate_hz),
         )
         yield LiveRun(loop, journal)
 
@@ -159,11 +160,6 @@ def run(
         finally:
             loop.close()
     return loop.result()
-
-
-def _chooser(cell: CellFile) -> ExposureChooser | None:
-    range_s = cell.camera.capture.exposure_range_s
-    return None if range_s is None else ExposureChooser(range_s, cell.camera.frame_rate_hz)
 
 
 def run_parts(

@@ -14,7 +14,7 @@ from arctrack.control.controller import Controller
 from arctrack.control.frame_tracking import FrameTracking
 from arctrack.control.pose_watch import BEGINNING
 from arctrack.control.processor import DELAYS, TOO_BUSY, ProcessorWait
-from arctrack.control.tracking_service import FrameOutcome, SeamTracker, TrackingService
+from arctrack.control.tracking_service import SeamTracker, TrackingService
 from arctrack.live.cameras.camera import CameraProtocol, UnreadableFrame
 from arctrack.live.journal.records import Status
 from arctrack.live.serve.exposure import ExposureChooser
@@ -274,13 +274,12 @@ class LiveLoop:
         if self._on_track is not None:
             self._on_track(track, outcome.messages)
         if self._exposure is not None and shown is not None:
-            self._choose_exposure(self._exposure, shown, outcome)
+            wanted_s = self._exposure.choose(
+                self.seam.tracking, shown, outcome.tracked.track, outcome.T_base_tool
+            )
+            if wanted_s is not None:
+                self.camera.want_exposure(wanted_s)
         self.seam.poses.rest(self.camera.now_s())
-
-    def _choose_exposure(self, chooser: ExposureChooser, shown: Frame, outcome: FrameOutcome) -> None:
-        wanted_s = chooser.choose(self.seam.tracking, shown, outcome.tracked.track, outcome.T_base_tool)
-        if wanted_s is not None:
-            self.camera.want_exposure(wanted_s)
 
     def _lit(self, frame: Frame) -> Frame:
         """Return a frame that says whether laser and arc were on, by the robot where its camera cannot."""

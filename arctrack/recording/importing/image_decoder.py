@@ -173,12 +173,13 @@ def _header(content: bytes) -> ImageHeader:
         if problem is not None:
             raise UnfitFileError(problem)
         is_lossy = image.format in LOSSY_FORMATS
+        exif = image.getexif()
         return ImageHeader(
             image.size,
             image.mode in COLOUR_MODES,
             is_lossy,
             tuple(_doubts(image, is_lossy)),
-            _taken_of(image),
+            _taken_s({**exif, **exif.get_ifd(ExifTags.IFD.Exif)}),
         )
 
 
@@ -198,11 +199,6 @@ def _tiff_header(content: bytes) -> ImageHeader:
         tiff.photometric == tiff_tags.WHITE_IS_ZERO,
         is_tiff=True,
     )
-
-
-def _taken_of(image: Image.Image) -> float:
-    exif = image.getexif()
-    return _taken_s({**exif, **exif.get_ifd(ExifTags.IFD.Exif)})
 
 
 def _taken_s(tags: Mapping[int, Any]) -> float:
