@@ -133,6 +133,12 @@ class HandEyeCalibration:
         return float(self.refined.solution.sigma[1])
 
     @property
+    def pose_sigma(self) -> tuple[float, float]:
+        """1 sigma of a stated pose about each axis, deg and mm, repeatable errors and noise."""
+        turn, move = self.robot_errors[0].sigma.tolist()
+        return math.degrees(turn), move
+
+    @property
     def robot_sigma(self) -> tuple[float, float]:
         """1 sigma of both, deg and mm, by the variances' own: d sigma = d sigma² / (2 sigma)."""
         spread = np.sqrt(np.diag(self.refined.solution.sigma_covariance)) / (
@@ -207,13 +213,8 @@ def calibrate_hand_eye(
             scores = _scores(agreement, models, root)
             taken = choose_leanest(scores)
             if taken.name != NONE:
-                F = models[taken.name]
-                chain = replace(
-                    agreement.result.chain,
-                    T_base_tool=T_base_tool,
-                    per_coefficient=F,
-                    coefficients=np.zeros(F.shape[2]),
-                )
+                chain = replace(agreement.result.chain, T_base_tool=T_base_tool)
+                chain = chain.with_repeatable(models[taken.name])
                 agreement = select_consistent_poses(chain, boards, root, agreement.kept)
         except np.linalg.LinAlgError:
             raise UndeterminedError(
@@ -244,7 +245,7 @@ def calibrate_hand_eye(
 
 def _models(
     T_base_tool: Float64, joint_rad: Float64 | None
-) -> tuple[dict[str, Float64], tuple[int, ...], str | None]:
+) -> tuple[dict[str, tuple[Float64, ...]], tuple[int, ...], str | None]:
     """Return the models of a repeatable error, the joints with offsets, and why joint angles give none."""
     joints: tuple[int, ...] = ()
     per_joint, no_joints = None, None
@@ -257,10 +258,10 @@ def _models(
 
 
 def _scores(
-    agreement: PoseConsistency, models: Mapping[str, Float64], lens_root: Float64
+    agreement: PoseConsistency, models: Mapping[str, tuple[Float64, ...]], lens_root: Float64
 ) -> list[RobotErrorScore]:
     """Return how well each model predicts the boards of the consistent poses."""
-    of_kept = {name: F[agreement.kept] for name, F in models.items()}
+    of_kept = {name: tuple(block[agreement.kept] for block in blocks) for name, blocks in models.items()}
     return score_robot_errors(agreement.result.chain, agreement.result.boards, lens_root, of_kept)
 
 

@@ -9,6 +9,7 @@ board is fixed to: base, or the tool. The robot's pose is off by a small motion 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,16 +27,22 @@ class Chain:
 
     `T_base_tool` (V, 4, 4) is as the controller reports it, mm. `T_holder_camera` (4, 4) is the camera in the
     tool, `T_mount_board` (4, 4) the board in base; eye to hand, the camera is in base and the board in the
-    tool. A pose has a repeatable error, too: the small motion of the tool `per_coefficient` (V, 6, k) times
-    `coefficients` (k,), rad and mm.
+    tool. A pose has a repeatable error, too: the small motion of the tool `per_coefficient` times
+    `coefficients` (k,), rad and mm. The blocks (V, 6, k_b) of `repeatable` are its derivatives; the
+    coefficients of each have a prior about 0 with one sigma.
     """
 
     T_base_tool: Float64
     T_holder_camera: Float64
     T_mount_board: Float64
     is_eye_to_hand: bool
-    per_coefficient: Float64 = field(default_factory=lambda: np.zeros((1, 6, 0)))
+    repeatable: tuple[Float64, ...] = ()
     coefficients: Float64 = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def per_coefficient(self) -> Float64:
+        """Derivatives (V, 6, k) of the tool's motion by the coefficients of the repeatable error."""
+        return np.concatenate([np.zeros((len(self.T_base_tool), 6, 0)), *self.repeatable], axis=2)
 
     @property
     def T_base_tool_corrected(self) -> Float64:
@@ -81,5 +88,10 @@ class Chain:
 
     def select_views(self, chosen: list[int]) -> Chain:
         """Return the chain of some of the robot's poses."""
-        F = self.per_coefficient
-        return replace(self, T_base_tool=self.T_base_tool[chosen], per_coefficient=F[chosen] if F.size else F)
+        blocks = tuple(block[chosen] for block in self.repeatable)
+        return replace(self, T_base_tool=self.T_base_tool[chosen], repeatable=blocks)
+
+    def with_repeatable(self, blocks: Sequence[Float64]) -> Chain:
+        """Return the chain with a repeatable error whose coefficients are 0."""
+        count = sum(block.shape[2] for block in blocks)
+        return replace(self, repeatable=tuple(blocks), coefficients=np.zeros(count))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import f
 
-from calibration.hand_eye_boards.chain import POSES, Chain
+from calibration.hand_eye_boards.chain import Chain
 from calibration.hand_eye_boards.enough import MIN_POSES
 from calibration.hand_eye_boards.refine import Boards, Refinement, pose_errors, refine
 from calibration.outliers import FALSE_ALARM
@@ -55,9 +55,9 @@ def select_consistent_poses(
     for _ in range(MAX_ROUNDS):
         result = refine(chain.select_views(kept), boards.select_views(kept), lens_root, sigma)
         sigma = result.solution.sigma
-        whole = replace(result.chain, T_base_tool=chain.T_base_tool, per_coefficient=chain.per_coefficient)
+        whole = replace(result.chain, T_base_tool=chain.T_base_tool, repeatable=chain.repeatable)
         agreement = _assess(kept, result, whole, boards, lens_root)
-        freedom = max(MOTION * len(kept) - POSES - len(chain.coefficients) - len(sigma), 2)
+        freedom = max(round(MOTION * len(kept) - result.determined - len(sigma)), 2)
         limit = float(f.isf(FALSE_ALARM / count, MOTION, freedom))
         wider = max(float(np.median(agreement.distance) / f.median(MOTION, freedom)), 1.0)
         agree = np.flatnonzero(agreement.distance < wider * limit).tolist()

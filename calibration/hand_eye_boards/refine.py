@@ -60,6 +60,12 @@ class Refinement:
     errors: PoseErrors
 
     @property
+    def determined(self) -> float:
+        """The number of unknowns that the poses determine: coefficients count by what their prior leaves."""
+        priors = self.errors.prior(self.solution.sigma)
+        return POSES + float(np.sum(1.0 - priors * np.diag(self.solution.covariance), where=priors > 0.0))
+
+    @property
     def robot_error(self) -> Float64:
         """By what motion of the tool each pose was off most likely (V, 6), rad and mm."""
         return robot_errors(self.chain, self.boards.scene.T_camera_board)
@@ -119,6 +125,7 @@ def pose_errors(
         lens_root=lens_root,
         first_coefficient=POSES,
         coefficients=chain.coefficients,
+        blocks=tuple(block.shape[2] for block in chain.repeatable),
     )
     return errors, equations, eta
 
@@ -127,7 +134,7 @@ def refine(chain: Chain, boards: Boards, lens_root: Float64, sigma: Float64 | No
     """Return camera, board, warp, boards' poses and the robot's noise of maximum likelihood.
 
     `boards` are from `with_warp`; `lens_root` (n, k) is a root of the lens' covariance, (n, 0) for an exact
-    lens. `sigma` (2,) or (3,) starts the search for the robot's, rad and mm, and the prior's. Raises
+    lens. `sigma` (2 + b,) starts the search for the robot's, rad and mm, and the priors'. Raises
     numpy.linalg.LinAlgError if the poses do not determine camera and board.
     """
     for _ in range(MAX_ROUNDS):

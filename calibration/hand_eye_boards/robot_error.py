@@ -2,16 +2,20 @@
 
 A pose is off by a small motion of the tool, xi = F b + noise, with R and t the pose in base, q its joints:
 
-    sag       turn = B (R' z - z0)       B (3, 3)
-    place     move = R' B (t - t0)       B (3, 3)
-    joints    J(q) b                     b the offsets of all joints but the first and the last
+    joints    J(q) b                      b the offsets of all joints but the first and the last
+    smooth    turn = B (R' z - z0)        B (3, 3), the tool's sag
+              move = R' B (t - t0)        B (3, 3), a place that is off by a linear map
+              R' g(R' z, t) + h(R' z, t)  g and h Gaussian processes, each of a turn and a move
 
 z is base's third axis, mostly the plumb line: wrist and holder give way under their weight, as the tool leans
-from z0, the upright tool. A place that is wrong by a linear map is what link lengths make in first order, t0
-their mean. J is the Jacobian of the kinematics (`kinematics`). The first joint's offset is a turn of base,
-the last one's a turn of the tool: board and camera have them.
+from z0, the upright tool. A linear map of the place is what link lengths make in first order, t0 their mean.
+Joint offsets, bent links and gears make errors that go with base as a whole, and change slowly as the tool
+leans and travels: g (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, chapter 2). What
+goes with the tool as a whole no board tells from the camera's pose: h has a stated share of g's sigma. J is
+the Jacobian of the kinematics (`kinematics`). The first joint's offset is a turn of base, the last one's a
+turn of the tool: board and camera have them.
 
-b is normal about 0 with a sigma that is estimated (`variances`). Each board is held out in turn: the others
+b is normal about 0 with sigmas that are estimated (`variances`). Each board is held out in turn: the others
 give camera, board and b, with the sigmas of all, and predict its corners.
 """
 
@@ -19,9 +23,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from calibration.camera.adjustment import BoardScene
 from calibration.camera.sightings import Sightings
@@ -31,21 +36,32 @@ from calibration.hand_eye_boards.variances import PoseErrors, robot_sigma
 from calibration.held_out import HeldOutScore
 from noise_model.compiled.arrays import Float64
 
-NONE, JOINTS, SAG, PLACE = "none", "joints", "sag", "place"
+NONE, JOINTS, SMOOTH = "none", "joints", "smooth"
 
-SAG_RAD, PLACE_SHARE, OFFSET_RAD = math.radians(0.1), 1e-3, math.radians(0.05)
-"""A common robot's coefficients: the turn of a tool on its side, the share of a way, a joint's offset."""
+TURN_RAD, MOVE_MM, PLACE_SHARE, OFFSET_RAD = math.radians(0.1), 0.5, 1e-3, math.radians(0.05)
+"""A common robot's coefficients: a turn and a move of the tool, the share of a way, a joint's offset."""
+
+LEAN, TRAVEL_MM = 1.0, 500.0
+"""Length scale of g and h: the plumb line's chord in the tool, and half an arm's reach.
+
+Of half, once and twice of both, once has the largest likelihood on real boards.
+"""
+
+TOOL_SHARE = 0.2
+"""Sigma of h over that of g: of less, 95 % intervals hold less (benchmarks/robot_errors.py)."""
+
+MIN_MODE = 1e-3
+"""Variance of a process' mode, relative to the largest, below which it is left out."""
 
 
 @dataclass(frozen=True)
 class RobotErrorScore(HeldOutScore):
     """Cross-validation of a model of the robot's repeatable error; losses are of corners, mm².
 
-    `sigma` (2,) is the robot's noise under it, rad and mm; `per_coefficient` (V, 6, k) is F.
+    `sigma` (2,) is the robot's noise under it, rad and mm.
     """
 
     sigma: Float64
-    per_coefficient: Float64
 
     @property
     def rms_mm(self) -> float:
@@ -53,25 +69,45 @@ class RobotErrorScore(HeldOutScore):
         return math.sqrt(self.mean)
 
 
-def repeatable_errors(T_base_tool: Float64, per_joint: Float64 | None) -> dict[str, Float64]:
-    """Return F (V, 6, k) of each model, the leanest first.
+def repeatable_errors(T_base_tool: Float64, per_joint: Float64 | None) -> dict[str, tuple[Float64, ...]]:
+    """Return the blocks (V, 6, k) of F of each model, each with a prior of its own, the leanest model first.
 
     `per_joint` (V, 6, k) are the tool's motions by joint offsets, rad and mm per rad; None if unknown.
     """
+    models: dict[str, tuple[Float64, ...]] = {NONE: ()}
+    if per_joint is not None:
+        models[JOINTS] = (OFFSET_RAD * per_joint,)
+    models[SMOOTH] = _smooth(T_base_tool)
+    return models
+
+
+def _smooth(T_base_tool: Float64) -> tuple[Float64, ...]:
     R, t = T_base_tool[:, :3, :3], T_base_tool[:, :3, 3]
-    up = R[:, 2, :]
+    up, to_tool = R[:, 2, :], R.swapaxes(1, 2)
     mean = up.mean(axis=0)
     upright = np.zeros(3)
     axis = int(np.abs(mean).argmax())
     upright[axis] = np.sign(mean[axis])
-    nothing = np.zeros((len(R), 3, 9))
-    models = {NONE: np.zeros((len(R), 6, 0))}
-    if per_joint is not None:
-        models[JOINTS] = OFFSET_RAD * per_joint
-    models[SAG] = np.concatenate([SAG_RAD * _linear(up - upright), nothing], axis=1)
-    move = R.swapaxes(1, 2) @ _linear(t - t.mean(axis=0))
-    models[PLACE] = np.concatenate([nothing, PLACE_SHARE * move], axis=1)
-    return models
+    sag = _motions(TURN_RAD * _linear(up - upright), 0)
+    place = _motions(PLACE_SHARE * to_tool @ _linear(t - t.mean(axis=0)), 1)
+    where = np.hstack([up / LEAN, t / TRAVEL_MM])
+    variance, modes = np.linalg.eigh(np.exp(-0.5 * cdist(where, where, "sqeuclidean")))
+    kept = variance > MIN_MODE * variance[-1]
+    along = np.einsum("vk,ab->vakb", modes[:, kept] * np.sqrt(variance[kept]), np.eye(3)).reshape(
+        len(t), 3, -1
+    )
+    either = [
+        _motions(size * share * frame @ along, part)
+        for share, frame in ((1.0, to_tool), (TOOL_SHARE, np.eye(3)))
+        for part, size in enumerate((TURN_RAD, MOVE_MM))
+    ]
+    return sag, place, np.concatenate(either, axis=2)
+
+
+def _motions(columns: Float64, part: int) -> Float64:
+    """Return the motions (V, 6, k) that are turns (V, 3, k), of part 0, or moves, of part 1."""
+    nothing = np.zeros_like(columns)
+    return np.concatenate([nothing, columns] if part else [columns, nothing], axis=1)
 
 
 def _linear(vectors: Float64) -> Float64:
@@ -80,18 +116,15 @@ def _linear(vectors: Float64) -> Float64:
 
 
 def score_robot_errors(
-    chain: Chain, boards: Boards, lens_root: Float64, models: Mapping[str, Float64]
+    chain: Chain, boards: Boards, lens_root: Float64, models: Mapping[str, tuple[Float64, ...]]
 ) -> list[RobotErrorScore]:
     """Return the cross-validation of each model; `chain` and `boards` are refined, without any."""
     scores = []
-    for name, per_coefficient in models.items():
-        tried = replace(
-            chain, per_coefficient=per_coefficient, coefficients=np.zeros(per_coefficient.shape[2])
-        )
-        errors, _, _ = pose_errors(tried, boards, lens_root)
+    for name, blocks in models.items():
+        errors, _, _ = pose_errors(chain.with_repeatable(blocks), boards, lens_root)
         best = robot_sigma(errors)
         loss = _held_out_mm2(errors, best.sigma, boards.scene, boards.seen)
-        scores.append(RobotErrorScore(name, loss, best.log_likelihood, best.sigma[:2], per_coefficient))
+        scores.append(RobotErrorScore(name, loss, best.log_likelihood, best.sigma[:2]))
     return scores
 
 

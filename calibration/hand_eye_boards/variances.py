@@ -13,15 +13,15 @@ unequal, 1971):
     -2 ln L = sum ln |V_i| + ln |H' V^-1 H| + e' V^-1 e - b' (H' V^-1 H) b
 
 Of few poses its maximum often lies at a sigma of 0, and the camera's covariance is then too small. L
-sigma_r sigma_t has none there (Chung et al., A nondegenerate penalized likelihood estimator for variance
+times all sigmas has none there (Chung et al., A nondegenerate penalized likelihood estimator for variance
 parameters in multilevel models, 2013); of many poses its maximum is that of L.
 
 The covariance of b counts that V is estimated (Kenward and Roger, Small sample inference for fixed
 effects from restricted maximum likelihood, 1997), and so do the degrees of freedom of its intervals
 (Satterthwaite).
 
-Some of b may be coefficients of a repeatable error (`robot_error`), normal about 0. The sigma of that prior
-is estimated along with the robot's.
+Some of b may be coefficients of a repeatable error (`robot_error`), normal about 0. The sigmas of their
+priors, one for each block of them, are estimated along with the robot's.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from noise_model.compiled.arrays import Bool, Float64
 
 TURN, PLACE = slice(0, 3), slice(3, 6)
 
-MIN_SIGMAS = np.array([math.radians(1e-5), 1e-4, 1e-3])
-MAX_SIGMAS = np.array([math.radians(30.0), 300.0, 1e3])
-"""Bounds of the robot's sigmas, rad and mm, and of the prior's: below them, the error is none."""
+MIN_SIGMAS = np.array([math.radians(1e-5), 1e-4]), 1e-3
+MAX_SIGMAS = np.array([math.radians(30.0), 300.0]), 1e3
+"""Bounds of the robot's sigmas, rad and mm, and of a prior's: below them, the error is none."""
 
-FIRST = np.array([math.radians(0.03), 0.1, 1.0])
+FIRST = np.array([math.radians(0.03), 0.1]), 1.0
 """Start of the search: a common robot, rad and mm; coefficients are 1 for a common one."""
 
 
@@ -54,7 +54,7 @@ class PoseErrors:
     `per_lens` (V, 6, n) L. `known` (m, m) is the information within each image (of the board's warp), `pull`
     (m,) its right side. `lens_root` (n, k) is a root of the covariance of l; k is 0 for an exact lens.
     `coefficients` are the present ones of the robot's repeatable error, `first_coefficient` is the number of
-    the first among the unknowns; they have a prior about 0.
+    the first among the unknowns; each of `blocks` is so many of them, with one prior about 0.
     """
 
     error: Float64
@@ -67,6 +67,7 @@ class PoseErrors:
     lens_root: Float64
     first_coefficient: int = 0
     coefficients: Float64 = field(default_factory=lambda: np.zeros(0))
+    blocks: tuple[int, ...] = ()
 
     @property
     def has_prior(self) -> Bool:
@@ -80,13 +81,22 @@ class PoseErrors:
         return self.error + self.per_unknown[:, :, self.has_prior] @ self.coefficients
 
     def covariance(self, sigma: Float64) -> Float64:
-        """Return V (V, 6, 6) for the robot's sigma (2,) or (3,), rad and mm; the last is the prior's."""
+        """Return V (V, 6, 6) for the robot's sigma, rad and mm: the first two of (2 + b,)."""
         return np.asarray(self.by_corners + np.einsum("k,vkij->vij", sigma[:2] ** 2, self.parts()))
 
     def information(self, sigma: Float64) -> Float64:
-        """Return what is known (m, m) within images and, for a third sigma, by the prior."""
-        prior = np.where(self.has_prior, sigma[-1] ** -2.0, 0.0)
-        return np.asarray(self.known + np.diag(prior))
+        """Return what is known (m, m) within images and by the priors."""
+        return np.asarray(self.known + np.diag(self.prior(sigma)))
+
+    def prior(self, sigma: Float64) -> Float64:
+        """Return what the priors know of each unknown (m,); the last of the sigmas (2 + b,) are theirs."""
+        known = np.zeros(len(self.known))
+        known[self.has_prior] = self.each_coefficient(sigma) ** -2.0
+        return known
+
+    def each_coefficient(self, sigma: Float64) -> Float64:
+        """Return the prior's sigma of each coefficient (k,)."""
+        return np.repeat(sigma[2:], self.blocks)
 
     def parts(self) -> Float64:
         """Return the contribution (V, 2, 6, 6) to V of a unit of each of the robot's variances."""
@@ -101,7 +111,7 @@ class PoseErrors:
 
 @dataclass(frozen=True)
 class VarianceSolution:
-    """The unknowns at the robot's sigma (2,), rad and mm, or (3,) with that of the prior.
+    """The unknowns at the robot's sigma, rad and mm, and those of the priors (2 + b,).
 
     `step` (m,) is b; `covariance` (m, m) is its own for an exact lens, with small samples allowed for;
     `by_robot` (m, m) is the robot's part of it, all but what the corners' noise makes; `slopes` (2, m, m) are
@@ -133,7 +143,7 @@ class VarianceSolution:
 
 @dataclass(frozen=True)
 class RobotLikelihood:
-    """Largest penalised restricted likelihood: the robot's `sigma` (2,) or (3,), and ln L without penalty."""
+    """Largest penalised restricted likelihood: `sigma` (2 + b,) of robot and priors, ln L without penalty."""
 
     sigma: Float64
     log_likelihood: float
@@ -142,7 +152,7 @@ class RobotLikelihood:
 def robot_sigma(errors: PoseErrors, start: Float64 | None = None) -> RobotLikelihood:
     """Return the robot's sigma of the largest penalised restricted likelihood, rad and mm.
 
-    Of errors with coefficients a third sigma is that of their prior.
+    The further sigmas are those of the coefficients' priors.
     """
     # The lens is marginal, too: its error must not pass for the robot's.
     by_lens = errors.per_lens @ errors.lens_root
@@ -153,14 +163,15 @@ def robot_sigma(errors: PoseErrors, start: Float64 | None = None) -> RobotLikeli
     known[:m, :m] += np.diag(has_prior.astype(float))
     pull = np.concatenate([errors.pull, np.zeros(n)])
     parts, whole = errors.parts(), errors.whole_error[:, :, np.newaxis]
-    n_sigmas = 2 + bool(has_prior.any())
+    priors = np.ones(len(errors.blocks))
 
     def cost(log_sigma: Float64) -> float:
         sigma = np.exp(log_sigma)
         V = errors.by_corners + np.einsum("k,vkij->vij", sigma[:2] ** 2, parts)
         lower = np.linalg.cholesky(V)
         # Coefficients in units of their sigma: the prior is that of unit normals at any sigma.
-        scaled = errors.per_unknown * np.where(has_prior, sigma[-1], 1.0)
+        scaled = errors.per_unknown.copy()
+        scaled[:, :, has_prior] *= errors.each_coefficient(sigma)
         whitened = np.linalg.solve(lower, np.concatenate([scaled, by_lens, whole], axis=2))
         flat = whitened.reshape(-1, m + n + 1)
         squares = flat.T @ flat
@@ -169,10 +180,13 @@ def robot_sigma(errors: PoseErrors, start: Float64 | None = None) -> RobotLikeli
         determinants = 2.0 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
         return determinants + float(np.linalg.slogdet(information)[1] + squares[-1, -1]) - fitted
 
-    least, most = MIN_SIGMAS[:n_sigmas], MAX_SIGMAS[:n_sigmas]
-    first = FIRST[:n_sigmas] if start is None else start.clip(3.0 * least, most / 3.0)
+    least, most, first = (
+        np.append(robot, prior * priors) for robot, prior in (MIN_SIGMAS, MAX_SIGMAS, FIRST)
+    )
+    if start is not None:
+        first = start.clip(3.0 * least, most / 3.0)
     result = minimize(
-        lambda log_sigma: cost(log_sigma) - 2.0 * float(log_sigma[:2].sum()),
+        lambda log_sigma: cost(log_sigma) - 2.0 * float(log_sigma.sum()),
         np.log(first),
         method="L-BFGS-B",
         bounds=list(zip(np.log(least), np.log(most), strict=True)),
@@ -194,16 +208,17 @@ def solve(errors: PoseErrors, sigma: Float64) -> VarianceSolution:
     # With P = W - W H C H' W, the information on the variances is tr(P V_k P V_l) / 2.
     WV = np.einsum("vij,vkjl->kvil", W, parts)
     once = np.einsum("kvij,vjm->kvim", WV, WH)
-    inner = np.einsum("vim,vkij,vjn->kmn", WH, parts, WH)
-    twice = np.einsum("vim,vkij,lvjn->klmn", WH, parts, once)
-    both = np.einsum("kmp,pq,lqn->klmn", inner, C, inner)
+    inner = np.einsum("vim,vkij,vjn->kmn", WH, parts, WH, optimize=True)
+    twice = np.einsum("vim,vkij,lvjn->klmn", WH, parts, once, optimize=True)
+    both = (inner @ C)[:, np.newaxis] @ inner
     own = np.einsum("kvij,lvji->kl", WV, WV)
     information = own + np.einsum("mn,klnm->kl", C, both - 2.0 * twice)
     sigma_covariance = scaled_inverse(0.5 * information)
     spread = np.einsum("kl,klmn->mn", sigma_covariance, twice - both)
     covariance = C + 2.0 * C @ spread @ C
     covariance = 0.5 * (covariance + covariance.T)
-    by_corners = C @ (np.einsum("vim,vij,vjn->mn", WH, errors.by_corners, WH) + errors.known) @ C
+    of_corners = np.einsum("vim,vij,vjn->mn", WH, errors.by_corners, WH, optimize=True)
+    by_corners = C @ (of_corners + errors.known) @ C
     return VarianceSolution(
         sigma=sigma,
         step=step,

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from calibration.camera.enough import UndeterminedError
 from calibration.hand_eye_boards.kinematics import joint_motions
-from calibration.hand_eye_boards.robot_error import JOINTS, NONE, SAG
+from calibration.hand_eye_boards.robot_error import JOINTS, NONE, SMOOTH
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 from robot_errors import ArmWorld, calibrated, draw_arm, flange, seam_error
@@ -35,9 +35,19 @@ def test_joint_offsets_are_found_within_their_sigmas() -> None:
 
 def test_a_tool_that_sags_is_found_without_joint_angles() -> None:
     result = calibrated(arm("sag"), with_angles=False)
-    assert result.robot_error.name == SAG
+    assert result.robot_error.name == SMOOTH
     off, sigma_mm = seam_error(result)
     assert np.abs(off / sigma_mm).max() < 3.5
+
+
+def test_offsets_that_no_joint_angle_tells_are_in_the_sigma() -> None:
+    results = [calibrated(arm("joints", seed, 12), with_angles=False) for seed in range(6)]
+    assert {result.robot_error.name for result in results} == {SMOOTH}
+    off, sigma_mm = np.swapaxes([seam_error(result) for result in results], 0, 1)
+    assert np.sqrt(np.mean((off / sigma_mm) ** 2)) < 1.4
+    assert np.median(sigma_mm) < 0.25
+    # A pose that the robot states has these errors, whatever the boards know of them.
+    assert all(result.pose_sigma[0] > result.robot_deg for result in results)
 
 
 def test_a_robot_without_repeatable_error_is_given_none() -> None:

@@ -115,7 +115,7 @@ def _hand_eye(
         return known, RobotNoise(0.0, 0.0)
     result: HandEyeCalibration = stages["hand_eye"].result
     known = KnownHandEye(pose, result.own_covariance, result.by_robot, result.per_lens)
-    return known, RobotNoise(result.robot_deg, result.robot_mm)
+    return known, RobotNoise(*result.pose_sigma)
 
 
 def _points_px(sheet: LaserCalibration) -> Float64:

@@ -13,7 +13,7 @@ from arctrack.calibrate.hand_eye.hand_eye_poses import PosedBoards
 from arctrack.calibrate.hand_eye.pictures import excitation, misfits, places, robot_off
 from arctrack.calibrate.page import EXACT_LENS, CalibrationPage, PagePicture, ValueRow, row_of, with_reasons
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration
-from calibration.hand_eye_boards.robot_error import JOINTS, NONE, PLACE, SAG
+from calibration.hand_eye_boards.robot_error import JOINTS, NONE, SMOOTH
 from noise_model.setup import Setup
 
 AXES = "xyz"
@@ -21,8 +21,7 @@ AXES = "xyz"
 ERRORS = {
     NONE: "no repeatable error",
     JOINTS: "offsets of its joints",
-    SAG: "a tool that gives way as it leans",
-    PLACE: "places that are off by a linear map",
+    SMOOTH: "errors that change slowly from pose to pose",
 }
 
 STEP_DEG = 1e-4
