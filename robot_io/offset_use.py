@@ -7,8 +7,6 @@ from robot_io.protocol.messages import CommandHeard, SeamOffset, TrackerHeartbea
 COUNTING = (TrackerState.SEARCHING, TrackerState.TRACKING, TrackerState.HOLDING)
 """The states in which a tracker's offsets count."""
 
-_ROLLING = 256
-
 
 class OffsetUse:
     """Selection of the offset that a robot may use now.
@@ -39,7 +37,7 @@ class OffsetUse:
         message, came_at_s = received.message, now_s - received.max_age_s
         if isinstance(message, TrackerHeartbeat):
             before = self._heartbeat
-            self._follows = before is not None and (message.rolling - before[0].rolling) % _ROLLING == 1
+            self._follows = before is not None and (message.rolling - before[0].rolling) % 256 == 1
             self._heartbeat = message, came_at_s
         elif isinstance(message, SeamOffset):
             self._offset = message, came_at_s

@@ -8,9 +8,6 @@ from queue import Full, Queue
 from threading import Thread
 from typing import TextIO
 
-NOBODY_READS = frozenset({errno.EPIPE, errno.EIO})
-"""Errors where a pipe's reader has ended, or a terminal was closed."""
-
 MAX_WAITING = 64
 """Lines that wait for a held terminal or a full pipe; those that come later are dropped."""
 
@@ -20,7 +17,8 @@ def write_line(line: str, stream: TextIO) -> None:
     try:
         print(line, file=stream, flush=True)
     except OSError as error:
-        if error.errno not in NOBODY_READS:
+        # Errors where a pipe's reader has ended, or a terminal was closed.
+        if error.errno not in (errno.EPIPE, errno.EIO):
             raise
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())

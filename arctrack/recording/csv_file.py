@@ -29,7 +29,6 @@ from noise_model.spelling import nearest
 Parser = Callable[[str], float]
 """Makes a number of a cell; ValueError says what it must be."""
 
-_SEPARATORS = (";", "\t", "|", ",", " ")
 _REMARKS = ("#", "%")
 _EXCELS_SEPARATOR = re.compile(r"sep=.", re.IGNORECASE)
 _QUOTED = re.compile(r'"[^"]*"')
@@ -339,7 +338,7 @@ def _begin(file: Iterator[str], begin: list[str]) -> str:
 
 def _separator(head: str, row: str) -> str:
     """Return the separator of columns by which a head and a row agree."""
-    possible = [separator for separator in _SEPARATORS if len(_cells(head, separator)) > 1]
+    possible = [separator for separator in (";", "\t", "|", ",", " ") if len(_cells(head, separator)) > 1]
     for separator in possible:
         if len(_cells(head, separator)) == len(_cells(row, separator)):
             return separator

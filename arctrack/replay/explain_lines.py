@@ -20,9 +20,6 @@ TOO_WEAK, ODD_WIDTH = "too weak", "odd width"
 """Why a scan line holds no stripe: it is beyond the fan, the path found none, the fit ran away, or what it
 found is none."""
 
-BACKGROUND_STEPS = 6
-"""Steps in which the background's two numbers settle: their weights change little from step to step."""
-
 
 @dataclass(frozen=True, eq=False)
 class Refusals:
@@ -116,7 +113,8 @@ def _line(reading: StripeReading, expected: ExpectedStripe, s: int) -> tuple[flo
     known = _information(math.hypot(smooth, edge), math.hypot(smooth / CORRELATION_PX, edge / half))
     beside = np.column_stack([np.ones_like(u), u])
     b = np.zeros(2)
-    for _ in range(BACKGROUND_STEPS):
+    # Steps in which the background's two numbers settle: their weights change little from step to step.
+    for _ in range(6):
         mean = stripe + background + beside @ b
         counts = (censored == 0.0) | (charge > mean)
         weight = counts / (shot * np.maximum(mean, 0.0) + dark_e2 + grains)

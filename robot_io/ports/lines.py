@@ -15,9 +15,6 @@ MAX_BYTES, MAX_DATAGRAMS = 65_536, 64
 CONNECT_S, RETRY_S = 0.5, 1.0
 """Time that a robot may take to accept, and time between attempts."""
 
-GONE_S = 2.0
-"""Silence of a stream after which it is closed: the robot was switched off, or the cable is out."""
-
 Address = tuple[str, int]
 MakeDialect = Callable[[], Dialect]
 
@@ -128,7 +125,8 @@ class StreamLine:
 
     def reports(self) -> Iterator[PortReport]:
         """Yield the reports that wait; a second robot is turned away while the first one speaks."""
-        if self._stream is not None and time.monotonic() - self._heard_at_s > GONE_S:
+        # Silence of a stream after which it is closed: the robot was switched off, or the cable is out.
+        if self._stream is not None and time.monotonic() - self._heard_at_s > 2.0:
             self._end("the robot says nothing")
         if self._listener is not None:
             with suppress(OSError):

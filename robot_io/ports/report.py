@@ -18,9 +18,6 @@ from robot_io.protocol.messages import (
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
-NO_JOB_NUMBER = 0xFFFF
-"""Job of a program's word that names none."""
-
 
 class PortError(ValueError):
     """Bytes that are no message of a port's protocol, or an address that cannot be used."""
@@ -114,7 +111,8 @@ class ProgramWord:
     def job_number(self) -> int | None:
         """Number of the job."""
         number = self.word >> 16
-        return None if number == NO_JOB_NUMBER else number
+        # Job of a program's word that names none.
+        return None if number == 0xFFFF else number
 
     def status(self, is_running: bool = True, is_stopped: bool = False) -> RobotStatus:
         """Return the robot's status.

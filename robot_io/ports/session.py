@@ -34,12 +34,6 @@ from robot_io.protocol.protect import Protector
 SILENT_S = 0.5
 """Silence that ends a session: RSI stops by itself after 100 late answers of 4 ms."""
 
-MAX_AGE_S = 0.03
-"""Oldest report that is taken: the largest `sample_age_ms` of the bus."""
-
-SKEW = 100e-6
-"""Largest skew between two clocks (two quartzes of 50 ppm each)."""
-
 RATE_MM_S = 20.0
 """Speed at which a displacement is led to a new value, and back to the path after DISARM."""
 
@@ -66,7 +60,8 @@ class ArrivalClock:
     def age_s(self, robot_time_s: float, read_at_s: float) -> float:
         """Return the age of a report that was read at a time, s."""
         apart_s = read_at_s - robot_time_s
-        grown_s = self._apart_s + SKEW * (read_at_s - self._read_at_s)
+        # Largest skew between two clocks (two quartzes of 50 ppm each).
+        grown_s = self._apart_s + 100e-6 * (read_at_s - self._read_at_s)
         self._apart_s, self._read_at_s = min(apart_s, grown_s), read_at_s
         return apart_s - self._apart_s
 
@@ -109,7 +104,8 @@ class RobotSession:
         if not report.robot_time_s > self._robot_time_s:
             return None
         age_s = self._clock.age_s(report.robot_time_s, read_at_s)
-        if age_s > MAX_AGE_S:
+        # Oldest report that is taken: the largest `sample_age_ms` of the bus.
+        if age_s > 0.03:
             return None
         self._elapsed_s = min(report.robot_time_s - self._robot_time_s, MAX_STEP_S)
         self._robot_time_s, self._taken_at_s = report.robot_time_s, read_at_s

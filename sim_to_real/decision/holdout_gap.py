@@ -22,14 +22,8 @@ from sim_to_real.fit.trend import effects_in_frame
 EDGE_PX = 6
 """Pixels nearer to an edge of the joint or of a shadow do not count."""
 
-SMOOTH_PX = 4.0
-"""1 sigma over which the map of the gap is smoothed."""
-
 BLOCK_PX = 40
 """The side of the blocks that are resampled for an interval."""
-
-N_BOOTSTRAP = 400
-"""Draws of the bootstrap."""
 
 
 def predict_holdout(
@@ -174,7 +168,8 @@ def measure_gap(
     # A model's error recurs at a place in every frame: a draw takes a block in all of them.
     blocks = in_blocks(squares.sum(axis=1), BLOCK_PX).sum(axis=(-3, -1)).reshape(len(squares), -1)
     before, after, floor = _gaps(squares.sum(axis=(1, 2, 3)))
-    draws = np.random.default_rng(seed).integers(0, blocks.shape[1], (N_BOOTSTRAP, blocks.shape[1]))
+    # Draws of the bootstrap.
+    draws = np.random.default_rng(seed).integers(0, blocks.shape[1], (400, blocks.shape[1]))
     drawn = np.array([_closed_share(*_gaps(blocks[:, draw].sum(axis=1))) for draw in draws])
     # If more draws than an end leaves out have no gap above the floor, the share has no bounds.
     ends = 2.5, 97.5
@@ -214,9 +209,9 @@ def excess_map(predicted: HeldOutPrediction) -> Float32:
     counts = np.isfinite(predicted.variance)
     sigma = np.sqrt(np.where(counts, predicted.variance, 1.0))
     r = np.where(counts, (predicted.recorded - predicted.before) / sigma, 0.0)
+    # 1 sigma over which the map of the gap is smoothed.
     weight, first, second = (
-        cv2.GaussianBlur(image.sum(axis=0).astype(np.float32), (0, 0), SMOOTH_PX)
-        for image in (counts, r, r**2)
+        cv2.GaussianBlur(image.sum(axis=0).astype(np.float32), (0, 0), 4.0) for image in (counts, r, r**2)
     )
     seen = weight > 0.1
     with np.errstate(invalid="ignore", divide="ignore"):

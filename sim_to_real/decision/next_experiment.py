@@ -36,9 +36,6 @@ from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import FRAME_LEVEL, Refit, refit_at
 from sim_to_real.fit.linearized_model import LinearizedModel
 
-N_NEAREST = 3
-"""Effects between which an experiment is to decide where the cause is unknown."""
-
 
 def planned_frame(experiment: Experiment, frame: ObservedFrame, setup: Setup) -> ObservedFrame:
     """Return the frame that an experiment would give at the time of an existing one."""
@@ -90,7 +87,8 @@ def next_measurement(
     """
     if is_unknown:
         distinct = {frozenset(hypothesis.ids): hypothesis for hypothesis in reversed(posterior.hypotheses)}
-        nearest = [h for h in posterior.hypotheses if distinct[frozenset(h.ids)] is h][:N_NEAREST]
+        # Effects between which an experiment is to decide where the cause is unknown.
+        nearest = [h for h in posterior.hypotheses if distinct[frozenset(h.ids)] is h][:3]
         alive = [(hypothesis, 1.0) for hypothesis in nearest]
     else:
         alive = [

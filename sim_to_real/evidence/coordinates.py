@@ -26,9 +26,6 @@ TOGETHER, ANYTHING = "all of these", "anything"
 ADDED_DN = 50.0
 """Amplitude of a free term of size 1 that adds to the image."""
 
-MOVED_DEG, MOVED_MM = 2.0, 2.5
-"""Rotation and translation of the camera by a free term of size 1."""
-
 
 @dataclass(frozen=True)
 class FreeTerm:
@@ -197,7 +194,8 @@ def _displacements(covariates: Covariates) -> list[_FreeColumns]:
     # A camera turned about x and y sees the image shifted down and along its rows.
     outward = pose[:, 1] * x - pose[:, 0] * y
     distortion = np.column_stack([outward, 4.0 * outward * (x**2 + y**2)])
-    sizes = np.array([MOVED_DEG] * 3 + [MOVED_MM] * 3, dtype=np.float32)
+    # Rotation and translation of the camera by a free term of size 1.
+    sizes = np.array([2.0] * 3 + [2.5] * 3, dtype=np.float32)
     in_frame = frame_indicators(covariates)
     # A free term of size 1 turns the camera by 0.3 deg and moves it by 0.3 mm, as a wrong clock does.
     turned = pairwise_products(in_frame, np.float32(0.3) * pose[:, :3])

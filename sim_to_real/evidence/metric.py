@@ -25,9 +25,6 @@ from noise_model.compiled.arrays import Float32, Float64
 from noise_model.fit import Parameter
 from sim_to_real.fit.quadratic import Quadratic
 
-AT_BOUND = 1e-9
-"""A size this near its bound, in sigmas of its prior, is at it."""
-
 
 @dataclass(frozen=True, eq=False)
 class WeightedColumns:
@@ -165,7 +162,8 @@ def _at_variance(products: Float64, sides: Float64, variance: float) -> tuple[fl
         bounded = sides[last] * nnls(root[last, last].T * sides[last], target[last])[0]
         rest = target[free] - root[last, free].T @ bounded
         sizes = np.append(solve_triangular(root[free, free], rest, lower=True, trans=1), bounded)
-        at_bound = is_bounded & (np.abs(sizes) < AT_BOUND)
+        # A size this near its bound, in sigmas of its prior, is at it.
+        at_bound = is_bounded & (np.abs(sizes) < 1e-9)
         sizes = np.where(at_bound, 0.0, sizes)
         root = np.linalg.cholesky(information[np.ix_(~at_bound, ~at_bound)])
     gained = sizes @ along + 0.5 * sizes @ information @ sizes

@@ -50,9 +50,6 @@ plate's plane; phi_r = 0 on the side opposite the arc. These four are NaN while 
 `row`, `column` and `radius`, from the principal point, are in pixels of the recording.
 """
 
-MIN_SPEED_MM_S = 0.2
-"""A tool that moves sideways more slowly counts as moving neither way."""
-
 
 @dataclass(frozen=True, eq=False)
 class Covariates:
@@ -222,7 +219,8 @@ def velocity_sign(frame: ObservedFrame, true: Setup) -> float:
     start, end = (np.asarray(point) for point in true.joint.seam_in_base_mm[:2])
     left_base = np.cross(true.joint.surface_normal_in_base, end - start)
     speed = float(step_base @ left_base / np.linalg.norm(left_base)) / span_s
-    return 0.0 if abs(speed) < MIN_SPEED_MM_S else float(np.sign(speed))
+    # A tool that moves sideways more slowly counts as moving neither way.
+    return 0.0 if abs(speed) < 0.2 else float(np.sign(speed))
 
 
 def _of_image(observed: ObservedRecording, view: View) -> dict[str, Float64]:

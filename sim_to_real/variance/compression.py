@@ -21,9 +21,6 @@ from noise_model.instrument.sensor import Sensor, saturation_dn
 QUALITIES = np.arange(1.0, 99.75, 0.25)
 """The qualities that are tried."""
 
-MAX_FRAMES, MAX_COEFFICIENTS, MIN_COEFFICIENTS = 4, 16_000, 200
-"""Number of frames, spread over the recording, and largest and least number of their coefficients."""
-
 ROUNDED_SIGMA = math.sqrt(1.0 / 12.0)
 """1 sigma of a coefficient, DN, whose pixels are rounded to whole DN."""
 
@@ -47,9 +44,10 @@ def find_compression(images_dn: Sequence[Integers], sensor: Sensor) -> Compressi
     """
     if sensor.bits > 8:
         return None
-    some = [images_dn[n] for n in np.unique(np.linspace(0, len(images_dn) - 1, MAX_FRAMES).astype(int))]
+    # Number of frames, spread over the recording.
+    some = [images_dn[n] for n in np.unique(np.linspace(0, len(images_dn) - 1, 4).astype(int))]
     value, place = _coefficients(some, sensor)
-    if len(value) < MIN_COEFFICIENTS:
+    if len(value) < 200:
         return None
     gains = np.array([_gain(value, place, float(quality)) for quality in QUALITIES])
     (prior,) = REGISTRY["image_compression"].parameters
@@ -77,7 +75,8 @@ def _coefficients(images_dn: Sequence[Integers], sensor: Sensor) -> tuple[Float6
         values.append(free[block, place])
         places.append(place + 1)
     value, of_block_place = np.concatenate(values), np.concatenate(places)
-    every = max(1, math.ceil(len(value) / MAX_COEFFICIENTS))
+    # Largest number of coefficients.
+    every = max(1, math.ceil(len(value) / 16_000))
     return value[::every], of_block_place[::every]
 
 

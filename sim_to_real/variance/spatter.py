@@ -28,9 +28,6 @@ from sim_to_real.variance.streaks import LineSearch, StreakLine, search_lines, t
 CLUTTER_FRAMES = 30.0
 """Prior of lines that are no streaks: fewer than one in this number of frames."""
 
-OUTLIER_SIGMAS = 4.0
-"""Distance from the background, in sigmas, of pixels that do not belong to it."""
-
 PARAMETERS = {parameter.name: parameter for parameter in REGISTRY["spatter"].parameters}
 """The catalogue's parameters of spatter."""
 
@@ -207,7 +204,8 @@ def _background(electrons: Float64, around: Bool, noise_e: float) -> Float64 | N
         fitted = basis @ np.linalg.lstsq(basis[use], electrons[use], rcond=None)[0]
         remainder = electrons - fitted
         spread_e = sigma_of(remainder[use])
-        use = around & (np.abs(remainder) < OUTLIER_SIGMAS * max(noise_e, spread_e))
+        # Distance from the background, in sigmas, of pixels that do not belong to it.
+        use = around & (np.abs(remainder) < 4.0 * max(noise_e, spread_e))
     # A smooth background scatters by little more than noise in most of its pixels.
     is_smooth = float(np.std(remainder[use])) < 1.5 * noise_e and use.sum() > 0.7 * around.sum()
     return np.asarray(fitted) if is_smooth else None

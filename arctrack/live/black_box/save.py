@@ -22,8 +22,6 @@ from arctrack.recording.writer import RecordingWriter, VideoFormat
 from noise_model.setup import Setup
 from noise_model.transforms import pose_matrix
 
-ABOUT_JSON = "black_box.json"
-
 VERSIONS = ("arctrack", "numpy", "numba", "scipy", "opencv-contrib-python-headless")
 """Packages whose same versions give the same tracks."""
 
@@ -62,7 +60,7 @@ def save_window(
             folder = recording.unfinished_path
             write_steps(folder, ((entry.frame.index, entry.inputs) for entry in entries))
             _write_live(folder / LIVE_FOLDER, entries)
-            (folder / ABOUT_JSON).write_text(
+            (folder / "black_box.json").write_text(
                 json.dumps(_about(entries, reason, reader.status()), indent=1), encoding="utf-8"
             )
     return path

@@ -30,16 +30,7 @@ from arctrack.live.journal.ring import RingError, RingReader, RingWriter, remove
 ENTRY_BYTES = 96 * 1024
 """All of an entry but its image: a tracker's state has 40 kB at most, POSES 30 kB."""
 
-POSES = 128
-"""Largest number of poses kept between two frames."""
-
-VIEW_BYTES_PER_LINE, VIEW_BYTES = 80, 64 * 1024
-"""Bytes of a view: its stripe has seven values a scan line, the rest is small."""
-
-STATUS_BYTES = 16 * 1024
 MIN_SLOTS, FEW_SLOTS = 8, 4
-SPARE = 1.25
-"""Ring size over the frames to keep: what is being saved must not be overwritten."""
 
 
 def entries_name(name: str) -> str:
@@ -70,7 +61,8 @@ def gap_name(name: str) -> str:
 
 def slots_for(kept_s: float, rate_hz: float) -> int:
     """Return how many entries a ring holds, so that those of a time, s, can be saved while more come."""
-    return max(MIN_SLOTS, math.ceil(SPARE * kept_s * rate_hz))
+    # Ring size over the frames to keep: what is being saved must not be overwritten.
+    return max(MIN_SLOTS, math.ceil(1.25 * kept_s * rate_hz))
 
 
 def journal_bytes(kept_s: float, rate_hz: float, image_bytes: int) -> int:
@@ -89,13 +81,15 @@ class Journal:
         height, width = shape
         image_bytes = height * width * np.dtype(dtype).itemsize
         self.lost = 0
-        self._poses: deque[ReceivedPose] = deque(maxlen=POSES)
+        # Largest number of poses kept between two frames.
+        self._poses: deque[ReceivedPose] = deque(maxlen=128)
         self._rings: list[RingWriter] = []
         try:
             self._entries = self._ring(entries_name(name), slots, ENTRY_BYTES + image_bytes)
-            view_bytes = VIEW_BYTES + VIEW_BYTES_PER_LINE * max(shape)
+            # Bytes of a view: its stripe has seven values a scan line, the rest is small.
+            view_bytes = 64 * 1024 + 80 * max(shape)
             self._views = self._ring(view_name(name), FEW_SLOTS, view_bytes)
-            self._statuses = self._ring(status_name(name), FEW_SLOTS, STATUS_BYTES)
+            self._statuses = self._ring(status_name(name), FEW_SLOTS, 16 * 1024)
         except BaseException:
             self.close()
             raise

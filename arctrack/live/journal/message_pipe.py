@@ -12,9 +12,6 @@ from contextlib import suppress
 from multiprocessing.connection import wait
 from typing import Any
 
-MAX_BYTES = 2**20
-"""Upper bound of a message: Linux takes a fifth of that unless net.core.wmem_max says more."""
-
 
 class PipeEnd:
     """One end of a pipe over a non-blocking socket; it blocks only on request.
@@ -46,7 +43,8 @@ class PipeEnd:
     def recv(self) -> Any:
         """Wait for a message and return it; EOFError where nobody has the other end."""
         self.poll(None)
-        packed = os.read(self._handle, MAX_BYTES)
+        # Upper bound of a message: Linux takes a fifth of that unless net.core.wmem_max says more.
+        packed = os.read(self._handle, 2**20)
         if not packed:
             raise EOFError
         return pickle.loads(packed)

@@ -31,10 +31,6 @@ class MessageKind(Enum):
     HEAT = "heat"
 
 
-COUNTS_ALONE = frozenset({MessageKind.STATUS, MessageKind.PICTURE, MessageKind.HEAT})
-"""Kinds of which only the newest message counts: an older one that still waits is not sent."""
-
-
 class Outbox:
     """Messages queued for one browser; `dropped` counts those replaced by newer ones."""
 
@@ -49,7 +45,8 @@ class Outbox:
     def put(self, kind: MessageKind, message: Message) -> None:
         """Let a message wait, in the place of an older one where only the newest counts."""
         before = len(self._waiting)
-        if kind in COUNTS_ALONE:
+        # Kinds of which only the newest message counts: an older one that still waits is not sent.
+        if kind in (MessageKind.STATUS, MessageKind.PICTURE, MessageKind.HEAT):
             self._waiting = deque(held for held in self._waiting if held[0] is not kind)
         while len(self._waiting) >= MAX_WAITING:
             self._waiting.popleft()
@@ -63,9 +60,6 @@ class Outbox:
             self._filled.clear()
             await self._filled.wait()
         return self._waiting.popleft()[1]
-
-
-STATUS_TICKS, HEAT_S = 2, 0.5
 
 
 class Feed:
@@ -176,7 +170,7 @@ class Feed:
             self.arc = view.arc
             self._picture = await loop.run_in_executor(self._executor, self._painter.paint, entry, view)
             self._send(MessageKind.PICTURE, self._picture.message)
-            if self._outboxes and time.monotonic() - self._heated_s > HEAT_S:
+            if self._outboxes and time.monotonic() - self._heated_s > 0.5:
                 self._heated_s = time.monotonic()
                 self._heat = await loop.run_in_executor(self._executor, self._painter.heat, entry, view)
                 self._send(MessageKind.HEAT, self._heat)
@@ -195,7 +189,7 @@ class Feed:
             while self._points[-1][0] - self._points[0][0] > SHOWN_S:
                 self._points.popleft()
             self._send(MessageKind.POINTS, json.dumps({"kind": "points", "points": points}, allow_nan=False))
-        if tick % STATUS_TICKS == 0:
+        if tick % 2 == 0:
             self.gap = self._reader.gap()
             if not self._outboxes:
                 view = self._reader.newest_view()

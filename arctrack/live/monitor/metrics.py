@@ -13,9 +13,6 @@ from arctrack.live.monitor.status import indicated
 from arctrack.live.monitor.words import Indication
 from robot_io import TrackerState
 
-QUANTILES = ("0.5", "0.99", "1")
-"""Quantiles of `Status.capture_ms` and `arrival_ms`, in their order."""
-
 
 def registry_of(feed: Feed) -> CollectorRegistry:
     """Return a registry of a run's numbers alone."""
@@ -126,7 +123,8 @@ def _latencies(status: Status) -> Metric:
         labels=["since", "quantile"],
     )
     for since, values_ms in (("mid_exposure", status.capture_ms), ("arrival", status.arrival_ms)):
-        for quantile, value_ms in zip(QUANTILES, values_ms, strict=True):
+        # Quantiles of `Status.capture_ms` and `arrival_ms`, in their order.
+        for quantile, value_ms in zip(("0.5", "0.99", "1"), values_ms, strict=True):
             if math.isfinite(value_ms):
                 latency.add_metric([since, quantile], value_ms / 1000.0)
     return latency

@@ -18,15 +18,6 @@ from tracker.stripe.read import arc_map_of
 EVERY_S = 0.25
 """Period of the choice of an exposure, s: a robot at 10 mm/s goes 2.5 mm meanwhile."""
 
-LINES = 32
-"""Number of scan lines that represent all: a choice takes half a millisecond."""
-
-MIN_LINES = 8
-"""Least number of lines for a choice."""
-
-ALONG_MM = 0.5
-"""Largest travel of the tool during an exposure, mm: a frame shows the mean over it."""
-
 
 @dataclass(frozen=True)
 class _TimedPose:
@@ -84,8 +75,10 @@ class ExposureChooser:
             return None
         moved_px = there.position_px - here.position_px
         known = np.isfinite(stripe.position_px + moved_px) & (stripe.amplitude_e > 0.0)
-        lines = np.flatnonzero(known)[:: max(1, int(known.sum()) // LINES)]
-        if len(lines) < MIN_LINES:
+        # Number of scan lines that represent all: a choice takes half a millisecond.
+        lines = np.flatnonzero(known)[:: max(1, int(known.sum()) // 32)]
+        # Least number of lines for a choice.
+        if len(lines) < 8:
             return None
         place_px = np.clip(np.rint(stripe.position_px[lines] + moved_px[lines]), 0, geometry.n_pos - 1)
         kernel = arc_kernel(geometry.setup, scene, expected_output(geometry.setup, frame))
@@ -105,4 +98,5 @@ class ExposureChooser:
 
     def _longest_s(self, velocity_mm_s: Float64) -> float:
         speed_mm_s = float(np.linalg.norm(velocity_mm_s))
-        return min(self._max_s, ALONG_MM / speed_mm_s) if speed_mm_s > 0.0 else self._max_s
+        # Largest travel of the tool during an exposure, mm: a frame shows the mean over it.
+        return min(self._max_s, 0.5 / speed_mm_s) if speed_mm_s > 0.0 else self._max_s

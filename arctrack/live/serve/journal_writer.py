@@ -11,8 +11,6 @@ from robot_io import PoseSample
 from tracker.observation import Reading
 from tracker.state import Track
 
-STATUS_S = 0.1
-
 
 class JournalWriter:
     """Writer of a run's journal; `processes` returns the states of the run's subprocesses."""
@@ -52,7 +50,7 @@ class JournalWriter:
 
     def write_status(self, now_s: float, status: Callable[[], Status]) -> None:
         """Write how the run stands, where it is time for it."""
-        if not 0.0 <= now_s - self._status_s < STATUS_S:
+        if not 0.0 <= now_s - self._status_s < 0.1:
             self._status_s = now_s
             self._journal.write_status(replace(status(), processes=self._processes()))
 

@@ -38,9 +38,6 @@ from noise_model.effects import pose_time_s
 from noise_model.transforms import invert
 from robot_io import Link, LinkError, Source
 
-LAG_NICENESS = 5
-"""Niceness of the estimate of the robot's lag: nobody waits for it."""
-
 
 @dataclass(frozen=True)
 class RunParts:
@@ -80,7 +77,8 @@ def opened_run(
     with ExitStack() as opened:
         supervisor = Supervisor(tell)
         lag_end, its_end = message_pipe()
-        estimating = SupervisedProcess("lag", estimate_lags, (), (its_end,), LAG_NICENESS, lost=NOTHING_YET)
+        # Niceness of the estimate of the robot's lag: nobody waits for it.
+        estimating = SupervisedProcess("lag", estimate_lags, (), (its_end,), 5, lost=NOTHING_YET)
         lag = opened.enter_context(supervisor.running(estimating))
         parts = run_parts(cell, job_number, PipeClient(lag_end))
         opened.callback(parts.camera.close)

@@ -44,12 +44,6 @@ Once the next frame is due it is the second; so near the time when it is expecte
 process that sleeps is woken late.
 """
 
-CHECK_S = 0.001
-"""Period of the loop's turns: those about a frame's arrival are shorter."""
-
-MAX_MESSAGES = 64
-"""Largest number of messages read in a turn: a robot that sends all the time must not hold a frame up."""
-
 LiveSeam = SeamTracker[FrameTracking]
 OnTrack = Callable[[Track, list[BusMessage]], None]
 """Callback with each track, and what was sent of it."""
@@ -133,7 +127,8 @@ class LiveLoop:
         """Read the bus, switch the laser, track the newest frame once its pose is there, send what is due."""
         self._listen(self._wait_s() if wait_s is None else wait_s)
         now_s = self.camera.now_s()
-        is_time = not 0.0 <= now_s - self._checked_s < CHECK_S
+        # Period of the loop's turns: those about a frame's arrival are shorter.
+        is_time = not 0.0 <= now_s - self._checked_s < 0.001
         if is_time:
             self._checked_s = now_s
             self._processor.look()
@@ -225,7 +220,8 @@ class LiveLoop:
 
     def _listen(self, wait_s: float) -> None:
         """Read what waits on the bus; wait for the first message alone."""
-        for _ in range(MAX_MESSAGES):
+        # Messages read in a turn at most: a robot that sends all the time must not hold a frame up.
+        for _ in range(64):
             received = next(self.link.receive(wait_s), None)
             if received is None:
                 return

@@ -24,9 +24,6 @@ from tracker import flags
 from tracker.state import Track
 
 INTERFACE, GROUP = "udp_multicast", "239.74.163.2"
-ENDS_S = 10.0
-"""Time that robot and camera may take to end."""
-
 Samples = list[tuple[float, float]]
 """Distances of the torch from the seam, mm, by the machine's monotonic time, s; NaN while it locks on again.
 """
@@ -102,7 +99,8 @@ class SimulatedCell(ChildProcess):
 
     def close(self) -> None:
         """Let it end: it does once nobody listens."""
-        self.end(ENDS_S)
+        # Time that robot and camera may take to end.
+        self.end(10.0)
 
 
 def write_simulated_cell(

@@ -37,21 +37,6 @@ BLOW_SIGMA_MM, RADIUS_SIGMA = 0.3, 0.05
 They are fitted along, for what they do to the light resembles what the height does.
 """
 
-FORM_SHARE = 0.25
-"""Correlation length of the map's smooth error, over the image's diagonal: lobes and shadows are as wide."""
-
-TEXTURE_SIGMA = 0.05
-"""1 sigma of the metal's own texture from pixel to pixel, relative."""
-
-MAX_HEIGHT_SIGMA_MM = 2.0
-"""Largest sigma of a known height, mm: arcs are as long."""
-
-MAX_HEIGHT_MM = 8.0
-"""No arc's centre stands farther off its place: the effect `arc_length` goes so far."""
-
-MAX_STEPS, ROBUST_STEPS = 3, 4
-"""Steps of the height, each about the one before, and of the weights in each."""
-
 
 @dataclass(frozen=True)
 class ArcHeight:
@@ -138,7 +123,8 @@ class ArcHeightEstimator:
         scan, position = np.divmod(unlit.pixels, geometry.n_pos)
         places = np.column_stack([scan, position]) / math.hypot(geometry.n_scan, geometry.n_pos)
         about_mm, map_e, height = 0.0, unlit.arc_e, NOT_KNOWN
-        for _ in range(MAX_STEPS):
+        # Steps of the height, each about the one before.
+        for _ in range(3):
             about = ArcDeparture(height_mm=about_mm)
             slope_e = light_e(replace(about, height_mm=about_mm + STEP_MM)) - light_e(
                 replace(about, height_mm=about_mm - STEP_MM)
@@ -156,7 +142,8 @@ class ArcHeightEstimator:
             told = np.isfinite(columns_e).all(axis=1)
             moved = _fitted(geometry, columns_e[told], unlit.charge_e[told], places[told])
             height = replace(moved, height_mm=about_mm + moved.height_mm)
-            if not abs(moved.height_mm) > STEP_MM or not abs(height.height_mm) <= MAX_HEIGHT_MM:
+            # No arc's centre stands farther off its place: the effect `arc_length` goes so far.
+            if not abs(moved.height_mm) > STEP_MM or not abs(height.height_mm) <= 8.0:
                 break
             about_mm, map_e = height.height_mm, light_e(ArcDeparture(height_mm=height.height_mm))
         return replace(height, height_sigma_mm=math.hypot(height.height_sigma_mm, surface_sigma_mm))
@@ -171,13 +158,16 @@ def _fitted(geometry: SensorGeometry, columns: Float64, charge_e: Float64, place
     map_e = columns[:, 0]
     black_sigma_e = max(geometry.image_source.black_sigma_e, MIN_BLACK_SIGMA_E)
     apart2 = ((places[:, None] - places[None]) ** 2).sum(axis=2)
-    map_covariance = MAP_SIGMA**2 * np.exp(-0.5 * apart2 / FORM_SHARE**2)
+    # Correlation length of the map's smooth error, over the image's diagonal: lobes and shadows are as wide.
+    map_covariance = MAP_SIGMA**2 * np.exp(-0.5 * apart2 / 0.25**2)
     dark_e2 = dark_variance_at(geometry.image_source, charge_e)
     level = max(float(np.median(charge_e) / max(float(np.median(map_e)), 1e-9)), 1e-3)
     spread, fitted, covariance, chi2 = np.ones(len(map_e)), np.zeros(6), np.eye(6), math.nan
-    for _ in range(ROBUST_STEPS):
+    # Steps of the weights.
+    for _ in range(4):
         mean_e = level * map_e
-        own_e2 = (np.maximum(mean_e, 0.0) + dark_e2 + (TEXTURE_SIGMA * mean_e) ** 2) * spread
+        # 1 sigma of the metal's own texture from pixel to pixel, relative.
+        own_e2 = (np.maximum(mean_e, 0.0) + dark_e2 + (0.05 * mean_e) ** 2) * spread
         factor = cho_factor(np.diag(own_e2) + np.outer(mean_e, mean_e) * map_covariance, lower=True)
         weighted = cho_solve(factor, columns)
         # Each counts in units of its sigma, times the output.
@@ -198,7 +188,8 @@ def _fitted(geometry: SensorGeometry, columns: Float64, charge_e: Float64, place
     height_mm = float(fitted[1] / fitted[0]) if fitted[0] > 0.0 else math.nan
     to_height = np.array([-height_mm, 1.0, 0.0, 0.0, 0.0, 0.0]) / level
     height_sigma_mm = math.sqrt(float(to_height @ covariance @ to_height)) if fitted[0] > 0.0 else math.nan
-    if not height_sigma_mm < MAX_HEIGHT_SIGMA_MM:
+    # Largest sigma of a known height, mm: arcs are as long.
+    if not height_sigma_mm < 2.0:
         height_mm = height_sigma_mm = math.nan
     level, level_sigma = float(fitted[0]), math.sqrt(float(covariance[0, 0]))
     if not level_sigma < MAX_SIGMA * max(level, 1.0):

@@ -15,15 +15,10 @@ from arctrack.live.watch.gap_watch import GapWatch
 from noise_model.setup import Setup
 from tracker.geometry import SensorGeometry
 
-LOOK_S = 0.2
-
 LOOK_FRAMES, MIN_LOOK_FRAMES, AGAIN_S = 12, 6, 60.0
 """Number of frames, evenly chosen since a gap began, that are used, their least number, and the time until
 the next use.
 """
-
-SETTLED_S = 5.0
-"""Time from a gap's begin to its examination, s: earlier, most frames are from before it."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +36,7 @@ def run_watch(options: WatchOptions, parent: Connection) -> None:
         parent.send([])
         watch = RunWatch(reader, options.jobs)
         reported_s = -math.inf
-        while not parent.poll(LOOK_S):
+        while not parent.poll(0.2):
             watch.look()
             if watch.now_s - reported_s >= 1.0 or watch.now_s < reported_s:
                 reported_s = watch.now_s
@@ -78,7 +73,8 @@ class RunWatch:
         watch = self._watch
         if not watch.is_gap:
             self._likely = ""
-        elif self.now_s - watch.since_s >= SETTLED_S and self.now_s - self._looked_s >= AGAIN_S:
+        # Time from a gap's begin to its examination, s: earlier, most frames are from before it.
+        elif self.now_s - watch.since_s >= 5.0 and self.now_s - self._looked_s >= AGAIN_S:
             self._looked_s = self.now_s
             self._likely = self._look_at_the_gap()
 

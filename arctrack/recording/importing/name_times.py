@@ -31,8 +31,6 @@ _TRAILING_COUNT = re.compile(r"\d{1,9}$")
 _TRAILING_NUMBER = re.compile(r"\d+(?:\.\d+)?$")
 
 _EPOCH = re.compile(r"(?<!\d)1\d{9}(\d{3}){0,3}(?!\d)")
-_EPOCH_DIGITS = 10
-"""Seconds since 1970 have ten digits from 2001 to 2286; three more make ms, six us, nine ns."""
 
 
 def times_in_names(paths: Sequence[Path], stated: Units) -> TimeSource:
@@ -71,7 +69,8 @@ def recognized_times(paths: Sequence[Path]) -> list[TimeSource]:
     digits = [match[0] for match in hits if match is not None]
     if len(digits) < len(paths) or len({len(text) for text in digits}) > 1:
         return []
-    tick_s = 10.0 ** (_EPOCH_DIGITS - len(digits[0]))
+    # Seconds since 1970 have ten digits from 2001 to 2286; three more make ms, six us, nine ns.
+    tick_s = 10.0 ** (10 - len(digits[0]))
     # Whole ns since 1970 are more than a float holds.
     first = int(digits[0])
     return [TimeSource(NAME, np.array([float(int(text) - first) for text in digits]) * tick_s, tick_s)]

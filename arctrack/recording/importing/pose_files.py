@@ -42,9 +42,8 @@ POSITION_NAMES = tuple(
     (axis, f"pos_{axis}", f"t{axis}", f"actual_tcp_pose_{n}") for n, axis in enumerate("xyz")
 )
 
-JOINTS = range(1, 8)
 JOINT_NAMES = tuple(
-    [f"{stem}{n - 1 if stem == 'actual_q_' else n}" for n in JOINTS]
+    [f"{stem}{n - 1 if stem == 'actual_q_' else n}" for n in range(1, 8)]
     for stem in ("j", "q", "joint_", "joint", "axis_", "a", "rax_", "actual_q_")
 )
 """Names of the columns of joint angles, set by set; --column takes the first."""

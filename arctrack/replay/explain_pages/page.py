@@ -16,14 +16,6 @@ from arctrack.report.template import environment
 from tracker.joint.measured import off_section
 from tracker.stripe.viterbi import GAIN_CAP
 
-TEMPLATE = "explain.html.j2"
-
-MAX_CANDIDATES = 4
-"""Candidates of a scan line that are listed."""
-
-MIN_GAIN = 2.0
-"""Candidates that gain less are noise and not listed."""
-
 
 @dataclass(frozen=True)
 class PeakCandidate:
@@ -51,7 +43,7 @@ def page(explanation: Explanation) -> str:
     """Return the page, which needs no other file and no network."""
     pages = environment()
     pages.globals.update(words=words, number=number, percent=percent)
-    return pages.get_template(TEMPLATE).render(**_content(explanation))
+    return pages.get_template("explain.html.j2").render(**_content(explanation))
 
 
 def telling_lines(stripe: StripeLook) -> list[tuple[str, int]]:
@@ -83,8 +75,10 @@ def candidates(explanation: Explanation, stripe: StripeLook, s: int) -> tuple[Pe
     gains = np.minimum(0.5 * np.maximum(score, 0.0) ** 2, GAIN_CAP)
     places = reading.around_px[s] + reading.offsets_px
     around = np.concatenate([[-np.inf], score, [-np.inf]])
-    peaks = np.flatnonzero((score >= around[:-2]) & (score > around[2:]) & (gains >= MIN_GAIN))
-    shown = list(peaks[np.argsort(-score[peaks], kind="stable")][:MAX_CANDIDATES])
+    # Candidates that gain less are noise and not listed.
+    peaks = np.flatnonzero((score >= around[:-2]) & (score > around[2:]) & (gains >= 2.0))
+    # Candidates of a scan line that are listed.
+    shown = list(peaks[np.argsort(-score[peaks], kind="stable")][:4])
     start = float(reading.start_px[s])
     taken = int(np.argmin(np.abs(places - start))) if math.isfinite(start) else None
     if taken is not None and taken not in shown:

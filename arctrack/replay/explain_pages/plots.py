@@ -24,12 +24,6 @@ WIDTH_INCH = 10.5
 CERTAIN_SIGMAS = math.sqrt(2.0 * GAIN_CAP)
 """A score from which on a candidate gains no more."""
 
-SHADES = 12
-"""Number of shades of grey of the scores: noise stays white."""
-
-BINS = 100
-"""Number of bins of scan lines in which the sigma's parts are drawn."""
-
 PARTS = {
     "stripe": ("shot noise of the stripe", style.BLUE),
     "arc": ("shot noise of the arc", style.ORANGE),
@@ -42,16 +36,8 @@ PARTS = {
 
 FLOOR = ("floor that the joint's fit adds", style.GREEN)
 
-ELLIPSE_MM = 0.4
-"""The seam's ellipse is drawn about so large."""
-
 CLOSE_MM = 3.0
 """Half-width of the close-up of the profile about the seam point."""
-
-TIMES = (1, 2, 5, 10, 20, 50, 100, 200, 500)
-
-STATIONS = 160
-"""Places along the path at which the history is drawn."""
 
 
 def candidates_picture(explanation: Explanation, look: StripeLook) -> str:
@@ -65,7 +51,8 @@ def candidates_picture(explanation: Explanation, look: StripeLook) -> str:
     score = np.maximum(reading.score, 0.0)
     # A streak of spatter must not pale the stripe.
     ceiling = max(1.2 * float(np.median(score.max(axis=1))), CERTAIN_SIGMAS)
-    step = ceiling / SHADES
+    # Number of shades of grey of the scores: noise stays white.
+    step = ceiling / 12
     low, high = int(reading.offsets_px[0]), int(reading.offsets_px[-1])
     half = 0.5 * OFFSET_STEP * reading.bin_px
     shown = axes.imshow(
@@ -187,7 +174,8 @@ def sigma_picture(explanation: Explanation, parts: SigmaParts) -> str:
     _legend(upper, 3)
 
     style.plain(lower, f"{scan_line(explanation)} [px]", "share of the variance [%]")
-    each = max(1, -(-len(lines) // BINS))
+    # Number of bins of scan lines in which the sigma's parts are drawn.
+    each = max(1, -(-len(lines) // 100))
     of_bins = [(label, colour, _binned(value, each)) for label, colour, value in parts_with_floor(parts)]
     total = np.sum([value for _, _, value in of_bins], axis=0)
     middles = (np.arange(len(total)) + 0.5) * each - 0.5
@@ -256,7 +244,8 @@ def history_picture(explanation: Explanation, look: StepObservation) -> str:
     figure = style.new_figure(WIDTH_INCH, 4.6, "The seam's displacement from the programmed path")
     torch = look.torch_station_mm
     marks = [torch, look.reading.seam.station_mm, *history.stations_mm]
-    stations = np.linspace(min(marks) - 4.0, max(marks) + 4.0, STATIONS)
+    # Places along the path at which the history is drawn.
+    stations = np.linspace(min(marks) - 4.0, max(marks) + 4.0, 160)
     told = [history.at(float(station)) for station in stations]
     mean, sigma = (np.array([pair[n] for pair in told]) for n in (0, 1))
     rows = figure.subplots(2, 1, sharex=True)
@@ -337,7 +326,8 @@ def _ellipse(axes: Axes, covariance_mm2: Float64, middle: tuple[float, float]) -
     """Draw a point's 1 sigma ellipse, enlarged; return how many times."""
     size, turn = np.linalg.eigh(covariance_mm2)
     small, large = np.sqrt(np.maximum(size, 0.0))
-    times = max((k for k in TIMES if k * large <= ELLIPSE_MM), default=1)
+    # The seam's ellipse is drawn about so large.
+    times = max((k for k in (1, 2, 5, 10, 20, 50, 100, 200, 500) if k * large <= 0.4), default=1)
     angle = float(np.degrees(np.arctan2(turn[1, 1], turn[0, 1])))
     diameters = (2.0 * times * large, 2.0 * times * small)
     axes.add_patch(Ellipse(middle, *diameters, angle=angle, fill=False, color=style.BLACK, linewidth=1.2))

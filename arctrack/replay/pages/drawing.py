@@ -13,18 +13,14 @@ from arctrack.replay.pages.frame_drawer import Drawn, FrameDrawer, ToDraw
 FRAMES_WORTH_A_PROCESS = 170
 """Number of the page's frames that take as long to draw as a process takes to start: 1.5 s of one core."""
 
-MAX_PROCESSES = 3
-"""Largest number of drawing processes: as fast as one reads the frames, encodes the video and collects the
-page.
-"""
-
 
 def process_count(cores: int, frames: int) -> int:
     """Return the number of processes that draw `frames` on `cores`.
 
     One core is for the writer of what they draw. No process takes longer to start than it then draws.
     """
-    return max(0, min(cores - 1, frames // FRAMES_WORTH_A_PROCESS, MAX_PROCESSES))
+    # Three draw as fast as one reads the frames, encodes the video and collects the page.
+    return max(0, min(cores - 1, frames // FRAMES_WORTH_A_PROCESS, 3))
 
 
 @dataclass(frozen=True)

@@ -34,8 +34,6 @@ MEANINGS = {
 }
 """Each number's name, unit included, and what it is."""
 
-ON_BUS = {Validity.VALID: "sent", Validity.HELD: "held"}
-
 
 def numbers(frame: Frame | None, seen: ReplayedFrame, true_mm: Float64 | None) -> dict[str, float]:
     """Return a frame's numbers by the names of `MEANINGS`, NaN where one is not known.
@@ -64,4 +62,4 @@ def numbers(frame: Frame | None, seen: ReplayedFrame, true_mm: Float64 | None) -
 
 def on_bus(seen: ReplayedFrame) -> str:
     """Return what became of a frame's offset on the bus: `sent`, `held` or `none`."""
-    return ON_BUS.get(seen.offset.validity, "none")
+    return {Validity.VALID: "sent", Validity.HELD: "held"}.get(seen.offset.validity, "none")

@@ -15,7 +15,6 @@ from noise_model.setup import Setup
 from robot_io import SeamOffset, Validity
 from tracker.state import Frame, Track
 
-MIN_WIDTH = 640
 LINE_PX, LINES = 20, 3
 PIXELS = "yuv420p"
 """Pixel format that every player knows; it halves both sides of its colour."""
@@ -83,7 +82,7 @@ def _write_lines(canvas: UInt8, top_px: int, lines: tuple[str, str, str]) -> Non
 
 
 def _zoom(setup: Setup) -> int:
-    return max(1, math.ceil(MIN_WIDTH / setup.camera.width))
+    return max(1, math.ceil(640 / setup.camera.width))
 
 
 def _size_px(setup: Setup) -> tuple[int, int]:

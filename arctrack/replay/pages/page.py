@@ -26,8 +26,6 @@ from tracker import flags
 from tracker.checks import Check
 from tracker.state import Frame, Track
 
-TEMPLATE = "replay.html.j2"
-
 MAX_SHOWN = 240
 """Largest number of frames with picture, profile and all checks on the page."""
 
@@ -121,7 +119,7 @@ class ReplayPage:
         }
         return (
             environment()
-            .get_template(TEMPLATE)
+            .get_template("replay.html.j2")
             .render(
                 recording=self._recording,
                 material=printable(setup.material.name),

@@ -21,9 +21,6 @@ from tracker.profile import lines_of, triangulate
 from tracker.state import SCAN, Y_MM, Frame, Stripe
 from tracker.stripe.expected import expect_stripe
 
-BEHIND_MM = 1000.0
-"""The section's corners are followed along the seam from so far behind the torch to the laser's sheet."""
-
 NO_POINTS, NO_LINES = np.empty((0, 3)), np.zeros(0, dtype=bool)
 
 
@@ -155,7 +152,8 @@ class Viewer:
         # A corrugation's height hangs on where the sheet cuts it, and that hardly on the height.
         for _ in range(2):
             raised = z + corrugation_height(x, scene.shape.corrugation)
-            behind = np.column_stack([np.full(len(y), scene.T_joint_tool[0, 3] - BEHIND_MM), y, raised])
+            # The section's corners are followed along the seam from 1 m behind the torch to the sheet.
+            behind = np.column_stack([np.full(len(y), scene.T_joint_tool[0, 3] - 1000.0), y, raised])
             points_tool = meet_laser_plane(self.geometry.setup, transform(T_tool_joint, behind), along_tool)
             x = transform(scene.T_joint_tool, points_tool)[:, 0]
         return points_tool

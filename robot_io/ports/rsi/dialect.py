@@ -8,9 +8,6 @@ from xml.etree import ElementTree
 
 from robot_io.ports.report import PortCorrection, PortError, PortReport, ProgramWord, Quaternion
 
-MAX_BYTES = 4096
-"""Largest datagram; one of the configuration has some 300 bytes."""
-
 
 class RsiDialect:
     """KUKA's side of RSI: RIst and the program's `Word` in, RKorr and `Usable` out."""
@@ -22,7 +19,8 @@ class RsiDialect:
     def hear(self, data: bytes) -> tuple[list[PortReport], bytes]:
         """Return the report of a datagram."""
         # No declaration is of RSI, and one of entities could grow without end; in UTF-16 it would be hidden.
-        if len(data) > MAX_BYTES or not data.isascii() or b"<!" in data or b"\0" in data:
+        # Largest datagram; one of the configuration has some 300 bytes.
+        if len(data) > 4096 or not data.isascii() or b"<!" in data or b"\0" in data:
             raise PortError("XML that RSI does not send")
         try:
             robot = ElementTree.fromstring(data)

@@ -17,9 +17,6 @@ from arctrack.live.cameras.capture.source import Ask
 from noise_model.setup import Setup
 from tracker.state import Frame, frame_misfit
 
-PIXEL_FORMATS = {8: "GREY", 10: "Y10 ", 12: "Y12 "}
-"""V4L2's raw grey by the sensor's bits; "Y16 " for all else."""
-
 EXPOSURE_UNIT_S = 1e-4
 """V4L2_CID_EXPOSURE_ABSOLUTE counts in 100 us."""
 
@@ -37,7 +34,8 @@ class DeviceSource:
         self._capture = cv2.VideoCapture(int(name) if name.isdigit() else name, backend)
         if not self._capture.isOpened():
             raise ArctrackError(f"[camera] name = {name!r}: cannot be opened; state a path as /dev/video0")
-        fourcc = PIXEL_FORMATS.get(setup.sensor.bits, "Y16 ")
+        # V4L2's raw grey by the sensor's bits; "Y16 " for all else.
+        fourcc = {8: "GREY", 10: "Y10 ", 12: "Y12 "}.get(setup.sensor.bits, "Y16 ")
         for key, value in (
             (cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*fourcc)),
             (cv2.CAP_PROP_FRAME_WIDTH, setup.camera.width),

@@ -27,9 +27,6 @@ IDS_GO_ROUND = 65_535
 BUFFERS = 16
 """Frames that the stream holds until they are read."""
 
-SILENT_S = 2.0
-"""Silence after which a camera counts as lost, unless it waits for its trigger's line, s."""
-
 Since = tuple[float, float]
 """A value, and from which time on, s, it holds for what begins then."""
 
@@ -203,7 +200,8 @@ class GigeSource:
 
     def _ask_whether_there(self) -> None:
         """Raise ArctrackError where a camera gives no frame that should, or is not ours any more."""
-        if time.monotonic() - self._heard_s <= SILENT_S:
+        # Silence after which a camera counts as lost, unless it waits for its trigger's line, s.
+        if time.monotonic() - self._heard_s <= 2.0:
             return
         # One that was switched off and on answers, and knows nothing of us.
         waits_for_line = self._choice.capture.trigger == "hardware"

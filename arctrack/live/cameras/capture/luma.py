@@ -11,10 +11,6 @@ from arctrack.recording import ffv1
 from arctrack.recording.video_file import opened_video
 from noise_model.compiled.arrays import Integers
 
-CODECS = ("ffv1", "h264")
-CONTAINERS = ("matroska", "webm", "mov", "mp4", "m4a", "3gp", "3g2", "mj2", "avi")
-"""FFmpeg's names."""
-
 
 class LumaVideo:
     """Sequential reader of a grey video; it never seeks.
@@ -67,4 +63,9 @@ class LumaVideo:
         return np.ascontiguousarray(rows[: frame.height, : frame.width], dtype=self.dtype)
 
     def _opened(self) -> av.container.InputContainer:
-        return opened_video(self._path, CODECS, "FFV1 or H.264 is needed", CONTAINERS)
+        return opened_video(
+            self._path,
+            ("ffv1", "h264"),
+            "FFV1 or H.264 is needed",
+            ("matroska", "webm", "mov", "mp4", "m4a", "3gp", "3g2", "mj2", "avi"),
+        )

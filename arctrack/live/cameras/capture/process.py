@@ -12,9 +12,6 @@ from arctrack.live.cameras.shared_frames import SharedFramesWriter
 from arctrack.live.journal.message_pipe import PipeEnd
 from noise_model.setup import Setup
 
-OPENED_AGAIN_S = 1.0
-"""Time after which a source that failed is reopened."""
-
 OVER = "over"
 """Message that a source has ended by itself."""
 
@@ -77,7 +74,8 @@ def _publish(
 
 def _opened_again(open_source: Open, name: str, parent: Connection) -> FrameSource | None:
     """Return a failed source after reopening it; None once the parent is gone."""
-    while not parent.poll(OPENED_AGAIN_S):
+    # Time after which a source that failed is reopened.
+    while not parent.poll(1.0):
         try:
             source = open_source(partial(read_line, name))
         except ArctrackError:
