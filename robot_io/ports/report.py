@@ -1,8 +1,8 @@
 """Reports of a robot at its port, the answers to them, and the word in which a program says both."""
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 from robot_io.protocol.messages import (
     Command,
@@ -67,18 +67,21 @@ class PortCorrection:
     reason: GateReason
 
 
-class Dialect(Protocol):
+class Dialect(ABC):
     """A vendor's protocol over one connection, without a socket or a clock."""
 
     def greeting(self) -> bytes:
-        """Return what is sent as soon as a connection is there."""
+        """Return what is sent as soon as a connection is there; empty where the robot speaks first."""
+        return b""
 
+    @abstractmethod
     def hear(self, data: bytes) -> tuple[list[PortReport], bytes]:
         """Return the reports in received bytes, and what is to be sent back at once.
 
         PortError for what is not of the protocol: a datagram is dropped, a connection closed.
         """
 
+    @abstractmethod
     def answer(self, report: PortReport, correction: PortCorrection) -> bytes:
         """Return the answer to a report; empty for none."""
 
@@ -97,32 +100,23 @@ class ProgramWord:
         if not 0 <= self.word < 2**32 or self.word & 0xFE00 or self.word & 7 > max(Command):
             raise PortError(f"program word {self.word:#x}: bits 9 to 15 must be 0, bits 0 to 2 a command")
 
-    @property
-    def command(self) -> Command:
-        """Command to the tracker."""
-        return Command(self.word & 7)
-
-    @property
-    def laser(self) -> Switch:
-        """ON where the laser may be on."""
-        return self._switch(3)
-
-    @property
-    def job_number(self) -> int | None:
-        """Number of the job."""
-        number = self.word >> 16
-        # Job of a program's word that names none.
-        return None if number == 0xFFFF else number
-
-    def status(self, is_running: bool = True, is_stopped: bool = False) -> RobotStatus:
-        """Return the robot's status.
+    def report(
+        self,
+        stamp: int,
+        robot_time_s: float,
+        position_base_mm: Vector,
+        quaternion_xyzw: Quaternion,
+        is_running: bool = True,
+        is_stopped: bool = False,
+    ) -> PortReport:
+        """Return the report of a pose with what the word says.
 
         What the controller itself says comes first: nothing moves or is corrected unless `is_running`, and
         `is_stopped` is an emergency stop.
         """
-        arc = self._switch(5)
+        arc, number = self._switch(5), self.word >> 16
         is_moving = is_running and self._switch(6) is Switch.ON
-        return RobotStatus(
+        status = RobotStatus(
             mode=RobotMode.AUTOMATIC if self._switch(7) is Switch.ON else RobotMode.MANUAL,
             motion=MotionState.MOVING if is_moving else MotionState.STOPPED,
             welding=WeldingState.WELDING if arc is Switch.ON else WeldingState.OFF,
@@ -133,6 +127,17 @@ class ProgramWord:
             current_a=math.nan,
             travel_speed_mm_s=math.nan,
             path_section=None,
+        )
+        return PortReport(
+            stamp,
+            robot_time_s,
+            position_base_mm,
+            quaternion_xyzw,
+            status,
+            command=Command(self.word & 7),
+            laser=self._switch(3),
+            # All bits set name no job.
+            job_number=None if number == 0xFFFF else number,
         )
 
     def _switch(self, bit: int) -> Switch:

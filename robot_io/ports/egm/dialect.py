@@ -10,7 +10,7 @@ shorter than the generated classes and the runtime that would read them.
 import struct
 from collections.abc import Iterator
 
-from robot_io.ports.report import PortCorrection, PortError, PortReport, ProgramWord
+from robot_io.ports.report import Dialect, PortCorrection, PortError, PortReport, ProgramWord
 
 VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
 Value = int | float | bytes
@@ -105,7 +105,7 @@ HEADER, FEEDBACK, MOTORS, MCI, RAPID, FROM_RAPID = 1, 2, 4, 5, 8, 13
 """Fields of EgmRobot; RAPIDfromRobot is RobotWare 7's."""
 
 
-class EgmDialect:
+class EgmDialect(Dialect):
     """ABB's side of EGM path correction.
 
     The program's word is the first number of RAPIDfromRobot. `running_word` stands for it where a controller
@@ -115,10 +115,6 @@ class EgmDialect:
     def __init__(self, running_word: int | None = None) -> None:
         self._running_word = None if running_word is None else ProgramWord(running_word)
         self._seqno = 0
-
-    def greeting(self) -> bytes:
-        """Return nothing: the robot speaks first."""
-        return b""
 
     def hear(self, data: bytes) -> tuple[list[PortReport], bytes]:
         """Return the report of a datagram."""
@@ -132,15 +128,13 @@ class EgmDialect:
         is_executing = inner(robot, RAPID).get(1) == RAPID_RUNNING
         is_running = is_executing and inner(robot, MCI).get(1) == MCI_RUNNING
         word = self._word(robot, is_executing)
-        report = PortReport(
+        report = word.report(
             stamp=whole(header, 1),
             robot_time_s=whole(header, 2) / 1000.0,
             position_base_mm=(real(position, 1), real(position, 2), real(position, 3)),
             quaternion_xyzw=(x, y, z, w),
-            status=word.status(is_running, is_stopped=inner(robot, MOTORS).get(1) != MOTORS_ON),
-            command=word.command,
-            laser=word.laser,
-            job_number=word.job_number,
+            is_running=is_running,
+            is_stopped=inner(robot, MOTORS).get(1) != MOTORS_ON,
         )
         return [report], b""
 

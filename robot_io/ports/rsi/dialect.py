@@ -3,18 +3,15 @@
 Each datagram is answered with its IPOC, whatever counts: RSI stops after some answers that are missing.
 """
 
-import math
 from xml.etree import ElementTree
 
-from robot_io.ports.report import PortCorrection, PortError, PortReport, ProgramWord, Quaternion
+from scipy.spatial.transform import Rotation
+
+from robot_io.ports.report import Dialect, PortCorrection, PortError, PortReport, ProgramWord
 
 
-class RsiDialect:
+class RsiDialect(Dialect):
     """KUKA's side of RSI: RIst and the program's `Word` in, RKorr and `Usable` out."""
-
-    def greeting(self) -> bytes:
-        """Return nothing: the robot speaks first."""
-        return b""
 
     def hear(self, data: bytes) -> tuple[list[PortReport], bytes]:
         """Return the report of a datagram."""
@@ -32,17 +29,8 @@ class RsiDialect:
             word = ProgramWord(int(_text(robot, "Word")) & 0xFFFF_FFFF)
         except (ElementTree.ParseError, KeyError, ValueError, LookupError) as error:
             raise PortError(f"a message of RSI: {error}") from None
-        report = PortReport(
-            stamp=ipoc,
-            robot_time_s=ipoc / 1000.0,
-            position_base_mm=(x_mm, y_mm, z_mm),
-            quaternion_xyzw=quaternion_of_zyx(a, b, c),
-            status=word.status(),
-            command=word.command,
-            laser=word.laser,
-            job_number=word.job_number,
-        )
-        return [report], b""
+        qx, qy, qz, qw = Rotation.from_euler("ZYX", (a, b, c), degrees=True).as_quat().tolist()
+        return [word.report(ipoc, ipoc / 1000.0, (x_mm, y_mm, z_mm), (qx, qy, qz, qw))], b""
 
     def answer(self, report: PortReport, correction: PortCorrection) -> bytes:
         """Return the correction in force; where nothing counts it stays, and `Usable` is 0."""
@@ -51,20 +39,6 @@ class RsiDialect:
             f' A="0.0000" B="0.0000" C="0.0000"/><Usable>{correction.is_usable:d}</Usable>'
             f"<IPOC>{report.stamp}</IPOC></Sen>"
         ).encode()
-
-
-def quaternion_of_zyx(a_deg: float, b_deg: float, c_deg: float) -> Quaternion:
-    """Return the quaternion x y z w of KUKA's angles: A about z, then B about the new y, then C about x."""
-    (sa, ca), (sb, cb), (sc, cc) = (
-        (math.sin(half), math.cos(half))
-        for half in (math.radians(deg) / 2.0 for deg in (a_deg, b_deg, c_deg))
-    )
-    return (
-        ca * cb * sc - sa * sb * cc,
-        ca * sb * cc + sa * cb * sc,
-        sa * cb * cc - ca * sb * sc,
-        ca * cb * cc + sa * sb * sc,
-    )
 
 
 def _element(robot: ElementTree.Element, name: str) -> ElementTree.Element:

@@ -7,7 +7,9 @@ A register keeps its last value, so one counts the answers: `rtde_set_watchdog` 
 import math
 import struct
 
-from robot_io.ports.report import PortCorrection, PortError, PortReport, ProgramWord, Quaternion
+from scipy.spatial.transform import Rotation
+
+from robot_io.ports.report import Dialect, PortCorrection, PortError, PortReport, ProgramWord
 
 VERSION = 2
 RATE_HZ = 125.0
@@ -44,7 +46,7 @@ _ANSWER = struct.Struct(">BddiI")
 _HEADER = struct.Struct(">HB")
 
 
-class RtdeDialect:
+class RtdeDialect(Dialect):
     """A client of RTDE: version, outputs, inputs, start; then reports and their answers."""
 
     def __init__(self) -> None:
@@ -112,25 +114,16 @@ class RtdeDialect:
         if not math.isfinite(time_s):
             raise PortError("a time that is not finite")
         word = ProgramWord(number & 0xFFFF_FFFF)
-        return PortReport(
+        qx, qy, qz, qw = Rotation.from_rotvec((rx, ry, rz)).as_quat().tolist()
+        return word.report(
             stamp=0,
             robot_time_s=time_s,
             position_base_mm=(1000.0 * x, 1000.0 * y, 1000.0 * z),
-            quaternion_xyzw=_quaternion_of_vector(rx, ry, rz),
-            status=word.status(runtime == PLAYING, bool(safety & STOPPED_BITS)),
-            command=word.command,
-            laser=word.laser,
-            job_number=word.job_number,
+            quaternion_xyzw=(qx, qy, qz, qw),
+            is_running=runtime == PLAYING,
+            is_stopped=bool(safety & STOPPED_BITS),
         )
 
 
 def _package(name: bytes, payload: bytes) -> bytes:
     return _HEADER.pack(_HEADER.size + len(payload), name[0]) + payload
-
-
-def _quaternion_of_vector(rx: float, ry: float, rz: float) -> Quaternion:
-    """Return the quaternion x y z w of a rotation vector, rad."""
-    angle = math.hypot(rx, ry, rz)
-    # sin(a/2)/a, 1/2 at 0.
-    factor = 0.5 * (math.sin(0.5 * angle) / (0.5 * angle) if angle else 1.0)
-    return (factor * rx, factor * ry, factor * rz, math.cos(0.5 * angle))

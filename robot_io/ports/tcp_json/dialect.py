@@ -5,7 +5,7 @@ import math
 from enum import IntEnum
 from typing import Any, TypeVar
 
-from robot_io.ports.report import PortCorrection, PortError, PortReport
+from robot_io.ports.report import Dialect, PortCorrection, PortError, PortReport
 from robot_io.protocol.messages import Command, MotionState, RobotMode, RobotStatus, Switch, WeldingState
 
 VERSION = 1
@@ -17,17 +17,13 @@ MAX_LINE_BYTES = 4096
 E = TypeVar("E", bound=IntEnum)
 
 
-class JsonDialect:
+class JsonDialect(Dialect):
     """The open stream's side of arctrack. A report's `seq` is one more than that of the one before."""
 
     def __init__(self) -> None:
         self._rest = b""
         self._has_greeted = False
         self._seq: int | None = None
-
-    def greeting(self) -> bytes:
-        """Return nothing: the robot speaks first."""
-        return b""
 
     def hear(self, data: bytes) -> tuple[list[PortReport], bytes]:
         """Return the reports of whole lines, and the answer to a hello."""

@@ -219,10 +219,10 @@ def test_an_address_is_checked() -> None:
 
 
 def test_a_word_of_nothing_allows_nothing() -> None:
-    word = ProgramWord(0)
-    assert (word.command, word.laser) == (Command.DISARM, Switch.OFF)
+    report = ProgramWord(0).report(0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    assert (report.command, report.laser, report.job_number) == (Command.DISARM, Switch.OFF, 0)
     allowed = {Switch.ON, MotionState.MOVING, RobotMode.AUTOMATIC}
-    status = asdict(word.status())
+    status = asdict(report.status)
     assert status.pop("emergency_stop") is Switch.ON
     assert not allowed & set(status.values())
 
