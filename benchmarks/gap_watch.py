@@ -26,7 +26,7 @@ from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recor
 from noise_model.compiled.arrays import Float64
 from noise_model.effects import REGISTRY
 from sim_to_real.first_look import first_look
-from sim_to_real.search.probe_points import FAMILIES
+from sim_to_real.search.score_test import FAMILIES
 from tracker.state import Pose, Track
 from tracker.tracker import Tracker
 

@@ -35,7 +35,7 @@ import tomlkit
 
 from arctrack.live.cameras.shared_frames import SharedFramesWriter
 from arctrack.live.serve.simulated import GROUP, INTERFACE, write_simulated_cell
-from arctrack.live.simulated_cell.serve import run_robot
+from arctrack.live.simulated_cell import run_robot
 from arctrack.recording.new import commented_setup
 from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of, world_of

@@ -30,7 +30,7 @@ from sim_to_real.diagnose import diagnose
 from sim_to_real.evidence.hypotheses import Posterior
 from sim_to_real.evidence.policy import POLICY, Policy
 from sim_to_real.evidence.weigh import judge
-from sim_to_real.search.probe_points import FAMILIES
+from sim_to_real.search.score_test import FAMILIES
 
 SHARE = 0.2
 """By so much a constant is changed."""

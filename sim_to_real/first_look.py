@@ -13,8 +13,7 @@ from noise_model.setup import Setup
 from sim_to_real.data.binned import PoseAt, observe
 from sim_to_real.diagnose import baseline_of
 from sim_to_real.fit.linearized_model import LinearizedModel
-from sim_to_real.search.probe_points import FAMILIES
-from sim_to_real.search.score_test import score_effects
+from sim_to_real.search.score_test import FAMILIES, score_effects
 from tracker.state import Frame
 
 MIN_CLOSED, MAX_RIVAL_SHARE = 0.5, 0.5

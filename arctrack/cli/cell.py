@@ -144,7 +144,7 @@ def serve(
     from arctrack.cli import console
     from arctrack.cli.interrupt import interruptible
     from arctrack.live.serve.simulated import write_simulated_cell
-    from arctrack.live.simulated_cell.serve import REAL_TIME_PX, serve_cell
+    from arctrack.live.simulated_cell import REAL_TIME_PX, serve_cell
     from arctrack.replay.replay import parse_bus
     from arctrack.simulation.cell.weld.closed_loop import LoopPlan
 

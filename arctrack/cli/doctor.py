@@ -15,7 +15,7 @@ from arctrack.cli.json_output import AsJson, say_json
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from arctrack.live.doctor.budget import Budget
+    from arctrack.live.doctor.examine import Budget
     from arctrack.live.doctor.finding import DoctorFinding, FindingState
 
 

@@ -145,7 +145,7 @@ def _serve_simulated(job: int | None, seconds: float | None) -> bool:
             from arctrack.compiling import compiled_by_two
             from arctrack.control.cell_file import read_cell_file
             from arctrack.live.serve import simulated
-            from arctrack.live.simulated_cell.serve import REAL_TIME_PX
+            from arctrack.live.simulated_cell import REAL_TIME_PX
             from arctrack.simulation.cell.cell import TORCH_MM
             from arctrack.simulation.cell.weld.closed_loop import LoopPlan
             from tracker.tracker import Tracker

@@ -25,8 +25,7 @@ from sim_to_real.fit.gauss_newton import FLICKER, LEVEL_SIGMA, Refit, refit, ref
 from sim_to_real.fit.linearized_model import INTERREFLECTION, LinearizedModel
 from sim_to_real.fit.nuisances import BIASED_MEAN_SQUARE
 from sim_to_real.fit.trend import MIN_DRIVER_RANGE, TREND_EFFECTS, Driver, Trend, trend_among
-from sim_to_real.search.probe_points import EXPENSIVE
-from sim_to_real.search.score_test import ScoreTest
+from sim_to_real.search.score_test import EXPENSIVE, ScoreTest
 
 TermEvidence: TypeAlias = Mapping[Term, Sequence[float]]
 """The evidence of each free term, nats, at each size that its columns may have."""

@@ -21,8 +21,7 @@ from sim_to_real.fit.covariates import Covariates
 from sim_to_real.fit.gauss_newton import Refit, refit
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.nuisances import BIASED_MEAN_SQUARE
-from sim_to_real.search.probe_points import FAMILIES
-from sim_to_real.search.score_test import ScoreTest, score_effects
+from sim_to_real.search.score_test import FAMILIES, ScoreTest, score_effects
 
 MIN_NATS = 3.0
 """The evidence over no gap from which on an effect shows."""

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from arctrack.replay.pages.frame_drawer import points_json
+from arctrack.replay.pages.view import points_json
 from arctrack.report.image import shrunk
 
 

@@ -17,7 +17,7 @@ from arctrack.cli.doctor import json_content
 from arctrack.cli.json_output import say_json
 from arctrack.control.cell_file.new import write_new_cell
 from arctrack.errors import ArctrackError
-from arctrack.live.doctor.budget import Budget, LatencyPart
+from arctrack.live.doctor.examine import Budget, LatencyPart
 from arctrack.live.doctor.finding import DoctorFinding, FindingState
 
 PAGE = Path(arctrack.__file__).parents[1] / "docs" / "reference" / "json_output.md"

@@ -27,7 +27,7 @@ from arctrack.recording.results import (
 )
 from arctrack.replay.pages import drawing
 from arctrack.replay.pages.drawing import process_count
-from arctrack.replay.pages.frame_drawer import Drawn, ToDraw
+from arctrack.replay.pages.view import Drawn, ToDraw
 from arctrack.replay.replay import ReplayOptions, replay_recording
 from arctrack.workers import cores_each
 

@@ -21,8 +21,7 @@ from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.recording import VideoFormat, format_setup, read_recording
 from arctrack.recording.ffv1 import index_of
-from arctrack.recording.importing.image_files import find_images
-from arctrack.recording.importing.name_times import recognized_times, times_in_names
+from arctrack.recording.importing.image_files import find_images, recognized_times, times_in_names
 from arctrack.recording.importing.units import UNSTATED
 from arctrack.recording.time_sources import TimeSource, contradictions
 from arctrack.recording.writer import RecordingWriter

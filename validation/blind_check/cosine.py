@@ -16,7 +16,7 @@ from noise_model.effects import REGISTRY, Effects
 from noise_model.setup import Setup
 from sim_to_real.data.binned import ObservedRecording, PoseAt, observe
 from sim_to_real.fit.linearized_model import LinearizedModel
-from sim_to_real.search.probe_points import EXPENSIVE
+from sim_to_real.search.score_test import EXPENSIVE
 from tracker.state import Frame
 
 FRAME_STEP = 6

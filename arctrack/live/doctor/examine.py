@@ -1,19 +1,14 @@
-"""All checks of a machine, and of a cell on it, in the order of their report."""
+"""All checks of a machine, and of a cell on it, in the order of their report; the budget of its latency."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from arctrack.control.cell_file import CellFile, ProcessChoice
-from arctrack.live.doctor.budget import (
-    Budget,
-    bandwidth_finding,
-    budget_finding,
-    budget_of,
-    image_bytes,
-    step_findings,
-)
 from arctrack.live.doctor.bus import bus_findings
 from arctrack.live.doctor.camera import CameraReading, camera_findings
 from arctrack.live.doctor.clocks import (
@@ -23,7 +18,7 @@ from arctrack.live.doctor.clocks import (
     wake_up_finding,
     wake_ups,
 )
-from arctrack.live.doctor.finding import DoctorFinding, FindingState
+from arctrack.live.doctor.finding import DoctorFinding, FindingState, judged
 from arctrack.live.doctor.host import (
     disk_finding,
     own_memory_lock_finding,
@@ -35,7 +30,175 @@ from arctrack.live.doctor.host import (
 from arctrack.live.doctor.policy import POLICY
 from arctrack.live.doctor.steps import FRAMES, NotCompiledError, StepTimes, require_compiled, time_steps
 from arctrack.live.journal.journal import journal_bytes
+from arctrack.live.serve.latency import Quantiles
+from arctrack.live.serve.loop import NEAR_S, TURN_S
+from noise_model.setup import Setup
+from robot_io import RobotPosePosition, cycle_time_s, message_layout
+from robot_io.protocol.bus_load import frame_bits, min_frame_bits, response_time_s
 from tracker.tracker import Tracker
+
+SERIAL_LINE_S = 0.0023
+"""A frame over a serial adapter at 115200 bit/s: 26 characters of ten bits."""
+
+
+@dataclass(frozen=True)
+class LatencyPart:
+    """Part of the latency from mid-exposure to offset: median, maximum, and source of both."""
+
+    name: str
+    typical_s: float
+    at_most_s: float
+    source: str
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The parts in their order, and the oldest capture that the gate lets out, s."""
+
+    parts: tuple[LatencyPart, ...]
+    capture_age_s: float
+
+    @property
+    def typical_s(self) -> float:
+        """The sum in the middle, s."""
+        return sum(part.typical_s for part in self.parts)
+
+    @property
+    def at_most_s(self) -> float:
+        """The sum of what each takes at most, s."""
+        return sum(part.at_most_s for part in self.parts)
+
+
+def pixel_bytes(setup: Setup) -> int:
+    """Return the bytes of a pixel as it lies in memory."""
+    return int(np.dtype(setup.sensor.dtype).itemsize)
+
+
+def image_bytes(setup: Setup) -> int:
+    """Return the bytes of an image as it lies in memory."""
+    return setup.camera.height * setup.camera.width * pixel_bytes(setup)
+
+
+def transfer_s(n_bytes: int) -> float:
+    """Return the time that gigabit Ethernet takes for `n_bytes` of an image, s."""
+    return n_bytes / POLICY.ethernet_payload_bytes_s
+
+
+def max_rows(width: int, bytes_per_pixel: int, rate_hz: float) -> int:
+    """Return the number of image rows that gigabit Ethernet carries at a frame rate."""
+    return math.floor(POLICY.ethernet_payload_bytes_s / (rate_hz * width * bytes_per_pixel))
+
+
+def budget_of(
+    cell: CellFile, steps: StepTimes | None, late: Quantiles, watched: CameraReading | None = None
+) -> Budget:
+    """Return the latency budget from a frame's mid-exposure until its offset is on the bus.
+
+    Without `steps` their times are NaN. `late` is how late this machine wakes up. With `watched`, what the
+    live camera gave, the latency up to the loop is measured instead of computed.
+    """
+    way = _way(cell.setup.setup, watched)
+    turn = LatencyPart(
+        "turn of the loop", NEAR_S, TURN_S + 1e-3 * late.p99_ms, "waits for a message meanwhile"
+    )
+    came = (*way, turn)
+    pose = _pose(cell, came)
+    if steps is None:
+        step = LatencyPart("step of the tracker", math.nan, math.nan, "not compiled: not measured")
+    else:
+        took = (1e-3 * steps.tracked.p50_ms, 1e-3 * max(steps.tracked.p99_ms, steps.searched.p99_ms))
+        step = LatencyPart("step of the tracker", *took, "measured: tracking, and 99 % of a search")
+    return Budget((*came, pose, step, *_bus(cell)), cell.limits.capture_age_s)
+
+
+def _way(setup: Setup, watched: CameraReading | None) -> tuple[LatencyPart, ...]:
+    """Return what lies between mid-exposure and the frame's arrival."""
+    if watched is not None:
+        age = watched.age
+        return (LatencyPart("mid-exposure to arrival", 1e-3 * age.p50_ms, 1e-3 * age.max_ms, "measured"),)
+    half_s, n_bytes = setup.camera.exposure_s / 2.0, image_bytes(setup)
+    sent_s = transfer_s(n_bytes)
+    return (
+        LatencyPart("half of the exposure", half_s, half_s, "the setup"),
+        LatencyPart(
+            "transfer", sent_s, sent_s, f"{n_bytes} bytes over gigabit Ethernet; the camera's own are more"
+        ),
+    )
+
+
+def _pose(cell: CellFile, came: tuple[LatencyPart, ...]) -> LatencyPart:
+    """Return the wait for the pose after the capture: it runs while the frame is on its way."""
+    period_s = cycle_time_s(message_layout(RobotPosePosition.__name__))
+    sent_s = 0.0 if cell.bus.is_port else 2 * frame_bits() / cell.bus.bit_rate_bit_s
+    wait_s, came_s = cell.policy.pose_wait_s, sum(part.typical_s for part in came)
+    typical_s = max(0.0, min(period_s / 2.0 + sent_s, wait_s) - came_s)
+    return LatencyPart(
+        "wait for the pose", typical_s, max(0.0, wait_s - came_s), "beyond the frame's own way"
+    )
+
+
+def _bus(cell: CellFile) -> tuple[LatencyPart, ...]:
+    rate, bit_rate = cell.camera.frame_rate_hz, cell.bus.bit_rate_bit_s
+    if cell.bus.is_port:
+        cycle_s = cycle_time_s(message_layout(RobotPosePosition.__name__))
+        return (LatencyPart("port", cycle_s / 2.0, cycle_s, "the robot's next report, which is answered"),)
+    answered = response_time_s("SeamOffset", rate, bit_rate)
+    least, most = min_frame_bits(), frame_bits()
+    text = f"{answered.frames} frames at most, each of {least} to {most} bits"
+    bus = LatencyPart("bus", (least + most) / 2.0 / bit_rate, answered.time_s, text)
+    if cell.bus.interface != "slcan":
+        return (bus,)
+    return LatencyPart("serial adapter", SERIAL_LINE_S, 2.0 * SERIAL_LINE_S, "at 115200 bit/s"), bus
+
+
+def budget_finding(budget: Budget) -> DoctorFinding:
+    """Hold a budget against the oldest capture that the gate lets out."""
+    text = (
+        f"{1e3 * budget.typical_s:.1f} ms, {1e3 * budget.at_most_s:.1f} ms at most; "
+        f"[gate] capture_age_s lets out {1e3 * budget.capture_age_s:.0f} ms"
+    )
+    if math.isnan(budget.typical_s):
+        return DoctorFinding(
+            "latency", FindingState.WARNING, "not known without the step's time", "arctrack warm"
+        )
+    problem = FindingState.FAILED if budget.typical_s > budget.capture_age_s else FindingState.WARNING
+    cure = "shorten the largest part of the table"
+    return judged("latency", text, problem, cure, budget.at_most_s <= budget.capture_age_s)
+
+
+def bandwidth_finding(setup: Setup, rate_hz: float, is_ethernet: bool) -> DoctorFinding:
+    """Find the share of a gigabit line that a camera's images take; too much fails on Ethernet."""
+    camera, bits = setup.camera, 8 * pixel_bytes(setup)
+    sent_s, rows = transfer_s(image_bytes(setup)), max_rows(camera.width, pixel_bytes(setup), rate_hz)
+    return judged(
+        "bandwidth",
+        f"{camera.height} rows of {camera.width} px, {bits} bit, {rate_hz:g} a second take "
+        f"{100.0 * rate_hz * sent_s:.0f} % of gigabit Ethernet, {1e3 * sent_s:.1f} ms each",
+        FindingState.FAILED if is_ethernet else FindingState.WARNING,
+        f"it carries {rows} rows at this rate: read fewer, or use a faster line",
+        camera.height <= rows,
+    )
+
+
+def step_findings(number: int, steps: StepTimes, rate_hz: float) -> tuple[DoctorFinding, ...]:
+    """Find whether a job's steps keep up with the camera, and whether its own frames are tracked."""
+    return (
+        judged(
+            f"job {number}",
+            f"a step takes {steps.tracked}; a search {steps.searched}",
+            FindingState.WARNING,
+            "frames would be dropped: fewer rows, fewer frames a second, or a faster machine",
+            1e-3 * steps.tracked.p99_ms * rate_hz <= 1.0,
+        ),
+        judged(
+            f"job {number}",
+            f"{100.0 * steps.valid_share:.0f} % of frames drawn of the setup itself are tracked",
+            FindingState.WARNING,
+            "the setup does not show its own joint: arctrack plan says why",
+            steps.valid_share > 0.5,
+        ),
+    )
+
 
 GIGE = "gige"
 

@@ -11,8 +11,7 @@ from arctrack.control.cell_file import CellFile
 from arctrack.control.cell_file.job_setup import job_setup_text
 from arctrack.errors import ArctrackError, in_file
 from arctrack.live.black_box.client import BlackBoxClient
-from arctrack.live.black_box.recorder import END, RecorderOptions, run_recorder
-from arctrack.live.black_box.save import JobSetup
+from arctrack.live.black_box.recorder import END, JobSetup, RecorderOptions, run_recorder
 from arctrack.live.journal.journal import Journal, slots_for
 from arctrack.live.journal.message_pipe import PipeEnd, message_pipe
 from arctrack.live.journal.ring import RingError, remove_dead_rings

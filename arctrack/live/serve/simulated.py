@@ -14,7 +14,7 @@ import tomlkit
 from arctrack.child_process import ChildProcess
 from arctrack.control.cell_file.new import commented_cell, write_cell
 from arctrack.errors import ArctrackError
-from arctrack.live.simulated_cell.serve import joined_bus, serve_cell
+from arctrack.live.simulated_cell import joined_bus, serve_cell
 from arctrack.recording.new import commented_setup
 from arctrack.simulation.cell.cell import TORCH_MM
 from arctrack.simulation.cell.robot import Robot

@@ -19,8 +19,7 @@ from arctrack.recording.importing.columns import (
     rows_of_images,
     times_s,
 )
-from arctrack.recording.importing.image_files import ImageSeries
-from arctrack.recording.importing.name_times import recognized_times
+from arctrack.recording.importing.image_files import ImageSeries, recognized_times
 from arctrack.recording.importing.pose_files import PoseFile
 from arctrack.recording.importing.units import TIME, UNSTATED, Units, factor
 from arctrack.recording.tables import FrameRow, check_frame

@@ -23,8 +23,7 @@ from arctrack.recording.importing.conditions import (
     read_frame_table,
 )
 from arctrack.recording.importing.grey_frames import GreyFrames, grey_frames
-from arctrack.recording.importing.image_files import ImageSeries, check_decimals, find_images
-from arctrack.recording.importing.name_times import times_in_names
+from arctrack.recording.importing.image_files import ImageSeries, check_decimals, find_images, times_in_names
 from arctrack.recording.importing.pose_files import PoseFile, known_names, read_poses
 from arctrack.recording.importing.units import UNSTATED, Units
 from arctrack.recording.poses import can_channel

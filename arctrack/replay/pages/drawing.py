@@ -8,7 +8,7 @@ from pathlib import Path
 from arctrack.child_process import WorkerProcess, answered
 from arctrack.errors import ArctrackError
 from arctrack.recording import Recording, Truth
-from arctrack.replay.pages.frame_drawer import Drawn, FrameDrawer, ToDraw
+from arctrack.replay.pages.view import Drawn, FrameDrawer, ToDraw
 
 FRAMES_WORTH_A_PROCESS = 170
 """Number of the page's frames that take as long to draw as a process takes to start: 1.5 s of one core."""

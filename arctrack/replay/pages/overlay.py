@@ -8,7 +8,7 @@ import av
 import cv2
 import numpy as np
 
-from arctrack.recording.video_file import VideoFile
+from arctrack.recording.ffv1 import VideoFile
 from arctrack.report.image import annotate, visible
 from noise_model.compiled.arrays import UInt8
 from noise_model.setup import Setup

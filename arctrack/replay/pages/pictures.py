@@ -22,11 +22,10 @@ from arctrack.recording.results import (
 )
 from arctrack.replay.pages.drawing import Drawing
 from arctrack.replay.pages.drawing_spool import ReplayedFrame, SeenFile
-from arctrack.replay.pages.frame_drawer import ToDraw
 from arctrack.replay.pages.overlay import OverlayVideo
 from arctrack.replay.pages.overview import Overview
 from arctrack.replay.pages.page import ReplayPage, frames_to_show
-from arctrack.replay.pages.view import ReplayView, truth_by_frame
+from arctrack.replay.pages.view import ReplayView, ToDraw, truth_by_frame
 from noise_model.compiled.arrays import Float64
 from tracker.state import Frame
 

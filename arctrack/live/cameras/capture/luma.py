@@ -8,7 +8,7 @@ import numpy as np
 
 from arctrack.errors import in_file
 from arctrack.recording import ffv1
-from arctrack.recording.video_file import opened_video
+from arctrack.recording.ffv1 import opened_video
 from noise_model.compiled.arrays import Integers
 
 

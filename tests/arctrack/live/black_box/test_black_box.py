@@ -26,8 +26,14 @@ from arctrack.control.tracking_service import FrameOutcome
 from arctrack.errors import ArctrackError
 from arctrack.live.black_box import recorder
 from arctrack.live.black_box.client import BlackBoxClient
-from arctrack.live.black_box.recorder import END, FaultWatch, RecorderOptions, run_recorder
-from arctrack.live.black_box.save import JobSetup, save_window
+from arctrack.live.black_box.recorder import (
+    END,
+    FaultWatch,
+    JobSetup,
+    RecorderOptions,
+    run_recorder,
+    save_window,
+)
 from arctrack.live.journal import private_memory
 from arctrack.live.journal.journal import Journal, JournalReader, slots_for
 from arctrack.live.journal.message_pipe import message_pipe

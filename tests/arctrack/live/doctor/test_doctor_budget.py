@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from arctrack.control.cell_file import read_cell_file
 from arctrack.control.cell_file.new import write_new_cell
-from arctrack.live.doctor.budget import (
+from arctrack.live.doctor.camera import CameraReading
+from arctrack.live.doctor.examine import (
     LatencyPart,
     bandwidth_finding,
     budget_finding,
@@ -20,7 +21,6 @@ from arctrack.live.doctor.budget import (
     max_rows,
     transfer_s,
 )
-from arctrack.live.doctor.camera import CameraReading
 from arctrack.live.doctor.finding import FindingState
 from arctrack.live.doctor.steps import StepTimes
 from arctrack.live.serve.latency import LatencyCounts, Quantiles

@@ -19,7 +19,7 @@ from arctrack.cli.cell import LIVE_MM
 from arctrack.live.monitor.monitor_process import run_monitor
 from arctrack.live.monitor.options import MonitorOptions
 from arctrack.live.serve.supervisor import SupervisedProcess, Supervisor
-from arctrack.live.simulated_cell.serve import REAL_TIME_PX
+from arctrack.live.simulated_cell import REAL_TIME_PX
 from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of
 
 SIZE = (1280, 800)

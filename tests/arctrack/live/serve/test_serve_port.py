@@ -19,8 +19,7 @@ from made import replace_in
 
 from arctrack.child_process import ChildProcess
 from arctrack.live.serve.simulated import write_simulated_cell
-from arctrack.live.simulated_cell.camera import run_camera
-from arctrack.live.simulated_cell.serve import run_robot
+from arctrack.live.simulated_cell import run_camera, run_robot
 from arctrack.simulation.cell.cell import TORCH_MM
 from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.cell.weld.closed_loop import LoopPlan

@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from arctrack.live.serve.simulated import GROUP, INTERFACE, SimulatedCell
-from arctrack.live.simulated_cell.serve import MULTICAST_CURE
+from arctrack.live.simulated_cell import MULTICAST_CURE
 from arctrack.simulation.cell.weld.closed_loop import LoopPlan
 
 pytestmark = pytest.mark.slow
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 PLAN = LoopPlan(joint="lap", length_mm=1000.0, rate_hz=10.0, size_px=(160, 120))
 SERVE = "from arctrack.cli import main; main()"
 TALK = f"""
-from arctrack.live.simulated_cell.serve import joined_bus
+from arctrack.live.simulated_cell import joined_bus
 import can
 options = {{"port": 43567, "hop_limit": 0}}
 one, other = (joined_bus("{INTERFACE}", "{GROUP}", **options) for _ in range(2))

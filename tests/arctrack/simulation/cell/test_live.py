@@ -20,8 +20,7 @@ from arctrack.cli import app
 from arctrack.control.cell_file import CameraChoice, read_cell_file
 from arctrack.errors import ArctrackError
 from arctrack.live.cameras.shared_frames import SharedFramesError, SharedFramesReader, path_of
-from arctrack.live.simulated_cell.real_time import RealBus, RealTimeScheduler
-from arctrack.live.simulated_cell.serve import serve_cell
+from arctrack.live.simulated_cell import RealBus, RealTimeScheduler, serve_cell
 from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of
 from robot_io import (
     SOURCES,
@@ -43,7 +42,7 @@ PATIENCE_S = 120.0
 
 SERVE = """
     import sys
-    from arctrack.live.simulated_cell.serve import serve_cell
+    from arctrack.live.simulated_cell import serve_cell
     from arctrack.simulation.cell.weld.closed_loop import LoopPlan
     plan = LoopPlan(joint="lap", displaced_mm=3.0, weave_mm=0.0, length_mm=1000.0, rate_hz=5.0)
     frames, port = sys.argv[1], int(sys.argv[2])

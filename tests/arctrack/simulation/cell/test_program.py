@@ -8,7 +8,7 @@ from itertools import count, groupby
 import numpy as np
 from heartbeat import BEAT
 
-from arctrack.live.simulated_cell.serve import Program
+from arctrack.live.simulated_cell import Program
 from arctrack.simulation.cell.bus import Bus
 from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.cell.robot_node import RobotNode
