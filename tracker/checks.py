@@ -219,10 +219,16 @@ JOINT_CHI2 = Question(
 )
 JOINT_UNEXPLAINED = Question(
     "joint_unexplained",
-    "share of the points near the seam that lie off the joint's shape",
+    "evidence that points off the joint's shape next to the seam are another surface's, nats",
     "at_most",
     flags.JOINT_MISFIT,
-    "share",
+)
+EDGE_SHOWN = Question(
+    "edge_shown",
+    "how far another surface covers an upright edge of the joint",
+    "at_most",
+    flags.JOINT_NOT_FOUND,
+    "mm",
 )
 NEAR_NOMINAL = Question(
     "near_nominal", "distance of the seam from its nominal line", "at_most", flags.SEAM_OUT_OF_VIEW, "mm"

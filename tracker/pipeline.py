@@ -30,8 +30,8 @@ from tracker.stripe.smooth import smoothed
 from tracker.tracker_state import LOST_TO_FORGET, LOST_TO_SEARCH, TrackerMemory
 
 JOINT_CHI2_LIMIT = 9.0
-UNEXPLAINED_LIMIT = 0.1
-"""So large a share of the points near the seam may lie off the joint's shape: spatter, a tack weld's end."""
+MAX_COVERED_MM = 0.8
+"""An edge that another surface covers farther is not seen: its 1 sigma would be half a millimetre."""
 
 
 class FrameResult(NamedTuple):
@@ -221,5 +221,7 @@ def check_joint(
     if not frame_checks.ask(checks.VIEW_MARGIN, margin_mm, 1.0):
         return None, margin_mm
     frame_checks.ask(checks.JOINT_CHI2, joint.chi2, JOINT_CHI2_LIMIT)
-    frame_checks.ask(checks.JOINT_UNEXPLAINED, joint.unexplained, UNEXPLAINED_LIMIT)
+    frame_checks.ask(checks.JOINT_UNEXPLAINED, joint.misfit_nats, MIN_EVIDENCE_NATS)
+    if not frame_checks.ask(checks.EDGE_SHOWN, joint.covered_mm, MAX_COVERED_MM):
+        return None, margin_mm
     return joint, margin_mm

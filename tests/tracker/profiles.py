@@ -135,6 +135,25 @@ def lap(step_mm: float, slope_lower: float = 0.0, slope_upper: float = 0.0) -> F
     )
 
 
+def rounded(corners: Float64, radius_mm: float) -> Float64:
+    """The corners (n, 2) with the metal's own, those that stand out of it, rounded as far as faces allow."""
+    inner = []
+    for before, corner, behind in zip(corners[:-2], corners[1:-1], corners[2:], strict=True):
+        lengths = np.linalg.norm([before - corner, behind - corner], axis=1)
+        towards, onward = (before - corner) / lengths[0], (behind - corner) / lengths[1]
+        if radius_mm == 0.0 or towards[0] * onward[1] <= towards[1] * onward[0]:
+            inner.append(corner)
+            continue
+        half = 0.5 * math.acos(float(towards @ onward))
+        tangent_mm = min(radius_mm / math.tan(half), 0.9 * lengths.min())
+        middle = corner + (towards + onward) / np.linalg.norm(towards + onward) * tangent_mm / math.cos(half)
+        turns = np.linspace(half - 0.5 * math.pi, 0.5 * math.pi - half, 13)
+        out = (corner - middle) / np.linalg.norm(corner - middle) * tangent_mm * math.tan(half)
+        for cos, sin in zip(np.cos(turns), -np.sin(turns), strict=True):
+            inner.append(middle + np.array([[cos, -sin], [sin, cos]]) @ out)
+    return np.array([corners[0], *inner, corners[-1]])
+
+
 def measure(
     corners: Float64,
     seam_mm: tuple[float, float],

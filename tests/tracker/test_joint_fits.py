@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from profiles import Profile, fit_joint, measure
+from profiles import Profile, fit_joint, measure, rounded
 
 from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import Joint, section
+from tracker.joint.evidence import MIN_EVIDENCE_NATS
 from tracker.joint.groove import PRIOR_SIGMA, mixture_of, outside_hidden_bevel
+from tracker.pipeline import MAX_COVERED_MM
 from tracker.profile import MIN_POINTS, in_scan_order
 from tracker.state import SCAN
 
@@ -76,6 +78,13 @@ JOINTS = [
 ]
 
 
+EDGED = [
+    *(a_v(0.0), a_v(1.0), a_half_v(1.5), A_U, Joint("lap", {"thickness_mm": 2.0}, LINE)),
+    Joint("butt", {"gap_mm": 1.5, "thickness_mm": 4.0}, LINE),
+    Joint("outside_corner", {"included_angle_deg": 90.0}, LINE),
+]
+
+
 @pytest.mark.parametrize("joint", JOINTS, ids=str)
 def test_a_joint_lies_where_its_profile_was_drawn(joint: Joint) -> None:
     """Of spattered and half hidden profiles too, with lines out of order or read two by two."""
@@ -106,7 +115,7 @@ def test_a_t_joint_lies_where_its_plates_faces_meet(gap_mm: float, is_mirrored: 
             found = fit_joint(profile, Joint("fillet", size | stated, LINE), CAMERA_MM, LASER_MM)
             assert found is not None
             assert abs(found.y_mm - seam_of(seed)) < 4.0 * np.sqrt(found.covariance_mm2[0, 0])
-            assert found.unexplained < 0.1
+            assert found.misfit_nats < MIN_EVIDENCE_NATS
             if gap_mm > 0.0:
                 assert found.gap_mm == pytest.approx(gap_mm, abs=4.0 * found.shape.gap_sigma_mm)
                 assert found.shape.gap_sigma_mm < 0.15
@@ -118,20 +127,25 @@ def test_a_t_joint_lies_where_its_plates_faces_meet(gap_mm: float, is_mirrored: 
                 assert np.isnan(found.gap_mm) if not stated else found.gap_mm < 0.2
 
 
-@pytest.mark.parametrize("radius_mm", [0.3, 0.6, 1.0])
-def test_a_laps_rounded_edge_is_as_sure_as_what_is_seen_of_it(radius_mm: float) -> None:
-    """Its foot lies somewhere below the rounding, which is neither sheet's."""
-    turn = np.linspace(0.5 * np.pi, 0.0, 12)
-    rounding = np.column_stack([radius_mm * (np.cos(turn) - 1.0), 2.0 + radius_mm * (np.sin(turn) - 1.0)])
-    corners = np.array([(-60.0, 2.0), *rounding, (0.0, 0.0), (60.0, 0.0)])
-    joint, pulls = Joint("lap", {"thickness_mm": 2.0}, LINE), []
-    for seed in range(20):
-        profile = measure(corners, (seam_of(seed), -4.0), np.random.default_rng(seed), sigma_px=0.1)
+@pytest.mark.slow
+@pytest.mark.parametrize("radius_mm", [0.0, 0.25, 0.5, 1.0])
+@pytest.mark.parametrize("joint", EDGED, ids=str)
+def test_a_joint_of_rounded_edges_is_as_sure_as_what_is_seen_of_them(joint: Joint, radius_mm: float) -> None:
+    """An edge is where faces would meet; a rounding that hides it widens the sigma, or loses the joint."""
+    corners, pulls = rounded(corners_of(joint), radius_mm), []
+    for seed in range(30):
+        rng, sigma_px = np.random.default_rng([seed, 5]), (0.1, 0.4, 1.0)[seed % 3]
+        profile = measure(corners, (seam_of(seed), -4.0), rng, sigma_px=sigma_px)
         found = fit_joint(profile, joint, CAMERA_MM, LASER_MM)
-        if found is not None:
-            pulls.append((found.y_mm - seam_of(seed)) / np.sqrt(found.covariance_mm2[0, 0]))
-    assert np.abs(pulls).max(initial=0.0) < 3.0
-    assert len(pulls) == 20 or radius_mm == 1.0
+        if found is not None and found.covered_mm <= MAX_COVERED_MM:
+            off_mm = np.subtract((found.y_mm, found.z_mm), (seam_of(seed), -4.0))
+            pulls.append(off_mm / np.sqrt(np.diag(found.covariance_mm2)))
+    error_over_sigma = np.sqrt(np.mean(np.square(pulls), axis=0))
+    print(f"{len(pulls)} of 30, error/sigma {error_over_sigma}")
+    assert np.abs(pulls).max() < 5.0
+    assert (error_over_sigma < 1.6).all()
+    # A butt's rounding has no foot: half a millimetre is taken for the gap's.
+    assert len(pulls) == 30 or (joint.type == "butt" and radius_mm >= 0.5)
 
 
 def test_a_mixture_has_the_mean_and_covariance_of_its_normals() -> None:

@@ -13,8 +13,7 @@ from profiles import COLUMN_MM, PX_MM, fit_joint, lap, measure, only, spoil
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint
 from tracker.joint.common_mode import BIAS_SHARE, COMMON_MODE_PX
-from tracker.joint.lap import CLEAR_OF_EDGE_MM, SheetLines, share_off, sheets_at
-from tracker.joint.measured import OFF_SIGMAS
+from tracker.joint.lap import CLEAR_OF_EDGE_MM, SheetLines, sheets_at
 from tracker.joint.section_fit import SIGMA_FLOOR_PX
 from tracker.joint.upright_edge import (
     Edge,
@@ -190,7 +189,6 @@ def test_what_lies_on_which_sheet_is_its_twin(seed: int) -> None:
     profile = spoil(measure(lap(2.1, 0.01, -0.02), (0.3, 0.2), rng), 0.1, rng)
     y, z = profile.y_mm, profile.z_mm
     sheets = SheetLines(float(rng.uniform(-1.0, 1.0)), 0.2, 2.1, 0.01, -0.02)
-    edge = sheets.y + float(rng.normal(0.0, 0.1))
     faces = sheets_at(y, sheets)
     upper_mm, lower_mm = np.polyval([-0.02, 2.3], y - sheets.y), np.polyval([0.01, 0.2], y - sheets.y)
     np.testing.assert_allclose((faces.before_mm, faces.behind_mm), (upper_mm, lower_mm))
@@ -201,10 +199,6 @@ def test_what_lies_on_which_sheet_is_its_twin(seed: int) -> None:
     limits_mm = np.where(near, rng.uniform(0.05, 0.6, len(y)), 0.0)
     beside = points_around_edge(profile.points, faces, limits_mm)
     assert beside == neighbours_of_edge(off_upper < limits_mm, off_lower < limits_mm)
-    sigma = np.abs(profile.dz_mm) * np.hypot(profile.sigma_px, SIGMA_FLOOR_PX)
-    off = np.where(y < edge, off_upper, off_lower) > OFF_SIGMAS * sigma
-    share = share_off(profile.points, sheets, edge)
-    assert share == pytest.approx(off[near].mean())
 
 
 def test_an_edges_covariance_is_its_twin() -> None:

@@ -15,8 +15,9 @@ from noise_model.compiled.arrays import Float64
 from noise_model.surface.joint import Joint
 from tracker.joint import MeasuredJoint
 from tracker.joint.common_mode import COMMON_MODE_PX
+from tracker.joint.evidence import MIN_EVIDENCE_NATS
 from tracker.joint.section_fit import SIGMA_FLOOR_PX
-from tracker.pipeline import JOINT_CHI2_LIMIT, UNEXPLAINED_LIMIT
+from tracker.pipeline import MAX_COVERED_MM
 
 LINE = ((-100.0, 0.0, 0.0), (100.0, 0.0, 0.0))
 SIGMA_PX = 0.07
@@ -25,7 +26,7 @@ FAR_MM = 60.0
 OUT_OF_VIEW_MM = 20.0
 PROFILES, TACKS = 400, 200
 SURE_SIGMAS = 4.0
-"""An error larger than this must come with a flag."""
+"""No seam is off by more, unless it is refused."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +204,7 @@ def test_every_dimension_is_unbiased_and_its_sigma_honest(name: str) -> None:
         truth = draw(rng)
         found = fit(seen(truth, seam, rng), joint, seam)
         assert found is not None
-        if found.unexplained > UNEXPLAINED_LIMIT:
+        if found.misfit_nats > MIN_EVIDENCE_NATS:
             flagged += 1
             continue
         for key, pair in misses(found, truth, seam).items():
@@ -252,11 +253,10 @@ def tack_over(truth: Truth, name: str, rng: np.random.Generator) -> Callable[[Fl
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
-def test_a_tack_weld_gives_no_wrong_seam_unflagged(name: str) -> None:
+def test_a_seam_beside_a_tack_is_right_or_refused(name: str) -> None:
     joint, draw = CASES[name]
     rng = np.random.default_rng(9)
-    none = flagged = 0
-    scaled = []
+    refused, scaled = 0, []
     for _ in range(TACKS):
         seam = (rng.uniform(-3.0, 3.0), rng.uniform(-1.0, 1.0))
         truth = draw(rng)
@@ -266,18 +266,17 @@ def test_a_tack_weld_gives_no_wrong_seam_unflagged(name: str) -> None:
         bare = np.interp(beside, truth.corners[:, 0], truth.corners[:, 1])
         profile.z_mm[:] += np.maximum(lifted - bare, 0.0)
         found = fit(profile, joint, seam)
-        if found is None:
-            none += 1
-        elif found.chi2 > JOINT_CHI2_LIMIT or found.unexplained > UNEXPLAINED_LIMIT:
-            flagged += 1
-        else:
-            error = np.array([found.y_mm - seam[0], found.z_mm - seam[1]])
-            off = np.abs(error) / np.sqrt(np.diag(found.covariance_mm2))
-            # A right seam is off by three sigmas in one of 370: of all these tacks here, somewhere.
-            assert (off < SURE_SIGMAS).all(), (name, error, found)
-            scaled.append(off**2)
-    print(f"{name}: of {TACKS} tacks {none} hide the joint, {flagged} are flagged")
-    assert none + flagged > 0
+        if found is None or found.covered_mm > MAX_COVERED_MM:
+            refused += 1
+            continue
+        error = np.array([found.y_mm - seam[0], found.z_mm - seam[1]])
+        off = np.abs(error) / np.sqrt(np.diag(found.covariance_mm2))
+        # A right seam is off by three sigmas in one of 370: of all these tacks here, somewhere.
+        assert (off < SURE_SIGMAS).all(), (name, error, found)
+        scaled.append(off**2)
+    print(f"{name}: {refused} of {TACKS} tacks hide the joint")
+    # Plates that meet do so under a tack too.
+    assert refused == 0 if name in ("fillet", "wide fillet", "ridge") else refused > 0.6 * TACKS
     # And on the whole by what is stated; few may be all that is left.
     assert not scaled or (np.mean(scaled, axis=0) < 1.0 + 5.0 * math.sqrt(2.0 / len(scaled))).all()
 

@@ -9,8 +9,9 @@ import numpy as np
 from noise_model.compiled.arrays import Float64
 from noise_model.compiled.kernel import kernel
 from noise_model.compiled.median import finite_median, median_of, numbers_for
-from tracker.joint.evidence import section_evidence_nats
+from tracker.joint.evidence import MIN_EVIDENCE_NATS, section_evidence_nats
 from tracker.joint.measured import MeasuredJoint
+from tracker.joint.misfit import SeamEdge, find_misfit
 from tracker.profile import Section
 from tracker.state import BIAS_PX, DY_MM, DZ_MM, Y_MM
 
@@ -28,8 +29,13 @@ and a ray caster's frames there show it to be off by a tenth to a fifth.
 """
 
 
-def as_reported(section: Section, joint: MeasuredJoint) -> MeasuredJoint:
-    """Return a joint with the common-mode error, and with its evidence where it has none of its own yet."""
+def as_reported(
+    section: Section, joint: MeasuredJoint, edges: tuple[SeamEdge, ...] = (), shown: Section | None = None
+) -> MeasuredJoint:
+    """Return a joint with the common-mode error, its misfit, and its evidence where it has none of its own.
+
+    `edges` place it, where they are upright. Its faces are `shown` in a part of the section alone.
+    """
     points, nats = section.points, joint.evidence_nats
     if math.isnan(nats):
         nats = section_evidence_nats(points, joint.corners_mm, section.reach_mm)
@@ -37,7 +43,27 @@ def as_reported(section: Section, joint: MeasuredJoint) -> MeasuredJoint:
     covariance_mm2 = joint.covariance_mm2 + np.array(
         [[off_y * off_y, off_y * off_z], [off_y * off_z, off_z * off_z]]
     )
-    return joint._replace(covariance_mm2=covariance_mm2, evidence_nats=nats)
+    shape, misfit_nats, covered_mm = joint.shape, -math.inf, 0.0
+    for edge in edges or (SeamEdge(joint.y_mm, 0.0),):
+        misfit = find_misfit(section if shown is None else shown, joint.corners_mm, edge.y_mm)
+        misfit_nats = max(misfit_nats, misfit.nats)
+        if not edges:
+            continue
+        if misfit.nats > MIN_EVIDENCE_NATS:
+            covered_mm = max(covered_mm, misfit.reach_mm)
+        # The edge is anywhere within the reach on either side, as probably as there is another surface.
+        probability = 1.0 / (1.0 + math.exp(MIN_EVIDENCE_NATS - misfit.nats))
+        sigma_mm = misfit.reach_mm * math.sqrt(probability / 3.0)
+        moved_mm = sigma_mm * np.array([edge.by_y, edge.by_z])
+        covariance_mm2 += np.outer(moved_mm, moved_mm)
+        shape = shape._replace(gap_sigma_mm=math.hypot(shape.gap_sigma_mm, edge.by_gap * sigma_mm))
+    return joint._replace(
+        covariance_mm2=covariance_mm2,
+        shape=shape,
+        evidence_nats=nats,
+        misfit_nats=misfit_nats,
+        covered_mm=covered_mm,
+    )
 
 
 @kernel(allocates=True)

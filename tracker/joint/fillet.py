@@ -21,7 +21,6 @@ from tracker.joint.measured import (
     START_SIGMA_MM,
     MeasuredJoint,
     fit_points,
-    share_left_out,
     shift_of,
     two_angles,
 )
@@ -32,9 +31,6 @@ from tracker.state import BESIDE_PX, DY_MM, DZ_MM, N_LINES, SIGMA_PX, Y_MM, Z_MM
 
 SEARCH_STEP_MM = 0.2
 SEARCH_LIMIT_MM = 1.0
-
-NEAR_CORNER_MM = 2.0
-"""So near to the corner the points must lie on the plates."""
 
 MIN_POINTS = 10.0
 """The weight of the points that must be seen of either plate."""
@@ -94,7 +90,6 @@ def fit_fillet(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
         mismatch_mm=math.nan,
         chi2=fit.chi2,
         shape=JointShape(gap_sigma_mm=gap_sigma_mm, plate_angles_deg=plates, plate_sigmas_deg=plate_sigmas),
-        unexplained=share_left_out(y_mm, weights, chosen, float(p[0]), NEAR_CORNER_MM),
         corners_mm=corners_with_foot(p, foot),
     )
     return as_reported(section, measured)

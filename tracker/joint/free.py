@@ -93,7 +93,6 @@ def fit_free(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
         gap_mm=math.nan,
         mismatch_mm=math.nan,
         chi2=chi2,
-        unexplained=left_out,
         corners_mm=turned(corners, p),
         evidence_nats=place_evidence_nats(section, sigma_px, np.sqrt(common * max(1.0, chi2)), corners, p),
     )

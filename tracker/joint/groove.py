@@ -33,6 +33,7 @@ from tracker.joint.measured import (
     shift_of,
     two_angles,
 )
+from tracker.joint.misfit import SeamEdge
 from tracker.joint.section_fit import BISQUARE_WIDTH, ShapeFit
 from tracker.joint.section_shapes import GROOVE, ROUND_GROOVE
 from tracker.profile import Section
@@ -116,7 +117,9 @@ def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     elif min(shown.right, shown.left) < MIN_POINTS:
         return None
     # On a side that is not seen its points are left out on purpose.
-    return as_reported(section, measured_groove(shape, fit, shown.left_out))
+    measured = measured_groove(shape, fit)
+    # The root is where the bevels say, or hidden.
+    return as_reported(section, measured, (SeamEdge(measured.y_mm, 0.0),))
 
 
 class GrooveCoverage(NamedTuple):
@@ -184,8 +187,8 @@ def outside_hidden_bevel(out_mm: Float64, parameters: Float64, sure_mm: float, h
     return np.asarray((out_mm + 0.5 * parameters[GAP] < sure_mm) | (out_mm > half_mouth_mm + SURE_MM))
 
 
-def measured_groove(shape: int, fit: ShapeFit, left_out: float) -> MeasuredJoint:
-    """Return the joint that a fitted groove is, of whose points some share is left out."""
+def measured_groove(shape: int, fit: ShapeFit) -> MeasuredJoint:
+    """Return the joint that a fitted groove is."""
     p, covariance = fit.parameters, fit.covariance
     bevels, bevel_sigmas = two_angles(p, covariance, 3, 4)
     plates, plate_sigmas = two_angles(p, covariance, 7, 8)
@@ -208,7 +211,6 @@ def measured_groove(shape: int, fit: ShapeFit, left_out: float) -> MeasuredJoint
         mismatch_mm=float(p[5] - p[6]),
         chi2=fit.chi2,
         shape=joint_shape,
-        unexplained=left_out,
         corners_mm=section_corners(shape, p),
     )
 

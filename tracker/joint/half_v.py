@@ -19,10 +19,10 @@ from tracker.joint.measured import (
     fit_points,
     opening_area,
     section_corners,
-    share_left_out,
     shift_of,
     two_angles,
 )
+from tracker.joint.misfit import SeamEdge
 from tracker.joint.section_fit import ShapeFit
 from tracker.joint.section_shapes import HALF_GROOVE
 from tracker.joint.upright_edge import (
@@ -102,9 +102,8 @@ def fit_half_v(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
             return None
     if weight_between(y_mm, fit.weights, wall_mm, mouth_mm) < MIN_POINTS:
         return None
-    middle_mm, half_mm = 0.5 * (wall_mm + mouth_mm), 0.5 * (mouth_mm - wall_mm)
-    left_out = share_left_out(y_mm, fit.weights, clear, middle_mm, half_mm)
-    return as_reported(section, measured_half_v(fit, wall_mm, wall_variance_mm2, left_out))
+    measured, wall = measured_half_v(fit, wall_mm, wall_variance_mm2)
+    return as_reported(section, measured, (wall,))
 
 
 def start_of(section: Section, stated: StatedJoint) -> Float64:
@@ -173,8 +172,8 @@ def weight_between(y_mm: Float64, weights: Float64, first_mm: float, last_mm: fl
     return float(weights[(y_mm > first_mm) & (y_mm < last_mm)].sum())
 
 
-def measured_half_v(fit: ShapeFit, wall: float, wall_variance: float, left_out: float) -> MeasuredJoint:
-    """Return the joint of a fit next to a given upright side, the side's own variance put in.
+def measured_half_v(fit: ShapeFit, wall: float, wall_variance: float) -> tuple[MeasuredJoint, SeamEdge]:
+    """Return the joint of a fit next to a given upright side, the side's own variance put in, and the side.
 
     As far as the profile and not the prior tells where the bevel's foot is, the gap gives way to the side.
     """
@@ -208,7 +207,9 @@ def measured_half_v(fit: ShapeFit, wall: float, wall_variance: float, left_out: 
         area_mm2=area,
         area_sigma_mm2=math.hypot(area_sigma, with_side * p[DEPTH_RIGHT] * math.sqrt(wall_variance)),
     )
-    return MeasuredJoint(
+    by_y = 1.0 - 0.5 * gives_way
+    by_z = 0.0 if p[GAP] >= CLOSED_MM else 1.0 / float(p[TAN])
+    measured = MeasuredJoint(
         y_mm=float(y_s),
         z_mm=float(p[ROOT]),
         covariance_mm2=np.array([[variance_y, across], [across, variance_z]]),
@@ -216,6 +217,6 @@ def measured_half_v(fit: ShapeFit, wall: float, wall_variance: float, left_out: 
         mismatch_mm=float(p[DEPTH_LEFT] - p[DEPTH_RIGHT]),
         chi2=fit.chi2,
         shape=shape,
-        unexplained=left_out,
         corners_mm=section_corners(HALF_GROOVE, whole),
     )
+    return measured, SeamEdge(wall, by_y, by_z, gives_way)

@@ -21,7 +21,8 @@ from tracker.joint.measured import (
     shift_of,
     two_angles,
 )
-from tracker.joint.section_fit import SIGMA_FLOOR_PX, ShapeFit
+from tracker.joint.misfit import SeamEdge
+from tracker.joint.section_fit import ShapeFit
 from tracker.joint.section_shapes import SHEETS
 from tracker.joint.upright_edge import (
     Edge,
@@ -33,7 +34,7 @@ from tracker.joint.upright_edge import (
     points_around_edge,
 )
 from tracker.profile import Section, in_scan_order
-from tracker.state import DZ_MM, SCAN, SIGMA_PX, Y_MM, Z_MM, JointShape
+from tracker.state import DZ_MM, SIGMA_PX, Y_MM, Z_MM, JointShape
 
 SEARCH_STEP_MM = 0.1
 CLEAR_OF_EDGE_MM = 0.4
@@ -74,7 +75,7 @@ def fit_lap(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     if not math.isfinite(fit.chi2):
         return None
     measured = measured_lap(section, fit, y_0, thickness_mm)
-    return None if measured is None else as_reported(section, measured)
+    return None if measured is None else as_reported(section, measured, (SeamEdge(measured.y_mm),))
 
 
 def measured_lap(section: Section, fit: ShapeFit, y_0: float, thickness_mm: float) -> MeasuredJoint | None:
@@ -109,7 +110,6 @@ def measured_lap(section: Section, fit: ShapeFit, y_0: float, thickness_mm: floa
             plate_angles_deg=plates,
             plate_sigmas_deg=plate_sigmas,
         ),
-        unexplained=share_off(lines, sheets, edge),
         corners_mm=section_corners(SHEETS, np.array([z_edge, step, slope_lower, slope_upper, edge])),
     )
 
@@ -154,15 +154,9 @@ def edge_of_sheets(section: Section, points: Float64, sheets: SheetLines, thickn
         hidden=hidden,
     )
     # Glare or spatter over all of the points near it: between those beyond an edge may be anywhere, if the
-    # scan lines themselves do not tell, or show a surface that is neither sheet's.
-    between_mm, widest_mm = (
-        lines[Y_MM, behind] - hidden.width_mm - lines[Y_MM, before],
-        2.0 * CLEAR_OF_EDGE_MM,
-    )
-    n_seen, n_lines = behind - before - 1, abs(lines[SCAN, behind] - lines[SCAN, before]) - 1.0
-    is_covered = n_seen > 0.5 * n_lines
-    if is_covered:
-        edge = Edge(edge.y_mm, edge.variance_mm2 + between_mm**2 / 12.0, edge.y_per_z)
+    # scan lines themselves do not tell.
+    between_mm = lines[Y_MM, behind] - hidden.width_mm - lines[Y_MM, before]
+    widest_mm = 2.0 * CLEAR_OF_EDGE_MM
     is_lost = between_mm > widest_mm and 12.0 * edge.variance_mm2 > widest_mm**2
     return nowhere if is_lost else edge
 
@@ -208,21 +202,3 @@ def sheets_at(y_mm: Float64, sheets: SheetLines) -> Faces:
         faces.before_slope[i] = sheets.slope_upper
         faces.behind_mm[i], faces.behind_slope[i] = sheets.z + sheets.slope_lower * y, sheets.slope_lower
     return faces
-
-
-@kernel
-def share_off(lines: Float64, sheets: SheetLines, edge_mm: float) -> float:
-    """Return the share of the points near the edge that lie off the sheet of their side, 1 without any.
-
-    Off is more than OFF_SIGMAS of their own height.
-    """
-    n_near, n_off = 0, 0
-    for i in range(lines.shape[1]):
-        y = lines[Y_MM, i] - sheets.y
-        if abs(y) < NEAR_MM:
-            is_upper = y < edge_mm - sheets.y
-            sheet_mm = sheets.step + sheets.slope_upper * y if is_upper else sheets.slope_lower * y
-            sigma_mm = abs(lines[DZ_MM, i]) * math.hypot(lines[SIGMA_PX, i], SIGMA_FLOOR_PX)
-            n_near += 1
-            n_off += abs(lines[Z_MM, i] - sheets.z - sheet_mm) > OFF_SIGMAS * sigma_mm
-    return n_off / n_near if n_near > 0 else 1.0

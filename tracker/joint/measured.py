@@ -42,8 +42,9 @@ class MeasuredJoint(NamedTuple):
     """The joint in its own frame, mm: the seam point, its covariance (2, 2) of (y, z), and its dimensions.
 
     `chi2` is the fit's per degree of freedom; `gap_mm` and `mismatch_mm` are NaN where the shape has none.
-    `unexplained` is the share of the points near the seam that lie off the shape; `corners_mm` (n, 2) is the
-    fitted section as (y, z). `evidence_nats` is its evidence over a plate without a joint.
+    `corners_mm` (n, 2) is the fitted section as (y, z). `evidence_nats` is its evidence over a plate without
+    a joint; `misfit_nats` that of another surface next to the seam, which hides an upright edge so far,
+    `covered_mm`.
     """
 
     y_mm: float
@@ -53,9 +54,10 @@ class MeasuredJoint(NamedTuple):
     mismatch_mm: float
     chi2: float
     shape: JointShape = NO_SHAPE
-    unexplained: float = 0.0
     corners_mm: Float64 = _NO_CORNERS
     evidence_nats: float = math.nan
+    misfit_nats: float = -math.inf
+    covered_mm: float = 0.0
 
 
 @kernel(allocates=True)
@@ -162,12 +164,6 @@ def off_section(points: Float64, joint: MeasuredJoint) -> Bool:
     height_mm, slope = section_at(joint.corners_mm, points[Y_MM])
     moved = np.abs(points[DZ_MM] - slope * points[DY_MM]) * np.hypot(points[SIGMA_PX], SIGMA_FLOOR_PX)
     return np.asarray(np.abs(points[Z_MM] - height_mm) > OFF_SIGMAS * moved)
-
-
-def share_left_out(y_mm: Float64, weights: Float64, used: Bool, middle_mm: float, reach_mm: float) -> float:
-    """Return the share of the used points (n,) within a reach of a place that a fit leaves out; 1 of none."""
-    near = weights[used & (np.abs(y_mm - middle_mm) < reach_mm)]
-    return np.count_nonzero(near < LEFT_OUT) / len(near) if len(near) else 1.0
 
 
 def two_angles(p: Float64, covariance: Float64, left: int, right: int) -> tuple[Pair, Pair]:

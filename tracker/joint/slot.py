@@ -18,14 +18,15 @@ from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.common_mode import as_reported
 from tracker.joint.evidence import places_of
 from tracker.joint.measured import (
-    OFF_SIGMAS,
     START_SIGMA_MM,
     MeasuredJoint,
     fit_points,
     meet_face,
+    section_at,
     section_corners,
     two_angles,
 )
+from tracker.joint.misfit import SeamEdge
 from tracker.joint.plate_lines import (
     BLURRED_LINES,
     MIN_LINES,
@@ -42,10 +43,10 @@ from tracker.joint.plate_lines import (
     others_between,
     plate_lines,
 )
-from tracker.joint.section_fit import SIGMA_FLOOR_PX, ShapeFit
+from tracker.joint.section_fit import ShapeFit
 from tracker.joint.section_shapes import SHEETS
 from tracker.profile import Section
-from tracker.state import DZ_MM, SIGMA_PX, Y_MM, Z_MM, JointShape
+from tracker.state import Y_MM, Z_MM, JointShape
 from tracker.stripe.light import StripeLight
 
 PRIOR_SIGMA = np.array([5.0, 0.5, 0.03, 0.03])
@@ -78,7 +79,7 @@ def fit_slot(
     fit, placed_mm, gap, nats = find_gap(section, stated, image_dn, along_rows)
     if math.isnan(gap.y_mm):
         return None
-    return as_reported(section, measured_slot(section.points, stated, fit, placed_mm, gap, nats))
+    return report_slot(section, stated, measured_slot(stated, fit, placed_mm, gap, nats))
 
 
 @kernel(allocates=True)
@@ -133,7 +134,7 @@ def fit_closed_slot(
     if not math.isfinite(fit.chi2):
         return None
     closed = JointGap(line_mm, sigma_mm**2, math.nan, math.nan, 0, 0, 0.0)
-    return as_reported(section, measured_slot(points, stated, fit, line_mm, closed, nats))
+    return report_slot(section, stated, measured_slot(stated, fit, line_mm, closed, nats))
 
 
 class JointGap(NamedTuple):
@@ -211,7 +212,7 @@ def plate_points(points: Float64, stated: StatedJoint, are_on: Bool, y_0: float)
 
 
 def measured_slot(
-    points: Float64, stated: StatedJoint, fit: ShapeFit, y_0: float, gap: JointGap, nats: float
+    stated: StatedJoint, fit: ShapeFit, y_0: float, gap: JointGap, nats: float
 ) -> MeasuredJoint:
     """Return the joint of two plates, whose lines are fitted about a place, with a gap between them."""
     (z_left, down, slope_left, slope_right), thickness = fit.parameters.tolist(), stated.thickness_mm
@@ -247,26 +248,21 @@ def measured_slot(
         mismatch_mm=left_top - right_top,
         chi2=fit.chi2,
         shape=shape,
-        unexplained=share_raised(points, fit.parameters, y_0, right_mm, left_mm),
         corners_mm=np.array([outer[0], *ends, outer[-1]]),
         evidence_nats=nats,
     )
 
 
-def share_raised(points: Float64, p: Float64, y_0: float, right_mm: float, left_mm: float) -> float:
-    """Return the share of the points near the gap that no plate and no gap has, as a tack weld's.
-
-    Beside the gap they lie off their plate, in the gap over it; 1 without any.
-    """
-    y = points[Y_MM]
-    near = points[:, (y > right_mm - SLACK_MM) & (y < left_mm + SLACK_MM)]
-    y = near[Y_MM]
-    left_line, right_line = p[0] + p[2] * (y - y_0), p[0] + p[1] + p[3] * (y - y_0)
-    line_mm = np.where(y > 0.5 * (right_mm + left_mm), left_line, right_line)
-    off = (near[Z_MM] - line_mm) / (np.abs(near[DZ_MM]) * np.hypot(near[SIGMA_PX], SIGMA_FLOOR_PX))
-    is_in_gap = (y > right_mm) & (y < left_mm)
-    wrong = (off > OFF_SIGMAS) | ((off < -OFF_SIGMAS) & ~is_in_gap)
-    return np.count_nonzero(wrong) / len(y) if len(y) else 1.0
+def report_slot(section: Section, stated: StatedJoint, slot: MeasuredJoint) -> MeasuredJoint:
+    """Return a slot as it is reported: what lies below its plates is the gap's, whatever it is."""
+    (right_mm, right_top), (left_mm, left_top) = slot.corners_mm[1], slot.corners_mm[4]
+    y_mm = section.y_mm
+    is_over = (y_mm > right_mm) & (y_mm < left_mm)
+    top_mm = np.interp(y_mm, [right_mm, left_mm], [right_top, left_top])
+    height_mm = np.where(is_over, top_mm, section_at(slot.corners_mm, y_mm)[0] - on_plate_mm(stated))
+    plates = section._replace(points=section.points[:, section.z_mm > height_mm])
+    edges = SeamEdge(float(right_mm), 0.5, by_gap=1.0), SeamEdge(float(left_mm), 0.5, by_gap=1.0)
+    return as_reported(section, slot, edges, plates)
 
 
 @kernel(allocates=True)
