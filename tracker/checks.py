@@ -233,6 +233,12 @@ EDGE_SHOWN = Question(
 NEAR_NOMINAL = Question(
     "near_nominal", "distance of the seam from its nominal line", "at_most", flags.SEAM_OUT_OF_VIEW, "mm"
 )
+SEAM_CONFIRMED = Question(
+    "seam_confirmed",
+    "a new seam under a burning arc is shown beyond doubt, or by two frames",
+    "yes",
+    flags.JOINT_NOT_FOUND,
+)
 JUMP_Y = Question(
     "jump_y", "distance in y from where the earlier frames put the seam", "at_most", flags.SEAM_JUMP, "mm"
 )

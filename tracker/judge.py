@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracker import checks
+from tracker import checks, flags
 from tracker.checks import FrameChecks
 from tracker.observation import FrameInput, Reading
 from tracker.seam.expected import ExpectedSeam
@@ -24,6 +24,14 @@ JUMPS_TO_RELEARN, RELEARN_MM, RELEARN_SHARE = 3, 1.5, 0.5
 """Jumps to one place that make it the seam's new place, if most frames show it there over such a way.
 
 The rim of a tack shows a joint for some frames, or now and then: a seam shows it on and on.
+"""
+
+
+SURE_NATS = math.log(1e5)
+"""Evidence, nats, at which one frame under a burning arc shows a new seam: chance reaches it in one of 1e5.
+
+With less it waits for a second frame: a dark spot of the metal is elsewhere in that. So it does where a line
+off the stripe shows it, for between two streaks there is one, and chance has no part in these.
 """
 
 
@@ -59,7 +67,11 @@ def judge(
     calibration_y, calibration_z = np.sum((moves_mm @ expected.T_joint_tool[1:3, :3].T) ** 2, axis=0).tolist()
     steering = before.steering._replace(hand_eye_variance_mm2=(calibration_y, calibration_z))
     state = before._replace(steering=steering)
-    state = remember(frame_checks, source, state, located.station_mm, off_mm, variance_mm2)
+    by_line = bool(frame_checks.flags & flags.SEAM_BY_LINE.mask)
+    is_doubtful = given.arc_burns and (by_line or joint.evidence_nats < SURE_NATS)
+    state = remember(frame_checks, source, state, located.station_mm, off_mm, variance_mm2, is_doubtful)
+    if state.history.n == 0:
+        return state, None
     sigma_y_mm = math.sqrt(variance_mm2[0] + calibration_y)
     sigma_z_mm = math.sqrt(variance_mm2[1] + calibration_z)
     sure = confidence(source.weld_mm, sigma_y_mm, sigma_z_mm)
@@ -78,10 +90,20 @@ def remember(
     station_mm: float,
     displacement_mm: Pair,
     variance_mm2: Pair,
+    is_doubtful: bool = False,
 ) -> TrackerMemory:
-    """Return the state with a seam that a frame shows, judged against the earlier frames."""
+    """Return the state with a seam that a frame shows, judged against the earlier frames.
+
+    A first one that `is_doubtful` waits for another frame that shows it there too.
+    """
     measured = station_mm, displacement_mm, variance_mm2
     history, beyond, jumps = before.history, before.beyond, before.jumps + 1
+    if history.n == 0 and is_doubtful:
+        away_mm, limit_mm = jump_of(source, beyond, *measured)
+        is_shown_twice = beyond.n > 0 and away_mm[0] <= limit_mm[0] and away_mm[1] <= limit_mm[1]
+        if not frame_checks.ask_whether(checks.SEAM_CONFIRMED, is_shown_twice):
+            return before._replace(beyond=NO_HISTORY.with_measurement(*measured))
+        history = beyond
     if history.n == 0 or _is_near(frame_checks, *jump_of(source, history, *measured)):
         history = history.with_measurement(*measured)
         return before._replace(history=history, beyond=NO_HISTORY, jumps=0, lost=0)

@@ -20,6 +20,7 @@ from tracker.arc.transmission import NO_LIGHT, Transmission
 from tracker.checks import FrameChecks
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry, dark_variance_at
 from tracker.joint.measured import MeasuredJoint
+from tracker.joint.plate_lines import StripeImage
 from tracker.profile import EdgeAlongSeam, Section, triangulate
 from tracker.seam.correction import Correction
 from tracker.seam.locate import sources, straightened
@@ -73,6 +74,12 @@ class FrameInput(NamedTuple):
     correction: Correction
     lead: OffsetLookAhead
     arc_burns: bool
+
+    @property
+    def stripe_image(self) -> StripeImage:
+        """The frame's codes, as a joint's fit takes them."""
+        geometry = self.geometry
+        return StripeImage(self.frame.image_dn, geometry.along_rows, geometry.saturation_dn)
 
 
 class Aim(NamedTuple):

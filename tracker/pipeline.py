@@ -174,8 +174,8 @@ def _fit_joint(
     """Return the joint that a section shows, None where none counts, and its margin in the view, mm."""
     section, geometry = seen.section, given.geometry
     assert section is not None
-    stated, image_dn = geometry.setup.joint, given.frame.image_dn
-    joint = fit_section(section, stated, image_dn, geometry.along_rows)
+    stated = geometry.setup.joint
+    joint = fit_section(section, stated, given.stripe_image)
     if stated.type == "butt" and not _is_distinct(joint):
         closed = _closed_joint(given, aim, seen)
         if _is_distinct(closed):

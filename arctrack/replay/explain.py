@@ -189,8 +189,7 @@ def _look(given: FrameInput, reading: Reading) -> StepObservation:
     if reading.flags & flags.STRIPE_LOST.mask:
         return look
     if reading.joint is None:
-        fitted = fit_section(section, geometry.setup.joint, given.frame.image_dn, geometry.along_rows)
-        return replace(look, joint=fitted)
+        return replace(look, joint=fit_section(section, geometry.setup.joint, given.stripe_image))
     return replace(look, joint=reading.joint, seam=_seam_look(given, scene, reading.joint))
 
 

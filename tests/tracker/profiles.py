@@ -10,6 +10,7 @@ import numpy as np
 from noise_model.compiled.arrays import Bool, Float64, Integers
 from noise_model.surface.joint import Joint
 from tracker.joint import NO_IMAGE, MeasuredJoint, fit_section
+from tracker.joint.plate_lines import StripeImage
 from tracker.profile import Section, in_scan_order, points_of
 from tracker.state import BIAS_PX, MISFIT_PX, N_LINES
 from tracker.stripe.light import NO_LIGHT, StripeLight
@@ -18,6 +19,8 @@ COLUMN_MM, PX_MM = 0.07, (0.012, 0.075)
 """The columns' spacing in y, and how far (y, z) a point moves per px of its stripe centre."""
 
 REACH_MM = 18.0
+
+SATURATION_DN = 65_000
 
 
 NOWHERE = np.full(3, math.nan)
@@ -65,13 +68,13 @@ class Profile:
         return self.points[N_LINES]
 
     @property
-    def given(self) -> tuple[Integers, bool]:
-        """The frame that it was read from, and whether its stripe runs along the rows."""
+    def image(self) -> StripeImage:
+        """The frame that it was read from."""
         if self.image_dn is None:
-            return NO_IMAGE, False
+            return NO_IMAGE
         if self.image_dn.flags.c_contiguous:
-            return self.image_dn, False
-        return np.ascontiguousarray(self.image_dn.T), True
+            return StripeImage(self.image_dn, False, SATURATION_DN)
+        return StripeImage(np.ascontiguousarray(self.image_dn.T), True, SATURATION_DN)
 
     def seen_from(self, camera_mm: Float64 = NOWHERE, laser_mm: Float64 = NOWHERE) -> Section:
         """The section as the tracker takes it."""
@@ -107,7 +110,7 @@ def fit_joint(
     profile: Profile, joint: Joint, camera_mm: Float64 = NOWHERE, laser_mm: Float64 = NOWHERE
 ) -> MeasuredJoint | None:
     """The joint that a profile shows, seen and lit from two points (3,)."""
-    return fit_section(profile.seen_from(camera_mm, laser_mm), joint, *profile.given)
+    return fit_section(profile.seen_from(camera_mm, laser_mm), joint, profile.image)
 
 
 def groove(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from profiles import Profile
+from profiles import SATURATION_DN, Profile
 from stripe_ends import EDGE, N_SCAN, light_of, profile_of
 
 from tracker.joint.measured import OnFace
@@ -21,9 +21,9 @@ from tracker.joint.plate_lines import (
     best_place,
     end_between,
     end_by_shares,
-    hold_plates,
     lines_read,
     plate_lines,
+    vote,
 )
 from tracker.profile import Section
 from tracker.state import N_LINES, SCAN
@@ -45,9 +45,9 @@ def lines_about_a_gap(seed: int) -> tuple[Section, Profile, OnPlates, bool]:
         contrast=0.1,
         flipped=flipped,
     )
-    if rng.random() < 0.3:
-        light.censored[EDGE - 1 : EDGE + 2, 20:60] = True
     image_dn = np.rint(np.clip(light.charge_e, 0.0, 60000.0)).astype(np.uint16)
+    if rng.random() < 0.3:
+        image_dn[EDGE - 1 : EDGE + 2, 20:60] = SATURATION_DN
     image_dn[rng.random(N_SCAN) < 0.05] = 500
     if rng.integers(2):
         image_dn = np.ascontiguousarray(image_dn.T).T
@@ -87,7 +87,7 @@ def a_clean_gap(seed: int, lines_apart: int) -> tuple[PlateLines, Section, tuple
     n = int(is_read.sum())
     section = profile.seen_from(NOWHERE, NOWHERE)
     on_plates = OnPlates(np.ones(n, dtype=bool), OnFace(profile.y_mm, np.zeros(n)))
-    lines = plate_lines(section, on_plates, False, *profile.given)
+    lines = plate_lines(section, on_plates, False, profile.image)
     return lines, section, (0.1 * (ends[0] - EDGE), 0.1 * (ends[1] - EDGE)), profile
 
 
@@ -112,9 +112,69 @@ def test_plates_are_placed_about_their_gap() -> None:
 @pytest.mark.parametrize("lines_apart", [0, 12])
 def test_lines_of_a_stripe_that_goes_on_hold_the_plates(lines_apart: int) -> None:
     for seed in range(20):
-        lines, section, _, profile = a_clean_gap(seed, lines_apart)
-        holds = hold_plates(lines, section.light, *profile.given, EDGE - 3, EDGE + 3)
-        assert holds == (lines_apart == 0), seed
+        lines, _, _, _ = a_clean_gap(seed, lines_apart)
+        # Where a plate ends amid a line, that may be either.
+        in_gap = lines.sees[EDGE - 3 : EDGE + 4]
+        assert np.isin(in_gap, (1.0, HIDDEN) if lines_apart == 0 else (UNREAD,)).all(), seed
+
+
+STREAK = slice(EDGE + 4, EDGE + 10)
+"""Lines of the plate behind a gap of 12 lines, with the gap's last one or two."""
+
+
+def under_a_streak(seed: int, streak_dn: int) -> tuple[PlateLines, Section, tuple[float, float]]:
+    """A gap's lines with a streak's even light over those about its end, of which none was read."""
+    _, _, at_mm, profile = a_clean_gap(seed, 12)
+    assert profile.image_dn is not None
+    image_dn = profile.image_dn.astype(int)
+    image_dn[STREAK] = np.minimum(image_dn[STREAK] + streak_dn, SATURATION_DN)
+    kept = (profile.scan < STREAK.start) | (profile.scan >= STREAK.stop)
+    names = ("y_mm", "z_mm", "dy_mm", "dz_mm", "sigma_px", "beside_px", "scan")
+    profile = replace(
+        profile,
+        image_dn=image_dn.astype(np.uint16),
+        **{name: getattr(profile, name)[kept] for name in names},
+    )
+    section = profile.seen_from(NOWHERE, NOWHERE)
+    face = OnFace(profile.y_mm, np.zeros(len(profile.y_mm)))
+    on_plates = OnPlates(np.ones(len(profile.y_mm), dtype=bool), face)
+    return plate_lines(section, on_plates, False, profile.image), section, at_mm
+
+
+def test_a_plate_under_a_streak_holds_its_light_and_its_gap_ends_there() -> None:
+    for seed in range(20):
+        lines, section, (_, last_mm) = under_a_streak(seed, 8000)
+        assert (lines.sees[EDGE + 8 : STREAK.stop] == 1.0).all()
+        end = end_between(lines, section.light, 0.0, 2.5, False)
+        assert end.y_mm == pytest.approx(last_mm, abs=0.3)
+
+
+def test_what_a_saturated_streak_covers_widens_the_end_beneath_it() -> None:
+    for seed in range(20):
+        lines, section, (_, last_mm) = under_a_streak(seed, SATURATION_DN)
+        assert (lines.sees[STREAK] == HIDDEN).all()
+        end = end_between(lines, section.light, 0.0, 2.5, False)
+        assert end.variance_mm2 >= 0.5**2 / 12.0
+        assert abs(end.y_mm - last_mm) < 2.0 * math.sqrt(end.variance_mm2)
+
+
+@pytest.mark.parametrize(
+    ("read", "share", "off", "says"),
+    [
+        (1.0, 0.9, 0.2, 1.0),
+        (1.0, 0.9, 0.8, HIDDEN),
+        (1.0, 0.1, 0.05, UNREAD),
+        (1.0, 5.0, 0.1, HIDDEN),
+        (1.0, math.nan, math.nan, HIDDEN),
+        (UNREAD, 0.1, 0.1, UNREAD),
+        (UNREAD, 0.1, 0.6, HIDDEN),
+        (UNREAD, 0.9, 0.1, 1.0),
+        (-1.0, 0.1, 0.6, -1.0),
+        (-1.0, 0.9, 0.1, HIDDEN),
+    ],
+)
+def test_a_line_votes_by_the_light_that_it_holds(read: float, share: float, off: float, says: float) -> None:
+    assert vote(read, share, off, 3.0) == says
 
 
 @settings(deadline=None, max_examples=40)
@@ -147,6 +207,6 @@ def test_the_drawn_lines_are_of_all_kinds() -> None:
     seen = []
     for seed in range(40):
         section, profile, on_plates, beyond = lines_about_a_gap(seed)
-        seen.append(plate_lines(section, on_plates, beyond, *profile.given).sees)
+        seen.append(plate_lines(section, on_plates, beyond, profile.image).sees)
     for value in (1.0, -1.0, UNREAD, HIDDEN):
         assert sum((sees == value).any() for sees in seen) > 4, value

@@ -17,7 +17,7 @@ from noise_model.transforms import invert, transform
 from tracker import checks, flags
 from tracker.checks import FrameChecks
 from tracker.pipeline import JOINT_CHI2_LIMIT, as_stated
-from tracker.state import Frame
+from tracker.state import Frame, Pose, Track
 from tracker.tracker import Tracker
 
 SEAM = SeamLine(0.0, 0.8, -0.3, 0.004, 0.001)
@@ -110,6 +110,14 @@ def test_a_root_too_narrow_to_be_told_from_a_closed_one_says_so(name: str, gap_m
     assert (np.mean(np.square(pulls), axis=0) < 3.0).all(), pulls
 
 
+def shown_twice(setup: Setup, frame: Frame, pose: Pose) -> Track:
+    """The second track of a frame: one alone shows no such gap beyond doubt while an arc burns."""
+    tracker = Tracker(setup)
+    if setup.joint.type == "butt":
+        assert tracker.step(frame, pose).flags & flags.JOINT_NOT_FOUND.mask
+    return tracker.step(frame, pose)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "gap_mm"), [("butt", 0.5), ("edge", 0.5)])
 def test_a_narrow_gap_is_as_sure_as_its_blurred_ends_are(name: str, gap_mm: float) -> None:
@@ -121,7 +129,7 @@ def test_a_narrow_gap_is_as_sure_as_its_blurred_ends_are(name: str, gap_mm: floa
     pulls = []
     for n in range(16):
         pose, seam = pose_at(3.0 * n), SeamLine(0.0, 0.177 * n - 1.4, 0.05 * n)
-        track = Tracker(setup).step(frame_of(setup, pose, seam, index=n), pose)
+        track = shown_twice(setup, frame_of(setup, pose, seam, index=n), pose)
         y = track.seam_tool_mm[1] - true_seam_tool(setup, pose, seam)[1]
         pulls.append((y / track.sigma_y_mm, (track.gap_mm - gap_mm) / track.shape.gap_sigma_mm))
     assert (np.mean(np.square(pulls), axis=0) < 2.0).all(), pulls
@@ -147,7 +155,7 @@ def test_the_line_of_a_narrow_gap_in_the_arc_s_light_is_its_seam() -> None:
     pulls, by_line = [], 0
     for n in range(4):
         pose, seam = pose_at(3.0 * n), SeamLine(0.0, 0.177 * n - 1.4, 0.05 * n)
-        track = Tracker(setup).step(frame_of(setup, pose, seam, index=n), pose)
+        track = shown_twice(setup, frame_of(setup, pose, seam, index=n), pose)
         assert track.valid, track.flag_names
         by_line += bool(track.flags & flags.SEAM_BY_LINE.mask)
         _, y, z = np.array(track.seam_tool_mm) - true_seam_tool(setup, pose, seam)

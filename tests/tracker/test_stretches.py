@@ -86,6 +86,17 @@ def test_a_rim_that_shows_for_some_frames_moves_no_seam() -> None:
     assert (state.history.n, state.jumps, state.beyond.n) == (11, 0, 0)
 
 
+def test_a_doubtful_new_seam_is_one_once_a_second_frame_shows_it_there() -> None:
+    state, confirmed = TrackerMemory(), []
+    for station_mm, y_mm in ((0.0, 3.0), (1.0, -2.0), (2.0, -2.0), (3.0, -2.0)):
+        frame_checks = FrameChecks()
+        state = remember(frame_checks, SOURCE, state, station_mm, (y_mm, 0.0), VARIANCE_MM2, True)
+        confirmed.append(not frame_checks.flags & flags.JOINT_NOT_FOUND.mask)
+    assert confirmed == [False, False, True, True]
+    assert (state.history.n, state.beyond.n) == (3, 0)
+    assert state.history.point_at(2.0).displacement_mm[0] == pytest.approx(-2.0, abs=0.01)
+
+
 def test_a_seam_that_goes_on_elsewhere_is_learned_anew() -> None:
     before, _ = remembered(STRAIGHT, TrackerMemory(lost=4))
     assert before.lost == 0

@@ -22,9 +22,8 @@ from stripe_ends import (
     profile_of,
 )
 
-from noise_model.compiled.arrays import Float64
 from tracker.joint.measured import OnFace, meet_face
-from tracker.joint.plate_lines import HIDDEN, UNREAD, OnPlates, plate_lines
+from tracker.joint.plate_lines import UNREAD, OnPlates, plate_lines
 from tracker.joint.upright_edge import Edge, EdgeScatter, HiddenStrip, edge_covariance, upright_edge
 from tracker.stripe.edge import (
     MIN_SIGMA,
@@ -397,29 +396,6 @@ def test_no_share_is_read_under_a_glint() -> None:
     assert edge_of(profile_of(light), EDGE, EDGE + 2, 0.0) != blind
 
 
-def sees_of(profile: Profile, on_plates: OnPlates) -> Float64:
-    """What a profile's scan lines say of two plates that go on beyond it."""
-    section = profile.seen_from(np.zeros(3), np.zeros(3))
-    return np.asarray(plate_lines(section, on_plates, False, *profile.given).sees)
-
-
-def test_lines_under_a_glint_say_nothing_of_a_plate() -> None:
-    light = under_a_glint(light_of(np.random.default_rng(5), 100.0, 200.0), EDGE, EDGE + 4)
-    profile = profile_of(light)
-    seen = np.isfinite(light.position_px)
-    along = ("y_mm", "z_mm", "dy_mm", "dz_mm", "sigma_px", "scan", "beside_px")
-    shown = replace(profile, **{name: getattr(profile, name)[seen] for name in along})
-    on_plates = OnPlates(
-        np.ones(int(seen.sum()), dtype=bool),
-        meet_face(shown.points, shown.z_mm, np.zeros(len(shown.z_mm))),
-    )
-    sees = sees_of(shown, on_plates)
-    assert (sees[EDGE : EDGE + 5] == HIDDEN).all()
-    plain = sees_of(replace(shown, light=NO_LIGHT), on_plates)
-    assert (plain[EDGE : EDGE + 5] == UNREAD).all()
-    assert (np.delete(sees, np.arange(EDGE, EDGE + 5)) == 1.0).all()
-
-
 def test_lines_with_hardly_any_of_a_plate_s_light_hold_none() -> None:
     """The optics throw a few percent of the stripe into a gap, where its centre is read all the same."""
     light = light_of(np.random.default_rng(5), 100.0, 200.0, contrast=0.1)
@@ -431,6 +407,6 @@ def test_lines_with_hardly_any_of_a_plate_s_light_hold_none() -> None:
     on_plates = OnPlates(
         np.ones(N_SCAN, dtype=bool), meet_face(profile.points, profile.z_mm, np.zeros(N_SCAN))
     )
-    sees = sees_of(profile, on_plates)
+    sees = plate_lines(profile.seen_from(), on_plates, False, profile.image).sees
     assert (sees[gap] == UNREAD).all()
     assert (np.delete(sees, np.arange(EDGE, EDGE + 5)) == 1.0).all()

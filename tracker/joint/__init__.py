@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from noise_model.compiled.arrays import Integers
 from noise_model.surface.joint import Joint
 from noise_model.surface.stated_joint import StatedJoint
 from tracker.joint.fillet import fit_fillet
@@ -19,6 +18,7 @@ from tracker.joint.half_v import fit_half_v
 from tracker.joint.image_line import ImageLine
 from tracker.joint.lap import fit_lap
 from tracker.joint.measured import MeasuredJoint
+from tracker.joint.plate_lines import StripeImage
 from tracker.joint.slot import fit_closed_slot, fit_slot
 from tracker.profile import MIN_POINTS, Section
 
@@ -37,24 +37,19 @@ FITS: Mapping[str, Callable[[Section, StatedJoint], MeasuredJoint | None]] = {
 SLOTS = frozenset({"butt", "edge"})
 """The types whose fit, `fit_slot`, takes the frame as well."""
 
-NO_IMAGE = np.empty((0, 0), np.uint8)
+NO_IMAGE = StripeImage(np.empty((0, 0), np.uint8), False, 0)
 
 __all__ = ["FITS", "NO_IMAGE", "MeasuredJoint", "fit_closed_joint", "fit_section"]
 
 
-def fit_section(
-    section: Section, joint: Joint, image_dn: Integers = NO_IMAGE, along_rows: bool = False
-) -> MeasuredJoint | None:
-    """Return the joint that a section shows, or None where it does not determine one.
-
-    `image_dn` (H, W) is the frame, whose stripe runs `along_rows`; no pixels where it is not at hand.
-    """
+def fit_section(section: Section, joint: Joint, image: StripeImage = NO_IMAGE) -> MeasuredJoint | None:
+    """Return the joint that a section shows, or None where it does not determine one."""
     if section.points.shape[1] < MIN_POINTS:
         return None
     stated = StatedJoint.of(joint)
     if joint.type in FITS:
         return FITS[joint.type](section, stated)
-    return fit_slot(section, stated, image_dn, along_rows) if joint.type in SLOTS else None
+    return fit_slot(section, stated, image) if joint.type in SLOTS else None
 
 
 def fit_closed_joint(section: Section, joint: Joint, line: ImageLine) -> MeasuredJoint | None:

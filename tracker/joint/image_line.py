@@ -113,8 +113,7 @@ def read_image_line(
 
     `scene` is the look's, its x axis along the expected seam; `path_px` (n_scan,) the stripe's centre, NaN
     where it was not read, `stripe_sigma_px` its 1 sigma across. `section` gives each scan line its y, and the
-    reach about 0; `image_dn` (n_scan, n_pos) is the frame by scan line. While an arc burns a bright line may
-    be a streak of spatter, which points away from the arc as the seam does: then there must be a dark slit.
+    reach about 0; `image_dn` (n_scan, n_pos) is the frame by scan line. While an arc burns a line is dark.
     """
     # Of a weak stripe no line's smooth centre may be sure enough to be one.
     if min(len(section.y_mm), np.isfinite(path_px).sum()) < MIN_POINTS:
@@ -137,16 +136,15 @@ def read_image_line(
     average_columns(image_dn, path, guard_px, averaged, columns, offsets_px)
     white = np.empty_like(columns)
     # Half the running median's length, over the line's 1 sigma.
-    whiten(columns, math.ceil(5.0 * width), white)
+    # Spatter's streaks point away from the arc as the seam does, and only add light.
+    whiten(columns, math.ceil(5.0 * width), 0.0 if arc_burns else CLIP_SIGMAS, white)
     n_slopes = 2 + math.ceil(abs(last_slope - first_slope) * reach_px / width)
     slopes = np.linspace(first_slope, last_slope, n_slopes)
     along, counts = np.empty((2, n_slopes, len(path)))
     sum_along(white, offsets_px, slopes, along, counts)
     # A line that leaves the image within more of its columns is not summed.
-    energy = _energy(along, counts >= 0.5 * len(offsets_px), width)
-    return _place(
-        section, _Sums(white, offsets_px, slopes, along, energy, width, section.column_mm), arc_burns
-    )
+    energy = _energy(along, counts >= 0.5 * len(offsets_px), width, arc_burns)
+    return _place(section, _Sums(white, offsets_px, slopes, along, energy, width, section.column_mm))
 
 
 def _plates_path(path_px: Float64) -> Float64:
@@ -208,10 +206,11 @@ def average_columns(
 
 
 @kernel(allocates=True)
-def whiten(columns: Float64, half: int, white: Float64) -> None:
+def whiten(columns: Float64, half: int, max_bright: float, white: Float64) -> None:
     """Write columns (m, n) less their running medians over 2 `half` + 1 lines, in their robust sigmas.
 
-    NaN where the column is, or the median's window leaves it.
+    What is brighter than `max_bright` sigmas counts as these. NaN where the column is, or the median's window
+    leaves it.
     """
     n = columns.shape[1]
     sizes = np.empty(n)
@@ -228,7 +227,7 @@ def whiten(columns: Float64, half: int, white: Float64) -> None:
             continue
         sigma = max(MAD_SIGMA * exact_median(sizes[:count]), CODE_SIGMA_DN)
         for s in range(n):
-            white[j, s] = min(max(white[j, s] / sigma, -CLIP_SIGMAS), CLIP_SIGMAS)
+            white[j, s] = min(max(white[j, s] / sigma, -CLIP_SIGMAS), max_bright)
 
 
 @kernel
@@ -254,28 +253,28 @@ def sum_along(white: Float64, offsets_px: Float64, slopes: Float64, along: Float
             along[a, s] /= math.sqrt(max(counts[a, s], 1.0))
 
 
-def _energy(along: Float64, is_valid: Bool, width: float) -> Float64:
-    """Return the chi^2 (k, n) of an even and an odd filter over sums (k, n), 0 where they are unknown."""
+def _energy(along: Float64, is_valid: Bool, width: float, only_dark: bool) -> Float64:
+    """Return the chi^2 (k, n) of an even and an odd filter over sums (k, n), 0 where they are unknown.
+
+    Of lines that are `only_dark` the even filter alone tells a slit from a streak's flank.
+    """
     half = math.ceil(4.0 * width)
     x = np.arange(-half, half + 1) / width
     bell = np.exp(-0.5 * x * x)
-    even = (x**4 - 6.0 * x**2 + 3.0) * bell
+    even, odd = (x**4 - 6.0 * x**2 + 3.0) * bell, (x**3 - 3.0 * x) * bell
     energy = np.zeros_like(along)
     is_valid = is_valid & (np.arange(along.shape[1]) >= half) & (np.arange(along.shape[1])[::-1] >= half)
     if not is_valid.any():
         return energy
-    for shape in (even, (x**3 - 3.0 * x) * bell):
+    for shape in (even,) if only_dark else (even, odd):
         response = np.array([np.correlate(line, shape, "same") for line in along])
         sigma = MAD_SIGMA * float(np.median(np.abs(response[is_valid])))
-        energy += (response / max(sigma, MIN_SIGMA)) ** 2
+        energy += ((np.minimum(response, 0.0) if only_dark else response) / max(sigma, MIN_SIGMA)) ** 2
     return np.where(is_valid, energy, 0.0)
 
 
-def _place(section: Section, sums: _Sums, arc_burns: bool) -> ImageLine | None:
-    """Return the strongest line within a section's reach, and its margin over what lies elsewhere.
-
-    While an arc burns a line that is brighter than it is dark is no evidence: two streaks have a gap too.
-    """
+def _place(section: Section, sums: _Sums) -> ImageLine | None:
+    """Return the strongest line within a section's reach, and its margin over what lies elsewhere."""
     points = in_scan_order(section.points)
     scan = points[SCAN]
     order = slice(None, None, 1 if scan[0] <= scan[-1] else -1)
@@ -297,10 +296,7 @@ def _place(section: Section, sums: _Sums, arc_burns: bool) -> ImageLine | None:
     within_share = float((within > 0.0).any(axis=0).sum() / is_valid.sum())
     wider = max(1.0, rival / (2.0 * math.log(places)))
     evidence = 0.5 * strongest / wider - math.log(max(places * within_share, 1.0))
-    near = math.ceil(2.0 * sums.width)
-    light = sums.along[slope, max(line - near, 0) : line + near + 1]
-    is_streak = arc_burns and -light.min() < light.max()
-    if is_streak or rival > MAX_RIVAL**2 * strongest:
+    if rival > MAX_RIVAL**2 * strongest:
         evidence = min(evidence, 0.0)
     course = _crossing(sums, int(slope), int(line))
     if course is None:

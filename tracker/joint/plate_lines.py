@@ -7,16 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.arc.map import CELL
 from noise_model.compiled.arrays import Bool, Float64, Integers
 from noise_model.compiled.kernel import kernel
 from noise_model.compiled.median import exact_median
 from noise_model.compiled.ordering import stable_order
+from noise_model.robust import MAD_SIGMA
 from tracker.joint.evidence import gap_evidence_nats
 from tracker.joint.measured import OnFace
 from tracker.profile import Section
 from tracker.state import N_LINES, SCAN
-from tracker.stripe.edge import clear_of_an_edge, stripe_end
+from tracker.stripe.edge import MIN_CONTRAST, clear_of_an_edge, stripe_end
 from tracker.stripe.light import WINDOW_SIGMAS, StripeLight
 
 OUTSIDE_MM = 1.0
@@ -34,11 +34,31 @@ BLURRED_LINES = 4
 UNREAD = -0.5
 """Vote of a scan line without a stripe for a plate, 1 being that it is there: spatter hides one, too."""
 
-BRIGHT_LINES, HELD_SHARE = 12, 0.5
-"""Lines of either plate that say how bright its stripe is; the share of it at which a gap's lines hold it."""
-
 HIDDEN = 0.0
-"""Vote of a scan line for a plate whose stripe would run over saturated pixels."""
+"""Vote of a scan line whose light does not tell whether it holds the plates' stripe."""
+
+THROWN_SHARE, HELD_SHARE = 0.25, 0.5
+"""Largest share of the plates' light that optics throw into a gap, and that of a line that is half plate."""
+
+SHARE_SIGMAS = 2.0
+"""A share is told from these two by so many of its sigmas."""
+
+BRIGHT_SIGMAS = 4.0
+"""By so many of their scatter a line may be brighter than most of a plate's: beyond, it is another light."""
+
+CODE_VARIANCE = 1.0 / 12.0
+"""Variance of a code's rounding, DN^2."""
+
+
+class StripeImage(NamedTuple):
+    """A frame (H, W), DN, whose stripe runs `along_rows`; pixels from `saturation_dn` on tell no light.
+
+    It has no pixels where the frame is not at hand.
+    """
+
+    image_dn: Integers
+    along_rows: bool
+    saturation_dn: int
 
 
 class OnPlates(NamedTuple):
@@ -60,8 +80,8 @@ class PlateLines(NamedTuple):
     """The scan lines (n,) in order of y: what each `sees`, and the y, mm, where the plates are met in it.
 
     That is 1 where a plate is seen and -1 where it is not; UNREAD where nothing is seen, and HIDDEN where
-    saturated pixels lie over the plates' stripe, a glint's. `y_per_z` is by how much a line's y goes with the
-    plates' height. The line i is scan line `away` (`first_scan` + i).
+    another light lies over the plates' stripe, a glint's or a streak's. `y_per_z` is by how much a line's y
+    goes with the plates' height. The line i is scan line `away` (`first_scan` + i).
     """
 
     sees: Float64
@@ -81,17 +101,14 @@ class PlateStripe(NamedTuple):
 
 
 @kernel(allocates=True)
-def plate_lines(
-    section: Section, on_plates: OnPlates, beyond: bool, image_dn: Integers, along_rows: bool
-) -> PlateLines:
+def plate_lines(section: Section, on_plates: OnPlates, beyond: bool, image: StripeImage) -> PlateLines:
     """Return the scan lines of a section whose points (n,) are said to lie on plates or not.
 
     `beyond` the section's ends no plate is seen either if the plates end there, as an edge joint's do.
     """
     lines = lines_read(section, on_plates, beyond)
     if section.light.position_px.shape[0] > 0:
-        leave_out_dim(lines, section.light, image_dn, along_rows)
-        leave_out_hidden(lines, section.light)
+        weigh_by_light(lines, section.light, image)
     return lines
 
 
@@ -175,64 +192,98 @@ def usual_width(width_px: Float64) -> float:
 
 
 @kernel(allocates=True)
-def leave_out_dim(lines: PlateLines, light: StripeLight, image_dn: Integers, along_rows: bool) -> None:
-    """Take lines as unread that hold a stripe where the plates' is, but hardly any of its light."""
-    plates = stripe_on_plates(lines, light)
-    n = plates.lines.shape[0]
-    if image_dn.shape[0] == 0 or n == 0:
-        return
-    width_px, bright = usual_width(plates.width_px), np.empty(n)
-    for i in range(n):
-        scan = lines.away * (lines.first_scan + int(plates.lines[i]))
-        bright[i] = brightness(image_dn, along_rows, scan, plates.position_px[i], width_px)
-    usual = exact_median(bright)
-    for i in range(n):
-        # A line with less of the plates' brightness holds what the optics throw into a gap, and no plate.
-        if bright[i] < 0.25 * usual:
-            lines.sees[int(plates.lines[i])] = UNREAD
+def weigh_by_light(lines: PlateLines, light: StripeLight, image: StripeImage) -> None:
+    """Vote by what the image shows where the plates' stripe would run, whatever was read of a line.
 
-
-@kernel(allocates=True)
-def leave_out_hidden(lines: PlateLines, light: StripeLight) -> None:
-    """Let lines say nothing that hold saturated pixels where the plates' stripe would be read."""
-    plates = stripe_on_plates(lines, light)
-    if plates.lines.shape[0] == 0:
-        return
-    for line in range(lines.sees.shape[0]):
-        scan = lines.away * (lines.first_scan + line)
-        if lines.sees[line] > 0.0 or not 0 <= scan < light.censored.shape[0]:
-            continue
-        path_px = interpolated(float(line), plates.lines, plates.position_px) - light.lows[scan // CELL]
-        half_px = WINDOW_SIGMAS * interpolated(float(line), plates.lines, plates.width_px)
-        first, last = math.floor(path_px - half_px), math.ceil(path_px + half_px)
-        for v in range(max(first, 0), min(last + 1, light.censored.shape[1])):
-            if light.censored[scan, v]:
-                lines.sees[line] = HIDDEN
-
-
-@kernel
-def brightness(image_dn: Integers, along_rows: bool, scan: int, path_px: float, width_px: float) -> float:
-    """Return the contrast of a scan line about a path over its surroundings, DN.
-
-    `along_rows` says that scan lines are the frame's columns.
+    A streak or a glint beside the stripe keeps a line from being read, and one on a gap is read as a plate.
+    So a plate has lost its light only where that is missing, and shows it only where there is about as much.
     """
-    n_pos = image_dn.shape[0] if along_rows else image_dn.shape[1]
-    middle = 0 if math.isnan(path_px) else int(np.rint(path_px))
-    # Half-width of the stripe window, in stripe sigmas.
-    half, far = math.ceil(width_px), math.ceil(4.0 * width_px)
-    within, below, above = 0.0, 0.0, 0.0
-    for v in range(middle - half, middle + half + 1):
-        within += pixel(image_dn, along_rows, scan, min(max(v, 0), n_pos - 1))
-        below += pixel(image_dn, along_rows, scan, min(max(v - far, 0), n_pos - 1))
-        above += pixel(image_dn, along_rows, scan, min(max(v + far, 0), n_pos - 1))
-    n = 2 * half + 1
-    return within / n - min(below / n, above / n)
+    plates = stripe_on_plates(lines, light)
+    n = lines.sees.shape[0]
+    if image.image_dn.shape[0] == 0 or plates.lines.shape[0] == 0:
+        return
+    width_px = usual_width(plates.width_px)
+    share, off, of_plates, n_known = np.empty(n), np.empty(n), np.empty(n), 0
+    for line in range(n):
+        scan = lines.away * (lines.first_scan + line)
+        path_px, other_dn = interpolated(float(line), plates.lines, plates.position_px), 0.0
+        other_px = light.position_px[scan] if lines.sees[line] == -1.0 else path_px
+        # What was read nearer is the plates' own stripe.
+        if abs(other_px - path_px) > width_px:
+            other_dn, _ = stripe_dn(image, scan, other_px, width_px, 0.0, 0.0)
+        share[line], off[line] = stripe_dn(image, scan, path_px, width_px, other_px, other_dn)
+        if lines.sees[line] > 0.0 and not math.isnan(share[line]):
+            of_plates[n_known] = share[line]
+            n_known += 1
+    usual = exact_median(of_plates[:n_known]) if n_known > 0 else math.nan
+    scatter = exact_median(np.abs(of_plates[:n_known] / usual - 1.0)) if n_known > 0 else math.nan
+    max_share = 1.0 + BRIGHT_SIGMAS * max(MAD_SIGMA * scatter, MIN_CONTRAST)
+    for line in range(n):
+        lines.sees[line] = vote(
+            lines.sees[line], share[line] / usual, SHARE_SIGMAS * off[line] / usual, max_share
+        )
 
 
 @kernel
-def pixel(image_dn: Integers, along_rows: bool, scan: int, position: int) -> float:
-    """Return the code of a frame's pixel of a scan line, DN."""
-    return float(image_dn[position, scan] if along_rows else image_dn[scan, position])
+def vote(read: float, share: float, off: float, max_share: float) -> float:
+    """Return a line's vote from what was `read` and the share of the plates' light, known to within `off`."""
+    if math.isnan(share) or share > max_share:
+        return HIDDEN
+    if read > 0.0:
+        # What the optics throw into a gap is no plate.
+        if share < THROWN_SHARE:
+            return UNREAD
+        return read if share - off > THROWN_SHARE else HIDDEN
+    if read == UNREAD:
+        if share - off > HELD_SHARE:
+            return 1.0
+        return UNREAD if share + off < HELD_SHARE else HIDDEN
+    return read if share < HELD_SHARE else HIDDEN
+
+
+@kernel
+def stripe_dn(
+    image: StripeImage, scan: int, path_px: float, width_px: float, other_px: float, other_dn: float
+) -> tuple[float, float]:
+    """Return the peak of a stripe of a width at a place of a scan line, and its 1 sigma, DN.
+
+    They are of the least-squares bell over a sloping level, the sigma by what that leaves, without another
+    stripe of a known peak. NaN outside the image, and where half of the pixels are saturated.
+    """
+    n_scan, n_pos = image.image_dn.shape[1], image.image_dn.shape[0]
+    if not image.along_rows:
+        n_scan, n_pos = n_pos, n_scan
+    half, middle = math.ceil(WINDOW_SIGMAS * width_px) + 1, round(path_px)
+    n, t_1, t_2, g_0, g_1, g_2 = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+    v_0, v_1, v_g, v_2 = 0.0, 0.0, 0.0, 0.0
+    for p in range(max(middle - half, 0), min(middle + half + 1, n_pos) if 0 <= scan < n_scan else 0):
+        v = float(image.image_dn[p, scan] if image.along_rows else image.image_dn[scan, p])
+        if v >= image.saturation_dn:
+            continue
+        v -= other_dn * math.exp(-0.5 * ((p - other_px) / width_px) ** 2)
+        t = p - path_px
+        g = math.exp(-0.5 * (t / width_px) ** 2)
+        n += 1
+        t_1 += t
+        t_2 += t * t
+        g_0 += g
+        g_1 += g * t
+        g_2 += g * g
+        v_0 += v
+        v_1 += v * t
+        v_g += v * g
+        v_2 += v * v
+    spread = t_2 - t_1 * t_1 / max(n, 1)
+    if n <= half or not spread > 0.0:
+        return math.nan, math.nan
+    # Level and slope are solved for first, the peak with what they leave.
+    tilt, rise = (g_1 - g_0 * t_1 / n) / spread, (v_1 - v_0 * t_1 / n) / spread
+    own = g_2 - g_0 * g_0 / n - tilt * tilt * spread
+    if not own > 0.0:
+        return math.nan, math.nan
+    common = v_g - v_0 * g_0 / n - tilt * rise * spread
+    residual_2 = v_2 - v_0 * v_0 / n - rise * rise * spread - common * common / own
+    return common / own, math.sqrt(max(residual_2 / (n - 3.0), CODE_VARIANCE) / own)
 
 
 @kernel
@@ -324,8 +375,6 @@ def end_by_shares(
         return unresolved
     towards = 1 if plate_first else -1
     scan, next_one = lines.away * (lines.first_scan + end.line), end.line + towards
-    if 0 <= next_one < n and lines.sees[next_one] == HIDDEN:
-        return unresolved
     unread = unread_from(lines, next_one, towards)
     if not 0 <= next_one + towards * unread < n:
         unread = 0
@@ -338,40 +387,6 @@ def end_by_shares(
     k = min(int(line), n - 2)
     y_mm = lines.y_mm[k] + (line - k) * (lines.y_mm[k + 1] - lines.y_mm[k])
     return PlateEnd(y_mm, variance, end.line)
-
-
-@kernel(allocates=True)
-def hold_plates(
-    lines: PlateLines, light: StripeLight, image_dn: Integers, along_rows: bool, first: int, last: int
-) -> bool:
-    """Return True if the lines from `first` to `last` hold the plates' stripe all the same.
-
-    Where a gap is expected the stripe is sought on what is below it, and not where the plates have it.
-    """
-    if light.position_px.shape[0] == 0 or image_dn.shape[0] == 0:
-        return False
-    plates = stripe_on_plates(lines, light)
-    away = np.empty(plates.lines.shape[0])
-    for i in range(away.shape[0]):
-        away[i] = min(abs(plates.lines[i] - first), abs(plates.lines[i] - last))
-    nearest = stable_order(away)[: 2 * BRIGHT_LINES]
-    nearest = nearest[stable_order(nearest.astype(np.float64))]
-    n = nearest.shape[0]
-    near = PlateStripe(np.empty(n), np.empty(n), np.empty(n))
-    for i in range(n):
-        k = nearest[i]
-        near.lines[i], near.position_px[i] = plates.lines[k], plates.position_px[k]
-        near.width_px[i] = plates.width_px[k]
-    width_px = usual_width(near.width_px)
-    whole, held = np.empty(n), np.empty(max(last - first + 1, 0))
-    for i in range(n):
-        scan = lines.away * (lines.first_scan + int(near.lines[i]))
-        whole[i] = brightness(image_dn, along_rows, scan, near.position_px[i], width_px)
-    for i in range(held.shape[0]):
-        path_px = interpolated(float(first + i), near.lines, near.position_px)
-        scan = lines.away * (lines.first_scan + first + i)
-        held[i] = brightness(image_dn, along_rows, scan, path_px, width_px)
-    return exact_median(held) > HELD_SHARE * exact_median(whole)
 
 
 @kernel

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from noise_model.compiled.arrays import Bool, Float64, Integers
+from noise_model.compiled.arrays import Bool, Float64
 from noise_model.compiled.kernel import kernel
 from noise_model.compiled.median import exact_median
 from noise_model.surface.stated_joint import StatedJoint
@@ -33,12 +33,12 @@ from tracker.joint.plate_lines import (
     SLACK_MM,
     OnPlates,
     PlateLines,
+    StripeImage,
     best_place,
     blurred_lines,
     end_between,
     end_by_shares,
     evidence_of_gap,
-    hold_plates,
     interpolated,
     others_between,
     plate_lines,
@@ -68,15 +68,12 @@ MIN_POINTS = 8
 """Points that must be seen of either plate."""
 
 
-def fit_slot(
-    section: Section, stated: StatedJoint, image_dn: Integers, along_rows: bool
-) -> MeasuredJoint | None:
+def fit_slot(section: Section, stated: StatedJoint, image: StripeImage) -> MeasuredJoint | None:
     """Return the butt or edge joint that a section shows, None without a gap between two plates.
 
-    An edge joint whose gap is too narrow to be seen is the middle of its two sheets. `image_dn` (H, W) is the
-    frame, without any pixels where it is not at hand; the stripe runs `along_rows` or along its columns.
+    An edge joint whose gap is too narrow to be seen is the middle of its two sheets.
     """
-    fit, placed_mm, gap, nats = find_gap(section, stated, image_dn, along_rows)
+    fit, placed_mm, gap, nats = find_gap(section, stated, image)
     if math.isnan(gap.y_mm):
         return None
     return report_slot(section, stated, measured_slot(stated, fit, placed_mm, gap, nats))
@@ -84,7 +81,7 @@ def fit_slot(
 
 @kernel(allocates=True)
 def find_gap(
-    section: Section, stated: StatedJoint, image_dn: Integers, along_rows: bool
+    section: Section, stated: StatedJoint, image: StripeImage
 ) -> tuple[ShapeFit, float, JointGap, float]:
     """Return the plates' fit, the place about which it is, the gap, its y NaN of none, and its evidence."""
     points, is_edge, gap_mm = section.points, stated.is_edge, stated.gap_mm
@@ -93,7 +90,7 @@ def find_gap(
     fit = fit_plates(points, y_0, np.ones(points.shape[1], np.bool_))
     if not math.isfinite(fit.chi2):
         return fit, y_0, nothing, nats
-    lines = plate_lines(section, on_plates(points, fit, y_0, limit_mm), is_edge, image_dn, along_rows)
+    lines = plate_lines(section, on_plates(points, fit, y_0, limit_mm), is_edge, image)
     seen_gap_mm = max(gap_mm, (MIN_LINES + 1) * section.column_mm)
     placed_mm = best_place(lines, stated.thickness_mm if is_edge else PLATE_MM, seen_gap_mm, is_edge)
     if math.isnan(placed_mm) and is_edge:
@@ -104,11 +101,9 @@ def find_gap(
     fit = fit_plates(points, placed_mm, plate_points(points, stated, are_on, placed_mm))
     if not math.isfinite(fit.chi2):
         return fit, placed_mm, nothing, nats
-    seen = plate_lines(section, on_plates(points, fit, placed_mm, limit_mm), is_edge, image_dn, along_rows)
+    seen = plate_lines(section, on_plates(points, fit, placed_mm, limit_mm), is_edge, image)
     gap = gap_about(seen, section.light, stated, placed_mm)
     if not (is_edge or math.isnan(gap.y_mm)):
-        if hold_plates(seen, section.light, image_dn, along_rows, gap.first, gap.last):
-            return fit, placed_mm, nothing, nats
         places = places_of(points[Y_MM], section.reach_mm, section.column_mm)
         nats = evidence_of_gap(seen, gap.first, gap.last, places)
     return fit, placed_mm, gap, nats
