@@ -17,6 +17,7 @@ from arctrack.cli.calibrate_import import import_lens
 from arctrack.cli.calibrate_laser import laser
 from arctrack.cli.calibrate_reflectance import reflectance
 from arctrack.cli.calibrate_sensor import sensor
+from arctrack.cli.calibrate_sheet import sheet
 
 REFLECTANCE_EXAMPLE = "examples/goniometer_mild_steel.csv --gamma 0.45 --black 10 --out /tmp/steel"
 COMMANDS: dict[str, tuple[Callable[..., None], str]] = {
@@ -41,6 +42,11 @@ COMMANDS: dict[str, tuple[Callable[..., None], str]] = {
         "--out /tmp/gauge.toml\n"
         "/tmp/gauge/gauge_00.png --gauge v:90deg:5mm --setup examples/v_groove --check "
         "--report /tmp/gauge.html",
+    ),
+    "sheet": (
+        sheet,
+        "/tmp/plate --out /tmp/sheet.toml\n"
+        "/tmp/plate_low /tmp/plate_high --setup examples/v_groove --out /tmp/sheet.toml",
     ),
     "sensor": (sensor, "/tmp/flats --setup examples/v_groove --out /tmp/sensor.toml"),
     "delay": (delay, "examples/v_groove --out /tmp/in_time.toml"),

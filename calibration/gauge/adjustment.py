@@ -1,11 +1,13 @@
 """Sheet and gauge from stripes at several poses of the robot: every error in all that is measured.
 
-A ray r meets the sheet n.X + d = 0 of the tool frame in X = o - (n.o + d) / (n.r) r. Robot and gauge take it
-to the gauge's frame, where it lies on a face: m.X - k h = 0. These distances' covariance C has three parts:
-what the stripe's noise makes of a ray; the robot's own error, the same for all points of an image; and the
-form of gauge and stripe, the same along a piece. The last two are as large as has the largest restricted
-likelihood (Patterson and Thompson, Biometrika 58, 1971). Sheet (3 numbers) and gauge (two turns of its top,
-one of its edge, height and place across, its size) have the least sum of d' C^-1 d.
+A ray r meets the sheet n.X + d = 0 of the tool frame in X = o - (n.o + d) / (n.r) r, a bowed one beside it.
+Robot and gauge take it to the gauge's frame, where it lies on a face: m.X - k h = 0. That distance over its
+derivative by the ray is the misfit d in the image: in mm a sheet that sees heights small would fit best. The
+misfits' covariance C has three parts: the stripe's noise; the robot's own error, the same for all points of
+an image; and the form of gauge and stripe, the same along a piece, on a plate of each point. The last two are
+as large as has the largest restricted likelihood (Patterson and Thompson, Biometrika 58, 1971), with a wide
+prior about the usual ones. Sheet (3 numbers) and gauge (two turns of its top, one of its edge, height and
+place across, its size) have the least sum of d' C^-1 d, with C of the fit before.
 """
 
 from __future__ import annotations
@@ -14,14 +16,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag
 from scipy.optimize import least_squares, minimize
 from scipy.spatial.transform import Rotation
 
-from calibration.gauge.shape import Gauge
-from calibration.laser.plane import points_on_plane
+from calibration.gauge.shape import Gauge, Shape
+from calibration.laser.plane import foot_on, points_on_sheet, with_plane
 from calibration.rigid import transform_each
 from noise_model.compiled.arrays import Float64, Int64
+from noise_model.instrument.laser import Laser
 
 RAY_STEP, TURN_STEP, MOVE_STEP_MM = 1e-6, 1e-6, 1e-3
 """Steps of finite differences: of a ray's slope, of a turn, rad, of a move."""
@@ -33,7 +36,13 @@ SHEET, GAUGE, SIZE = slice(0, 3), slice(3, 8), 8
 """Places among the unknowns of the sheet's two tilts, rad, and offset, mm; the gauge's pose; its size."""
 
 START_MM, BOUNDS_MM = (0.05, 0.01), (1e-3, 2.0)
-"""1 sigma of the robot's error and of the form's, at first; and how small and how large either may be."""
+"""1 sigma of the robot's error and of the form's, usually; and how small and how large either may be."""
+
+NOISE_FACTOR = 10.0
+"""Factor by which either may be off what is usual, 1 sigma: it counts where few images tell the errors."""
+
+MAX_SIGMAS, FAR = 6.0, 1e4
+"""The unknowns' largest way from the start, in sigmas of what is known beforehand, and where nothing is."""
 
 GRID = 6
 """Number of sizes of either error that are tried before the likelihood is maximised."""
@@ -63,14 +72,19 @@ class Sighting:
 class GaugeState:
     """Unknowns of the adjustment.
 
-    `plane` (4,) is the sheet in the tool frame, mm, which tilts about `centre_mm` (3,), the middle of its
-    points; `T_base_gauge` (4, 4) is the gauge's pose, mm.
+    `laser` has the sheet, which tilts about `centre_mm` (3,), tool frame, the middle of its points;
+    `T_base_gauge` (4, 4) is the gauge's pose, mm.
     """
 
-    plane: Float64
+    laser: Laser
     T_base_gauge: Float64
     centre_mm: Float64
     size_mm: float
+
+    @property
+    def plane(self) -> Float64:
+        """The sheet's plane (4,)."""
+        return self.laser.plane
 
     @property
     def leans(self) -> Float64:
@@ -89,23 +103,33 @@ class GaugeState:
         T = self.T_base_gauge.copy()
         T[:3, :3] = T[:3, :3] @ Rotation.from_rotvec(step[3:6]).as_matrix()
         T[:3, 3] += self.T_base_gauge[:3, 1] * step[6] + self.T_base_gauge[:3, 2] * step[7]
-        plane = np.array([*n, place - n @ self.centre_mm])
-        return GaugeState(plane, T, self.centre_mm, self.size_mm + float(step[8]))
+        laser = with_plane(self.laser, np.array([*n, place - n @ self.centre_mm]))
+        return GaugeState(laser, T, self.centre_mm, self.size_mm + float(step[8]))
 
 
 @dataclass(frozen=True)
 class GaugeProblem:
-    """Sightings of a gauge, and the camera's pose in the tool."""
+    """Sightings of a gauge, the camera's pose in the tool, and the usual 1 sigma of robot and form, mm."""
 
     gauge: Gauge
     T_tool_camera: Float64
     sightings: tuple[Sighting, ...]
+    usual_mm: tuple[float, float] = START_MM
 
     @cached_property
     def slices(self) -> list[slice]:
         """Slice of each image's points among all (N,)."""
         ends = np.cumsum([len(sighting.rays) for sighting in self.sightings])
         return [slice(end - len(each.rays), end) for each, end in zip(self.sightings, ends, strict=True)]
+
+    def centred(self, state: GaugeState) -> GaugeState:
+        """Return the same state whose sheet tilts about the middle of its points.
+
+        About another point a lean of which the images tell little would move the place by its square.
+        """
+        T = self.T_tool_camera
+        points = points_on_sheet(state.laser, T[:3, 3], self._rays @ T[:3, :3].T)
+        return replace(state, centre_mm=foot_on(state.plane, points.mean(axis=0)))
 
     @cached_property
     def _rays(self) -> Float64:
@@ -131,7 +155,7 @@ class GaugeProblem:
         """Return the points (N, 3), mm, base frame, in which the rays (N, 3) of all images meet the sheet."""
         T = self.T_tool_camera
         directions = (self._rays if rays is None else rays) @ T[:3, :3].T
-        points = points_on_plane(state.plane, T[:3, 3], directions)
+        points = points_on_sheet(state.laser, T[:3, 3], directions)
         return transform_each(self._T_base_tool, points)
 
     def distances(self, state: GaugeState, rays: Float64 | None = None) -> Float64:
@@ -142,39 +166,48 @@ class GaugeProblem:
         along = np.sum(in_gauge * normals[self.faces], axis=1)
         return np.asarray(along - offsets[self.faces] * state.size_mm)
 
+    def mm_per_slope(self, state: GaugeState) -> Float64:
+        """Return the distances' derivatives (N,) by the rays."""
+        shifted = self.distances(state, self._rays + RAY_STEP * self._across)
+        return np.asarray((shifted - self.distances(state)) / RAY_STEP)
+
+    def misfits(self, state: GaugeState) -> Float64:
+        """Return how far the rays (N,) miss their faces in the image, in units of the focal length."""
+        return np.asarray(self.distances(state) / self.mm_per_slope(state))
+
     def slopes(self, state: GaugeState, step: Float64 | float = 0.0) -> Float64:
-        """Return the distances' derivatives (N, 9) by the unknowns, a step (9,) away from a state."""
+        """Return the misfits' derivatives (N, 9) by the unknowns, a step (9,) away from a state."""
         columns = []
         for size in np.diag(STEPS):
-            ahead, behind = (self.distances(state.moved(step + change)) for change in (size, -size))
+            ahead, behind = (self.misfits(state.moved(step + change)) for change in (size, -size))
             columns.append((ahead - behind) / (2.0 * size.sum()))
         return np.column_stack(columns)
 
-    def whiten(self, state: GaugeState, noise_mm: Float64, numbers: Float64) -> Float64:
-        """Return numbers of all distances (N, ...) over their covariance's root at a state."""
-        C = self.covariances(state, noise_mm)
-        return np.concatenate(
-            [
-                solve_triangular(np.linalg.cholesky(of_image), numbers[part], lower=True)
-                for of_image, part in zip(C, self.slices, strict=True)
-            ]
+    def whitening(self, state: GaugeState, noise_mm: Float64) -> Float64:
+        """Return the inverse (N, N) of the root of all misfits' covariance at a state."""
+        return np.asarray(
+            block_diag(
+                *(
+                    np.linalg.inv(np.linalg.cholesky(of_image))
+                    for of_image in self.covariances(state, noise_mm)
+                )
+            )
         )
 
     def parts(self, state: GaugeState) -> list[tuple[Float64, Float64, Float64]]:
-        """Return the terms of each image's covariance (n, n): rays, mm², robot and form for 1 mm."""
-        shifted = self.distances(state, self._rays + RAY_STEP * self._across)
-        D = (shifted - self.distances(state)) / RAY_STEP
+        """Return the terms of each image's covariance (n, n): rays, and robot and form for 1 mm."""
+        per_mm = 1.0 / self.mm_per_slope(state)
         N = self.gauge.faces[0][self.faces]
         made = []
         for each, part in zip(self.sightings, self.slices, strict=True):
-            # Two points make a piece; a step's edge comes alone, at the end.
-            piece = np.arange(len(each.rays)) // 2
-            by_rays = D[part, np.newaxis] * each.covariance * D[part]
-            made.append((by_rays, N[part] @ N[part].T, (piece[:, np.newaxis] == piece).astype(np.float64)))
+            # Two points make a piece; a step's edge comes alone, at the end. A plate bends along its piece.
+            piece = np.arange(len(each.rays)) // (1 if self.gauge.shape is Shape.PLATE else 2)
+            by_mm = np.outer(per_mm[part], per_mm[part])
+            made.append((each.covariance, by_mm * (N[part] @ N[part].T), by_mm * (piece[:, None] == piece)))
         return made
 
     def covariances(self, state: GaugeState, noise_mm: Float64) -> list[Float64]:
-        """Return the covariance of each image's distances (n, n), mm², for 1 sigma (2,) of robot and form."""
+        """Return the covariance (n, n) of each image's misfits for 1 sigma (2,) of robot and form."""
         robot, form = noise_mm**2
         return [rays + robot * by_robot + form * by_form for rays, by_robot, by_form in self.parts(state)]
 
@@ -183,12 +216,14 @@ class GaugeProblem:
 class GaugeFit:
     """Result of the least squares.
 
-    `information` (m, m), priors included, is of the sheet's tilts and offset, then the gauge's, and the size
-    where it is free. `noise_mm` (2,) is 1 sigma of the robot's error in each direction, and of the form of
-    gauge and stripe. `squares` (k,) are each image's d' C^-1 d over `counts` (k,) distances.
+    `step` (m,) leads to it from the start. `information` (m, m), priors included, is of the sheet's tilts and
+    offset, then the gauge's, and the size where it is free. `noise_mm` (2,) is 1 sigma of the robot's error
+    in each direction, and of the form of gauge and stripe. `squares` (k,) are each image's d' C^-1 d over
+    `counts` (k,) misfits.
     """
 
     state: GaugeState
+    step: Float64
     information: Float64
     noise_mm: Float64
     squares: Float64
@@ -218,31 +253,33 @@ def fit(
     start: GaugeState,
     noise_mm: Float64,
     prior: Float64 | None = None,
+    before: GaugeFit | None = None,
+    loss: str = "linear",
 ) -> GaugeFit:
     """Fit sheet and gauge for stated errors `noise_mm` (2,) of robot and form, 1 sigma.
 
     The gauge's pose lies near `start`. `prior` (m,) is 1 sigma of the unknowns about the start; infinite
-    where nothing is known.
+    where nothing is known. It begins where the fit `before` ended, if there was one. `loss` is that of
+    scipy.optimize.least_squares.
     """
     known = np.diag(_prior_information(prior))
+    whitening = problem.whitening(start if before is None else before.state, noise_mm)
 
     def residuals(step: Float64) -> Float64:
-        state = start.moved(step)
-        off = problem.whiten(state, noise_mm, problem.distances(state))
-        return np.append(off, np.sqrt(known) @ step)
+        return np.append(whitening @ problem.misfits(start.moved(step)), np.sqrt(known) @ step)
 
     def jacobian(step: Float64) -> Float64:
-        # The covariance's own change with the state is neglected: it is small.
-        slopes = problem.whiten(start.moved(step), noise_mm, problem.slopes(start, step))
-        return np.vstack([slopes, np.sqrt(known)])
+        return np.vstack([whitening @ problem.slopes(start, step), np.sqrt(known)])
 
-    moved = least_squares(residuals, np.zeros(len(known)), jacobian, x_scale="jac").x
-    state = start.moved(moved)
-    slopes = problem.whiten(state, noise_mm, problem.slopes(state))
-    off = residuals(moved)
+    first = np.zeros(len(known)) if before is None else before.step
+    far = MAX_SIGMAS / np.sqrt(np.maximum(np.diag(known), MAX_SIGMAS**2 / FAR**2))
+    step = least_squares(residuals, first, jacobian, x_scale="jac", bounds=(-far, far), loss=loss).x
+    state = problem.centred(start.moved(step))
+    whitening = problem.whitening(state, noise_mm)
+    slopes, off = whitening @ problem.slopes(state), whitening @ problem.misfits(state)
     squares = np.array([off[part] @ off[part] for part in problem.slices])
     counts = np.array([len(sighting.rays) for sighting in problem.sightings])
-    return GaugeFit(state, slopes.T @ slopes + known, noise_mm, squares, counts)
+    return GaugeFit(state, step, slopes.T @ slopes + known, noise_mm, squares, counts)
 
 
 def _prior_information(prior: Float64 | None) -> Float64:
@@ -255,11 +292,11 @@ def _prior_information(prior: Float64 | None) -> Float64:
 
 def fit_with_noise(problem: GaugeProblem, start: GaugeState, prior: Float64 | None = None) -> GaugeFit:
     """Fit sheet and gauge, and how large the robot's error and the form's are; see `fit`."""
-    noise_mm = np.array(START_MM)
+    noise_mm = np.array(problem.usual_mm)
     fitted = fit(problem, start, noise_mm, prior)
     for _ in range(NOISE_ROUNDS):
         before, noise_mm = noise_mm, _estimate_noise(problem, fitted, prior)
-        fitted = fit(problem, replace(start, plane=fitted.state.plane), noise_mm, prior)
+        fitted = fit(problem, start, noise_mm, prior, fitted)
         if np.abs(np.log(noise_mm / before)).max() < NOISE_SETTLED:
             break
     return fitted
@@ -268,12 +305,14 @@ def fit_with_noise(problem: GaugeProblem, start: GaugeState, prior: Float64 | No
 def _estimate_noise(problem: GaugeProblem, fitted: GaugeFit, prior: Float64 | None) -> Float64:
     """Return 1 sigma of robot and form (2,), mm, of the largest restricted likelihood."""
     known = np.diag(_prior_information(prior))
-    off, slopes = problem.distances(fitted.state), problem.slopes(fitted.state)
-    parts = problem.parts(fitted.state)
+    off, slopes = problem.misfits(fitted.state), problem.slopes(fitted.state)
+    parts, usual = problem.parts(fitted.state), np.log(problem.usual_mm)
+    pulled = known @ fitted.step
 
     def loss(ln_mm: Float64) -> float:
         robot, form = np.exp(2.0 * ln_mm)
-        H, g, total = known.copy(), np.zeros(len(known)), 0.0
+        H, g = known.copy(), pulled.copy()
+        total = float(np.sum(((ln_mm - usual) / np.log(NOISE_FACTOR)) ** 2))
         for part, (by_rays, by_robot, by_form) in zip(problem.slices, parts, strict=True):
             C = by_rays + robot * by_robot + form * by_form
             d, J = off[part], slopes[part]

@@ -73,15 +73,21 @@ class GaugeCalibration:
     @property
     def tilt_offset_covariance(self) -> Float64:
         """Covariance (3, 3) of tilts and offset."""
-        wider = _small_sample_factor(self.problem.gauge, len(self.fitted.counts))
+        wider = small_sample_factor(self.problem.gauge, len(self.fitted.counts))
         return np.asarray(self.fitted.covariance[SHEET, SHEET] * wider**2)
+
+    @property
+    def plane_per_move(self) -> Float64:
+        """The plane's derivatives (4, 3) by tilts and offset."""
+        state = self.fitted.state
+        per = np.zeros((4, 3))
+        per[:3, :2], per[3, :2], per[3, 2] = state.leans.T, -state.leans @ state.centre_mm, 1.0
+        return per
 
     @property
     def covariance(self) -> Float64:
         """The covariance (4, 4) of the plane, of rank 3."""
-        state = self.fitted.state
-        per = np.zeros((4, 3))
-        per[:3, :2], per[3, :2], per[3, 2] = state.leans.T, -state.leans @ state.centre_mm, 1.0
+        per = self.plane_per_move
         return np.asarray(per @ self.tilt_offset_covariance @ per.T)
 
     @property
@@ -111,11 +117,11 @@ class GaugeCheck:
         return self.size_mm - self.problem.gauge.size_mm
 
 
-def _small_sample_factor(gauge: Gauge, images: int) -> float:
+def small_sample_factor(gauge: Gauge, images: int) -> float:
     """Return the factor of sigmas for the few images that determine the errors: Student's t.
 
     Across a V an image determines the robot's error in two directions, across a step in its height alone.
-    Sheet and gauge take some of that.
+    Sheet and gauge take some of that. A plate tells no more than a step.
     """
     freedom = 2 * images - 7 if gauge.shape is Shape.V else images - 4
     return student_t(0.95, max(freedom, MIN_FREEDOM)) / student_t(0.95, math.inf)
@@ -134,18 +140,7 @@ def calibrate_gauge(
     problem = GaugeProblem(gauge, sensor.T_tool_camera, tuple(sightings))
     known = np.full(SIZE + 1, np.inf)
     known[SIZE] = SIZE_SIGMA_MM
-    fitted = fit_with_noise(problem, start, known)
-    while len(sightings) > MIN_IMAGES and len(left_out) < MAX_OUTLIER_SHARE * len(shown):
-        worst = int(np.argmax(fitted.squares / fitted.counts))
-        rest = replace(problem, sightings=(*sightings[:worst], *sightings[worst + 1 :]))
-        without = fit_with_noise(rest, start, known)
-        if not _is_wrong(problem, worst, without):
-            break
-        name = sightings.pop(worst).name
-        left_out[name] = (
-            "its stripe does not lie where the others' do: the gauge moved, or the pose is another's"
-        )
-        problem, fitted = rest, without
+    problem, fitted = fit_consistent(problem, start, known, left_out)
     result = GaugeCalibration(problem, fitted, left_out)
     form_mm = float(fitted.noise_mm[1])
     if form_mm > 0.1:
@@ -159,12 +154,39 @@ def calibrate_gauge(
     return result
 
 
+def fit_consistent(
+    problem: GaugeProblem, start: GaugeState, known: Float64, left_out: dict[str, str]
+) -> tuple[GaugeProblem, GaugeFit]:
+    """Fit the images that agree; the others are left out one by one, the worst first, each with the reason.
+
+    UndeterminedError where more of them disagree than may be left out.
+    """
+    count, fitted = len(problem.sightings), fit_with_noise(problem, start, known)
+    while len(problem.sightings) > MIN_IMAGES:
+        worst = int(np.argmax(fitted.squares / fitted.counts))
+        rest = replace(problem, sightings=(*problem.sightings[:worst], *problem.sightings[worst + 1 :]))
+        without = fit_with_noise(rest, start, known)
+        if not _is_wrong(problem, worst, without):
+            break
+        if count - len(rest.sightings) > MAX_OUTLIER_SHARE * count:
+            raise UndeterminedError(
+                f"more than {100.0 * MAX_OUTLIER_SHARE:.0f} % of the stripes do not lie where the others do: "
+                f"the {problem.gauge.noun} moved, or the poses are others"
+            )
+        left_out[problem.sightings[worst].name] = (
+            f"its stripe does not lie where the others' do: the {problem.gauge.noun} moved, or the pose is "
+            "another's"
+        )
+        problem, fitted = rest, without
+    return problem, fitted
+
+
 def _is_wrong(problem: GaugeProblem, image: int, without: GaugeFit) -> bool:
     """Return True if an image contradicts a fit without it beyond noise and that fit's errors."""
     part = problem.slices[image]
-    d, J = problem.distances(without.state)[part], problem.slopes(without.state)[part]
+    d, J = problem.misfits(without.state)[part], problem.slopes(without.state)[part]
     C = problem.covariances(without.state, without.noise_mm)[image] + J @ without.covariance @ J.T
-    square = float(d @ np.linalg.solve(C, d)) / _small_sample_factor(problem.gauge, len(without.counts)) ** 2
+    square = float(d @ np.linalg.solve(C, d)) / small_sample_factor(problem.gauge, len(without.counts)) ** 2
     return square > float(chi2.isf(FALSE_ALARM / len(problem.sightings), len(d)))
 
 
@@ -185,15 +207,27 @@ def _excess(information: Float64) -> Float64:
 
 
 def missing_motion(problem: GaugeProblem, fitted: GaugeFit) -> str | None:
-    """Return the motion that is missing to determine the sheet; None where it is determined.
-
-    Each motion is tried: the one counts by whose images the sheet would be known best.
-    """
+    """Return what is missing to determine the sheet, in words; None where it is determined."""
     excess = _excess(fitted.information)
-    if excess.max() <= 1.0:
+    motions = telling_motions(problem, fitted)
+    if not motions:
         return None
     sigma = excess * [MAX_LEAN_DEG, MAX_LEAN_DEG, MAX_PLACE_MM]
-    information, wanted = fitted.information, []
+    leans = f"its leans are known to {_rounded(sigma[0], '°')} and {_rounded(sigma[1], '°')}"
+    return (
+        f"the sheet is not determined: {leans}, its place to {_rounded(sigma[2], ' mm')} (1 σ). Add images "
+        f"for which you {', and '.join(motions)}"
+    )
+
+
+def telling_motions(problem: GaugeProblem, fitted: GaugeFit) -> list[str]:
+    """Return the motions, two at most, by whose images the sheet would be known best; none if it is known.
+
+    Each motion is tried.
+    """
+    information, wanted = fitted.information, list[str]()
+    if _excess(information).max() <= 1.0:
+        return wanted
     for _ in range(2):
         gains = {
             what: information + sum(_information(problem, fitted, T) for T in poses)
@@ -205,11 +239,7 @@ def missing_motion(problem: GaugeProblem, fitted: GaugeFit) -> str | None:
         information = gains[best]
         if _excess(information).max() <= 1.0:
             break
-    leans = f"its leans are known to {_rounded(sigma[0], '°')} and {_rounded(sigma[1], '°')}"
-    return (
-        f"the sheet is not determined: {leans}, its place to {_rounded(sigma[2], ' mm')} (1 σ). Add images "
-        f"for which you {', and '.join(wanted)}"
-    )
+    return wanted
 
 
 def _rounded(value: float, unit: str) -> str:
@@ -247,9 +277,11 @@ def _information(problem: GaugeProblem, fitted: GaugeFit, T_base_tool: Float64) 
     to_camera = np.asarray(np.linalg.inv(T_base_tool @ problem.T_tool_camera), dtype=np.float64)
     normals, offsets = problem.gauge.faces
     in_tool = np.linalg.inv(T_base_tool) @ state.T_base_gauge
-    reach = max(3.0 * state.size_mm, 5.0)
+    ends = problem.points_base(state)[problem.slices[0]][[0, -1]]
+    is_plate = problem.gauge.shape is Shape.PLATE
+    reach = float(np.linalg.norm(ends[1] - ends[0])) if is_plate else max(3.0 * state.size_mm, 5.0)
     rows: list[Float64] = []
-    for face in like.faces.tolist():
+    for n, face in enumerate(like.faces.tolist()):
         m = in_tool[:3, :3] @ normals[face]
         point = in_tool[:3, 3] + offsets[face] * state.size_mm * m
         along = np.cross(m, state.plane[:3])
@@ -259,8 +291,8 @@ def _information(problem: GaugeProblem, fitted: GaugeFit, T_base_tool: Float64) 
             np.array([m @ point, -state.plane[3], along @ point]),
             rcond=None,
         )[0]
-        sign = 1.0 if rows and len(rows) % 2 else -1.0
-        rows.append(place + (0.5 * sign * reach) * along)
+        share = n / (len(like.rays) - 1) if is_plate else n % 2
+        rows.append(place + (share - 0.5) * reach * along)
     seen = transform(to_camera, transform(T_base_tool, np.array(rows)))
     rays = seen / seen[:, 2:]
     sighting = replace(like, T_base_tool=T_base_tool, rays=rays)
@@ -285,7 +317,7 @@ def check_gauge(shown: Sequence[PosedPieces], gauge: Gauge, sensor: StatedSensor
     fitted = fit_with_noise(problem, start, held)
     sigma = math.sqrt(float(fitted.covariance[SIZE, SIZE]))
     if len(sightings) >= FEW_IMAGES:
-        sigma *= _small_sample_factor(gauge, len(sightings))
+        sigma *= small_sample_factor(gauge, len(sightings))
     return GaugeCheck(problem, fitted, fitted.state.size_mm, sigma, left_out)
 
 

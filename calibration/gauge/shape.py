@@ -1,4 +1,4 @@
-"""Gauges of known size: a step between two parallel faces, or a V between two."""
+"""Gauges: a step of known height between two parallel faces, a V of known depth, or any flat plate."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ class Shape(StrEnum):
 
     STEP = "step"
     V = "v"
+    PLATE = "plate"
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,8 @@ class Gauge:
     """A gauge; its frame has x along the edge, y across it, z out of its top, the top at z = 0.
 
     A step is high at y < 0 and low at y > 0. The root of a V is at y = 0. `size_mm` is the step's height or
-    the V's depth, `angle_deg` the angle between the V's flanks, 180 for a step. Raises ValueError for a gauge
-    that cannot be.
+    the V's depth, `angle_deg` the angle between the V's flanks, 180 for a step. A plate is its top alone, and
+    its size means nothing. Raises ValueError for a gauge that cannot be.
     """
 
     shape: Shape
@@ -56,14 +57,21 @@ class Gauge:
         raise ValueError(f"{text!r} is no gauge: it is written as {FORMS}")
 
     def __str__(self) -> str:
+        if self.shape is Shape.PLATE:
+            return "plate"
         if self.shape is Shape.STEP:
             return f"step:{self.size_mm:g}mm"
         return f"v:{self.angle_deg:g}deg:{self.size_mm:g}mm"
 
     @property
+    def noun(self) -> str:
+        """Its word in a sentence."""
+        return "plate" if self.shape is Shape.PLATE else "gauge"
+
+    @property
     def pieces(self) -> tuple[int, ...]:
         """The faces that the stripe crosses, from y < 0 to y > 0."""
-        return (0, 1) if self.shape is Shape.STEP else (0, 1, 2, 0)
+        return {Shape.STEP: (0, 1), Shape.V: (0, 1, 2, 0), Shape.PLATE: (0,)}[self.shape]
 
     @property
     def faces(self) -> tuple[Float64, Float64]:
@@ -71,6 +79,8 @@ class Gauge:
 
         The last one of a step is the plane of its edge.
         """
+        if self.shape is Shape.PLATE:
+            return np.array([[0.0, 0.0, 1.0]]), np.array([0.0])
         if self.shape is Shape.STEP:
             return np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]), np.array([0.0, -1.0, 0.0])
         s, c = math.sin(math.radians(0.5 * self.angle_deg)), math.cos(math.radians(0.5 * self.angle_deg))
@@ -79,3 +89,6 @@ class Gauge:
 
 EDGE = 2
 """The face of a step that is the plane of its edge."""
+
+PLATE = Gauge(Shape.PLATE, 1.0)
+"""A flat plate, of which nothing else is known."""

@@ -13,8 +13,9 @@ from calibration.camera.lens import Lens
 from calibration.gauge.adjustment import GaugeState, Sighting
 from calibration.gauge.shape import EDGE, Gauge, Shape
 from calibration.gauge.stripe_pieces import Piece, Pieces
-from calibration.laser.plane import foot_on, points_on_plane
+from calibration.laser.plane import foot_on, points_on_sheet
 from noise_model.compiled.arrays import Float64
+from noise_model.instrument.laser import Laser
 from noise_model.transforms import transform
 
 EDGE_SIGMA_MM = 0.2
@@ -35,18 +36,18 @@ class PosedPieces:
 
 @dataclass(frozen=True)
 class StatedSensor:
-    """Camera and sheet as a setup states them: `T_tool_camera` (4, 4), mm, and `plane` (4,), tool frame, mm.
+    """Camera and sheet as a setup states them: `T_tool_camera` (4, 4), mm, and the laser, tool frame.
 
     The sheet need only be accurate enough to identify the gauge's faces.
     """
 
     lens: Lens
     T_tool_camera: Float64
-    plane: Float64
+    laser: Laser
 
     def on_sheet(self, rays: Float64) -> Float64:
         """Return the points (n, 3), tool frame, mm, in which rays (n, 3) meet the sheet."""
-        return points_on_plane(self.plane, self.T_tool_camera[:3, 3], rays @ self.T_tool_camera[:3, :3].T)
+        return points_on_sheet(self.laser, self.T_tool_camera[:3, 3], rays @ self.T_tool_camera[:3, :3].T)
 
 
 def _ends_in_base(each: PosedPieces, piece: Piece, sensor: StatedSensor) -> Float64:
@@ -90,7 +91,7 @@ def place_gauge(
         all_ends.append(np.stack(sorted_ends))
         sides.append(across)
     if not kept:
-        return GaugeState(sensor.plane, np.eye(4), np.zeros(3), gauge.size_mm), [], left_out
+        return GaugeState(sensor.laser, np.eye(4), np.zeros(3), gauge.size_mm), [], left_out
     z = _top(all_ends, gauge, up)
     edges = np.stack([_edge_of(ends, gauge) for ends in all_ends])
     y = np.mean([side / np.linalg.norm(side) for side in sides], axis=0)
@@ -103,9 +104,9 @@ def place_gauge(
     points = np.concatenate(
         [transform(T_tb, ends.reshape(-1, 3)) for T_tb, ends in zip(in_tool, all_ends, strict=True)]
     )
-    centre = foot_on(sensor.plane, points.mean(axis=0))
+    centre = foot_on(sensor.laser.plane, points.mean(axis=0))
     sightings = [_sighting(each, order, gauge, sensor) for each, order in kept]
-    return GaugeState(sensor.plane, T, centre, gauge.size_mm), sightings, left_out
+    return GaugeState(sensor.laser, T, centre, gauge.size_mm), sightings, left_out
 
 
 def _order(gauge: Gauge, ends: Sequence[Float64], up: Float64) -> tuple[str, int]:

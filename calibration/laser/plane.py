@@ -16,7 +16,7 @@ A bowed sheet is met by a board in a curve. Three of its points lie n.P_j + d - 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import f
@@ -115,6 +115,27 @@ def points_on_plane(plane: Float64, origin: Float64, directions: Float64) -> Flo
     """Return the points (n, 3) where rays from an origin (3,) along directions (n, 3) meet a plane (4,)."""
     n = plane[:3]
     return np.asarray(origin - ((n @ origin + plane[3]) / (directions @ n))[:, np.newaxis] * directions)
+
+
+def points_on_sheet(laser: Laser, origin: Float64, directions: Float64) -> Float64:
+    """Return the points (n, 3) where rays from an origin (3,) along directions (n, 3) meet a laser's sheet.
+
+    All in the tool frame. The plane that touches a bowed sheet goes through the laser's origin; Newton's
+    steps are those of `noise_model.instrument.laser.plane_met`.
+    """
+    points = points_on_plane(laser.plane, origin, directions)
+    for _ in range(2 if laser.bow else 0):
+        normals = laser.normals(points)
+        reach = (normals @ (laser.origin_mm - origin)) / np.sum(normals * directions, axis=1)
+        points = origin + reach[:, np.newaxis] * directions
+    return points
+
+
+def with_plane(laser: Laser, plane: Float64) -> Laser:
+    """Return a laser with another plane (4,), its origin moved into it."""
+    x, y, z = foot_on(plane, laser.origin_mm).tolist()
+    n_x, n_y, n_z, d_mm = plane.tolist()
+    return replace(laser, plane_in_tool=(n_x, n_y, n_z, d_mm), origin_in_tool_mm=(x, y, z))
 
 
 def foot_on(plane: Float64, point: Float64) -> Float64:

@@ -55,6 +55,7 @@ MISSING = {
     "calibrate laser": ["nowhere", "--board", "chessboard:9x6:5mm", "--setup", "sound"],
     "calibrate reflectance": ["nowhere"],
     "calibrate sensor": ["nowhere"],
+    "calibrate sheet": ["nowhere"],
     "cell new": ["taken"],
     "cell check": ["nowhere"],
 }

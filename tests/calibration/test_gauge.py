@@ -13,6 +13,7 @@ from calibration.gauge.sightings import PosedPieces, StatedSensor
 from calibration.gauge.stripe_pieces import Piece, Pieces, stripe_pieces
 from calibration.laser.image_line import fit_line
 from noise_model.compiled.arrays import Float64
+from noise_model.instrument.laser import Laser
 from noise_model.transforms import invert
 
 sys.path.append(str(Path(__file__).parents[2] / "examples"))
@@ -102,14 +103,22 @@ def z_of(result: GaugeCalibration) -> Float64:
     return np.asarray(rows @ (result.plane - SHEET_IN_TOOL) / result.sigma)
 
 
-STATED = np.array([np.cos(0.02), 0.0, np.sin(0.02), -35.5])
+def sensor_with(plane: Float64) -> StatedSensor:
+    x, _, z, d_mm = plane.tolist()
+    origin = (-(d_mm + 300.0 * z) / x, 0.0, 300.0)
+    return StatedSensor(LENS, T_TOOL_CAMERA, Laser(660.0, (x, 0.0, z, d_mm), origin, 0.25, 1000.0))
+
+
+STATED = sensor_with(np.array([np.cos(0.02), 0.0, np.sin(0.02), -35.5]))
 """A sheet that is one degree and half a millimetre off."""
+
+RIGHT = sensor_with(SHEET_IN_TOOL)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("gauge", [V, STEP], ids=["V", "step"])
 def test_the_sheet_is_within_its_sigmas_and_the_robots_error_is_told(gauge: Gauge) -> None:
-    result = calibrate_gauge(shown_at(MOTIONS, gauge), gauge, StatedSensor(LENS, T_TOOL_CAMERA, STATED), UP)
+    result = calibrate_gauge(shown_at(MOTIONS, gauge), gauge, STATED, UP)
     assert np.abs(z_of(result)).max() < 3.5
     assert result.sigma[2] < 0.2
     assert np.degrees(result.sigma[:2]).max() < 0.1
@@ -125,7 +134,7 @@ def test_a_pose_of_another_image_is_named() -> None:
     moved = shown[4].T_base_tool.copy()
     moved[:3, 3] += [0.0, 1.0, 1.0]
     shown[4] = replace(shown[4], T_base_tool=moved)
-    result = calibrate_gauge(shown, V, StatedSensor(LENS, T_TOOL_CAMERA, STATED), UP)
+    result = calibrate_gauge(shown, V, STATED, UP)
     assert list(result.left_out) == ["4"]
     assert np.abs(z_of(result)).max() < 3.5
 
@@ -142,24 +151,22 @@ def test_a_pose_of_another_image_is_named() -> None:
 )
 def test_a_motion_that_is_missing_is_named(motions: list[tuple[float, ...]], missing: str) -> None:
     with pytest.raises(UndeterminedError, match=missing):
-        calibrate_gauge(shown_at(motions, STEP), STEP, StatedSensor(LENS, T_TOOL_CAMERA, SHEET_IN_TOOL), UP)
+        calibrate_gauge(shown_at(motions, STEP), STEP, RIGHT, UP)
 
 
 @pytest.mark.slow
 def test_one_image_checks_the_gauges_size() -> None:
     shown = shown_at([(0, 0, 0, 0)])
-    right = check_gauge(shown, V, StatedSensor(LENS, T_TOOL_CAMERA, SHEET_IN_TOOL), UP)
+    right = check_gauge(shown, V, RIGHT, UP)
     assert abs(right.off_mm) < 3.5 * right.sigma_mm < 0.2
-    wrong = check_gauge(
-        shown, V, StatedSensor(LENS, T_TOOL_CAMERA, np.array([np.cos(0.1), 0.0, np.sin(0.1), -35.0])), UP
-    )
+    wrong = check_gauge(shown, V, sensor_with(np.array([np.cos(0.1), 0.0, np.sin(0.1), -35.0])), UP)
     assert abs(wrong.off_mm) > 5.0 * wrong.sigma_mm
 
 
 def test_another_gauge_is_refused() -> None:
     other = Gauge.parse("v:90deg:9mm")
     with pytest.raises(UndeterminedError, match=r"0 shows a V 5\.\d+ mm deep, the gauge's has 9 mm"):
-        check_gauge(shown_at([(0, 0, 0, 0)]), other, StatedSensor(LENS, T_TOOL_CAMERA, SHEET_IN_TOOL), UP)
+        check_gauge(shown_at([(0, 0, 0, 0)]), other, RIGHT, UP)
 
 
 @pytest.mark.slow

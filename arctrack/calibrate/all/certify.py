@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from arctrack.calibrate.geometry_record import geometry_records
 from arctrack.calibrate.stage import CalibrationStage
 from arctrack.recording import CalibrationValues, SetupFile
-from arctrack.recording.setup_writer import CERTIFICATE, GEOMETRY
-from arctrack.recording.toml_text import rounded
 from calibration.certificate import (
     Certificate,
     KnownHandEye,
@@ -44,22 +43,7 @@ class CertifiedGeometry:
     @property
     def records(self) -> tuple[CalibrationValues, ...]:
         """Both for a setup: by the first a track has its sigma, the second is for people."""
-        n = self.certificate.nearest_to_tool
-        pose_mm = self.certificate.pose_sigma_mm[n, 1:].tolist()
-        return (
-            CalibrationValues(
-                "camera", {}, self.covariance.names, self.covariance.matrix, MADE_BY, name=GEOMETRY
-            ),
-            CalibrationValues(
-                "camera",
-                {},
-                ("seam_y_mm", "seam_z_mm"),
-                self.certificate.covariance_mm2[n][1:, 1:],
-                MADE_BY,
-                {"robot_pose_sigma_mm": [rounded(value, 3) for value in pose_mm]},
-                CERTIFICATE,
-            ),
-        )
+        return geometry_records(self.covariance, self.certificate, MADE_BY)
 
 
 def certified_geometry(

@@ -18,7 +18,7 @@ from calibration.gauge.shape import Gauge, Shape
 from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 
-NOT_IN_SIGMAS = "The camera's pose in the tool and the lens count as exact here."
+NOT_IN_SIGMAS = "The camera's pose in the tool and the lens count as exact in the sigmas of this page."
 
 
 def gauge_page(result: GaugeCalibration, images: GaugeImages, setup: Setup) -> CalibrationPage:
@@ -82,9 +82,7 @@ def _pictures(problem: GaugeProblem, fitted: GaugeFit, images: GaugeImages) -> t
             "all images' pieces across the gauge, and the gauge itself",
             "Where sheet, camera and robot are right, all lie on the gauge.",
         ),
-        PagePicture(
-            _off(problem, fitted), "how far the pieces' points are off the gauge's faces, image by image"
-        ),
+        off_picture(problem, fitted),
     )
 
 
@@ -125,13 +123,15 @@ def _section(problem: GaugeProblem, fitted: GaugeFit) -> str:
     return svg(figure)
 
 
-def _off(problem: GaugeProblem, fitted: GaugeFit) -> str:
+def off_picture(problem: GaugeProblem, fitted: GaugeFit) -> PagePicture:
+    """Return the picture of the points' distances from the gauge's faces."""
+    noun = problem.gauge.noun
     figure = style.new_figure(10.5, 3.6, "")
-    axes = style.plain(figure.add_subplot(), "", "off the gauge [mm]")
+    axes = style.plain(figure.add_subplot(), "", f"off the {noun} [mm]")
     off = problem.distances(fitted.state)
     for n, part in enumerate(problem.slices):
         axes.plot(np.full(part.stop - part.start, n), off[part], "o", color=style.BLUE, markersize=3)
     axes.axhline(0.0, color=style.BLACK, linewidth=0.8)
     names = [sighting.name for sighting in problem.sightings]
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
-    return svg(figure)
+    return PagePicture(svg(figure), f"how far the points are off the {noun}, image by image")

@@ -11,7 +11,7 @@ import numpy as np
 
 from arctrack.calibrate.gauge.gauge_images import GaugeImages, read_gauge_frames, read_gauge_images
 from arctrack.calibrate.gauge.page import check_page, gauge_page
-from arctrack.calibrate.gauge.record import gauge_record
+from arctrack.calibrate.gauge.record import sheet_records
 from arctrack.calibrate.robot_poses import PoseSource
 from arctrack.calibrate.stage import CalibrationStage, Steps, Warn, left_out
 from arctrack.errors import ArctrackError, in_file
@@ -62,7 +62,8 @@ def gauge_stage(
     except UndeterminedError as error:
         raise in_file(_path(source), str(error)) from None
     warn(left_out(result.left_out))
-    return CalibrationStage(result, gauge_page(result, images, setup), (gauge_record(result, setup),))
+    records, _ = sheet_records(result, stated, "arctrack calibrate gauge")
+    return CalibrationStage(result, gauge_page(result, images, setup), records)
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,7 @@ def _read(
 
 
 def _sensor(stated: SetupFile, images: GaugeImages) -> StatedSensor:
-    return StatedSensor(images.lens, stated.setup.camera.T_tool_camera, stated.setup.laser.plane)
+    return StatedSensor(images.lens, stated.setup.camera.T_tool_camera, stated.setup.laser)
 
 
 def _path(source: GaugeSource) -> Path:

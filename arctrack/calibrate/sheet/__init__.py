@@ -1,0 +1,1 @@
+"""The laser sheet from a scan of any flat plate."""
