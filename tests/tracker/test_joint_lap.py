@@ -70,7 +70,7 @@ def test_its_section_lies_on_its_sheets(slopes: tuple[float, float]) -> None:
     assert abs(off[profile.y_mm[clear] > found.y_mm].mean()) < 0.001
 
 
-@pytest.mark.parametrize("y_mm", [-20.0, -40.0])
+@pytest.mark.parametrize("y_mm", [-20.0, -40.0, -180.0])
 def test_what_the_edge_hides_does_not_move_the_foot(y_mm: float) -> None:
     camera, laser = np.array([0.0, y_mm, 135.0]), np.array([0.0, y_mm / 2.0, 140.0])
     strip = max(-source[1] / (source[2] - 2.0) * 2.0 for source in (camera, laser))

@@ -47,8 +47,8 @@ MIN_POINTS = 10
 """Least number of points of either sheet that are seen clear of the edge."""
 
 NEAR_MM, ON_SHEET, MIN_OFF_SHEET = 2.0, 0.25, 0.03
-"""Points so near to the edge are asked which sheet they lie on: off it by their noise, but by no more than
-this share of the step; and by this share at least, for no sheet is flat."""
+"""Points so near to the edge, or to the strip that it hides, are asked which sheet they lie on: off it by
+their noise, but by no more than this share of the step; and by this share at least, for no sheet is flat."""
 
 MAX_SIGMAS = 3.0
 """A line this many times less sure than others fits no bell: its pixels tell more (`upright_edge`)."""
@@ -131,17 +131,19 @@ def edge_of_sheets(section: Section, points: Float64, sheets: SheetLines, thickn
     """Return the place of the sheets' edge, NaN where points (n,) do not lie on both next to it."""
     lines = certain_lines(points, sheets.y)
     n, nowhere = lines[Y_MM].shape[0], Edge(math.nan, math.nan, math.nan)
+    # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.
+    sources_mm = section.camera_mm, section.laser_mm
+    hidden = hidden_strip(sources_mm, sheets.y, sheets.z + sheets.step, sheets.step, section.slope_sigma)
     bent_mm, limits_mm = MIN_OFF_SHEET * thickness_mm, np.empty(n)
     for i in range(n):
         off_mm = min(OFF_SIGMAS * abs(lines[DZ_MM, i]) * lines[SIGMA_PX, i], ON_SHEET * thickness_mm)
-        limits_mm[i] = max(bent_mm, off_mm) if abs(lines[Y_MM, i] - sheets.y) < NEAR_MM else 0.0
+        # The edge that the sheets were fitted with may lie anywhere in the hidden strip.
+        is_near = abs(lines[Y_MM, i] - sheets.y) < NEAR_MM + hidden.width_mm
+        limits_mm[i] = max(bent_mm, off_mm) if is_near else 0.0
     faces = sheets_at(lines[Y_MM], sheets)
     before, behind = points_around_edge(lines, faces, limits_mm)
     if before < 0:
         return nowhere
-    # The upper sheet is seen up to its edge; of the lower one the edge may hide a strip from camera or laser.
-    sources_mm = section.camera_mm, section.laser_mm
-    hidden = hidden_strip(sources_mm, sheets.y, sheets.z + sheets.step, sheets.step, section.slope_sigma)
     edge: Edge = edge_between(
         lines,
         faces,
