@@ -55,7 +55,16 @@ def reflectance(
         response = GreyResponse(gamma, black, saturation)
     except ValueError as error:
         raise ArctrackError(str(error)) from None
-    _check_scale(white, albedo, total)
+    if white is None and albedo is not None:
+        raise ArctrackError(
+            "--albedo: has no effect without --white; give the standard's readings or leave it"
+        )
+    if white is not None and total is not None:
+        raise ArctrackError("--total: has no effect with --white, which settles the scale; leave one of them")
+    if albedo is not None and not 0.0 < albedo <= 1.0:
+        raise ArctrackError(f"--albedo {albedo:g}: a white standard's lies above 0 and is 1 at most")
+    if total is not None and not 0.0 < total < math.inf:
+        raise ArctrackError(f"--total {total:g}: kappa_diff + kappa_spec must be > 0 and finite")
     sample = read_goniometer(data, response)
     standard = None if white is None else read_goniometer(white, response)
     result = _identify(
@@ -71,20 +80,6 @@ def reflectance(
     if out is not None:
         _write(result, sample, standard, response, out)
         console.say(f"results in {out}")
-
-
-def _check_scale(white: Path | None, albedo: float | None, total: float | None) -> None:
-    """Raise ArctrackError for what settles the scale if it cannot be or has no effect."""
-    if white is None and albedo is not None:
-        raise ArctrackError(
-            "--albedo: has no effect without --white; give the standard's readings or leave it"
-        )
-    if white is not None and total is not None:
-        raise ArctrackError("--total: has no effect with --white, which settles the scale; leave one of them")
-    if albedo is not None and not 0.0 < albedo <= 1.0:
-        raise ArctrackError(f"--albedo {albedo:g}: a white standard's lies above 0 and is 1 at most")
-    if total is not None and not 0.0 < total < math.inf:
-        raise ArctrackError(f"--total {total:g}: kappa_diff + kappa_spec must be > 0 and finite")
 
 
 def _identify(

@@ -72,7 +72,9 @@ def jobs_for(
 
     Paths come out absolute: a process elsewhere has its own working directory.
     """
-    _check_effects(without)
+    for name in without:
+        if name not in REGISTRY:
+            raise ArctrackError(f"--without {name}: there is no such effect; {cure_for(name, REGISTRY)}")
     setup = None if setup_path is None else setup_path.absolute()
     paths = [recording.absolute() for recording in recordings]
     where = None if out is None else out.absolute()
@@ -162,12 +164,6 @@ def without_images(diagnosis: Diagnosis) -> Diagnosis:
     )
     where = replace(diagnosis.where, z=np.empty((0, 0), dtype=np.float32))
     return replace(diagnosis, where=where, predicted=predicted)
-
-
-def _check_effects(ids: Iterable[str]) -> None:
-    for name in ids:
-        if name not in REGISTRY:
-            raise ArctrackError(f"--without {name}: there is no such effect; {cure_for(name, REGISTRY)}")
 
 
 def _table(effect: NamedEffect) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from arctrack.output import write_whole, writing
-from sim_to_real.diagnosis import Diagnosis, HeldOutPrediction, NamedEffect, Next, RankedEffect, Reason, Where
+from sim_to_real.diagnosis import Diagnosis, NamedEffect, Next, RankedEffect, Reason, Where
 
 REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ = "report.json", "where.npz", "predicted.npz"
 REPORT_PAGE = "report.html"
@@ -31,8 +31,17 @@ def write_numbers(diagnosis: Diagnosis, folder: Path, without: Sequence[str] = (
     z = diagnosis.where.z.astype(np.float32)
     with writing(folder / WHERE_NPZ):
         np.savez_compressed(folder / WHERE_NPZ, z=np.abs(z), sign=np.sign(z))
+    predicted = diagnosis.predicted
     with writing(folder / PREDICTED_NPZ):
-        _write_predicted(diagnosis.predicted, folder / PREDICTED_NPZ)
+        np.savez_compressed(
+            folder / PREDICTED_NPZ,
+            frames=predicted.frames,
+            before=predicted.before.astype(np.float32),
+            after=predicted.after.astype(np.float32),
+            variance=predicted.variance.astype(np.float32),
+            variance_after=predicted.variance_after.astype(np.float32),
+            recorded=predicted.recorded,
+        )
     text = json.dumps(report(diagnosis, without), indent=2, allow_nan=False)
     write_whole(folder / REPORT_JSON, text + "\n")
 
@@ -120,18 +129,6 @@ def _next(measurement: Next | None) -> dict[str, Any] | None:
 
 def _left_over(left_over: tuple[str, float] | None) -> dict[str, Any] | None:
     return None if left_over is None else {"covariate": left_over[0], "share": left_over[1]}
-
-
-def _write_predicted(predicted: HeldOutPrediction, path: Path) -> None:
-    np.savez_compressed(
-        path,
-        frames=predicted.frames,
-        before=predicted.before.astype(np.float32),
-        after=predicted.after.astype(np.float32),
-        variance=predicted.variance.astype(np.float32),
-        variance_after=predicted.variance_after.astype(np.float32),
-        recorded=predicted.recorded,
-    )
 
 
 def plain(value: Any, digits: int = ALL_DIGITS) -> Any:

@@ -28,12 +28,6 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise ValueError(f"is nested too deep: {LIMITS.toml_depth} tables or arrays are the most") from None
     except ValueError as error:
         raise ValueError(f"is no valid TOML: {error}") from None
-    _check_depth(document)
-    return document
-
-
-def _check_depth(document: dict[str, Any]) -> None:
-    """Raise ValueError if tables or arrays are nested deeper than the limit; it goes down level by level."""
     level: list[tuple[str, Any]] = list(document.items())
     for _ in range(LIMITS.toml_depth):
         level = [
@@ -46,3 +40,4 @@ def _check_depth(document: dict[str, Any]) -> None:
         raise ValueError(
             f"{level[0][0]} is nested too deep: {LIMITS.toml_depth} tables or arrays are the most"
         )
+    return document

@@ -72,18 +72,13 @@ def _robot_port_findings(cell: CellFile) -> Iterator[DoctorFinding]:
 def _link_findings(bus: BusChoice, link: Link, cure: str) -> Iterator[DoctorFinding]:
     with link:
         yield DoctorFinding("bus", FindingState.OK, f"{bus} opens")
-        yield _robot_finding(link, cure)
-
-
-def _robot_finding(link: Link, cure: str) -> DoctorFinding:
-    """Find whether a robot sends, and which of its messages were not accepted."""
-    counts: Counter[str] = Counter()
-    ends_s = time.monotonic() + POLICY.listen_s
-    while time.monotonic() < ends_s:
-        for received in link.receive(0.0):
-            counts[type(received.message).__name__] += 1
-        time.sleep(POLICY.wake_up_s)
-    return robot_finding(counts, {reason.value: n for reason, n in link.inbox.skipped.items()}, cure)
+        counts: Counter[str] = Counter()
+        ends_s = time.monotonic() + POLICY.listen_s
+        while time.monotonic() < ends_s:
+            for received in link.receive(0.0):
+                counts[type(received.message).__name__] += 1
+            time.sleep(POLICY.wake_up_s)
+        yield robot_finding(counts, {reason.value: n for reason, n in link.inbox.skipped.items()}, cure)
 
 
 def robot_finding(counts: dict[str, int], skipped: dict[str, int], cure: str = ROBOT_CURE) -> DoctorFinding:

@@ -37,7 +37,12 @@ def scheduler_findings(choice: ProcessChoice) -> Iterator[DoctorFinding]:
     """Yield the findings about kernel, processors and real-time priority."""
     kind = "PREEMPT_RT" if "PREEMPT_RT" in platform.version() else "not PREEMPT_RT: see how late it wakes up"
     yield DoctorFinding("kernel", FindingState.OK, f"{platform.release()}, {kind}")
-    yield _isolated_finding()
+    try:
+        isolated = (PROCESSORS / "isolated").read_text(encoding="ascii").strip()
+    except OSError:
+        isolated = ""
+    held = f"{isolated} isolated from other work" if isolated else "none isolated from other work"
+    yield DoctorFinding("processors", FindingState.OK, f"{os.cpu_count()}, {held}")
     governors = sorted(
         {path.read_text().strip() for path in PROCESSORS.glob("cpu*/cpufreq/scaling_governor")}
     )
@@ -52,15 +57,6 @@ def scheduler_findings(choice: ProcessChoice) -> Iterator[DoctorFinding]:
             "choose of those that this process may use",
             set(choice.cpus) <= set(there),
         )
-
-
-def _isolated_finding() -> DoctorFinding:
-    try:
-        isolated = (PROCESSORS / "isolated").read_text(encoding="ascii").strip()
-    except OSError:
-        isolated = ""
-    held = f"{isolated} isolated from other work" if isolated else "none isolated from other work"
-    return DoctorFinding("processors", FindingState.OK, f"{os.cpu_count()}, {held}")
 
 
 def governor_finding(governors: list[str]) -> DoctorFinding:

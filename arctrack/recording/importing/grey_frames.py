@@ -125,7 +125,14 @@ def grey_frames(
         )
     if stated_size in _sizes_of_sites(*size):
         return GreyFrames(series, channel, bayer, size, setup, text, has_colours)
-    _check_no_effect_in_px(setup, stated.path)
+    for effect, _ in acting(setup):
+        for parameter in effect.parameters:
+            if parameter.unit == "px":
+                raise in_file(
+                    stated.path,
+                    f"[effects.{effect.id}] {parameter.name} is in px of the whole mosaic; state effects and "
+                    "[camera] as those of its sites, half the width and height",
+                )
     text = with_camera_keys(stated.path, camera_of_sites(setup, bayer, channel))
     setup = parse_setup(text, stated.path).setup
     return GreyFrames(series, channel, bayer, stated_size, setup, text, has_colours, is_converted=True)
@@ -141,17 +148,6 @@ def _first(series: ImageSeries) -> tuple[tuple[int, int], bool]:
 
 def _sizes_of_sites(width: int, height: int) -> list[tuple[int, int]]:
     return [((width + a) // 2, (height + b) // 2) for a in (0, 1) for b in (0, 1)]
-
-
-def _check_no_effect_in_px(setup: Setup, path: Path) -> None:
-    for effect, _ in acting(setup):
-        for parameter in effect.parameters:
-            if parameter.unit == "px":
-                raise in_file(
-                    path,
-                    f"[effects.{effect.id}] {parameter.name} is in px of the whole mosaic; state effects and "
-                    "[camera] as those of its sites, half the width and height",
-                )
 
 
 def _too_bright(image_dn: Integers, setup: Setup) -> str | None:

@@ -117,11 +117,13 @@ def import_recording(
     images = grey_frames(series, stated, raw.channel, raw.bayer)
     _write(out, images, rows, _timed(poses, times), on_frame)
     recording, misfits = _read_back(out, on_frame)
+    in_all = f"{', '.join(assumed)} in all" if assumed else ""
+    by_table = f"as {raw.frames} states" if raw.frames is not None else ""
     notes = {
         "images": "; ".join((_span(series), *series.notes, *table.notes)),
         "grey": images.note,
         "times": f"{source.name}: {times[0]:.6g} to {times[-1]:.6g} s",
-        "conditions": _conditions_note(assumed, raw.frames),
+        "conditions": "; ".join(filter(None, (in_all, by_table))),
         "poses": "; ".join((_pose_note(poses), *poses.notes)),
     }
     problems = doubts(series, source, poses, images.taken_s)
@@ -196,12 +198,6 @@ def _read_back(out: Path, on_frame: OnFrame) -> tuple[Recording, list[str]]:
 def _span(series: ImageSeries) -> str:
     first, last = series.paths[0].name, series.paths[-1].name
     return f"{len(series)}, {first}" + (f" to {last}" if len(series) > 1 else "")
-
-
-def _conditions_note(assumed: Sequence[str], frames: Path | None) -> str:
-    in_all = f"{', '.join(assumed)} in all" if assumed else ""
-    by_table = f"as {frames} states" if frames is not None else ""
-    return "; ".join(filter(None, (in_all, by_table)))
 
 
 def _pose_note(poses: PoseFile) -> str:

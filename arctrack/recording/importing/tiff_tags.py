@@ -95,8 +95,27 @@ def read_tiff_header(content: bytes) -> TiffHeader:
         _number(tags, 259, 1) in (6, 7, 34712, 34887, 34892, 50001, 52546),
         tags,
     )
-    _check_one_image(tags)
-    _check_samples(header)
+    # ImageJ writes large stacks behind one directory.
+    stated = re.search(r"^images=(\d+)", str(tags.get(270, "")), re.MULTILINE)
+    count = int(stated[1]) if stated else 1
+    if tags.next != 0 or count > 1:
+        raise UnfitFileError(
+            f"holds {count if count > 1 else 'several'} images: save each as a file of its own"
+        )
+    is_grey = header.photometric in (WHITE_IS_ZERO, BLACK_IS_ZERO)
+    if header.photometric == PALETTE:
+        # A table of colours displays levels to people: it need not rise, so no colour determines a level.
+        table = np.array(_values(header.tags, 320, 0))
+        if header.bits != 8 or header.samples != 1 or table.size != 3 * 256:
+            raise UnfitFileError("its tag ColorMap is no table for 8 bits: save the levels as grey")
+        red, green, blue = table.reshape(3, 256)
+        if (red != green).any() or (red != blue).any():
+            raise UnfitFileError("its tag ColorMap shows levels as colours: save the levels as grey")
+    elif header.samples not in ((1, 2) if is_grey and header.bits == 8 else (1,) if is_grey else (3, 4)):
+        kind = "grey" if is_grey else "RGB"
+        raise UnfitFileError(f"its tag SamplesPerPixel = {header.samples} in {kind}: save it as grey or RGB")
+    if _number(header.tags, 284, 1) != 1 and header.samples > 1 and header.bits == 16:
+        raise UnfitFileError("its tag PlanarConfiguration = 2: save colours of 16 bits pixel by pixel")
     _check_calibration(str(tags.get(270, "")))
     return header
 
@@ -119,42 +138,6 @@ def _first_directory(content: bytes) -> TiffImagePlugin.ImageFileDirectory_v2:
             "is truncated, or its header is damaged; copy it anew, or leave it out"
         ) from None
     return tags
-
-
-def _check_one_image(tags: TiffImagePlugin.ImageFileDirectory_v2) -> None:
-    # ImageJ writes large stacks behind one directory.
-    stated = re.search(r"^images=(\d+)", str(tags.get(270, "")), re.MULTILINE)
-    count = int(stated[1]) if stated else 1
-    if tags.next != 0 or count > 1:
-        raise UnfitFileError(
-            f"holds {count if count > 1 else 'several'} images: save each as a file of its own"
-        )
-
-
-def _check_samples(header: TiffHeader) -> None:
-    """Raise UnfitFileError for samples of a pixel that would be mixed up."""
-    is_grey = header.photometric in (WHITE_IS_ZERO, BLACK_IS_ZERO)
-    if header.photometric == PALETTE:
-        _check_palette(header)
-    elif header.samples not in ((1, 2) if is_grey and header.bits == 8 else (1,) if is_grey else (3, 4)):
-        kind = "grey" if is_grey else "RGB"
-        raise UnfitFileError(f"its tag SamplesPerPixel = {header.samples} in {kind}: save it as grey or RGB")
-    if _number(header.tags, 284, 1) != 1 and header.samples > 1 and header.bits == 16:
-        raise UnfitFileError("its tag PlanarConfiguration = 2: save colours of 16 bits pixel by pixel")
-
-
-def _check_palette(header: TiffHeader) -> None:
-    """Raise UnfitFileError unless a table of 8 bits holds greys.
-
-    A table of colours displays levels to people. It need not increase, so no colour of it determines the
-    level.
-    """
-    table = np.array(_values(header.tags, 320, 0))
-    if header.bits != 8 or header.samples != 1 or table.size != 3 * 256:
-        raise UnfitFileError("its tag ColorMap is no table for 8 bits: save the levels as grey")
-    red, green, blue = table.reshape(3, 256)
-    if (red != green).any() or (red != blue).any():
-        raise UnfitFileError("its tag ColorMap shows levels as colours: save the levels as grey")
 
 
 def _check_calibration(description: str) -> None:

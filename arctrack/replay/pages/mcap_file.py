@@ -184,7 +184,15 @@ class McapFile:
         if seen.pose is not None:
             messages["/tf"] = _transform(stamp, "base", "tool", seen.pose.T_base_tool)
         if view.profile is not None:
-            messages["/profile"] = _cloud(stamp, view.profile.points_mm)
+            points_m = (view.profile.points_mm * M_PER_MM).astype("<f4")
+            messages["/profile"] = {
+                "timestamp": stamp,
+                "frame_id": "tool",
+                "pose": {"position": _named("xyz", np.zeros(3)), "orientation": _named("xyzw", np.eye(4)[3])},
+                "point_stride": 12,
+                "fields": [{"name": name, "offset": 4 * n, "type": FLOAT32} for n, name in enumerate("xyz")],
+                "data": _base64(points_m.tobytes()),
+            }
         with writing(self._path):
             for topic, message in messages.items():
                 self._send(topic, message, ns)
@@ -323,18 +331,6 @@ def _transform(stamp: dict[str, int], parent: str, child: str, T_parent_child: F
         "child_frame_id": child,
         "translation": _named("xyz", T_parent_child[:3, 3] * M_PER_MM),
         "rotation": _named("xyzw", Rotation.from_matrix(T_parent_child[:3, :3]).as_quat()),
-    }
-
-
-def _cloud(stamp: dict[str, int], points_tool_mm: Float64) -> dict[str, Any]:
-    points_m = (points_tool_mm * M_PER_MM).astype("<f4")
-    return {
-        "timestamp": stamp,
-        "frame_id": "tool",
-        "pose": {"position": _named("xyz", np.zeros(3)), "orientation": _named("xyzw", np.eye(4)[3])},
-        "point_stride": 12,
-        "fields": [{"name": name, "offset": 4 * n, "type": FLOAT32} for n, name in enumerate("xyz")],
-        "data": _base64(points_m.tobytes()),
     }
 
 

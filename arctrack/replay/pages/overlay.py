@@ -49,7 +49,11 @@ def picture_of(setup: Setup, frame: Frame | None, track: Track, offset: SeamOffs
     width, height = _size_px(setup)
     canvas = np.zeros((height, width, 3), dtype=np.uint8)
     canvas[: picture.shape[0], : picture.shape[1]] = picture
-    _write_lines(canvas, picture.shape[0], caption(frame, track, offset))
+    for n, (line, colour) in enumerate(zip(caption(frame, track, offset), (INK, INK, FAINT), strict=True)):
+        corner = (8, picture.shape[0] + (n + 1) * LINE_PX - 2)
+        cv2.putText(
+            canvas, line, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, thickness=1, lineType=cv2.LINE_AA
+        )
     drawn = av.VideoFrame.from_ndarray(canvas, format="bgr24").reformat(format=PIXELS)
     return np.asarray(drawn.to_ndarray(), dtype=np.uint8)
 
@@ -71,14 +75,6 @@ def caption(frame: Frame | None, track: Track, offset: SeamOffset) -> tuple[str,
         known = "  ".join(f"{name} {value:+.2f}" for name, value in axes if math.isfinite(value))
         sent = f"offset {word} {known} mm"
     return condition, f"{seam}   {sent}", ", ".join(track.flag_names) or "no flags"
-
-
-def _write_lines(canvas: UInt8, top_px: int, lines: tuple[str, str, str]) -> None:
-    for n, (line, colour) in enumerate(zip(lines, (INK, INK, FAINT), strict=True)):
-        corner = (8, top_px + (n + 1) * LINE_PX - 2)
-        cv2.putText(
-            canvas, line, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, thickness=1, lineType=cv2.LINE_AA
-        )
 
 
 def _zoom(setup: Setup) -> int:

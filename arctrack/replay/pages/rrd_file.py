@@ -91,7 +91,12 @@ class RrdFile:
         self._log(f"{CAMERA}/image/true_seam", _point(view.truth_px, style.GREEN))
         if seen.pose is not None:
             self._log(TOOL, _transform(seen.pose.T_base_tool))
-        self._log_profile(view)
+        profile, points, section = view.profile, None, None
+        if profile is not None:
+            points = rr.Points3D(profile.points_mm, colors=getrgb(style.GREY), radii=0.1)
+            section = rr.LineStrips3D([profile.section_mm], colors=getrgb(style.GREEN), radii=0.05)
+        self._log(f"{TOOL}/profile", points)
+        self._log(f"{TOOL}/section", section if profile is not None and len(profile.section_mm) else None)
         seam_mm = None if math.isnan(track.seam_tool_mm[1]) else track.seam_tool_mm
         self._log(
             f"{TOOL}/seam",
@@ -105,14 +110,6 @@ class RrdFile:
             self._flags = track.flags
             level = "ERROR" if track.flags & flags.INVALIDATING else "WARN" if track.flags else "INFO"
             self._log(FLAGS, rr.TextLog(", ".join(track.flag_names) or "no flags", level=level))
-
-    def _log_profile(self, view: ReplayView) -> None:
-        profile, points, section = view.profile, None, None
-        if profile is not None:
-            points = rr.Points3D(profile.points_mm, colors=getrgb(style.GREY), radii=0.1)
-            section = rr.LineStrips3D([profile.section_mm], colors=getrgb(style.GREEN), radii=0.05)
-        self._log(f"{TOOL}/profile", points)
-        self._log(f"{TOOL}/section", section if profile is not None and len(profile.section_mm) else None)
 
     def _log(self, place: str, what: Any | None) -> None:
         self._stream.log(place, rr.Clear(recursive=False) if what is None else what)

@@ -49,7 +49,13 @@ def set_up(camera: Any, choice: CameraChoice, setup: Setup) -> float:
     """
     Aravis, _ = aravis()
     camera.set_acquisition_mode(Aravis.AcquisitionMode.CONTINUOUS)
-    _choose_pixels(camera, setup)
+    name, known = f"Mono{setup.sensor.bits}", camera.dup_available_pixel_formats_as_strings()
+    if name not in known:
+        grey = ", ".join(sorted(k for k in known if k.startswith("Mono") and k[4:].isdigit())) or "none"
+        raise ArctrackError(
+            f"[camera] name: the camera has no {name}; it has {grey}: state its bits as [sensor] bits"
+        )
+    camera.set_pixel_format_from_string(name)
     _choose_region(camera, choice, setup)
     if camera.is_gain_auto_available():
         camera.set_gain_auto(Aravis.Auto.OFF)
@@ -79,16 +85,6 @@ def switch_laser(camera: Any, choice: CameraChoice, is_on: bool) -> None:
         return
     camera.set_string("LineSelector", choice.capture.laser_line)
     camera.set_string("LineSource", "ExposureActive" if is_on else "Off")
-
-
-def _choose_pixels(camera: Any, setup: Setup) -> None:
-    name, known = f"Mono{setup.sensor.bits}", camera.dup_available_pixel_formats_as_strings()
-    if name not in known:
-        grey = ", ".join(sorted(k for k in known if k.startswith("Mono") and k[4:].isdigit())) or "none"
-        raise ArctrackError(
-            f"[camera] name: the camera has no {name}; it has {grey}: state its bits as [sensor] bits"
-        )
-    camera.set_pixel_format_from_string(name)
 
 
 def _choose_region(camera: Any, choice: CameraChoice, setup: Setup) -> None:
