@@ -415,13 +415,11 @@ def reasons(posterior: Posterior) -> tuple[Reason, ...]:
 
 
 def _unknown_text(unknown: UnknownCause) -> str:
-    """Return an unknown cause with its likeliest stage and term."""
     stage, term = unknown.likeliest
     return f"unknown: {term}" if stage is None else f"unknown: {stage.value}, {term}"
 
 
 def _hypothesis_text(fitted: Refit) -> str:
-    """Return a hypothesis' effects, and of the one that changes with what."""
     trend = fitted.trend
     changing = {} if trend is None else {trend.effect: f" that changes with {trend.driver.value}"}
     return " and ".join(name + changing.get(name, "") for name in fitted.ids)

@@ -56,7 +56,6 @@ def check(
 
 
 def _print(checked: SetupCheck) -> None:
-    """Print the quantities as a table, and what they say."""
     from rich.table import Table
 
     from arctrack.calibrate.check.measure import SetupVerdict

@@ -172,7 +172,6 @@ def serve(
 
 
 def _lines(plan: LoopPlan, result: ClosedLoopResult) -> list[str]:
-    """Return a run's result in words."""
     reasons = ", ".join(f"{name} {count}" for name, count in sorted(result.reasons.items()))
     valid = f"{result.offsets}; not as measured: {reasons or 'none'}"
     if math.isinf(result.lock_s):

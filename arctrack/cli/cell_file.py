@@ -72,7 +72,6 @@ def _lines(read: CellFile) -> list[str]:
 
 
 def _of_job(read: CellFile, job: CellJob) -> str:
-    """Return a job in words."""
     parts = [f"{job.name}, a {job.setup_for(read.setup.setup).joint.type}"]
     for name, axis, range_mm in (
         ("y", job.correction.y, read.limits.range_y_mm),

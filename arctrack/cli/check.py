@@ -91,7 +91,6 @@ def _verdict_lines(checked: CheckResult) -> list[str]:
 
 
 def _content(checked: CheckResult, warnings: list[str], picture: Path) -> dict[str, Any]:
-    """Return a check for programs."""
     verdict = checked.verdict
     return {
         "recording": checked.recording.path,

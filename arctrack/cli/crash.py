@@ -43,7 +43,6 @@ def end_of_output(error: EOFError | BrokenPipeError) -> NoReturn:
 
 
 def _has_no_reader(descriptor: int) -> bool:
-    """Return True if a pipe's reader is gone."""
     ends = select.poll()
     ends.register(descriptor, 0)
     return bool(ends.poll(0))

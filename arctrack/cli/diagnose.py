@@ -72,7 +72,6 @@ def diagnose(
 
 
 def _outcomes(jobs: list[DiagnosisJob], workers: int, scheduler: str | None) -> Iterator[Outcome]:
-    """Yield what becomes of each recording, and show how far it is."""
     from arctrack.diagnose import diagnose as engine
     from arctrack.workers import executor_of
 

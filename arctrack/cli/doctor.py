@@ -88,7 +88,6 @@ def _line(finding: DoctorFinding) -> str:
 
 
 def _table(budget: Budget) -> Table:
-    """Return a budget as a table."""
     from rich import box
     from rich.table import Table
 

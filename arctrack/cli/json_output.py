@@ -18,7 +18,6 @@ def say_json(command: str, content: Mapping[str, Any]) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON knows it."""
     match value:
         case float():
             return float(value) if math.isfinite(value) else None

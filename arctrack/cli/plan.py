@@ -105,7 +105,6 @@ def plan(
 
 
 def _content(made: Plan) -> dict[str, Any]:
-    """Return a plan for programs."""
     from arctrack.plan.plan_files import designs, stations
 
     return {

@@ -217,7 +217,6 @@ def _report(outcomes: list[Outcome], parquet: Path | None) -> None:
 
 
 def _end(complaints: list[str], verdicts: list[RunVerdict]) -> None:
-    """Leave with the exit code of what came out, if it is not 0."""
     from arctrack.cli.exit_codes import BAD_INPUT, NOTHING_TRACKED
 
     if complaints:

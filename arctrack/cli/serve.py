@@ -188,7 +188,6 @@ def _serve_simulated(job: int | None, seconds: float | None) -> bool:
 
 
 def _result_lines(result: LoopResult) -> list[str]:
-    """Return a run's result in words."""
     from arctrack.offset_count import OffsetCount
 
     offsets = ", ".join(f"{name} {count}" for name, count in result.offsets.items()) or "none"

@@ -49,7 +49,6 @@ def warm(
 
 
 def _chosen(paths: list[Path]) -> list[tuple[str, Setup, Correction]]:
-    """Return name, setup and correction of each path, or of each joint's nominal setup."""
     from arctrack.cli.inputs import read_setup
     from arctrack.control.cell_file import is_cell_file, read_cell_file
     from arctrack.nominal import DIMENSIONS, nominal_setup

@@ -137,7 +137,6 @@ def run_camera(plan: LoopPlan, name: str, shots: Connection) -> None:
 
 
 def _publish(shots: Connection, sensor: RenderedCamera, frames: SharedFramesWriter, name: str) -> None:
-    """Publish until the other end is closed."""
     robot, index = sensor.robot, 0
     while True:
         try:

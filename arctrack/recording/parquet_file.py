@@ -79,7 +79,6 @@ def _read(path: Path) -> Table:
 
 
 def _types() -> dict[str, object]:
-    """Return each column of results.csv and Arrow's type of it."""
     import pyarrow
 
     return {name: pyarrow.type_for_alias(NO_FLOATS.get(name, "float64")) for name in COLUMNS}

@@ -185,7 +185,6 @@ def table_in(info: FieldInfo) -> type[BaseModel] | None:
 
 
 def _stated_type(info: FieldInfo) -> Any:
-    """Return the type of a field's value, where one is stated."""
     held = info.annotation
     return get_args(held)[0] if get_origin(held) in (UnionType, Union) else held
 

@@ -171,5 +171,4 @@ def _information(offset_sigma_e: float, slope_sigma_e_per_px: float) -> Float64:
 
 
 def _covariance(J: Float64, weight: Float64, known: Float64) -> Float64:
-    """Return the covariance (5, 5) of a weighted fit with priors."""
     return np.asarray(np.linalg.inv(J.T @ (weight[:, None] * J) + np.diag(known)))

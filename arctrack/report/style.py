@@ -20,7 +20,6 @@ def new_figure(width_inch: float, height_inch: float, title: str) -> Figure:
 
 
 def _drawable(text: str) -> str:
-    """Return a text with a question mark for each letter that the font does not have."""
     font = get_font(findfont(FontProperties(weight="bold")))
     return "".join(letter if font.get_char_index(ord(letter)) else "?" for letter in text)
 

@@ -203,7 +203,6 @@ class _LagProblem:
 
     @cached_property
     def _basis(self) -> Float64:
-        """An orthonormal basis (n, k) of the nuisances."""
         U, s, _ = np.linalg.svd(self.columns, full_matrices=False)
         return np.asarray(U[:, s > s[0] * len(s) * np.finfo(float).eps])
 

@@ -59,7 +59,6 @@ class NominalPath:
 
     @property
     def _normals(self) -> tuple[Vector, ...]:
-        """The pieces' normals."""
         if self.normals_base is None:
             return (self.normal_base,) * (len(self.points_base_mm) - 1)
         return tuple(unit((a[0] + b[0], a[1] + b[1], a[2] + b[2])) for a, b in pairwise(self.normals_base))

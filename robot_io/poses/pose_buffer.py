@@ -267,7 +267,6 @@ class PoseBuffer:
         return _Twist(last - 1, last, t_s, PoseStatus.INTERPOLATED, period_s)
 
     def _along(self, twists: Sequence[_Twist]) -> Iterator[PoseAt]:
-        """Yield the poses at the ends of twists."""
         if not twists:
             return
         first, last = self._start + np.array([(twist.first, twist.last) for twist in twists]).T

@@ -76,7 +76,6 @@ class Looks:
 
     @cached_property
     def _families(self) -> list[ScoreTest]:
-        """All effects' families, an effect's after another's."""
         return [family for score in self.scores for family in score.families]
 
     @cached_property
@@ -89,12 +88,10 @@ class Looks:
 
     @cached_property
     def _probes(self) -> EvidenceTable:
-        """The evidence of all families at the start."""
         return self.errors.table(self.at_start, self._blocks)
 
     @cached_property
     def _exact(self) -> list[float]:
-        """The evidence of each family, nats."""
         return [self._probes.log_evidence(n) for n in range(len(self._families))]
 
     def _ranked(self, score: ScoreTest) -> list[int]:

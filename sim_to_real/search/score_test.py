@@ -40,7 +40,6 @@ class ProbeFamily:
 
 
 def _each(*probe_points: Values) -> tuple[ProbeFamily, ...]:
-    """Return a family for each probe point."""
     return tuple(ProbeFamily((point,)) for point in probe_points)
 
 
@@ -54,7 +53,6 @@ def _drifts() -> tuple[ProbeFamily, ...]:
 
 
 def _patches() -> tuple[ProbeFamily, ...]:
-    """Patches of two sizes all over the image."""
     small = [(0.12, u, v) for u in (-0.7, -0.42, -0.14, 0.14, 0.42, 0.7) for v in (-0.45, -0.15, 0.15, 0.45)]
     wide = [(0.3, u, v) for u in (-0.5, 0.0, 0.5) for v in (-0.3, 0.3)]
     return tuple(

@@ -59,6 +59,5 @@ async def _serve(options: MonitorOptions, reader: JournalReader, parent: Connect
 
 
 def _address(host: str, port: int) -> str:
-    """Return where the page is."""
     name = socket.gethostname() if host in ("0.0.0.0", "::") else host
     return f"http://[{name}]:{port}/" if ":" in name else f"http://{name}:{port}/"

@@ -226,7 +226,6 @@ class Server:
 
 
 async def _send_all(outbox: Outbox, socket: web.WebSocketResponse) -> None:
-    """Send what waits for a browser, as fast as it takes it."""
     while not socket.closed:
         message = await outbox.take()
         try:

@@ -67,7 +67,6 @@ class CapturedCamera(SharedMemoryCamera):
 
 
 def _opening(choice: CameraChoice, cell_path: Path, setup: Setup) -> tuple[Open, CameraTraits]:
-    """Return what opens a camera in its process, and what it knows of the light."""
     assert choice.name is not None
     options = choice.capture
     if choice.kind in ("video", "folder"):

@@ -291,7 +291,6 @@ class LiveLoop:
         return as_stated(lit)
 
     def _count(self, message: BusMessage, sent_s: float) -> None:
-        """Take a message that went out."""
         if isinstance(message, SeamOffset):
             self._offsets[message.validity] += 1
             self._offset = message
@@ -301,5 +300,4 @@ class LiveLoop:
 
 
 def _shown(quantiles: Quantiles) -> tuple[float, float, float]:
-    """Return the quantiles that a status shows, ms."""
     return quantiles.p50_ms, quantiles.p99_ms, quantiles.max_ms

@@ -149,7 +149,6 @@ def _lines(explanation: Explanation, stripe: StripeLook) -> list[ScanLineView]:
 
 
 def _summary(explanation: Explanation, stripe: StripeLook, s: int) -> str:
-    """Return a scan line's numbers."""
     refusals = stripe.refusals
     if refusals.why[s] != READ:
         measured = ""

@@ -82,7 +82,6 @@ def _zoom(setup: Setup) -> int:
 
 
 def _size_px(setup: Setup) -> tuple[int, int]:
-    """Return the video's width and height."""
     camera, zoom = setup.camera, _zoom(setup)
     return _even(camera.width * zoom), _even(camera.height * zoom + LINES * LINE_PX + 8)
 

@@ -94,7 +94,6 @@ class ReplayPage:
         write_whole(path, self._html(counts))
 
     def _html(self, counts: str) -> str:
-        """Return the page, which needs no other file and no network."""
         tracks, setup = self._tracks, self._recording.setup
         camera = setup.camera
         scored = None if self._truth is None else score(tracks, self._truth, setup.tolerance.seam_mm)

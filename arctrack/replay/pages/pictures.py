@@ -120,7 +120,6 @@ class ReplayPictures:
         return OverlayVideo(self.folder / OVERLAY_VIDEO, self.recording.setup, self.recording.frame_rate_hz)
 
     def _to_draw(self, seen: SeenFile, on_page: Container[int], exported: bool = False) -> Iterator[ToDraw]:
-        """Read the frames that were seen once more."""
         frames = self.recording.frames(range(len(seen)))
         for n, (frame, each) in enumerate(zip(frames, seen, strict=True)):
             readable = None if isinstance(frame, BadFrame) else frame

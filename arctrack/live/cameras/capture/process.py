@@ -50,7 +50,6 @@ def _publish(
     parent: Connection,
     loop: PipeEnd,
 ) -> None:
-    """Publish until the parent is gone."""
     first = latest = 0
     source.begin()
     while not parent.poll():
