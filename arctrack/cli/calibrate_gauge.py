@@ -17,7 +17,7 @@ from arctrack.cli.inputs import (
     setup_path,
 )
 from arctrack.cli.interrupt import interruptible
-from arctrack.cli.pose_options import Poses
+from arctrack.cli.options import Poses
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import typer
 
 from arctrack.cli.calibration_output import BOARD, Out, Report, board_of, run_calibration
 from arctrack.cli.inputs import look_at_file, look_at_images, look_at_setup, read_setup
-from arctrack.cli.pose_options import NamedColumns, Poses, Rotation, Translations, named_columns
+from arctrack.cli.options import NamedColumns, Poses, Rotation, Translations, named_columns
 from arctrack.errors import ArctrackError
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from arctrack.cli.inputs import look_at_recordings
-from arctrack.cli.worker_options import Scheduler, Workers
+from arctrack.cli.options import Scheduler, Workers
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:

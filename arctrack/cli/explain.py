@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from arctrack.cli.inputs import check_replaces_nothing, look_at_recording
-from arctrack.cli.worker_options import ArcMap
+from arctrack.cli.options import ArcMap
 
 
 def explain(

@@ -9,7 +9,7 @@ import typer
 
 from arctrack.cli.inputs import look_at_file, look_at_images, look_at_setup, setup_path
 from arctrack.cli.interrupt import interruptible
-from arctrack.cli.pose_options import NamedColumns, Rotation, Translations, named_columns
+from arctrack.cli.options import NamedColumns, Rotation, Translations, named_columns
 from arctrack.errors import ArctrackError
 from arctrack.recording.importing.colours import Bayer, Channel
 

@@ -11,7 +11,7 @@ import typer
 
 from arctrack.cli.inputs import look_at_cell, look_at_recordings
 from arctrack.cli.interrupt import interruptible
-from arctrack.cli.worker_options import ArcMap, Scheduler, Workers
+from arctrack.cli.options import ArcMap, Scheduler, Workers
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:

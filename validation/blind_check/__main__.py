@@ -11,7 +11,7 @@ import typer
 from arctrack.cli import run_app
 from arctrack.cli.group import CommandGroup
 from arctrack.cli.help_text import reflow
-from arctrack.cli.worker_options import Workers
+from arctrack.cli.options import Workers
 from arctrack.errors import in_file
 
 check = typer.Typer(

@@ -1,4 +1,4 @@
-"""Options of all commands for the robot's poses and their notation."""
+"""Options that several commands have in common."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,6 +7,22 @@ import typer
 
 from arctrack.errors import ArctrackError
 
+ArcMap = Annotated[
+    bool,
+    typer.Option(
+        "--arc-map/--no-arc-map",
+        help="--arc-map predicts the arc's light for each frame's pose; --no-arc-map takes a local median as "
+        "background, of one variance. Where the truth is known, replay then shows both errors.",
+    ),
+]
+Workers = Annotated[int, typer.Option(min=1, help="Recordings worked on at once, a process each.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="A Dask cluster's scheduler, to work on recordings there; needs the extra cluster.",
+    ),
+]
 Poses = Annotated[Path | None, typer.Option(help="The robot's pose of each image: a table, or matrices.")]
 Rotation = Annotated[
     str | None,
