@@ -1,5 +1,7 @@
 """The rows of a PNG that differ from the pixel before: W3C PNG (3rd edition), 9.2."""
 
+from __future__ import annotations
+
 from noise_model.compiled.arrays import UInt8
 from noise_model.compiled.kernel import kernel
 
