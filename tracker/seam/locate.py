@@ -103,7 +103,7 @@ class SeamSource(NamedTuple):
 
     @property
     def aside_mm(self) -> float:
-        """How far from a seam that turns its joint is read."""
+        """Largest distance from a seam that turns at which its joint is read."""
         corners = self.scene.shape.vertices[1:-1, 0]
         return max(float(np.abs(corners).max()) + EDGE_MM, PLATE_MM)
 
