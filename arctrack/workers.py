@@ -37,7 +37,6 @@ class RecordingJob(Protocol):
     @property
     def recording(self) -> Path:
         """The recording's folder."""
-        ...
 
 
 Job = TypeVar("Job", bound=RecordingJob)

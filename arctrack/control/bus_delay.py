@@ -18,10 +18,8 @@ class BusDelay:
     on, and receive the echoes.
     """
 
-    def __init__(self, policy: ServicePolicy, limits: SyncLimits | None = None) -> None:
-        self._policy = policy
-        self._limits = limits or SyncLimits()
-        self._sync = ClockSync()
+    def __init__(self, policy: ServicePolicy) -> None:
+        self._policy, self._limits, self._sync = policy, SyncLimits(), ClockSync()
         self._is_heard = False
         self._known_at_s = math.nan
         self._is_late = False

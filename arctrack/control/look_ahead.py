@@ -53,13 +53,11 @@ class LagEstimator(Protocol):
 class LagNow:
     """Lag estimator that blocks until its estimate is there."""
 
-    def __init__(self, policy: LookAheadPolicy | None = None, limits: LagLimits | None = None) -> None:
-        self._policy, self._limits = policy or LookAheadPolicy(), limits or LagLimits()
-        self._lag: Lag | None = None
+    _lag: Lag | None = None
 
     def ask(self, motions: Motions) -> None:
         """Estimate the lag."""
-        self._lag = lag_of(motions, self._policy, self._limits)
+        self._lag = lag_of(motions, LookAheadPolicy(), LagLimits())
 
     def answer(self) -> Lag | None:
         """Return the estimate."""

@@ -38,9 +38,8 @@ class PoseAgreement:
     A pose counts for `max_age_s` after its reading.
     """
 
-    def __init__(self, poses: PoseBuffer, max_age_s: float, policy: AgreementPolicy | None = None) -> None:
-        self._poses, self._max_age_s = poses, max_age_s
-        self._policy = policy or AgreementPolicy()
+    def __init__(self, poses: PoseBuffer, max_age_s: float) -> None:
+        self._poses, self._max_age_s, self._policy = poses, max_age_s, AgreementPolicy()
         self._assembler = PoseAssembler()
         self._latest, self._read_at_s = GateReason.POSE_IMPLAUSIBLE, NAN
 

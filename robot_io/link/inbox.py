@@ -11,7 +11,7 @@ import can
 from robot_io.protocol.codec import FRAME_LENGTH, CodecError, decode, message_type_of
 from robot_io.protocol.dbc import cycle_time_s, e2e_data_id, message_layout
 from robot_io.protocol.messages import BusMessage, Source
-from robot_io.protocol.protect import MAX_DELTA_COUNTER, SOURCES, Checker, counter_of, source_of
+from robot_io.protocol.protect import SOURCES, Checker, counter_of, source_of
 
 M = TypeVar("M", bound=BusMessage)
 
@@ -78,14 +78,11 @@ ANY_SOURCE = Trusted(SOURCES, SOURCES)
 
 
 class Inbox:
-    """Checked and decoded frames: the latest message of each type, and counts of those skipped by reason.
+    """Checked and decoded frames: the latest message of each type, and counts of those skipped by reason."""
 
-    A frame may be at most `max_delta_counter` counts ahead of the one before.
-    """
-
-    def __init__(self, trusted: Trusted = LIVE, max_delta_counter: int = MAX_DELTA_COUNTER) -> None:
+    def __init__(self, trusted: Trusted = LIVE) -> None:
         self._trusted = {"ROBOT": trusted.robot, "TRACKER": trusted.tracker}
-        self._checker = Checker(max_delta_counter)
+        self._checker = Checker()
         self._latest: dict[type[BusMessage], Received] = {}
         self.skipped: Counter[SkipReason] = Counter()
 

@@ -192,14 +192,14 @@ def compress(columns: Float32) -> Float32:
     return np.asarray(columns @ vectors[:, values > 0.05].astype(np.float32))
 
 
-def robust_weights(residuals: Float64 | Float32, columns: Float32, dof: float, rounds: int = 4) -> Float32:
+def robust_weights(residuals: Float64 | Float32, columns: Float32, dof: float) -> Float32:
     """Return the weights (n,) of residuals about what columns (n, k) explain, for Student's distribution.
 
     Iterated least squares (Lange, Little and Taylor 1989, J. Am. Stat. Assoc. 84, 881), 1 at most.
     """
     r = residuals.astype(np.float32)
     weights = np.ones(len(r), dtype=np.float32)
-    for _ in range(rounds):
+    for _ in range(4):
         weighted = columns * weights[:, np.newaxis]
         information = (weighted.T @ columns).astype(np.float64)
         # Float products of large columns leave errors of a millionth: a ridge of it keeps the system regular.

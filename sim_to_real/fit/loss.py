@@ -22,15 +22,12 @@ class Loss(Protocol):
 
     def cost(self, r: Float64) -> float:
         """Return the cost of residuals (n,)."""
-        ...
 
     def quadratic(self, parameters: Sequence[Parameter], x: Float64, r: Float64, J: Float64) -> Quadratic:
         """Return the cost about parameters x (p,) with residuals r (n,) and their derivatives J (n, p)."""
-        ...
 
     def is_converged(self, cost: float, gained: float) -> bool:
         """Return True if a step of this gain ends a fit of this cost."""
-        ...
 
 
 LossAbout: TypeAlias = Callable[[Float64], Loss]
