@@ -56,18 +56,13 @@ def check(
 
 
 def _print(checked: SetupCheck) -> None:
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from arctrack.calibrate.check.measure import SetupVerdict
     from arctrack.cli import console
 
-    table = Table(box=None, pad_edge=False)
-    for name in ("stage", "quantity"):
-        table.add_column(name)
-    for name in ("measured", "expected", "1 σ"):
-        table.add_column(name, justify="right")
-    for name in ("", "verdict"):
-        table.add_column(name)
+    numbers = (Column(name, justify="right") for name in ("measured", "expected", "1 σ"))
+    table = Table("stage", "quantity", *numbers, "", "verdict", box=None, pad_edge=False)
     colours = {SetupVerdict.NOT_EXPLAINED: "red", SetupVerdict.UNTOLD: "yellow", SetupVerdict.OK: "green"}
     stage = None
     for measure in checked.measures:

@@ -144,16 +144,13 @@ def refuse_bad_frames(read: Recording, bad_frames: Sequence[BadFrame], of_the_ot
 
 def finish(page: CalibrationPage, path: Path, stages: Sequence[CalibrationPage] = ()) -> None:
     """Print a page's headline, values and sentences; write it, with those of other calibrations below."""
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from arctrack.calibrate.page import render
     from arctrack.cli import console
 
-    table = Table(box=None, pad_edge=False)
-    table.add_column("")
-    for head in page.heads:
-        table.add_column(head, justify="right")
-    table.add_column("")
+    numbers = (Column(head, justify="right") for head in page.heads)
+    table = Table("", *numbers, "", box=None, pad_edge=False)
     for row in page.rows:
         table.add_row(row.what, row.value, row.sigma, row.interval, row.unit)
     screen = console.tables()

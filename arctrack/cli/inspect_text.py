@@ -118,9 +118,7 @@ def motion_lines(motion: MotionSummary) -> list[tuple[str, str]]:
 
 def condition_table(conditions: tuple[ConditionSummary, ...]) -> Table:
     """Return one row a condition."""
-    table = Table(title="Conditions", title_justify="left")
-    for name in ("laser", "arc"):
-        table.add_column(name)
+    table = Table("laser", "arc", title="Conditions", title_justify="left")
     for name in ("current A", "exposure ms", "frames", "mean DN", "max DN", "saturated %"):
         table.add_column(name, justify="right")
     for condition in conditions:
