@@ -72,6 +72,28 @@ def test_it_is_tracked_in_simulated_frames(name: str) -> None:
     assert np.sqrt(np.mean(np.square(errors))) < 0.05, errors
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("arc", "is_valid"), [(0.5, True), (1.0, True), (30.0, False)])
+def test_a_free_section_is_tracked_in_an_arc_s_light_or_refused(arc: float, is_valid: bool) -> None:
+    """Its light is not predicted: the stripe is read beside it, or is lost in it."""
+    setup, plain = setup_of("free"), small_setup("v_groove")
+    plate = replace(plain, joint=replace(plain.joint, type="flat", dimensions={}))
+    pulls = []
+    for n in range(4):
+        pose, tracker = pose_at(5.0 * n), Tracker(setup)
+        stripe = frame_of(setup, pose, SEAM, index=n)
+        light = frame_of(plate, pose, laser=0.0, arc=arc, index=n)
+        both = np.clip(
+            stripe.image_dn.astype(np.int64) + light.image_dn, 0, np.iinfo(light.image_dn.dtype).max
+        )
+        track = tracker.step(replace(light, image_dn=both.astype(light.image_dn.dtype), laser_on=True), pose)
+        assert track.valid == is_valid, track.flag_names
+        if is_valid:
+            error = np.array(track.seam_tool_mm) - true_seam_tool(setup, pose, SEAM)
+            pulls.append((error[1] / track.sigma_y_mm, error[2] / track.sigma_z_mm))
+    assert np.abs(pulls).max(initial=0.0) < 3.5
+
+
 @pytest.mark.parametrize(
     ("name", "bevels_deg", "plates_deg", "area_mm2"),
     [
