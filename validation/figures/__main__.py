@@ -64,6 +64,21 @@ def effects(
     typer.echo(f"{out / effects_page.PAGE} and its pictures, {out / effects_page.PICTURES}/*.png")
 
 
+@figures.command(epilog="Example: python -m validation.figures joints --out docs/reference/pictures")
+def joints(
+    out: Annotated[Path, typer.Option(help="Folder for joints.svg; made if missing.")],
+) -> None:
+    """Draw the cross-sections of all joints with their seam points: joints.svg."""
+    from validation.figures.joint_sections import draw_joints
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / "joints.svg").write_text(draw_joints())
+    except OSError as error:
+        raise in_file(out, f"cannot be written: {error}") from None
+    typer.echo(f"{out / 'joints.svg'}")
+
+
 reflow(figures)
 
 if __name__ == "__main__":
