@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -100,7 +101,7 @@ class CalibrationCovariance:
         known = dict(zip(self.names, self._scale.tolist(), strict=True))
         return np.array([known.get(name, 0.0) for name in names])
 
-    @property
+    @cached_property
     def modes(self) -> Float64:
         """Independent errors (m, n) of 1 sigma each, the principal axes of the correlation."""
         variance, directions = np.linalg.eigh(self._correlation)

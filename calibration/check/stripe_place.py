@@ -2,14 +2,15 @@
 
 A stripe's points are intersected with the laser plane and compared with the stated section of the joint,
 which may lie off its nominal place as parts do. The residual is explained in turn by one part of the setup
-that is far from its stated value, all others within their tolerance:
+that is far from its stated value, all others within what their calibration leaves open:
 
     Z_k = p(points | part k off) = integral of p(points | x) p_k(x) dx,
 
-x the camera's pose, the laser's plane, the sensor's pose, the lens and the part's place, p_k a normal law
-that is wide for part k. Laplace's approximation gives ln Z_k (MacKay 2003, chapter 27). Parts with equal Z_k
-cannot be separated by these poses: a plate stays in base while the tool moves, a sensor goes with the tool.
-So rotated and lifted poses separate them, and a tool that only travels does not.
+x the errors of the calibration (`noise_model.calibration_errors`), the camera's pose, the laser's plane, the
+sensor's pose, the lens and the part's place, p_k a normal law that is wide for part k. Laplace's
+approximation gives ln Z_k (MacKay 2003, chapter 27). Parts with equal Z_k cannot be separated by these poses:
+a plate stays in base while the tool moves, a sensor goes with the tool. So rotated and lifted poses separate
+them, and a tool that only travels does not.
 """
 
 from __future__ import annotations
@@ -388,12 +389,9 @@ class _StripePlaceProblem:
         return fit(parameters, residuals, HUBER, start=start, min_gain_rel=1e-4)
 
     def _parameters(self, name: str) -> list[Parameter]:
-        tolerance = self.setup.tolerance
-        deg, mm = max(tolerance.hand_eye_deg, 1e-3), max(tolerance.hand_eye_mm, 1e-3)
         sigmas = {
             **_by_name(PART_BLOCK, PART_SIGMAS),
-            **_by_name(CAMERA_BLOCK, (deg, deg, deg, mm, mm, mm)),
-            **_by_name(LASER_BLOCK, (deg, deg, mm)),
+            **dict.fromkeys(_calibration_names(self.setup), 1.0),
             # Lens, sheet and plate bend all stripes: Legendre's polynomials along them, px.
             **_by_name(SHAPE_BLOCK, (0.5, 0.5, 0.5, 0.3)),
             **dict.fromkeys(
@@ -422,7 +420,8 @@ class _StripePlaceProblem:
     def setup_names(self) -> tuple[str, ...]:
         """Names of the parameters that change the setup."""
         dimensions = (DIMENSION + name for name in self.setup.joint.dimensions)
-        return (*CAMERA_BLOCK, *LASER_BLOCK, *SENSOR_BLOCK, *LENS_BLOCK, *dimensions)
+        blocks = (*CAMERA_BLOCK, *LASER_BLOCK, *SENSOR_BLOCK, *LENS_BLOCK)
+        return (*_calibration_names(self.setup), *blocks, *dimensions)
 
     @cached_property
     def _setup_with(self) -> Callable[[tuple[float, ...]], Setup]:
@@ -455,8 +454,12 @@ class _StripePlaceProblem:
 def with_changes(setup: Setup, x: Mapping[str, float]) -> Setup:
     """Return a setup whose camera, laser, sensor, lens and joint are changed by parameters, deg, mm and ln.
 
-    Raises ValueError for dimensions that no joint has.
+    The independent errors of its calibration are in their sigmas. Raises ValueError for dimensions that no
+    joint has.
     """
+    sizes = np.array([x.get(name, 0.0) for name in _calibration_names(setup)])
+    if sizes.any():
+        setup = setup.with_errors(setup.calibration_errors.errors(sizes))
     camera, laser = setup.camera, setup.laser
     T_tool_camera = _move_pose(camera.T_tool_camera, x, CAMERA_BLOCK)
     plane = _turn_plane(laser.plane, laser.point_mm, *(x.get(name, 0.0) for name in LASER_BLOCK))
@@ -471,6 +474,10 @@ def with_changes(setup: Setup, x: Mapping[str, float]) -> Setup:
     stated = setup.joint.dimensions
     dimensions = {**stated, **{n: stated[n] * math.exp(r) for n, r in ratios.items()}}
     return replace(changed, joint=replace(setup.joint, dimensions=dimensions))
+
+
+def _calibration_names(setup: Setup) -> tuple[str, ...]:
+    return tuple(f"calibration_{n}" for n in range(len(setup.calibration_errors.modes)))
 
 
 def _move_pose(T: Float64, x: Mapping[str, float], block: Sequence[str]) -> Float64:

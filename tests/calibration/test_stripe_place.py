@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from calibration.check.stripe_place import (
     with_changes,
 )
 from noise_model.arc.scene import make_scene
+from noise_model.calibration_errors import CalibrationCovariance
 from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
@@ -60,9 +62,9 @@ def sights_of(change: Mapping[str, float], tool: list[Float64]) -> list[StripeSi
     return sights
 
 
-def evidences(change: Mapping[str, float], tool: list[Float64]) -> dict[str, float]:
-    """Return the evidence of each cause of a changed setup's stripes before the nominal one."""
-    _, causes = explain_stripes(SETUP, sights_of(change, tool), (AS_STATED, PART, LASER, SENSOR, CAMERA))
+def evidences(change: Mapping[str, float], tool: list[Float64], stated: Setup = SETUP) -> dict[str, float]:
+    """Return the evidence of each cause of a changed setup's stripes before the stated one."""
+    _, causes = explain_stripes(stated, sights_of(change, tool), (AS_STATED, PART, LASER, SENSOR, CAMERA))
     return {cause.name: cause.ln_evidence for cause in causes}
 
 
@@ -88,6 +90,14 @@ def test_turned_poses_name_what_is_off(change: Mapping[str, float], right: str) 
     found = evidences(change, poses(5.0, 10.0))
     assert max(found, key=lambda name: found[name]) == right
     assert found[right] > found[AS_STATED] + OFF_NATS
+
+
+@pytest.mark.parametrize(("sigma_mm", "explains"), [(1.0, True), (0.01, False)])
+def test_a_sheet_is_off_by_what_its_calibration_leaves_open(sigma_mm: float, explains: bool) -> None:
+    stated = replace(SETUP, calibration=CalibrationCovariance(("d_mm",), ((sigma_mm**2,),)))
+    found = evidences({"laser_offset": 1.5}, poses(5.0, 10.0), stated)
+    assert (max(found.values()) < found[AS_STATED] + OFF_NATS) == explains
+    assert explains or max(found, key=lambda name: found[name]) == LASER
 
 
 def test_one_pose_does_not_tell_a_sensor_from_the_part() -> None:
