@@ -28,7 +28,9 @@ from calibration.gauge.shape import Gauge, Shape
 from calibration.gauge.sightings import PosedPieces, StatedSensor
 from calibration.gauge.stripe_pieces import Piece, Pieces, stripe_pieces
 from calibration.laser.image_line import fit_line
+from calibration.laser.plane import with_plane
 from noise_model.compiled.arrays import Float64
+from noise_model.instrument.laser import Laser
 
 sys.path.append(str(Path(__file__).parents[1] / "examples"))
 
@@ -42,6 +44,12 @@ REACH_MM = 12.0
 
 NAMES = ("lean along", "lean about", "place")
 STEPS = np.array([1e-6, 1e-6, 1e-4, *[1e-6] * 3, *[1e-4] * 3])
+
+
+def laser_in(plane: Float64) -> Laser:
+    """Return a laser whose sheet is a plane (4,) of the tool frame."""
+    upright = Laser(660.0, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 300.0), 0.25, 1000.0)
+    return with_plane(upright, plane)
 
 
 @dataclass(frozen=True)
@@ -245,7 +253,9 @@ def judge(seed: int, tally: Tally, reasons: Counter[str]) -> None:
     lens = Lens.simple(WIDTH, HEIGHT, world.focal_px)
     shown = [posed for posed, _ in drawn]
     try:
-        result = calibrate_gauge(shown, world.gauge, StatedSensor(lens, world.T_tool_camera, stated), UP)
+        result = calibrate_gauge(
+            shown, world.gauge, StatedSensor(lens, world.T_tool_camera, laser_in(stated)), UP
+        )
     except UndeterminedError as error:
         reasons[str(error).split(":")[0][-60:]] += 1
         return
@@ -312,7 +322,9 @@ def judge_rendered(worlds: int, seed: int) -> None:
             else:
                 shown.append(PosedPieces(f"{k}", pieces, stated))
         try:
-            result = calibrate_gauge(shown, gauge, StatedSensor(lens, camera, make_gauge.SHEET_IN_TOOL), UP)
+            result = calibrate_gauge(
+                shown, gauge, StatedSensor(lens, camera, laser_in(make_gauge.SHEET_IN_TOOL)), UP
+            )
         except UndeterminedError as error:
             reasons[str(error)[:60]] += 1
             continue

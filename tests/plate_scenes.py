@@ -25,8 +25,8 @@ HEIGHTS_AND_TILTS = ((0.0, 0.0, 0.0), (8.0, 0.0, 8.0), (-8.0, 8.0, 0.0))
 
 MOTIONS = {
     "raise and lower the tool by 10 mm": ((10.0, 0.0, 0.0), (-10.0, 0.0, 0.0)),
-    "tilt it by ±15° about its x": ((0.0, 15.0, 0.0), (0.0, -15.0, 0.0)),
-    "tilt it by ±15° about its y": ((0.0, 0.0, 15.0), (0.0, 0.0, -15.0)),
+    "tilt the tool by ±15° about its x": ((0.0, 15.0, 0.0), (0.0, -15.0, 0.0)),
+    "tilt the tool by ±15° about its y": ((0.0, 0.0, 15.0), (0.0, 0.0, -15.0)),
 }
 """The levels of the tool that motions mean."""
 

@@ -28,7 +28,7 @@ MOVED_PARTS = (PART, LASER, SENSOR, CAMERA)
 STALE_PARTS = (*MOVED_PARTS, LENS, DIMENSIONS)
 
 CURES = {
-    LASER: "arctrack calibrate laser measures it",
+    LASER: "arctrack calibrate sheet corrects it by a scan of any flat plate",
     **dict.fromkeys(
         (SENSOR, CAMERA), "arctrack calibrate hand-eye measures it, in the tool frame that the poses are of"
     ),

@@ -226,8 +226,8 @@ class LaserTable(Table):
         "",
         "30 to 60 ahead",
         "a calibration. `arctrack calibrate laser`, from images of a board without and with the stripe; "
-        "`arctrack calibrate gauge`, from the stripe on a block of known size. An upright sheet 35 mm ahead "
-        "of the torch is [1, 0, 0, -35].",
+        "`arctrack calibrate sheet`, from a scan of any flat plate; `arctrack calibrate gauge`, from the "
+        "stripe on a block of known size. An upright sheet 35 mm ahead of the torch is [1, 0, 0, -35].",
     )
     origin_in_tool_mm: PointInTool = key(
         "Where the sheet fans out from: x, y, z in the tool frame",

@@ -264,10 +264,10 @@ def _motions(problem: GaugeProblem, state: GaugeState) -> dict[str, tuple[Float6
 
     return {
         f"raise and lower the tool by {LIFT_MM:g} mm": (lifted(LIFT_MM), lifted(-LIFT_MM)),
-        f"tilt it by ±{TILT_DEG:g}° about its x": (turned(0, TILT_DEG), turned(0, -TILT_DEG)),
-        f"tilt it by ±{TILT_DEG:g}° about its y": (turned(1, TILT_DEG), turned(1, -TILT_DEG)),
-        f"turn it by ±{SPIN_DEG:g}° about its z": (turned(2, SPIN_DEG), turned(2, -SPIN_DEG)),
-        "turn it by 180° about its z": (turned(2, 180.0), turned(2, 180.0 - SPIN_DEG)),
+        f"tilt the tool by ±{TILT_DEG:g}° about its x": (turned(0, TILT_DEG), turned(0, -TILT_DEG)),
+        f"tilt the tool by ±{TILT_DEG:g}° about its y": (turned(1, TILT_DEG), turned(1, -TILT_DEG)),
+        f"turn the tool by ±{SPIN_DEG:g}° about its z": (turned(2, SPIN_DEG), turned(2, -SPIN_DEG)),
+        "turn the tool by 180° about its z": (turned(2, 180.0), turned(2, 180.0 - SPIN_DEG)),
     }
 
 

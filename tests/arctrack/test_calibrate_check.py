@@ -50,6 +50,7 @@ def test_a_stale_sheet_is_named_as_arctrack_check_names_it(simulated: Path) -> N
     hint = check_recording(stale).hint
     assert hint is not None
     assert hint.what.partition("px off its place: ")[2].startswith("[laser] plane_in_tool is")
+    assert "arctrack calibrate sheet corrects it" in hint.cure
     assert hint.what in seen.headline
     assert f"To do: {hint.cure}." in seen.sentences
 

@@ -143,8 +143,11 @@ def test_a_pose_of_another_image_is_named() -> None:
 @pytest.mark.parametrize(
     ("motions", "missing"),
     [
-        ([(0, 0, 0, 0)] * 8, "Add images for which you tilt it by ±15° about its y"),
-        ([(z, 0, 0, 0) for z in (-8, -4, 0, 4, 8)], "Add images for which you tilt it by ±15° about its y"),
+        ([(0, 0, 0, 0)] * 8, "Add images for which you tilt the tool by ±15° about its y"),
+        (
+            [(z, 0, 0, 0) for z in (-8, -4, 0, 4, 8)],
+            "Add images for which you tilt the tool by ±15° about its y",
+        ),
         (MOTIONS[:3], "3 images show the gauge: 4 at least are needed"),
     ],
     ids=["none", "heights alone", "few"],

@@ -114,7 +114,7 @@ def test_stripes_of_something_else_are_named() -> None:
     ("levels", "bend_mm", "why"),
     [
         (HEIGHTS, 4.0, "off one plane, 1 σ: the plate is not flat"),
-        (HEIGHTS[:1], FLAT, "the plate says nothing of the sheet: .*it by ±15° about its"),
+        (HEIGHTS[:1], FLAT, "the plate says nothing of the sheet: .*the tool by ±15° about its"),
     ],
     ids=["bent", "one height"],
 )
