@@ -55,7 +55,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "clocks": {"protocol"},
         "link": {"protocol", "clocks"},
         "poses": {"protocol", "link"},
-        "ports": {"protocol", "link"},
+        "ports": {"protocol", "link", "poses"},
     },
     "calibration": {
         "boards": set(),

@@ -4,6 +4,7 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
+from robot_io.poses.nominal_path import Quaternion, Vector
 from robot_io.protocol.messages import (
     Command,
     GateReason,
@@ -14,9 +15,6 @@ from robot_io.protocol.messages import (
     TrackerState,
     WeldingState,
 )
-
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
 
 
 class PortError(ValueError):

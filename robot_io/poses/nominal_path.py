@@ -6,6 +6,7 @@ from functools import cached_property
 from itertools import pairwise
 
 Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,10 @@ from dataclasses import dataclass
 from enum import Enum
 
 from robot_io.described_enum import described
-from robot_io.poses.nominal_path import NominalPath, PathPlace, Vector, dot, minus, times
+from robot_io.poses.nominal_path import NominalPath, PathPlace, Quaternion, Vector, dot, minus, times
 from robot_io.poses.plausibility_limits import PlausibilityLimits
 from robot_io.poses.pose_assembler import PoseSample
 from robot_io.protocol.messages import MotionState, RobotStatus
-
-Quaternion = tuple[float, float, float, float]
 
 
 @described

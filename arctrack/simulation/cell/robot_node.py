@@ -30,9 +30,7 @@ from robot_io import (
     cycle_time_s,
     message_layout,
 )
-
-Quaternion = tuple[float, float, float, float]
-Vector = tuple[float, float, float]
+from robot_io.poses.nominal_path import Quaternion, Vector
 
 SEND_LAG_S = 0.002
 """Time from a pose's sample to the sending of its frames."""
